@@ -1,0 +1,43 @@
+# Everything runs from .venv, made once from requirements.lock.
+PYTHON ?= python3
+VENV   := .venv
+BIN    := $(VENV)/bin
+READY  := $(VENV)/.ready
+
+.PHONY: demo test slow bench lint lock wheel clean
+.DEFAULT_GOAL := demo
+
+$(READY): requirements.lock pyproject.toml
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "Sightline needs Python 3.11 or newer; try: make PYTHON=python3.12")'
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements.lock
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .
+	@touch $@
+
+demo: $(READY)  ## two images of a twin, calibrated, planned, reported: out/demo/report.html
+	$(BIN)/sightline demo
+
+test: $(READY)  ## the whole suite, under five minutes
+	$(BIN)/python -m pytest
+
+slow: $(READY)  ## what is too slow for `make test`
+	$(BIN)/python -m pytest -m slow
+
+bench: $(READY)  ## the figures of docs/benchmarks.md, each beside its peer
+	$(BIN)/python -m benchmarks
+
+lint: $(READY)
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/basedpyright
+	$(BIN)/lint-imports
+
+wheel: $(READY)
+	$(BIN)/python -m build --no-isolation --wheel --outdir dist
+
+lock:  ## compile requirements.lock again (needs uv)
+	uv pip compile --quiet --universal --python-version 3.11 --generate-hashes --no-emit-index-url --no-annotate \
+	  --custom-compile-command 'make lock' --group dev --group bench pyproject.toml -o requirements.lock
+
+clean:
+	rm -rf out dist build .pytest_cache .ruff_cache

@@ -1,0 +1,49 @@
+"""Run the benchmarks: `python -m benchmarks [NAME ...] [--quick]`; names are files here without their `bench_`."""
+
+import argparse
+import importlib
+import sys
+import time
+from pathlib import Path
+
+from rich.console import Console
+from rich.table import Table
+
+from benchmarks.rows import Row
+
+
+def _names() -> list[str]:
+    return sorted(p.stem.removeprefix("bench_") for p in Path(__file__).parent.glob("bench_*.py"))
+
+
+def _table(rows: list[Row]) -> Table:
+    table = Table(show_lines=False)
+    for column in ("group", "figure of", "measured", "asked", "peer", "met"):
+        table.add_column(column)
+    for row in rows:
+        met = {True: "yes", False: "NO", None: ""}[row.met]
+        table.add_row(row.group, row.name, row.figure, row.asked, row.peer, met)
+    return table
+
+
+def main() -> int:
+    """Print the table; 1 if a figure asked for is not met."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("names", nargs="*", choices=[[], *_names()])
+    parser.add_argument("--quick", action="store_true", help="a tenth of the trials: for a look, not for figures")
+    options = parser.parse_args()
+    console = Console(width=160)
+    everything: list[Row] = []
+    for name in options.names or _names():
+        started = time.perf_counter()
+        rows = importlib.import_module(f"benchmarks.bench_{name}").run(quick=options.quick)
+        everything += rows
+        console.print(_table(rows))
+        console.print(f"{name}: {time.perf_counter() - started:.0f} s")
+    missed = [row for row in everything if row.met is False]
+    console.print(f"{len(everything)} figures, {len(missed)} not met")
+    return 1 if missed else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

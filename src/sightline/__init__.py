@@ -1,0 +1,54 @@
+"""Two ordinary C-arm images of a bead frame become a planned guide-wire trajectory with its error bound."""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from sightline.calibration import CalibratedView as CalibratedView
+    from sightline.calibration import calibrate as calibrate
+    from sightline.calibration import fit_map as fit_map
+    from sightline.calibration import view_from_matrix as view_from_matrix
+    from sightline.detection import Detections as Detections
+    from sightline.detection import Observations as Observations
+    from sightline.detection import detect as detect
+    from sightline.detection import label as label
+    from sightline.errors import SightlineError as SightlineError
+    from sightline.frame import Frame as Frame
+    from sightline.imaging import Radiograph as Radiograph
+    from sightline.imaging import read_image as read_image
+    from sightline.planning import SpacePoints as SpacePoints
+    from sightline.planning import Trajectory as Trajectory
+    from sightline.planning import reconstruct as reconstruct
+
+__version__ = "0.1.0"
+
+# The promised face, imported on first use: `sightline --help` must not wait for numba.
+_HOMES = {
+    "CalibratedView": "calibration",
+    "Detections": "detection",
+    "Frame": "frame",
+    "Observations": "detection",
+    "Radiograph": "imaging",
+    "SightlineError": "errors",
+    "SpacePoints": "planning",
+    "Trajectory": "planning",
+    "calibrate": "calibration",
+    "detect": "detection",
+    "fit_map": "calibration",
+    "label": "detection",
+    "read_image": "imaging",
+    "reconstruct": "planning",
+    "view_from_matrix": "calibration",
+}
+__all__ = ["__version__"]
+__all__ += sorted(_HOMES)
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOMES:
+        raise AttributeError(f"module 'sightline' has no attribute {name!r}")
+    return getattr(import_module(f"sightline.{_HOMES[name]}"), name)
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

@@ -1,0 +1,96 @@
+"""A calibrated view: a plane map and a focal point with their joint covariance; and what it gives, lines of sight."""
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from sightline.checks import Check
+from sightline.geometry.planes import Plane
+
+# Where the error of a line of sight comes from. Their covariances add up to the whole.
+SOURCES = ("beads", "map", "focal_point", "frame")
+
+
+class PlaneMap(Protocol):
+    """A smooth map between an image (IDCS, px) and a plane (mm)."""
+
+    def to_plane(self, uv_px: np.ndarray) -> np.ndarray:
+        """Pixels (N, 2) to plane coordinates (N, 2)."""
+        ...
+
+    def to_image(self, xy_mm: np.ndarray) -> np.ndarray:
+        """Plane coordinates (N, 2) to pixels (N, 2)."""
+        ...
+
+    def jacobian(self, uv_px: np.ndarray) -> np.ndarray:
+        """d(to_plane)/d(uv) at pixels (N, 2): (N, 2, 2), mm/px."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class LinesOfSight:
+    """The lines of sight of N pixels of one view, CFCS.
+
+    Line i runs from `focal_point_mm` (3,) through `points_mm` (N, 3), which lie in `plane` at `xy_mm` (N, 2).
+    `jacobian` (N, 2, 2) is d xy / d uv, mm/px: it carries a pick's covariance onto the plane.
+    `covariance` is None where the error is unknown; else, for each of SOURCES, the (3 + 2N, 3 + 2N) covariance of
+    (focal point, xy of line 1, ..., xy of line N). The picks' own noise is not in it.
+    `frame_factor` (3 + 2N, K) or None: the same numbers' response to the K independent unit-variance errors of the
+    frame (`Frame.error_factor`), so covariance["frame"] = frame_factor @ frame_factor.T, and the shared error of two
+    views a and b of the frame with one `frame_key` is a.frame_factor @ b.frame_factor.T.
+    `inside_hull` (N,) bool: within the hull of the beads.
+    """
+
+    view: str
+    plane: Plane
+    focal_point_mm: np.ndarray
+    xy_mm: np.ndarray
+    jacobian: np.ndarray
+    covariance: dict[str, np.ndarray] | None
+    frame_factor: np.ndarray | None
+    frame_key: str | None
+    inside_hull: np.ndarray
+
+    @property
+    def points_mm(self) -> np.ndarray:
+        """(N, 3) on the reference plane, CFCS."""
+        return self.plane.to_space(self.xy_mm)
+
+    @property
+    def directions(self) -> np.ndarray:
+        """(N, 3) unit vectors from the focal point to the points on the plane."""
+        d = self.points_mm - self.focal_point_mm
+        return d / np.linalg.norm(d, axis=-1, keepdims=True)
+
+
+class CalibratedView(Protocol):
+    """One image with its geometry. Planning and everything after it know a view by this face alone."""
+
+    @property
+    def name(self) -> str:
+        """ "pa", "lateral", or another view of the frame."""
+        ...
+
+    @property
+    def method(self) -> str:
+        """ "smooth", "polynomial", "localized", or "matrix"."""
+        ...
+
+    @property
+    def focal_point_mm(self) -> np.ndarray:
+        """(3,) the effective focal point, CFCS."""
+        ...
+
+    @property
+    def checks(self) -> tuple[Check, ...]:
+        """What was checked of the calibration."""
+        ...
+
+    def project(self, xyz_mm: np.ndarray) -> np.ndarray:
+        """Points (N, 3) CFCS to pixels (N, 2). Raises OutsideRegionError."""
+        ...
+
+    def lines_of_sight(self, uv_px: np.ndarray) -> LinesOfSight:
+        """Lines of sight of pixels (N, 2). Raises OutsideRegionError."""
+        ...

@@ -1,0 +1,24 @@
+"""A check: a figure held against its limit, with a sentence for the person who must act on it."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Check:
+    """One named check. `figure` is None where it could not be measured; then the check fails.
+
+    `name` is a key of docs/refusals.md; `figure` and `limit` are in `unit`.
+    """
+
+    name: str
+    passed: bool
+    figure: float | None
+    limit: float | None
+    unit: str
+    sentence: str
+
+
+def failed(checks: Iterable[Check]) -> tuple[Check, ...]:
+    """The checks that did not pass, in their order."""
+    return tuple(check for check in checks if not check.passed)

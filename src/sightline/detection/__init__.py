@@ -1,0 +1,5 @@
+"""Beads: found, measured, told apart."""
+
+from sightline.detection.results import Detections, Observations, Rejected
+
+__all__ = ["Detections", "Observations", "Rejected"]

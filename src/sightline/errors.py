@@ -1,0 +1,53 @@
+"""What Sightline raises: every message says what is wrong and what to do."""
+
+
+class SightlineError(Exception):
+    """Base of all errors raised on purpose; `exit_code` is what the command line returns."""
+
+    exit_code = 2
+
+
+class UnusableInputError(SightlineError):
+    """A file or an argument cannot be used at all (exit code 2)."""
+
+
+class ImageError(UnusableInputError):
+    """A file is not an image that Sightline can read."""
+
+
+class FrameError(UnusableInputError):
+    """A frame file is malformed or describes no usable frame."""
+
+
+class ObservationsError(UnusableInputError):
+    """Bead observations are malformed, not finite, or do not belong to the frame."""
+
+
+class RefusedError(SightlineError):
+    """The input is readable, but a trustworthy result cannot be computed from it (exit code 3)."""
+
+    exit_code = 3
+
+
+class DetectionRefusedError(RefusedError):
+    """An image shows no beads that can be told from its background."""
+
+
+class LabellingRefusedError(RefusedError):
+    """The beads found cannot be told apart with certainty."""
+
+
+class CalibrationRefusedError(RefusedError):
+    """A view cannot be calibrated from the beads given."""
+
+
+class OutsideRegionError(RefusedError):
+    """A point lies where the view's map is not defined."""
+
+
+class ReconstructionRefusedError(RefusedError):
+    """Lines of sight do not determine a point."""
+
+
+class ErrorUnknownError(RefusedError):
+    """An uncertainty is asked of a view that has none."""

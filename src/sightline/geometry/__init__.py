@@ -1,0 +1,1 @@
+"""Rays, planes, meeting points of lines, covariance propagation."""

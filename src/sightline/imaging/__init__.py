@@ -1,0 +1,5 @@
+"""Radiographs: reading, writing, the field of view."""
+
+from sightline.imaging.radiograph import GeometryTags, Radiograph
+
+__all__ = ["GeometryTags", "Radiograph"]

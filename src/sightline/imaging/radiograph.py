@@ -1,0 +1,61 @@
+"""A radiograph: pixels, and what is known of them."""
+
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+
+from sightline.errors import ImageError
+
+
+@dataclass(frozen=True)
+class GeometryTags:
+    """Geometry a file happens to state; None where it does not. Never required, never trusted.
+
+    DICOM (0018,1110) mm, (0018,1164) mm at the detector (row, column), (0018,1162) mm,
+    (0018,1510) and (0018,1511) degrees.
+    """
+
+    source_detector_mm: float | None = None
+    imager_pixel_spacing_mm: tuple[float, float] | None = None
+    intensifier_size_mm: float | None = None
+    primary_angle_deg: float | None = None
+    secondary_angle_deg: float | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Radiograph:
+    """One X-ray image.
+
+    `pixels` (H, W), uint8, uint16 or float32, read-only; more is brighter is more X-rays reaching the
+    detector (MONOCHROME1 has been inverted). `white` is the largest value the source can store, so
+    `pixels >= white` is saturated. Raises ImageError on anything but a finite two-dimensional array.
+    """
+
+    pixels: np.ndarray
+    white: float
+    tags: GeometryTags = field(default_factory=GeometryTags)
+
+    def __post_init__(self) -> None:
+        pixels = np.asarray(self.pixels)
+        if pixels.ndim != 2 or min(pixels.shape, default=0) < 16:
+            raise ImageError(f"an image has two dimensions of at least 16 pixels, not the shape {pixels.shape}")
+        if pixels.dtype not in (np.uint8, np.uint16):
+            pixels = pixels.astype(np.float32)
+            if not np.isfinite(pixels).all():
+                raise ImageError("the image holds values that are not finite; export it again without them")
+        pixels = pixels.view()
+        pixels.flags.writeable = False
+        object.__setattr__(self, "pixels", pixels)
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Height and width in pixels."""
+        return self.pixels.shape[0], self.pixels.shape[1]
+
+    @cached_property
+    def field_mask(self) -> np.ndarray:
+        """(H, W) bool, True inside the round or octagonal collimation."""
+        from sightline.imaging.collimation import field_mask
+
+        return field_mask(self)

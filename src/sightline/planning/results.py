@@ -1,0 +1,53 @@
+"""What planning hands on: points in space, a trajectory, a verdict."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from sightline.checks import Check
+
+# Where the error of a point comes from; their covariances add up to the whole.
+BUDGET = ("beads", "map", "focal_point", "frame", "picks")
+
+
+@dataclass(frozen=True, eq=False)
+class SpacePoints:
+    """N points reconstructed from two views, CFCS.
+
+    `xyz_mm` (N, 3). `gap_mm` (N,): nearest approach of the two lines of sight. `gap_tested` (N,) bool: False where
+    a pick was snapped to an image-matching curve, so that the gap says nothing. `gap_sigma` (N,): gap over its own
+    standard deviation; 0 where not tested. `joint_covariance_mm2` (3N, 3N), or None where a view's error is unknown:
+    the points share focal points, maps and frame, so their errors are correlated. `budget_mm2`: the same, for each of
+    BUDGET. `inside_hull` (N,): within the beads' hull in both views.
+    """
+
+    xyz_mm: np.ndarray
+    gap_mm: np.ndarray
+    gap_tested: np.ndarray
+    gap_sigma: np.ndarray | None
+    joint_covariance_mm2: np.ndarray | None
+    budget_mm2: dict[str, np.ndarray] | None
+    inside_hull: np.ndarray
+
+    @property
+    def covariance_mm2(self) -> np.ndarray:
+        """(N, 3, 3). Raises ErrorUnknownError where a view has no covariance."""
+        from sightline.errors import ErrorUnknownError
+
+        if self.joint_covariance_mm2 is None:
+            raise ErrorUnknownError("a view has no covariance, so the error of its points is unknown")
+        n = len(self.xyz_mm)
+        blocks = self.joint_covariance_mm2.reshape(n, 3, n, 3)
+        return np.stack([blocks[i, :, i, :] for i in range(n)]) if n else np.zeros((0, 3, 3))
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """GO only if every check passed; a person decides, this says what stands against it."""
+
+    checks: tuple[Check, ...]
+
+    @property
+    def go(self) -> bool:
+        """True if every check passed."""
+        return all(check.passed for check in self.checks)

@@ -1,0 +1,1 @@
+"""Accuracy studies: bounds, figures, tables."""

@@ -1,0 +1,1 @@
+"""The digital twin: C-arm, intensifier, femur, X-ray projection. It never imports what it judges."""
