@@ -40,8 +40,24 @@ _HOMES = {
     "reconstruct": "planning",
     "view_from_matrix": "calibration",
 }
-__all__ = ["__version__"]
-__all__ += sorted(_HOMES)
+__all__ = [  # noqa: RUF022 - the order a reader meets them in
+    "read_image",
+    "detect",
+    "Frame",
+    "label",
+    "calibrate",
+    "reconstruct",
+    "fit_map",
+    "view_from_matrix",
+    "Radiograph",
+    "Detections",
+    "Observations",
+    "CalibratedView",
+    "SpacePoints",
+    "Trajectory",
+    "SightlineError",
+    "__version__",
+]
 
 
 def __getattr__(name: str) -> Any:
