@@ -1,0 +1,110 @@
+"""Image files in and out: DICOM, PNG, TIFF, BMP, NumPy. The first bytes tell the format, not the name."""
+
+import io
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from sightline.atomic import write_whole
+from sightline.errors import ImageError
+from sightline.imaging import dicom, headers
+from sightline.imaging.limits import MAX_FILE_BYTES, check_size
+from sightline.imaging.radiograph import Radiograph
+
+_RASTER = {b"\x89PNG\r\n\x1a\n": headers.png, b"BM": headers.bmp, b"II*\x00": headers.tiff, b"MM\x00*": headers.tiff}
+
+
+def read_image(path: str | Path, frame_index: int | None = None) -> Radiograph:
+    """Read one X-ray image: DICOM, PNG, TIFF, BMP or `.npy`, 8 to 16 bit (`.npy` also floating point).
+
+    The stored values are kept: no window, look-up table or rescaling is applied, because those are made for the eye
+    and may clip; only their direction is read, so that brighter is more X-rays (see `dicom.read`). A colour image
+    whose channels are equal is a grey one. `frame_index` (from 0) picks a frame of a multi-frame run; without it
+    a run of several frames is refused, since no frame of it is "the" image. Raises ImageError.
+    """
+    file = Path(path)
+    start = _first_bytes(file)
+    if start[128:132] == b"DICM":
+        return dicom.read(file, frame_index)
+    if frame_index not in (None, 0):
+        raise ImageError(f"{file.name} holds one image, so there is no frame {frame_index}; leave the frame out")
+    if start.startswith(b"\x93NUMPY"):
+        return _read_npy(file)
+    for magic, read_header in _RASTER.items():
+        if start.startswith(magic):
+            return _read_raster(file, read_header)
+    raise ImageError(f"{file.name} is not an image that can be read; give DICOM, PNG, TIFF, BMP or NumPy (.npy)")
+
+
+def write_png(radiograph: Radiograph, path: str | Path) -> Path:
+    """Write the pixels as an 8- or 16-bit grey PNG. Raises ImageError on floating-point pixels."""
+    if radiograph.pixels.dtype not in (np.uint8, np.uint16):
+        raise ImageError("a PNG holds whole numbers of 8 or 16 bits; convert the pixels before writing them")
+    return write_whole(path, cv2.imencode(".png", radiograph.pixels)[1].tobytes())
+
+
+def _first_bytes(file: Path) -> bytes:
+    try:
+        size = file.stat().st_size
+        if file.is_file() and 0 < size <= MAX_FILE_BYTES:
+            with file.open("rb") as stream:
+                return stream.read(132)
+    except OSError as error:
+        raise ImageError(f"cannot read {file.name}: {error.strerror}") from error
+    if not file.is_file():
+        raise ImageError(f"{file.name} is a folder or a device, not a file; name one image file")
+    if size == 0:
+        raise ImageError(f"{file.name} is empty; export the image again")
+    raise ImageError(f"{file.name} has {size} bytes; the limit is {MAX_FILE_BYTES}: export single images")
+
+
+def _read_raster(file: Path, read_header: headers.HeaderReader) -> Radiograph:
+    data = file.read_bytes()
+    height, width = read_header(data, file.name)
+    check_size(height, width, file.name)
+    try:
+        pixels = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+    except cv2.error:
+        pixels = None
+    if pixels is None or pixels.shape[:2] != (height, width):
+        raise ImageError(f"{file.name} is damaged or of a kind that cannot be read; export it as 16-bit grey PNG")
+    return _radiograph(grey(pixels, file.name), file.name)
+
+
+def _read_npy(file: Path) -> Radiograph:
+    try:
+        with file.open("rb") as stream:
+            version = np.lib.format.read_magic(stream)
+            shape, _, dtype = (
+                np.lib.format.read_array_header_1_0(stream)
+                if version == (1, 0)
+                else np.lib.format.read_array_header_2_0(stream)
+            )
+        if len(shape) not in (2, 3) or dtype.hasobject:
+            raise ImageError(
+                f"{file.name} holds no image: shape {shape}, type {dtype}; save one (H, W) array of numbers"
+            )
+        check_size(shape[0], shape[1], file.name)
+        pixels = np.load(io.BytesIO(file.read_bytes()), allow_pickle=False)
+    except (ValueError, EOFError, OSError) as error:
+        raise ImageError(f"{file.name} is not a whole NumPy file; save the array again") from error
+    return _radiograph(grey(pixels, file.name), file.name)
+
+
+def grey(pixels: np.ndarray, name: str) -> np.ndarray:
+    """(H, W) of an array (H, W) or (H, W, channels) with equal colours. Raises ImageError on true colour."""
+    if pixels.ndim == 2:
+        return pixels
+    colours = pixels[..., : 3 if pixels.shape[-1] >= 3 else 1]
+    if pixels.ndim != 3 or pixels.shape[-1] > 4 or (colours != colours[..., :1]).any():
+        raise ImageError(f"{name} is a colour image; export the X-ray image itself in grey, without drawings on it")
+    return np.ascontiguousarray(colours[..., 0])
+
+
+def _radiograph(pixels: np.ndarray, name: str) -> Radiograph:
+    if pixels.dtype in (np.uint8, np.uint16):
+        return Radiograph(pixels, float(np.iinfo(pixels.dtype).max))
+    if pixels.dtype.kind == "f":
+        return Radiograph(pixels, float("inf"))  # nothing says where such an image saturates
+    raise ImageError(f"{name} holds {pixels.dtype} pixels; save them as uint8, uint16 or float32")
