@@ -1,5 +1,68 @@
-"""The command line, one file per command."""
+"""The command line, one file per command.
+
+A command lives in `cli/<name>.py`, stands in `_COMMANDS` below and has a function
+
+    def register(app: typer.Typer) -> None:
+        app.command("plan")(plan)                    # or, for a command with sub-commands:
+        app.add_typer(frame_app, name="frame")
+
+Its body does all its work inside one `Output` (cli/output.py), which prints, encodes and turns errors into exit codes:
+
+    def plan(pa: Path, ..., json: Json = False, quiet: Quiet = False) -> None:
+        "First line of the docstring: what `sightline --help` shows."
+        with Output(json=json, quiet=quiet) as out:
+            from sightline.planning import ...       # heavy imports here: `sightline --help` stays below 0.5 s
+            with out.step("finding beads"):
+                ...
+            out.table("Points", ("point", "x mm"), rows)
+            out.result({"points": points, ...}, checks=verdict.checks)   # exit code 3 where a check failed
+
+At its top a command file imports the standard library, typer, `sightline.cli.output`, and nothing that is slow.
+"""
+
+from importlib import import_module
+from importlib.util import find_spec
+from typing import Annotated
+
+import typer
+
+from sightline import __version__
+
+_COMMANDS = ("demo", "detect", "calibrate", "undistort", "plan", "assess", "frame")
+
+app = typer.Typer(
+    name="sightline",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+
+def _show_version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"sightline {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _sightline(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_show_version, is_eager=True, help="Print the version.")
+    ] = False,
+) -> None:
+    """Two ordinary C-arm images of a bead frame become a planned guide-wire trajectory with its error bound.
+
+    Every command takes --json and --quiet. Exit codes: 0 done; 2 unusable arguments or files; 3 refused by a check.
+    Research software, not a medical device.
+    """
+
+
+for _name in _COMMANDS:
+    if find_spec(f"sightline.cli.{_name}"):
+        import_module(f"sightline.cli.{_name}").register(app)
 
 
 def main() -> None:
     """Entry point of `sightline`."""
+    app()

@@ -1,0 +1,175 @@
+"""What commands print, in one place: tables for people, one JSON document for machines, errors as exit codes."""
+
+import os
+import sys
+import traceback
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import fields, is_dataclass
+from json import dumps
+from pathlib import Path
+from time import perf_counter
+from types import TracebackType
+from typing import TYPE_CHECKING, Annotated, Any, Self
+
+import typer
+
+from sightline.checks import Check, failed
+from sightline.errors import SightlineError
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+Json = Annotated[bool, typer.Option("--json", help="Print one JSON document, for machines.")]
+Quiet = Annotated[bool, typer.Option("--quiet", help="Print nothing but errors and what --json asks for.")]
+
+# Typer turns these into exit codes itself.
+_PASSED_ON = (typer.Exit, typer.Abort, typer.BadParameter, BrokenPipeError)
+_REFUSED, _BUG, _INTERRUPTED = 3, 1, 130  # 130 = 128 + SIGINT, as shells expect
+
+
+class Output:
+    """The outside of one command: results go to stdout, progress and errors to stderr.
+
+    With `json`, stdout holds exactly one JSON document: the result, or {"error": {"type", "message"}}. Leaving the
+    `with` block turns a SightlineError into its message and exit code, and anything unexpected into one line that
+    asks for a report (exit code 1; SIGHTLINE_DEBUG=1 shows the traceback).
+    """
+
+    def __init__(self, *, json: bool, quiet: bool) -> None:
+        self._json, self._quiet = json, quiet
+        self._document: str | None = None
+        self._refused = False
+
+    def __enter__(self) -> Self:
+        return self
+
+    def step(self, text: str) -> "_Step":
+        """`with out.step("finding beads"):` says what is being done, and afterwards how long it took."""
+        return _Step(None if self._silent else _console(stderr=True), text)
+
+    @contextmanager
+    def progress(self, text: str, total: int) -> Iterator[Callable[[], None]]:
+        """`with out.progress("trials", 200) as advance:` shows a bar; call `advance()` after each of `total` pieces."""
+        from rich.progress import Progress
+
+        with Progress(console=_console(stderr=True), transient=True, disable=self._silent) as bar:
+            task = bar.add_task(text, total=total)
+            yield lambda: bar.advance(task)
+
+    def note(self, text: str) -> None:
+        """A line on stderr, for people."""
+        if not self._silent:
+            _console(stderr=True).print(text, markup=False, highlight=False)
+
+    def say(self, text: str) -> None:
+        """A line of the result, for people."""
+        if not self._silent:
+            _console().print(text, markup=False, highlight=False)
+
+    def table(self, title: str, columns: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
+        """A table of the result, for people; None is shown as a dash."""
+        if self._silent:
+            return
+        from rich import box
+        from rich.table import Table
+        from rich.text import Text
+
+        table = Table(title=Text(title), title_justify="left", box=box.SIMPLE)
+        for column in columns:
+            table.add_column(Text(column))
+        for row in rows:
+            table.add_row(*(Text("-" if cell is None else str(cell)) for cell in row))
+        _console().print(table)
+
+    def result(self, document: dict[str, Any], checks: Iterable[Check] = ()) -> None:
+        """The result of the command, once. With a failed check the command ends with exit code 3."""
+        checks = tuple(checks)
+        self._refused = bool(failed(checks))
+        if checks:
+            self.table(
+                "Checks",
+                ("check", "", "figure", "limit", "what it means"),
+                [(c.name, "pass" if c.passed else "FAIL", *_figures(c), c.sentence) for c in checks],
+            )
+        self._document = as_json({**document, "checks": checks} if checks else document)
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if error is None:
+            if self._json:
+                typer.echo(self._document or "{}")
+            if self._refused:
+                raise typer.Exit(_REFUSED)
+        elif isinstance(error, KeyboardInterrupt):
+            self._fail("Interrupted", "stopped by the keyboard", _INTERRUPTED)
+        elif isinstance(error, SightlineError):
+            self._fail(type(error).__name__, str(error), error.exit_code)
+        elif isinstance(error, Exception) and not isinstance(error, _PASSED_ON):
+            if os.environ.get("SIGHTLINE_DEBUG"):
+                traceback.print_exception(error, file=sys.stderr)
+            message = f"a bug in Sightline ({type(error).__name__}); set SIGHTLINE_DEBUG=1, run again and report it"
+            self._fail("Bug", message, _BUG)
+
+    @property
+    def _silent(self) -> bool:
+        return self._json or self._quiet
+
+    def _fail(self, kind: str, message: str, code: int) -> None:
+        if self._json:
+            typer.echo(as_json({"error": {"type": kind, "message": message}}))
+        else:
+            typer.echo(f"sightline: {message}", err=True)
+        raise typer.Exit(code) from None
+
+
+def as_json(value: Any) -> str:
+    """JSON of plain values, arrays, dataclasses and paths. None is null; a value that is not finite is a bug."""
+    return dumps(_plain(value), allow_nan=False)
+
+
+def _plain(value: Any) -> Any:
+    if is_dataclass(value):
+        return {field.name: _plain(getattr(value, field.name)) for field in fields(value)}
+    if isinstance(value, dict):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(item) for item in value]
+    if isinstance(value, Path):
+        return str(value)
+    return value.tolist() if hasattr(value, "tolist") else value  # numpy arrays and scalars
+
+
+class _Step:
+    """A piece of work with its name and, afterwards, its time."""
+
+    def __init__(self, console: "Console | None", text: str) -> None:
+        self._console, self._text = console, text
+
+    def __enter__(self) -> None:
+        from rich.markup import escape
+
+        self._started = perf_counter()
+        self._status = self._console.status(escape(self._text)) if self._console else None
+        if self._status:
+            self._status.start()
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        if self._status:
+            self._status.stop()
+        if self._console and kind is None:
+            text = f"{self._text}: {perf_counter() - self._started:.1f} s"
+            self._console.print(text, markup=False, highlight=False)
+
+
+def _console(*, stderr: bool = False) -> "Console":
+    """Made anew each time, so that it writes to the stream that is in place now."""
+    from rich.console import Console
+
+    return Console(stderr=stderr)
+
+
+def _figures(check: Check) -> tuple[str, str]:
+    show = ["not measured" if v is None else f"{v:.4g} {check.unit}".strip() for v in (check.figure, check.limit)]
+    return show[0], show[1] if check.limit is not None else ""
