@@ -1,0 +1,98 @@
+"""Observations as CSV: the schema of docs/observations-csv.md."""
+
+import csv
+import io
+from collections.abc import Iterable, Iterator
+from math import isfinite
+from pathlib import Path
+
+import numpy as np
+
+from sightline.atomic import write_whole
+from sightline.detection.results import Observations
+from sightline.errors import ObservationsError
+
+_COLUMNS = ("view", "id", "u_px", "v_px")
+_COVARIANCE = ("suu_px2", "suv_px2", "svv_px2")
+_MAX_BYTES = 2**22  # [ours] forty thousand beads
+_MAX_TEXT = 64  # [ours] characters in the name of a view or fiducial
+
+
+def read_observations(path: str | Path) -> dict[str, Observations]:
+    """The observations in a CSV file, by view. Raises ObservationsError, which names the line."""
+    name = Path(path).name
+    reader = csv.reader(io.StringIO(_text(Path(path))), strict=True)
+    rows: dict[str, list[tuple[str, list[float]]]] = {}
+    try:
+        header = tuple(cell.strip() for cell in next(reader, []))
+        if header not in (_COLUMNS, _COLUMNS + _COVARIANCE):
+            expected = f"{','.join(_COLUMNS)}[,{','.join(_COVARIANCE)}]"
+            raise ObservationsError(f"{name}, line 1: the columns are {','.join(header)!r}; {expected} was expected")
+        for cells in reader:
+            if cells:
+                view, fiducial, numbers = _row(cells, len(header), f"{name}, line {reader.line_num}")
+                rows.setdefault(view, []).append((fiducial, numbers))
+    except csv.Error as error:
+        raise ObservationsError(f"{name}, line {reader.line_num}: {error}; write plain comma-separated text") from None
+    if not rows:
+        raise ObservationsError(f"{name} holds no observations; give one line for each bead seen")
+    return {view: _observations(view, beads) for view, beads in rows.items()}
+
+
+def write_observations(observations: Iterable[Observations], path: str | Path) -> Path:
+    """Write the views' observations as one CSV file; covariances only where every view has them."""
+    views = list(observations)
+    known = all(view.covariance_px2 is not None for view in views)
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(_COLUMNS + _COVARIANCE if known else _COLUMNS)
+    for view in views:
+        writer.writerows(_lines(view, known))
+    return write_whole(path, text.getvalue().encode())
+
+
+def _lines(view: Observations, known: bool) -> Iterator[list[str]]:
+    for i, fiducial in enumerate(view.ids):
+        numbers = list(view.uv_px[i])
+        if known and view.covariance_px2 is not None:
+            numbers += list(view.covariance_px2[i][[0, 0, 1], [0, 1, 1]])
+        yield [view.view, fiducial, *(repr(float(number)) for number in numbers)]
+
+
+def _text(file: Path) -> str:
+    try:
+        with file.open("rb") as stream:
+            data = stream.read(_MAX_BYTES + 1)
+    except OSError as error:
+        raise ObservationsError(f"cannot read {file.name}: {error.strerror}") from error
+    if len(data) > _MAX_BYTES:
+        raise ObservationsError(f"{file.name} is larger than {_MAX_BYTES} bytes; give the beads of one pair of images")
+    try:
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        raise ObservationsError(f"{file.name} is not a text file; write observations as CSV in UTF-8") from None
+
+
+def _row(cells: list[str], width: int, where: str) -> tuple[str, str, list[float]]:
+    if len(cells) != width:
+        raise ObservationsError(f"{where}: {len(cells)} values where {width} were expected")
+    view, fiducial = cells[0].strip(), cells[1].strip()
+    if not (0 < len(view) <= _MAX_TEXT and 0 < len(fiducial) <= _MAX_TEXT):
+        raise ObservationsError(f"{where}: the view and the fiducial each need a name of 1 to {_MAX_TEXT} characters")
+    try:
+        numbers = [float(cell) for cell in cells[2:]]
+    except ValueError:
+        raise ObservationsError(f"{where}: {', '.join(cells[2:])} are not all numbers") from None
+    if not all(isfinite(number) for number in numbers):
+        raise ObservationsError(f"{where}: a value is not finite; leave out beads that were not measured")
+    if len(numbers) == 5:
+        suu, suv, svv = numbers[2:]
+        if suu <= 0 or svv <= 0 or suv**2 >= suu * svv:
+            raise ObservationsError(f"{where}: the covariance is not positive definite; check suu, suv and svv")
+    return view, fiducial, numbers
+
+
+def _observations(view: str, beads: list[tuple[str, list[float]]]) -> Observations:
+    table = np.array([numbers for _, numbers in beads])
+    covariance = table[:, [2, 3, 3, 4]].reshape(-1, 2, 2) if table.shape[1] == 5 else None
+    return Observations(view, tuple(fiducial for fiducial, _ in beads), table[:, :2], covariance)
