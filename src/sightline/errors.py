@@ -23,6 +23,10 @@ class ObservationsError(UnusableInputError):
     """Bead observations are malformed, not finite, or do not belong to the frame."""
 
 
+class SetUpError(UnusableInputError):
+    """A simulated set-up or scene cannot be drawn as asked."""
+
+
 class RefusedError(SightlineError):
     """The input is readable, but a trustworthy result cannot be computed from it (exit code 3)."""
 

@@ -1,0 +1,221 @@
+"""The C-arm in its two poses: where source and detector truly stand, and what pixel a point truly projects to."""
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from sightline.errors import OutsideRegionError, SetUpError
+from sightline.frame import Fiducial, Frame, FrameView, Plate
+from sightline.geometry.planes import Plane
+from sightline.twin.distributions import Distortion, Pose
+from sightline.twin.draw import draw_earth, draw_tube
+from sightline.twin.intensifier import Intensifier
+from sightline.twin.presets import ImageChain, preset
+
+ATTEMPTS = 1000
+
+
+@dataclass(frozen=True, eq=False)
+class ViewTruth:
+    """The truth of one view, CFCS. `detector`: the input plane, its axes along u and v of an undistorted image seen
+    from the intensifier (axes[0] x axes[1] points to the source)."""
+
+    name: str
+    focal_point_mm: np.ndarray
+    detector: Plane
+    intensifier: Intensifier
+
+    @property
+    def chain(self) -> ImageChain:
+        """The image chain."""
+        return self.intensifier.chain
+
+    def to_detector(self, xyz_mm: np.ndarray) -> np.ndarray:
+        """Points (..., 3) projected onto the input plane, detector coordinates (..., 2) mm.
+
+        Raises OutsideRegionError for a point that is not in front of the source."""
+        height = self.detector.height_mm(self.focal_point_mm)
+        if not (self.detector.height_mm(xyz_mm) < height).all():
+            raise OutsideRegionError("a point lies behind the X-ray source or is not finite")
+        return self.detector.central_projection(self.focal_point_mm, xyz_mm)
+
+    def project(self, xyz_mm: np.ndarray) -> np.ndarray:
+        """Points (..., 3) CFCS to true pixels (..., 2), in the field or not. Raises OutsideRegionError."""
+        return self.intensifier.to_image(self.to_detector(xyz_mm))
+
+    def in_field(self, uv_px: np.ndarray, margin_px: float | np.ndarray = 0.0) -> np.ndarray:
+        """(...,) bool: pixels at least `margin_px` inside the round field."""
+        return self.intensifier.in_field(uv_px, margin_px)
+
+    def points_on_detector(self, uv_px: np.ndarray) -> np.ndarray:
+        """(..., 3) CFCS: where the ray of each pixel meets the input plane. Raises OutsideRegionError."""
+        return self.detector.to_space(self.intensifier.to_detector(uv_px))
+
+    def beyond_cubic_factor(self, uv_px: np.ndarray) -> np.ndarray:
+        """(2N, P) px. See `Intensifier.beyond_cubic_factor`."""
+        return self.intensifier.beyond_cubic_factor(uv_px)
+
+    def beyond_cubic_covariance(self, uv_px: np.ndarray) -> np.ndarray:
+        """(2N, 2N) px², order u1, v1, u2, .... See `Intensifier.beyond_cubic_factor` for the prior it states."""
+        return self.intensifier.beyond_cubic_covariance(uv_px)
+
+
+@dataclass(frozen=True, eq=False)
+class SetUp:
+    """A frame before a C-arm, with two views.
+
+    `frame` is what the software is told, `true_frame` where its beads truly are. `side` of the hip.
+    """
+
+    frame: Frame
+    true_frame: Frame
+    views: dict[str, ViewTruth]
+    side: str
+
+
+@dataclass(frozen=True)
+class Variation:
+    """What set-ups are drawn from."""
+
+    pose: Pose = field(default_factory=Pose)
+    distortion: Distortion = field(default_factory=Distortion)
+
+
+def draw_setup(
+    rng: np.random.Generator,
+    frame: Frame,
+    *,
+    side: str = "right",
+    frame_errors: bool = True,
+    chain: str = "9in-1k",
+    variation: Variation | None = None,
+) -> SetUp:
+    """A random set-up of a frame: both views' poses and distortions, and the frame's own errors.
+
+    Frame errors are drawn from the frame's effective tolerances; for others pass
+    `dataclasses.replace(frame, tolerances=...)`, for none `frame_errors=False`. Poses with too few beads in the field
+    are drawn again. Raises SetUpError where no pose has enough.
+    """
+    if side not in ("right", "left"):
+        raise SetUpError(f"a hip's side is 'right' or 'left', not {side!r}")
+    variation = variation or Variation()
+    true_frame = with_errors(frame, rng) if frame_errors else frame
+    pose, optics = variation.pose, preset(chain)
+    earth = draw_earth(rng, variation.distortion)
+    tube = draw_tube(rng, optics, variation.distortion)
+    caudal = np.array([0.0, 1.0 if side == "right" else -1.0, 0.0])
+    for _ in range(ATTEMPTS):
+        turn = Rotation.from_rotvec(rng.normal(0.0, pose.frame_tilt, 3)).as_matrix()
+        stands = {
+            name: _draw_stand(rng, np.stack([nominal_beam(view), caudal]), turn, pose, optics.sdd_mm)
+            for name, view in frame.views.items()
+        }
+        if any(stand is None for stand in stands.values()):
+            continue
+        views = {
+            name: ViewTruth(name, stand[0], stand[1], tube.expose(rng, _tube_axes(stand[1]), earth))
+            for name, stand in stands.items()
+            if stand is not None
+        }
+        if all(_enough_in_field(views[name], view, pose) for name, view in true_frame.views.items()):
+            return SetUp(frame, true_frame, views, side)
+    raise SetUpError(
+        f"no pose of {ATTEMPTS} brings {pose.beads_in_field:.0%} of each plate of frame {frame.name!r} into the field: "
+        "make its plates smaller or the C-arm's variation less"
+    )
+
+
+def bead_images(
+    setup: SetUp, view: str, rng: np.random.Generator, sd_px: float = 0.1
+) -> tuple[tuple[str, ...], np.ndarray]:
+    """Ids, and measured pixels (N, 2), of the true frame's beads whose whole shadow lies in the field of a view.
+
+    Independent normal errors of `sd_px` per coordinate.
+    """
+    truth, beads = setup.views[view], setup.true_frame.view(view).fiducials
+    uv, inside = _beads_in_field(truth, beads)
+    ids = tuple(bead.id for bead, kept in zip(beads, inside, strict=True) if kept)
+    return ids, uv[inside] + sd_px * rng.standard_normal((len(ids), 2))
+
+
+def shadow_radius_px(view: ViewTruth, xyz_mm: np.ndarray, radius_mm: np.ndarray) -> np.ndarray:
+    """(N,) px: radius of the shadow of balls (N, 3) of the radii (N,), to first order, by the mean magnification."""
+    depth = view.detector.height_mm(view.focal_point_mm) - view.detector.height_mm(xyz_mm)
+    magnification = view.detector.height_mm(view.focal_point_mm) / depth
+    local = np.linalg.det(view.intensifier.jacobian(view.to_detector(xyz_mm)))
+    return radius_mm * magnification * np.sqrt(np.abs(local))
+
+
+def with_errors(frame: Frame, rng: np.random.Generator) -> Frame:
+    """The frame as made: its beads displaced by `frame.error_factor @ N(0, 1)`."""
+    factor = frame.error_factor
+    moves = iter((factor @ rng.standard_normal(factor.shape[1])).reshape(-1, 3))
+    return replace(frame, views={name: _moved(view, moves) for name, view in frame.views.items()})
+
+
+def _moved(view: FrameView, moves) -> FrameView:
+    def plate(one: Plate) -> Plate:
+        return Plate(
+            tuple(replace(bead, xyz_mm=tuple(float(c) for c in bead.xyz_mm + next(moves))) for bead in one.fiducials)
+        )
+
+    return FrameView(xrii=plate(view.xrii), source=plate(view.source))
+
+
+def nominal_beam(view: FrameView) -> np.ndarray:
+    """(3,) unit vector, CFCS: the beam a view of a frame is made for, normal to its XRII plate, from source to XRII."""
+    normal = view.xrii.plane.normal
+    along = (view.xrii.plane.origin_mm - view.source.plane.origin_mm) @ normal
+    return normal * np.sign(along)
+
+
+Stand = tuple[np.ndarray, Plane]
+
+
+def _draw_stand(
+    rng: np.random.Generator, nominal: np.ndarray, frame_turn: np.ndarray, pose: Pose, sdd_mm: float
+) -> Stand | None:
+    """Focal point and detector plane of one view, or None where its beam is tilted beyond the limit.
+
+    `nominal` (2, 3): the view's nominal beam, and the way that points down in its image."""
+    beam, down = nominal @ (Rotation.from_rotvec(rng.normal(0.0, pose.orbit, 3)).as_matrix() @ frame_turn).T
+    if beam @ nominal[0] < np.cos(pose.tilt_limit):
+        return None
+    axes = _detector_axes(beam, down, rng.uniform(-pose.in_plane, pose.in_plane))
+    hip = rng.uniform(-pose.hip_offset_mm, pose.hip_offset_mm, 2) @ axes
+    focal = hip - pose.source_to_hip_mm * beam
+    flex = Rotation.from_rotvec(rng.normal(0.0, pose.detector_tilt, 2) @ axes).as_matrix()
+    centre = focal + (sdd_mm + rng.normal(0.0, pose.sdd_mm)) * beam + rng.normal(0.0, pose.piercing_mm, 2) @ axes
+    return focal, Plane(centre, axes @ flex.T)
+
+
+def _detector_axes(beam: np.ndarray, down: np.ndarray, turn: float) -> np.ndarray:
+    """(2, 3): u and v of an image seen from the intensifier, `down` pointing down before it is turned in its plane."""
+    v = down - (down @ beam) * beam
+    norm = np.linalg.norm(v)
+    if norm < 0.1:
+        raise SetUpError("a view's beam runs along the body; the twin has no such view")
+    v /= norm
+    u = np.cross(v, -beam)
+    c, s = np.cos(turn), np.sin(turn)
+    return np.stack([c * u + s * v, -s * u + c * v])
+
+
+def _tube_axes(detector: Plane) -> np.ndarray:
+    """(3, 3): the tube's x, y and z (towards the source), rows."""
+    return np.vstack([detector.axes, detector.normal])
+
+
+def _beads_in_field(truth: ViewTruth, beads: tuple[Fiducial, ...]) -> tuple[np.ndarray, np.ndarray]:
+    """Pixels (N, 2) of beads, and whether the whole of each lies in the field."""
+    xyz = np.array([bead.xyz_mm for bead in beads])
+    radius = shadow_radius_px(truth, xyz, np.array([bead.diameter_mm / 2 for bead in beads]))
+    uv = truth.project(xyz)
+    return uv, truth.in_field(uv, radius)
+
+
+def _enough_in_field(truth: ViewTruth, view: FrameView, pose: Pose) -> bool:
+    return all(
+        _beads_in_field(truth, plate.fiducials)[1].mean() >= pose.beads_in_field for plate in (view.xrii, view.source)
+    )

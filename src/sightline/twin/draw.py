@@ -1,0 +1,137 @@
+"""Drawing distortions from their distributions, with the second moments of what is drawn."""
+
+from functools import lru_cache
+
+import numpy as np
+
+from sightline.twin.distortion import DistortionMap, RandomField, disc_mm, monomials
+from sightline.twin.distributions import Distortion
+from sightline.twin.intensifier import DistortionPrior, Intensifier
+from sightline.twin.presets import ImageChain
+
+PINCUSHION_RADIUS_MM = 107.0  # where the share of Distortion.pincushion_at_107_mm is meant
+
+
+def draw_tube(rng: np.random.Generator, chain: ImageChain, spread: Distortion) -> "Tube":
+    """What one intensifier keeps over all its exposures."""
+    low, high = np.log(spread.turn_rad_per_ut)
+    return Tube(
+        chain=chain,
+        spread=spread,
+        k1=rng.uniform(*spread.pincushion_at_107_mm) / PINCUSHION_RADIUS_MM**2,
+        turn_rad_per_ut=float(np.exp(rng.uniform(low, high))),
+        cubic_mm=spread.asymmetric_mm / np.sqrt(14) * rng.standard_normal((7, 2)),
+    )
+
+
+class Tube:
+    """An image intensifier before it is exposed: its pincushion, its response to magnetic fields, its asymmetry."""
+
+    def __init__(
+        self, chain: ImageChain, spread: Distortion, k1: float, turn_rad_per_ut: float, cubic_mm: np.ndarray
+    ) -> None:
+        self.chain, self.spread = chain, spread
+        self.k1, self.turn_rad_per_ut, self.cubic_mm = k1, turn_rad_per_ut, cubic_mm
+
+    def expose(self, rng: np.random.Generator, axes: np.ndarray, earth_ut: np.ndarray) -> Intensifier:
+        """The intensifier in one exposure. `axes` (3, 3): rows are its x, y and z (towards the source) in CFCS;
+        `earth_ut` (3,): the geomagnetic field in CFCS, µT."""
+        spread, radius = self.spread, self.chain.field_mm / 2
+        magnetic = _magnetic_numbers(
+            axes @ (earth_ut + spread.stray_ut * rng.standard_normal(3)),
+            spread.gradient_ut_per_mm * radius * (_gradient_basis() @ rng.standard_normal(9)).reshape(3, 3),
+        )
+        correlation = float(rng.uniform(*spread.correlation_mm))
+        field = RandomField.over(radius, correlation)
+        share = share_beyond_degree5(radius, correlation, spread.correlation_mm)
+        sd = float(rng.uniform(*spread.beyond_degree5_mm)) / (np.sqrt(2) * share)
+        drawn = DistortionMap(
+            radius_mm=radius,
+            k1=self.k1,
+            turn=self.turn_rad_per_ut * magnetic[:3],
+            shift_mm=spread.shift_mm_per_ut * magnetic[3:].reshape(2, 3),
+            cubic_mm=self.cubic_mm,
+            field=field,
+            random_mm=sd * rng.standard_normal((len(field.centres_mm), 2)),
+        )
+        return Intensifier(self.chain, drawn, DistortionPrior(_smooth_factor(spread, radius, axes), sd))
+
+
+def draw_earth(rng: np.random.Generator, spread: Distortion) -> np.ndarray:
+    """(3,) µT, CFCS: the geomagnetic field, the patient supine (+Z up) and the table standing anyhow in the room."""
+    heading = rng.uniform(0, 2 * np.pi)
+    horizontal, up = spread.earth_ut
+    return np.array([horizontal * np.cos(heading), horizontal * np.sin(heading), up])
+
+
+@lru_cache(maxsize=8)
+def _shares(radius_mm: float, range_mm: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
+    """Correlation lengths, and the expected rms over the field of a unit-variance random field of each, after a fit
+    of degree 5."""
+    points = disc_mm(radius_mm)
+    q = np.linalg.qr(monomials(points / radius_mm, 5))[0]
+    lengths = np.linspace(*range_mm, 13)
+    values = (RandomField.over(radius_mm, length).values(points) for length in lengths)
+    shares = [np.sqrt(((v - q @ (q.T @ v)) ** 2).sum() / len(points)) for v in values]
+    return lengths, np.array(shares)
+
+
+def share_beyond_degree5(radius_mm: float, correlation_mm: float, range_mm: tuple[float, float]) -> float:
+    """Expected rms, over the field, of a unit-variance random field after a fit of degree 5: interpolated, to 1 %."""
+    lengths, shares = _shares(radius_mm, range_mm)
+    return float(np.exp(np.interp(correlation_mm, lengths, np.log(shares))))
+
+
+@lru_cache(maxsize=1)
+def _gradient_basis() -> np.ndarray:
+    """(9, 9): nine unit-variance numbers to a symmetric 3x3 tensor without trace (no currents, no monopoles in the
+    tube), off-diagonal elements of unit variance, flattened."""
+    out = np.zeros((9, 9))
+    for k in range(9):
+        a = np.zeros(9)
+        a[k] = 1.0
+        tensor = (a.reshape(3, 3) + a.reshape(3, 3).T) / np.sqrt(2)
+        out[:, k] = (tensor - np.trace(tensor) / 3 * np.eye(3)).ravel()
+    return out
+
+
+def _magnetic_numbers(field_ut: np.ndarray, change_ut: np.ndarray) -> np.ndarray:
+    """(9,) µT in the tube's axes: axial field and its change over one radius in x and y; the same of z x B.
+
+    `change_ut` (3, 3): [i, j] is the change of component i over one radius along axis j.
+    """
+    each = np.concatenate([field_ut[:, None], change_ut[:, :2]], axis=1)
+    return np.concatenate([each[2], -each[1], each[0]])
+
+
+def _smooth_factor(spread: Distortion, radius_mm: float, axes: np.ndarray) -> np.ndarray:
+    """(24, 24): a factor of the covariance of k1, turn, shift and cubic weights of an exposure with the given axes."""
+    horizontal, up = spread.earth_ut
+    mean = _magnetic_numbers(axes @ np.array([0.0, 0.0, up]), np.zeros((3, 3)))
+    room = np.diag([horizontal**2 / 2, horizontal**2 / 2, 0.0]) + spread.stray_ut**2 * np.eye(3)
+    basis = _gradient_basis() * spread.gradient_ut_per_mm * radius_mm
+    responses = np.stack(
+        [_magnetic_numbers(column, np.zeros((3, 3))) for column in (axes @ np.sqrt(room)).T]
+        + [_magnetic_numbers(np.zeros(3), column.reshape(3, 3)) for column in basis.T],
+        axis=-1,
+    )
+    covariance = responses @ responses.T
+    low, high = spread.turn_rad_per_ut
+    first = (high - low) / np.log(high / low)  # E[g], E[g²] of a log-uniform g
+    second = (high**2 - low**2) / 2 / np.log(high / low)
+    scale = np.array([first] * 3 + [spread.shift_mm_per_ut] * 6)
+    magnetic = scale[:, None] * covariance * scale
+    square = covariance[:3, :3] + np.outer(mean[:3], mean[:3])
+    magnetic[:3, :3] = second * square - first**2 * np.outer(mean[:3], mean[:3])
+    low, high = spread.pincushion_at_107_mm
+    out = np.zeros((24, 24))
+    out[0, 0] = (high - low) / np.sqrt(12) / PINCUSHION_RADIUS_MM**2
+    out[1:10, 1:10] = _root(magnetic)
+    out[10:, 10:] = spread.asymmetric_mm / np.sqrt(14) * np.eye(14)
+    return out
+
+
+def _root(covariance: np.ndarray) -> np.ndarray:
+    """A factor of a covariance that may be singular."""
+    values, vectors = np.linalg.eigh(covariance)
+    return vectors * np.sqrt(np.clip(values, 0.0, None))
