@@ -1,0 +1,113 @@
+"""Frames made from a few figures: square grids of balls across the beams of two views, datums by pattern."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from math import floor
+
+import numpy as np
+
+from sightline.errors import FrameError
+from sightline.frame.model import Fiducial, Frame, FrameView, Plate
+from sightline.frame.nominal import SOURCE_TO_HIP_MM
+from sightline.geometry.planes import Plane
+
+Pattern = tuple[tuple[int, int], ...]  # (row, column) of each datum, counted from 1 as in the ids
+
+
+@dataclass(frozen=True)
+class Beam:
+    """How a view looks at the hip, CFCS: along `direction` through the origin, its plates across `normal` (unit)."""
+
+    direction: tuple[float, float, float]
+    normal: tuple[float, float, float]
+
+    @property
+    def obliquity(self) -> float:
+        """Way along the beam per way along the normal of the plates."""
+        return 1 / float(np.dot(self.direction, self.normal))
+
+
+@dataclass(frozen=True)
+class Balls:
+    """Ball diameters of one plate, mm."""
+
+    ordinary_mm: float = 3.0  # physics.md, Frame [ours]
+    datum_mm: float = 5.0  # physics.md, Frame [ours]
+
+
+@dataclass(frozen=True)
+class FrameDesign:
+    """What a frame is made from; distances are from the hip along the plate normal, positive towards the intensifier.
+
+    The XRII plate has `rows` x `rows` balls, `pitch_mm` apart. The source plate has one row more and no corners, and a
+    pitch at which the two grids interleave in the image. `patterns`: each view's datums, XRII plate first.
+    """
+
+    name: str
+    beams: Mapping[str, Beam]
+    patterns: Mapping[str, tuple[Pattern, Pattern]]
+    rows: int = 7
+    pitch_mm: float = 22.0  # [ours] reaches the ends of a 95 mm wire at 45° (physics.md, Frame)
+    xrii_mm: float = 300.0  # physics.md, Frame [ours]
+    source_mm: float = 150.0  # physics.md, Frame [ours]
+    xrii_balls: Balls = Balls()
+    source_balls: Balls = Balls()
+
+
+def grid_places(rows: int, *, corners: bool) -> tuple[tuple[int, int], ...]:
+    """(row, column), counted from 1, of the balls of a square plate."""
+    ends = (1, rows)
+    every = ((row, column) for row in range(1, rows + 1) for column in range(1, rows + 1))
+    return tuple(place for place in every if corners or not (place[0] in ends and place[1] in ends))
+
+
+def source_pitch_mm(design: FrameDesign, beam: Beam) -> float:
+    """The pitch at the XRII plate, seen from the source at the source plate, down to the next half millimetre."""
+    source, xrii = (SOURCE_TO_HIP_MM + beam.obliquity * mm for mm in (design.source_mm, design.xrii_mm))
+    return floor(2 * design.pitch_mm * source / xrii) / 2
+
+
+def make_frame(design: FrameDesign) -> Frame:
+    """The frame of a design; ids read view-plate-row-column, such as "pa-x-3-4". Raises FrameError."""
+    if design.rows < 3 or design.pitch_mm <= 0 or design.source_mm >= design.xrii_mm:
+        raise FrameError(
+            "give at least 3 rows, a pitch above zero, and an XRII plate further towards the intensifier "
+            "than the source plate"
+        )
+    return Frame(design.name, {view: _view(design, view) for view in design.beams})
+
+
+def _view(design: FrameDesign, name: str) -> FrameView:
+    beam = design.beams[name]
+    xrii, source = design.patterns[name]
+    pitch = source_pitch_mm(design, beam)
+    if pitch <= 0 or SOURCE_TO_HIP_MM + beam.obliquity * design.source_mm <= 0:
+        raise FrameError(f"the source plate lies behind the X-ray source, {SOURCE_TO_HIP_MM:g} mm from the hip")
+    return FrameView(
+        xrii=_plate(
+            f"{name}-x", _across(beam, design.xrii_mm), (design.rows, design.pitch_mm), xrii, design.xrii_balls
+        ),
+        source=_plate(
+            f"{name}-s", _across(beam, design.source_mm), (design.rows + 1, pitch), source, design.source_balls
+        ),
+    )
+
+
+def _across(beam: Beam, distance_mm: float) -> Plane:
+    """The plane of a plate, its origin where the beam meets it."""
+    normal = np.array(beam.normal)
+    spread = np.array([np.zeros(3), *(axis - (axis @ normal) * normal for axis in np.eye(3))])
+    origin = np.array(beam.direction) * distance_mm * beam.obliquity
+    return Plane(origin, Plane.fit(np.concatenate([spread, -spread])).axes)
+
+
+def _plate(prefix: str, plane: Plane, grid: tuple[int, float], datums: Pattern, balls: Balls) -> Plate:
+    rows, pitch = grid
+    middle = (rows + 1) / 2
+    fiducials: list[Fiducial] = []
+    for row, column in grid_places(rows, corners=prefix.endswith("-x")):
+        datum = (row, column) in datums
+        x, y, z = plane.to_space(pitch * (np.array([column, row]) - middle)).round(6).tolist()
+        diameter = balls.datum_mm if datum else balls.ordinary_mm
+        fiducials.append(Fiducial(f"{prefix}-{row}-{column}", (x, y, z), diameter, datum))
+    return Plate(tuple(fiducials))
