@@ -1,1 +1,1 @@
-"""Reports and exports."""
+"""From files to a plan and its report."""

@@ -1,0 +1,111 @@
+"""A radiograph with what was found in it: beads, triangles, image-matching curves, the wire."""
+
+import base64
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from sightline.case import svg
+from sightline.detection import Rejected
+from sightline.imaging import Radiograph
+
+JPEG_QUALITY = 82  # [ours] 1024² in about 150 kB; overlays are drawn, not burnt in
+STRETCH = (0.5, 99.5)  # per cent of the pixels inside the field that become black and white [ours]
+
+
+def grey(image: Radiograph) -> np.ndarray:
+    """(H, W) uint8 for the screen: log intensity, stretched over what is inside the field and not saturated."""
+    log = np.log1p(np.clip(image.pixels.astype(np.float32), 0.0, None))
+    shown = log[image.field_mask & (image.pixels < image.white)]
+    low, high = np.percentile(shown if shown.size else log, STRETCH)
+    return np.clip((log - low) / max(high - low, 1e-6) * 255.0, 0.0, 255.0).astype(np.uint8)
+
+
+def _data_uri(image: Radiograph) -> str:
+    _, jpeg = cv2.imencode(".jpg", grey(image), [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
+    return "data:image/jpeg;base64," + base64.b64encode(jpeg.tobytes()).decode()
+
+
+def heat(values: np.ndarray, top: float) -> list[str]:
+    """Colours of values from 0 to `top`: viridis, which colour-blind people and a grey printer can read."""
+    steps = np.clip(np.asarray(values) / top * 255.0, 0, 255).astype(np.uint8).reshape(-1, 1)
+    bgr = cv2.applyColorMap(steps, cv2.COLORMAP_VIRIDIS).reshape(-1, 3)
+    return [f"#{r:02x}{g:02x}{b:02x}" for b, g, r in bgr]
+
+
+@dataclass(frozen=True)
+class Marked:
+    """A bead as it is drawn: residual in mm on the reference plane, and whether the fit used it."""
+
+    id: str
+    uv_px: tuple[float, float]
+    radius_px: float
+    residual_mm: float
+    used: bool
+
+
+def _ring(bead: Marked, colour: str) -> str:
+    u, v = bead.uv_px
+    says = svg.hint(f"{bead.id}: residual {bead.residual_mm:.3f} mm{'' if bead.used else ', left out of the fit'}")
+    dash = None if bead.used else "3 3"
+    return svg.element("circle", says, cx=u, cy=v, r=bead.radius_px + 3.0, stroke=colour, stroke_dasharray=dash)
+
+
+def beads(marked: Sequence[Marked], top_mm: float) -> str:
+    """Rings coloured by residual; a bead that the fit left out is dashed."""
+    colours = heat(np.array([m.residual_mm for m in marked]), top_mm)
+    return svg.group(
+        (_ring(m, colour) for m, colour in zip(marked, colours, strict=True)),
+        class_="beads",
+    )
+
+
+def rejected(candidates: Iterable[Rejected]) -> str:
+    """Crosses where a candidate was no bead; the pointer tells why."""
+    arm = 6.0
+
+    def cross(c: Rejected) -> str:
+        u, v = c.uv_px
+        strokes = f"M{u - arm:.1f} {v - arm:.1f}l{2 * arm} {2 * arm}m0 {-2 * arm}l{-2 * arm} {2 * arm}"
+        return svg.element("path", svg.hint(f"no bead: {c.reason}"), d=strokes)
+
+    return svg.group((cross(c) for c in candidates), class_="rejected")
+
+
+def triangles(corners_px: np.ndarray) -> str:
+    """Triangles (T, 3, 2) of the localized method."""
+    return svg.group((svg.element("polygon", points=svg.points(t)) for t in corners_px), class_="triangles")
+
+
+def radiograph(image: Radiograph, name: str, overlays: Iterable[str], description: str) -> str:
+    """The image with overlays on top, cut to the field of view; the pixels themselves are `sources`'.
+
+    Pixel (0, 0) is the centre of the top-left pixel, so the image starts half a pixel before it.
+    """
+    rows, columns = np.nonzero(image.field_mask)
+    height, width = image.shape
+    left, right, top, bottom = 0, width - 1, 0, height - 1
+    if len(rows):
+        left, right, top, bottom = columns.min(), columns.max(), rows.min(), rows.max()
+    base = svg.element("use", href=f"#radiograph-{name}")
+    box = (left - 0.5, top - 0.5, right - left + 1.0, bottom - top + 1.0)
+    return svg.picture(box, description, [base, *overlays], class_="radiograph")
+
+
+def sources(images: dict[str, Radiograph]) -> str:
+    """The pixels of the images, once for all pictures of a page."""
+    parts = (
+        svg.element(
+            "image",
+            id=f"radiograph-{name}",
+            href=_data_uri(image),
+            x=-0.5,
+            y=-0.5,
+            width=image.shape[1],
+            height=image.shape[0],
+        )
+        for name, image in images.items()
+    )
+    return svg.element("svg", svg.element("defs", *parts), class_="sources", aria_hidden="true", width=0, height=0)

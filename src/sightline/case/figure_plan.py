@@ -1,0 +1,69 @@
+"""What a plan looks like in an image: picks, image-matching curves with their band, the wire with its ellipses."""
+
+import numpy as np
+from scipy.stats import chi2
+
+from sightline.calibration import CalibratedView
+from sightline.case import svg
+from sightline.planning import MatchingCurve, Pick, Trajectory
+
+LABEL_EVERY_MM = 50.0  # of depth [ours]
+TICK_PX = 6.0
+_DIFFERENCE_MM = 0.05  # step of the numerical derivative of a projection; its error is below 1e-4 of an ellipse
+
+
+def curve(matching: MatchingCurve, name: str) -> str:
+    """The curve, its 95 % band where the error is known, a tick every 10 mm of depth and a number every 50."""
+    uv, across = matching.uv_px, matching.across_px
+    parts = []
+    if matching.half_width_px is not None:
+        wide = matching.half_width_px[:, None] * across
+        parts.append(
+            svg.element("polygon", points=svg.points(np.vstack([uv + wide, (uv - wide)[::-1]])), class_="band")
+        )
+    parts.append(
+        svg.element("polyline", svg.hint(f"image-matching curve of the {name}"), points=svg.points(uv), class_="curve")
+    )
+    for i in np.flatnonzero(matching.is_tick):
+        long = np.isclose(matching.depth_mm[i] % LABEL_EVERY_MM, 0.0)
+        (u1, v1), (u2, v2) = uv[i] - across[i] * TICK_PX * (1 + long), uv[i] + across[i] * TICK_PX * (1 + long)
+        parts.append(svg.element("line", x1=u1, y1=v1, x2=u2, y2=v2, class_="tick"))
+        if long:
+            parts.append(svg.text(f"{matching.depth_mm[i]:.0f}", u2 + 4, v2 + 5, class_="depth"))
+    return svg.group(parts)
+
+
+def pick(chosen: Pick, name: str) -> str:
+    """A cross-hair that leaves the picked point itself free."""
+    u, v = chosen.uv_px
+    path = f"M{u - 14:.2f} {v:.2f}h9m10 0h9M{u:.2f} {v - 14:.2f}v9m0 10v9"
+    return svg.element("path", svg.hint(f"pick: {name}"), d=path, class_="pick")
+
+
+def truth(uv_px: np.ndarray) -> str:
+    """Small circles at the true places (N, 2)."""
+    return svg.group(svg.element("circle", svg.hint("truth"), cx=float(u), cy=float(v), r=4.0) for u, v in uv_px)
+
+
+def _ellipse(view: CalibratedView, xyz_mm: np.ndarray, covariance_mm2: np.ndarray) -> str:
+    """The 95 % ellipse of a point's projection: its own error, seen through the view as it is calibrated."""
+    steps = xyz_mm + _DIFFERENCE_MM * np.vstack([np.eye(3), -np.eye(3)])
+    ahead, back = np.split(view.project(steps), 2)
+    jacobian = (ahead - back).T / (2 * _DIFFERENCE_MM)
+    values, vectors = np.linalg.eigh(jacobian @ covariance_mm2 @ jacobian.T)
+    rx, ry = np.sqrt(np.clip(values, 0.0, None) * chi2.ppf(0.95, 2))
+    u, v = view.project(xyz_mm[None])[0]
+    turn = float(np.degrees(np.arctan2(vectors[1, 0], vectors[0, 0])))
+    shape = {"cx": float(u), "cy": float(v), "rx": float(rx), "ry": float(ry)}
+    return svg.element("ellipse", **shape, transform=f"rotate({turn:.1f} {u:.2f} {v:.2f})", class_="ellipse")
+
+
+def wire(view: CalibratedView, trajectory: Trajectory) -> str:
+    """The planned wire in an image, bent as the image bends it, with 95 % ellipses where the error is known."""
+    along = np.linspace(0.0, 1.0, 25)[:, None]
+    path = view.project((1 - along) * trajectory.entry_mm + along * trajectory.end_mm)
+    parts = [svg.element("polyline", svg.hint("planned wire"), points=svg.points(path), class_="wire")]
+    if trajectory.points.joint_covariance_mm2 is not None:
+        pairs = zip(trajectory.points.xyz_mm, trajectory.points.covariance_mm2, strict=True)
+        parts += [_ellipse(view, xyz, covariance) for xyz, covariance in pairs]
+    return svg.group(parts)

@@ -1,0 +1,108 @@
+"""The set-up in space: frame, focal points, lines of sight, wire, error ellipsoids. It turns under the pointer."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import ConvexHull
+from scipy.stats import chi2
+
+from sightline.case import svg
+from sightline.geometry.planes import Plane
+
+# The first look: from the front, a little to the side and from above, so that both arms show [ours].
+AZIMUTH_DEG, ELEVATION_DEG = -28.0, 20.0
+WIDTH, HEIGHT, MARGIN = 760.0, 600.0, 40.0
+AXIS_MM = 50.0
+RING = 40  # points of an ellipse
+NEAR_MM = 12.0  # about the size an ellipsoid is drawn at beside the wire, whatever its own [ours]
+
+
+@dataclass(frozen=True, eq=False)
+class Shape:
+    """A line, polygon, dot or label at points (N, 3), CFCS; `style` is its class; `says` its label or hint."""
+
+    kind: str
+    xyz_mm: np.ndarray
+    style: str
+    says: str = ""
+
+
+def line(start_mm: np.ndarray, end_mm: np.ndarray, style: str, says: str = "") -> Shape:
+    """A straight line."""
+    return Shape("polyline", np.array([start_mm, end_mm]), style, says)
+
+
+def dot(xyz_mm: np.ndarray, style: str, says: str = "") -> Shape:
+    """A round mark that keeps its size."""
+    return Shape("circle", np.reshape(xyz_mm, (1, 3)), style, says)
+
+
+def label(xyz_mm: np.ndarray, words: str) -> Shape:
+    """Words beside a point."""
+    return Shape("text", np.reshape(xyz_mm, (1, 3)), "label", words)
+
+
+def plate(xyz_mm: np.ndarray, style: str, says: str) -> list[Shape]:
+    """The outline of a plate's beads (N, 3), and the beads."""
+    plane = Plane.fit(xyz_mm)
+    outline = xyz_mm[ConvexHull(plane.to_plane(xyz_mm)).vertices]
+    return [Shape("polygon", outline, f"plate {style}", says), *(dot(p, f"bead {style}") for p in xyz_mm)]
+
+
+def magnification(covariances_mm2: np.ndarray, drawn_mm: float) -> float:
+    """How many times larger ellipsoids (N, 3, 3) are drawn, to be up to `drawn_mm`: 1, 2 or 5 times 10^k."""
+    largest = np.sqrt(np.linalg.eigvalsh(covariances_mm2).max() * chi2.ppf(0.95, 3))
+    exact = drawn_mm / max(largest, 1e-6)
+    power = 10.0 ** np.floor(np.log10(exact))
+    return float(power * max(step for step in (1, 2, 5) if step * power <= exact * (1 + 1e-9)))
+
+
+def ellipsoid(centre_mm: np.ndarray, covariance_mm2: np.ndarray, times: float, says: str) -> list[Shape]:
+    """The three principal ellipses of the 95 % ellipsoid, `times` as large as it is."""
+    values, vectors = np.linalg.eigh(covariance_mm2)
+    axes = vectors * np.sqrt(np.clip(values, 0.0, None) * chi2.ppf(0.95, 3)) * times
+    turn = np.linspace(0.0, 2 * np.pi, RING)
+    circle = np.stack([np.cos(turn), np.sin(turn)])
+    return [
+        Shape("polyline", centre_mm + (axes[:, list(pair)] @ circle).T, "ellipsoid", says)
+        for pair in ((0, 1), (0, 2), (1, 2))
+    ]
+
+
+def _page(xyz_mm: np.ndarray) -> np.ndarray:
+    """Points (N, 3), CFCS, to the page (N, 2): x right, y down, still in mm. space.js holds the same formula."""
+    a, e = np.radians([AZIMUTH_DEG, ELEVATION_DEG])
+    x = xyz_mm[:, 0] * np.cos(a) - xyz_mm[:, 1] * np.sin(a)
+    depth = xyz_mm[:, 0] * np.sin(a) + xyz_mm[:, 1] * np.cos(a)
+    return np.stack([x, -xyz_mm[:, 2] * np.cos(e) - depth * np.sin(e)], axis=1)
+
+
+def _drawn(shape: Shape, xy: np.ndarray) -> str:
+    at = ";".join(",".join(svg.number(v) for v in p) for p in shape.xyz_mm)
+    marks = {"class_": shape.style, "data_xyz": at}
+    if shape.kind == "text":
+        return svg.text(shape.says, xy[0, 0], xy[0, 1], **marks)
+    says = (svg.hint(shape.says),) if shape.says else ()
+    if shape.kind == "circle":
+        return svg.element("circle", *says, cx=float(xy[0, 0]), cy=float(xy[0, 1]), **marks)
+    return svg.element(shape.kind, *says, points=svg.points(xy), **marks)
+
+
+def _axes() -> Iterable[Shape]:
+    for tip, words in zip(np.eye(3) * AXIS_MM, ("X lateral", "Y", "Z anterior"), strict=True):
+        yield line(np.zeros(3), tip, "axis")
+        yield label(tip * 1.08, words)
+
+
+def space(shapes: Sequence[Shape], description: str) -> str:
+    """The picture. CFCS axes of 50 mm stand at the origin; `space.js` turns it."""
+    everything = [*shapes, *_axes()]
+    points_mm = np.vstack([shape.xyz_mm for shape in everything])
+    middle_mm = (points_mm.min(axis=0) + points_mm.max(axis=0)) / 2
+    pages = [_page(shape.xyz_mm - middle_mm) for shape in everything]
+    half = np.array([WIDTH, HEIGHT]) / 2
+    scale = float(((half - MARGIN) / np.abs(np.vstack(pages)).max(axis=0)).min())
+    drawn = [_drawn(shape, xy * scale + half) for shape, xy in zip(everything, pages, strict=True)]
+    view = f"{AZIMUTH_DEG},{ELEVATION_DEG},{scale:.5f}"
+    return svg.picture((0, 0, WIDTH, HEIGHT), description, drawn, class_="space", data_view=view)

@@ -1,0 +1,58 @@
+"""The report of one plan: a single page that needs no other file and asks nothing of a network."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from importlib.resources import files
+from pathlib import Path
+
+from jinja2 import Environment, StrictUndefined
+from markupsafe import Markup
+
+from sightline import __version__
+from sightline.atomic import write_whole
+from sightline.calibration import CalibratedView
+from sightline.case import report_pictures, report_tables
+from sightline.case.comparison import Compared, Truth
+from sightline.case.views import CalibratedImage
+from sightline.frame import Frame
+from sightline.planning import Plan
+
+
+@dataclass(frozen=True, eq=False)
+class Report:
+    """What a report is made from. `images`: PA and lateral, with the views that `plan` was made on.
+
+    `localized`: both views calibrated with the paper's method, for its triangles. `compared` and `truth`: only
+    where the truth is known. `provenance`: what a reader needs to make the same report again, in words.
+    """
+
+    title: str
+    frame: Frame
+    images: tuple[CalibratedImage, CalibratedImage]
+    plan: Plan
+    provenance: dict[str, str]
+    localized: tuple[CalibratedView, CalibratedView] | None = None
+    truth: Truth | None = None
+    compared: Sequence[Compared] = field(default=())
+
+
+def render(report: Report) -> str:
+    """The page as HTML."""
+    templates = files("sightline.case") / "templates"
+    # Pictures are markup of our own making; everything else is escaped.
+    environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
+    page = environment.from_string((templates / "report.html.j2").read_text("utf-8"))
+    return page.render(
+        version=__version__,
+        css=Markup((templates / "report.css").read_text("utf-8")),  # noqa: S704 - a file of this package
+        script=Markup((templates / "space.js").read_text("utf-8")),  # noqa: S704 - a file of this package
+        title=report.title,
+        provenance={**report.provenance, "software": f"Sightline {__version__}"}.items(),
+        **report_tables.tables(report),
+        **report_pictures.pictures(report),
+    )
+
+
+def write_report(report: Report, path: Path) -> Path:
+    """Write the page, whole or not at all. Raises UnusableInputError."""
+    return write_whole(path, render(report).encode())

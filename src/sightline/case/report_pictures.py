@@ -1,0 +1,191 @@
+"""The pictures of a report, as its template wants them."""
+
+from collections.abc import Iterable
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from markupsafe import Markup
+
+from sightline.case import figure_image, figure_plan, figure_space
+from sightline.case.figure_budget import budget
+from sightline.case.report_tables import POINTS, bars, budget_rows
+from sightline.case.views import CalibratedImage
+
+if TYPE_CHECKING:
+    from sightline.case.report import Report
+
+TICK_MM = 10  # of depth along an image-matching curve, as planning samples it
+BEYOND_MM = 40.0  # lines of sight are drawn this far beyond the wire in the close-up
+RAMP_STEPS = 8
+
+
+def _markup(svg_text: str) -> Markup:
+    return Markup(svg_text)  # noqa: S704 - made by svg.py, which escapes
+
+
+def pictures(report: "Report") -> dict[str, Any]:
+    """Everything of the template's context that is a picture."""
+    return {
+        "plan_pictures": _plan_pictures(report),
+        "tick_mm": TICK_MM,
+        "budget": _budget(report),
+        "space": _space(report),
+        **_bead_pictures(report),
+    }
+
+
+def _figure(drawing: str, caption: str) -> dict[str, Any]:
+    return {"svg": _markup(drawing), "caption": caption}
+
+
+def _plan_pictures(report: "Report") -> list[dict[str, Any]]:
+    """The wire in both images; the curves in the lateral one."""
+    out = []
+    curves = (report.plan.entry_curve, report.plan.end_curve)
+    for k, image in enumerate(report.images):
+        if image.seen.image is None:
+            continue
+        marks = [figure_plan.curve(curve, name) for curve, name in zip(curves, POINTS, strict=True)] if k else []
+        marks.append(figure_plan.wire(image.view, report.plan.trajectory))
+        if report.truth is not None:
+            marks.append(figure_plan.truth(report.truth.uv_px[k]))
+        marks += [figure_plan.pick(pair[k], name) for pair, name in zip(report.plan.picks, POINTS, strict=True)]
+        words = f"{image.name} image with the planned wire and its picks"
+        words += ", and the image-matching curves of entry and tip with their uncertainty bands" if k else ""
+        out.append(_figure(figure_image.radiograph(image.seen.image, image.name, marks, words), _capital(words) + "."))
+    return out
+
+
+def _budget(report: "Report") -> dict[str, Any] | None:
+    rows = bars(report)
+    if not rows:
+        return None
+    words = "; ".join(
+        f"{bar.name}: " + ", ".join(f"{source.replace('_', ' ')} {v:.3f} {bar.unit}" for source, v in bar.rms.items())
+        for bar in rows
+    )
+    headings = [f"{bar.name}, {bar.unit} rms" for bar in rows]
+    return {"svg": _markup(budget(rows, f"Error budget. {words}")), "points": headings, "rows": budget_rows(report)}
+
+
+def _marked(image: CalibratedImage) -> list[figure_image.Marked]:
+    """The view's beads with what the calibration left of each."""
+    left = image.view.residuals
+    sizes = np.linalg.norm(left.residual_mm, axis=1)
+    radii = _radii(image, left.uv_px)
+    rows = zip(left.ids, left.uv_px, radii, sizes, left.used, strict=True)
+    return [figure_image.Marked(i, (float(u), float(v)), float(r), float(s), bool(k)) for i, (u, v), r, s, k in rows]
+
+
+def _radii(image: CalibratedImage, uv_px: np.ndarray) -> np.ndarray:
+    """(N,) radii of the detections that the observations were made from."""
+    beads = image.seen.beads
+    if beads is None:
+        return np.full(len(uv_px), np.nan)
+    distance = np.linalg.norm(uv_px[:, None] - beads.uv_px, axis=2)
+    return beads.radius_px[distance.argmin(axis=1)]
+
+
+def _bead_pictures(report: "Report") -> dict[str, Any]:
+    """Beads by residual, and the triangles of the localized method."""
+    shown = [image for image in report.images if image.seen.image is not None]
+    if not shown:
+        return {"bead_pictures": [], "triangle_pictures": [], "ramp": [], "top_mm": 0.0}
+    marked = {image.name: _marked(image) for image in shown}
+    sizes = np.array([bead.residual_mm for beads in marked.values() for bead in beads])
+    top = max(float(np.quantile(sizes, 0.95)), 1e-3)
+    return {
+        "bead_pictures": [_beads_of(image, marked[image.name], top) for image in shown],
+        "triangle_pictures": _triangles(report),
+        "ramp": figure_image.heat(np.linspace(0.0, top, RAMP_STEPS), top),
+        "top_mm": top,
+    }
+
+
+def _beads_of(image: CalibratedImage, marked: list[figure_image.Marked], top_mm: float) -> dict[str, Any]:
+    assert image.seen.image is not None and image.seen.beads is not None  # noqa: S101 - only images are shown
+    refused = image.seen.beads.rejected
+    left_out = sum(not bead.used for bead in marked)
+    size = float(np.sqrt(np.mean([bead.residual_mm**2 for bead in marked if bead.used])))
+    words = (
+        f"{image.name} image: {len(marked)} beads told apart, residual {size:.3f} mm rms, "
+        f"{left_out} left out of the fit, {len(refused)} candidates rejected"
+    )
+    marks = [figure_image.rejected(refused), figure_image.beads(marked, top_mm)]
+    return _figure(figure_image.radiograph(image.seen.image, image.name, marks, words), _capital(words) + ".")
+
+
+def _capital(words: str) -> str:
+    return words.replace("pa image", "PA image", 1) if words.startswith("pa ") else words[0].upper() + words[1:]
+
+
+def _space(report: "Report") -> dict[str, Any]:
+    """The whole set-up, and the wire from near."""
+    points = report.plan.trajectory.points
+    known = points.joint_covariance_mm2 is not None
+    whole, near = list(_whole(report)), list(_near(report))
+    note = ""
+    if known:
+        times = figure_space.magnification(points.covariance_mm2, figure_space.NEAR_MM)
+        ellipsoids = [
+            figure_space.ellipsoid(p, c, times, "95 % ellipsoid")
+            for p, c in zip(points.xyz_mm, points.covariance_mm2, strict=True)
+        ]
+        near += [shape for one in ellipsoids for shape in one]
+        note = f"In the close-up the 95 % ellipsoids are drawn {times:g} times as large as they are."
+    words = "The calibration plates, both focal points with the lines of sight of entry and tip, and the wire, in space"
+    return {
+        "svg": _markup(figure_space.space(whole, words)),
+        "near": _markup(
+            figure_space.space(near, "The wire from near, with the lines of sight and the 95 % ellipsoids")
+        ),
+        "note": note,
+        "ellipsoids": known,
+    }
+
+
+def _wire(report: "Report") -> figure_space.Shape:
+    entry, tip = report.plan.trajectory.points.xyz_mm
+    return figure_space.line(entry, tip, "wire", "planned wire")
+
+
+def _whole(report: "Report") -> Iterable[figure_space.Shape]:
+    for image in report.images:
+        plates = report.frame.view(image.name)
+        yield from figure_space.plate(plates.xrii.xyz_mm, "xrii", f"{image.name} XRII plate")
+        yield from figure_space.plate(plates.source.xyz_mm, "source", f"{image.name} source plate")
+        focal = image.view.focal_point_mm
+        yield figure_space.dot(focal, "focal", f"{image.name} focal point")
+        yield figure_space.label(focal, f"{_label(image.name)} focal point")
+        for line in _lines(report, image):
+            yield figure_space.line(focal, line, "sight")
+    yield _wire(report)
+
+
+def _near(report: "Report") -> Iterable[figure_space.Shape]:
+    for image in report.images:
+        focal = image.view.focal_point_mm
+        for on_plate, point in zip(_lines(report, image), report.plan.trajectory.points.xyz_mm, strict=True):
+            along = (on_plate - focal) / np.linalg.norm(on_plate - focal)
+            nearest = focal + ((point - focal) @ along) * along
+            yield figure_space.line(
+                nearest - BEYOND_MM * along, nearest + BEYOND_MM * along, "sight", f"{image.name} line of sight"
+            )
+    yield _wire(report)
+    for name, point in zip(POINTS, report.plan.trajectory.points.xyz_mm, strict=True):
+        yield figure_space.label(point, name)
+
+
+def _label(name: str) -> str:
+    return "PA" if name == "pa" else name
+
+
+def _lines(report: "Report", image: CalibratedImage) -> np.ndarray:
+    """(2, 3): where the lines of sight of entry and tip meet the view's reference plane."""
+    k = report.images.index(image)
+    uv = np.array([pair[k].uv_px for pair in report.plan.picks])
+    return image.view.lines_of_sight(uv).points_mm
+
+
+def _triangles(report: "Report") -> list[dict[str, Any]]:
+    return []

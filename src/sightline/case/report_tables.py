@@ -1,0 +1,183 @@
+"""The figures of a report as its template wants them: words and rounded numbers."""
+
+from collections.abc import Iterable
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from sightline.case.figure_budget import Bar
+from sightline.case.views import NAMES
+from sightline.checks import Check, failed
+
+if TYPE_CHECKING:
+    from sightline.case.report import Report
+
+POINTS = ("entry", "tip")
+COLOURS = {"beads": "beads", "map": "map", "focal_point": "focal", "frame": "frame", "picks": "picks"}
+MEANINGS = {
+    "beads": "noise of the beads' measured centres",
+    "map": "what the image does between and beyond the beads",
+    "focal_point": "where the X-ray source stood",
+    "frame": "how exactly the frame was made: beads, plates, arms",
+    "picks": "how exactly the points were picked in the images",
+}
+
+
+def tables(report: "Report") -> dict[str, Any]:
+    """Everything of the template's context that is not a picture."""
+    return {
+        "subtitle": _subtitle(report),
+        "verdict": _verdict(report),
+        "tiles": _tiles(report),
+        "notes": list(_notes(report)),
+        "points": _points(report),
+        "comparison": _comparison(report),
+        "checks": _checks(report),
+    }
+
+
+def _subtitle(report: "Report") -> str:
+    serial = f", serial {report.frame.serial}" if report.frame.serial else ""
+    pa, lateral = report.images
+    sources = pa.seen.source if pa.seen.source == lateral.seen.source else f"{pa.seen.source} and {lateral.seen.source}"
+    return f"Frame {report.frame.name}{serial}; {sources}; calibrated with the method {pa.view.method}"
+
+
+def _verdict(report: "Report") -> dict[str, Any]:
+    verdict = report.plan.verdict
+    against = failed(verdict.checks)
+    count = len(verdict.checks)
+    if verdict.go:
+        sentence = f"All {count} checks passed. A person decides."
+    else:
+        sentence = f"{len(against)} of {count} checks stand against this plan:"
+    return {"go": verdict.go, "word": "GO" if verdict.go else "NO-GO", "sentence": sentence, "reasons": against}
+
+
+def _tiles(report: "Report") -> list[dict[str, str]]:
+    path = report.plan.trajectory
+    length = {"name": "Wire, entry to tip", "figure": f"{path.length_mm:.1f} mm", "note": "along the planned path"}
+    if path.points.joint_covariance_mm2 is None:
+        unknown = "a view states no covariance"
+        return [{"name": n, "figure": "unknown", "note": unknown} for n in ("Entry point", "Tip", "Direction")] + [
+            length
+        ]
+    limits = {check.name: check.limit for check in report.plan.verdict.checks}
+    figures = (
+        ("Entry point", "entry_error", f"{path.entry_error_95_mm:.2f} mm", "mm"),
+        ("Tip", "end_error", f"{path.end_error_95_mm:.2f} mm", "mm"),
+        ("Direction", "direction_error", f"{np.rad2deg(path.direction_error_95_rad):.2f}°", "°"),
+    )
+    return [
+        {"name": f"{name}, 95 % bound", "figure": figure, "note": f"limit {limits[check]:.2g} {unit}"}
+        for name, check, figure, unit in figures
+    ] + [length]
+
+
+def _notes(report: "Report") -> Iterable[str]:
+    yield (
+        "All coordinates are in CFCS, those of the calibration frame: no robot is known here, so the error of "
+        "registering one is not in these figures."
+    )
+    if report.frame.tolerances is None and report.frame.covariance_mm2 is None:
+        sd = report.frame.effective_tolerances
+        yield (
+            f"The frame file states no tolerances; defaults were used (one standard deviation: bead {sd.bead_mm:g} mm, "
+            f"plate {sd.plate_mm:g} mm and {sd.plate_rad * 1e3:g} mrad, arm {sd.arm_mm:g} mm and {sd.arm_rad * 1e3:g} "
+            "mrad). Measure your frame: the bounds are only as true as these."
+        )
+    for image in report.images:
+        if image.seen.observations.mirrored:
+            yield f"The {image.name} image is a mirror image of the frame; it was used as it is."
+
+
+def _points(report: "Report") -> list[dict[str, Any]]:
+    space = report.plan.trajectory.points
+    known = space.joint_covariance_mm2 is not None
+    out = []
+    for i, (name, (_, second)) in enumerate(zip(POINTS, report.plan.picks, strict=True)):
+        sds = np.sqrt(np.diag(space.covariance_mm2[i])) if known else (None,) * 3
+        free = not np.any(second.across_px)
+        sigma = f" ({space.gap_sigma[i]:.1f} σ)" if space.gap_sigma is not None else ""
+        out.append(
+            {
+                "name": name,
+                "xyz": list(zip(space.xyz_mm[i], sds, strict=True)),
+                "gap": f"{space.gap_mm[i]:.2f}{sigma}" if space.gap_tested[i] else "not tested",
+                "how": "free" if free else "snapped to the image-matching curve",
+            }
+        )
+    return out
+
+
+def bars(report: "Report") -> list[Bar]:
+    """The error budget; empty where the error is unknown."""
+    if report.plan.trajectory.points.budget_mm2 is None:
+        return []
+    rms = report.plan.trajectory.budget_rms()
+    return [
+        Bar("entry", "mm", {source: v["entry_mm"] for source, v in rms.items()}),
+        Bar("tip", "mm", {source: v["end_mm"] for source, v in rms.items()}),
+        Bar("direction", "°", {source: float(np.rad2deg(v["direction_rad"])) for source, v in rms.items()}),
+    ]
+
+
+def budget_rows(report: "Report") -> list[dict[str, Any]]:
+    """The same as rows, one for each source."""
+    everything = bars(report)
+    return [
+        {
+            "name": source.replace("_", " "),
+            "colour": COLOURS[source],
+            "figures": [bar.rms[source] for bar in everything],
+            "meaning": meaning,
+        }
+        for source, meaning in MEANINGS.items()
+    ]
+
+
+def _comparison(report: "Report") -> dict[str, Any] | None:
+    if not report.compared:
+        return None
+    groups = list(dict.fromkeys(one.picks for one in report.compared))
+    return {
+        "sentence": "The images are the twin's, so the true wire is known.",
+        "tables": [
+            {"title": picks.capitalize(), "rows": [_row(one, report) for one in report.compared if one.picks == picks]}
+            for picks in groups
+        ],
+        "footnote": "An error within its 95 % bound is expected 95 times in a hundred, not always.",
+    }
+
+
+def _row(one: Any, report: "Report") -> dict[str, Any]:
+    bounds = one.bounds_95
+    figures = [f"{v:.3f}" for v in one.figures] + (["-"] * 3 if bounds is None else [f"{v:.3f}" for v in bounds])
+    kept = one.kept
+    return {
+        "method": one.method,
+        "chosen": one.trajectory is report.plan.trajectory,
+        "figures": figures,
+        "inside": None if kept is None else kept == len(one.figures),
+        "inside_word": "not stated" if kept is None else f"{kept} of {len(one.figures)}",
+    }
+
+
+def _checks(report: "Report") -> list[dict[str, Any]]:
+    """By what was checked: each view as its calibration left it, then the plan."""
+    views = {name: image.view.checks for name, image in zip(NAMES, report.images, strict=True)}
+    of_views = [check for checks in views.values() for check in checks]
+    blocks = [(f"Calibration of the {name} view", checks) for name, checks in views.items()]
+    blocks.append(("The plan", tuple(c for c in report.plan.verdict.checks if c not in of_views)))
+    return [{"title": title, "rows": [_check(c) for c in checks]} for title, checks in blocks if checks]
+
+
+def _check(check: Check) -> dict[str, Any]:
+    shown = ["not measured" if v is None else f"{v:.3g} {check.unit}".strip() for v in (check.figure, check.limit)]
+    return {
+        "name": check.name,
+        "figure": shown[0],
+        "limit": shown[1] if check.limit is not None else "",
+        "passed": check.passed,
+        "sentence": check.sentence,
+    }

@@ -1,0 +1,81 @@
+"""From two files to two calibrated views: images as a C-arm writes them, or observations in CSV."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from sightline.calibration import CalibratedView, calibrate
+from sightline.detection import Detections, Observations, detect, label
+from sightline.detection.files import read_observations
+from sightline.errors import ObservationsError, UnusableInputError
+from sightline.frame import Frame
+from sightline.imaging import Radiograph, read_image
+
+NAMES = ("pa", "lateral")  # the order of a pair of views, everywhere
+
+
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """One view before it is calibrated: its file, and what was found. Without an image there are no `beads`."""
+
+    source: str
+    observations: Observations
+    image: Radiograph | None = None
+    beads: Detections | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class CalibratedImage:
+    """One view with its geometry, and all it was made from."""
+
+    seen: Seen
+    view: CalibratedView
+
+    @property
+    def name(self) -> str:
+        """ "pa" or "lateral"."""
+        return self.view.name
+
+
+def see(path: Path, frame: Frame) -> Seen:
+    """Beads of one image, found and told apart; which view it is, the datum markers tell."""
+    image = read_image(path)
+    beads = detect(image)
+    return Seen(path.name, label(beads, frame), image, beads)
+
+
+def _from_csv(path: Path, name: str) -> Seen:
+    views = read_observations(path)
+    if name in views:
+        return Seen(path.name, views[name])
+    raise ObservationsError(f"{path.name} holds no observations of view {name!r}; it has: {', '.join(views)}")
+
+
+def see_pair(pa: Path, lateral: Path, frame: Frame) -> tuple[Seen, Seen]:
+    """Both views of a pair, each from an image or from observations in CSV (one file may hold both).
+
+    Raises UnusableInputError where the two are swapped or are one view twice, and whatever reading raises.
+    """
+    pair = tuple(
+        _from_csv(path, name) if path.suffix.lower() == ".csv" else see(path, frame)
+        for path, name in zip((pa, lateral), NAMES, strict=True)
+    )
+    found = tuple(seen.observations.view for seen in pair)
+    if found == NAMES:
+        return pair[0], pair[1]
+    if found == NAMES[::-1]:
+        raise UnusableInputError(
+            f"PA and lateral are swapped: {pa.name} shows the lateral plates and {lateral.name} the PA plates; "
+            "give the files in the other order, and check that each pick is written beside its own view"
+        )
+    wrong, path = (0, pa) if found[0] != NAMES[0] else (1, lateral)
+    raise UnusableInputError(
+        f"{path.name} was given as the {NAMES[wrong]} view, but shows the plates of view {found[wrong]!r}; "
+        "give one PA and one lateral image of the same set-up"
+    )
+
+
+def calibrate_pair(pair: Sequence[Seen], frame: Frame, method: str) -> tuple[CalibratedImage, CalibratedImage]:
+    """Both views calibrated, each from its own beads."""
+    first, second = (CalibratedImage(s, calibrate(s.observations, frame, method=method)) for s in pair)
+    return first, second
