@@ -1,0 +1,118 @@
+"""The field of view is found whatever its shape and whatever darkens its rim."""
+
+import cv2
+import numpy as np
+import pytest
+
+from sightline.imaging import Radiograph
+from sightline.imaging.collimation import field_mask
+
+H, W = 480, 512
+CENTRE, RADIUS = np.array([261.3, 237.8]), 221.7
+V, U = np.mgrid[:H, :W]
+
+
+def round_field() -> np.ndarray:
+    return (U - CENTRE[0]) ** 2 + (V - CENTRE[1]) ** 2 < RADIUS**2
+
+
+def octagonal_field() -> np.ndarray:
+    turns = np.deg2rad(11.0) + np.arange(8) * np.pi / 4
+    return np.all([(U - CENTRE[0]) * np.cos(t) + (V - CENTRE[1]) * np.sin(t) < 201.4 for t in turns], axis=0)
+
+
+def rectangular_field() -> np.ndarray:
+    return (U > 61.5) & (U < 431.2) & (V > 49.7) & (V < 399.4)
+
+
+def bladed_field() -> np.ndarray:
+    return round_field() & (U > 118.4) & (V + 0.3 * U < 455)
+
+
+def whole_field() -> np.ndarray:
+    return np.ones((H, W), dtype=bool)
+
+
+def larger_than_the_image() -> np.ndarray:
+    return (U - 255.5) ** 2 + (V - 239.5) ** 2 < 290**2
+
+
+FIELDS = [round_field, octagonal_field, rectangular_field, bladed_field, whole_field, larger_than_the_image]
+
+
+def exposed(field: np.ndarray, *, dark: np.ndarray | None = None, seed: int = 3) -> np.ndarray:
+    """A noisy 12-bit image: bright with vignetting inside, glare and noise outside."""
+    rng = np.random.default_rng(seed)
+    light = 2600.0 - 700.0 * ((U - W / 2) ** 2 + (V - H / 2) ** 2) / RADIUS**2
+    if dark is not None:
+        light = np.where(dark, 12.0, light)
+    light = cv2.GaussianBlur(np.where(field, light, 0.0), (0, 0), 1.5) + 8.0
+    return np.clip(rng.normal(light, np.sqrt(4 * light)), 0, 4095).astype(np.uint16)
+
+
+def assert_edge_within(mask: np.ndarray, truth: np.ndarray, tolerance_px: int) -> None:
+    """No pixel farther than the tolerance from the true edge is on the wrong side of the mask's."""
+    kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * tolerance_px + 1,) * 2)
+    grown, shrunk = (f(truth.astype(np.uint8), kernel).astype(bool) for f in (cv2.dilate, cv2.erode))
+    assert not (mask & ~grown).any()
+    assert (mask | ~shrunk).all()
+
+
+@pytest.mark.parametrize("field", FIELDS)
+def test_every_shape_is_found_to_a_hundredth_of_its_radius(field) -> None:
+    truth = field()
+    mask = field_mask(Radiograph(exposed(truth), 4095.0))
+    assert mask.dtype == bool
+    assert not mask.flags.writeable
+    assert_edge_within(mask, truth, 3)
+
+
+def test_an_image_without_collimation_is_field_to_its_last_pixel() -> None:
+    assert field_mask(Radiograph(exposed(whole_field()), 4095.0)).all()
+
+
+@pytest.mark.parametrize("field", FIELDS)
+def test_a_wide_dark_thing_across_the_rim_is_bridged(field) -> None:
+    """A bolster of metal from outside the rim to the middle; in a round field the circle closes the gap."""
+    bolster = (np.abs(V - CENTRE[1] - 20) < 45) & (U > 300)
+    mask = field_mask(Radiograph(exposed(field(), dark=bolster), 4095.0))
+    assert_edge_within(mask, field(), 8 if field in (octagonal_field, bladed_field) else 4)
+
+
+def test_a_bar_that_cuts_the_field_in_two_does_not_halve_it() -> None:
+    bar = np.abs(U - CENTRE[0] + 0.2 * V) < 30
+    assert_edge_within(field_mask(Radiograph(exposed(round_field(), dark=bar), 4095.0)), round_field(), 4)
+
+
+def test_one_dark_corner_is_anatomy_not_collimation() -> None:
+    corner = U + V < 150
+    assert field_mask(Radiograph(exposed(whole_field(), dark=corner), 4095.0)).all()
+
+
+def test_writing_outside_the_field_and_a_line_along_the_border_are_not_field() -> None:
+    writing = np.zeros((H, W), np.uint8)
+    cv2.putText(writing, "R 12:30", (2, 24), cv2.FONT_HERSHEY_SIMPLEX, 0.7, 255, 2)
+    cv2.putText(writing, "70 kV", (430, 470), cv2.FONT_HERSHEY_SIMPLEX, 0.7, 255, 2)
+    pixels = np.where(writing > 0, 4095, exposed(round_field())).astype(np.uint16)
+    pixels[0] = np.linspace(0, 4091, W)
+    assert_edge_within(field_mask(Radiograph(pixels, 4095.0)), round_field(), 3)
+
+
+@pytest.mark.parametrize(
+    "pixels",
+    [
+        np.zeros((64, 64), np.uint8),
+        np.full((64, 64), 255, np.uint8),
+        np.zeros((16, 16), np.float32),
+        np.eye(17, dtype=np.uint16) * 65535,
+        -np.ones((40, 4000), np.float32),
+    ],
+)
+def test_a_degenerate_image_gives_a_mask_of_its_shape(pixels: np.ndarray) -> None:
+    assert field_mask(Radiograph(pixels, 65535.0)).shape == pixels.shape
+
+
+@pytest.mark.parametrize("kind", [np.uint8, np.float32])
+def test_the_pixel_type_does_not_matter(kind: type) -> None:
+    pixels = (exposed(octagonal_field()) / 16.0).astype(kind)
+    assert_edge_within(field_mask(Radiograph(pixels, 255.0)), octagonal_field(), 3)
