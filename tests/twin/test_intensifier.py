@@ -79,7 +79,7 @@ def test_amplitude_is_set_by_what_degree_5_leaves():
     share = share_beyond_degree5(107.5, 47.3, (30.0, 60.0))
     field = RandomField.over(107.5, 47.3)
     xi = disc_mm(107.5, 31)
-    drawn = field.values(xi) @ np.random.default_rng(3).standard_normal((len(field.centres_mm), 400))
+    drawn = field.values(xi) @ np.random.default_rng(3).standard_normal((len(field), 400))
     q = np.linalg.qr(monomials(xi / 107.5, 5))[0]
     rms = np.sqrt(((drawn - q @ (q.T @ drawn)) ** 2).mean())
     assert rms == pytest.approx(share, rel=0.05)

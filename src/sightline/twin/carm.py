@@ -13,7 +13,7 @@ from sightline.twin.draw import draw_earth, draw_tube
 from sightline.twin.intensifier import Intensifier
 from sightline.twin.presets import ImageChain, preset
 
-ATTEMPTS = 1000
+ATTEMPTS = 300
 
 
 @dataclass(frozen=True, eq=False)

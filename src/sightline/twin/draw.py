@@ -52,7 +52,7 @@ class Tube:
             shift_mm=spread.shift_mm_per_ut * magnetic[3:].reshape(2, 3),
             cubic_mm=self.cubic_mm,
             field=field,
-            random_mm=sd * rng.standard_normal((len(field.centres_mm), 2)),
+            random_mm=sd * rng.standard_normal((len(field), 2)),
         )
         return Intensifier(self.chain, drawn, DistortionPrior(_smooth_factor(spread, radius, axes), sd))
 
