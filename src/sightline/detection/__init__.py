@@ -1,5 +1,6 @@
 """Beads: found, measured, told apart."""
 
+from sightline.detection.detector import detect
 from sightline.detection.results import Detections, Observations, Rejected
 
-__all__ = ["Detections", "Observations", "Rejected"]
+__all__ = ["Detections", "Observations", "Rejected", "detect"]
