@@ -1,18 +1,108 @@
-"""Frames in files."""
+"""Frame files (docs/frame-file.md): read, checked to the last key, and written whole or not at all."""
 
+import json
 from pathlib import Path
+from typing import Any
 
+from pydantic import ValidationError
+
+from sightline.atomic import write_whole
+from sightline.errors import FrameError
 from sightline.frame.builtin import BUILTIN, builtin_frame
+from sightline.frame.document import FrameDocument, document_of, frame_of
 from sightline.frame.model import Frame
+
+SIZE_LIMIT_BYTES = 64 * 2**20  # [ours] six times the full covariance of the built-in frames
+_ERRORS_SHOWN = 3
+_ADVICE = {
+    "extra_forbidden": "is not a key of the frame file; correct its spelling or remove it",
+    "missing": "is missing; add it",
+    "finite_number": "is not a finite number; leave the ball out if it could not be measured",
+    "float_type": "is not a number; write it without quotes",
+    "too_short": "holds too few entries; a plate needs four fiducials, a position three numbers, a frame one view",
+    "too_long": "holds too many entries; a position is three numbers",
+    "string_pattern_mismatch": "must be 1 to 64 letters, digits or any of _ . : + / -",
+}
 
 
 def load_frame(source: str | Path) -> Frame:
     """See `Frame.load`."""
     if isinstance(source, str) and source in BUILTIN:
         return builtin_frame(source)
-    raise NotImplementedError
+    path = Path(source)
+    if not path.is_file():
+        raise FrameError(
+            f"there is no frame file {path.name!r}; name a file, or one of the built-in frames: {', '.join(BUILTIN)}"
+        )
+    if path.stat().st_size > SIZE_LIMIT_BYTES:
+        raise FrameError(f"{path.name} is larger than {SIZE_LIMIT_BYTES >> 20} MiB; that is no frame file")
+    try:
+        return frame_from_json(path.read_bytes())
+    except FrameError as error:
+        raise FrameError(f"{path.name}: {error}") from None
+    except OSError as error:
+        raise FrameError(f"cannot read {path.name}: {error.strerror}") from error
 
 
 def save_frame(frame: Frame, path: str | Path) -> None:
-    """See `Frame.save`."""
-    raise NotImplementedError
+    """See `Frame.save`. Raises FrameError for a frame that could not be loaded again; then nothing is written."""
+    text = frame_to_json(frame)
+    frame_from_json(text)
+    write_whole(path, text)
+
+
+def frame_from_json(text: bytes) -> Frame:
+    """A frame from the text of a frame file. Raises FrameError."""
+    try:
+        json.loads(text, object_pairs_hook=_without_repeats, parse_constant=_no_constant)
+        return frame_of(FrameDocument.model_validate_json(text))
+    except ValidationError as error:
+        raise FrameError(_sentence(error)) from None
+    except (json.JSONDecodeError, UnicodeDecodeError, RecursionError) as error:
+        raise FrameError(f"this is not a JSON file: {error}") from None
+
+
+def frame_to_json(frame: Frame) -> bytes:
+    """The text of a frame file: one fiducial, or one row of the covariance, a line."""
+    document = document_of(frame)
+    views = document.pop("views")
+    covariance = document.pop("covariance_mm2", None)
+    parts = [f" {json.dumps(key)}: {json.dumps(value)}" for key, value in document.items()]
+    parts.append(' "views": {\n' + ",\n".join(_view_text(name, view) for name, view in views.items()) + "\n }")
+    if covariance is not None:
+        parts.append(' "covariance_mm2": ' + _lines(covariance, "  "))
+    return ("{\n" + ",\n".join(parts) + "\n}\n").encode()
+
+
+def _view_text(name: str, view: dict[str, list[Any]]) -> str:
+    plates = ",\n".join(f'   "{role}": {_lines(fiducials, "    ")}' for role, fiducials in view.items())
+    return f"  {json.dumps(name)}: {{\n{plates}\n  }}"
+
+
+def _lines(entries: list[Any], indent: str) -> str:
+    return "[\n" + ",\n".join(indent + json.dumps(entry) for entry in entries) + f"\n{indent[:-1]}]"
+
+
+def _without_repeats(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    keys = [key for key, _ in pairs]
+    if twice := sorted({key for key in keys if keys.count(key) > 1}):
+        raise FrameError(f"the key {twice[0]!r} stands twice in one object; remove one")
+    return dict(pairs)
+
+
+def _no_constant(name: str) -> float:
+    raise FrameError(f"{name} is not a number; leave out the ball if it could not be measured")
+
+
+def _sentence(error: ValidationError) -> str:
+    """What pydantic found, in words that say where it is and what to do."""
+    found = error.errors(include_url=False, include_context=True)
+    said = [_one(entry["type"], entry["loc"], entry["msg"]) for entry in found[:_ERRORS_SHOWN]]
+    more = len(found) - len(said)
+    return "; ".join(said) + (f"; and {more} more of the kind" if more else "")
+
+
+def _one(kind: str, where: tuple[int | str, ...], message: str) -> str:
+    place = "".join(f"[{step}]" if isinstance(step, int) else f".{step}" for step in where).lstrip(".")
+    advice = _ADVICE.get(kind, message.removeprefix("Value error, "))
+    return f"{place} {advice}" if place else advice

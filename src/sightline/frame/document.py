@@ -1,0 +1,162 @@
+"""The schema of a frame file, and the way between it and a `Frame`."""
+
+from datetime import date
+from typing import Annotated, Any, Self
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+
+from sightline.frame.model import Fiducial, Frame, FrameView, Plate, Shape, Tolerances
+
+MIN_BEADS = 4  # a plate seen in perspective has eight unknowns: four balls
+
+Number = Annotated[float, Field(allow_inf_nan=False)]
+Sd = Annotated[float, Field(allow_inf_nan=False, ge=0)]
+Name = Annotated[str, Field(pattern=r"^[\w.:+/-]{1,64}$")]
+
+
+class _Strict(BaseModel):
+    model_config = ConfigDict(strict=True, extra="forbid", frozen=True)
+
+
+class FiducialDocument(_Strict):
+    """One ball or washer: `xyz` in CFCS and `diameter`, mm."""
+
+    id: Name
+    xyz: tuple[Number, Number, Number]
+    diameter: Number
+    datum: bool = False
+    shape: Shape = "ball"
+
+    @field_validator("diameter")
+    @classmethod
+    def _above_zero(cls, value: float) -> float:
+        if value <= 0:
+            raise ValueError(f"is {value:g}; the diameter of a ball in mm must be above zero")
+        return value
+
+
+PlateDocument = Annotated[tuple[FiducialDocument, ...], Field(min_length=MIN_BEADS)]
+
+
+class ViewDocument(_Strict):
+    """The two plates of a view."""
+
+    xrii: PlateDocument
+    source: PlateDocument
+
+
+class SdMm(_Strict):
+    """Standard deviations, mm."""
+
+    bead: Sd
+    plate: Sd
+    arm: Sd
+
+
+class SdRad(_Strict):
+    """Standard deviations, rad."""
+
+    plate: Sd
+    arm: Sd
+
+
+class FrameDocument(_Strict):
+    """A frame file."""
+
+    name: Name
+    units: str
+    views: Annotated[dict[Name, ViewDocument], Field(min_length=1)]
+    serial: Annotated[str, Field(max_length=200)] | None = None
+    measured_on: date | None = None
+    temperature_c: Number | None = None
+    sd_mm: SdMm | None = None
+    sd_rad: SdRad | None = None
+    covariance_mm2: list[list[Number]] | None = None
+
+    @field_validator("units")
+    @classmethod
+    def _millimetres(cls, value: str) -> str:
+        if value != "mm":
+            raise ValueError(f'is {value!r}; convert all coordinates and diameters to millimetres and write "mm"')
+        return value
+
+    @model_validator(mode="after")
+    def _whole(self) -> Self:
+        ids = [f.id for view in self.views.values() for f in (*view.xrii, *view.source)]
+        if twice := sorted({i for i in ids if ids.count(i) > 1}):
+            raise ValueError(
+                f"the fiducial id {twice[0]!r} stands twice; give every ball of the frame an id of its own"
+            )
+        if (self.sd_mm is None) != (self.sd_rad is None):
+            raise ValueError('tolerances need both "sd_mm" and "sd_rad"; add the missing one, or remove both')
+        if self.covariance_mm2 is not None:
+            if self.sd_mm is not None:
+                raise ValueError('"covariance_mm2" replaces the tolerances; remove it, or "sd_mm" and "sd_rad"')
+            _check_covariance(self.covariance_mm2, 3 * len(ids))
+        return self
+
+
+def _check_covariance(rows: list[list[float]], size: int) -> None:
+    """Raises ValueError unless symmetric and positive semi-definite to what six printed digits leave."""
+    if len(rows) != size or any(len(row) != size for row in rows):
+        raise ValueError(
+            f"covariance_mm2 must be {size} x {size}: x, y, z of every ball in file order, XRII plate first"
+        )
+    matrix = np.array(rows)
+    scale = np.abs(matrix).max()
+    if np.abs(matrix - matrix.T).max() > 1e-6 * scale:
+        raise ValueError("covariance_mm2 is not symmetric; entry [i][j] must equal [j][i]")
+    least = np.linalg.eigvalsh(matrix)[0]
+    if least < -1e-6 * scale:
+        raise ValueError(
+            f"covariance_mm2 is not positive semi-definite (least eigenvalue {least:.3g} mm²); "
+            "no errors can have it: write more digits, or state it from measured samples"
+        )
+
+
+def frame_of(document: FrameDocument) -> Frame:
+    """The frame that a valid document describes."""
+    mm, rad = document.sd_mm, document.sd_rad
+    covariance = None
+    if document.covariance_mm2 is not None:
+        covariance = np.array(document.covariance_mm2)
+        covariance.flags.writeable = False
+    return Frame(
+        name=document.name,
+        views={name: FrameView(_plate(view.xrii), _plate(view.source)) for name, view in document.views.items()},
+        serial=document.serial,
+        measured_on=document.measured_on.isoformat() if document.measured_on else None,
+        temperature_c=document.temperature_c,
+        tolerances=Tolerances(mm.bead, mm.plate, rad.plate, mm.arm, rad.arm) if mm and rad else None,
+        covariance_mm2=covariance,
+    )
+
+
+def _plate(fiducials: tuple[FiducialDocument, ...]) -> Plate:
+    return Plate(tuple(Fiducial(f.id, f.xyz, f.diameter, f.datum, f.shape) for f in fiducials))
+
+
+def document_of(frame: Frame) -> dict[str, Any]:
+    """The document of a frame as plain values, what is unknown left out; not yet checked."""
+    out: dict[str, Any] = {"name": frame.name, "units": "mm"}
+    for key in ("serial", "measured_on", "temperature_c"):
+        if (value := getattr(frame, key)) is not None:
+            out[key] = value
+    if (sd := frame.tolerances) is not None:
+        out["sd_mm"] = {"bead": sd.bead_mm, "plate": sd.plate_mm, "arm": sd.arm_mm}
+        out["sd_rad"] = {"plate": sd.plate_rad, "arm": sd.arm_rad}
+    out["views"] = {
+        name: {"xrii": _fiducials(view.xrii), "source": _fiducials(view.source)} for name, view in frame.views.items()
+    }
+    if frame.covariance_mm2 is not None:
+        out["covariance_mm2"] = frame.covariance_mm2.tolist()
+    return out
+
+
+def _fiducials(plate: Plate) -> list[dict[str, Any]]:
+    out: list[dict[str, Any]] = []
+    for f in plate.fiducials:
+        one: dict[str, Any] = {"id": f.id, "xyz": list(f.xyz_mm), "diameter": f.diameter_mm, "datum": f.datum}
+        out.append(one if f.shape == "ball" else {**one, "shape": f.shape})
+    return out
