@@ -13,6 +13,7 @@ _STROKE = 5  # small pixels: burnt-in letters and lines are thinner
 _PART = 0.03  # of the image: a smaller bright patch is writing, not field
 _ON_CIRCLE = 1.5  # small pixels
 _STOPS = 120  # places around the outline where its depth is measured
+_BLUR_PX = 4  # a wider slope at the edge is a half-shadow, which belongs to the field
 _ARCS = 0.3  # of the outline must lie on a circle before the field counts as round
 
 
@@ -61,7 +62,7 @@ def _outline(pixels: np.ndarray) -> tuple[np.ndarray, int] | None:
     depth = _depth(small, hull, outside)
     scale = np.array([pixels.shape[1] / width, pixels.shape[0] / height])
     hull = np.where(hull <= 0, -0.5, np.where(hull >= last, last + 0.5, hull))
-    return (hull + 0.5) * scale - 0.5, round(depth * float(scale.mean()))
+    return (hull + 0.5) * scale - 0.5, min(_BLUR_PX, round(depth * float(scale.mean())))
 
 
 def _hull(points: np.ndarray) -> np.ndarray:
@@ -71,8 +72,7 @@ def _hull(points: np.ndarray) -> np.ndarray:
 def _depth(small: np.ndarray, hull: np.ndarray, outside: float) -> float:
     """How far inside the outline, which follows a low level, the field's edge falls to half; small pixels.
 
-    The median over the outline, so that what darkens the rim here and there does not count; at most one, since more
-    is a half-shadow, not blur.
+    The median over the outline, so that what darkens the rim here and there does not count.
     """
     closed = np.concatenate([hull, hull[:1]])
     way = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(closed, axis=0).T))])
@@ -86,7 +86,7 @@ def _depth(small: np.ndarray, hull: np.ndarray, outside: float) -> float:
     where = (at[free, None] + steps[:, None] * inward[free, None]).astype(np.float32)
     profile = cv2.remap(small.astype(np.float32), where[..., 0], where[..., 1], cv2.INTER_LINEAR)
     half = outside + 0.5 * (np.median(profile[:, steps > 3], axis=1, keepdims=True) - outside)
-    return float(np.clip(np.median(steps[np.argmax(profile >= half, axis=1)]), 0, 1))
+    return float(np.clip(np.median(steps[np.argmax(profile >= half, axis=1)]), 0, None))
 
 
 def _normals(hull: np.ndarray) -> np.ndarray:
