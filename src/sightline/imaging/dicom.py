@@ -5,6 +5,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from hashlib import sha256
 from io import BytesIO
+from logging import getLogger
 from math import isfinite
 from pathlib import Path
 from typing import Any
@@ -13,8 +14,15 @@ import gdcm
 import numpy as np
 from pydicom import Dataset, dcmread, dcmwrite
 from pydicom.dataset import FileMetaDataset
+from pydicom.filereader import read_file_meta_info
+from pydicom.multival import MultiValue
 from pydicom.pixels.utils import pixel_array
-from pydicom.uid import ExplicitVRLittleEndian, XRayAngiographicImageStorage, generate_uid
+from pydicom.uid import (
+    DeflatedExplicitVRLittleEndian,
+    ExplicitVRLittleEndian,
+    XRayAngiographicImageStorage,
+    generate_uid,
+)
 
 from sightline.atomic import write_whole
 from sightline.errors import ImageError
@@ -69,10 +77,7 @@ def read(file: Path, frame_index: int | None) -> Radiograph:
     Raises ImageError.
     """
     with _quiet():
-        try:
-            header = dcmread(file, stop_before_pixels=True, specific_tags=_READ)
-        except Exception:  # pydicom raises what the broken bytes make it raise; its messages may quote the patient
-            raise damaged(file.name) from None
+        header = _header(file)
         index = _frame(header, frame_index, file.name)
         height, width, bits = _layout(header, file.name)
         stored = _decode(file, index)
@@ -128,16 +133,42 @@ def write(radiograph: Radiograph, path: str | Path) -> Path:
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Nothing of a header reaches a log: pydicom's warnings quote values, and gdcm writes to stderr."""
+    """Nothing of a header reaches a log: pydicom's messages quote values, and gdcm writes to stderr."""
     gdcm.Trace.WarningOff()
     gdcm.Trace.ErrorOff()
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        yield
+    log = getLogger("pydicom")
+    before, log.propagate, log.disabled = (log.propagate, log.disabled), False, True
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            yield
+    finally:
+        log.propagate, log.disabled = before
 
 
-def _frame(header: Dataset, frame_index: int | None, name: str) -> int:
-    frames = int(header.get("NumberOfFrames") or 1)
+def _header(file: Path) -> dict[str, Any]:
+    """The elements of `_READ`, converted here, where a malformed one is caught."""
+    try:
+        if read_file_meta_info(file).TransferSyntaxUID == DeflatedExplicitVRLittleEndian:  # could unpack to any size
+            raise _undecodable(file.name)
+        elements = dcmread(file, stop_before_pixels=True, specific_tags=_READ)
+        return {keyword: elements.get(keyword) for keyword in _READ}
+    except ImageError:
+        raise
+    except Exception:  # pydicom raises what the broken bytes make it raise; its messages may quote the patient
+        raise damaged(file.name) from None
+
+
+def _whole(header: dict[str, Any], keyword: str, name: str) -> int:
+    """A whole number; 0 where the element is absent or empty."""
+    try:
+        return int(header[keyword] or 0)
+    except (TypeError, ValueError):
+        raise damaged(name) from None
+
+
+def _frame(header: dict[str, Any], frame_index: int | None, name: str) -> int:
+    frames = _whole(header, "NumberOfFrames", name) or 1
     if frame_index is None and frames > 1:
         raise ImageError(f"{name} is a run of {frames} frames; say which one is meant, 0 to {frames - 1}")
     index = frame_index or 0
@@ -146,16 +177,16 @@ def _frame(header: Dataset, frame_index: int | None, name: str) -> int:
     return index
 
 
-def _layout(header: Dataset, name: str) -> tuple[int, int, int]:
-    height, width, bits = (header.get(key) for key in ("Rows", "Columns", "BitsStored"))
+def _layout(header: dict[str, Any], name: str) -> tuple[int, int, int]:
+    height, width, bits, allocated = (
+        _whole(header, keyword, name) for keyword in ("Rows", "Columns", "BitsStored", "BitsAllocated")
+    )
     if not height or not width:
         raise ImageError(f"{name} is a DICOM file without an image; export the image itself")
     check_size(height, width, name)
-    photometric = header.get("PhotometricInterpretation", "")
-    if photometric == "PALETTE COLOR":
+    if header["PhotometricInterpretation"] == "PALETTE COLOR":
         raise ImageError(f"{name} is a colour image; export the X-ray image itself in grey")
-    allocated = header.get("BitsAllocated")
-    if allocated not in (8, 16) or not bits or not 8 <= bits <= allocated:
+    if allocated not in (8, 16) or not 8 <= bits <= allocated:
         raise ImageError(f"{name} stores {bits} bits in {allocated}; 8 to 16 bits can be read")
     return height, width, bits
 
@@ -163,58 +194,56 @@ def _layout(header: Dataset, name: str) -> tuple[int, int, int]:
 def _decode(file: Path, index: int) -> np.ndarray:
     try:
         return pixel_array(file, index=index)
-    except NotImplementedError:
-        raise ImageError(f"{file.name} is compressed in a way that cannot be read; export it uncompressed") from None
-    except Exception:  # as above: any broken byte
-        raise damaged(file.name) from None
+    except Exception:  # as above
+        raise _undecodable(file.name) from None
 
 
-def _as_x_rays(stored: np.ndarray, header: Dataset, bits: int) -> tuple[np.ndarray, float]:
+def _undecodable(name: str) -> ImageError:
+    return ImageError(f"the pixels of {name} are damaged, or compressed in a rare way; export it again, uncompressed")
+
+
+def _as_x_rays(stored: np.ndarray, header: dict[str, Any], bits: int) -> tuple[np.ndarray, float]:
     """Pixels that grow with the X-rays, uint8 or uint16, and their white."""
     white = 2**bits - 1
     values = stored.astype(np.int32)
-    if header.get("PixelRepresentation") == 1:
+    if header["PixelRepresentation"] == 1:
         if values.min() < 0:
             values += 2 ** (bits - 1)
         else:
             white = 2 ** (bits - 1) - 1
-    sign = header.get("PixelIntensityRelationshipSign")
+    sign = header["PixelIntensityRelationshipSign"]
     if sign not in (1, -1):
-        shown = -1 if header.get("PhotometricInterpretation") == "MONOCHROME1" else 1
-        sign = -shown if _number(header, "RescaleSlope", 1.0) < 0 else shown
+        shown = -1 if header["PhotometricInterpretation"] == "MONOCHROME1" else 1
+        sign = -shown if (_number(header["RescaleSlope"]) or 1.0) < 0 else shown
     if sign == -1:
         values = white - values
     return values.astype(np.uint8 if white < 256 else np.uint16), float(white)
 
 
-def _number(header: Dataset, key: str, default: float) -> float:
-    value = _value(header, key)
-    return default if value is None else value
-
-
-def _value(header: Dataset, key: str) -> Any:
+def _number(value: Any) -> float | None:
     """A finite number, or None where the element is absent, empty or malformed."""
     try:
-        value = float(header.get(key))  # type: ignore[arg-type]
+        number = float(value)
     except (TypeError, ValueError):
         return None
-    return value if isfinite(value) else None
+    return number if isfinite(number) else None
 
 
-def _length_mm(value: float | None) -> float | None:
+def _length_mm(value: Any) -> float | None:
     """Zero stands for "unknown" in many headers."""
-    return value if value is not None and value > 0 else None
+    number = _number(value)
+    return number if number is not None and number > 0 else None
 
 
-def _geometry(header: Dataset) -> GeometryTags:
-    try:
-        row, column = (_length_mm(float(v)) for v in header.get("ImagerPixelSpacing") or ())
-    except (TypeError, ValueError):
-        row = column = None
+def _geometry(header: dict[str, Any]) -> GeometryTags:
+    spacing = header["ImagerPixelSpacing"]
+    row, column = (
+        (_length_mm(v) for v in spacing) if isinstance(spacing, MultiValue) and len(spacing) == 2 else (None,) * 2
+    )
     return GeometryTags(
-        source_detector_mm=_length_mm(_value(header, "DistanceSourceToDetector")),
+        source_detector_mm=_length_mm(header["DistanceSourceToDetector"]),
         imager_pixel_spacing_mm=(row, column) if row and column else None,
-        intensifier_size_mm=_length_mm(_value(header, "IntensifierSize")),
-        primary_angle_deg=_value(header, "PositionerPrimaryAngle"),
-        secondary_angle_deg=_value(header, "PositionerSecondaryAngle"),
+        intensifier_size_mm=_length_mm(header["IntensifierSize"]),
+        primary_angle_deg=_number(header["PositionerPrimaryAngle"]),
+        secondary_angle_deg=_number(header["PositionerSecondaryAngle"]),
     )

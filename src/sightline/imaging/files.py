@@ -16,7 +16,7 @@ _RASTER = {b"\x89PNG\r\n\x1a\n": headers.png, b"BM": headers.bmp, b"II*\x00": he
 
 
 def read_image(path: str | Path, frame_index: int | None = None) -> Radiograph:
-    """Read one X-ray image: DICOM, PNG, TIFF, BMP or `.npy`, 8 to 16 bit (`.npy` also floating point).
+    """Read one X-ray image: DICOM, PNG, TIFF, BMP or `.npy`, 8 to 16 bit (TIFF and `.npy` also floating point).
 
     The stored values are kept: no window, look-up table or rescaling is applied, because those are made for the eye
     and may clip; only their direction is read, so that brighter is more X-rays (see `dicom.read`). A colour image

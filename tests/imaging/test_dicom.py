@@ -1,0 +1,329 @@
+"""DICOM files as C-arms and archives write them: every transfer syntax, pixel layout and polarity."""
+
+import subprocess
+import sys
+from io import BytesIO
+from pathlib import Path
+
+import gdcm
+import numpy as np
+import pydicom
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from pydicom.encaps import encapsulate
+from pydicom.uid import RLELossless
+
+from sightline.errors import ImageError
+from sightline.imaging import GeometryTags, Radiograph, read_image, write_dicom
+
+PATIENT = "Doe^Jane^Secret"
+
+
+def scene(bits: int = 12, shape: tuple[int, int] = (48, 64), seed: int = 1) -> np.ndarray:
+    """A smooth image with noise that uses all its bits."""
+    v, u = np.mgrid[: shape[0], : shape[1]]
+    light = 0.5 + 0.45 * np.sin(u / 9.0) * np.cos(v / 7.0)
+    noise = np.random.default_rng(seed).normal(0, 0.01, shape)
+    values = np.clip((light + noise) * (2**bits - 1), 0, 2**bits - 1)
+    return values.astype(np.uint8 if bits == 8 else np.uint16)
+
+
+def dataset(pixels: np.ndarray, bits: int, tmp_path: Path) -> pydicom.Dataset:
+    out = pydicom.dcmread(write_dicom(Radiograph(pixels, 2.0**bits - 1), tmp_path / "base.dcm"))
+    out.PatientName = PATIENT
+    return out
+
+
+def saved(out: pydicom.Dataset, tmp_path: Path, name: str = "image.dcm") -> Path:
+    out.save_as(tmp_path / name)
+    return tmp_path / name
+
+
+def transcoded(source: Path, syntax: int, target: Path) -> Path:
+    """The file, its pixels encoded by gdcm."""
+    reader = gdcm.ImageReader()
+    reader.SetFileName(str(source))
+    assert reader.Read()
+    change = gdcm.ImageChangeTransferSyntax()
+    change.SetTransferSyntax(gdcm.TransferSyntax(syntax))
+    change.SetInput(reader.GetImage())
+    assert change.Change()
+    writer = gdcm.ImageWriter()
+    writer.SetFileName(str(target))
+    writer.SetFile(reader.GetFile())
+    writer.SetImage(change.GetOutput())
+    assert writer.Write()
+    return target
+
+
+LOSSLESS = {
+    "implicit": gdcm.TransferSyntax.ImplicitVRLittleEndian,
+    "big endian": gdcm.TransferSyntax.ExplicitVRBigEndian,
+    "JPEG lossless": gdcm.TransferSyntax.JPEGLosslessProcess14,
+    "JPEG lossless, first order": gdcm.TransferSyntax.JPEGLosslessProcess14_1,
+    "JPEG-LS": gdcm.TransferSyntax.JPEGLSLossless,
+    "JPEG 2000": gdcm.TransferSyntax.JPEG2000Lossless,
+    "RLE": gdcm.TransferSyntax.RLELossless,
+}
+
+
+@pytest.mark.parametrize("bits", [8, 12, 16])
+@pytest.mark.parametrize("syntax", LOSSLESS)
+def test_a_lossless_transfer_syntax_gives_the_pixels_back(tmp_path: Path, bits: int, syntax: str) -> None:
+    pixels = scene(bits)
+    path = transcoded(saved(dataset(pixels, bits, tmp_path), tmp_path), LOSSLESS[syntax], tmp_path / "coded.dcm")
+    image = read_image(path)
+    np.testing.assert_array_equal(image.pixels, pixels)
+    assert image.white == 2**bits - 1
+    assert image.pixels.dtype == pixels.dtype
+
+
+@pytest.mark.parametrize(
+    ("bits", "syntax"),
+    [
+        (8, gdcm.TransferSyntax.JPEGBaselineProcess1),
+        (12, gdcm.TransferSyntax.JPEG2000),
+        (12, gdcm.TransferSyntax.JPEGLSNearLossless),
+    ],
+)
+def test_a_lossy_transfer_syntax_gives_nearly_the_pixels_back(tmp_path: Path, bits: int, syntax: int) -> None:
+    pixels = scene(bits)
+    path = transcoded(saved(dataset(pixels, bits, tmp_path), tmp_path), syntax, tmp_path / "coded.dcm")
+    error = read_image(path).pixels.astype(float) - pixels
+    assert np.sqrt(np.mean(error**2)) < 0.02 * 2**bits
+
+
+@pytest.mark.parametrize("bits", [8, 10, 12, 14, 16])
+def test_what_is_written_is_valid_and_is_read_again(tmp_path: Path, bits: int) -> None:
+    pixels = scene(bits, (33, 47))
+    path = write_dicom(Radiograph(pixels, 2.0**bits - 1), tmp_path / "pa.dcm")
+    np.testing.assert_array_equal(read_image(path).pixels, pixels)
+    header = pydicom.dcmread(path)
+    assert (header.BitsStored, header.HighBit, header.Modality) == (bits, bits - 1, "XA")
+    for keyword in ("DistanceSourceToDetector", "ImagerPixelSpacing", "IntensifierSize", "PositionerPrimaryAngle"):
+        assert header[keyword].is_empty
+    assert header.SOPInstanceUID != header.StudyInstanceUID
+    np.testing.assert_array_equal(header.pixel_array, pixels)
+
+
+def test_the_same_image_gives_the_same_file_and_no_other_is_left_behind(tmp_path: Path) -> None:
+    image = Radiograph(scene(), 4095.0)
+    first, second = (write_dicom(image, tmp_path / name).read_bytes() for name in ("a.dcm", "b.dcm"))
+    assert first == second
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["a.dcm", "b.dcm"]
+
+
+def test_geometry_tags_are_kept_where_there_are_any(tmp_path: Path) -> None:
+    tags = GeometryTags(1000.0, (0.21, 0.22), 230.0, -32.5, 2.0)
+    path = write_dicom(Radiograph(scene(), 4095.0, tags), tmp_path / "pa.dcm")
+    assert read_image(path).tags == tags
+
+
+@pytest.mark.parametrize(
+    ("keyword", "value"),
+    [
+        ("DistanceSourceToDetector", "0"),
+        ("DistanceSourceToDetector", "-5"),
+        ("ImagerPixelSpacing", ["0.2"]),
+        ("ImagerPixelSpacing", ["0", "0"]),
+        ("PositionerPrimaryAngle", ""),
+    ],
+)
+def test_a_tag_that_says_nothing_is_unknown_not_zero(tmp_path: Path, keyword: str, value: object) -> None:
+    out = dataset(scene(), 12, tmp_path)
+    setattr(out, keyword, value)
+    assert read_image(saved(out, tmp_path)).tags == GeometryTags()
+
+
+@pytest.mark.parametrize(
+    ("photometric", "sign", "slope", "inverted"),
+    [
+        ("MONOCHROME2", None, None, False),
+        ("MONOCHROME1", None, None, True),
+        ("MONOCHROME2", None, "-1", True),
+        ("MONOCHROME1", None, "-1", False),
+        ("MONOCHROME1", 1, None, False),
+        ("MONOCHROME1", -1, None, True),
+        ("MONOCHROME2", -1, None, True),
+    ],
+)
+def test_brighter_is_more_x_rays(
+    tmp_path: Path, photometric: str, sign: int | None, slope: str | None, inverted: bool
+) -> None:
+    pixels = scene()
+    out = dataset(pixels, 12, tmp_path)
+    out.PhotometricInterpretation = photometric
+    if sign is not None:
+        out.PixelIntensityRelationshipSign = sign
+    if slope is not None:
+        out.RescaleSlope, out.RescaleIntercept = slope, "0"
+    image = read_image(saved(out, tmp_path))
+    np.testing.assert_array_equal(image.pixels, 4095 - pixels if inverted else pixels)
+    assert image.white == 4095
+
+
+def test_a_window_for_the_eye_does_not_change_the_stored_values(tmp_path: Path) -> None:
+    out = dataset(scene(), 12, tmp_path)
+    out.WindowCenter, out.WindowWidth, out.RescaleSlope, out.RescaleIntercept = "100", "50", "0.5", "-1024"
+    np.testing.assert_array_equal(read_image(saved(out, tmp_path)).pixels, scene())
+
+
+@pytest.mark.parametrize(("lowest", "shift", "white"), [(0, 0, 2047), (-1500, 2048, 4095)])
+def test_signed_pixels_become_unsigned(tmp_path: Path, lowest: int, shift: int, white: int) -> None:
+    stored = (scene(10).astype(np.int16) + lowest).astype(np.int16)
+    out = dataset(scene(12), 12, tmp_path)
+    out.PixelRepresentation, out.PixelData = 1, stored.tobytes()
+    image = read_image(saved(out, tmp_path))
+    np.testing.assert_array_equal(image.pixels, stored + shift)
+    assert image.white == white
+
+
+@pytest.mark.parametrize("coded", [False, True])
+def test_a_run_gives_the_frame_that_is_named_and_is_refused_without(tmp_path: Path, coded: bool) -> None:
+    frames = np.stack([scene(seed=k) for k in range(3)])
+    out = dataset(frames[0], 12, tmp_path)
+    out.NumberOfFrames, out.PixelData = 3, frames.tobytes()
+    if coded:
+        out.compress(RLELossless)
+    path = saved(out, tmp_path)
+    for k in range(3):
+        np.testing.assert_array_equal(read_image(path, k).pixels, frames[k])
+    with pytest.raises(ImageError, match=r"run of 3 frames.*0 to 2"):
+        read_image(path)
+    for index in (3, -1):
+        with pytest.raises(ImageError, match="frames 0 to 2"):
+            read_image(path, index)
+
+
+@pytest.mark.parametrize("grey", [True, False])
+def test_a_colour_image_is_read_where_it_is_grey(tmp_path: Path, grey: bool) -> None:
+    colours = np.repeat(scene(8)[..., None], 3, axis=2)
+    if not grey:
+        colours[5, 5, 0] ^= 1
+    out = dataset(scene(8), 8, tmp_path)
+    out.SamplesPerPixel, out.PhotometricInterpretation, out.PlanarConfiguration = 3, "RGB", 0
+    out.PixelData = colours.tobytes()
+    path = saved(out, tmp_path)
+    if grey:
+        np.testing.assert_array_equal(read_image(path).pixels, scene(8))
+    else:
+        with pytest.raises(ImageError, match="colour"):
+            read_image(path)
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ({"Rows": 0}, "without an image"),
+        ({"Rows": 60000, "Columns": 60000}, "limit"),
+        ({"Rows": 8}, "at least 16"),
+        ({"BitsAllocated": 32, "BitsStored": 32, "HighBit": 31}, "8 to 16 bits"),
+        ({"BitsStored": 4, "HighBit": 3}, "8 to 16 bits"),
+        ({"PhotometricInterpretation": "PALETTE COLOR"}, "colour"),
+        ({"Rows": 4800}, "damaged"),
+    ],
+)
+def test_a_header_that_promises_what_is_not_there_is_refused(tmp_path: Path, change: dict, says: str) -> None:
+    out = dataset(scene(), 12, tmp_path)
+    for keyword, value in change.items():
+        setattr(out, keyword, value)
+    with pytest.raises(ImageError, match=says):
+        read_image(saved(out, tmp_path))
+
+
+def test_a_file_without_pixels_is_refused(tmp_path: Path) -> None:
+    out = dataset(scene(), 12, tmp_path)
+    del out.PixelData
+    with pytest.raises(ImageError, match=r"image\.dcm are damaged"):
+        read_image(saved(out, tmp_path))
+
+
+@pytest.mark.parametrize("syntax", ["1.2.840.10008.1.2.4.100", "1.2.840.10008.1.2.1.99"])
+def test_a_compression_that_cannot_be_read_is_refused(tmp_path: Path, syntax: str) -> None:
+    """MPEG-2 video, which is none, and a deflated data set, which could unpack to any size."""
+    out = dataset(scene(), 12, tmp_path)
+    if syntax.endswith("4.100"):
+        out.PixelData = encapsulate([b"\x00" * 64])
+    out.file_meta.TransferSyntaxUID = syntax
+    with pytest.raises(ImageError, match="uncompressed"):
+        read_image(saved(out, tmp_path))
+
+
+def test_twelve_bit_lossy_jpeg_which_the_decoders_lack_is_refused(tmp_path: Path) -> None:
+    source = saved(dataset(scene(), 12, tmp_path), tmp_path)
+    path = transcoded(source, gdcm.TransferSyntax.JPEGExtendedProcess2_4, tmp_path / "coded.dcm")
+    with pytest.raises(ImageError, match="uncompressed"):
+        read_image(path)
+
+
+@pytest.mark.parametrize(
+    "image",
+    [
+        Radiograph(scene().astype(np.float32), 4095.0),
+        Radiograph(scene(), 4000.0),
+        Radiograph(scene(), 1023.0),
+        Radiograph(scene(), float("inf")),
+    ],
+)
+def test_pixels_that_dicom_cannot_hold_are_not_written(tmp_path: Path, image: Radiograph) -> None:
+    with pytest.raises(ImageError, match="whole numbers"):
+        write_dicom(image, tmp_path / "pa.dcm")
+    assert not list(tmp_path.iterdir())
+
+
+def _whole() -> bytes:
+    buffer = BytesIO()
+    out = pydicom.Dataset()
+    out.PatientName, out.SOPClassUID, out.SOPInstanceUID = PATIENT, "1.2.840.10008.5.1.4.1.1.12.1", "1.2.3"
+    out.Rows, out.Columns, out.SamplesPerPixel, out.PixelRepresentation = 16, 16, 1, 0
+    out.PhotometricInterpretation, out.BitsAllocated, out.BitsStored, out.HighBit = "MONOCHROME2", 8, 8, 7
+    out.PixelData = bytes(range(256))
+    out.file_meta = pydicom.dataset.FileMetaDataset()
+    out.file_meta.TransferSyntaxUID = pydicom.uid.ExplicitVRLittleEndian
+    pydicom.dcmwrite(buffer, out, enforce_file_format=True)
+    return buffer.getvalue()
+
+
+WHOLE = _whole()
+
+
+@pytest.fixture(scope="module")
+def scratch(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("dicom") / "broken.dcm"
+
+
+@settings(max_examples=150, deadline=None)
+@given(cut=st.integers(0, len(WHOLE) - 1))
+def test_a_truncated_file_is_refused_wherever_it_breaks_off(scratch: Path, cut: int) -> None:
+    scratch.write_bytes(WHOLE[:cut])
+    with pytest.raises(ImageError) as error:
+        read_image(scratch)
+    assert "Secret" not in str(error.value)
+
+
+@settings(max_examples=150, deadline=None)
+@given(at=st.integers(132, len(WHOLE) - 257), value=st.integers(0, 255))
+def test_a_damaged_header_gives_an_image_or_an_image_error(scratch: Path, at: int, value: int) -> None:
+    """Whatever one wrong byte says, nothing but ImageError comes out, and it does not name the patient."""
+    scratch.write_bytes(WHOLE[:at] + bytes([value]) + WHOLE[at + 1 :])
+    try:
+        assert min(read_image(scratch).shape) >= 16
+    except ImageError as error:
+        assert "Secret" not in str(error)
+
+
+def test_the_patient_reaches_neither_our_types_nor_the_log(tmp_path: Path) -> None:
+    """With pydicom's own logging on, and with elements whose malformed values pydicom likes to quote."""
+    out = dataset(scene(), 12, tmp_path)
+    out.DistanceSourceToDetector = "1000"
+    path = saved(out, tmp_path)
+    path.write_bytes(path.read_bytes().replace(b"1000", b"Secr"))  # pydicom quotes a number that is none
+    script = (
+        "import logging, sys; logging.basicConfig(level=logging.DEBUG)\n"
+        "from sightline import SightlineError, read_image\n"
+        "try: print(read_image(sys.argv[1]))\n"
+        "except SightlineError as error: print(error)"
+    )
+    done = subprocess.run([sys.executable, "-c", script, str(path)], capture_output=True, text=True, check=True)  # noqa: S603
+    assert "Secr" not in done.stdout + done.stderr

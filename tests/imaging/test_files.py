@@ -1,0 +1,172 @@
+"""Raster and NumPy images are read as they are, or refused."""
+
+import pickle
+from contextlib import suppress
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from sightline.errors import ImageError, UnusableInputError
+from sightline.imaging import Radiograph, read_image, write_png
+
+RNG = np.random.default_rng(11)
+GREY8 = RNG.integers(0, 256, (31, 43), dtype=np.uint8)
+GREY16 = RNG.integers(0, 65536, (31, 43), dtype=np.uint16)
+
+
+def encoded(pixels: np.ndarray, kind: str, *options: int) -> bytes:
+    return cv2.imencode(kind, pixels, options)[1].tobytes()
+
+
+def named(tmp_path: Path, data: bytes, name: str = "image.dat") -> Path:
+    (tmp_path / name).write_bytes(data)
+    return tmp_path / name
+
+
+@pytest.mark.parametrize(
+    ("pixels", "kind", "options"),
+    [
+        (GREY8, ".png", ()),
+        (GREY16, ".png", ()),
+        (GREY8, ".bmp", ()),
+        (GREY8, ".tiff", ()),
+        (GREY16, ".tiff", ()),
+        (GREY16, ".tiff", (cv2.IMWRITE_TIFF_COMPRESSION, 1)),
+        (GREY8, ".tiff", (cv2.IMWRITE_TIFF_COMPRESSION, 8)),
+    ],
+)
+def test_grey_is_read_whatever_the_file_is_called(
+    tmp_path: Path, pixels: np.ndarray, kind: str, options: tuple[int, ...]
+) -> None:
+    image = read_image(named(tmp_path, encoded(pixels, kind, *options)))
+    np.testing.assert_array_equal(image.pixels, pixels)
+    assert image.pixels.dtype == pixels.dtype
+    assert image.white == np.iinfo(pixels.dtype).max
+    assert not image.pixels.flags.writeable
+
+
+@pytest.mark.parametrize("kind", [".png", ".bmp", ".tiff"])
+@pytest.mark.parametrize("channels", [3, 4])
+def test_colour_is_read_where_it_is_grey_and_refused_where_it_is_not(tmp_path: Path, kind: str, channels: int) -> None:
+    colours = np.repeat(GREY8[..., None], channels, axis=2)
+    np.testing.assert_array_equal(read_image(named(tmp_path, encoded(colours, kind))).pixels, GREY8)
+    colours[3, 4, 1] ^= 1
+    with pytest.raises(ImageError, match="colour"):
+        read_image(named(tmp_path, encoded(colours, kind)))
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.float32, np.float64])
+def test_arrays_are_read(tmp_path: Path, dtype: type) -> None:
+    np.save(tmp_path / "image.npy", GREY8.astype(dtype))
+    image = read_image(tmp_path / "image.npy")
+    np.testing.assert_array_equal(image.pixels, GREY8)
+    assert image.white == (np.iinfo(dtype).max if np.issubdtype(dtype, np.integer) else np.inf)
+
+
+@pytest.mark.parametrize("bits", [8, 16])
+def test_a_png_that_is_written_is_read_again(tmp_path: Path, bits: int) -> None:
+    pixels = GREY8 if bits == 8 else GREY16
+    path = write_png(Radiograph(pixels, 2.0**bits - 1), tmp_path / "image.png")
+    np.testing.assert_array_equal(read_image(path).pixels, pixels)
+    with pytest.raises(ImageError, match="whole numbers"):
+        write_png(Radiograph(pixels.astype(np.float32), 1.0), tmp_path / "other.png")
+    with pytest.raises(UnusableInputError, match="cannot write"):
+        write_png(Radiograph(pixels, 255.0), tmp_path / "absent" / "image.png")
+    assert [p.name for p in tmp_path.iterdir()] == ["image.png"]
+
+
+def _png_claiming(width: int, height: int) -> bytes:
+    import struct
+    import zlib
+
+    body = b"IHDR" + struct.pack(">IIBBBBB", width, height, 8, 0, 0, 0, 0)
+    chunk = struct.pack(">I", 13) + body + struct.pack(">I", zlib.crc32(body))
+    end = b"\0\0\0\0IEND" + struct.pack(">I", zlib.crc32(b"IEND"))
+    return b"\x89PNG\r\n\x1a\n" + chunk + end
+
+
+@pytest.mark.parametrize(
+    ("data", "says"),
+    [
+        (b"", "is empty"),
+        (b"\n", "not an image"),
+        (b"%PDF-1.7 a report", "not an image"),
+        (encoded(GREY8, ".jpg"), "not an image"),
+        (_png_claiming(60000, 60000), "limit"),
+        (_png_claiming(20, 20), "damaged"),
+        (encoded(GREY8[:9, :9], ".png"), "at least 16"),
+        (encoded(np.full((32, 32), np.nan, np.float32), ".tiff"), "not finite"),
+        (cv2.imencodemulti(".tiff", [GREY8, GREY8])[1].tobytes(), "several pages"),
+        (pickle.dumps(GREY8), "not an image"),
+    ],
+)
+def test_what_is_no_image_is_refused(tmp_path: Path, data: bytes, says: str) -> None:
+    with pytest.raises(ImageError, match=says):
+        read_image(named(tmp_path, data))
+
+
+@pytest.mark.parametrize(
+    ("array", "says"),
+    [
+        (np.array([{"a": 1}, None], dtype=object), "holds no image"),
+        (np.zeros(400), "holds no image"),
+        (np.zeros((4, 4)), "at least 16"),
+        (np.zeros((32, 32), bool), "bool pixels"),
+        (np.zeros((32, 32), np.int64), "int64 pixels"),
+        (np.zeros((32, 32), complex), "complex128 pixels"),
+        (np.full((32, 32), np.nan), "not finite"),
+        (np.zeros((32, 32, 7)), "colour"),
+    ],
+)
+def test_an_array_that_is_no_image_is_refused(tmp_path: Path, array: np.ndarray, says: str) -> None:
+    np.save(tmp_path / "image.npy", array, allow_pickle=True)
+    with pytest.raises(ImageError, match=says):
+        read_image(tmp_path / "image.npy")
+
+
+def test_a_header_that_claims_a_huge_array_reserves_no_memory(tmp_path: Path) -> None:
+    np.save(tmp_path / "image.npy", GREY8)
+    data = (tmp_path / "image.npy").read_bytes().replace(b"(31, 43), }        ", b"(99999999, 99999), }")
+    with pytest.raises(ImageError, match="limit"):
+        read_image(named(tmp_path, data))
+
+
+def test_a_folder_an_absent_file_and_a_frame_of_a_still_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(ImageError, match="folder"):
+        read_image(tmp_path)
+    with pytest.raises(ImageError, match=r"cannot read absent\.png"):
+        read_image(tmp_path / "absent.png")
+    with pytest.raises(ImageError, match="no frame 1"):
+        read_image(named(tmp_path, encoded(GREY8, ".png")), 1)
+
+
+WHOLE = {kind: encoded(GREY16, kind) for kind in (".png", ".tiff")} | {".bmp": encoded(GREY8, ".bmp")}
+
+
+@pytest.fixture(scope="module")
+def scratch(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("raster") / "broken"
+
+
+@pytest.mark.parametrize("kind", WHOLE)
+@settings(max_examples=100, deadline=None)
+@given(share=st.floats(0, 1, exclude_max=True))
+def test_a_truncated_file_is_refused_not_filled_up(scratch: Path, kind: str, share: float) -> None:
+    scratch.write_bytes(WHOLE[kind][: int(share * len(WHOLE[kind]))])
+    with pytest.raises(ImageError):
+        read_image(scratch)
+
+
+@pytest.mark.parametrize("kind", WHOLE)
+@settings(max_examples=100, deadline=None)
+@given(share=st.floats(0, 1, exclude_max=True), value=st.integers(0, 255))
+def test_a_damaged_file_gives_an_image_or_an_image_error(scratch: Path, kind: str, share: float, value: int) -> None:
+    data = bytearray(WHOLE[kind])
+    data[int(min(share**4, 0.999) * len(data))] = value  # mostly in the header
+    scratch.write_bytes(bytes(data))
+    with suppress(ImageError):
+        assert min(read_image(scratch).shape) >= 16
