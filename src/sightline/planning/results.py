@@ -1,10 +1,11 @@
-"""What planning hands on: points in space, a trajectory, a verdict."""
+"""What planning hands on: points in space, and a verdict."""
 
 from dataclasses import dataclass
 
 import numpy as np
 
 from sightline.checks import Check
+from sightline.errors import ErrorUnknownError
 
 # Where the error of a point comes from; their covariances add up to the whole.
 BUDGET = ("beads", "map", "focal_point", "frame", "picks")
@@ -14,7 +15,8 @@ BUDGET = ("beads", "map", "focal_point", "frame", "picks")
 class SpacePoints:
     """N points reconstructed from two views, CFCS.
 
-    `xyz_mm` (N, 3). `gap_mm` (N,): nearest approach of the two lines of sight. `gap_tested` (N,) bool: False where
+    `xyz_mm` (N, 3). `method`: "weighted" or "nearest"; always "nearest" where a view's error is unknown. `gap_mm` (N,):
+    nearest approach of the two lines of sight. `gap_tested` (N,) bool: False where
     a pick was snapped to an image-matching curve, so that the gap says nothing. `gap_sigma` (N,): gap over its own
     standard deviation; 0 where not tested. `joint_covariance_mm2` (3N, 3N), or None where a view's error is unknown:
     the points share focal points, maps and frame, so their errors are correlated. `budget_mm2`: the same, for each of
@@ -28,17 +30,25 @@ class SpacePoints:
     joint_covariance_mm2: np.ndarray | None
     budget_mm2: dict[str, np.ndarray] | None
     inside_hull: np.ndarray
+    method: str = "weighted"
+
+    def __post_init__(self) -> None:
+        arrays = [getattr(self, name) for name in ("xyz_mm", "gap_mm", "gap_tested", "inside_hull")]
+        arrays += [self.gap_sigma, self.joint_covariance_mm2, *(self.budget_mm2 or {}).values()]
+        for array in arrays:
+            if array is not None:
+                array.flags.writeable = False
 
     @property
     def covariance_mm2(self) -> np.ndarray:
         """(N, 3, 3). Raises ErrorUnknownError where a view has no covariance."""
-        from sightline.errors import ErrorUnknownError
-
         if self.joint_covariance_mm2 is None:
-            raise ErrorUnknownError("a view has no covariance, so the error of its points is unknown")
+            raise ErrorUnknownError(
+                "a view has no covariance, so the error of its points is unknown; "
+                "calibrate both views from their beads, or give the matrix of a view with its covariance"
+            )
         n = len(self.xyz_mm)
-        blocks = self.joint_covariance_mm2.reshape(n, 3, n, 3)
-        return np.stack([blocks[i, :, i, :] for i in range(n)]) if n else np.zeros((0, 3, 3))
+        return np.einsum("iaib->iab", self.joint_covariance_mm2.reshape(n, 3, n, 3))
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,165 @@
+"""Image-matching curves: the line of sight of a pick in one view, drawn in the other."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from sightline.calibration.view import CalibratedView, LinesOfSight
+from sightline.errors import OutsideRegionError, UnusableInputError
+from sightline.planning.picks import DEFAULT_PICK_SD_PX, Pick
+from sightline.planning.residuals import Residuals, pick_covariance_mm2
+
+STEP_MM = 2.0  # about 10 px: the chord of a distorted line is then off by less than 0.01 px [ours]
+TICK_MM = 10.0  # [ours]
+_BAND_EVERY = 5  # samples: the band is as smooth as the map's covariance, which follows the beads' pitch
+_COARSE = 10  # every tenth sample is tried first when the visible stretch is looked for
+_TWO_SIDED_95 = 1.959964  # normal quantile
+# A click farther than this from the curve is not a click on the curve: about 8 mm at the hip [ours].
+FARTHEST_SNAP_PX = 25.0
+
+
+@dataclass(frozen=True, eq=False)
+class MatchingCurve:
+    """A line of sight of `from_view` as `to_view` sees it, sampled every 2 mm where `to_view` is calibrated.
+
+    `depth_mm` (S,): along the line of sight from the reference plane of `from_view`, towards the X-ray source.
+    `uv_px` (S, 2) and the unit `tangent_px` (S, 2), IDCS of `to_view`, follow the view's own map, so the curve bends
+    with its distortion and may run in any direction. `xyz_mm` (S, 3) CFCS. `is_tick` (S,) bool: every 10 mm.
+    `half_width_px` (S,): the true line lies within this across the curve with a probability of 95 %, the pick's own
+    error included; None where a view's error is unknown.
+    """
+
+    from_view: str
+    to_view: str
+    depth_mm: np.ndarray
+    xyz_mm: np.ndarray
+    uv_px: np.ndarray
+    tangent_px: np.ndarray
+    is_tick: np.ndarray
+    half_width_px: np.ndarray | None
+
+    @property
+    def across_px(self) -> np.ndarray:
+        """(S, 2) unit vectors across the curve."""
+        return _turned(self.tangent_px)
+
+
+def matching_curve(
+    from_view: CalibratedView, uv_px: np.ndarray, to_view: CalibratedView, uv_covariance_px2: np.ndarray | None = None
+) -> MatchingCurve:
+    """Draw the line of sight of pixel `uv_px` (2,) of one view in another (the paper, section 4.3 and Fig. 12).
+
+    `uv_covariance_px2` (2, 2): of the pick; 0.5 px where not given. Raises OutsideRegionError where the other view
+    sees none of the line.
+    """
+    uv = np.asarray(uv_px, dtype=np.float64)
+    if uv.shape != (2,) or not np.isfinite(uv).all():
+        raise UnusableInputError(f"a curve is drawn for one finite pixel (u, v), not for {uv_px!r}")
+    line = from_view.lines_of_sight(uv[None])
+    towards = -line.directions[0]
+    length = float(np.linalg.norm(line.points_mm[0] - line.focal_point_mm))
+    depth = np.arange(0.0, length, STEP_MM)
+    xyz = line.points_mm[0] + depth[:, None] * towards
+    seen = _seen(to_view, xyz)
+    if seen.sum() < 3:
+        raise OutsideRegionError(
+            f"view {to_view.name!r} sees no part of the line of sight picked in view {from_view.name!r}; "
+            "pick a point that both images show, or take the images again with the target nearer to their middle"
+        )
+    depth, xyz = depth[seen], xyz[seen]
+    curve_px = to_view.project(xyz)
+    tangent = np.gradient(curve_px, depth, axis=0, edge_order=2)
+    tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
+    pick = DEFAULT_PICK_SD_PX**2 * np.eye(2) if uv_covariance_px2 is None else np.asarray(uv_covariance_px2)
+    some = np.unique(np.r_[0 : len(depth) : _BAND_EVERY, len(depth) - 1])
+    there = Residuals.at(to_view.lines_of_sight(curve_px[some]), xyz[some])
+    sd = _sd_across_px(line, pick, 1.0 - depth[some] / length, there, _turned(tangent[some]))
+    return MatchingCurve(
+        from_view=from_view.name,
+        to_view=to_view.name,
+        depth_mm=depth,
+        xyz_mm=xyz,
+        uv_px=curve_px,
+        tangent_px=tangent,
+        is_tick=np.isclose(depth % TICK_MM, 0.0),
+        half_width_px=None if sd is None else np.interp(depth, depth[some], _TWO_SIDED_95 * sd),
+    )
+
+
+def snap(curve: MatchingCurve, uv_px: np.ndarray, sd_px: float = DEFAULT_PICK_SD_PX) -> Pick:
+    """The point of the curve nearest to a click `uv_px` (2,), as one number along it with `sd_px`.
+
+    Raises UnusableInputError where the click is not on the curve: beyond its ends or far beside it.
+    """
+    click = Pick.free(uv_px, sd_px).uv_px
+    start, chord = curve.uv_px[:-1], np.diff(curve.uv_px, axis=0)
+    share = np.clip(np.einsum("ij,ij->i", click - start, chord) / np.einsum("ij,ij->i", chord, chord), 0.0, 1.0)
+    nearest = start + share[:, None] * chord
+    distance = np.linalg.norm(click - nearest, axis=1)
+    best = int(np.argmin(distance))
+    if not distance[best] <= FARTHEST_SNAP_PX:
+        raise UnusableInputError(
+            f"the click is {distance[best]:.0f} px from the matching curve in view {curve.to_view!r} (at most "
+            f"{FARTHEST_SNAP_PX:.0f} px); click on the curve, or pick the point freely"
+        )
+    tangent = (1.0 - share[best]) * curve.tangent_px[best] + share[best] * curve.tangent_px[best + 1]
+    tangent /= np.linalg.norm(tangent)
+    return Pick(nearest[best], sd_px**2 * np.outer(tangent, tangent), _turned(tangent))
+
+
+def _seen(view: CalibratedView, xyz_mm: np.ndarray) -> np.ndarray:
+    """(S,) bool: which points (S, 3) of a line the view can project. They are one stretch: its ends are bisected."""
+
+    def sees(i: int) -> bool:
+        try:
+            view.project(xyz_mm[i : i + 1])
+        except OutsideRegionError:
+            return False
+        return True
+
+    def last_seen(seen: int, unseen: int) -> int:
+        while abs(unseen - seen) > 1:
+            middle = (seen + unseen) // 2
+            seen, unseen = (middle, unseen) if sees(middle) else (seen, middle)
+        return seen
+
+    n = len(xyz_mm)
+    found = [i for i in range(0, n, _COARSE) if sees(i)]
+    mask = np.zeros(n, dtype=bool)
+    if found:
+        mask[
+            last_seen(found[0], max(found[0] - _COARSE, -1)) : last_seen(found[-1], min(found[-1] + _COARSE, n)) + 1
+        ] = True
+    return mask
+
+
+def _turned(tangent_px: np.ndarray) -> np.ndarray:
+    """(..., 2) turned by a quarter."""
+    return np.stack([-tangent_px[..., 1], tangent_px[..., 0]], axis=-1)
+
+
+def _sd_across_px(
+    line: LinesOfSight, pick_px2: np.ndarray, reach: np.ndarray, samples: Residuals, across_px: np.ndarray
+) -> np.ndarray | None:
+    """(S,) standard deviation of the true line's distance across the curve.
+
+    `reach` (S,): place of each sample from the focal point (0) to the plane (1); `across_px` (S, 2): unit vectors.
+    None where a view's error is unknown.
+    """
+    if line.covariance is None or samples.lines.covariance is None:
+        return None
+    n = len(samples.xy_mm)
+    across = np.einsum("ij,ijk->ik", across_px, np.linalg.inv(samples.lines.jacobian))  # px per mm on the plane
+    # What an error of the picked line (F, xy) does across the curve, and what one of the other view does.
+    of_point = np.einsum("ij,ijb->ib", across, samples.to_point)
+    by_line = np.hstack([(1.0 - reach)[:, None] * of_point, reach[:, None] * (of_point @ line.plane.axes.T)])
+    by_view = np.einsum("ij,ijk->ik", across, samples.to_line.reshape(n, 2, -1))
+    line_covariance = np.sum(list(line.covariance.values()), axis=0)
+    line_covariance[3:, 3:] += pick_covariance_mm2(line, pick_px2[None])[0]
+    view_covariance = np.sum(list(samples.lines.covariance.values()), axis=0)
+    variance = np.einsum("ip,pq,iq->i", by_line, line_covariance, by_line)
+    variance += np.einsum("ip,pq,iq->i", by_view, view_covariance, by_view)
+    mine, theirs = line.frame_factor, samples.lines.frame_factor
+    if line.frame_key == samples.lines.frame_key and mine is not None and theirs is not None:
+        variance -= 2.0 * np.einsum("ik,ik->i", by_line @ mine, by_view @ theirs)
+    return np.sqrt(variance)

@@ -1,0 +1,236 @@
+"""From picks in two views to points in space: nearest approach (the paper) or covariance-weighted."""
+
+from collections.abc import Sequence
+from typing import Literal
+
+import numpy as np
+from scipy.linalg import block_diag
+
+from sightline.calibration.view import CalibratedView, LinesOfSight
+from sightline.errors import ReconstructionRefusedError, UnusableInputError
+from sightline.planning.picks import DEFAULT_PICK_SD_PX
+from sightline.planning.residuals import Residuals, covariance_by_source, pick_covariance_mm2
+from sightline.planning.results import SpacePoints
+
+Method = Literal["weighted", "nearest"]
+
+# Below this the error along the lines is more than ten times that across them [ours].
+SMALLEST_ANGLE_RAD = np.deg2rad(5.0)
+# Two X-ray sources nearer than this are one exposure seen twice [ours].
+SMALLEST_BASELINE_MM = 1.0
+_ITERATIONS = 2  # the model is linear but for the small change of its weights with X
+
+
+def reconstruct(
+    views: Sequence[CalibratedView],
+    uv_px: np.ndarray,
+    uv_covariance_px2: np.ndarray | None = None,
+    method: Method = "weighted",
+    across_px: np.ndarray | None = None,
+) -> SpacePoints:
+    """Points seen at pixels `uv_px` (2, N, 2) of two views, with their joint covariance, CFCS.
+
+    `uv_covariance_px2` (2, N, 2, 2): of the picks; without it 0.5 px, a careful click. `across_px` (2, N, 2): where a
+    pick was snapped to an image-matching curve, the direction across the curve, in which it says nothing; zero for a
+    free pick (see `Pick`). "nearest" is the point of nearest approach (the paper, eqs 1 and 2); "weighted" is the
+    maximum-likelihood point given the covariance of both lines of sight and the picks. Each point is computed
+    from its own picks alone, so a bad pick moves no other point; their errors are correlated all the same.
+    A view of unknown error leaves nothing to weigh by: then the method is "nearest" and the result says so.
+    Raises UnusableInputError, ReconstructionRefusedError, OutsideRegionError.
+    """
+    if method not in ("weighted", "nearest"):
+        raise UnusableInputError(f"unknown method {method!r}; choose 'weighted' or 'nearest'")
+    first, second = _two_views(views)
+    uv, covariance, across = _picks(uv_px, uv_covariance_px2, across_px)
+    lines = first.lines_of_sight(uv[0]), second.lines_of_sight(uv[1])
+    _refuse_parallel(*lines)
+    xyz, gap = _nearest_approach(*lines)
+    used: Method = "nearest" if any(one.covariance is None for one in lines) else method
+    solution = _Solution(lines, (covariance, across), xyz, used)
+    for _ in range(_ITERATIONS if used == "weighted" else 0):
+        xyz = xyz + solution.step_mm()
+        solution = _Solution(lines, (covariance, across), xyz, used)
+    _refuse_behind(lines, xyz)
+    budget, gap_sd = solution.budget_mm2(), solution.gap_sd_mm()
+    tested = ~np.any(across != 0.0, axis=(0, 2))
+    return SpacePoints(
+        xyz_mm=xyz,
+        gap_mm=gap,
+        gap_tested=tested,
+        gap_sigma=None if gap_sd is None else np.where(tested, gap / gap_sd, 0.0),
+        joint_covariance_mm2=None if budget is None else np.sum(list(budget.values()), axis=0),
+        budget_mm2=budget,
+        inside_hull=lines[0].inside_hull & lines[1].inside_hull,
+        method=used,
+    )
+
+
+def _nearest_approach(first: LinesOfSight, second: LinesOfSight) -> tuple[np.ndarray, np.ndarray]:
+    """Midpoints (N, 3) of the shortest connections of two lines, and their lengths (N,)."""
+    a, b = first.directions, second.directions
+    between = second.focal_point_mm - first.focal_point_mm
+    cosine = np.einsum("ia,ia->i", a, b)
+    sine2 = 1.0 - cosine**2
+    on_first = first.focal_point_mm + ((a @ between - cosine * (b @ between)) / sine2)[:, None] * a
+    on_second = second.focal_point_mm + ((cosine * (a @ between) - b @ between) / sine2)[:, None] * b
+    return 0.5 * (on_first + on_second), np.linalg.norm(on_first - on_second, axis=1)
+
+
+class _Solution:
+    """Linearised at given points: residuals of both views, their covariance, the weights that solve for X."""
+
+    def __init__(
+        self,
+        lines: tuple[LinesOfSight, LinesOfSight],
+        picks: tuple[np.ndarray, np.ndarray],
+        xyz_mm: np.ndarray,
+        method: Method,
+    ) -> None:
+        covariance_px2, across_px = picks
+        self.residuals = Residuals.at(lines[0], xyz_mm), Residuals.at(lines[1], xyz_mm)
+        self.covariances = _covariances(self.residuals, covariance_px2)
+        if method == "weighted" and self.covariances is not None:
+            information = np.linalg.inv(_own(self.covariances))
+        else:
+            information = _nearness(self.residuals)
+        information = _forget(information, lines, across_px)
+        to_point = np.concatenate([r.to_point for r in self.residuals], axis=1)
+        normal = np.swapaxes(to_point, 1, 2) @ information
+        self.weights = np.linalg.solve(normal @ to_point, normal)  # (N, 3, 4): X moves by weights @ residuals
+
+    def step_mm(self) -> np.ndarray:
+        """(N, 3): the Gauss-Newton step."""
+        return np.einsum("iaj,ij->ia", self.weights, np.hstack([r.xy_mm for r in self.residuals]))
+
+    def budget_mm2(self) -> dict[str, np.ndarray] | None:
+        """(3N, 3N) covariance of the points for each source of BUDGET; None where a view's error is unknown."""
+        if self.covariances is None:
+            return None
+        n = len(self.weights)
+        out = {}
+        for source, covariance in self.covariances.items():
+            half = (self.weights @ covariance.reshape(n, 4, 4 * n)).reshape(3 * n, n, 4)
+            out[source] = (self.weights @ half.transpose(1, 2, 0)).reshape(3 * n, 3 * n)
+        return out
+
+    def gap_sd_mm(self) -> np.ndarray | None:
+        """(N,) standard deviation of the signed gap between the lines; None where a view's error is unknown."""
+        if self.covariances is None:
+            return None
+        common = np.cross(self.residuals[0].lines.directions, self.residuals[1].lines.directions)
+        common /= np.linalg.norm(common, axis=1, keepdims=True)
+        signed = zip((1.0, -1.0), self.residuals, strict=True)
+        to_gap = np.hstack([s * r.reach[:, None] * (common @ r.lines.plane.axes.T) for s, r in signed])
+        return np.sqrt(np.einsum("ip,ipq,iq->i", to_gap, _own(self.covariances), to_gap))
+
+
+def _covariances(
+    residuals: tuple[Residuals, Residuals], pick_covariance_px2: np.ndarray
+) -> dict[str, np.ndarray] | None:
+    """For each of BUDGET, (N, 4, N, 4): the residuals of a point are those of the first view, then of the second."""
+    by_source = covariance_by_source(*residuals)
+    if by_source is None:
+        return None
+    picks = [pick_covariance_mm2(r.lines, c) for r, c in zip(residuals, pick_covariance_px2, strict=True)]
+    by_source["picks"] = np.asarray(block_diag(*picks[0], *picks[1]))
+    n = len(picks[0])
+    return {
+        source: c.reshape(2, n, 2, 2, n, 2).transpose(1, 0, 2, 4, 3, 5).reshape(n, 4, n, 4)
+        for source, c in by_source.items()
+    }
+
+
+def _own(covariances: dict[str, np.ndarray]) -> np.ndarray:
+    """(N, 4, 4): the total covariance of each point's own residuals."""
+    return np.einsum("ipiq->ipq", np.sum(list(covariances.values()), axis=0))
+
+
+def _nearness(residuals: tuple[Residuals, Residuals]) -> np.ndarray:
+    """(N, 4, 4): the quadratic form of residuals that is the summed squared distance of X from both lines."""
+    out = np.zeros((len(residuals[0].reach), 4, 4))
+    for k, r in enumerate(residuals):
+        axes, along = r.lines.plane.axes, r.lines.directions @ r.lines.plane.axes.T
+        across = axes @ axes.T - along[:, :, None] * along[:, None, :]
+        out[:, 2 * k : 2 * k + 2, 2 * k : 2 * k + 2] = r.reach[:, None, None] ** 2 * across
+    return out
+
+
+def _forget(information: np.ndarray, lines: tuple[LinesOfSight, LinesOfSight], across_px: np.ndarray) -> np.ndarray:
+    """Information (N, 4, 4) in the exact limit of infinite variance along the directions `across_px` (2, N, 2)."""
+    for k, (one, across) in enumerate(zip(lines, across_px, strict=True)):
+        direction = np.zeros((len(information), 4))
+        direction[:, 2 * k : 2 * k + 2] = np.einsum("ijk,ik->ij", one.jacobian, across)
+        carried = np.einsum("ipq,iq->ip", information, direction)
+        weight = np.einsum("ip,ip->i", direction, carried)
+        weight = np.divide(1.0, weight, out=np.zeros_like(weight), where=weight > 0.0)
+        information = information - weight[:, None, None] * carried[:, :, None] * carried[:, None, :]
+    return information
+
+
+def _two_views(views: Sequence[CalibratedView]) -> tuple[CalibratedView, CalibratedView]:
+    """The two views, refused if they are one."""
+    if len(views) != 2:
+        raise UnusableInputError(f"{len(views)} views given; a point is reconstructed from exactly two")
+    first, second = views
+    baseline = float(np.linalg.norm(first.focal_point_mm - second.focal_point_mm))
+    if first is second or first.name == second.name or baseline < SMALLEST_BASELINE_MM:
+        raise ReconstructionRefusedError(
+            f"one view is given twice ({first.name!r} and {second.name!r}, X-ray sources {baseline:.1f} mm apart); "
+            "give two images taken from different directions"
+        )
+    return first, second
+
+
+def _picks(
+    uv_px: np.ndarray, covariance_px2: np.ndarray | None, across_px: np.ndarray | None
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Picks, their covariances and free directions as finite arrays of the promised shapes."""
+    uv = np.asarray(uv_px, dtype=np.float64)
+    if uv.ndim != 3 or uv.shape[0] != 2 or uv.shape[2] != 2 or uv.shape[1] == 0:
+        raise UnusableInputError(
+            f"picks have the shape {uv.shape}; (2, N, 2) was expected: two views, N points, (u, v)"
+        )
+    n = uv.shape[1]
+    if covariance_px2 is None:
+        covariance_px2 = np.broadcast_to(DEFAULT_PICK_SD_PX**2 * np.eye(2), (2, n, 2, 2))
+    covariance = np.asarray(covariance_px2, dtype=np.float64)
+    across = np.zeros((2, n, 2)) if across_px is None else np.asarray(across_px, dtype=np.float64)
+    for name, array, shape in (("covariances", covariance, (2, n, 2, 2)), ("free directions", across, (2, n, 2))):
+        if array.shape != shape:
+            raise UnusableInputError(f"the picks' {name} have the shape {array.shape}; {shape} was expected")
+    if not all(np.isfinite(a).all() for a in (uv, covariance, across)):
+        raise UnusableInputError("picks or their covariances are not finite; give each pick a pixel in both images")
+    if not np.allclose(covariance, np.swapaxes(covariance, -1, -2)) or not _positive(covariance):
+        raise UnusableInputError("a pick's covariance is not symmetric and positive; give a 2x2 covariance in px²")
+    if np.any(np.any(across[0] != 0.0, axis=1) & np.any(across[1] != 0.0, axis=1)):
+        raise UnusableInputError(
+            "a point is snapped in both views; one of its picks must be free, the other snapped to its curve"
+        )
+    return uv, covariance, across
+
+
+def _positive(covariance: np.ndarray) -> bool:
+    """No variance below zero, but for rounding (a snapped pick's covariance is singular)."""
+    values = np.linalg.eigvalsh(covariance)
+    return bool((values[..., 0] >= -1e-9 * np.abs(values[..., 1])).all())
+
+
+def _refuse_parallel(first: LinesOfSight, second: LinesOfSight) -> None:
+    """Refuse lines of sight that do not determine a point."""
+    sine = np.linalg.norm(np.cross(first.directions, second.directions), axis=1).min()
+    if sine < np.sin(SMALLEST_ANGLE_RAD):
+        raise ReconstructionRefusedError(
+            f"two lines of sight are nearly parallel ({np.rad2deg(np.arcsin(sine)):.1f}°; at least "
+            f"{np.rad2deg(SMALLEST_ANGLE_RAD):.0f}° is needed); take the second image from another direction"
+        )
+
+
+def _refuse_behind(lines: tuple[LinesOfSight, LinesOfSight], xyz_mm: np.ndarray) -> None:
+    """Refuse points that would lie behind an X-ray source: no ray reaches them."""
+    for one in lines:
+        along = np.einsum("ia,ia->i", xyz_mm - one.focal_point_mm, one.directions)
+        if along.min() <= 0.0:
+            raise ReconstructionRefusedError(
+                f"the lines of sight meet behind the X-ray source of view {one.view!r}; check that the picks of both "
+                "images show the same points, and that the images belong to these views"
+            )

@@ -1,0 +1,67 @@
+"""How lines of sight err: residuals of points on the reference planes, and their covariance per source.
+
+The residual of a point X in a view is `xy - projection(F, X)`, mm on the view's reference plane: what the map says less
+where the focal point throws X. Its error is that of xy less what the error of F does to the projection.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from sightline.calibration.projection import Pencil
+from sightline.calibration.view import SOURCES, LinesOfSight
+
+
+@dataclass(frozen=True, eq=False)
+class Residuals:
+    """Residuals of N points in one view.
+
+    `xy_mm` (N, 2); `to_point` (N, 2, 3): d projection / d X; `to_line` (2N, 3 + 2N): d residual / d (F, every xy).
+    `reach` (N,): distance of X from the focal point over that of the point on the plane, so that a line displaced by
+    r on the plane is displaced by reach * r (seen along itself) at X; negative behind the X-ray source.
+    """
+
+    lines: LinesOfSight
+    xy_mm: np.ndarray
+    to_point: np.ndarray
+    to_line: np.ndarray
+    reach: np.ndarray
+
+    @staticmethod
+    def at(lines: LinesOfSight, xyz_mm: np.ndarray) -> "Residuals":
+        """Of points (N, 3), one for each line."""
+        plane, focal = lines.plane, lines.focal_point_mm
+        reach = 1.0 - plane.height_mm(xyz_mm) / plane.height_mm(focal)
+        to_point = Pencil.through(plane, focal).by_point(xyz_mm)
+        to_focal = (reach - 1.0)[
+            :, None, None
+        ] * to_point  # moving F by r is moving X by (reach - 1) r, seen on the plane
+        to_line = np.hstack([-to_focal.reshape(-1, 3), np.eye(2 * len(xyz_mm))])
+        residual = lines.xy_mm - plane.central_projection(focal, xyz_mm)
+        return Residuals(lines, residual, to_point, to_line, reach)
+
+
+def covariance_by_source(first: Residuals, second: Residuals) -> dict[str, np.ndarray] | None:
+    """(4N, 4N) covariance of the residuals of both views (view, point, axis) for each of SOURCES; None where unknown.
+
+    Only the frame's error is shared by two views, and only if they saw the same frame.
+    """
+    a, b = first.lines, second.lines
+    if a.covariance is None or b.covariance is None:
+        return None
+    n = len(first.to_line)
+    out = {}
+    for source in SOURCES:
+        out[source] = np.zeros((2 * n, 2 * n))
+        out[source][:n, :n] = first.to_line @ a.covariance[source] @ first.to_line.T
+        out[source][n:, n:] = second.to_line @ b.covariance[source] @ second.to_line.T
+    if a.frame_key == b.frame_key and a.frame_factor is not None and b.frame_factor is not None:
+        shared = (first.to_line @ a.frame_factor) @ (second.to_line @ b.frame_factor).T
+        out["frame"][:n, n:] = shared
+        out["frame"][n:, :n] = shared.T
+    return out
+
+
+def pick_covariance_mm2(lines: LinesOfSight, covariance_px2: np.ndarray) -> np.ndarray:
+    """Picks' covariances (N, 2, 2) px² carried onto the plane, mm²."""
+    return lines.jacobian @ covariance_px2 @ np.swapaxes(lines.jacobian, -1, -2)

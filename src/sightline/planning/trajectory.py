@@ -1,0 +1,161 @@
+"""The planned trajectory of the guide wire, and how far it may be off."""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from scipy.integrate import lebedev_rule
+from scipy.optimize import root_scalar
+from scipy.stats import chi2
+
+from sightline.errors import ErrorUnknownError, UnusableInputError
+from sightline.planning.results import SpacePoints
+
+# Two picks nearer than this give no direction [ours].
+SHORTEST_MM = 5.0
+_DIRECTIONS, _SHARES = lebedev_rule(53)
+_SHARES = _SHARES / _SHARES.sum()
+
+
+def radius_of(covariance: np.ndarray, probability: float = 0.95) -> float:
+    """The length that a zero-mean Gaussian vector, (k, k) covariance with k <= 3, stays below with a probability.
+
+    |x|² = c * (n' L n), with c chi-square of 3 degrees, n uniform on the sphere and L the variances along the axes.
+    """
+    variances = np.zeros(3)
+    variances[: len(covariance)] = np.clip(np.linalg.eigvalsh(covariance), 0.0, None)
+    largest = float(variances.max())
+    if largest == 0.0:
+        return 0.0
+    along = np.maximum((variances / largest) @ _DIRECTIONS**2, 1e-300)
+
+    def excess(square: float) -> float:
+        return float(_SHARES @ chi2.cdf(square / along, 3)) - probability
+
+    square = root_scalar(excess, bracket=(0.0, float(chi2.ppf(probability, 3)) + 1.0)).root
+    return float(np.sqrt(largest * square))
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """A straight path from the entry point to the end point (the tip of the wire), CFCS: no robot is known here.
+
+    `entry_mm` (3,), `end_mm` (3,). `covariance_mm2` (6, 6) of (entry, end), or None where a view's error is unknown;
+    `budget_mm2`: the same for each of BUDGET. `points`: the two reconstructed points with their gaps.
+    Raises UnusableInputError where the two points give no direction.
+    """
+
+    points: SpacePoints
+
+    def __post_init__(self) -> None:
+        if len(self.points.xyz_mm) != 2:
+            raise UnusableInputError(
+                f"a trajectory has an entry and an end point; {len(self.points.xyz_mm)} points given"
+            )
+        if self.length_mm < SHORTEST_MM:
+            raise UnusableInputError(
+                f"entry and end point are {self.length_mm:.1f} mm apart; "
+                f"a direction needs at least {SHORTEST_MM:.0f} mm"
+            )
+
+    @property
+    def entry_mm(self) -> np.ndarray:
+        """(3,) CFCS."""
+        return self.points.xyz_mm[0]
+
+    @property
+    def end_mm(self) -> np.ndarray:
+        """(3,) CFCS."""
+        return self.points.xyz_mm[1]
+
+    @property
+    def length_mm(self) -> float:
+        """From entry to end."""
+        return float(np.linalg.norm(self.end_mm - self.entry_mm))
+
+    @property
+    def direction(self) -> np.ndarray:
+        """(3,) unit vector from entry to end."""
+        return (self.end_mm - self.entry_mm) / self.length_mm
+
+    @property
+    def covariance_mm2(self) -> np.ndarray:
+        """(6, 6) of (entry, end). Raises ErrorUnknownError."""
+        if self.points.joint_covariance_mm2 is None:
+            raise ErrorUnknownError("a view has no covariance, so the error of the trajectory is unknown")
+        return self.points.joint_covariance_mm2
+
+    @property
+    def direction_covariance_rad2(self) -> np.ndarray:
+        """(2, 2) covariance of the direction, along two axes across it."""
+        return self._to_direction @ self.covariance_mm2 @ self._to_direction.T
+
+    @cached_property
+    def _to_direction(self) -> np.ndarray:
+        across = np.linalg.svd(self.direction[None])[2][1:]
+        return np.hstack([-across, across]) / self.length_mm
+
+    @cached_property
+    def entry_error_95_mm(self) -> float:
+        """With a probability of 95 % the entry point errs by less."""
+        return radius_of(self.covariance_mm2[:3, :3])
+
+    @cached_property
+    def end_error_95_mm(self) -> float:
+        """With a probability of 95 % the end point errs by less."""
+        return radius_of(self.covariance_mm2[3:, 3:])
+
+    @cached_property
+    def direction_error_95_rad(self) -> float:
+        """With a probability of 95 % the direction errs by less."""
+        return radius_of(self.direction_covariance_rad2)
+
+    def budget_rms(self) -> dict[str, dict[str, float]]:
+        """For each of BUDGET the rms error it causes: "entry_mm", "end_mm", "direction_rad". Their squares add up."""
+        if self.points.budget_mm2 is None:
+            raise ErrorUnknownError("a view has no covariance, so the error of the trajectory is unknown")
+        return {
+            source: {
+                "entry_mm": float(np.sqrt(np.trace(c[:3, :3]))),
+                "end_mm": float(np.sqrt(np.trace(c[3:, 3:]))),
+                "direction_rad": float(np.sqrt(np.trace(self._to_direction @ c @ self._to_direction.T))),
+            }
+            for source, c in self.points.budget_mm2.items()
+        }
+
+    def document(self) -> dict[str, Any]:
+        """Everything as JSON types; mm, and degrees where a person reads. Errors are null where unknown."""
+        known = self.points.joint_covariance_mm2 is not None
+        return {
+            "coordinates": "CFCS",
+            "robot": "none known: coordinates are those of the calibration frame",
+            "method": self.points.method,
+            "entry_mm": self.entry_mm.tolist(),
+            "end_mm": self.end_mm.tolist(),
+            "direction": self.direction.tolist(),
+            "length_mm": self.length_mm,
+            "covariance_mm2": self.covariance_mm2.tolist() if known else None,
+            "error_95": {
+                "entry_mm": self.entry_error_95_mm,
+                "end_mm": self.end_error_95_mm,
+                "direction_deg": float(np.rad2deg(self.direction_error_95_rad)),
+            }
+            if known
+            else None,
+            "budget_rms": self._budget_document() if known else None,
+            "gap_mm": self.points.gap_mm.tolist(),
+            "gap_tested": self.points.gap_tested.tolist(),
+            "gap_sigma": None if self.points.gap_sigma is None else self.points.gap_sigma.tolist(),
+            "inside_hull": self.points.inside_hull.tolist(),
+        }
+
+    def _budget_document(self) -> dict[str, dict[str, float]]:
+        return {
+            source: {
+                "entry_mm": rms["entry_mm"],
+                "end_mm": rms["end_mm"],
+                "direction_deg": float(np.rad2deg(rms["direction_rad"])),
+            }
+            for source, rms in self.budget_rms().items()
+        }

@@ -1,0 +1,133 @@
+"""A calibrated view whose every error is known: a cubic plane map with stated parameter covariance."""
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from sightline.calibration.view import LinesOfSight
+from sightline.checks import Check
+from sightline.errors import OutsideRegionError
+from sightline.geometry.planes import Plane
+
+CENTRE_PX = 512.0
+SCALE_PX = 512.0
+LIMIT_PX = 500.0
+HULL_PX = 300.0
+
+
+def _basis(uv_px: np.ndarray) -> np.ndarray:
+    """(N, 10) cubic monomials of scaled pixels, and their derivatives (N, 2, 10) per pixel."""
+    u, v = ((np.asarray(uv_px) - CENTRE_PX) / SCALE_PX).T
+    return np.stack([u**a * v**b for a in range(4) for b in range(4 - a)], axis=-1)
+
+
+def _slope(uv_px: np.ndarray) -> np.ndarray:
+    u, v = ((np.asarray(uv_px) - CENTRE_PX) / SCALE_PX).T
+    powers = [(a, b) for a in range(4) for b in range(4 - a)]
+    du = np.stack([a * u ** max(a - 1, 0) * v**b for a, b in powers], axis=-1)
+    dv = np.stack([b * u**a * v ** max(b - 1, 0) for a, b in powers], axis=-1)
+    return np.stack([du, dv], axis=1) / SCALE_PX
+
+
+@dataclass(frozen=True, eq=False)
+class StandInView:
+    """Parameters p = (F, 10 coefficients of x, 10 of y); `factors[source]` (23, K): how p errs, per source."""
+
+    name: str
+    plane: Plane
+    focal_point_mm: np.ndarray
+    coefficients: np.ndarray
+    factors: dict[str, np.ndarray] | None
+    frame_key: str | None = "test frame/1"
+    checks: tuple[Check, ...] = field(default=())
+    method: str = "smooth"
+
+    def to_plane(self, uv_px: np.ndarray) -> np.ndarray:
+        return _basis(uv_px) @ self.coefficients.T
+
+    def jacobian(self, uv_px: np.ndarray) -> np.ndarray:
+        return np.einsum("ikp,cp->ick", _slope(uv_px), self.coefficients)
+
+    def to_image(self, xy_mm: np.ndarray) -> np.ndarray:
+        uv = np.full_like(xy_mm, CENTRE_PX)
+        for _ in range(6):
+            uv = uv + np.linalg.solve(self.jacobian(uv), (xy_mm - self.to_plane(uv))[..., None])[..., 0]
+        return uv
+
+    def project(self, xyz_mm: np.ndarray) -> np.ndarray:
+        uv = self.to_image(self.plane.central_projection(self.focal_point_mm, xyz_mm))
+        return self._within(uv)
+
+    def _within(self, uv_px: np.ndarray) -> np.ndarray:
+        if not (np.linalg.norm(uv_px - CENTRE_PX, axis=-1) < LIMIT_PX).all():
+            raise OutsideRegionError(f"view {self.name!r}: a point lies outside the calibrated region")
+        return uv_px
+
+    def lines_of_sight(self, uv_px: np.ndarray) -> LinesOfSight:
+        uv = self._within(np.asarray(uv_px, dtype=np.float64))
+        n = len(uv)
+        response = np.zeros((3 + 2 * n, 23))
+        response[:3, :3] = np.eye(3)
+        response[3::2, 3:13] = response[4::2, 13:] = _basis(uv)
+        covariance = frame = None
+        if self.factors is not None:
+            covariance = {s: response @ f @ f.T @ response.T for s, f in self.factors.items()}
+            frame = response @ self.factors["frame"]
+        return LinesOfSight(
+            view=self.name,
+            plane=self.plane,
+            focal_point_mm=self.focal_point_mm,
+            xy_mm=self.to_plane(uv),
+            jacobian=self.jacobian(uv),
+            covariance=covariance,
+            frame_factor=frame,
+            frame_key=self.frame_key,
+            inside_hull=np.linalg.norm(uv - CENTRE_PX, axis=-1) < HULL_PX,
+        )
+
+    def erring(self, errors: dict[str, np.ndarray]) -> "StandInView":
+        """The estimate of this view that independent unit-variance errors lead to."""
+        assert self.factors is not None
+        step = sum((self.factors[s] @ e for s, e in errors.items()), np.zeros(23))
+        return replace(
+            self,
+            focal_point_mm=self.focal_point_mm + step[:3],
+            coefficients=self.coefficients + step[3:].reshape(2, 10),
+        )
+
+    def draw_errors(self, rng: np.random.Generator) -> dict[str, np.ndarray]:
+        assert self.factors is not None
+        return {s: rng.standard_normal(f.shape[1]) for s, f in self.factors.items()}
+
+
+def stand_in(name: str, turn_rad: float = 0.0, scale: float = 1.0, seed: int = 5) -> StandInView:
+    """A Γ view ("pa" along Z, "lateral" along X) with pincushion, its image turned by `turn_rad`.
+
+    Errors about those of a frame with 0.05 mm tolerances, times `scale`.
+    """
+    rng = np.random.default_rng(seed + len(name))
+    normal = {"pa": 2, "lateral": 0}[name]
+    others = [a for a in range(3) if a != normal]
+    axes = np.eye(3)[others]
+    origin = 300.0 * np.eye(3)[normal]
+    turn = np.array([[np.cos(turn_rad), -np.sin(turn_rad)], [np.sin(turn_rad), np.cos(turn_rad)]])
+    powers = [(a, b) for a in range(4) for b in range(4 - a)]
+    coefficients = np.zeros((2, 10))
+    for k, (a, b) in enumerate(powers):
+        if a + b == 1:
+            coefficients[:, k] = 110.0 * turn[:, b]
+        if a + b == 3:
+            coefficients[:, k] = rng.normal(0.0, 3.0, 2)
+    factors = {}
+    for source, focal_mm, map_mm in (
+        ("beads", 0.5, 0.02),
+        ("map", 0.2, 0.02),
+        ("focal_point", 0.5, 0.0),
+        ("frame", 1.0, 0.05),
+    ):
+        columns = 30 if source == "frame" else 23
+        sd = np.r_[np.full(3, focal_mm), np.full(20, map_mm)]
+        sd[normal] *= 5.0
+        factors[source] = scale * sd[:, None] * rng.normal(size=(23, columns)) / np.sqrt(columns)
+    focal = -620.0 * np.eye(3)[normal] + np.array([7.0, -4.0, 3.0])
+    return StandInView(name, Plane(origin, axes), focal, coefficients, factors)

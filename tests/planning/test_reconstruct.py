@@ -1,0 +1,221 @@
+"""Reconstruction: exact on perfect picks, its covariance proved by sampling, and what it refuses."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.stats import chi2
+
+from sightline.errors import ErrorUnknownError, OutsideRegionError, ReconstructionRefusedError, UnusableInputError
+from sightline.planning import matching_curve, reconstruct, snap
+from sightline.planning.results import BUDGET
+
+from .standin import StandInView, stand_in
+
+TARGETS_MM = np.array([[3.7, -11.2, 18.3], [-24.1, 27.9, -6.6]])
+PICKS_PX2 = np.array([[[0.25, 0.05], [0.05, 0.16]], [[0.09, -0.02], [-0.02, 0.3]]])
+
+
+def _views(**kwargs: float) -> list[StandInView]:
+    return [stand_in("pa", 0.4, **kwargs), stand_in("lateral", -0.2, **kwargs)]
+
+
+def _seen(views: list[StandInView], xyz_mm: np.ndarray) -> np.ndarray:
+    return np.array([view.project(xyz_mm) for view in views])
+
+
+def _estimates(views: list[StandInView], rng: np.random.Generator) -> list[StandInView]:
+    """Views as they would be estimated: the frame's errors are the same numbers in both."""
+    drawn = [view.draw_errors(rng) for view in views]
+    drawn[1]["frame"] = drawn[0]["frame"]
+    return [view.erring(errors) for view, errors in zip(views, drawn, strict=True)]
+
+
+@pytest.mark.parametrize("method", ["weighted", "nearest"])
+@settings(max_examples=25, deadline=None)
+@given(xyz=st.tuples(*[st.floats(-35.0, 35.0)] * 3))
+def test_perfect_picks_give_the_point(method, xyz):
+    views = _views()
+    target = np.array([xyz])
+    points = reconstruct(views, _seen(views, target), method=method)
+    np.testing.assert_allclose(points.xyz_mm, target, atol=1e-8)
+    assert points.gap_mm[0] < 1e-8
+
+
+@pytest.mark.parametrize("method", ["weighted", "nearest"])
+def test_joint_covariance_by_sampling(method):
+    views = _views()
+    truth = _seen(views, TARGETS_MM)
+    covariance = np.broadcast_to(PICKS_PX2[:, None], (2, 2, 2, 2))
+    predicted = reconstruct(views, truth, covariance, method)
+    rng = np.random.default_rng(2)
+    factor = np.linalg.cholesky(covariance)
+    errors, gaps = [], []
+    for _ in range(1200):
+        picks = truth + np.einsum("vijk,vik->vij", factor, rng.standard_normal((2, 2, 2)))
+        points = reconstruct(_estimates(views, rng), picks, covariance, method)
+        errors.append((points.xyz_mm - TARGETS_MM).ravel())
+        gaps.append(points.gap_sigma)
+    whitened = np.linalg.solve(np.linalg.cholesky(predicted.joint_covariance_mm2), np.transpose(errors))
+    # The sample covariance of 1200 draws scatters by sqrt(2 / 1200) = 0.041 on the diagonal; 4 of these.
+    np.testing.assert_allclose(np.cov(whitened), np.eye(6), atol=0.164)
+    # Squared gaps over their sd have the mean 1 and scatter by 0.041.
+    np.testing.assert_allclose(np.mean(np.square(gaps), axis=0), 1.0, atol=0.164)
+
+
+def test_weighted_beats_nearest_where_the_views_differ_in_quality():
+    views = [stand_in("pa", scale=0.05), stand_in("lateral", scale=1.0)]
+    uv = _seen(views, TARGETS_MM)
+    tight = np.broadcast_to(1e-3 * np.eye(2), (2, 2, 2, 2))
+    weighted, nearest = (reconstruct(views, uv, tight, m) for m in ("weighted", "nearest"))
+    trace = [np.trace(p.joint_covariance_mm2) for p in (weighted, nearest)]
+    assert trace[0] < 0.9 * trace[1]
+
+
+@pytest.mark.parametrize("method", ["weighted", "nearest"])
+def test_budget_adds_up(method):
+    views = _views()
+    points = reconstruct(views, _seen(views, TARGETS_MM), method=method)
+    assert tuple(points.budget_mm2) == BUDGET
+    np.testing.assert_allclose(sum(points.budget_mm2.values()), points.joint_covariance_mm2, rtol=1e-12, atol=1e-15)
+    for share in points.budget_mm2.values():
+        assert np.linalg.eigvalsh(share).min() > -1e-12
+
+
+def test_a_point_does_not_depend_on_the_others():
+    views = _views()
+    rng = np.random.default_rng(4)
+    uv = _seen(views, TARGETS_MM) + rng.normal(0.0, 1.0, (2, 2, 2))
+    both, first = reconstruct(views, uv), reconstruct(views, uv[:, :1])
+    np.testing.assert_allclose(both.xyz_mm[0], first.xyz_mm[0], atol=1e-10)
+    np.testing.assert_allclose(both.covariance_mm2[0], first.covariance_mm2[0], rtol=1e-9)
+
+
+def test_frames_error_is_shared_between_views_of_one_frame_only():
+    views = _views()
+    uv = _seen(views, TARGETS_MM)
+    shared = reconstruct(views, uv, method="nearest")
+    apart = reconstruct([views[0], replace(views[1], frame_key="another/2")], uv, method="nearest")
+    np.testing.assert_array_equal(shared.budget_mm2["map"], apart.budget_mm2["map"])
+    assert not np.allclose(shared.budget_mm2["frame"], apart.budget_mm2["frame"], rtol=0.05)
+
+
+def test_snapped_pick_is_one_number():
+    """A snapped pick says nothing across its curve: the point stays on the PA line, and its covariance is right."""
+    views = _views()
+    truth = _seen(views, TARGETS_MM[:1])
+    rng = np.random.default_rng(7)
+    sd, squares = 0.5, []
+    for _ in range(300):
+        estimated = _estimates(views, rng)
+        clicks = truth[:, 0] + rng.normal(0.0, sd, (2, 2))
+        pick = snap(matching_curve(estimated[0], clicks[0], estimated[1]), clicks[1], sd)
+        uv = np.array([clicks[0], pick.uv_px])[:, None]
+        covariance = np.array([sd**2 * np.eye(2), pick.covariance_px2])[:, None]
+        points = reconstruct(estimated, uv, covariance, across_px=np.array([np.zeros(2), pick.across_px])[:, None])
+        line = estimated[0].lines_of_sight(uv[0])
+        off_line = np.cross(points.xyz_mm - line.focal_point_mm, line.directions)
+        assert np.linalg.norm(off_line) < 0.02
+        error = points.xyz_mm[0] - TARGETS_MM[0]
+        squares.append(error @ np.linalg.solve(points.covariance_mm2[0], error))
+        if len(squares) == 1:
+            assert not points.gap_tested[0]
+            assert points.gap_sigma[0] == 0.0
+            free = reconstruct(estimated, uv, np.full((2, 1, 1, 1), sd**2) * np.eye(2))
+            excess = points.covariance_mm2[0] - free.covariance_mm2[0]
+            assert np.linalg.eigvalsh(excess).min() > -1e-9
+            assert np.linalg.eigvalsh(excess).max() > 1e-3
+    for probability in (0.5, 0.95):
+        inside = np.mean(np.array(squares) < chi2.ppf(probability, 3))
+        assert inside == pytest.approx(probability, abs=4 * np.sqrt(probability * (1 - probability) / 300))
+
+
+def test_snapped_limit_equals_a_huge_variance():
+    views = _views()
+    uv = _seen(views, TARGETS_MM[:1]) + 0.3
+    across = np.array([0.6, 0.8])
+    along = np.outer([0.8, -0.6], [0.8, -0.6]) * 0.25
+    exact = reconstruct(
+        views, uv, np.array([0.25 * np.eye(2), along])[:, None], across_px=np.array([np.zeros(2), across])[:, None]
+    )
+    huge = reconstruct(views, uv, np.array([0.25 * np.eye(2), along + 1e6 * np.outer(across, across)])[:, None])
+    np.testing.assert_allclose(exact.xyz_mm, huge.xyz_mm, atol=1e-4)
+    np.testing.assert_allclose(exact.covariance_mm2, huge.covariance_mm2, rtol=1e-4, atol=1e-6)
+
+
+def test_default_pick_is_a_careful_click():
+    views = _views()
+    uv = _seen(views, TARGETS_MM)
+    stated = reconstruct(views, uv, np.broadcast_to(0.25 * np.eye(2), (2, 2, 2, 2)))
+    np.testing.assert_array_equal(reconstruct(views, uv).joint_covariance_mm2, stated.joint_covariance_mm2)
+
+
+def test_unknown_error_stays_unknown():
+    views = [_views()[0], replace(_views()[1], factors=None)]
+    points = reconstruct(views, _seen(views, TARGETS_MM))
+    np.testing.assert_allclose(points.xyz_mm, TARGETS_MM, atol=1e-8)
+    assert points.method == "nearest"
+    assert points.joint_covariance_mm2 is None
+    assert points.budget_mm2 is None
+    assert points.gap_sigma is None
+    with pytest.raises(ErrorUnknownError, match="unknown"):
+        _ = points.covariance_mm2
+
+
+def test_nearly_parallel_lines_are_refused_with_their_angle():
+    pa = stand_in("pa")
+    moved = replace(pa, name="again", focal_point_mm=pa.focal_point_mm + np.array([20.0, 0.0, 0.0]))
+    with pytest.raises(ReconstructionRefusedError, match=r"parallel \(1\.\d°"):
+        reconstruct([pa, moved], _seen([pa, moved], TARGETS_MM))
+
+
+def test_one_view_twice_is_refused():
+    pa = stand_in("pa")
+    uv = _seen([pa, pa], TARGETS_MM)
+    for second in (pa, replace(pa), replace(pa, name="copy")):
+        with pytest.raises(ReconstructionRefusedError, match="twice"):
+            reconstruct([pa, second], uv)
+
+
+def test_points_behind_a_source_are_refused():
+    views = _views()
+    uv = _seen(views, TARGETS_MM[:1])
+    turned = replace(views[1], focal_point_mm=np.array([100.0, 2.0, 1.0]))
+    with pytest.raises(ReconstructionRefusedError, match="behind"):
+        reconstruct([views[0], turned], uv)
+
+
+def test_pixels_outside_the_region_are_refused():
+    views = _views()
+    uv = _seen(views, TARGETS_MM)
+    uv[1, 0] = (1023.0, 1023.0)
+    with pytest.raises(OutsideRegionError, match="lateral"):
+        reconstruct(views, uv)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"uv_px": np.full((2, 1, 2), np.nan)}, "finite"),
+        ({"uv_px": np.full((1, 1, 2), 512.0)}, "shape"),
+        ({"uv_px": np.zeros((2, 0, 2))}, "shape"),
+        ({"uv_covariance_px2": np.ones((2, 2, 2))}, "covariances"),
+        ({"uv_covariance_px2": np.broadcast_to(-np.eye(2), (2, 1, 2, 2))}, "symmetric and positive"),
+        ({"across_px": np.ones((2, 1, 2))}, "snapped in both"),
+        ({"method": "midpoint"}, "weighted"),
+    ],
+)
+def test_bad_arguments_are_refused(change, message):
+    views = _views()
+    good = {"uv_px": _seen(views, TARGETS_MM[:1])}
+    assert np.isfinite(reconstruct(views, **good).xyz_mm).all()
+    with pytest.raises(UnusableInputError, match=message):
+        reconstruct(views, **(good | change))
+
+
+def test_three_views_are_refused():
+    views = _views()
+    with pytest.raises(UnusableInputError, match="exactly two"):
+        reconstruct([*views, views[0]], _seen(views, TARGETS_MM))
