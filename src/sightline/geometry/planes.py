@@ -4,6 +4,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sightline.errors import OutsideRegionError, UnusableInputError
+
+_LEVEL = 0.1  # [ours] sine of 6°: no plate is tilted so in use
+_ALONG_X = 0.9  # [ours] cosine of 26°
+_COLLINEAR = 1e-9  # spread across over spread along, at which rounding alone decides the plane
+
 
 @dataclass(frozen=True, eq=False)
 class Plane:
@@ -20,18 +26,25 @@ class Plane:
 
     @staticmethod
     def fit(xyz_mm: np.ndarray) -> "Plane":
-        """The least-squares plane of points (N, 3); the axes lie as near as can be to those of space.
+        """The least-squares plane of points (N, 3).
 
-        Axis 0 is the in-plane direction nearest to +X, +Y or +Z, whichever lies best in the plane (ties: in that
-        order), and the normal points to the positive half of the space axis nearest to it: the same plate gives
-        the same axes whatever the order of its beads.
+        The normal points to +Z; where it lies within 6° of the XY plane, to +X; where that is level too, to +Y.
+        Axis 0 is +X laid into the plane, or +Y where the normal runs along X to within 26°. So nothing small, neither
+        the order of the points nor the tilt of a measured plate, turns the axes.
+        Raises UnusableInputError for points on one line.
         """
-        points = np.asarray(xyz_mm, dtype=np.float64)
-        origin = points.mean(axis=0)
-        normal = np.linalg.svd(points - origin)[2][2]
-        normal = normal * np.sign(normal[np.argmax(np.abs(normal))])
-        first = np.argmin(np.round(np.abs(normal), 6))
-        axis0 = np.eye(3)[first] - normal[first] * normal
+        points = np.asarray(xyz_mm, dtype=np.float64).reshape(-1, 3)
+        origin = points.mean(axis=0) if len(points) else np.zeros(3)
+        _, spread, directions = np.linalg.svd(np.vstack([points - origin, np.zeros((3, 3))]))
+        if not spread[1] > _COLLINEAR * spread[0]:
+            raise UnusableInputError(
+                "points on one line, or fewer than three, lie in no single plane; add points beside it"
+            )
+        normal = directions[2]
+        leading = next((normal[axis] for axis in (2, 0) if abs(normal[axis]) > _LEVEL), normal[1])
+        normal = normal * np.sign(leading)
+        along = np.eye(3)[1 if abs(normal[0]) > _ALONG_X else 0]
+        axis0 = along - (along @ normal) * normal
         axis0 /= np.linalg.norm(axis0)
         return Plane(origin, np.stack([axis0, np.cross(normal, axis0)]))
 
@@ -53,8 +66,16 @@ class Plane:
         return (np.asarray(xyz_mm) - self.origin_mm) @ self.normal
 
     def central_projection(self, focal_point_mm: np.ndarray, xyz_mm: np.ndarray) -> np.ndarray:
-        """Points (..., 3) projected from a focal point (3,) onto the plane, in plane coordinates (..., 2)."""
+        """Points (..., 3) projected from a focal point (3,) onto the plane, in plane coordinates (..., 2).
+
+        Raises OutsideRegionError for a point level with the focal point or behind it: it casts no shadow on the plane.
+        """
         focal = np.asarray(focal_point_mm)
         h = self.height_mm(focal)
-        scale = h / (h - self.height_mm(xyz_mm))
-        return self.to_plane(focal + scale[..., None] * (np.asarray(xyz_mm) - focal))
+        ahead = 1 - self.height_mm(xyz_mm) / h if h else np.zeros(1)
+        if not np.all(ahead > 0):
+            raise OutsideRegionError(
+                "a point lies level with the focal point or behind it and casts no shadow on the plate; "
+                "check its coordinates, and which plate is nearer to the source"
+            )
+        return self.to_plane(focal + (np.asarray(xyz_mm) - focal) / np.asarray(ahead)[..., None])

@@ -1,0 +1,143 @@
+"""Datum patterns: which balls of a grid are large, so that any three of them tell plate, orientation and handedness.
+
+Points are (N, 2) in grid steps; in the image the plates of a view have nearly the same step (design.py), so all
+plates are compared in steps. Three points resemble three others if an affine map that an image may hold, mirrored or not, takes
+one to the other: a tilt of 20° stretches by 1.064, pincushion at the rim by a few per cent more (physics.md).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import combinations, permutations
+
+import numpy as np
+
+from sightline.errors import FrameError
+
+STRETCH = 1.10  # [ours] ratio of the singular values of that affine map
+SCALE = 1.10  # [ours] its mean scale, once the step of the grid is known from the ordinary balls
+HIDDEN = 0.4  # the labelling is to bear this share of a plate hidden, as one block (design.md)
+SLENDER_STEPS = 0.9  # [ours] triples lower than this are called collinear: a bead's own noise may flip them
+MOVES = 6000  # [ours] some seconds
+_ORDERS = np.array(list(permutations(range(3))))
+_SAME = 1e-6  # resemblance of triples that are congruent on the grid
+
+
+@dataclass(frozen=True, eq=False)
+class Triples:
+    """The triples of a pattern: `gram` (T, 6, 3) of two sides, corners in every order; `area`, least `height` (T,)."""
+
+    gram: np.ndarray
+    area: np.ndarray
+    height: np.ndarray
+
+    @staticmethod
+    def of(points: np.ndarray) -> "Triples":
+        """The triples of points (N, 2)."""
+        corners = points[list(combinations(range(len(points)), 3))]
+        ordered = corners[:, _ORDERS]
+        a, b = ordered[:, :, 1] - ordered[:, :, 0], ordered[:, :, 2] - ordered[:, :, 0]
+        gram = np.stack([(a * a).sum(-1), (a * b).sum(-1), (b * b).sum(-1)], axis=-1)
+        area = np.abs(a[:, 0, 0] * b[:, 0, 1] - a[:, 0, 1] * b[:, 0, 0])
+        return Triples(gram, area, area / np.sqrt(gram[:, :, 0].max(axis=1)))
+
+
+def resemblance(one: Triples, other: Triples) -> np.ndarray:
+    """(T1, 6, T2): how far each triple is from another in each order of its corners; below 1 an image may confuse them.
+
+    The larger of log stretch and log scale of the affine map between them, over their limits.
+    """
+    inverse = np.stack([other.gram[:, 0, 2], -2 * other.gram[:, 0, 1], other.gram[:, 0, 0]]) / other.area**2
+    scale2 = one.area[:, None, None] / other.area
+    cosh = (one.gram @ inverse) / (2 * scale2)
+    return np.maximum(np.arccosh(np.maximum(cosh, 1.0)) / np.log(STRETCH), np.abs(np.log(scale2)) / (2 * np.log(SCALE)))
+
+
+def lookalikes(patterns: Sequence[np.ndarray]) -> tuple[float, float]:
+    """The share of all plates' non-collinear triples that an image may confuse, and the least `resemblance` found."""
+    triples = [Triples.of(points) for points in patterns]
+    keep = np.concatenate([t.height for t in triples]) >= SLENDER_STEPS
+    if not keep.any():
+        return 1.0, 0.0
+    every = Triples(*(np.concatenate([getattr(t, name) for t in triples])[keep] for name in ("gram", "area", "height")))
+    far = resemblance(every, every)
+    far[np.arange(len(far)), 0, np.arange(len(far))] = np.inf
+    nearest = far.min(axis=(1, 2))
+    return float((nearest < 1).mean()), float(nearest.min())
+
+
+def hidden_blocks(points: np.ndarray) -> np.ndarray:
+    """(B, N) bool: the balls that blocks of HIDDEN of a plate hide: from each side, round or square about each ball."""
+    count = int(HIDDEN * len(points))
+    turns = np.arange(0, 2 * np.pi, np.pi / 18)
+    orders = [points @ (np.cos(turn), np.sin(turn)) for turn in turns]
+    orders += [np.linalg.norm(points - centre, ord=norm, axis=1) for centre in points for norm in (2, np.inf)]
+    hidden = np.zeros((len(orders), len(points)), dtype=bool)
+    for row, order in zip(hidden, orders, strict=True):
+        row[np.argsort(order, kind="stable")[:count]] = True
+    return hidden
+
+
+def fewest_left(points: np.ndarray, datums: np.ndarray) -> int:
+    """The fewest of the datums (indices) that any hidden block leaves."""
+    return int((~hidden_blocks(points))[:, datums].sum(axis=1).min())
+
+
+def search(grids: Sequence[np.ndarray], count: int, rng: np.random.Generator, moves: int = MOVES) -> list[np.ndarray]:
+    """For each grid (N, 2) the indices of `count` datums: few triples resemble each other, none is congruent.
+
+    Annealing: one datum moves at a time; a pattern of which a hidden block leaves fewer than three is never tried.
+    Raises FrameError where there is no such pattern.
+    """
+    left = [~hidden_blocks(points) for points in grids]
+    chosen = [_start(points, left[plate], count, rng) for plate, points in enumerate(grids)]
+    triples = [Triples.of(points[mine]) for points, mine in zip(grids, chosen, strict=True)]
+    best, energy, least = list(chosen), 0.0, 0.0
+    for heat in 3.0 * (1 - np.arange(moves) / moves) ** 2 + 0.02:
+        plate = int(rng.integers(len(grids)))
+        moved = _moved(chosen[plate], len(grids[plate]), rng)
+        if not _lasts(grids[plate][moved], left[plate][:, moved]):
+            continue
+        others = [one for other, one in enumerate(triples) if other != plate]
+        tried = Triples.of(grids[plate][moved])
+        change = _energy(tried, others) - _energy(triples[plate], others)
+        if change > 0 and rng.random() >= np.exp(-change / heat):
+            continue
+        chosen[plate], triples[plate] = moved, tried
+        energy += change
+        if energy < least - 1e-9:
+            best, least = list(chosen), energy
+    return [np.sort(mine) for mine in best]
+
+
+def _start(points: np.ndarray, left: np.ndarray, count: int, rng: np.random.Generator) -> np.ndarray:
+    for _ in range(2000):
+        chosen = rng.choice(len(points), min(count, len(points)), replace=False)
+        if _lasts(points[chosen], left[:, chosen]):
+            return chosen
+    raise FrameError(f"no {count} datums of a plate were found of which three always remain; ask for 6")
+
+
+def _moved(chosen: np.ndarray, places: int, rng: np.random.Generator) -> np.ndarray:
+    free = np.setdiff1d(np.arange(places), chosen)
+    out = chosen.copy()
+    out[rng.integers(len(out))] = rng.choice(free)
+    return out
+
+
+def _lasts(points: np.ndarray, left: np.ndarray) -> bool:
+    """No three datums on a line, and three left by every hidden block."""
+    return bool(left.sum(axis=1).min() >= 3 and Triples.of(points).area.min() > 0)
+
+
+def _energy(mine: Triples, others: Sequence[Triples]) -> float:
+    """What the triples of one plate add to the number of lookalikes; congruent ones weigh most, slender ones least."""
+    own = resemblance(mine, mine)
+    own[np.arange(len(own)), 0, np.arange(len(own))] = np.inf
+    pairs = np.concatenate([resemblance(mine, other).ravel() for other in others])
+    near, own_near = pairs[pairs < 1], own[own < 1]
+    slender = (mine.height < SLENDER_STEPS).sum()
+    return float(_weight(near) + _weight(own_near) / 2 + 0.2 * slender)
+
+
+def _weight(near: np.ndarray) -> float:
+    return float((2.0 - 1.5 * near + 8.0 * (near < _SAME)).sum())

@@ -1,0 +1,93 @@
+"""Where lines meet, or nearly do."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from sightline.errors import ReconstructionRefusedError
+
+PARALLEL_RAD = np.radians(1.0)  # [ours] at 1° a gap of 0.1 mm moves the point along the lines by 6 mm
+SPREAD_RAD = 1e-3  # [ours] rms spread of a bundle; the lines through two plates spread by 50 mrad and more
+
+
+@dataclass(frozen=True, eq=False)
+class MeetingPoint:
+    """`point_mm` (3,), its `covariance_mm2` (3, 3), and the distance of each line from it, `distance_mm` (N,)."""
+
+    point_mm: np.ndarray
+    covariance_mm2: np.ndarray
+    distance_mm: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class NearestApproach:
+    """Where two lines are nearest to each other: `first_mm`, `second_mm` (..., 3) on them, and `gap_mm` (...)."""
+
+    first_mm: np.ndarray
+    second_mm: np.ndarray
+    gap_mm: np.ndarray
+
+    @property
+    def middle_mm(self) -> np.ndarray:
+        """(..., 3): halfway between them."""
+        return (self.first_mm + self.second_mm) / 2
+
+
+def meeting_point(
+    origin_mm: np.ndarray, direction: np.ndarray, sd_mm: float | np.ndarray | None = None
+) -> MeetingPoint:
+    """The point with the least sum of squared distances from N lines through (N, 3) along (N, 3).
+
+    `sd_mm`, () or (N,): each line's standard deviation across itself, per axis; it weighs the lines and gives
+    the covariance. Without it lines weigh alike and the covariance comes from their scatter, 2N - 3 degrees of freedom.
+    Raises ReconstructionRefusedError for fewer than two lines and for lines that are nearly parallel.
+    """
+    origin = np.asarray(origin_mm, dtype=np.float64)
+    if len(origin) < 2:
+        raise ReconstructionRefusedError("one line has no meeting point; give at least two")
+    across = _across(_unit(direction))
+    weight = np.broadcast_to(1.0 if sd_mm is None else 1 / np.square(sd_mm), len(origin))
+    normal = np.einsum("n,nab->ab", weight, across)
+    if np.linalg.eigvalsh(normal)[0] < weight.sum() * SPREAD_RAD**2:
+        raise ReconstructionRefusedError(
+            "the lines are nearly parallel and do not determine where they meet; use beads further apart"
+        )
+    point = np.linalg.solve(normal, np.einsum("n,nab,nb->a", weight, across, origin))
+    distance = np.linalg.norm(np.einsum("nab,nb->na", across, point - origin), axis=1)
+    scatter = 1.0 if sd_mm is not None else (distance**2).sum() / (2 * len(origin) - 3)
+    return MeetingPoint(point, scatter * np.linalg.inv(normal), distance)
+
+
+def nearest_approach(
+    origin1_mm: np.ndarray, direction1: np.ndarray, origin2_mm: np.ndarray, direction2: np.ndarray
+) -> NearestApproach:
+    """Nearest approach of lines through (..., 3) along (..., 3), pair by pair (the paper's reconstruction, Fig. 9).
+
+    Raises ReconstructionRefusedError where two lines are nearly parallel.
+    """
+    a, b = _unit(direction1), _unit(direction2)
+    cross = np.cross(a, b)
+    sine2 = (cross**2).sum(axis=-1)
+    if (sine2 < np.sin(PARALLEL_RAD) ** 2).any():
+        raise ReconstructionRefusedError(
+            f"two lines of sight are parallel to within {np.degrees(PARALLEL_RAD):g}° and determine no point; "
+            "take the views from directions further apart"
+        )
+    between = np.asarray(origin2_mm, dtype=np.float64) - np.asarray(origin1_mm, dtype=np.float64)
+    along1 = (np.cross(between, b) * cross).sum(axis=-1) / sine2
+    along2 = (np.cross(between, a) * cross).sum(axis=-1) / sine2
+    first, second = origin1_mm + along1[..., None] * a, origin2_mm + along2[..., None] * b
+    return NearestApproach(first, second, np.linalg.norm(second - first, axis=-1))
+
+
+def _unit(direction: np.ndarray) -> np.ndarray:
+    direction = np.asarray(direction, dtype=np.float64)
+    length = np.linalg.norm(direction, axis=-1, keepdims=True)
+    if not (length > 0).all():
+        raise ReconstructionRefusedError("a line has no direction; give two different points of it")
+    return direction / length
+
+
+def _across(unit: np.ndarray) -> np.ndarray:
+    """(N, 3, 3): projections onto the planes across the lines."""
+    return np.eye(3) - unit[:, :, None] * unit[:, None, :]
