@@ -1,5 +1,22 @@
 """Plane maps, the focal point, calibrated views."""
 
+from sightline.calibration.bead_view import BeadView
+from sightline.calibration.calibrate import calibrate
+from sightline.calibration.checks import checks_at
+from sightline.calibration.fit import fit_map
+from sightline.calibration.matrix import MatrixView, view_from_matrix
+from sightline.calibration.residuals import Residuals
 from sightline.calibration.view import CalibratedView, LinesOfSight, PlaneMap
 
-__all__ = ["CalibratedView", "LinesOfSight", "PlaneMap"]
+__all__ = [
+    "BeadView",
+    "CalibratedView",
+    "LinesOfSight",
+    "MatrixView",
+    "PlaneMap",
+    "Residuals",
+    "calibrate",
+    "checks_at",
+    "fit_map",
+    "view_from_matrix",
+]

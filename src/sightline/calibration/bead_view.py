@@ -1,0 +1,56 @@
+"""A view calibrated from its beads, whatever the method."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from sightline.calibration.hull import Hull
+from sightline.calibration.posterior import Posterior
+from sightline.calibration.residuals import Residuals
+from sightline.calibration.view import LinesOfSight, PlaneMap
+from sightline.checks import Check
+from sightline.errors import UnusableInputError
+from sightline.geometry.planes import Plane
+
+
+@dataclass(frozen=True, eq=False)
+class BeadView:
+    """A `CalibratedView`: `plane_map` takes pixels to the reference plane `plane`.
+
+    `residuals`: of every bead given; `hull`: of the beads used, in the image; `frame_key`: of its frame.
+    """
+
+    name: str
+    method: str
+    plane: Plane
+    plane_map: PlaneMap
+    focal_point_mm: np.ndarray
+    residuals: Residuals
+    hull: Hull
+    checks: tuple[Check, ...]
+    frame_key: str
+    posterior: Posterior
+
+    def project(self, xyz_mm: np.ndarray) -> np.ndarray:
+        """Points (N, 3) CFCS to pixels (N, 2). Raises OutsideRegionError."""
+        xyz = np.asarray(xyz_mm, dtype=np.float64)
+        return self.plane_map.to_image(self.plane.central_projection(self.focal_point_mm, xyz))
+
+    def lines_of_sight(self, uv_px: np.ndarray) -> LinesOfSight:
+        """Lines of sight of pixels (N, 2). Raises OutsideRegionError, UnusableInputError."""
+        uv = np.asarray(uv_px, dtype=np.float64)
+        if uv.ndim != 2 or uv.shape[1] != 2 or not np.isfinite(uv).all():
+            raise UnusableInputError(f"pixels must be finite and of the shape (N, 2); got the shape {uv.shape}")
+        self.hull.refuse_far(uv)
+        errors = self.posterior.line_errors(uv)
+        return LinesOfSight(
+            view=self.name,
+            plane=self.plane,
+            focal_point_mm=self.focal_point_mm,
+            xy_mm=self.plane_map.to_plane(uv),
+            jacobian=self.plane_map.jacobian(uv),
+            covariance=errors.by_source(),
+            frame_factor=errors.frame_factor,
+            frame_key=self.frame_key,
+            inside_hull=self.hull.contains(uv),
+        )

@@ -1,0 +1,115 @@
+"""The beads of one view: what was seen of each, where it is, and how the frame may err there."""
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from sightline.detection.results import Observations
+from sightline.errors import CalibrationRefusedError, ObservationsError
+from sightline.frame import Frame, Plate
+from sightline.geometry.planes import Plane
+
+# Beads nearer to one line than this share of their length are collinear [ours].
+COLLINEAR = 0.02
+
+
+@dataclass(frozen=True, eq=False)
+class Beads:
+    """N beads of one view, in the order of the frame: XRII plate first.
+
+    `uv_px` (N, 2); `covariance_px2` (N, 2, 2) or None where nothing is known of the noise; `xyz_mm` (N, 3) CFCS;
+    `on_xrii` (N,) bool; `rows` (N,): their places among the fiducials of the view.
+    """
+
+    frame: Frame
+    view: str
+    ids: tuple[str, ...]
+    uv_px: np.ndarray
+    covariance_px2: np.ndarray | None
+    xyz_mm: np.ndarray
+    on_xrii: np.ndarray
+    rows: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.ids)
+
+    @property
+    def plane(self) -> Plane:
+        """The reference plane: that of the whole XRII plate, whichever of its beads are seen."""
+        return self.frame.view(self.view).xrii.plane
+
+    def where(self, keep: np.ndarray) -> "Beads":
+        """The beads for which `keep` (N,) is true."""
+        noise = None if self.covariance_px2 is None else self.covariance_px2[keep]
+        ids = tuple(i for i, k in zip(self.ids, keep, strict=True) if k)
+        return Beads(
+            self.frame, self.view, ids, self.uv_px[keep], noise, self.xyz_mm[keep], self.on_xrii[keep], self.rows[keep]
+        )
+
+    def frame_factor(self) -> np.ndarray:
+        """(3N, K): their rows of `Frame.error_factor`."""
+        whole = self.frame.error_factor[self.frame.rows(self.view)]
+        return whole.reshape(-1, 3, whole.shape[1])[self.rows].reshape(-1, whole.shape[1])
+
+    def frame_covariance(self) -> np.ndarray:
+        """(N, 3, N, 3) covariance of their coordinates, mm²."""
+        return _view_covariance(self.frame, self.view)[self.rows][:, :, self.rows]
+
+
+@lru_cache(maxsize=16)
+def _view_covariance(frame: Frame, view: str) -> np.ndarray:
+    """(M, 3, M, 3) of all beads of a view; the same for every image taken with the frame."""
+    factor = frame.error_factor[frame.rows(view)]
+    n = len(factor) // 3
+    return (factor @ factor.T).reshape(n, 3, n, 3)
+
+
+def match(observations: Observations, frame: Frame, view: str | None) -> Beads:
+    """Observations brought together with their frame. Raises ObservationsError, FrameError, CalibrationRefusedError."""
+    if view is not None and view != observations.view:
+        raise ObservationsError(
+            f"the observations are of view {observations.view!r}, not {view!r}; "
+            "check that the PA and the lateral image are not swapped"
+        )
+    frame_view = frame.view(observations.view)
+    place = {f.id: k for k, f in enumerate(frame_view.fiducials)}
+    unknown = [i for i in observations.ids if i not in place]
+    if unknown:
+        raise ObservationsError(
+            f"view {observations.view!r} of frame {frame.name!r} has no fiducial {', '.join(map(repr, unknown[:5]))}; "
+            "check that the observations belong to this frame and view"
+        )
+    rows = np.array([place[i] for i in observations.ids], dtype=int)
+    order = np.argsort(rows)
+    rows = rows[order]
+    noise = observations.covariance_px2
+    if noise is not None:
+        noise = noise[order]
+        if len(noise) and np.linalg.eigvalsh(noise).min() <= 0:
+            raise ObservationsError("a bead's covariance is not positive definite; give variances above zero, in px²")
+    xyz = np.concatenate([frame_view.xrii.xyz_mm, frame_view.source.xyz_mm])[rows]
+    ids = tuple(observations.ids[k] for k in order)
+    on_xrii = rows < len(frame_view.xrii.fiducials)
+    beads = Beads(frame, observations.view, ids, observations.uv_px[order], noise, xyz, on_xrii, rows)
+    for mine, plate, name in ((on_xrii, frame_view.xrii, "XRII"), (~on_xrii, frame_view.source, "source")):
+        _refuse_unusable(beads.uv_px[mine], xyz[mine], plate, name)
+    return beads
+
+
+def _refuse_unusable(uv_px: np.ndarray, xyz_mm: np.ndarray, plate: Plate, name: str) -> None:
+    """Refuse a plate of which too little is seen for any method."""
+    of = f"of the {len(plate.fiducials)} beads of the {name} plate"
+    if len(xyz_mm) == 0:
+        raise CalibrationRefusedError(
+            f"none {of} is seen; both plates are needed: move the frame so that both lie in the field"
+        )
+    if len(xyz_mm) < 4:
+        raise CalibrationRefusedError(f"only {len(xyz_mm)} {of} are seen; at least 4 are needed, 20 or more are good")
+    for points, where in ((xyz_mm, "in the frame"), (uv_px, "in the image")):
+        spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
+        if spread[1] <= COLLINEAR * spread[0]:
+            raise CalibrationRefusedError(
+                f"the {len(points)} beads seen of the {name} plate lie on one line {where}; "
+                "more beads, beside that line, are needed"
+            )

@@ -1,0 +1,102 @@
+"""From labelled beads to a calibrated view."""
+
+import numpy as np
+
+from sightline.calibration.bead_view import BeadView
+from sightline.calibration.beads import Beads, match
+from sightline.calibration.checks import noise_checks, view_checks
+from sightline.calibration.classical import Fitter, PlateName, classical_residuals, fit_plates
+from sightline.calibration.fit import Method, refuse_unknown_method
+from sightline.calibration.hull import Hull
+from sightline.calibration.joint import FEWEST_BEADS, JointFit
+from sightline.calibration.localized import LocalizedMap
+from sightline.calibration.outliers import fit_robustly
+from sightline.calibration.polynomial import PolynomialMap
+from sightline.checks import Check
+from sightline.detection.results import Observations
+from sightline.errors import UnusableInputError
+from sightline.frame import Frame
+
+# Where nothing is known of the beads' noise and they are too few to tell it: a careful click (physics.md, Picks).
+UNKNOWN_NOISE_PX = 0.5
+
+
+def calibrate(
+    observations: Observations,
+    frame: Frame,
+    view: str | None = None,
+    method: Method = "smooth",
+    *,
+    degree: int = 3,
+    plate: PlateName = "xrii",
+) -> BeadView:
+    """The view that the beads of one image determine.
+
+    `view`: must be that of the observations, where given. `degree` (1 to 7) of "polynomial"; `plate`: which plate the
+    lines of "localized" and "polynomial" go through (the paper's PA/X and PA/S). Beads that contradict the others are
+    left out and named.
+    Raises ObservationsError, FrameError, UnusableInputError, CalibrationRefusedError.
+    """
+    refuse_unknown_method(method)
+    if plate not in ("xrii", "source"):
+        raise UnusableInputError(f"there is no plate {plate!r}; choose 'xrii' or 'source'")
+    beads = match(observations, frame, view)
+    if method == "smooth":
+        return _smooth(beads)
+    if method == "localized":
+        return _classical(beads, method, LocalizedMap.fit, plate)
+    return _classical(beads, method, lambda uv, xy: PolynomialMap.fit(uv, xy, degree), plate)
+
+
+def _smooth(beads: Beads) -> BeadView:
+    fit, residuals = fit_robustly(beads)
+    return BeadView(
+        name=beads.view,
+        method="smooth",
+        plane=beads.plane,
+        plane_map=fit.map,
+        focal_point_mm=fit.pencil.focal_point_mm,
+        residuals=residuals,
+        hull=Hull.of(fit.beads.uv_px),
+        checks=tuple(view_checks(beads, residuals) + noise_checks(fit)),
+        frame_key=beads.frame.key,
+        posterior=fit,
+    )
+
+
+def _classical(beads: Beads, method: Method, fitter: Fitter, plate: PlateName) -> BeadView:
+    """Wrong beads are found by the smooth method, where there are enough for it: it sees both plates at once."""
+    joint, screened = fit_robustly(beads) if len(beads) >= FEWEST_BEADS else (None, None)
+    used = np.ones(len(beads), dtype=bool) if screened is None else screened.used
+    noise_px = None
+    if beads.covariance_px2 is None:
+        noise_px = UNKNOWN_NOISE_PX if joint is None else joint.learned.noise_scale
+    fit = fit_plates(beads.where(used), fitter, plate, noise_px)
+    residuals = classical_residuals(fit, beads, used)
+    return BeadView(
+        name=beads.view,
+        method=method,
+        plane=fit.plate.plane,
+        plane_map=fit.plate.map,
+        focal_point_mm=fit.focal_point_mm,
+        residuals=residuals,
+        hull=fit.plate.hull,
+        checks=tuple(view_checks(beads, residuals) + _approximate(fit.plate.misfit_mm2, joint, noise_px)),
+        frame_key=beads.frame.key,
+        posterior=fit,
+    )
+
+
+def _approximate(misfit_mm2: float, joint: JointFit | None, noise_px: float | None) -> list[Check]:
+    figure = float(np.sqrt(misfit_mm2))
+    sentence = (
+        f"This method's own misfit, {figure:.3f} mm, is judged from leave-one-out residuals: the covariance stated is "
+        "approximate. The smooth method's is not."
+    )
+    out = [Check("map misfit", True, figure, None, "mm", sentence)]
+    if joint is not None:
+        return out + noise_checks(joint)
+    if noise_px is not None:
+        sentence = f"Nothing is known of the beads' noise and they are too few to tell it; {noise_px} px is assumed."
+        out.append(Check("measurement noise", True, noise_px, None, "px", sentence))
+    return out

@@ -1,0 +1,139 @@
+"""What is checked of a calibrated view, and of the places in it where a plan looks.
+
+A view is never judged by its focal point alone: an error of F along the beam of 100 mm can mean less than 0.2 mm at
+the target.
+"""
+
+import numpy as np
+from scipy.spatial import ConvexHull
+from scipy.stats import chi2
+
+from sightline.calibration.beads import Beads
+from sightline.calibration.joint import JointFit
+from sightline.calibration.residuals import Residuals
+from sightline.calibration.view import CalibratedView, LinesOfSight
+from sightline.checks import Check
+
+GOOD_COUNT = 24  # [ours] one more than the 23 numbers of a cubic and F
+GOOD_COVERAGE = 0.45  # [ours] share of each plate's area, within the hull of its beads used
+GOOD_LEAVE_ONE_OUT_MM = 0.5  # [ours] half of the 1 mm the paper reaches at the entry point
+GOOD_NOISE_PX = 2.0  # [ours] twice an ordinary click (physics.md, Picks)
+CHI_SQUARE_FALSE_ALARM = 1e-4  # [ours]
+GOOD_TARGET_MM = 1.0  # [paper] within 1 mm at entry; 95 % radius
+
+
+def view_checks(beads: Beads, residuals: Residuals) -> list[Check]:
+    """The checks of every method: count, coverage, wrong beads, leave-one-out, tolerances."""
+    used = beads.where(residuals.used)
+    out = [_count(len(used)), _coverage(used), _leave_one_out(residuals)]
+    if residuals.left_out:
+        out.append(_wrong(residuals))
+    if beads.frame.tolerances is None and beads.frame.covariance_mm2 is None:
+        sd = beads.frame.effective_tolerances
+        sentence = (
+            f"The frame file states no tolerances; {sd.bead_mm} mm per bead, {sd.plate_mm} mm per plate are assumed."
+        )
+        out.append(Check("frame tolerances", True, sd.plate_mm, None, "mm", sentence))
+    return out
+
+
+def noise_checks(fit: JointFit) -> list[Check]:
+    """Whether the residuals agree with the noise stated, or what the noise was estimated to be."""
+    if fit.beads.covariance_px2 is None:
+        figure = fit.learned.noise_scale
+        sentence = (
+            f"No covariance of the beads was given; their noise is estimated from the residuals: {figure:.2f} px."
+        )
+        return [Check("measurement noise", figure <= GOOD_NOISE_PX, figure, GOOD_NOISE_PX, "px", sentence)]
+    free = len(fit.data_mm) - fit.solution.theta.shape[0]
+    figure = float(fit.data_mm @ fit.solution.dual[:, 0]) / free
+    limit = float(chi2.isf(CHI_SQUARE_FALSE_ALARM, free)) / free
+    sentence = (
+        "The residuals agree with the noise and the tolerances stated."
+        if figure <= limit
+        else "The residuals are larger than the noise and tolerances stated explain: check labels and frame."
+    )
+    return [Check("chi-square", figure <= limit, figure, limit, "", sentence)]
+
+
+def checks_at(
+    view: CalibratedView, uv_px: np.ndarray, xyz_mm: np.ndarray, limit_mm: float = GOOD_TARGET_MM
+) -> list[Check]:
+    """Of the places where pixels (N, 2) see points (N, 3) CFCS: inside the beads' hull, and the line's own error there.
+
+    The error is that of the line of sight alone, across itself: the pick and the other view come on top.
+    """
+    lines = view.lines_of_sight(uv_px)
+    outside = int((~lines.inside_hull).sum())
+    hull = Check(
+        "target inside hull",
+        outside == 0,
+        float(outside),
+        0.0,
+        "points",
+        f"View {view.name}: all points lie within the beads' hull."
+        if outside == 0
+        else f"View {view.name}: {outside} points lie outside the beads' hull, where the map guesses: move the frame",
+    )
+    figure = _error_at(lines, np.asarray(xyz_mm, dtype=np.float64))
+    if figure is None:
+        sentence = f"View {view.name} has no covariance, so its error at the target is unknown."
+        return [hull, Check("line error at target", False, None, limit_mm, "mm", sentence)]
+    sentence = f"View {view.name}: its lines of sight are known at the target to {figure:.2f} mm (95 %)."
+    return [hull, Check("line error at target", figure <= limit_mm, figure, limit_mm, "mm", sentence)]
+
+
+def _error_at(lines: LinesOfSight, xyz_mm: np.ndarray) -> float | None:
+    """Largest 95 % radius of the lines at the points, mm; None where the error is unknown."""
+    if lines.covariance is None:
+        return None
+    total = np.sum(list(lines.covariance.values()), axis=0)
+    focal, plane = lines.focal_point_mm, lines.plane
+    share = 1 - plane.height_mm(xyz_mm) / plane.height_mm(focal)  # of the way from F to the plane
+    worst = 0.0
+    for i, s in enumerate(share):
+        move = np.zeros((3, total.shape[0]))
+        move[:, :3] = (1 - s) * np.eye(3)
+        move[:, 3 + 2 * i : 5 + 2 * i] = s * plane.axes.T
+        across = np.eye(3) - np.outer(lines.directions[i], lines.directions[i])
+        spread = across @ move @ total @ move.T @ across
+        worst = max(worst, float(np.linalg.eigvalsh(spread)[-1]))
+    return float(np.sqrt(chi2.ppf(0.95, 2) * worst))
+
+
+def _count(count: int) -> Check:
+    sentence = f"{count} beads are used; {GOOD_COUNT} are needed for a residual to tell anything, 60 or more are good."
+    return Check("bead count", count >= GOOD_COUNT, float(count), float(GOOD_COUNT), "beads", sentence)
+
+
+def _coverage(used: Beads) -> Check:
+    view = used.frame.view(used.view)
+    figures = {}
+    for name, plate, mine in (("XRII", view.xrii, used.on_xrii), ("source", view.source, ~used.on_xrii)):
+        plane = plate.plane
+        figures[name] = (
+            ConvexHull(plane.to_plane(used.xyz_mm[mine])).volume / ConvexHull(plane.to_plane(plate.xyz_mm)).volume
+        )
+    least = min(figures, key=lambda name: figures[name])
+    figure = float(figures[least])
+    sentence = f"The beads used span {figure:.0%} of the {least} plate" + (
+        "." if figure >= GOOD_COVERAGE else ": move the frame so that more of this plate lies in the field."
+    )
+    return Check("bead coverage", figure >= GOOD_COVERAGE, figure, GOOD_COVERAGE, "", sentence)
+
+
+def _leave_one_out(residuals: Residuals) -> Check:
+    limit = GOOD_LEAVE_ONE_OUT_MM
+    if not (residuals.used & residuals.predicted).any():
+        sentence = "No bead can be predicted from the others: too few are seen. More beads are needed."
+        return Check("leave-one-out error", False, None, limit, "mm", sentence)
+    figure = residuals.leave_one_out_rms_mm
+    sentence = f"Each bead is predicted by the others to {figure:.3f} mm rms on its plate."
+    return Check("leave-one-out error", figure <= limit, figure, limit, "mm", sentence)
+
+
+def _wrong(residuals: Residuals) -> Check:
+    names = ", ".join(residuals.left_out)
+    sentence = f"Beads that contradict the others were left out: {names}. Check their labels and centres."
+    count = float(len(residuals.left_out))
+    return Check("wrong beads", True, count, None, "beads", sentence)

@@ -1,0 +1,199 @@
+"""The paper's chain (sections 4.3 and 4.4): a map for each plate, then the focal point from lines through both.
+
+Its errors: beads' noise and frame errors are carried through the same linear algebra. What the maps themselves get
+wrong is judged by leave-one-out residuals: their variance beyond the noise, correlated over `MISFIT_REACH` of the
+region, is taken to hold everywhere. That is a rule of thumb, not a model; the check "map misfit" says so.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal, Protocol
+
+import numpy as np
+
+from sightline.calibration.beads import Beads
+from sightline.calibration.focal_point import meeting_point, meeting_point_response
+from sightline.calibration.hull import Hull
+from sightline.calibration.posterior import LineErrors
+from sightline.calibration.projection import Pencil, refuse_misplaced
+from sightline.calibration.residuals import Residuals
+from sightline.calibration.view import PlaneMap
+from sightline.errors import CalibrationRefusedError, OutsideRegionError
+from sightline.geometry.planes import Plane
+
+PlateName = Literal["xrii", "source"]
+# Length of correlation of a map's misfit, in hull radii [ours]: about three spacings of 7 x 7 beads.
+MISFIT_REACH = 0.5
+
+
+class LinearMap(PlaneMap, Protocol):
+    """A plane map that is linear in its controls' coordinates."""
+
+    def weights(self, uv_px: np.ndarray) -> np.ndarray:
+        """(N, controls): to_plane(uv) = weights @ the controls' coordinates."""
+        ...
+
+
+Fitter = Callable[[np.ndarray, np.ndarray], LinearMap]
+
+
+@dataclass(frozen=True, eq=False)
+class PlateFit:
+    """The map of one plate, with its beads. `leave_one_out_mm` (N, 2), rows where `predicted` is False do not hold."""
+
+    plane: Plane
+    beads: Beads
+    map: LinearMap
+    hull: Hull
+    leave_one_out_mm: np.ndarray
+    predicted: np.ndarray
+    noise_mm2: np.ndarray
+
+    @staticmethod
+    def of(plane: Plane, beads: Beads, fit: Fitter, noise_px: float | None) -> "PlateFit":
+        """`noise_px` replaces the covariance that the beads lack."""
+        xy = plane.to_plane(beads.xyz_mm)
+        plane_map = fit(beads.uv_px, xy)
+        error, predicted = np.zeros_like(xy), np.zeros(len(xy), dtype=bool)
+        for k in range(len(xy)):
+            others = np.arange(len(xy)) != k
+            try:
+                error[k] = fit(beads.uv_px[others], xy[others]).to_plane(beads.uv_px[k : k + 1])[0] - xy[k]
+                predicted[k] = True
+            except (OutsideRegionError, CalibrationRefusedError):
+                pass  # a corner bead: nothing bounds it once it is gone
+        slopes = plane_map.jacobian(_inward(beads.uv_px))
+        covariance = (
+            beads.covariance_px2 if noise_px is None else np.broadcast_to(noise_px**2 * np.eye(2), slopes.shape)
+        )
+        assert covariance is not None  # noqa: S101 - the caller states noise_px where the beads lack it
+        noise = slopes @ covariance @ np.swapaxes(slopes, 1, 2)
+        return PlateFit(plane, beads, plane_map, Hull.of(beads.uv_px), error, predicted, noise)
+
+    @property
+    def misfit_mm2(self) -> float:
+        """Variance per axis of what leave-one-out shows beyond the noise."""
+        seen = self.leave_one_out_mm[self.predicted]
+        noise = 0.5 * float(np.trace(self.noise_mm2.mean(axis=0)))
+        return max(float(np.mean(seen**2)) - 1.5 * noise, 0.0) if len(seen) else 0.0
+
+    def misfit(self, a_px: np.ndarray, b_px: np.ndarray) -> np.ndarray:
+        """(2N, 2M) covariance of the map's misfit at pixels (N, 2) and (M, 2)."""
+        gap = (a_px[:, None] - b_px[None]) / (MISFIT_REACH * self.hull.radius_px)
+        return np.kron(self.misfit_mm2 * np.exp(-0.5 * (gap**2).sum(axis=-1)), np.eye(2))
+
+
+def _inward(uv_px: np.ndarray) -> np.ndarray:
+    """The beads moved a little towards their middle, so that those of the hull lie within a triangle."""
+    return uv_px + 1e-3 * (uv_px.mean(axis=0) - uv_px)
+
+
+@dataclass(frozen=True, eq=False)
+class ClassicalFit:
+    """Maps of both plates and the focal point; lines of sight go through the plate called `through`."""
+
+    xrii: PlateFit
+    source: PlateFit
+    through: PlateName
+    focal_point_mm: np.ndarray
+    lines: np.ndarray
+    from_mm: np.ndarray
+    to_mm: np.ndarray
+
+    @property
+    def plate(self) -> PlateFit:
+        """The plate that lines of sight go through; its plane is the reference plane."""
+        return self.xrii if self.through == "xrii" else self.source
+
+    def line_errors(self, uv_px: np.ndarray) -> LineErrors:
+        """Errors of focal point and lines of sight of pixels (N, 2). Raises OutsideRegionError."""
+        beads = [self.xrii.beads, self.source.beads]
+        sizes = [len(b) for b in beads]
+        at_lines = self.xrii.beads.uv_px[self.lines]
+        by_from, by_to = meeting_point_response(self.from_mm, self.to_mm, self.focal_point_mm)
+        in_source = self.source.plane.axes
+        to_plane2 = np.einsum("nij,kj->nik", by_to, in_source)  # F by the source plane's coordinates (L, 3, 2)
+        n = len(uv_px)
+        # Displacements, on its plate, of what each bead teaches (sum(sizes), 2): all errors come through these.
+        taught = np.zeros((3 + 2 * n, sum(sizes), 2))
+        taught[:3, sizes[0] :] = np.einsum("lik,lb->ibk", to_plane2, self.source.map.weights(at_lines))
+        own = self.plate.map.weights(uv_px)
+        first = 0 if self.through == "xrii" else sizes[0]
+        block = taught[3:].reshape(n, 2, sum(sizes), 2)
+        for axis in range(2):
+            block[:, axis, first : first + own.shape[1], axis] += own
+        seen = np.zeros((3 + 2 * n, sizes[0], 2))  # an XRII bead seen elsewhere sends its line elsewhere
+        seen[:3, self.lines] = np.einsum("lik,lkj->ilj", to_plane2, self.source.map.jacobian(at_lines))
+        return LineErrors(
+            self._noise(taught, seen), self._misfit(to_plane2, at_lines, uv_px), self._frame(taught, by_from, sizes)
+        )
+
+    def _noise(self, taught: np.ndarray, seen: np.ndarray) -> np.ndarray:
+        """A bead seen at u + du teaches the map what a bead displaced by -dh du would."""
+        count = seen.shape[1]
+        slopes = self.xrii.map.jacobian(_inward(self.xrii.beads.uv_px))
+        by_plate = taught.copy()
+        by_plate[:, :count] -= np.einsum("ilj,ljk->ilk", seen, np.linalg.inv(slopes))
+        covariance = np.concatenate([self.xrii.noise_mm2, self.source.noise_mm2])
+        return np.einsum("ilj,ljk,mlk->im", by_plate, covariance, by_plate, optimize=True)
+
+    def _misfit(self, to_plane2: np.ndarray, at_lines: np.ndarray, uv_px: np.ndarray) -> np.ndarray:
+        n = len(uv_px)
+        to_focal = to_plane2.transpose(1, 0, 2).reshape(3, -1)
+        out = np.zeros((3 + 2 * n, 3 + 2 * n))
+        out[:3, :3] = to_focal @ self.source.misfit(at_lines, at_lines) @ to_focal.T
+        out[3:, 3:] = self.plate.misfit(uv_px, uv_px)
+        if self.through == "source":
+            out[:3, 3:] = to_focal @ self.source.misfit(at_lines, uv_px)
+            out[3:, :3] = out[:3, 3:].T
+        return out
+
+    def _frame(self, taught: np.ndarray, by_from: np.ndarray, sizes: list[int]) -> np.ndarray:
+        """Beads displaced in space count by where their rays then meet the plate's plane."""
+        on_plate = [
+            Pencil.through(fit.plane, self.focal_point_mm).by_point(fit.beads.xyz_mm)
+            for fit in (self.xrii, self.source)
+        ]
+        by_bead = np.einsum("ilk,lkj->ilj", taught, np.concatenate(on_plate))
+        by_bead[:3, self.lines] += by_from.transpose(1, 0, 2)
+        factor = np.concatenate([self.xrii.beads.frame_factor(), self.source.beads.frame_factor()])
+        return -by_bead.reshape(len(taught), -1) @ factor
+
+
+def fit_plates(beads: Beads, fit: Fitter, through: PlateName, noise_px: float | None) -> ClassicalFit:
+    """The chain for a method's map. Raises CalibrationRefusedError."""
+    view = beads.frame.view(beads.view)
+    xrii = PlateFit.of(view.xrii.plane, beads.where(beads.on_xrii), fit, noise_px)
+    source = PlateFit.of(view.source.plane, beads.where(~beads.on_xrii), fit, noise_px)
+    lines = np.flatnonzero(_mapped(source, xrii.beads.uv_px))
+    from_mm = xrii.beads.xyz_mm[lines]
+    to_mm = source.plane.to_space(source.map.to_plane(xrii.beads.uv_px[lines]))
+    focal = meeting_point(from_mm, to_mm)
+    refuse_misplaced(Pencil.through(xrii.plane, focal), beads.xyz_mm)
+    return ClassicalFit(xrii, source, through, focal, lines, from_mm, to_mm)
+
+
+def _mapped(plate: PlateFit, uv_px: np.ndarray) -> np.ndarray:
+    """(N,) bool: pixels inside the plate's hull, where its map interpolates."""
+    inside = plate.hull.contains(uv_px)
+    for k in np.flatnonzero(inside):
+        try:
+            plate.map.to_plane(uv_px[k : k + 1])
+        except OutsideRegionError:
+            inside[k] = False
+    return inside
+
+
+def classical_residuals(fit: ClassicalFit, given: Beads, used: np.ndarray) -> Residuals:
+    """Of every bead given, on its own plate's plane."""
+    plates = (fit.xrii, fit.source)
+    error = np.concatenate([p.leave_one_out_mm for p in plates])
+    predicted = np.concatenate([p.predicted for p in plates])
+    spread = np.concatenate([2 * p.noise_mm2 + p.misfit_mm2 * np.eye(2) for p in plates])
+    residual = np.concatenate([_own_residual(p) for p in plates])
+    sigma = np.sqrt(np.einsum("ia,ia->i", error, np.linalg.solve(spread, error[..., None])[..., 0]))
+    return Residuals(given.ids, given.uv_px, residual, error, predicted, sigma, used)
+
+
+def _own_residual(plate: PlateFit) -> np.ndarray:
+    return plate.map.to_plane(_inward(plate.beads.uv_px)) - plate.plane.to_plane(plate.beads.xyz_mm)

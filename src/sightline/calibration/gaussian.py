@@ -1,0 +1,75 @@
+"""Linear model with a Gaussian-process part: z = X theta + g + noise, theta unknown, g and the noise Gaussian."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import get_lapack_funcs
+
+from sightline.errors import CalibrationRefusedError
+
+_potrf, _potri, _trtrs = get_lapack_funcs(("potrf", "potri", "trtrs"), dtype=np.float64)
+
+
+def cholesky(matrix: np.ndarray) -> np.ndarray:
+    """Lower factor. Raises CalibrationRefusedError where the matrix is not positive definite."""
+    factor, info = _potrf(matrix, lower=1)
+    if info:
+        raise CalibrationRefusedError(
+            "the beads' covariances make the calibration ill-conditioned; check the noise stated and double beads"
+        )
+    return factor
+
+
+def solve_lower(factor: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """factor^-1 @ right for a lower triangular factor."""
+    return _trtrs(factor, right, lower=1)[0]
+
+
+def solve_lower_transposed(factor: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """factor^-T @ right for a lower triangular factor."""
+    return _trtrs(factor, right, lower=1, trans=1)[0]
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """Generalised least squares with universal kriging.
+
+    `covariance` is cov(g) + cov(noise) (n, n) = factor factor^T; `theta` (m, c) for data (n, c);
+    `dual` (n, c) = V^-1 (z - X theta); `white` (n, m) = factor^-1 X = q r.
+    """
+
+    factor: np.ndarray
+    white: np.ndarray
+    r: np.ndarray
+    theta: np.ndarray
+    dual: np.ndarray
+
+    @staticmethod
+    def of(design: np.ndarray, covariance: np.ndarray, data: np.ndarray) -> "Solution":
+        """Data (n, c), design (n, m), covariance (n, n). Raises CalibrationRefusedError."""
+        factor = cholesky(covariance)
+        both = solve_lower(factor, np.concatenate([design, data], axis=1))
+        white, z = both[:, : design.shape[1]], both[:, design.shape[1] :]
+        r = cholesky(white.T @ white)
+        theta = solve_lower_transposed(r, solve_lower(r, white.T @ z))
+        return Solution(factor, white, r, theta, solve_lower_transposed(factor, z - white @ theta))
+
+    def estimator(self, design: np.ndarray, cross: np.ndarray) -> np.ndarray:
+        """(k, n) weights: the estimate of design theta + g is these times the data; `cross` = cov(g there, data)."""
+        back = solve_lower(self.factor, cross.T).T
+        slope = solve_lower(self.r, (design - back @ self.white).T).T
+        fixed = solve_lower_transposed(self.r, slope.T).T @ self.white.T
+        return solve_lower_transposed(self.factor, (back + fixed).T).T
+
+    def posterior(self, design: np.ndarray, cross: np.ndarray, prior: np.ndarray) -> np.ndarray:
+        """(k, k) covariance of the same; `prior` = cov(g there)."""
+        back = solve_lower(self.factor, cross.T).T
+        slope = solve_lower(self.r, (design - back @ self.white).T).T
+        return prior - back @ back.T + slope @ slope.T
+
+    def precision_of_residuals(self) -> np.ndarray:
+        """(n, n) P = V^-1 - V^-1 X (X^T V^-1 X)^-1 X^T V^-1; leave-one-out residuals are inv(P_ii) (P z)_i."""
+        inverse = _potri(self.factor, lower=1)[0]
+        inverse = np.tril(inverse) + np.tril(inverse, -1).T
+        fixed = solve_lower_transposed(self.factor, solve_lower(self.r, self.white.T).T)
+        return inverse - fixed @ fixed.T

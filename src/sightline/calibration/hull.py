@@ -1,0 +1,49 @@
+"""The convex hull of the beads in the image."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import ConvexHull
+
+from sightline.errors import OutsideRegionError
+
+# How far outside the hull a map may still be asked, in radii of the hull [ours]: farther out no bead says anything.
+REACH = 0.5
+
+
+@dataclass(frozen=True, eq=False)
+class Hull:
+    """`corners_px` (C, 2) in order; `equations` (C, 3): unit outward normal and offset of each side."""
+
+    corners_px: np.ndarray
+    equations: np.ndarray
+
+    @staticmethod
+    def of(uv_px: np.ndarray) -> "Hull":
+        """Of pixels (N, 2) that do not lie on one line."""
+        hull = ConvexHull(uv_px)
+        return Hull(uv_px[hull.vertices], hull.equations)
+
+    @property
+    def radius_px(self) -> float:
+        """Of the circle of equal area."""
+        x, y = self.corners_px.T
+        return float(np.sqrt(0.5 * abs(x @ np.roll(y, -1) - y @ np.roll(x, -1)) / np.pi))
+
+    def distance_px(self, uv_px: np.ndarray) -> np.ndarray:
+        """(N,) how far pixels lie outside the farthest side's line; negative inside."""
+        return (uv_px @ self.equations[:, :2].T + self.equations[:, 2]).max(axis=1)
+
+    def contains(self, uv_px: np.ndarray) -> np.ndarray:
+        """(N,) bool."""
+        return self.distance_px(uv_px) <= 0.0
+
+    def refuse_far(self, uv_px: np.ndarray) -> None:
+        """Raises OutsideRegionError for pixels too far outside."""
+        far = self.distance_px(uv_px) > REACH * self.radius_px
+        if far.any():
+            where = ", ".join(f"({u:.0f}, {v:.0f})" for u, v in uv_px[far][:3])
+            raise OutsideRegionError(
+                f"{far.sum()} pixels lie far outside the beads' hull ({where}), where nothing is calibrated; "
+                "choose points nearer to the beads, or move the frame so that its beads surround them"
+            )

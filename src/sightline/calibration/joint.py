@@ -1,0 +1,200 @@
+"""The smooth method: plane map and focal point together, from the beads of both plates.
+
+Every bead i is projected from F onto the reference plane; there y_i(F) = cubic(u_i) + g(u_i) + noise. Given F and the
+weights that is linear in everything else (variable projection); F enters through `Pencil`, in which it is nearly linear
+too, so two or three Gauss-Newton steps suffice. Noise: each bead's own covariance carried by dh/du, plus the frame's
+errors carried by dy/dX. The frame's shared errors are noise with a prior: weighed for and carried to the target, never
+estimated.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from sightline.calibration.beads import Beads
+from sightline.calibration.gaussian import Solution
+from sightline.calibration.polynomial import Affine, monomial_gradients, monomials, terms
+from sightline.calibration.posterior import LineErrors
+from sightline.calibration.prior import NOISE_SCALES_PX, Learned, Problem, learn
+from sightline.calibration.projection import Pencil, refuse_misplaced
+from sightline.calibration.smooth import DEGREE, SmoothMap
+from sightline.errors import CalibrationRefusedError
+
+# 20 numbers of the cubic and 3 of F are 23; with fewer beads than this nothing is left to test them by [ours].
+FEWEST_BEADS = 16
+_CUBIC = terms(DEGREE)
+
+
+@dataclass(frozen=True, eq=False)
+class JointFit:
+    """The smooth method's result: map and pencil, with all that is needed for their joint covariance.
+
+    `data_mm` (2N,): the beads projected onto the plane from where F was before the last step; `noise` (2N, 2N):
+    covariance of their measurement there; `jacobian` (N, 2, 3): of that projection by the beads.
+    """
+
+    beads: Beads
+    pencil: Pencil
+    map: SmoothMap
+    learned: Learned
+    solution: Solution
+    data_mm: np.ndarray
+    noise: np.ndarray
+    jacobian: np.ndarray
+
+    def line_errors(self, uv_px: np.ndarray) -> LineErrors:
+        """Errors of focal point and lines of sight of pixels (N, 2)."""
+        at = self.map.unit(uv_px)
+        n, k = len(at), 2 * len(self.beads)
+        design = np.zeros((3 + 2 * n, 2 * _CUBIC + 3))
+        design[:3, -3:] = self.pencil.focal_point_by_pq
+        design[3:, :-3] = _twice(monomials(at, DEGREE))
+        cross = np.zeros((3 + 2 * n, k))
+        cross[3:] = _twice(self.map.kernel(at, self.map.controls_unit))
+        prior = np.zeros((3 + 2 * n, 3 + 2 * n))
+        prior[3:, 3:] = _twice(self.map.kernel(at, at))
+        weights = self.solution.estimator(design, cross)
+        total = self.solution.posterior(design, cross, prior)
+        by_point = np.einsum("kia,iab->kib", weights.reshape(len(weights), -1, 2), self.jacobian)
+        frame_factor = -by_point.reshape(len(weights), -1) @ self.beads.frame_factor()
+        noise = weights @ self.noise @ weights.T
+        misfit = total - noise - frame_factor @ frame_factor.T
+        return LineErrors(noise, _without_negative(misfit), frame_factor)
+
+    def prediction_sigma(self, others: Beads) -> np.ndarray:
+        """(M,) how far other beads lie from where this fit predicts them, in standard deviations."""
+        xy = self.map.to_plane(others.uv_px)
+        errors = self.line_errors(others.uv_px)
+        total = errors.noise + errors.misfit + errors.frame_factor @ errors.frame_factor.T
+        by_focal = self.pencil.by_pq(others.xyz_mm) @ np.linalg.inv(self.pencil.focal_point_by_pq)
+        to_gap = np.concatenate([-by_focal.reshape(-1, 3), np.eye(2 * len(others))], axis=1)
+        spread = to_gap @ total @ to_gap.T + _measurement(
+            others, self.map.jacobian(others.uv_px), self.learned.noise_scale
+        )
+        spread += _carried(self.pencil.by_point(others.xyz_mm), others.frame_covariance())
+        own = np.einsum("iaib->iab", spread.reshape(len(xy), 2, len(xy), 2))
+        gap = xy - self.pencil.project(others.xyz_mm)
+        return np.sqrt(np.einsum("ia,ia->i", gap, np.linalg.solve(own, gap[..., None])[..., 0]))
+
+
+def fit_jointly(beads: Beads) -> JointFit:
+    """Plane map and focal point of the beads. Raises CalibrationRefusedError."""
+    if len(beads) < FEWEST_BEADS:
+        raise CalibrationRefusedError(
+            f"{len(beads)} beads are seen; the smooth method needs at least {FEWEST_BEADS} on both plates together, "
+            "60 or more are good: move the frame into the field, or use the localized method"
+        )
+    start = _Start.of(beads, _first_pencil(beads))
+    start = _Start.of(beads, start.pencil)
+    learned = _learn(beads, start)
+    fit = _weighted(beads, start, learned, start.pencil, start.slopes)
+    return _weighted(beads, start, learned, fit.pencil, fit.map.jacobian(beads.uv_px))
+
+
+def _weighted(beads: Beads, start: "_Start", learned: Learned, pencil: Pencil, slopes: np.ndarray) -> JointFit:
+    """One Gauss-Newton step with full weights; after two, a third changes nothing that matters (tests)."""
+    y, by_pq = pencil.project(beads.xyz_mm), pencil.by_pq(beads.xyz_mm)
+    noise = _measurement(beads, slopes, learned.noise_scale)
+    jacobian = pencil.by_point(beads.xyz_mm)
+    covariance = _twice(learned.kernel(start.at, start.at)) + noise + _carried(jacobian, beads.frame_covariance())
+    design = np.concatenate([_twice(start.basis), -by_pq.reshape(-1, 3)], axis=1)
+    solution = Solution.of(design, covariance, y.reshape(-1, 1))
+    theta = solution.theta[:, 0]
+    moved = Pencil(beads.plane, pencil.pq + theta[-3:])
+    refuse_misplaced(moved, beads.xyz_mm)
+    plane_map = SmoothMap(
+        start.unit, learned.kernel, theta[:-3].reshape(_CUBIC, 2), solution.dual.reshape(-1, 2), beads.uv_px
+    )
+    return JointFit(beads, moved, plane_map, learned, solution, y.reshape(-1), noise, jacobian)
+
+
+@dataclass(frozen=True, eq=False)
+class _Start:
+    """A cubic and F by plain least squares."""
+
+    unit: Affine
+    radius_mm: float
+    at: np.ndarray
+    basis: np.ndarray
+    pencil: Pencil
+    slopes: np.ndarray
+
+    @staticmethod
+    def of(beads: Beads, pencil: Pencil) -> "_Start":
+        """One Gauss-Newton step from `pencil`."""
+        y, by_pq = pencil.project(beads.xyz_mm), pencil.by_pq(beads.xyz_mm)
+        unit, radius = Affine.fit(beads.uv_px, y)
+        at = unit(beads.uv_px)
+        basis = monomials(at, DEGREE)
+        design = np.concatenate([_twice(basis), -by_pq.reshape(-1, 3)], axis=1)
+        theta = np.linalg.lstsq(design, y.reshape(-1), rcond=None)[0]
+        moved = Pencil(beads.plane, pencil.pq + theta[-3:])
+        refuse_misplaced(moved, beads.xyz_mm)
+        cubic = theta[:-3].reshape(_CUBIC, 2)
+        slopes = np.einsum("nkd,kc->ncd", monomial_gradients(at, DEGREE), cubic) @ unit.matrix
+        return _Start(unit, radius, at, basis, moved, slopes)
+
+
+def _first_pencil(beads: Beads) -> Pencil:
+    """F from where an affine map of the XRII beads puts the source beads: there y (1 - h q) = x - h p is linear."""
+    near, far = beads.on_xrii, ~beads.on_xrii
+    plane = beads.plane
+    ones = np.ones((len(beads), 1))
+    affine = np.linalg.lstsq(np.hstack([beads.uv_px, ones])[near], plane.to_plane(beads.xyz_mm[near]), rcond=None)[0]
+    y = (np.hstack([beads.uv_px, ones]) @ affine)[far]
+    x, h = plane.to_plane(beads.xyz_mm[far]), plane.height_mm(beads.xyz_mm[far])
+    design = np.zeros((len(y), 2, 3))
+    design[:, 0, 0] = design[:, 1, 1] = -h
+    design[:, :, 2] = h[:, None] * y
+    return Pencil(plane, np.linalg.lstsq(design.reshape(-1, 3), (y - x).reshape(-1), rcond=None)[0])
+
+
+def _learn(beads: Beads, start: _Start) -> Learned:
+    """Kernel and noise scale, with noise of one number per bead."""
+    n = len(beads)
+    y, by_pq = start.pencil.project(beads.xyz_mm), start.pencil.by_pq(beads.xyz_mm)
+    own = np.einsum("iab,ibc,iac->i", start.slopes, _noise_px2(beads), start.slopes) / 2
+    framed = _carried(start.pencil.by_point(beads.xyz_mm), beads.frame_covariance())
+    fixed = np.linalg.qr(np.concatenate([_twice(start.basis), by_pq.reshape(-1, 3)], axis=1))[0]
+    left = np.trace(framed) - np.einsum("ik,ij,jk->", fixed, framed, fixed, optimize=True)
+    frame_mm2 = max(float(left) / (2 * n - fixed.shape[1]), 0.0) if 2 * n > fixed.shape[1] else 0.0
+    common = np.column_stack([start.basis, by_pq[:, 0, 0]])
+    problem = Problem(start.at, common, by_pq[:, :, 2:], y, own, frame_mm2, start.radius_mm)
+    return learn(problem, NOISE_SCALES_PX if beads.covariance_px2 is None else None)
+
+
+def _noise_px2(beads: Beads) -> np.ndarray:
+    """(N, 2, 2): the beads' covariance, or that of 1 px where none is known."""
+    if beads.covariance_px2 is not None:
+        return beads.covariance_px2
+    return np.broadcast_to(np.eye(2), (len(beads), 2, 2))
+
+
+def _measurement(beads: Beads, slopes: np.ndarray, scale: float) -> np.ndarray:
+    """(2N, 2N) covariance of the beads' pixels carried onto the plane."""
+    n = len(beads)
+    blocks = slopes @ (scale**2 * _noise_px2(beads)) @ np.swapaxes(slopes, 1, 2)
+    out = np.zeros((n, 2, n, 2))
+    out[range(n), :, range(n), :] = blocks
+    return out.reshape(2 * n, 2 * n)
+
+
+def _carried(jacobian: np.ndarray, covariance: np.ndarray) -> np.ndarray:
+    """(2N, 2N): J cov J^T for J of (N, 2, 3) and cov of (N, 3, N, 3)."""
+    n = len(jacobian)
+    half = np.matmul(jacobian, covariance.reshape(n, 3, 3 * n)).reshape(2 * n, n, 3)
+    return np.matmul(half.transpose(1, 0, 2), np.swapaxes(jacobian, 1, 2)).transpose(1, 0, 2).reshape(2 * n, 2 * n)
+
+
+def _twice(matrix: np.ndarray) -> np.ndarray:
+    """(2N, 2M): the same for x and y, interleaved."""
+    n, m = matrix.shape
+    out = np.zeros((n, 2, m, 2))
+    out[:, 0, :, 0] = out[:, 1, :, 1] = matrix
+    return out.reshape(2 * n, 2 * m)
+
+
+def _without_negative(matrix: np.ndarray) -> np.ndarray:
+    """The nearest covariance: differences of nearly equal matrices leave eigenvalues of -1e-16."""
+    values, vectors = np.linalg.eigh(0.5 * (matrix + matrix.T))
+    return (vectors * np.maximum(values, 0.0)) @ vectors.T

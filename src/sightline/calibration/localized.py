@@ -1,0 +1,124 @@
+"""Plane map of the paper (section 4.4, eqs 3-6): linear inside the triangle of fiducials that bounds the point.
+
+"The three closest fiducials" of the paper can lie on one line where fiducials form a square grid, and [P] of eq. 4 is
+then singular; the bounding triangle of the Delaunay triangulation of the image points is taken instead.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.spatial import Delaunay, QhullError
+
+from sightline.errors import CalibrationRefusedError, OutsideRegionError
+
+# A triangle whose height is less than this share of its longest side is a sliver [ours]; half a square has 0.5.
+SLIVER = 0.1
+_EDGE = 1e-9  # barycentric: a point on an edge belongs to the triangle
+
+
+@dataclass(frozen=True, eq=False)
+class LocalizedMap:
+    """Piecewise linear map through controls `controls_px` (N, 2), `controls_mm` (N, 2)."""
+
+    controls_px: np.ndarray
+    controls_mm: np.ndarray
+    triangulation: Delaunay
+    sound: np.ndarray
+
+    @staticmethod
+    def fit(uv_px: np.ndarray, xy_mm: np.ndarray) -> "LocalizedMap":
+        """The map through controls (N, 2). Raises CalibrationRefusedError where no triangle is fit for use."""
+        try:
+            triangulation = Delaunay(uv_px)
+        except (QhullError, ValueError):
+            raise CalibrationRefusedError(
+                f"{len(uv_px)} controls span no triangle; at least three that do not lie on one line are needed"
+            ) from None
+        sound = (_flatness(uv_px[triangulation.simplices]) > SLIVER) & (
+            _flatness(xy_mm[triangulation.simplices]) > SLIVER
+        )
+        if not sound.any():
+            raise CalibrationRefusedError("every triangle of the controls is a sliver; more controls are needed")
+        return LocalizedMap(uv_px, xy_mm, triangulation, sound)
+
+    @property
+    def triangles_px(self) -> np.ndarray:
+        """(T, 3, 2) the triangles that are used, in the image."""
+        return self.controls_px[self.triangulation.simplices[self.sound]]
+
+    @cached_property
+    def _affine(self) -> np.ndarray:
+        """(T, 2, 3): A of eq. 4 for each triangle; W = A (x, y, 1)."""
+        corners = self.controls_px[self.triangulation.simplices]
+        p = np.concatenate([np.swapaxes(corners, 1, 2), np.ones((len(corners), 1, 3))], axis=1)
+        w = np.swapaxes(self.controls_mm[self.triangulation.simplices], 1, 2)
+        p[~self.sound] = np.eye(3)
+        return w @ np.linalg.inv(p)
+
+    def bounding(self, uv_px: np.ndarray) -> np.ndarray:
+        """(N,) index of the triangle that bounds each pixel, -1 where none does or it is a sliver."""
+        found = self.triangulation.find_simplex(uv_px, tol=_EDGE)
+        return np.where((found >= 0) & self.sound[found], found, -1)
+
+    def _inside(self, uv_px: np.ndarray) -> np.ndarray:
+        found = self.bounding(uv_px)
+        if (found < 0).any():
+            where = ", ".join(f"({u:.1f}, {v:.1f})" for u, v in uv_px[found < 0][:3])
+            raise OutsideRegionError(
+                f"{(found < 0).sum()} pixels have no bounding triangle of fiducials ({where}); "
+                "the localized method does not extrapolate: choose points inside the beads' hull, or the smooth method"
+            )
+        return found
+
+    def weights(self, uv_px: np.ndarray) -> np.ndarray:
+        """(N, controls): to_plane(uv) = weights @ the controls' coordinates. Raises OutsideRegionError."""
+        found = self._inside(uv_px)
+        transform = self.triangulation.transform[found]
+        first = np.einsum("nij,nj->ni", transform[:, :2], uv_px - transform[:, 2])
+        out = np.zeros((len(uv_px), len(self.controls_px)))
+        shares = np.concatenate([first, 1 - first.sum(axis=1, keepdims=True)], axis=1)
+        np.put_along_axis(out, self.triangulation.simplices[found], shares, axis=1)
+        return out
+
+    def to_plane(self, uv_px: np.ndarray) -> np.ndarray:
+        """Pixels (N, 2) to plane coordinates (N, 2), mm. Raises OutsideRegionError."""
+        a = self._affine[self._inside(uv_px)]
+        return np.einsum("nij,nj->ni", a[:, :, :2], uv_px) + a[:, :, 2]
+
+    def jacobian(self, uv_px: np.ndarray) -> np.ndarray:
+        """(N, 2, 2) d xy / d uv, mm/px: constant in a triangle. Raises OutsideRegionError."""
+        return self._affine[self._inside(uv_px)][:, :, :2]
+
+    def to_image(self, xy_mm: np.ndarray) -> np.ndarray:
+        """Plane coordinates (N, 2) to pixels (N, 2), through the same triangles. Raises OutsideRegionError."""
+        target = np.asarray(xy_mm, dtype=np.float64)
+        a = self._affine[self.sound]
+        out = np.empty_like(target)
+        for k, point in enumerate(target):
+            uv = np.linalg.solve(a[:, :, :2], (point - a[:, :, 2])[..., None])[..., 0]
+            hit = np.flatnonzero(_contains(self.triangles_px, uv))
+            if not len(hit):
+                raise OutsideRegionError(
+                    f"the point ({point[0]:.1f}, {point[1]:.1f}) mm of the plate lies in no triangle of fiducials; "
+                    "the localized method does not extrapolate: choose points inside the hull, or the smooth method"
+                )
+            out[k] = uv[hit[0]]
+        return out
+
+
+def _flatness(triangles: np.ndarray) -> np.ndarray:
+    """(T,) height over longest side of triangles (T, 3, 2)."""
+    a, b = triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]
+    twice_area = np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])
+    longest2 = np.max([(a**2).sum(1), (b**2).sum(1), ((a - b) ** 2).sum(1)], axis=0)
+    return twice_area / np.maximum(longest2, 1e-300)
+
+
+def _contains(triangles: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """(T,) bool: triangle i (of (T, 3, 2)) contains point i (of (T, 2))."""
+    edges = np.roll(triangles, -1, axis=1) - triangles
+    to = points[:, None] - triangles
+    cross = edges[..., 0] * to[..., 1] - edges[..., 1] * to[..., 0]
+    area = np.abs(cross.sum(axis=1, keepdims=True))
+    return (cross >= -_EDGE * area).all(axis=1) | (cross <= _EDGE * area).all(axis=1)

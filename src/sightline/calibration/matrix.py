@@ -1,0 +1,145 @@
+"""A view from another system's projection matrix."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from sightline.calibration.posterior import LineErrors
+from sightline.calibration.view import LinesOfSight
+from sightline.checks import Check
+from sightline.errors import OutsideRegionError, UnusableInputError
+from sightline.geometry.planes import Plane
+
+# Rows of the left 3x3 block, scaled to unit length, span less volume than this for a source at infinity [ours].
+SMALLEST_VOLUME = 1e-9
+# The reference plane passes through the origin, but stays at least this far from the source [ours].
+SMALLEST_DISTANCE_MM = 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class HomographyMap:
+    """`homography` (3, 3) takes (x, y, 1) of the plane to pixels."""
+
+    homography: np.ndarray
+
+    def to_plane(self, uv_px: np.ndarray) -> np.ndarray:
+        """Pixels (N, 2) to plane coordinates (N, 2), mm. Raises OutsideRegionError for pixels of the horizon."""
+        return _apply(np.linalg.inv(self.homography), uv_px)
+
+    def to_image(self, xy_mm: np.ndarray) -> np.ndarray:
+        """Plane coordinates (N, 2) to pixels (N, 2)."""
+        return _apply(self.homography, xy_mm)
+
+    def jacobian(self, uv_px: np.ndarray) -> np.ndarray:
+        """(N, 2, 2) d xy / d uv, mm/px."""
+        inverse = np.linalg.inv(self.homography)
+        xy, depth = self.to_plane(uv_px), np.column_stack([uv_px, np.ones(len(uv_px))]) @ inverse[2]
+        return (inverse[:2, :2] - xy[:, :, None] * inverse[2, :2]) / depth[:, None, None]
+
+
+def _apply(matrix: np.ndarray, points: np.ndarray) -> np.ndarray:
+    homogeneous = np.column_stack([points, np.ones(len(points))]) @ matrix.T
+    size = np.abs(matrix[2]) @ np.array([*np.abs(points).max(axis=0, initial=0.0), 1.0])
+    if (np.abs(homogeneous[:, 2]) < 1e-12 * size).any():
+        raise OutsideRegionError("a point has no image: its ray runs parallel to the plane; check the matrix")
+    return homogeneous[:, :2] / homogeneous[:, 2:]
+
+
+@dataclass(frozen=True, eq=False)
+class MatrixView:
+    """A `CalibratedView` without beads: `matrix` (3, 4) takes CFCS mm to pixels, `covariance` (12, 12) or None is that
+    of its entries, row by row. A matrix holds for the whole image: every pixel counts as inside."""
+
+    name: str
+    matrix: np.ndarray
+    covariance: np.ndarray | None
+    plane: Plane
+    focal_point_mm: np.ndarray
+    method: str = "matrix"
+    checks: tuple[Check, ...] = ()
+
+    @property
+    def plane_map(self) -> HomographyMap:
+        """The map between image and reference plane."""
+        onto = np.vstack([np.column_stack([self.plane.axes.T, self.plane.origin_mm]), [0.0, 0.0, 1.0]])
+        return HomographyMap(self.matrix @ onto)
+
+    def project(self, xyz_mm: np.ndarray) -> np.ndarray:
+        """Points (N, 3) CFCS to pixels (N, 2). Raises OutsideRegionError."""
+        xyz = np.asarray(xyz_mm, dtype=np.float64)
+        return self.plane_map.to_image(self.plane.central_projection(self.focal_point_mm, xyz))
+
+    def lines_of_sight(self, uv_px: np.ndarray) -> LinesOfSight:
+        """Lines of sight of pixels (N, 2); of unknown error where the matrix has no covariance."""
+        uv = np.asarray(uv_px, dtype=np.float64)
+        if uv.ndim != 2 or uv.shape[1] != 2 or not np.isfinite(uv).all():
+            raise UnusableInputError(f"pixels must be finite and of the shape (N, 2); got the shape {uv.shape}")
+        xy = self.plane_map.to_plane(uv)
+        return LinesOfSight(
+            view=self.name,
+            plane=self.plane,
+            focal_point_mm=self.focal_point_mm,
+            xy_mm=xy,
+            jacobian=self.plane_map.jacobian(uv),
+            covariance=self._covariance(uv, xy),
+            frame_factor=None,
+            frame_key=None,
+            inside_hull=np.ones(len(uv), dtype=bool),
+        )
+
+    def _covariance(self, uv_px: np.ndarray, xy_mm: np.ndarray) -> dict[str, np.ndarray] | None:
+        """From P (F, 1) = 0 and, for x in the plane, (row 0 - u row 2) (X, 1) = 0 = (row 1 - v row 2) (X, 1)."""
+        if self.covariance is None:
+            return None
+        size = 3 + 2 * len(uv_px)
+        response = np.empty((size, 12))
+        focal = np.append(self.focal_point_mm, 1.0)
+        response[:3] = -np.linalg.solve(self.matrix[:, :3], np.kron(np.eye(3), focal))
+        for i, (uv, point) in enumerate(zip(uv_px, self.plane.to_space(xy_mm), strict=True)):
+            pick = np.column_stack([np.eye(2), -uv])
+            by_xy = (pick @ self.matrix)[:, :3] @ self.plane.axes.T
+            response[3 + 2 * i : 5 + 2 * i] = -np.linalg.solve(by_xy, np.kron(pick, np.append(point, 1.0)))
+        noise = response @ self.covariance @ response.T
+        return LineErrors(noise, np.zeros_like(noise), np.zeros((size, 0))).by_source()
+
+
+def view_from_matrix(P: np.ndarray, covariance: np.ndarray | None = None, name: str = "matrix") -> MatrixView:
+    """The view of a 3x4 matrix that takes CFCS points (x, y, z, 1), mm, to pixels (u w, v w, w), as in OpenCV.
+
+    `covariance` (12, 12): of the entries of P, row by row, at the scale of P as given; it may be singular along P,
+    whose scale means nothing. None: the error is unknown, and every verdict on it NO-GO. The reference plane is normal to the
+    view's axis and passes through the CFCS origin. Raises UnusableInputError.
+    """
+    matrix = np.array(P, dtype=np.float64)
+    if matrix.shape != (3, 4) or not np.isfinite(matrix).all():
+        raise UnusableInputError(f"a projection matrix is finite and of the shape (3, 4); got the shape {matrix.shape}")
+    lengths = np.linalg.norm(matrix[:, :3], axis=1)
+    if not lengths.all() or abs(np.linalg.det(matrix[:, :3] / lengths[:, None])) < SMALLEST_VOLUME:
+        raise UnusableInputError(
+            "the matrix has no focal point: its left 3x3 block is singular; give a perspective projection, mm to px"
+        )
+    focal = -np.linalg.solve(matrix[:, :3], matrix[:, 3])
+    axis = matrix[2, :3] / lengths[2]
+    if abs(axis @ focal) < SMALLEST_DISTANCE_MM:
+        raise UnusableInputError(
+            "the matrix puts the X-ray source at the depth of the CFCS origin; check its frame and units"
+        )
+    plane = Plane.fit(_cross_of_points(axis))
+    return MatrixView(name, matrix, _checked(covariance), plane, focal)
+
+
+def _cross_of_points(normal: np.ndarray) -> np.ndarray:
+    """(4, 3) points about the origin that span the plane with this normal."""
+    across = np.linalg.svd(normal[None])[2][1:]
+    return np.concatenate([across, -across])
+
+
+def _checked(covariance: np.ndarray | None) -> np.ndarray | None:
+    if covariance is None:
+        return None
+    out = np.array(covariance, dtype=np.float64)
+    if out.shape != (12, 12) or not np.isfinite(out).all():
+        raise UnusableInputError(f"the matrix's covariance must be finite and of the shape (12, 12); got {out.shape}")
+    if not np.allclose(out, out.T) or np.linalg.eigvalsh(out).min() < -1e-9 * np.abs(out).max():
+        raise UnusableInputError("the matrix's covariance is not symmetric and positive; give that of its 12 entries")
+    return out

@@ -1,0 +1,54 @@
+"""Wrong beads: found by what the others say of each, left out one at a time, reported."""
+
+import numpy as np
+
+from sightline.calibration.beads import Beads
+from sightline.calibration.joint import JointFit, fit_jointly
+from sightline.calibration.residuals import Residuals
+from sightline.errors import CalibrationRefusedError
+
+# A right bead goes beyond this once in 10,000 views: chi-square of two degrees of freedom, over all its beads [ours].
+FALSE_ALARM = 1e-4
+# More wrong beads than this, or than this share, is not a slip but a wrong frame, image or labelling [ours].
+MOST_WRONG = 6
+MOST_WRONG_SHARE = 0.1
+
+
+def fit_robustly(beads: Beads) -> tuple[JointFit, Residuals]:
+    """The joint fit without the beads that contradict the others. Raises CalibrationRefusedError."""
+    used = np.ones(len(beads), dtype=bool)
+    most = max(1, min(MOST_WRONG, int(MOST_WRONG_SHARE * len(beads))))
+    while True:
+        fit = fit_jointly(beads.where(used))
+        error, square = leave_one_out(fit)
+        # Where all residuals are too large the noise stated is too small: that is the chi-square check's to say.
+        common = max(1.0, float(np.median(square)) / (2 * np.log(2)))
+        worst = int(np.argmax(square))
+        if square[worst] <= -2 * np.log(FALSE_ALARM / len(square)) * common:
+            return fit, _residuals(fit, beads, used, error, square)
+        if (~used).sum() == most:
+            wrong = [i for i, u in zip(beads.ids, used, strict=True) if not u]
+            raise CalibrationRefusedError(
+                f"more than {most} beads contradict the others ({', '.join(wrong)} and {fit.beads.ids[worst]} first); "
+                "check that frame, view and labels are right and that the frame is undamaged, then take another image"
+            )
+        used[np.flatnonzero(used)[worst]] = False
+
+
+def leave_one_out(fit: JointFit) -> tuple[np.ndarray, np.ndarray]:
+    """(N, 2) mm: the prediction of each bead by the others less its own place; (N,) its squared Mahalanobis length."""
+    n = len(fit.beads)
+    precision = fit.solution.precision_of_residuals().reshape(n, 2, n, 2)[range(n), :, range(n), :]
+    dual = fit.solution.dual.reshape(n, 2)
+    error = -np.linalg.solve(precision, dual[..., None])[..., 0]
+    return error, -(dual * error).sum(axis=1)
+
+
+def _residuals(fit: JointFit, beads: Beads, used: np.ndarray, error: np.ndarray, square: np.ndarray) -> Residuals:
+    """Of every bead given. One that was left out is predicted by all that were used."""
+    residual = fit.map.to_plane(beads.uv_px) - fit.pencil.project(beads.xyz_mm)
+    loo, sigma = residual.copy(), np.zeros(len(beads))
+    loo[used], sigma[used] = error, np.sqrt(np.maximum(square, 0.0))
+    if not used.all():
+        sigma[~used] = fit.prediction_sigma(beads.where(~used))
+    return Residuals(beads.ids, beads.uv_px, residual, loo, np.ones(len(beads), dtype=bool), sigma, used)

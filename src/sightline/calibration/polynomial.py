@@ -1,0 +1,117 @@
+"""Plane map: one polynomial per coordinate over the whole field (the paper's "global" compensation)."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from sightline.calibration.inverse import invert
+from sightline.errors import CalibrationRefusedError, UnusableInputError
+
+DEGREES = range(1, 8)
+
+
+@dataclass(frozen=True, eq=False)
+class Affine:
+    """Pixels to centred coordinates of about unit size: `(uv - centre_px) @ matrix.T`."""
+
+    centre_px: np.ndarray
+    matrix: np.ndarray
+
+    @staticmethod
+    def fit(uv_px: np.ndarray, xy_mm: np.ndarray) -> tuple["Affine", float]:
+        """The least-squares affine map of controls (N, 2), scaled to the unit disc; and that disc's radius in mm."""
+        centre = uv_px.mean(axis=0)
+        matrix = np.linalg.lstsq(uv_px - centre, xy_mm - xy_mm.mean(axis=0), rcond=None)[0].T
+        mapped = (uv_px - centre) @ matrix.T
+        radius = float(np.sqrt((mapped**2).sum(axis=1).max()))
+        return Affine(centre, matrix / radius), radius
+
+    def __call__(self, uv_px: np.ndarray) -> np.ndarray:
+        """Pixels (N, 2) to unit coordinates (N, 2)."""
+        return (uv_px - self.centre_px) @ self.matrix.T
+
+    def back(self, unit_xy: np.ndarray) -> np.ndarray:
+        """Unit coordinates (N, 2) to pixels."""
+        return unit_xy @ np.linalg.inv(self.matrix).T + self.centre_px
+
+
+def terms(degree: int) -> int:
+    """How many monomials of two variables have at most this degree."""
+    return (degree + 1) * (degree + 2) // 2
+
+
+def monomials(xy: np.ndarray, degree: int) -> np.ndarray:
+    """(N, terms) x^i y^j with i + j <= degree, by rising degree."""
+    x, y = _powers(xy[:, 0], degree), _powers(xy[:, 1], degree)
+    return np.stack([x[d - j] * y[j] for d in range(degree + 1) for j in range(d + 1)], axis=1)
+
+
+def monomial_gradients(xy: np.ndarray, degree: int) -> np.ndarray:
+    """(N, terms, 2) derivatives of `monomials` by x and y."""
+    x, y = _powers(xy[:, 0], degree), _powers(xy[:, 1], degree)
+    out = np.zeros((len(xy), terms(degree), 2))
+    exponents = [(d - j, j) for d in range(degree + 1) for j in range(d + 1)]
+    for k, (i, j) in enumerate(exponents):
+        if i:
+            out[:, k, 0] = i * x[i - 1] * y[j]
+        if j:
+            out[:, k, 1] = j * x[i] * y[j - 1]
+    return out
+
+
+def _powers(x: np.ndarray, degree: int) -> list[np.ndarray]:
+    out = [np.ones_like(x)]
+    for _ in range(degree):
+        out.append(out[-1] * x)
+    return out
+
+
+@dataclass(frozen=True, eq=False)
+class PolynomialMap:
+    """Plane coordinates as polynomials of normalised pixel coordinates; `coefficients` (terms, 2), mm.
+
+    `inverse_design` (terms, N): the coefficients are this times the controls' coordinates.
+    """
+
+    degree: int
+    unit: Affine
+    coefficients: np.ndarray
+    inverse_design: np.ndarray
+    controls_px: np.ndarray
+
+    @staticmethod
+    def fit(uv_px: np.ndarray, xy_mm: np.ndarray, degree: int) -> "PolynomialMap":
+        """Least squares through controls (N, 2). Raises CalibrationRefusedError on too few, UnusableInputError."""
+        if degree not in DEGREES:
+            raise UnusableInputError(f"degree {degree} is not offered; choose 1 to 7")
+        if len(uv_px) < terms(degree):
+            raise CalibrationRefusedError(
+                f"{len(uv_px)} controls do not determine a polynomial of degree {degree}; at least {terms(degree)} are "
+                "needed: choose a lower degree, or use the smooth method"
+            )
+        unit = Affine.fit(uv_px, xy_mm)[0]
+        design = monomials(unit(uv_px), degree)
+        inverse = np.linalg.pinv(design, rcond=1e-10)
+        if np.linalg.matrix_rank(design, tol=1e-8 * np.sqrt(len(design))) < terms(degree):
+            raise CalibrationRefusedError(
+                f"the controls lie so that they do not determine a polynomial of degree {degree}; "
+                "choose a lower degree, or use the smooth method"
+            )
+        return PolynomialMap(degree, unit, inverse @ xy_mm, inverse, uv_px)
+
+    def weights(self, uv_px: np.ndarray) -> np.ndarray:
+        """(N, controls): to_plane(uv) = weights @ the controls' coordinates."""
+        return monomials(self.unit(uv_px), self.degree) @ self.inverse_design
+
+    def to_plane(self, uv_px: np.ndarray) -> np.ndarray:
+        """Pixels (N, 2) to plane coordinates (N, 2), mm."""
+        return monomials(self.unit(uv_px), self.degree) @ self.coefficients
+
+    def jacobian(self, uv_px: np.ndarray) -> np.ndarray:
+        """(N, 2, 2) d xy / d uv, mm/px."""
+        by_unit = np.einsum("nkd,kc->ncd", monomial_gradients(self.unit(uv_px), self.degree), self.coefficients)
+        return by_unit @ self.unit.matrix
+
+    def to_image(self, xy_mm: np.ndarray) -> np.ndarray:
+        """Plane coordinates (N, 2) to pixels (N, 2), by Newton's method. Raises OutsideRegionError."""
+        return invert(self, xy_mm, self.controls_px)

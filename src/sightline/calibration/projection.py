@@ -1,0 +1,72 @@
+"""Central projection onto the reference plane, in numbers in which it is nearly linear."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from sightline.errors import CalibrationRefusedError
+from sightline.geometry.planes import Plane
+
+
+@dataclass(frozen=True, eq=False)
+class Pencil:
+    """The pencil of lines through F = plane.origin + (p / q) @ axes + normal / q, as `pq` = (p_x, p_y, q).
+
+    A point at x in the plane's axes and height h is thrown to y = (x - h p) / (1 - h q): linear in p, nearly so in q,
+    and regular for a focal point at infinity (q = 0), where F itself is not.
+    """
+
+    plane: Plane
+    pq: np.ndarray
+
+    @staticmethod
+    def through(plane: Plane, focal_point_mm: np.ndarray) -> "Pencil":
+        """The pencil of a focal point (3,), CFCS."""
+        q = 1 / plane.height_mm(focal_point_mm)
+        return Pencil(plane, np.append(q * plane.to_plane(focal_point_mm), q))
+
+    @property
+    def focal_point_mm(self) -> np.ndarray:
+        """(3,) CFCS."""
+        p, q = self.pq[:2], self.pq[2]
+        return self.plane.origin_mm + (p / q) @ self.plane.axes + self.plane.normal / q
+
+    @property
+    def focal_point_by_pq(self) -> np.ndarray:
+        """(3, 3) derivative of F by pq."""
+        p, q = self.pq[:2], self.pq[2]
+        by_q = -(p @ self.plane.axes + self.plane.normal) / q**2
+        return np.column_stack([self.plane.axes.T / q, by_q])
+
+    def project(self, xyz_mm: np.ndarray) -> np.ndarray:
+        """Points (N, 3) to plane coordinates (N, 2)."""
+        h = self.plane.height_mm(xyz_mm)[:, None]
+        return (self.plane.to_plane(xyz_mm) - h * self.pq[:2]) / (1 - h * self.pq[2])
+
+    def by_pq(self, xyz_mm: np.ndarray) -> np.ndarray:
+        """(N, 2, 3) derivative of `project` by pq."""
+        h = self.plane.height_mm(xyz_mm)
+        reach = h / (1 - h * self.pq[2])
+        out = np.zeros((len(h), 2, 3))
+        out[:, 0, 0] = out[:, 1, 1] = -reach
+        out[:, :, 2] = reach[:, None] * self.project(xyz_mm)
+        return out
+
+    def by_point(self, xyz_mm: np.ndarray) -> np.ndarray:
+        """(N, 2, 3) derivative of `project` by the points."""
+        h = self.plane.height_mm(xyz_mm)
+        lift = self.pq[2] * self.project(xyz_mm) - self.pq[:2]
+        in_space = self.plane.axes + lift[:, :, None] * self.plane.normal
+        return in_space / (1 - h * self.pq[2])[:, None, None]
+
+
+def refuse_misplaced(pencil: Pencil, xyz_mm: np.ndarray) -> None:
+    """Refuse a focal point that does not lie beyond all beads (N, 3), on the source plate's side."""
+    h = pencil.plane.height_mm(xyz_mm)
+    towards = np.sign(h[np.argmax(np.abs(h))])
+    height = np.inf if pencil.pq[2] == 0 else 1 / pencil.pq[2]
+    if not height * towards > np.abs(h).max():
+        raise CalibrationRefusedError(
+            "the beads put the X-ray source between or behind the plates; check that the labels of the two plates "
+            "are not exchanged, that the frame is the one in the image, and that the image is not a mirror image"
+        )
