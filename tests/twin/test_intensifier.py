@@ -17,8 +17,8 @@ from sightline.twin.intensifier import Intensifier
 from sightline.twin.presets import preset
 
 CHAIN = preset("9in-1k")
-PA_AXES = np.array([[-1.0, 0, 0], [0, 1.0, 0], [0, 0, -1.0]])
-LATERAL_AXES = np.array([[0, 0, 1.0], [0, 1.0, 0], [-1.0, 0, 0]])
+PA_AXES = np.eye(3)
+LATERAL_AXES = np.array([[0, 0, -1.0], [0, 1.0, 0], [1.0, 0, 0]])
 
 
 def intensifier(seed: int, axes: np.ndarray = PA_AXES, spread: Distortion | None = None) -> Intensifier:

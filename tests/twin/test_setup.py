@@ -35,13 +35,13 @@ def test_the_source_stands_where_it_should(frame):
         for name, view in setup.views.items():
             beam = nominal_beam(frame.view(name))
             assert view.focal_point_mm @ beam == pytest.approx(-620.0, abs=25.0)
-            assert view.detector.height_mm(view.focal_point_mm) == pytest.approx(1000.0, abs=15.0)
+            assert view.detector.height_mm(view.focal_point_mm) == pytest.approx(-1000.0, abs=15.0)
             assert view.in_field(view.project(np.zeros(3)))
 
 
-def test_an_unturned_pa_image_is_seen_from_the_intensifier(frame):
+def test_an_unturned_pa_image_is_seen_from_the_source(frame):
     still = Variation(pose=Pose(frame_tilt=0.0, orbit=0.0, in_plane=0.0, hip_offset_mm=0.0))
-    for side, lateral_is_right in (("right", False), ("left", True)):
+    for side, lateral_is_right in (("right", True), ("left", False)):
         setup = draw_setup(np.random.default_rng(7), frame, side=side, variation=still)
         hip, lateral, caudal = setup.views["pa"].project(
             np.array([[0, 0, 0], [20.0, 0, 0], [0, 20.0 if side == "right" else -20.0, 0]])

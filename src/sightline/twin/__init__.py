@@ -1,5 +1,19 @@
 """The digital twin: C-arm, intensifier, femur, X-ray projection. It never imports what it judges."""
 
 from sightline.twin.carm import SetUp, Variation, ViewTruth, bead_images, draw_setup
+from sightline.twin.render import DOSES, Dose, Scene, render
+from sightline.twin.scene import HipScene, hip_scene
 
-__all__ = ["SetUp", "Variation", "ViewTruth", "bead_images", "draw_setup"]
+__all__ = [
+    "DOSES",
+    "Dose",
+    "HipScene",
+    "Scene",
+    "SetUp",
+    "Variation",
+    "ViewTruth",
+    "bead_images",
+    "draw_setup",
+    "hip_scene",
+    "render",
+]

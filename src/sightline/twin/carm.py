@@ -18,8 +18,8 @@ ATTEMPTS = 300
 
 @dataclass(frozen=True, eq=False)
 class ViewTruth:
-    """The truth of one view, CFCS. `detector`: the input plane, its axes along u and v of an undistorted image seen
-    from the intensifier (axes[0] x axes[1] points to the source)."""
+    """The truth of one view, CFCS. `detector`: the input plane, its axes along u and v of an undistorted image as the
+    X-ray source sees it (axes[0] x axes[1] points along the beam): detection calls such an image not mirrored."""
 
     name: str
     focal_point_mm: np.ndarray
@@ -36,7 +36,7 @@ class ViewTruth:
 
         Raises OutsideRegionError for a point that is not in front of the source."""
         height = self.detector.height_mm(self.focal_point_mm)
-        if not (self.detector.height_mm(xyz_mm) < height).all():
+        if not (self.detector.height_mm(xyz_mm) > height).all():
             raise OutsideRegionError("a point lies behind the X-ray source or is not finite")
         return self.detector.central_projection(self.focal_point_mm, xyz_mm)
 
@@ -191,19 +191,19 @@ def _draw_stand(
 
 
 def _detector_axes(beam: np.ndarray, down: np.ndarray, turn: float) -> np.ndarray:
-    """(2, 3): u and v of an image seen from the intensifier, `down` pointing down before it is turned in its plane."""
+    """(2, 3): u and v of an image seen from the source, `down` pointing down before it is turned in its plane."""
     v = down - (down @ beam) * beam
     norm = np.linalg.norm(v)
     if norm < 0.1:
         raise SetUpError("a view's beam runs along the body; the twin has no such view")
     v /= norm
-    u = np.cross(v, -beam)
+    u = np.cross(v, beam)
     c, s = np.cos(turn), np.sin(turn)
     return np.stack([c * u + s * v, -s * u + c * v])
 
 
 def _tube_axes(detector: Plane) -> np.ndarray:
-    """(3, 3): the tube's x, y and z (towards the source), rows."""
+    """(3, 3): the tube's x, y and z (away from the source), rows."""
     return np.vstack([detector.axes, detector.normal])
 
 

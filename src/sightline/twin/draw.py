@@ -34,7 +34,7 @@ class Tube:
         self.k1, self.turn_rad_per_ut, self.cubic_mm = k1, turn_rad_per_ut, cubic_mm
 
     def expose(self, rng: np.random.Generator, axes: np.ndarray, earth_ut: np.ndarray) -> Intensifier:
-        """The intensifier in one exposure. `axes` (3, 3): rows are its x, y and z (towards the source) in CFCS;
+        """The intensifier in one exposure. `axes` (3, 3): rows are its x, y and z (away from the source) in CFCS;
         `earth_ut` (3,): the geomagnetic field in CFCS, µT."""
         spread, radius = self.spread, self.chain.field_mm / 2
         magnetic = _magnetic_numbers(

@@ -1,0 +1,219 @@
+"""A parametric proximal femur with its socket, as a density volume, and the soft tissue around it.
+
+Anatomical coordinates: origin at the centre of the femoral head, (lateral, caudal, anterior), mm. In CFCS lateral is
++X, anterior +Z, and caudal +Y for a right hip, -Y for a left one.
+"""
+
+from dataclasses import dataclass
+from math import cos, radians, sin
+
+import numpy as np
+from numba import njit, prange
+from scipy.ndimage import gaussian_filter
+from scipy.optimize import root_scalar
+
+from sightline.errors import SetUpError
+
+VOXEL_MM = 0.75
+# The box that is voxelised, anatomical coordinates: what a field of 215 mm at the detector can show of a hip.
+BOX_LOW_MM = np.array([-84.0, -84.0, -54.0])
+BOX_HIGH_MM = np.array([84.0, 112.0, 54.0])
+# Share of cortical bone that adds a given CT number to soft tissue at 60 keV: HU/1000 mu_water / (mu_bone - mu_tissue).
+BONE_PER_HU = 0.206e-3 / (0.0604 - 0.0217) / 10
+
+
+@dataclass(frozen=True)
+class Femur:
+    """A proximal femur. Lengths mm, angles degrees.
+
+    Defaults are the middle of the ranges in physics.md, section Femur [src several CT series].
+    """
+
+    head_radius_mm: float = 23.0
+    neck_radius_mm: float = 16.0
+    neck_length_mm: float = 52.0  # centre of the head to the axis of the shaft [mem]
+    neck_shaft_deg: float = 128.0
+    anteversion_deg: float = 12.0
+    shaft_radius_mm: float = 15.0
+    canal_radius_mm: float = 7.0
+    cancellous_hu: float = 132.0  # neck; normal 132, osteopenic 99, osteoporotic 41 [src]
+    socket: bool = True  # the acetabulum and some pelvis above and medial of it
+
+    @property
+    def towards_head(self) -> np.ndarray:
+        """(3,) unit vector along the neck, anatomical coordinates."""
+        across = sin(radians(self.neck_shaft_deg))
+        turn = radians(self.anteversion_deg)
+        return np.array([-across * cos(turn), cos(radians(self.neck_shaft_deg)), across * sin(turn)])
+
+    @property
+    def base_mm(self) -> np.ndarray:
+        """(3,) where the axes of neck and shaft meet, anatomical coordinates."""
+        return -self.neck_length_mm * self.towards_head
+
+    def wire_mm(self, angle_deg: float = 135.0, short_mm: float = 8.0) -> tuple[np.ndarray, np.ndarray]:
+        """Entry and end point of the ideal guide wire, anatomical coordinates.
+
+        Through the centre of the head at `angle_deg` to the shaft (the paper's 135°), in the plane of the neck; entry
+        on the lateral surface, tip `short_mm` under the surface of the head (5-10 mm: planning figures).
+        """
+        turn, across = radians(self.anteversion_deg), sin(radians(angle_deg))
+        along = np.array([-across * cos(turn), cos(radians(angle_deg)), across * sin(turn)])
+        numbers = self._numbers()
+
+        def height(back_mm: float) -> float:
+            return float(_femur_distance(-back_mm * along, numbers)[0])
+
+        inside = next((b for b in np.arange(110.0, 30.0, -1.0) if height(b) < 0), None)
+        if inside is None:
+            raise SetUpError("the wire does not meet this femur's lateral cortex; use another angle")
+        entry = root_scalar(height, bracket=(inside, inside + 1.0), xtol=1e-9).root
+        return -entry * along, (self.head_radius_mm - short_mm) * along
+
+    def _numbers(self) -> np.ndarray:
+        """What the compiled kernel takes."""
+        sizes = [self.head_radius_mm, self.neck_radius_mm, self.shaft_radius_mm, self.canal_radius_mm]
+        hu = self.cancellous_hu * BONE_PER_HU
+        return np.array([*sizes, *self.base_mm, hu, float(self.socket)])
+
+
+def draw_femur(rng: np.random.Generator) -> Femur:
+    """A femur within the ranges of physics.md, section Femur."""
+    return Femur(
+        head_radius_mm=rng.uniform(20, 26),
+        neck_radius_mm=rng.uniform(30, 35) / 2,
+        neck_length_mm=rng.uniform(48, 56),
+        neck_shaft_deg=rng.uniform(122, 133),
+        anteversion_deg=rng.uniform(10, 14),
+        cancellous_hu=float(rng.choice([132.0, 99.0, 41.0])),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Volume:
+    """Share of bone (nx, ny, nz), value [i, j, k] at origin_mm + voxel_mm (i, j, k), CFCS; the rest is soft tissue."""
+
+    values: np.ndarray
+    origin_mm: np.ndarray
+    voxel_mm: float
+
+
+def to_cfcs(anatomical_mm: np.ndarray, side: str, head_mm: np.ndarray) -> np.ndarray:
+    """Anatomical coordinates (..., 3) to CFCS, the centre of the head at `head_mm` (3,)."""
+    return np.asarray(anatomical_mm) * [1.0, 1.0 if side == "right" else -1.0, 1.0] + head_mm
+
+
+def voxelise(femur: Femur, side: str, head_mm: np.ndarray, rng: np.random.Generator) -> Volume:
+    """The bone as a volume in CFCS, with a random trabecular texture."""
+    shape = np.ceil((BOX_HIGH_MM - BOX_LOW_MM) / VOXEL_MM).astype(int)
+    texture = gaussian_filter(rng.standard_normal(shape, dtype=np.float32), 1.2)  # about 1 mm, as trabeculae [ours]
+    values = _fill(BOX_LOW_MM, VOXEL_MM, femur._numbers(), texture / texture.std())
+    low = BOX_LOW_MM
+    if side == "left":
+        values = np.ascontiguousarray(values[:, ::-1])
+        low = np.array([low[0], -(low[1] + (shape[1] - 1) * VOXEL_MM), low[2]])
+    return Volume(values, low + head_mm, VOXEL_MM)
+
+
+@dataclass(frozen=True)
+class SoftTissue:
+    """Hip and thigh as an elliptic cylinder along Y. Centre (x, z) and half-axes (x, z), mm [ours]."""
+
+    centre_mm: tuple[float, float] = (-25.0, -5.0)
+    half_mm: tuple[float, float] = (120.0, 105.0)
+
+    def length_mm(self, focal_mm: np.ndarray, points_mm: np.ndarray) -> np.ndarray:
+        """(...,) mm of tissue on the rays from a focal point to points (..., 3)."""
+        start = (focal_mm[[0, 2]] - self.centre_mm) / np.array(self.half_mm)
+        ray = points_mm - focal_mm
+        step = ray[..., [0, 2]] / np.array(self.half_mm)
+        a, b, c = (step**2).sum(-1), (step * start).sum(-1), (start**2).sum() - 1
+        return 2 * np.sqrt(np.maximum(b * b - a * c, 0.0)) / a * np.linalg.norm(ray, axis=-1)
+
+
+@njit(cache=True)
+def _blend(a: float, b: float, k: float) -> float:
+    """Smooth minimum of two distances over a width k."""
+    h = max(k - abs(a - b), 0.0) / k
+    return min(a, b) - h * h * k / 4
+
+
+@njit(cache=True)
+def _ellipsoid(at: tuple[float, float, float], half: tuple[float, float, float]) -> float:
+    """Distance from an ellipsoid at the origin with the given half-axes, to first order."""
+    k0, k1 = 0.0, 0.0
+    for a in range(3):
+        k0 += (at[a] / half[a]) ** 2
+        k1 += (at[a] / half[a] ** 2) ** 2
+    return np.sqrt(k0) * (np.sqrt(k0) - 1) / max(np.sqrt(k1), 1e-9)
+
+
+@njit(cache=True)
+def _femur_distance(p: np.ndarray, n: np.ndarray) -> tuple[float, float]:
+    """Signed distance from the femur's surface (negative inside), and from the head's alone."""
+    rh, rn, rs = n[0], n[1], n[2]
+    bx, by, bz = n[4], n[5], n[6]
+    length = np.sqrt(bx * bx + by * by + bz * bz)
+    head = np.sqrt(p[0] ** 2 + p[1] ** 2 + p[2] ** 2) - rh
+    t = min(max((p[0] * bx + p[1] * by + p[2] * bz) / length**2, 0.0), 1.0)
+    radius = rn * (0.96 + 0.9 * (t - 0.45) ** 2)  # waisted
+    neck = np.sqrt((p[0] - t * bx) ** 2 + (p[1] - t * by) ** 2 + (p[2] - t * bz) ** 2) - radius
+    x, y, z = p[0] - bx, p[1] - by, p[2] - bz
+    flare = 1.0 + 0.28 * np.exp(-((max(y, 0.0) / 28.0) ** 2))  # wider towards the trochanters
+    shaft = np.sqrt(x * x + z * z * 1.1 + min(y, 0.0) ** 2) - rs * flare
+    greater = _ellipsoid((x - 7.0, y + 14.0, z + 5.0), (13.0, 25.0, 17.0))
+    lesser = _ellipsoid((x + 13.0, y - 30.0, z + 12.0), (9.0, 12.0, 9.0))
+    body = _blend(_blend(shaft, greater, 10.0), lesser, 9.0)
+    return _blend(_blend(neck, head, 6.0), body, 14.0), head
+
+
+@njit(cache=True)
+def _step(x: float, width: float) -> float:
+    """0 to 1 across `width` around 0, straight: a voxel's partial volume."""
+    return min(max(x / width + 0.5, 0.0), 1.0)
+
+
+@njit(cache=True)
+def _bone(p: np.ndarray, n: np.ndarray, texture: float, voxel: float) -> float:
+    """Share of cortical bone at a point. Cortex 1 mm on the head, 2 mm on the neck, growing to the canal in the shaft
+    (5 mm laterally) [mem]; cancellous bone inside, denser in the head."""
+    distance, head = _femur_distance(p, n)
+    down = p[1] - n[5]
+    shaft = min(max((down - 5.0) / 45.0, 0.0), 1.0)
+    cortex = 1.0 if head < 1.0 and p[0] < 0.0 else 2.0 + shaft * (n[2] - n[3] - 2.0)
+    spongy = n[7] * (1.0 + 1.2 * _step(-head, 16.0)) * (1.0 - shaft) * (1.0 + 0.7 * texture)
+    within = _step(-distance, voxel)
+    hard = within - _step(-distance - cortex, voxel)
+    share = max(spongy, 0.0) * (within - hard) + (0.92 + 0.03 * texture) * hard
+    if n[8] > 0.5:
+        share = max(share, _socket(p, head, texture, voxel, n[7]))
+    return share
+
+
+@njit(cache=True)
+def _socket(p: np.ndarray, head: float, texture: float, voxel: float, spongy: float) -> float:
+    """The acetabulum (a shell 3.5 mm outside the head, open to lateral and caudal) and the bone that bears it."""
+    opening = 0.72 * p[0] + 0.69 * p[1]  # along the neck
+    gap = head - 3.5
+    cup = min(_step(gap, voxel), _step(-opening - 2.0, voxel))
+    shell = min(cup, _step(2.5 - gap, voxel))
+    ilium = _ellipsoid((p[0] + 28.0 + 0.35 * (p[1] + 52.0), p[1] + 52.0, p[2] + 2.0), (28.0, 62.0, 15.0))
+    pubis = _ellipsoid((p[0] + 58.0, p[1] - 8.0, p[2] - 10.0), (42.0, 13.0, 10.0))
+    bearing = _blend(ilium, pubis, 14.0)
+    within = min(_step(-bearing, voxel), _step(gap, voxel))
+    hard = min(within, 1.0 - _step(-bearing - 1.5, voxel))
+    fill = max(spongy * (1.3 + 0.7 * texture), 0.0) * within
+    return max(0.85 * max(shell, hard), fill)
+
+
+@njit(cache=True, parallel=True)
+def _fill(low: np.ndarray, voxel: float, n: np.ndarray, texture: np.ndarray) -> np.ndarray:
+    """Share of bone at every voxel; the outermost voxels stay empty."""
+    out = np.zeros(texture.shape, dtype=np.float32)
+    for i in prange(1, texture.shape[0] - 1):
+        p = np.empty(3)
+        for j in range(1, texture.shape[1] - 1):
+            for k in range(1, texture.shape[2] - 1):
+                p[0], p[1], p[2] = low[0] + voxel * i, low[1] + voxel * j, low[2] + voxel * k
+                out[i, j, k] = _bone(p, n, texture[i, j, k], voxel)
+    return out

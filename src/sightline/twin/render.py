@@ -1,0 +1,253 @@
+"""From a scene to a radiograph: expected quanta per pixel, Poisson noise, detector blur, digitisation.
+
+Quanta that a pixel's piece of the input plane absorbs are counted first (Poisson), and blurred after it: the noise of
+an image intensifier is correlated. Not modelled: quanta of unlike energy count alike; the inverse square of the
+distance within the field (under 2 %); heel; lag.
+"""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from scipy.fft import next_fast_len
+from scipy.interpolate import RectBivariateSpline
+
+from sightline.errors import SetUpError
+from sightline.imaging import Radiograph
+from sightline.twin.beam import WEIGHTS, attenuation_per_mm
+from sightline.twin.carm import SetUp, ViewTruth, shadow_radius_px
+from sightline.twin.femur import SoftTissue, Volume
+from sightline.twin.presets import ImageChain
+from sightline.twin.projector import CELL_PX, Rays, box_length, solid_transmission, volume_integral
+from sightline.twin.things import AXIS, CENTRE, HALF, RADIUS, Box, Solid, pack
+
+RAY_MARGIN_PX = 6  # rays are cast this far beyond the round blanking, so that blur finds light there
+RAY_GRID_PX = 8  # the inverse distortion is exact on this grid, splines between: error below 1e-4 px
+SCATTER_MM = 30.0  # reach of scattered radiation at the input plane, s.d. [ours]
+COARSE_PX = 8  # scatter and glare are computed on means of this many pixels
+LENS_FALL = 0.08  # light lost at the rim by the lens; the pincushion's own fall makes the whole about 25 % [ours]
+MEAN_LEVEL = 0.35  # of the white level: where exposure control brings the middle of the image [ours]
+BLACK_LEVEL = 0.02  # of the white level [ours]
+ELECTRONIC_SD = 0.0006  # of the white level: 2.5 of 4095 [ours]
+
+
+@dataclass(frozen=True)
+class Dose:
+    """Kerma at the intensifier. 0.11-0.44 µGy/s [src ARCADIS manual], 25 frames a second, `frames` of them averaged."""
+
+    rate_ugy_s: float = 0.44
+    frames: int = 8
+
+    def quanta(self, chain: ImageChain) -> float:
+        """Mean quanta counted per pixel: K/25 · frames · 3e4/mm²/µGy · pitch² · DQE [calc]."""
+        return self.rate_ugy_s / 25 * self.frames * 3e4 * chain.pitch_mm**2 * chain.dqe
+
+
+# 15, 121 and 484 quanta per pixel of the 9 in chain: fluoroscopy, a held image, a digital spot [ours].
+DOSES = {"low": Dose(frames=1), "medium": Dose(frames=8), "high": Dose(frames=32)}
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """What lies in the beam, CFCS: sharp things of steel, PMMA, bone, soft tissue; any may be missing."""
+
+    solids: tuple[Solid, ...] = ()
+    boxes: tuple[Box, ...] = ()
+    bone: Volume | None = None
+    tissue: SoftTissue | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Exposure:
+    """A view of a scene before noise. `quanta` (H, W): expected number per pixel, scatter included; 0 outside `field`.
+
+    `light` (H, W): what one quantum gives, relative to the middle (lens)."""
+
+    chain: ImageChain
+    quanta: np.ndarray
+    light: np.ndarray
+    field: np.ndarray
+    core_px: float
+    gain: float
+
+    def mean_pixels(self) -> np.ndarray:
+        """(H, W) float32: the image without noise and without digitisation, in stored values."""
+        return self._image(self.quanta)
+
+    def read_out(self, rng: np.random.Generator) -> Radiograph:
+        """One radiograph: Poisson counts, blur, electronic noise, whole numbers up to the white level."""
+        counts = rng.poisson(self.quanta).astype(np.float32)
+        image = self._image(counts)
+        image += np.float32(ELECTRONIC_SD * self.chain.white) * rng.standard_normal(image.shape, dtype=np.float32)
+        stored = np.clip(np.rint(image), 0, self.chain.white).astype(np.uint16)
+        stored[~self.field] = 0
+        return Radiograph(stored, float(self.chain.white))
+
+    def _image(self, quanta: np.ndarray) -> np.ndarray:
+        blurred = _detector_blur(quanta * self.light, self.chain, self.core_px)
+        image = np.float32(BLACK_LEVEL * self.chain.white) + np.float32(self.gain) * blurred
+        image[~self.field] = 0
+        return image
+
+
+def render(setup: SetUp, view: str, scene: Scene, rng: np.random.Generator, dose: Dose | None = None) -> Radiograph:
+    """The radiograph of a scene in one view of a set-up. The same generator state gives the same image."""
+    return expose(setup.views[view], scene, dose).read_out(rng)
+
+
+def expose(view: ViewTruth, scene: Scene, dose: Dose | None = None) -> Exposure:
+    """The expected image of a scene. `dose` defaults to "medium"; exposure control holds its mean in the middle."""
+    chain, dose = view.chain, dose or DOSES["medium"]
+    rays, area = _rays(view)
+    primary = _primary(view, scene, rays) * area
+    share = chain.scatter_to_primary
+    quanta = primary + share * _smooth(primary, SCATTER_MM / chain.pitch_mm)
+    quanta[~rays.inside] = 0.0
+    middle = _radius_px(view) < 0.5 * chain.mask_px
+    level = float(quanta[middle].mean())
+    if not level > 0:
+        raise SetUpError("nothing passes the middle of the scene; take some of it out of the beam")
+    wanted = dose.quanta(chain)
+    quanta *= wanted / level
+    rim = _radius_px(view) / chain.mask_px
+    return Exposure(
+        chain=chain,
+        quanta=quanta,
+        light=(1 - LENS_FALL * rim**2).astype(np.float32),
+        field=rim <= 1.0,
+        core_px=chain.core_mm * float(np.sqrt(np.linalg.det(view.intensifier.jacobian(np.zeros((1, 2))))[0])),
+        gain=MEAN_LEVEL * chain.white / wanted,
+    )
+
+
+def _radius_px(view: ViewTruth) -> np.ndarray:
+    """(H, W): distance of each pixel from the middle of the field."""
+    h, w = view.chain.shape
+    u0, v0 = view.intensifier.centre_px
+    return np.hypot(np.arange(w) - u0, (np.arange(h) - v0)[:, None])
+
+
+def _rays(view: ViewTruth) -> tuple[Rays, np.ndarray]:
+    """A ray for every pixel, and the pixel's area on the input plane relative to the middle's (H, W)."""
+    h, w = view.chain.shape
+    u = np.arange(-RAY_GRID_PX, w + 2 * RAY_GRID_PX, RAY_GRID_PX, dtype=np.float64)
+    v = np.arange(-RAY_GRID_PX, h + 2 * RAY_GRID_PX, RAY_GRID_PX, dtype=np.float64)
+    inside = _radius_px(view) <= view.chain.mask_px + RAY_MARGIN_PX
+    grid = np.stack(np.meshgrid(u, v), axis=-1)
+    towards = grid - view.intensifier.centre_px
+    reach = np.linalg.norm(towards, axis=-1, keepdims=True)
+    bound = view.chain.mask_px + 3 * RAY_GRID_PX  # corners, where no ray is needed, are drawn in to the field
+    xi = view.intensifier.to_detector(
+        view.intensifier.centre_px + towards * np.minimum(1, bound / np.maximum(reach, 1))
+    )
+    splines = [RectBivariateSpline(v, u, xi[..., k]) for k in range(2)]
+    pv, pu = np.arange(h), np.arange(w)
+    x, y = (s(pv, pu) for s in splines)
+    slopes = [(s(pv, pu, dy=1), s(pv, pu, dx=1)) for s in splines]
+    area = slopes[0][0] * slopes[1][1] - slopes[0][1] * slopes[1][0]
+    points = view.detector.origin_mm + x[..., None] * view.detector.axes[0] + y[..., None] * view.detector.axes[1]
+    return Rays(view.focal_point_mm, points, inside), area / area[h // 2, w // 2]
+
+
+def _primary(view: ViewTruth, scene: Scene, rays: Rays) -> np.ndarray:
+    """(H, W): share of the photons of an open beam that arrive without scattering."""
+    none = np.zeros(rays.inside.shape, dtype=np.float32)
+    bone, tissue, pmma = none, none, none
+    if scene.bone is not None:
+        bone = _bone_mm(scene.bone, rays)
+    if scene.tissue is not None:
+        tissue = np.maximum(scene.tissue.length_mm(rays.focal, rays.points) - bone, 0.0)
+    if scene.boxes:
+        boxes = [np.stack([getattr(box, name) for box in scene.boxes]) for name in ("centre_mm", "axes", "half_mm")]
+        pmma = box_length(rays, *boxes)
+    shapes, excess = pack(scene.solids)
+    spot = view.chain.focal_spot_mm * view.detector.axes
+    sharp = solid_transmission(rays, spot, _cells(view, shapes), (shapes, excess))
+    out = np.zeros(rays.inside.shape)
+    for e, weight in enumerate(WEIGHTS):
+        per_mm = {name: np.float32(attenuation_per_mm(name)[e]) for name in ("bone", "tissue", "pmma")}
+        out += weight * np.exp(-(bone * per_mm["bone"] + tissue * per_mm["tissue"] + pmma * per_mm["pmma"])) * sharp[e]
+    return np.where(rays.inside, out, 0.0)
+
+
+def _bone_mm(bone: Volume, rays: Rays) -> np.ndarray:
+    """(H, W) mm of bone on each ray: cast for every second pixel, cubic between (a voxel's shadow is six pixels)."""
+    every = Rays(rays.focal, np.ascontiguousarray(rays.points[::2, ::2]), _grown(rays.inside)[::2, ::2])
+    length = volume_integral(every, bone.values, bone.origin_mm, bone.voxel_mm)
+    halve = np.array([[0.5, 0.0, 0.0], [0.0, 0.5, 0.0]])
+    h, w = rays.inside.shape
+    fine = cv2.warpAffine(
+        length, halve, (w, h), flags=cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP, borderMode=cv2.BORDER_REPLICATE
+    )
+    return np.maximum(fine, 0.0)
+
+
+def _grown(inside: np.ndarray) -> np.ndarray:
+    """A mask grown by four pixels: what the cubic between rays reaches for."""
+    return cv2.dilate(inside.astype(np.uint8), np.ones((9, 9), dtype=np.uint8)).astype(bool)
+
+
+def _cells(view: ViewTruth, shapes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Which solids may touch each cell of the image: for cell i, index[first[i]:first[i + 1]]."""
+    h, w = view.chain.shape
+    tall, wide = -(-h // CELL_PX), -(-w // CELL_PX)
+    touched = np.zeros((tall * wide, len(shapes)), dtype=bool)
+    for m, shape in enumerate(shapes):
+        half = max(shape[HALF], 0.0)
+        stations = np.linspace(-half, half, 1 + int(2 * half / max(shape[RADIUS], 1.0)))
+        places = shape[CENTRE] + stations[:, None] * shape[AXIS]
+        uv = view.project(places)
+        margin = 4.0 + 1.5 * shadow_radius_px(view, places, np.full(len(places), shape[RADIUS]))[:, None]
+        low = np.floor((uv - margin) / CELL_PX).astype(int)
+        high = np.floor((uv + margin) / CELL_PX).astype(int) + 1
+        for (c0, r0), (c1, r1) in zip(low, high, strict=True):
+            rows, columns = np.arange(max(r0, 0), min(r1, tall)), np.arange(max(c0, 0), min(c1, wide))
+            touched[(rows[:, None] * wide + columns).ravel(), m] = True
+    first = np.concatenate([[0], np.cumsum(touched.sum(axis=1))])
+    return first.astype(np.int64), np.nonzero(touched)[1].astype(np.int64)
+
+
+def _coarse(image: np.ndarray) -> np.ndarray:
+    """Means of COARSE_PX x COARSE_PX pixels."""
+    h, w = image.shape
+    return cv2.resize(image, (-(-w // COARSE_PX), -(-h // COARSE_PX)), interpolation=cv2.INTER_AREA)
+
+
+def _fine(coarse: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
+    """Back to full size, linear between."""
+    return cv2.resize(coarse, (shape[1], shape[0]), interpolation=cv2.INTER_LINEAR)
+
+
+def _smooth(image: np.ndarray, sd_px: float) -> np.ndarray:
+    """A wide Gaussian blur, no light outside the image."""
+    coarse = _coarse(np.ascontiguousarray(image, dtype=np.float32))
+    return _fine(cv2.GaussianBlur(coarse, (0, 0), sd_px / COARSE_PX, borderType=cv2.BORDER_CONSTANT), image.shape)
+
+
+def _detector_blur(light: np.ndarray, chain: ImageChain, core_px: float) -> np.ndarray:
+    """Gaussian core, and veiling glare (1 - g) delta + g exp(-r/k) / (2 pi k r)."""
+    image = np.ascontiguousarray(light, dtype=np.float32)
+    core = cv2.GaussianBlur(image, (0, 0), core_px, borderType=cv2.BORDER_CONSTANT)
+    coarse = _coarse(image)
+    reach = chain.glare_mm / chain.pitch_mm / COARSE_PX
+    veil = _fine(_convolve(coarse, _glare_kernel(coarse.shape[0], reach)), image.shape)
+    return (1 - chain.glare) * core + chain.glare * veil
+
+
+def _glare_kernel(half: int, reach: float) -> np.ndarray:
+    """exp(-r/k)/r of unit sum on a lattice of 2 half + 1 cells; the middle cell holds its integral over a disc of the
+    same area."""
+    side = np.arange(-half, half + 1)
+    r = np.hypot(side, side[:, None])
+    r[half, half] = 1.0
+    kernel = np.exp(-r / reach) / r / (2 * np.pi * reach)
+    kernel[half, half] = 1 - np.exp(-1 / np.sqrt(np.pi) / reach)
+    return (kernel / kernel.sum()).astype(np.float32)
+
+
+def _convolve(image: np.ndarray, kernel: np.ndarray) -> np.ndarray:
+    """Linear convolution, cut to the image."""
+    size = [int(next_fast_len(a + b - 1) or 0) for a, b in zip(image.shape, kernel.shape, strict=True)]
+    full = np.fft.irfft2(np.fft.rfft2(image, size) * np.fft.rfft2(kernel, size), size)
+    half = kernel.shape[0] // 2
+    return full[half : half + image.shape[0], half : half + image.shape[1]].astype(np.float32)
