@@ -106,5 +106,6 @@ def _radiograph(pixels: np.ndarray, name: str) -> Radiograph:
     if pixels.dtype in (np.uint8, np.uint16):
         return Radiograph(pixels, float(np.iinfo(pixels.dtype).max))
     if pixels.dtype.kind == "f":
-        return Radiograph(pixels, float("inf"))  # nothing says where such an image saturates
+        largest = np.float32(pixels.max())  # nothing says where such an image saturates: above all that occurs
+        return Radiograph(pixels, float(np.nextafter(largest, np.float32(np.inf))))
     raise ImageError(f"{name} holds {pixels.dtype} pixels; save them as uint8, uint16 or float32")
