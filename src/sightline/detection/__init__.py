@@ -1,6 +1,7 @@
 """Beads: found, measured, told apart."""
 
 from sightline.detection.detector import detect
+from sightline.detection.labelling import label
 from sightline.detection.results import Detections, Observations, Rejected
 
-__all__ = ["Detections", "Observations", "Rejected", "detect"]
+__all__ = ["Detections", "Observations", "Rejected", "detect", "label"]

@@ -1,0 +1,157 @@
+"""Which plate a grown lattice is, and which way round: every other way of laying a plate on it is held against it."""
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numba import njit
+
+from sightline.detection.labelling.growth import Grown
+from sightline.detection.labelling.patterns import Pattern
+
+# A bead costs half its squared log-radius error over RADIUS_SD, at most CONTRADICTION: the log odds against a
+# misjudged size, or against a bead where the plate has none (2 % each) [ours].
+RADIUS_SD = 0.1
+CONTRADICTION = 4.0
+ON_PLACE = 0.25  # of the pitch [ours]
+CELLS = 96
+SECTOR = np.pi / 6  # two plates of one view are turned alike within half of this [ours]
+
+
+@dataclass(frozen=True, eq=False)
+class Readings:
+    """All ways to lay one pattern on one lattice: turn · z + shift of its z = x + iy in mm, conjugate first if `flip`."""
+
+    pattern: Pattern
+    turn: np.ndarray
+    shift: np.ndarray
+    flip: np.ndarray
+    cost: np.ndarray
+
+
+@lru_cache(maxsize=32)
+def _place_table(pattern: Pattern) -> tuple[np.ndarray, np.ndarray, float]:
+    """The place within reach of each of CELLS x CELLS cells over the plate, or -1; the corner and the cell, mm."""
+    low = pattern.xy_mm.min(axis=0) - pattern.pitch_mm
+    cell = float((pattern.xy_mm.max(axis=0) + pattern.pitch_mm - low).max() / CELLS)
+    middle = low + (np.indices((CELLS, CELLS)).reshape(2, -1).T + 0.5) * cell
+    distance = np.linalg.norm(middle[:, None] - pattern.xy_mm[None], axis=2)
+    table = np.where(distance.min(axis=1) < ON_PLACE * pattern.pitch_mm, distance.argmin(axis=1), -1)
+    return table.reshape(CELLS, CELLS), low, cell
+
+
+@njit(cache=True)
+def _costs(z, log_ratio, turn, shift, flip, table, low, cell, log_half):  # noqa: PLR0917 - a kernel
+    out = np.zeros(len(turn))
+    for t in range(len(turn)):
+        for n in range(len(z)):
+            at = turn[t] * (z[n].conjugate() if flip[t] else z[n]) + shift[t]
+            i, j = int((at.real - low[0]) // cell), int((at.imag - low[1]) // cell)
+            cost = CONTRADICTION
+            if 0 <= i < CELLS and 0 <= j < CELLS and table[i, j] >= 0:
+                cost = min(cost, 0.5 * ((log_ratio[n] - log_half[table[i, j]]) / RADIUS_SD) ** 2)
+            out[t] += cost
+    return out
+
+
+def _base_pair(grown: Grown) -> tuple[int, int] | None:
+    """Two detections on neighbouring places, as near to the middle of the lattice as there are."""
+    row_of = np.full(len(grown.pattern.ids), -1)
+    row_of[grown.all_places] = grown.all_rows
+    pairs = row_of[grown.pattern.neighbours]
+    pairs = pairs[(pairs >= 0).all(axis=1)]
+    if not len(pairs):
+        return None
+    off = grown.xy_mm[pairs].mean(axis=1) - grown.xy_mm[grown.all_rows].mean(axis=0)
+    return tuple(pairs[np.argmin((off**2).sum(axis=1))].tolist())
+
+
+def readings(grown: Grown, pattern: Pattern) -> Readings | None:
+    """Every way to lay `pattern` on a grown lattice, neighbours on neighbours, and what it costs."""
+    base = _base_pair(grown)
+    if base is None:
+        return None
+    row_of = dict(zip(grown.all_rows.tolist(), grown.all_places.tolist(), strict=True))
+    origin, other = (complex(*grown.pattern.xy_mm[row_of[r]]) for r in base)
+    z = pattern.xy_mm @ np.array([1.0, 1j])
+    a, b = z[pattern.neighbours[:, 0]], z[pattern.neighbours[:, 1]]
+    step = other - origin
+    turn = np.concatenate([(b - a) / step, (b - a) / step.conjugate()])
+    shift = np.concatenate([a, a]) - turn * np.repeat([origin, origin.conjugate()], len(a))
+    flip = np.repeat([False, True], len(a))
+    table, low, cell = _place_table(pattern)
+    log_half = np.log(pattern.diameter_mm / 2)
+    log_ratio = grown.log_ratio[grown.all_rows]
+    cost = _costs(
+        grown.xy_mm[grown.all_rows] @ np.array([1.0, 1j]),
+        log_ratio - np.median(log_ratio),
+        turn,
+        shift,
+        flip,
+        table,
+        low,
+        cell,
+        log_half - np.median(log_half),
+    )
+    return Readings(pattern, turn, shift, flip, cost)
+
+
+def _classes(grown: Grown, r: Readings, reference_rad: float) -> np.ndarray:
+    """Handedness and sector of each reading against the image: plates of one view must agree in them."""
+    mirror = r.flip ^ grown.sheet.similarity.mirror
+    off = np.angle(grown.sheet.similarity.turn) - reference_rad
+    sector = np.round((np.angle(r.turn) + np.where(mirror, off, -off)) / SECTOR).astype(int) % 12
+    return sector + 12 * mirror
+
+
+@dataclass(frozen=True, eq=False)
+class Naming:
+    """The cheapest reading of two lattices together, and by how much any other reading of theirs costs more."""
+
+    patterns: tuple[Pattern, Pattern]
+    places: tuple[np.ndarray, np.ndarray]
+    cost: float
+    margin: float
+
+
+def _two_smallest(cost: np.ndarray, classes: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(24,) the least and the second least cost of each class, and the index of the least."""
+    first, second, index = np.full(24, np.inf), np.full(24, np.inf), np.full(24, -1)
+    order = np.argsort(cost, kind="stable")
+    for c in np.unique(classes):
+        best = order[classes[order] == c]
+        first[c], index[c] = cost[best[0]], best[0]
+        if len(best) > 1:
+            second[c] = cost[best[1]]
+    return first, second, index
+
+
+def _places(grown: Grown, r: Readings, index: int) -> np.ndarray:
+    """(rows,) the place of each of the lattice's beads under a reading, -1 where there is none."""
+    z = grown.xy_mm[grown.all_rows] @ np.array([1.0, 1j])
+    at = r.turn[index] * (z.conj() if r.flip[index] else z) + r.shift[index]
+    d = np.abs(at[:, None] - (r.pattern.xy_mm @ np.array([1.0, 1j]))[None])
+    return np.where(d.min(axis=1) < ON_PLACE * r.pattern.pitch_mm, d.argmin(axis=1), -1)
+
+
+def name(pair: tuple[Grown, Grown], couples: list[tuple[Pattern, Pattern]]) -> Naming | None:
+    """The best reading of two lattices as XRII and source plate, either way round, of one of `couples`."""
+    reference = float(np.angle(pair[0].sheet.similarity.turn))
+    found = []
+    for xrii, source in couples:
+        for lattices in (pair, pair[::-1]):
+            r = [one for g, p in zip(lattices, (xrii, source), strict=True) if (one := readings(g, p))]
+            if len(r) < 2:
+                return None
+            a, b = (_two_smallest(one.cost, _classes(g, one, reference)) for g, one in zip(lattices, r, strict=True))
+            both = a[0] + b[0]
+            rival = np.minimum(a[1] + b[0], a[0] + b[1])
+            found.append((float(both.min()), int(both.argmin()), both, rival, lattices, r, (a[2], b[2])))
+    found.sort(key=lambda one: one[0])
+    cost, c, both, rival, lattices, r, index = found[0]
+    others = [np.delete(both, c).min(), rival[c], *(one[0] for one in found[1:])]
+    places = tuple(_places(g, one, int(i[c])) for g, one, i in zip(lattices, r, index, strict=True))
+    patterns = (r[0].pattern, r[1].pattern)
+    if lattices is not pair:
+        places, patterns = places[::-1], patterns[::-1]
+    return Naming(patterns, (places[0], places[1]), cost, float(min(others)) - cost)

@@ -1,0 +1,200 @@
+"""First guesses: three detections taken for three datum markers of a plate give a similarity of plate and image."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+
+from sightline.detection.labelling.patterns import Pattern
+from sightline.detection.results import Detections
+
+MOST_LARGE = 32  # detections that may be datum markers [ours: 12 datums, 10 false ones, and room]
+LARGER = 1.12  # than the median detection: half the step from 3 to 5 mm, less 15 % for the plates' scales [ours]
+MOST_SEEDS = 4096
+RADIUS_RATIO = 0.35  # log of detected over expected radius: blur, local magnification, tilt together [ours]
+RADIUS_SPREAD = 0.2  # log radius between fiducials of one plate; half the step from 3 to 5 mm [ours]
+THIRD = 0.14  # how far the third datum may miss its place, of the span: tilt 20°, 9 % pincushion [ours]
+REACH = 0.3  # how far other beads may miss theirs, of the pitch: nearer to it than to the next bead's [ours]
+CELLS = 64
+
+
+@dataclass(frozen=True)
+class Similarity:
+    """Plate to image: u + iv = turn · z + shift with z = x + iy, or its conjugate where `mirror`. px/mm and px."""
+
+    turn: complex
+    shift: complex
+    mirror: bool
+
+    @property
+    def scale(self) -> float:
+        """Pixels per mm."""
+        return abs(self.turn)
+
+    def to_image(self, xy_mm: np.ndarray) -> np.ndarray:
+        """(N, 2) mm to (N, 2) px."""
+        z = xy_mm[:, 0] + 1j * xy_mm[:, 1]
+        w = self.turn * (z.conj() if self.mirror else z) + self.shift
+        return np.stack([w.real, w.imag], axis=1)
+
+    def to_plate(self, uv_px: np.ndarray) -> np.ndarray:
+        """(N, 2) px to (N, 2) mm."""
+        z = (uv_px[:, 0] + 1j * uv_px[:, 1] - self.shift) / self.turn
+        z = z.conj() if self.mirror else z
+        return np.stack([z.real, z.imag], axis=1)
+
+
+@dataclass(frozen=True, eq=False)
+class Seed:
+    """A guess for one plate: detections `rows` (3,) are its fiducials `places` (3,); `score` counts agreeing beads."""
+
+    pattern: Pattern
+    similarity: Similarity
+    rows: np.ndarray
+    places: np.ndarray
+    score: float
+
+
+@njit(cache=True)
+def _nearest_table(uv, usable, width, height):
+    """Which detection is nearest to the middle of each of CELLS x CELLS cells of the image."""
+    table = np.zeros((CELLS, CELLS), np.int64)
+    for i in range(CELLS):
+        for j in range(CELLS):
+            u, v = (j + 0.5) * width / CELLS, (i + 0.5) * height / CELLS
+            best = np.inf
+            for k in range(len(uv)):
+                d = (uv[k, 0] - u) ** 2 + (uv[k, 1] - v) ** 2
+                if usable[k] and d < best:
+                    best = d
+                    table[i, j] = k
+    return table
+
+
+@njit(cache=True)
+def _score(a, b, mirror, log_ratio, z, log_half, pitch, w, log_r, table, width, height):  # noqa: PLR0917 - a kernel
+    """Beads of the right size in place, less half of those of a wrong size, less a third of the missing."""
+    score = 0.0
+    reach2 = (REACH * pitch * abs(a)) ** 2
+    log_scale = np.log(abs(a)) + log_ratio
+    for p in range(len(z)):
+        at = a * (z[p].conjugate() if mirror else z[p]) + b
+        i, j = int(at.imag * CELLS / height), int(at.real * CELLS / width)
+        if i < 0 or j < 0 or i >= CELLS or j >= CELLS:
+            continue
+        k = table[i, j]
+        d = w[k] - at
+        if d.real**2 + d.imag**2 < reach2:
+            score += 1.0 if abs(log_r[k] - log_half[p] - log_scale) < RADIUS_SPREAD else -0.5
+        else:
+            score -= 0.33
+    return score
+
+
+@njit(cache=True)
+def _search(w, log_r, large, z, log_half, datums, pitch, table, width, height, smallest_px):  # noqa: PLR0912, PLR0917 - a kernel
+    """All similarities that put three datum markers on three large detections. Rows of numbers; see `find_seeds`."""
+    turns = np.zeros(MOST_SEEDS, np.complex128)
+    shifts = np.zeros(MOST_SEEDS, np.complex128)
+    what = np.zeros((MOST_SEEDS, 7), np.int64)
+    scores = np.zeros(MOST_SEEDS)
+    count = 0
+    for i in large:
+        for j in large:
+            if i == j:
+                continue
+            for na in range(len(datums)):
+                for nb in range(na + 1, len(datums)):
+                    pa, pb = datums[na], datums[nb]
+                    span = abs(w[j] - w[i])
+                    scale = span / abs(z[pb] - z[pa])
+                    if scale * pitch < smallest_px:
+                        continue
+                    ratio_i = log_r[i] - log_half[pa] - np.log(scale)
+                    ratio_j = log_r[j] - log_half[pb] - np.log(scale)
+                    if abs(ratio_i - ratio_j) > RADIUS_SPREAD or abs(ratio_i + ratio_j) > 2 * RADIUS_RATIO:
+                        continue
+                    for mirror in range(2):
+                        dz = z[pb] - z[pa]
+                        a = (w[j] - w[i]) / (dz.conjugate() if mirror else dz)
+                        for nc in range(nb + 1, len(datums)):
+                            pc = datums[nc]
+                            dz = z[pc] - z[pa]
+                            want = w[i] + a * (dz.conjugate() if mirror else dz)
+                            far = max(span, abs(want - w[i]), abs(want - w[j]))
+                            for k in large:
+                                if k in (i, j) or abs(w[k] - want) > THIRD * far:
+                                    continue
+                                ratio = log_r[k] - log_half[pc] - np.log(scale)
+                                if abs(ratio - (ratio_i + ratio_j) / 2) > RADIUS_SPREAD:
+                                    continue
+                                za, zb, zc = z[pa], z[pb], z[pc]
+                                if mirror:
+                                    za, zb, zc = za.conjugate(), zb.conjugate(), zc.conjugate()
+                                zm, wm = (za + zb + zc) / 3, (w[i] + w[j] + w[k]) / 3
+                                da, db, dc = za - zm, zb - zm, zc - zm
+                                top = w[i] * da.conjugate() + w[j] * db.conjugate() + w[k] * dc.conjugate()
+                                turn = top / (abs(da) ** 2 + abs(db) ** 2 + abs(dc) ** 2)
+                                shift = wm - turn * zm
+                                if count == MOST_SEEDS:
+                                    return count, turns, shifts, what, scores
+                                turns[count], shifts[count] = turn, shift
+                                what[count] = np.array([i, j, k, pa, pb, pc, mirror])
+                                level = (ratio_i + ratio_j + ratio) / 3
+                                scores[count] = _score(
+                                    turn, shift, mirror == 1, level, z, log_half, pitch, w, log_r, table, width, height
+                                )
+                                count += 1
+    return count, turns, shifts, what, scores
+
+
+def find_seeds(detections: Detections, pattern: Pattern, usable: np.ndarray, most: int) -> list[Seed]:
+    """The `most` best guesses for one plate among the `usable` (N,) detections, best first."""
+    height, width = detections.image_shape
+    washer = np.array([kind == "washer" for kind in detections.kind])
+    datums = pattern.datums
+    radius = detections.radius_px
+    if pattern.washer[datums].all():
+        may_be = usable & washer
+    else:
+        may_be = usable & ~washer & (radius > LARGER * np.median(radius[usable]))
+    large = np.flatnonzero(may_be)[np.argsort(-radius[may_be], kind="stable")[:MOST_LARGE]]
+    if len(large) < 3 or len(datums) < 3:
+        return []
+    uv = detections.uv_px
+    count, turns, shifts, what, scores = _search(
+        uv[:, 0] + 1j * uv[:, 1],
+        np.log(detections.radius_px),
+        large,
+        pattern.xy_mm[:, 0] + 1j * pattern.xy_mm[:, 1],
+        np.log(pattern.diameter_mm / 2),
+        datums,
+        pattern.pitch_mm,
+        _nearest_table(uv, usable, width, height),
+        width,
+        height,
+        10.0,
+    )
+    best = np.argsort(-scores[:count], kind="stable")[:most]
+    return [
+        Seed(
+            pattern,
+            Similarity(complex(turns[i]), complex(shifts[i]), bool(what[i, 6])),
+            what[i, :3],
+            what[i, 3:6],
+            float(scores[i]),
+        )
+        for i in best
+    ]
+
+
+def best_similarity(z_mm: np.ndarray, w_px: np.ndarray) -> Similarity:
+    """The least-squares similarity of complex points (N,), of the handedness that fits better."""
+    found = []
+    for mirror in (False, True):
+        z = z_mm.conj() if mirror else z_mm
+        dz, dw = z - z.mean(), w_px - w_px.mean()
+        turn = (dw * dz.conj()).sum() / (np.abs(dz) ** 2).sum()
+        rest = (np.abs(dw - turn * dz) ** 2).sum()
+        found.append((rest, Similarity(complex(turn), complex(w_px.mean() - turn * z.mean()), mirror)))
+    return min(found, key=lambda one: one[0])[1]
