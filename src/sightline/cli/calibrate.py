@@ -1,0 +1,149 @@
+"""`sightline calibrate`: the geometry of one view, from its own beads."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from sightline.cli.detect import FrameIndex
+from sightline.cli.output import Json, Output, Quiet
+
+if TYPE_CHECKING:
+    from sightline.calibration import BeadView
+    from sightline.case.views import Seen
+    from sightline.frame import Frame
+
+_SHOWN = 10  # beads in the table; --json has them all
+
+FrameName = Annotated[str, typer.Option("--frame", help="A frame file, or gamma, biplane, stereo.")]
+ViewName = Annotated[
+    str | None,
+    typer.Option("--view", help="pa or lateral; without it the datum markers tell.", show_default=False),
+]
+Datums = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--datum", help="Pixel of a datum marker, 'ID=U,V'; give it for each, where they are not found by themselves."
+    ),
+]
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command."""
+    app.command("calibrate")(calibrate)
+
+
+def calibrate(
+    image: Annotated[Path, typer.Argument(help="An image, or observations as CSV.")],
+    *,
+    frame: FrameName = "gamma",
+    view: ViewName = None,
+    method: Annotated[str, typer.Option(help="smooth, localized (the paper's) or polynomial.")] = "smooth",
+    datum: Datums = None,
+    frame_index: FrameIndex = None,
+    csv: Annotated[Path | None, typer.Option(help="Write the beads that were told apart as CSV.")] = None,
+    json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Calibrate one view: its focal point, what is left of each bead, and its checks (exit code 3 if one fails)."""
+    with Output(json=json, quiet=quiet) as out:
+        from sightline.calibration import calibrate as fit
+        from sightline.case.documents import view_document
+        from sightline.case.views import CalibratedImage
+        from sightline.detection.files import write_observations
+        from sightline.frame import Frame
+
+        known_frame = Frame.load(frame)
+        with out.step("finding and telling apart the beads"):
+            seen = see(image, known_frame, view, datum, frame_index)
+        if csv is not None:
+            write_observations([seen.observations], csv)
+        with out.step(f"calibrating ({method})"):
+            calibrated = fit(seen.observations, known_frame, view, method)  # pyright: ignore[reportArgumentType]
+        document = view_document(CalibratedImage(seen, calibrated))
+        _add_leave_one_out(document, calibrated)
+        _show(out, document)
+        out.result(document, calibrated.checks)
+
+
+def see(path: Path, frame: "Frame", view: str | None, datum: list[str] | None, frame_index: int | None) -> "Seen":
+    """The beads of one view, told apart: of an image, or of a CSV file. Raises what reading and labelling raise."""
+    from sightline.case.views import Seen
+    from sightline.detection import detect, label
+    from sightline.errors import UnusableInputError
+    from sightline.imaging import read_image
+
+    if path.suffix.lower() == ".csv":
+        if datum or frame_index is not None:
+            raise UnusableInputError(
+                "--datum and --frame-index are of images; observations in CSV are told apart already"
+            )
+        return Seen(path.name, _observed(path, view))
+    datums = _datums(datum)
+    radiograph = read_image(path, frame_index)
+    beads = detect(radiograph)
+    return Seen(path.name, label(beads, frame, view, datums), radiograph, beads)
+
+
+def _observed(path: Path, view: str | None) -> Any:
+    from sightline.detection.files import read_observations
+    from sightline.errors import ObservationsError
+
+    views = read_observations(path)
+    if view is None and len(views) == 1:
+        return next(iter(views.values()))
+    if view not in views:
+        known = ", ".join(views)
+        raise ObservationsError(f"{path.name} holds observations of {known}; say with --view which of them is meant")
+    return views[view]
+
+
+def _datums(texts: list[str] | None) -> dict[str, tuple[float, float]] | None:
+    """'ID=U,V' texts by fiducial. Raises UnusableInputError."""
+    from math import isfinite
+
+    from sightline.errors import UnusableInputError
+
+    out: dict[str, tuple[float, float]] = {}
+    for text in texts or ():
+        try:
+            name, numbers = text.split("=")
+            u, v = (float(number) for number in numbers.split(","))
+        except ValueError:
+            raise UnusableInputError(f"--datum {text!r} is not ID=U,V; write for example pa-x-d1=512.0,388.5") from None
+        if name in out or not (isfinite(u) and isfinite(v)):
+            raise UnusableInputError(f"--datum {text!r} stands twice or is not finite; give one pixel for each marker")
+        out[name] = (u, v)
+    return out or None
+
+
+def _add_leave_one_out(document: dict[str, Any], view: "BeadView") -> None:
+    left = view.residuals
+    for bead, error, known in zip(document["beads"], left.leave_one_out_mm, left.predicted, strict=True):
+        bead["leave_one_out_mm"] = error.tolist() if known else None
+
+
+def _show(out: Output, document: dict[str, Any]) -> None:
+    focal = ", ".join(f"{x:.1f}" for x in document["focal_point_mm"])
+    mirrored = ", a mirror image" if document["mirrored"] else ""
+    out.say(f"view {document['view']}{mirrored}; focal point ({focal}) mm in CFCS")
+    left, predicted = document["residual_rms_mm"], document["leave_one_out_rms_mm"]
+    out.say(f"{len(document['beads'])} beads; residual {left:.3f} mm rms, leave-one-out {predicted:.3f} mm rms")
+    worst = sorted(document["beads"], key=lambda bead: -_length(bead["leave_one_out_mm"] or (0.0, 0.0)))
+    out.table(
+        f"Beads with the largest leave-one-out errors (of {len(worst)}), mm on the reference plane",
+        ("bead", "residual", "leave-one-out", "used"),
+        [
+            (
+                bead["id"],
+                f"{_length(bead['residual_mm']):.3f}",
+                None if bead["leave_one_out_mm"] is None else f"{_length(bead['leave_one_out_mm']):.3f}",
+                "yes" if bead["used"] else "no",
+            )
+            for bead in worst[:_SHOWN]
+        ],
+    )
+
+
+def _length(xy: Any) -> float:
+    return float(xy[0] ** 2 + xy[1] ** 2) ** 0.5
