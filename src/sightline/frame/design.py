@@ -95,10 +95,7 @@ def _view(design: FrameDesign, name: str) -> FrameView:
 
 def _across(beam: Beam, distance_mm: float) -> Plane:
     """The plane of a plate, its origin where the beam meets it."""
-    normal = np.array(beam.normal)
-    spread = np.array([np.zeros(3), *(axis - (axis @ normal) * normal for axis in np.eye(3))])
-    origin = np.array(beam.direction) * distance_mm * beam.obliquity
-    return Plane(origin, Plane.fit(np.concatenate([spread, -spread])).axes)
+    return Plane.across(np.array(beam.normal), np.array(beam.direction) * distance_mm * beam.obliquity)
 
 
 def _plate(prefix: str, plane: Plane, grid: tuple[int, float], datums: Pattern, balls: Balls) -> Plate:

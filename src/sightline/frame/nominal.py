@@ -3,18 +3,39 @@
 import numpy as np
 
 from sightline.frame.model import FrameView
+from sightline.geometry.planes import Plane
 
 SOURCE_TO_HIP_MM = 620.0  # physics.md, C-arm and image chain [ours]
 SOURCE_TO_DETECTOR_MM = 1000.0  # ARCADIS Varic 968 [src manual]
 FIELD_DIAMETER_MM = 215.0  # useful field of a 9 inch intensifier [mem]
 
 
-def nominal_axis(view: FrameView) -> np.ndarray:
+def axis(view: FrameView) -> np.ndarray:
     """(3,) unit vector, CFCS: the beam through the hip, from source to intensifier, along the middles of the plates."""
     along = view.xrii.xyz_mm.mean(axis=0) - view.source.xyz_mm.mean(axis=0)
     return along / np.linalg.norm(along)
 
 
-def nominal_focal_point_mm(view: FrameView) -> np.ndarray:
+def focal_point_mm(view: FrameView) -> np.ndarray:
     """(3,), CFCS: where the X-ray source is expected when the hip lies at the origin."""
-    return -SOURCE_TO_HIP_MM * nominal_axis(view)
+    return -SOURCE_TO_HIP_MM * axis(view)
+
+
+def depth_mm(view: FrameView, xyz_mm: np.ndarray) -> np.ndarray:
+    """(N,): how far points (N, 3) lie from the source, along the beam."""
+    return (xyz_mm - focal_point_mm(view)) @ axis(view)
+
+
+def at_distance_mm(view: FrameView, xyz_mm: np.ndarray, distance_mm: float) -> np.ndarray:
+    """(N, 2): points (N, 3) in front of the source, projected from it to a plane across the beam."""
+    plane = Plane.across(axis(view), focal_point_mm(view))
+    return plane.to_plane(xyz_mm) * (distance_mm / depth_mm(view, xyz_mm))[:, None]
+
+
+def in_field(view: FrameView, xyz_mm: np.ndarray) -> np.ndarray:
+    """(N,) bool: between source and intensifier, and seen in its field."""
+    depth = depth_mm(view, xyz_mm)
+    out = (depth > 0) & (depth < SOURCE_TO_DETECTOR_MM)
+    on_detector = at_distance_mm(view, xyz_mm[out], SOURCE_TO_DETECTOR_MM)
+    out[out] = np.linalg.norm(on_detector, axis=1) <= FIELD_DIAMETER_MM / 2
+    return out

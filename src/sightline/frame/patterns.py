@@ -1,8 +1,8 @@
 """Datum patterns: which balls of a grid are large, so that any three of them tell plate, orientation and handedness.
 
 Points are (N, 2) in grid steps; in the image the plates of a view have nearly the same step (design.py), so all
-plates are compared in steps. Three points resemble three others if an affine map that an image may hold, mirrored or not, takes
-one to the other: a tilt of 20° stretches by 1.064, pincushion at the rim by a few per cent more (physics.md).
+plates are compared in steps. Three points resemble three others if an affine map that an image may hold takes
+one to the other, mirrored or not: a tilt of 20° stretches by 1.064, pincushion at the rim by a few per cent more.
 """
 
 from collections.abc import Sequence
@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from itertools import combinations, permutations
 
 import numpy as np
+from scipy.spatial import KDTree
 
 from sightline.errors import FrameError
 
@@ -17,7 +18,7 @@ STRETCH = 1.10  # [ours] ratio of the singular values of that affine map
 SCALE = 1.10  # [ours] its mean scale, once the step of the grid is known from the ordinary balls
 HIDDEN = 0.4  # the labelling is to bear this share of a plate hidden, as one block (design.md)
 SLENDER_STEPS = 0.9  # [ours] triples lower than this are called collinear: a bead's own noise may flip them
-MOVES = 6000  # [ours] some seconds
+MOVES = 20_000  # [ours] some seconds
 _ORDERS = np.array(list(permutations(range(3))))
 _SAME = 1e-6  # resemblance of triples that are congruent on the grid
 
@@ -40,6 +41,11 @@ class Triples:
         area = np.abs(a[:, 0, 0] * b[:, 0, 1] - a[:, 0, 1] * b[:, 0, 0])
         return Triples(gram, area, area / np.sqrt(gram[:, :, 0].max(axis=1)))
 
+    def broad(self) -> "Triples":
+        """Those that are not slender."""
+        keep = self.height >= SLENDER_STEPS
+        return Triples(self.gram[keep], self.area[keep], self.height[keep])
+
 
 def resemblance(one: Triples, other: Triples) -> np.ndarray:
     """(T1, 6, T2): how far each triple is from another in each order of its corners; below 1 an image may confuse them.
@@ -52,17 +58,28 @@ def resemblance(one: Triples, other: Triples) -> np.ndarray:
     return np.maximum(np.arccosh(np.maximum(cosh, 1.0)) / np.log(STRETCH), np.abs(np.log(scale2)) / (2 * np.log(SCALE)))
 
 
-def lookalikes(patterns: Sequence[np.ndarray]) -> tuple[float, float]:
-    """The share of all plates' non-collinear triples that an image may confuse, and the least `resemblance` found."""
-    triples = [Triples.of(points) for points in patterns]
-    keep = np.concatenate([t.height for t in triples]) >= SLENDER_STEPS
-    if not keep.any():
-        return 1.0, 0.0
-    every = Triples(*(np.concatenate([getattr(t, name) for t in triples])[keep] for name in ("gram", "area", "height")))
-    far = resemblance(every, every)
+def in_steps(xy_mm: np.ndarray) -> np.ndarray:
+    """Points of a plate (N, 2) in steps: the median distance of a point from its nearest neighbour."""
+    nearest, _ = KDTree(xy_mm).query(xy_mm, k=2)
+    return (xy_mm - xy_mm.mean(axis=0)) / np.median(nearest[:, 1])
+
+
+def nearest_likeness(points: np.ndarray, others: Sequence[np.ndarray] = ()) -> np.ndarray:
+    """(T,): for each triple of a pattern that is not slender, its least `resemblance` to a triple of other patterns.
+
+    Without `others`: to the triples of its own pattern, and to itself turned or mirrored.
+    """
+    mine = Triples.of(points).broad()
+    if others:
+        far = [resemblance(mine, Triples.of(other).broad()).reshape(len(mine.area), -1) for other in others]
+        return np.concatenate(far, axis=1).min(axis=1, initial=np.inf)
+    return _own(mine).min(axis=(1, 2), initial=np.inf)
+
+
+def _own(mine: Triples) -> np.ndarray:
+    far = resemblance(mine, mine)
     far[np.arange(len(far)), 0, np.arange(len(far))] = np.inf
-    nearest = far.min(axis=(1, 2))
-    return float((nearest < 1).mean()), float(nearest.min())
+    return far
 
 
 def hidden_blocks(points: np.ndarray) -> np.ndarray:
@@ -131,8 +148,7 @@ def _lasts(points: np.ndarray, left: np.ndarray) -> bool:
 
 def _energy(mine: Triples, others: Sequence[Triples]) -> float:
     """What the triples of one plate add to the number of lookalikes; congruent ones weigh most, slender ones least."""
-    own = resemblance(mine, mine)
-    own[np.arange(len(own)), 0, np.arange(len(own))] = np.inf
+    own = _own(mine)
     pairs = np.concatenate([resemblance(mine, other).ravel() for other in others])
     near, own_near = pairs[pairs < 1], own[own < 1]
     slender = (mine.height < SLENDER_STEPS).sum()

@@ -40,13 +40,19 @@ class Plane:
             raise UnusableInputError(
                 "points on one line, or fewer than three, lie in no single plane; add points beside it"
             )
-        normal = directions[2]
+        return Plane.across(directions[2], origin)
+
+    @staticmethod
+    def across(normal: np.ndarray, origin_mm: np.ndarray) -> "Plane":
+        """The plane through `origin_mm` across a normal (3,) of either sign; the axes as `fit` chooses them."""
+        normal = np.asarray(normal, dtype=np.float64)
+        normal = normal / np.linalg.norm(normal)
         leading = next((normal[axis] for axis in (2, 0) if abs(normal[axis]) > _LEVEL), normal[1])
         normal = normal * np.sign(leading)
         along = np.eye(3)[1 if abs(normal[0]) > _ALONG_X else 0]
         axis0 = along - (along @ normal) * normal
         axis0 /= np.linalg.norm(axis0)
-        return Plane(origin, np.stack([axis0, np.cross(normal, axis0)]))
+        return Plane(np.asarray(origin_mm), np.stack([axis0, np.cross(normal, axis0)]))
 
     @property
     def normal(self) -> np.ndarray:
