@@ -40,3 +40,15 @@ class Pose:
     sdd_mm: float = 3.0  # flex: source and detector 6-8 mm over the orbit [src Daly 2008]
     detector_tilt: float = radians(1.0)  # flex: up to 2.9° [src Daly 2008]
     beads_in_field: float = 0.6  # least share of each plate's beads in the field; fewer: drawn again [ours]
+
+
+@dataclass(frozen=True)
+class HardScene:
+    """What a hard image holds besides frame and hip [ours]. Counts are drawn uniformly, both ends included."""
+
+    wires: tuple[int, int] = (0, 2)  # guide wires of 2.5 mm through the hip
+    screws: tuple[int, int] = (0, 3)  # 4.5 mm, 40 mm long
+    nails: tuple[int, int] = (0, 1)  # 11 mm down the shaft
+    level: tuple[float, float] = (0.15, 0.5)  # mean of the middle of the image over white: above 0.3 much saturates
+    tissue_scale: tuple[float, float] = (0.75, 1.15)  # of the body's cross-section: thin ones show bare air
+    metal_reach_mm: float = 45.0  # from the hip, where wires and screws lie

@@ -119,8 +119,8 @@ def voxelise(femur: Femur, side: str, head_mm: np.ndarray, rng: np.random.Genera
 class SoftTissue:
     """Hip and thigh as an elliptic cylinder along Y. Centre (x, z) and half-axes (x, z), mm [ours]."""
 
-    centre_mm: tuple[float, float] = (-25.0, -5.0)
-    half_mm: tuple[float, float] = (120.0, 105.0)
+    centre_mm: tuple[float, float] = (-35.0, -5.0)
+    half_mm: tuple[float, float] = (140.0, 105.0)
 
     def length_mm(self, focal_mm: np.ndarray, points_mm: np.ndarray) -> np.ndarray:
         """(...,) mm of tissue on the rays from a focal point to points (..., 3)."""
@@ -180,7 +180,7 @@ def _bone(p: np.ndarray, n: np.ndarray, texture: float, voxel: float) -> float:
     distance, head = _femur_distance(p, n)
     down = p[1] - n[5]
     shaft = min(max((down - 5.0) / 45.0, 0.0), 1.0)
-    cortex = 1.0 if head < 1.0 and p[0] < 0.0 else 2.0 + shaft * (n[2] - n[3] - 2.0)
+    cortex = 1.0 + _step(head - 2.0, 6.0) + shaft * (n[2] - n[3] - 2.0)
     spongy = n[7] * (1.0 + 1.2 * _step(-head, 16.0)) * (1.0 - shaft) * (1.0 + 0.7 * texture)
     within = _step(-distance, voxel)
     hard = within - _step(-distance - cortex, voxel)

@@ -26,17 +26,21 @@ RAY_GRID_PX = 8  # the inverse distortion is exact on this grid, splines between
 SCATTER_MM = 30.0  # reach of scattered radiation at the input plane, s.d. [ours]
 COARSE_PX = 8  # scatter and glare are computed on means of this many pixels
 LENS_FALL = 0.08  # light lost at the rim by the lens; the pincushion's own fall makes the whole about 25 % [ours]
-MEAN_LEVEL = 0.35  # of the white level: where exposure control brings the middle of the image [ours]
+MEAN_LEVEL = 0.25  # of the white level: where exposure control brings the middle of the image [ours]
 BLACK_LEVEL = 0.02  # of the white level [ours]
 ELECTRONIC_SD = 0.0006  # of the white level: 2.5 of 4095 [ours]
 
 
 @dataclass(frozen=True)
 class Dose:
-    """Kerma at the intensifier. 0.11-0.44 µGy/s [src ARCADIS manual], 25 frames a second, `frames` of them averaged."""
+    """Kerma at the intensifier. 0.11-0.44 µGy/s [src ARCADIS manual], 25 frames a second, `frames` of them averaged.
+
+    `level`: share of the white level to which the gain brings the middle of the image.
+    """
 
     rate_ugy_s: float = 0.44
     frames: int = 8
+    level: float = MEAN_LEVEL
 
     def quanta(self, chain: ImageChain) -> float:
         """Mean quanta counted per pixel: K/25 · frames · 3e4/mm²/µGy · pitch² · DQE [calc]."""
@@ -59,20 +63,33 @@ class Scene:
 
 @dataclass(frozen=True, eq=False)
 class Exposure:
-    """A view of a scene before noise. `quanta` (H, W): expected number per pixel, scatter included; 0 outside `field`.
+    """A view of a scene before noise. `quanta` (H, W): expected number per pixel, scatter included, before any blur.
 
-    `light` (H, W): what one quantum gives, relative to the middle (lens)."""
+    `open_quanta` (H, W): the same were the sharp things not there, scatter unchanged. `light` (H, W): what one quantum
+    gives, relative to the middle (lens). `field` (H, W): inside the blanking. `core_px`: s.d. of the detector's
+    Gaussian blur. `gain`: stored values per quantum.
+    """
 
     chain: ImageChain
     quanta: np.ndarray
+    open_quanta: np.ndarray
     light: np.ndarray
     field: np.ndarray
     core_px: float
     gain: float
 
+    @property
+    def black(self) -> float:
+        """What is stored where no light falls."""
+        return BLACK_LEVEL * self.chain.white
+
     def mean_pixels(self) -> np.ndarray:
         """(H, W) float32: the image without noise and without digitisation, in stored values."""
         return self._image(self.quanta)
+
+    def open_pixels(self) -> np.ndarray:
+        """(H, W) float32: `mean_pixels` without the sharp things."""
+        return self._image(self.open_quanta)
 
     def read_out(self, rng: np.random.Generator) -> Radiograph:
         """One radiograph: Poisson counts, blur, electronic noise, whole numbers up to the white level."""
@@ -85,7 +102,7 @@ class Exposure:
 
     def _image(self, quanta: np.ndarray) -> np.ndarray:
         blurred = _detector_blur(quanta * self.light, self.chain, self.core_px)
-        image = np.float32(BLACK_LEVEL * self.chain.white) + np.float32(self.gain) * blurred
+        image = np.float32(self.black) + np.float32(self.gain) * blurred
         image[~self.field] = 0
         return image
 
@@ -99,24 +116,23 @@ def expose(view: ViewTruth, scene: Scene, dose: Dose | None = None) -> Exposure:
     """The expected image of a scene. `dose` defaults to "medium"; exposure control holds its mean in the middle."""
     chain, dose = view.chain, dose or DOSES["medium"]
     rays, area = _rays(view)
-    primary = _primary(view, scene, rays) * area
-    share = chain.scatter_to_primary
-    quanta = primary + share * _smooth(primary, SCATTER_MM / chain.pitch_mm)
-    quanta[~rays.inside] = 0.0
+    primary, without = (share * area for share in _primary(view, scene, rays))
+    scattered = chain.scatter_to_primary * _smooth(primary, SCATTER_MM / chain.pitch_mm)
     middle = _radius_px(view) < 0.5 * chain.mask_px
-    level = float(quanta[middle].mean())
+    level = float((primary + scattered)[middle].mean())
     if not level > 0:
         raise SetUpError("nothing passes the middle of the scene; take some of it out of the beam")
     wanted = dose.quanta(chain)
-    quanta *= wanted / level
+    quanta, open_quanta = (np.where(rays.inside, wanted / level * (p + scattered), 0.0) for p in (primary, without))
     rim = _radius_px(view) / chain.mask_px
     return Exposure(
         chain=chain,
         quanta=quanta,
+        open_quanta=open_quanta,
         light=(1 - LENS_FALL * rim**2).astype(np.float32),
         field=rim <= 1.0,
         core_px=chain.core_mm * float(np.sqrt(np.linalg.det(view.intensifier.jacobian(np.zeros((1, 2))))[0])),
-        gain=MEAN_LEVEL * chain.white / wanted,
+        gain=dose.level * chain.white / wanted,
     )
 
 
@@ -149,8 +165,8 @@ def _rays(view: ViewTruth) -> tuple[Rays, np.ndarray]:
     return Rays(view.focal_point_mm, points, inside), area / area[h // 2, w // 2]
 
 
-def _primary(view: ViewTruth, scene: Scene, rays: Rays) -> np.ndarray:
-    """(H, W): share of the photons of an open beam that arrive without scattering."""
+def _primary(view: ViewTruth, scene: Scene, rays: Rays) -> tuple[np.ndarray, np.ndarray]:
+    """(H, W) twice: share of an open beam's photons that arrive unscattered, and were the sharp things not there."""
     none = np.zeros(rays.inside.shape, dtype=np.float32)
     bone, tissue, pmma = none, none, none
     if scene.bone is not None:
@@ -163,11 +179,13 @@ def _primary(view: ViewTruth, scene: Scene, rays: Rays) -> np.ndarray:
     shapes, excess = pack(scene.solids)
     spot = view.chain.focal_spot_mm * view.detector.axes
     sharp = solid_transmission(rays, spot, _cells(view, shapes), (shapes, excess))
-    out = np.zeros(rays.inside.shape)
+    out, without = np.zeros(rays.inside.shape), np.zeros(rays.inside.shape)
     for e, weight in enumerate(WEIGHTS):
         per_mm = {name: np.float32(attenuation_per_mm(name)[e]) for name in ("bone", "tissue", "pmma")}
-        out += weight * np.exp(-(bone * per_mm["bone"] + tissue * per_mm["tissue"] + pmma * per_mm["pmma"])) * sharp[e]
-    return np.where(rays.inside, out, 0.0)
+        soft = weight * np.exp(-(bone * per_mm["bone"] + tissue * per_mm["tissue"] + pmma * per_mm["pmma"]))
+        without += soft
+        out += soft * sharp[e]
+    return np.where(rays.inside, out, 0.0), np.where(rays.inside, without, 0.0)
 
 
 def _bone_mm(bone: Volume, rays: Rays) -> np.ndarray:

@@ -1,0 +1,135 @@
+"""Hard images for judging detection: bone edges, metal, low dose, saturation, vignetting, the field's edge."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from sightline.errors import SetUpError
+from sightline.frame import Frame
+from sightline.imaging import Radiograph
+from sightline.twin.carm import SetUp, ViewTruth, draw_setup, shadow_radius_px
+from sightline.twin.distributions import HardScene
+from sightline.twin.femur import SoftTissue
+from sightline.twin.render import DOSES, Exposure, Scene, expose
+from sightline.twin.scene import hip_scene
+from sightline.twin.things import Rod, Solid
+
+
+@dataclass(frozen=True, eq=False)
+class BeadTruth:
+    """What is true of the N beads of a frame whose centres lie in the field of one image, IDCS.
+
+    `ids`; `uv_px` (N, 2) true centres; `radius_px` (N,). `blur_px` (N,): s.d. of the edge's blur: detector, focal spot
+    at the bead's height, pixel. `contrast` (N,): change of log intensity at the centre without noise, after blur and
+    scatter, against the image without sharp things (negative: dark). `quanta` (N,): counted per pixel beside the bead
+    (where it stands, were it not there). `gap_px` (N,): from the bead's rim to the nearest other sharp thing's,
+    negative where they overlap. `rim_px` (N,): from the bead's rim to the field's edge, negative where it is cut.
+    `saturated` (N,): share of pixels within 1.5 radii stored at the white level. `exposure`: the image without noise.
+    """
+
+    ids: tuple[str, ...]
+    uv_px: np.ndarray
+    radius_px: np.ndarray
+    blur_px: np.ndarray
+    contrast: np.ndarray
+    quanta: np.ndarray
+    gap_px: np.ndarray
+    rim_px: np.ndarray
+    saturated: np.ndarray
+    exposure: Exposure
+
+    def __len__(self) -> int:
+        return len(self.ids)
+
+
+def hard_scene(
+    rng: np.random.Generator, dose_class: str, frame: Frame | None = None, spread: HardScene | None = None
+) -> tuple[Radiograph, BeadTruth]:
+    """A random hard image of one view, and the truth of its beads.
+
+    A drawn set-up of the frame (default: the Γ frame) at any rotation of the image, around a drawn hip of either side,
+    with metal in it. `dose_class`: "low", "medium", "high" (`render.DOSES`). Raises SetUpError.
+    """
+    if dose_class not in DOSES:
+        raise SetUpError(f"there is no dose class {dose_class!r}; there are: {', '.join(DOSES)}")
+    spread = spread or HardScene()
+    setup = draw_setup(rng, frame or Frame.load("gamma"), side=str(rng.choice(["right", "left"])))
+    view = setup.views[str(rng.choice(list(setup.views)))]
+    hip = hip_scene(setup, rng).scene
+    body, scale = SoftTissue(), rng.uniform(*spread.tissue_scale)
+    half = (body.half_mm[0] * scale, body.half_mm[1] * scale)
+    scene = replace(hip, solids=hip.solids + _metal(rng, spread), tissue=replace(body, half_mm=half))
+    exposure = expose(view, scene, replace(DOSES[dose_class], level=rng.uniform(*spread.level)))
+    image = exposure.read_out(rng)
+    return image, bead_truth(setup, view, scene, exposure)
+
+
+def bead_truth(setup: SetUp, view: ViewTruth, scene: Scene, exposure: Exposure) -> BeadTruth:
+    """The truth of the frame's beads in an exposed scene: of all its views, wherever a centre lies in this one's field.
+
+    The true frame's beads must be the first of the scene's solids, as `frame_solids` gives them."""
+    ids = np.array([b.id for v in setup.true_frame.views.values() for b in v.fiducials])
+    every = _shadows(view, scene.solids)
+    uv, radius = (np.array([one[k][0] for one in every[: len(ids)]]) for k in (0, 1))
+    seen = np.flatnonzero(view.in_field(uv))
+    height = -view.detector.height_mm(view.focal_point_mm)
+    depth = height + view.detector.height_mm(np.array([one.centre_mm for one in scene.solids[: len(ids)]]))
+    spot = view.chain.focal_spot_mm * (height / depth - 1) / view.chain.pitch_mm
+    mean, without, stored = exposure.mean_pixels(), exposure.open_pixels(), exposure.chain.white
+    nearest = np.rint(uv[seen]).astype(int)
+    at = (nearest[:, 1], nearest[:, 0])
+    return BeadTruth(
+        ids=tuple(str(i) for i in ids[seen]),
+        uv_px=uv[seen],
+        radius_px=radius[seen],
+        blur_px=np.sqrt(exposure.core_px**2 + (spot[seen] ** 2 + 1) / 12),
+        contrast=np.log(mean[at] - exposure.black) - np.log(without[at] - exposure.black),
+        quanta=exposure.open_quanta[at],
+        gap_px=np.array([_gap(every, int(i)) for i in seen]),
+        rim_px=view.chain.mask_px - np.linalg.norm(uv[seen] - view.intensifier.centre_px, axis=-1) - radius[seen],
+        saturated=np.array([_share(mean >= stored, uv[i], 1.5 * radius[i]) for i in seen]),
+        exposure=exposure,
+    )
+
+
+def _metal(rng: np.random.Generator, spread: HardScene) -> tuple[Solid, ...]:
+    """Wires, screws and nails about the hip."""
+
+    def count(bounds: tuple[int, int]) -> int:
+        return int(rng.integers(bounds[0], bounds[1], endpoint=True))
+
+    def rod(radius_mm: float, half_mm: float, axis: np.ndarray) -> Rod:
+        x, y, z = (float(c) for c in rng.uniform(-spread.metal_reach_mm, spread.metal_reach_mm, 3))
+        a, b, c = (float(n) for n in axis / np.linalg.norm(axis))
+        return Rod((x, y, z), (a, b, c), radius_mm, half_mm)
+
+    wires = [rod(1.25, 100.0, rng.standard_normal(3)) for _ in range(count(spread.wires))]
+    screws = [rod(2.25, 20.0, rng.standard_normal(3)) for _ in range(count(spread.screws))]
+    nails = [rod(5.5, 90.0, np.array([0.1, 1.0, 0.1]) * rng.standard_normal(3)) for _ in range(count(spread.nails))]
+    return (*wires, *screws, *nails)
+
+
+def _shadows(view: ViewTruth, solids: tuple[Solid, ...]) -> list[tuple[np.ndarray, np.ndarray]]:
+    """For each solid the discs that make up its shadow: centres (K, 2) and radii (K,), px."""
+    out = []
+    for one in solids:
+        half, axis = (one.half_mm, np.array(one.axis)) if isinstance(one, Rod) else (0.0, np.zeros(3))
+        steps = np.linspace(-half, half, 1 + 2 * int(2 * half / one.radius_mm))
+        places = np.array(one.centre_mm) + steps[:, None] * axis
+        out.append((view.project(places), shadow_radius_px(view, places, np.full(len(places), one.radius_mm))))
+    return out
+
+
+def _gap(every: list[tuple[np.ndarray, np.ndarray]], i: int) -> float:
+    """Least distance between the rims of shadow i and any other."""
+    (centre,), (radius,) = every[i]
+    return float(
+        min((np.linalg.norm(uv - centre, axis=-1) - r).min() for j, (uv, r) in enumerate(every) if j != i) - radius
+    )
+
+
+def _share(mask: np.ndarray, uv_px: np.ndarray, radius_px: float) -> float:
+    """Share of a disc of pixels where a mask is true."""
+    h, w = mask.shape
+    disc = np.hypot(np.arange(w) - uv_px[0], (np.arange(h) - uv_px[1])[:, None]) <= radius_px
+    return float(mask[disc].mean())
