@@ -1,0 +1,82 @@
+"""The real command line, and files for it: a pair of the twin's images, and its beads as CSV."""
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from sightline.cli import app
+from sightline.detection.files import write_observations
+from sightline.detection.results import Observations
+from sightline.frame import Frame
+from sightline.imaging import write_dicom
+from sightline.twin import bead_images, draw_setup, hip_scene, render
+
+VIEWS = ("pa", "lateral")
+
+
+@dataclass(frozen=True)
+class Ran:
+    """What a command left: exit code, stdout, stderr."""
+
+    code: int
+    out: str
+    err: str
+
+    @property
+    def document(self) -> Any:
+        """The one JSON document on stdout."""
+        return json.loads(self.out)
+
+
+@pytest.fixture(scope="session")
+def run() -> Callable[..., Ran]:
+    """`run(ARGUMENTS)`: `sightline ARGUMENTS` in this process."""
+
+    def ran(*arguments: object) -> Ran:
+        result = CliRunner().invoke(app, [str(argument) for argument in arguments])
+        return Ran(result.exit_code, result.stdout, result.stderr)
+
+    return ran
+
+
+@pytest.fixture(scope="session")
+def frame() -> Frame:
+    return Frame.load("gamma")
+
+
+@pytest.fixture(scope="session")
+def setup(frame: Frame):
+    return draw_setup(np.random.default_rng(7), frame)
+
+
+@pytest.fixture(scope="session")
+def pair(setup, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """A DICOM image of each view. Read-only: tests that spoil a file copy it first."""
+    folder = tmp_path_factory.mktemp("pair")
+    rng = np.random.default_rng(8)
+    scene = hip_scene(setup, rng).scene
+    return {view: write_dicom(render(setup, view, scene, rng), folder / f"{view}.dcm") for view in VIEWS}
+
+
+@pytest.fixture(scope="session")
+def observations(setup) -> dict[str, Observations]:
+    """Beads of each view with 0.1 px of noise."""
+    rng = np.random.default_rng(9)
+    found = {view: bead_images(setup, view, rng, 0.1) for view in VIEWS}
+    noise = 0.01 * np.eye(2)
+    return {
+        view: Observations(view, tuple(ids), uv_px, np.repeat(noise[None], len(ids), axis=0))
+        for view, (ids, uv_px) in found.items()
+    }
+
+
+@pytest.fixture(scope="session")
+def beads_csv(observations, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Both views' beads in one file."""
+    return write_observations(observations.values(), tmp_path_factory.mktemp("beads") / "beads.csv")

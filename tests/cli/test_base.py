@@ -1,0 +1,166 @@
+"""What all commands share: help, version, one JSON document, exit codes, no traceback."""
+
+import json
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import typer
+from typer.testing import CliRunner
+
+import sightline
+from sightline.checks import Check
+from sightline.cli import _COMMANDS
+from sightline.cli.output import Json, Output, Quiet, as_json
+from sightline.errors import ImageError, LabellingRefusedError
+
+PASSED = Check("bead count", True, 98.0, 60.0, "beads", "98 beads are used.")
+FAILED = Check("chi-square", False, None, 1.2, "", "It could not be measured.")
+
+
+def invoke(body, *arguments: str):
+    """A command whose body is `body(out)`, run with arguments."""
+    app = typer.Typer(pretty_exceptions_enable=False)
+
+    @app.command()
+    def command(json: Json = False, quiet: Quiet = False) -> None:
+        with Output(json=json, quiet=quiet) as out:
+            body(out)
+
+    return CliRunner().invoke(app, list(arguments))
+
+
+def test_help_lists_every_command_and_each_takes_json_and_quiet(run) -> None:
+    listed = run("--help").out
+    for name in _COMMANDS:
+        assert re.search(rf"^\W*{name} ", listed, re.MULTILINE), name
+        if name != "frame":  # a group of sub-commands
+            told = run(name, "--help")
+            assert told.code == 0
+            assert "--json" in told.out
+            assert "--quiet" in told.out
+
+
+def test_help_loads_nothing_that_is_slow() -> None:
+    """What makes `sightline --help` slow are these; a time is no test."""
+    script = (
+        "import sys; from sightline.cli import app\n"
+        "print(sorted({'numpy', 'scipy', 'cv2', 'numba', 'pydicom', 'matplotlib', 'pydantic'} & set(sys.modules)))"
+    )
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)  # noqa: S603
+    assert done.stdout.strip() == "[]"
+
+
+def test_the_version_is_the_package_s(run) -> None:
+    assert run("--version").out.strip() == f"sightline {sightline.__version__}"
+
+
+def test_without_a_command_or_with_a_wrong_one_the_exit_code_is_2(run) -> None:
+    assert run().code == 2
+    assert run("planet").code == 2
+    assert run("detect").code == 2
+
+
+@pytest.mark.parametrize(
+    ("error", "code"), [(ImageError("a.dcm is empty"), 2), (LabellingRefusedError("the beads cannot be told"), 3)]
+)
+def test_an_error_is_its_message_and_its_exit_code(error: Exception, code: int) -> None:
+    def body(_: Output) -> None:
+        raise error
+
+    plain, machine = invoke(body), invoke(body, "--json")
+    assert (plain.exit_code, machine.exit_code) == (code, code)
+    assert plain.stdout == ""
+    assert plain.stderr == f"sightline: {error}\n"
+    assert json.loads(machine.stdout) == {"error": {"type": type(error).__name__, "message": str(error)}}
+
+
+def test_a_bug_is_one_line_and_its_traceback_is_for_who_asks(monkeypatch: pytest.MonkeyPatch) -> None:
+    def body(_: Output) -> None:
+        raise ZeroDivisionError("secret detail")
+
+    monkeypatch.delenv("SIGHTLINE_DEBUG", raising=False)
+    result = invoke(body)
+    assert result.exit_code == 1
+    assert "ZeroDivisionError" in result.stderr
+    assert "SIGHTLINE_DEBUG=1" in result.stderr
+    assert "secret detail" not in result.stderr
+    assert len(result.stderr.splitlines()) == 1
+    monkeypatch.setenv("SIGHTLINE_DEBUG", "1")
+    assert "secret detail" in invoke(body).stderr
+
+
+def test_the_keyboard_ends_a_command_cleanly() -> None:
+    def body(_: Output) -> None:
+        raise KeyboardInterrupt
+
+    result = invoke(body)
+    assert result.exit_code == 130
+    assert "Traceback" not in result.stderr
+
+
+def everything(out: Output) -> None:
+    with out.step("finding [beads]"):
+        out.note("a note")
+    with out.progress("trials", 2) as advance:
+        advance()
+        advance()
+    out.say("a line [bold]")
+    out.table("Title [x]", ("name", "x mm"), [("[red]b1", 1.5), ("b2", None)])
+    out.result({"xyz_mm": np.array([1.0, 2.0]), "n": np.int64(3), "unknown": None, "path": Path("a") / "b"}, [PASSED])
+
+
+def test_with_json_stdout_holds_one_document_and_stderr_nothing() -> None:
+    result = invoke(everything, "--json")
+    assert result.exit_code == 0
+    document = json.loads(result.stdout)
+    assert document["xyz_mm"] == [1.0, 2.0]
+    assert document["n"] == 3
+    assert document["unknown"] is None
+    assert document["checks"][0]["name"] == "bead count"
+    assert result.stderr == ""
+
+
+def test_people_read_tables_on_stdout_and_progress_on_stderr() -> None:
+    result = invoke(everything)
+    for text in ("a line [bold]", "Title [x]", "[red]b1", "98 beads are used."):
+        assert text in result.stdout
+    for text in ("finding [beads]", "a note"):
+        assert text in result.stderr
+
+
+def test_quiet_prints_nothing() -> None:
+    result = invoke(everything, "--quiet")
+    assert (result.exit_code, result.stdout, result.stderr) == (0, "", "")
+
+
+@pytest.mark.parametrize("machine", [True, False])
+def test_a_failed_check_is_exit_code_3_with_the_result_still_printed(machine: bool) -> None:
+    result = invoke(lambda out: out.result({"rms_mm": 0.25}, [PASSED, FAILED]), *["--json"] * machine)
+    assert result.exit_code == 3
+    if machine:
+        assert json.loads(result.stdout)["rms_mm"] == 0.25
+        assert [check["passed"] for check in json.loads(result.stdout)["checks"]] == [True, False]
+    else:
+        assert "FAIL" in result.stdout
+        assert "not measured" in result.stdout
+
+
+def test_a_value_that_is_not_finite_is_a_bug_not_a_document() -> None:
+    with pytest.raises(ValueError, match="JSON compliant"):
+        as_json({"x": np.array([np.nan])})
+    assert invoke(lambda out: out.result({"x": np.inf}), "--json").exit_code == 1
+
+
+def test_the_installed_command_answers() -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", "from sightline.cli import main; main()", "--version"],
+        capture_output=True,
+        text=True,
+        check=True,
+        stdin=subprocess.DEVNULL,
+    )
+    assert done.stdout.strip() == f"sightline {sightline.__version__}"
