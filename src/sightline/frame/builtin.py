@@ -1,11 +1,14 @@
 """The built-in frames: made by the function that `sightline frame new` uses, from figures of their own."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from math import cos, radians, sin
 
+import numpy as np
+
 from sightline.errors import FrameError
-from sightline.frame.design import Balls, Beam, FrameDesign, Pattern, make_frame
+from sightline.frame.design import Balls, Beam, FrameDesign, Pattern, grid_places, make_frame
 from sightline.frame.model import Frame
+from sightline.frame.patterns import search
 
 # search(grids, 6, np.random.default_rng(13), moves=300_000) of patterns.py, for grids of 7 rows, and of 8 without
 # corners: no triple of datums is nearer to another than a stretch or scale of 1.093 (tests/frame/test_patterns.py).
@@ -19,6 +22,7 @@ PATTERNS_7_ROWS: tuple[tuple[Pattern, Pattern], tuple[Pattern, Pattern]] = (
         ((1, 2), (1, 4), (2, 1), (6, 8), (8, 4), (8, 7)),
     ),
 )
+MAX_ROWS = 20  # [ours] far more than a C-arm tells apart
 _STEREO_RAD = radians(16.0)  # [ours] half the convergence: each view's plates stay out of the other view's field
 
 # Upright beams of the paper's two views, along +Z and +X (contract of the Γ frame, docs/conventions.md).
@@ -32,13 +36,21 @@ STEREO_BEAMS = {
 }
 
 
-def _named(beams: dict[str, Beam]) -> dict[str, tuple[Pattern, Pattern]]:
-    return dict(zip(beams, PATTERNS_7_ROWS, strict=True))
+def patterns_for(beams: Mapping[str, Beam], rows: int = 7, datums: int = 6) -> dict[str, tuple[Pattern, Pattern]]:
+    """Datum patterns of a frame: those stored where they fit, else searched, some seconds. Raises FrameError."""
+    if (rows, datums) == (7, 6) and len(beams) == len(PATTERNS_7_ROWS):
+        return dict(zip(beams, PATTERNS_7_ROWS, strict=True))
+    if not 4 <= rows <= MAX_ROWS:
+        raise FrameError(f"datum patterns are found for 4 to {MAX_ROWS} rows; {rows} were asked for")
+    places = [grid_places(rows, corners=True), grid_places(rows + 1, corners=False)] * len(beams)
+    chosen = search([np.array(one, dtype=float) for one in places], datums, np.random.default_rng(0))
+    patterns = [tuple(one[index] for index in mine) for one, mine in zip(places, chosen, strict=True)]
+    return dict(zip(beams, zip(patterns[::2], patterns[1::2], strict=True), strict=True))
 
 
 def gamma_design() -> FrameDesign:
     """The Γ frame of the paper: both plates of a view on the intensifier's side of the hip."""
-    return FrameDesign("gamma", GAMMA_BEAMS, _named(GAMMA_BEAMS))
+    return FrameDesign("gamma", GAMMA_BEAMS, patterns_for(GAMMA_BEAMS))
 
 
 def biplane_design() -> FrameDesign:
@@ -46,7 +58,7 @@ def biplane_design() -> FrameDesign:
     return FrameDesign(
         "biplane",
         GAMMA_BEAMS,
-        _named(GAMMA_BEAMS),
+        patterns_for(GAMMA_BEAMS),
         pitch_mm=18.5,
         xrii_mm=150.0,
         source_mm=-150.0,
@@ -59,7 +71,7 @@ def stereo_design() -> FrameDesign:
     return FrameDesign(
         "stereo",
         STEREO_BEAMS,
-        _named(STEREO_BEAMS),
+        patterns_for(STEREO_BEAMS),
         pitch_mm=24.0,
         xrii_mm=330.0,
         source_mm=-200.0,
@@ -74,8 +86,13 @@ BUILTIN: dict[str, Callable[[], FrameDesign]] = {
 }
 
 
-def builtin_frame(name: str) -> Frame:
-    """A frame by name. Raises FrameError, naming those there are."""
+def builtin_design(name: str) -> FrameDesign:
+    """A design by name. Raises FrameError, naming those there are."""
     if name not in BUILTIN:
         raise FrameError(f"there is no built-in frame {name!r}; there are: {', '.join(BUILTIN)}")
-    return make_frame(BUILTIN[name]())
+    return BUILTIN[name]()
+
+
+def builtin_frame(name: str) -> Frame:
+    """A frame by name. Raises FrameError, naming those there are."""
+    return make_frame(builtin_design(name))

@@ -149,15 +149,21 @@ def _field(frame: Frame) -> Figures:
         yield where, float(nominal.in_field(view, plate.xyz_mm).mean())
 
 
-def _reach(frame: Frame) -> Figures:
-    """How far the ends of the wire may stray before they leave the hull of a plate, as seen at the hip."""
+def reach_mm(view: FrameView, plate: Plate) -> float | None:
+    """How far the ends of a 95 mm wire at 45° may stray before they leave the plate's hull, as seen at the hip.
+
+    None where a bead lies behind the nominal source.
+    """
+    if (nominal.depth_mm(view, plate.xyz_mm) <= 0).any():
+        return None
     ends = WIRE_END_MM * np.array([(-1, -1), (-1, 1), (1, -1), (1, 1)])
+    hull = ConvexHull(nominal.at_distance_mm(view, plate.xyz_mm, nominal.SOURCE_TO_HIP_MM)).equations
+    return float(-(ends @ hull[:, :2].T + hull[:, 2]).max())
+
+
+def _reach(frame: Frame) -> Figures:
     for where, view, plate in _plates(frame):
-        if (nominal.depth_mm(view, plate.xyz_mm) <= 0).any():
-            yield where, None
-            continue
-        hull = ConvexHull(nominal.at_distance_mm(view, plate.xyz_mm, nominal.SOURCE_TO_HIP_MM)).equations
-        yield where, float(-(ends @ hull[:, :2].T + hull[:, 2]).max())
+        yield where, reach_mm(view, plate)
 
 
 def _datum_steps(plate: Plate) -> np.ndarray:

@@ -57,7 +57,7 @@ def frame_from_json(text: bytes) -> Frame:
         json.loads(text, object_pairs_hook=_without_repeats, parse_constant=_no_constant)
         return frame_of(FrameDocument.model_validate_json(text))
     except ValidationError as error:
-        raise FrameError(_sentence(error)) from None
+        raise FrameError(explain(error)) from None
     except (json.JSONDecodeError, UnicodeDecodeError, RecursionError) as error:
         raise FrameError(f"this is not a JSON file: {error}") from None
 
@@ -94,7 +94,7 @@ def _no_constant(name: str) -> float:
     raise FrameError(f"{name} is not a number; leave out the ball if it could not be measured")
 
 
-def _sentence(error: ValidationError) -> str:
+def explain(error: ValidationError) -> str:
     """What pydantic found, in words that say where it is and what to do."""
     found = error.errors(include_url=False, include_context=True)
     said = [_one(entry["type"], entry["loc"], entry["msg"]) for entry in found[:_ERRORS_SHOWN]]

@@ -1,0 +1,174 @@
+"""`sightline frame new | show | check`: calibration frames as files."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from sightline.cli.output import Json, Output, Quiet
+
+if TYPE_CHECKING:
+    from sightline.frame.design import FrameDesign
+    from sightline.frame.model import Frame, FrameView, Plate
+
+app = typer.Typer(no_args_is_help=True, help="Make, show and check calibration frames.")
+
+FrameSource = Annotated[str, typer.Argument(metavar="FRAME", help='Frame file, or "gamma", "biplane", "stereo".')]
+
+
+def register(parent: typer.Typer) -> None:
+    """Add the commands."""
+    parent.add_typer(app, name="frame")
+
+
+@app.command("new")
+def new(
+    file: Annotated[Path, typer.Argument(help="The frame file to write.")],
+    *,
+    like: Annotated[str, typer.Option(help="Built-in frame that gives the beams and what is not stated.")] = "gamma",
+    rows: Annotated[int | None, typer.Option(help="Rows of the XRII plate; the source plate has one more.")] = None,
+    pitch_mm: Annotated[float | None, typer.Option(help="Pitch of the XRII plate.")] = None,
+    xrii_mm: Annotated[float | None, typer.Option(help="XRII plate, from the hip towards the intensifier.")] = None,
+    source_mm: Annotated[float | None, typer.Option(help="Source plate, from the hip; negative before it.")] = None,
+    datums: Annotated[int | None, typer.Option(help="Datums of each plate.")] = None,
+    csv: Annotated[Path | None, typer.Option(help="Table of measured balls instead (docs/frame-file.md).")] = None,
+    json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Write a frame file, from a few figures or from a table of measured balls, and check the frame."""
+    with Output(json=json, quiet=quiet) as out:
+        from sightline.errors import FrameError
+        from sightline.frame.check import check_frame
+        from sightline.frame.design import make_frame
+        from sightline.frame.table import frame_from_csv
+
+        figures = {"rows": rows, "pitch_mm": pitch_mm, "xrii_mm": xrii_mm, "source_mm": source_mm}
+        stated = {key: value for key, value in figures.items() if value is not None}
+        if csv is not None and (stated or datums is not None):
+            raise FrameError("a table of measured balls states the whole frame; leave out the other figures")
+        if file.exists():
+            raise FrameError(f"{file.name} exists; remove it, or name another file")
+        with out.step("making the frame"):
+            if csv is not None:
+                frame = frame_from_csv(csv, file.stem)
+            else:
+                frame = make_frame(_design(file.stem, like, stated, datums))
+        frame.save(file)
+        out.say(f"wrote {file}")
+        out.result({"file": file, **_document(frame)}, check_frame(frame))
+
+
+@app.command("show")
+def show(
+    frame: FrameSource,
+    *,
+    picture: Annotated[Path | None, typer.Option(help="Write a PNG of the plates.")] = None,
+    json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Show the plates, datums, tolerances and reach of a frame."""
+    with Output(json=json, quiet=quiet) as out:
+        from sightline.frame import Frame
+
+        loaded = Frame.load(frame)
+        document = _document(loaded)
+        _show(out, loaded, document)
+        if picture is not None:
+            from sightline.frame.drawing import draw_frame
+
+            draw_frame(loaded, picture)
+            out.say(f"wrote {picture}")
+        out.result(document)
+
+
+@app.command("check")
+def check(frame: FrameSource, *, json: Json = False, quiet: Quiet = False) -> None:
+    """Say what is wrong with a frame; exit code 3 where anything is."""
+    with Output(json=json, quiet=quiet) as out:
+        from sightline.frame import Frame
+        from sightline.frame.check import check_frame
+
+        loaded = Frame.load(frame)
+        out.result({"frame": loaded.key}, check_frame(loaded))
+
+
+def _design(name: str, like: str, stated: dict[str, Any], datums: int | None) -> "FrameDesign":
+    from dataclasses import replace
+
+    from sightline.frame.builtin import builtin_design, patterns_for
+
+    design = replace(builtin_design(like), name=name, **stated)
+    return replace(design, patterns=patterns_for(design.beams, design.rows, 6 if datums is None else datums))
+
+
+def _document(frame: "Frame") -> dict[str, Any]:
+    from sightline.frame.model import ROLES
+
+    return {
+        "name": frame.name,
+        "serial": frame.serial,
+        "measured_on": frame.measured_on,
+        "temperature_c": frame.temperature_c,
+        "tolerances": None if frame.covariance_mm2 is not None else frame.effective_tolerances,
+        "tolerances_from": _tolerances_from(frame),
+        "plates": [
+            _plate_document(name, role, view, getattr(view, role))
+            for name, view in frame.views.items()
+            for role in ROLES
+        ],
+    }
+
+
+def _tolerances_from(frame: "Frame") -> str:
+    if frame.covariance_mm2 is not None:
+        return "the covariance in the frame file"
+    return "the frame file" if frame.tolerances else "the defaults: the frame file states none"
+
+
+def _plate_document(name: str, role: str, view: "FrameView", plate: "Plate") -> dict[str, Any]:
+    from sightline.errors import UnusableInputError
+    from sightline.frame.check import reach_mm
+
+    try:
+        normal, reach = plate.plane.normal, reach_mm(view, plate)
+    except UnusableInputError:  # beads on a line: `frame check` says so
+        normal = reach = None
+    return {
+        "view": name,
+        "plate": role,
+        "beads": len(plate.ids),
+        "datums": [f.id for f in plate.fiducials if f.datum],
+        "middle_mm": plate.xyz_mm.mean(axis=0),
+        "normal": normal,
+        "reach_mm": reach,
+    }
+
+
+def _show(out: Output, frame: "Frame", document: dict[str, Any]) -> None:
+    out.table(
+        f"Frame {frame.name}" + (f", serial {frame.serial}" if frame.serial else ""),
+        ("view", "plate", "beads", "datums", "middle, CFCS mm", "reach mm"),
+        [
+            (
+                plate["view"],
+                plate["plate"],
+                plate["beads"],
+                " ".join(plate["datums"]),
+                " ".join(f"{value:.1f}" for value in plate["middle_mm"]),
+                None if plate["reach_mm"] is None else f"{plate['reach_mm']:.1f}",
+            )
+            for plate in document["plates"]
+        ],
+    )
+    out.say("reach: how far the ends of a 95 mm wire at 45° at the hip may stray inside the beads' hull")
+    out.say(f"tolerances (1 s.d.) from {document['tolerances_from']}")
+    if (sd := document["tolerances"]) is not None:
+        out.table(
+            "Tolerances",
+            ("of", "shift mm", "turn mrad"),
+            [
+                ("bead", sd.bead_mm, None),
+                ("plate", sd.plate_mm, 1e3 * sd.plate_rad),
+                ("arm", sd.arm_mm, 1e3 * sd.arm_rad),
+            ],
+        )
