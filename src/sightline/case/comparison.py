@@ -69,3 +69,16 @@ class Compared:
             "stated_95": None if bounds is None else dict(zip(names, bounds, strict=True)),
             "within_bounds": self.kept,
         }
+
+
+@dataclass(frozen=True)
+class Refused:
+    """A plan that a method refused to make, and why."""
+
+    method: str
+    picks: str
+    reason: str
+
+    def document(self) -> dict[str, Any]:
+        """As JSON types."""
+        return {"method": self.method, "picks": self.picks, "refused": self.reason}

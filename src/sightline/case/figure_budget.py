@@ -18,6 +18,11 @@ class Bar:
     rms: dict[str, float]
 
     @property
+    def gap(self) -> str:
+        """What stands between a number and the unit."""
+        return "" if self.unit == "°" else " "
+
+    @property
     def total(self) -> float:
         """Rms of all sources together."""
         return sum(v**2 for v in self.rms.values()) ** 0.5
@@ -30,12 +35,12 @@ def _bar(bar: Bar, y: float) -> list[str]:
     for source, rms in bar.rms.items():
         share = (rms / bar.total) ** 2
         width = (WIDTH - LEFT - RIGHT) * share
-        says = svg.hint(f"{source.replace('_', ' ')}: {rms:.3f} {bar.unit} rms, {share:.0%} of the variance")
+        says = svg.hint(f"{source.replace('_', ' ')}: {rms:.3f}{bar.gap}{bar.unit} rms, {share:.0%} of the variance")
         parts.append(svg.element("rect", says, x=x, y=y, width=width, height=BAR, class_=f"source-{source}"))
         if width > NARROWEST_WITH_WORDS:
             parts.append(svg.text(f"{share:.0%}", x + width / 2, middle, class_=f"share on-{source}"))
         x += width
-    return [*parts, svg.text(f"{bar.total:.2f} {bar.unit} rms", x + 10, middle, class_="total")]
+    return [*parts, svg.text(f"{bar.total:.2f}{bar.gap}{bar.unit} rms", x + 10, middle, class_="total")]
 
 
 def budget(bars: Sequence[Bar], description: str) -> str:

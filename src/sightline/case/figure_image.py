@@ -12,6 +12,7 @@ from sightline.detection import Rejected
 from sightline.imaging import Radiograph
 
 JPEG_QUALITY = 82  # [ours] 1024² in about 150 kB; overlays are drawn, not burnt in
+NEAR_PX = 24.0  # half the side of a close-up: about 3 mm at the hip [ours]
 STRETCH = (0.5, 99.5)  # per cent of the pixels inside the field that become black and white [ours]
 
 
@@ -63,35 +64,43 @@ def beads(marked: Sequence[Marked], top_mm: float) -> str:
 
 
 def rejected(candidates: Iterable[Rejected]) -> str:
-    """Crosses where a candidate was no bead; the pointer tells why."""
-    arm = 6.0
+    """Dots where a candidate was no bead; the pointer tells why."""
+    return svg.group(
+        (
+            svg.element("circle", svg.hint(f"no bead: {c.reason}"), cx=c.uv_px[0], cy=c.uv_px[1], r=2.5)
+            for c in candidates
+        ),
+        class_="rejected",
+    )
 
-    def cross(c: Rejected) -> str:
-        u, v = c.uv_px
-        strokes = f"M{u - arm:.1f} {v - arm:.1f}l{2 * arm} {2 * arm}m0 {-2 * arm}l{-2 * arm} {2 * arm}"
-        return svg.element("path", svg.hint(f"no bead: {c.reason}"), d=strokes)
 
-    return svg.group((cross(c) for c in candidates), class_="rejected")
-
-
-def triangles(corners_px: np.ndarray) -> str:
-    """Triangles (T, 3, 2) of the localized method."""
-    return svg.group((svg.element("polygon", points=svg.points(t)) for t in corners_px), class_="triangles")
+def triangles(corners_px: np.ndarray, bounding_px: np.ndarray) -> str:
+    """Triangles (T, 3, 2) of the localized method, and on top, filled, those (N, 3, 2) that bound the picks."""
+    thin = (svg.element("polygon", points=svg.points(t)) for t in corners_px)
+    filled = (svg.element("polygon", points=svg.points(t), class_="bounding") for t in bounding_px)
+    return svg.group([*thin, *filled], class_="triangles")
 
 
 def radiograph(image: Radiograph, name: str, overlays: Iterable[str], description: str) -> str:
-    """The image with overlays on top, cut to the field of view; the pixels themselves are `sources`'.
-
-    Pixel (0, 0) is the centre of the top-left pixel, so the image starts half a pixel before it.
-    """
+    """The image with overlays on top, cut to the field of view; the pixels themselves are `sources`'."""
     rows, columns = np.nonzero(image.field_mask)
     height, width = image.shape
     left, right, top, bottom = 0, width - 1, 0, height - 1
     if len(rows):
         left, right, top, bottom = columns.min(), columns.max(), rows.min(), rows.max()
-    base = svg.element("use", href=f"#radiograph-{name}")
+    # Pixel (0, 0) is the centre of the top-left pixel, so the image starts half a pixel before it.
     box = (left - 0.5, top - 0.5, right - left + 1.0, bottom - top + 1.0)
-    return svg.picture(box, description, [base, *overlays], class_="radiograph")
+    return svg.picture(box, description, [_pixels(name), *overlays], class_="radiograph")
+
+
+def near(name: str, uv_px: np.ndarray, overlays: Iterable[str], description: str) -> str:
+    """The image around one pixel, large."""
+    box = (uv_px[0] - NEAR_PX, uv_px[1] - NEAR_PX, 2 * NEAR_PX, 2 * NEAR_PX)
+    return svg.picture(box, description, [_pixels(name), *overlays], class_="radiograph near")
+
+
+def _pixels(name: str) -> str:
+    return svg.element("use", href=f"#radiograph-{name}")
 
 
 def sources(images: dict[str, Radiograph]) -> str:

@@ -12,7 +12,7 @@ from sightline.geometry.planes import Plane
 
 # The first look: from the front, a little to the side and from above, so that both arms show [ours].
 AZIMUTH_DEG, ELEVATION_DEG = -28.0, 20.0
-WIDTH, HEIGHT, MARGIN = 760.0, 600.0, 40.0
+WIDTH, HEIGHT, MARGIN = 540.0, 480.0, 30.0
 AXIS_MM = 50.0
 RING = 40  # points of an ellipse
 NEAR_MM = 12.0  # about the size an ellipsoid is drawn at beside the wire, whatever its own [ours]

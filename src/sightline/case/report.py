@@ -3,16 +3,14 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from importlib.resources import files
-from pathlib import Path
 
 from jinja2 import Environment, StrictUndefined
 from markupsafe import Markup
 
 from sightline import __version__
-from sightline.atomic import write_whole
-from sightline.calibration import CalibratedView
+from sightline.calibration import BeadView
 from sightline.case import report_pictures, report_tables
-from sightline.case.comparison import Compared, Truth
+from sightline.case.comparison import Compared, Refused, Truth
 from sightline.case.views import CalibratedImage
 from sightline.frame import Frame
 from sightline.planning import Plan
@@ -31,9 +29,9 @@ class Report:
     images: tuple[CalibratedImage, CalibratedImage]
     plan: Plan
     provenance: dict[str, str]
-    localized: tuple[CalibratedView, CalibratedView] | None = None
+    localized: tuple[BeadView, BeadView] | None = None
     truth: Truth | None = None
-    compared: Sequence[Compared] = field(default=())
+    compared: Sequence[Compared | Refused] = field(default=())
 
 
 def render(report: Report) -> str:
@@ -51,8 +49,3 @@ def render(report: Report) -> str:
         **report_tables.tables(report),
         **report_pictures.pictures(report),
     )
-
-
-def write_report(report: Report, path: Path) -> Path:
-    """Write the page, whole or not at all. Raises UnusableInputError."""
-    return write_whole(path, render(report).encode())

@@ -6,10 +6,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from markupsafe import Markup
 
+from sightline.calibration.localized import LocalizedMap
 from sightline.case import figure_image, figure_plan, figure_space
 from sightline.case.figure_budget import budget
 from sightline.case.report_tables import POINTS, bars, budget_rows
 from sightline.case.views import CalibratedImage
+from sightline.detection import Rejected
 
 if TYPE_CHECKING:
     from sightline.case.report import Report
@@ -25,8 +27,11 @@ def _markup(svg_text: str) -> Markup:
 
 def pictures(report: "Report") -> dict[str, Any]:
     """Everything of the template's context that is a picture."""
+    shown = {image.name: image.seen.image for image in report.images if image.seen.image is not None}
     return {
+        "sources": _markup(figure_image.sources(shown)),
         "plan_pictures": _plan_pictures(report),
+        "near_pictures": _near_pictures(report),
         "tick_mm": TICK_MM,
         "budget": _budget(report),
         "space": _space(report),
@@ -41,18 +46,36 @@ def _figure(drawing: str, caption: str) -> dict[str, Any]:
 def _plan_pictures(report: "Report") -> list[dict[str, Any]]:
     """The wire in both images; the curves in the lateral one."""
     out = []
-    curves = (report.plan.entry_curve, report.plan.end_curve)
     for k, image in enumerate(report.images):
         if image.seen.image is None:
             continue
-        marks = [figure_plan.curve(curve, name) for curve, name in zip(curves, POINTS, strict=True)] if k else []
-        marks.append(figure_plan.wire(image.view, report.plan.trajectory))
-        if report.truth is not None:
-            marks.append(figure_plan.truth(report.truth.uv_px[k]))
-        marks += [figure_plan.pick(pair[k], name) for pair, name in zip(report.plan.picks, POINTS, strict=True)]
         words = f"{image.name} image with the planned wire and its picks"
         words += ", and the image-matching curves of entry and tip with their uncertainty bands" if k else ""
-        out.append(_figure(figure_image.radiograph(image.seen.image, image.name, marks, words), _capital(words) + "."))
+        drawing = figure_image.radiograph(image.seen.image, image.name, _plan_marks(report, k), words)
+        out.append(_figure(drawing, _capital(words) + "."))
+    return out
+
+
+def _plan_marks(report: "Report", k: int) -> list[str]:
+    """What is drawn of the plan in image `k`."""
+    curves = (report.plan.entry_curve, report.plan.end_curve)
+    marks = [figure_plan.curve(curve, name) for curve, name in zip(curves, POINTS, strict=True)] if k else []
+    marks.append(figure_plan.wire(report.images[k].view, report.plan.trajectory))
+    if report.truth is not None:
+        marks.append(figure_plan.truth(report.truth.uv_px[k]))
+    return marks + [figure_plan.pick(pair[k], name) for pair, name in zip(report.plan.picks, POINTS, strict=True)]
+
+
+def _near_pictures(report: "Report") -> list[dict[str, Any]]:
+    """Entry and tip from near, in each image."""
+    out = []
+    for k, image in enumerate(report.images):
+        if image.seen.image is None:
+            continue
+        for pair, name in zip(report.plan.picks, POINTS, strict=True):
+            words = f"{image.name} image around the {name}"
+            drawing = figure_image.near(image.name, pair[k].uv_px, _plan_marks(report, k), words)
+            out.append(_figure(drawing, _capital(words) + "."))
     return out
 
 
@@ -104,15 +127,22 @@ def _bead_pictures(report: "Report") -> dict[str, Any]:
 
 def _beads_of(image: CalibratedImage, marked: list[figure_image.Marked], top_mm: float) -> dict[str, Any]:
     assert image.seen.image is not None and image.seen.beads is not None  # noqa: S101 - only images are shown
-    refused = image.seen.beads.rejected
+    refused = _elsewhere(image)
     left_out = sum(not bead.used for bead in marked)
     size = float(np.sqrt(np.mean([bead.residual_mm**2 for bead in marked if bead.used])))
     words = (
         f"{image.name} image: {len(marked)} beads told apart, residual {size:.3f} mm rms, "
-        f"{left_out} left out of the fit, {len(refused)} candidates rejected"
+        f"{left_out} left out of the fit, {len(refused)} other candidates rejected"
     )
     marks = [figure_image.rejected(refused), figure_image.beads(marked, top_mm)]
     return _figure(figure_image.radiograph(image.seen.image, image.name, marks, words), _capital(words) + ".")
+
+
+def _elsewhere(image: CalibratedImage) -> list[Rejected]:
+    """Rejected candidates that are not a bead that was found all the same, in another size."""
+    assert image.seen.beads is not None  # noqa: S101 - only images are shown
+    beads = image.seen.beads
+    return [c for c in beads.rejected if (np.linalg.norm(beads.uv_px - c.uv_px, axis=1) > beads.radius_px).all()]
 
 
 def _capital(words: str) -> str:
@@ -188,4 +218,19 @@ def _lines(report: "Report", image: CalibratedImage) -> np.ndarray:
 
 
 def _triangles(report: "Report") -> list[dict[str, Any]]:
-    return []
+    """Every triangle of the localized method; those that bound the picks are filled."""
+    if report.localized is None:
+        return []
+    out = []
+    for k, (image, view) in enumerate(zip(report.images, report.localized, strict=True)):
+        net = view.plane_map
+        if image.seen.image is None or not isinstance(net, LocalizedMap):
+            continue
+        uv = np.array([pair[k].uv_px for pair in report.plan.picks])
+        found = net.bounding(uv)
+        bounding = net.controls_px[net.triangulation.simplices[found[found >= 0]]]
+        marks = [figure_image.triangles(net.triangles_px, bounding)]
+        marks += [figure_plan.pick(pair[k], name) for pair, name in zip(report.plan.picks, POINTS, strict=True)]
+        words = f"{image.name} image: the triangles of the XRII plate; those that bound entry and tip are filled"
+        out.append(_figure(figure_image.radiograph(image.seen.image, image.name, marks, words), _capital(words) + "."))
+    return out

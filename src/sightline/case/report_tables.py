@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from sightline.case.comparison import Compared, Refused
 from sightline.case.figure_budget import Bar
 from sightline.case.views import NAMES
 from sightline.checks import Check, failed
@@ -64,12 +65,12 @@ def _tiles(report: "Report") -> list[dict[str, str]]:
         ]
     limits = {check.name: check.limit for check in report.plan.verdict.checks}
     figures = (
-        ("Entry point", "entry_error", f"{path.entry_error_95_mm:.2f} mm", "mm"),
-        ("Tip", "end_error", f"{path.end_error_95_mm:.2f} mm", "mm"),
-        ("Direction", "direction_error", f"{np.rad2deg(path.direction_error_95_rad):.2f}°", "°"),
+        ("Entry point", "entry error", f"{path.entry_error_95_mm:.2f} mm", " mm"),
+        ("Tip", "end error", f"{path.end_error_95_mm:.2f} mm", " mm"),
+        ("Direction", "direction error", f"{np.rad2deg(path.direction_error_95_rad):.2f}°", "°"),
     )
     return [
-        {"name": f"{name}, 95 % bound", "figure": figure, "note": f"limit {limits[check]:.2g} {unit}"}
+        {"name": f"{name}, 95 % bound", "figure": figure, "note": f"limit {limits[check]:.2g}{unit}"}
         for name, check, figure, unit in figures
     ] + [length]
 
@@ -150,13 +151,15 @@ def _comparison(report: "Report") -> dict[str, Any] | None:
     }
 
 
-def _row(one: Any, report: "Report") -> dict[str, Any]:
-    bounds = one.bounds_95
+def _row(one: Compared | Refused, report: "Report") -> dict[str, Any]:
+    if isinstance(one, Refused):
+        return {"method": one.method, "chosen": False, "refused": one.reason}
+    bounds, kept = one.bounds_95, one.kept
     figures = [f"{v:.3f}" for v in one.figures] + (["-"] * 3 if bounds is None else [f"{v:.3f}" for v in bounds])
-    kept = one.kept
     return {
         "method": one.method,
         "chosen": one.trajectory is report.plan.trajectory,
+        "refused": None,
         "figures": figures,
         "inside": None if kept is None else kept == len(one.figures),
         "inside_word": "not stated" if kept is None else f"{kept} of {len(one.figures)}",

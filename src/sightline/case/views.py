@@ -4,7 +4,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from sightline.calibration import CalibratedView, calibrate
+from sightline.calibration import BeadView, calibrate
+from sightline.calibration.fit import Method
 from sightline.detection import Detections, Observations, detect, label
 from sightline.detection.files import read_observations
 from sightline.errors import ObservationsError, UnusableInputError
@@ -29,7 +30,7 @@ class CalibratedImage:
     """One view with its geometry, and all it was made from."""
 
     seen: Seen
-    view: CalibratedView
+    view: BeadView
 
     @property
     def name(self) -> str:
@@ -75,7 +76,7 @@ def see_pair(pa: Path, lateral: Path, frame: Frame) -> tuple[Seen, Seen]:
     )
 
 
-def calibrate_pair(pair: Sequence[Seen], frame: Frame, method: str) -> tuple[CalibratedImage, CalibratedImage]:
+def calibrate_pair(pair: Sequence[Seen], frame: Frame, method: Method) -> tuple[CalibratedImage, CalibratedImage]:
     """Both views calibrated, each from its own beads."""
     first, second = (CalibratedImage(s, calibrate(s.observations, frame, method=method)) for s in pair)
     return first, second

@@ -1,0 +1,222 @@
+"""`sightline demo`: the whole way on images of the twin, from two DICOM files to a report held against the truth."""
+
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from sightline.cli.output import Json, Output, Quiet
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from sightline.calibration.fit import Method
+    from sightline.case.comparison import Compared, Refused, Truth
+    from sightline.case.views import CalibratedImage
+    from sightline.frame import Frame
+    from sightline.imaging import Radiograph
+    from sightline.twin import SetUp
+
+METHODS: "tuple[Method, ...]" = ("smooth", "localized", "polynomial")  # the first is the one that the plan is made with
+PICK_SD_PX = 0.5  # a careful click (physics.md, Picks) [ours]
+OFF_CENTRE_SD_MM = 4.0  # how well the frame is centred on the wire, per axis [ours]
+FIELD_MARGIN_PX = 60.0  # the wire's ends lie at least this far inside both fields [ours]
+BY_HAND = f"picked by hand: {PICK_SD_PX:g} px of noise, lateral picks snapped to their curves"
+EXACT = "located exactly: no noise, 0.1 px assumed"
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command."""
+    app.command("demo")(demo)
+
+
+def demo(
+    *,
+    out: Annotated[Path, typer.Option(help="Folder for the report, the images and the results.")] = Path("out/demo"),
+    seed: Annotated[int, typer.Option(min=0, help="Another seed is another patient, C-arm and frame.")] = 1,
+    json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Make two images with the digital twin, plan a wire on them, and compare with the truth."""
+    with Output(json=json, quiet=quiet) as output:
+        output.note(f"Sightline demo, seed {seed}: about half a minute, the first time a little more")
+        out.parent.mkdir(parents=True, exist_ok=True)
+        # Everything is made beside its place and moved there at the end: an interrupted run leaves nothing.
+        with TemporaryDirectory(dir=out.parent, prefix=".demo-") as scratch:
+            document = _run(output, Path(scratch), seed)
+            files = _publish(Path(scratch), out)
+        output.say(f"report: {out / 'report.html'}")
+        output.say(f"images and results: {', '.join(file.name for file in files if file.suffix != '.html')} in {out}")
+        output.result({**document, "files": files})
+
+
+def _run(output: Output, folder: Path, seed: int) -> dict[str, Any]:
+    """All steps. The images are read back from their files: nothing but the truth passes from the twin to the rest."""
+    import numpy as np
+
+    from sightline.case.report import Report, render
+    from sightline.case.views import calibrate_pair, see_pair
+    from sightline.frame import Frame
+    from sightline.planning import plan
+
+    frame = Frame.load("gamma")
+    rng = np.random.default_rng(seed)
+    with output.step("1/6 drawing the set-up and its X-ray images"):
+        setup, truth, radiographs = _simulate(frame, rng)
+    pa, lateral = _write_images(folder, radiographs)
+    with output.step("2/6 reading the images, finding and telling apart the beads"):
+        seen = see_pair(pa, lateral, frame)
+    images: dict[str, tuple[CalibratedImage, CalibratedImage]] = {}
+    with output.step(f"3/6 calibrating both views: {', '.join(METHODS)}"):
+        for method in METHODS:
+            images[method] = calibrate_pair(seen, frame, method)
+    picks = truth.uv_px + PICK_SD_PX * rng.standard_normal((2, 2, 2))
+    with output.step("4/6 planning entry and tip, drawing the image-matching curves"):
+        views = [image.view for image in images[METHODS[0]]]
+        planned = plan(views, picks[:, 0], picks[:, 1], pick_sd_px=PICK_SD_PX, snapped=True)
+    with output.step("5/6 comparing three methods with the truth"):
+        compared = _compare(images, picks, truth, planned)
+    with output.step("6/6 drawing the report"):
+        report = Report(
+            title="A guide wire planned on two images of the twin",
+            frame=frame,
+            images=images[METHODS[0]],
+            plan=planned,
+            provenance={
+                "images": f"made by the digital twin, seed {seed}, written as DICOM without geometry and read back",
+                "picks": f"the true places with {PICK_SD_PX:g} px of normal noise; lateral ones snapped to curves",
+                "command": f"sightline demo --seed {seed}",
+            },
+            localized=(images["localized"][0].view, images["localized"][1].view),
+            truth=truth,
+            compared=compared,
+        )
+        page = render(report)
+    _write_results(folder, page, report, setup, seed)
+    _show(output, planned, compared)
+    return {
+        "go": planned.verdict.go,
+        "trajectory": planned.trajectory.document(),
+        "comparison": [one.document() for one in compared],
+    }
+
+
+def _simulate(frame: "Frame", rng: "np.random.Generator") -> "tuple[SetUp, Truth, dict[str, Radiograph]]":
+    """A set-up whose two fields show the whole wire, as a radiographer makes one, and its images."""
+    import numpy as np
+
+    from sightline.case.comparison import Truth
+    from sightline.case.views import NAMES
+    from sightline.twin import draw_setup
+    from sightline.twin.femur import SoftTissue, draw_femur, to_cfcs, voxelise
+    from sightline.twin.render import Scene, render
+    from sightline.twin.things import frame_boxes, frame_solids
+
+    femur = draw_femur(rng)
+    while True:
+        setup = draw_setup(rng, frame)
+        wire = to_cfcs(np.stack(femur.wire_mm()), setup.side, np.zeros(3))
+        # The frame is centred on the wire, not on the head: only so do both fields show all of it.
+        head = rng.normal(0.0, OFF_CENTRE_SD_MM, 3) - wire.mean(axis=0)
+        views = [setup.views[name] for name in NAMES]
+        uv = np.stack([view.project(wire + head) for view in views])
+        if all(view.in_field(at, FIELD_MARGIN_PX).all() for view, at in zip(views, uv, strict=True)):
+            break
+    scene = Scene(
+        solids=frame_solids(setup.true_frame),
+        boxes=frame_boxes(setup.true_frame),
+        bone=voxelise(femur, setup.side, head, rng),
+        tissue=SoftTissue(),
+    )
+    return setup, Truth(wire + head, uv), {name: render(setup, name, scene, rng) for name in NAMES}
+
+
+def _write_images(folder: Path, radiographs: "dict[str, Radiograph]") -> list[Path]:
+    from sightline.imaging import write_dicom
+
+    return [write_dicom(image, folder / f"demo_{name}.dcm") for name, image in radiographs.items()]
+
+
+def _compare(
+    images: "dict[str, tuple[CalibratedImage, CalibratedImage]]", picks: "np.ndarray", truth: "Truth", planned: Any
+) -> "list[Compared | Refused]":
+    """Every method with the picks of a person, and with the true pixels, which show what the calibration is worth."""
+    from sightline.case.comparison import Compared, Refused
+    from sightline.errors import RefusedError
+    from sightline.planning import plan
+
+    out: list[Compared | Refused] = [Compared(METHODS[0], BY_HAND, planned.trajectory, truth)]
+    for how, uv, sd, snapped in ((BY_HAND, picks, PICK_SD_PX, True), (EXACT, truth.uv_px, 0.1, False)):
+        for method in METHODS:
+            if (method, how) == (METHODS[0], BY_HAND):
+                continue
+            views = [image.view for image in images[method]]
+            try:
+                path = plan(views, uv[:, 0], uv[:, 1], pick_sd_px=sd, snapped=snapped).trajectory
+                out.append(Compared(method, how, path, truth))
+            except RefusedError as error:
+                out.append(Refused(method, how, str(error)))
+    return out
+
+
+def _write_results(folder: Path, page: str, report: Any, setup: "SetUp", seed: int) -> None:
+    from sightline.case.documents import view_document, write_folder
+    from sightline.cli.output import as_json
+    from sightline.detection.files import write_observations
+
+    images, planned = report.images, report.plan
+    trajectory = {**planned.trajectory.document(), "go": planned.verdict.go, "checks": planned.verdict.checks}
+    results = {
+        "detections": {image.name: image.seen.beads for image in images},
+        "observations": {image.name: image.seen.observations for image in images},
+        "views": [view_document(image) for image in images],
+        "trajectory": trajectory,
+        "comparison": [one.document() for one in report.compared],
+        "truth": _truth_document(setup, report.truth, seed),
+    }
+    documents = {f"{name}.json": as_json(document).encode() for name, document in results.items()}
+    write_folder(folder, {"report.html": page.encode(), **documents})
+    write_observations([image.seen.observations for image in images], folder / "observations.csv")
+
+
+def _truth_document(setup: "SetUp", truth: "Truth", seed: int) -> dict[str, Any]:
+    return {
+        "seed": seed,
+        "coordinates": "CFCS",
+        "side": setup.side,
+        "entry_mm": truth.xyz_mm[0],
+        "end_mm": truth.xyz_mm[1],
+        "views": {
+            name: {
+                "focal_point_mm": view.focal_point_mm,
+                "entry_uv_px": truth.uv_px[k, 0],
+                "end_uv_px": truth.uv_px[k, 1],
+            }
+            for k, (name, view) in enumerate(setup.views.items())
+        },
+        "beads_mm": {f.id: f.xyz_mm for view in setup.true_frame.views.values() for f in view.fiducials},
+    }
+
+
+def _publish(scratch: Path, out: Path) -> list[Path]:
+    """Move the finished files to their place."""
+    out.mkdir(exist_ok=True)
+    return [file.replace(out / file.name) for file in sorted(scratch.iterdir())]
+
+
+def _show(output: Output, planned: Any, compared: "list[Compared | Refused]") -> None:
+    from sightline.cli.plan import show
+
+    show(output, planned)
+    for how in (BY_HAND, EXACT):
+        rows = [_row(one) for one in compared if one.picks == how]
+        output.table(f"Error against the truth, {how}", ("method", "entry mm", "tip mm", "direction °"), rows)
+
+
+def _row(one: "Compared | Refused") -> tuple[str, ...]:
+    from sightline.case.comparison import Refused
+
+    if isinstance(one, Refused):
+        return one.method, "refused", "refused", "refused"
+    return one.method, *(f"{v:.2f}" for v in one.figures)

@@ -1,0 +1,161 @@
+"""`sightline plan`: two images and four picks to a trajectory, its error, and GO or NO-GO."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import typer
+
+from sightline.cli.output import Json, Output, Quiet
+
+if TYPE_CHECKING:
+    from sightline.calibration import CalibratedView
+    from sightline.case.report import Report
+    from sightline.case.views import CalibratedImage
+    from sightline.planning import Plan
+
+MethodName = Literal["smooth", "localized", "polynomial"]
+PICK_HELP = (
+    "Where the point is, in pixels: 'pa:U,V lateral:U,V'. Instead of the lateral pixel, 'depth:MM' is a place on the "
+    "image-matching curve, in mm from the PA plate towards the X-ray source."
+)
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command."""
+    app.command("plan")(plan)
+
+
+def plan(
+    pa: Annotated[Path, typer.Argument(help="The PA image, or observations as CSV.")],
+    lateral: Annotated[Path, typer.Argument(help="The lateral image, or observations as CSV (may be the same file).")],
+    *,
+    entry: Annotated[str, typer.Option(help=f"Entry point. {PICK_HELP}")],
+    end: Annotated[str, typer.Option(help="End point, the tip of the wire; written like the entry point.")],
+    frame: Annotated[str, typer.Option(help="A frame file, or gamma, biplane, stereo.")] = "gamma",
+    method: Annotated[MethodName, typer.Option(help="localized is the paper's.")] = "smooth",
+    pick_sd: Annotated[float, typer.Option(help="Standard deviation of a pick, px: 0.5 is a careful click.")] = 0.5,
+    snap: Annotated[
+        bool, typer.Option("--snap", help="Take the lateral picks to their image-matching curves.")
+    ] = False,
+    out: Annotated[Path | None, typer.Option(help="Folder for report.html and plan.json.")] = None,
+    json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Plan a wire on two images: trajectory, 95 % error bounds, GO or NO-GO (exit code 3)."""
+    with Output(json=json, quiet=quiet) as output:
+        points = [parse_point(entry, "--entry"), parse_point(end, "--end")]
+        snapped = snap or _all_depths(points)
+        from sightline.case.views import calibrate_pair, see_pair
+        from sightline.frame import Frame
+        from sightline.planning import plan as make_plan
+
+        known_frame = Frame.load(frame)
+        with output.step("finding and telling apart the beads"):
+            seen = see_pair(pa, lateral, known_frame)
+        with output.step(f"calibrating both views ({method})"):
+            images = calibrate_pair(seen, known_frame, method)
+        with output.step("planning"):
+            views = [image.view for image in images]
+            entry_px, end_px = (_pixels(point, views, pick_sd) for point in points)
+            planned = make_plan(views, entry_px, end_px, pick_sd_px=pick_sd, snapped=snapped)
+        document = plan_document(planned, images)
+        if out is not None:
+            from sightline.case.report import Report
+
+            picks = f"entry {entry}; end {end}; {pick_sd:g} px{', snapped' if snapped else ''}"
+            report = Report("Planned guide wire", known_frame, images, planned, {"picks": picks})
+            with output.step("writing the report"):
+                document["files"] = _write(out, report, document)
+        show(output, planned)
+        for file in document.get("files", ()):
+            output.say(f"written: {file}")
+        output.result(document, planned.verdict.checks)
+
+
+def parse_point(text: str, option: str) -> dict[str, tuple[float, ...]]:
+    """'pa:U,V lateral:U,V' or 'pa:U,V depth:MM' as numbers. Raises UnusableInputError."""
+    from sightline.errors import UnusableInputError
+
+    out: dict[str, tuple[float, ...]] = {}
+    try:
+        for part in text.split():
+            name, numbers = part.split(":")
+            if name in out:
+                raise ValueError
+            out[name] = tuple(float(number) for number in numbers.split(","))
+    except ValueError:
+        out = {}
+    lengths = {name: len(numbers) for name, numbers in out.items()}
+    if lengths not in ({"pa": 2, "lateral": 2}, {"pa": 2, "depth": 1}):
+        raise UnusableInputError(
+            f"{option} {text!r} is not a point; write 'pa:U,V lateral:U,V' in pixels (for example "
+            "'pa:512.3,401.8 lateral:498.0,377.2'), or 'pa:U,V depth:MM'"
+        )
+    return out
+
+
+def _all_depths(points: list[dict[str, tuple[float, ...]]]) -> bool:
+    """True if both points state a depth, False if none does. Raises UnusableInputError on one of each."""
+    from sightline.errors import UnusableInputError
+
+    depths = {"depth" in point for point in points}
+    if len(depths) == 2:
+        raise UnusableInputError("one point states a depth and the other a lateral pixel; write both in one way")
+    return depths == {True}
+
+
+def _pixels(point: dict[str, tuple[float, ...]], views: "Sequence[CalibratedView]", pick_sd: float) -> Any:
+    """(2, 2): the picks of one point in both views. A depth becomes the pixel of the curve there."""
+    import numpy as np
+
+    from sightline.errors import UnusableInputError
+    from sightline.planning import Pick, matching_curve
+
+    first = np.array(point["pa"])
+    if "lateral" in point:
+        return np.array([first, point["lateral"]])
+    pick = Pick.free(first, pick_sd)
+    curve = matching_curve(views[0], pick.uv_px, views[1], pick.covariance_px2)
+    depth, (low, high) = point["depth"][0], (curve.depth_mm[0], curve.depth_mm[-1])
+    if not low <= depth <= high:
+        raise UnusableInputError(
+            f"the lateral view sees the line of sight from {low:.0f} to {high:.0f} mm of depth, not at {depth:g} mm"
+        )
+    return np.array([first, [np.interp(depth, curve.depth_mm, curve.uv_px[:, k]) for k in range(2)]])
+
+
+def plan_document(planned: "Plan", images: "tuple[CalibratedImage, CalibratedImage]") -> dict[str, Any]:
+    """The plan as JSON types."""
+    from sightline.case.documents import view_document
+
+    return {
+        "go": planned.verdict.go,
+        "trajectory": planned.trajectory.document(),
+        "views": [view_document(image) for image in images],
+    }
+
+
+def show(output: Output, planned: "Plan") -> None:
+    """The plan for a person."""
+    path = planned.trajectory
+    errors = path.document()["error_95"] or {}
+    rows = [
+        (name, *(f"{v:.2f}" for v in xyz), f"{errors[key]:.2f}" if errors else "unknown")
+        for name, key, xyz in (("entry", "entry_mm", path.entry_mm), ("end", "end_mm", path.end_mm))
+    ]
+    output.table("Trajectory in CFCS, mm (no robot is known)", ("point", "x", "y", "z", "95 % error"), rows)
+    direction = f"{errors['direction_deg']:.2f}°" if errors else "unknown"
+    output.say(f"wire {path.length_mm:.1f} mm, 95 % error of its direction {direction}")
+    output.say(
+        "GO: every check passed; a person decides" if planned.verdict.go else "NO-GO: see the checks that failed"
+    )
+
+
+def _write(folder: Path, report: "Report", document: dict[str, Any]) -> list[Path]:
+    from sightline.case.documents import write_folder
+    from sightline.case.report import render
+    from sightline.cli.output import as_json
+
+    plan_json = as_json({**document, "checks": report.plan.verdict.checks})
+    return write_folder(folder, {"report.html": render(report).encode(), "plan.json": plan_json.encode()})
