@@ -10,8 +10,8 @@ from sightline.frame.design import Balls, Beam, FrameDesign, Pattern, grid_place
 from sightline.frame.model import Frame
 from sightline.frame.patterns import search
 
-# search(grids, 6, np.random.default_rng(13), moves=300_000) of patterns.py, for grids of 7 rows, and of 8 without
-# corners: no triple of datums is nearer to another than a stretch or scale of 1.093 (tests/frame/test_patterns.py).
+# search(grids, 6, np.random.default_rng(13), moves=300_000) of patterns.py, for grids of 7 and of 8 rows (its
+# corners left out): no triple of datums is nearer to another than a stretch or scale of 1.093 (tests/frame/test_patterns.py).
 PATTERNS_7_ROWS: tuple[tuple[Pattern, Pattern], tuple[Pattern, Pattern]] = (
     (
         ((2, 1), (2, 2), (3, 7), (4, 6), (5, 2), (7, 5)),
@@ -42,7 +42,7 @@ def patterns_for(beams: Mapping[str, Beam], rows: int = 7, datums: int = 6) -> d
         return dict(zip(beams, PATTERNS_7_ROWS, strict=True))
     if not 4 <= rows <= MAX_ROWS:
         raise FrameError(f"datum patterns are found for 4 to {MAX_ROWS} rows; {rows} were asked for")
-    places = [grid_places(rows, corners=True), grid_places(rows + 1, corners=False)] * len(beams)
+    places = [grid_places(rows), grid_places(rows + 1)] * len(beams)
     chosen = search([np.array(one, dtype=float) for one in places], datums, np.random.default_rng(0))
     patterns = [tuple(one[index] for index in mine) for one, mine in zip(places, chosen, strict=True)]
     return dict(zip(beams, zip(patterns[::2], patterns[1::2], strict=True), strict=True))

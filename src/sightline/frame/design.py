@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from math import floor
+from math import ceil
 
 import numpy as np
 
@@ -39,8 +39,9 @@ class Balls:
 class FrameDesign:
     """What a frame is made from; distances are from the hip along the plate normal, positive towards the intensifier.
 
-    The XRII plate has `rows` x `rows` balls, `pitch_mm` apart. The source plate has one row more and no corners, and a
-    pitch at which the two grids interleave in the image. `patterns`: each view's datums, XRII plate first.
+    The XRII plate has `rows` x `rows` balls, `pitch_mm` apart. The source plate has one row more on the
+    same field: the two grids beat once across the image, so that balls of the two plates cover each other in a few
+    places wherever the frame stands, and never all at once. `patterns`: each view's datums, XRII plate first.
     """
 
     name: str
@@ -54,17 +55,15 @@ class FrameDesign:
     source_balls: Balls = Balls()
 
 
-def grid_places(rows: int, *, corners: bool) -> tuple[tuple[int, int], ...]:
+def grid_places(rows: int) -> tuple[tuple[int, int], ...]:
     """(row, column), counted from 1, of the balls of a square plate."""
-    ends = (1, rows)
-    every = ((row, column) for row in range(1, rows + 1) for column in range(1, rows + 1))
-    return tuple(place for place in every if corners or not (place[0] in ends and place[1] in ends))
+    return tuple((row, column) for row in range(1, rows + 1) for column in range(1, rows + 1))
 
 
 def source_pitch_mm(design: FrameDesign, beam: Beam) -> float:
-    """The pitch at the XRII plate, seen from the source at the source plate, down to the next half millimetre."""
+    """The pitch at which the source plate's grid covers what the XRII plate's does, up to the next half millimetre."""
     source, xrii = (SOURCE_TO_HIP_MM + beam.obliquity * mm for mm in (design.source_mm, design.xrii_mm))
-    return floor(2 * design.pitch_mm * source / xrii) / 2
+    return ceil(2 * design.pitch_mm * source / xrii * (design.rows - 1) / design.rows) / 2
 
 
 def make_frame(design: FrameDesign) -> Frame:
@@ -102,7 +101,7 @@ def _plate(prefix: str, plane: Plane, grid: tuple[int, float], datums: Pattern, 
     rows, pitch = grid
     middle = (rows + 1) / 2
     fiducials: list[Fiducial] = []
-    for row, column in grid_places(rows, corners=prefix.endswith("-x")):
+    for row, column in grid_places(rows):
         datum = (row, column) in datums
         x, y, z = plane.to_space(pitch * (np.array([column, row]) - middle)).round(6).tolist()
         diameter = balls.datum_mm if datum else balls.ordinary_mm
