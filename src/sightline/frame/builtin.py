@@ -11,7 +11,8 @@ from sightline.frame.model import Frame
 from sightline.frame.patterns import search
 
 # search(grids, 6, np.random.default_rng(13), moves=300_000) of patterns.py, for grids of 7 and of 8 rows (its
-# corners left out): no triple of datums is nearer to another than a stretch or scale of 1.093 (tests/frame/test_patterns.py).
+# corners left out): no triple of datums is nearer to another than a stretch or scale of 1.093
+# (tests/frame/test_patterns.py).
 PATTERNS_7_ROWS: tuple[tuple[Pattern, Pattern], tuple[Pattern, Pattern]] = (
     (
         ((2, 1), (2, 2), (3, 7), (4, 6), (5, 2), (7, 5)),
