@@ -34,7 +34,9 @@ class BeadView:
     def project(self, xyz_mm: np.ndarray) -> np.ndarray:
         """Points (N, 3) CFCS to pixels (N, 2). Raises OutsideRegionError."""
         xyz = np.asarray(xyz_mm, dtype=np.float64)
-        return self.plane_map.to_image(self.plane.central_projection(self.focal_point_mm, xyz))
+        uv = self.plane_map.to_image(self.plane.central_projection(self.focal_point_mm, xyz))
+        self.hull.refuse_far(uv)  # where no line of sight is given either
+        return uv
 
     def lines_of_sight(self, uv_px: np.ndarray) -> LinesOfSight:
         """Lines of sight of pixels (N, 2). Raises OutsideRegionError, UnusableInputError."""

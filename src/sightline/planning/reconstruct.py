@@ -45,12 +45,12 @@ def reconstruct(
     lines = first.lines_of_sight(uv[0]), second.lines_of_sight(uv[1])
     _refuse_parallel(*lines)
     xyz, gap = _nearest_approach(*lines)
+    _refuse_behind(lines, xyz)
     used: Method = "nearest" if any(one.covariance is None for one in lines) else method
     solution = _Solution(lines, (covariance, across), xyz, used)
     for _ in range(_ITERATIONS if used == "weighted" else 0):
         xyz = xyz + solution.step_mm()
         solution = _Solution(lines, (covariance, across), xyz, used)
-    _refuse_behind(lines, xyz)
     budget, gap_sd = solution.budget_mm2(), solution.gap_sd_mm()
     tested = ~np.any(across != 0.0, axis=(0, 2))
     return SpacePoints(

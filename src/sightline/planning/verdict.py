@@ -42,15 +42,15 @@ def _error_known(trajectory: Trajectory) -> Check:
         else "Error unknown: a view states no covariance, so nothing can be said of the trajectory's error; "
         "calibrate both views from their beads, or give the matrix of a view with its covariance."
     )
-    return Check("error_known", known, float(known), 1.0, "", sentence)
+    return Check("error known", known, float(known), 1.0, "", sentence)
 
 
 def _errors(trajectory: Trajectory, limits: Limits) -> list[Check]:
     direction_deg = float(np.rad2deg(trajectory.direction_error_95_rad))
     figures = (
-        ("entry_error", "entry point", trajectory.entry_error_95_mm, limits.position_mm, "mm"),
-        ("end_error", "end point", trajectory.end_error_95_mm, limits.position_mm, "mm"),
-        ("direction_error", "direction", direction_deg, float(np.rad2deg(limits.direction_rad)), "°"),
+        ("entry error", "entry point", trajectory.entry_error_95_mm, limits.position_mm, "mm"),
+        ("end error", "end point", trajectory.end_error_95_mm, limits.position_mm, "mm"),
+        ("direction error", "direction", direction_deg, float(np.rad2deg(limits.direction_rad)), "°"),
     )
     out = []
     for name, what, figure, limit, unit in figures:
@@ -65,7 +65,7 @@ def _errors(trajectory: Trajectory, limits: Limits) -> list[Check]:
 
 def _largest(trajectory: Trajectory, check: str) -> str:
     """The source with the largest share, in words."""
-    key = {"entry_error": "entry_mm", "end_error": "end_mm", "direction_error": "direction_rad"}[check]
+    key = {"entry error": "entry_mm", "end error": "end_mm", "direction error": "direction_rad"}[check]
     budget = trajectory.budget_rms()
     return max(budget, key=lambda source: budget[source][key]).replace("_", " ")
 
@@ -104,4 +104,4 @@ def _inside_hull(trajectory: Trajectory, views: Sequence[CalibratedView]) -> Che
             else "this method states no honest error there: use the method 'smooth', or place the frame so that its "
             "beads surround the target."
         )
-    return Check("inside_hull", len(outside) <= limit, float(len(outside)), float(limit), "points", sentence)
+    return Check("plan inside hull", len(outside) <= limit, float(len(outside)), float(limit), "points", sentence)

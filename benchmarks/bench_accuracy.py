@@ -1,0 +1,161 @@
+"""Γ frame, image to 3-D: `smooth` beside `localized`, polynomials, OpenCV and the bound, on random set-ups.
+
+200 set-ups, four targets each, surrounded by the beads of both plates. Beads and targets are measured to 0.1 px.
+A figure of a method is the largest error of the four targets; it is compared over the set-ups in which both methods
+answer (`localized` refuses a target whose bounding triangle is a sliver).
+"""
+
+from functools import partial
+from typing import Any
+
+import cv2
+import numpy as np
+
+import sightline as sl
+from benchmarks.rows import Row
+from benchmarks.setups import BEADS_20UM, EXACT, VIEWS, WHOLE, Scene, draw_scene, in_parallel
+from sightline.errors import SightlineError
+from sightline.studies.bound import bound
+
+SETUPS = 200
+BEAD_PX = 0.1
+METHODS: dict[str, dict[str, Any]] = {
+    "smooth": {},
+    "localized": {"method": "localized"},
+    "polynomial 3": {"method": "polynomial", "degree": 3},
+    "polynomial 5": {"method": "polynomial", "degree": 5},
+    "polynomial 7": {"method": "polynomial", "degree": 7},
+}
+FRAMES = {"no frame errors": EXACT, "beads 0.02 mm": BEADS_20UM, "beads, plates, arms": WHOLE}
+OPENCV = "OpenCV"
+
+
+def run(quick: bool) -> list[Row]:
+    """The rows of this benchmark."""
+    seeds = range(SETUPS // 10 if quick else SETUPS)
+    rows: list[Row] = []
+    for name in FRAMES:
+        rows += _rows_of_frame(
+            name, in_parallel(partial(_trial, frame=name, pick_px=0.1, methods=(*METHODS, OPENCV)), seeds)
+        )
+    for pick_px in (0.5, 1.0):
+        trials = in_parallel(
+            partial(_trial, frame="beads 0.02 mm", pick_px=pick_px, methods=("smooth", "localized")), seeds
+        )
+        rows += _rows_of_picks(pick_px, trials)
+    return rows
+
+
+def _trial(seed: int, frame: str, pick_px: float, methods: tuple[str, ...]) -> dict[str, np.ndarray]:
+    """Error of each method at the four targets, mm; infinite where it refuses; and the bounds."""
+    scene = draw_scene(seed, FRAMES[frame], BEAD_PX, targets=4)
+    noise = np.random.default_rng([seed, 1]).standard_normal(scene.target_px.shape)
+    uv = scene.target_px + pick_px * noise
+    out = {name: _errors(name, scene, uv, pick_px) for name in methods}
+    seen = scene.seen(np.broadcast_to(pick_px**2 * np.eye(2), (2, 2, 2)))
+    for name, known in (("bound", False), ("bound, map known", True)):
+        each = [bound(scene.setup, seen, x, known_map=known) for x in scene.target_mm]
+        out[name] = np.sqrt([np.trace(c) for c in each])
+    return out
+
+
+def _errors(name: str, scene: Scene, uv_px: np.ndarray, pick_px: float) -> np.ndarray:
+    try:
+        xyz = _opencv(scene, uv_px) if name == OPENCV else _sightline(scene, uv_px, pick_px, METHODS[name])
+    except (SightlineError, cv2.error):
+        return np.full(len(scene.target_mm), np.inf)
+    return np.linalg.norm(xyz - scene.target_mm, axis=1)
+
+
+def _sightline(scene: Scene, uv_px: np.ndarray, pick_px: float, options: dict[str, Any]) -> np.ndarray:
+    views = [sl.calibrate(scene.observations[name], scene.frame, **options) for name in VIEWS]
+    covariance = np.broadcast_to(pick_px**2 * np.eye(2), (2, uv_px.shape[1], 2, 2))
+    return sl.reconstruct(views, uv_px, covariance).xyz_mm
+
+
+def _opencv(scene: Scene, uv_px: np.ndarray) -> np.ndarray:
+    """calibrateCamera with all 14 distortion parameters on the beads of both plates, then triangulatePoints."""
+    matrices, normalised = [], []
+    for name, targets in zip(VIEWS, uv_px, strict=True):
+        view, seen, chain = scene.frame.view(name), scene.observations[name], scene.setup.views[name].chain
+        height, width = chain.shape
+        unmirrored = (
+            np.array([-1.0, 1.0]),
+            np.array([width - 1.0, 0.0]),
+        )  # the twin's images are seen from the intensifier
+        beads = np.array([view.by_id[i].xyz_mm for i in seen.ids], dtype=np.float32)
+        pixels = (seen.uv_px * unmirrored[0] + unmirrored[1]).astype(np.float32)
+        focal_px = chain.sdd_mm / chain.pitch_mm
+        guess = np.array([[focal_px, 0.0, (width - 1) / 2], [0.0, focal_px, (height - 1) / 2], [0.0, 0.0, 1.0]])
+        flags = (
+            cv2.CALIB_USE_INTRINSIC_GUESS
+            | cv2.CALIB_RATIONAL_MODEL
+            | cv2.CALIB_THIN_PRISM_MODEL
+            | cv2.CALIB_TILTED_MODEL
+        )
+        criteria = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 200, 1e-12)
+        _, camera, distortion, turns, shifts = cv2.calibrateCamera(
+            [beads], [pixels], (width, height), guess, np.zeros(14), flags=flags, criteria=criteria
+        )
+        matrices.append(np.hstack([cv2.Rodrigues(turns[0])[0], shifts[0]]))
+        flat = targets * unmirrored[0] + unmirrored[1]
+        normalised.append(cv2.undistortPoints(flat[:, None], camera, distortion)[:, 0])
+    homogeneous = cv2.triangulatePoints(*matrices, normalised[0].T, normalised[1].T)
+    return (homogeneous[:3] / homogeneous[3]).T
+
+
+def _largest(trials: list[dict[str, np.ndarray]], name: str) -> np.ndarray:
+    return np.array([trial[name].max() for trial in trials])
+
+
+def _ratio(trials: list[dict[str, np.ndarray]], peer: str) -> tuple[float, int]:
+    """Median of a peer's largest errors over that of `smooth`, and in how many set-ups the peer refuses."""
+    ours, theirs = _largest(trials, "smooth"), _largest(trials, peer)
+    both = np.isfinite(ours) & np.isfinite(theirs)
+    return float(np.median(theirs[both]) / np.median(ours[both])), int((~np.isfinite(theirs)).sum())
+
+
+def _to_bound(trials: list[dict[str, np.ndarray]]) -> float:
+    """rms (error / bound) of `smooth` over all set-ups and targets."""
+    return float(np.sqrt(np.mean([(trial["smooth"] / trial["bound"]) ** 2 for trial in trials])))
+
+
+def _spread(values: np.ndarray) -> str:
+    return f"{np.median(values):.3f} / {np.percentile(values, 95):.3f} mm"
+
+
+def _rows_of_frame(name: str, trials: list[dict[str, np.ndarray]]) -> list[Row]:
+    group = f"Γ, targets 0.1 px, {name}"
+    rows = [
+        Row(group, f"{column}: median / 95 % of the largest of four", _spread(_largest(trials, column)))
+        for column in trials[0]
+    ]
+    asked = {"no frame errors": {"localized": 8.0, OPENCV: 3.0}, "beads 0.02 mm": {"localized": 4.0, OPENCV: 3.0}}.get(
+        name, {}
+    )
+    for peer in (*[m for m in METHODS if m != "smooth"], OPENCV):
+        ratio, refused = _ratio(trials, peer)
+        limit = asked.get(peer)
+        rows.append(
+            Row(
+                group,
+                f"smooth more accurate than {peer} by",
+                f"{ratio:.1f} times",
+                f">= {limit:.0f}" if limit else "",
+                f"{peer} refuses {refused} of {len(trials)}",
+                ratio >= limit if limit else None,
+            )
+        )
+    figure = _to_bound(trials)
+    rows.append(Row(group, "smooth: rms (error / bound)", f"{figure:.3f}", "<= 1.25", "", figure <= 1.25))
+    return rows
+
+
+def _rows_of_picks(pick_px: float, trials: list[dict[str, np.ndarray]]) -> list[Row]:
+    group = f"Γ, picks {pick_px} px, beads 0.02 mm"
+    figure, (ratio, _) = _to_bound(trials), _ratio(trials, "localized")
+    return [
+        *[Row(group, f"{c}: median / 95 % of the largest of four", _spread(_largest(trials, c))) for c in trials[0]],
+        Row(group, "smooth more accurate than localized by", f"{ratio:.1f} times"),
+        Row(group, "smooth: rms (error / bound)", f"{figure:.3f}", "<= 1.25", "", figure <= 1.25),
+    ]

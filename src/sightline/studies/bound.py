@@ -1,0 +1,108 @@
+"""The bound that the accuracy of targets is compared with: no unbiased use of the same images can do better.
+
+Inverse Fisher information (Bayesian, van Trees) of one target's xyz in one set-up. Data: the pixels of all visible
+beads of both views, and the target's, with their true covariances. Nuisances: both focal points and, for each
+view's map, a cubic, all with a flat prior; the part of the map beyond a cubic and the frame's errors, with the
+priors they were truly drawn from. All is linear about the truth, so the bound is a marginal of one Gaussian.
+
+On the reference plane of a view, bead b (pixel u, place X) obeys `cubic(u) + beyond(u) + J noise = projection(F, X)`.
+"""
+
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+from scipy.linalg import block_diag, cho_factor, cho_solve
+
+from sightline.geometry.planes import Plane
+from sightline.twin import SetUp, ViewTruth
+
+_STEP_MM = 1e-3  # of numerical derivatives; the functions are smooth over millimetres
+
+
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """What is seen of one view: `ids` of its visible beads, their covariances `bead_px2` (N, 2, 2), the target's pick.
+
+    `pick_px2` (2, 2): its covariance; `across_px` (2,): zero, or the direction in which a snapped pick of the target says nothing.
+    """
+
+    ids: tuple[str, ...]
+    bead_px2: np.ndarray
+    pick_px2: np.ndarray
+    across_px: np.ndarray
+
+
+def bound(setup: SetUp, seen: dict[str, Seen], target_mm: np.ndarray, *, known_map: bool = False) -> np.ndarray:
+    """(3, 3) mm²: least covariance of the target at `target_mm` (3,), CFCS. `known_map`: both maps known exactly."""
+    views = [_linearised(setup, name, one, target_mm, known_map) for name, one in seen.items()]
+    nuisance = np.asarray(block_diag(*[view.nuisance for view in views]))
+    design = np.hstack([nuisance, np.vstack([view.target for view in views])])
+    response = np.vstack([view.response for view in views])
+    covariance = np.asarray(block_diag(*[view.covariance for view in views])) + response @ response.T
+    information = design.T @ cho_solve(cho_factor(covariance), design)
+    scale = 1.0 / np.sqrt(np.diag(information))
+    return (scale[:, None] * np.linalg.inv(scale[:, None] * information * scale) * scale)[-3:, -3:]
+
+
+@dataclass(frozen=True, eq=False)
+class _Linear:
+    """data = nuisance @ (cubic, F) + target @ X + response @ frame errors + noise of `covariance`."""
+
+    nuisance: np.ndarray
+    target: np.ndarray
+    response: np.ndarray
+    covariance: np.ndarray
+
+
+def _linearised(setup: SetUp, name: str, seen: Seen, target_mm: np.ndarray, known_map: bool) -> _Linear:
+    truth, plane = setup.views[name], setup.frame.view(name).xrii.plane
+    fiducials = setup.true_frame.view(name).by_id
+    places = list(setup.frame.view(name).by_id)
+    rows = np.array([places.index(i) for i in seen.ids])
+    xyz = np.vstack([np.array([fiducials[i].xyz_mm for i in seen.ids]), target_mm])
+    n, focal = len(xyz), truth.focal_point_mm
+    uv = truth.project(xyz)
+    by_point = _derivative(partial(plane.central_projection, focal), xyz)
+    by_focal = _derivative(lambda f: plane.central_projection(f[0], xyz), focal[None])
+    jacobian = _plane_per_pixel(truth, plane, xyz, by_point)
+    cubic = np.zeros((2 * n, 0)) if known_map else np.kron(_cubic(uv), np.eye(2))
+    factor = setup.frame.error_factor[setup.frame.rows(name)].reshape(len(places), 3, -1)[rows]
+    response = np.zeros((n, 2, factor.shape[-1]))
+    response[:-1] = by_point[:-1] @ factor
+    noise_px = np.asarray(block_diag(*seen.bead_px2, seen.pick_px2))
+    if not known_map:
+        noise_px = noise_px + truth.beyond_cubic_covariance(uv)
+    to_mm = np.asarray(block_diag(*jacobian))
+    out = _Linear(
+        nuisance=np.hstack([cubic, -by_focal.reshape(2 * n, 3)]),
+        target=np.vstack([np.zeros((2 * n - 2, 3)), by_point[-1]]),
+        response=response.reshape(2 * n, -1),
+        covariance=to_mm @ noise_px @ to_mm.T,
+    )
+    return _snapped(out, jacobian[-1], seen.across_px) if seen.across_px.any() else out
+
+
+def _snapped(view: _Linear, jacobian: np.ndarray, across_px: np.ndarray) -> _Linear:
+    """Only what the target's pixel says along its curve."""
+    keep = np.eye(2 * len(view.target) // 2)[:-1]
+    keep[-1, -2:] = np.array([across_px[1], -across_px[0]]) @ np.linalg.inv(jacobian)
+    return _Linear(keep @ view.nuisance, keep @ view.target, keep @ view.response, keep @ view.covariance @ keep.T)
+
+
+def _plane_per_pixel(truth: ViewTruth, plane: Plane, xyz_mm: np.ndarray, by_point: np.ndarray) -> np.ndarray:
+    """(N, 2, 2): d plane / d pixel at the images of points: moves in the plane's axes change both."""
+    px = _derivative(truth.project, xyz_mm) @ plane.axes.T
+    return (by_point @ plane.axes.T) @ np.linalg.inv(px)
+
+
+def _derivative(function, at: np.ndarray) -> np.ndarray:
+    """(N, 2, 3) of a function of points, by central differences."""
+    steps = _STEP_MM * np.eye(3)
+    return np.stack([(function(at + s) - function(at - s)) / (2 * _STEP_MM) for s in steps], axis=-1)
+
+
+def _cubic(uv_px: np.ndarray) -> np.ndarray:
+    """(N, 10) monomials."""
+    x, y = ((uv_px - uv_px.mean(axis=0)) / np.ptp(uv_px, axis=0)).T
+    return np.stack([x**a * y**b for a in range(4) for b in range(4 - a)], axis=-1)
