@@ -2,7 +2,8 @@
 
 from sightline.twin.carm import SetUp, Variation, ViewTruth, bead_images, draw_setup
 from sightline.twin.render import DOSES, Dose, Scene, render
-from sightline.twin.scene import HipScene, hip_scene
+from sightline.twin.scene import HipScene, hip_scene, shown_hip_scene
+from sightline.twin.truth import truth_document, write_truth
 
 __all__ = [
     "DOSES",
@@ -16,4 +17,7 @@ __all__ = [
     "draw_setup",
     "hip_scene",
     "render",
+    "shown_hip_scene",
+    "truth_document",
+    "write_truth",
 ]

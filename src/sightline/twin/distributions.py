@@ -52,3 +52,11 @@ class HardScene:
     level: tuple[float, float] = (0.15, 0.5)  # mean of the middle of the image over white: above 0.3 much saturates
     tissue_scale: tuple[float, float] = (0.75, 1.15)  # of the body's cross-section: thin ones show bare air
     metal_reach_mm: float = 45.0  # from the hip, where wires and screws lie
+
+
+@dataclass(frozen=True)
+class HipPlace:
+    """Where a hip lies in the frame: its ideal wire about the origin, so that both fields can show all of it."""
+
+    off_centre_sd_mm: float = 4.0  # of the middle of the wire, per axis [ours]
+    margin_px: float = 60.0  # the wire's ends lie at least this far inside both fields, where that is asked [ours]

@@ -15,9 +15,11 @@ from scipy.optimize import root_scalar
 from sightline.errors import SetUpError
 
 VOXEL_MM = 0.75
+TEXTURE_SD = 1.2  # voxels: about 1 mm, as trabeculae [ours]
+TEXTURE_SHAPE = (80, 96, 72)  # voxels; the texture repeats beyond
 # The box that is voxelised, anatomical coordinates: what a field of 215 mm at the detector can show of a hip.
-BOX_LOW_MM = np.array([-84.0, -84.0, -54.0])
-BOX_HIGH_MM = np.array([84.0, 112.0, 54.0])
+BOX_LOW_MM = np.array([-110.0, -110.0, -48.0])
+BOX_HIGH_MM = np.array([76.0, 106.0, 42.0])
 # Share of cortical bone that adds a given CT number to soft tissue at 60 keV: HU/1000 mu_water / (mu_bone - mu_tissue).
 BONE_PER_HU = 0.206e-3 / (0.0604 - 0.0217) / 10
 
@@ -105,13 +107,13 @@ def to_cfcs(anatomical_mm: np.ndarray, side: str, head_mm: np.ndarray) -> np.nda
 
 def voxelise(femur: Femur, side: str, head_mm: np.ndarray, rng: np.random.Generator) -> Volume:
     """The bone as a volume in CFCS, with a random trabecular texture."""
-    shape = np.ceil((BOX_HIGH_MM - BOX_LOW_MM) / VOXEL_MM).astype(int)
-    texture = gaussian_filter(rng.standard_normal(shape, dtype=np.float32), 1.2)  # about 1 mm, as trabeculae [ours]
-    values = _fill(BOX_LOW_MM, VOXEL_MM, femur._numbers(), texture / texture.std())
+    nx, ny, nz = (int(n) for n in np.ceil((BOX_HIGH_MM - BOX_LOW_MM) / VOXEL_MM))
+    tile = gaussian_filter(rng.standard_normal(TEXTURE_SHAPE, dtype=np.float32), TEXTURE_SD, mode="wrap")
+    values = _fill(BOX_LOW_MM, femur._numbers(), tile / tile.std(), (nx, ny, nz))
     low = BOX_LOW_MM
     if side == "left":
         values = np.ascontiguousarray(values[:, ::-1])
-        low = np.array([low[0], -(low[1] + (shape[1] - 1) * VOXEL_MM), low[2]])
+        low = np.array([low[0], -(low[1] + (ny - 1) * VOXEL_MM), low[2]])
     return Volume(values, low + head_mm, VOXEL_MM)
 
 
@@ -174,7 +176,7 @@ def _step(x: float, width: float) -> float:
 
 
 @njit(cache=True)
-def _bone(p: np.ndarray, n: np.ndarray, texture: float, voxel: float) -> float:
+def _bone(p: np.ndarray, n: np.ndarray, texture: float) -> float:
     """Share of cortical bone at a point. Cortex 1 mm on the head, 2 mm on the neck, growing to the canal in the shaft
     (5 mm laterally) [mem]; cancellous bone inside, denser in the head."""
     distance, head = _femur_distance(p, n)
@@ -182,38 +184,40 @@ def _bone(p: np.ndarray, n: np.ndarray, texture: float, voxel: float) -> float:
     shaft = min(max((down - 5.0) / 45.0, 0.0), 1.0)
     cortex = 1.0 + _step(head - 2.0, 6.0) + shaft * (n[2] - n[3] - 2.0)
     spongy = n[7] * (1.0 + 1.2 * _step(-head, 16.0)) * (1.0 - shaft) * (1.0 + 0.7 * texture)
-    within = _step(-distance, voxel)
-    hard = within - _step(-distance - cortex, voxel)
+    within = _step(-distance, VOXEL_MM)
+    hard = within - _step(-distance - cortex, VOXEL_MM)
     share = max(spongy, 0.0) * (within - hard) + (0.92 + 0.03 * texture) * hard
     if n[8] > 0.5:
-        share = max(share, _socket(p, head, texture, voxel, n[7]))
+        share = max(share, _socket(p, head, texture, n[7]))
     return share
 
 
 @njit(cache=True)
-def _socket(p: np.ndarray, head: float, texture: float, voxel: float, spongy: float) -> float:
+def _socket(p: np.ndarray, head: float, texture: float, spongy: float) -> float:
     """The acetabulum (a shell 3.5 mm outside the head, open to lateral and caudal) and the bone that bears it."""
     opening = 0.72 * p[0] + 0.69 * p[1]  # along the neck
     gap = head - 3.5
-    cup = min(_step(gap, voxel), _step(-opening - 2.0, voxel))
-    shell = min(cup, _step(2.5 - gap, voxel))
+    cup = min(_step(gap, VOXEL_MM), _step(-opening - 2.0, VOXEL_MM))
+    shell = min(cup, _step(2.5 - gap, VOXEL_MM))
     ilium = _ellipsoid((p[0] + 28.0 + 0.35 * (p[1] + 52.0), p[1] + 52.0, p[2] + 2.0), (28.0, 62.0, 15.0))
     pubis = _ellipsoid((p[0] + 58.0, p[1] - 8.0, p[2] - 10.0), (42.0, 13.0, 10.0))
     bearing = _blend(ilium, pubis, 14.0)
-    within = min(_step(-bearing, voxel), _step(gap, voxel))
-    hard = min(within, 1.0 - _step(-bearing - 1.5, voxel))
+    within = min(_step(-bearing, VOXEL_MM), _step(gap, VOXEL_MM))
+    hard = min(within, 1.0 - _step(-bearing - 1.5, VOXEL_MM))
     fill = max(spongy * (1.3 + 0.7 * texture), 0.0) * within
     return max(0.85 * max(shell, hard), fill)
 
 
 @njit(cache=True, parallel=True)
-def _fill(low: np.ndarray, voxel: float, n: np.ndarray, texture: np.ndarray) -> np.ndarray:
+def _fill(low: np.ndarray, n: np.ndarray, tile: np.ndarray, shape: tuple[int, int, int]) -> np.ndarray:
     """Share of bone at every voxel; the outermost voxels stay empty."""
-    out = np.zeros(texture.shape, dtype=np.float32)
-    for i in prange(1, texture.shape[0] - 1):
+    out = np.zeros(shape, dtype=np.float32)
+    tx, ty, tz = tile.shape
+    for i in prange(1, shape[0] - 1):
         p = np.empty(3)
-        for j in range(1, texture.shape[1] - 1):
-            for k in range(1, texture.shape[2] - 1):
-                p[0], p[1], p[2] = low[0] + voxel * i, low[1] + voxel * j, low[2] + voxel * k
-                out[i, j, k] = _bone(p, n, texture[i, j, k], voxel)
+        for j in range(1, shape[1] - 1):
+            for k in range(1, shape[2] - 1):
+                p[0], p[1], p[2] = low[0] + VOXEL_MM * i, low[1] + VOXEL_MM * j, low[2] + VOXEL_MM * k
+                texture = float(tile[i % tx, j % ty, k % tz])
+                out[i, j, k] = _bone(p, n, texture)
     return out

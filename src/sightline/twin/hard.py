@@ -130,6 +130,8 @@ def _gap(every: list[tuple[np.ndarray, np.ndarray]], i: int) -> float:
 
 def _share(mask: np.ndarray, uv_px: np.ndarray, radius_px: float) -> float:
     """Share of a disc of pixels where a mask is true."""
-    h, w = mask.shape
-    disc = np.hypot(np.arange(w) - uv_px[0], (np.arange(h) - uv_px[1])[:, None]) <= radius_px
-    return float(mask[disc].mean())
+    reach = int(radius_px) + 1
+    u0, v0 = (max(int(c) - reach, 0) for c in uv_px)
+    part = mask[v0 : v0 + 2 * reach + 2, u0 : u0 + 2 * reach + 2]
+    u, v = np.arange(part.shape[1]) + u0, np.arange(part.shape[0]) + v0
+    return float(part[np.hypot(u - uv_px[0], (v - uv_px[1])[:, None]) <= radius_px].mean())

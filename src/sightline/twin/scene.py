@@ -1,52 +1,73 @@
-"""Scenes: the demo's hip inside a frame, and hard ones for judging detection."""
+"""Scenes to plan on: a hip inside the frame, and the paper's object of four balls."""
 
 from dataclasses import dataclass
 
 import numpy as np
 
-from sightline.twin.carm import SetUp
+from sightline.errors import SetUpError
+from sightline.frame import Frame
+from sightline.twin.carm import SetUp, draw_setup
+from sightline.twin.distributions import HipPlace
 from sightline.twin.femur import Femur, SoftTissue, draw_femur, to_cfcs, voxelise
 from sightline.twin.render import Scene
-from sightline.twin.things import Ball, Point, frame_boxes, frame_solids
+from sightline.twin.things import Ball, frame_boxes, frame_solids
 
-HEAD_SD_MM = 4.0  # of the centre of the head about the origin of CFCS, per axis [ours]
 TEST_BALLS_MM = np.array(
     [[-18.0, -16.0, -12.0], [20.0, -12.0, 14.0], [-14.0, 20.0, 16.0], [16.0, 18.0, -15.0]]
 )  # [ours]
 TEST_BALL_RADIUS_MM = 1.5  # [ours]
-
-
-def _point(xyz: np.ndarray) -> Point:
-    return float(xyz[0]), float(xyz[1]), float(xyz[2])
+ATTEMPTS = 100
 
 
 @dataclass(frozen=True, eq=False)
 class HipScene:
-    """A hip in the frame. `entry_mm`, `end_mm` (3,): the ideal wire of `Femur.wire_mm`, CFCS; `head_mm` (3,)."""
+    """A hip in the frame. `head_mm` (3,): centre of the femoral head; `wire_mm` (2, 3): entry and end point of the
+    ideal wire (`Femur.wire_mm`). CFCS."""
 
     scene: Scene
     femur: Femur
     head_mm: np.ndarray
-    entry_mm: np.ndarray
-    end_mm: np.ndarray
+    wire_mm: np.ndarray
 
 
 def hip_scene(setup: SetUp, rng: np.random.Generator, femur: Femur | None = None) -> HipScene:
-    """The set-up's true frame around a hip; the femur is drawn unless given."""
+    """The set-up's true frame around a hip, centred on its wire as a radiographer would; the femur is drawn unless
+    given."""
     femur = femur or draw_femur(rng)
-    head = rng.normal(0.0, HEAD_SD_MM, 3)
-    entry, end = (to_cfcs(p, setup.side, head) for p in femur.wire_mm())
+    return _placed(setup, femur, _draw_head(setup.side, femur, rng), rng)
+
+
+def shown_hip_scene(
+    rng: np.random.Generator, frame: Frame, side: str = "right", femur: Femur | None = None
+) -> tuple[SetUp, HipScene]:
+    """A set-up and a hip whose whole ideal wire both views show. Raises SetUpError where none is found."""
+    femur, place = femur or draw_femur(rng), HipPlace()
+    for _ in range(ATTEMPTS):
+        setup = draw_setup(rng, frame, side=side)
+        head = _draw_head(side, femur, rng)
+        wire = to_cfcs(np.stack(femur.wire_mm()), side, head)
+        if all(view.in_field(view.project(wire), place.margin_px).all() for view in setup.views.values()):
+            return setup, _placed(setup, femur, head, rng)
+    raise SetUpError(f"no set-up of {ATTEMPTS} shows the whole wire in all views of frame {frame.name!r}")
+
+
+def four_balls(setup: SetUp) -> tuple[Scene, np.ndarray]:
+    """The paper's calibration object: four balls in the true frame, at (4, 3) mm CFCS; neither bone nor tissue."""
+    balls = tuple(Ball((float(x), float(y), float(z)), TEST_BALL_RADIUS_MM) for x, y, z in TEST_BALLS_MM)
+    frame = setup.true_frame
+    return Scene(solids=frame_solids(frame) + balls, boxes=frame_boxes(frame)), TEST_BALLS_MM
+
+
+def _draw_head(side: str, femur: Femur, rng: np.random.Generator) -> np.ndarray:
+    middle = to_cfcs(np.mean(femur.wire_mm(), axis=0), side, np.zeros(3))
+    return rng.normal(0.0, HipPlace().off_centre_sd_mm, 3) - middle
+
+
+def _placed(setup: SetUp, femur: Femur, head_mm: np.ndarray, rng: np.random.Generator) -> HipScene:
     scene = Scene(
         solids=frame_solids(setup.true_frame),
         boxes=frame_boxes(setup.true_frame),
-        bone=voxelise(femur, setup.side, head, rng),
+        bone=voxelise(femur, setup.side, head_mm, rng),
         tissue=SoftTissue(),
     )
-    return HipScene(scene, femur, head, entry, end)
-
-
-def test_object(setup: SetUp) -> tuple[Scene, np.ndarray]:
-    """The paper's calibration object: four balls in the frame at (4, 3) mm CFCS, neither bone nor tissue."""
-    balls = tuple(Ball(_point(xyz), TEST_BALL_RADIUS_MM) for xyz in TEST_BALLS_MM)
-    frame = setup.true_frame
-    return Scene(solids=frame_solids(frame) + balls, boxes=frame_boxes(frame)), TEST_BALLS_MM
+    return HipScene(scene, femur, head_mm, to_cfcs(np.stack(femur.wire_mm()), setup.side, head_mm))
