@@ -24,7 +24,7 @@ _STEP_MM = 1e-3  # of numerical derivatives; the functions are smooth over milli
 class Seen:
     """What is seen of one view: `ids` of its visible beads, their covariances `bead_px2` (N, 2, 2), the target's pick.
 
-    `pick_px2` (2, 2): its covariance; `across_px` (2,): zero, or the direction in which a snapped pick of the target says nothing.
+    `pick_px2` (2, 2): its covariance; `across_px` (2,): zero, or the direction in which a snapped pick says nothing.
     """
 
     ids: tuple[str, ...]
