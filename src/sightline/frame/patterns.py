@@ -1,8 +1,8 @@
 """Datum patterns: which balls of a grid are large, so that any three of them tell plate, orientation and handedness.
 
-Points are (N, 2) in grid steps; in the image the plates of a view have nearly the same step (design.py), so all
-plates are compared in steps. Three points resemble three others if an affine map that an image may hold takes
-one to the other, mirrored or not: a tilt of 20° stretches by 1.064, pincushion at the rim by a few per cent more.
+Points are (N, 2) in steps of a plate's own grid, which the ordinary balls show in an image. Three points resemble three
+others if an affine map that an image may hold takes one to the other, mirrored or not: a tilt of 20° stretches by
+1.064, pincushion at the rim by a few per cent more.
 """
 
 from collections.abc import Sequence

@@ -1,0 +1,78 @@
+"""What labelling builds on: three datums tell plate, orientation and handedness."""
+
+from itertools import combinations
+
+import numpy as np
+import pytest
+
+from sightline.frame import Frame
+from sightline.frame.builtin import BUILTIN
+from sightline.frame.model import ROLES
+from sightline.frame.patterns import Triples, fewest_left, in_steps, nearest_likeness, resemblance
+
+TURNS = [np.array(m).reshape(2, 2) for m in ((1, 0, 0, 1), (0, -1, 1, 0), (-1, 0, 0, -1), (0, 1, -1, 0))]
+PLACINGS = [turn @ np.diag([1, flip]) for flip in (1, -1) for turn in TURNS]
+
+
+def plates(name: str) -> list[tuple[np.ndarray, np.ndarray]]:
+    """(points in steps, which are datums) of each plate."""
+    frame = Frame.load(name)
+    every = [getattr(view, role) for view in frame.views.values() for role in ROLES]
+    return [(in_steps(p.plane.to_plane(p.xyz_mm)), p.is_datum) for p in every]
+
+
+@pytest.mark.parametrize("name", BUILTIN)
+def test_no_wrong_placement_agrees_in_three_datums(name):
+    """Every turn, mirror image and shift by grid steps of one pattern against every pattern, itself included."""
+    patterns = [points[datum] for points, datum in plates(name)]
+    for i, mine in enumerate(patterns):
+        for j, theirs in enumerate(patterns):
+            for index, placing in enumerate(PLACINGS):
+                shifts = (theirs[:, None] - mine @ placing.T).reshape(-1, 2).round(3)
+                found, agreeing = np.unique(shifts, axis=0, return_counts=True)
+                if i == j and index == 0:
+                    agreeing = agreeing[np.abs(found).max(axis=1) > 0.01]
+                assert agreeing.max() <= 2
+
+
+@pytest.mark.parametrize("name", BUILTIN)
+def test_no_three_datums_are_collinear_and_few_are_slender(name):
+    triples = [Triples.of(points[datum]) for points, datum in plates(name)]
+    assert min(t.height.min() for t in triples) > 0.1
+    assert sum(len(t.broad().area) for t in triples) >= 60
+
+
+@pytest.mark.parametrize("name", BUILTIN)
+def test_no_broad_triple_resembles_another_within_what_an_image_stretches(name):
+    """1.09 in stretch or scale; a tilt of 20° stretches by 1.064."""
+    patterns = [points[datum] for points, datum in plates(name)]
+    for i, mine in enumerate(patterns):
+        own = nearest_likeness(mine)
+        across = nearest_likeness(mine, [p for j, p in enumerate(patterns) if j != i])
+        assert 1.10 ** min(own.min(), across.min()) > 1.09
+
+
+@pytest.mark.parametrize("name", BUILTIN)
+def test_three_datums_are_left_wherever_a_block_hides_40_percent(name):
+    for points, datum in plates(name):
+        assert fewest_left(points, np.flatnonzero(datum)) >= 3
+
+
+def test_resemblance_is_the_stretch_and_scale_of_the_map():
+    points = np.array([[0.0, 0.0], [3.0, 1.0], [-1.0, 4.0]])
+    cosine, sine = np.cos(0.7), np.sin(0.7)
+    turn = np.array([[cosine, -sine], [sine, cosine]])
+    for stretch, scale, expected in ((1.06, 1.0, np.log(1.06)), (1.0, 1.07, np.log(1.07)), (1.05, 0.93, -np.log(0.93))):
+        shape = turn @ np.diag([scale * stretch**0.5, -scale * stretch**-0.5])
+        far = resemblance(Triples.of(points @ shape.T + 5), Triples.of(points))
+        assert far[0, 0, 0] == pytest.approx(expected / np.log(1.10), rel=1e-6)
+
+
+def test_an_isosceles_triple_resembles_itself_and_a_scalene_one_does_not():
+    assert nearest_likeness(np.array([[-2.0, 0.0], [2.0, 0.0], [0.0, 3.0]]))[0] == pytest.approx(0, abs=1e-6)
+    assert nearest_likeness(np.array([[0.0, 0.0], [6.0, 0.0], [1.0, 3.0]]))[0] > 1
+
+
+def test_triples_are_all_there():
+    points = np.random.default_rng(0).normal(size=(6, 2))
+    assert len(Triples.of(points).area) == len(list(combinations(range(6), 3)))

@@ -1,0 +1,61 @@
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy import stats
+from scipy.spatial.transform import Rotation
+
+from sightline.geometry.covariance import angle_quantile, ellipsoid_factor, length_quantile
+
+
+@pytest.mark.parametrize("probability", [0.5, 0.95, 0.99])
+@pytest.mark.parametrize("dimension", [1, 2, 3])
+def test_isotropic_lengths_are_chi_distributed(probability, dimension):
+    quantile = length_quantile(4.0 * np.eye(dimension), probability)
+    np.testing.assert_allclose(quantile, 2 * stats.chi.ppf(probability, dimension), rtol=1e-6)
+    np.testing.assert_allclose(ellipsoid_factor(probability, dimension), stats.chi.ppf(probability, dimension))
+
+
+@pytest.mark.parametrize("variances", [(1, 0.3, 0.01), (1, 1e-4, 0), (1, 1, 1e-6), (0.5, 1, 0), (9, 0, 0)])
+def test_quantile_holds_its_share_of_samples(variances):
+    rng = np.random.default_rng(3)
+    turn = Rotation.random(rng=rng).as_matrix()
+    lengths = np.linalg.norm(rng.normal(size=(400_000, 3)) * np.sqrt(variances), axis=1)
+    for probability in (0.5, 0.95, 0.99):
+        share = (lengths < length_quantile(turn @ np.diag(variances) @ turn.T, probability)).mean()
+        # Three standard errors of a share of 400 000 samples.
+        assert abs(share - probability) < 3 * np.sqrt(probability * (1 - probability) / 400_000)
+
+
+@given(st.floats(1e-3, 1), st.floats(1e-3, 1))
+def test_the_sum_of_two_exponentials_is_known_in_closed_form(a, b):
+    """Variances (a, a) in the plane: an exponential; the third axis integrates it against a Gaussian of variance b."""
+    radius = length_quantile(np.diag([a, a, b]), 0.9)
+    z = np.linspace(-1, 1, 20001)[1:-1] * radius
+    inside = stats.norm.pdf(z, scale=np.sqrt(b)) * -np.expm1(-(radius**2 - z**2) / (2 * a))
+    np.testing.assert_allclose(np.trapezoid(inside, z), 0.9, atol=1e-5)
+
+
+def test_many_covariances_at_once_and_none_at_all():
+    variances = np.random.default_rng(0).uniform(0.1, 1, (6, 1, 1)) * np.eye(3)
+    np.testing.assert_allclose(length_quantile(variances), [length_quantile(one) for one in variances])
+    assert length_quantile(np.zeros((3, 3))) == 0
+
+
+def test_a_negative_variance_is_refused():
+    with pytest.raises(ValueError, match="negative variance"):
+        length_quantile(np.diag([1.0, 1.0, -0.1]))
+
+
+def test_angle_by_sampling():
+    rng = np.random.default_rng(8)
+    vector, covariance = np.array([60.0, 30.0, 20.0]), np.diag([0.5, 0.1, 0.02])
+    noisy = vector + rng.normal(size=(200_000, 3)) * np.sqrt(np.diag(covariance))
+    sine = np.linalg.norm(np.cross(noisy, vector), axis=1) / np.linalg.norm(noisy, axis=1) / np.linalg.norm(vector)
+    share = (np.arcsin(sine) < angle_quantile(vector, covariance, 0.95)).mean()
+    # Three standard errors, and 0.1 % for the first order in an error of 1 % of the length.
+    assert abs(share - 0.95) < 3 * np.sqrt(0.95 * 0.05 / 200_000) + 0.001
+
+
+def test_an_error_along_the_vector_does_not_turn_it():
+    assert angle_quantile(np.array([0.0, 0, 50.0]), np.diag([0.0, 0, 4.0])) == pytest.approx(0, abs=1e-9)
