@@ -29,6 +29,11 @@ def bladed_field() -> np.ndarray:
     return round_field() & (U > 118.4) & (V + 0.3 * U < 455)
 
 
+def narrow_field() -> np.ndarray:
+    """Blades leave a strip at one side, and the middle of the image dark."""
+    return round_field() & (U < 150.6)
+
+
 def whole_field() -> np.ndarray:
     return np.ones((H, W), dtype=bool)
 
@@ -37,7 +42,15 @@ def larger_than_the_image() -> np.ndarray:
     return (U - 255.5) ** 2 + (V - 239.5) ** 2 < 290**2
 
 
-FIELDS = [round_field, octagonal_field, rectangular_field, bladed_field, whole_field, larger_than_the_image]
+FIELDS = [
+    round_field,
+    octagonal_field,
+    rectangular_field,
+    bladed_field,
+    narrow_field,
+    whole_field,
+    larger_than_the_image,
+]
 
 
 def exposed(field: np.ndarray, *, dark: np.ndarray | None = None, seed: int = 3) -> np.ndarray:

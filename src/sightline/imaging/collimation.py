@@ -7,7 +7,7 @@ from sightline.imaging.radiograph import Radiograph
 
 # All [ours], tried on a mobile C-arm's round and octagonal images and on coronary angiograms.
 _SMALL_SIDE = 256  # the outline is found on an image reduced to about this
-_DARK_CORNER = 0.1  # of the median of the middle: an image whose corners are brighter is not collimated
+_DARK_CORNER = 0.1  # of the median of what X-rays reach: with brighter corners an image is not collimated
 _LEVEL = 0.02  # of the brightness: less is not reached by X-rays (glare outside the field stays below)
 _STROKE = 5  # small pixels: burnt-in letters and lines are thinner
 _PART = 0.03  # of the image: a smaller bright patch is writing, not field
@@ -47,10 +47,12 @@ def _outline(pixels: np.ndarray) -> tuple[np.ndarray, int] | None:
     small = cv2.resize(pixels, None, fx=1 / step, fy=1 / step, interpolation=cv2.INTER_AREA)
     height, width = small.shape
     outside = sorted(_corner_levels(small))[1]  # two: one dark corner is anatomy, one bright corner may be writing
-    bright = np.percentile(small[::4, ::4], 95)
-    if outside >= _DARK_CORNER * _middle_level(small):
+    sample = small[::4, ::4]
+    level = outside + _LEVEL * (np.percentile(sample, 95) - outside)
+    reached = sample[sample > level]
+    if not reached.size or outside >= _DARK_CORNER * np.median(reached):
         return None
-    lit = (small > outside + _LEVEL * (bright - outside)).astype(np.uint8)
+    lit = (small > level).astype(np.uint8)
     lit = cv2.morphologyEx(lit, cv2.MORPH_OPEN, np.ones((_STROKE, _STROKE), np.uint8))
     parts = [c for c in cv2.findContours(lit, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)[0] if len(c) >= 3]
     parts = [c for c in parts if cv2.contourArea(c) >= _PART * small.size]
@@ -98,11 +100,6 @@ def _normals(hull: np.ndarray) -> np.ndarray:
 def _corner_levels(small: np.ndarray) -> list[float]:
     side = max(2, min(small.shape) // 40)
     return [float(np.median(small[rows, columns])) for rows in _ends(side) for columns in _ends(side)]
-
-
-def _middle_level(small: np.ndarray) -> float:
-    height, width = small.shape
-    return float(np.median(small[height // 4 : -height // 4 : 2, width // 4 : -width // 4 : 2]))
 
 
 def _ends(side: int) -> tuple[slice, slice]:
