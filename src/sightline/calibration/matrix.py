@@ -107,8 +107,8 @@ def view_from_matrix(P: np.ndarray, covariance: np.ndarray | None = None, name: 
     """The view of a 3x4 matrix that takes CFCS points (x, y, z, 1), mm, to pixels (u w, v w, w), as in OpenCV.
 
     `covariance` (12, 12): of the entries of P, row by row, at the scale of P as given; it may be singular along P,
-    whose scale means nothing. None: the error is unknown, and every verdict on it NO-GO. The reference plane is normal to the
-    view's axis and passes through the CFCS origin. Raises UnusableInputError.
+    whose scale means nothing. None: the error is unknown, and every verdict on it NO-GO. The reference plane is
+    normal to the view's axis and passes through the CFCS origin. Raises UnusableInputError.
     """
     matrix = np.array(P, dtype=np.float64)
     if matrix.shape != (3, 4) or not np.isfinite(matrix).all():
