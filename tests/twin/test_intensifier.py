@@ -98,20 +98,20 @@ def test_lateral_and_pa_centres_differ_as_in_the_paper():
 
 
 def test_the_prior_states_what_is_drawn():
-    """Moments of 3,000 drawn sets of magnetic numbers, pincushions and cubics against the prior's covariance."""
+    """Moments of 1,500 drawn sets of magnetic numbers, pincushions and cubics against the prior's covariance."""
     spread = Distortion()
     axes = np.linalg.qr(np.random.default_rng(0).normal(size=(3, 3)))[0]
     rng = np.random.default_rng(12)
     drawn = []
-    for _ in range(3000):
+    for _ in range(1500):
         one = draw_tube(rng, CHAIN, spread).expose(rng, axes, draw_earth(rng, spread))
         drawn.append(one.distortion.parameters[:24])
     factor = one.prior.smooth_factor
     stated = factor @ factor.T
     scale = np.sqrt(np.diag(stated))
     sampled = np.cov(np.array(drawn).T)
-    # s.d. of a sampled correlation is at most about 0.026 (1 / sqrt(3000), heavier tails for the turn)
-    assert np.abs((sampled - stated) / np.outer(scale, scale)).max() < 0.12
+    # s.d. of a sampled correlation is about 0.026 (1 / sqrt(1500)), more for the turn with its heavier tails
+    assert np.abs((sampled - stated) / np.outer(scale, scale)).max() < 0.15
 
 
 def test_beyond_cubic_covariance_is_that_of_drawn_maps():
@@ -121,12 +121,12 @@ def test_beyond_cubic_covariance_is_that_of_drawn_maps():
     small = 0.02
     rng = np.random.default_rng(22)
     uv = centre.centre_px + disc_mm(480.0, 5)
-    dense = disc_mm(CHAIN.mask_px, 31)
+    dense = disc_mm(CHAIN.mask_px, 21)
     powers, at = monomials(dense / CHAIN.mask_px, 3), monomials((uv - centre.centre_px) / CHAIN.mask_px, 3)
     truth_dense, truth_at = centre.to_detector(centre.centre_px + dense), centre.to_detector(uv)
     jacobian = centre.jacobian(truth_at)
     samples = []
-    for _ in range(400):
+    for _ in range(300):
         one = _redrawn(centre, rng, small)
         move_dense = one.to_detector(centre.centre_px + dense) - truth_dense
         left = one.to_detector(uv) - truth_at - at @ np.linalg.lstsq(powers, move_dense)[0]
@@ -135,7 +135,7 @@ def test_beyond_cubic_covariance_is_that_of_drawn_maps():
     scale = np.sqrt(np.diag(stated))
     samples = np.array(samples)
     sampled = samples.T @ samples / len(samples)
-    assert np.abs((sampled - stated) / np.outer(scale, scale)).max() < 0.25  # 5 s.d. of a variance of 400
+    assert np.abs((sampled - stated) / np.outer(scale, scale)).max() < 0.25  # 3 s.d. of a variance of 300
     whitened = np.linalg.pinv(stated, rcond=1e-6) @ sampled
     rank = np.linalg.matrix_rank(stated, rtol=1e-6)
     assert np.trace(whitened) / rank == pytest.approx(1.0, abs=0.05)

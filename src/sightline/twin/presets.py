@@ -23,7 +23,6 @@ class ImageChain:
     core_mm: float
     glare: float
     glare_mm: float
-    vignetting: float
     scatter_to_primary: float
     dqe: float
     white: int
@@ -45,7 +44,6 @@ PRESETS = {
         core_mm=0.22,  # [calc] from the MTF of 25 tubes, Phys Med Biol 33:1 1988
         glare=0.15,  # [mem]
         glare_mm=20.0,  # [mem]
-        vignetting=0.25,  # [mem] up to 25 % at the edge
         scatter_to_primary=0.6,  # [mem] 0.4-0.8 with a grid
         dqe=0.65,  # [mem]
         white=4095,  # 12 bit

@@ -1,8 +1,9 @@
 """From a scene to a radiograph: expected quanta per pixel, Poisson noise, detector blur, digitisation.
 
 Quanta that a pixel's piece of the input plane absorbs are counted first (Poisson), and blurred after it: the noise of
-an image intensifier is correlated. Not modelled: quanta of unlike energy count alike; the inverse square of the
-distance within the field (under 2 %); heel; lag.
+an image intensifier is correlated. A pixel near the rim collects from a smaller piece of the input plane (pincushion):
+that, and glare lost there, is the vignetting. Not modelled: quanta of unlike energy count alike; the inverse square of
+the distance within the field (under 2 %); heel; lag.
 """
 
 from dataclasses import dataclass
@@ -25,7 +26,6 @@ RAY_MARGIN_PX = 6  # rays are cast this far beyond the round blanking, so that b
 RAY_GRID_PX = 8  # the inverse distortion is exact on this grid, splines between: error below 1e-4 px
 SCATTER_MM = 30.0  # reach of scattered radiation at the input plane, s.d. [ours]
 COARSE_PX = 8  # scatter and glare are computed on means of this many pixels
-LENS_FALL = 0.08  # light lost at the rim by the lens; the pincushion's own fall makes the whole about 25 % [ours]
 MEAN_LEVEL = 0.25  # of the white level: where exposure control brings the middle of the image [ours]
 BLACK_LEVEL = 0.02  # of the white level [ours]
 ELECTRONIC_SD = 0.0006  # of the white level: 2.5 of 4095 [ours]
@@ -65,15 +65,13 @@ class Scene:
 class Exposure:
     """A view of a scene before noise. `quanta` (H, W): expected number per pixel, scatter included, before any blur.
 
-    `open_quanta` (H, W): the same were the sharp things not there, scatter unchanged. `light` (H, W): what one quantum
-    gives, relative to the middle (lens). `field` (H, W): inside the blanking. `core_px`: s.d. of the detector's
-    Gaussian blur. `gain`: stored values per quantum.
+    `open_quanta` (H, W): the same were the sharp things not there, scatter unchanged. `field` (H, W): inside the
+    blanking. `core_px`: s.d. of the detector's Gaussian blur. `gain`: stored values per quantum.
     """
 
     chain: ImageChain
     quanta: np.ndarray
     open_quanta: np.ndarray
-    light: np.ndarray
     field: np.ndarray
     core_px: float
     gain: float
@@ -101,7 +99,7 @@ class Exposure:
         return Radiograph(stored, float(self.chain.white))
 
     def _image(self, quanta: np.ndarray) -> np.ndarray:
-        blurred = _detector_blur(quanta * self.light, self.chain, self.core_px)
+        blurred = _detector_blur(quanta, self.chain, self.core_px)
         image = np.float32(self.black) + np.float32(self.gain) * blurred
         image[~self.field] = 0
         return image
@@ -117,20 +115,20 @@ def expose(view: ViewTruth, scene: Scene, dose: Dose | None = None) -> Exposure:
     chain, dose = view.chain, dose or DOSES["medium"]
     rays, area = _rays(view)
     primary, without = (share * area for share in _primary(view, scene, rays))
-    scattered = chain.scatter_to_primary * _smooth(primary, SCATTER_MM / chain.pitch_mm)
+    reach = SCATTER_MM / chain.pitch_mm
+    # The body scatters as much at the rim as in the middle: the share of scatter does not fall towards the rim.
+    scattered = chain.scatter_to_primary * _smooth(primary, reach) / np.maximum(_smooth(rays.inside, reach), 0.1)
     middle = _radius_px(view) < 0.5 * chain.mask_px
     level = float((primary + scattered)[middle].mean())
     if not level > 0:
         raise SetUpError("nothing passes the middle of the scene; take some of it out of the beam")
     wanted = dose.quanta(chain)
     quanta, open_quanta = (np.where(rays.inside, wanted / level * (p + scattered), 0.0) for p in (primary, without))
-    rim = _radius_px(view) / chain.mask_px
     return Exposure(
         chain=chain,
         quanta=quanta,
         open_quanta=open_quanta,
-        light=(1 - LENS_FALL * rim**2).astype(np.float32),
-        field=rim <= 1.0,
+        field=_radius_px(view) <= chain.mask_px,
         core_px=chain.core_mm * float(np.sqrt(np.linalg.det(view.intensifier.jacobian(np.zeros((1, 2))))[0])),
         gain=dose.level * chain.white / wanted,
     )
@@ -149,10 +147,11 @@ def _rays(view: ViewTruth) -> tuple[Rays, np.ndarray]:
     u = np.arange(-RAY_GRID_PX, w + 2 * RAY_GRID_PX, RAY_GRID_PX, dtype=np.float64)
     v = np.arange(-RAY_GRID_PX, h + 2 * RAY_GRID_PX, RAY_GRID_PX, dtype=np.float64)
     inside = _radius_px(view) <= view.chain.mask_px + RAY_MARGIN_PX
+    inside[[0, -1]] = inside[:, [0, -1]] = False  # a pixel's slopes need neighbours
     grid = np.stack(np.meshgrid(u, v), axis=-1)
     towards = grid - view.intensifier.centre_px
     reach = np.linalg.norm(towards, axis=-1, keepdims=True)
-    bound = view.chain.mask_px + 3 * RAY_GRID_PX  # corners, where no ray is needed, are drawn in to the field
+    bound = view.chain.mask_px + 10 * RAY_GRID_PX  # corners, where no ray is needed, are drawn in towards the field
     xi = view.intensifier.to_detector(
         view.intensifier.centre_px + towards * np.minimum(1, bound / np.maximum(reach, 1))
     )

@@ -1,0 +1,207 @@
+"""Images: balls where they project to, noise as its physics has it, the same again from the same seed."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.ndimage import gaussian_filter
+
+from sightline.errors import SetUpError
+from sightline.twin import DOSES, Dose, Scene, draw_setup, render
+from sightline.twin.beam import WEIGHTS, attenuation_per_mm
+from sightline.twin.carm import shadow_radius_px
+from sightline.twin.presets import preset
+from sightline.twin.render import ELECTRONIC_SD, expose
+from sightline.twin.things import Ball, Box, Rod, frame_boxes, frame_solids
+
+CHAIN = preset("9in-1k")
+
+
+@pytest.fixture(scope="module")
+def setup(frame):
+    return draw_setup(np.random.default_rng(31), frame)
+
+
+@pytest.fixture(scope="module")
+def bare(setup):
+    return expose(setup.views["pa"], Scene(), DOSES["medium"])
+
+
+@pytest.fixture(scope="module")
+def frame_exposure(setup):
+    return expose(setup.views["pa"], Scene(solids=frame_solids(setup.true_frame)))
+
+
+def test_ball_centres_are_where_they_project_to(setup, frame_exposure):
+    """Centroid, on the input plane, of what a ball takes from the image before noise: within 0.02 px.
+
+    In the image itself it is not: distortion bends a shadow, see the next test."""
+    view = setup.views["pa"]
+    misses = [view.intensifier.to_image(on_plane) - at for _, at, on_plane, _ in _shadows(setup, frame_exposure)]
+    assert len(misses) > 10
+    assert np.abs(misses).max() < 0.02
+
+
+def test_distortion_moves_a_shadow_outwards_by_less_than_a_tenth_of_a_pixel(setup, frame_exposure):
+    """Pincushion: a centroid in the image lies outside the image of the centre, by about 12 k1 rho sigma² with sigma² a
+    quarter of the shadow's squared radius; 5 mm balls at the rim 0.06 px, 3 mm balls 0.02 px."""
+    view = setup.views["pa"]
+    k1, scale = view.intensifier.distortion.k1, view.intensifier.px_per_mm
+    measured, expected = [], []
+    for radius, at, _, centroid in _shadows(setup, frame_exposure):
+        rho = (at - view.intensifier.centre_px) / scale
+        measured.append((centroid - at) @ rho / np.linalg.norm(rho))
+        expected.append(12 * k1 * np.linalg.norm(rho) * (radius * 1000 / 920) ** 2 / 4 * scale)
+    assert np.abs(measured).max() < 0.1
+    assert np.abs(np.subtract(measured, expected)).mean() < 0.015
+
+
+def _shadows(setup, exposure):
+    """Radius (mm), true pixel, centroid on the input plane (mm) and in the image of the balls that stand alone."""
+    view, plate = setup.views["pa"], setup.true_frame.view("pa").xrii
+    every = view.project(np.concatenate([setup.true_frame.view("pa").source.xyz_mm, plate.xyz_mm]))
+    taken = 1 - exposure.quanta / np.where(exposure.open_quanta > 0, exposure.open_quanta, 1)
+    for bead, at in zip(plate.fiducials, view.project(plate.xyz_mm), strict=True):
+        reach = shadow_radius_px(view, np.array([bead.xyz_mm]), np.array([bead.diameter_mm / 2]))[0] + 4
+        if np.sort(np.linalg.norm(every - at, axis=-1))[1] < 3 * reach or not view.in_field(at, reach + 2):
+            continue
+        u, v = np.meshgrid(*[np.arange(np.rint(c) - int(reach), np.rint(c) + int(reach) + 1) for c in at])
+        part = taken[v.astype(int), u.astype(int)] * (np.hypot(u - at[0], v - at[1]) < reach)
+        pixels = np.stack([u, v], -1)[part > 0]
+        weight = part[part > 0]
+        xi = view.intensifier.to_detector(pixels)
+        on_plane = weight / np.linalg.det(view.intensifier.jacobian(xi))
+        yield bead.diameter_mm / 2, at, on_plane @ xi / on_plane.sum(), weight @ pixels / weight.sum()
+
+
+def test_a_ball_takes_what_steel_takes(setup):
+    """Middle of a 5 mm ball in a PMMA plate, three energies, before scatter and blur."""
+    view = setup.views["pa"]
+    scene = Scene(solids=(Ball((0.0, 0.0, 150.0), 2.5),))
+    exposure = expose(replace_chain(view, scatter_to_primary=0.0), scene)
+    u, v = np.rint(view.project(np.array([0.0, 0.0, 150.0]))).astype(int)
+    left = exposure.quanta[v, u] / exposure.open_quanta[v, u]
+    excess = attenuation_per_mm("steel") - attenuation_per_mm("pmma")
+    assert left == pytest.approx(float(WEIGHTS @ np.exp(-5.0 * excess)), rel=0.01)
+
+
+def replace_chain(view, **changes):
+    tube = view.intensifier
+    return replace(view, intensifier=type(tube)(replace(tube.chain, **changes), tube.distortion, tube.prior))
+
+
+def test_beam_hardening(setup):
+    """Twice the steel takes less than the square: the beam that is left is harder."""
+    view = replace_chain(setup.views["pa"], scatter_to_primary=0.0)
+    left = []
+    for thickness in (1.0, 2.0):
+        rod = Rod((0.0, 0.0, 0.0), (0.0, 0.0, 1.0), 8.0, thickness / 2)
+        exposure = expose(view, Scene(solids=(rod,)))
+        u, v = np.rint(view.project(np.zeros(3))).astype(int)
+        left.append(exposure.quanta[v, u] / exposure.open_quanta[v, u])
+    assert left[0] ** 2 < 0.98 * left[1]
+
+
+def test_plates_show_where_they_are(setup, bare):
+    view = setup.views["pa"]
+    boxes = frame_boxes(setup.true_frame)
+    assert len(boxes) == 4
+    assert all(isinstance(box, Box) for box in boxes)
+    plated = expose(view, Scene(boxes=boxes[:1]))
+    corners = boxes[0].centre_mm + np.array([[0.97, 0.0], [1.03, 0.0]]) * boxes[0].half_mm[:2] @ boxes[0].axes[:2]
+    shade = plated.quanta / np.where(bare.quanta > 0, bare.quanta, 1)
+    (u_in, v_in), (u_out, v_out) = np.rint(view.project(corners)).astype(int)
+    assert view.in_field(np.array([u_out, v_out]))
+    assert shade[v_in, u_in] / shade[v_out, u_out] == pytest.approx(0.87, abs=0.03)  # 8 mm of PMMA, scatter in both
+
+
+def test_counts_are_those_of_the_dose(bare):
+    for dose, quanta in ((DOSES["low"], 15.1), (DOSES["medium"], 121.0), (Dose(0.11, 1), 3.8)):
+        assert dose.quanta(CHAIN) == pytest.approx(quanta, rel=0.01)
+    u, v = np.meshgrid(np.arange(1024) - 511.5, np.arange(1024) - 511.5)
+    middle = np.hypot(u, v) < 253
+    assert bare.quanta[middle].mean() == pytest.approx(DOSES["medium"].quanta(CHAIN), rel=0.01)
+
+
+@pytest.fixture(scope="module")
+def bare_noise(bare):
+    """Noise of 6 images of nothing at the middle dose: the middle 400 x 400 pixels."""
+    part = (slice(312, 712), slice(312, 712))
+    mean = bare.mean_pixels()[part]
+    rng = np.random.default_rng(33)
+    return np.stack([bare.read_out(rng).pixels[part] - mean for _ in range(6)]), part
+
+
+def blur_power(sd_px: float) -> np.ndarray:
+    """Noise autocovariance (lags 0-5 along a row) of unit-variance white noise after the detector's Gaussian core,
+    found by blurring an impulse."""
+    kernel = np.zeros((65, 65))
+    kernel[32, 32] = 1.0
+    kernel = gaussian_filter(kernel, sd_px)
+    return np.array([(kernel * np.roll(kernel, lag, axis=1)).sum() for lag in range(6)])
+
+
+def test_noise_variance_is_that_of_blurred_counts(bare, bare_noise):
+    noise, part = bare_noise
+    white = bare.quanta[part].mean() * bare.gain**2
+    expected = (1 - CHAIN.glare) ** 2 * blur_power(bare.core_px)[0] * white
+    expected += (ELECTRONIC_SD * CHAIN.white) ** 2 + 1 / 12
+    assert noise.var() == pytest.approx(expected, rel=0.03)  # veiling glare adds under 1 %
+    assert abs(noise.mean()) < 0.02 * noise.std()
+
+
+def test_noise_is_correlated_as_the_blur_makes_it(bare, bare_noise):
+    noise, _ = bare_noise
+    shape = blur_power(bare.core_px)
+    measured = np.array([(noise[:, :, : 400 - lag] * noise[:, :, lag:]).mean() for lag in range(6)])
+    added = (ELECTRONIC_SD * CHAIN.white) ** 2 + 1 / 12
+    measured[0] -= added
+    assert np.abs(measured / measured[0] - shape / shape[0]).max() < 0.02
+    assert shape[1] / shape[0] > 0.5  # it is correlated
+
+
+def test_noise_grows_with_the_root_of_the_signal(setup, bare, bare_noise):
+    """Under half a millimetre of steel: variance over mean, less black and electronic noise, as without it."""
+    rod = Rod((0.0, 0.0, 0.0), (0.0, 0.0, 1.0), 20.0, 0.25)
+    exposure = expose(setup.views["pa"], Scene(solids=(rod,)), DOSES["medium"])
+    u, v = np.rint(setup.views["pa"].project(np.zeros(3))).astype(int)
+    part = (slice(v - 60, v + 60), slice(u - 60, u + 60))
+    mean, rng = exposure.mean_pixels()[part], np.random.default_rng(5)
+    noise = np.stack([exposure.read_out(rng).pixels[part] - mean for _ in range(6)])
+    added = (ELECTRONIC_SD * CHAIN.white) ** 2 + 1 / 12
+    under = (noise.var() - added) / exposure.quanta[part].mean() / exposure.gain**2
+    free = (bare_noise[0].var() - added) / bare.quanta[bare_noise[1]].mean() / bare.gain**2
+    assert exposure.quanta[part].mean() < 0.8 * exposure.open_quanta[part].mean()
+    assert under == pytest.approx(free, rel=0.05)
+
+
+def test_the_same_seed_gives_the_same_image(setup, frame_exposure):
+    again = render(setup, "pa", Scene(solids=frame_solids(setup.true_frame)), np.random.default_rng(6))
+    assert np.array_equal(again.pixels, frame_exposure.read_out(np.random.default_rng(6)).pixels)
+
+
+def test_the_field_is_round_and_black_outside(bare):
+    image = bare.read_out(np.random.default_rng(7))
+    v, u = np.mgrid[:1024, :1024]
+    outside = np.hypot(u - 511.5, v - 511.5) > CHAIN.mask_px
+    assert (image.pixels[outside] == 0).all()
+    assert (image.pixels[~outside] > 0).all()
+    assert image.white == 4095
+
+
+def test_the_rim_is_darker_by_what_vignetting_takes(bare):
+    mean = bare.mean_pixels()
+    rim = [mean[512 + int(480 * np.sin(a)), 512 + int(480 * np.cos(a))] for a in np.linspace(0, 6.2, 24)]
+    assert 0.60 < np.mean(rim) / mean[480:544, 480:544].mean() < 0.90
+
+
+def test_bright_parts_saturate(setup):
+    scene = Scene(boxes=(Box(np.array([0.0, 0, 0]), np.eye(3), np.array([40.0, 200.0, 150.0])),))
+    image = render(setup, "pa", scene, np.random.default_rng(8), replace(DOSES["medium"], level=0.6))
+    assert 0.05 < (image.pixels == 4095).mean() < 0.6
+
+
+def test_nothing_left_to_expose_with_is_refused(setup):
+    wall = Rod((0.0, 0.0, 0.0), (0.0, 0.0, 1.0), 300.0, 250.0)
+    with pytest.raises(SetUpError, match="nothing passes"):
+        expose(setup.views["pa"], Scene(solids=(wall,)))

@@ -1,0 +1,118 @@
+"""Hips, hard images and the truth written beside them."""
+
+import json
+
+import numpy as np
+import pytest
+
+from sightline.errors import SetUpError, UnusableInputError
+from sightline.twin import draw_setup, shown_hip_scene, write_truth
+from sightline.twin.femur import Femur, draw_femur, to_cfcs, voxelise
+from sightline.twin.hard import hard_scene
+from sightline.twin.scene import four_balls
+
+
+@pytest.fixture(scope="module")
+def femur_and_volume():
+    femur = Femur()
+    return femur, voxelise(femur, "right", np.zeros(3), np.random.default_rng(1))
+
+
+def share_at(volume, xyz_mm):
+    i, j, k = np.rint((np.asarray(xyz_mm) - volume.origin_mm) / volume.voxel_mm).astype(int).T
+    return volume.values[i, j, k]
+
+
+def test_the_wire_runs_from_the_lateral_cortex_into_the_head():
+    rng = np.random.default_rng(2)
+    for _ in range(20):
+        femur = draw_femur(rng)
+        entry, end = femur.wire_mm()
+        along = (end - entry) / np.linalg.norm(end - entry)
+        assert np.degrees(np.arccos(along[1])) == pytest.approx(135.0)
+        assert np.linalg.norm(end) == pytest.approx(femur.head_radius_mm - 8.0)
+        assert np.linalg.norm(np.cross(entry, along)) < 1e-9  # through the centre of the head
+        assert 70 < np.linalg.norm(end - entry) < 120
+        assert entry[0] > femur.base_mm[0]
+
+
+def test_the_volume_is_bone_where_the_femur_is(femur_and_volume):
+    femur, volume = femur_and_volume
+    entry, end = femur.wire_mm()
+    along = (end - entry) / np.linalg.norm(end - entry)
+    assert share_at(volume, [entry - 3 * along])[0] == 0.0  # outside
+    assert share_at(volume, [entry + 2 * along])[0] > 0.7  # cortex
+    inside = share_at(volume, entry + np.arange(15, 80, 2)[:, None] * along)
+    assert (inside < 0.5).all()  # cancellous bone
+    assert inside.mean() > 0.01
+    x, y, z = femur.base_mm
+    middle_of_cortex = (femur.shaft_radius_mm + femur.canal_radius_mm) / 2
+    canal, cortex = share_at(volume, [[x, y + 65.0, z], [x + middle_of_cortex, y + 65.0, z]])
+    assert canal == 0.0
+    assert cortex > 0.7
+    assert volume.values[0].max() == volume.values[-1].max() == volume.values[:, 0].max() == 0.0
+
+
+def test_a_left_hip_is_a_right_one_mirrored():
+    right, left = (
+        voxelise(Femur(), side, np.array([1.0, 2.0, 3.0]), np.random.default_rng(3)) for side in ("right", "left")
+    )
+    points = np.random.default_rng(4).uniform([-60, -60, -30], [60, 60, 30], (500, 3))
+    a, b = (
+        share_at(v, to_cfcs(points, side, np.array([1.0, 2.0, 3.0]))) for v, side in ((right, "right"), (left, "left"))
+    )
+    assert np.mean(a == b) > 0.98  # all but points that lie half-way between voxels
+    assert (a > 0).mean() > 0.1
+
+
+def test_a_wire_that_meets_no_cortex_is_refused():
+    with pytest.raises(SetUpError, match="lateral cortex"):
+        Femur().wire_mm(angle_deg=45.0)
+
+
+def test_a_shown_hip_has_its_wire_in_both_fields_and_its_truth_in_a_file(frame, tmp_path):
+    setup, hip = shown_hip_scene(np.random.default_rng(5), frame, side="left")
+    for view in setup.views.values():
+        assert view.in_field(view.project(hip.wire_mm), 60.0).all()
+    written = json.loads(write_truth(tmp_path / "truth.json", setup, hip).read_text())
+    assert written["side"] == "left"
+    assert np.allclose(written["entry_mm"], hip.wire_mm[0])
+    for name, view in setup.views.items():
+        one = written["views"][name]
+        some = next(iter(one["beads_uv_px"]))
+        assert np.allclose(one["beads_uv_px"][some], view.project(np.array(written["beads_mm"][some])))
+    with pytest.raises(UnusableInputError):
+        write_truth(tmp_path / "no" / "truth.json", setup, hip)
+
+
+def test_the_papers_object_has_four_balls_beside_the_frames(frame):
+    setup = draw_setup(np.random.default_rng(6), frame)
+    scene, xyz = four_balls(setup)
+    beads = sum(len(view.fiducials) for view in frame.views.values())
+    assert len(scene.solids) == beads + 4
+    for view in setup.views.values():
+        assert view.in_field(view.project(xyz)).all()
+
+
+def test_a_hard_scene_tells_where_its_beads_are(frame):
+    image, truth = hard_scene(np.random.default_rng(7), "medium", frame)
+    assert len(truth) > 50
+    assert image.shape == (1024, 1024)
+    alone = (truth.gap_px > 4) & (truth.rim_px > 4) & (truth.saturated == 0)
+    assert alone.sum() > 30
+    assert (truth.contrast[alone] < -0.1).all()
+    darker = []
+    for (u, v), r in zip(truth.uv_px[alone], truth.radius_px[alone], strict=True):
+        column, row = int(np.rint(u)), int(np.rint(v))
+        angle = np.linspace(0, 6.2, 12)
+        around = np.rint([v + 1.6 * r * np.sin(angle), u + 1.6 * r * np.cos(angle)]).astype(int)
+        ring = image.pixels[around[0], around[1]]
+        darker.append(image.pixels[row - 1 : row + 2, column - 1 : column + 2].mean() < np.mean(ring))
+    assert np.mean(darker) > 0.97
+    assert (truth.quanta > 0).all()
+    assert ((truth.blur_px > 0.9) & (truth.blur_px < 1.3)).all()
+
+
+def test_bad_dose_class(frame):
+    with pytest.raises(SetUpError, match="low, medium, high"):
+        hard_scene(np.random.default_rng(8), "none", frame)
