@@ -15,7 +15,7 @@ DEGREE = 5
 PRIOR = np.array([0.3, 0.15, 0.06, 0.10, 0.03, 0.03])
 REMAINDER = 0.003  # smooth rest beyond degree 5, same share: 0.3 mm of 107 (physics.md: 0.11-0.13 mm rms) [ours]
 GATE = 3.5  # standard deviations [ours]
-CERTAIN = 0.4  # of the pitch: where the gate is wider a bead is not yet taken [ours]
+CERTAIN = 0.3  # of the pitch: where the gate is wider a bead is not yet taken [ours]
 LOG_RADIUS = 0.15  # a bead's log radius against its plate's: below half the step from 3 to 5 mm [ours]
 MOST_ROUNDS = 15
 
@@ -92,9 +92,10 @@ def _grow(w, log_r, noise, target, log_half, pitch, rows, places, usable):  # no
         if len(taken) < 3 or (len(taken) == len(rows) and (taken == rows).all() and (best[taken] == places).all()):
             break
         rows, places = taken, best[taken]
-    ratio -= np.median(ratio[rows] - log_half[places])
+    level = np.median(ratio[rows] - log_half[places])
+    ratio -= level
     best, taken = _mutual(at, reach, target, ratio, log_half, np.inf, usable)
-    return rows, places, at, ratio, taken, best[taken]
+    return rows, places, at, ratio, level, taken, best[taken]
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,7 +127,8 @@ class Grown:
     """One plate's beads: detections `rows` are its fiducials `places`; whatever their size: `all_rows`, `all_places`.
 
     For all detections: `xy_mm` (N, 2) where the plate's map puts them; `log_ratio` (N,), the log of the radius in mm
-    there, in the plate's own measure (an ordinary bead's is the log of its radius).
+    there, in the plate's own measure (an ordinary bead's is the log of its radius). `level`:
+    by how much the detected radii of this plate's beads exceed the true ones, log.
     """
 
     pattern: Pattern
@@ -137,6 +139,7 @@ class Grown:
     all_places: np.ndarray
     xy_mm: np.ndarray
     log_ratio: np.ndarray
+    level: float
 
     def __len__(self) -> int:
         return len(self.rows)
@@ -146,7 +149,7 @@ def grow(seed: Seed, detections: Detections, usable: np.ndarray) -> Grown:
     """The beads of the seed's plate, as far as one smooth map reaches them."""
     pattern = seed.pattern
     sheet = Sheet.of(seed.similarity, detections.image_shape)
-    rows, places, at, log_ratio, all_rows, all_places = _grow(
+    rows, places, at, log_ratio, level, all_rows, all_places = _grow(
         sheet.w(detections.uv_px),
         np.log(detections.radius_px),
         sheet.noise(detections.covariance_px2) + REMAINDER**2,
@@ -158,4 +161,5 @@ def grow(seed: Seed, detections: Detections, usable: np.ndarray) -> Grown:
         usable,
     )
     xy_mm = at * sheet.unit_mm + sheet.centre_mm
-    return Grown(pattern, sheet, rows, places, all_rows, all_places, xy_mm, log_ratio)
+    level -= np.log(seed.similarity.scale)
+    return Grown(pattern, sheet, rows, places, all_rows, all_places, xy_mm, log_ratio, float(level))

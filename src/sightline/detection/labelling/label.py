@@ -1,186 +1,156 @@
 """`label`: which fiducial of which plate each detection is, or a refusal."""
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
 
 import numpy as np
 
-from sightline.detection.labelling import joint
 from sightline.detection.labelling.growth import Grown, grow
-from sightline.detection.labelling.naming import Naming, name
 from sightline.detection.labelling.patterns import Pattern, patterns
-from sightline.detection.labelling.seeds import Seed, find_seeds
+from sightline.detection.labelling.seeds import Seed, best_similarity, find_seeds
+from sightline.detection.labelling.solve import LEAST_BEADS, Problem, Solution, Stop, solve
 from sightline.detection.results import Detections, Observations
-from sightline.errors import LabellingRefusedError
+from sightline.errors import LabellingRefusedError, ObservationsError
 from sightline.frame import Frame
 
-LEAST_BEADS = 8  # of each plate [ours]
 SEEDS = 12  # of each plate [ours]
-MOST_FIRST, MOST_SECOND = 4, 2  # lattices tried before giving up [ours]
-MARGIN = 6.0  # log odds by which any other reading must cost more: one and a half misjudged sizes [ours]
-GATE_M2 = 11.8  # squared distance of a bead from its place, 2 degrees of freedom: 99.7 % [ours]
-LOG_RADIUS_GATE = (0.1, 3.5, 0.25)  # at least, standard deviations, at most [ours]
-MOST_FITS = 8
-WORST_FACTOR = 9.0  # of the stated noise variance that the beads' residuals may show [ours]
-FOCAL_MM = (250.0, 3000.0)  # from the source plate; 770 mm at the design distance [ours]
-FOCAL_TILT = 0.7  # tangent of the beam's angle to the plates: 35° [ours]
-
-
-@dataclass(frozen=True, eq=False)
-class _Labelled:
-    view: str
-    ids: list[str]
-    rows: np.ndarray
-    mirrored: bool
-
-
-def _lattices(every: tuple[Pattern, ...], detections: Detections, usable: np.ndarray, most: int) -> Iterator[Grown]:
-    """Lattices of beads among the usable detections, the most promising first, each only once."""
-    seeds = [seed for p in every for seed in find_seeds(detections, p, usable, SEEDS)]
-    seeds.sort(key=lambda seed: -seed.score)
-    taken: list[np.ndarray] = []
-    for seed in seeds:
-        if any(np.isin(seed.rows, rows).sum() >= 2 for rows in taken):
-            continue
-        one = grow(seed, detections, usable)
-        if len(one) < LEAST_BEADS:
-            continue
-        taken.append(one.rows)
-        yield one
-        if len(taken) == most:
-            return
-
-
-def _regrown(grown: Grown, pattern: Pattern, places: np.ndarray, detections: Detections, usable) -> Grown:
-    """The lattice again, under the name that was found for it."""
-    kept = places >= 0
-    rows, places = grown.all_rows[kept], places[kept]
-    first = pattern.xy_mm[places] @ np.array([1.0, 1j])
-    second = detections.uv_px[rows] @ np.array([1.0, 1j])
-    from sightline.detection.labelling.seeds import best_similarity
-
-    return grow(Seed(pattern, best_similarity(first, second), rows, places, 0.0), detections, usable)
-
-
-def _named(pair: tuple[Grown, Grown], couples, detections: Detections, usable) -> tuple[tuple[Grown, Grown], Naming]:
-    naming = name(pair, couples)
-    if naming is None:
-        raise LabellingRefusedError("no lattice")
-    for _ in range(2):
-        again = [
-            _regrown(g, p, at, detections, usable)
-            for g, p, at in zip(pair, naming.patterns, naming.places, strict=True)
-        ]
-        pair = (again[0], again[1])
-        naming = name(pair, couples)
-        if naming is None:
-            raise LabellingRefusedError("no lattice")
-        if all(
-            p is g.pattern and np.array_equal(at, g.all_places)
-            for g, p, at in zip(pair, naming.patterns, naming.places, strict=True)
-        ):
-            break
-    else:
-        raise LabellingRefusedError("the naming does not settle")
-    if pair[0].pattern.role == "source":
-        pair = (pair[1], pair[0])
-    return pair, naming
-
-
-def _assign(pair: tuple[Grown, Grown], fit: joint.Joint, factor: float) -> np.ndarray:
-    """(B, 2) beads: detections on places, within the gates, alone there."""
-    n = len(pair[0].pattern.ids)
-    m2 = ((fit.xy_mm[:, None] - fit.target_mm[None]) ** 2).sum(axis=2) / fit.variance_mm2[:, None]
-    sized = np.zeros(m2.shape, dtype=bool)
-    for g, columns in zip(pair, (slice(0, n), slice(n, None)), strict=True):
-        log_half = np.log(g.pattern.diameter_mm / 2)
-        off = g.log_ratio[:, None] - log_half[None]
-        own = g.log_ratio[g.rows] - log_half[g.places]
-        least, sds, most = LOG_RADIUS_GATE
-        gate = np.clip(sds * 1.4826 * np.median(np.abs(own - np.median(own))), least, most)
-        sized[:, columns] = np.abs(off - np.median(own)) < gate
-    near = (m2 < 2 * GATE_M2) & sized
-    alone = near & (near.sum(axis=0) == 1)[None] & (near.sum(axis=1) == 1)[:, None]
-    return np.argwhere(alone & (m2 < GATE_M2))
-
-
-def _fitted(pair: tuple[Grown, Grown], detections: Detections) -> tuple[np.ndarray, joint.Joint, float]:
-    n = len(pair[0].pattern.ids)
-    beads = np.concatenate(
-        [np.stack([pair[0].rows, pair[0].places], axis=1), np.stack([pair[1].rows, pair[1].places + n], axis=1)]
-    )
-    seen = pair[0].pattern.plane.to_space(pair[0].xy_mm[pair[1].rows])
-    focal = joint.meeting_point(seen, pair[1].pattern.xyz_mm[pair[1].places])
-    factor = 4.0
-    fit = joint.fit(pair, beads, detections, focal, factor)
-    for _ in range(MOST_FITS):
-        factor = float(np.clip(factor * np.median(fit.m2) / 1.386, 0.5, 2 * WORST_FACTOR))
-        new = _assign(pair, fit, factor)
-        if min((new[:, 1] < n).sum(), (new[:, 1] >= n).sum()) < LEAST_BEADS:
-            raise LabellingRefusedError("too few beads fit one central projection")
-        fit = joint.fit(pair, new, detections, fit.focal_point_mm, factor)
-        if np.array_equal(new, beads):
-            return new, fit, factor
-        beads = new
-    raise LabellingRefusedError("the beads' labels do not settle")
-
-
-def _check_projection(pair, fit: joint.Joint, factor: float, beads: np.ndarray) -> None:
-    xrii, source = pair[0].pattern, pair[1].pattern
-    if factor > WORST_FACTOR:
-        raise LabellingRefusedError("residuals")
-    away = xrii.plane.normal * np.sign(xrii.plane.height_mm(source.xyz_mm.mean(axis=0)))
-    seen = xrii.plane.to_space(fit.target_mm[beads[:, 1]].mean(axis=0))
-    ray = fit.focal_point_mm - seen
-    far = ray @ away - abs(xrii.plane.height_mm(source.xyz_mm).mean())
-    if not FOCAL_MM[0] < far < FOCAL_MM[1] or np.linalg.norm(ray - (ray @ away) * away) > FOCAL_TILT * (ray @ away):
-        raise LabellingRefusedError("focal point")
-
-
-def _solved(pair, couples, detections, usable) -> _Labelled:
-    pair, naming = _named(pair, couples, detections, usable)
-    if naming.margin < MARGIN:
-        raise LabellingRefusedError("ambiguous")
-    if pair[0].sheet.similarity.mirror != pair[1].sheet.similarity.mirror:
-        raise LabellingRefusedError("handedness")
-    beads, fit, factor = _fitted(pair, detections)
-    _check_projection(pair, fit, factor, beads)
-    if len(beads) < 0.6 * len(detections):
-        raise LabellingRefusedError("unexplained")
-    ids = pair[0].pattern.ids + pair[1].pattern.ids
-    plane, source = pair[0].pattern.plane, pair[1].pattern
-    along = plane.height_mm(source.xyz_mm.mean(axis=0)) < 0
-    return _Labelled(
-        pair[0].pattern.view, [ids[p] for p in beads[:, 1]], beads[:, 0], bool(pair[0].sheet.similarity.mirror == along)
-    )
+MOST_FIRST, MOST_SECOND = 4, 3  # lattices tried before giving up [ours]
+SAME_SHAPE = 1.05  # ratio of the sides of triangles that are the same but for their scale [ours]
+CLICK = 1.5  # how far a pixel given for a datum may be from the bead's centre, in radii [ours]
+LEAST_SPREAD = 0.25  # rms distance of a plate's given datums from one line, in pitches [ours]
 
 
 def label(
     detections: Detections,
     frame: Frame,
     view: str | None = None,
-    datums: dict[str, tuple[float, float]] | None = None,
+    datums: Mapping[str, tuple[float, float]] | None = None,
 ) -> Observations:
-    """Tell the beads of one image apart."""
+    """Tell the beads of one image apart: which fiducial of `frame` is seen where.
+
+    The pattern of datum markers tells view, plate and orientation; a `view` that contradicts it is refused. Detections
+    that are no bead of the frame, or might be two, are left out. `mirrored` is False where the image shows the frame
+    as the X-ray source sees it. `datums`, fiducial id to pixel (u, v), is the paper's semi-automatic way (section
+    4.2): three or more datum markers of each plate, from which the others are found.
+    Raises LabellingRefusedError where the labels are not certain; FrameError for a view that the frame
+    does not have; ObservationsError for `datums` that are not three fiducials of each plate of one view.
+    """
+    if view is not None:
+        frame.view(view)
     every = patterns(frame)
-    couples = list(zip(every[::2], every[1::2], strict=True))
-    usable = np.array([kind != "hole" for kind in detections.kind])
-    reasons: list[str] = []
-    for first in _lattices(every, detections, usable, MOST_FIRST):
-        rest = usable.copy()
+    couples = sorted(zip(every[::2], every[1::2], strict=True), key=lambda couple: couple[0].view != view)
+    usable = np.array([kind != "hole" for kind in detections.kind], dtype=bool)
+    if usable.sum() < 2 * LEAST_BEADS:
+        raise LabellingRefusedError(
+            f"{usable.sum()} beads were found, and {LEAST_BEADS} of each plate are needed; check that the frame is in "
+            "the field and the exposure is not too low or too high"
+        )
+    if datums is not None:
+        problem = Problem(detections, usable, couples, view or _view_of(datums, frame), told=True)
+        solution = solve(problem, _told(problem, datums))
+    else:
+        solution = _found(Problem(detections, usable, couples, view))
+    return Observations(
+        view=solution.view,
+        ids=solution.ids,
+        uv_px=detections.uv_px[solution.rows],
+        covariance_px2=detections.covariance_px2[solution.rows],
+        mirrored=solution.mirrored,
+        image_shape=detections.image_shape,
+    )
+
+
+def _found(problem: Problem) -> Solution:
+    """The first solution that stands; else the refusal of the attempt that came furthest."""
+    stops: list[Stop] = []
+    for first in _lattices(problem, problem.usable, MOST_FIRST):
+        rest = problem.usable.copy()
         rest[first.rows] = False
-        for second in _lattices(every, detections, rest, MOST_SECOND):
+        stops.append(Stop(1, _one_plate(first)))
+        for second in _lattices(problem, rest, MOST_SECOND):
             try:
-                found = _solved((first, second), couples, detections, usable)
-            except LabellingRefusedError as refusal:
-                reasons.append(str(refusal))
-                continue
-            return Observations(
-                view=found.view,
-                ids=tuple(found.ids),
-                uv_px=detections.uv_px[found.rows],
-                covariance_px2=detections.covariance_px2[found.rows],
-                mirrored=found.mirrored,
-                image_shape=detections.image_shape,
-            )
-    raise LabellingRefusedError(f"no: {reasons}")
+                return solve(problem, (first, second))
+            except Stop as stop:
+                stops.append(stop)
+    if not stops:
+        raise LabellingRefusedError(
+            f"no three of the {problem.usable.sum()} beads found are datum markers of this frame; check that it is the "
+            "frame in the image, show more of its datum markers, or give their pixels"
+        )
+    raise max(stops, key=lambda stop: stop.stage)
+
+
+def _one_plate(lattice: Grown) -> str:
+    role = {"xrii": "XRII", "source": "source"}[lattice.pattern.role]
+    return (
+        f"only one plate was found: {len(lattice)} beads that look most like the {role} plate of the "
+        f"{lattice.pattern.view} view; move the C-arm or the frame until both plates are in the field"
+    )
+
+
+def _lattices(problem: Problem, usable: np.ndarray, most: int) -> Iterator[Grown]:
+    """Lattices of beads among the usable detections, the most promising first, each only once."""
+    every = [pattern for couple in problem.couples for pattern in couple]
+    seeds = find_seeds(problem.detections, every, usable, SEEDS)
+    known: list[Grown] = []
+    for seed in seeds:
+        if any(_is_of(seed, one) for one in known):
+            continue
+        one = grow(seed, problem.detections, usable)
+        if len(one) >= LEAST_BEADS:
+            known.append(one)
+            yield one
+        if len(known) == most:
+            return
+
+
+def _is_of(seed: Seed, lattice: Grown) -> bool:
+    """Whether a guess is a reading of a lattice that is known: its three beads lie alike in both, but for the scale."""
+    if not np.isin(seed.rows, lattice.all_rows).all():
+        return False
+    ours, theirs = seed.pattern.xy_mm[seed.places], lattice.xy_mm[seed.rows]
+    sides = np.linalg.norm(np.roll(theirs, 1, axis=0) - theirs, axis=1)
+    ratio = sides / np.linalg.norm(np.roll(ours, 1, axis=0) - ours, axis=1)
+    return bool(ratio.max() < SAME_SHAPE * ratio.min())
+
+
+def _view_of(datums: Mapping[str, tuple[float, float]], frame: Frame) -> str:
+    """The one view whose fiducials a person named. Raises ObservationsError."""
+    for name, one in frame.views.items():
+        if datums.keys() <= one.by_id.keys():
+            return name
+    raise ObservationsError("the datum markers given are not fiducials of one view of the frame; check their names")
+
+
+def _told(problem: Problem, datums: Mapping[str, tuple[float, float]]) -> tuple[Grown, Grown]:
+    """The lattices of both plates, from the pixels that a person gave. Raises ObservationsError and Stop."""
+    couple = problem.couples[0] if problem.view is None else _couple(problem)
+    first, second = (_told_plate(problem, pattern, datums) for pattern in couple)
+    return first, second
+
+
+def _couple(problem: Problem) -> tuple[Pattern, Pattern]:
+    return next(couple for couple in problem.couples if couple[0].view == problem.view)
+
+
+def _told_plate(problem: Problem, pattern: Pattern, datums: Mapping[str, tuple[float, float]]) -> Grown:
+    detections, role = problem.detections, pattern.role
+    rows, places = [], []
+    for place, name in enumerate(pattern.ids):
+        if name not in datums:
+            continue
+        distance = np.where(problem.usable, np.linalg.norm(detections.uv_px - datums[name], axis=1), np.inf)
+        row = int(distance.argmin())
+        if not distance[row] < CLICK * detections.radius_px[row]:
+            raise Stop(0, f"no bead was found at the pixel given for {name}; give another datum marker instead")
+        rows.append(row)
+        places.append(place)
+    off = pattern.xy_mm[places] - pattern.xy_mm[places].mean(axis=0) if places else np.zeros((0, 2))
+    if len(places) < 3 or np.linalg.svd(off)[1][1] / np.sqrt(len(off)) < LEAST_SPREAD * pattern.pitch_mm:
+        raise ObservationsError(f"give three or more datum markers of the {role} plate that are not on one line")
+    similarity = best_similarity(pattern.xy_mm[places], detections.uv_px[rows])
+    grown = grow(Seed(pattern, similarity, np.array(rows), np.array(places), 0.0), detections, problem.usable)
+    if len(grown) < LEAST_BEADS:
+        raise Stop(
+            1, f"only {len(grown)} beads of the {role} plate lie where the datum markers given put them; check them"
+        )
+    return grown

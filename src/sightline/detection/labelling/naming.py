@@ -13,6 +13,7 @@ from sightline.detection.labelling.patterns import Pattern
 # misjudged size, or against a bead where the plate has none (2 % each) [ours].
 RADIUS_SD = 0.1
 CONTRADICTION = 4.0
+HOPELESS = 40.0  # a reading that costs more is not followed further [ours]
 ON_PLACE = 0.25  # of the pitch [ours]
 CELLS = 96
 SECTOR = np.pi / 6  # two plates of one view are turned alike within half of this [ours]
@@ -20,7 +21,7 @@ SECTOR = np.pi / 6  # two plates of one view are turned alike within half of thi
 
 @dataclass(frozen=True, eq=False)
 class Readings:
-    """All ways to lay one pattern on one lattice: turn · z + shift of its z = x + iy in mm, conjugate first if `flip`."""
+    """All ways to lay one pattern on one lattice: turn · z + shift of z = x + iy, mm, conjugate first if `flip`."""
 
     pattern: Pattern
     turn: np.ndarray
@@ -51,6 +52,8 @@ def _costs(z, log_ratio, turn, shift, flip, table, low, cell, log_half):  # noqa
             if 0 <= i < CELLS and 0 <= j < CELLS and table[i, j] >= 0:
                 cost = min(cost, 0.5 * ((log_ratio[n] - log_half[table[i, j]]) / RADIUS_SD) ** 2)
             out[t] += cost
+            if out[t] > HOPELESS:
+                break
     return out
 
 
@@ -106,23 +109,30 @@ def _classes(grown: Grown, r: Readings, reference_rad: float) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class Naming:
-    """The cheapest reading of two lattices together, and by how much any other reading of theirs costs more."""
+    """The cheapest reading of two lattices together: the pattern of each, and the places of its `all_rows`.
+
+    `margin`: by how much any other reading costs more; `margin_in_view`: any other one of the same view.
+    `unchanged`: the reading is the one with which the lattices came.
+    """
 
     patterns: tuple[Pattern, Pattern]
     places: tuple[np.ndarray, np.ndarray]
     cost: float
     margin: float
+    margin_in_view: float
+    unchanged: bool
 
 
-def _two_smallest(cost: np.ndarray, classes: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+@njit(cache=True)
+def _two_smallest(cost, classes):
     """(24,) the least and the second least cost of each class, and the index of the least."""
     first, second, index = np.full(24, np.inf), np.full(24, np.inf), np.full(24, -1)
-    order = np.argsort(cost, kind="stable")
-    for c in np.unique(classes):
-        best = order[classes[order] == c]
-        first[c], index[c] = cost[best[0]], best[0]
-        if len(best) > 1:
-            second[c] = cost[best[1]]
+    for t in range(len(cost)):
+        c = classes[t]
+        if cost[t] < first[c]:
+            first[c], second[c], index[c] = cost[t], first[c], t
+        else:
+            second[c] = min(second[c], cost[t])
     return first, second, index
 
 
@@ -134,24 +144,43 @@ def _places(grown: Grown, r: Readings, index: int) -> np.ndarray:
     return np.where(d.min(axis=1) < ON_PLACE * r.pattern.pitch_mm, d.argmin(axis=1), -1)
 
 
+def _is_own(grown: Grown, r: Readings, index: int) -> bool:
+    """Whether a reading is the one with which the lattice came."""
+    same = not r.flip[index] and abs(r.turn[index] - 1) < 1e-9 and abs(r.shift[index]) < 1e-6
+    return r.pattern is grown.pattern and bool(same)
+
+
 def name(pair: tuple[Grown, Grown], couples: list[tuple[Pattern, Pattern]]) -> Naming | None:
-    """The best reading of two lattices as XRII and source plate, either way round, of one of `couples`."""
+    """The best reading of two lattices as XRII and source plate, either way round, of one of `couples`.
+
+    The first of `couples` wins a tie. None where a lattice has no two neighbouring beads.
+    """
     reference = float(np.angle(pair[0].sheet.similarity.turn))
     found = []
-    for xrii, source in couples:
-        for lattices in (pair, pair[::-1]):
-            r = [one for g, p in zip(lattices, (xrii, source), strict=True) if (one := readings(g, p))]
-            if len(r) < 2:
+    for couple in couples:
+        for order in ((0, 1), (1, 0)):
+            read = [readings(pair[k], pattern) for k, pattern in zip(order, couple, strict=True)]
+            if read[0] is None or read[1] is None:
                 return None
-            a, b = (_two_smallest(one.cost, _classes(g, one, reference)) for g, one in zip(lattices, r, strict=True))
-            both = a[0] + b[0]
-            rival = np.minimum(a[1] + b[0], a[0] + b[1])
-            found.append((float(both.min()), int(both.argmin()), both, rival, lattices, r, (a[2], b[2])))
-    found.sort(key=lambda one: one[0])
-    cost, c, both, rival, lattices, r, index = found[0]
-    others = [np.delete(both, c).min(), rival[c], *(one[0] for one in found[1:])]
-    places = tuple(_places(g, one, int(i[c])) for g, one, i in zip(lattices, r, index, strict=True))
-    patterns = (r[0].pattern, r[1].pattern)
-    if lattices is not pair:
-        places, patterns = places[::-1], patterns[::-1]
-    return Naming(patterns, (places[0], places[1]), cost, float(min(others)) - cost)
+            both = [(pair[k], r) for k, r in zip(order, read, strict=True) if r]
+            found.append((order, both, [_two_smallest(r.cost, _classes(g, r, reference)) for g, r in both]))
+    totals = [a[0] + b[0] for _, _, (a, b) in found]
+    best = int(np.argmin([total.min() for total in totals]))
+    if not np.isfinite(totals[best].min()):
+        return None
+    order, both, (a, b) = found[best]
+    c = int(totals[best].argmin())
+    cost = float(totals[best][c])
+    totals[best][c] = min(a[1][c] + b[0][c], a[0][c] + b[1][c])
+    rivals = np.array([total.min() for total in totals])
+    same_view = [one[1][0][1].pattern.view == both[0][1].pattern.view for one in found]
+    chosen = [(g, r, int(index)) for (g, r), index in zip(both, (a[2][c], b[2][c]), strict=True)]
+    first, second = (chosen[order.index(k)] for k in (0, 1))
+    return Naming(
+        patterns=(first[1].pattern, second[1].pattern),
+        places=(_places(*first), _places(*second)),
+        cost=cost,
+        margin=float(rivals.min()) - cost,
+        margin_in_view=float(rivals[same_view].min()) - cost,
+        unchanged=_is_own(*first) and _is_own(*second),
+    )

@@ -11,11 +11,13 @@ from sightline.detection.results import Detections
 MOST_LARGE = 32  # detections that may be datum markers [ours: 12 datums, 10 false ones, and room]
 LARGER = 1.12  # than the median detection: half the step from 3 to 5 mm, less 15 % for the plates' scales [ours]
 MOST_SEEDS = 4096
+SMALLEST_PX = 10.0  # pitch in the image [ours: beads of 2 px radius and as much between them]
 RADIUS_RATIO = 0.35  # log of detected over expected radius: blur, local magnification, tilt together [ours]
 RADIUS_SPREAD = 0.2  # log radius between fiducials of one plate; half the step from 3 to 5 mm [ours]
 THIRD = 0.14  # how far the third datum may miss its place, of the span: tilt 20°, 9 % pincushion [ours]
 REACH = 0.3  # how far other beads may miss theirs, of the pitch: nearer to it than to the next bead's [ours]
 CELLS = 64
+SOON, SOON_LEAST = 16, 2.0  # a guess that has not more after so many beads is given up [ours]
 
 
 @dataclass(frozen=True)
@@ -80,6 +82,8 @@ def _score(a, b, mirror, log_ratio, z, log_half, pitch, w, log_r, table, width, 
     for p in range(len(z)):
         at = a * (z[p].conjugate() if mirror else z[p]) + b
         i, j = int(at.imag * CELLS / height), int(at.real * CELLS / width)
+        if p == SOON and score < SOON_LEAST:
+            return score - len(z)
         if i < 0 or j < 0 or i >= CELLS or j >= CELLS:
             continue
         k = table[i, j]
@@ -92,8 +96,17 @@ def _score(a, b, mirror, log_ratio, z, log_half, pitch, w, log_r, table, width, 
 
 
 @njit(cache=True)
-def _search(w, log_r, large, z, log_half, datums, pitch, table, width, height, smallest_px):  # noqa: PLR0912, PLR0917 - a kernel
-    """All similarities that put three datum markers on three large detections. Rows of numbers; see `find_seeds`."""
+def _better_half(turns, shifts, what, scores):
+    """Make room: keep the half with the better scores."""
+    kept = np.argsort(-scores)[: len(scores) // 2]
+    turns[: len(kept)], shifts[: len(kept)] = turns[kept], shifts[kept]
+    what[: len(kept)], scores[: len(kept)] = what[kept], scores[kept]
+    return len(kept)
+
+
+@njit(cache=True)
+def _search(w, log_r, large, z, log_half, datums, pitch, table, width, height):  # noqa: PLR0912, PLR0917 - a kernel
+    """All similarities that put three datum markers on three large detections. See `find_seeds`."""
     turns = np.zeros(MOST_SEEDS, np.complex128)
     shifts = np.zeros(MOST_SEEDS, np.complex128)
     what = np.zeros((MOST_SEEDS, 7), np.int64)
@@ -108,7 +121,7 @@ def _search(w, log_r, large, z, log_half, datums, pitch, table, width, height, s
                     pa, pb = datums[na], datums[nb]
                     span = abs(w[j] - w[i])
                     scale = span / abs(z[pb] - z[pa])
-                    if scale * pitch < smallest_px:
+                    if scale * pitch < SMALLEST_PX:
                         continue
                     ratio_i = log_r[i] - log_half[pa] - np.log(scale)
                     ratio_j = log_r[j] - log_half[pb] - np.log(scale)
@@ -123,7 +136,7 @@ def _search(w, log_r, large, z, log_half, datums, pitch, table, width, height, s
                             want = w[i] + a * (dz.conjugate() if mirror else dz)
                             far = max(span, abs(want - w[i]), abs(want - w[j]))
                             for k in large:
-                                if k in (i, j) or abs(w[k] - want) > THIRD * far:
+                                if k == i or k == j or abs(w[k] - want) > THIRD * far:  # noqa: PLR1714, SIM109
                                     continue
                                 ratio = log_r[k] - log_half[pc] - np.log(scale)
                                 if abs(ratio - (ratio_i + ratio_j) / 2) > RADIUS_SPREAD:
@@ -137,7 +150,7 @@ def _search(w, log_r, large, z, log_half, datums, pitch, table, width, height, s
                                 turn = top / (abs(da) ** 2 + abs(db) ** 2 + abs(dc) ** 2)
                                 shift = wm - turn * zm
                                 if count == MOST_SEEDS:
-                                    return count, turns, shifts, what, scores
+                                    count = _better_half(turns, shifts, what, scores)
                                 turns[count], shifts[count] = turn, shift
                                 what[count] = np.array([i, j, k, pa, pb, pc, mirror])
                                 level = (ratio_i + ratio_j + ratio) / 3
@@ -145,56 +158,48 @@ def _search(w, log_r, large, z, log_half, datums, pitch, table, width, height, s
                                     turn, shift, mirror == 1, level, z, log_half, pitch, w, log_r, table, width, height
                                 )
                                 count += 1
-    return count, turns, shifts, what, scores
+    return turns[:count], shifts[:count], what[:count], scores[:count]
 
 
-def find_seeds(detections: Detections, pattern: Pattern, usable: np.ndarray, most: int) -> list[Seed]:
-    """The `most` best guesses for one plate among the `usable` (N,) detections, best first."""
+def find_seeds(detections: Detections, patterns: list[Pattern], usable: np.ndarray, most: int) -> list[Seed]:
+    """The `most` best guesses for each plate among the `usable` (N,) detections, best first."""
     height, width = detections.image_shape
-    washer = np.array([kind == "washer" for kind in detections.kind])
-    datums = pattern.datums
-    radius = detections.radius_px
-    if pattern.washer[datums].all():
-        may_be = usable & washer
-    else:
-        may_be = usable & ~washer & (radius > LARGER * np.median(radius[usable]))
-    large = np.flatnonzero(may_be)[np.argsort(-radius[may_be], kind="stable")[:MOST_LARGE]]
-    if len(large) < 3 or len(datums) < 3:
-        return []
-    uv = detections.uv_px
-    count, turns, shifts, what, scores = _search(
-        uv[:, 0] + 1j * uv[:, 1],
-        np.log(detections.radius_px),
-        large,
-        pattern.xy_mm[:, 0] + 1j * pattern.xy_mm[:, 1],
-        np.log(pattern.diameter_mm / 2),
-        datums,
-        pattern.pitch_mm,
-        _nearest_table(uv, usable, width, height),
-        width,
-        height,
-        10.0,
-    )
-    best = np.argsort(-scores[:count], kind="stable")[:most]
-    return [
-        Seed(
-            pattern,
-            Similarity(complex(turns[i]), complex(shifts[i]), bool(what[i, 6])),
-            what[i, :3],
-            what[i, 3:6],
-            float(scores[i]),
+    w, log_r = detections.uv_px @ np.array([1.0, 1j]), np.log(detections.radius_px)
+    table = _nearest_table(detections.uv_px, usable, width, height)
+    out: list[Seed] = []
+    for pattern in patterns:
+        large = _may_be_datums(detections, pattern, usable)
+        z, log_half = pattern.xy_mm @ np.array([1.0, 1j]), np.log(pattern.diameter_mm / 2)
+        turns, shifts, what, scores = _search(
+            w, log_r, large, z, log_half, pattern.datums, pattern.pitch_mm, table, width, height
         )
-        for i in best
-    ]
+        for i in np.argsort(-scores, kind="stable")[:most]:
+            similarity = Similarity(complex(turns[i]), complex(shifts[i]), bool(what[i, 6]))
+            out.append(Seed(pattern, similarity, what[i, :3], what[i, 3:6], float(scores[i])))
+    return sorted(out, key=lambda seed: -seed.score)
 
 
-def best_similarity(z_mm: np.ndarray, w_px: np.ndarray) -> Similarity:
-    """The least-squares similarity of complex points (N,), of the handedness that fits better."""
-    found = []
+def _may_be_datums(detections: Detections, pattern: Pattern, usable: np.ndarray) -> np.ndarray:
+    """Rows of the detections that may be datum markers of a plate: washers, or the largest balls."""
+    washer = np.array([kind == "washer" for kind in detections.kind], dtype=bool)
+    radius = detections.radius_px
+    if pattern.washer[pattern.datums].all():
+        may_be = usable & washer
+    elif usable.any():
+        may_be = usable & ~washer & (radius > LARGER * np.median(radius[usable]))
+    else:
+        may_be = usable
+    return np.flatnonzero(may_be)[np.argsort(-radius[may_be], kind="stable")[:MOST_LARGE]]
+
+
+def best_similarity(xy_mm: np.ndarray, uv_px: np.ndarray) -> Similarity:
+    """The least-squares similarity of points (N, 2) of a plate and the image, of the handedness that fits better."""
+    w = uv_px @ np.array([1.0, 1j])
+    found: list[tuple[float, Similarity]] = []
     for mirror in (False, True):
-        z = z_mm.conj() if mirror else z_mm
-        dz, dw = z - z.mean(), w_px - w_px.mean()
-        turn = (dw * dz.conj()).sum() / (np.abs(dz) ** 2).sum()
-        rest = (np.abs(dw - turn * dz) ** 2).sum()
-        found.append((rest, Similarity(complex(turn), complex(w_px.mean() - turn * z.mean()), mirror)))
+        z = xy_mm @ np.array([1.0, -1j if mirror else 1j])
+        dz, dw = z - z.mean(), w - w.mean()
+        turn = complex(np.vdot(dz, dw) / np.vdot(dz, dz))
+        miss = float((np.abs(dw - turn * dz) ** 2).sum())
+        found.append((miss, Similarity(turn, complex(w.mean() - turn * z.mean()), mirror)))
     return min(found, key=lambda one: one[0])[1]
