@@ -73,7 +73,6 @@ def test_other_figures_give_other_frames_with_patterns_of_their_own():
     frame = make_frame(other)
     assert len(frame.view("pa").xrii.ids) == 81
     assert failed(check_frame(frame)) == ()
-    assert patterns_for(design.beams, rows=9) == other.patterns
 
 
 @pytest.mark.parametrize(

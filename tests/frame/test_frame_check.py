@@ -101,7 +101,7 @@ def too_close() -> Frame:
 def leaning() -> Frame:
     design = builtin_design("gamma")
     leaning = Beam((0.0, 0.0, 1.0), (np.sin(np.radians(25)), 0.0, np.cos(np.radians(25))))
-    return make_frame(dataclasses.replace(design, pitch_mm=24.0, beams={**design.beams, "pa": leaning}))
+    return make_frame(dataclasses.replace(design, pitch_mm=26.0, beams={**design.beams, "pa": leaning}))
 
 
 def out_of_the_field() -> Frame:

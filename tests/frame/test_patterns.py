@@ -7,8 +7,9 @@ import pytest
 
 from sightline.frame import Frame
 from sightline.frame.builtin import BUILTIN
+from sightline.frame.design import grid_places
 from sightline.frame.model import ROLES
-from sightline.frame.patterns import Triples, fewest_left, in_steps, nearest_likeness, resemblance
+from sightline.frame.patterns import Triples, fewest_left, in_steps, nearest_likeness, resemblance, search
 
 TURNS = [np.array(m).reshape(2, 2) for m in ((1, 0, 0, 1), (0, -1, 1, 0), (-1, 0, 0, -1), (0, 1, -1, 0))]
 PLACINGS = [turn @ np.diag([1, flip]) for flip in (1, -1) for turn in TURNS]
@@ -76,3 +77,16 @@ def test_an_isosceles_triple_resembles_itself_and_a_scalene_one_does_not():
 def test_triples_are_all_there():
     points = np.random.default_rng(0).normal(size=(6, 2))
     assert len(Triples.of(points).area) == len(list(combinations(range(6), 3)))
+
+
+def test_a_search_leaves_fewer_lookalikes_than_a_draw_and_repeats_itself():
+    places = [np.array(grid_places(rows), dtype=float) for rows in (7, 8)]
+    first, again, drawn = (search(places, 6, np.random.default_rng(4), moves=moves) for moves in (1500, 1500, 1))
+    np.testing.assert_array_equal(first, again)
+
+    def lookalikes(chosen: list[np.ndarray]) -> int:
+        one, other = (points[mine] for points, mine in zip(places, chosen, strict=True))
+        likeness = [nearest_likeness(one), nearest_likeness(other), nearest_likeness(one, [other])]
+        return int((np.concatenate(likeness) < 1).sum())
+
+    assert lookalikes(first) < lookalikes(drawn) / 3

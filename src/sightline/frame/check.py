@@ -101,8 +101,8 @@ def _datums(frame: Frame) -> Figures:
     """How many datums a plate has; none count where they lie on a line."""
     for where, _, plate in _plates(frame):
         points = _datum_steps(plate)
-        on_a_line = len(points) < 3 or len(Triples.of(points).broad().area) == 0
-        yield where, 0 if on_a_line else len(points)
+        beside_a_line = len(points) < 3 or len(Triples.of(points).broad().area) > 0
+        yield where, len(points) if beside_a_line else 0
 
 
 def _datum_size(frame: Frame) -> Figures:

@@ -34,7 +34,7 @@ class Triples:
     @staticmethod
     def of(points: np.ndarray) -> "Triples":
         """The triples of points (N, 2)."""
-        corners = points[list(combinations(range(len(points)), 3))]
+        corners = points[np.array(list(combinations(range(len(points)), 3)), dtype=int).reshape(-1, 3)]
         ordered = corners[:, _ORDERS]
         a, b = ordered[:, :, 1] - ordered[:, :, 0], ordered[:, :, 2] - ordered[:, :, 0]
         gram = np.stack([(a * a).sum(-1), (a * b).sum(-1), (b * b).sum(-1)], axis=-1)
@@ -71,8 +71,8 @@ def nearest_likeness(points: np.ndarray, others: Sequence[np.ndarray] = ()) -> n
     """
     mine = Triples.of(points).broad()
     if others:
-        far = [resemblance(mine, Triples.of(other).broad()).reshape(len(mine.area), -1) for other in others]
-        return np.concatenate(far, axis=1).min(axis=1, initial=np.inf)
+        far = [resemblance(mine, Triples.of(other).broad()).min(axis=(1, 2), initial=np.inf) for other in others]
+        return np.min(far, axis=0)
     return _own(mine).min(axis=(1, 2), initial=np.inf)
 
 

@@ -1,0 +1,97 @@
+import json
+
+import pytest
+from typer.testing import CliRunner
+
+from sightline.cli import app
+from sightline.frame import Frame
+
+
+def run(*arguments: str, code: int = 0) -> str:
+    result = CliRunner().invoke(app, ["frame", *arguments])
+    assert result.exit_code == code, result.output
+    return result.output if code == 2 else result.stdout
+
+
+def test_new_writes_the_built_in_frame_under_its_own_name(tmp_path):
+    path = tmp_path / "mine.json"
+    document = json.loads(run("new", str(path), "--json"))
+    frame = Frame.load(path)
+    assert (frame.name, frame.views) == ("mine", Frame.load("gamma").views)
+    assert document["name"] == "mine"
+    assert all(check["passed"] for check in document["checks"])
+
+
+def test_new_takes_figures(tmp_path):
+    run("new", str(tmp_path / "b.json"), "--like", "biplane", "--pitch-mm", "19", "--xrii-mm", "160", "--quiet")
+    view = Frame.load(tmp_path / "b.json").view("pa")
+    assert view.xrii.xyz_mm[:, 2].max() == 160
+    assert view.source.xyz_mm[:, 2].max() == -150
+    assert view.xrii.xyz_mm[1, 0] - view.xrii.xyz_mm[0, 0] == 19
+
+
+def test_new_takes_another_number_of_rows_and_datums(tmp_path):
+    run("new", str(tmp_path / "f.json"), "--rows", "8", "--pitch-mm", "19", "--datums", "7", "--quiet")
+    plate = Frame.load(tmp_path / "f.json").view("lateral").xrii
+    assert (len(plate.ids), plate.is_datum.sum()) == (64, 7)
+
+
+def test_a_frame_that_will_not_do_is_written_and_refused(tmp_path):
+    assert "wire-reach" in run("new", str(tmp_path / "f.json"), "--pitch-mm", "20", code=3)
+    document = json.loads(run("check", str(tmp_path / "f.json"), "--json", code=3))
+    assert [check["name"] for check in document["checks"] if not check["passed"]] == ["wire-reach"]
+
+
+def test_new_takes_measured_balls(tmp_path):
+    rows = ["view,plate,id,x_mm,y_mm,z_mm,diameter_mm,datum,sd_mm"]
+    for name, view in Frame.load("gamma").views.items():
+        for role in ("xrii", "source"):
+            for f in getattr(view, role).fiducials:
+                x, y, z = f.xyz_mm
+                rows.append(f"{name},{role},{f.id},{x},{y},{z},{f.diameter_mm},{f.datum},0.01")
+    (tmp_path / "balls.csv").write_text("\n".join(rows))
+    document = json.loads(run("new", str(tmp_path / "m.json"), "--csv", str(tmp_path / "balls.csv"), "--json"))
+    assert document["tolerances"] is None
+    assert document["tolerances_from"] == "the covariance in the frame file"
+    assert "the covariance in the frame file" in run("show", str(tmp_path / "m.json"))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("--csv", "no.csv"), "cannot read no.csv"),
+        (("--csv", "no.csv", "--rows", "9"), "leave out the other figures"),
+        (("--like", "delta"), "no built-in frame 'delta'"),
+        (("--rows", "2"), "4 to 20 rows"),
+        (("--pitch-mm", "-1"), "pitch above zero"),
+        (("--datums", "2"), "ask for 6"),
+    ],
+)
+def test_unusable_arguments_write_nothing(tmp_path, arguments, words):
+    assert words in run("new", str(tmp_path / "f.json"), *arguments, code=2).replace("\n", " ")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_new_does_not_replace_a_measured_frame(tmp_path):
+    (tmp_path / "f.json").write_text("measured")
+    assert "exists" in run("new", str(tmp_path / "f.json"), code=2)
+    assert (tmp_path / "f.json").read_text() == "measured"
+
+
+def test_show_says_where_tolerances_come_from():
+    assert "the defaults: the frame file states none" in run("show", "gamma")
+    document = json.loads(run("show", "stereo", "--json"))
+    assert document["tolerances"]["plate_mm"] == 0.05
+    assert [plate["beads"] for plate in document["plates"]] == [49, 64, 49, 64]
+    assert all(plate["reach_mm"] > 10 for plate in document["plates"])
+
+
+def test_show_draws_the_plates(tmp_path):
+    run("show", "biplane", "--picture", str(tmp_path / "plates.png"), "--quiet")
+    assert (tmp_path / "plates.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_check_passes_a_good_frame_and_refuses_what_is_none(tmp_path):
+    assert "plate-twin" in run("check", "gamma")
+    (tmp_path / "f.json").write_text('{"units": "cm"}')
+    assert "f.json: " in run("check", str(tmp_path / "f.json"), code=2)
