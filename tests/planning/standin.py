@@ -116,8 +116,8 @@ def stand_in(name: str, turn_rad: float = 0.0, scale: float = 1.0, seed: int = 5
     for k, (a, b) in enumerate(powers):
         if a + b == 1:
             coefficients[:, k] = 110.0 * turn[:, b]
-        if a + b == 3:
-            coefficients[:, k] = rng.normal(0.0, 3.0, 2)
+        if a + b == 3:  # pincushion: -6 % of (u, v) (u² + v²), and something without symmetry
+            coefficients[:, k] = -6.6 * turn[:, b % 2] + rng.normal(0.0, 0.8, 2)
     factors = {}
     for source, focal_mm, map_mm in (
         ("beads", 0.5, 0.02),

