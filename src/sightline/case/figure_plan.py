@@ -42,7 +42,8 @@ def pick(chosen: Pick, name: str) -> str:
 
 def truth(uv_px: np.ndarray) -> str:
     """Small circles at the true places (N, 2)."""
-    return svg.group(svg.element("circle", svg.hint("truth"), cx=float(u), cy=float(v), r=4.0) for u, v in uv_px)
+    circles = (svg.element("circle", svg.hint("truth"), cx=float(u), cy=float(v), r=4.0) for u, v in uv_px)
+    return svg.group(circles, class_="truth")
 
 
 def _ellipse(view: CalibratedView, xyz_mm: np.ndarray, covariance_mm2: np.ndarray) -> str:

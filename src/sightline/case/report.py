@@ -2,7 +2,9 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from importlib.metadata import version
 from importlib.resources import files
+from platform import python_version
 
 from jinja2 import Environment, StrictUndefined
 from markupsafe import Markup
@@ -45,7 +47,12 @@ def render(report: Report) -> str:
         css=Markup((templates / "report.css").read_text("utf-8")),  # noqa: S704 - a file of this package
         script=Markup((templates / "space.js").read_text("utf-8")),  # noqa: S704 - a file of this package
         title=report.title,
-        provenance={**report.provenance, "software": f"Sightline {__version__}"}.items(),
+        provenance={**report.provenance, "software": _versions()}.items(),
         **report_tables.tables(report),
         **report_pictures.pictures(report),
     )
+
+
+def _versions() -> str:
+    others = (f"{name} {version(name)}" for name in ("numpy", "scipy", "numba", "opencv-python-headless"))
+    return f"Sightline {__version__}, Python {python_version()}, {', '.join(others)}"

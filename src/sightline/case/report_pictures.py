@@ -9,7 +9,7 @@ from markupsafe import Markup
 from sightline.calibration.localized import LocalizedMap
 from sightline.case import figure_image, figure_plan, figure_space
 from sightline.case.figure_budget import budget
-from sightline.case.report_tables import POINTS, bars, budget_rows
+from sightline.case.report_tables import POINTS, bars, budget_rows, spoken
 from sightline.case.views import CalibratedImage
 from sightline.detection import Rejected
 
@@ -49,7 +49,7 @@ def _plan_pictures(report: "Report") -> list[dict[str, Any]]:
     for k, image in enumerate(report.images):
         if image.seen.image is None:
             continue
-        words = f"{image.name} image with the planned wire and its picks"
+        words = f"{spoken(image.name)} image with the planned wire and its picks"
         words += ", and the image-matching curves of entry and tip with their uncertainty bands" if k else ""
         drawing = figure_image.radiograph(image.seen.image, image.name, _plan_marks(report, k), words)
         out.append(_figure(drawing, _capital(words) + "."))
@@ -73,7 +73,7 @@ def _near_pictures(report: "Report") -> list[dict[str, Any]]:
         if image.seen.image is None:
             continue
         for pair, name in zip(report.plan.picks, POINTS, strict=True):
-            words = f"{image.name} image around the {name}"
+            words = f"{spoken(image.name)} image around the {name}"
             drawing = figure_image.near(image.name, pair[k].uv_px, _plan_marks(report, k), words)
             out.append(_figure(drawing, _capital(words) + "."))
     return out
@@ -131,7 +131,7 @@ def _beads_of(image: CalibratedImage, marked: list[figure_image.Marked], top_mm:
     left_out = sum(not bead.used for bead in marked)
     size = float(np.sqrt(np.mean([bead.residual_mm**2 for bead in marked if bead.used])))
     words = (
-        f"{image.name} image: {len(marked)} beads told apart, residual {size:.3f} mm rms, "
+        f"{spoken(image.name)} image: {len(marked)} beads told apart, residual {size:.3f} mm rms, "
         f"{left_out} left out of the fit, {len(refused)} other candidates rejected"
     )
     marks = [figure_image.rejected(refused), figure_image.beads(marked, top_mm)]
@@ -146,7 +146,7 @@ def _elsewhere(image: CalibratedImage) -> list[Rejected]:
 
 
 def _capital(words: str) -> str:
-    return words.replace("pa image", "PA image", 1) if words.startswith("pa ") else words[0].upper() + words[1:]
+    return words[0].upper() + words[1:]
 
 
 def _space(report: "Report") -> dict[str, Any]:
@@ -182,11 +182,11 @@ def _wire(report: "Report") -> figure_space.Shape:
 def _whole(report: "Report") -> Iterable[figure_space.Shape]:
     for image in report.images:
         plates = report.frame.view(image.name)
-        yield from figure_space.plate(plates.xrii.xyz_mm, "xrii", f"{image.name} XRII plate")
-        yield from figure_space.plate(plates.source.xyz_mm, "source", f"{image.name} source plate")
+        yield from figure_space.plate(plates.xrii.xyz_mm, "xrii", f"{spoken(image.name)} XRII plate")
+        yield from figure_space.plate(plates.source.xyz_mm, "source", f"{spoken(image.name)} source plate")
         focal = image.view.focal_point_mm
-        yield figure_space.dot(focal, "focal", f"{image.name} focal point")
-        yield figure_space.label(focal, f"{_label(image.name)} focal point")
+        yield figure_space.dot(focal, "focal", f"{spoken(image.name)} focal point")
+        yield figure_space.label(focal, f"{spoken(image.name)} focal point")
         for line in _lines(report, image):
             yield figure_space.line(focal, line, "sight")
     yield _wire(report)
@@ -199,15 +199,11 @@ def _near(report: "Report") -> Iterable[figure_space.Shape]:
             along = (on_plate - focal) / np.linalg.norm(on_plate - focal)
             nearest = focal + ((point - focal) @ along) * along
             yield figure_space.line(
-                nearest - BEYOND_MM * along, nearest + BEYOND_MM * along, "sight", f"{image.name} line of sight"
+                nearest - BEYOND_MM * along, nearest + BEYOND_MM * along, "sight", f"{spoken(image.name)} line of sight"
             )
     yield _wire(report)
     for name, point in zip(POINTS, report.plan.trajectory.points.xyz_mm, strict=True):
         yield figure_space.label(point, name)
-
-
-def _label(name: str) -> str:
-    return "PA" if name == "pa" else name
 
 
 def _lines(report: "Report", image: CalibratedImage) -> np.ndarray:
@@ -231,6 +227,8 @@ def _triangles(report: "Report") -> list[dict[str, Any]]:
         bounding = net.controls_px[net.triangulation.simplices[found[found >= 0]]]
         marks = [figure_image.triangles(net.triangles_px, bounding)]
         marks += [figure_plan.pick(pair[k], name) for pair, name in zip(report.plan.picks, POINTS, strict=True)]
-        words = f"{image.name} image: the triangles of the XRII plate; those that bound entry and tip are filled"
+        words = (
+            f"{spoken(image.name)} image: the triangles of the XRII plate; those that bound entry and tip are filled"
+        )
         out.append(_figure(figure_image.radiograph(image.seen.image, image.name, marks, words), _capital(words) + "."))
     return out

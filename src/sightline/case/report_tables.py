@@ -37,6 +37,11 @@ def tables(report: "Report") -> dict[str, Any]:
     }
 
 
+def spoken(view: str) -> str:
+    """A view's name as people write it."""
+    return "PA" if view == "pa" else view
+
+
 def _subtitle(report: "Report") -> str:
     serial = f", serial {report.frame.serial}" if report.frame.serial else ""
     pa, lateral = report.images
@@ -52,7 +57,18 @@ def _verdict(report: "Report") -> dict[str, Any]:
         sentence = f"All {count} checks passed. A person decides."
     else:
         sentence = f"{len(against)} of {count} checks stand against this plan:"
-    return {"go": verdict.go, "word": "GO" if verdict.go else "NO-GO", "sentence": sentence, "reasons": against}
+    return {
+        "go": verdict.go,
+        "word": "GO" if verdict.go else "NO-GO",
+        "sentence": sentence,
+        "reasons": [_reason(c, report) for c in against],
+    }
+
+
+def _reason(check: Check, report: "Report") -> dict[str, str]:
+    """A failed check, with the view that it is about."""
+    about = [spoken(image.name) for image in report.images if any(check is one for one in image.view.checks)]
+    return {"name": f"{check.name}{f' ({about[0]} view)' if about else ''}", "sentence": check.sentence}
 
 
 def _tiles(report: "Report") -> list[dict[str, str]]:
@@ -89,7 +105,7 @@ def _notes(report: "Report") -> Iterable[str]:
         )
     for image in report.images:
         if image.seen.observations.mirrored:
-            yield f"The {image.name} image is a mirror image of the frame; it was used as it is."
+            yield f"The {spoken(image.name)} image is a mirror image of the frame; it was used as it is."
 
 
 def _points(report: "Report") -> list[dict[str, Any]]:
@@ -147,7 +163,8 @@ def _comparison(report: "Report") -> dict[str, Any] | None:
             {"title": picks.capitalize(), "rows": [_row(one, report) for one in report.compared if one.picks == picks]}
             for picks in groups
         ],
-        "footnote": "An error within its 95 % bound is expected 95 times in a hundred, not always.",
+        "footnote": "An error lies within its 95 % bound 95 times in a hundred, not always. The frame's own errors are "
+        "in every row: from one pair of images no method can see them, so they are only in the bounds.",
     }
 
 
@@ -170,7 +187,7 @@ def _checks(report: "Report") -> list[dict[str, Any]]:
     """By what was checked: each view as its calibration left it, then the plan."""
     views = {name: image.view.checks for name, image in zip(NAMES, report.images, strict=True)}
     of_views = [check for checks in views.values() for check in checks]
-    blocks = [(f"Calibration of the {name} view", checks) for name, checks in views.items()]
+    blocks = [(f"Calibration of the {spoken(name)} view", checks) for name, checks in views.items()]
     blocks.append(("The plan", tuple(c for c in report.plan.verdict.checks if c not in of_views)))
     return [{"title": title, "rows": [_check(c) for c in checks]} for title, checks in blocks if checks]
 

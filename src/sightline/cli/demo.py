@@ -13,15 +13,14 @@ if TYPE_CHECKING:
 
     from sightline.calibration.fit import Method
     from sightline.case.comparison import Compared, Refused, Truth
+    from sightline.case.report import Report
     from sightline.case.views import CalibratedImage
     from sightline.frame import Frame
     from sightline.imaging import Radiograph
-    from sightline.twin import SetUp
+    from sightline.twin import HipScene, SetUp
 
 METHODS: "tuple[Method, ...]" = ("smooth", "localized", "polynomial")  # the first is the one that the plan is made with
 PICK_SD_PX = 0.5  # a careful click (physics.md, Picks) [ours]
-OFF_CENTRE_SD_MM = 4.0  # how well the frame is centred on the wire, per axis [ours]
-FIELD_MARGIN_PX = 60.0  # the wire's ends lie at least this far inside both fields [ours]
 BY_HAND = f"picked by hand: {PICK_SD_PX:g} px of noise, lateral picks snapped to their curves"
 EXACT = "located exactly: no noise, 0.1 px assumed"
 
@@ -55,16 +54,20 @@ def _run(output: Output, folder: Path, seed: int) -> dict[str, Any]:
     """All steps. The images are read back from their files: nothing but the truth passes from the twin to the rest."""
     import numpy as np
 
+    from sightline.case.comparison import Truth
     from sightline.case.report import Report, render
-    from sightline.case.views import calibrate_pair, see_pair
+    from sightline.case.views import NAMES, calibrate_pair, see_pair
     from sightline.frame import Frame
+    from sightline.imaging import write_dicom
     from sightline.planning import plan
+    from sightline.twin import truth_document
 
     frame = Frame.load("gamma")
     rng = np.random.default_rng(seed)
     with output.step("1/6 drawing the set-up and its X-ray images"):
-        setup, truth, radiographs = _simulate(frame, rng)
-    pa, lateral = _write_images(folder, radiographs)
+        setup, hip, radiographs = _simulate(frame, rng)
+        truth = Truth(hip.wire_mm, np.stack([setup.views[name].project(hip.wire_mm) for name in NAMES]))
+        pa, lateral = (write_dicom(radiographs[name], folder / f"demo_{name}.dcm") for name in NAMES)
     with output.step("2/6 reading the images, finding and telling apart the beads"):
         seen = see_pair(pa, lateral, frame)
     images: dict[str, tuple[CalibratedImage, CalibratedImage]] = {}
@@ -93,7 +96,7 @@ def _run(output: Output, folder: Path, seed: int) -> dict[str, Any]:
             compared=compared,
         )
         page = render(report)
-    _write_results(folder, page, report, setup, seed)
+    _write_results(folder, page, report, {"seed": seed, **truth_document(setup, hip)})
     _show(output, planned, compared)
     return {
         "go": planned.verdict.go,
@@ -102,40 +105,13 @@ def _run(output: Output, folder: Path, seed: int) -> dict[str, Any]:
     }
 
 
-def _simulate(frame: "Frame", rng: "np.random.Generator") -> "tuple[SetUp, Truth, dict[str, Radiograph]]":
+def _simulate(frame: "Frame", rng: "np.random.Generator") -> "tuple[SetUp, HipScene, dict[str, Radiograph]]":
     """A set-up whose two fields show the whole wire, as a radiographer makes one, and its images."""
-    import numpy as np
-
-    from sightline.case.comparison import Truth
     from sightline.case.views import NAMES
-    from sightline.twin import draw_setup
-    from sightline.twin.femur import SoftTissue, draw_femur, to_cfcs, voxelise
-    from sightline.twin.render import Scene, render
-    from sightline.twin.things import frame_boxes, frame_solids
+    from sightline.twin import render, shown_hip_scene
 
-    femur = draw_femur(rng)
-    while True:
-        setup = draw_setup(rng, frame)
-        wire = to_cfcs(np.stack(femur.wire_mm()), setup.side, np.zeros(3))
-        # The frame is centred on the wire, not on the head: only so do both fields show all of it.
-        head = rng.normal(0.0, OFF_CENTRE_SD_MM, 3) - wire.mean(axis=0)
-        views = [setup.views[name] for name in NAMES]
-        uv = np.stack([view.project(wire + head) for view in views])
-        if all(view.in_field(at, FIELD_MARGIN_PX).all() for view, at in zip(views, uv, strict=True)):
-            break
-    scene = Scene(
-        solids=frame_solids(setup.true_frame),
-        boxes=frame_boxes(setup.true_frame),
-        bone=voxelise(femur, setup.side, head, rng),
-        tissue=SoftTissue(),
-    )
-    return setup, Truth(wire + head, uv), {name: render(setup, name, scene, rng) for name in NAMES}
-
-
-def _write_images(folder: Path, radiographs: "dict[str, Radiograph]") -> list[Path]:
-    from sightline.imaging import write_dicom
-
-    return [write_dicom(image, folder / f"demo_{name}.dcm") for name, image in radiographs.items()]
+    setup, hip = shown_hip_scene(rng, frame)
+    return setup, hip, {name: render(setup, name, hip.scene, rng) for name in NAMES}
 
 
 def _compare(
@@ -160,7 +136,7 @@ def _compare(
     return out
 
 
-def _write_results(folder: Path, page: str, report: Any, setup: "SetUp", seed: int) -> None:
+def _write_results(folder: Path, page: str, report: "Report", truth: dict[str, Any]) -> None:
     from sightline.case.documents import view_document, write_folder
     from sightline.cli.output import as_json
     from sightline.detection.files import write_observations
@@ -173,30 +149,11 @@ def _write_results(folder: Path, page: str, report: Any, setup: "SetUp", seed: i
         "views": [view_document(image) for image in images],
         "trajectory": trajectory,
         "comparison": [one.document() for one in report.compared],
-        "truth": _truth_document(setup, report.truth, seed),
+        "truth": truth,
     }
     documents = {f"{name}.json": as_json(document).encode() for name, document in results.items()}
     write_folder(folder, {"report.html": page.encode(), **documents})
     write_observations([image.seen.observations for image in images], folder / "observations.csv")
-
-
-def _truth_document(setup: "SetUp", truth: "Truth", seed: int) -> dict[str, Any]:
-    return {
-        "seed": seed,
-        "coordinates": "CFCS",
-        "side": setup.side,
-        "entry_mm": truth.xyz_mm[0],
-        "end_mm": truth.xyz_mm[1],
-        "views": {
-            name: {
-                "focal_point_mm": view.focal_point_mm,
-                "entry_uv_px": truth.uv_px[k, 0],
-                "end_uv_px": truth.uv_px[k, 1],
-            }
-            for k, (name, view) in enumerate(setup.views.items())
-        },
-        "beads_mm": {f.id: f.xyz_mm for view in setup.true_frame.views.values() for f in view.fiducials},
-    }
 
 
 def _publish(scratch: Path, out: Path) -> list[Path]:

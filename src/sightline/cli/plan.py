@@ -1,6 +1,7 @@
 """`sightline plan`: two images and four picks to a trajectory, its error, and GO or NO-GO."""
 
 from collections.abc import Sequence
+from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -84,12 +85,14 @@ def parse_point(text: str, option: str) -> dict[str, tuple[float, ...]]:
             if name in out:
                 raise ValueError
             out[name] = tuple(float(number) for number in numbers.split(","))
+            if not all(isfinite(number) for number in out[name]):
+                raise ValueError
     except ValueError:
         out = {}
     lengths = {name: len(numbers) for name, numbers in out.items()}
     if lengths not in ({"pa": 2, "lateral": 2}, {"pa": 2, "depth": 1}):
         raise UnusableInputError(
-            f"{option} {text!r} is not a point; write 'pa:U,V lateral:U,V' in pixels (for example "
+            f"{option} {text!r} is no point; write 'pa:U,V lateral:U,V' in pixels (for example "
             "'pa:512.3,401.8 lateral:498.0,377.2'), or 'pa:U,V depth:MM'"
         )
     return out

@@ -1,0 +1,66 @@
+"""A plan on a set-up of the twin, from bead centres (no rendering), and the report of it."""
+
+import numpy as np
+import pytest
+
+from sightline.case.comparison import Compared, Truth
+from sightline.case.report import Report
+from sightline.case.views import NAMES, Seen, calibrate_pair
+from sightline.detection import Detections, Observations, Rejected
+from sightline.frame import Frame
+from sightline.imaging import Radiograph
+from sightline.planning import plan
+from sightline.twin import bead_images, draw_setup
+
+WIRE_MM = np.array([[31.3, 28.9, -9.7], [-30.1, -27.7, 8.3]])
+HOSTILE = "<script>alert('x')</script>.dcm"
+
+
+@pytest.fixture(scope="session")
+def frame() -> Frame:
+    return Frame.load("gamma")
+
+
+@pytest.fixture(scope="session")
+def setup(frame: Frame):
+    return draw_setup(np.random.default_rng(7), frame)
+
+
+def seen(setup, name: str) -> Seen:
+    rng = np.random.default_rng(len(name))
+    ids, uv = bead_images(setup, name, rng, 0.1)
+    noise = np.repeat(0.01 * np.eye(2)[None], len(ids), axis=0)
+    image = Radiograph(rng.integers(500, 3000, (1024, 1024)).astype(np.uint16), 4095.0)
+    refused = (Rejected((500.0, 400.0), 4.0, "too <long>"),)
+    beads = Detections(
+        uv, np.full(len(ids), 8.0), noise, ("ball",) * len(ids), np.full(len(ids), -0.5), (1024, 1024), refused
+    )
+    return Seen(HOSTILE, Observations(name, ids, uv, noise, image_shape=(1024, 1024)), image, beads)
+
+
+@pytest.fixture(scope="session")
+def pair(setup) -> tuple[Seen, Seen]:
+    return seen(setup, "pa"), seen(setup, "lateral")
+
+
+@pytest.fixture(scope="session")
+def truth(setup) -> Truth:
+    return Truth(WIRE_MM, np.stack([setup.views[name].project(WIRE_MM) for name in NAMES]))
+
+
+@pytest.fixture(scope="session")
+def report(frame, pair, truth) -> Report:
+    images = calibrate_pair(pair, frame, "smooth")
+    localized = calibrate_pair(pair, frame, "localized")
+    picks = truth.uv_px + np.random.default_rng(2).normal(0.0, 0.5, (2, 2, 2))
+    planned = plan([image.view for image in images], picks[:, 0], picks[:, 1], snapped=True)
+    return Report(
+        title="A plan & its report",
+        frame=frame,
+        images=images,
+        plan=planned,
+        provenance={"picks": "drawn"},
+        localized=(localized[0].view, localized[1].view),
+        truth=truth,
+        compared=[Compared("smooth", "by hand", planned.trajectory, truth)],
+    )

@@ -1,0 +1,149 @@
+"""The report: whole, self-contained, and true to the plan that it shows."""
+
+import re
+from dataclasses import replace
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+
+from sightline.case.comparison import Refused
+from sightline.case.report import render
+from sightline.checks import Check
+from sightline.planning import Verdict
+
+VOID = {"meta", "link", "img", "br"}
+
+
+class Page(HTMLParser):
+    """Elements by tag, with their attributes and text; unbalanced tags are errors."""
+
+    def __init__(self, html: str) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.found: list[tuple[str, dict[str, str | None]]] = []
+        self.text = ""
+        self.feed(html)
+        assert not self.open
+
+    def handle_starttag(self, tag, attrs) -> None:
+        self.found.append((tag, dict(attrs)))
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag, attrs) -> None:
+        self.found.append((tag, dict(attrs)))
+
+    def handle_endtag(self, tag) -> None:
+        assert self.open.pop() == tag
+
+    def handle_data(self, data) -> None:
+        if not self.open or self.open[-1] not in ("style", "script"):
+            self.text += data
+
+    def all(self, tag: str) -> list[dict[str, str | None]]:
+        return [attributes for name, attributes in self.found if name == tag]
+
+
+@pytest.fixture(scope="module")
+def html(report) -> str:
+    return render(report)
+
+
+@pytest.fixture(scope="module")
+def page(html) -> Page:
+    return Page(html)
+
+
+def test_nothing_is_asked_of_a_network(html, page) -> None:
+    references = [v for _, a in page.found for k, v in a.items() if k in ("src", "href", "xlink:href")]
+    assert references
+    assert all(v.startswith(("#", "data:image/jpeg;base64,")) for v in references)
+    assert not re.search(r"url\(|@import|fetch\(|XMLHttpRequest", html)
+
+
+def test_every_picture_says_what_it_shows(page) -> None:
+    pictures = [a for a in page.all("svg") if a.get("role") == "img"]
+    # two plans, four close-ups, the budget, beads and triangles of both views, two views of space
+    assert len(pictures) == 2 + 4 + 1 + 2 + 2 + 2
+    assert all(len(a["aria-label"]) > 20 for a in pictures)
+
+
+def test_pixels_are_embedded_once(page) -> None:
+    assert {a["id"] for a in page.all("image")} == {"radiograph-pa", "radiograph-lateral"}
+    assert len(page.all("image")) == 2
+    assert {a["href"] for a in page.all("use")} == {"#radiograph-pa", "#radiograph-lateral"}
+
+
+def test_what_comes_from_files_is_escaped(html, page) -> None:
+    assert len(page.all("script")) == 1
+    assert "<script>alert" not in html
+    assert "<script>alert('x')</script>.dcm" in page.text
+    assert "too <long>" in page.text
+
+
+def test_the_figures_are_those_of_the_plan(report, page) -> None:
+    path = report.plan.trajectory
+    for figure in (
+        f"{path.entry_error_95_mm:.2f} mm",
+        f"{path.end_error_95_mm:.2f} mm",
+        f"{np.rad2deg(path.direction_error_95_rad):.2f}°",
+        f"{path.length_mm:.1f} mm",
+        f"{path.entry_mm[0]:.2f}",
+        f"{report.compared[0].errors_mm[1]:.3f}",
+    ):
+        assert figure in page.text
+
+
+def test_go_and_the_honest_notes(report, page) -> None:
+    assert report.plan.verdict.go
+    assert "✓ GO" in page.text
+    assert "NO-GO" not in page.text
+    for words in ("no robot is known", "states no tolerances", "not a medical device", "in CFCS"):
+        assert words in page.text
+
+
+def test_no_go_gives_the_reasons_and_the_view(report) -> None:
+    bad = Check("bead count", False, 3.0, 24.0, "beads", "Too few beads; move the frame.")
+    image = replace(report.images[1], view=replace(report.images[1].view, checks=(bad,)))
+    verdict = Verdict((bad, *report.plan.verdict.checks))
+    text = Page(
+        render(replace(report, images=(report.images[0], image), plan=replace(report.plan, verdict=verdict)))
+    ).text
+    assert "✗ NO-GO" in text
+    assert "bead count (lateral view): Too few beads; move the frame." in text
+    assert f"1 of {len(verdict.checks)} checks" in text
+
+
+def test_a_method_that_refused_says_why(report) -> None:
+    refused = Refused("localized", "by hand", "outside the triangles")
+    text = Page(render(replace(report, compared=[*report.compared, refused]))).text
+    assert "refused: outside the triangles" in text
+
+
+def test_an_unknown_error_is_called_unknown(report) -> None:
+    points = replace(
+        report.plan.trajectory.points, joint_covariance_mm2=None, budget_mm2=None, gap_sigma=None, method="nearest"
+    )
+    plan = replace(report.plan, trajectory=replace(report.plan.trajectory, points=points))
+    page = Page(render(replace(report, plan=plan, compared=())))
+    assert page.text.count("unknown") >= 3
+    assert "Where the error comes from" not in page.text
+    assert "95 % ellipsoids" not in page.text
+
+
+def test_observations_without_images_make_a_report_without_them(report) -> None:
+    images = tuple(replace(i, seen=replace(i.seen, image=None, beads=None)) for i in report.images)
+    page = Page(render(replace(report, images=images)))
+    assert not page.all("image")
+    assert "Each bead that was told apart" not in page.text
+    assert "The set-up in space" in page.text
+
+
+def test_stated_tolerances_leave_no_note_of_defaults(report) -> None:
+    frame = replace(report.frame, tolerances=report.frame.effective_tolerances)
+    assert "states no tolerances" not in Page(render(replace(report, frame=frame))).text.split("Checks")[0]
+
+
+def test_the_same_report_is_the_same_page(report, html) -> None:
+    assert render(report) == html

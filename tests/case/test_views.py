@@ -1,0 +1,68 @@
+"""Pairs of views from files: what is recognised, and what is refused."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sightline.case.comparison import Compared
+from sightline.case.documents import view_document, write_folder
+from sightline.case.views import see_pair
+from sightline.detection.files import write_observations
+from sightline.errors import ObservationsError, UnusableInputError
+
+
+@pytest.fixture
+def csv(pair, tmp_path: Path) -> Path:
+    return write_observations([one.observations for one in pair], tmp_path / "beads.csv")
+
+
+def test_one_csv_may_hold_both_views(csv, frame, pair) -> None:
+    pa, lateral = see_pair(csv, csv, frame)
+    assert (pa.observations.view, lateral.observations.view) == ("pa", "lateral")
+    np.testing.assert_array_equal(pa.observations.uv_px, pair[0].observations.uv_px)
+    assert pa.image is None
+
+
+def test_a_csv_without_the_view_names_those_it_has(pair, frame, tmp_path: Path) -> None:
+    only = write_observations([pair[0].observations], tmp_path / "pa.csv")
+    with pytest.raises(ObservationsError, match=r"pa\.csv holds no observations of view 'lateral'; it has: pa"):
+        see_pair(only, only, frame)
+
+
+@pytest.mark.parametrize(
+    ("order", "words"),
+    [
+        (("lateral", "pa"), "swapped"),
+        (("pa", "pa"), "given as the lateral view"),
+        (("lateral", "lateral"), "as the pa"),
+    ],
+)
+def test_images_in_the_wrong_place_are_recognised_by_their_plates(pair, frame, monkeypatch, order, words) -> None:
+    by_name = {one.observations.view: one for one in pair}
+    monkeypatch.setattr("sightline.case.views.see", lambda path, frame: by_name[path.stem])
+    with pytest.raises(UnusableInputError, match=words):
+        see_pair(Path(f"{order[0]}.dcm"), Path(f"{order[1]}.dcm"), frame)
+
+
+def test_a_view_as_json_holds_every_bead(report) -> None:
+    document = view_document(report.images[0])
+    assert document["view"] == "pa"
+    assert [b["id"] for b in document["beads"]] == list(report.images[0].view.residuals.ids)
+    assert 0.0 < document["residual_rms_mm"] < document["leave_one_out_rms_mm"]
+
+
+def test_a_folder_that_cannot_be_made_is_said(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("in the way")
+    with pytest.raises(UnusableInputError, match="--out"):
+        write_folder(tmp_path / "file" / "folder", {"a.json": b"{}"})
+
+
+def test_errors_against_the_truth(report, truth) -> None:
+    one = Compared("smooth", "by hand", report.plan.trajectory, truth)
+    entry, tip = one.errors_mm
+    assert entry == pytest.approx(np.linalg.norm(report.plan.trajectory.entry_mm - truth.xyz_mm[0]))
+    assert tip < 2.0
+    # The direction turns by no more than the two ends' errors over the length.
+    assert one.direction_error_rad <= np.arcsin((entry + tip) / report.plan.trajectory.length_mm)
+    assert one.document()["within_bounds"] == one.kept

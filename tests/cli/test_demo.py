@@ -1,0 +1,96 @@
+"""`sightline demo`, the whole way from drawing images to the report, once."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pydicom
+import pytest
+
+from sightline.cli import demo as demo_module
+from sightline.detection.files import read_observations
+
+EXPECTED = {
+    "report.html",
+    "demo_pa.dcm",
+    "demo_lateral.dcm",
+    "detections.json",
+    "observations.json",
+    "observations.csv",
+    "views.json",
+    "trajectory.json",
+    "comparison.json",
+    "truth.json",
+}
+
+
+@pytest.fixture(scope="module")
+def made(run, tmp_path_factory: pytest.TempPathFactory):
+    out = tmp_path_factory.mktemp("demo") / "deep" / "demo"
+    return run("demo", "--out", out), out
+
+
+def load(folder: Path, name: str):
+    return json.loads((folder / f"{name}.json").read_text())
+
+
+def test_it_says_where_everything_is(made) -> None:
+    ran, out = made
+    assert ran.code == 0, ran.err
+    assert {file.name for file in out.iterdir()} == EXPECTED
+    assert "report.html" in ran.out
+    assert "6/6" in ran.err
+    assert [p.name for p in out.parent.iterdir()] == ["demo"]  # no scratch folder is left
+
+
+def test_images_are_like_those_of_a_c_arm(made) -> None:
+    _, out = made
+    for view in ("pa", "lateral"):
+        header = pydicom.dcmread(out / f"demo_{view}.dcm")
+        assert header.Modality == "XA"
+        for tag in ("DistanceSourceToDetector", "ImagerPixelSpacing", "PositionerPrimaryAngle"):
+            assert not header.get(tag)
+
+
+def test_every_label_is_true(made) -> None:
+    """Each bead lies where the truth has it, within 2 px (balls stand 10 px apart or more); the CSV agrees."""
+    _, out = made
+    observed, truth = load(out, "observations"), load(out, "truth")["views"]
+    again = read_observations(out / "observations.csv")
+    for name in ("pa", "lateral"):
+        ids, uv = observed[name]["ids"], np.array(observed[name]["uv_px"])
+        assert len(ids) >= 60
+        true = np.array([truth[name]["beads_uv_px"][i] for i in ids])
+        assert np.linalg.norm(uv - true, axis=1).max() < 2.0
+        assert list(again[name].ids) == ids
+        np.testing.assert_array_equal(again[name].uv_px, uv)
+
+
+def test_the_plan_is_near_the_truth_and_says_how_near(made) -> None:
+    _, out = made
+    path, truth = load(out, "trajectory"), load(out, "truth")
+    for point in ("entry_mm", "end_mm"):
+        error = np.linalg.norm(np.subtract(path[point], truth[point]))
+        assert error < 1.5 * path["error_95"][point]  # the seed is fixed; the bound itself holds 95 times in 100
+        assert 0.05 < path["error_95"][point] < 1.0
+    assert path["go"] is True
+    assert {one["method"] for one in load(out, "comparison")} == {"smooth", "localized", "polynomial"}
+
+
+def test_the_report_holds_the_figures_of_the_json(made) -> None:
+    _, out = made
+    page = (out / "report.html").read_text()
+    path = load(out, "trajectory")
+    assert f"{path['error_95']['entry_mm']:.2f} mm" in page
+    assert f"{path['length_mm']:.1f} mm" in page
+
+
+def test_an_interrupted_demo_leaves_nothing(run, tmp_path: Path, monkeypatch) -> None:
+    def interrupted(output, folder, seed):
+        (folder / "demo_pa.dcm").write_bytes(b"half")
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(demo_module, "_run", interrupted)
+    ran = run("demo", "--out", tmp_path / "demo")
+    assert ran.code == 130
+    assert list(tmp_path.iterdir()) == []

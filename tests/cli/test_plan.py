@@ -1,0 +1,136 @@
+"""`sightline plan` from observations: GO, NO-GO, and picks that cannot be used."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sightline.cli.plan import parse_point
+from sightline.detection.files import write_observations
+from sightline.detection.results import Observations
+from sightline.errors import UnusableInputError
+
+WIRE_MM = np.array([[31.3, 28.9, -9.7], [-30.1, -27.7, 8.3]])
+
+
+@pytest.fixture(scope="module")
+def wire_px(setup) -> dict[str, np.ndarray]:
+    return {view: setup.views[view].project(WIRE_MM) for view in ("pa", "lateral")}
+
+
+def picks(wire_px, shift=0.0) -> list[str]:
+    def point(k: int) -> str:
+        (u, v), (s, t) = wire_px["pa"][k], wire_px["lateral"][k] + shift
+        return f"pa:{u:.2f},{v:.2f} lateral:{s:.2f},{t:.2f}"
+
+    return ["--entry", point(0), "--end", point(1)]
+
+
+def test_a_plan_lies_within_its_own_bounds_of_the_truth(run, beads_csv: Path, wire_px) -> None:
+    ran = run("plan", beads_csv, beads_csv, *picks(wire_px), "--pick-sd", "0.1", "--json")
+    assert ran.code == 0, ran.out
+    document = ran.document
+    assert document["go"] is True
+    path = document["trajectory"]
+    assert path["coordinates"] == "CFCS"
+    # A frame error of three standard deviations is rarer than one in three hundred; the seed is fixed.
+    error = np.linalg.norm(np.array([path["entry_mm"], path["end_mm"]]) - WIRE_MM, axis=1)
+    assert error[0] < 1.5 * path["error_95"]["entry_mm"]
+    assert error[1] < 1.5 * path["error_95"]["end_mm"]
+    assert [view["view"] for view in document["views"]] == ["pa", "lateral"]
+    assert all(check["passed"] for check in document["checks"])
+
+
+def test_people_read_points_bounds_and_verdict_and_get_a_report(run, beads_csv: Path, wire_px, tmp_path: Path) -> None:
+    ran = run("plan", beads_csv, beads_csv, *picks(wire_px), "--out", tmp_path / "plan")
+    assert ran.code == 0, ran.err
+    for words in (
+        "Trajectory in CFCS",
+        "no robot",
+        "95 % error",
+        "GO: every check passed",
+        "entry error",
+        "report.html",
+    ):
+        assert words in ran.out
+    assert sorted(file.name for file in (tmp_path / "plan").iterdir()) == ["plan.json", "report.html"]
+    written = json.loads((tmp_path / "plan" / "plan.json").read_text())
+    assert f"{written['trajectory']['error_95']['entry_mm']:.2f} mm" in (tmp_path / "plan" / "report.html").read_text()
+
+
+def test_lateral_picks_are_snapped_and_then_have_no_gap_to_test(run, beads_csv: Path, wire_px) -> None:
+    ran = run("plan", beads_csv, beads_csv, *picks(wire_px, shift=4.0), "--snap", "--json")
+    assert ran.code == 0, ran.out
+    assert ran.document["trajectory"]["gap_tested"] == [False, False]
+
+
+def test_a_depth_is_a_place_on_the_curve(run, beads_csv: Path, wire_px) -> None:
+    """The same plan, whether its lateral places are clicked or stated in mm along the PA lines of sight."""
+    (u0, v0), (u1, v1) = wire_px["pa"]
+    ends = [f"pa:{u0:.2f},{v0:.2f} depth:300", f"pa:{u1:.2f},{v1:.2f} depth:310"]
+    ran = run("plan", beads_csv, beads_csv, "--entry", ends[0], "--end", ends[1], "--json")
+    assert ran.code == 0, ran.out
+    path = ran.document["trajectory"]
+    assert path["gap_tested"] == [False, False]
+    # Depth runs from the plate at z = +300 towards the source, nearly along -Z: less than 10 % longer than in z.
+    for z, depth in ((path["entry_mm"][2], 300.0), (path["end_mm"][2], 310.0)):
+        assert 0.9 * depth < 300.0 - z <= depth + 0.5
+
+
+def test_picks_of_different_points_are_a_no_go_with_the_gap_as_reason(run, beads_csv: Path, wire_px) -> None:
+    ran = run("plan", beads_csv, beads_csv, *picks(wire_px, shift=np.array([25.0, 25.0])), "--json")
+    assert ran.code == 3
+    failed = [check for check in ran.document["checks"] if not check["passed"]]
+    assert "gap" in [check["name"] for check in failed]
+    assert all("pick again" in check["sentence"] for check in failed if check["name"] == "gap")
+    assert ran.document["go"] is False
+
+
+def test_half_the_beads_in_the_wrong_place_is_refused_or_a_no_go(run, observations, wire_px, tmp_path: Path) -> None:
+    pa = observations["pa"]
+    rolled = Observations("pa", pa.ids, np.roll(pa.uv_px, 1, axis=0), pa.covariance_px2)
+    path = write_observations([rolled, observations["lateral"]], tmp_path / "rolled.csv")
+    ran = run("plan", path, path, *picks(wire_px), "--json")
+    assert ran.code == 3
+    assert "error" in ran.document or ran.document["go"] is False
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "pa:1,2",
+        "lateral:1,2",
+        "pa:1,2 lateral:3",
+        "pa:1,2 pa:3,4",
+        "pa:1,x lateral:1,2",
+        "pa=1,2",
+        "pa:1,2 side:3,4",
+    ],
+)
+def test_a_point_that_cannot_be_read_is_refused_with_an_example(text: str) -> None:
+    with pytest.raises(UnusableInputError, match=r"--entry .* is no point; write 'pa:U,V lateral:U,V'"):
+        parse_point(text, "--entry")
+
+
+@pytest.mark.parametrize(
+    ("entry", "end", "words"),
+    [
+        ("pa:512,512 lateral:nan,512", "pa:400,400 lateral:400,400", "is no point"),
+        ("pa:512,512 depth:300", "pa:400,400 lateral:400,400", "both in one way"),
+        ("pa:512,512 depth:9000", "pa:400,400 depth:300", "not at 9000 mm"),
+        ("pa:5,5 lateral:512,512", "pa:512,512 lateral:512,512", "hull"),
+    ],
+)
+def test_picks_that_give_no_plan_are_said(run, beads_csv: Path, entry: str, end: str, words: str) -> None:
+    ran = run("plan", beads_csv, beads_csv, "--entry", entry, "--end", end)
+    assert ran.code in (2, 3)
+    assert words in ran.err
+    assert "Traceback" not in ran.err
+
+
+def test_files_that_are_not_there_are_named(run, tmp_path: Path, wire_px) -> None:
+    ran = run("plan", tmp_path / "none.dcm", tmp_path / "none.dcm", *picks(wire_px))
+    assert ran.code == 2
+    assert "none.dcm" in ran.err
