@@ -1,0 +1,38 @@
+"""What docs/frame-file.md shows is what the code takes and does."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+
+from sightline.checks import failed
+from sightline.frame import Frame, Tolerances
+from sightline.frame.builtin import BUILTIN
+from sightline.frame.check import check_frame
+from sightline.frame.files import frame_from_json
+
+PAGE = (Path(__file__).parents[2] / "docs" / "frame-file.md").read_text(encoding="utf-8")
+
+
+def test_the_example_is_a_frame():
+    frame = frame_from_json(re.search(r"```json\n(.*?)```", PAGE, re.DOTALL)[1].encode())
+    assert frame.key == "bench-frame/03"
+    assert frame.tolerances == Tolerances()
+    assert {f.shape for f in frame.view("pa").source.fiducials} == {"ball", "washer"}
+    assert [check.name for check in failed(check_frame(frame))] == ["plate-beads"]
+
+
+def test_every_check_is_named():
+    assert {check.name for check in check_frame(Frame.load("gamma"))} <= set(re.findall(r"`([a-z-]+)`", PAGE))
+
+
+def test_the_table_of_built_in_frames_is_theirs():
+    for name in BUILTIN:
+        cells = re.search(rf"^\| `{name}` \|(.*)\|$", PAGE, re.MULTILINE)[1].split("|")
+        view = next(iter(Frame.load(name).views.values()))
+        for cell, plate in ((cells[0], view.xrii), (cells[1], view.source)):
+            rows, pitch, height = re.match(r" (\d+) x \d+ at ([\d.]+), ([+-]\d+) ", cell).groups()
+            xyz = plate.xyz_mm
+            assert (len(plate.ids), xyz[1, 0] - xyz[0, 0], xyz[0, 2]) == (int(rows) ** 2, float(pitch), float(height))
+        (reach,) = [check.figure for check in check_frame(Frame.load(name)) if check.name == "wire-reach"]
+        assert np.isclose(reach, float(cells[3]), atol=0.05)
