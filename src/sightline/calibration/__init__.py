@@ -6,6 +6,7 @@ from sightline.calibration.checks import checks_at
 from sightline.calibration.fit import fit_map
 from sightline.calibration.matrix import MatrixView, view_from_matrix
 from sightline.calibration.residuals import Residuals
+from sightline.calibration.setup_aid import SetupAdvice, advise
 from sightline.calibration.view import CalibratedView, LinesOfSight, PlaneMap
 
 __all__ = [
@@ -15,6 +16,8 @@ __all__ = [
     "MatrixView",
     "PlaneMap",
     "Residuals",
+    "SetupAdvice",
+    "advise",
     "calibrate",
     "checks_at",
     "fit_map",

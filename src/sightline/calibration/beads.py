@@ -1,7 +1,7 @@
 """The beads of one view: what was seen of each, where it is, and how the frame may err there."""
 
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 
@@ -52,9 +52,10 @@ class Beads:
         whole = self.frame.error_factor[self.frame.rows(self.view)]
         return whole.reshape(-1, 3, whole.shape[1])[self.rows].reshape(-1, whole.shape[1])
 
+    @cached_property
     def frame_covariance(self) -> np.ndarray:
         """(N, 3, N, 3) covariance of their coordinates, mm²."""
-        return _view_covariance(self.frame, self.view)[self.rows][:, :, self.rows]
+        return np.ascontiguousarray(_view_covariance(self.frame, self.view)[self.rows][:, :, self.rows])
 
 
 @lru_cache(maxsize=16)

@@ -4,6 +4,8 @@ A view is never judged by its focal point alone: an error of F along the beam of
 the target.
 """
 
+from functools import lru_cache
+
 import numpy as np
 from scipy.spatial import ConvexHull
 from scipy.stats import chi2
@@ -13,6 +15,8 @@ from sightline.calibration.joint import JointFit
 from sightline.calibration.residuals import Residuals
 from sightline.calibration.view import CalibratedView, LinesOfSight
 from sightline.checks import Check
+from sightline.frame import Frame
+from sightline.geometry.planes import Plane
 
 GOOD_COUNT = 24  # [ours] one more than the 23 numbers of a cubic and F
 GOOD_COVERAGE = 0.45  # [ours] share of each plate's area, within the hull of its beads used
@@ -107,19 +111,27 @@ def _count(count: int) -> Check:
 
 
 def _coverage(used: Beads) -> Check:
-    view = used.frame.view(used.view)
+    view, areas = used.frame.view(used.view), _plate_areas_mm2(used.frame, used.view)
     figures = {}
     for name, plate, mine in (("XRII", view.xrii, used.on_xrii), ("source", view.source, ~used.on_xrii)):
-        plane = plate.plane
-        figures[name] = (
-            ConvexHull(plane.to_plane(used.xyz_mm[mine])).volume / ConvexHull(plane.to_plane(plate.xyz_mm)).volume
-        )
+        figures[name] = _area_mm2(plate.plane, used.xyz_mm[mine]) / areas[name]
     least = min(figures, key=lambda name: figures[name])
     figure = float(figures[least])
     sentence = f"The beads used span {figure:.0%} of the {least} plate" + (
         "." if figure >= GOOD_COVERAGE else ": move the frame so that more of this plate lies in the field."
     )
     return Check("bead coverage", figure >= GOOD_COVERAGE, figure, GOOD_COVERAGE, "", sentence)
+
+
+def _area_mm2(plane: Plane, xyz_mm: np.ndarray) -> float:
+    return float(ConvexHull(plane.to_plane(xyz_mm)).volume)  # of a hull in two dimensions: its area
+
+
+@lru_cache(maxsize=16)
+def _plate_areas_mm2(frame: Frame, view: str) -> dict[str, float]:
+    """The same for every image taken with the frame."""
+    plates = {"XRII": frame.view(view).xrii, "source": frame.view(view).source}
+    return {name: _area_mm2(plate.plane, plate.xyz_mm) for name, plate in plates.items()}
 
 
 def _leave_one_out(residuals: Residuals) -> Check:

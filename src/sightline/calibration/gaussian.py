@@ -7,12 +7,12 @@ from scipy.linalg import get_lapack_funcs
 
 from sightline.errors import CalibrationRefusedError
 
-_potrf, _potri, _trtrs = get_lapack_funcs(("potrf", "potri", "trtrs"), dtype=np.float64)
+_potrf, _trtri, _trtrs = get_lapack_funcs(("potrf", "trtri", "trtrs"), dtype=np.float64)
 
 
 def cholesky(matrix: np.ndarray) -> np.ndarray:
     """Lower factor. Raises CalibrationRefusedError where the matrix is not positive definite."""
-    factor, info = _potrf(matrix, lower=1)
+    factor, info = _potrf(matrix.T, lower=1)  # the transpose of a C array needs no reordering
     if info:
         raise CalibrationRefusedError(
             "the beads' covariances make the calibration ill-conditioned; check the noise stated and double beads"
@@ -67,9 +67,13 @@ class Solution:
         slope = solve_lower(self.r, (design - back @ self.white).T).T
         return prior - back @ back.T + slope @ slope.T
 
-    def precision_of_residuals(self) -> np.ndarray:
-        """(n, n) P = V^-1 - V^-1 X (X^T V^-1 X)^-1 X^T V^-1; leave-one-out residuals are inv(P_ii) (P z)_i."""
-        inverse = _potri(self.factor, lower=1)[0]
-        inverse = np.tril(inverse) + np.tril(inverse, -1).T
-        fixed = solve_lower_transposed(self.factor, solve_lower(self.r, self.white.T).T)
-        return inverse - fixed @ fixed.T
+    def residual_precision(self, size: int) -> np.ndarray:
+        """(n / size, size, size): diagonal blocks of P = V^-1 - V^-1 X (X^T V^-1 X)^-1 X^T V^-1.
+
+        The leave-one-out residual of block i is inv(P_ii) times its part of `dual`, and inv(P_ii) its covariance.
+        """
+        inverse = _trtri(self.factor, lower=1)[0]
+        fixed = solve_lower(self.r, self.white.T) @ inverse
+        blocks = [part.T.reshape(-1, size, part.shape[0]) for part in (np.tril(inverse), fixed)]
+        whole, taken = (block @ np.swapaxes(block, 1, 2) for block in blocks)
+        return whole - taken

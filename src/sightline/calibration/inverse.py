@@ -25,11 +25,11 @@ def invert(plane_map: PlaneMap, xy_mm: np.ndarray, controls_px: np.ndarray) -> n
     limit = 0.25 * (high - low).max()
     step = np.full_like(uv, np.inf)
     for _ in range(ITERATIONS):
-        step = np.linalg.solve(plane_map.jacobian(uv), (target - plane_map.to_plane(uv))[..., None])[..., 0]
+        step = _solve(plane_map.jacobian(uv), target - plane_map.to_plane(uv))
         length = np.linalg.norm(step, axis=1, keepdims=True)
-        uv = uv + step * np.minimum(1.0, limit / np.maximum(length, 1e-300))
-        if not np.isfinite(uv).all() or length.max(initial=0.0) < TOLERANCE_PX:
+        if not np.isfinite(step).all() or length.max(initial=0.0) < TOLERANCE_PX:
             break
+        uv = uv + step * np.minimum(1.0, limit / np.maximum(length, 1e-300))
     lost = ~(np.linalg.norm(step, axis=1) < 1e-6) | (uv < low - margin).any(axis=1) | (uv > high + margin).any(axis=1)
     if lost.any():
         where = ", ".join(f"({x:.1f}, {y:.1f})" for x, y in target[lost][:3])
@@ -38,3 +38,15 @@ def invert(plane_map: PlaneMap, xy_mm: np.ndarray, controls_px: np.ndarray) -> n
             "choose points inside the beads' hull, or move the frame"
         )
     return uv
+
+
+def _solve(matrices: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """(N, 2) solutions of N systems of two equations; infinite where the map folds (determinant zero)."""
+    (a, b), (c, d) = np.moveaxis(matrices, 0, -1)
+    x, y = right.T
+    det = a * d - b * c
+    folded = np.abs(det) < 1e-9 * (a * a + b * b + c * c + d * d)
+    det = np.where(folded, 1.0, det)
+    out = np.stack([d * x - b * y, a * y - c * x], axis=1) / det[:, None]
+    out[folded] = np.inf
+    return out

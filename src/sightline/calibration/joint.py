@@ -71,7 +71,7 @@ class JointFit:
         spread = to_gap @ total @ to_gap.T + _measurement(
             others, self.map.jacobian(others.uv_px), self.learned.noise_scale
         )
-        spread += _carried(self.pencil.by_point(others.xyz_mm), others.frame_covariance())
+        spread += _carried(self.pencil.by_point(others.xyz_mm), others.frame_covariance)
         own = np.einsum("iaib->iab", spread.reshape(len(xy), 2, len(xy), 2))
         gap = xy - self.pencil.project(others.xyz_mm)
         return np.sqrt(np.einsum("ia,ia->i", gap, np.linalg.solve(own, gap[..., None])[..., 0]))
@@ -96,7 +96,7 @@ def _weighted(beads: Beads, start: "_Start", learned: Learned, pencil: Pencil, s
     y, by_pq = pencil.project(beads.xyz_mm), pencil.by_pq(beads.xyz_mm)
     noise = _measurement(beads, slopes, learned.noise_scale)
     jacobian = pencil.by_point(beads.xyz_mm)
-    covariance = _twice(learned.kernel(start.at, start.at)) + noise + _carried(jacobian, beads.frame_covariance())
+    covariance = _twice(learned.kernel(start.at, start.at)) + noise + _carried(jacobian, beads.frame_covariance)
     design = np.concatenate([_twice(start.basis), -by_pq.reshape(-1, 3)], axis=1)
     solution = Solution.of(design, covariance, y.reshape(-1, 1))
     theta = solution.theta[:, 0]
@@ -151,16 +151,23 @@ def _first_pencil(beads: Beads) -> Pencil:
 
 def _learn(beads: Beads, start: _Start) -> Learned:
     """Kernel and noise scale, with noise of one number per bead."""
-    n = len(beads)
     y, by_pq = start.pencil.project(beads.xyz_mm), start.pencil.by_pq(beads.xyz_mm)
     own = np.einsum("iab,ibc,iac->i", start.slopes, _noise_px2(beads), start.slopes) / 2
-    framed = _carried(start.pencil.by_point(beads.xyz_mm), beads.frame_covariance())
     fixed = np.linalg.qr(np.concatenate([_twice(start.basis), by_pq.reshape(-1, 3)], axis=1))[0]
-    left = np.trace(framed) - np.einsum("ik,ij,jk->", fixed, framed, fixed, optimize=True)
-    frame_mm2 = max(float(left) / (2 * n - fixed.shape[1]), 0.0) if 2 * n > fixed.shape[1] else 0.0
+    frame_mm2 = _frame_variance(beads, start.pencil.by_point(beads.xyz_mm), fixed)
     common = np.column_stack([start.basis, by_pq[:, 0, 0]])
     problem = Problem(start.at, common, by_pq[:, :, 2:], y, own, frame_mm2, start.radius_mm)
     return learn(problem, NOISE_SCALES_PX if beads.covariance_px2 is None else None)
+
+
+def _frame_variance(beads: Beads, jacobian: np.ndarray, fixed: np.ndarray) -> float:
+    """Mean variance that the frame's errors add to a coordinate, in the residuals that `fixed` (2N, m), orthonormal,
+    leaves: what of them a cubic or F takes up tells nothing of the kernel."""
+    n = len(beads)
+    own = np.einsum("iab,ibic,iac->", jacobian, beads.frame_covariance, jacobian, optimize=True)
+    carried = np.einsum("iam,iab->mib", fixed.reshape(n, 2, -1), jacobian).reshape(-1, 3 * n)
+    taken = np.sum((carried @ beads.frame_covariance.reshape(3 * n, 3 * n)) * carried)
+    return max(float(own - taken), 0.0) / max(fixed.shape[0] - fixed.shape[1], 1)
 
 
 def _noise_px2(beads: Beads) -> np.ndarray:
@@ -183,7 +190,10 @@ def _carried(jacobian: np.ndarray, covariance: np.ndarray) -> np.ndarray:
     """(2N, 2N): J cov J^T for J of (N, 2, 3) and cov of (N, 3, N, 3)."""
     n = len(jacobian)
     half = np.matmul(jacobian, covariance.reshape(n, 3, 3 * n)).reshape(2 * n, n, 3)
-    return np.matmul(half.transpose(1, 0, 2), np.swapaxes(jacobian, 1, 2)).transpose(1, 0, 2).reshape(2 * n, 2 * n)
+    out = half[:, :, None, 0] * jacobian[:, :, 0]
+    for axis in (1, 2):
+        out += half[:, :, None, axis] * jacobian[:, :, axis]
+    return out.reshape(2 * n, 2 * n)
 
 
 def _twice(matrix: np.ndarray) -> np.ndarray:

@@ -38,7 +38,7 @@ def fit_robustly(beads: Beads) -> tuple[JointFit, Residuals]:
 def leave_one_out(fit: JointFit) -> tuple[np.ndarray, np.ndarray]:
     """(N, 2) mm: the prediction of each bead by the others less its own place; (N,) its squared Mahalanobis length."""
     n = len(fit.beads)
-    precision = fit.solution.precision_of_residuals().reshape(n, 2, n, 2)[range(n), :, range(n), :]
+    precision = fit.solution.residual_precision(2)
     dual = fit.solution.dual.reshape(n, 2)
     error = -np.linalg.solve(precision, dual[..., None])[..., 0]
     return error, -(dual * error).sum(axis=1)

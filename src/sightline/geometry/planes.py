@@ -1,6 +1,7 @@
 """A plane with two axes: the reference plane of a view."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -54,7 +55,7 @@ class Plane:
         axis0 /= np.linalg.norm(axis0)
         return Plane(np.asarray(origin_mm), np.stack([axis0, np.cross(normal, axis0)]))
 
-    @property
+    @cached_property
     def normal(self) -> np.ndarray:
         """(3,) unit normal."""
         return np.cross(self.axes[0], self.axes[1])
