@@ -12,7 +12,7 @@ from sightline.twin.distributions import HardScene
 from sightline.twin.femur import SoftTissue
 from sightline.twin.render import DOSES, Exposure, Scene, expose
 from sightline.twin.scene import hip_scene
-from sightline.twin.things import Rod, Solid
+from sightline.twin.things import CENTRE, RADIUS, Rod, Solid, pack, stations
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,11 +69,14 @@ def bead_truth(setup: SetUp, view: ViewTruth, scene: Scene, exposure: Exposure) 
 
     The true frame's beads must be the first of the scene's solids, as `frame_solids` gives them."""
     ids = np.array([b.id for v in setup.true_frame.views.values() for b in v.fiducials])
-    every = _shadows(view, scene.solids)
-    uv, radius = (np.array([one[k][0] for one in every[: len(ids)]]) for k in (0, 1))
+    shapes = pack(scene.solids)[0]
+    places, owner = stations(shapes)
+    discs, disc_radius = view.project(places), shadow_radius_px(view, places, shapes[owner, RADIUS])
+    centres = shapes[: len(ids), CENTRE]
+    uv, radius = view.project(centres), shadow_radius_px(view, centres, shapes[: len(ids), RADIUS])
     seen = np.flatnonzero(view.in_field(uv))
     height = -view.detector.height_mm(view.focal_point_mm)
-    depth = height + view.detector.height_mm(np.array([one.centre_mm for one in scene.solids[: len(ids)]]))
+    depth = height + view.detector.height_mm(centres)
     spot = view.chain.focal_spot_mm * (height / depth - 1) / view.chain.pitch_mm
     mean, without, stored = exposure.mean_pixels(), exposure.open_pixels(), exposure.chain.white
     nearest = np.rint(uv[seen]).astype(int)
@@ -85,7 +88,9 @@ def bead_truth(setup: SetUp, view: ViewTruth, scene: Scene, exposure: Exposure) 
         blur_px=np.sqrt(exposure.core_px**2 + (spot[seen] ** 2 + 1) / 12),
         contrast=np.log(mean[at] - exposure.black) - np.log(without[at] - exposure.black),
         quanta=exposure.open_quanta[at],
-        gap_px=np.array([_gap(every, int(i)) for i in seen]),
+        gap_px=np.array(
+            [(np.linalg.norm(discs - uv[i], axis=-1) - disc_radius)[owner != i].min() - radius[i] for i in seen]
+        ),
         rim_px=view.chain.mask_px - np.linalg.norm(uv[seen] - view.intensifier.centre_px, axis=-1) - radius[seen],
         saturated=np.array([_share(mean >= stored, uv[i], 1.5 * radius[i]) for i in seen]),
         exposure=exposure,
@@ -107,25 +112,6 @@ def _metal(rng: np.random.Generator, spread: HardScene) -> tuple[Solid, ...]:
     screws = [rod(2.25, 20.0, rng.standard_normal(3)) for _ in range(count(spread.screws))]
     nails = [rod(5.5, 90.0, np.array([0.1, 1.0, 0.1]) * rng.standard_normal(3)) for _ in range(count(spread.nails))]
     return (*wires, *screws, *nails)
-
-
-def _shadows(view: ViewTruth, solids: tuple[Solid, ...]) -> list[tuple[np.ndarray, np.ndarray]]:
-    """For each solid the discs that make up its shadow: centres (K, 2) and radii (K,), px."""
-    out = []
-    for one in solids:
-        half, axis = (one.half_mm, np.array(one.axis)) if isinstance(one, Rod) else (0.0, np.zeros(3))
-        steps = np.linspace(-half, half, 1 + 2 * int(2 * half / one.radius_mm))
-        places = np.array(one.centre_mm) + steps[:, None] * axis
-        out.append((view.project(places), shadow_radius_px(view, places, np.full(len(places), one.radius_mm))))
-    return out
-
-
-def _gap(every: list[tuple[np.ndarray, np.ndarray]], i: int) -> float:
-    """Least distance between the rims of shadow i and any other."""
-    (centre,), (radius,) = every[i]
-    return float(
-        min((np.linalg.norm(uv - centre, axis=-1) - r).min() for j, (uv, r) in enumerate(every) if j != i) - radius
-    )
 
 
 def _share(mask: np.ndarray, uv_px: np.ndarray, radius_px: float) -> float:

@@ -20,7 +20,7 @@ from sightline.twin.carm import SetUp, ViewTruth, shadow_radius_px
 from sightline.twin.femur import SoftTissue, Volume
 from sightline.twin.presets import ImageChain
 from sightline.twin.projector import CELL_PX, Rays, box_length, solid_transmission, volume_integral
-from sightline.twin.things import AXIS, CENTRE, HALF, RADIUS, Box, Solid, pack
+from sightline.twin.things import RADIUS, Box, Solid, pack, stations
 
 RAY_MARGIN_PX = 6  # rays are cast this far beyond the round blanking, so that blur finds light there
 RAY_GRID_PX = 8  # the inverse distortion is exact on this grid, splines between: error below 1e-4 px
@@ -209,17 +209,14 @@ def _cells(view: ViewTruth, shapes: np.ndarray) -> tuple[np.ndarray, np.ndarray]
     h, w = view.chain.shape
     tall, wide = -(-h // CELL_PX), -(-w // CELL_PX)
     touched = np.zeros((tall * wide, len(shapes)), dtype=bool)
-    for m, shape in enumerate(shapes):
-        half = max(shape[HALF], 0.0)
-        stations = np.linspace(-half, half, 1 + int(2 * half / max(shape[RADIUS], 1.0)))
-        places = shape[CENTRE] + stations[:, None] * shape[AXIS]
-        uv = view.project(places)
-        margin = 4.0 + 1.5 * shadow_radius_px(view, places, np.full(len(places), shape[RADIUS]))[:, None]
-        low = np.floor((uv - margin) / CELL_PX).astype(int)
-        high = np.floor((uv + margin) / CELL_PX).astype(int) + 1
-        for (c0, r0), (c1, r1) in zip(low, high, strict=True):
-            rows, columns = np.arange(max(r0, 0), min(r1, tall)), np.arange(max(c0, 0), min(c1, wide))
-            touched[(rows[:, None] * wide + columns).ravel(), m] = True
+    places, owner = stations(shapes)
+    uv = view.project(places)
+    margin = 4.0 + 1.5 * shadow_radius_px(view, places, shapes[owner, RADIUS])[:, None]
+    low = np.floor((uv - margin) / CELL_PX).astype(int)
+    high = np.floor((uv + margin) / CELL_PX).astype(int) + 1
+    for m, (c0, r0), (c1, r1) in zip(owner, low, high, strict=True):
+        rows, columns = np.arange(max(r0, 0), min(r1, tall)), np.arange(max(c0, 0), min(c1, wide))
+        touched[(rows[:, None] * wide + columns).ravel(), m] = True
     first = np.concatenate([[0], np.cumsum(touched.sum(axis=1))])
     return first.astype(np.int64), np.nonzero(touched)[1].astype(np.int64)
 

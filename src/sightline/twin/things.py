@@ -71,6 +71,18 @@ def pack(solids: Sequence[Solid]) -> tuple[np.ndarray, np.ndarray]:
     return shapes, excess
 
 
+def stations(shapes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Points (D, 3) along the axes of packed solids (M, 9), at most half a radius apart (a ball: its centre), and which
+    solid each belongs to (D,)."""
+    places, owner = [], []
+    for m, shape in enumerate(shapes):
+        half = max(shape[HALF], 0.0)
+        steps = np.linspace(-half, half, 1 + int(np.ceil(4 * half / shape[RADIUS])))
+        places.append(shape[CENTRE] + steps[:, None] * shape[AXIS])
+        owner.append(np.full(len(steps), m))
+    return np.concatenate([np.zeros((0, 3)), *places]), np.concatenate([np.zeros(0, dtype=int), *owner])
+
+
 def frame_solids(frame: Frame) -> tuple[Solid, ...]:
     """The beads of all views of a frame, where they are."""
     return tuple(
