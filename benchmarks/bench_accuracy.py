@@ -121,6 +121,7 @@ def _to_bound(trials: list[dict[str, np.ndarray]]) -> float:
 
 
 def _spread(values: np.ndarray) -> str:
+    values = values[np.isfinite(values)]
     return f"{np.median(values):.3f} / {np.percentile(values, 95):.3f} mm"
 
 

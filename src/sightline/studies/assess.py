@@ -1,0 +1,146 @@
+"""The paper's Table 1 on a machine of one's own: reconstructed test points beside their measured places."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+from scipy.stats import chi2
+
+from sightline.calibration import CalibratedView
+from sightline.checks import Check
+from sightline.errors import UnusableInputError
+from sightline.planning import SpacePoints, reconstruct
+from sightline.planning.reconstruct import Method
+from sightline.planning.trajectory import radius_of
+from sightline.studies.points import MeasuredPoints
+
+# Errors this unlikely under the covariance stated are not those of an honest covariance [ours].
+LEAST_PROBABILITY = 1e-3
+
+
+@dataclass(frozen=True)
+class Statistics:
+    """Of N errors, after ASTM F2554: `mean`, `sd` (of the sample; None of one error), `largest`, in `unit`."""
+
+    what: str
+    unit: str
+    number: int
+    mean: float
+    sd: float | None
+    largest: float
+
+    @staticmethod
+    def of(what: str, unit: str, errors: np.ndarray) -> "Statistics":
+        """Of absolute errors (N,)."""
+        sd = float(np.std(errors, ddof=1)) if len(errors) > 1 else None
+        return Statistics(what, unit, len(errors), float(np.mean(errors)), sd, float(np.max(errors)))
+
+
+@dataclass(frozen=True, eq=False)
+class Assessment:
+    """N test points: measured elsewhere (`truth`), and reconstructed from the images (`points`). CFCS, mm."""
+
+    truth: MeasuredPoints
+    points: SpacePoints
+
+    @property
+    def error_mm(self) -> np.ndarray:
+        """(N, 3) reconstructed less measured."""
+        return self.points.xyz_mm - self.truth.xyz_mm
+
+    @property
+    def absolute_mm(self) -> np.ndarray:
+        """(N,) E of the paper's Table 1."""
+        return np.linalg.norm(self.error_mm, axis=1)
+
+    @cached_property
+    def predicted_95_mm(self) -> np.ndarray | None:
+        """(N,) with a probability of 95 % the point errs by less; None where a view's error is unknown."""
+        if self.points.joint_covariance_mm2 is None:
+            return None
+        return np.array([radius_of(c) for c in self.points.covariance_mm2])
+
+    @property
+    def normalised(self) -> np.ndarray | None:
+        """(N,) Mahalanobis length of each error: about 1.7 where the covariance is right. None where it is unknown."""
+        if self.points.joint_covariance_mm2 is None:
+            return None
+        scaled = np.linalg.solve(self.points.covariance_mm2, self.error_mm[..., None])[..., 0]
+        return np.sqrt(np.einsum("ia,ia->i", self.error_mm, scaled))
+
+    def table(self) -> tuple[Statistics, ...]:
+        """Position and, from two points on, distance and angle between pairs of points: separately (ASTM F2554)."""
+        position = Statistics.of("position", "mm", self.absolute_mm)
+        pairs = list(combinations(range(len(self.truth.names)), 2))
+        if not pairs:
+            return (position,)
+        first, second = np.transpose(pairs)
+        seen = self.points.xyz_mm[second] - self.points.xyz_mm[first]
+        true = self.truth.xyz_mm[second] - self.truth.xyz_mm[first]
+        distance = np.abs(np.linalg.norm(seen, axis=1) - np.linalg.norm(true, axis=1))
+        angle = np.arctan2(np.linalg.norm(np.cross(seen, true), axis=1), np.einsum("ia,ia->i", seen, true))
+        return (
+            position,
+            Statistics.of("distance between two points", "mm", distance),
+            Statistics.of("angle of the line through two points", "°", np.rad2deg(angle)),
+        )
+
+    @property
+    def checks(self) -> tuple[Check, ...]:
+        """Whether the errors, all points together, are as large as was predicted."""
+        if self.points.joint_covariance_mm2 is None:
+            sentence = "Error unknown: a view states no covariance, so no error was predicted."
+            return (Check("errors as predicted", False, None, LEAST_PROBABILITY, "", sentence),)
+        errors = self.error_mm.ravel()
+        square = errors @ np.linalg.solve(self.points.joint_covariance_mm2, errors)
+        probability = float(chi2.sf(square, len(errors)))
+        passed = probability >= LEAST_PROBABILITY
+        sentence = f"Errors this large have a probability of {probability:.2g} under the covariance stated"
+        sentence += "." if passed else "; check the measured coordinates, the frame's tolerances and the picks."
+        return (Check("errors as predicted", passed, probability, LEAST_PROBABILITY, "", sentence),)
+
+    def document(self) -> dict[str, Any]:
+        """Everything as JSON types; null where the error is unknown."""
+        predicted, normalised = self.predicted_95_mm, self.normalised
+        return {
+            "coordinates": "CFCS",
+            "method": self.points.method,
+            "points": [
+                {
+                    "name": name,
+                    "measured_mm": self.truth.xyz_mm[i].tolist(),
+                    "reconstructed_mm": self.points.xyz_mm[i].tolist(),
+                    "error_mm": float(self.absolute_mm[i]),
+                    "predicted_95_mm": None if predicted is None else float(predicted[i]),
+                    "normalised": None if normalised is None else float(normalised[i]),
+                    "gap_mm": float(self.points.gap_mm[i]),
+                    "inside_hull": bool(self.points.inside_hull[i]),
+                }
+                for i, name in enumerate(self.truth.names)
+            ],
+            "largest_mm": float(self.absolute_mm.max()),
+            "table": [vars(row) for row in self.table()],
+        }
+
+
+def assess(
+    views: Sequence[CalibratedView],
+    truth: MeasuredPoints,
+    uv_px: np.ndarray | None = None,
+    uv_covariance_px2: np.ndarray | None = None,
+    method: Method = "weighted",
+) -> Assessment:
+    """Reconstruct test points from their pixels (2, N, 2), those of the table if none are given, and compare.
+
+    Raises UnusableInputError where there are no pixels, and what `reconstruct` raises.
+    """
+    pixels = truth.uv_px if uv_px is None else uv_px
+    if pixels is None:
+        raise UnusableInputError(
+            "the table of test points states no pixels; add the columns pa_u_px,pa_v_px,lateral_u_px,lateral_v_px, "
+            "or let the balls be found in the images"
+        )
+    return Assessment(truth, reconstruct(views, pixels, uv_covariance_px2, method))

@@ -1,0 +1,99 @@
+"""Test points: places in CFCS that were measured by other means, and where the images show them."""
+
+import csv
+import io
+from dataclasses import dataclass
+from math import isfinite
+from pathlib import Path
+
+import numpy as np
+
+from sightline.calibration import CalibratedView
+from sightline.detection import Detections, Observations
+from sightline.errors import RefusedError, UnusableInputError
+
+_PLACE = ("name", "x_mm", "y_mm", "z_mm")
+_PIXELS = ("pa_u_px", "pa_v_px", "lateral_u_px", "lateral_v_px")
+_MAX_BYTES = 2**20  # [ours] ten thousand points
+# A ball seen this near to where its measured place projects is that ball: 3 mm, less than the paper's worst
+# calibration errs, and half the distance of neighbouring beads [ours].
+NEAR_PX = 15.0
+
+
+@dataclass(frozen=True, eq=False)
+class MeasuredPoints:
+    """N points: `names`, `xyz_mm` (N, 3) CFCS, and `uv_px` (2, N, 2), PA then lateral, or None where nobody picked."""
+
+    names: tuple[str, ...]
+    xyz_mm: np.ndarray
+    uv_px: np.ndarray | None = None
+
+
+def read_points(path: str | Path) -> MeasuredPoints:
+    """From a CSV file with the columns name,x_mm,y_mm,z_mm and, all or none, pa_u_px,pa_v_px,lateral_u_px,lateral_v_px.
+
+    Raises UnusableInputError, which names the line.
+    """
+    file = Path(path)
+    try:
+        if file.stat().st_size > _MAX_BYTES:
+            raise UnusableInputError(f"{file.name} is too large for a table of test points (limit {_MAX_BYTES} bytes)")
+        rows = list(csv.reader(io.StringIO(file.read_text(encoding="utf-8-sig")), strict=True))
+    except OSError as error:
+        raise UnusableInputError(f"{file.name} cannot be read: {error.strerror}") from None
+    except (UnicodeDecodeError, csv.Error):
+        raise UnusableInputError(
+            f"{file.name} is no CSV text; write {','.join(_PLACE)} and one line per point"
+        ) from None
+    header = tuple(cell.strip() for cell in rows[0]) if rows else ()
+    if header not in (_PLACE, _PLACE + _PIXELS):
+        expected = f"{','.join(_PLACE)}[,{','.join(_PIXELS)}]"
+        raise UnusableInputError(f"{file.name}, line 1: the columns are {','.join(header)!r}; {expected} was expected")
+    numbers = {}
+    for line, cells in enumerate(rows[1:], start=2):
+        if cells:
+            name, values = _row(cells, len(header), f"{file.name}, line {line}")
+            if name in numbers:
+                raise UnusableInputError(f"{file.name}, line {line}: the point {name!r} stands twice")
+            numbers[name] = values
+    if not numbers:
+        raise UnusableInputError(f"{file.name} holds no points; give one line for each")
+    table = np.array(list(numbers.values()))
+    picks = table[:, 3:].reshape(-1, 2, 2).swapaxes(0, 1) if len(header) > len(_PLACE) else None
+    return MeasuredPoints(tuple(numbers), table[:, :3], picks)
+
+
+def _row(cells: list[str], columns: int, where: str) -> tuple[str, list[float]]:
+    if len(cells) != columns:
+        raise UnusableInputError(f"{where}: {len(cells)} cells; {columns} were expected")
+    try:
+        values = [float(cell) for cell in cells[1:]]
+    except ValueError:
+        values = [float("nan")]
+    if not all(isfinite(value) for value in values):
+        raise UnusableInputError(f"{where}: a value is not a finite number")
+    return cells[0].strip(), values
+
+
+def find_balls(
+    view: CalibratedView, detections: Detections, observations: Observations, points: MeasuredPoints
+) -> tuple[np.ndarray, np.ndarray]:
+    """Pixels (N, 2) and their covariances (N, 2, 2) of test balls among what was detected in one image.
+
+    A test ball is what was found near the projection of its measured place and is no bead of the frame: the place says
+    which detection it is, not where. Raises RefusedError where none or several are near.
+    """
+    beads = {tuple(uv) for uv in observations.uv_px}
+    free = np.array([i for i, uv in enumerate(detections.uv_px) if tuple(uv) not in beads], dtype=int)
+    expected = view.project(points.xyz_mm)
+    distance = np.linalg.norm(expected[:, None] - detections.uv_px[free][None], axis=-1)
+    found = []
+    for name, row in zip(points.names, distance, strict=True):
+        near = free[row < NEAR_PX]
+        if len(near) != 1:
+            raise RefusedError(
+                f"view {view.name!r}: {len(near)} balls are seen within {NEAR_PX:.0f} px of where the test point "
+                f"{name!r} should be; give its pixels in the table, and check its coordinates"
+            )
+        found.append(near[0])
+    return detections.uv_px[found], detections.covariance_px2[found]
