@@ -42,7 +42,7 @@ def detect(image: Radiograph) -> Detections:
     rejected = _rejections(spots.uv_px, spots.radius_px, _NOT_ROUND, ~spots.round & inside & (spots.response < -0.02))
     taken = spots.round & inside
     rows = np.column_stack([spots.uv_px, spots.radius_px, spots.response])[taken]
-    coarse = refine.fit_coarsely(log_image, mask, rows, np.empty((0, 3)))
+    coarse = refine.fit_coarsely(log_image, mask, rows, np.empty((0, 3)), noise)
     reason = _coarse_reasons(coarse, noise)
     beads, repeated = _apart(coarse[reason == ""])
     rejected += _rejected(coarse[reason != ""], reason[reason != ""]) + repeated
@@ -92,8 +92,8 @@ def _broad_noise(noise: NoiseModel, log_image: np.ndarray, mask: np.ndarray) -> 
 
 def _coarse_reasons(fit: np.ndarray, noise: NoiseModel) -> np.ndarray:
     reason = np.full(len(fit), "", dtype=object)
-    contrast = np.abs(fit[:, refine.CONTRAST])
-    excess = np.sqrt(np.maximum(fit[:, refine.MISFIT] ** 2 - 0, 0)) / np.maximum(contrast, 1e-9)
+    contrast = np.maximum(np.abs(fit[:, refine.CONTRAST]), 1e-9)
+    excess = np.sqrt(np.maximum(fit[:, refine.MISFIT] ** 2 - 1.3 * fit[:, refine.NOISE], 0)) / contrast
     size = fit[:, refine.RADIUS]
     reason[excess > _MISFIT] = "not a disc: what remains after the fit is too large beside its contrast"
     reason[fit[:, refine.WEAKEST] < _WEAKEST] = _NOT_ROUND
@@ -135,8 +135,7 @@ def _rejected(fit: np.ndarray, reasons: np.ndarray) -> tuple[Rejected, ...]:
 
 
 def _detections(beads: np.ndarray, image: Radiograph, rejected: tuple[Rejected, ...]) -> Detections:
-    scale = np.maximum(beads[:, refine.CHI2], 1.0)
-    cuu, cuv, cvv = (beads[:, c] * scale for c in (refine.CUU, refine.CUV, refine.CVV))
+    cuu, cuv, cvv = (beads[:, c] for c in (refine.CUU, refine.CUV, refine.CVV))
     return Detections(
         uv_px=beads[:, :2],
         radius_px=beads[:, refine.RADIUS],

@@ -39,5 +39,6 @@ def profile_table(ball: bool) -> np.ndarray:
     table = np.empty(radius.shape)
     for row, sigma in enumerate(q):
         table[row] = j0(np.outer(radius[row], k)) @ (spectrum * k * k_weight * np.exp(-((k * sigma) ** 2) / 2))
+    np.clip(table, 0.0, 1.0, out=table)
     table.flags.writeable = False
     return table

@@ -1,4 +1,4 @@
-"""Sub-pixel beads: a blurred disc or ball on a quadratic background, fitted to log intensity, noise whitened."""
+"""Sub-pixel beads: a blurred disc or ball on a quadratic background, fitted to log intensity and weighted for its noise."""
 
 import numba as nb
 import numpy as np
@@ -9,48 +9,57 @@ from sightline.detection.profile import Q_COUNT, Q_STEP, T_COUNT, T_FIRST, T_STE
 # Parameters of a fit: u, v, radius, contrast, blur, then the background's 1, x, y, x², xy, y² in window units.
 _SHAPE, _N = 5, 11
 # Columns of the answer: those five, then covariance of the centre, variance of the contrast, chi-square per pixel,
-# residual rms, weakest sector's contrast in units of the whole's, mean residual in the middle, status.
-U, V, RADIUS, CONTRAST, BLUR, CUU, CUV, CVV, CCC, CHI2, MISFIT, WEAKEST, HOLLOW, STATUS, PIXELS = range(15)
+# residual rms, weakest sector's contrast in units of the whole's, mean residual in the middle, status,
+# number of pixels, mean variance that the noise model expects of them.
+U, V, RADIUS, CONTRAST, BLUR, CUU, CUV, CVV, CCC, CHI2, MISFIT, WEAKEST, HOLLOW, STATUS, PIXELS, NOISE = range(16)
 FITTED, TOO_FEW_PIXELS, WANDERED, SINGULAR = 0, 1, 2, 3
 _LEAST_BLUR = 0.35  # px; a pixel alone blurs as much
 _STEPS = 10
+_WEIGHTED_STEPS = 3
+_FAST = {"reassoc", "contract", "arcp", "nsz"}  # all of fastmath that keeps NaN and infinity
+_PRIOR_PIXELS = 50.0  # weight of the image's noise model against the bead's own residuals, in pixels [ours]
 
 
-def fit_coarsely(log_image: np.ndarray, usable: np.ndarray, spots: np.ndarray, others: np.ndarray) -> np.ndarray:
-    """Least-squares fit of every spot, all pixels alike: (M, PIXELS + 1), to tell beads from what is none.
+def fit_coarsely(
+    log_image: np.ndarray, usable: np.ndarray, spots: np.ndarray, others: np.ndarray, noise: NoiseModel
+) -> np.ndarray:
+    """Least-squares fit of every spot, all pixels alike: (M, NOISE + 1), to tell beads from what is none.
 
     `log_image` (H, W) float32; `usable` (H, W) bool; `spots` (M, 4) of u, v, radius, response;
     `others` (K, 3) of u, v, radius: discs that a window leaves out where they are not the spot itself.
     """
-    return _coarse(log_image, usable, spots, others, profile_table(ball=True), profile_table(ball=False))
+    tables = profile_table(ball=True), profile_table(ball=False)
+    return _coarse(log_image, usable, spots, others, noise.offset, noise.slope, *tables)
 
 
 def fit_finely(
     log_image: np.ndarray, usable: np.ndarray, coarse: np.ndarray, others: np.ndarray, noise: NoiseModel
 ) -> np.ndarray:
-    """Whitened fit from each row of `coarse`: the same columns, with the covariance of the centre."""
+    """Fit weighted for correlated noise from each row of `coarse`: the same columns, with the covariance of the centre."""
     tables = profile_table(ball=True), profile_table(ball=False)
-    return _fine(log_image, usable, coarse, others, noise.offset, noise.slope, noise.whitening, *tables)
+    return _fine(
+        log_image, usable, coarse, others, noise.offset, noise.slope, noise.weighting, noise.correlation, *tables
+    )
 
 
-@nb.njit(parallel=True, cache=True, fastmath=True)
-def _coarse(image, usable, spots, others, ball, disc):
-    out = np.zeros((len(spots), PIXELS + 1))
+@nb.njit(parallel=True, cache=True, fastmath=_FAST)
+def _coarse(image, usable, spots, others, offset, slope, ball, disc):  # noqa: PLR0917
+    out = np.zeros((len(spots), NOISE + 1))
     for i in nb.prange(len(spots)):
-        _fit_coarse(image, usable, others, spots[i], ball if spots[i, 3] < 0 else disc, out[i])
+        _fit_coarse(image, usable, others, spots[i], ball if spots[i, 3] < 0 else disc, offset, slope, out[i])
     return out
 
 
-@nb.njit(parallel=True, cache=True, fastmath=True)
-def _fine(image, usable, coarse, others, offset, slope, whitening, ball, disc):  # noqa: PLR0917
+@nb.njit(parallel=True, cache=True, fastmath=_FAST)
+def _fine(image, usable, coarse, others, offset, slope, weighting, correlation, ball, disc):  # noqa: PLR0917
     out = coarse.copy()
     for i in nb.prange(len(coarse)):
         table = ball if coarse[i, CONTRAST] < 0 else disc
-        _fit_fine(image, usable, others, table, offset, slope, whitening, out[i])
+        _fit_fine(image, usable, others, table, offset, slope, weighting, correlation, out[i])
     return out
 
 
-@nb.njit(cache=True, fastmath=True)
+@nb.njit(cache=True, fastmath=_FAST)
 def _profile(table, r, radius, blur):
     """Profile at distance `r`, and its derivatives by r, radius and blur."""
     t = (r - radius) / blur
@@ -68,7 +77,7 @@ def _profile(table, r, radius, blur):
     return low + (high - low) * b, by_r, -by_r - by_q * blur / radius**2, -by_r * t + by_q / radius
 
 
-@nb.njit(cache=True, fastmath=True)
+@nb.njit(cache=True, fastmath=_FAST)
 def _model(table, p, x, y, scale, gradient):
     """Log intensity at (x, y) and its background; the derivatives by the parameters go into `gradient`."""
     dx, dy = x - p[U], y - p[V]
@@ -88,7 +97,7 @@ def _model(table, p, x, y, scale, gradient):
     return background + np.log(through), background
 
 
-@nb.njit(cache=True, fastmath=True)
+@nb.njit(cache=True, fastmath=_FAST)
 def _solve(A, b, damping, x):
     """Solve (A + damping diag A) x = b for symmetric A by Cholesky; False if A is not positive."""
     n = len(b)
@@ -140,7 +149,7 @@ def _window(usable, others, u, v, radius, half):
     return left, top, mask
 
 
-@nb.njit(cache=True, fastmath=True)
+@nb.njit(cache=True, fastmath=_FAST)
 def _gather(image, mask, left, top, u, v, reach):
     """Usable pixels within `reach` of (u, v): their x, y from there and their value."""
     found = np.empty((mask.size, 3))
@@ -155,8 +164,8 @@ def _gather(image, mask, left, top, u, v, reach):
     return found[:n]
 
 
-@nb.njit(cache=True, fastmath=True)
-def _fit_coarse(image, usable, others, spot, table, out):
+@nb.njit(cache=True, fastmath=_FAST)
+def _fit_coarse(image, usable, others, spot, table, offset, slope, out):  # noqa: PLR0917
     u, v, radius = spot[0], spot[1], spot[2]
     out[U], out[V], out[RADIUS] = u, v, radius
     out[CONTRAST] = 3.0 * spot[3]
@@ -168,22 +177,17 @@ def _fit_coarse(image, usable, others, spot, table, out):
         return
     p = np.zeros(_N)
     p[RADIUS], p[CONTRAST], p[BLUR] = radius, out[CONTRAST], min(1.2, 0.4 * radius)
-    total, count = 0.0, 1e-9
-    for k in range(len(pixels)):
-        if pixels[k, 0] ** 2 + pixels[k, 1] ** 2 > 1.5 * radius**2:
-            total += pixels[k, 2]
-            count += 1
-    p[_SHAPE] = total / count
+    p[_SHAPE] = _surroundings(pixels, radius)
     out[STATUS] = _descend(pixels, table, p, radius, reach)
     out[PIXELS] = len(pixels)
     if out[STATUS] == FITTED:
         out[:_SHAPE] = p[:_SHAPE]
         out[U] += u
         out[V] += v
-        _judge(pixels, table, p, 1.0 / reach, out)
+        _judge(pixels, table, p, 1.0 / reach, offset, slope, out)
 
 
-@nb.njit(cache=True, fastmath=True)
+@nb.njit(cache=True, fastmath=_FAST)
 def _descend(pixels, table, p, radius, reach):
     """Levenberg-Marquardt on `p`; the status."""
     gradient, step, trial = np.empty(_N), np.zeros(_N), p.copy()
@@ -223,17 +227,18 @@ def _descend(pixels, table, p, radius, reach):
     return FITTED
 
 
-@nb.njit(cache=True, fastmath=True)
-def _judge(pixels, table, p, scale, out):
+@nb.njit(cache=True, fastmath=_FAST)
+def _judge(pixels, table, p, scale, offset, slope, out):  # noqa: PLR0917
     """How well the bead explains its window: residual, weakest sector, how hollow."""
     gradient = np.empty(_N)
     seen, meant = np.zeros(8), np.zeros(8)
-    residuals, hollow, middle = 0.0, 0.0, 1e-9
+    residuals, hollow, middle, noise = 0.0, 0.0, 1e-9, 0.0
     for i in range(len(pixels)):
         x, y = pixels[i, 0], pixels[i, 1]
         m, ground = _model(table, p, x, y, scale, gradient)
         residual = pixels[i, 2] - m
         residuals += residual * residual
+        noise += np.exp(offset - slope * m)
         bead = m - ground
         sector = int((np.arctan2(y - p[V], x - p[U]) / (2 * np.pi) + 1.0) * 8) % 8
         seen[sector] += (residual + bead) * bead
@@ -242,6 +247,7 @@ def _judge(pixels, table, p, scale, out):
             hollow += residual
             middle += 1
     out[MISFIT] = np.sqrt(residuals / len(pixels))
+    out[NOISE] = noise / len(pixels)
     out[WEAKEST] = 1.0
     for k in range(8):
         if meant[k] > 0:
@@ -249,104 +255,146 @@ def _judge(pixels, table, p, scale, out):
     out[HOLLOW] = hollow / middle
 
 
-@nb.njit(cache=True, fastmath=True)
-def _fit_fine(image, usable, others, table, offset, slope, whitening, out):
-    """Gauss-Newton steps on whitened residuals; the covariance of the centre from the last."""
-    taps = len(whitening)
+@nb.njit(cache=True, fastmath=_FAST)
+def _fit_fine(image, usable, others, table, offset, slope, weighting, correlation, out):  # noqa: PLR0917
+    """From a coarse fit: a closer window, least squares again, then Gauss-Newton steps weighted for the noise."""
     u, v, radius = out[U], out[V], out[RADIUS]
     reach = radius + max(3.0 * out[BLUR], 0.3 * radius) + 1.5
-    left, top, mask = _window(usable, others, u, v, radius, int(reach) + taps)
-    height, width = mask.shape
+    left, top, mask = _window(usable, others, u, v, radius, int(reach) + 1)
     pixels = _gather(image, mask, left, top, u, v, reach)
     if len(pixels) < 2 * _N:
         out[STATUS] = TOO_FEW_PIXELS
         return
     p = np.zeros(_N)
-    p[:_SHAPE] = out[:_SHAPE]
-    p[U] = p[V] = 0.0
-    total, count = 0.0, 1e-9
-    for k in range(len(pixels)):
-        if pixels[k, 0] ** 2 + pixels[k, 1] ** 2 > radius**2:
-            total += pixels[k, 2]
-            count += 1
-    p[_SHAPE] = total / count
+    p[RADIUS], p[CONTRAST], p[BLUR] = radius, out[CONTRAST], out[BLUR]
+    p[_SHAPE] = _surroundings(pixels, radius)
     out[STATUS] = _descend(pixels, table, p, radius, reach)
     if out[STATUS] != FITTED:
         return
-    _judge(pixels, table, p, 1.0 / reach, out)
-    scale = 1.0 / reach
-    gradient = np.empty(_N)
-    J = np.zeros((height, width, _N + 1))
-    F = np.zeros((height, width, _N + 1))
-    good = np.zeros((height, width), np.bool_)
-    A, b, step, row = np.empty((_N, _N)), np.empty(_N), np.zeros(_N), np.empty(_N + 1)
-    chi2, n = 0.0, 0
-    shift = (taps - 1) / 2
-    for _ in range(2):
-        for i in range(height):
-            for j in range(width):
-                m, _ground = _model(table, p, left + j - u, top + i - v, scale, gradient)
-                weight = np.exp(-0.5 * (offset - slope * m))
-                for k in range(_N):
-                    J[i, j, k] = gradient[k] * weight
-                J[i, j, _N] = (image[top + i, left + j] - m) * weight
-        # Along rows, then along columns; a sample counts where the filter met no unusable pixel.
-        for i in range(height):
-            for j in range(taps - 1, width):
-                good[i, j] = True
-                for k in range(taps):
-                    good[i, j] &= mask[i, j - k]
-                for c in range(_N + 1):
-                    s = 0.0
-                    for k in range(taps):
-                        s += whitening[k] * J[i, j - k, c]
-                    F[i, j, c] = s
-        A[:] = 0.0
-        b[:] = 0.0
-        chi2, n = 0.0, 0
-        for i in range(taps - 1, height):
-            for j in range(taps - 1, width):
-                x, y = left + j - u - shift, top + i - v - shift
-                if x * x + y * y > reach * reach:
-                    continue
-                ok = True
-                for k in range(taps):
-                    ok &= good[i - k, j]
-                if not ok:
-                    continue
-                for c in range(_N + 1):
-                    s = 0.0
-                    for k in range(taps):
-                        s += whitening[k] * F[i - k, j, c]
-                    row[c] = s
-                n += 1
-                chi2 += row[_N] * row[_N]
-                for k in range(_N):
-                    b[k] += row[k] * row[_N]
-                    for j2 in range(k + 1):
-                        A[k, j2] += row[k] * row[j2]
-        if n < 2 * _N:
-            out[STATUS] = TOO_FEW_PIXELS
-            return
-        if not _solve(A, b, 1e-9, step):
+    _judge(pixels, table, p, 1.0 / reach, offset, slope, out)
+    J = np.zeros((*mask.shape, _N + 1))
+    Z = np.empty(J.shape)
+    A, step = np.empty((_N, _N)), np.zeros(_N)
+    chi2 = 0.0
+    for _ in range(_WEIGHTED_STEPS):
+        _scaled_jacobian(image, mask, left - u, top - v, left, top, reach, table, p, offset, slope, J)
+        _along_both_axes(J, weighting, Z)
+        chi2 = _normal_matrix(J, Z, A, step)
+        if not _solve(A, step.copy(), 1e-9, step):
             out[STATUS] = SINGULAR
             return
         for k in range(_N):
-            limit = 0.5 if k < 2 else 1e9
-            p[k] += min(max(step[k], -limit), limit)
+            p[k] += min(max(step[k], -1.0), 1.0)
         p[BLUR] = min(max(p[BLUR], _LEAST_BLUR), p[RADIUS])
-    out[CHI2] = chi2 / (n - _N)
-    unit = np.zeros(_N)
-    unit[U] = 1.0
-    _solve(A, unit, 1e-9, step)
-    out[CUU], out[CUV] = step[U], step[V]
-    unit[U], unit[V] = 0.0, 1.0
-    _solve(A, unit, 1e-9, step)
-    out[CVV] = step[V]
-    unit[V], unit[CONTRAST] = 0.0, 1.0
-    _solve(A, unit, 1e-9, step)
-    out[CCC] = step[CONTRAST]
+        p[RADIUS] = min(max(p[RADIUS], 0.7 * radius), 1.4 * radius)
+    if p[U] ** 2 + p[V] ** 2 > (0.5 * radius) ** 2:
+        out[STATUS] = WANDERED
+        return
+    out[PIXELS] = len(pixels)
+    out[CHI2] = chi2 / max(_expected_chi2(J, weighting * correlation) - _N, 1.0)
+    scale2 = (_PRIOR_PIXELS + len(pixels) * out[CHI2]) / (_PRIOR_PIXELS + len(pixels))
+    _covariance(Z, A, mask, left - u, top - v, reach, correlation, scale2, out)
     out[:_SHAPE] = p[:_SHAPE]
     out[U] += u
     out[V] += v
-    out[PIXELS] = n
+
+
+@nb.njit(cache=True, fastmath=_FAST)
+def _surroundings(pixels, radius):
+    """Mean of the pixels outside the disc."""
+    total, count = 0.0, 1e-9
+    for k in range(len(pixels)):
+        if pixels[k, 0] ** 2 + pixels[k, 1] ** 2 > 1.5 * radius**2:
+            total += pixels[k, 2]
+            count += 1
+    return total / count
+
+
+@nb.njit(cache=True, fastmath=_FAST)
+def _scaled_jacobian(image, mask, x0, y0, left, top, reach, table, p, offset, slope, J):  # noqa: PLR0917
+    """Derivatives and residual in units of each pixel's noise; 0 where the window does not count."""
+    gradient = np.empty(_N)
+    for i in range(mask.shape[0]):
+        for j in range(mask.shape[1]):
+            x, y = x0 + j, y0 + i
+            if not mask[i, j] or x * x + y * y >= reach * reach:
+                J[i, j] = 0.0
+                continue
+            m, _ground = _model(table, p, x, y, 1.0 / reach, gradient)
+            weight = np.exp(-0.5 * (offset - slope * m))
+            for k in range(_N):
+                J[i, j, k] = gradient[k] * weight
+            J[i, j, _N] = (image[top + i, left + j] - m) * weight
+
+
+@nb.njit(cache=True, fastmath=_FAST)
+def _along_both_axes(field, taps, out):
+    """Convolve (h, w, n) with the symmetric `taps` along both axes."""
+    height, width, n = field.shape
+    middle = np.zeros(field.shape)
+    for i in range(height):
+        for j in range(width):
+            for t in range(max(1 - len(taps), -j), min(len(taps), width - j)):
+                for k in range(n):
+                    middle[i, j, k] += taps[abs(t)] * field[i, j + t, k]
+    out[:] = 0.0
+    for i in range(height):
+        for t in range(max(1 - len(taps), -i), min(len(taps), height - i)):
+            for j in range(width):
+                for k in range(n):
+                    out[i, j, k] += taps[abs(t)] * middle[i + t, j, k]
+
+
+@nb.njit(cache=True, fastmath=_FAST)
+def _normal_matrix(J, Z, A, b):
+    """A = J'Z and b = Z'r, of weighted derivatives Z and the residual in the last column; r'Wr."""
+    A[:] = 0.0
+    b[:] = 0.0
+    chi2 = 0.0
+    for i in range(J.shape[0]):
+        for j in range(J.shape[1]):
+            if J[i, j, _SHAPE] == 0.0:
+                continue
+            chi2 += J[i, j, _N] * Z[i, j, _N]
+            for k in range(_N):
+                b[k] += Z[i, j, k] * J[i, j, _N]
+                for m in range(k + 1):
+                    A[k, m] += J[i, j, m] * Z[i, j, k]
+    return chi2
+
+
+@nb.njit(cache=True, fastmath=_FAST)
+def _expected_chi2(J, share):
+    """Mean of r'Wr for the noise model: over all pairs of pixels that count, weighting times correlation."""
+    counts = np.zeros((J.shape[0], J.shape[1], 1))
+    for i in range(J.shape[0]):
+        for j in range(J.shape[1]):
+            counts[i, j, 0] = J[i, j, _SHAPE] != 0.0
+    paired = np.empty(counts.shape)
+    _along_both_axes(counts, share, paired)
+    return (counts * paired).sum()
+
+
+@nb.njit(cache=True, fastmath=_FAST)
+def _covariance(Z, A, mask, x0, y0, reach, correlation, scale2, out):  # noqa: PLR0917
+    """What noise of this correlation does to u, v and contrast through the fit's weights, whatever those are."""
+    influence = np.empty((3, _N))
+    for row, parameter in enumerate((U, V, CONTRAST)):
+        unit = np.zeros(_N)
+        unit[parameter] = 1.0
+        if not _solve(A, unit, 1e-9, influence[row]):
+            out[STATUS] = SINGULAR
+            return
+    H = np.zeros((*mask.shape, 3))
+    for i in range(mask.shape[0]):
+        for j in range(mask.shape[1]):
+            if mask[i, j] and (x0 + j) ** 2 + (y0 + i) ** 2 < reach * reach:
+                for row in range(3):
+                    for k in range(_N):
+                        H[i, j, row] += influence[row, k] * Z[i, j, k]
+    C = np.empty(H.shape)
+    _along_both_axes(H, correlation, C)
+    out[CUU] = scale2 * (H[:, :, 0] * C[:, :, 0]).sum()
+    out[CUV] = scale2 * (H[:, :, 0] * C[:, :, 1]).sum()
+    out[CVV] = scale2 * (H[:, :, 1] * C[:, :, 1]).sum()
+    out[CCC] = scale2 * (H[:, :, 2] * C[:, :, 2]).sum()
