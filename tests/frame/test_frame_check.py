@@ -5,6 +5,8 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from sightline.checks import failed
 from sightline.frame import Fiducial, Frame, FrameView, Plate
@@ -169,3 +171,29 @@ def test_washers_are_told_by_their_shape_not_their_size():
 def test_reach_of_a_square_plate_by_hand(pitch_mm, expected):
     view = make_frame(dataclasses.replace(builtin_design("gamma"), pitch_mm=pitch_mm)).view("pa")
     assert reach_mm(view, view.xrii) == pytest.approx(expected, abs=1e-9)
+
+
+@settings(deadline=None, max_examples=80)
+@given(seed=st.integers(0, 2**32 - 1), flatten=st.sampled_from([0.0, 1e-9, 1.0]), repeat=st.booleans())
+def test_every_frame_that_a_file_can_hold_is_judged(seed, flatten, repeat):
+    """Plates anywhere and anyhow, flat or not, beads on top of each other: checks come back, never an error."""
+    rng = np.random.default_rng(seed)
+    frame = GAMMA
+    for view in GAMMA.views:
+        for role in ("xrii", "source"):
+            plate = getattr(frame.views[view], role)
+            shape = rng.normal(size=(3, 3)) * rng.choice([0, flatten, 1], size=3)
+            xyz = plate.xyz_mm @ shape + rng.choice([0, 100]) * rng.normal(size=3)
+            xyz = np.repeat(xyz[::2], 2, axis=0)[: len(xyz)] if repeat else xyz
+            moved = (dataclasses.replace(f, xyz_mm=tuple(at)) for f, at in zip(plate.fiducials, xyz, strict=True))
+            frame = with_plate(view, role, Plate(tuple(moved)), frame)
+    for check in check_frame(frame):
+        assert (check.figure is not None and np.isfinite(check.figure)) or not check.passed
+
+
+def test_a_plate_seen_from_its_edge_is_refused():
+    def turned(f: Fiducial) -> Fiducial:
+        x, y, _ = f.xyz_mm
+        return dataclasses.replace(f, xyz_mm=(0.0, y, 150.0 + x))
+
+    assert {"plate-tilt", "wire-reach"} <= {check.name for check in failed(check_frame(edited(turned, role="source")))}

@@ -128,6 +128,7 @@ def test_the_small_frame_is_good(document):
         ([*FIRST, "xyz"], [1.0, 2.0, 3.0, 4.0], "too many entries"),
         ([*FIRST, "xyz", 2], float("nan"), "NaN is not a number; leave out the ball"),
         ([*FIRST, "xyz", 2], float("inf"), "Infinity is not a number"),
+        ([*FIRST, "xyz", 2], 1e300, "less than or equal to 10000"),
         ([*FIRST, "shape"], "cube", "'ball' or 'washer'"),
         ([*FIRST, "datum"], "yes", "boolean"),
         ([*FIRST, "radius"], 1.5, "radius is not a key"),

@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import ConvexHull
+from scipy.spatial import ConvexHull, QhullError
 from scipy.spatial.distance import pdist
 
 from sightline.checks import Check, failed
@@ -35,10 +35,15 @@ class Rule:
 def check_frame(frame: Frame) -> tuple[Check, ...]:
     """What a frame needs so that it can be told apart and measured with; the names are keys of docs/refusals.md.
 
-    The later checks take plates with planes for granted: they are left out where one of the first fails.
+    Later stages take for granted what earlier ones find: that plates have planes, and a beam runs through them. So the
+    stages after one that fails are left out.
     """
-    checks = _judge_all(_FIRST, frame)
-    return checks if failed(checks) else checks + _judge_all(_LATER, frame)
+    checks: tuple[Check, ...] = ()
+    for stage in (_BEADS, _PLATES, _VIEWS):
+        checks += _judge_all(stage, frame)
+        if failed(checks):
+            break
+    return checks
 
 
 def _judge_all(rules: tuple[Rule, ...], frame: Frame) -> tuple[Check, ...]:
@@ -152,12 +157,15 @@ def _field(frame: Frame) -> Figures:
 def reach_mm(view: FrameView, plate: Plate) -> float | None:
     """How far the ends of a 95 mm wire at 45° may stray before they leave the plate's hull, as seen at the hip.
 
-    None where a bead lies behind the nominal source.
+    None where a bead lies behind the nominal source, and for a plate that is seen from its edge.
     """
     if (nominal.depth_mm(view, plate.xyz_mm) <= 0).any():
         return None
     ends = WIRE_END_MM * np.array([(-1, -1), (-1, 1), (1, -1), (1, 1)])
-    hull = ConvexHull(nominal.at_distance_mm(view, plate.xyz_mm, nominal.SOURCE_TO_HIP_MM)).equations
+    try:
+        hull = ConvexHull(nominal.at_distance_mm(view, plate.xyz_mm, nominal.SOURCE_TO_HIP_MM)).equations
+    except QhullError:
+        return None
     return float(-(ends @ hull[:, :2].T + hull[:, 2]).max())
 
 
@@ -170,7 +178,7 @@ def _datum_steps(plate: Plate) -> np.ndarray:
     return in_steps(plate.plane.to_plane(plate.xyz_mm))[plate.is_datum]
 
 
-_FIRST = (
+_BEADS = (
     Rule(
         "frame-views", _views, at_least=True, limit=2, unit="views",
         meaning="lines of sight of two views meet in a point",
@@ -192,17 +200,24 @@ _FIRST = (
         advice="the beads lie on a line or nearly so; add beads beside it, or correct their coordinates",
     ),
 )  # fmt: skip
-_LATER = (
+_PLATES = (
+    Rule(
+        "bead-overlap", _clearance, at_least=True, limit=2.0, unit="mm",  # [ours] 8 px between the edges of two discs
+        meaning="no two beads touch",
+        advice="two beads touch or nearly so, and their images cannot be centred; move or remove one",
+    ),
     Rule(
         "plate-flat", _height, at_least=False, limit=1.0, unit="mm",  # [ours] more is a typing error, not a bent plate
         meaning="the beads lie in a plane",
         advice="a bead lies off the plane of the others; correct its coordinates, or measure the plate again",
     ),
     Rule(
-        "bead-overlap", _clearance, at_least=True, limit=2.0, unit="mm",  # [ours] 8 px between the edges of two discs
-        meaning="no two beads touch",
-        advice="two beads touch or nearly so, and their images cannot be centred; move or remove one",
+        "plate-spacing", _spacing, at_least=True, limit=50.0, unit="mm",  # the least that was tried [calc]
+        meaning="the plates are far enough apart",
+        advice="the plates are too close to give the focal point; move them further apart along the beam",
     ),
+)  # fmt: skip
+_VIEWS = (
     Rule(
         "datum-count", _datums, at_least=True, limit=3, unit="datums",
         meaning="three datums beside a line tell where a plate lies",
@@ -222,11 +237,6 @@ _LATER = (
         "plate-twin", _twins, at_least=False, limit=0.5, unit="",  # [ours] a copy, mirrored or not, has 1.0
         meaning="the datums tell the plates apart",
         advice="the datums of one plate are a copy or a mirror image of the other's; move the datums of one",
-    ),
-    Rule(
-        "plate-spacing", _spacing, at_least=True, limit=50.0, unit="mm",  # the least that was tried [calc]
-        meaning="the plates are far enough apart",
-        advice="the plates are too close to give the focal point; move them further apart along the beam",
     ),
     Rule(
         "plate-tilt", _tilt, at_least=False, limit=20.0, unit="°",  # what the labelling bears (design.md)

@@ -11,6 +11,8 @@ from sightline.frame.model import Fiducial, Frame, FrameView, Plate, Shape, Tole
 MIN_BEADS = 4  # a plate seen in perspective has eight unknowns: four balls
 
 Number = Annotated[float, Field(allow_inf_nan=False)]
+# [ours] ten metres: beyond it a figure is no ball of a frame, whatever its unit
+Coordinate = Annotated[float, Field(allow_inf_nan=False, ge=-1e4, le=1e4)]
 Sd = Annotated[float, Field(allow_inf_nan=False, ge=0)]
 Name = Annotated[str, Field(pattern=r"^[\w.:+/-]{1,64}$")]
 
@@ -23,8 +25,8 @@ class FiducialDocument(_Strict):
     """One ball or washer: `xyz` in CFCS and `diameter`, mm."""
 
     id: Name
-    xyz: tuple[Number, Number, Number]
-    diameter: Number
+    xyz: tuple[Coordinate, Coordinate, Coordinate]
+    diameter: Coordinate
     datum: bool = False
     shape: Shape = "ball"
 
