@@ -1,0 +1,94 @@
+"""`sightline assess`: the paper's Table 1 on a machine of one's own."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from sightline.cli.output import Json, Output, Quiet
+from sightline.cli.plan import MethodName
+
+if TYPE_CHECKING:
+    from sightline.case.views import CalibratedImage
+    from sightline.studies.assess import Assessment
+    from sightline.studies.points import MeasuredPoints
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command."""
+    app.command("assess")(assess)
+
+
+def assess(
+    pa: Annotated[Path, typer.Argument(help="The PA image, or observations as CSV.")],
+    lateral: Annotated[Path, typer.Argument(help="The lateral image, or observations as CSV (may be the same file).")],
+    *,
+    truth: Annotated[
+        Path, typer.Option(help="CSV of measured test points: name,x_mm,y_mm,z_mm and, if picked, their four pixels.")
+    ],
+    frame: Annotated[str, typer.Option(help="A frame file, or gamma, biplane, stereo.")] = "gamma",
+    method: Annotated[MethodName, typer.Option(help="localized is the paper's.")] = "smooth",
+    pick_sd: Annotated[float, typer.Option(help="Standard deviation of pixels given in the table, px.")] = 0.5,
+    json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Reconstruct test points and compare with where they were measured (exit code 3: not as predicted)."""
+    with Output(json=json, quiet=quiet) as output:
+        from sightline.case.documents import view_document
+        from sightline.case.views import calibrate_pair, see_pair
+        from sightline.frame import Frame
+        from sightline.studies.assess import assess as compare
+        from sightline.studies.points import read_points
+
+        known_frame, points = Frame.load(frame), read_points(truth)
+        with output.step("finding and telling apart the beads"):
+            seen = see_pair(pa, lateral, known_frame)
+        with output.step(f"calibrating both views ({method})"):
+            images = calibrate_pair(seen, known_frame, method)
+        uv_px, covariance_px2 = _pixels(points, images, pick_sd)
+        result = compare([image.view for image in images], points, uv_px, covariance_px2)
+        _show(output, result)
+        checks = [check for image in images for check in image.view.checks] + list(result.checks)
+        output.result({**result.document(), "views": [view_document(image) for image in images]}, checks)
+
+
+def _pixels(points: "MeasuredPoints", images: "tuple[CalibratedImage, CalibratedImage]", pick_sd: float) -> Any:
+    """(2, N, 2) pixels and (2, N, 2, 2) covariances: those of the table, else the test balls found in the images."""
+    import numpy as np
+
+    from sightline.errors import UnusableInputError
+    from sightline.planning import Pick
+    from sightline.studies.points import find_balls
+
+    if points.uv_px is not None:
+        covariance = Pick.free((0.0, 0.0), pick_sd).covariance_px2
+        return points.uv_px, np.broadcast_to(covariance, (*points.uv_px.shape, 2))
+    found = []
+    for image in images:
+        if image.seen.beads is None:
+            raise UnusableInputError(
+                f"{image.seen.source} holds the frame's beads, not the test points: "
+                "give the test points' pixels in the table, or the images themselves"
+            )
+        found.append(find_balls(image.view, image.seen.beads, image.seen.observations, points))
+    uv_px, covariance_px2 = zip(*found, strict=True)
+    return np.array(uv_px), np.array(covariance_px2)
+
+
+def _show(output: Output, result: "Assessment") -> None:
+    rows = [
+        (
+            p["name"],
+            *(f"{v:.2f}" for v in p["reconstructed_mm"]),
+            *_shown(p["error_mm"], p["predicted_95_mm"], p["normalised"]),
+        )
+        for p in result.document()["points"]
+    ]
+    columns = ("point", "x", "y", "z", "error", "predicted 95 %", "normalised")
+    output.table("Test points in CFCS, mm", columns, rows)
+    table = [(s.what, s.unit, s.number, *_shown(s.mean, s.sd, s.largest)) for s in result.table()]
+    output.table("After ASTM F2554", ("error of", "unit", "number", "mean", "s.d.", "largest"), table)
+
+
+def _shown(*figures: float | None) -> list[str | None]:
+    return [None if figure is None else f"{figure:.3f}" for figure in figures]
