@@ -1,12 +1,14 @@
 """The digital twin: C-arm, intensifier, femur, X-ray projection. It never imports what it judges."""
 
 from sightline.twin.carm import SetUp, Variation, ViewTruth, bead_images, draw_setup
+from sightline.twin.hard import BeadTruth, hard_scene
 from sightline.twin.render import DOSES, Dose, Scene, render
 from sightline.twin.scene import HipScene, hip_scene, shown_hip_scene
 from sightline.twin.truth import truth_document, write_truth
 
 __all__ = [
     "DOSES",
+    "BeadTruth",
     "Dose",
     "HipScene",
     "Scene",
@@ -15,6 +17,7 @@ __all__ = [
     "ViewTruth",
     "bead_images",
     "draw_setup",
+    "hard_scene",
     "hip_scene",
     "render",
     "shown_hip_scene",

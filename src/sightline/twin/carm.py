@@ -147,6 +147,26 @@ def shadow_radius_px(view: ViewTruth, xyz_mm: np.ndarray, radius_mm: np.ndarray)
     return radius_mm * magnification * np.sqrt(np.abs(local))
 
 
+def shadow_centres_px(view: ViewTruth, xyz_mm: np.ndarray, radius_mm: np.ndarray, around: int = 48) -> np.ndarray:
+    """(N, 2) px: centroids of the outlines of the shadows of balls (N, 3) of the radii (N,).
+
+    What a fit to the image can find. Distortion bends a shadow, so it is not the image of the ball's centre.
+    """
+    towards = xyz_mm - view.focal_point_mm
+    distance = np.linalg.norm(towards, axis=-1)[:, None]
+    across = np.linalg.svd(towards[:, None, :])[2][:, 1:]
+    angle = np.linspace(0, 2 * np.pi, around, endpoint=False)
+    ring = np.stack([np.cos(angle), np.sin(angle)], axis=-1) @ across  # (N, around, 3)
+    rim = radius_mm[:, None, None] / np.sqrt(1 - (radius_mm[:, None, None] / distance[..., None]) ** 2)
+    outline = view.project(xyz_mm[:, None, :] + rim * ring)
+    step = np.roll(outline, -1, axis=1)
+    middle = outline.mean(axis=1, keepdims=True)
+    a, b = outline - middle, step - middle
+    twice_area = a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
+    moment = (twice_area[..., None] * (a + b)).sum(axis=1) / (3 * twice_area.sum(axis=1)[:, None])
+    return middle[:, 0] + moment
+
+
 def with_errors(frame: Frame, rng: np.random.Generator) -> Frame:
     """The frame as made: its beads displaced by `frame.error_factor @ N(0, 1)`."""
     factor = frame.error_factor

@@ -7,7 +7,7 @@ import numpy as np
 from sightline.errors import SetUpError
 from sightline.frame import Frame
 from sightline.imaging import Radiograph
-from sightline.twin.carm import SetUp, ViewTruth, draw_setup, shadow_radius_px
+from sightline.twin.carm import SetUp, ViewTruth, draw_setup, shadow_centres_px, shadow_radius_px
 from sightline.twin.distributions import HardScene
 from sightline.twin.femur import SoftTissue
 from sightline.twin.render import DOSES, Exposure, Scene, expose
@@ -19,8 +19,10 @@ from sightline.twin.things import CENTRE, RADIUS, Rod, Solid, pack, stations
 class BeadTruth:
     """What is true of the N beads of a frame whose centres lie in the field of one image, IDCS.
 
-    `ids`; `uv_px` (N, 2) true centres; `radius_px` (N,). `blur_px` (N,): s.d. of the edge's blur: detector, focal spot
-    at the bead's height, pixel. `contrast` (N,): change of log intensity at the centre without noise, after blur and
+    `ids`; `uv_px` (N, 2): images of the centres, what a calibration needs; `shadow_px` (N, 2): centroids of the
+    outlines of the shadows, what an image can show: distortion moves them outwards, at the rim by 0.02 px (3 mm balls)
+    to 0.07 px (5 mm). `radius_px` (N,). `blur_px` (N,): s.d. of the edge's blur: detector, focal spot at the bead's
+    height, pixel. `contrast` (N,): change of log intensity at the centre without noise, after blur and
     scatter, against the image without sharp things (negative: dark). `quanta` (N,): counted per pixel beside the bead
     (where it stands, were it not there). `gap_px` (N,): from the bead's rim to the nearest other sharp thing's,
     negative where they overlap. `rim_px` (N,): from the bead's rim to the field's edge, negative where it is cut.
@@ -29,6 +31,7 @@ class BeadTruth:
 
     ids: tuple[str, ...]
     uv_px: np.ndarray
+    shadow_px: np.ndarray
     radius_px: np.ndarray
     blur_px: np.ndarray
     contrast: np.ndarray
@@ -84,6 +87,7 @@ def bead_truth(setup: SetUp, view: ViewTruth, scene: Scene, exposure: Exposure) 
     return BeadTruth(
         ids=tuple(str(i) for i in ids[seen]),
         uv_px=uv[seen],
+        shadow_px=shadow_centres_px(view, centres[seen], shapes[seen, RADIUS]),
         radius_px=radius[seen],
         blur_px=np.sqrt(exposure.core_px**2 + (spot[seen] ** 2 + 1) / 12),
         contrast=np.log(mean[at] - exposure.black) - np.log(without[at] - exposure.black),
