@@ -1,6 +1,7 @@
 """Both plates of a view at once: one smooth map, one focal point, and each bead predicted by all the others."""
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -11,7 +12,42 @@ from sightline.geometry.lines import meeting_point
 
 # What is left beyond degree 5, as shares of half the image: 0.11-0.13 mm rms and 30-60 mm of 107 (physics.md).
 REMAINDER_SD, REMAINDER_LENGTH = 0.0013, 0.4
+LEAST_BEYOND = 0.1  # of the distance between the plates: nearer to them no shadows are cast [ours]
 FOCAL_STEP_MM = 500.0  # prior on the first guess of the focal point: wide [ours]
+
+
+@dataclass(frozen=True, eq=False)
+class Shadows:
+    """Where the source plate's fiducials are seen on the XRII plate: `flat_mm` (S, 2), `height_mm` (S,) over it."""
+
+    pattern: Pattern
+    normal: np.ndarray
+    flat_mm: np.ndarray
+    height_mm: np.ndarray
+
+    @staticmethod
+    @lru_cache(maxsize=16)
+    def of(xrii: Pattern, source: Pattern) -> "Shadows":
+        """The shadows of one plate on the other."""
+        plane = xrii.plane
+        return Shadows(xrii, plane.normal, plane.to_plane(source.xyz_mm), plane.height_mm(source.xyz_mm))
+
+    def height_of(self, xyz_mm: np.ndarray) -> float:
+        """Signed distance of a point (3,) from the XRII plate."""
+        return float((xyz_mm - self.pattern.plane.origin_mm) @ self.normal)
+
+    def sees(self, focal_mm: np.ndarray) -> bool:
+        """Whether a focal point (3,) lies beyond the source plate, seen from the XRII plate."""
+        return bool((self.height_of(focal_mm) / self.height_mm > 1.0 + LEAST_BEYOND).all())
+
+    def seen_from(self, focal_mm: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(S, 2) the shadows, and (S, 2, 3) their derivative by the focal point (central projection)."""
+        f, y = self.height_of(focal_mm), self.height_mm
+        share = (y / (y - f))[:, None]  # of the focal point in the projected point
+        foot = self.pattern.plane.to_plane(focal_mm)
+        by_height = (y / (y - f) ** 2)[:, None] * (foot - self.flat_mm)
+        at = share * foot + (1 - share) * self.flat_mm
+        return at, share[:, :, None] * self.pattern.plane.axes + by_height[:, :, None] * self.normal
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,63 +68,60 @@ class Joint:
     bend: float
 
 
-def first_focal_point(pair: tuple[Grown, Grown]) -> np.ndarray:
-    """(3,) where the lines meet from the source beads through their images on the XRII plate."""
-    xrii, source = pair
-    seen = xrii.pattern.plane.to_space(xrii.xy_mm[source.rows])
-    through = source.pattern.xyz_mm[source.places]
-    return meeting_point(through, through - seen).point_mm
+class Model:
+    """The map from the image to the XRII plate as a Gaussian process, for the detections of one image.
 
-
-def _source_targets(xrii: Pattern, source: Pattern, focal_mm: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(S, 2) source fiducials projected onto the XRII plate, and (S, 2, 3) the derivative by the focal point."""
-    plane = xrii.plane
-    f, y = plane.height_mm(focal_mm), plane.height_mm(source.xyz_mm)
-    share = y / (y - f)  # of the focal point in the projected point
-    aside = plane.to_plane(focal_mm) - plane.to_plane(source.xyz_mm)
-    by_height = (y / (y - f) ** 2)[:, None] * aside
-    at = plane.central_projection(focal_mm, source.xyz_mm)
-    return at, share[:, None, None] * plane.axes + by_height[:, :, None] * plane.normal
-
-
-def fit(
-    pair: tuple[Grown, Grown], beads: np.ndarray, detections: Detections, focal_mm: np.ndarray, factor: float
-) -> Joint:
-    """One Gauss-Newton step from `focal_mm`; `factor` scales the stated noise variance. `pair`: XRII and source.
-
-    A Gaussian process per axis (polynomial to degree 5, and a smooth remainder); the focal point couples the axes by
-    three numbers, so that its part of the inverse covariance is of rank three.
+    Per axis a polynomial to degree 5 and a smooth remainder; the focal point couples the axes by three numbers, so
+    that its part of the inverse covariance is of rank three. `pair`: the XRII and the source plate's lattices.
     """
-    xrii, source, sheet = pair[0].pattern, pair[1].pattern, pair[0].sheet
-    rows, places = beads.T
-    targets, by_focal = _source_targets(xrii, source, focal_mm)
-    place_mm = np.concatenate([xrii.xy_mm, targets])
-    w = sheet.w(detections.uv_px)
-    y = (place_mm[places] - sheet.centre_mm) / sheet.unit_mm - w[rows]
-    phi = features(w)[0]
-    gap = ((w[:, None] - w[None][:, rows]) ** 2).sum(axis=2)
-    kernel = phi @ phi[rows].T + REMAINDER_SD**2 * np.exp(-gap / (2 * REMAINDER_LENGTH**2))
-    noise = factor * sheet.noise(detections.covariance_px2)
-    inverse = np.linalg.inv(kernel[rows] + np.diag(noise[rows]))
 
-    slope = np.zeros((2, len(rows), 3))
-    of_source = places >= len(xrii.ids)
-    slope[:, of_source] = by_focal[places[of_source] - len(xrii.ids)].transpose(1, 0, 2)
-    slope *= FOCAL_STEP_MM / sheet.unit_mm
-    pull = inverse @ slope
-    small = np.linalg.inv(np.eye(3) + (slope.transpose(0, 2, 1) @ pull).sum(axis=0))
-    turned = pull @ small
-    weights = inverse @ y - (turned @ (pull.transpose(0, 2, 1) @ y.T[:, :, None]).sum(axis=0))[:, :, 0].T
-    focal = focal_mm - FOCAL_STEP_MM * (slope.transpose(0, 2, 1) @ weights.T[:, :, None]).sum(axis=0)[:, 0]
+    def __init__(self, pair: tuple[Grown, Grown], detections: Detections) -> None:
+        self.xrii, self.sheet = pair[0].pattern, pair[0].sheet
+        self.shadows = Shadows.of(pair[0].pattern, pair[1].pattern)
+        self.w = self.sheet.w(detections.uv_px)
+        self.noise = self.sheet.noise(detections.covariance_px2)
+        self.phi = features(self.w)[0]
+        square = (self.w**2).sum(axis=1)
+        gap = square[:, None] + square - 2 * self.w @ self.w.T
+        self.kernel = self.phi @ self.phi.T + REMAINDER_SD**2 * np.exp(gap / (-2 * REMAINDER_LENGTH**2))
 
-    at = w + kernel @ weights
-    variance = (phi**2).sum(axis=1) + REMAINDER_SD**2 + noise - ((kernel @ inverse) * kernel).sum(axis=1)
-    variance += ((kernel @ turned) * (kernel @ pull)).sum(axis=(0, 2)) / 2
-    spread = np.linalg.inv(np.diag(inverse)[:, None, None] * np.eye(2) - np.einsum("anj,bnj->nab", turned, pull))
-    left_out = (spread @ weights[:, :, None])[:, :, 0]
-    bend = float(np.abs(phi[rows].T @ weights).max())
-    place_mm = np.concatenate([xrii.xy_mm, _source_targets(xrii, source, focal)[0]])
-    at = at * sheet.unit_mm + sheet.centre_mm
-    at[rows] = place_mm[places] - left_out * sheet.unit_mm
-    variance[rows] = np.trace(spread, axis1=1, axis2=2) / 2
-    return Joint(focal, at, variance * sheet.unit_mm**2, place_mm, (left_out * weights).sum(axis=1), bend)
+    def first_focal_point(self, xrii: Grown, source: Grown) -> np.ndarray:
+        """(3,) where the lines meet from the source beads through their images on the XRII plate.
+
+        Raises ReconstructionRefusedError where they are parallel.
+        """
+        through = source.pattern.xyz_mm[source.places]
+        return meeting_point(through, through - self.xrii.plane.to_space(xrii.xy_mm[source.rows])).point_mm
+
+    def fit(self, beads: np.ndarray, focal_mm: np.ndarray, factor: float) -> Joint:
+        """One Gauss-Newton step from `focal_mm`; `factor` scales the stated noise variance."""
+        rows, places = beads.T
+        count, unit = len(self.xrii.ids), self.sheet.unit_mm
+        targets, by_focal = self.shadows.seen_from(focal_mm)
+        y = (np.concatenate([self.xrii.xy_mm, targets])[places] - self.sheet.centre_mm) / unit - self.w[rows]
+        noise = factor * self.noise
+        kernel = self.kernel[:, rows]
+        inverse = np.linalg.inv(kernel[rows] + np.diag(noise[rows]))
+
+        slope = np.zeros((2, len(rows), 3))
+        of_source = places >= count
+        slope[:, of_source] = by_focal[places[of_source] - count].transpose(1, 0, 2)
+        slope *= FOCAL_STEP_MM / unit
+        pull = inverse @ slope
+        small = np.linalg.inv(np.eye(3) + (slope.transpose(0, 2, 1) @ pull).sum(axis=0))
+        turned = pull @ small
+        weights = inverse @ y - (turned @ (pull.transpose(0, 2, 1) @ y.T[:, :, None]).sum(axis=0))[:, :, 0].T
+        focal = focal_mm - FOCAL_STEP_MM * (slope.transpose(0, 2, 1) @ weights.T[:, :, None]).sum(axis=0)[:, 0]
+
+        spread = np.linalg.inv(
+            np.diag(inverse)[:, None, None] * np.eye(2) - (turned.transpose(1, 0, 2) @ pull.transpose(1, 2, 0))
+        )
+        left_out = (spread @ weights[:, :, None])[:, :, 0]
+        target_mm = np.concatenate([self.xrii.xy_mm, self.shadows.seen_from(focal)[0]])
+        xy_mm = (self.w + kernel @ weights) * unit + self.sheet.centre_mm
+        xy_mm[rows] = target_mm[places] - left_out * unit
+        variance = np.diag(self.kernel) + noise - ((kernel @ inverse) * kernel).sum(axis=1)
+        variance += ((kernel @ turned) * (kernel @ pull)).sum(axis=(0, 2)) / 2
+        variance[rows] = np.trace(spread, axis1=1, axis2=2) / 2
+        bend = float(np.abs(self.phi[rows].T @ weights).max())
+        return Joint(focal, xy_mm, variance * unit**2, target_mm, (left_out * weights).sum(axis=1), bend)

@@ -5,15 +5,17 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 
 from sightline.detection.labelling.growth import Grown, grow
+from sightline.detection.labelling.naming import readings
 from sightline.detection.labelling.patterns import Pattern, patterns
 from sightline.detection.labelling.seeds import Seed, best_similarity, find_seeds
-from sightline.detection.labelling.solve import LEAST_BEADS, Problem, Solution, Stop, solve
+from sightline.detection.labelling.solve import FINAL, LEAST_BEADS, Problem, Solution, Stop, solve
 from sightline.detection.results import Detections, Observations
 from sightline.errors import LabellingRefusedError, ObservationsError
 from sightline.frame import Frame
 
 SEEDS = 12  # of each plate [ours]
-MOST_FIRST, MOST_SECOND = 4, 3  # lattices tried before giving up [ours]
+MOST_FIRST, MOST_SECOND, MOST_GROWN = 4, 3, 12  # lattices tried before giving up [ours]
+LEFT_OVER = 0.4  # of a lattice's beads: fewer detections besides them are no second plate [ours]
 SAME_SHAPE = 1.05  # ratio of the sides of triangles that are the same but for their scale [ours]
 CLICK = 1.5  # how far a pixel given for a datum may be from the bead's centre, in radii [ours]
 LEAST_SPREAD = 0.25  # rms distance of a plate's given datums from one line, in pitches [ours]
@@ -62,15 +64,21 @@ def label(
 def _found(problem: Problem) -> Solution:
     """The first solution that stands; else the refusal of the attempt that came furthest."""
     stops: list[Stop] = []
+    lone: list[Grown] = []
     for first in _lattices(problem, problem.usable, MOST_FIRST):
         rest = problem.usable.copy()
         rest[first.rows] = False
-        stops.append(Stop(1, _one_plate(first)))
+        lone.append(first)
         for second in _lattices(problem, rest, MOST_SECOND):
             try:
                 return solve(problem, (first, second))
             except Stop as stop:
+                if stop.stage == FINAL:
+                    raise
                 stops.append(stop)
+    largest = max(lone, key=len, default=None)
+    if largest is not None and (not stops or problem.usable.sum() < (1 + LEFT_OVER) * len(largest)):
+        raise _one_plate(problem, largest)
     if not stops:
         raise LabellingRefusedError(
             f"no three of the {problem.usable.sum()} beads found are datum markers of this frame; check that it is the "
@@ -79,11 +87,16 @@ def _found(problem: Problem) -> Solution:
     raise max(stops, key=lambda stop: stop.stage)
 
 
-def _one_plate(lattice: Grown) -> str:
-    role = {"xrii": "XRII", "source": "source"}[lattice.pattern.role]
-    return (
-        f"only one plate was found: {len(lattice)} beads that look most like the {role} plate of the "
-        f"{lattice.pattern.view} view; move the C-arm or the frame until both plates are in the field"
+def _one_plate(problem: Problem, lattice: Grown) -> Stop:
+    """What to say where no second plate is found."""
+    every = [pattern for couple in problem.couples for pattern in couple]
+    read = [one for pattern in every if (one := readings(lattice, pattern))]
+    best = min(read, key=lambda one: one.cost.min()).pattern if read else lattice.pattern
+    role = {"xrii": "XRII", "source": "source"}[best.role]
+    return Stop(
+        1,
+        f"only one plate was found: {len(lattice)} beads that look most like the {role} plate of the {best.view} view; "
+        "move the C-arm or the frame until both plates are in the field",
     )
 
 
@@ -92,15 +105,17 @@ def _lattices(problem: Problem, usable: np.ndarray, most: int) -> Iterator[Grown
     every = [pattern for couple in problem.couples for pattern in couple]
     seeds = find_seeds(problem.detections, every, usable, SEEDS)
     known: list[Grown] = []
+    tried = 0
     for seed in seeds:
+        if len(known) == most or tried == MOST_GROWN:
+            return
         if any(_is_of(seed, one) for one in known):
             continue
+        tried += 1
         one = grow(seed, problem.detections, usable)
         if len(one) >= LEAST_BEADS:
             known.append(one)
             yield one
-        if len(known) == most:
-            return
 
 
 def _is_of(seed: Seed, lattice: Grown) -> bool:

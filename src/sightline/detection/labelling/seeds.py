@@ -16,7 +16,7 @@ RADIUS_RATIO = 0.35  # log of detected over expected radius: blur, local magnifi
 RADIUS_SPREAD = 0.2  # log radius between fiducials of one plate; half the step from 3 to 5 mm [ours]
 THIRD = 0.14  # how far the third datum may miss its place, of the span: tilt 20°, 9 % pincushion [ours]
 REACH = 0.3  # how far other beads may miss theirs, of the pitch: nearer to it than to the next bead's [ours]
-CELLS = 64
+CELLS = 48
 SOON, SOON_LEAST = 16, 2.0  # a guess that has not more after so many beads is given up [ours]
 
 
@@ -112,6 +112,9 @@ def _search(w, log_r, large, z, log_half, datums, pitch, table, width, height): 
     what = np.zeros((MOST_SEEDS, 7), np.int64)
     scores = np.zeros(MOST_SEEDS)
     count = 0
+    log_gap = np.log(np.abs(np.expand_dims(w, 1) - w) + np.eye(len(w)))
+    log_side = np.log(np.abs(np.expand_dims(z, 1) - z) + np.eye(len(z)))
+    log_least = np.log(SMALLEST_PX / pitch)
     for i in large:
         for j in large:
             if i == j:
@@ -119,14 +122,14 @@ def _search(w, log_r, large, z, log_half, datums, pitch, table, width, height): 
             for na in range(len(datums)):
                 for nb in range(na + 1, len(datums)):
                     pa, pb = datums[na], datums[nb]
-                    span = abs(w[j] - w[i])
-                    scale = span / abs(z[pb] - z[pa])
-                    if scale * pitch < SMALLEST_PX:
-                        continue
-                    ratio_i = log_r[i] - log_half[pa] - np.log(scale)
-                    ratio_j = log_r[j] - log_half[pb] - np.log(scale)
+                    log_scale = log_gap[i, j] - log_side[pa, pb]
+                    ratio_i = log_r[i] - log_half[pa] - log_scale
+                    ratio_j = log_r[j] - log_half[pb] - log_scale
                     if abs(ratio_i - ratio_j) > RADIUS_SPREAD or abs(ratio_i + ratio_j) > 2 * RADIUS_RATIO:
                         continue
+                    if log_scale < log_least:
+                        continue
+                    span = abs(w[j] - w[i])
                     for mirror in range(2):
                         dz = z[pb] - z[pa]
                         a = (w[j] - w[i]) / (dz.conjugate() if mirror else dz)
@@ -138,7 +141,7 @@ def _search(w, log_r, large, z, log_half, datums, pitch, table, width, height): 
                             for k in large:
                                 if k == i or k == j or abs(w[k] - want) > THIRD * far:  # noqa: PLR1714, SIM109
                                     continue
-                                ratio = log_r[k] - log_half[pc] - np.log(scale)
+                                ratio = log_r[k] - log_half[pc] - log_scale
                                 if abs(ratio - (ratio_i + ratio_j) / 2) > RADIUS_SPREAD:
                                     continue
                                 za, zb, zc = z[pa], z[pb], z[pc]

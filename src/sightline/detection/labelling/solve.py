@@ -4,13 +4,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sightline.detection.labelling import joint
 from sightline.detection.labelling.growth import Grown, grow
+from sightline.detection.labelling.joint import Joint, Model
 from sightline.detection.labelling.naming import Naming, name
 from sightline.detection.labelling.patterns import Pattern
 from sightline.detection.labelling.seeds import Seed, best_similarity
 from sightline.detection.results import Detections
-from sightline.errors import LabellingRefusedError
+from sightline.errors import LabellingRefusedError, ReconstructionRefusedError
 
 LEAST_BEADS = 8  # of each plate [ours]
 MOST_NAMINGS = 4
@@ -24,14 +24,22 @@ BALL_LIKE = 0.15  # share of false candidates that have the radius of a given be
 BEND = 4.5  # most standard deviations of the prior that a map may need [ours]
 MOST_FITS, SETTLED = 10, 3  # rounds, and rounds after which the noise is no longer estimated
 WORST_FACTOR = 9.0  # of the stated noise variance that the beads' residuals may show [ours]
-PLATE_LOG_RADIUS = 0.12  # by which the two plates' radii may differ, seen through one map [ours]
+PLATE_LOG_RADIUS = 0.06  # by which the two plates' radii may differ, seen through one map [ours]
 FOCAL_MM = (300.0, 2000.0)  # of the focal point from the XRII plate; 920 mm at the design distance [ours]
 FOCAL_SLOPE = 0.7  # tangent of the beam's angle to the plates: 35° [ours]
 EXPLAINED = 0.6  # least share of the ball-like detections that must be beads of the frame [ours]
+FINAL = 6
+NOT_CENTRAL = (
+    "the beads found are not two plates seen from one focal point; is this the frame in the image, "
+    "and did it keep still during the exposure?"
+)
 
 
 class Stop(LabellingRefusedError):  # noqa: N818 - the attempt stops, labelling may go on
-    """A refusal, with how far the attempt had come: the refusal of the furthest attempt is the one reported."""
+    """A refusal, with how far the attempt had come: the refusal of the furthest attempt is the one reported.
+
+    At FINAL the beads are explained and the geometry contradicts them: no other attempt is made.
+    """
 
     def __init__(self, stage: int, message: str) -> None:
         super().__init__(message)
@@ -79,7 +87,7 @@ def named(problem: Problem, pair: tuple[Grown, Grown]) -> tuple[Grown, Grown]:
             _check_certain(problem, naming)
             return pair if pair[0].pattern.role == "xrii" else (pair[1], pair[0])
         if problem.told:
-            raise Stop(6, "the pixels given for the datum markers contradict the beads' sizes; check their order")
+            raise Stop(FINAL, "the pixels given for the datum markers contradict the beads' sizes; check their order")
         first, second = (
             _again(problem, g, p, at) for g, p, at in zip(pair, naming.patterns, naming.places, strict=True)
         )
@@ -98,7 +106,7 @@ def _check_certain(problem: Problem, naming: Naming) -> None:
             "or give the datum markers' pixels",
         )
     if problem.view not in (None, found):
-        raise Stop(6, f"the image shows the {found} view, not {problem.view}; are the two images exchanged?")
+        raise Stop(FINAL, f"the image shows the {found} view, not {problem.view}; are the two images exchanged?")
 
 
 def _radius_m2(pair: tuple[Grown, Grown]) -> np.ndarray:
@@ -113,7 +121,7 @@ def _radius_m2(pair: tuple[Grown, Grown]) -> np.ndarray:
     return np.concatenate(out, axis=1)
 
 
-def _assigned(problem: Problem, fit: joint.Joint, radius_m2: np.ndarray, px_per_mm: float) -> np.ndarray:
+def _assigned(problem: Problem, fit: Joint, radius_m2: np.ndarray, px_per_mm: float) -> np.ndarray:
     """(B, 2) detections on places: within the gates, and alone there: where two might be meant, none is.
 
     A false candidate in the gate of a hidden bead cannot be told from the bead: where the gate is so wide that this
@@ -129,71 +137,89 @@ def _assigned(problem: Problem, fit: joint.Joint, radius_m2: np.ndarray, px_per_
 
 
 def _fitted(
-    problem: Problem, pair: tuple[Grown, Grown], radius_m2: np.ndarray
-) -> tuple[np.ndarray, joint.Joint, float]:
+    problem: Problem, model: Model, pair: tuple[Grown, Grown], radius_m2: np.ndarray
+) -> tuple[np.ndarray, Joint, float]:
     """The beads that fit one central projection, the fit, and the noise they show. Raises Stop."""
     count, scale = len(pair[0].pattern.ids), pair[0].sheet.similarity.scale
     xrii, source = (np.stack([g.rows, g.places], axis=1) for g in pair)
     source = source[~np.isin(source[:, 0], xrii[:, 0])] + [0, count]
     beads = np.concatenate([xrii, source])
-    fit, factor = joint.fit(pair, beads, problem.detections, joint.first_focal_point(pair), 1.0), 1.0
+    try:
+        focal_mm = model.first_focal_point(*pair)
+    except ReconstructionRefusedError:
+        raise Stop(4, NOT_CENTRAL) from None
+    if not model.shadows.sees(focal_mm):
+        raise Stop(4, NOT_CENTRAL)
+    fit, factor = model.fit(beads, focal_mm, 1.0), 1.0
     for turn in range(MOST_FITS):
         if turn < SETTLED:  # later the gates have cut the tails off, and the noise would seem to shrink
             factor = float(np.clip(factor * np.median(fit.m2) / MEDIAN_M2, 1.0, 2 * WORST_FACTOR))
         new = _assigned(problem, fit, radius_m2, scale)
         if turn >= MOST_FITS // 2:  # from here on only fewer, so that it ends
             new = np.array([b for b in new.tolist() if b in beads.tolist()]).reshape(-1, 2)
-        if min((new[:, 1] < count).sum(), (new[:, 1] >= count).sum()) < LEAST_BEADS:
+        enough = min((new[:, 1] < count).sum(), (new[:, 1] >= count).sum()) >= LEAST_BEADS
+        if not enough or not model.shadows.sees(fit.focal_point_mm):
             break
-        fit = joint.fit(pair, new, problem.detections, fit.focal_point_mm, factor)
+        fit = model.fit(new, fit.focal_point_mm, factor)
         if len(new) == len(beads) and (new[np.lexsort(new.T)] == beads[np.lexsort(beads.T)]).all():
             return new, fit, factor
         beads = new
-    raise Stop(
-        4,
-        "the beads found are not two plates seen from one focal point; is this the frame in the image, "
-        "and did it keep still during the exposure?",
-    )
+    raise Stop(4, NOT_CENTRAL)
 
 
-def _check(pair: tuple[Grown, Grown], fit: joint.Joint, factor: float, beads: np.ndarray, sized: int) -> None:
-    """Does the geometry bear out the labels? Raises Stop."""
-    plane, source = pair[0].pattern.plane, pair[1].pattern
+def _check_map(fit: Joint, factor: float) -> None:
+    """Is the map one that an intensifier has? Raises Stop."""
     if factor > WORST_FACTOR:
         raise Stop(
             5, f"the beads miss their places by {np.sqrt(factor):.1f} times their stated error; check the frame file"
         )
-    away = plane.normal * np.sign(plane.height_mm(source.xyz_mm.mean(axis=0)))
-    ray = fit.focal_point_mm - plane.to_space(fit.target_mm[beads[:, 1]].mean(axis=0))
+    if fit.bend > BEND:
+        raise Stop(5, "the labels would need a distortion that no intensifier has; is this the frame in the image?")
+
+
+def _check_focal_point(model: Model, fit: Joint, beads: np.ndarray) -> None:
+    """Is the focal point where a C-arm can have it, beyond the source plate? Raises Stop."""
+    shadows = model.shadows
+    away = shadows.normal * np.sign(shadows.height_mm.mean())
+    ray = fit.focal_point_mm - model.xrii.plane.to_space(fit.target_mm[beads[:, 1]].mean(axis=0))
     far = float(ray @ away)
     aside = float(np.linalg.norm(ray - far * away))
     if not FOCAL_MM[0] < far < FOCAL_MM[1] or aside > FOCAL_SLOPE * far:
         raise Stop(
-            5,
+            FINAL,
             f"the labels put the focal point {far:.0f} mm from the XRII plate and {aside:.0f} mm aside, where no C-arm "
             "has it; check that the frame file describes the frame in the image",
         )
-    if abs(pair[0].level - pair[1].level) > PLATE_LOG_RADIUS:
-        raise Stop(5, "the radii of the two plates' beads do not fit their diameters; is this the frame in the image?")
-    if fit.bend > BEND:
-        raise Stop(5, "the labels would need a distortion that no intensifier has; is this the frame in the image?")
-    explained = len(beads) / sized
-    if explained < EXPLAINED:
+
+
+def _check_explained(beads: np.ndarray, sized: int) -> None:
+    """Are most detections that look like beads explained? Raises Stop."""
+    if len(beads) < EXPLAINED * sized:
         raise Stop(
             5,
-            f"only {100 * explained:.0f} % of what looks like the frame's beads is on one of its places; "
+            f"only {100 * len(beads) / sized:.0f} % of what looks like the frame's beads is on one of its places; "
             "check the frame file, or give the datum markers' pixels",
         )
+
+
+def _check_radii(pair: tuple[Grown, Grown]) -> None:
+    """Have the beads of both plates their diameters, seen through one map? Raises Stop."""
+    if abs(pair[0].level - pair[1].level) > PLATE_LOG_RADIUS:
+        raise Stop(FINAL, "the two plates' bead radii do not fit their diameters; is this the frame in the image?")
 
 
 def solve(problem: Problem, pair: tuple[Grown, Grown]) -> Solution:
     """Label two lattices. Raises Stop."""
     pair = named(problem, pair)
     radius_m2 = _radius_m2(pair)
-    beads, fit, factor = _fitted(problem, pair, radius_m2)
-    _check(pair, fit, factor, beads, int((problem.usable & (radius_m2.min(axis=1) < GATE_M2)).sum()))
+    model = Model(pair, problem.detections)
+    beads, fit, factor = _fitted(problem, model, pair, radius_m2)
+    _check_map(fit, factor)
+    _check_explained(beads, int((problem.usable & (radius_m2.min(axis=1) < GATE_M2)).sum()))
+    _check_radii(pair)
+    _check_focal_point(model, fit, beads)
     xrii, source = pair[0].pattern, pair[1].pattern
     ids = xrii.ids + source.ids
-    normal_along_beam = xrii.plane.height_mm(source.xyz_mm.mean(axis=0)) < 0
+    normal_along_beam = model.shadows.height_mm.mean() < 0
     mirrored = pair[0].sheet.similarity.mirror == normal_along_beam
     return Solution(xrii.view, tuple(ids[p] for p in beads[:, 1]), beads[:, 0], bool(mirrored))

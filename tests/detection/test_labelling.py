@@ -1,0 +1,227 @@
+"""Beads are told apart rightly, or not at all."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from benchmarks.scenes_labelling import Hiding, Scene, draw_scene
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from sightline.detection import Detections, Observations, label
+from sightline.errors import FrameError, LabellingRefusedError, ObservationsError
+from sightline.frame import Fiducial, Frame, FrameView, Plate
+
+GAMMA = Frame.load("gamma")
+ALL_SEEN = Hiding(most=0.15)
+
+
+def scene(seed: int, view: str = "pa", frame: Frame = GAMMA, hiding: Hiding = ALL_SEEN, false: int = 10) -> Scene:
+    return draw_scene(np.random.default_rng(seed), frame, view, hiding, false)
+
+
+def truth_of(found: Observations, one: Scene) -> list[frozenset[str]]:
+    at = {tuple(uv): truth for uv, truth in zip(one.detections.uv_px, one.truth, strict=True)}
+    return [at[tuple(uv)] for uv in found.uv_px]
+
+
+def assert_right(found: Observations, one: Scene) -> None:
+    assert all(name in truth for name, truth in zip(found.ids, truth_of(found, one), strict=True))
+    assert (found.view, found.mirrored) == (one.view, one.mirrored)
+
+
+def turned(detections: Detections, linear: np.ndarray) -> Detections:
+    """The image turned or mirrored about its middle; radii and noise stay."""
+    middle = (np.array(detections.image_shape[::-1]) - 1) / 2
+    return replace(detections, uv_px=(detections.uv_px - middle) @ linear.T + middle)
+
+
+def frame_without_datums() -> Frame:
+    def plain(plate: Plate) -> Plate:
+        return Plate(tuple(replace(f, diameter_mm=3.0) for f in plate.fiducials))
+
+    views = {name: FrameView(plain(v.xrii), plain(v.source)) for name, v in GAMMA.views.items()}
+    return replace(GAMMA, views=views)
+
+
+def given_pixels(one: Scene, role: str) -> dict[str, tuple[float, float]]:
+    plate = getattr(GAMMA.view(one.view), role)
+    seen = {next(iter(t)): uv for t, uv in zip(one.truth, one.detections.uv_px, strict=True) if len(t) == 1}
+    names = [f.id for f in plate.fiducials if f.datum and f.id in seen]
+    return {name: (seen[name][0] + 2.0, seen[name][1] - 1.0) for name in names}
+
+
+@pytest.mark.parametrize(
+    ("linear", "flips"),
+    [
+        ([[1, 0], [0, 1]], False),
+        ([[0, -1], [1, 0]], False),
+        ([[-1, 0], [0, -1]], False),
+        ([[np.cos(0.7), -np.sin(0.7)], [np.sin(0.7), np.cos(0.7)]], False),
+        ([[-1, 0], [0, 1]], True),
+        ([[0, 1], [1, 0]], True),
+    ],
+)
+@pytest.mark.parametrize("view", ["pa", "lateral"])
+def test_turned_and_mirrored_images_are_labelled_alike_and_mirroring_is_said(
+    view: str, linear: list[list[float]], flips: bool
+) -> None:
+    one = scene(3, view)
+    straight = label(one.detections, GAMMA)
+    found = label(turned(one.detections, np.array(linear, dtype=float)), GAMMA)
+    assert_right(straight, one)
+    assert len(found) >= 0.9 * len(straight)
+    assert found.mirrored == (straight.mirrored != flips)
+    of = dict(zip(straight.ids, straight.uv_px.tolist(), strict=True))
+    middle = (np.array(one.detections.image_shape[::-1]) - 1) / 2
+    for name, uv in zip(found.ids, found.uv_px, strict=True):
+        if name in of:
+            np.testing.assert_allclose((uv - middle) @ np.array(linear), np.array(of[name]) - middle, atol=1e-9)
+
+
+def test_a_hundred_scenes_are_right_or_refused() -> None:
+    rng = np.random.default_rng(77)
+    solved = solvable = 0
+    for _ in range(100):
+        one = draw_scene(rng, GAMMA)
+        solvable += one.solvable
+        try:
+            found = label(one.detections, GAMMA)
+        except LabellingRefusedError:
+            continue
+        assert_right(found, one)
+        solved += one.solvable
+    assert solvable > 70
+    assert solved >= 0.97 * solvable  # 98 % over 10,000 scenes: benchmarks/bench_labelling.py
+
+
+@settings(max_examples=20, deadline=None, derandomize=True)
+@given(seed=st.integers(0, 2**32 - 1), most=st.floats(0.0, 0.8), block=st.booleans(), false=st.integers(0, 40))
+def test_any_scene_is_labelled_rightly_or_refused(seed: int, most: float, block: bool, false: int) -> None:
+    one = scene(seed, "lateral", hiding=Hiding(most=max(most, 0.2), block=block), false=false)
+    try:
+        found = label(one.detections, GAMMA)
+    except LabellingRefusedError:
+        return
+    assert_right(found, one)
+
+
+@pytest.mark.parametrize("name", ["biplane", "stereo"])
+def test_the_other_built_in_frames_are_labelled(name: str) -> None:
+    frame = Frame.load(name)
+    for seed, view in enumerate(frame.views):
+        one = scene(seed, view, frame)
+        found = label(one.detections, frame, view=view)
+        assert_right(found, one)
+        assert len(found) > 0.8 * sum(len(t) == 1 for t in one.truth)
+
+
+def test_washers_can_be_datum_markers() -> None:
+    def washers(plate: Plate) -> Plate:
+        out: list[Fiducial] = [replace(f, shape="washer", diameter_mm=4.0) if f.datum else f for f in plate.fiducials]
+        return Plate(tuple(out))
+
+    views = {name: FrameView(washers(v.xrii), washers(v.source)) for name, v in GAMMA.views.items()}
+    frame = replace(GAMMA, views=views)
+    one = scene(5, "pa", frame)
+    assert "washer" in one.detections.kind
+    assert_right(label(one.detections, frame), one)
+
+
+def test_the_view_given_is_kept_when_right_and_refused_when_wrong() -> None:
+    one = scene(8, "lateral")
+    assert label(one.detections, GAMMA, view="lateral").view == "lateral"
+    with pytest.raises(LabellingRefusedError, match="shows the lateral view, not pa; are the two images exchanged"):
+        label(one.detections, GAMMA, view="pa")
+    with pytest.raises(FrameError, match="no view 'oblique'"):
+        label(one.detections, GAMMA, view="oblique")
+
+
+@pytest.mark.parametrize(("shown", "used"), [("biplane", "gamma"), ("gamma", "biplane")])
+def test_the_image_of_another_frame_is_refused(shown: str, used: str) -> None:
+    other = Frame.load(shown)
+    for seed in range(4):
+        one = scene(seed, next(iter(other.views)), other)
+        with pytest.raises(LabellingRefusedError):
+            label(one.detections, Frame.load(used))
+
+
+@pytest.mark.parametrize("count", [0, 3, 15])
+def test_too_few_beads_are_refused_with_their_number(count: int) -> None:
+    d = scene(1).detections
+    few = Detections(
+        d.uv_px[:count], d.radius_px[:count], d.covariance_px2[:count], d.kind[:count], d.contrast[:count], (1024, 1024)
+    )
+    with pytest.raises(LabellingRefusedError, match=f"^{count} beads were found"):
+        label(few, GAMMA)
+
+
+def test_one_plate_alone_is_refused_by_its_name() -> None:
+    one = scene(4)
+    kept = [any("-s-" in name for name in t) for t in one.truth]
+    d = one.detections
+    kinds = tuple(k for k, keep in zip(d.kind, kept, strict=True) if keep)
+    alone = Detections(d.uv_px[kept], d.radius_px[kept], d.covariance_px2[kept], kinds, d.contrast[kept], d.image_shape)
+    with pytest.raises(LabellingRefusedError, match="source plate of the pa view; move the C-arm or the frame"):
+        label(alone, GAMMA)
+
+
+def test_a_pattern_that_cannot_be_told_is_refused() -> None:
+    frame = frame_without_datums()
+    one = draw_scene(np.random.default_rng(2), frame, "pa", ALL_SEEN)
+    with pytest.raises(LabellingRefusedError):
+        label(one.detections, frame)
+
+
+def test_noise_alone_is_refused() -> None:
+    rng = np.random.default_rng(4)
+    for _ in range(10):
+        n = 120
+        noise = Detections(
+            rng.uniform(0, 1023, (n, 2)),
+            rng.choice([8.0, 9.5, 13.0, 15.5], n, p=[0.4, 0.4, 0.1, 0.1]) * rng.uniform(0.95, 1.05, n),
+            0.04 * np.broadcast_to(np.eye(2), (n, 2, 2)),
+            ("ball",) * n,
+            np.full(n, -0.5),
+            (1024, 1024),
+        )
+        with pytest.raises(LabellingRefusedError):
+            label(noise, GAMMA)
+
+
+def test_pixels_given_for_datums_label_the_rest() -> None:
+    one = scene(7)
+    datums = given_pixels(one, "xrii") | given_pixels(one, "source")
+    found = label(one.detections, GAMMA, datums=datums)
+    assert_right(found, one)
+    assert len(found) > 0.8 * sum(len(t) == 1 for t in one.truth)
+
+
+def test_pixels_given_in_the_wrong_order_are_refused() -> None:
+    one = scene(7)
+    xrii = given_pixels(one, "xrii")
+    a, b, c, *_ = xrii
+    wrong = xrii | {a: xrii[b], b: xrii[c], c: xrii[a]} | given_pixels(one, "source")
+    with pytest.raises(LabellingRefusedError):
+        label(one.detections, GAMMA, datums=wrong)
+
+
+def test_unusable_pixels_for_datums_say_what_to_give() -> None:
+    one = scene(7)
+    xrii, source = given_pixels(one, "xrii"), given_pixels(one, "source")
+    with pytest.raises(ObservationsError, match="three or more datum markers of the source plate"):
+        label(one.detections, GAMMA, datums=xrii)
+    with pytest.raises(ObservationsError, match="not fiducials of one view"):
+        label(one.detections, GAMMA, datums=xrii | {"nobody": (1.0, 2.0)})
+    name = next(iter(xrii))
+    with pytest.raises(LabellingRefusedError, match=f"no bead was found at the pixel given for {name}"):
+        label(one.detections, GAMMA, datums=xrii | source | {name: (-50.0, -50.0)})
+
+
+def test_covariances_travel_with_their_beads() -> None:
+    one = scene(9)
+    found = label(one.detections, GAMMA)
+    at = {tuple(uv): c for uv, c in zip(one.detections.uv_px, one.detections.covariance_px2, strict=True)}
+    assert found.covariance_px2 is not None
+    assert all((at[tuple(uv)] == c).all() for uv, c in zip(found.uv_px, found.covariance_px2, strict=True))
+    assert found.image_shape == one.detections.image_shape
