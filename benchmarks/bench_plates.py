@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 from scipy.interpolate import RBFInterpolator
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 import sightline as sl
 from benchmarks.rows import Row
@@ -48,7 +48,7 @@ class Plate:
 
 def grow(uv_px: np.ndarray) -> Plate:
     """A hexagonal lattice through points, from neighbour to neighbour; points that fit nowhere are left out."""
-    tree = cKDTree(uv_px)
+    tree = KDTree(uv_px)
     start = int(tree.query(np.median(uv_px, axis=0))[1])
     around = uv_px[tree.query(uv_px[start], k=7)[1][1:]] - uv_px[start]
     around = around[np.argsort(np.arctan2(around[:, 1], around[:, 0]))]
@@ -95,7 +95,7 @@ def triangles(uv: np.ndarray, xy: np.ndarray) -> Predict:
 
 def local_weighted_mean(uv: np.ndarray, xy: np.ndarray) -> Predict:
     """Goshtasby 1988, as XMALab and Matlab's cp2tform have it: quadratics through 12 neighbours, blended."""
-    tree = cKDTree(uv)
+    tree = KDTree(uv)
     distance, near = tree.query(uv, k=LWM_NEIGHBOURS)
     reach = distance[:, -1]
 

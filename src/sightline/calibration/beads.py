@@ -5,13 +5,11 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 
+from sightline.calibration.hull import refuse_collinear
 from sightline.detection.results import Observations
 from sightline.errors import CalibrationRefusedError, ObservationsError
 from sightline.frame import Frame, Plate
 from sightline.geometry.planes import Plane
-
-# Beads nearer to one line than this share of their length are collinear [ours].
-COLLINEAR = 0.02
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,10 +105,5 @@ def _refuse_unusable(uv_px: np.ndarray, xyz_mm: np.ndarray, plate: Plate, name: 
         )
     if len(xyz_mm) < 4:
         raise CalibrationRefusedError(f"only {len(xyz_mm)} {of} are seen; at least 4 are needed, 20 or more are good")
-    for points, where in ((xyz_mm, "in the frame"), (uv_px, "in the image")):
-        spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
-        if spread[1] <= COLLINEAR * spread[0]:
-            raise CalibrationRefusedError(
-                f"the {len(points)} beads seen of the {name} plate lie on one line {where}; "
-                "more beads, beside that line, are needed"
-            )
+    for points, where in ((xyz_mm, "in the frame,"), (uv_px, "in the image,")):
+        refuse_collinear(points, f"{where} the {len(points)} beads seen of the {name} plate")

@@ -185,15 +185,19 @@ def _mapped(plate: PlateFit, uv_px: np.ndarray) -> np.ndarray:
 
 
 def classical_residuals(fit: ClassicalFit, given: Beads, used: np.ndarray) -> Residuals:
-    """Of every bead given, on its own plate's plane."""
-    plates = (fit.xrii, fit.source)
-    error = np.concatenate([p.leave_one_out_mm for p in plates])
-    predicted = np.concatenate([p.predicted for p in plates])
-    spread = np.concatenate([2 * p.noise_mm2 + p.misfit_mm2 * np.eye(2) for p in plates])
-    residual = np.concatenate([_own_residual(p) for p in plates])
-    sigma = np.sqrt(np.einsum("ia,ia->i", error, np.linalg.solve(spread, error[..., None])[..., 0]))
+    """Of every bead given, on its own plate's plane; `used` (N,) tells which of them `fit` has."""
+    residual, error, sigma = np.zeros((len(given), 2)), np.zeros((len(given), 2)), np.zeros(len(given))
+    predicted = np.zeros(len(given), dtype=bool)
+    for plate, on_plate in ((fit.xrii, given.on_xrii), (fit.source, ~given.on_xrii)):
+        taught = on_plate & used
+        residual[taught] = plate.map.to_plane(_inward(plate.beads.uv_px)) - plate.plane.to_plane(plate.beads.xyz_mm)
+        error[taught], predicted[taught] = plate.leave_one_out_mm, plate.predicted
+        others = np.flatnonzero(on_plate & ~used)
+        predicted[others] = _mapped(plate, given.uv_px[others])
+        others = others[predicted[others]]
+        error[others] = plate.map.to_plane(given.uv_px[others]) - plate.plane.to_plane(given.xyz_mm[others])
+        residual[others] = error[others]
+        spread = 2 * plate.noise_mm2.mean(axis=0) + plate.misfit_mm2 * np.eye(2)
+        mine = error[on_plate]
+        sigma[on_plate] = np.sqrt(np.einsum("ia,ia->i", mine, np.linalg.solve(spread, mine.T).T))
     return Residuals(given.ids, given.uv_px, residual, error, predicted, sigma, used)
-
-
-def _own_residual(plate: PlateFit) -> np.ndarray:
-    return plate.map.to_plane(_inward(plate.beads.uv_px)) - plate.plane.to_plane(plate.beads.xyz_mm)

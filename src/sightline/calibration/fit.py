@@ -4,11 +4,12 @@ from typing import Literal
 
 import numpy as np
 
+from sightline.calibration.hull import refuse_collinear
 from sightline.calibration.localized import LocalizedMap
 from sightline.calibration.polynomial import PolynomialMap
 from sightline.calibration.smooth import FittedSmoothMap
 from sightline.calibration.view import PlaneMap
-from sightline.errors import UnusableInputError
+from sightline.errors import CalibrationRefusedError, UnusableInputError
 
 Method = Literal["smooth", "polynomial", "localized"]
 METHODS: tuple[Method, ...] = ("smooth", "polynomial", "localized")
@@ -28,8 +29,12 @@ def fit_map(
         raise UnusableInputError(f"controls have the shapes {uv.shape} and {xy.shape}; (N, 2) twice was expected")
     if not (np.isfinite(uv).all() and np.isfinite(xy).all()):
         raise UnusableInputError("controls hold values that are not finite; leave out what was not measured")
+    if len(uv) < 3:
+        raise CalibrationRefusedError(f"{len(uv)} controls given; every method needs at least three")
     if noise_px is not None and not noise_px > 0:
         raise UnusableInputError(f"noise_px is {noise_px}; give a standard deviation above zero, or None if unknown")
+    refuse_collinear(uv, "in the image, the controls")
+    refuse_collinear(xy, "on the plane, the controls")
     if method == "localized":
         return LocalizedMap.fit(uv, xy)
     if method == "polynomial":

@@ -5,10 +5,19 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import ConvexHull
 
-from sightline.errors import OutsideRegionError
+from sightline.errors import CalibrationRefusedError, OutsideRegionError
 
 # How far outside the hull a map may still be asked, in radii of the hull [ours]: farther out no bead says anything.
 REACH = 0.5
+# Points nearer to one line than this share of their length are collinear [ours].
+COLLINEAR = 0.02
+
+
+def refuse_collinear(points: np.ndarray, what: str) -> None:
+    """Raises CalibrationRefusedError where points (N, 2) or (N, 3) lie on one line; `what` they are, in words."""
+    spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
+    if spread[1] <= COLLINEAR * spread[0]:
+        raise CalibrationRefusedError(f"{what} lie on one line; more of them, beside that line, are needed")
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,6 +7,10 @@ import numpy as np
 from sightline.errors import CalibrationRefusedError
 from sightline.geometry.planes import Plane
 
+# Limits of (distance of a bead from the reference plane) / (that of F) [ours]. The source plate of a Γ frame has 0.16.
+CLOSEST = 0.05  # of 1 - it
+FARTHEST = 0.01
+
 
 @dataclass(frozen=True, eq=False)
 class Pencil:
@@ -61,12 +65,15 @@ class Pencil:
 
 
 def refuse_misplaced(pencil: Pencil, xyz_mm: np.ndarray) -> None:
-    """Refuse a focal point that does not lie beyond all beads (N, 3), on the source plate's side."""
-    h = pencil.plane.height_mm(xyz_mm)
-    towards = np.sign(h[np.argmax(np.abs(h))])
-    height = np.inf if pencil.pq[2] == 0 else 1 / pencil.pq[2]
-    if not height * towards > np.abs(h).max():
+    """Refuse a focal point between the planes of the beads (N, 3), or at infinity; either side of both will do."""
+    lift = pencil.plane.height_mm(xyz_mm) * pencil.pq[2]
+    if not (1 - lift > CLOSEST).all():
         raise CalibrationRefusedError(
-            "the beads put the X-ray source between or behind the plates; check that the labels of the two plates "
-            "are not exchanged, that the frame is the one in the image, and that the image is not a mirror image"
+            "the beads put the X-ray source between the plates; check that the labels of the two plates are not "
+            "exchanged, and that frame and view are those in the image"
+        )
+    if not np.abs(lift).max() > FARTHEST:
+        raise CalibrationRefusedError(
+            "the beads put the X-ray source at infinity: the plates' images show no parallax; check that both plates "
+            "are in the image and that their distance in the frame file is right"
         )

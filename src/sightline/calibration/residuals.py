@@ -10,9 +10,9 @@ class Residuals:
     """For each of N beads of a view, on the reference plane, mm.
 
     `residual_mm` (N, 2): where the map puts the bead less where the frame puts it. `leave_one_out_mm` (N, 2): the
-    same, the bead itself having no part in the calibration; None for a row that could not be predicted is not used:
-    `predicted` (N,) tells which rows hold. `sigma` (N,): size of the leave-one-out error over its own standard
-    deviation. `used` (N,) bool: False where the bead was left out as wrong.
+    same, the bead itself having no part in the calibration; `predicted` (N,) bool: False in the rows that say nothing,
+    because the method cannot predict the bead without itself. `sigma` (N,): size of the leave-one-out error over its
+    own standard deviation. `used` (N,) bool: False where the bead was left out as wrong.
     """
 
     ids: tuple[str, ...]
