@@ -98,20 +98,20 @@ def test_lateral_and_pa_centres_differ_as_in_the_paper():
 
 
 def test_the_prior_states_what_is_drawn():
-    """Moments of 1,500 drawn sets of magnetic numbers, pincushions and cubics against the prior's covariance."""
+    """Moments of 700 drawn sets of magnetic numbers, pincushions and cubics against the prior's covariance."""
     spread = Distortion()
     axes = np.linalg.qr(np.random.default_rng(0).normal(size=(3, 3)))[0]
     rng = np.random.default_rng(12)
     drawn = []
-    for _ in range(1500):
+    for _ in range(700):
         one = draw_tube(rng, CHAIN, spread).expose(rng, axes, draw_earth(rng, spread))
         drawn.append(one.distortion.parameters[:24])
     factor = one.prior.smooth_factor
     stated = factor @ factor.T
     scale = np.sqrt(np.diag(stated))
     sampled = np.cov(np.array(drawn).T)
-    # s.d. of a sampled correlation is about 0.026 (1 / sqrt(1500)), more for the turn with its heavier tails
-    assert np.abs((sampled - stated) / np.outer(scale, scale)).max() < 0.15
+    # s.d. of a sampled correlation is about 0.04 (1 / sqrt(700)), more for the turn with its heavier tails
+    assert np.abs((sampled - stated) / np.outer(scale, scale)).max() < 0.2
 
 
 def test_beyond_cubic_covariance_is_that_of_drawn_maps():
@@ -123,19 +123,21 @@ def test_beyond_cubic_covariance_is_that_of_drawn_maps():
     uv = centre.centre_px + disc_mm(480.0, 5)
     dense = disc_mm(CHAIN.mask_px, 21)
     powers, at = monomials(dense / CHAIN.mask_px, 3), monomials((uv - centre.centre_px) / CHAIN.mask_px, 3)
-    truth_dense, truth_at = centre.to_detector(centre.centre_px + dense), centre.to_detector(uv)
-    jacobian = centre.jacobian(truth_at)
+    both = np.concatenate([centre.centre_px + dense, uv])
+    truth = centre.to_detector(both)
+    jacobian = centre.jacobian(truth[len(dense) :])
     samples = []
-    for _ in range(300):
+    for _ in range(160):
         one = _redrawn(centre, rng, small)
-        move_dense = one.to_detector(centre.centre_px + dense) - truth_dense
-        left = one.to_detector(uv) - truth_at - at @ np.linalg.lstsq(powers, move_dense)[0]
+        move = one.to_detector(both) - truth
+        left = move[len(dense) :] - at @ np.linalg.lstsq(powers, move[: len(dense)])[0]
         samples.append(-(jacobian @ left[..., None]).ravel() / small)
     stated = centre.beyond_cubic_covariance(uv)
     scale = np.sqrt(np.diag(stated))
     samples = np.array(samples)
     sampled = samples.T @ samples / len(samples)
-    assert np.abs((sampled - stated) / np.outer(scale, scale)).max() < 0.25  # 3 s.d. of a variance of 300
+    assert np.abs((sampled - stated) / np.outer(scale, scale)).max() < 0.4  # 3.5 s.d. of a variance of 160
+    # The same over all directions at once: s.d. 0.02.
     whitened = np.linalg.pinv(stated, rcond=1e-6) @ sampled
     rank = np.linalg.matrix_rank(stated, rtol=1e-6)
     assert np.trace(whitened) / rank == pytest.approx(1.0, abs=0.05)

@@ -13,7 +13,7 @@ from sightline.twin.draw import draw_earth, draw_tube
 from sightline.twin.intensifier import Intensifier
 from sightline.twin.presets import ImageChain, preset
 
-ATTEMPTS = 300
+ATTEMPTS = 100
 
 
 @dataclass(frozen=True, eq=False)
