@@ -46,11 +46,16 @@ class Plate:
         return grow(found.uv_px[np.array(found.kind) == "hole"])
 
 
+def _nearest(tree: KDTree, at: np.ndarray) -> tuple[float, int]:
+    distance, index = tree.query(at)
+    return float(distance), int(index)
+
+
 def grow(uv_px: np.ndarray) -> Plate:
     """A hexagonal lattice through points, from neighbour to neighbour; points that fit nowhere are left out."""
     tree = KDTree(uv_px)
-    start = int(tree.query(np.median(uv_px, axis=0))[1])
-    around = uv_px[tree.query(uv_px[start], k=7)[1][1:]] - uv_px[start]
+    start = _nearest(tree, np.median(uv_px, axis=0))[1]
+    around = uv_px[np.asarray(tree.query(uv_px[start], k=7)[1])[1:]] - uv_px[start]
     around = around[np.argsort(np.arctan2(around[:, 1], around[:, 0]))]
     axes = np.array([(around[0] - around[3]) / 2, (around[1] - around[4]) / 2])
     pitch = np.linalg.norm(axes, axis=1).mean()
@@ -63,10 +68,10 @@ def grow(uv_px: np.ndarray) -> Plate:
                 continue
             here = uv_px[place[i, j]]
             step = here - uv_px[behind] if behind is not None else np.array([di, dj]) @ axes
-            distance, hole = tree.query(here + step)
+            distance, hole = _nearest(tree, here + step)
             if distance < 0.25 * pitch and hole not in taken:
-                place[site] = int(hole)
-                taken.add(int(hole))
+                place[site] = hole
+                taken.add(hole)
                 todo.append(site)
     return Plate(uv_px[list(place.values())], np.array(list(place)))
 
@@ -96,7 +101,7 @@ def triangles(uv: np.ndarray, xy: np.ndarray) -> Predict:
 def local_weighted_mean(uv: np.ndarray, xy: np.ndarray) -> Predict:
     """Goshtasby 1988, as XMALab and Matlab's cp2tform have it: quadratics through 12 neighbours, blended."""
     tree = KDTree(uv)
-    distance, near = tree.query(uv, k=LWM_NEIGHBOURS)
+    distance, near = (np.asarray(a) for a in tree.query(uv, k=LWM_NEIGHBOURS))
     reach = distance[:, -1]
 
     def quadratic(d: np.ndarray) -> np.ndarray:
