@@ -13,6 +13,7 @@ from sightline.geometry.lines import meeting_point
 # What is left beyond degree 5, as shares of half the image: 0.11-0.13 mm rms and 30-60 mm of 107 (physics.md).
 REMAINDER_SD, REMAINDER_LENGTH = 0.0013, 0.4
 LEAST_BEYOND = 0.1  # of the distance between the plates: nearer to them no shadows are cast [ours]
+CENTRE_PX = 0.05  # what a centre may be off besides its stated noise: uneven background, overlap [ours]
 FOCAL_STEP_MM = 500.0  # prior on the first guess of the focal point: wide [ours]
 
 
@@ -79,7 +80,8 @@ class Model:
         self.xrii, self.sheet = pair[0].pattern, pair[0].sheet
         self.shadows = Shadows.of(pair[0].pattern, pair[1].pattern)
         self.w = self.sheet.w(detections.uv_px)
-        self.noise = self.sheet.noise(detections.covariance_px2)
+        bead_mm = np.hypot(max(g.pattern.bead_sd_mm for g in pair), CENTRE_PX / self.sheet.similarity.scale)
+        self.noise = self.sheet.noise(detections.covariance_px2) + (bead_mm / self.sheet.unit_mm) ** 2
         self.phi = features(self.w)[0]
         square = (self.w**2).sum(axis=1)
         gap = square[:, None] + square - 2 * self.w @ self.w.T
@@ -94,7 +96,7 @@ class Model:
         return meeting_point(through, through - self.xrii.plane.to_space(xrii.xy_mm[source.rows])).point_mm
 
     def fit(self, beads: np.ndarray, focal_mm: np.ndarray, factor: float) -> Joint:
-        """One Gauss-Newton step from `focal_mm`; `factor` scales the stated noise variance."""
+        """One Gauss-Newton step from `focal_mm`; `factor` scales the variance of the noise."""
         rows, places = beads.T
         count, unit = len(self.xrii.ids), self.sheet.unit_mm
         targets, by_focal = self.shadows.seen_from(focal_mm)

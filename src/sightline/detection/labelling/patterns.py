@@ -17,6 +17,7 @@ class Pattern:
     """One plate of one view: `xy_mm` (N, 2) in `plane`'s axes, with the plate's centre as the origin.
 
     `neighbours` (M, 2): ordered pairs of neighbours; `pitch_mm`: their median distance.
+    `bead_sd_mm`: how far each fiducial by itself may be from where the frame file has it, per axis.
     """
 
     view: str
@@ -30,6 +31,7 @@ class Pattern:
     washer: np.ndarray
     neighbours: np.ndarray
     pitch_mm: float
+    bead_sd_mm: float
 
     @property
     def datums(self) -> np.ndarray:
@@ -37,7 +39,7 @@ class Pattern:
         return np.flatnonzero(self.datum)
 
 
-def _pattern(view: str, role: str, plate: Plate) -> Pattern:
+def _pattern(view: str, role: str, plate: Plate, factor: np.ndarray) -> Pattern:
     xy = plate.plane.to_plane(plate.xyz_mm)
     tree = KDTree(xy)
     pitch = float(np.median(tree.query(xy, k=2)[0][:, 1]))
@@ -54,14 +56,25 @@ def _pattern(view: str, role: str, plate: Plate) -> Pattern:
         washer=np.array([f.shape == "washer" for f in plate.fiducials]),
         neighbours=np.concatenate([pairs, pairs[:, ::-1]]),
         pitch_mm=pitch,
+        bead_sd_mm=_bead_sd_mm(xy, plate.plane, factor),
     )
+
+
+def _bead_sd_mm(xy_mm: np.ndarray, plane: Plane, factor: np.ndarray) -> float:
+    """What is left of a plate's errors (3N, K) in its plane when the plate may shift, turn and stretch as a whole."""
+    errors = np.einsum("ai,nik->ank", plane.axes, factor.reshape(len(xy_mm), 3, -1))
+    whole = np.linalg.qr(np.column_stack([np.ones(len(xy_mm)), xy_mm]))[0]
+    rest = errors - whole @ (whole.T @ errors)
+    return float(np.sqrt((rest**2).sum() / (2 * (len(xy_mm) - 3))))
 
 
 @lru_cache(maxsize=8)
 def patterns(frame: Frame) -> tuple[Pattern, ...]:
     """The plates of all views, in each view XRII before source."""
-    return tuple(
-        _pattern(name, role, plate)
-        for name, view in frame.views.items()
-        for role, plate in (("xrii", view.xrii), ("source", view.source))
-    )
+    out = []
+    for name, view in frame.views.items():
+        factor = frame.error_factor[frame.rows(name)]
+        split = 3 * len(view.xrii.fiducials)
+        out.append(_pattern(name, "xrii", view.xrii, factor[:split]))
+        out.append(_pattern(name, "source", view.source, factor[split:]))
+    return tuple(out)

@@ -23,7 +23,8 @@ ACCIDENT = 1e-4  # most chance that a false candidate falls into the gate of one
 BALL_LIKE = 0.15  # share of false candidates that have the radius of a given bead [ours]
 BEND = 4.5  # most standard deviations of the prior that a map may need [ours]
 MOST_FITS, SETTLED = 10, 3  # rounds, and rounds after which the noise is no longer estimated
-WORST_FACTOR = 9.0  # of the stated noise variance that the beads' residuals may show [ours]
+WORST_SD = 0.02  # of the pitch: the scatter of the beads about their places; 2 px at the design distance [ours]
+MOST_NOISE = 100.0  # times the stated variance [ours]
 PLATE_LOG_RADIUS = 0.06  # by which the two plates' radii may differ, seen through one map [ours]
 FOCAL_MM = (300.0, 2000.0)  # of the focal point from the XRII plate; 920 mm at the design distance [ours]
 FOCAL_SLOPE = 0.7  # tangent of the beam's angle to the plates: 35° [ours]
@@ -138,8 +139,8 @@ def _assigned(problem: Problem, fit: Joint, radius_m2: np.ndarray, px_per_mm: fl
 
 def _fitted(
     problem: Problem, model: Model, pair: tuple[Grown, Grown], radius_m2: np.ndarray
-) -> tuple[np.ndarray, Joint, float]:
-    """The beads that fit one central projection, the fit, and the noise they show. Raises Stop."""
+) -> tuple[np.ndarray, Joint]:
+    """The beads that fit one central projection, and the fit. Raises Stop."""
     count, scale = len(pair[0].pattern.ids), pair[0].sheet.similarity.scale
     xrii, source = (np.stack([g.rows, g.places], axis=1) for g in pair)
     source = source[~np.isin(source[:, 0], xrii[:, 0])] + [0, count]
@@ -153,7 +154,7 @@ def _fitted(
     fit, factor = model.fit(beads, focal_mm, 1.0), 1.0
     for turn in range(MOST_FITS):
         if turn < SETTLED:  # later the gates have cut the tails off, and the noise would seem to shrink
-            factor = float(np.clip(factor * np.median(fit.m2) / MEDIAN_M2, 1.0, 2 * WORST_FACTOR))
+            factor = float(np.clip(factor * np.median(fit.m2) / MEDIAN_M2, 1.0, MOST_NOISE))
         new = _assigned(problem, fit, radius_m2, scale)
         if turn >= MOST_FITS // 2:  # from here on only fewer, so that it ends
             new = np.array([b for b in new.tolist() if b in beads.tolist()]).reshape(-1, 2)
@@ -162,17 +163,17 @@ def _fitted(
             break
         fit = model.fit(new, fit.focal_point_mm, factor)
         if len(new) == len(beads) and (new[np.lexsort(new.T)] == beads[np.lexsort(beads.T)]).all():
-            return new, fit, factor
+            return new, fit
         beads = new
     raise Stop(4, NOT_CENTRAL)
 
 
-def _check_map(fit: Joint, factor: float) -> None:
-    """Is the map one that an intensifier has? Raises Stop."""
-    if factor > WORST_FACTOR:
-        raise Stop(
-            5, f"the beads miss their places by {np.sqrt(factor):.1f} times their stated error; check the frame file"
-        )
+def _check_map(model: Model, fit: Joint, beads: np.ndarray) -> None:
+    """Do the beads lie in their places, by a map that an intensifier has? Raises Stop."""
+    off = fit.xy_mm[beads[:, 0]] - fit.target_mm[beads[:, 1]]
+    scatter = float(np.sqrt((off**2).mean()))
+    if scatter > WORST_SD * model.xrii.pitch_mm:
+        raise Stop(5, f"the beads miss their places on the XRII plate by {scatter:.2f} mm; check the frame file")
     if fit.bend > BEND:
         raise Stop(5, "the labels would need a distortion that no intensifier has; is this the frame in the image?")
 
@@ -213,8 +214,8 @@ def solve(problem: Problem, pair: tuple[Grown, Grown]) -> Solution:
     pair = named(problem, pair)
     radius_m2 = _radius_m2(pair)
     model = Model(pair, problem.detections)
-    beads, fit, factor = _fitted(problem, model, pair, radius_m2)
-    _check_map(fit, factor)
+    beads, fit = _fitted(problem, model, pair, radius_m2)
+    _check_map(model, fit, beads)
     _check_explained(beads, int((problem.usable & (radius_m2.min(axis=1) < GATE_M2)).sum()))
     _check_radii(pair)
     _check_focal_point(model, fit, beads)
