@@ -99,7 +99,7 @@ def _write_picture(radiograph: "Radiograph", beads: "Detections", path: Path) ->
     large = cv2.resize(grey(radiograph), (_SCALE * width, _SCALE * height), interpolation=cv2.INTER_LINEAR)
     shown = cv2.cvtColor(large, cv2.COLOR_GRAY2BGR)
     for (u, v), radius in zip(beads.uv_px, beads.radius_px, strict=True):
-        cv2.circle(shown, _point(u, v), round(_SCALE * (radius + 3)), _BEAD, 1, cv2.LINE_AA)
+        cv2.circle(shown, _point(u, v), round(_SCALE * (radius + 3)), _BEAD, 2, cv2.LINE_AA)
     for candidate in beads.rejected:
         cv2.drawMarker(shown, _point(*candidate.uv_px), _REJECTED, cv2.MARKER_TILTED_CROSS, 5 * _SCALE)
     write_whole(path, cv2.imencode(".png", shown)[1].tobytes())

@@ -1,0 +1,93 @@
+"""`sightline calibrate` from an image and from observations, on a set-up whose truth is known."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sightline.detection.files import read_observations, write_observations
+from sightline.detection.results import Observations
+
+
+@pytest.mark.parametrize("method", ["smooth", "localized", "polynomial"])
+def test_observations_give_the_view_with_its_residuals_and_checks(run, beads_csv: Path, setup, method: str) -> None:
+    ran = run("calibrate", beads_csv, "--view", "lateral", "--method", method, "--json")
+    assert ran.code in (0, 3), ran.err
+    document = ran.document
+    assert (document["view"], document["method"], document["coordinates"]) == ("lateral", method, "CFCS")
+    failed = [check["name"] for check in document["checks"] if not check["passed"]]
+    assert (ran.code == 3) == bool(failed)
+    if method == "smooth":
+        assert not failed
+        truth = setup.views["lateral"].focal_point_mm
+        np.testing.assert_allclose(document["focal_point_mm"], truth, atol=12.0)  # along the beam it is ill determined
+        assert document["leave_one_out_rms_mm"] < 0.15
+    first = document["beads"][0]
+    assert set(first) >= {"id", "uv_px", "residual_mm", "leave_one_out_mm", "used"}
+
+
+def test_an_image_gives_the_same_view_as_its_observations_written_as_csv(run, pair, tmp_path: Path) -> None:
+    image = run("calibrate", pair["pa"], "--frame", "gamma", "--view", "pa", "--csv", tmp_path / "pa.csv", "--json")
+    assert image.code in (0, 3), image.out
+    again = run("calibrate", tmp_path / "pa.csv", "--json")
+    assert again.code == image.code
+    np.testing.assert_allclose(again.document["focal_point_mm"], image.document["focal_point_mm"], rtol=1e-9)
+
+
+def test_people_read_the_focal_point_the_residuals_and_the_checks(run, beads_csv: Path) -> None:
+    ran = run("calibrate", beads_csv, "--view", "pa")
+    assert ran.code == 0, ran.err
+    for text in ("view pa", "focal point", "leave-one-out", "bead coverage"):
+        assert text in ran.out
+
+
+def test_a_failed_check_is_exit_code_3_with_the_result_still_printed(run, observations, tmp_path: Path) -> None:
+    """A bead noise of 0.1 px is stated, but it is 1 px."""
+    pa = observations["pa"]
+    shaken = pa.uv_px + np.random.default_rng(3).normal(0, 1.0, pa.uv_px.shape)
+    path = write_observations([Observations("pa", pa.ids, shaken, pa.covariance_px2)], tmp_path / "pa.csv")
+    ran = run("calibrate", path, "--json")
+    assert ran.code == 3
+    assert "chi-square" in [check["name"] for check in ran.document["checks"] if not check["passed"]]
+    assert len(ran.document["focal_point_mm"]) == 3
+
+
+def test_datum_markers_given_by_hand_tell_the_beads_apart(run, pair, setup, frame) -> None:
+    """The person gives those that can be seen: some lie behind other balls."""
+    seen = np.array([bead["uv_px"] for bead in run("detect", pair["pa"], "--json").document["beads"]])
+    markers = [f for f in frame.view("pa").fiducials if f.datum]
+    uv_px = setup.views["pa"].project(np.array([f.xyz_mm for f in markers]))
+    clear = np.linalg.norm(seen[None] - uv_px[:, None], axis=2).min(axis=1) < 2.0
+    assert clear.sum() >= 8
+    given = [f"--datum={f.id}={u:.1f},{v:.1f}" for f, (u, v), c in zip(markers, uv_px, clear, strict=True) if c]
+    ran = run("calibrate", pair["pa"], *given, "--json")
+    assert ran.code in (0, 3), ran.out
+    assert ran.document["view"] == "pa", ran.out
+
+
+def test_observations_of_two_views_need_the_view(run, beads_csv: Path) -> None:
+    ran = run("calibrate", beads_csv)
+    assert ran.code == 2
+    assert "--view" in ran.err
+    assert set(read_observations(beads_csv)) == {"pa", "lateral"}
+
+
+@pytest.mark.parametrize(
+    ("datums", "says"),
+    [
+        (["x=1"], "not ID=U,V"),
+        (["x=1,2,3"], "not ID=U,V"),
+        (["1,2"], "not ID=U,V"),
+        (["x=nan,2"], "not finite"),
+        (["x=1,2", "x=3,4"], "stands twice"),
+    ],
+)
+def test_a_malformed_datum_is_refused(run, pair, datums: list[str], says: str) -> None:
+    ran = run("calibrate", pair["pa"], *(f"--datum={datum}" for datum in datums))
+    assert ran.code == 2
+    assert says in ran.err
+
+
+def test_options_of_images_are_refused_for_observations(run, beads_csv: Path) -> None:
+    for option in ("--datum=x=1,2", "--frame-index=0"):
+        assert run("calibrate", beads_csv, "--view", "pa", option).code == 2

@@ -1,0 +1,39 @@
+"""`sightline undistort` puts the beads where the frame has them."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+
+from sightline.detection import detect
+from sightline.imaging import read_image
+
+
+def test_on_the_plate_the_xrii_beads_stand_where_the_frame_has_them(run, pair, frame, tmp_path: Path) -> None:
+    ran = run("undistort", pair["pa"], "--out", tmp_path / "plate", "--json")
+    assert ran.code in (0, 3), ran.out
+    document = json.loads((tmp_path / "plate" / "map.json").read_text())
+    beads = detect(read_image(tmp_path / "plate" / "plate.png"))
+    found_mm = np.array(document["origin_mm"]) + document["spacing_mm"] * beads.uv_px
+    plate = frame.view("pa").xrii
+    inner = np.abs(plate.plane.to_plane(plate.xyz_mm)).max(axis=1) < 60  # off the border of the picture
+    wanted_mm = plate.plane.to_plane(plate.xyz_mm)[inner]
+    apart = np.linalg.norm(found_mm[None] - wanted_mm[:, None], axis=2).min(axis=1)
+    assert np.median(apart) < 0.15  # frame errors of 0.05 mm per bead and 0.05 mm per plate are in the scene
+
+    arrays = np.load(tmp_path / "plate" / "map.npz")
+    assert list(arrays["uv_px"].shape[:2]) == document["shape"]
+    assert arrays["inside_hull"].shape == arrays["uv_px"].shape[:2]
+
+
+def test_observations_have_no_pixels(run, beads_csv: Path, tmp_path: Path) -> None:
+    ran = run("undistort", beads_csv, "--out", tmp_path / "plate")
+    assert ran.code == 2
+    assert "give the image" in ran.err
+    assert not (tmp_path / "plate").exists()
+
+
+def test_a_spacing_that_gives_no_image_is_refused_and_nothing_is_written(run, pair, tmp_path: Path) -> None:
+    ran = run("undistort", pair["pa"], "--out", tmp_path / "plate", "--spacing", "0")
+    assert ran.code in (2, 3)
+    assert not (tmp_path / "plate").exists()
