@@ -13,10 +13,19 @@ from sightline.imaging import Radiograph
 _SMALLEST_PX, _LARGEST_PX = 1.7, 27.0  # what is promised, 2-25 px, and a margin for the fit
 _NOISIEST_PX = 0.75  # a centre less certain than this is of no use; promised is recall below 0.5 px [ours]
 _FAINTEST_SD = 5.0  # contrast over its standard deviation: no false bead from noise in 1024² px [calc]
-_MISFIT = 0.08  # residual beyond noise over contrast; beads keep 0.02-0.05 on bone, anatomy 0.1 and more [ARCADIS]
-_WEAKEST = 0.7  # contrast of the weakest eighth over that of the whole [ARCADIS: 0.90 and more on beads]
+# Residual beyond noise over contrast (beads 0.05, rarely 0.11, also on bone edges; anatomy and metal more), and contrast
+# of the weakest eighth over that of the whole (beads 0.8 and more, 0.63 at low dose) [twin, ARCADIS]: with neighbours
+# taken out of the window, and before.
+_STRICT = 0.12, 0.6
+_LOOSE = 0.25, 0.2
 _SOFTEST = 0.45  # blur over radius of a shape with a rim [ARCADIS: 0.1-0.3; anatomy 0.5-1]
+# Against the other beads of the image, where there are enough of them to tell what is usual.
+_ENOUGH_TO_COMPARE = 8
+_BLURRED = 1.45  # times the usual blur: one detector, one blur; beads 0.8-1.4, other things 1.5-9 [twin]
+_SLIGHT = 0.33  # times the usual contrast x radius: 3 and 5 mm balls at two heights differ by 2 [twin: 0.42 and more]
+_MINORITY = 0.33  # of the beads: no frame has both balls and holes
 
+_FILL = 4  # px; what lies outside the field is filled at this coarseness
 _NOT_ROUND = "not round: some side does not differ from the middle, as on an edge, a wire or a bone contour"
 _FIT_REASONS = {
     refine.TOO_FEW_PIXELS: "too few usable pixels: at the edge of the field, or covered by another bead",
@@ -42,14 +51,17 @@ def detect(image: Radiograph) -> Detections:
     rejected = _rejections(spots.uv_px, spots.radius_px, _NOT_ROUND, ~spots.round & inside & (spots.response < -0.02))
     taken = spots.round & inside
     rows = np.column_stack([spots.uv_px, spots.radius_px, spots.response])[taken]
-    coarse = refine.fit_coarsely(log_image, mask, rows, np.empty((0, 3)), noise)
-    reason = _coarse_reasons(coarse, noise)
+    coarse = refine.fit_coarsely(log_image, mask, rows, rows[:0], noise)
+    reason = _shape_reasons(coarse, _LOOSE)
     beads, repeated = _apart(coarse[reason == ""])
     rejected += _rejected(coarse[reason != ""], reason[reason != ""]) + repeated
-    fine = refine.fit_finely(log_image, mask, beads, beads[:, : refine.CONTRAST], noise)
+    fine = refine.fit_finely(log_image, mask, beads, beads[:, : refine.BLUR], noise)
     reason = _fine_reasons(fine)
     rejected += _rejected(fine[reason != ""], reason[reason != ""])
     beads = fine[reason == ""]
+    reason = _odd_ones(beads)
+    rejected += _rejected(beads[reason != ""], reason[reason != ""])
+    beads = beads[reason == ""]
     if len(beads) == 0:
         raise DetectionRefusedError(
             f"no bead was found ({len(rejected)} candidates were rejected); check that this is the image of a frame "
@@ -70,18 +82,19 @@ def _log_image(image: Radiograph) -> np.ndarray:
 
 def _filled(log_image: np.ndarray, mask: np.ndarray) -> np.ndarray:
     """The image with what lies outside its field taken from the nearest level of a masked pyramid."""
-    height, width = mask.shape
-    values: list[np.ndarray] = [np.where(mask, log_image, np.float32(0))]
-    weights: list[np.ndarray] = [mask.astype(np.float32)]
+    weights: list[np.ndarray] = [mask[::_FILL, ::_FILL].astype(np.float32)]
+    values: list[np.ndarray] = [log_image[::_FILL, ::_FILL] * weights[0]]
     while min(values[-1].shape) > 2:
         shape = (max(values[-1].shape[1] // 2, 1), max(values[-1].shape[0] // 2, 1))
         values.append(cv2.resize(values[-1], shape, interpolation=cv2.INTER_AREA))
         weights.append(cv2.resize(weights[-1], shape, interpolation=cv2.INTER_AREA))
     filled = values[-1] / np.maximum(weights[-1], 1e-6)
-    for value, w in zip(values[-2::-1], weights[-2::-1], strict=True):
+    for value, weight in zip(values[-2::-1], weights[-2::-1], strict=True):
         coarse = cv2.resize(filled, value.shape[::-1], interpolation=cv2.INTER_LINEAR)
-        filled = np.where(w > 0.01, value / np.maximum(w, 0.01), coarse)
-    return filled[:height, :width]
+        filled = np.where(weight > 0.01, value / np.maximum(weight, 0.01), coarse)
+    everywhere = cv2.resize(filled, log_image.shape[::-1], interpolation=cv2.INTER_LINEAR)
+    cv2.copyTo(log_image, mask.view(np.uint8), everywhere)
+    return everywhere
 
 
 def _broad_noise(noise: NoiseModel, log_image: np.ndarray, mask: np.ndarray) -> float:
@@ -90,13 +103,19 @@ def _broad_noise(noise: NoiseModel, log_image: np.ndarray, mask: np.ndarray) -> 
     return float(np.sqrt(noise.variance(typical))) * float(1 + 2 * noise.correlation[1:].sum())
 
 
-def _coarse_reasons(fit: np.ndarray, noise: NoiseModel) -> np.ndarray:
+def _excess(fit: np.ndarray) -> np.ndarray:
+    """Residual beyond noise over contrast."""
+    beyond = np.sqrt(np.maximum(fit[:, refine.MISFIT] ** 2 - 1.3 * fit[:, refine.NOISE], 0))
+    return beyond / np.maximum(np.abs(fit[:, refine.CONTRAST]), 1e-9)
+
+
+def _shape_reasons(fit: np.ndarray, limits: tuple[float, float]) -> np.ndarray:
+    """Why each fit is no bead by itself; empty where it may be one."""
     reason = np.full(len(fit), "", dtype=object)
-    contrast = np.maximum(np.abs(fit[:, refine.CONTRAST]), 1e-9)
-    excess = np.sqrt(np.maximum(fit[:, refine.MISFIT] ** 2 - 1.3 * fit[:, refine.NOISE], 0)) / contrast
     size = fit[:, refine.RADIUS]
-    reason[excess > _MISFIT] = "not a disc: what remains after the fit is too large beside its contrast"
-    reason[fit[:, refine.WEAKEST] < _WEAKEST] = _NOT_ROUND
+    misfit, weakest = limits
+    reason[_excess(fit) > misfit] = "not a disc: what remains after the fit is too large beside its contrast"
+    reason[fit[:, refine.WEAKEST] < weakest] = _NOT_ROUND
     reason[fit[:, refine.BLUR] > _SOFTEST * size] = "no rim: it fades out like anatomy, not like a bead"
     reason[(size < _SMALLEST_PX) | (size > _LARGEST_PX)] = "its radius is not within 2-25 px"
     for status, why in _FIT_REASONS.items():
@@ -105,7 +124,8 @@ def _coarse_reasons(fit: np.ndarray, noise: NoiseModel) -> np.ndarray:
 
 
 def _fine_reasons(fit: np.ndarray) -> np.ndarray:
-    reason = np.full(len(fit), "", dtype=object)
+    """`_shape_reasons` and those that need the covariance."""
+    reason = _shape_reasons(fit, _STRICT)
     reason[np.maximum(fit[:, refine.CUU], fit[:, refine.CVV]) > _NOISIEST_PX**2] = "its centre is too uncertain"
     reason[np.abs(fit[:, refine.CONTRAST]) < _FAINTEST_SD * np.sqrt(np.abs(fit[:, refine.CCC]))] = "lost in noise"
     for status, why in _FIT_REASONS.items():
@@ -113,15 +133,33 @@ def _fine_reasons(fit: np.ndarray) -> np.ndarray:
     return reason
 
 
+def _odd_ones(beads: np.ndarray) -> np.ndarray:
+    """Why a bead does not belong to the others of its image; empty where it does."""
+    reason = np.full(len(beads), "", dtype=object)
+    dark = beads[:, refine.CONTRAST] < 0
+    strength = np.abs(beads[:, refine.CONTRAST]) * beads[:, refine.RADIUS]
+    few = dark if 2 * strength[dark].sum() < strength.sum() else ~dark
+    if np.count_nonzero(few) < _MINORITY * len(beads):
+        reason[few] = "dark where the other beads are bright, or bright where they are dark"
+    usual = reason == ""
+    if np.count_nonzero(usual) >= _ENOUGH_TO_COMPARE:
+        reason[usual & (beads[:, refine.BLUR] > _BLURRED * np.median(beads[usual, refine.BLUR]))] = (
+            "its rim is softer than those of the other beads"
+        )
+        reason[usual & (strength < _SLIGHT * np.median(strength[usual]))] = "much slighter than the other beads"
+    return reason
+
+
 def _apart(fit: np.ndarray) -> tuple[np.ndarray, tuple[Rejected, ...]]:
-    """Of fits that share a place the one with the smallest misfit."""
-    order = np.argsort(fit[:, refine.MISFIT] / np.abs(fit[:, refine.CONTRAST]))
+    """Of fits that share a place the one that explains most of the image."""
+    strength = np.abs(fit[:, refine.CONTRAST]) * fit[:, refine.RADIUS] / (0.05 + _excess(fit))
+    order = np.argsort(-strength, kind="stable")
     fit = fit[order]
     keep = np.ones(len(fit), bool)
     for i in range(1, len(fit)):
         near = keep[:i] & (np.hypot(*(fit[:i, :2] - fit[i, :2]).T) < np.maximum(fit[:i, 2], fit[i, 2]))
         keep[i] = not near.any()
-    why = np.full(np.count_nonzero(~keep), "the same bead was found with a better fit", dtype=object)
+    why = np.full(np.count_nonzero(~keep), "lies on a stronger bead", dtype=object)
     return fit[keep], _rejected(fit[~keep], why)
 
 

@@ -16,8 +16,8 @@ _LEAST_SNR = 4.5  # step times root of the disc's area over the noise of a broad
 _SECTORS = 8
 # Radii at which the rim is looked for, in units of the band's disc, and offsets added to them, px.
 _AT = np.array([0.3, 0.5, 0.7, 0.9, 1.1, 1.3, 1.5, 1.75])
-_COMPACT = 0.5  # share of the whole step that its steepest two of seven intervals hold; a smooth blob 0.35 [calc]
-_ONE_SIDED = 0.35  # second weakest sector's step beside the median; a straight edge or a wire 0 or less [calc]
+_COMPACT = 0.42  # share of the whole step that its steepest two of seven intervals hold; a smooth blob 0.35 [calc]
+_ONE_SIDED = 0.35  # third weakest sector's step beside the median; a straight edge or a wire 0 or less [calc]
 _CHUNKS = 64
 _ROOM = 512  # spots per chunk of rows
 
@@ -162,7 +162,7 @@ def _grade(fine, coarse, base, y, x, value, sigma, step, sd, out):
     if middle < max(_FAINTEST, _LEAST_SNR * 2 * sd / out[_RADIUS]) or steps[2] < 0.1 * middle - 1.5 * sd:
         return
     slack = 2.0 * sd
-    sided = steps[1] > _ONE_SIDED * middle - slack and steps[0] > -slack
+    sided = steps[2] > _ONE_SIDED * middle - slack and steps[1] > -slack
     compact = best > _COMPACT * max(whole, 0.7 * middle) - 0.7 * sd
     out[_SCORE] = best / sd * np.sqrt(unit) if sided and compact else 0.0
 

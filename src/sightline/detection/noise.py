@@ -47,8 +47,13 @@ def estimate_noise(log_image: np.ndarray, mask: np.ndarray) -> NoiseModel | None
     ratio = np.log(gamma[:, -1]) - (offset - slope * level)
     quiet = gamma[np.abs(ratio) < 0.35]
     mean = (quiet / quiet[:, -1:]).mean(axis=0) if len(quiet) else np.ones(gamma.shape[1])
+    structured = 1 - mean[-2] / mean[-1] > _NO_FLAT_AREA
+    # What grows beyond the last lag is structure, smooth and therefore quadratic in the lag: it is taken off.
+    growth = max(mean[-1] - mean[-2], 0.0) / (_SILL**2 - LAGS**2)
+    mean = mean - growth * np.append(np.arange(1, LAGS + 1), _SILL) ** 2
+    offset += float(np.log(max(mean[-1], 0.3)))
     correlation = np.concatenate([[1.0], np.clip(1 - mean[:-1] / mean[-1], -0.2, 0.98)])
-    if correlation[-1] > _NO_FLAT_AREA:
+    if structured:
         return _noise_of_a_pattern(log_image, mask)
     return NoiseModel(offset, slope, correlation, _weighting(correlation))
 
@@ -82,7 +87,10 @@ def _weighting(correlation: np.ndarray) -> np.ndarray:
     lags = np.abs(np.subtract.outer(np.arange(n), np.arange(n)))
     R = np.append(correlation, 0.0)[np.minimum(lags, LAGS + 1)] + _NUGGET * np.eye(n)
     values, vectors = np.linalg.eigh(R)
-    return ((vectors / np.maximum(values, _NUGGET)) @ vectors.T)[n // 2, n // 2 : n // 2 + LAGS + 1].copy()
+    taps = ((vectors / np.maximum(values, _NUGGET)) @ vectors.T)[n // 2, n // 2 : n // 2 + LAGS + 1].copy()
+    waves = np.cos(np.outer(np.linspace(0, np.pi, 64), np.arange(1, LAGS + 1)))
+    taps[0] += max(0.0, 0.05 - float((taps[0] + 2 * waves @ taps[1:]).min()))  # cutting must not make a weight negative
+    return taps
 
 
 @nb.njit(parallel=True, cache=True, fastmath=True)

@@ -16,6 +16,7 @@ FITTED, TOO_FEW_PIXELS, WANDERED, SINGULAR = 0, 1, 2, 3
 _LEAST_BLUR = 0.35  # px; a pixel alone blurs as much
 _STEPS = 10
 _WEIGHTED_STEPS = 3
+_ENOUGH = 250  # pixels for a coarse fit; of a wider window every second, third ... along the rows [ours]
 _FAST = {"reassoc", "contract", "arcp", "nsz"}  # all of fastmath that keeps NaN and infinity
 _PRIOR_PIXELS = 50.0  # weight of the image's noise model against the bead's own residuals, in pixels [ours]
 
@@ -26,7 +27,7 @@ def fit_coarsely(
     """Least-squares fit of every spot, all pixels alike: (M, NOISE + 1), to tell beads from what is none.
 
     `log_image` (H, W) float32; `usable` (H, W) bool; `spots` (M, 4) of u, v, radius, response;
-    `others` (K, 3) of u, v, radius: discs that a window leaves out where they are not the spot itself.
+    `others` (K, 4) likewise: discs that a window leaves out where they are not the spot itself, nor much weaker.
     """
     tables = profile_table(ball=True), profile_table(ball=False)
     return _coarse(log_image, usable, spots, others, noise.offset, noise.slope, *tables)
@@ -129,7 +130,7 @@ def _solve(A, b, damping, x):
 
 
 @nb.njit(cache=True)
-def _window(usable, others, u, v, radius, half):
+def _window(usable, others, u, v, radius, contrast, half):  # noqa: PLR0917
     """Left and top of the square window, and which of its pixels may be used."""
     height, width = usable.shape
     left, top = max(int(u) - half, 0), max(int(v) - half, 0)
@@ -142,6 +143,8 @@ def _window(usable, others, u, v, radius, half):
             continue
         if (others[k, 0] - u) ** 2 + (others[k, 1] - v) ** 2 < (0.8 * max(radius, others[k, 2])) ** 2:
             continue  # the spot itself
+        if abs(others[k, 3]) < 0.5 * abs(contrast):
+            continue  # structure about the bead, not another
         for i in range(max(0, int(y - reach)), min(bottom - top, int(y + reach) + 2)):
             for j in range(max(0, int(x - reach)), min(right - left, int(x + reach) + 2)):
                 if (i - y) ** 2 + (j - x) ** 2 < reach * reach:
@@ -150,13 +153,13 @@ def _window(usable, others, u, v, radius, half):
 
 
 @nb.njit(cache=True, fastmath=_FAST)
-def _gather(image, mask, left, top, u, v, reach):
+def _gather(image, mask, left, top, u, v, reach, stride):  # noqa: PLR0917
     """Usable pixels within `reach` of (u, v): their x, y from there and their value."""
     found = np.empty((mask.size, 3))
     n = 0
     for i in range(mask.shape[0]):
         y = top + i - v
-        for j in range(mask.shape[1]):
+        for j in range(i % stride, mask.shape[1], stride):
             x = left + j - u
             if mask[i, j] and x * x + y * y < reach * reach:
                 found[n, 0], found[n, 1], found[n, 2] = x, y, image[top + i, left + j]
@@ -168,10 +171,10 @@ def _gather(image, mask, left, top, u, v, reach):
 def _fit_coarse(image, usable, others, spot, table, offset, slope, out):  # noqa: PLR0917
     u, v, radius = spot[0], spot[1], spot[2]
     out[U], out[V], out[RADIUS] = u, v, radius
-    out[CONTRAST] = 3.0 * spot[3]
+    out[CONTRAST] = spot[3]
     reach = 1.5 * radius + 3.0
-    left, top, mask = _window(usable, others, u, v, radius, int(reach) + 1)
-    pixels = _gather(image, mask, left, top, u, v, reach)
+    left, top, mask = _window(usable, others, u, v, radius, out[CONTRAST], int(reach) + 1)
+    pixels = _gather(image, mask, left, top, u, v, reach, 1 + int(3.2 * reach * reach / _ENOUGH))
     if len(pixels) < 2 * _N:
         out[STATUS] = TOO_FEW_PIXELS
         return
@@ -260,8 +263,8 @@ def _fit_fine(image, usable, others, table, offset, slope, weighting, correlatio
     """From a coarse fit: a closer window, least squares again, then Gauss-Newton steps weighted for the noise."""
     u, v, radius = out[U], out[V], out[RADIUS]
     reach = radius + max(3.0 * out[BLUR], 0.3 * radius) + 1.5
-    left, top, mask = _window(usable, others, u, v, radius, int(reach) + 1)
-    pixels = _gather(image, mask, left, top, u, v, reach)
+    left, top, mask = _window(usable, others, u, v, radius, out[CONTRAST], int(reach) + 1)
+    pixels = _gather(image, mask, left, top, u, v, reach, 1 + int(3.2 * reach * reach / (2 * _ENOUGH)))
     if len(pixels) < 2 * _N:
         out[STATUS] = TOO_FEW_PIXELS
         return
@@ -290,9 +293,9 @@ def _fit_fine(image, usable, others, table, offset, slope, weighting, correlatio
     if p[U] ** 2 + p[V] ** 2 > (0.5 * radius) ** 2:
         out[STATUS] = WANDERED
         return
-    out[PIXELS] = len(pixels)
+    out[PIXELS] = (J[:, :, _SHAPE] != 0.0).sum()
     out[CHI2] = chi2 / max(_expected_chi2(J, weighting * correlation) - _N, 1.0)
-    scale2 = (_PRIOR_PIXELS + len(pixels) * out[CHI2]) / (_PRIOR_PIXELS + len(pixels))
+    scale2 = (_PRIOR_PIXELS + out[PIXELS] * out[CHI2]) / (_PRIOR_PIXELS + out[PIXELS])
     _covariance(Z, A, mask, left - u, top - v, reach, correlation, scale2, out)
     out[:_SHAPE] = p[:_SHAPE]
     out[U] += u
