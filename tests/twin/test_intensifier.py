@@ -183,3 +183,13 @@ def test_bad_input():
         tube.to_detector(np.array([[np.nan, 5.0]]))
     with pytest.raises(SetUpError, match="folds"):
         intensifier(2, spread=replace(Distortion(), asymmetric_mm=80.0))
+
+
+@settings(max_examples=25, deadline=None)
+@given(seed=st.integers(0, 10_000))
+def test_nothing_from_far_outside_is_seen_in_the_field(seed):
+    tube = intensifier(seed, LATERAL_AXES)
+    angle = np.linspace(0, 2 * np.pi, 60)
+    ring = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    for radius in (1.15, 1.5, 3.0, 20.0):
+        assert not tube.in_field(tube.to_image(radius * 107.5 * ring)).any()

@@ -147,15 +147,15 @@ class DistortionMap:
         parts = (self.turn, self.shift_mm.ravel(), self.cubic_mm.ravel(), self.random_mm.ravel())
         return np.concatenate([[self.k1], *parts])
 
-    def _turned(self, xi_mm: np.ndarray) -> tuple[np.ndarray, ...]:
-        """Linear terms (1, x/R, y/R), fades and their slopes, turn, its sine and cosine, and 1 + k1 rho²."""
+    def _terms(self, xi_mm: np.ndarray) -> tuple[np.ndarray, ...]:
+        """(1, x/R, y/R) (N, 3), rho², u² and 1 + k1 rho² (N,)."""
         rho2 = (xi_mm**2).sum(-1)
         linear = np.concatenate([np.ones((len(xi_mm), 1)), xi_mm / self.radius_mm], axis=-1)
         return linear, rho2, rho2 / self.radius_mm**2, 1 + self.k1 * rho2
 
     def apply(self, xi_mm: np.ndarray) -> np.ndarray:
         """D at points (N, 2)."""
-        linear, _, u2, stretch = self._turned(xi_mm)
+        linear, _, u2, stretch = self._terms(xi_mm)
         angle = _fade(u2, TURN)[0] * (linear @ self.turn)
         turned = stretch[:, None] * _rotate(xi_mm, angle)
         shift = _fade(u2, SHIFT)[0][:, None] * (linear @ self.shift_mm.T)
@@ -165,7 +165,7 @@ class DistortionMap:
     def jacobian(self, xi_mm: np.ndarray) -> np.ndarray:
         """dD / dxi at points (N, 2): (N, 2, 2)."""
         R = self.radius_mm
-        linear, _, u2, stretch = self._turned(xi_mm)
+        linear, _, u2, stretch = self._terms(xi_mm)
         fade, slope = _fade(u2, TURN)
         du2 = 2 * xi_mm / R**2
         angle = fade * (linear @ self.turn)
@@ -181,7 +181,7 @@ class DistortionMap:
 
     def derivatives(self, xi_mm: np.ndarray) -> np.ndarray:
         """dD / dparameters at points (N, 2): (N, 2, P), parameters in the order of `parameters`."""
-        linear, rho2, u2, stretch = self._turned(xi_mm)
+        linear, rho2, u2, stretch = self._terms(xi_mm)
         fade = _fade(u2, TURN)[0]
         angle = fade * (linear @ self.turn)
         by_k1 = rho2[:, None] * _rotate(xi_mm, angle)
