@@ -113,6 +113,9 @@ def test_clicks_beside_the_curve_are_refused():
     assert np.isfinite(snap(curve, curve.uv_px[middle] + 10.0 * curve.across_px[middle]).uv_px).all()
     with pytest.raises(UnusableInputError, match="40 px from the matching curve"):
         snap(curve, curve.uv_px[middle] + 40.0 * curve.across_px[middle])
+    for end, outward in ((0, -30.0), (-1, 30.0)):
+        with pytest.raises(OutsideRegionError, match="30 px beyond the end"):
+            snap(curve, curve.uv_px[end] + outward * curve.tangent_px[end])
     with pytest.raises(UnusableInputError, match="positive"):
         snap(curve, curve.uv_px[middle], 0.0)
     with pytest.raises(UnusableInputError, match="px from the matching curve"):

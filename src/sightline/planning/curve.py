@@ -89,7 +89,7 @@ def matching_curve(
 def snap(curve: MatchingCurve, uv_px: np.ndarray, sd_px: float = DEFAULT_PICK_SD_PX) -> Pick:
     """The point of the curve nearest to a click `uv_px` (2,), as one number along it with `sd_px`.
 
-    Raises UnusableInputError where the click is not on the curve: beyond its ends or far beside it.
+    Raises UnusableInputError where the click is far beside the curve, OutsideRegionError where it is beyond its ends.
     """
     click = Pick.free(uv_px, sd_px).uv_px
     start, chord = curve.uv_px[:-1], np.diff(curve.uv_px, axis=0)
@@ -97,6 +97,11 @@ def snap(curve: MatchingCurve, uv_px: np.ndarray, sd_px: float = DEFAULT_PICK_SD
     nearest = start + share[:, None] * chord
     distance = np.linalg.norm(click - nearest, axis=1)
     best = int(np.argmin(distance))
+    if best + share[best] in (0.0, len(chord)) and distance[best] > 0.0:
+        raise OutsideRegionError(
+            f"the click is {distance[best]:.0f} px beyond the end of the matching curve, where view "
+            f"{curve.to_view!r} is not calibrated; pick nearer to the beads, or move the frame so that they surround the target"
+        )
     if not distance[best] <= FARTHEST_SNAP_PX:
         raise UnusableInputError(
             f"the click is {distance[best]:.0f} px from the matching curve in view {curve.to_view!r} (at most "
