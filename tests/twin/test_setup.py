@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from sightline.errors import OutsideRegionError, SetUpError, UnusableInputError
+from sightline.frame import Frame, nominal
 from sightline.twin import Variation, bead_images, draw_setup
-from sightline.twin.carm import nominal_beam, shadow_radius_px
+from sightline.twin.carm import shadow_radius_px
 from sightline.twin.distributions import Pose
 
 
@@ -33,7 +34,7 @@ def test_the_source_stands_where_it_should(frame):
     for _ in range(10):
         setup = draw_setup(rng, frame)
         for name, view in setup.views.items():
-            beam = nominal_beam(frame.view(name))
+            beam = nominal.axis(frame.view(name))
             assert view.focal_point_mm @ beam == pytest.approx(-620.0, abs=25.0)
             assert view.detector.height_mm(view.focal_point_mm) == pytest.approx(-1000.0, abs=15.0)
             assert view.in_field(view.project(np.zeros(3)))
@@ -90,6 +91,14 @@ def test_shadow_radius_is_that_of_the_cone_of_tangent_rays(frame):
     area = 0.5 * abs(np.sum(rim[:, 0] * np.roll(rim[:, 1], -1) - rim[:, 1] * np.roll(rim[:, 0], -1)))
     estimate = shadow_radius_px(view, centre[None], np.array([radius]))[0]
     assert estimate == pytest.approx(np.sqrt(area / np.pi), rel=0.01)
+
+
+@pytest.mark.parametrize("name", ["gamma", "biplane", "stereo"])
+def test_every_built_in_frame_has_set_ups(name):
+    frame, rng = Frame.load(name), np.random.default_rng(12)
+    setup = draw_setup(rng, frame)
+    for view in frame.views:
+        assert len(bead_images(setup, view, rng)[0]) > 0.6 * len(frame.view(view).fiducials)
 
 
 def test_bad_input(frame):

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from sightline.errors import OutsideRegionError, SetUpError
-from sightline.frame import Fiducial, Frame, FrameView, Plate
+from sightline.frame import Fiducial, Frame, FrameView, Plate, nominal
 from sightline.geometry.planes import Plane
 from sightline.twin.distributions import Distortion, Pose
 from sightline.twin.draw import draw_earth, draw_tube
@@ -108,7 +108,7 @@ def draw_setup(
     for _ in range(ATTEMPTS):
         turn = Rotation.from_rotvec(rng.normal(0.0, pose.frame_tilt, 3)).as_matrix()
         stands = {
-            name: _draw_stand(rng, np.stack([nominal_beam(view), caudal]), turn, pose, optics.sdd_mm)
+            name: _draw_stand(rng, np.stack([nominal.axis(view), caudal]), turn, pose, optics.sdd_mm)
             for name, view in frame.views.items()
         }
         if any(stand is None for stand in stands.values()):
@@ -183,24 +183,17 @@ def _moved(view: FrameView, moves) -> FrameView:
     return FrameView(xrii=plate(view.xrii), source=plate(view.source))
 
 
-def nominal_beam(view: FrameView) -> np.ndarray:
-    """(3,) unit vector, CFCS: the beam a view of a frame is made for, normal to its XRII plate, from source to XRII."""
-    normal = view.xrii.plane.normal
-    along = (view.xrii.plane.origin_mm - view.source.plane.origin_mm) @ normal
-    return normal * np.sign(along)
-
-
 Stand = tuple[np.ndarray, Plane]
 
 
 def _draw_stand(
-    rng: np.random.Generator, nominal: np.ndarray, frame_turn: np.ndarray, pose: Pose, sdd_mm: float
+    rng: np.random.Generator, intended: np.ndarray, frame_turn: np.ndarray, pose: Pose, sdd_mm: float
 ) -> Stand | None:
     """Focal point and detector plane of one view, or None where its beam is tilted beyond the limit.
 
-    `nominal` (2, 3): the view's nominal beam, and the way that points down in its image."""
-    beam, down = nominal @ (Rotation.from_rotvec(rng.normal(0.0, pose.orbit, 3)).as_matrix() @ frame_turn).T
-    if beam @ nominal[0] < np.cos(pose.tilt_limit):
+    `intended` (2, 3): the view's nominal beam, and the way that points down in its image."""
+    beam, down = intended @ (Rotation.from_rotvec(rng.normal(0.0, pose.orbit, 3)).as_matrix() @ frame_turn).T
+    if beam @ intended[0] < np.cos(pose.tilt_limit):
         return None
     axes = _detector_axes(beam, down, rng.uniform(-pose.in_plane, pose.in_plane))
     hip = rng.uniform(-pose.hip_offset_mm, pose.hip_offset_mm, 2) @ axes

@@ -23,7 +23,7 @@ from sightline.twin.projector import CELL_PX, Rays, box_length, solid_transmissi
 from sightline.twin.things import RADIUS, Box, Solid, pack, stations
 
 RAY_MARGIN_PX = 6  # rays are cast this far beyond the round blanking, so that blur finds light there
-RAY_GRID_PX = 8  # the inverse distortion is exact on this grid, splines between: error below 1e-4 px
+RAY_GRID_PX = 8  # the inverse distortion is exact on this grid, splines between: error below 1e-5 px
 SCATTER_MM = 30.0  # reach of scattered radiation at the input plane, s.d. [ours]
 COARSE_PX = 8  # scatter and glare are computed on means of this many pixels
 MEAN_LEVEL = 0.25  # of the white level: where exposure control brings the middle of the image [ours]
