@@ -31,6 +31,9 @@ class BeadView:
     frame_key: str
     posterior: Posterior
 
+    def __post_init__(self) -> None:
+        self.focal_point_mm.flags.writeable = False
+
     def project(self, xyz_mm: np.ndarray) -> np.ndarray:
         """Points (N, 3) CFCS to pixels (N, 2). Raises OutsideRegionError."""
         xyz = np.asarray(xyz_mm, dtype=np.float64)

@@ -1,6 +1,7 @@
 """The exact inverse of a smooth plane map, by Newton's method."""
 
 import numpy as np
+from scipy.spatial import KDTree
 
 from sightline.calibration.view import PlaneMap
 from sightline.errors import OutsideRegionError
@@ -17,9 +18,7 @@ def invert(plane_map: PlaneMap, xy_mm: np.ndarray, controls_px: np.ndarray) -> n
     Raises OutsideRegionError where there is none near the controls.
     """
     target = np.asarray(xy_mm, dtype=np.float64)
-    images = plane_map.to_plane(controls_px)
-    nearest = ((target[:, None] - images[None]) ** 2).sum(axis=-1).argmin(axis=1)
-    uv = controls_px[nearest]
+    uv = controls_px[KDTree(plane_map.to_plane(controls_px)).query(target)[1]]
     low, high = controls_px.min(axis=0), controls_px.max(axis=0)
     margin = REACH * (high - low).max()
     limit = 0.25 * (high - low).max()

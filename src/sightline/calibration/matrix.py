@@ -58,6 +58,10 @@ class MatrixView:
     method: str = "matrix"
     checks: tuple[Check, ...] = ()
 
+    def __post_init__(self) -> None:
+        for array in (self.matrix, self.focal_point_mm):
+            array.flags.writeable = False
+
     @property
     def plane_map(self) -> HomographyMap:
         """The map between image and reference plane."""

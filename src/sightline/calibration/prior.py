@@ -22,6 +22,7 @@ LENGTH_MEDIAN, LENGTH_SPREAD = 0.45, 0.6  # log-normal
 AMPLITUDES = np.geomspace(1e-5, 1e-2, 8)
 AMPLITUDE_MEDIAN, AMPLITUDE_SPREAD = 1.5e-3, 1.3  # log-normal
 QUINTIC_SHARE = 0.75  # of that mean square, what is of degree 4 and 5
+NEGLIGIBLE = 1e-6  # of the largest mean square
 # Where no noise is stated: a hand-made centre errs by 0.1 to 1 px [ours]; log-normal.
 NOISE_SCALES_PX = np.geomspace(0.03, 3.0, 9)
 NOISE_MEDIAN_PX, NOISE_SPREAD = 0.3, 0.8
@@ -40,7 +41,8 @@ class Kernel:
     def of_amplitudes(squares_mm2: np.ndarray) -> "Kernel":
         """The sum, over LENGTHS, of processes of these mean squares beyond a cubic."""
         rough = (1 - QUINTIC_SHARE) * squares_mm2 / [_beyond_cubic(length) for length in LENGTHS]
-        return Kernel(rough, LENGTHS, QUINTIC_SHARE * float(squares_mm2.sum()))
+        kept = squares_mm2 > NEGLIGIBLE * squares_mm2.max()
+        return Kernel(rough[kept], LENGTHS[kept], QUINTIC_SHARE * float(squares_mm2.sum()))
 
     def __call__(self, a: np.ndarray, b: np.ndarray) -> np.ndarray:
         """(N, M) for unit coordinates (N, 2), (M, 2), mm²."""

@@ -23,6 +23,10 @@ class Residuals:
     sigma: np.ndarray
     used: np.ndarray
 
+    def __post_init__(self) -> None:
+        for name in ("uv_px", "residual_mm", "leave_one_out_mm", "predicted", "sigma", "used"):
+            getattr(self, name).flags.writeable = False
+
     @property
     def left_out(self) -> tuple[str, ...]:
         """Ids of the beads that were left out as wrong."""

@@ -15,6 +15,7 @@ DEGREE = 3
 MOST_CONTROLS = 4000
 # The hyper-parameters of many controls are learnt from this many of them, evenly drawn [ours].
 LEARN_FROM = 250
+BLOCK = 2**20  # numbers of a kernel held at once: 8 MB [ours]
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,15 +35,27 @@ class SmoothMap:
 
     def to_plane(self, uv_px: np.ndarray) -> np.ndarray:
         """Pixels (N, 2) to plane coordinates (N, 2), mm: the posterior mean."""
-        at = self.unit(uv_px)
-        return monomials(at, DEGREE) @ self.cubic + self.kernel(at, self.controls_unit) @ self.dual
+        controls = self.controls_unit
+        blocks = [
+            monomials(at, DEGREE) @ self.cubic + self.kernel(at, controls) @ self.dual for at in self._blocks(uv_px)
+        ]
+        return np.concatenate(blocks)
 
     def jacobian(self, uv_px: np.ndarray) -> np.ndarray:
         """(N, 2, 2) d xy / d uv, mm/px."""
+        controls = self.controls_unit
+        blocks = [
+            np.einsum("nkd,kc->ncd", monomial_gradients(at, DEGREE), self.cubic)
+            + self.kernel.gradient(at, controls, self.dual)
+            for at in self._blocks(uv_px)
+        ]
+        return np.concatenate(blocks) @ self.unit.matrix
+
+    def _blocks(self, uv_px: np.ndarray) -> list[np.ndarray]:
+        """Unit coordinates in parts, so that the kernel of millions of pixels is never held at once."""
+        rows = max(1, BLOCK // len(self.controls_px))
         at = self.unit(uv_px)
-        by_unit = np.einsum("nkd,kc->ncd", monomial_gradients(at, DEGREE), self.cubic)
-        by_unit += self.kernel.gradient(at, self.controls_unit, self.dual)
-        return by_unit @ self.unit.matrix
+        return [at[k : k + rows] for k in range(0, max(len(at), 1), rows)]
 
     def to_image(self, xy_mm: np.ndarray) -> np.ndarray:
         """Plane coordinates (N, 2) to pixels (N, 2), by Newton's method. Raises OutsideRegionError."""

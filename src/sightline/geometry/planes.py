@@ -58,7 +58,9 @@ class Plane:
     @cached_property
     def normal(self) -> np.ndarray:
         """(3,) unit normal."""
-        return np.cross(self.axes[0], self.axes[1])
+        out = np.cross(self.axes[0], self.axes[1])
+        out.flags.writeable = False
+        return out
 
     def to_space(self, xy_mm: np.ndarray) -> np.ndarray:
         """Plane coordinates (..., 2) to space (..., 3)."""
