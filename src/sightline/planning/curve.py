@@ -100,7 +100,7 @@ def snap(curve: MatchingCurve, uv_px: np.ndarray, sd_px: float = DEFAULT_PICK_SD
     if best + share[best] in (0.0, len(chord)) and distance[best] > 0.0:
         raise OutsideRegionError(
             f"the click is {distance[best]:.0f} px beyond the end of the matching curve, where view "
-            f"{curve.to_view!r} is not calibrated; pick nearer to the beads, or move the frame so that they surround the target"
+            f"{curve.to_view!r} is not calibrated; pick nearer to the beads, or move the frame"
         )
     if not distance[best] <= FARTHEST_SNAP_PX:
         raise UnusableInputError(
