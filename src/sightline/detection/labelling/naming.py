@@ -44,14 +44,18 @@ def _place_table(pattern: Pattern) -> tuple[np.ndarray, np.ndarray, float]:
 @njit(cache=True)
 def _costs(z, log_ratio, turn, shift, flip, table, low, cell, log_half):  # noqa: PLR0917 - a kernel
     out = np.zeros(len(turn))
+    of_place = np.empty((len(z), len(log_half) + 1))
+    of_place[:, -1] = CONTRADICTION  # place -1: none
+    for n in range(len(z)):
+        for p in range(len(log_half)):
+            of_place[n, p] = min(CONTRADICTION, 0.5 * ((log_ratio[n] - log_half[p]) / RADIUS_SD) ** 2)
+    cells = 1.0 / cell
     for t in range(len(turn)):
         for n in range(len(z)):
             at = turn[t] * (z[n].conjugate() if flip[t] else z[n]) + shift[t]
-            i, j = int((at.real - low[0]) // cell), int((at.imag - low[1]) // cell)
-            cost = CONTRADICTION
-            if 0 <= i < CELLS and 0 <= j < CELLS and table[i, j] >= 0:
-                cost = min(cost, 0.5 * ((log_ratio[n] - log_half[table[i, j]]) / RADIUS_SD) ** 2)
-            out[t] += cost
+            x, y = (at.real - low[0]) * cells, (at.imag - low[1]) * cells
+            inside = 0.0 <= x < CELLS and 0.0 <= y < CELLS
+            out[t] += of_place[n, table[int(x), int(y)] if inside else -1]
             if out[t] > HOPELESS:
                 break
     return out

@@ -112,17 +112,18 @@ def _search(w, log_r, large, z, log_half, datums, pitch, table, width, height): 
     what = np.zeros((MOST_SEEDS, 7), np.int64)
     scores = np.zeros(MOST_SEEDS)
     count = 0
-    log_gap = np.log(np.abs(np.expand_dims(w, 1) - w) + np.eye(len(w)))
+    log_gap = np.log(np.abs(np.expand_dims(w[large], 1) - w[large]) + np.eye(len(large)))
     log_side = np.log(np.abs(np.expand_dims(z, 1) - z) + np.eye(len(z)))
     log_least = np.log(SMALLEST_PX / pitch)
-    for i in large:
-        for j in large:
+    for ni in range(len(large)):
+        for nj in range(len(large)):
+            i, j = large[ni], large[nj]
             if i == j:
                 continue
             for na in range(len(datums)):
                 for nb in range(na + 1, len(datums)):
                     pa, pb = datums[na], datums[nb]
-                    log_scale = log_gap[i, j] - log_side[pa, pb]
+                    log_scale = log_gap[ni, nj] - log_side[pa, pb]
                     ratio_i = log_r[i] - log_half[pa] - log_scale
                     ratio_j = log_r[j] - log_half[pb] - log_scale
                     if abs(ratio_i - ratio_j) > RADIUS_SPREAD or abs(ratio_i + ratio_j) > 2 * RADIUS_RATIO:
@@ -137,9 +138,10 @@ def _search(w, log_r, large, z, log_half, datums, pitch, table, width, height): 
                             pc = datums[nc]
                             dz = z[pc] - z[pa]
                             want = w[i] + a * (dz.conjugate() if mirror else dz)
-                            far = max(span, abs(want - w[i]), abs(want - w[j]))
+                            reach = THIRD * max(span, abs(want - w[i]), abs(want - w[j]))
                             for k in large:
-                                if k == i or k == j or abs(w[k] - want) > THIRD * far:  # noqa: PLR1714, SIM109
+                                off = w[k] - want
+                                if k == i or k == j or off.real**2 + off.imag**2 > reach**2:  # noqa: PLR1714, SIM109
                                     continue
                                 ratio = log_r[k] - log_half[pc] - log_scale
                                 if abs(ratio - (ratio_i + ratio_j) / 2) > RADIUS_SPREAD:
