@@ -5,7 +5,6 @@ from pathlib import Path
 
 import numpy as np
 import pydicom
-import pytest
 
 from sightline.cli import demo as demo_module
 from sightline.detection.files import read_observations
@@ -24,27 +23,21 @@ EXPECTED = {
 }
 
 
-@pytest.fixture(scope="module")
-def made(run, tmp_path_factory: pytest.TempPathFactory):
-    out = tmp_path_factory.mktemp("demo") / "deep" / "demo"
-    return run("demo", "--out", out), out
-
-
 def load(folder: Path, name: str):
     return json.loads((folder / f"{name}.json").read_text())
 
 
-def test_it_says_where_everything_is(made) -> None:
-    ran, out = made
-    assert ran.code == 0, ran.err
+def test_it_says_where_everything_is(demo_run) -> None:
+    ran, out = demo_run
+    assert ran.exit_code == 0, ran.stderr
     assert {file.name for file in out.iterdir()} == EXPECTED
-    assert "report.html" in ran.out
-    assert "6/6" in ran.err
+    assert "report.html" in ran.stdout
+    assert "6/6" in ran.stderr
     assert [p.name for p in out.parent.iterdir()] == ["demo"]  # no scratch folder is left
 
 
-def test_images_are_like_those_of_a_c_arm(made) -> None:
-    _, out = made
+def test_images_are_like_those_of_a_c_arm(demo_folder) -> None:
+    out = demo_folder
     for view in ("pa", "lateral"):
         header = pydicom.dcmread(out / f"demo_{view}.dcm")
         assert header.Modality == "XA"
@@ -52,9 +45,9 @@ def test_images_are_like_those_of_a_c_arm(made) -> None:
             assert not header.get(tag)
 
 
-def test_every_label_is_true(made) -> None:
+def test_every_label_is_true(demo_folder) -> None:
     """Each bead lies where the truth has it, within 2 px (balls stand 10 px apart or more); the CSV agrees."""
-    _, out = made
+    out = demo_folder
     observed, truth = load(out, "observations"), load(out, "truth")["views"]
     again = read_observations(out / "observations.csv")
     for name in ("pa", "lateral"):
@@ -66,8 +59,8 @@ def test_every_label_is_true(made) -> None:
         np.testing.assert_array_equal(again[name].uv_px, uv)
 
 
-def test_the_plan_is_near_the_truth_and_says_how_near(made) -> None:
-    _, out = made
+def test_the_plan_is_near_the_truth_and_says_how_near(demo_folder) -> None:
+    out = demo_folder
     path, truth = load(out, "trajectory"), load(out, "truth")
     for point in ("entry_mm", "end_mm"):
         error = np.linalg.norm(np.subtract(path[point], truth[point]))
@@ -77,8 +70,8 @@ def test_the_plan_is_near_the_truth_and_says_how_near(made) -> None:
     assert {one["method"] for one in load(out, "comparison")} == {"smooth", "localized", "polynomial"}
 
 
-def test_the_report_holds_the_figures_of_the_json(made) -> None:
-    _, out = made
+def test_the_report_holds_the_figures_of_the_json(demo_folder) -> None:
+    out = demo_folder
     page = (out / "report.html").read_text()
     path = load(out, "trajectory")
     assert f"{path['error_95']['entry_mm']:.2f} mm" in page

@@ -1,0 +1,99 @@
+"""The pages keep up with the code: every check and error has its heading, links resolve, the README's Python runs."""
+
+import ast
+import inspect
+import re
+import shutil
+from pathlib import Path
+
+import pytest
+
+from sightline import errors
+from sightline.frame.check import check_frame
+from sightline.frame.model import Frame
+
+ROOT = Path(__file__).parents[1]
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", ROOT / "CHANGELOG.md", *sorted((ROOT / "docs").glob("*.md"))]
+# Checks whose name is not written where they are made: it comes from a table beside it.
+NAMED_ELSEWHERE = {"rule.name", "name"}
+
+
+def headings(page: Path) -> list[str]:
+    return re.findall(r"^#+ (.+)$", page.read_text(), flags=re.MULTILINE)
+
+
+def names_in(source: Path) -> set[str]:
+    """Names of the checks made in a file: of `Check(...)`, and of rules that become checks."""
+    found = set()
+    for call in ast.walk(ast.parse(source.read_text())):
+        if isinstance(call, ast.Call) and isinstance(call.func, ast.Name) and call.func.id in ("Check", "Rule"):
+            name = call.args[0]
+            if isinstance(name, ast.Constant):
+                found.add(name.value)
+            else:
+                assert ast.unparse(name) in NAMED_ELSEWHERE, f"{source.name}: where does {ast.unparse(name)} come from?"
+    return found
+
+
+def check_names() -> set[str]:
+    # The plan's three bounds are made in one loop over their names.
+    named_in_a_loop = {"entry error", "end error", "direction error"}
+    return named_in_a_loop.union(*(names_in(file) for file in (ROOT / "src" / "sightline").rglob("*.py")))
+
+
+def test_every_check_has_its_heading() -> None:
+    missing = check_names() - set(headings(ROOT / "docs" / "refusals.md"))
+    assert not missing
+
+
+def test_every_error_has_its_heading() -> None:
+    raised = {name for name, thing in inspect.getmembers(errors, inspect.isclass) if issubclass(thing, Exception)}
+    assert raised - set(headings(ROOT / "docs" / "refusals.md")) == set()
+
+
+def test_no_heading_stands_for_a_check_that_is_gone() -> None:
+    third = re.findall(r"^### (.+)$", (ROOT / "docs" / "refusals.md").read_text(), flags=re.MULTILINE)
+    assert len(third) == len(set(third))
+    assert {name for name in third if not name.endswith("Error")} <= check_names()
+
+
+def test_the_frame_checks_that_run_are_among_them() -> None:
+    assert {check.name for check in check_frame(Frame.load("gamma"))} <= check_names()
+
+
+def anchor(heading: str) -> str:
+    return re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-")
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda p: p.name)
+def test_links_lead_somewhere(page: Path) -> None:
+    text = re.sub(r"```.*?```", "", page.read_text(), flags=re.DOTALL)
+    for target in re.findall(r"\]\(([^)\s]+)\)", text):
+        if target.startswith(("https://", "mailto:")):
+            continue
+        path, _, part = target.partition("#")
+        file = (page.parent / path).resolve() if path else page
+        assert file.exists(), f"{page.name} links to {target}"
+        if part:
+            assert part in {anchor(h) for h in headings(file)}, f"{page.name} links to {target}"
+
+
+def test_pictures_of_the_readme_are_small() -> None:
+    pictures = list((ROOT / "docs" / "pictures").iterdir())
+    assert pictures
+    assert all(picture.stat().st_size < 300_000 for picture in pictures)
+
+
+def python_blocks(page: Path) -> list[str]:
+    return re.findall(r"^```python\n(.*?)^```", page.read_text(), flags=re.MULTILINE | re.DOTALL)
+
+
+def test_the_python_of_the_readme_runs(demo_folder: Path, tmp_path: Path, monkeypatch, capsys) -> None:
+    for name in ("pa", "lateral"):
+        shutil.copy(demo_folder / f"demo_{name}.dcm", tmp_path / f"{name}.dcm")
+    monkeypatch.chdir(tmp_path)
+    blocks = python_blocks(ROOT / "README.md")
+    assert blocks
+    for block in blocks:
+        exec(compile(block, "README.md", "exec"), {})  # noqa: S102 - our own page
+    assert re.search(r"-?\d+\.\d", capsys.readouterr().out)
