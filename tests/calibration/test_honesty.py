@@ -1,0 +1,69 @@
+"""Stated errors of lines of sight against the twin's truth: another model than the one calibration assumes."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from calibration_scenes import GAMMA
+from scipy.stats import chi2
+
+from sightline.calibration import calibrate, joint
+from sightline.calibration.beads import match
+from sightline.calibration.joint import fit_jointly
+from sightline.detection.results import Observations
+from sightline.twin import bead_images, draw_setup
+
+SD_PX = 0.1
+
+
+def observe(setup, view, rng):
+    ids, uv = bead_images(setup, view, rng, SD_PX)
+    return Observations(view, ids, uv, np.broadcast_to(SD_PX**2 * np.eye(2), (len(ids), 2, 2)))
+
+
+def squares(seeds):
+    """Squared error of a line at a target, in units of its stated covariance, for each view of each set-up."""
+    out = []
+    for seed in seeds:
+        rng = np.random.default_rng(seed)
+        setup = draw_setup(rng, GAMMA)
+        target = rng.uniform(-25.0, 25.0, (1, 3))
+        for name, truth in setup.views.items():
+            view = calibrate(observe(setup, name, rng), GAMMA)
+            lines = view.lines_of_sight(truth.project(target))
+            plane, focal = lines.plane, lines.focal_point_mm
+            gap = lines.xy_mm[0] - plane.central_projection(focal, target)[0]
+            moved = [plane.central_projection(focal + 1e-3 * e, target)[0] for e in np.eye(3)]
+            by_focal = (np.array(moved) - plane.central_projection(focal, target)[0]).T / 1e-3
+            response = np.hstack([-by_focal, np.eye(2)])
+            spread = response @ sum(lines.covariance.values()) @ response.T
+            out.append(gap @ np.linalg.solve(spread, gap))
+    return np.array(out)
+
+
+def test_errors_of_a_few_set_ups_are_of_the_size_stated():
+    # 16 squares of two numbers each: their sum is chi-square of 32 degrees of freedom if the covariance is right.
+    total = squares(range(8)).sum()
+    assert chi2.ppf(0.005, 32) < total < chi2.ppf(0.995, 32)
+
+
+@pytest.mark.slow
+def test_stated_ellipses_cover_as_they_say():
+    found = squares(range(100, 500))
+    for stated in (0.5, 0.95, 0.99):
+        share = np.mean(found <= chi2.ppf(stated, 2))
+        # 800 views, two of a set-up alike in nothing but their tube: 3.5 standard deviations of a share.
+        assert abs(share - stated) < 3.5 * np.sqrt(stated * (1 - stated) / len(found)), stated
+
+
+def test_a_third_step_changes_nothing(monkeypatch):
+    rng = np.random.default_rng(3)
+    beads = match(observe(draw_setup(rng, GAMMA), "pa", rng), GAMMA, "pa")
+    fit = fit_jointly(beads)
+    first = joint._Start.of
+    at_the_end = staticmethod(lambda beads, pencil: replace(first(beads, pencil), pencil=fit.pencil))
+    monkeypatch.setattr(joint._Start, "of", at_the_end)
+    again = fit_jointly(beads)
+    uv = np.array([[500.0, 500.0], [300.0, 700.0]])
+    assert np.abs(again.pencil.focal_point_mm - fit.pencil.focal_point_mm).max() < 1e-3
+    assert np.abs(again.map.to_plane(uv) - fit.map.to_plane(uv)).max() < 1e-5
