@@ -5,15 +5,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
-from scipy.stats import chi, norm
 
 from sightline.checks import Check, failed
 from sightline.errors import ErrorUnknownError, UnusableInputError
 from sightline.planning import Limits, SpacePoints, Trajectory, judge, plan, reconstruct
 from sightline.planning.results import BUDGET
-from sightline.planning.trajectory import radius_of
 
 from .standin import StandInView, stand_in
 
@@ -30,27 +26,6 @@ def _pixels(views: list[StandInView]) -> np.ndarray:
 
 def _trajectory(views: list[StandInView]) -> Trajectory:
     return Trajectory(reconstruct(views, _pixels(views)))
-
-
-@pytest.mark.parametrize("axes", [1, 2, 3])
-def test_radius_of_a_round_covariance(axes):
-    assert radius_of(4.0 * np.eye(axes)) == pytest.approx(2.0 * chi.ppf(0.95, axes), rel=2e-3)
-
-
-def test_radius_of_flat_covariances():
-    assert radius_of(np.diag([9.0, 0.0, 0.0])) == pytest.approx(3.0 * norm.ppf(0.975), rel=5e-3)
-    assert radius_of(np.zeros((3, 3))) == 0.0
-
-
-@settings(max_examples=10, deadline=None)
-@given(st.tuples(*[st.floats(0.05, 3.0)] * 3), st.sampled_from([0.5, 0.95, 0.99]))
-def test_radius_covers_its_share(sds, probability):
-    rng = np.random.default_rng(1)
-    turn = np.linalg.qr(rng.normal(size=(3, 3)))[0]
-    radius = radius_of(turn @ np.diag(np.square(sds)) @ turn.T, probability)
-    lengths = np.linalg.norm(np.array(sds) * rng.standard_normal((20_000, 3)), axis=1)
-    # A share of 20,000 scatters by 0.0035 at most; 4 of these.
-    assert np.mean(lengths < radius) == pytest.approx(probability, abs=0.014)
 
 
 def test_direction_error_by_sampling():

@@ -22,7 +22,8 @@ FARTHEST_SNAP_PX = 25.0
 class MatchingCurve:
     """A line of sight of `from_view` as `to_view` sees it, sampled every 2 mm where `to_view` is calibrated.
 
-    `depth_mm` (S,): along the line of sight from the reference plane of `from_view`, towards the X-ray source.
+    `depth_mm` (S,): along the line of sight from the reference plane of `from_view` (for views of a frame its XRII
+    plate), towards the X-ray source.
     `uv_px` (S, 2) and the unit `tangent_px` (S, 2), IDCS of `to_view`, follow the view's own map, so the curve bends
     with its distortion and may run in any direction. `xyz_mm` (S, 3) CFCS. `is_tick` (S,) bool: every 10 mm.
     `half_width_px` (S,): the true line lies within this across the curve with a probability of 95 %, the pick's own
@@ -58,7 +59,7 @@ def matching_curve(
     line = from_view.lines_of_sight(uv[None])
     towards = -line.directions[0]
     length = float(np.linalg.norm(line.points_mm[0] - line.focal_point_mm))
-    depth = np.arange(0.0, length, STEP_MM)
+    depth = STEP_MM * np.arange(-(length // STEP_MM), length // STEP_MM)
     xyz = line.points_mm[0] + depth[:, None] * towards
     seen = _seen(to_view, xyz)
     if seen.stop - seen.start < 3:

@@ -8,6 +8,7 @@ from scipy.linalg import block_diag
 
 from sightline.calibration.view import CalibratedView, LinesOfSight
 from sightline.errors import ReconstructionRefusedError, UnusableInputError
+from sightline.geometry.lines import nearest_approach
 from sightline.planning.picks import DEFAULT_PICK_SD_PX
 from sightline.planning.residuals import Residuals, covariance_by_source, pick_covariance_mm2
 from sightline.planning.results import SpacePoints
@@ -44,7 +45,8 @@ def reconstruct(
     uv, covariance, across = _picks(uv_px, uv_covariance_px2, across_px)
     lines = first.lines_of_sight(uv[0]), second.lines_of_sight(uv[1])
     _refuse_parallel(*lines)
-    xyz, gap = _nearest_approach(*lines)
+    nearest = nearest_approach(*[end for one in lines for end in (one.focal_point_mm, one.directions)])
+    xyz = nearest.middle_mm
     _refuse_behind(lines, xyz)
     used: Method = "nearest" if any(one.covariance is None for one in lines) else method
     solution = _Solution(lines, (covariance, across), xyz, used)
@@ -55,25 +57,14 @@ def reconstruct(
     tested = ~np.any(across != 0.0, axis=(0, 2))
     return SpacePoints(
         xyz_mm=xyz,
-        gap_mm=gap,
+        gap_mm=nearest.gap_mm,
         gap_tested=tested,
-        gap_sigma=None if gap_sd is None else np.where(tested, gap / gap_sd, 0.0),
+        gap_sigma=None if gap_sd is None else np.where(tested, nearest.gap_mm / gap_sd, 0.0),
         joint_covariance_mm2=None if budget is None else np.sum(list(budget.values()), axis=0),
         budget_mm2=budget,
         inside_hull=lines[0].inside_hull & lines[1].inside_hull,
         method=used,
     )
-
-
-def _nearest_approach(first: LinesOfSight, second: LinesOfSight) -> tuple[np.ndarray, np.ndarray]:
-    """Midpoints (N, 3) of the shortest connections of two lines, and their lengths (N,)."""
-    a, b = first.directions, second.directions
-    between = second.focal_point_mm - first.focal_point_mm
-    cosine = np.einsum("ia,ia->i", a, b)
-    sine2 = 1.0 - cosine**2
-    on_first = first.focal_point_mm + ((a @ between - cosine * (b @ between)) / sine2)[:, None] * a
-    on_second = second.focal_point_mm + ((cosine * (a @ between) - b @ between) / sine2)[:, None] * b
-    return 0.5 * (on_first + on_second), np.linalg.norm(on_first - on_second, axis=1)
 
 
 class _Solution:
@@ -173,7 +164,7 @@ def _two_views(views: Sequence[CalibratedView]) -> tuple[CalibratedView, Calibra
         raise UnusableInputError(f"{len(views)} views given; a point is reconstructed from exactly two")
     first, second = views
     baseline = float(np.linalg.norm(first.focal_point_mm - second.focal_point_mm))
-    if first is second or first.name == second.name or baseline < SMALLEST_BASELINE_MM:
+    if first is second or baseline < SMALLEST_BASELINE_MM:
         raise ReconstructionRefusedError(
             f"one view is given twice ({first.name!r} and {second.name!r}, X-ray sources {baseline:.1f} mm apart); "
             "give two images taken from different directions"

@@ -5,36 +5,13 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from scipy.integrate import lebedev_rule
-from scipy.optimize import root_scalar
-from scipy.stats import chi2
 
 from sightline.errors import ErrorUnknownError, UnusableInputError
+from sightline.geometry.covariance import length_quantile
 from sightline.planning.results import SpacePoints
 
 # Two picks nearer than this give no direction [ours].
 SHORTEST_MM = 5.0
-_DIRECTIONS, _SHARES = lebedev_rule(53)
-_SHARES = _SHARES / _SHARES.sum()
-
-
-def radius_of(covariance: np.ndarray, probability: float = 0.95) -> float:
-    """The length that a zero-mean Gaussian vector, (k, k) covariance with k <= 3, stays below with a probability.
-
-    |x|² = c * (n' L n), with c chi-square of 3 degrees, n uniform on the sphere and L the variances along the axes.
-    """
-    variances = np.zeros(3)
-    variances[: len(covariance)] = np.clip(np.linalg.eigvalsh(covariance), 0.0, None)
-    largest = float(variances.max())
-    if largest == 0.0:
-        return 0.0
-    along = np.maximum((variances / largest) @ _DIRECTIONS**2, 1e-300)
-
-    def excess(square: float) -> float:
-        return float(_SHARES @ chi2.cdf(square / along, 3)) - probability
-
-    square = root_scalar(excess, bracket=(0.0, float(chi2.ppf(probability, 3)) + 1.0)).root
-    return float(np.sqrt(largest * square))
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,17 +76,17 @@ class Trajectory:
     @cached_property
     def entry_error_95_mm(self) -> float:
         """With a probability of 95 % the entry point errs by less."""
-        return radius_of(self.covariance_mm2[:3, :3])
+        return float(length_quantile(self.covariance_mm2[:3, :3]))
 
     @cached_property
     def end_error_95_mm(self) -> float:
         """With a probability of 95 % the end point errs by less."""
-        return radius_of(self.covariance_mm2[3:, 3:])
+        return float(length_quantile(self.covariance_mm2[3:, 3:]))
 
     @cached_property
     def direction_error_95_rad(self) -> float:
         """With a probability of 95 % the direction errs by less."""
-        return radius_of(self.direction_covariance_rad2)
+        return float(length_quantile(self.direction_covariance_rad2))
 
     def budget_rms(self) -> dict[str, dict[str, float]]:
         """For each of BUDGET the rms error it causes: "entry_mm", "end_mm", "direction_rad". Their squares add up."""

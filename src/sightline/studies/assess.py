@@ -12,9 +12,9 @@ from scipy.stats import chi2
 from sightline.calibration import CalibratedView
 from sightline.checks import Check
 from sightline.errors import UnusableInputError
+from sightline.geometry.covariance import length_quantile
 from sightline.planning import SpacePoints, reconstruct
 from sightline.planning.reconstruct import Method
-from sightline.planning.trajectory import radius_of
 from sightline.studies.points import MeasuredPoints
 
 # Errors this unlikely under the covariance stated are not those of an honest covariance [ours].
@@ -61,7 +61,7 @@ class Assessment:
         """(N,) with a probability of 95 % the point errs by less; None where a view's error is unknown."""
         if self.points.joint_covariance_mm2 is None:
             return None
-        return np.array([radius_of(c) for c in self.points.covariance_mm2])
+        return length_quantile(self.points.covariance_mm2)
 
     @property
     def normalised(self) -> np.ndarray | None:

@@ -1,0 +1,49 @@
+"""Planning on views that another system calibrated: matrices, with and without a covariance."""
+
+import numpy as np
+import pytest
+
+import sightline as sl
+from sightline.checks import failed
+from sightline.planning import matching_curve, plan
+
+# Cameras 620 mm from the origin along -Z and along -X, 4760 px focal length.
+CAMERA = np.array([[4760.0, 0.0, 511.5], [0.0, 4760.0, 511.5], [0.0, 0.0, 1.0]])
+PA = CAMERA @ np.array([[1.0, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 620]])
+LATERAL = CAMERA @ np.array([[0.0, 1, 0, 0], [0, 0, 1, 0], [1, 0, 0, 620]])
+TARGETS_MM = np.array([[14.2, -8.3, 21.7], [-19.6, 11.4, -25.2]])
+COVARIANCE = np.diag((1e-6 * np.abs(PA).ravel() + 1e-9) ** 2)
+
+
+def _pixels(matrix: np.ndarray) -> np.ndarray:
+    homogeneous = np.column_stack([TARGETS_MM, np.ones(2)]) @ matrix.T
+    return homogeneous[:, :2] / homogeneous[:, 2:]
+
+
+UV_PX = np.array([_pixels(PA), _pixels(LATERAL)])
+
+
+def test_points_from_two_bare_matrices_and_no_go():
+    views = [sl.view_from_matrix(PA), sl.view_from_matrix(LATERAL)]
+    np.testing.assert_allclose(sl.reconstruct(views, UV_PX).xyz_mm, TARGETS_MM, atol=1e-6)
+    made = plan(views, UV_PX[:, 0], UV_PX[:, 1])
+    assert not made.verdict.go
+    assert "error known" in {check.name for check in failed(made.verdict.checks)}
+    assert made.entry_curve.half_width_px is None
+
+
+def test_a_matrix_with_covariance_is_weighed():
+    views = [sl.view_from_matrix(PA, COVARIANCE), sl.view_from_matrix(LATERAL, COVARIANCE)]
+    points = sl.reconstruct(views, UV_PX)
+    assert points.method == "weighted"
+    np.testing.assert_allclose(points.xyz_mm, TARGETS_MM, atol=1e-6)
+    assert (np.linalg.eigvalsh(points.joint_covariance_mm2) > 0.0).all()
+
+
+@pytest.mark.parametrize("k", [0, 1])
+def test_the_curve_reaches_both_sides_of_the_reference_plane(k):
+    """The plane of a matrix view passes through the origin: targets lie before and behind it."""
+    views = [sl.view_from_matrix(PA, name="pa"), sl.view_from_matrix(LATERAL, name="lateral")]
+    curve = matching_curve(views[0], UV_PX[0, k], views[1])
+    assert np.linalg.norm(curve.xyz_mm - TARGETS_MM[k], axis=1).min() < 1.01
+    assert np.linalg.norm(curve.uv_px - UV_PX[1, k], axis=1).min() < 8.0
