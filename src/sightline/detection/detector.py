@@ -13,9 +13,9 @@ from sightline.imaging import Radiograph
 _SMALLEST_PX, _LARGEST_PX = 1.7, 27.0  # what is promised, 2-25 px, and a margin for the fit
 _NOISIEST_PX = 0.75  # a centre less certain than this is of no use; promised is recall below 0.5 px [ours]
 _FAINTEST_SD = 5.0  # contrast over its standard deviation: no false bead from noise in 1024² px [calc]
-# Residual beyond noise over contrast (beads 0.05, rarely 0.11, also on bone edges; anatomy and metal more), and contrast
-# of the weakest eighth over that of the whole (beads 0.8 and more, 0.63 at low dose) [twin, ARCADIS]: with neighbours
-# taken out of the window, and before.
+# Residual beyond noise over contrast (beads 0.05, rarely 0.11, also on bone edges; anatomy and metal more), and
+# contrast of the weakest eighth over that of the whole (beads 0.8 and more, 0.63 at low dose) [twin, ARCADIS]:
+# with neighbours taken out of the window, and before.
 _STRICT = 0.12, 0.6
 _LOOSE = 0.25, 0.2
 _SOFTEST = 0.45  # blur over radius of a shape with a rim [ARCADIS: 0.1-0.3; anatomy 0.5-1]

@@ -93,7 +93,7 @@ def _strongest(spots: np.ndarray) -> np.ndarray:
 
 
 @nb.njit(parallel=True, cache=True, fastmath=True)
-def _spots(first, second, third, base, step: int, sd: float) -> tuple[np.ndarray, np.ndarray]:
+def _spots(first, second, third, base, step: int, sd: float) -> tuple[np.ndarray, np.ndarray]:  # noqa: PLR0917
     """Local extrema of both bands, graded: per chunk of rows their number and columns."""
     height, width = first.shape
     counts = np.zeros(_CHUNKS, np.int64)
@@ -128,7 +128,7 @@ def _is_extremum(fine, coarse, y, x, value) -> bool:
 
 
 @nb.njit(cache=True, fastmath=True)
-def _grade(fine, coarse, base, y, x, value, sigma, step, sd, out):
+def _grade(fine, coarse, base, y, x, value, sigma, step, sd, out):  # noqa: PLR0917
     """Sub-pixel place, radius of the steepest rim, and score: -1 nothing, 0 not round, else the step in noise."""
     left, right = fine[y, x - 1] - coarse[y, x - 1], fine[y, x + 1] - coarse[y, x + 1]
     above, below = fine[y - 1, x] - coarse[y - 1, x], fine[y + 1, x] - coarse[y + 1, x]

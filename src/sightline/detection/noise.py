@@ -11,7 +11,7 @@ LAGS = 4  # px; a detector blur of 0.7-1.2 px leaves a correlation below 3 % bey
 _SILL = 6  # px; lag at which noise counts as uncorrelated
 _NO_FLAT_AREA = 0.3  # correlation at the last lag above which the blocks hold structure, not noise [ours]
 _USUAL_BLUR = 0.9  # px; sigma of an intensifier's blur: 0.22 mm at 0.21-0.3 mm/px [physics.md]
-# White share added to the noise before it is inverted: the fit must not undo the blur where the model of the bead is not
+# White share added to the noise before it is inverted: the fit must not undo the blur where the bead's model is not
 # exact. 0.1-0.2 is the most efficient for blurs of 0.6-1.3 px: 1.1-1.2 times the bound [calc]
 _NUGGET = 0.2
 _QUIET = 0.3  # the quietest share of the blocks is taken as free of structure [ours]
@@ -95,7 +95,7 @@ def _weighting(correlation: np.ndarray) -> np.ndarray:
 
 @nb.njit(parallel=True, cache=True, fastmath=True)
 def _variograms(image: np.ndarray, mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Per block: mean level (-inf if not inside the mask) and half mean squared difference at lags 1..LAGS and the sill.
+    """Per block: mean level (-inf if outside the mask), half mean squared difference at lags 1..LAGS and the sill.
 
     A plane is taken off first. Every second block of either direction is looked at.
     """

@@ -1,4 +1,4 @@
-"""Sub-pixel beads: a blurred disc or ball on a quadratic background, fitted to log intensity and weighted for its noise."""
+"""Sub-pixel beads: a blurred disc or ball on a quadratic background, fitted to log intensity, weighted for noise."""
 
 import numba as nb
 import numpy as np
@@ -14,7 +14,7 @@ _SHAPE, _N = 5, 11
 U, V, RADIUS, CONTRAST, BLUR, CUU, CUV, CVV, CCC, CHI2, MISFIT, WEAKEST, HOLLOW, STATUS, PIXELS, NOISE = range(16)
 FITTED, TOO_FEW_PIXELS, WANDERED, SINGULAR = 0, 1, 2, 3
 _LEAST_BLUR = 0.35  # px; a pixel alone blurs as much
-_STEPS = 10
+_STEPS = 25
 _WEIGHTED_STEPS = 3
 _ENOUGH = 250  # pixels for a coarse fit; of a wider window every second, third ... along the rows [ours]
 _FAST = {"reassoc", "contract", "arcp", "nsz"}  # all of fastmath that keeps NaN and infinity
@@ -36,7 +36,7 @@ def fit_coarsely(
 def fit_finely(
     log_image: np.ndarray, usable: np.ndarray, coarse: np.ndarray, others: np.ndarray, noise: NoiseModel
 ) -> np.ndarray:
-    """Fit weighted for correlated noise from each row of `coarse`: the same columns, with the covariance of the centre."""
+    """From each row of `coarse` a fit weighted for correlated noise: the same columns, covariance included."""
     tables = profile_table(ball=True), profile_table(ball=False)
     return _fine(
         log_image, usable, coarse, others, noise.offset, noise.slope, noise.weighting, noise.correlation, *tables
@@ -79,7 +79,7 @@ def _profile(table, r, radius, blur):
 
 
 @nb.njit(cache=True, fastmath=_FAST)
-def _model(table, p, x, y, scale, gradient):
+def _model(table, p, x, y, scale, gradient):  # noqa: PLR0917
     """Log intensity at (x, y) and its background; the derivatives by the parameters go into `gradient`."""
     dx, dy = x - p[U], y - p[V]
     r = np.sqrt(dx * dx + dy * dy) + 1e-9
@@ -295,7 +295,8 @@ def _fit_fine(image, usable, others, table, offset, slope, weighting, correlatio
         return
     out[PIXELS] = (J[:, :, _SHAPE] != 0.0).sum()
     out[CHI2] = chi2 / max(_expected_chi2(J, weighting * correlation) - _N, 1.0)
-    scale2 = (_PRIOR_PIXELS + out[PIXELS] * out[CHI2]) / (_PRIOR_PIXELS + out[PIXELS])
+    # Residuals may show more noise than the model has (structure), not less: few pixels tell too little for that.
+    scale2 = max(1.0, (_PRIOR_PIXELS + out[PIXELS] * out[CHI2]) / (_PRIOR_PIXELS + out[PIXELS]))
     _covariance(Z, A, mask, left - u, top - v, reach, correlation, scale2, out)
     out[:_SHAPE] = p[:_SHAPE]
     out[U] += u
