@@ -11,6 +11,7 @@ from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
 from multiprocessing import get_context
 from typing import Any
+from unittest.mock import patch
 
 import numpy as np
 from scipy.spatial import Delaunay
@@ -95,7 +96,7 @@ def _draw_target(
 
 def in_parallel(function: Callable[[Any], Any], arguments: Iterable[Any]) -> list[Any]:
     """`function` of each argument on all cores, one thread each, in order."""
-    for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "NUMBA_NUM_THREADS"):
-        os.environ[name] = "1"
-    with ProcessPoolExecutor(os.cpu_count(), mp_context=get_context("spawn")) as pool:
+    one_thread = dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
+    pool = ProcessPoolExecutor(os.cpu_count(), mp_context=get_context("spawn"))
+    with patch.dict(os.environ, one_thread), pool:
         return list(pool.map(function, arguments, chunksize=4))

@@ -71,7 +71,7 @@ def test_the_band_covers_the_true_line():
     pa, lateral, uv = _drawn()
     truth = lateral.project(TARGET_MM[None])[0]
     rng = np.random.default_rng(8)
-    draws, inside = 150, 0
+    draws, inside = 100, 0
     for _ in range(draws):
         drawn = [view.draw_errors(rng) for view in (pa, lateral)]
         drawn[1]["frame"] = drawn[0]["frame"]

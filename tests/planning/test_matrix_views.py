@@ -5,6 +5,7 @@ import pytest
 
 import sightline as sl
 from sightline.checks import failed
+from sightline.errors import ReconstructionRefusedError
 from sightline.planning import matching_curve, plan
 
 # Cameras 620 mm from the origin along -Z and along -X, 4760 px focal length.
@@ -38,6 +39,20 @@ def test_a_matrix_with_covariance_is_weighed():
     assert points.method == "weighted"
     np.testing.assert_allclose(points.xyz_mm, TARGETS_MM, atol=1e-6)
     assert (np.linalg.eigvalsh(points.joint_covariance_mm2) > 0.0).all()
+
+
+def test_an_error_of_zero_is_refused():
+    views = [sl.view_from_matrix(PA, 0.0 * COVARIANCE), sl.view_from_matrix(LATERAL, 0.0 * COVARIANCE)]
+    assert np.isfinite(sl.reconstruct(views, UV_PX).covariance_mm2).all()
+    with pytest.raises(ReconstructionRefusedError, match="no error at all"):
+        sl.reconstruct(views, UV_PX, np.zeros((2, 2, 2, 2)))
+
+
+def test_snapped_picks_on_exact_views():
+    views = [sl.view_from_matrix(PA, 0.0 * COVARIANCE), sl.view_from_matrix(LATERAL, 0.0 * COVARIANCE)]
+    trajectory = plan(views, UV_PX[:, 0], UV_PX[:, 1], snapped=True).trajectory
+    np.testing.assert_allclose(trajectory.points.xyz_mm, TARGETS_MM, atol=1e-3)
+    assert not trajectory.points.gap_tested.any()
 
 
 @pytest.mark.parametrize("k", [0, 1])

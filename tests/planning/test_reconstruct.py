@@ -108,7 +108,7 @@ def test_snapped_pick_is_one_number():
     truth = _seen(views, TARGETS_MM[:1])
     rng = np.random.default_rng(7)
     sd, squares = 0.5, []
-    for _ in range(200):
+    for _ in range(150):
         estimated = _estimates(views, rng)
         clicks = truth[:, 0] + rng.normal(0.0, sd, (2, 2))
         pick = snap(matching_curve(estimated[0], clicks[0], estimated[1]), clicks[1], sd)
@@ -129,7 +129,7 @@ def test_snapped_pick_is_one_number():
             assert np.linalg.eigvalsh(excess).max() > 1e-3
     for probability in (0.5, 0.95):
         inside = np.mean(np.array(squares) < chi2.ppf(probability, 3))
-        assert inside == pytest.approx(probability, abs=4 * np.sqrt(probability * (1 - probability) / 200))
+        assert inside == pytest.approx(probability, abs=4 * np.sqrt(probability * (1 - probability) / 150))
 
 
 def test_snapped_limit_equals_a_huge_variance():

@@ -81,7 +81,7 @@ class _Solution:
         self.residuals = Residuals.at(lines[0], xyz_mm), Residuals.at(lines[1], xyz_mm)
         self.covariances = _covariances(self.residuals, covariance_px2)
         if method == "weighted" and self.covariances is not None:
-            information = np.linalg.inv(_own(self.covariances))
+            information = _inverse(_own(self.covariances))
         else:
             information = _nearness(self.residuals)
         information = _forget(information, lines, across_px)
@@ -134,6 +134,17 @@ def _covariances(
 def _own(covariances: dict[str, np.ndarray]) -> np.ndarray:
     """(N, 4, 4): the total covariance of each point's own residuals."""
     return np.einsum("ipiq->ipq", np.sum(list(covariances.values()), axis=0))
+
+
+def _inverse(covariance: np.ndarray) -> np.ndarray:
+    """(N, 4, 4). Raises ReconstructionRefusedError where something is stated to have no error at all."""
+    try:
+        return np.linalg.inv(covariance)
+    except np.linalg.LinAlgError:
+        raise ReconstructionRefusedError(
+            "the covariances of picks and views together are singular: something is stated to have no error at all; "
+            "give every pick a covariance above zero"
+        ) from None
 
 
 def _nearness(residuals: tuple[Residuals, Residuals]) -> np.ndarray:
@@ -197,7 +208,9 @@ def _picks(
         raise UnusableInputError(
             "a point is snapped in both views; one of its picks must be free, the other snapped to its curve"
         )
-    return uv, covariance, across
+    # What is stated across a snapped pick's curve is not used; something above zero keeps the matrices regular.
+    size = np.trace(covariance, axis1=-2, axis2=-1)[..., None, None]
+    return uv, covariance + size * across[..., :, None] * across[..., None, :], across
 
 
 def _positive(covariance: np.ndarray) -> bool:
