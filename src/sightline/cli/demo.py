@@ -20,6 +20,8 @@ if TYPE_CHECKING:
     from sightline.twin import HipScene, SetUp
 
 METHODS: "tuple[Method, ...]" = ("smooth", "localized", "polynomial")  # the first is the one that the plan is made with
+# The first seed whose beads surround the whole wire in both images: elsewhere `localized` has no answer to compare.
+SEED = 9
 PICK_SD_PX = 0.5  # a careful click (physics.md, Picks) [ours]
 BY_HAND = f"picked by hand: {PICK_SD_PX:g} px of noise, lateral picks snapped to their curves"
 EXACT = "located exactly: no noise, 0.1 px assumed"
@@ -33,7 +35,7 @@ def register(app: typer.Typer) -> None:
 def demo(
     *,
     out: Annotated[Path, typer.Option(help="Folder for the report, the images and the results.")] = Path("out/demo"),
-    seed: Annotated[int, typer.Option(min=0, help="Another seed is another patient, C-arm and frame.")] = 1,
+    seed: Annotated[int, typer.Option(min=0, help="Another seed is another patient, C-arm and frame.")] = SEED,
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:
