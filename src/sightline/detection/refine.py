@@ -253,7 +253,7 @@ def _judge(pixels, table, p, scale, offset, slope, out):  # noqa: PLR0917
     out[NOISE] = noise / len(pixels)
     out[WEAKEST] = 1.0
     for k in range(8):
-        if meant[k] > 0:
+        if meant[k] > meant.sum() / 32:  # a sector that a neighbour covers says nothing
             out[WEAKEST] = min(out[WEAKEST], seen[k] / meant[k])
     out[HOLLOW] = hollow / middle
 

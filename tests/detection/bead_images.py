@@ -1,0 +1,64 @@
+"""Images of beads whose truth is known: ideal shadows, Poisson counts, then the detector's blur."""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from sightline.imaging import Radiograph
+
+_OVER = 8  # samples per pixel and axis
+BLUR_PX = 0.9
+
+
+@dataclass(frozen=True)
+class Bead:
+    """`depth`: attenuation along the diameter of a ball; of a disc anywhere. Negative: a hole. `inner`: of a washer."""
+
+    u: float
+    v: float
+    radius: float
+    depth: float = 3.0
+    ball: bool = True
+    inner: float = 0.0
+
+
+def transmission(bead: Bead, shape: tuple[int, int]) -> np.ndarray:
+    """Share of the rays that passes the bead, (H, W), averaged over each pixel."""
+    out = np.ones(shape)
+    reach = int(bead.radius) + 2
+    left, top = int(bead.u) - reach, int(bead.v) - reach
+    n = 2 * reach + 1
+    fine = (np.arange(n * _OVER) + 0.5) / _OVER - 0.5
+    r2 = ((fine[None, :] + left - bead.u) ** 2 + (fine[:, None] + top - bead.v) ** 2) / bead.radius**2
+    path = np.sqrt(np.clip(1 - r2, 0, None)) if bead.ball else ((r2 < 1) & (r2 >= (bead.inner / bead.radius) ** 2))
+    patch = np.exp(-bead.depth * path).reshape(n, _OVER, n, _OVER).mean(axis=(1, 3))
+    y0, y1, x0, x1 = max(top, 0), min(top + n, shape[0]), max(left, 0), min(left + n, shape[1])
+    out[y0:y1, x0:x1] = patch[y0 - top : y1 - top, x0 - left : x1 - left]
+    return out
+
+
+def quanta(beads: list[Bead], open_quanta: np.ndarray, scatter: float = 0.4) -> np.ndarray:
+    """Expected counts per pixel: primary behind the beads, and scatter that they do not stop."""
+    primary = open_quanta.copy()
+    for bead in beads:
+        primary *= transmission(bead, open_quanta.shape)
+    return primary + scatter * open_quanta
+
+
+def radiograph(
+    expected: np.ndarray, rng: np.random.Generator | None, white: int = 4095, level: float = 0.6
+) -> Radiograph:
+    """12-bit image of the expected counts; without `rng` neither noise nor digitisation."""
+    gain = level * white / float(np.median(expected))
+    counts = expected if rng is None else rng.poisson(expected).astype(float)
+    image = cv2.GaussianBlur(counts, (0, 0), BLUR_PX, borderType=cv2.BORDER_REFLECT) * gain
+    if rng is None:
+        return Radiograph(np.clip(image, 0, white).astype(np.float32), white)
+    return Radiograph(np.clip(np.rint(image), 0, white).astype(np.uint16), white)
+
+
+def grid(spacing: float, size: int, rng: np.random.Generator) -> np.ndarray:
+    """(N, 2) places on a grid, each at its own sub-pixel phase."""
+    ticks = np.arange(spacing, size - spacing / 2, spacing)
+    return np.stack(np.meshgrid(ticks, ticks), axis=-1).reshape(-1, 2) + rng.uniform(-0.5, 0.5, (len(ticks) ** 2, 2))
