@@ -11,6 +11,14 @@ from sightline.errors import ErrorUnknownError
 BUDGET = ("beads", "map", "focal_point", "frame", "picks")
 
 
+def error_unknown() -> ErrorUnknownError:
+    """What is raised where an error is asked for that nobody knows."""
+    return ErrorUnknownError(
+        "a view has no covariance, so the error of its points is unknown; "
+        "calibrate both views from their beads, or give the matrix of a view with its covariance"
+    )
+
+
 @dataclass(frozen=True, eq=False)
 class SpacePoints:
     """N points reconstructed from two views, CFCS.
@@ -43,10 +51,7 @@ class SpacePoints:
     def covariance_mm2(self) -> np.ndarray:
         """(N, 3, 3). Raises ErrorUnknownError where a view has no covariance."""
         if self.joint_covariance_mm2 is None:
-            raise ErrorUnknownError(
-                "a view has no covariance, so the error of its points is unknown; "
-                "calibrate both views from their beads, or give the matrix of a view with its covariance"
-            )
+            raise error_unknown()
         n = len(self.xyz_mm)
         return np.einsum("iaib->iab", self.joint_covariance_mm2.reshape(n, 3, n, 3))
 

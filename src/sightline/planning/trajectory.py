@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from sightline.errors import ErrorUnknownError, UnusableInputError
+from sightline.errors import UnusableInputError
 from sightline.geometry.covariance import length_quantile
-from sightline.planning.results import SpacePoints
+from sightline.planning.results import SpacePoints, error_unknown
 
 # Two picks nearer than this give no direction [ours].
 SHORTEST_MM = 5.0
@@ -18,9 +18,8 @@ SHORTEST_MM = 5.0
 class Trajectory:
     """A straight path from the entry point to the end point (the tip of the wire), CFCS: no robot is known here.
 
-    `entry_mm` (3,), `end_mm` (3,). `covariance_mm2` (6, 6) of (entry, end), or None where a view's error is unknown;
-    `budget_mm2`: the same for each of BUDGET. `points`: the two reconstructed points with their gaps.
-    Raises UnusableInputError where the two points give no direction.
+    `points`: the two reconstructed points, with their joint covariance, budget and gaps. What depends on their errors
+    raises ErrorUnknownError where a view's error is unknown. Raises UnusableInputError for points without a direction.
     """
 
     points: SpacePoints
@@ -60,7 +59,7 @@ class Trajectory:
     def covariance_mm2(self) -> np.ndarray:
         """(6, 6) of (entry, end). Raises ErrorUnknownError."""
         if self.points.joint_covariance_mm2 is None:
-            raise ErrorUnknownError("a view has no covariance, so the error of the trajectory is unknown")
+            raise error_unknown()
         return self.points.joint_covariance_mm2
 
     @property
@@ -91,7 +90,7 @@ class Trajectory:
     def budget_rms(self) -> dict[str, dict[str, float]]:
         """For each of BUDGET the rms error it causes: "entry_mm", "end_mm", "direction_rad". Their squares add up."""
         if self.points.budget_mm2 is None:
-            raise ErrorUnknownError("a view has no covariance, so the error of the trajectory is unknown")
+            raise error_unknown()
         return {
             source: {
                 "entry_mm": float(np.sqrt(np.trace(c[:3, :3]))),
