@@ -57,9 +57,11 @@ def _arcadis() -> list[Row]:
     rows = []
     for name in _BEADS:
         found = detect(read_image(_DATA / f"{name}.dcm"))
-        large = int((found.radius_px > 1.3 * np.median(found.radius_px)).sum())
-        figure = f"{len(found) - large} small + {large} large"
-        rows.append(Row("detection", name, figure, "16 small + 2 large", met=figure == "16 small + 2 large"))
+        size = found.radius_px / np.median(found.radius_px)
+        small, large = int((abs(size - 1) < 0.15).sum()), int(((size > 1.4) & (size < 2)).sum())
+        figure = f"{small} small + {large} large + {len(found) - small - large} of no ball's size"
+        met = (small, large, len(found)) == (16, 2, 18)
+        rows.append(Row("detection", name, figure, "16 small + 2 large, no other", met=met))
     for name in _PLATES:
         found = detect(read_image(_DATA / f"{name}.dcm"))
         holes = found.kind.count("hole")
