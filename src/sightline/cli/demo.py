@@ -41,7 +41,9 @@ def demo(
 ) -> None:
     """Make two images with the digital twin, plan a wire on them, and compare with the truth."""
     with Output(json=json, quiet=quiet) as output:
-        output.note(f"Sightline demo, seed {seed}: about half a minute, the first time a little more")
+        output.note(
+            f"Sightline demo, seed {seed}: about a quarter of a minute; the first run compiles and takes about one"
+        )
         out.parent.mkdir(parents=True, exist_ok=True)
         # Everything is made beside its place and moved there at the end: an interrupted run leaves nothing.
         with TemporaryDirectory(dir=out.parent, prefix=".demo-") as scratch:
