@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Check:
-    """One named check. `figure` is None where it could not be measured; then the check fails.
+    """One named check. `figure` is None where the check is no measurement, or where it could not be measured, and then the check fails.
 
     `name` is a key of docs/refusals.md; `figure` and `limit` are in `unit`.
     """

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sightline.calibration.focal_point import meeting_point, meeting_point_response
+from sightline.calibration.focal_point import focal_point, focal_point_response
 from sightline.errors import CalibrationRefusedError
 
 FOCAL_MM = np.array([5.0, -9.0, -620.0])
@@ -12,14 +12,14 @@ TO_MM = FOCAL_MM + (770.0 / 920.0) * (FROM_MM - FOCAL_MM)
 
 
 def test_lines_through_one_point_meet_there():
-    np.testing.assert_allclose(meeting_point(FROM_MM, TO_MM), FOCAL_MM, atol=1e-8)
+    np.testing.assert_allclose(focal_point(FROM_MM, TO_MM), FOCAL_MM, atol=1e-8)
 
 
 def test_the_response_is_the_derivative():
-    by_from, by_to = meeting_point_response(FROM_MM, TO_MM, FOCAL_MM)
+    by_from, by_to = focal_point_response(FROM_MM, TO_MM, FOCAL_MM)
     rng, step = np.random.default_rng(1), 1e-5
     a, b = rng.standard_normal((2, 20, 3))
-    moved = meeting_point(FROM_MM + step * a, TO_MM + step * b) - meeting_point(FROM_MM, TO_MM)
+    moved = focal_point(FROM_MM + step * a, TO_MM + step * b) - focal_point(FROM_MM, TO_MM)
     told = np.einsum("nij,nj->i", by_from, a) + np.einsum("nij,nj->i", by_to, b)
     np.testing.assert_allclose(moved / step, told, rtol=1e-3, atol=1e-3)
 
@@ -32,7 +32,7 @@ def test_the_point_minimises_the_squared_distances():
     def cost(point):
         return np.sum(np.cross(point - FROM_MM, direction) ** 2)
 
-    found = meeting_point(FROM_MM, to_mm)
+    found = focal_point(FROM_MM, to_mm)
     assert all(cost(found) < cost(found + 0.5 * sign * axis) for axis in np.eye(3) for sign in (-1, 1))
 
 
@@ -45,4 +45,4 @@ def test_the_point_minimises_the_squared_distances():
 )
 def test_lines_that_meet_nowhere_are_refused(from_mm, to_mm, words):
     with pytest.raises(CalibrationRefusedError, match=words):
-        meeting_point(from_mm, to_mm)
+        focal_point(from_mm, to_mm)

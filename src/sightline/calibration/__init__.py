@@ -2,7 +2,6 @@
 
 from sightline.calibration.bead_view import BeadView
 from sightline.calibration.calibrate import calibrate
-from sightline.calibration.checks import checks_at
 from sightline.calibration.fit import fit_map
 from sightline.calibration.matrix import MatrixView, view_from_matrix
 from sightline.calibration.residuals import Residuals
@@ -19,7 +18,6 @@ __all__ = [
     "SetupAdvice",
     "advise",
     "calibrate",
-    "checks_at",
     "fit_map",
     "view_from_matrix",
 ]

@@ -1,4 +1,4 @@
-"""What is checked of a calibrated view, and of the places in it where a plan looks.
+"""What is checked of a calibrated view; what a plan asks of it at its target, planning checks.
 
 A view is never judged by its focal point alone: an error of F along the beam of 100 mm can mean less than 0.2 mm at
 the target.
@@ -13,7 +13,6 @@ from scipy.stats import chi2
 from sightline.calibration.beads import Beads
 from sightline.calibration.joint import JointFit
 from sightline.calibration.residuals import Residuals
-from sightline.calibration.view import CalibratedView, LinesOfSight
 from sightline.checks import Check
 from sightline.frame import Frame
 from sightline.geometry.planes import Plane
@@ -23,7 +22,6 @@ GOOD_COVERAGE = 0.45  # [ours] share of each plate's area, within the hull of it
 GOOD_LEAVE_ONE_OUT_MM = 0.5  # [ours] half of the 1 mm the paper reaches at the entry point
 GOOD_NOISE_PX = 2.0  # [ours] twice an ordinary click (physics.md, Picks)
 CHI_SQUARE_FALSE_ALARM = 1e-4  # [ours]
-GOOD_TARGET_MM = 1.0  # [paper] within 1 mm at entry; 95 % radius
 
 
 def view_checks(beads: Beads, residuals: Residuals) -> list[Check]:
@@ -58,51 +56,6 @@ def noise_checks(fit: JointFit) -> list[Check]:
         else "The residuals are larger than the noise and tolerances stated explain: check labels and frame."
     )
     return [Check("chi-square", figure <= limit, figure, limit, "", sentence)]
-
-
-def checks_at(
-    view: CalibratedView, uv_px: np.ndarray, xyz_mm: np.ndarray, limit_mm: float = GOOD_TARGET_MM
-) -> list[Check]:
-    """Of the places where pixels (N, 2) see points (N, 3) CFCS: inside the beads' hull, and the line's own error there.
-
-    The error is that of the line of sight alone, across itself: the pick and the other view come on top.
-    """
-    lines = view.lines_of_sight(uv_px)
-    outside = int((~lines.inside_hull).sum())
-    hull = Check(
-        "target inside hull",
-        outside == 0,
-        float(outside),
-        0.0,
-        "points",
-        f"View {view.name}: all points lie within the beads' hull."
-        if outside == 0
-        else f"View {view.name}: {outside} points lie outside the beads' hull, where the map guesses: move the frame",
-    )
-    figure = _error_at(lines, np.asarray(xyz_mm, dtype=np.float64))
-    if figure is None:
-        sentence = f"View {view.name} has no covariance, so its error at the target is unknown."
-        return [hull, Check("line error at target", False, None, limit_mm, "mm", sentence)]
-    sentence = f"View {view.name}: its lines of sight are known at the target to {figure:.2f} mm (95 %)."
-    return [hull, Check("line error at target", figure <= limit_mm, figure, limit_mm, "mm", sentence)]
-
-
-def _error_at(lines: LinesOfSight, xyz_mm: np.ndarray) -> float | None:
-    """Largest 95 % radius of the lines at the points, mm; None where the error is unknown."""
-    if lines.covariance is None:
-        return None
-    total = np.sum(list(lines.covariance.values()), axis=0)
-    focal, plane = lines.focal_point_mm, lines.plane
-    share = 1 - plane.height_mm(xyz_mm) / plane.height_mm(focal)  # of the way from F to the plane
-    worst = 0.0
-    for i, s in enumerate(share):
-        move = np.zeros((3, total.shape[0]))
-        move[:, :3] = (1 - s) * np.eye(3)
-        move[:, 3 + 2 * i : 5 + 2 * i] = s * plane.axes.T
-        across = np.eye(3) - np.outer(lines.directions[i], lines.directions[i])
-        spread = across @ move @ total @ move.T @ across
-        worst = max(worst, float(np.linalg.eigvalsh(spread)[-1]))
-    return float(np.sqrt(chi2.ppf(0.95, 2) * worst))
 
 
 def _count(count: int) -> Check:

@@ -12,7 +12,7 @@ from typing import Literal, Protocol
 import numpy as np
 
 from sightline.calibration.beads import Beads
-from sightline.calibration.focal_point import meeting_point, meeting_point_response
+from sightline.calibration.focal_point import focal_point, focal_point_response
 from sightline.calibration.hull import Hull
 from sightline.calibration.posterior import LineErrors
 from sightline.calibration.projection import Pencil, refuse_misplaced
@@ -110,7 +110,7 @@ class ClassicalFit:
         beads = [self.xrii.beads, self.source.beads]
         sizes = [len(b) for b in beads]
         at_lines = self.xrii.beads.uv_px[self.lines]
-        by_from, by_to = meeting_point_response(self.from_mm, self.to_mm, self.focal_point_mm)
+        by_from, by_to = focal_point_response(self.from_mm, self.to_mm, self.focal_point_mm)
         in_source = self.source.plane.axes
         to_plane2 = np.einsum("nij,kj->nik", by_to, in_source)  # F by the source plane's coordinates (L, 3, 2)
         n = len(uv_px)
@@ -168,7 +168,7 @@ def fit_plates(beads: Beads, fit: Fitter, through: PlateName, noise_px: float | 
     lines = np.flatnonzero(_mapped(source, xrii.beads.uv_px))
     from_mm = xrii.beads.xyz_mm[lines]
     to_mm = source.plane.to_space(source.map.to_plane(xrii.beads.uv_px[lines]))
-    focal = meeting_point(from_mm, to_mm)
+    focal = focal_point(from_mm, to_mm)
     refuse_misplaced(Pencil.through(xrii.plane, focal), beads.xyz_mm)
     return ClassicalFit(xrii, source, through, focal, lines, from_mm, to_mm)
 

@@ -1,7 +1,7 @@
 """Go or no-go: the planned trajectory held against limits."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -26,7 +26,7 @@ class Limits:
 def judge(trajectory: Trajectory, views: Sequence[CalibratedView], limits: Limits | None = None) -> Verdict:
     """All that speaks for or against drilling along a trajectory: the views' own checks, then the plan's."""
     limits = limits or Limits()
-    checks = [check for view in views for check in view.checks]
+    checks = [replace(check, sentence=f"{view.name}: {check.sentence}") for view in views for check in view.checks]
     checks.append(_error_known(trajectory))
     if trajectory.points.joint_covariance_mm2 is not None:
         checks += [*_errors(trajectory, limits), *_gaps(trajectory)]
@@ -42,7 +42,7 @@ def _error_known(trajectory: Trajectory) -> Check:
         else "Error unknown: a view states no covariance, so nothing can be said of the trajectory's error; "
         "calibrate both views from their beads, or give the matrix of a view with its covariance."
     )
-    return Check("error known", known, float(known), 1.0, "", sentence)
+    return Check("error known", known, None, None, "", sentence)
 
 
 def _errors(trajectory: Trajectory, limits: Limits) -> list[Check]:
