@@ -7,6 +7,7 @@ import pytest
 
 from sightline.detection.files import read_observations, write_observations
 from sightline.detection.results import Observations
+from sightline.imaging import Radiograph, read_image, write_png
 
 
 @pytest.mark.parametrize("method", ["smooth", "localized", "polynomial"])
@@ -32,6 +33,20 @@ def test_an_image_gives_the_same_view_as_its_observations_written_as_csv(run, pa
     again = run("calibrate", tmp_path / "pa.csv", "--json")
     assert again.code == image.code
     np.testing.assert_allclose(again.document["focal_point_mm"], image.document["focal_point_mm"], rtol=1e-9)
+    assert again.document["set_up"] is None  # a table does not say where its image ended
+
+
+def test_an_image_that_cuts_the_plates_says_what_to_move(run, pair, tmp_path: Path) -> None:
+    """A third of the field is shuttered: the beads there are lost, and the frame can be moved out of the shadow."""
+    image = read_image(pair["pa"])
+    pixels = np.array(image.pixels)
+    pixels[:, : pixels.shape[1] // 3] = 0
+    path = write_png(Radiograph(pixels, image.white), tmp_path / "cut.png")
+    whole, cut = (run("calibrate", p, "--json").document["set_up"] for p in (pair["pa"], path))
+    assert sum(cut["outside"].values()) > 0.2 + sum(whole["outside"].values())
+    assert "outside the field: move the frame" in cut["sentences"][0]
+    assert sum(cut["outside_after"].values()) < sum(cut["outside"].values())
+    assert "move the frame" in run("calibrate", path).out
 
 
 def test_people_read_the_focal_point_the_residuals_and_the_checks(run, beads_csv: Path) -> None:

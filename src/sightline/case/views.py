@@ -38,11 +38,17 @@ class CalibratedImage:
         return self.view.name
 
 
-def see(path: Path, frame: Frame) -> Seen:
-    """Beads of one image, found and told apart; which view it is, the datum markers tell."""
-    image = read_image(path)
+def see(
+    path: Path,
+    frame: Frame,
+    view: str | None = None,
+    datums: dict[str, tuple[float, float]] | None = None,
+    frame_index: int | None = None,
+) -> Seen:
+    """Beads of one image, found and told apart (`label`): without `view`, the datum markers tell which it is."""
+    image = read_image(path, frame_index)
     beads = detect(image)
-    return Seen(path.name, label(beads, frame), image, beads)
+    return Seen(path.name, label(beads, frame, view, datums), image, beads)
 
 
 def _from_csv(path: Path, name: str) -> Seen:

@@ -58,9 +58,13 @@ def calibrate(
             seen = see(image, known_frame, view, datum, frame_index)
         if csv is not None:
             write_observations([seen.observations], csv)
+        # Before the calibration: where that is refused for want of beads, this says how to get them.
+        advice = _advise(seen, known_frame)
+        for sentence in advice["sentences"] if advice else ():
+            out.say(sentence)
         with out.step(f"calibrating ({method})"):
             calibrated = fit(seen.observations, known_frame, view, method)  # pyright: ignore[reportArgumentType]
-        document = view_document(CalibratedImage(seen, calibrated))
+        document = view_document(CalibratedImage(seen, calibrated)) | {"set_up": advice}
         _add_leave_one_out(document, calibrated)
         _show(out, document)
         out.result(document, calibrated.checks)
@@ -68,21 +72,31 @@ def calibrate(
 
 def see(path: Path, frame: "Frame", view: str | None, datum: list[str] | None, frame_index: int | None) -> "Seen":
     """The beads of one view, told apart: of an image, or of a CSV file. Raises what reading and labelling raise."""
-    from sightline.case.views import Seen
-    from sightline.detection import detect, label
+    from sightline.case import views
     from sightline.errors import UnusableInputError
-    from sightline.imaging import read_image
 
     if path.suffix.lower() == ".csv":
         if datum or frame_index is not None:
             raise UnusableInputError(
                 "--datum and --frame-index are of images; observations in CSV are told apart already"
             )
-        return Seen(path.name, _observed(path, view))
-    datums = _datums(datum)
-    radiograph = read_image(path, frame_index)
-    beads = detect(radiograph)
-    return Seen(path.name, label(beads, frame, view, datums), radiograph, beads)
+        return views.Seen(path.name, _observed(path, view))
+    return views.see(path, frame, view, _datums(datum), frame_index)
+
+
+def _advise(seen: "Seen", frame: "Frame") -> dict[str, Any] | None:
+    """What to move before the next exposure; None for observations, which do not say where their field ended."""
+    from sightline.calibration import advise
+
+    if seen.image is None:
+        return None
+    advice = advise(seen.observations, frame, seen.image.field_mask)
+    return {
+        "sentences": advice.sentences,
+        "outside": advice.outside,
+        "outside_after": advice.outside_after,
+        "move_mm": advice.move_mm,
+    }
 
 
 def _observed(path: Path, view: str | None) -> Any:
