@@ -4,15 +4,15 @@ import cv2
 import numpy as np
 
 from sightline.detection import refine
-from sightline.detection.find import find_candidates
-from sightline.detection.noise import NoiseModel, estimate_noise
+from sightline.detection.find import distinct, find_candidates
+from sightline.detection.noise import estimate_noise
 from sightline.detection.results import Detections, Rejected
 from sightline.errors import DetectionRefusedError
 from sightline.imaging import Radiograph
 
 _SMALLEST_PX, _LARGEST_PX = 1.7, 27.0  # what is promised, 2-25 px, and a margin for the fit
 _NOISIEST_PX = 0.75  # a centre less certain than this is of no use; promised is recall below 0.5 px [ours]
-_FAINTEST_SD = 5.0  # contrast over its standard deviation: no false bead from noise in 1024² px [calc]
+_FAINTEST_SD = 4.0  # contrast over its standard deviation; a candidate has a step of 4.5 already [ours]
 # Residual beyond noise over contrast (beads 0.05, rarely 0.11, also on bone edges; anatomy and metal more), and
 # contrast of the weakest eighth over that of the whole (beads 0.8 and more, 0.63 at low dose) [twin, ARCADIS]:
 # with neighbours taken out of the window, and before.
@@ -21,8 +21,8 @@ _LOOSE = 0.25, 0.2
 _SOFTEST = 0.45  # blur over radius of a shape with a rim [ARCADIS: 0.1-0.3; anatomy 0.5-1]
 # Against the other beads of the image, where there are enough of them to tell what is usual.
 _ENOUGH_TO_COMPARE = 8
-_BLURRED = 1.45  # times the usual blur: one detector, one blur; beads 0.8-1.4, other things 1.5-9 [twin]
-_SLIGHT = 0.33  # times the usual contrast x radius: 3 and 5 mm balls at two heights differ by 2 [twin: 0.42 and more]
+_BLURRED = 2.3  # times the usual blur: one detector, one blur; beads up to 1.9 at low dose, anatomy 2.8 and more [twin]
+_SMALL = 0.55  # of the usual radius: beads 0.62 and more, grains beside the beads 0.45 and less [twin, ARCADIS]
 _MINORITY = 0.33  # of the beads: no frame has both balls and holes
 
 _FILL = 4  # px; what lies outside the field is filled at this coarseness
@@ -39,22 +39,22 @@ def detect(image: Radiograph) -> Detections:
 
     Raises DetectionRefusedError where nothing in the image looks like a bead.
     """
-    mask = np.ascontiguousarray(image.field_mask)
+    mask = _inset(image.field_mask)
     log_image = _log_image(image)
     noise = estimate_noise(log_image, mask)
     if noise is None:
         raise DetectionRefusedError(
             "the image has no area of 16x16 px inside its field of view to measure noise in; give a larger image"
         )
-    spots = find_candidates(_filled(log_image, mask), _broad_noise(noise, log_image, mask))
-    inside = mask[spots.uv_px[:, 1].astype(int), spots.uv_px[:, 0].astype(int)]
-    rejected = _rejections(spots.uv_px, spots.radius_px, _NOT_ROUND, ~spots.round & inside & (spots.response < -0.02))
-    taken = spots.round & inside
-    rows = np.column_stack([spots.uv_px, spots.radius_px, spots.response])[taken]
+    spots = find_candidates(_filled(log_image, mask), mask, noise)
+    rows = np.column_stack([spots.uv_px, spots.radius_px, spots.response])
+    rejected = _rejected(rows[~spots.round], np.full(len(rows), _NOT_ROUND))
+    rows = rows[spots.round]
     coarse = refine.fit_coarsely(log_image, mask, rows, rows[:0], noise)
     reason = _shape_reasons(coarse, _LOOSE)
+    rejected += _rejected(coarse[reason != ""], reason[reason != ""])
     beads, repeated = _apart(coarse[reason == ""])
-    rejected += _rejected(coarse[reason != ""], reason[reason != ""]) + repeated
+    rejected += repeated
     fine = refine.fit_finely(log_image, mask, beads, beads[:, : refine.BLUR], noise)
     reason = _fine_reasons(fine)
     rejected += _rejected(fine[reason != ""], reason[reason != ""])
@@ -68,6 +68,11 @@ def detect(image: Radiograph) -> Detections:
             "with beads of 2-25 px radius, exposed so that they differ from their surroundings"
         )
     return _detections(beads, image, rejected)
+
+
+def _inset(mask: np.ndarray) -> np.ndarray:
+    """The field without its outermost pixels, which may be mixed with what lies outside."""
+    return cv2.erode(mask.view(np.uint8), np.ones((5, 5), np.uint8)).view(bool)
 
 
 def _log_image(image: Radiograph) -> np.ndarray:
@@ -95,12 +100,6 @@ def _filled(log_image: np.ndarray, mask: np.ndarray) -> np.ndarray:
     everywhere = cv2.resize(filled, log_image.shape[::-1], interpolation=cv2.INTER_LINEAR)
     cv2.copyTo(log_image, mask.view(np.uint8), everywhere)
     return everywhere
-
-
-def _broad_noise(noise: NoiseModel, log_image: np.ndarray, mask: np.ndarray) -> float:
-    """Noise of a broad mean: root of (variance times the sum of the two-dimensional correlation)."""
-    typical = float(np.median(log_image[::8, ::8][mask[::8, ::8]]))
-    return float(np.sqrt(noise.variance(typical))) * float(1 + 2 * noise.correlation[1:].sum())
 
 
 def _excess(fit: np.ndarray) -> np.ndarray:
@@ -146,30 +145,23 @@ def _odd_ones(beads: np.ndarray) -> np.ndarray:
         reason[usual & (beads[:, refine.BLUR] > _BLURRED * np.median(beads[usual, refine.BLUR]))] = (
             "its rim is softer than those of the other beads"
         )
-        reason[usual & (strength < _SLIGHT * np.median(strength[usual]))] = "much slighter than the other beads"
+        reason[usual & (beads[:, refine.RADIUS] < _SMALL * np.median(beads[usual, refine.RADIUS]))] = (
+            "much smaller than the other beads"
+        )
     return reason
 
 
 def _apart(fit: np.ndarray) -> tuple[np.ndarray, tuple[Rejected, ...]]:
     """Of fits that share a place the one that explains most of the image."""
     strength = np.abs(fit[:, refine.CONTRAST]) * fit[:, refine.RADIUS] / (0.05 + _excess(fit))
-    order = np.argsort(-strength, kind="stable")
-    fit = fit[order]
-    keep = np.ones(len(fit), bool)
-    for i in range(1, len(fit)):
-        near = keep[:i] & (np.hypot(*(fit[:i, :2] - fit[i, :2]).T) < np.maximum(fit[:i, 2], fit[i, 2]))
-        keep[i] = not near.any()
-    why = np.full(np.count_nonzero(~keep), "lies on a stronger bead", dtype=object)
-    return fit[keep], _rejected(fit[~keep], why)
+    fit = fit[np.argsort(-strength, kind="stable")]
+    keep = distinct(fit)
+    return fit[keep], _rejected(fit[~keep], np.full(len(fit), "lies on a stronger bead"))
 
 
-def _rejections(uv_px: np.ndarray, radius_px: np.ndarray, why: str, which: np.ndarray) -> tuple[Rejected, ...]:
-    rows = np.column_stack([uv_px, radius_px])[which].tolist()
-    return tuple(Rejected((u, v), radius, why) for u, v, radius in rows)
-
-
-def _rejected(fit: np.ndarray, reasons: np.ndarray) -> tuple[Rejected, ...]:
-    return tuple(Rejected((u, v), r, why) for (u, v, r), why in zip(fit[:, :3].tolist(), reasons, strict=True))
+def _rejected(rows: np.ndarray, reasons: np.ndarray) -> tuple[Rejected, ...]:
+    """What stands in the first three columns, u, v and radius, each with its reason."""
+    return tuple(Rejected((u, v), r, str(why)) for (u, v, r), why in zip(rows[:, :3].tolist(), reasons, strict=False))
 
 
 def _detections(beads: np.ndarray, image: Radiograph, rejected: tuple[Rejected, ...]) -> Detections:
