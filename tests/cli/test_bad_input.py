@@ -202,14 +202,7 @@ def world(pair, observations, beads_csv: Path, frame: Frame, setup, tmp_path: Pa
     return World(pair, observations, beads_csv, frame, setup, tmp_path)
 
 
-# The built-in frames have one set of datum patterns, so an image of one fits another at another scale.
-KNOWN_GAPS = {"wrong frame for the image": "built-in frames share their datum patterns"}
-
-
-@pytest.mark.parametrize(
-    "case",
-    [pytest.param(c, marks=[pytest.mark.xfail(reason=KNOWN_GAPS[c])] if c in KNOWN_GAPS else []) for c in CASES],
-)
+@pytest.mark.parametrize("case", CASES)
 def test_bad_input_ends_in_a_message_that_says_what_to_do(run, world: World, case: str) -> None:
     make, code, says = CASES[case]
     arguments = make(world)

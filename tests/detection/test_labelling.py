@@ -1,6 +1,7 @@
 """Beads are told apart rightly, or not at all."""
 
 from dataclasses import replace
+from itertools import permutations
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from hypothesis import strategies as st
 from sightline.detection import Detections, Observations, label
 from sightline.errors import FrameError, LabellingRefusedError, ObservationsError
 from sightline.frame import Fiducial, Frame, FrameView, Plate
+from sightline.frame.builtin import BUILTIN
 
 GAMMA = Frame.load("gamma")
 ALL_SEEN = Hiding(most=0.15)
@@ -92,7 +94,8 @@ def test_a_hundred_scenes_are_right_or_refused() -> None:
         assert_right(found, one)
         solved += one.solvable
     assert solvable > 70
-    assert solved >= 0.97 * solvable  # 98 % over 10,000 scenes: benchmarks/bench_labelling.py
+    # 98 % of 10,000 scenes (benchmarks/bench_labelling.py), less two standard deviations of the share of 80.
+    assert solved >= 0.95 * solvable
 
 
 @settings(max_examples=20, deadline=None, derandomize=True)
@@ -137,13 +140,24 @@ def test_the_view_given_is_kept_when_right_and_refused_when_wrong() -> None:
         label(one.detections, GAMMA, view="oblique")
 
 
-@pytest.mark.parametrize(("shown", "used"), [("biplane", "gamma"), ("gamma", "biplane")])
+@pytest.mark.parametrize(("shown", "used"), list(permutations(BUILTIN, 2)))
 def test_the_image_of_another_frame_is_refused(shown: str, used: str) -> None:
     other = Frame.load(shown)
     for seed in range(4):
-        one = scene(seed, next(iter(other.views)), other)
-        with pytest.raises(LabellingRefusedError):
+        one = scene(seed, list(other.views)[seed % 2], other)
+        with pytest.raises(LabellingRefusedError) as refusal:
             label(one.detections, Frame.load(used))
+        assert refusal.type is LabellingRefusedError
+
+
+@pytest.mark.parametrize("factor", [0.85, 1.15])
+def test_balls_of_another_size_are_refused_with_both_sizes(factor: float) -> None:
+    one = scene(3)
+    sized = replace(one.detections, radius_px=one.detections.radius_px * factor)
+    with pytest.raises(LabellingRefusedError, match=r"and the frame says 3\.00 mm") as refusal:
+        label(sized, GAMMA)
+    looks = float(str(refusal.value).split(" look ")[1].split(" mm")[0])
+    assert looks == pytest.approx(3.0 * factor, rel=0.06)  # the scene's own factor lies within 0.98-1.04
 
 
 @pytest.mark.parametrize("count", [0, 3, 15])

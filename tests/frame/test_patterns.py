@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sightline.frame import Frame
-from sightline.frame.builtin import BUILTIN
+from sightline.frame.builtin import BUILTIN, builtin_design, patterns_for
 from sightline.frame.design import grid_places
 from sightline.frame.model import ROLES
 from sightline.frame.patterns import Triples, fewest_left, in_steps, nearest_likeness, resemblance, search
@@ -34,6 +34,25 @@ def test_no_wrong_placement_agrees_in_three_datums(name):
                 if i == j and index == 0:
                     agreeing = agreeing[np.abs(found).max(axis=1) > 0.01]
                 assert agreeing.max() <= 2
+
+
+@pytest.mark.parametrize(
+    ("one", "other", "most"), [("gamma", "biplane", 3), ("biplane", "stereo", 3), ("gamma", "stereo", 4)]
+)
+def test_no_placement_of_one_frame_on_another_agrees_in_most_datums_of_six(one, other, most):
+    for mine in (points[datum] for points, datum in plates(one)):
+        for points, datum in plates(other):
+            for placing in PLACINGS:
+                shifts = (points[datum][:, None] - mine @ placing.T).reshape(-1, 2)
+                apart = np.linalg.norm(shifts[:, None] - shifts, axis=2)
+                assert (apart < 0.01).sum(axis=1).max() <= most
+
+
+def test_frames_of_other_names_have_other_patterns_and_one_name_always_the_same():
+    beams = builtin_design("gamma").beams
+    ours, again, theirs = (patterns_for(beams, name=name) for name in ("ours", "ours", "theirs"))
+    assert ours == again
+    assert all(a != b for view in beams for a, b in zip(ours[view], theirs[view], strict=True))
 
 
 @pytest.mark.parametrize("name", BUILTIN)

@@ -98,7 +98,7 @@ def _design(name: str, like: str, stated: dict[str, Any], datums: int | None) ->
     from sightline.frame.builtin import builtin_design, patterns_for
 
     design = replace(builtin_design(like), name=name, **stated)
-    return replace(design, patterns=patterns_for(design.beams, design.rows, 6 if datums is None else datums))
+    return replace(design, patterns=patterns_for(design.beams, design.rows, 6 if datums is None else datums, name))
 
 
 def _document(frame: "Frame") -> dict[str, Any]:

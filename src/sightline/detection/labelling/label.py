@@ -4,11 +4,12 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 
+from sightline.detection.labelling.checks import FINAL, Stop
 from sightline.detection.labelling.growth import Grown, grow
 from sightline.detection.labelling.naming import readings
 from sightline.detection.labelling.patterns import Pattern, patterns
 from sightline.detection.labelling.seeds import Seed, best_similarity, find_seeds
-from sightline.detection.labelling.solve import FINAL, LEAST_BEADS, Problem, Solution, Stop, solve
+from sightline.detection.labelling.solve import LEAST_BEADS, Problem, Solution, solve
 from sightline.detection.results import Detections, Observations
 from sightline.errors import LabellingRefusedError, ObservationsError
 from sightline.frame import Frame
@@ -46,11 +47,14 @@ def label(
             f"{usable.sum()} beads were found, and {LEAST_BEADS} of each plate are needed; check that the frame is in "
             "the field and the exposure is not too low or too high"
         )
-    if datums is not None:
-        problem = Problem(detections, usable, couples, view or _view_of(datums, frame), told=True)
-        solution = solve(problem, _told(problem, datums))
-    else:
-        solution = _found(Problem(detections, usable, couples, view))
+    try:
+        if datums is not None:
+            problem = Problem(detections, usable, couples, view or _view_of(datums, frame), told=True)
+            solution = solve(problem, _told(problem, datums))
+        else:
+            solution = _found(Problem(detections, usable, couples, view))
+    except Stop as stop:
+        raise LabellingRefusedError(str(stop)) from None
     return Observations(
         view=solution.view,
         ids=solution.ids,
@@ -62,7 +66,7 @@ def label(
 
 
 def _found(problem: Problem) -> Solution:
-    """The first solution that stands; else the refusal of the attempt that came furthest."""
+    """The first solution that stands; else the refusal of the attempt that came furthest. Raises Stop."""
     stops: list[Stop] = []
     lone: list[Grown] = []
     for first in _lattices(problem, problem.usable, MOST_FIRST):
@@ -80,9 +84,10 @@ def _found(problem: Problem) -> Solution:
     if largest is not None and (not stops or problem.usable.sum() < (1 + LEFT_OVER) * len(largest)):
         raise _one_plate(problem, largest)
     if not stops:
-        raise LabellingRefusedError(
+        raise Stop(
+            0,
             f"no three of the {problem.usable.sum()} beads found are datum markers of this frame; check that it is the "
-            "frame in the image, show more of its datum markers, or give their pixels"
+            "frame in the image, show more of its datum markers, or give their pixels",
         )
     raise max(stops, key=lambda stop: stop.stage)
 
@@ -92,11 +97,10 @@ def _one_plate(problem: Problem, lattice: Grown) -> Stop:
     every = [pattern for couple in problem.couples for pattern in couple]
     read = [one for pattern in every if (one := readings(lattice, pattern))]
     best = min(read, key=lambda one: one.cost.min()).pattern if read else lattice.pattern
-    role = {"xrii": "XRII", "source": "source"}[best.role]
     return Stop(
         1,
-        f"only one plate was found: {len(lattice)} beads that look most like the {role} plate of the {best.view} view; "
-        "move the C-arm or the frame until both plates are in the field",
+        f"only one plate was found: {len(lattice)} beads that look most like the {best.role_name} plate of the "
+        f"{best.view} view; move the C-arm or the frame until both plates are in the field",
     )
 
 
@@ -148,7 +152,7 @@ def _couple(problem: Problem) -> tuple[Pattern, Pattern]:
 
 
 def _told_plate(problem: Problem, pattern: Pattern, datums: Mapping[str, tuple[float, float]]) -> Grown:
-    detections, role = problem.detections, pattern.role
+    detections = problem.detections
     rows, places = [], []
     for place, name in enumerate(pattern.ids):
         if name not in datums:
@@ -161,11 +165,15 @@ def _told_plate(problem: Problem, pattern: Pattern, datums: Mapping[str, tuple[f
         places.append(place)
     off = pattern.xy_mm[places] - pattern.xy_mm[places].mean(axis=0) if places else np.zeros((0, 2))
     if len(places) < 3 or np.linalg.svd(off)[1][1] / np.sqrt(len(off)) < LEAST_SPREAD * pattern.pitch_mm:
-        raise ObservationsError(f"give three or more datum markers of the {role} plate that are not on one line")
+        raise ObservationsError(
+            f"give three or more datum markers of the {pattern.role_name} plate that are not on one line"
+        )
     similarity = best_similarity(pattern.xy_mm[places], detections.uv_px[rows])
     grown = grow(Seed(pattern, similarity, np.array(rows), np.array(places), 0.0), detections, problem.usable)
     if len(grown) < LEAST_BEADS:
         raise Stop(
-            1, f"only {len(grown)} beads of the {role} plate lie where the datum markers given put them; check them"
+            1,
+            f"only {len(grown)} beads of the {pattern.role_name} plate lie where the datum markers given put them; "
+            "check them",
         )
     return grown

@@ -13,7 +13,7 @@ from sightline.detection.labelling.patterns import Pattern
 # misjudged size, or against a bead where the plate has none (2 % each) [ours].
 RADIUS_SD = 0.1
 CONTRADICTION = 4.0
-HOPELESS = 40.0  # a reading that costs more is not followed further [ours]
+HOPELESS = 24.0  # a reading that costs as much more than another is not followed further: six contradictions [ours]
 ON_PLACE = 0.25  # of the pitch [ours]
 CELLS = 96
 SECTOR = np.pi / 6  # two plates of one view are turned alike within half of this [ours]
@@ -49,18 +49,20 @@ def _costs(z, log_ratio, turn, shift, flip, table, low, cell, log_half):  # noqa
     for n in range(len(z)):
         for p in range(len(log_half)):
             of_place[n, p] = min(CONTRADICTION, 0.5 * ((log_ratio[n] - log_half[p]) / RADIUS_SD) ** 2)
-    cells = 1.0 / cell
+    cells, least = 1.0 / cell, np.inf
     for t in range(len(turn)):
         for n in range(len(z)):
             at = turn[t] * (z[n].conjugate() if flip[t] else z[n]) + shift[t]
             x, y = (at.real - low[0]) * cells, (at.imag - low[1]) * cells
             inside = 0.0 <= x < CELLS and 0.0 <= y < CELLS
             out[t] += of_place[n, table[int(x), int(y)] if inside else -1]
-            if out[t] > HOPELESS:
+            if out[t] > least + HOPELESS:
                 break
+        least = min(least, out[t])
     return out
 
 
+@lru_cache(maxsize=8)
 def _base_pair(grown: Grown) -> tuple[int, int] | None:
     """Two detections on neighbouring places, as near to the middle of the lattice as there are."""
     row_of = np.full(len(grown.pattern.ids), -1)
@@ -89,9 +91,11 @@ def readings(grown: Grown, pattern: Pattern) -> Readings | None:
     table, low, cell = _place_table(pattern)
     log_half = np.log(pattern.diameter_mm / 2)
     log_ratio = grown.log_ratio[grown.all_rows]
+    larger = log_ratio - np.median(log_ratio)
+    telling = np.argsort(-larger)  # first the beads that few readings explain
     cost = _costs(
-        grown.xy_mm[grown.all_rows] @ np.array([1.0, 1j]),
-        log_ratio - np.median(log_ratio),
+        grown.xy_mm[grown.all_rows[telling]] @ np.array([1.0, 1j]),
+        larger[telling],
         turn,
         shift,
         flip,

@@ -34,6 +34,11 @@ class Pattern:
     bead_sd_mm: float
 
     @property
+    def role_name(self) -> str:
+        """The plate's name in a message."""
+        return {"xrii": "XRII", "source": "source"}[self.role]
+
+    @property
     def datums(self) -> np.ndarray:
         """Rows of the datum markers."""
         return np.flatnonzero(self.datum)

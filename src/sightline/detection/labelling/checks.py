@@ -1,0 +1,110 @@
+"""Whether labels can be true: the fit must be one that this frame, a C-arm and an intensifier can give."""
+
+import numpy as np
+
+from sightline.detection.labelling.growth import Grown
+from sightline.detection.labelling.joint import Joint, Model
+
+FINAL = 6
+WORST_SD = 0.02  # of the pitch: the scatter of the beads about their places; 2 px at the design distance [ours]
+BEND = 4.5  # most standard deviations of the prior that a map may need [ours]
+BALL_LOG_SIZE = 0.06  # by which balls may look larger or smaller; -0.02 to 0.03 in 108 images of the twin [ours]
+SIZES_WRONG = 3  # wrong sizes that say nothing yet: 2 % are misjudged, and pairs that touch look large [ours]
+EXPLAINED = 0.6  # least share of the ball-like detections that must be beads of the frame [ours]
+FOCAL_MM = (300.0, 2000.0)  # of the focal point from the XRII plate; 920 mm at the design distance [ours]
+FOCAL_SLOPE = 0.7  # tangent of the beam's angle to the plates: 35° [ours]
+
+
+class Stop(Exception):  # noqa: N818 - the attempt stops, labelling may go on
+    """Why an attempt ended, and how far it had come: the refusal of the furthest attempt is the one reported.
+
+    At FINAL the beads are explained and the geometry contradicts them: no other attempt is made.
+    """
+
+    def __init__(self, stage: int, message: str) -> None:
+        super().__init__(message)
+        self.stage = stage
+
+
+def check(model: Model, fit: Joint, beads: np.ndarray, pair: tuple[Grown, Grown], ball_like: int) -> None:
+    """Can beads (B, 2) of detection and place be labelled so? Raises Stop.
+
+    `ball_like`: how many detections look like beads.
+    """
+    _check_map(model, fit, beads)
+    _check_explained(beads, ball_like)
+    _check_pattern(pair)
+    _check_ball_size(fit, pair)
+    _check_focal_point(model, fit, beads)
+
+
+def _check_map(model: Model, fit: Joint, beads: np.ndarray) -> None:
+    """Do the beads lie in their places, by a map that an intensifier has?"""
+    off = fit.xy_mm[beads[:, 0]] - fit.target_mm[beads[:, 1]]
+    scatter = float(np.sqrt((off**2).mean()))
+    if scatter > WORST_SD * model.xrii.pitch_mm:
+        raise Stop(5, f"the beads miss their places on the XRII plate by {scatter:.2f} mm; check the frame file")
+    if fit.bend > BEND:
+        raise Stop(5, "the labels would need a distortion that no intensifier has; is this the frame in the image?")
+
+
+def _check_explained(beads: np.ndarray, ball_like: int) -> None:
+    """Are most detections that look like beads explained?"""
+    if len(beads) < EXPLAINED * ball_like:
+        raise Stop(
+            5,
+            f"only {100 * len(beads) / ball_like:.0f} % of what looks like the frame's beads is on one of its places; "
+            "check the frame file, or give the datum markers' pixels",
+        )
+
+
+def _check_pattern(pair: tuple[Grown, Grown]) -> None:
+    """Are the datum markers where this frame has them? Another frame's grid may fit, its pattern does not."""
+    agree = contradict = 0
+    for plate in pair:
+        sizes = np.unique(plate.pattern.diameter_mm)
+        log_size = np.log(sizes / 2)
+        seen = np.abs(plate.log_ratio[plate.all_rows][:, None] - log_size).argmin(axis=1)
+        said = np.searchsorted(sizes, plate.pattern.diameter_mm)[plate.all_places]
+        agree += int((plate.pattern.datum[plate.all_places] & (seen == said)).sum())
+        contradict += int((seen != said).sum())
+    if contradict > max(SIZES_WRONG, agree):
+        raise Stop(
+            FINAL,
+            f"the sizes of {contradict} balls contradict the frame's pattern of datum markers and those of {agree} "
+            "datum markers agree; this is another frame than the file describes",
+        )
+
+
+def _check_ball_size(fit: Joint, pair: tuple[Grown, Grown]) -> None:
+    """Have the balls of each plate their size, measured by the plate's own grid?
+
+    A tilted plate's grid looks narrower by the cosine of the tilt in one direction, its balls do not.
+    """
+    for plate in pair:
+        pattern = plate.pattern
+        ray = fit.focal_point_mm - pattern.xyz_mm[plate.places].mean(axis=0)
+        cosine = abs(float(ray @ pattern.plane.normal)) / float(np.linalg.norm(ray))
+        larger = plate.level + np.log(cosine) / 2
+        if abs(larger) > BALL_LOG_SIZE:
+            says = float(np.median(pattern.diameter_mm))
+            raise Stop(
+                FINAL,
+                f"the balls of the {pattern.role_name} plate look {says * np.exp(larger):.2f} mm and the "
+                f"frame says {says:.2f} mm; is this the frame in the image?",
+            )
+
+
+def _check_focal_point(model: Model, fit: Joint, beads: np.ndarray) -> None:
+    """Is the focal point where a C-arm can have it, beyond the source plate?"""
+    shadows = model.shadows
+    away = shadows.normal * np.sign(shadows.height_mm.mean())
+    ray = fit.focal_point_mm - model.xrii.plane.to_space(fit.target_mm[beads[:, 1]].mean(axis=0))
+    far = float(ray @ away)
+    aside = float(np.linalg.norm(ray - far * away))
+    if not FOCAL_MM[0] < far < FOCAL_MM[1] or aside > FOCAL_SLOPE * far:
+        raise Stop(
+            FINAL,
+            f"the labels put the focal point {far:.0f} mm from the XRII plate and {aside:.0f} mm aside, where no C-arm "
+            "has it; check that the frame file describes the frame in the image",
+        )
