@@ -53,6 +53,23 @@ def test_bright_holes_are_found_and_named() -> None:
     assert np.sqrt((error**2).mean()) < 0.06
 
 
+def test_washers_are_measured_at_their_outer_rim() -> None:
+    rng = np.random.default_rng(13)
+    places = grid(50, SIZE, rng)
+    washers = np.arange(len(places)) % 3 == 0
+    beads = [
+        Bead(u, v, 13.0, depth=1.0, ball=False, inner=6.5) if hollow else Bead(u, v, 8.0)
+        for (u, v), hollow in zip(places, washers, strict=True)
+    ]
+    found = detect(radiograph(quanta(beads, flat()), rng))
+    at = matched(found, places)
+    assert len(found) == len(places)
+    assert [found.kind[k] for k in at] == ["washer" if hollow else "ball" for hollow in washers]
+    assert found.radius_px[at][washers] == pytest.approx(13.0, abs=0.8)
+    error = found.uv_px[at][washers] - places[washers]
+    assert np.sqrt((error**2).mean()) < 0.08
+
+
 def test_two_sizes_are_found_in_one_image() -> None:
     rng = np.random.default_rng(5)
     places = grid(50, SIZE, rng)

@@ -4,7 +4,8 @@ import cv2
 import numpy as np
 
 from sightline.detection import refine
-from sightline.detection.find import distinct, find_candidates
+from sightline.detection.find import Candidates, distinct, find_candidates
+from sightline.detection.log_image import field_inset, log_image
 from sightline.detection.noise import estimate_noise
 from sightline.detection.results import Detections, Rejected
 from sightline.errors import DetectionRefusedError
@@ -24,8 +25,8 @@ _ENOUGH_TO_COMPARE = 8
 _BLURRED = 2.3  # times the usual blur: one detector, one blur; beads up to 1.9 at low dose, anatomy 2.8 and more [twin]
 _SMALL = 0.55  # of the usual radius: beads 0.62 and more, grains beside the beads 0.45 and less [twin, ARCADIS]
 _MINORITY = 0.33  # of the beads: no frame has both balls and holes
+_WASHER_RIM = 0.68  # of a washer's radius: what is further in is left out; its hole reaches to 0.45-0.55 [DIN 125]
 
-_FILL = 4  # px; what lies outside the field is filled at this coarseness
 _NOT_ROUND = "not round: some side does not differ from the middle, as on an edge, a wire or a bone contour"
 _FIT_REASONS = {
     refine.TOO_FEW_PIXELS: "too few usable pixels: at the edge of the field, or covered by another bead",
@@ -39,23 +40,24 @@ def detect(image: Radiograph) -> Detections:
 
     Raises DetectionRefusedError where nothing in the image looks like a bead.
     """
-    mask = _inset(image.field_mask)
-    log_image = _log_image(image)
-    noise = estimate_noise(log_image, mask)
+    mask = field_inset(image)
+    logs = log_image(image, mask)
+    noise = estimate_noise(logs, mask)
     if noise is None:
         raise DetectionRefusedError(
             "the image has no area of 16x16 px inside its field of view to measure noise in; give a larger image"
         )
-    spots = find_candidates(_filled(log_image, mask), mask, noise)
+    spots = find_candidates(logs, mask, noise)
     rows = np.column_stack([spots.uv_px, spots.radius_px, spots.response])
     rejected = _rejected(rows[~spots.round], np.full(len(rows), _NOT_ROUND))
     rows = rows[spots.round]
-    coarse = refine.fit_coarsely(log_image, mask, rows, rows[:0], noise)
+    usable = _without_middles(mask, spots)
+    coarse = refine.fit_coarsely(logs, usable, rows, rows[:0], noise)
     reason = _shape_reasons(coarse, _LOOSE)
     rejected += _rejected(coarse[reason != ""], reason[reason != ""])
     beads, repeated = _apart(coarse[reason == ""])
     rejected += repeated
-    fine = refine.fit_finely(log_image, mask, beads, beads[:, : refine.BLUR], noise)
+    fine = refine.fit_finely(logs, usable, beads, beads[:, : refine.BLUR], noise)
     reason = _fine_reasons(fine)
     rejected += _rejected(fine[reason != ""], reason[reason != ""])
     beads = fine[reason == ""]
@@ -67,39 +69,15 @@ def detect(image: Radiograph) -> Detections:
             f"no bead was found ({len(rejected)} candidates were rejected); check that this is the image of a frame "
             "with beads of 2-25 px radius, exposed so that they differ from their surroundings"
         )
-    return _detections(beads, image, rejected)
+    return _detections(beads, mask & ~usable, image, rejected)
 
 
-def _inset(mask: np.ndarray) -> np.ndarray:
-    """The field without its outermost pixels, which may be mixed with what lies outside."""
-    return cv2.erode(mask.view(np.uint8), np.ones((5, 5), np.uint8)).view(bool)
-
-
-def _log_image(image: Radiograph) -> np.ndarray:
-    """Natural logarithm of the pixels; zero counts as half a grey level."""
-    pixels = image.pixels
-    if pixels.dtype == np.float32:
-        floor = max(float(image.white) * 2.0**-16, 1e-30)
-        return np.log(np.maximum(pixels, floor))
-    table = np.log(np.maximum(np.arange(np.iinfo(pixels.dtype).max + 1), 0.5)).astype(np.float32)
-    return table[pixels]
-
-
-def _filled(log_image: np.ndarray, mask: np.ndarray) -> np.ndarray:
-    """The image with what lies outside its field taken from the nearest level of a masked pyramid."""
-    weights: list[np.ndarray] = [mask[::_FILL, ::_FILL].astype(np.float32)]
-    values: list[np.ndarray] = [log_image[::_FILL, ::_FILL] * weights[0]]
-    while min(values[-1].shape) > 2:
-        shape = (max(values[-1].shape[1] // 2, 1), max(values[-1].shape[0] // 2, 1))
-        values.append(cv2.resize(values[-1], shape, interpolation=cv2.INTER_AREA))
-        weights.append(cv2.resize(weights[-1], shape, interpolation=cv2.INTER_AREA))
-    filled = values[-1] / np.maximum(weights[-1], 1e-6)
-    for value, weight in zip(values[-2::-1], weights[-2::-1], strict=True):
-        coarse = cv2.resize(filled, value.shape[::-1], interpolation=cv2.INTER_LINEAR)
-        filled = np.where(weight > 0.01, value / np.maximum(weight, 0.01), coarse)
-    everywhere = cv2.resize(filled, log_image.shape[::-1], interpolation=cv2.INTER_LINEAR)
-    cv2.copyTo(log_image, mask.view(np.uint8), everywhere)
-    return everywhere
+def _without_middles(mask: np.ndarray, spots: Candidates) -> np.ndarray:
+    """The mask without the middles of washers: of those the outer rim is fitted, as if they were balls."""
+    middles = np.zeros(mask.shape, np.uint8)
+    for (u, v), radius in zip(spots.uv_px[spots.washer], spots.radius_px[spots.washer], strict=True):
+        cv2.circle(middles, (round(16 * u), round(16 * v)), round(16 * _WASHER_RIM * radius), 1, -1, cv2.LINE_8, 4)
+    return mask & (middles == 0)
 
 
 def _excess(fit: np.ndarray) -> np.ndarray:
@@ -115,7 +93,7 @@ def _shape_reasons(fit: np.ndarray, limits: tuple[float, float]) -> np.ndarray:
     misfit, weakest = limits
     reason[_excess(fit) > misfit] = "not a disc: what remains after the fit is too large beside its contrast"
     reason[fit[:, refine.WEAKEST] < weakest] = _NOT_ROUND
-    reason[fit[:, refine.BLUR] > _SOFTEST * size] = "no rim: it fades out like anatomy, not like a bead"
+    reason[fit[:, refine.BLUR] > _SOFTEST * size + 0.1] = "no rim: it fades out like anatomy, not like a bead"
     reason[(size < _SMALLEST_PX) | (size > _LARGEST_PX)] = "its radius is not within 2-25 px"
     for status, why in _FIT_REASONS.items():
         reason[fit[:, refine.STATUS] == status] = why
@@ -164,13 +142,17 @@ def _rejected(rows: np.ndarray, reasons: np.ndarray) -> tuple[Rejected, ...]:
     return tuple(Rejected((u, v), r, str(why)) for (u, v, r), why in zip(rows[:, :3].tolist(), reasons, strict=False))
 
 
-def _detections(beads: np.ndarray, image: Radiograph, rejected: tuple[Rejected, ...]) -> Detections:
+def _detections(
+    beads: np.ndarray, middles: np.ndarray, image: Radiograph, rejected: tuple[Rejected, ...]
+) -> Detections:
+    """`middles` (H, W): where there are middles of washers."""
+    u, v = np.clip(np.rint(beads[:, :2]).astype(int), 0, np.array(image.shape[::-1]) - 1).T
     cuu, cuv, cvv = (beads[:, c] for c in (refine.CUU, refine.CUV, refine.CVV))
     return Detections(
         uv_px=beads[:, :2],
         radius_px=beads[:, refine.RADIUS],
         covariance_px2=np.stack([cuu, cuv, cuv, cvv], axis=-1).reshape(-1, 2, 2),
-        kind=tuple("ball" if c < 0 else "hole" for c in beads[:, refine.CONTRAST]),
+        kind=tuple(np.where(middles[v, u], "washer", np.where(beads[:, refine.CONTRAST] < 0, "ball", "hole")).tolist()),
         contrast=beads[:, refine.CONTRAST],
         image_shape=image.shape,
         rejected=rejected,

@@ -1,0 +1,205 @@
+"""Whether there is a rim around a place, and whether it lies on a circle: where it is steepest along sixteen rays."""
+
+import numba as nb
+import numpy as np
+
+# Columns of an extremum (the first four) and of a candidate.
+U, V, RADIUS, RESPONSE, SCORE, HOLLOW = range(6)
+FAINTEST = 0.08  # step of log intensity; a 3 mm steel ball under much scatter still makes 0.3 [ours]
+_RAYS = 16
+_BESIDE = 3  # rays are averaged by so many in large discs
+_COS, _SIN = (f(2 * np.pi * np.arange(_BESIDE * _RAYS) / (_BESIDE * _RAYS)) for f in (np.cos, np.sin))
+_PLACES = 13  # samples along a ray
+_LARGE = 10.0  # px; of larger discs rays are averaged
+_SPACING = 0.12, 0.5  # between them: in radii, and the least, px
+_SOUND = 0.4  # step of a ray beside the median of all, for the ray to count [ours]
+# Circle and rim are found in turns: how far from the circle a rim point may lie, in radii, and how many must not lie
+# further; a bead that a neighbour covers by a quarter of its rim keeps 12 [calc]. And the least such distance, px.
+_TURNS = 3
+_OFF_CIRCLE = 0.5, 0.2, 0.12
+_LEAST_RAYS = 9, 10, 11
+_LEAST_OFF = 0.8
+_LEAST_SNR = 4.5  # step times root of the disc's area over the noise of a broad mean [ours]
+
+
+@nb.njit(cache=True, fastmath=True)
+def broad_noise(level, line) -> float:
+    """Noise of a mean over many pixels, times the root of their number, where the log intensity is `level`."""
+    return np.exp(0.5 * (line[0] - line[1] * level))
+
+
+@nb.njit(parallel=True, cache=True, fastmath=True)
+def judged(base, extrema, line):
+    """A candidate for each extremum: radius 0 where nothing like a disc is, score 0 where its rim is not round."""
+    out = np.zeros((len(extrema), 6))
+    chunks = min(len(extrema), 64)
+    for chunk in nb.prange(chunks):
+        seen, rim, step, ordered = (
+            np.empty((_RAYS, _PLACES), np.float32),
+            np.empty(_RAYS),
+            np.empty(_RAYS),
+            np.empty(_RAYS),
+        )
+        for i in range(chunk, len(extrema), chunks):
+            _judge(base, extrema[i], line, seen, rim, step, ordered, out[i])
+    return out
+
+
+@nb.njit(cache=True, fastmath=True)
+def _judge(base, start, line, seen, rim, step, ordered, out):  # noqa: PLR0917
+    """From an extremum to the circle through its rim points, and how many of them lie on it."""
+    u, v, radius, sign = start[U], start[V], start[RADIUS], 1.0 if start[RESPONSE] > 0 else -1.0
+    height, width = base.shape
+    noise = broad_noise(_at(base, v, u, height, width), line)
+    if not _has_all_sides(base, u, v, radius, sign, noise):
+        return
+    sound, middle = 0, 0.0
+    for turn in range(_TURNS):
+        spacing = max(_SPACING[0] * radius, _SPACING[1])
+        first = max(radius - (_PLACES // 2) * spacing, 0.3)
+        _cast(base, u, v, first, spacing, sign, turn == _TURNS - 1 and radius > _LARGE, seen)
+        _steepest(seen, first, spacing, rim, step)
+        middle = _median(step, ordered)
+        if middle < max(FAINTEST, _LEAST_SNR * 0.56 * noise / radius):
+            return
+        slack = max(_OFF_CIRCLE[turn] * radius, _LEAST_OFF)
+        sound, du, dv, radius = _circle(rim, step, _SOUND * middle, slack, radius, ordered)
+        u, v = u + du, v + dv
+        if turn == _TURNS - 1:
+            out[U], out[V], out[RADIUS], out[RESPONSE] = u, v, radius, sign * middle
+        far = (u - start[U]) ** 2 + (v - start[V]) ** 2 > (0.8 * start[RADIUS] + 1) ** 2
+        if sound < _LEAST_RAYS[turn] or far or not 0.5 * start[RADIUS] < radius < 2.0 * start[RADIUS]:
+            return
+    step_all = _step_at(base, u, v, radius, sign)
+    if step_all < max(FAINTEST, _LEAST_SNR * 0.56 * noise / radius):
+        return
+    out[SCORE] = middle * np.sqrt(radius) * sound**2
+    out[HOLLOW] = _hollow(base, u, v, radius, sign) / middle
+
+
+@nb.njit(cache=True, fastmath=True)
+def _has_all_sides(base, u, v, radius, sign, noise) -> bool:  # noqa: PLR0917
+    """Whether it goes down from within the disc to without in 5 of 8 directions at least."""
+    height, width = base.shape
+    falls, whole = np.empty(8), 0.0
+    for k in range(8):
+        c, s = _COS[2 * _BESIDE * k], _SIN[2 * _BESIDE * k]
+        inner = _at(base, v + 0.4 * radius * s, u + 0.4 * radius * c, height, width)
+        outer = _at(base, v + 1.7 * radius * s, u + 1.7 * radius * c, height, width)
+        falls[k] = sign * (inner - outer)
+        whole += falls[k] / 8
+    if whole < max(0.8 * FAINTEST, 0.8 * _LEAST_SNR * 0.56 * noise / radius):
+        return False
+    down = 0
+    for k in range(8):
+        down += falls[k] > 0.3 * whole
+    return down >= 5
+
+
+@nb.njit(cache=True, fastmath=True)
+def _cast(base, u, v, first, spacing, sign, averaged, seen):  # noqa: PLR0917
+    """Signed values along rays from (u, v), or their means with the rays beside."""
+    height, width = base.shape
+    for k in range(_RAYS):
+        seen[k] = 0.0
+        for b in range(-1, 2) if averaged else range(1):
+            c, s = _COS[_BESIDE * k + b], _SIN[_BESIDE * k + b]
+            for j in range(_PLACES):
+                r = first + j * spacing
+                seen[k, j] += sign * _at(base, v + r * s, u + r * c, height, width)
+        if averaged:
+            seen[k] /= _BESIDE
+
+
+@nb.njit(cache=True, fastmath=True)
+def _steepest(seen, first, spacing, rim, step):
+    """Per ray where it falls most, and by how much it falls about there."""
+    for k in range(_RAYS):
+        best, at = -1e9, 1
+        for j in range(1, _PLACES - 1):
+            fall = seen[k, j - 1] - seen[k, j + 1]
+            if fall > best:
+                best, at = fall, j
+        shift = 0.0
+        if 1 < at < _PLACES - 2:
+            before, after = seen[k, at - 2] - seen[k, at], seen[k, at] - seen[k, at + 2]
+            bend = before - 2 * best + after
+            shift = 0.5 * (before - after) / bend if bend < -1e-9 else 0.0
+        rim[k] = first + (at + min(max(shift, -1.0), 1.0)) * spacing
+        step[k] = seen[k, max(at - 2, 0)] - seen[k, min(at + 2, _PLACES - 1)]
+
+
+@nb.njit(cache=True, fastmath=True)
+def _median(values, ordered) -> float:
+    """Median of the rays' values; `ordered` is overwritten."""
+    for k in range(_RAYS):
+        j = k
+        while j > 0 and ordered[j - 1] > values[k]:
+            ordered[j] = ordered[j - 1]
+            j -= 1
+        ordered[j] = values[k]
+    return 0.5 * (ordered[_RAYS // 2 - 1] + ordered[_RAYS // 2])
+
+
+@nb.njit(cache=True, fastmath=True)
+def _circle(rim, step, least, slack, radius, ordered):  # noqa: PLR0917
+    """How many rim points lie within `slack` of a circle, its middle from here, its radius: r = R + a cos + b sin."""
+    a = b = 0.0
+    size = _median(rim, ordered)
+    sound = 0
+    for _ in range(3):
+        n = c1 = s1 = cc = ss = cs = r1 = rc = rs = 0.0
+        for k in range(_RAYS):
+            c, s = _COS[_BESIDE * k], _SIN[_BESIDE * k]
+            if step[k] < least or abs(rim[k] - size - a * c - b * s) > slack:
+                continue
+            n += 1
+            c1, s1, cc, ss, cs = c1 + c, s1 + s, cc + c * c, ss + s * s, cs + c * s
+            r1, rc, rs = r1 + rim[k], rc + rim[k] * c, rs + rim[k] * s
+        sound = int(n)
+        if sound < 6:
+            return sound, a, b, radius
+        c1, s1, r1 = c1 / n, s1 / n, r1 / n
+        cc, ss, cs, rc, rs = cc / n - c1 * c1, ss / n - s1 * s1, cs / n - c1 * s1, rc / n - r1 * c1, rs / n - r1 * s1
+        whole = cc * ss - cs * cs
+        if whole < 1e-3:
+            return 0, a, b, radius
+        a, b = (ss * rc - cs * rs) / whole, (cc * rs - cs * rc) / whole
+        size = r1 - a * c1 - b * s1
+    return sound, a, b, size
+
+
+@nb.njit(cache=True, fastmath=True)
+def _step_at(base, u, v, radius, sign) -> float:
+    """Mean within a circle less mean around it: linear in the image, so that noise does not add to it."""
+    height, width = base.shape
+    step = 0.0
+    within, around = max(0.7 * radius, radius - 2.0), max(1.3 * radius, radius + 1.5)
+    for k in range(_RAYS):
+        c, s = _COS[_BESIDE * k], _SIN[_BESIDE * k]
+        step += _at(base, v + within * s, u + within * c, height, width)
+        step -= _at(base, v + around * s, u + around * c, height, width)
+    return sign * step / _RAYS
+
+
+@nb.njit(cache=True, fastmath=True)
+def _hollow(base, u, v, radius, sign) -> float:
+    """By how much the middle of a disc falls short of a ring at three quarters of its radius."""
+    height, width = base.shape
+    middle, ring = _at(base, v, u, height, width), 0.0
+    for k in range(8):
+        c, s = _COS[2 * _BESIDE * k], _SIN[2 * _BESIDE * k]
+        middle += _at(base, v + 0.15 * radius * s, u + 0.15 * radius * c, height, width)
+        ring += _at(base, v + 0.75 * radius * s, u + 0.75 * radius * c, height, width)
+    return sign * (ring / 8 - middle / 9)
+
+
+@nb.njit(cache=True, fastmath=True)
+def _at(image, v, u, height, width) -> float:
+    """Bilinear value; the border repeats."""
+    v, u = min(max(v, 0.0), height - 1.001), min(max(u, 0.0), width - 1.001)
+    i, j = int(v), int(u)
+    b, a = np.float32(v - i), np.float32(u - j)
+    top = image[i, j] + (image[i, j + 1] - image[i, j]) * a
+    low = image[i + 1, j] + (image[i + 1, j + 1] - image[i + 1, j]) * a
+    return top + (low - top) * b

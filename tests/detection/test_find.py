@@ -1,0 +1,78 @@
+"""Candidates: all beads, started well, and little else."""
+
+import numpy as np
+import pytest
+from bead_images import Bead, grid, quanta, radiograph
+
+from sightline.detection.find import Candidates, distinct, find_candidates
+from sightline.detection.log_image import field_inset, log_image
+from sightline.detection.noise import estimate_noise
+from sightline.imaging import Radiograph
+
+SIZE = 320
+
+
+def candidates(image: Radiograph) -> Candidates:
+    mask = field_inset(image)
+    logs = log_image(image, mask)
+    noise = estimate_noise(logs, mask)
+    assert noise is not None
+    return find_candidates(logs, mask, noise)
+
+
+def nearest(found: Candidates, places: np.ndarray) -> np.ndarray:
+    return np.linalg.norm(found.uv_px[found.round][None] - places[:, None], axis=-1).argmin(axis=1)
+
+
+@pytest.mark.parametrize("radius", [2.2, 3.4, 5.0, 7.5, 11.0, 16.0, 24.0])
+def test_starts_are_good_to_a_fraction_of_a_pixel_at_any_radius(radius: float) -> None:
+    rng = np.random.default_rng(1)
+    places = grid(max(5 * radius, 40), SIZE, rng)
+    image = radiograph(quanta([Bead(u, v, radius) for u, v in places], np.full((SIZE, SIZE), 400.0)), rng)
+    found = candidates(image)
+    at = nearest(found, places)
+    assert np.count_nonzero(found.round) <= 1.3 * len(places)
+    assert np.abs(found.uv_px[found.round][at] - places).max() < 0.3
+    assert found.radius_px[found.round][at] == pytest.approx(radius, rel=0.05, abs=0.4)
+
+
+@pytest.mark.parametrize("gap", [2.0, 0.0, -2.0, -4.0])
+def test_both_beads_of_a_touching_pair_are_candidates(gap: float) -> None:
+    rng = np.random.default_rng(2)
+    places = grid(64, SIZE, rng)
+    turn = rng.uniform(0, 2 * np.pi, len(places))
+    beside = places + (7.5 + 9 + gap) * np.stack([np.cos(turn), np.sin(turn)], axis=1)
+    beads = [Bead(u, v, 7.5) for u, v in places] + [Bead(u, v, 9.0) for u, v in beside]
+    found = candidates(radiograph(quanta(beads, np.full((SIZE, SIZE), 400.0)), rng))
+    for truth, radius in ((places, 7.5), (beside, 9.0)):
+        at = nearest(found, truth)
+        assert np.linalg.norm(found.uv_px[found.round][at] - truth, axis=1).max() < 1.0
+        assert found.radius_px[found.round][at] == pytest.approx(radius, rel=0.12)
+
+
+@pytest.mark.parametrize("inner", [0.45, 0.55])
+def test_washers_are_told_from_balls(inner: float) -> None:
+    rng = np.random.default_rng(3)
+    places = grid(64, SIZE, rng)
+    beads = [
+        Bead(u, v, 13.0, depth=1.0, ball=False, inner=13.0 * inner) if k % 2 else Bead(u, v, 9.0)
+        for k, (u, v) in enumerate(places)
+    ]
+    found = candidates(radiograph(quanta(beads, np.full((SIZE, SIZE), 400.0)), rng))
+    at = nearest(found, places)
+    assert np.count_nonzero(found.round) == len(places)
+    assert found.washer[found.round][at].tolist() == [bool(k % 2) for k in range(len(places))]
+    assert found.radius_px[found.round][at][1::2] == pytest.approx(13.0, abs=0.3)
+
+
+def test_of_edges_corners_and_wires_only_a_crossing_may_pass_for_a_candidate() -> None:
+    rng = np.random.default_rng(4)
+    y, x = np.mgrid[:SIZE, :SIZE]
+    things = 0.6 * (x + 0.4 * y > 200) + 0.5 * (y > 180) + 1.5 * (np.abs(y - 0.5 * x - 40) < 4)
+    found = candidates(radiograph(400 * np.exp(-things), rng))
+    assert np.count_nonzero(found.round) <= 1  # the fit takes that one away
+
+
+def test_distinct_keeps_the_better_of_a_repetition_and_both_signs() -> None:
+    rows = np.array([[50.0, 50, 9, -1], [52, 50, 8, -1], [56, 50, 8, -1], [50, 50, 4, 1], [300, 300, 9, -1]])
+    assert distinct(rows).tolist() == [True, False, True, True, True]
