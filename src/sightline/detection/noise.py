@@ -14,6 +14,8 @@ _USUAL_BLUR = 0.9  # px; sigma of an intensifier's blur: 0.22 mm at 0.21-0.3 mm/
 # White share added to the noise before it is inverted: the fit must not undo the blur where the bead's model is not
 # exact. 0.1-0.2 is the most efficient for blurs of 0.6-1.3 px: 1.1-1.2 times the bound [calc]
 _NUGGET = 0.2
+_FEWEST_BLOCKS = 8
+_ENOUGH_BLOCKS = 24  # without clipped ones [ours]
 _QUIET = 0.3  # the quietest share of the blocks is taken as free of structure [ours]
 
 
@@ -38,11 +40,9 @@ class NoiseModel:
 
 def estimate_noise(log_image: np.ndarray, mask: np.ndarray) -> NoiseModel | None:
     """Noise of `log_image` (H, W) float32 from its quiet blocks inside `mask`; None if no block lies inside."""
-    level, gamma = _variograms(log_image, mask)
-    keep = (level > -np.inf) & (gamma[:, 0] > 0) & (gamma[:, -1] > 0)
-    if np.count_nonzero(keep) < 8:
+    level, gamma = _clean_variograms(log_image, mask)
+    if len(level) < _FEWEST_BLOCKS:
         return None
-    level, gamma = level[keep], gamma[keep]
     offset, slope = _quiet_line(level, np.log(gamma[:, -1]))
     ratio = np.log(gamma[:, -1]) - (offset - slope * level)
     quiet = gamma[np.abs(ratio) < 0.35]
@@ -56,6 +56,18 @@ def estimate_noise(log_image: np.ndarray, mask: np.ndarray) -> NoiseModel | None
     if structured:
         return _noise_of_a_pattern(log_image, mask)
     return NoiseModel(offset, slope, correlation, _weighting(correlation))
+
+
+def _clean_variograms(log_image: np.ndarray, mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """`_variograms` of the blocks that have noise; with those where some pixels are clipped only if all are."""
+    level, gamma = np.empty(0), np.empty((0, LAGS + 1))
+    for ceiling in (float(log_image.max()), np.inf):
+        level, gamma = _variograms(log_image, mask, ceiling)
+        keep = (level > -np.inf) & (gamma[:, 0] > 0) & (gamma[:, -1] > 0)
+        level, gamma = level[keep], gamma[keep]
+        if len(level) >= _ENOUGH_BLOCKS:
+            break
+    return level, gamma
 
 
 def _noise_of_a_pattern(log_image: np.ndarray, mask: np.ndarray) -> NoiseModel:
@@ -94,10 +106,10 @@ def _weighting(correlation: np.ndarray) -> np.ndarray:
 
 
 @nb.njit(parallel=True, cache=True, fastmath=True)
-def _variograms(image: np.ndarray, mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Per block: mean level (-inf if outside the mask), half mean squared difference at lags 1..LAGS and the sill.
+def _variograms(image: np.ndarray, mask: np.ndarray, ceiling: float) -> tuple[np.ndarray, np.ndarray]:
+    """Per block: mean level (-inf if not usable), half mean squared difference at lags 1..LAGS and the sill.
 
-    A plane is taken off first. Every second block of either direction is looked at.
+    A plane is taken off first. Pixels at the `ceiling` are clipped. Every second block along either axis counts.
     """
     height, width = image.shape
     rows, cols = (height - BLOCK) // (2 * BLOCK) + 1, (width - BLOCK) // (2 * BLOCK) + 1
@@ -111,8 +123,8 @@ def _variograms(image: np.ndarray, mask: np.ndarray) -> tuple[np.ndarray, np.nda
         mean = su = sv = 0.0
         for i in range(BLOCK):
             for j in range(BLOCK):
-                inside &= mask[top + i, left + j]
                 value = image[top + i, left + j]
+                inside &= mask[top + i, left + j] and value < ceiling
                 mean += value
                 su += value * (j - half)
                 sv += value * (i - half)

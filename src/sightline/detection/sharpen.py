@@ -1,0 +1,115 @@
+"""Undo most of the detector's blur: quanta are counted before it, so noise is nearly white without it."""
+
+from dataclasses import dataclass
+
+import numba as nb
+import numpy as np
+
+from sightline.detection.noise import BLOCK, NoiseModel
+
+TAPS = 6  # px to either side
+AFTER_LAGS = 3  # px; correlation of the noise that is left after sharpening
+_LEFT_PX = 0.5  # sigma of the blur that is left: smaller ones lift electronic and rounding noise [calc]
+_WHITE = 0.004  # share of white noise along one axis for which sharpening stops paying [calc]
+_QUIET = 1.08  # mean over the mean of the quietest blocks, 10-50 %, for noise alone [calc: 16 px blocks]
+_FEWEST_BLOCKS = 16
+_LARGEST_BLUR_PX = 1.6  # more correlation than that is structure, or a filter that nothing undoes [ours]
+
+
+@dataclass(frozen=True, eq=False)
+class Sharpening:
+    """`taps` (TAPS + 1,) of a symmetric filter, along both axes. It turns a blur of sigma s into one of
+    sqrt(s² + `blur2_px2`) (negative), the noise's variance into `gain` times that, and its correlation along
+    either axis into `correlation` (AFTER_LAGS + 1,)."""
+
+    taps: np.ndarray
+    blur2_px2: float
+    gain: float
+    correlation: np.ndarray
+
+
+def design(log_image: np.ndarray, mask: np.ndarray, noise: NoiseModel) -> Sharpening:
+    """The sharpening that suits the image's noise, and what it does to that noise in the image's quiet blocks."""
+    first = float(np.clip(noise.correlation[1], 1e-3, np.exp(-0.25 / _LARGEST_BLUR_PX**2)))
+    blur = 0.5 / np.sqrt(-np.log(first))  # noise blurred by sigma has the correlation exp(-d² / 4 sigma²)
+    if blur <= _LEFT_PX:
+        taps, left = np.eye(TAPS + 1)[0], blur
+    else:
+        taps, left = _taps(blur), _LEFT_PX
+    gamma = _after(log_image, mask, np.array([noise.offset, noise.slope]), taps, float(log_image.max()))
+    gamma = gamma[gamma[:, 0] > 0]
+    if len(gamma) < _FEWEST_BLOCKS:
+        return Sharpening(taps, left**2 - blur**2, *_of_gaussian_noise(taps, blur))
+    low, high = np.quantile(gamma[:, 0], [0.1, 0.5])
+    mean = gamma[(gamma[:, 0] >= low) & (gamma[:, 0] <= high)].mean(axis=0)
+    return Sharpening(taps, left**2 - blur**2, _QUIET * float(mean[0]), np.clip(mean / mean[0], -0.5, 1.0))
+
+
+def _of_gaussian_noise(taps: np.ndarray, blur: float) -> tuple[float, np.ndarray]:
+    """Gain and correlation for white noise blurred by `blur`, where no block is quiet."""
+    whole = np.concatenate([taps[:0:-1], taps])
+    both = np.convolve(whole, whole)
+    at = np.arange(len(both)) - len(both) // 2
+    after = both @ np.exp(-(np.subtract.outer(at, np.arange(AFTER_LAGS + 1)) ** 2) / (4 * blur**2))
+    return float(after[0] ** 2), after / after[0]
+
+
+def _taps(blur: float) -> np.ndarray:
+    """Taps that turn a Gaussian of sigma `blur` into one of _LEFT_PX, least squares with white noise; they sum to 1."""
+    k = np.linspace(0, np.pi, 200)
+    waves = np.cos(np.outer(k, np.arange(TAPS + 1))) * np.append(1.0, np.full(TAPS, 2.0))
+    have, want = np.exp(-0.5 * (k * blur) ** 2), np.exp(-0.5 * (k * _LEFT_PX) ** 2)
+    A = (waves * have[:, None] ** 2).T @ waves + _WHITE * waves.T @ waves + 1e4 * np.outer(waves[0], waves[0])
+    return np.linalg.solve(A, waves.T @ (have * want) + 1e4 * waves[0])
+
+
+@nb.njit(cache=True, fastmath=True)
+def _after(image: np.ndarray, mask: np.ndarray, line: np.ndarray, taps: np.ndarray, ceiling: float) -> np.ndarray:
+    """Per block (every third along either axis) covariances at lags 0..AFTER_LAGS along the axes after sharpening, in
+    units of the noise's variance exp(line[0] - line[1] level); 0 where a pixel is not usable."""
+    wide = BLOCK + 2 * TAPS
+    step = 3 * BLOCK
+    rows, columns = (image.shape[0] - wide) // step + 1, (image.shape[1] - wide) // step + 1
+    out = np.zeros((max(rows * columns, 0), AFTER_LAGS + 1))
+    for b in range(rows * columns):
+        top, left = (b // columns) * step, (b % columns) * step
+        part = image[top : top + wide, left : left + wide]
+        if mask[top : top + wide, left : left + wide].all() and part.max() < ceiling:
+            sharp = _filtered(part, taps)
+            unit = np.exp(line[0] - line[1] * _flatten(sharp)) * (1.0 - 3.0 / (BLOCK * BLOCK))
+            for lag in range(AFTER_LAGS + 1):
+                n = BLOCK - lag
+                total = (sharp[:, :n] * sharp[:, lag:]).sum() + (sharp[:n] * sharp[lag:]).sum()
+                out[b, lag] = total / (2.0 * BLOCK * n) / unit
+    return out
+
+
+@nb.njit(cache=True, fastmath=True)
+def _filtered(part: np.ndarray, taps: np.ndarray) -> np.ndarray:
+    """`part` filtered along both axes, without the margin of TAPS."""
+    wide = part.shape[0]
+    inner = wide - 2 * TAPS
+    middle = taps[0] * part[:, TAPS : TAPS + inner]
+    for t in range(1, TAPS + 1):
+        middle += taps[t] * (part[:, TAPS - t : TAPS - t + inner] + part[:, TAPS + t : TAPS + t + inner])
+    out = taps[0] * middle[TAPS : TAPS + inner]
+    for t in range(1, TAPS + 1):
+        out += taps[t] * (middle[TAPS - t : TAPS - t + inner] + middle[TAPS + t : TAPS + t + inner])
+    return out
+
+
+@nb.njit(cache=True, fastmath=True)
+def _flatten(block: np.ndarray) -> float:
+    """Take a plane off `block`; its mean."""
+    n = block.shape[0]
+    mean = block.mean()
+    norm = n * n * (n * n - 1) / 12.0
+    su = sv = 0.0
+    for i in range(n):
+        for j in range(n):
+            su += block[i, j] * (j - (n - 1) / 2)
+            sv += block[i, j] * (i - (n - 1) / 2)
+    for i in range(n):
+        for j in range(n):
+            block[i, j] -= mean + su / norm * (j - (n - 1) / 2) + sv / norm * (i - (n - 1) / 2)
+    return mean
