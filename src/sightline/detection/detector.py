@@ -38,6 +38,7 @@ _FIT_REASONS = {
 def detect(image: Radiograph) -> Detections:
     """Beads (dark balls and washers, bright holes; radius 2-25 px) of one image, with their covariances.
 
+    `rejected` holds what came near to being a bead; places without any rim are passed over in silence.
     Raises DetectionRefusedError where nothing in the image looks like a bead.
     """
     mask = field_inset(image)

@@ -19,7 +19,8 @@ _LOUDEST = 4.0  # a spot starts at this many noise deviations of its band [ours]
 _BAND_NOISE = 0.2  # of a band's answer, over the noise of a broad mean and the band's radius [calc]
 _BAND_GAIN = 0.2  # least answer of a band to a disc of contrast 1 between two bands [calc: 0.25 at its own radius]
 _RIM_OF_A_BALL = 0.7  # px between a ball's rim and its steepest place: it thins out there [twin: 0.5-0.8]
-_HOLLOW = 0.5  # share of the step that a washer lacks in its middle; balls 0.1 or less, washers 0.77 and more [twin]
+# Share of the step that a washer lacks in its middle: 0.77-1.06 [twin]; balls 0.1 or less, a hole among holes more.
+_HOLLOW = 0.6, 1.25
 _CHUNKS = 32
 _ROOM = 2048  # extrema per chunk of rows
 
@@ -43,7 +44,10 @@ class Candidates:
 
 
 def find_candidates(log_image: np.ndarray, mask: np.ndarray, noise: NoiseModel) -> Candidates:
-    """Round spots inside `mask` of a log image (H, W) float32 that is filled outside it, one per place."""
+    """Round spots inside `mask` of a log image (H, W) float32 that is filled outside it, one per place and sign.
+
+    Extrema around which there is no rim at all, hundreds in any image, are passed over in silence.
+    """
     base = cv2.GaussianBlur(log_image, (5, 5), 0.8)
     half = cv2.resize(log_image, None, fx=1 / _HALF, fy=1 / _HALF, interpolation=cv2.INTER_AREA)
     finest, first = cv2.GaussianBlur(half, (3, 3), 0.5), cv2.GaussianBlur(half, (7, 7), 1.0)
@@ -59,7 +63,7 @@ def find_candidates(log_image: np.ndarray, mask: np.ndarray, noise: NoiseModel) 
     spots = spots[np.argsort(-spots[:, SCORE], kind="stable")]
     spots = spots[distinct(spots)]
     dark = spots[:, RESPONSE] < 0
-    washer = dark & (spots[:, HOLLOW] > _HOLLOW) & (spots[:, SCORE] > 0)
+    washer = dark & (spots[:, HOLLOW] > _HOLLOW[0]) & (spots[:, HOLLOW] < _HOLLOW[1]) & (spots[:, SCORE] > 0)
     radius = spots[:, RADIUS] + np.where(dark & ~washer, _RIM_OF_A_BALL, 0.0)
     keep = ~_middles(spots, washer)
     columns = spots[:, :2], radius, spots[:, RESPONSE], washer, spots[:, SCORE] > 0
