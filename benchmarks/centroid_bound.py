@@ -51,6 +51,8 @@ def _profile(truth: BeadTruth, ratio: np.ndarray, i: int) -> _Profile | None:
         rows, columns = _box(ratio.shape, u, v, radius + 3)
         r = np.hypot(np.arange(columns.start, columns.stop) - u, (np.arange(rows.start, rows.stop) - v)[:, None])
         dark = 1 - ratio[rows, columns]
+        if not (r < 0.3 * radius).any():
+            continue  # outside the image, though inside its round field
         contrasts.append(float(dark[r < 0.3 * radius].mean()))
         inside = r < radius + 3
         at.append(r[inside] / radius)
