@@ -6,9 +6,10 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Check:
-    """One named check. `figure` is None where the check is no measurement, or where it could not be measured, and then the check fails.
+    """One named check.
 
-    `name` is a key of docs/refusals.md; `figure` and `limit` are in `unit`.
+    `name` is a key of docs/refusals.md; `figure` and `limit` are in `unit`. `figure` is None where the check is no
+    measurement, or where it could not be measured, and then the check fails.
     """
 
     name: str

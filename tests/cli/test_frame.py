@@ -1,5 +1,6 @@
 import json
 
+import numpy as np
 import pytest
 from typer.testing import CliRunner
 
@@ -13,11 +14,15 @@ def run(*arguments: str, code: int = 0) -> str:
     return result.output if code == 2 else result.stdout
 
 
-def test_new_writes_the_built_in_frame_under_its_own_name(tmp_path):
+def test_new_writes_the_built_in_frame_with_datums_of_its_own(tmp_path):
     path = tmp_path / "mine.json"
     document = json.loads(run("new", str(path), "--json"))
-    frame = Frame.load(path)
-    assert (frame.name, frame.views) == ("mine", Frame.load("gamma").views)
+    frame, like = Frame.load(path), Frame.load("gamma")
+    assert frame.name == "mine"
+    for name, view in frame.views.items():
+        np.testing.assert_allclose(view.xrii.xyz_mm, like.view(name).xrii.xyz_mm)
+        np.testing.assert_allclose(view.source.xyz_mm, like.view(name).source.xyz_mm)
+        assert (view.xrii.is_datum != like.view(name).xrii.is_datum).any()
     assert document["name"] == "mine"
     assert all(check["passed"] for check in document["checks"])
 

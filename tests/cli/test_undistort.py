@@ -21,9 +21,9 @@ def test_on_the_plate_the_xrii_beads_stand_where_the_frame_has_them(run, pair, f
     apart = np.linalg.norm(found_mm[None] - wanted_mm[:, None], axis=2).min(axis=1)
     assert np.median(apart) < 0.15  # frame errors of 0.05 mm per bead and 0.05 mm per plate are in the scene
 
-    arrays = np.load(tmp_path / "plate" / "map.npz")
-    assert list(arrays["uv_px"].shape[:2]) == document["shape"]
-    assert arrays["inside_hull"].shape == arrays["uv_px"].shape[:2]
+    with np.load(tmp_path / "plate" / "map.npz") as arrays:
+        assert list(arrays["uv_px"].shape[:2]) == document["shape"]
+        assert arrays["inside_hull"].shape == arrays["uv_px"].shape[:2]
 
 
 def test_observations_have_no_pixels(run, beads_csv: Path, tmp_path: Path) -> None:

@@ -12,8 +12,8 @@ from sightline.errors import DetectionRefusedError
 from sightline.imaging import Radiograph
 
 _SMALLEST_PX, _LARGEST_PX = 1.7, 27.0  # what is promised, 2-25 px, and a margin for the fit
-_NOISIEST_PX = 0.75  # a centre less certain than this is of no use; promised is recall below 0.5 px [ours]
-_FAINTEST_SD = 4.0  # contrast over its standard deviation; a candidate has a step of 4.5 already [ours]
+_NOISIEST_PX = 1.0  # a centre less certain than this is of no use; promised is recall below 0.5 px [ours]
+_FAINTEST_SD = 3.5  # contrast over its standard deviation; a candidate has a step of 4.5 already [ours]
 # Residual beyond noise over contrast (beads 0.05, rarely 0.11, also on bone edges; anatomy and metal more), and
 # contrast of the weakest eighth over that of the whole (beads 0.8 and more, 0.63 at low dose) [twin, ARCADIS]:
 # with neighbours taken out of the window, and before.

@@ -64,6 +64,8 @@ def _group(coarse, i, reach):
     """Rows of the beads to be fitted with bead `i`, itself first: the nearest of those that reach into its window."""
     rows = np.full(_MOST, -1)
     rows[0] = i
+    if coarse[i, CONTRAST] > 0:
+        return rows[:1]  # the holes of a plate never overlap: another one's place is masked
     gaps = np.full(_MOST, reach - coarse[i, RADIUS] + 2.0)
     for j in range(len(coarse)):
         if j == i or coarse[j, CONTRAST] * coarse[i, CONTRAST] < 0:
