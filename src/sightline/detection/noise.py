@@ -11,12 +11,9 @@ LAGS = 4  # px; a detector blur of 0.7-1.2 px leaves a correlation below 3 % bey
 _SILL = 6  # px; lag at which noise counts as uncorrelated
 _NO_FLAT_AREA = 0.3  # correlation at the last lag above which the blocks hold structure, not noise [ours]
 _USUAL_BLUR = 0.9  # px; sigma of an intensifier's blur: 0.22 mm at 0.21-0.3 mm/px [physics.md]
-# White share added to the noise before it is inverted: the fit must not undo the blur where the bead's model is not
-# exact. 0.1-0.2 is the most efficient for blurs of 0.6-1.3 px: 1.1-1.2 times the bound [calc]
-_NUGGET = 0.2
+_QUIET = 0.3  # the quietest share of the blocks is taken as free of structure [ours]
 _FEWEST_BLOCKS = 8
 _ENOUGH_BLOCKS = 24  # without clipped ones [ours]
-_QUIET = 0.3  # the quietest share of the blocks is taken as free of structure [ours]
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,14 +21,12 @@ class NoiseModel:
     """Noise of the log intensity L: variance exp(`offset` - `slope` L), correlation the product of both axes'.
 
     `slope` is 1 for quanta, 2 for noise added after a linear detector, 0 for a logarithmic one.
-    `correlation` (LAGS + 1,) along either axis, lag 0 first; `weighting` (LAGS + 1,) the
-    inverse of that correlation, lag 0 first: convolved along both axes it weighs residuals of unit variance.
+    `correlation` (LAGS + 1,) along either axis, lag 0 first.
     """
 
     offset: float
     slope: float
     correlation: np.ndarray
-    weighting: np.ndarray
 
     def variance(self, log_intensity: np.ndarray | float) -> np.ndarray:
         """Variance of the log intensity where its mean is `log_intensity`."""
@@ -55,7 +50,7 @@ def estimate_noise(log_image: np.ndarray, mask: np.ndarray) -> NoiseModel | None
     correlation = np.concatenate([[1.0], np.clip(1 - mean[:-1] / mean[-1], -0.2, 0.98)])
     if structured:
         return _noise_of_a_pattern(log_image, mask)
-    return NoiseModel(offset, slope, correlation, _weighting(correlation))
+    return NoiseModel(offset, slope, correlation)
 
 
 def _clean_variograms(log_image: np.ndarray, mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -78,7 +73,7 @@ def _noise_of_a_pattern(log_image: np.ndarray, mask: np.ndarray) -> NoiseModel:
     gain = 6 - 8 * correlation[1] + 2 * correlation[2]  # variance that (1, -2, 1) leaves, per axis
     sd = float(np.median(rough)) / 0.6745 / gain
     level = float(np.median(log_image[mask]))
-    return NoiseModel(2 * np.log(sd) + level, 1.0, correlation, _weighting(correlation))
+    return NoiseModel(2 * np.log(sd) + level, 1.0, correlation)
 
 
 def _quiet_line(level: np.ndarray, log_variance: np.ndarray) -> tuple[float, float]:
@@ -91,18 +86,6 @@ def _quiet_line(level: np.ndarray, log_variance: np.ndarray) -> tuple[float, flo
     spread = np.ptp(x)
     slope = float(np.clip(-np.polyfit(x, y, 1)[0], 0.0, 2.0)) if spread > 0.3 else 1.0
     return float(np.median(y + slope * x)), slope
-
-
-def _weighting(correlation: np.ndarray) -> np.ndarray:
-    """Middle row of the inverse of the (Toeplitz) correlation along one axis, cut at the same lag."""
-    n = 6 * LAGS + 1
-    lags = np.abs(np.subtract.outer(np.arange(n), np.arange(n)))
-    R = np.append(correlation, 0.0)[np.minimum(lags, LAGS + 1)] + _NUGGET * np.eye(n)
-    values, vectors = np.linalg.eigh(R)
-    taps = ((vectors / np.maximum(values, _NUGGET)) @ vectors.T)[n // 2, n // 2 : n // 2 + LAGS + 1].copy()
-    waves = np.cos(np.outer(np.linspace(0, np.pi, 64), np.arange(1, LAGS + 1)))
-    taps[0] += max(0.0, 0.05 - float((taps[0] + 2 * waves @ taps[1:]).min()))  # cutting must not make a weight negative
-    return taps
 
 
 @nb.njit(parallel=True, cache=True, fastmath=True)
