@@ -2,6 +2,7 @@
 
 import argparse
 import importlib
+import os
 import sys
 import time
 from pathlib import Path
@@ -28,6 +29,7 @@ def _table(rows: list[Row]) -> Table:
 
 def main() -> int:
     """Print the table; 1 if a figure asked for is not met."""
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the command line does; numpy is not yet imported
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("names", nargs="*", choices=[[], *_names()])
     parser.add_argument("--quick", action="store_true", help="a tenth of the trials: for a look, not for figures")

@@ -20,6 +20,7 @@ Its body does all its work inside one `Output` (cli/output.py), which prints, en
 At its top a command file imports the standard library, typer, `sightline.cli.output`, and nothing that is slow.
 """
 
+import os
 from importlib import import_module
 from importlib.util import find_spec
 from typing import Annotated
@@ -63,6 +64,13 @@ for _name in _COMMANDS:
         import_module(f"sightline.cli.{_name}").register(app)
 
 
+# Matrices here are small: threads of the linear algebra cost more than they save, and spin while others compute.
+# Twice the time of a detection [measured on two cores]. A person's own setting stands.
+_BLAS_THREADS = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+
+
 def main() -> None:
     """Entry point of `sightline`."""
+    for name in _BLAS_THREADS:
+        os.environ.setdefault(name, "1")  # read when numpy is first imported, which no command file does at its top
     app()
