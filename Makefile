@@ -12,6 +12,8 @@ $(READY): requirements.lock pyproject.toml
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements.lock
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .
+	@echo "compiling the kernels, once: one to two minutes"
+	-@$(BIN)/sightline demo --quiet --out $(VENV)/first-run
 	@touch $@
 
 demo: $(READY)  ## two images of a twin, calibrated, planned, reported: out/demo/report.html
