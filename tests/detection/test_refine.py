@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from bead_images import Bead, grid, quanta, radiograph
 
-from sightline.detection import refine
+from sightline.detection import columns, refine
 from sightline.detection.noise import estimate_noise
 
 SIZE = 320
@@ -18,13 +18,13 @@ def fitted(beads: list[Bead], open_quanta: np.ndarray, rng: np.random.Generator)
     noise = estimate_noise(light, usable)
     assert noise is not None
     truth = np.array([(b.u, b.v) for b in beads])
-    coarse = np.zeros((len(beads), refine.NOISE + 1))
+    coarse = np.zeros((len(beads), columns.NOISE + 1))
     coarse[:, :2] = truth + rng.uniform(-0.3, 0.3, truth.shape)
-    coarse[:, refine.RADIUS] = [b.radius * rng.uniform(0.95, 1.05) for b in beads]
-    coarse[:, refine.CONTRAST], coarse[:, refine.BLUR] = -0.9, 1.0
-    out = refine.fit_finely(light, usable, coarse, coarse[:, : refine.BLUR], noise)
-    assert (out[:, refine.STATUS] == refine.FITTED).all()
-    cov = out[:, [refine.CUU, refine.CUV, refine.CUV, refine.CVV]].reshape(-1, 2, 2)
+    coarse[:, columns.RADIUS] = [b.radius * rng.uniform(0.95, 1.05) for b in beads]
+    coarse[:, columns.CONTRAST], coarse[:, columns.BLUR] = -0.9, 1.0
+    out = refine.fit_finely(light, usable, coarse, coarse[:, : columns.BLUR], noise)
+    assert (out[:, columns.STATUS] == columns.FITTED).all()
+    cov = out[:, [columns.CUU, columns.CUV, columns.CUV, columns.CVV]].reshape(-1, 2, 2)
     return out[:, :2] - truth, cov
 
 

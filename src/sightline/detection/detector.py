@@ -3,7 +3,7 @@
 import cv2
 import numpy as np
 
-from sightline.detection import refine
+from sightline.detection import columns, refine
 from sightline.detection.find import Candidates, distinct, find_candidates
 from sightline.detection.log_image import field_inset, log_image
 from sightline.detection.noise import estimate_noise
@@ -29,9 +29,9 @@ _WASHER_RIM = 0.68  # of a washer's radius: what is further in is left out; its 
 
 _NOT_ROUND = "not round: some side does not differ from the middle, as on an edge, a wire or a bone contour"
 _FIT_REASONS = {
-    refine.TOO_FEW_PIXELS: "too few usable pixels: at the edge of the field, or covered by another bead",
-    refine.WANDERED: "no disc at this place: the fit moved away",
-    refine.SINGULAR: "no disc at this place: the fit found none",
+    columns.TOO_FEW_PIXELS: "too few usable pixels: at the edge of the field, or covered by another bead",
+    columns.WANDERED: "no disc at this place: the fit moved away",
+    columns.SINGULAR: "no disc at this place: the fit found none",
 }
 
 
@@ -58,7 +58,7 @@ def detect(image: Radiograph) -> Detections:
     rejected += _rejected(coarse[reason != ""], reason[reason != ""])
     beads, repeated = _apart(coarse[reason == ""])
     rejected += repeated
-    fine = refine.fit_finely(logs, usable, beads, beads[:, : refine.BLUR], noise)
+    fine = refine.fit_finely(logs, usable, beads, beads[:, : columns.BLUR], noise)
     reason = _fine_reasons(fine)
     rejected += _rejected(fine[reason != ""], reason[reason != ""])
     beads = fine[reason == ""]
@@ -83,48 +83,48 @@ def _without_middles(mask: np.ndarray, spots: Candidates) -> np.ndarray:
 
 def _excess(fit: np.ndarray) -> np.ndarray:
     """Residual beyond noise over contrast."""
-    beyond = np.sqrt(np.maximum(fit[:, refine.MISFIT] ** 2 - 1.3 * fit[:, refine.NOISE], 0))
-    return beyond / np.maximum(np.abs(fit[:, refine.CONTRAST]), 1e-9)
+    beyond = np.sqrt(np.maximum(fit[:, columns.MISFIT] ** 2 - 1.3 * fit[:, columns.NOISE], 0))
+    return beyond / np.maximum(np.abs(fit[:, columns.CONTRAST]), 1e-9)
 
 
 def _shape_reasons(fit: np.ndarray, limits: tuple[float, float]) -> np.ndarray:
     """Why each fit is no bead by itself; empty where it may be one."""
     reason = np.full(len(fit), "", dtype=object)
-    size = fit[:, refine.RADIUS]
+    size = fit[:, columns.RADIUS]
     misfit, weakest = limits
     reason[_excess(fit) > misfit] = "not a disc: what remains after the fit is too large beside its contrast"
-    reason[fit[:, refine.WEAKEST] < weakest] = _NOT_ROUND
-    reason[fit[:, refine.BLUR] > _SOFTEST * size + 0.1] = "no rim: it fades out like anatomy, not like a bead"
+    reason[fit[:, columns.WEAKEST] < weakest] = _NOT_ROUND
+    reason[fit[:, columns.BLUR] > _SOFTEST * size + 0.1] = "no rim: it fades out like anatomy, not like a bead"
     reason[(size < _SMALLEST_PX) | (size > _LARGEST_PX)] = "its radius is not within 2-25 px"
     for status, why in _FIT_REASONS.items():
-        reason[fit[:, refine.STATUS] == status] = why
+        reason[fit[:, columns.STATUS] == status] = why
     return reason
 
 
 def _fine_reasons(fit: np.ndarray) -> np.ndarray:
     """`_shape_reasons` and those that need the covariance."""
     reason = _shape_reasons(fit, _STRICT)
-    reason[np.maximum(fit[:, refine.CUU], fit[:, refine.CVV]) > _NOISIEST_PX**2] = "its centre is too uncertain"
-    reason[np.abs(fit[:, refine.CONTRAST]) < _FAINTEST_SD * np.sqrt(np.abs(fit[:, refine.CCC]))] = "lost in noise"
+    reason[np.maximum(fit[:, columns.CUU], fit[:, columns.CVV]) > _NOISIEST_PX**2] = "its centre is too uncertain"
+    reason[np.abs(fit[:, columns.CONTRAST]) < _FAINTEST_SD * np.sqrt(np.abs(fit[:, columns.CCC]))] = "lost in noise"
     for status, why in _FIT_REASONS.items():
-        reason[fit[:, refine.STATUS] == status] = why
+        reason[fit[:, columns.STATUS] == status] = why
     return reason
 
 
 def _odd_ones(beads: np.ndarray) -> np.ndarray:
     """Why a bead does not belong to the others of its image; empty where it does."""
     reason = np.full(len(beads), "", dtype=object)
-    dark = beads[:, refine.CONTRAST] < 0
-    strength = np.abs(beads[:, refine.CONTRAST]) * beads[:, refine.RADIUS]
+    dark = beads[:, columns.CONTRAST] < 0
+    strength = np.abs(beads[:, columns.CONTRAST]) * beads[:, columns.RADIUS]
     few = dark if 2 * strength[dark].sum() < strength.sum() else ~dark
     if np.count_nonzero(few) < _MINORITY * len(beads):
         reason[few] = "dark where the other beads are bright, or bright where they are dark"
     usual = reason == ""
     if np.count_nonzero(usual) >= _ENOUGH_TO_COMPARE:
-        reason[usual & (beads[:, refine.BLUR] > _BLURRED * np.median(beads[usual, refine.BLUR]))] = (
+        reason[usual & (beads[:, columns.BLUR] > _BLURRED * np.median(beads[usual, columns.BLUR]))] = (
             "its rim is softer than those of the other beads"
         )
-        reason[usual & (beads[:, refine.RADIUS] < _SMALL * np.median(beads[usual, refine.RADIUS]))] = (
+        reason[usual & (beads[:, columns.RADIUS] < _SMALL * np.median(beads[usual, columns.RADIUS]))] = (
             "much smaller than the other beads"
         )
     return reason
@@ -132,7 +132,7 @@ def _odd_ones(beads: np.ndarray) -> np.ndarray:
 
 def _apart(fit: np.ndarray) -> tuple[np.ndarray, tuple[Rejected, ...]]:
     """Of fits that share a place the one that explains most of the image."""
-    strength = np.abs(fit[:, refine.CONTRAST]) * fit[:, refine.RADIUS] / (0.05 + _excess(fit))
+    strength = np.abs(fit[:, columns.CONTRAST]) * fit[:, columns.RADIUS] / (0.05 + _excess(fit))
     fit = fit[np.argsort(-strength, kind="stable")]
     keep = distinct(fit)
     return fit[keep], _rejected(fit[~keep], np.full(len(fit), "lies on a stronger bead"))
@@ -148,13 +148,15 @@ def _detections(
 ) -> Detections:
     """`middles` (H, W): where there are middles of washers."""
     u, v = np.clip(np.rint(beads[:, :2]).astype(int), 0, np.array(image.shape[::-1]) - 1).T
-    cuu, cuv, cvv = (beads[:, c] for c in (refine.CUU, refine.CUV, refine.CVV))
+    cuu, cuv, cvv = (beads[:, c] for c in (columns.CUU, columns.CUV, columns.CVV))
     return Detections(
         uv_px=beads[:, :2],
-        radius_px=beads[:, refine.RADIUS],
+        radius_px=beads[:, columns.RADIUS],
         covariance_px2=np.stack([cuu, cuv, cuv, cvv], axis=-1).reshape(-1, 2, 2),
-        kind=tuple(np.where(middles[v, u], "washer", np.where(beads[:, refine.CONTRAST] < 0, "ball", "hole")).tolist()),
-        contrast=beads[:, refine.CONTRAST],
+        kind=tuple(
+            np.where(middles[v, u], "washer", np.where(beads[:, columns.CONTRAST] < 0, "ball", "hole")).tolist()
+        ),
+        contrast=beads[:, columns.CONTRAST],
         image_shape=image.shape,
         rejected=rejected,
     )

@@ -4,62 +4,15 @@ import numpy as np
 
 from sightline.detection import coarse as _coarse
 from sightline.detection import fine as _fine
-from sightline.detection.columns import (
-    BLUR,
-    CCC,
-    CHI2,
-    CONTRAST,
-    CUU,
-    CUV,
-    CVV,
-    FITTED,
-    HOLLOW,
-    MISFIT,
-    NOISE,
-    PIXELS,
-    RADIUS,
-    SINGULAR,
-    STATUS,
-    TOO_FEW_PIXELS,
-    WANDERED,
-    WEAKEST,
-    U,
-    V,
-)
 from sightline.detection.noise import NoiseModel
 from sightline.detection.profile import profile_table
 from sightline.detection.sharpen import design
-
-__all__ = [
-    "BLUR",
-    "CCC",
-    "CHI2",
-    "CONTRAST",
-    "CUU",
-    "CUV",
-    "CVV",
-    "FITTED",
-    "HOLLOW",
-    "MISFIT",
-    "NOISE",
-    "PIXELS",
-    "RADIUS",
-    "SINGULAR",
-    "STATUS",
-    "TOO_FEW_PIXELS",
-    "WANDERED",
-    "WEAKEST",
-    "U",
-    "V",
-    "fit_coarsely",
-    "fit_finely",
-]
 
 
 def fit_coarsely(
     log_image: np.ndarray, usable: np.ndarray, spots: np.ndarray, others: np.ndarray, noise: NoiseModel
 ) -> np.ndarray:
-    """Least-squares fit of every spot, all pixels alike: (M, NOISE + 1), to tell beads from what is none.
+    """Least-squares fit of every spot, all pixels alike: rows of `columns`, to tell beads from what is none.
 
     `log_image` (H, W) float32; `usable` (H, W) bool; `spots` (M, 4) of u, v, radius, response;
     `others` (K, 4) likewise: discs that a window leaves out where they are not the spot itself, nor much weaker.
