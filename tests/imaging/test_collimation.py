@@ -34,6 +34,11 @@ def narrow_field() -> np.ndarray:
     return round_field() & (U < 150.6)
 
 
+def banded_field() -> np.ndarray:
+    """Blades above and below alone: two sides run from border to border, two along it."""
+    return (V > 80.3) & (V - 0.1 * U < 380.6)
+
+
 def whole_field() -> np.ndarray:
     return np.ones((H, W), dtype=bool)
 
@@ -48,6 +53,7 @@ FIELDS = [
     rectangular_field,
     bladed_field,
     narrow_field,
+    banded_field,
     whole_field,
     larger_than_the_image,
 ]
