@@ -9,6 +9,7 @@ import numpy as np
 from sightline.imaging import Radiograph
 
 _COARSE = 4  # px; what lies outside the field is filled at this coarseness
+_KNOWN = 0.01  # share of a place of the pyramid that must lie in the field
 _EDGE = 5  # px, width of the square that takes the field's outermost two pixels away
 
 
@@ -26,7 +27,8 @@ def log_image(image: Radiograph, mask: np.ndarray) -> np.ndarray:
     else:
         logs = _looked_up(pixels, _logarithms(np.iinfo(pixels.dtype).max + 1))
     if not mask.all():
-        _fill(logs, mask, _coarse_fill(logs[::_COARSE, ::_COARSE], mask[::_COARSE, ::_COARSE]))
+        values, known = (np.ascontiguousarray(whole[::_COARSE, ::_COARSE]) for whole in (logs, mask))
+        _fill(logs, mask, _filled(np.where(known, values, np.float32(0)), known.astype(np.float32)))
     return logs
 
 
@@ -35,33 +37,34 @@ def _logarithms(count: int) -> np.ndarray:
     return np.log(np.maximum(np.arange(count), 0.5)).astype(np.float32)
 
 
-def _coarse_fill(values: np.ndarray, mask: np.ndarray) -> np.ndarray:
-    """What is outside the mask from the nearest level of a masked pyramid that knows it."""
-    weights: list[np.ndarray] = [mask.astype(np.float32)]
-    sums: list[np.ndarray] = [np.where(mask, values, np.float32(0))]
-    while min(sums[-1].shape) > 2:
-        half = max(sums[-1].shape[1] // 2, 1), max(sums[-1].shape[0] // 2, 1)
-        sums.append(cv2.resize(sums[-1], half, interpolation=cv2.INTER_AREA))
-        weights.append(cv2.resize(weights[-1], half, interpolation=cv2.INTER_AREA))
-    filled: np.ndarray = sums[-1] / np.maximum(weights[-1], 1e-6)
-    for total, weight in zip(sums[-2::-1], weights[-2::-1], strict=True):
-        coarse = cv2.resize(filled, total.shape[::-1], interpolation=cv2.INTER_LINEAR)
-        filled = np.where(weight > 0.01, total / np.maximum(weight, 0.01), coarse)
-    return filled
+def _filled(total: np.ndarray, weight: np.ndarray) -> np.ndarray:
+    """`total` over `weight` where that is known; elsewhere what the half-size image, filled likewise, holds there."""
+    if max(total.shape) <= 2:
+        return total / np.maximum(weight, np.float32(1e-6))
+    half = (total.shape[1] + 1) // 2, (total.shape[0] + 1) // 2
+    smaller = _filled(*(cv2.resize(values, half, interpolation=cv2.INTER_AREA) for values in (total, weight)))
+    out = cv2.resize(smaller, total.shape[::-1], interpolation=cv2.INTER_LINEAR)
+    return np.divide(total, weight, out=out, where=weight > _KNOWN)
 
 
-@nb.njit(parallel=True, cache=True)
+@nb.njit(cache=True)
 def _looked_up(pixels, table):
     out = np.empty(pixels.shape, np.float32)
-    for i in nb.prange(pixels.shape[0]):
+    for i in range(pixels.shape[0]):
         for j in range(pixels.shape[1]):
             out[i, j] = table[pixels[i, j]]
     return out
 
 
-@nb.njit(parallel=True, cache=True)
+@nb.njit(cache=True)
 def _fill(values, mask, coarse):
-    for i in nb.prange(values.shape[0]):
-        for j in range(values.shape[1]):
-            if not mask[i, j]:
-                values[i, j] = coarse[i // _COARSE, j // _COARSE]
+    """The field is convex: in every row it is one run, and what lies beside it is filled from both ends."""
+    height, width = values.shape
+    for i in range(height):
+        first, last = 0, width
+        while first < width and not mask[i, first]:
+            values[i, first] = coarse[i // _COARSE, first // _COARSE]
+            first += 1
+        while last > first and not mask[i, last - 1]:
+            last -= 1
+            values[i, last] = coarse[i // _COARSE, last // _COARSE]
