@@ -17,85 +17,176 @@ REMAINDER = 0.003  # smooth rest beyond degree 5, same share: 0.3 mm of 107 (phy
 GATE = 3.5  # standard deviations [ours]
 CERTAIN = 0.3  # of the pitch: where the gate is wider a bead is not yet taken [ours]
 LOG_RADIUS = 0.15  # a bead's log radius against its plate's: below half the step from 3 to 5 mm [ours]
+AGREES = 0.15  # of the pitch: detections as near to a place by the seed's similarity are beads to begin with [ours]
+LOOSE = 0.1  # of the pitch: how far the first of all maps may miss them, s.d. [ours]
 MOST_ROUNDS = 15
 
 _POWERS = np.array([(d - k, k) for d in range(DEGREE + 1) for k in range(d + 1)])
 _SD = PRIOR[_POWERS.sum(axis=1)]
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def features(w):
     """(3, N, 21): monomials to degree 5 of (N, 2), times their prior standard deviations, and their derivatives."""
-    out = np.zeros((3, len(w), len(_POWERS)))
-    x, y = np.ones(DEGREE + 1), np.ones(DEGREE + 1)
+    out = np.empty((3, len(w), len(_POWERS)))
+    x, y = np.empty(DEGREE + 1), np.empty(DEGREE + 1)
+    x[0] = y[0] = 1.0
     for n in range(len(w)):
         for d in range(DEGREE):
             x[d + 1], y[d + 1] = x[d] * w[n, 0], y[d] * w[n, 1]
         for k in range(len(_POWERS)):
-            i, j = _POWERS[k]
+            i, j = _POWERS[k, 0], _POWERS[k, 1]
             out[0, n, k] = x[i] * y[j] * _SD[k]
-            out[1, n, k] = i * x[max(i - 1, 0)] * y[j] * _SD[k]
-            out[2, n, k] = j * x[i] * y[max(j - 1, 0)] * _SD[k]
+            out[1, n, k] = i * x[i - 1] * y[j] * _SD[k] if i else 0.0
+            out[2, n, k] = j * x[i] * y[j - 1] * _SD[k] if j else 0.0
     return out
 
 
-@njit(cache=True)
-def _fit(phi, noise, rows, residual):
-    """Coefficients (21, 2) and the inverse of their Cholesky factor, for unit priors."""
-    size = phi.shape[1]
-    information, right = np.eye(size), np.zeros((size, 2))
-    for m in range(len(rows)):
-        f, weight = phi[rows[m]], 1.0 / noise[rows[m]]
+@njit(cache=True, error_model="numpy")
+def _fit(phi, noise, place_of, target, w, upper, beta):  # noqa: PLR0912, PLR0917 - a kernel
+    """Fill `beta` (21, 2), the coefficients, and `upper`, the Cholesky factor of their information, for unit priors."""
+    size = len(beta)
+    for i in range(size):
+        beta[i, 0] = beta[i, 1] = 0.0
+        for j in range(i, size):
+            upper[i, j] = 1.0 if i == j else 0.0
+    for n in range(len(w)):
+        p = place_of[n]
+        if p < 0:
+            continue
+        x, y = target[p, 0] - w[n, 0], target[p, 1] - w[n, 1]
         for i in range(size):
-            information[i] += weight * f[i] * f
-            right[i] += weight * f[i] * residual[m]
-    root = np.linalg.inv(np.linalg.cholesky(information))
-    return root.T @ (root @ right), root
+            f = phi[n, i] / noise[n]
+            beta[i, 0] += f * x
+            beta[i, 1] += f * y
+            for j in range(i, size):
+                upper[i, j] += f * phi[n, j]
+    for i in range(size):
+        root = np.sqrt(upper[i, i])
+        beta[i, 0] /= root
+        beta[i, 1] /= root
+        for j in range(i, size):
+            upper[i, j] /= root
+        for j in range(i + 1, size):
+            f = upper[i, j]
+            beta[j, 0] -= f * beta[i, 0]
+            beta[j, 1] -= f * beta[i, 1]
+            for k in range(j, size):
+                upper[j, k] -= f * upper[i, k]
+    for i in range(size - 1, -1, -1):
+        for c in range(2):
+            for j in range(i + 1, size):
+                beta[i, c] -= upper[i, j] * beta[j, c]
+            beta[i, c] /= upper[i, i]
 
 
-@njit(cache=True)
-def _mutual(at, reach, target, ratio, log_half, sized, usable):  # noqa: PLR0917 - a kernel
-    """The place nearest to each detection, and the detections that are also the nearest of their place.
+@njit(cache=True, error_model="numpy")
+def _predict(phi, noise, w, log_r, upper, beta, at, ratio, reach):  # noqa: PLR0917 - a kernel
+    """Fill in where the map puts each detection, its log radius there, and GATE standard deviations of the place."""
+    size = len(beta)
+    z = np.empty(size)
+    for n in range(len(w)):
+        x = y = x_by_x = y_by_x = x_by_y = y_by_y = variance = 0.0
+        for k in range(size):
+            z[k] = phi[0, n, k]
+            x += phi[0, n, k] * beta[k, 0]
+            y += phi[0, n, k] * beta[k, 1]
+            x_by_x += phi[1, n, k] * beta[k, 0]
+            y_by_x += phi[1, n, k] * beta[k, 1]
+            x_by_y += phi[2, n, k] * beta[k, 0]
+            y_by_y += phi[2, n, k] * beta[k, 1]
+        for k in range(size):
+            f = z[k] / upper[k, k]
+            variance += f * f
+            for j in range(k + 1, size):
+                z[j] -= f * upper[k, j]
+        area = abs((1.0 + x_by_x) * (1.0 + y_by_y) - y_by_x * x_by_y)
+        at[n, 0], at[n, 1] = w[n, 0] + x, w[n, 1] + y
+        ratio[n] = log_r[n] + 0.5 * np.log(max(area, 1e-6))
+        reach[n] = GATE * np.sqrt(variance + noise[n])
 
-    Within `reach` only, and where the log radius is right within `sized`.
+
+@njit(cache=True, error_model="numpy")
+def _take(at, reach, target, ratio, log_half, sized, usable, place_of):  # noqa: PLR0917 - a kernel
+    """Fill in the place of each detection, or -1: the nearest place, if the detection is also the nearest to it.
+
+    Within `reach` only, and where the log radius is right within `sized`. How many have changed, how many have one.
     """
-    best, owner = np.full(len(at), -1), np.full(len(target), -1)
-    near = np.full(len(target), np.inf)
+    owner, near = np.empty(len(target), np.int64), np.empty(len(target))
+    for p in range(len(target)):
+        owner[p], near[p] = -1, np.inf
+    best = np.empty(len(at), np.int64)
     for n in range(len(at)):
-        nearest = reach[n] ** 2
+        best[n] = -1
+        nearest = limit = reach[n] ** 2 if usable[n] else 0.0
         for p in range(len(target)):
             d = (at[n, 0] - target[p, 0]) ** 2 + (at[n, 1] - target[p, 1]) ** 2
-            if usable[n] and d < reach[n] ** 2 and abs(ratio[n] - log_half[p]) < sized:
+            if d < limit and abs(ratio[n] - log_half[p]) < sized:
                 if d < nearest:
                     nearest, best[n] = d, p
                 if d < near[p]:
                     near[p], owner[p] = d, n
-    mutual = [n for n in range(len(at)) if best[n] >= 0 and owner[best[n]] == n]
-    return best, np.array(mutual, dtype=np.int64)
+    changed = count = 0
+    for n in range(len(at)):
+        p = best[n] if best[n] >= 0 and owner[best[n]] == n else -1
+        changed += p != place_of[n]
+        count += p >= 0
+        place_of[n] = p
+    return changed, count
 
 
-@njit(cache=True)
-def _grow(w, log_r, noise, target, log_half, pitch, rows, places, usable):  # noqa: PLR0917 - a kernel
-    """The rounds of `grow`, in units of half the image."""
+@njit(cache=True, error_model="numpy")
+def _level(ratio, log_half, place_of):
+    """The median log radius of the beads against that of their places."""
+    off, count = np.empty(len(ratio)), 0
+    for n in range(len(ratio)):
+        if place_of[n] >= 0:
+            one, k = ratio[n] - log_half[place_of[n]], count
+            while k > 0 and off[k - 1] > one:
+                off[k] = off[k - 1]
+                k -= 1
+            off[k] = one
+            count += 1
+    return (off[(count - 1) // 2] + off[count // 2]) / 2
+
+
+@njit(cache=True, error_model="numpy")
+def _grow(w, log_r, noise, target, log_half, pitch, seed, usable):  # noqa: PLR0917 - a kernel
+    """The rounds of `grow`, in units of half the image. `seed` (N,): the place of each detection, or -1."""
     phi = features(w)
-    at, ratio, reach = w.copy(), log_r.copy(), noise.copy()
-    for _ in range(MOST_ROUNDS):
-        beta, root = _fit(phi[0], noise, rows, target[places] - w[rows])
-        at = w + phi[0] @ beta
-        by_x, by_y = phi[1] @ beta, phi[2] @ beta
-        area = (1.0 + by_x[:, 0]) * (1.0 + by_y[:, 1]) - by_x[:, 1] * by_y[:, 0]
-        ratio = log_r + 0.5 * np.log(np.maximum(np.abs(area), 1e-6))
-        level = np.median(ratio[rows] - log_half[places])
-        reach = GATE * np.sqrt((((phi[0] @ root.T) ** 2).sum(axis=1)) + noise)
-        reach[reach > CERTAIN * pitch] = 0.0
-        best, taken = _mutual(at, reach, target, ratio - level, log_half, LOG_RADIUS, usable)
-        if len(taken) < 3 or (len(taken) == len(rows) and (taken == rows).all() and (best[taken] == places).all()):
+    upper, beta = np.empty((phi.shape[2], phi.shape[2])), np.empty((phi.shape[2], 2))
+    at, ratio, reach = w.copy(), log_r.copy(), np.empty(len(w))
+    loose = noise.copy()
+    place_of, taken, all_of = seed.copy(), seed.copy(), seed.copy()
+    level = _level(ratio, log_half, seed)
+    for n in range(len(w)):
+        ratio[n] -= level
+        reach[n] = AGREES * pitch
+        loose[n] += (LOOSE * pitch) ** 2
+    _take(at, reach, target, ratio, log_half, LOG_RADIUS, usable, place_of)
+    for n in range(len(w)):  # the seed's own beads have the word
+        for m in range(len(w)):
+            if seed[n] >= 0 and place_of[m] == seed[n]:
+                place_of[m] = -1
+    for n in range(len(w)):
+        if seed[n] >= 0:
+            place_of[n] = seed[n]
+    for turn in range(MOST_ROUNDS):
+        _fit(phi[0], noise if turn else loose, place_of, target, w, upper, beta)
+        _predict(phi, noise, w, log_r, upper, beta, at, ratio, reach)
+        level = _level(ratio, log_half, place_of)
+        for n in range(len(w)):
+            ratio[n] -= level
+            taken[n] = place_of[n]
+            if reach[n] > CERTAIN * pitch:
+                reach[n] = 0.0
+        changed, count = _take(at, reach, target, ratio, log_half, LOG_RADIUS, usable, taken)
+        if count < 3 or (changed == 0 and turn > 0):
             break
-        rows, places = taken, best[taken]
-    level = np.median(ratio[rows] - log_half[places])
-    ratio -= level
-    best, taken = _mutual(at, reach, target, ratio, log_half, np.inf, usable)
-    return rows, places, at, ratio, level, taken, best[taken]
+        for n in range(len(w)):
+            place_of[n] = taken[n]
+    _take(at, reach, target, ratio, log_half, np.inf, usable, all_of)
+    return place_of, all_of, at, ratio, level
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,17 +240,27 @@ def grow(seed: Seed, detections: Detections, usable: np.ndarray) -> Grown:
     """The beads of the seed's plate, as far as one smooth map reaches them."""
     pattern = seed.pattern
     sheet = Sheet.of(seed.similarity, detections.image_shape)
-    rows, places, at, log_ratio, level, all_rows, all_places = _grow(
+    place_of = np.full(len(detections), -1)
+    place_of[seed.rows] = seed.places
+    place_of, all_of, at, log_ratio, level = _grow(
         sheet.w(detections.uv_px),
         np.log(detections.radius_px),
         sheet.noise(detections.covariance_px2) + REMAINDER**2,
         (pattern.xy_mm - sheet.centre_mm) / sheet.unit_mm,
-        np.log(pattern.diameter_mm / 2),
+        pattern.log_half,
         pattern.pitch_mm / sheet.unit_mm,
-        seed.rows,
-        seed.places,
+        place_of,
         usable,
     )
-    xy_mm = at * sheet.unit_mm + sheet.centre_mm
-    level -= np.log(seed.similarity.scale)
-    return Grown(pattern, sheet, rows, places, all_rows, all_places, xy_mm, log_ratio, float(level))
+    rows, all_rows = np.flatnonzero(place_of >= 0), np.flatnonzero(all_of >= 0)
+    return Grown(
+        pattern=pattern,
+        sheet=sheet,
+        rows=rows,
+        places=place_of[rows],
+        all_rows=all_rows,
+        all_places=all_of[all_rows],
+        xy_mm=at * sheet.unit_mm + sheet.centre_mm,
+        log_ratio=log_ratio,
+        level=float(level - np.log(seed.similarity.scale)),
+    )

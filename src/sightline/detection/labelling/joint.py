@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
+from scipy.linalg.lapack import dpotrf, dtrtri  # pyright: ignore[reportAttributeAccessIssue]
 
 from sightline.detection.labelling.growth import Grown, features
 from sightline.detection.labelling.patterns import Pattern
@@ -43,14 +44,16 @@ class Shadows:
         """Whether a focal point (3,) lies beyond the source plate, seen from the XRII plate."""
         return bool((self.height_of(focal_mm) / self.height_mm > 1.0 + LEAST_BEYOND).all())
 
-    def seen_from(self, focal_mm: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """(S, 2) the shadows, and (S, 2, 3) their derivative by the focal point (central projection)."""
+    def seen_from(self, focal_mm: np.ndarray) -> np.ndarray:
+        """(S, 2) the shadows (central projection)."""
+        share = (self.height_mm / (self.height_mm - self.height_of(focal_mm)))[:, None]  # of the focal point in it
+        return self.flat_mm + share * (self.pattern.plane.to_plane(focal_mm) - self.flat_mm)
+
+    def by_focal(self, focal_mm: np.ndarray) -> np.ndarray:
+        """(S, 2, 3) the derivative of the shadows by the focal point."""
         f, y = self.height_of(focal_mm), self.height_mm
-        share = (y / (y - f))[:, None]  # of the focal point in the projected point
-        foot = self.pattern.plane.to_plane(focal_mm)
-        by_height = (y / (y - f) ** 2)[:, None] * (foot - self.flat_mm)
-        at = share * foot + (1 - share) * self.flat_mm
-        return at, share[:, :, None] * self.pattern.plane.axes + by_height[:, :, None] * self.normal
+        by_height = (y / (y - f) ** 2)[:, None] * (self.pattern.plane.to_plane(focal_mm) - self.flat_mm)
+        return (y / (y - f))[:, None, None] * self.pattern.plane.axes + by_height[:, :, None] * self.normal
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,33 +102,46 @@ class Model:
 
     def fit(self, beads: np.ndarray, focal_mm: np.ndarray, factor: float) -> Joint:
         """One Gauss-Newton step from `focal_mm`; `factor` scales the variance of the noise."""
-        rows, places = beads.T
+        rows, places = beads[:, 0], beads[:, 1]
         count, unit = len(self.xrii.ids), self.sheet.unit_mm
-        targets, by_focal = self.shadows.seen_from(focal_mm)
-        y = (np.concatenate([self.xrii.xy_mm, targets])[places] - self.sheet.centre_mm) / unit - self.w[rows]
+        of_source = np.flatnonzero(places >= count)
+        y = (self._targets(focal_mm)[places] - self.sheet.centre_mm) / unit - self.w[rows]
+        slope = np.zeros((len(rows), 2, 3))
+        slope[of_source] = self.shadows.by_focal(focal_mm)[places[of_source] - count] * (FOCAL_STEP_MM / unit)
+        slope = slope.reshape(-1, 6)
         noise = factor * self.noise
-        kernel = self.kernel[:, rows]
-        inverse = np.linalg.inv(kernel[rows] + np.diag(noise[rows]))
+        inner = self.kernel[rows][:, rows]
+        inner.flat[:: len(rows) + 1] += noise[rows]
+        root = dtrtri(dpotrf(inner.T, lower=1, overwrite_a=1)[0], lower=1, overwrite_c=1)[0]  # symmetric: .T is free
 
-        slope = np.zeros((2, len(rows), 3))
-        of_source = places >= count
-        slope[:, of_source] = by_focal[places[of_source] - count].transpose(1, 0, 2)
-        slope *= FOCAL_STEP_MM / unit
-        pull = inverse @ slope
-        small = np.linalg.inv(np.eye(3) + (slope.transpose(0, 2, 1) @ pull).sum(axis=0))
-        turned = pull @ small
-        weights = inverse @ y - (turned @ (pull.transpose(0, 2, 1) @ y.T[:, :, None]).sum(axis=0))[:, :, 0].T
-        focal = focal_mm - FOCAL_STEP_MM * (slope.transpose(0, 2, 1) @ weights.T[:, :, None]).sum(axis=0)[:, 0]
+        solved = root.T @ (root @ np.concatenate([slope, y], axis=1))  # the inverse covariance times slope and y
+        gram = slope.T @ solved
+        small = np.linalg.inv(np.eye(3) + gram[:3, :3] + gram[3:, 3:6])
+        step = small @ (gram[:3, 6] + gram[3:, 7])
+        weights = solved[:, 6:] - solved[:, :6].reshape(-1, 2, 3) @ step
+        focal = focal_mm - FOCAL_STEP_MM * step
 
-        spread = np.linalg.inv(
-            np.diag(inverse)[:, None, None] * np.eye(2) - (turned.transpose(1, 0, 2) @ pull.transpose(1, 2, 0))
-        )
-        left_out = (spread @ weights[:, :, None])[:, :, 0]
-        target_mm = np.concatenate([self.xrii.xy_mm, self.shadows.seen_from(focal)[0]])
-        xy_mm = (self.w + kernel @ weights) * unit + self.sheet.centre_mm
+        # Each bead's own block of the inverse covariance, [[a, b], [b, c]], gives its error and variance left out.
+        pull = solved[:, :6].reshape(-1, 2, 3) @ np.linalg.cholesky(small)
+        own = (root**2).sum(axis=0)
+        a, c = own - np.einsum("nik,nik->in", pull, pull)
+        b = -np.einsum("nk,nk->n", pull[:, 0], pull[:, 1])
+        u, v = weights.T
+        left_out = np.stack([c * u - b * v, a * v - b * u], axis=1) / (a * c - b * b)[:, None]
+        target_mm = self._targets(focal)
+        xy_mm, variance = np.empty((len(self.w), 2)), np.empty(len(self.w))
         xy_mm[rows] = target_mm[places] - left_out * unit
-        variance = np.diag(self.kernel) + noise - ((kernel @ inverse) * kernel).sum(axis=1)
-        variance += ((kernel @ turned) * (kernel @ pull)).sum(axis=(0, 2)) / 2
-        variance[rows] = np.trace(spread, axis1=1, axis2=2) / 2
+        variance[rows] = (a + c) / (2 * (a * c - b * b))
+
+        other = np.ones(len(self.w), dtype=bool)
+        other[rows] = False
+        kernel = self.kernel[other][:, rows]
+        xy_mm[other] = (self.w[other] + kernel @ weights) * unit + self.sheet.centre_mm
+        variance[other] = self.kernel.diagonal()[other] + noise[other] - ((kernel @ root.T) ** 2).sum(axis=1)
+        variance[other] += ((kernel @ pull.reshape(-1, 6)) ** 2).sum(axis=1) / 2
         bend = float(np.abs(self.phi[rows].T @ weights).max())
         return Joint(focal, xy_mm, variance * unit**2, target_mm, (left_out * weights).sum(axis=1), bend)
+
+    def _targets(self, focal_mm: np.ndarray) -> np.ndarray:
+        """(P, 2) mm: where the places lie on the XRII plate, source ones seen from a focal point."""
+        return np.concatenate([self.xrii.xy_mm, self.shadows.seen_from(focal_mm)])

@@ -6,7 +6,7 @@ import numpy as np
 
 from sightline.detection.labelling.checks import FINAL, Stop
 from sightline.detection.labelling.growth import Grown, grow
-from sightline.detection.labelling.naming import readings
+from sightline.detection.labelling.naming import most_like
 from sightline.detection.labelling.patterns import Pattern, patterns
 from sightline.detection.labelling.seeds import Seed, best_similarity, find_seeds
 from sightline.detection.labelling.solve import LEAST_BEADS, Problem, Solution, solve
@@ -94,9 +94,7 @@ def _found(problem: Problem) -> Solution:
 
 def _one_plate(problem: Problem, lattice: Grown) -> Stop:
     """What to say where no second plate is found."""
-    every = [pattern for couple in problem.couples for pattern in couple]
-    read = [one for pattern in every if (one := readings(lattice, pattern))]
-    best = min(read, key=lambda one: one.cost.min()).pattern if read else lattice.pattern
+    best = most_like(lattice, [pattern for couple in problem.couples for pattern in couple])
     return Stop(
         1,
         f"only one plate was found: {len(lattice)} beads that look most like the {best.role_name} plate of the "
@@ -107,10 +105,9 @@ def _one_plate(problem: Problem, lattice: Grown) -> Stop:
 def _lattices(problem: Problem, usable: np.ndarray, most: int) -> Iterator[Grown]:
     """Lattices of beads among the usable detections, the most promising first, each only once."""
     every = [pattern for couple in problem.couples for pattern in couple]
-    seeds = find_seeds(problem.detections, every, usable, SEEDS)
     known: list[Grown] = []
     tried = 0
-    for seed in seeds:
+    for seed in find_seeds(problem.detections, every, usable, SEEDS):
         if len(known) == most or tried == MOST_GROWN:
             return
         if any(_is_of(seed, one) for one in known):

@@ -1,5 +1,6 @@
 """Which plate a grown lattice is, and which way round: every other way of laying a plate on it is held against it."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -7,7 +8,7 @@ import numpy as np
 from numba import njit
 
 from sightline.detection.labelling.growth import Grown
-from sightline.detection.labelling.patterns import Pattern
+from sightline.detection.labelling.patterns import Pattern, median
 
 # A bead costs half its squared log-radius error over RADIUS_SD, at most CONTRADICTION: the log odds against a
 # misjudged size, or against a bead where the plate has none (2 % each) [ours].
@@ -21,98 +22,187 @@ SECTOR = np.pi / 6  # two plates of one view are turned alike within half of thi
 
 @dataclass(frozen=True, eq=False)
 class Readings:
-    """All ways to lay one pattern on one lattice: turn · z + shift of z = x + iy, mm, conjugate first if `flip`."""
+    """The cheapest of all ways to lay one pattern on one lattice, neighbours on neighbours.
+
+    Per class (24,), handedness and sector against the image, in which plates of one view must agree: the least `cost`,
+    the `second`, and the number `index` of the cheapest reading; -1 where there is none or it is hopeless, its cost
+    then being too low.
+    """
 
     pattern: Pattern
-    turn: np.ndarray
-    shift: np.ndarray
-    flip: np.ndarray
     cost: np.ndarray
+    second: np.ndarray
+    index: np.ndarray
 
 
-@lru_cache(maxsize=32)
-def _place_table(pattern: Pattern) -> tuple[np.ndarray, np.ndarray, float]:
-    """The place within reach of each of CELLS x CELLS cells over the plate, or -1; the corner and the cell, mm."""
-    low = pattern.xy_mm.min(axis=0) - pattern.pitch_mm
-    cell = float((pattern.xy_mm.max(axis=0) + pattern.pitch_mm - low).max() / CELLS)
-    middle = low + (np.indices((CELLS, CELLS)).reshape(2, -1).T + 0.5) * cell
-    distance = np.linalg.norm(middle[:, None] - pattern.xy_mm[None], axis=2)
-    table = np.where(distance.min(axis=1) < ON_PLACE * pattern.pitch_mm, distance.argmin(axis=1), -1)
-    return table.reshape(CELLS, CELLS), low, cell
+@dataclass(frozen=True, eq=False)
+class _Map:
+    """A pattern made ready for being laid on lattices.
+
+    `table`: which place is within reach of each of CELLS x CELLS cells, or -1, from the corner `low`, `cell` mm each.
+    Its pairs of neighbours as places `start` and steps `step`, of directions `step_rad`; `larger`: log sizes over the
+    median.
+    """
+
+    table: np.ndarray
+    low: np.ndarray
+    cell: float
+    start: np.ndarray
+    step: np.ndarray
+    step_rad: np.ndarray
+    larger: np.ndarray
+
+    @staticmethod
+    @lru_cache(maxsize=32)
+    def of(pattern: Pattern) -> "_Map":
+        low = pattern.xy_mm.min(axis=0) - pattern.pitch_mm
+        cell = float((pattern.xy_mm.max(axis=0) + pattern.pitch_mm - low).max() / CELLS)
+        middle = low + (np.indices((CELLS, CELLS)).reshape(2, -1).T + 0.5) * cell
+        distance = np.linalg.norm(middle[:, None] - pattern.xy_mm[None], axis=2)
+        table = np.where(distance.min(axis=1) < ON_PLACE * pattern.pitch_mm, distance.argmin(axis=1), -1)
+        start, end = pattern.z[pattern.neighbours].T
+        step = end - start
+        larger = pattern.log_half - median(pattern.log_half)
+        return _Map(table.reshape(CELLS, CELLS), low, cell, np.ascontiguousarray(start), step, np.angle(step), larger)
 
 
-@njit(cache=True)
-def _costs(z, log_ratio, turn, shift, flip, table, low, cell, log_half):  # noqa: PLR0917 - a kernel
-    out = np.zeros(len(turn))
-    of_place = np.empty((len(z), len(log_half) + 1))
-    of_place[:, -1] = CONTRADICTION  # place -1: none
+@njit(cache=True, error_model="numpy")
+def _reading(t, start, step, origin, away):
+    """Turn and shift of z = x + iy, mm, of reading `t`, and whether z is conjugated first."""
+    flip = t >= len(step)
+    k = t - len(step) if flip else t
+    turn = step[k] * (away if flip else away.conjugate()) / (away.real**2 + away.imag**2)
+    return turn, start[k] - turn * (origin.conjugate() if flip else origin), flip
+
+
+@njit(cache=True, error_model="numpy")
+def _cheapest(  # noqa: PLR0917 - a kernel
+    z,
+    larger,
+    origin,
+    away,
+    away_rad,
+    tilt_rad,
+    mirror,
+    table,
+    low,
+    cell,
+    start,
+    step,
+    step_rad,
+    sizes,
+    least,
+    first,
+    second,
+    index,
+):
+    """Fill in the two least costs of each class and the cheapest reading. Returns the least of all and of `least`."""
+    of_place = np.empty((len(z), len(sizes) + 1))
     for n in range(len(z)):
-        for p in range(len(log_half)):
-            of_place[n, p] = min(CONTRADICTION, 0.5 * ((log_ratio[n] - log_half[p]) / RADIUS_SD) ** 2)
-    cells, least = 1.0 / cell, np.inf
-    for t in range(len(turn)):
-        for n in range(len(z)):
-            at = turn[t] * (z[n].conjugate() if flip[t] else z[n]) + shift[t]
-            x, y = (at.real - low[0]) * cells, (at.imag - low[1]) * cells
-            inside = 0.0 <= x < CELLS and 0.0 <= y < CELLS
-            out[t] += of_place[n, table[int(x), int(y)] if inside else -1]
-            if out[t] > least + HOPELESS:
-                break
-        least = min(least, out[t])
-    return out
+        for p in range(len(sizes)):
+            of_place[n, p] = min(CONTRADICTION, 0.5 * ((larger[n] - sizes[p]) / RADIUS_SD) ** 2)
+        of_place[n, len(sizes)] = CONTRADICTION  # no place
+    per_mm = 1.0 / cell
+    for t in range(2 * len(step)):
+        turn, shift, flip = _reading(t, start, step, origin, away)
+        cost, n = 0.0, 0
+        while n < len(z) and cost <= least + HOPELESS:
+            at = turn * (z[n].conjugate() if flip else z[n]) + shift
+            x, y = (at.real - low[0]) * per_mm, (at.imag - low[1]) * per_mm
+            p = table[int(x), int(y)] if 0.0 <= x < CELLS and 0.0 <= y < CELLS else -1
+            cost += of_place[n, p if p >= 0 else len(sizes)]
+            n += 1
+        hopeless = cost > least + HOPELESS
+        least = min(least, cost)
+        mirrored = flip != mirror
+        turn_rad = step_rad[t % len(step)] + (away_rad if flip else -away_rad)
+        sector = int(np.floor((turn_rad + (tilt_rad if mirrored else -tilt_rad)) / SECTOR + 0.5))
+        c = sector % 12 + 12 * mirrored
+        if cost < first[c]:
+            first[c], second[c], index[c] = cost, first[c], -1 if hopeless else t
+        else:
+            second[c] = min(second[c], cost)
+    return least
 
 
-@lru_cache(maxsize=8)
-def _base_pair(grown: Grown) -> tuple[int, int] | None:
-    """Two detections on neighbouring places, as near to the middle of the lattice as there are."""
-    row_of = np.full(len(grown.pattern.ids), -1)
-    row_of[grown.all_places] = grown.all_rows
-    pairs = row_of[grown.pattern.neighbours]
-    pairs = pairs[(pairs >= 0).all(axis=1)]
-    if not len(pairs):
-        return None
-    off = grown.xy_mm[pairs].mean(axis=1) - grown.xy_mm[grown.all_rows].mean(axis=0)
-    return tuple(pairs[np.argmin((off**2).sum(axis=1))].tolist())
+@dataclass(frozen=True, eq=False)
+class _Lattice:
+    """A lattice to be named: its beads as z = x + iy and how much larger than the median they are, log.
+
+    First the beads that few readings explain. Two beads on neighbouring places lie at `origin` and `away` from it.
+    """
+
+    grown: Grown
+    z: np.ndarray
+    larger: np.ndarray
+    origin: complex
+    away: complex
+
+    @staticmethod
+    def of(grown: Grown) -> "_Lattice | None":
+        """None where no two beads are neighbours."""
+        pattern, rows = grown.pattern, grown.all_rows
+        seen = np.zeros(len(pattern.ids), dtype=bool)
+        seen[grown.all_places] = True
+        pairs = pattern.neighbours[seen[pattern.neighbours].all(axis=1)]
+        if not len(pairs):
+            return None
+        z = grown.xy_mm[rows] @ np.array([1.0, 1j])
+        ends = pattern.z[pairs]
+        origin, other = ends[np.abs(ends.sum(axis=1) / 2 - z.mean()).argmin()].tolist()  # near the middle
+        larger = grown.log_ratio[rows] - median(grown.log_ratio[rows])
+        telling = np.argsort(-larger)
+        return _Lattice(grown, z[telling], larger[telling], origin, other - origin)
+
+    def readings(self, patterns: Iterable[Pattern], reference_rad: float) -> dict[Pattern, Readings]:
+        """The cheapest ways to lay each pattern on the lattice. The classes count turns from `reference_rad`."""
+        out, least = {}, np.inf
+        similarity = self.grown.sheet.similarity
+        for pattern in sorted(patterns, key=lambda one: one is not self.grown.pattern):  # its own is cheap, most often
+            m = _Map.of(pattern)
+            first, second, index = np.full(24, np.inf), np.full(24, np.inf), np.full(24, -1)
+            least = _cheapest(
+                self.z,
+                self.larger,
+                self.origin,
+                self.away,
+                np.angle(self.away),
+                np.angle(similarity.turn) - reference_rad,
+                similarity.mirror,
+                m.table,
+                m.low,
+                m.cell,
+                m.start,
+                m.step,
+                m.step_rad,
+                m.larger,
+                least,
+                first,
+                second,
+                index,
+            )
+            out[pattern] = Readings(pattern, first, second, index)
+        return out
+
+    def places(self, pattern: Pattern, index: int) -> tuple[np.ndarray, bool]:
+        """(rows,) the place of each of the lattice's beads under a reading, -1 where there is none.
+
+        And whether that is the reading with which the lattice came.
+        """
+        m = _Map.of(pattern)
+        turn, shift, flip = _reading(index, m.start, m.step, self.origin, self.away)
+        z = self.grown.xy_mm[self.grown.all_rows] @ np.array([1.0, -1j if flip else 1j])
+        d = np.abs((turn * z + shift)[:, None] - pattern.z)
+        own = pattern is self.grown.pattern and not flip and abs(turn - 1) < 1e-9 and abs(shift) < 1e-6
+        return np.where(d.min(axis=1) < ON_PLACE * pattern.pitch_mm, d.argmin(axis=1), -1), own
 
 
-def readings(grown: Grown, pattern: Pattern) -> Readings | None:
-    """Every way to lay `pattern` on a grown lattice, neighbours on neighbours, and what it costs."""
-    base = _base_pair(grown)
-    if base is None:
-        return None
-    row_of = dict(zip(grown.all_rows.tolist(), grown.all_places.tolist(), strict=True))
-    origin, other = (complex(*grown.pattern.xy_mm[row_of[r]]) for r in base)
-    z = pattern.xy_mm @ np.array([1.0, 1j])
-    a, b = z[pattern.neighbours[:, 0]], z[pattern.neighbours[:, 1]]
-    step = other - origin
-    turn = np.concatenate([(b - a) / step, (b - a) / step.conjugate()])
-    shift = np.concatenate([a, a]) - turn * np.repeat([origin, origin.conjugate()], len(a))
-    flip = np.repeat([False, True], len(a))
-    table, low, cell = _place_table(pattern)
-    log_half = np.log(pattern.diameter_mm / 2)
-    log_ratio = grown.log_ratio[grown.all_rows]
-    larger = log_ratio - np.median(log_ratio)
-    telling = np.argsort(-larger)  # first the beads that few readings explain
-    cost = _costs(
-        grown.xy_mm[grown.all_rows[telling]] @ np.array([1.0, 1j]),
-        larger[telling],
-        turn,
-        shift,
-        flip,
-        table,
-        low,
-        cell,
-        log_half - np.median(log_half),
-    )
-    return Readings(pattern, turn, shift, flip, cost)
-
-
-def _classes(grown: Grown, r: Readings, reference_rad: float) -> np.ndarray:
-    """Handedness and sector of each reading against the image: plates of one view must agree in them."""
-    mirror = r.flip ^ grown.sheet.similarity.mirror
-    off = np.angle(grown.sheet.similarity.turn) - reference_rad
-    sector = np.round((np.angle(r.turn) + np.where(mirror, off, -off)) / SECTOR).astype(int) % 12
-    return sector + 12 * mirror
+def most_like(grown: Grown, patterns: Iterable[Pattern]) -> Pattern:
+    """The pattern that a lattice looks most like."""
+    lattice = _Lattice.of(grown)
+    if lattice is None:
+        return grown.pattern
+    return min(lattice.readings(patterns, 0.0).values(), key=lambda one: one.cost.min()).pattern
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,64 +221,35 @@ class Naming:
     unchanged: bool
 
 
-@njit(cache=True)
-def _two_smallest(cost, classes):
-    """(24,) the least and the second least cost of each class, and the index of the least."""
-    first, second, index = np.full(24, np.inf), np.full(24, np.inf), np.full(24, -1)
-    for t in range(len(cost)):
-        c = classes[t]
-        if cost[t] < first[c]:
-            first[c], second[c], index[c] = cost[t], first[c], t
-        else:
-            second[c] = min(second[c], cost[t])
-    return first, second, index
-
-
-def _places(grown: Grown, r: Readings, index: int) -> np.ndarray:
-    """(rows,) the place of each of the lattice's beads under a reading, -1 where there is none."""
-    z = grown.xy_mm[grown.all_rows] @ np.array([1.0, 1j])
-    at = r.turn[index] * (z.conj() if r.flip[index] else z) + r.shift[index]
-    d = np.abs(at[:, None] - (r.pattern.xy_mm @ np.array([1.0, 1j]))[None])
-    return np.where(d.min(axis=1) < ON_PLACE * r.pattern.pitch_mm, d.argmin(axis=1), -1)
-
-
-def _is_own(grown: Grown, r: Readings, index: int) -> bool:
-    """Whether a reading is the one with which the lattice came."""
-    same = not r.flip[index] and abs(r.turn[index] - 1) < 1e-9 and abs(r.shift[index]) < 1e-6
-    return r.pattern is grown.pattern and bool(same)
-
-
 def name(pair: tuple[Grown, Grown], couples: list[tuple[Pattern, Pattern]]) -> Naming | None:
     """The best reading of two lattices as XRII and source plate, either way round, of one of `couples`.
 
-    The first of `couples` wins a tie. None where a lattice has no two neighbouring beads.
+    The first of `couples` wins a tie. None where a lattice has no two neighbouring beads or fits nothing.
     """
-    reference = float(np.angle(pair[0].sheet.similarity.turn))
-    found = []
-    for couple in couples:
-        for order in ((0, 1), (1, 0)):
-            read = [readings(pair[k], pattern) for k, pattern in zip(order, couple, strict=True)]
-            if read[0] is None or read[1] is None:
-                return None
-            both = [(pair[k], r) for k, r in zip(order, read, strict=True) if r]
-            found.append((order, both, [_two_smallest(r.cost, _classes(g, r, reference)) for g, r in both]))
-    totals = [a[0] + b[0] for _, _, (a, b) in found]
-    best = int(np.argmin([total.min() for total in totals]))
-    if not np.isfinite(totals[best].min()):
+    lattices = [_Lattice.of(grown) for grown in pair]
+    if lattices[0] is None or lattices[1] is None:
         return None
-    order, both, (a, b) = found[best]
+    reference = float(np.angle(pair[0].sheet.similarity.turn))
+    every = [pattern for couple in couples for pattern in couple]
+    read = [lattice.readings(every, reference) for lattice in lattices if lattice]
+    ways = [(read[0][a], read[1][b]) for couple in couples for a, b in (couple, couple[::-1])]
+    totals = [a.cost + b.cost for a, b in ways]
+    best = int(np.argmin([total.min() for total in totals]))
+    first, second = ways[best]
     c = int(totals[best].argmin())
+    if first.index[c] < 0 or second.index[c] < 0:
+        return None
     cost = float(totals[best][c])
-    totals[best][c] = min(a[1][c] + b[0][c], a[0][c] + b[1][c])
+    totals[best][c] = min(first.second[c] + second.cost[c], first.cost[c] + second.second[c])
     rivals = np.array([total.min() for total in totals])
-    same_view = [one[1][0][1].pattern.view == both[0][1].pattern.view for one in found]
-    chosen = [(g, r, int(index)) for (g, r), index in zip(both, (a[2][c], b[2][c]), strict=True)]
-    first, second = (chosen[order.index(k)] for k in (0, 1))
+    in_view = [a.pattern.view == first.pattern.view for a, _ in ways]
+    places0, own0 = lattices[0].places(first.pattern, int(first.index[c]))
+    places1, own1 = lattices[1].places(second.pattern, int(second.index[c]))
     return Naming(
-        patterns=(first[1].pattern, second[1].pattern),
-        places=(_places(*first), _places(*second)),
+        patterns=(first.pattern, second.pattern),
+        places=(places0, places1),
         cost=cost,
         margin=float(rivals.min()) - cost,
-        margin_in_view=float(rivals[same_view].min()) - cost,
-        unchanged=_is_own(*first) and _is_own(*second),
+        margin_in_view=float(rivals[in_view].min()) - cost,
+        unchanged=own0 and own1,
     )

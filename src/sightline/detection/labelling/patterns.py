@@ -1,7 +1,7 @@
 """What labelling needs of a frame: each plate as a flat pattern of large and small fiducials."""
 
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 from scipy.spatial import KDTree
@@ -10,6 +10,12 @@ from sightline.frame import Frame, Plate
 from sightline.geometry.planes import Plane
 
 NEIGHBOUR = 1.2  # fiducials nearer than this many pitches are neighbours: not the diagonal of a square [ours]
+
+
+def median(values: np.ndarray) -> float:
+    """Of (N,), as np.median, which takes ten times as long on a hundred."""
+    ordered, n = np.sort(values), len(values)
+    return float(ordered[(n - 1) // 2] + ordered[n // 2]) / 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,7 +44,22 @@ class Pattern:
         """The plate's name in a message."""
         return {"xrii": "XRII", "source": "source"}[self.role]
 
+    @cached_property
+    def log_half(self) -> np.ndarray:
+        """(N,) log of the radius, mm."""
+        return np.log(self.diameter_mm / 2)
+
+    @cached_property
+    def z(self) -> np.ndarray:
+        """(N,) `xy_mm` as x + iy."""
+        return self.xy_mm @ np.array([1.0, 1j])
+
     @property
+    def datum_kind(self) -> str:
+        """What its datum markers are detected as: "washer" or "ball"."""
+        return "washer" if self.washer[self.datums].all() else "ball"
+
+    @cached_property
     def datums(self) -> np.ndarray:
         """Rows of the datum markers."""
         return np.flatnonzero(self.datum)

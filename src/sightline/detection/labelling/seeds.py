@@ -1,23 +1,23 @@
 """First guesses: three detections taken for three datum markers of a plate give a similarity of plate and image."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
 
-from sightline.detection.labelling.patterns import Pattern
+from sightline.detection.labelling.patterns import Pattern, median
 from sightline.detection.results import Detections
 
 MOST_LARGE = 32  # detections that may be datum markers [ours: 12 datums, 10 false ones, and room]
 LARGER = 1.12  # than the median detection: half the step from 3 to 5 mm, less 15 % for the plates' scales [ours]
-MOST_SEEDS = 4096
 SMALLEST_PX = 10.0  # pitch in the image [ours: beads of 2 px radius and as much between them]
 RADIUS_RATIO = 0.25  # log of detected over expected radius: blur, local magnification, tilt together [ours]
 RADIUS_SPREAD = 0.2  # log radius between fiducials of one plate; half the step from 3 to 5 mm [ours]
 THIRD = 0.14  # how far the third datum may miss its place, of the span: tilt 20°, 9 % pincushion [ours]
 REACH = 0.3  # how far other beads may miss theirs, of the pitch: nearer to it than to the next bead's [ours]
 CELLS = 48
-SOON, SOON_LEAST = 16, 2.0  # a guess that has not more after so many beads is given up [ours]
+NEAR = 5  # cells: REACH of a pitch of a third of the image, no plate being so coarse [calc]
 
 
 @dataclass(frozen=True)
@@ -57,91 +57,92 @@ class Seed:
     score: float
 
 
-@njit(cache=True)
-def _nearest_table(uv, usable, width, height):
-    """Which detection is nearest to the middle of each of CELLS x CELLS cells of the image."""
-    table = np.zeros((CELLS, CELLS), np.int64)
+@njit(cache=True, error_model="numpy")
+def _nearest_table(w, usable, width, height):
+    """Which detection is nearest to the middle of each of CELLS x CELLS cells of the image, -1 if none is near."""
+    table, nearest = np.empty((CELLS, CELLS), np.int64), np.empty((CELLS, CELLS))
     for i in range(CELLS):
         for j in range(CELLS):
-            u, v = (j + 0.5) * width / CELLS, (i + 0.5) * height / CELLS
-            best = np.inf
-            for k in range(len(uv)):
-                d = (uv[k, 0] - u) ** 2 + (uv[k, 1] - v) ** 2
-                if usable[k] and d < best:
-                    best = d
-                    table[i, j] = k
+            table[i, j], nearest[i, j] = -1, np.inf
+    for k in range(len(w)):
+        ci, cj = int(w[k].imag * CELLS / height), int(w[k].real * CELLS / width)
+        for i in range(max(ci - NEAR, 0), min(ci + NEAR + 1, CELLS) if usable[k] else 0):
+            for j in range(max(cj - NEAR, 0), min(cj + NEAR + 1, CELLS)):
+                d = (w[k].real - (j + 0.5) * width / CELLS) ** 2 + (w[k].imag - (i + 0.5) * height / CELLS) ** 2
+                if d < nearest[i, j]:
+                    table[i, j], nearest[i, j] = k, d
     return table
 
 
-@njit(cache=True)
-def _score(a, b, mirror, log_ratio, z, log_half, pitch, w, log_r, table, width, height):  # noqa: PLR0917 - a kernel
-    """Beads of the right size in place, less half of those of a wrong size, less a third of the missing."""
+@njit(cache=True, error_model="numpy")
+def _score(a, b, mirror, log_scale, z, log_half, pitch, w, log_r, table, width, height, least):  # noqa: PLR0917 - a kernel
+    """Beads of the right size in place, less half of those of a wrong size, less a third of the missing.
+
+    Minus infinity where it cannot be more than `least`.
+    """
     score = 0.0
-    reach2 = (REACH * pitch * abs(a)) ** 2
-    log_scale = np.log(abs(a)) + log_ratio
+    reach2 = (REACH * pitch) ** 2 * (a.real**2 + a.imag**2)
+    rows, columns = CELLS / height, CELLS / width
     for p in range(len(z)):
+        if score + (len(z) - p) <= least:
+            return -np.inf
         at = a * (z[p].conjugate() if mirror else z[p]) + b
-        i, j = int(at.imag * CELLS / height), int(at.real * CELLS / width)
-        if p == SOON and score < SOON_LEAST:
-            return score - len(z)
+        i, j = int(at.imag * rows), int(at.real * columns)
         if i < 0 or j < 0 or i >= CELLS or j >= CELLS:
             continue
         k = table[i, j]
         d = w[k] - at
-        if d.real**2 + d.imag**2 < reach2:
+        if k >= 0 and d.real**2 + d.imag**2 < reach2:
             score += 1.0 if abs(log_r[k] - log_half[p] - log_scale) < RADIUS_SPREAD else -0.5
         else:
             score -= 0.33
     return score
 
 
-@njit(cache=True)
-def _better_half(turns, shifts, what, scores):
-    """Make room: keep the half with the better scores."""
-    kept = np.argsort(-scores)[: len(scores) // 2]
-    turns[: len(kept)], shifts[: len(kept)] = turns[kept], shifts[kept]
-    what[: len(kept)], scores[: len(kept)] = what[kept], scores[kept]
-    return len(kept)
+@njit(cache=True, error_model="numpy")
+def _search(w, log_r, large, z, log_half, datums, pitch, table, width, height, scores, what, found):  # noqa: PLR0912, PLR0915, PLR0917 - a kernel
+    """Fill in the best similarities that put three datum markers on three large detections, best first.
 
-
-@njit(cache=True)
-def _search(w, log_r, large, z, log_half, datums, pitch, table, width, height):  # noqa: PLR0912, PLR0917 - a kernel
-    """All similarities that put three datum markers on three large detections. See `find_seeds`."""
-    turns = np.zeros(MOST_SEEDS, np.complex128)
-    shifts = np.zeros(MOST_SEEDS, np.complex128)
-    what = np.zeros((MOST_SEEDS, 7), np.int64)
-    scores = np.zeros(MOST_SEEDS)
-    count = 0
-    log_gap = np.log(np.abs(np.expand_dims(w[large], 1) - w[large]) + np.eye(len(large)))
-    log_side = np.log(np.abs(np.expand_dims(z, 1) - z) + np.eye(len(z)))
+    `scores` (K,); `what` (K, 7): three detections, their places, whether mirrored; `found` (K, 2): turn and shift.
+    Returns how many there are.
+    """
+    count, most = 0, len(scores)
     log_least = np.log(SMALLEST_PX / pitch)
-    for ni in range(len(large)):
-        for nj in range(len(large)):
-            i, j = large[ni], large[nj]
+    log_side = np.empty((len(datums), len(datums)))
+    for na in range(len(datums)):
+        for nb in range(na + 1, len(datums)):
+            log_side[na, nb] = np.log(abs(z[datums[nb]] - z[datums[na]]))
+    for i in large:
+        for j in large:
             if i == j:
                 continue
+            gap = w[j] - w[i]
+            span2 = gap.real**2 + gap.imag**2
+            log_gap = 0.5 * np.log(span2)
             for na in range(len(datums)):
                 for nb in range(na + 1, len(datums)):
                     pa, pb = datums[na], datums[nb]
-                    log_scale = log_gap[ni, nj] - log_side[pa, pb]
+                    log_scale = log_gap - log_side[na, nb]
                     ratio_i = log_r[i] - log_half[pa] - log_scale
                     ratio_j = log_r[j] - log_half[pb] - log_scale
                     if abs(ratio_i - ratio_j) > RADIUS_SPREAD or abs(ratio_i + ratio_j) > 2 * RADIUS_RATIO:
                         continue
                     if log_scale < log_least:
                         continue
-                    span = abs(w[j] - w[i])
+                    side = z[pb] - z[pa]
+                    side2 = side.real**2 + side.imag**2
                     for mirror in range(2):
-                        dz = z[pb] - z[pa]
-                        a = (w[j] - w[i]) / (dz.conjugate() if mirror else dz)
+                        a = gap * (side if mirror else side.conjugate()) / side2
                         for nc in range(nb + 1, len(datums)):
                             pc = datums[nc]
                             dz = z[pc] - z[pa]
-                            want = w[i] + a * (dz.conjugate() if mirror else dz)
-                            reach = THIRD * max(span, abs(want - w[i]), abs(want - w[j]))
+                            step = a * (dz.conjugate() if mirror else dz)
+                            want, rest = w[i] + step, step - gap
+                            reach2 = THIRD**2 * max(span2, step.real**2 + step.imag**2, rest.real**2 + rest.imag**2)
                             for k in large:
                                 off = w[k] - want
-                                if k == i or k == j or off.real**2 + off.imag**2 > reach**2:  # noqa: PLR1714, SIM109
+                                off2 = off.real**2 + off.imag**2
+                                if off2 > reach2 or k == i or k == j:  # noqa: PLR1714, SIM109
                                     continue
                                 ratio = log_r[k] - log_half[pc] - log_scale
                                 if abs(ratio - (ratio_i + ratio_j) / 2) > RADIUS_SPREAD:
@@ -152,46 +153,84 @@ def _search(w, log_r, large, z, log_half, datums, pitch, table, width, height): 
                                 zm, wm = (za + zb + zc) / 3, (w[i] + w[j] + w[k]) / 3
                                 da, db, dc = za - zm, zb - zm, zc - zm
                                 top = w[i] * da.conjugate() + w[j] * db.conjugate() + w[k] * dc.conjugate()
-                                turn = top / (abs(da) ** 2 + abs(db) ** 2 + abs(dc) ** 2)
+                                turn = top / (da * da.conjugate() + db * db.conjugate() + dc * dc.conjugate()).real
                                 shift = wm - turn * zm
-                                if count == MOST_SEEDS:
-                                    count = _better_half(turns, shifts, what, scores)
-                                turns[count], shifts[count] = turn, shift
-                                what[count] = np.array([i, j, k, pa, pb, pc, mirror])
-                                level = (ratio_i + ratio_j + ratio) / 3
-                                scores[count] = _score(
-                                    turn, shift, mirror == 1, level, z, log_half, pitch, w, log_r, table, width, height
+                                level = (ratio_i + ratio_j + ratio) / 3 + 0.5 * np.log(turn.real**2 + turn.imag**2)
+                                least = scores[most - 1] if count == most else -np.inf
+                                score = _score(
+                                    turn,
+                                    shift,
+                                    mirror == 1,
+                                    level,
+                                    z,
+                                    log_half,
+                                    pitch,
+                                    w,
+                                    log_r,
+                                    table,
+                                    width,
+                                    height,
+                                    least,
                                 )
-                                count += 1
-    return turns[:count], shifts[:count], what[:count], scores[:count]
+                                if score == -np.inf:
+                                    continue
+                                count = min(count + 1, most)
+                                at = count - 1
+                                while at > 0 and scores[at - 1] < score:
+                                    scores[at], found[at, 0], found[at, 1] = (
+                                        scores[at - 1],
+                                        found[at - 1, 0],
+                                        found[at - 1, 1],
+                                    )
+                                    for c in range(7):
+                                        what[at, c] = what[at - 1, c]
+                                    at -= 1
+                                scores[at], found[at, 0], found[at, 1] = score, turn, shift
+                                what[at, 0], what[at, 1], what[at, 2] = i, j, k
+                                what[at, 3], what[at, 4], what[at, 5], what[at, 6] = pa, pb, pc, mirror
+    return count
 
 
-def find_seeds(detections: Detections, patterns: list[Pattern], usable: np.ndarray, most: int) -> list[Seed]:
+def find_seeds(detections: Detections, patterns: list[Pattern], usable: np.ndarray, most: int) -> Iterator[Seed]:
     """The `most` best guesses for each plate among the `usable` (N,) detections, best first."""
     height, width = detections.image_shape
     w, log_r = detections.uv_px @ np.array([1.0, 1j]), np.log(detections.radius_px)
-    table = _nearest_table(detections.uv_px, usable, width, height)
-    out: list[Seed] = []
-    for pattern in patterns:
-        large = _may_be_datums(detections, pattern, usable)
-        z, log_half = pattern.xy_mm @ np.array([1.0, 1j]), np.log(pattern.diameter_mm / 2)
-        turns, shifts, what, scores = _search(
-            w, log_r, large, z, log_half, pattern.datums, pattern.pitch_mm, table, width, height
+    table = _nearest_table(w, usable, width, height)
+    may_be = {kind: _may_be_datums(detections, kind, usable) for kind in {pattern.datum_kind for pattern in patterns}}
+    scores = np.empty((len(patterns), most))
+    what, found = np.empty((len(patterns), most, 7), np.int64), np.empty((len(patterns), most, 2), np.complex128)
+    guesses = []
+    for k, pattern in enumerate(patterns):
+        count = _search(
+            w,
+            log_r,
+            may_be[pattern.datum_kind],
+            pattern.z,
+            pattern.log_half,
+            pattern.datums,
+            pattern.pitch_mm,
+            table,
+            width,
+            height,
+            scores[k],
+            what[k],
+            found[k],
         )
-        for i in np.argsort(-scores, kind="stable")[:most]:
-            similarity = Similarity(complex(turns[i]), complex(shifts[i]), bool(what[i, 6]))
-            out.append(Seed(pattern, similarity, what[i, :3], what[i, 3:6], float(scores[i])))
-    return sorted(out, key=lambda seed: -seed.score)
+        guesses += [(score, k, i) for i, score in enumerate(scores[k, :count].tolist())]
+    for score, k, i in sorted(guesses, key=lambda guess: -guess[0]):
+        turn, shift = found[k, i].tolist()
+        similarity = Similarity(turn, shift, bool(what[k, i, 6]))
+        yield Seed(patterns[k], similarity, what[k, i, :3], what[k, i, 3:6], score)
 
 
-def _may_be_datums(detections: Detections, pattern: Pattern, usable: np.ndarray) -> np.ndarray:
-    """Rows of the detections that may be datum markers of a plate: washers, or the largest balls."""
-    washer = np.array([kind == "washer" for kind in detections.kind], dtype=bool)
+def _may_be_datums(detections: Detections, kind: str, usable: np.ndarray) -> np.ndarray:
+    """Rows of the detections that may be datum markers of a kind: washers, or the largest balls."""
+    washer = np.array([one == "washer" for one in detections.kind], dtype=bool)
     radius = detections.radius_px
-    if pattern.washer[pattern.datums].all():
+    if kind == "washer":
         may_be = usable & washer
     elif usable.any():
-        may_be = usable & ~washer & (radius > LARGER * np.median(radius[usable]))
+        may_be = usable & ~washer & (radius > LARGER * median(radius[usable]))
     else:
         may_be = usable
     return np.flatnonzero(may_be)[np.argsort(-radius[may_be], kind="stable")[:MOST_LARGE]]

@@ -3,13 +3,14 @@
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 from scipy.spatial import KDTree
 
 from sightline.detection.labelling.checks import FINAL, Stop, check
 from sightline.detection.labelling.growth import LOG_RADIUS, Grown, grow
 from sightline.detection.labelling.joint import Joint, Model
 from sightline.detection.labelling.naming import Naming, name
-from sightline.detection.labelling.patterns import Pattern
+from sightline.detection.labelling.patterns import Pattern, median
 from sightline.detection.labelling.seeds import Seed, best_similarity
 from sightline.detection.results import Detections
 from sightline.errors import ReconstructionRefusedError
@@ -25,6 +26,7 @@ FALSE_ODDS = 7e-6  # most odds that a bead is a false candidate in the place of 
 FALSE_PER_LOG_RADIUS = 2.0  # share of false candidates per unit of log radius, at that of the balls [ours]
 NEIGHBOURS = 8
 MOST_FITS, SETTLED = 10, 3  # rounds, and rounds after which the noise is no longer estimated
+SAME_NOISE = 0.1  # share of a change that calls for no other fit [ours]
 MOST_NOISE = 100.0  # times the stated variance [ours]; up to 3.5 in rendered images, where 1 loses 7 % of the beads
 NOT_CENTRAL = (
     "the beads found are not two plates seen from one focal point; is this the frame in the image, "
@@ -111,21 +113,42 @@ class _Sizes:
 def _sizes(pair: tuple[Grown, Grown]) -> _Sizes:
     misfits, sds = [], []
     for g in pair:
-        log_half = np.log(g.pattern.diameter_mm / 2)
+        log_half = g.pattern.log_half
         own = g.log_ratio[g.rows] - log_half[g.places]
-        middle = np.median(own)
-        sd = np.clip(1.4826 * np.median(np.abs(own - middle)), *LOG_RADIUS_SD)
+        middle = median(own)
+        sd = np.clip(1.4826 * median(np.abs(own - middle)), *LOG_RADIUS_SD)
         misfits.append(g.log_ratio[:, None] - log_half - middle)
         sds.append(np.full(len(log_half), sd))
     return _Sizes(np.concatenate(misfits, axis=1), np.concatenate(sds))
 
 
-def _assigned(problem: Problem, fit: Joint, sizes: _Sizes) -> np.ndarray:
-    """(B, 2) detections on places: within the gate, and alone there: where two might be meant, none is."""
-    m2 = ((fit.xy_mm[:, None] - fit.target_mm) ** 2).sum(axis=2) / fit.variance_mm2[:, None] + sizes.m2
-    near = (m2 < NEAR_M2) & problem.usable[:, None]
-    alone = near & (near.sum(axis=0) == 1) & (near.sum(axis=1) == 1)[:, None]
-    return np.argwhere(alone & (m2 < GATE_M2))
+@njit(cache=True, error_model="numpy")
+def _alone(xy, variance, target, size_m2, usable):
+    """(N,) the place that each usable detection is on, or -1: within the gate; where two might be meant, none is."""
+    on, rivals = np.empty(len(xy), np.int64), np.empty(len(target), np.int64)
+    for p in range(len(target)):
+        rivals[p] = 0
+    for n in range(len(xy)):
+        on[n], near = -1, 0
+        for p in range(len(target) if usable[n] else 0):
+            m2 = ((xy[n, 0] - target[p, 0]) ** 2 + (xy[n, 1] - target[p, 1]) ** 2) / variance[n]
+            if m2 < NEAR_M2 and m2 + size_m2[n, p] < NEAR_M2:
+                near += 1
+                rivals[p] += 1
+                if m2 + size_m2[n, p] < GATE_M2:
+                    on[n] = p
+        if near > 1:
+            on[n] = -1
+    for n in range(len(xy)):
+        if on[n] >= 0 and rivals[on[n]] > 1:
+            on[n] = -1
+    return on
+
+
+def _beads(on: np.ndarray) -> np.ndarray:
+    """(B, 2) detections and places of (N,) the place of each detection, or -1."""
+    rows = np.flatnonzero(on >= 0)
+    return np.stack([rows, on[rows]], axis=1)
 
 
 def _certain(problem: Problem, fit: Joint, sizes: _Sizes, beads: np.ndarray, px_per_mm: float) -> np.ndarray:
@@ -150,30 +173,34 @@ def _certain(problem: Problem, fit: Joint, sizes: _Sizes, beads: np.ndarray, px_
 
 def _fitted(problem: Problem, model: Model, pair: tuple[Grown, Grown], sizes: _Sizes) -> tuple[np.ndarray, Joint]:
     """The beads that fit one central projection, and the fit. Raises Stop."""
+    size_m2 = sizes.m2
     count = len(pair[0].pattern.ids)
-    xrii, source = (np.stack([g.rows, g.places], axis=1) for g in pair)
-    source = source[~np.isin(source[:, 0], xrii[:, 0])] + [0, count]
-    beads = np.concatenate([xrii, source])
+    on = np.full(len(problem.detections), -1)
+    on[pair[1].rows] = pair[1].places + count
+    on[pair[0].rows] = pair[0].places
     try:
         focal_mm = model.first_focal_point(*pair)
     except ReconstructionRefusedError:
         raise Stop(4, NOT_CENTRAL) from None
     if not model.shadows.sees(focal_mm):
         raise Stop(4, NOT_CENTRAL)
+    beads = _beads(on)
     fit, factor = model.fit(beads, focal_mm, 1.0), 1.0
     for turn in range(MOST_FITS):
+        before = factor
         if turn < SETTLED:  # later the gates have cut the tails off, and the noise would seem to shrink
-            factor = float(np.clip(factor * np.median(fit.m2) / MEDIAN_M2, 1.0, MOST_NOISE))
-        new = _assigned(problem, fit, sizes)
-        if turn >= MOST_FITS // 2:  # from here on only fewer, so that it ends
-            new = np.array([b for b in new.tolist() if b in beads.tolist()]).reshape(-1, 2)
-        enough = min((new[:, 1] < count).sum(), (new[:, 1] >= count).sum()) >= LEAST_BEADS
-        if not enough or not model.shadows.sees(fit.focal_point_mm):
+            factor = float(np.clip(factor * median(fit.m2) / MEDIAN_M2, 1.0, MOST_NOISE))
+        variance_mm2 = fit.variance_mm2 * (factor / before)
+        new = _alone(fit.xy_mm, variance_mm2, fit.target_mm, size_m2, problem.usable)
+        if turn >= SETTLED:  # from here on only fewer, so that it ends
+            new[new != on] = -1
+        if turn and (new == on).all() and abs(factor - before) < SAME_NOISE * before:
+            return beads, fit
+        beads, on = _beads(new), new
+        of_xrii = int((beads[:, 1] < count).sum())
+        if min(of_xrii, len(beads) - of_xrii) < LEAST_BEADS or not model.shadows.sees(fit.focal_point_mm):
             break
-        fit = model.fit(new, fit.focal_point_mm, factor)
-        if len(new) == len(beads) and (new[np.lexsort(new.T)] == beads[np.lexsort(beads.T)]).all():
-            return new, fit
-        beads = new
+        fit = model.fit(beads, fit.focal_point_mm, factor)
     raise Stop(4, NOT_CENTRAL)
 
 
