@@ -27,7 +27,7 @@ def test_a_uniform_cuboid_has_the_same_length_as_volume_and_as_box():
     values = np.zeros((42, 52, 32), dtype=np.float32)
     values[1:-1, 1:-1, 1:-1] = 1.0
     origin, voxel = np.array([-20.0, -25.0, -15.0]), 1.0
-    cast = volume_integral(rays(), values, origin, voxel)
+    cast = volume_integral(rays(), values, origin, np.full(3, voxel))
     # A voxel's value falls to zero over one voxel length: the faces lie half a voxel outside the outermost full ones.
     box = box_length(rays(), np.array([[0.5, 0.5, 0.5]]), np.eye(3)[None], np.array([[20.0, 25.0, 15.0]]))
     # Rays that stay a voxel length off the sides.
@@ -42,7 +42,7 @@ def test_a_voxelised_ball_has_its_chord():
     grid = (np.arange(side) - (side - 1) / 2) * voxel
     r = np.sqrt(grid[:, None, None] ** 2 + grid[None, :, None] ** 2 + grid[None, None, :] ** 2)
     values = np.clip((18.0 - r) / voxel + 0.5, 0, 1).astype(np.float32)
-    cast = volume_integral(rays(), values, np.full(3, grid[0]), voxel)
+    cast = volume_integral(rays(), values, np.full(3, grid[0]), np.full(3, voxel))
     shapes, _ = pack([Ball((0.0, 0.0, 0.0), 18.0)])
     exact = np.array([[chord(FOCAL, d, shapes[0]) for d in row] for row in directions(rays())])
     assert np.abs(cast - exact)[exact > 20].max() < voxel / 3

@@ -190,7 +190,7 @@ def _primary(view: ViewTruth, scene: Scene, rays: Rays) -> tuple[np.ndarray, np.
 def _bone_mm(bone: Volume, rays: Rays) -> np.ndarray:
     """(H, W) mm of bone on each ray: cast for every second pixel, cubic between (a voxel's shadow is six pixels)."""
     every = Rays(rays.focal, np.ascontiguousarray(rays.points[::2, ::2]), _grown(rays.inside)[::2, ::2])
-    length = volume_integral(every, bone.values, bone.origin_mm, bone.voxel_mm)
+    length = volume_integral(every, bone.values, bone.origin_mm, np.full(3, bone.voxel_mm))
     halve = np.array([[0.5, 0.0, 0.0], [0.0, 0.5, 0.0]])
     h, w = rays.inside.shape
     fine = cv2.warpAffine(
