@@ -55,14 +55,11 @@ def estimate_noise(log_image: np.ndarray, mask: np.ndarray) -> NoiseModel | None
 
 def _clean_variograms(log_image: np.ndarray, mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """`_variograms` of the blocks that have noise; with those where some pixels are clipped only if all are."""
-    level, gamma = np.empty(0), np.empty((0, LAGS + 1))
-    for ceiling in (float(log_image.max()), np.inf):
-        level, gamma = _variograms(log_image, mask, ceiling)
-        keep = (level > -np.inf) & (gamma[:, 0] > 0) & (gamma[:, -1] > 0)
-        level, gamma = level[keep], gamma[keep]
-        if len(level) >= _ENOUGH_BLOCKS:
-            break
-    return level, gamma
+    level, brightest, gamma = _variograms(log_image, mask)
+    noisy = (gamma[:, 0] > 0) & (gamma[:, -1] > 0)
+    clean = noisy & (brightest < brightest.max(initial=-np.inf))
+    keep = clean if np.count_nonzero(clean) >= _ENOUGH_BLOCKS else noisy
+    return level[keep], gamma[keep]
 
 
 def _noise_of_a_pattern(log_image: np.ndarray, mask: np.ndarray) -> NoiseModel:
@@ -81,47 +78,73 @@ def _quiet_line(level: np.ndarray, log_variance: np.ndarray) -> tuple[float, flo
     order = np.argsort(level)
     classes = np.array_split(order, min(10, max(1, len(order) // 8)))
     x = np.array([level[c].mean() for c in classes])
-    y = np.array([np.quantile(log_variance[c], _QUIET) for c in classes])
-    y = y + 0.1  # the quantile of pure noise lies this far under its mean [calc: 16 px blocks, correlated noise]
-    spread = np.ptp(x)
-    slope = float(np.clip(-np.polyfit(x, y, 1)[0], 0.0, 2.0)) if spread > 0.3 else 1.0
+    y = np.array([np.interp(_QUIET * (len(c) - 1), np.arange(len(c)), np.sort(log_variance[c])) for c in classes])
+    y += 0.1  # the quantile of pure noise lies this far under its mean [calc: 16 px blocks, correlated noise]
+    apart = x - x.mean()
+    slope = float(np.clip(-(apart @ y) / (apart @ apart), 0.0, 2.0)) if np.ptp(x) > 0.3 else 1.0
     return float(np.median(y + slope * x)), slope
 
 
-@nb.njit(parallel=True, cache=True, fastmath=True)
-def _variograms(image: np.ndarray, mask: np.ndarray, ceiling: float) -> tuple[np.ndarray, np.ndarray]:
-    """Per block: mean level (-inf if not usable), half mean squared difference at lags 1..LAGS and the sill.
+@nb.njit(cache=True, fastmath=True)
+def _variograms(image: np.ndarray, mask: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Per block inside the mask: mean level, largest value, half mean squared difference at lags 1..LAGS and the sill.
 
-    A plane is taken off first. Pixels at the `ceiling` are clipped. Every second block along either axis counts.
+    A plane is taken off for the differences. Every second block along either axis counts.
     """
-    height, width = image.shape
-    rows, cols = (height - BLOCK) // (2 * BLOCK) + 1, (width - BLOCK) // (2 * BLOCK) + 1
-    level = np.full(rows * cols, -np.inf)
-    gamma = np.zeros((rows * cols, LAGS + 1))
-    half = (BLOCK - 1) / 2
-    norm = BLOCK * BLOCK * (BLOCK * BLOCK - 1) / 12.0
-    for b in nb.prange(rows * cols):
-        top, left = (b // cols) * 2 * BLOCK, (b % cols) * 2 * BLOCK
-        inside = True
-        mean = su = sv = 0.0
-        for i in range(BLOCK):
-            for j in range(BLOCK):
-                value = image[top + i, left + j]
-                inside &= mask[top + i, left + j] and value < ceiling
-                mean += value
-                su += value * (j - half)
-                sv += value * (i - half)
-        if not inside:
+    step = 2 * BLOCK
+    rows, columns = (image.shape[0] + BLOCK) // step, (image.shape[1] + BLOCK) // step
+    level, brightest = np.empty(rows * columns), np.empty(rows * columns)
+    gamma = np.empty((rows * columns, LAGS + 1))
+    block, turned = np.empty(BLOCK * BLOCK, np.float32), np.empty(BLOCK * BLOCK, np.float32)
+    n = 0
+    for b in range(rows * columns):
+        top, left = (b // columns) * step, (b % columns) * step
+        if not _copied(image, mask, top, left, block):
             continue
-        level[b] = mean / (BLOCK * BLOCK)
-        su, sv = su / norm, sv / norm
+        level[n], brightest[n] = _flatten(block, turned)
         for k in range(LAGS + 1):
             lag = k + 1 if k < LAGS else _SILL
-            total = 0.0
-            for i in range(BLOCK):
-                for j in range(BLOCK - lag):
-                    d = image[top + i, left + j + lag] - image[top + i, left + j] - su * lag
-                    e = image[top + j + lag, left + i] - image[top + j, left + i] - sv * lag
-                    total += d * d + e * e
-            gamma[b, k] = total / (4.0 * BLOCK * (BLOCK - lag))
-    return level, gamma
+            gamma[n, k] = _squares(block, BLOCK * lag) + _squares(turned, BLOCK * lag)
+            gamma[n, k] /= 4.0 * BLOCK * (BLOCK - lag)
+        n += 1
+    return level[:n], brightest[:n], gamma[:n]
+
+
+@nb.njit(cache=True, fastmath=True)
+def _copied(image, mask, top, left, block) -> bool:
+    """Whether the block there lies inside the mask; its pixels go to `block`."""
+    inside = True
+    for i in range(BLOCK):
+        values, known = image[top + i, left : left + BLOCK], mask[top + i, left : left + BLOCK]
+        row = block[BLOCK * i : BLOCK * i + BLOCK]
+        for j in range(BLOCK):
+            row[j] = values[j]
+            inside &= known[j]
+    return inside
+
+
+@nb.njit(cache=True, fastmath=True)
+def _flatten(block, turned) -> tuple[float, float]:
+    """Take a plane off the pixels of a block; its mean and largest value. `turned`: the same, columns for rows."""
+    mean, su, sv, largest = 0.0, 0.0, 0.0, block[0]
+    half, norm = (BLOCK - 1) / 2, BLOCK * BLOCK * (BLOCK * BLOCK - 1) / 12.0
+    for k in range(BLOCK * BLOCK):
+        largest = max(largest, block[k])
+        mean += block[k]
+        su += block[k] * (k % BLOCK - half)
+        sv += block[k] * (k // BLOCK - half)
+    mean, su, sv = mean / (BLOCK * BLOCK), su / norm, sv / norm
+    for k in range(BLOCK * BLOCK):
+        block[k] -= mean + su * (k % BLOCK - half) + sv * (k // BLOCK - half)
+    for k in range(BLOCK * BLOCK):
+        turned[BLOCK * (k % BLOCK) + k // BLOCK] = block[k]
+    return mean, largest
+
+
+@nb.njit(cache=True, fastmath=True)
+def _squares(values, lag):
+    """Sum of squared differences of what lies `lag` apart: one loop over neighbours, which the compiler vectorises."""
+    later, total = values[lag:], np.float32(0)
+    for k in range(len(later)):
+        total += (later[k] - values[k]) ** 2
+    return total
