@@ -46,6 +46,15 @@ def frame_without_datums() -> Frame:
     return replace(GAMMA, views=views)
 
 
+def frame_without_a_row(role: str) -> Frame:
+    """The lateral view's plate as if its last row had never been drilled."""
+    view = GAMMA.view("lateral")
+    plate = getattr(view, role)
+    along = plate.plane.to_plane(plate.xyz_mm)[:, 0]
+    kept = Plate(tuple(f for f, x in zip(plate.fiducials, along, strict=True) if x < along.max() - 1.0))
+    return replace(GAMMA, views=dict(GAMMA.views) | {"lateral": replace(view, **{role: kept})})
+
+
 def given_pixels(one: Scene, role: str) -> dict[str, tuple[float, float]]:
     plate = getattr(GAMMA.view(one.view), role)
     seen = {next(iter(t)): uv for t, uv in zip(one.truth, one.detections.uv_px, strict=True) if len(t) == 1}
@@ -117,6 +126,16 @@ def test_the_other_built_in_frames_are_labelled(name: str) -> None:
         found = label(one.detections, frame, view=view)
         assert_right(found, one)
         assert len(found) > 0.8 * sum(len(t) == 1 for t in one.truth)
+
+
+@pytest.mark.parametrize(("role", "said"), [("xrii", "XRII"), ("source", "source")])
+def test_balls_where_the_grid_would_go_on_are_refused(role: str, said: str) -> None:
+    frame = frame_without_a_row(role)
+    for seed in (3, 5):
+        one = scene(seed, "lateral")
+        assert_right(label(one.detections, GAMMA), one)
+        with pytest.raises(LabellingRefusedError, match=f"balls are seen beyond the edge of the {said} plate"):
+            label(one.detections, frame)
 
 
 def test_washers_can_be_datum_markers() -> None:

@@ -12,6 +12,7 @@ BEND = 4.5  # most standard deviations of the prior that a map may need [ours]
 # fitted radius errs more, and 3 mm and 1/8 inch balls are mixed up without harm (0.06) [ours]
 BALL_LOG_SIZE = 0.15
 SIZES_WRONG = 2  # wrong sizes of a plate that say nothing yet: 2 % are misjudged, touching pairs look large [ours]
+BEYOND_M2, MOST_BEYOND = 9.2, 1  # 99 % of chi-squared; balls there by chance: one in 1 of 90 scenes, never two [ours]
 EXPLAINED = 0.6  # least share of the ball-like detections that must be beads of the frame [ours]
 FOCAL_MM = (300.0, 2000.0)  # of the focal point from the XRII plate; 920 mm at the design distance [ours]
 FOCAL_SLOPE = (
@@ -30,13 +31,16 @@ class Stop(Exception):  # noqa: N818 - the attempt stops, labelling may go on
         self.stage = stage
 
 
-def check(model: Model, fit: Joint, beads: np.ndarray, pair: tuple[Grown, Grown], ball_like: int) -> None:
+def check(model: Model, fit: Joint, beads: np.ndarray, pair: tuple[Grown, Grown], ball_like: np.ndarray) -> None:
     """Can beads (B, 2) of detection and place be labelled so? Raises Stop.
 
-    `ball_like`: how many detections look like beads.
+    `ball_like` (N, 2): which detections look like beads of the XRII plate, and of the source plate.
     """
+    left = ball_like.copy()
+    left[beads[:, 0]] = False
     _check_map(model, fit, beads)
-    _check_explained(beads, ball_like)
+    _check_explained(beads, int(ball_like.any(axis=1).sum()))
+    _check_edge(model, fit, pair, left)
     _check_pattern(pair)
     _check_ball_size(fit, pair)
     _check_focal_point(model, fit, beads)
@@ -60,6 +64,20 @@ def _check_explained(beads: np.ndarray, ball_like: int) -> None:
             f"only {100 * len(beads) / ball_like:.0f} % of what looks like the frame's beads is on one of its places; "
             "check the frame file, or give the datum markers' pixels",
         )
+
+
+def _check_edge(model: Model, fit: Joint, pair: tuple[Grown, Grown], left: np.ndarray) -> None:
+    """Are there no beads where a plate's grid would go on beyond its edge, as if all were shifted by one step?"""
+    for plate, own in zip(pair, left.T, strict=True):
+        beyond = model.shadows.of_points(plate.pattern.beyond_mm, fit.focal_point_mm)
+        off2 = ((fit.xy_mm[own][:, None] - beyond) ** 2).sum(axis=2) / fit.variance_mm2[own][:, None]
+        seen = int((off2 < BEYOND_M2).any(axis=1).sum())
+        if seen > MOST_BEYOND:
+            raise Stop(
+                5,
+                f"{seen} balls are seen beyond the edge of the {plate.pattern.role_name} plate, where its grid would "
+                "go on: the labels may be shifted; show more of its datum markers, or give their pixels",
+            )
 
 
 def _check_pattern(pair: tuple[Grown, Grown]) -> None:

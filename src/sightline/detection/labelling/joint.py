@@ -46,8 +46,16 @@ class Shadows:
 
     def seen_from(self, focal_mm: np.ndarray) -> np.ndarray:
         """(S, 2) the shadows (central projection)."""
-        share = (self.height_mm / (self.height_mm - self.height_of(focal_mm)))[:, None]  # of the focal point in it
-        return self.flat_mm + share * (self.pattern.plane.to_plane(focal_mm) - self.flat_mm)
+        return self._central(self.flat_mm, self.height_mm, focal_mm)
+
+    def of_points(self, xyz_mm: np.ndarray, focal_mm: np.ndarray) -> np.ndarray:
+        """(K, 2) the shadows of other points (K, 3)."""
+        plane = self.pattern.plane
+        return self._central(plane.to_plane(xyz_mm), plane.height_mm(xyz_mm), focal_mm)
+
+    def _central(self, flat_mm: np.ndarray, height_mm: np.ndarray, focal_mm: np.ndarray) -> np.ndarray:
+        share = (height_mm / (height_mm - self.height_of(focal_mm)))[:, None]  # of the focal point in the shadow
+        return flat_mm + share * (self.pattern.plane.to_plane(focal_mm) - flat_mm)
 
     def by_focal(self, focal_mm: np.ndarray) -> np.ndarray:
         """(S, 2, 3) the derivative of the shadows by the focal point."""

@@ -54,6 +54,15 @@ class Pattern:
         """(N,) `xy_mm` as x + iy."""
         return self.xy_mm @ np.array([1.0, 1j])
 
+    @cached_property
+    def beyond_mm(self) -> np.ndarray:
+        """(K, 3) where fiducials would be if the grid went on by one step beyond the plate's edge."""
+        steps = self.xy_mm[self.neighbours[:, 1]] - self.xy_mm[self.neighbours[:, 0]]
+        steps = np.unique(np.round(steps / self.pitch_mm, 1), axis=0) * self.pitch_mm
+        at = (self.xy_mm[:, None] + steps).reshape(-1, 2)
+        at = np.unique(np.round(at / self.pitch_mm, 1), axis=0) * self.pitch_mm
+        return self.plane.to_space(at[KDTree(self.xy_mm).query(at)[0] > self.pitch_mm / 2])
+
     @property
     def datum_kind(self) -> str:
         """What its datum markers are detected as: "washer" or "ball"."""

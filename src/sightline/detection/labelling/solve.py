@@ -215,8 +215,9 @@ def solve(problem: Problem, pair: tuple[Grown, Grown]) -> Solution:
     of_xrii = int((beads[:, 1] < len(xrii.ids)).sum())
     if min(of_xrii, len(beads) - of_xrii) < LEAST_BEADS:
         raise Stop(4, "too few beads can be told from false candidates; show more of both plates, or expose longer")
-    ball_like = problem.usable & (np.abs(sizes.misfit).min(axis=1) < LOG_RADIUS)
-    check(model, fit, beads, pair, int(ball_like.sum()))
+    misfit = np.split(np.abs(sizes.misfit), [len(xrii.ids)], axis=1)
+    ball_like = np.stack([problem.usable & (one.min(axis=1) < LOG_RADIUS) for one in misfit], axis=1)
+    check(model, fit, beads, pair, ball_like)
     ids = xrii.ids + source.ids
     normal_along_beam = model.shadows.height_mm.mean() < 0
     mirrored = pair[0].sheet.similarity.mirror == normal_along_beam
