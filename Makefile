@@ -39,7 +39,7 @@ wheel: $(READY)
 
 lock:  ## compile requirements.lock again (needs uv)
 	uv pip compile --quiet --universal --python-version 3.11 --generate-hashes --no-emit-index-url --no-annotate \
-	  --custom-compile-command 'make lock' --group dev --group bench pyproject.toml -o requirements.lock
+	  --custom-compile-command 'make lock' --all-extras --group dev --group bench pyproject.toml -o requirements.lock
 
 clean:
 	rm -rf out dist build .pytest_cache .ruff_cache

@@ -11,36 +11,30 @@ paper's object of four balls in the frame, rendered, detected, labelled.
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
-from typing import Any
 
-import cv2
 import numpy as np
 
 import sightline as sl
+from benchmarks.parallel import in_parallel
 from benchmarks.rows import Row
-from benchmarks.setups import BEADS_20UM, EXACT, VIEWS, WHOLE, Scene, draw_scene, in_parallel
 from sightline.calibration import BeadView
 from sightline.detection import Detections, Observations
 from sightline.errors import RefusedError, SightlineError
 from sightline.frame import Frame
 from sightline.studies.assess import Assessment, assess
 from sightline.studies.bound import bound
+from sightline.studies.methods import errors
 from sightline.studies.points import MeasuredPoints, find_balls
+from sightline.studies.scenes import BEADS_20UM, EXACT, VIEWS, WHOLE, draw_scene
 from sightline.twin import draw_setup, render
 from sightline.twin.scene import four_balls
 
 SETUPS = 200
 IMAGED = 20  # set-ups with rendered images
 BEAD_PX = 0.1
-METHODS: dict[str, dict[str, Any]] = {
-    "smooth": {},
-    "localized": {"method": "localized"},
-    "polynomial 3": {"method": "polynomial", "degree": 3},
-    "polynomial 5": {"method": "polynomial", "degree": 5},
-    "polynomial 7": {"method": "polynomial", "degree": 7},
-}
+METHODS = ("smooth", "localized", "polynomial 3", "polynomial 5", "polynomial 7")
 FRAMES = {"no frame errors": EXACT, "beads 0.02 mm": BEADS_20UM, "beads, plates, arms": WHOLE}
-OPENCV = "OpenCV"
+OPENCV = "OpenCV 14"
 
 
 def run(quick: bool) -> list[Row]:
@@ -61,61 +55,19 @@ def run(quick: bool) -> list[Row]:
 
 def _trial(seed: int, frame: str, pick_px: float, methods: tuple[str, ...]) -> dict[str, np.ndarray]:
     """Error of each method at the four targets, mm; infinite where it refuses; and the bounds."""
-    scene = draw_scene(seed, FRAMES[frame], BEAD_PX, targets=4)
+    told = replace(Frame.load("gamma"), tolerances=FRAMES[frame])
+    scene = draw_scene(np.random.default_rng(seed), told, BEAD_PX, targets=4)
     noise = np.random.default_rng([seed, 1]).standard_normal(scene.target_px.shape)
     uv = scene.target_px + pick_px * noise
-    out = {name: _errors(name, scene, uv, pick_px) for name in methods}
+    out = {}
+    for name in methods:
+        error = errors(scene, name, [(uv, pick_px)])[0]
+        out[name] = np.full(len(scene.target_mm), np.inf) if error is None else error
     seen = scene.seen(np.broadcast_to(pick_px**2 * np.eye(2), (2, 2, 2)))
     for name, known in (("bound", False), ("bound, map known", True)):
         each = [bound(scene.setup, seen, x, known_map=known) for x in scene.target_mm]
         out[name] = np.sqrt([np.trace(c) for c in each])
     return out
-
-
-def _errors(name: str, scene: Scene, uv_px: np.ndarray, pick_px: float) -> np.ndarray:
-    try:
-        xyz = _opencv(scene, uv_px) if name == OPENCV else _sightline(scene, uv_px, pick_px, METHODS[name])
-    except (SightlineError, cv2.error):
-        return np.full(len(scene.target_mm), np.inf)
-    return np.linalg.norm(xyz - scene.target_mm, axis=1)
-
-
-def _sightline(scene: Scene, uv_px: np.ndarray, pick_px: float, options: dict[str, Any]) -> np.ndarray:
-    views = [sl.calibrate(scene.observations[name], scene.frame, **options) for name in VIEWS]
-    covariance = np.broadcast_to(pick_px**2 * np.eye(2), (2, uv_px.shape[1], 2, 2))
-    method = "nearest" if options.get("method") == "localized" else "weighted"  # the paper's equations 1 and 2
-    return sl.reconstruct(views, uv_px, covariance, method).xyz_mm
-
-
-def _opencv(scene: Scene, uv_px: np.ndarray) -> np.ndarray:
-    """calibrateCamera with all 14 distortion parameters on the beads of both plates, then triangulatePoints."""
-    matrices, normalised = [], []
-    for name, targets in zip(VIEWS, uv_px, strict=True):
-        view, seen, chain = scene.frame.view(name), scene.observations[name], scene.setup.views[name].chain
-        height, width = chain.shape
-        unmirrored = (
-            np.array([-1.0, 1.0]),
-            np.array([width - 1.0, 0.0]),
-        )  # the twin's images are seen from the intensifier
-        beads = np.array([view.by_id[i].xyz_mm for i in seen.ids], dtype=np.float32)
-        pixels = (seen.uv_px * unmirrored[0] + unmirrored[1]).astype(np.float32)
-        focal_px = chain.sdd_mm / chain.pitch_mm
-        guess = np.array([[focal_px, 0.0, (width - 1) / 2], [0.0, focal_px, (height - 1) / 2], [0.0, 0.0, 1.0]])
-        flags = (
-            cv2.CALIB_USE_INTRINSIC_GUESS
-            | cv2.CALIB_RATIONAL_MODEL
-            | cv2.CALIB_THIN_PRISM_MODEL
-            | cv2.CALIB_TILTED_MODEL
-        )
-        criteria = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 200, 1e-12)
-        _, camera, distortion, turns, shifts = cv2.calibrateCamera(
-            [beads], [pixels], (width, height), guess, np.zeros(14), flags=flags, criteria=criteria
-        )
-        matrices.append(np.hstack([cv2.Rodrigues(turns[0])[0], shifts[0]]))
-        flat = targets * unmirrored[0] + unmirrored[1]
-        normalised.append(cv2.undistortPoints(flat[:, None], camera, distortion)[:, 0])
-    homogeneous = cv2.triangulatePoints(*matrices, normalised[0].T, normalised[1].T)
-    return (homogeneous[:3] / homogeneous[3]).T
 
 
 def _image_trial(seed: int) -> dict[str, Assessment] | str:

@@ -5,19 +5,21 @@ way of picking are dealt out evenly; targets lie inside and outside the beads' h
 tolerance, so that a class's share of 50 % scatters by 1.1 %, not by as much as the ±3 % asked.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
 from scipy.stats import chi2
 
 import sightline as sl
+from benchmarks.parallel import in_parallel
 from benchmarks.rows import Row
-from benchmarks.setups import BEADS_20UM, EXACT, FAR_MM, VIEWS, WHOLE, draw_scene, in_parallel
 from sightline.errors import SightlineError
+from sightline.frame import Frame
 from sightline.planning import Pick, matching_curve, snap
 from sightline.planning.picks import stack
 from sightline.studies.bound import bound
+from sightline.studies.scenes import BEADS_20UM, EXACT, FAR_MM, VIEWS, WHOLE, draw_scene
 
 SETUPS = 6000
 UNEVEN = 0.3  # the beads' own sd scatter by 30 %
@@ -51,7 +53,9 @@ def run(quick: bool) -> list[Row]:
 def trial(seed: int) -> Outcome | None:
     """One set-up; None where the target is refused."""
     dose, frame, picks = CLASSES[seed % len(CLASSES)]
-    scene = draw_scene(seed, FRAMES[frame], DOSES[dose], targets=1, reach_mm=FAR_MM, surrounded=False, uneven=UNEVEN)
+    told = replace(Frame.load("gamma"), tolerances=FRAMES[frame])
+    rng = np.random.default_rng(seed)
+    scene = draw_scene(rng, told, DOSES[dose], targets=1, reach_mm=FAR_MM, surrounded=False, uneven=UNEVEN)
     sd = PICKS[picks]
     clicks = scene.target_px[:, 0] + sd * np.random.default_rng([seed, 1]).standard_normal((2, 2))
     try:

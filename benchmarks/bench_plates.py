@@ -4,16 +4,15 @@ Real images of an ARCADIS mobile C-arm, `../shared/data/arcadis` beside the repo
 published: a nominal one gives the size of a pixel, and figures are in pixels.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from scipy.interpolate import RBFInterpolator
 from scipy.spatial import KDTree
 
 import sightline as sl
 from benchmarks.rows import Row
+from sightline.studies.methods import Fit, Predict, local_weighted_mean, thin_plate_spline
 
 FOLDER = Path(__file__).parents[2] / "shared" / "data" / "arcadis"
 PLATES = ("plate_0", "plate_orbit30", "plate_orbit60")
@@ -21,10 +20,6 @@ PITCH_MM = 3.2  # nominal: 3,550 holes in a hexagonal lattice over a round field
 STEPS = (4, 6, 8, 10)  # every 4th row and column, ...: about 220, 98, 55 and 37 controls
 EXTRA_NOISE_PX = (0.0, 0.3)
 WITHIN = 1.04
-LWM_NEIGHBOURS = 12
-
-Predict = Callable[[np.ndarray], np.ndarray]
-Method = Callable[[np.ndarray, np.ndarray], Predict]
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,7 +76,7 @@ def smooth(uv: np.ndarray, xy: np.ndarray) -> Predict:
     return sl.fit_map(uv, xy, "smooth", noise_px=None).to_plane
 
 
-def polynomial(degree: int) -> Method:
+def polynomial(degree: int) -> Fit:
     """Ours, by least squares."""
 
     def fit(uv: np.ndarray, xy: np.ndarray) -> Predict:
@@ -98,40 +93,7 @@ def triangles(uv: np.ndarray, xy: np.ndarray) -> Predict:
     return sl.fit_map(uv, xy, "localized").to_plane
 
 
-def local_weighted_mean(uv: np.ndarray, xy: np.ndarray) -> Predict:
-    """Goshtasby 1988, as XMALab and Matlab's cp2tform have it: quadratics through 12 neighbours, blended."""
-    tree = KDTree(uv)
-    distance, near = (np.asarray(a) for a in tree.query(uv, k=LWM_NEIGHBOURS))
-    reach = distance[:, -1]
-
-    def quadratic(d: np.ndarray) -> np.ndarray:
-        x, y = d[..., 0], d[..., 1]
-        return np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=-1)
-
-    coefficients = [
-        np.linalg.lstsq(quadratic((uv[k] - centre) / r), xy[k], rcond=None)[0]
-        for k, centre, r in zip(near, uv, reach, strict=True)
-    ]
-
-    def predict(at: np.ndarray) -> np.ndarray:
-        total, out = np.zeros((len(at), 1)), np.zeros_like(at)
-        for centre, r, c in zip(uv, reach, coefficients, strict=True):
-            d = (at - centre) / r
-            t = np.minimum(np.linalg.norm(d, axis=1), 1.0)[:, None]
-            weight = 1 - 3 * t**2 + 2 * t**3
-            total += weight
-            out += weight * (quadratic(d) @ c)
-        return out / np.maximum(total, 1e-12)
-
-    return predict
-
-
-def thin_plate_spline(uv: np.ndarray, xy: np.ndarray) -> Predict:
-    """scipy's, through every control."""
-    return RBFInterpolator(uv, xy, kernel="thin_plate_spline")
-
-
-METHODS: dict[str, Method] = {
+METHODS: dict[str, Fit] = {
     "smooth": smooth,
     "polynomial 3": polynomial(3),
     "polynomial 5": polynomial(5),

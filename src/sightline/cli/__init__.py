@@ -29,7 +29,7 @@ import typer
 
 from sightline import __version__
 
-_COMMANDS = ("demo", "detect", "calibrate", "undistort", "plan", "assess", "frame")
+_COMMANDS = ("demo", "detect", "calibrate", "undistort", "plan", "assess", "study", "frame")
 
 app = typer.Typer(
     name="sightline",

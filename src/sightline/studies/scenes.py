@@ -1,17 +1,11 @@
-"""Random set-ups of the Γ frame, shared by the benchmarks of accuracy and honesty. Committed before anything was tuned.
+"""Random scenes that studies and benchmarks share: a set-up, what is measured of its beads, and targets.
 
 Poses, distortions and frame errors are those of `sightline.twin.draw_setup`, with its defaults. Targets are uniform
 in a cube about the hip, drawn again unless both images show them and, where `surrounded` is asked, unless the visible
 beads of each plate surround them (the paper's map knows nothing outside).
 """
 
-import os
-from collections.abc import Callable, Iterable
-from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass, replace
-from multiprocessing import get_context
-from typing import Any
-from unittest.mock import patch
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial import Delaunay
@@ -39,6 +33,11 @@ class Scene:
     target_mm: np.ndarray
     target_px: np.ndarray
 
+    @staticmethod
+    def of(setup: SetUp, observations: dict[str, Observations], target_mm: np.ndarray) -> "Scene":
+        """With targets at given places (T, 3)."""
+        return Scene(setup, observations, target_mm, np.array([setup.views[name].project(target_mm) for name in VIEWS]))
+
     @property
     def frame(self) -> Frame:
         """What the software is told of the frame."""
@@ -47,35 +46,41 @@ class Scene:
     def seen(self, pick_px2: np.ndarray, across_px: np.ndarray | None = None) -> dict[str, Seen]:
         """What the bound is told: picks (2, 2, 2) of one target."""
         across = np.zeros((2, 2)) if across_px is None else across_px
-        return {
-            name: Seen(self.observations[name].ids, self.observations[name].covariance_px2, pick_px2[k], across[k])
-            for k, name in enumerate(VIEWS)
-        }
+        out = {}
+        for k, name in enumerate(VIEWS):
+            seen = self.observations[name]
+            assert seen.covariance_px2 is not None  # noqa: S101 - `measure` states it
+            out[name] = Seen(seen.ids, seen.covariance_px2, pick_px2[k], across[k])
+        return out
 
 
 def draw_scene(
-    seed: int,
-    tolerances: Tolerances,
+    rng: np.random.Generator,
+    frame: Frame,
     bead_px: float,
     *,
     targets: int,
     reach_mm: float = WIRE_MM,
     surrounded: bool = True,
     uneven: float = 0.0,
+    chain: str = "9in-1k",
 ) -> Scene:
     """One scene. `uneven`: the beads' own standard deviations are `bead_px` times exp(uneven * N(0, 1))."""
-    rng = np.random.default_rng(seed)
-    frame = replace(Frame.load("gamma"), tolerances=tolerances)
-    setup = draw_setup(rng, frame)
-    observations = {}
+    setup = draw_setup(rng, frame, chain=chain)
+    observations = measure(rng, setup, bead_px, uneven)
+    hulls = {n: _plate_hulls(setup, n, observations[n]) if surrounded else [] for n in VIEWS}
+    return Scene.of(setup, observations, np.array([_draw_target(rng, setup, reach_mm, hulls) for _ in range(targets)]))
+
+
+def measure(rng: np.random.Generator, setup: SetUp, bead_px: float, uneven: float = 0.0) -> dict[str, Observations]:
+    """The beads of both views, each with the covariance that its noise was drawn from."""
+    out = {}
     for name in VIEWS:
         ids, exact = bead_images(setup, name, rng, sd_px=0.0)
         sd = bead_px * np.exp(uneven * rng.standard_normal(len(ids)))
         measured = exact + sd[:, None] * rng.standard_normal(exact.shape)
-        observations[name] = Observations(name, ids, measured, sd[:, None, None] ** 2 * np.eye(2))
-    hulls = {n: _plate_hulls(setup, n, observations[n]) if surrounded else [] for n in VIEWS}
-    xyz = np.array([_draw_target(rng, setup, reach_mm, hulls) for _ in range(targets)])
-    return Scene(setup, observations, xyz, np.array([setup.views[name].project(xyz) for name in VIEWS]))
+        out[name] = Observations(name, ids, measured, sd[:, None, None] ** 2 * np.eye(2))
+    return out
 
 
 def _plate_hulls(setup: SetUp, name: str, seen: Observations) -> list[Delaunay]:
@@ -92,11 +97,3 @@ def _draw_target(
         shown = all(setup.views[name].in_field(uv[name], MARGIN_PX)[0] for name in VIEWS)
         if shown and all(hull.find_simplex(uv[name])[0] >= 0 for name in VIEWS for hull in hulls[name]):
             return xyz
-
-
-def in_parallel(function: Callable[[Any], Any], arguments: Iterable[Any]) -> list[Any]:
-    """`function` of each argument on all cores, one thread each, in order."""
-    one_thread = dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
-    pool = ProcessPoolExecutor(os.cpu_count(), mp_context=get_context("spawn"))
-    with patch.dict(os.environ, one_thread), pool:
-        return list(pool.map(function, arguments, chunksize=4))

@@ -1,0 +1,14 @@
+"""The studies there are, by name."""
+
+from sightline.errors import UnusableInputError
+from sightline.studies.study import Study
+from sightline.studies.study_table1 import Table1
+
+STUDIES: dict[str, Study] = {study.name: study for study in (Table1(),)}
+
+
+def study_called(name: str) -> Study:
+    """Raises UnusableInputError, naming the studies there are."""
+    if name not in STUDIES:
+        raise UnusableInputError(f"there is no study {name!r}; there are: {', '.join(STUDIES)}")
+    return STUDIES[name]

@@ -1,0 +1,63 @@
+"""Spreads side by side: for each row its central 90 % as a bar, its median as a tick, on one logarithmic axis."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import ceil, floor, log10
+
+from sightline.case import svg
+
+WIDTH, ROW, LEFT, RIGHT, FOOT, BAR = 760.0, 24.0, 250.0, 30.0, 36.0, 12.0
+
+
+@dataclass(frozen=True)
+class Span:
+    """One row; `mark`: a figure from elsewhere that it is held against."""
+
+    name: str
+    low: float
+    middle: float
+    high: float
+    mark: float | None = None
+    colour: str = "beads"
+
+
+def spans(rows: Sequence[Span], unit: str, description: str, mark: str = "") -> str:
+    """All rows on one axis; `mark`: what a mark stands for."""
+    values = [v for row in rows for v in (row.low, row.high, row.mark) if v]
+    first, last = log10(min(values)) - 0.05, log10(max(values)) + 0.05
+    foot = len(rows) * ROW
+
+    def x(value: float) -> float:
+        return LEFT + (WIDTH - LEFT - RIGHT) * (log10(value) - first) / (last - first)
+
+    parts = [_tick(x(value), foot, f"{value:g}") for value in _round_values(first, last)]
+    parts.append(svg.text(unit, WIDTH - RIGHT, foot + 30, class_="unit"))
+    for k, row in enumerate(rows):
+        parts += _row(row, k * ROW + ROW / 2, x, unit, mark)
+    return svg.picture((0, 0, WIDTH, foot + FOOT), description, parts, class_="spans")
+
+
+def _row(row: Span, y: float, x, unit: str, mark: str) -> list[str]:
+    says = svg.hint(f"{row.name}: 90 % lie between {row.low:.3g} and {row.high:.3g} {unit}, median {row.middle:.3g}")
+    width = max(x(row.high) - x(row.low), 1.0)
+    parts = [
+        svg.text(row.name, LEFT - 12, y, class_="row-name"),
+        svg.element("rect", says, x=x(row.low), y=y - BAR / 2, width=width, height=BAR, class_=f"source-{row.colour}"),
+        svg.element("line", x1=x(row.middle), x2=x(row.middle), y1=y - BAR / 2, y2=y + BAR / 2, class_="median"),
+    ]
+    if row.mark:
+        at = x(row.mark)
+        diamond = f"M{at:.1f} {y - 8:.1f}l6 8l-6 8l-6-8z"
+        parts.append(svg.element("path", svg.hint(f"{mark}: {row.mark:g} {unit}"), d=diamond, class_="mark"))
+    return parts
+
+
+def _tick(x: float, foot: float, words: str) -> str:
+    line = svg.element("line", x1=x, x2=x, y1=0.0, y2=foot, class_="grid")
+    return line + svg.text(words, x, foot + 14, class_="tick-name")
+
+
+def _round_values(first: float, last: float) -> list[float]:
+    """1, 2, 5, 10, ... between powers of ten."""
+    values = [m * 10.0**e for e in range(floor(first), ceil(last) + 1) for m in (1, 2, 5)]
+    return [v for v in values if first <= log10(v) <= last]

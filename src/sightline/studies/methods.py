@@ -1,0 +1,176 @@
+"""Ways from the same beads to points in space: ours, the paper's, and what others would do."""
+
+from collections.abc import Callable
+
+import cv2
+import numpy as np
+from scipy.interpolate import RBFInterpolator
+from scipy.spatial import KDTree
+
+import sightline as sl
+from sightline.calibration import BeadView
+from sightline.calibration.fit import Method as MapName
+from sightline.calibration.focal_point import focal_point
+from sightline.calibration.hull import Hull
+from sightline.errors import SightlineError
+from sightline.geometry.lines import nearest_approach
+from sightline.studies.scenes import VIEWS, Scene
+
+# Targets at pixels (2, T, 2), picked with a standard deviation in px, to their places (T, 3), CFCS.
+Locate = Callable[[np.ndarray, float], np.ndarray]
+Method = Callable[[Scene], Locate]
+Predict = Callable[[np.ndarray], np.ndarray]
+Fit = Callable[[np.ndarray, np.ndarray], Predict]
+
+# What a method may raise where it has no answer.
+REFUSALS = (SightlineError, cv2.error, np.linalg.LinAlgError)
+LWM_NEIGHBOURS = 12  # as XMALab and Matlab's cp2tform
+
+
+def local_weighted_mean(uv: np.ndarray, xy: np.ndarray) -> Predict:
+    """Goshtasby 1988, as XMALab and Matlab's cp2tform have it: quadratics through 12 neighbours, blended."""
+    tree = KDTree(uv)
+    distance, near = (np.asarray(a) for a in tree.query(uv, k=LWM_NEIGHBOURS))
+    reach = distance[:, -1]
+
+    def quadratic(d: np.ndarray) -> np.ndarray:
+        x, y = d[..., 0], d[..., 1]
+        return np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=-1)
+
+    coefficients = [
+        np.linalg.lstsq(quadratic((uv[k] - centre) / r), xy[k], rcond=None)[0]
+        for k, centre, r in zip(near, uv, reach, strict=True)
+    ]
+
+    def predict(at: np.ndarray) -> np.ndarray:
+        total, out = np.zeros((len(at), 1)), np.zeros_like(at)
+        for centre, r, c in zip(uv, reach, coefficients, strict=True):
+            d = (at - centre) / r
+            t = np.minimum(np.linalg.norm(d, axis=1), 1.0)[:, None]
+            weight = 1 - 3 * t**2 + 2 * t**3
+            total += weight
+            out += weight * (quadratic(d) @ c)
+        return out / np.maximum(total, 1e-12)
+
+    return predict
+
+
+def thin_plate_spline(uv: np.ndarray, xy: np.ndarray) -> Predict:
+    """scipy's, through every control."""
+    return RBFInterpolator(uv, xy, kernel="thin_plate_spline")
+
+
+def calibrated(scene: Scene, method: MapName = "smooth", degree: int = 3) -> list[BeadView]:
+    """Both views of a scene."""
+    return [sl.calibrate(scene.observations[name], scene.frame, method=method, degree=degree) for name in VIEWS]
+
+
+def ours(method: MapName, degree: int = 3) -> Method:
+    """`smooth` with the covariance-weighted point; the others, as in the paper, with that of nearest approach."""
+
+    def of(scene: Scene) -> Locate:
+        views = calibrated(scene, method, degree)
+        how = "weighted" if method == "smooth" else "nearest"
+
+        def locate(uv_px: np.ndarray, pick_px: float) -> np.ndarray:
+            covariance = np.broadcast_to(pick_px**2 * np.eye(2), (2, uv_px.shape[1], 2, 2))
+            return sl.reconstruct(views, uv_px, covariance, how).xyz_mm
+
+        return locate
+
+    return of
+
+
+def by_plates(fit: Fit) -> Method:
+    """The paper's chain with another map: one for each plate, the focal point where lines through both meet, the point
+    of nearest approach."""
+
+    def of(scene: Scene) -> Locate:
+        views = [_plates(scene, name, fit) for name in VIEWS]
+
+        def locate(uv_px: np.ndarray, pick_px: float) -> np.ndarray:
+            lines = [(focal, through(uv) - focal) for (focal, through), uv in zip(views, uv_px, strict=True)]
+            return nearest_approach(*[end for line in lines for end in line]).middle_mm
+
+        return locate
+
+    return of
+
+
+def _plates(scene: Scene, name: str, fit: Fit) -> tuple[np.ndarray, Predict]:
+    """The focal point, and where on the XRII plate the lines of sight of pixels pass, CFCS."""
+    view, seen = scene.frame.view(name), scene.observations[name]
+    maps, beads = [], []
+    for plate in (view.xrii, view.source):
+        on_plate = np.isin(seen.ids, plate.ids)
+        xyz = np.array([view.by_id[i].xyz_mm for i, mine in zip(seen.ids, on_plate, strict=True) if mine])
+        beads.append((seen.uv_px[on_plate], xyz))
+        maps.append(fit(seen.uv_px[on_plate], plate.plane.to_plane(xyz)))
+    (uv, xyz), (source_uv, _) = beads
+    crossed = Hull.of(source_uv).contains(uv)  # where the source plate's map interpolates
+    focal = focal_point(xyz[crossed], view.source.plane.to_space(maps[1](uv[crossed])))
+    return focal, lambda at: view.xrii.plane.to_space(maps[0](at))
+
+
+def opencv(parameters: int) -> Method:
+    """calibrateCamera with 5 or 14 distortion parameters on the beads of both plates, then triangulatePoints."""
+
+    def of(scene: Scene) -> Locate:
+        cameras = [_camera(scene, name, parameters) for name in VIEWS]
+
+        def locate(uv_px: np.ndarray, pick_px: float) -> np.ndarray:
+            flat = [
+                cv2.undistortPoints(uv[:, None], camera, distortion)[:, 0].T
+                for (camera, distortion, _), uv in zip(cameras, uv_px, strict=True)
+            ]
+            homogeneous = cv2.triangulatePoints(cameras[0][2], cameras[1][2], *flat)
+            return (homogeneous[:3] / homogeneous[3]).T
+
+        return locate
+
+    return of
+
+
+def _camera(scene: Scene, name: str, parameters: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Camera matrix, distortion and pose (3, 4) of one view. It starts from the truth's focal length and centre."""
+    flags = cv2.CALIB_USE_INTRINSIC_GUESS
+    if parameters == 14:
+        flags |= cv2.CALIB_RATIONAL_MODEL | cv2.CALIB_THIN_PRISM_MODEL | cv2.CALIB_TILTED_MODEL
+    criteria = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 200, 1e-12)
+    view, seen, chain = scene.frame.view(name), scene.observations[name], scene.setup.views[name].chain
+    height, width = chain.shape
+    beads = np.array([view.by_id[i].xyz_mm for i in seen.ids], dtype=np.float32)
+    focal_px = chain.sdd_mm / chain.pitch_mm
+    guess = np.array([[focal_px, 0.0, (width - 1) / 2], [0.0, focal_px, (height - 1) / 2], [0.0, 0.0, 1.0]])
+    pixels = seen.uv_px.astype(np.float32)
+    _, camera, distortion, turns, shifts = cv2.calibrateCamera(
+        [beads], [pixels], (width, height), guess, np.zeros(parameters), flags=flags, criteria=criteria
+    )
+    return camera, distortion, np.hstack([cv2.Rodrigues(turns[0])[0], shifts[0]])
+
+
+METHODS: dict[str, Method] = {
+    "smooth": ours("smooth"),
+    "localized": ours("localized"),
+    **{f"polynomial {degree}": ours("polynomial", degree) for degree in (1, 2, 3, 5, 7)},
+    "OpenCV 5": opencv(5),
+    "OpenCV 14": opencv(14),
+    "local weighted mean": by_plates(local_weighted_mean),
+    "thin-plate spline": by_plates(thin_plate_spline),
+}
+
+
+def errors(scene: Scene, method: str, picks: list[tuple[np.ndarray, float]]) -> list[np.ndarray | None]:
+    """Error (T,) mm of the targets for each of `picks` (pixels (2, T, 2), their s.d.); None where it is refused."""
+    try:
+        locate = METHODS[method](scene)
+    except REFUSALS:
+        return [None] * len(picks)
+    return [_error(scene, locate, uv, sd) for uv, sd in picks]
+
+
+def _error(scene: Scene, locate: Locate, uv_px: np.ndarray, pick_px: float) -> np.ndarray | None:
+    try:
+        return np.linalg.norm(locate(uv_px, pick_px) - scene.target_mm, axis=1)
+    except REFUSALS:
+        return None

@@ -1,0 +1,126 @@
+"""Finished trials on disk, one line each: what stops a run costs no trial that was finished.
+
+The first line tells what the trials belong to; every other one is `{"trial": 17, "values": {...}}`, in the order in
+which they were finished. A torn last line (power cut, full disk) is cut off when the file is opened again. A trial's
+values follow from header and number alone, so a trial that stands twice is no harm.
+"""
+
+import json
+import os
+from dataclasses import dataclass
+from functools import cache
+from hashlib import sha256
+from pathlib import Path
+from typing import Any
+
+import sightline
+from sightline.errors import UnusableInputError
+from sightline.studies.study import Study, Values
+
+TRIALS = "trials.jsonl"
+
+
+@cache
+def code_digest() -> str:
+    """Of the package's own source as this process found it, but for what no trial uses: while it is being worked on,
+    the same version is not the same code."""
+    root = Path(sightline.__file__).parent
+    digest = sha256()
+    for file in sorted(root.rglob("*.py")):
+        if file.relative_to(root).parts[0] not in ("cli", "app"):
+            digest.update(file.relative_to(root).as_posix().encode() + b"\0" + file.read_bytes())
+    return digest.hexdigest()[:16]
+
+
+def header(study: Study, seed: int) -> dict[str, Any]:
+    """What the values of a trial follow from, besides its number."""
+    return {
+        "study": study.name,
+        "version": sightline.__version__,
+        "code": code_digest(),
+        "seed": seed,
+        "configuration": study.configuration,
+    }
+
+
+@dataclass(frozen=True)
+class Record:
+    """The file of one study, and `finished`: values by number of trial."""
+
+    file: Path
+    finished: dict[int, Values]
+
+    @staticmethod
+    def open(folder: Path, expected: dict[str, Any]) -> "Record":
+        """The record of a folder, made where there is none.
+
+        Raises UnusableInputError where it cannot be written, or holds trials of anything else than `expected`.
+        """
+        file = folder / TRIALS
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            text = file.read_bytes() if file.exists() else b""
+            whole = text[: text.rfind(b"\n") + 1]
+            if len(whole) < len(text):
+                os.truncate(file, len(whole))
+        except OSError as error:
+            raise _unusable(file, error) from error
+        record = Record(file, {})
+        if not whole:
+            record._append([expected])
+            return record
+        try:
+            found, *lines = [json.loads(line) for line in whole.splitlines()]
+            record.finished.update({line["trial"]: line["values"] for line in lines})
+        except (ValueError, KeyError, TypeError):
+            raise UnusableInputError(
+                f"{file} is no record of trials; delete it, or name another folder with --out"
+            ) from None
+        _refuse_other(found, json.loads(json.dumps(expected)), file)
+        return record
+
+    def add(self, values: dict[int, Values]) -> None:
+        """Keep finished trials, on the disk before this returns. Raises UnusableInputError."""
+        self._append([{"trial": trial, "values": each} for trial, each in values.items()])
+        self.finished.update(values)
+
+    def _append(self, lines: list[dict[str, Any]]) -> None:
+        text = "".join(json.dumps(line, allow_nan=False) + "\n" for line in lines)
+        try:
+            with self.file.open("ab") as out:
+                out.write(text.encode())
+                out.flush()
+                os.fsync(out.fileno())
+        except OSError as error:
+            raise _unusable(self.file, error) from error
+
+
+def _unusable(file: Path, error: OSError) -> UnusableInputError:
+    return UnusableInputError(
+        f"cannot write {file}: {error.strerror}; finished trials are kept: make room, or name another folder with "
+        "--out, and run the command again"
+    )
+
+
+def _refuse_other(found: Any, expected: dict[str, Any], file: Path) -> None:
+    """Trials of one study, seed, configuration and code are never mixed with others."""
+    if found == expected:
+        return
+    found = found if isinstance(found, dict) else {}
+    names = [name for name in expected if found.get(name) != expected[name]]
+    details = "; ".join(
+        f"{name} {found.get(name)!r} there, {expected[name]!r} now"
+        if name != "configuration"
+        else _difference(found.get(name), expected[name])
+        for name in names
+    )
+    raise UnusableInputError(
+        f"{file} holds trials that these must not be mixed with ({details}); delete it, or name another folder with "
+        "--out"
+    )
+
+
+def _difference(there: Any, now: dict[str, Any]) -> str:
+    there = there if isinstance(there, dict) else {}
+    differ = sorted(name for name in {*there, *now} if there.get(name) != now.get(name))
+    return f"another configuration: {', '.join(differ)}"

@@ -1,0 +1,117 @@
+"""Who does the trials: processes of this machine, or a Dask cluster by its address. Both are `concurrent.futures`."""
+
+import logging
+import os
+import signal
+import threading
+from collections.abc import Iterator
+from concurrent.futures import Executor, ProcessPoolExecutor
+from contextlib import contextmanager
+from dataclasses import dataclass
+from multiprocessing import get_context, parent_process
+from multiprocessing.connection import wait
+
+from sightline.errors import UnusableInputError
+from sightline.studies.record import code_digest
+
+# Matrices here are small: threads of the linear algebra cost more than they save.
+_THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
+PATIENCE_S = 10.0  # for a scheduler to answer, and for its first worker [ours]
+
+
+@dataclass(frozen=True)
+class Workers:
+    """`number` of trials done at a time, by `executor`; `lost`: what a future raises whose worker died."""
+
+    executor: Executor
+    number: int
+    lost: tuple[type[BaseException], ...]
+
+
+@contextmanager
+def local_workers(number: int | None = None) -> Iterator[Workers]:
+    """Processes of this machine, one thread each; as many as it has cores unless told."""
+    from concurrent.futures.process import BrokenProcessPool
+
+    number = number or os.cpu_count() or 1
+    with _one_thread():  # read when a process first imports numpy
+        pool = ProcessPoolExecutor(number, mp_context=get_context("spawn"), initializer=_settle)
+        try:
+            yield Workers(pool, number, (BrokenProcessPool,))
+        finally:
+            pool.shutdown(cancel_futures=True)
+
+
+@contextmanager
+def cluster_workers(address: str) -> Iterator[Workers]:
+    """The workers of a Dask scheduler, which must have this very Sightline. Raises UnusableInputError."""
+    try:
+        from distributed import Client
+        from distributed.scheduler import KilledWorker
+    except ImportError:
+        raise UnusableInputError(
+            "--scheduler needs the package distributed: pip install 'sightline[studies]'; without it, leave "
+            "--scheduler out and the processes of this machine do the work"
+        ) from None
+    for name in ("distributed", "distributed.client", "tornado.application"):
+        logging.getLogger(name).setLevel(logging.CRITICAL)  # what its tracebacks tell is said here in a sentence
+    try:
+        client = Client(address, timeout=PATIENCE_S, set_as_default=False)
+    except (OSError, ValueError) as error:
+        raise UnusableInputError(
+            f"no scheduler answers at {address} ({type(error).__name__}); start one with `dask scheduler`, and give "
+            "the address that it prints"
+        ) from error
+    try:
+        number = _refuse_other_code(client, address)
+        yield Workers(client.get_executor(), number, (KilledWorker,))
+    finally:
+        client.close(timeout=PATIENCE_S)
+
+
+def _refuse_other_code(client, address: str) -> int:
+    """How many trials the cluster does at a time. Refused if it has no workers, or if they have other code."""
+    try:
+        client.wait_for_workers(1, timeout=PATIENCE_S)
+    except TimeoutError:
+        raise UnusableInputError(
+            f"the scheduler at {address} has no workers; start some with `dask worker {address}`"
+        ) from None
+    try:
+        digests = client.run(code_digest)  # travels by name: raises where there is no such function
+    except (ImportError, AttributeError):
+        digests = {"all": None}
+    other = [worker for worker, digest in digests.items() if digest != code_digest()]
+    if other:
+        raise UnusableInputError(
+            f"workers of {address} have no Sightline or another one ({', '.join(other)}): their trials must not be "
+            "mixed with these; install the same version there"
+        )
+    return sum(client.nthreads().values())
+
+
+def _settle() -> None:
+    """A worker process leaves the keyboard to its parent, and does not outlive it."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    parent = parent_process()
+    if parent is not None:
+        threading.Thread(target=_end_with, args=(parent.sentinel,), daemon=True).start()
+
+
+def _end_with(sentinel: int) -> None:
+    wait([sentinel])
+    os._exit(1)
+
+
+@contextmanager
+def _one_thread() -> Iterator[None]:
+    before = {name: os.environ.get(name) for name in _THREADS}
+    os.environ.update(dict.fromkeys(before, "1"))
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                os.environ.pop(name, None)
+            else:
+                os.environ[name] = value

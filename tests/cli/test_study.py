@@ -1,0 +1,59 @@
+"""`sightline study`, from the command to its files."""
+
+import json
+from pathlib import Path
+
+import pytest
+from tests.studies.small_study import SmallStudy
+
+from sightline.studies import catalogue
+
+
+@pytest.fixture
+def small(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(catalogue.STUDIES, "small", SmallStudy())
+
+
+def test_a_study_leaves_figures_a_page_and_its_trials(run, small, tmp_path: Path) -> None:
+    ran = run("study", "small", "--trials", "12", "--seed", "3", "--out", tmp_path)
+    assert ran.code == 0, ran.err
+    assert "The median is" in ran.out
+    assert "Values" in ran.out
+    assert {file.name for file in tmp_path.iterdir()} == {"trials.jsonl", "result.json", "report.html"}
+    document = json.loads((tmp_path / "result.json").read_text())
+    assert (document["study"], document["seed"], document["trials"]) == ("small", 3, 12)
+    assert document["configuration"]["spread"] == 1.0
+    figure = document["figures"][0]
+    assert figure["low"] <= figure["value"] <= figure["high"]
+    again = run("study", "small", "--trials", "12", "--seed", "3", "--out", tmp_path, "--json")
+    assert again.code == 0
+    assert again.err == ""
+    assert again.document["figures"] == document["figures"]
+    quiet = run("study", "small", "--trials", "12", "--seed", "3", "--out", tmp_path, "--quiet")
+    assert (quiet.code, quiet.out, quiet.err) == (0, "", "")
+
+
+def test_a_wrong_name_prints_the_studies(run, tmp_path: Path) -> None:
+    ran = run("study", "tabel1", "--out", tmp_path / "x")
+    assert ran.code == 2
+    for name in catalogue.STUDIES:
+        assert name in ran.err
+    assert not (tmp_path / "x").exists()
+
+
+def test_trials_of_another_seed_are_not_mixed_in(run, small, tmp_path: Path) -> None:
+    assert run("study", "small", "--trials", "2", "--out", tmp_path, "--quiet").code == 0
+    before = (tmp_path / "trials.jsonl").read_bytes()
+    ran = run("study", "small", "--trials", "2", "--seed", "9", "--out", tmp_path)
+    assert ran.code == 2
+    assert "seed 1 there, 9 now" in ran.err.replace("\n", " ")
+    assert (tmp_path / "trials.jsonl").read_bytes() == before
+
+
+def test_no_trials_and_a_folder_that_is_a_file_are_refused(run, small, tmp_path: Path) -> None:
+    assert run("study", "small", "--trials", "0", "--out", tmp_path).code == 2
+    file = tmp_path / "file"
+    file.write_text("")
+    ran = run("study", "small", "--trials", "1", "--out", file)
+    assert ran.code == 2
+    assert "cannot write" in ran.err

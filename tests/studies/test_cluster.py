@@ -1,0 +1,73 @@
+"""The same runner on a Dask cluster."""
+
+import sys
+from collections.abc import Iterator
+from itertools import count
+from pathlib import Path
+
+import pytest
+from tests.studies.small_study import SmallStudy
+
+from sightline.errors import UnusableInputError
+from sightline.studies import workers
+from sightline.studies.run import Run
+
+SEED, N = 5, 12
+# What Dask itself warns of while it closes is none of ours.
+pytestmark = [pytest.mark.filterwarnings("ignore")]
+
+
+@pytest.fixture(scope="module")
+def cluster() -> Iterator[str]:
+    """The address of a scheduler with two workers, in threads of this process."""
+    from distributed import LocalCluster
+
+    with LocalCluster(
+        n_workers=2, threads_per_worker=1, processes=False, dashboard_address=None, protocol="tcp://"
+    ) as running:
+        yield running.scheduler_address
+
+
+def test_a_cluster_gives_the_same_result_and_goes_on_where_others_stopped(cluster: str, tmp_path: Path) -> None:
+    Run.open(SmallStudy(), 4, SEED, tmp_path).do(workers=1)
+    run = Run.open(SmallStudy(), N, SEED, tmp_path)
+    counted = []
+    run.do(cluster, advance=lambda: counted.append(1))
+    assert len(counted) == N - 4
+    alone = Run.open(SmallStudy(), N, SEED, tmp_path / "alone")
+    alone.do(workers=1)
+    assert run.result().document() == alone.result().document()
+
+
+def test_workers_with_other_code_are_refused(cluster: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    run = Run.open(SmallStudy(), N, SEED, tmp_path)
+    calls = count()
+    monkeypatch.setattr(workers, "code_digest", lambda: str(next(calls)))
+    with pytest.raises(UnusableInputError, match="no Sightline or another one"):
+        run.do(cluster)
+    assert run.missing == list(range(N))
+
+
+def test_a_scheduler_that_does_not_answer_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(workers, "PATIENCE_S", 0.5)
+    run = Run.open(SmallStudy(), N, SEED, tmp_path)
+    for address in ("tcp://127.0.0.1:9", "nonsense://x"):
+        with pytest.raises(UnusableInputError, match=f"no scheduler answers at {address}"):
+            run.do(address)
+
+
+def test_a_scheduler_without_workers_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from distributed import LocalCluster
+
+    monkeypatch.setattr(workers, "PATIENCE_S", 0.5)
+    with (
+        LocalCluster(n_workers=0, processes=False, dashboard_address=None, protocol="tcp://") as empty,
+        pytest.raises(UnusableInputError, match="has no workers"),
+    ):
+        Run.open(SmallStudy(), N, SEED, tmp_path).do(empty.scheduler_address)
+
+
+def test_a_missing_package_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    with pytest.raises(UnusableInputError, match="pip install 'sightline\\[studies\\]'"):
+        Run.open(SmallStudy(), N, SEED, tmp_path).do("tcp://127.0.0.1:9")
