@@ -6,9 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sightline.twin.beam import TABLE_PER_CM, attenuation_per_mm
-from sightline.twin.femur import SoftTissue
 from sightline.twin.projector import Rays, box_length, chord, volume_integral
-from sightline.twin.things import Ball, Rod, pack
+from sightline.twin.things import Ball, Rod, SoftTissue, pack
 
 FOCAL = np.array([3.0, -7.0, -600.0])
 

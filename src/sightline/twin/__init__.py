@@ -2,8 +2,9 @@
 
 from sightline.twin.carm import SetUp, Variation, ViewTruth, bead_images, draw_setup
 from sightline.twin.hard import BeadTruth, hard_scene
-from sightline.twin.render import DOSES, Dose, Scene, render
+from sightline.twin.render import DOSES, Dose, render
 from sightline.twin.scene import HipScene, hip_scene, shown_hip_scene
+from sightline.twin.things import Scene
 from sightline.twin.truth import truth_document, write_truth
 
 __all__ = [

@@ -1,4 +1,4 @@
-"""A parametric proximal femur with its socket, as a density volume, and the soft tissue around it.
+"""A parametric proximal femur with its socket, as a density volume.
 
 Anatomical coordinates: origin at the centre of the femoral head, (lateral, caudal, anterior), mm. In CFCS lateral is
 +X, anterior +Z, and caudal +Y for a right hip, -Y for a left one.
@@ -13,6 +13,7 @@ from scipy.ndimage import gaussian_filter
 from scipy.optimize import root_scalar
 
 from sightline.errors import SetUpError
+from sightline.twin.volumes import Volume
 
 VOXEL_MM = 0.75
 TEXTURE_SD = 1.2  # voxels: about 1 mm, as trabeculae [ours]
@@ -91,46 +92,27 @@ def draw_femur(rng: np.random.Generator) -> Femur:
     )
 
 
-@dataclass(frozen=True, eq=False)
-class Volume:
-    """Share of bone (nx, ny, nz), value [i, j, k] at origin_mm + voxel_mm (i, j, k), CFCS; the rest is soft tissue."""
-
-    values: np.ndarray
-    origin_mm: np.ndarray
-    voxel_mm: float
-
-
 def to_cfcs(anatomical_mm: np.ndarray, side: str, head_mm: np.ndarray) -> np.ndarray:
     """Anatomical coordinates (..., 3) to CFCS, the centre of the head at `head_mm` (3,)."""
     return np.asarray(anatomical_mm) * [1.0, 1.0 if side == "right" else -1.0, 1.0] + head_mm
 
 
-def voxelise(femur: Femur, side: str, head_mm: np.ndarray, rng: np.random.Generator) -> Volume:
-    """The bone as a volume in CFCS, with a random trabecular texture."""
+def voxelise(femur: Femur, side: str, head_mm: np.ndarray, rng: np.random.Generator | None) -> Volume:
+    """The bone as a volume in CFCS, with a random trabecular texture; without one where `rng` is None."""
     nx, ny, nz = (int(n) for n in np.ceil((BOX_HIGH_MM - BOX_LOW_MM) / VOXEL_MM))
-    tile = gaussian_filter(rng.standard_normal(TEXTURE_SHAPE, dtype=np.float32), TEXTURE_SD, mode="wrap")
-    values = _fill(BOX_LOW_MM, femur._numbers(), tile / tile.std(), (nx, ny, nz))
+    tile = np.zeros((1, 1, 1), dtype=np.float32) if rng is None else _texture(rng)
+    values = _fill(BOX_LOW_MM, femur._numbers(), tile, (nx, ny, nz))
     low = BOX_LOW_MM
     if side == "left":
         values = np.ascontiguousarray(values[:, ::-1])
         low = np.array([low[0], -(low[1] + (ny - 1) * VOXEL_MM), low[2]])
-    return Volume(values, low + head_mm, VOXEL_MM)
+    return Volume(values, low + head_mm, np.full(3, VOXEL_MM))
 
 
-@dataclass(frozen=True)
-class SoftTissue:
-    """Hip and thigh as an elliptic cylinder along Y. Centre (x, z) and half-axes (x, z), mm [ours]."""
-
-    centre_mm: tuple[float, float] = (-35.0, -5.0)
-    half_mm: tuple[float, float] = (140.0, 105.0)
-
-    def length_mm(self, focal_mm: np.ndarray, points_mm: np.ndarray) -> np.ndarray:
-        """(...,) mm of tissue on the rays from a focal point to points (..., 3)."""
-        start = (focal_mm[[0, 2]] - self.centre_mm) / np.array(self.half_mm)
-        ray = points_mm - focal_mm
-        step = ray[..., [0, 2]] / np.array(self.half_mm)
-        a, b, c = (step**2).sum(-1), (step * start).sum(-1), (start**2).sum() - 1
-        return 2 * np.sqrt(np.maximum(b * b - a * c, 0.0)) / a * np.linalg.norm(ray, axis=-1)
+def _texture(rng: np.random.Generator) -> np.ndarray:
+    """Unit-variance numbers as finely grained as trabeculae."""
+    tile = gaussian_filter(rng.standard_normal(TEXTURE_SHAPE, dtype=np.float32), TEXTURE_SD, mode="wrap")
+    return tile / tile.std()
 
 
 @njit(cache=True)

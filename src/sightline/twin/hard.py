@@ -9,10 +9,9 @@ from sightline.frame import Frame
 from sightline.imaging import Radiograph
 from sightline.twin.carm import SetUp, ViewTruth, draw_setup, shadow_centres_px, shadow_radius_px
 from sightline.twin.distributions import HardScene
-from sightline.twin.femur import SoftTissue
-from sightline.twin.render import DOSES, Exposure, Scene, expose
+from sightline.twin.render import DOSES, Exposure, expose
 from sightline.twin.scene import hip_scene
-from sightline.twin.things import CENTRE, RADIUS, Rod, Solid, pack, stations
+from sightline.twin.things import CENTRE, RADIUS, Rod, Scene, SoftTissue, Solid, pack, stations
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,7 +8,9 @@ from numba import njit, prange
 from sightline.twin.things import COLUMNS
 
 CELL_PX = 16
-SUB = 4  # sub-rays per pixel and axis
+SUB = 4  # sub-rays per pixel and axis, for balls and rods
+MESH_SUB = 2  # for meshes [ours]
+MESH_CELL_PX = 32
 assert COLUMNS == 9  # noqa: S101 - the kernels below spell the columns out
 
 
@@ -137,6 +139,28 @@ def chord(o: np.ndarray, d: np.ndarray, shape: np.ndarray) -> float:
     return 2.0 * np.sqrt(left) if left > 0.0 else 0.0
 
 
+@njit(cache=True)
+def _sub_ray(
+    rays: Rays, spot: np.ndarray, pixel: tuple[int, int], which: tuple[int, int], ray: tuple[np.ndarray, np.ndarray]
+) -> None:
+    """Fills a `ray`, start and unit direction, with a pixel's sub-ray: number which[0] of which[1] x which[1].
+
+    Each starts elsewhere on the square focal spot: `spot` (2, 3) spans it. The offset on the spot is that in the pixel
+    turned by 90°, so both blurs have their right size and neither leans on the other.
+    """
+    (r, c), (s, sub), (o, d) = pixel, which, ray
+    focal, points = rays.focal, rays.points
+    pu, pv = (s % sub + 0.5) / sub - 0.5, (s // sub + 0.5) / sub - 0.5
+    norm = 0.0
+    for a in range(3):
+        o[a] = focal[a] + pv * spot[0, a] - pu * spot[1, a]
+        by_u = 0.5 * (points[r, c + 1, a] - points[r, c - 1, a])
+        by_v = 0.5 * (points[r + 1, c, a] - points[r - 1, c, a])
+        d[a] = points[r, c, a] + pu * by_u + pv * by_v - o[a]
+        norm += d[a] * d[a]
+    d /= np.sqrt(norm)
+
+
 @njit(cache=True, parallel=True)
 def solid_transmission(
     rays: Rays,
@@ -146,11 +170,10 @@ def solid_transmission(
 ) -> np.ndarray:
     """(3, H, W): what sharp solids leave of each energy, averaged over SUB x SUB rays of each pixel.
 
-    Each sub-ray starts elsewhere on the square focal spot: `spot` (2, 3) spans it. The offset on the spot is that in
-    the pixel turned by 90°, so both blurs have their right size and neither leans on the other. `cells` (start, index):
-    which solids may touch each cell of CELL_PX pixels; `solids`: shapes (M, 9) and attenuation (M, 3).
+    `spot` (2, 3): see `_sub_ray`. `cells` (start, index): which solids may touch each cell of CELL_PX pixels;
+    `solids`: shapes (M, 9) and attenuation (M, 3).
     """
-    focal, points, inside = rays
+    inside = rays.inside
     first, index = cells
     shapes, excess = solids
     h, w = inside.shape
@@ -164,15 +187,7 @@ def solid_transmission(
                 continue
             total = np.zeros(3)
             for s in range(SUB * SUB):
-                pu, pv = (s % SUB + 0.5) / SUB - 0.5, (s // SUB + 0.5) / SUB - 0.5
-                norm = 0.0
-                for a in range(3):
-                    o[a] = focal[a] + pv * spot[0, a] - pu * spot[1, a]
-                    by_u = 0.5 * (points[r, c + 1, a] - points[r, c - 1, a])
-                    by_v = 0.5 * (points[r + 1, c, a] - points[r - 1, c, a])
-                    d[a] = points[r, c, a] + pu * by_u + pv * by_v - o[a]
-                    norm += d[a] * d[a]
-                d /= np.sqrt(norm)
+                _sub_ray(rays, spot, (r, c), (s, SUB), (o, d))
                 depth[:] = 0.0
                 for n in range(first[cell], first[cell + 1]):
                     length = chord(o, d, shapes[index[n]])
@@ -209,4 +224,80 @@ def box_length(rays: Rays, centres: np.ndarray, axes: np.ndarray, halves: np.nda
                 near, far = span
                 if far > near:
                     out[r, c] += (far - near) * norm
+    return out
+
+
+@njit(cache=True)
+def _side(o: np.ndarray, d: np.ndarray, a: np.ndarray, b: np.ndarray) -> float:
+    """d · ((a - o) x (b - o)): on which side of the ray o + t d the edge from a to b passes."""
+    ax, ay, az = a[0] - o[0], a[1] - o[1], a[2] - o[2]
+    bx, by, bz = b[0] - o[0], b[1] - o[1], b[2] - o[2]
+    return d[0] * (ay * bz - az * by) + d[1] * (az * bx - ax * bz) + d[2] * (ax * by - ay * bx)
+
+
+@njit(cache=True)
+def _crossing(o: np.ndarray, d: np.ndarray, vertices: np.ndarray, triangle: np.ndarray) -> float:
+    """Signed way to a triangle along the ray o + t d, |d| = 1: t where the ray leaves through it, -t where it enters.
+
+    0 where it misses. Each edge is judged from its lower to its higher vertex, so both its triangles judge it alike and
+    no ray slips between them or meets both.
+    """
+    ahead, way, weight = 0, 0.0, 0.0
+    for k in range(3):
+        i, j, opposite = triangle[k], triangle[(k + 1) % 3], triangle[(k + 2) % 3]
+        if i < j:
+            side = _side(o, d, vertices[i], vertices[j])
+            ahead += side >= 0.0
+        else:
+            side = -_side(o, d, vertices[j], vertices[i])
+            ahead += side > 0.0
+        along = 0.0
+        for a in range(3):
+            along += (vertices[opposite, a] - o[a]) * d[a]
+        way += side * along
+        weight += side
+    if weight == 0.0 or 0 < ahead < 3:
+        return 0.0
+    return way / weight if ahead == 3 else -way / weight
+
+
+@njit(cache=True, parallel=True)
+def mesh_lengths(
+    rays: Rays, xi: np.ndarray, spot: np.ndarray, surface: tuple[np.ndarray, np.ndarray], shadows: np.ndarray
+) -> np.ndarray:
+    """(MESH_SUB², H, W) mm: length of each sub-ray of each pixel within a closed mesh.
+
+    `surface`: vertices (V, 3) and triangles (T, 3), counter-clockwise seen from outside. `xi` (H, W, 2): where each
+    ray meets the input plane; `shadows` (T, 4): least and greatest xi that a triangle may touch, mm.
+    """
+    vertices, triangles = surface
+    h, w = rays.inside.shape
+    tall, wide = (h + MESH_CELL_PX - 1) // MESH_CELL_PX, (w + MESH_CELL_PX - 1) // MESH_CELL_PX
+    out = np.zeros((MESH_SUB * MESH_SUB, h, w))
+    for cell in prange(tall * wide):
+        r0, c0 = max(cell // wide * MESH_CELL_PX, 1), max(cell % wide * MESH_CELL_PX, 1)
+        r1, c1 = min((cell // wide + 1) * MESH_CELL_PX, h - 1), min((cell % wide + 1) * MESH_CELL_PX, w - 1)
+        if not rays.inside[r0:r1, c0:c1].any():
+            continue
+        cast = np.empty((r1 - r0, c1 - c0, MESH_SUB * MESH_SUB, 2, 3))  # start and direction of every sub-ray
+        for r in range(r0, r1):
+            for c in range(c0, c1):
+                for s in range(MESH_SUB * MESH_SUB):
+                    ray = cast[r - r0, c - c0, s]
+                    _sub_ray(rays, spot, (r, c), (s, MESH_SUB), (ray[0], ray[1]))
+        part = xi[r0:r1, c0:c1]
+        x0, x1 = part[:, :, 0].min(), part[:, :, 0].max()
+        y0, y1 = part[:, :, 1].min(), part[:, :, 1].max()
+        for t in range(len(triangles)):
+            left, top, right, bottom = shadows[t]
+            if left > x1 or right < x0 or top > y1 or bottom < y0:
+                continue
+            for r in range(r0, r1):
+                for c in range(c0, c1):
+                    x, y = xi[r, c, 0], xi[r, c, 1]
+                    if x < left or x > right or y < top or y > bottom or not rays.inside[r, c]:
+                        continue
+                    for s in range(MESH_SUB * MESH_SUB):
+                        ray = cast[r - r0, c - c0, s]
+                        out[s, r, c] += _crossing(ray[0], ray[1], vertices, triangles[t])
     return out

@@ -6,6 +6,7 @@ that, and glare lost there, is the vignetting. Not modelled: quanta of unlike en
 the distance within the field (under 2 %); heel; lag.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import cv2
@@ -15,17 +16,19 @@ from scipy.interpolate import RectBivariateSpline
 
 from sightline.errors import SetUpError
 from sightline.imaging import Radiograph
-from sightline.twin.beam import WEIGHTS, attenuation_per_mm
+from sightline.twin.beam import WEIGHTS, attenuation_per_mm, excess_per_mm
 from sightline.twin.carm import SetUp, ViewTruth, shadow_radius_px
-from sightline.twin.femur import SoftTissue, Volume
+from sightline.twin.meshes import Mesh
 from sightline.twin.presets import ImageChain
-from sightline.twin.projector import CELL_PX, Rays, box_length, solid_transmission, volume_integral
-from sightline.twin.things import RADIUS, Box, Solid, pack, stations
+from sightline.twin.projector import CELL_PX, Rays, box_length, mesh_lengths, solid_transmission, volume_integral
+from sightline.twin.things import RADIUS, Box, Scene, pack, stations
+from sightline.twin.volumes import Volume
 
 RAY_MARGIN_PX = 6  # rays are cast this far beyond the round blanking, so that blur finds light there
 RAY_GRID_PX = 8  # the inverse distortion is exact on this grid, splines between: error below 1e-5 px
 SCATTER_MM = 30.0  # reach of scattered radiation at the input plane, s.d. [ours]
 COARSE_PX = 8  # scatter and glare are computed on means of this many pixels
+FINE_VOXEL_MM = 0.5  # volumes of finer voxels are cast for every pixel [ours]
 MEAN_LEVEL = 0.25  # of the white level: where exposure control brings the middle of the image [ours]
 BLACK_LEVEL = 0.02  # of the white level [ours]
 ELECTRONIC_SD = 0.0006  # of the white level: 2.5 of 4095 [ours]
@@ -49,16 +52,6 @@ class Dose:
 
 # 15, 121 and 484 quanta per pixel of the 9 in chain: fluoroscopy, a held image, a digital spot [ours].
 DOSES = {"low": Dose(frames=1), "medium": Dose(frames=8), "high": Dose(frames=32)}
-
-
-@dataclass(frozen=True, eq=False)
-class Scene:
-    """What lies in the beam, CFCS: sharp things of steel, PMMA, bone, soft tissue; any may be missing."""
-
-    solids: tuple[Solid, ...] = ()
-    boxes: tuple[Box, ...] = ()
-    bone: Volume | None = None
-    tissue: SoftTissue | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,38 +158,78 @@ def _rays(view: ViewTruth) -> tuple[Rays, np.ndarray]:
 
 
 def _primary(view: ViewTruth, scene: Scene, rays: Rays) -> tuple[np.ndarray, np.ndarray]:
-    """(H, W) twice: share of an open beam's photons that arrive unscattered, and were the sharp things not there."""
-    none = np.zeros(rays.inside.shape, dtype=np.float32)
-    bone, tissue, pmma = none, none, none
-    if scene.bone is not None:
-        bone = _bone_mm(scene.bone, rays)
-    if scene.tissue is not None:
-        tissue = np.maximum(scene.tissue.length_mm(rays.focal, rays.points) - bone, 0.0)
-    if scene.boxes:
-        boxes = [np.stack([getattr(box, name) for box in scene.boxes]) for name in ("centre_mm", "axes", "half_mm")]
-        pmma = box_length(rays, *boxes)
+    """(H, W) twice: share of an open beam's photons that arrive unscattered, and were the balls and rods not there."""
+    layers = list(_layers(scene, rays))
     shapes, excess = pack(scene.solids)
     spot = view.chain.focal_spot_mm * view.detector.axes
     sharp = solid_transmission(rays, spot, _cells(view, shapes), (shapes, excess))
+    meshes = [(excess_per_mm(mesh.material, mesh.within), _mesh_mm(view, mesh, rays, spot)) for mesh in scene.meshes]
     out, without = np.zeros(rays.inside.shape), np.zeros(rays.inside.shape)
     for e, weight in enumerate(WEIGHTS):
-        per_mm = {name: np.float32(attenuation_per_mm(name)[e]) for name in ("bone", "tissue", "pmma")}
-        soft = weight * np.exp(-(bone * per_mm["bone"] + tissue * per_mm["tissue"] + pmma * per_mm["pmma"]))
+        depth = np.zeros(rays.inside.shape, dtype=np.float32)
+        for length, per_mm in layers:
+            depth = depth + length * np.float32(per_mm[e])
+        soft = weight * np.exp(-depth)
+        for per_mm, lengths in meshes:
+            soft = soft * np.exp(-lengths * np.float32(per_mm[e])).mean(axis=0)
         without += soft
         out += soft * sharp[e]
     return np.where(rays.inside, out, 0.0), np.where(rays.inside, without, 0.0)
 
 
-def _bone_mm(bone: Volume, rays: Rays) -> np.ndarray:
-    """(H, W) mm of bone on each ray: cast for every second pixel, cubic between (a voxel's shadow is six pixels)."""
-    every = Rays(rays.focal, np.ascontiguousarray(rays.points[::2, ::2]), _grown(rays.inside)[::2, ::2])
-    length = volume_integral(every, bone.values, bone.origin_mm, np.full(3, bone.voxel_mm))
+def _layers(scene: Scene, rays: Rays) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Lengths (H, W) mm in volumes, body and boxes, and what each takes per mm (3,).
+
+    What is set into tissue shortens the way through the body, never below nothing."""
+    displaced = np.zeros(rays.inside.shape, dtype=np.float32)
+    for volume in scene.volumes:
+        length = _volume_mm(volume, rays)
+        in_body = volume.within == "tissue"
+        displaced += length if in_body else 0
+        yield length, excess_per_mm(volume.material, None if in_body else volume.within)
+    if scene.tissue is not None:
+        body = scene.tissue.length_mm(rays.focal, rays.points)
+        yield np.maximum(body - displaced, 0.0), attenuation_per_mm("tissue")
+    for (material, within), boxes in _alike(scene.boxes).items():
+        parts = [np.stack([getattr(box, name) for box in boxes]) for name in ("centre_mm", "axes", "half_mm")]
+        yield box_length(rays, *parts), excess_per_mm(material, within)
+
+
+def _alike(boxes: tuple[Box, ...]) -> dict[tuple[str, str | None], list[Box]]:
+    """Boxes of one material in another, cast together."""
+    out: dict[tuple[str, str | None], list[Box]] = {}
+    for box in boxes:
+        out.setdefault((box.material, box.within), []).append(box)
+    return out
+
+
+def _volume_mm(volume: Volume, rays: Rays) -> np.ndarray:
+    """(H, W) mm of a volume on each ray, in the volume's own axes.
+
+    Cast for every second pixel, cubic between, where a voxel's shadow is wide enough (that of 0.75 mm is six pixels).
+    """
+    own = volume.axes.T
+    focal, origin = rays.focal @ own, volume.origin_mm @ own
+    if volume.voxel_mm.min() < FINE_VOXEL_MM:
+        return volume_integral(Rays(focal, rays.points @ own, rays.inside), volume.values, origin, volume.voxel_mm)
+    every = Rays(focal, rays.points[::2, ::2] @ own, _grown(rays.inside)[::2, ::2])
+    length = volume_integral(every, volume.values, origin, volume.voxel_mm)
     halve = np.array([[0.5, 0.0, 0.0], [0.0, 0.5, 0.0]])
     h, w = rays.inside.shape
     fine = cv2.warpAffine(
         length, halve, (w, h), flags=cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP, borderMode=cv2.BORDER_REPLICATE
     )
     return np.maximum(fine, 0.0)
+
+
+def _mesh_mm(view: ViewTruth, mesh: Mesh, rays: Rays, spot: np.ndarray) -> np.ndarray:
+    """(S, H, W) mm of a mesh on each of the S sub-rays of each pixel. Raises OutsideRegionError behind the source."""
+    corners = view.to_detector(mesh.vertices_mm)[mesh.triangles]
+    source = view.detector.height_mm(view.focal_point_mm)
+    nearest = 1 - view.detector.height_mm(mesh.vertices_mm).min() / source  # over the way from source to input plane
+    margin = (view.chain.pitch_mm + view.chain.focal_spot_mm * (1 / nearest - 1)) / 2  # sub-rays reach half of it
+    shadows = np.concatenate([corners.min(axis=1) - margin, corners.max(axis=1) + margin], axis=1)
+    return mesh_lengths(rays, view.detector.to_plane(rays.points), spot, (mesh.vertices_mm, mesh.triangles), shadows)
 
 
 def _grown(inside: np.ndarray) -> np.ndarray:

@@ -8,9 +8,8 @@ from sightline.errors import SetUpError
 from sightline.frame import Frame
 from sightline.twin.carm import SetUp, draw_setup
 from sightline.twin.distributions import HipPlace
-from sightline.twin.femur import Femur, SoftTissue, draw_femur, to_cfcs, voxelise
-from sightline.twin.render import Scene
-from sightline.twin.things import Ball, frame_boxes, frame_solids
+from sightline.twin.femur import Femur, draw_femur, to_cfcs, voxelise
+from sightline.twin.things import Ball, Scene, SoftTissue, frame_boxes, frame_solids
 
 TEST_BALLS_MM = np.array(
     [[-18.0, -16.0, -12.0], [20.0, -12.0, 14.0], [-14.0, 20.0, 16.0], [16.0, 18.0, -15.0]]
@@ -67,7 +66,7 @@ def _placed(setup: SetUp, femur: Femur, head_mm: np.ndarray, rng: np.random.Gene
     scene = Scene(
         solids=frame_solids(setup.true_frame),
         boxes=frame_boxes(setup.true_frame),
-        bone=voxelise(femur, setup.side, head_mm, rng),
+        volumes=(voxelise(femur, setup.side, head_mm, rng),),
         tissue=SoftTissue(),
     )
     return HipScene(scene, femur, head_mm, to_cfcs(np.stack(femur.wire_mm()), setup.side, head_mm))

@@ -1,13 +1,16 @@
-"""Things with sharp edges in the beam: balls, washers, wires and screws, plates. Lengths mm, places in CFCS."""
+"""What lies in the beam: balls, washers, wires and screws, plates, a body; and all of it as a scene. mm, CFCS."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import TypeAlias
 
 import numpy as np
 
+from sightline.errors import SetUpError
 from sightline.frame import Fiducial, Frame, Plate
-from sightline.twin.beam import attenuation_per_mm
+from sightline.twin.beam import excess_per_mm
+from sightline.twin.meshes import Mesh
+from sightline.twin.volumes import Volume
 
 Point: TypeAlias = tuple[float, float, float]
 PLATE_MM = 8.0  # thickness of a calibration plate [ours]
@@ -18,18 +21,19 @@ WASHER_MM = 1.5  # thickness [ours]
 
 @dataclass(frozen=True)
 class Ball:
-    """A ball of steel set into another material, which it displaces."""
+    """A ball set into another material, which it displaces; `within` None: air."""
 
     centre_mm: Point
     radius_mm: float
-    within: str = "pmma"
+    within: str | None = "pmma"
+    material: str = "steel"
 
 
 @dataclass(frozen=True)
 class Rod:
-    """A steel cylinder, or a tube or washer where `hole_mm` > 0, set into another material, which it displaces.
+    """A cylinder, or a tube or washer where `hole_mm` > 0, set into another material, which it displaces.
 
-    `axis` is a unit vector; `half_mm` half the length along it.
+    `axis` is a unit vector; `half_mm` half the length along it; `hole_mm` the radius of the hole.
     """
 
     centre_mm: Point
@@ -37,19 +41,56 @@ class Rod:
     radius_mm: float
     half_mm: float
     hole_mm: float = 0.0
-    within: str = "tissue"
+    within: str | None = "tissue"
+    material: str = "steel"
 
 
 @dataclass(frozen=True, eq=False)
 class Box:
-    """A cuboid of PMMA. `axes` (3, 3): rows are its own axes; `half_mm` (3,)."""
+    """A cuboid, one ray a pixel. `axes` (3, 3): rows are its own axes; `half_mm` (3,)."""
 
     centre_mm: np.ndarray
     axes: np.ndarray
     half_mm: np.ndarray
+    material: str = "pmma"
+    within: str | None = None
+
+
+@dataclass(frozen=True)
+class SoftTissue:
+    """Hip and thigh as an elliptic cylinder along Y. Centre (x, z) and half-axes (x, z), mm [ours]."""
+
+    centre_mm: tuple[float, float] = (-35.0, -5.0)
+    half_mm: tuple[float, float] = (140.0, 105.0)
+
+    def length_mm(self, focal_mm: np.ndarray, points_mm: np.ndarray) -> np.ndarray:
+        """(...,) mm of tissue on the rays from a focal point to points (..., 3)."""
+        start = (focal_mm[[0, 2]] - self.centre_mm) / np.array(self.half_mm)
+        ray = points_mm - focal_mm
+        step = ray[..., [0, 2]] / np.array(self.half_mm)
+        a, b, c = (step**2).sum(-1), (step * start).sum(-1), (start**2).sum() - 1
+        return 2 * np.sqrt(np.maximum(b * b - a * c, 0.0)) / a * np.linalg.norm(ray, axis=-1)
 
 
 Solid: TypeAlias = Ball | Rod
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """What lies in the beam; scenes add up. `tissue`: the body that everything set into tissue displaces."""
+
+    solids: tuple[Solid, ...] = ()
+    boxes: tuple[Box, ...] = ()
+    volumes: tuple[Volume, ...] = ()
+    meshes: tuple[Mesh, ...] = ()
+    tissue: SoftTissue | None = None
+
+    def __add__(self, other: "Scene") -> "Scene":
+        if self.tissue is not None and other.tissue is not None:
+            raise SetUpError("two scenes with a body each cannot be one; take the tissue from one of them")
+        parts = {f.name: getattr(self, f.name) + getattr(other, f.name) for f in fields(self) if f.name != "tissue"}
+        return Scene(**parts, tissue=self.tissue or other.tissue)
+
 
 # Columns of a packed solid.
 CENTRE, AXIS, RADIUS, HOLE, HALF = slice(0, 3), slice(3, 6), 6, 7, 8
@@ -60,10 +101,9 @@ def pack(solids: Sequence[Solid]) -> tuple[np.ndarray, np.ndarray]:
     """Solids as numbers: shapes (M, 9), half-length negative for a ball; attenuation above what they displace (M, 3),
     1/mm at ENERGIES_KEV."""
     shapes, excess = np.zeros((len(solids), COLUMNS)), np.zeros((len(solids), 3))
-    steel = attenuation_per_mm("steel")
     for row, one in enumerate(solids):
         shapes[row, CENTRE], shapes[row, RADIUS] = one.centre_mm, one.radius_mm
-        excess[row] = steel - attenuation_per_mm(one.within)
+        excess[row] = excess_per_mm(one.material, one.within)
         if isinstance(one, Rod):
             shapes[row, AXIS], shapes[row, HOLE], shapes[row, HALF] = one.axis, one.hole_mm, one.half_mm
         else:
