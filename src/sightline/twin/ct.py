@@ -1,0 +1,201 @@
+"""CT scans as volumes in the beam: NIfTI files and DICOM series to shares of soft tissue and bone.
+
+Patient coordinates are DICOM's: x to the patient's left, y to the back, z to the head. No element that tells who the
+patient is, is ever read.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from sightline.errors import UnusableInputError
+from sightline.twin.beam import TABLE_PER_CM
+from sightline.twin.volumes import Volume
+
+WATER_PER_CM = 0.206  # at 60 keV [calc, xraydb]: there a CT number is taken for mu_water (1 + HU/1000)
+MAX_VOXELS = 2**26  # [ours] 256 slices of 512²; 0.7 GB while it is cast
+MAX_SLICES = 4096  # [ours] files in one folder
+SPACING_MM = (0.1, 10.0)  # [ours] voxel edges of clinical CT; others are no mm, or not meant
+HU = (-1024, 3071)  # what twelve bits hold; beyond it values are taken for its ends
+NO_AIR_HU = -100  # [ours] a scan of a body has fat or air below this; counts of another modality have not
+UNEVEN = 0.01  # [ours] of a voxel's edge: slices farther from even spacing leave one out
+TILTED = 1e-3  # [ours] cosine between axes that should be square
+# Rows: CFCS axes in patient coordinates (docs/conventions.md: +X lateral, +Z anterior, +Y completes them).
+CFCS_OF_PATIENT = {
+    "right": np.array([[-1.0, 0, 0], [0, 0, -1], [0, -1, 0]]),
+    "left": np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]]),
+}
+_TAGS = [
+    "Modality",
+    "SeriesInstanceUID",
+    "NumberOfFrames",
+    "ImageOrientationPatient",
+    "ImagePositionPatient",
+    "PixelSpacing",
+    "RescaleSlope",
+    "RescaleIntercept",
+    "Rows",
+    "Columns",
+]
+
+
+@dataclass(frozen=True, eq=False)
+class CtScan:
+    """CT numbers `hu` (nx, ny, nz) int16; [i, j, k] lies at origin_mm + (voxel_mm * (i, j, k)) @ axes, patient mm."""
+
+    hu: np.ndarray
+    origin_mm: np.ndarray
+    voxel_mm: np.ndarray
+    axes: np.ndarray
+
+
+def read_ct(path: str | Path) -> CtScan:
+    """A CT scan from a NIfTI file (.nii, .nii.gz) or from a folder that holds one DICOM series.
+
+    Raises UnusableInputError on what is no CT, states no spacing or place, lacks slices, is skewed or too large.
+    """
+    place = Path(path)
+    return _series(place) if place.is_dir() else _nifti(place)
+
+
+def ct_volumes(scan: CtScan, side: str, hip_mm: np.ndarray, at_mm: np.ndarray | None = None) -> tuple[Volume, Volume]:
+    """Soft tissue and bone of a scan in CFCS: a hip's point in patient coordinates (3,) comes to `at_mm` (the origin).
+
+    Below soft tissue a voxel is tissue and air, above it tissue and bone, beyond cortical bone more bone: metal too,
+    which 12 bits cut off. The mixture has the scan's attenuation at 60 keV, and its materials' at other energies.
+    """
+    if side not in CFCS_OF_PATIENT:
+        raise UnusableInputError(f"a hip's side is 'right' or 'left', not {side!r}")
+    turn = CFCS_OF_PATIENT[side]
+    origin = turn @ (scan.origin_mm - np.asarray(hip_mm)) + (np.zeros(3) if at_mm is None else np.asarray(at_mm))
+    index = np.clip(scan.hu, *HU) - HU[0]
+    tissue, bone = (
+        Volume(share[index], origin, scan.voxel_mm, scan.axes @ turn.T, material, None)
+        for share, material in zip(shares_of_hu(np.arange(HU[0], HU[1] + 1)), ("tissue", "bone"), strict=True)
+    )
+    return tissue, bone
+
+
+def shares_of_hu(hu: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Shares of soft tissue and of cortical bone, float32, that have the attenuation of CT numbers at 60 keV."""
+    soft, hard = TABLE_PER_CM["tissue"][1], TABLE_PER_CM["bone"][1]
+    mu = np.maximum(WATER_PER_CM * (1 + np.asarray(hu) / 1000), 0.0)
+    tissue = np.interp(mu, [0.0, soft, hard], [0.0, 1.0, 0.0])
+    bone = np.where(mu < hard, np.interp(mu, [soft, hard], [0.0, 1.0]), mu / hard)
+    return tissue.astype(np.float32), bone.astype(np.float32)
+
+
+def _nifti(file: Path) -> CtScan:
+    from nibabel.nifti1 import Nifti1Image
+
+    if not file.is_file():
+        raise UnusableInputError(f"there is no {file.name}; name a NIfTI file or a folder of DICOM files")
+    try:
+        image = Nifti1Image.from_filename(file)
+        header = image.header
+        codes, unit = (int(header["sform_code"]), int(header["qform_code"])), header.get_xyzt_units()[0]
+        affine, shape = np.asarray(image.affine, dtype=np.float64), image.shape
+    except Exception as error:  # nibabel raises what the broken bytes make it raise
+        raise UnusableInputError(f"{file.name} is no NIfTI file, or a damaged one; export it again") from error
+    if not any(codes):
+        raise UnusableInputError(f"{file.name} does not say how the patient lies (sform, qform); export it with them")
+    if unit not in ("mm", "unknown"):
+        raise UnusableInputError(f"{file.name} is in {unit}; export it in mm")
+    if len(shape) != 3:
+        raise UnusableInputError(f"{file.name} has {len(shape)} dimensions; give one scan of three")
+    _check_size(shape, file.name)
+    try:
+        values = np.asarray(image.dataobj, dtype=np.float32)
+    except Exception as error:
+        raise UnusableInputError(f"{file.name} is truncated or damaged; copy or export it again") from error
+    to_patient = np.diag([-1.0, -1.0, 1.0])  # NIfTI: x to the right, y to the front
+    return _scan(values, to_patient @ affine[:3, 3], to_patient @ affine[:3, :3], file.name)
+
+
+def _series(folder: Path) -> CtScan:
+    import pydicom
+    from pydicom.pixels.utils import pixel_array
+
+    files = [file for file in sorted(folder.iterdir()) if file.is_file()]
+    if not 0 < len(files) <= MAX_SLICES:
+        raise UnusableInputError(f"{folder.name} holds {len(files)} files; give a folder of 1 to {MAX_SLICES}")
+    slices = []
+    for file in files:
+        try:
+            slices.append((file, pydicom.dcmread(file, stop_before_pixels=True, specific_tags=_TAGS)))
+        except Exception as error:  # its messages may quote the patient
+            raise UnusableInputError(f"{file.name} is no DICOM file; leave only the scan in the folder") from error
+    for file, header in slices:
+        _check_slice(header, file.name)
+    first = slices[0][1]
+    for what in ("SeriesInstanceUID", "ImageOrientationPatient", "PixelSpacing", "Rows", "Columns"):
+        if any(header[what].value != first[what].value for _, header in slices):
+            raise UnusableInputError(f"the files of {folder.name} differ in {what}; leave one series in the folder")
+    _check_size((int(first.Columns), int(first.Rows), len(slices)), folder.name)
+    right, down = np.array(first.ImageOrientationPatient, dtype=np.float64).reshape(2, 3)
+    normal = np.cross(right, down)
+    slices.sort(key=lambda one: float(np.dot(one[1].ImagePositionPatient, normal)))
+    at = np.array([header.ImagePositionPatient for _, header in slices], dtype=np.float64)
+    values = np.empty((int(first.Columns), int(first.Rows), len(slices)), dtype=np.float32)
+    for k, (file, header) in enumerate(slices):
+        try:
+            stored = pixel_array(file)
+        except Exception as error:
+            raise UnusableInputError(f"{file.name} is truncated or damaged; copy or export it again") from error
+        values[:, :, k] = stored.T * float(header.RescaleSlope) + float(header.RescaleIntercept)
+    by_row, by_column = (float(c) for c in first.PixelSpacing)  # between rows, between columns
+    return _scan(values, at[0], np.stack([by_column * right, by_row * down, _step(at, folder.name)], 1), folder.name)
+
+
+def _check_slice(header, name: str) -> None:
+    """Raises UnusableInputError on a slice of no CT, or one that leaves out what places it."""
+    if header.get("Modality") != "CT":
+        raise UnusableInputError(f"{name} is of modality {header.get('Modality') or 'unknown'}; give a CT series")
+    missing = [tag for tag in _TAGS if tag != "NumberOfFrames" and header.get(tag) in (None, "")]
+    if missing:
+        raise UnusableInputError(f"{name} states no {missing[0]}; export the series with it")
+    if int(header.get("NumberOfFrames") or 1) > 1:
+        raise UnusableInputError(f"{name} holds many slices in one file; export one file per slice")
+    for tag, count in (("ImageOrientationPatient", 6), ("ImagePositionPatient", 3), ("PixelSpacing", 2)):
+        if np.size(header[tag].value) != count:
+            raise UnusableInputError(f"{name} has a malformed {tag}; export the series again")
+
+
+def _step(at_mm: np.ndarray, name: str) -> np.ndarray:
+    """(3,) mm from slice to slice. Raises UnusableInputError where slices are missing, twice there, or uneven."""
+    if len(at_mm) < 2:
+        raise UnusableInputError(f"{name} holds one slice; give the whole series")
+    mean = (at_mm[-1] - at_mm[0]) / (len(at_mm) - 1)
+    uneven = np.linalg.norm(np.diff(at_mm, axis=0) - mean, axis=1).max()
+    if not uneven <= UNEVEN * np.linalg.norm(mean):
+        raise UnusableInputError(f"the slices of {name} are not evenly spaced: one is missing or twice there")
+    return mean
+
+
+def _check_size(shape: tuple[int, ...], name: str) -> None:
+    if min(shape) < 2 or np.prod(shape, dtype=np.float64) > MAX_VOXELS:
+        raise UnusableInputError(
+            f"{name} has {' x '.join(map(str, shape))} voxels; a scan has two a side and at most {MAX_VOXELS} in all: "
+            "crop it about the hip"
+        )
+
+
+def _scan(values: np.ndarray, origin_mm: np.ndarray, steps_mm: np.ndarray, name: str) -> CtScan:
+    """A scan of values whose index i, j, k steps by the columns of `steps_mm` (3, 3). Raises UnusableInputError."""
+    voxel = np.linalg.norm(steps_mm, axis=0)
+    if not (np.isfinite(origin_mm).all() and (voxel >= SPACING_MM[0]).all() and (voxel <= SPACING_MM[1]).all()):
+        raise UnusableInputError(
+            f"{name} has voxels of {' x '.join(f'{v:.4g}' for v in voxel)} mm; a CT has {SPACING_MM[0]:g} to "
+            f"{SPACING_MM[1]:g}: export it with its spacing"
+        )
+    axes = (steps_mm / voxel).T
+    if np.abs(axes @ axes.T - np.eye(3)).max() > TILTED:
+        raise UnusableInputError(f"the axes of {name} are not square (a tilted gantry?); resample it squarely")
+    if not np.isfinite(values).all():
+        raise UnusableInputError(f"{name} holds values that are not finite; export it again without them")
+    if values.min() > NO_AIR_HU:
+        raise UnusableInputError(
+            f"{name} holds nothing below {NO_AIR_HU}, so its values are no CT numbers; give a CT in Hounsfield units"
+        )
+    return CtScan(np.clip(np.rint(values), *HU).astype(np.int16), origin_mm, voxel, axes)
