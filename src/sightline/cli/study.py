@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from sightline.studies.run import Result, Run
     from sightline.studies.study import Study
 
-PRINTED = 3  # tables; all stand on the page
+PRINTED = 2  # tables; all stand on the page
 
 
 def register(app: typer.Typer) -> None:

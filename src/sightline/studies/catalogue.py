@@ -2,9 +2,12 @@
 
 from sightline.errors import UnusableInputError
 from sightline.studies.study import Study
+from sightline.studies.study_bound import AgainstBound
+from sightline.studies.study_budget import Budget
+from sightline.studies.study_coverage import Coverage
 from sightline.studies.study_table1 import Table1
 
-STUDIES: dict[str, Study] = {study.name: study for study in (Table1(),)}
+STUDIES: dict[str, Study] = {study.name: study for study in (Table1(), Coverage(), AgainstBound(), Budget())}
 
 
 def study_called(name: str) -> Study:

@@ -60,17 +60,26 @@ def thin_plate_spline(uv: np.ndarray, xy: np.ndarray) -> Predict:
     return RBFInterpolator(uv, xy, kernel="thin_plate_spline")
 
 
-def calibrated(scene: Scene, method: MapName = "smooth", degree: int = 3) -> list[BeadView]:
-    """Both views of a scene."""
-    return [sl.calibrate(scene.observations[name], scene.frame, method=method, degree=degree) for name in VIEWS]
+# Those of this package: the map, and the degree of a polynomial.
+OURS: dict[str, tuple[MapName, int]] = {
+    "smooth": ("smooth", 3),
+    "localized": ("localized", 3),
+    **{f"polynomial {degree}": ("polynomial", degree) for degree in (1, 2, 3, 5, 7)},
+}
 
 
-def ours(method: MapName, degree: int = 3) -> Method:
+def calibrated(scene: Scene, name: str = "smooth") -> list[BeadView]:
+    """Both views of a scene by one of OURS."""
+    method, degree = OURS[name]
+    return [sl.calibrate(scene.observations[view], scene.frame, method=method, degree=degree) for view in VIEWS]
+
+
+def ours(name: str) -> Method:
     """`smooth` with the covariance-weighted point; the others, as in the paper, with that of nearest approach."""
 
     def of(scene: Scene) -> Locate:
-        views = calibrated(scene, method, degree)
-        how = "weighted" if method == "smooth" else "nearest"
+        views = calibrated(scene, name)
+        how = "weighted" if name == "smooth" else "nearest"
 
         def locate(uv_px: np.ndarray, pick_px: float) -> np.ndarray:
             covariance = np.broadcast_to(pick_px**2 * np.eye(2), (2, uv_px.shape[1], 2, 2))
@@ -150,9 +159,7 @@ def _camera(scene: Scene, name: str, parameters: int) -> tuple[np.ndarray, np.nd
 
 
 METHODS: dict[str, Method] = {
-    "smooth": ours("smooth"),
-    "localized": ours("localized"),
-    **{f"polynomial {degree}": ours("polynomial", degree) for degree in (1, 2, 3, 5, 7)},
+    **{name: ours(name) for name in OURS},
     "OpenCV 5": opencv(5),
     "OpenCV 14": opencv(14),
     "local weighted mean": by_plates(local_weighted_mean),

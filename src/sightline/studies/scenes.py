@@ -21,6 +21,7 @@ FAR_MM = 55.0  # beyond the beads' hulls, which reach 44 mm at the hip
 EXACT = Tolerances(0.0, 0.0, 0.0, 0.0, 0.0)
 BEADS_20UM = Tolerances(0.02, 0.0, 0.0, 0.0, 0.0)
 WHOLE = Tolerances()  # bead, plate and arm (physics.md, Frame)
+FRAMES = {"frame exact": EXACT, "frame beads 0.02 mm": BEADS_20UM, "frame whole": WHOLE}
 MARGIN_PX = 15.0  # a target is shown if it lies this far inside the field
 
 

@@ -1,0 +1,197 @@
+"""Which part of a target's error is whose.
+
+Measured: every source of error is switched on alone, in the same set-up and with the same draws; its effect is the
+difference to a run in which none is on. What is left with none on is what the maps miss of the distortion. Beside it
+stands what the reconstruction states. Independent small errors add up in squares: the root of their sum is printed
+beside what all of them together do.
+"""
+
+from collections.abc import Sequence
+from copy import deepcopy
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+import numpy as np
+
+import sightline as sl
+from sightline.case.figure_budget import Bar, budget
+from sightline.detection import Observations
+from sightline.errors import SightlineError
+from sightline.frame import Frame, Tolerances
+from sightline.planning import SpacePoints
+from sightline.studies.intervals import rms, share
+from sightline.studies.methods import calibrated
+from sightline.studies.scenes import EXACT, VIEWS, WHOLE, Scene
+from sightline.studies.study import Figure, Picture, Summary, Table, Values
+from sightline.twin import bead_images, draw_setup
+from sightline.twin.scene import TEST_BALLS_MM
+
+# Errors of the frame, each alone, by the tolerances that they are then drawn from.
+FRAME_ALONE = {
+    "balls": Tolerances(WHOLE.bead_mm, 0.0, 0.0, 0.0, 0.0),
+    "plates": Tolerances(0.0, WHOLE.plate_mm, WHOLE.plate_rad, 0.0, 0.0),
+    "arms": Tolerances(0.0, 0.0, 0.0, WHOLE.arm_mm, WHOLE.arm_rad),
+}
+MEANINGS = {
+    "balls": "where each ball sits in its plate",
+    "plates": "where each plate sits on its arm",
+    "arms": "where each arm of the frame stands",
+    "beads": "noise of the beads' measured centres, through map and focal point",
+    "map": "what the maps miss of the distortion, all else exact",
+    "picks": "how exactly the target was picked in the images",
+}
+TOGETHER = "together"
+# What the reconstruction states, and what was measured of it.
+STATED = {
+    "frame": ("balls", "plates", "arms"),
+    "beads, map, focal_point": ("beads", "map"),
+    "picks": ("picks",),
+}
+
+
+@dataclass(frozen=True)
+class Budget:
+    """The study; its fields are what may be varied."""
+
+    picks_px: tuple[float, ...] = (0.1, 0.5, 1.0)  # centred, careful, ordinary (physics.md, Picks)
+    bead_px: float = 0.1  # physics.md, Centroid limit
+
+    @property
+    def name(self) -> str:
+        """On the command line."""
+        return "budget"
+
+    @property
+    def about(self) -> str:
+        """One line."""
+        return "The error of a target, source by source: measured, and as the reconstruction states it"
+
+    @property
+    def configuration(self) -> dict[str, Any]:
+        """Fields, and the constants they rest on."""
+        return {**asdict(self), "tolerances": asdict(WHOLE), "points_mm": TEST_BALLS_MM.tolist()}
+
+    def trial(self, rng: np.random.Generator) -> Values:
+        """For each pick: the length of each source's error at the four test points, mm, and what is stated of it."""
+        noise = rng.standard_normal((len(VIEWS), len(TEST_BALLS_MM), 2))
+        try:
+            none = SetUpWith(rng, EXACT, self.bead_px, bead_noise=False)
+            alone = {name: SetUpWith(rng, sd, self.bead_px, bead_noise=False) for name, sd in FRAME_ALONE.items()}
+            alone["beads"] = SetUpWith(rng, EXACT, self.bead_px, bead_noise=True)
+            everything = SetUpWith(rng, WHOLE, self.bead_px, bead_noise=True)
+            return {f"{sd:g}": _sources(none, alone, everything, sd, noise) for sd in self.picks_px}
+        except SightlineError as error:
+            return {"refused": str(error)}
+
+    def summary(self, trials: Sequence[Values]) -> Summary:
+        """Root mean squares by source and pick."""
+        kept = [trial for trial in trials if "refused" not in trial]
+        refused = share("set-ups refused", np.array(["refused" in trial for trial in trials]))
+        if not kept:
+            return Summary(("Every set-up was refused.",), (refused,), ())
+        names = (*MEANINGS, TOGETHER, *(f"{source}, stated" for source in STATED))
+        found = {
+            (sd, name): rms(f"picks {sd:g} px: {name}", [np.array(trial[f"{sd:g}"][name]) for trial in kept], "mm")
+            for sd in self.picks_px
+            for name in names
+        }
+        title = "Shares of the variance of a target, by picks"
+        bars = [Bar(f"{sd:g} px", "mm", {name: _size(found[sd, name]) for name in MEANINGS}) for sd in self.picks_px]
+        caption = f"From left to right: {', '.join(MEANINGS)}. Their squares add up."
+        return Summary(
+            findings=tuple(_finding(sd, found) for sd in self.picks_px),
+            figures=(refused, *found.values()),
+            tables=(self._alone_table(found), self._stated_table(found)),
+            pictures=(Picture(title, budget(bars, title), caption),),
+        )
+
+    def _alone_table(self, found: dict[tuple[float, str], Figure]) -> Table:
+        columns = ("source", *(f"picks {sd:g} px" for sd in self.picks_px), "what it is")
+        rows = [(name, *(_three(_size(found[sd, name])) for sd in self.picks_px), MEANINGS[name]) for name in MEANINGS]
+        roots = (_three(_root(found, sd, MEANINGS)) for sd in self.picks_px)
+        rows.append(("sum", *roots, "root of the sum of their squares"))
+        rows.append((TOGETHER, *(_three(_size(found[sd, TOGETHER])) for sd in self.picks_px), "all of them at once"))
+        note = "Three-dimensional error of the four test points, mm rms; default tolerances of the frame."
+        return Table("Each source alone", columns, tuple(rows), note)
+
+    def _stated_table(self, found: dict[tuple[float, str], Figure]) -> Table:
+        rows = [
+            (
+                source.replace("_", " "),
+                *(
+                    f"{_root(found, sd, parts):.3f} / {_size(found[sd, f'{source}, stated']):.3f}"
+                    for sd in self.picks_px
+                ),
+            )
+            for source, parts in STATED.items()
+        ]
+        columns = ("source", *(f"picks {sd:g} px" for sd in self.picks_px))
+        note = "The two agree where the error budget in the report of a plan is right."
+        return Table("Measured / stated, mm rms", columns, tuple(rows), note)
+
+
+class SetUpWith:
+    """A set-up whose frame's errors are drawn from `drawn` and whose beads err by `bead_px`, or not.
+
+    The generator is only copied, so every one has the same poses, distortions and draws. It is always calibrated as if
+    all errors were on, so that its weights are those of a plan. Raises SightlineError.
+    """
+
+    def __init__(self, rng: np.random.Generator, drawn: Tolerances, bead_px: float, *, bead_noise: bool) -> None:
+        own = deepcopy(rng)
+        setup = draw_setup(own, replace(Frame.load("gamma"), tolerances=drawn))
+        told = replace(setup, frame=replace(setup.frame, tolerances=WHOLE))
+        observations = {}
+        for name in VIEWS:
+            ids, exact = bead_images(setup, name, own, sd_px=0.0)
+            noise = bead_px * own.standard_normal(exact.shape)
+            stated = np.broadcast_to(bead_px**2 * np.eye(2), (len(ids), 2, 2))
+            observations[name] = Observations(name, ids, exact + noise if bead_noise else exact, stated)
+        self.scene = Scene.of(told, observations, TEST_BALLS_MM)
+        self.views = calibrated(self.scene)
+
+    def points(self, pick_px: float, noise: np.ndarray | float = 0.0) -> SpacePoints:
+        """The test points, picked with `noise` (2, 4, 2) px; weighed as picks of `pick_px`."""
+        covariance = np.broadcast_to(pick_px**2 * np.eye(2), (*self.scene.target_px.shape, 2))
+        return sl.reconstruct(self.views, self.scene.target_px + noise, covariance)
+
+
+def _sources(
+    none: SetUpWith, alone: dict[str, SetUpWith], everything: SetUpWith, pick_px: float, noise: np.ndarray
+) -> Values:
+    """Lengths (4,) of what each source does to the test points, mm, and what is stated of it."""
+    exact = none.points(pick_px).xyz_mm
+    moved = {name: one.points(pick_px).xyz_mm - exact for name, one in alone.items()}
+    moved["map"] = exact - TEST_BALLS_MM
+    moved["picks"] = none.points(pick_px, pick_px * noise).xyz_mm - exact
+    whole = everything.points(pick_px, pick_px * noise)
+    moved[TOGETHER] = whole.xyz_mm - TEST_BALLS_MM
+    assert whole.budget_mm2 is not None  # noqa: S101 - a view calibrated from beads states its error
+    out: Values = {name: np.linalg.norm(by, axis=1).tolist() for name, by in moved.items()}
+    for source in STATED:
+        variances = sum(np.diag(whole.budget_mm2[part]) for part in source.split(", "))
+        out[f"{source}, stated"] = np.sqrt(np.reshape(variances, (-1, 3)).sum(axis=1)).tolist()
+    return out
+
+
+def _finding(pick_px: float, found: dict[tuple[float, str], Figure]) -> str:
+    squares = {name: _size(found[pick_px, name]) ** 2 for name in MEANINGS}
+    first, second = sorted(squares, key=lambda name: -squares[name])[:2]
+    total, together = sum(squares.values()), found[pick_px, TOGETHER]
+    return (
+        f"Picks {pick_px:g} px: {together} mm rms; of the sum of squares {squares[first] / total:.0%} is {first}, "
+        f"{squares[second] / total:.0%} {second}. The root of that sum is {total**0.5 / _size(together):.2f} of what "
+        "they do together."
+    )
+
+
+def _root(found: dict[tuple[float, str], Figure], pick_px: float, names: Sequence[str] | dict[str, str]) -> float:
+    return sum(_size(found[pick_px, name]) ** 2 for name in names) ** 0.5
+
+
+def _size(figure: Figure) -> float:
+    return figure.value or 0.0
+
+
+def _three(value: float) -> str:
+    return f"{value:.3f}"
