@@ -22,6 +22,7 @@ _RIM_OF_A_BALL = 0.7  # px between a ball's rim and its steepest place: it thins
 # Share of the step that a washer lacks in its middle: 0.77-1.06 [twin]; balls 0.1 or less, a hole among holes more.
 _HOLLOW = 0.6, 1.25
 _CHUNKS = 32
+_CELL = 32.0  # px; repetitions are looked for in the cells around, which reach further than half a radius
 _ROOM = 2048  # extrema per chunk of rows
 
 
@@ -51,7 +52,7 @@ def find_candidates(log_image: np.ndarray, mask: np.ndarray, noise: NoiseModel) 
     base = cv2.GaussianBlur(log_image, (5, 5), 0.8)
     half = cv2.resize(log_image, None, fx=1 / _HALF, fy=1 / _HALF, interpolation=cv2.INTER_AREA)
     finest, first = cv2.GaussianBlur(half, (3, 3), 0.5), cv2.GaussianBlur(half, (7, 7), 1.0)
-    line = np.array([noise.offset + 2 * np.log(1 + 2 * noise.correlation[1:].sum()), noise.slope])
+    line = np.array([noise.offset + 2 * np.log(1 + 2 * noise.correlation[1:].sum()), noise.slope], np.float32)
     extrema = _extrema(finest, first, mask, _HALF, _FINEST_RADIUS, line)
     for octave in range(_OCTAVES):
         second = cv2.GaussianBlur(first, (11, 11), 3**0.5)
@@ -76,7 +77,7 @@ def _about_holes(spots: np.ndarray) -> np.ndarray:
     The start is so wide that the middle of the washer, half as wide as the washer, does not count as its inside.
     """
     holes = spots[(spots[:, SCORE] > 0) & (spots[:, RESPONSE] > 0)]
-    return holes[:, [U, V, RADIUS, RESPONSE]] * [1.0, 1.0, 2.8, -1.0]
+    return holes[:, : RESPONSE + 1] * [1.0, 1.0, 2.8, -1.0]
 
 
 def _middles(spots: np.ndarray, washer: np.ndarray) -> np.ndarray:
@@ -92,78 +93,84 @@ def _extrema(fine, coarse, mask, step: int, radius: float, line) -> list[np.ndar
     """Local extrema of a band of the pyramid, `step` image px per pixel, that answers most to discs of `radius` px."""
     if min(fine.shape) < 5:
         return []
-    counts, rows = _band(fine - coarse, coarse, mask, step, radius * step, line)
+    rows, counts = np.empty((_CHUNKS, _ROOM, 4)), np.zeros(_CHUNKS, np.int64)
+    _band(fine - coarse, coarse, mask, step, radius * step, line, rows, counts)
     return [rows[i, :n] for i, n in enumerate(counts)]
 
 
-@nb.njit(parallel=True, cache=True, fastmath=True)
-def _band(difference, coarse, mask, step, radius, line):  # noqa: PLR0917
-    height, width = difference.shape
-    counts = np.zeros(_CHUNKS, np.int64)
-    rows = np.empty((_CHUNKS, _ROOM, 4))
-    faintest = np.float32(_BAND_GAIN * FAINTEST)
+@nb.njit(parallel=True, cache=True)
+def _band(difference, coarse, mask, step, radius, line, rows, counts):  # noqa: PLR0917
+    height = difference.shape[0]
     for chunk in nb.prange(_CHUNKS):
-        n = 0
-        for y in range(max(1, chunk * height // _CHUNKS), min(height - 1, (chunk + 1) * height // _CHUNKS)):
-            for x in range(1, width - 1):
-                value = difference[y, x]
-                if abs(value) < faintest or not _is_extremum(difference, y, x):
-                    continue
-                if abs(value) < _LOUDEST * _BAND_NOISE * broad_noise(coarse[y, x], line) / radius:
-                    continue
-                if not mask[y * step, x * step] or n == _ROOM:
-                    continue
-                left, right = difference[y, x - 1], difference[y, x + 1]
-                above, below = difference[y - 1, x], difference[y + 1, x]
-                bend_u, bend_v = left - 2 * value + right, above - 2 * value + below
-                u = x + (0.5 * (left - right) / bend_u if abs(bend_u) > 1e-9 else 0.0)
-                v = y + (0.5 * (above - below) / bend_v if abs(bend_v) > 1e-9 else 0.0)
-                # Pixel 0 of the half-size image is centred between pixels 0 and 1 of the image.
-                rows[chunk, n, U] = u * step + 0.5 * (_HALF - 1)
-                rows[chunk, n, V] = v * step + 0.5 * (_HALF - 1)
-                rows[chunk, n, RADIUS], rows[chunk, n, RESPONSE] = radius, value
-                n += 1
-        counts[chunk] = n
-    return counts, rows
+        top, bottom = chunk * height // _CHUNKS, (chunk + 1) * height // _CHUNKS
+        counts[chunk] = _band_part(difference, coarse, mask, step, radius, line, top, bottom, rows[chunk])
 
 
 @nb.njit(cache=True, fastmath=True)
-def _is_extremum(difference, y, x) -> bool:
-    """Whether no neighbour lies further from zero on the same side."""
-    sign = np.float32(1 if difference[y, x] > 0 else -1)
-    value = sign * difference[y, x]
-    for dy, dx in ((0, -1), (0, 1), (-1, 0), (1, 0), (-1, -1), (-1, 1), (1, -1), (1, 1)):
-        if sign * difference[y + dy, x + dx] > value:
-            return False
-    return True
+def _band_part(difference, coarse, mask, step, radius, line, top, bottom, rows) -> int:  # noqa: PLR0917
+    """Fill in the extrema of the rows from `top` to `bottom`; how many there are."""
+    height, width = difference.shape
+    faintest = np.float32(_BAND_GAIN * FAINTEST)
+    extremal = np.empty(width, np.bool_)
+    n = 0
+    for y in range(max(1, top), min(height - 1, bottom)):
+        _mark_extremal(difference, y, faintest, extremal)
+        for x in range(1, width - 1):
+            if not extremal[x] or not mask[y * step, x * step]:
+                continue
+            value = difference[y, x]
+            if abs(value) < _LOUDEST * _BAND_NOISE * broad_noise(coarse[y, x], line) / radius or n == _ROOM:
+                continue
+            left, right = difference[y, x - 1], difference[y, x + 1]
+            above, below = difference[y - 1, x], difference[y + 1, x]
+            bend_u, bend_v = left - 2 * value + right, above - 2 * value + below
+            u = x + (0.5 * (left - right) / bend_u if abs(bend_u) > 1e-9 else 0.0)
+            v = y + (0.5 * (above - below) / bend_v if abs(bend_v) > 1e-9 else 0.0)
+            # Pixel 0 of the half-size image is centred between pixels 0 and 1 of the image.
+            rows[n, U], rows[n, V] = u * step + 0.5 * (_HALF - 1), v * step + 0.5 * (_HALF - 1)
+            rows[n, RADIUS], rows[n, RESPONSE] = radius, value
+            n += 1
+    return n
 
 
-@nb.njit(cache=True)
+@nb.njit(cache=True, fastmath=True)
+def _mark_extremal(d, y, least, extremal):
+    """Where in a row a value is `least` or more from zero, and no neighbour further on the same side: no branches."""
+    for x in range(1, d.shape[1] - 1):
+        above = max(d[y - 1, x - 1], d[y - 1, x], d[y - 1, x + 1], d[y, x - 1])
+        above = max(above, d[y, x + 1], d[y + 1, x - 1], d[y + 1, x], d[y + 1, x + 1])
+        below = min(d[y - 1, x - 1], d[y - 1, x], d[y - 1, x + 1], d[y, x - 1])
+        below = min(below, d[y, x + 1], d[y + 1, x - 1], d[y + 1, x], d[y + 1, x + 1])
+        extremal[x] = (d[y, x] >= max(above, least)) | (d[y, x] <= min(below, -least))
+
+
 def distinct(spots: np.ndarray) -> np.ndarray:
     """Which rows of u, v, radius and contrast, best first, do not repeat a better one.
 
     A repetition has the same sign, and its middle lies within half the larger radius of the other's.
     """
-    cell = 32.0
-    n = len(spots)
-    keep = np.ones(n, np.bool_)
-    if n == 0:
-        return keep
-    columns, lines = int(spots[:, U].max() / cell) + 2, int(spots[:, V].max() / cell) + 2
-    head = np.full((lines, columns), -1, np.int64)
-    following = np.full(n, -1, np.int64)
-    for i in range(n):
+    keep = np.ones(len(spots), bool)
+    if len(spots):
+        columns, lines = (np.maximum(spots[:, :2].max(axis=0), 0) / _CELL).astype(int) + 2
+        _mark_repeated(np.ascontiguousarray(spots), keep, np.full((lines, columns), -1), np.full(len(spots), -1))
+    return keep
+
+
+@nb.njit(cache=True)
+def _mark_repeated(spots, keep, head, following):
+    """`head` of each cell and `following` of each row link the rows of a cell that are kept."""
+    lines, columns = head.shape
+    for i in range(len(spots)):
         u, v, radius = spots[i, U], spots[i, V], spots[i, RADIUS]
-        row, column = int(max(v, 0.0) / cell), int(max(u, 0.0) / cell)
+        row, column = int(max(v, 0.0) / _CELL), int(max(u, 0.0) / _CELL)
         for y in range(max(row - 1, 0), min(row + 2, lines)):
             for x in range(max(column - 1, 0), min(column + 2, columns)):
                 j = head[y, x]
                 while j >= 0 and keep[i]:
                     larger = max(radius, spots[j, RADIUS])
                     apart = (spots[j, U] - u) ** 2 + (spots[j, V] - v) ** 2
-                    keep[i] = apart > (0.5 * larger) ** 2 or spots[i, 3] * spots[j, 3] < 0
+                    keep[i] = apart > (0.5 * larger) ** 2 or spots[i, RESPONSE] * spots[j, RESPONSE] < 0
                     j = following[j]
         if keep[i]:
             following[i] = head[row, column]
             head[row, column] = i
-    return keep
