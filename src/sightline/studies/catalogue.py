@@ -5,9 +5,11 @@ from sightline.studies.study import Study
 from sightline.studies.study_bound import AgainstBound
 from sightline.studies.study_budget import Budget
 from sightline.studies.study_coverage import Coverage
+from sightline.studies.study_fig13 import Figure13
 from sightline.studies.study_table1 import Table1
 
-STUDIES: dict[str, Study] = {study.name: study for study in (Table1(), Coverage(), AgainstBound(), Budget())}
+_ALL: tuple[Study, ...] = (Table1(), Coverage(), AgainstBound(), Budget(), Figure13())
+STUDIES: dict[str, Study] = {study.name: study for study in _ALL}
 
 
 def study_called(name: str) -> Study:

@@ -52,6 +52,7 @@ class Series:
 
     name: str
     points: Sequence[Point]
+    dashed: bool = False
 
 
 def xy(series: Sequence[Series], across: Axis, up: Axis, description: str, *, diagonal: bool = False) -> str:
@@ -89,7 +90,8 @@ def xy(series: Sequence[Series], across: Axis, up: Axis, description: str, *, di
 def _series(one: Series, colour: str, x, y) -> list[str]:
     line = [(x(p.x), y(p.y)) for p in one.points]
     path = " ".join(f"{svg.number(a)},{svg.number(b)}" for a, b in line)
-    parts = [svg.element("polyline", points=path, class_=f"series line-{colour}")]
+    dashes = "6 4" if one.dashed else None
+    parts = [svg.element("polyline", points=path, class_=f"series line-{colour}", stroke_dasharray=dashes)]
     for p in one.points:
         if p.low is not None and p.high is not None:
             bar = {"x1": x(p.x), "x2": x(p.x), "y1": y(p.low), "y2": y(p.high)}

@@ -129,10 +129,10 @@ class AgainstBound:
             figures = [(sd, sizes[(frame, sd), what]) for sd in self.picks_px]
             points = [Point(sd, f.value, f.low, f.high) for sd, f in figures if f.value is not None]
             if points:
-                series.append(Series(what, points))
+                series.append(Series(what, points, dashed=what in (BOUND, KNOWN)))
         title = f"Errors and bounds, {frame}"
         drawing = xy(series, Axis("standard deviation of picks, px"), Axis("rms, mm"), title)
-        return Picture(title, drawing, "Targets within reach of the beads, three-dimensional errors, all set-ups.")
+        return Picture(title, drawing, "Three-dimensional errors of targets that beads surround; bounds dashed.")
 
 
 def key(frame: str, pick_px: float) -> str:

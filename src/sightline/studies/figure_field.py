@@ -1,0 +1,23 @@
+"""A pattern of holes seen twice, as in the paper's figure 13: hollow where it was, filled where it is."""
+
+import numpy as np
+
+from sightline.case import svg
+
+SIZE, RIM, HOLE = 560.0, 14.0, 4.0
+
+
+def field(before_mm: np.ndarray, after_mm: np.ndarray, radius_mm: float, description: str) -> str:
+    """Holes at `before_mm` (N, 2), y down, and at `after_mm` (N, 2) on a round field; the first is the centre hole."""
+    scale = (SIZE / 2 - RIM) / radius_mm
+    middle = SIZE / 2
+    parts = [svg.element("circle", cx=middle, cy=middle, r=scale * radius_mm, class_="grid", fill="none")]
+    for k, (a, b) in enumerate(zip(middle + scale * before_mm, middle + scale * after_mm, strict=True)):
+        moved = float(np.linalg.norm(after_mm[k] - before_mm[k]))
+        says = svg.hint(f"{'centre hole' if k == 0 else 'hole'}: moved by {moved:.2f} mm")
+        colour = "picks" if k == 0 else "beads"
+        (x1, y1), (x2, y2) = a.tolist(), b.tolist()
+        parts.append(svg.element("line", x1=x1, y1=y1, x2=x2, y2=y2, class_=f"series line-{colour}"))
+        parts.append(svg.element("circle", cx=x1, cy=y1, r=HOLE, fill="none", class_=f"series line-{colour}"))
+        parts.append(svg.element("circle", says, cx=x2, cy=y2, r=HOLE, class_=f"source-{colour}"))
+    return svg.picture((0, 0, SIZE, SIZE), description, parts, class_="field")
