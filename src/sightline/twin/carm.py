@@ -170,7 +170,12 @@ def shadow_centres_px(view: ViewTruth, xyz_mm: np.ndarray, radius_mm: np.ndarray
 def with_errors(frame: Frame, rng: np.random.Generator) -> Frame:
     """The frame as made: its beads displaced by `frame.error_factor @ N(0, 1)`."""
     factor = frame.error_factor
-    moves = iter((factor @ rng.standard_normal(factor.shape[1])).reshape(-1, 3))
+    return displaced(frame, (factor @ rng.standard_normal(factor.shape[1])).reshape(-1, 3))
+
+
+def displaced(frame: Frame, moves_mm: np.ndarray) -> Frame:
+    """The frame with its beads moved by (M, 3) mm, in the order of `Frame.error_factor`."""
+    moves = iter(moves_mm)
     return replace(frame, views={name: _moved(view, moves) for name, view in frame.views.items()})
 
 

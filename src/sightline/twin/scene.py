@@ -1,15 +1,18 @@
 """Scenes to plan on: a hip inside the frame, and the paper's object of four balls."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 
 import numpy as np
+from scipy.spatial.transform import RigidTransform
 
 from sightline.errors import SetUpError
 from sightline.frame import Frame
 from sightline.twin.carm import SetUp, draw_setup
 from sightline.twin.distributions import HipPlace
 from sightline.twin.femur import Femur, draw_femur, to_cfcs, voxelise
-from sightline.twin.things import Ball, Scene, SoftTissue, frame_boxes, frame_solids
+from sightline.twin.motion import moved
+from sightline.twin.things import Ball, Scene, SoftTissue, frame_scene
 
 TEST_BALLS_MM = np.array(
     [[-18.0, -16.0, -12.0], [20.0, -12.0, 14.0], [-14.0, 20.0, 16.0], [16.0, 18.0, -15.0]]
@@ -20,13 +23,37 @@ ATTEMPTS = 100
 
 @dataclass(frozen=True, eq=False)
 class HipScene:
-    """A hip in the frame. `head_mm` (3,): centre of the femoral head; `wire_mm` (2, 3): entry and end point of the
-    ideal wire (`Femur.wire_mm`). CFCS."""
+    """A hip in the frame. `still`: frame and body; `bone`: what moves as one, with whatever is fixed in it.
 
-    scene: Scene
+    `head_mm` (3,): centre of the femoral head; `wire_mm` (2, 3): entry and end point of the ideal wire
+    (`Femur.wire_mm`). CFCS. `motions`: how the bone has moved from there at a moment: when a view is taken (its name)
+    or later (any other word, such as "drilling"); a moment that is not named finds it where it was.
+    """
+
+    still: Scene
+    bone: Scene
     femur: Femur
     head_mm: np.ndarray
     wire_mm: np.ndarray
+    motions: Mapping[str, RigidTransform] = field(default_factory=dict)
+
+    @property
+    def scene(self) -> Scene:
+        """All that lies in the beam, the frame's beads first."""
+        return self.still + self.bone
+
+    def at(self, moment: str) -> "HipScene":
+        """The hip at a moment: bone, head and wire where they then are."""
+        if moment not in self.motions:
+            return replace(self, motions={})
+        motion = self.motions[moment]
+        return replace(
+            self,
+            bone=moved(self.bone, motion),
+            head_mm=motion.apply(self.head_mm),
+            wire_mm=motion.apply(self.wire_mm),
+            motions={},
+        )
 
 
 def hip_scene(setup: SetUp, rng: np.random.Generator, femur: Femur | None = None) -> HipScene:
@@ -53,8 +80,7 @@ def shown_hip_scene(
 def four_balls(setup: SetUp) -> tuple[Scene, np.ndarray]:
     """The paper's calibration object: four balls in the true frame, at (4, 3) mm CFCS; neither bone nor tissue."""
     balls = tuple(Ball((float(x), float(y), float(z)), TEST_BALL_RADIUS_MM) for x, y, z in TEST_BALLS_MM)
-    frame = setup.true_frame
-    return Scene(solids=frame_solids(frame) + balls, boxes=frame_boxes(frame)), TEST_BALLS_MM
+    return frame_scene(setup.true_frame) + Scene(solids=balls), TEST_BALLS_MM
 
 
 def _draw_head(side: str, femur: Femur, rng: np.random.Generator) -> np.ndarray:
@@ -63,10 +89,6 @@ def _draw_head(side: str, femur: Femur, rng: np.random.Generator) -> np.ndarray:
 
 
 def _placed(setup: SetUp, femur: Femur, head_mm: np.ndarray, rng: np.random.Generator) -> HipScene:
-    scene = Scene(
-        solids=frame_solids(setup.true_frame),
-        boxes=frame_boxes(setup.true_frame),
-        volumes=(voxelise(femur, setup.side, head_mm, rng),),
-        tissue=SoftTissue(),
-    )
-    return HipScene(scene, femur, head_mm, to_cfcs(np.stack(femur.wire_mm()), setup.side, head_mm))
+    bone = Scene(volumes=(voxelise(femur, setup.side, head_mm, rng),))
+    wire = to_cfcs(np.stack(femur.wire_mm()), setup.side, head_mm)
+    return HipScene(frame_scene(setup.true_frame) + Scene(tissue=SoftTissue()), bone, femur, head_mm, wire)

@@ -63,6 +63,17 @@ class SoftTissue:
     centre_mm: tuple[float, float] = (-35.0, -5.0)
     half_mm: tuple[float, float] = (140.0, 105.0)
 
+    def skin_mm(self, ends_mm: np.ndarray) -> np.ndarray:
+        """(3,): where a line through two points (2, 3), the second within the body, comes out beyond the first.
+
+        Raises SetUpError where it does not."""
+        first, inner = np.asarray(ends_mm, dtype=np.float64)
+        start, way = ((p[[0, 2]] - o) / self.half_mm for p, o in ((inner, self.centre_mm), (first - inner, 0.0)))
+        a, b, c = way @ way, way @ start, start @ start - 1
+        if not (c < 0 and a > 0):
+            raise SetUpError("the line does not leave the body; its second point must lie within it")
+        return inner + (first - inner) * (-b + np.sqrt(b * b - a * c)) / a
+
     def length_mm(self, focal_mm: np.ndarray, points_mm: np.ndarray) -> np.ndarray:
         """(...,) mm of tissue on the rays from a focal point to points (..., 3)."""
         start = (focal_mm[[0, 2]] - self.centre_mm) / np.array(self.half_mm)
@@ -90,6 +101,18 @@ class Scene:
             raise SetUpError("two scenes with a body each cannot be one; take the tissue from one of them")
         parts = {f.name: getattr(self, f.name) + getattr(other, f.name) for f in fields(self) if f.name != "tissue"}
         return Scene(**parts, tissue=self.tissue or other.tissue)
+
+
+def rod_between(
+    start_mm: np.ndarray, end_mm: np.ndarray, radius_mm: float, hole_mm: float = 0.0, within: str | None = "tissue"
+) -> Rod:
+    """A steel rod or tube with the middles of its end faces at two points (3,)."""
+    start, end = np.asarray(start_mm, dtype=np.float64), np.asarray(end_mm, dtype=np.float64)
+    length = float(np.linalg.norm(end - start))
+    if not length > 0:
+        raise SetUpError("a rod runs between two different points")
+    (x, y, z), (a, b, c) = ((start + end) / 2).tolist(), ((end - start) / length).tolist()
+    return Rod((x, y, z), (a, b, c), radius_mm, length / 2, hole_mm, within)
 
 
 # Columns of a packed solid.
@@ -121,6 +144,11 @@ def stations(shapes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         places.append(shape[CENTRE] + steps[:, None] * shape[AXIS])
         owner.append(np.full(len(steps), m))
     return np.concatenate([np.zeros((0, 3)), *places]), np.concatenate([np.zeros(0, dtype=int), *owner])
+
+
+def frame_scene(frame: Frame) -> Scene:
+    """A frame where it is: its beads and its plates."""
+    return Scene(solids=frame_solids(frame), boxes=frame_boxes(frame))
 
 
 def frame_solids(frame: Frame) -> tuple[Solid, ...]:

@@ -13,7 +13,7 @@ from sightline.twin.scene import HipScene
 
 def truth_document(setup: SetUp, hip: HipScene) -> dict[str, Any]:
     """What a person may ask of the images of a hip: wire, views, beads. CFCS in mm, pixels as the images have them."""
-    return {
+    document = {
         "frame": setup.frame.key,
         "coordinates": "CFCS",
         "side": setup.side,
@@ -24,6 +24,9 @@ def truth_document(setup: SetUp, hip: HipScene) -> dict[str, Any]:
         "views": {name: _view(setup, view, hip) for name, view in setup.views.items()},
         "beads_mm": {bead.id: list(bead.xyz_mm) for v in setup.true_frame.views.values() for bead in v.fiducials},
     }
+    if hip.motions:  # head and wire above are where the bone was before
+        document["bone_moved"] = {moment: motion.as_matrix().tolist() for moment, motion in hip.motions.items()}
+    return document
 
 
 def write_truth(path: str | Path, setup: SetUp, hip: HipScene) -> Path:
@@ -32,7 +35,7 @@ def write_truth(path: str | Path, setup: SetUp, hip: HipScene) -> Path:
 
 
 def _view(setup: SetUp, view: ViewTruth, hip: HipScene) -> dict[str, Any]:
-    entry, end = view.project(hip.wire_mm)
+    entry, end = view.project(hip.at(view.name).wire_mm)
     beads = setup.true_frame.view(view.name).fiducials
     uv = view.project(np.array([bead.xyz_mm for bead in beads]))
     seen = view.in_field(uv)

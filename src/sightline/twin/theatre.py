@@ -1,0 +1,48 @@
+"""What an operating theatre puts into the beam: drapes, the table's rail, a drill guide. Parts of a scene, CFCS, mm."""
+
+import numpy as np
+
+from sightline.twin.implants import WIRE_MM
+from sightline.twin.things import Box, Scene, SoftTissue, rod_between
+
+SHEET_MM = 0.15  # polyethylene of a sterile drape [ours]
+FOLD_SHEETS = (2, 8)  # sheets that lie upon each other in a fold, both included [ours]
+FOLD_MM = (4.0, 15.0)  # half-width of a fold [ours]
+RAIL_MM = (10.0, 25.0)  # across a steel rail of an operating table, thickness and height [mem]
+GUIDE_MM, GUIDE_LENGTH_MM, GUIDE_PLAY_MM = 10.0, 120.0, 0.2  # outer diameter, length, hole over wire [ours]
+FOOT_MM, FOOT_THICK_MM = 18.0, 3.0  # the guide's foot on the skin [ours]
+
+
+def drape(
+    rng: np.random.Generator, at_mm: np.ndarray, normal: np.ndarray, half_mm: float = 150.0, folds: int = 6
+) -> Scene:
+    """A sheet across `normal` (3,) about a point (3,), with folds of several sheets at random places and angles."""
+    third = np.asarray(normal, dtype=np.float64) / np.linalg.norm(normal)
+    first, second = np.linalg.svd(third[None])[2][1:]
+    sheet = Box(np.asarray(at_mm), np.stack([first, second, third]), np.array([half_mm, half_mm, SHEET_MM / 2]))
+    boxes = [sheet]
+    for _ in range(folds):
+        angle = rng.uniform(0, np.pi)
+        along = np.cos(angle) * first + np.sin(angle) * second
+        thick = SHEET_MM * rng.integers(*FOLD_SHEETS, endpoint=True)
+        across = np.cross(third, along)
+        centre = sheet.centre_mm + rng.uniform(-half_mm / 2, half_mm / 2) * across + third * (thick + SHEET_MM) / 2
+        half = np.array([half_mm, rng.uniform(*FOLD_MM), thick / 2])
+        boxes.append(Box(centre, np.stack([along, across, third]), half))
+    return Scene(boxes=tuple(Box(b.centre_mm, b.axes, b.half_mm, material="polyethylene") for b in boxes))
+
+
+def table_rail(at_mm: np.ndarray, length_mm: float = 600.0) -> Scene:
+    """The steel rail of the operating table along Y, its middle at a point (3,), its flat side towards ±X."""
+    half = np.array([RAIL_MM[0], length_mm, RAIL_MM[1]]) / 2
+    return Scene(boxes=(Box(np.asarray(at_mm), np.eye(3), half, material="steel"),))
+
+
+def drill_guide(wire_mm: np.ndarray, body: SoftTissue, wire_diameter_mm: float = WIRE_MM) -> Scene:
+    """A steel tube on the wire's line (2, 3: entry, end), its foot on the skin. Raises SetUpError."""
+    entry, end = np.asarray(wire_mm, dtype=np.float64)
+    back = (entry - end) / np.linalg.norm(entry - end)
+    skin, hole = body.skin_mm(wire_mm), (wire_diameter_mm + GUIDE_PLAY_MM) / 2
+    tube = rod_between(skin, skin + GUIDE_LENGTH_MM * back, GUIDE_MM / 2, hole, within=None)
+    foot = rod_between(skin, skin + FOOT_THICK_MM * back, FOOT_MM / 2, GUIDE_MM / 2, within=None)
+    return Scene(solids=(tube, foot))
