@@ -26,7 +26,7 @@ class Axis:
             last = min((v for v in rounds if v >= max(values)), default=rounds[-1])
             return [v for v in rounds if first <= v <= last] if last > first else [first / 2, first, first * 2]
         step = 10.0 ** floor(log10(max(*values, 1e-9)))
-        step = next(s for s in (step / 5, step / 2, step) if max(values) / s <= 6)
+        step = next(s for s in (step / 5, step / 2, step, 2 * step) if max(values) / s <= 6)
         return [k * step for k in range(ceil(max(values) / step) + 1)]
 
     def place(self, value: float, numbers: Sequence[float]) -> float:

@@ -1,0 +1,295 @@
+"""What happens to a plan when things go wrong: is the error still small, or is the plan refused?
+
+A wire is planned on two calibrated views; then the same set-up, with the same draws, is spoilt by one disturbance at a
+time. Each plan ends refused (no result), NO-GO (a check failed) or GO; the failure that matters is a GO whose wire is
+off by more than 1 mm. Beads are points here: dose is the noise of their centres, metal a block of beads that it hides.
+
+Movement: the patient moves against the frame between the two exposures. Errors are counted from where the patient is
+at the second one. Movement along the common normal of both beams opens a gap between the lines of sight; along the
+second view's beam nothing shows it. A lateral pick that is snapped to its curve has no gap: picks are free here.
+"""
+
+from collections import Counter
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+import numpy as np
+
+import sightline as sl
+from sightline.checks import failed
+from sightline.detection import Observations
+from sightline.errors import SetUpError, SightlineError
+from sightline.frame import Frame
+from sightline.planning import plan
+from sightline.studies.figure_xy import Axis, Point, Series, xy
+from sightline.studies.intervals import quantile, share
+from sightline.studies.scenes import MARGIN_PX, VIEWS, WHOLE
+from sightline.studies.study import Figure, Picture, Summary, Table, Values
+from sightline.twin import SetUp, bead_images, draw_setup
+
+# Entry and end of a 97 mm wire through a right hip, CFCS (physics.md, Frame: 95 mm at 45°) [ours].
+WIRE_MM = np.array([[34.0, 34.0, -8.0], [-34.0, -34.0, 8.0]])
+ATTEMPTS = 100
+PICK_PX = 0.5  # a careful click (physics.md, Picks)
+BEAD_PX = 0.1  # physics.md, Centroid limit
+LARGEST_MM = 1.0  # what the paper reached at the entry point, and the plan's own limit
+UNDISTURBED = "undisturbed"
+LEVELS: dict[str, tuple[float, ...]] = {
+    "beads missing at random, share": (0.2, 0.4, 0.6, 0.8),
+    "beads missing in a block (metal), share": (0.2, 0.4, 0.6, 0.8),
+    "noise of the beads (dose), px": (0.05, 0.2, 0.4, 0.8),
+    "one ball of each view displaced, mm": (0.1, 0.3, 1.0, 3.0),
+    "five balls of each view displaced, mm": (0.1, 0.3, 1.0, 3.0),
+    "patient moved between the views, mm": (0.25, 0.5, 1.0, 2.0, 4.0),
+}
+
+
+@dataclass(frozen=True)
+class Robustness:
+    """The study; its fields are what may be varied."""
+
+    disturbances: tuple[str, ...] = tuple(LEVELS)
+
+    @property
+    def name(self) -> str:
+        """On the command line."""
+        return "robustness"
+
+    @property
+    def about(self) -> str:
+        """One line."""
+        return "Plans when things go wrong: errors, refusals, and a GO that should have been none"
+
+    @property
+    def configuration(self) -> dict[str, Any]:
+        """Fields, and the constants they rest on."""
+        levels = {name: LEVELS[name] for name in self.disturbances}
+        noise = {"pick_px": PICK_PX, "bead_px": BEAD_PX, "wire_mm": WIRE_MM.tolist()}
+        return {**asdict(self), "levels": levels, "tolerances": asdict(WHOLE), **noise}
+
+    def trial(self, rng: np.random.Generator) -> Values:
+        """For each "disturbance: level": how the plan ended, and the larger error of its two ends, mm."""
+        case = Case.drawn(rng)
+        out: Values = {UNDISTURBED: case.planned()}
+        for name in self.disturbances:
+            for level in LEVELS[name]:
+                out[key(name, level)] = case.planned(**_SPOIL[name](level))
+        return out
+
+    def summary(self, trials: Sequence[Values]) -> Summary:
+        """Endings and errors for each disturbance and level."""
+        places = [(UNDISTURBED, None), *((name, level) for name in self.disturbances for level in LEVELS[name])]
+        ended = {key(*place): Ended.of(key(*place), [trial[key(*place)] for trial in trials]) for place in places}
+        ends = ("refused", "NO-GO", "GO")
+        columns = ("disturbance", *ends, "error of a GO", "GO, over 1 mm", "GO, over bound", "mostly for")
+        note = (
+            "Error of a GO: median / 95 % of the larger error of its two ends, mm. Over bound: an end is off by more than "
+            "its stated 95 %; 5 to 10 % is right for two ends."
+        )
+        table = Table("How plans end", columns, tuple(one.row(name) for name, one in ended.items()), note)
+        return Summary(
+            findings=tuple(self._findings(ended)),
+            figures=tuple(figure for one in ended.values() for figure in one.figures),
+            tables=(table,),
+            pictures=tuple(self._pictures(ended)),
+        )
+
+    def _findings(self, ended: dict[str, "Ended"]) -> Iterable[str]:
+        calm = ended[UNDISTURBED]
+        yield f"{UNDISTURBED}: {calm.words}."
+        for name in self.disturbances:
+            each = [(level, ended[key(name, level)]) for level in LEVELS[name]]
+            strongest, (level, worst) = each[-1][1], max(each, key=lambda one: one[1].wrong.value or 0.0)
+            yield f"{name}: at {each[-1][0]:g}, {strongest.words}."
+            yield (
+                f"{name}: GO and off by more than {LARGEST_MM:g} mm are at most {worst.wrong.value:.1%} of set-ups"
+                f"{f', at {level:g}' if worst.wrong.value else ''}; without a disturbance {calm.wrong.value:.1%}."
+            )
+
+    def _pictures(self, ended: dict[str, "Ended"]) -> Iterable[Picture]:
+        for name in self.disturbances:
+            shown = [(level, ended[key(name, level)]) for level in LEVELS[name]]
+            series = [
+                Series(words, [Point(x, f.value or 0.0, f.low, f.high) for x, f in figures])
+                for words, figures in (
+                    ("GO", [(x, one.go) for x, one in shown]),
+                    ("NO-GO", [(x, one.no_go) for x, one in shown]),
+                    ("refused", [(x, one.refused) for x, one in shown]),
+                    ("GO, over 1 mm", [(x, one.wrong) for x, one in shown]),
+                )
+            ]
+            drawing = xy(series, Axis(name, log=False), Axis("share of set-ups", log=False), name)
+            yield Picture(name.capitalize(), drawing, "How plans end, with 95 % intervals.")
+
+
+def key(disturbance: str, level: float | None) -> str:
+    """The name of one part of a trial."""
+    return disturbance if level is None else f"{disturbance}: {level:g}"
+
+
+@dataclass(frozen=True, eq=False)
+class Drawn:
+    """What is drawn for the N beads that one view shows: `uv_px` (N, 2) their true pixels, `noise` (N, 2) in units of
+    its standard deviation, `away_px` (N, 2) where each would be seen displaced by 1 mm, less `uv_px`; `chance` (N,)
+    orders those that go missing, and `block` (N,) those that metal hides."""
+
+    ids: tuple[str, ...]
+    uv_px: np.ndarray
+    noise: np.ndarray
+    away_px: np.ndarray
+    chance: np.ndarray
+    block: np.ndarray
+
+    @staticmethod
+    def of(rng: np.random.Generator, setup: SetUp, view: str) -> "Drawn":
+        """All draws of one view."""
+        ids, uv = bead_images(setup, view, rng, sd_px=0.0)
+        xyz = np.array([setup.true_frame.view(view).by_id[i].xyz_mm for i in ids])
+        way = _unit(rng.standard_normal(xyz.shape))
+        away = setup.views[view].project(xyz + way) - uv
+        block = np.linalg.norm(uv - uv[rng.integers(len(uv))], axis=1)
+        return Drawn(ids, uv, rng.standard_normal(uv.shape), away, rng.permutation(len(uv)), block)
+
+
+@dataclass(frozen=True, eq=False)
+class Case:
+    """A set-up that shows the whole wire, with all draws: `picks` (2, 2, 2) noise of view, end and pixel in units of
+    its standard deviation; `direction` (3,) in which the patient may move."""
+
+    setup: SetUp
+    views: dict[str, Drawn]
+    picks: np.ndarray
+    direction: np.ndarray
+
+    @staticmethod
+    def drawn(rng: np.random.Generator) -> "Case":
+        """At random. Raises SetUpError where no set-up shows the wire."""
+        frame = replace(Frame.load("gamma"), tolerances=WHOLE)
+        for _ in range(ATTEMPTS):
+            setup = draw_setup(rng, frame)
+            if all(view.in_field(view.project(WIRE_MM), MARGIN_PX).all() for view in setup.views.values()):
+                views = {name: Drawn.of(rng, setup, name) for name in VIEWS}
+                return Case(setup, views, rng.standard_normal((2, 2, 2)), _unit(rng.standard_normal(3)))
+        raise SetUpError(f"no set-up of {ATTEMPTS} shows the whole wire in both views")
+
+    def planned(
+        self,
+        *,
+        missing: float = 0.0,
+        in_block: bool = False,
+        bead_px: float = BEAD_PX,
+        displaced: tuple[int, float] = (0, 0.0),
+        moved_mm: float = 0.0,
+    ) -> Values:
+        """How a plan ends. `missing`: share of the beads; `displaced`: how many balls of each view, and by how many mm.
+
+        What is stated of the beads is always true but for displaced balls, of which nobody knows.
+        """
+        observations = {}
+        for name, view in self.views.items():
+            order = view.block if in_block else view.chance
+            keep = np.argsort(np.argsort(order)) >= round(missing * len(order))
+            uv = view.uv_px + bead_px * view.noise
+            balls = np.argsort(-view.chance)[: displaced[0]]
+            uv[balls] += displaced[1] * view.away_px[balls]
+            ids = tuple(i for i, kept in zip(view.ids, keep, strict=True) if kept)
+            stated = np.broadcast_to(bead_px**2 * np.eye(2), (len(ids), 2, 2))
+            observations[name] = Observations(name, ids, uv[keep], stated)
+        there = {"pa": WIRE_MM, "lateral": WIRE_MM + moved_mm * self.direction}
+        uv = np.array([self.setup.views[name].project(there[name]) for name in VIEWS]) + PICK_PX * self.picks
+        return _ended(observations, self.setup.frame, uv, there["lateral"])
+
+
+# What each disturbance is at a level.
+_SPOIL: dict[str, Callable[[float], dict[str, Any]]] = {
+    "beads missing at random, share": lambda level: {"missing": level},
+    "beads missing in a block (metal), share": lambda level: {"missing": level, "in_block": True},
+    "noise of the beads (dose), px": lambda level: {"bead_px": level},
+    "one ball of each view displaced, mm": lambda level: {"displaced": (1, level)},
+    "five balls of each view displaced, mm": lambda level: {"displaced": (5, level)},
+    "patient moved between the views, mm": lambda level: {"moved_mm": level},
+}
+
+
+def _ended(observations: dict[str, Observations], frame: Frame, uv_px: np.ndarray, wire_mm: np.ndarray) -> Values:
+    """How a plan on picks (2, 2, 2) ends, and how far its ends are from where they should be."""
+    try:
+        views = [sl.calibrate(observations[name], frame) for name in VIEWS]
+        made = plan(views, uv_px[:, 0], uv_px[:, 1], pick_sd_px=PICK_PX)
+    except SightlineError as error:
+        return {"ended": "refused", "why": type(error).__name__}
+    path = made.trajectory
+    errors = np.linalg.norm(path.points.xyz_mm - wire_mm, axis=1)
+    bounds = np.array([path.entry_error_95_mm, path.end_error_95_mm])
+    return {
+        "ended": "GO" if made.verdict.go else "NO-GO",
+        "why": ", ".join(sorted({check.name for check in failed(made.verdict.checks)})),
+        "error_mm": float(errors.max()),
+        "over": bool((errors > bounds).any()),
+    }
+
+
+@dataclass(frozen=True)
+class Ended:
+    """How the plans of one disturbance and level ended. `wrong`: GO, and off by more than LARGEST_MM."""
+
+    refused: Figure
+    no_go: Figure
+    go: Figure
+    wrong: Figure
+    over: Figure
+    median: Figure
+    high: Figure
+    reasons: str
+
+    @staticmethod
+    def of(name: str, outcomes: Sequence[Values]) -> "Ended":
+        """Of all trials."""
+        go = [one for one in outcomes if one["ended"] == "GO"]
+        errors = np.array([one["error_mm"] for one in go])
+        by_end = [
+            share(f"{name}: {end}", np.array([one["ended"] == end for one in outcomes]))
+            for end in ("refused", "NO-GO", "GO")
+        ]
+        wrong = np.array([one["ended"] == "GO" and one["error_mm"] > LARGEST_MM for one in outcomes])
+        return Ended(
+            *by_end,
+            wrong=share(f"{name}: GO, off by more than {LARGEST_MM:g} mm", wrong),
+            over=share(f"{name}: GO, off by more than its bound", np.array([one["over"] for one in go], dtype=bool)),
+            median=quantile(f"{name}: error of a GO, median", errors, 0.5),
+            high=quantile(f"{name}: error of a GO, 95 %", errors, 0.95),
+            reasons=_commonest([one["why"] for one in outcomes if one["ended"] != "GO"]),
+        )
+
+    @property
+    def figures(self) -> tuple[Figure, ...]:
+        """All."""
+        return self.refused, self.no_go, self.go, self.wrong, self.over, self.median, self.high
+
+    @property
+    def words(self) -> str:
+        """How many ended how."""
+        shares = f"{self.go.value:.0%} GO, {self.no_go.value:.0%} NO-GO, {self.refused.value:.0%} refused"
+        return f"{shares}{f' (most often: {self.reasons})' if self.reasons else ''}"
+
+    def row(self, name: str) -> tuple[str, ...]:
+        """Of the table."""
+        errors = "none" if self.median.value is None else f"{self.median.value:.2f} / {self.high.value:.2f}"
+        over = "none" if self.over.value is None else f"{self.over.value:.1%}"
+        return (
+            name,
+            *(f"{figure.value:.1%}" for figure in (self.refused, self.no_go, self.go)),
+            errors,
+            f"{self.wrong.value:.1%}",
+            over,
+            self.reasons,
+        )
+
+
+def _commonest(reasons: Sequence[str]) -> str:
+    return Counter(reasons).most_common(1)[0][0] if reasons else ""
+
+
+def _unit(vector: np.ndarray) -> np.ndarray:
+    return vector / np.linalg.norm(vector, axis=-1, keepdims=True)
