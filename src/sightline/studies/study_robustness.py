@@ -84,8 +84,8 @@ class Robustness:
         ends = ("refused", "NO-GO", "GO")
         columns = ("disturbance", *ends, "error of a GO", "GO, over 1 mm", "GO, over bound", "mostly for")
         note = (
-            "Error of a GO: median / 95 % of the larger error of its two ends, mm. Over bound: an end is off by more than "
-            "its stated 95 %; 5 to 10 % is right for two ends."
+            "Error of a GO: median / 95 % of the larger error of its two ends, mm. Over bound: an end is off by more "
+            "than its stated 95 %; 5 to 10 % is right for two ends."
         )
         table = Table("How plans end", columns, tuple(one.row(name) for name, one in ended.items()), note)
         return Summary(
