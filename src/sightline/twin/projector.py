@@ -179,11 +179,24 @@ def solid_transmission(
     h, w = inside.shape
     wide = (w + CELL_PX - 1) // CELL_PX
     out = np.ones((3, h, w), dtype=np.float32)
+    # No sub-ray is farther than this from the ray of its pixel: half the spot's diagonal, and more than half a pixel's.
+    apart = rays.points[h // 2, w // 2 + 1] - rays.points[h // 2, w // 2]
+    reach = np.sqrt((spot * spot).sum()) / 2 + 2 * np.sqrt((apart * apart).sum())
+    grown = shapes.copy()
+    grown[:, 6] += reach
+    grown[:, 7] = 0.0
+    grown[:, 8] += np.where(shapes[:, 8] < 0.0, 0.0, reach)
     for r in prange(1, h - 1):
         o, d, depth = np.empty(3), np.empty(3), np.empty(3)
         for c in range(1, w - 1):
             cell = (r // CELL_PX) * wide + c // CELL_PX
             if not inside[r, c] or first[cell] == first[cell + 1]:
+                continue
+            d /= _towards(rays, r, c, d)
+            near = False
+            for n in range(first[cell], first[cell + 1]):
+                near = near or chord(rays.focal, d, grown[index[n]]) > 0.0
+            if not near:
                 continue
             total = np.zeros(3)
             for s in range(SUB * SUB):

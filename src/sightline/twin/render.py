@@ -106,17 +106,17 @@ def render(setup: SetUp, view: str, scene: Scene, rng: np.random.Generator, dose
 def expose(view: ViewTruth, scene: Scene, dose: Dose | None = None) -> Exposure:
     """The expected image of a scene. `dose` defaults to "medium"; exposure control holds its mean in the middle."""
     chain, dose = view.chain, dose or DOSES["medium"]
-    rays, area = _rays(view)
-    primary, without = (share * area for share in _primary(view, scene, rays))
+    rays, area = pixel_rays(view)
+    arriving, without = (share * area for share in primary(view, scene, rays))
     reach = SCATTER_MM / chain.pitch_mm
     # The body scatters as much at the rim as in the middle: the share of scatter does not fall towards the rim.
-    scattered = chain.scatter_to_primary * _smooth(primary, reach) / np.maximum(_smooth(rays.inside, reach), 0.1)
+    scattered = chain.scatter_to_primary * _smooth(arriving, reach) / np.maximum(_smooth(rays.inside, reach), 0.1)
     middle = _radius_px(view) < 0.5 * chain.mask_px
-    level = float((primary + scattered)[middle].mean())
+    level = float((arriving + scattered)[middle].mean())
     if not level > 0:
         raise SetUpError("nothing passes the middle of the scene; take some of it out of the beam")
     wanted = dose.quanta(chain)
-    quanta, open_quanta = (np.where(rays.inside, wanted / level * (p + scattered), 0.0) for p in (primary, without))
+    quanta, open_quanta = (np.where(rays.inside, wanted / level * (p + scattered), 0.0) for p in (arriving, without))
     return Exposure(
         chain=chain,
         quanta=quanta,
@@ -134,7 +134,7 @@ def _radius_px(view: ViewTruth) -> np.ndarray:
     return np.hypot(np.arange(w) - u0, (np.arange(h) - v0)[:, None])
 
 
-def _rays(view: ViewTruth) -> tuple[Rays, np.ndarray]:
+def pixel_rays(view: ViewTruth) -> tuple[Rays, np.ndarray]:
     """A ray for every pixel, and the pixel's area on the input plane relative to the middle's (H, W)."""
     h, w = view.chain.shape
     u = np.arange(-RAY_GRID_PX, w + 2 * RAY_GRID_PX, RAY_GRID_PX, dtype=np.float64)
@@ -157,7 +157,7 @@ def _rays(view: ViewTruth) -> tuple[Rays, np.ndarray]:
     return Rays(view.focal_point_mm, points, inside), area / area[h // 2, w // 2]
 
 
-def _primary(view: ViewTruth, scene: Scene, rays: Rays) -> tuple[np.ndarray, np.ndarray]:
+def primary(view: ViewTruth, scene: Scene, rays: Rays) -> tuple[np.ndarray, np.ndarray]:
     """(H, W) twice: share of an open beam's photons that arrive unscattered, and were the balls and rods not there."""
     layers = list(_layers(scene, rays))
     shapes, excess = pack(scene.solids)
