@@ -39,6 +39,8 @@ class Beads:
 
     def where(self, keep: np.ndarray) -> "Beads":
         """The beads for which `keep` (N,) is true."""
+        if keep.all():
+            return self
         noise = None if self.covariance_px2 is None else self.covariance_px2[keep]
         ids = tuple(i for i, k in zip(self.ids, keep, strict=True) if k)
         return Beads(
@@ -53,7 +55,7 @@ class Beads:
     @cached_property
     def frame_covariance(self) -> np.ndarray:
         """(N, 3, N, 3) covariance of their coordinates, mm²."""
-        return np.ascontiguousarray(_view_covariance(self.frame, self.view)[self.rows][:, :, self.rows])
+        return _view_covariance(self.frame, self.view).take(self.rows, 0).take(self.rows, 2)
 
 
 @lru_cache(maxsize=16)

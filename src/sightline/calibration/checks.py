@@ -8,7 +8,7 @@ from functools import lru_cache
 
 import numpy as np
 from scipy.spatial import ConvexHull
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from sightline.calibration.beads import Beads
 from sightline.calibration.joint import JointFit
@@ -49,7 +49,7 @@ def noise_checks(fit: JointFit) -> list[Check]:
         return [Check("measurement noise", figure <= GOOD_NOISE_PX, figure, GOOD_NOISE_PX, "px", sentence)]
     free = len(fit.data_mm) - fit.solution.theta.shape[0]
     figure = float(fit.data_mm @ fit.solution.dual[:, 0]) / free
-    limit = float(chi2.isf(CHI_SQUARE_FALSE_ALARM, free)) / free
+    limit = float(chdtri(free, CHI_SQUARE_FALSE_ALARM)) / free
     sentence = (
         "The residuals agree with the noise and the tolerances stated."
         if figure <= limit

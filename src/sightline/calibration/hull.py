@@ -15,8 +15,9 @@ COLLINEAR = 0.02
 
 def refuse_collinear(points: np.ndarray, what: str) -> None:
     """Raises CalibrationRefusedError where points (N, 2) or (N, 3) lie on one line; `what` they are, in words."""
-    spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
-    if spread[1] <= COLLINEAR * spread[0]:
+    apart = points - points.mean(axis=0)
+    along, across = np.linalg.eigvalsh(apart.T @ apart)[[-1, -2]]
+    if across <= COLLINEAR**2 * along:
         raise CalibrationRefusedError(f"{what} lie on one line; more of them, beside that line, are needed")
 
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sightline.calibration.beads import Beads
-from sightline.calibration.gaussian import Solution
+from sightline.calibration.gaussian import Solution, least_squares, solve_lower
 from sightline.calibration.polynomial import Affine, monomial_gradients, monomials, terms
 from sightline.calibration.posterior import LineErrors
 from sightline.calibration.prior import NOISE_SCALES_PX, Learned, Problem, learn
@@ -84,19 +84,37 @@ def fit_jointly(beads: Beads) -> JointFit:
             f"{len(beads)} beads are seen; the smooth method needs at least {FEWEST_BEADS} on both plates together, "
             "60 or more are good: move the frame into the field, or use the localized method"
         )
-    start = _Start.of(beads, _first_pencil(beads))
-    start = _Start.of(beads, start.pencil)
-    learned = _learn(beads, start)
-    fit = _weighted(beads, start, learned, start.pencil, start.slopes)
-    return _weighted(beads, start, learned, fit.pencil, fit.map.jacobian(beads.uv_px))
+    start = _Start.of(beads, _Start.of(beads, _first_pencil(beads)).pencil)
+    problem = _problem(beads, start)
+    learned = learn(problem, NOISE_SCALES_PX if beads.covariance_px2 is None else None)
+    kernel = learned.kernel(start.at, start.at)
+    pencil, plane_map = _roughly(beads, start, problem, learned, kernel)
+    return _weighted(beads, start, learned, kernel, pencil, plane_map.jacobian(beads.uv_px))
 
 
-def _weighted(beads: Beads, start: "_Start", learned: Learned, pencil: Pencil, slopes: np.ndarray) -> JointFit:
-    """One Gauss-Newton step with full weights; after two, a third changes nothing that matters (tests)."""
-    y, by_pq = pencil.project(beads.xyz_mm), pencil.by_pq(beads.xyz_mm)
+def _roughly(
+    beads: Beads, start: "_Start", problem: Problem, learned: Learned, kernel: np.ndarray
+) -> tuple[Pencil, SmoothMap]:
+    """One Gauss-Newton step with noise of one number per bead: both coordinates alike, so a quarter of the size."""
+    covariance = kernel + np.diag(learned.noise_scale**2 * problem.noise_mm2 + problem.frame_mm2)
+    by_q = problem.shared[:, :, 0]
+    solution = Solution.of(problem.design, covariance, np.hstack([problem.data_mm, by_q]))
+    (theta, theta_q), (dual, dual_q) = np.hsplit(solution.theta, 2), np.hsplit(solution.dual, 2)
+    q = np.sum(by_q * dual) / np.sum(by_q * dual_q)
+    theta, dual = theta - q * theta_q, dual - q * dual_q
+    moved = Pencil(beads.plane, start.pencil.pq - np.append(theta[-1], q))
+    refuse_misplaced(moved, beads.xyz_mm)
+    return moved, SmoothMap(start.unit, learned.kernel, theta[:-1], dual, beads.uv_px)
+
+
+def _weighted(  # noqa: PLR0917
+    beads: Beads, start: "_Start", learned: Learned, kernel: np.ndarray, pencil: Pencil, slopes: np.ndarray
+) -> JointFit:
+    """One Gauss-Newton step with full weights; a second changes nothing that matters (tests)."""
+    y, by_pq = pencil.linearised(beads.xyz_mm)
     noise = _measurement(beads, slopes, learned.noise_scale)
     jacobian = pencil.by_point(beads.xyz_mm)
-    covariance = _twice(learned.kernel(start.at, start.at)) + noise + _carried(jacobian, beads.frame_covariance)
+    covariance = _twice(kernel) + noise + _carried(jacobian, beads.frame_covariance)
     design = np.concatenate([_twice(start.basis), -by_pq.reshape(-1, 3)], axis=1)
     solution = Solution.of(design, covariance, y.reshape(-1, 1))
     theta = solution.theta[:, 0]
@@ -110,7 +128,7 @@ def _weighted(beads: Beads, start: "_Start", learned: Learned, pencil: Pencil, s
 
 @dataclass(frozen=True, eq=False)
 class _Start:
-    """A cubic and F by plain least squares."""
+    """A cubic and F by plain least squares; `fixed` (23, 2N), orthonormal: what of the data they take up."""
 
     unit: Affine
     radius_mm: float
@@ -118,21 +136,22 @@ class _Start:
     basis: np.ndarray
     pencil: Pencil
     slopes: np.ndarray
+    fixed: np.ndarray
 
     @staticmethod
     def of(beads: Beads, pencil: Pencil) -> "_Start":
         """One Gauss-Newton step from `pencil`."""
-        y, by_pq = pencil.project(beads.xyz_mm), pencil.by_pq(beads.xyz_mm)
+        y, by_pq = pencil.linearised(beads.xyz_mm)
         unit, radius = Affine.fit(beads.uv_px, y)
         at = unit(beads.uv_px)
         basis = monomials(at, DEGREE)
         design = np.concatenate([_twice(basis), -by_pq.reshape(-1, 3)], axis=1)
-        theta = np.linalg.lstsq(design, y.reshape(-1), rcond=None)[0]
+        theta, r = least_squares(design, y.reshape(-1))
         moved = Pencil(beads.plane, pencil.pq + theta[-3:])
         refuse_misplaced(moved, beads.xyz_mm)
         cubic = theta[:-3].reshape(_CUBIC, 2)
         slopes = np.einsum("nkd,kc->ncd", monomial_gradients(at, DEGREE), cubic) @ unit.matrix
-        return _Start(unit, radius, at, basis, moved, slopes)
+        return _Start(unit, radius, at, basis, moved, slopes, solve_lower(r, design.T))
 
 
 def _first_pencil(beads: Beads) -> Pencil:
@@ -149,25 +168,23 @@ def _first_pencil(beads: Beads) -> Pencil:
     return Pencil(plane, np.linalg.lstsq(design.reshape(-1, 3), (y - x).reshape(-1), rcond=None)[0])
 
 
-def _learn(beads: Beads, start: _Start) -> Learned:
-    """Kernel and noise scale, with noise of one number per bead."""
-    y, by_pq = start.pencil.project(beads.xyz_mm), start.pencil.by_pq(beads.xyz_mm)
+def _problem(beads: Beads, start: _Start) -> Problem:
+    """What kernel and noise scale are learnt from: noise of one number per bead."""
+    y, by_pq = start.pencil.linearised(beads.xyz_mm)
     own = np.einsum("iab,ibc,iac->i", start.slopes, _noise_px2(beads), start.slopes) / 2
-    fixed = np.linalg.qr(np.concatenate([_twice(start.basis), by_pq.reshape(-1, 3)], axis=1))[0]
-    frame_mm2 = _frame_variance(beads, start.pencil.by_point(beads.xyz_mm), fixed)
+    frame_mm2 = _frame_variance(beads, start.pencil.by_point(beads.xyz_mm), start.fixed)
     common = np.column_stack([start.basis, by_pq[:, 0, 0]])
-    problem = Problem(start.at, common, by_pq[:, :, 2:], y, own, frame_mm2, start.radius_mm)
-    return learn(problem, NOISE_SCALES_PX if beads.covariance_px2 is None else None)
+    return Problem(start.at, common, by_pq[:, :, 2:], y, own, frame_mm2, start.radius_mm)
 
 
 def _frame_variance(beads: Beads, jacobian: np.ndarray, fixed: np.ndarray) -> float:
-    """Mean variance that the frame's errors add to a coordinate, in the residuals that `fixed` (2N, m), orthonormal,
+    """Mean variance that the frame's errors add to a coordinate, in the residuals that `fixed` (m, 2N), orthonormal,
     leaves: what of them a cubic or F takes up tells nothing of the kernel."""
     n = len(beads)
-    own = np.einsum("iab,ibic,iac->", jacobian, beads.frame_covariance, jacobian, optimize=True)
-    carried = np.einsum("iam,iab->mib", fixed.reshape(n, 2, -1), jacobian).reshape(-1, 3 * n)
-    taken = np.sum((carried @ beads.frame_covariance.reshape(3 * n, 3 * n)) * carried)
-    return max(float(own - taken), 0.0) / max(fixed.shape[0] - fixed.shape[1], 1)
+    own = np.einsum("iab,ibic,iac->", jacobian, beads.frame_covariance, jacobian)
+    carried = (np.swapaxes(jacobian, 1, 2) @ fixed.T.reshape(n, 2, -1)).reshape(3 * n, -1)
+    taken = np.sum((beads.frame_covariance.reshape(3 * n, 3 * n) @ carried) * carried)
+    return max(float(own - taken), 0.0) / max(fixed.shape[1] - fixed.shape[0], 1)
 
 
 def _noise_px2(beads: Beads) -> np.ndarray:
@@ -189,11 +206,8 @@ def _measurement(beads: Beads, slopes: np.ndarray, scale: float) -> np.ndarray:
 def _carried(jacobian: np.ndarray, covariance: np.ndarray) -> np.ndarray:
     """(2N, 2N): J cov J^T for J of (N, 2, 3) and cov of (N, 3, N, 3)."""
     n = len(jacobian)
-    half = np.matmul(jacobian, covariance.reshape(n, 3, 3 * n)).reshape(2 * n, n, 3)
-    out = half[:, :, None, 0] * jacobian[:, :, 0]
-    for axis in (1, 2):
-        out += half[:, :, None, axis] * jacobian[:, :, axis]
-    return out.reshape(2 * n, 2 * n)
+    half = (jacobian @ covariance.reshape(n, 3, 3 * n)).reshape(2 * n, 3 * n)
+    return (jacobian @ np.ascontiguousarray(half.T).reshape(n, 3, 2 * n)).reshape(2 * n, 2 * n)
 
 
 def _twice(matrix: np.ndarray) -> np.ndarray:

@@ -1,6 +1,7 @@
 """Plane map: one polynomial per coordinate over the whole field (the paper's "global" compensation)."""
 
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 
@@ -42,28 +43,25 @@ def terms(degree: int) -> int:
 
 def monomials(xy: np.ndarray, degree: int) -> np.ndarray:
     """(N, terms) x^i y^j with i + j <= degree, by rising degree."""
-    x, y = _powers(xy[:, 0], degree), _powers(xy[:, 1], degree)
-    return np.stack([x[d - j] * y[j] for d in range(degree + 1) for j in range(d + 1)], axis=1)
+    (x, y), (i, j) = _powers(xy, degree), _exponents(degree)
+    return x[:, i] * y[:, j]
 
 
 def monomial_gradients(xy: np.ndarray, degree: int) -> np.ndarray:
     """(N, terms, 2) derivatives of `monomials` by x and y."""
-    x, y = _powers(xy[:, 0], degree), _powers(xy[:, 1], degree)
-    out = np.zeros((len(xy), terms(degree), 2))
-    exponents = [(d - j, j) for d in range(degree + 1) for j in range(d + 1)]
-    for k, (i, j) in enumerate(exponents):
-        if i:
-            out[:, k, 0] = i * x[i - 1] * y[j]
-        if j:
-            out[:, k, 1] = j * x[i] * y[j - 1]
-    return out
+    (x, y), (i, j) = _powers(xy, degree), _exponents(degree)
+    return np.stack([i * x[:, i - (i > 0)] * y[:, j], j * x[:, i] * y[:, j - (j > 0)]], axis=-1)
 
 
-def _powers(x: np.ndarray, degree: int) -> list[np.ndarray]:
-    out = [np.ones_like(x)]
-    for _ in range(degree):
-        out.append(out[-1] * x)
-    return out
+@cache
+def _exponents(degree: int) -> np.ndarray:
+    """(2, terms) i and j of `monomials`."""
+    return np.array([(d - j, j) for d in range(degree + 1) for j in range(d + 1)]).T
+
+
+def _powers(xy: np.ndarray, degree: int) -> np.ndarray:
+    """(2, N, degree + 1) powers of x and of y from 0."""
+    return np.stack([np.vander(axis, degree + 1, increasing=True) for axis in xy.T])
 
 
 @dataclass(frozen=True, eq=False)

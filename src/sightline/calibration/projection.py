@@ -49,12 +49,16 @@ class Pencil:
 
     def by_pq(self, xyz_mm: np.ndarray) -> np.ndarray:
         """(N, 2, 3) derivative of `project` by pq."""
-        h = self.plane.height_mm(xyz_mm)
+        return self.linearised(xyz_mm)[1]
+
+    def linearised(self, xyz_mm: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """`project` and `by_pq`."""
+        y, h = self.project(xyz_mm), self.plane.height_mm(xyz_mm)
         reach = h / (1 - h * self.pq[2])
         out = np.zeros((len(h), 2, 3))
         out[:, 0, 0] = out[:, 1, 1] = -reach
-        out[:, :, 2] = reach[:, None] * self.project(xyz_mm)
-        return out
+        out[:, :, 2] = reach[:, None] * y
+        return y, out
 
     def by_point(self, xyz_mm: np.ndarray) -> np.ndarray:
         """(N, 2, 3) derivative of `project` by the points."""
