@@ -19,10 +19,11 @@ _FAINTEST_SD = 3.5  # contrast over its standard deviation; a candidate has a st
 # with neighbours taken out of the window, and before.
 _STRICT = 0.12, 0.6
 _LOOSE = 0.25, 0.2
+_WINDOW_PX = 8.0  # beyond both radii: a spot that far away has no part in a bead's fit
 _SOFTEST = 0.45  # blur over radius of a shape with a rim [ARCADIS: 0.1-0.3; anatomy 0.5-1]
 # Against the other beads of the image, where there are enough of them to tell what is usual.
 _ENOUGH_TO_COMPARE = 8
-_BLURRED = 2.3  # times the usual blur: one detector, one blur; beads up to 1.9 at low dose, anatomy 2.8 and more [twin]
+_BLURRED = 1.5  # times the usual blur: one detector, one blur; beads up to 1.33 at low dose, 1.14 else [twin]
 _SMALL = 0.55  # of the usual radius: beads 0.62 and more, grains beside the beads 0.45 and less [twin, ARCADIS]
 _MINORITY = 0.33  # of the beads: no frame has both balls and holes
 _WASHER_RIM = 0.68  # of a washer's radius: what is further in is left out; its hole reaches to 0.45-0.55 [DIN 125]
@@ -49,19 +50,11 @@ def detect(image: Radiograph) -> Detections:
             "the image has no area of 16x16 px inside its field of view to measure noise in; give a larger image"
         )
     spots = find_candidates(logs, mask, noise)
-    rows = np.column_stack([spots.uv_px, spots.radius_px, spots.response])
+    rows = refine.start(spots.uv_px, spots.radius_px, spots.response)
     rejected = _rejected(rows[~spots.round], np.full(len(rows), _NOT_ROUND))
-    rows = rows[spots.round]
     usable = _without_middles(mask, spots)
-    coarse = refine.fit_coarsely(logs, usable, rows, rows[:0], noise)
-    reason = _shape_reasons(coarse, _LOOSE)
-    rejected += _rejected(coarse[reason != ""], reason[reason != ""])
-    beads, repeated = _apart(coarse[reason == ""])
-    rejected += repeated
-    fine = refine.fit_finely(logs, usable, beads, beads[:, : columns.BLUR], noise)
-    reason = _fine_reasons(fine)
-    rejected += _rejected(fine[reason != ""], reason[reason != ""])
-    beads = fine[reason == ""]
+    beads, unfit = _fitted(rows[spots.round], refine.Fit(logs, usable, noise))
+    rejected += unfit
     reason = _odd_ones(beads)
     rejected += _rejected(beads[reason != ""], reason[reason != ""])
     beads = beads[reason == ""]
@@ -73,6 +66,22 @@ def detect(image: Radiograph) -> Detections:
     return _detections(beads, mask & ~usable, image, rejected)
 
 
+def _fitted(rows: np.ndarray, fit: refine.Fit) -> tuple[np.ndarray, tuple[Rejected, ...]]:
+    """Beads among the spots `rows`; those whose fit had to do with a spot that is none are fitted again."""
+    first = fit(rows)
+    reason = _shape_reasons(first, _LOOSE)
+    likely = np.flatnonzero(reason == "")
+    reason[likely[_repeats(first[likely])]] = "lies on a stronger bead"
+    rejected = _rejected(first[reason != ""], reason[reason != ""])
+    beads, gone = first[reason == ""], rows[reason != ""]
+    apart = np.hypot(*(beads[:, None, c] - gone[None, :, c] for c in (columns.U, columns.V)))
+    near = apart < beads[:, None, columns.RADIUS] + gone[None, :, columns.RADIUS] + _WINDOW_PX
+    again = np.flatnonzero(near.any(axis=1))
+    beads[again] = fit(beads, again)
+    reason = _fine_reasons(beads)
+    return beads[reason == ""], rejected + _rejected(beads[reason != ""], reason[reason != ""])
+
+
 def _without_middles(mask: np.ndarray, spots: Candidates) -> np.ndarray:
     """The mask without the middles of washers: of those the outer rim is fitted, as if they were balls."""
     middles = np.zeros(mask.shape, np.uint8)
@@ -81,18 +90,12 @@ def _without_middles(mask: np.ndarray, spots: Candidates) -> np.ndarray:
     return mask & (middles == 0)
 
 
-def _excess(fit: np.ndarray) -> np.ndarray:
-    """Residual beyond noise over contrast."""
-    beyond = np.sqrt(np.maximum(fit[:, columns.MISFIT] ** 2 - 1.3 * fit[:, columns.NOISE], 0))
-    return beyond / np.maximum(np.abs(fit[:, columns.CONTRAST]), 1e-9)
-
-
 def _shape_reasons(fit: np.ndarray, limits: tuple[float, float]) -> np.ndarray:
     """Why each fit is no bead by itself; empty where it may be one."""
     reason = np.full(len(fit), "", dtype=object)
     size = fit[:, columns.RADIUS]
-    misfit, weakest = limits
-    reason[_excess(fit) > misfit] = "not a disc: what remains after the fit is too large beside its contrast"
+    excess, weakest = limits
+    reason[fit[:, columns.EXCESS] > excess] = "not a disc: what remains after the fit is too large beside its contrast"
     reason[fit[:, columns.WEAKEST] < weakest] = _NOT_ROUND
     reason[fit[:, columns.BLUR] > _SOFTEST * size + 0.1] = "no rim: it fades out like anatomy, not like a bead"
     reason[(size < _SMALLEST_PX) | (size > _LARGEST_PX)] = "its radius is not within 2-25 px"
@@ -130,12 +133,13 @@ def _odd_ones(beads: np.ndarray) -> np.ndarray:
     return reason
 
 
-def _apart(fit: np.ndarray) -> tuple[np.ndarray, tuple[Rejected, ...]]:
-    """Of fits that share a place the one that explains most of the image."""
-    strength = np.abs(fit[:, columns.CONTRAST]) * fit[:, columns.RADIUS] / (0.05 + _excess(fit))
-    fit = fit[np.argsort(-strength, kind="stable")]
-    keep = distinct(fit)
-    return fit[keep], _rejected(fit[~keep], np.full(len(fit), "lies on a stronger bead"))
+def _repeats(fit: np.ndarray) -> np.ndarray:
+    """Of fits that share a place all but the one that explains most of the image."""
+    strength = np.abs(fit[:, columns.CONTRAST]) * fit[:, columns.RADIUS] / (0.05 + fit[:, columns.EXCESS])
+    order = np.argsort(-strength, kind="stable")
+    repeated = np.empty(len(fit), bool)
+    repeated[order] = ~distinct(fit[order])
+    return repeated
 
 
 def _rejected(rows: np.ndarray, reasons: np.ndarray) -> tuple[Rejected, ...]:

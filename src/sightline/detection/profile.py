@@ -7,9 +7,12 @@ from scipy.special import j0
 
 # The shadow of a ball is 1 - exp(-a sqrt(1 - rho^2)): a = mu d = 10.1/cm x 3 mm, 316L steel at 60 keV [physics.md].
 _BALL_DEPTH = 3.0
-# Distance from the rim in blur sigmas, and blur in radii: the table is smooth in both.
-T_FIRST, T_STEP, T_COUNT = -6.0, 0.125, 97
-Q_STEP, Q_COUNT = 0.025, 48  # sigma / radius 0.025 ... 1.2
+# Distance from the rim in blur sigmas, and blur in radii: the table is smooth in both. Further in than the first
+# column, where the shadow of the largest balls still deepens by 2 %, it is taken to be flat.
+T_FIRST, T_STEP, T_COUNT = -30.0, 0.125, 289
+Q_STEP, Q_COUNT = 0.0125, 96  # sigma / radius 0.0125 ... 1.2
+_NODES = 600  # of the quadratures: eight per period of the fastest wave
+_RADII = 1200  # at which the transform is made: 1.3 % apart, as seen from the rim
 
 
 def _sharp(rho: np.ndarray, ball: bool) -> np.ndarray:
@@ -27,18 +30,19 @@ def profile_table(ball: bool) -> np.ndarray:
     Column t is at radius 1 + t q; radii below 0 hold the value at 0. Computed through the Hankel transform.
     """
     q = Q_STEP * (1 + np.arange(Q_COUNT))
-    rho, weight = np.polynomial.legendre.leggauss(600)
+    t = T_FIRST + T_STEP * np.arange(T_COUNT)
+    rho, weight = np.polynomial.legendre.leggauss(_NODES)
     angle = (rho + 1) * np.pi / 4  # rho = sin(angle) resolves the square root at the rim
     node, weight = np.sin(angle), weight * np.pi / 4 * np.cos(angle)
-    k, k_weight = np.polynomial.legendre.leggauss(600)
+    k, k_weight = np.polynomial.legendre.leggauss(_NODES)
     k_max = 6.0 / Q_STEP
     k, k_weight = (k + 1) * k_max / 2, k_weight * k_max / 2
     spectrum = j0(np.outer(k, node)) @ (_sharp(node, ball) * node * weight)
-    t = T_FIRST + T_STEP * np.arange(T_COUNT)
-    radius = np.clip(1 + np.outer(q, t), 0, None)
-    table = np.empty(radius.shape)
-    for row, sigma in enumerate(q):
-        table[row] = j0(np.outer(radius[row], k)) @ (spectrum * k * k_weight * np.exp(-((k * sigma) ** 2) / 2))
+    furthest = q[-1] * t[-1]
+    from_rim = 1e-3 * np.sinh(np.linspace(-np.arcsinh(1e3), np.arcsinh(1e3 * furthest), _RADII))
+    blurred = np.exp(-0.5 * np.outer(k, q) ** 2) * (spectrum * k * k_weight)[:, None]
+    values = j0(np.outer(1 + from_rim, k)) @ blurred
+    table = np.stack([np.interp(t * sigma, from_rim, values[:, i]) for i, sigma in enumerate(q)])
     np.clip(table, 0.0, 1.0, out=table)
     table.flags.writeable = False
     return table

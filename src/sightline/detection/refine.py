@@ -1,44 +1,51 @@
-"""Sub-pixel beads: a blurred ball or disc on a quadratic background, fitted coarsely to judge it, then finely."""
+"""Sub-pixel beads: a blurred ball or disc on a smooth background, fitted to the pixels about it."""
 
 import numpy as np
 
-from sightline.detection import coarse as _coarse
-from sightline.detection import fine as _fine
+from sightline.detection import fit as _fit
+from sightline.detection.columns import BLUR, CONTRAST, COUNT, RADIUS
 from sightline.detection.noise import NoiseModel
 from sightline.detection.profile import profile_table
-from sightline.detection.sharpen import design
+from sightline.detection.sharpen import Sharpening, design, noise_blur_px
+
+_BLUR_PX = 1.0  # where fits start: detector 0.9, focal spot and pixel [physics.md]
 
 
-def fit_coarsely(
-    log_image: np.ndarray, usable: np.ndarray, spots: np.ndarray, others: np.ndarray, noise: NoiseModel
-) -> np.ndarray:
-    """Least-squares fit of every spot, all pixels alike: rows of `columns`, to tell beads from what is none.
+def start(uv_px: np.ndarray, radius_px: np.ndarray, response: np.ndarray) -> np.ndarray:
+    """(N, COUNT) rows of `columns` with which a fit can start; `response`: signed step of log intensity."""
+    rows = np.zeros((len(uv_px), COUNT))
+    rows[:, :2], rows[:, RADIUS], rows[:, CONTRAST] = uv_px, radius_px, response
+    rows[:, BLUR] = np.minimum(_BLUR_PX, 0.4 * radius_px)
+    return rows
 
-    `log_image` (H, W) float32; `usable` (H, W) bool; `spots` (M, 4) of u, v, radius, response;
-    `others` (K, 4) likewise: discs that a window leaves out where they are not the spot itself, nor much weaker.
+
+class Fit:
+    """The fit of beads in one image: least squares, weighted for the image's own correlated noise.
+
+    `log_image` (H, W) float32; `usable` (H, W) bool.
     """
-    tables = profile_table(ball=True), profile_table(ball=False)
-    return _coarse.fit_all(log_image, usable, spots, others, noise.offset, noise.slope, *tables)
+
+    def __init__(self, log_image: np.ndarray, usable: np.ndarray, noise: NoiseModel) -> None:
+        self._image, self._usable = log_image, usable
+        self._line = np.array([noise.offset, noise.slope, float(log_image.max())])
+        blur2 = noise_blur_px(noise) ** 2
+        sharp = design(log_image, usable, noise)
+        nothing = Sharpening(np.eye(len(sharp.taps))[0], 0.0, 1.0, noise.correlation)
+        self._sharpening, self._plain = _plain_numbers(sharp, blur2), _plain_numbers(nothing, blur2)
+        self._tables = profile_table(ball=True), profile_table(ball=False)
+
+    def __call__(self, rows: np.ndarray, which: np.ndarray | None = None) -> np.ndarray:
+        """`rows` (N, COUNT), or those of them that are named (M,), fitted anew from where they stand.
+
+        Dark ones that reach into each other's windows are fitted together; where others stand, no pixel counts.
+        """
+        which = np.arange(len(rows)) if which is None else which
+        return _fit.fit_all(
+            self._image, self._usable, rows, which, self._line, self._sharpening, self._plain, self._tables
+        )
 
 
-def fit_finely(
-    log_image: np.ndarray, usable: np.ndarray, coarse: np.ndarray, others: np.ndarray, noise: NoiseModel
-) -> np.ndarray:
-    """From each row of `coarse` a fit weighted for correlated noise: the same columns, covariance included.
-
-    Beads of `coarse` that reach into each other's windows are fitted together; `others` as for `fit_coarsely`.
-    """
-    sharp = design(log_image, usable, noise)
-    numbers = np.array([noise.offset, noise.slope, sharp.gain])
-    tables = profile_table(ball=True), profile_table(ball=False)
-    return _fine.fit_all(
-        log_image,
-        usable,
-        coarse,
-        others,
-        numbers,
-        sharp.taps.astype(np.float32),
-        sharp.blur2_px2,
-        sharp.correlation.astype(np.float32),
-        *tables,
-    )
+def _plain_numbers(sharp: Sharpening, blur2: float) -> tuple[np.ndarray, float, float, float, np.ndarray]:
+    """Taps, gain, change of the squared blur, squared blur that background and shadow keep together, correlation."""
+    taps, correlation = sharp.taps.astype(np.float32), sharp.correlation.astype(np.float32)
+    return taps, float(sharp.gain), float(sharp.blur2_px2), float(blur2 + sharp.blur2_px2), correlation

@@ -1,0 +1,337 @@
+"""The fit of a bead: weighted least squares in its window, jointly with beads that touch it."""
+
+import numba as nb
+import numpy as np
+
+from sightline.detection.columns import (
+    BLUR,
+    CCC,
+    CHI2,
+    CONTRAST,
+    CUU,
+    CUV,
+    CVV,
+    EXCESS,
+    FITTED,
+    RADIUS,
+    SINGULAR,
+    STATUS,
+    TOO_FEW_PIXELS,
+    WANDERED,
+    WEAKEST,
+    U,
+    V,
+)
+from sightline.detection.shadow import (
+    BEAD,
+    CUBIC,
+    FAST,
+    GROUND,
+    TAKEN_BY_BALL,
+    TAKEN_BY_HOLE,
+    fill_columns,
+    normal_equations,
+    solve,
+    substitute,
+)
+from sightline.detection.window import (
+    BEYOND,
+    MARGIN,
+    along_both_axes,
+    gather,
+    hide_metal,
+    level,
+    look,
+    mark,
+    rim_seen,
+    spread,
+)
+
+_MOST = 3  # beads of a joint fit
+_STEPS = 12
+_CHOOSING = 4  # steps after which weights and choice of pixels stay, and steps are halved: they would take turns [ours]
+_SETTLED = 0.02  # px: a step as small as that is a tenth of the noise or less, and the next one nothing
+_PRIOR_PIXELS = 50.0  # weight of the noise model against the bead's own residuals, in pixels [ours]
+_LEAST_BLUR = 0.3  # px; a pixel alone blurs by 0.29
+_CUBIC = 0.06  # s.d. of a background's cubic terms at the window's rim, share of its light [twin: hard scenes]
+_FLAT = 0.005  # the least that is taken for them where the fit shows less [ours]
+_ELLIPTIC = 0.05  # s.d. of a shadow's ellipticity: distortion and the slant of the rays make 0.00-0.08 [twin]
+# S.d. of the other terms, which matters where the background is clipped [ours].
+_VAGUE = np.array([1.0, 0.5, 0.5, 0.3, 0.3, 0.3])
+_NEARLY_CLIPPED = 2.0  # s.d. of the noise under the brightest value [ours]
+_UNEXPLAINED = 0.05  # residual beyond noise over contrast: clear beads have 0.00-0.04 [twin]
+_LEAST_RIM = 0.7  # share of it that metal must leave: the straight sides of a wire pass for shorter arcs [ours]
+_SPREAD_OF_NOISE = 1.3  # times the expected square of the residuals, which noise alone may reach [ours]
+_LONGEST = 0.12  # ellipticity: beads in images up to 0.09, pieces of wire more [twin]
+_LOST = 0.15  # share of the rim that sharpening may cost, before a window is left as it is [ours]
+# What is known of a bead and of its neighbours from the spots fit, s.d.: px, px, share of radius, of blur [ours].
+# Of a shadow's centre over a background that bends: what its cubic terms show, times this, is not explained by them;
+# without any noise centres near bone edges are off by 0.02-0.03 px rms [twin].
+_BENT_PX = 0.15
+_ITSELF = np.array([2.0, 2.0, 0.2, 0.5])
+_NEIGHBOUR = np.array([0.7, 0.7, 0.06, 0.3])
+
+
+@nb.njit(parallel=True, cache=True)
+def fit_all(image, usable, spots, which, noise, sharpening, plain, tables):  # noqa: PLR0917
+    """The rows `which` of `spots` fitted anew.
+
+    `noise`: offset, slope, and the log intensity at which pixels are clipped; `sharpening`: taps, gain, change of the
+    squared blur, squared blur that is left, correlation after it; `plain`: the same of leaving the image alone.
+    """
+    out = np.empty((len(which), spots.shape[1]))
+    for i in nb.prange(len(which)):
+        _fit(image, usable, spots, which[i], noise, sharpening, plain, tables, out[i])
+    return out
+
+
+@nb.njit(cache=True)
+def _group(spots, i, reach):
+    """Rows of the beads to be fitted with bead `i`, itself first: the nearest of those that reach into its window."""
+    rows = np.full(_MOST, -1)
+    rows[0] = i
+    if spots[i, CONTRAST] > 0:
+        return rows[:1]  # the holes of a plate never overlap: another one's place is masked
+    gaps = np.full(_MOST, reach - spots[i, RADIUS] + 2.0)
+    for j in range(len(spots)):
+        if j == i or spots[j, CONTRAST] * spots[i, CONTRAST] < 0:
+            continue
+        apart = np.hypot(spots[j, U] - spots[i, U], spots[j, V] - spots[i, V])
+        if apart < spots[j, RADIUS] - 0.5 * spots[i, RADIUS]:
+            continue  # a wide disc about this bead is structure
+        gap = apart - spots[i, RADIUS] - spots[j, RADIUS]
+        for k in range(1, _MOST):
+            if gap < gaps[k]:
+                for m in range(_MOST - 1, k, -1):
+                    gaps[m], rows[m] = gaps[m - 1], rows[m - 1]
+                gaps[k], rows[k] = gap, j
+                break
+    count = 1
+    while count < _MOST and rows[count] >= 0:
+        count += 1
+    return rows[:count]
+
+
+@nb.njit(cache=True, fastmath=FAST)
+def _fit(image, usable, spots, row, noise, sharpening, plain, tables, out):  # noqa: PLR0917
+    """One bead's fit; where it leaves too much, metal about the bead is looked for, hidden, and the fit repeated."""
+    out[:] = spots[row]
+    dark = spots[row, CONTRAST] < 0
+    reach = spots[row, RADIUS] + BEYOND
+    rows = _group(spots, row, reach)
+    half = int(reach) + 1
+    left, top = int(spots[row, U] + 0.5) - half, int(spots[row, V] + 0.5) - half
+    zero = level(image, usable, spots[row], reach)
+    light = look(image, left, top, half, zero)
+    state = mark(image, usable, spots, rows, left, top, 2 * half + 1, noise[2])
+    window = left, top, reach, zero
+    _solve(spots, rows, noise, sharpening, plain, tables, light, state, window, out)
+    if dark and (out[STATUS] != FITTED or out[EXCESS] > _UNEXPLAINED):
+        metal = hide_metal(state, spots, rows, left, top, light)
+        if metal and rim_seen(state, spots, rows, left, top) > _LEAST_RIM:
+            again = spots[row].copy()
+            _solve(spots, rows, noise, sharpening, plain, tables, light, state, window, again)
+            if again[STATUS] == FITTED and (out[STATUS] != FITTED or again[EXCESS] < out[EXCESS]):
+                out[:] = again
+
+
+@nb.njit(cache=True, fastmath=FAST)
+def _solve(spots, rows, noise, sharpening, plain, tables, light, state, window, out):  # noqa: PLR0917
+    """Fit the beads `rows` to the pixels that are seen; the first one's answer goes into `out`."""
+    left, top, reach, zero = window
+    row, radius = rows[0], spots[rows[0], RADIUS]
+    table, taken = (tables[0], TAKEN_BY_BALL) if spots[row, CONTRAST] < 0 else (tables[1], TAKEN_BY_HOLE)
+    size = BEAD * len(rows) + 1 + GROUND
+    x0, y0 = spots[row, U] - left, spots[row, V] - top
+    filtered = spread(state, x0, y0, radius) < _LOST
+    taps, gain, blur2, together2, after = sharpening if filtered else plain
+    at, where = gather(state, filtered, along_both_axes(light, taps) if filtered else light, x0, y0, reach)
+    beads, shine, ground = _start(spots, rows, blur2)
+    first = beads.copy()
+    columns, root = np.empty((size + 3, at.shape[1]), np.float32), np.ones(at.shape[1], np.float32)
+    A, L, b, step = np.empty((size, size)), np.empty((size, size)), np.empty(size), np.zeros(size)
+    known = np.zeros(size)
+    optics = np.array([1.0 / reach, taken, together2]).astype(np.float32)
+    lift = np.exp(0.5 * (noise[0] - noise[1] * zero)) * np.sqrt(gain)  # relative deviation at `zero`
+    brightest = np.exp(noise[2] - zero - _NEARLY_CLIPPED * np.exp(0.5 * (noise[0] - noise[1] * noise[2])))
+    out[STATUS] = TOO_FEW_PIXELS
+    chi2, pixels = 0.0, 0
+    for turn in range(_STEPS):
+        fill_columns(table, at, beads, np.float32(shine), ground, optics, columns)
+        pixels = _weigh(columns[: size + 2], np.float32(brightest), lift, noise[1], turn < _CHOOSING, root)
+        if pixels < 2 * size:
+            return
+        chi2 = normal_equations(columns, A, b)
+        _rely_on_what_is_known(beads, first, ground, known, A, b)
+        if not solve(A, b, L, step):
+            out[STATUS] = SINGULAR
+            return
+        if turn >= _CHOOSING:
+            step *= 0.5
+        moved, shine = _move(beads, shine, ground, step)
+        out[STATUS] = WANDERED
+        if np.hypot(beads[0, 0], beads[0, 1]) > 0.5 * radius + 1 or not 0.5 < beads[0, 2] / radius < 1.9:
+            return
+        if moved < _SETTLED and turn > 0:
+            out[STATUS] = FITTED
+            break
+    if out[STATUS] != FITTED or np.hypot(beads[0, 4], beads[0, 5]) > _LONGEST:
+        out[STATUS] = max(out[STATUS], WANDERED)
+        return
+    out[CHI2] = chi2 / max(pixels - size, 1.0)
+    scale2 = (_PRIOR_PIXELS + pixels * out[CHI2]) / (_PRIOR_PIXELS + pixels)
+    _covariance(columns, where, L, len(state), after, scale2, known, ground, out)
+    inside = max((1.0 - taken) * ground[0] + shine, 0.02 * ground[0])
+    out[CCC] /= inside**2
+    out[U], out[V], out[RADIUS] = spots[row, U] + beads[0, 0], spots[row, V] + beads[0, 1], beads[0, 2]
+    out[CONTRAST] = np.log(inside / max(ground[0], 1e-3))
+    out[BLUR] = np.sqrt(max(beads[0, 3] ** 2 - blur2, 0.0))
+    _judge(table, at, where, light, beads, shine, ground, optics, (blur2, together2), gain, root, pixels, columns, out)
+
+
+@nb.njit(cache=True, fastmath=FAST)
+def _start(spots, rows, blur2):
+    """Beads of a joint fit, from where the first one is thought to be; light from elsewhere; background."""
+    one = spots[rows[0]]
+    beads = np.zeros((len(rows), BEAD))
+    for k in range(len(rows)):
+        bead = spots[rows[k]]
+        beads[k, 0], beads[k, 1], beads[k, 2] = bead[U] - one[U], bead[V] - one[V], bead[RADIUS]
+        beads[k, 3] = np.sqrt(max(bead[BLUR] ** 2 + blur2, 0.4**2))
+    ground = np.zeros(GROUND)
+    ground[0] = 1.0
+    inside = np.exp(one[CONTRAST])
+    return beads, inside - (1.0 - TAKEN_BY_BALL) if one[CONTRAST] < 0 else inside - 1.0, ground
+
+
+@nb.njit(cache=True, fastmath=FAST)
+def _weigh(columns, brightest, lift, slope, anew, root):  # noqa: PLR0917
+    """Divide all columns but the last by the noise's deviation at the model's light; the number of pixels that count.
+
+    Pixels that the model makes brighter than `brightest` may be clipped and do not count. The model chooses, not what
+    is seen there: of pixels that are just not clipped the noise is negative.
+    """
+    light, count = columns[-1], 0
+    if anew:
+        for p in range(len(root)):
+            root[p] = np.exp((0.5 * slope - 1.0) * np.log(max(light[p], np.float32(0.02)))) / lift
+            if light[p] >= brightest:
+                root[p] = 0.0
+    for m in range(len(columns) - 1):
+        for p in range(len(root)):
+            columns[m, p] *= root[p]
+    for p in range(len(root)):
+        count += root[p] > 0
+    return count
+
+
+@nb.njit(cache=True)
+def _rely_on_what_is_known(beads, first, ground, known, A, b):  # noqa: PLR0917
+    """Ellipticity and cubic terms are small, a neighbour is about where its own fit put it; `known`: 1 / s.d.²."""
+    known[:] = 0.0
+    for k in range(len(beads)):
+        for m in range(4, BEAD):
+            known[BEAD * k + m] = 1.0 / _ELLIPTIC**2
+            b[BEAD * k + m] -= beads[k, m] / _ELLIPTIC**2
+        for m in range(4):
+            sd = (_NEIGHBOUR[m] if k > 0 else _ITSELF[m]) * (abs(first[k, m]) if m > 1 else 1.0)
+            known[BEAD * k + m] = 1.0 / sd**2
+            b[BEAD * k + m] += (first[k, m] - beads[k, m]) / sd**2
+    for m in range(GROUND - CUBIC):
+        known[len(b) - GROUND + m] = 1.0 / _VAGUE[m] ** 2
+        b[len(b) - GROUND + m] -= (ground[m] - (1.0 if m == 0 else 0.0)) / _VAGUE[m] ** 2
+    for m in range(GROUND - CUBIC, GROUND):
+        # Without them bone edges shift the centre; free ones cost a third of the accuracy.
+        known[len(b) - GROUND + m] = 1.0 / _CUBIC**2
+        b[len(b) - GROUND + m] -= ground[m] / _CUBIC**2
+    for k in range(len(b)):
+        A[k, k] = (A[k, k] + known[k]) * (1.0 + 1e-5)
+
+
+@nb.njit(cache=True)
+def _move(beads, shine, ground, step):
+    """Take a step, shortened where it is wild; the largest move of the first bead's centre and radius, px; shine."""
+    for k in range(len(beads)):
+        at = BEAD * k
+        radius, blur = beads[k, 2], beads[k, 3]
+        for m in range(2):
+            beads[k, m] += min(max(step[at + m], -1.0), 1.0)
+        beads[k, 2] += min(max(step[at + 2], -0.15 * radius), 0.15 * radius)
+        beads[k, 3] = min(max(blur + step[at + 3], _LEAST_BLUR, 0.6 * blur), 1.6 * blur, beads[k, 2])
+        for m in range(4, BEAD):
+            beads[k, m] = min(max(beads[k, m] + step[at + m], -0.3), 0.3)
+    at = BEAD * len(beads)
+    for m in range(GROUND):
+        ground[m] += step[at + 1 + m]
+    return max(abs(step[0]), abs(step[1]), abs(step[2])), shine + min(max(step[at], -0.5), 0.5)
+
+
+@nb.njit(cache=True, fastmath=FAST)
+def _covariance(columns, where, L, wide, after, scale2, known, ground, out):  # noqa: PLR0917
+    """What noise of the correlation `after`, and what was relied on, do to u, v and the light in the middle."""
+    size = len(L)
+    unit, influence = np.zeros(size), np.empty((3, size))
+    for row, parameter in enumerate((0, 1, size - GROUND - 1)):
+        unit[:] = 0.0
+        unit[parameter] = 1.0
+        substitute(L, unit, influence[row])
+    reach = len(after) - 1
+    field = np.zeros((3, wide + 2 * reach, wide + 2 * reach), np.float32)
+    total = np.empty(columns.shape[1], np.float32)
+    for row in range(3):
+        total[:] = 0.0
+        for k in range(size):
+            weight = np.float32(influence[row, k])
+            for p in range(len(total)):
+                total[p] += weight * columns[k, p]
+        for p in range(len(total)):
+            field[row, where[0, p] + reach, where[1, p] + reach] = total[p]
+    inner = field[:, reach : wide + reach, reach : wide + reach]
+    across, along = along_both_axes(field[0], after), along_both_axes(field[1], after)
+    out[CUU] = scale2 * (inner[0] * across).sum()
+    out[CUV] = scale2 * (inner[1] * across).sum()
+    out[CVV] = scale2 * (inner[1] * along).sum()
+    out[CCC] = scale2 * (inner[2] * along_both_axes(field[2], after)).sum()
+    bent = _BENT_PX**2 * (ground[GROUND - CUBIC :] ** 2).sum()
+    out[CUU] += bent
+    out[CVV] += bent
+    for k in range(size):
+        # Of cubic terms as much is taken to be missing as the fit found.
+        m = k - (size - GROUND)
+        missing = known[k] ** 2 * (ground[m] ** 2 + _FLAT**2) if m >= GROUND - CUBIC else known[k]
+        out[CUU] += influence[0, k] ** 2 * missing
+        out[CUV] += influence[0, k] * influence[1, k] * missing
+        out[CVV] += influence[1, k] ** 2 * missing
+
+
+@nb.njit(cache=True, fastmath=FAST)
+def _judge(table, at, where, light, beads, shine, ground, optics, blurs, gain, root, pixels, columns, out):  # noqa: PLR0917
+    """How well the bead explains its window as it was before sharpening: residual, weakest sector."""
+    for k in range(len(beads)):
+        beads[k, 3] = np.sqrt(max(beads[k, 3] ** 2 - blurs[0], _LEAST_BLUR**2))
+    optics[2] = blurs[1] - blurs[0]
+    for p in range(at.shape[1]):
+        at[2, p] = light[where[0, p] + MARGIN, where[1, p] + MARGIN]
+    fill_columns(table, at, beads, np.float32(shine), ground, optics, columns)
+    rest, meant_light, bright = columns[-3], columns[-2], columns[-1]
+    seen, meant = np.zeros(8), np.zeros(8)
+    residuals, expected, rim2 = 0.0, 0.0, (beads[0, 2] + 1) ** 2
+    for p in range(at.shape[1]):
+        if root[p] == 0:
+            continue
+        x, y = at[0, p] - beads[0, 0], at[1, p] - beads[0, 1]
+        m = max(meant_light[p], np.float32(0.02))
+        residual = rest[p] / m
+        residuals += residual * residual
+        expected += 1.0 / (root[p] * root[p] * m * m)
+        if x * x + y * y < rim2:
+            bead = m / bright[p] - 1.0
+            sector = 4 * (x > 0) + 2 * (y > 0) + (abs(x) > abs(y))
+            seen[sector] += (residual * m / bright[p] + bead) * bead
+            meant[sector] += bead * bead
+    beyond = max(residuals - _SPREAD_OF_NOISE * expected / gain, 0.0) / pixels
+    out[EXCESS] = np.sqrt(beyond) / max(abs(out[CONTRAST]), 1e-9)
+    out[WEAKEST] = 1.0
+    for k in range(8):
+        if meant[k] > meant.sum() / 32:  # a sector that a neighbour covers says nothing
+            out[WEAKEST] = min(out[WEAKEST], seen[k] / meant[k])

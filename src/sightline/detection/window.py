@@ -1,0 +1,216 @@
+"""The window of a bead: its light, which of its pixels tell of the bead, and the filter along both axes."""
+
+import numba as nb
+import numpy as np
+
+from sightline.detection.columns import CONTRAST, RADIUS, U, V
+from sightline.detection.shadow import FAST
+
+BEYOND = 5.0  # px of background about the rim, and as many blurs as fit [ours]
+MARGIN = 6  # px about the window that the filter may need
+_SPREAD = 3  # px about a pixel that is not usable, into which the filter carries it
+_AS_DARK = (
+    0.3  # of the step from the bead's light to the background's: below it lies metal; dense bone reaches 0.4 [twin]
+)
+_METAL = 4  # px about metal: its rim and the blur of that
+_FEWEST_METAL = 6  # px [ours]
+_RIM = 2.5  # px to either side of the rim, where a centre is told from
+SEEN, CLIPPED, HIDDEN = 0, 1, 2
+
+
+@nb.njit(cache=True, fastmath=FAST)
+def level(image, usable, bead, reach):
+    """Mean log light about the bead; the image's whole window where nothing about it is usable."""
+    height, width = image.shape
+    total, outside = 0.0, 0
+    inner2, outer2 = (bead[RADIUS] + 1.5) ** 2, reach**2
+    for i in range(max(int(bead[V] - reach), 0), min(int(bead[V] + reach) + 2, height)):
+        for j in range(max(int(bead[U] - reach), 0), min(int(bead[U] + reach) + 2, width)):
+            r2 = (j - bead[U]) ** 2 + (i - bead[V]) ** 2
+            if inner2 < r2 < outer2 and usable[i, j]:
+                total += image[i, j]
+                outside += 1
+    return total / max(outside, 1)
+
+
+@nb.njit(cache=True, fastmath=True)
+def look(image, left, top, half, zero):
+    """The light exp(image - zero) of the window and MARGIN pixels about it; the image's border repeats."""
+    height, width = image.shape
+    n = 2 * (half + MARGIN) + 1
+    light = np.empty((n, n), np.float32)
+    for i in range(n):
+        y = min(max(top + i - MARGIN, 0), height - 1)
+        for j in range(n):
+            light[i, j] = image[y, min(max(left + j - MARGIN, 0), width - 1)] - np.float32(zero)
+    for i in range(n):
+        for j in range(n):
+            light[i, j] = np.exp(max(light[i, j], np.float32(-8.0)))
+    return light
+
+
+@nb.njit(cache=True, fastmath=FAST)
+def mark(image, usable, spots, rows, left, top, wide, ceiling):  # noqa: PLR0917
+    """Of each pixel of the window whether it is seen, clipped, or hidden: outside the field, or on something else."""
+    n = wide
+    height, width = usable.shape
+    state = np.zeros((n, n), np.uint8)
+    for i in range(n):
+        for j in range(n):
+            y, x = top + i, left + j
+            if not (0 <= y < height and 0 <= x < width and usable[y, x]):
+                state[i, j] = HIDDEN
+            elif image[y, x] >= ceiling:
+                state[i, j] = CLIPPED
+    one = spots[rows[0]]
+    for k in range(len(spots)):
+        x, y, reach = spots[k, U] - left, spots[k, V] - top, spots[k, RADIUS] + 2.5
+        if x + reach < 0 or y + reach < 0 or x - reach > n or y - reach > n:
+            continue
+        if abs(spots[k, CONTRAST]) < 0.5 * abs(one[CONTRAST]):
+            continue
+        mine = np.hypot(spots[k, U] - one[U], spots[k, V] - one[V]) < spots[k, RADIUS] - 0.5 * one[RADIUS]
+        for row in rows:
+            apart = np.hypot(spots[k, U] - spots[row, U], spots[k, V] - spots[row, V])
+            mine |= apart < 0.8 * max(spots[row, RADIUS], spots[k, RADIUS])
+        if not mine:
+            _hide(state, y, x, reach)
+    return state
+
+
+@nb.njit(cache=True, fastmath=FAST)
+def _hide(state, y, x, reach):
+    n = len(state)
+    for i in range(max(0, int(y - reach)), min(n, int(y + reach) + 2)):
+        for j in range(max(0, int(x - reach)), min(n, int(x + reach) + 2)):
+            if (i - y) ** 2 + (j - x) ** 2 < reach * reach:
+                state[i, j] = HIDDEN
+
+
+@nb.njit(cache=True, fastmath=FAST)
+def hide_metal(state, spots, rows, left, top, light) -> bool:  # noqa: PLR0917
+    """Hide what stands about the beads and is nearly as dark as the first one; whether there is any."""
+    n = len(state)
+    mean, free, dark = _about_beads(state, spots, rows, left, top, light)
+    limit = _metal_limit(mean, free, dark)
+    metal = free & (mean < limit)
+    if metal.sum() < _FEWEST_METAL:
+        return False
+    for i in range(n):
+        for j in range(n):
+            if metal[i, j]:
+                _hide(state, float(i), float(j), _METAL + 0.5)
+    return True
+
+
+@nb.njit(cache=True, fastmath=FAST)
+def _about_beads(state, spots, rows, left, top, light):  # noqa: PLR0917
+    """Means over 3x3 pixels, which of them are on no bead, and the first bead's own light in its middle."""
+    n = len(state)
+    mean, free = np.zeros((n, n), np.float32), np.zeros((n, n), np.bool_)
+    inside, core = 0.0, 0
+    for i in range(n):
+        for j in range(n):
+            if state[i, j] & 3 == HIDDEN:
+                continue
+            mean[i, j] = light[i + MARGIN - 1 : i + MARGIN + 2, j + MARGIN - 1 : j + MARGIN + 2].sum() / 9
+            free[i, j] = True
+            for k in range(len(rows)):
+                r = np.hypot(left + j - spots[rows[k], U], top + i - spots[rows[k], V])
+                free[i, j] &= r > spots[rows[k], RADIUS] + 2.0
+                if k == 0 and r < 0.5 * spots[rows[0], RADIUS]:
+                    inside += mean[i, j]
+                    core += 1
+    return mean, free, inside / max(core, 1)
+
+
+@nb.njit(cache=True, fastmath=FAST)
+def _metal_limit(mean, free, dark):
+    """What is darker than this is metal: between the bead's light and that of the background, which is free of it."""
+    limit = 0.0
+    for _ in range(4):
+        bright, count = 0.0, 0
+        for i in range(len(mean)):
+            for j in range(len(mean)):
+                if free[i, j] and mean[i, j] > limit:
+                    bright += mean[i, j]
+                    count += 1
+        limit = dark + _AS_DARK * (bright / max(count, 1) - dark)
+    return limit
+
+
+@nb.njit(cache=True, fastmath=FAST)
+def rim_seen(state, spots, rows, left, top):
+    """Share of the first bead's rim that is neither hidden nor on another bead."""
+    rim, seen = 0, 0
+    for i in range(len(state)):
+        for j in range(len(state)):
+            x, y = left + j, top + i
+            if abs(np.hypot(x - spots[rows[0], U], y - spots[rows[0], V]) - spots[rows[0], RADIUS]) < _RIM:
+                rim += 1
+                free = state[i, j] & 3 != HIDDEN
+                for k in range(1, len(rows)):
+                    free &= np.hypot(x - spots[rows[k], U], y - spots[rows[k], V]) > spots[rows[k], RADIUS]
+                seen += free
+    return seen / max(rim, 1)
+
+
+@nb.njit(cache=True, fastmath=FAST)
+def spread(state, x, y, radius):
+    """Carry what is not seen on by the filter's reach in the high bits of `state`; share of the rim that this costs."""
+    n = len(state)
+    any_hidden = False
+    for i in range(n):
+        for j in range(n):
+            if state[i, j] & 3:
+                any_hidden = True
+                for a in range(max(i - _SPREAD, 0), min(i + _SPREAD + 1, n)):
+                    for b in range(max(j - _SPREAD, 0), min(j + _SPREAD + 1, n)):
+                        state[a, b] |= 4
+    if not any_hidden:
+        return 0.0
+    rim, lost = 0, 0
+    for i in range(n):
+        for j in range(n):
+            if abs(np.hypot(j - x, i - y) - radius) < _RIM and state[i, j] & 3 != HIDDEN:
+                rim += 1
+                lost += state[i, j] > 3
+    return lost / max(rim, 1)
+
+
+@nb.njit(cache=True, fastmath=FAST)
+def gather(state, filtered, values, x0, y0, reach):  # noqa: PLR0917
+    """x, y from the first guess of the centre and value of each pixel that counts; its place."""
+    n = len(state)
+    margin = (len(values) - n) // 2
+    at, where = np.empty((3, n * n), np.float32), np.empty((2, n * n), np.int32)
+    pixels = 0
+    for i in range(n):
+        for j in range(n):
+            x, y = j - x0, i - y0
+            if x * x + y * y >= reach * reach or state[i, j] & 3 == HIDDEN or (filtered and state[i, j] > 3):
+                continue
+            at[0, pixels], at[1, pixels], at[2, pixels] = x, y, values[i + margin, j + margin]
+            where[0, pixels], where[1, pixels] = i, j
+            pixels += 1
+    return at[:, :pixels].copy(), where[:, :pixels].copy()
+
+
+@nb.njit(cache=True, fastmath=True)
+def along_both_axes(field, taps):
+    """`field` convolved along both axes with the symmetric `taps`, without its margin of as many pixels."""
+    t = len(taps) - 1
+    h, w = field.shape[0] - 2 * t, field.shape[1] - 2 * t
+    middle, out = np.empty(field.shape[1], np.float32), np.empty((h, w), np.float32)
+    for i in range(h):
+        for j in range(w + 2 * t):
+            middle[j] = taps[0] * field[i + t, j]
+        for k in range(1, t + 1):
+            for j in range(w + 2 * t):
+                middle[j] += taps[k] * (field[i + t - k, j] + field[i + t + k, j])
+        for j in range(w):
+            out[i, j] = taps[0] * middle[j + t]
+        for k in range(1, t + 1):
+            for j in range(w):
+                out[i, j] += taps[k] * (middle[j + t - k] + middle[j + t + k])
+    return out
