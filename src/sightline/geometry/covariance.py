@@ -1,4 +1,4 @@
-"""Lengths and angles that a zero-mean Gaussian error stays below with a given probability."""
+"""Lengths that a zero-mean Gaussian error stays below with a given probability."""
 
 import numpy as np
 from scipy.optimize import elementwise
@@ -50,15 +50,3 @@ def _within(radius: np.ndarray, b: np.ndarray, c: np.ndarray) -> np.ndarray:
     reach = radius[..., None, None] / np.sqrt(stretch2)
     chi3 = erf(reach / np.sqrt(2)) - np.sqrt(2 / np.pi) * reach * np.exp(-(reach**2) / 2)
     return (chi3.mean(axis=-1) * _COSINE_WEIGHTS / 2).sum(axis=-1)
-
-
-def angle_quantile(vector: np.ndarray, covariance: np.ndarray, probability: float = 0.95) -> np.ndarray:
-    """(...), rad: the angle by which the direction of vectors (..., 3) errs at most with `probability`.
-
-    To first order in the error, of covariance (..., 3, 3): its part across the vector, over the vector's length.
-    """
-    vector = np.asarray(vector, dtype=np.float64)
-    length = np.linalg.norm(vector, axis=-1)[..., None, None]
-    unit = vector[..., :, None] / length
-    across = (np.eye(3) - unit * np.swapaxes(unit, -1, -2)) / length
-    return length_quantile(across @ covariance @ across, probability)
