@@ -94,11 +94,6 @@ def hidden_blocks(points: np.ndarray) -> np.ndarray:
     return hidden
 
 
-def fewest_left(points: np.ndarray, datums: np.ndarray) -> int:
-    """The fewest of the datums (indices) that any hidden block leaves."""
-    return int((~hidden_blocks(points))[:, datums].sum(axis=1).min())
-
-
 def search(grids: Sequence[np.ndarray], count: int, rng: np.random.Generator, moves: int = MOVES) -> list[np.ndarray]:
     """For each grid (N, 2) the indices of `count` datums: few triples resemble each other, none is congruent.
 
