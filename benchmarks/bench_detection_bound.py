@@ -8,7 +8,9 @@ from benchmarks.bench_detection import blobs_of_opencv, blobs_of_trackpy
 from benchmarks.centroid_bound import centroid_bounds
 from benchmarks.rows import Row
 from sightline.detection import Detections, detect
-from sightline.errors import DetectionRefusedError
+from sightline.detection.labelling.label import label
+from sightline.errors import DetectionRefusedError, LabellingRefusedError
+from sightline.frame import Frame
 from sightline.imaging import Radiograph
 from sightline.twin.hard import BeadTruth, hard_scene
 
@@ -23,7 +25,8 @@ def run(quick: bool) -> list[Row]:
 
 
 def _dose(dose: str, images: int) -> list[Row]:
-    counts, errors, stated = dict.fromkeys(("all", "ours", *_PEERS), 0), [np.empty(0)], [np.empty(0)]
+    counts = dict.fromkeys(("all", "ours", "images", "labelled", "false", *_PEERS), 0)
+    errors, stated, named = [np.empty(0)], [np.empty(0)], [np.empty(0)]
     for seed in range(images):
         image, truth = hard_scene(np.random.default_rng([20, seed]), dose)
         bounds = centroid_bounds(truth)
@@ -35,6 +38,11 @@ def _dose(dose: str, images: int) -> list[Row]:
             counts["ours"] += len(error)
             errors.append(_squares(error, bounds[row[0]]))
             stated.append(_squares(error, beads.covariance_px2[row[1]]))
+            false, squares = _labelled(beads, truth)
+            counts["images"] += len(squares) > 0
+            counts["labelled"] += len(squares)
+            counts["false"] += false
+            named.append(squares)
         for name, peer in _PEERS.items():
             places = peer(image)
             if len(places):
@@ -43,7 +51,7 @@ def _dose(dose: str, images: int) -> list[Row]:
     recall = counts["ours"] / counts["all"]
     beside = ", ".join(f"{name} {counts[name] / counts['all']:.3f}" for name in _PEERS)
     ratio, honest = float(np.sqrt(np.concatenate(errors).mean())), float(np.concatenate(stated).mean())
-    middle = float(np.median(np.concatenate(errors)))
+    middle, of_named = float(np.median(np.concatenate(errors))), float(np.concatenate(named).mean())
     return [
         Row(
             "detection", f"recall where the bound < 0.5 px, {dose}", f"{recall:.3f}", ">= 0.99", beside, recall >= 0.99
@@ -57,6 +65,14 @@ def _dose(dose: str, images: int) -> list[Row]:
             "0.85-1.2",
             met=0.85 <= honest <= 1.2,
         ),
+        Row("detection", f"the same of the {counts['labelled']} beads that were labelled, {dose}", f"{of_named:.2f}"),
+        Row(
+            "detection",
+            f"false beads after labelling, {counts['images']} of {images} images labelled, {dose}",
+            f"{counts['false']}",
+            "0",
+            met=counts["false"] == 0,
+        ),
     ]
 
 
@@ -65,6 +81,20 @@ def _detected(image: Radiograph) -> Detections | None:
         return detect(image)
     except DetectionRefusedError:
         return None
+
+
+def _labelled(beads: Detections, truth: BeadTruth) -> tuple[int, np.ndarray]:
+    """Of the labelled beads how many are not where theirs is, and the squared normalised errors of the others."""
+    try:
+        seen = label(beads, Frame.load("gamma"))
+    except LabellingRefusedError:
+        return 0, np.empty(0)
+    row = {name: i for i, name in enumerate(truth.ids)}
+    theirs = np.array([row.get(name, -1) for name in seen.ids])
+    error = seen.uv_px - truth.shadow_px[theirs]
+    right = (theirs >= 0) & (np.linalg.norm(error, axis=1) < _FOUND_PX)
+    assert seen.covariance_px2 is not None
+    return int((~right).sum()), _squares(error[right], seen.covariance_px2[right])
 
 
 def _errors(beads: Detections, truth: BeadTruth, findable: np.ndarray) -> tuple[np.ndarray, tuple[np.ndarray, ...]]:

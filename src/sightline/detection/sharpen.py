@@ -82,10 +82,10 @@ def _taps(blur: float) -> np.ndarray:
 
 @nb.njit(cache=True, fastmath=True)
 def _after(image: np.ndarray, mask: np.ndarray, line: np.ndarray, taps: np.ndarray, ceiling: float) -> np.ndarray:
-    """Per block (every third along either axis) covariances at lags 0..AFTER_LAGS along the axes after sharpening, in
+    """Per block (every fourth along either axis) covariances at lags 0..AFTER_LAGS along the axes after sharpening, in
     units of the noise's variance exp(line[0] - line[1] level); 0 where a pixel is not usable."""
     wide = BLOCK + 2 * TAPS
-    step = 3 * BLOCK
+    step = 4 * BLOCK
     rows, columns = (image.shape[0] - wide) // step + 1, (image.shape[1] - wide) // step + 1
     out = np.zeros((max(rows * columns, 0), AFTER_LAGS + 1))
     for b in range(rows * columns):
