@@ -1,11 +1,25 @@
-"""What several rooms' tests share: one run of the demo."""
+"""What several rooms' tests share: a set-up, and one run of the demo."""
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 from typer.testing import CliRunner, Result
 
 from sightline.cli import app
+from sightline.frame import Frame
+from sightline.twin import SetUp, draw_setup
+
+
+@pytest.fixture(scope="session")
+def frame() -> Frame:
+    return Frame.load("gamma")
+
+
+@pytest.fixture(scope="session")
+def setup(frame: Frame) -> SetUp:
+    """A set-up of `frame`, drawn."""
+    return draw_setup(np.random.default_rng(7), frame)
 
 
 @pytest.fixture(scope="session")

@@ -7,23 +7,12 @@ from sightline.case.comparison import Compared, Truth
 from sightline.case.report import Report
 from sightline.case.views import NAMES, Seen, calibrate_pair
 from sightline.detection import Detections, Observations, Rejected
-from sightline.frame import Frame
 from sightline.imaging import Radiograph
 from sightline.planning import plan
-from sightline.twin import bead_images, draw_setup
+from sightline.twin import bead_images
 
 WIRE_MM = np.array([[31.3, 28.9, -9.7], [-30.1, -27.7, 8.3]])
 HOSTILE = "<script>alert('x')</script>.dcm"
-
-
-@pytest.fixture(scope="session")
-def frame() -> Frame:
-    return Frame.load("gamma")
-
-
-@pytest.fixture(scope="session")
-def setup(frame: Frame):
-    return draw_setup(np.random.default_rng(7), frame)
 
 
 def seen(setup, name: str) -> Seen:

@@ -13,9 +13,8 @@ from typer.testing import CliRunner
 from sightline.cli import app
 from sightline.detection.files import write_observations
 from sightline.detection.results import Observations
-from sightline.frame import Frame
 from sightline.imaging import write_dicom
-from sightline.twin import bead_images, draw_setup, hip_scene, render
+from sightline.twin import bead_images, hip_scene, render
 
 VIEWS = ("pa", "lateral")
 
@@ -43,16 +42,6 @@ def run() -> Callable[..., Ran]:
         return Ran(result.exit_code, result.stdout, result.stderr)
 
     return ran
-
-
-@pytest.fixture(scope="session")
-def frame() -> Frame:
-    return Frame.load("gamma")
-
-
-@pytest.fixture(scope="session")
-def setup(frame: Frame):
-    return draw_setup(np.random.default_rng(7), frame)
 
 
 @pytest.fixture(scope="session")
