@@ -90,11 +90,14 @@ def _middles(spots: np.ndarray, washer: np.ndarray) -> np.ndarray:
 
 
 def _extrema(fine, coarse, mask, step: int, radius: float, line) -> list[np.ndarray]:  # noqa: PLR0917
-    """Local extrema of a band of the pyramid, `step` image px per pixel, that answers most to discs of `radius` px."""
+    """Local extrema of a band of the pyramid, `step` image px per pixel, that answers most to discs of `radius` px.
+
+    `fine` is overwritten.
+    """
     if min(fine.shape) < 5:
         return []
     rows, counts = np.empty((_CHUNKS, _ROOM, 4)), np.zeros(_CHUNKS, np.int64)
-    _band(fine - coarse, coarse, mask, step, radius * step, line, rows, counts)
+    _band(np.subtract(fine, coarse, out=fine), coarse, mask, step, radius * step, line, rows, counts)
     return [rows[i, :n] for i, n in enumerate(counts)]
 
 
