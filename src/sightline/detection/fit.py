@@ -47,6 +47,7 @@ from sightline.detection.window import (
     spread,
 )
 
+_LIGHTS = 32  # steps per unit of light
 _MOST = 3  # beads of a joint fit
 _STEPS = 12
 _CHOOSING = 4  # steps after which weights and choice of pixels stay, and steps are halved: they would take turns [ours]
@@ -152,13 +153,13 @@ def _solve(spots, rows, noise, sharpening, plain, tables, light, state, window, 
     A, L, b, step = np.empty((size, size)), np.empty((size, size)), np.empty(size), np.zeros(size)
     known = np.zeros(size)
     optics = np.array([1.0 / reach, taken, together2]).astype(np.float32)
-    lift = np.exp(0.5 * (noise[0] - noise[1] * zero)) * np.sqrt(gain)  # relative deviation at `zero`
+    roots = _roots(np.exp(0.5 * (noise[0] - noise[1] * zero)) * np.sqrt(gain), noise[1])
     brightest = np.exp(noise[2] - zero - _NEARLY_CLIPPED * np.exp(0.5 * (noise[0] - noise[1] * noise[2])))
     out[STATUS] = TOO_FEW_PIXELS
     chi2, pixels = 0.0, 0
     for turn in range(_STEPS):
         fill_columns(table, at, beads, np.float32(shine), ground, optics, columns)
-        pixels = _weigh(columns[: size + 2], np.float32(brightest), lift, noise[1], turn < _CHOOSING, root)
+        pixels = _weigh(columns[: size + 2], np.float32(brightest), roots, turn < _CHOOSING, root)
         if pixels < 2 * size:
             return
         chi2 = normal_equations(columns, A, b)
@@ -204,8 +205,15 @@ def _start(spots, rows, blur2):
     return beads, inside - (1.0 - TAKEN_BY_BALL) if one[CONTRAST] < 0 else inside - 1.0, ground
 
 
+@nb.njit(cache=True)
+def _roots(lift, slope):
+    """One over the noise's deviation at light 0 ... 2, in steps that weights need not be finer than."""
+    middle = (np.arange(2 * _LIGHTS) + 0.5) / _LIGHTS
+    return (middle ** (0.5 * slope - 1.0) / lift).astype(np.float32)
+
+
 @nb.njit(cache=True, fastmath=FAST)
-def _weigh(columns, brightest, lift, slope, anew, root):  # noqa: PLR0917
+def _weigh(columns, brightest, roots, anew, root):
     """Divide all columns but the last by the noise's deviation at the model's light; the number of pixels that count.
 
     Pixels that the model makes brighter than `brightest` may be clipped and do not count. The model chooses, not what
@@ -214,9 +222,8 @@ def _weigh(columns, brightest, lift, slope, anew, root):  # noqa: PLR0917
     light, count = columns[-1], 0
     if anew:
         for p in range(len(root)):
-            root[p] = np.exp((0.5 * slope - 1.0) * np.log(max(light[p], np.float32(0.02)))) / lift
-            if light[p] >= brightest:
-                root[p] = 0.0
+            at = np.int32(min(max(light[p] * _LIGHTS, np.float32(0.0)), np.float32(2 * _LIGHTS - 1)))
+            root[p] = roots[at] if light[p] < brightest else np.float32(0.0)
     for m in range(len(columns) - 1):
         for p in range(len(root)):
             columns[m, p] *= root[p]

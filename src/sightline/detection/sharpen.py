@@ -80,7 +80,7 @@ def _taps(blur: float) -> np.ndarray:
     return np.linalg.solve(A, waves.T @ (have * want) + 1e4 * waves[0])
 
 
-@nb.njit(cache=True, fastmath=True)
+@nb.njit(parallel=True, cache=True, fastmath=True)
 def _after(image: np.ndarray, mask: np.ndarray, line: np.ndarray, taps: np.ndarray, ceiling: float) -> np.ndarray:
     """Per block (every fourth along either axis) covariances at lags 0..AFTER_LAGS along the axes after sharpening, in
     units of the noise's variance exp(line[0] - line[1] level); 0 where a pixel is not usable."""
@@ -88,7 +88,7 @@ def _after(image: np.ndarray, mask: np.ndarray, line: np.ndarray, taps: np.ndarr
     step = 4 * BLOCK
     rows, columns = (image.shape[0] - wide) // step + 1, (image.shape[1] - wide) // step + 1
     out = np.zeros((max(rows * columns, 0), AFTER_LAGS + 1))
-    for b in range(rows * columns):
+    for b in nb.prange(rows * columns):
         top, left = (b // columns) * step, (b % columns) * step
         part = image[top : top + wide, left : left + wide]
         if mask[top : top + wide, left : left + wide].all() and part.max() < ceiling:
