@@ -6,10 +6,11 @@ from sightline.studies.study_bound import AgainstBound
 from sightline.studies.study_budget import Budget
 from sightline.studies.study_coverage import Coverage
 from sightline.studies.study_fig13 import Figure13
+from sightline.studies.study_frame_design import FrameDesignStudy
 from sightline.studies.study_robustness import Robustness
 from sightline.studies.study_table1 import Table1
 
-_ALL: tuple[Study, ...] = (Table1(), Coverage(), AgainstBound(), Budget(), Robustness(), Figure13())
+_ALL: tuple[Study, ...] = (Table1(), Coverage(), AgainstBound(), Budget(), Robustness(), FrameDesignStudy(), Figure13())
 STUDIES: dict[str, Study] = {study.name: study for study in _ALL}
 
 

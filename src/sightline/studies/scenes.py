@@ -11,6 +11,7 @@ import numpy as np
 from scipy.spatial import Delaunay
 
 from sightline.detection import Observations
+from sightline.errors import SetUpError
 from sightline.frame import Frame, Tolerances
 from sightline.studies.bound import Seen
 from sightline.twin import SetUp, bead_images, draw_setup
@@ -22,6 +23,7 @@ EXACT = Tolerances(0.0, 0.0, 0.0, 0.0, 0.0)
 BEADS_20UM = Tolerances(0.02, 0.0, 0.0, 0.0, 0.0)
 WHOLE = Tolerances()  # bead, plate and arm (physics.md, Frame)
 FRAMES = {"frame exact": EXACT, "frame beads 0.02 mm": BEADS_20UM, "frame whole": WHOLE}
+ATTEMPTS = 100
 MARGIN_PX = 15.0  # a target is shown if it lies this far inside the field
 
 
@@ -71,6 +73,15 @@ def draw_scene(
     observations = measure(rng, setup, bead_px, uneven)
     hulls = {n: _plate_hulls(setup, n, observations[n]) if surrounded else [] for n in VIEWS}
     return Scene.of(setup, observations, np.array([_draw_target(rng, setup, reach_mm, hulls) for _ in range(targets)]))
+
+
+def draw_showing(rng: np.random.Generator, frame: Frame, wire_mm: np.ndarray, *, frame_errors: bool = True) -> SetUp:
+    """A set-up that shows a whole wire (2, 3) in both views. Raises SetUpError where there is none."""
+    for _ in range(ATTEMPTS):
+        setup = draw_setup(rng, frame, frame_errors=frame_errors)
+        if all(view.in_field(view.project(wire_mm), MARGIN_PX).all() for view in setup.views.values()):
+            return setup
+    raise SetUpError(f"no set-up of {ATTEMPTS} shows the whole wire in both views")
 
 
 def measure(rng: np.random.Generator, setup: SetUp, bead_px: float, uneven: float = 0.0) -> dict[str, Observations]:

@@ -1,0 +1,321 @@
+"""What a frame's figures buy at the target: plate distances, pitch, number and size of balls, tolerances, handling.
+
+Every design stands before the same C-arm in the same pose, and its errors come from the same draws; so designs differ
+by themselves alone. Targets are the two ends of a wire, located to 0.1 px: picks by hand add the same to every design.
+
+Balls are points here. Noise of a centre follows a ball's size as in physics.md (Centroid limit), from 0.1 px for 3 mm;
+that smaller balls are also harder to find and larger ones hide more is not counted. Handling happens to the true frame
+alone: the software is not told.
+"""
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+import numpy as np
+
+import sightline as sl
+from sightline.detection import Observations
+from sightline.errors import SightlineError
+from sightline.frame import Frame, Tolerances
+from sightline.frame.builtin import GAMMA_BEAMS
+from sightline.frame.check import reach_mm
+from sightline.frame.design import Balls, FrameDesign, make_frame
+from sightline.frame.nominal import SOURCE_TO_DETECTOR_MM, SOURCE_TO_HIP_MM, in_field
+from sightline.studies.figure_spans import Span, spans
+from sightline.studies.intervals import rms, share
+from sightline.studies.scenes import BEADS_20UM, VIEWS, WHOLE, draw_showing
+from sightline.studies.study import Figure, Picture, Summary, Table, Values
+from sightline.studies.study_robustness import WIRE_MM
+from sightline.twin import SetUp, bead_images
+from sightline.twin.beam import attenuation_per_mm
+from sightline.twin.carm import displaced
+from sightline.twin.handling import Handling, in_use
+from sightline.twin.things import PLATE_MM
+
+PICK_PX = 0.1  # a located target (physics.md, Picks)
+BEAD_PX, BEAD_MM = 0.1, 3.0  # physics.md, Centroid limit
+MIDDLE_ENERGY = 1  # 60 keV of the beam's three
+# The thigh's skin lies up to 105 mm from the hip (twin, SoftTissue); 5 mm for drapes [ours].
+NEAREST_MM = 105.0 + 5.0 + PLATE_MM / 2
+# The intensifier's housing begins 30 mm before its input plane [mem].
+FARTHEST_MM = SOURCE_TO_DETECTOR_MM - SOURCE_TO_HIP_MM - 30.0 - PLATE_MM / 2
+LEAST_REACH_MM, LEAST_IN_FIELD = 10.0, 0.6  # of `check_frame`
+CLEAR_GAIN = 0.10  # a change of less than a tenth is not worth a new frame [ours]
+
+
+@dataclass(frozen=True)
+class Design:
+    """One frame: plate distances from the hip, pitch and ball diameter, mm; rows of the XRII plate."""
+
+    source_mm: float = 150.0
+    xrii_mm: float = 300.0
+    pitch_mm: float = 22.0
+    rows: int = 7
+    ball_mm: float = 3.0
+
+    @property
+    def name(self) -> str:
+        """All figures."""
+        return f"{self.source_mm:g}/{self.xrii_mm:g}, {self.rows} x {self.pitch_mm:g}, balls {self.ball_mm:g}"
+
+    def frame(self, tolerances: Tolerances) -> Frame:
+        """Without datums: labels are known here."""
+        balls, none = Balls(self.ball_mm, self.ball_mm), dict.fromkeys(GAMMA_BEAMS, ((), ()))
+        plates = {"rows": self.rows, "pitch_mm": self.pitch_mm, "xrii_mm": self.xrii_mm, "source_mm": self.source_mm}
+        design = FrameDesign("gamma", GAMMA_BEAMS, none, **plates, xrii_balls=balls, source_balls=balls)
+        return replace(make_frame(design), tolerances=tolerances)
+
+
+DEFAULT = Design()
+GEOMETRIES = (
+    DEFAULT,
+    Design(120, 220),
+    Design(120, 300),
+    Design(120, 340),
+    Design(150, 220),
+    Design(150, 340),
+    Design(200, 250),
+    Design(200, 340),
+    Design(pitch_mm=18),
+    Design(pitch_mm=20),
+    Design(pitch_mm=24),
+    Design(rows=5, pitch_mm=33),
+    Design(rows=9, pitch_mm=16.5),
+    Design(ball_mm=2),
+    Design(ball_mm=4),
+)
+# Balls alone: plates and arms measured on the finished frame, so that geometry shows.
+MADE = {"as made": WHOLE, "plates and arms measured": BEADS_20UM}
+AS_MADE = f"{DEFAULT.name}, as made"
+TOLERANCES = {
+    "all a quarter": Tolerances(*(0.25 * sd for sd in asdict(WHOLE).values())),
+    "all a half": Tolerances(*(0.5 * sd for sd in asdict(WHOLE).values())),
+    "balls 0.05 mm": replace(WHOLE, bead_mm=0.05),
+    "plates exact": replace(WHOLE, plate_mm=0.0, plate_rad=0.0),
+    "arms exact": replace(WHOLE, arm_mm=0.0, arm_rad=0.0),
+    "all twofold": Tolerances(*(2.0 * sd for sd in asdict(WHOLE).values())),
+}
+AS_MEASURED = Handling()
+HANDLINGS = {
+    "10 K warmer": Handling(warmer_k=10.0),
+    "10 K colder": Handling(warmer_k=-10.0),
+    "1 % of water taken up": Handling(water_share=0.01),
+    "drapes of 10 N": Handling(drape_n=10.0),
+    "drapes of 20 N": Handling(drape_n=20.0),
+    "10 K, 1 % of water, 20 N": Handling(10.0, 0.01, 20.0),
+}
+
+
+@dataclass(frozen=True)
+class FrameDesignStudy:
+    """The study; its fields are what may be varied."""
+
+    geometries: tuple[Design, ...] = GEOMETRIES
+    tolerances: tuple[str, ...] = tuple(TOLERANCES)
+    handlings: tuple[str, ...] = tuple(HANDLINGS)
+
+    @property
+    def name(self) -> str:
+        """On the command line."""
+        return "frame-design"
+
+    @property
+    def about(self) -> str:
+        """One line."""
+        return "What a frame's plates, balls, tolerances and handling do to the error at the target"
+
+    @property
+    def configuration(self) -> dict[str, Any]:
+        """Fields, and the constants they rest on."""
+        return {
+            **asdict(self),
+            "made": {name: asdict(sd) for name, sd in {**MADE, **TOLERANCES}.items()},
+            "handled": {name: asdict(HANDLINGS[name]) for name in self.handlings},
+            "wire_mm": WIRE_MM.tolist(),
+            "noise_px": {"bead": BEAD_PX, "pick": PICK_PX},
+        }
+
+    def trial(self, rng: np.random.Generator) -> Values:
+        """For each design, tolerance and handling: errors (2) of the wire's ends and what is stated of them, mm."""
+        setup = draw_showing(rng, Frame.load("gamma"), WIRE_MM, frame_errors=False)
+        seed = int(rng.integers(2**32))
+        out: Values = {}
+        for design in self.geometries:
+            for made, sd in MADE.items():
+                out[f"{design.name}, {made}"] = error_of(setup, design, sd, AS_MEASURED, seed)
+        for name in self.tolerances:
+            out[name] = error_of(setup, DEFAULT, TOLERANCES[name], AS_MEASURED, seed)
+        for name in self.handlings:
+            for made, sd in MADE.items():
+                out[f"{name}, {made}"] = error_of(setup, DEFAULT, sd, HANDLINGS[name], seed)
+        return out
+
+    def summary(self, trials: Sequence[Values]) -> Summary:
+        """Errors by design, tolerance and handling, and which design is best of those that fit."""
+        found = {key: Found.of(key, trials) for key in trials[0]}
+        gains = {design: _gain(design, trials) for design in self.geometries if design != DEFAULT}
+        drawn = [Span(key, *one.ends) for key, one in found.items() if one.error.value is not None]
+        title = "Error at the ends of the wire"
+        return Summary(
+            findings=tuple(_findings(found, gains)),
+            figures=(*(figure for one in found.values() for figure in one.figures), *gains.values()),
+            tables=(
+                self._geometry_table(found, gains),
+                _table("Tolerances of the default frame", [AS_MADE, *self.tolerances], found),
+                _table("Handling of the default frame", [f"{h}, {m}" for m in MADE for h in self.handlings], found),
+            ),
+            pictures=(Picture(title, spans(drawn, "mm", title), "rms (tick) with its 95 % interval (bar)."),),
+        )
+
+    def _geometry_table(self, found: dict[str, "Found"], gains: dict[Design, Figure]) -> Table:
+        rows = []
+        for design in self.geometries:
+            gain = str(gains[design]) if design in gains else "the default"
+            each = (found[f"{design.name}, {made}"].cell for made in MADE)
+            covered = f"{100 * covered_share(design):.1f} %"
+            rows.append((design.name, *each, gain, covered, obstacle(design) or "fits"))
+        columns = ("plates, rows x pitch, balls, mm", *MADE, "rms over the default's", "of the field covered", "fits")
+        note = (
+            "Error / what is stated, mm rms, of the ends of a 97 mm wire located to 0.1 px. In brackets: 95 % interval "
+            f"of the ratio, as made. A plate fits from {NEAREST_MM:.0f} mm (skin, drapes) to {FARTHEST_MM:.0f} mm "
+            "(housing of the intensifier) from the hip, if its balls surround the wire and are in the field."
+        )
+        return Table("Geometry", columns, tuple(rows), note)
+
+
+@dataclass(frozen=True)
+class Found:
+    """Of one design: `error` and `stated`, mm rms; how often it was `refused`."""
+
+    error: Figure
+    stated: Figure
+    refused: Figure
+
+    @staticmethod
+    def of(key: str, trials: Sequence[Values]) -> "Found":
+        """Of all trials."""
+        kept = [trial[key] for trial in trials if trial[key] is not None]
+        return Found(
+            rms(f"{key}: error", [np.array(one["error"]) for one in kept], "mm"),
+            rms(f"{key}: stated", [np.array(one["stated"]) for one in kept], "mm"),
+            share(f"{key}: refused", np.array([trial[key] is None for trial in trials])),
+        )
+
+    @property
+    def figures(self) -> tuple[Figure, ...]:
+        """All."""
+        return self.error, self.stated, self.refused
+
+    @property
+    def ends(self) -> tuple[float, float, float]:
+        """Of the interval, the figure between."""
+        value = self.error.value or 0.0
+        return self.error.low or value, value, self.error.high or value
+
+    @property
+    def cell(self) -> str:
+        """Error / stated."""
+        if self.error.value is None:
+            return "refused"
+        refused = f", {self.refused.value:.0%} refused" if self.refused.value else ""
+        return f"{self.error.value:.3f} / {self.stated.value:.3f}{refused}"
+
+
+def obstacle(design: Design) -> str:
+    """Why a design cannot stand around a hip; nothing where it can."""
+    if design.source_mm < NEAREST_MM:
+        return "in the thigh"
+    if design.xrii_mm > FARTHEST_MM:
+        return "in the intensifier"
+    for view in design.frame(WHOLE).views.values():
+        for plate in (view.xrii, view.source):
+            if in_field(view, plate.xyz_mm).mean() < LEAST_IN_FIELD:
+                return "beyond the field"
+            if (reach_mm(view, plate) or 0.0) < LEAST_REACH_MM:
+                return "too small for the wire"
+    return ""
+
+
+def covered_share(design: Design) -> float:
+    """Of a disc at the hip that the field shows, the share that shadows of balls take, none upon another."""
+    plates = ((design.xrii_mm, design.rows), (design.source_mm, design.rows + 1))
+    area = sum(rows**2 * (design.ball_mm / 2 * SOURCE_TO_HIP_MM / (SOURCE_TO_HIP_MM + mm)) ** 2 for mm, rows in plates)
+    return area / (107.5 * SOURCE_TO_HIP_MM / SOURCE_TO_DETECTOR_MM) ** 2
+
+
+def bead_sd_px(ball_mm: float) -> float:
+    """Noise of a ball's centre: as sqrt((1 - C/2) / R) / C, with the contrast C of its mean chord; BEAD_PX at 3 mm."""
+
+    def relative(mm: float) -> float:
+        contrast = 1 - np.exp(-attenuation_per_mm("steel")[MIDDLE_ENERGY] * 2 / 3 * mm)
+        return float(np.sqrt((1 - contrast / 2) / mm) / contrast)
+
+    return BEAD_PX * relative(ball_mm) / relative(BEAD_MM)
+
+
+def error_of(setup: SetUp, design: Design, sd: Tolerances, handling: Handling, seed: int) -> Values | None:
+    """Lengths (2) of the errors of the wire's ends, and the root of the stated variances, mm; None: refused."""
+    rng = np.random.default_rng(seed)
+    frame = design.frame(sd)
+    shared, picks = rng.standard_normal(36), PICK_PX * rng.standard_normal((2, 2, 2))
+    factor = frame.error_factor
+    draws = np.concatenate([rng.standard_normal(factor.shape[1] - len(shared)), shared])
+    made = replace(displaced(frame, (factor @ draws).reshape(-1, 3)), tolerances=WHOLE)  # it sags, measured or not
+    stands = replace(setup, frame=frame, true_frame=in_use(made, handling))
+    pixels = np.array([setup.views[name].project(WIRE_MM) for name in VIEWS]) + picks
+    covariance = np.broadcast_to(PICK_PX**2 * np.eye(2), (2, 2, 2, 2))
+    try:
+        views = [sl.calibrate(_seen(stands, name, rng, bead_sd_px(design.ball_mm)), frame) for name in VIEWS]
+        points = sl.reconstruct(views, pixels, covariance)
+    except SightlineError:
+        return None
+    stated = np.sqrt(np.trace(points.covariance_mm2, axis1=1, axis2=2))
+    return {"error": np.linalg.norm(points.xyz_mm - WIRE_MM, axis=1).round(6).tolist(), "stated": stated.tolist()}
+
+
+def _seen(setup: SetUp, name: str, rng: np.random.Generator, sd_px: float) -> Observations:
+    ids, uv = bead_images(setup, name, rng, sd_px)
+    return Observations(name, ids, uv, np.broadcast_to(sd_px**2 * np.eye(2), (len(ids), 2, 2)))
+
+
+def _gain(design: Design, trials: Sequence[Values]) -> Figure:
+    """rms error over that of the default, as made, in the set-ups where both answer; its interval is of pairs."""
+    key = f"{design.name}, as made"
+    name = f"{design.name}: rms over the default's"
+    pairs = [[np.mean(np.square(t[k]["error"])) for k in (key, AS_MADE)] for t in trials if t[key] and t[AS_MADE]]
+    if len(pairs) < 2:
+        return Figure(name, None, None, None, "", len(pairs))
+    mine, theirs = np.mean(pairs, axis=0)
+    ratio = mine / theirs
+    spread = np.std(np.array(pairs) @ [1.0, -ratio], ddof=1) / np.sqrt(len(pairs)) / theirs
+    low, high = ratio + 1.96 * np.array([-spread, spread])
+    return Figure(name, float(ratio**0.5), float(max(low, 0.0) ** 0.5), float(high**0.5), "", len(pairs))
+
+
+def _findings(found: dict[str, Found], gains: dict[Design, Figure]) -> Sequence[str]:
+    out = [f"The default frame: {found[AS_MADE].error} mm rms at the ends of the wire."]
+    handled = [key for key in HANDLINGS if f"{key}, as made" in found]
+    if handled:
+        worst = max(handled, key=lambda key: found[f"{key}, as made"].error.value or 0.0)
+        measured = found[f"{worst}, plates and arms measured"].error
+        out.append(
+            f"Handling costs it most by {worst}: {found[f'{worst}, as made'].error} mm rms, "
+            f"{measured} with plates and arms measured."
+        )
+    fitting = [(gain.value, design, gain) for design, gain in gains.items() if gain.value and not obstacle(design)]
+    if not fitting:
+        return out
+    _, best, gain = min(fitting, key=lambda one: one[0])
+    if gain.high is not None and gain.high < 1 - CLEAR_GAIN:
+        return [*out, f"Recommended of those that fit: {best.name}, {gain} of the default's error."]
+    return [
+        *out,
+        f"Recommended: the default frame. The best of the others that fit is {best.name}, at {gain} of its error; "
+        f"a change counts if it surely gains {CLEAR_GAIN:.0%}.",
+    ]
+
+
+def _table(title: str, keys: Sequence[str], found: dict[str, Found]) -> Table:
+    rows = tuple((key, found[key].cell, str(found[key].error)) for key in keys)
+    return Table(title, ("", "error / stated, mm rms", "95 % interval of the error"), rows)
