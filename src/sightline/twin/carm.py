@@ -45,7 +45,7 @@ class ViewTruth:
         return self.intensifier.to_image(self.to_detector(xyz_mm))
 
     def in_field(self, uv_px: np.ndarray, margin_px: float | np.ndarray = 0.0) -> np.ndarray:
-        """(...,) bool: pixels at least `margin_px` inside the round field."""
+        """(...,) bool: pixels at least `margin_px` inside the field."""
         return self.intensifier.in_field(uv_px, margin_px)
 
     def points_on_detector(self, uv_px: np.ndarray) -> np.ndarray:

@@ -1,6 +1,6 @@
 """The distortion of an image intensifier, as a function that is linear in all its parameters but two.
 
-In detector coordinates xi (mm at the input plane, R the radius of the useful field, u = |xi| / R):
+In detector coordinates xi (mm at the input plane, R the radius of the tube's own field, u = |xi| / R):
 
     D(xi) = (1 + k1 |xi|²) Rot(turn(xi)) xi + shift(xi) + cubic(xi) + random(xi)
     turn(xi)  = (1 - 0.79 u² + 0.23 u⁴) (t0 + t1 x/R + t2 y/R)       rotation by the axial magnetic field

@@ -1,5 +1,6 @@
 """Drawing distortions from their distributions, with the second moments of what is drawn."""
 
+from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
@@ -12,11 +13,14 @@ from sightline.twin.presets import ImageChain
 PINCUSHION_RADIUS_MM = 107.0  # where the share of Distortion.pincushion_at_107_mm is meant
 
 
-def draw_tube(rng: np.random.Generator, chain: ImageChain, spread: Distortion) -> "Tube":
-    """What one intensifier keeps over all its exposures."""
+def draw_tube(rng: np.random.Generator, chain: ImageChain, spread: Distortion) -> "Tube | FlatPanel":
+    """What one intensifier keeps over all its exposures; of a flat panel there is nothing to draw."""
+    if chain.tube_mm is None:
+        return FlatPanel(chain)
     low, high = np.log(spread.turn_rad_per_ut)
     return Tube(
         chain=chain,
+        radius_mm=chain.tube_mm / 2,
         spread=spread,
         k1=rng.uniform(*spread.pincushion_at_107_mm) / PINCUSHION_RADIUS_MM**2,
         turn_rad_per_ut=float(np.exp(rng.uniform(low, high))),
@@ -24,19 +28,21 @@ def draw_tube(rng: np.random.Generator, chain: ImageChain, spread: Distortion) -
     )
 
 
+@dataclass(frozen=True, eq=False)
 class Tube:
     """An image intensifier before it is exposed: its pincushion, its response to magnetic fields, its asymmetry."""
 
-    def __init__(
-        self, chain: ImageChain, spread: Distortion, k1: float, turn_rad_per_ut: float, cubic_mm: np.ndarray
-    ) -> None:
-        self.chain, self.spread = chain, spread
-        self.k1, self.turn_rad_per_ut, self.cubic_mm = k1, turn_rad_per_ut, cubic_mm
+    chain: ImageChain
+    radius_mm: float
+    spread: Distortion
+    k1: float
+    turn_rad_per_ut: float
+    cubic_mm: np.ndarray
 
     def expose(self, rng: np.random.Generator, axes: np.ndarray, earth_ut: np.ndarray) -> Intensifier:
         """The intensifier in one exposure. `axes` (3, 3): rows are its x, y and z (away from the source) in CFCS;
         `earth_ut` (3,): the geomagnetic field in CFCS, µT."""
-        spread, radius = self.spread, self.chain.field_mm / 2
+        spread, radius = self.spread, self.radius_mm
         magnetic = _magnetic_numbers(
             axes @ (earth_ut + spread.stray_ut * rng.standard_normal(3)),
             spread.gradient_ut_per_mm * radius * (_gradient_basis() @ rng.standard_normal(9)).reshape(3, 3),
@@ -55,6 +61,22 @@ class Tube:
             random_mm=sd * rng.standard_normal((len(field), 2)),
         )
         return Intensifier(self.chain, drawn, DistortionPrior(_smooth_factor(spread, radius, axes), sd))
+
+
+@dataclass(frozen=True)
+class FlatPanel:
+    """A detector whose pixels lie where they were etched: nothing distorts it, and that is known."""
+
+    chain: ImageChain
+
+    def expose(self, rng: np.random.Generator, axes: np.ndarray, earth_ut: np.ndarray) -> Intensifier:
+        """The panel in any exposure."""
+        radius = self.chain.field_mm / 2
+        field = RandomField.over(radius, radius)
+        none = DistortionMap(
+            radius, 0.0, np.zeros(3), np.zeros((2, 3)), np.zeros((7, 2)), field, np.zeros((len(field), 2))
+        )
+        return Intensifier(self.chain, none, DistortionPrior(np.zeros((24, 24)), 0.0))
 
 
 def draw_earth(rng: np.random.Generator, spread: Distortion) -> np.ndarray:

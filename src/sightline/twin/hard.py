@@ -94,7 +94,7 @@ def bead_truth(setup: SetUp, view: ViewTruth, scene: Scene, exposure: Exposure) 
         gap_px=np.array(
             [(np.linalg.norm(discs - uv[i], axis=-1) - disc_radius)[owner != i].min() - radius[i] for i in seen]
         ),
-        rim_px=view.chain.mask_px - np.linalg.norm(uv[seen] - view.intensifier.centre_px, axis=-1) - radius[seen],
+        rim_px=view.chain.rim_px(uv[seen]) - radius[seen],
         saturated=np.array([_share(mean >= stored, uv[i], 1.5 * radius[i]) for i in seen]),
         exposure=exposure,
     )

@@ -41,7 +41,7 @@ class DistortionPrior:
 
 @dataclass(frozen=True, eq=False)
 class Intensifier:
-    """One exposure's intensifier. `centre_px` (2,): where the undistorted middle of the field lies.
+    """One exposure's intensifier, or flat panel. `centre_px` (2,): where the undistorted middle of the field lies.
 
     Raises SetUpError if the map folds within the field.
     """
@@ -52,16 +52,15 @@ class Intensifier:
     centre_px: np.ndarray = field(init=False)
 
     def __post_init__(self) -> None:
-        h, w = self.chain.shape
-        object.__setattr__(self, "centre_px", np.array([(w - 1) / 2, (h - 1) / 2]))
-        xi = FIELD_MARGIN * disc_mm(self.distortion.radius_mm, 21)
+        object.__setattr__(self, "centre_px", self.chain.centre_px)
+        xi = FIELD_MARGIN * disc_mm(self.chain.field_mm / 2, 21)
         if np.linalg.det(self.distortion.jacobian(xi)).min() < LEAST_STRETCH:
             raise SetUpError("the distortion drawn folds the image; draw it again or lower its amplitudes")
 
     @property
     def px_per_mm(self) -> float:
         """m / pitch."""
-        return 1 / (1 + self.distortion.k1 * self.distortion.radius_mm**2) / self.chain.pitch_mm
+        return 1 / (1 + self.distortion.k1 * (self.chain.field_mm / 2) ** 2) / self.chain.pitch_mm
 
     def to_image(self, xi_mm: np.ndarray) -> np.ndarray:
         """Detector coordinates (..., 2) mm to pixels (..., 2)."""
@@ -90,13 +89,14 @@ class Intensifier:
         raise OutsideRegionError("some pixels correspond to no point of the intensifier's input plane")
 
     def in_field(self, uv_px: np.ndarray, margin_px: float | np.ndarray = 0.0) -> np.ndarray:
-        """(...,) bool: at least `margin_px` inside the round field of the image."""
-        return np.linalg.norm(np.asarray(uv_px) - self.centre_px, axis=-1) <= self.chain.mask_px - margin_px
+        """(...,) bool: at least `margin_px` inside the field of the image."""
+        return self.chain.rim_px(uv_px) >= margin_px
 
     def response_px(self, xi_mm: np.ndarray) -> np.ndarray:
         """d(to_image)/d(parameters), spread by the prior: (N, 2, P) px per unit-variance number."""
         by_parameter = self.distortion.derivatives(xi_mm)
-        by_scale = -(self.distortion.radius_mm**2) / (1 + self.distortion.k1 * self.distortion.radius_mm**2)
+        square = (self.chain.field_mm / 2) ** 2
+        by_scale = -square / (1 + self.distortion.k1 * square)
         by_parameter[..., 0] += by_scale * self.distortion.apply(xi_mm)  # m depends on k1 too
         return self.px_per_mm * self.prior.spread(by_parameter)
 

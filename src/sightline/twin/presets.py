@@ -1,22 +1,28 @@
 """Image chains the twin can stand for. A further C-arm is a further entry of PRESETS."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+
+import numpy as np
 
 from sightline.errors import UnusableInputError
 
 
 @dataclass(frozen=True)
 class ImageChain:
-    """A C-arm with an image intensifier: geometry, blur, dose response. Lengths at the input plane, mm.
+    """A C-arm with its detector: geometry, blur, dose response. Lengths at the input plane, mm.
 
-    `field_mm`: diameter of the useful field; `shape` (H, W) px; `mask_px`: radius of the round blanking in the image.
-    `core_mm`: standard deviation of the Gaussian core of the detector blur; `glare`, `glare_mm`: share and reach of
-    the veiling glare (1 - g) delta + g exp(-r/k)/r. `white`: largest stored value. `dqe`: quanta counted per photon.
+    `field_mm`: diameter of the useful field, which fills the image's height; a flat panel's is the side of its image.
+    `tube_mm`: diameter of the intensifier's own field, which the distortion hangs on (a zoom shows the middle of it);
+    None: a flat panel, which does not distort. `shape` (H, W) px. `mask_px`: radius of the round blanking in the
+    image; of a flat panel half the width of its square collimation. `core_mm`: standard deviation of the Gaussian core
+    of the detector blur; `glare`, `glare_mm`: share and reach of the veiling glare (1 - g) delta + g exp(-r/k)/r.
+    `white`: largest stored value. `dqe`: quanta counted per photon.
     """
 
     name: str
     sdd_mm: float
     field_mm: float
+    tube_mm: float | None
     shape: tuple[int, int]
     mask_px: float
     focal_spot_mm: float
@@ -29,26 +35,75 @@ class ImageChain:
 
     @property
     def pitch_mm(self) -> float:
-        """Input-plane millimetres per pixel, in the mean over the field: the field fills the image."""
+        """Input-plane millimetres per pixel, in the mean over the field: the field fills the height of the image."""
         return self.field_mm / self.shape[0]
 
+    @property
+    def centre_px(self) -> np.ndarray:
+        """(2,): where the undistorted middle of the field lies."""
+        h, w = self.shape
+        return np.array([(w - 1) / 2, (h - 1) / 2])
 
-PRESETS = {
-    "9in-1k": ImageChain(
-        name="9in-1k",
-        sdd_mm=1000.0,  # [src ARCADIS Varic manual]
-        field_mm=215.0,  # [mem] useful field of a 9 in tube
-        shape=(1024, 1024),  # 0.21 mm/px [mem]
-        mask_px=506.0,  # [ours] 6 px inside the rim
+    @property
+    def reach_px(self) -> float:
+        """How far from its middle the field reaches: to its corners, where it has any."""
+        return self.mask_px if self.tube_mm is not None else float(np.sqrt(2)) * self.mask_px
+
+    def rim_px(self, uv_px: np.ndarray) -> np.ndarray:
+        """(...,) px: from pixels (..., 2) to the edge of the field, negative outside."""
+        off = np.asarray(uv_px) - self.centre_px
+        if self.tube_mm is None:
+            return self.mask_px - np.abs(off).max(axis=-1)
+        return self.mask_px - np.linalg.norm(off, axis=-1)
+
+
+NINE_INCH = ImageChain(
+    name="9in-1k",
+    sdd_mm=1000.0,  # [src ARCADIS Varic manual]
+    field_mm=215.0,  # [mem] useful field of a 9 in tube
+    tube_mm=215.0,
+    shape=(1024, 1024),  # 0.21 mm/px [mem]
+    mask_px=506.0,  # [ours] 6 px inside the rim
+    focal_spot_mm=0.6,  # [mem]
+    core_mm=0.22,  # [calc] from the MTF of 25 tubes, Phys Med Biol 33:1 1988
+    glare=0.15,  # [mem]
+    glare_mm=20.0,  # [mem]
+    scatter_to_primary=0.6,  # [mem] 0.4-0.8 with a grid
+    dqe=0.65,  # [mem]
+    white=4095,  # 12 bit
+)
+CHAINS = (
+    NINE_INCH,
+    replace(
+        NINE_INCH,
+        name="9in-pal",
+        shape=(576, 768),  # frame grabber [mem]; 0.37 mm/px, within what the paper's "2-3 mm = 8 px" gives
+        mask_px=284.0,  # [ours] 4 px inside the rim
+        white=255,  # 8 bit [mem]
+    ),
+    replace(
+        NINE_INCH,
+        name="17cm-1k",
+        field_mm=160.0,  # [mem] useful field of a 17 cm zoom, as 215 mm is of 23 cm
+        core_mm=0.18,  # [ours] a zoom resolves more
+    ),
+    ImageChain(
+        name="flat-panel",
+        sdd_mm=1020.0,  # [src xreg, DeepDRR: CIOS Fusion]
+        field_mm=298.0,  # 1536 x 0.194 mm [src xreg, DeepDRR]
+        tube_mm=None,
+        shape=(1536, 1536),
+        mask_px=760.0,  # [ours] the collimator leaves 8 px dark
         focal_spot_mm=0.6,  # [mem]
-        core_mm=0.22,  # [calc] from the MTF of 25 tubes, Phys Med Biol 33:1 1988
-        glare=0.15,  # [mem]
-        glare_mm=20.0,  # [mem]
+        core_mm=0.17,  # [mem] CsI of 0.5 mm: 55 % at 1/mm, the pixel's width included
+        glare=0.0,  # no tube, no veil
+        glare_mm=0.0,
         scatter_to_primary=0.6,  # [mem] 0.4-0.8 with a grid
-        dqe=0.65,  # [mem]
-        white=4095,  # 12 bit
-    )
-}
+        dqe=0.70,  # [mem] CsI
+        white=65535,  # 16 bit
+    ),
+)
+PRESETS = {chain.name: chain for chain in CHAINS}
 
 
 def preset(name: str) -> ImageChain:

@@ -24,7 +24,7 @@ from sightline.twin.projector import CELL_PX, Rays, box_length, mesh_lengths, so
 from sightline.twin.things import RADIUS, Box, Scene, pack, stations
 from sightline.twin.volumes import Volume
 
-RAY_MARGIN_PX = 6  # rays are cast this far beyond the round blanking, so that blur finds light there
+RAY_MARGIN_PX = 6  # rays are cast this far beyond the blanking, so that blur finds light there
 RAY_GRID_PX = 8  # the inverse distortion is exact on this grid, splines between: error below 1e-5 px
 SCATTER_MM = 30.0  # reach of scattered radiation at the input plane, s.d. [ours]
 COARSE_PX = 8  # scatter and glare are computed on means of this many pixels
@@ -111,7 +111,7 @@ def expose(view: ViewTruth, scene: Scene, dose: Dose | None = None) -> Exposure:
     reach = SCATTER_MM / chain.pitch_mm
     # The body scatters as much at the rim as in the middle: the share of scatter does not fall towards the rim.
     scattered = chain.scatter_to_primary * _smooth(arriving, reach) / np.maximum(_smooth(rays.inside, reach), 0.1)
-    middle = _radius_px(view) < 0.5 * chain.mask_px
+    middle = _rim_px(chain) > 0.5 * chain.mask_px
     level = float((arriving + scattered)[middle].mean())
     if not level > 0:
         raise SetUpError("nothing passes the middle of the scene; take some of it out of the beam")
@@ -121,17 +121,16 @@ def expose(view: ViewTruth, scene: Scene, dose: Dose | None = None) -> Exposure:
         chain=chain,
         quanta=quanta,
         open_quanta=open_quanta,
-        field=_radius_px(view) <= chain.mask_px,
+        field=_rim_px(chain) >= 0,
         core_px=chain.core_mm * float(np.sqrt(np.linalg.det(view.intensifier.jacobian(np.zeros((1, 2))))[0])),
         gain=dose.level * chain.white / wanted,
     )
 
 
-def _radius_px(view: ViewTruth) -> np.ndarray:
-    """(H, W): distance of each pixel from the middle of the field."""
-    h, w = view.chain.shape
-    u0, v0 = view.intensifier.centre_px
-    return np.hypot(np.arange(w) - u0, (np.arange(h) - v0)[:, None])
+def _rim_px(chain: ImageChain) -> np.ndarray:
+    """(H, W): from each pixel to the edge of the field, negative outside."""
+    h, w = chain.shape
+    return chain.rim_px(np.stack(np.meshgrid(np.arange(w), np.arange(h)), axis=-1))
 
 
 def pixel_rays(view: ViewTruth) -> tuple[Rays, np.ndarray]:
@@ -139,12 +138,12 @@ def pixel_rays(view: ViewTruth) -> tuple[Rays, np.ndarray]:
     h, w = view.chain.shape
     u = np.arange(-RAY_GRID_PX, w + 2 * RAY_GRID_PX, RAY_GRID_PX, dtype=np.float64)
     v = np.arange(-RAY_GRID_PX, h + 2 * RAY_GRID_PX, RAY_GRID_PX, dtype=np.float64)
-    inside = _radius_px(view) <= view.chain.mask_px + RAY_MARGIN_PX
+    inside = _rim_px(view.chain) >= -RAY_MARGIN_PX
     inside[[0, -1]] = inside[:, [0, -1]] = False  # a pixel's slopes need neighbours
     grid = np.stack(np.meshgrid(u, v), axis=-1)
     towards = grid - view.intensifier.centre_px
     reach = np.linalg.norm(towards, axis=-1, keepdims=True)
-    bound = view.chain.mask_px + 10 * RAY_GRID_PX  # corners, where no ray is needed, are drawn in towards the field
+    bound = view.chain.reach_px + 10 * RAY_GRID_PX  # corners, where no ray is needed, are drawn in towards the field
     xi = view.intensifier.to_detector(
         view.intensifier.centre_px + towards * np.minimum(1, bound / np.maximum(reach, 1))
     )
@@ -275,9 +274,11 @@ def _detector_blur(light: np.ndarray, chain: ImageChain, core_px: float) -> np.n
     """Gaussian core, and veiling glare (1 - g) delta + g exp(-r/k) / (2 pi k r)."""
     image = np.ascontiguousarray(light, dtype=np.float32)
     core = cv2.GaussianBlur(image, (0, 0), core_px, borderType=cv2.BORDER_CONSTANT)
+    if chain.glare == 0:
+        return core
     coarse = _coarse(image)
     reach = chain.glare_mm / chain.pitch_mm / COARSE_PX
-    veil = _fine(_convolve(coarse, _glare_kernel(coarse.shape[0], reach)), image.shape)
+    veil = _fine(_convolve(coarse, _glare_kernel(max(coarse.shape), reach)), image.shape)
     return (1 - chain.glare) * core + chain.glare * veil
 
 
