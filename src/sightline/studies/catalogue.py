@@ -5,12 +5,24 @@ from sightline.studies.study import Study
 from sightline.studies.study_bound import AgainstBound
 from sightline.studies.study_budget import Budget
 from sightline.studies.study_coverage import Coverage
+from sightline.studies.study_fig8 import Figure8
+from sightline.studies.study_fig12 import Figure12
 from sightline.studies.study_fig13 import Figure13
 from sightline.studies.study_frame_design import FrameDesignStudy
 from sightline.studies.study_robustness import Robustness
 from sightline.studies.study_table1 import Table1
 
-_ALL: tuple[Study, ...] = (Table1(), Coverage(), AgainstBound(), Budget(), Robustness(), FrameDesignStudy(), Figure13())
+_ALL: tuple[Study, ...] = (
+    Table1(),
+    Coverage(),
+    AgainstBound(),
+    Budget(),
+    Robustness(),
+    FrameDesignStudy(),
+    Figure13(),
+    Figure8(),
+    Figure12(),
+)
 STUDIES: dict[str, Study] = {study.name: study for study in _ALL}
 
 
