@@ -1,4 +1,13 @@
-"""The X-ray beam and what attenuates it: three energies stand for a 70 kVp spectrum; beam hardening comes with them."""
+"""The X-ray beam and what attenuates it: three energies that stand for 70 kVp, or the spectrum of a tungsten tube.
+
+Beam hardening comes with either.
+"""
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from importlib.resources import files
 
 import numpy as np
 
@@ -22,14 +31,45 @@ ENERGIES_KEV = np.array([40.0, 50.0, 60.0])
 WEIGHTS = np.array([0.45, 0.35, 0.20])
 
 
-def attenuation_per_mm(material: str) -> np.ndarray:
-    """(3,) linear attenuation of a material at ENERGIES_KEV, 1/mm. Raises UnusableInputError, naming what there is."""
+THREE = "three energies"
+
+
+@dataclass(frozen=True, eq=False)
+class Spectrum:
+    """(N,) energies, keV; (N,) shares of the photons before the patient; (N,) 1/mm that each material attenuates."""
+
+    energies_kev: np.ndarray
+    weights: np.ndarray
+    per_mm: Mapping[str, np.ndarray]
+
+
+@lru_cache(maxsize=1)
+def _spectra() -> dict[str, Spectrum]:
+    """By name. Tungsten tubes: tools/make_spectra.py [calc, spekpy and xraydb]."""
+    at = np.log(ENERGIES_KEV)
+    three = {name: np.exp(np.interp(at, np.log(TABLE_KEV), np.log(row))) / 10 for name, row in TABLE_PER_CM.items()}
+    out = {THREE: Spectrum(ENERGIES_KEV, WEIGHTS, three)}
+    for name, one in json.loads(files("sightline.twin").joinpath("spectra.json").read_text()).items():
+        per_mm = {material: np.array(row) / 10 for material, row in one["per_cm"].items()}
+        out[name] = Spectrum(np.array(one["kev"]), np.array(one["weights"]), per_mm)
+    return out
+
+
+def spectrum(name: str) -> Spectrum:
+    """The spectrum called `name`. Raises UnusableInputError, naming those there are."""
+    if name not in _spectra():
+        raise UnusableInputError(f"there is no spectrum {name!r}; there are: {', '.join(_spectra())}")
+    return _spectra()[name]
+
+
+def attenuation_per_mm(material: str, beam: str = THREE) -> np.ndarray:
+    """(N,) linear attenuation of a material at a spectrum's energies, 1/mm. Raises UnusableInputError, naming what
+    there is."""
     if material not in TABLE_PER_CM:
         raise UnusableInputError(f"there is no material {material!r}; there are: {', '.join(TABLE_PER_CM)}")
-    table = np.log(TABLE_PER_CM[material])
-    return np.exp(np.interp(np.log(ENERGIES_KEV), np.log(TABLE_KEV), table)) / 10
+    return spectrum(beam).per_mm[material]
 
 
-def excess_per_mm(material: str, within: str | None) -> np.ndarray:
-    """(3,) 1/mm: what a material takes beyond what it displaces; None is air, which takes nothing here."""
-    return attenuation_per_mm(material) - (0.0 if within is None else attenuation_per_mm(within))
+def excess_per_mm(material: str, within: str | None, beam: str = THREE) -> np.ndarray:
+    """(N,) 1/mm: what a material takes beyond what it displaces; None is air, which takes nothing here."""
+    return attenuation_per_mm(material, beam) - (0.0 if within is None else attenuation_per_mm(within, beam))

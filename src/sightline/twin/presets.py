@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sightline.errors import UnusableInputError
+from sightline.twin.beam import THREE
 
 
 @dataclass(frozen=True)
@@ -33,6 +34,7 @@ class ImageChain:
     image; of a flat panel half the width of its square collimation. `core_mm`: standard deviation of the Gaussian core
     of the detector blur; `glare`, `glare_mm`: share and reach of the veiling glare (1 - g) delta + g exp(-r/k)/r.
     `white`: largest stored value. `dqe`: quanta counted per photon. `video`: None for a camera that reads whole frames.
+    `spectrum`: the beam before the patient (beam.py).
     """
 
     name: str
@@ -49,6 +51,7 @@ class ImageChain:
     dqe: float
     white: int
     video: Video | None = None
+    spectrum: str = THREE
 
     @property
     def pitch_mm(self) -> float:
@@ -98,12 +101,14 @@ CHAINS = (
         mask_px=284.0,  # [ours] 4 px inside the rim
         white=255,  # 8 bit [mem]
         video=Video(),
+        spectrum="70kVp-3Al",  # [mem]
     ),
     replace(
         NINE_INCH,
         name="17cm-1k",
         field_mm=160.0,  # [mem] useful field of a 17 cm zoom, as 215 mm is of 23 cm
         core_mm=0.18,  # [ours] a zoom resolves more
+        spectrum="70kVp-3Al",  # [mem]
     ),
     ImageChain(
         name="flat-panel",
@@ -119,6 +124,7 @@ CHAINS = (
         scatter_to_primary=0.6,  # [mem] 0.4-0.8 with a grid
         dqe=0.70,  # [mem] CsI
         white=65535,  # 16 bit
+        spectrum="70kVp-3Al-0.1Cu",  # [mem]
     ),
 )
 PRESETS = {chain.name: chain for chain in CHAINS}

@@ -168,17 +168,18 @@ def solid_transmission(
     cells: tuple[np.ndarray, np.ndarray],
     solids: tuple[np.ndarray, np.ndarray],
 ) -> np.ndarray:
-    """(3, H, W): what sharp solids leave of each energy, averaged over SUB x SUB rays of each pixel.
+    """(N, H, W): what sharp solids leave of each energy, averaged over SUB x SUB rays of each pixel.
 
     `spot` (2, 3): see `_sub_ray`. `cells` (start, index): which solids may touch each cell of CELL_PX pixels;
-    `solids`: shapes (M, 9) and attenuation (M, 3).
+    `solids`: shapes (M, 9) and attenuation (M, N) at N energies.
     """
     inside = rays.inside
     first, index = cells
     shapes, excess = solids
     h, w = inside.shape
     wide = (w + CELL_PX - 1) // CELL_PX
-    out = np.ones((3, h, w), dtype=np.float32)
+    energies = excess.shape[1]
+    out = np.ones((energies, h, w), dtype=np.float32)
     # No sub-ray is farther than this from the ray of its pixel: half the spot's diagonal, and more than half a pixel's.
     apart = rays.points[h // 2, w // 2 + 1] - rays.points[h // 2, w // 2]
     reach = np.sqrt((spot * spot).sum()) / 2 + 2 * np.sqrt((apart * apart).sum())
@@ -187,7 +188,7 @@ def solid_transmission(
     grown[:, 7] = 0.0
     grown[:, 8] += np.where(shapes[:, 8] < 0.0, 0.0, reach)
     for r in prange(1, h - 1):
-        o, d, depth = np.empty(3), np.empty(3), np.empty(3)
+        o, d, depth = np.empty(3), np.empty(3), np.empty(energies)
         for c in range(1, w - 1):
             cell = (r // CELL_PX) * wide + c // CELL_PX
             if not inside[r, c] or first[cell] == first[cell + 1]:
@@ -198,18 +199,18 @@ def solid_transmission(
                 near = near or chord(rays.focal, d, grown[index[n]]) > 0.0
             if not near:
                 continue
-            total = np.zeros(3)
+            total = np.zeros(energies)
             for s in range(SUB * SUB):
                 _sub_ray(rays, spot, (r, c), (s, SUB), (o, d))
                 depth[:] = 0.0
                 for n in range(first[cell], first[cell + 1]):
                     length = chord(o, d, shapes[index[n]])
                     if length > 0.0:
-                        for e in range(3):
+                        for e in range(energies):
                             depth[e] += length * excess[index[n], e]
-                for e in range(3):
+                for e in range(energies):
                     total[e] += np.exp(-depth[e])
-            for e in range(3):
+            for e in range(energies):
                 out[e, r, c] = total[e] / (SUB * SUB)
     return out
 

@@ -17,7 +17,7 @@ from scipy.ndimage import map_coordinates
 
 from sightline.errors import SetUpError
 from sightline.imaging import Radiograph
-from sightline.twin.beam import WEIGHTS, attenuation_per_mm, excess_per_mm
+from sightline.twin.beam import attenuation_per_mm, excess_per_mm, spectrum
 from sightline.twin.carm import SetUp, ViewTruth, shadow_radius_px
 from sightline.twin.meshes import Mesh
 from sightline.twin.presets import ImageChain, Video
@@ -183,13 +183,16 @@ def pixel_rays(view: ViewTruth) -> tuple[Rays, np.ndarray]:
 
 def primary(view: ViewTruth, scene: Scene, rays: Rays) -> tuple[np.ndarray, np.ndarray]:
     """(H, W) twice: share of an open beam's photons that arrive unscattered, and were the balls and rods not there."""
-    layers = list(_layers(scene, rays))
-    shapes, excess = pack(scene.solids)
+    beam = view.chain.spectrum
+    layers = list(_layers(scene, rays, beam))
+    shapes, excess = pack(scene.solids, beam)
     spot = view.chain.focal_spot_mm * view.detector.axes
     sharp = solid_transmission(rays, spot, _cells(view, shapes), (shapes, excess))
-    meshes = [(excess_per_mm(mesh.material, mesh.within), _mesh_mm(view, mesh, rays, spot)) for mesh in scene.meshes]
+    meshes = [
+        (excess_per_mm(mesh.material, mesh.within, beam), _mesh_mm(view, mesh, rays, spot)) for mesh in scene.meshes
+    ]
     out, without = np.zeros(rays.inside.shape), np.zeros(rays.inside.shape)
-    for e, weight in enumerate(WEIGHTS):
+    for e, weight in enumerate(spectrum(beam).weights):
         depth = np.zeros(rays.inside.shape, dtype=np.float32)
         for length, per_mm in layers:
             depth = depth + length * np.float32(per_mm[e])
@@ -201,8 +204,8 @@ def primary(view: ViewTruth, scene: Scene, rays: Rays) -> tuple[np.ndarray, np.n
     return np.where(rays.inside, out, 0.0), np.where(rays.inside, without, 0.0)
 
 
-def _layers(scene: Scene, rays: Rays) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Lengths (H, W) mm in volumes, body and boxes, and what each takes per mm (3,).
+def _layers(scene: Scene, rays: Rays, beam: str) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Lengths (H, W) mm in volumes, body and boxes, and what each takes per mm (N,).
 
     What is set into tissue shortens the way through the body, never below nothing."""
     displaced = np.zeros(rays.inside.shape, dtype=np.float32)
@@ -210,13 +213,13 @@ def _layers(scene: Scene, rays: Rays) -> Iterator[tuple[np.ndarray, np.ndarray]]
         length = _volume_mm(volume, rays)
         in_body = volume.within == "tissue"
         displaced += length if in_body else 0
-        yield length, excess_per_mm(volume.material, None if in_body else volume.within)
+        yield length, excess_per_mm(volume.material, None if in_body else volume.within, beam)
     if scene.tissue is not None:
         body = scene.tissue.length_mm(rays.focal, rays.points)
-        yield np.maximum(body - displaced, 0.0), attenuation_per_mm("tissue")
+        yield np.maximum(body - displaced, 0.0), attenuation_per_mm("tissue", beam)
     for (material, within), boxes in _alike(scene.boxes).items():
         parts = [np.stack([getattr(box, name) for box in boxes]) for name in ("centre_mm", "axes", "half_mm")]
-        yield box_length(rays, *parts), excess_per_mm(material, within)
+        yield box_length(rays, *parts), excess_per_mm(material, within, beam)
 
 
 def _alike(boxes: tuple[Box, ...]) -> dict[tuple[str, str | None], list[Box]]:

@@ -8,7 +8,7 @@ import numpy as np
 
 from sightline.errors import SetUpError
 from sightline.frame import Fiducial, Frame, Plate
-from sightline.twin.beam import excess_per_mm
+from sightline.twin.beam import THREE, excess_per_mm, spectrum
 from sightline.twin.meshes import Mesh
 from sightline.twin.volumes import Volume
 
@@ -120,13 +120,13 @@ CENTRE, AXIS, RADIUS, HOLE, HALF = slice(0, 3), slice(3, 6), 6, 7, 8
 COLUMNS = 9
 
 
-def pack(solids: Sequence[Solid]) -> tuple[np.ndarray, np.ndarray]:
-    """Solids as numbers: shapes (M, 9), half-length negative for a ball; attenuation above what they displace (M, 3),
-    1/mm at ENERGIES_KEV."""
-    shapes, excess = np.zeros((len(solids), COLUMNS)), np.zeros((len(solids), 3))
+def pack(solids: Sequence[Solid], beam: str = THREE) -> tuple[np.ndarray, np.ndarray]:
+    """Solids as numbers: shapes (M, 9), half-length negative for a ball; attenuation above what they displace (M, N),
+    1/mm at the N energies of a spectrum."""
+    shapes, excess = np.zeros((len(solids), COLUMNS)), np.zeros((len(solids), len(spectrum(beam).weights)))
     for row, one in enumerate(solids):
         shapes[row, CENTRE], shapes[row, RADIUS] = one.centre_mm, one.radius_mm
-        excess[row] = excess_per_mm(one.material, one.within)
+        excess[row] = excess_per_mm(one.material, one.within, beam)
         if isinstance(one, Rod):
             shapes[row, AXIS], shapes[row, HOLE], shapes[row, HALF] = one.axis, one.hole_mm, one.half_mm
         else:
