@@ -1,0 +1,48 @@
+"""`sightline compare`: the twin beside real images, measured alike."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from sightline.cli.output import Json, Output, Quiet, as_json
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command."""
+    app.command("compare")(compare)
+
+
+def compare(
+    folder: Annotated[Path, typer.Argument(help="Folder of images of a C-arm: plates, beads, open beam, anatomy.")],
+    *,
+    seed: Annotated[int, typer.Option(min=0, help="The twin of image k draws from the generator of [seed, k].")] = 1,
+    out: Annotated[Path, typer.Option(help="Folder of page and figures.")] = Path("out/compare"),
+    json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Measure real images and the twin's of the same kind alike; say by how much they differ."""
+    with Output(json=json, quiet=quiet) as output:
+        import numpy as np
+
+        from sightline.case.documents import write_folder
+        from sightline.studies.compare import alone, document, findings, pictures, read_folder
+        from sightline.studies.compare import compare as one_pair
+        from sightline.studies.compare_page import render
+
+        images, passed = read_folder(folder)
+        for reason in passed:
+            output.note(f"passed over: {reason}")
+        pairs = []
+        with output.progress("images and their twins", len(images)) as advance:
+            for k, (name, image) in enumerate(images):
+                pairs.append(one_pair(name, image, np.random.default_rng([seed, k])))
+                advance()
+        figures = document(pairs, passed, seed)
+        page = render(pairs, passed, folder.name, seed)
+        curves = {f"{picture.title.lower().replace(' ', '-')}.svg": alone(picture) for picture in pictures(pairs)}
+        files = write_folder(out, {"compare.html": page.encode(), "compare.json": as_json(figures).encode(), **curves})
+        for finding in findings(pairs):
+            output.say(f"- {finding}")
+        output.say(f"page: {files[0]}; all figures: {files[1]}")
+        output.result({**figures, "files": files})

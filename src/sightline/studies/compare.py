@@ -1,0 +1,302 @@
+"""The twin beside real images: each measured in the same way, and by how much they differ."""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sightline.detection import Detections, detect
+from sightline.errors import DetectionRefusedError, SightlineError, UnusableInputError
+from sightline.frame import Frame
+from sightline.imaging import Radiograph, read_image
+from sightline.studies import image_figures as measure
+from sightline.studies.figure_xy import Axis, Point, Series, xy
+from sightline.studies.image_figures import NotMeasurableError
+from sightline.studies.lattice import Lattice
+from sightline.studies.study import Picture
+from sightline.studies.twin_like import VIEW, Twin, lattice_mm, twin_of
+from sightline.twin import draw_setup
+
+DRAWS = 40  # exposures of the twin that say how far its distortion ranges [ours]
+LAGS_PX = (1, 2)  # blocks of 16 px take 0.05 and more from the correlation farther apart [calc]
+RANGE = (5, 95)  # per cent of those draws
+IMAGE_COUNT = 40  # of a folder, at most: each costs up to half a minute [ours]
+
+LEGEND = 4  # images in one picture: eight curves can be told apart [ours]
+
+ALONE = "svg { background: var(--card); } text { font: 13px sans-serif; fill: var(--ink); } "
+ALONE += "".join(f".source-{c} {{ fill: var(--{c}); }} " for c in ("beads", "frame", "focal", "picks", "map"))
+
+Curve = list[tuple[float, float]]
+
+
+@dataclass(frozen=True)
+class Figure:
+    """A number of one image, or why there is none. `name` says what; equal names are compared."""
+
+    name: str
+    unit: str
+    value: float | None
+    why_not: str = ""
+
+    def __str__(self) -> str:
+        return f"not measurable: {self.why_not}" if self.value is None else f"{self.value:.3g} {self.unit}".strip()
+
+
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """All that was measured of one image. `curves` by name: residual, noise, correlation, vignetting."""
+
+    image: Radiograph
+    beads: Detections | None
+    figures: tuple[Figure, ...]
+    curves: dict[str, Curve] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, eq=False)
+class Pair:
+    """A real image and the twin's image of its kind. `ranges`: 5 and 95 % of what the twin draws, by figure."""
+
+    name: str
+    real: Seen
+    twin: Seen
+    like: str
+    ranges: dict[str, tuple[float, float]]
+
+
+def read_folder(folder: Path) -> tuple[list[tuple[str, Radiograph]], list[str]]:
+    """The images of a folder in the order of their names, and why each other file was passed over.
+
+    Raises UnusableInputError where there is no folder, no image in it, or more than IMAGE_COUNT files.
+    """
+    if not folder.is_dir():
+        raise UnusableInputError(f"{folder} is not a folder; name one that holds images of a C-arm")
+    files = sorted(f for f in folder.iterdir() if f.is_file() and not f.name.startswith("."))
+    if len(files) > IMAGE_COUNT:
+        raise UnusableInputError(f"{folder} holds {len(files)} files; the limit is {IMAGE_COUNT}: choose some")
+    images, passed = [], []
+    for file in files:
+        try:
+            images.append((file.name, read_image(file)))
+        except SightlineError as error:
+            passed.append(str(error))
+    if not images:
+        why = f" ({'; '.join(passed)})" if passed else ""
+        raise UnusableInputError(f"no image in {folder} can be read{why}; give DICOM, PNG, TIFF, BMP or NumPy files")
+    return images, passed
+
+
+def compare(name: str, image: Radiograph, rng: np.random.Generator) -> Pair:
+    """Measure an image, make the twin's image of its kind, and measure that alike."""
+    real = seen(image)
+    twin = twin_of(image, real.beads, rng)
+    return Pair(name, real, seen(twin.image), twin.words, _drawn(real, twin, rng))
+
+
+def seen(image: Radiograph) -> Seen:
+    """Everything that an image shows of its machine."""
+    beads = _beads(image)
+    curves: dict[str, Curve] = {}
+    figures = [
+        *_distortion(image, beads, curves),
+        *_edge(image, beads),
+        *_noise(image, beads, curves),
+        *_contrast(beads),
+        *_vignetting(image, beads, curves),
+    ]
+    return Seen(image, beads, tuple(figures), curves)
+
+
+def _beads(image: Radiograph) -> Detections | None:
+    try:
+        return detect(image)
+    except DetectionRefusedError:
+        return None
+
+
+def _or_why(names: Sequence[tuple[str, str]], values: Callable[[], Sequence[float]]) -> list[Figure]:
+    """Figures of (name, unit), or the reason for which none of them can be measured."""
+    try:
+        return [Figure(name, unit, float(value)) for (name, unit), value in zip(names, values(), strict=True)]
+    except NotMeasurableError as error:
+        return [Figure(name, unit, None, str(error)) for name, unit in names]
+
+
+def _distortion(image: Radiograph, beads: Detections | None, curves: dict[str, Curve]) -> list[Figure]:
+    names = [("pincushion", "%"), ("turn", "mrad"), *((f"residual of degree {d}", "px") for d in measure.DEGREES)]
+    try:
+        lattice = measure.lattice_of(beads)
+        found = measure.distortion(lattice, *measure.field_circle(image))
+    except NotMeasurableError as error:
+        return [Figure(name, unit, None, str(error)) for name, unit in names]
+    curves["residual"] = [(float(d), r) for d, r in found.residual_px.items()]
+    return _of_distortion(found)
+
+
+def _of_distortion(found: measure.DistortionSeen) -> list[Figure]:
+    few = f"{found.points} points are too few for its coefficients"
+    return [
+        Figure("pincushion", "%", 100 * found.pincushion),
+        Figure("turn", "mrad", 1000 * abs(found.turn_rad)),
+        *(Figure(f"residual of degree {d}", "px", found.residual_px.get(d), few) for d in measure.DEGREES),
+    ]
+
+
+def _edge(image: Radiograph, beads: Detections | None) -> list[Figure]:
+    return _or_why([("edge spread", "px")], lambda: measure.edge_spread(image, beads)[:1])
+
+
+def _noise(image: Radiograph, beads: Detections | None, curves: dict[str, Curve]) -> list[Figure]:
+    names = [
+        ("noise at the median level", "%"),
+        ("noise exponent", ""),
+        *((f"noise correlation at {lag} px", "") for lag in LAGS_PX),
+    ]
+
+    def values() -> list[float]:
+        model, levels = measure.noise(image, beads)
+        percent = 100 * np.sqrt(model.variance(levels))
+        curves["noise"] = list(zip(np.exp(levels - levels[2]).tolist(), percent.tolist(), strict=True))
+        curves["correlation"] = [(float(lag), float(c)) for lag, c in enumerate(model.correlation)]
+        return [percent[2], model.slope, *(model.correlation[lag] for lag in LAGS_PX)]
+
+    return _or_why(names, values)
+
+
+def _contrast(beads: Detections | None) -> list[Figure]:
+    names = [("contrast of balls", "in ln"), ("radius of balls", "px")]
+    return _or_why(names, lambda: measure.ball_contrast(beads)[:2])
+
+
+def _vignetting(image: Radiograph, beads: Detections | None, curves: dict[str, Curve]) -> list[Figure]:
+    def values() -> list[float]:
+        found = measure.vignetting(image, beads)
+        curves["vignetting"] = list(zip(found.radius.tolist(), found.brightness.tolist(), strict=True))
+        return [100 * found.brightness[measure.LEAST_RINGS - 1], 100 * found.brightness.max()]
+
+    at = (measure.LEAST_RINGS - 0.5) / measure.RINGS
+    return _or_why([(f"brightness at {at:.2f} radius", "%"), ("brightest ring", "%")], values)
+
+
+def _drawn(real: Seen, twin: Twin, rng: np.random.Generator) -> dict[str, tuple[float, float]]:
+    """How far the twin's distortion ranges over other tubes and poses; empty where the image shows none."""
+    try:
+        lattice = measure.lattice_of(real.beads)
+    except NotMeasurableError:
+        return {}
+    assert real.beads is not None  # noqa: S101 - lattice_of refuses None
+    noise_px = float(np.sqrt(np.median(np.trace(real.beads.covariance_px2, axis1=1, axis2=2)) / 2))
+    draws = [_one_draw(real.image, lattice, noise_px, rng) for _ in range(DRAWS)]
+    values: dict[str, list[float]] = {}
+    for figure in (f for draw in draws for f in draw if f.value is not None):
+        values.setdefault(figure.name, []).append(figure.value or 0.0)
+    return {name: tuple(np.percentile(v, RANGE).tolist()) for name, v in values.items()}
+
+
+def _one_draw(image: Radiograph, lattice: Lattice, noise_px: float, rng: np.random.Generator) -> list[Figure]:
+    """Distortion figures of the lattice on the input plane of another tube; points, not an image."""
+    view = draw_setup(rng, Frame.load("gamma")).views[VIEW]
+    centre, radius = measure.field_circle(image)
+    scale = radius / view.chain.mask_px
+    xy_mm = lattice_mm(view, lattice, lattice.pitch_px / scale)
+    uv = centre + scale * (view.intensifier.to_image(xy_mm) - view.intensifier.centre_px)
+    low, high = lattice.uv_px.min(axis=0), lattice.uv_px.max(axis=0)
+    shown = ((uv > low) & (uv < high)).all(axis=1)
+    column, row = np.rint(uv[shown]).astype(int).T
+    kept = image.field_mask[row, column]
+    points = uv[shown][kept]
+    pitches = xy_mm[shown][kept] * view.intensifier.px_per_mm * scale / lattice.pitch_px
+    noisy = points + noise_px * rng.standard_normal(points.shape)
+    index = np.rint(pitches @ np.linalg.inv(lattice.axes)).astype(int)
+    again = Lattice(np.arange(len(noisy)), noisy, index, lattice.axes, lattice.pitch_px)
+    return _of_distortion(measure.distortion(again, centre, radius))
+
+
+def differences(pair: Pair) -> Iterator[tuple[str, Figure, Figure, float | None]]:
+    """Each figure: its name, the real image's, the twin's, and the twin's over the real one where both are known."""
+    for real, twin in zip(pair.real.figures, pair.twin.figures, strict=True):
+        known = real.value is not None and twin.value is not None and abs(real.value) > 1e-9
+        yield real.name, real, twin, (twin.value or 0.0) / (real.value or 1.0) if known else None
+
+
+def pictures(pairs: Sequence[Pair]) -> list[Picture]:
+    """Curves of all images: real ones solid, the twin's dashed. A curve that no image shows is left out."""
+    drawn = (
+        ("residual", "What a polynomial leaves", "degree", "rms residual, px", True),
+        ("noise", "Noise against signal", "brightness over the median", "noise, % of the signal", True),
+        ("correlation", "Correlation of the noise", "px apart", "correlation", False),
+        ("vignetting", "Brightness over radius", "radius over the field's radius", "over the middle's", False),
+    )
+    out = []
+    for name, title, across, up, log in drawn:
+        shown = [p for p in pairs if name in p.real.curves or name in p.twin.curves][:LEGEND]
+        series = [
+            Series(f"{p.name}{mark}", [Point(x, max(y, 1e-3) if log else max(y, 0.0)) for x, y in s.curves[name]], d)
+            for p in shown
+            for s, mark, d in ((p.real, "", False), (p.twin, ", twin", True))
+            if name in s.curves
+        ]
+        if series:
+            svg = xy(series, Axis(across, log=name == "noise"), Axis(up, log=log), title)
+            out.append(Picture(title, svg, "Real images, and the twin's image of the same kind (dashed)."))
+    return out
+
+
+def alone(picture: Picture) -> bytes:
+    """The drawing as a file that needs no style sheet but its own."""
+    style = f"<style>{(files('sightline.case') / 'templates' / 'report.css').read_text('utf-8').split('* {')[0]}"
+    style += f"{(files('sightline.studies') / 'templates' / 'study.css').read_text('utf-8')}{ALONE}</style>"
+    head, rest = picture.svg.split(">", 1)
+    return f"{head}>{style}{rest}".encode()
+
+
+def document(pairs: Sequence[Pair], passed: Sequence[str], seed: int) -> dict[str, Any]:
+    """All figures and curves, as JSON types; no pixels."""
+    return {
+        "seed": seed,
+        "passed_over": list(passed),
+        "images": [
+            {
+                "name": p.name,
+                "twin_shows": p.like,
+                "figures": [
+                    {
+                        "name": name,
+                        "unit": real.unit,
+                        "real": real.value,
+                        "twin": twin.value,
+                        "twin_over_real": ratio,
+                        "real_not_measurable": real.why_not if real.value is None else None,
+                        "twin_not_measurable": twin.why_not if twin.value is None else None,
+                        "twin_range": p.ranges.get(name),
+                    }
+                    for name, real, twin, ratio in differences(p)
+                ],
+                "curves": {"real": p.real.curves, "twin": p.twin.curves},
+            }
+            for p in pairs
+        ],
+    }
+
+
+def findings(pairs: Sequence[Pair]) -> list[str]:
+    """Sentences: where the twin differs, figure by figure over all images that show it; and what none of them shows."""
+    known: dict[str, list[tuple[Figure, Figure]]] = {}
+    for pair in pairs:
+        for name, real, twin, _ in differences(pair):
+            known.setdefault(name, []).append((real, twin))
+    out = ["one image only: what differs may be this image's own, not the machine's"] if len(pairs) == 1 else []
+    for name, both in known.items():
+        shown = [(r, t) for r, t in both if r.value is not None and t.value is not None]
+        if not shown:
+            out.append(f"{name}: not measurable in any image and its twin")
+            continue
+        real, twin = (np.median([f.value for f in side]) for side in zip(*shown, strict=True))
+        unit = f" {shown[0][0].unit}".rstrip()
+        ratio = f", {twin / real:.2f} times" if abs(real) > 1e-9 else ""
+        many = "image" if len(shown) == 1 else "images"
+        out.append(f"{name}: real {real:.3g}{unit}, twin {twin:.3g}{unit}{ratio} (median of {len(shown)} {many})")
+    return out

@@ -1,0 +1,66 @@
+"""The comparison of twin and real images as one page that needs no other file."""
+
+import base64
+from collections.abc import Sequence
+from importlib.resources import files
+from typing import Any
+
+import cv2
+from jinja2 import Environment, StrictUndefined
+from markupsafe import Markup
+
+from sightline import __version__
+from sightline.case.figure_image import JPEG_QUALITY, grey
+from sightline.imaging import Radiograph
+from sightline.studies.compare import Pair, differences, findings, pictures
+
+SHOWN_PX = 512  # side of a picture on the page [ours]
+PAIR_CSS = ".pair { display: flex; gap: 1rem; flex-wrap: wrap; } .pair figure { flex: 1 1 18rem; margin: 0; } "
+PAIR_CSS += ".pair img { width: 100%; }\n"
+
+
+def render(pairs: Sequence[Pair], passed: Sequence[str], folder: str, seed: int) -> str:
+    """The page as HTML. It holds the images, at SHOWN_PX."""
+    here, report = files("sightline.studies") / "templates", files("sightline.case") / "templates"
+    environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
+    css = (report / "report.css").read_text("utf-8") + (here / "study.css").read_text("utf-8") + PAIR_CSS
+    page = environment.from_string((here / "compare.html.j2").read_text("utf-8"))
+    return page.render(
+        version=__version__,
+        css=Markup(css),  # noqa: S704 - files of this package
+        folder=folder,
+        seed=seed,
+        passed=passed,
+        findings=findings(pairs),
+        pictures=[{**vars(one), "svg": Markup(one.svg)} for one in pictures(pairs)],  # noqa: S704 - drawn here
+        images=[_shown(pair) for pair in pairs],
+    )
+
+
+def _shown(pair: Pair) -> dict[str, Any]:
+    rows, reasons = [], dict[str, list[str]]()
+    for name, real, twin, ratio in differences(pair):
+        for one, whose in ((real, "real"), (twin, "twin")):
+            if one.value is None:
+                reasons.setdefault(one.why_not, []).append(f"{name} ({whose})")
+        if real.value is not None or twin.value is not None:
+            span = pair.ranges.get(name)
+            between = "" if span is None else f"{span[0]:.3g} to {span[1]:.3g}"
+            cells = ["not measurable" if one.value is None else str(one) for one in (real, twin)]
+            rows.append((name, *cells, "" if ratio is None else f"{ratio:.2f}", between))
+    return {
+        "name": pair.name,
+        "real": _data_uri(pair.real.image),
+        "twin": _data_uri(pair.twin.image),
+        "like": pair.like,
+        "rows": rows,
+        "not_measurable": list(reasons.items()),
+    }
+
+
+def _data_uri(image: Radiograph) -> str:
+    shown = grey(image)
+    scale = min(1.0, SHOWN_PX / max(shown.shape))
+    small = cv2.resize(shown, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+    _, jpeg = cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
+    return "data:image/jpeg;base64," + base64.b64encode(jpeg.tobytes()).decode()
