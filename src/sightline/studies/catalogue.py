@@ -9,6 +9,7 @@ from sightline.studies.study_fig8 import Figure8
 from sightline.studies.study_fig12 import Figure12
 from sightline.studies.study_fig13 import Figure13
 from sightline.studies.study_frame_design import FrameDesignStudy
+from sightline.studies.study_freehand import Freehand
 from sightline.studies.study_robustness import Robustness
 from sightline.studies.study_table1 import Table1
 
@@ -20,6 +21,7 @@ _ALL: tuple[Study, ...] = (
     Robustness(),
     FrameDesignStudy(),
     Figure13(),
+    Freehand(),
     Figure8(),
     Figure12(),
 )
