@@ -9,8 +9,9 @@ from sightline.errors import OutsideRegionError, SetUpError
 from sightline.frame import Fiducial, Frame, FrameView, Plate, nominal
 from sightline.geometry.planes import Plane
 from sightline.twin.distributions import Distortion, Pose
-from sightline.twin.draw import draw_earth, draw_tube
+from sightline.twin.draw import FlatPanel, Tube, draw_earth, draw_tube
 from sightline.twin.intensifier import Intensifier
+from sightline.twin.magnetic import Site, field_at
 from sightline.twin.presets import ImageChain, preset
 
 ATTEMPTS = 100
@@ -76,10 +77,11 @@ class SetUp:
 
 @dataclass(frozen=True)
 class Variation:
-    """What set-ups are drawn from."""
+    """What set-ups are drawn from. `site`: a magnetic field that is given instead of drawn, stray field and all."""
 
     pose: Pose = field(default_factory=Pose)
     distortion: Distortion = field(default_factory=Distortion)
+    site: Site | None = None
 
 
 def draw_setup(
@@ -114,7 +116,7 @@ def draw_setup(
         if any(stand is None for stand in stands.values()):
             continue
         views = {
-            name: ViewTruth(name, stand[0], stand[1], tube.expose(rng, _tube_axes(stand[1]), earth))
+            name: ViewTruth(name, *stand, _exposed(rng, tube, stand[1], variation.site or earth))
             for name, stand in stands.items()
             if stand is not None
         }
@@ -218,6 +220,16 @@ def _detector_axes(beam: np.ndarray, down: np.ndarray, turn: float) -> np.ndarra
     u = np.cross(v, beam)
     c, s = np.cos(turn), np.sin(turn)
     return np.stack([c * u + s * v, -s * u + c * v])
+
+
+def _exposed(
+    rng: np.random.Generator, tube: Tube | FlatPanel, detector: Plane, magnet: Site | np.ndarray
+) -> Intensifier:
+    """The tube where it stands: at a site, or in the geomagnetic field (3,) with a stray field that is drawn."""
+    axes = _tube_axes(detector)
+    if isinstance(magnet, Site):
+        return tube.expose_in(rng, axes, field_at(magnet, detector.origin_mm))
+    return tube.expose(rng, axes, magnet)
 
 
 def _tube_axes(detector: Plane) -> np.ndarray:

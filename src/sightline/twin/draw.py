@@ -8,6 +8,7 @@ import numpy as np
 from sightline.twin.distortion import DistortionMap, RandomField, disc_mm, monomials
 from sightline.twin.distributions import Distortion
 from sightline.twin.intensifier import DistortionPrior, Intensifier
+from sightline.twin.magnetic import magnetic_numbers, tube_numbers
 from sightline.twin.presets import ImageChain
 
 PINCUSHION_RADIUS_MM = 107.0  # where the share of Distortion.pincushion_at_107_mm is meant
@@ -43,10 +44,24 @@ class Tube:
         """The intensifier in one exposure. `axes` (3, 3): rows are its x, y and z (away from the source) in CFCS;
         `earth_ut` (3,): the geomagnetic field in CFCS, µT."""
         spread, radius = self.spread, self.radius_mm
-        magnetic = _magnetic_numbers(
+        magnetic = magnetic_numbers(
             axes @ (earth_ut + spread.stray_ut * rng.standard_normal(3)),
             spread.gradient_ut_per_mm * radius * (_gradient_basis() @ rng.standard_normal(9)).reshape(3, 3),
         )
+        return self._exposed(rng, axes, magnetic)
+
+    def expose_in(
+        self, rng: np.random.Generator, axes: np.ndarray, field: tuple[np.ndarray, np.ndarray]
+    ) -> Intensifier:
+        """The same in a field that is known: (3,) µT and its gradient (3, 3) µT/mm, CFCS (`magnetic.field_at`).
+
+        The prior stays that of a field which the software is not told.
+        """
+        return self._exposed(rng, axes, tube_numbers(axes, *field, self.radius_mm))
+
+    def _exposed(self, rng: np.random.Generator, axes: np.ndarray, magnetic: np.ndarray) -> Intensifier:
+        """`magnetic` (9,): `magnetic.tube_numbers`."""
+        spread, radius = self.spread, self.radius_mm
         correlation = float(rng.uniform(*spread.correlation_mm))
         field = RandomField.over(radius, correlation)
         share = share_beyond_degree5(radius, correlation, spread.correlation_mm)
@@ -71,6 +86,17 @@ class FlatPanel:
 
     def expose(self, rng: np.random.Generator, axes: np.ndarray, earth_ut: np.ndarray) -> Intensifier:
         """The panel in any exposure."""
+        return self.still
+
+    def expose_in(
+        self, rng: np.random.Generator, axes: np.ndarray, field: tuple[np.ndarray, np.ndarray]
+    ) -> Intensifier:
+        """The panel in any field."""
+        return self.still
+
+    @property
+    def still(self) -> Intensifier:
+        """The panel."""
         radius = self.chain.field_mm / 2
         field = RandomField.over(radius, radius)
         none = DistortionMap(
@@ -117,24 +143,15 @@ def _gradient_basis() -> np.ndarray:
     return out
 
 
-def _magnetic_numbers(field_ut: np.ndarray, change_ut: np.ndarray) -> np.ndarray:
-    """(9,) µT in the tube's axes: axial field and its change over one radius in x and y; the same of z x B.
-
-    `change_ut` (3, 3): [i, j] is the change of component i over one radius along axis j.
-    """
-    each = np.concatenate([field_ut[:, None], change_ut[:, :2]], axis=1)
-    return np.concatenate([each[2], -each[1], each[0]])
-
-
 def _smooth_factor(spread: Distortion, radius_mm: float, axes: np.ndarray) -> np.ndarray:
     """(24, 24): a factor of the covariance of k1, turn, shift and cubic weights of an exposure with the given axes."""
     horizontal, up = spread.earth_ut
-    mean = _magnetic_numbers(axes @ np.array([0.0, 0.0, up]), np.zeros((3, 3)))
+    mean = magnetic_numbers(axes @ np.array([0.0, 0.0, up]), np.zeros((3, 3)))
     room = np.diag([horizontal**2 / 2, horizontal**2 / 2, 0.0]) + spread.stray_ut**2 * np.eye(3)
     basis = _gradient_basis() * spread.gradient_ut_per_mm * radius_mm
     responses = np.stack(
-        [_magnetic_numbers(column, np.zeros((3, 3))) for column in (axes @ np.sqrt(room)).T]
-        + [_magnetic_numbers(np.zeros(3), column.reshape(3, 3)) for column in basis.T],
+        [magnetic_numbers(column, np.zeros((3, 3))) for column in (axes @ np.sqrt(room)).T]
+        + [magnetic_numbers(np.zeros(3), column.reshape(3, 3)) for column in basis.T],
         axis=-1,
     )
     covariance = responses @ responses.T
