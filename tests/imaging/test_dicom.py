@@ -327,3 +327,13 @@ def test_the_patient_reaches_neither_our_types_nor_the_log(tmp_path: Path) -> No
     )
     done = subprocess.run([sys.executable, "-c", script, str(path)], capture_output=True, text=True, check=True)  # noqa: S603
     assert "Secr" not in done.stdout + done.stderr
+
+
+def test_kernels_compile_after_a_dicom_file_was_read(tmp_path: Path) -> None:
+    # gdcm 3.2 loaded before numpy breaks the heap; the compiler is what falls over it.
+    path = write_dicom(Radiograph(np.full((64, 64), 500, np.uint16), 4095), tmp_path / "a.dcm")
+    program = (
+        "import sys, sightline as sl; pixels = sl.read_image(sys.argv[1]).pixels; from numba import njit;"
+        "assert njit(lambda x: x.sum())(pixels) == 64 * 64 * 500"
+    )
+    subprocess.run([sys.executable, "-c", program, str(path)], check=True)  # noqa: S603

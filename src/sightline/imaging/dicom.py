@@ -10,7 +10,6 @@ from math import isfinite
 from pathlib import Path
 from typing import Any
 
-import gdcm
 import numpy as np
 from pydicom import Dataset, dcmread, dcmwrite
 from pydicom.dataset import FileMetaDataset
@@ -134,6 +133,8 @@ def write(radiograph: Radiograph, path: str | Path) -> Path:
 @contextmanager
 def _quiet() -> Iterator[None]:
     """Nothing of a header reaches a log: pydicom's messages quote values, and gdcm writes to stderr."""
+    import gdcm  # never before numpy: where it is loaded first, the next numba compilation finds a broken heap
+
     gdcm.Trace.WarningOff()
     gdcm.Trace.ErrorOff()
     log = getLogger("pydicom")
