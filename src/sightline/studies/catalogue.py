@@ -10,6 +10,7 @@ from sightline.studies.study_fig12 import Figure12
 from sightline.studies.study_fig13 import Figure13
 from sightline.studies.study_frame_design import FrameDesignStudy
 from sightline.studies.study_freehand import Freehand
+from sightline.studies.study_porcine import Porcine
 from sightline.studies.study_robustness import Robustness
 from sightline.studies.study_table1 import Table1
 
@@ -22,6 +23,7 @@ _ALL: tuple[Study, ...] = (
     FrameDesignStudy(),
     Figure13(),
     Freehand(),
+    Porcine(),
     Figure8(),
     Figure12(),
 )

@@ -1,0 +1,170 @@
+"""The trials that the paper plans: flesh-covered porcine femurs, beside its plastic femur with a bore. Whole images.
+
+Every trial renders both views, finds and names the beads in them, calibrates, and plans a wire: nothing but the picks
+passes from the truth to the rest. The plastic femur shows where its bore is: its ends are careful clicks. A pig's femur
+has none: ends are ordinary clicks, on a place that must be judged. What is judged wrongly is not counted, only what
+pick, images and frame do. Scatter is that of the image chain, alike for both. The wire is planned, not drilled.
+"""
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from sightline.checks import failed
+from sightline.errors import SightlineError
+from sightline.frame import Frame
+from sightline.planning import plan
+from sightline.studies.intervals import quantile, rms, share
+from sightline.studies.phantoms import PHANTOMS, calibrated_images
+from sightline.studies.scenes import VIEWS
+from sightline.studies.study import Figure, Summary, Table, Values
+
+PICKS_PX = {"plastic, bored": 0.5, "porcine": 1.0}  # careful, ordinary (physics.md, Picks)
+PAPER_MM, PAPER_DEG = 1.0, 0.6  # within which the paper's six trials lay
+
+
+@dataclass(frozen=True)
+class Porcine:
+    """The study; its fields are what may be varied."""
+
+    phantoms: tuple[str, ...] = ("porcine", "plastic, bored")
+
+    @property
+    def name(self) -> str:
+        """On the command line."""
+        return "porcine"
+
+    @property
+    def about(self) -> str:
+        """One line."""
+        return "Wires planned on images of a porcine femur in its flesh, beside the paper's plastic femur"
+
+    @property
+    def configuration(self) -> dict[str, Any]:
+        """Fields, and the constants they rest on."""
+        wires = {name: PHANTOMS[name].wire_mm.tolist() for name in self.phantoms}
+        return {**asdict(self), "wires_mm": wires, "picks_px": {name: PICKS_PX[name] for name in self.phantoms}}
+
+    def trial(self, rng: np.random.Generator) -> Values:
+        """For each phantom: how the plan ended, beads used by view, errors of both ends, mm, and of direction, °."""
+        return {name: _planned(name, np.random.default_rng(int(rng.integers(2**32)))) for name in self.phantoms}
+
+    def summary(self, trials: Sequence[Values]) -> Summary:
+        """Endings and errors."""
+        ended = {name: Ended.of(name, [trial[name] for trial in trials]) for name in self.phantoms}
+        columns = (
+            "phantom",
+            "picks",
+            "refused",
+            "NO-GO",
+            "beads a view",
+            "entry, mm",
+            "end, mm",
+            "direction, °",
+            "within 1 mm and 0.6°",
+            "mm rms over stated",
+        )
+        note = (
+            "Errors: median / 95 %. Within: entry and direction, as in the paper's six trials, of plans that are GO."
+        )
+        table = Table("Plans on images", columns, tuple(one.row for one in ended.values()), note)
+        return Summary(
+            findings=tuple(one.words for one in ended.values()),
+            figures=tuple(figure for one in ended.values() for figure in one.figures),
+            tables=(table,),
+        )
+
+
+def _planned(phantom: str, rng: np.random.Generator) -> Values:
+    try:
+        setup, hip = PHANTOMS[phantom].draw(rng, Frame.load("gamma"))
+        views = calibrated_images(rng, setup, hip)
+        exact = np.array([setup.views[name].project(hip.wire_mm) for name in VIEWS])
+        sd = PICKS_PX[phantom]
+        uv = exact + sd * rng.standard_normal(exact.shape)
+        made = plan(views, uv[:, 0], uv[:, 1], pick_sd_px=sd)
+    except SightlineError as error:
+        return {"ended": "refused", "why": type(error).__name__}
+    path, wire = made.trajectory, hip.wire_mm
+    along = (wire[1] - wire[0]) / np.linalg.norm(wire[1] - wire[0])
+    turn = np.arctan2(np.linalg.norm(np.cross(path.direction, along)), path.direction @ along)
+    return {
+        "ended": "GO" if made.verdict.go else "NO-GO",
+        "why": ", ".join(sorted({check.name for check in failed(made.verdict.checks)})),
+        "beads": [int(view.residuals.used.sum()) for view in views],
+        "error_mm": np.linalg.norm(path.points.xyz_mm - wire, axis=1).round(6).tolist(),
+        "stated_mm": np.sqrt(np.trace(path.points.covariance_mm2, axis1=1, axis2=2)).round(6).tolist(),
+        "direction_deg": float(np.rad2deg(turn)),
+    }
+
+
+@dataclass(frozen=True)
+class Ended:
+    """How the plans on one phantom ended; `errors`: median and 95 % of entry, end and direction."""
+
+    name: str
+    refused: Figure
+    no_go: Figure
+    beads: Figure
+    errors: tuple[Figure, ...]
+    within: Figure
+    normalised: Figure
+
+    @staticmethod
+    def of(name: str, outcomes: Sequence[Values]) -> "Ended":
+        """Of all trials."""
+        answered = [one for one in outcomes if one["ended"] != "refused"]
+        go = [one for one in answered if one["ended"] == "GO"]
+        kept = [one["error_mm"][0] <= PAPER_MM and one["direction_deg"] <= PAPER_DEG for one in go]
+        sizes = {
+            "entry": ([one["error_mm"][0] for one in answered], "mm"),
+            "end": ([one["error_mm"][1] for one in answered], "mm"),
+            "direction": ([one["direction_deg"] for one in answered], "°"),
+        }
+        errors = [
+            quantile(f"{name}: {what}, {at:.0%}", np.array(values), at, unit)
+            for what, (values, unit) in sizes.items()
+            for at in (0.5, 0.95)
+        ]
+        counts = np.array([count for one in answered for count in one["beads"]])
+        over = [np.array(one["error_mm"]) / np.array(one["stated_mm"]) for one in answered]
+        return Ended(
+            name,
+            share(f"{name}: refused", np.array([one["ended"] == "refused" for one in outcomes])),
+            share(f"{name}: NO-GO", np.array([one["ended"] == "NO-GO" for one in outcomes])),
+            quantile(f"{name}: beads a view, median", counts, 0.5, ""),
+            tuple(errors),
+            share(f"{name}: GO within {PAPER_MM:g} mm and {PAPER_DEG:g}°", np.array(kept, dtype=bool)),
+            rms(f"{name}: error over stated, rms", over),
+        )
+
+    @property
+    def figures(self) -> tuple[Figure, ...]:
+        """All."""
+        return self.refused, self.no_go, self.beads, *self.errors, self.within, self.normalised
+
+    @property
+    def words(self) -> str:
+        """In a sentence."""
+        entry, direction = self.errors[0], self.errors[4]
+        if entry.value is None or direction.value is None:
+            return f"{self.name}: every image is refused."
+        within = "no plan is GO" if self.within.value is None else f"{self.within.value:.0%} of GO within 1 mm and 0.6°"
+        return f"{self.name}: entry {entry.value:.2f} mm, direction {direction.value:.2f}° (medians); {within}."
+
+    @property
+    def row(self) -> tuple[str, ...]:
+        """Of the table."""
+        pairs = zip(self.errors[::2], self.errors[1::2], strict=True)
+        return (
+            self.name,
+            f"{PICKS_PX[self.name]:g} px",
+            f"{self.refused.value:.0%}",
+            f"{self.no_go.value:.0%}",
+            "none" if self.beads.value is None else f"{self.beads.value:.0f}",
+            *("none" if a.value is None else f"{a.value:.2f} / {b.value:.2f}" for a, b in pairs),
+            "none" if self.within.value is None else f"{self.within.value:.0%}",
+            str(self.normalised),
+        )
