@@ -8,7 +8,8 @@ from scipy.spatial.transform import Rotation
 from sightline.errors import OutsideRegionError, SetUpError
 from sightline.frame import Fiducial, Frame, FrameView, Plate, nominal
 from sightline.geometry.planes import Plane
-from sightline.twin.distributions import Distortion, Pose
+from sightline.twin.arm import EachAlone, Stance, draw_arm
+from sightline.twin.distributions import Arm, Distortion, Pose
 from sightline.twin.draw import FlatPanel, Tube, draw_earth, draw_tube
 from sightline.twin.intensifier import Intensifier
 from sightline.twin.magnetic import Site, field_at
@@ -77,11 +78,13 @@ class SetUp:
 
 @dataclass(frozen=True)
 class Variation:
-    """What set-ups are drawn from. `site`: a magnetic field that is given instead of drawn, stray field and all."""
+    """What set-ups are drawn from. `site`: a magnetic field that is given instead of drawn, stray field and all. `arm`:
+    views by one arm that orbits and sags, instead of each alone; `Pose.orbit` is then not used."""
 
     pose: Pose = field(default_factory=Pose)
     distortion: Distortion = field(default_factory=Distortion)
     site: Site | None = None
+    arm: Arm | None = None
 
 
 def draw_setup(
@@ -106,11 +109,12 @@ def draw_setup(
     pose, optics = variation.pose, preset(chain)
     earth = draw_earth(rng, variation.distortion)
     tube = draw_tube(rng, optics, variation.distortion)
+    stance = EachAlone(pose) if variation.arm is None else draw_arm(rng, variation.arm, pose)
     caudal = np.array([0.0, 1.0 if side == "right" else -1.0, 0.0])
     for _ in range(ATTEMPTS):
         turn = Rotation.from_rotvec(rng.normal(0.0, pose.frame_tilt, 3)).as_matrix()
         stands = {
-            name: _draw_stand(rng, np.stack([nominal.axis(view), caudal]), turn, pose, optics.sdd_mm)
+            name: _draw_stand(rng, np.stack([nominal.axis(view), caudal]), turn, pose, (stance, optics.sdd_mm))
             for name, view in frame.views.items()
         }
         if any(stand is None for stand in stands.values()):
@@ -194,20 +198,26 @@ Stand = tuple[np.ndarray, Plane]
 
 
 def _draw_stand(
-    rng: np.random.Generator, intended: np.ndarray, frame_turn: np.ndarray, pose: Pose, sdd_mm: float
+    rng: np.random.Generator, intended: np.ndarray, frame_turn: np.ndarray, pose: Pose, arm: tuple[Stance, float]
 ) -> Stand | None:
     """Focal point and detector plane of one view, or None where its beam is tilted beyond the limit.
 
+    `arm`: how it stands, and the distance from source to detector of a stiff one.
+
     `intended` (2, 3): the view's nominal beam, and the way that points down in its image."""
-    beam, down = intended @ (Rotation.from_rotvec(rng.normal(0.0, pose.orbit, 3)).as_matrix() @ frame_turn).T
+    stance, sdd_mm = arm
+    swing = stance.swing(rng, frame_turn @ intended[0])
+    if swing is None:
+        return None
+    beam, down = intended @ (swing @ frame_turn).T
     if beam @ intended[0] < np.cos(pose.tilt_limit):
         return None
     axes = _detector_axes(beam, down, rng.uniform(-pose.in_plane, pose.in_plane))
     hip = rng.uniform(-pose.hip_offset_mm, pose.hip_offset_mm, 2) @ axes
     focal = hip - pose.source_to_hip_mm * beam
-    flex = Rotation.from_rotvec(rng.normal(0.0, pose.detector_tilt, 2) @ axes).as_matrix()
-    centre = focal + (sdd_mm + rng.normal(0.0, pose.sdd_mm)) * beam + rng.normal(0.0, pose.piercing_mm, 2) @ axes
-    return focal, Plane(centre, axes @ flex.T)
+    sag = stance.sag(rng, beam, axes)
+    centre = focal + (sdd_mm + sag.longer_mm) * beam + sag.shift_mm
+    return focal, Plane(centre, axes @ Rotation.from_rotvec(sag.turn).as_matrix().T)
 
 
 def _detector_axes(beam: np.ndarray, down: np.ndarray, turn: float) -> np.ndarray:

@@ -43,6 +43,20 @@ class Pose:
 
 
 @dataclass(frozen=True)
+class Arm:
+    """How freely one C-arm is set up around a frame. Angles rad, uniform within +- what is given, each view by itself.
+
+    What an operating room allows: a patient on a table between source and intensifier, the other leg beside it.
+    """
+
+    orbit: float = radians(8.0)  # off the view's own orbit [ours]
+    tilt: float = radians(6.0)  # about the arm's support, cranial or caudal [ours]
+    swivel: float = radians(6.0)  # of the whole arm; machines turn by 10-12.5° [mem]
+    orbit_limits: tuple[float, float] = (radians(-40.0), radians(100.0))  # of the machine [mem]
+    repeat_mm: float = 0.25  # what does not repeat at the same orbit, s.d. per axis; at most that [src Daly 2008]
+
+
+@dataclass(frozen=True)
 class HardScene:
     """What a hard image holds besides frame and hip [ours]. Counts are drawn uniformly, both ends included."""
 
