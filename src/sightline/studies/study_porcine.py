@@ -66,9 +66,7 @@ class Porcine:
             "within 1 mm and 0.6°",
             "mm rms over stated",
         )
-        note = (
-            "Errors: median / 95 %. Within: entry and direction, as in the paper's six trials, of plans that are GO."
-        )
+        note = "Errors: median / 95 %. Within: entry and direction, as in the paper's six trials, of plans that are GO."
         table = Table("Plans on images", columns, tuple(one.row for one in ended.values()), note)
         return Summary(
             findings=tuple(one.words for one in ended.values()),
