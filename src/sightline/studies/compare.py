@@ -223,7 +223,7 @@ def differences(pair: Pair) -> Iterator[tuple[str, Figure, Figure, float | None]
 
 
 def pictures(pairs: Sequence[Pair]) -> list[Picture]:
-    """Curves of all images: real ones solid, the twin's dashed. A curve that no image shows is left out."""
+    """Curves of all images: real ones solid, the twin's dashed. A curve that no real image shows is left out."""
     drawn = (
         ("residual", "What a polynomial leaves", "degree", "rms residual, px", True),
         ("noise", "Noise against signal", "brightness over the median", "noise, % of the signal", True),
@@ -232,11 +232,12 @@ def pictures(pairs: Sequence[Pair]) -> list[Picture]:
     )
     out = []
     for name, title, across, up, log in drawn:
-        shown = [p for p in pairs if name in p.real.curves or name in p.twin.curves][:LEGEND]
+        least = 1e-3 if log else 0.0
+        shown = [p for p in pairs if name in p.real.curves][:LEGEND]
         series = [
-            Series(f"{p.name}{mark}", [Point(x, max(y, 1e-3) if log else max(y, 0.0)) for x, y in s.curves[name]], d)
-            for p in shown
-            for s, mark, d in ((p.real, "", False), (p.twin, ", twin", True))
+            Series(f"{p.name}{mark}", [Point(x, max(y, least)) for x, y in s.curves[name]], dashed, k)
+            for k, p in enumerate(shown)
+            for s, mark, dashed in ((p.real, "", False), (p.twin, ", twin", True))
             if name in s.curves
         ]
         if series:

@@ -48,11 +48,12 @@ class Point:
 
 @dataclass(frozen=True)
 class Series:
-    """Points that belong together, in the order of x."""
+    """Points that belong together, in the order of x. `colour`: which of COLOURS; the next one unless told."""
 
     name: str
     points: Sequence[Point]
     dashed: bool = False
+    colour: int | None = None
 
 
 def xy(series: Sequence[Series], across: Axis, up: Axis, description: str, *, diagonal: bool = False) -> str:
@@ -79,7 +80,7 @@ def xy(series: Sequence[Series], across: Axis, up: Axis, description: str, *, di
         first, last = x_numbers[0], x_numbers[-1]
         parts.append(svg.element("line", x1=x(first), y1=y(first), x2=x(last), y2=y(last), class_="dash"))
     for k, one in enumerate(series):
-        colour = COLOURS[k % len(COLOURS)]
+        colour = COLOURS[(k if one.colour is None else one.colour) % len(COLOURS)]
         parts += _series(one, colour, x, y)
         legend = TOP + 12 + 22 * k
         parts.append(svg.element("circle", cx=WIDTH - RIGHT + 18, cy=legend, r=5.0, class_=f"source-{colour}"))
