@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sightline.twin import Scene, draw_setup
+from sightline.twin import Scene, draw_setup, hard_scene, shown_hip_scene
 from sightline.twin.distortion import disc_mm
 from sightline.twin.distributions import Distortion
 from sightline.twin.draw import draw_earth, draw_tube
@@ -98,3 +98,20 @@ def test_the_frame_shows_as_many_beads_as_a_set_up_asks_for(frame):
         for name, view in setup.views.items():
             uv = view.project(setup.true_frame.view(name).xrii.xyz_mm)
             assert view.in_field(uv).mean() > 0.6
+
+
+@pytest.mark.parametrize("chain", ["9in-pal", "flat-panel"])
+def test_scenes_are_drawn_for_any_chain(frame, chain):
+    image, truth = hard_scene(np.random.default_rng(45), "high", frame, chain=chain)
+    assert image.shape == preset(chain).shape
+    assert len(truth) > 60
+    alone = (truth.gap_px > 4) & (truth.rim_px > 4) & (truth.saturated == 0)
+    assert alone.sum() > 5
+    assert (truth.contrast[alone] < -0.05).mean() > 0.9
+
+
+def test_a_shown_hip_is_shown_by_its_chain(frame):
+    setup, hip = shown_hip_scene(np.random.default_rng(46), frame, chain="9in-pal")
+    for view in setup.views.values():
+        assert view.chain.name == "9in-pal"
+        assert view.in_field(view.project(hip.wire_mm), 60.0).all()

@@ -45,7 +45,12 @@ class BeadTruth:
 
 
 def hard_scene(
-    rng: np.random.Generator, dose_class: str, frame: Frame | None = None, spread: HardScene | None = None
+    rng: np.random.Generator,
+    dose_class: str,
+    frame: Frame | None = None,
+    spread: HardScene | None = None,
+    *,
+    chain: str = "9in-1k",
 ) -> tuple[Radiograph, BeadTruth]:
     """A random hard image of one view, and the truth of its beads.
 
@@ -55,7 +60,7 @@ def hard_scene(
     if dose_class not in DOSES:
         raise SetUpError(f"there is no dose class {dose_class!r}; there are: {', '.join(DOSES)}")
     spread = spread or HardScene()
-    setup = draw_setup(rng, frame or Frame.load("gamma"), side=str(rng.choice(["right", "left"])))
+    setup = draw_setup(rng, frame or Frame.load("gamma"), side=str(rng.choice(["right", "left"])), chain=chain)
     view = setup.views[str(rng.choice(list(setup.views)))]
     hip = hip_scene(setup, rng).scene
     body, scale = SoftTissue(), rng.uniform(*spread.tissue_scale)

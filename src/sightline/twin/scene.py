@@ -64,12 +64,12 @@ def hip_scene(setup: SetUp, rng: np.random.Generator, femur: Femur | None = None
 
 
 def shown_hip_scene(
-    rng: np.random.Generator, frame: Frame, side: str = "right", femur: Femur | None = None
+    rng: np.random.Generator, frame: Frame, side: str = "right", femur: Femur | None = None, *, chain: str = "9in-1k"
 ) -> tuple[SetUp, HipScene]:
     """A set-up and a hip whose whole ideal wire both views show. Raises SetUpError where none is found."""
     femur, place = femur or draw_femur(rng), HipPlace()
     for _ in range(ATTEMPTS):
-        setup = draw_setup(rng, frame, side=side)
+        setup = draw_setup(rng, frame, side=side, chain=chain)
         head = _draw_head(side, femur, rng)
         wire = to_cfcs(np.stack(femur.wire_mm()), side, head)
         if all(view.in_field(view.project(wire), place.margin_px).all() for view in setup.views.values()):
