@@ -12,6 +12,7 @@ from scipy.spatial import KDTree
 
 import sightline as sl
 from benchmarks.rows import Row
+from sightline.studies.lattice import walk
 from sightline.studies.methods import Fit, Predict, local_weighted_mean, thin_plate_spline
 
 FOLDER = Path(__file__).parents[2] / "shared" / "data" / "arcadis"
@@ -41,33 +42,14 @@ class Plate:
         return grow(found.uv_px[np.array(found.kind) == "hole"])
 
 
-def _nearest(tree: KDTree, at: np.ndarray) -> tuple[float, int]:
-    distance, index = tree.query(at)
-    return float(distance), int(index)
-
-
 def grow(uv_px: np.ndarray) -> Plate:
     """A hexagonal lattice through points, from neighbour to neighbour; points that fit nowhere are left out."""
     tree = KDTree(uv_px)
-    start = _nearest(tree, np.median(uv_px, axis=0))[1]
+    start = int(tree.query(np.median(uv_px, axis=0))[1])
     around = uv_px[np.asarray(tree.query(uv_px[start], k=7)[1])[1:]] - uv_px[start]
     around = around[np.argsort(np.arctan2(around[:, 1], around[:, 0]))]
     axes = np.array([(around[0] - around[3]) / 2, (around[1] - around[4]) / 2])
-    pitch = np.linalg.norm(axes, axis=1).mean()
-    place: dict[tuple[int, int], int] = {(0, 0): start}
-    taken, todo = {start}, [(0, 0)]
-    for i, j in todo:
-        for di, dj in ((1, 0), (-1, 0), (0, 1), (0, -1)):
-            site, behind = (i + di, j + dj), place.get((i - di, j - dj))
-            if site in place:
-                continue
-            here = uv_px[place[i, j]]
-            step = here - uv_px[behind] if behind is not None else np.array([di, dj]) @ axes
-            distance, hole = _nearest(tree, here + step)
-            if distance < 0.25 * pitch and hole not in taken:
-                place[site] = hole
-                taken.add(hole)
-                todo.append(site)
+    place = walk(uv_px, tree, start, axes)
     return Plate(uv_px[list(place.values())], np.array(list(place)))
 
 

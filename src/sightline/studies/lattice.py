@@ -66,10 +66,8 @@ def _centred(steps: np.ndarray, step: np.ndarray) -> np.ndarray:
     return (step - steps[opposite]) / 2 if gap[opposite] < REACH * np.linalg.norm(step) else step
 
 
-def _from(uv_px: np.ndarray, tree: KDTree, start: int) -> Lattice | None:
-    axes = _axes(uv_px, tree, start)
-    if axes is None:
-        return None
+def walk(uv_px: np.ndarray, tree: KDTree, start: int, axes: np.ndarray) -> dict[tuple[int, int], int]:
+    """Which of the points (N, 2) stands at which site of a lattice with these axes (2, 2), px, at `start`."""
     pitch = float(np.linalg.norm(axes, axis=1).mean())
     place: dict[tuple[int, int], int] = {(0, 0): start}
     taken, todo = {start}, [(0, 0)]
@@ -85,6 +83,15 @@ def _from(uv_px: np.ndarray, tree: KDTree, start: int) -> Lattice | None:
                 place[site] = int(found)
                 taken.add(int(found))
                 todo.append(site)
+    return place
+
+
+def _from(uv_px: np.ndarray, tree: KDTree, start: int) -> Lattice | None:
+    axes = _axes(uv_px, tree, start)
+    if axes is None:
+        return None
+    place = walk(uv_px, tree, start, axes)
+    pitch = float(np.linalg.norm(axes, axis=1).mean())
     members = np.array(list(place.values()))
     cosine = axes[0] @ axes[1] / np.prod(np.linalg.norm(axes, axis=1))
     ideal = np.array([[1.0, 0.0], [0.5, np.sqrt(0.75)] if cosine > HEXAGONAL_COSINE else [0.0, 1.0]])
