@@ -16,7 +16,7 @@ _NOISIEST_PX = 1.0  # a centre less certain than this is of no use; promised is 
 _FAINTEST_SD = 3.5  # contrast over its standard deviation; a candidate has a step of 4.5 already [ours]
 # Residual beyond noise over contrast (beads 0.05, rarely 0.11, also on bone edges; anatomy and metal more), and
 # contrast of the weakest eighth over that of the whole (beads 0.8 and more, 0.63 at low dose) [twin, ARCADIS]:
-# with neighbours taken out of the window, and before.
+# once spots that are no beads have no part in a fit any more, and before.
 _STRICT = 0.12, 0.6
 _LOOSE = 0.25, 0.2
 _WINDOW_PX = 8.0  # beyond both radii: a spot that far away has no part in a bead's fit

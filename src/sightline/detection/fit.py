@@ -65,10 +65,10 @@ _LEAST_RIM = 0.7  # share of it that metal must leave: the straight sides of a w
 _SPREAD_OF_NOISE = 1.3  # times the expected square of the residuals, which noise alone may reach [ours]
 _LONGEST = 0.12  # ellipticity: beads in images up to 0.09, pieces of wire more [twin]
 _LOST = 0.15  # share of the rim that sharpening may cost, before a window is left as it is [ours]
-# What is known of a bead and of its neighbours from the spots fit, s.d.: px, px, share of radius, of blur [ours].
 # Of a shadow's centre over a background that bends: what its cubic terms show, times this, is not explained by them;
 # without any noise centres near bone edges are off by 0.02-0.03 px rms [twin].
 _BENT_PX = 0.15
+# What is known of a bead and of its neighbours from where they start, s.d.: px, px, share of radius, of blur [ours].
 _ITSELF = np.array([2.0, 2.0, 0.2, 0.5])
 _NEIGHBOUR = np.array([0.7, 0.7, 0.06, 0.3])
 
@@ -234,7 +234,7 @@ def _weigh(columns, brightest, roots, anew, root):
 
 @nb.njit(cache=True)
 def _rely_on_what_is_known(beads, first, ground, known, A, b):  # noqa: PLR0917
-    """Ellipticity and cubic terms are small, a neighbour is about where its own fit put it; `known`: 1 / s.d.²."""
+    """Ellipticity and cubic terms are small, beads are about where they start; `known`: 1 / s.d.²."""
     known[:] = 0.0
     for k in range(len(beads)):
         for m in range(4, BEAD):

@@ -9,9 +9,8 @@ from sightline.detection.shadow import FAST
 BEYOND = 5.0  # px of background about the rim, and as many blurs as fit [ours]
 MARGIN = 6  # px about the window that the filter may need
 _SPREAD = 3  # px about a pixel that is not usable, into which the filter carries it
-_AS_DARK = (
-    0.3  # of the step from the bead's light to the background's: below it lies metal; dense bone reaches 0.4 [twin]
-)
+# Of the step from the bead's light to the background's: below it lies metal; dense bone reaches 0.4 [twin].
+_AS_DARK = 0.3
 _METAL = 4  # px about metal: its rim and the blur of that
 _FEWEST_METAL = 6  # px [ours]
 _RIM = 2.5  # px to either side of the rim, where a centre is told from
@@ -20,7 +19,7 @@ SEEN, CLIPPED, HIDDEN = 0, 1, 2
 
 @nb.njit(cache=True, fastmath=FAST)
 def level(image, usable, bead, reach):
-    """Mean log light about the bead; the image's whole window where nothing about it is usable."""
+    """Mean log light about the bead; 0 where nothing about it is usable."""
     height, width = image.shape
     total, outside = 0.0, 0
     inner2, outer2 = (bead[RADIUS] + 1.5) ** 2, reach**2
@@ -50,9 +49,8 @@ def look(image, left, top, half, zero):
 
 
 @nb.njit(cache=True, fastmath=FAST)
-def mark(image, usable, spots, rows, left, top, wide, ceiling):  # noqa: PLR0917
-    """Of each pixel of the window whether it is seen, clipped, or hidden: outside the field, or on something else."""
-    n = wide
+def mark(image, usable, spots, rows, left, top, n, ceiling):  # noqa: PLR0917
+    """(n, n) whether each pixel is seen, clipped, or hidden: outside the field, or on something else."""
     height, width = usable.shape
     state = np.zeros((n, n), np.uint8)
     for i in range(n):
