@@ -110,7 +110,8 @@ class Run:
 
     def _keep(self, running: dict[Future[Values], int], advance: Callable[[], None]) -> None:
         """Wait for some of the trials in hand, and keep those that went well; raises what another raised."""
-        done = wait(running, return_when=FIRST_COMPLETED).done
+        finished = wait(running, return_when=FIRST_COMPLETED).done
+        done = [future for future in running if future in finished]  # a set has no order, the record has one
         good = [future for future in done if not future.cancelled() and future.exception() is None]
         if good:
             self.record.add({running.pop(future): future.result() for future in good})
