@@ -1,0 +1,29 @@
+"""Small rigid motions. A twist is (rotation vector rad, translation mm), the order of `RigidTransform.from_exp_coords`.
+
+Spatial twists are expressed in the coordinates that a pose maps to: a pose T moved by the twist x is exp(x) T.
+"""
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+
+def cross_matrix(vector: np.ndarray) -> np.ndarray:
+    """(..., 3, 3): the matrix whose product with w is `vector` x w."""
+    x, y, z = np.moveaxis(np.asarray(vector, dtype=np.float64), -1, 0)
+    zero = np.zeros_like(x)
+    return np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=-1).reshape(*x.shape, 3, 3)
+
+
+def adjoint(pose: RigidTransform) -> np.ndarray:
+    """(..., 6, 6): takes twists to the coordinates that `pose` maps to; exp(adjoint(T) x) = T exp(x) T⁻¹."""
+    rotation = pose.rotation.as_matrix()
+    out = np.zeros((*rotation.shape[:-2], 6, 6))
+    out[..., :3, :3] = out[..., 3:, 3:] = rotation
+    out[..., 3:, :3] = cross_matrix(pose.translation) @ rotation
+    return out
+
+
+def displacement(xyz_mm: np.ndarray) -> np.ndarray:
+    """(..., 3, 6): how points (..., 3) move under a small spatial twist."""
+    xyz = np.asarray(xyz_mm, dtype=np.float64)
+    return np.concatenate([-cross_matrix(xyz), np.broadcast_to(np.eye(3), (*xyz.shape, 3))], axis=-1)
