@@ -1,0 +1,1 @@
+"""The robot: OpenIGTLink messages and transport, kinematics, controller, drilling supervision, the client."""
