@@ -55,3 +55,7 @@ class ReconstructionRefusedError(RefusedError):
 
 class ErrorUnknownError(RefusedError):
     """An uncertainty is asked of a view that has none."""
+
+
+class RobotRefusedError(RefusedError):
+    """The robot cannot, or must not, do what is asked of it."""
