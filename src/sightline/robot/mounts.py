@@ -78,7 +78,7 @@ def measured_axis(feed_mm: np.ndarray, tip_flange_mm: np.ndarray, sd_mm: float) 
 
 
 def hand_eye(T_mcs_flange: RigidTransform, T_world_mount: RigidTransform, covariance: np.ndarray) -> Mount:
-    """A mount from N >= 3 poses of the flange and of the mount; the latter in a tracker's coordinates, fixed in the room.
+    """A mount from N >= 3 poses of flange and mount; the latter in a tracker's coordinates, fixed in the room.
 
     `covariance` (6, 6): of each measured pose of the mount, as a twist in the mount's own coordinates. Where the world
     stands is found with it. Raises UnusableInputError, and RobotRefusedError for too little rotation between the
