@@ -1,0 +1,302 @@
+"""The manipulator's joints as data, and where they put flange, wire and frame. docs/robot.md has the drawing.
+
+q (..., 5): lift, traverse (mm), yaw, pitch (rad), feed (mm). A pose is the product of exponentials of the screw axes,
+so an axis that a calibration has displaced is data like any other. Poses and twists are those of geometry/rigid.py:
+(rotation rad, translation mm), spatial, in MCS.
+"""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from sightline.errors import RobotRefusedError, UnusableInputError
+from sightline.geometry.lines import nearest_approach
+from sightline.geometry.rigid import adjoint, cross_matrix, displacement
+
+JOINTS = ("lift", "traverse", "yaw", "pitch", "feed")
+LIFT, TRAVERSE, YAW, PITCH, FEED = range(5)
+TURNS = np.array([False, False, True, True, False])
+ARM_JOINTS = 4  # that move the flange; the feed moves the wire on it
+WRIST_MM = (250.0, 0.0, 300.0)  # where yaw and pitch meet at q = 0, MCS [ours]
+TIP_MM = (0.0, -40.0, 250.0)  # the wire's tip at q = 0, flange coordinates: ahead of the wrist and below it [ours]
+HIP_MM = (0.0, -40.0, 400.0)  # origin of CFCS: on the wire's axis, 150 mm ahead of the retracted tip [ours]
+WIRE_YAW_RAD = float(np.deg2rad(45.0))  # a wire of 135° to the shaft, seen from the robot beside the patient [paper]
+# Newton stops here, on the tip (mm) and the direction (rad): rounding at 1 m is 1e-13.
+_SETTLED, _ROUNDS = 1e-11, 20
+_SLACK = 1e-9  # of a limit: what rounding may exceed it by
+_NONE = 1e-6  # a component this small gives no direction
+
+
+@dataclass(frozen=True, eq=False)
+class Manipulator:
+    """A manipulator of five joints, MCS. Arrays (5,) are in the joints' units: mm or rad, s; forces in N and N mm.
+
+    `axes` (5, 6): each joint's unit twist at q = 0; a rotation without pitch, or a translation. `T_mcs_flange_home`,
+    the flange at q = 0; `T_flange_tool`, on it the wire at feed 0: origin at the tip, +z along the wire towards it;
+    `T_flange_cfcs`, on it the frame. `backlash` is the whole play of a joint, behind its encoder, `stiffness` its
+    spring there, N/mm and N mm/rad; `column_stiffness` N/mm along X, where no joint moves. Defaults [ours]: a bench of
+    ball screws and geared rotations; yaw and pitch backlash of 0.05° as the accuracy trial fixes it.
+    """
+
+    axes: np.ndarray
+    T_mcs_flange_home: RigidTransform
+    T_flange_tool: RigidTransform
+    T_flange_cfcs: RigidTransform
+    lower: np.ndarray
+    upper: np.ndarray
+    speed: np.ndarray
+    acceleration: np.ndarray
+    resolution: np.ndarray
+    backlash: np.ndarray
+    stiffness: np.ndarray
+    column_stiffness: float
+
+    def __post_init__(self) -> None:
+        turning = np.linalg.norm(self.axes[:, :3], axis=1)
+        moving = np.linalg.norm(self.axes[:, 3:], axis=1)
+        pitch = np.einsum("ij,ij->i", self.axes[:, :3], self.axes[:, 3:])
+        if not np.allclose(np.where(TURNS, turning, moving), 1.0, atol=1e-9) or not np.allclose(
+            np.where(TURNS, pitch, turning), 0.0, atol=1e-9
+        ):
+            raise UnusableInputError(f"the axes of {', '.join(JOINTS)} must be unit twists without pitch")
+        for array in (self.axes, self.lower, self.upper, self.speed, self.acceleration, self.resolution):
+            array.flags.writeable = False
+        for array in (self.backlash, self.stiffness):
+            array.flags.writeable = False
+
+    def T_mcs_flange(self, q: np.ndarray) -> RigidTransform:
+        """Pose of the flange at q (5,) or (N, 5)."""
+        return RigidTransform.from_matrix(self._stages(q)[..., ARM_JOINTS, :, :] @ self._flange)
+
+    def T_mcs_tool(self, q: np.ndarray) -> RigidTransform:
+        """Pose of the wire's tip at q (5,) or (N, 5): +z along the wire, towards the tip."""
+        return RigidTransform.from_matrix(self._stages(q)[..., -1, :, :] @ self._tool)
+
+    def T_mcs_cfcs(self, q: np.ndarray) -> RigidTransform:
+        """Pose of the frame at q (5,) or (N, 5)."""
+        return self.T_mcs_flange(q) * self.T_flange_cfcs
+
+    def flange_jacobian(self, q: np.ndarray) -> np.ndarray:
+        """(..., 6, 5): spatial twist of the flange per joint; the feed's column is zero."""
+        out = self.tool_jacobian(q)
+        out[..., FEED] = 0.0
+        return out
+
+    def tool_jacobian(self, q: np.ndarray) -> np.ndarray:
+        """(..., 6, 5): spatial twist of the tool per joint."""
+        before = self._stages(q)[..., :-1, :, :]
+        turn, shift = before[..., :3, :3], before[..., :3, 3]
+        rotation = np.einsum("...jab,jb->...ja", turn, self.axes[:, :3])
+        translation = np.einsum("...jab,jb->...ja", turn, self.axes[:, 3:]) + np.cross(shift, rotation)
+        return np.swapaxes(np.concatenate([rotation, translation], axis=-1), -1, -2)
+
+    def flange_parameter_jacobian(self, q: np.ndarray) -> np.ndarray:
+        """(..., 6, 36): spatial twist of the flange per entry of `displaced`'s twists; the feed's columns are zero."""
+        return self._parameter_jacobian(q, ARM_JOINTS)
+
+    def tool_parameter_jacobian(self, q: np.ndarray) -> np.ndarray:
+        """(..., 6, 36): spatial twist of the tool per entry of `displaced`'s twists."""
+        return self._parameter_jacobian(q, len(JOINTS))
+
+    def displaced(self, twists: np.ndarray) -> "Manipulator":
+        """The manipulator with its five axes, and the flange with all that is on it, each moved as a rigid body by a
+        twist (6, 6), spatial, at q = 0."""
+        moves = RigidTransform.from_exp_coords(np.asarray(twists, dtype=np.float64).reshape(len(JOINTS) + 1, 6))
+        return replace(
+            self,
+            axes=np.einsum("jab,jb->ja", adjoint(moves[: len(JOINTS)]), self.axes),
+            T_mcs_flange_home=moves[-1] * self.T_mcs_flange_home,
+        )
+
+    def inverse(self, entry_mm: np.ndarray, end_mm: np.ndarray, depth_mm: float = 0.0) -> np.ndarray:
+        """q (5,) that lays the wire on the line from entry to end (3,) MCS, its tip `depth_mm` beyond the entry.
+
+        Closed form for the nominal axes, any tool; then Newton's method, which moves only where axes are displaced.
+        Raises RobotRefusedError for a line out of reach, naming joints and by how much.
+        """
+        direction = _direction(entry_mm, end_mm)
+        tip = np.asarray(entry_mm, dtype=np.float64) + depth_mm * direction
+        q = self._nominal_inverse(tip, direction)
+        for _ in range(_ROUNDS):
+            q, moved = self._newton(q, tip, direction)
+            if moved < _SETTLED:
+                break
+        else:
+            raise RobotRefusedError(
+                "no position of the joints was found that lays the wire on this line: the axes differ too much from "
+                "the nominal ones; calibrate the manipulator again"
+            )
+        self._refuse_beyond(q)
+        return q
+
+    def beyond_limits(self, q: np.ndarray) -> np.ndarray:
+        """(..., 5): by how much each joint exceeds its limits, signed; 0 within them."""
+        q = np.asarray(q, dtype=np.float64)
+        beyond = q - np.clip(q, self.lower, self.upper)
+        return np.where(np.abs(beyond) > _SLACK, beyond, 0.0)
+
+    @cached_property
+    def _flange(self) -> np.ndarray:
+        return self.T_mcs_flange_home.as_matrix()
+
+    @cached_property
+    def _tool(self) -> np.ndarray:
+        return (self.T_mcs_flange_home * self.T_flange_tool).as_matrix()
+
+    @cached_property
+    def _wrist(self) -> np.ndarray:
+        """(3,): where the axes of yaw and pitch meet, or are nearest, at q = 0."""
+        turn, moment = self.axes[[YAW, PITCH], :3], self.axes[[YAW, PITCH], 3:]
+        point = np.cross(turn, moment)
+        return nearest_approach(point[0], turn[0], point[1], turn[1]).middle_mm
+
+    @cached_property
+    def _screws(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """(5, 3, 3) cross matrices of the rotations and their squares, (5, 3) translations."""
+        cross = cross_matrix(self.axes[:, :3])
+        return cross, cross @ cross, self.axes[:, 3:]
+
+    def _stages(self, q: np.ndarray) -> np.ndarray:
+        """(..., 6, 4, 4): products of the first 0 to 5 exponentials."""
+        q = np.asarray(q, dtype=np.float64)
+        if q.shape[-1:] != (len(JOINTS),):
+            raise UnusableInputError(f"joint positions are (..., {len(JOINTS)}), not {q.shape}")
+        each = self._exponentials(q)
+        out = np.empty((*q.shape[:-1], len(JOINTS) + 1, 4, 4))
+        out[..., 0, :, :] = np.eye(4)
+        for joint in range(len(JOINTS)):
+            out[..., joint + 1, :, :] = out[..., joint, :, :] @ each[..., joint, :, :]
+        return out
+
+    def _exponentials(self, q: np.ndarray) -> np.ndarray:
+        """(..., 5, 4, 4): each joint's own motion; Rodrigues, which for a translation leaves q v."""
+        cross, square, velocity = self._screws
+        at = q[..., None, None]
+        sine, versine = np.sin(at), 1 - np.cos(at)
+        out = np.zeros((*q.shape, 4, 4))
+        out[..., :3, :3] = np.eye(3) + sine * cross + versine * square
+        along = at * np.eye(3) + versine * cross + (at - sine) * square
+        out[..., :3, 3] = np.einsum("...jab,jb->...ja", along, velocity)
+        out[..., 3, 3] = 1.0
+        return out
+
+    def _parameter_jacobian(self, q: np.ndarray, joints: int) -> np.ndarray:
+        """Moving an axis by x makes its motion exp(x) exp(axis q) exp(-x): x carried to before it less x after it."""
+        stages = self._stages(q)
+        carried = adjoint(RigidTransform.from_matrix(stages.reshape(-1, 4, 4))).reshape(*stages.shape[:-2], 6, 6)
+        out = np.zeros((*stages.shape[:-3], 6, len(JOINTS) + 1, 6))
+        for joint in range(joints):
+            out[..., joint, :] = carried[..., joint, :, :] - carried[..., joint + 1, :, :]
+        out[..., -1, :] = carried[..., joints, :, :]
+        return out.reshape(*out.shape[:-2], -1)
+
+    def _nominal_inverse(self, tip: np.ndarray, direction: np.ndarray) -> np.ndarray:
+        """Closed form for vertical yaw, level pitch (positive lifts the tip), lift along Z and traverse along Y."""
+        q = np.zeros(len(JOINTS))
+        q[PITCH] = self._pitch(direction)
+        wire, feed = _lifted(self._tool[:3, 2], q[PITCH]), _lifted(self.axes[FEED, 3:], q[PITCH])
+        q[YAW] = _between_turns(np.arctan2(direction[1], direction[0]) - np.arctan2(wire[1], wire[0]))
+        turn = Rotation.from_rotvec([0.0, 0.0, q[YAW]]).as_matrix()
+        reach, along = turn @ _lifted(self._tool[:3, 3] - self._wrist, q[PITCH]), turn @ feed
+        if np.hypot(*direction[:2]) < _NONE or abs(along[0]) < _NONE:
+            raise RobotRefusedError(
+                "the line runs straight up or across the robot's front, where no joint reaches along it; move the base"
+            )
+        q[FEED] = (tip[0] - self._wrist[0] - reach[0]) / along[0]
+        _, q[TRAVERSE], q[LIFT] = tip - self._wrist - reach - q[FEED] * along
+        return q
+
+    def _pitch(self, direction: np.ndarray) -> float:
+        """rad: pitch that gives the wire the height of a direction."""
+        x, _, z = self._tool[:3, 2]
+        radius = np.hypot(x, z)
+        if abs(direction[2]) > radius:
+            raise RobotRefusedError("no pitch makes the wire as steep as this line; bring the robot to another place")
+        return float(np.arcsin(direction[2] / radius) - np.arctan2(z, x))
+
+    def _newton(self, q: np.ndarray, tip: np.ndarray, direction: np.ndarray) -> tuple[np.ndarray, float]:
+        """One step, and how far off the wire was before it: mm and rad, the larger."""
+        tool = self._stages(q)[-1] @ self._tool
+        off = np.concatenate([tip - tool[:3, 3], direction - tool[:3, 2]])
+        size = float(np.abs(off).max())
+        if size < _SETTLED:
+            return q, size
+        twist = self.tool_jacobian(q)
+        design = np.concatenate([displacement(tool[:3, 3]) @ twist, -cross_matrix(tool[:3, 2]) @ twist[:3]])
+        return q + np.linalg.lstsq(design, off, rcond=None)[0], size
+
+    def _refuse_beyond(self, q: np.ndarray) -> None:
+        beyond = self.beyond_limits(q)
+        said = [said_beyond(joint, q[joint], beyond[joint]) for joint in np.flatnonzero(beyond).tolist()]
+        if said:
+            raise RobotRefusedError(f"the line is out of reach: {'; '.join(said)}; move the robot's base or the line")
+
+
+def nominal_manipulator(side: str = "right") -> Manipulator:
+    """The manipulator as designed, with the Γ frame mounted for a hip of the patient's `side`.
+
+    The robot stands beside the patient: +X medial, +Z anterior. The mount turns the frame against the wire so that
+    its beams are level and upright at the yaw of a typical wire.
+    """
+    if side not in ("right", "left"):
+        raise UnusableInputError(f"a hip's side is 'right' or 'left', not {side!r}")
+    wrist = np.array(WRIST_MM)
+    # Flange axes at q = 0: z along the wire (MCS +X), y up, x along MCS +Y.
+    home = RigidTransform.from_components(wrist, Rotation.from_matrix(np.array([[0, 0, 1], [1, 0, 0], [0, 1, 0]])))
+    up, out, ahead = np.array([0.0, 0.0, 1.0]), np.array([0.0, 1.0, 0.0]), np.array([1.0, 0.0, 0.0])
+    axes = np.zeros((5, 6))
+    axes[LIFT, 3:], axes[TRAVERSE, 3:], axes[FEED, 3:] = up, out, ahead
+    for joint, axis in ((YAW, up), (PITCH, -out)):
+        axes[joint] = np.concatenate([axis, np.cross(wrist, axis)])
+    yaw = WIRE_YAW_RAD if side == "right" else -WIRE_YAW_RAD
+    upright = Rotation.from_rotvec([0.0, 0.0, np.pi])  # CFCS in MCS: +X lateral, +Z up
+    mount = (Rotation.from_rotvec([0.0, 0.0, yaw]) * home.rotation).inv() * upright
+    return Manipulator(
+        axes=axes,
+        T_mcs_flange_home=home,
+        T_flange_tool=RigidTransform.from_translation(TIP_MM),
+        T_flange_cfcs=RigidTransform.from_components(HIP_MM, mount),
+        lower=_per_joint(-100.0, -60.0, -45.0, 0.0),
+        upper=_per_joint(100.0, 60.0, 45.0, 250.0),
+        speed=_per_joint(20.0, 10.0, 10.0, 20.0),
+        acceleration=_per_joint(800.0, 400.0, 400.0, 800.0),  # from full speed to rest in 25 ms
+        resolution=_per_joint(0.005, 360 / 2**17, 360 / 2**17, 0.005),
+        backlash=_per_joint(0.01, 0.05, 0.05, 0.01),
+        stiffness=np.array([2e3, 2e3, 5e7, 5e7, 1e3]),
+        column_stiffness=1e3,
+    )
+
+
+def _per_joint(slide: float, yaw_deg: float, pitch_deg: float, feed: float) -> np.ndarray:
+    """(5,): lift and traverse alike; degrees made rad."""
+    return np.array([slide, slide, np.deg2rad(yaw_deg), np.deg2rad(pitch_deg), feed])
+
+
+def _direction(entry_mm: np.ndarray, end_mm: np.ndarray) -> np.ndarray:
+    along = np.asarray(end_mm, dtype=np.float64) - np.asarray(entry_mm, dtype=np.float64)
+    length = np.linalg.norm(along)
+    if along.shape != (3,) or not np.isfinite(length):
+        raise UnusableInputError("entry and end point are three finite numbers each")
+    if length == 0:
+        raise RobotRefusedError("entry and end point are the same and give no direction; plan again")
+    return along / length
+
+
+def _lifted(vector: np.ndarray, pitch: float) -> np.ndarray:
+    """(3,): turned by a positive pitch at yaw 0: X towards Z."""
+    x, y, z = vector
+    return np.array([np.cos(pitch) * x - np.sin(pitch) * z, y, np.sin(pitch) * x + np.cos(pitch) * z])
+
+
+def _between_turns(angle: float) -> float:
+    """rad: within ±π."""
+    return float((angle + np.pi) % (2 * np.pi) - np.pi)
+
+
+def said_beyond(joint: int, q: float, beyond: float) -> str:
+    """A joint that would have to leave its limits, for a person to read."""
+    scale, unit = (float(np.rad2deg(1.0)), "°") if TURNS[joint] else (1.0, " mm")
+    at, by, limit = (f"{scale * value:.1f}{unit}" for value in (q, abs(beyond), q - beyond))
+    return f"{JOINTS[joint]} would go to {at}, {by} beyond its limit of {limit}"
