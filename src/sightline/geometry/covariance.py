@@ -1,4 +1,4 @@
-"""Lengths that a zero-mean Gaussian error stays below with a given probability."""
+"""Errors of points and directions, and the lengths that they stay below with a given probability."""
 
 import numpy as np
 from scipy.optimize import elementwise
@@ -39,6 +39,15 @@ def length_quantile(covariance: np.ndarray, probability: float = 0.95) -> np.nda
         args=(shape[..., 0], shape[..., 1]),
     )
     return largest * root.x
+
+
+def line_direction(start_mm: np.ndarray, end_mm: np.ndarray) -> np.ndarray:
+    """(2, 6): how the direction of the line from `start_mm` to `end_mm` (3,) turns, in rad about two axes across it, as
+    the two points move."""
+    along = end_mm - start_mm
+    length = np.linalg.norm(along)
+    across = np.linalg.svd(along[None] / length)[2][1:]
+    return np.hstack([-across, across]) / length
 
 
 def _within(radius: np.ndarray, b: np.ndarray, c: np.ndarray) -> np.ndarray:

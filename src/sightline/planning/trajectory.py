@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from sightline.errors import UnusableInputError
-from sightline.geometry.covariance import length_quantile
+from sightline.geometry.covariance import length_quantile, line_direction
 from sightline.planning.results import SpacePoints, error_unknown
 
 # Two picks nearer than this give no direction [ours].
@@ -69,8 +69,7 @@ class Trajectory:
 
     @cached_property
     def _to_direction(self) -> np.ndarray:
-        across = np.linalg.svd(self.direction[None])[2][1:]
-        return np.hstack([-across, across]) / self.length_mm
+        return line_direction(self.entry_mm, self.end_mm)
 
     @cached_property
     def entry_error_95_mm(self) -> float:

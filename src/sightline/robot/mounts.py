@@ -40,7 +40,7 @@ def measured_mount(own_mm: np.ndarray, flange_mm: np.ndarray, sd_mm: float) -> M
     rotation, *_ = Rotation.align_vectors(flange - flange.mean(axis=0), own - own.mean(axis=0))
     pose = RigidTransform.from_components(flange.mean(axis=0) - rotation.apply(own.mean(axis=0)), rotation)
     residual = flange - pose.apply(own)
-    _refuse_unlikely((residual**2).sum() / sd_mm**2, 3 * len(own) - 6, "the measured points")
+    refuse_unlikely((residual**2).sum() / sd_mm**2, 3 * len(own) - 6, "the measured points")
     design = displacement(pose.apply(own)).reshape(-1, 6)
     return Mount(pose, sd_mm**2 * np.linalg.inv(design.T @ design), np.linalg.norm(residual, axis=1))
 
@@ -61,7 +61,7 @@ def measured_axis(feed_mm: np.ndarray, tip_flange_mm: np.ndarray, sd_mm: float) 
     length = np.linalg.norm(slope)
     along_sd = sd_mm / np.sqrt(((feed - feed.mean()) ** 2).sum())
     squares = (residual**2).sum() / sd_mm**2 + ((length - 1) / along_sd) ** 2
-    _refuse_unlikely(squares, 3 * len(feed) - 5, "the measured tips")
+    refuse_unlikely(squares, 3 * len(feed) - 5, "the measured tips")
     z = slope / length
     across = np.linalg.svd(z[None])[2][1:]
     x, y = across if np.linalg.det(np.vstack([across, z])) > 0 else across[::-1]
@@ -102,7 +102,7 @@ def hand_eye(T_mcs_flange: RigidTransform, T_world_mount: RigidTransform, covari
             break
     else:
         raise RobotRefusedError("the hand-eye calibration does not settle; the poses of frame and flange do not match")
-    _refuse_unlikely((error**2).sum(), 6 * n - 12, "the measured poses")
+    refuse_unlikely((error**2).sum(), 6 * n - 12, "the measured poses")
     found = np.linalg.inv(design.T @ design)[:6, :6]
     left = (world * T_mcs_flange * mount).inv() * T_world_mount
     return Mount(mount, found, np.linalg.norm(left.translation, axis=1))
@@ -138,7 +138,8 @@ def _enough_turns(rotation: Rotation) -> None:
         )
 
 
-def _refuse_unlikely(squares: float, freedom: int, what: str) -> None:
+def refuse_unlikely(squares: float, freedom: int, what: str) -> None:
+    """Raise RobotRefusedError where a sum of squares of so many degrees of freedom shows that something is wrong."""
     if freedom > 0 and chi2.sf(squares, freedom) < LEAST_PROBABILITY:
         raise RobotRefusedError(
             f"{what} are {np.sqrt(squares / freedom):.1f} times further off than their stated accuracy allows: two are "

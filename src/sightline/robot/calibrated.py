@@ -1,0 +1,148 @@
+"""A manipulator as it was measured, and how well: its axes, the frame and the wire on its flange."""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from sightline.errors import RobotRefusedError, UnusableInputError
+from sightline.geometry.rigid import adjoint, displacement
+from sightline.robot.manipulator import ARM_JOINTS, FEED, Manipulator
+from sightline.robot.mounts import Mount, refuse_unlikely
+
+# How far a machined axis may be from its place, 1 s.d. of its twist: 1 mrad and 0.2 mm [ours].
+MACHINED_SD = np.array([1e-3] * 3 + [0.2] * 3)
+# What loads do behind the encoders between imaging and drilling, 1 s.d. of the flange's twist: weight of frame and
+# drilling unit, a thrust of 35 N against 1000 N/mm [ours, physics.md "Drilling"].
+COMPLIANCE_SD = np.array([1e-4] * 3 + [0.03] * 3)
+# The sources of error that a robot adds to a trajectory; their covariances add up.
+SOURCES = ("kinematics", "hand_eye", "drill_axis", "encoders", "compliance")
+_AXES, _FRAME, _WIRE = slice(0, 24), slice(24, 30), slice(30, 36)
+_ROUNDS, _SETTLED = 30, 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class CalibratedAxes:
+    """`manipulator` with its four arm axes where measurements put them; `covariance` (24, 24) of their twists;
+    `residual_mm` (N, M) of the measured targets."""
+
+    manipulator: Manipulator
+    covariance: np.ndarray
+    residual_mm: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class CalibratedRobot:
+    """`manipulator`: its best known state. `covariance` (36, 36): of the twists of the four arm axes (MCS, at q = 0),
+    of the frame and of the wire on the flange (flange coordinates). They are the same in every pose: one shared block.
+    `compliance_sd` (6,): of the flange's twist that encoders cannot see, anew in every pose, flange coordinates.
+    """
+
+    manipulator: Manipulator
+    covariance: np.ndarray
+    compliance_sd: np.ndarray
+
+    def __post_init__(self) -> None:
+        if self.covariance.shape != (36, 36) or np.linalg.eigvalsh(self.covariance)[0] < -1e-12:
+            raise UnusableInputError("a robot's calibration needs a covariance (36, 36) without negative variances")
+
+    @staticmethod
+    def of(
+        axes: CalibratedAxes, frame: Mount, wire: Mount, compliance_sd: np.ndarray = COMPLIANCE_SD
+    ) -> "CalibratedRobot":
+        """From its three calibrations, measured each by itself. The wire is fed along its mount's +z."""
+        home = axes.manipulator.T_mcs_flange_home
+        screws = axes.manipulator.axes.copy()
+        screws[FEED] = 0.0
+        screws[FEED, 3:] = (home * wire.pose).rotation.apply([0.0, 0.0, 1.0])
+        covariance = np.zeros((36, 36))
+        covariance[_AXES, _AXES] = axes.covariance
+        covariance[_FRAME, _FRAME], covariance[_WIRE, _WIRE] = frame.covariance, wire.covariance
+        manipulator = replace(axes.manipulator, axes=screws, T_flange_cfcs=frame.pose, T_flange_tool=wire.pose)
+        return CalibratedRobot(manipulator, covariance, np.asarray(compliance_sd, dtype=np.float64))
+
+    def wire_against_frame(self, imaged: np.ndarray, drilling: np.ndarray, xyz_mm: np.ndarray) -> dict[str, np.ndarray]:
+        """For each of SOURCES, covariance (3N, 3N) mm² of points (N, 3) MCS of the wire at the joints `drilling` (5,),
+        against a patient who was located in the frame at the joints `imaged` (5,).
+
+        Only what the two poses do not share counts: with the robot where it was, axes cancel and mounts remain.
+        """
+        move = displacement(xyz_mm).reshape(-1, 6)
+        wire, frame = self._to_flange(drilling), self._to_flange(imaged)
+        axes = move @ (self._axes_jacobian(drilling) - self._axes_jacobian(imaged))
+        shared = (axes, -move @ frame, move @ wire)
+        out = {
+            name: part @ self.covariance[block, block] @ part.T
+            for name, part, block in zip(SOURCES, shared, (_AXES, _FRAME, _WIRE), strict=False)
+        }
+        out["encoders"] = self._of_joints(move, drilling, feed=True) + self._of_joints(move, imaged, feed=False)
+        unseen = np.diag(self.compliance_sd**2)
+        out["compliance"] = move @ (wire @ unseen @ wire.T + frame @ unseen @ frame.T) @ move.T
+        return out
+
+    @cached_property
+    def joint_sd(self) -> np.ndarray:
+        """(5,): error of a joint's position, from its encoder's resolution and the play behind it, both uniform."""
+        return np.hypot(self.manipulator.resolution, self.manipulator.backlash) / np.sqrt(12)
+
+    def _to_flange(self, q: np.ndarray) -> np.ndarray:
+        """(6, 6): a twist of the flange in its own coordinates, as one in MCS."""
+        return adjoint(self.manipulator.T_mcs_flange(q))
+
+    def _axes_jacobian(self, q: np.ndarray) -> np.ndarray:
+        return self.manipulator.flange_parameter_jacobian(q)[:, _AXES]
+
+    def _of_joints(self, move: np.ndarray, q: np.ndarray, *, feed: bool) -> np.ndarray:
+        moved = self.manipulator.tool_jacobian(q) if feed else self.manipulator.flange_jacobian(q)
+        return (move @ moved * self.joint_sd**2) @ (move @ moved).T
+
+
+def calibrate_axes(manipulator: Manipulator, q: np.ndarray, targets_mm: np.ndarray, sd_mm: float) -> CalibratedAxes:
+    """The four arm axes from M targets on the flange, measured at N joint positions `q` (N, 5): (N, M, 3) mm, MCS.
+
+    `sd_mm`: error of a measured target, per axis. Where the targets sit on the flange is found with the axes; these
+    are held by how they were machined, so that what the measurements leave open stays as uncertain as it was. Raises
+    UnusableInputError, and RobotRefusedError for measurements that no such manipulator can have made.
+    """
+    q, measured = np.asarray(q, dtype=np.float64), np.asarray(targets_mm, dtype=np.float64)
+    if measured.ndim != 3 or measured.shape[::2] != (len(q), 3) or not np.isfinite(measured).all() or sd_mm <= 0:
+        raise UnusableInputError("measured targets are finite numbers (N, M, 3), for joint positions (N, 5)")
+    n, m = measured.shape[:2]
+    known = np.tile(1 / MACHINED_SD, ARM_JOINTS)
+    if 3 * n * m <= 3 * m + len(known):
+        raise UnusableInputError(f"{n} poses of {m} targets do not determine four axes; measure more poses")
+    twists, places = np.zeros(len(known)), manipulator.T_mcs_flange(q[0]).inv().apply(measured[0])
+    for _ in range(_ROUNDS):
+        now = _displaced(manipulator, twists)
+        pose = now.T_mcs_flange(q)
+        expected = np.stack([pose.apply(place) for place in places], axis=1)
+        residual = (measured - expected) / sd_mm
+        design = _target_design(now, q, expected) / sd_mm
+        whole = np.vstack([design, np.hstack([np.diag(known), np.zeros((len(known), 3 * m))])])
+        step, *_ = np.linalg.lstsq(whole, np.concatenate([residual.ravel(), -known * twists]), rcond=None)
+        # Twists of one axis in a row add up to first order; the step is nothing once they have settled.
+        twists, places = twists + step[: len(known)], places + step[len(known) :].reshape(m, 3)
+        if np.abs(step).max() < _SETTLED:
+            break
+    else:
+        raise RobotRefusedError("the calibration of the axes does not settle; check the units and the order of poses")
+    refuse_unlikely((residual**2).sum() + ((known * twists) ** 2).sum(), 3 * n * m - 3 * m, "the measured targets")
+    covariance = np.linalg.inv(whole.T @ whole)[: len(known), : len(known)]
+    return CalibratedAxes(now, covariance, sd_mm * np.linalg.norm(residual, axis=-1))
+
+
+def _displaced(manipulator: Manipulator, twists: np.ndarray) -> Manipulator:
+    return manipulator.displaced(np.pad(twists.reshape(ARM_JOINTS, 6), ((0, 2), (0, 0))))
+
+
+def _target_design(manipulator: Manipulator, q: np.ndarray, expected_mm: np.ndarray) -> np.ndarray:
+    """(3NM, 24 + 3M): how the targets move with the axes, and with their places on the flange."""
+    n, m = expected_mm.shape[:2]
+    of_axes = np.einsum(
+        "nmai,nij->nmaj", displacement(expected_mm), manipulator.flange_parameter_jacobian(q)[..., _AXES]
+    )
+    of_places = np.zeros((n, m, 3, m, 3))
+    turn = manipulator.T_mcs_flange(q).rotation.as_matrix()
+    for target in range(m):
+        of_places[:, target, :, target] = turn
+    return np.concatenate([of_axes.reshape(3 * n * m, -1), of_places.reshape(3 * n * m, -1)], axis=1)

@@ -1,0 +1,144 @@
+"""What the robot is sent: the trajectory in MCS, with everything that may be wrong with it."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+from sightline.checks import Check
+from sightline.errors import RobotRefusedError, UnusableInputError
+from sightline.geometry.covariance import length_quantile, line_direction
+from sightline.robot.manipulator import FEED
+from sightline.robot.registration import Registration
+
+# A plan is as old as its last image; patients breathe, tables sag [issue: 10 minutes].
+LIFETIME_S = 600.0
+# What the paper reached with its robot [paper, Fig. 15].
+POSITION_LIMIT_MM = 1.0
+DIRECTION_LIMIT_RAD = float(np.deg2rad(0.6))
+SIDES = ("right", "left")
+
+
+@dataclass(frozen=True)
+class PlanIdentity:
+    """Which plan it is: its identifier, the patient's side, the frame's serial, and whether planning says GO."""
+
+    plan: str
+    side: str
+    frame_serial: str
+    go: bool
+
+    def __post_init__(self) -> None:
+        if not self.plan or self.side not in SIDES:
+            raise UnusableInputError("a plan for a robot names itself and its side, 'right' or 'left'")
+
+
+@dataclass(frozen=True, eq=False)
+class RobotTarget:
+    """A trajectory in MCS: `entry_mm`, `end_mm` (3,), the joints `q` (5,) with the tip at the entry point, and when it
+    expires. `covariance_mm2` (6, 6) of (entry, end): where the wire will be in the bone, not where the encoders say.
+    `budget_mm2`: the same for each source, those of planning and of the robot."""
+
+    identity: PlanIdentity
+    registration: Registration
+    entry_mm: np.ndarray
+    end_mm: np.ndarray
+    q: np.ndarray
+    covariance_mm2: np.ndarray
+    budget_mm2: dict[str, np.ndarray]
+    expires_s: float
+
+    @property
+    def length_mm(self) -> float:
+        """From entry to end."""
+        return float(np.linalg.norm(self.end_mm - self.entry_mm))
+
+    @property
+    def T_cfcs_wire(self) -> RigidTransform:
+        """Pose of the wire at its end point, CFCS: +z towards the tip; the robot's own, so its turn is reachable."""
+        manipulator = self.registration.robot.manipulator
+        q = self.q + np.array([0.0, 0.0, 0.0, 0.0, self.length_mm])
+        return self.registration.T_mcs_cfcs.inv() * manipulator.T_mcs_tool(q)
+
+    @cached_property
+    def entry_error_95_mm(self) -> float:
+        """With a probability of 95 % the wire enters nearer than this to the entry point."""
+        return float(length_quantile(self.covariance_mm2[:3, :3]))
+
+    @cached_property
+    def end_error_95_mm(self) -> float:
+        """With a probability of 95 % the tip ends nearer than this to the end point."""
+        return float(length_quantile(self.covariance_mm2[3:, 3:]))
+
+    @cached_property
+    def direction_error_95_rad(self) -> float:
+        """With a probability of 95 % the wire's direction errs by less."""
+        to_direction = line_direction(self.entry_mm, self.end_mm)
+        return float(length_quantile(to_direction @ self.covariance_mm2 @ to_direction.T))
+
+    @property
+    def checks(self) -> tuple[Check, ...]:
+        """What stands for or against drilling it, the robot's errors included."""
+        degrees = (float(np.rad2deg(self.direction_error_95_rad)), float(np.rad2deg(DIRECTION_LIMIT_RAD)))
+        figures = (
+            ("wire entry error", "entry point", self.entry_error_95_mm, POSITION_LIMIT_MM, "mm"),
+            ("wire end error", "tip", self.end_error_95_mm, POSITION_LIMIT_MM, "mm"),
+            ("wire direction error", "direction", *degrees, "°"),
+        )
+        go = self.identity.go
+        said = "Planning says GO." if go else "Planning says NO-GO: see its checks, and plan again."
+        return (Check("plan go", go, None, None, "", said), *(self._check(*figure) for figure in figures))
+
+    def refuse_unfit(self, now_s: float) -> None:
+        """Raise RobotRefusedError where a check failed or the target has expired."""
+        failed = [check.sentence for check in self.checks if not check.passed]
+        if failed:
+            raise RobotRefusedError(f"the plan must not be drilled: {' '.join(failed)}")
+        if not now_s <= self.expires_s:
+            raise RobotRefusedError(
+                f"the plan expired {now_s - self.expires_s:.0f} s ago ({LIFETIME_S / 60:g} minutes after its images); "
+                "take new images and plan again"
+            )
+
+    def _check(self, name: str, what: str, figure: float, limit: float, unit: str) -> Check:
+        passed = figure <= limit
+        sentence = f"With 95 % probability the drilled {what} errs by less than {figure:.2f} {unit} "
+        sentence += f"(limit {limit:.2f} {unit})" + ("." if passed else f"; largest share: {self._largest()}.")
+        return Check(name, passed, figure, limit, unit, sentence)
+
+    def _largest(self) -> str:
+        return max(self.budget_mm2, key=lambda source: np.trace(self.budget_mm2[source])).replace("_", " ")
+
+
+def aim(
+    identity: PlanIdentity,
+    points_mm: np.ndarray,
+    budget_mm2: Mapping[str, np.ndarray] | None,
+    registration: Registration,
+) -> RobotTarget:
+    """The target of a planned trajectory: entry and end point (2, 3) CFCS, and the covariances (6, 6) of each source of
+    planning's error (`SpacePoints.budget_mm2`; None where a view states no error).
+
+    Raises RobotRefusedError where the error is unknown, entry and end are one point, or the line is out of reach.
+    """
+    points = np.asarray(points_mm, dtype=np.float64)
+    if points.shape != (2, 3) or not np.isfinite(points).all():
+        raise UnusableInputError("a trajectory has an entry and an end point of three finite coordinates each")
+    if budget_mm2 is None:
+        raise RobotRefusedError("the plan's error is unknown: a view states no covariance; calibrate both from beads")
+    entry, end = registration.T_mcs_cfcs.apply(points)
+    robot = registration.robot
+    q = robot.manipulator.inverse(entry, end)
+    fed = q + np.array([0.0, 0.0, 0.0, 0.0, np.linalg.norm(end - entry)])
+    short = robot.manipulator.beyond_limits(fed)[FEED]
+    if short:
+        raise RobotRefusedError(
+            f"the feed ends {short:.1f} mm before the end point; bring the robot's base nearer, or plan a shorter wire"
+        )
+    turn = np.kron(np.eye(2), registration.T_mcs_cfcs.rotation.as_matrix())
+    budget = {source: turn @ covariance @ turn.T for source, covariance in budget_mm2.items()}
+    budget |= robot.wire_against_frame(registration.q, q, np.stack([entry, end]))
+    covariance = np.sum(list(budget.values()), axis=0)
+    return RobotTarget(identity, registration, entry, end, q, covariance, budget, registration.imaged_s + LIFETIME_S)

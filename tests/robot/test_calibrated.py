@@ -1,0 +1,92 @@
+"""What a robot's calibration leaves open, at the wire: proved by sampling."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import RigidTransform
+from tests.robot.robots import READY, calibrated, drawn
+
+from sightline.errors import RobotRefusedError, UnusableInputError
+from sightline.robot.calibrated import MACHINED_SD, SOURCES, calibrate_axes
+from sightline.robot.manipulator import Manipulator, nominal_manipulator
+
+IMAGED = np.array([-12.0, 15.0, 0.75, -0.05, 0.0])
+TARGETS_MM = np.array([[40.0, 10.0, -20.0], [-35.0, 25.0, 30.0], [5.0, -50.0, 60.0]])
+
+
+def test_the_wire_errs_as_stated():
+    robot, rng = calibrated(), np.random.default_rng(1)
+    manipulator = robot.manipulator
+    wire = manipulator.T_mcs_tool(READY).apply([[0.0, 0.0, -95.0], [0.0, 0.0, 0.0]])
+    stated = robot.wire_against_frame(IMAGED, READY, wire)
+    covariance = np.sum([stated[source] for source in SOURCES], axis=0)
+    errors = np.array([_off(robot, drawn(robot, rng), wire, rng) for _ in range(1000)])
+    values, axes = np.linalg.eigh(covariance)
+    ratio = (errors @ axes[:, 1:]).var(axis=0) / values[1:]  # 5: the wire is rigid, its length does not err
+    assert np.abs(ratio - 1).max() < 0.18  # 4 s.d. of a variance of 1,000
+    assert values[0] < 1e-3 * values[1]
+
+
+def _off(robot, true: Manipulator, wire_mm: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """(6,): where the true wire is less where it should be, in the frame as the robot believes it stands."""
+    play = robot.joint_sd * np.sqrt(3)  # uniform
+    unseen = [RigidTransform.from_exp_coords(robot.compliance_sd * rng.standard_normal(6)) for _ in range(2)]
+    imaged, ready = (q + rng.uniform(-play, play) for q in (IMAGED, READY))
+    frame = true.T_mcs_flange(imaged) * unseen[0] * true.T_flange_cfcs
+    wire = true.T_mcs_flange(ready) * unseen[1] * (true.T_mcs_flange(ready).inv() * true.T_mcs_tool(ready))
+    in_frame = (frame.inv() * wire).apply([[0.0, 0.0, -95.0], [0.0, 0.0, 0.0]])
+    return (robot.manipulator.T_mcs_cfcs(IMAGED).apply(in_frame) - wire_mm).ravel()
+
+
+def test_a_robot_that_stays_where_it_was_owes_nothing_to_its_axes():
+    robot = calibrated()
+    wire = robot.manipulator.T_mcs_tool(READY).apply([[0.0, 0.0, -95.0], [0.0, 0.0, 0.0]])
+    still, moved = (robot.wire_against_frame(imaged, READY, wire)["kinematics"] for imaged in (READY, IMAGED))
+    assert np.abs(still).max() < 1e-20
+    assert np.trace(moved) > 1e-4
+
+
+def measured(true: Manipulator, rng: np.random.Generator, sd: float, n: int = 30) -> tuple[np.ndarray, np.ndarray]:
+    q = rng.uniform(0.9 * true.lower, 0.9 * true.upper, (n, 5))
+    targets = np.stack([true.T_mcs_flange(q).apply(place) for place in TARGETS_MM], axis=1)
+    return q, targets + sd * rng.standard_normal(targets.shape)
+
+
+def test_calibrated_axes_put_the_flange_where_it_is():
+    nominal, rng, sd = nominal_manipulator("right"), np.random.default_rng(2), 0.03
+    squares, before, after = [], [], []
+    for _ in range(40):
+        true = nominal.displaced(np.pad(MACHINED_SD * rng.standard_normal((4, 6)), ((0, 2), (0, 0))))
+        found = calibrate_axes(nominal, *measured(true, rng, sd), sd)
+        q = rng.uniform(0.8 * true.lower, 0.8 * true.upper)
+        # Targets fix the flange but for a turn of all, which mounts measured on it take up: compare two poses.
+        off, was = (_between(one, READY, q) - _between(true, READY, q) for one in (found.manipulator, nominal))
+        before.append(was)
+        after.append(off)
+        jacobian = np.stack([_derivative(found.manipulator, q, k) for k in range(24)], axis=1)
+        squares.append(off @ np.linalg.solve(jacobian @ found.covariance @ jacobian.T + 1e-12 * np.eye(3), off) / 3)
+    assert np.linalg.norm(after, axis=1).mean() < 0.1 * np.linalg.norm(before, axis=1).mean()
+    assert abs(np.mean(squares) - 1) < 0.39  # 3 s.d. of 40 trials of 3 numbers
+
+
+def _between(manipulator: Manipulator, one: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """(3,): a place ahead of the flange at one pose, in the flange's coordinates at another."""
+    return (manipulator.T_mcs_flange(one).inv() * manipulator.T_mcs_flange(other)).apply([0.0, -40.0, 400.0])
+
+
+def _derivative(manipulator: Manipulator, q: np.ndarray, number: int) -> np.ndarray:
+    twists = np.zeros(36)
+    twists[number] = 1e-6
+    return (_between(manipulator.displaced(twists.reshape(6, 6)), READY, q) - _between(manipulator, READY, q)) / 1e-6
+
+
+def test_measurements_that_no_manipulator_made_are_refused():
+    nominal, rng = nominal_manipulator("right"), np.random.default_rng(3)
+    q, targets = measured(nominal, rng, 0.03)
+    with pytest.raises(RobotRefusedError, match=r"measured targets|settle"):
+        calibrate_axes(nominal, q, targets[::-1], 0.03)
+    with pytest.raises(RobotRefusedError, match=r"measured targets|settle"):
+        calibrate_axes(nominal, q, targets / 1000, 0.03)
+    with pytest.raises(UnusableInputError, match="more poses"):
+        calibrate_axes(nominal, q[:2], targets[:2], 0.03)
+    with pytest.raises(UnusableInputError, match="finite"):
+        calibrate_axes(nominal, q, np.where(targets > 400, np.nan, targets), 0.03)

@@ -1,0 +1,114 @@
+"""From the poses at two images to a target in MCS; and what must be refused on the way."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from tests.robot.robots import calibrated
+
+from sightline.errors import RobotRefusedError, UnusableInputError
+from sightline.robot.registration import PoseAtImage, Registration, register
+from sightline.robot.target import LIFETIME_S, PlanIdentity, RobotTarget, aim
+
+Q = np.array([3.0, -5.0, np.pi / 4, 0.0, 0.0])
+IDENTITY = PlanIdentity("plan-1", "right", "SN-7", go=True)
+POINTS = np.array([[35.0, 31.0, -4.0], [-25.0, -32.0, 7.0]])
+PLANNED = {"frame": 0.01 * np.eye(6), "picks": 0.02 * np.eye(6)}
+
+
+def registered(q: np.ndarray = Q, second: np.ndarray = Q) -> Registration:
+    return register(calibrated(), {"pa": PoseAtImage(q, 10.02, 10.0), "lateral": PoseAtImage(second, 40.0, 39.95)})
+
+
+def aimed(identity: PlanIdentity = IDENTITY, points: np.ndarray = POINTS, scale: float = 1.0) -> RobotTarget:
+    return aim(identity, points, {name: scale * part for name, part in PLANNED.items()}, registered())
+
+
+def test_the_frame_stands_where_the_flange_holds_it():
+    found = registered()
+    manipulator = found.robot.manipulator
+    assert np.allclose(found.T_mcs_cfcs.as_matrix(), manipulator.T_mcs_cfcs(Q).as_matrix(), atol=1e-12)
+    assert set(found.of_view) == {"pa", "lateral"}
+    assert found.imaged_s == 39.95
+
+
+def test_the_last_digit_of_an_encoder_is_no_movement():
+    second = Q + calibrated().manipulator.resolution
+    middle = registered(second=second).T_mcs_cfcs.translation
+    assert np.linalg.norm(middle - registered().T_mcs_cfcs.translation) < 0.05
+
+
+@pytest.mark.parametrize("joint", range(4))
+def test_a_robot_that_moved_between_the_images_is_refused(joint):
+    second = Q.copy()
+    second[joint] += (0.15, 0.15, 0.001, 0.001)[joint]
+    with pytest.raises(RobotRefusedError, match=r"moved between the images.*take both images again"):
+        registered(second=second)
+
+
+def test_stale_foreign_and_broken_poses_are_refused():
+    robot = calibrated()
+    with pytest.raises(RobotRefusedError, match=r"0\.50 s from the pa image"):
+        register(robot, {"pa": PoseAtImage(Q, 10.0, 10.5)})
+    with pytest.raises(RobotRefusedError, match="beyond the manipulator's limits"):
+        register(robot, {"pa": PoseAtImage(Q + 500.0, 10.0, 10.0)})
+    for q in (Q[:4], Q * np.nan):
+        with pytest.raises(UnusableInputError, match="five finite"):
+            register(robot, {"pa": PoseAtImage(q, 10.0, 10.0)})
+    with pytest.raises(UnusableInputError, match="five finite"):
+        register(robot, {"pa": PoseAtImage(Q, 10.0, np.nan)})
+    with pytest.raises(UnusableInputError, match="each image"):
+        register(robot, {})
+
+
+def test_the_wire_of_the_target_lies_on_the_trajectory():
+    target = aimed()
+    manipulator = target.registration.robot.manipulator
+    entry, end = target.registration.T_mcs_cfcs.apply(POINTS)
+    assert np.allclose(manipulator.T_mcs_tool(target.q).translation, entry, atol=1e-9)
+    fed = target.q + np.array([0, 0, 0, 0, target.length_mm])
+    assert np.allclose(manipulator.T_mcs_tool(fed).translation, end, atol=1e-9)
+    assert np.allclose(target.T_cfcs_wire.translation, POINTS[1], atol=1e-9)
+    assert np.allclose(target.T_cfcs_wire.rotation.apply([0, 0, 1]), np.diff(POINTS, axis=0)[0] / target.length_mm)
+
+
+def test_errors_of_planning_and_robot_add_up():
+    target = aimed()
+    assert set(target.budget_mm2) == {
+        "frame", "picks", "kinematics", "hand_eye", "drill_axis", "encoders", "compliance",
+    }  # fmt: skip
+    assert np.allclose(target.covariance_mm2, np.sum(list(target.budget_mm2.values()), axis=0))
+    turned = target.registration.T_mcs_cfcs.rotation.as_matrix()
+    assert np.allclose(target.budget_mm2["picks"][:3, :3], 0.02 * turned @ turned.T)
+    assert target.entry_error_95_mm > 0.3 > 0.1
+    assert 0 < target.direction_error_95_rad < np.deg2rad(1.0)
+
+
+def test_a_target_is_refused_by_its_errors_its_plan_and_its_age():
+    good = aimed()
+    good.refuse_unfit(39.95 + LIFETIME_S - 1)
+    with pytest.raises(RobotRefusedError, match=r"expired 1 s ago"):
+        good.refuse_unfit(39.95 + LIFETIME_S + 1)
+    with pytest.raises(RobotRefusedError, match="expired"):
+        good.refuse_unfit(np.nan)
+    with pytest.raises(RobotRefusedError, match="NO-GO"):
+        aimed(replace(IDENTITY, go=False)).refuse_unfit(40.0)
+    with pytest.raises(RobotRefusedError, match=r"drilled tip errs by less than .*largest share: picks"):
+        aimed(scale=20.0).refuse_unfit(40.0)
+
+
+def test_lines_that_no_wire_can_follow_are_refused():
+    with pytest.raises(RobotRefusedError, match="same"):
+        aimed(points=POINTS[[0, 0]])
+    with pytest.raises(RobotRefusedError, match="out of reach"):
+        aimed(points=POINTS + 200.0)
+    with pytest.raises(RobotRefusedError, match="out of reach"):
+        aimed(points=POINTS[::-1])
+    with pytest.raises(RobotRefusedError, match="feed ends"):
+        aimed(points=np.stack([POINTS[0], POINTS[0] + 4 * (POINTS[1] - POINTS[0])]))
+    with pytest.raises(UnusableInputError, match="finite"):
+        aimed(points=POINTS * np.nan)
+    with pytest.raises(RobotRefusedError, match="error is unknown"):
+        aim(IDENTITY, POINTS, None, registered())
+    with pytest.raises(UnusableInputError, match="side"):
+        PlanIdentity("plan-1", "middle", "SN-7", go=True)
