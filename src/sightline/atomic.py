@@ -1,8 +1,10 @@
 """Files that are whole or not there: nothing half-written is ever left behind."""
 
 import os
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 from sightline.errors import UnusableInputError
 
@@ -26,3 +28,24 @@ def write_whole(path: str | Path, data: bytes) -> Path:
         with suppress(OSError):
             scratch.unlink(missing_ok=True)
     return target
+
+
+@contextmanager
+def whole_folder(path: str | Path) -> Iterator[Path]:
+    """`with whole_folder(out) as scratch:` what is written into the scratch folder beside `out` is moved there at the
+    end; after an error or an interruption nothing is.
+
+    Files that `out` holds under other names stay. Raises UnusableInputError where the place cannot be written.
+    """
+    target = Path(path)
+    try:
+        if target.exists() and not target.is_dir():
+            raise UnusableInputError(f"{target.name} is a file; name a folder")
+        target.parent.mkdir(parents=True, exist_ok=True)
+        with TemporaryDirectory(dir=target.parent, prefix=f".{target.name}-") as scratch:
+            yield Path(scratch)
+            target.mkdir(exist_ok=True)
+            for file in sorted(Path(scratch).iterdir()):
+                file.replace(target / file.name)
+    except OSError as error:
+        raise UnusableInputError(f"cannot write into {target.name}: {error.strerror}; name another folder") from error

@@ -29,7 +29,7 @@ import typer
 
 from sightline import __version__
 
-_COMMANDS = ("demo", "detect", "calibrate", "undistort", "plan", "assess", "study", "compare", "frame")
+_COMMANDS = ("demo", "detect", "calibrate", "undistort", "plan", "assess", "simulate", "study", "compare", "frame")
 
 app = typer.Typer(
     name="sightline",

@@ -1,7 +1,6 @@
 """`sightline demo`: the whole way on images of the twin, from two DICOM files to a report held against the truth."""
 
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -41,14 +40,14 @@ def demo(
 ) -> None:
     """Make two images with the digital twin, plan a wire on them, and compare with the truth."""
     with Output(json=json, quiet=quiet) as output:
+        from sightline.atomic import whole_folder
+
         output.note(
             f"Sightline demo, seed {seed}: about a quarter of a minute; the first run compiles and takes about one"
         )
-        out.parent.mkdir(parents=True, exist_ok=True)
-        # Everything is made beside its place and moved there at the end: an interrupted run leaves nothing.
-        with TemporaryDirectory(dir=out.parent, prefix=".demo-") as scratch:
-            document = _run(output, Path(scratch), seed)
-            files = _publish(Path(scratch), out)
+        with whole_folder(out) as scratch:
+            document = _run(output, scratch, seed)
+            files = [out / file.name for file in sorted(scratch.iterdir())]
         output.say(f"report: {out / 'report.html'}")
         output.say(f"images and results: {', '.join(file.name for file in files if file.suffix != '.html')} in {out}")
         output.result({**document, "files": files})
@@ -158,12 +157,6 @@ def _write_results(folder: Path, page: str, report: "Report", truth: dict[str, A
     documents = {f"{name}.json": as_json(document).encode() for name, document in results.items()}
     write_folder(folder, {"report.html": page.encode(), **documents})
     write_observations([image.seen.observations for image in images], folder / "observations.csv")
-
-
-def _publish(scratch: Path, out: Path) -> list[Path]:
-    """Move the finished files to their place."""
-    out.mkdir(exist_ok=True)
-    return [file.replace(out / file.name) for file in sorted(scratch.iterdir())]
 
 
 def _show(output: Output, planned: Any, compared: "list[Compared | Refused]") -> None:

@@ -21,6 +21,10 @@ TEXTURE_SHAPE = (80, 96, 72)  # voxels; the texture repeats beyond
 # The box that is voxelised, anatomical coordinates: what a field of 215 mm at the detector can show of a hip.
 BOX_LOW_MM = np.array([-110.0, -110.0, -48.0])
 BOX_HIGH_MM = np.array([76.0, 106.0, 42.0])
+LESSER_MM, LESSER_HALF_MM = (
+    np.array([-13.0, 30.0, -12.0]),
+    np.array([9.0, 12.0, 9.0]),
+)  # from the base; half-axes [ours]
 # Share of cortical bone that adds a given CT number to soft tissue at 60 keV: HU/1000 mu_water / (mu_bone - mu_tissue).
 BONE_PER_HU = 0.206e-3 / (0.0604 - 0.0217) / 10
 
@@ -53,6 +57,11 @@ class Femur:
     def base_mm(self) -> np.ndarray:
         """(3,) where the axes of neck and shaft meet, anatomical coordinates."""
         return -self.neck_length_mm * self.towards_head
+
+    @property
+    def lesser_trochanter_mm(self) -> np.ndarray:
+        """(3,) the tip of the lesser trochanter, medial and dorsal of the shaft, anatomical coordinates."""
+        return self.base_mm + LESSER_MM + np.array([-1.0, 0.0, -1.0]) * LESSER_HALF_MM / np.sqrt(2)
 
     def wire_mm(self, angle_deg: float = 135.0, short_mm: float = 8.0) -> tuple[np.ndarray, np.ndarray]:
         """Entry and end point of the ideal guide wire, anatomical coordinates.
@@ -146,7 +155,10 @@ def _femur_distance(p: np.ndarray, n: np.ndarray) -> tuple[float, float]:
     flare = 1.0 + 0.28 * np.exp(-((max(y, 0.0) / 28.0) ** 2))  # wider towards the trochanters
     shaft = np.sqrt(x * x + z * z * 1.1 + min(y, 0.0) ** 2) - rs * flare
     greater = _ellipsoid((x - 7.0, y + 14.0, z + 5.0), (13.0, 25.0, 17.0))
-    lesser = _ellipsoid((x + 13.0, y - 30.0, z + 12.0), (9.0, 12.0, 9.0))
+    lesser = _ellipsoid(
+        (x - LESSER_MM[0], y - LESSER_MM[1], z - LESSER_MM[2]),
+        (LESSER_HALF_MM[0], LESSER_HALF_MM[1], LESSER_HALF_MM[2]),
+    )
     body = _blend(_blend(shaft, greater, 10.0), lesser, 9.0)
     return _blend(_blend(neck, head, 6.0), body, 14.0), head
 

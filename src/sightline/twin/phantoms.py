@@ -47,7 +47,7 @@ def plastic_hip(setup: SetUp, femur: Femur | None = None) -> HipScene:
     whole = replace(voxelise(femur, setup.side, head, None), material="composite", within=None)
     along = (wire[1] - wire[0]) / np.linalg.norm(wire[1] - wire[0])
     bore = bored(whole, np.stack([wire[0] - 5.0 * along, wire[1]]), PLASTIC_BORE_MM)  # from clear of the surface
-    return HipScene(frame_scene(setup.true_frame), Scene(volumes=(bore,)), femur, head, wire)
+    return HipScene.of(frame_scene(setup.true_frame), Scene(volumes=(bore,)), femur, setup.side, head)
 
 
 def porcine_hip(setup: SetUp, rng: np.random.Generator) -> HipScene:
@@ -56,9 +56,8 @@ def porcine_hip(setup: SetUp, rng: np.random.Generator) -> HipScene:
     The human shape at a pig's sizes: its trochanters are too large.
     """
     head = -np.mean(to_cfcs(np.stack(PIG.wire_mm()), setup.side, np.zeros(3)), axis=0)
-    wire = to_cfcs(np.stack(PIG.wire_mm()), setup.side, head)
     bone = Scene(volumes=(voxelise(PIG, setup.side, head, rng),))
-    return HipScene(frame_scene(setup.true_frame) + Scene(tissue=PIG_FLESH), bone, PIG, head, wire)
+    return HipScene.of(frame_scene(setup.true_frame) + Scene(tissue=PIG_FLESH), bone, PIG, setup.side, head)
 
 
 def broken(hip: HipScene, side: str, gap_mm: float = 1.0, motion: RigidTransform | None = None) -> HipScene:

@@ -26,8 +26,9 @@ class HipScene:
     """A hip in the frame. `still`: frame and body; `bone`: what moves as one, with whatever is fixed in it.
 
     `head_mm` (3,): centre of the femoral head; `wire_mm` (2, 3): entry and end point of the ideal wire
-    (`Femur.wire_mm`). CFCS. `motions`: how the bone has moved from there at a moment: when a view is taken (its name)
-    or later (any other word, such as "drilling"); a moment that is not named finds it where it was.
+    (`Femur.wire_mm`); `lesser_mm` (3,): tip of the lesser trochanter. CFCS. `motions`: how the bone has moved from
+    there at a moment: when a view is taken (its name) or later (any other word, such as "drilling"); a moment that is
+    not named finds it where it was.
     """
 
     still: Scene
@@ -35,12 +36,24 @@ class HipScene:
     femur: Femur
     head_mm: np.ndarray
     wire_mm: np.ndarray
+    lesser_mm: np.ndarray
     motions: Mapping[str, RigidTransform] = field(default_factory=dict)
 
     @property
     def scene(self) -> Scene:
         """All that lies in the beam, the frame's beads first."""
         return self.still + self.bone
+
+    @staticmethod
+    def of(still: Scene, bone: Scene, femur: Femur, side: str, head_mm: np.ndarray) -> "HipScene":
+        """At rest, all points of the femur as they lie about a head's centre (3,)."""
+        wire, lesser = (to_cfcs(p, side, head_mm) for p in (np.stack(femur.wire_mm()), femur.lesser_trochanter_mm))
+        return HipScene(still, bone, femur, head_mm, wire, lesser)
+
+    @property
+    def landmarks_mm(self) -> dict[str, np.ndarray]:
+        """(3,) each, CFCS: points of the bone that a person finds in both views."""
+        return {"head centre": self.head_mm, "lesser trochanter": self.lesser_mm}
 
     def at(self, moment: str) -> "HipScene":
         """The hip at a moment: bone, head and wire where they then are."""
@@ -52,6 +65,7 @@ class HipScene:
             bone=moved(self.bone, motion),
             head_mm=motion.apply(self.head_mm),
             wire_mm=motion.apply(self.wire_mm),
+            lesser_mm=motion.apply(self.lesser_mm),
             motions={},
         )
 
@@ -60,7 +74,7 @@ def hip_scene(setup: SetUp, rng: np.random.Generator, femur: Femur | None = None
     """The set-up's true frame around a hip, centred on its wire as a radiographer would; the femur is drawn unless
     given."""
     femur = femur or draw_femur(rng)
-    return _placed(setup, femur, _draw_head(setup.side, femur, rng), rng)
+    return placed_hip(setup, femur, draw_head(setup.side, femur, rng), rng)
 
 
 def shown_hip_scene(
@@ -70,10 +84,10 @@ def shown_hip_scene(
     femur, place = femur or draw_femur(rng), HipPlace()
     for _ in range(ATTEMPTS):
         setup = draw_setup(rng, frame, side=side, chain=chain)
-        head = _draw_head(side, femur, rng)
+        head = draw_head(side, femur, rng)
         wire = to_cfcs(np.stack(femur.wire_mm()), side, head)
         if all(view.in_field(view.project(wire), place.margin_px).all() for view in setup.views.values()):
-            return setup, _placed(setup, femur, head, rng)
+            return setup, placed_hip(setup, femur, head, rng)
     raise SetUpError(f"no set-up of {ATTEMPTS} shows the whole wire in all views of frame {frame.name!r}")
 
 
@@ -83,12 +97,13 @@ def four_balls(setup: SetUp) -> tuple[Scene, np.ndarray]:
     return frame_scene(setup.true_frame) + Scene(solids=balls), TEST_BALLS_MM
 
 
-def _draw_head(side: str, femur: Femur, rng: np.random.Generator) -> np.ndarray:
+def draw_head(side: str, femur: Femur, rng: np.random.Generator) -> np.ndarray:
+    """(3,) CFCS: where the head's centre lies if the wire is centred as a radiographer would."""
     middle = to_cfcs(np.mean(femur.wire_mm(), axis=0), side, np.zeros(3))
     return rng.normal(0.0, HipPlace().off_centre_sd_mm, 3) - middle
 
 
-def _placed(setup: SetUp, femur: Femur, head_mm: np.ndarray, rng: np.random.Generator) -> HipScene:
+def placed_hip(setup: SetUp, femur: Femur, head_mm: np.ndarray, rng: np.random.Generator) -> HipScene:
+    """The set-up's true frame around a hip whose head lies at a place (3,)."""
     bone = Scene(volumes=(voxelise(femur, setup.side, head_mm, rng),))
-    wire = to_cfcs(np.stack(femur.wire_mm()), setup.side, head_mm)
-    return HipScene(frame_scene(setup.true_frame) + Scene(tissue=SoftTissue()), bone, femur, head_mm, wire)
+    return HipScene.of(frame_scene(setup.true_frame) + Scene(tissue=SoftTissue()), bone, femur, setup.side, head_mm)

@@ -1,6 +1,7 @@
 """The truth of simulated images, as a document to be written beside them."""
 
 import json
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -10,23 +11,44 @@ from sightline.atomic import write_whole
 from sightline.twin.carm import SetUp, ViewTruth
 from sightline.twin.scene import HipScene
 
+Points = Mapping[str, np.ndarray]
+
 
 def truth_document(setup: SetUp, hip: HipScene) -> dict[str, Any]:
-    """What a person may ask of the images of a hip: wire, views, beads. CFCS in mm, pixels as the images have them."""
+    """What a person may ask of the images of a hip: wire, landmarks, views, beads. CFCS in mm, pixels as the images
+    have them."""
     document = {
-        "frame": setup.frame.key,
-        "coordinates": "CFCS",
-        "side": setup.side,
+        **points_document(setup, hip.landmarks_mm, {name: hip.at(name).landmarks_mm for name in setup.views}),
         "head_mm": hip.head_mm.tolist(),
         "head_radius_mm": hip.femur.head_radius_mm,
         "entry_mm": hip.wire_mm[0].tolist(),
         "end_mm": hip.wire_mm[1].tolist(),
-        "views": {name: _view(setup, view, hip) for name, view in setup.views.items()},
-        "beads_mm": {bead.id: list(bead.xyz_mm) for v in setup.true_frame.views.values() for bead in v.fiducials},
     }
-    if hip.motions:  # head and wire above are where the bone was before
+    for name, view in setup.views.items():
+        entry, end = view.project(hip.at(name).wire_mm)
+        document["views"][name] |= {"entry_uv_px": entry.tolist(), "end_uv_px": end.tolist()}
+    if hip.motions:  # head, wire and landmarks above are where the bone was before
         document["bone_moved"] = {moment: motion.as_matrix().tolist() for moment, motion in hip.motions.items()}
     return document
+
+
+def points_document(
+    setup: SetUp, points_mm: Points, when_seen_mm: Mapping[str, Points] | None = None
+) -> dict[str, Any]:
+    """The truth of any set-up: named points (3,) CFCS and their pixels, views, beads.
+
+    `when_seen_mm`: by view, where the points are when it is taken, if they move. Beads whose centre a view does not
+    show have no pixel in it.
+    """
+    when = when_seen_mm or dict.fromkeys(setup.views, points_mm)
+    return {
+        "frame": setup.frame.key,
+        "coordinates": "CFCS",
+        "side": setup.side,
+        "points_mm": {name: xyz.tolist() for name, xyz in points_mm.items()},
+        "views": {name: _view(setup, view, when[name]) for name, view in setup.views.items()},
+        "beads_mm": {bead.id: list(bead.xyz_mm) for v in setup.true_frame.views.values() for bead in v.fiducials},
+    }
 
 
 def write_truth(path: str | Path, setup: SetUp, hip: HipScene) -> Path:
@@ -34,15 +56,13 @@ def write_truth(path: str | Path, setup: SetUp, hip: HipScene) -> Path:
     return write_whole(path, json.dumps(truth_document(setup, hip), indent=1).encode())
 
 
-def _view(setup: SetUp, view: ViewTruth, hip: HipScene) -> dict[str, Any]:
-    entry, end = view.project(hip.at(view.name).wire_mm)
+def _view(setup: SetUp, view: ViewTruth, points_mm: Points) -> dict[str, Any]:
     beads = setup.true_frame.view(view.name).fiducials
     uv = view.project(np.array([bead.xyz_mm for bead in beads]))
     seen = view.in_field(uv)
     return {
         "focal_point_mm": view.focal_point_mm.tolist(),
         "detector": {"origin_mm": view.detector.origin_mm.tolist(), "axes": view.detector.axes.tolist()},
-        "entry_uv_px": entry.tolist(),
-        "end_uv_px": end.tolist(),
+        "points_uv_px": {name: view.project(xyz).tolist() for name, xyz in points_mm.items()},
         "beads_uv_px": {bead.id: at.tolist() for bead, at, kept in zip(beads, uv, seen, strict=True) if kept},
     }

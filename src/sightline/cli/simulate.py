@@ -1,0 +1,116 @@
+"""`sightline simulate`: images of the digital twin as a C-arm would store them, and the truth beside them."""
+
+from math import isfinite
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import typer
+
+from sightline.cli.output import Json, Output, Quiet, as_json
+
+if TYPE_CHECKING:
+    from sightline.imaging import Radiograph
+    from sightline.twin.specimens import Specimen
+
+DoseName = Literal["low", "medium", "high"]
+SideName = Literal["right", "left"]
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command."""
+    app.command("simulate")(simulate)
+
+
+def simulate(
+    what: Annotated[
+        str,
+        typer.Argument(
+            help="What lies in the beam: hip, object (the paper's four balls in Perspex), plastic (its bored femur), "
+            "porcine; or the path of a closed mesh in mm (STL, PLY, OBJ) or of a CT scan (NIfTI, folder of slices)."
+        ),
+    ] = "hip",
+    *,
+    preset: Annotated[str, typer.Option(help="Image chain; a wrong name prints them all.")] = "9in-1k",
+    seed: Annotated[int, typer.Option(min=0, help="The same seed gives the same files.")] = 1,
+    frame: Annotated[str, typer.Option(help="A frame file, or gamma, biplane, stereo.")] = "gamma",
+    side: Annotated[SideName, typer.Option(help="Of the hip.")] = "right",
+    dose: Annotated[DoseName, typer.Option(help="1, 8 or 32 frames of fluoroscopy.")] = "medium",
+    at: Annotated[
+        str | None,
+        typer.Option(
+            metavar="X,Y,Z",
+            help="The point of a mesh or scan, mm in its own coordinates, that comes to the frame's origin; "
+            "its middle unless told.",
+            show_default=False,
+        ),
+    ] = None,
+    png: Annotated[bool, typer.Option("--png", help="PNG instead of DICOM.")] = False,
+    tags: Annotated[bool, typer.Option("--tags", help="State the nominal geometry in the DICOM files.")] = False,
+    out: Annotated[Path, typer.Option(help="Folder for the images and truth.json.")] = Path("out/simulate"),
+    json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Make the X-ray images of a frame before a simulated C-arm, and a file with their truth."""
+    with Output(json=json, quiet=quiet) as output:
+        import numpy as np
+
+        from sightline.atomic import whole_folder
+        from sightline.errors import UnusableInputError
+        from sightline.frame import Frame
+        from sightline.twin import DOSES, render
+        from sightline.twin.presets import preset as chain_called
+        from sightline.twin.specimens import Machine, specimen
+
+        if png and tags:
+            raise UnusableInputError("a PNG holds no geometry tags; leave out --png or --tags")
+        chain = chain_called(preset)
+        machine = Machine(Frame.load(frame), side, chain.name)
+        place = None if at is None else np.array(_place(at))
+        rng = np.random.default_rng(seed)
+        with output.step("drawing the set-up"):
+            made = specimen(what, rng, machine, place)
+        images = {}
+        for view in made.setup.views:
+            with output.step(f"exposing {view}"):
+                images[view] = render(made.setup, view, made.scene, rng, DOSES[dose])
+        told = {"what": Path(what).name, "preset": preset, "seed": seed, "dose": dose, "whole_shown": made.shown}
+        with whole_folder(out) as scratch:
+            files = _write(scratch, images, made, {**told, **made.truth}, png=png, tags=tags)
+        if not made.shown:
+            output.note(f"the field of {preset} does not show all of it: see the pixels in truth.json")
+        written = [out / file.name for file in files]
+        for file in written:
+            output.say(f"written: {file}")
+        output.result({**told, "frame": machine.frame.key, "side": side, "files": written})
+
+
+def _place(text: str) -> list[float]:
+    """'X,Y,Z' as numbers. Raises UnusableInputError."""
+    from sightline.errors import UnusableInputError
+
+    try:
+        numbers = [float(part) for part in text.split(",")]
+    except ValueError:
+        numbers = []
+    if len(numbers) != 3 or not all(isfinite(number) for number in numbers):
+        raise UnusableInputError(f"--at {text!r} is no place; write X,Y,Z in mm, for example '12.5,-40,310'")
+    return numbers
+
+
+def _write(
+    folder: Path, images: "dict[str, Radiograph]", made: "Specimen", truth: dict[str, Any], *, png: bool, tags: bool
+) -> list[Path]:
+    from dataclasses import replace
+
+    from sightline.atomic import write_whole
+    from sightline.imaging import write_dicom, write_png
+    from sightline.twin.specimens import nominal_tags
+
+    files = []
+    for name, image in images.items():
+        if png:
+            files.append(write_png(image, folder / f"{name}.png"))
+        else:
+            stated = nominal_tags(made.setup.views[name], made.setup.side) if tags else image.tags
+            files.append(write_dicom(replace(image, tags=stated), folder / f"{name}.dcm"))
+    return [*files, write_whole(folder / "truth.json", as_json(truth).encode())]

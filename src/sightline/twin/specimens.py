@@ -1,0 +1,157 @@
+"""What `sightline simulate` puts before the C-arm: a hip, the paper's objects, a pig's femur, a mesh or CT scan."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+from sightline.errors import UnusableInputError
+from sightline.frame import Frame
+from sightline.imaging import GeometryTags
+from sightline.twin.carm import SetUp, ViewTruth, draw_setup
+from sightline.twin.ct import ct_volumes, read_ct
+from sightline.twin.femur import Femur, draw_femur, to_cfcs
+from sightline.twin.meshes import KINDS, read_mesh
+from sightline.twin.motion import moved
+from sightline.twin.phantoms import PIG, perspex_object, plastic_hip, porcine_hip
+from sightline.twin.scene import TEST_BALLS_MM, HipScene, draw_head, placed_hip
+from sightline.twin.things import Scene, SoftTissue, frame_scene
+from sightline.twin.truth import points_document, truth_document
+
+ATTEMPTS = 100
+MARGIN_PX = 30.0  # points of interest lie at least this far inside both fields, where a field can show them [ours]
+
+
+@dataclass(frozen=True, eq=False)
+class Specimen:
+    """A set-up, all that lies in its beams, and the truth (JSON types). `shown`: every view shows every point that
+    matters; a small field does not show a whole wire."""
+
+    setup: SetUp
+    scene: Scene
+    truth: dict[str, Any]
+    shown: bool
+
+
+@dataclass(frozen=True)
+class Machine:
+    """What a specimen stands before: `frame`, `side` of the hip, name of the image chain."""
+
+    frame: Frame
+    side: str = "right"
+    chain: str = "9in-1k"
+
+    def draw(self, rng: np.random.Generator, points_mm: np.ndarray) -> tuple[SetUp, bool]:
+        """The first set-up of ATTEMPTS that shows all points (N, 3) in all views, and True; else the last, and False.
+
+        Raises SetUpError where none has its frame in the beam.
+        """
+        left = ATTEMPTS
+        while True:
+            left -= 1
+            setup = draw_setup(rng, self.frame, side=self.side, chain=self.chain)
+            shown = all(view.in_field(view.project(points_mm), MARGIN_PX).all() for view in setup.views.values())
+            if shown or not left:
+                return setup, shown
+
+
+def specimen(what: str, rng: np.random.Generator, machine: Machine, at_mm: np.ndarray | None = None) -> Specimen:
+    """A specimen by its name in SPECIMENS, or from a mesh file, a NIfTI file or a folder with one DICOM series of CT.
+
+    `at_mm` (3,): the point of a file, in its own coordinates, that comes to the origin of CFCS; by default its middle.
+    Raises UnusableInputError, SetUpError.
+    """
+    if what in SPECIMENS:
+        if at_mm is not None:
+            raise UnusableInputError(f"{what!r} lies where the twin puts it; a place is for meshes and CT scans")
+        return SPECIMENS[what](rng, machine)
+    path = Path(what)
+    if not path.exists():
+        raise UnusableInputError(
+            f"there is no {path.name!r} to be simulated; there are: {', '.join(SPECIMENS)}, or the path of a mesh "
+            f"({', '.join(KINDS)}), a NIfTI file or a folder of CT slices"
+        )
+    scene, middle = (_mesh if path.suffix.lower().removeprefix(".") in KINDS else _ct)(path, machine.side, at_mm)
+    setup, shown = machine.draw(rng, np.zeros((1, 3)))
+    truth = points_document(setup, {"origin": np.zeros(3)})
+    return Specimen(setup, frame_scene(setup.true_frame) + scene, truth | {"origin_in_file_mm": middle.tolist()}, shown)
+
+
+def nominal_tags(view: ViewTruth, side: str) -> GeometryTags:
+    """What a C-arm that fills in its geometry would say of a view: nominal distances, angles to a whole degree.
+
+    Primary angle: the detector from the patient's front to the left; secondary: to the head.
+    """
+    chain = view.chain
+    x, y, z = view.detector.normal
+    to_left, to_head = (-x, -y) if side == "right" else (x, y)
+    return GeometryTags(
+        source_detector_mm=chain.sdd_mm,
+        imager_pixel_spacing_mm=(chain.pitch_mm, chain.pitch_mm),
+        intensifier_size_mm=chain.tube_mm,
+        primary_angle_deg=float(np.rint(np.rad2deg(np.arctan2(to_left, z)))),
+        secondary_angle_deg=float(np.rint(np.rad2deg(np.arcsin(to_head)))),
+    )
+
+
+def _hip(rng: np.random.Generator, machine: Machine) -> Specimen:
+    femur = draw_femur(rng)
+    head = draw_head(machine.side, femur, rng)
+    return _of_hip(rng, machine, femur, head, lambda setup: placed_hip(setup, femur, head, rng))
+
+
+def _plastic(rng: np.random.Generator, machine: Machine) -> Specimen:
+    return _of_hip(rng, machine, Femur(), None, plastic_hip)
+
+
+def _porcine(rng: np.random.Generator, machine: Machine) -> Specimen:
+    return _of_hip(rng, machine, PIG, None, lambda setup: porcine_hip(setup, rng))
+
+
+def _object(rng: np.random.Generator, machine: Machine) -> Specimen:
+    setup, shown = machine.draw(rng, TEST_BALLS_MM)
+    block, balls_mm = perspex_object()
+    truth = points_document(setup, {f"ball {k + 1}": xyz for k, xyz in enumerate(balls_mm)})
+    return Specimen(setup, frame_scene(setup.true_frame) + block, truth, shown)
+
+
+def _of_hip(
+    rng: np.random.Generator,
+    machine: Machine,
+    femur: Femur,
+    head_mm: np.ndarray | None,
+    build: Callable[[SetUp], HipScene],
+) -> Specimen:
+    """A hip whose whole wire is shown. `head_mm` (3,): by default the wire's middle lies at the origin."""
+    wire = to_cfcs(np.stack(femur.wire_mm()), machine.side, np.zeros(3))
+    setup, shown = machine.draw(rng, wire - wire.mean(axis=0) if head_mm is None else wire + head_mm)
+    hip = build(setup)
+    return Specimen(setup, hip.scene, truth_document(setup, hip), shown)
+
+
+def _mesh(file: Path, _: str, at_mm: np.ndarray | None) -> tuple[Scene, np.ndarray]:
+    """Solid bone in a body, and the point of the file that lies at the origin."""
+    bone = read_mesh(file)
+    corners = bone.vertices_mm
+    middle = (corners.min(axis=0) + corners.max(axis=0)) / 2 if at_mm is None else at_mm
+    placed = moved(bone, RigidTransform.from_translation(-middle))
+    return Scene(meshes=(placed,), tissue=SoftTissue()), middle
+
+
+def _ct(path: Path, side: str, at_mm: np.ndarray | None) -> tuple[Scene, np.ndarray]:
+    """Tissue and bone of a scan, and the point of it, patient coordinates, that lies at the origin."""
+    scan = read_ct(path)
+    half = scan.voxel_mm * (np.array(scan.hu.shape) - 1) / 2
+    middle = scan.origin_mm + half @ scan.axes if at_mm is None else at_mm
+    return Scene(volumes=ct_volumes(scan, side, middle)), middle
+
+
+SPECIMENS: dict[str, Callable[[np.random.Generator, Machine], Specimen]] = {
+    "hip": _hip,
+    "object": _object,
+    "plastic": _plastic,
+    "porcine": _porcine,
+}

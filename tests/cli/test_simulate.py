@@ -1,0 +1,228 @@
+"""`sightline simulate`: the same bytes again, what the files hold, and what is refused."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pydicom
+import pytest
+import trimesh
+from nibabel.nifti1 import Nifti1Header, Nifti1Image
+
+from sightline.detection import detect
+from sightline.imaging import read_image
+from sightline.twin.presets import PRESETS
+
+FILES = ["lateral.dcm", "pa.dcm", "truth.json"]
+
+
+@pytest.fixture(scope="module")
+def simulated(run, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The object of four balls, seed 5."""
+    out = tmp_path_factory.mktemp("simulated") / "deep" / "one"
+    ran = run("simulate", "object", "--seed", 5, "--out", out)
+    assert ran.code == 0, ran.err
+    assert "truth.json" in ran.out
+    return out
+
+
+def test_any_seed_gives_the_same_files_again_to_the_byte(run, simulated: Path, tmp_path: Path) -> None:
+    assert run("simulate", "object", "--seed", 5, "--out", tmp_path / "again", "--quiet").code == 0
+    other = run("simulate", "object", "--seed", 6, "--out", tmp_path / "other", "--json")
+    assert other.code == 0
+    assert other.err == ""
+    assert other.document["seed"] == 6
+    assert sorted(file.name for file in simulated.parent.rglob("*") if file.is_file()) == FILES
+    for name in FILES:
+        assert (tmp_path / "again" / name).read_bytes() == (simulated / name).read_bytes()
+        assert (tmp_path / "other" / name).read_bytes() != (simulated / name).read_bytes()
+
+
+def test_images_are_as_a_c_arm_stores_them(simulated: Path) -> None:
+    for view in ("pa", "lateral"):
+        header = pydicom.dcmread(simulated / f"{view}.dcm")
+        for tag in ("DistanceSourceToDetector", "ImagerPixelSpacing", "IntensifierSize", "PositionerPrimaryAngle"):
+            assert not header.get(tag)
+
+
+def test_the_truth_says_where_things_are_in_the_image(simulated: Path) -> None:
+    """Within 0.5 px something is found where the truth has balls and beads; some of them overlap, or are cut."""
+    truth = json.loads((simulated / "truth.json").read_text())
+    assert (truth["what"], truth["seed"], truth["preset"], truth["whole_shown"]) == ("object", 5, "9in-1k", True)
+    assert list(truth["points_mm"]) == ["ball 1", "ball 2", "ball 3", "ball 4"]
+    for view in ("pa", "lateral"):
+        found = detect(read_image(simulated / f"{view}.dcm")).uv_px
+        for kind, least in (("points_uv_px", 0.75), ("beads_uv_px", 0.8)):
+            true = np.array(list(truth["views"][view][kind].values()))
+            near = np.linalg.norm(found[:, None] - true, axis=2).min(axis=0)
+            assert np.mean(near < 0.5) >= least, (view, kind)
+
+
+def test_png_holds_the_same_pixels(run, simulated: Path, tmp_path: Path) -> None:
+    assert run("simulate", "object", "--seed", 5, "--png", "--out", tmp_path, "--quiet").code == 0
+    assert sorted(file.name for file in tmp_path.iterdir()) == ["lateral.png", "pa.png", "truth.json"]
+    for view in ("pa", "lateral"):
+        np.testing.assert_array_equal(
+            read_image(tmp_path / f"{view}.png").pixels, read_image(simulated / f"{view}.dcm").pixels
+        )
+
+
+@pytest.mark.parametrize("side", ["right", "left"])
+def test_tags_state_the_nominal_geometry(run, side: str, tmp_path: Path) -> None:
+    """Detector on the side of the hip: the patient's right is a negative angle. Poses stray by up to 15°."""
+    arguments = ["simulate", "object", "--side", side, "--tags", "--preset", "17cm-1k", "--out", tmp_path, "--quiet"]
+    assert run(*arguments).code == 0
+    tags = {view: read_image(tmp_path / f"{view}.dcm").tags for view in ("pa", "lateral")}
+    for view, angle in (("pa", 0.0), ("lateral", -90.0 if side == "right" else 90.0)):
+        assert tags[view].source_detector_mm == 1000.0
+        assert tags[view].imager_pixel_spacing_mm == pytest.approx((160 / 1024, 160 / 1024))
+        assert tags[view].intensifier_size_mm == 215.0
+        assert abs(tags[view].primary_angle_deg - angle) <= 15
+        assert abs(tags[view].secondary_angle_deg) <= 15
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+def test_every_image_chain_shows_a_hip(run, preset: str, tmp_path: Path) -> None:
+    ran = run("simulate", "--preset", preset, "--dose", "low", "--side", "left", "--out", tmp_path, "--json")
+    assert ran.code == 0, ran.out
+    truth = json.loads((tmp_path / "truth.json").read_text())
+    assert truth["side"] == "left"
+    assert set(truth["points_mm"]) == {"head centre", "lesser trochanter"}
+    for view in ("pa", "lateral"):
+        assert read_image(tmp_path / f"{view}.dcm").shape == PRESETS[preset].shape
+        for point in ("entry_uv_px", "end_uv_px"):
+            if truth["whole_shown"]:
+                h, w = PRESETS[preset].shape
+                assert 0 < truth["views"][view][point][0] < w
+                assert 0 < truth["views"][view][point][1] < h
+
+
+@pytest.fixture(scope="module")
+def block(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A cuboid of 40 mm about (300, 0, 0)."""
+    file = tmp_path_factory.mktemp("mesh") / "block.stl"
+    mesh = trimesh.creation.box((40.0, 40.0, 40.0))
+    mesh.apply_translation([300.0, 0.0, 0.0])
+    mesh.export(file)
+    return file
+
+
+def nifti(folder: Path, voxel_mm: float = 2.0) -> Path:
+    """Air with a block of bone of 40 mm about its middle."""
+    hu = np.full((60, 60, 60), -1000, dtype=np.int16)
+    hu[20:40, 20:40, 20:40] = 1200
+    header = Nifti1Header()
+    header.set_data_shape(hu.shape)
+    header["sform_code"] = 1
+    for axis, row in enumerate(("srow_x", "srow_y", "srow_z")):
+        header[row] = voxel_mm * np.eye(4)[axis]
+    Nifti1Image(hu, None, header).to_filename(folder / "scan.nii.gz")
+    return folder / "scan.nii.gz"
+
+
+def test_a_mesh_or_a_scan_is_put_with_its_middle_or_a_stated_point_at_the_origin(run, block, tmp_path: Path) -> None:
+    made = {}
+    for name, what in (
+        ("mesh", [block]),
+        ("mesh, away", [block, "--at", "330,0,0"]),
+        ("scan", [nifti(tmp_path)]),
+    ):
+        out = tmp_path / name
+        ran = run("simulate", *what, "--out", out, "--dose", "high", "--quiet")
+        assert ran.code == 0, ran.err
+        made[name] = read_image(out / "pa.dcm").pixels, json.loads((out / "truth.json").read_text())
+    light = {name: brightness_at_origin(*one) for name, one in made.items()}
+    assert max(light["mesh"], light["scan"]) < 0.75
+    assert light["mesh, away"] > 1.2 * light["mesh"]
+    for name, middle in (("mesh", [300, 0, 0]), ("mesh, away", [330, 0, 0]), ("scan", [-59, -59, 59])):
+        assert np.allclose(made[name][1]["origin_in_file_mm"], middle)
+
+
+def brightness_at_origin(pixels: np.ndarray, truth: dict) -> float:
+    """Against the whole image; a median, so that a bead beside it tells nothing."""
+    u, v = (round(c) for c in truth["views"]["pa"]["points_uv_px"]["origin"])
+    return float(np.median(pixels[v - 8 : v + 9, u - 8 : u + 9]) / np.median(pixels[pixels > 0]))
+
+
+def open_mesh(folder: Path) -> list[object]:
+    mesh = trimesh.creation.box((40.0, 40.0, 40.0))
+    mesh.faces = mesh.faces[1:]
+    mesh.export(folder / "open.stl")
+    return [folder / "open.stl"]
+
+
+def no_spacing(folder: Path) -> list[object]:
+    return [nifti(folder, voxel_mm=0.0)]
+
+
+def frame_outside(folder: Path) -> list[object]:
+    from sightline.frame import Frame
+
+    Frame.load("gamma").save(folder / "wide.json")
+    document = json.loads((folder / "wide.json").read_text())
+    for view in document["views"].values():
+        for bead in view["xrii"] + view["source"]:
+            bead["xyz"] = [3 * c for c in bead["xyz"]]
+    (folder / "wide.json").write_text(json.dumps(document))
+    return ["object", "--frame", folder / "wide.json"]
+
+
+def a_file_for_a_folder(folder: Path) -> list[object]:
+    (folder / "taken").write_text("")
+    return ["object", "--out", folder / "taken"]
+
+
+def below_a_file(folder: Path) -> list[object]:
+    (folder / "taken").write_text("")
+    return ["object", "--out", folder / "taken" / "below"]
+
+
+BAD = {
+    "a mesh that is not closed": (open_mesh, "not closed"),
+    "a scan without spacing": (no_spacing, "spacing"),
+    "a frame outside the beam": (frame_outside, "into the field"),
+    "a file in place of the folder": (a_file_for_a_folder, "is a file"),
+    "a folder that cannot be made": (below_a_file, "cannot write"),
+    "nothing of that name": (lambda _: ["knee"], "there is no 'knee'"),
+    "no such preset": (lambda _: ["--preset", "8in"], "9in-pal"),
+    "a place that is none": (lambda _: ["hip", "--at", "1,2"], "is no place"),
+    "a place for what has one": (lambda _: ["hip", "--at", "1,2,3"], "lies where"),
+    "tags in a PNG": (lambda _: ["--png", "--tags"], "no geometry tags"),
+    "a file of another kind": (lambda folder: [wrong_kind(folder)], "NIfTI"),
+}
+
+
+def wrong_kind(folder: Path) -> Path:
+    (folder / "notes.txt").write_text("hello")
+    return folder / "notes.txt"
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_bad_input_ends_in_a_message_and_nothing_is_left(run, case: str, tmp_path: Path) -> None:
+    make, says = BAD[case]
+    arguments = make(tmp_path)
+    if "--out" not in arguments:
+        arguments = [*arguments, "--out", tmp_path / "out"]
+    before = sorted(tmp_path.rglob("*"))
+    ran = run("simulate", *arguments, "--json")
+    assert ran.code == 2, ran.out
+    assert says in ran.document["error"]["message"]
+    assert ran.err == ""
+    assert sorted(tmp_path.rglob("*")) == before
+
+
+def test_a_full_disk_leaves_the_former_images(run, simulated: Path, tmp_path: Path) -> None:
+    resource = pytest.importorskip("resource", reason="no limits on the size of files here")
+    out = tmp_path / "kept"
+    out.mkdir()
+    (out / "pa.dcm").write_bytes((simulated / "pa.dcm").read_bytes())
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, hard))
+    try:
+        ran = run("simulate", "object", "--seed", 6, "--out", out, "--json")
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert ran.code == 2
+    assert "cannot write pa.dcm" in ran.document["error"]["message"]
+    assert [file.name for file in tmp_path.rglob("*")] == ["kept", "pa.dcm"]
+    assert (out / "pa.dcm").read_bytes() == (simulated / "pa.dcm").read_bytes()
