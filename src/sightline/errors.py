@@ -27,6 +27,14 @@ class SetUpError(UnusableInputError):
     """A simulated set-up or scene cannot be drawn as asked."""
 
 
+class MessageError(UnusableInputError):
+    """An OpenIGTLink message is malformed, or cannot be written as asked."""
+
+
+class LinkError(SightlineError):
+    """A connection to a robot or to its client cannot be made, or was lost."""
+
+
 class RefusedError(SightlineError):
     """The input is readable, but a trustworthy result cannot be computed from it (exit code 3)."""
 

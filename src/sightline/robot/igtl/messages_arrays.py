@@ -1,0 +1,171 @@
+"""SENSOR, NDARRAY and IMAGE: numbers in bulk."""
+
+import math
+import struct
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+
+from sightline.errors import MessageError
+from sightline.robot.igtl.wire import Reader, floats, read_only
+
+_SCALARS = {2: "i1", 3: "u1", 4: "i2", 5: "u2", 6: "i4", 7: "u4", 10: "f4", 11: "f8", 13: "c16"}
+_CODES = {name: code for code, name in _SCALARS.items()}
+_COMPLEX = 13  # in arrays, not in images
+_MAX_DIMENSIONS = 32  # what every version of numpy can hold
+
+
+def unit(prefix: int, *factors: tuple[int, int]) -> int:
+    """Code of a physical unit: SI prefix (4 bits), then up to six (unit, exponent) of 6 and 4 bits, as listed by the
+    protocol's page on units."""
+    code = prefix << 60
+    for place, (base, exponent) in enumerate(factors):
+        code |= (base << 4 | exponent & 0xF) << 50 - 10 * place
+    return code
+
+
+NEWTON = unit(0x0, (0x0B, 1))
+MILLIMETRE = unit(0xB, (0x01, 1))
+
+
+@dataclass(frozen=True, eq=False)
+class Sensor:
+    """`values` (N,), N at most 255, in the physical unit coded by `unit`; `status` is reserved by the protocol."""
+
+    type_name = "SENSOR"
+    values: np.ndarray
+    unit: int = 0
+    status: int = 0
+
+    def __post_init__(self):
+        object.__setattr__(self, "values", read_only(self.values, "a sensor's array", (None,)))
+
+    @classmethod
+    def read(cls, content: bytes) -> Self:
+        """From 10 bytes and the numbers."""
+        reader = Reader(content)
+        count, status, unit_code = reader.unpack("BBQ")
+        values = reader.doubles(count)
+        reader.finish()
+        return cls(values, unit_code, status)
+
+    def content(self) -> bytes:
+        """10 bytes and the numbers."""
+        return struct.pack(">BBQ", len(self.values), self.status, self.unit) + self.values.astype(">f8").tobytes()
+
+
+@dataclass(frozen=True, eq=False)
+class NDArray:
+    """`values`, of any shape: integers of 8, 16 or 32 bits, floats of 32 or 64, complex of 128; its type is kept."""
+
+    type_name = "NDARRAY"
+    values: np.ndarray
+
+    def __post_init__(self):
+        object.__setattr__(self, "values", _plain(self.values))
+
+    @classmethod
+    def read(cls, content: bytes) -> Self:
+        """From type, shape, numbers."""
+        reader = Reader(content)
+        code, dimensions = reader.unpack("BB")
+        if not 0 < dimensions <= _MAX_DIMENSIONS:
+            raise MessageError(f"has {dimensions} dimensions; 1 to {_MAX_DIMENSIONS} are read")
+        shape = reader.unpack(f"{dimensions}H")
+        values = _numbers(reader, code, ">", shape)
+        reader.finish()
+        return cls(values)
+
+    def content(self) -> bytes:
+        """Type, shape, numbers."""
+        shape = self.values.shape
+        start = struct.pack(f">BB{len(shape)}H", _code(self.values), len(shape), *shape)
+        return start + self.values.astype(self.values.dtype.newbyteorder(">")).tobytes()
+
+
+@dataclass(frozen=True, eq=False)
+class Image:
+    """`pixels` (K, J, I) or (K, J, I, components), of the types of an array but complex.
+
+    `matrix` (4, 4), mm: its columns are the steps along i, j, k and the centre of the whole image, in `coordinates`
+    "RAS" or "LPS". A part of an image says where it begins, `offset` (i, j, k), and how large the whole is, `size`.
+    """
+
+    type_name = "IMAGE"
+    pixels: np.ndarray
+    matrix: np.ndarray
+    coordinates: str = "RAS"
+    size: tuple[int, int, int] | None = None
+    offset: tuple[int, int, int] = (0, 0, 0)
+
+    def __post_init__(self):
+        pixels = _plain(self.pixels)
+        if pixels.ndim not in (3, 4) or _code(pixels) == _COMPLEX:
+            raise MessageError(f"pixels have shape {pixels.shape} and type {pixels.dtype}; (K, J, I) and real are sent")
+        part = pixels.shape[2::-1]
+        size = part if self.size is None else self.size
+        if any(start + count > whole for start, count, whole in zip(self.offset, part, size, strict=True)):
+            raise MessageError(f"pixels {part} from {self.offset} reach beyond an image of {size}")
+        if self.coordinates not in _COORDINATES.values():
+            raise MessageError(f"coordinates {self.coordinates!r}; RAS or LPS")
+        object.__setattr__(self, "pixels", pixels)
+        object.__setattr__(self, "size", size)
+        object.__setattr__(self, "matrix", read_only(self.matrix, "an image's matrix", (4, 4)))
+
+    @classmethod
+    def read(cls, content: bytes) -> Self:
+        """From 72 bytes and the pixels, in the byte order that they state."""
+        reader = Reader(content)
+        version, components, code, order, coordinates = reader.unpack("HBBBB")
+        size = reader.unpack("HHH")
+        matrix = np.vstack([reader.floats(4, 3).T, (0.0, 0.0, 0.0, 1.0)])
+        offset, part = reader.unpack("HHH"), reader.unpack("HHH")
+        known = order in _ORDERS and coordinates in _COORDINATES and code != _COMPLEX
+        if not known or version != 1 or not components:
+            raise MessageError(
+                f"has version {version}, {components} components, type {code}, byte order {order}, "
+                f"coordinates {coordinates}: not all of these are known"
+            )
+        shape = part[::-1] if components == 1 else (*part[::-1], components)
+        pixels = _numbers(reader, code, _ORDERS[order], shape)
+        reader.finish()
+        return cls(pixels, matrix, _COORDINATES[coordinates], size, offset)
+
+    def content(self) -> bytes:
+        """72 bytes and the pixels, lowest byte first."""
+        components = self.pixels.shape[3] if self.pixels.ndim == 4 else 1
+        coordinates = next(code for code, name in _COORDINATES.items() if name == self.coordinates)
+        return (
+            struct.pack(">HBBBB3H", 1, components, _code(self.pixels), 2, coordinates, *(self.size or ()))
+            + floats(self.matrix[:3].T)
+            + struct.pack(">6H", *self.offset, *self.pixels.shape[2::-1])
+            + self.pixels.astype(self.pixels.dtype.newbyteorder("<"), copy=False).tobytes()
+        )
+
+
+_COORDINATES = {1: "RAS", 2: "LPS"}
+_ORDERS = {1: ">", 2: "<"}
+
+
+def _numbers(reader: Reader, code: int, order: str, shape: tuple[int, ...]) -> np.ndarray:
+    if code not in _SCALARS:
+        raise MessageError(f"holds numbers of an unknown type, {code}")
+    dtype = np.dtype(order + _SCALARS[code])
+    return np.frombuffer(reader.take(math.prod(shape) * dtype.itemsize), dtype=dtype).reshape(shape)
+
+
+def _plain(values: np.ndarray) -> np.ndarray:
+    """Read-only, in the machine's byte order. Raises MessageError for types that the protocol does not have."""
+    array = np.asarray(values)
+    _code(array)
+    array = np.array(array, dtype=array.dtype.newbyteorder("="), order="C")
+    array.flags.writeable = False
+    return array
+
+
+def _code(array: np.ndarray) -> int:
+    name = array.dtype.str[1:]
+    if name not in _CODES:
+        raise MessageError(f"numbers of type {array.dtype} cannot be sent; {', '.join(_CODES)} can")
+    return _CODES[name]

@@ -1,0 +1,54 @@
+"""BIND: several messages sent as one, because they belong together."""
+
+import struct
+from dataclasses import dataclass
+from typing import Self
+
+from sightline.errors import MessageError
+from sightline.robot.igtl.header import TYPE_BYTES
+from sightline.robot.igtl.kinds import Body, is_plain, read_plain
+from sightline.robot.igtl.wire import Reader, field, text_of
+
+
+@dataclass(frozen=True)
+class Bind:
+    """`children`: (name, body) each, none of them a BIND: nesting would let a few bytes ask for any depth."""
+
+    type_name = "BIND"
+    children: tuple[tuple[str, Body], ...]
+
+    @classmethod
+    def read(cls, content: bytes) -> Self:
+        """From types and sizes, names, contents. A child of an unknown type refuses the whole."""
+        reader = Reader(content)
+        (count,) = reader.unpack("H")
+        heads = [(reader.text(TYPE_BYTES), *reader.unpack("Q")) for _ in range(count)]
+        names = _names(reader.take(reader.unpack("H")[0]), count)
+        children = []
+        for name, (type_name, size) in zip(names, heads, strict=True):
+            if not is_plain(type_name):
+                raise MessageError(f"binds a message of type {type_name!r}, which is not read here")
+            children.append((name, read_plain(type_name, reader.take(size))))
+            reader.take(size % 2)
+        reader.finish()
+        return cls(tuple(children))
+
+    def content(self) -> bytes:
+        """Types and sizes, names, contents; names and contents end at even places."""
+        heads, contents, names = struct.pack(">H", len(self.children)), b"", b""
+        for name, body in self.children:
+            if not is_plain(body.type_name):
+                raise MessageError(f"a message of type {body.type_name} cannot be bound")
+            content = body.content()
+            heads += field(body.type_name, TYPE_BYTES, "type") + struct.pack(">Q", len(content))
+            contents += content + bytes(len(content) % 2)
+            names += field(name, len(name.encode("utf-8")), "name") + b"\0"
+        names += bytes(len(names) % 2)
+        return heads + struct.pack(">H", len(names)) + names + contents
+
+
+def _names(table: bytes, count: int) -> list[str]:
+    names = table.split(b"\0")
+    if len(names) <= count or any(names[count:]):
+        raise MessageError(f"names other than {count} messages")
+    return [text_of(name) for name in names[:count]]

@@ -1,0 +1,105 @@
+"""Bytes in, messages out: OpenIGTLink without sockets or clocks."""
+
+from dataclasses import dataclass
+from enum import Enum
+
+from sightline.errors import MessageError
+from sightline.robot.igtl.crc import crc64
+from sightline.robot.igtl.header import HEADER_BYTES, Header, read_header
+from sightline.robot.igtl.messages import Message, decode, is_known
+
+MAX_BODY_BYTES = 16 << 20  # [ours] twice an image of 2048 x 2048 with 16 bits, the largest that C-arms make
+
+
+class Fault(Enum):
+    """What was wrong with bytes that came."""
+
+    NO_HEADER = "no header"
+    TOO_LARGE = "too large"
+    WRONG_CRC = "wrong CRC"
+    UNKNOWN_TYPE = "unknown type"
+    BAD_BODY = "bad body"
+
+
+@dataclass(frozen=True)
+class Rejected:
+    """Bytes that are no message, and why. `header` is None where not even that could be read."""
+
+    fault: Fault
+    reason: str
+    header: Header | None = None
+
+    @property
+    def fatal(self) -> bool:
+        """Whether nothing that follows can be read: the connection must be closed."""
+        return self.fault in (Fault.NO_HEADER, Fault.TOO_LARGE)
+
+
+Event = Message | Rejected
+
+
+class Stream:
+    """The receiving end of one connection. Feed it what came, in pieces of any size.
+
+    OpenIGTLink marks no beginning of a message: only its header's size tells where the next one starts. After a wrong
+    CRC, an unknown type or a bad body the next message is read where the header said, because that is mostly true.
+    Where it is not, what stands there is no header. Then, and where a size is above the limit, the place of the next
+    message is lost for good: the last event is fatal, nothing more is read, and the connection must be closed. To
+    search for something that looks like a header would be to obey messages that stand inside the text of others.
+
+    A size that is wrong but allowed makes the stream wait for bytes which may never come, or which belong to later
+    messages. The stream has no clock: whoever owns the connection must close it where `partial` lasts too long.
+    """
+
+    def __init__(self, max_body_bytes: int = MAX_BODY_BYTES):
+        self._limit = max_body_bytes
+        self._buffer = bytearray()
+        self._header: Header | None = None
+        self._lost = False
+
+    @property
+    def partial(self) -> bool:
+        """Whether a message has begun and is not complete."""
+        return bool(self._buffer) or self._header is not None
+
+    def feed(self, data: bytes) -> list[Event]:
+        """What `data` completed, in order. Raises MessageError after a fatal event."""
+        if self._lost:
+            raise MessageError("the place of the next message is lost; close the connection")
+        self._buffer += data
+        events, at = [], 0
+        while not self._lost:
+            needed = HEADER_BYTES if self._header is None else self._header.body_bytes
+            if len(self._buffer) - at < needed:
+                break
+            piece = bytes(memoryview(self._buffer)[at : at + needed])
+            at += needed
+            events += self._read_body(self._header, piece) if self._header is not None else self._read_header(piece)
+        del self._buffer[:at]
+        if self._lost:
+            self._buffer.clear()
+        return events
+
+    def _read_header(self, data: bytes) -> list[Event]:
+        try:
+            header = read_header(data)
+        except MessageError as error:
+            self._lost = True
+            return [Rejected(Fault.NO_HEADER, str(error))]
+        if header.body_bytes > self._limit:
+            self._lost = True
+            reason = f"{header.body_bytes} bytes announced; at most {self._limit} are read"
+            return [Rejected(Fault.TOO_LARGE, reason, header)]
+        self._header = header
+        return []
+
+    def _read_body(self, header: Header, body: bytes) -> list[Event]:
+        self._header = None
+        if crc64(body) != header.crc:
+            return [Rejected(Fault.WRONG_CRC, f"the {header.type_name} was altered on its way", header)]
+        if not is_known(header.type_name):
+            return [Rejected(Fault.UNKNOWN_TYPE, f"{header.type_name} is not read here", header)]
+        try:
+            return [decode(header, body)]
+        except MessageError as error:
+            return [Rejected(Fault.BAD_BODY, f"the {header.type_name} {error}", header)]

@@ -1,0 +1,99 @@
+"""Text and numbers as OpenIGTLink writes them: big-endian, names in fields of fixed size filled up with zeros."""
+
+import struct
+from typing import Any
+
+import numpy as np
+
+from sightline.errors import MessageError
+
+ASCII, UTF8 = 3, 106  # MIBenum of IANA: the two ways of writing text that are read here
+
+
+class Reader:
+    """Walks over a content once. Raises MessageError where it ends too early, or where something is left over."""
+
+    def __init__(self, content: bytes):
+        self._content, self._at = content, 0
+
+    @property
+    def left(self) -> int:
+        """Bytes not yet taken."""
+        return len(self._content) - self._at
+
+    def take(self, count: int) -> bytes:
+        """The next `count` bytes."""
+        if count > self.left:
+            raise MessageError(f"ends {count - self.left} bytes too early")
+        self._at += count
+        return self._content[self._at - count : self._at]
+
+    def unpack(self, layout: str) -> tuple[Any, ...]:
+        """Numbers, big-endian, in the letters of `struct`."""
+        return struct.unpack(">" + layout, self.take(struct.calcsize(">" + layout)))
+
+    def text(self, size: int) -> str:
+        """Text in a field of `size` bytes: what stands before the first zero."""
+        return text_of(self.take(size).split(b"\0", 1)[0])
+
+    def encoded_text(self, length: int, encoding: int) -> str:
+        """Text of `length` bytes in a stated encoding."""
+        if encoding not in (ASCII, UTF8):
+            raise MessageError(f"its text has encoding {encoding}; only US-ASCII (3) and UTF-8 (106) are read")
+        return text_of(self.take(length))  # peers send UTF-8 and call it ASCII, of which it is an extension
+
+    def floats(self, *shape: int) -> np.ndarray:
+        """Numbers of 32 bits, as float64."""
+        count = int(np.prod(shape, dtype=object))
+        return np.frombuffer(self.take(4 * count), dtype=">f4").astype(np.float64).reshape(shape)
+
+    def doubles(self, *shape: int) -> np.ndarray:
+        """Numbers of 64 bits."""
+        count = int(np.prod(shape, dtype=object))
+        return np.frombuffer(self.take(8 * count), dtype=">f8").astype(np.float64).reshape(shape)
+
+    def finish(self) -> None:
+        """Say that all was read."""
+        if self.left:
+            raise MessageError(f"is {self.left} bytes too long")
+
+
+def text_of(data: bytes) -> str:
+    """UTF-8, or a MessageError."""
+    try:
+        return data.decode("utf-8")
+    except UnicodeDecodeError as error:
+        raise MessageError(f"holds text that is not UTF-8: {data[:24]!r}") from error
+
+
+def field(text: str, size: int, what: str) -> bytes:
+    """Text in a field of `size` bytes. Raises MessageError where it does not fit: a name cut short is another name."""
+    data = text.encode("utf-8")
+    if len(data) > size:
+        raise MessageError(f"{what} {text!r} has {len(data)} bytes; at most {size} fit")
+    if b"\0" in data:
+        raise MessageError(f"{what} {text!r} holds a zero byte, which ends it")
+    return data.ljust(size, b"\0")
+
+
+def encoded(text: str) -> tuple[int, bytes]:
+    """(encoding, bytes): US-ASCII where that is enough."""
+    return (ASCII if text.isascii() else UTF8), text.encode("utf-8")
+
+
+def floats(values: np.ndarray) -> bytes:
+    """Numbers of 32 bits. Raises MessageError for a finite number that they cannot hold."""
+    try:
+        with np.errstate(over="raise"):
+            return np.asarray(values, dtype=np.float64).astype(">f4").tobytes()
+    except FloatingPointError as error:
+        raise MessageError("a number is too large for the 32 bits of the wire") from error
+
+
+def read_only(values: Any, what: str, shape: tuple[int | None, ...], dtype: Any = np.float64) -> np.ndarray:
+    """A copy that cannot be written to. Raises MessageError where its shape, None for any, is another."""
+    array = np.array(values, dtype=dtype)
+    if len(array.shape) != len(shape) or any(b not in (None, a) for a, b in zip(array.shape, shape, strict=True)):
+        raise MessageError(f"{what} has shape {array.shape}, not {tuple('any' if n is None else n for n in shape)}")
+    array.flags.writeable = False
+    return array
