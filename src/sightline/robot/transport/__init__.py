@@ -1,0 +1,8 @@
+"""OpenIGTLink over TCP: several clients, bounded queues, disconnects noticed. What messages mean lives elsewhere."""
+
+from sightline.robot.transport.blocking import BlockingClient
+from sightline.robot.transport.client import Client
+from sightline.robot.transport.connection import Connection, Handler
+from sightline.robot.transport.server import LOOPBACK, PORT, Server, serve
+
+__all__ = ["LOOPBACK", "PORT", "BlockingClient", "Client", "Connection", "Handler", "Server", "serve"]

@@ -1,0 +1,88 @@
+"""The calling side without an event loop: send, and wait for what comes."""
+
+import socket
+import time
+from collections import deque
+from types import TracebackType
+from typing import Self
+
+from sightline.errors import LinkError
+from sightline.robot.igtl import MAX_BODY_BYTES, Event, Message, Rejected, Stream, encode
+from sightline.robot.transport.client import CONNECT_S
+from sightline.robot.transport.server import LOOPBACK, PORT
+from sightline.robot.transport.sockets import prepare
+
+_PIECE = 1 << 16
+_SEND_S = 5.0  # [ours] a peer that reads nothing for so long is given up
+
+
+class BlockingClient:
+    """A connection for one thread. Raises LinkError where it cannot be made in time.
+
+    It does not connect again by itself, and it hears nothing between two calls.
+    """
+
+    def __init__(
+        self,
+        host: str = LOOPBACK,
+        port: int = PORT,
+        *,
+        connect_s: float = CONNECT_S,
+        max_body_bytes: int = MAX_BODY_BYTES,
+    ):
+        self._stream = Stream(max_body_bytes)
+        self._events: deque[Event] = deque()
+        try:
+            self._socket = socket.create_connection((host, port), timeout=connect_s)
+        except OSError as error:
+            raise LinkError(f"cannot connect to {host}:{port}: {error.strerror or error}") from error
+        prepare(self._socket)
+
+    def send(self, message: Message) -> None:
+        """Send it. Raises LinkError where the connection is gone, MessageError as `encode` does."""
+        data = encode(message)
+        try:
+            self._socket.settimeout(_SEND_S)
+            self._socket.sendall(data)
+        except OSError as error:
+            self.close()
+            raise LinkError(f"the connection was lost: {error}") from error
+
+    def receive(self, timeout_s: float) -> Event | None:
+        """What came next, in order; None where nothing was complete in time. Raises LinkError after the end."""
+        end = time.monotonic() + timeout_s
+        while not self._events:
+            left = end - time.monotonic()
+            if left <= 0:
+                return None
+            self._hear(left)
+        event = self._events.popleft()
+        if isinstance(event, Rejected) and event.fatal:
+            self.close()
+        return event
+
+    def close(self) -> None:
+        """End it."""
+        self._socket.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _hear(self, timeout_s: float) -> None:
+        try:
+            self._socket.settimeout(timeout_s)
+            data = self._socket.recv(_PIECE)
+        except TimeoutError:
+            return
+        except OSError as error:
+            self.close()
+            raise LinkError(f"the connection was lost: {error}") from error
+        if not data:
+            self.close()
+            raise LinkError("the connection was closed by the peer")
+        self._events += self._stream.feed(data)

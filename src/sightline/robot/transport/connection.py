@@ -1,0 +1,186 @@
+"""One peer, on either side: its messages in order, its silence and its end noticed."""
+
+import asyncio
+from collections.abc import Callable
+from typing import Concatenate, ParamSpec, Protocol, cast
+
+from sightline.errors import LinkError
+from sightline.robot.igtl import MAX_BODY_BYTES, Event, Message, Rejected, Stream, encode
+from sightline.robot.transport.outbox import Outbox
+from sightline.robot.transport.sockets import prepare
+
+P = ParamSpec("P")
+
+MESSAGE_S = 5.0  # [ours] for a message to be complete: 16 MiB at 30 Mbit/s; then its size is taken to be wrong
+GOODBYE_S = 1.0  # [ours] for what waits to go out at the end
+
+
+class Handler(Protocol):
+    """Who is told what happens. All are called in the event loop's thread and must return at once.
+
+    An exception that one of them raises ends that connection, and `lost` is called; the others go on.
+    """
+
+    def opened(self, connection: "Connection") -> None:
+        """A peer is there."""
+
+    def received(self, connection: "Connection", event: Event) -> None:
+        """A message came, or something that is none. After a fatal one the connection closes by itself."""
+
+    def silent(self, connection: "Connection") -> None:
+        """No message came for the time set; called once until the next one comes."""
+
+    def lost(self, connection: "Connection", reason: str) -> None:
+        """The connection is gone, once and for good."""
+
+
+class Connection(asyncio.Protocol):
+    """A connection of the event loop, whose thread alone may use it: others go through `loop.call_soon_threadsafe`.
+
+    `peer`: address and port. `heard_at`: time of the event loop when the last message came. What is sent after the
+    end goes nowhere; `Handler.lost` tells of the end.
+    """
+
+    def __init__(self, handler: Handler, silence_s: float | None = None, max_body_bytes: int = MAX_BODY_BYTES):
+        self.peer = "nobody yet"
+        self.heard_at = 0.0
+        self._handler = handler
+        self._silence_s = silence_s
+        self._stream = Stream(max_body_bytes)
+        self._outbox = Outbox()
+        self._loop = asyncio.get_running_loop()
+        self._ended: asyncio.Future[None] = self._loop.create_future()
+        self._transport: asyncio.Transport | None = None
+        self._paused = False
+        self._reason = ""
+        self._silence: asyncio.TimerHandle | None = None
+        self._completion: asyncio.TimerHandle | None = None
+        self._goodbye: asyncio.TimerHandle | None = None
+
+    @property
+    def is_open(self) -> bool:
+        """Whether messages can still be sent."""
+        return self._transport is not None and not self._transport.is_closing()
+
+    @property
+    def dropped(self) -> int:
+        """Telemetry that was not sent because the peer read too slowly."""
+        return self._outbox.dropped
+
+    def send(self, message: Message) -> None:
+        """Send an answer: it arrives in its order, or the connection ends. Raises MessageError as `encode` does."""
+        data = encode(message)
+        if self._written_at_once(data):
+            return
+        try:
+            self._outbox.put_answer(data)
+        except LinkError as error:
+            self._abort(str(error))
+
+    def stream(self, message: Message) -> None:
+        """Send telemetry: in its order, but where the peer reads too slowly the oldest is dropped, and counted."""
+        data = encode(message)
+        if not self._written_at_once(data):
+            self._outbox.put_telemetry(data)
+
+    def close(self, reason: str) -> None:
+        """End it, after what waits has gone out; that may take a second."""
+        if self._transport is None or not self.is_open:
+            return
+        self._reason = reason
+        while self._outbox:
+            self._transport.write(self._outbox.take())
+        self._transport.close()
+        self._goodbye = self._loop.call_later(GOODBYE_S, self._transport.abort)
+
+    async def wait_closed(self) -> None:
+        """Until it is gone."""
+        await asyncio.shield(self._ended)
+
+    def _abort(self, reason: str) -> None:
+        """End it now, whatever waits."""
+        if self._transport is not None:
+            self._reason = self._reason or reason
+            self._transport.abort()
+
+    def _written_at_once(self, data: bytes) -> bool:
+        if self._transport is None or self._transport.is_closing():
+            return True  # nobody is there: it goes nowhere
+        if self._paused:
+            return False
+        self._transport.write(data)
+        return True
+
+    # What asyncio calls.
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        """There is a peer."""
+        self._transport = cast(asyncio.Transport, transport)
+        self.peer = "{}:{}".format(*transport.get_extra_info("peername")[:2])
+        prepare(transport.get_extra_info("socket"))
+        self._heard()
+        self._tell(self._handler.opened)
+
+    def data_received(self, data: bytes) -> None:
+        """Bytes came."""
+        events = self._stream.feed(data)
+        for event in events:
+            if isinstance(event, Message):
+                self._heard()
+            if not self.is_open:
+                return
+            self._tell(self._handler.received, event)
+            if isinstance(event, Rejected) and event.fatal:
+                self.close(f"{event.fault.value}: {event.reason}")
+                return
+        self._expect_completion(begun_anew=bool(events))
+
+    def pause_writing(self) -> None:
+        """The peer reads too slowly."""
+        self._paused = True
+
+    def resume_writing(self) -> None:
+        """It reads again."""
+        self._paused = False
+        while self._outbox and not self._paused and self.is_open:
+            self._written_at_once(self._outbox.take())
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """It is over."""
+        for timer in (self._silence, self._completion, self._goodbye):
+            if timer is not None:
+                timer.cancel()
+        if not self._ended.done():
+            self._ended.set_result(None)
+        self._handler.lost(self, self._reason or (f"{exc}" if exc else "closed by the peer"))
+
+    def _heard(self) -> None:
+        self.heard_at = self._loop.time()
+        if self._silence is None and self._silence_s is not None:
+            self._silence = self._loop.call_later(self._silence_s, self._listen, self._silence_s)
+
+    def _listen(self, silence_s: float) -> None:
+        # One timer, moved when it fires, instead of a new one for each message.
+        due = self.heard_at + silence_s
+        if self._loop.time() < due:
+            self._silence = self._loop.call_at(due, self._listen, silence_s)
+        else:
+            self._silence = None
+            self._tell(self._handler.silent)
+
+    def _tell(self, what: Callable[Concatenate["Connection", P], None], *args: P.args, **kwargs: P.kwargs) -> None:
+        try:
+            what(self, *args, **kwargs)
+        except Exception:
+            self._abort("what was to handle it failed")
+            raise
+
+    def _expect_completion(self, begun_anew: bool) -> None:
+        if self._completion is not None and (begun_anew or not self._stream.partial):
+            self._completion.cancel()
+            self._completion = None
+        if self._completion is None and self._stream.partial:
+            self._completion = self._loop.call_later(MESSAGE_S, self._give_up)
+
+    def _give_up(self) -> None:
+        self._abort(f"a message was not complete after {MESSAGE_S:.0f} s")

@@ -1,0 +1,328 @@
+"""Two ends and what lies between: order, bounds, silence, loss and return. Nothing here measures time."""
+
+import asyncio
+import socket
+from collections.abc import Callable, Coroutine
+from contextlib import closing
+from typing import Any
+
+import numpy as np
+import pytest
+
+from sightline.errors import LinkError, MessageError
+from sightline.robot.igtl import Event, Image, Message, Rejected, Status, String, Transform, encode
+from sightline.robot.transport import BlockingClient, Client, Connection, Server, connection, outbox, server
+from sightline.robot.transport import serve as serve_at
+from sightline.robot.transport.outbox import Outbox
+
+PATIENCE_S = 20.0  # a test that waits longer has failed
+
+
+class Witness:
+    """A handler that keeps what it was told, and answers as it is asked to."""
+
+    def __init__(self, answer: Callable[[Connection, Event], None] = lambda connection, event: None):
+        self.told: list[tuple[str, object]] = []
+        self.connections: list[Connection] = []
+        self._answer = answer
+
+    def opened(self, connection: Connection) -> None:
+        self.connections.append(connection)
+        self.told.append(("opened", connection))
+
+    def received(self, connection: Connection, event: Event) -> None:
+        self.told.append(("received", event))
+        self._answer(connection, event)
+
+    def silent(self, connection: Connection) -> None:
+        self.told.append(("silent", connection))
+
+    def lost(self, connection: Connection, reason: str) -> None:
+        self.told.append(("lost", reason))
+
+    def all(self, what: str) -> list[Any]:
+        return [thing for said, thing in self.told if said == what]
+
+    async def until(self, what: str, count: int = 1) -> list[Any]:
+        async with asyncio.timeout(PATIENCE_S):
+            while len(self.all(what)) < count:
+                await asyncio.sleep(0.001)
+        return self.all(what)
+
+
+def echo(connection: Connection, event: Event) -> None:
+    if isinstance(event, Message):
+        connection.send(event)
+
+
+def serve(handler: Witness, **options: Any) -> Coroutine[None, None, Server]:
+    return serve_at(handler, port=0, **options)
+
+
+def numbered(number: int, device: str = "arm/measured_cp") -> Message:
+    return Message(Transform(np.eye(4)), device, timestamp=number + 1)
+
+
+def test_a_burst_of_one_device_arrives_whole_and_in_order() -> None:
+    async def main() -> None:
+        there, here = Witness(echo), Witness()
+        async with await serve(there) as listening, Client(here, port=listening.port) as client:
+            assert client.connection is not None
+            for number in range(1000):
+                client.connection.send(numbered(number))
+            events = await here.until("received", 1000)
+            assert [event.timestamp for event in events] == list(range(1, 1001))
+            assert len(there.all("received")) == 1000
+
+    asyncio.run(main())
+
+
+def test_a_thread_without_a_loop_talks_to_it() -> None:
+    async def main() -> None:
+        async with await serve(Witness(echo)) as listening:
+
+            def talk() -> None:
+                with BlockingClient(port=listening.port) as client:
+                    for number in range(1000):
+                        client.send(numbered(number))
+                    for number in range(1000):
+                        event = client.receive(PATIENCE_S)
+                        assert isinstance(event, Message)
+                        assert event.timestamp == number + 1
+                    assert client.receive(0.0) is None
+
+            await asyncio.to_thread(talk)
+
+    asyncio.run(main())
+
+
+def test_clients_are_told_apart_and_one_too_many_is_turned_away() -> None:
+    async def main() -> None:
+        there = Witness(lambda peer, event: peer.send(Message(String(peer.peer), "YOU")))
+        async with await serve(there) as listening:
+            clients = [await asyncio.to_thread(BlockingClient, port=listening.port) for _ in range(server.MAX_CLIENTS)]
+            await there.until("opened", server.MAX_CLIENTS)
+            answers = set()
+            for client in clients:
+                client.send(Message(String("who am I?")))
+                event = await asyncio.to_thread(client.receive, PATIENCE_S)
+                assert isinstance(event, Message)
+                answers.add(event.body)
+            assert len(answers) == server.MAX_CLIENTS == len(listening.connections)
+            one_more = await asyncio.to_thread(BlockingClient, port=listening.port)
+            with pytest.raises(LinkError, match="closed by the peer"):
+                await asyncio.to_thread(one_more.receive, PATIENCE_S)
+            assert listening.refused == 1
+            assert len(there.all("opened")) == server.MAX_CLIENTS
+            clients[0].close()
+            await there.until("lost")
+            assert len(listening.connections) == server.MAX_CLIENTS - 1
+            for client in clients:
+                client.close()
+
+    asyncio.run(main())
+
+
+def test_what_waits_is_bounded_in_its_order() -> None:
+    box = Outbox()
+    box.put_answer(b"first")
+    for number in range(outbox.TELEMETRY_MESSAGES + 3):
+        box.put_telemetry(b"%d" % number)
+        if number == 10:
+            box.put_answer(b"between")
+    sent = [box.take() for _ in range(len(box))]
+    kept = [b"%d" % number for number in range(3, outbox.TELEMETRY_MESSAGES + 3)]
+    assert box.dropped == 3
+    assert sent == [b"first", *kept[:8], b"between", *kept[8:]]
+    with pytest.raises(KeyError):
+        box.take()
+    box.put_answer(bytes(2 * outbox.ANSWER_BYTES))  # one answer alone may be as large as it likes
+    with pytest.raises(LinkError, match="does not read"):
+        box.put_answer(b"second")
+
+
+def test_telemetry_to_a_slow_reader_drops_the_oldest_and_answers_arrive() -> None:
+    async def main() -> None:
+        there = Witness()
+        async with await serve(there) as listening:
+            client = await asyncio.to_thread(BlockingClient, port=listening.port)
+            with closing(client):
+                (peer,) = await there.until("opened")
+                block = np.zeros((200, 1000), dtype=np.uint8)
+                count = 0
+                while not peer.dropped:  # beyond what the kernel and asyncio hold
+                    peer.stream(Message(Image(block[None], np.eye(4)), "video", timestamp=count + 1))
+                    count += 1
+                peer.send(Message(Status(1), "ANSWER"))
+                seen: list[Message] = []
+                while not seen or seen[-1].device_name != "ANSWER":
+                    event = await asyncio.to_thread(client.receive, PATIENCE_S)
+                    assert isinstance(event, Message)
+                    seen.append(event)
+                times = [message.timestamp for message in seen[:-1]]
+                assert times == sorted(times)
+                assert times[-1] == count
+                assert len(times) == count - peer.dropped
+
+    asyncio.run(main())
+
+
+def test_a_client_that_reads_no_answers_is_let_go() -> None:
+    async def main() -> None:
+        there = Witness()
+        async with await serve(there) as listening:
+            with closing(await asyncio.to_thread(BlockingClient, port=listening.port)):
+                (peer,) = await there.until("opened")
+                answer = Message(String("x" * 60000))
+                while peer.is_open:
+                    peer.send(answer)
+                (reason,) = await there.until("lost")
+                assert "does not read" in reason
+                peer.send(answer)  # goes nowhere, and says nothing: `lost` did
+                assert there.all("lost") == [reason]
+
+    asyncio.run(main())
+
+
+@pytest.mark.parametrize(
+    ("data", "reason"),
+    [(b"GET / HTTP/1.1\r\nHost: localhost\r\nUser-Agent: a browser\r\n\r\n", "no header"),
+     (encode(numbered(0))[:42] + b"\xff" * 16, "too large")],
+)  # fmt: skip
+def test_bytes_that_lose_the_stream_end_the_connection_and_no_other(data: bytes, reason: str) -> None:
+    async def main() -> None:
+        there, here = Witness(echo), Witness()
+        async with await serve(there) as listening, Client(here, port=listening.port) as client:
+            with socket.create_connection(("127.0.0.1", listening.port)) as intruder:
+                intruder.sendall(data)
+                (lost,) = await there.until("lost")
+                assert reason in lost
+                (event,) = there.all("received")
+                assert isinstance(event, Rejected)
+                assert event.fatal
+            assert client.connection is not None
+            client.connection.send(numbered(5))
+            (event,) = await here.until("received")
+            assert event.timestamp == 6
+
+    asyncio.run(main())
+
+
+def test_a_message_that_never_ends_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(connection, "MESSAGE_S", 0.05)
+
+    async def main() -> None:
+        there = Witness()
+        async with await serve(there) as listening:
+            with socket.create_connection(("127.0.0.1", listening.port)) as peer:
+                peer.sendall(encode(numbered(0)) + encode(numbered(1))[:-1])
+                (reason,) = await there.until("lost")
+                assert "not complete" in reason
+                assert len(there.all("received")) == 1
+
+    asyncio.run(main())
+
+
+def test_silence_is_told_once_until_the_next_message() -> None:
+    async def main() -> None:
+        there = Witness()
+        async with await serve(there, silence_s=0.02) as listening:
+            with socket.create_connection(("127.0.0.1", listening.port)) as peer:
+                await there.until("silent")
+                peer.sendall(encode(numbered(0))[:-8] + b"\x01" * 8)  # a wrong body is no sign of life
+                await there.until("received")
+                await asyncio.sleep(0.1)
+                assert len(there.all("silent")) == 1
+                peer.sendall(encode(numbered(1)))
+                await there.until("silent", 2)
+                assert [said for said, _ in there.told] == ["opened", "silent", "received", "received", "silent"]
+
+    asyncio.run(main())
+
+
+def test_a_lost_server_is_noticed_and_found_again() -> None:
+    async def main() -> None:
+        here = Witness()
+        first = await serve(Witness())
+        port = first.port
+        async with Client(here, port=port) as client:
+            await here.until("opened")
+            await first.close()
+            assert await here.until("lost") == ["closed by the peer"]
+            there = Witness(echo)
+            async with await serve_at(there, port=port):
+                await here.until("opened", 2)
+                async with asyncio.timeout(PATIENCE_S):
+                    while client.connection is None:
+                        await asyncio.sleep(0.001)
+                client.connection.send(numbered(1))
+                assert len(await here.until("received")) == 1
+
+    asyncio.run(main())
+
+
+def test_a_handler_that_fails_ends_its_connection_alone(caplog: pytest.LogCaptureFixture) -> None:
+    def fail_on_words(peer: Connection, event: Event) -> None:
+        if isinstance(event, Message) and isinstance(event.body, String):
+            raise ZeroDivisionError
+        echo(peer, event)
+
+    async def main() -> None:
+        there, here = Witness(fail_on_words), Witness()
+        async with await serve(there) as listening, Client(here, port=listening.port) as client:
+            with closing(await asyncio.to_thread(BlockingClient, port=listening.port)) as other:
+                other.send(Message(String("divide")))
+                assert await there.until("lost") == ["what was to handle it failed"]
+                with pytest.raises(LinkError):
+                    await asyncio.to_thread(other.receive, PATIENCE_S)
+            assert client.connection is not None
+            client.connection.send(numbered(1))
+            await here.until("received")
+
+    asyncio.run(main())
+    assert "ZeroDivisionError" in caplog.text
+
+
+def test_nobody_there_is_said() -> None:
+    async def main() -> None:
+        with socket.create_server(("127.0.0.1", 0)) as taken:
+            port = taken.getsockname()[1]
+            with pytest.raises(LinkError, match=f"cannot listen at 127.0.0.1:{port}"):
+                await serve_at(Witness(), port=port)
+        with pytest.raises(LinkError, match="cannot connect"):
+            async with Client(Witness(), port=port):
+                pass
+        with pytest.raises(LinkError, match="cannot connect"):
+            BlockingClient(port=port)
+
+    asyncio.run(main())
+
+
+def test_a_message_that_cannot_be_written_sends_nothing() -> None:
+    async def main() -> None:
+        here = Witness()
+        async with await serve(Witness(echo)) as listening, Client(here, port=listening.port) as client:
+            assert client.connection is not None
+            with pytest.raises(MessageError, match="21 bytes"):
+                client.connection.send(numbered(0, device="a" * 21))
+            client.connection.send(numbered(1))
+            (event,) = await here.until("received")
+            assert event.timestamp == 2
+
+    asyncio.run(main())
+
+
+def test_closing_says_goodbye_to_a_client_that_does_not_read(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(connection, "GOODBYE_S", 0.02)
+
+    async def main() -> None:
+        there = Witness()
+        listening = await serve(there)
+        with closing(await asyncio.to_thread(BlockingClient, port=listening.port)):
+            (peer,) = await there.until("opened")
+            for _ in range(200):
+                peer.stream(Message(String("x" * 60000)))
+            await asyncio.wait_for(listening.close(), PATIENCE_S)
+            assert there.all("lost") == ["the server ends"]
+
+    asyncio.run(main())
