@@ -1,0 +1,162 @@
+"""Watching a wire being drilled: contact, cortex, break-through, depth and force, told from depth and force alone.
+
+Forces are noisy and bone is uneven, so events come from a filtered force and its filtered rate: a Kalman filter whose
+state is both, as the group of the paper used it for break-through [Mechatronics 9:565 1999].
+"""
+
+from dataclasses import dataclass
+from enum import Enum
+from math import exp, isfinite, sqrt
+
+from sightline.errors import RobotRefusedError, UnusableInputError
+
+# Noise of a force sample, 1 s.d.: a share of the force and a floor, N [physics.md, Drilling].
+NOISE_SHARE, NOISE_FLOOR_N = 0.1, 0.3
+FORCE_LIMIT_N = 80.0  # [physics.md, Drilling]
+# How fast the rate of the force wanders, N/s per root second: a wire of 2.5 mm fed at 1 mm/s leaves a cortex in about
+# a second, 30 N/s [ours].
+RATE_WANDER = 25.0
+# A wire that touches something: cancellous bone gives 1 to 1.5 N, skin and muscle less [physics.md, Drilling].
+CONTACT_N = 1.0
+CORTEX_N = 6.0  # more than cancellous bone of any density gives, a sixth of a common cortex [ours]
+# Break-through: the force has fallen to this share of the cortex's, and its rate is below zero by so many standard
+# deviations [ours; benchmarks/bench_supervision.py has delay and false alarms over 1,000 holes].
+LEFT_SHARE, FALLING_SIGMA = 0.6, 2.0
+# The cortex's force is forgotten over this path, so that a ramp at an oblique entry is no summit for ever [ours].
+MEMORY_MM = 1.0
+LONGEST_GAP_S = 0.05  # between samples: ten of 200 Hz; after more nothing is known of what happened meanwhile
+
+
+class Event(Enum):
+    """What is noticed while drilling."""
+
+    CONTACT = "contact"
+    CORTEX = "cortex"
+    BREAK_THROUGH = "break-through"
+    DEPTH = "planned depth"
+    DEPTH_LIMIT = "depth limit"
+    FORCE_LIMIT = "force limit"
+
+
+@dataclass(frozen=True)
+class Noted:
+    """An event, and when and where it was noticed: seconds, mm beyond depth zero, and the filtered force."""
+
+    event: Event
+    time_s: float
+    depth_mm: float
+    force_n: float
+
+
+def depth_limit(distance_mm: float, depth_error_95_mm: float) -> float:
+    """mm: how deep the wire may go at most, with a bone's surface `distance_mm` beyond depth zero along the wire.
+
+    Less by the 95 % error of depth, so that the surface is kept in 97.5 % of the cases. Raises RobotRefusedError
+    where nothing is left to drill.
+    """
+    limit = distance_mm - depth_error_95_mm
+    if not (isfinite(limit) and depth_error_95_mm >= 0 and limit > 0):
+        raise RobotRefusedError(
+            f"no depth is safe: the surface lies {distance_mm:.1f} mm beyond the zero of depth, and the depth errs by "
+            f"up to {depth_error_95_mm:.1f} mm; take a check shot to fix the zero, or plan a shorter wire"
+        )
+    return limit
+
+
+class ForceFilter:
+    """Kalman filter of a force and its rate, from samples at times that may vary."""
+
+    def __init__(self) -> None:
+        self.force_n = self.rate_n_s = 0.0
+        self._var = (NOISE_FLOOR_N**2, 0.0, RATE_WANDER**2)  # force, both, rate
+        self._time_s: float | None = None
+
+    def add(self, time_s: float, force_n: float) -> None:
+        """Take a sample. Raises UnusableInputError for one that is no number, or not later than the last."""
+        if not (isfinite(time_s) and isfinite(force_n)):
+            raise UnusableInputError("a force sample must be finite: the sensor or its link has failed")
+        dt = 0.0 if self._time_s is None else time_s - self._time_s
+        if self._time_s is not None and not dt > 0:
+            raise UnusableInputError("force samples must follow each other in time: the sensor's clock has failed")
+        self._time_s = time_s
+        ff, fr, rr = self._var
+        wander = RATE_WANDER**2
+        force = self.force_n + dt * self.rate_n_s
+        ff, fr, rr = (
+            ff + 2 * dt * fr + dt**2 * rr + wander * dt**3 / 3,
+            fr + dt * rr + wander * dt**2 / 2,
+            rr + wander * dt,
+        )
+        noise = (NOISE_SHARE * force) ** 2 + NOISE_FLOOR_N**2
+        gain_f, gain_r = ff / (ff + noise), fr / (ff + noise)
+        off = force_n - force
+        self.force_n, self.rate_n_s = force + gain_f * off, self.rate_n_s + gain_r * off
+        self._var = ((1 - gain_f) * ff, (1 - gain_f) * fr, rr - gain_r * fr)
+
+    @property
+    def rate_sigma(self) -> float:
+        """The rate over its own standard deviation."""
+        return self.rate_n_s / sqrt(self._var[2])
+
+
+class Supervision:
+    """The watch over one hole. Depths are mm of feed beyond depth zero, which may be set anew (contact, check shot)."""
+
+    def __init__(self, planned_mm: float, limit_mm: float, force_limit_n: float = FORCE_LIMIT_N) -> None:
+        if not 0 < planned_mm <= limit_mm:
+            raise RobotRefusedError(
+                f"the planned depth of {planned_mm:.1f} mm lies beyond the depth limit of {limit_mm:.1f} mm; plan a "
+                "shorter wire, or take a check shot to fix the zero of depth"
+            )
+        self._planned_mm, self._limit_mm, self._force_limit_n = planned_mm, limit_mm, force_limit_n
+        self._filter = ForceFilter()
+        self._cortex_n = 0.0  # the most force of late while in a cortex, otherwise 0
+        self._left = False  # a cortex, while its force still falls
+        self._touched = self._arrived = False
+        self._last: tuple[float, float] | None = None
+
+    @property
+    def force_n(self) -> float:
+        """The filtered force."""
+        return self._filter.force_n
+
+    def step(self, time_s: float, depth_mm: float, force_n: float) -> tuple[Noted, ...]:
+        """What is new with this sample. Raises UnusableInputError for samples that are no numbers or came too late:
+        drilling must stop, since it was not watched."""
+        if not isfinite(depth_mm):
+            raise UnusableInputError("the depth must be a finite number: an encoder or its link has failed")
+        if self._last is not None and time_s - self._last[0] > LONGEST_GAP_S:
+            raise UnusableInputError(f"no force for {time_s - self._last[0]:.2f} s: nothing was watched meanwhile")
+        fed = 0.0 if self._last is None else max(depth_mm - self._last[1], 0.0)
+        self._filter.add(time_s, force_n)
+        self._last = (time_s, depth_mm)
+        found = [*self._limits(depth_mm), *self._bone(fed)]
+        return tuple(Noted(event, time_s, depth_mm, self.force_n) for event in found)
+
+    def _limits(self, depth_mm: float) -> list[Event]:
+        out = []
+        if self.force_n > self._force_limit_n:
+            out.append(Event.FORCE_LIMIT)
+        if depth_mm >= self._limit_mm:
+            out.append(Event.DEPTH_LIMIT)
+        if depth_mm >= self._planned_mm and not self._arrived:
+            self._arrived = True
+            out.append(Event.DEPTH)
+        return out
+
+    def _bone(self, fed_mm: float) -> list[Event]:
+        out = []
+        if not self._touched and self.force_n > CONTACT_N:
+            self._touched = True
+            out.append(Event.CONTACT)
+        if self.force_n < CORTEX_N / 2:
+            self._left = False
+        elif self.force_n > CORTEX_N and self._cortex_n == 0.0 and not self._left:
+            self._cortex_n = self.force_n
+            out.append(Event.CORTEX)
+        if self._cortex_n > 0.0:
+            self._cortex_n = max(self.force_n, self._cortex_n * exp(-fed_mm / MEMORY_MM))
+            if self.force_n < LEFT_SHARE * self._cortex_n and self._filter.rate_sigma < -FALLING_SIGMA:
+                self._cortex_n, self._left = 0.0, True
+                out.append(Event.BREAK_THROUGH)
+        return out
