@@ -3,23 +3,24 @@
 import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform
-from tests.robot.robots import READY, calibrated, drawn
 
 from sightline.errors import RobotRefusedError, UnusableInputError
 from sightline.robot.calibrated import MACHINED_SD, SOURCES, calibrate_axes
 from sightline.robot.manipulator import Manipulator, nominal_manipulator
+from sightline.studies.robots import calibrated_robot, true_manipulator
 
+READY = np.array([5.0, -8.0, 0.7, 0.1, 20.0])
 IMAGED = np.array([-12.0, 15.0, 0.75, -0.05, 0.0])
 TARGETS_MM = np.array([[40.0, 10.0, -20.0], [-35.0, 25.0, 30.0], [5.0, -50.0, 60.0]])
 
 
 def test_the_wire_errs_as_stated():
-    robot, rng = calibrated(), np.random.default_rng(1)
+    robot, rng = calibrated_robot(), np.random.default_rng(1)
     manipulator = robot.manipulator
     wire = manipulator.T_mcs_tool(READY).apply([[0.0, 0.0, -95.0], [0.0, 0.0, 0.0]])
     stated = robot.wire_against_frame(IMAGED, READY, wire)
     covariance = np.sum([stated[source] for source in SOURCES], axis=0)
-    errors = np.array([_off(robot, drawn(robot, rng), wire, rng) for _ in range(1000)])
+    errors = np.array([_off(robot, true_manipulator(robot, rng), wire, rng) for _ in range(1000)])
     values, axes = np.linalg.eigh(covariance)
     ratio = (errors @ axes[:, 1:]).var(axis=0) / values[1:]  # 5: the wire is rigid, its length does not err
     assert np.abs(ratio - 1).max() < 0.18  # 4 s.d. of a variance of 1,000
@@ -38,7 +39,7 @@ def _off(robot, true: Manipulator, wire_mm: np.ndarray, rng: np.random.Generator
 
 
 def test_a_robot_that_stays_where_it_was_owes_nothing_to_its_axes():
-    robot = calibrated()
+    robot = calibrated_robot()
     wire = robot.manipulator.T_mcs_tool(READY).apply([[0.0, 0.0, -95.0], [0.0, 0.0, 0.0]])
     still, moved = (robot.wire_against_frame(imaged, READY, wire)["kinematics"] for imaged in (READY, IMAGED))
     assert np.abs(still).max() < 1e-20

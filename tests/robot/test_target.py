@@ -4,11 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from tests.robot.robots import calibrated
 
 from sightline.errors import RobotRefusedError, UnusableInputError
 from sightline.robot.registration import PoseAtImage, Registration, register
 from sightline.robot.target import LIFETIME_S, PlanIdentity, RobotTarget, aim
+from sightline.studies.robots import calibrated_robot
 
 Q = np.array([3.0, -5.0, np.pi / 4, 0.0, 0.0])
 IDENTITY = PlanIdentity("plan-1", "right", "SN-7", go=True)
@@ -17,7 +17,8 @@ PLANNED = {"frame": 0.01 * np.eye(6), "picks": 0.02 * np.eye(6)}
 
 
 def registered(q: np.ndarray = Q, second: np.ndarray = Q) -> Registration:
-    return register(calibrated(), {"pa": PoseAtImage(q, 10.02, 10.0), "lateral": PoseAtImage(second, 40.0, 39.95)})
+    poses = {"pa": PoseAtImage(q, 10.02, 10.0), "lateral": PoseAtImage(second, 40.0, 39.95)}
+    return register(calibrated_robot(), poses)
 
 
 def aimed(identity: PlanIdentity = IDENTITY, points: np.ndarray = POINTS, scale: float = 1.0) -> RobotTarget:
@@ -33,7 +34,7 @@ def test_the_frame_stands_where_the_flange_holds_it():
 
 
 def test_the_last_digit_of_an_encoder_is_no_movement():
-    second = Q + calibrated().manipulator.resolution
+    second = Q + calibrated_robot().manipulator.resolution
     middle = registered(second=second).T_mcs_cfcs.translation
     assert np.linalg.norm(middle - registered().T_mcs_cfcs.translation) < 0.05
 
@@ -47,7 +48,7 @@ def test_a_robot_that_moved_between_the_images_is_refused(joint):
 
 
 def test_stale_foreign_and_broken_poses_are_refused():
-    robot = calibrated()
+    robot = calibrated_robot()
     with pytest.raises(RobotRefusedError, match=r"0\.50 s from the pa image"):
         register(robot, {"pa": PoseAtImage(Q, 10.0, 10.5)})
     with pytest.raises(RobotRefusedError, match="beyond the manipulator's limits"):
