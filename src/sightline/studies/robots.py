@@ -11,8 +11,8 @@ from sightline.robot.mounts import Mount
 
 # Frame and wire on the flange, 1 s.d. of a twist: 0.1 mm as the accuracy trial fixes it, over a lever of 330 mm.
 MOUNT_SD = np.array([3e-4] * 3 + [0.1] * 3)
-# Of how the axes were machined, what their calibration leaves: 30 poses of three targets, 0.03 mm each, leave the
-# flange to some 0.03 mm [calc].
+# Of how the axes were machined, what their calibration leaves: 30 poses of three targets, 0.03 mm each, leave less;
+# this adds 0.01 mm at the wire [calc].
 AXES_LEFT = 0.1
 
 
