@@ -8,7 +8,7 @@ from tests.robot.igtl_faults import FAULTS
 from tests.robot.igtl_strategies import BODIES, messages
 
 from sightline.errors import MessageError
-from sightline.robot.igtl import Event, Fault, Header, Message, NDArray, Rejected, Stream, String, encode
+from sightline.robot.igtl import Event, Fault, Header, Message, NDArray, Rejected, Stream, String, Transform, encode
 from sightline.robot.igtl.crc import crc64
 
 SEEDS = 60
@@ -150,6 +150,14 @@ def test_a_message_inside_another_is_not_obeyed_when_a_size_is_wrong() -> None:
     assert isinstance(crc, Rejected)
     assert isinstance(header, Rejected)
     assert (crc.fault, header.fault) == (Fault.WRONG_CRC, Fault.NO_HEADER)
+
+
+def test_a_signalling_nan_is_a_nan() -> None:
+    (event,) = Stream().feed(wire("TRANSFORM", b"\x7f\xa0\0\1" * 12))
+    assert isinstance(event, Message)
+    assert isinstance(event.body, Transform)
+    assert event.body.fault == "it holds numbers that are not finite"
+    assert Stream().feed(encode(event))
 
 
 def test_the_limit_is_the_largest_body_that_is_read() -> None:

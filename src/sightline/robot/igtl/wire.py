@@ -1,5 +1,6 @@
 """Text and numbers as OpenIGTLink writes them: big-endian, names in fields of fixed size filled up with zeros."""
 
+import math
 import struct
 from typing import Any
 
@@ -44,13 +45,12 @@ class Reader:
 
     def floats(self, *shape: int) -> np.ndarray:
         """Numbers of 32 bits, as float64."""
-        count = int(np.prod(shape, dtype=object))
-        return np.frombuffer(self.take(4 * count), dtype=">f4").astype(np.float64).reshape(shape)
+        with np.errstate(invalid="ignore"):  # a signalling NaN is a NaN
+            return np.frombuffer(self.take(4 * math.prod(shape)), dtype=">f4").astype(np.float64).reshape(shape)
 
     def doubles(self, *shape: int) -> np.ndarray:
         """Numbers of 64 bits."""
-        count = int(np.prod(shape, dtype=object))
-        return np.frombuffer(self.take(8 * count), dtype=">f8").astype(np.float64).reshape(shape)
+        return np.frombuffer(self.take(8 * math.prod(shape)), dtype=">f8").astype(np.float64).reshape(shape)
 
     def finish(self) -> None:
         """Say that all was read."""
@@ -84,7 +84,7 @@ def encoded(text: str) -> tuple[int, bytes]:
 def floats(values: np.ndarray) -> bytes:
     """Numbers of 32 bits. Raises MessageError for a finite number that they cannot hold."""
     try:
-        with np.errstate(over="raise"):
+        with np.errstate(over="raise", invalid="ignore"):
             return np.asarray(values, dtype=np.float64).astype(">f4").tobytes()
     except FloatingPointError as error:
         raise MessageError("a number is too large for the 32 bits of the wire") from error
