@@ -1,0 +1,201 @@
+"""The simulated plant: the manipulator as it truly is, stepped by MuJoCo, its wire in the bone of the images."""
+
+from importlib import import_module
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from sightline.errors import SetUpError
+from sightline.robot.manipulator import FEED, JOINTS, Manipulator
+from sightline.robot.plant import CYCLE_S, PlantFlag, Reading
+from sightline.twin.drilling import Bone, Wire, sensed
+from sightline.twin.mjcf import STEP_S, Build, M, mjcf, unit
+
+STEPS = round(CYCLE_S / STEP_S)
+SETTLE_S = 0.5  # from the joints as given to their rest under gravity
+GUIDE_MM = 85.0  # feed at which the wire leaves its guide: some 15 mm before a typical entry point [ours]
+FULL_FORCE = 0.999  # of a drive's, above which it cannot follow
+
+
+class SimulatedPlant:
+    """A `Plant` with time of its own: `advance` passes it. What encoders cannot see (play, springs, gravity, thrust,
+    a bent wire) is in the methods named true_, for who judges, never for a controller.
+
+    `robot` is the true manipulator; `bone` None: the wire moves in air. `guide_mm` is the feed at which the wire's tip
+    is at the mouth of its guide, which a person pushes forward to the bone; `stop_pressed` and `run_held` are the
+    hardware's inputs. Raises SetUpError where MuJoCo is not installed.
+    """
+
+    def __init__(
+        self,
+        robot: Manipulator,
+        bone: Bone | None,
+        rng: np.random.Generator,
+        start: np.ndarray | None = None,
+        build: Build | None = None,
+    ) -> None:
+        self.robot = robot
+        self.wire = None if bone is None else Wire(bone)
+        self.guide_mm = GUIDE_MM
+        self.stop_pressed, self.run_held = False, True
+        self._rng = rng
+        self._body = _Body(robot, build or Build(), np.zeros(len(JOINTS)) if start is None else start)
+        self._goal, self._drill_on = np.zeros(len(JOINTS)), False
+        self._time_s, self._owed_s = 0.0, 0.0
+        self._reading = self._sample(PlantFlag.NONE)
+
+    def read(self) -> Reading:
+        """See Plant."""
+        return self._reading
+
+    def command(self, joint_velocity: np.ndarray, drill_on: bool) -> None:
+        """See Plant. Raises ValueError for what is not five finite numbers."""
+        velocity = np.asarray(joint_velocity, dtype=np.float64)
+        if velocity.shape != (len(JOINTS),) or not np.isfinite(velocity).all():
+            raise ValueError("a command is five finite joint velocities")
+        self._goal = np.clip(velocity, -self.robot.speed, self.robot.speed)
+        self._drill_on = drill_on
+
+    def hold(self) -> None:
+        """See Plant."""
+        self._goal, self._drill_on = np.zeros(len(JOINTS)), False
+
+    def advance(self, dt_s: float) -> None:
+        """Let time pass, in whole cycles; what is left over is owed to the next call."""
+        self._owed_s += dt_s
+        while self._owed_s > CYCLE_S - 1e-9:
+            self._owed_s -= CYCLE_S
+            self._cycle()
+
+    @property
+    def thrust_n(self) -> float:
+        """N: what the bone truly pushes back with, along the wire."""
+        return 0.0 if self.wire is None else self.wire.thrust_n
+
+    def true_T_mcs_flange(self) -> RigidTransform:
+        """Where the flange is."""
+        return self._body.pose("flange")
+
+    def true_T_mcs_cfcs(self) -> RigidTransform:
+        """Where the frame is."""
+        return self._body.pose("cfcs")
+
+    def true_T_mcs_tool(self) -> RigidTransform:
+        """Where the wire's tip is, +z the way it points there: bent, if bone has bent it."""
+        straight = self._body.pose("tool")
+        if self.wire is None:
+            return straight
+        axis = straight.rotation.apply([0.0, 0.0, 1.0])
+        bend = Rotation.from_rotvec(np.cross(axis, self.wire.slope))
+        return RigidTransform.from_components(self.wire.tip_mm, bend * straight.rotation)
+
+    def true_wire_mm(self) -> np.ndarray:
+        """(3, 3): the wire's axis at its guide's mouth, where bone holds it (else halfway to the tip), and its tip."""
+        tool = self._body.pose("tool")
+        free = max(self._body.positions()[FEED] - self.guide_mm, 0.0)
+        mouth = tool.apply([0.0, 0.0, -free])
+        tip = tool.translation if self.wire is None else self.wire.tip_mm
+        held = None if self.wire is None else self.wire.entry_mm
+        return np.stack([mouth, (mouth + tip) / 2 if held is None else held, tip])
+
+    def _cycle(self) -> None:
+        stopped = self.stop_pressed or not self.run_held
+        goal = np.zeros(len(JOINTS)) if stopped else self._goal
+        drilling = self._drill_on and not stopped
+        overloaded, limited = self._body.drive(goal)
+        self._time_s += CYCLE_S
+        if self.wire is not None:
+            tip, axes = self._body.tool()
+            free = self._body.positions()[FEED] - self.guide_mm
+            self._body.push(tip, -self.wire.step(tip, axes, free, drilling, CYCLE_S) * axes[2])
+        flags = PlantFlag.NONE
+        for flag, is_set in (
+            (PlantFlag.DRILL_ON, drilling),
+            (PlantFlag.STOP_PRESSED, self.stop_pressed),
+            (PlantFlag.RUN_HELD, self.run_held),
+            (PlantFlag.OVERLOAD, overloaded),
+            (PlantFlag.AT_LIMIT, limited),
+        ):
+            if is_set:
+                flags |= flag
+        self._reading = self._sample(flags)
+
+    def _sample(self, flags: PlantFlag) -> Reading:
+        counts = np.round(self._body.encoders() / self.robot.resolution)
+        return Reading(self._time_s, counts * self.robot.resolution, sensed(self.thrust_n, self._rng), flags)
+
+
+class _Body:
+    """The moving mass: MuJoCo's state behind mm and rad."""
+
+    def __init__(self, robot: Manipulator, build: Build, start: np.ndarray) -> None:
+        try:
+            mujoco = import_module("mujoco")
+        except ImportError as error:
+            raise SetUpError("the simulated robot needs MuJoCo: pip install 'sightline[robot]'") from error
+        self._mujoco = mujoco
+        self._model = mujoco.MjModel.from_xml_string(mjcf(robot, build))
+        self._data = mujoco.MjData(self._model)
+        self._lower, self._upper, self._acceleration = robot.lower, robot.upper, robot.acceleration
+        self._units = np.array([unit(joint) for joint in range(len(JOINTS))])
+        self._seen = np.array([self._model.joint(name).qposadr[0] for name in JOINTS])
+        self._behind = np.array([self._model.joint(f"{name}-behind").qposadr[0] for name in JOINTS])
+        self._force = np.array(build.drive_force)
+        self._site = {name: self._model.site(name).id for name in ("flange", "cfcs", "tool")}
+        self._fed = self._model.body("feed-link").id
+        self._pace = np.zeros(len(JOINTS))  # commanded now, mm/s and rad/s
+        data = self._data
+        data.qpos[self._seen] = data.act[:] = np.asarray(start, dtype=np.float64) * self._units
+        mujoco.mj_step(self._model, data, nstep=round(SETTLE_S / STEP_S))
+        mujoco.mj_kinematics(self._model, data)
+
+    def encoders(self) -> np.ndarray:
+        """(5,): the joints as their drives have them."""
+        return self._data.qpos[self._seen] / self._units
+
+    def positions(self) -> np.ndarray:
+        """(5,): the joints as they are, behind play and springs."""
+        return (self._data.qpos[self._seen] + self._data.qpos[self._behind]) / self._units
+
+    def tool(self) -> tuple[np.ndarray, np.ndarray]:
+        """Tip (3,) mm of a straight wire, and the tool's axes (3, 3), rows."""
+        site = self._site["tool"]
+        return self._data.site_xpos[site] / M, self._data.site_xmat[site].reshape(3, 3).T
+
+    def pose(self, name: str) -> RigidTransform:
+        """Of a site."""
+        site = self._site[name]
+        turn = Rotation.from_matrix(self._data.site_xmat[site].reshape(3, 3))
+        return RigidTransform.from_components(self._data.site_xpos[site] / M, turn)
+
+    def push(self, at_mm: np.ndarray, force_n: np.ndarray) -> None:
+        """A force (3,) on the wire at a point (3,), until the next one."""
+        x, y, z = (at_mm * M - self._data.xipos[self._fed]).tolist()
+        a, b, c = force_n.tolist()
+        # Their cross product: numpy's takes 40 µs, half of a cycle.
+        self._data.xfrc_applied[self._fed] = (a, b, c, y * c - z * b, z * a - x * c, x * b - y * a)
+
+    def drive(self, goal: np.ndarray) -> tuple[bool, bool]:
+        """One cycle towards joint velocities (5,); whether a drive was overloaded, and whether a limit was met."""
+        at = self.encoders()
+        step = self._acceleration * STEP_S
+        # As fast as still stops before the limit, one cycle spent.
+        spent, twice = np.abs(self._pace) * CYCLE_S, 2 * self._acceleration
+        forward = np.sqrt(twice * np.maximum(self._upper - at - spent, 0.0))
+        backward = np.sqrt(twice * np.maximum(at - self._lower - spent, 0.0))
+        allowed = np.minimum(np.maximum(goal, -backward), forward)
+        data, model = self._data, self._model
+        if (allowed == self._pace).all():
+            self._mujoco.mj_step(model, data, nstep=STEPS)
+        else:
+            for _ in range(STEPS):
+                self._pace = self._pace + np.clip(allowed - self._pace, -step, step)
+                data.ctrl[: len(JOINTS)] = data.ctrl[len(JOINTS) :] = self._pace * self._units
+                self._mujoco.mj_step(model, data)
+        force = data.qfrc_actuator[self._seen]
+        overloaded = bool((np.abs(force) > FULL_FORCE * self._force).any())
+        if overloaded:  # the reference waits for the joint
+            slack = self._force / self._model.actuator_gainprm[: len(JOINTS), 0]
+            data.act[:] = np.clip(data.act, data.qpos[self._seen] - slack, data.qpos[self._seen] + slack)
+        self._mujoco.mj_kinematics(model, data)
+        return overloaded, bool((allowed != goal).any())

@@ -1,0 +1,177 @@
+"""The manipulator as a MuJoCo model (MJCF): drives, play and springs behind the encoders, weights. SI units inside."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+from sightline.errors import SetUpError
+from sightline.robot.manipulator import ARM_JOINTS, FEED, JOINTS, TURNS, Manipulator
+
+M = 1e-3  # a millimetre
+STEP_S = 0.001
+DRIVE_HZ = 80.0  # bandwidth of a drive's position loop, critically damped [ours]
+SPRING_DAMPING = 0.1  # of critical: bolted joints, the gears' grease [ours]
+STIFFEST = 1.5  # rad of its oscillation that a spring may turn in a step; beyond 2 it is unstable [calc]
+HARD_STOP = (2.0, float(np.deg2rad(0.5)))  # beyond a soft limit: mm, rad [ours]
+
+
+@dataclass(frozen=True)
+class Weight:
+    """A box of even weight. `at_mm` its middle in MCS at q = 0, `size_mm` its edges along MCS."""
+
+    kg: float
+    at_mm: tuple[float, float, float]
+    size_mm: tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class Build:
+    """What a manipulator is made of, beyond its kinematics. All [ours]: machined aluminium, a drill of an operating
+    room, a frame of acrylic plates.
+
+    `weights`: of each joint's own link; `frame`: on the flange; `drive_inertia`: a motor's, as its joint feels it, kg
+    and kg m²; `drive_force`: what it can do, N and N m; `gravity` m/s², MCS.
+    """
+
+    weights: tuple[Weight, ...] = (
+        Weight(12.0, (120.0, 0.0, 300.0), (120.0, 160.0, 200.0)),
+        Weight(6.0, (200.0, 0.0, 300.0), (100.0, 120.0, 120.0)),
+        Weight(3.0, (250.0, 0.0, 300.0), (90.0, 90.0, 140.0)),
+        Weight(3.0, (300.0, 0.0, 290.0), (260.0, 80.0, 60.0)),
+        Weight(2.0, (280.0, 0.0, 260.0), (180.0, 60.0, 60.0)),
+    )
+    frame: Weight = Weight(3.0, (480.0, 0.0, 380.0), (300.0, 200.0, 250.0))
+    drive_inertia: tuple[float, ...] = (60.0, 40.0, 1.0, 1.0, 10.0)
+    drive_force: tuple[float, ...] = (1000.0, 400.0, 60.0, 60.0, 200.0)
+    gravity: tuple[float, float, float] = (0.0, 0.0, -9.81)
+
+
+def mjcf(robot: Manipulator, build: Build) -> str:
+    """The model. Bodies lie at MCS when q = 0, so every joint is its screw axis as it stands.
+
+    Joints: `lift` and so on are what the encoders see, `lift-behind` what they do not; `column` is its bending.
+    Sites: `flange`, `cfcs`, `tool`. Raises SetUpError for springs that are too stiff for the time step.
+    """
+    home = robot.T_mcs_flange_home
+    sites = {
+        ARM_JOINTS - 1: _site("flange", home) + _site("cfcs", home * robot.T_flange_cfcs),
+        FEED: _site("tool", home * robot.T_flange_tool),
+    }
+    inertia = _carried(robot, build)
+    _check_stiffness(robot, build, inertia)
+    bodies = ""
+    for joint in reversed(range(len(JOINTS))):
+        load = _inertial(*((build.weights[joint], build.frame) if joint == ARM_JOINTS - 1 else (build.weights[joint],)))
+        own = _joint(robot, build, joint, inertia[joint])
+        bodies = f'<body name="{JOINTS[joint]}-link">{load}{own}{sites.get(joint, "")}{bodies}</body>'
+    # The column: as heavy as what it carries at its top.
+    column = robot.column_stiffness / M
+    damping = 2 * SPRING_DAMPING * float(np.sqrt(column * inertia[0]))
+    return f"""<mujoco model="manipulator">
+<compiler angle="radian"/>
+<option timestep="{STEP_S}" integrator="implicitfast" gravity="{_row(build.gravity)}">
+<flag contact="disable"/></option>
+<worldbody><body name="column"><inertial pos="0 0 0.2" mass="20" diaginertia="1 1 1"/>
+<joint name="column" type="slide" axis="1 0 0" stiffness="{column!r}" damping="{damping!r}"/>
+{bodies}</body></worldbody>
+<tendon>{"".join(_play(robot, joint) for joint in range(len(JOINTS)))}</tendon>
+<actuator>{"".join(_drives(build, inertia))}</actuator>
+</mujoco>"""
+
+
+def unit(joint: int) -> float:
+    """SI units per unit of a joint."""
+    return 1.0 if TURNS[joint] else M
+
+
+def _check_stiffness(robot: Manipulator, build: Build, inertia: list[float]) -> None:
+    for joint, load in enumerate(inertia):
+        reduced = 1 / (1 / load + 1 / build.drive_inertia[joint])
+        turn = np.sqrt(_spring(robot, joint) / reduced) * STEP_S
+        if turn > STIFFEST:
+            raise SetUpError(
+                f"the {JOINTS[joint]}'s spring of {robot.stiffness[joint]:g} turns by {turn:.1f} rad in a time step, "
+                f"more than {STIFFEST:g}: make it softer or what it carries heavier"
+            )
+
+
+def _spring(robot: Manipulator, joint: int) -> float:
+    """N/m, or N m/rad from N mm/rad."""
+    return float(robot.stiffness[joint]) * (M if TURNS[joint] else 1 / M)
+
+
+def _carried(robot: Manipulator, build: Build) -> list[float]:
+    """kg or kg m² that each joint moves, without its drive, at q = 0."""
+    out = []
+    for joint in range(len(JOINTS)):
+        loads = [*build.weights[joint:], *([build.frame] if joint < ARM_JOINTS else [])]
+        if not TURNS[joint]:
+            out.append(sum(load.kg for load in loads))
+            continue
+        turn, moment = robot.axes[joint, :3], robot.axes[joint, 3:]
+        arm = [np.linalg.norm(np.cross(np.array(load.at_mm) - np.cross(turn, moment), turn)) * M for load in loads]
+        out.append(float(sum(load.kg * a**2 for load, a in zip(loads, arm, strict=True))))
+    return out
+
+
+def _joint(robot: Manipulator, build: Build, joint: int, inertia: float) -> str:
+    axis = robot.axes[joint]
+    turning = bool(TURNS[joint])
+    direction = axis[:3] if turning else axis[3:]
+    place = np.cross(axis[:3], axis[3:]) * M
+    form = f'type="{"hinge" if turning else "slide"}" axis="{_row(direction)}" pos="{_row(place)}"'
+    stop = HARD_STOP[turning]
+    low, high = (robot.lower[joint] - stop) * unit(joint), (robot.upper[joint] + stop) * unit(joint)
+    force = build.drive_force[joint]
+    damping = 2 * SPRING_DAMPING * np.sqrt(_spring(robot, joint) * inertia)
+    limits = f'limited="true" range="{_row((low, high))}"'
+    limits += f' actuatorfrclimited="true" actuatorfrcrange="{_row((-force, force))}"'
+    return (
+        f'<joint name="{JOINTS[joint]}" {form} {limits} armature="{build.drive_inertia[joint]!r}"/>'
+        f'<joint name="{JOINTS[joint]}-behind" {form} damping="{float(damping)!r}"/>'
+    )
+
+
+def _play(robot: Manipulator, joint: int) -> str:
+    """A spring with a dead band: nothing holds the joint within its play."""
+    half = float(robot.backlash[joint]) / 2 * unit(joint)
+    band = f'stiffness="{_spring(robot, joint)!r}" springlength="{_row((-half, half))}"'
+    return f'<fixed name="{JOINTS[joint]}-play" {band}><joint joint="{JOINTS[joint]}-behind" coef="1"/></fixed>'
+
+
+def _drives(build: Build, inertia: list[float]) -> list[str]:
+    """Of each joint a loop on the integral of the velocity commanded, then of each one on the velocity itself."""
+    pace, reach = 2 * np.pi * DRIVE_HZ, 10.0  # a reach without effect: the plant keeps the reference near the joint
+    mass = [drive + load for drive, load in zip(build.drive_inertia, inertia, strict=True)]
+    place = [
+        f'<intvelocity joint="{joint}" kp="{float(one * pace**2)!r}" actrange="{_row((-reach, reach))}"/>'
+        for joint, one in zip(JOINTS, mass, strict=True)
+    ]
+    return place + [
+        f'<velocity joint="{joint}" kv="{float(2 * one * pace)!r}"/>' for joint, one in zip(JOINTS, mass, strict=True)
+    ]
+
+
+def _site(name: str, pose: RigidTransform) -> str:
+    x, y, z, w = pose.rotation.as_quat()
+    return f'<site name="{name}" pos="{_row(pose.translation * M)}" quat="{_row((w, x, y, z))}"/>'
+
+
+def _inertial(*loads: Weight) -> str:
+    """One inertia of several boxes."""
+    kg = sum(load.kg for load in loads)
+    at = np.array([load.at_mm for load in loads]) * M
+    mass = np.array([load.kg for load in loads])
+    middle = mass @ at / kg
+    full = np.zeros((3, 3))
+    for load, place in zip(loads, at, strict=True):
+        edge2, arm = (np.array(load.size_mm) * M) ** 2, place - middle
+        full += load.kg * (np.diag(edge2.sum() - edge2) / 12 + arm @ arm * np.eye(3) - np.outer(arm, arm))
+    six = full[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
+    return f'<inertial pos="{_row(middle)}" mass="{kg!r}" fullinertia="{_row(six)}"/>'
+
+
+def _row(numbers) -> str:
+    """Numbers as MJCF writes them, all digits kept."""
+    return " ".join(repr(float(number)) for number in numbers)

@@ -1,0 +1,259 @@
+"""The simulated plant against the closed-form kinematics and against statics worked out by hand."""
+
+from dataclasses import replace
+from importlib import import_module
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from sightline.errors import SetUpError
+from sightline.robot.manipulator import FEED, LIFT, TRAVERSE, YAW, nominal_manipulator
+from sightline.robot.plant import CYCLE_S, Plant, PlantFlag
+from sightline.twin.drilling import Bone
+from sightline.twin.manipulator import SimulatedPlant
+from sightline.twin.mjcf import Build, mjcf, unit
+from sightline.twin.volumes import Volume
+
+pytest.importorskip("mujoco")
+NOMINAL = nominal_manipulator()
+WEIGHTLESS = Build(gravity=(0.0, 0.0, 0.0))
+START = np.array([10.0, -20.0, 0.6, 0.1, 100.0])
+
+
+def plant(robot=NOMINAL, bone=None, build=None, start=START, seed=0) -> SimulatedPlant:
+    return SimulatedPlant(robot, bone, np.random.default_rng(seed), start, build)
+
+
+def displaced(seed):
+    return NOMINAL.displaced(np.random.default_rng(seed).uniform(-1, 1, (6, 6)) * np.repeat([3e-3, 1.0], 3))
+
+
+@pytest.mark.parametrize("robot", [NOMINAL, displaced(1), nominal_manipulator("left").displaced(np.full((6, 6), 1e-3))])
+def test_without_springs_mujoco_has_the_closed_form_kinematics(robot):
+    mujoco = import_module("mujoco")
+    model = mujoco.MjModel.from_xml_string(mjcf(robot, Build()))
+    data = mujoco.MjData(model)
+    rng = np.random.default_rng(2)
+    for _ in range(20):
+        q = rng.uniform(robot.lower, robot.upper)
+        for joint, name in enumerate(("lift", "traverse", "yaw", "pitch", "feed")):
+            data.qpos[model.joint(name).qposadr[0]] = q[joint] * unit(joint)
+        mujoco.mj_kinematics(model, data)
+        for site, pose in (
+            ("tool", robot.T_mcs_tool(q)),
+            ("flange", robot.T_mcs_flange(q)),
+            ("cfcs", robot.T_mcs_cfcs(q)),
+        ):
+            assert np.abs(data.site(site).xpos * 1e3 - pose.translation).max() < 1e-6
+            assert np.abs(data.site(site).xmat.reshape(3, 3) - pose.rotation.as_matrix()).max() < 1e-9
+
+
+def test_it_is_a_plant():
+    one: Plant = plant()
+    reading = one.read()
+    assert reading.time_s == 0.0
+    assert reading.encoders.shape == (5,)
+
+
+def test_encoders_count_in_their_resolution():
+    one = plant()
+    one.command(np.array([3.0, -2.0, 0.03, 0.02, 4.0]), drill_on=False)
+    one.advance(1.0)
+    counts = one.read().encoders / NOMINAL.resolution
+    assert np.allclose(counts, np.round(counts), atol=1e-6)
+    assert one.read().time_s == pytest.approx(1.0)
+
+
+def test_velocities_are_followed_and_kept():
+    one = plant(build=WEIGHTLESS)
+    before, velocity = one.read().encoders, np.array([5.0, -5.0, 0.05, -0.05, 10.0])
+    one.command(velocity, drill_on=False)
+    one.advance(0.5)
+    after = one.read().encoders
+    one.advance(1.0)
+    assert np.allclose(one.read().encoders - after, velocity, atol=3 * NOMINAL.resolution)
+    # It got there with the stated acceleration: half the ramp's time is lost.
+    lost = velocity * 0.5 - (after - before)
+    assert np.allclose(lost, velocity * np.abs(velocity) / NOMINAL.acceleration / 2, atol=0.02 * np.abs(velocity))
+
+
+def test_a_velocity_beyond_the_joints_speed_is_cut():
+    one = plant(build=WEIGHTLESS, start=np.zeros(5))
+    one.command(10 * NOMINAL.speed, drill_on=False)
+    one.advance(0.1)
+    first = one.read().encoders
+    one.advance(0.5)
+    assert np.allclose((one.read().encoders - first) / 0.5, NOMINAL.speed, rtol=0.01)
+
+
+def test_from_full_speed_a_hold_stops_within_50_ms_and_stays():
+    one = plant(start=np.zeros(5))
+    one.command(NOMINAL.speed, drill_on=False)
+    one.advance(0.5)
+    one.hold()
+    one.advance(0.045)
+    first = one.read().encoders
+    one.advance(CYCLE_S)
+    slack = 2 * NOMINAL.resolution
+    assert (np.abs(one.read().encoders - first) < 0.01 * NOMINAL.speed * CYCLE_S + slack).all()
+    one.advance(1.0)
+    assert np.allclose(one.read().encoders, first, atol=5 * slack.max())
+
+
+@pytest.mark.parametrize(("attribute", "value"), [("stop_pressed", True), ("run_held", False)])
+def test_the_hardwares_own_inputs_stop_whatever_is_commanded(attribute, value):
+    one = plant()
+    one.command(NOMINAL.speed / 2, drill_on=True)
+    one.advance(0.1)
+    assert PlantFlag.DRILL_ON in one.read().flags
+    setattr(one, attribute, value)
+    one.advance(0.1)
+    first = one.read().encoders
+    one.command(NOMINAL.speed / 2, drill_on=True)
+    one.advance(0.2)
+    assert np.allclose(one.read().encoders, first, atol=3 * NOMINAL.resolution)
+    assert PlantFlag.DRILL_ON not in one.read().flags
+    assert (PlantFlag.STOP_PRESSED in one.read().flags) == (attribute == "stop_pressed")
+    assert (PlantFlag.RUN_HELD in one.read().flags) == (attribute != "run_held")
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_a_joint_stops_at_its_limit(sign):
+    near = NOMINAL.upper - 0.01 * NOMINAL.speed if sign > 0 else NOMINAL.lower + 0.01 * NOMINAL.speed
+    one = plant(build=WEIGHTLESS, start=near)
+    one.command(sign * NOMINAL.speed, drill_on=False)
+    one.advance(1.0)
+    assert PlantFlag.AT_LIMIT in one.read().flags
+    assert (np.abs(NOMINAL.beyond_limits(one.read().encoders)) < 0.01 * NOMINAL.speed).all()
+    one.command(-sign * NOMINAL.speed, drill_on=False)
+    one.advance(0.3)
+    assert PlantFlag.AT_LIMIT not in one.read().flags
+
+
+@pytest.mark.parametrize("bad", [np.zeros(4), [0, 0, np.nan, 0, 0], [0, 0, np.inf, 0, 0]])
+def test_a_command_that_is_no_velocity_is_refused(bad):
+    one = plant()
+    with pytest.raises(ValueError, match="five finite"):
+        one.command(bad, drill_on=False)
+
+
+def test_gravity_sags_what_the_encoders_cannot_see():
+    """The lift's spring carries all that it lifts; its play is taken up downwards."""
+    one, build = plant(), Build()
+    one.advance(0.5)
+    seen = NOMINAL.T_mcs_flange(one.read().encoders).translation
+    sag = (one.true_T_mcs_flange().translation - seen)[2]
+    kg = sum(weight.kg for weight in build.weights) + build.frame.kg
+    expected = -kg * 9.81 / NOMINAL.stiffness[LIFT] - NOMINAL.backlash[LIFT] / 2
+    assert sag == pytest.approx(expected, abs=0.006)  # the lift's encoder counts in 0.005
+
+
+def test_the_pitch_hangs_at_the_lower_end_of_its_play():
+    one = plant(build=Build(gravity=(0.0, 0.0, -0.5)))  # enough to take up the play, little for the springs
+    tool, encoders = one.true_T_mcs_tool(), one.read().encoders
+    seen = NOMINAL.T_mcs_tool(encoders)
+    drop = np.arcsin((tool.rotation.apply([0, 0, 1.0]) - seen.rotation.apply([0, 0, 1.0]))[2] / np.cos(0.1))
+    assert drop == pytest.approx(-np.deg2rad(0.025), rel=0.15)
+
+
+def test_springs_too_stiff_for_the_time_step_are_refused():
+    with pytest.raises(SetUpError, match="pitch"):
+        plant(replace(NOMINAL, stiffness=NOMINAL.stiffness * [1, 1, 1, 1e3, 1]))
+
+
+def test_the_yaws_play_leaves_the_wire_where_it_came_from():
+    """Approached from either side, the same encoder reading means two directions of the wire, the play apart."""
+    ends = []
+    for sign in (1, -1):
+        one = plant(start=START - sign * np.array([0.0, 0.0, 0.05, 0.0, 0.0]))
+        one.command(sign * np.array([0.0, 0.0, 0.02, 0.0, 0.0]), drill_on=False)
+        one.advance(2.0)
+        axis = one.true_T_mcs_tool().rotation.apply([0.0, 0.0, 1.0])
+        ends.append(np.arctan2(axis[1], axis[0]) - one.read().encoders[YAW])
+    assert ends[1] - ends[0] == pytest.approx(0.0, abs=np.deg2rad(0.055))
+    assert abs(ends[1] - ends[0]) > np.deg2rad(0.02)
+
+
+def slab(robot, q, ahead_mm=10.0, share=1.0):
+    """Bone across the wire's path, `ahead_mm` beyond the tip, in front of everything."""
+    tool = robot.T_mcs_tool(q)
+    volume = Volume(np.full((41, 41, 61), share), np.array([-20.0, -20.0, ahead_mm]), np.ones(3))
+    return Bone((volume,), tool)
+
+
+def test_thrust_bends_the_robot_back_where_the_encoders_cannot_see_it():
+    free = plant(build=WEIGHTLESS)
+    one = plant(bone=slab(NOMINAL, START, 2.0), build=WEIGHTLESS)
+    one.guide_mm = START[FEED] - 5.0
+    for each in (free, one):
+        each.command(np.array([0.0, 0.0, 0.0, 0.0, 1.0]), drill_on=True)
+        each.advance(8.0)
+    assert one.thrust_n == pytest.approx(35.0, rel=0.02)
+    assert np.allclose(one.read().encoders, free.read().encoders, atol=0.03)
+    axis = NOMINAL.T_mcs_tool(START).rotation.apply([0.0, 0.0, 1.0])
+    flange = axis @ (one.true_T_mcs_flange().translation - free.true_T_mcs_flange().translation)
+    thrust = one.thrust_n * axis
+    springs = np.array([1 / NOMINAL.column_stiffness, 1 / NOMINAL.stiffness[TRAVERSE], 1 / NOMINAL.stiffness[LIFT]])
+    assert flange == pytest.approx(-(axis * springs) @ thrust, abs=0.02)  # the play is 0.01
+    tip = axis @ (one.true_T_mcs_tool().translation - free.true_T_mcs_tool().translation)
+    assert tip < flange - 35.0 / 100.0  # and the wire itself is pressed back
+
+
+def test_the_sensor_reads_the_thrust_with_its_noise():
+    one = plant(bone=slab(NOMINAL, START, 2.0), build=WEIGHTLESS)
+    one.guide_mm = START[FEED] - 5.0
+    one.command(np.array([0.0, 0.0, 0.0, 0.0, 1.0]), drill_on=True)
+    one.advance(6.0)
+    read = []
+    for _ in range(400):
+        one.advance(CYCLE_S)
+        read.append(one.read().force_n)
+    assert np.mean(read) == pytest.approx(35.0, abs=5 * 3.5 / 20)
+    assert np.std(read) == pytest.approx(3.5, rel=0.2)
+
+
+def test_a_drive_that_cannot_follow_says_so_and_does_not_wind_up():
+    weak = Build(gravity=(0.0, 0.0, 0.0), drive_force=(1000.0, 400.0, 60.0, 60.0, 15.0))
+    one = plant(bone=slab(NOMINAL, START, 2.0), build=weak)
+    one.guide_mm = START[FEED] - 5.0
+    one.command(np.array([0.0, 0.0, 0.0, 0.0, 1.0]), drill_on=False)  # against bone, not turning
+    one.advance(6.0)
+    assert PlantFlag.OVERLOAD in one.read().flags
+    assert one.thrust_n == pytest.approx(15.0, abs=1.0)
+    stuck = one.read().encoders[FEED]
+    one.command(np.array([0.0, 0.0, 0.0, 0.0, -1.0]), drill_on=False)
+    one.advance(1.0)
+    assert one.read().encoders[FEED] < stuck - 0.8
+
+
+def test_the_true_wire_runs_from_its_guide_through_its_entry_to_its_tip():
+    tilt = RigidTransform.from_rotation(Rotation.from_rotvec([0.0, np.deg2rad(40.0), 0.0]))
+    tool = NOMINAL.T_mcs_tool(START)
+    volume = Volume(np.ones((61, 61, 61)), np.array([-30.0, -30.0, 0.0]), np.ones(3))
+    ahead = RigidTransform.from_translation([0.0, 0.0, 6.0])
+    one = plant(bone=Bone((volume,), tool * ahead * tilt))
+    one.guide_mm = START[FEED] - 30.0
+    one.command(np.array([0.0, 0.0, 0.0, 0.0, 1.0]), drill_on=True)
+    one.advance(25.0)
+    mouth, entry, tip = one.true_wire_mm()
+    true = one.true_T_mcs_tool()
+    assert np.allclose(tip, true.translation)
+    assert np.linalg.norm(entry - mouth) == pytest.approx(38.0, abs=2.0)
+    chord = (tip - entry) / np.linalg.norm(tip - entry)
+    assert np.rad2deg(np.arccos(chord @ true.rotation.apply([0.0, 0.0, 1.0]))) < 0.2
+    axis = one.true_T_mcs_flange().rotation.apply([0.0, 0.0, 1.0])
+    leaning, beyond = (np.cross(axis, part / np.linalg.norm(part)) for part in (entry - mouth, tip - entry))
+    assert np.linalg.norm(leaning) > 2e-3
+    assert np.allclose(beyond, 1.5 * leaning, atol=0.15 * np.linalg.norm(leaning))  # a cantilever's end
+
+
+def test_the_same_generator_gives_the_same_readings():
+    read = []
+    for _ in range(2):
+        one = plant(bone=slab(NOMINAL, START, 2.0), seed=3)
+        one.command(np.array([0.0, 0.0, 0.01, 0.0, 1.0]), drill_on=True)
+        one.advance(1.003)
+        read.append((*one.read().encoders, one.read().force_n, one.read().time_s))
+    assert read[0] == read[1]
+    assert read[0][-1] == pytest.approx(1.0)  # whole cycles; 3 ms are owed
