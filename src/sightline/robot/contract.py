@@ -1,0 +1,47 @@
+"""The words and times of the link's contract, docs/robot-link.md. Both ends take them from here."""
+
+from enum import IntEnum
+
+ACK_S, STATUS_S = 1.0, 5.0  # an answer's acknowledgement and status come within [what testers of other robots expect]
+SILENCE_S = 0.2  # of the leaseholder, before motion stops [issue]
+HEARTBEAT_S = 0.05  # between a client's heartbeats: three may be late [ours]
+TELEMETRY_S = 0.02  # between two of a stream [ours]: a display shows no more
+ARM = "arm"  # how names of telemetry begin
+
+# Device names. A command's is its kind, "_" and an identifier that its acknowledgement carries too.
+COMMAND, CALIBRATION, TARGET, ACKNOWLEDGED = "CMD_", "CLB_", "TGT_", "ACK_"
+HEARTBEAT = "HEARTBEAT"
+CURRENT_STATUS, CURRENT_POSITION = "CURRENT_STATUS", "CURRENT_POSITION"
+MEASURED_CP, MEASURED_JS = f"{ARM}/measured_cp", f"{ARM}/measured_js"
+FORCE, DEPTH, CYCLES = f"{ARM}/force", f"{ARM}/depth", f"{ARM}/cycles"
+
+# What a peer may announce in its CAPABILITY beside types of messages, in their twelve characters.
+HAS_HEARTBEAT = "X_HEARTBEAT"  # client: I send heartbeats, stop when they end; robot: I watch them
+HAS_TELEMETRY = "X_TELEMETRY"  # client: send me the streams; robot: I have them
+HAS_DRILLING = "X_DRILLING"  # robot: DRILL, GUIDE and RETRACT are commands
+HAS_PLAN = "X_PLAN"  # robot: a target may carry a plan's identity
+HAS_RESET = "X_RESET"  # robot: a person may reset it over the link
+
+RESET = "RESET"  # name of the COMMAND that does, its text the number of the fault that the person has read
+FAULT_NUMBER = "fault"  # metadata of STATUS, where a fault is named
+
+# Metadata of a target. Where PLAN stands all others must.
+UNITS, COORDINATES, PLAN = "units", "coordinates", "plan"
+SIDE, FRAME_SERIAL, GO = "side", "frame_serial", "go"
+LENGTH_MM, DEPTH_LIMIT_MM, VALID_S = "length_mm", "depth_limit_mm", "valid_s"
+PLAN_KEYS = (PLAN, SIDE, FRAME_SERIAL, GO, UNITS, COORDINATES, LENGTH_MM, DEPTH_LIMIT_MM, VALID_S)
+YES, NO = "yes", "no"
+MM, CFCS, MCS = "mm", "CFCS", "MCS"
+
+
+class Code(IntEnum):
+    """Codes of STATUS that are used, of those that OpenIGTLink lists."""
+
+    OK = 1
+    EMERGENCY = 3
+    DENIED = 5  # another client holds the command lease
+    CONFIGURATION = 10  # a registration or target that cannot be used
+    UNKNOWN = 12  # no such command
+    NOT_READY = 13  # not in this state
+    MANUAL = 14
+    HARDWARE = 18

@@ -1,0 +1,263 @@
+"""The robot's side of the talk: messages of clients become requests, answers and outcomes become messages.
+
+Nothing is read or sent here: `receive` and `cycle` return what is to be sent to whom, in order.
+"""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from sightline.robot import contract
+from sightline.robot.contract import Code
+from sightline.robot.controller import Aim, Answer, Command, Controller, Outcome, Register, Reset, Snapshot
+from sightline.robot.igtl import (
+    MILLIMETRE,
+    NEWTON,
+    Capability,
+    CommandReply,
+    Event,
+    Get,
+    Message,
+    NDArray,
+    Rejected,
+    Sensor,
+    Status,
+    String,
+    Transform,
+)
+from sightline.robot.igtl import Command as CommandMessage
+from sightline.robot.igtl.kinds import Body
+from sightline.robot.plant import CYCLE_S
+from sightline.robot.states import MOVING, Cause, phase
+
+UNDERSTOOD = ("STRING", "STATUS", "TRANSFORM", "COMMAND", "CAPABILITY", "GET_STATUS", "GET_TRANS", "GET_CAPABIL")
+OFFERED = (contract.HAS_HEARTBEAT, contract.HAS_TELEMETRY, contract.HAS_DRILLING, contract.HAS_PLAN, contract.HAS_RESET)
+_NAME_BYTES = 20
+STOPPING = (Cause.STOP.value, Cause.EMERGENCY.value)
+
+
+@dataclass(frozen=True)
+class Outgoing:
+    """A message for a client. Telemetry may be dropped where the client reads too slowly; answers never."""
+
+    client: int
+    message: Message
+    telemetry: bool = False
+
+
+@dataclass
+class Cycles:
+    """What the loop knows of its own punctuality."""
+
+    count: int = 0
+    missed: int = 0
+    worst_s: float = 0.0
+
+
+@dataclass
+class _Peer:
+    version: int = 1  # of headers: 1 until the client sends 2
+    telemetry: bool = False
+    told_s: float = -np.inf
+
+
+@dataclass
+class Dialogue:
+    """Speaks for one controller with all its clients, known by a number."""
+
+    controller: Controller
+    cycles: Cycles = field(default_factory=Cycles)
+
+    def __post_init__(self) -> None:
+        self._peers: dict[int, _Peer] = {}
+
+    def joined(self, client: int) -> None:
+        """A client is there."""
+        self._peers[client] = _Peer()
+
+    def left(self, client: int, now_s: float) -> None:
+        """It is gone."""
+        self._peers.pop(client, None)
+        self.controller.lost(client, now_s)
+
+    def receive(self, client: int, event: Event, now_s: float) -> list[Outgoing]:
+        """What a client sent. Every command is answered; what is no command and no question is not."""
+        if isinstance(event, Rejected):
+            return self._rejected(client, event)
+        peer = self._peers[client]
+        peer.version = max(peer.version, event.version)
+        self.controller.heard(client, now_s)
+        return self._all(client, self._answer(client, event, now_s))
+
+    def cycle(self, now_s: float) -> list[Outgoing]:
+        """One cycle of the controller, and what it gives to say."""
+        out = []
+        for outcome in self.controller.cycle(now_s):
+            for client in [outcome.client] if outcome.client is not None else list(self._peers):
+                out += self._all(client, self._of_outcome(outcome))
+        return out + self._telemetry(now_s)
+
+    # Answers, as (device name, body) in their order.
+
+    def _answer(self, client: int, message: Message, now_s: float) -> list[tuple[str, Body]]:
+        name, said = message.device_name, []
+        match message.body:
+            case String(text):
+                said = self._of_string(client, name, text, now_s)
+            case Transform():
+                said = self._of_transform(client, message, now_s)
+            case CommandMessage(number, command, text):
+                said = [(name, self._of_command(client, number, command, text, now_s))]
+            case Capability(types):
+                self._peers[client].telemetry = contract.HAS_TELEMETRY in types
+                if contract.HAS_HEARTBEAT in types:
+                    self.controller.heartbeat(client, now_s)
+                said = [("", Capability(UNDERSTOOD + OFFERED))]
+            case Get("CAPABILITY"):
+                said = [("", Capability(UNDERSTOOD + OFFERED))]
+            case Get("STATUS"):
+                said = [self._state_now()]
+            case Get("TRANSFORM"):
+                said = [self._position()]
+        return said
+
+    def _of_transform(self, client: int, message: Message, now_s: float) -> list[tuple[str, Body]]:
+        name = message.device_name
+        if name.startswith(contract.TARGET):
+            return self._of_target(client, message, now_s)
+        if name.startswith(contract.CALIBRATION):
+            answer = self.controller.submit(client, Register(message), now_s)
+            return [_echo(name, message.body), (Cause.CALIBRATION.value, _status(answer))]
+        text = f"a TRANSFORM is named {contract.CALIBRATION}... or {contract.TARGET}..., not {name!r}"
+        return [(_fitting(name), Status(Code.UNKNOWN, Code.UNKNOWN.name, text))]
+
+    def _of_string(self, client: int, name: str, text: str, now_s: float) -> list[tuple[str, Body]]:
+        if name.startswith(contract.COMMAND):
+            answer = self.controller.submit(client, Command(text), now_s)
+            acknowledged = contract.ACKNOWLEDGED + name.removeprefix(contract.COMMAND)
+            said = [(acknowledged, String(text)), (contract.CURRENT_STATUS, self._current())]
+            return said + ([(_fitting(text), _status(answer))] if answer.done else [])
+        if name == contract.HEARTBEAT:
+            self.controller.heartbeat(client, now_s)
+            return []
+        if contract.CURRENT_POSITION in (name, text):
+            return [self._position()]
+        if contract.CURRENT_STATUS in (name, text):
+            return [self._state_now()]
+        reason = f"a STRING is named {contract.COMMAND}..., {contract.HEARTBEAT}, or asks for {contract.CURRENT_STATUS}"
+        return [(_fitting(name), Status(Code.UNKNOWN, Code.UNKNOWN.name, reason))]
+
+    def _of_target(self, client: int, message: Message, now_s: float) -> list[tuple[str, Body]]:
+        answer = self.controller.submit(client, Aim(message), now_s)
+        said = [_echo(message.device_name, message.body), ("TARGET", _status(answer))]
+        insertion = self.controller.insertion
+        if answer.code is Code.OK and insertion is not None:
+            said += [("TARGET", message.body), ("REACHABLE_TARGET", Transform.of(insertion.T_cfcs_wire))]
+        return said
+
+    def _of_command(self, client: int, number: int, command: str, text: str, now_s: float) -> CommandReply:
+        if command != contract.RESET:
+            return CommandReply(number, "unknown", f"there is no COMMAND {command[:40]!r}; there is {contract.RESET}")
+        if not (text.isascii() and text.isdigit() and len(text) < 10):
+            return CommandReply(number, "refused", f"{contract.RESET} carries the number of the fault")
+        answer = self.controller.submit(client, Reset(int(text)), now_s)
+        return CommandReply(number, "" if answer.code is Code.OK else "refused", answer.text)
+
+    def _rejected(self, client: int, event: Rejected) -> list[Outgoing]:
+        """What could not be read was perhaps a command, so its sender must know. Unknown types are no commands."""
+        if event.fatal or event.header is None or event.header.type_name not in UNDERSTOOD:
+            return []
+        return self._all(client, [(contract.CURRENT_STATUS, Status(Code.CONFIGURATION, "UNREADABLE", event.reason))])
+
+    def _of_outcome(self, outcome: Outcome) -> list[tuple[str, Body]]:
+        said: list[tuple[str, Body]] = [(_fitting(outcome.name), _status(Answer(outcome.code, outcome.text)))]
+        if outcome.name == Cause.MOVE_TO_TARGET.value:
+            said.append(self._position())
+        return said
+
+    def _current(self) -> Status:
+        state, fault = self.controller.state, self.controller.fault
+        text = state.value if fault is None else f"fault {fault.number}: {fault.text}"
+        return Status(Code.OK, phase(state), text, subcode=0 if fault is None else fault.number)
+
+    def _state_now(self) -> tuple[str, Body]:
+        """The answer to a question for the state: named after the phase, with the code of its fault."""
+        status, state = self._current(), self.controller.state
+        fault = self.controller.fault
+        code = Code.OK if fault is None else fault.code
+        late = f"; {self.cycles.missed} of {self.cycles.count} cycles were late"
+        return phase(state), Status(code, status.error_name, status.text + late, status.subcode)
+
+    def _position(self) -> tuple[str, Body]:
+        """Pose of the wire, CFCS; before a registration there is no such thing to say."""
+        registration = self.controller.registration
+        if registration is None:
+            text = (
+                f"no registration, so no position in {contract.CFCS}; {contract.MEASURED_CP} has it in {contract.MCS}"
+            )
+            return contract.CURRENT_POSITION, Status(Code.NOT_READY, "UNCALIBRATED", text)
+        q = self.controller.snapshot().reading.encoders
+        tool = self.controller.robot.manipulator.T_mcs_tool(q)
+        return contract.CURRENT_POSITION, Transform.of(registration.T_mcs_cfcs.inv() * tool)
+
+    # Streams.
+
+    def _telemetry(self, now_s: float) -> list[Outgoing]:
+        due = [
+            client for client, peer in self._peers.items() if now_s - peer.told_s > contract.TELEMETRY_S - CYCLE_S / 2
+        ]
+        moving = self.controller.state in MOVING
+        full = [client for client in due if self._peers[client].telemetry]
+        plain = [client for client in due if moving and client == self.controller.lease]
+        if not full and not plain:
+            return []
+        out: list[Outgoing] = []
+        streams = self._streams(self.controller.snapshot()) if full else []
+        position = self._position() if moving else None
+        for client in {**dict.fromkeys(full), **dict.fromkeys(plain)}:
+            self._peers[client].told_s = now_s
+            said = [position] if position is not None and client in plain else []
+            out += self._all(client, said + (streams if client in full else []), telemetry=True)
+        return out
+
+    def _streams(self, now: Snapshot) -> list[tuple[str, Body]]:
+        manipulator = self.controller.robot.manipulator
+        q = now.reading.encoders
+        rows = np.stack([q, now.velocity, now.wanted, now.commanded, manipulator.lower, manipulator.upper])
+        said: list[tuple[str, Body]] = [
+            (contract.MEASURED_CP, Transform.of(manipulator.T_mcs_tool(q))),
+            (contract.MEASURED_JS, NDArray(rows)),
+            (contract.FORCE, Sensor(np.array([now.reading.force_n]), NEWTON)),
+            (contract.CYCLES, Sensor(np.array([self.cycles.count, self.cycles.missed, self.cycles.worst_s]))),
+            (contract.CURRENT_STATUS, self._current()),
+        ]
+        if now.depth_mm is not None:
+            said.append((contract.DEPTH, Sensor(np.array([now.depth_mm]), MILLIMETRE)))
+        return said
+
+    def _all(self, client: int, said: list[tuple[str, Body]], *, telemetry: bool = False) -> list[Outgoing]:
+        version = self._peers[client].version if client in self._peers else 1
+        return [Outgoing(client, _message(name, body, version), telemetry) for name, body in said]
+
+
+def _message(name: str, body: Body, version: int) -> Message:
+    """With header 2 it says which frame and unit its numbers are in."""
+    said: dict[str, str] = {}
+    if version == 2 and isinstance(body, Transform):
+        frame = contract.MCS if name == contract.MEASURED_CP else contract.CFCS
+        said = {contract.UNITS: contract.MM, contract.COORDINATES: frame}
+    return Message(body, name, version=version, metadata=said)
+
+
+def _echo(name: str, body: Body) -> tuple[str, Body]:
+    return contract.ACKNOWLEDGED + name.split("_", 1)[1], body
+
+
+def _status(answer: Answer) -> Status:
+    return Status(int(answer.code), "" if answer.code is Code.OK else answer.code.name, answer.text)
+
+
+def _fitting(name: str) -> str:
+    """A device name made of what a client sent: ASCII, and no longer than the field."""
+    readable = "".join(letter for letter in name if " " < letter < "\x7f")[:_NAME_BYTES]
+    return readable or "UNKNOWN"

@@ -1,0 +1,202 @@
+"""What the robot is told to drill: read from a registration and a target as they come over the link, or refused."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from math import isfinite
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+from sightline.errors import RobotRefusedError, UnusableInputError
+from sightline.robot import contract
+from sightline.robot.calibrated import CalibratedRobot
+from sightline.robot.igtl import Message, Transform
+from sightline.robot.manipulator import FEED, Manipulator
+from sightline.robot.target import LIFETIME_S, PlanIdentity
+
+# The wire waits so far before the entry point, outside the skin of most patients, for the confirmation shot [ours].
+STANDOFF_MM = 20.0
+BARE_LENGTH_MM = 95.0  # from entry to tip, where a target states no entry point: the wire of the paper's hip [paper]
+SHORTEST_MM = 5.0  # as planning has it: less gives no direction
+# Past the planned depth, where a target states no limit: what the paper allows the tip to err [paper, Fig. 15].
+DEPTH_SLACK_MM = 1.0
+LEAST_SLACK_MM = 0.2  # between planned depth and its limit: feed error at rest, and then some [ours]
+# No robot stands so near the hip, and no plan ends so near the frame's origin, unless its numbers are metres [ours].
+BASE_IN_METRES, TARGET_IN_METRES = 10.0, 1.0
+
+
+@dataclass(frozen=True)
+class Setup:
+    """What a person has confirmed at the robot: the patient's side, and the serial of the frame on the flange."""
+
+    side: str
+    frame_serial: str
+
+
+@dataclass(frozen=True, eq=False)
+class LinkRegistration:
+    """Where the frame stood, as navigation says. `timestamp` of its message, 0 where it stated none."""
+
+    T_mcs_cfcs: RigidTransform
+    timestamp: int
+
+
+@dataclass(frozen=True, eq=False)
+class Insertion:
+    """A wire to be drilled. `entry_mm`, `end_mm` (3,) MCS; `q` (5,): the joints with the tip at the entry point;
+    `T_cfcs_wire`: at the end point, as the robot will lay it; depths from the entry point. `identity` is None where a
+    bare transform came."""
+
+    identity: PlanIdentity | None
+    entry_mm: np.ndarray
+    end_mm: np.ndarray
+    q: np.ndarray
+    T_cfcs_wire: RigidTransform
+    depth_limit_mm: float
+    expires_s: float
+
+    @property
+    def length_mm(self) -> float:
+        """From entry to end."""
+        return float(np.linalg.norm(self.end_mm - self.entry_mm))
+
+    def at_depth(self, depth_mm: float) -> np.ndarray:
+        """Joints (5,) with the tip so far beyond the entry point."""
+        q = self.q.copy()
+        q[FEED] += depth_mm
+        return q
+
+
+def read_registration(message: Message) -> LinkRegistration:
+    """From a transform that maps MCS to CFCS. Raises RobotRefusedError."""
+    T_cfcs_mcs = _rigid(message, "registration")
+    distance = float(np.linalg.norm(T_cfcs_mcs.translation))
+    if distance < BASE_IN_METRES:
+        raise RobotRefusedError(
+            f"the registration puts the robot's base {distance:.2f} mm from the hip: it looks like metres; send mm"
+        )
+    return LinkRegistration(T_cfcs_mcs.inv(), message.timestamp)
+
+
+def read_target(
+    message: Message, registration: LinkRegistration, robot: CalibratedRobot, setup: Setup, now_s: float
+) -> Insertion:
+    """From a transform: the wire's pose at the end point, CFCS, +z towards the tip, and the plan's metadata if any.
+
+    Raises RobotRefusedError with the reason.
+    """
+    T_cfcs_wire = _rigid(message, "target")
+    said = message.metadata
+    _refuse_frame_and_units(said)
+    _refuse_metres(T_cfcs_wire)
+    if message.timestamp and registration.timestamp and message.timestamp < registration.timestamp:
+        raise RobotRefusedError("the target is older than the registration; plan again on the images just taken")
+    identity, length, limit, expires = None, BARE_LENGTH_MM, BARE_LENGTH_MM + DEPTH_SLACK_MM, now_s + LIFETIME_S
+    if contract.PLAN in said:
+        identity, length, limit, valid = _plan(said, setup)
+        expires = now_s + valid
+    end = registration.T_mcs_cfcs.apply(T_cfcs_wire.translation)
+    along = (registration.T_mcs_cfcs * T_cfcs_wire).rotation.apply([0.0, 0.0, 1.0])
+    entry = end - length * along
+    q = robot.manipulator.inverse(entry, end)
+    refuse_feed(robot.manipulator, q, length)
+    q_end = q + np.array([0.0, 0.0, 0.0, 0.0, length])
+    laid = registration.T_mcs_cfcs.inv() * robot.manipulator.T_mcs_tool(q_end)
+    return Insertion(identity, entry, end, q, laid, limit, expires)
+
+
+def refuse_feed(manipulator: Manipulator, q: np.ndarray, length_mm: float) -> None:
+    """Raise RobotRefusedError where the feed cannot go from before the entry point to the end point."""
+    before, beyond = q[FEED] - STANDOFF_MM - manipulator.lower[FEED], q[FEED] + length_mm - manipulator.upper[FEED]
+    if before < 0:
+        raise RobotRefusedError(
+            f"the entry point is {-before:.1f} mm too near: the wire must stop {STANDOFF_MM:g} mm before it; move the "
+            "robot's base away"
+        )
+    if beyond > 0:
+        raise RobotRefusedError(
+            f"the feed ends {beyond:.1f} mm before the end point; bring the robot's base nearer, or plan a shorter wire"
+        )
+
+
+def _rigid(message: Message, what: str) -> RigidTransform:
+    body = message.body
+    if not isinstance(body, Transform):
+        raise RobotRefusedError(f"a {what} comes as TRANSFORM, not as {message.type_name}")
+    if body.fault is not None:
+        raise RobotRefusedError(f"the {what} is no rigid motion: {body.fault}")
+    return body.rigid()
+
+
+def _refuse_frame_and_units(said: Mapping[str, str]) -> None:
+    frame, units = said.get(contract.COORDINATES, contract.CFCS), said.get(contract.UNITS, contract.MM)
+    if frame != contract.CFCS:
+        raise RobotRefusedError(f"the target is in the frame {frame!r}; send it in {contract.CFCS}")
+    if units != contract.MM:
+        raise RobotRefusedError(f"the target is in {units!r}; send it in {contract.MM}")
+
+
+def _refuse_metres(T_cfcs_wire: RigidTransform) -> None:
+    distance = float(np.linalg.norm(T_cfcs_wire.translation))
+    if distance < TARGET_IN_METRES:
+        raise RobotRefusedError(
+            f"the target lies {distance:.3f} mm from the frame's origin: it looks like metres; send mm (a target that "
+            f"truly lies within {TARGET_IN_METRES:g} mm must be planned a little aside)"
+        )
+
+
+def _plan(said: Mapping[str, str], setup: Setup) -> tuple[PlanIdentity, float, float, float]:
+    """(identity, length mm, depth limit mm, seconds it is valid)."""
+    missing = [key for key in contract.PLAN_KEYS if key not in said]
+    if missing:
+        raise RobotRefusedError(f"the plan {said[contract.PLAN]!r} does not state {', '.join(missing)}")
+    go = said[contract.GO]
+    if go not in (contract.YES, contract.NO):
+        raise RobotRefusedError(f"{contract.GO} is {contract.YES!r} or {contract.NO!r}, not {go!r}")
+    try:
+        identity = PlanIdentity(
+            said[contract.PLAN], said[contract.SIDE], said[contract.FRAME_SERIAL], go == contract.YES
+        )
+    except UnusableInputError as error:
+        raise RobotRefusedError(str(error)) from error
+    if not identity.go:
+        raise RobotRefusedError("checks of the plan failed: planning says NO-GO; see them, and plan again")
+    for what, planned, here in (
+        ("side", identity.side, setup.side),
+        ("frame serial", identity.frame_serial, setup.frame_serial),
+    ):
+        if planned != here:
+            raise RobotRefusedError(
+                f"the plan's {what} is {planned!r}, the robot is set up for {here!r}: not this patient's plan, or not "
+                "this frame; find out which before anything else"
+            )
+    length, limit, valid = (
+        _number(said, key) for key in (contract.LENGTH_MM, contract.DEPTH_LIMIT_MM, contract.VALID_S)
+    )
+    if length < SHORTEST_MM:
+        raise RobotRefusedError(
+            f"entry and end point are {length:.1f} mm apart and give no direction (at least {SHORTEST_MM:g} mm); plan "
+            "again"
+        )
+    if limit < length + LEAST_SLACK_MM:
+        raise RobotRefusedError(
+            f"the planned depth of {length:.1f} mm comes within {LEAST_SLACK_MM:g} mm of its limit of {limit:.1f} mm "
+            "or passes it; plan a shorter wire"
+        )
+    if not 0 < valid <= LIFETIME_S:
+        raise RobotRefusedError(
+            "the plan has expired; take new images and plan again"
+            if valid <= 0
+            else f"the plan claims to be valid for {valid:.0f} s; at most {LIFETIME_S:.0f} s are"
+        )
+    return identity, length, limit, valid
+
+
+def _number(said: Mapping[str, str], key: str) -> float:
+    try:
+        value = float(said[key])
+    except ValueError:
+        value = float("nan")
+    if not isfinite(value):
+        raise RobotRefusedError(f"{key} is {said[key]!r}, which is no number")
+    return value
