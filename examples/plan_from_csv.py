@@ -8,6 +8,7 @@ import sys
 import numpy as np
 
 import sightline as sl
+from sightline.checks import failed
 from sightline.detection.files import read_observations
 from sightline.planning import matching_curve, plan
 
@@ -21,6 +22,8 @@ def main(path: str) -> None:
     made = plan(views, entry_px, end_px, snapped=True)
     wire = made.trajectory
     print("GO" if made.verdict.go else "NO-GO")
+    for check in failed(made.verdict.checks):  # snapped picks alone do not tell whether the patient moved
+        print(f"  {check.name}: {check.sentence}")
     print("entry, mm:", wire.entry_mm.round(2), "within", round(wire.entry_error_95_mm, 2), "(95 %)")
     print("tip, mm:  ", wire.end_mm.round(2), "within", round(wire.end_error_95_mm, 2), "(95 %)")
     for source, rms in wire.budget_rms().items():

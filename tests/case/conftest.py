@@ -12,6 +12,7 @@ from sightline.planning import plan
 from sightline.twin import bead_images
 
 WIRE_MM = np.array([[31.3, 28.9, -9.7], [-30.1, -27.7, 8.3]])
+LANDMARKS_MM = np.array([[-21.3, -17.9, 4.4], [12.2, 30.1, -16.8]])
 HOSTILE = "<script>alert('x')</script>.dcm"
 
 
@@ -38,11 +39,13 @@ def truth(setup) -> Truth:
 
 
 @pytest.fixture(scope="session")
-def report(frame, pair, truth) -> Report:
+def report(frame, setup, pair, truth) -> Report:
     images = calibrate_pair(pair, frame, "smooth")
     localized = calibrate_pair(pair, frame, "localized")
     picks = truth.uv_px + np.random.default_rng(2).normal(0.0, 0.5, (2, 2, 2))
-    planned = plan([image.view for image in images], picks[:, 0], picks[:, 1], snapped=True)
+    marks = np.stack([setup.views[name].project(LANDMARKS_MM) for name in NAMES])
+    views = [image.view for image in images]
+    planned = plan(views, picks[:, 0], picks[:, 1], snapped=True, landmarks_uv_px=marks)
     return Report(
         title="A plan & its report",
         frame=frame,

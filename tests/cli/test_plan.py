@@ -11,6 +11,7 @@ from sightline.detection.files import write_observations
 from sightline.detection.results import Observations
 from sightline.errors import UnusableInputError
 
+LANDMARKS_MM = np.array([[-21.3, -17.9, 4.4], [12.2, 30.1, -16.8]])
 WIRE_MM = np.array([[31.3, 28.9, -9.7], [-30.1, -27.7, 8.3]])
 
 
@@ -59,10 +60,45 @@ def test_people_read_points_bounds_and_verdict_and_get_a_report(run, beads_csv: 
     assert f"{written['trajectory']['error_95']['entry_mm']:.2f} mm" in (tmp_path / "plan" / "report.html").read_text()
 
 
-def test_lateral_picks_are_snapped_and_then_have_no_gap_to_test(run, beads_csv: Path, wire_px) -> None:
+def landmarks(setup, moved_mm: float = 0.0) -> list[str]:
+    """Two points of the bone, which moves along Y before the lateral view is taken."""
+    options = []
+    for xyz in LANDMARKS_MM:
+        (u, v), (s, t) = (
+            setup.views["pa"].project(xyz),
+            setup.views["lateral"].project(xyz + np.array([0.0, moved_mm, 0.0])),
+        )
+        options += ["--landmark", f"pa:{u:.2f},{v:.2f} lateral:{s:.2f},{t:.2f}"]
+    return options
+
+
+def failing(ran) -> set[str]:
+    return {check["name"] for check in ran.document["checks"] if not check["passed"]}
+
+
+def test_snapped_picks_have_no_gap_so_movement_is_untested_without_landmarks(run, beads_csv: Path, wire_px) -> None:
     ran = run("plan", beads_csv, beads_csv, *picks(wire_px, shift=4.0), "--snap", "--json")
-    assert ran.code == 0, ran.out
+    assert ran.code == 3
     assert ran.document["trajectory"]["gap_tested"] == [False, False]
+    assert ran.document["landmarks"] == []
+    assert failing(ran) == {"movement"}
+
+
+def test_landmarks_show_whether_the_patient_moved(run, beads_csv: Path, wire_px, setup) -> None:
+    snapped = ["plan", beads_csv, beads_csv, *picks(wire_px), "--snap", "--json"]
+    still, moved = (run(*snapped, *landmarks(setup, by_mm)) for by_mm in (0.0, 3.0))
+    assert still.code == 0, failing(still)
+    found = np.array([mark["xyz_mm"] for mark in still.document["landmarks"]])
+    assert np.linalg.norm(found - LANDMARKS_MM, axis=1).max() < 1.0  # the frame's errors
+    assert moved.code == 3
+    assert failing(moved) == {"gap", "movement"}
+    assert moved.document["trajectory"] == still.document["trajectory"]
+
+
+def test_a_landmark_is_no_place_on_a_curve(run, beads_csv: Path, wire_px) -> None:
+    ran = run("plan", beads_csv, beads_csv, *picks(wire_px), "--landmark", "pa:512,512 depth:300")
+    assert ran.code == 2
+    assert "picked freely in both views" in ran.err.replace("\n", " ")
 
 
 def test_a_depth_is_a_place_on_the_curve(run, beads_csv: Path, wire_px) -> None:
@@ -70,7 +106,8 @@ def test_a_depth_is_a_place_on_the_curve(run, beads_csv: Path, wire_px) -> None:
     (u0, v0), (u1, v1) = wire_px["pa"]
     ends = [f"pa:{u0:.2f},{v0:.2f} depth:300", f"pa:{u1:.2f},{v1:.2f} depth:310"]
     ran = run("plan", beads_csv, beads_csv, "--entry", ends[0], "--end", ends[1], "--json")
-    assert ran.code == 0, ran.out
+    assert ran.code == 3, ran.out
+    assert failing(ran) == {"movement"}  # a place on a curve has no gap
     path = ran.document["trajectory"]
     assert path["gap_tested"] == [False, False]
     # Depth runs from the plate at z = +300 towards the source, nearly along -Z: less than 10 % longer than in z.

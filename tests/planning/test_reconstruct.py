@@ -52,17 +52,20 @@ def test_joint_covariance_by_sampling(method):
     predicted = reconstruct(views, truth, covariance, method)
     rng = np.random.default_rng(2)
     factor = np.linalg.cholesky(covariance)
-    errors, gaps = [], []
+    errors, gaps, shifts = [], [], []
     for _ in range(800):
         picks = truth + np.einsum("vijk,vik->vij", factor, rng.standard_normal((2, 2, 2)))
         points = reconstruct(_estimates(views, rng), picks, covariance, method)
         errors.append((points.xyz_mm - TARGETS_MM).ravel())
         gaps.append(points.gap_sigma)
+        shifts.append(points.shift_mm)
     whitened = np.linalg.solve(np.linalg.cholesky(predicted.joint_covariance_mm2), np.transpose(errors))
     # The sample covariance of 800 draws scatters by sqrt(2 / 800) = 0.05 on the diagonal; 4 of these.
     np.testing.assert_allclose(np.cov(whitened), np.eye(6), atol=0.2)
     # Squared gaps over their sd have the mean 1 and scatter by 0.05.
     np.testing.assert_allclose(np.mean(np.square(gaps), axis=0), 1.0, atol=0.2)
+    assert np.mean(np.square(shifts)) / predicted.shift_sd_mm**2 == pytest.approx(1.0, abs=0.2)
+    assert abs(np.mean(shifts)) < 4 * predicted.shift_sd_mm / np.sqrt(800)
 
 
 def test_weighted_beats_nearest_where_the_views_differ_in_quality():

@@ -10,6 +10,7 @@ from sightline.checks import Check, failed
 from sightline.errors import ErrorUnknownError, UnusableInputError
 from sightline.planning import Limits, SpacePoints, Trajectory, judge, plan, reconstruct
 from sightline.planning.results import BUDGET
+from sightline.planning.verdict import LARGEST_GAP_SIGMA
 
 from .standin import StandInView, stand_in
 
@@ -108,6 +109,7 @@ def test_a_good_plan_is_go():
         "end error",
         "direction error",
         "gap",
+        "movement",
         "plan inside hull",
     }
 
@@ -134,6 +136,7 @@ def test_a_significant_gap_is_no_go_and_a_snapped_point_has_none():
     wide = _changed(trajectory, gap_sigma=np.array([0.3, 3.4]))
     assert _names(judge(wide, views).checks) == {"gap"}
     snapped = _changed(trajectory, gap_sigma=np.zeros(2), gap_tested=np.array([True, False]))
+    assert _names(judge(snapped, views).checks) == {"movement"}  # one free point is too few
     assert [c.name for c in judge(snapped, views).checks].count("gap") == 1
 
 
@@ -161,10 +164,76 @@ def test_plan_from_pixels(snapped):
     made = plan(views, entry, end, snapped=snapped)
     np.testing.assert_allclose(made.trajectory.entry_mm, ENTRY_MM, atol=0.02)
     np.testing.assert_allclose(made.trajectory.end_mm, END_MM, atol=0.02)
-    assert made.verdict.go
+    assert made.verdict.go != snapped
+    assert _names(made.verdict.checks) == ({"movement"} if snapped else set())
+    assert made.seen is made.trajectory.points
+    assert made.landmarks_document() == []
     assert made.entry_curve.to_view == "lateral"
     assert bool(made.trajectory.points.gap_tested.all()) != snapped
     assert bool(made.picks[0][1].across_px.any()) == snapped
+
+
+LANDMARKS_MM = np.array([[-21.3, -17.9, 4.4], [12.2, 30.1, -16.8]])
+
+
+def _planned(views: list[StandInView], moved_mm: np.ndarray, landmarks: int = 2, **options):
+    """A snapped plan; the patient moves by (3,) mm before the lateral view is taken."""
+    there = [np.zeros(3), moved_mm]
+    uv = np.array([v.project(np.stack([ENTRY_MM, END_MM]) + m) for v, m in zip(views, there, strict=True)])
+    marks = np.array([v.project(LANDMARKS_MM[:landmarks] + m) for v, m in zip(views, there, strict=True)])
+    return plan(views, uv[:, 0], uv[:, 1], snapped=True, landmarks_uv_px=marks, **options)
+
+
+def test_landmarks_that_agree_make_a_snapped_plan_go_and_change_nothing_else():
+    views = _views(0.05)
+    still, bare = _planned(views, np.zeros(3)), _planned(views, np.zeros(3), landmarks=0)
+    assert still.verdict.go
+    assert (
+        _names(bare.verdict.checks) == _names(_planned(views, np.zeros(3), landmarks=1).verdict.checks) == {"movement"}
+    )
+    np.testing.assert_array_equal(still.trajectory.points.xyz_mm, bare.trajectory.points.xyz_mm)
+    np.testing.assert_array_equal(still.trajectory.covariance_mm2, bare.trajectory.covariance_mm2)
+    assert still.trajectory.document()["gap_tested"] == [False, False]
+    marks = json.loads(json.dumps(still.landmarks_document()))
+    np.testing.assert_allclose([mark["xyz_mm"] for mark in marks], LANDMARKS_MM, atol=0.02)
+    assert all(mark["gap_sigma"] < 0.1 for mark in marks)
+
+
+def test_movement_along_the_common_normal_is_no_go_and_in_the_plane_of_the_beams_it_is_not_seen():
+    """The beams run along Z and X: the common normal is Y. The figure is the movement over its stated error."""
+    views = _views(0.05)
+    for moved_mm in (2.0, -2.0):
+        made = _planned(views, np.array([0.0, moved_mm, 0.0]))
+        assert "movement" in _names(made.verdict.checks)
+        check = next(check for check in made.verdict.checks if check.name == "movement")
+        assert check.figure * made.seen.shift_sd_mm == pytest.approx(2.0, abs=0.03)
+        assert "moved by 2.0" in check.sentence
+        assert np.sign(made.seen.shift_mm) == np.sign(moved_mm) * np.sign(_planned(views, [0, 2.0, 0]).seen.shift_mm)
+    assert _planned(views, np.array([2.0, 0.0, 0.0])).verdict.go  # and wrong by 2 mm: nothing can show it
+
+
+def test_the_mean_of_many_points_sees_less_movement_than_a_gap():
+    """Twelve landmarks with gaps below the limit each, all to one side."""
+    views, rng = _views(0.05), np.random.default_rng(4)
+    xyz = rng.uniform(-30.0, 30.0, (12, 3))
+    moved = np.array([0.0, 0.27, 0.0])
+    marks = np.array([views[0].project(xyz), views[1].project(xyz + moved)])
+    points = reconstruct(views, marks)
+    assert points.gap_sigma.max() < LARGEST_GAP_SIGMA
+    assert abs(points.shift_mm) > LARGEST_GAP_SIGMA * points.shift_sd_mm
+
+
+def test_landmarks_need_finite_pixels_in_both_views_and_a_known_error():
+    views = _views(0.05)
+    entry, end = np.swapaxes(_pixels(views), 0, 1)
+    for bad in (np.zeros((2, 2)), np.zeros((1, 2, 2)), np.full((2, 2, 2), np.nan)):
+        with pytest.raises(UnusableInputError, match="landmarks"):
+            plan(views, entry, end, landmarks_uv_px=bad)
+    blind = [views[0], replace(views[1], factors=None)]
+    made = plan(blind, entry, end, landmarks_uv_px=np.array([v.project(LANDMARKS_MM) for v in views]))
+    assert (made.seen.shift_mm, made.seen.shift_sd_mm) == (None, None)
+    assert made.landmarks_document()[0]["gap_sigma"] is None
+    assert _names(made.verdict.checks) == {"error known"}
 
 
 @pytest.mark.parametrize("bad", [np.zeros((2, 3)), np.full((2, 2), np.nan), np.zeros(2)])

@@ -46,6 +46,18 @@ def test_movement_is_an_error_of_its_size_and_shows_in_the_gap(case):
     assert "gap" in moved["why"]
 
 
+def test_landmarks_let_a_snapped_plan_be_go_and_show_movement(case):
+    still = case.planned(snapped=True, landmarks=True)
+    assert still["ended"] == "GO"
+    assert still["error_mm"] < 1.5
+    bare = case.planned(snapped=True)
+    assert (bare["ended"], bare["why"]) == ("NO-GO", "movement")
+    assert bare["error_mm"] == still["error_mm"]
+    moved = case.planned(snapped=True, landmarks=True, moved_mm=10.0)
+    assert moved["ended"] == "NO-GO"
+    assert "movement" in moved["why"]
+
+
 def test_a_trial_repeats_and_is_plain():
     trial = SMALL.trial(np.random.default_rng([3, 1]))
     assert json.loads(json.dumps(trial)) == trial

@@ -109,19 +109,20 @@ def _notes(report: "Report") -> Iterable[str]:
 
 
 def _points(report: "Report") -> list[dict[str, Any]]:
-    space = report.plan.trajectory.points
+    """Entry, tip and landmarks."""
+    space = report.plan.seen
     known = space.joint_covariance_mm2 is not None
+    names = [*POINTS, *(f"landmark {k + 1}" for k in range(len(space.xyz_mm) - len(POINTS)))]
     out = []
-    for i, (name, (_, second)) in enumerate(zip(POINTS, report.plan.picks, strict=True)):
+    for i, name in enumerate(names):
         sds = np.sqrt(np.diag(space.covariance_mm2[i])) if known else (None,) * 3
-        free = not np.any(second.across_px)
         sigma = f" ({space.gap_sigma[i]:.1f} σ)" if space.gap_sigma is not None else ""
         out.append(
             {
                 "name": name,
                 "xyz": list(zip(space.xyz_mm[i], sds, strict=True)),
                 "gap": f"{space.gap_mm[i]:.2f}{sigma}" if space.gap_tested[i] else "not tested",
-                "how": "free" if free else "snapped to the image-matching curve",
+                "how": "free" if space.gap_tested[i] else "snapped to the image-matching curve",
             }
         )
     return out

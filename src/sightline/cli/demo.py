@@ -23,6 +23,7 @@ METHODS: "tuple[Method, ...]" = ("smooth", "localized", "polynomial")  # the fir
 SEED = 9
 PICK_SD_PX = 0.5  # a careful click (physics.md, Picks) [ours]
 BY_HAND = f"picked by hand: {PICK_SD_PX:g} px of noise, lateral picks snapped to their curves"
+LANDMARK_MARGIN_PX = 30.0  # inside both fields; landmarks nearer to the edge are not picked [ours]
 EXACT = "located exactly: no noise, 0.1 px assumed"
 
 
@@ -80,7 +81,14 @@ def _run(output: Output, folder: Path, seed: int) -> dict[str, Any]:
     picks = truth.uv_px + PICK_SD_PX * rng.standard_normal((2, 2, 2))
     with output.step("4/6 planning entry and tip, drawing the image-matching curves"):
         views = [image.view for image in images[METHODS[0]]]
-        planned = plan(views, picks[:, 0], picks[:, 1], pick_sd_px=PICK_SD_PX, snapped=True)
+        planned = plan(
+            views,
+            picks[:, 0],
+            picks[:, 1],
+            pick_sd_px=PICK_SD_PX,
+            snapped=True,
+            landmarks_uv_px=_pick_landmarks(setup, hip, rng),
+        )
     with output.step("5/6 comparing three methods with the truth"):
         compared = _compare(images, picks, truth, planned)
     with output.step("6/6 drawing the report"):
@@ -91,7 +99,8 @@ def _run(output: Output, folder: Path, seed: int) -> dict[str, Any]:
             plan=planned,
             provenance={
                 "images": f"made by the digital twin, seed {seed}, written as DICOM without geometry and read back",
-                "picks": f"the true places with {PICK_SD_PX:g} px of normal noise; lateral ones snapped to curves",
+                "picks": f"the true places with {PICK_SD_PX:g} px of normal noise; lateral ones snapped to curves, but "
+                "those of the landmarks: centre of the head, lesser trochanter",
                 "command": f"sightline demo --seed {seed}",
             },
             localized=(images["localized"][0].view, images["localized"][1].view),
@@ -115,6 +124,17 @@ def _simulate(frame: "Frame", rng: "np.random.Generator") -> "tuple[SetUp, HipSc
 
     setup, hip = shown_hip_scene(rng, frame)
     return setup, hip, {name: render(setup, name, hip.scene, rng) for name in NAMES}
+
+
+def _pick_landmarks(setup: "SetUp", hip: "HipScene", rng: "np.random.Generator") -> "np.ndarray":
+    """(2, L, 2): the landmarks that both fields show, each picked freely in both views."""
+    import numpy as np
+
+    from sightline.case.views import NAMES
+
+    uv = np.array([setup.views[n].project(np.stack(list(hip.landmarks_mm.values()))) for n in NAMES])
+    shown = np.all([setup.views[n].in_field(uv[k], LANDMARK_MARGIN_PX) for k, n in enumerate(NAMES)], axis=0)
+    return uv[:, shown] + PICK_SD_PX * rng.standard_normal((2, int(shown.sum()), 2))
 
 
 def _compare(
@@ -145,7 +165,13 @@ def _write_results(folder: Path, page: str, report: "Report", truth: dict[str, A
     from sightline.detection.files import write_observations
 
     images, planned = report.images, report.plan
-    trajectory = {**planned.trajectory.document(), "go": planned.verdict.go, "checks": planned.verdict.checks}
+    landmarks = planned.landmarks_document()
+    trajectory = {
+        **planned.trajectory.document(),
+        "landmarks": landmarks,
+        "go": planned.verdict.go,
+        "checks": planned.verdict.checks,
+    }
     results = {
         "detections": {image.name: image.seen.beads for image in images},
         "observations": {image.name: image.seen.observations for image in images},

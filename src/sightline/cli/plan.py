@@ -33,6 +33,14 @@ def plan(
     *,
     entry: Annotated[str, typer.Option(help=f"Entry point. {PICK_HELP}")],
     end: Annotated[str, typer.Option(help="End point, the tip of the wire; written like the entry point.")],
+    landmark: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="A point of the bone that both views show, picked freely: 'pa:U,V lateral:U,V'. Two or more tell "
+            "whether the patient moved; snapped picks do not.",
+            show_default=False,
+        ),
+    ] = None,
     frame: Annotated[str, typer.Option(help="A frame file, or gamma, biplane, stereo.")] = "gamma",
     method: Annotated[MethodName, typer.Option(help="localized is the paper's.")] = "smooth",
     pick_sd: Annotated[float, typer.Option(help="Standard deviation of a pick, px: 0.5 is a careful click.")] = 0.5,
@@ -46,7 +54,10 @@ def plan(
     """Plan a wire on two images: trajectory, 95 % error bounds, GO or NO-GO (exit code 3)."""
     with Output(json=json, quiet=quiet) as output:
         points = [parse_point(entry, "--entry"), parse_point(end, "--end")]
+        landmarks = [_free_point(text) for text in landmark or []]
         snapped = snap or _all_depths(points)
+        import numpy as np
+
         from sightline.case.views import calibrate_pair, see_pair
         from sightline.frame import Frame
         from sightline.planning import plan as make_plan
@@ -59,12 +70,20 @@ def plan(
         with output.step("planning"):
             views = [image.view for image in images]
             entry_px, end_px = (_pixels(point, views, pick_sd) for point in points)
-            planned = make_plan(views, entry_px, end_px, pick_sd_px=pick_sd, snapped=snapped)
+            planned = make_plan(
+                views,
+                entry_px,
+                end_px,
+                pick_sd_px=pick_sd,
+                snapped=snapped,
+                landmarks_uv_px=np.reshape(landmarks, (-1, 2, 2)).swapaxes(0, 1),
+            )
         document = plan_document(planned, images)
         if out is not None:
             from sightline.case.report import Report
 
             picks = f"entry {entry}; end {end}; {pick_sd:g} px{', snapped' if snapped else ''}"
+            picks += "".join(f"; landmark {text}" for text in landmark or [])
             report = Report("Planned guide wire", known_frame, images, planned, {"picks": picks})
             with output.step("writing the report"):
                 document["files"] = _write(out, report, document)
@@ -96,6 +115,18 @@ def parse_point(text: str, option: str) -> dict[str, tuple[float, ...]]:
             "'pa:512.3,401.8 lateral:498.0,377.2'), or 'pa:U,V depth:MM'"
         )
     return out
+
+
+def _free_point(text: str) -> list[tuple[float, ...]]:
+    """The pixels of a landmark in both views. Raises UnusableInputError."""
+    from sightline.errors import UnusableInputError
+
+    point = parse_point(text, "--landmark")
+    if "depth" in point:
+        raise UnusableInputError(
+            f"--landmark {text!r} states a depth; a landmark is picked freely in both views: 'pa:U,V lateral:U,V'"
+        )
+    return [point["pa"], point["lateral"]]
 
 
 def _all_depths(points: list[dict[str, tuple[float, ...]]]) -> bool:
@@ -135,6 +166,7 @@ def plan_document(planned: "Plan", images: "tuple[CalibratedImage, CalibratedIma
     return {
         "go": planned.verdict.go,
         "trajectory": planned.trajectory.document(),
+        "landmarks": planned.landmarks_document(),
         "views": [view_document(image) for image in images],
     }
 

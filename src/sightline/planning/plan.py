@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -10,7 +11,7 @@ from sightline.errors import UnusableInputError
 from sightline.planning.curve import MatchingCurve, matching_curve, snap
 from sightline.planning.picks import DEFAULT_PICK_SD_PX, Pick, stack
 from sightline.planning.reconstruct import Method, reconstruct
-from sightline.planning.results import Verdict
+from sightline.planning.results import SpacePoints, Verdict
 from sightline.planning.trajectory import Trajectory
 from sightline.planning.verdict import Limits, judge
 
@@ -19,14 +20,28 @@ from sightline.planning.verdict import Limits, judge
 class Plan:
     """A trajectory, the curves of its two points in the second view, and what stands for or against it.
 
-    `picks`: for entry and end, the pick in each view as it was used: snapped ones lie on their curve.
+    `picks`: for entry and end, the pick in each view as it was used: snapped ones lie on their curve. `seen`: entry,
+    end and landmarks, in this order.
     """
 
     trajectory: Trajectory
     picks: tuple[tuple[Pick, Pick], tuple[Pick, Pick]]
+    seen: SpacePoints
     entry_curve: MatchingCurve
     end_curve: MatchingCurve
     verdict: Verdict
+
+    def landmarks_document(self) -> list[dict[str, Any]]:
+        """The landmarks as JSON types: place, CFCS mm, and gap; `gap_sigma` is null where a view's error is unknown."""
+        seen = self.seen
+        return [
+            {
+                "xyz_mm": seen.xyz_mm[k].tolist(),
+                "gap_mm": float(seen.gap_mm[k]),
+                "gap_sigma": None if seen.gap_sigma is None else float(seen.gap_sigma[k]),
+            }
+            for k in range(len(self.picks), len(seen.xyz_mm))
+        ]
 
 
 def plan(
@@ -36,25 +51,40 @@ def plan(
     *,
     pick_sd_px: float = DEFAULT_PICK_SD_PX,
     snapped: bool = False,
+    landmarks_uv_px: np.ndarray | None = None,
     method: Method = "weighted",
     limits: Limits | None = None,
 ) -> Plan:
     """Plan from the pixels of entry and end point, each (2, 2): a row for each view, IDCS.
 
     `pick_sd_px`: how well a person picks. `snapped`: the second view's picks are taken to the curves of the first's.
+    `landmarks_uv_px` (2, L, 2): points of the bone picked freely in both views, which show whether it moved between
+    them; they change neither entry nor end. A plan whose picks are snapped is no GO without two of them (`judge`).
     Raises what `reconstruct`, `matching_curve` and `snap` raise.
     """
     if len(views) != 2:
         raise UnusableInputError(f"{len(views)} views given; a plan is made on exactly two")
     picked = [_picks(views, uv, pick_sd_px, snapped) for uv in (entry_uv_px, end_uv_px)]
     (entry, entry_curve), (end, end_curve) = picked
-    trajectory = Trajectory(reconstruct(views, *_arguments(entry, end, method)))
-    return Plan(trajectory, (entry, end), entry_curve, end_curve, judge(trajectory, views, limits))
+    free = _landmarks(landmarks_uv_px, pick_sd_px)
+    trajectory = Trajectory(_reconstructed(views, [entry, end], method))
+    seen = _reconstructed(views, [entry, end, *free], method) if free else trajectory.points
+    return Plan(trajectory, (entry, end), seen, entry_curve, end_curve, judge(trajectory, views, limits, seen))
 
 
-def _arguments(entry: tuple[Pick, Pick], end: tuple[Pick, Pick], method: Method) -> tuple:
-    uv, covariance, across = stack([entry, end])
-    return uv, covariance, method, across
+def _reconstructed(views: Sequence[CalibratedView], picks: Sequence[tuple[Pick, Pick]], method: Method) -> SpacePoints:
+    uv, covariance, across = stack(picks)
+    return reconstruct(views, uv, covariance, method, across)
+
+
+def _landmarks(uv_px: np.ndarray | None, sd_px: float) -> list[tuple[Pick, Pick]]:
+    """Free picks of (2, L, 2) pixels. Raises UnusableInputError."""
+    uv = np.zeros((2, 0, 2)) if uv_px is None else np.asarray(uv_px, dtype=np.float64)
+    if uv.ndim != 3 or uv.shape[0] != 2 or uv.shape[2] != 2 or not np.isfinite(uv).all():
+        raise UnusableInputError(
+            f"landmarks have the shape {uv.shape}; (2, L, 2) of finite pixels was expected: two views, L points, (u, v)"
+        )
+    return [(Pick.free(first, sd_px), Pick.free(second, sd_px)) for first, second in zip(*uv, strict=True)]
 
 
 def _picks(

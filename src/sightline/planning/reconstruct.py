@@ -53,17 +53,20 @@ def reconstruct(
     for _ in range(_ITERATIONS if used == "weighted" else 0):
         xyz = xyz + solution.step_mm()
         solution = _Solution(lines, (covariance, across), xyz, used)
-    budget, gap_sd = solution.budget_mm2(), solution.gap_sd_mm()
+    budget, gaps = solution.budget_mm2(), solution.gap_covariance_mm2()
     tested = ~np.any(across != 0.0, axis=(0, 2))
+    shift, shift_sd = (None, None) if gaps is None or not tested.any() else _mean_gap(lines, gaps, tested)
     return SpacePoints(
         xyz_mm=xyz,
         gap_mm=nearest.gap_mm,
         gap_tested=tested,
-        gap_sigma=None if gap_sd is None else np.where(tested, nearest.gap_mm / gap_sd, 0.0),
+        gap_sigma=None if gaps is None else np.where(tested, nearest.gap_mm / np.sqrt(np.diag(gaps)), 0.0),
         joint_covariance_mm2=None if budget is None else np.sum(list(budget.values()), axis=0),
         budget_mm2=budget,
         inside_hull=lines[0].inside_hull & lines[1].inside_hull,
         method=used,
+        shift_mm=shift,
+        shift_sd_mm=shift_sd,
     )
 
 
@@ -104,15 +107,31 @@ class _Solution:
             out[source] = (self.weights @ half.transpose(1, 2, 0)).reshape(3 * n, 3 * n)
         return out
 
-    def gap_sd_mm(self) -> np.ndarray | None:
-        """(N,) standard deviation of the signed gap between the lines; None where a view's error is unknown."""
+    def gap_covariance_mm2(self) -> np.ndarray | None:
+        """(N, N) covariance of the signed gaps between the lines; None where a view's error is unknown."""
         if self.covariances is None:
             return None
-        common = np.cross(self.residuals[0].lines.directions, self.residuals[1].lines.directions)
-        common /= np.linalg.norm(common, axis=1, keepdims=True)
+        common = _common_normals(self.residuals[0].lines, self.residuals[1].lines)
         signed = zip((1.0, -1.0), self.residuals, strict=True)
         to_gap = np.hstack([s * r.reach[:, None] * (common @ r.lines.plane.axes.T) for s, r in signed])
-        return np.sqrt(np.einsum("ip,ipq,iq->i", to_gap, _own(self.covariances), to_gap))
+        return np.einsum("ip,ipjq,jq->ij", to_gap, np.sum(list(self.covariances.values()), axis=0), to_gap)
+
+
+def _common_normals(first: LinesOfSight, second: LinesOfSight) -> np.ndarray:
+    """(N, 3): unit vectors across both lines of sight of each point."""
+    common = np.cross(first.directions, second.directions)
+    return common / np.linalg.norm(common, axis=1, keepdims=True)
+
+
+def _mean_gap(
+    lines: tuple[LinesOfSight, LinesOfSight], covariance_mm2: np.ndarray, tested: np.ndarray
+) -> tuple[float, float]:
+    """The best mean of the tested points' signed gaps, mm, and its standard deviation. Raises
+    ReconstructionRefusedError where something is stated to have no error at all."""
+    normals = _common_normals(*lines)[tested]
+    signed = normals @ (lines[1].focal_point_mm - lines[0].focal_point_mm)
+    weights = _inverse(covariance_mm2[np.ix_(tested, tested)]).sum(axis=0)
+    return float(weights @ signed / weights.sum()), float(1.0 / np.sqrt(weights.sum()))
 
 
 def _covariances(

@@ -26,7 +26,10 @@ class SpacePoints:
     `xyz_mm` (N, 3). `method`: "weighted" or "nearest"; always "nearest" where a view's error is unknown. `gap_mm` (N,):
     nearest approach of the two lines of sight. `gap_tested` (N,) bool: False where
     a pick was snapped to an image-matching curve, so that the gap says nothing. `gap_sigma` (N,): gap over its own
-    standard deviation; 0 where not tested. `joint_covariance_mm2` (3N, 3N), or None where a view's error is unknown:
+    standard deviation; 0 where not tested. `shift_mm`, `shift_sd_mm`: how far the second view's lines of sight pass
+    beside the first's along their common normal, in the best mean of all tested points, and its standard deviation:
+    what a patient who moves between the views opens. None where no point is tested or a view's error is unknown.
+    `joint_covariance_mm2` (3N, 3N), or None where a view's error is unknown:
     the points share focal points, maps and frame, so their errors are correlated. `budget_mm2`: the same, for each of
     BUDGET. `inside_hull` (N,): within the beads' hull in both views.
     """
@@ -39,6 +42,8 @@ class SpacePoints:
     budget_mm2: dict[str, np.ndarray] | None
     inside_hull: np.ndarray
     method: str = "weighted"
+    shift_mm: float | None = None
+    shift_sd_mm: float | None = None
 
     def __post_init__(self) -> None:
         arrays = [getattr(self, name) for name in ("xyz_mm", "gap_mm", "gap_tested", "inside_hull")]

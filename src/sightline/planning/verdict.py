@@ -7,11 +7,15 @@ import numpy as np
 
 from sightline.calibration.view import CalibratedView
 from sightline.checks import Check
-from sightline.planning.results import Verdict
+from sightline.planning.results import SpacePoints, Verdict
 from sightline.planning.trajectory import Trajectory
 
 # A gap of this many standard deviations happens once in a thousand honest pairs of picks [ours].
 LARGEST_GAP_SIGMA = 3.29
+# With this many more of them a movement is noticed 95 times in a hundred (normal quantile).
+_NOTICED_SIGMA = 1.645
+# One point shows a shift of the bone; it takes another to show that it turned [ours].
+LEAST_FREE_POINTS = 2
 _POINTS = ("entry", "end")
 
 
@@ -23,13 +27,20 @@ class Limits:
     direction_rad: float = float(np.deg2rad(0.6))
 
 
-def judge(trajectory: Trajectory, views: Sequence[CalibratedView], limits: Limits | None = None) -> Verdict:
-    """All that speaks for or against drilling along a trajectory: the views' own checks, then the plan's."""
-    limits = limits or Limits()
+def judge(
+    trajectory: Trajectory,
+    views: Sequence[CalibratedView],
+    limits: Limits | None = None,
+    seen: SpacePoints | None = None,
+) -> Verdict:
+    """All that speaks for or against drilling along a trajectory: the views' own checks, then the plan's.
+
+    `seen`: entry, end and landmarks, in this order; without it there are no landmarks."""
+    limits, seen = limits or Limits(), seen or trajectory.points
     checks = [replace(check, sentence=f"{view.name}: {check.sentence}") for view in views for check in view.checks]
     checks.append(_error_known(trajectory))
     if trajectory.points.joint_covariance_mm2 is not None:
-        checks += [*_errors(trajectory, limits), *_gaps(trajectory)]
+        checks += [*_errors(trajectory, limits), *_gaps(seen), _movement(seen)]
     checks.append(_inside_hull(trajectory, views))
     return Verdict(tuple(checks))
 
@@ -70,23 +81,51 @@ def _largest(trajectory: Trajectory, check: str) -> str:
     return max(budget, key=lambda source: budget[source][key]).replace("_", " ")
 
 
-def _gaps(trajectory: Trajectory) -> list[Check]:
+def _gaps(points: SpacePoints) -> list[Check]:
     """One check for each point whose gap can be tested: a pick snapped to a curve has none."""
-    points = trajectory.points
     assert points.gap_sigma is not None  # noqa: S101 - asked only where the errors are known
     out = []
-    for name, tested, sigma, gap in zip(_POINTS, points.gap_tested, points.gap_sigma, points.gap_mm, strict=True):
+    names = [f"the {name} point" for name in _POINTS]
+    names += [f"landmark {k + 1}" for k in range(len(points.xyz_mm) - len(names))]
+    for name, tested, sigma, gap in zip(names, points.gap_tested, points.gap_sigma, points.gap_mm, strict=True):
         if not tested:
             continue
         passed = bool(sigma <= LARGEST_GAP_SIGMA)
-        sentence = (
-            f"The two lines of sight of the {name} point pass {gap:.2f} mm apart, {sigma:.1f} standard deviations"
-        )
+        sentence = f"The two lines of sight of {name} pass {gap:.2f} mm apart, {sigma:.1f} standard deviations"
         sentence += (
-            "." if passed else "; the picks of the two images are not the same point, or a view is wrong: pick again."
+            "."
+            if passed
+            else "; the picks of the two images are not the same point, the patient moved between the views, or a view "
+            "is wrong: pick again."
         )
         out.append(Check("gap", passed, float(sigma), LARGEST_GAP_SIGMA, "σ", sentence))
     return out
+
+
+def _movement(points: SpacePoints) -> Check:
+    """Did the bone move between the views? Free points tell, as far as their lines of sight then miss each other."""
+    free = int(points.gap_tested.sum())
+    if free < LEAST_FREE_POINTS or points.shift_mm is None or points.shift_sd_mm is None:
+        sentence = (
+            f"Whether the patient moved between the views is not tested: {free} points are picked freely in both views "
+            f"(a snapped pick has no gap); pick {LEAST_FREE_POINTS} landmarks freely in both, such as the centre of "
+            "the femoral head and the lesser trochanter."
+        )
+        return Check("movement", False, None, LARGEST_GAP_SIGMA, "σ", sentence)
+    shift, sd = abs(points.shift_mm), points.shift_sd_mm
+    passed = shift <= LARGEST_GAP_SIGMA * sd
+    if passed:
+        noticed = (LARGEST_GAP_SIGMA + _NOTICED_SIGMA) * sd
+        sentence = (
+            f"The lines of sight of {free} free points pass {shift:.2f} mm apart in the mean; a movement of "
+            f"{noticed:.1f} mm along the common normal of the beams would show, one in their plane would not."
+        )
+    else:
+        sentence = (
+            f"The bone seems to have moved by {shift:.2f} mm along the common normal of the beams between the views; "
+            "take one of the images again, with the patient fixed to the frame, or pick again."
+        )
+    return Check("movement", bool(passed), shift / sd, LARGEST_GAP_SIGMA, "σ", sentence)
 
 
 def _inside_hull(trajectory: Trajectory, views: Sequence[CalibratedView]) -> Check:

@@ -6,7 +6,8 @@ off by more than 1 mm. Beads are points here: dose is the noise of their centres
 
 Movement: the patient moves against the frame between the two exposures. Errors are counted from where the patient is
 at the second one. Movement along the common normal of both beams opens a gap between the lines of sight; along the
-second view's beam nothing shows it. A lateral pick that is snapped to its curve has no gap: picks are free here.
+second view's beam nothing shows it. A lateral pick that is snapped to its curve has no gap; then two landmarks, picked
+freely in both views, must show it. Picks are free and there are no landmarks unless said otherwise.
 """
 
 from collections import Counter
@@ -21,7 +22,7 @@ from sightline.checks import failed
 from sightline.detection import Observations
 from sightline.errors import SightlineError
 from sightline.frame import Frame
-from sightline.planning import plan
+from sightline.planning import Pick, Plan, matching_curve, plan
 from sightline.studies.figure_xy import Axis, Point, Series, xy
 from sightline.studies.intervals import quantile, share
 from sightline.studies.scenes import VIEWS, WHOLE, draw_showing
@@ -30,6 +31,10 @@ from sightline.twin import SetUp, bead_images
 
 # Entry and end of a 97 mm wire through a right hip, CFCS (physics.md, Frame: 95 mm at 45°) [ours].
 WIRE_MM = np.array([[34.0, 34.0, -8.0], [-34.0, -34.0, 8.0]])
+# Centre of the head and tip of the lesser trochanter of an average right femur on that wire (twin/femur.py).
+LANDMARKS_MM = np.array([[-23.0, -23.5, 5.0], [-2.5, 38.5, -22.0]])
+POINTS_MM = np.concatenate([WIRE_MM, LANDMARKS_MM])
+CLICK_PX = 20.0  # farther from its curve nobody clicks who is to click on it, and planning refuses 25 px [ours]
 PICK_PX = 0.5  # a careful click (physics.md, Picks)
 BEAD_PX = 0.1  # physics.md, Centroid limit
 LARGEST_MM = 1.0  # what the paper reached at the entry point, and the plan's own limit
@@ -41,6 +46,8 @@ LEVELS: dict[str, tuple[float, ...]] = {
     "one ball of each view displaced, mm": (0.1, 0.3, 1.0, 3.0),
     "five balls of each view displaced, mm": (0.1, 0.3, 1.0, 3.0),
     "patient moved between the views, mm": (0.25, 0.5, 1.0, 2.0, 4.0),
+    "patient moved, and two landmarks, mm": (0.0, 0.25, 0.5, 1.0, 2.0, 4.0),
+    "patient moved, snapped picks and two landmarks, mm": (0.0, 0.25, 0.5, 1.0, 2.0, 4.0),
 }
 
 
@@ -64,7 +71,7 @@ class Robustness:
     def configuration(self) -> dict[str, Any]:
         """Fields, and the constants they rest on."""
         levels = {name: LEVELS[name] for name in self.disturbances}
-        noise = {"pick_px": PICK_PX, "bead_px": BEAD_PX, "wire_mm": WIRE_MM.tolist()}
+        noise = {"pick_px": PICK_PX, "bead_px": BEAD_PX, "points_mm": POINTS_MM.tolist()}
         return {**asdict(self), "levels": levels, "tolerances": asdict(WHOLE), **noise}
 
     def trial(self, rng: np.random.Generator) -> Values:
@@ -153,8 +160,8 @@ class Drawn:
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """A set-up that shows the whole wire, with all draws: `picks` (2, 2, 2) noise of view, end and pixel in units of
-    its standard deviation; `direction` (3,) in which the patient may move."""
+    """A set-up that shows the whole wire and the landmarks, with all draws: `picks` (2, 4, 2) noise of view, point (of
+    POINTS_MM) and pixel in units of its standard deviation; `direction` (3,) in which the patient may move."""
 
     setup: SetUp
     views: dict[str, Drawn]
@@ -165,9 +172,9 @@ class Case:
     def drawn(rng: np.random.Generator) -> "Case":
         """At random. Raises SetUpError where no set-up shows the wire."""
         frame = replace(Frame.load("gamma"), tolerances=WHOLE)
-        setup = draw_showing(rng, frame, WIRE_MM)
+        setup = draw_showing(rng, frame, POINTS_MM)
         views = {name: Drawn.of(rng, setup, name) for name in VIEWS}
-        return Case(setup, views, rng.standard_normal((2, 2, 2)), _unit(rng.standard_normal(3)))
+        return Case(setup, views, rng.standard_normal((2, len(POINTS_MM), 2)), _unit(rng.standard_normal(3)))
 
     def planned(
         self,
@@ -177,6 +184,8 @@ class Case:
         bead_px: float = BEAD_PX,
         displaced: tuple[int, float] = (0, 0.0),
         moved_mm: float = 0.0,
+        landmarks: bool = False,
+        snapped: bool = False,
     ) -> Values:
         """How a plan ends. `missing`: share of the beads; `displaced`: how many balls of each view, and by how many mm.
 
@@ -192,9 +201,10 @@ class Case:
             ids = tuple(i for i, kept in zip(view.ids, keep, strict=True) if kept)
             stated = np.broadcast_to(bead_px**2 * np.eye(2), (len(ids), 2, 2))
             observations[name] = Observations(name, ids, uv[keep], stated)
-        there = {"pa": WIRE_MM, "lateral": WIRE_MM + moved_mm * self.direction}
+        there = {"pa": POINTS_MM, "lateral": POINTS_MM + moved_mm * self.direction}
         uv = np.array([self.setup.views[name].project(there[name]) for name in VIEWS]) + PICK_PX * self.picks
-        return _ended(observations, self.setup.frame, uv, there["lateral"])
+        picks = Picks(uv[:, :2], uv[:, 2:] if landmarks else None, snapped)
+        return _ended(observations, self.setup.frame, picks, there["lateral"][:2])
 
 
 # What each disturbance is at a level.
@@ -205,14 +215,48 @@ _SPOIL: dict[str, Callable[[float], dict[str, Any]]] = {
     "one ball of each view displaced, mm": lambda level: {"displaced": (1, level)},
     "five balls of each view displaced, mm": lambda level: {"displaced": (5, level)},
     "patient moved between the views, mm": lambda level: {"moved_mm": level},
+    "patient moved, and two landmarks, mm": lambda level: {"moved_mm": level, "landmarks": True},
+    "patient moved, snapped picks and two landmarks, mm": lambda level: {
+        "moved_mm": level,
+        "landmarks": True,
+        "snapped": True,
+    },
 }
 
 
-def _ended(observations: dict[str, Observations], frame: Frame, uv_px: np.ndarray, wire_mm: np.ndarray) -> Values:
-    """How a plan on picks (2, 2, 2) ends, and how far its ends are from where they should be."""
+@dataclass(frozen=True, eq=False)
+class Picks:
+    """`wire_px` (2, 2, 2): view, end, pixel; `landmarks_px` (2, L, 2); `snapped`: lateral ends are clicked on their
+    curves, where those are nearest to the end."""
+
+    wire_px: np.ndarray
+    landmarks_px: np.ndarray | None
+    snapped: bool
+
+    def plan(self, views: Sequence[sl.CalibratedView]) -> Plan:
+        """Raises SightlineError."""
+        ends = list(self.wire_px.swapaxes(0, 1))
+        if self.snapped:
+            ends = [np.array([first, _nearest_on_curve(views, first, second)]) for first, second in ends]
+        return plan(
+            views, ends[0], ends[1], pick_sd_px=PICK_PX, snapped=self.snapped, landmarks_uv_px=self.landmarks_px
+        )
+
+
+def _nearest_on_curve(views: Sequence[sl.CalibratedView], first_px: np.ndarray, second_px: np.ndarray) -> np.ndarray:
+    """(2,): a person who was shown the curve clicks on it or near, however far from it the point then is."""
+    pick = Pick.free(first_px, PICK_PX)
+    curve = matching_curve(views[0], pick.uv_px, views[1], pick.covariance_px2)
+    off = second_px - curve.uv_px
+    distance = np.linalg.norm(off, axis=1)
+    k = int(np.argmin(distance))
+    return curve.uv_px[k] + min(1.0, CLICK_PX / distance[k]) * off[k]
+
+
+def _ended(observations: dict[str, Observations], frame: Frame, picks: Picks, wire_mm: np.ndarray) -> Values:
+    """How a plan ends, and how far its ends are from where they should be."""
     try:
-        views = [sl.calibrate(observations[name], frame) for name in VIEWS]
-        made = plan(views, uv_px[:, 0], uv_px[:, 1], pick_sd_px=PICK_PX)
+        made = picks.plan([sl.calibrate(observations[name], frame) for name in VIEWS])
     except SightlineError as error:
         return {"ended": "refused", "why": type(error).__name__}
     path = made.trajectory
