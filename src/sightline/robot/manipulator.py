@@ -68,11 +68,11 @@ class Manipulator:
 
     def T_mcs_flange(self, q: np.ndarray) -> RigidTransform:
         """Pose of the flange at q (5,) or (N, 5)."""
-        return RigidTransform.from_matrix(self._stages(q)[..., ARM_JOINTS, :, :] @ self._flange)
+        return RigidTransform.from_matrix(self.stages(q)[..., ARM_JOINTS, :, :] @ self._flange)
 
     def T_mcs_tool(self, q: np.ndarray) -> RigidTransform:
         """Pose of the wire's tip at q (5,) or (N, 5): +z along the wire, towards the tip."""
-        return RigidTransform.from_matrix(self._stages(q)[..., -1, :, :] @ self._tool)
+        return RigidTransform.from_matrix(self.stages(q)[..., -1, :, :] @ self._tool)
 
     def T_mcs_cfcs(self, q: np.ndarray) -> RigidTransform:
         """Pose of the frame at q (5,) or (N, 5)."""
@@ -86,7 +86,7 @@ class Manipulator:
 
     def tool_jacobian(self, q: np.ndarray) -> np.ndarray:
         """(..., 6, 5): spatial twist of the tool per joint."""
-        before = self._stages(q)[..., :-1, :, :]
+        before = self.stages(q)[..., :-1, :, :]
         turn, shift = before[..., :3, :3], before[..., :3, 3]
         rotation = np.einsum("...jab,jb->...ja", turn, self.axes[:, :3])
         translation = np.einsum("...jab,jb->...ja", turn, self.axes[:, 3:]) + np.cross(shift, rotation)
@@ -137,6 +137,18 @@ class Manipulator:
         beyond = q - np.clip(q, self.lower, self.upper)
         return np.where(np.abs(beyond) > _SLACK, beyond, 0.0)
 
+    def stages(self, q: np.ndarray) -> np.ndarray:
+        """(..., 6, 4, 4): how what 0 to 5 joints carry has moved from where it is at q = 0, MCS."""
+        q = np.asarray(q, dtype=np.float64)
+        if q.shape[-1:] != (len(JOINTS),):
+            raise UnusableInputError(f"joint positions are (..., {len(JOINTS)}), not {q.shape}")
+        each = self._exponentials(q)
+        out = np.empty((*q.shape[:-1], len(JOINTS) + 1, 4, 4))
+        out[..., 0, :, :] = np.eye(4)
+        for joint in range(len(JOINTS)):
+            out[..., joint + 1, :, :] = out[..., joint, :, :] @ each[..., joint, :, :]
+        return out
+
     @cached_property
     def _flange(self) -> np.ndarray:
         return self.T_mcs_flange_home.as_matrix()
@@ -158,18 +170,6 @@ class Manipulator:
         cross = cross_matrix(self.axes[:, :3])
         return cross, cross @ cross, self.axes[:, 3:]
 
-    def _stages(self, q: np.ndarray) -> np.ndarray:
-        """(..., 6, 4, 4): products of the first 0 to 5 exponentials."""
-        q = np.asarray(q, dtype=np.float64)
-        if q.shape[-1:] != (len(JOINTS),):
-            raise UnusableInputError(f"joint positions are (..., {len(JOINTS)}), not {q.shape}")
-        each = self._exponentials(q)
-        out = np.empty((*q.shape[:-1], len(JOINTS) + 1, 4, 4))
-        out[..., 0, :, :] = np.eye(4)
-        for joint in range(len(JOINTS)):
-            out[..., joint + 1, :, :] = out[..., joint, :, :] @ each[..., joint, :, :]
-        return out
-
     def _exponentials(self, q: np.ndarray) -> np.ndarray:
         """(..., 5, 4, 4): each joint's own motion; Rodrigues, which for a translation leaves q v."""
         cross, square, velocity = self._screws
@@ -184,7 +184,7 @@ class Manipulator:
 
     def _parameter_jacobian(self, q: np.ndarray, joints: int) -> np.ndarray:
         """Moving an axis by x makes its motion exp(x) exp(axis q) exp(-x): x carried to before it less x after it."""
-        stages = self._stages(q)
+        stages = self.stages(q)
         carried = adjoint(RigidTransform.from_matrix(stages.reshape(-1, 4, 4))).reshape(*stages.shape[:-2], 6, 6)
         out = np.zeros((*stages.shape[:-3], 6, len(JOINTS) + 1, 6))
         for joint in range(joints):
@@ -218,7 +218,7 @@ class Manipulator:
 
     def _newton(self, q: np.ndarray, tip: np.ndarray, direction: np.ndarray) -> tuple[np.ndarray, float]:
         """One step, and how far off the wire was before it: mm and rad, the larger."""
-        tool = self._stages(q)[-1] @ self._tool
+        tool = self.stages(q)[-1] @ self._tool
         off = np.concatenate([tip - tool[:3, 3], direction - tool[:3, 2]])
         size = float(np.abs(off).max())
         if size < _SETTLED:

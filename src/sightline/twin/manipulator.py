@@ -42,7 +42,8 @@ class SimulatedPlant:
         self._body = _Body(robot, build or Build(), np.zeros(len(JOINTS)) if start is None else start)
         self._goal, self._drill_on = np.zeros(len(JOINTS)), False
         self._time_s, self._owed_s = 0.0, 0.0
-        self._reading = self._sample(PlantFlag.NONE)
+        self._drill()
+        self._reading = self._sample(overloaded=False, limited=False)
 
     def read(self) -> Reading:
         """See Plant."""
@@ -98,19 +99,29 @@ class SimulatedPlant:
         held = None if self.wire is None else self.wire.entry_mm
         return np.stack([mouth, (mouth + tip) / 2 if held is None else held, tip])
 
+    @property
+    def _may_move(self) -> bool:
+        return self.run_held and not self.stop_pressed
+
     def _cycle(self) -> None:
-        stopped = self.stop_pressed or not self.run_held
-        goal = np.zeros(len(JOINTS)) if stopped else self._goal
-        drilling = self._drill_on and not stopped
+        goal = self._goal if self._may_move else np.zeros(len(JOINTS))
         overloaded, limited = self._body.drive(goal)
         self._time_s += CYCLE_S
-        if self.wire is not None:
-            tip, axes = self._body.tool()
-            free = self._body.positions()[FEED] - self.guide_mm
-            self._body.push(tip, -self.wire.step(tip, axes, free, drilling, CYCLE_S) * axes[2])
+        self._drill()
+        self._reading = self._sample(overloaded, limited)
+
+    def _drill(self) -> None:
+        if self.wire is None:
+            return
+        tip, axes = self._body.tool()
+        free = self._body.positions()[FEED] - self.guide_mm
+        thrust = self.wire.step(tip, axes, free, self._drill_on and self._may_move, CYCLE_S)
+        self._body.push(tip, -thrust * axes[2])
+
+    def _sample(self, overloaded: bool, limited: bool) -> Reading:
         flags = PlantFlag.NONE
         for flag, is_set in (
-            (PlantFlag.DRILL_ON, drilling),
+            (PlantFlag.DRILL_ON, self._drill_on and self._may_move),
             (PlantFlag.STOP_PRESSED, self.stop_pressed),
             (PlantFlag.RUN_HELD, self.run_held),
             (PlantFlag.OVERLOAD, overloaded),
@@ -118,9 +129,6 @@ class SimulatedPlant:
         ):
             if is_set:
                 flags |= flag
-        self._reading = self._sample(flags)
-
-    def _sample(self, flags: PlantFlag) -> Reading:
         counts = np.round(self._body.encoders() / self.robot.resolution)
         return Reading(self._time_s, counts * self.robot.resolution, sensed(self.thrust_n, self._rng), flags)
 

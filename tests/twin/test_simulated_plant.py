@@ -53,6 +53,7 @@ def test_it_is_a_plant():
     one: Plant = plant()
     reading = one.read()
     assert reading.time_s == 0.0
+    assert reading.flags is PlantFlag.RUN_HELD
     assert reading.encoders.shape == (5,)
 
 
@@ -246,6 +247,11 @@ def test_the_true_wire_runs_from_its_guide_through_its_entry_to_its_tip():
     leaning, beyond = (np.cross(axis, part / np.linalg.norm(part)) for part in (entry - mouth, tip - entry))
     assert np.linalg.norm(leaning) > 2e-3
     assert np.allclose(beyond, 1.5 * leaning, atol=0.15 * np.linalg.norm(leaning))  # a cantilever's end
+
+
+def test_before_time_passes_the_wire_is_where_the_joints_put_it():
+    one = plant(bone=slab(NOMINAL, START), build=WEIGHTLESS)
+    assert np.allclose(one.true_T_mcs_tool().translation, NOMINAL.T_mcs_tool(START).translation, atol=0.01)
 
 
 def test_the_same_generator_gives_the_same_readings():
