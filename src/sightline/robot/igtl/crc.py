@@ -1,8 +1,10 @@
 """The CRC of OpenIGTLink: 64 bits, polynomial of ECMA-182, first bit highest, from 0, nothing inverted.
 
-Such a CRC is linear: it is the message, as a polynomial over GF(2), times x^64, modulo the polynomial. Short messages
-go byte by byte. Long ones are folded: the words of the front half, times x^(64 h), are added to the words h further
-back, until one is left. A fold is eight table look-ups on whole arrays: 2 MB take 9 ms without compiled code.
+Such a CRC is linear: it is the message, as a polynomial over GF(2), times x^64, modulo the polynomial. A short message
+is the sum of what each of its bytes contributes at its place, looked up in a table. A long one is folded first: the
+words of the front half, times x^(64 h), are added to the words h further back, until it is short. A fold is eight
+look-ups on whole arrays. So a TRANSFORM takes 3 us and 2 MB take 9 ms without compiled code; a loop over the bytes
+takes 6 us and 250 ms.
 """
 
 from functools import cache
@@ -11,29 +13,27 @@ import numpy as np
 
 _POLYNOMIAL = 0x42F0E1EBA9EA3693  # ECMA-182
 _MASK = (1 << 64) - 1
-_SHORT = 1024  # [ours] bytes; below it the loop is the faster of the two
+_SHORT = 1024  # [ours] bytes; the table takes 2 KB for each of them
 
 
 def crc64(data: bytes) -> int:
     """CRC of `data`; that of nothing is 0."""
-    return _by_byte(data) if len(data) < _SHORT else _by_folds(data)
+    if len(data) > _SHORT:
+        data = _folded(data)
+    # The table begins with the first byte of a message of full length: a shorter one starts further down.
+    places = _PLACES[_SHORT - len(data) :] + np.frombuffer(data, dtype=np.uint8)
+    return int(np.bitwise_xor.reduce(_CONTRIBUTION[places]))
 
 
-def _by_byte(data: bytes) -> int:
-    crc, table = 0, _TABLE
-    for byte in data:
-        crc = table[crc >> 56 ^ byte] ^ (crc << 8 & _MASK)
-    return crc
-
-
-def _by_folds(data: bytes) -> int:
+def _folded(data: bytes) -> bytes:
+    """A short message with the same CRC."""
     # Zeros in front change nothing: the CRC starts from 0.
     words = np.frombuffer(bytes(-len(data) % 8) + data, dtype=">u8").astype("<u8")
-    while len(words) > 1:
+    while 8 * len(words) > _SHORT:
         level = (len(words) - 1).bit_length() - 1
         front, words = words[: -(1 << level)], words[-(1 << level) :].copy()
         words[-len(front) :] ^= _times(front, level)
-    return int(_times(words, 0)[0])
+    return words.astype(">u8").tobytes()
 
 
 def _times(words: np.ndarray, level: int) -> np.ndarray:
@@ -69,4 +69,15 @@ def _times_x(word: int) -> int:
     return (word << 1 & _MASK) ^ (_POLYNOMIAL if word >> 63 else 0)
 
 
-_TABLE = [int(product) for product in _products(0)[0]]  # a byte times x^64: what it leaves behind
+def _contributions() -> np.ndarray:
+    """(_SHORT * 256,): what each byte adds to the CRC at each place, the last byte of a message at the end."""
+    tables = np.empty((_SHORT, 256), dtype=np.uint64)
+    tables[-1] = last = _products(0)[0].astype(np.uint64)
+    for place in range(_SHORT - 1, 0, -1):
+        later = tables[place]
+        tables[place - 1] = later << np.uint64(8) ^ last[later >> np.uint64(56)]
+    return tables.ravel()
+
+
+_CONTRIBUTION = _contributions()
+_PLACES = 256 * np.arange(_SHORT)

@@ -8,6 +8,7 @@ from typing import Self
 import numpy as np
 
 from sightline.errors import MessageError
+from sightline.robot.igtl.messages_pose import read_matrix
 from sightline.robot.igtl.wire import Reader, floats, read_only
 
 _SCALARS = {2: "i1", 3: "u1", 4: "i2", 5: "u2", 6: "i4", 7: "u4", 10: "f4", 11: "f8", 13: "c16"}
@@ -119,7 +120,7 @@ class Image:
         reader = Reader(content)
         version, components, code, order, coordinates = reader.unpack("HBBBB")
         size = reader.unpack("HHH")
-        matrix = np.vstack([reader.floats(4, 3).T, (0.0, 0.0, 0.0, 1.0)])
+        matrix = read_matrix(reader)
         offset, part = reader.unpack("HHH"), reader.unpack("HHH")
         known = order in _ORDERS and coordinates in _COORDINATES and code != _COMPLEX
         if not known or version != 1 or not components:

@@ -16,7 +16,7 @@ def why_not_rigid(matrix: np.ndarray) -> str | None:
     """None for a (4, 4) matrix that turns and moves only; else what is wrong with it."""
     if not np.isfinite(matrix).all():
         return "it holds numbers that are not finite"
-    if not np.array_equal(matrix[3], (0, 0, 0, 1)):
+    if matrix[3].tolist() != [0, 0, 0, 1]:
         return "its last row is not 0 0 0 1"
     rotation = matrix[:3, :3]
     off = float(np.abs(rotation.T @ rotation - np.eye(3)).max())
@@ -57,7 +57,7 @@ class Transform:
     def read(cls, content: bytes) -> Self:
         """From 48 bytes."""
         reader = Reader(content)
-        matrix = _read_matrix(reader)
+        matrix = read_matrix(reader)
         reader.finish()
         return cls(matrix)
 
@@ -116,7 +116,7 @@ class TrackingData:
         reader, tools = Reader(content), []
         while reader.left:
             name, (kind, _reserved) = reader.text(20), reader.unpack("BB")
-            tools.append(Tracked(name, _read_matrix(reader), kind))
+            tools.append(Tracked(name, read_matrix(reader), kind))
         return cls(tuple(tools))
 
     def content(self) -> bytes:
@@ -128,13 +128,16 @@ class TrackingData:
 
 def _matrix(values: np.ndarray) -> np.ndarray:
     matrix = read_only(values, "a transform", (4, 4))
-    if not np.array_equal(matrix[3], (0, 0, 0, 1)):
+    if matrix[3].tolist() != [0, 0, 0, 1]:
         raise MessageError(f"the last row of a transform is {matrix[3]}, not 0 0 0 1")
     return matrix
 
 
-def _read_matrix(reader: Reader) -> np.ndarray:
-    return np.vstack([reader.floats(4, 3).T, (0.0, 0.0, 0.0, 1.0)])
+def read_matrix(reader: Reader) -> np.ndarray:
+    """(4, 4) from the twelve numbers of its upper rows, column by column."""
+    matrix = np.zeros((4, 4))
+    matrix[:3], matrix[3, 3] = reader.floats(4, 3).T, 1
+    return matrix
 
 
 def _matrix_bytes(matrix: np.ndarray) -> bytes:

@@ -93,7 +93,9 @@ def floats(values: np.ndarray) -> bytes:
 def read_only(values: Any, what: str, shape: tuple[int | None, ...], dtype: Any = np.float64) -> np.ndarray:
     """A copy that cannot be written to. Raises MessageError where its shape, None for any, is another."""
     array = np.array(values, dtype=dtype)
-    if len(array.shape) != len(shape) or any(b not in (None, a) for a, b in zip(array.shape, shape, strict=True)):
+    if array.shape != shape and (
+        array.ndim != len(shape) or any(n not in (None, m) for n, m in zip(shape, array.shape, strict=True))
+    ):
         raise MessageError(f"{what} has shape {array.shape}, not {tuple('any' if n is None else n for n in shape)}")
     array.flags.writeable = False
     return array
