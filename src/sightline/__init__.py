@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from sightline.detection import Observations as Observations
     from sightline.detection import detect as detect
     from sightline.detection import label as label
+    from sightline.detection import look_again as look_again
     from sightline.errors import SightlineError as SightlineError
     from sightline.frame import Frame as Frame
     from sightline.imaging import Radiograph as Radiograph
@@ -36,6 +37,7 @@ _HOMES = {
     "detect": "detection",
     "fit_map": "calibration",
     "label": "detection",
+    "look_again": "detection",
     "read_image": "imaging",
     "reconstruct": "planning",
     "view_from_matrix": "calibration",
@@ -45,6 +47,7 @@ __all__ = [  # noqa: RUF022 - the order a reader meets them in
     "detect",
     "Frame",
     "label",
+    "look_again",
     "calibrate",
     "reconstruct",
     "fit_map",

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from sightline.calibration import BeadView, calibrate
 from sightline.calibration.fit import Method
-from sightline.detection import Detections, Observations, detect, label
+from sightline.detection import Detections, Observations, detect, label, look_again
 from sightline.detection.files import read_observations
 from sightline.errors import ObservationsError, UnusableInputError
 from sightline.frame import Frame
@@ -45,10 +45,13 @@ def see(
     datums: dict[str, tuple[float, float]] | None = None,
     frame_index: int | None = None,
 ) -> Seen:
-    """Beads of one image, found and told apart (`label`): without `view`, the datum markers tell which it is."""
+    """Beads of one image, found, told apart (`label`) and looked at again (`look_again`).
+
+    Without `view`, the datum markers tell which it is.
+    """
     image = read_image(path, frame_index)
     beads = detect(image)
-    return Seen(path.name, label(beads, frame, view, datums), image, beads)
+    return Seen(path.name, look_again(image, beads, label(beads, frame, view, datums), frame), image, beads)
 
 
 def _from_csv(path: Path, name: str) -> Seen:

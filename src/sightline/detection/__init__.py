@@ -1,7 +1,8 @@
 """Beads: found, measured, told apart."""
 
+from sightline.detection.again import look_again
 from sightline.detection.detector import detect
 from sightline.detection.labelling import label
 from sightline.detection.results import Detections, Observations, Rejected
 
-__all__ = ["Detections", "Observations", "Rejected", "detect", "label"]
+__all__ = ["Detections", "Observations", "Rejected", "detect", "label", "look_again"]

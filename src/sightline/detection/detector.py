@@ -1,12 +1,14 @@
 """Automatic detection: candidates, fits, and the reasons for which a candidate is no bead."""
 
+from weakref import WeakKeyDictionary
+
 import cv2
 import numpy as np
 
 from sightline.detection import columns, refine
 from sightline.detection.find import Candidates, distinct, find_candidates
 from sightline.detection.log_image import field_inset, log_image
-from sightline.detection.noise import estimate_noise
+from sightline.detection.noise import NoiseModel, estimate_noise
 from sightline.detection.results import Detections, Rejected
 from sightline.errors import DetectionRefusedError
 from sightline.imaging import Radiograph
@@ -35,6 +37,8 @@ _FIT_REASONS = {
     columns.SINGULAR: "no disc at this place: the fit found none",
 }
 
+_fits: WeakKeyDictionary[Radiograph, refine.Fit] = WeakKeyDictionary()  # of images in memory, for a second look
+
 
 def detect(image: Radiograph) -> Detections:
     """Beads (dark balls and washers, bright holes; radius 2-25 px) of one image, with their covariances.
@@ -42,18 +46,14 @@ def detect(image: Radiograph) -> Detections:
     `rejected` holds what came near to being a bead; places without any rim are passed over in silence.
     Raises DetectionRefusedError where nothing in the image looks like a bead.
     """
-    mask = field_inset(image)
-    logs = log_image(image, mask)
-    noise = estimate_noise(logs, mask)
-    if noise is None:
-        raise DetectionRefusedError(
-            "the image has no area of 16x16 px inside its field of view to measure noise in; give a larger image"
-        )
+    mask, logs, noise = _looked_at(image)
     spots = find_candidates(logs, mask, noise)
     rows = refine.start(spots.uv_px, spots.radius_px, spots.response)
     rejected = _rejected(rows[~spots.round], np.full(len(rows), _NOT_ROUND))
     usable = _without_middles(mask, spots)
-    beads, unfit = _fitted(rows[spots.round], refine.Fit(logs, usable, noise))
+    fit = refine.Fit(logs, usable, noise)
+    _fits[image] = fit
+    beads, unfit = _fitted(rows[spots.round], fit)
     rejected += unfit
     reason = _odd_ones(beads)
     rejected += _rejected(beads[reason != ""], reason[reason != ""])
@@ -64,6 +64,26 @@ def detect(image: Radiograph) -> Detections:
             "with beads of 2-25 px radius, exposed so that they differ from their surroundings"
         )
     return _detections(beads, mask & ~usable, image, rejected)
+
+
+def fit_of(image: Radiograph) -> refine.Fit:
+    """The fit with which `detect` measured the beads of an image. Raises DetectionRefusedError."""
+    if image not in _fits:
+        mask, logs, noise = _looked_at(image)
+        _fits[image] = refine.Fit(logs, mask, noise)
+    return _fits[image]
+
+
+def _looked_at(image: Radiograph) -> tuple[np.ndarray, np.ndarray, NoiseModel]:
+    """Which pixels are in the field, their log intensity, its noise. Raises DetectionRefusedError."""
+    mask = field_inset(image)
+    logs = log_image(image, mask)
+    noise = estimate_noise(logs, mask)
+    if noise is None:
+        raise DetectionRefusedError(
+            "the image has no area of 16x16 px inside its field of view to measure noise in; give a larger image"
+        )
+    return mask, logs, noise
 
 
 def _fitted(rows: np.ndarray, fit: refine.Fit) -> tuple[np.ndarray, tuple[Rejected, ...]]:
@@ -78,7 +98,7 @@ def _fitted(rows: np.ndarray, fit: refine.Fit) -> tuple[np.ndarray, tuple[Reject
     near = apart < beads[:, None, columns.RADIUS] + gone[None, :, columns.RADIUS] + _WINDOW_PX
     again = np.flatnonzero(near.any(axis=1))
     beads[again] = fit(beads, again)
-    reason = _fine_reasons(beads)
+    reason = fine_reasons(beads)
     return beads[reason == ""], rejected + _rejected(beads[reason != ""], reason[reason != ""])
 
 
@@ -104,7 +124,7 @@ def _shape_reasons(fit: np.ndarray, limits: tuple[float, float]) -> np.ndarray:
     return reason
 
 
-def _fine_reasons(fit: np.ndarray) -> np.ndarray:
+def fine_reasons(fit: np.ndarray) -> np.ndarray:
     """`_shape_reasons` and those that need the covariance."""
     reason = _shape_reasons(fit, _STRICT)
     reason[np.maximum(fit[:, columns.CUU], fit[:, columns.CVV]) > _NOISIEST_PX**2] = "its centre is too uncertain"

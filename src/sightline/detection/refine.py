@@ -1,5 +1,7 @@
 """Sub-pixel beads: a blurred ball or disc on a smooth background, fitted to the pixels about it."""
 
+from copy import copy
+
 import numpy as np
 
 from sightline.detection import fit as _fit
@@ -33,6 +35,22 @@ class Fit:
         nothing = Sharpening(np.eye(len(sharp.taps))[0], 0.0, 1.0, noise.correlation)
         self._sharpening, self._plain = _plain_numbers(sharp, blur2), _plain_numbers(nothing, blur2)
         self._tables = profile_table(ball=True), profile_table(ball=False)
+
+    @property
+    def log_image(self) -> np.ndarray:
+        """(H, W) float32."""
+        return self._image
+
+    @property
+    def usable(self) -> np.ndarray:
+        """(H, W) bool: which pixels may count."""
+        return self._usable
+
+    def within(self, usable: np.ndarray) -> "Fit":
+        """The same, where only the pixels `usable` (H, W) may count."""
+        other = copy(self)
+        other._usable = usable
+        return other
 
     def __call__(self, rows: np.ndarray, which: np.ndarray | None = None) -> np.ndarray:
         """`rows` (N, COUNT), or those of them that are named (M,), fitted anew from where they stand.

@@ -1,0 +1,195 @@
+"""The second look: beads that are hidden in part come back with an honest covariance, and absent ones never do."""
+
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import numpy as np
+import pytest
+from bead_images import Bead, radiograph, transmission
+
+from sightline.detection import Observations, detect, label, look_again
+from sightline.errors import ObservationsError
+from sightline.frame import Frame, FrameView, Plate
+from sightline.imaging import Radiograph
+from sightline.twin import draw_setup
+from sightline.twin.carm import shadow_centres_px, shadow_radius_px
+
+GAMMA = Frame.load("gamma")
+SHAPE = (1024, 1024)
+LEVEL = 400.0  # quanta per pixel
+SCATTER = 0.4
+
+
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """Where the balls of the PA plates lie in one image, off the pixels' grid: `uv_px` (N, 2), `radius_px` (N,)."""
+
+    ids: tuple[str, ...]
+    uv_px: np.ndarray
+    radius_px: np.ndarray
+
+    def at(self, name: str) -> np.ndarray:
+        return self.uv_px[self.ids.index(name)]
+
+    def gaps(self) -> np.ndarray:
+        """(N,) from each rim to the next one's."""
+        apart = np.hypot(*(self.uv_px[:, None] - self.uv_px).T) - self.radius_px[:, None] - self.radius_px
+        np.fill_diagonal(apart, np.inf)
+        return apart.min(axis=1)
+
+
+@lru_cache(maxsize=4)
+def seen(seed: int) -> Seen:
+    """A drawn set-up of a C-arm; balls well inside the image."""
+    setup = draw_setup(np.random.default_rng(seed), GAMMA, side="right")
+    beads, view = setup.true_frame.view("pa").fiducials, setup.views["pa"]
+    xyz, radius = np.array([b.xyz_mm for b in beads]), np.array([b.diameter_mm / 2 for b in beads])
+    uv = shadow_centres_px(view, xyz, radius)
+    inside = view.in_field(uv, 30.0)
+    ids = tuple(b.id for b, one in zip(beads, inside, strict=True) if one)
+    return Seen(ids, uv[inside], shadow_radius_px(view, xyz, radius)[inside])
+
+
+def image(
+    one: Seen, rng: np.random.Generator, bars: list[np.ndarray] | None = None, without: tuple[str, ...] = ()
+) -> Radiograph:
+    """The balls, but those named; `bars`: (2, 2) normal and place of opaque bars, 20 px wide beyond the place."""
+    primary = np.ones(SHAPE)
+    for name, (u, v), radius in zip(one.ids, one.uv_px, one.radius_px, strict=True):
+        if name not in without:
+            left, top, half = int(u) - 24, int(v) - 24, 48
+            part = np.s_[top : top + half, left : left + half]
+            primary[part] *= transmission(Bead(u - left, v - top, radius), (half, half))
+    v, u = np.mgrid[: SHAPE[0], : SHAPE[1]]
+    for normal, place in bars or []:
+        depth = normal[0] * (u - place[0]) + normal[1] * (v - place[1])
+        along = normal[0] * (v - place[1]) - normal[1] * (u - place[0])
+        primary[(depth > 0) & (depth < 20) & (abs(along) < 30)] = 0.02
+    return radiograph(LEVEL * (primary + SCATTER), rng)
+
+
+def looked(one: Radiograph) -> tuple[Observations, Observations]:
+    """Before and after the second look."""
+    beads = detect(one)
+    told = label(beads, GAMMA)
+    return told, look_again(one, beads, told, GAMMA)
+
+
+def squares(found: Observations, one: Seen, names: list[str]) -> list[float]:
+    """Half the squared normalised errors of the named beads."""
+    assert found.covariance_px2 is not None
+    rows = [found.ids.index(name) for name in names]
+    error = found.uv_px[rows] - np.array([one.at(name) for name in names]).reshape(-1, 2)
+    return list(np.einsum("ni,nij,nj->n", error, np.linalg.inv(found.covariance_px2[rows]), error) / 2)
+
+
+def beside(one: Seen, names: list[str], rng: np.random.Generator, cover: float) -> list[np.ndarray]:
+    """A bar for each bead that hides the share `cover` of its diameter, from any side."""
+    out = []
+    for name in names:
+        turn = rng.uniform(0, 2 * np.pi)
+        normal = np.array([np.cos(turn), np.sin(turn)])
+        radius = one.radius_px[one.ids.index(name)]
+        out.append(np.array([normal, one.at(name) + normal * radius * (1 - 2 * cover)]))
+    return out
+
+
+def lonely(one: Seen, rng: np.random.Generator, most: int) -> list[str]:
+    """Small balls that stand far from the others, not of the plates' outermost rows."""
+    middle = np.linalg.norm(one.uv_px - one.uv_px.mean(axis=0), axis=1) < 330
+    names = [one.ids[i] for i in np.flatnonzero((one.gaps() > 30) & middle & (one.radius_px < 11))]
+    return list(rng.permutation(names)[:most])
+
+
+def test_beads_half_under_metal_come_back_with_their_covariance() -> None:
+    rng = np.random.default_rng(41)
+    before, chi2, hidden = 0, [], 0
+    for turn in range(5):
+        one = seen(turn)
+        names = lonely(one, rng, 14)
+        told, again = looked(image(one, rng, beside(one, names, rng, 0.4)))
+        hidden += len(names)
+        before += sum(name in told.ids for name in names)
+        chi2 += squares(again, one, [name for name in names if name in again.ids])
+    assert before < 0.2 * hidden
+    assert len(chi2) > 0.6 * hidden
+    # Half of chi-square with two degrees of freedom: mean 1, standard error 0.15; 0.1 for the noise estimate.
+    assert 0.6 < np.mean(chi2) < 1.6
+
+
+@pytest.mark.parametrize("cover", [None, 0.4])
+def test_a_bead_that_is_absent_is_never_found(cover: float | None) -> None:
+    rng = np.random.default_rng(42)
+    absent = 0
+    for turn in range(4):
+        one = seen(turn)
+        names = [str(n) for n in rng.choice(one.ids, 12, replace=False)]
+        bars = [] if cover is None else beside(one, names, rng, cover)
+        told, again = looked(image(one, rng, bars, without=tuple(names)))
+        absent += len(names)
+        assert not set(names) & set(told.ids)
+        assert not set(names) & set(again.ids)
+    assert absent == 48
+
+
+def test_beads_under_one_another_are_fitted_both() -> None:
+    rng = np.random.default_rng(43)
+    chi2 = []
+    for turn in range(10):
+        one = seen(turn)
+        names = [one.ids[i] for i in np.flatnonzero(one.gaps() < -5.0)]
+        _, again = looked(image(one, rng))
+        chi2 += squares(again, one, [name for name in names if name in again.ids])
+    assert len(chi2) > 25
+    assert 0.6 < np.mean(chi2) < 1.5
+    assert max(chi2) < 8.0  # 1 in 3000
+
+
+def test_a_bead_that_hides_another_is_dropped() -> None:
+    """The source plate lies so that one of its balls hides one of the other plate, or is hidden, but for 2-3 px."""
+    rng = np.random.default_rng(46)
+    one = seen(9)
+    pairs = [(x, s) for x in one.ids for s in one.ids if "-x-" in x and "-s-" in s]
+    apart = np.array([np.hypot(*(one.at(x) - one.at(s))) for x, s in pairs])
+    merged = 0
+    for i in np.argsort(apart)[:6]:
+        x, s = pairs[i]
+        of_source = np.array(["-s-" in name for name in one.ids])
+        shift = one.at(x) + rng.uniform(1.5, 2.0, 2) - one.at(s)
+        told, again = looked(image(replace(one, uv_px=one.uv_px + shift * of_source[:, None]), rng))
+        merged += x in told.ids or s in told.ids
+        assert x not in again.ids
+        assert s not in again.ids
+    assert merged > 2
+
+
+def test_where_nothing_is_missing_the_observations_stay() -> None:
+    one = seen(9)
+    free = {name for name, gap in zip(one.ids, one.gaps(), strict=True) if gap > 0}
+    told, _ = looked(image(one, np.random.default_rng(44)))
+    beads = detect(image(one, np.random.default_rng(44)))
+    kept = [i for i, name in enumerate(told.ids) if name in free]
+    assert told.covariance_px2 is not None
+    told = replace(
+        told, ids=tuple(told.ids[i] for i in kept), uv_px=told.uv_px[kept], covariance_px2=told.covariance_px2[kept]
+    )
+    view = GAMMA.view("pa")
+    plates = [Plate(tuple(f for f in plate.fiducials if f.id in told.ids)) for plate in (view.xrii, view.source)]
+    only_these = replace(GAMMA, views={"pa": FrameView(*plates)})
+    assert look_again(image(one, np.random.default_rng(44)), beads, told, only_these) is told
+
+
+def test_observations_of_something_else_are_refused() -> None:
+    rng = np.random.default_rng(45)
+    one = image(seen(0), rng)
+    beads = detect(one)
+    told = label(beads, GAMMA)
+    with pytest.raises(ObservationsError, match="are not what `label` made"):
+        look_again(one, beads, replace(told, uv_px=told.uv_px + 0.01), GAMMA)
+    few = [i for i, name in enumerate(told.ids) if "-s-" not in name]
+    assert told.covariance_px2 is not None
+    half = replace(
+        told, ids=tuple(told.ids[i] for i in few), uv_px=told.uv_px[few], covariance_px2=told.covariance_px2[few]
+    )
+    with pytest.raises(ObservationsError, match="fewer than 8 beads of the source plate"):
+        look_again(one, beads, half, GAMMA)
