@@ -1,0 +1,187 @@
+"""May the robot go there? Joint limits and clearances along the whole path, before anything moves.
+
+The robot is capsules, what stands around it is boxes and exact distances between them, along straight lines in joint
+space. The wire, its guide and what they touch are left out: they are meant to touch the patient.
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from sightline.checks import Check
+from sightline.robot.manipulator import ARM_JOINTS, JOINTS, TURNS, Manipulator, said_beyond
+
+CLEARANCE_MM = 5.0  # what must be left to everything: drapes, a registration that errs by a millimetre [ours]
+REMOUNT_LIMIT_MM = 0.1  # of a frame taken off and put back: as good as its hand-eye calibration [ours]
+STEP_MM = 2.0  # no point of the robot moves further between two positions that are looked at
+_LEVER_MM = 700.0  # from the wrist to the frame's furthest corner, and more
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """A capsule of the robot: all points within `radius_mm` of a line `ends_mm` (2, 3), flange coordinates at q = 0;
+    the first `joints` of the joints carry it."""
+
+    name: str
+    joints: int
+    ends_mm: np.ndarray
+    radius_mm: float
+
+
+@dataclass(frozen=True, eq=False)
+class Obstacle:
+    """A box: `T_mcs_box` puts its middle and its axes, `half_mm` (3,) are half its edges. Several may have one name."""
+
+    name: str
+    T_mcs_box: RigidTransform
+    half_mm: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Theatre:
+    """What stands around the robot, and what it holds. `frame_mounted`: the frame is still on the flange.
+    `remount_mm`: how well a frame that was taken off since its calibration repeats its place; None: it never was."""
+
+    obstacles: tuple[Obstacle, ...]
+    frame_mounted: bool = True
+    remount_mm: float | None = None
+
+
+# Of the machine as drawn in docs/robot.md, flange coordinates: z along the wire, y up [ours]. The drill's body ends
+# 200 mm behind the tip, as long as the wire [paper].
+MACHINE = (
+    Part("column", 0, np.array([[0.0, -600.0, -220.0], [0.0, 200.0, -220.0]]), 80.0),
+    Part("arm", 2, np.array([[0.0, 0.0, -200.0], [0.0, 0.0, 0.0]]), 60.0),
+    Part("slide", ARM_JOINTS, np.array([[0.0, -40.0, -120.0], [0.0, -40.0, 120.0]]), 45.0),
+    Part("drill", len(JOINTS), np.array([[0.0, -40.0, -110.0], [0.0, -40.0, -40.0]]), 35.0),
+    Part("chuck", len(JOINTS), np.array([[0.0, -40.0, -40.0], [0.0, -40.0, 55.0]]), 15.0),
+)
+# Rims of the Γ frame's plates, CFCS: distance from the hip, half-edge; half their thickness (docs/frame-file.md).
+PLATES_MM = ((150.0, 64.0), (300.0, 74.0))
+PLATE_RADIUS_MM = 4.0
+# About the hip's centre, CFCS (lateral, caudal or cranial, anterior): low and high corner.
+PATIENT_MM = (
+    (-300.0, -900.0, -115.0),
+    (70.0, 900.0, 100.0),
+)  # lateral of the incision's bottom, some 35 mm on the bone [ours]
+TABLE_MM = ((-340.0, -1000.0, -175.0), (160.0, 1000.0, -115.0))  # 500 mm wide, the hip 90 mm beside its middle [mem]
+# The detector's housing: its face 380 mm from the hip (1000 mm from a source at 620), edge 300, depth 350 [mem].
+DETECTOR_FACE_MM, DETECTOR_HALF_MM = 380.0, (150.0, 150.0, 175.0)
+SWING_RAD = np.deg2rad(np.arange(0.0, 90.1, 7.5))  # from the PA to the lateral view
+
+
+def hip_theatre(T_mcs_cfcs: RigidTransform, frame_mounted: bool = True, remount_mm: float | None = None) -> Theatre:
+    """A supine patient on a table, hip at the frame's origin, and the C-arm that swings between its two views."""
+    swung = [Rotation.from_euler("y", angle) for angle in SWING_RAD]  # +Z towards +X: anterior towards lateral
+    out = (DETECTOR_FACE_MM + DETECTOR_HALF_MM[2]) * np.array([0.0, 0.0, 1.0])
+    poses = [RigidTransform.from_components(turn.apply(out), turn) for turn in swung]
+    return Theatre(
+        (
+            _box("patient", T_mcs_cfcs, *PATIENT_MM),
+            _box("table", T_mcs_cfcs, *TABLE_MM),
+            *(Obstacle("C-arm", T_mcs_cfcs * pose, np.array(DETECTOR_HALF_MM)) for pose in poses),
+        ),
+        frame_mounted,
+        remount_mm,
+    )
+
+
+def check_reach(robot: Manipulator, waypoints: np.ndarray, theatre: Theatre) -> tuple[Check, ...]:
+    """Of a path through joint positions (K, 5), straight between them, all joints together: joint limits, what is left
+    to each obstacle, and whether the frame is where its calibration says."""
+    path = _between(np.asarray(waypoints, dtype=np.float64))
+    parts = [*MACHINE, *(_frame_parts(robot) if theatre.frame_mounted else ())]
+    names = dict.fromkeys(obstacle.name for obstacle in theatre.obstacles)
+    lines = _lines(robot, path, parts)
+    return (
+        _limits(robot, path),
+        *(_clearance(name, [o for o in theatre.obstacles if o.name == name], parts, lines) for name in names),
+        _remount(theatre),
+    )
+
+
+def segment_to_box_mm(ends_mm: np.ndarray, half_mm: np.ndarray) -> np.ndarray:
+    """(...): distance of lines (..., 2, 3) from a box about the origin; 0 inside. The squared distance is convex along
+    a line, so its slope is bisected."""
+    start, way = ends_mm[..., 0, :], ends_mm[..., 1, :] - ends_mm[..., 0, :]
+    low, high = np.zeros(start.shape[:-1]), np.ones(start.shape[:-1])
+    for _ in range(50):
+        middle = (low + high) / 2
+        at = start + middle[..., None] * way
+        rising = ((at - np.clip(at, -half_mm, half_mm)) * way).sum(axis=-1) > 0
+        low, high = np.where(rising, low, middle), np.where(rising, middle, high)
+    at = start + ((low + high) / 2)[..., None] * way
+    return np.linalg.norm(at - np.clip(at, -half_mm, half_mm), axis=-1)
+
+
+def _between(waypoints: np.ndarray) -> np.ndarray:
+    """(N, 5): the waypoints, and as many positions between them as STEP_MM asks."""
+    path = [waypoints[:1]]
+    for start, end in pairwise(waypoints):
+        far = np.abs(end - start) @ np.where(TURNS, _LEVER_MM, 1.0)
+        steps = int(np.ceil(far / STEP_MM)) or 1
+        path.append(start + np.arange(1, steps + 1)[:, None] / steps * (end - start))
+    return np.concatenate(path)
+
+
+def _lines(robot: Manipulator, path: np.ndarray, parts: list[Part]) -> np.ndarray:
+    """(N, P, 2, 3) MCS: the parts' middle lines at every position."""
+    stages = robot.stages(path)
+    home = robot.T_mcs_flange_home
+    out = np.empty((len(path), len(parts), 2, 3))
+    for index, part in enumerate(parts):
+        moved = stages[:, part.joints]
+        out[:, index] = home.apply(part.ends_mm) @ np.swapaxes(moved[:, :3, :3], 1, 2) + moved[:, None, :3, 3]
+    return out
+
+
+def _frame_parts(robot: Manipulator) -> Iterable[Part]:
+    for distance, half in PLATES_MM:
+        corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * half
+        pa = np.column_stack([corners, np.full(4, distance)])
+        for plate in (pa, pa[:, [2, 0, 1]]):  # across Z, across X
+            on_flange = robot.T_flange_cfcs.apply(plate)
+            for one, other in ((0, 1), (1, 2), (2, 3), (3, 0), (0, 2), (1, 3)):
+                yield Part("frame", ARM_JOINTS, on_flange[[one, other]], PLATE_RADIUS_MM)
+
+
+def _limits(robot: Manipulator, path: np.ndarray) -> Check:
+    beyond = robot.beyond_limits(path)
+    worst = [int(np.argmax(np.abs(column))) for column in beyond.T]
+    said = [said_beyond(j, path[worst[j], j], beyond[worst[j], j]) for j in range(len(JOINTS)) if beyond[worst[j], j]]
+    if said:
+        return Check("joint limits", False, None, None, "", f"On its way {'; '.join(said)}: move the robot's base.")
+    return Check("joint limits", True, None, None, "", "All joints stay within their limits.")
+
+
+def _clearance(obstacle: str, boxes: list[Obstacle], parts: list[Part], lines: np.ndarray) -> Check:
+    radius = np.array([part.radius_mm for part in parts])
+    left = np.full(lines.shape[:2], np.inf)
+    for box in boxes:
+        inside = box.T_mcs_box.inv().apply(lines.reshape(-1, 3)).reshape(lines.shape)
+        left = np.minimum(left, segment_to_box_mm(inside, box.half_mm))
+    left -= radius + STEP_MM / 2  # half a step lies between a position that is looked at and the nearest
+    at, part = np.unravel_index(np.argmin(left), left.shape)
+    nearest, share, name = float(left[at, part]), at / max(len(left) - 1, 1), f"{obstacle} clearance"
+    passed = nearest >= CLEARANCE_MM
+    sentence = f"The {parts[part].name} leaves {max(nearest, 0.0):.0f} mm to the {obstacle}, {share:.0%} of the way"
+    sentence += "." if passed else f", at least {CLEARANCE_MM:.0f} are needed: move the robot's base or the {obstacle}."
+    return Check(name, passed, nearest, CLEARANCE_MM, "mm", sentence)
+
+
+def _remount(theatre: Theatre) -> Check:
+    repeat = theatre.remount_mm
+    if repeat is None:
+        return Check("frame remount", True, None, None, "", "The frame was not taken off since its calibration.")
+    passed = repeat <= REMOUNT_LIMIT_MM
+    sentence = f"The frame was taken off and repeats its place to {repeat:.2f} mm"
+    sentence += "." if passed else f", more than {REMOUNT_LIMIT_MM:g}: calibrate its mount again."
+    return Check("frame remount", passed, repeat, REMOUNT_LIMIT_MM, "mm", sentence)
+
+
+def _box(name: str, T_mcs_cfcs: RigidTransform, low_mm, high_mm) -> Obstacle:
+    low, high = np.array(low_mm), np.array(high_mm)
+    return Obstacle(name, T_mcs_cfcs * RigidTransform.from_translation((low + high) / 2), (high - low) / 2)
