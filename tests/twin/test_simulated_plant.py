@@ -201,6 +201,36 @@ def test_thrust_bends_the_robot_back_where_the_encoders_cannot_see_it():
     assert tip < flange - 35.0 / 100.0  # and the wire itself is pressed back
 
 
+def test_a_hold_while_drilling_leaves_the_tip_where_it_is():
+    one = plant(bone=slab(NOMINAL, START, 2.0))
+    one.guide_mm = START[FEED] - 5.0
+    one.command(np.array([0.0, 0.0, 0.0, 0.0, 1.0]), drill_on=True)
+    one.advance(6.0)
+    before = one.true_T_mcs_tool().translation
+    one.hold()
+    one.advance(1.0)
+    assert np.linalg.norm(one.true_T_mcs_tool().translation - before) < 0.1
+
+
+def test_whatever_is_commanded_the_plant_stays_whole():
+    """A minute of random commands: nothing leaves its limits, the truth stays with the encoders."""
+    rng = np.random.default_rng(11)
+    one = plant()
+    for _ in range(200):
+        one.command(rng.uniform(-2, 2, 5) * NOMINAL.speed, drill_on=bool(rng.integers(2)))
+        one.advance(0.3)
+        encoders = one.read().encoders
+        assert (np.abs(NOMINAL.beyond_limits(encoders)) < 0.01 * NOMINAL.speed).all()
+        off = one.true_T_mcs_tool().translation - NOMINAL.T_mcs_tool(encoders).translation
+        assert np.linalg.norm(off) < 2.0
+
+
+@pytest.mark.parametrize("bad", [NOMINAL.upper + 1.0, np.full(5, np.nan)])
+def test_a_start_beyond_the_limits_is_refused(bad):
+    with pytest.raises(SetUpError, match="limits"):
+        plant(start=bad)
+
+
 def test_the_sensor_reads_the_thrust_with_its_noise():
     one = plant(bone=slab(NOMINAL, START, 2.0), build=WEIGHTLESS)
     one.guide_mm = START[FEED] - 5.0

@@ -23,7 +23,8 @@ class SimulatedPlant:
 
     `robot` is the true manipulator; `bone` None: the wire moves in air. `guide_mm` is the feed at which the wire's tip
     is at the mouth of its guide, which a person pushes forward to the bone; `stop_pressed` and `run_held` are the
-    hardware's inputs. Raises SetUpError where MuJoCo is not installed.
+    hardware's inputs. `start` (5,): joints at time zero. Raises SetUpError where MuJoCo is not installed and for a
+    start beyond the limits.
     """
 
     def __init__(
@@ -39,7 +40,10 @@ class SimulatedPlant:
         self.guide_mm = GUIDE_MM
         self.stop_pressed, self.run_held = False, True
         self._rng = rng
-        self._body = _Body(robot, build or Build(), np.zeros(len(JOINTS)) if start is None else start)
+        at = np.zeros(len(JOINTS)) if start is None else np.asarray(start, dtype=np.float64)
+        if not np.isfinite(at).all() or robot.beyond_limits(at).any():
+            raise SetUpError("the plant must start within its joints' limits")
+        self._body = _Body(robot, build or Build(), at)
         self._goal, self._drill_on = np.zeros(len(JOINTS)), False
         self._time_s, self._owed_s = 0.0, 0.0
         self._drill()
@@ -129,8 +133,9 @@ class SimulatedPlant:
         ):
             if is_set:
                 flags |= flag
-        counts = np.round(self._body.encoders() / self.robot.resolution)
-        return Reading(self._time_s, counts * self.robot.resolution, sensed(self.thrust_n, self._rng), flags)
+        encoders = np.round(self._body.encoders() / self.robot.resolution) * self.robot.resolution
+        encoders.flags.writeable = False
+        return Reading(self._time_s, encoders, sensed(self.thrust_n, self._rng), flags)
 
 
 class _Body:
@@ -153,7 +158,7 @@ class _Body:
         self._fed = self._model.body("feed-link").id
         self._pace = np.zeros(len(JOINTS))  # commanded now, mm/s and rad/s
         data = self._data
-        data.qpos[self._seen] = data.act[:] = np.asarray(start, dtype=np.float64) * self._units
+        data.qpos[self._seen] = data.act[:] = start * self._units
         mujoco.mj_step(self._model, data, nstep=round(SETTLE_S / STEP_S))
         mujoco.mj_kinematics(self._model, data)
 
