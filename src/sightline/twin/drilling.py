@@ -165,7 +165,7 @@ class Wire:
         inside = float((self.tip_mm - entry) @ along)
         self.slope = 1.5 * across / max(free_mm - inside, SHORTEST_FREE_MM)
         self.tip_mm = self.tip_mm + advance_mm * (along + self.slope)
-        inside = float((self.tip_mm - entry) @ along)
+        inside += advance_mm
         self._deepest_mm = max(self._deepest_mm, inside)
         if inside < 0.0:  # pulled out
             self.entry_mm = None

@@ -150,7 +150,9 @@ class _Body:
         self._model = mujoco.MjModel.from_xml_string(mjcf(robot, build))
         self._data = mujoco.MjData(self._model)
         self._lower, self._upper, self._acceleration = robot.lower, robot.upper, robot.acceleration
+        self._brakes = robot.speed**2 / (2 * robot.acceleration) + robot.speed * CYCLE_S  # the longest way to a stop
         self._units = np.array([unit(joint) for joint in range(len(JOINTS))])
+        # Each joint has one number, so its place in positions is that in forces.
         self._seen = np.array([self._model.joint(name).qposadr[0] for name in JOINTS])
         self._behind = np.array([self._model.joint(f"{name}-behind").qposadr[0] for name in JOINTS])
         self._force = np.array(build.drive_force)
@@ -191,16 +193,13 @@ class _Body:
     def drive(self, goal: np.ndarray) -> tuple[bool, bool]:
         """One cycle towards joint velocities (5,); whether a drive was overloaded, and whether a limit was met."""
         at = self.encoders()
-        step = self._acceleration * STEP_S
-        # As fast as still stops before the limit, one cycle spent.
-        spent, twice = np.abs(self._pace) * CYCLE_S, 2 * self._acceleration
-        forward = np.sqrt(twice * np.maximum(self._upper - at - spent, 0.0))
-        backward = np.sqrt(twice * np.maximum(at - self._lower - spent, 0.0))
-        allowed = np.minimum(np.maximum(goal, -backward), forward)
+        free = (at < self._upper - self._brakes) & (at > self._lower + self._brakes)
+        allowed = goal if free.all() else self._braked(goal, at)
         data, model = self._data, self._model
         if (allowed == self._pace).all():
             self._mujoco.mj_step(model, data, nstep=STEPS)
         else:
+            step = self._acceleration * STEP_S
             for _ in range(STEPS):
                 self._pace = self._pace + np.clip(allowed - self._pace, -step, step)
                 data.ctrl[: len(JOINTS)] = data.ctrl[len(JOINTS) :] = self._pace * self._units
@@ -212,3 +211,10 @@ class _Body:
             data.act[:] = np.clip(data.act, data.qpos[self._seen] - slack, data.qpos[self._seen] + slack)
         self._mujoco.mj_kinematics(model, data)
         return overloaded, bool((allowed != goal).any())
+
+    def _braked(self, goal: np.ndarray, at: np.ndarray) -> np.ndarray:
+        """(5,): as fast as still stops before a limit, one cycle spent."""
+        spent, twice = np.abs(self._pace) * CYCLE_S, 2 * self._acceleration
+        forward = np.sqrt(twice * np.maximum(self._upper - at - spent, 0.0))
+        backward = np.sqrt(twice * np.maximum(at - self._lower - spent, 0.0))
+        return np.minimum(np.maximum(goal, -backward), forward)
