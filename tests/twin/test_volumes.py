@@ -104,8 +104,8 @@ def test_finely_voxelled_volumes_are_cast_for_every_pixel(frame):
     fine = Volume(np.ones((80, 80, 80)), np.full(3, -8.0), np.full(3, 0.2), within=None)
     way = volume_integral(rays, fine.values, fine.origin_mm, fine.voxel_mm)[0, 0]
     assert way == pytest.approx(15.8, abs=0.01)
-    left = expose(view, Scene(volumes=(fine,))).quanta
-    open_field = expose(view, Scene()).quanta
+    left = expose(view, Scene(volumes=(fine,)), even_scatter=True).quanta
+    open_field = expose(view, Scene(), even_scatter=True).quanta
     u, v = np.rint(view.project(np.array([-0.1, -0.1, -0.1]))).astype(int)
     taken = left[v, u] / left.max() / (open_field[v, u] / open_field.max())
     primary = float(WEIGHTS @ np.exp(-15.8 * attenuation_per_mm("bone")))

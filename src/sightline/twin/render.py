@@ -28,6 +28,10 @@ from sightline.twin.volumes import Volume
 RAY_MARGIN_PX = 6  # rays are cast this far beyond the blanking, so that blur finds light there
 RAY_GRID_PX = 8  # the inverse distortion is exact on this grid, splines between: error below 1e-5 px
 SCATTER_MM = 30.0  # reach of scattered radiation at the input plane, s.d. [ours]
+# Tissue, mm, at which scatter over primary is that of the chain; it grows in proportion to tissue [mem]. What drawn
+# hips with bone and plates take, mean of PA and lateral [calc].
+HIP_MM = 250.0
+THICKEST_MM = 600.0  # of tissue; what takes more counts as that
 COARSE_PX = 8  # scatter and glare are computed on means of this many pixels
 FINE_VOXEL_MM = 0.5  # volumes of finer voxels are cast for every pixel [ours]
 MEAN_LEVEL = 0.25  # of the white level: where exposure control brings the middle of the image [ours]
@@ -116,14 +120,18 @@ def render(setup: SetUp, view: str, scene: Scene, rng: np.random.Generator, dose
     return expose(setup.views[view], scene, dose).read_out(rng)
 
 
-def expose(view: ViewTruth, scene: Scene, dose: Dose | None = None) -> Exposure:
-    """The expected image of a scene. `dose` defaults to "medium"; exposure control holds its mean in the middle."""
+def expose(view: ViewTruth, scene: Scene, dose: Dose | None = None, *, even_scatter: bool = False) -> Exposure:
+    """The expected image of a scene. `dose` defaults to "medium"; exposure control holds its mean in the middle.
+
+    Scatter follows what lies in the beam, unless `even_scatter`: the chain's share of the primary everywhere.
+    """
     chain, dose = view.chain, dose or DOSES["medium"]
     rays, area = pixel_rays(view)
     arriving, without = (share * area for share in primary(view, scene, rays))
     reach = SCATTER_MM / chain.pitch_mm
+    source = arriving if even_scatter else arriving * tissue_mm(without / area, chain.spectrum) / HIP_MM
     # The body scatters as much at the rim as in the middle: the share of scatter does not fall towards the rim.
-    scattered = chain.scatter_to_primary * _smooth(arriving, reach) / np.maximum(_smooth(rays.inside, reach), 0.1)
+    scattered = chain.scatter_to_primary * _smooth(source, reach) / np.maximum(_smooth(rays.inside, reach), 0.1)
     middle = _rim_px(chain) > 0.5 * chain.mask_px
     level = float((arriving + scattered)[middle].mean())
     if not level > 0:
@@ -138,6 +146,13 @@ def expose(view: ViewTruth, scene: Scene, dose: Dose | None = None) -> Exposure:
         core_px=chain.core_mm * float(np.sqrt(np.linalg.det(view.intensifier.jacobian(np.zeros((1, 2))))[0])),
         gain=dose.level * chain.white / wanted,
     )
+
+
+def tissue_mm(transmission: np.ndarray, beam: str) -> np.ndarray:
+    """(...) mm of soft tissue that leave as much of a spectrum; THICKEST_MM where less arrives."""
+    lengths = np.linspace(0.0, THICKEST_MM, 241)
+    left = np.exp(-lengths[:, None] * attenuation_per_mm("tissue", beam)) @ spectrum(beam).weights
+    return np.interp(-np.log(np.maximum(transmission, left[-1])), -np.log(left), lengths)
 
 
 def grabbed(first: np.ndarray, second: np.ndarray, black: float, video: Video, rng: np.random.Generator) -> np.ndarray:
