@@ -21,9 +21,8 @@ _BAND_GAIN = 0.2  # least answer of a band to a disc of contrast 1 between two b
 _RIM_OF_A_BALL = 0.7  # px between a ball's rim and its steepest place: it thins out there [twin: 0.5-0.8]
 # Share of the step that a washer lacks in its middle: 0.77-1.06 [twin]; balls 0.1 or less, a hole among holes more.
 _HOLLOW = 0.6, 1.25
-_CHUNKS = 32
 _CELL = 32.0  # px; repetitions are looked for in the cells around, which reach further than half a radius
-_ROOM = 2048  # extrema per chunk of rows
+_MOST = 2**16  # extrema of a band: room for them, of which only what is filled in takes memory
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,33 +95,24 @@ def _extrema(fine, coarse, mask, step: int, radius: float, line) -> list[np.ndar
     """
     if min(fine.shape) < 5:
         return []
-    rows, counts = np.empty((_CHUNKS, _ROOM, 4)), np.zeros(_CHUNKS, np.int64)
-    _band(np.subtract(fine, coarse, out=fine), coarse, mask, step, radius * step, line, rows, counts)
-    return [rows[i, :n] for i, n in enumerate(counts)]
-
-
-@nb.njit(parallel=True, cache=True)
-def _band(difference, coarse, mask, step, radius, line, rows, counts):  # noqa: PLR0917
-    height = difference.shape[0]
-    for chunk in nb.prange(_CHUNKS):
-        top, bottom = chunk * height // _CHUNKS, (chunk + 1) * height // _CHUNKS
-        counts[chunk] = _band_part(difference, coarse, mask, step, radius, line, top, bottom, rows[chunk])
+    rows = np.empty((_MOST, 4))
+    return [rows[: _band(np.subtract(fine, coarse, out=fine), coarse, mask, step, radius * step, line, rows)]]
 
 
 @nb.njit(cache=True, fastmath=True)
-def _band_part(difference, coarse, mask, step, radius, line, top, bottom, rows) -> int:  # noqa: PLR0917
-    """Fill in the extrema of the rows from `top` to `bottom`; how many there are."""
+def _band(difference, coarse, mask, step, radius, line, rows) -> int:  # noqa: PLR0917
+    """Fill in the extrema of a band; how many there are."""
     height, width = difference.shape
     faintest = np.float32(_BAND_GAIN * FAINTEST)
     extremal = np.empty(width, np.bool_)
     n = 0
-    for y in range(max(1, top), min(height - 1, bottom)):
+    for y in range(1, height - 1):
         _mark_extremal(difference, y, faintest, extremal)
         for x in range(1, width - 1):
             if not extremal[x] or not mask[y * step, x * step]:
                 continue
             value = difference[y, x]
-            if abs(value) < _LOUDEST * _BAND_NOISE * broad_noise(coarse[y, x], line) / radius or n == _ROOM:
+            if abs(value) < _LOUDEST * _BAND_NOISE * broad_noise(coarse[y, x], line) / radius or n == _MOST:
                 continue
             left, right = difference[y, x - 1], difference[y, x + 1]
             above, below = difference[y - 1, x], difference[y + 1, x]

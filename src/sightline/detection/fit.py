@@ -73,27 +73,20 @@ _ITSELF = np.array([2.0, 2.0, 0.2, 0.5])
 _NEIGHBOUR = np.array([0.7, 0.7, 0.06, 0.3])
 
 
-@nb.njit(parallel=True, cache=True)
-def fit_all(image, usable, spots, which, noise, sharpening, plain, tables):  # noqa: PLR0917
-    """The rows `which` of `spots` fitted anew.
-
-    `noise`: offset, slope, and the log intensity at which pixels are clipped; `sharpening`: taps, gain, change of the
-    squared blur, squared blur that is left, correlation after it; `plain`: the same of leaving the image alone.
-    """
-    out = np.empty((len(which), spots.shape[1]))
-    for i in nb.prange(len(which)):
-        _fit(image, usable, spots, which[i], noise, sharpening, plain, tables, out[i])
-    return out
+@nb.njit(cache=True)
+def _copy(values, out):
+    for k in range(len(out)):  # an assignment to out[:] would take seconds to compile
+        out[k] = values[k]
 
 
 @nb.njit(cache=True)
 def _group(spots, i, reach):
     """Rows of the beads to be fitted with bead `i`, itself first: the nearest of those that reach into its window."""
-    rows = np.full(_MOST, -1)
-    rows[0] = i
+    rows, gaps = np.empty(_MOST, np.int64), np.empty(_MOST)
+    rows[:], rows[0] = -1, i
     if spots[i, CONTRAST] > 0:
         return rows[:1]  # the holes of a plate never overlap: another one's place is masked
-    gaps = np.full(_MOST, reach - spots[i, RADIUS] + 2.0)
+    gaps[:] = reach - spots[i, RADIUS] + 2.0
     for j in range(len(spots)):
         if j == i or spots[j, CONTRAST] * spots[i, CONTRAST] < 0:
             continue
@@ -113,30 +106,8 @@ def _group(spots, i, reach):
     return rows[:count]
 
 
-@nb.njit(cache=True, fastmath=FAST)
-def _fit(image, usable, spots, row, noise, sharpening, plain, tables, out):  # noqa: PLR0917
-    """One bead's fit; where it leaves too much, metal about the bead is looked for, hidden, and the fit repeated."""
-    out[:] = spots[row]
-    dark = spots[row, CONTRAST] < 0
-    reach = spots[row, RADIUS] + BEYOND
-    rows = _group(spots, row, reach)
-    half = int(reach) + 1
-    left, top = int(spots[row, U] + 0.5) - half, int(spots[row, V] + 0.5) - half
-    zero = level(image, usable, spots[row], reach)
-    light = look(image, left, top, half, zero)
-    state = mark(image, usable, spots, rows, left, top, 2 * half + 1, noise[2])
-    window = left, top, reach, zero
-    _solve(spots, rows, noise, sharpening, plain, tables, light, state, window, out)
-    if dark and (out[STATUS] != FITTED or out[EXCESS] > _UNEXPLAINED):
-        metal = hide_metal(state, spots, rows, left, top, light)
-        if metal and rim_seen(state, spots, rows, left, top) > _LEAST_RIM:
-            again = spots[row].copy()
-            _solve(spots, rows, noise, sharpening, plain, tables, light, state, window, again)
-            if again[STATUS] == FITTED and (out[STATUS] != FITTED or again[EXCESS] < out[EXCESS]):
-                out[:] = again
-
-
-@nb.njit(cache=True, fastmath=FAST)
+# Inlined where it is called, once: by itself it would be compiled a second time.
+@nb.njit(cache=True, fastmath=FAST, inline="always")
 def _solve(spots, rows, noise, sharpening, plain, tables, light, state, window, out):  # noqa: PLR0917
     """Fit the beads `rows` to the pixels that are seen; the first one's answer goes into `out`."""
     left, top, reach, zero = window
@@ -152,7 +123,7 @@ def _solve(spots, rows, noise, sharpening, plain, tables, light, state, window, 
     columns, root = np.empty((size + 3, at.shape[1]), np.float32), np.ones(at.shape[1], np.float32)
     A, L, b, step = np.empty((size, size)), np.empty((size, size)), np.empty(size), np.zeros(size)
     known = np.zeros(size)
-    optics = np.array([1.0 / reach, taken, together2]).astype(np.float32)
+    optics = np.float32(1.0 / reach), taken, np.float32(together2)
     roots = _roots(np.exp(0.5 * (noise[0] - noise[1] * zero)) * np.sqrt(gain), noise[1])
     brightest = np.exp(noise[2] - zero - _NEARLY_CLIPPED * np.exp(0.5 * (noise[0] - noise[1] * noise[2])))
     out[STATUS] = TOO_FEW_PIXELS
@@ -167,9 +138,7 @@ def _solve(spots, rows, noise, sharpening, plain, tables, light, state, window, 
         if not solve(A, b, L, step):
             out[STATUS] = SINGULAR
             return
-        if turn >= _CHOOSING:
-            step *= 0.5
-        moved, shine = _move(beads, shine, ground, step)
+        moved, shine = _move(beads, shine, ground, step, 1.0 if turn < _CHOOSING else 0.5)
         out[STATUS] = WANDERED
         if np.hypot(beads[0, 0], beads[0, 1]) > 0.5 * radius + 1 or not 0.5 < beads[0, 2] / radius < 1.9:
             return
@@ -190,6 +159,38 @@ def _solve(spots, rows, noise, sharpening, plain, tables, light, state, window, 
     _judge(table, at, where, light, beads, shine, ground, optics, (blur2, together2), gain, root, pixels, columns, out)
 
 
+@nb.njit(cache=True, fastmath=FAST, nogil=True)
+def fit_part(part, parts, image, usable, spots, which, noise, sharpening, plain, tables, out):  # noqa: PLR0917
+    """Every row of `which`, from `part` on in steps of `parts`, of `spots` fitted anew, into the same row of `out`.
+
+    `noise`: offset, slope, and the log intensity at which pixels are clipped; `sharpening`: taps, gain, change of the
+    squared blur, squared blur that is left, correlation after it; `plain`: the same of leaving the image alone. Where a
+    fit leaves too much, metal about the bead is looked for, hidden, and the fit repeated.
+    """
+    answer = np.empty(spots.shape[1])
+    for i in range(part, len(which), parts):
+        row = which[i]
+        reach = spots[row, RADIUS] + BEYOND
+        rows = _group(spots, row, reach)
+        half = int(reach) + 1
+        left, top = int(spots[row, U] + 0.5) - half, int(spots[row, V] + 0.5) - half
+        zero = level(image, usable, spots[row], reach)
+        light = look(image, left, top, half, zero)
+        state = mark(image, usable, spots, rows, left, top, 2 * half + 1, noise[2])
+        window = left, top, reach, zero
+        for again in range(2):
+            _copy(spots[row], answer)
+            _solve(spots, rows, noise, sharpening, plain, tables, light, state, window, answer)
+            better = answer[STATUS] == FITTED and (out[i, STATUS] != FITTED or answer[EXCESS] < out[i, EXCESS])
+            if better or not again:
+                _copy(answer, out[i])
+            if again or (answer[STATUS] == FITTED and answer[EXCESS] <= _UNEXPLAINED) or spots[row, CONTRAST] > 0:
+                break
+            metal = hide_metal(state, spots, rows, left, top, light)
+            if not metal or rim_seen(state, spots, rows, left, top) <= _LEAST_RIM:
+                break
+
+
 @nb.njit(cache=True, fastmath=FAST)
 def _start(spots, rows, blur2):
     """Beads of a joint fit, from where the first one is thought to be; light from elsewhere; background."""
@@ -208,8 +209,10 @@ def _start(spots, rows, blur2):
 @nb.njit(cache=True)
 def _roots(lift, slope):
     """One over the noise's deviation at light 0 ... 2, in steps that weights need not be finer than."""
-    middle = (np.arange(2 * _LIGHTS) + 0.5) / _LIGHTS
-    return (middle ** (0.5 * slope - 1.0) / lift).astype(np.float32)
+    roots = np.empty(2 * _LIGHTS, np.float32)
+    for k in range(len(roots)):
+        roots[k] = ((k + 0.5) / _LIGHTS) ** (0.5 * slope - 1.0) / lift
+    return roots
 
 
 @nb.njit(cache=True, fastmath=FAST)
@@ -256,8 +259,11 @@ def _rely_on_what_is_known(beads, first, ground, known, A, b):  # noqa: PLR0917
 
 
 @nb.njit(cache=True)
-def _move(beads, shine, ground, step):
-    """Take a step, shortened where it is wild; the largest move of the first bead's centre and radius, px; shine."""
+def _move(beads, shine, ground, step, share):
+    """Take a `share` of a step, shortened where it is wild; the largest move of the first bead's centre and radius, px;
+    shine."""
+    for k in range(len(step)):
+        step[k] *= share
     for k in range(len(beads)):
         at = BEAD * k
         radius, blur = beads[k, 2], beads[k, 3]
@@ -293,15 +299,14 @@ def _covariance(columns, where, L, wide, after, scale2, known, ground, out):  # 
                 total[p] += weight * columns[k, p]
         for p in range(len(total)):
             field[row, where[0, p] + reach, where[1, p] + reach] = total[p]
-    inner = field[:, reach : wide + reach, reach : wide + reach]
     across, along = along_both_axes(field[0], after), along_both_axes(field[1], after)
-    out[CUU] = scale2 * (inner[0] * across).sum()
-    out[CUV] = scale2 * (inner[1] * across).sum()
-    out[CVV] = scale2 * (inner[1] * along).sum()
-    out[CCC] = scale2 * (inner[2] * along_both_axes(field[2], after)).sum()
-    bent = _BENT_PX**2 * (ground[GROUND - CUBIC :] ** 2).sum()
-    out[CUU] += bent
-    out[CVV] += bent
+    out[CUU] = scale2 * _product(field[0], across)
+    out[CUV] = scale2 * _product(field[1], across)
+    out[CVV] = scale2 * _product(field[1], along)
+    out[CCC] = scale2 * _product(field[2], along_both_axes(field[2], after))
+    for m in range(GROUND - CUBIC, GROUND):
+        out[CUU] += (_BENT_PX * ground[m]) ** 2
+        out[CVV] += (_BENT_PX * ground[m]) ** 2
     for k in range(size):
         # Of cubic terms as much is taken to be missing as the fit found.
         m = k - (size - GROUND)
@@ -312,33 +317,45 @@ def _covariance(columns, where, L, wide, after, scale2, known, ground, out):  # 
 
 
 @nb.njit(cache=True, fastmath=FAST)
+def _product(field, correlated):
+    """Sum of the products of a field, without its margin, and what noise makes of another."""
+    reach, total = (len(field) - len(correlated)) // 2, np.float32(0.0)
+    for i in range(correlated.shape[0]):
+        for j in range(correlated.shape[1]):
+            total += field[i + reach, j + reach] * correlated[i, j]
+    return total
+
+
+@nb.njit(cache=True, fastmath=FAST, error_model="numpy")
 def _judge(table, at, where, light, beads, shine, ground, optics, blurs, gain, root, pixels, columns, out):  # noqa: PLR0917
     """How well the bead explains its window as it was before sharpening: residual, weakest sector."""
     for k in range(len(beads)):
         beads[k, 3] = np.sqrt(max(beads[k, 3] ** 2 - blurs[0], _LEAST_BLUR**2))
-    optics[2] = blurs[1] - blurs[0]
+    optics = optics[0], optics[1], np.float32(blurs[1] - blurs[0])
     for p in range(at.shape[1]):
         at[2, p] = light[where[0, p] + MARGIN, where[1, p] + MARGIN]
     fill_columns(table, at, beads, np.float32(shine), ground, optics, columns)
     rest, meant_light, bright = columns[-3], columns[-2], columns[-1]
-    seen, meant = np.zeros(8), np.zeros(8)
-    residuals, expected, rim2 = 0.0, 0.0, (beads[0, 2] + 1) ** 2
+    residuals = expected = np.float32(0.0)
     for p in range(at.shape[1]):
-        if root[p] == 0:
-            continue
-        x, y = at[0, p] - beads[0, 0], at[1, p] - beads[0, 1]
-        m = max(meant_light[p], np.float32(0.02))
-        residual = rest[p] / m
-        residuals += residual * residual
-        expected += 1.0 / (root[p] * root[p] * m * m)
-        if x * x + y * y < rim2:
-            bead = m / bright[p] - 1.0
-            sector = 4 * (x > 0) + 2 * (y > 0) + (abs(x) > abs(y))
-            seen[sector] += (residual * m / bright[p] + bead) * bead
-            meant[sector] += bead * bead
+        m, counts = max(meant_light[p], np.float32(0.02)), root[p] > 0
+        residual, sd = rest[p] / m, np.float32(1.0) / (root[p] * m)
+        residuals += residual * residual if counts else np.float32(0.0)
+        expected += sd * sd if counts else np.float32(0.0)
     beyond = max(residuals - _SPREAD_OF_NOISE * expected / gain, 0.0) / pixels
     out[EXCESS] = np.sqrt(beyond) / max(abs(out[CONTRAST]), 1e-9)
+    seen, meant, rim2 = np.zeros(8), np.zeros(8), (beads[0, 2] + 1) ** 2
+    for p in range(at.shape[1]):
+        x, y = at[0, p] - beads[0, 0], at[1, p] - beads[0, 1]
+        if x * x + y * y < rim2 and root[p] > 0:
+            bead = max(meant_light[p], np.float32(0.02)) / bright[p] - np.float32(1.0)
+            sector = 4 * (x > 0) + 2 * (y > 0) + (abs(x) > abs(y))
+            seen[sector] += (rest[p] / bright[p] + bead) * bead
+            meant[sector] += bead * bead
+    whole = 0.0
+    for k in range(8):
+        whole += meant[k]
     out[WEAKEST] = 1.0
     for k in range(8):
-        if meant[k] > meant.sum() / 32:  # a sector that a neighbour covers says nothing
+        if meant[k] > whole / 32:  # a sector that a neighbour covers says nothing
             out[WEAKEST] = min(out[WEAKEST], seen[k] / meant[k])

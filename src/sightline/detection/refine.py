@@ -4,11 +4,12 @@ from copy import copy
 
 import numpy as np
 
-from sightline.detection import fit as _fit
 from sightline.detection.columns import BLUR, CONTRAST, COUNT, RADIUS
+from sightline.detection.fit import fit_part
 from sightline.detection.noise import NoiseModel
 from sightline.detection.profile import profile_table
 from sightline.detection.sharpen import Sharpening, design, noise_blur_px
+from sightline.detection.threads import in_parts
 
 _BLUR_PX = 1.0  # where fits start: detector 0.9, focal spot and pixel [physics.md]
 
@@ -58,9 +59,20 @@ class Fit:
         Dark ones that reach into each other's windows are fitted together; where others stand, no pixel counts.
         """
         which = np.arange(len(rows)) if which is None else which
-        return _fit.fit_all(
-            self._image, self._usable, rows, which, self._line, self._sharpening, self._plain, self._tables
+        out = np.empty((len(which), COUNT))
+        in_parts(
+            fit_part,
+            self._image,
+            self._usable,
+            rows,
+            which,
+            self._line,
+            self._sharpening,
+            self._plain,
+            self._tables,
+            out,
         )
+        return out
 
 
 def _plain_numbers(sharp: Sharpening, blur2: float) -> tuple[np.ndarray, float, float, float, np.ndarray]:

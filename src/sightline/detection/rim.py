@@ -3,6 +3,8 @@
 import numba as nb
 import numpy as np
 
+from sightline.detection.threads import in_parts
+
 # Columns of an extremum (the first four) and of a candidate.
 U, V, RADIUS, RESPONSE, SCORE, HOLLOW = range(6)
 FAINTEST = 0.08  # step of log intensity; a 3 mm steel ball under much scatter still makes 0.3 [ours]
@@ -20,7 +22,6 @@ _TURNS = 3
 _OFF_CIRCLE = 0.5, 0.2, 0.12
 _LEAST_RAYS = 9, 10, 11
 _LEAST_OFF = 0.8
-_CHUNKS = 64
 _LEAST_SNR = 4.5  # step times root of the disc's area over the noise of a broad mean [ours]
 
 
@@ -33,22 +34,16 @@ def broad_noise(level, line) -> float:
 def judged(base: np.ndarray, extrema: np.ndarray, line: np.ndarray) -> np.ndarray:
     """A candidate for each extremum: radius 0 where nothing like a disc is, score 0 where its rim is not round."""
     out = np.zeros((len(extrema), HOLLOW + 1))
-    _judge_all(base, extrema, line, out)
+    in_parts(_judge_part, base, extrema, line, out)
     return out
 
 
-@nb.njit(parallel=True, cache=True)
-def _judge_all(base, extrema, line, out):
-    for chunk in nb.prange(_CHUNKS):
-        _judge_part(base, extrema, line, np.int64(chunk), out)  # one type: one compilation
-
-
-@nb.njit(cache=True, fastmath=True)
-def _judge_part(base, extrema, line, chunk, out):
+@nb.njit(cache=True, fastmath=True, nogil=True)
+def _judge_part(part, parts, base, extrema, line, out):  # noqa: PLR0917
     seen = np.empty((_PLACES, _RAYS), np.float32)
     rim, step = np.empty(_RAYS, np.float32), np.empty(_RAYS, np.float32)
     ordered = np.empty(_RAYS, np.float32)
-    for i in range(chunk, len(extrema), _CHUNKS):
+    for i in range(part, len(extrema), parts):
         _judge(base, extrema[i], line, seen, rim, step, ordered, out[i])
 
 

@@ -29,31 +29,42 @@ def _profile_row(table, radius, blur, row):
 
 @nb.njit(cache=True, fastmath=FAST, error_model="numpy")
 def _shadow(row, at, bead, out, slopes):
-    """Derivatives of one bead's share by its six parameters into `out`; the share and its slopes into `slopes`."""
-    u, v, radius, blur, e_axes, e_diagonals = bead.astype(np.float32)
-    one, first, per_step = np.float32(1.0), np.float32(T_FIRST), np.float32(1.0 / T_STEP)
-    last, radius2 = np.float32(T_COUNT - 1.001), blur / (radius * radius)
-    for n in range(at.shape[1]):
+    """Derivatives of one bead's share by its six parameters into `out`; the share and its slopes into `slopes`.
+
+    In several short loops, each of which the compiler vectorises.
+    """
+    u, v, radius, blur = np.float32(bead[0]), np.float32(bead[1]), np.float32(bead[2]), np.float32(bead[3])
+    e_axes, e_diagonals = np.float32(bead[4]), np.float32(bead[5])
+    one, first, per_step, last = np.float32(1.0), np.float32(T_FIRST), np.float32(1.0 / T_STEP), np.float32(T_COUNT)
+    last -= np.float32(1.001)
+    per_blur, per_radius, pixels = one / blur, one / radius, at.shape[1]
+    r, t, by_r, by_q = out[2], out[3], out[4], out[5]
+    for n in range(pixels):
         dx, dy = at[0, n] - u, at[1, n] - v
-        r2 = dx * dx + dy * dy + np.float32(1e-6)
-        r = np.sqrt(r2)
-        axes, diagonals = (dx * dx - dy * dy) / r2, 2 * dx * dy / r2
-        t = (r * (one - e_axes * axes - e_diagonals * diagonals) - radius) / blur
-        x = min(max((t - first) * per_step, np.float32(0.0)), last)
-        j = np.int32(x)
-        w = x - np.float32(j)
-        low, high = row[0, j], row[0, j + 1]
-        by_q = row[1, j] + (row[1, j + 1] - row[1, j]) * w
-        by_r = (high - low) * per_step / blur
+        r[n] = np.sqrt(dx * dx + dy * dy + np.float32(1e-6))
+        c, s = dx / r[n], dy / r[n]
+        out[0, n], out[1, n] = c, s
+        t[n] = (r[n] * (one - e_axes * (c * c - s * s) - e_diagonals * (2 * c * s)) - radius) * per_blur
+    for n in range(pixels):
+        x = min(max((t[n] - first) * per_step, np.float32(0.0)), last)
+        w = x - np.float32(np.int32(x))
+        j = np.uint32(np.int32(x))
+        low, high = row[0, j], row[0, j + np.uint32(1)]
+        by_r[n] = (high - low) * per_step * per_blur
         slopes[0, n] = low + (high - low) * w
-        slopes[1, n], slopes[2, n] = by_r * dx / r, by_r * dy / r
-        out[0, n], out[1, n] = -slopes[1, n], -slopes[2, n]
-        out[2, n] = -by_r - by_q * radius2
-        out[3, n] = by_q / radius - by_r * t
-        out[4, n], out[5, n] = -by_r * r * axes, -by_r * r * diagonals
+        low, high = row[1, j], row[1, j + np.uint32(1)]
+        by_q[n] = low + (high - low) * w
+    for n in range(pixels):
+        c, s, f, q = out[0, n], out[1, n], by_r[n], by_q[n]
+        slopes[1, n], slopes[2, n] = f * c, f * s
+        out[0, n], out[1, n] = -f * c, -f * s
+        g = f * r[n]
+        out[2, n] = -f - q * blur * per_radius * per_radius
+        out[3, n] = q * per_radius - f * t[n]
+        out[4, n], out[5, n] = -g * (c * c - s * s), -g * (2 * c * s)
 
 
-@nb.njit(cache=True, fastmath=FAST)
+@nb.njit(cache=True, fastmath=FAST, error_model="numpy")
 def fill_columns(table, at, beads, shine, ground, optics, columns):  # noqa: PLR0917
     """Derivatives of the model's light at the pixels, its residual, light and background, in this order.
 
@@ -63,16 +74,14 @@ def fill_columns(table, at, beads, shine, ground, optics, columns):  # noqa: PLR
     blur over a slope of G moves the rim, to first order by blur² grad G grad W.
     """
     count, first, pixels = len(beads), BEAD * len(beads), at.shape[1]
-    scale, taken, blur2 = optics[0], optics[1], optics[2] * optics[0]
-    one, g = np.float32(1.0), ground.astype(np.float32)
+    taken, blur2, one = optics[1], optics[2] * optics[0], np.float32(1.0)
     row, slopes = np.empty((2, T_COUNT), np.float32), np.empty((count, 3, pixels), np.float32)
-    left, left_x, left_y, clear = np.empty((4, pixels), np.float32)
-    left[:], left_x[:], left_y[:], clear[:] = one, 0.0, 0.0, one
+    left, clear = np.empty(pixels, np.float32), np.empty(pixels, np.float32)
+    left_x, left_y = np.empty(pixels, np.float32), np.empty(pixels, np.float32)
+    others_left, others_clear = np.empty(pixels, np.float32), np.empty(pixels, np.float32)
     bright = columns[first + GROUND + 3]
-    for n in range(pixels):
-        a, b = at[0, n] * scale, at[1, n] * scale
-        low = g[0] + a * (g[1] + a * (g[3] + a * g[6])) + b * (g[2] + b * (g[5] + b * g[9]))
-        bright[n] = low + a * b * (g[4] + a * g[7] + b * g[8])
+    _ground(at, optics[0], ground, bright)
+    left[:], clear[:], left_x[:], left_y[:] = one, one, 0.0, 0.0
     for k in range(count):
         _profile_row(table, beads[k, 2], beads[k, 3], row)
         _shadow(row, at, beads[k], columns[BEAD * k : BEAD * k + BEAD], slopes[k])
@@ -80,7 +89,7 @@ def fill_columns(table, at, beads, shine, ground, optics, columns):  # noqa: PLR
             left[n] *= one - taken * slopes[k, 0, n]
             clear[n] *= one - slopes[k, 0, n]
     for k in range(count):
-        others_left, others_clear = np.ones(pixels, np.float32), np.ones(pixels, np.float32)
+        others_left[:], others_clear[:] = one, one
         for m in range(count):
             if m != k:
                 for n in range(pixels):
@@ -90,17 +99,29 @@ def fill_columns(table, at, beads, shine, ground, optics, columns):  # noqa: PLR
             left_x[n] -= blur2 * taken * slopes[k, 1, n] * others_left[n]
             left_y[n] -= blur2 * taken * slopes[k, 2, n] * others_left[n]
             others_clear[n] = shine * others_clear[n] - taken * bright[n] * others_left[n]
-        for m in range(BEAD):
+        for m in range(BEAD * k, BEAD * k + BEAD):
             for n in range(pixels):
-                columns[BEAD * k + m, n] *= others_clear[n]
+                columns[m, n] *= others_clear[n]
     for n in range(pixels):
         columns[first, n] = one - clear[n]
         columns[first + GROUND + 2, n] = shine * columns[first, n]
-    _background(at, scale, g, left, left_x, left_y, columns[first + 1 :])
+    _background(at, optics[0], ground, left, left_x, left_y, columns[first + 1 :])
 
 
 @nb.njit(cache=True, fastmath=FAST)
-def _background(at, scale, g, left, left_x, left_y, columns):  # noqa: PLR0917
+def _ground(at, scale, ground, bright):
+    """The light of the background at the pixels `at`."""
+    g0, g1, g2 = np.float32(ground[0]), np.float32(ground[1]), np.float32(ground[2])
+    g3, g4, g5 = np.float32(ground[3]), np.float32(ground[4]), np.float32(ground[5])
+    g6, g7, g8, g9 = np.float32(ground[6]), np.float32(ground[7]), np.float32(ground[8]), np.float32(ground[9])
+    for n in range(at.shape[1]):
+        a, b = at[0, n] * scale, at[1, n] * scale
+        low = g0 + a * (g1 + a * (g3 + a * g6)) + b * (g2 + b * (g5 + b * g9))
+        bright[n] = low + a * b * (g4 + a * g7 + b * g8)
+
+
+@nb.njit(cache=True, fastmath=FAST)
+def _background(at, scale, ground, left, left_x, left_y, columns):  # noqa: PLR0917
     """Columns of the background behind what the beads leave; its light is added to theirs, and the residual taken."""
     rest, light = columns[GROUND], columns[GROUND + 1]
     for n in range(at.shape[1]):
@@ -113,28 +134,37 @@ def _background(at, scale, g, left, left_x, left_y, columns):  # noqa: PLR0917
         columns[8, n] = w * ab * b + bb * x + 2 * ab * y
         columns[9, n] = w * bb * b + 3 * bb * y
     for m in range(GROUND):
+        share = np.float32(ground[m])
         for n in range(at.shape[1]):
-            light[n] += g[m] * columns[m, n]
+            light[n] += share * columns[m, n]
     for n in range(at.shape[1]):
         rest[n] = at[2, n] - light[n]
 
 
 @nb.njit(cache=True, fastmath=True)
 def normal_equations(columns, A, b):
-    """A = J'J, b = J'r of the first len(b) columns and the one after them; the sum of r²."""
-    n, pixels = len(b) + 1, columns.shape[1]
-    for i in range(n):
-        for j in range(i + 1):
-            s = np.float32(0.0)
-            for p in range(pixels):
-                s += columns[i, p] * columns[j, p]
-            if i < n - 1:
-                A[i, j] = s
-                A[j, i] = s
-            elif j < n - 1:
-                b[j] = s
+    """A = J'J, b = J'r of the first len(b) columns and the one after them, an even number; the sum of r²."""
+    n = len(b)
+    for i in range(0, n + 1, 2):
+        for j in range(0, i + 1, 2):
+            ii = ij = ji = jj = np.float32(0.0)
+            for p in range(columns.shape[1]):  # four sums at once: half the loads
+                f, g = columns[i, p], columns[i + 1, p]
+                ii += f * columns[j, p]
+                ij += f * columns[j + 1, p]
+                ji += g * columns[j, p]
+                jj += g * columns[j + 1, p]
+            A[j, i] = A[i, j] = ii
+            if i + 1 < n:
+                A[j + 1, i] = A[i, j + 1] = ij
+                A[j, i + 1] = A[i + 1, j] = ji
+                A[j + 1, i + 1] = A[i + 1, j + 1] = jj
+            elif j + 1 < n:
+                A[j + 1, i] = A[i, j + 1] = ij
+                b[j], b[j + 1] = ji, jj
             else:
-                return s
+                b[j] = ji
+                return jj
     return np.float32(0.0)
 
 

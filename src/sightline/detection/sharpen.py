@@ -6,9 +6,11 @@ import numba as nb
 import numpy as np
 
 from sightline.detection.noise import BLOCK, NoiseModel
+from sightline.detection.threads import in_parts
 from sightline.detection.window import along_both_axes
 
 TAPS = 6  # px to either side
+_WIDE, _STEP = BLOCK + 2 * TAPS, 4 * BLOCK  # px: a block with the filter's margin, and from block to block
 AFTER_LAGS = 3  # px; correlation of the noise that is left after sharpening
 _LEFT_PX = 0.5  # sigma of the blur that is left: smaller ones lift electronic and rounding noise [calc]
 _WHITE = 0.004  # share of white noise along one axis for which sharpening stops paying [calc]
@@ -35,9 +37,7 @@ def design(log_image: np.ndarray, mask: np.ndarray, noise: NoiseModel) -> Sharpe
         taps, left = np.eye(TAPS + 1)[0], blur
     else:
         taps, left = _taps(blur), _LEFT_PX
-    gamma = _after(
-        log_image, mask, np.array([noise.offset, noise.slope]), taps.astype(np.float32), float(log_image.max())
-    )
+    gamma = _after(log_image, mask, noise, taps)
     gamma = gamma[gamma[:, 0] > 0]
     if len(gamma) < _FEWEST_BLOCKS:
         return Sharpening(taps, left**2 - blur**2, *_of_gaussian_noise(taps, blur))
@@ -80,32 +80,51 @@ def _taps(blur: float) -> np.ndarray:
     return np.linalg.solve(A, waves.T @ (have * want) + 1e4 * waves[0])
 
 
-@nb.njit(parallel=True, cache=True, fastmath=True)
-def _after(image: np.ndarray, mask: np.ndarray, line: np.ndarray, taps: np.ndarray, ceiling: float) -> np.ndarray:
+def _after(image: np.ndarray, mask: np.ndarray, noise: NoiseModel, taps: np.ndarray) -> np.ndarray:
     """Per block (every fourth along either axis) covariances at lags 0..AFTER_LAGS along the axes after sharpening, in
-    units of the noise's variance exp(line[0] - line[1] level); 0 where a pixel is not usable."""
-    wide = BLOCK + 2 * TAPS
-    step = 4 * BLOCK
-    rows, columns = (image.shape[0] - wide) // step + 1, (image.shape[1] - wide) // step + 1
-    out = np.zeros((max(rows * columns, 0), AFTER_LAGS + 1))
-    for b in nb.prange(rows * columns):
-        top, left = (b // columns) * step, (b % columns) * step
-        part = image[top : top + wide, left : left + wide]
-        if mask[top : top + wide, left : left + wide].all() and part.max() < ceiling:
-            sharp = along_both_axes(part, taps)
-            unit = np.exp(line[0] - line[1] * _flatten(sharp))
-            for lag in range(AFTER_LAGS + 1):
-                n = BLOCK - lag
-                total = (sharp[:, :n] * sharp[:, lag:]).sum() + (sharp[:n] * sharp[lag:]).sum()
-                out[b, lag] = total / (2.0 * BLOCK * n) / unit
+    units of the noise's variance; 0 where a pixel is not usable."""
+    rows, columns = (max((side - _WIDE) // _STEP + 1, 0) for side in image.shape)
+    out = np.zeros((rows * columns, AFTER_LAGS + 1))
+    line = np.array([noise.offset, noise.slope])
+    in_parts(_after_part, image, mask, line, taps.astype(np.float32), float(image.max()), columns, out)
     return out
+
+
+@nb.njit(cache=True, fastmath=True, nogil=True)
+def _after_part(part, parts, image, mask, line, taps, ceiling, columns, out):  # noqa: PLR0917
+    for b in range(part, len(out), parts):
+        top, left = (b // columns) * _STEP, (b % columns) * _STEP
+        if not _usable(image, mask, top, left, ceiling):
+            continue
+        sharp = along_both_axes(image[top : top + _WIDE, left : left + _WIDE].copy(), taps)
+        variance = np.exp(line[0] - line[1] * _flatten(sharp))
+        for lag in range(AFTER_LAGS + 1):
+            total = np.float32(0.0)
+            for i in range(BLOCK):
+                for j in range(BLOCK - lag):
+                    total += sharp[i, j] * sharp[i, j + lag] + sharp[j, i] * sharp[j + lag, i]
+            out[b, lag] = total / (2.0 * BLOCK * (BLOCK - lag)) / variance
+
+
+@nb.njit(cache=True, fastmath=True)
+def _usable(image, mask, top, left, ceiling) -> bool:
+    """Whether the pixels of a block and its margin are all in the field, and none clipped."""
+    for i in range(top, top + _WIDE):
+        for j in range(left, left + _WIDE):
+            if not mask[i, j] or image[i, j] >= ceiling:
+                return False
+    return True
 
 
 @nb.njit(cache=True, fastmath=True)
 def _flatten(block: np.ndarray) -> float:
     """Take a plane off `block`; its mean."""
     n = block.shape[0]
-    mean = block.mean()
+    mean = 0.0
+    for i in range(n):
+        for j in range(n):
+            mean += block[i, j]
+    mean /= n * n
     norm = n * n * (n * n - 1) / 12.0
     su = sv = 0.0
     for i in range(n):

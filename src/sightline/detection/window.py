@@ -90,13 +90,16 @@ def hide_metal(state, spots, rows, left, top, light) -> bool:  # noqa: PLR0917
     """Hide what stands about the beads and is nearly as dark as the first one; whether there is any."""
     n = len(state)
     mean, free, dark = _about_beads(state, spots, rows, left, top, light)
-    limit = _metal_limit(mean, free, dark)
-    metal = free & (mean < limit)
-    if metal.sum() < _FEWEST_METAL:
+    limit, found = _metal_limit(mean, free, dark), 0
+    for i in range(n):
+        for j in range(n):
+            free[i, j] &= mean[i, j] < limit
+            found += free[i, j]
+    if found < _FEWEST_METAL:
         return False
     for i in range(n):
         for j in range(n):
-            if metal[i, j]:
+            if free[i, j]:
                 _hide(state, float(i), float(j), _METAL + 0.5)
     return True
 
@@ -111,7 +114,9 @@ def _about_beads(state, spots, rows, left, top, light):  # noqa: PLR0917
         for j in range(n):
             if state[i, j] & 3 == HIDDEN:
                 continue
-            mean[i, j] = light[i + MARGIN - 1 : i + MARGIN + 2, j + MARGIN - 1 : j + MARGIN + 2].sum() / 9
+            for y in range(i + MARGIN - 1, i + MARGIN + 2):
+                for x in range(j + MARGIN - 1, j + MARGIN + 2):
+                    mean[i, j] += light[y, x] / np.float32(9)
             free[i, j] = True
             for k in range(len(rows)):
                 r = np.hypot(left + j - spots[rows[k], U], top + i - spots[rows[k], V])
@@ -194,21 +199,24 @@ def gather(state, filtered, values, x0, y0, reach):  # noqa: PLR0917
     return at[:, :pixels].copy(), where[:, :pixels].copy()
 
 
-@nb.njit(cache=True, fastmath=True)
+@nb.njit(cache=True, fastmath=FAST)
 def along_both_axes(field, taps):
     """`field` convolved along both axes with the symmetric `taps`, without its margin of as many pixels."""
     t = len(taps) - 1
-    h, w = field.shape[0] - 2 * t, field.shape[1] - 2 * t
-    middle, out = np.empty(field.shape[1], np.float32), np.empty((h, w), np.float32)
-    for i in range(h):
-        for j in range(w + 2 * t):
-            middle[j] = taps[0] * field[i + t, j]
-        for k in range(1, t + 1):
-            for j in range(w + 2 * t):
-                middle[j] += taps[k] * (field[i + t - k, j] + field[i + t + k, j])
-        for j in range(w):
-            out[i, j] = taps[0] * middle[j + t]
-        for k in range(1, t + 1):
-            for j in range(w):
-                out[i, j] += taps[k] * (middle[j + t - k] + middle[j + t + k])
-    return out
+    h, w, width = field.shape[0] - 2 * t, field.shape[1] - 2 * t, field.shape[1]
+    once, twice = np.empty(h * width, np.float32), np.empty(h * width, np.float32)
+    _along(field.reshape(-1), taps, width, once)
+    _along(once, taps, 1, twice[: h * width - 2 * t])
+    return twice.reshape(h, width)[:, :w]
+
+
+@nb.njit(cache=True, fastmath=FAST)
+def _along(values, taps, step, out):
+    """`values` convolved with `taps` that are `step` apart: long loops over neighbours, which are vectorised."""
+    middle = (len(taps) - 1) * step
+    for p in range(len(out)):
+        out[p] = taps[0] * values[middle + p]
+    for k in range(1, len(taps)):
+        before, after, tap = values[middle - k * step :], values[middle + k * step :], taps[k]
+        for p in range(len(out)):
+            out[p] += tap * (before[p] + after[p])
