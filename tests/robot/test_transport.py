@@ -223,6 +223,24 @@ def test_a_message_that_never_ends_is_given_up(monkeypatch: pytest.MonkeyPatch) 
     asyncio.run(main())
 
 
+def test_a_message_that_ends_later_is_not(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(connection, "MESSAGE_S", 0.5)
+
+    async def main() -> None:
+        there = Witness()
+        async with await serve(there) as listening:
+            with socket.create_connection(("127.0.0.1", listening.port)) as peer:
+                data = encode(numbered(1))
+                peer.sendall(encode(numbered(0)) + data[:-1])
+                await there.until("received")
+                peer.sendall(data[-1:])
+                await there.until("received", 2)
+                await asyncio.sleep(2 * connection.MESSAGE_S)
+                assert not there.all("lost")
+
+    asyncio.run(main())
+
+
 def test_silence_is_told_once_until_the_next_message() -> None:
     async def main() -> None:
         there = Witness()
@@ -314,13 +332,14 @@ def test_a_message_that_cannot_be_written_sends_nothing() -> None:
 
 def test_closing_says_goodbye_to_a_client_that_does_not_read(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(connection, "GOODBYE_S", 0.02)
+    monkeypatch.setattr(connection, "prepare", lambda sock: None)  # else the kernel gives it up, after seconds
 
     async def main() -> None:
         there = Witness()
         listening = await serve(there)
         with closing(await asyncio.to_thread(BlockingClient, port=listening.port)):
             (peer,) = await there.until("opened")
-            for _ in range(200):
+            while not peer.dropped:
                 peer.stream(Message(String("x" * 60000)))
             await asyncio.wait_for(listening.close(), PATIENCE_S)
             assert there.all("lost") == ["the server ends"]
