@@ -10,7 +10,17 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from sightline.checks import failed
 from sightline.robot.manipulator import FEED, LIFT, PITCH, TRAVERSE, YAW, nominal_manipulator
-from sightline.robot.reach import CLEARANCE_MM, Obstacle, Theatre, check_reach, hip_theatre, segment_to_box_mm
+from sightline.robot.reach import (
+    CLEARANCE_MM,
+    MACHINE,
+    Obstacle,
+    Theatre,
+    between,
+    check_reach,
+    frame_parts,
+    hip_theatre,
+    segment_to_box_mm,
+)
 
 STRAIGHT = np.deg2rad(45.0)
 STANDOFF_MM = 20.0
@@ -45,6 +55,25 @@ def test_distance_of_a_line_from_a_box_is_the_least_of_its_points(seed):
     exact = segment_to_box_mm(ends, half)
     assert (exact <= brute + 1e-9).all()
     assert np.allclose(exact, brute, atol=0.06)  # 2000 steps along at most 104 mm
+
+
+def test_the_nearest_line_is_found_among_all():
+    """What is left out as too far away changes nothing: every line looked at gives the same."""
+    robot, path, theatre = approach()
+    for pose in np.random.default_rng(3).uniform(-1, 1, (2, 5)):
+        way = np.stack([path[0], path[0] + pose * [40.0, 40.0, 0.2, 0.2, 0.0]])
+        whole = []
+        for obstacle in theatre.obstacles:
+            inside = obstacle.T_mcs_box.inv()
+            for part in (*MACHINE, *frame_parts(robot)):
+                stages = robot.stages(between(way))[:, part.joints]
+                ends = robot.T_mcs_flange_home.apply(part.ends_mm)
+                lines = np.einsum("nab,kb->nka", stages[:, :3, :3], ends) + stages[:, None, :3, 3]
+                at = inside.apply(lines.reshape(-1, 3)).reshape(lines.shape)
+                left = segment_to_box_mm(at, obstacle.half_mm).min() - part.radius_mm - 1.0
+                whole.append((obstacle.name, left))
+        for check in check_reach(robot, way, theatre)[1:-1]:
+            assert check.figure == pytest.approx(min(left for name, left in whole if f"{name} clearance" == check.name))
 
 
 def test_a_line_without_length_is_a_point():

@@ -282,6 +282,9 @@ def test_the_true_wire_runs_from_its_guide_through_its_entry_to_its_tip():
 def test_before_time_passes_the_wire_is_where_the_joints_put_it():
     one = plant(bone=slab(NOMINAL, START), build=WEIGHTLESS)
     assert np.allclose(one.true_T_mcs_tool().translation, NOMINAL.T_mcs_tool(START).translation, atol=0.01)
+    later = plant(build=WEIGHTLESS)
+    later.meet(slab(NOMINAL, START))
+    assert np.allclose(later.true_T_mcs_tool().translation, one.true_T_mcs_tool().translation, atol=1e-9)
 
 
 def test_the_same_generator_gives_the_same_readings():

@@ -92,8 +92,8 @@ def hip_theatre(T_mcs_cfcs: RigidTransform, frame_mounted: bool = True, remount_
 def check_reach(robot: Manipulator, waypoints: np.ndarray, theatre: Theatre) -> tuple[Check, ...]:
     """Of a path through joint positions (K, 5), straight between them, all joints together: joint limits, what is left
     to each obstacle, and whether the frame is where its calibration says."""
-    path = _between(np.asarray(waypoints, dtype=np.float64))
-    parts = [*MACHINE, *(_frame_parts(robot) if theatre.frame_mounted else ())]
+    path = between(np.asarray(waypoints, dtype=np.float64))
+    parts = [*MACHINE, *(frame_parts(robot) if theatre.frame_mounted else ())]
     names = dict.fromkeys(obstacle.name for obstacle in theatre.obstacles)
     lines = _lines(robot, path, parts)
     return (
@@ -117,7 +117,7 @@ def segment_to_box_mm(ends_mm: np.ndarray, half_mm: np.ndarray) -> np.ndarray:
     return np.linalg.norm(at - np.clip(at, -half_mm, half_mm), axis=-1)
 
 
-def _between(waypoints: np.ndarray) -> np.ndarray:
+def between(waypoints: np.ndarray) -> np.ndarray:
     """(N, 5): the waypoints, and as many positions between them as STEP_MM asks."""
     path = [waypoints[:1]]
     for start, end in pairwise(waypoints):
@@ -138,7 +138,8 @@ def _lines(robot: Manipulator, path: np.ndarray, parts: list[Part]) -> np.ndarra
     return out
 
 
-def _frame_parts(robot: Manipulator) -> Iterable[Part]:
+def frame_parts(robot: Manipulator) -> Iterable[Part]:
+    """Rims and diagonals of the Γ frame's plates, as they are mounted."""
     for distance, half in PLATES_MM:
         corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * half
         pa = np.column_stack([corners, np.full(4, distance)])
@@ -162,8 +163,13 @@ def _clearance(obstacle: str, boxes: list[Obstacle], parts: list[Part], lines: n
     left = np.full(lines.shape[:2], np.inf)
     for box in boxes:
         inside = box.T_mcs_box.inv().apply(lines.reshape(-1, 3)).reshape(lines.shape)
-        left = np.minimum(left, segment_to_box_mm(inside, box.half_mm))
-    left -= radius + STEP_MM / 2  # half a step lies between a position that is looked at and the nearest
+        middle = inside.mean(axis=2)
+        most = np.linalg.norm(middle - np.clip(middle, -box.half_mm, box.half_mm), axis=-1) - radius
+        least = most - np.linalg.norm(inside[:, :, 1] - inside[:, :, 0], axis=-1) / 2
+        near = least <= min(most.min(), left.min())  # no other line can be the nearest
+        exact = segment_to_box_mm(inside[near], box.half_mm) - np.broadcast_to(radius, near.shape)[near]
+        left[near] = np.minimum(left[near], exact)
+    left -= STEP_MM / 2  # half a step lies between a position that is looked at and the nearest
     at, part = np.unravel_index(np.argmin(left), left.shape)
     nearest, share, name = float(left[at, part]), at / max(len(left) - 1, 1), f"{obstacle} clearance"
     passed = nearest >= CLEARANCE_MM

@@ -36,7 +36,7 @@ class SimulatedPlant:
         build: Build | None = None,
     ) -> None:
         self.robot = robot
-        self.wire = None if bone is None else Wire(bone)
+        self.wire: Wire | None = None
         self.guide_mm = GUIDE_MM
         self.stop_pressed, self.run_held = False, True
         self._rng = rng
@@ -46,7 +46,8 @@ class SimulatedPlant:
         self._body = _Body(robot, build or Build(), at)
         self._goal, self._drill_on = np.zeros(len(JOINTS)), False
         self._time_s, self._owed_s = 0.0, 0.0
-        self._drill()
+        if bone is not None:
+            self.meet(bone)
         self._reading = self._sample(overloaded=False, limited=False)
 
     def read(self) -> Reading:
@@ -64,6 +65,11 @@ class SimulatedPlant:
     def hold(self) -> None:
         """See Plant."""
         self._goal, self._drill_on = np.zeros(len(JOINTS)), False
+
+    def meet(self, bone: Bone) -> None:
+        """From now on a new wire meets this bone."""
+        self.wire = Wire(bone)
+        self._drill()
 
     def advance(self, dt_s: float) -> None:
         """Let time pass, in whole cycles; what is left over is owed to the next call."""
