@@ -193,6 +193,12 @@ def test_points_that_give_no_line_are_refused():
         NOMINAL.inverse(REACHABLE[0], REACHABLE[0])
     with pytest.raises(UnusableInputError, match="finite"):
         NOMINAL.inverse(REACHABLE[0], [np.nan, 0.0, 0.0])
+    with pytest.raises(UnusableInputError, match="finite"):
+        NOMINAL.inverse(REACHABLE[0], REACHABLE[1], np.nan)
+
+
+def test_what_is_no_number_is_within_no_limits():
+    assert np.isnan(NOMINAL.beyond_limits(np.full(5, np.nan))).all()
 
 
 def test_axes_far_from_the_nominal_ones_are_refused_not_guessed():

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from sightline.checks import failed
+from sightline.errors import UnusableInputError
 from sightline.robot.manipulator import FEED, LIFT, PITCH, TRAVERSE, YAW, nominal_manipulator
 from sightline.robot.reach import (
     CLEARANCE_MM,
@@ -171,3 +172,9 @@ def test_the_clearance_stated_is_the_distance_less_half_a_step():
 def test_without_obstacles_only_the_robot_itself_is_judged():
     checks = check_reach(nominal_manipulator(), np.zeros((1, 5)), Theatre(()))
     assert [check.name for check in checks] == ["joint limits", "frame remount"]
+
+
+@pytest.mark.parametrize("bad", [np.zeros(5), np.zeros((2, 4)), np.full((1, 5), np.nan)])
+def test_a_path_that_is_none_is_refused(bad):
+    with pytest.raises(UnusableInputError, match="finite joints"):
+        check_reach(nominal_manipulator(), bad, Theatre(()))

@@ -1,5 +1,6 @@
 """The simulated plant against the closed-form kinematics and against statics worked out by hand."""
 
+import sys
 from dataclasses import replace
 from importlib import import_module
 
@@ -223,6 +224,12 @@ def test_whatever_is_commanded_the_plant_stays_whole():
         assert (np.abs(NOMINAL.beyond_limits(encoders)) < 0.01 * NOMINAL.speed).all()
         off = one.true_T_mcs_tool().translation - NOMINAL.T_mcs_tool(encoders).translation
         assert np.linalg.norm(off) < 2.0
+
+
+def test_without_mujoco_the_plant_says_what_to_install(monkeypatch):
+    monkeypatch.setitem(sys.modules, "mujoco", None)
+    with pytest.raises(SetUpError, match=r"sightline\[robot\]"):
+        plant()
 
 
 @pytest.mark.parametrize("bad", [NOMINAL.upper + 1.0, np.full(5, np.nan)])

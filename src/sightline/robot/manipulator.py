@@ -118,6 +118,8 @@ class Manipulator:
         """
         direction = _direction(entry_mm, end_mm)
         tip = np.asarray(entry_mm, dtype=np.float64) + depth_mm * direction
+        if not np.isfinite(tip).all():
+            raise UnusableInputError("a depth is a finite number")
         q = self._nominal_inverse(tip, direction)
         for _ in range(_ROUNDS):
             q, moved = self._newton(q, tip, direction)
@@ -132,10 +134,10 @@ class Manipulator:
         return q
 
     def beyond_limits(self, q: np.ndarray) -> np.ndarray:
-        """(..., 5): by how much each joint exceeds its limits, signed; 0 within them."""
+        """(..., 5): by how much each joint exceeds its limits, signed; 0 within them, NaN for what is no number."""
         q = np.asarray(q, dtype=np.float64)
         beyond = q - np.clip(q, self.lower, self.upper)
-        return np.where(np.abs(beyond) > _SLACK, beyond, 0.0)
+        return np.where(np.abs(beyond) <= _SLACK, 0.0, beyond)
 
     def stages(self, q: np.ndarray) -> np.ndarray:
         """(..., 6, 4, 4): how what 0 to 5 joints carry has moved from where it is at q = 0, MCS."""

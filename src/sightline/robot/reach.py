@@ -12,6 +12,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from sightline.checks import Check
+from sightline.errors import UnusableInputError
 from sightline.robot.manipulator import ARM_JOINTS, JOINTS, TURNS, Manipulator, said_beyond
 
 CLEARANCE_MM = 5.0  # what must be left to everything: drapes, a registration that errs by a millimetre [ours]
@@ -91,8 +92,11 @@ def hip_theatre(T_mcs_cfcs: RigidTransform, frame_mounted: bool = True, remount_
 
 def check_reach(robot: Manipulator, waypoints: np.ndarray, theatre: Theatre) -> tuple[Check, ...]:
     """Of a path through joint positions (K, 5), straight between them, all joints together: joint limits, what is left
-    to each obstacle, and whether the frame is where its calibration says."""
-    path = between(np.asarray(waypoints, dtype=np.float64))
+    to each obstacle, and whether the frame is where its calibration says. Raises UnusableInputError."""
+    waypoints = np.asarray(waypoints, dtype=np.float64)
+    if waypoints.ndim != 2 or waypoints.shape[1] != len(JOINTS) or not np.isfinite(waypoints).all():
+        raise UnusableInputError(f"a path is one or more positions of {len(JOINTS)} finite joints")
+    path = between(waypoints)
     parts = [*MACHINE, *(frame_parts(robot) if theatre.frame_mounted else ())]
     names = dict.fromkeys(obstacle.name for obstacle in theatre.obstacles)
     lines = _lines(robot, path, parts)
