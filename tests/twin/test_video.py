@@ -91,3 +91,52 @@ def test_a_chain_without_fields_has_no_second():
     whole = replace(whole, chain=replace(whole.chain, video=None))
     with pytest.raises(SetUpError, match="whole frames"):
         whole.read_out(np.random.default_rng(6), whole)
+
+
+LAG = replace(VIDEO, jitter_px=0.0, pairing_px=0.0, field_gain=0.0, noise=0.0, lag=0.2)
+
+
+def level(share: float) -> Exposure:
+    """An even field, of a share of 1e7 quanta."""
+    light = np.full(PAL.shape, 1e7 * share)
+    chain = replace(PAL, glare=0.0, white=4095, video=LAG)
+    return Exposure(chain, light, light, np.ones(PAL.shape, dtype=bool), 0.6, 0.5 * 4095 / 1e7)
+
+
+def fields(image) -> np.ndarray:
+    """(2,): what the fields show in the middle, over that of a share of 1, black taken off."""
+    inner = image.pixels[INNER, INNER].astype(float) - 0.02 * 4095
+    return np.array([inner[0::2].mean(), inner[1::2].mean()]) / (0.5 * 4095)
+
+
+def test_a_flash_dies_away_exponentially():
+    """A bright field k fields ago, darkness since: of it remain lag^k of what was shown, in each later field."""
+    dark, flash = level(0.1), level(1.5)
+    shown = {}
+    for k in (1, 2, 4):
+        former = [*[dark] * (k - 1), flash, dark]
+        shown[k] = fields(dark.read_out(np.random.default_rng(3), former=former)) - 0.1
+        expected = 1.4 * (1 - LAG.lag) * np.array([LAG.lag**k, LAG.lag ** (k + 1)])
+        assert shown[k] == pytest.approx(expected, abs=2e-4)
+
+
+def test_what_was_always_so_remains_so_and_rest_needs_no_former_fields():
+    now = level(0.7)
+    still = fields(now.read_out(np.random.default_rng(4), former=[now, now]))
+    assert still == pytest.approx(fields(now.read_out(np.random.default_rng(4))), abs=2e-4)
+    changed = fields(now.read_out(np.random.default_rng(4), former=[level(0.2)]))
+    assert changed == pytest.approx([0.8 * 0.7 + 0.2 * 0.2, 0.96 * 0.7 + 0.04 * 0.2], abs=2e-4)
+
+
+def test_the_second_field_trails_the_first():
+    now, then = level(0.3), level(0.9)
+    assert fields(now.read_out(np.random.default_rng(5), then, former=[now])) == pytest.approx(
+        [0.3, 0.8 * 0.9 + 0.2 * 0.3], abs=2e-4
+    )
+
+
+def test_the_default_lag_is_small_and_whole_frames_have_none():
+    assert VIDEO.lag == 0.01
+    whole = replace(level(0.5), chain=preset("9in-1k"))
+    with pytest.raises(SetUpError, match="no lag"):
+        whole.read_out(np.random.default_rng(6), former=[whole])

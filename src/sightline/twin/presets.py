@@ -14,7 +14,8 @@ class Video:
 
     Even lines are the first field, odd lines the second, `field_s` later. At rest the second lies `pairing_px` lower
     than its lines say, and is brighter by the share `field_gain`. Every line starts where the grabber finds its sync:
-    `jitter_px` s.d., each line by itself. `noise`: s.d. over the white level, before digitisation.
+    `jitter_px` s.d., each line by itself. `noise`: s.d. over the white level, before digitisation. `lag`: share of a
+    field's light that the camera still shows in the next one, and of that again in the one after.
     """
 
     field_s: float = 0.020  # PAL [mem]
@@ -22,6 +23,7 @@ class Video:
     field_gain: float = 0.01  # [ours]
     jitter_px: float = 0.1  # [mem] sync good to 5-10 ns, a pixel takes 68 ns
     noise: float = 0.004  # [mem] 48 dB
+    lag: float = 0.01  # [mem] CCD and output phosphor: at most that after 20 ms; a vidicon has 0.2 and more
 
 
 @dataclass(frozen=True)

@@ -3,10 +3,10 @@
 Quanta that a pixel's piece of the input plane absorbs are counted first (Poisson), and blurred after it: the noise of
 an image intensifier is correlated. A pixel near the rim collects from a smaller piece of the input plane (pincushion):
 that, and glare lost there, is the vignetting. Not modelled: quanta of unlike energy count alike; the inverse square of
-the distance within the field (under 2 %); heel; lag (a CCD and the output phosphor hold under 1 % for 20 ms [mem]).
+the distance within the field (under 2 %); heel.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -87,19 +87,26 @@ class Exposure:
         """(H, W) float32: `mean_pixels` without the sharp things."""
         return self._blanked(self._light(self.open_quanta))
 
-    def read_out(self, rng: np.random.Generator, second: "Exposure | None" = None) -> Radiograph:
+    def read_out(
+        self, rng: np.random.Generator, second: "Exposure | None" = None, former: "Sequence[Exposure]" = ()
+    ) -> Radiograph:
         """One radiograph: Poisson counts, blur, what a video camera adds, electronic noise, whole numbers up to white.
 
         `second`: of an interlaced chain, the same view as it is when its second field is taken, where something moves.
-        Raises SetUpError where the chain has no second field.
+        `former`: as it was at the fields before, the latest first; before these it was as in the last of them. Of them
+        the camera's lag leaves a trail, without their noise; at rest a trail shows nothing and none is laid.
+        Raises SetUpError where the chain has no video camera.
         """
-        if second is not None and self.chain.video is None:
-            raise SetUpError(f"image chain {self.chain.name!r} reads whole frames; it has no second field")
+        if (second is not None or former) and self.chain.video is None:
+            raise SetUpError(f"image chain {self.chain.name!r} reads whole frames; it has no second field and no lag")
         image = self._light(rng.poisson(self.quanta).astype(np.float32))
         noise = ELECTRONIC_SD
         if (video := self.chain.video) is not None:
             counts = rng.poisson((second or self).quanta).astype(np.float32)
-            image = grabbed(image, (second or self)._light(counts), self.black, video, rng)
+            fields = [image, (second or self)._light(counts)]
+            if former:
+                fields = trailed(fields, [one._light(one.quanta) for one in (self, *former)], video.lag)
+            image = grabbed(fields[0], fields[1], self.black, video, rng)
             noise = video.noise
         image += np.float32(noise * self.chain.white) * rng.standard_normal(image.shape, dtype=np.float32)
         stored = np.clip(np.rint(image), 0, self.chain.white).astype(np.uint16)
@@ -165,6 +172,15 @@ def grabbed(first: np.ndarray, second: np.ndarray, black: float, video: Video, r
     lower = map_coordinates(second, [v[1::2] + video.pairing_px, u[1::2]], mode="nearest")
     out[1::2] = black + (1 + video.field_gain) * (lower - black)
     return out
+
+
+def trailed(fields: Sequence[np.ndarray], before: Sequence[np.ndarray], lag: float) -> list[np.ndarray]:
+    """Two fields (H, W) as a camera with a lag shows them. `before` (H, W): the light of the first one, then that of
+    the fields before it, the latest first."""
+    trail = before[-1]
+    for light in reversed(before[1:-1]):
+        trail = (1 - lag) * light + lag * trail
+    return [(1 - lag) * fields[0] + lag * trail, (1 - lag) * fields[1] + lag * ((1 - lag) * before[0] + lag * trail)]
 
 
 def _rim_px(chain: ImageChain) -> np.ndarray:
