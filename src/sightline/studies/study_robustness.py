@@ -160,7 +160,7 @@ class Drawn:
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """A set-up that shows the whole wire and the landmarks, with all draws: `picks` (2, 4, 2) noise of view, point (of
+    """A set-up that shows the whole wire, with all draws: `picks` (2, 4, 2) noise of view, point (of
     POINTS_MM) and pixel in units of its standard deviation; `direction` (3,) in which the patient may move."""
 
     setup: SetUp
@@ -172,9 +172,10 @@ class Case:
     def drawn(rng: np.random.Generator) -> "Case":
         """At random. Raises SetUpError where no set-up shows the wire."""
         frame = replace(Frame.load("gamma"), tolerances=WHOLE)
-        setup = draw_showing(rng, frame, POINTS_MM)
+        setup = draw_showing(rng, frame, WIRE_MM)
         views = {name: Drawn.of(rng, setup, name) for name in VIEWS}
-        return Case(setup, views, rng.standard_normal((2, len(POINTS_MM), 2)), _unit(rng.standard_normal(3)))
+        wire, direction = rng.standard_normal((2, 2, 2)), _unit(rng.standard_normal(3))
+        return Case(setup, views, np.hstack([wire, rng.standard_normal((2, 2, 2))]), direction)
 
     def planned(
         self,
