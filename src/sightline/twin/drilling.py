@@ -5,7 +5,7 @@ images have them. Lengths mm, forces N, places in MCS.
 """
 
 from dataclasses import dataclass, field
-from math import sqrt
+from math import hypot, sqrt
 
 import numpy as np
 from numba import njit
@@ -192,7 +192,7 @@ def _feelers(radius_mm: float) -> tuple[np.ndarray, np.ndarray]:
 
 def sensed(thrust_n: float, rng: np.random.Generator) -> float:
     """N: a reading of the force sensor."""
-    return thrust_n + float(np.hypot(NOISE_SHARE * thrust_n, NOISE_N)) * float(rng.standard_normal())
+    return thrust_n + hypot(NOISE_SHARE * thrust_n, NOISE_N) * float(rng.standard_normal())
 
 
 @njit(cache=True)

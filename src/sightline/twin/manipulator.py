@@ -139,7 +139,7 @@ class SimulatedPlant:
         ):
             if is_set:
                 flags |= flag
-        encoders = np.round(self._body.encoders() / self.robot.resolution) * self.robot.resolution
+        encoders = np.rint(self._body.encoders() / self.robot.resolution) * self.robot.resolution
         encoders.flags.writeable = False
         return Reading(self._time_s, encoders, sensed(self.thrust_n, self._rng), flags)
 
@@ -156,12 +156,14 @@ class _Body:
         self._model = mujoco.MjModel.from_xml_string(mjcf(robot, build))
         self._data = mujoco.MjData(self._model)
         self._lower, self._upper, self._acceleration = robot.lower, robot.upper, robot.acceleration
-        self._brakes = robot.speed**2 / (2 * robot.acceleration) + robot.speed * CYCLE_S  # the longest way to a stop
+        brakes = robot.speed**2 / (2 * robot.acceleration) + robot.speed * CYCLE_S  # the longest way to a stop
+        self._free = robot.lower + brakes, robot.upper - brakes
         self._units = np.array([unit(joint) for joint in range(len(JOINTS))])
         # Each joint has one number, so its place in positions is that in forces.
         self._seen = np.array([self._model.joint(name).qposadr[0] for name in JOINTS])
         self._behind = np.array([self._model.joint(f"{name}-behind").qposadr[0] for name in JOINTS])
         self._force = np.array(build.drive_force)
+        self._full = FULL_FORCE * self._force
         self._site = {name: self._model.site(name).id for name in ("flange", "cfcs", "tool")}
         self._fed = self._model.body("feed-link").id
         self._pace = np.zeros(len(JOINTS))  # commanded now, mm/s and rad/s
@@ -199,8 +201,7 @@ class _Body:
     def drive(self, goal: np.ndarray) -> tuple[bool, bool]:
         """One cycle towards joint velocities (5,); whether a drive was overloaded, and whether a limit was met."""
         at = self.encoders()
-        free = (at < self._upper - self._brakes) & (at > self._lower + self._brakes)
-        allowed = goal if free.all() else self._braked(goal, at)
+        allowed = goal if (at > self._free[0]).all() and (at < self._free[1]).all() else self._braked(goal, at)
         data, model = self._data, self._model
         if (allowed == self._pace).all():
             self._mujoco.mj_step(model, data, nstep=STEPS)
@@ -211,12 +212,12 @@ class _Body:
                 data.ctrl[: len(JOINTS)] = data.ctrl[len(JOINTS) :] = self._pace * self._units
                 self._mujoco.mj_step(model, data)
         force = data.qfrc_actuator[self._seen]
-        overloaded = bool((np.abs(force) > FULL_FORCE * self._force).any())
+        overloaded = bool((np.abs(force) > self._full).any())
         if overloaded:  # the reference waits for the joint
             slack = self._force / self._model.actuator_gainprm[: len(JOINTS), 0]
             data.act[:] = np.clip(data.act, data.qpos[self._seen] - slack, data.qpos[self._seen] + slack)
         self._mujoco.mj_kinematics(model, data)
-        return overloaded, bool((allowed != goal).any())
+        return overloaded, allowed is not goal and bool((allowed != goal).any())
 
     def _braked(self, goal: np.ndarray, at: np.ndarray) -> np.ndarray:
         """(5,): as fast as still stops before a limit, one cycle spent."""
