@@ -22,9 +22,7 @@ AXIAL_N_PER_MM = 100.0  # wire in its chuck against bone: physics.md [ours]
 NOISE_SHARE, NOISE_N = 0.1, 0.3  # of the force sensor, s.d.: physics.md [ours]
 DENSITY_G_CM3 = {"bone": CORTICAL_G_CM3, "composite": 1.64}  # where the share is 1; glass-filled epoxy [mem]
 STEEL_N_PER_MM2 = 193e3  # physics.md
-STEEPEST = np.tan(
-    np.deg2rad(72.0)
-)  # side of a trocar tip 1.5 diameters long (implants.py): it rests on no steeper slope
+STEEPEST = 3.0  # the side of a trocar tip 1.5 diameters long (implants.py) rests on no steeper slope
 FRICTION = 0.3  # steel on wet bone [mem]
 SHORTEST_FREE_MM = 5.0  # free length that the play of the guide leaves at least [ours]
 HELD_SHARE = 0.3  # of cortical bone all round the tip: it is in a hole and goes on along itself [ours]
