@@ -7,7 +7,7 @@ from typing import Protocol
 import numpy as np
 
 from sightline.errors import UnusableInputError
-from sightline.robot.insertion import STANDOFF_MM, Insertion
+from sightline.robot.insertion import STANDOFF_MM, Insertion, retracted
 from sightline.robot.manipulator import FEED, JOINTS, TURNS, Manipulator
 from sightline.robot.motion import Move
 from sightline.robot.plant import Reading
@@ -60,16 +60,17 @@ class Leg:
 
 
 class Course:
-    """One leg after the other, each from rest to rest, the joints kept on it."""
+    """One leg after the other, each from rest to rest, the joints kept on it. Its time begins with the first step."""
 
-    def __init__(self, manipulator: Manipulator, start: np.ndarray, legs: Sequence[Leg], now_s: float) -> None:
+    def __init__(self, manipulator: Manipulator, start: np.ndarray, legs: Sequence[Leg]) -> None:
         self.position = np.array(start, dtype=np.float64)
         self._manipulator, self._left = manipulator, list(legs)
-        self._next(now_s)
+        self._move: Move | None = None
 
     def step(self, reading: Reading, now_s: float) -> Step:
         """One cycle: ARRIVED at the end of the last leg, FAULT where a joint is not where it should be."""
-        self.position, velocity = self._move.at(now_s)
+        move = self._move or self._next(now_s)
+        self.position, velocity = move.at(now_s)
         behind = self.position - reading.encoders
         off = np.abs(behind) > np.where(self._moves, MOVING_LIMIT, STANDING_LIMIT)
         if off.any():
@@ -84,12 +85,13 @@ class Course:
                 return self._fault(int(np.argmax(unsettled)), behind)
         return Step(velocity + PULL_PER_S * behind)
 
-    def _next(self, now_s: float) -> None:
+    def _next(self, now_s: float) -> Move:
         leg = self._left.pop(0)
         acceleration = ACCELERATION_SHARE * self._manipulator.acceleration
         self._move = Move(self.position, leg.end, leg.speed, acceleration, now_s)
         self._moves = leg.end != self.position
         self._end_s = now_s + self._move.duration_s
+        return self._move
 
     def _fault(self, joint: int, behind: np.ndarray) -> Step:
         by = f"{np.rad2deg(abs(behind[joint])):.2f}°" if TURNS[joint] else f"{abs(behind[joint]):.2f} mm"
@@ -97,22 +99,16 @@ class Course:
         return Step(np.zeros(len(JOINTS)), cause=Cause.FAULT, text=text)
 
 
-def align(manipulator: Manipulator, insertion: Insertion, q: np.ndarray, now_s: float) -> Course:
+def align(manipulator: Manipulator, insertion: Insertion, q: np.ndarray) -> Course:
     """From the joints `q` (5,): the wire back, the arm turned, the wire forward to its stand-off."""
-    back, speed = _retracted(manipulator, q), manipulator.speed
-    turned = insertion.q.copy()
-    turned[FEED] = back[FEED]
-    return Course(
-        manipulator,
-        q,
-        (Leg(back, _feeding(speed, RETRACT_MM_S)), Leg(turned, speed), Leg(insertion.at_depth(-STANDOFF_MM), speed)),
-        now_s,
-    )
+    _, back, turned, forward = insertion.course(manipulator, q)
+    speed = manipulator.speed
+    return Course(manipulator, q, (Leg(back, _feeding(speed, RETRACT_MM_S)), Leg(turned, speed), Leg(forward, speed)))
 
 
-def retract(manipulator: Manipulator, q: np.ndarray, now_s: float) -> Course:
+def retract(manipulator: Manipulator, q: np.ndarray) -> Course:
     """The wire back, all else held."""
-    return Course(manipulator, q, (Leg(_retracted(manipulator, q), _feeding(manipulator.speed, RETRACT_MM_S)),), now_s)
+    return Course(manipulator, q, (Leg(retracted(manipulator, q), _feeding(manipulator.speed, RETRACT_MM_S)),))
 
 
 class Drilling:
@@ -127,10 +123,10 @@ class Drilling:
         self._pause_mm = max(insertion.length_mm - PAUSE_MM, 0.0)
         self._paused = self._near = False
 
-    def resume(self, now_s: float) -> None:
+    def resume(self) -> None:
         """Go on, from where the wire is."""
         self._supervision = Supervision(self._insertion.length_mm, self._insertion.depth_limit_mm)
-        self._begin(now_s)
+        self._begin()
 
     def step(self, reading: Reading, now_s: float) -> Step:
         """One cycle: PAUSE short of the tip, ARRIVED at it; HALT or FAULT with the reason."""
@@ -138,7 +134,7 @@ class Drilling:
         if stopped is not None:
             return stopped
         if not self._near and any(noted.event is Event.CONTACT for noted in self.noted):
-            self._begin(now_s)  # slower from here on
+            self._begin()  # slower from here on
         step = self._course.step(reading, now_s)
         self.position = self._course.position
         if step.cause is Cause.ARRIVED and not self._paused:
@@ -146,7 +142,7 @@ class Drilling:
             return Step(step.velocity, cause=Cause.PAUSE)
         return Step(step.velocity, drill_on=step.cause is None, cause=step.cause, text=step.text)
 
-    def _begin(self, now_s: float) -> None:
+    def _begin(self) -> None:
         goal = self._insertion.length_mm if self._paused else self._pause_mm
         speed = self._manipulator.speed
         legs = [Leg(self._insertion.at_depth(goal), _feeding(speed, DRILL_MM_S))]
@@ -155,7 +151,7 @@ class Drilling:
         if depth < -NEAR_MM and not touched:
             legs.insert(0, Leg(self._insertion.at_depth(-NEAR_MM), _feeding(speed, APPROACH_MM_S)))
         self._near = len(legs) == 1
-        self._course = Course(self._manipulator, self.position, legs, now_s)
+        self._course = Course(self._manipulator, self.position, legs)
 
     def _watch(self, reading: Reading) -> Step | None:
         """What the supervision says against going on."""
@@ -187,13 +183,6 @@ _SAID = {
 
 def _stop(cause: Cause, text: str) -> Step:
     return Step(np.zeros(len(JOINTS)), cause=cause, text=text)
-
-
-def _retracted(manipulator: Manipulator, q: np.ndarray) -> np.ndarray:
-    """Joints (5,) with the wire in its sleeve; half a millimetre before the limit, where drives still obey [ours]."""
-    back = np.array(q, dtype=np.float64)
-    back[FEED] = manipulator.lower[FEED] + 0.5
-    return back
 
 
 def _feeding(speed: np.ndarray, feed_mm_s: float) -> np.ndarray:

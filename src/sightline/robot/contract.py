@@ -20,6 +20,7 @@ HAS_HEARTBEAT = "X_HEARTBEAT"  # client: I send heartbeats, stop when they end; 
 HAS_TELEMETRY = "X_TELEMETRY"  # client: send me the streams; robot: I have them
 HAS_DRILLING = "X_DRILLING"  # robot: DRILL, GUIDE and RETRACT are commands
 HAS_PLAN = "X_PLAN"  # robot: a target may carry a plan's identity
+IS_SIMULATED = "X_SIMULATOR"  # robot: nothing real moves
 HAS_RESET = "X_RESET"  # robot: a person may reset it over the link
 
 RESET = "RESET"  # name of the COMMAND that does, its text the number of the fault that the person has read

@@ -126,11 +126,13 @@ class Controller:
         self._activity: Activity | None = None
         self._next_fault = first_fault
         self._reading = plant.read()
+        self._acted_s: float | None = None  # when the activity that goes on had its last cycle
         self._sound = True  # the last sample was one of numbers
         self._sampled_s: float | None = None  # by the controller's clock
         self._past: deque[Reading] = deque([self._reading], maxlen=WINDOW)
         self._commanded = np.zeros(len(JOINTS))
         self._rest = self._reading.encoders  # where the joints stand while the robot waits
+        self._surveyed_from = self._reading.encoders
         self._moving_for: tuple[int, str] | None = None
         self._stopping: list[tuple[int, str]] = []
         self._stopped_s = 0.0
@@ -179,6 +181,8 @@ class Controller:
 
     def cycle(self, now_s: float) -> tuple[Outcome, ...]:
         """Read the plant, watch, decide, command. What has ended since the last cycle."""
+        if self._acted_s is not None and now_s - self._acted_s > STALE_S:
+            self._halt_by_itself(f"the control loop was {now_s - self._acted_s:.2f} s late", now_s)
         self._read(now_s)
         self._watch(now_s)
         if self._activity is not None:
@@ -189,6 +193,15 @@ class Controller:
         self._report_stops(now_s)
         ended, self._outcomes = tuple(self._outcomes), []
         return ended
+
+    def fail(self, text: str, now_s: float) -> None:
+        """Something went wrong that no rule foresaw: stop, and wait for a person."""
+        self._fail(Code.HARDWARE, text, now_s)
+
+    @property
+    def busy(self) -> bool:
+        """Whether something moves, or has yet to be seen to stand."""
+        return self._activity is not None or bool(self._stopping)
 
     def snapshot(self) -> Snapshot:
         """For telemetry."""
@@ -221,9 +234,9 @@ class Controller:
         if (self.state, cause) not in TRANSITIONS:
             raise self._illegal(cause)
         self._guard(cause, now_s)
-        return self._start(client, cause, now_s)
+        return self._start(client, cause)
 
-    def _start(self, client: int, cause: Cause, now_s: float) -> Answer:
+    def _start(self, client: int, cause: Cause) -> Answer:
         was = self.state
         self._enter(cause)
         manipulator, insertion, q = self.robot.manipulator, self.insertion, self._reading.encoders
@@ -232,11 +245,11 @@ class Controller:
         elif cause is Cause.MANUAL:
             self.insertion = None
         elif self.state is State.RETRACT:
-            self._activity = retract(manipulator, q, now_s)
+            self._activity = retract(manipulator, q)
         elif self.state is State.ALIGN and insertion is not None:
-            self._activity, self.drilling = align(manipulator, insertion, q, now_s), Drilling(manipulator, insertion)
+            self._activity, self.drilling = align(manipulator, insertion, q), Drilling(manipulator, insertion)
         elif self.state is State.DRILL and self.drilling is not None:
-            self.drilling.resume(now_s)
+            self.drilling.resume()
             self._activity = self.drilling
         if self._activity is None:
             return Answer(Code.OK)
@@ -261,6 +274,17 @@ class Controller:
             raise _No(Code.NOT_READY, "there is no target; send TARGETING and TGT_ first")
         if not now_s <= self.insertion.expires_s:
             raise _No(Code.CONFIGURATION, "the plan has expired; take new images and plan again")
+        moved = np.abs(self._reading.encoders - self._surveyed_from)
+        if TRANSITIONS[self.state, cause] is State.ALIGN and (moved > STANDING_LIMIT).any():
+            try:
+                self._survey(self.insertion)
+            except RobotRefusedError as error:
+                raise _No(Code.CONFIGURATION, str(error)) from error
+
+    def _survey(self, insertion: Insertion) -> None:
+        """Look for collisions from here on. It takes a quarter of a second, in which the robot stands."""
+        self._surveyed_from = self._reading.encoders
+        insertion.refuse_collision(self.robot.manipulator, self._surveyed_from, self.setup)
 
     def _register(self, client: int, message: Message) -> Answer:
         self._hold_lease(client)
@@ -281,7 +305,9 @@ class Controller:
             raise _No(Code.NOT_READY, f"a target is taken in TARGETING; the robot is in {self.state.value}")
         self.insertion = None  # whatever comes, the old one is no longer meant
         try:
-            self.insertion = read_target(message, self.registration, self.robot, self.setup, now_s)
+            insertion = read_target(message, self.registration, self.robot, self.setup, now_s)
+            self._survey(insertion)
+            self.insertion = insertion
         except RobotRefusedError as error:
             raise _No(Code.CONFIGURATION, str(error)) from error
         return Answer(Code.OK)
@@ -291,8 +317,8 @@ class Controller:
         self._end_motion(Code.NOT_READY, "stopped by a client's STOP")
         self._stopping.append((client, Cause.STOP.value))
         self._enter(Cause.STOP)
-        if client != self.lease:
-            self._outcomes.append(Outcome(None, Cause.STOP.value, Code.OK, "stopped by another client"))
+        if self.lease is not None and client != self.lease:
+            self._outcomes.append(Outcome(self.lease, Cause.STOP.value, Code.OK, "stopped by another client"))
         return Answer(Code.OK, done=False)
 
     def _reset_from_afar(self, fault: int) -> Answer:
@@ -385,6 +411,7 @@ class Controller:
             return
         step = self._activity.step(self._reading, now_s)
         if step.cause is None:
+            self._acted_s = now_s
             self._commanded = step.velocity
             self._plant.command(step.velocity, step.drill_on)
         elif step.cause is Cause.FAULT:
@@ -433,7 +460,7 @@ class Controller:
     def _halt(self, now_s: float) -> None:
         """Stop the joints and the drill."""
         self._plant.hold()
-        self._activity = None
+        self._activity = self._acted_s = None
         self._commanded = np.zeros(len(JOINTS))
         self._stopped_s = now_s
 

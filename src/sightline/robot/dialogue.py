@@ -66,14 +66,15 @@ class Dialogue:
     """Speaks for one controller with all its clients, known by a number."""
 
     controller: Controller
+    simulated: bool = False
     cycles: Cycles = field(default_factory=Cycles)
 
     def __post_init__(self) -> None:
         self._peers: dict[int, _Peer] = {}
 
     def joined(self, client: int) -> None:
-        """A client is there."""
-        self._peers[client] = _Peer()
+        """A client is there; its stop may have been heard already."""
+        self._peers.setdefault(client, _Peer())
 
     def left(self, client: int, now_s: float) -> None:
         """It is gone."""
@@ -84,6 +85,7 @@ class Dialogue:
         """What a client sent. Every command is answered; what is no command and no question is not."""
         if isinstance(event, Rejected):
             return self._rejected(client, event)
+        self.joined(client)
         peer = self._peers[client]
         peer.version = max(peer.version, event.version)
         self.controller.heard(client, now_s)
@@ -100,7 +102,8 @@ class Dialogue:
     # Answers, as (device name, body) in their order.
 
     def _answer(self, client: int, message: Message, now_s: float) -> list[tuple[str, Body]]:
-        name, said = message.device_name, []
+        name = message.device_name
+        said: list[tuple[str, Body]] = []
         match message.body:
             case String(text):
                 said = self._of_string(client, name, text, now_s)
@@ -112,14 +115,18 @@ class Dialogue:
                 self._peers[client].telemetry = contract.HAS_TELEMETRY in types
                 if contract.HAS_HEARTBEAT in types:
                     self.controller.heartbeat(client, now_s)
-                said = [("", Capability(UNDERSTOOD + OFFERED))]
+                said = [self._capability()]
             case Get("CAPABILITY"):
-                said = [("", Capability(UNDERSTOOD + OFFERED))]
+                said = [self._capability()]
             case Get("STATUS"):
                 said = [self._state_now()]
             case Get("TRANSFORM"):
                 said = [self._position()]
         return said
+
+    def _capability(self) -> tuple[str, Body]:
+        here = OFFERED + ((contract.IS_SIMULATED,) if self.simulated else ())
+        return "", Capability(UNDERSTOOD + here)
 
     def _of_transform(self, client: int, message: Message, now_s: float) -> list[tuple[str, Body]]:
         name = message.device_name

@@ -7,11 +7,13 @@ from math import isfinite
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
+from sightline.checks import failed
 from sightline.errors import RobotRefusedError, UnusableInputError
 from sightline.robot import contract
 from sightline.robot.calibrated import CalibratedRobot
 from sightline.robot.igtl import Message, Transform
 from sightline.robot.manipulator import FEED, Manipulator
+from sightline.robot.reach import check_reach, hip_theatre
 from sightline.robot.target import LIFETIME_S, PlanIdentity
 
 # The wire waits so far before the entry point, outside the skin of most patients, for the confirmation shot [ours].
@@ -27,10 +29,13 @@ BASE_IN_METRES, TARGET_IN_METRES = 10.0, 1.0
 
 @dataclass(frozen=True)
 class Setup:
-    """What a person has confirmed at the robot: the patient's side, and the serial of the frame on the flange."""
+    """What a person has confirmed at the robot: the patient's side, the serial of the frame, whether it is still on the
+    flange, and if it was taken off since its calibration how well it repeats its place."""
 
     side: str
     frame_serial: str
+    frame_mounted: bool = True
+    remount_mm: float | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,6 +53,7 @@ class Insertion:
     bare transform came."""
 
     identity: PlanIdentity | None
+    T_mcs_cfcs: RigidTransform
     entry_mm: np.ndarray
     end_mm: np.ndarray
     q: np.ndarray
@@ -66,6 +72,28 @@ class Insertion:
         q[FEED] += depth_mm
         return q
 
+    def course(self, manipulator: Manipulator, q: np.ndarray) -> np.ndarray:
+        """Joints (4, 5) on the way from `q` (5,) to the stand-off: the wire back, the arm turned, the wire forward."""
+        back = retracted(manipulator, q)
+        turned = self.q.copy()
+        turned[FEED] = back[FEED]
+        return np.stack([q, back, turned, self.at_depth(-STANDOFF_MM)])
+
+    def refuse_collision(self, manipulator: Manipulator, q: np.ndarray, setup: Setup) -> None:
+        """Raise RobotRefusedError where the way from the joints `q` (5,) to the end point touches something."""
+        way = np.vstack([self.course(manipulator, q), self.at_depth(self.length_mm)])
+        theatre = hip_theatre(self.T_mcs_cfcs, setup.frame_mounted, setup.remount_mm)
+        bad = failed(check_reach(manipulator, way, theatre))
+        if bad:
+            raise RobotRefusedError(" ".join(check.sentence for check in bad))
+
+
+def retracted(manipulator: Manipulator, q: np.ndarray) -> np.ndarray:
+    """Joints (5,) with the wire in its sleeve; half a millimetre before the limit, where drives still obey [ours]."""
+    back = np.array(q, dtype=np.float64)
+    back[FEED] = manipulator.lower[FEED] + 0.5
+    return back
+
 
 def read_registration(message: Message) -> LinkRegistration:
     """From a transform that maps MCS to CFCS. Raises RobotRefusedError."""
@@ -83,7 +111,8 @@ def read_target(
 ) -> Insertion:
     """From a transform: the wire's pose at the end point, CFCS, +z towards the tip, and the plan's metadata if any.
 
-    Raises RobotRefusedError with the reason.
+    The way there from where the robot stands is checked later: `Insertion.refuse_collision`. Raises RobotRefusedError
+    with the reason.
     """
     T_cfcs_wire = _rigid(message, "target")
     said = message.metadata
@@ -102,7 +131,7 @@ def read_target(
     refuse_feed(robot.manipulator, q, length)
     q_end = q + np.array([0.0, 0.0, 0.0, 0.0, length])
     laid = registration.T_mcs_cfcs.inv() * robot.manipulator.T_mcs_tool(q_end)
-    return Insertion(identity, entry, end, q, laid, limit, expires)
+    return Insertion(identity, registration.T_mcs_cfcs, entry, end, q, laid, limit, expires)
 
 
 def refuse_feed(manipulator: Manipulator, q: np.ndarray, length_mm: float) -> None:

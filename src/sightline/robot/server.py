@@ -1,0 +1,272 @@
+"""The robot as a server: the control loop in one thread, the link in another, a stop heard by both."""
+
+import asyncio
+import gc
+import os
+import sys
+import threading
+import time
+import traceback
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import replace
+from enum import Enum
+from queue import Empty, SimpleQueue
+from types import TracebackType
+from typing import Self
+
+from sightline.errors import LinkError, MessageError
+from sightline.robot import contract
+from sightline.robot.controller import Controller
+from sightline.robot.dialogue import STOPPING, Dialogue, Outgoing
+from sightline.robot.igtl import Event, Message, String, timestamp_of
+from sightline.robot.plant import CYCLE_S, Plant
+from sightline.robot.transport import LOOPBACK, PORT, Connection, serve
+
+LATE_S = 0.001  # a cycle that begins later than this has missed its time [issue]
+SWITCH_S = 0.0005  # Python's threads take turns so often: a tenth of a cycle [ours]
+PRIORITY = 10  # of the loop's thread among real-time threads, where the system allows it [ours]
+DEAF_S = 3 * CYCLE_S  # a loop that has not turned for so long cannot stop the drives
+REQUESTS_PER_CYCLE = 32  # the others wait, so that no flood of requests makes a cycle late [ours]
+WAITING_REQUESTS = 1024  # a client that has more than this waiting is cut off [ours]
+WAITING_BATCHES = 64  # of telemetry, when the link cannot follow; what is newer is dropped [ours]
+START_S = 5.0
+MAX_BODY_BYTES = 1 << 20  # no message of the contract needs a hundredth
+_AFTER_REQUEST = 20  # cycles that virtual time goes on for after a request
+
+
+class _Change(Enum):
+    """Of who is there."""
+
+    JOINED = "joined"
+    LEFT = "left"
+
+
+class RobotServer:
+    """`with RobotServer(controller, plant):` listens at `port` until the block ends.
+
+    `advance(dt_s)` lets a simulated plant's time pass; a real one needs none. With `virtual` time runs as fast as it
+    can while something moves and stands still otherwise: for trials, with clients that send no heartbeats.
+    Raises LinkError where the port cannot be had.
+    """
+
+    def __init__(
+        self,
+        controller: Controller,
+        plant: Plant,
+        *,
+        host: str = LOOPBACK,
+        port: int = PORT,
+        advance: Callable[[float], None] | None = None,
+        virtual: bool = False,
+    ) -> None:
+        self.port = port
+        self.dialogue = Dialogue(controller, simulated=advance is not None)
+        self._controller, self._plant, self._advance, self._virtual = controller, plant, advance, virtual
+        self._host = host
+        self._urgent: SimpleQueue[tuple[int, Event]] = SimpleQueue()
+        self._inbox: SimpleQueue[tuple[int, Event | _Change]] = SimpleQueue()
+        self._connections: dict[int, Connection] = {}
+        self._numbers: dict[Connection, int] = {}
+        self._next = 1
+        self._handed = self._delivered = 0  # batches: the first counted by the loop's thread, the second by the link's
+        self._turned_s = time.monotonic()
+        self._end = threading.Event()
+        self._listening: threading.Event = threading.Event()
+        self._failed: LinkError | None = None
+        self._event_loop: asyncio.AbstractEventLoop
+        self._closing: asyncio.Event
+        self._link = threading.Thread(target=self._run_link, name="link", daemon=True)
+        self._control = threading.Thread(target=self._run_control, name="control", daemon=True)
+
+    def __enter__(self) -> Self:
+        self._link.start()
+        if not self._listening.wait(START_S) or self._failed is not None:
+            raise self._failed or LinkError("the link did not start")
+        self._control.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Stop the robot, say goodbye, and end."""
+        self._end.set()
+        if self._control.is_alive():
+            self._control.join()
+        self._plant.hold()
+        if self._link.is_alive():
+            with suppress(RuntimeError):  # it has ended meanwhile
+                self._event_loop.call_soon_threadsafe(self._closing.set)
+            self._link.join()
+
+    def wait(self) -> None:
+        """Until the link ends, or a KeyboardInterrupt."""
+        while self._link.is_alive() and self._control.is_alive():
+            self._link.join(0.2)
+
+    # The link's thread.
+
+    def _run_link(self) -> None:
+        try:
+            asyncio.run(self._listen())
+        except LinkError as error:
+            self._failed = error
+        finally:
+            self._end.set()
+            self._listening.set()
+
+    async def _listen(self) -> None:
+        self._event_loop, self._closing = asyncio.get_running_loop(), asyncio.Event()
+        async with await serve(self, self._host, self.port, max_body_bytes=MAX_BODY_BYTES) as server:
+            self.port = server.port
+            self._listening.set()
+            await self._closing.wait()
+
+    def opened(self, connection: Connection) -> None:
+        """See transport.Handler."""
+        self._connections[self._next], self._numbers[connection] = connection, self._next
+        self._inbox.put((self._next, _Change.JOINED))
+        self._next += 1
+
+    def received(self, connection: Connection, event: Event) -> None:
+        """See transport.Handler. A stop overtakes whatever waits; where the loop does not turn, it acts from here."""
+        client = self._numbers[connection]
+        if _stops(event):
+            self._urgent.put((client, event))
+            if time.monotonic() - self._turned_s > DEAF_S and not self._virtual:
+                self._plant.hold()
+        elif self._inbox.qsize() > WAITING_REQUESTS:
+            connection.close("too many requests at once")
+        else:
+            self._inbox.put((client, event))
+
+    def silent(self, connection: Connection) -> None:
+        """See transport.Handler. Silence is judged by the loop, which knows who must not be silent."""
+
+    def lost(self, connection: Connection, reason: str) -> None:
+        """See transport.Handler."""
+        client = self._numbers.pop(connection)
+        del self._connections[client]
+        self._inbox.put((client, _Change.LEFT))
+
+    def _deliver(self, batch: list[Outgoing]) -> None:
+        self._delivered += 1
+        now = timestamp_of(time.time())
+        for outgoing in batch:
+            connection = self._connections.get(outgoing.client)
+            if connection is None:
+                continue
+            put = connection.stream if outgoing.telemetry else connection.send
+            try:
+                put(replace(outgoing.message, timestamp=now))
+            except MessageError:
+                traceback.print_exc(file=sys.stderr)
+
+    # The control loop's thread.
+
+    def _run_control(self) -> None:
+        try:
+            if self._virtual:
+                self._turn_virtually()
+            else:
+                _prefer_this_thread()
+                self._turn_on_time()
+        finally:
+            self._plant.hold()
+            self._end.set()
+
+    def _turn_on_time(self) -> None:
+        cycles = self.dialogue.cycles
+        due = last = time.monotonic()
+        while not self._end.is_set():
+            due += CYCLE_S
+            time.sleep(max(due - time.monotonic(), 0.0))
+            late = time.monotonic() - due
+            cycles.count += 1
+            cycles.missed += late > LATE_S
+            cycles.worst_s = max(cycles.worst_s, late)
+            said = self._guarded(self._hear, due)
+            # What was never begun is not made up for: requests may take long where the robot stands.
+            skipped = int((time.monotonic() - due) / CYCLE_S)
+            cycles.count += skipped
+            cycles.missed += skipped
+            due += CYCLE_S * skipped
+            self._turn(due, due - last, said)
+            last = due
+            self._turned_s = time.monotonic()
+
+    def _turn_virtually(self) -> None:
+        now, idle = 0.0, 0
+        while not self._end.is_set():
+            idle = 0 if self._controller.busy or not (self._inbox.empty() and self._urgent.empty()) else idle + 1
+            if idle > _AFTER_REQUEST:
+                time.sleep(0.0005)  # time stands still
+                continue
+            now += CYCLE_S
+            self._turn(now, CYCLE_S, self._guarded(self._hear, now))
+
+    def _turn(self, now_s: float, elapsed_s: float, said: list[Outgoing]) -> None:
+        """Let time pass, one cycle of the controller, and hand over what there is to say."""
+        if self._advance is not None:
+            self._advance(elapsed_s)
+        said = said + self._guarded(self.dialogue.cycle, now_s)
+        waiting = self._handed - self._delivered
+        if said and (waiting < WAITING_BATCHES or not all(outgoing.telemetry for outgoing in said)):
+            self._handed += 1
+            with suppress(RuntimeError):  # the link has ended, and the loop will
+                self._event_loop.call_soon_threadsafe(self._deliver, said)
+
+    def _guarded(self, what: Callable[[float], list[Outgoing]], now_s: float) -> list[Outgoing]:
+        try:
+            return what(now_s)
+        except Exception as error:
+            traceback.print_exc(file=sys.stderr)
+            self._controller.fail(f"a bug in the controller: {type(error).__name__}", now_s)
+            return []
+
+    def _hear(self, now_s: float) -> list[Outgoing]:
+        """What clients sent, their stops before all else."""
+        if not self._urgent.empty():
+            self._plant.hold()
+        said: list[Outgoing] = []
+        with suppress(Empty):
+            while True:
+                client, stop = self._urgent.get_nowait()
+                said += self.dialogue.receive(client, stop, now_s)
+        with suppress(Empty):
+            for _ in range(REQUESTS_PER_CYCLE):
+                client, event = self._inbox.get_nowait()
+                if event is _Change.JOINED:
+                    self.dialogue.joined(client)
+                elif event is _Change.LEFT:
+                    self.dialogue.left(client, now_s)
+                elif not isinstance(event, _Change):
+                    said += self.dialogue.receive(client, event, now_s)
+        return said
+
+
+def tune_process() -> None:
+    """For a process that is a robot and nothing else: short turns of threads, and no long search for garbage."""
+    sys.setswitchinterval(SWITCH_S)
+    gc.collect()
+    gc.freeze()  # what is there now stays, and is not looked through again
+    gc.set_threshold(10_000, 50, 1000)
+
+
+def _prefer_this_thread() -> None:
+    """Before all that is not in real time, where the system has this and allows it."""
+    if hasattr(os, "sched_setscheduler"):
+        with suppress(OSError):
+            os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))
+
+
+def _stops(event: Event) -> bool:
+    return (
+        isinstance(event, Message)
+        and isinstance(event.body, String)
+        and event.device_name.startswith(contract.COMMAND)
+        and event.body.text in STOPPING
+    )

@@ -1,0 +1,189 @@
+"""A robot for tests: simulated, with a client beside it, and a target that it can reach."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from copy import deepcopy
+from functools import cache
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from sightline.robot.controller import Controller
+from sightline.robot.dialogue import Dialogue
+from sightline.robot.igtl import Message, Status, String, Transform
+from sightline.robot.insertion import Setup
+from sightline.robot.panel import Panel
+from sightline.robot.plant import CYCLE_S, PlantFlag, Reading
+from sightline.robot.server import RobotServer
+from sightline.robot.states import State
+from sightline.studies.robots import calibrated_robot
+from sightline.twin.manipulator import SimulatedPlant
+
+IMAGED = np.array([3.0, -5.0, np.pi / 4, 0.0, 0.5])  # joints at the images
+# CFCS; shorter than a wire in a hip, since drilling takes a second for each millimetre
+ENTRY_MM, END_MM = np.array([35.0, 31.0, -4.0]), np.array([7.7, 2.3, 1.1])
+SETUP = Setup("right", "SN-7")
+ROBOT = calibrated_robot()
+T_MCS_CFCS = ROBOT.manipulator.T_mcs_cfcs(IMAGED)
+CLIENT = 1
+
+
+def wire(entry_mm: np.ndarray = ENTRY_MM, end_mm: np.ndarray = END_MM) -> RigidTransform:
+    """Pose at the end point: +z along the wire."""
+    z = (end_mm - entry_mm) / np.linalg.norm(end_mm - entry_mm)
+    x = np.cross([0.0, 0.0, 1.0], z)
+    x /= np.linalg.norm(x)
+    return RigidTransform.from_components(end_mm, Rotation.from_matrix(np.stack([x, np.cross(z, x), z], axis=1)))
+
+
+def metadata(**changed: str) -> dict[str, str]:
+    """Of a plan that is in order."""
+    length = float(np.linalg.norm(END_MM - ENTRY_MM))
+    plan = {"plan": "plan-1", "side": "right", "frame_serial": "SN-7", "go": "yes", "units": "mm"}
+    plan |= {"coordinates": "CFCS", "length_mm": repr(length), "depth_limit_mm": repr(length + 1.0), "valid_s": "500"}
+    return plan | changed
+
+
+class IdealPlant:
+    """A `Plant` in air whose joints do at once what their acceleration allows: quick, where physics does not matter."""
+
+    def __init__(self) -> None:
+        self.stop_pressed, self.run_held = False, True
+        self.time_s, self.q = 0.0, IMAGED.copy()
+        self.velocity, self.goal = np.zeros(5), np.zeros(5)
+
+    def read(self) -> Reading:
+        resolution = ROBOT.manipulator.resolution
+        flags = PlantFlag.RUN_HELD if self.run_held else PlantFlag.NONE
+        flags |= PlantFlag.STOP_PRESSED if self.stop_pressed else PlantFlag.NONE
+        return Reading(self.time_s, np.round(self.q / resolution) * resolution, 0.0, flags)
+
+    def command(self, joint_velocity: np.ndarray, drill_on: bool) -> None:
+        assert np.isfinite(joint_velocity).all()
+        self.goal = np.clip(joint_velocity, -ROBOT.manipulator.speed, ROBOT.manipulator.speed)
+
+    def hold(self) -> None:
+        self.goal = np.zeros(5)
+
+    def advance(self, dt_s: float) -> None:
+        step = ROBOT.manipulator.acceleration * dt_s
+        goal = self.goal if self.run_held and not self.stop_pressed else np.zeros(5)
+        before = self.velocity
+        self.velocity = before + np.clip(goal - before, -step, step)
+        self.q = self.q + dt_s * (before + self.velocity) / 2
+        self.time_s += dt_s
+
+
+def plant(seed: int = 0) -> SimulatedPlant:
+    """The simulated robot, in air."""
+    return SimulatedPlant(ROBOT.manipulator, None, np.random.default_rng(seed), start=IMAGED)
+
+
+class Rig:
+    """Controller, plant and dialogue without a link; time passes in `run`."""
+
+    def __init__(self, key_switch: bool = False, moved: SimulatedPlant | IdealPlant | None = None) -> None:
+        self.plant, self.panel = moved or IdealPlant(), Panel(key_switch=key_switch)
+        self.controller = Controller(ROBOT, self.plant, SETUP, self.panel)
+        self.dialogue = Dialogue(self.controller)
+        self.now_s = 0.0
+        self.dialogue.joined(CLIENT)
+        self.said: list[Message] = []
+        self.run(0.1)
+
+    @property
+    def state(self) -> State:
+        return self.controller.state
+
+    def send(self, name: str, body, client: int = CLIENT, **header) -> list[Message]:
+        """What comes back at once."""
+        out = self.dialogue.receive(client, Message(body, name, **header), self.now_s)
+        return [o.message for o in out if o.client == client]
+
+    def command(self, text: str, client: int = CLIENT) -> list[Message]:
+        return self.send("CMD_1", String(text), client)
+
+    def run(self, seconds: float) -> list[Message]:
+        """What was said meanwhile, telemetry aside."""
+        said = []
+        for _ in range(round(seconds / CYCLE_S)):
+            self.now_s += CYCLE_S
+            self.plant.advance(CYCLE_S)
+            said += [o.message for o in self.dialogue.cycle(self.now_s) if not o.telemetry]
+        return said
+
+    def run_until(self, state: State, at_most_s: float = 120.0) -> list[Message]:
+        said, end = [], self.now_s + at_most_s
+        while self.state is not state:
+            assert self.now_s < end, f"still {self.state}, not {state}"
+            said += self.run(CYCLE_S)
+        return said
+
+    @staticmethod
+    def at(state: State) -> "Rig":
+        """One that was brought to a state by commands."""
+        return deepcopy(_brought(state))
+
+    def reach(self, state: State) -> None:
+        """By commands, from UNDEFINED."""
+        for step in _WAY[state]:
+            if isinstance(step, State):
+                self.run_until(step)
+            elif step == "CLB":
+                assert code(self.send("CLB_1", Transform.of(T_MCS_CFCS.inv()))) == 1
+            elif step == "TGT":
+                said = self.send("TGT_1", Transform.of(wire()), version=2, metadata=metadata())
+                assert code(said, "TARGET") == 1, said
+            else:
+                self.command(step)
+                self.run(0.2 if step in ("STOP", "EMERGENCY") else 0.0)
+        assert self.state is state
+
+    def speed(self) -> float:
+        """Largest joint speed as a share of the joint's full speed, over the last cycles."""
+        return float(np.max(np.abs(self.controller.snapshot().velocity) / ROBOT.manipulator.speed))
+
+
+_READY = ("START_UP", "CALIBRATION", "CLB", "TARGETING", "TGT")
+_ALIGNED = (*_READY, "MOVE_TO_TARGET", State.ALIGNED)
+_PAUSED = (*_ALIGNED, "DRILL", State.PAUSED)
+_DONE = (*_PAUSED, "DRILL", State.DONE)
+_WAY: dict[State, tuple] = {
+    State.UNDEFINED: (),
+    State.START_UP: ("START_UP",),
+    State.PLANNING: ("START_UP", "PLANNING"),
+    State.CALIBRATION: ("START_UP", "CALIBRATION"),
+    State.TARGETING: _READY,
+    State.MANUAL: ("START_UP", "MANUAL"),
+    State.STOP: (*_READY, "STOP"),
+    State.EMERGENCY: ("START_UP", "EMERGENCY"),
+    State.ALIGN: (*_READY, "MOVE_TO_TARGET"),
+    State.ALIGNED: _ALIGNED,
+    State.DRILL: (*_ALIGNED, "DRILL"),
+    State.PAUSED: _PAUSED,
+    State.DONE: _DONE,
+    State.GUIDE: (*_ALIGNED, "GUIDE"),
+    State.RETRACT: (*_ALIGNED, "RETRACT"),
+}
+
+
+@cache
+def _brought(state: State) -> Rig:
+    rig = Rig()
+    rig.reach(state)
+    return rig
+
+
+def code(said: list[Message], name: str | None = None) -> int | None:
+    """Code of the last STATUS, of a name if one is given."""
+    found = [m.body.code for m in said if isinstance(m.body, Status) and name in (None, m.device_name)]
+    return found[-1] if found else None
+
+
+@contextmanager
+def served(*, virtual: bool = False, port: int = 0, key_switch: bool = False) -> Iterator[RobotServer]:
+    """The robot behind a port."""
+    moved = IdealPlant() if virtual else plant()
+    controller = Controller(ROBOT, moved, SETUP, Panel(key_switch=key_switch))
+    with RobotServer(controller, moved, port=port, advance=moved.advance, virtual=virtual) as server:
+        yield server

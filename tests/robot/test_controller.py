@@ -1,0 +1,313 @@
+"""The controller without a link: an answer to everything in every state, and motion that is watched."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from tests.robot.rig import CLIENT, END_MM, ENTRY_MM, IMAGED, ROBOT, T_MCS_CFCS, Rig, code, metadata, wire
+
+from sightline.robot.contract import HEARTBEAT, Code
+from sightline.robot.controller import Reset
+from sightline.robot.igtl import Capability, Command, CommandReply, Status, String, Transform
+from sightline.robot.manipulator import FEED
+from sightline.robot.states import COMMANDS, MOVING, TRANSITIONS, WAITING, Cause, State, phase
+
+OTHER = 2
+STATES = tuple(State)
+
+
+@pytest.mark.parametrize("state", STATES, ids=lambda state: state.value)
+def test_every_command_in_every_state_gets_its_three_answers(state):
+    for text in (*(cause.value for cause in COMMANDS), "DANCE", "", "start_up", "X" * 300, "\u00fc\n"):
+        rig = Rig.at(state)
+        said = rig.command(text)
+        assert [type(message.body) for message in said[:2]] == [String, Status]
+        assert said[0].device_name == "ACK_1"
+        assert said[0].body.text == text
+        assert said[1].device_name == "CURRENT_STATUS"
+        assert said[1].body.error_name == phase(rig.state)
+        cause = next((cause for cause in COMMANDS if cause.value == text), None)
+        if cause is None:
+            assert said[2].body.code == Code.UNKNOWN
+            assert rig.state is state
+            continue
+        wanted = (state, cause) in TRANSITIONS and not _wants_something(state, cause)
+        if len(said) == 2:
+            assert wanted
+            assert rig.state is TRANSITIONS[state, cause]
+            if cause is not Cause.STOP:  # it moves: how that ends is said, too
+                rig.command("STOP")
+            said += [message for message in rig.run(0.3) if message.device_name == text]
+            assert said[2].body.code == (1 if cause is Cause.STOP else Code.NOT_READY)
+        else:
+            assert (said[2].body.code == 1) is wanted, (text, said[2].body)
+        assert said[2].device_name == text
+        assert said[2].body.text or said[2].body.code == 1
+
+
+def _wants_something(state: State, cause: Cause) -> bool:
+    """Legal, but the way there has left something out."""
+    unregistered = state in (State.START_UP, State.PLANNING, State.CALIBRATION, State.MANUAL)
+    return unregistered and cause is Cause.TARGETING
+
+
+@pytest.mark.parametrize("state", STATES, ids=lambda state: state.value)
+def test_registrations_targets_and_resets_are_answered_in_every_state(state):
+    rig = Rig.at(state)
+    said = rig.send("TGT_7", Transform.of(wire()))
+    assert said[0].device_name == "ACK_7"
+    assert (code(said, "TARGET") == 1) is (state is State.TARGETING)
+    said = rig.send("CLB_8", Transform.of(T_MCS_CFCS.inv()))
+    assert said[0].device_name == "ACK_8"
+    assert (code(said, "CALIBRATION") == 1) is (state is State.CALIBRATION)
+    (said,) = rig.send("reset", Command(5, "RESET", "1"), version=2)
+    assert said.body.command_id == 5
+    assert (said.body.error == "") is (state is State.EMERGENCY)
+
+
+@pytest.mark.parametrize("state", STATES, ids=lambda state: state.value)
+def test_any_client_may_stop_in_every_state(state):
+    for text, ends in (("STOP", State.STOP), ("EMERGENCY", State.EMERGENCY)):
+        rig = Rig.at(state)
+        said = rig.command(text, client=OTHER)
+        assert said[0].body == String(text)
+        assert code(said + rig.run(0.5), text) in (1, 3)
+        expected = state if text == "STOP" and state in (State.UNDEFINED, State.EMERGENCY) else ends
+        assert rig.state is expected
+        before = rig.plant.read().encoders
+        rig.run(0.2)
+        assert np.abs(rig.plant.read().encoders - before).max() < 0.01
+
+
+def test_an_insertion_from_beginning_to_end():
+    rig = Rig.at(State.ALIGNED)
+    manipulator = ROBOT.manipulator
+    along = (END_MM - ENTRY_MM) / np.linalg.norm(END_MM - ENTRY_MM)
+
+    def tip() -> np.ndarray:
+        return T_MCS_CFCS.inv().apply(manipulator.T_mcs_tool(rig.plant.read().encoders).translation)
+
+    assert np.allclose(tip(), ENTRY_MM - 20 * along, atol=0.05)
+    rig.command("DRILL")
+    said = rig.run_until(State.PAUSED)
+    assert said[-1].body.text == "PAUSED"
+    assert np.allclose(tip(), END_MM - 10 * along, atol=0.05)
+    rig.command("DRILL")
+    rig.run_until(State.DONE)
+    assert np.allclose(tip(), END_MM, atol=0.05)
+    assert rig.controller.snapshot().depth_mm == pytest.approx(np.linalg.norm(END_MM - ENTRY_MM), abs=0.02)
+    rig.command("RETRACT")
+    rig.run_until(State.PLANNING)
+    assert rig.plant.read().encoders[FEED] == pytest.approx(0.5, abs=0.02)
+    assert rig.controller.insertion is None
+
+
+def test_the_arm_turns_only_with_the_wire_in_its_sleeve():
+    rig = Rig.at(State.PAUSED)
+    assert code(rig.command("STOP") + rig.run(0.5), "STOP") == 1
+    rig.command("MOVE_TO_TARGET")
+    arm = rig.plant.read().encoders[:FEED]
+    while rig.plant.read().encoders[FEED] > 1.0:
+        assert np.abs(rig.plant.read().encoders[:FEED] - arm).max() < 0.01
+        rig.run(0.05)
+    rig.run_until(State.ALIGNED)
+
+
+def test_only_the_holder_of_the_lease_commands():
+    rig = Rig.at(State.TARGETING)
+    assert code(rig.command("MOVE_TO_TARGET", client=OTHER)) == Code.DENIED
+    assert code(rig.send("TGT_1", Transform.of(wire()), client=OTHER)) == Code.DENIED
+    assert rig.state is State.TARGETING
+    rig.dialogue.left(CLIENT, rig.now_s)
+    assert rig.state is State.UNDEFINED
+    assert code(rig.command("START_UP", client=OTHER)) == 1
+
+
+@pytest.mark.parametrize("state", STATES, ids=lambda state: state.value)
+def test_a_lost_client_stops_the_robot_which_forgets(state):
+    rig = Rig.at(state)
+    if state is State.UNDEFINED:
+        rig.command("START_UP")
+    rig.dialogue.left(CLIENT, rig.now_s)
+    assert rig.state is (State.EMERGENCY if state is State.EMERGENCY else State.UNDEFINED)
+    rig.run(0.1)
+    assert rig.speed() < 0.01
+    assert rig.controller.registration is None
+    assert rig.controller.lease is None
+
+
+@pytest.mark.parametrize("state", MOVING, ids=lambda state: state.value)
+def test_silence_stops_a_client_that_promised_heartbeats_and_no_other(state):
+    for promise in (String(""), Capability(("X_HEARTBEAT",)), None):
+        rig = Rig.at(state)
+        if promise is not None:
+            rig.send(HEARTBEAT, promise)
+        said = rig.run(0.19)
+        assert rig.state is state
+        said += rig.run(0.05)
+        assert rig.state is (state if promise is None else State.STOP)
+        assert any("silent" in message.body.text for message in said) is (promise is not None)
+    rig = Rig.at(state)
+    for _ in range(5):
+        rig.send(HEARTBEAT, String(""))
+        rig.run(0.1)
+    assert rig.state is state
+
+
+def test_a_fault_waits_for_a_person():
+    rig = Rig.at(State.ALIGN)
+    rig.plant.stop_pressed = True
+    said = rig.run(0.05)
+    assert rig.state is State.EMERGENCY
+    assert code(said, "MOVE_TO_TARGET") == Code.EMERGENCY
+    assert code(said, "EMERGENCY") == Code.EMERGENCY
+    assert code(rig.command("START_UP")) == Code.EMERGENCY
+    rig.panel.reset()
+    said = rig.run(0.05)
+    assert rig.state is State.EMERGENCY  # the button is still pressed
+    assert any("stop button" in message.body.text for message in said)
+    rig.plant.stop_pressed = False
+    rig.run(0.05)
+    assert rig.state is State.EMERGENCY  # releasing it is no reset
+    rig.panel.reset()
+    rig.run(0.05)
+    assert rig.state is State.UNDEFINED
+    assert code(rig.command("TARGETING")) == Code.NOT_READY
+
+
+def test_a_reset_pressed_before_the_fault_does_not_count():
+    rig = Rig.at(State.PLANNING)
+    rig.panel.reset()
+    rig.run(0.05)
+    rig.command("EMERGENCY")
+    rig.run(0.05)
+    assert rig.state is State.EMERGENCY
+
+
+def test_a_reset_from_afar_names_the_fault():
+    rig = Rig.at(State.EMERGENCY)
+    rig.panel.reset()
+    rig.run(0.05)
+    rig.command("EMERGENCY")
+    for text, done in (("1", False), ("zwei", False), ("\u00b2", False), ("", False), ("2", True)):
+        (reply,) = rig.send("r", Command(9, "RESET", text), client=OTHER)
+        assert isinstance(reply.body, CommandReply)
+        assert (reply.body.error == "") is done
+    assert rig.state is State.UNDEFINED
+    locked = Rig(key_switch=True)
+    locked.reach(State.EMERGENCY)
+    (reply,) = locked.send("r", Command(9, "RESET", "1"))
+    assert "key" in reply.body.text
+    assert locked.controller.submit(CLIENT, Reset(1), locked.now_s).code is Code.DENIED
+
+
+def test_the_hold_to_run_switch():
+    rig = Rig.at(State.TARGETING)
+    rig.plant.run_held = False
+    rig.run(0.05)
+    assert code(rig.command("MOVE_TO_TARGET")) == Code.NOT_READY
+    rig.plant.run_held = True
+    rig.run(0.05)
+    rig.command("MOVE_TO_TARGET")
+    rig.run(0.5)
+    rig.plant.run_held = False
+    said = rig.run(0.2)
+    assert rig.state is State.STOP
+    assert any("hold-to-run" in message.body.text for message in said)
+    assert rig.speed() < 0.01
+
+
+def test_a_plan_expires_before_and_during_motion():
+    rig = Rig.at(State.TARGETING)
+    said = rig.send("TGT_2", Transform.of(wire()), version=2, metadata=metadata(valid_s="3"))
+    assert code(said, "TARGET") == 1
+    rig.command("MOVE_TO_TARGET")
+    said = rig.run(3.5)
+    assert rig.state is State.STOP
+    assert any("expired" in message.body.text for message in said if isinstance(message.body, Status))
+    said = rig.command("MOVE_TO_TARGET")
+    assert code(said) == Code.CONFIGURATION
+    assert "expired" in said[-1].body.text
+
+
+@pytest.mark.parametrize("state", WAITING, ids=lambda state: state.value)
+def test_a_robot_pushed_while_it_waits_is_a_fault(state):
+    rig = Rig.at(state)
+    real = rig.plant.read
+
+    def pushed():
+        reading = real()
+        return type(reading)(reading.time_s, reading.encoders + np.array([0, 0.3, 0, 0, 0]), 0.0, reading.flags)
+
+    rig.plant.read = pushed
+    rig.run(0.05)
+    assert rig.state is State.EMERGENCY
+    assert "traverse was moved" in rig.controller.fault.text
+
+
+@pytest.mark.parametrize("joint", range(5))
+def test_a_joint_that_does_not_follow_is_a_fault(joint):
+    rig = Rig.at(State.TARGETING)
+    rig.command("MOVE_TO_TARGET")
+    real, stuck = rig.plant.read, rig.plant.read().encoders[joint]
+
+    def read():
+        reading = real()
+        encoders = reading.encoders.copy()
+        encoders[joint] = stuck
+        return type(reading)(reading.time_s, encoders, 0.0, reading.flags)
+
+    rig.plant.read = read
+    rig.run_until(State.EMERGENCY, 10.0)
+    assert "from where it should be" in rig.controller.fault.text
+
+
+@pytest.mark.parametrize(
+    ("change", "why"),
+    [
+        ({"encoders": np.full(5, np.nan)}, "no number"),
+        ({"force_n": np.inf}, "no number"),
+        ({"time_s": 1.0}, "clock has failed"),
+        ("frozen", "no sample"),
+        ({"force_n": 200.0}, "above its limit"),
+        ({"encoders": IMAGED + 500.0}, "outside the workspace"),
+    ],
+    ids=["encoders", "force", "clock", "frozen", "thrust", "workspace"],
+)
+def test_what_the_plant_says_wrong_while_drilling_is_a_fault(change, why):
+    rig = Rig.at(State.DRILL)
+    rig.run(0.5)
+    real, frozen = rig.plant.read, rig.plant.read()
+
+    def read():
+        if change == "frozen":
+            return frozen
+        reading = real()
+        said = {name: getattr(reading, name) for name in ("time_s", "encoders", "force_n", "flags")}
+        return SimpleNamespace(**(said | change))
+
+    rig.plant.read = read
+    rig.run_until(State.EMERGENCY, 0.3)
+    assert why in rig.controller.fault.text
+    rig.plant.read = real
+    rig.run(0.1)
+    assert rig.speed() < 0.01
+
+
+def test_a_far_break_through_stops_and_a_near_one_does_not():
+    for share, ends in ((0.3, State.DRILL), (0.7, State.STOP)):
+        rig = Rig.at(State.DRILL)
+        length = rig.controller.insertion.length_mm
+        while rig.controller.snapshot().depth_mm < share * length:
+            rig.run(0.1)
+        real, fell = rig.plant.read, rig.now_s + 1.0
+
+        def read(real=real, fell=fell, rig=rig):
+            reading = real()
+            force = 25.0 if rig.now_s < fell else 0.5
+            return type(reading)(reading.time_s, reading.encoders, force, reading.flags)
+
+        rig.plant.read = read
+        said = rig.run(2.0)
+        assert rig.state is ends
+        assert any("broke through" in m.body.text for m in said) is (ends is State.STOP)

@@ -1,0 +1,297 @@
+"""The robot behind its port: an insertion, refusals, lost clients and servers, and stops."""
+
+import socket
+import threading
+import time
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import RigidTransform
+from tests.robot.rig import END_MM, ENTRY_MM, ROBOT, T_MCS_CFCS, metadata, served, wire
+
+from sightline.errors import LinkError, RobotRefusedError
+from sightline.robot import contract
+from sightline.robot.client import RobotClient
+from sightline.robot.igtl import Message, String, Transform, encode
+from sightline.robot.states import MOVING, State
+from sightline.robot.transport import BlockingClient
+
+
+def ready(robot: RobotClient) -> None:
+    robot.start_up()
+    robot.calibrate(T_MCS_CFCS, 10.0)
+    robot.aim(wire(), metadata(), 10.0)
+
+
+def still(server) -> bool:
+    """No joint moves while we look, a stop's time after it was asked for."""
+    time.sleep(0.1)
+    q = server.dialogue.controller.snapshot().reading.encoders
+    time.sleep(0.1)
+    return bool(np.abs(server.dialogue.controller.snapshot().reading.encoders - q).max() < 0.01)
+
+
+def wait_for(condition, within_s: float = 10.0) -> None:
+    end = time.monotonic() + within_s
+    while not condition():
+        assert time.monotonic() < end
+        time.sleep(0.005)
+
+
+@pytest.fixture(scope="module")
+def virtual():
+    with served(virtual=True) as server:
+        yield server
+
+
+@pytest.fixture
+def robot(virtual):
+    wait_for(lambda: virtual.dialogue.controller.lease is None)
+    with RobotClient(port=virtual.port, heartbeat=False, streams=False) as client:
+        yield client
+
+
+def test_a_whole_insertion(virtual, robot):
+    ready(robot)
+    robot.align()
+    along = (END_MM - ENTRY_MM) / np.linalg.norm(END_MM - ENTRY_MM)
+    assert np.allclose(robot.position().translation, ENTRY_MM - 20 * along, atol=0.05)
+    assert np.allclose(robot.position().rotation.apply([0, 0, 1]), along, atol=1e-4)
+    assert robot.drill() == "PAUSED"
+    assert robot.drill() == "DONE"
+    assert np.allclose(robot.position().translation, END_MM, atol=0.05)
+    robot.retract()
+    assert robot.status().error_name == "PLANNING"
+    with pytest.raises(RobotRefusedError, match="not MOVE_TO_TARGET in PLANNING"):
+        robot.align()
+
+
+def test_a_guide_is_held_and_then_drawn_back(robot):
+    ready(robot)
+    robot.align()
+    robot.guide()
+    assert robot.status().text.startswith("GUIDE")
+    robot.retract()
+
+
+SCALED = np.diag([2.0, 2.0, 2.0, 1.0])
+MIRRORED = np.diag([-1.0, 1.0, 1.0, 1.0])
+
+
+def at(translation_mm, matrix=None) -> np.ndarray:
+    out = (np.eye(4) if matrix is None else matrix).copy()
+    out[:3, 3] = translation_mm
+    return out
+
+
+@pytest.mark.parametrize(
+    ("target", "said", "why"),
+    [
+        (wire(ENTRY_MM + 200, END_MM + 200), {}, "out of reach"),
+        (wire(END_MM, ENTRY_MM), {}, "out of reach"),
+        (wire(), {"coordinates": "MCS"}, "in the frame 'MCS'"),
+        (wire(), {"coordinates": ""}, "in the frame ''"),
+        (wire(), {"units": "m"}, "in 'm'"),
+        (wire(ENTRY_MM / 1000, END_MM / 1000), {}, "looks like metres"),
+        (wire(), {"length_mm": "0"}, "no direction"),
+        (wire(), {"length_mm": "nan"}, "no number"),
+        (wire(), {"length_mm": "eighty"}, "no number"),
+        (wire(), {"length_mm": "200", "depth_limit_mm": "201"}, "too near|out of reach|feed ends"),
+        (wire(), {"depth_limit_mm": "30"}, "of its limit of 30.0 mm"),
+        (wire(), {"go": "no"}, "checks of the plan failed"),
+        (wire(), {"go": "maybe"}, "'yes' or 'no'"),
+        (wire(), {"side": "left"}, "side is 'left'"),
+        (wire(), {"side": "middle"}, "side"),
+        (wire(), {"frame_serial": "SN-8"}, "frame serial is 'SN-8'"),
+        (wire(), {"valid_s": "-3"}, "expired"),
+        (wire(), {"valid_s": "86400"}, "claims to be valid"),
+        (at(END_MM, SCALED), {}, "no rigid motion"),
+        (at(END_MM, MIRRORED), {}, "left-handed"),
+        (at([np.nan, 0, 0]), {}, "not finite"),
+    ],
+)
+def test_targets_that_must_not_be_drilled_are_refused_with_the_reason(robot, target, said, why):
+    ready(robot)
+    with pytest.raises(RobotRefusedError, match=why):
+        robot.aim(target, metadata(**said), 10.0)
+    with pytest.raises(RobotRefusedError, match="no target"):  # the earlier one is no longer meant
+        robot.align()
+
+
+def test_a_plan_that_leaves_something_unsaid_is_refused(robot):
+    ready(robot)
+    for missing in contract.PLAN_KEYS[1:]:
+        said = metadata()
+        del said[missing]
+        with pytest.raises(RobotRefusedError, match=f"does not state {missing}"):
+            robot.aim(wire(), said, 10.0)
+
+
+def test_a_target_through_the_table_is_refused(robot):
+    ready(robot)
+    steep = np.array([0.0, 45.0, 0.0])
+    lifted = T_MCS_CFCS * RigidTransform.from_translation([0.0, 0.0, 90.0])  # the table rises with the frame
+    robot.calibrate(lifted, 20.0)
+    with pytest.raises(RobotRefusedError, match=r"table|out of reach"):
+        robot.aim(wire(ENTRY_MM + steep, END_MM + steep), metadata(), 20.0)
+
+
+def test_a_target_older_than_the_registration_is_refused(robot):
+    ready(robot)
+    robot.calibrate(T_MCS_CFCS, 50.0)
+    with pytest.raises(RobotRefusedError, match="older than the registration"):
+        robot.aim(wire(), metadata(), 49.0)
+    with pytest.raises(RobotRefusedError, match="no target"):
+        robot.align()
+
+
+def test_registrations_that_are_none_are_refused(robot):
+    robot.start_up()
+    for bad, why in (
+        (at([300, 200, -260], SCALED), "no rigid motion"),
+        (at([0.5, 0.3, -0.26]), "metres"),
+        (at([np.inf, 0, 0]), "not finite"),
+    ):
+        robot.command("CALIBRATION").refuse_unless_ok()
+        with pytest.raises(RobotRefusedError, match=why):
+            robot.send_transform("CLB_", bad, "CALIBRATION").refuse_unless_ok()
+        with pytest.raises(RobotRefusedError, match="no registration"):
+            robot.aim(wire())
+    with pytest.raises(RobotRefusedError, match="no registration"):
+        robot.position()
+
+
+def test_two_clients_commanding(virtual, robot):
+    ready(robot)
+    with RobotClient(port=virtual.port, heartbeat=False, streams=False) as second:
+        for attempt in (second.start_up, second.align, lambda: second.calibrate(T_MCS_CFCS), second.retract):
+            with pytest.raises(RobotRefusedError, match="another client holds the command lease"):
+                attempt()
+        assert second.status().error_name == "TARGETING"
+    robot.align()
+    assert robot.status().text.startswith("ALIGNED")
+
+
+def test_streams_and_what_they_hold():
+    with served() as server, RobotClient(port=server.port) as robot:
+        ready(robot)
+        rows = robot.stream("arm/measured_js").body.values
+        assert rows.shape == (6, 5)
+        assert np.allclose(rows[0], server.dialogue.controller.snapshot().reading.encoders, atol=0.02)
+        pose = robot.stream("arm/measured_cp")
+        assert pose.metadata["coordinates"] == "MCS"
+        assert np.allclose(pose.body.matrix, ROBOT.manipulator.T_mcs_tool(rows[0]).as_matrix(), atol=0.02)
+        assert len(robot.stream("arm/force").body.values) == 1
+        length = np.linalg.norm(END_MM - ENTRY_MM)
+        assert robot.stream("arm/depth").body.values[0] < 0 < length
+        count, missed, worst_s = robot.stream("arm/cycles").body.values
+        assert count > 0 <= missed
+        assert worst_s >= 0
+        assert robot.stream("CURRENT_STATUS").body.error_name == "TARGETING"
+        assert robot.stream("arm/measured_cp").time_s == pytest.approx(time.time(), abs=5)
+
+
+@pytest.mark.parametrize("how", ["STOP", "EMERGENCY"])
+def test_a_stop_from_another_thread_and_from_another_client(how):
+    with served() as server, RobotClient(port=server.port) as robot:
+        ready(robot)
+        said = []
+        stopping = threading.Timer(0.4, lambda: said.append(robot.stop() if how == "STOP" else robot.emergency()))
+        stopping.start()
+        with pytest.raises(RobotRefusedError, match=r"stopped by a client's STOP|a client sent EMERGENCY"):
+            robot.align()
+        stopping.join()
+        assert said[0].code == 1 or how == "EMERGENCY"
+        assert still(server)
+        assert robot.status().error_name == how
+        if how == "EMERGENCY":
+            with pytest.raises(RobotRefusedError, match="a person must reset"):
+                robot.start_up()
+            fault = robot.status().subcode
+            with pytest.raises(RobotRefusedError, match="not"):
+                robot.reset(fault + 1)
+            robot.reset(fault)
+            assert robot.status().error_name == "UNDEFINED"
+        else:
+            with RobotClient(port=server.port) as other:
+                threading.Timer(0.4, other.stop).start()
+                with pytest.raises(RobotRefusedError, match="stopped by a client's STOP"):
+                    robot.align()
+                assert still(server)
+
+
+@pytest.mark.parametrize("state", [State.TARGETING, *MOVING], ids=lambda state: state.value)
+def test_a_client_that_is_killed(state):
+    with served() as server:
+        controller = server.dialogue.controller
+        client = socket.create_connection(("127.0.0.1", server.port))
+        steps = [
+            (String("START_UP"), "CMD_1"), (String("CALIBRATION"), "CMD_2"), (Transform.of(T_MCS_CFCS.inv()), "CLB_1"),
+            (String("TARGETING"), "CMD_3"), (Transform.of(wire()), "TGT_1"),
+        ]  # fmt: skip
+        if state is not State.TARGETING:
+            steps += [(String("MOVE_TO_TARGET" if state is not State.RETRACT else "RETRACT"), "CMD_4")]
+        for body, name in steps:
+            said = metadata() if name.startswith("TGT") else {}
+            client.sendall(encode(Message(body, name, version=2, metadata=said)))
+        if state is State.DRILL:
+            wait_for(lambda: controller.state is State.ALIGNED, 30.0)
+            client.sendall(encode(Message(String("DRILL"), "CMD_5")))
+        wait_for(lambda: controller.state in (state, State.PLANNING))
+        client.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, b"\1\0\0\0\0\0\0\0")
+        client.close()  # with a reset, as the system does for a process that is killed
+        wait_for(lambda: controller.state is State.UNDEFINED, 1.0)
+        assert controller.lease is None
+        assert still(server)
+
+
+def test_a_server_that_ends_and_starts_again():
+    with served() as server:
+        port = server.port
+        robot = RobotClient(port=port)
+        ready(robot)
+        threading.Timer(0.3, server.close).start()
+        with pytest.raises(LinkError, match=r"lost|closed"):
+            robot.align()
+        robot.close()
+    with pytest.raises(LinkError, match="cannot connect"):
+        RobotClient(port=port)
+    with served(port=port), RobotClient(port=port) as robot:
+        assert robot.status().error_name == "UNDEFINED"
+        with pytest.raises(RobotRefusedError):
+            robot.align()
+        robot.start_up()
+
+
+def test_a_port_that_is_taken():
+    with served() as server, pytest.raises(LinkError, match="choose another port"), served(port=server.port):
+        pass
+
+
+def test_what_cannot_be_read_moves_nothing_and_is_answered(virtual, robot):
+    ready(robot)
+    with BlockingClient(port=virtual.port) as raw:
+        good = encode(Message(String("STOP"), "CMD_1"))
+        raw._socket.sendall(good[:-1] + bytes([good[-1] ^ 1]))
+        said = raw.receive(1.0)
+        assert said.body.error_name == "UNREADABLE"
+        assert "altered" in said.body.text
+    assert robot.status().error_name == "TARGETING"
+
+
+def test_a_flood_of_requests_ends_its_connection_and_no_other(virtual, robot):
+    robot.start_up()
+    with BlockingClient(port=virtual.port) as flood:
+        data = encode(Message(String("CURRENT_STATUS"), "CURRENT_STATUS")) * 20_000
+        with pytest.raises((OSError, LinkError)):
+            flood._socket.sendall(data)
+            while True:
+                flood.receive(5.0)
+    assert robot.status().error_name == "START_UP"
+
+
+def test_a_robot_that_says_nothing_is_noticed():
+    with socket.create_server(("127.0.0.1", 0)) as silent, RobotClient(port=silent.getsockname()[1]) as robot:
+        assert not robot.capabilities
+        with pytest.raises(LinkError, match="no ACK of START_UP within 1 s"):
+            robot.start_up()
