@@ -70,8 +70,9 @@ class RobotClient:
 
     def __init__(self, host: str = LOOPBACK, port: int = PORT, *, heartbeat: bool = True, streams: bool = True) -> None:
         self.latest: dict[str, Message] = {}
+        self.listeners: list[Callable[[Message], None]] = []  # each hears every message, in order
         self.capabilities: frozenset[str] = frozenset()
-        self._host, self._port = host, port
+        self.host, self.port = host, port
         self._number = 0
         self._beats, self._beat_s = False, -np.inf
         self._main = BlockingClient(host, port)
@@ -289,6 +290,8 @@ class RobotClient:
         message = _readable(self._main.receive(min(timeout_s, contract.HEARTBEAT_S)))
         if message is not None:
             self.latest[message.device_name] = message
+            for listener in self.listeners:
+                listener(message)
         return message
 
     def _beat(self) -> None:

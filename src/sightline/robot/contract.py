@@ -14,6 +14,7 @@ HEARTBEAT = "HEARTBEAT"
 CURRENT_STATUS, CURRENT_POSITION = "CURRENT_STATUS", "CURRENT_POSITION"
 MEASURED_CP, MEASURED_JS = f"{ARM}/measured_cp", f"{ARM}/measured_js"
 FORCE, DEPTH, CYCLES = f"{ARM}/force", f"{ARM}/depth", f"{ARM}/cycles"
+EVENT = f"{ARM}/event"  # what supervision noticed: "break-through; 5.31 mm; 12.4 N"
 
 # What a peer may announce in its CAPABILITY beside types of messages, in their twelve characters.
 HAS_HEARTBEAT = "X_HEARTBEAT"  # client: I send heartbeats, stop when they end; robot: I watch them

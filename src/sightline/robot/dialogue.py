@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from sightline.robot import contract
+from sightline.robot.activities import Drilling
 from sightline.robot.contract import Code
 from sightline.robot.controller import Aim, Answer, Command, Controller, Outcome, Register, Reset, Snapshot
 from sightline.robot.igtl import (
@@ -71,6 +72,8 @@ class Dialogue:
 
     def __post_init__(self) -> None:
         self._peers: dict[int, _Peer] = {}
+        self._hole: Drilling | None = None
+        self._events = 0  # of this hole that were told
 
     def joined(self, client: int) -> None:
         """A client is there; its stop may have been heard already."""
@@ -97,7 +100,7 @@ class Dialogue:
         for outcome in self.controller.cycle(now_s):
             for client in [outcome.client] if outcome.client is not None else list(self._peers):
                 out += self._all(client, self._of_outcome(outcome))
-        return out + self._telemetry(now_s)
+        return out + self._new_events() + self._telemetry(now_s)
 
     # Answers, as (device name, body) in their order.
 
@@ -208,6 +211,18 @@ class Dialogue:
         return contract.CURRENT_POSITION, Transform.of(registration.T_mcs_cfcs.inv() * tool)
 
     # Streams.
+
+    def _new_events(self) -> list[Outgoing]:
+        """What supervision has noticed since the last cycle, for all who listen; never dropped."""
+        if self.controller.drilling is not self._hole:
+            self._hole, self._events = self.controller.drilling, 0
+        noted = [] if self._hole is None else self._hole.noted[self._events :]
+        self._events += len(noted)
+        said: list[tuple[str, Body]] = [
+            (contract.EVENT, String(f"{n.event.value}; {n.depth_mm:.2f} mm; {n.force_n:.1f} N")) for n in noted
+        ]
+        listening = [client for client, peer in self._peers.items() if peer.telemetry] if said else []
+        return [outgoing for client in listening for outgoing in self._all(client, said)]
 
     def _telemetry(self, now_s: float) -> list[Outgoing]:
         due = [

@@ -1,0 +1,64 @@
+"""What the robot said while it drilled: depth and force over the link, and the events that its supervision noticed."""
+
+import re
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from sightline.robot import contract
+from sightline.robot.igtl import Message, Sensor, String
+
+_EVENT = re.compile(r"([a-z -]{1,40}); (-?\d{1,6}\.\d\d) mm; (-?\d{1,6}\.\d) N")
+
+
+@dataclass(frozen=True)
+class DrillingEvent:
+    """`name` as supervision calls it, noticed `depth_mm` beyond the entry point at a filtered force of `force_n`."""
+
+    name: str
+    depth_mm: float
+    force_n: float
+
+
+@dataclass(frozen=True, eq=False)
+class DrillingRecord:
+    """`depth_mm` beyond the entry point and `force_n`, (N,) in the order they came; `events` likewise."""
+
+    depth_mm: np.ndarray
+    force_n: np.ndarray
+    events: tuple[DrillingEvent, ...]
+
+    def document(self) -> dict[str, Any]:
+        """As JSON types."""
+        events = [vars(event) for event in self.events]
+        return {"depth_mm": self.depth_mm.tolist(), "force_n": self.force_n.tolist(), "events": events}
+
+
+class Recorder:
+    """Give `heard` to a client's `listeners`; `record` is what was heard so far. Messages it does not know pass by."""
+
+    def __init__(self) -> None:
+        self._force_n = np.nan
+        self._samples: list[tuple[float, float]] = []
+        self._events: list[DrillingEvent] = []
+
+    def heard(self, message: Message) -> None:
+        """A message of the robot's."""
+        body = message.body
+        if isinstance(body, Sensor) and len(body.values) == 1:
+            value = float(body.values[0])
+            if message.device_name == contract.FORCE:
+                self._force_n = value
+            elif message.device_name == contract.DEPTH and np.isfinite([value, self._force_n]).all():
+                self._samples.append((value, self._force_n))
+        elif isinstance(body, String) and message.device_name == contract.EVENT:
+            said = _EVENT.fullmatch(body.text)
+            if said is not None:
+                self._events.append(DrillingEvent(said[1], float(said[2]), float(said[3])))
+
+    @property
+    def record(self) -> DrillingRecord:
+        """Up to now."""
+        samples = np.array(self._samples).reshape(-1, 2)
+        return DrillingRecord(samples[:, 0], samples[:, 1], tuple(self._events))

@@ -1,0 +1,41 @@
+"""A record holds what the robot said, and nothing that it did not."""
+
+import numpy as np
+import pytest
+
+from sightline.robot import contract
+from sightline.robot.igtl import Message, Sensor, String
+from sightline.robot.record import DrillingEvent, Recorder
+
+
+def test_depth_goes_with_the_force_before_it_and_events_keep_their_order():
+    recorder = Recorder()
+    for depth, force in ((-1.0, 0.2), (0.5, 12.5), (1.5, 30.25)):
+        recorder.heard(Message(Sensor(np.array([force])), contract.FORCE))
+        recorder.heard(Message(Sensor(np.array([depth])), contract.DEPTH))
+    recorder.heard(Message(String("contact; 0.12 mm; 1.4 N"), contract.EVENT))
+    recorder.heard(Message(String("break-through; 5.31 mm; -0.4 N"), contract.EVENT))
+    record = recorder.record
+    assert np.allclose(record.depth_mm, [-1.0, 0.5, 1.5])
+    assert np.allclose(record.force_n, [0.2, 12.5, 30.25])
+    assert record.events == (DrillingEvent("contact", 0.12, 1.4), DrillingEvent("break-through", 5.31, -0.4))
+    assert record.document()["events"][1] == {"name": "break-through", "depth_mm": 5.31, "force_n": -0.4}
+
+
+@pytest.mark.parametrize(
+    "message",
+    [
+        Message(Sensor(np.array([1.0])), contract.DEPTH),  # no force yet
+        Message(Sensor(np.array([1.0, 2.0])), contract.FORCE),
+        Message(Sensor(np.array([np.nan])), contract.DEPTH),
+        Message(Sensor(np.array([1.0])), "other/depth"),
+        Message(String("contact; 0.12 m; 1.4 N"), contract.EVENT),
+        Message(String("<b>contact</b>; 0.12 mm; 1.4 N"), contract.EVENT),
+        Message(String("contact; 0.12 mm; 1.4 N"), "other/event"),
+    ],
+)
+def test_what_is_no_sample_and_no_event_passes_by(message):
+    recorder = Recorder()
+    recorder.heard(message)
+    record = recorder.record
+    assert len(record.depth_mm) == len(record.force_n) == len(record.events) == 0
