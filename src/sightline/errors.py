@@ -49,6 +49,10 @@ class LabellingRefusedError(RefusedError):
     """The beads found cannot be told apart with certainty."""
 
 
+class WireRefusedError(RefusedError):
+    """The wire cannot be found in an image with certainty."""
+
+
 class CalibrationRefusedError(RefusedError):
     """A view cannot be calibrated from the beads given."""
 

@@ -1,0 +1,151 @@
+"""Does the check shot agree with the physics? Wires in rendered images, found, reconstructed, compared with the plan.
+
+Each trial has its own femur, frame errors, poses, and movement of the bone between planning and check; a wire off its
+plan by 0.5 mm per axis at either end; landmarks of the bone picked in all four images with the noise stated. Beads of
+the planning images are drawn with 0.05 px, those of the check images are found in the images. The plan's picks are
+exact: they define the plan.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+import sightline as sl
+from benchmarks.parallel import in_parallel
+from benchmarks.rows import Row
+from sightline.calibration import BeadView
+from sightline.detection.wire import WireShadow, find_wire
+from sightline.errors import SetUpError, SightlineError
+from sightline.frame import Frame
+from sightline.planning import Plan, plan
+from sightline.planning.check_shot import CheckShot, Landmarks, check_shot
+from sightline.planning.expected_wire import expected_wire
+from sightline.studies.scenes import VIEWS, measure
+from sightline.twin import HipScene, SetUp, draw_setup, shown_hip_scene
+from sightline.twin.implants import guide_wire
+from sightline.twin.motion import draw_motion
+from sightline.twin.render import expose
+
+SETUPS = 60
+LANDMARKS, REACH_MM = 6, 30.0  # about the wire's middle, per axis
+SD_PX = {"landmarks 0.1 px": 0.1, "landmarks 0.5 px": 0.5}
+OFF_MM = 0.5  # s.d. per axis of the wire's ends from the plan
+BEAD_PX = 0.05
+DIAMETERS_MM = (2.5, 2.8, 3.2)
+MARGIN_PX = 20.0
+ATTEMPTS = 200
+ASKED_MM, ASKED_DEG = 0.2, 0.1
+
+
+@dataclass(frozen=True, eq=False)
+class Shot:
+    """A plan, the set-up of the check, the hip as it then is with the wire in it, and where wire and landmarks are.
+
+    `wire_mm` (2, 3) and `marks_mm` (N, 3) in the bone as it was planned on.
+    """
+
+    planned: SetUp
+    checked: SetUp
+    hip: HipScene
+    wire_mm: np.ndarray
+    marks_mm: np.ndarray
+    diameter_mm: float
+
+
+def run(quick: bool) -> list[Row]:
+    """The rows of this benchmark."""
+    number = SETUPS // 10 if quick else SETUPS
+    trials = in_parallel(trial, range(number))
+    rows = [Row("check shot", "trials refused", f"{sum(isinstance(t, str) for t in trials)} of {number}")]
+    done = [one for one in trials if not isinstance(one, str)]
+    for name in SD_PX:
+        errors = np.array([one[name][:3] for one in done])
+        entry, tip, angle = np.quantile(errors, 0.95, axis=0)
+        asked = name == next(iter(SD_PX))
+        group = f"check shot, {name}"
+        for what, figure, limit, unit in (("tip", tip, ASKED_MM, "mm"), ("chord", angle, ASKED_DEG, "°")):
+            met = bool(figure <= limit) if asked else None
+            rows.append(Row(group, f"{what}: error, 95 %", f"{figure:.3f} {unit}", f"<= {limit} {unit}", "", met))
+        rows.append(Row(group, "entry: error, 95 %", f"{entry:.3f} mm"))
+        square = float(np.mean([one[name][3] for one in done])) / 5
+        rows.append(Row(group, "mean chi-square / 5", f"{square:.2f}", "0.85-1.2", "", bool(0.85 <= square <= 1.2)))
+    return rows
+
+
+def trial(seed: int) -> dict[str, tuple[float, float, float, float]] | str:
+    """For each kind of landmark the errors of entry and tip, mm, of the chord, °, and chi-square; or why none came."""
+    rng = np.random.default_rng([seed, 4])
+    shot = draw_shot(rng, DIAMETERS_MM[seed % len(DIAMETERS_MM)])
+    try:
+        before, made = planned(rng, shot)
+        seen = [in_image(rng, shot, name, made) for name in VIEWS]
+        out = {}
+        for name, sd in SD_PX.items():
+            result = check_shot(
+                made.trajectory,
+                made.picks,
+                before,
+                [view for view, _ in seen],
+                [wire for _, wire in seen],
+                landmarks=found_again(rng, shot, sd),
+            )
+            out[name] = compared(result, shot, made)
+    except SightlineError as error:
+        return f"{type(error).__name__}: {error}"
+    return out
+
+
+def draw_shot(rng: np.random.Generator, diameter_mm: float) -> Shot:
+    """A plan's and a check's set-up that both show the whole wire. Raises SetUpError."""
+    frame = Frame.load("gamma")
+    for _ in range(ATTEMPTS):
+        setup, hip = shown_hip_scene(rng, frame)
+        after = replace(draw_setup(rng, frame), true_frame=setup.true_frame)
+        motion = draw_motion(rng, hip.wire_mm.mean(axis=0))
+        wire = hip.wire_mm + rng.normal(0.0, OFF_MM, (2, 3))
+        marks = hip.wire_mm.mean(axis=0) + rng.uniform(-REACH_MM, REACH_MM, (LANDMARKS, 3))
+        points = np.concatenate([wire, marks])
+        views = [(setup.views[n], points) for n in VIEWS] + [(after.views[n], motion.apply(points)) for n in VIEWS]
+        if all(view.in_field(view.project(xyz), MARGIN_PX).all() for view, xyz in views):
+            then = replace(hip, bone=hip.bone + guide_wire(wire, diameter_mm), motions={"check": motion})
+            return Shot(setup, after, then, wire, marks, diameter_mm)
+    raise SetUpError(f"no set-up of {ATTEMPTS} shows the whole wire in all four images")
+
+
+def planned(rng: np.random.Generator, shot: Shot) -> tuple[list[BeadView], Plan]:
+    """The plan's views and the plan: the ideal wire, exactly picked."""
+    seen = measure(rng, shot.planned, BEAD_PX)
+    views = [sl.calibrate(seen[name], shot.planned.frame, view=name) for name in VIEWS]
+    ends = np.array([shot.planned.views[name].project(shot.hip.wire_mm) for name in VIEWS])
+    return views, plan(views, ends[:, 0], ends[:, 1])
+
+
+def in_image(rng: np.random.Generator, shot: Shot, name: str, made: Plan) -> tuple[BeadView, WireShadow]:
+    """A check image's view and the wire found in it."""
+    image = expose(shot.checked.views[name], shot.hip.at("check").scene).read_out(rng)
+    beads = sl.detect(image)
+    view = sl.calibrate(sl.label(beads, shot.checked.frame, name), shot.checked.frame, view=name)
+    where = expected_wire(view, made.trajectory)
+    return view, find_wire(image, where, shot.diameter_mm, beads.uv_px, beads.radius_px)
+
+
+def found_again(rng: np.random.Generator, shot: Shot, sd_px: float) -> Landmarks:
+    """The landmarks as they are picked in all four images."""
+    moved = shot.hip.motions["check"].apply(shot.marks_mm)
+    before = np.array([shot.planned.views[name].project(shot.marks_mm) for name in VIEWS])
+    after = np.array([shot.checked.views[name].project(moved) for name in VIEWS])
+    return Landmarks(*(uv + sd_px * rng.standard_normal(uv.shape) for uv in (before, after)), sd_px)
+
+
+def compared(result: CheckShot, shot: Shot, made: Plan) -> tuple[float, float, float, float]:
+    """Errors of entry and tip, mm, and chord, °; chi-square of the five numbers."""
+    along = made.trajectory.direction
+    axes = np.vstack([result.across, along])
+    way = (shot.wire_mm[1] - shot.wire_mm[0]) / np.linalg.norm(shot.wire_mm[1] - shot.wire_mm[0])
+    ideal = shot.hip.wire_mm
+    entry = shot.wire_mm[0] + way * ((ideal[0] - shot.wire_mm[0]) @ along) / (way @ along)
+    truth = np.concatenate([result.across @ (entry - ideal[0]), axes @ (shot.wire_mm[1] - ideal[1])])
+    error = result.deviation_mm - truth
+    angle = np.rad2deg(np.linalg.norm(error[2:4] - error[:2]) / result.length_mm)
+    square = error @ np.linalg.solve(result.covariance_mm2, error)
+    return float(np.linalg.norm(error[:2])), float(np.linalg.norm(error[2:])), float(angle), float(square)

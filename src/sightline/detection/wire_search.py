@@ -1,0 +1,142 @@
+"""Where about a wire lies: a dark line with lighter sides, looked for along a path in an image pulled straight."""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from scipy.ndimage import gaussian_filter, uniform_filter1d
+
+from sightline.detection.wire_model import Path
+from sightline.errors import WireRefusedError
+
+CORRIDOR_MM = 8.0  # to either side of where the wire is expected [ours]
+CORRIDOR_RAD = np.radians(5.0)  # and turned against it [ours]
+_TURNS = 21  # within the corridor
+_ALONG = 9  # px; means along the path before sides are compared
+_SIDE = 1.7  # radii from the middle, where the sides are looked at
+_FAINTEST = 0.2  # log light: cortices seen along their length reach 0.1-0.15, wires 0.4 and more [twin]
+_SHORTEST = 6.0  # radii of wire that must be seen [ours]
+_RIVAL = 0.6  # of the best line's darkness summed up: another line that reaches it competes [ours]
+_BRIDGED = 0.3  # of the wire's usual darkness: less, on the whole, is no wire; dense bone over a part leaves 0.5 [twin]
+
+
+@dataclass(frozen=True, eq=False)
+class Line:
+    """A wire found roughly: its path to some way beyond the tip; the tip's s on it and on the path expected, px."""
+
+    path: Path
+    tip_s_px: float
+    expected_tip_s_px: float
+
+
+def search(logs: np.ndarray, usable: np.ndarray, path: Path, radius_px: np.ndarray, px_per_mm: np.ndarray) -> Line:
+    """The one dark line of about the radius (M,) within the corridor about `path`. Raises WireRefusedError."""
+    corridor = CORRIDOR_MM * float(np.median(px_per_mm))
+    radius = float(np.median(radius_px))
+    length = path.s_px[-1]
+    reach = int(corridor + 0.5 * length * np.tan(CORRIDOR_RAD) + 3 * radius)
+    s, x = np.arange(int(length) + 1.0), np.arange(-reach, reach + 1.0)
+    dark, known = _darkness(logs, usable, path, s, x, radius)
+    offsets, slopes = np.arange(-corridor, corridor + 1.0), np.tan(CORRIDOR_RAD) * np.linspace(-1, 1, _TURNS)
+    lever = s - length / 2
+    sums = np.empty((len(slopes), len(offsets)))
+    capped = np.where(known, np.clip(dark, 0.0, 2 * _FAINTEST), 0.0)
+    for k, slope in enumerate(slopes):
+        rows = np.rint(offsets[:, None] + slope * lever + reach).astype(int)
+        sums[k] = capped[rows, np.arange(len(s))].sum(axis=1)
+    best = np.unravel_index(int(sums.argmax()), sums.shape)
+    if sums[best] < _FAINTEST * _SHORTEST * radius:
+        raise WireRefusedError(
+            f"no wire is seen within {CORRIDOR_MM:.0f} mm and {np.degrees(CORRIDOR_RAD):.0f}° of where it is planned; "
+            "check that the image belongs to this plan, that the wire is in, and the exposure"
+        )
+    at = offsets[best[1]] + slopes[best[0]] * lever
+    _refuse_rival(sums, best, offsets, slopes, (lever, radius))
+    across = _followed(dark, known, at, reach, radius)
+    tip = _end(dark, known, across, reach, radius)
+    kept = slice(None, min(int(tip + 12 * radius), len(s)))
+    centre = gaussian_filter(across, 2 * radius, mode="nearest")
+    centre = np.where(s < tip, centre, np.polyval(_line(s, centre, tip, radius), s))
+    on, _, normal = path.at(s)
+    found = Path.through((on + centre[:, None] * normal)[kept])
+    return Line(found, float(found.s_px[int(tip)]), tip)
+
+
+def _darkness(  # noqa: PLR0917
+    logs: np.ndarray, usable: np.ndarray, path: Path, s: np.ndarray, x: np.ndarray, radius: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """(X, S) by how much the log image is darker than on its darker side, and where that is known."""
+    on, _, normal = path.at(s)
+    where = (on[None] + x[:, None, None] * normal[None]).astype(np.float32)
+    straight = cv2.remap(logs, where[..., 0], where[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    seen = cv2.remap(usable.astype(np.float32), where[..., 0], where[..., 1], cv2.INTER_NEAREST)
+    middle = _mean(straight, seen, int(1.2 * radius))
+    side, shift = _mean(straight, seen, int(0.6 * radius)), round(_SIDE * radius)
+    left, right = np.roll(side[0], shift, axis=0), np.roll(side[0], -shift, axis=0)
+    known = (middle[1] > 0.3) & (np.roll(side[1], shift, axis=0) > 0.3) & (np.roll(side[1], -shift, axis=0) > 0.3)
+    known[:shift] = known[-shift:] = False
+    return np.minimum(left, right) - middle[0], known
+
+
+def _mean(values: np.ndarray, weight: np.ndarray, across: int) -> tuple[np.ndarray, np.ndarray]:
+    """Means over `across` by _ALONG pixels of what is seen, and the share that is."""
+    size = max(across, 1), _ALONG
+    share, total = (
+        uniform_filter1d(uniform_filter1d(a, size[0], axis=0), size[1], axis=1) for a in (weight, values * weight)
+    )
+    return total / np.maximum(share, 1e-3), share
+
+
+def _refuse_rival(
+    sums: np.ndarray,
+    best: tuple[np.intp, ...],
+    offsets: np.ndarray,
+    slopes: np.ndarray,
+    rest: tuple[np.ndarray, float],
+) -> None:
+    """Refuse where a line that lies beside the best one over most of its length is nearly as dark."""
+    lever, radius = rest
+    apart = (offsets[None] - offsets[best[1]])[..., None] + (slopes - slopes[best[0]])[:, None, None] * lever[::20]
+    elsewhere = np.median(np.abs(apart), axis=-1) > 3 * radius
+    rival = float(sums[elsewhere].max(initial=0.0)) / float(sums[best])
+    if rival > _RIVAL:
+        raise WireRefusedError(
+            f"two dark lines compete for the wire (the second has {rival:.0%} of the first's darkness); "
+            "take other metal out of the beam, or give a path nearer to the wire"
+        )
+
+
+def _followed(dark: np.ndarray, known: np.ndarray, at: np.ndarray, reach: int, radius: float) -> np.ndarray:
+    """(S,) x of the darkest line near a straight one, smoothed along by its darkness."""
+    x = np.arange(-round(radius), round(radius) + 1)
+    rows = np.clip(np.rint(at + reach).astype(int) + x[:, None], 0, len(dark) - 1)
+    columns = np.arange(dark.shape[1])
+    weight = np.where(known, np.clip(dark, 0.0, None), 0.0)[rows, columns] ** 2
+    total = gaussian_filter(np.stack([weight.sum(0), (weight * (rows - reach)).sum(0)]), (0, 3 * radius))
+    return np.where(total[0] > 1e-6, total[1] / np.maximum(total[0], 1e-6), at)
+
+
+def _end(dark: np.ndarray, known: np.ndarray, across: np.ndarray, reach: int, radius: float) -> float:
+    """s of the tip: up to there the line is dark, from there on it is not."""
+    rows, columns = np.rint(across + reach).astype(int), np.arange(len(across))
+    value, seen = np.clip(dark[rows, columns], 0.0, None), known[rows, columns]
+    usual = float(np.quantile(value[seen], 0.75)) if seen.any() else 0.0
+    gain = np.cumsum(np.where(seen, np.minimum(value, usual) - _BRIDGED * usual, 0.0))
+    tip = int(gain.argmax())
+    if usual < _FAINTEST or gain[tip] < 0.2 * _BRIDGED * usual * tip or tip < _SHORTEST * radius:
+        raise WireRefusedError(
+            "the wire is too faint or hidden by other metal over most of its length; "
+            "take other metal out of the beam, or expose more"
+        )
+    if tip > len(across) - 4 * radius:
+        raise WireRefusedError(
+            "the wire does not end where it can be seen: its tip lies outside the field, or far beyond the planned "
+            "one; bring the tip into the field"
+        )
+    return float(tip)
+
+
+def _line(s: np.ndarray, centre: np.ndarray, tip: float, radius: float) -> np.ndarray:
+    """The straight line through the last part of the wire."""
+    last = (s < tip - radius) & (s > tip - 20 * radius)
+    return np.polyfit(s[last], centre[last], 1)

@@ -1,0 +1,70 @@
+"""What the images of a check shot say: residuals, how they follow from what is sought, and how they err.
+
+A row is a number observed in one view. Landmarks give two rows each; a point of the wire's centre line gives one,
+across the line, its tip one, along it.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from sightline.calibration.projection import Pencil
+from sightline.calibration.view import SOURCES, LinesOfSight
+from sightline.planning.residuals import Residuals, pick_covariance_mm2
+
+
+@dataclass(frozen=True, eq=False)
+class Rows:
+    """R rows of one view, mm on its reference plane, of the points (N, 3) of its lines of sight.
+
+    `select` (R, 2N): rows from the points' residuals. `residual` (R,); `to_point` (R, N, 3): their derivative by the
+    points where they are thought to be; `covariance` (R, R) without the frame's error; `frame` (R, K): response to it.
+    """
+
+    residual: np.ndarray
+    to_point: np.ndarray
+    covariance: np.ndarray
+    frame: np.ndarray
+    frame_key: str | None
+
+    @staticmethod
+    def of(lines: LinesOfSight, xyz_mm: np.ndarray, noise_px2: np.ndarray, select: np.ndarray) -> "Rows":
+        """Of points (N, 3), each the one seen on its line, whose pixels err by (N, 2, 2) px²."""
+        assert lines.covariance is not None  # noqa: S101 - asked only where the errors are known
+        at, n = Residuals.at(lines, xyz_mm), len(xyz_mm)
+        picks = np.zeros((n, 2, n, 2))
+        picks[np.arange(n), :, np.arange(n), :] = pick_covariance_mm2(lines, noise_px2)
+        to_line = select @ at.to_line
+        known = np.sum([lines.covariance[source] for source in SOURCES if source != "frame"], axis=0)
+        own = to_line @ known @ to_line.T + select @ picks.reshape(2 * n, 2 * n) @ select.T
+        factor = lines.frame_factor
+        if factor is None:
+            own = own + to_line @ lines.covariance["frame"] @ to_line.T
+            factor = np.zeros((to_line.shape[1], 0))
+        to_point = np.einsum("rnc,nca->rna", select.reshape(len(select), n, 2), at.to_point)
+        return Rows(select @ at.xy_mm.ravel(), to_point, own, to_line @ factor, lines.frame_key)
+
+
+def along_and_across(lines: LinesOfSight, xyz_mm: np.ndarray, tangent: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(N, 2) each: unit vectors on the plane along the image of a curve through points (N, 3) with tangents (N, 3), and
+    across it."""
+    pencil = Pencil.through(lines.plane, lines.focal_point_mm)
+    way = np.einsum("nca,na->nc", pencil.by_point(xyz_mm), tangent)
+    way /= np.linalg.norm(way, axis=1, keepdims=True)
+    return way, np.stack([-way[:, 1], way[:, 0]], axis=-1)
+
+
+def joint_covariance(rows: Sequence[Rows]) -> np.ndarray:
+    """(R, R) of the rows of several views, one after the other: only views of one frame share its errors."""
+    ends = np.cumsum([0, *(len(one.residual) for one in rows)])
+    out = np.zeros((ends[-1], ends[-1]))
+    for i, a in enumerate(rows):
+        for j, b in enumerate(rows):
+            block = np.zeros((len(a.residual), len(b.residual)))
+            if i == j:
+                block += a.covariance
+            if i == j or (a.frame_key == b.frame_key and a.frame_key is not None):
+                block += a.frame @ b.frame.T
+            out[ends[i] : ends[i + 1], ends[j] : ends[j + 1]] = block
+    return out

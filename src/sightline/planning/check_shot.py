@@ -1,0 +1,398 @@
+"""The check shot: the wire seen in two more images, in space, against the plan.
+
+Everything is one adjustment in the coordinates of the planning images, which the bone carries: landmarks, the movement
+of the bone against the frame until the check, and the wire as a cubic along the planned axis. Observed are landmarks in
+four images, centre line and tip in two. Views err as they state, the frame's errors are those of all four.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Protocol
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from sightline.calibration.view import CalibratedView, LinesOfSight
+from sightline.errors import OutsideRegionError, ReconstructionRefusedError, UnusableInputError
+from sightline.geometry.lines import nearest_approach
+from sightline.planning.check_result import FEWEST_LANDMARKS, CheckShot, checks
+from sightline.planning.check_rows import Rows, along_and_across, joint_covariance
+from sightline.planning.picks import DEFAULT_PICK_SD_PX, Pick, stack
+from sightline.planning.reconstruct import SMALLEST_ANGLE_RAD, reconstruct
+from sightline.planning.trajectory import Trajectory
+from sightline.planning.verdict import Limits
+
+# What is taken of a movement that landmarks do not show, s.d. per axis: a leg that is thought still [twin, BoneMotion].
+STILL_MM, STILL_RAD = 1.0, float(np.deg2rad(0.5))
+_FREE_MM, _FREE_RAD = 100.0, 1.0
+_FREE_PX = 1e3  # across a snapped pick's curve, where it says nothing
+_OUTSIDE_MM = 15.0  # of wire before the entry point that still counts: further out it may be bent [ours]
+_LEAST_COSINE = 0.8  # of wire and plan: beyond 37° it is another wire [ours]
+_TIPS_APART_MM = 5.0  # seen in both views, a tip errs by 0.2 mm [ours]
+_ITERATIONS = 5
+_CURVE = 4  # terms of the wire's curve along either axis across it: its place, its direction, two of bending
+
+
+class WireSeen(Protocol):
+    """A wire found in one image, px; along the tangent a point of the centre line says nothing."""
+
+    @property
+    def uv_px(self) -> np.ndarray:
+        """(N, 2) points of the centre line."""
+        ...
+
+    @property
+    def variance_px2(self) -> np.ndarray:
+        """(N,) across it."""
+        ...
+
+    @property
+    def tip_uv_px(self) -> np.ndarray:
+        """(2,)."""
+        ...
+
+    @property
+    def tip_variance_px2(self) -> float:
+        """Along it."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class Landmarks:
+    """Points of the bone picked in the planning images and found again in the check's, (2, N, 2) px each, N from 0.
+
+    `sd_px`: of a pick, per axis. Raises UnusableInputError.
+    """
+
+    planned_uv_px: np.ndarray = field(default_factory=lambda: np.zeros((2, 0, 2)))
+    checked_uv_px: np.ndarray = field(default_factory=lambda: np.zeros((2, 0, 2)))
+    sd_px: float = DEFAULT_PICK_SD_PX
+
+    def __post_init__(self) -> None:
+        planned, checked = (np.asarray(uv, dtype=np.float64) for uv in (self.planned_uv_px, self.checked_uv_px))
+        if planned.shape != checked.shape or planned.ndim != 3 or planned.shape[::2] != (2, 2):
+            raise UnusableInputError(
+                f"landmarks have the shapes {planned.shape} and {checked.shape}; (2, N, 2) was expected of both: the "
+                "same points in both pairs of images"
+            )
+        if not (
+            np.isfinite(planned).all() and np.isfinite(checked).all() and np.isfinite(self.sd_px) and self.sd_px > 0
+        ):
+            raise UnusableInputError("landmarks must be finite pixels, and their standard deviation positive")
+
+    def __len__(self) -> int:
+        return np.shape(self.planned_uv_px)[1]
+
+
+def check_shot(
+    trajectory: Trajectory,
+    picks: Sequence[tuple[Pick, Pick]],
+    planned: Sequence[CalibratedView],
+    checked: Sequence[CalibratedView],
+    wires: Sequence[WireSeen],
+    *,
+    landmarks: Landmarks | None = None,
+    limits: Limits | None = None,
+) -> CheckShot:
+    """The wire that two check images show, against the plan made on two others.
+
+    `trajectory`, `picks` (entry, end) of a `Plan` made on the views `planned`; `wires`: what the images of the views
+    `checked` show, in their order. The picks define the plan: that they may miss what the surgeon meant is no error
+    here.
+    Raises UnusableInputError, ReconstructionRefusedError, OutsideRegionError, ErrorUnknownError.
+    """
+    landmarks = landmarks or Landmarks()
+    if len(planned) != 2 or len(checked) != 2 or len(wires) != 2 or len(picks) != 2:
+        raise UnusableInputError("a check shot needs two views of the plan, two of the check, a wire in each of these")
+    shot = _Shot(trajectory, picks, (planned, checked), wires, landmarks)
+    for _ in range(_ITERATIONS):
+        shot.step()
+    return shot.result(limits or Limits())
+
+
+class _Shot:
+    """The adjustment. Its numbers are the landmarks and the plan's two points (3N + 6), a small movement (6: turn about
+    the plan's middle, shift), the wire's curve (8) and the place of its tip along the plan (1). Its rows are those of
+    four views. The plan's points are in it, since the landmarks tell how the views err that show both."""
+
+    def __init__(
+        self,
+        trajectory: Trajectory,
+        picks: Sequence[tuple[Pick, Pick]],
+        views: tuple[Sequence[CalibratedView], Sequence[CalibratedView]],
+        wires: Sequence[WireSeen],
+        landmarks: Landmarks,
+    ) -> None:
+        self._trajectory, self._landmarks, self._views, self._n = trajectory, landmarks, views, len(landmarks)
+        self._axes = np.vstack([np.linalg.svd(trajectory.direction[None])[2][1:], trajectory.direction])
+        ends, spread, across = stack(picks)
+        self._pick_px2 = spread + _FREE_PX**2 * across[..., :, None] * across[..., None, :]
+        self._before = [
+            view.lines_of_sight(np.concatenate([marks, uv]))
+            for view, marks, uv in zip(views[0], landmarks.planned_uv_px, ends, strict=True)
+        ]
+        marks_mm, self.movement = _start_movement(views, landmarks)
+        self._points_mm = np.concatenate([marks_mm, [trajectory.entry_mm, trajectory.end_mm]])
+        wires = [_seen(view, wire) for view, wire in zip(views[1], wires, strict=True)]
+        self._curve, self._tip_mm = self._start_wire(wires)
+        wires = [self._near_the_bone(view, wire) for view, wire in zip(views[1], wires, strict=True)]
+        self._wire_px2 = [np.append(wire.variance_px2, wire.tip_variance_px2) for wire in wires]
+        self._after = [
+            view.lines_of_sight(np.concatenate([marks, wire.uv_px, wire.tip_uv_px[None]]))
+            for view, marks, wire in zip(views[1], landmarks.checked_uv_px, wires, strict=True)
+        ]
+
+    def step(self) -> None:
+        """Gauss and Newton's."""
+        residual, _, gain, _ = self._linearised()
+        sizes = [self._points_mm.size, 3, 3, 2 * _CURVE]
+        points, turn, shift, curve, tip = np.split(gain @ residual, np.cumsum(sizes))
+        self._points_mm = self._points_mm + points.reshape(-1, 3)
+        rotation, middle = Rotation.from_rotvec(turn), self._middle
+        move = RigidTransform.from_components(middle + shift - rotation.apply(middle), rotation)
+        self.movement = move * self.movement
+        self._curve = self._curve + curve.reshape(_CURVE, 2)
+        self._tip_mm += float(tip[0])
+
+    def result(self, limits: Limits) -> CheckShot:
+        """What has come out, with its errors and its checks."""
+        residual, design, gain, covariance = self._linearised()
+        # A prior that leaves all free is no observation.
+        free = 6 if self._n >= FEWEST_LANDMARKS else 3 if self._n else 0
+        square = residual @ np.linalg.solve(covariance, residual) / (len(residual) - free - design.shape[1])
+        to_deviation = self._to_deviation() @ gain
+        spread = to_deviation @ (covariance - self._plan_picks_mm2(len(covariance))) @ to_deviation.T
+        bending = slice(self._points_mm.size + 10, -1)
+        terms = self._curve[2:].ravel()
+        known = (gain @ covariance @ gain.T)[bending, bending]
+        along = np.linspace(0.0, self._tip_mm, 101)
+        entry, tip = self._wire(np.array([0.0, self._tip_mm]))
+        chord = entry + np.outer(along / self._tip_mm, tip - entry)
+        planned = self._points_mm[-2:]
+        shot = CheckShot(
+            entry_mm=entry,
+            tip_mm=tip,
+            deviation_mm=np.concatenate([self._axes[:2] @ (entry - planned[0]), self._axes @ (tip - planned[1])]),
+            covariance_mm2=spread,
+            across=self._axes[:2],
+            length_mm=self._trajectory.length_mm,
+            movement=self.movement,
+            landmarks=self._n,
+            bow_mm=float(np.linalg.norm(self._wire(along) - chord, axis=1).max()),
+            bow_sigma=float(np.sqrt(terms @ np.linalg.solve(known, terms) / len(terms))),
+            residual_rms=float(np.sqrt(square)),
+        )
+        return replace(shot, checks=checks(shot, limits, self._views[1]))
+
+    @property
+    def _middle(self) -> np.ndarray:
+        """(3,) where the middle of the plan is in the check's images."""
+        return self.movement.apply((self._trajectory.entry_mm + self._trajectory.end_mm) / 2)
+
+    @property
+    def _prior_sd(self) -> np.ndarray:
+        """(6,) of turn and shift."""
+        turn = _FREE_RAD if self._n >= FEWEST_LANDMARKS else STILL_RAD
+        return np.repeat([turn, _FREE_MM if self._n else STILL_MM], 3)
+
+    def _offset(self, along_mm: np.ndarray | float) -> np.ndarray:
+        """(..., 2) of the wire from the planned axis."""
+        return _terms(np.asarray(along_mm) / self._trajectory.length_mm) @ self._curve
+
+    def _wire(self, along_mm: np.ndarray) -> np.ndarray:
+        """(N, 3) its points, in the bone."""
+        return self._trajectory.entry_mm + along_mm[:, None] * self._axes[2] + self._offset(along_mm) @ self._axes[:2]
+
+    def _tangent(self, along_mm: np.ndarray) -> np.ndarray:
+        """(N, 3) d wire / d along."""
+        return (self._wire(along_mm + 0.5) - self._wire(along_mm - 0.5)) / 1.0
+
+    def _places(self, focal_mm: np.ndarray, directions: np.ndarray) -> np.ndarray:
+        """(N,) where along the plan lines of sight pass the wire."""
+        line = self.movement.apply(self._wire(np.array([0.0, self._trajectory.length_mm])))
+        on = nearest_approach(focal_mm, directions, line[0], line[1] - line[0]).second_mm
+        return (self.movement.inv().apply(on) - self._trajectory.entry_mm) @ self._axes[2]
+
+    def _linearised(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Residuals of all rows and of the prior, their derivatives, the gain from the former to the numbers sought,
+        and the residuals' covariance."""
+        marks_px2 = np.broadcast_to(self._landmarks.sd_px**2 * np.eye(2), (self._n, 2, 2))
+        rows, designs = [], []
+        for lines, plan_px2 in zip(self._before, self._pick_px2, strict=True):
+            count = len(self._points_mm)
+            one = Rows.of(lines, self._points_mm, np.concatenate([marks_px2, plan_px2]), np.eye(2 * count))
+            design = np.zeros((2 * count, 3 * count + 7 + 2 * _CURVE))
+            design[:, : 3 * count] = one.to_point.reshape(2 * count, -1)
+            rows.append(one)
+            designs.append(design)
+        for lines, wire_px2 in zip(self._after, self._wire_px2, strict=True):
+            one, design = self._after_rows(lines, wire_px2, marks_px2)
+            rows.append(one)
+            designs.append(design)
+        prior = np.zeros((6, designs[0].shape[1]))
+        prior[:, self._points_mm.size : self._points_mm.size + 6] = np.eye(6)
+        residual = np.concatenate([*(one.residual for one in rows), self._prior_residual()])
+        design = np.concatenate([*designs, prior])
+        covariance = np.zeros((len(residual), len(residual)))
+        covariance[:-6, :-6] = joint_covariance(rows)
+        covariance[-6:, -6:] = np.diag(self._prior_sd**2)
+        weighed = np.linalg.solve(covariance, design).T
+        return residual, design, np.linalg.solve(weighed @ design, weighed), covariance
+
+    def _plan_picks_mm2(self, size: int) -> np.ndarray:
+        """(R, R): what the scatter of the plan's picks, which defines the plan, adds to the rows' covariance."""
+        out = np.zeros((size, size))
+        for view, lines in enumerate(self._before):
+            for k in range(2):
+                first = 2 * (view * len(self._points_mm) + self._n + k)
+                jacobian = lines.jacobian[self._n + k]
+                out[first : first + 2, first : first + 2] = jacobian @ self._pick_px2[view, k] @ jacobian.T
+        return out
+
+    def _after_rows(self, lines: LinesOfSight, wire_px2: np.ndarray, marks_px2: np.ndarray) -> tuple[Rows, np.ndarray]:
+        """Of a check image: its rows, and their derivatives by all numbers sought."""
+        n, count, moving = self._n, len(wire_px2) - 1, self._points_mm.size
+        along = np.append(self._places(lines.focal_point_mm, lines.directions[n:-1]), self._tip_mm)
+        tangent = self._tangent(along)
+        xyz = self.movement.apply(np.concatenate([self._points_mm[:n], self._wire(along)]))
+        turned = self.movement.rotation.as_matrix()
+        way, across = along_and_across(lines, xyz[n:], tangent @ turned.T)
+        select = np.zeros((2 * n + count + 1, len(xyz), 2))
+        select[np.arange(2 * n), np.arange(2 * n) // 2, np.arange(2 * n) % 2] = 1.0
+        select[2 * n + np.arange(count), n + np.arange(count)] = across[:-1]
+        select[-1, -1] = way[-1]
+        noise = np.concatenate([marks_px2, wire_px2[:, None, None] * np.eye(2)])
+        rows = Rows.of(lines, xyz, noise, select.reshape(len(select), -1))
+        design = np.zeros((len(select), moving + 7 + 2 * _CURVE))
+        in_bone = rows.to_point @ turned
+        design[:, : 3 * n] = in_bone[:, :n].reshape(len(select), -1)
+        design[:, moving : moving + 3] = np.cross(xyz - self._middle, rows.to_point).sum(axis=1)
+        design[:, moving + 3 : moving + 6] = rows.to_point.sum(axis=1)
+        by_offset = in_bone[:, n:] @ self._axes[:2].T
+        terms = _terms(along / self._trajectory.length_mm)
+        design[:, moving + 6 : -1] = np.einsum("rnc,nk->rkc", by_offset, terms).reshape(len(select), -1)
+        design[:, -1] = in_bone[:, -1] @ tangent[-1]
+        return rows, design
+
+    def _prior_residual(self) -> np.ndarray:
+        """(6,) from what has moved to nothing moved."""
+        middle = (self._trajectory.entry_mm + self._trajectory.end_mm) / 2
+        return -np.concatenate([self.movement.rotation.as_rotvec(), self.movement.apply(middle) - middle])
+
+    def _to_deviation(self) -> np.ndarray:
+        """(5, all numbers): derivative of the deviation by what is sought."""
+        first = self._points_mm.size + 6
+        out = np.zeros((5, first + 2 * _CURVE + 1))
+        terms = _terms(np.array([0.0, self._tip_mm]) / self._trajectory.length_mm)
+        for row, k in ((0, 0), (2, 1)):
+            out[row : row + 2, first:-1] = np.kron(terms[k], np.eye(2))
+        out[2:4, -1] = self._tangent(np.array([self._tip_mm]))[0] @ self._axes[:2].T
+        out[4, -1] = 1.0
+        out[:2, first - 12 : first - 9], out[2:, first - 9 : first - 6] = -self._axes[:2], -self._axes
+        return out
+
+    def _start_wire(self, wires: Sequence[WireSeen]) -> tuple[np.ndarray, float]:
+        """Curve and tip: where the planes of both views' lines of sight meet. Raises ReconstructionRefusedError."""
+        normals, through = [], []
+        for view, wire in zip(self._views[1], wires, strict=True):
+            lines = view.lines_of_sight(np.concatenate([wire.uv_px, wire.tip_uv_px[None]]))
+            normals.append(np.linalg.svd(lines.directions)[2][2])
+            through.append(lines)
+        way = np.cross(*normals)
+        if np.linalg.norm(way) < np.sin(SMALLEST_ANGLE_RAD):
+            raise ReconstructionRefusedError(
+                "both views see the wire in one plane, so its place in space does not follow; take one of them from "
+                "another direction"
+            )
+        way /= np.linalg.norm(way)
+        focal = [lines.focal_point_mm for lines in through]
+        on = np.linalg.solve(
+            np.stack([*normals, way]), [normals[0] @ focal[0], normals[1] @ focal[1], way @ self._middle]
+        )
+        back = self.movement.inv()
+        origin, way = back.apply(on), back.rotation.apply(way)
+        way = way if way @ self._axes[2] > 0 else -way
+        if way @ self._axes[2] < _LEAST_COSINE:
+            angle = np.rad2deg(np.arccos(way @ self._axes[2]))
+            raise ReconstructionRefusedError(
+                f"the line seen lies at {angle:.0f}° to the plan: the images show another wire, or are of another plan"
+            )
+        off = (origin - self._trajectory.entry_mm) @ self._axes.T
+        slope = self._axes[:2] @ way / (self._axes[2] @ way)
+        curve = np.zeros((_CURVE, 2))
+        curve[0], curve[1] = off[:2] - slope * off[2], slope * self._trajectory.length_mm
+        ends = [
+            nearest_approach(
+                lines.focal_point_mm, lines.directions[-1], on, self.movement.rotation.apply(way)
+            ).second_mm
+            for lines in through
+        ]
+        along = (back.apply(np.array(ends)) - self._trajectory.entry_mm) @ self._axes[2]
+        if (apart := float(np.ptp(along))) > _TIPS_APART_MM:
+            raise ReconstructionRefusedError(
+                f"the tips seen in the two images lie {apart:.0f} mm apart along the wire: the images are exchanged, "
+                "or one does not show this wire's tip"
+            )
+        return curve, float(along.mean())
+
+    def _near_the_bone(self, view: CalibratedView, wire: "_Wire") -> "_Wire":
+        """Without what lies far outside the entry."""
+        lines = view.lines_of_sight(wire.uv_px)
+        along = self._places(lines.focal_point_mm, lines.directions)
+        kept = (along > -_OUTSIDE_MM) & (along < self._tip_mm)
+        if np.count_nonzero(kept) < _CURVE:
+            raise ReconstructionRefusedError(
+                f"view {view.name!r} shows less of the wire within the bone than its line needs; check that the images "
+                "belong to this plan"
+            )
+        return replace(wire, uv_px=wire.uv_px[kept], variance_px2=wire.variance_px2[kept])
+
+
+@dataclass(frozen=True, eq=False)
+class _Wire:
+    """A `WireSeen` where its view can say something."""
+
+    uv_px: np.ndarray
+    variance_px2: np.ndarray
+    tip_uv_px: np.ndarray
+    tip_variance_px2: float
+
+
+def _seen(view: CalibratedView, wire: WireSeen) -> _Wire:
+    """Without the points outside the view's calibrated region."""
+    kept = np.array([_in_region(view, uv) for uv in wire.uv_px], dtype=bool)
+    if np.count_nonzero(kept) < _CURVE:
+        raise ReconstructionRefusedError(
+            f"the wire lies outside the region that view {view.name!r} is calibrated in; move the frame so that its "
+            "beads surround it"
+        )
+    return _Wire(wire.uv_px[kept], wire.variance_px2[kept], wire.tip_uv_px, float(wire.tip_variance_px2))
+
+
+def _in_region(view: CalibratedView, uv_px: np.ndarray) -> bool:
+    try:
+        view.lines_of_sight(uv_px[None])
+    except OutsideRegionError:
+        return False
+    return True
+
+
+def _terms(share: np.ndarray) -> np.ndarray:
+    """(..., _CURVE) of the wire's curve at shares of the planned length; those of bending vanish at entry and end."""
+    bend = share * (share - 1)
+    return np.stack([np.ones_like(share), share, bend, bend * (2 * share - 1)], axis=-1)
+
+
+def _start_movement(
+    views: tuple[Sequence[CalibratedView], Sequence[CalibratedView]], landmarks: Landmarks
+) -> tuple[np.ndarray, RigidTransform]:
+    """Landmarks (N, 3) in the planning CFCS, and how they moved to where the check shows them."""
+    if not len(landmarks):
+        return np.zeros((0, 3)), RigidTransform.identity()
+    spread = np.broadcast_to(landmarks.sd_px**2 * np.eye(2), (2, len(landmarks), 2, 2))
+    before = reconstruct(views[0], landmarks.planned_uv_px, spread).xyz_mm
+    after = reconstruct(views[1], landmarks.checked_uv_px, spread).xyz_mm
+    rotation = Rotation.identity()
+    if len(landmarks) >= FEWEST_LANDMARKS:
+        rotation = Rotation.align_vectors(after - after.mean(axis=0), before - before.mean(axis=0))[0]
+    return before, RigidTransform.from_components(after.mean(axis=0) - rotation.apply(before.mean(axis=0)), rotation)

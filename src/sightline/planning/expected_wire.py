@@ -1,0 +1,54 @@
+"""Where in a check image the planned wire should be seen."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from sightline.calibration.view import CalibratedView
+from sightline.errors import OutsideRegionError
+from sightline.planning.trajectory import Trajectory
+
+BEFORE_MM, BEYOND_MM = 25.0, 15.0  # of the wire outside the entry, and beyond the planned tip [ours]
+_STEP_MM = 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class ExpectedWire:
+    """Points of the planned axis in an image, from outside to beyond the tip.
+
+    `uv_px` (M, 2), IDCS; `along_mm` (M,) from the entry; `px_per_mm` (M,): scale across the wire at its depth; `sine`
+    (M,) of the angle between wire and rays.
+    """
+
+    uv_px: np.ndarray
+    along_mm: np.ndarray
+    px_per_mm: np.ndarray
+    sine: np.ndarray
+
+
+def expected_wire(view: CalibratedView, trajectory: Trajectory) -> ExpectedWire:
+    """The planned wire in a view, as far as the view is calibrated. Raises OutsideRegionError where it is nowhere."""
+    along = np.arange(-BEFORE_MM, trajectory.length_mm + BEYOND_MM, _STEP_MM)
+    xyz = trajectory.entry_mm + along[:, None] * trajectory.direction
+    rays = xyz - view.focal_point_mm
+    across = np.cross(trajectory.direction, rays)
+    sine = np.linalg.norm(across, axis=1) / np.linalg.norm(rays, axis=1)
+    across /= np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-9)
+    seen = [_projected(view, np.stack([p, p - a / 2, p + a / 2])) for p, a in zip(xyz, across, strict=True)]
+    inside = np.array([one is not None for one in seen])
+    if np.count_nonzero(inside) < 2:
+        raise OutsideRegionError(
+            f"view {view.name!r} is calibrated nowhere along the plan; move the frame so that its beads surround it"
+        )
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], inside, [False]]).astype(int))).reshape(-1, 2)
+    first, last = edges[np.argmax(np.diff(edges, axis=1))]
+    uv = np.array(seen[first:last])
+    scale = np.linalg.norm(uv[:, 2] - uv[:, 1], axis=1)
+    return ExpectedWire(uv[:, 0], along[first:last], scale, sine[first:last])
+
+
+def _projected(view: CalibratedView, xyz_mm: np.ndarray) -> np.ndarray | None:
+    try:
+        return view.project(xyz_mm)
+    except OutsideRegionError:
+        return None

@@ -1,0 +1,150 @@
+"""The wire in an image: centre line and tip against the truth, and what is refused beside what is not."""
+
+import numpy as np
+import pytest
+from tests.detection.wire_images import PX_PER_MM, SIZE, Drawn, Expected, expected, image_of
+
+from sightline.detection.wire import WireShadow, find_wire
+from sightline.errors import UnusableInputError, WireRefusedError
+from sightline.imaging import Radiograph
+
+WIRE = Drawn((391.37, 301.62), 0.43)
+NONE = np.zeros((0, 2)), np.zeros(0)
+
+
+def clear(wires: list[Drawn]) -> Radiograph:
+    """An image at a dose that leaves hardly any noise."""
+    return image_of(wires, np.random.default_rng(3), quanta=2e4)
+
+
+def off_line(seen: WireShadow, wire: Drawn) -> np.ndarray:
+    """(N,) px: centre line from the truth, across it."""
+    return (seen.uv_px - wire.tip_px) @ [-wire.along[1], wire.along[0]]
+
+
+def at_tip(seen: WireShadow, wire: Drawn) -> float:
+    """Px: tip beyond the truth."""
+    return float((seen.tip_uv_px - wire.tip_px) @ wire.along)
+
+
+@pytest.mark.parametrize("diameter_mm", [2.5, 3.2])
+def test_with_hardly_any_noise_line_and_tip_lie_where_they_are(diameter_mm):
+    wire = Drawn((391.37, 301.62), 0.43, diameter_mm, 1.5 * diameter_mm)
+    seen = find_wire(clear([wire]), expected(wire, aside_mm=2.0, turned_rad=0.02), diameter_mm, *NONE)
+    assert np.abs(off_line(seen, wire)).max() < 0.03
+    assert abs(at_tip(seen, wire)) < 0.3
+    assert seen.width_mm == pytest.approx(diameter_mm, rel=0.03)
+    assert seen.contrast < -0.8
+
+
+def test_a_plain_end_is_found_where_it_is_said_to_be_one():
+    wire = Drawn((391.37, 301.62), 0.43, point_mm=0.0)
+    seen = find_wire(clear([wire]), expected(wire), 2.5, *NONE, point_mm=0.0)
+    assert abs(at_tip(seen, wire)) < 0.3
+    assert seen.point_mm == 0.0
+
+
+def test_far_in_the_corridor_and_across_a_bone_edge():
+    v, u = np.mgrid[:SIZE, :SIZE]
+    ground = 0.65 + 0.35 * np.tanh((u + 0.4 * v - 320) / 3)
+    wire = Drawn((391.37, 301.62), 0.43)
+    image = image_of([wire], np.random.default_rng(5), ground=ground)
+    seen = find_wire(image, expected(wire, aside_mm=7.0, turned_rad=0.06), 2.5, *NONE)
+    assert np.sqrt((off_line(seen, wire) ** 2).mean()) < 0.15
+    assert abs(at_tip(seen, wire)) < 1.0
+
+
+def test_the_stated_variance_is_that_of_repeated_images():
+    """What is stated holds what images of bone add to the noise: here it may be too large, not too small."""
+    line, tip = [], []
+    for seed in range(8):
+        rng = np.random.default_rng(seed)
+        wire = Drawn(tuple(390 + rng.uniform(-3, 3, 2)), 0.43 + rng.uniform(-0.05, 0.05))
+        seen = find_wire(image_of([wire], rng, quanta=30.0), expected(wire, aside_mm=1.0), 2.5, *NONE)
+        line.append(np.mean(off_line(seen, wire) ** 2 / seen.variance_px2))
+        tip.append(at_tip(seen, wire) ** 2 / seen.tip_variance_px2)
+    assert 0.3 < np.mean(line) < 1.3
+    assert np.mean(tip) < 1.8
+
+
+def test_beads_over_the_wire_are_left_out():
+    v, u = np.mgrid[:SIZE, :SIZE]
+    beads = np.array([[250.0, 246.0], [330.0, 268.0], [200.0, 205.0]])
+    radius = np.full(3, 8.0)
+    ground = np.ones((SIZE, SIZE))
+    for (x, y), r in zip(beads, radius, strict=True):
+        ground[np.hypot(u - x, v - y) < r] = 0.4
+    image = image_of([WIRE], np.random.default_rng(6), ground=ground)
+    seen = find_wire(image, expected(WIRE), 2.5, beads, radius)
+    assert np.sqrt((off_line(seen, WIRE) ** 2).mean()) < 0.15
+    assert (np.hypot(*(seen.uv_px[:, None] - beads).T) > 5.0).all()
+
+
+def test_no_wire_is_refused():
+    with pytest.raises(WireRefusedError, match="no wire is seen"):
+        find_wire(image_of([], np.random.default_rng(1)), expected(WIRE), 2.5, *NONE)
+
+
+def test_a_wire_outside_the_corridor_is_refused():
+    with pytest.raises(WireRefusedError, match="no wire is seen"):
+        find_wire(image_of([WIRE], np.random.default_rng(1)), expected(WIRE, aside_mm=16.0), 2.5, *NONE)
+
+
+def test_a_plan_outside_the_image_is_refused():
+    far = expected(WIRE)
+    far = Expected(far.uv_px + 2000.0, far.along_mm, far.px_per_mm, far.sine)
+    with pytest.raises(WireRefusedError, match="outside the image's field"):
+        find_wire(image_of([WIRE], np.random.default_rng(1)), far, 2.5, *NONE)
+
+
+def test_two_wires_compete():
+    beside = Drawn(tuple(np.array(WIRE.tip_px) + 5.0 * PX_PER_MM * np.array([-WIRE.along[1], WIRE.along[0]])), 0.43)
+    with pytest.raises(WireRefusedError, match="compete"):
+        find_wire(image_of([WIRE, beside], np.random.default_rng(1)), expected(WIRE, aside_mm=2.5), 2.5, *NONE)
+
+
+def test_a_wire_hidden_behind_metal_is_refused():
+    v, u = np.mgrid[:SIZE, :SIZE]
+    metal = np.where(np.hypot(u - 270, v - 250) < 160, 0.02, 1.0)
+    with pytest.raises(WireRefusedError):
+        find_wire(image_of([WIRE], np.random.default_rng(1), metal=metal), expected(WIRE), 2.5, *NONE)
+
+
+def test_a_hidden_tip_is_refused():
+    with pytest.raises(WireRefusedError, match="tip is hidden"):
+        tip = np.array([WIRE.tip_px])
+        find_wire(image_of([WIRE], np.random.default_rng(1)), expected(WIRE), 2.5, tip, np.array([30.0]))
+
+
+def test_a_tip_outside_the_field_is_refused():
+    through = Drawn((WIRE.tip_px[0] + 200.0, WIRE.tip_px[1] + 92.0), WIRE.turn_rad)
+    with pytest.raises(WireRefusedError, match="does not end"):
+        find_wire(image_of([through], np.random.default_rng(1)), expected(WIRE), 2.5, *NONE)
+
+
+def test_a_thicker_rod_is_not_the_wire():
+    with pytest.raises(WireRefusedError):
+        find_wire(image_of([Drawn(WIRE.tip_px, 0.43, 4.5)], np.random.default_rng(1)), expected(WIRE), 2.5, *NONE)
+
+
+def test_a_wire_seen_end_on_is_refused():
+    good = expected(WIRE)
+    with pytest.raises(WireRefusedError, match="end on"):
+        find_wire(
+            image_of([WIRE], np.random.default_rng(1)),
+            Expected(good.uv_px, good.along_mm, good.px_per_mm, 0.1 * good.sine),
+            2.5,
+            *NONE,
+        )
+
+
+@pytest.mark.parametrize("wrong", ["diameter", "order", "shape"])
+def test_what_cannot_be_a_wire_is_unusable(wrong):
+    good, image = expected(WIRE), image_of([WIRE], np.random.default_rng(1))
+    bad = {
+        "diameter": (good, 0.0),
+        "order": (Expected(good.uv_px, good.along_mm[::-1], good.px_per_mm, good.sine), 2.5),
+        "shape": (Expected(good.uv_px[:5], good.along_mm, good.px_per_mm, good.sine), 2.5),
+    }[wrong]
+    with pytest.raises(UnusableInputError):
+        find_wire(image, *bad, *NONE)

@@ -1,0 +1,213 @@
+"""The check shot in space: deviations and their covariance proved by sampling, a bent wire, a moved bone, refusals."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+
+import sightline as sl
+from sightline.calibration import BeadView
+from sightline.checks import failed
+from sightline.errors import ReconstructionRefusedError, UnusableInputError
+from sightline.frame import Frame
+from sightline.planning import Plan, plan
+from sightline.planning.check_shot import CheckShot, Landmarks, check_shot
+from sightline.planning.expected_wire import expected_wire
+from sightline.studies.scenes import VIEWS, measure
+from sightline.twin import SetUp, draw_setup
+from sightline.twin.motion import draw_motion
+
+PLAN = np.array([[35.0, 34.0, -8.0], [-33.0, -36.0, 7.0]])
+MARKS = np.array(
+    [[-20.0, -12.0, 9.0], [14.0, 22.0, -11.0], [18.0, -19.0, 16.0], [-24.0, 13.0, -15.0], [3.0, 5.0, 21.0]]
+)
+ACROSS_PX, TIP_PX, MARK_PX = 0.06, 0.45, 0.1
+
+
+@dataclass(frozen=True, eq=False)
+class Wire:
+    """See `WireSeen`."""
+
+    uv_px: np.ndarray
+    variance_px2: np.ndarray
+    tip_uv_px: np.ndarray
+    tip_variance_px2: float
+
+
+@dataclass(frozen=True, eq=False)
+class Case:
+    """A plan, and everything that the check shows of a wire (2, 3) in the bone, which has moved."""
+
+    made: Plan
+    before: list[BeadView]
+    after: list[BeadView]
+    wires: list[Wire]
+    landmarks: Landmarks
+
+    def result(self, **others) -> CheckShot:
+        given = {name: getattr(self, name) for name in ("before", "after", "wires", "landmarks")} | others
+        return check_shot(
+            self.made.trajectory,
+            self.made.picks,
+            given["before"],
+            given["after"],
+            given["wires"],
+            landmarks=given["landmarks"],
+        )
+
+
+def shows(setup: SetUp, xyz: np.ndarray) -> bool:
+    return all(setup.views[name].in_field(setup.views[name].project(xyz), 15.0).all() for name in VIEWS)
+
+
+def drawn(rng: np.random.Generator, xyz: np.ndarray) -> SetUp:
+    while True:
+        setup = draw_setup(rng, Frame.load("gamma"))
+        if shows(setup, xyz):
+            return setup
+
+
+def wire_in(rng: np.random.Generator, setup: SetUp, name: str, curve: np.ndarray) -> Wire:
+    """A centre line (M, 3), its last point the tip, as an image shows it."""
+    uv = setup.views[name].project(curve)
+    way = np.gradient(uv, axis=0)
+    way /= np.linalg.norm(way, axis=1, keepdims=True)
+    across = np.stack([-way[:, 1], way[:, 0]], axis=-1)
+    tip = uv[-1] + TIP_PX * rng.standard_normal() * way[-1]
+    kept = np.arange(4, len(uv) - 6, 4)
+    kept = kept[setup.views[name].in_field(uv[kept], 10.0)]
+    points = uv[kept] + ACROSS_PX * rng.standard_normal((len(kept), 1)) * across[kept]
+    return Wire(points, np.full(len(kept), ACROSS_PX**2), tip, TIP_PX**2)
+
+
+def case(seed: int, wire: np.ndarray, bow_mm: float = 0.0) -> Case:
+    rng = np.random.default_rng(seed)
+    motion = draw_motion(rng, PLAN.mean(axis=0))
+    first = drawn(rng, np.concatenate([PLAN, MARKS]))
+    second = replace(drawn(rng, motion.apply(np.concatenate([wire, MARKS]))), true_frame=first.true_frame)
+    share = np.linspace(-0.2, 1.0, 101)[:, None]
+    bent = 4 * bow_mm * share * (1 - share) * np.array([0.0, 0.0, 1.0])
+    curve = motion.apply(wire[0] + share * (wire[1] - wire[0]) + bent)
+    views = []
+    for setup in (first, second):
+        seen = measure(rng, setup, 0.05)
+        views.append([sl.calibrate(seen[name], setup.frame, view=name) for name in VIEWS])
+    ends = np.array([first.views[name].project(PLAN) for name in VIEWS])
+    marks = (
+        np.array([setup.views[name].project(xyz) for name in VIEWS]) + MARK_PX * rng.standard_normal((2, len(MARKS), 2))
+        for setup, xyz in ((first, MARKS), (second, motion.apply(MARKS)))
+    )
+    return Case(
+        plan(views[0], ends[:, 0], ends[:, 1]),
+        *views,
+        [wire_in(rng, second, name, curve) for name in VIEWS],
+        Landmarks(*marks, MARK_PX),
+    )
+
+
+def errors(shot: CheckShot, along: np.ndarray, wire: np.ndarray) -> np.ndarray:
+    """(5,): deviations stated less those that are true."""
+    way = wire[1] - wire[0]
+    entry = wire[0] + way * ((PLAN[0] - wire[0]) @ along) / (way @ along)
+    axes = np.vstack([shot.across, along])
+    return shot.deviation_mm - np.concatenate([shot.across @ (entry - PLAN[0]), axes @ (wire[1] - PLAN[1])])
+
+
+WIRE = PLAN + np.array([[0.4, -0.3, 0.2], [-0.2, 0.5, 0.3]])
+
+
+@pytest.fixture(scope="module")
+def one() -> Case:
+    return case(3, WIRE)
+
+
+def test_the_stated_covariance_is_that_of_the_errors():
+    rng, squares, ends = np.random.default_rng(11), [], []
+    for seed in range(12):
+        wire = PLAN + rng.normal(0.0, 0.5, (2, 3))
+        drawn_case = case(100 + seed, wire)
+        shot = drawn_case.result()
+        error = errors(shot, drawn_case.made.trajectory.direction, wire)
+        squares.append(error @ np.linalg.solve(shot.covariance_mm2, error))
+        ends.append([np.linalg.norm(error[:2]), np.linalg.norm(error[2:])])
+    # Mean of 12 chi-squares of 5 degrees of freedom, over 5: 1 ± 0.18.
+    assert 0.5 < np.mean(squares) / 5 < 1.5
+    assert np.median(ends, axis=0)[0] < 0.07
+    assert np.median(ends, axis=0)[1] < 0.12
+
+
+def test_a_wire_within_its_limits_passes_and_says_what_it_is(one):
+    shot = one.result()
+    assert shot.passed
+    assert {check.name for check in shot.checks} >= {"wire entry", "wire tip", "wire direction", "bone landmarks"}
+    document = shot.document()
+    assert document["passed"]
+    assert document["deviation"]["tip_mm"] == pytest.approx(shot.tip_deviation_mm)
+    assert abs(shot.tip_deviation_mm - np.linalg.norm(WIRE[1] - PLAN[1])) < 0.2
+    assert shot.bow_sigma < 3.0
+
+
+def test_a_wire_beside_its_plan_fails_by_name():
+    shot = case(4, PLAN + np.array([[0.0, 0.0, 2.0], [0.0, 0.0, -1.0]])).result()
+    assert {check.name for check in failed(shot.checks)} == {"wire entry", "wire tip", "wire direction"}
+
+
+def test_a_bow_is_measured_and_its_chord_is_not_bent_with_it():
+    bent = case(5, WIRE, bow_mm=0.6)
+    shot = bent.result()
+    assert shot.bow_mm == pytest.approx(0.6, abs=0.08)
+    assert shot.bow_sigma > 10.0
+    assert np.linalg.norm(errors(shot, bent.made.trajectory.direction, WIRE)[2:]) < 0.25
+
+
+def test_fewer_landmarks_say_so_and_know_less(one):
+    whole = one.result()
+    marks = one.landmarks
+    two = one.result(landmarks=Landmarks(marks.planned_uv_px[:, :2], marks.checked_uv_px[:, :2], MARK_PX))
+    none = one.result(landmarks=Landmarks())
+    assert whole.direction_error_95_rad < two.direction_error_95_rad
+    assert two.tip_error_95_mm < none.tip_error_95_mm
+    assert "bone landmarks" in {check.name for check in failed(two.checks)}
+    assert {"bone landmarks", "check shot error"} <= {check.name for check in failed(none.checks)}
+
+
+def test_a_landmark_that_is_another_shows(one):
+    wrong = one.landmarks.checked_uv_px.copy()
+    wrong[0, 1] += [6.0, -5.0]
+    shot = one.result(landmarks=Landmarks(one.landmarks.planned_uv_px, wrong, MARK_PX))
+    assert "check shot residuals" in {check.name for check in failed(shot.checks)}
+
+
+def test_wires_of_exchanged_images_are_refused_or_fail(one):
+    try:
+        shot = one.result(wires=one.wires[::-1])
+    except ReconstructionRefusedError:
+        return
+    assert "check shot residuals" in {check.name for check in failed(shot.checks)}
+
+
+def test_one_image_twice_is_refused(one):
+    with pytest.raises(ReconstructionRefusedError):
+        one.result(after=[one.after[0]] * 2, wires=[one.wires[0]] * 2)
+
+
+def test_landmarks_of_unlike_number_are_unusable(one):
+    with pytest.raises(UnusableInputError, match="same points"):
+        Landmarks(one.landmarks.planned_uv_px, one.landmarks.checked_uv_px[:, 1:])
+    with pytest.raises(UnusableInputError, match="finite"):
+        Landmarks(one.landmarks.planned_uv_px, one.landmarks.checked_uv_px * np.nan)
+
+
+def test_a_view_too_few_is_unusable(one):
+    with pytest.raises(UnusableInputError, match="two views"):
+        one.result(after=one.after[:1])
+
+
+def test_the_planned_wire_is_expected_where_it_projects(one):
+    where = expected_wire(one.after[0], one.made.trajectory)
+    path = one.made.trajectory
+    at = path.entry_mm + where.along_mm[:, None] * path.direction
+    assert np.allclose(one.after[0].project(at), where.uv_px)
+    assert (np.diff(where.along_mm) > 0).all()
+    assert 5.0 < np.median(where.px_per_mm) < 10.0
+    assert ((where.sine > 0.3) & (where.sine <= 1.0 + 1e-12)).all()
