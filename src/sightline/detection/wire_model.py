@@ -69,7 +69,7 @@ class Path:
 @dataclass(frozen=True, eq=False)
 class Fit:
     """Numbers of a fit, first those sought; `influence` (P, N) of each pixel's light, in units of its noise, on them;
-    `model` (N,) light; `scatter` and `middle`: fitted light in the shadow and beside it."""
+    `model` (N,) light; `shadow`, `beside`: fitted light in the shadow and beside it."""
 
     values: np.ndarray
     influence: np.ndarray
@@ -77,7 +77,6 @@ class Fit:
     shadow: float
     beside: float
     settled: bool
-    linear: np.ndarray
 
     @property
     def contrast(self) -> float:
@@ -215,7 +214,7 @@ def _fitted(  # noqa: PLR0917
     model, linear, columns = _linearised(shape, p, ground, light, noise)
     influence = np.linalg.pinv(columns)[: len(p)]
     beside = float(linear[0])
-    return Fit(p, influence, model, (1 - _TAKEN) * beside + float(linear[-1]), beside, settled, linear)
+    return Fit(p, influence, model, (1 - _TAKEN) * beside + float(linear[-1]), beside, settled)
 
 
 def _linearised(
