@@ -29,7 +29,19 @@ import typer
 
 from sightline import __version__
 
-_COMMANDS = ("demo", "detect", "calibrate", "undistort", "plan", "assess", "simulate", "study", "compare", "frame")
+_COMMANDS = (
+    "demo",
+    "detect",
+    "calibrate",
+    "undistort",
+    "plan",
+    "assess",
+    "simulate",
+    "study",
+    "compare",
+    "frame",
+    "robot",
+)
 
 app = typer.Typer(
     name="sightline",

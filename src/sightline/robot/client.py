@@ -19,6 +19,7 @@ from sightline.robot.igtl import (
     CommandReply,
     Get,
     Message,
+    NDArray,
     Rejected,
     Status,
     String,
@@ -64,12 +65,13 @@ class RobotClient:
 
     Every call raises LinkError where an answer does not come in time or the connection is lost, RobotRefusedError with
     the robot's reason where it refuses. Heartbeats go out while a call waits, so that a program that hangs stops the
-    robot. `latest` holds the newest message of each device name. One thread; `stop` and `emergency` may be called from
+    robot. `latest` holds the newest message of each device name, and `listener` is told of every one. One thread; `stop` and `emergency` may be called from
     any other, and have a connection of their own.
     """
 
     def __init__(self, host: str = LOOPBACK, port: int = PORT, *, heartbeat: bool = True, streams: bool = True) -> None:
         self.latest: dict[str, Message] = {}
+        self.listener: Callable[[Message], None] | None = None
         self.listeners: list[Callable[[Message], None]] = []  # each hears every message, in order
         self.capabilities: frozenset[str] = frozenset()
         self.host, self.port = host, port
@@ -188,6 +190,14 @@ class RobotClient:
             Said(contract.CURRENT_POSITION, said.body.code, said.body.text).refuse_unless_ok()
         return _pose(said)
 
+    def joints(self) -> np.ndarray:
+        """(6, N): position, velocity, where the joints should be, velocity commanded, lower and upper limits; mm, rad."""
+        self._send(Get("NDARRAY"), contract.MEASURED_JS)
+        body = self.stream(contract.MEASURED_JS).body
+        if not (isinstance(body, NDArray) and body.values.ndim == 2 and len(body.values) == 6):
+            raise LinkError(f"the robot's {contract.MEASURED_JS} is no array (6, N)")
+        return body.values
+
     def stream(self, name: str, timeout_s: float = STATUS_S) -> Message:
         """The next message of a stream."""
         return self._await(lambda message: message.device_name == name, timeout_s, name)
@@ -290,6 +300,8 @@ class RobotClient:
         message = _readable(self._main.receive(min(timeout_s, contract.HEARTBEAT_S)))
         if message is not None:
             self.latest[message.device_name] = message
+            if self.listener is not None:
+                self.listener(message)
             for listener in self.listeners:
                 listener(message)
         return message

@@ -31,7 +31,17 @@ from sightline.robot.igtl.kinds import Body
 from sightline.robot.plant import CYCLE_S
 from sightline.robot.states import MOVING, Cause, phase
 
-UNDERSTOOD = ("STRING", "STATUS", "TRANSFORM", "COMMAND", "CAPABILITY", "GET_STATUS", "GET_TRANS", "GET_CAPABIL")
+UNDERSTOOD = (
+    "STRING",
+    "STATUS",
+    "TRANSFORM",
+    "COMMAND",
+    "CAPABILITY",
+    "GET_STATUS",
+    "GET_TRANS",
+    "GET_NDARRAY",
+    "GET_CAPABIL",
+)
 OFFERED = (contract.HAS_HEARTBEAT, contract.HAS_TELEMETRY, contract.HAS_DRILLING, contract.HAS_PLAN, contract.HAS_RESET)
 _NAME_BYTES = 20
 STOPPING = (Cause.STOP.value, Cause.EMERGENCY.value)
@@ -125,6 +135,8 @@ class Dialogue:
                 said = [self._state_now()]
             case Get("TRANSFORM"):
                 said = [self._position()]
+            case Get("NDARRAY"):
+                said = [self._joints(self.controller.snapshot())]
         return said
 
     def _capability(self) -> tuple[str, Body]:
@@ -145,7 +157,7 @@ class Dialogue:
         if name.startswith(contract.COMMAND):
             answer = self.controller.submit(client, Command(text), now_s)
             acknowledged = contract.ACKNOWLEDGED + name.removeprefix(contract.COMMAND)
-            said = [(acknowledged, String(text)), (contract.CURRENT_STATUS, self._current())]
+            said: list[tuple[str, Body]] = [(acknowledged, String(text)), (contract.CURRENT_STATUS, self._current())]
             return said + ([(_fitting(text), _status(answer))] if answer.done else [])
         if name == contract.HEARTBEAT:
             self.controller.heartbeat(client, now_s)
@@ -159,7 +171,7 @@ class Dialogue:
 
     def _of_target(self, client: int, message: Message, now_s: float) -> list[tuple[str, Body]]:
         answer = self.controller.submit(client, Aim(message), now_s)
-        said = [_echo(message.device_name, message.body), ("TARGET", _status(answer))]
+        said: list[tuple[str, Body]] = [_echo(message.device_name, message.body), ("TARGET", _status(answer))]
         insertion = self.controller.insertion
         if answer.code is Code.OK and insertion is not None:
             said += [("TARGET", message.body), ("REACHABLE_TARGET", Transform.of(insertion.T_cfcs_wire))]
@@ -243,12 +255,10 @@ class Dialogue:
         return out
 
     def _streams(self, now: Snapshot) -> list[tuple[str, Body]]:
-        manipulator = self.controller.robot.manipulator
-        q = now.reading.encoders
-        rows = np.stack([q, now.velocity, now.wanted, now.commanded, manipulator.lower, manipulator.upper])
+        tool = self.controller.robot.manipulator.T_mcs_tool(now.reading.encoders)
         said: list[tuple[str, Body]] = [
-            (contract.MEASURED_CP, Transform.of(manipulator.T_mcs_tool(q))),
-            (contract.MEASURED_JS, NDArray(rows)),
+            (contract.MEASURED_CP, Transform.of(tool)),
+            self._joints(now),
             (contract.FORCE, Sensor(np.array([now.reading.force_n]), NEWTON)),
             (contract.CYCLES, Sensor(np.array([self.cycles.count, self.cycles.missed, self.cycles.worst_s]))),
             (contract.CURRENT_STATUS, self._current()),
@@ -256,6 +266,11 @@ class Dialogue:
         if now.depth_mm is not None:
             said.append((contract.DEPTH, Sensor(np.array([now.depth_mm]), MILLIMETRE)))
         return said
+
+    def _joints(self, now: Snapshot) -> tuple[str, Body]:
+        lower, upper = self.controller.robot.manipulator.lower, self.controller.robot.manipulator.upper
+        rows = np.stack([now.reading.encoders, now.velocity, now.wanted, now.commanded, lower, upper])
+        return contract.MEASURED_JS, NDArray(rows)
 
     def _all(self, client: int, said: list[tuple[str, Body]], *, telemetry: bool = False) -> list[Outgoing]:
         version = self._peers[client].version if client in self._peers else 1

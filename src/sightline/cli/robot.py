@@ -1,0 +1,260 @@
+"""`sightline robot serve | check | drive | reset`: the simulated robot, and any robot behind an address."""
+
+from contextlib import ExitStack
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import typer
+
+from sightline.cli.output import Json, Output, Quiet
+
+if TYPE_CHECKING:
+    from sightline.robot.client import RobotClient
+    from sightline.robot.server import RobotServer
+    from sightline.robot.target import RobotTarget
+
+app = typer.Typer(no_args_is_help=True, help="Serve a simulated robot; check, drive and reset any.")
+
+Address = Annotated[str, typer.Argument(metavar="HOST:PORT", help="Where the robot listens.")]
+Side = Annotated[Literal["right", "left"], typer.Option(help="The patient's side.")]
+Serial = Annotated[str, typer.Option(help="Serial of the frame on the flange.")]
+Yes = Annotated[bool, typer.Option("--yes", help="Ask nothing. Simulators only.")]
+
+
+def register(parent: typer.Typer) -> None:
+    """Add the commands."""
+    parent.add_typer(app, name="robot")
+
+
+@app.command("serve")
+def serve(
+    *,
+    port: Annotated[int, typer.Option(help="0 takes a free one.")] = 18936,
+    host: Annotated[str, typer.Option(help="Address to listen at: who reaches it can move it.")] = "127.0.0.1",
+    side: Side = "right",
+    frame_serial: Serial = "simulated",
+    json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Serve a simulated robot, its wire in air, until Ctrl-C."""
+    with Output(json=json, quiet=quiet) as out:
+        from sightline.robot.server import tune_process
+
+        tune_process()
+        with _simulator(host, port, side, frame_serial, virtual=False) as server:
+            out.say(f"a simulated robot listens at {host}:{server.port}; stop it with Ctrl-C")
+            try:
+                server.wait()
+            except KeyboardInterrupt:
+                out.note("stopping")
+            cycles = server.dialogue.cycles
+        out.result({"port": server.port, "cycles": cycles.count, "late": cycles.missed, "worst_s": cycles.worst_s})
+
+
+@app.command("check")
+def check(
+    address: Address,
+    *,
+    dry_run: Annotated[bool, typer.Option(help="Also align in air, without drilling; asks first.")] = True,
+    yes: Yes = False,
+    json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Ask a robot whether it keeps the contract of docs/robot-link.md; exit code 3 where it does not."""
+    with Output(json=json, quiet=quiet) as out:
+        from sightline.errors import RobotRefusedError
+        from sightline.robot.conformance import Verdict, examine
+        from sightline.robot.conformance import dry_run as run_dry
+
+        host, port = parse_address(address)
+        findings = []
+        with out.step("asking"):
+            findings += examine(host, port)
+        if dry_run and _agreed(_simulated(host, port), yes, "The robot will move: it aligns in air. Is it clear?"):
+            with out.step("dry run"):
+                findings.append(run_dry(host, port))
+        rows = [(finding.name, finding.verdict.value, finding.seen) for finding in findings]
+        out.table(f"Robot at {address}", ("question", "", "seen"), rows)
+        wrong = [finding.name for finding in findings if finding.verdict is Verdict.FAILED]
+        if wrong and not json:
+            raise RobotRefusedError(f"the robot does not keep the contract: {'; '.join(wrong)}")
+        named = ("name", "verdict", "seen")
+        out.result({"conforms": not wrong, "findings": [dict(zip(named, row, strict=True)) for row in rows]})
+        if wrong:
+            raise typer.Exit(3)
+
+
+@app.command("drive")
+def drive(
+    plan: Annotated[Path, typer.Argument(help="plan.json, as `sightline plan --out` writes it.")],
+    address: Annotated[str | None, typer.Argument(metavar="[HOST:PORT]", help="A simulator starts by itself.")] = None,
+    *,
+    side: Side = "right",
+    frame_serial: Serial = "simulated",
+    yes: Yes = False,
+    json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Drive a planned wire: align, confirm, drill, pause, confirm, drill. Asks before each motion."""
+    with Output(json=json, quiet=quiet) as out, ExitStack() as stack:
+        from sightline.robot.client import RobotClient
+
+        document = read_plan(plan)
+        if address is None:
+            server = stack.enter_context(_simulator("127.0.0.1", 0, side, frame_serial, virtual=True))
+            robot = stack.enter_context(RobotClient(port=server.port, heartbeat=False, streams=False))
+        else:
+            robot = stack.enter_context(RobotClient(*parse_address(address)))
+        _refuse_yes(robot.simulated, yes)
+        with out.step("sending the plan"):
+            target = _send(robot, document, plan.stem, side, frame_serial)
+        _show(out, target, robot)
+        steps = (
+            ("align", "The wire goes back, the arm turns, the wire stops 20 mm before bone. Is it clear?", robot.align),
+            ("drill", "Does the confirmation shot show the guide on the plan? The robot will drill.", robot.drill),
+            ("drill on", "Does the second shot, 10 mm short of the tip, show the wire on the plan?", robot.drill),
+        )
+        for name, question, go in steps:
+            if not _agreed(robot.simulated, yes, question):
+                robot.stop()
+                out.note(f"stopped before: {name}")
+                break
+            with out.step(name):
+                go()
+        state, tip_mm = robot.status().text.split(";")[0], robot.position().translation
+        out.say(f"the robot is in {state}")
+        out.result({"state": state, "tip_mm": tip_mm, "end_mm": document["trajectory"]["end_mm"]})
+
+
+@app.command("reset")
+def reset(address: Address, *, json: Json = False, quiet: Quiet = False) -> None:
+    """Reset a robot after a fault: shows the fault, asks a person, and sends its number."""
+    with Output(json=json, quiet=quiet) as out:
+        from sightline.errors import RobotRefusedError
+        from sightline.robot.client import RobotClient
+
+        with RobotClient(*parse_address(address), heartbeat=False, streams=False) as robot:
+            status = robot.status()
+            if not status.subcode:
+                raise RobotRefusedError(f"there is no fault to reset; the robot is in {status.error_name}")
+            typer.echo(f"{status.text}", err=True)
+            typer.confirm("Have you seen to it, at the robot?", abort=True, err=True)
+            robot.reset(status.subcode)
+            out.say(f"fault {status.subcode} is reset; the robot is in {robot.status().error_name}")
+        out.result({"fault": status.subcode, "text": status.text})
+
+
+def parse_address(text: str) -> tuple[str, int]:
+    """'host:port'. Raises UnusableInputError."""
+    from sightline.errors import UnusableInputError
+
+    host, _, port = text.rpartition(":")
+    if not host or not (port.isascii() and port.isdigit() and 0 < int(port) < 65536):
+        raise UnusableInputError(f"{text!r} is no address; write HOST:PORT, for example 127.0.0.1:18936")
+    return host, int(port)
+
+
+def read_plan(file: Path) -> dict[str, Any]:
+    """A plan as JSON. Raises UnusableInputError, and RobotRefusedError for a plan that is NO-GO."""
+    from json import JSONDecodeError, loads
+
+    import numpy as np
+
+    from sightline.errors import RobotRefusedError, UnusableInputError
+
+    try:
+        document = loads(file.read_text(encoding="utf-8"))
+        path = document["trajectory"]
+        points = np.array([path["entry_mm"], path["end_mm"]], dtype=np.float64)
+        go, covariance = document["go"], path["covariance_mm2"]
+    except OSError as error:
+        raise UnusableInputError(f"cannot read {file}: {error.strerror}") from error
+    except (JSONDecodeError, UnicodeDecodeError, KeyError, TypeError, ValueError) as error:
+        raise UnusableInputError(f"{file} is no plan; write one with `sightline plan --out`") from error
+    if points.shape != (2, 3) or not np.isfinite(points).all():
+        raise UnusableInputError(f"{file}: entry and end point are three finite numbers each")
+    if go is not True:
+        raise RobotRefusedError("checks of the plan failed: planning says NO-GO; see them, and plan again")
+    if covariance is None or np.shape(covariance) != (6, 6):
+        raise RobotRefusedError("the plan's error is unknown; calibrate both views from beads")
+    return document
+
+
+def _simulator(host: str, port: int, side: str, frame_serial: str, *, virtual: bool) -> "RobotServer":
+    import time
+
+    import numpy as np
+
+    from sightline.robot.controller import Controller
+    from sightline.robot.insertion import Setup
+    from sightline.robot.manipulator import WIRE_YAW_RAD
+    from sightline.robot.server import RobotServer
+    from sightline.studies.robots import calibrated_robot
+    from sightline.twin.manipulator import SimulatedPlant
+
+    robot = calibrated_robot(side)
+    # Where its beams are level and upright, the wire in its sleeve.
+    start = np.array([0.0, 0.0, WIRE_YAW_RAD if side == "right" else -WIRE_YAW_RAD, 0.0, 0.5])
+    plant = SimulatedPlant(robot.manipulator, None, np.random.default_rng(), start=start)
+    controller = Controller(robot, plant, Setup(side, frame_serial), first_fault=int(time.time()) % 1_000_000 + 1)
+    return RobotServer(controller, plant, host=host, port=port, advance=plant.advance, virtual=virtual)
+
+
+def _send(robot: "RobotClient", document: dict[str, Any], name: str, side: str, frame_serial: str) -> "RobotTarget":
+    """Register, aim and send. The frame is where a simulator's encoders say; a real one's images are long taken."""
+    import time
+
+    import numpy as np
+
+    from sightline.errors import RobotRefusedError
+    from sightline.robot.insertion import DEPTH_SLACK_MM
+    from sightline.robot.registration import PoseAtImage, register
+    from sightline.robot.target import PlanIdentity, aim
+    from sightline.studies.robots import calibrated_robot
+
+    if not robot.simulated:
+        raise RobotRefusedError(
+            "a saved plan does not say where a real robot stood at its images; send it from the program that took them"
+        )
+    now = time.time()
+    robot.start_up()
+    q = robot.joints()[0]
+    poses = {view: PoseAtImage(q, now, now) for view in ("pa", "lateral")}
+    registration = register(calibrated_robot(side), poses)
+    path = document["trajectory"]
+    points = np.array([path["entry_mm"], path["end_mm"]], dtype=np.float64)
+    budget = {"planning": np.array(path["covariance_mm2"], dtype=np.float64)}
+    target = aim(PlanIdentity(name, side, frame_serial, go=True), points, budget, registration)
+    robot.calibrate(registration.T_mcs_cfcs, now)
+    robot.aim_plan(target, now, target.length_mm + DEPTH_SLACK_MM)
+    return target
+
+
+def _show(out: Output, target: "RobotTarget", robot: "RobotClient") -> None:
+    entry, end = target.entry_mm, target.end_mm
+    rows = [(name, *(f"{v:.1f}" for v in xyz)) for name, xyz in (("entry", entry), ("end", end))]
+    kind = "simulated robot" if robot.simulated else "REAL ROBOT"
+    out.table(f"Wire of {target.length_mm:.1f} mm for a {kind}, MCS, mm", ("point", "x", "y", "z"), rows)
+    out.say(
+        f"95 % errors: entry {target.entry_error_95_mm:.2f} mm, tip {target.end_error_95_mm:.2f} mm; side "
+        f"{target.identity.side}, frame {target.identity.frame_serial}"
+    )
+
+
+def _simulated(host: str, port: int) -> bool:
+    from sightline.robot.client import RobotClient
+
+    with RobotClient(host, port, heartbeat=False, streams=False) as robot:
+        return robot.simulated
+
+
+def _refuse_yes(simulated: bool, yes: bool) -> None:
+    from sightline.errors import RobotRefusedError
+
+    if yes and not simulated:
+        raise RobotRefusedError("--yes works with simulators alone; a person must confirm each motion of a real robot")
+
+
+def _agreed(simulated: bool, yes: bool, question: str) -> bool:
+    _refuse_yes(simulated, yes)
+    return yes or typer.confirm(question, err=True)
