@@ -40,7 +40,7 @@ def test_drive_asks_before_each_motion(plan):
     done = run("drive", plan, say="y\nn\n")
     assert done.exit_code == 0
     assert "stopped before: drill" in done.stderr
-    assert "simulated robot" in done.stdout
+    assert "95 % errors: entry" in done.stdout
     refused = run("drive", plan, say="n\n")
     assert "stopped before: align" in refused.stderr
 

@@ -65,8 +65,8 @@ class RobotClient:
 
     Every call raises LinkError where an answer does not come in time or the connection is lost, RobotRefusedError with
     the robot's reason where it refuses. Heartbeats go out while a call waits, so that a program that hangs stops the
-    robot. `latest` holds the newest message of each device name, and `listener` is told of every one. One thread; `stop` and `emergency` may be called from
-    any other, and have a connection of their own.
+    robot. `latest` holds the newest message of each device name, and `listener` is told of every one. One thread;
+    `stop` and `emergency` may be called from any other, and have a connection of their own.
     """
 
     def __init__(self, host: str = LOOPBACK, port: int = PORT, *, heartbeat: bool = True, streams: bool = True) -> None:
@@ -191,7 +191,7 @@ class RobotClient:
         return _pose(said)
 
     def joints(self) -> np.ndarray:
-        """(6, N): position, velocity, where the joints should be, velocity commanded, lower and upper limits; mm, rad."""
+        """(6, N): position, velocity, wanted position, commanded velocity, lower and upper limits; mm, rad."""
         self._send(Get("NDARRAY"), contract.MEASURED_JS)
         body = self.stream(contract.MEASURED_JS).body
         if not (isinstance(body, NDArray) and body.values.ndim == 2 and len(body.values) == 6):
