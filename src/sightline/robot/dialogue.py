@@ -74,10 +74,11 @@ class _Peer:
 
 @dataclass
 class Dialogue:
-    """Speaks for one controller with all its clients, known by a number."""
+    """Speaks for one controller with all its clients, known by a number; `telemetry_s` between two of a stream."""
 
     controller: Controller
     simulated: bool = False
+    telemetry_s: float = contract.TELEMETRY_S
     cycles: Cycles = field(default_factory=Cycles)
 
     def __post_init__(self) -> None:
@@ -237,9 +238,7 @@ class Dialogue:
         return [outgoing for client in listening for outgoing in self._all(client, said)]
 
     def _telemetry(self, now_s: float) -> list[Outgoing]:
-        due = [
-            client for client, peer in self._peers.items() if now_s - peer.told_s > contract.TELEMETRY_S - CYCLE_S / 2
-        ]
+        due = [client for client, peer in self._peers.items() if now_s - peer.told_s > self.telemetry_s - CYCLE_S / 2]
         moving = self.controller.state in MOVING
         full = [client for client in due if self._peers[client].telemetry]
         plain = [client for client in due if moving and client == self.controller.lease]
