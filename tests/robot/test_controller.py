@@ -201,6 +201,26 @@ def test_a_reset_from_afar_names_the_fault():
     assert locked.controller.submit(CLIENT, Reset(1), locked.now_s).code is Code.DENIED
 
 
+def test_the_second_shot_sets_the_depth_anew():
+    length = float(np.linalg.norm(END_MM - ENTRY_MM))
+    rig = Rig.at(State.PAUSED)
+    before = rig.plant.read().encoders[FEED]
+    for text, done in (("nan", False), ("inf", False), ("", False), ("-12", False), (repr(length - 8.5), True)):
+        (reply,) = rig.send("shot", Command(3, "SHOT_DEPTH", text))
+        assert (reply.body.error == "") is done, reply.body
+    assert rig.controller.snapshot().depth_mm == pytest.approx(length - 8.5, abs=1e-6)
+    assert rig.send("shot", Command(4, "SHOT_DEPTH", repr(length - 8.5)), client=OTHER)[0].body.error == "refused"
+    rig.command("DRILL")
+    rig.run_until(State.DONE)
+    assert rig.plant.read().encoders[FEED] - before == pytest.approx(8.5, abs=0.03)
+
+
+@pytest.mark.parametrize("state", [state for state in STATES if state is not State.PAUSED], ids=lambda s: s.value)
+def test_a_shot_s_depth_is_taken_in_the_pause_alone(state):
+    (reply,) = Rig.at(state).send("shot", Command(3, "SHOT_DEPTH", "30"))
+    assert reply.body.error == "refused"
+
+
 def test_the_hold_to_run_switch():
     rig = Rig.at(State.TARGETING)
     rig.plant.run_held = False

@@ -117,7 +117,8 @@ class Drilling:
     def __init__(self, manipulator: Manipulator, insertion: Insertion) -> None:
         self.position = insertion.at_depth(-STANDOFF_MM)
         self.noted: list[Noted] = []
-        self._manipulator, self._insertion = manipulator, insertion
+        self.insertion = insertion  # a check shot may set its depths anew while the drill stands
+        self._manipulator = manipulator
         self._supervision: Supervision
         self._sampled_s = -np.inf
         self._pause_mm = max(insertion.length_mm - PAUSE_MM, 0.0)
@@ -125,7 +126,7 @@ class Drilling:
 
     def resume(self) -> None:
         """Go on, from where the wire is."""
-        self._supervision = Supervision(self._insertion.length_mm, self._insertion.depth_limit_mm)
+        self._supervision = Supervision(self.insertion.length_mm, self.insertion.depth_limit_mm)
         self._begin()
 
     def step(self, reading: Reading, now_s: float) -> Step:
@@ -143,13 +144,13 @@ class Drilling:
         return Step(step.velocity, drill_on=step.cause is None, cause=step.cause, text=step.text)
 
     def _begin(self) -> None:
-        goal = self._insertion.length_mm if self._paused else self._pause_mm
+        goal = self.insertion.length_mm if self._paused else self._pause_mm
         speed = self._manipulator.speed
-        legs = [Leg(self._insertion.at_depth(goal), _feeding(speed, DRILL_MM_S))]
-        depth = self.position[FEED] - self._insertion.q[FEED]
+        legs = [Leg(self.insertion.at_depth(goal), _feeding(speed, DRILL_MM_S))]
+        depth = self.position[FEED] - self.insertion.q[FEED]
         touched = any(noted.event is Event.CONTACT for noted in self.noted)
         if depth < -NEAR_MM and not touched:
-            legs.insert(0, Leg(self._insertion.at_depth(-NEAR_MM), _feeding(speed, APPROACH_MM_S)))
+            legs.insert(0, Leg(self.insertion.at_depth(-NEAR_MM), _feeding(speed, APPROACH_MM_S)))
         self._near = len(legs) == 1
         self._course = Course(self._manipulator, self.position, legs)
 
@@ -158,7 +159,7 @@ class Drilling:
         if reading.time_s == self._sampled_s:
             return None
         self._sampled_s = reading.time_s
-        depth = float(reading.encoders[FEED] - self._insertion.q[FEED])
+        depth = float(reading.encoders[FEED] - self.insertion.q[FEED])
         try:
             noted = self._supervision.step(reading.time_s, depth, reading.force_n)
         except UnusableInputError as error:
@@ -168,7 +169,7 @@ class Drilling:
             said = _SAID.get(event.event)
             if said is not None:
                 return _stop(Cause.FAULT, said.format(force=event.force_n, depth=event.depth_mm))
-            if event.event is Event.BREAK_THROUGH and depth > FAR_SHARE * self._insertion.length_mm:
+            if event.event is Event.BREAK_THROUGH and depth > FAR_SHARE * self.insertion.length_mm:
                 return _stop(
                     Cause.HALT, f"the wire broke through a cortex at {depth:.1f} mm, on the far side: take a check shot"
                 )

@@ -65,13 +65,12 @@ class RobotClient:
 
     Every call raises LinkError where an answer does not come in time or the connection is lost, RobotRefusedError with
     the robot's reason where it refuses. Heartbeats go out while a call waits, so that a program that hangs stops the
-    robot. `latest` holds the newest message of each device name, and `listener` is told of every one. One thread;
+    robot. `latest` holds the newest message of each device name, and `listeners` are told of every one. One thread;
     `stop` and `emergency` may be called from any other, and have a connection of their own.
     """
 
     def __init__(self, host: str = LOOPBACK, port: int = PORT, *, heartbeat: bool = True, streams: bool = True) -> None:
         self.latest: dict[str, Message] = {}
-        self.listener: Callable[[Message], None] | None = None
         self.listeners: list[Callable[[Message], None]] = []  # each hears every message, in order
         self.capabilities: frozenset[str] = frozenset()
         self.host, self.port = host, port
@@ -204,14 +203,20 @@ class RobotClient:
 
     def reset(self, fault: int) -> None:
         """Reset the robot after a fault that a person has read and seen to, by its number."""
+        self._order(contract.RESET, str(fault))
+
+    def shot_depth(self, depth_mm: float) -> None:
+        """Tell the robot, in PAUSED, how far beyond the entry point the second shot shows the tip."""
+        self._order(contract.SHOT_DEPTH, repr(float(depth_mm)))
+
+    def _order(self, name: str, text: str) -> None:
+        """A COMMAND and its reply."""
         self._number += 1
         number = self._number
-        self._send(Command(number, contract.RESET, str(fault)), contract.RESET, version=2)
-        said = self._await(
-            lambda m: isinstance(m.body, CommandReply) and m.body.command_id == number, ACK_S, contract.RESET
-        ).body
+        self._send(Command(number, name, text), name, version=2)
+        said = self._await(lambda m: isinstance(m.body, CommandReply) and m.body.command_id == number, ACK_S, name).body
         if isinstance(said, CommandReply) and said.error:
-            raise RobotRefusedError(f"the robot refused {contract.RESET}: {said.text}")
+            raise RobotRefusedError(f"the robot refused {name}: {said.text}")
 
     # How anything is asked.
 
@@ -300,8 +305,6 @@ class RobotClient:
         message = _readable(self._main.receive(min(timeout_s, contract.HEARTBEAT_S)))
         if message is not None:
             self.latest[message.device_name] = message
-            if self.listener is not None:
-                self.listener(message)
             for listener in self.listeners:
                 listener(message)
         return message

@@ -25,7 +25,7 @@ IS_SIMULATED = "X_SIMULATOR"  # robot: nothing real moves
 HAS_RESET = "X_RESET"  # robot: a person may reset it over the link
 
 RESET = "RESET"  # name of the COMMAND that does, its text the number of the fault that the person has read
-FAULT_NUMBER = "fault"  # metadata of STATUS, where a fault is named
+SHOT_DEPTH = "SHOT_DEPTH"  # another: how far beyond the entry point the check shot shows the tip, mm
 
 # Metadata of a target. Where PLAN stands all others must.
 UNITS, COORDINATES, PLAN = "units", "coordinates", "plan"

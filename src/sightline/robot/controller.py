@@ -22,6 +22,7 @@ from sightline.robot.states import ACTIVITIES, COMMANDS, MOVING, TRANSITIONS, WA
 STALE_S = 0.05  # ten cycles without a sample: the plant is gone [ours]
 WINDOW = 6  # samples in which a joint that stands changes by a count at most: speed below 1 % of full speed
 STILL_COUNTS = 1.5
+SHOT_LIMIT_MM = 3.0  # between shot and encoders: registration, bending and the shot together do not err so much [ours]
 STOP_S = 1.0  # ten times what a stop takes at most
 _MOTION = (Cause.MOVE_TO_TARGET, Cause.DRILL, Cause.GUIDE, Cause.RETRACT)
 
@@ -54,7 +55,14 @@ class Reset:
     fault: int
 
 
-Request = Command | Register | Aim | Reset
+@dataclass(frozen=True)
+class ShotDepth:
+    """How far beyond the entry point the second shot shows the tip, mm: the zero of depth set anew."""
+
+    depth_mm: float
+
+
+Request = Command | Register | Aim | Reset | ShotDepth
 
 
 @dataclass(frozen=True)
@@ -153,6 +161,8 @@ class Controller:
                     return self._aim(client, message, now_s)
                 case Reset(fault):
                     return self._reset_from_afar(fault)
+                case ShotDepth(depth_mm):
+                    return self._shot_depth(client, depth_mm)
         except _No as no:
             return Answer(no.code, no.text)
 
@@ -310,6 +320,20 @@ class Controller:
             self.insertion = insertion
         except RobotRefusedError as error:
             raise _No(Code.CONFIGURATION, str(error)) from error
+        return Answer(Code.OK)
+
+    def _shot_depth(self, client: int, depth_mm: float) -> Answer:
+        self._hold_lease(client)
+        if self.state is not State.PAUSED or self.insertion is None or self.drilling is None:
+            raise _No(Code.NOT_READY, f"a shot's depth is taken in PAUSED; the robot is in {self.state.value}")
+        own_mm = float(self._reading.encoders[FEED] - self.insertion.q[FEED])
+        if not abs(depth_mm - own_mm) <= SHOT_LIMIT_MM:
+            text = f"the shot shows the tip at {depth_mm:.1f} mm, the encoders at {own_mm:.1f} mm: more than "
+            raise _No(
+                Code.CONFIGURATION, text + f"{SHOT_LIMIT_MM:g} mm apart, something has moved; retract and plan again"
+            )
+        self.insertion = self.insertion.shifted(own_mm - depth_mm)
+        self.drilling.insertion = self.insertion
         return Answer(Code.OK)
 
     def _stop(self, client: int, now_s: float) -> Answer:

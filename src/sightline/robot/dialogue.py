@@ -10,7 +10,18 @@ import numpy as np
 from sightline.robot import contract
 from sightline.robot.activities import Drilling
 from sightline.robot.contract import Code
-from sightline.robot.controller import Aim, Answer, Command, Controller, Outcome, Register, Reset, Snapshot
+from sightline.robot.controller import (
+    Aim,
+    Answer,
+    Command,
+    Controller,
+    Outcome,
+    Register,
+    Request,
+    Reset,
+    ShotDepth,
+    Snapshot,
+)
 from sightline.robot.igtl import (
     MILLIMETRE,
     NEWTON,
@@ -179,11 +190,10 @@ class Dialogue:
         return said
 
     def _of_command(self, client: int, number: int, command: str, text: str, now_s: float) -> CommandReply:
-        if command != contract.RESET:
-            return CommandReply(number, "unknown", f"there is no COMMAND {command[:40]!r}; there is {contract.RESET}")
-        if not (text.isascii() and text.isdigit() and len(text) < 10):
-            return CommandReply(number, "refused", f"{contract.RESET} carries the number of the fault")
-        answer = self.controller.submit(client, Reset(int(text)), now_s)
+        request = _request(command, text)
+        if isinstance(request, str):
+            return CommandReply(number, "refused", request)
+        answer = self.controller.submit(client, request, now_s)
         return CommandReply(number, "" if answer.code is Code.OK else "refused", answer.text)
 
     def _rejected(self, client: int, event: Rejected) -> list[Outgoing]:
@@ -283,6 +293,19 @@ def _message(name: str, body: Body, version: int) -> Message:
         frame = contract.MCS if name == contract.MEASURED_CP else contract.CFCS
         said = {contract.UNITS: contract.MM, contract.COORDINATES: frame}
     return Message(body, name, version=version, metadata=said)
+
+
+def _request(command: str, text: str) -> Request | str:
+    """What a COMMAND asks for, or what is wrong with it."""
+    if command == contract.RESET:
+        digits = text.isascii() and text.isdigit() and len(text) < 10
+        return Reset(int(text)) if digits else f"{contract.RESET} carries the number of the fault"
+    if command == contract.SHOT_DEPTH:
+        try:
+            return ShotDepth(float(text[:40]))
+        except ValueError:
+            return f"{contract.SHOT_DEPTH} carries a depth in mm"
+    return f"there is no COMMAND {command[:40]!r}; there are {contract.RESET} and {contract.SHOT_DEPTH}"
 
 
 def _echo(name: str, body: Body) -> tuple[str, Body]:

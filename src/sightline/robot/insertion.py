@@ -1,7 +1,7 @@
 """What the robot is told to drill: read from a registration and a target as they come over the link, or refused."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import isfinite
 
 import numpy as np
@@ -71,6 +71,10 @@ class Insertion:
         q = self.q.copy()
         q[FEED] += depth_mm
         return q
+
+    def shifted(self, feed_mm: float) -> "Insertion":
+        """The same with every depth so much further along the feed."""
+        return replace(self, q=self.at_depth(feed_mm))
 
     def course(self, manipulator: Manipulator, q: np.ndarray) -> np.ndarray:
         """Joints (4, 5) on the way from `q` (5,) to the stand-off: the wire back, the arm turned, the wire forward."""
