@@ -102,8 +102,7 @@ class RobotServer:
             self._control.join()
         self._plant.hold()
         if self._link.is_alive():
-            with suppress(RuntimeError):  # it has ended meanwhile
-                self._event_loop.call_soon_threadsafe(self._closing.set)
+            self._close_link()
             self._link.join()
 
     def wait(self) -> None:
@@ -183,6 +182,11 @@ class RobotServer:
         finally:
             self._plant.hold()
             self._end.set()
+            self._close_link()  # without the loop nobody answers
+
+    def _close_link(self) -> None:
+        with suppress(RuntimeError):  # it has ended already
+            self._event_loop.call_soon_threadsafe(self._closing.set)
 
     def _turn_on_time(self) -> None:
         cycles = self.dialogue.cycles
