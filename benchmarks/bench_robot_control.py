@@ -25,7 +25,7 @@ from sightline.robot.server import SWITCH_S, RobotServer
 from sightline.robot.states import MOVING, State
 from sightline.robot.transport import BlockingClient
 
-LOOP_S, STOPS, FAULTS = 60.0, 30, 500
+LOOP_S, STOPS, DRILLING_STOPS, FAULTS = 60.0, 30, 10, 500
 KINDS = ("byte flipped", "truncated", "split anywhere", "wrong CRC", "wrong size field", "unknown type")
 
 
@@ -35,7 +35,7 @@ def run(*, quick: bool) -> list[Row]:
     return [
         *_punctuality(LOOP_S / share),
         *_stops(STOPS // share),
-        *_drilling_stops(max(STOPS // share, 3)),
+        *_drilling_stops(max(DRILLING_STOPS // share, 2)),
         *_bad_bytes(FAULTS // share),
         _two_clients(FAULTS // share),
         _killed_clients(FAULTS // share),

@@ -130,7 +130,7 @@ def test_an_old_client_drives_ours_through_an_insertion_and_every_refusal():
             assert np.allclose(tip, end + (depth_mm - 95.0) * along, atol=0.05)
         assert old.command("MOVE_TO_TARGET", 60.0).code == 1  # back
         assert old.command("STOP").code == 1
-        assert old.command("EMERGENCY").code == 1
+        assert old.command("EMERGENCY").code == 3
         assert old.command("START_UP").code == 3
         assert old.command("STOP").code == 1
         old.link.close()

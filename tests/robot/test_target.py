@@ -76,7 +76,7 @@ def test_the_wire_of_the_target_lies_on_the_trajectory():
 def test_errors_of_planning_and_robot_add_up():
     target = aimed()
     assert set(target.budget_mm2) == {
-        "frame", "picks", "kinematics", "hand_eye", "drill_axis", "encoders", "compliance",
+        "frame", "picks", "kinematics", "hand_eye", "drill_axis", "encoders", "compliance", "skiving",
     }  # fmt: skip
     assert np.allclose(target.covariance_mm2, np.sum(list(target.budget_mm2.values()), axis=0))
     turned = target.registration.T_mcs_cfcs.rotation.as_matrix()

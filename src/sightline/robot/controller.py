@@ -134,6 +134,7 @@ class Controller:
         self._activity: Activity | None = None
         self._next_fault = first_fault
         self._reading = plant.read()
+        self._begun_s = 0.0  # an activity's first cycle: what was asked before it may have taken long
         self._acted_s: float | None = None  # when the activity that goes on had its last cycle
         self._sound = True  # the last sample was one of numbers
         self._sampled_s: float | None = None  # by the controller's clock
@@ -193,6 +194,8 @@ class Controller:
         """Read the plant, watch, decide, command. What has ended since the last cycle."""
         if self._acted_s is not None and now_s - self._acted_s > STALE_S:
             self._halt_by_itself(f"the control loop was {now_s - self._acted_s:.2f} s late", now_s)
+        if self._acted_s is None:
+            self._begun_s = now_s
         self._read(now_s)
         self._watch(now_s)
         if self._activity is not None:
@@ -239,7 +242,7 @@ class Controller:
             return self._stop(client, now_s)
         if cause is Cause.EMERGENCY:
             self._fail(Code.EMERGENCY, "a client sent EMERGENCY", now_s)
-            return Answer(Code.OK)
+            return Answer(Code.OK, done=False)  # what all are told is its status, too
         self._hold_lease(client)
         if (self.state, cause) not in TRANSITIONS:
             raise self._illegal(cause)
@@ -424,7 +427,7 @@ class Controller:
         if not self._reading.flags & PlantFlag.RUN_HELD:
             return "the hold-to-run switch was released"
         heard_s = self._heartbeats.get(-1 if self.lease is None else self.lease)
-        if heard_s is not None and now_s - heard_s > SILENCE_S:
+        if heard_s is not None and now_s - max(heard_s, self._begun_s) > SILENCE_S:
             return f"the client was silent for {SILENCE_S:g} s"
         if self.state is not State.RETRACT and self.insertion is not None and now_s > self.insertion.expires_s:
             return "the plan has expired"
