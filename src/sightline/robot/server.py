@@ -107,8 +107,10 @@ class RobotServer:
 
     def wait(self) -> None:
         """Until the link ends, or a KeyboardInterrupt."""
-        while self._link.is_alive() and self._control.is_alive():
-            self._link.join(0.2)
+        if not self._virtual:
+            _prefer_this_thread(PRIORITY - 1)  # it wakes now and then, and holds Python's lock for a moment
+        while self._link.is_alive():
+            self._link.join(1.0)
 
     # The link's thread.
 
