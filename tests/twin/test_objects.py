@@ -26,7 +26,7 @@ def steel_mm(scene: Scene, through_mm: np.ndarray, along: np.ndarray = ACROSS) -
     """Length in the solids of a scene on the line through a point."""
     shapes, _ = pack(scene.solids)
     start = through_mm - 500 * along
-    return sum(chord(start, along, shape) for shape in shapes)
+    return sum(chord(start, along, shapes, m) for m in range(len(shapes)))
 
 
 def test_a_wire_has_its_length_diameter_and_tip():

@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from sightline import threads
 from sightline.twin.beam import TABLE_PER_CM, attenuation_per_mm
 from sightline.twin.projector import Rays, box_length, chord, volume_integral
 from sightline.twin.things import Ball, Rod, SoftTissue, pack
@@ -36,6 +37,22 @@ def test_a_uniform_cuboid_has_the_same_length_as_volume_and_as_box():
     assert (cast[box == 0] < 0.6).all()
 
 
+def test_lengths_are_the_same_to_the_bit_in_any_number_of_threads(monkeypatch: pytest.MonkeyPatch):
+    rng = np.random.default_rng(11)
+    values = rng.uniform(0, 1, (30, 25, 20)).astype(np.float32)
+    turn = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+    both = []
+    for count in (1, 3):
+        monkeypatch.setattr(threads, "THREADS", count)
+        threads._pool.cache_clear()  # the next count takes its own
+        volume = volume_integral(rays(), values, np.array([-11.0, -9.3, -8.1]), np.array([0.7, 0.8, 0.9]))
+        both.append((volume, box_length(rays(), np.array([[0.3, 0.1, 2.0]]), turn[None], np.array([[9.0, 5.0, 7.0]]))))
+    threads._pool.cache_clear()
+    for one, other in zip(*both, strict=True):
+        assert one.max() > 5.0
+        np.testing.assert_array_equal(one, other)
+
+
 def test_a_voxelised_ball_has_its_chord():
     side, voxel = 64, 0.75
     grid = (np.arange(side) - (side - 1) / 2) * voxel
@@ -43,7 +60,7 @@ def test_a_voxelised_ball_has_its_chord():
     values = np.clip((18.0 - r) / voxel + 0.5, 0, 1).astype(np.float32)
     cast = volume_integral(rays(), values, np.full(3, grid[0]), np.full(3, voxel))
     shapes, _ = pack([Ball((0.0, 0.0, 0.0), 18.0)])
-    exact = np.array([[chord(FOCAL, d, shapes[0]) for d in row] for row in directions(rays())])
+    exact = np.array([[chord(FOCAL, d, shapes, 0) for d in row] for row in directions(rays())])
     assert np.abs(cast - exact)[exact > 20].max() < voxel / 3
 
 
@@ -64,7 +81,7 @@ def test_a_cylinder_has_the_length_that_sampling_finds(at, turn, radius, half):
     along = gap @ axis
     across = np.linalg.norm(gap - along[:, None] * axis, axis=-1)
     sampled = 1e-3 * np.count_nonzero((np.abs(along) <= half) & (across <= radius) & (across >= radius / 2))
-    assert chord(FOCAL, d, shapes[0]) == pytest.approx(sampled, abs=5e-3)
+    assert chord(FOCAL, d, shapes, 0) == pytest.approx(sampled, abs=5e-3)
 
 
 def test_a_turned_box_is_met_as_a_straight_one_is():

@@ -9,7 +9,7 @@ from sightline.detection.fit import fit_part
 from sightline.detection.noise import NoiseModel
 from sightline.detection.profile import profile_table
 from sightline.detection.sharpen import Sharpening, design, noise_blur_px
-from sightline.detection.threads import in_parts
+from sightline.threads import in_parts
 
 _BLUR_PX = 1.0  # where fits start: detector 0.9, focal spot and pixel [physics.md]
 

@@ -3,7 +3,7 @@
 import numba as nb
 import numpy as np
 
-from sightline.detection.threads import in_parts
+from sightline.threads import in_parts
 
 # Columns of an extremum (the first four) and of a candidate.
 U, V, RADIUS, RESPONSE, SCORE, HOLLOW = range(6)

@@ -6,8 +6,8 @@ import numba as nb
 import numpy as np
 
 from sightline.detection.noise import BLOCK, NoiseModel
-from sightline.detection.threads import in_parts
 from sightline.detection.window import along_both_axes
+from sightline.threads import in_parts
 
 TAPS = 6  # px to either side
 _WIDE, _STEP = BLOCK + 2 * TAPS, 4 * BLOCK  # px: a block with the filter's margin, and from block to block

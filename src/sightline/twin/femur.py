@@ -8,11 +8,12 @@ from dataclasses import dataclass
 from math import cos, radians, sin
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 from scipy.ndimage import gaussian_filter
 from scipy.optimize import root_scalar
 
 from sightline.errors import SetUpError
+from sightline.threads import in_parts
 from sightline.twin.volumes import Volume
 
 VOXEL_MM = 0.75
@@ -25,6 +26,7 @@ LESSER_MM, LESSER_HALF_MM = (
     np.array([-13.0, 30.0, -12.0]),
     np.array([9.0, 12.0, 9.0]),
 )  # from the base; half-axes [ours]
+GREATER_MM, GREATER_HALF_MM = np.array([7.0, -14.0, -5.0]), np.array([13.0, 25.0, 17.0])  # likewise [ours]
 # Share of cortical bone that adds a given CT number to soft tissue at 60 keV: HU/1000 mu_water / (mu_bone - mu_tissue).
 BONE_PER_HU = 0.206e-3 / (0.0604 - 0.0217) / 10
 
@@ -62,6 +64,11 @@ class Femur:
     def lesser_trochanter_mm(self) -> np.ndarray:
         """(3,) the tip of the lesser trochanter, medial and dorsal of the shaft, anatomical coordinates."""
         return self.base_mm + LESSER_MM + np.array([-1.0, 0.0, -1.0]) * LESSER_HALF_MM / np.sqrt(2)
+
+    @property
+    def greater_trochanter_mm(self) -> np.ndarray:
+        """(3,) the most cranial point of the greater trochanter, anatomical coordinates."""
+        return self.base_mm + GREATER_MM + np.array([0.0, -1.0, 0.0]) * GREATER_HALF_MM
 
     def wire_mm(self, angle_deg: float = 135.0, short_mm: float = 8.0) -> tuple[np.ndarray, np.ndarray]:
         """Entry and end point of the ideal guide wire, anatomical coordinates.
@@ -110,7 +117,8 @@ def voxelise(femur: Femur, side: str, head_mm: np.ndarray, rng: np.random.Genera
     """The bone as a volume in CFCS, with a random trabecular texture; without one where `rng` is None."""
     nx, ny, nz = (int(n) for n in np.ceil((BOX_HIGH_MM - BOX_LOW_MM) / VOXEL_MM))
     tile = np.zeros((1, 1, 1), dtype=np.float32) if rng is None else _texture(rng)
-    values = _fill(BOX_LOW_MM, femur._numbers(), tile, (nx, ny, nz))
+    values = np.zeros((nx, ny, nz), dtype=np.float32)
+    in_parts(_fill, BOX_LOW_MM, femur._numbers(), tile, values)
     low = BOX_LOW_MM
     if side == "left":
         values = np.ascontiguousarray(values[:, ::-1])
@@ -124,14 +132,14 @@ def _texture(rng: np.random.Generator) -> np.ndarray:
     return tile / tile.std()
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _blend(a: float, b: float, k: float) -> float:
     """Smooth minimum of two distances over a width k."""
     h = max(k - abs(a - b), 0.0) / k
     return min(a, b) - h * h * k / 4
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _ellipsoid(at: tuple[float, float, float], half: tuple[float, float, float]) -> float:
     """Distance from an ellipsoid at the origin with the given half-axes, to first order."""
     k0, k1 = 0.0, 0.0
@@ -141,7 +149,7 @@ def _ellipsoid(at: tuple[float, float, float], half: tuple[float, float, float])
     return np.sqrt(k0) * (np.sqrt(k0) - 1) / max(np.sqrt(k1), 1e-9)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _femur_distance(p: np.ndarray, n: np.ndarray) -> tuple[float, float]:
     """Signed distance from the femur's surface (negative inside), and from the head's alone."""
     rh, rn, rs = n[0], n[1], n[2]
@@ -154,7 +162,10 @@ def _femur_distance(p: np.ndarray, n: np.ndarray) -> tuple[float, float]:
     x, y, z = p[0] - bx, p[1] - by, p[2] - bz
     flare = 1.0 + 0.28 * np.exp(-((max(y, 0.0) / 28.0) ** 2))  # wider towards the trochanters
     shaft = np.sqrt(x * x + z * z * 1.1 + min(y, 0.0) ** 2) - rs * flare
-    greater = _ellipsoid((x - 7.0, y + 14.0, z + 5.0), (13.0, 25.0, 17.0))
+    greater = _ellipsoid(
+        (x - GREATER_MM[0], y - GREATER_MM[1], z - GREATER_MM[2]),
+        (GREATER_HALF_MM[0], GREATER_HALF_MM[1], GREATER_HALF_MM[2]),
+    )
     lesser = _ellipsoid(
         (x - LESSER_MM[0], y - LESSER_MM[1], z - LESSER_MM[2]),
         (LESSER_HALF_MM[0], LESSER_HALF_MM[1], LESSER_HALF_MM[2]),
@@ -163,13 +174,13 @@ def _femur_distance(p: np.ndarray, n: np.ndarray) -> tuple[float, float]:
     return _blend(_blend(neck, head, 6.0), body, 14.0), head
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _step(x: float, width: float) -> float:
     """0 to 1 across `width` around 0, straight: a voxel's partial volume."""
     return min(max(x / width + 0.5, 0.0), 1.0)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _bone(p: np.ndarray, n: np.ndarray, texture: float) -> float:
     """Share of cortical bone at a point. Cortex 1 mm on the head, 2 mm on the neck, growing to the canal in the shaft
     (5 mm laterally) [mem]; cancellous bone inside, denser in the head."""
@@ -186,7 +197,7 @@ def _bone(p: np.ndarray, n: np.ndarray, texture: float) -> float:
     return share
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _socket(p: np.ndarray, head: float, texture: float, spongy: float) -> float:
     """The acetabulum (a shell 3.5 mm outside the head, open to lateral and caudal) and the bone that bears it."""
     opening = 0.72 * p[0] + 0.69 * p[1]  # along the neck
@@ -202,16 +213,14 @@ def _socket(p: np.ndarray, head: float, texture: float, spongy: float) -> float:
     return max(0.85 * max(shell, hard), fill)
 
 
-@njit(cache=True, parallel=True)
-def _fill(low: np.ndarray, n: np.ndarray, tile: np.ndarray, shape: tuple[int, int, int]) -> np.ndarray:
+@njit(cache=True, nogil=True, error_model="numpy")
+def _fill(part, parts, low, n, tile, out):  # noqa: PLR0917
     """Share of bone at every voxel; the outermost voxels stay empty."""
-    out = np.zeros(shape, dtype=np.float32)
     tx, ty, tz = tile.shape
-    for i in prange(1, shape[0] - 1):
-        p = np.empty(3)
-        for j in range(1, shape[1] - 1):
-            for k in range(1, shape[2] - 1):
+    p = np.empty(3)
+    for i in range(1 + part, out.shape[0] - 1, parts):
+        for j in range(1, out.shape[1] - 1):
+            for k in range(1, out.shape[2] - 1):
                 p[0], p[1], p[2] = low[0] + VOXEL_MM * i, low[1] + VOXEL_MM * j, low[2] + VOXEL_MM * k
                 texture = float(tile[i % tx, j % ty, k % tz])
                 out[i, j, k] = _bone(p, n, texture)
-    return out

@@ -1,10 +1,16 @@
-"""Ray-casting: lengths and attenuation along the rays of an image. Compiled, parallel over rows of the image."""
+"""Ray-casting: lengths and attenuation along the rays of an image. Compiled, in threads that share its rows.
+
+Kernels loop over elements and pass whole arrays on with an index: an array expression takes up to a second to compile,
+a row taken out of an array has its users counted. They look at no divisor (`error_model`): those that may be zero are
+asked for.
+"""
 
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 
+from sightline.threads import in_parts
 from sightline.twin.things import COLUMNS
 
 CELL_PX = 16
@@ -22,7 +28,7 @@ class Rays(NamedTuple):
     inside: np.ndarray
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _towards(rays: Rays, r: int, c: int, d: np.ndarray) -> float:
     """Fills `d` (3,) with the way from focal point to input plane of one pixel; its length, mm."""
     norm = 0.0
@@ -32,7 +38,7 @@ def _towards(rays: Rays, r: int, c: int, d: np.ndarray) -> float:
     return np.sqrt(norm)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _within(span: tuple[float, float], start: float, slope: float, low: float, high: float) -> tuple[float, float]:
     """The part of a span of t (near, far) where start + t slope lies between low and high; far < near: none."""
     near, far = span
@@ -42,28 +48,30 @@ def _within(span: tuple[float, float], start: float, slope: float, low: float, h
     return max(near, min(t0, t1)), min(far, max(t0, t1))
 
 
-# Sums may be taken in any order: that lets eight samples be taken at a time, and changes no bit of a float32 result.
-@njit(cache=True, parallel=True, fastmath={"reassoc", "contract"})
 def volume_integral(rays: Rays, values: np.ndarray, origin: np.ndarray, voxel: np.ndarray) -> np.ndarray:
     """(H, W) mm: integral of a volume along each ray, trilinear, a sample per shortest voxel edge. 0 where not inside.
 
     `values` (nx, ny, nz), C-contiguous, value [i, j, k] at origin + voxel * (i, j, k); nothing beyond them. `voxel`
     (3,) mm; at least two voxels a side.
     """
-    focal, _, inside = rays
-    h, w = inside.shape
-    out = np.zeros((h, w), dtype=np.float32)
-    flat = values.ravel()
-    ni, nj = values.shape[1] * values.shape[2], values.shape[2]
-    shape = values.shape
+    out = np.zeros(rays.inside.shape, dtype=np.float32)
     unit = voxel[0]
     ratio = unit / voxel
-    most = ratio.max()
-    start = (focal - origin) / unit * ratio
-    for r in prange(h):
-        d = np.empty(3)
+    in_parts(_cast_volume, rays, values.ravel(), values.shape, (rays.focal - origin) / unit * ratio, ratio, unit, out)
+    return out
+
+
+# Sums may be taken in any order: that lets eight samples be taken at a time, and changes no bit of a float32 result.
+@njit(cache=True, nogil=True, error_model="numpy", fastmath={"reassoc", "contract"})
+def _cast_volume(part, parts, rays, flat, shape, start, ratio, unit, out):  # noqa: PLR0917
+    """Voxels `flat` (n,) of `shape`; `start` (3,) the focal point in voxels, `ratio` (3,) voxels per `unit` mm."""
+    h, w = rays.inside.shape
+    ni, nj = shape[1] * shape[2], shape[2]
+    most = max(ratio[0], ratio[1], ratio[2])
+    d = np.empty(3)
+    for r in range(part, h, parts):
         for c in range(w):
-            if not inside[r, c]:
+            if not rays.inside[r, c]:
                 continue
             norm = _towards(rays, r, c, d)
             span = (0.0, norm / unit)
@@ -91,17 +99,16 @@ def volume_integral(rays: Rays, values: np.ndarray, origin: np.ndarray, voxel: n
                 high_up = (1 - fy) * flat[a10 + up] + fy * flat[a11 + up]
                 total += (1 - fx) * ((1 - fz) * low + fz * low_up) + fx * ((1 - fz) * high + fz * high_up)
             out[r, c] = total * step * unit
-    return out
 
 
-@njit(cache=True)
-def _cylinder(o: np.ndarray, d: np.ndarray, shape: np.ndarray, radius: float) -> float:
+@njit(cache=True, error_model="numpy")
+def _cylinder(o: np.ndarray, d: np.ndarray, shapes: np.ndarray, m: int, radius: float) -> float:
     """Length of the ray o + t d, |d| = 1, within a finite cylinder."""
     along, slope, dot, o2 = 0.0, 0.0, 0.0, 0.0
     for a in range(3):
-        g = o[a] - shape[a]
-        along += g * shape[3 + a]
-        slope += d[a] * shape[3 + a]
+        g = o[a] - shapes[m, a]
+        along += g * shapes[m, 3 + a]
+        slope += d[a] * shapes[m, 3 + a]
         dot += g * d[a]
         o2 += g * g
     a2 = 1.0 - slope * slope
@@ -115,7 +122,7 @@ def _cylinder(o: np.ndarray, d: np.ndarray, shape: np.ndarray, radius: float) ->
         near, far = (-b - np.sqrt(disc)) / a2, (-b + np.sqrt(disc)) / a2
     elif c > 0.0:
         return 0.0
-    half = shape[8]
+    half = shapes[m, 8]
     if abs(slope) > 1e-12:
         t0, t1 = (-half - along) / slope, (half - along) / slope
         near, far = max(near, min(t0, t1)), min(far, max(t0, t1))
@@ -124,31 +131,28 @@ def _cylinder(o: np.ndarray, d: np.ndarray, shape: np.ndarray, radius: float) ->
     return max(far - near, 0.0)
 
 
-@njit(cache=True)
-def chord(o: np.ndarray, d: np.ndarray, shape: np.ndarray) -> float:
-    """Length, mm, of the ray o + t d, |d| = 1, within one packed solid (`things.pack`)."""
-    if shape[8] >= 0.0:
-        outer = _cylinder(o, d, shape, shape[6])
-        return outer - _cylinder(o, d, shape, shape[7]) if shape[7] > 0.0 and outer > 0.0 else outer
+@njit(cache=True, error_model="numpy")
+def chord(o: np.ndarray, d: np.ndarray, shapes: np.ndarray, m: int) -> float:
+    """Length, mm, of the ray o + t d, |d| = 1, within one of the packed solids (M, 9) of `things.pack`."""
+    if shapes[m, 8] >= 0.0:
+        outer = _cylinder(o, d, shapes, m, shapes[m, 6])
+        return outer - _cylinder(o, d, shapes, m, shapes[m, 7]) if shapes[m, 7] > 0.0 and outer > 0.0 else outer
     b, g2 = 0.0, 0.0
     for a in range(3):
-        g = shape[a] - o[a]
+        g = shapes[m, a] - o[a]
         b += g * d[a]
         g2 += g * g
-    left = shape[6] * shape[6] - (g2 - b * b)
+    left = shapes[m, 6] * shapes[m, 6] - (g2 - b * b)
     return 2.0 * np.sqrt(left) if left > 0.0 else 0.0
 
 
-@njit(cache=True)
-def _sub_ray(
-    rays: Rays, spot: np.ndarray, pixel: tuple[int, int], which: tuple[int, int], ray: tuple[np.ndarray, np.ndarray]
-) -> None:
-    """Fills a `ray`, start and unit direction, with a pixel's sub-ray: number which[0] of which[1] x which[1].
+@njit(cache=True, error_model="numpy")
+def _sub_ray(rays, spot, r, c, s, sub, o, d):  # noqa: PLR0917
+    """Fills `o` and `d` (3,), start and unit direction, with a pixel's sub-ray: number `s` of sub x sub.
 
     Each starts elsewhere on the square focal spot: `spot` (2, 3) spans it. The offset on the spot is that in the pixel
     turned by 90°, so both blurs have their right size and neither leans on the other.
     """
-    (r, c), (s, sub), (o, d) = pixel, which, ray
     focal, points = rays.focal, rays.points
     pu, pv = (s % sub + 0.5) / sub - 0.5, (s // sub + 0.5) / sub - 0.5
     norm = 0.0
@@ -158,10 +162,10 @@ def _sub_ray(
         by_v = 0.5 * (points[r + 1, c, a] - points[r - 1, c, a])
         d[a] = points[r, c, a] + pu * by_u + pv * by_v - o[a]
         norm += d[a] * d[a]
-    d /= np.sqrt(norm)
+    for a in range(3):
+        d[a] /= np.sqrt(norm)
 
 
-@njit(cache=True, parallel=True)
 def solid_transmission(
     rays: Rays,
     spot: np.ndarray,
@@ -173,38 +177,48 @@ def solid_transmission(
     `spot` (2, 3): see `_sub_ray`. `cells` (start, index): which solids may touch each cell of CELL_PX pixels;
     `solids`: shapes (M, 9) and attenuation (M, N) at N energies.
     """
-    inside = rays.inside
-    first, index = cells
     shapes, excess = solids
-    h, w = inside.shape
-    wide = (w + CELL_PX - 1) // CELL_PX
-    energies = excess.shape[1]
-    out = np.ones((energies, h, w), dtype=np.float32)
+    out = np.ones((excess.shape[1], *rays.inside.shape), dtype=np.float32)
     # No sub-ray is farther than this from the ray of its pixel: half the spot's diagonal, and more than half a pixel's.
+    h, w = rays.inside.shape
     apart = rays.points[h // 2, w // 2 + 1] - rays.points[h // 2, w // 2]
     reach = np.sqrt((spot * spot).sum()) / 2 + 2 * np.sqrt((apart * apart).sum())
     grown = shapes.copy()
     grown[:, 6] += reach
     grown[:, 7] = 0.0
     grown[:, 8] += np.where(shapes[:, 8] < 0.0, 0.0, reach)
-    for r in prange(1, h - 1):
-        o, d, depth = np.empty(3), np.empty(3), np.empty(energies)
+    in_parts(_cast_solids, rays, spot, *cells, shapes, grown, excess, out)
+    return out
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _cast_solids(part, parts, rays, spot, first, index, shapes, grown, excess, out):  # noqa: PLR0912, PLR0917
+    """`grown` (M, 9): solids so large that the ray of a pixel meets them where a sub-ray meets `shapes`."""
+    h, w = rays.inside.shape
+    wide = (w + CELL_PX - 1) // CELL_PX
+    energies = excess.shape[1]
+    o, d, depth, total = np.empty(3), np.empty(3), np.empty(energies), np.empty(energies)
+    for r in range(1 + part, h - 1, parts):
         for c in range(1, w - 1):
             cell = (r // CELL_PX) * wide + c // CELL_PX
-            if not inside[r, c] or first[cell] == first[cell + 1]:
+            if not rays.inside[r, c] or first[cell] == first[cell + 1]:
                 continue
-            d /= _towards(rays, r, c, d)
+            norm = _towards(rays, r, c, d)
+            for a in range(3):
+                d[a] /= norm
             near = False
             for n in range(first[cell], first[cell + 1]):
-                near = near or chord(rays.focal, d, grown[index[n]]) > 0.0
+                near = near or chord(rays.focal, d, grown, index[n]) > 0.0
             if not near:
                 continue
-            total = np.zeros(energies)
+            for e in range(energies):
+                total[e] = 0.0
             for s in range(SUB * SUB):
-                _sub_ray(rays, spot, (r, c), (s, SUB), (o, d))
-                depth[:] = 0.0
+                _sub_ray(rays, spot, r, c, s, SUB, o, d)
+                for e in range(energies):
+                    depth[e] = 0.0
                 for n in range(first[cell], first[cell + 1]):
-                    length = chord(o, d, shapes[index[n]])
+                    length = chord(o, d, shapes, index[n])
                     if length > 0.0:
                         for e in range(energies):
                             depth[e] += length * excess[index[n], e]
@@ -212,19 +226,22 @@ def solid_transmission(
                     total[e] += np.exp(-depth[e])
             for e in range(energies):
                 out[e, r, c] = total[e] / (SUB * SUB)
+
+
+def box_length(rays: Rays, centres: np.ndarray, axes: np.ndarray, halves: np.ndarray) -> np.ndarray:
+    """(H, W) mm: length of each ray within cuboids: centres (M, 3), axes (M, 3, 3), half-lengths (M, 3)."""
+    out = np.zeros(rays.inside.shape, dtype=np.float32)
+    in_parts(_cast_boxes, rays, centres, axes, halves, out)
     return out
 
 
-@njit(cache=True, parallel=True)
-def box_length(rays: Rays, centres: np.ndarray, axes: np.ndarray, halves: np.ndarray) -> np.ndarray:
-    """(H, W) mm: length of each ray within cuboids: centres (M, 3), axes (M, 3, 3), half-lengths (M, 3)."""
-    focal, _, inside = rays
-    h, w = inside.shape
-    out = np.zeros((h, w), dtype=np.float32)
-    for r in prange(h):
-        d = np.empty(3)
+@njit(cache=True, nogil=True, error_model="numpy")
+def _cast_boxes(part, parts, rays, centres, axes, halves, out):  # noqa: PLR0917
+    h, w = rays.inside.shape
+    d = np.empty(3)
+    for r in range(part, h, parts):
         for c in range(w):
-            if not inside[r, c]:
+            if not rays.inside[r, c]:
                 continue
             norm = _towards(rays, r, c, d)
             for m in range(len(centres)):
@@ -232,38 +249,37 @@ def box_length(rays: Rays, centres: np.ndarray, axes: np.ndarray, halves: np.nda
                 for a in range(3):
                     start, slope = 0.0, 0.0
                     for b in range(3):
-                        start += (focal[b] - centres[m, b]) * axes[m, a, b]
+                        start += (rays.focal[b] - centres[m, b]) * axes[m, a, b]
                         slope += d[b] * axes[m, a, b]
                     span = _within(span, start, slope, -halves[m, a], halves[m, a])
                 near, far = span
                 if far > near:
                     out[r, c] += (far - near) * norm
-    return out
 
 
-@njit(cache=True)
-def _side(o: np.ndarray, d: np.ndarray, a: np.ndarray, b: np.ndarray) -> float:
-    """d · ((a - o) x (b - o)): on which side of the ray o + t d the edge from a to b passes."""
-    ax, ay, az = a[0] - o[0], a[1] - o[1], a[2] - o[2]
-    bx, by, bz = b[0] - o[0], b[1] - o[1], b[2] - o[2]
+@njit(cache=True, error_model="numpy")
+def _side(o: np.ndarray, d: np.ndarray, vertices: np.ndarray, i: int, j: int) -> float:
+    """d · ((a - o) x (b - o)): on which side of the ray o + t d the edge from vertex i, a, to j, b, passes."""
+    ax, ay, az = vertices[i, 0] - o[0], vertices[i, 1] - o[1], vertices[i, 2] - o[2]
+    bx, by, bz = vertices[j, 0] - o[0], vertices[j, 1] - o[1], vertices[j, 2] - o[2]
     return d[0] * (ay * bz - az * by) + d[1] * (az * bx - ax * bz) + d[2] * (ax * by - ay * bx)
 
 
-@njit(cache=True)
-def _crossing(o: np.ndarray, d: np.ndarray, vertices: np.ndarray, triangle: np.ndarray) -> float:
-    """Signed way to a triangle along the ray o + t d, |d| = 1: t where the ray leaves through it, -t where it enters.
+@njit(cache=True, error_model="numpy")
+def _crossing(o: np.ndarray, d: np.ndarray, vertices: np.ndarray, triangles: np.ndarray, m: int) -> float:
+    """Signed way to triangle `m` along the ray o + t d, |d| = 1: t where the ray leaves through it, -t where it enters.
 
     0 where it misses. Each edge is judged from its lower to its higher vertex, so both its triangles judge it alike and
     no ray slips between them or meets both.
     """
     ahead, way, weight = 0, 0.0, 0.0
     for k in range(3):
-        i, j, opposite = triangle[k], triangle[(k + 1) % 3], triangle[(k + 2) % 3]
+        i, j, opposite = triangles[m, k], triangles[m, (k + 1) % 3], triangles[m, (k + 2) % 3]
         if i < j:
-            side = _side(o, d, vertices[i], vertices[j])
+            side = _side(o, d, vertices, i, j)
             ahead += side >= 0.0
         else:
-            side = -_side(o, d, vertices[j], vertices[i])
+            side = -_side(o, d, vertices, j, i)
             ahead += side > 0.0
         along = 0.0
         for a in range(3):
@@ -275,7 +291,6 @@ def _crossing(o: np.ndarray, d: np.ndarray, vertices: np.ndarray, triangle: np.n
     return way / weight if ahead == 3 else -way / weight
 
 
-@njit(cache=True, parallel=True)
 def mesh_lengths(
     rays: Rays, xi: np.ndarray, spot: np.ndarray, surface: tuple[np.ndarray, np.ndarray], shadows: np.ndarray
 ) -> np.ndarray:
@@ -284,24 +299,29 @@ def mesh_lengths(
     `surface`: vertices (V, 3) and triangles (T, 3), counter-clockwise seen from outside. `xi` (H, W, 2): where each
     ray meets the input plane; `shadows` (T, 4): least and greatest xi that a triangle may touch, mm.
     """
-    vertices, triangles = surface
+    out = np.zeros((MESH_SUB * MESH_SUB, *rays.inside.shape))
+    in_parts(_cast_mesh, rays, xi, spot, *surface, shadows, out)
+    return out
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _cast_mesh(part, parts, rays, xi, spot, vertices, triangles, shadows, out):  # noqa: PLR0917
     h, w = rays.inside.shape
     tall, wide = (h + MESH_CELL_PX - 1) // MESH_CELL_PX, (w + MESH_CELL_PX - 1) // MESH_CELL_PX
-    out = np.zeros((MESH_SUB * MESH_SUB, h, w))
-    for cell in prange(tall * wide):
+    cast = np.empty((MESH_CELL_PX, MESH_CELL_PX, MESH_SUB * MESH_SUB, 2, 3))  # start and direction of every sub-ray
+    for cell in range(part, tall * wide, parts):
         r0, c0 = max(cell // wide * MESH_CELL_PX, 1), max(cell % wide * MESH_CELL_PX, 1)
         r1, c1 = min((cell // wide + 1) * MESH_CELL_PX, h - 1), min((cell % wide + 1) * MESH_CELL_PX, w - 1)
         if not rays.inside[r0:r1, c0:c1].any():
             continue
-        cast = np.empty((r1 - r0, c1 - c0, MESH_SUB * MESH_SUB, 2, 3))  # start and direction of every sub-ray
+        x0, x1, y0, y1 = np.inf, -np.inf, np.inf, -np.inf
         for r in range(r0, r1):
             for c in range(c0, c1):
+                x0, x1 = min(x0, xi[r, c, 0]), max(x1, xi[r, c, 0])
+                y0, y1 = min(y0, xi[r, c, 1]), max(y1, xi[r, c, 1])
                 for s in range(MESH_SUB * MESH_SUB):
                     ray = cast[r - r0, c - c0, s]
-                    _sub_ray(rays, spot, (r, c), (s, MESH_SUB), (ray[0], ray[1]))
-        part = xi[r0:r1, c0:c1]
-        x0, x1 = part[:, :, 0].min(), part[:, :, 0].max()
-        y0, y1 = part[:, :, 1].min(), part[:, :, 1].max()
+                    _sub_ray(rays, spot, r, c, s, MESH_SUB, ray[0], ray[1])
         for t in range(len(triangles)):
             left, top, right, bottom = shadows[t]
             if left > x1 or right < x0 or top > y1 or bottom < y0:
@@ -313,5 +333,4 @@ def mesh_lengths(
                         continue
                     for s in range(MESH_SUB * MESH_SUB):
                         ray = cast[r - r0, c - c0, s]
-                        out[s, r, c] += _crossing(ray[0], ray[1], vertices, triangles[t])
-    return out
+                        out[s, r, c] += _crossing(ray[0], ray[1], vertices, triangles, t)

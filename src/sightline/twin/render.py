@@ -270,7 +270,8 @@ def _volume_mm(volume: Volume, rays: Rays) -> np.ndarray:
     focal, origin = rays.focal @ own, volume.origin_mm @ own
     if volume.voxel_mm.min() < FINE_VOXEL_MM:
         return volume_integral(Rays(focal, rays.points @ own, rays.inside), volume.values, origin, volume.voxel_mm)
-    every = Rays(focal, rays.points[::2, ::2] @ own, _grown(rays.inside)[::2, ::2])
+    inside = np.ascontiguousarray(_grown(rays.inside)[::2, ::2])
+    every = Rays(focal, rays.points[::2, ::2] @ own, inside)
     length = volume_integral(every, volume.values, origin, volume.voxel_mm)
     halve = np.array([[0.5, 0.0, 0.0], [0.0, 0.5, 0.0]])
     h, w = rays.inside.shape

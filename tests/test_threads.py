@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sightline.detection import threads
+from sightline import threads
 
 
 def _count(part: int, parts: int, done: np.ndarray) -> None:
