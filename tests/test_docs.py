@@ -38,6 +38,7 @@ def names_in(source: Path) -> set[str]:
 def check_names() -> set[str]:
     # The plan's three bounds are made in one loop over their names, the robot's clearances in one over obstacles.
     named_in_a_loop = {"entry error", "end error", "direction error"}
+    named_in_a_loop |= {"wire entry error", "wire end error", "wire direction error"}  # those of the robot's target
     named_in_a_loop |= {f"{obstacle} clearance" for obstacle in ("patient", "table", "C-arm")}
     return named_in_a_loop.union(*(names_in(file) for file in (ROOT / "src" / "sightline").rglob("*.py")))
 
@@ -98,3 +99,9 @@ def test_the_python_of_the_readme_runs(demo_folder: Path, tmp_path: Path, monkey
     for block in blocks:
         exec(compile(block, "README.md", "exec"), {})  # noqa: S102 - our own page
     assert re.search(r"-?\d+\.\d", capsys.readouterr().out)
+
+
+def test_the_tests_that_the_page_on_safety_names_exist() -> None:
+    named = re.findall(r"(tests/[\w/]+\.py)::(\w+)", (ROOT / "docs" / "safety.md").read_text())
+    assert len(named) > 20
+    assert [f"{file}::{name}" for file, name in named if f"def {name}(" not in (ROOT / file).read_text()] == []

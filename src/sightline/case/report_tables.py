@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from sightline.case import drilled
 from sightline.case.comparison import Compared, Refused
 from sightline.case.figure_budget import Bar
 from sightline.case.views import NAMES
@@ -33,6 +34,7 @@ def tables(report: "Report") -> dict[str, Any]:
         "notes": list(_notes(report)),
         "points": _points(report),
         "comparison": _comparison(report),
+        "drilled": drilled.section(report.drilled),
         "checks": _checks(report),
     }
 
@@ -190,6 +192,7 @@ def _checks(report: "Report") -> list[dict[str, Any]]:
     of_views = [check for checks in views.values() for check in checks]
     blocks = [(f"Calibration of the {spoken(name)} view", checks) for name, checks in views.items()]
     blocks.append(("The plan", tuple(c for c in report.plan.verdict.checks if c not in of_views)))
+    blocks += drilled.checks(report.drilled)
     return [{"title": title, "rows": [_check(c) for c in checks]} for title, checks in blocks if checks]
 
 

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from sightline.cli.demo_robot import Planned, drill
 from sightline.cli.output import Json, Output, Quiet
 
 if TYPE_CHECKING:
@@ -12,6 +13,7 @@ if TYPE_CHECKING:
 
     from sightline.calibration.fit import Method
     from sightline.case.comparison import Compared, Refused, Truth
+    from sightline.case.drilled import Drilled
     from sightline.case.report import Report
     from sightline.case.views import CalibratedImage
     from sightline.frame import Frame
@@ -43,9 +45,7 @@ def demo(
     with Output(json=json, quiet=quiet) as output:
         from sightline.atomic import whole_folder
 
-        output.note(
-            f"Sightline demo, seed {seed}: about a quarter of a minute; the first run compiles and takes about one"
-        )
+        output.note(f"Sightline demo, seed {seed}: about half a minute; the first run compiles and takes one or two")
         with whole_folder(out) as scratch:
             document = _run(output, scratch, seed)
             files = [out / file.name for file in sorted(scratch.iterdir())]
@@ -68,18 +68,19 @@ def _run(output: Output, folder: Path, seed: int) -> dict[str, Any]:
 
     frame = Frame.load("gamma")
     rng = np.random.default_rng(seed)
-    with output.step("1/6 drawing the set-up and its X-ray images"):
+    with output.step("1/8 drawing the set-up and its X-ray images"):
         setup, hip, radiographs = _simulate(frame, rng)
         truth = Truth(hip.wire_mm, np.stack([setup.views[name].project(hip.wire_mm) for name in NAMES]))
         pa, lateral = (write_dicom(radiographs[name], folder / f"demo_{name}.dcm") for name in NAMES)
-    with output.step("2/6 reading the images, finding and telling apart the beads"):
+    with output.step("2/8 reading the images, finding and telling apart the beads"):
         seen = see_pair(pa, lateral, frame)
     images: dict[str, tuple[CalibratedImage, CalibratedImage]] = {}
-    with output.step(f"3/6 calibrating both views: {', '.join(METHODS)}"):
+    with output.step(f"3/8 calibrating both views: {', '.join(METHODS)}"):
         for method in METHODS:
             images[method] = calibrate_pair(seen, frame, method)
     picks = truth.uv_px + PICK_SD_PX * rng.standard_normal((2, 2, 2))
-    with output.step("4/6 planning entry and tip, drawing the image-matching curves"):
+    landmarks = _pick_landmarks(setup, hip, rng)
+    with output.step("4/8 planning entry and tip, drawing the image-matching curves"):
         views = [image.view for image in images[METHODS[0]]]
         planned = plan(
             views,
@@ -87,33 +88,38 @@ def _run(output: Output, folder: Path, seed: int) -> dict[str, Any]:
             picks[:, 1],
             pick_sd_px=PICK_SD_PX,
             snapped=True,
-            landmarks_uv_px=_pick_landmarks(setup, hip, rng),
+            landmarks_uv_px=landmarks,
         )
-    with output.step("5/6 comparing three methods with the truth"):
+    with output.step("5/8 comparing three methods with the truth"):
         compared = _compare(images, picks, truth, planned)
-    with output.step("6/6 drawing the report"):
+    drilled = drill(output, Planned(setup, hip, planned, views, landmarks, PICK_SD_PX), rng)
+    with output.step("8/8 drawing the report"):
         report = Report(
-            title="A guide wire planned on two images of the twin",
+            title="A guide wire planned on two images of the twin" + (", and drilled" if drilled else ""),
             frame=frame,
             images=images[METHODS[0]],
             plan=planned,
             provenance={
                 "images": f"made by the digital twin, seed {seed}, written as DICOM without geometry and read back",
                 "picks": f"the true places with {PICK_SD_PX:g} px of normal noise; lateral ones snapped to curves, but "
-                "those of the landmarks: centre of the head, lesser trochanter",
+                "those of the landmarks: centre of the head, both trochanters",
                 "command": f"sightline demo --seed {seed}",
             },
             localized=(images["localized"][0].view, images["localized"][1].view),
             truth=truth,
             compared=compared,
+            drilled=drilled,
         )
         page = render(report)
     _write_results(folder, page, report, {"seed": seed, **truth_document(setup, hip)})
     _show(output, planned, compared)
+    if drilled is not None:
+        _show_drilled(output, drilled)
     return {
         "go": planned.verdict.go,
         "trajectory": planned.trajectory.document(),
         "comparison": [one.document() for one in compared],
+        "drilled": None if drilled is None else drilled.document()["check_shot"],
     }
 
 
@@ -179,6 +185,7 @@ def _write_results(folder: Path, page: str, report: "Report", truth: dict[str, A
         "trajectory": trajectory,
         "comparison": [one.document() for one in report.compared],
         "truth": truth,
+        **({} if report.drilled is None else {"drilling": report.drilled.document()}),
     }
     documents = {f"{name}.json": as_json(document).encode() for name, document in results.items()}
     write_folder(folder, {"report.html": page.encode(), **documents})
@@ -192,6 +199,14 @@ def _show(output: Output, planned: Any, compared: "list[Compared | Refused]") ->
     for how in (BY_HAND, EXACT):
         rows = [_row(one) for one in compared if one.picks == how]
         output.table(f"Error against the truth, {how}", ("method", "entry mm", "tip mm", "direction °"), rows)
+
+
+def _show_drilled(output: Output, drilled: "Drilled") -> None:
+    from sightline.case.drilled import section
+
+    told = section(drilled) or {}
+    output.table("The drilled wire", ("", "entry mm", "tip mm", "direction °"), told["rows"])
+    output.say(f"The robot noticed: {told['events']}. {told['check']}")
 
 
 def _row(one: "Compared | Refused") -> tuple[str, ...]:

@@ -13,6 +13,7 @@ from sightline.geometry.covariance import length_quantile
 from sightline.planning.verdict import Limits
 
 FEWEST_LANDMARKS = 3  # that tell of a rotation
+LARGEST_OUTLIER = 4.0  # standard deviations; eight honest shots had 3.2 at most, one with a tip 1 mm off 4.8 [calc]
 LARGEST_RESIDUAL = 2.0  # rms of residuals over what is stated [ours]
 
 
@@ -24,7 +25,8 @@ class CheckShot:
     (5,): of the entry across (2), of the tip across (2) and along (1, positive: too deep), across along the rows of
     `across` (2, 3); `covariance_mm2` (5, 5). `length_mm` planned. `movement`: of the bone against the frame, from
     planning CFCS to check CFCS. `bow_mm`: largest distance of the centre line from the chord; `bow_sigma`: of its terms
-    together, over their standard deviations. `residual_rms`: over what is stated.
+    together, over their standard deviations. `residual_rms`: over what is stated. `outlier_sigma`: of the observation
+    that all others contradict most.
     """
 
     entry_mm: np.ndarray
@@ -38,6 +40,7 @@ class CheckShot:
     bow_mm: float
     bow_sigma: float
     residual_rms: float
+    outlier_sigma: float
     checks: tuple[Check, ...] = ()
 
     @property
@@ -115,6 +118,7 @@ def checks(shot: CheckShot, limits: Limits, views: Sequence[CalibratedView]) -> 
         _error(shot, limits),
         _landmarks(shot),
         _residuals(shot),
+        _outlier(shot),
         _bow(shot),
     )
 
@@ -172,6 +176,17 @@ def _residuals(shot: CheckShot) -> Check:
     sentence = f"Wire and landmarks fit the four images to {figure:.1f} of what is stated"
     sentence += "." if figure <= limit else ": a landmark, a wire or an image is not what it is taken for."
     return Check("check shot residuals", figure <= limit, figure, limit, "σ", sentence)
+
+
+def _outlier(shot: CheckShot) -> Check:
+    figure, limit = shot.outlier_sigma, LARGEST_OUTLIER
+    sentence = f"The observation that all others contradict most is off by {figure:.1f} standard deviations"
+    sentence += (
+        "."
+        if figure <= limit
+        else ": a tip, a piece of the wire or a landmark is wrong in one image; look at both, and take the shot again."
+    )
+    return Check("check shot outlier", figure <= limit, figure, limit, "σ", sentence)
 
 
 def _bow(shot: CheckShot) -> Check:

@@ -25,6 +25,7 @@ from sightline.planning.verdict import Limits
 # What is taken of a movement that landmarks do not show, s.d. per axis: a leg that is thought still [twin, BoneMotion].
 STILL_MM, STILL_RAD = 1.0, float(np.deg2rad(0.5))
 _FREE_MM, _FREE_RAD = 100.0, 1.0
+LEAST_TESTED = 1e-3  # share of an observation that others check; one with less contradicts nothing [ours]
 _FREE_PX = 1e3  # across a snapped pick's curve, where it says nothing
 _OUTSIDE_MM = 15.0  # of wire before the entry point that still counts: further out it may be bent [ours]
 _LEAST_COSINE = 0.8  # of wire and plan: beyond 37° it is another wire [ours]
@@ -181,6 +182,7 @@ class _Shot:
             bow_mm=float(np.linalg.norm(self._wire(along) - chord, axis=1).max()),
             bow_sigma=float(np.sqrt(terms @ np.linalg.solve(known, terms) / len(terms))),
             residual_rms=float(np.sqrt(square)),
+            outlier_sigma=_largest_outlier(residual, design, covariance),
         )
         return replace(shot, checks=checks(shot, limits, self._views[1]))
 
@@ -367,6 +369,14 @@ def _seen(view: CalibratedView, wire: WireSeen) -> _Wire:
             "beads surround it"
         )
     return _Wire(wire.uv_px[kept], wire.variance_px2[kept], wire.tip_uv_px, float(wire.tip_variance_px2))
+
+
+def _largest_outlier(residual: np.ndarray, design: np.ndarray, covariance: np.ndarray) -> float:
+    """The residual that all others contradict most, over its standard deviation (Baarda's data snooping)."""
+    weight = np.linalg.inv(covariance)
+    weight -= weight @ design @ np.linalg.solve(design.T @ weight @ design, design.T @ weight)
+    tested = np.diag(weight) > LEAST_TESTED * np.diag(covariance) ** -1
+    return float(np.max(np.abs(weight @ residual)[tested] / np.sqrt(np.diag(weight)[tested]), initial=0.0))
 
 
 def _in_region(view: CalibratedView, uv_px: np.ndarray) -> bool:

@@ -8,6 +8,7 @@ from sightline.studies.study_coverage import Coverage
 from sightline.studies.study_fig8 import Figure8
 from sightline.studies.study_fig12 import Figure12
 from sightline.studies.study_fig13 import Figure13
+from sightline.studies.study_fig15 import Figure15
 from sightline.studies.study_frame_design import FrameDesignStudy
 from sightline.studies.study_freehand import Freehand
 from sightline.studies.study_porcine import Porcine
@@ -26,6 +27,7 @@ _ALL: tuple[Study, ...] = (
     Porcine(),
     Figure8(),
     Figure12(),
+    Figure15(),
 )
 STUDIES: dict[str, Study] = {study.name: study for study in _ALL}
 

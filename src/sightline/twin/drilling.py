@@ -25,6 +25,9 @@ STEEL_N_PER_MM2 = 193e3  # physics.md
 STEEPEST = 3.0  # the side of a trocar tip 1.5 diameters long (implants.py) rests on no steeper slope
 FRICTION = 0.3  # steel on wet bone [mem]
 SHORTEST_FREE_MM = 5.0  # free length that the play of the guide leaves at least [ours]
+# A sleeve that ends so near to where bone takes hold of the wire stands on the bone, and its teeth grip: its mouth
+# stays, and an arm that gives or plays turns it about there, over its length [ours: 8 mm across, on 45° of cortex].
+GRIP_MM, SLEEVE_LENGTH_MM = 10.0, 80.0
 HELD_SHARE = 0.3  # of cortical bone all round the tip: it is in a hole and goes on along itself [ours]
 SLIDE_MM = 0.02  # sideways in one step at most: the tip does not jump over bone [ours]
 _AROUND = 8
@@ -86,6 +89,7 @@ class Wire:
         self.thrust_n = 0.0
         self.tip_mm = np.zeros(3)
         self.slope = np.zeros(3)  # of the tip against the axis, across it
+        self._gripped: tuple[np.ndarray, np.ndarray] | None = None  # with a gripping sleeve: slope, axis's offset then
         self.entry_mm: np.ndarray | None = None  # where bone holds it, once it does
         self._offset = np.zeros(3)  # of the tip from the axis, while nothing holds it
         self._squeeze_mm = 0.0
@@ -111,6 +115,8 @@ class Wire:
             self.tip_mm = straight_mm - self._squeeze_mm * along + self._offset
             if ring.min() > HELD_SHARE * CORTICAL_G_CM3:
                 self.entry_mm, self._deepest_mm = self.tip_mm, 0.0
+                grips = 0.0 < free_mm < GRIP_MM
+                self._gripped = (1.5 * self._offset / free, self._offset) if grips else None
         else:
             self._follow(self.entry_mm, straight_mm, along, free, advance)
         return self.thrust_n
@@ -161,7 +167,11 @@ class Wire:
         across = entry - straight_mm
         across = across - (across @ along) * along
         inside = float((self.tip_mm - entry) @ along)
-        self.slope = 1.5 * across / max(free_mm - inside, SHORTEST_FREE_MM)
+        if self._gripped is None:
+            self.slope = 1.5 * across / max(free_mm - inside, SHORTEST_FREE_MM)
+        else:
+            slope, offset = self._gripped
+            self.slope = slope + (across - offset) / SLEEVE_LENGTH_MM
         self.tip_mm = self.tip_mm + advance_mm * (along + self.slope)
         inside += advance_mm
         self._deepest_mm = max(self._deepest_mm, inside)

@@ -26,9 +26,9 @@ class HipScene:
     """A hip in the frame. `still`: frame and body; `bone`: what moves as one, with whatever is fixed in it.
 
     `head_mm` (3,): centre of the femoral head; `wire_mm` (2, 3): entry and end point of the ideal wire
-    (`Femur.wire_mm`); `lesser_mm` (3,): tip of the lesser trochanter. CFCS. `motions`: how the bone has moved from
-    there at a moment: when a view is taken (its name) or later (any other word, such as "drilling"); a moment that is
-    not named finds it where it was.
+    (`Femur.wire_mm`); `lesser_mm` (3,): tip of the lesser trochanter, `greater_mm` (3,) of the greater. CFCS.
+    `motions`: how the bone has moved from there at a moment: when a view is taken (its name) or later (any other word,
+    such as "drilling"); a moment that is not named finds it where it was.
     """
 
     still: Scene
@@ -37,6 +37,7 @@ class HipScene:
     head_mm: np.ndarray
     wire_mm: np.ndarray
     lesser_mm: np.ndarray
+    greater_mm: np.ndarray
     motions: Mapping[str, RigidTransform] = field(default_factory=dict)
 
     @property
@@ -47,13 +48,18 @@ class HipScene:
     @staticmethod
     def of(still: Scene, bone: Scene, femur: Femur, side: str, head_mm: np.ndarray) -> "HipScene":
         """At rest, all points of the femur as they lie about a head's centre (3,)."""
-        wire, lesser = (to_cfcs(p, side, head_mm) for p in (np.stack(femur.wire_mm()), femur.lesser_trochanter_mm))
-        return HipScene(still, bone, femur, head_mm, wire, lesser)
+        points = (np.stack(femur.wire_mm()), femur.lesser_trochanter_mm, femur.greater_trochanter_mm)
+        wire, lesser, greater = (to_cfcs(point, side, head_mm) for point in points)
+        return HipScene(still, bone, femur, head_mm, wire, lesser, greater)
 
     @property
     def landmarks_mm(self) -> dict[str, np.ndarray]:
         """(3,) each, CFCS: points of the bone that a person finds in both views."""
-        return {"head centre": self.head_mm, "lesser trochanter": self.lesser_mm}
+        return {
+            "head centre": self.head_mm,
+            "lesser trochanter": self.lesser_mm,
+            "greater trochanter": self.greater_mm,
+        }
 
     def at(self, moment: str) -> "HipScene":
         """The hip at a moment: bone, head and wire where they then are."""
@@ -66,6 +72,7 @@ class HipScene:
             head_mm=motion.apply(self.head_mm),
             wire_mm=motion.apply(self.wire_mm),
             lesser_mm=motion.apply(self.lesser_mm),
+            greater_mm=motion.apply(self.greater_mm),
             motions={},
         )
 

@@ -1,0 +1,123 @@
+"""What became of a plan: the robot's stated errors, what it said while it drilled, and what the check shot shows."""
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from markupsafe import Markup
+
+from sightline.case.figure_force import force_trace
+from sightline.planning.check_shot import CheckShot
+from sightline.robot.record import DrillingRecord
+from sightline.robot.target import RobotTarget
+
+if TYPE_CHECKING:
+    from sightline.checks import Check
+
+# What a robot adds to the error of a plan, in the order of the way from frame to wire.
+ROBOT_SOURCES = {
+    "hand_eye": "where the frame sits on the flange",
+    "kinematics": "where the joints' axes are, as far as imaging and drilling pose differ",
+    "encoders": "resolution and play of the joints",
+    "compliance": "what weight and thrust bend, which encoders cannot see",
+    "drill_axis": "where the wire sits on the flange",
+    "skiving": "what an oblique cortex bends the wire",
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Deviation:
+    """Of a drilled wire, by the physics of the twin: mm at entry and tip, and the direction, °."""
+
+    against: str
+    entry_mm: float
+    tip_mm: float
+    direction_deg: float
+
+
+@dataclass(frozen=True, eq=False)
+class Drilled:
+    """`check`: the check shot, or why there is none. `physics`: only where the truth is known."""
+
+    target: RobotTarget
+    record: DrillingRecord
+    check: CheckShot | str
+    physics: tuple[Deviation, ...] = ()
+
+    def document(self) -> dict[str, Any]:
+        """As JSON types."""
+        target = self.target
+        return {
+            "coordinates": "MCS",
+            "plan": target.identity.plan,
+            "joints": target.q.tolist(),
+            "entry_mm": target.entry_mm.tolist(),
+            "end_mm": target.end_mm.tolist(),
+            "error_95": _stated(target),
+            "record": self.record.document(),
+            "check_shot": {"refused": self.check} if isinstance(self.check, str) else self.check.document(),
+            "physics": [vars(deviation) for deviation in self.physics],
+        }
+
+
+def _stated(target: RobotTarget) -> dict[str, float]:
+    return {
+        "entry_mm": target.entry_error_95_mm,
+        "tip_mm": target.end_error_95_mm,
+        "direction_deg": float(np.rad2deg(target.direction_error_95_rad)),
+    }
+
+
+def section(drilled: Drilled | None) -> dict[str, Any] | None:
+    """The report's section as its template wants it."""
+    if drilled is None:
+        return None
+    target, check, record = drilled.target, drilled.check, drilled.record
+    events = {event.name: event.depth_mm for event in reversed(record.events)}
+    said = ", ".join(f"{event.name} at {event.depth_mm:.1f} mm" for event in record.events)
+    drawing = force_trace(record.depth_mm, record.force_n, events, f"Thrust along the wire over its depth: {said}")
+    rows = [("the robot's error, as stated before drilling (95 %)", *_figures(_stated(target)))]
+    if not isinstance(check, str):
+        shown = check.document()
+        rows.append(("check shot: the wire against the plan", *_figures(shown["deviation"])))
+        rows.append(("check shot: its own error (95 %)", *_figures(shown["error_95"])))
+    rows += [(f"physics: the wire against {one.against}", *_figures(vars(one))) for one in drilled.physics]
+    return {
+        "force": Markup(drawing),  # noqa: S704 - made by svg.py, which escapes
+        "events": said,
+        "rows": rows,
+        "sources": _sources(target),
+        "check": check_sentence(check),
+    }
+
+
+def check_sentence(check: CheckShot | str) -> str:
+    """What the check shot says, for a person."""
+    if isinstance(check, str):
+        return f"The check shot was refused: {check}."
+    return (
+        f"The check shot {'passed' if check.passed else 'did NOT pass'}; it is measured against the bone, by "
+        f"{check.landmarks} landmarks that were found again; the wire is bent by up to {check.bow_mm:.2f} mm."
+    )
+
+
+def checks(drilled: Drilled | None) -> "list[tuple[str, tuple[Check, ...]]]":
+    """Titles and checks for the report's last section."""
+    if drilled is None:
+        return []
+    of_check = () if isinstance(drilled.check, str) else drilled.check.checks
+    return [("The robot's target", drilled.target.checks), ("The check shot", of_check)]
+
+
+def _figures(of: dict[str, Any]) -> tuple[str, str, str]:
+    return f"{of['entry_mm']:.2f}", f"{of['tip_mm']:.2f}", f"{of['direction_deg']:.2f}"
+
+
+def _sources(target: RobotTarget) -> list[tuple[str, str, str, str]]:
+    """Rms error of each of the robot's own sources at entry and tip, and what it is."""
+    out = []
+    for source, meaning in ROBOT_SOURCES.items():
+        square = target.budget_mm2[source]
+        rms = (np.sqrt(np.trace(square[:3, :3])), np.sqrt(np.trace(square[3:, 3:])))
+        out.append((source.replace("_", " "), *(f"{value:.3f}" for value in rms), meaning))
+    return out

@@ -1,0 +1,70 @@
+"""The force along a drilled wire, over its depth."""
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from sightline.case import svg
+
+WIDTH, HEIGHT, LEFT, RIGHT, TOP, FOOT = 760.0, 260.0, 56.0, 20.0, 30.0, 40.0
+MOST_POINTS = 700  # of the line: about one a pixel
+_STEPS = (1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
+
+
+def force_trace(depth_mm: np.ndarray, force_n: np.ndarray, events: Mapping[str, float], description: str) -> str:
+    """Force (N,) over depth (N,), beyond the entry point; `events`: by name, the depth at which each was noticed."""
+    depth, force = np.asarray(depth_mm, dtype=np.float64), np.asarray(force_n, dtype=np.float64)
+    low, high = float(min(depth.min(), 0.0)), float(max(depth.max(), 1.0))
+    most = float(max(force.max() * 1.05, 5.0))
+
+    def x(value: float | np.ndarray) -> np.ndarray:
+        return LEFT + (np.asarray(value) - low) / (high - low) * (WIDTH - LEFT - RIGHT)
+
+    def y(value: float | np.ndarray) -> np.ndarray:
+        return HEIGHT - FOOT - np.maximum(value, 0.0) / most * (HEIGHT - FOOT - TOP)
+
+    parts = [*_axes(x, y, (low, high), most)]
+    for number, (name, at) in enumerate(events.items()):
+        where = float(x(at))
+        parts.append(svg.element("line", x1=where, x2=where, y1=TOP, y2=HEIGHT - FOOT, class_="event"))
+        said = svg.text(name, where + 3, TOP - 18 + 11 * (number % 2), class_="event-name")
+        parts.append(svg.group([svg.hint(f"{name} at {at:.2f} mm"), said]))
+    line = _thinned(np.column_stack([x(depth), y(force)]))
+    parts.append(svg.element("polyline", points=svg.points(line), class_="force"))
+    return svg.picture((0, 0, WIDTH, HEIGHT), description, parts, class_="force-trace")
+
+
+def _axes(x, y, depths: tuple[float, float], most: float) -> list[str]:
+    left, foot = float(x(depths[0])), float(y(0.0))
+    parts = []
+    for value in _ticks(*depths):
+        parts.append(svg.element("line", x1=float(x(value)), x2=float(x(value)), y1=foot, y2=foot + 4, class_="axis"))
+        parts.append(svg.text(f"{value:g}", float(x(value)), foot + 16, class_="tick middle"))
+    for value in _ticks(0.0, most):
+        parts.append(
+            svg.element("line", x1=left, x2=WIDTH - RIGHT, y1=float(y(value)), y2=float(y(value)), class_="grid")
+        )
+        parts.append(svg.text(f"{value:g}", left - 8, float(y(value)) + 4, class_="tick end"))
+    parts.append(
+        svg.text("depth beyond the entry point, mm", (LEFT + WIDTH - RIGHT) / 2, HEIGHT - 6, class_="tick middle")
+    )
+    parts.append(svg.text("thrust, N", 4, TOP - 8, class_="tick"))
+    return parts
+
+
+def _ticks(low: float, high: float) -> np.ndarray:
+    """Round values from low to high, ten at most."""
+    step = next((step for step in _STEPS if (high - low) / step <= 10), _STEPS[-1])
+    return np.arange(np.ceil(low / step), np.floor(high / step) + 1) * step
+
+
+def _thinned(points: np.ndarray) -> np.ndarray:
+    """Of every stretch its lowest and its highest point, so that no peak is lost."""
+    size = -(-2 * len(points) // MOST_POINTS)
+    if size <= 2:
+        return points
+    keep = []
+    for start in range(0, len(points), size):
+        part = points[start : start + size, 1]
+        keep += sorted({start + int(part.argmin()), start + int(part.argmax())})
+    return points[keep]

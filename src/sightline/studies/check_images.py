@@ -1,0 +1,73 @@
+"""A check shot on the twin: two more images with the wire in the bone, and what is found in them."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+import sightline as sl
+from sightline.calibration import BeadView
+from sightline.detection import look_again
+from sightline.detection.wire import WireShadow, find_wire
+from sightline.errors import SetUpError
+from sightline.imaging import Radiograph
+from sightline.planning import Plan
+from sightline.planning.check_shot import CheckShot, Landmarks, check_shot
+from sightline.planning.expected_wire import expected_wire
+from sightline.studies.scenes import VIEWS
+from sightline.twin import HipScene, SetUp, draw_setup, render
+from sightline.twin.implants import WIRE_MM, guide_wire
+
+ATTEMPTS = 200
+MARGIN_PX = 20.0  # of wire and landmarks from the field's edge
+
+
+@dataclass(frozen=True, eq=False)
+class CheckImages:
+    """Both radiographs of a check, and the set-up and bone they were made of."""
+
+    setup: SetUp
+    hip: HipScene
+    images: dict[str, Radiograph]
+
+    @staticmethod
+    def take(
+        planned: SetUp, hip: HipScene, wire_mm: np.ndarray, motion: RigidTransform, rng: np.random.Generator
+    ) -> "CheckImages":
+        """With the wire (2, 3), planning CFCS, in the bone, and the bone moved against the frame. The C-arm is brought
+        anew. Raises SetUpError where no set-up shows it all."""
+        then = replace(hip, bone=hip.bone + guide_wire(wire_mm), motions={"check": motion}).at("check")
+        points = np.concatenate([motion.apply(wire_mm), np.stack(list(then.landmarks_mm.values()))])
+        for _ in range(ATTEMPTS):
+            drawn = draw_setup(rng, planned.frame, side=planned.side, chain=planned.views[VIEWS[0]].chain.name)
+            setup = replace(drawn, true_frame=planned.true_frame)
+            if all(view.in_field(view.project(points), MARGIN_PX).all() for view in setup.views.values()):
+                return CheckImages(setup, then, {name: render(setup, name, then.scene, rng) for name in VIEWS})
+        raise SetUpError(f"no set-up of {ATTEMPTS} shows wire and landmarks in both check images")
+
+    def landmarks_px(self, sd_px: float, rng: np.random.Generator) -> np.ndarray:
+        """(2, L, 2): the hip's landmarks, as a person finds them again."""
+        xyz = np.stack(list(self.hip.landmarks_mm.values()))
+        true = np.stack([self.setup.views[name].project(xyz) for name in VIEWS])
+        return true + sd_px * rng.standard_normal(true.shape)
+
+    def compare(self, plan: Plan, views: Sequence[BeadView], landmarks: Landmarks) -> CheckShot:
+        """The wire found in both against a plan made on `views`. Raises SightlineError."""
+        seen = [self._found(name, plan) for name in VIEWS]
+        return check_shot(
+            plan.trajectory,
+            plan.picks,
+            views,
+            [view for view, _ in seen],
+            [wire for _, wire in seen],
+            landmarks=landmarks,
+        )
+
+    def _found(self, name: str, plan: Plan) -> tuple[BeadView, WireShadow]:
+        image = self.images[name]
+        beads = sl.detect(image)
+        seen = look_again(image, beads, sl.label(beads, self.setup.frame, name), self.setup.frame)
+        view = sl.calibrate(seen, self.setup.frame, view=name)
+        expected = expected_wire(view, plan.trajectory)
+        return view, find_wire(image, expected, WIRE_MM, beads.uv_px, beads.radius_px)
