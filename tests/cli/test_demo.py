@@ -19,6 +19,7 @@ EXPECTED = {
     "views.json",
     "trajectory.json",
     "comparison.json",
+    "drilling.json",
     "truth.json",
 }
 
@@ -32,7 +33,7 @@ def test_it_says_where_everything_is(demo_run) -> None:
     assert ran.exit_code == 0, ran.stderr
     assert {file.name for file in out.iterdir()} == EXPECTED
     assert "report.html" in ran.stdout
-    assert "6/6" in ran.stderr
+    assert "8/8" in ran.stderr
     assert [p.name for p in out.parent.iterdir()] == ["demo"]  # no scratch folder is left
 
 
@@ -87,3 +88,29 @@ def test_an_interrupted_demo_leaves_nothing(run, tmp_path: Path, monkeypatch) ->
     ran = run("demo", "--out", tmp_path / "demo")
     assert ran.code == 130
     assert list(tmp_path.iterdir()) == []
+
+
+def test_the_wire_was_drilled_and_the_check_shot_agrees_with_the_physics(demo_folder) -> None:
+    drilled = load(demo_folder, "drilling")
+    noticed = [event["name"] for event in drilled["record"]["events"]]
+    assert noticed[:3] == ["contact", "cortex", "break-through"]
+    assert len(drilled["record"]["depth_mm"]) == len(drilled["record"]["force_n"]) > 500
+    against_plan, against_ideal = drilled["physics"]
+    shot = drilled["check_shot"]
+    for key in ("entry_mm", "tip_mm"):
+        assert against_ideal[key] < 1.0
+        # The plan's own error is in the physics' figure and not in the shot's, which knows where the picks were.
+        assert abs(against_plan[key] - shot["deviation"][key]) < shot["error_95"][key] + 0.5
+    assert shot["passed"] is True
+    page = (demo_folder / "report.html").read_text()
+    assert "The drilled wire" in page
+    assert "break-through" in page
+
+
+def test_without_mujoco_the_rest_is_made_and_the_reason_said(monkeypatch, capsys) -> None:
+    from sightline.cli import demo_robot
+    from sightline.cli.output import Output
+
+    monkeypatch.setattr(demo_robot, "find_spec", lambda name: None)
+    assert demo_robot.drill(Output(json=False, quiet=False), None, None) is None
+    assert "sightline[robot]" in capsys.readouterr().err

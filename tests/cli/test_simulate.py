@@ -87,7 +87,7 @@ def test_every_image_chain_shows_a_hip(run, preset: str, tmp_path: Path) -> None
     assert ran.code == 0, ran.out
     truth = json.loads((tmp_path / "truth.json").read_text())
     assert truth["side"] == "left"
-    assert set(truth["points_mm"]) == {"head centre", "lesser trochanter"}
+    assert set(truth["points_mm"]) == {"head centre", "lesser trochanter", "greater trochanter"}
     for view in ("pa", "lateral"):
         assert read_image(tmp_path / f"{view}.dcm").shape == PRESETS[preset].shape
         for point in ("entry_uv_px", "end_uv_px"):

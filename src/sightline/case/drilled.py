@@ -14,6 +14,7 @@ from sightline.robot.target import RobotTarget
 if TYPE_CHECKING:
     from sightline.checks import Check
 
+BEFORE_MM = 10.0  # of the entry point, where the drawing of the force begins
 # What a robot adds to the error of a plan, in the order of the way from frame to wire.
 ROBOT_SOURCES = {
     "hand_eye": "where the frame sits on the flange",
@@ -73,9 +74,12 @@ def section(drilled: Drilled | None) -> dict[str, Any] | None:
     if drilled is None:
         return None
     target, check, record = drilled.target, drilled.check, drilled.record
-    events = {event.name: event.depth_mm for event in reversed(record.events)}
+    events = {event.name: event.depth_mm for event in reversed(record.events)}  # of several the first
     said = ", ".join(f"{event.name} at {event.depth_mm:.1f} mm" for event in record.events)
-    drawing = force_trace(record.depth_mm, record.force_n, events, f"Thrust along the wire over its depth: {said}")
+    near = record.depth_mm > -BEFORE_MM
+    drawing = force_trace(
+        record.depth_mm[near], record.force_n[near], events, f"Thrust along the wire over its depth: {said}"
+    )
     rows = [("the robot's error, as stated before drilling (95 %)", *_figures(_stated(target)))]
     if not isinstance(check, str):
         shown = check.document()

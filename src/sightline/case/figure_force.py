@@ -6,7 +6,8 @@ import numpy as np
 
 from sightline.case import svg
 
-WIDTH, HEIGHT, LEFT, RIGHT, TOP, FOOT = 760.0, 260.0, 56.0, 20.0, 30.0, 40.0
+WIDTH, HEIGHT, LEFT, RIGHT, TOP, FOOT = 760.0, 270.0, 56.0, 20.0, 44.0, 40.0
+NAME_ROWS, NAME_PITCH = 3, 13.0  # of the events' names, so that near ones do not overlap
 MOST_POINTS = 700  # of the line: about one a pixel
 _STEPS = (1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
 
@@ -27,7 +28,9 @@ def force_trace(depth_mm: np.ndarray, force_n: np.ndarray, events: Mapping[str, 
     for number, (name, at) in enumerate(events.items()):
         where = float(x(at))
         parts.append(svg.element("line", x1=where, x2=where, y1=TOP, y2=HEIGHT - FOOT, class_="event"))
-        said = svg.text(name, where + 3, TOP - 18 + 11 * (number % 2), class_="event-name")
+        said = svg.text(
+            name, where + 3, TOP - 4 - NAME_PITCH * (NAME_ROWS - 1 - number % NAME_ROWS), class_="event-name"
+        )
         parts.append(svg.group([svg.hint(f"{name} at {at:.2f} mm"), said]))
     line = _thinned(np.column_stack([x(depth), y(force)]))
     parts.append(svg.element("polyline", points=svg.points(line), class_="force"))
@@ -55,7 +58,7 @@ def _axes(x, y, depths: tuple[float, float], most: float) -> list[str]:
 def _ticks(low: float, high: float) -> np.ndarray:
     """Round values from low to high, ten at most."""
     step = next((step for step in _STEPS if (high - low) / step <= 10), _STEPS[-1])
-    return np.arange(np.ceil(low / step), np.floor(high / step) + 1) * step
+    return np.arange(np.ceil(low / step), np.floor(high / step) + 1) * step + 0.0  # no -0
 
 
 def _thinned(points: np.ndarray) -> np.ndarray:

@@ -1,0 +1,38 @@
+"""The force's picture: it says what it shows, and loses no peak."""
+
+import re
+
+import numpy as np
+
+from sightline.case.figure_force import MOST_POINTS, force_trace
+
+
+def points_of(drawing: str) -> np.ndarray:
+    line = re.search(r'<polyline points="([^"]+)"', drawing)
+    assert line is not None
+    return np.array([[float(v) for v in pair.split(",")] for pair in line[1].split()])
+
+
+def test_every_event_stands_at_its_depth():
+    depth = np.linspace(-5.0, 95.0, 51)
+    drawing = force_trace(depth, np.zeros(51), {"contact": -5.0, "break-through": 95.0}, "a trace")
+    x = points_of(drawing)[:, 0]
+    lines = [float(v) for v in re.findall(r'<line x1="([\d.]+)"[^>]*class="event"', drawing)]
+    assert np.allclose(lines, [x.min(), x.max()], atol=0.01)
+    assert "contact at -5.00 mm" in drawing
+    assert 'aria-label="a trace"' in drawing
+
+
+def test_a_single_peak_among_many_samples_is_drawn():
+    force = np.zeros(20_000)
+    force[12_345] = 40.0
+    drawn = points_of(force_trace(np.linspace(0.0, 100.0, 20_000), force, {}, "a peak"))
+    assert len(drawn) <= MOST_POINTS + 2
+    highest = drawn[drawn[:, 1].argmin()]
+    level = np.median(drawn[:, 1])
+    assert level - highest[1] > 150.0
+    assert np.isclose(highest[0], 56.0 + 0.617 * (760.0 - 76.0), atol=2.0)
+
+
+def test_names_are_escaped():
+    assert "<b>" not in force_trace(np.array([0.0, 1.0]), np.array([0.0, 1.0]), {"<b>": 0.5}, "<b>")

@@ -1,0 +1,48 @@
+"""How a drilled wire is judged, and a whole insertion of the plastic femur."""
+
+import numpy as np
+import pytest
+
+from sightline.studies.operation import Outcome, nominal_yaw
+from sightline.studies.study_fig15 import Figure15
+
+IDEAL = np.array([[40.0, 30.0, -5.0], [-30.0, -35.0, 7.0]])
+
+
+def test_a_wire_on_its_line_errs_by_nothing_but_its_depth():
+    along = (IDEAL[1] - IDEAL[0]) / np.linalg.norm(IDEAL[1] - IDEAL[0])
+    found = Outcome.of(np.stack([IDEAL[0] - 12.0 * along, IDEAL[1] + 0.4 * along]), IDEAL)
+    assert found.entry_mm == pytest.approx(0.0, abs=1e-9)
+    assert found.end_mm == pytest.approx(0.4)
+    assert found.angle_rad == pytest.approx(0.0, abs=1e-9)
+
+
+def test_a_turned_wire_errs_as_it_is_turned():
+    along = (IDEAL[1] - IDEAL[0]) / np.linalg.norm(IDEAL[1] - IDEAL[0])
+    across = np.cross(along, [0.0, 0.0, 1.0])
+    across /= np.linalg.norm(across)
+    length = np.linalg.norm(IDEAL[1] - IDEAL[0])
+    found = Outcome.of(np.stack([IDEAL[0], IDEAL[1] + 0.01 * length * across]), IDEAL)
+    assert found.entry_mm == pytest.approx(0.0, abs=1e-9)
+    assert found.end_mm == pytest.approx(0.01 * length)
+    assert found.angle_rad == pytest.approx(np.arctan(0.01))
+
+
+def test_the_frame_stands_square_at_its_nominal_yaw():
+    assert np.rad2deg([nominal_yaw("right"), nominal_yaw("left")]) == pytest.approx([45.0, -45.0])
+
+
+@pytest.mark.slow
+def test_a_wire_is_inserted_into_the_bore():
+    """The paper's limits, by one trial of the study: images, plan, link, physics."""
+    pytest.importorskip("mujoco")
+    values = Figure15().trial(np.random.default_rng(5))
+    for method in Figure15().methods:
+        assert "refused" not in values[method], values
+    best = values["smooth"]
+    assert best["entry"] < 1.0
+    assert best["angle"] < 0.6
+    assert best["stated_entry"] < 1.0
+    summary = Figure15().summary([values, {"refused": "SetUpError: no"}])
+    assert "1 of 2 insertions" in summary.findings[0]
+    assert summary.tables[1].rows[-1][2] == "refused"
