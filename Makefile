@@ -19,8 +19,9 @@ $(READY): requirements.lock pyproject.toml
 demo: $(READY)  ## two images of a twin, calibrated, planned, reported: out/demo/report.html
 	$(BIN)/sightline demo
 
+# A process for each core, a file of tests on one of them: files share fixtures. Matrices are small: a thread each will do.
 test: $(READY)  ## the whole suite, under five minutes
-	$(BIN)/python -m pytest
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist loadfile
 
 slow: $(READY)  ## what is too slow for `make test`
 	$(BIN)/python -m pytest -m slow

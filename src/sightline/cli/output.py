@@ -63,9 +63,9 @@ class Output:
             _console(stderr=True).print(text, markup=False, highlight=False)
 
     def say(self, text: str) -> None:
-        """A line of the result, for people."""
+        """A line of the result, for people; the terminal wraps it, so that a path stays one word."""
         if not self._silent:
-            _console().print(text, markup=False, highlight=False)
+            _console().print(text, markup=False, highlight=False, soft_wrap=True)
 
     def table(self, title: str, columns: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
         """A table of the result, for people; None is shown as a dash."""
