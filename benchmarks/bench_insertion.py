@@ -19,35 +19,42 @@ MEDIAN_MM, MEDIAN_DEG = 0.3, 0.2
 def run(quick: bool) -> list[Row]:
     """The rows of this benchmark; `quick` inserts 12 wires."""
     trials = in_parallel(_trial, range(12 if quick else TRIALS))
-    ours, theirs = (_figures(trials, method) for method in ("smooth", "localized"))
     n = len(trials)
-    within = f"{ours['within']} of {n}"
-    rows = [Row("insertion", f"within {LIMIT_MM:g} mm of the entry and {LIMIT_DEG}° of the bore", within, f"{n} of {n}",
-                f"localized {theirs['within']} of {n}", ours["within"] == n)]  # fmt: skip
-    for of, unit, limit in (("entry", "mm", MEDIAN_MM), ("angle", "°", MEDIAN_DEG), ("end", "mm", None)):
-        asked = "" if limit is None else f"<= {limit} {unit}"
-        met = None if limit is None else ours[of][0] <= limit
-        rows.append(Row("insertion", f"{of}: error, median", f"{ours[of][0]:.3f} {unit}", asked,
-                        f"localized {theirs[of][0]:.3f}", met))  # fmt: skip
-        rows.append(
-            Row("insertion", f"{of}: error, 95 %", f"{ours[of][1]:.3f} {unit}", "", f"localized {theirs[of][1]:.3f}")
-        )
-    rows.append(Row("insertion", "entry and end within their stated 95 % bounds", f"{ours['stated']:.1%}"))
-    refused = f"{n - ours['drilled']} of {n}"
-    rows.append(Row("insertion", "not drilled, with the reason", refused, "", f"localized {n - theirs['drilled']}"))
-    return rows
+    ours, theirs = (_drilled(trials, method) for method in ("smooth", "localized"))
+    good, beside = (
+        sum(one["entry"] <= LIMIT_MM and one["angle"] <= LIMIT_DEG for one in some) for some in (ours, theirs)
+    )
+    asked = f"within {LIMIT_MM:g} mm of the entry and {LIMIT_DEG}° of the bore"
+    rows = [Row("insertion", asked, f"{good} of {n}", f"{n} of {n}", f"localized {beside} of {n}", good == n)]
+    for of, unit, limit in (("entry", "mm", MEDIAN_MM), ("angle", "°", MEDIAN_DEG)):
+        middle, most = _quantiles(ours, of)
+        met = middle <= limit
+        rows.append(Row("insertion", f"{of}: error, median", f"{middle:.3f} {unit}", f"<= {limit} {unit}", "", met))
+        rows.append(Row("insertion", f"{of}: error, 95 %", f"{most:.3f} {unit}"))
+        plans = [_quantiles(_planned(trials, method), f"plan_{of}")[0] for method in ("smooth", "localized")]
+        figure, peer = (f"{value:.3f} {unit}" for value in plans)
+        rows.append(Row("insertion", f"{of}: error of the plan alone, median", figure, "", f"localized {peer}"))
+    middle, most = _quantiles(ours, "end")
+    rows.append(Row("insertion", "end: error, median / 95 %", f"{middle:.3f} / {most:.3f} mm"))
+    hits = [one[of] <= one[f"stated_{of}"] for one in ours for of in ("entry", "end")]
+    rows.append(Row("insertion", "entry and end within their stated 95 % bounds", f"{np.mean(hits):.1%}"))
+    refused = f"{n - len(ours)} of {n}"
+    return [*rows, Row("insertion", "not drilled, with the reason", refused, "", f"localized {n - len(theirs)} of {n}")]
 
 
 def _trial(seed: int) -> dict[str, Any]:
     return Figure15().trial(np.random.default_rng([15, seed]))
 
 
-def _figures(trials: list[dict[str, Any]], method: str) -> dict[str, Any]:
-    kept = [trial[method] for trial in trials if method in trial and "refused" not in trial[method]]
-    out: dict[str, Any] = {"drilled": len(kept)}
-    out["within"] = sum(one["entry"] <= LIMIT_MM and one["angle"] <= LIMIT_DEG for one in kept)
-    for of in ("entry", "end", "angle"):
-        out[of] = np.quantile([one[of] for one in kept], [0.5, 0.95])
-    hits = [one[of] <= one[f"stated_{of}"] for one in kept for of in ("entry", "end")]
-    out["stated"] = float(np.mean(hits))
-    return out
+def _planned(trials: list[dict[str, Any]], method: str) -> list[dict[str, Any]]:
+    return [trial[method] for trial in trials if "plan_entry" in trial.get(method, {})]
+
+
+def _drilled(trials: list[dict[str, Any]], method: str) -> list[dict[str, Any]]:
+    return [one for one in _planned(trials, method) if "refused" not in one]
+
+
+def _quantiles(of_trials: list[dict[str, Any]], of: str) -> tuple[float, float]:
+    """Median and 95 %; NaN where there are none."""
+    values = [one[of] for one in of_trials] or [np.nan]
+    return float(np.median(values)), float(np.quantile(values, 0.95))

@@ -14,9 +14,10 @@ from typing import Any
 import numpy as np
 
 import sightline as sl
+from sightline.calibration import BeadView
 from sightline.calibration.fit import Method
 from sightline.detection import Observations
-from sightline.errors import SightlineError
+from sightline.errors import OutsideRegionError, SightlineError
 from sightline.frame import Frame
 from sightline.planning import Plan, plan
 from sightline.studies.intervals import quantile, share
@@ -48,8 +49,10 @@ class Planned:
     def plan(self, method: Method) -> Plan:
         """Raises SightlineError."""
         views = [sl.calibrate(self.seen[name], self.setup.frame, view=name, method=method) for name in VIEWS]
-        entry, end = self.picks[:, 0], self.picks[:, 1]
-        return plan(views, entry, end, pick_sd_px=PICK_PX, landmarks_uv_px=self.picks[:, 2:])
+        entry, end, *marks = np.moveaxis(self.picks, 1, 0)
+        known = [mark for mark in marks if _sees(views, mark)]
+        landmarks = np.stack(known, axis=1) if known else None
+        return plan(views, entry, end, pick_sd_px=PICK_PX, landmarks_uv_px=landmarks)
 
 
 @dataclass(frozen=True)
@@ -92,7 +95,8 @@ class Figure15:
                 f"{method}: within {LIMIT_MM:g} mm and {LIMIT_DEG}°", np.array([_within(one) for one in all_of])
             )
             mine = [within, *(f for of in _MEASURED for f in _quantiles(method, of, kept))]
-            figures += mine
+            plans = [one for one in all_of if "plan_entry" in one]
+            figures += [*mine, *(f for of in ("plan_entry", "plan_angle") for f in _quantiles(method, of, plans))]
             rows.append((method, f"{len(kept)} of {len(trials)}", *(str(figure) for figure in mine)))
             findings.append(
                 f"{method}: {sum(_within(one) for one in all_of)} of {len(trials)} insertions within {LIMIT_MM:g} mm "
@@ -117,6 +121,16 @@ class Figure15:
 _MEASURED = ("entry", "end", "angle")
 
 
+def _sees(views: list[BeadView], uv_px: np.ndarray) -> bool:
+    """Whether both views know a line of sight there; `localized` knows none outside its beads' hull."""
+    try:
+        for view, uv in zip(views, uv_px, strict=True):
+            view.lines_of_sight(uv[None])
+    except OutsideRegionError:
+        return False
+    return True
+
+
 def _planned(rng: np.random.Generator) -> Planned:
     setup, hip = PHANTOMS[PHANTOM].draw(rng, Frame.load("gamma"))
     seen = {name: observed(image_of(rng, setup, hip, name), setup.frame, name) for name in VIEWS}
@@ -126,16 +140,20 @@ def _planned(rng: np.random.Generator) -> Planned:
 
 
 def _inserted(planned: Planned, method: Method, rng: np.random.Generator) -> Values:
-    """What one method's plan comes to."""
+    """What one method's plan comes to; the errors of the plan itself where the robot does not carry it out."""
+    out: Values = {}
     try:
         made = planned.plan(method)
+        by_plan = Outcome.of(made.trajectory.points.xyz_mm, planned.hip.wire_mm)
+        out = {"plan_entry": by_plan.entry_mm, "plan_angle": float(np.rad2deg(by_plan.angle_rad))}
         theatre = Theatre.draw(calibrated_robot(SIDE), planned.hip, rng, planned.setup.frame.serial or "twin", SIDE)
         target = theatre.target(made, "fig15")
         theatre.drill(target, target.length_mm + BEYOND_MM)
     except SightlineError as error:
-        return {"refused": f"{type(error).__name__}: {error}"}
+        return {**out, "refused": f"{type(error).__name__}: {error}"}
     found: Outcome = theatre.outcome(planned.hip.wire_mm)
     return {
+        **out,
         "entry": found.entry_mm,
         "end": found.end_mm,
         "angle": float(np.rad2deg(found.angle_rad)),
@@ -149,6 +167,9 @@ def _within(one: Values) -> bool:
 
 
 def _quantiles(method: str, of: str, kept: Sequence[Values]) -> list[Figure]:
-    unit = "°" if of == "angle" else "mm"
+    unit = "°" if of.endswith("angle") else "mm"
     values = np.array([one[of] for one in kept])
-    return [quantile(f"{method}: {of}, {what}", values, at, unit) for what, at in (("median", 0.5), ("95 %", 0.95))]
+    return [
+        quantile(f"{method}: {of.replace('_', ', ')}, {what}", values, at, unit)
+        for what, at in (("median", 0.5), ("95 %", 0.95))
+    ]
