@@ -79,7 +79,7 @@ def _run(output: Output, folder: Path, seed: int) -> dict[str, Any]:
         for method in METHODS:
             images[method] = calibrate_pair(seen, frame, method)
     picks = truth.uv_px + PICK_SD_PX * rng.standard_normal((2, 2, 2))
-    landmarks = _pick_landmarks(setup, hip, rng)
+    landmarks, landmarks_px = _pick_landmarks(setup, hip, rng)
     with output.step("4/8 planning entry and tip, drawing the image-matching curves"):
         views = [image.view for image in images[METHODS[0]]]
         planned = plan(
@@ -88,11 +88,11 @@ def _run(output: Output, folder: Path, seed: int) -> dict[str, Any]:
             picks[:, 1],
             pick_sd_px=PICK_SD_PX,
             snapped=True,
-            landmarks_uv_px=landmarks,
+            landmarks_uv_px=landmarks_px,
         )
     with output.step("5/8 comparing three methods with the truth"):
         compared = _compare(images, picks, truth, planned)
-    drilled = drill(output, Planned(setup, hip, planned, views, landmarks, PICK_SD_PX), rng)
+    drilled = drill(output, Planned(setup, hip, planned, views, landmarks, landmarks_px, PICK_SD_PX), rng)
     with output.step("8/8 drawing the report"):
         report = Report(
             title="A guide wire planned on two images of the twin" + (", and drilled" if drilled else ""),
@@ -132,15 +132,18 @@ def _simulate(frame: "Frame", rng: "np.random.Generator") -> "tuple[SetUp, HipSc
     return setup, hip, {name: render(setup, name, hip.scene, rng) for name in NAMES}
 
 
-def _pick_landmarks(setup: "SetUp", hip: "HipScene", rng: "np.random.Generator") -> "np.ndarray":
-    """(2, L, 2): the landmarks that both fields show, each picked freely in both views."""
+def _pick_landmarks(
+    setup: "SetUp", hip: "HipScene", rng: "np.random.Generator"
+) -> "tuple[tuple[str, ...], np.ndarray]":
+    """Names and (2, L, 2) pixels of the landmarks that both fields show, each picked freely in both views."""
     import numpy as np
 
     from sightline.case.views import NAMES
 
     uv = np.array([setup.views[n].project(np.stack(list(hip.landmarks_mm.values()))) for n in NAMES])
     shown = np.all([setup.views[n].in_field(uv[k], LANDMARK_MARGIN_PX) for k, n in enumerate(NAMES)], axis=0)
-    return uv[:, shown] + PICK_SD_PX * rng.standard_normal((2, int(shown.sum()), 2))
+    names = tuple(name for name, is_shown in zip(hip.landmarks_mm, shown, strict=True) if is_shown)
+    return names, uv[:, shown] + PICK_SD_PX * rng.standard_normal((2, len(names), 2))
 
 
 def _compare(

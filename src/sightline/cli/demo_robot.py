@@ -13,18 +13,17 @@ if TYPE_CHECKING:
     from sightline.planning import Plan
     from sightline.twin import HipScene, SetUp
 
-# How far the ideal wire's end lies under the surface of the head: what the twin's planner leaves (planning figures).
-SHORT_MM = 8.0
-
 
 @dataclass(frozen=True, eq=False)
 class Planned:
-    """A plan on the twin and what it was made on; `landmarks_px` (2, L, 2): the bone's, as picked with `pick_sd_px`."""
+    """A plan on the twin and what it was made on; `landmarks_px` (2, L, 2): the bone's by `landmarks`, their names, as
+    picked with `pick_sd_px`."""
 
     setup: "SetUp"
     hip: "HipScene"
     plan: "Plan"
     views: "list[BeadView]"
+    landmarks: tuple[str, ...]
     landmarks_px: "np.ndarray"
     pick_sd_px: float
 
@@ -62,7 +61,7 @@ def _drill(output: "Output", planned: Planned, rng: "np.random.Generator") -> "D
     with output.step("7/8 the check shot: two more images, the wire found in both"):
         wire = theatre.wire_mm()
         shot = CheckImages.take(setup, hip, wire, theatre.back_at_images(rng), rng)
-        found = shot.landmarks_px(sd_px, rng)[:, : planned.landmarks_px.shape[1]]
+        found = shot.landmarks_px(planned.landmarks, sd_px, rng)
         try:
             check = shot.compare(planned.plan, planned.views, Landmarks(planned.landmarks_px, found, sd_px))
         except RefusedError as error:
@@ -79,6 +78,7 @@ def _surface_mm(planned: Planned, rng: "np.random.Generator") -> float:
     import numpy as np
 
     from sightline.planning import reconstruct
+    from sightline.twin.femur import SHORT_MM
 
     entry, end = planned.hip.wire_mm
     surface = end + SHORT_MM * (end - entry) / np.linalg.norm(end - entry)

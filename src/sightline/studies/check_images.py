@@ -46,9 +46,9 @@ class CheckImages:
                 return CheckImages(setup, then, {name: render(setup, name, then.scene, rng) for name in VIEWS})
         raise SetUpError(f"no set-up of {ATTEMPTS} shows wire and landmarks in both check images")
 
-    def landmarks_px(self, sd_px: float, rng: np.random.Generator) -> np.ndarray:
-        """(2, L, 2): the hip's landmarks, as a person finds them again."""
-        xyz = np.stack(list(self.hip.landmarks_mm.values()))
+    def landmarks_px(self, names: Sequence[str], sd_px: float, rng: np.random.Generator) -> np.ndarray:
+        """(2, L, 2): landmarks of the hip by their names, as a person finds them again."""
+        xyz = np.stack([self.hip.landmarks_mm[name] for name in names])
         true = np.stack([self.setup.views[name].project(xyz) for name in VIEWS])
         return true + sd_px * rng.standard_normal(true.shape)
 

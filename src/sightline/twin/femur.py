@@ -17,6 +17,7 @@ from sightline.threads import in_parts
 from sightline.twin.volumes import Volume
 
 VOXEL_MM = 0.75
+SHORT_MM = 8.0  # of the ideal wire's tip under the surface of the head: 5-10 mm [physics.md, Planning figures]
 TEXTURE_SD = 1.2  # voxels: about 1 mm, as trabeculae [ours]
 TEXTURE_SHAPE = (80, 96, 72)  # voxels; the texture repeats beyond
 # The box that is voxelised, anatomical coordinates: what a field of 215 mm at the detector can show of a hip.
@@ -70,7 +71,7 @@ class Femur:
         """(3,) the most cranial point of the greater trochanter, anatomical coordinates."""
         return self.base_mm + GREATER_MM + np.array([0.0, -1.0, 0.0]) * GREATER_HALF_MM
 
-    def wire_mm(self, angle_deg: float = 135.0, short_mm: float = 8.0) -> tuple[np.ndarray, np.ndarray]:
+    def wire_mm(self, angle_deg: float = 135.0, short_mm: float = SHORT_MM) -> tuple[np.ndarray, np.ndarray]:
         """Entry and end point of the ideal guide wire, anatomical coordinates.
 
         Through the centre of the head at `angle_deg` to the shaft (the paper's 135°), in the plane of the neck; entry
