@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from sightline.studies.operation import Outcome, nominal_yaw
+from sightline.robot.manipulator import imaging_yaw, nominal_manipulator
+from sightline.studies.operation import Outcome
 from sightline.studies.study_fig15 import Figure15
 
 IDEAL = np.array([[40.0, 30.0, -5.0], [-30.0, -35.0, 7.0]])
@@ -29,7 +30,10 @@ def test_a_turned_wire_errs_as_it_is_turned():
 
 
 def test_the_frame_stands_square_at_its_nominal_yaw():
-    assert np.rad2deg([nominal_yaw("right"), nominal_yaw("left")]) == pytest.approx([45.0, -45.0])
+    assert np.rad2deg([imaging_yaw("right"), imaging_yaw("left")]) == pytest.approx([45.0, -45.0])
+    for side in ("right", "left"):
+        turned = nominal_manipulator(side).T_mcs_cfcs(np.array([0.0, 0.0, imaging_yaw(side), 0.0, 0.0])).rotation
+        assert turned.apply([1.0, 0.0, 0.0]) == pytest.approx([-1.0, 0.0, 0.0], abs=1e-12)  # lateral: to the robot
 
 
 @pytest.mark.slow

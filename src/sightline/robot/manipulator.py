@@ -236,6 +236,11 @@ class Manipulator:
             raise RobotRefusedError(f"the line is out of reach: {'; '.join(said)}; move the robot's base or the line")
 
 
+def imaging_yaw(side: str) -> float:
+    """rad: at which the frame on its nominal mount stands level and square to the patient."""
+    return WIRE_YAW_RAD if side == "right" else -WIRE_YAW_RAD
+
+
 def nominal_manipulator(side: str = "right") -> Manipulator:
     """The manipulator as designed, with the Γ frame mounted for a hip of the patient's `side`.
 
@@ -252,7 +257,7 @@ def nominal_manipulator(side: str = "right") -> Manipulator:
     axes[LIFT, 3:], axes[TRAVERSE, 3:], axes[FEED, 3:] = up, out, ahead
     for joint, axis in ((YAW, up), (PITCH, -out)):
         axes[joint] = np.concatenate([axis, np.cross(wrist, axis)])
-    yaw = WIRE_YAW_RAD if side == "right" else -WIRE_YAW_RAD
+    yaw = imaging_yaw(side)
     upright = Rotation.from_rotvec([0.0, 0.0, np.pi])  # CFCS in MCS: +X lateral, +Z up
     mount = (Rotation.from_rotvec([0.0, 0.0, yaw]) * home.rotation).inv() * upright
     return Manipulator(

@@ -15,7 +15,7 @@ from sightline.robot.calibrated import CalibratedRobot
 from sightline.robot.client import RobotClient
 from sightline.robot.controller import Controller
 from sightline.robot.insertion import Setup
-from sightline.robot.manipulator import FEED, YAW, nominal_manipulator
+from sightline.robot.manipulator import FEED, YAW, imaging_yaw
 from sightline.robot.record import DrillingRecord, Recorder
 from sightline.robot.registration import PoseAtImage, register
 from sightline.robot.server import RobotServer
@@ -68,7 +68,7 @@ class Theatre:
     def draw(robot: CalibratedRobot, hip: HipScene, rng: np.random.Generator, serial: str, side: str) -> "Theatre":
         """The frame is brought level and upright around the hip, as its mount is made for."""
         ready = BASE_SPREAD * rng.uniform(-1, 1, 5)
-        ready[YAW] += nominal_yaw(side)
+        ready[YAW] += imaging_yaw(side)
         # Its own generator: how many samples it takes depends on the link, and the images must not.
         plant = SimulatedPlant(true_manipulator(robot, rng), None, rng.spawn(1)[0], start=ready)
         place = plant.true_T_mcs_cfcs()
@@ -116,11 +116,3 @@ class Theatre:
     def outcome(self, ideal_mm: np.ndarray) -> Outcome:
         """The physics' word, against entry and end point (2, 3) CFCS."""
         return Outcome.of(self.wire_mm(), ideal_mm)
-
-
-def nominal_yaw(side: str) -> float:
-    """rad: at which the frame on its mount stands level and square to the patient."""
-    manipulator = nominal_manipulator(side)
-    pose = manipulator.T_mcs_cfcs(np.zeros(5)).rotation.as_matrix()
-    lateral = np.arctan2(pose[1, 0], pose[0, 0])  # of the frame's +X, which should point back at the robot
-    return float((-lateral) % (2 * np.pi) - np.pi)
