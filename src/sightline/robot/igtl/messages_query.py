@@ -20,16 +20,17 @@ _WITH_INTERVAL = ("SENSOR", "POLYDATA", "BIND")
 
 
 @dataclass(frozen=True)
-class Get:
-    """Asks for one message of a type; the header's device name says of which device, an empty one of any."""
+class _Bare:
+    """A query that is its type and nothing else."""
 
-    PREFIX: ClassVar[str] = "GET_"
+    PREFIX: ClassVar[str]
+    TYPES: ClassVar[tuple[str, ...]]
     of: str
 
     @property
     def type_name(self) -> str:
         """Its type on the wire."""
-        return _type(self.PREFIX, self.of, ASKED_FOR)
+        return _type(self.PREFIX, self.of, self.TYPES)
 
     @classmethod
     def read(cls, of: str, content: bytes) -> Self:
@@ -40,6 +41,14 @@ class Get:
     def content(self) -> bytes:
         """Nothing."""
         return b""
+
+
+@dataclass(frozen=True)
+class Get(_Bare):
+    """Asks for one message of a type; the header's device name says of which device, an empty one of any."""
+
+    PREFIX = "GET_"
+    TYPES = ASKED_FOR
 
 
 @dataclass(frozen=True)
@@ -80,26 +89,11 @@ class Start:
 
 
 @dataclass(frozen=True)
-class Stop:
+class Stop(_Bare):
     """Ends a flow of messages."""
 
-    PREFIX: ClassVar[str] = "STP_"
-    of: str
-
-    @property
-    def type_name(self) -> str:
-        """Its type on the wire."""
-        return _type(self.PREFIX, self.of, FLOWING)
-
-    @classmethod
-    def read(cls, of: str, content: bytes) -> Self:
-        """From nothing."""
-        Reader(content).finish()
-        return cls(of)
-
-    def content(self) -> bytes:
-        """Nothing."""
-        return b""
+    PREFIX = "STP_"
+    TYPES = FLOWING
 
 
 @dataclass(frozen=True)
