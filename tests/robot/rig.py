@@ -8,6 +8,7 @@ from functools import cache
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from sightline.rehearsal.robots import calibrated_robot
 from sightline.robot.controller import Controller
 from sightline.robot.dialogue import Dialogue
 from sightline.robot.igtl import Message, Status, String, Transform
@@ -16,7 +17,6 @@ from sightline.robot.panel import Panel
 from sightline.robot.plant import CYCLE_S, PlantFlag, Reading
 from sightline.robot.server import RobotServer
 from sightline.robot.states import State
-from sightline.studies.robots import calibrated_robot
 from sightline.twin.manipulator import SimulatedPlant
 
 IMAGED = np.array([3.0, -5.0, np.pi / 4, 0.0, 0.5])  # joints at the images

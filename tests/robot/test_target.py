@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from sightline.errors import RobotRefusedError, UnusableInputError
+from sightline.rehearsal.robots import calibrated_robot
 from sightline.robot.registration import PoseAtImage, Registration, register
 from sightline.robot.target import LIFETIME_S, PlanIdentity, RobotTarget, aim
-from sightline.studies.robots import calibrated_robot
 
 Q = np.array([3.0, -5.0, np.pi / 4, 0.0, 0.0])
 IDENTITY = PlanIdentity("plan-1", "right", "SN-7", go=True)

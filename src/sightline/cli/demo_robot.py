@@ -48,10 +48,10 @@ def _drill(output: "Output", planned: Planned, rng: "np.random.Generator") -> "D
     from sightline.case.drilled import Deviation, Drilled
     from sightline.errors import RefusedError
     from sightline.planning.check_shot import Landmarks
+    from sightline.rehearsal.check_images import CheckImages
+    from sightline.rehearsal.operation import Outcome, Theatre
+    from sightline.rehearsal.robots import calibrated_robot
     from sightline.robot.supervision import depth_limit
-    from sightline.studies.check_images import CheckImages
-    from sightline.studies.operation import Outcome, Theatre
-    from sightline.studies.robots import calibrated_robot
 
     setup, hip, sd_px = planned.setup, planned.hip, planned.pick_sd_px
     with output.step("6/8 the robot: carrying the plan over, aligning, drilling under force supervision"):

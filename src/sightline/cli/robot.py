@@ -185,11 +185,11 @@ def _simulator(host: str, port: int, side: str, frame_serial: str, *, virtual: b
 
     import numpy as np
 
+    from sightline.rehearsal.robots import calibrated_robot
     from sightline.robot.controller import Controller
     from sightline.robot.insertion import Setup
     from sightline.robot.manipulator import WIRE_YAW_RAD
     from sightline.robot.server import RobotServer
-    from sightline.studies.robots import calibrated_robot
     from sightline.twin.manipulator import SimulatedPlant
 
     robot = calibrated_robot(side)
@@ -207,10 +207,10 @@ def _send(robot: "RobotClient", document: dict[str, Any], name: str, side: str, 
     import numpy as np
 
     from sightline.errors import RobotRefusedError
+    from sightline.rehearsal.robots import calibrated_robot
     from sightline.robot.insertion import DEPTH_SLACK_MM
     from sightline.robot.registration import PoseAtImage, register
     from sightline.robot.target import PlanIdentity, aim
-    from sightline.studies.robots import calibrated_robot
 
     if not robot.simulated:
         raise RobotRefusedError(

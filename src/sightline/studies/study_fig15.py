@@ -20,10 +20,10 @@ from sightline.detection import Observations
 from sightline.errors import OutsideRegionError, SightlineError
 from sightline.frame import Frame
 from sightline.planning import Plan, plan
+from sightline.rehearsal.operation import Outcome, Theatre
+from sightline.rehearsal.robots import calibrated_robot
 from sightline.studies.intervals import quantile, share
-from sightline.studies.operation import Outcome, Theatre
 from sightline.studies.phantoms import PHANTOMS, SIDE, image_of, observed
-from sightline.studies.robots import calibrated_robot
 from sightline.studies.scenes import VIEWS
 from sightline.studies.study import Figure, Summary, Table, Values
 from sightline.twin import HipScene, SetUp

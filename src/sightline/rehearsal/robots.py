@@ -1,4 +1,4 @@
-"""Robots for studies: one as its calibration has it, and true ones drawn from what that leaves open."""
+"""Robots for a rehearsal: one as its calibration has it, and true ones drawn from what that leaves open."""
 
 from dataclasses import replace
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from sightline.rehearsal.operation import Outcome
 from sightline.robot.manipulator import imaging_yaw, nominal_manipulator
-from sightline.studies.operation import Outcome
 from sightline.studies.study_fig15 import Figure15
 
 IDEAL = np.array([[40.0, 30.0, -5.0], [-30.0, -35.0, 7.0]])

@@ -8,6 +8,7 @@ from scipy.spatial.transform import RigidTransform
 
 import sightline as sl
 from sightline.calibration import BeadView
+from sightline.case.views import NAMES as VIEWS
 from sightline.detection import look_again
 from sightline.detection.wire import WireShadow, find_wire
 from sightline.errors import SetUpError
@@ -15,7 +16,6 @@ from sightline.imaging import Radiograph
 from sightline.planning import Plan
 from sightline.planning.check_shot import CheckShot, Landmarks, check_shot
 from sightline.planning.expected_wire import expected_wire
-from sightline.studies.scenes import VIEWS
 from sightline.twin import HipScene, SetUp, draw_setup, render
 from sightline.twin.implants import WIRE_MM, guide_wire
 

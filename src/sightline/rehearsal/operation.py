@@ -11,6 +11,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from sightline.planning import Plan
+from sightline.rehearsal.robots import true_manipulator
 from sightline.robot.calibrated import CalibratedRobot
 from sightline.robot.client import RobotClient
 from sightline.robot.controller import Controller
@@ -21,7 +22,6 @@ from sightline.robot.registration import PoseAtImage, register
 from sightline.robot.server import RobotServer
 from sightline.robot.states import State
 from sightline.robot.target import PlanIdentity, RobotTarget, aim
-from sightline.studies.robots import true_manipulator
 from sightline.twin import HipScene
 from sightline.twin.drilling import Bone
 from sightline.twin.manipulator import SimulatedPlant
