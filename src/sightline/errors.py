@@ -35,6 +35,10 @@ class LinkError(SightlineError):
     """A connection to a robot or to its client cannot be made, or was lost."""
 
 
+class CaseError(UnusableInputError):
+    """A case cannot be opened, read or written, or is asked to hold what no case may."""
+
+
 class RefusedError(SightlineError):
     """The input is readable, but a trustworthy result cannot be computed from it (exit code 3)."""
 

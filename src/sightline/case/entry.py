@@ -1,0 +1,113 @@
+"""One entry of a case: what happened, when, by whom, with which software, on what it rests."""
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from datetime import datetime
+from enum import StrEnum
+from functools import cache
+from importlib.metadata import version
+from platform import machine, python_version, system
+from typing import Any
+
+from sightline import __version__
+from sightline.case.canonical import canonical, digest
+from sightline.errors import CaseError
+
+# What can be kept, by its suffix: images, observations, frames.
+SUFFIXES = (".dcm", ".png", ".tif", ".tiff", ".bmp", ".npy", ".csv", ".json")
+ORIGINAL = re.compile(rf"[0-9a-f]{{64}}({'|'.join(map(re.escape, SUFFIXES))})")
+_FILE = re.compile(rf".*({'|'.join(map(re.escape, SUFFIXES))})", re.IGNORECASE | re.DOTALL)
+
+
+class Kind(StrEnum):
+    """What an entry tells of."""
+
+    ACQUIRED = "acquired"
+    DETECTED = "detected"
+    LABELLED = "labelled"
+    CALIBRATED = "calibrated"
+    PLANNED = "planned"
+    CHANGED = "changed"
+    SENT = "sent"
+    DRILLED = "drilled"
+    VERIFIED = "verified"
+
+
+class Actor(StrEnum):
+    """Who or what did it: roles and programs. The list is closed, so that no person's name gets into a case."""
+
+    SURGEON = "surgeon"
+    RADIOGRAPHER = "radiographer"
+    ASSISTANT = "assistant"
+    ENGINEER = "engineer"
+    APP = "app"
+    COMMAND = "command"
+    DEMO = "demo"
+    ROBOT = "robot"
+    RECEIVER = "receiver"  # of images over a network
+
+
+@dataclass(frozen=True, eq=False)
+class Entry:
+    """One row of the journal; `number` counts from 1 and orders entries whatever the clock says.
+
+    `at`: UTC. `rests_on`: numbers of the entries that it was made from. `content_sha256`: of the canonical JSON of
+    `content`. `chain`: of the entry before and of all that is in this one.
+    """
+
+    number: int
+    kind: Kind
+    at: datetime
+    by: Actor
+    versions: dict[str, str]
+    settings: dict[str, Any]
+    content: dict[str, Any]
+    rests_on: tuple[int, ...]
+    content_sha256: str
+    chain: str
+
+
+def link(before: str, head: dict[str, Any]) -> str:
+    """The chain's next hash: of the hash before and of an entry's head, which holds the hash of its content."""
+    return digest(before + canonical(head))
+
+
+def originals_in(value: Any) -> set[str]:
+    """Names of originals anywhere in a JSON value.
+
+    Raises CaseError on a string that looks like any other file's name: such names often hold a patient's.
+    """
+    found = set()
+    for text in _strings(value):
+        if ORIGINAL.fullmatch(text):
+            found.add(text)
+        elif _FILE.fullmatch(text):
+            raise CaseError("a case never holds the name of a file; keep the file and write its original's name")
+    return found
+
+
+def _strings(value: Any) -> Iterator[str]:
+    if isinstance(value, str):
+        yield value
+    elif isinstance(value, dict):
+        for key, item in value.items():
+            yield key
+            yield from _strings(item)
+    elif isinstance(value, list):
+        for item in value:
+            yield from _strings(item)
+
+
+@cache
+def versions() -> dict[str, str]:
+    """The software that computes here, and the kind of machine: what results depend on to the bit."""
+    from llvmlite.binding import get_host_cpu_name  # for which the kernels are compiled
+
+    names = ("numpy", "scipy", "numba", "opencv-python-headless", "pydicom", "python-gdcm")
+    return {
+        "sightline": __version__,
+        "python": python_version(),
+        **{name: version(name) for name in names},
+        "machine": f"{system()} {machine()} {get_host_cpu_name()}",
+    }

@@ -1,0 +1,87 @@
+"""Is a case whole? Its database, the chain over its entries, the originals that they name."""
+
+import sqlite3
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+from sightline.case.canonical import digest
+from sightline.case.entry import link, originals_in
+from sightline.case.originals import is_whole
+from sightline.case.rows import HEAD, entry_of_row, first_link, head_of_row
+from sightline.checks import Check
+from sightline.errors import CaseError
+
+_SHOWN = 3
+
+
+def check_case(db: sqlite3.Connection, originals: Path) -> tuple[Check, ...]:
+    """The checks of docs/refusals.md, "Checks of a case"."""
+    database = _database(db)
+    try:
+        (number,) = db.execute("SELECT number FROM about").fetchone()
+        rows = db.execute("SELECT * FROM entries ORDER BY number").fetchall()
+    except (sqlite3.Error, TypeError):  # not even the rows can be read
+        return (database, Check("case chain", False, None, 0.0, "entries", "The entries cannot be read."))
+    return database, _chain(number, rows), _originals(rows, originals)
+
+
+def _database(db: sqlite3.Connection) -> Check:
+    try:
+        said = [row[0] for row in db.execute(f"PRAGMA integrity_check({_SHOWN})")]
+    except sqlite3.Error as error:
+        said = [str(error)]
+    whole = said == ["ok"]
+    sentence = "SQLite finds the file whole." if whole else f"SQLite finds the file damaged: {'; '.join(said)}."
+    return Check("case database", whole, None, None, "", sentence)
+
+
+def _chain(case_number: str, rows: Iterable[tuple[Any, ...]]) -> Check:
+    """Every entry's hash, and their chain. After a break it goes on from what the row says, so that each is judged."""
+    bad, before, expected = [], first_link(case_number), 1
+    for row in rows:
+        number, content, chain = row[0], row[len(HEAD)], row[len(HEAD) + 1]
+        known = digest(str(content)) == row[len(HEAD) - 1] and _readable(row)
+        if not known or number != expected or link(before, head_of_row(row)) != chain:
+            bad.append(number)
+        before, expected = chain, number + 1
+    if not bad:
+        sentence = f"All {expected - 1} entries are as they were recorded; the chain ends in {before[:16]}."
+    else:
+        sentence = f"Entry {bad[0]} or what stood before it is not what was recorded"
+        sentence += f"; {len(bad)} in all." if len(bad) > 1 else "."
+    return Check("case chain", not bad, float(len(bad)), 0.0, "entries", sentence)
+
+
+def _readable(row: tuple[Any, ...]) -> bool:
+    try:
+        entry_of_row(row)
+    except CaseError:
+        return False
+    return True
+
+
+def _originals(rows: Iterable[tuple[Any, ...]], folder: Path) -> Check:
+    names = sorted(set().union(*(_named(row) for row in rows)))
+    wrong = [name for name in names if not _whole(folder / name)]
+    if not wrong:
+        sentence = f"All {len(names)} originals are there, unchanged."
+    else:
+        shown = ", ".join(wrong[:_SHOWN])
+        sentence = f"Missing or not what they were: {shown}{' and more' if len(wrong) > _SHOWN else ''}."
+    return Check("case originals", not wrong, float(len(wrong)), 0.0, "files", sentence)
+
+
+def _named(row: tuple[Any, ...]) -> set[str]:
+    try:
+        entry = entry_of_row(row)
+        return originals_in([entry.content, entry.settings])
+    except CaseError:
+        return set()  # a damaged entry is the chain's matter
+
+
+def _whole(path: Path) -> bool:
+    try:
+        return is_whole(path)
+    except OSError:
+        return False

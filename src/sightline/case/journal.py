@@ -1,0 +1,237 @@
+"""A case: all that was done for one patient, in one folder, in order, never lost and never changed (docs/case.md)."""
+
+import json
+import sqlite3
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from datetime import UTC, datetime
+from enum import StrEnum
+from pathlib import Path
+from threading import RLock
+from types import TracebackType
+from typing import Any, Self, TypeVar
+
+from sightline.case import originals, schema
+from sightline.case.canonical import canonical, digest
+from sightline.case.database import connect, said, transaction
+from sightline.case.entry import Actor, Entry, Kind, link, originals_in, versions
+from sightline.case.integrity import check_case
+from sightline.case.rows import HEAD, entry_of_row, first_link, head_of_row
+from sightline.checks import Check, failed
+from sightline.errors import CaseError
+
+JOURNAL = "journal.sqlite"
+_Named = TypeVar("_Named", bound=StrEnum)
+
+
+class Case:
+    """One folder: `journal.sqlite` and `originals/`. Made by `create` or `open`; several threads may use one.
+
+    `number`: random, the only identity that leaves the case. `checks`: made on opening; `problems`: those that failed.
+    A case with problems can be read and written as far as it goes: nothing is repaired behind one's back.
+    """
+
+    def __init__(self, folder: Path, db: sqlite3.Connection) -> None:
+        self.folder, self._db, self._lock = folder, db, RLock()
+        with self._reading():
+            found = db.execute("SELECT number FROM about").fetchone()
+        self.number: str = str(found[0]) if found else "unknown"
+        self.checks: tuple[Check, ...] = self.check()
+
+    @staticmethod
+    def create(folder: str | Path) -> "Case":
+        """A new case; the folder is made where it is missing. Raises CaseError where it holds one already."""
+        place = Path(folder)
+        with said(place / JOURNAL):
+            (place / originals.FOLDER).mkdir(parents=True, exist_ok=True)
+            db = connect(place / JOURNAL, "rwc")
+            try:
+                schema.create(db)
+                originals.sync_folder(place)
+                originals.sync_folder(place.absolute().parent)
+                return Case(place, db)
+            except BaseException:
+                db.close()
+                raise
+
+    @staticmethod
+    def open(folder: str | Path, read_only: bool = False) -> "Case":
+        """A case that is there, as far as it was recorded: what a killed program left half written is taken back.
+
+        One of an older version is migrated, after a copy was laid beside it; read-only it is read as if migrated.
+        Raises CaseError where there is none, or one that cannot be opened.
+        """
+        file = Path(folder) / JOURNAL
+        if not file.is_file():
+            raise CaseError(f"there is no case in {Path(folder).name!r}; name the folder that holds its {JOURNAL}")
+        with said(file):
+            db = _read_only(file) if read_only else _writable(file)
+            try:
+                return Case(Path(folder), db)
+            except BaseException:
+                db.close()
+                raise
+
+    def close(self) -> None:
+        """Nothing is lost without it: every entry is on the disk when `record` returns."""
+        with self._lock:
+            self._db.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    @property
+    def problems(self) -> tuple[Check, ...]:
+        """What was found wrong on opening; empty where the case is whole."""
+        return failed(self.checks)
+
+    def check(self) -> tuple[Check, ...]:
+        """Is the case whole, now?"""
+        with self._lock:
+            return check_case(self._db, self.folder / originals.FOLDER)
+
+    @property
+    def last(self) -> int:
+        """The number of the last entry; 0 where there is none."""
+        with self._reading():
+            return self._db.execute("SELECT coalesce(max(number), 0) FROM entries").fetchone()[0]
+
+    def keep(self, data: bytes, suffix: str) -> str:
+        """Keep a file as it came; its name in the case, which entries use. On the disk when this returns.
+
+        Keeping the same bytes again changes nothing. Raises CaseError.
+        """
+        name = originals.name_of(data, suffix)
+        with said(self.folder / JOURNAL):
+            originals.keep(self.folder / originals.FOLDER, name, data)
+        return name
+
+    def original(self, name: str) -> Path:
+        """The file of an original. Raises CaseError."""
+        return originals.path_of(self.folder / originals.FOLDER, name)
+
+    def record(
+        self,
+        kind: Kind,
+        content: Mapping[str, Any],
+        *,
+        by: Actor,
+        rests_on: Sequence[int] = (),
+        settings: Mapping[str, Any] | None = None,
+        expect: int | None = None,
+    ) -> Entry:
+        """Append an entry; it is on the disk when this returns. `expect`: the number that must still be the last.
+
+        Raises CaseError, and then nothing was appended: content that is no JSON or names a file that is not kept,
+        `rests_on` that is no earlier entry, somebody else's entry in between, a disk that does not take it.
+        """
+        what, who = _one_of(Kind, kind), _one_of(Actor, by)
+        texts = [canonical(dict(value)) for value in (content, settings or {})]
+        for name in sorted(originals_in([json.loads(text) for text in texts])):
+            self.original(name)
+        with self._reading(), transaction(self._db):
+            last, before = self._tail()
+            if expect is not None and expect != last:
+                raise CaseError(
+                    f"entry {last} was recorded meanwhile, after the {expect} that this one expects; look at it first"
+                )
+            if not all(isinstance(one, int) and 1 <= one <= last for one in rests_on):
+                raise CaseError(f"an entry rests on earlier ones, 1 to {last}, not on {list(rests_on)}")
+            at = datetime.now(UTC).isoformat(timespec="microseconds")
+            head = (last + 1, what.value, at, who.value, canonical(versions()), texts[1])
+            head = (*head, canonical(list(rests_on)), digest(texts[0]))
+            row = (*head, texts[0], link(before, head_of_row(head)))
+            schema.insert(self._db, row)
+        return entry_of_row(row)
+
+    def entry(self, number: int) -> Entry:
+        """Raises CaseError where there is none of this number."""
+        found = self._select("WHERE number = ?", (number,))
+        if not found:
+            raise CaseError(f"the case has no entry {number}; it has 1 to {self.last}")
+        return found[0]
+
+    def entries(self, kind: Kind | None = None, after: int = 0) -> list[Entry]:
+        """In order; of one kind where `kind` is given; those whose number is larger than `after`."""
+        if kind is None:
+            return self._select("WHERE number > ? ORDER BY number", (after,))
+        return self._select("WHERE kind = ? AND number > ? ORDER BY number", (_one_of(Kind, kind).value, after))
+
+    def latest(self, kind: Kind, where: Mapping[str, Any] | None = None) -> Entry | None:
+        """The last entry of a kind whose content holds the items of `where`; None where there is none."""
+        wanted = (where or {}).items()
+        found = self.entries(kind)
+        return next((one for one in reversed(found) if all(one.content.get(k) == v for k, v in wanted)), None)
+
+    def _tail(self) -> tuple[int, str]:
+        """Number and chain of the last entry."""
+        found = self._db.execute("SELECT number, chain FROM entries ORDER BY number DESC LIMIT 1").fetchone()
+        return found or (0, first_link(self.number))
+
+    def _select(self, condition: str, values: tuple[Any, ...]) -> list[Entry]:
+        columns = ", ".join((*HEAD, "content", "chain"))
+        with self._reading():
+            rows = self._db.execute(f"SELECT {columns} FROM entries {condition}", values).fetchall()  # noqa: S608
+        return [entry_of_row(row) for row in rows]
+
+    @contextmanager
+    def _reading(self) -> Iterator[None]:
+        with self._lock, said(self.folder / JOURNAL):
+            yield
+
+
+def _one_of(names: type[_Named], name: str) -> _Named:
+    """The member of this name. Raises CaseError."""
+    try:
+        return names(name)
+    except ValueError:
+        raise CaseError(
+            f"{name!r} is none of {', '.join(names)}; a case knows no others, and no person's name"
+        ) from None
+
+
+def _writable(file: Path) -> sqlite3.Connection:
+    db = connect(file, "rw")
+    try:
+        db.execute("BEGIN IMMEDIATE")  # refused here, not at the first entry, where the file cannot be written
+        db.execute("ROLLBACK")
+        version = schema.check_version(db)
+        if version < schema.VERSION:
+            schema.back_up(db, file.with_name(f"journal-schema-{version}.sqlite"))
+            schema.migrate(db)
+    except BaseException:
+        db.close()
+        raise
+    return db
+
+
+def _read_only(file: Path) -> sqlite3.Connection:
+    """What a killed program left half written must be taken back even then, which SQLite does when it may write."""
+    db = connect(file, "ro")
+    try:
+        try:
+            version = schema.check_version(db)
+        except sqlite3.OperationalError:
+            db.close()
+            writer = connect(file, "rw")
+            try:
+                schema.check_version(writer)
+            finally:
+                writer.close()
+            db = connect(file, "ro")
+            version = schema.check_version(db)
+        if version < schema.VERSION:
+            copy = sqlite3.connect(":memory:", isolation_level=None, check_same_thread=False)
+            db.backup(copy)
+            db.close()
+            schema.migrate(copy)
+            return copy
+    except BaseException:
+        db.close()
+        raise
+    return db

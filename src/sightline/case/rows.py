@@ -1,0 +1,43 @@
+"""Entries as rows of the journal, and back."""
+
+import json
+from collections.abc import Sequence
+from datetime import datetime
+from typing import Any
+
+from sightline.case.canonical import digest
+from sightline.case.entry import Actor, Entry, Kind
+from sightline.errors import CaseError
+
+# What the chain holds of an entry, in the order of the table's columns; then come `content` and `chain`.
+HEAD = ("number", "kind", "at", "by", "versions", "settings", "rests_on", "content_sha256")
+
+
+def first_link(case_number: str) -> str:
+    """What the chain begins with."""
+    return digest(f"sightline case {case_number}")
+
+
+def head_of_row(row: Sequence[Any]) -> dict[str, Any]:
+    """The first columns of a row as the chain takes them: texts as they stand in the file."""
+    return dict(zip(HEAD, row[: len(HEAD)], strict=True))
+
+
+def entry_of_row(row: Sequence[Any]) -> Entry:
+    """Raises CaseError where the row is damaged."""
+    number, kind, at, by, versions, settings, rests_on, content_sha256, content, chain = row
+    try:
+        return Entry(
+            number=number,
+            kind=Kind(kind),
+            at=datetime.fromisoformat(at),
+            by=Actor(by),
+            versions=json.loads(versions),
+            settings=json.loads(settings),
+            content=json.loads(content),
+            rests_on=tuple(json.loads(rests_on)),
+            content_sha256=content_sha256,
+            chain=chain,
+        )
+    except (TypeError, ValueError):
+        raise CaseError(f"entry {number} of the case is damaged; `sightline case check` says more") from None

@@ -1,0 +1,118 @@
+"""The journal's tables, their version, and the way from older versions."""
+
+import secrets
+import sqlite3
+from pathlib import Path
+
+from sightline.case.canonical import digest
+from sightline.case.database import connect, transaction
+from sightline.case.entry import link
+from sightline.case.originals import sync_folder
+from sightline.case.rows import HEAD, first_link, head_of_row
+from sightline.errors import CaseError
+
+APPLICATION = 0x51674C6E  # "QgLn": tells a case from other SQLite files
+VERSION = 1
+# Without I, L, O, U, which are read as others [Crockford's base 32].
+_LETTERS = "0123456789ABCDEFGHJKMNPQRSTVWXYZ"
+_NUMBER_LENGTH = 12  # 60 bits: two of a million cases share one with a chance of 4e-7
+
+_TABLES = f"""
+CREATE TABLE about (number TEXT NOT NULL);
+CREATE TABLE entries (
+    number INTEGER PRIMARY KEY,
+    {", ".join(f"{column} TEXT NOT NULL" for column in HEAD[1:])},
+    content TEXT NOT NULL,
+    chain TEXT NOT NULL
+);
+CREATE INDEX of_kind ON entries (kind, number);
+CREATE TRIGGER never_changed BEFORE UPDATE ON entries BEGIN SELECT RAISE(ABORT, 'entries are never changed'); END;
+CREATE TRIGGER never_removed BEFORE DELETE ON entries BEGIN SELECT RAISE(ABORT, 'entries are never removed'); END;
+"""
+
+
+def create(db: sqlite3.Connection) -> None:
+    """A new case's tables, in one step. Raises CaseError where there are some."""
+    with transaction(db):
+        if _tables(db):
+            raise CaseError("there is a case in this folder already; open it, or name another folder")
+        _build(db, "-".join(["C", *_groups(_NUMBER_LENGTH)]))
+
+
+def check_version(db: sqlite3.Connection) -> int:
+    """The version of what is in the file. Raises CaseError where it is no case, or a newer one."""
+    if not _tables(db):
+        raise CaseError("there is no case in this folder; create one, or name the folder of one")
+    application, version = (db.execute(f"PRAGMA {name}").fetchone()[0] for name in ("application_id", "user_version"))
+    if application != APPLICATION:
+        raise CaseError("journal.sqlite in this folder is not the journal of a case; name the folder of one")
+    if version > VERSION:
+        raise CaseError(
+            f"this case was written by a newer Sightline (schema {version}; known here: {VERSION}); open it with that"
+        )
+    return version
+
+
+def migrate(db: sqlite3.Connection) -> None:
+    """From an older version to this one, in one step."""
+    with transaction(db):
+        if check_version(db) == 0:
+            _from_0(db)
+
+
+def back_up(db: sqlite3.Connection, file: Path) -> None:
+    """A copy of the journal as it is, on the disk when this returns."""
+    copy = connect(file, "rwc")
+    try:
+        db.backup(copy)
+    finally:
+        copy.close()
+    sync_folder(file.parent)
+
+
+def _from_0(db: sqlite3.Connection) -> None:
+    """Version 0 had no hashes and no chain: they are made of what is there."""
+    (number,) = db.execute("SELECT number FROM about").fetchone()
+    columns = [column for column in HEAD if column != "content_sha256"]
+    rows = db.execute(f"SELECT {', '.join(columns)}, content FROM entries ORDER BY number").fetchall()  # noqa: S608
+    db.execute("DROP TABLE entries")
+    db.execute("DROP TABLE about")
+    _build(db, number)
+    chain = first_link(number)
+    for *head, content in rows:
+        row = (*head, digest(content))
+        chain = link(chain, head_of_row(row))
+        insert(db, (*row, content, chain))
+
+
+def insert(db: sqlite3.Connection, row: tuple[object, ...]) -> None:
+    """A row of `entries`: the columns of HEAD, content, chain."""
+    db.execute(f"INSERT INTO entries VALUES ({', '.join('?' * len(row))})", row)  # noqa: S608 - marks alone
+
+
+def _build(db: sqlite3.Connection, number: str) -> None:
+    for statement in _statements():
+        db.execute(statement)
+    db.execute("INSERT INTO about VALUES (?)", (number,))
+    db.execute(f"PRAGMA application_id = {APPLICATION}")
+    db.execute(f"PRAGMA user_version = {VERSION}")
+
+
+def _statements() -> list[str]:
+    """Of `_TABLES`: `executescript` would commit first."""
+    out, text = [], ""
+    for line in _TABLES.strip().splitlines():
+        text += line + "\n"
+        if sqlite3.complete_statement(text):
+            out.append(text)
+            text = ""
+    return out
+
+
+def _tables(db: sqlite3.Connection) -> bool:
+    return db.execute("SELECT count(*) FROM sqlite_master").fetchone()[0] > 0
+
+
+def _groups(length: int) -> list[str]:
+    text = "".join(secrets.choice(_LETTERS) for _ in range(length))
+    return [text[k : k + 4] for k in range(0, length, 4)]
