@@ -1,0 +1,101 @@
+"""Matrices as OpenCV has them: JSON (ours, or any with "matrix"), CSV of 3 x 4 numbers, NumPy's `.npy`."""
+
+import io
+from typing import Any
+
+import numpy as np
+
+from sightline.case.interop import reading
+from sightline.case.interop.pinhole import Pinhole
+from sightline.errors import UnusableInputError
+
+CONVENTION = (
+    "(u w, v w, w) = camera_matrix (rotation X + translation_mm), X in CFCS mm; pixel (0, 0) is the centre of the "
+    "top-left pixel, u to the right, v down; z from the X-ray source to the detector; no distortion"
+)
+
+_AGREE = 1e-6  # [ours] of a matrix's norm: files written with seven digits agree to that
+
+
+def document(pinhole: Pinhole) -> dict[str, Any]:
+    """A pinhole as JSON types."""
+    return {
+        "view": pinhole.name,
+        "coordinates": "CFCS",
+        "units": "mm",
+        "convention": CONVENTION,
+        "matrix": pinhole.matrix.tolist(),
+        "camera_matrix": pinhole.camera_matrix.tolist(),
+        "rotation": pinhole.rotation.tolist(),
+        "translation_mm": pinhole.translation_mm.tolist(),
+        "image_size": None if pinhole.shape is None else [pinhole.shape[1], pinhole.shape[0]],
+        "mirrored": pinhole.mirrored,
+        "pixel_mm": None if pinhole.pixel_mm is None else list(pinhole.pixel_mm),
+        "covariance_of_matrix": None if pinhole.covariance is None else pinhole.covariance.tolist(),
+    }
+
+
+def of_document(given: dict[str, Any], name: str) -> Pinhole:
+    """A pinhole of JSON types: of "matrix", or "camera_matrix", "rotation", "translation_mm".
+
+    Raises UnusableInputError; also where lens distortion is stated, or the matrix and its parts disagree.
+    """
+    if np.any(given.get("distortion") or 0):
+        raise UnusableInputError("the file states a lens distortion; undistort the image, and give the matrix of that")
+    whole = reading.array(given["matrix"], (3, 4), "the matrix") if "matrix" in given else None
+    parts = _of_parts(given) if whole is None or "camera_matrix" in given else None
+    if whole is not None and parts is not None:
+        _refuse_two(whole, parts)
+    matrix = whole if whole is not None else parts
+    size, pixel, covariance = (given.get(key) for key in ("image_size", "pixel_mm", "covariance_of_matrix"))
+    shape = None if size is None else reading.image_shape(*reading.array(size, (2,), "the image size")[::-1])
+    if pixel is not None:
+        u, v = (reading.positive(one, "the pixel size") for one in reading.array(pixel, (2,), "the pixel size"))
+        pixel = (u, v)
+    if covariance is not None:
+        covariance = reading.array(covariance, (12, 12), "the covariance of the matrix")
+    return Pinhole.of_matrix(matrix, str(given.get("view", name))[:64], shape, pixel, covariance)  # pyright: ignore[reportArgumentType]
+
+
+def _of_parts(given: dict[str, Any]) -> np.ndarray:
+    turn = reading.rotation(reading.entry(given, "rotation"))
+    move = reading.array(reading.entry(given, "translation_mm"), (3,), "the translation")
+    camera = reading.array(reading.entry(given, "camera_matrix"), (3, 3), "the camera matrix")
+    return camera @ np.column_stack([turn, move])
+
+
+def _refuse_two(whole: np.ndarray, parts: np.ndarray) -> None:
+    """Raises UnusableInputError where a matrix and its parts are not one, up to scale."""
+    one, other = whole / np.linalg.norm(whole), parts / np.linalg.norm(parts)
+    if min(np.abs(one - other).max(), np.abs(one + other).max()) > _AGREE:
+        raise UnusableInputError("the matrix and its camera matrix, rotation and translation state two geometries")
+
+
+def write(pinhole: Pinhole) -> dict[str, bytes]:
+    """JSON with everything; the bare matrix as CSV and as .npy."""
+    from sightline.case.interop.writing import json_bytes
+
+    rows = "".join(",".join(repr(float(x)) for x in row) + "\n" for row in pinhole.matrix)
+    binary = io.BytesIO()
+    np.save(binary, pinhole.matrix)
+    stem = f"{pinhole.name}.opencv"
+    return {
+        f"{stem}.json": json_bytes(document(pinhole)),
+        f"{stem}.csv": rows.encode(),
+        f"{stem}.npy": binary.getvalue(),
+    }
+
+
+def read(data: bytes, name: str) -> Pinhole:
+    """From any of the three; its first bytes tell which. Raises UnusableInputError."""
+    if data.startswith(b"\x93NUMPY"):
+        try:
+            loaded = np.load(io.BytesIO(data), allow_pickle=False)
+        except (ValueError, EOFError, OSError):
+            raise UnusableInputError("this is not a whole NumPy file; save the matrix again") from None
+        return Pinhole.of_matrix(reading.array(loaded, (3, 4), "the matrix"), name)
+    if data.lstrip()[:1] in (b"{", b"["):
+        value = reading.json_value(data)
+        return of_document(value if isinstance(value, dict) else {"matrix": value}, name)
+    lines = [line.replace(",", " ").split() for line in reading.text(data).splitlines() if line.strip()]
+    return Pinhole.of_matrix(reading.array(lines, (3, 4), "the matrix"), name)

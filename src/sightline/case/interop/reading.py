@@ -1,0 +1,120 @@
+"""What all readers share: size limits, text, strict JSON, arrays of finite numbers. Raises UnusableInputError."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sightline.errors import UnusableInputError
+
+MAX_BYTES = 2**20  # [ours] a matrix with its covariance takes 5 kB
+_MAX_DEPTH = 8  # [ours] of brackets in JSON; ours have 3
+
+
+def read_bytes(path: Path, limit: int = MAX_BYTES) -> bytes:
+    """A whole file of at most `limit` bytes."""
+    try:
+        with path.open("rb") as stream:
+            data = stream.read(limit + 1)
+    except OSError as error:
+        raise UnusableInputError(f"cannot read {path.name}: {error.strerror}") from error
+    if len(data) > limit:
+        raise UnusableInputError(f"{path.name} is larger than {limit >> 10} KiB; give the file of one view or plan")
+    return data
+
+
+def text(data: bytes) -> str:
+    """UTF-8."""
+    try:
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        raise UnusableInputError("this is not a text file; export it again as text in UTF-8") from None
+
+
+def json_object(data: bytes) -> dict[str, Any]:
+    """A JSON object: no key twice, no NaN, not deeply nested."""
+    out = json_value(data)
+    if not isinstance(out, dict):
+        raise UnusableInputError("the file must hold one JSON object, { ... }")
+    return out
+
+
+def json_value(data: bytes) -> Any:
+    """Any JSON value, as strictly."""
+    written = text(data)
+    depth = 0
+    for character in written:  # a deep nest would exhaust the parser's stack; brackets in strings count too
+        depth += (character in "[{") - (character in "]}")
+        if depth > _MAX_DEPTH:
+            raise UnusableInputError("the JSON is nested too deeply to be a view or a plan")
+    try:
+        return json.loads(written, object_pairs_hook=_without_repeats, parse_constant=_no_constant)
+    except (ValueError, RecursionError) as error:
+        raise UnusableInputError(f"the file is not JSON: {str(error)[:200]}") from None
+
+
+def _without_repeats(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    out = dict(pairs)
+    if len(out) != len(pairs):
+        raise UnusableInputError("the JSON names a key twice; write each once")
+    return out
+
+
+def _no_constant(name: str) -> float:
+    raise UnusableInputError(f"{name} is not a number that a geometry can have; export it again")
+
+
+def entry(document: dict[str, Any], key: str) -> Any:
+    """A key that must be there."""
+    if key not in document:
+        raise UnusableInputError(
+            f"{key!r} is missing; it has: {', '.join(map(repr, list(document)[:12])) or 'nothing'}"
+        )
+    return document[key]
+
+
+def array(value: Any, shape: tuple[int, ...], what: str) -> np.ndarray:
+    """Finite numbers of a shape."""
+    try:
+        out = np.array(value, dtype=np.float64)
+    except (TypeError, ValueError, OverflowError):
+        out = None
+    if out is None or out.shape != shape or not np.isfinite(out).all():
+        wanted = " x ".join(map(str, shape)) or "one"
+        raise UnusableInputError(f"{what} must be {wanted} finite numbers; export it again")
+    return out
+
+
+def number(value: Any, what: str) -> float:
+    """A finite number."""
+    if isinstance(value, bool):
+        raise UnusableInputError(f"{what} must be a number")
+    return float(array(value, (), what))
+
+
+def positive(value: Any, what: str) -> float:
+    """A finite number above zero."""
+    out = number(value, what)
+    if out <= 0:
+        raise UnusableInputError(f"{what} is {out:g}; it must be above zero")
+    return out
+
+
+def image_shape(height: Any, width: Any) -> tuple[int, int]:
+    """Height and width in pixels: whole numbers from 1 to 65536."""
+    sides = [number(side, "the image size") for side in (height, width)]
+    if any(side != int(side) or not 1 <= side <= 2**16 for side in sides):
+        raise UnusableInputError(f"an image of {sides[1]:g} x {sides[0]:g} pixels cannot be; check the image size")
+    return int(sides[0]), int(sides[1])
+
+
+def rotation(value: Any, what: str = "the rotation") -> np.ndarray:
+    """(3, 3) proper rotation, to 1e-4 (0.06 mm at 600 mm); made exact."""
+    out = array(value, (3, 3), what)
+    if np.abs(out @ out.T - np.eye(3)).max() > 1e-4:
+        raise UnusableInputError(f"{what} is no rotation: its rows are not of length 1 and square to each other")
+    if np.linalg.det(out) < 0:
+        raise UnusableInputError(f"{what} is a mirror image; flip the image's columns and give the geometry of that")
+    left, _, right = np.linalg.svd(out)
+    return left @ right
