@@ -1,0 +1,596 @@
+// The X-ray view: an image, layers of shapes and points that a person places and moves. Knows no framework.
+//
+// Two canvases, image and overlay; each is drawn in an animation frame, and only when something on it changed.
+// Coordinates out and in are image pixels (see xray_display.js); what the person does goes out through `emit`.
+
+import { Chrome } from "./xray_chrome.js";
+import { Display } from "./xray_display.js";
+import { Gestures } from "./xray_gestures.js";
+import { Moves } from "./xray_moves.js";
+import { paintCrosshair, paintPoint, paintShape, shapeDistance, shapeFault, STYLES } from "./xray_paint.js";
+
+const GREY_LEVELS = 65536;
+const ZOOM_STEP = 1.25; // of a key
+const LENS_TIMES = 4;
+const LENS_ZOOM_MAX = 32; // [ours] CSS pixels per image pixel: enough to point at a 1/32 of a pixel
+const LENS_RADIUS = 84; // CSS pixels
+const TIP_REACH = 8; // CSS pixels
+const CRISP_ZOOM = 3; // from here on pixels are drawn as squares: what is measured is seen as it is
+const FRAMES_KEPT = 2000;
+const BREAK_MS = 250; // a longer pause between two frames is a pause of the person
+
+export class XrayCore {
+  // `emit(event)` gets every event, `keep(move | null)` the newest edit that the server has not acknowledged.
+  constructor(root, { name, label, texts, emit, keep }) {
+    this.root = root;
+    this.name = name;
+    this.texts = texts;
+    this.emit = emit;
+    this.display = new Display();
+    this.moves = new Moves(emit, keep);
+    this.state = {
+      image: null, // {url, width, height, pixels}
+      window: { centre: 0, width: 1 },
+      inverted: false,
+      stale: false,
+      maximised: false,
+      tool: "pan",
+      placing: null,
+      selected: null,
+      dragging: null,
+      points: new Map(),
+      layers: new Map(),
+    };
+    this.initial = { window: this.state.window, inverted: false };
+    this.chrome = new Chrome(root, label, texts, this.#actions());
+    this.stage = this.chrome.stage;
+    this.contexts = {
+      image: this.chrome.image.getContext("2d", { alpha: false }),
+      overlay: this.chrome.overlay.getContext("2d"),
+    };
+    this.bitmap = document.createElement("canvas"); // the image through the window table, a pixel a pixel
+    this.lens = null; // {uv, at}: what the magnifier shows, and beside which place of the view
+    this.pointer = null; // where the pointer is, CSS pixels in the view; null outside
+    this.dirty = { table: false, image: true, overlay: true, readout: true };
+    this.draws = { table: 0, image: 0, overlay: 0 };
+    this.frames = []; // ms between frames drawn one after the other
+    this.lastFrame = 0;
+    this.request = null;
+    this.loading = null;
+    this.gestures = new Gestures(this);
+    this.observer = new ResizeObserver(() => this.#resize());
+    this.observer.observe(this.stage);
+    this.#resize();
+    this.#showState();
+    window.sightlineXray = window.sightlineXray || {};
+    window.sightlineXray[name] = this;
+    emit({ type: "ready" });
+  }
+
+  destroy() {
+    this.observer.disconnect();
+    this.gestures.destroy();
+    if (this.loading) this.loading.abort();
+    cancelAnimationFrame(this.request);
+    if (window.sightlineXray[this.name] === this) delete window.sightlineXray[this.name];
+  }
+
+  // ---------------------------------------------------------------------------------------------- what the server says
+
+  // Raw little-endian uint16, `width * height` of them, from `url`; the newest call wins.
+  async setImage({ url, width, height, window: shown, inverted }) {
+    if (this.loading) this.loading.abort();
+    const loading = (this.loading = new AbortController());
+    try {
+      const answer = await fetch(url, { signal: loading.signal });
+      if (!answer.ok) throw new Error(`image: HTTP ${answer.status}`);
+      const bytes = await answer.arrayBuffer();
+      if (bytes.byteLength !== 2 * width * height) {
+        throw new Error(`image: ${bytes.byteLength} bytes, not ${width} x ${height} of two`);
+      }
+      this.#takeImage({ url, width, height, pixels: new Uint16Array(bytes) }, shown, inverted);
+    } catch (error) {
+      if (loading.signal.aborted) return;
+      this.state.image = null; // an old image under a new plan would look right and be wrong
+      this.chrome.showLine(this.chrome.fault, this.texts.load_failed);
+      this.#report(String(error.message || error));
+      this.invalidate("image", "overlay", "readout");
+    }
+  }
+
+  // `shapes` replace the layer; layers are drawn in the order in which they were first named.
+  setLayer(name, shapes) {
+    const faults = shapes.map(shapeFault).filter(Boolean);
+    if (faults.length) this.#report(`layer ${name}: ${faults[0]}`);
+    const layer = this.state.layers.get(name) || { on: true };
+    layer.shapes = shapes.filter((shape) => !shapeFault(shape));
+    this.state.layers.set(name, layer);
+    this.invalidate("overlay");
+  }
+
+  showLayer(name, on) {
+    const layer = this.state.layers.get(name) || { shapes: [] };
+    layer.on = on;
+    this.state.layers.set(name, layer);
+    this.invalidate("overlay");
+  }
+
+  setPoints(points) {
+    const before = this.state.points;
+    this.state.points = new Map(points.map((point) => [point.id, this.#point(point, before.get(point.id))]));
+    for (const id of before.keys()) if (!this.state.points.has(id)) this.#dropPoint(id);
+    this.#showPoints();
+    this.invalidate("overlay");
+  }
+
+  // The server's word on a point; not on one in the person's hand, nor where a newer move waits to be sent.
+  movePoint(id, uv) {
+    const point = this.state.points.get(id);
+    if (!point || this.#held(id)) return;
+    point.uv = uv;
+    this.#showPoints();
+    this.invalidate("overlay");
+  }
+
+  // The next click places the point `id`; null: none.
+  place(id) {
+    this.state.placing = id;
+    if (id === null) this.lens = null;
+    const name = id === null ? "" : this.#nameOf(id);
+    this.chrome.showLine(this.chrome.hint, id === null ? "" : this.texts.placing.replace("{name}", name));
+    this.gestures.showCursor();
+    this.invalidate("overlay");
+  }
+
+  // Only what is given changes.
+  setDisplay({ rotation, mirrored, inverted, window: shown }) {
+    this.display.orient(rotation ?? this.display.rotation, mirrored ?? this.display.mirrored);
+    if (shown) this.setWindow(shown);
+    if (inverted !== undefined && inverted !== null) this.#setInverted(inverted);
+    this.#turned();
+  }
+
+  acknowledge(seq) {
+    this.moves.acknowledge(seq);
+  }
+
+  setNotice(text) {
+    this.chrome.showLine(this.chrome.notice, text);
+  }
+
+  setStale(on) {
+    this.state.stale = on;
+    this.chrome.stale.hidden = !on;
+    this.root.classList.toggle("xray-stale", on);
+    this.invalidate("overlay");
+  }
+
+  // ---------------------------------------------------------------------------------------------- what the person does
+
+  setWindow({ centre, width }) {
+    const least = 2; // grey levels
+    const held = (value, low) => Math.min(Math.max(value, low), GREY_LEVELS);
+    this.state.window = { centre: held(centre, 0), width: held(width, least) };
+    this.invalidate("table");
+  }
+
+  movedView() {
+    this.invalidate("image", "overlay", "readout");
+  }
+
+  zoom(inwards) {
+    const point = this.state.points.get(this.state.selected);
+    const middle = [this.display.viewWidth / 2, this.display.viewHeight / 2];
+    const focused = document.activeElement !== this.stage && point && point.uv;
+    this.display.zoomAt(inwards ? ZOOM_STEP : 1 / ZOOM_STEP, focused ? this.display.toView(point.uv) : middle);
+    this.movedView();
+  }
+
+  displayChanged() {
+    const { rotation, mirrored } = this.display;
+    const { inverted, window: shown } = this.state;
+    this.emit({ type: "display", rotation, mirrored, inverted, window: { ...shown } });
+  }
+
+  select(id) {
+    if (this.state.selected === id) return;
+    this.state.selected = id;
+    this.emit({ type: "select", id });
+    this.invalidate("overlay");
+  }
+
+  // Draws the point at once; `type` says to the server what the person did: place, drag, drop or nudge.
+  move(type, id, uv) {
+    const point = this.state.points.get(id);
+    point.uv = this.display.clamp(uv);
+    this.moves.push(type, id, point.uv);
+    if (type !== "drag") this.#showPoints();
+    if (type !== "drag") this.chrome.say(this.describe(point));
+    this.invalidate("overlay");
+  }
+
+  // The click that was waited for.
+  placeAt(uv) {
+    const id = this.state.placing;
+    if (id === null || !this.state.image || !this.display.contains(uv)) return;
+    if (!this.state.points.has(id)) this.state.points.set(id, this.#point({ id, label: id, style: "landmark" }));
+    this.place(null);
+    this.move("place", id, uv);
+    this.select(id);
+  }
+
+  cancelPlacing() {
+    const id = this.state.placing;
+    this.place(null);
+    this.emit({ type: "cancel", id });
+  }
+
+  // An edit that was made before the connection broke; false where its point is gone.
+  resend({ type, id, uv }) {
+    if (!this.state.points.has(id)) return false;
+    this.state.points.get(id).uv = uv;
+    this.moves.push(type, id, uv);
+    this.#showPoints();
+    this.invalidate("overlay");
+    return true;
+  }
+
+  sayLost(id) {
+    this.chrome.showLine(this.chrome.fault, this.texts.edit_lost.replace("{name}", this.#nameOf(id)));
+  }
+
+  // ------------------------------------------------------------------------------------------------ what stands where
+
+  // Size of a CSS pixel of marks and fonts: the view's own text grows with the screen, and they with it.
+  get unit() {
+    return this.scale;
+  }
+
+  toScreen(uv) {
+    const box = this.stage.getBoundingClientRect();
+    const [x, y] = this.display.toView(uv);
+    return [x + box.left, y + box.top];
+  }
+
+  toImage([x, y]) {
+    const box = this.stage.getBoundingClientRect();
+    return this.display.toImage([x - box.left, y - box.top]);
+  }
+
+  // The placed point within `reach` CSS pixels of a place in the view, the nearest of several.
+  pointAt(at, reach) {
+    let best = null;
+    let least = reach;
+    for (const point of this.state.points.values()) {
+      if (!point.uv) continue;
+      const [x, y] = this.display.toView(point.uv);
+      const away = Math.hypot(x - at[0], y - at[1]);
+      if (away <= least) [best, least] = [point, away];
+    }
+    return best;
+  }
+
+  // The title of the shape under a place in the view.
+  titleAt(at) {
+    let title = "";
+    let least = TIP_REACH * this.unit;
+    for (const shape of this.#shownShapes()) {
+      if (!shape.title || (this.state.stale && STYLES[shape.style].plan)) continue;
+      const away = shapeDistance(shape, (uv) => this.display.toView(uv), this.display.zoom, at);
+      if (away < least) [title, least] = [String(shape.title), away];
+    }
+    return title;
+  }
+
+  // Grey value of the pixel that holds (u, v); null off the image.
+  valueAt([u, v]) {
+    const { image } = this.state;
+    const [column, row] = [Math.round(u), Math.round(v)];
+    if (!image || column < 0 || row < 0 || column >= image.width || row >= image.height) return null;
+    return image.pixels[row * image.width + column];
+  }
+
+  describe(point) {
+    const [u, v] = point.uv.map((value) => value.toFixed(1));
+    const place = this.texts.point.replace("{name}", point.label).replace("{u}", u).replace("{v}", v);
+    return point.snapped ? `${place}, ${this.texts.snapped}` : place;
+  }
+
+  // ---------------------------------------------------------------------------------------------------------- drawing
+
+  invalidate(...parts) {
+    for (const part of parts) this.dirty[part] = true;
+    if (this.request === null) this.request = requestAnimationFrame((now) => this.#frame(now));
+  }
+
+  #frame(now) {
+    this.request = null;
+    const since = now - this.lastFrame;
+    this.lastFrame = now;
+    if (since < BREAK_MS) this.frames.push(since);
+    if (this.frames.length > FRAMES_KEPT) this.frames.splice(0, FRAMES_KEPT / 2);
+    const { table, image, overlay, readout } = this.dirty;
+    this.dirty = { table: false, image: false, overlay: false, readout: false };
+    if (table) this.#drawTable();
+    if (image || table) this.#drawImage();
+    if (overlay || (table && this.lens)) this.#drawOverlay();
+    if (readout || table) this.#showReadout();
+  }
+
+  // The image through the window: grey = (value - centre) / width + 1/2, between black and white.
+  #drawTable() {
+    const { image, inverted, window: shown } = this.state;
+    if (!image) return;
+    this.draws.table++;
+    const table = new Uint32Array(GREY_LEVELS);
+    for (let value = 0; value < GREY_LEVELS; value++) {
+      const grey = Math.min(Math.max((value - shown.centre) / shown.width + 0.5, 0), 1);
+      const level = Math.round(255 * (inverted ? 1 - grey : grey));
+      table[value] = 0xff000000 | (level << 16) | (level << 8) | level;
+    }
+    const { pixels } = image;
+    const out = new Uint32Array(this.picture.data.buffer);
+    for (let index = 0; index < out.length; index++) out[index] = table[pixels[index]];
+    this.bitmap.getContext("2d", { alpha: false }).putImageData(this.picture, 0, 0);
+  }
+
+  #drawImage() {
+    this.draws.image++;
+    const context = this.contexts.image;
+    context.setTransform(1, 0, 0, 1, 0, 0);
+    context.fillStyle = "#07090b";
+    context.fillRect(0, 0, context.canvas.width, context.canvas.height);
+    const middle = [this.display.viewWidth / 2, this.display.viewHeight / 2];
+    this.#paintBitmap(context, this.display.centre, middle, 1);
+  }
+
+  // The image with `uv` at the place `at` of the view (CSS pixels), `times` larger than the display's zoom.
+  #paintBitmap(context, uv, at, times) {
+    if (!this.state.image) return;
+    const [a, b, c, d] = this.display.linear().map((number) => number * times);
+    const [sx, sy] = this.density;
+    context.setTransform(a * sx, b * sy, c * sx, d * sy, at[0] * sx, at[1] * sy);
+    context.imageSmoothingEnabled = this.display.zoom * times * sx < CRISP_ZOOM;
+    context.imageSmoothingQuality = "medium";
+    context.drawImage(this.bitmap, -0.5 - uv[0], -0.5 - uv[1]); // pixel (0, 0) is centred on (0, 0)
+  }
+
+  #drawOverlay() {
+    this.draws.overlay++;
+    const context = this.contexts.overlay;
+    context.setTransform(1, 0, 0, 1, 0, 0);
+    context.clearRect(0, 0, context.canvas.width, context.canvas.height);
+    this.#toUnits(context);
+    const toUnits = (uv) => this.display.toView(uv).map((value) => value / this.unit);
+    this.#paintMarks(context, toUnits, this.display.zoom / this.unit, null);
+    if (this.lens) this.#drawLens(context);
+    this.stage.classList.toggle("xray-lens", this.lens !== null); // the ring of the focus would lie on the glass
+    this.#placeButtons();
+  }
+
+  #toUnits(context) {
+    const [sx, sy] = this.density;
+    context.setTransform(sx * this.unit, 0, 0, sy * this.unit, 0, 0);
+  }
+
+  #paintMarks(context, toUnits, zoom, without) {
+    for (const shape of this.#shownShapes()) paintShape(context, shape, toUnits, zoom, this.state.stale);
+    for (const point of this.state.points.values()) {
+      if (point.uv && point.id !== without) paintPoint(context, point, toUnits(point.uv), point.id === this.state.selected);
+    }
+  }
+
+  // A round glass above the hand (below it at the upper edge), the place itself in the middle under a cross-hair.
+  #drawLens(context) {
+    const { uv, at } = this.lens;
+    const radius = LENS_RADIUS * this.unit;
+    const clear = radius + 44 * this.unit;
+    const x = Math.min(Math.max(at[0], radius + 4), this.display.viewWidth - radius - 4);
+    const y = at[1] - clear - radius > 0 ? at[1] - clear : at[1] + clear;
+    const times = Math.max(Math.min(LENS_TIMES, LENS_ZOOM_MAX / this.display.zoom), 1);
+    const middle = [x / this.unit, y / this.unit];
+    const [px, py] = this.display.toView(uv);
+    const toUnits = (place) => {
+      const [qx, qy] = this.display.toView(place);
+      return [middle[0] + ((qx - px) * times) / this.unit, middle[1] + ((qy - py) * times) / this.unit];
+    };
+    context.save();
+    context.beginPath();
+    context.arc(...middle, LENS_RADIUS, 0, 2 * Math.PI);
+    context.fillStyle = "#07090b";
+    context.fill();
+    context.clip();
+    this.#paintBitmap(context, uv, [x, y], times);
+    this.#toUnits(context);
+    this.#paintMarks(context, toUnits, (this.display.zoom * times) / this.unit, this.state.dragging);
+    paintCrosshair(context, middle, LENS_RADIUS);
+    context.restore();
+    context.beginPath();
+    context.arc(...middle, LENS_RADIUS, 0, 2 * Math.PI);
+    context.lineWidth = 5;
+    context.strokeStyle = "#07090b";
+    context.stroke();
+    context.lineWidth = 2;
+    context.strokeStyle = "#c9d2da";
+    context.stroke();
+  }
+
+  #shownShapes() {
+    return [...this.state.layers.values()].filter((layer) => layer.on).flatMap((layer) => layer.shapes);
+  }
+
+  // ------------------------------------------------------------------------------------------------------------ inside
+
+  #actions() {
+    return {
+      fit: () => this.#changeView(() => this.display.fit()),
+      window: () => this.#setTool(this.state.tool === "window" ? "pan" : "window"),
+      invert: () => this.#changeDisplay(() => this.#setInverted(!this.state.inverted)),
+      flip: () => this.#changeDisplay(() => this.display.flip()),
+      rotate: () => this.#changeDisplay(() => this.display.turnClockwise()),
+      reset: () => this.#changeDisplay(() => this.#reset()),
+      maximise: () => this.maximise(!this.state.maximised),
+    };
+  }
+
+  maximise(on) {
+    this.state.maximised = on;
+    this.root.classList.toggle("xray-maximised", on);
+    this.chrome.relabel("maximise", on ? "restore" : "maximise");
+    this.chrome.press("maximise", on);
+  }
+
+  #changeView(change) {
+    change();
+    this.movedView();
+  }
+
+  #changeDisplay(change) {
+    change();
+    this.#turned();
+    this.displayChanged();
+  }
+
+  #turned() {
+    this.#showState();
+    this.movedView();
+  }
+
+  #reset() {
+    this.display.orient(0, false);
+    this.display.fit();
+    this.setWindow(this.initial.window);
+    this.#setInverted(this.initial.inverted);
+  }
+
+  #setInverted(on) {
+    this.state.inverted = on;
+    this.invalidate("table");
+    this.#showState();
+  }
+
+  #setTool(tool) {
+    this.state.tool = tool;
+    this.#showState();
+    this.gestures.showCursor();
+  }
+
+  #takeImage(image, shown, inverted) {
+    if (!this.picture || this.bitmap.width !== image.width || this.bitmap.height !== image.height) {
+      this.bitmap.width = image.width;
+      this.bitmap.height = image.height;
+      this.picture = new ImageData(image.width, image.height);
+    }
+    this.state.image = image;
+    this.initial = { window: { ...shown }, inverted: Boolean(inverted) };
+    this.display.setImage(image.width, image.height);
+    this.setWindow(shown);
+    this.#setInverted(Boolean(inverted));
+    this.chrome.showLine(this.chrome.fault, "");
+    this.movedView();
+  }
+
+  #point({ id, label, uv, style, movable, snapped }, before) {
+    if (!STYLES[style]) this.#report(`point ${id}: unknown style ${JSON.stringify(style)}`);
+    return {
+      id,
+      label: label || id,
+      uv: before && this.#held(id) ? before.uv : uv || null,
+      style: STYLES[style] ? style : "aid",
+      movable: movable !== false,
+      snapped: Boolean(snapped),
+    };
+  }
+
+  #held(id) {
+    return this.state.dragging === id || this.moves.hasNewer(id);
+  }
+
+  #dropPoint(id) {
+    this.moves.forget(id);
+    if (this.state.dragging === id) this.gestures.letGo();
+    if (this.state.selected === id) this.state.selected = null;
+  }
+
+  #nameOf(id) {
+    const point = this.state.points.get(id);
+    return point ? point.label : id;
+  }
+
+  // A button for each placed point: what the tab key reaches and what a screen reader reads.
+  #showPoints() {
+    const placed = [...this.state.points.values()].filter((point) => point.uv);
+    const holder = this.chrome.points;
+    const wanted = new Set(placed.map((point) => point.id));
+    for (const button of [...holder.children]) if (!wanted.has(button.dataset.id)) button.remove();
+    const present = new Map([...holder.children].map((button) => [button.dataset.id, button]));
+    for (const point of placed) {
+      const button = present.get(point.id) || this.#newButton(point.id);
+      button.setAttribute("aria-label", this.describe(point));
+    }
+  }
+
+  #newButton(id) {
+    const button = document.createElement("button");
+    button.type = "button";
+    button.dataset.id = id;
+    button.dataset.testid = `point-${id}`;
+    button.addEventListener("focus", () => this.select(id));
+    this.chrome.points.append(button);
+    return button;
+  }
+
+  focusPoint(id) {
+    const button = [...this.chrome.points.children].find((each) => each.dataset.id === id);
+    if (button) button.focus({ preventScroll: true });
+  }
+
+  #placeButtons() {
+    for (const button of this.chrome.points.children) {
+      const [x, y] = this.display.toView(this.state.points.get(button.dataset.id).uv);
+      button.style.transform = `translate(${x}px, ${y}px)`;
+    }
+  }
+
+  #showReadout() {
+    const uv = this.pointer && this.display.toImage(this.pointer);
+    const value = uv && this.valueAt(uv);
+    const off = value === null || value === undefined || value === "";
+    const [u, v] = uv ? uv.map((number) => number.toFixed(1)) : ["", ""];
+    const text = this.texts.readout.replace("{u}", u).replace("{v}", v).replace("{value}", String(value));
+    this.chrome.readout.textContent = off ? this.texts.outside : text;
+    this.#showState();
+  }
+
+  #showState() {
+    const { rotation, mirrored } = this.display;
+    const { window: shown, inverted, tool } = this.state;
+    const turned = [rotation ? this.texts.rotated.replace("{degrees}", rotation) : "", mirrored ? this.texts.mirrored : ""];
+    this.chrome.showState(
+      `C ${Math.round(shown.centre)}  W ${Math.round(shown.width)}  ×${this.display.zoom.toFixed(2)}`,
+      turned.filter(Boolean).join(", "),
+    );
+    this.chrome.press("window", tool === "window");
+    this.chrome.press("invert", inverted);
+    this.chrome.press("flip", mirrored);
+    this.chrome.press("rotate", rotation !== 0);
+  }
+
+  #report(message) {
+    this.emit({ type: "error", message });
+  }
+
+  #resize() {
+    const { clientWidth, clientHeight } = this.stage;
+    const ratio = window.devicePixelRatio || 1;
+    const [wide, high] = [Math.max(Math.round(clientWidth * ratio), 1), Math.max(Math.round(clientHeight * ratio), 1)];
+    for (const { canvas } of Object.values(this.contexts)) {
+      canvas.width = wide;
+      canvas.height = high;
+    }
+    this.density = [wide / Math.max(clientWidth, 1), high / Math.max(clientHeight, 1)];
+    this.scale = parseFloat(getComputedStyle(this.root).fontSize) / 15;
+    this.display.setView(clientWidth, clientHeight);
+    this.movedView();
+  }
+}

@@ -1,0 +1,174 @@
+// What stands around the image: the elements of the view, its buttons and its style sheet.
+//
+// Texts come from outside and go in as text nodes, never as HTML.
+
+const SVG = "http://www.w3.org/2000/svg";
+const ICONS = {
+  fit: "M4 9V4h5M20 9V4h-5M4 15v5h5M20 15v5h-5M9 9h6v6H9z",
+  window: "M12 3v2M12 19v2M3 12h2M19 12h2M5.6 5.6l1.4 1.4M17 17l1.4 1.4M18.4 5.6L17 7M7 17l-1.4 1.4M12 8a4 4 0 0 0 0 8zM12 8a4 4 0 0 1 0 8",
+  invert: "M12 3a9 9 0 1 0 0 18a9 9 0 0 0 0-18M12 3v18M12 7.5h4.8M12 12h9M12 16.5h4.8",
+  flip: "M12 3v18M9 7L4 17h5zM15 7l5 10h-5z",
+  rotate: "M20 5v5h-5M19.6 10A8 8 0 1 0 20 14",
+  reset: "M4 5v5h5M4.4 10A8 8 0 1 1 4 14M12 9v4l3 2",
+  maximise: "M14 4h6v6M20 4l-7 7M10 20H4v-6M4 20l7-7",
+  restore: "M20 10h-6V4M14 10l7-7M4 14h6v6M10 14l-7 7",
+};
+
+// Greys are at least 7:1 on the panels; controls are 2.75 em, more than the 24 CSS pixels of WCAG 2.2 (2.5.8).
+const SHEET = `
+.xray { position: relative; width: 100%; height: 100%; min-height: 12em; overflow: hidden; container-type: inline-size;
+  background: #07090b; color: #eef2f5;
+  font: 400 clamp(15px, 11px + 0.32vw, 24px)/1.35 system-ui, "Segoe UI", Roboto, "DejaVu Sans", sans-serif;
+  border: 1px solid #2a323a; border-radius: 0.5em; user-select: none; -webkit-user-select: none; }
+.xray.xray-maximised { position: fixed; inset: 0; z-index: 2500; border-radius: 0; height: auto; width: auto; }
+.xray-stage { position: absolute; inset: 0; touch-action: none; outline: none; cursor: default; }
+.xray-stage canvas { position: absolute; inset: 0; width: 100%; height: 100%; }
+.xray-stage[data-cursor=grab] { cursor: grab; } .xray-stage[data-cursor=pan] { cursor: grabbing; }
+.xray-stage[data-cursor=window] { cursor: ns-resize; } .xray-stage[data-cursor=none] { cursor: none; }
+.xray-stage[data-cursor=place] { cursor: crosshair; } .xray-lens .xray-points { opacity: 0; }
+.xray-stage:focus-visible::after { content: ""; position: absolute; inset: 2px; border: 2px solid #56b4e9; border-radius: 0.4em; pointer-events: none; }
+.xray-points button { position: absolute; left: -1.4em; top: -1.4em; width: 2.8em; height: 2.8em; padding: 0; background: none; border: 0;
+  border-radius: 50%; pointer-events: none; outline-offset: 2px; }
+.xray-points button:focus { outline: 2px solid transparent; }
+.xray-points button:focus-visible { outline: 3px solid #f4f6f8; box-shadow: 0 0 0 3px #07090b, 0 0 0 8px rgba(5, 8, 11, 0.6); }
+.xray-panel { background: rgba(12, 16, 20, 0.84); border-radius: 0.45em; }
+.xray-head { position: absolute; left: 0.6em; top: 0.6em; right: 0.6em; display: flex; flex-wrap: wrap; gap: 0.5em;
+  align-items: flex-start; justify-content: space-between; pointer-events: none; }
+.xray-name { padding: 0.42em 0.8em; font-weight: 650; white-space: nowrap; }
+.xray-notices { flex-basis: 100%; display: flex; flex-direction: column; gap: 0.3em; align-items: flex-start; }
+.xray-notice { padding: 0.42em 0.8em; color: #ffd27a; border-left: 0.25em solid #e69f00; }
+.xray-hint { padding: 0.42em 0.8em; border-left: 0.25em solid #56b4e9; }
+.xray-tools { display: flex; gap: 0.15em; padding: 0.2em; pointer-events: auto; }
+.xray-tools button { width: 2.75em; height: 2.75em; padding: 0; display: grid; place-items: center; color: #c9d2da; background: none; border: 0;
+  border-radius: 0.35em; cursor: pointer; font: inherit; }
+.xray-tools button:hover { background: #2a333c; color: #fff; }
+.xray-tools button[aria-pressed=true] { background: #14435f; color: #d6eefc; box-shadow: inset 0 -0.16em #56b4e9; }
+.xray-tools button:focus-visible { outline: 3px solid #56b4e9; outline-offset: -3px; }
+.xray-tools svg { width: 1.5em; height: 1.5em; fill: none; stroke: currentColor; stroke-width: 1.8; stroke-linecap: round; stroke-linejoin: round; }
+.xray-foot { position: absolute; left: 0.6em; right: 0.6em; bottom: 0.6em; display: flex; justify-content: space-between; align-items: flex-end;
+  gap: 0.6em; pointer-events: none; font-variant-numeric: tabular-nums; color: #c9d2da; font-size: 0.93em; }
+.xray-foot > * { padding: 0.3em 0.7em; white-space: pre; overflow: hidden; text-overflow: ellipsis; }
+.xray-turned { color: #ffd27a; font-weight: 650; } .xray-turned:not(:empty) { margin-right: 1em; }
+.xray-tip { position: absolute; left: 0; top: 0; max-width: 22em; padding: 0.4em 0.7em; pointer-events: none; white-space: pre-line; overflow-wrap: anywhere;
+  background: rgba(12, 16, 20, 0.95); border: 1px solid #4b5762; }
+.xray-live { position: absolute; width: 1px; height: 1px; overflow: hidden; clip-path: inset(50%); white-space: nowrap; }
+.xray [hidden] { display: none; }
+@container (max-width: 28em) { .xray-tools button { width: 2.1em; height: 2.5em; } .xray-name { padding-inline: 0.55em; } }
+`;
+
+let sheet = null; // one for all views of the page
+
+function useSheet() {
+  if (sheet) return;
+  sheet = new CSSStyleSheet(); // constructed, so that a content policy without inline styles lets it through
+  sheet.replaceSync(SHEET);
+  document.adoptedStyleSheets = [...document.adoptedStyleSheets, sheet];
+}
+
+function element(tag, className, attributes = {}) {
+  const made = document.createElement(tag);
+  made.className = className;
+  for (const [name, value] of Object.entries(attributes)) made.setAttribute(name, value);
+  return made;
+}
+
+function icon(name) {
+  const svg = document.createElementNS(SVG, "svg");
+  svg.setAttribute("viewBox", "0 0 24 24");
+  svg.setAttribute("aria-hidden", "true");
+  const path = document.createElementNS(SVG, "path");
+  path.setAttribute("d", ICONS[name]);
+  svg.append(path);
+  return svg;
+}
+
+export class Chrome {
+  // `actions` maps each button's name to what it does.
+  constructor(root, label, texts, actions) {
+    useSheet();
+    this.texts = texts;
+    this.root = root;
+    root.classList.add("xray");
+    root.setAttribute("role", "group");
+    root.setAttribute("aria-label", label);
+    this.stage = element("div", "xray-stage", { tabindex: "0", role: "application", "aria-label": label });
+    this.image = element("canvas", "xray-image", { "aria-hidden": "true" });
+    this.overlay = element("canvas", "xray-overlay", { "aria-hidden": "true" });
+    this.points = element("div", "xray-points");
+    this.stage.append(this.image, this.overlay, this.points);
+    this.notice = element("div", "xray-panel xray-notice", { role: "status", "data-testid": "notice", hidden: "" });
+    this.stale = element("div", "xray-panel xray-notice", { role: "status", "data-testid": "stale", hidden: "" });
+    this.stale.textContent = texts.stale;
+    this.fault = element("div", "xray-panel xray-notice", { role: "status", "data-testid": "fault", hidden: "" });
+    this.hint = element("div", "xray-panel xray-hint", { role: "status", "data-testid": "hint", hidden: "" });
+    this.readout = element("div", "xray-panel", { "data-testid": "readout" });
+    this.state = element("div", "xray-panel", { "data-testid": "state" });
+    this.turned = element("span", "xray-turned", { "data-testid": "turned" });
+    this.numbers = element("span", "");
+    this.state.append(this.turned, this.numbers);
+    this.tip = element("div", "xray-panel xray-tip", { role: "tooltip", "data-testid": "tip", hidden: "" });
+    this.live = element("div", "xray-live", { "aria-live": "polite", "data-testid": "live" });
+    this.buttons = {};
+    root.append(this.stage, this.#head(label, actions), this.#foot(), this.tip, this.live);
+  }
+
+  #head(label, actions) {
+    const head = element("div", "xray-head");
+    const name = element("div", "xray-panel xray-name");
+    name.textContent = label;
+    const notices = element("div", "xray-notices");
+    notices.append(this.fault, this.notice, this.stale, this.hint);
+    const tools = element("div", "xray-panel xray-tools", { role: "toolbar", "aria-label": label });
+    for (const [action, act] of Object.entries(actions)) tools.append(this.#button(action, act));
+    head.append(name, tools, notices);
+    return head;
+  }
+
+  #button(action, act) {
+    const button = element("button", "", { type: "button" });
+    this.buttons[action] = button;
+    this.relabel(action, action);
+    button.addEventListener("click", act);
+    return button;
+  }
+
+  #foot() {
+    const foot = element("div", "xray-foot");
+    foot.append(this.readout, this.state);
+    return foot;
+  }
+
+  relabel(action, name) {
+    const button = this.buttons[action];
+    button.setAttribute("aria-label", this.texts[name]);
+    button.title = this.texts[name];
+    button.replaceChildren(icon(name));
+  }
+
+  press(action, on) {
+    this.buttons[action].setAttribute("aria-pressed", String(on));
+  }
+
+  say(text) {
+    this.live.textContent = text;
+  }
+
+  showLine(line, text) {
+    line.hidden = !text;
+    line.textContent = text || "";
+  }
+
+  showState(numbers, turned) {
+    this.numbers.textContent = numbers;
+    this.turned.textContent = turned;
+  }
+
+  showTip(text, [x, y]) {
+    this.tip.hidden = !text;
+    if (!text) return;
+    this.tip.textContent = text;
+    const left = Math.min(x + 16, this.root.clientWidth - this.tip.offsetWidth - 8);
+    const top = y + 20 + this.tip.offsetHeight > this.root.clientHeight ? y - this.tip.offsetHeight - 12 : y + 20;
+    this.tip.style.transform = `translate(${Math.max(left, 8)}px, ${Math.max(top, 8)}px)`;
+  }
+}

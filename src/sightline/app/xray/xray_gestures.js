@@ -1,0 +1,296 @@
+// Mouse, pen, touch and keys on the view, turned into calls of the core.
+//
+// One gesture at a time: pan, window, drag (of a point), place, pinch. A finger covers what it points at: it may miss a
+// point by more, and must move further before a touch counts as a drag.
+
+const REACH = { mouse: 12, pen: 16, touch: 30 }; // CSS pixels around a point
+const SLOP = { mouse: 0, pen: 2, touch: 6 }; // CSS pixels before a press becomes a drag
+const WHEEL_ZOOM = 0.0015; // per CSS pixel of wheel: a notch of 100 is 16 %
+const PINCH_WHEEL_ZOOM = 0.01; // a trackpad's pinch comes as a wheel with ctrl and small steps
+const LINE_PX = 16; // of a wheel that counts lines
+const WINDOW_PER_PX = 1 / 300; // [ours] a drag of 300 CSS pixels is one width of the window
+const PAN_KEY = 40; // CSS pixels
+const STEP = 1; // image pixels an arrow key moves a point
+const FINE_STEP = 0.1; // with shift
+const ARROWS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };
+
+export class Gestures {
+  constructor(core) {
+    this.core = core;
+    this.stage = core.stage;
+    this.now = null; // {kind, ...}
+    this.pointers = new Map(); // id -> place in the view
+    this.end = new AbortController();
+    const listen = (target, type, handler, options = {}) =>
+      target.addEventListener(type, handler, { signal: this.end.signal, ...options });
+    listen(this.stage, "pointerdown", (event) => this.#down(event));
+    listen(this.stage, "pointermove", (event) => this.#move(event));
+    listen(this.stage, "pointerup", (event) => this.#up(event));
+    listen(this.stage, "pointercancel", (event) => this.#cancel(event));
+    listen(this.stage, "pointerleave", (event) => this.#leave(event));
+    listen(this.stage, "wheel", (event) => this.#wheel(event), { passive: false });
+    listen(this.stage, "contextmenu", (event) => event.preventDefault());
+    listen(this.stage, "keydown", (event) => this.#key(event));
+    listen(window, "keydown", (event) => this.#escape(event));
+  }
+
+  destroy() {
+    this.end.abort();
+  }
+
+  // The point in hand is gone.
+  letGo() {
+    this.now = null;
+    this.core.state.dragging = null;
+    this.core.lens = null;
+    this.showCursor();
+  }
+
+  showCursor() {
+    const { state } = this.core;
+    let cursor = "";
+    if (state.dragging !== null) cursor = "none";
+    else if (state.placing !== null) cursor = "place";
+    else if (this.now) cursor = this.now.kind;
+    else if (state.tool === "window") cursor = "window";
+    else if (this.overPoint) cursor = "grab";
+    this.stage.dataset.cursor = cursor;
+  }
+
+  // ----------------------------------------------------------------------------------------------------------- pointers
+
+  #at(event) {
+    const box = this.stage.getBoundingClientRect();
+    return [event.clientX - box.left, event.clientY - box.top];
+  }
+
+  #down(event) {
+    const at = this.#at(event);
+    this.pointers.set(event.pointerId, at);
+    this.stage.setPointerCapture(event.pointerId);
+    this.core.chrome.showTip("", at);
+    if (this.now && this.now.kind === "drag") return; // a second finger does not shake a point out of the hand
+    this.now = this.pointers.size === 2 ? this.#startPinch() : this.#start(event, at);
+    event.preventDefault(); // no focus and no selection but ours
+    if (this.now.kind !== "drag") this.stage.focus({ preventScroll: true });
+    this.#draw(at);
+  }
+
+  #start(event, at) {
+    const { state } = this.core;
+    const base = { pointer: event.pointerId, type: event.pointerType, from: at, last: at, moved: false };
+    if (event.button === 1) return { kind: "pan", ...base };
+    if (event.button === 2) return { kind: "window", ...base };
+    if (state.placing !== null) return { kind: "place", ...base };
+    const point = this.core.pointAt(at, this.#reach(event));
+    if (point) this.core.focusPoint(point.id);
+    if (point && point.movable) {
+      const [x, y] = this.core.display.toView(point.uv);
+      state.dragging = point.id;
+      return { kind: "drag", ...base, id: point.id, start: point.uv, grip: [x - at[0], y - at[1]] };
+    }
+    return { kind: state.tool === "window" ? "window" : "pan", ...base };
+  }
+
+  #startPinch() {
+    this.core.lens = null;
+    const [first, second] = [...this.pointers.values()];
+    return { kind: "pinch", middle: middleOf(first, second), span: spanOf(first, second) };
+  }
+
+  #reach(event) {
+    return (REACH[event.pointerType] || REACH.mouse) * this.core.unit;
+  }
+
+  #move(event) {
+    const at = this.#at(event);
+    if (this.pointers.has(event.pointerId)) this.pointers.set(event.pointerId, at);
+    if (!this.now) this.#hover(event, at);
+    else if (this.now.kind === "pinch") this.#pinch();
+    else if (this.now.pointer === event.pointerId) this.#continue(at);
+    this.#draw(at);
+  }
+
+  #hover(event, at) {
+    const { core } = this;
+    const point = core.pointAt(at, this.#reach(event));
+    this.overPoint = Boolean(point && point.movable);
+    core.chrome.showTip(core.state.placing === null && !point ? core.titleAt(at) : "", at);
+  }
+
+  #continue(at) {
+    const gesture = this.now;
+    if (!gesture.moved) {
+      if (Math.hypot(at[0] - gesture.from[0], at[1] - gesture.from[1]) < (SLOP[gesture.type] || 0)) return;
+      gesture.moved = true;
+      gesture.last = at;
+      if (gesture.kind === "drag" && SLOP[gesture.type]) gesture.grip = this.#gripFrom(at); // no jump over the slop
+    }
+    const [dx, dy] = [at[0] - gesture.last[0], at[1] - gesture.last[1]];
+    gesture.last = at;
+    if (gesture.kind === "pan") this.core.display.panBy(dx, dy);
+    if (gesture.kind === "window") this.#window(dx, dy);
+    if (gesture.kind === "drag") this.core.move("drag", gesture.id, this.#held(at));
+    if (gesture.kind === "pan") this.core.movedView();
+  }
+
+  #gripFrom(at) {
+    const [x, y] = this.core.display.toView(this.now.start);
+    return [x - at[0], y - at[1]];
+  }
+
+  #held(at) {
+    return this.core.display.toImage([at[0] + this.now.grip[0], at[1] + this.now.grip[1]]);
+  }
+
+  // To the right more grey levels, upwards brighter.
+  #window(dx, dy) {
+    const { window: shown, inverted } = this.core.state;
+    const width = shown.width * Math.exp(dx * WINDOW_PER_PX);
+    this.core.setWindow({ width, centre: shown.centre + (inverted ? -dy : dy) * shown.width * WINDOW_PER_PX });
+  }
+
+  #pinch() {
+    if (this.pointers.size < 2) return;
+    const [first, second] = [...this.pointers.values()];
+    const [middle, span] = [middleOf(first, second), spanOf(first, second)];
+    this.core.display.panBy(middle[0] - this.now.middle[0], middle[1] - this.now.middle[1]);
+    this.core.display.zoomAt(span / this.now.span, middle);
+    Object.assign(this.now, { middle, span });
+    this.core.movedView();
+  }
+
+  #up(event) {
+    const at = this.#at(event);
+    this.pointers.delete(event.pointerId);
+    const gesture = this.now;
+    if (!gesture) return;
+    if (gesture.kind === "pinch") {
+      if (this.pointers.size === 0) this.now = null; // the finger that stays does nothing more
+    } else if (gesture.pointer === event.pointerId) {
+      this.now = null;
+      this.#finish(gesture, at);
+    }
+    this.#draw(at);
+  }
+
+  #finish(gesture, at) {
+    const { core } = this;
+    if (gesture.kind === "place") core.placeAt(core.display.toImage(at));
+    if (gesture.kind === "window" && gesture.moved) core.displayChanged();
+    if (gesture.kind === "drag") this.#drop(gesture.moved ? "drop" : null, gesture);
+    if (gesture.kind === "pan" && !gesture.moved) {
+      if (!core.pointAt(at, REACH.mouse * core.unit)) core.select(null);
+      core.chrome.showTip(core.titleAt(at), at);
+    }
+  }
+
+  #drop(type, { id }) {
+    this.core.state.dragging = null;
+    if (type) this.core.move(type, id, this.core.state.points.get(id).uv);
+    this.core.invalidate("overlay");
+  }
+
+  #cancel(event) {
+    this.pointers.delete(event.pointerId);
+    if (this.now && this.now.kind === "drag" && this.now.pointer === event.pointerId) this.#takeBack();
+    this.now = null;
+    this.core.lens = null;
+    this.#draw(null);
+  }
+
+  // The drag ends where it began.
+  #takeBack() {
+    const gesture = this.now;
+    this.now = null;
+    this.core.state.points.get(gesture.id).uv = gesture.start;
+    this.#drop(gesture.moved ? "drop" : null, gesture);
+  }
+
+  #leave(event) {
+    if (this.pointers.has(event.pointerId)) return;
+    this.overPoint = false;
+    this.core.chrome.showTip("", [0, 0]);
+    this.#draw(null);
+  }
+
+  // The magnifier, the pixel under the pointer and the cursor follow.
+  #draw(at) {
+    const { core } = this;
+    const { dragging, placing, points } = core.state;
+    const had = core.lens !== null;
+    core.pointer = at;
+    core.lens = null;
+    if (at && dragging !== null && this.now && this.now.moved) {
+      const { uv } = points.get(dragging);
+      core.lens = { uv, at: core.display.toView(uv) };
+    } else if (at && placing !== null && core.state.image && (!this.now || this.now.kind === "place")) {
+      core.lens = { uv: core.display.toImage(at), at };
+    }
+    if (had || core.lens) core.invalidate("overlay");
+    core.invalidate("readout");
+    this.showCursor();
+  }
+
+  #wheel(event) {
+    event.preventDefault();
+    const at = this.#at(event);
+    const pixels = event.deltaY * (event.deltaMode === WheelEvent.DOM_DELTA_LINE ? LINE_PX : 1);
+    this.core.display.zoomAt(Math.exp(-pixels * (event.ctrlKey ? PINCH_WHEEL_ZOOM : WHEEL_ZOOM)), at);
+    this.core.movedView();
+    this.#draw(at);
+  }
+
+  // --------------------------------------------------------------------------------------------------------------- keys
+
+  #key(event) {
+    if (event.ctrlKey || event.metaKey || event.altKey) return; // the browser's own
+    const point = this.core.state.points.get(event.target.dataset.id);
+    const handled = this.#arrow(event, point) || this.#otherKey(event, point);
+    if (handled) event.preventDefault();
+  }
+
+  #arrow(event, point) {
+    const direction = ARROWS[event.key];
+    if (!direction) return false;
+    const { core } = this;
+    if (!point) {
+      core.display.panBy(-direction[0] * PAN_KEY, -direction[1] * PAN_KEY);
+      core.movedView();
+    } else if (point.movable) {
+      const { zoom } = core.display;
+      const size = (event.shiftKey ? FINE_STEP : STEP) * zoom; // one image pixel in the direction that the eye sees
+      const [du, dv] = core.display.toImageStep([direction[0] * size, direction[1] * size]);
+      core.move("nudge", point.id, [point.uv[0] + du, point.uv[1] + dv]);
+    }
+    return true;
+  }
+
+  #otherKey(event, point) {
+    const { core } = this;
+    if (event.key === "+" || event.key === "=") core.zoom(true);
+    else if (event.key === "-" || event.key === "_") core.zoom(false);
+    else if (event.key === "Delete" && point) core.emit({ type: "remove", id: point.id });
+    else if (event.key === "Enter" && core.state.placing !== null) core.placeAt(core.display.centre);
+    else return false;
+    return true;
+  }
+
+  // From anywhere on the page: the button that began the placing may still have the focus.
+  #escape(event) {
+    if (event.key !== "Escape") return;
+    const { core } = this;
+    if (this.now && this.now.kind === "drag") {
+      this.#takeBack();
+      this.#draw(core.pointer);
+    } else if (core.state.placing !== null) {
+      this.now = null;
+      core.cancelPlacing();
+    } else if (core.state.maximised) {
+      core.maximise(false);
+    }
+  }
+}
+
+const middleOf = (first, second) => [(first[0] + second[0]) / 2, (first[1] + second[1]) / 2];
+const spanOf = (first, second) => Math.max(Math.hypot(first[0] - second[0], first[1] - second[1]), 1);

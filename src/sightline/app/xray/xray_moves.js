@@ -1,0 +1,63 @@
+// Moves of points to the server: one in flight, the newest of each point wins.
+//
+// Unlimited sends queue behind a slow computation and the curve lags behind the hand; one in flight never does.
+
+const PATIENCE_MS = 2000; // [ours] an answer that takes longer is lost: far above a computation, short for a person
+const EDITS = new Set(["place", "drop", "nudge"]); // what a person did and meant; a drag is on its way still
+
+export class Moves {
+  // `send(move)` tells the server; `keep(move | null)` holds the newest edit that the server has not acknowledged.
+  constructor(send, keep) {
+    this.send = send;
+    this.keep = keep;
+    this.seq = 0;
+    this.inFlight = null;
+    this.kept = null;
+    this.waiting = new Map(); // by point: a newer move replaces an older one
+    this.timer = null;
+  }
+
+  push(type, id, uv) {
+    const move = { type, id, uv: [...uv], seq: ++this.seq };
+    this.waiting.delete(id); // the newest goes to the end of the line
+    this.waiting.set(id, move);
+    if (EDITS.has(type)) this.#hold(move);
+    this.#next();
+  }
+
+  // Whether a newer move of the point waits to be sent: an answer that comes now is older than that.
+  hasNewer(id) {
+    return this.waiting.has(id);
+  }
+
+  acknowledge(seq) {
+    if (this.kept && this.kept.seq === seq) this.#hold(null);
+    if (this.inFlight && this.inFlight.seq === seq) this.#release();
+  }
+
+  // The point is gone, and its moves with it.
+  forget(id) {
+    this.waiting.delete(id);
+    if (this.kept && this.kept.id === id) this.#hold(null);
+  }
+
+  #hold(move) {
+    this.kept = move;
+    this.keep(move);
+  }
+
+  #release() {
+    clearTimeout(this.timer);
+    this.inFlight = null;
+    this.#next();
+  }
+
+  #next() {
+    if (this.inFlight || this.waiting.size === 0) return;
+    const [id, move] = this.waiting.entries().next().value;
+    this.waiting.delete(id);
+    this.inFlight = move;
+    this.timer = setTimeout(() => this.#release(), PATIENCE_MS);
+    this.send(move);
+  }
+}

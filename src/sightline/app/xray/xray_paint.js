@@ -1,0 +1,269 @@
+// How shapes and points look: one table of named styles, and a painter for each shape.
+//
+// Everything is painted in CSS pixels of the view, with `toView` mapping image pixels to them: lines and marks keep
+// their size on screen at every zoom. Colours: Okabe and Ito, Color Universal Design (2008); blue and black are left
+// out, too dark on a dark image. No meaning rests on colour alone: beads differ in their mark, lines in their dashes.
+
+const ORANGE = "#e69f00";
+const SKY = "#56b4e9";
+const GREEN = "#009e73";
+const YELLOW = "#f0e442";
+const VERMILLION = "#d55e00";
+const PURPLE = "#cc79a7";
+const WHITE = "#f4f6f8";
+const GREY = "#a7b0ba";
+const CASING = "rgba(5, 8, 11, 0.78)"; // under every line: X-ray images are white as well as black
+
+const FONT = '600 14px system-ui, "Segoe UI", Roboto, "DejaVu Sans", sans-serif';
+
+// plan: hidden while the image is stale. fill: opacity of an area.
+export const STYLES = {
+  "bead-good": { colour: GREEN, width: 2, mark: "ring" },
+  "bead-warn": { colour: ORANGE, width: 2, mark: "ring", dash: [4, 3] },
+  "bead-bad": { colour: VERMILLION, width: 2.5, mark: "ring-cross" },
+  rejected: { colour: GREY, width: 2, mark: "cross" },
+  curve: { colour: SKY, width: 2.5, plan: true },
+  "curve-band": { colour: SKY, width: 1, fill: 0.2, plan: true },
+  tick: { colour: WHITE, width: 1.5, plan: true },
+  wire: { colour: YELLOW, width: 3, fill: 0.6, plan: true },
+  corridor: { colour: PURPLE, width: 2, fill: 0.24, dash: [8, 5], plan: true },
+  plan: { colour: YELLOW, width: 2, fill: 0.14, dash: [2, 4], plan: true },
+  aid: { colour: GREY, width: 1.5, fill: 0.12, dash: [5, 5] },
+  landmark: { colour: ORANGE, width: 2, fill: 0.14, mark: "ring" },
+  focus: { colour: WHITE, width: 3, fill: 0.14, mark: "ring" },
+  found: { colour: GREEN, width: 3, fill: 0.2, mark: "ring-cross" },
+  stale: { colour: GREY, width: 1.5, fill: 0.08, dash: [2, 6], mark: "ring" },
+};
+
+const SCALE = [SKY, YELLOW, VERMILLION].map((hex) => [1, 3, 5].map((at) => parseInt(hex.slice(at, at + 2), 16)));
+const MARK_RADIUS = 7; // CSS pixels, of marks that have no size in the image
+const POINT_RADIUS = 11;
+
+// The colour of a residual: 0 sky blue, 0.5 yellow, 1 vermillion; blue to yellow survives every colour blindness.
+export function residualColour(value) {
+  const at = Math.min(Math.max(value, 0), 1) * (SCALE.length - 1);
+  const low = Math.min(Math.floor(at), SCALE.length - 2);
+  const mixed = SCALE[low].map((from, channel) => Math.round(from + (SCALE[low + 1][channel] - from) * (at - low)));
+  return `rgb(${mixed.join(", ")})`;
+}
+
+const given = (value) => value !== undefined && value !== null;
+const each = (list, index) => (Array.isArray(list) ? list[index] : list);
+
+function path(context, places, closed) {
+  context.beginPath();
+  places.forEach(([x, y], index) => (index ? context.lineTo(x, y) : context.moveTo(x, y)));
+  if (closed) context.closePath();
+}
+
+// The path twice: dark and wider below, coloured above.
+function strokeCased(context, look) {
+  context.setLineDash([]);
+  context.lineWidth = look.width + 2.5;
+  context.strokeStyle = CASING;
+  context.stroke();
+  context.setLineDash(look.dash || []);
+  context.lineWidth = look.width;
+  context.strokeStyle = look.colour;
+  context.stroke();
+  context.setLineDash([]);
+}
+
+function fillArea(context, look) {
+  context.globalAlpha = look.fill || 0.15;
+  context.fillStyle = look.colour;
+  context.fill();
+  context.globalAlpha = 1;
+}
+
+// White in every style: 4.5:1 on its casing whatever the image is below.
+function paintText(context, text, [x, y], align = "left") {
+  context.font = FONT;
+  context.textAlign = align;
+  context.textBaseline = "middle";
+  context.lineJoin = "round";
+  context.lineWidth = 4;
+  context.strokeStyle = CASING;
+  context.strokeText(text, x, y);
+  context.fillStyle = WHITE;
+  context.fillText(text, x, y);
+}
+
+function crossPath(context, [x, y], arm) {
+  context.moveTo(x - arm, y - arm);
+  context.lineTo(x + arm, y + arm);
+  context.moveTo(x - arm, y + arm);
+  context.lineTo(x + arm, y - arm);
+}
+
+function paintMark(context, place, radius, look) {
+  context.beginPath();
+  if (look.mark !== "cross") {
+    context.arc(place[0], place[1], radius, 0, 2 * Math.PI);
+    strokeCased(context, look);
+    context.beginPath();
+  }
+  if (look.mark === "cross" || look.mark === "ring-cross") {
+    crossPath(context, place, radius * 0.6);
+    strokeCased(context, { ...look, dash: undefined });
+  }
+}
+
+// Unit normals of a polyline at its corners, in the view.
+function normals(places) {
+  return places.map((_, index) => {
+    const [x0, y0] = places[Math.max(index - 1, 0)];
+    const [x1, y1] = places[Math.min(index + 1, places.length - 1)];
+    const length = Math.hypot(x1 - x0, y1 - y0) || 1;
+    return [(y0 - y1) / length, (x1 - x0) / length];
+  });
+}
+
+function bandEdges(places, shape, zoom) {
+  const across = normals(places);
+  const side = (sign) =>
+    places.map(([x, y], index) => {
+      const half = sign * each(shape.halfWidth, index) * zoom;
+      return [x + across[index][0] * half, y + across[index][1] * half];
+    });
+  return [side(1), side(-1)];
+}
+
+const PAINTERS = {
+  line(context, places, shape, look) {
+    path(context, places, false);
+    strokeCased(context, look);
+  },
+  polygon(context, places, shape, look) {
+    path(context, places, true);
+    fillArea(context, look);
+    strokeCased(context, look);
+  },
+  circle(context, places, shape, look, zoom) {
+    const shown = given(shape.value) ? { ...look, colour: residualColour(shape.value) } : look;
+    places.forEach((place, index) => {
+      const radius = given(shape.radius) ? Math.max(each(shape.radius, index) * zoom, 3) : MARK_RADIUS;
+      paintMark(context, place, radius, shown);
+    });
+  },
+  cross(context, places, shape, look) {
+    context.beginPath();
+    places.forEach((place) => crossPath(context, place, 5));
+    strokeCased(context, { ...look, dash: undefined });
+  },
+  dots(context, places, shape, look) {
+    for (const [radius, colour] of [[4.5, CASING], [3, look.colour]]) {
+      context.fillStyle = colour;
+      places.forEach(([x, y]) => {
+        context.beginPath();
+        context.arc(x, y, radius, 0, 2 * Math.PI);
+        context.fill();
+      });
+    }
+  },
+  band(context, places, shape, look, zoom) {
+    const [left, right] = bandEdges(places, shape, zoom);
+    path(context, [...left, ...right.reverse()], true);
+    fillArea(context, look);
+    context.setLineDash(look.dash || []);
+    context.globalAlpha = 0.7; // the edge of a band says less than a line
+    context.lineWidth = 1.25;
+    context.strokeStyle = look.colour;
+    context.stroke();
+    context.globalAlpha = 1;
+    context.setLineDash([]);
+  },
+  text(context, places, shape) {
+    places.forEach((place) => paintText(context, String(shape.label), place));
+  },
+  ticks(context, places, shape, look) {
+    const across = normals(places);
+    context.beginPath();
+    places.forEach(([x, y], index) => {
+      const [nx, ny] = across[index];
+      context.moveTo(x - nx * 7, y - ny * 7);
+      context.lineTo(x + nx * 7, y + ny * 7);
+    });
+    strokeCased(context, { ...look, dash: undefined });
+    if (!Array.isArray(shape.label)) return;
+    places.forEach(([x, y], index) => {
+      const label = shape.label[index];
+      if (label) paintText(context, String(label), [x + across[index][0] * 18, y + across[index][1] * 18], "center");
+    });
+  },
+};
+
+// What is wrong with a shape, in words; null where it can be painted.
+export function shapeFault(shape) {
+  if (!shape || !PAINTERS[shape.shape]) return `unknown shape ${JSON.stringify(shape && shape.shape)}`;
+  if (!STYLES[shape.style]) return `unknown style ${JSON.stringify(shape.style)}`;
+  const finite = (pair) => Array.isArray(pair) && pair.length === 2 && pair.every(Number.isFinite);
+  if (!Array.isArray(shape.points) || !shape.points.every(finite)) return `${shape.shape} with points that are not numbers`;
+  if (shape.shape === "band" && !given(shape.halfWidth)) return "band without halfWidth";
+  return null;
+}
+
+export function paintShape(context, shape, toView, zoom, staleImage) {
+  const look = STYLES[shape.style];
+  if (shape.points.length === 0 || (staleImage && look.plan)) return;
+  const places = shape.points.map(toView);
+  context.lineJoin = "round";
+  context.lineCap = "round";
+  PAINTERS[shape.shape](context, places, shape, look, zoom);
+  if (typeof shape.label === "string" && shape.shape !== "text") {
+    const [x, y] = places[places.length - 1];
+    paintText(context, shape.label, [x + 12, y - 12]);
+  }
+}
+
+// Distance in CSS pixels from `at` to the shape: what the tooltip goes by.
+export function shapeDistance(shape, toView, zoom, at) {
+  const places = shape.points.map(toView);
+  const distances = places.map(([x, y], index) => {
+    const away = Math.hypot(x - at[0], y - at[1]);
+    return given(shape.radius) ? Math.max(away - each(shape.radius, index) * zoom, 0) : away;
+  });
+  if (["line", "polygon", "band", "ticks"].includes(shape.shape)) {
+    for (let index = 1; index < places.length; index++) {
+      distances.push(distanceToSegment(at, places[index - 1], places[index]));
+    }
+  }
+  return Math.min(...distances, Infinity);
+}
+
+function distanceToSegment([x, y], [x0, y0], [x1, y1]) {
+  const [dx, dy] = [x1 - x0, y1 - y0];
+  const along = ((x - x0) * dx + (y - y0) * dy) / (dx * dx + dy * dy || 1);
+  const t = Math.min(Math.max(along, 0), 1);
+  return Math.hypot(x - x0 - t * dx, y - y0 - t * dy);
+}
+
+// A pick: an open cross-hair in a ring, so that the place itself stays visible; a diamond where it sits on a curve.
+export function paintPoint(context, point, [x, y], selected) {
+  const look = STYLES[point.style];
+  const radius = selected ? POINT_RADIUS + 2 : POINT_RADIUS;
+  context.beginPath();
+  if (point.snapped) {
+    const reach = radius * 1.25;
+    path(context, [[x, y - reach], [x + reach, y], [x, y + reach], [x - reach, y]], true);
+  } else {
+    context.arc(x, y, radius, 0, 2 * Math.PI);
+  }
+  for (const [dx, dy] of [[1, 0], [-1, 0], [0, 1], [0, -1]]) {
+    context.moveTo(x + dx * 4, y + dy * 4);
+    context.lineTo(x + dx * (radius + 5), y + dy * (radius + 5));
+  }
+  strokeCased(context, { ...look, width: selected ? 2.5 : 2, dash: point.movable ? undefined : [3, 3] });
+  context.fillStyle = look.colour;
+  context.fillRect(x - 0.75, y - 0.75, 1.5, 1.5);
+  if (point.label) paintText(context, point.label, [x + radius + 9, y - radius - 3]);
+}
+
+export function paintCrosshair(context, [x, y], radius) {
+  context.beginPath();
+  for (const [dx, dy] of [[1, 0], [-1, 0], [0, 1], [0, -1]]) {
+    context.moveTo(x + dx * 6, y + dy * 6);
+    context.lineTo(x + dx * radius, y + dy * radius);
+  }
+  strokeCased(context, { colour: YELLOW, width: 1 });
+}

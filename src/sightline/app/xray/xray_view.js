@@ -1,0 +1,80 @@
+// The shell of the X-ray view for NiceGUI: forwards calls and events, and keeps an edit while the server is away.
+
+import { XrayCore } from "xray";
+
+const REPLAY_MS = 1000; // after a reconnection the server's missed messages come first, acknowledgements among them
+
+export default {
+  template: "<div></div>",
+  props: { name: String, label: String, texts: Object },
+  emits: ["xray"],
+  mounted() {
+    this.revision = null;
+    this.core = new XrayCore(this.$el, {
+      name: this.name,
+      label: this.label,
+      texts: this.texts,
+      emit: (event) => this.$emit("xray", event),
+      keep: (move) => this.keep(move),
+    });
+    this.reconnected = () => setTimeout(() => this.settle(), REPLAY_MS);
+    setTimeout(() => window.socket && window.socket.io.on("reconnect", this.reconnected)); // the page makes it after us
+  },
+  unmounted() {
+    if (window.socket) window.socket.io.off("reconnect", this.reconnected);
+    this.core.destroy();
+  },
+  methods: {
+    setImage(image) {
+      this.core.setImage(image);
+    },
+    setLayer(name, shapes) {
+      this.core.setLayer(name, shapes);
+    },
+    showLayer(name, on) {
+      this.core.showLayer(name, on);
+    },
+    setPoints(points) {
+      this.core.setPoints(points);
+    },
+    movePoint(id, uv) {
+      this.core.movePoint(id, uv);
+    },
+    place(id) {
+      this.core.place(id);
+    },
+    setDisplay(display) {
+      this.core.setDisplay(display);
+    },
+    acknowledge(seq) {
+      this.core.acknowledge(seq);
+    },
+    setNotice(text) {
+      this.core.setNotice(text);
+    },
+    setStale(on) {
+      this.core.setStale(on);
+    },
+    // The first number after the page was built settles what a lost connection left behind.
+    setRevision(revision) {
+      const first = this.revision === null;
+      this.revision = revision;
+      if (first) this.settle();
+    },
+    stashName() {
+      return `sightline-xray-${this.name}`;
+    },
+    keep(move) {
+      if (move) sessionStorage.setItem(this.stashName(), JSON.stringify({ move, revision: this.revision }));
+      else sessionStorage.removeItem(this.stashName());
+    },
+    // Sends the edit that was never acknowledged once more, if the plan is still the one it was made on.
+    settle() {
+      const stash = sessionStorage.getItem(this.stashName());
+      if (stash === null) return;
+      this.keep(null);
+      const { move, revision } = JSON.parse(stash);
+      if (revision !== this.revision || !this.core.resend(move)) this.core.sayLost(move.id);
+    },
+  },
+};

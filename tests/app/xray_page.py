@@ -1,0 +1,198 @@
+"""A page with two X-ray views, for tests and figures: `python -m tests.app.xray_page PORT [SECONDS]`.
+
+The image is `picture()`. Moves of a point are answered after SECONDS of waiting (default none) with a curve in the
+other view. What the views heard is served as JSON under /heard; /do/NAME calls one of `COMMANDS`.
+"""
+
+import asyncio
+import sys
+import time
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+from fastapi import Response
+from nicegui import app, ui
+
+from sightline.app.xray import Window, XrayEvent, XrayView
+
+SIDE = 1024
+WINDOW = Window(32768.0, 65536.0)
+SPOTS = [(200.3, 300.7), (511.5, 512.25), (800.6, 150.4), (350.2, 850.9)]
+"""Bright spots, off the grid: what a place on the screen is measured by."""
+POINTS: list[dict[str, Any]] = [
+    {"id": "entry", "label": "Entry", "uv": (300.0, 400.0), "style": "landmark"},
+    {"id": "end", "label": "End", "uv": (700.0, 600.0), "style": "landmark", "snapped": True},
+    {"id": "fixed", "label": "Ball 7", "uv": (512.0, 200.0), "style": "found", "movable": False},
+    {"id": "aim", "label": "Aim", "uv": None, "style": "landmark"},
+]
+HOSTILE = "<img src=x onerror='window.hacked=1'>"
+TEXTS = {
+    "fit": "Fit to view",
+    "window": "Brightness and contrast",
+    "invert": "Invert",
+    "flip": "Flip left to right",
+    "rotate": "Turn clockwise",
+    "reset": "Reset the view",
+    "maximise": "Maximise",
+    "restore": "Restore",
+    "point": "{name}: column {u}, row {v}",
+    "snapped": "on the matching curve",
+    "placing": "Click to place {name}. Escape cancels.",
+    "mirrored": "mirrored",
+    "rotated": "turned {degrees}°",
+    "stale": "Plan hidden: the image is out of date",
+    "readout": "u {u}   v {v}   value {value}",
+    "outside": "–",
+    "edit_lost": "The last change of {name} did not reach the server: please make it again.",
+    "load_failed": "The image could not be loaded.",
+}
+
+
+def picture() -> np.ndarray:
+    """(1024, 1024) uint16: a ramp in the round field of an intensifier, with `SPOTS` on it."""
+    v, u = np.mgrid[0:SIDE, 0:SIDE].astype(np.float64)
+    values = 9000.0 + 14000.0 * u / SIDE + 5000.0 * np.sin(v / 70.0) ** 2
+    for spot_u, spot_v in SPOTS:
+        values += 30000.0 * np.exp(-((u - spot_u) ** 2 + (v - spot_v) ** 2) / (2 * 3.0**2))
+    values[np.hypot(u - SIDE / 2, v - SIDE / 2) > 0.49 * SIDE] = 0.0
+    return values.astype("<u2")
+
+
+def curve(uv: tuple[float, float]) -> dict[str, Any]:
+    """A curve of 60 points that hangs on `uv`."""
+    t = np.linspace(-0.4, 0.4, 60)
+    points = np.stack([uv[0] + SIDE * t, uv[1] + 400 * t**2 + 90 * t], axis=1)
+    return {"shape": "line", "points": points.tolist(), "style": "curve", "title": "matching curve"}
+
+
+def beads(count: int = 120) -> list[dict[str, Any]]:
+    """Beads in a ring, coloured by a residual that grows around it."""
+    angle = np.linspace(0, 2 * np.pi, count, endpoint=False)
+    radius = 330 + 110 * (np.arange(count) % 2)
+    uv = np.stack([512 + radius * np.cos(angle), 512 + radius * np.sin(angle)], axis=1)
+    return [
+        {
+            "shape": "circle",
+            "points": [place.tolist()],
+            "radius": 9,
+            "style": "bead-good",
+            "value": index / (count - 1),
+            "title": f"bead {index}",
+        }
+        for index, place in enumerate(uv)
+    ]
+
+
+def gallery() -> list[dict[str, Any]]:
+    """One of each shape and style."""
+    line = [[420.0 + 6 * k, 380.0 + 3 * k] for k in range(40)]
+    return [
+        {"shape": "band", "points": line, "halfWidth": [8 + 0.5 * k for k in range(40)], "style": "corridor"},
+        {"shape": "band", "points": line, "halfWidth": 4, "style": "wire"},
+        {"shape": "band", "points": [[150, 620], [400, 660], [760, 700]], "halfWidth": 10, "style": "curve-band"},
+        {"shape": "line", "points": [[150, 620], [400, 660], [760, 700]], "style": "curve", "label": "entry"},
+        {
+            "shape": "ticks",
+            "points": [[150 + 61 * k, 620 + 8 * k] for k in range(11)],
+            "style": "tick",
+            "label": [str(10 * k) if k % 5 == 0 else "" for k in range(11)],
+        },
+        {"shape": "polygon", "points": [[600, 250], [700, 260], [720, 360], [620, 380]], "style": "plan"},
+        {"shape": "circle", "points": [[300, 250]], "radius": 60, "style": "aid", "title": HOSTILE},
+        {"shape": "dots", "points": [[250, 500], [270, 510], [290, 505]], "style": "found"},
+        {"shape": "cross", "points": [[820, 480], [840, 520]], "style": "rejected", "title": "rejected: too faint"},
+        {"shape": "circle", "points": [[860, 600]], "radius": 10, "style": "bead-warn"},
+        {"shape": "circle", "points": [[840, 660]], "radius": 10, "style": "bead-bad"},
+        {"shape": "circle", "points": [[800, 720]], "style": "focus", "label": "centre"},
+        {"shape": "line", "points": [[200, 760], [500, 800]], "style": "stale"},
+        {"shape": "text", "points": [[430, 900]], "style": "landmark", "label": HOSTILE},
+    ]
+
+
+views: dict[str, XrayView] = {}  # of the last page that was built
+heard: list[dict[str, Any]] = []
+state = {"revision": 1, "answering": True}
+
+
+def page(seconds: float) -> None:
+    async def hear(view: XrayView, event: XrayEvent) -> None:
+        name = next(key for key, each in views.items() if each is view)
+        heard.append({"view": name, **asdict(event)})
+        if event.uv is None or event.seq is None or not state["answering"]:
+            return
+        await asyncio.to_thread(time.sleep, seconds)
+        other = views["lateral" if name == "pa" else "pa"]
+        other.draw("curve", [{**curve(event.uv), "of": event.seq}])
+        view.acknowledge(event.seq)
+
+    ui.dark_mode(True)
+    ui.query(".nicegui-content").style("padding: 0; gap: 0")
+    with ui.element("div").style("display: flex; gap: 8px; padding: 8px; width: 100vw; height: 100vh"):
+        for name, label in (("pa", "PA image"), ("lateral", "Lateral image")):
+            with ui.element("div").style("flex: 1; min-width: 0"):
+                views[name] = view = XrayView(name, label=label, texts=TEXTS)
+            view.on_event(hear)
+            view.set_image("/picture", SIDE, SIDE, window=WINDOW)
+            view.set_points(POINTS)
+            view.set_revision(int(state["revision"]))
+
+
+COMMANDS = {
+    "place": lambda: views["pa"].place("aim"),
+    "beads": lambda: views["pa"].draw("beads", beads()),
+    "gallery": lambda: views["pa"].draw("gallery", gallery()),
+    "hide": lambda: views["pa"].show_layer("gallery", False),
+    "show": lambda: views["pa"].show_layer("gallery", True),
+    "stale": lambda: views["pa"].stale(True),
+    "fresh": lambda: views["pa"].stale(False),
+    "notice": lambda: views["pa"].notice("The image is 0.4 s old"),
+    "no-notice": lambda: views["pa"].notice(None),
+    "turn": lambda: views["pa"].set_display(rotation=90, mirrored=True),
+    "move": lambda: views["pa"].move_point("entry", (100.0, 500.0)),
+    "short": lambda: views["pa"].set_image("/picture", SIDE, SIDE - 1, window=WINDOW),
+    "hostile": lambda: views["pa"].set_points([{**POINTS[0], "label": HOSTILE}, *POINTS[1:]]),
+    "unknown-style": lambda: views["pa"].draw("odd", [{"shape": "line", "points": [[1, 2], [3, 4]], "style": "pink"}]),
+    "deaf": lambda: state.update(answering=False),
+    "hearing": lambda: state.update(answering=True),
+    "next-revision": lambda: state.update(revision=int(state["revision"]) + 1),
+    "acknowledge-all": lambda: [views["pa"].acknowledge(one["seq"]) for one in heard if one["seq"]],
+    "forget": heard.clear,
+}
+
+
+@app.get("/picture")
+def _picture() -> Response:
+    return Response(
+        picture().tobytes(), media_type="application/octet-stream", headers={"Content-Encoding": "identity"}
+    )
+
+
+@app.get("/heard")
+def _heard() -> dict[str, Any]:
+    return {"events": heard, "refused": views["pa"].refused}
+
+
+@app.post("/do/{name}")
+async def _do(name: str) -> str:
+    COMMANDS[name]()
+    return name
+
+
+def main() -> None:
+    port, *rest = sys.argv[1:]
+    seconds = float(rest[0]) if rest else 0.0
+    ui.run(
+        lambda: page(seconds),
+        host="127.0.0.1",
+        port=int(port),
+        reload=False,
+        show=False,
+        show_welcome_message=False,
+        tailwind=False,
+        dark=True,
+    )
+
+
+if __name__ == "__main__":
+    main()
