@@ -49,6 +49,11 @@ def connect(file: Path, mode: str) -> sqlite3.Connection:
         return db
 
 
+def is_damage(error: BaseException | None) -> bool:
+    """Whether SQLite raised this because the file itself is damaged."""
+    return getattr(error, "sqlite_errorname", "").startswith(("SQLITE_CORRUPT", "SQLITE_NOTADB"))
+
+
 @contextmanager
 def transaction(db: sqlite3.Connection) -> Iterator[None]:
     """`with transaction(db):` all of it is written, and on the disk, or none of it is."""

@@ -1,5 +1,6 @@
 """One entry of a case: what happened, when, by whom, with which software, on what it rests."""
 
+import os
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -101,7 +102,7 @@ def _strings(value: Any) -> Iterator[str]:
 
 @cache
 def versions() -> dict[str, str]:
-    """The software that computes here, and the kind of machine: what results depend on to the bit."""
+    """The software that computes here, the kind of machine, and its threads: what results depend on to the bit."""
     from llvmlite.binding import get_host_cpu_name  # for which the kernels are compiled
 
     names = ("numpy", "scipy", "numba", "opencv-python-headless", "pydicom", "python-gdcm")
@@ -110,4 +111,5 @@ def versions() -> dict[str, str]:
         "python": python_version(),
         **{name: version(name) for name in names},
         "machine": f"{system()} {machine()} {get_host_cpu_name()}",
+        "blas threads": os.environ.get("OPENBLAS_NUM_THREADS") or str(os.cpu_count()),  # sums are split among them
     }

@@ -41,6 +41,8 @@ _COMMANDS = (
     "compare",
     "frame",
     "robot",
+    "case",
+    "export",
 )
 
 app = typer.Typer(

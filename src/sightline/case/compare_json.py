@@ -1,0 +1,62 @@
+"""Two JSON documents held against each other: where they differ, and whether machines may differ by so much."""
+
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any, TypeGuard
+
+# What other versions and other machines may change, by the end of a number's key: what the golden data of the tests
+# allow, twice it for mm, since here a view follows from its image [ours].
+TOLERANCES = {"uv_px": 2e-3, "radius_px": 5e-3, "_mm": 2e-3}
+RELATIVE, ABSOLUTE = 1e-2, 1e-4  # of every other number [ours]
+# Words that repeat rounded numbers, and candidates that were no beads: one at a limit may come or go.
+_FREE = ("sentence", "rejected")
+
+
+@dataclass(frozen=True)
+class Difference:
+    """`where`: the place, as in `beads[3].uv_px[0]`; `by`: |now - then| of numbers, else None."""
+
+    where: str
+    then: Any
+    now: Any
+    by: float | None
+    close: bool
+
+
+def differences(then: Any, now_text: str) -> tuple[Difference, ...]:
+    """Of a document and the text of another: what is not close first, then the largest."""
+    found = list(_walk("", "", then, json.loads(now_text)))
+    return tuple(sorted(found, key=lambda one: (one.close, -(one.by or 0.0))))
+
+
+def _walk(where: str, key: str, then: Any, now: Any) -> Iterator[Difference]:
+    if isinstance(then, dict) and isinstance(now, dict) and then.keys() == now.keys():
+        for name in then:
+            yield from _walk(f"{where}.{name}".lstrip("."), name, then[name], now[name])
+    elif isinstance(then, list) and isinstance(now, list) and len(then) == len(now):
+        for k, (one, other) in enumerate(zip(then, now, strict=True)):
+            yield from _walk(f"{where}[{k}]", key, one, other)
+    elif _is_number(then) and _is_number(now):
+        by = abs(float(now) - float(then))
+        if by > 0.0:
+            yield Difference(where, then, now, by, by <= _allowed(key, float(then)))
+    elif then != now:
+        yield Difference(where, _short(then), _short(now), None, any(name in where for name in _FREE))
+
+
+def _is_number(value: Any) -> TypeGuard[int | float]:
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+def _allowed(key: str, value: float) -> float:
+    for ending, tolerance in TOLERANCES.items():
+        if key.endswith(ending):
+            return tolerance
+    return ABSOLUTE + RELATIVE * abs(value)
+
+
+def _short(value: Any) -> Any:
+    if isinstance(value, dict | list):
+        return f"{len(value)} entries"
+    return value

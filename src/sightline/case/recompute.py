@@ -1,0 +1,188 @@
+"""Everything a case states, computed again from its originals, and held against what was recorded."""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+from pathlib import Path
+from typing import Any, TypeVar
+
+from sightline.calibration import calibrate
+from sightline.case import contents
+from sightline.case.canonical import canonical, digest
+from sightline.case.compare_json import Difference, differences
+from sightline.case.contents import Asked
+from sightline.case.entry import Entry, Kind, versions
+from sightline.case.journal import Case
+from sightline.case.stages import TABLE, frame_of, image_of
+from sightline.case.views import CalibratedImage, Seen
+from sightline.checks import Check
+from sightline.detection import Detections, detect, label, look_again
+from sightline.detection.files import read_observations
+from sightline.errors import CaseError, ObservationsError, SightlineError
+from sightline.frame import Frame
+from sightline.imaging import Radiograph
+from sightline.planning import Plan
+
+_Made = TypeVar("_Made")
+
+
+class Outcome(StrEnum):
+    """How an entry compares with what is computed now."""
+
+    SAME = "same to the bit"
+    CLOSE = "within tolerance, by other versions"
+    DIFFERENT = "differs"
+    FAILED = "cannot be computed again"
+    RECORDED = "recorded, not computed"
+
+
+@dataclass(frozen=True)
+class Replayed:
+    """One entry, computed again. `changed`: versions that are not those of the entry, as "name then -> now";
+    `differences`: where DIFFERENT or CLOSE, the largest first; `reason`: why it FAILED."""
+
+    entry: Entry
+    outcome: Outcome
+    changed: tuple[str, ...] = ()
+    differences: tuple[Difference, ...] = ()
+    reason: str = ""
+
+    @property
+    def passed(self) -> bool:
+        """True unless something speaks against the entry."""
+        return self.outcome not in (Outcome.DIFFERENT, Outcome.FAILED)
+
+
+class Recomputed:
+    """What the entries of a case stand for, computed from its originals, each once. All raise SightlineError."""
+
+    def __init__(self, case: Case) -> None:
+        self._case, self._made = case, {}
+
+    def image(self, entry: Entry) -> Radiograph | None:
+        """Of an acquired image; None of a table of beads."""
+        is_table = entry.content["original"].endswith(TABLE)
+        return self._once(entry, lambda: None if is_table else image_of(self._case, entry))
+
+    def beads(self, entry: Entry) -> Detections:
+        """Of a detected entry."""
+        return self._once(entry, lambda: detect(self._present(self.image(self._under(entry)))))
+
+    def seen(self, entry: Entry) -> Seen:
+        """Of a labelled entry."""
+        return self._once(entry, lambda: self._seen(entry))
+
+    def calibrated(self, entry: Entry) -> CalibratedImage:
+        """Of a calibrated entry."""
+
+        def make() -> CalibratedImage:
+            seen = self.seen(self._under(entry))
+            method = entry.settings["method"]
+            return CalibratedImage(seen, calibrate(seen.observations, self._frame(entry), method=method))
+
+        return self._once(entry, make)
+
+    def plan(self, entry: Entry) -> Plan:
+        """Of a planned entry."""
+
+        def make() -> Plan:
+            first, second = (self.calibrated(self._case.entry(number)) for number in entry.rests_on)
+            return Asked.of(entry.content["asked"]).plan((first, second))
+
+        return self._once(entry, make)
+
+    def content(self, entry: Entry) -> dict[str, Any] | None:
+        """What the entry would hold if it were recorded now; None of an entry that is a record, not a result."""
+        if entry.kind is Kind.ACQUIRED:
+            return contents.acquired(entry.content["original"], self.image(entry))
+        if entry.kind is Kind.DETECTED:
+            return contents.detected(self.beads(entry))
+        if entry.kind is Kind.LABELLED:
+            return contents.labelled(self.seen(entry).observations, self._frame(entry).key)
+        if entry.kind is Kind.CALIBRATED:
+            return contents.calibrated(self.calibrated(entry))
+        if entry.kind is Kind.PLANNED:
+            return contents.planned(Asked.of(entry.content["asked"]), self.plan(entry))
+        return None
+
+    def _seen(self, entry: Entry) -> Seen:
+        source, frame, view = self._under(entry), self._frame(entry), entry.settings["view"]
+        if source.kind is Kind.ACQUIRED:
+            return _from_table(self._case.original(source.content["original"]), entry.content["view"])
+        beads, acquired = self.beads(source), self._under(source)
+        image = self._present(self.image(acquired))
+        labels = label(beads, frame, view, entry.settings["datums"])
+        return Seen(acquired.content["original"], look_again(image, beads, labels, frame), image, beads)
+
+    def _frame(self, entry: Entry) -> Frame:
+        return frame_of(self._case, entry.settings["frame"])
+
+    def _under(self, entry: Entry) -> Entry:
+        """The one entry that this one rests on."""
+        (number,) = entry.rests_on
+        return self._case.entry(number)
+
+    @staticmethod
+    def _present(image: Radiograph | None) -> Radiograph:
+        if image is None:
+            raise CaseError("an entry states beads of an image, but rests on a table")
+        return image
+
+    def _once(self, entry: Entry, make: Callable[[], _Made]) -> _Made:
+        if entry.number not in self._made:
+            self._made[entry.number] = make()
+        return self._made[entry.number]
+
+
+def replay(case: Case) -> Iterator[Replayed]:
+    """Every entry of a case in order, computed again from the originals."""
+    again = Recomputed(case)
+    for entry in case.entries():
+        yield _replayed(entry, again)
+
+
+def judge(replayed: Sequence[Replayed]) -> Check:
+    """The check of docs/refusals.md, "case replay"."""
+    bad = [one for one in replayed if not one.passed]
+    computed = [one for one in replayed if one.outcome is not Outcome.RECORDED]
+    same = sum(one.outcome is Outcome.SAME for one in computed)
+    sentence = f"Of {len(computed)} computed entries {same} are the same to the bit"
+    if close := len(computed) - same - len(bad):
+        sentence += f", {close} within the tolerances, by other versions"
+    if bad:
+        sentence += f"; entry {bad[0].entry.number} ({bad[0].entry.kind}) {bad[0].outcome}"
+    return Check("case replay", not bad, float(len(bad)), 0.0, "entries", sentence + ".")
+
+
+def _replayed(entry: Entry, again: Recomputed) -> Replayed:
+    try:
+        now = again.content(entry)
+    except (SightlineError, KeyError, ValueError) as error:  # the last two: an entry that no stage of ours recorded
+        reason = str(error) if isinstance(error, SightlineError) else "its content is not what this stage records"
+        return Replayed(entry, Outcome.FAILED, _changed(entry), reason=reason)
+    if now is None:
+        return Replayed(entry, Outcome.RECORDED)
+    text = canonical(now)
+    changed = _changed(entry)
+    if digest(text) == entry.content_sha256:
+        return Replayed(entry, Outcome.SAME, changed)
+    found = differences(entry.content, text)
+    close = bool(changed) and all(one.close for one in found)
+    return Replayed(entry, Outcome.CLOSE if close else Outcome.DIFFERENT, changed, found)
+
+
+def _changed(entry: Entry) -> tuple[str, ...]:
+    then, now = entry.versions, versions()
+    names = sorted(then.keys() | now.keys())
+    return tuple(
+        f"{name} {then.get(name, 'none')} -> {now.get(name, 'none')}"
+        for name in names
+        if then.get(name) != now.get(name)
+    )
+
+
+def _from_table(path: Path, view: str) -> Seen:
+    views = read_observations(path)
+    if view not in views:
+        raise ObservationsError(f"the table holds no observations of view {view!r}")
+    return Seen(path.name, views[view])

@@ -1,0 +1,98 @@
+"""The stages of a procedure as entries of a case, each resting on those before: what `recompute` can do again."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from sightline.case import contents
+from sightline.case.contents import Asked
+from sightline.case.entry import Entry, Kind
+from sightline.case.journal import Actor, Case
+from sightline.case.views import CalibratedImage
+from sightline.detection import Detections, Observations
+from sightline.errors import CaseError
+from sightline.frame import Frame
+from sightline.frame.builtin import BUILTIN
+from sightline.frame.files import frame_to_json
+from sightline.imaging import Radiograph, read_image
+from sightline.planning import Plan
+
+TABLE = ".csv"  # of beads, found by other software or by hand
+
+
+def record_acquired(case: Case, data: bytes, suffix: str, *, by: Actor, frame_index: int | None = None) -> Entry:
+    """An image, or beads as CSV, as it came. The file's own name is not asked for: it may be a patient's.
+
+    Raises CaseError, ImageError.
+    """
+    name = case.keep(data, suffix)
+    image = None if suffix == TABLE else read_image(case.original(name), frame_index)
+    return case.record(Kind.ACQUIRED, contents.acquired(name, image), by=by, settings={"frame_index": frame_index})
+
+
+def image_of(case: Case, acquired: Entry) -> Radiograph:
+    """The image of an entry of `record_acquired`, from its original. Raises CaseError, ImageError."""
+    return read_image(case.original(acquired.content["original"]), acquired.settings["frame_index"])
+
+
+def record_detected(case: Case, acquired: Entry, beads: Detections, *, by: Actor) -> Entry:
+    """What `detect` found in the image."""
+    return case.record(Kind.DETECTED, contents.detected(beads), by=by, rests_on=[acquired.number])
+
+
+def keep_frame(case: Case, frame: Frame) -> str:
+    """How entries name a frame: a built-in one by its name, another by the original that holds it."""
+    text = frame_to_json(frame)
+    if frame.name in BUILTIN and frame_to_json(Frame.load(frame.name)) == text:
+        return frame.name
+    return case.keep(text, ".json")
+
+
+def frame_of(case: Case, name: str) -> Frame:
+    """The frame that `keep_frame` named so. Raises CaseError, FrameError."""
+    return Frame.load(name if name in BUILTIN else case.original(name))
+
+
+def record_labelled(
+    case: Case,
+    source: Entry,
+    observations: Observations,
+    *,
+    frame_ref: str,
+    by: Actor,
+    view: str | None = None,
+    datums: Mapping[str, tuple[float, float]] | None = None,
+) -> Entry:
+    """Beads told apart and looked at again, as `case.views.see` does; `view` and `datums` as given to `label`.
+
+    `source`: the detected beads, or an acquired table that holds the observations. `frame_ref`: of `keep_frame`.
+    """
+    settings: dict[str, Any] = {"frame": frame_ref, "view": view, "datums": datums}
+    content = contents.labelled(observations, frame_of(case, frame_ref).key)
+    return case.record(Kind.LABELLED, content, by=by, rests_on=[source.number], settings=settings)
+
+
+def record_calibrated(case: Case, labelled: Entry, image: CalibratedImage, *, by: Actor) -> Entry:
+    """A view, calibrated from the observations of `labelled` by `calibrate` with its defaults."""
+    settings = {"frame": labelled.settings["frame"], "method": image.view.method}
+    return case.record(
+        Kind.CALIBRATED, contents.calibrated(image), by=by, rests_on=[labelled.number], settings=settings
+    )
+
+
+def record_view(case: Case, file: Path, image: CalibratedImage, *, frame_ref: str, by: Actor) -> Entry:
+    """Everything of one view, from its file to its geometry, as `case.views` makes it; the entry of the latter."""
+    seen = image.seen
+    source = record_acquired(case, file.read_bytes(), file.suffix.lower(), by=by)
+    if seen.beads is not None:
+        source = record_detected(case, source, seen.beads, by=by)
+    labelled = record_labelled(case, source, seen.observations, frame_ref=frame_ref, by=by)
+    return record_calibrated(case, labelled, image, by=by)
+
+
+def record_planned(case: Case, views: tuple[Entry, Entry], asked: Asked, made: Plan, *, by: Actor) -> Entry:
+    """A plan that `asked.plan` made on the calibrated views, PA first."""
+    kinds = [view.kind for view in views]
+    if kinds != [Kind.CALIBRATED, Kind.CALIBRATED]:
+        raise CaseError(f"a plan rests on two calibrated views, not on {' and '.join(kinds)}")
+    return case.record(Kind.PLANNED, contents.planned(asked, made), by=by, rests_on=[view.number for view in views])

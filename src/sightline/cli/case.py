@@ -1,0 +1,124 @@
+"""`sightline case`: is a case whole, does it come out the same again, and what is in it."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from sightline.checks import Check
+from sightline.cli.output import Json, Output, Quiet
+
+if TYPE_CHECKING:
+    from sightline.case.entry import Entry
+    from sightline.case.recompute import Replayed
+
+Folder = Annotated[Path, typer.Argument(metavar="DIR", help="The folder of the case.")]
+_SHOWN = 3  # differences of an entry, for people
+
+case_app = typer.Typer(help="A case: everything that was done, kept in one folder.", no_args_is_help=True)
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands."""
+    app.add_typer(case_app, name="case")
+
+
+@case_app.command("check")
+def check(folder: Folder, *, json: Json = False, quiet: Quiet = False) -> None:
+    """Is the case whole: database, chain of entries, originals? Exit code 3 and the reasons where it is not."""
+    with Output(json=json, quiet=quiet) as output:
+        document, checks = _checked(folder)
+        if document:
+            output.say(f"case {document['case']}, {document['entries']} entries")
+        output.result(document, checks)
+
+
+@case_app.command("replay")
+def replay(folder: Folder, *, json: Json = False, quiet: Quiet = False) -> None:
+    """Compute every entry again from the originals: the same to the bit, or what differs (exit code 3)."""
+    with Output(json=json, quiet=quiet) as output:
+        from sightline.case.journal import Case
+        from sightline.case.recompute import judge
+        from sightline.case.recompute import replay as computed_again
+
+        with Case.open(folder, read_only=True) as case:
+            found, problems, number = [], case.problems, case.number
+            with output.progress("computing again", case.last) as advance:
+                for one in computed_again(case):
+                    found.append(one)
+                    advance()
+        output.table(f"Case {number}, computed again", ("entry", "", "outcome"), [_row(one) for one in found])
+        for change in sorted({change for one in found for change in one.changed}):
+            output.say(f"computed with other versions: {change}")
+        document = {"case": number, "entries": [_document(one) for one in found]}
+        output.result(document, (*problems, judge(found)))
+
+
+@case_app.command("show")
+def show(folder: Folder, *, json: Json = False, quiet: Quiet = False) -> None:
+    """List the entries of a case: when, what, by whom, on what it rests."""
+    with Output(json=json, quiet=quiet) as output:
+        from sightline.case.journal import Case
+
+        with Case.open(folder, read_only=True) as case:
+            entries, number, problems = case.entries(), case.number, case.problems
+        rows = [
+            (one.number, f"{one.at:%Y-%m-%d %H:%M:%S}", one.kind, one.by, _listed(one.rests_on), _gist(one))
+            for one in entries
+        ]
+        output.table(f"Case {number}", ("entry", "UTC", "kind", "by", "rests on", ""), rows)
+        document = [{**vars(one), "at": one.at.isoformat()} for one in entries]
+        output.result({"case": number, "entries": document}, problems)
+
+
+def _checked(folder: Path) -> tuple[dict[str, Any], tuple[Check, ...]]:
+    """A file too damaged to be opened is a case that is not whole, not an argument that cannot be used."""
+    from sightline.case.database import is_damage
+    from sightline.case.journal import Case
+    from sightline.errors import CaseError
+
+    try:
+        with Case.open(folder, read_only=True) as case:
+            last = case.entries(after=case.last - 1)
+            document = {"case": case.number, "entries": case.last, "chain": last[0].chain if last else None}
+            return document, case.checks
+    except CaseError as error:
+        if not is_damage(error.__cause__):
+            raise
+        return {}, (Check("case database", False, None, None, "", f"{error}."),)
+
+
+def _row(one: "Replayed") -> tuple[str, str, str]:
+    said = [f"{one.outcome}{f': {one.reason}' if one.reason else ''}"]
+    said += [f"{d.where}: {d.then} -> {d.now}" for d in one.differences[:_SHOWN]]
+    if len(one.differences) > _SHOWN:
+        said.append(f"and {len(one.differences) - _SHOWN} more")
+    return str(one.entry.number), one.entry.kind, "\n".join(said)
+
+
+def _document(one: "Replayed") -> dict[str, Any]:
+    return {
+        "entry": one.entry.number,
+        "kind": one.entry.kind,
+        "outcome": one.outcome,
+        "reason": one.reason or None,
+        "versions": one.changed,
+        "differences": one.differences,
+    }
+
+
+def _listed(numbers: tuple[int, ...]) -> str:
+    return ", ".join(str(number) for number in numbers)
+
+
+def _gist(entry: "Entry") -> str:
+    """What a person wants to see of an entry's content at a glance."""
+    content = entry.content
+    words = [str(content[key]) for key in ("view", "method", "what") if isinstance(content.get(key), str)]
+    if "uv_px" in content:
+        words.append(f"{len(content['uv_px'])} beads")
+    if isinstance(content.get("go"), bool):
+        words.append("GO" if content["go"] else "NO-GO")
+    if "original" in content:
+        words.append(f"{content['original'][:12]}…")
+    return " ".join(words)

@@ -1,0 +1,215 @@
+"""`sightline case`: a case from the twin's images, checked, shown, computed again; and cases that are not whole."""
+
+import json
+import shutil
+import sqlite3
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sightline.case import recompute, stages
+from sightline.case.contents import Asked
+from sightline.case.journal import Actor, Case, Kind
+from sightline.case.recompute import Recomputed
+from sightline.case.views import calibrate_pair, see_pair
+from sightline.errors import CaseError
+
+WIRE_MM = np.array([[31.3, 28.9, -9.7], [-30.1, -27.7, 8.3]])
+LANDMARKS_MM = np.array([[-21.3, -17.9, 4.4], [12.2, 30.1, -16.8]])
+
+
+def files_of_a_patient(pair: dict[str, Path], folder: Path) -> list[Path]:
+    """Images as they may come: named after the patient."""
+    return [Path(shutil.copy(pair[name], folder / f"MILLER_ANNA_{name}.dcm")) for name in ("pa", "lateral")]
+
+
+@pytest.fixture(scope="module")
+def recorded(pair, beads_csv, frame, setup, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A case with every computed kind of entry, from images and from a table, and one that is a record."""
+    folder = tmp_path_factory.mktemp("recorded")
+    files = files_of_a_patient(pair, folder)
+    images = calibrate_pair(see_pair(*files, frame), frame, "smooth")
+    table = calibrate_pair(see_pair(beads_csv, beads_csv, frame), frame, "localized")
+    wire, marks = (
+        np.stack([setup.views[n].project(xyz) for n in ("pa", "lateral")]) for xyz in (WIRE_MM, LANDMARKS_MM)
+    )
+    asked = Asked(wire[:, 0], wire[:, 1], 0.5, True, marks, ("head", "trochanter"))
+    with Case.create(folder / "case") as case:
+        ref = stages.keep_frame(case, frame)
+        first, second = (
+            stages.record_view(case, file, image, frame_ref=ref, by=Actor.RECEIVER)
+            for file, image in zip(files, images, strict=True)
+        )
+        stages.record_planned(case, (first, second), asked, asked.plan(images), by=Actor.SURGEON)
+        for image in table:
+            stages.record_view(case, beads_csv, image, frame_ref=ref, by=Actor.COMMAND)
+        case.record(Kind.CHANGED, {"what": "side", "to": "left"}, by=Actor.SURGEON)
+    return folder / "case"
+
+
+@pytest.fixture
+def copied(recorded: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(recorded, tmp_path / "case"))
+
+
+def edit(folder: Path, statement: str, values: tuple[object, ...] = ()) -> None:
+    with sqlite3.connect(folder / "journal.sqlite") as db:
+        db.execute("DROP TRIGGER never_changed")
+        db.execute(statement, values)
+    db.close()
+
+
+def test_everything_computed_comes_out_the_same_to_the_bit(run, recorded: Path) -> None:
+    ran = run("case", "replay", recorded, "--json")
+    assert ran.code == 0, ran.out
+    outcomes = [(one["kind"], one["outcome"]) for one in ran.document["entries"]]
+    view = ["acquired", "detected", "labelled", "calibrated"]
+    computed = [*view, *view, "planned", *(2 * ["acquired", "labelled", "calibrated"])]
+    assert outcomes == [*((kind, "same to the bit") for kind in computed), ("changed", "recorded, not computed")]
+
+
+def test_a_whole_case_is_said_to_be_whole_and_is_not_touched(run, recorded: Path) -> None:
+    before = {file: file.read_bytes() for file in recorded.rglob("*") if file.is_file()}
+    ran = run("case", "check", recorded)
+    assert ran.code == 0, ran.err
+    assert "16 entries" in ran.out
+    document = run("case", "check", recorded, "--json").document
+    assert [check["name"] for check in document["checks"]] == ["case database", "case chain", "case originals"]
+    shown = run("case", "show", recorded)
+    assert shown.code == 0
+    for words in ("planned", "surgeon", "4, 8", "C-"):
+        assert words in shown.out
+    assert run("case", "show", recorded, "--json").document["entries"][8]["content"]["asked"]["pick_sd_px"] == 0.5
+    assert {file: file.read_bytes() for file in recorded.rglob("*") if file.is_file()} == before
+
+
+def test_no_name_of_a_patient_is_in_the_journal_or_in_what_is_printed(run, recorded: Path) -> None:
+    said = "".join(run("case", command, recorded, "--json").out for command in ("check", "replay", "show"))
+    for data in ((recorded / "journal.sqlite").read_bytes(), said.encode()):
+        assert b"MILLER" not in data.upper()
+
+
+def test_results_are_made_again_from_their_entries(recorded: Path, setup) -> None:
+    with Case.open(recorded, read_only=True) as case:
+        entry = case.latest(Kind.PLANNED)
+        assert entry is not None
+        plan = Recomputed(case).plan(entry)
+    assert plan.trajectory.document() == entry.content["trajectory"]
+    assert np.linalg.norm(plan.trajectory.points.xyz_mm - WIRE_MM, axis=1).max() < 1.0  # the frame's errors
+
+
+def test_an_edited_entry_is_refused_with_the_reason(run, copied: Path) -> None:
+    edit(copied, "UPDATE entries SET content = replace(content, 'smooth', 'Smooth') WHERE number = 4")
+    ran = run("case", "check", copied)
+    assert ran.code == 3
+    assert "Entry 4" in " ".join(ran.out.split())
+
+
+def test_a_missing_original_is_refused_and_what_rests_on_it_cannot_be_computed(run, copied: Path) -> None:
+    with Case.open(copied) as case:
+        case.original(case.entry(1).content["original"]).unlink()
+    assert run("case", "check", copied).code == 3
+    ran = run("case", "replay", copied, "--json")
+    assert ran.code == 3
+    outcomes = [one["outcome"] for one in ran.document["entries"]]
+    assert outcomes[:4] == ["cannot be computed again"] * 4
+    assert outcomes[4:8] == ["same to the bit"] * 4
+    assert outcomes[8] == "cannot be computed again"
+    assert "no such original" in ran.document["entries"][3]["reason"]
+
+
+def forged(folder: Path, number: int, change, versions: dict[str, str] | None = None) -> None:
+    """An entry with another content and a hash that fits it: what the chain notices, replaying shall notice too."""
+    with Case.open(folder, read_only=True) as case:
+        entry = case.entry(number)
+    content = entry.content
+    change(content)
+    text = recompute.canonical(content)
+    stated = recompute.canonical(versions or entry.versions)
+    values = (text, recompute.digest(text), stated, number)
+    edit(folder, "UPDATE entries SET content = ?, content_sha256 = ?, versions = ? WHERE number = ?", values)
+
+
+def shift(by_mm: float):
+    def change(content) -> None:
+        content["trajectory"]["entry_mm"][0] += by_mm
+
+    return change
+
+
+@pytest.mark.parametrize(
+    ("by_mm", "versions", "outcome"),
+    [
+        (1e-9, None, "differs"),
+        (1e-9, {"numpy": "1.0"}, "within tolerance, by other versions"),
+        (0.1, {"numpy": "1.0"}, "differs"),
+    ],
+)
+def test_a_result_that_is_not_what_the_originals_give_is_noticed(
+    run, copied: Path, by_mm: float, versions: dict[str, str] | None, outcome: str
+) -> None:
+    """Were the versions the same, it must be the same to the bit; with others, to what they may change."""
+    forged(copied, 9, shift(by_mm), versions)
+    ran = run("case", "replay", copied, "--json")
+    planned = ran.document["entries"][8]
+    assert planned["outcome"] == outcome
+    (difference,) = planned["differences"]
+    assert difference["where"] == "trajectory.entry_mm[0]"
+    assert difference["by"] == pytest.approx(by_mm, rel=1e-3)
+    replayed = next(check for check in ran.document["checks"] if check["name"] == "case replay")
+    assert replayed["passed"] is (outcome != "differs")
+    if versions:
+        assert any(change.startswith("numpy 1.0 -> ") for change in planned["versions"])
+
+
+def test_another_verdict_is_a_difference_whatever_the_versions(run, copied: Path) -> None:
+    forged(copied, 9, lambda content: content.update(go=not content["go"]), {"numpy": "1.0"})
+    assert run("case", "replay", copied, "--json").document["entries"][8]["outcome"] == "differs"
+
+
+def test_content_that_no_stage_recorded_is_said_not_crashed_on(run, copied: Path) -> None:
+    with Case.open(copied) as case:
+        case.record(Kind.PLANNED, {"by": "hand"}, by=Actor.ENGINEER)
+        case.record(Kind.DETECTED, {}, by=Actor.ENGINEER, rests_on=[1, 2])
+    entries = run("case", "replay", copied, "--json").document["entries"]
+    assert [one["outcome"] for one in entries[-2:]] == ["cannot be computed again"] * 2
+
+
+def test_a_frame_of_ones_own_is_kept_with_the_case(frame, tmp_path: Path) -> None:
+    """A frame file that only calls itself gamma is not the built-in one."""
+    document = tmp_path / "gamma.json"
+    frame.save(document)
+    own = json.loads(document.read_text())
+    own["views"]["pa"]["xrii"][0]["xyz"][0] += 0.25
+    document.write_text(json.dumps(own))
+    measured = type(frame).load(document)
+    with Case.create(tmp_path / "case") as case:
+        assert stages.keep_frame(case, frame) == "gamma"
+        name = stages.keep_frame(case, measured)
+        assert name.endswith(".json")
+        found = stages.frame_of(case, name).view("pa").xrii.fiducials[0].xyz_mm
+    assert found[0] == own["views"]["pa"]["xrii"][0]["xyz"][0]
+
+
+def test_a_plan_rests_on_two_calibrated_views(copied: Path) -> None:
+    with Case.open(copied) as case:
+        entry = case.entry(9)
+        again = Recomputed(case)
+        pair = case.entry(4), case.entry(3)
+        with pytest.raises(CaseError, match="two calibrated views, not on calibrated and labelled"):
+            stages.record_planned(case, pair, Asked.of(entry.content["asked"]), again.plan(entry), by=Actor.APP)
+
+
+@pytest.mark.parametrize("command", ["check", "replay", "show"])
+def test_a_folder_without_a_case_is_unusable(run, tmp_path: Path, command: str) -> None:
+    ran = run("case", command, tmp_path)
+    assert ran.code == 2
+    assert "no case in" in ran.err
+
+
+def test_a_file_that_is_no_database_is_a_case_that_is_not_whole(run, copied: Path) -> None:
+    (copied / "journal.sqlite").write_bytes(b"\x00" * 8192)
+    ran = run("case", "check", copied)
+    assert ran.code == 3
+    assert "damaged" in " ".join(ran.out.split())
