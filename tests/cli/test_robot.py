@@ -10,6 +10,8 @@ from tests.robot.rig import END_MM, ENTRY_MM, served
 from typer.testing import CliRunner
 
 from sightline.cli import app
+from sightline.frame import Frame
+from sightline.rehearsal.procedure import Rehearsal
 from sightline.robot.client import RobotClient
 
 
@@ -34,6 +36,32 @@ def test_drive_a_plan_in_the_simulator(plan):
     said = json.loads(done.stdout)
     assert said["state"] == "DONE"
     assert np.allclose(said["tip_mm"], END_MM, atol=0.05)
+
+
+def test_drive_a_rehearsal_s_plan_into_its_bone(tmp_path):
+    wire = Rehearsal.draw(9, Frame.load("gamma")).hip.wire_mm
+    path = {"entry_mm": wire[0].tolist(), "end_mm": wire[1].tolist(), "covariance_mm2": (0.01 * np.eye(6)).tolist()}
+    done = run("drive", written(tmp_path / "plan.json", trajectory=path), "--rehearse", "9", "--yes", "--json")
+    assert done.exit_code == 0, done.output
+    said = json.loads(done.stdout)
+    assert said["state"] == "DONE"
+    off = np.array(said["true_wire_mm"])[1] - wire[1]
+    # Bone bends the wire and squeezes it, and the robot is not as it is known: in air the tip is where encoders say.
+    assert 0.02 < np.linalg.norm(off) < 1.0
+
+
+@pytest.mark.parametrize(
+    "args",
+    [
+        ("serve", "--rehearse", "9", "--frame-serial", "SN-1"),
+        ("drive", "PLAN", "127.0.0.1:1", "--rehearse", "9"),
+        ("drive", "PLAN", "--rehearse", "9", "--frame-serial", "SN-1"),
+        ("serve", "--rehearse", "-1"),
+        ("serve", "--rehearse", "9", "--frame", "unobtainium"),
+    ],
+)
+def test_rehearsals_that_contradict_themselves(plan, args):
+    assert run(*(plan if arg == "PLAN" else arg for arg in args)).exit_code == 2
 
 
 def test_drive_asks_before_each_motion(plan):

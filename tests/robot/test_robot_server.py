@@ -161,6 +161,11 @@ def test_registrations_that_are_none_are_refused(robot):
         robot.position()
 
 
+def test_a_robot_does_not_know_where_its_wire_truly_is(robot):
+    with pytest.raises(RobotRefusedError, match="no COMMAND 'SIMULATED_WIRE'"):
+        robot.simulated_wire()
+
+
 def test_two_clients_commanding(virtual, robot):
     ready(robot)
     with RobotClient(port=virtual.port, heartbeat=False, streams=False) as second:

@@ -16,16 +16,12 @@ if TYPE_CHECKING:
     from sightline.case.drilled import Drilled
     from sightline.case.report import Report
     from sightline.case.views import CalibratedImage
-    from sightline.frame import Frame
-    from sightline.imaging import Radiograph
-    from sightline.twin import HipScene, SetUp
 
 METHODS: "tuple[Method, ...]" = ("smooth", "localized", "polynomial")  # the first is the one that the plan is made with
 # The first seed whose beads surround the whole wire in both images: elsewhere `localized` has no answer to compare.
 SEED = 9
 PICK_SD_PX = 0.5  # a careful click (physics.md, Picks) [ours]
 BY_HAND = f"picked by hand: {PICK_SD_PX:g} px of noise, lateral picks snapped to their curves"
-LANDMARK_MARGIN_PX = 30.0  # inside both fields; landmarks nearer to the edge are not picked [ours]
 EXACT = "located exactly: no noise, 0.1 px assumed"
 
 
@@ -64,22 +60,26 @@ def _run(output: Output, folder: Path, seed: int) -> dict[str, Any]:
     from sightline.frame import Frame
     from sightline.imaging import write_dicom
     from sightline.planning import plan
+    from sightline.rehearsal.procedure import Rehearsal
     from sightline.twin import truth_document
 
     frame = Frame.load("gamma")
-    rng = np.random.default_rng(seed)
     with output.step("1/8 drawing the set-up and its X-ray images"):
-        setup, hip, radiographs = _simulate(frame, rng)
-        truth = Truth(hip.wire_mm, np.stack([setup.views[name].project(hip.wire_mm) for name in NAMES]))
-        pa, lateral = (write_dicom(radiographs[name], folder / f"demo_{name}.dcm") for name in NAMES)
+        rehearsal = Rehearsal.draw(seed, frame)
+        wire = rehearsal.hip.wire_mm
+        truth = Truth(wire, rehearsal.pixels(wire))
+        pa, lateral = (write_dicom(rehearsal.images[name], folder / f"demo_{name}.dcm") for name in NAMES)
     with output.step("2/8 reading the images, finding and telling apart the beads"):
         seen = see_pair(pa, lateral, frame)
     images: dict[str, tuple[CalibratedImage, CalibratedImage]] = {}
     with output.step(f"3/8 calibrating both views: {', '.join(METHODS)}"):
         for method in METHODS:
             images[method] = calibrate_pair(seen, frame, method)
+    rng = rehearsal.generator("picks")
     picks = truth.uv_px + PICK_SD_PX * rng.standard_normal((2, 2, 2))
-    landmarks, landmarks_px = _pick_landmarks(setup, hip, rng)
+    landmarks = tuple(rehearsal.landmarks)
+    landmarks_px = np.stack(list(rehearsal.landmarks.values()), axis=1)
+    landmarks_px = landmarks_px + PICK_SD_PX * rng.standard_normal(landmarks_px.shape)
     with output.step("4/8 planning entry and tip, drawing the image-matching curves"):
         views = [image.view for image in images[METHODS[0]]]
         planned = plan(
@@ -92,7 +92,7 @@ def _run(output: Output, folder: Path, seed: int) -> dict[str, Any]:
         )
     with output.step("5/8 comparing three methods with the truth"):
         compared = _compare(images, picks, truth, planned)
-    drilled = drill(output, Planned(setup, hip, planned, views, landmarks, landmarks_px, PICK_SD_PX), rng)
+    drilled = drill(output, Planned(rehearsal, planned, views, landmarks, landmarks_px, PICK_SD_PX), rng)
     with output.step("8/8 drawing the report"):
         report = Report(
             title="A guide wire planned on two images of the twin" + (", and drilled" if drilled else ""),
@@ -111,7 +111,7 @@ def _run(output: Output, folder: Path, seed: int) -> dict[str, Any]:
             drilled=drilled,
         )
         page = render(report)
-    _write_results(folder, page, report, {"seed": seed, **truth_document(setup, hip)})
+    _write_results(folder, page, report, {"seed": seed, **truth_document(rehearsal.setup, rehearsal.hip)})
     _show(output, planned, compared)
     if drilled is not None:
         _show_drilled(output, drilled)
@@ -121,29 +121,6 @@ def _run(output: Output, folder: Path, seed: int) -> dict[str, Any]:
         "comparison": [one.document() for one in compared],
         "drilled": None if drilled is None else drilled.document()["check_shot"],
     }
-
-
-def _simulate(frame: "Frame", rng: "np.random.Generator") -> "tuple[SetUp, HipScene, dict[str, Radiograph]]":
-    """A set-up whose two fields show the whole wire, as a radiographer makes one, and its images."""
-    from sightline.case.views import NAMES
-    from sightline.twin import render, shown_hip_scene
-
-    setup, hip = shown_hip_scene(rng, frame)
-    return setup, hip, {name: render(setup, name, hip.scene, rng) for name in NAMES}
-
-
-def _pick_landmarks(
-    setup: "SetUp", hip: "HipScene", rng: "np.random.Generator"
-) -> "tuple[tuple[str, ...], np.ndarray]":
-    """Names and (2, L, 2) pixels of the landmarks that both fields show, each picked freely in both views."""
-    import numpy as np
-
-    from sightline.case.views import NAMES
-
-    uv = np.array([setup.views[n].project(np.stack(list(hip.landmarks_mm.values()))) for n in NAMES])
-    shown = np.all([setup.views[n].in_field(uv[k], LANDMARK_MARGIN_PX) for k, n in enumerate(NAMES)], axis=0)
-    names = tuple(name for name, is_shown in zip(hip.landmarks_mm, shown, strict=True) if is_shown)
-    return names, uv[:, shown] + PICK_SD_PX * rng.standard_normal((2, len(names), 2))
 
 
 def _compare(

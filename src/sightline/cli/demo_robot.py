@@ -1,4 +1,4 @@
-"""The demo's second half: the planned wire drilled by the simulated robot over its link, and a check shot."""
+"""The demo's second half: the planned wire drilled by the rehearsal's robot over its link, and a check shot."""
 
 from dataclasses import dataclass
 from importlib.util import find_spec
@@ -11,16 +11,15 @@ if TYPE_CHECKING:
     from sightline.case.drilled import Drilled
     from sightline.cli.output import Output
     from sightline.planning import Plan
-    from sightline.twin import HipScene, SetUp
+    from sightline.rehearsal.procedure import Rehearsal
 
 
 @dataclass(frozen=True, eq=False)
 class Planned:
-    """A plan on the twin and what it was made on; `landmarks_px` (2, L, 2): the bone's by `landmarks`, their names, as
-    picked with `pick_sd_px`."""
+    """A plan for a rehearsal and what it was made on; `landmarks_px` (2, L, 2): the bone's by `landmarks`, their names,
+    as picked with `pick_sd_px`."""
 
-    setup: "SetUp"
-    hip: "HipScene"
+    rehearsal: "Rehearsal"
     plan: "Plan"
     views: "list[BeadView]"
     landmarks: tuple[str, ...]
@@ -43,32 +42,39 @@ def drill(output: "Output", planned: Planned, rng: "np.random.Generator") -> "Dr
 
 
 def _drill(output: "Output", planned: Planned, rng: "np.random.Generator") -> "Drilled":
+    from time import monotonic
+
     import numpy as np
 
     from sightline.case.drilled import Deviation, Drilled
     from sightline.errors import RefusedError
     from sightline.planning.check_shot import Landmarks
-    from sightline.rehearsal.check_images import CheckImages
-    from sightline.rehearsal.operation import Outcome, Theatre
-    from sightline.rehearsal.robots import calibrated_robot
+    from sightline.rehearsal.operation import Outcome, insert, registered, target_of
+    from sightline.rehearsal.process import RobotProcess
+    from sightline.robot.client import RobotClient
     from sightline.robot.supervision import depth_limit
+    from sightline.robot.target import PlanIdentity
 
-    setup, hip, sd_px = planned.setup, planned.hip, planned.pick_sd_px
+    rehearsal, plan, sd_px = planned.rehearsal, planned.plan, planned.pick_sd_px
     with output.step("6/8 the robot: carrying the plan over, aligning, drilling under force supervision"):
-        theatre = Theatre.draw(calibrated_robot(setup.side), hip, rng, setup.frame.serial or "none", setup.side)
-        target = theatre.target(planned.plan, "demo")
-        record = theatre.drill(target, depth_limit(_surface_mm(planned, rng), target.end_error_95_mm))
+        identity = PlanIdentity("demo", rehearsal.side, rehearsal.serial, plan.verdict.go)
+        with (
+            RobotProcess(rehearsal.seed, side=rehearsal.side, virtual=True) as process,
+            RobotClient(port=process.port, heartbeat=False) as robot,
+        ):
+            target = target_of(plan, identity, registered(rehearsal.robot, robot.joints()[0], monotonic()))
+            record = insert(robot, target, depth_limit(_surface_mm(planned, rng), target.end_error_95_mm))
+            wire = robot.simulated_wire()
     with output.step("7/8 the check shot: two more images, the wire found in both"):
-        wire = theatre.wire_mm()
-        shot = CheckImages.take(setup, hip, wire, theatre.back_at_images(rng), rng)
+        shot = rehearsal.check_images(wire)
         found = shot.landmarks_px(planned.landmarks, sd_px, rng)
         try:
-            check = shot.compare(planned.plan, planned.views, Landmarks(planned.landmarks_px, found, sd_px))
+            check = shot.compare(plan, planned.views, Landmarks(planned.landmarks_px, found, sd_px))
         except RefusedError as error:
             check = str(error)
     physics = []
-    for name, line in (("the plan", planned.plan.trajectory.points.xyz_mm), ("the ideal wire", hip.wire_mm)):
-        one = Outcome.of(wire, line)
+    for name, line in (("the plan", plan.trajectory.points.xyz_mm), ("the ideal wire", rehearsal.hip.wire_mm)):
+        one = Outcome.of(wire.axis_mm, line)
         physics.append(Deviation(name, one.entry_mm, one.end_mm, float(np.rad2deg(one.angle_rad))))
     return Drilled(target, record, check, tuple(physics))
 
@@ -78,11 +84,8 @@ def _surface_mm(planned: Planned, rng: "np.random.Generator") -> float:
     import numpy as np
 
     from sightline.planning import reconstruct
-    from sightline.twin.femur import SHORT_MM
 
-    entry, end = planned.hip.wire_mm
-    surface = end + SHORT_MM * (end - entry) / np.linalg.norm(end - entry)
-    uv = np.stack([planned.setup.views[view.name].project(surface[None]) for view in planned.views])
+    uv = planned.rehearsal.pixels(planned.rehearsal.surface_mm[None])
     uv = uv + planned.pick_sd_px * rng.standard_normal(uv.shape)
     spread = np.broadcast_to(planned.pick_sd_px**2 * np.eye(2), (2, 1, 2, 2))
     found = reconstruct(planned.views, uv, spread).xyz_mm[0]

@@ -1,23 +1,33 @@
 """`sightline robot serve | check | drive | reset`: the simulated robot, and any robot behind an address."""
 
+import os
 from contextlib import ExitStack
 from pathlib import Path
+from threading import Thread
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from sightline.cli.output import Json, Output, Quiet
+from sightline.cli.output import Json, Output, Quiet, as_json
 
 if TYPE_CHECKING:
+    from sightline.rehearsal.operation import Theatre
     from sightline.robot.client import RobotClient
     from sightline.robot.server import RobotServer
     from sightline.robot.target import RobotTarget
 
 app = typer.Typer(no_args_is_help=True, help="Serve a simulated robot; check, drive and reset any.")
 
+SERIAL = "simulated"
 Address = Annotated[str, typer.Argument(metavar="HOST:PORT", help="Where the robot listens.")]
 Side = Annotated[Literal["right", "left"], typer.Option(help="The patient's side.")]
-Serial = Annotated[str, typer.Option(help="Serial of the frame on the flange.")]
+Serial = Annotated[
+    str | None, typer.Option(help=f"Serial of the frame on the flange, {SERIAL!r} unless told.", show_default=False)
+]
+Seed = Annotated[
+    int | None, typer.Option(min=0, help="Rehearse the patient of this seed, whose images `sightline demo` writes.")
+]
+FrameName = Annotated[str, typer.Option(help="The rehearsal's frame: a file, or gamma, biplane, stereo.")]
 Yes = Annotated[bool, typer.Option("--yes", help="Ask nothing. Simulators only.")]
 
 
@@ -32,17 +42,33 @@ def serve(
     port: Annotated[int, typer.Option(help="0 takes a free one.")] = 18936,
     host: Annotated[str, typer.Option(help="Address to listen at: who reaches it can move it.")] = "127.0.0.1",
     side: Side = "right",
-    frame_serial: Serial = "simulated",
+    frame_serial: Serial = None,
+    rehearse: Seed = None,
+    frame: FrameName = "gamma",
+    virtual: Annotated[
+        bool, typer.Option("--virtual", help="As fast as it computes, for clients without heartbeats.")
+    ] = False,
+    attached: Annotated[
+        bool,
+        typer.Option(
+            "--attached",
+            help='For programs: first line {"port": N}; ends when standard input does, as with its parent.',
+        ),
+    ] = False,
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Serve a simulated robot, its wire in air, until Ctrl-C."""
+    """Serve a simulated robot until Ctrl-C: its wire in air, or in the bone of a rehearsal."""
     with Output(json=json, quiet=quiet) as out:
         from sightline.robot.server import tune_process
 
+        theatre = _theatre(side, frame_serial, rehearse, frame)
         tune_process()
-        with _simulator(host, port, side, frame_serial, virtual=False) as server:
+        with theatre.server(host=host, port=port, virtual=virtual) as server:
             out.say(f"a simulated robot listens at {host}:{server.port}; stop it with Ctrl-C")
+            if attached:
+                typer.echo(as_json({"port": server.port}))
+                Thread(target=_close_with_stdin, args=(server,), name="stdin", daemon=True).start()
             try:
                 server.wait()
             except KeyboardInterrupt:
@@ -90,24 +116,34 @@ def drive(
     address: Annotated[str | None, typer.Argument(metavar="[HOST:PORT]", help="A simulator starts by itself.")] = None,
     *,
     side: Side = "right",
-    frame_serial: Serial = "simulated",
+    frame_serial: Serial = None,
+    rehearse: Seed = None,
+    frame: FrameName = "gamma",
     yes: Yes = False,
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:
     """Drive a planned wire: align, confirm, drill, pause, confirm, drill. Asks before each motion."""
     with Output(json=json, quiet=quiet) as out, ExitStack() as stack:
+        from sightline.errors import UnusableInputError
         from sightline.robot.client import RobotClient
 
         document = read_plan(plan)
         if address is None:
-            server = stack.enter_context(_simulator("127.0.0.1", 0, side, frame_serial, virtual=True))
+            with out.step("starting a simulator"):
+                theatre = _theatre(side, frame_serial, rehearse, frame)
+            frame_serial = theatre.serial
+            server = stack.enter_context(theatre.server(virtual=True))
             robot = stack.enter_context(RobotClient(port=server.port, heartbeat=False, streams=False))
+        elif rehearse is not None:
+            raise UnusableInputError(
+                "--rehearse starts a simulator by itself; leave it or the address out, and state --frame-serial"
+            )
         else:
             robot = stack.enter_context(RobotClient(*parse_address(address)))
         _refuse_yes(robot.simulated, yes)
         with out.step("sending the plan"):
-            target = _send(robot, document, plan.stem, side, frame_serial)
+            target = _send(robot, document, plan.stem, side, frame_serial or SERIAL)
         _show(out, target, robot)
         steps = (
             ("align", "The wire goes back, the arm turns, the wire stops 20 mm before bone. Is it clear?", robot.align),
@@ -123,7 +159,10 @@ def drive(
                 go()
         state, tip_mm = robot.status().text.split(";")[0], robot.position().translation
         out.say(f"the robot is in {state}")
-        out.result({"state": state, "tip_mm": tip_mm, "end_mm": document["trajectory"]["end_mm"]})
+        told = {"state": state, "tip_mm": tip_mm, "end_mm": document["trajectory"]["end_mm"]}
+        if rehearse is not None:
+            told["true_wire_mm"] = robot.simulated_wire().axis_mm
+        out.result(told)
 
 
 @app.command("reset")
@@ -180,24 +219,26 @@ def read_plan(file: Path) -> dict[str, Any]:
     return document
 
 
-def _simulator(host: str, port: int, side: str, frame_serial: str, *, virtual: bool) -> "RobotServer":
-    import time
+def _theatre(side: str, frame_serial: str | None, rehearse: int | None, frame: str) -> "Theatre":
+    """A robot in air, or before the bone of a rehearsal. Raises UnusableInputError, SetUpError."""
+    from sightline.errors import UnusableInputError
+    from sightline.rehearsal.operation import Theatre
 
-    import numpy as np
+    if rehearse is None:
+        return Theatre.in_air(side, frame_serial or SERIAL)
+    if frame_serial is not None:
+        raise UnusableInputError("a rehearsal takes the serial of its frame; leave out --frame-serial")
+    from sightline.frame import Frame
+    from sightline.rehearsal.procedure import Rehearsal
 
-    from sightline.rehearsal.robots import calibrated_robot
-    from sightline.robot.controller import Controller
-    from sightline.robot.insertion import Setup
-    from sightline.robot.manipulator import WIRE_YAW_RAD
-    from sightline.robot.server import RobotServer
-    from sightline.twin.manipulator import SimulatedPlant
+    return Rehearsal.draw(rehearse, Frame.load(frame), side).theatre()
 
-    robot = calibrated_robot(side)
-    # Where its beams are level and upright, the wire in its sleeve.
-    start = np.array([0.0, 0.0, WIRE_YAW_RAD if side == "right" else -WIRE_YAW_RAD, 0.0, 0.5])
-    plant = SimulatedPlant(robot.manipulator, None, np.random.default_rng(), start=start)
-    controller = Controller(robot, plant, Setup(side, frame_serial), first_fault=int(time.time()) % 1_000_000 + 1)
-    return RobotServer(controller, plant, host=host, port=port, advance=plant.advance, virtual=virtual)
+
+def _close_with_stdin(server: "RobotServer") -> None:
+    """By the file's number: a thread that waits in a Python file keeps the process from ending."""
+    while os.read(0, 1024):
+        pass
+    server.close()
 
 
 def _send(robot: "RobotClient", document: dict[str, Any], name: str, side: str, frame_serial: str) -> "RobotTarget":

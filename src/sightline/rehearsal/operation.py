@@ -1,34 +1,35 @@
-"""One insertion from set-up to drilled wire, everything on the twin: what the integration trial and the demo do.
+"""One insertion from a registration to a drilled wire, everything on the twin: what the integration trial does.
 
 The robot holds the frame while the images are taken; the bone is then where that frame truly stands. What the robot is
 told comes from the images and from its encoders alone, over the link; the truth judges it.
 """
 
+import time
 from dataclasses import dataclass
-from time import monotonic
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from sightline.planning import Plan
-from sightline.rehearsal.robots import true_manipulator
+from sightline.rehearsal.robots import calibrated_robot, drawn_robot
 from sightline.robot.calibrated import CalibratedRobot
 from sightline.robot.client import RobotClient
 from sightline.robot.controller import Controller
 from sightline.robot.insertion import Setup
 from sightline.robot.manipulator import FEED, YAW, imaging_yaw
 from sightline.robot.record import DrillingRecord, Recorder
-from sightline.robot.registration import PoseAtImage, register
+from sightline.robot.registration import PoseAtImage, Registration, register
 from sightline.robot.server import RobotServer
+from sightline.robot.simulated import SimulatedWire
 from sightline.robot.states import State
 from sightline.robot.target import PlanIdentity, RobotTarget, aim
+from sightline.robot.transport import LOOPBACK
 from sightline.twin import HipScene
 from sightline.twin.drilling import Bone
 from sightline.twin.manipulator import SimulatedPlant
 
 SLEEVE_MM = 5.0  # the sleeve that guides the wire ends so far before the entry point, at the bone [ours]
-# How far the robot's base is from where it would be ideal, joints' units: a person brings it to the table [ours].
-BASE_SPREAD = np.array([10.0, 10.0, np.deg2rad(2.0), np.deg2rad(2.0), 0.0])
+IN_SLEEVE_MM = 0.5  # feed of a wire that is drawn in, before the joint's limit [ours]
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,53 +67,90 @@ class Theatre:
 
     @staticmethod
     def draw(robot: CalibratedRobot, hip: HipScene, rng: np.random.Generator, serial: str, side: str) -> "Theatre":
-        """The frame is brought level and upright around the hip, as its mount is made for."""
-        ready = BASE_SPREAD * rng.uniform(-1, 1, 5)
-        ready[YAW] += imaging_yaw(side)
+        """A true robot at the images of a hip. Raises SetUpError without MuJoCo."""
+        true, start = drawn_robot(robot, side, rng)
         # Its own generator: how many samples it takes depends on the link, and the images must not.
-        plant = SimulatedPlant(true_manipulator(robot, rng), None, rng.spawn(1)[0], start=ready)
+        plant = SimulatedPlant(true, None, rng.spawn(1)[0], start=start)
         place = plant.true_T_mcs_cfcs()
         plant.meet(Bone(hip.bone.volumes, place))
         return Theatre(robot, plant, plant.read().encoders, place, side, serial)
 
+    @staticmethod
+    def in_air(side: str, serial: str) -> "Theatre":
+        """The robot as it is known, and no patient: the frame's beams level and upright. Raises SetUpError."""
+        robot, start = calibrated_robot(side), np.zeros(5)
+        start[YAW], start[FEED] = imaging_yaw(side), IN_SLEEVE_MM
+        plant = SimulatedPlant(robot.manipulator, None, np.random.default_rng(), start=start)
+        return Theatre(robot, plant, plant.read().encoders, plant.true_T_mcs_cfcs(), side, serial)
+
+    def server(self, *, host: str = LOOPBACK, port: int = 0, virtual: bool = False) -> RobotServer:
+        """The robot behind its link, not yet listening. A person pushes the sleeve to the bone once it is aligned."""
+        # A reset meant for a fault of an earlier start must not clear one of this.
+        controller = Controller(
+            self.robot, self.plant, Setup(self.side, self.serial), first_fault=int(time.time()) % 1_000_000 + 1
+        )
+
+        def advance(dt_s: float) -> None:
+            if controller.state is State.ALIGNED and controller.insertion is not None:
+                self.plant.guide_mm = float(controller.insertion.q[FEED]) - SLEEVE_MM
+            self.plant.advance(dt_s)
+
+        return RobotServer(
+            controller,
+            self.plant,
+            host=host,
+            port=port,
+            advance=advance,
+            virtual=virtual,
+            truth=self._truth,
+        )
+
     def target(self, plan: Plan, name: str) -> RobotTarget:
         """What the robot is to drill. Raises RobotRefusedError."""
-        now = monotonic()
-        pose = PoseAtImage(self.imaged, now, now)
-        registration = register(self.robot, {"pa": pose, "lateral": pose})
-        points = plan.trajectory.points
         identity = PlanIdentity(name, self.side, self.serial, plan.verdict.go)
-        return aim(identity, points.xyz_mm, points.budget_mm2, registration)
+        return target_of(plan, identity, registered(self.robot, self.imaged, time.monotonic()))
 
     def drill(self, target: RobotTarget, depth_limit_mm: float) -> DrillingRecord:
-        """Through the real link, in virtual time: align, confirm, drill to the pause, confirm, drill to the tip.
+        """Through the real link, in virtual time. Raises RobotRefusedError with what the robot says, LinkError."""
+        with self.server(virtual=True) as server, RobotClient(port=server.port, heartbeat=False) as client:
+            return insert(client, target, depth_limit_mm)
 
-        Raises RobotRefusedError with what the robot says against it, LinkError."""
-        recorder = Recorder()
-        self.plant.guide_mm = float(target.q[FEED]) - SLEEVE_MM
-        controller = Controller(self.robot, self.plant, Setup(self.side, self.serial))
-        server = RobotServer(controller, self.plant, port=0, advance=self.plant.advance, virtual=True)
-        with server, RobotClient(port=server.port, heartbeat=False) as client:
-            client.listeners.append(recorder.heard)
-            client.start_up()
-            client.calibrate(target.registration.T_mcs_cfcs, target.registration.imaged_s)
-            client.aim_plan(target, monotonic(), depth_limit_mm)
-            client.align()
-            while client.drill() != State.DONE.value:
-                pass  # a person looks at the second shot, and confirms
-        return recorder.record
+    @property
+    def wire(self) -> SimulatedWire:
+        """Where the wire truly is, now."""
+        return SimulatedWire(self.plant.true_wire_mm(), self.T_mcs_cfcs)
 
-    def wire_mm(self) -> np.ndarray:
-        """(2, 3): the drilled wire where it leaves its guide and its tip, in CFCS as it truly stood at the images."""
-        return self.T_mcs_cfcs.inv().apply(self.plant.true_wire_mm()[[0, 2]])
-
-    def back_at_images(self, rng: np.random.Generator) -> RigidTransform:
-        """Planning CFCS to that of a check: the chuck is opened, and the arm goes back to where the images were taken,
-        as well as its play lets it. The bone, and the wire in it, stay."""
-        play = self.robot.manipulator.backlash / 2 * rng.uniform(-1, 1, 5)
-        true = self.plant.robot
-        return true.T_mcs_cfcs(self.imaged + play).inv() * true.T_mcs_cfcs(self.imaged)
+    def _truth(self) -> str:
+        return self.wire.text()
 
     def outcome(self, ideal_mm: np.ndarray) -> Outcome:
         """The physics' word, against entry and end point (2, 3) CFCS."""
-        return Outcome.of(self.wire_mm(), ideal_mm)
+        return Outcome.of(self.wire.axis_mm, ideal_mm)
+
+
+def registered(robot: CalibratedRobot, imaged: np.ndarray, now_s: float) -> Registration:
+    """From the encoders (5,) of a robot that stands where it stood at both images, taken just now by the clock that
+    `insert` goes by, time.monotonic. Raises RobotRefusedError."""
+    pose = PoseAtImage(imaged, now_s, now_s)
+    return register(robot, {"pa": pose, "lateral": pose})
+
+
+def target_of(plan: Plan, identity: PlanIdentity, registration: Registration) -> RobotTarget:
+    """A plan carried over. Raises RobotRefusedError."""
+    points = plan.trajectory.points
+    return aim(identity, points.xyz_mm, points.budget_mm2, registration)
+
+
+def insert(client: RobotClient, target: RobotTarget, depth_limit_mm: float) -> DrillingRecord:
+    """Align, confirm, drill to the pause, confirm, drill to the tip, as a person does who finds every shot in order.
+
+    Raises RobotRefusedError with what the robot says against it, LinkError."""
+    recorder = Recorder()
+    client.listeners.append(recorder.heard)
+    client.start_up()
+    client.calibrate(target.registration.T_mcs_cfcs, target.registration.imaged_s)
+    client.aim_plan(target, time.monotonic(), depth_limit_mm)
+    client.align()
+    while client.drill() != State.DONE.value:
+        pass  # a person looks at the second shot, and confirms
+    return recorder.record

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from sightline.robot.calibrated import MACHINED_SD, CalibratedAxes, CalibratedRobot
-from sightline.robot.manipulator import ARM_JOINTS, FEED, Manipulator, nominal_manipulator
+from sightline.robot.manipulator import ARM_JOINTS, FEED, YAW, Manipulator, imaging_yaw, nominal_manipulator
 from sightline.robot.mounts import Mount
 
 # Frame and wire on the flange, 1 s.d. of a twist: 0.1 mm as the accuracy trial fixes it, over a lever of 330 mm.
@@ -14,6 +14,8 @@ MOUNT_SD = np.array([3e-4] * 3 + [0.1] * 3)
 # Of how the axes were machined, what their calibration leaves: 30 poses of three targets, 0.03 mm each, leave less;
 # this adds 0.01 mm at the wire [calc].
 AXES_LEFT = 0.1
+# How far the robot's base is from where it would be ideal, joints' units: a person brings it to the table [ours].
+BASE_SPREAD = np.array([10.0, 10.0, np.deg2rad(2.0), np.deg2rad(2.0), 0.0])
 
 
 def calibrated_robot(side: str = "right") -> CalibratedRobot:
@@ -36,3 +38,11 @@ def true_manipulator(robot: CalibratedRobot, rng: np.random.Generator) -> Manipu
     screws[FEED, 3:] = (true.T_mcs_flange_home * tool).rotation.apply([0.0, 0.0, 1.0])
     held = RigidTransform.from_exp_coords(frame) * robot.manipulator.T_flange_cfcs
     return replace(true, axes=screws, T_flange_cfcs=held, T_flange_tool=tool)
+
+
+def drawn_robot(known: CalibratedRobot, side: str, rng: np.random.Generator) -> tuple[Manipulator, np.ndarray]:
+    """A true robot, and the joints (5,) that it is brought to for the images: the frame level and upright around the
+    hip, as its mount is made for."""
+    start = BASE_SPREAD * rng.uniform(-1, 1, 5)
+    start[YAW] += imaging_yaw(side)
+    return true_manipulator(known, rng), start

@@ -27,6 +27,7 @@ from sightline.robot.igtl import (
     timestamp_of,
 )
 from sightline.robot.igtl.kinds import Body
+from sightline.robot.simulated import SimulatedWire
 from sightline.robot.states import Cause
 from sightline.robot.target import RobotTarget
 from sightline.robot.transport import LOOPBACK, PORT, BlockingClient
@@ -209,14 +210,20 @@ class RobotClient:
         """Tell the robot, in PAUSED, how far beyond the entry point the second shot shows the tip."""
         self._order(contract.SHOT_DEPTH, repr(float(depth_mm)))
 
-    def _order(self, name: str, text: str) -> None:
-        """A COMMAND and its reply."""
+    def simulated_wire(self) -> SimulatedWire:
+        """Where a simulated robot's wire truly is, for simulated images. Raises RobotRefusedError of a real robot."""
+        return SimulatedWire.of(self._order(contract.SIMULATED_WIRE, ""))
+
+    def _order(self, name: str, text: str) -> str:
+        """A COMMAND and the text of its reply."""
         self._number += 1
         number = self._number
         self._send(Command(number, name, text), name, version=2)
         said = self._await(lambda m: isinstance(m.body, CommandReply) and m.body.command_id == number, ACK_S, name).body
-        if isinstance(said, CommandReply) and said.error:
+        assert isinstance(said, CommandReply)  # noqa: S101
+        if said.error:
             raise RobotRefusedError(f"the robot refused {name}: {said.text}")
+        return said.text
 
     # How anything is asked.
 

@@ -26,6 +26,7 @@ HAS_RESET = "X_RESET"  # robot: a person may reset it over the link
 
 RESET = "RESET"  # name of the COMMAND that does, its text the number of the fault that the person has read
 SHOT_DEPTH = "SHOT_DEPTH"  # another: how far beyond the entry point the check shot shows the tip, mm
+SIMULATED_WIRE = "SIMULATED_WIRE"  # a third, of simulators alone: where the wire truly is, for simulated images
 
 # Metadata of a target. Where PLAN stands all others must.
 UNITS, COORDINATES, PLAN = "units", "coordinates", "plan"

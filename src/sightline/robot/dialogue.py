@@ -3,6 +3,7 @@
 Nothing is read or sent here: `receive` and `cycle` return what is to be sent to whom, in order.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -85,10 +86,12 @@ class _Peer:
 
 @dataclass
 class Dialogue:
-    """Speaks for one controller with all its clients, known by a number; `telemetry_s` between two of a stream."""
+    """Speaks for one controller with all its clients, known by a number; `telemetry_s` between two of a stream.
+    `truth`: what a simulator answers to SIMULATED_WIRE, if it does."""
 
     controller: Controller
     simulated: bool = False
+    truth: Callable[[], str] | None = None
     telemetry_s: float = contract.TELEMETRY_S
     cycles: Cycles = field(default_factory=Cycles)
 
@@ -190,6 +193,8 @@ class Dialogue:
         return said
 
     def _of_command(self, client: int, number: int, command: str, text: str, now_s: float) -> CommandReply:
+        if command == contract.SIMULATED_WIRE and self.truth is not None:
+            return CommandReply(number, "", self.truth())
         request = _request(command, text)
         if isinstance(request, str):
             return CommandReply(number, "refused", request)

@@ -49,7 +49,8 @@ class RobotServer:
     """`with RobotServer(controller, plant):` listens at `port` until the block ends.
 
     `advance(dt_s)` lets a simulated plant's time pass; a real one needs none. With `virtual` time runs as fast as it
-    can while something moves and stands still otherwise: for trials, with clients that send no heartbeats.
+    can while something moves and stands still otherwise: for trials, with clients that send no heartbeats. `truth`:
+    what a simulator tells simulated imaging devices (robot/simulated.py).
     Raises LinkError where the port cannot be had.
     """
 
@@ -62,10 +63,11 @@ class RobotServer:
         port: int = PORT,
         advance: Callable[[float], None] | None = None,
         virtual: bool = False,
+        truth: Callable[[], str] | None = None,
     ) -> None:
         self.port = port
         telemetry_s = VIRTUAL_TELEMETRY_S if virtual else contract.TELEMETRY_S
-        self.dialogue = Dialogue(controller, advance is not None, telemetry_s)
+        self.dialogue = Dialogue(controller, advance is not None, truth, telemetry_s)
         self._controller, self._plant, self._advance, self._virtual = controller, plant, advance, virtual
         self._host = host
         self._urgent: SimpleQueue[tuple[int, Event]] = SimpleQueue()

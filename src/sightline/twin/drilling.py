@@ -96,6 +96,7 @@ class Wire:
         self._deepest_mm = 0.0  # beyond the entry point
         self._last: np.ndarray | None = None  # tip of the straight wire
         self._feelers, self._feelings = _feelers(self.radius_mm)
+        _squeezed(1.0, 1.0, 1.0)  # compiled here, not in the loop of a robot at its first touch
 
     def step(self, straight_mm: np.ndarray, axes: np.ndarray, free_mm: float, turning: bool, dt_s: float) -> float:
         """Thrust, N, after `dt_s`. `straight_mm` (3,): where the tip of a straight wire is now; `axes` (3, 3): rows x,

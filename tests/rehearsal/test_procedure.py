@@ -1,0 +1,71 @@
+"""A rehearsal is drawn from its seed: part by part the same, in any order, and its truth agrees with its images."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import RigidTransform
+
+from sightline.errors import UnusableInputError
+from sightline.frame import Frame
+from sightline.rehearsal.procedure import PARTS, Rehearsal
+from sightline.robot.simulated import SimulatedWire
+from sightline.twin import render
+
+SEED = 9
+
+
+@pytest.fixture(scope="module")
+def rehearsal() -> Rehearsal:
+    return Rehearsal.draw(SEED, Frame.load("gamma"))
+
+
+def test_each_part_is_the_same_when_drawn_again_alone(rehearsal):
+    again = Rehearsal.draw(SEED, Frame.load("gamma"))
+    alone = render(again.setup, "lateral", again.hip.scene, again.generator("lateral"))
+    np.testing.assert_array_equal(alone.pixels, rehearsal.images["lateral"].pixels)
+    np.testing.assert_array_equal(again.hip.wire_mm, rehearsal.hip.wire_mm)
+    assert list(again.landmarks) == list(rehearsal.landmarks)
+    firsts = [again.generator(part).random() for part in PARTS]
+    assert firsts == [rehearsal.generator(part).random() for part in PARTS]
+    assert len(set(firsts)) == len(PARTS)
+    assert Rehearsal.draw(SEED + 1, Frame.load("gamma")).generator("robot").random() not in firsts
+
+
+def test_landmarks_and_wire_lie_in_both_images(rehearsal):
+    assert rehearsal.landmarks.keys() <= rehearsal.hip.landmarks_mm.keys()
+    for name, uv in rehearsal.landmarks.items():
+        np.testing.assert_allclose(uv, rehearsal.pixels(rehearsal.hip.landmarks_mm[name][None])[:, 0], atol=1e-9)
+    for view, uv in zip(("pa", "lateral"), rehearsal.pixels(rehearsal.hip.wire_mm), strict=True):
+        assert rehearsal.setup.views[view].in_field(uv, 0.0).all()
+    entry, end = rehearsal.hip.wire_mm
+    assert np.linalg.norm(rehearsal.surface_mm - entry) == pytest.approx(np.linalg.norm(end - entry) + 8.0)
+
+
+def test_check_images_show_the_wire_that_was_drilled(rehearsal):
+    """The shadow is where the truth has the wire; the frame came back to within the arm's play."""
+    entry, end = rehearsal.hip.wire_mm
+    off = np.array([0.6, -0.4, 0.3])
+    T_mcs_cfcs = RigidTransform.from_translation([400.0, 12.0, 300.0])
+    held = np.stack([entry - 20 * (end - entry) / np.linalg.norm(end - entry), entry, end]) + off
+    shot = rehearsal.check_images(SimulatedWire(T_mcs_cfcs.apply(held), T_mcs_cfcs))
+    moved = shot.hip.landmarks_mm["head centre"] - rehearsal.hip.head_mm
+    assert 0.0 < np.linalg.norm(moved) < 0.5
+    along = held[1] + np.linspace(0.1, 0.9, 80)[:, None] * (held[2] - held[1]) + moved
+    for view in ("pa", "lateral"):
+        uv = shot.setup.views[view].project(along)
+        across = np.array([uv[0, 1] - uv[-1, 1], uv[-1, 0] - uv[0, 0]]) / np.linalg.norm(uv[-1] - uv[0])
+        beside = [np.rint(uv + px * across).astype(int) for px in (0.0, 14.0, -14.0)]
+        on, *others = (shot.images[view].pixels[at[:, 1], at[:, 0]].mean() for at in beside)
+        assert on < 0.95 * min(others)
+
+
+def test_a_simulated_wire_survives_the_link():
+    wire = SimulatedWire(np.arange(9.0).reshape(3, 3), RigidTransform.from_rotation(RigidTransform.identity().rotation))
+    again = SimulatedWire.of(wire.text())
+    np.testing.assert_array_equal(again.wire_mm, wire.wire_mm)
+    np.testing.assert_array_equal(again.T_mcs_cfcs.as_matrix(), wire.T_mcs_cfcs.as_matrix())
+
+
+@pytest.mark.parametrize("text", ["", "{}", "[1]", '{"wire_mm": [[1]], "T_mcs_cfcs": [[1]]}', '{"wire_mm": "x"}'])
+def test_texts_that_are_no_wire(text):
+    with pytest.raises(UnusableInputError):
+        SimulatedWire.of(text)

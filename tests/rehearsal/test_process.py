@@ -1,0 +1,60 @@
+"""The rehearsal's robot as a process: it listens, tells simulated imaging devices the truth, and surely ends."""
+
+import os
+import sys
+import time
+from subprocess import PIPE, Popen
+
+import numpy as np
+import pytest
+
+from sightline.errors import LinkError
+from sightline.frame import Frame
+from sightline.rehearsal.procedure import Rehearsal
+from sightline.rehearsal.process import RobotProcess
+from sightline.robot.client import RobotClient
+
+pytest.importorskip("mujoco")
+SEED = 9
+
+
+def gone(pid: int, within_s: float = 10.0) -> bool:
+    end = time.monotonic() + within_s
+    while time.monotonic() < end:
+        try:
+            os.kill(pid, 0)
+        except ProcessLookupError:
+            return True
+        time.sleep(0.05)
+    return False
+
+
+def test_it_is_the_robot_of_the_rehearsal_and_ends_with_its_block():
+    rehearsal = Rehearsal.draw(SEED, Frame.load("gamma"))
+    theatre = rehearsal.theatre()
+    with RobotProcess(SEED, virtual=True) as process:
+        with RobotClient(port=process.port, heartbeat=False) as robot:
+            assert robot.simulated
+            assert robot.status().error_name == "UNDEFINED"
+            np.testing.assert_allclose(robot.joints()[0], theatre.imaged, atol=1e-9)
+            wire = robot.simulated_wire()
+            assert np.abs((wire.T_mcs_cfcs.inv() * theatre.T_mcs_cfcs).as_matrix() - np.eye(4)).max() < 1e-6
+            np.testing.assert_allclose(wire.wire_mm, theatre.wire.wire_mm, atol=0.02)  # gravity creeps in the play
+        assert process.alive
+    assert not process.alive
+    process.close()
+
+
+def test_one_that_cannot_start_says_why():
+    with pytest.raises(LinkError, match=r"did not start: .*unobtainium"):
+        RobotProcess(SEED, frame="unobtainium")
+
+
+def test_it_does_not_outlive_who_started_it():
+    """Even one that was killed without a word."""
+    starts = "import sys\nfrom sightline.rehearsal.process import RobotProcess\n"
+    starts += f"robot = RobotProcess({SEED}, virtual=True)\nprint(robot.pid, flush=True)\nsys.stdin.read()\n"
+    with Popen([sys.executable, "-c", starts], stdin=PIPE, stdout=PIPE) as parent:  # noqa: S603
+        pid = int(parent.stdout.readline())
+        parent.kill()
+    assert gone(pid)
