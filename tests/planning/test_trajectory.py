@@ -245,3 +245,10 @@ def test_plan_refuses_bad_pixels(bad):
             plan(views, *arguments)
     with pytest.raises(UnusableInputError, match="exactly two"):
         plan(views[:1], entry, end)
+
+
+def test_one_point_may_be_snapped_and_the_other_free():
+    views = _views(0.05)
+    entry, end = np.swapaxes(_pixels(views), 0, 1)
+    made = plan(views, entry, end, snapped=(True, False))
+    assert made.trajectory.points.gap_tested.tolist() == [False, True]

@@ -50,21 +50,24 @@ def plan(
     end_uv_px: np.ndarray,
     *,
     pick_sd_px: float = DEFAULT_PICK_SD_PX,
-    snapped: bool = False,
+    snapped: bool | Sequence[bool] = False,
     landmarks_uv_px: np.ndarray | None = None,
     method: Method = "weighted",
     limits: Limits | None = None,
 ) -> Plan:
     """Plan from the pixels of entry and end point, each (2, 2): a row for each view, IDCS.
 
-    `pick_sd_px`: how well a person picks. `snapped`: the second view's picks are taken to the curves of the first's.
-    `landmarks_uv_px` (2, L, 2): points of the bone picked freely in both views, which show whether it moved between
-    them; they change neither entry nor end. A plan whose picks are snapped is no GO without two of them (`judge`).
+    `pick_sd_px`: how well a person picks. `snapped`: the second view's picks are taken to the curves of the first's,
+    both, or (entry, end) as each says. `landmarks_uv_px` (2, L, 2): points of the bone picked freely in both views, which show
+    whether it moved between them; they change neither entry nor end. A plan whose picks are snapped is no GO without two of them (`judge`).
     Raises what `reconstruct`, `matching_curve` and `snap` raise.
     """
     if len(views) != 2:
         raise UnusableInputError(f"{len(views)} views given; a plan is made on exactly two")
-    picked = [_picks(views, uv, pick_sd_px, snapped) for uv in (entry_uv_px, end_uv_px)]
+    each = (snapped, snapped) if isinstance(snapped, bool) else tuple(snapped)
+    picked = [
+        _picks(views, uv, pick_sd_px, taken) for uv, taken in zip((entry_uv_px, end_uv_px), each, strict=True)
+    ]
     (entry, entry_curve), (end, end_curve) = picked
     free = _landmarks(landmarks_uv_px, pick_sd_px)
     trajectory = Trajectory(_reconstructed(views, [entry, end], method))
