@@ -1,0 +1,102 @@
+// Sends image files, one after another, to the address of the target they are meant for.
+// File names and the server's sentences are only ever shown as text.
+
+const PAGE = "position:fixed;inset:0;z-index:7000;display:flex;gap:16px;padding:24px;background:rgba(8,12,18,.86)";
+const PANEL =
+  "flex:1;display:flex;align-items:center;justify-content:center;border:2px dashed;border-radius:16px;font-size:1.6rem";
+
+const wellFormed = (name) => name.slice(-200).replace(/\p{Surrogate}/gu, "\uFFFD"); // half a pair cannot be encoded
+
+function send(file, address, onProgress) {
+  return new Promise((resolve) => {
+    const request = new XMLHttpRequest(); // fetch tells no progress
+    request.open("POST", address);
+    request.setRequestHeader("X-File-Name", encodeURIComponent(wellFormed(file.name)));
+    request.upload.onprogress = (event) => event.total && onProgress(event.loaded / event.total);
+    request.onload = () => resolve(request.status === 200 ? null : sentence(request));
+    request.onerror = () => resolve("the image did not reach the app; is it still running?");
+    request.send(file);
+  });
+}
+
+function sentence(request) {
+  try {
+    return JSON.parse(request.responseText).error;
+  } catch {
+    return request.responseText || `refused (${request.status})`;
+  }
+}
+
+export default {
+  template: `
+    <div style="display:flex;flex-wrap:wrap;align-items:center;gap:8px">
+      <template v-for="(target, i) in targets" :key="target.address">
+        <q-btn outline no-caps icon="upload_file" :label="target.label" :loading="busy === i" :percentage="percent"
+               :disable="busy !== null" @click="$refs.inputs[i].click()"></q-btn>
+        <input ref="inputs" type="file" hidden :aria-label="target.label" :data-testid="'drop-' + target.label"
+               accept=".dcm,.dicom,.png,.tif,.tiff,.bmp,.npy,application/dicom" @change="chosen($event, i)">
+      </template>
+      <span data-testid="drop-message" role="status" :style="{color: bad ? '#ffb000' : 'inherit'}">{{ message }}</span>
+      <teleport to="body">
+        <div v-if="dragging" style="${PAGE}" data-testid="drop-page">
+          <div v-for="(target, i) in targets" :key="target.address" @dragenter="over = i" @drop.prevent="dropped($event, i)"
+               :style="'${PANEL};' + (over === i ? 'border-color:#56b4e9;color:#56b4e9' : 'border-color:#667;color:#ccd')"
+               :data-testid="'drop-panel-' + target.label">{{ target.label }}</div>
+        </div>
+      </teleport>
+    </div>`,
+  props: { targets: Array, maxBytes: Number },
+  data: () => ({ dragging: false, over: null, busy: null, percent: 0, message: "", bad: false }),
+  mounted() {
+    this.listeners = {
+      dragenter: (event) => this.dragged(event),
+      dragover: (event) => this.dragged(event),
+      dragleave: (event) => !event.relatedTarget && this.leave(),
+      drop: (event) => {
+        event.preventDefault(); // a file dropped beside the panels must not replace the page
+        this.leave();
+      },
+    };
+    for (const [name, listener] of Object.entries(this.listeners)) window.addEventListener(name, listener);
+  },
+  unmounted() {
+    for (const [name, listener] of Object.entries(this.listeners)) window.removeEventListener(name, listener);
+  },
+  methods: {
+    dragged(event) {
+      if (!event.dataTransfer?.types.includes("Files")) return;
+      event.preventDefault();
+      this.dragging = true;
+    },
+    leave() {
+      this.dragging = false;
+      this.over = null;
+    },
+    chosen(event, target) {
+      const files = [...event.target.files];
+      event.target.value = ""; // so that the same file can be chosen again
+      this.take(files, target);
+    },
+    dropped(event, target) {
+      this.take([...event.dataTransfer.files], target);
+    },
+    async take(files, target) {
+      if (!files.length || this.busy !== null) return;
+      if (files.length > 1) return this.say("drop one image here at a time", true);
+      const [file] = files;
+      if (file.size > this.maxBytes) {
+        return this.say(`${file.name} has more than ${Math.floor(this.maxBytes / 1e6)} MB; export a single image`, true);
+      }
+      this.busy = target;
+      this.percent = 0;
+      this.say(`reading ${file.name}`, false);
+      const refusal = await send(file, this.targets[target].address, (part) => (this.percent = 100 * part));
+      this.busy = null;
+      this.say(refusal ? `${file.name}: ${refusal}` : file.name, Boolean(refusal));
+    },
+    say(message, bad) {
+      this.message = message;
+      this.bad = bad;
+    },
+  },
+};

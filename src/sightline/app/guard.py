@@ -1,0 +1,320 @@
+"""The one gate in front of the app: who may speak to it, from which page, and how much at once.
+
+Pure ASGI, because Starlette's own middleware classes do not see WebSockets. What it keeps out: docs/app-security.md.
+"""
+
+import asyncio
+import hashlib
+import hmac
+import ipaddress
+import re
+import secrets
+from collections.abc import Awaitable, Callable, Mapping, MutableMapping
+from dataclasses import dataclass, field
+from typing import Any
+from urllib.parse import parse_qs
+
+from sightline.errors import UnusableInputError
+
+Scope = MutableMapping[str, Any]
+Message = MutableMapping[str, Any]
+Receive = Callable[[], Awaitable[Message]]
+Send = Callable[[Message], Awaitable[None]]
+App = Callable[[Scope, Receive, Send], Awaitable[None]]
+
+MIN_TOKEN_CHARACTERS = 16  # [ours] 96 bits and more when generated
+MAX_BODY_BYTES = 1_000_000  # Socket.IO's own limit on a message; no other body is expected
+MAX_SOCKETS = 32  # [ours] a page holds one, and one more while it reconnects
+BODY_PAUSE_S = 30.0  # [ours] longest silence within a body
+
+_LOOPBACK_NAMES = {"localhost", "127.0.0.1", "::1"}
+_HOST = re.compile(r"(\[[0-9a-fA-F:.]+\]|[A-Za-z0-9._-]+)(?::(\d{1,5}))?")
+
+
+@dataclass
+class Guard:
+    """An ASGI app in front of `app`, served at `host`:`port`; `token` None asks for none.
+
+    `body_limits` maps the start of a path to the bytes a body there may have; elsewhere MAX_BODY_BYTES.
+    Raises UnusableInputError on a short token, or on none where others can reach the app.
+    """
+
+    app: App
+    host: str
+    port: int
+    token: str | None = None
+    body_limits: Mapping[str, int] = field(default_factory=dict)
+    _sockets: int = field(default=0, init=False)
+
+    def __post_init__(self) -> None:
+        if self.token is None and self.reachable_from_outside:
+            raise UnusableInputError(f"{self.host} can be reached by others, so a token is needed; give one")
+        if self.token is not None and len(self.token) < MIN_TOKEN_CHARACTERS:
+            raise UnusableInputError(f"the token has fewer than {MIN_TOKEN_CHARACTERS} characters; give a longer one")
+
+    @property
+    def reachable_from_outside(self) -> bool:
+        """Whether another machine could connect: any address but the loopback ones."""
+        return not is_loopback(self.host)
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """One connection: passed on with limits, or refused."""
+        if scope["type"] == "lifespan":
+            await self.app(scope, receive, send)
+        elif scope["type"] == "websocket":
+            await self._socket(scope, receive, send)
+        else:
+            await self._request(scope, receive, send)
+
+    async def _request(self, scope: Scope, receive: Receive, send: Send) -> None:
+        headers = _Headers(scope)
+        nonce = secrets.token_urlsafe(16)
+        send = _Secured(send, nonce, headers.get("host"))
+        refusal = self._refusal(scope, headers)
+        if refusal is None and scope["method"] not in ("GET", "HEAD", "POST"):
+            refusal = _Answer(405, "this app takes GET, HEAD and POST alone")
+        if refusal is None and self.token is not None:
+            if scope["method"] == "GET" and _query_token(scope) is not None:
+                await self._enter(scope, send)
+                return
+            refusal = self._token_refusal(headers)
+        if refusal is not None:
+            await refusal.send(send)
+            return
+        await self._pass_on(_without_proxy_headers(scope), receive, send, headers)
+
+    async def _pass_on(self, scope: Scope, receive: Receive, send: Send, headers: "_Headers") -> None:
+        limit = next((n for start, n in self.body_limits.items() if scope["path"].startswith(start)), MAX_BODY_BYTES)
+        body = _Body(receive, limit)
+        held = _Held(send, body)
+        try:
+            if headers.length() > limit:
+                body.refusal = _too_large(limit)
+            else:
+                await self.app(scope, body.receive, held.send)
+        except Exception:
+            if body.refusal is None:
+                raise
+        if body.refusal is not None and not held.started:
+            await body.refusal.send(send)
+
+    async def _socket(self, scope: Scope, receive: Receive, send: Send) -> None:
+        headers = _Headers(scope)
+        refused = self._refusal(scope, headers) or (self.token is not None and self._token_refusal(headers))
+        if refused or self._sockets >= MAX_SOCKETS:
+            await receive()
+            await send({"type": "websocket.close", "code": 1008})  # before it is accepted: the server answers 403
+            return
+        self._sockets += 1
+        try:
+            await self.app(_without_proxy_headers(scope), receive, send)
+        finally:
+            self._sockets -= 1
+
+    def _refusal(self, scope: Scope, headers: "_Headers") -> "_Answer | None":
+        """Host must be where the connection arrived, Origin our own: neither can be set by a foreign page."""
+        if not self._is_our_host(headers.get("host"), scope.get("server")):
+            return _Answer(421, "this app is not served under that name; open the address that the terminal shows")
+        origins = headers.all("origin")
+        must_have_one = scope["type"] == "websocket" or scope["method"] not in ("GET", "HEAD")
+        if (must_have_one and not origins) or any(o != f"http://{headers.get('host')}" for o in origins):
+            return _Answer(403, "the request does not come from this app's own page; reload the page")
+        # A foreign page can still ask for a picture or a script without an Origin; browsers then tell it here.
+        if headers.get("sec-fetch-site") in ("cross-site", "same-site") and headers.get("sec-fetch-mode") != "navigate":
+            return _Answer(403, "the request comes from another page; open this app's own page")
+        return None
+
+    def _is_our_host(self, host: str | None, arrived_at: Any) -> bool:
+        match = _HOST.fullmatch(host or "")
+        if match is None or int(match[2] or 80) != self.port:
+            return False
+        name, address = match[1].strip("[]").lower(), arrived_at[0] if arrived_at else self.host
+        if name in _LOOPBACK_NAMES:
+            return is_loopback(address)
+        return name == address or (name == self.host.lower() and not _is_wildcard(name))
+
+    def _token_refusal(self, headers: "_Headers") -> "_Answer | None":
+        if _same(headers.cookie(self._cookie_name), self._cookie):
+            return None
+        return _Answer(
+            401, "a token is needed: open the address that the terminal shows (if you just followed it, reload)"
+        )
+
+    async def _enter(self, scope: Scope, send: Send) -> None:
+        """A token in the address becomes a cookie, and the address is left without it."""
+        answer = _Answer(401, "the token in the address is wrong; open the address that the terminal shows")
+        if _same(_query_token(scope), self.token):
+            cookie = f"{self._cookie_name}={self._cookie}; Path=/; HttpOnly; SameSite=Strict"
+            answer = _Answer(303, "", [(b"location", b"/"), (b"set-cookie", cookie.encode())])
+        await answer.send(send)
+
+    @property
+    def _cookie_name(self) -> str:
+        return f"sightline-{self.port}"  # cookies do not tell ports apart
+
+    @property
+    def _cookie(self) -> str:
+        return hashlib.sha256((self.token or "").encode()).hexdigest()  # fit for a cookie whatever the token holds
+
+
+def is_loopback(host: str) -> bool:
+    """Whether only this machine can connect to the address or name `host`."""
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return host.lower() == "localhost"
+
+
+def _is_wildcard(host: str) -> bool:
+    try:
+        return ipaddress.ip_address(host).is_unspecified
+    except ValueError:
+        return False
+
+
+def _same(given: str | None, expected: str | None) -> bool:
+    """Equal, in a time that does not tell how much of it is."""
+    return hmac.compare_digest((given or "").encode(), (expected or "").encode()) and bool(expected)
+
+
+def _query_token(scope: Scope) -> str | None:
+    query = parse_qs(scope["query_string"].decode("latin-1"), keep_blank_values=True)
+    return query["token"][0] if "token" in query else None
+
+
+def _without_proxy_headers(scope: Scope) -> Scope:
+    """NiceGUI writes X-Forwarded-Prefix into its page; no proxy is expected in front, so none is believed."""
+    return {**scope, "headers": [(k, v) for k, v in scope["headers"] if not k.startswith(b"x-forwarded-")]}
+
+
+class _Headers:
+    """Request headers as text; a header that must be single and is not, is as good as absent."""
+
+    def __init__(self, scope: Scope) -> None:
+        self._pairs = [(k.decode("latin-1").lower(), v.decode("latin-1")) for k, v in scope["headers"]]
+
+    def all(self, name: str) -> list[str]:
+        return [value for key, value in self._pairs if key == name]
+
+    def get(self, name: str) -> str | None:
+        values = self.all(name)
+        return values[0] if len(values) == 1 else None
+
+    def length(self) -> int:
+        value = self.get("content-length") or "0"
+        return int(value) if value.isascii() and value.isdigit() else 0
+
+    def cookie(self, name: str) -> str | None:
+        pairs = (part.strip().partition("=") for line in self.all("cookie") for part in line.split(";"))
+        return next((value for key, _, value in pairs if key == name), None)
+
+
+@dataclass(frozen=True)
+class _Answer:
+    """An answer of the guard's own, mostly a refusal."""
+
+    status: int
+    sentence: str
+    headers: list[tuple[bytes, bytes]] = field(default_factory=list)
+
+    async def send(self, send: Send) -> None:
+        body = self.sentence.encode()
+        headers = [
+            (b"content-type", b"text/plain; charset=utf-8"),
+            (b"content-length", str(len(body)).encode()),
+            (b"cache-control", b"no-store"),
+            *self.headers,
+        ]
+        await send({"type": "http.response.start", "status": self.status, "headers": headers})
+        await send({"type": "http.response.body", "body": body})
+
+
+def _too_large(limit: int) -> _Answer:
+    return _Answer(413, f"more than {limit / 1e6:.0f} MB; send less at once")
+
+
+class _Body:
+    """A request's body: counted as it arrives, whatever its Content-Length says, and not waited for forever."""
+
+    def __init__(self, receive: Receive, limit: int) -> None:
+        self._receive, self._limit = receive, limit
+        self._left, self._whole = limit, False
+        self.refusal: _Answer | None = None
+
+    async def receive(self) -> Message:
+        if self._whole:
+            return await self._receive()  # waits for the client to leave, as long as the answer takes
+        try:
+            message = await asyncio.wait_for(self._receive(), BODY_PAUSE_S)
+        except TimeoutError:
+            self.refusal = _Answer(408, "the rest of the request did not arrive; send it again")
+            return {"type": "http.disconnect"}
+        if message["type"] == "http.request":
+            self._left -= len(message.get("body", b""))
+            self._whole = not message.get("more_body", False)
+        if self._left < 0:
+            self.refusal = _too_large(self._limit)
+            return {"type": "http.disconnect"}
+        return message
+
+
+class _Held:
+    """The app's answer, held back once the guard has an answer of its own."""
+
+    def __init__(self, send: Send, body: _Body) -> None:
+        self._send, self._body = send, body
+        self.started = False
+
+    async def send(self, message: Message) -> None:
+        if self._body.refusal is None or self.started:
+            self.started = True
+            await self._send(message)
+
+
+class _Secured:
+    """Adds the security headers to an answer, and to a page's own scripts the nonce that lets them run."""
+
+    def __init__(self, send: Send, nonce: str, host: str | None) -> None:
+        self._send, self._nonce, self._host = send, nonce, host
+        self._page: Message | None = None  # the start of an HTML answer, until its length is known
+        self._html = bytearray()
+
+    async def __call__(self, message: Message) -> None:
+        if message["type"] == "http.response.start":
+            own = {name for name, _ in self._headers()}
+            headers = [(k, v) for k, v in message.get("headers", []) if k.lower() not in own] + self._headers()
+            message = {**message, "headers": headers}
+            if dict(headers).get(b"content-type", b"").startswith(b"text/html"):
+                self._page = message
+                return
+        elif self._page is not None:
+            self._html += message.get("body", b"")
+            if not message.get("more_body", False):
+                await self._send_page(self._page, bytes(self._html))
+            return
+        await self._send(message)
+
+    async def _send_page(self, start: Message, html: bytes) -> None:
+        # Everything that comes from elsewhere is escaped in the page, so each "<script" here is the page's own.
+        html = html.replace(b"<script", f'<script nonce="{self._nonce}"'.encode())
+        headers = [(k, v) for k, v in start["headers"] if k.lower() != b"content-length"]
+        await self._send({**start, "headers": [*headers, (b"content-length", str(len(html)).encode())]})
+        await self._send({"type": "http.response.body", "body": html})
+
+    def _headers(self) -> list[tuple[bytes, bytes]]:
+        sockets = f" ws://{self._host}" if _HOST.fullmatch(self._host or "") else ""  # older Safari: not in 'self'
+        policy = (
+            "default-src 'self'; "
+            f"script-src 'self' 'nonce-{self._nonce}' 'unsafe-eval'; "  # Vue compiles its templates in the browser
+            "style-src 'self' 'unsafe-inline'; "  # Vue and Quasar set styles on elements
+            "img-src 'self' data: blob:; font-src 'self' data:; "
+            f"connect-src 'self'{sockets}; "
+            "object-src 'none'; base-uri 'none'; form-action 'self'; frame-ancestors 'none'"
+        )
+        return [
+            (b"content-security-policy", policy.encode()),
+            (b"x-content-type-options", b"nosniff"),
+            (b"referrer-policy", b"no-referrer"),
+            (b"cross-origin-opener-policy", b"same-origin"),
+            (b"cross-origin-resource-policy", b"same-origin"),
+        ]

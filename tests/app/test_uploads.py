@@ -1,0 +1,158 @@
+"""Images sent to the app: what is taken, what is refused with which words, and what a hostile name can do."""
+
+import asyncio
+import json
+import zlib
+from collections.abc import AsyncIterator, Callable
+from pathlib import Path
+from urllib.parse import quote
+
+import httpx
+import numpy as np
+import pytest
+from playwright.sync_api import Page, expect
+from tests.app.browser import Server
+
+from sightline.app.images import Images, as_u16
+from sightline.app.uploads import MAX_NAME_CHARACTERS, Upload, kind_of, receive, shown_name
+from sightline.errors import ImageError
+from sightline.imaging import Radiograph, write_dicom, write_png
+
+PIXELS = (np.arange(40 * 30, dtype=np.uint16) * 37).reshape(30, 40)
+HOSTILE = "<img src=x onerror='window.hacked=1'>.png"
+
+
+@pytest.fixture(scope="module")
+def png(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_png(Radiograph(PIXELS, 65535.0), tmp_path_factory.mktemp("images") / "pa.png")
+
+
+@pytest.fixture(scope="module")
+def app(serve: Callable[..., Server]) -> Server:
+    return serve("tests.app.small_app", "{port}")
+
+
+def post(app: Server, body: bytes, name: str = "x") -> httpx.Response:
+    address = json.loads(app.log.read_text().partition("\n")[0])["upload"]
+    headers = {"origin": app.url.rstrip("/"), "x-file-name": quote(name)}
+    return httpx.post(app.url.rstrip("/") + address, content=body, headers=headers)
+
+
+def take(*chunks: bytes) -> Upload:
+    async def stream() -> AsyncIterator[bytes]:
+        for chunk in chunks:
+            yield chunk
+
+    return asyncio.run(receive(stream(), "pa"))
+
+
+def test_an_image_arrives_byte_by_byte(png: Path) -> None:
+    upload = take(*(bytes([b]) for b in png.read_bytes()))
+    assert upload.kind == "PNG" and upload.data == png.read_bytes()
+    assert np.array_equal(upload.read().pixels, PIXELS)
+
+
+def test_the_content_tells_the_kind(tmp_path: Path, png: Path) -> None:
+    dicom = write_dicom(Radiograph(PIXELS, 65535.0), tmp_path / "misnamed.png").read_bytes()
+    np.save(tmp_path / "pixels.npy", PIXELS)
+    kinds = {"DICOM": dicom, "PNG": png.read_bytes(), "NumPy": (tmp_path / "pixels.npy").read_bytes()}
+    for kind, data in kinds.items():
+        upload = take(data[:100], data[100:])
+        assert upload.kind == kind
+        assert np.array_equal(upload.read().pixels, PIXELS)
+    for data in (b"", b"GIF89a", b"<html>", b"PK\x03\x04", bytes(200), b"MZ" + bytes(200), b"DICM"):
+        assert kind_of(data) is None
+
+
+def test_what_is_no_image_is_refused_and_not_kept() -> None:
+    with pytest.raises(ImageError, match="give DICOM, PNG"):
+        take(b"<svg onload=alert(1)>" * 100, b"\x89PNG\r\n\x1a\n")
+    with pytest.raises(ImageError, match="empty"):
+        take(b"", b"")
+
+
+def test_a_picture_far_larger_than_its_file_is_refused() -> None:
+    def chunk(kind: bytes, data: bytes) -> bytes:
+        return len(data).to_bytes(4) + kind + data + zlib.crc32(kind + data).to_bytes(4)
+
+    size = 60000
+    header = size.to_bytes(4) * 2 + bytes([16, 0, 0, 0, 0])
+    start = b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header)
+    bomb = start + chunk(b"IDAT", zlib.compress(bytes(10000))) + chunk(b"IEND", b"")
+    with pytest.raises(ImageError, match="the limit is"):
+        take(bomb).read()
+
+
+@pytest.mark.parametrize(
+    ("given", "shown"),
+    [
+        ("pa.dcm", "pa.dcm"),
+        ("../../etc/passwd", "passwd"),
+        ("C:\\Users\\x\\pa.dcm", "pa.dcm"),
+        (quote("../../é.png"), "é.png"),
+        ("%2e%2e%2fpa.png", "pa.png"),
+        ("a%00b%0d%0ac%1b[2J", "abc[2J"),
+        (quote("pa\u202egnp.exe"), "pagnp.exe"),  # right-to-left override
+        ("%ff%fe", "\ufffd\ufffd"),
+        ("..", ".."),
+        ("", ""),
+    ],
+)
+def test_a_name_is_text_without_folders(given: str, shown: str) -> None:
+    assert shown_name(given) == shown
+
+
+def test_a_long_name_is_cut() -> None:
+    assert len(shown_name("x" * 5000)) == MAX_NAME_CHARACTERS
+
+
+def test_refusals_come_back_as_sentences(app: Server, png: Path) -> None:
+    assert post(app, png.read_bytes()).json() == {}
+    refused = post(app, b"no image at all", name="/etc/passwd")
+    assert refused.status_code == 422
+    assert "give DICOM" in refused.json()["error"] and "passwd" not in refused.text
+
+
+def test_floating_point_pixels_are_scaled_for_the_eye() -> None:
+    eight = Radiograph(np.arange(256, dtype=np.uint8).reshape(16, 16), 255.0)
+    pixels, white = as_u16(eight)
+    assert pixels.dtype == np.uint16 and white == 255.0 and pixels.max() == 255
+    pixels, white = as_u16(Radiograph(np.linspace(-3.0, 5.0, 256, dtype=np.float32).reshape(16, 16), 5.1))
+    assert (pixels.min(), pixels.max(), white) == (0, 65535, 65535.0)
+    flat, _ = as_u16(Radiograph(np.ones((16, 16), np.float32), 2.0))
+    assert (flat == 0).all()
+
+
+def test_only_grey_pixels_are_published_and_only_once_each() -> None:
+    images = Images()
+    assert images.publish(PIXELS) != images.publish(PIXELS)
+    for wrong in (PIXELS.astype(np.uint8), PIXELS[0], PIXELS.astype(float)):
+        with pytest.raises(ImageError, match="uint16"):
+            images.publish(wrong)
+
+
+def test_a_chosen_file_reaches_its_target(
+    app: Server, open_page: Callable[..., Page], png: Path, tmp_path: Path
+) -> None:
+    page = open_page(app.url, allow=("422",))
+    page.get_by_test_id("drop-PA image").set_input_files(png)
+    expect(page.get_by_test_id("said")).to_have_text("pa.png|PNG|(30, 40)")
+    expect(page.get_by_test_id("drop-message")).to_have_text("pa.png")
+    page.get_by_test_id("drop-Lateral image").set_input_files({"name": HOSTILE, "mimeType": "", "buffer": b"nothing"})
+    expect(page.get_by_test_id("drop-message")).to_contain_text(f"{HOSTILE}: the file is not an image")
+    expect(page.get_by_test_id("hostile")).to_contain_text("<img")
+    assert page.evaluate("window.hacked") is None
+
+
+def test_the_whole_page_takes_a_drop(app: Server, open_page: Callable[..., Page], png: Path) -> None:
+    page = open_page(app.url)
+    data = page.evaluate_handle(
+        """bytes => { const data = new DataTransfer();
+                      data.items.add(new File([new Uint8Array(bytes)], "dropped.png")); return data; }""",
+        list(png.read_bytes()),
+    )
+    page.dispatch_event("body", "dragenter", {"dataTransfer": data})
+    expect(page.get_by_test_id("drop-page")).to_be_visible()
+    page.dispatch_event("[data-testid='drop-panel-Lateral image']", "drop", {"dataTransfer": data})
+    expect(page.get_by_test_id("said")).to_have_text("dropped.png|PNG|(30, 40)")
+    expect(page.get_by_test_id("drop-page")).to_have_count(0)
