@@ -31,6 +31,21 @@ def test_a_camera_parallel_to_its_plates_is_found_exactly(method):
     assert all(check.passed for check in view.checks)
 
 
+@pytest.mark.parametrize("method", METHODS)
+def test_what_a_view_sees_is_what_it_projects(method):
+    camera = Camera.pa(bend=0.03)
+    view = calibrate(camera.observe(), EXACT, "pa", method)
+    along = np.linspace([-900.0, 30.0, -5.0], [1100.0, -45.0, 12.0], 1001)  # across the beam, far beyond the beads
+    behind = camera.focal_point_mm + np.array([[0.0, 0.0, 0.0], [1.0, 2.0, -30.0]])
+    points = np.concatenate([along, behind])
+    uv, seen = view.project_seen(points)
+    assert 30 < seen.sum() < 300
+    np.testing.assert_allclose(uv, view.project(points[seen]), atol=1e-9)
+    for point in points[~seen][::7]:
+        with pytest.raises(OutsideRegionError):
+            view.project(point[None])
+
+
 @pytest.mark.parametrize(("method", "plate"), CLASSICAL)
 def test_lines_may_go_through_either_plate(method, plate):
     camera = Camera.pa()

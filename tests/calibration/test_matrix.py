@@ -85,3 +85,11 @@ def test_what_is_no_view_is_refused(matrix, covariance, words):
 def test_pixels_that_are_none_are_refused():
     with pytest.raises(UnusableInputError, match="finite"):
         view_from_matrix(P).lines_of_sight(np.array([[np.nan, 1.0]]))
+
+
+def test_a_matrix_sees_whatever_lies_before_its_source():
+    view = view_from_matrix(P)
+    points = np.concatenate([TARGETS_MM, FOCAL_MM[None], FOCAL_MM - 40.0 * AXES[2:]])
+    uv, seen = view.project_seen(points)
+    np.testing.assert_array_equal(seen, [*[True] * len(TARGETS_MM), False, False])
+    np.testing.assert_allclose(uv, pixels(P), atol=1e-8)

@@ -45,6 +45,19 @@ def test_every_map_inverts_itself_and_knows_its_slope(method):
         np.testing.assert_allclose(plane_map.jacobian(WITHIN)[:, :, axis], (ahead - xy) / step, atol=2e-6)
 
 
+@pytest.mark.parametrize("method", METHODS)
+def test_points_without_an_image_hold_no_other_up(method):
+    """Beside points that have pixels stand such as lie far outside, whose Newton steps lead anywhere."""
+    plane_map = fit_map(grid(), bent(grid()), method, degree=5)
+    far = np.array([[900.0, -700.0], [-3e5, 2e5], [0.0, 600.0]])
+    uv, found = plane_map.find_image(np.concatenate([far[:1], plane_map.to_plane(WITHIN), far[1:]]))
+    np.testing.assert_array_equal(found, [False, *[True] * len(WITHIN), False, False])
+    np.testing.assert_allclose(uv, WITHIN, atol=1e-7)
+    with pytest.raises(OutsideRegionError):
+        plane_map.to_image(far)
+    assert plane_map.find_image(np.zeros((0, 2)))[0].shape == (0, 2)
+
+
 @pytest.mark.parametrize("degree", range(1, 8))
 def test_polynomial_is_exact_for_polynomials_of_its_degree(degree):
     plane_map = fit_map(grid(), bent(grid(), degree), "polynomial", degree=degree)

@@ -58,6 +58,13 @@ class StandInView:
         uv = self.to_image(self.plane.central_projection(self.focal_point_mm, xyz_mm))
         return self._within(uv)
 
+    def project_seen(self, xyz_mm: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        xy, seen = self.plane.shadows(self.focal_point_mm, xyz_mm)
+        uv = self.to_image(xy)
+        inside = np.linalg.norm(uv - CENTRE_PX, axis=-1) < LIMIT_PX
+        seen[seen] = inside
+        return uv[inside], seen
+
     def _within(self, uv_px: np.ndarray) -> np.ndarray:
         if not (np.linalg.norm(uv_px - CENTRE_PX, axis=-1) < LIMIT_PX).all():
             raise OutsideRegionError(f"view {self.name!r}: a point lies outside the calibrated region")

@@ -41,6 +41,15 @@ class BeadView:
         self.hull.refuse_far(uv)  # where no line of sight is given either
         return uv
 
+    def project_seen(self, xyz_mm: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Pixels (M, 2) of those of the points (N, 3) CFCS that `project` takes, and which these are, (N,) bool."""
+        xy, seen = self.plane.shadows(self.focal_point_mm, xyz_mm)
+        uv, found = self.plane_map.find_image(xy)
+        seen[seen] = found
+        near = self.hull.is_near(uv)
+        seen[seen] = near
+        return uv[near], seen
+
     def lines_of_sight(self, uv_px: np.ndarray) -> LinesOfSight:
         """Lines of sight of pixels (N, 2). Raises OutsideRegionError, UnusableInputError."""
         uv = np.asarray(uv_px, dtype=np.float64)
@@ -48,12 +57,13 @@ class BeadView:
             raise UnusableInputError(f"pixels must be finite and of the shape (N, 2); got the shape {uv.shape}")
         self.hull.refuse_far(uv)
         errors = self.posterior.line_errors(uv)
+        xy, jacobian = self.plane_map.linearised(uv)
         return LinesOfSight(
             view=self.name,
             plane=self.plane,
             focal_point_mm=self.focal_point_mm,
-            xy_mm=self.plane_map.to_plane(uv),
-            jacobian=self.plane_map.jacobian(uv),
+            xy_mm=xy,
+            jacobian=jacobian,
             covariance=errors.by_source(),
             frame_factor=errors.frame_factor,
             frame_key=self.frame_key,

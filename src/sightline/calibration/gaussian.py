@@ -1,6 +1,7 @@
 """Linear model with a Gaussian-process part: z = X theta + g + noise, theta unknown, g and the noise Gaussian."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy.linalg import get_lapack_funcs
@@ -73,25 +74,32 @@ class Solution:
         theta = solve_lower_transposed(r, solve_lower(r, white.T @ z))
         return Solution(factor, white, r, theta, solve_lower_transposed(factor, z - white @ theta))
 
-    def estimator(self, design: np.ndarray, cross: np.ndarray) -> np.ndarray:
-        """(k, n) weights: the estimate of design theta + g is these times the data; `cross` = cov(g there, data)."""
-        back = solve_lower(self.factor, cross.T).T
-        slope = solve_lower(self.r, (design - back @ self.white).T).T
-        fixed = solve_lower_transposed(self.r, slope.T).T @ self.white.T
-        return solve_lower_transposed(self.factor, (back + fixed).T).T
+    @cached_property
+    def _inverse(self) -> np.ndarray:
+        """factor^-1."""
+        return inverse_lower(self.factor)
 
-    def posterior(self, design: np.ndarray, cross: np.ndarray, prior: np.ndarray) -> np.ndarray:
-        """(k, k) covariance of the same; `prior` = cov(g there)."""
-        back = solve_lower(self.factor, cross.T).T
+    @cached_property
+    def _fixed(self) -> np.ndarray:
+        """(m, n): r^-1 white^T."""
+        return solve_lower(self.r, self.white.T)
+
+    def predict(self, design: np.ndarray, cross: np.ndarray, prior: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Of design theta + g: the weights (k, n), by which it is the data's, and its covariance (k, k).
+
+        `cross` = cov(g there, data), `prior` = cov(g there).
+        """
+        back = cross @ self._inverse.T
         slope = solve_lower(self.r, (design - back @ self.white).T).T
-        return prior - back @ back.T + slope @ slope.T
+        weights = (back + slope @ self._fixed) @ self._inverse
+        return weights, prior - back @ back.T + slope @ slope.T
 
     def residual_precision(self, size: int) -> np.ndarray:
         """(n / size, size, size): diagonal blocks of P = V^-1 - V^-1 X (X^T V^-1 X)^-1 X^T V^-1.
 
         The leave-one-out residual of block i is inv(P_ii) times its part of `dual`, and inv(P_ii) its covariance.
         """
-        inverse = inverse_lower(self.factor)
-        fixed = solve_lower(self.r, self.white.T) @ inverse
+        inverse = self._inverse
+        fixed = self._fixed @ inverse
         whole, taken = (part.T.reshape(-1, size, part.shape[0]) for part in (inverse, fixed))
         return np.einsum("iak,ibk->iab", whole, whole) - np.einsum("iak,ibk->iab", taken, taken)

@@ -1,6 +1,7 @@
 """The convex hull of the beads in the image."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy.spatial import ConvexHull
@@ -34,7 +35,7 @@ class Hull:
         hull = ConvexHull(uv_px)
         return Hull(uv_px[hull.vertices], hull.equations)
 
-    @property
+    @cached_property
     def radius_px(self) -> float:
         """Of the circle of equal area."""
         x, y = self.corners_px.T
@@ -48,9 +49,13 @@ class Hull:
         """(N,) bool."""
         return self.distance_px(uv_px) <= 0.0
 
+    def is_near(self, uv_px: np.ndarray) -> np.ndarray:
+        """(N,) bool: not too far outside for the map to be asked."""
+        return self.distance_px(uv_px) <= REACH * self.radius_px
+
     def refuse_far(self, uv_px: np.ndarray) -> None:
         """Raises OutsideRegionError for pixels too far outside."""
-        far = self.distance_px(uv_px) > REACH * self.radius_px
+        far = ~self.is_near(uv_px)
         if far.any():
             where = ", ".join(f"({u:.0f}, {v:.0f})" for u, v in uv_px[far][:3])
             raise OutsideRegionError(

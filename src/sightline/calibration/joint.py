@@ -8,6 +8,7 @@ estimated.
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -53,13 +54,17 @@ class JointFit:
         cross[3:] = _twice(self.map.kernel(at, self.map.controls_unit))
         prior = np.zeros((3 + 2 * n, 3 + 2 * n))
         prior[3:, 3:] = _twice(self.map.kernel(at, at))
-        weights = self.solution.estimator(design, cross)
-        total = self.solution.posterior(design, cross, prior)
-        by_point = np.einsum("kia,iab->kib", weights.reshape(len(weights), -1, 2), self.jacobian)
-        frame_factor = -by_point.reshape(len(weights), -1) @ self.beads.frame_factor()
+        weights, total = self.solution.predict(design, cross, prior)
+        frame_factor = -weights @ self._frame_in_data
         noise = weights @ self.noise @ weights.T
         misfit = total - noise - frame_factor @ frame_factor.T
         return LineErrors(noise, _without_negative(misfit), frame_factor)
+
+    @cached_property
+    def _frame_in_data(self) -> np.ndarray:
+        """(2N, K): response of the data to the unit-variance errors of `Frame.error_factor`."""
+        factor = self.beads.frame_factor()
+        return (self.jacobian @ factor.reshape(len(self.beads), 3, -1)).reshape(-1, factor.shape[1])
 
     def prediction_sigma(self, others: Beads) -> np.ndarray:
         """(M,) how far other beads lie from where this fit predicts them, in standard deviations."""

@@ -83,28 +83,42 @@ class LocalizedMap:
 
     def to_plane(self, uv_px: np.ndarray) -> np.ndarray:
         """Pixels (N, 2) to plane coordinates (N, 2), mm. Raises OutsideRegionError."""
-        a = self._affine[self._inside(uv_px)]
-        return np.einsum("nij,nj->ni", a[:, :, :2], uv_px) + a[:, :, 2]
+        return self.linearised(uv_px)[0]
 
     def jacobian(self, uv_px: np.ndarray) -> np.ndarray:
         """(N, 2, 2) d xy / d uv, mm/px: constant in a triangle. Raises OutsideRegionError."""
-        return self._affine[self._inside(uv_px)][:, :, :2]
+        return self.linearised(uv_px)[1]
+
+    def linearised(self, uv_px: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """`to_plane` and `jacobian`. Raises OutsideRegionError."""
+        a = self._affine[self._inside(uv_px)]
+        return np.einsum("nij,nj->ni", a[:, :, :2], uv_px) + a[:, :, 2], a[:, :, :2]
+
+    def find_image(self, xy_mm: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Pixels (M, 2) of those plane coordinates (N, 2) that lie in a triangle, and which do, (N,) bool."""
+        shares = np.einsum("tij,nj->nti", self._barycentric, np.column_stack([xy_mm, np.ones(len(xy_mm))]))
+        inside = (shares >= -_EDGE).all(axis=2)
+        found, first = inside.any(axis=1), inside.argmax(axis=1)
+        rows = np.flatnonzero(found)
+        return np.einsum("nk,nkc->nc", shares[rows, first[rows]], self.triangles_px[first[rows]]), found
+
+    @cached_property
+    def _barycentric(self) -> np.ndarray:
+        """(T, 3, 3): the shares of a used triangle's corners in (x, y, 1) of the plane."""
+        corners = self.controls_mm[self.triangulation.simplices[self.sound]]
+        return np.linalg.inv(np.concatenate([np.swapaxes(corners, 1, 2), np.ones((len(corners), 1, 3))], axis=1))
 
     def to_image(self, xy_mm: np.ndarray) -> np.ndarray:
         """Plane coordinates (N, 2) to pixels (N, 2), through the same triangles. Raises OutsideRegionError."""
         target = np.asarray(xy_mm, dtype=np.float64)
-        a = self._affine[self.sound]
-        out = np.empty_like(target)
-        for k, point in enumerate(target):
-            uv = np.linalg.solve(a[:, :, :2], (point - a[:, :, 2])[..., None])[..., 0]
-            hit = np.flatnonzero(_contains(self.triangles_px, uv))
-            if not len(hit):
-                raise OutsideRegionError(
-                    f"the point ({point[0]:.1f}, {point[1]:.1f}) mm of the plate lies in no triangle of fiducials; "
-                    "the localized method does not extrapolate: choose points inside the hull, or the smooth method"
-                )
-            out[k] = uv[hit[0]]
-        return out
+        uv, found = self.find_image(target)
+        if not found.all():
+            point = target[~found][0]
+            raise OutsideRegionError(
+                f"the point ({point[0]:.1f}, {point[1]:.1f}) mm of the plate lies in no triangle of fiducials; "
+                "the localized method does not extrapolate: choose points inside the hull, or the smooth method"
+            )
+        return uv
 
 
 def _flatness(triangles: np.ndarray) -> np.ndarray:
@@ -113,12 +127,3 @@ def _flatness(triangles: np.ndarray) -> np.ndarray:
     twice_area = np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])
     longest2 = np.max([(a**2).sum(1), (b**2).sum(1), ((a - b) ** 2).sum(1)], axis=0)
     return twice_area / np.maximum(longest2, 1e-300)
-
-
-def _contains(triangles: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """(T,) bool: triangle i (of (T, 3, 2)) contains point i (of (T, 2))."""
-    edges = np.roll(triangles, -1, axis=1) - triangles
-    to = points[:, None] - triangles
-    cross = edges[..., 0] * to[..., 1] - edges[..., 1] * to[..., 0]
-    area = np.abs(cross.sum(axis=1, keepdims=True))
-    return (cross >= -_EDGE * area).all(axis=1) | (cross <= _EDGE * area).all(axis=1)

@@ -30,17 +30,32 @@ class HomographyMap:
         """Plane coordinates (N, 2) to pixels (N, 2)."""
         return _apply(self.homography, xy_mm)
 
+    def find_image(self, xy_mm: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Pixels (M, 2) of those plane coordinates (N, 2) off the horizon, and which these are, (N,) bool."""
+        homogeneous, regular = _homogeneous(self.homography, xy_mm)
+        return homogeneous[regular, :2] / homogeneous[regular, 2:], regular
+
     def jacobian(self, uv_px: np.ndarray) -> np.ndarray:
         """(N, 2, 2) d xy / d uv, mm/px."""
+        return self.linearised(uv_px)[1]
+
+    def linearised(self, uv_px: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """`to_plane` and `jacobian`."""
         inverse = np.linalg.inv(self.homography)
         xy, depth = self.to_plane(uv_px), np.column_stack([uv_px, np.ones(len(uv_px))]) @ inverse[2]
-        return (inverse[:2, :2] - xy[:, :, None] * inverse[2, :2]) / depth[:, None, None]
+        return xy, (inverse[:2, :2] - xy[:, :, None] * inverse[2, :2]) / depth[:, None, None]
+
+
+def _homogeneous(matrix: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(N, 3) what a matrix makes of points (N, 2), and which lie off its horizon, (N,) bool."""
+    out = np.column_stack([points, np.ones(len(points))]) @ matrix.T
+    size = np.abs(matrix[2]) @ np.array([*np.abs(points).max(axis=0, initial=0.0), 1.0])
+    return out, np.abs(out[:, 2]) >= 1e-12 * size
 
 
 def _apply(matrix: np.ndarray, points: np.ndarray) -> np.ndarray:
-    homogeneous = np.column_stack([points, np.ones(len(points))]) @ matrix.T
-    size = np.abs(matrix[2]) @ np.array([*np.abs(points).max(axis=0, initial=0.0), 1.0])
-    if (np.abs(homogeneous[:, 2]) < 1e-12 * size).any():
+    homogeneous, regular = _homogeneous(matrix, points)
+    if not regular.all():
         raise OutsideRegionError("a point has no image: its ray runs parallel to the plane; check the matrix")
     return homogeneous[:, :2] / homogeneous[:, 2:]
 
@@ -72,6 +87,13 @@ class MatrixView:
         """Points (N, 3) CFCS to pixels (N, 2). Raises OutsideRegionError."""
         xyz = np.asarray(xyz_mm, dtype=np.float64)
         return self.plane_map.to_image(self.plane.central_projection(self.focal_point_mm, xyz))
+
+    def project_seen(self, xyz_mm: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Pixels (M, 2) of those of the points (N, 3) CFCS that `project` takes, and which these are, (N,) bool."""
+        xy, seen = self.plane.shadows(self.focal_point_mm, xyz_mm)
+        uv, found = self.plane_map.find_image(xy)
+        seen[seen] = found
+        return uv, seen
 
     def lines_of_sight(self, uv_px: np.ndarray) -> LinesOfSight:
         """Lines of sight of pixels (N, 2); of unknown error where the matrix has no covariance."""

@@ -1,11 +1,11 @@
 """Plane map: one polynomial per coordinate over the whole field (the paper's "global" compensation)."""
 
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, cached_property
 
 import numpy as np
 
-from sightline.calibration.inverse import invert
+from sightline.calibration.inverse import Inverse
 from sightline.errors import CalibrationRefusedError, UnusableInputError
 
 DEGREES = range(1, 8)
@@ -49,8 +49,20 @@ def monomials(xy: np.ndarray, degree: int) -> np.ndarray:
 
 def monomial_gradients(xy: np.ndarray, degree: int) -> np.ndarray:
     """(N, terms, 2) derivatives of `monomials` by x and y."""
-    (x, y), (i, j) = _powers(xy, degree), _exponents(degree)
-    return np.stack([i * x[:, i - (i > 0)] * y[:, j], j * x[:, i] * y[:, j - (j > 0)]], axis=-1)
+    return np.stack([monomials(xy, degree) @ by for by in derivatives(degree)], axis=-1)
+
+
+@cache
+def derivatives(degree: int) -> tuple[np.ndarray, np.ndarray]:
+    """Two (terms, terms): they take a polynomial's coefficients to those of its derivative by x, and by y."""
+    powers = [tuple(p) for p in _exponents(degree).T.tolist()]
+    out = np.zeros((2, len(powers), len(powers)))
+    for column, (i, j) in enumerate(powers):
+        if i:
+            out[0, powers.index((i - 1, j)), column] = i
+        if j:
+            out[1, powers.index((i, j - 1)), column] = j
+    return out[0], out[1]
 
 
 @cache
@@ -61,7 +73,10 @@ def _exponents(degree: int) -> np.ndarray:
 
 def _powers(xy: np.ndarray, degree: int) -> np.ndarray:
     """(2, N, degree + 1) powers of x and of y from 0."""
-    return np.stack([np.vander(axis, degree + 1, increasing=True) for axis in xy.T])
+    out = np.ones((2, len(xy), degree + 1))
+    for k in range(degree):
+        np.multiply(out[:, :, k], xy.T, out=out[:, :, k + 1])
+    return out
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,9 +122,22 @@ class PolynomialMap:
 
     def jacobian(self, uv_px: np.ndarray) -> np.ndarray:
         """(N, 2, 2) d xy / d uv, mm/px."""
-        by_unit = np.einsum("nkd,kc->ncd", monomial_gradients(self.unit(uv_px), self.degree), self.coefficients)
-        return by_unit @ self.unit.matrix
+        return self.linearised(uv_px)[1]
+
+    def linearised(self, uv_px: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """`to_plane` and `jacobian`."""
+        basis = monomials(self.unit(uv_px), self.degree)
+        by_unit = np.stack([basis @ (by @ self.coefficients) for by in derivatives(self.degree)], axis=-1)
+        return basis @ self.coefficients, by_unit @ self.unit.matrix
+
+    def find_image(self, xy_mm: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Pixels (M, 2) of those plane coordinates (N, 2) that have any, and which do, (N,) bool."""
+        return self._inverse.find(xy_mm)
 
     def to_image(self, xy_mm: np.ndarray) -> np.ndarray:
-        """Plane coordinates (N, 2) to pixels (N, 2), by Newton's method. Raises OutsideRegionError."""
-        return invert(self, xy_mm, self.controls_px)
+        """Plane coordinates (N, 2) to pixels (N, 2). Raises OutsideRegionError."""
+        return self._inverse(xy_mm)
+
+    @cached_property
+    def _inverse(self) -> Inverse:
+        return Inverse.of(self, self.controls_px)

@@ -25,7 +25,7 @@ class LineErrors:
         knowing it adds.
         """
         own = self.noise + self.misfit
-        gain = own[:, :3] @ np.linalg.pinv(own[:3, :3], hermitian=True)  # (3 + 2N, 3): regression on the focal point
+        gain = own[:, :3] @ _pseudo_inverse(own[:3, :3])  # (3 + 2N, 3): regression on the focal point
         rest = np.eye(len(own))
         rest[:, :3] -= gain
         return {
@@ -34,6 +34,13 @@ class LineErrors:
             "focal_point": _symmetric(gain @ own[:3, :3] @ gain.T),
             "frame": self.frame_factor @ self.frame_factor.T,
         }
+
+
+def _pseudo_inverse(covariance: np.ndarray) -> np.ndarray:
+    """Of a covariance that may be singular, even zero."""
+    values, vectors = np.linalg.eigh(covariance)
+    kept = values > 1e-15 * values[-1]
+    return (vectors[:, kept] / values[kept]) @ vectors[:, kept].T
 
 
 def _symmetric(matrix: np.ndarray) -> np.ndarray:

@@ -15,7 +15,7 @@ from heapq import heappop, heappush
 import numpy as np
 
 from sightline.calibration.gaussian import cholesky, solve_lower
-from sightline.calibration.polynomial import monomial_gradients, monomials
+from sightline.calibration.polynomial import monomials
 
 # Grid and hyper-prior [ours]: chosen on real plates and the twin together, where results depend little on them
 # (docs/choosing-a-method.md). Amplitude: expected rms of what a cubic leaves, in radii of the region.
@@ -23,6 +23,7 @@ LENGTHS = np.array([0.25, 0.4, 0.65])
 LENGTH_MEDIAN, LENGTH_SPREAD = 0.45, 0.6  # log-normal
 AMPLITUDES = np.geomspace(1e-5, 1e-2, 8)
 AMPLITUDE_MEDIAN, AMPLITUDE_SPREAD = 1.5e-3, 1.3  # log-normal
+QUINTIC = 5
 QUINTIC_SHARE = 0.75  # of that mean square, what is of degree 4 and 5
 NEGLIGIBLE = 1e-6  # of the largest mean square
 WEIGHTLESS = 15.0  # logarithm of a weight, against the largest, that changes no digit that is shown [calc]
@@ -50,21 +51,14 @@ class Kernel:
     def __call__(self, a: np.ndarray, b: np.ndarray) -> np.ndarray:
         """(N, M) for unit coordinates (N, 2), (M, 2), mm²."""
         d2 = squared_distances(a, b)
-        out = self.quintic_mm2 * (monomials(a, 5) @ _quintics()) @ (monomials(b, 5) @ _quintics()).T
+        out = self.quintic_mm2 * (monomials(a, QUINTIC) @ _quintics()) @ (monomials(b, QUINTIC) @ _quintics()).T
         for variance, length in zip(self.variances_mm2, self.lengths, strict=True):
             out += variance * np.exp(d2 * (-0.5 / length**2))
         return out
 
-    def gradient(self, a: np.ndarray, b: np.ndarray, weights: np.ndarray) -> np.ndarray:
-        """(N, c, 2): derivatives by a of kernel(a, b) @ weights (M, c)."""
-        d2 = squared_distances(a, b)
-        slope = np.zeros_like(d2)
-        for variance, length in zip(self.variances_mm2, self.lengths, strict=True):
-            slope += (variance / length**2) * np.exp(d2 * (-0.5 / length**2))
-        moments = (b[:, None, :] * weights[:, :, None]).reshape(len(b), -1)
-        rough = (slope @ moments).reshape(len(a), -1, 2) - a[:, None, :] * (slope @ weights)[:, :, None]
-        quintic = _quintics() @ (_quintics().T @ (monomials(b, 5).T @ weights)) * self.quintic_mm2
-        return rough + np.einsum("nkd,kc->ncd", monomial_gradients(a, 5), quintic)
+    def quintic_of(self, b: np.ndarray, weights: np.ndarray) -> np.ndarray:
+        """(21, c): what the part of degree 4 and 5 is in kernel(., b) @ weights (M, c): a polynomial's coefficients."""
+        return self.quintic_mm2 * (_quintics() @ (_quintics().T @ (monomials(b, QUINTIC).T @ weights)))
 
 
 @lru_cache(maxsize=1)
@@ -79,7 +73,7 @@ def _disc() -> np.ndarray:
 def _quintics() -> np.ndarray:
     """(21, 11): coefficients of polynomials of degree 4 and 5, orthogonal on the disc to each other and to every cubic,
     whose mean squares add up to 1."""
-    r = np.linalg.qr(monomials(_disc(), 5))[1]
+    r = np.linalg.qr(monomials(_disc(), QUINTIC))[1]
     return np.linalg.inv(r)[:, 10:] * np.sqrt(len(_disc()) / 11)
 
 
@@ -174,7 +168,7 @@ def _weights(score: Callable[[tuple[int, ...]], float], hyper: np.ndarray) -> np
 def _shapes(unit_xy: np.ndarray) -> list[np.ndarray]:
     """(N, N) covariance for each of LENGTHS, of unit amplitude."""
     d2 = squared_distances(unit_xy, unit_xy)
-    features = monomials(unit_xy, 5) @ _quintics()
+    features = monomials(unit_xy, QUINTIC) @ _quintics()
     quintic = QUINTIC_SHARE * features @ features.T
     return [
         quintic + (1 - QUINTIC_SHARE) / _beyond_cubic(length) * np.exp(d2 * (-0.5 / length**2)) for length in LENGTHS

@@ -1,13 +1,14 @@
 """Plane map: a cubic plus a Gaussian process."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from sightline.calibration.gaussian import Solution
-from sightline.calibration.inverse import invert
-from sightline.calibration.polynomial import Affine, monomial_gradients, monomials, terms
-from sightline.calibration.prior import NOISE_SCALES_PX, Kernel, Problem, learn
+from sightline.calibration.inverse import Inverse
+from sightline.calibration.polynomial import Affine, derivatives, monomial_gradients, monomials, terms
+from sightline.calibration.prior import NOISE_SCALES_PX, QUINTIC, Kernel, Problem, learn
 from sightline.errors import CalibrationRefusedError
 
 DEGREE = 3
@@ -28,38 +29,78 @@ class SmoothMap:
     dual: np.ndarray
     controls_px: np.ndarray
 
-    @property
+    @cached_property
     def controls_unit(self) -> np.ndarray:
         """(N, 2) the controls in unit coordinates."""
         return self.unit(self.controls_px)
 
     def to_plane(self, uv_px: np.ndarray) -> np.ndarray:
         """Pixels (N, 2) to plane coordinates (N, 2), mm: the posterior mean."""
-        controls = self.controls_unit
-        blocks = [
-            monomials(at, DEGREE) @ self.cubic + self.kernel(at, controls) @ self.dual for at in self._blocks(uv_px)
-        ]
-        return np.concatenate(blocks)
+        return np.concatenate([self._terms(at)[:, :2] for at in self._blocks(uv_px)])
 
     def jacobian(self, uv_px: np.ndarray) -> np.ndarray:
         """(N, 2, 2) d xy / d uv, mm/px."""
-        controls = self.controls_unit
-        blocks = [
-            np.einsum("nkd,kc->ncd", monomial_gradients(at, DEGREE), self.cubic)
-            + self.kernel.gradient(at, controls, self.dual)
-            for at in self._blocks(uv_px)
-        ]
-        return np.concatenate(blocks) @ self.unit.matrix
+        return self.linearised(uv_px)[1]
+
+    def linearised(self, uv_px: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """`to_plane` and `jacobian`."""
+        blocks = self._blocks(uv_px)
+        terms, at = np.concatenate([self._terms(at) for at in blocks]), np.concatenate(blocks)
+        by_unit = terms[:, 2:6].reshape(-1, 2, 2) - terms[:, 6:, None] * at[:, None, :]
+        return terms[:, :2], by_unit @ self.unit.matrix
+
+    def _terms(self, at: np.ndarray) -> np.ndarray:
+        """(N, 8) at unit coordinates (N, 2): xy; its derivatives by them but for at * what the last two columns hold.
+
+        The derivative of exp(-|a - b|² / 2 l²) by a is that times (b - a) / l².
+        """
+        square = (at**2).sum(axis=1, keepdims=True)
+        rough = np.exp(np.hstack([at, square, np.ones_like(square)]) @ self._exponents)
+        return monomials(at, QUINTIC) @ self._polynomial + rough @ self._rough
+
+    @cached_property
+    def _exponents(self) -> np.ndarray:
+        """(4, lengths * N): takes (a, |a|², 1) to -|a - control|² / 2 length²."""
+        b = self.controls_unit
+        whole = np.vstack([-2 * b.T, np.ones(len(b)), (b**2).sum(axis=1)])
+        return np.hstack([whole * (-0.5 / length**2) for length in self.kernel.lengths])
+
+    @cached_property
+    def _rough(self) -> np.ndarray:
+        """(lengths * N, 8): what the process's exponentials count for in `_terms`."""
+        moments = (self.controls_unit[:, None, :] * self.dual[:, :, None]).reshape(-1, 4)
+        return np.vstack(
+            [
+                variance * np.hstack([self.dual, moments / length**2, self.dual / length**2])
+                for variance, length in zip(self.kernel.variances_mm2, self.kernel.lengths, strict=True)
+            ]
+        )
+
+    @cached_property
+    def _polynomial(self) -> np.ndarray:
+        """(21, 8): what monomials count for in `_terms`: the cubic, and the process's part of degree 4 and 5."""
+        whole = self.kernel.quintic_of(self.controls_unit, self.dual)
+        whole[: len(self.cubic)] += self.cubic
+        slopes = np.stack([by @ whole for by in derivatives(QUINTIC)], axis=-1)
+        return np.hstack([whole, slopes.reshape(-1, 4), np.zeros_like(whole)])
 
     def _blocks(self, uv_px: np.ndarray) -> list[np.ndarray]:
-        """Unit coordinates in parts, so that the kernel of millions of pixels is never held at once."""
-        rows = max(1, BLOCK // len(self.controls_px))
+        """Unit coordinates in parts, so that the exponentials of millions of pixels are never held at once."""
+        rows = max(1, BLOCK // self._exponents.shape[1])
         at = self.unit(uv_px)
         return [at[k : k + rows] for k in range(0, max(len(at), 1), rows)]
 
+    def find_image(self, xy_mm: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Pixels (M, 2) of those plane coordinates (N, 2) that have any, and which do, (N,) bool."""
+        return self._inverse.find(xy_mm)
+
     def to_image(self, xy_mm: np.ndarray) -> np.ndarray:
-        """Plane coordinates (N, 2) to pixels (N, 2), by Newton's method. Raises OutsideRegionError."""
-        return invert(self, xy_mm, self.controls_px)
+        """Plane coordinates (N, 2) to pixels (N, 2). Raises OutsideRegionError."""
+        return self._inverse(xy_mm)
+
+    @cached_property
+    def _inverse(self) -> Inverse:
+        return Inverse.of(self, self.controls_px)
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,4 +138,5 @@ class FittedSmoothMap(SmoothMap):
     def covariance_mm2(self, uv_px: np.ndarray) -> np.ndarray:
         """(N, N) posterior covariance of one plane coordinate at pixels (N, 2); x and y are independent and alike."""
         at = self.unit(uv_px)
-        return self.solution.posterior(monomials(at, DEGREE), self.kernel(at, self.controls_unit), self.kernel(at, at))
+        cross, prior = self.kernel(at, self.controls_unit), self.kernel(at, at)
+        return self.solution.predict(monomials(at, DEGREE), cross, prior)[1]

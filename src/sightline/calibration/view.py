@@ -23,8 +23,16 @@ class PlaneMap(Protocol):
         """Plane coordinates (N, 2) to pixels (N, 2)."""
         ...
 
+    def find_image(self, xy_mm: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Pixels (M, 2) of those plane coordinates (N, 2) that have any, and which do, (N,) bool."""
+        ...
+
     def jacobian(self, uv_px: np.ndarray) -> np.ndarray:
         """d(to_plane)/d(uv) at pixels (N, 2): (N, 2, 2), mm/px."""
+        ...
+
+    def linearised(self, uv_px: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """`to_plane` and `jacobian` at pixels (N, 2)."""
         ...
 
 
@@ -89,6 +97,10 @@ class CalibratedView(Protocol):
 
     def project(self, xyz_mm: np.ndarray) -> np.ndarray:
         """Points (N, 3) CFCS to pixels (N, 2). Raises OutsideRegionError."""
+        ...
+
+    def project_seen(self, xyz_mm: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Pixels (M, 2) of those of the points (N, 3) CFCS that `project` takes, and which these are, (N,) bool."""
         ...
 
     def lines_of_sight(self, uv_px: np.ndarray) -> LinesOfSight:

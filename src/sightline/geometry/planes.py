@@ -80,11 +80,21 @@ class Plane:
         Raises OutsideRegionError for a point level with the focal point or behind it: it casts no shadow on the plane.
         """
         focal = np.asarray(focal_point_mm)
-        h = self.height_mm(focal)
-        ahead = 1 - self.height_mm(xyz_mm) / h if h else np.zeros(1)
+        ahead = self._ahead(focal, xyz_mm)
         if not np.all(ahead > 0):
             raise OutsideRegionError(
                 "a point lies level with the focal point or behind it and casts no shadow on the plate; "
                 "check its coordinates, and which plate is nearer to the source"
             )
         return self.to_plane(focal + (np.asarray(xyz_mm) - focal) / np.asarray(ahead)[..., None])
+
+    def shadows(self, focal_point_mm: np.ndarray, xyz_mm: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """`central_projection` (M, 2) of those points (N, 3) that cast a shadow, and which do, (N,) bool."""
+        xyz, ahead = np.asarray(xyz_mm), self._ahead(focal_point_mm, xyz_mm)
+        casts = ahead > 0
+        return self.to_plane(focal_point_mm + (xyz[casts] - focal_point_mm) / ahead[casts, None]), casts
+
+    def _ahead(self, focal_point_mm: np.ndarray, xyz_mm: np.ndarray) -> np.ndarray:
+        """(...): distance of points (..., 3) before the focal point, over that of the plane; zero if F is in it."""
+        h = self.height_mm(focal_point_mm)
+        return 1 - self.height_mm(xyz_mm) / h if h else np.zeros(np.shape(xyz_mm)[:-1])

@@ -12,7 +12,6 @@ from sightline.planning.residuals import Residuals, pick_covariance_mm2
 STEP_MM = 2.0  # about 10 px: the chord of a distorted line is then off by less than 0.01 px [ours]
 TICK_MM = 10.0  # [ours]
 _BAND_EVERY = 5  # samples: the band is as smooth as the map's covariance, which follows the beads' pitch
-_COARSE = 16  # samples: the first stride when the visible stretch is looked for
 _TWO_SIDED_95 = 1.959964  # normal quantile
 # A click farther than this from the curve is not a click on the curve: about 8 mm at the hip [ours].
 FARTHEST_SNAP_PX = 25.0
@@ -61,14 +60,13 @@ def matching_curve(
     length = float(np.linalg.norm(line.points_mm[0] - line.focal_point_mm))
     depth = STEP_MM * np.arange(-(length // STEP_MM), length // STEP_MM)
     xyz = line.points_mm[0] + depth[:, None] * towards
-    seen = _seen(to_view, xyz)
-    if seen.stop - seen.start < 3:
+    curve_px, seen = _seen(to_view, xyz)
+    if len(curve_px) < 3:
         raise OutsideRegionError(
             f"view {to_view.name!r} sees no part of the line of sight picked in view {from_view.name!r}; "
             "pick a point that both images show, or take the images again with the target nearer to their middle"
         )
     depth, xyz = depth[seen], xyz[seen]
-    curve_px = to_view.project(xyz)
     tangent = np.gradient(curve_px, depth, axis=0, edge_order=2)
     tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
     pick = DEFAULT_PICK_SD_PX**2 * np.eye(2) if uv_covariance_px2 is None else np.asarray(uv_covariance_px2)
@@ -113,32 +111,18 @@ def snap(curve: MatchingCurve, uv_px: np.ndarray, sd_px: float = DEFAULT_PICK_SD
     return Pick(nearest[best], sd_px**2 * np.outer(tangent, tangent), _turned(tangent))
 
 
-def _seen(view: CalibratedView, xyz_mm: np.ndarray) -> slice:
-    """Which points (S, 3) of a line the view can project: one stretch, looked for around the foot of the line, the
-    point nearest to the view's focal point, and widened until it ends. Empty where there is none."""
-
-    def sees(i: int) -> bool:
-        try:
-            view.project(xyz_mm[i : i + 1])
-        except OutsideRegionError:
-            return False
-        return True
-
-    def last(seen: int, way: int) -> int:
-        stride = _COARSE
-        while stride:
-            following = seen + way * stride
-            if 0 <= following < n and sees(following):
-                seen = following
-            else:
-                stride //= 2
-        return seen
-
-    n = len(xyz_mm)
+def _seen(view: CalibratedView, xyz_mm: np.ndarray) -> tuple[np.ndarray, slice]:
+    """Pixels (M, 2) of those of the points (S, 3) of a line that the view can project, and which these are: one
+    stretch, the nearest to the foot of the line, the point nearest to the view's focal point."""
+    uv, seen = view.project_seen(xyz_mm)
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], seen, [False]]).astype(np.int8))).reshape(-1, 2)
+    if not len(edges):
+        return uv, slice(0, 0)
     foot = int(np.argmin(np.linalg.norm(xyz_mm - view.focal_point_mm, axis=1)))
-    candidates = sorted(range(foot % _COARSE, n, _COARSE), key=lambda i: abs(i - foot))
-    found = next((i for i in candidates if sees(i)), None)
-    return slice(0, 0) if found is None else slice(last(found, -1), last(found, 1) + 1)
+    away = np.maximum(np.maximum(edges[:, 0] - foot, foot - edges[:, 1] + 1), 0)
+    first, last = (int(k) for k in edges[np.argmin(away)])
+    before = int(np.count_nonzero(seen[:first]))
+    return uv[before : before + last - first], slice(first, last)
 
 
 def _turned(tangent_px: np.ndarray) -> np.ndarray:

@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from typing import Literal
 
 import numpy as np
-from scipy.linalg import block_diag
 
 from sightline.calibration.view import CalibratedView, LinesOfSight
 from sightline.errors import ReconstructionRefusedError, UnusableInputError
@@ -141,13 +140,15 @@ def _covariances(
     by_source = covariance_by_source(*residuals)
     if by_source is None:
         return None
-    picks = [pick_covariance_mm2(r.lines, c) for r, c in zip(residuals, pick_covariance_px2, strict=True)]
-    by_source["picks"] = np.asarray(block_diag(*picks[0], *picks[1]))
-    n = len(picks[0])
-    return {
+    n = len(pick_covariance_px2[0])
+    out = {
         source: c.reshape(2, n, 2, 2, n, 2).transpose(1, 0, 2, 4, 3, 5).reshape(n, 4, n, 4)
         for source, c in by_source.items()
     }
+    picks = np.zeros((n, 2, 2, n, 2, 2))
+    for k, (r, covariance_px2) in enumerate(zip(residuals, pick_covariance_px2, strict=True)):
+        picks[range(n), k, :, range(n), k, :] = pick_covariance_mm2(r.lines, covariance_px2)
+    return out | {"picks": picks.reshape(n, 4, n, 4)}
 
 
 def _own(covariances: dict[str, np.ndarray]) -> np.ndarray:
