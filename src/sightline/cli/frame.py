@@ -1,10 +1,11 @@
-"""`sightline frame new | show | check`: calibration frames as files."""
+"""`sightline frame new | show | check`, and the group of all `frame` commands: calibration frames as files."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from sightline.cli import frame_fit
 from sightline.cli.output import Json, Output, Quiet
 
 if TYPE_CHECKING:
@@ -18,6 +19,7 @@ FrameSource = Annotated[str, typer.Argument(metavar="FRAME", help='Frame file, o
 
 def register(parent: typer.Typer) -> None:
     """Add the commands."""
+    frame_fit.register(app)
     parent.add_typer(app, name="frame")
 
 

@@ -1,0 +1,157 @@
+"""`sightline frame fit`: a frame file from measurements of the balls."""
+
+from datetime import datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from sightline.cli.output import Json, Output, Quiet
+
+if TYPE_CHECKING:
+    from sightline.frame.fit import FittedFrame
+
+_SHOWN = 8  # balls in the table; --json has them all
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command to `sightline frame`."""
+    app.command("fit")(fit)
+
+
+def fit(
+    measurements: Annotated[Path, typer.Argument(help="Measured balls, CSV (docs/own-frame.md).")],
+    *,
+    frame: Annotated[str, typer.Option(help="The frame as it was to be: a file, or gamma, biplane, stereo.")],
+    out: Annotated[Path, typer.Option(help="The frame file to write.")],
+    covariance: Annotated[Path | None, typer.Option(help="Full covariance of all coordinates, CSV, mm².")] = None,
+    serial: Annotated[str | None, typer.Option(help="Which frame of this kind it is.")] = None,
+    measured_on: Annotated[datetime | None, typer.Option(formats=["%Y-%m-%d"], help="Day of the measurement.")] = None,
+    temperature_c: Annotated[float | None, typer.Option(help="How warm the frame was.")] = None,
+    use_temperature_c: Annotated[float | None, typer.Option(help="How warm it will be: the plates grow to it.")] = None,
+    drift_mm: Annotated[
+        float, typer.Option(help="How far a plate may move until it is used, 1 s.d. per axis: heat, water, drapes.")
+    ] = 0.05,
+    json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Adjust a frame to measurements of its balls, find what is wrong with them, and write the measured frame."""
+    with Output(json=json, quiet=quiet) as output:
+        from sightline.errors import FrameError
+        from sightline.frame import Frame
+        from sightline.frame.fit import Circumstances, fit_frame
+        from sightline.frame.measurements import read_measurements
+
+        if out.exists():
+            raise FrameError(f"{out.name} exists; remove it, or name another file")
+        day = measured_on.date().isoformat() if measured_on else None
+        told = Circumstances(serial, day, temperature_c, use_temperature_c, drift_mm)
+        nominal = Frame.load(frame)
+        series = read_measurements(measurements, covariance)
+        with output.step("adjusting the frame"):
+            fitted = fit_frame(nominal, series, told)
+        document = _document(fitted)
+        _show(output, document)
+        if fitted.frame is not None:
+            fitted.frame.save(out)
+            if told.growth:
+                output.say(
+                    f"plates grown by {1e6 * told.growth:.0f} ppm, from {temperature_c:g} to {use_temperature_c:g} °C"
+                )
+            output.say(f"wrote {out}")
+        output.result({"file": out if fitted.frame else None, "growth": told.growth, **document}, fitted.checks)
+
+
+def _document(fitted: "FittedFrame") -> dict[str, Any]:
+    found = {
+        "series": [
+            {"name": one.series, "mirrored": one.mirrored, "renamed": one.renamed, "astray_mm": one.astray_mm}
+            for one in fitted.identified
+        ],
+        "missing": fitted.missing,
+    }
+    adjusted = fitted.adjusted
+    if adjusted is None or fitted.deviation_mm is None or fitted.sigma is None:
+        return found
+    import numpy as np
+
+    sd = np.sqrt(np.diag(adjusted.covariance_mm2).reshape(-1, 3))
+    return found | {
+        "fle_mm": {
+            "from_nominal_rms": float(np.sqrt((fitted.deviation_mm**2).sum(axis=1).mean())),
+            "from_nominal_rms_per_axis": np.sqrt((fitted.deviation_mm**2).mean(axis=0)),
+            "measured_rms": float(np.sqrt((sd**2).sum(axis=1).mean())),
+            "measured_rms_per_axis": np.sqrt((sd**2).mean(axis=0)),
+            "instrument_per_axis": adjusted.instrument_mm,
+            "manufacturing_per_axis": float(np.sqrt(np.mean([p.manufacturing_mm**2 for p in fitted.plates]))),
+        },
+        "plates": [
+            {
+                "view": p.view,
+                "plate": p.plate,
+                "measured": p.measured,
+                "shift_mm": p.shift_mm,
+                "turn_rad": p.turn_rad,
+                "growth_ppm": p.growth_ppm,
+                "in_plane_rms_mm": p.in_plane_rms_mm,
+                "across_rms_mm": p.across_rms_mm,
+                "manufacturing_mm": p.manufacturing_mm,
+            }
+            for p in fitted.plates
+        ],
+        "balls": [
+            {"id": ball, "xyz_mm": xyz, "deviation_mm": moved, "sd_mm": error, "sigma": float(sigma)}
+            for ball, xyz, moved, error, sigma in zip(
+                adjusted.ids, adjusted.xyz_mm, fitted.deviation_mm, sd, fitted.sigma, strict=True
+            )
+        ],
+        "left_out": [{"series": series, "id": ball} for series, ball in adjusted.left_out],
+    }
+
+
+def _show(output: Output, document: dict[str, Any]) -> None:
+    for series in document["series"]:
+        if series["renamed"]:
+            rows = list(series["renamed"].items())
+            output.table(f"Series {series['name']}: ids that fit other balls", ("measured as", "fits"), rows)
+    if "plates" not in document:
+        return
+    output.table(
+        "Plates, measured less frame file",
+        ("view", "plate", "balls", "shift mm", "turn mrad", "growth ppm", "drilling mm", "across mm"),
+        [
+            (
+                p["view"],
+                p["plate"],
+                p["measured"],
+                " ".join(f"{x:+.3f}" for x in p["shift_mm"]),
+                " ".join(f"{1e3 * x:+.2f}" for x in p["turn_rad"]),
+                f"{p['growth_ppm']:+.0f}",
+                f"{p['manufacturing_mm']:.4f}",
+                f"{p['across_rms_mm']:.4f}",
+            )
+            for p in document["plates"]
+        ],
+    )
+    output.table(
+        f"Balls furthest from where the others put them (of {len(document['balls'])})",
+        ("ball", "measured less file mm", "sd mm", "s.d. off"),
+        [
+            (
+                ball["id"],
+                " ".join(f"{x:+.3f}" for x in ball["deviation_mm"]),
+                " ".join(f"{x:.4f}" for x in ball["sd_mm"]),
+                f"{ball['sigma']:.1f}",
+            )
+            for ball in sorted(document["balls"], key=lambda ball: -ball["sigma"])[:_SHOWN]
+        ],
+    )
+    fle = document["fle_mm"]
+    output.say(
+        f"FLE: balls lie {fle['from_nominal_rms']:.3f} mm rms from the frame file and are now known to "
+        f"{fle['measured_rms']:.4f} mm rms; drilling {fle['manufacturing_per_axis']:.4f} mm per axis"
+    )
+    if (instrument := fle["instrument_per_axis"]) is not None:
+        output.say(f"the repeats show an instrument of {instrument:.4f} mm per axis")
+    if missing := document["missing"]:
+        output.say(f"not measured, placed by the others: {', '.join(missing)}")

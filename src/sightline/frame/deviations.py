@@ -1,0 +1,123 @@
+"""How a measured frame differs from the one it was to be, ball by ball and plate by plate."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from sightline.frame.model import ROLES, Fiducial, Frame, Plate
+from sightline.geometry.planes import Plane
+from sightline.geometry.rigid import displacement
+
+# [ours] the frame as a whole may lie so far, mm, from where its file has it, before it is called an error of a plate.
+WHOLE_FRAME_MM = 10.0
+
+
+@dataclass(frozen=True, eq=False)
+class Completed:
+    """All M balls of a frame. `moved_mm` (M, 3): from their nominal places; `covariance_mm2` (3M, 3M) of that.
+
+    `sigma` (N,): of the N measured balls, how far each lies from where all others and the tolerances put it, over its
+    own standard deviation.
+    """
+
+    moved_mm: np.ndarray
+    covariance_mm2: np.ndarray
+    sigma: np.ndarray
+
+
+def complete(frame: Frame, rows: np.ndarray, moved_mm: np.ndarray, covariance_mm2: np.ndarray) -> Completed:
+    """From `moved_mm` (N, 3) of the balls `rows` (N,) of the frame, and its covariance (3N, 3N).
+
+    Measured balls stay where they were measured. The others are where the frame's tolerances and these put them.
+    """
+    all_xyz = np.array([f.xyz_mm for f in fiducials(frame)])
+    centred = all_xyz - all_xyz.mean(axis=0)
+    whole = displacement(centred).reshape(-1, 6) * WHOLE_FRAME_MM
+    whole[:, :3] /= np.linalg.norm(centred, axis=1).mean()
+    tolerance = np.hstack([frame.error_factor, whole])
+    seen = (3 * rows[:, None] + np.arange(3)).ravel()
+    unseen = np.setdiff1d(np.arange(len(tolerance)), seen)
+    own, others = tolerance[seen], tolerance[unseen]
+    precision = np.linalg.inv(own @ own.T + covariance_mm2)
+    pull = (precision @ moved_mm.ravel()).reshape(-1, 3)
+    n = len(rows)
+    blocks = precision.reshape(n, 3, n, 3)[range(n), :, range(n), :]
+    sigma = np.sqrt(np.einsum("na,na->n", pull, np.linalg.solve(blocks, pull[..., None])[..., 0]))
+    gain = others @ own.T @ precision
+    out, error = np.zeros(len(tolerance)), np.zeros((len(tolerance), len(tolerance)))
+    out[seen], out[unseen] = moved_mm.ravel(), gain @ moved_mm.ravel()
+    error[np.ix_(seen, seen)] = covariance_mm2
+    error[np.ix_(unseen, seen)] = gain @ covariance_mm2
+    error[np.ix_(seen, unseen)] = error[np.ix_(unseen, seen)].T
+    error[np.ix_(unseen, unseen)] = others @ others.T - gain @ own @ others.T
+    return Completed(out.reshape(-1, 3), (error + error.T) / 2, sigma)
+
+
+@dataclass(frozen=True, eq=False)
+class PlateDeviation:
+    """How one plate differs from the frame's file: moved as a whole (CFCS), grown about its middle, its balls in it.
+
+    `in_plane_rms_mm`, `across_rms_mm`: of the balls, per axis, from the moved and grown plate; the instrument's share
+    is still in them, `instrument_mm` per axis.
+    """
+
+    view: str
+    plate: str
+    measured: int
+    shift_mm: np.ndarray
+    turn_rad: np.ndarray
+    growth_ppm: float
+    in_plane_rms_mm: float
+    across_rms_mm: float
+    instrument_mm: float
+
+    @property
+    def manufacturing_mm(self) -> float:
+        """S.d. per axis of the drilling in the plate, the instrument's noise taken off."""
+        return float(np.sqrt(max(0.0, self.in_plane_rms_mm**2 - self.instrument_mm**2)))
+
+
+def plate_deviations(
+    frame: Frame, rows: np.ndarray, moved_mm: np.ndarray, covariance_mm2: np.ndarray
+) -> tuple[PlateDeviation, ...]:
+    """Of each plate; arguments as for `complete`."""
+    variances = np.diag(covariance_mm2).reshape(-1, 3)
+    out, start = [], 0
+    for view, role, plate in plates(frame):
+        mine = (rows >= start) & (rows < start + len(plate.ids))
+        out.append(_one(view, role, plate, rows[mine] - start, moved_mm[mine], variances[mine]))
+        start += len(plate.ids)
+    return tuple(out)
+
+
+def _one(  # noqa: PLR0917
+    view: str, role: str, plate: Plate, rows: np.ndarray, moved: np.ndarray, variances: np.ndarray
+) -> PlateDeviation:
+    plane: Plane = plate.plane
+    xyz = plate.xyz_mm[rows]
+    centred = xyz - plate.xyz_mm.mean(axis=0)
+    design = np.hstack([displacement(centred).reshape(-1, 6), centred.reshape(-1, 1)])
+    numbers = np.linalg.lstsq(design, moved.ravel(), rcond=None)[0]
+    left = moved - (design @ numbers).reshape(-1, 3)
+    free = 1 - len(numbers) / moved.size
+    return PlateDeviation(
+        view=view,
+        plate=role,
+        measured=len(rows),
+        shift_mm=numbers[3:6],
+        turn_rad=numbers[:3],
+        growth_ppm=float(1e6 * numbers[6]),
+        in_plane_rms_mm=float(np.sqrt(np.mean((left @ plane.axes.T) ** 2) / free)),
+        across_rms_mm=float(np.sqrt(np.mean((left @ plane.normal) ** 2) / free)),
+        instrument_mm=float(np.sqrt(variances.mean())),
+    )
+
+
+def fiducials(frame: Frame) -> tuple[Fiducial, ...]:
+    """All balls in the order of the frame's covariance."""
+    return tuple(f for view in frame.views.values() for f in view.fiducials)
+
+
+def plates(frame: Frame) -> tuple[tuple[str, str, Plate], ...]:
+    """(view, role, plate) in the order of the frame's covariance."""
+    return tuple((name, role, getattr(view, role)) for name, view in frame.views.items() for role in ROLES)

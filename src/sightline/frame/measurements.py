@@ -1,0 +1,223 @@
+"""Ball centres as an instrument measured them, in its own coordinates: the CSV that `sightline frame fit` reads."""
+
+import csv
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from io import StringIO
+from math import isfinite
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sightline.errors import FrameError
+from sightline.frame.files import SIZE_LIMIT_BYTES
+
+AXES = ("x", "y", "z")
+_SD = ("sd_mm",)
+_SD_PER_AXIS = ("sd_x_mm", "sd_y_mm", "sd_z_mm")
+_COVARIANCE = ("xx_mm2", "xy_mm2", "xz_mm2", "yy_mm2", "yz_mm2", "zz_mm2")
+_ERRORS = (_SD, _SD_PER_AXIS, _COVARIANCE)
+# Columns of the inspection sheet that say what was asked for, not what was measured.
+SHEET_ONLY = (
+    "view", "plate", "nominal_x_mm", "nominal_y_mm", "nominal_z_mm", "nominal_diameter_mm", "tolerance_mm", "remark",
+)  # fmt: skip
+_COORDINATE = re.compile(r"^([xyz])(?:[ _]*[\[(]?([a-zµ\"]+)[\])]?)?$")
+
+Row = Mapping[str, str]
+
+
+@dataclass(frozen=True, eq=False)
+class Series:
+    """One measurement of a frame: ball `ids[i]` at `xyz_mm[i]` (N, 3), in the instrument's own axes.
+
+    `covariance_mm2` (3N, 3N), or None where nothing is stated; `diameter_mm` (N,), NaN where it was not measured.
+    """
+
+    name: str
+    ids: tuple[str, ...]
+    xyz_mm: np.ndarray
+    covariance_mm2: np.ndarray | None
+    diameter_mm: np.ndarray
+
+    def where(self, keep: np.ndarray) -> "Series":
+        """The balls for which `keep` (N,) is true."""
+        ids = tuple(i for i, kept in zip(self.ids, keep, strict=True) if kept)
+        rows = np.repeat(keep, 3)
+        covariance = None if self.covariance_mm2 is None else self.covariance_mm2[np.ix_(rows, rows)]
+        return Series(self.name, ids, self.xyz_mm[keep], covariance, self.diameter_mm[keep])
+
+
+def read_measurements(path: str | Path, covariance: str | Path | None = None) -> tuple[Series, ...]:
+    """The series of a table of measured balls (docs/own-frame.md has the columns).
+
+    `covariance`: a CSV of numbers alone, the full covariance of x, y, z of every measured row, in mm².
+    Raises FrameError, which names the line.
+    """
+    file = Path(path)
+    rows = [(line, row) for line, row in _rows(file) if _measured(row, line)]
+    if not rows:
+        raise FrameError(f"{file.name} holds no measured ball; fill in x_mm, y_mm and z_mm")
+    xyz = np.array([[_number(row, f"{axis}_mm", line) for axis in AXES] for line, row in rows])
+    blocks = [_block(row, line) for line, row in rows]
+    whole = None if covariance is None else _matrix(Path(covariance), 3 * len(rows))
+    if whole is not None and any(block is not None for block in blocks):
+        raise FrameError("errors are stated in the table and in a covariance file; give one of them")
+    if any(b is None for b in blocks) and any(b is not None for b in blocks):
+        raise FrameError("some balls have an error stated and some have none; fill the columns for all, or leave them")
+    stated = [block for block in blocks if block is not None]
+    if stated:
+        whole = _block_diagonal(stated)
+    diameters = np.array([_diameter(row, line) for line, row in rows])
+    names = [(row.get("series") or "").strip() or "1" for _, row in rows]
+    out = []
+    for name in dict.fromkeys(names):
+        mine = np.array([other == name for other in names])
+        everything = Series(name, tuple(row["id"].strip() for _, row in rows), xyz, whole, diameters)
+        out.append(everything.where(mine))
+        _refuse_repeats(out[-1])
+    _refuse_mixed(out, whole, np.array(names))
+    return tuple(out)
+
+
+def _rows(file: Path) -> list[tuple[int, Row]]:
+    reader = csv.DictReader(StringIO(_text(file)), strict=True)
+    try:
+        columns = [_column(name) for name in reader.fieldnames or ()]
+        reader.fieldnames = columns
+        rows: list[tuple[int, Row]] = [(reader.line_num, row) for row in reader]
+    except csv.Error as error:
+        raise FrameError(f"{file.name} is not a CSV file: {error}") from None
+    needed = ("id", *(f"{axis}_mm" for axis in AXES))
+    if missing := [name for name in needed if name not in columns]:
+        raise FrameError(f"{file.name} lacks the columns {', '.join(missing)}; it needs {', '.join(needed)}")
+    if len(set(columns)) < len(columns):
+        raise FrameError(f"{file.name} has a column twice; remove one")
+    known = {*needed, "series", "diameter_mm", *SHEET_ONLY, *(name for kind in _ERRORS for name in kind)}
+    if unknown := [name for name in columns if name not in known]:
+        raise FrameError(f"{file.name} has the unknown column {unknown[0]!r}; docs/own-frame.md lists those there are")
+    for line, row in rows:
+        if None in row or None in row.values():
+            raise FrameError(f"{file.name}, line {line}: not as many cells as columns")
+    return rows
+
+
+def _text(file: Path) -> str:
+    try:
+        with file.open("rb") as stream:
+            data = stream.read(SIZE_LIMIT_BYTES + 1)
+    except OSError as error:
+        raise FrameError(f"cannot read {file.name}: {error.strerror}; name a CSV file") from error
+    if len(data) > SIZE_LIMIT_BYTES:
+        raise FrameError(f"{file.name} is larger than {SIZE_LIMIT_BYTES >> 20} MiB; that is no table of balls")
+    try:
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise FrameError(f"{file.name} is not a CSV file in UTF-8: {error}") from None
+
+
+def _column(name: str) -> str:
+    """A header cell as the code knows it: `x`, `X [mm]` and `x_mm` are one. Refuses other units."""
+    plain = name.strip().lower()
+    if (found := _COORDINATE.match(plain)) is None:
+        return plain
+    if (unit := found[2] or "mm") != "mm":
+        raise FrameError(
+            f"the coordinates are in {unit} (column {name.strip()!r}); convert them, with their errors, to "
+            "millimetres and write x_mm, y_mm, z_mm"
+        )
+    return f"{found[1]}_mm"
+
+
+def _measured(row: Row, line: int) -> bool:
+    """Whether a row holds a measurement: on an inspection sheet a ball that was left out has empty cells."""
+    filled = [bool(row[f"{axis}_mm"].strip()) for axis in AXES]
+    if any(filled) and not all(filled):
+        raise FrameError(f"line {line}: x, y and z are not all filled in; leave all three empty for no measurement")
+    return all(filled)
+
+
+def _number(row: Row, column: str, line: int) -> float:
+    try:
+        value = float(row[column])
+    except ValueError:
+        raise FrameError(f"line {line}: {column} is {row[column]!r}, not a number; write a decimal point") from None
+    if not isfinite(value):
+        raise FrameError(f"line {line}: {column} is {row[column]!r}, not finite; leave the ball out")
+    return value
+
+
+def _diameter(row: Row, line: int) -> float:
+    if not row.get("diameter_mm", "").strip():
+        return float("nan")
+    if (value := _number(row, "diameter_mm", line)) <= 0:
+        raise FrameError(f"line {line}: diameter_mm is {value:g}; a diameter is above zero")
+    return value
+
+
+def _block(row: Row, line: int) -> np.ndarray | None:
+    """(3, 3) covariance of one row, or None where it states none."""
+    stated = [kind for kind in _ERRORS if any(row.get(name, "").strip() for name in kind)]
+    if not stated:
+        return None
+    if len(stated) > 1 or not all(row.get(name, "").strip() for name in stated[0]):
+        raise FrameError(
+            f"line {line}: state a ball's error in one way: {', '.join(_SD)}, or {', '.join(_SD_PER_AXIS)}, or "
+            f"{', '.join(_COVARIANCE)}"
+        )
+    values = [_number(row, name, line) for name in stated[0]]
+    if stated[0] is _COVARIANCE:
+        xx, xy, xz, yy, yz, zz = values
+        block = np.array([(xx, xy, xz), (xy, yy, yz), (xz, yz, zz)])
+        good = np.linalg.eigvalsh(block)[0] > 0
+    else:
+        block = np.diag(np.square(np.broadcast_to(values, 3)))
+        good = min(values) > 0
+    if not good:
+        raise FrameError(f"line {line}: the error stated is not above zero in every direction; no instrument is exact")
+    return block
+
+
+def _block_diagonal(blocks: Sequence[np.ndarray]) -> np.ndarray:
+    n = len(blocks)
+    out = np.zeros((n, 3, n, 3))
+    out[range(n), :, range(n), :] = blocks
+    return out.reshape(3 * n, 3 * n)
+
+
+def _matrix(file: Path, size: int) -> np.ndarray:
+    """(size, size) covariance from a CSV of numbers. Raises FrameError."""
+    try:
+        rows: list[Any] = [[float(cell) for cell in row] for row in csv.reader(StringIO(_text(file))) if row]
+    except (ValueError, csv.Error):
+        raise FrameError(f"{file.name} does not hold numbers alone, separated by commas") from None
+    if len(rows) != size or any(len(row) != size for row in rows):
+        raise FrameError(f"{file.name} must hold {size} x {size} numbers: x, y, z of every measured row, in mm²")
+    out = np.array(rows)
+    scale = np.abs(out).max()
+    if not np.isfinite(scale) or np.abs(out - out.T).max() > 1e-6 * scale:
+        raise FrameError(f"{file.name} is not finite and symmetric; entry [i][j] must equal [j][i]")
+    if np.linalg.eigvalsh(out)[0] <= 1e-9 * scale:
+        raise FrameError(f"{file.name} is not positive definite; no instrument measures a ball without error")
+    return (out + out.T) / 2
+
+
+def _refuse_repeats(series: Series) -> None:
+    if twice := sorted({i for i in series.ids if series.ids.count(i) > 1}):
+        raise FrameError(
+            f"series {series.name!r} has ball {twice[0]!r} twice; write repeated measurements with a name of their own "
+            "in a column `series`"
+        )
+
+
+def _refuse_mixed(series: Sequence[Series], whole: np.ndarray | None, names: np.ndarray) -> None:
+    """Series are weighed each by itself: errors that two share would be lost."""
+    if whole is None or len(series) == 1:
+        return
+    apart = np.repeat(names, 3)[:, None] != np.repeat(names, 3)
+    if np.abs(whole[apart]).max(initial=0.0) > 0:
+        raise FrameError(
+            "the covariance joins different series; errors that series share cannot be found from their differences: "
+            "give each series its own"
+        )

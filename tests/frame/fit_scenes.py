@@ -1,0 +1,55 @@
+"""A small frame, and what an instrument that stands anywhere measures of it."""
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from sightline.frame import Fiducial, Frame, FrameView, Plate, Tolerances
+from sightline.frame.deviations import fiducials
+from sightline.frame.measurements import Series
+from sightline.twin.carm import with_errors
+
+SD_MM = 0.005
+# Off any grid, so that no plate turned or mirrored is itself.
+_PLACES = (
+    (-41.0, -38.5),
+    (3.0, -40.0),
+    (39.5, -37.0),
+    (-40.0, 2.5),
+    (1.5, 0.5),
+    (42.0, 4.0),
+    (-37.5, 40.5),
+    (9.0, 38.0),
+)
+
+
+def _plate(name: str, at) -> Plate:
+    return Plate(
+        tuple(Fiducial(f"{name}{k}", at(x, y), 5.0 if k < 3 else 3.0, k < 3) for k, (x, y) in enumerate(_PLACES))
+    )
+
+
+FRAME = Frame(
+    "small",
+    {
+        "pa": FrameView(_plate("px", lambda x, y: (x, y, 300.0)), _plate("ps", lambda x, y: (y, 0.9 * x, 150.0))),
+        "lateral": FrameView(_plate("lx", lambda x, y: (300.0, x, y)), _plate("ls", lambda x, y: (150.0, y, 0.8 * x))),
+    },
+    tolerances=Tolerances(),
+)
+NOMINAL_MM = np.array([f.xyz_mm for f in fiducials(FRAME)])
+IDS = tuple(f.id for f in fiducials(FRAME))
+
+
+def made(rng: np.random.Generator) -> np.ndarray:
+    """(32, 3): where the balls of a frame of these tolerances are."""
+    return np.array([f.xyz_mm for f in fiducials(with_errors(FRAME, rng))])
+
+
+def measured(
+    xyz_mm: np.ndarray, rng: np.random.Generator, name: str = "1", *, sd_mm: float = SD_MM, stated: bool = True
+) -> Series:
+    """A series of these balls, from an instrument that stands anywhere."""
+    pose = RigidTransform.from_components(rng.uniform(-900, 900, 3), Rotation.random(rng=rng))
+    noisy = pose.apply(xyz_mm) + sd_mm * rng.standard_normal(xyz_mm.shape)
+    covariance = sd_mm**2 * np.eye(noisy.size) if stated else None
+    return Series(name, IDS, noisy, covariance, np.full(len(noisy), np.nan))
