@@ -47,7 +47,7 @@ def plan(
     snap: Annotated[
         bool, typer.Option("--snap", help="Take the lateral picks to their image-matching curves.")
     ] = False,
-    out: Annotated[Path | None, typer.Option(help="Folder for report.html and plan.json.")] = None,
+    out: Annotated[Path | None, typer.Option(help="Folder for report, plan.json, undistorted images.")] = None,
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:
@@ -189,8 +189,10 @@ def show(output: Output, planned: "Plan") -> None:
 
 def _write(folder: Path, report: "Report", document: dict[str, Any]) -> list[Path]:
     from sightline.case.documents import write_folder
+    from sightline.case.interop.bundle import bundle
     from sightline.case.report import render
     from sightline.cli.output import as_json
 
-    plan_json = as_json({**document, "checks": report.plan.verdict.checks})
-    return write_folder(folder, {"report.html": render(report).encode(), "plan.json": plan_json.encode()})
+    taken, files = bundle(report.plan, report.images, report.frame)
+    plan_json = as_json({**document, **taken, "checks": report.plan.verdict.checks})
+    return write_folder(folder, {"report.html": render(report).encode(), "plan.json": plan_json.encode(), **files})

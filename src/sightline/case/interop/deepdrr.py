@@ -19,6 +19,7 @@ def write(pinhole: Pinhole) -> dict[str, bytes]:
         "view": pinhole.name,
         "coordinates": "CFCS",
         "units": "mm",
+        "note": pinhole.note,
         "use": "geo.CameraProjection(intrinsic, extrinsic); set intrinsic.sensor_width and sensor_height too",
         "intrinsic": (_HALF @ pinhole.camera_matrix).tolist(),
         "extrinsic": pinhole.extrinsic.tolist(),

@@ -32,6 +32,7 @@ def write(pinhole: Pinhole) -> dict[str, bytes]:
         "view": pinhole.name,
         "coordinates": "CFCS",
         "units": "mm",
+        "note": pinhole.note,
         "use": USE,
         "sdd": sdd,
         "height": height,

@@ -1,5 +1,6 @@
 """The formats of a view, by name."""
 
+import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -36,7 +37,7 @@ def read_view(path: str | Path, kind: str | None = None, name: str | None = None
     file = Path(path)
     words = file.name.lower().split(".")
     kind = known(kind or next((word for word in words[1:] if word in FORMATS), "opencv"))
-    view = name or words[0]
+    view = name or re.sub(r"[^\w-]", "_", words[0])[:32]
     data = reading.read_bytes(file)
     try:
         if kind == "rtk":

@@ -23,6 +23,7 @@ def document(pinhole: Pinhole) -> dict[str, Any]:
         "view": pinhole.name,
         "coordinates": "CFCS",
         "units": "mm",
+        "note": pinhole.note,
         "convention": CONVENTION,
         "matrix": pinhole.matrix.tolist(),
         "camera_matrix": pinhole.camera_matrix.tolist(),
@@ -54,7 +55,7 @@ def of_document(given: dict[str, Any], name: str) -> Pinhole:
         pixel = (u, v)
     if covariance is not None:
         covariance = reading.array(covariance, (12, 12), "the covariance of the matrix")
-    return Pinhole.of_matrix(matrix, str(given.get("view", name))[:64], shape, pixel, covariance)  # pyright: ignore[reportArgumentType]
+    return Pinhole.of_matrix(matrix, str(given.get("view", name)), shape, pixel, covariance)  # pyright: ignore[reportArgumentType]
 
 
 def _of_parts(given: dict[str, Any]) -> np.ndarray:

@@ -1,5 +1,6 @@
 """A pinhole: what all other programs mean by a view of an image without distortion."""
 
+import re
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,6 +22,7 @@ class Pinhole:
     detector's side) the first entry is negative. `shape`: height and width in px.
     `pixel_mm`: size of a pixel along u and v on the detector; it fixes where the detector stands. None: not stated.
     `covariance` (12, 12) of the matrix's entries, row by row, at the scale of `matrix`; None: unknown.
+    `note`: what its reader should know.
     """
 
     name: str
@@ -30,6 +32,11 @@ class Pinhole:
     shape: tuple[int, int] | None = None
     pixel_mm: tuple[float, float] | None = None
     covariance: np.ndarray | None = None
+    note: str = ""
+
+    def __post_init__(self) -> None:
+        if not re.fullmatch(r"[\w-]{1,32}", self.name):  # it becomes the name of files
+            raise UnusableInputError(f"a view is named by 1 to 32 letters, digits, _ or -, not {self.name[:40]!r}")
 
     @staticmethod
     def of_matrix(

@@ -1,6 +1,7 @@
 """What all readers share: size limits, text, strict JSON, arrays of finite numbers. Raises UnusableInputError."""
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +10,7 @@ import numpy as np
 from sightline.errors import UnusableInputError
 
 MAX_BYTES = 2**20  # [ours] a matrix with its covariance takes 5 kB
+_BRACKETS = re.compile(r"[\[{\]}]")
 _MAX_DEPTH = 8  # [ours] of brackets in JSON; ours have 3
 
 
@@ -32,21 +34,21 @@ def text(data: bytes) -> str:
         raise UnusableInputError("this is not a text file; export it again as text in UTF-8") from None
 
 
-def json_object(data: bytes) -> dict[str, Any]:
-    """A JSON object: no key twice, no NaN, not deeply nested."""
-    out = json_value(data)
+def json_object(data: bytes, depth: int = _MAX_DEPTH) -> dict[str, Any]:
+    """A JSON object: no key twice, no NaN, nested no deeper than `depth`."""
+    out = json_value(data, depth)
     if not isinstance(out, dict):
         raise UnusableInputError("the file must hold one JSON object, { ... }")
     return out
 
 
-def json_value(data: bytes) -> Any:
+def json_value(data: bytes, depth: int = _MAX_DEPTH) -> Any:
     """Any JSON value, as strictly."""
     written = text(data)
-    depth = 0
-    for character in written:  # a deep nest would exhaust the parser's stack; brackets in strings count too
-        depth += (character in "[{") - (character in "]}")
-        if depth > _MAX_DEPTH:
+    level = 0
+    for bracket in _BRACKETS.findall(written):  # a deep nest would exhaust the stack; brackets in strings count too
+        level += 1 if bracket in "[{" else -1
+        if level > depth:
             raise UnusableInputError("the JSON is nested too deeply to be a view or a plan")
     try:
         return json.loads(written, object_pairs_hook=_without_repeats, parse_constant=_no_constant)

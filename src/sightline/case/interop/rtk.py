@@ -4,7 +4,7 @@ RTK's detector axes and the direction from detector to source are right-handed, 
 image is written bottom row first. RTK: documentation/docs/Geometry.md of its repository.
 """
 
-from xml.etree.ElementTree import Element, SubElement, indent, tostring
+from xml.etree.ElementTree import Comment, Element, SubElement, indent, tostring
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -67,6 +67,7 @@ def write(pinhole: Pinhole, pixels: np.ndarray | None = None) -> dict[str, bytes
     """The geometry, and the image (H, W) where there is one. Raises UnusableInputError."""
     given = parameters(pinhole)
     root = Element(_ROOT, version="3")
+    root.append(Comment(f"view {pinhole.name}, mm, isocentre and axes: CFCS; {pinhole.note}".replace("--", "-")))
     projection = SubElement(root, "Projection")
     for name in _NAMES:
         SubElement(projection, name).text = repr(given[name])

@@ -23,6 +23,7 @@ def write(pinhole: Pinhole) -> dict[str, bytes]:
         "view": pinhole.name,
         "coordinates": "CFCS",
         "units": "mm",
+        "note": pinhole.note,
         "num-rows": height,
         "num-cols": width,
         "row-spacing": down,

@@ -1,0 +1,71 @@
+"""What a plan takes along in plan.json, so that it can be exported by itself: geometry, beads, lines of sight."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import cv2
+import numpy as np
+
+from sightline.case.interop import opencv
+from sightline.case.interop.plate import plate_image
+from sightline.case.views import CalibratedImage
+from sightline.errors import OutsideRegionError
+from sightline.frame import Frame
+from sightline.planning import Plan
+
+POINTS = ("entry", "end")
+_WIRE_POINTS = 21  # [ours] the drawn wire bends with the distortion: 5 mm apart
+
+
+def bundle(plan: Plan, images: Sequence[CalibratedImage], frame: Frame) -> tuple[dict[str, Any], dict[str, bytes]]:
+    """Keys added to plan.json, and the undistorted images as files beside it."""
+    plates, files = {}, {}
+    for image in images:
+        seen = image.seen.image
+        plate = plate_image(image.view, None if seen is None else seen.pixels)
+        plates[image.name] = opencv.document(plate.pinhole) | {"file": None}
+        if plate.pixels is not None and seen is not None and plate.pixels.dtype in (np.uint8, np.uint16):
+            name = f"{image.name}-plate.png"
+            files[name] = cv2.imencode(".png", plate.pixels)[1].tobytes()
+            plates[image.name] |= {"file": name, "white": seen.white}
+    document = {
+        "frame": _frame(frame),
+        "plates": plates,
+        "lines_of_sight": [line for k, image in enumerate(images) for line in _lines(plan, k, image)],
+        "drawn": {image.name: _drawn(plan, k, image) for k, image in enumerate(images)},
+    }
+    return document, files
+
+
+def _frame(frame: Frame) -> dict[str, Any]:
+    beads = [
+        {"id": bead.id, "view": name, "plate": role, "xyz_mm": list(map(float, bead.xyz_mm))}
+        for name, view in frame.views.items()
+        for role, plate in (("xrii", view.xrii), ("source", view.source))
+        for bead in plate.fiducials
+    ]
+    return {"name": frame.name, "serial": frame.serial, "beads": beads}
+
+
+def _lines(plan: Plan, k: int, image: CalibratedImage) -> list[dict[str, Any]]:
+    sight = image.view.lines_of_sight(np.array([pick[k].uv_px for pick in plan.picks]))
+    return [
+        {
+            "point": point,
+            "view": image.name,
+            "focal_point_mm": sight.focal_point_mm.tolist(),
+            "plate_mm": sight.points_mm[i].tolist(),
+        }
+        for i, point in enumerate(POINTS)
+    ]
+
+
+def _drawn(plan: Plan, k: int, image: CalibratedImage) -> dict[str, Any]:
+    entry, end = (np.asarray(pick[k].uv_px, dtype=np.float64).tolist() for pick in plan.picks)
+    path = plan.trajectory
+    along = path.entry_mm + np.linspace(0, 1, _WIRE_POINTS)[:, None] * (path.end_mm - path.entry_mm)
+    try:
+        wire = image.view.project(along).tolist()
+    except OutsideRegionError:
+        wire = []
+    return {"entry_px": entry, "end_px": end, "wire_px": wire}

@@ -1,0 +1,53 @@
+"""ITK's text transforms (`.tfm`), and the wire's pose. A file's name says what it maps: `lps_from_cfcs` CFCS to LPS.
+
+3D Slicer takes a transform file the other way: it places things by the inverse of what the file maps.
+"""
+
+import numpy as np
+
+from sightline.case.interop.patient import R_lps_cfcs
+from sightline.case.interop.plan_file import PlanFile
+
+
+def transform_bytes(matrix: np.ndarray, comment: str) -> bytes:
+    """`AffineTransform_double_3_3` of a (4, 4) matrix that takes points of one frame to the other."""
+    numbers = [*matrix[:3, :3].ravel(), *matrix[:3, 3]]
+    lines = (
+        "#Insight Transform File V1.0",
+        f"#{comment}".replace("\n", " "),
+        "#Transform 0",
+        "Transform: AffineTransform_double_3_3",
+        "Parameters: " + " ".join(repr(float(x)) for x in numbers),
+        "FixedParameters: 0 0 0",
+    )
+    return ("\n".join(lines) + "\n").encode("ascii", "replace")
+
+
+def T_lps_cfcs(side: str | None) -> np.ndarray:
+    """(4, 4). Raises UnusableInputError without a side."""
+    out = np.eye(4)
+    out[:3, :3] = R_lps_cfcs(side)
+    return out
+
+
+def T_cfcs_wire(points_mm: np.ndarray) -> np.ndarray:
+    """(4, 4) pose of the wire at its end point: +z from entry to end (the tip). Its turn about z is free: x is level
+    with the CFCS axis that the wire is farthest from."""
+    along = (points_mm[1] - points_mm[0]) / np.linalg.norm(points_mm[1] - points_mm[0])
+    helper = np.eye(3)[np.argmin(np.abs(along))]
+    across = np.cross(helper, along)
+    across /= np.linalg.norm(across)
+    out = np.eye(4)
+    out[:3] = np.column_stack([across, np.cross(along, across), along, points_mm[1]])
+    return out
+
+
+def write(plan: PlanFile, side: str | None) -> dict[str, bytes]:
+    """Both transforms as ITK applies them to points, mm."""
+    to_lps = T_lps_cfcs(side)
+    wire = to_lps @ T_cfcs_wire(plan.points_mm)
+    said = f"mm; {side} hip; {plan.statement}"
+    return {
+        "lps_from_cfcs.tfm": transform_bytes(to_lps, f"calibration frame (CFCS) to patient LPS, {said}"),
+        "lps_from_wire.tfm": transform_bytes(wire, f"wire (origin at the tip, +z towards it) to patient LPS, {said}"),
+    }

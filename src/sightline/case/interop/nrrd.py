@@ -1,0 +1,46 @@
+"""An image in space as NRRD, which 3D Slicer and ITK read: LPS, mm."""
+
+import gzip
+
+import numpy as np
+
+from sightline.case.interop.pinhole import Pinhole
+from sightline.errors import UnusableInputError
+
+_TYPES = {"uint8": "unsigned char", "uint16": "unsigned short", "float32": "float"}
+
+
+def plate_corner(pinhole: Pinhole) -> tuple[np.ndarray, np.ndarray]:
+    """(3,) CFCS mm, centre of the plate image's first pixel; (3, 3) steps of a column, of a row, of 1 mm of beam."""
+    distance, across, down = pinhole.detector_mm()
+    cu, cv = pinhole.camera_matrix[:2, 2]
+    corner = pinhole.focal_point_mm + pinhole.rotation.T @ [-cu * across, -cv * down, distance]
+    return corner, np.diag([across, down, 1.0]) @ pinhole.rotation
+
+
+def nrrd_bytes(pixels: np.ndarray, pinhole: Pinhole, T_lps_cfcs: np.ndarray, statement: str) -> bytes:
+    """An undistorted image (H, W) where its plate stands, one voxel thick. Raises UnusableInputError."""
+    if pixels.shape != pinhole.shape or pixels.dtype.name not in _TYPES:
+        raise UnusableInputError(f"the image of view {pinhole.name} does not belong to its geometry")
+    corner, steps = plate_corner(pinhole)
+    turn = T_lps_cfcs[:3, :3]
+    height, width = pixels.shape
+    lines = (
+        "NRRD0005",
+        f"type: {_TYPES[pixels.dtype.name]}",
+        "dimension: 3",
+        "space: left-posterior-superior",
+        f"sizes: {width} {height} 1",
+        "space directions: " + " ".join(_vector(turn @ step) for step in steps),
+        "kinds: domain domain domain",
+        "endian: little",
+        "encoding: gzip",
+        f"space origin: {_vector(turn @ corner + T_lps_cfcs[:3, 3])}",
+        f"sightline:={statement}",
+    )
+    raw = pixels.astype(pixels.dtype.newbyteorder("<"), copy=False).tobytes()
+    return ("\n".join(lines) + "\n\n").encode("ascii", "replace") + gzip.compress(raw, mtime=0)
+
+
+def _vector(xyz: np.ndarray) -> str:
+    return "(" + ",".join(repr(float(x) + 0.0) for x in xyz) + ")"

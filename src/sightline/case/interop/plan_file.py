@@ -1,0 +1,196 @@
+"""`plan.json` as `sightline plan --out` writes it, read back and checked."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from sightline.case.interop import opencv, reading
+from sightline.case.interop.pinhole import Pinhole
+from sightline.errors import UnusableInputError
+from sightline.geometry.covariance import length_quantile
+from sightline.imaging import read_image
+
+_MAX_BYTES = 2**24  # [ours] a hundred times a plan with its beads
+
+Number = Annotated[float, Field(allow_inf_nan=False, ge=-1e5, le=1e5)]
+Point = tuple[Number, Number, Number]
+Pixel = tuple[Number, Number]
+Text = Annotated[str, Field(max_length=200)]
+
+
+class _Part(BaseModel):
+    model_config = ConfigDict(extra="ignore", frozen=True)
+
+
+class TrajectoryPart(_Part):
+    """Entry and end point, CFCS mm, with their joint covariance or None."""
+
+    coordinates: Literal["CFCS"]
+    entry_mm: Point
+    end_mm: Point
+    covariance_mm2: Annotated[list[list[Number]], Field(min_length=6, max_length=6)] | None
+
+
+class CheckPart(_Part):
+    """A check's name and whether it passed."""
+
+    name: Text
+    passed: bool
+
+
+class BeadPart(_Part):
+    """A ball of the frame."""
+
+    id: Text
+    view: Text
+    plate: Text
+    xyz_mm: Point
+
+
+class FramePart(_Part):
+    """The frame that the plan was made with."""
+
+    name: Text
+    serial: Text | None
+    beads: Annotated[list[BeadPart], Field(max_length=2000)]
+
+
+class SightPart(_Part):
+    """A line of sight: from the X-ray source through a pick to the XRII plate, CFCS mm."""
+
+    point: Text
+    view: Text
+    focal_point_mm: Point
+    plate_mm: Point
+
+
+class DrawnPart(_Part):
+    """The plan in a view's raw image, px: the picks, and the wire as the view sees it (empty where it does not)."""
+
+    entry_px: Pixel
+    end_px: Pixel
+    wire_px: Annotated[list[Pixel], Field(max_length=1000)]
+
+
+class LandmarkPart(_Part):
+    """A point of the bone, CFCS mm."""
+
+    xyz_mm: Point
+
+
+class PlanDocument(_Part):
+    """What is read of plan.json. The last four are missing in plans without images' geometry."""
+
+    go: bool
+    trajectory: TrajectoryPart
+    checks: Annotated[list[CheckPart], Field(max_length=200)]
+    landmarks: Annotated[list[LandmarkPart], Field(max_length=200)] = []
+    frame: FramePart | None = None
+    plates: dict[str, dict[str, Any]] | None = None
+    lines_of_sight: Annotated[list[SightPart], Field(max_length=200)] = []
+    drawn: dict[str, DrawnPart] | None = None
+
+
+class PlanFile:
+    """A plan to be exported: what its file holds, and what follows from that."""
+
+    def __init__(self, document: PlanDocument, folder: Path) -> None:
+        self.document = document
+        self._folder = folder
+
+    @staticmethod
+    def read(path: str | Path) -> "PlanFile":
+        """From plan.json or the folder that holds it. Raises UnusableInputError."""
+        file = Path(path) / "plan.json" if Path(path).is_dir() else Path(path)
+        data = reading.read_bytes(file, _MAX_BYTES)
+        try:
+            reading.json_object(data, depth=12)
+            plan = PlanFile(PlanDocument.model_validate_json(data), file.parent)
+            plan.refuse_contradictions()
+        except ValidationError as error:
+            first = error.errors()[0]
+            where = ".".join(map(str, first["loc"]))
+            raise UnusableInputError(f"{file.name}: {where}: {first['msg']}; plan again with --out") from None
+        except UnusableInputError as error:
+            raise UnusableInputError(f"{file.name}: {error}") from None
+        return plan
+
+    def refuse_contradictions(self) -> None:
+        """Raises UnusableInputError where GO stands beside a failed check, or the covariance is none."""
+        if self.document.go and self.failed:
+            raise UnusableInputError(f"it says GO beside failed checks ({', '.join(self.failed)}); plan again")
+        if not self.document.checks or self.length_mm < 1.0:
+            raise UnusableInputError("it has no checks, or entry and end are one point; plan again")
+        covariance = self.covariance_mm2
+        if covariance is not None and np.linalg.eigvalsh(covariance).min() < -1e-9 * np.abs(covariance).max():
+            raise UnusableInputError("its covariance is not positive; plan again")
+
+    @property
+    def go(self) -> bool:
+        """Whether planning says GO."""
+        return self.document.go
+
+    @property
+    def failed(self) -> list[str]:
+        """Names of the checks that did."""
+        return [check.name for check in self.document.checks if not check.passed]
+
+    @property
+    def points_mm(self) -> np.ndarray:
+        """(2, 3) entry and end, CFCS."""
+        return np.array([self.document.trajectory.entry_mm, self.document.trajectory.end_mm])
+
+    @property
+    def length_mm(self) -> float:
+        """From entry to end."""
+        return float(np.linalg.norm(self.points_mm[1] - self.points_mm[0]))
+
+    @property
+    def covariance_mm2(self) -> np.ndarray | None:
+        """(6, 6) of (entry, end)."""
+        given = self.document.trajectory.covariance_mm2
+        return None if given is None else reading.array(given, (6, 6), "the covariance")
+
+    @property
+    def errors_95_mm(self) -> tuple[float, float] | None:
+        """Of entry and end: with a probability of 95 % they err by less; None where unknown."""
+        c = self.covariance_mm2
+        return None if c is None else (float(length_quantile(c[:3, :3])), float(length_quantile(c[3:, 3:])))
+
+    @property
+    def verdict(self) -> str:
+        """GO, or NO-GO with the checks that failed."""
+        return "GO" if self.go else f"NO-GO (failed: {', '.join(self.failed) or 'see the plan'})"
+
+    @property
+    def statement(self) -> str:
+        """What every exported file says, as far as its format has room."""
+        errors = self.errors_95_mm
+        said = "errors unknown" if errors is None else f"95 % errors: entry {errors[0]:.2f} mm, end {errors[1]:.2f} mm"
+        return f"{self.verdict}; {said}; wire {self.length_mm:.1f} mm; research software, not a medical device"
+
+    @property
+    def plates(self) -> Mapping[str, Pinhole]:
+        """The pinhole of each view's undistorted image. Raises UnusableInputError where the plan has none."""
+        return {name: opencv.of_document(given, name) for name, given in self._plates().items()}
+
+    def pixels(self, view: str) -> tuple[np.ndarray, float] | None:
+        """(H, W) undistorted image and its white; None where the plan was made without images."""
+        given = self._plates()[view]
+        name = given.get("file")
+        if name is None:
+            return None
+        if not isinstance(name, str) or Path(name).name != name:
+            raise UnusableInputError(f"the image of view {view} must be named without a folder")
+        image = read_image(self._folder / name)
+        if image.shape != self.plates[view].shape:
+            raise UnusableInputError(f"{name} is not the image that the plan was made on: its size differs")
+        return image.pixels, reading.positive(given.get("white", image.white), "white")
+
+    def _plates(self) -> dict[str, dict[str, Any]]:
+        if not self.document.plates:
+            raise UnusableInputError("the plan holds no geometry of its images; plan again with --out")
+        return self.document.plates

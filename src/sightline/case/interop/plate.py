@@ -1,0 +1,128 @@
+"""A calibrated view as an exact pinhole: its image resampled to the XRII plate, seen from the X-ray source."""
+
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+
+from sightline.calibration import BeadView
+from sightline.calibration.undistort import PlaneImage, undistort
+from sightline.calibration.view import LinesOfSight
+from sightline.case.interop.pinhole import Pinhole
+from sightline.errors import RefusedError
+
+# The raw image counts as a pinhole's while that errs by no more than a careful click [physics.md, Picks].
+LARGEST_RESIDUAL_PX = 0.5
+_GRID = 7  # [ours] samples a side; a matrix has 11 numbers
+
+
+@dataclass(frozen=True, eq=False)
+class PlateImage:
+    """`pixels` (H, W) as the X-ray source sees the plate, or None where the view had no image; `inside_hull` (H, W)
+    bool: where beads surround the line of sight. `pinhole` is exact: no distortion is left."""
+
+    pinhole: Pinhole
+    pixels: np.ndarray | None
+    inside_hull: np.ndarray
+
+
+def plate_image(view: BeadView, pixels: np.ndarray | None, spacing_mm: float | None = None) -> PlateImage:
+    """Resample an image (H, W) of a view, or only find out its geometry. Raises what `undistort` raises."""
+    image = undistort(np.zeros((16, 16), np.uint8) if pixels is None else pixels, view.plane_map, view.hull, spacing_mm)
+    flipped = bool(np.sign(view.plane.height_mm(view.focal_point_mm)) > 0)  # the plane's axes are seen from behind
+    side = slice(None, None, -1) if flipped else slice(None)
+    pinhole = _pinhole(view, image, flipped)
+    return PlateImage(
+        pinhole=pinhole,
+        pixels=None if pixels is None else np.ascontiguousarray(image.pixels[:, side]),
+        inside_hull=np.ascontiguousarray(image.inside_hull[:, side]),
+    )
+
+
+def _pinhole(view: BeadView, image: PlaneImage, flipped: bool) -> Pinhole:
+    height, width = image.pixels.shape
+    spacing = image.spacing_mm
+    focal = view.focal_point_mm
+    across = -view.plane.axes[0] if flipped else view.plane.axes[0]
+    down = view.plane.axes[1]
+    turn = np.stack([across, down, np.cross(across, down)])
+    foot = (view.plane.to_plane(focal) - image.origin_mm) / spacing
+    distance = abs(float(view.plane.height_mm(focal))) / spacing
+    centre = width - 1 - foot[0] if flipped else foot[0]
+    camera = np.array([[distance, 0.0, centre], [0.0, distance, foot[1]], [0.0, 0.0, 1.0]])
+    pinhole = Pinhole(view.name, camera, turn, -turn @ focal, (height, width), (spacing, spacing))
+    rows, columns = _inside(image.inside_hull)
+    sight = view.lines_of_sight(image.uv_px[rows, columns])
+    seen_at = np.column_stack([width - 1 - columns if flipped else columns, rows]).astype(np.float64)
+    return _with_errors(pinhole, seen_at, sight)
+
+
+def _inside(mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Rows and columns of a grid of pixels within a mask."""
+    grid = np.stack(np.meshgrid(*(np.linspace(0, n - 1, _GRID).astype(int) for n in mask.shape), indexing="ij"))
+    rows, columns = grid.reshape(2, -1)
+    kept = mask[rows, columns]
+    return rows[kept], columns[kept]
+
+
+def _with_errors(pinhole: Pinhole, uv_px: np.ndarray, sight: LinesOfSight) -> Pinhole:
+    """The covariance of the matrix that gives its lines of sight the view's errors, as far as a matrix can.
+
+    Focal point and homography are 11 numbers of a matrix and take over their errors; what is left of the map's own
+    error bends lines of sight as no matrix does, and is left out.
+    """
+    if sight.covariance is None:
+        return pinhole
+    response = _response(pinhole.matrix, uv_px, sight)
+    to_entries = np.linalg.pinv(response, rcond=1e-12)
+    whole = np.sum(list(sight.covariance.values()), axis=0)
+    covariance = to_entries @ whole @ to_entries.T
+    deviation = np.sqrt(np.trace(whole[3:, 3:]) / len(uv_px))
+    note = f"lines of sight err by {deviation:.3f} mm rms on the plate, the error of picks aside"
+    return replace(pinhole, covariance=0.5 * (covariance + covariance.T), note=note)
+
+
+def _response(matrix: np.ndarray, uv_px: np.ndarray, sight: LinesOfSight) -> np.ndarray:
+    """(3 + 2N, 12) d(focal point, plane coordinates of fixed pixels) / d(entries of the matrix, row by row).
+
+    From P (F, 1) = 0, and (row 0 - u row 2) (X, 1) = 0 = (row 1 - v row 2) (X, 1) for X in the plane.
+    """
+    out = np.empty((3 + 2 * len(uv_px), 12))
+    out[:3] = -np.linalg.solve(matrix[:, :3], np.kron(np.eye(3), np.append(sight.focal_point_mm, 1.0)))
+    for i, (uv, point) in enumerate(zip(uv_px, sight.points_mm, strict=True)):
+        pick = np.column_stack([np.eye(2), -uv])
+        along = (pick @ matrix)[:, :3] @ sight.plane.axes.T
+        out[3 + 2 * i : 5 + 2 * i] = -np.linalg.solve(along, np.kron(pick, np.append(point, 1.0)))
+    return out
+
+
+def raw_pinhole(view: BeadView, shape: tuple[int, int]) -> tuple[Pinhole, float]:
+    """The pinhole nearest to the raw image (H, W), with the view's focal point, and its largest residual inside the
+    beads' hull, px. Its covariance is not known: the distortion that it leaves is no noise.
+
+    Raises RefusedError above LARGEST_RESIDUAL_PX.
+    """
+    low, high = view.hull.corners_px.min(axis=0), view.hull.corners_px.max(axis=0)
+    u, v = np.meshgrid(*(np.linspace(low[k], high[k], 3 * _GRID) for k in (0, 1)))
+    uv = np.column_stack([u.ravel(), v.ravel()])
+    uv = uv[view.hull.contains(uv)]
+    xy = view.plane_map.to_plane(uv)
+    homography, _ = cv2.findHomography(xy, uv, 0)
+    seen = np.column_stack([xy, np.ones(len(xy))]) @ homography.T
+    residual = float(np.linalg.norm(seen[:, :2] / seen[:, 2:] - uv, axis=1).max())
+    if residual > LARGEST_RESIDUAL_PX:
+        raise RefusedError(
+            f"the {view.name} image is no pinhole's: the nearest one errs by up to {residual:.1f} px (limit "
+            f"{LARGEST_RESIDUAL_PX:g} px), because the image is distorted; export the undistorted image, without --raw"
+        )
+    onto = _projection_onto(view)
+    note = f"of the raw image: distortion of up to {residual:.2f} px is left"
+    return replace(Pinhole.of_matrix(homography @ onto, view.name, shape), note=note), residual
+
+
+def _projection_onto(view: BeadView) -> np.ndarray:
+    """(3, 4) CFCS to homogeneous coordinates of the view's plane, from its focal point."""
+    height, foot = float(view.plane.height_mm(view.focal_point_mm)), view.plane.to_plane(view.focal_point_mm)
+    to_height = np.append(view.plane.normal, -view.plane.normal @ view.plane.origin_mm)
+    to_plane = np.column_stack([view.plane.axes, -view.plane.axes @ view.plane.origin_mm])
+    return np.vstack([height * to_plane - np.outer(foot, to_height), height * np.eye(4)[3] - to_height])

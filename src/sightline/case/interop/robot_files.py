@@ -1,0 +1,52 @@
+"""A plan as the bytes of OpenIGTLink messages: TRANSFORM `TGT_plan` and TRAJ, with what they say as JSON beside them.
+
+A file keeps no time, so they say that the plan has expired (`valid_s` 0): a robot of ours refuses them as they are, and
+whoever sends one answers for how long the plan is still good (docs/robot-link.md).
+"""
+
+from sightline.case.interop.itk import T_cfcs_wire
+from sightline.case.interop.plan_file import PlanFile
+from sightline.case.interop.writing import json_bytes
+from sightline.errors import RefusedError
+from sightline.robot import contract
+from sightline.robot.igtl import Message, Trajectories, Transform, encode
+from sightline.robot.igtl.messages_plan import Path
+from sightline.robot.insertion import DEPTH_SLACK_MM
+from sightline.robot.target import PlanIdentity
+
+
+def write(plan: PlanFile, side: str | None, case: str) -> dict[str, bytes]:
+    """Raises RefusedError for a plan that is NO-GO, which a robot cannot weigh; UnusableInputError without a side."""
+    if not plan.go:
+        raise RefusedError(f"the plan is {plan.verdict}: no message for a robot is written of it; plan again")
+    serial = plan.document.frame.serial if plan.document.frame else None
+    identity = PlanIdentity(case, side or "", serial or "", go=True)
+    metadata = {
+        contract.PLAN: identity.plan,
+        contract.SIDE: identity.side,
+        contract.FRAME_SERIAL: identity.frame_serial,
+        contract.GO: contract.YES,
+        contract.UNITS: contract.MM,
+        contract.COORDINATES: contract.CFCS,
+        contract.LENGTH_MM: repr(plan.length_mm),
+        contract.DEPTH_LIMIT_MM: repr(plan.length_mm + DEPTH_SLACK_MM),
+        contract.VALID_S: "0",
+    }
+    pose = T_cfcs_wire(plan.points_mm)
+    path = Path("planned wire", *plan.points_mm, group="Sightline", owner="CFCS")
+    named = {
+        "target.igtl": Message(Transform(pose), f"{contract.TARGET}plan", version=2, metadata=metadata),
+        "trajectory.igtl": Message(Trajectories((path,)), "plan", version=2, metadata=metadata),
+    }
+    said = {
+        "statement": plan.statement,
+        "coordinates": "CFCS",
+        "units": "mm",
+        "pose": "of the wire at its end point, +z towards the tip",
+        "matrix": pose.tolist(),
+        "entry_mm": plan.points_mm[0].tolist(),
+        "end_mm": plan.points_mm[1].tolist(),
+        "metadata": metadata,
+        "messages": {name: {"type": m.type_name, "device": m.device_name} for name, m in named.items()},
+    }
+    return {name: encode(message) for name, message in named.items()} | {"igtl.json": json_bytes(said)}

@@ -1,0 +1,119 @@
+"""A folder for 3D Slicer: the plan, lines of sight, beads and undistorted images in place, and a scene that loads them.
+
+Everything is in patient LPS, mm, with the CFCS origin. Slicer itself holds RAS; it converts what it reads.
+"""
+
+from xml.etree.ElementTree import Element, SubElement, indent, tostring
+
+import numpy as np
+
+from sightline.case.interop.itk import T_cfcs_wire, T_lps_cfcs, transform_bytes
+from sightline.case.interop.markups import BLUE, GREEN, RED, YELLOW, markup_bytes
+from sightline.case.interop.nrrd import nrrd_bytes, plate_corner
+from sightline.case.interop.pinhole import Pinhole
+from sightline.case.interop.plan_file import PlanFile
+
+_RAS_LPS = np.diag([-1.0, -1.0, 1.0, 1.0])
+_SLICES = ("Red", "Yellow", "Green")
+
+
+def write(plan: PlanFile, side: str | None) -> dict[str, bytes]:
+    """Raises UnusableInputError without a side, or where the plan holds no geometry of its images."""
+    to_lps = T_lps_cfcs(side)
+    said = f"{plan.statement}; {side} hip; LPS mm, origin of the calibration frame (CFCS)"
+    files = _markups(plan, to_lps[:3, :3], said)
+    images = {}
+    for view, pinhole in plan.plates.items():
+        pixels = plan.pixels(view)
+        if pixels is not None:
+            images[view] = pinhole
+            files[f"{view}-plate.nrrd"] = nrrd_bytes(pixels[0], pinhole, to_lps, said)
+    # Slicer places things by the inverse of what a transform file maps: so these map to the wire, and to CFCS.
+    wire = to_lps @ T_cfcs_wire(plan.points_mm)
+    files["wire.tfm"] = transform_bytes(
+        np.linalg.inv(wire), f"3D Slicer: places a wire (tip at its origin, +z); {said}"
+    )
+    files["cfcs.tfm"] = transform_bytes(np.linalg.inv(to_lps), f"3D Slicer: places what is in CFCS; {said}")
+    return files | {"scene.mrml": _scene(sorted(files), images, to_lps, said)}
+
+
+def _markups(plan: PlanFile, turn: np.ndarray, said: str) -> dict[str, bytes]:
+    colour = GREEN if plan.go else RED
+    name = "planned wire" if plan.go else "NO-GO planned wire"
+    points = plan.points_mm @ turn.T
+    out = {"wire.mrk.json": markup_bytes("Line", name, points, ("entry", "tip"), colour=colour, description=said)}
+    for line in plan.document.lines_of_sight:
+        ends = np.array([line.focal_point_mm, line.plate_mm]) @ turn.T
+        what = f"{line.view} line of sight of {line.point}"
+        out[f"sight-{line.view}-{line.point}.mrk.json"] = markup_bytes(
+            "Line", what, ends, ("X-ray source", "on the plate"), colour=YELLOW, description=said, labelled=False
+        )
+    if plan.document.frame is not None:
+        beads = plan.document.frame.beads
+        out["beads.mrk.json"] = markup_bytes(
+            "Fiducial",
+            f"beads of {plan.document.frame.name}",
+            np.array([bead.xyz_mm for bead in beads]).reshape(-1, 3) @ turn.T,
+            [bead.id for bead in beads],
+            colour=BLUE,
+            description=said,
+            labelled=False,
+        )
+    return out
+
+
+def _scene(names: list[str], images: dict[str, Pinhole], to_lps: np.ndarray, said: str) -> bytes:
+    """MRML: a node for each file, with the node that stores it; a slice viewer laid into each image."""
+    root = Element("MRML", version="Slicer4.4.0", userTags="")
+    for k, name in enumerate(names, 1):
+        if name.endswith(".mrk.json"):
+            _markup(root, name, k, said)
+        elif name.endswith(".tfm"):
+            storage = f"vtkMRMLTransformStorageNode{k}"
+            _node(root, "TransformStorage", storage, name, fileName=name)
+            _node(root, "LinearTransform", f"vtkMRMLLinearTransformNode{k}", name[:-4], said, storage=storage)
+        else:
+            view = name.removesuffix("-plate.nrrd")
+            _volume(root, name, k, said)
+            _slice(root, _SLICES[list(images).index(view)], f"vtkMRMLScalarVolumeNode{k}", images[view], to_lps)
+    indent(root, " ")
+    return b'<?xml version="1.0" encoding="UTF-8"?>\n' + tostring(root)
+
+
+def _node(root: Element, tag: str, identity: str, name: str, description: str = "", **given: str) -> Element:
+    """A node; `display` and `storage` become references."""
+    references = "".join(f"{role}:{given.pop(role)};" for role in ("display", "storage") if role in given)
+    attributes = {"id": identity, "name": name} | ({"description": description} if description else {}) | given
+    return SubElement(root, tag, attributes | ({"references": references} if references else {}))
+
+
+def _markup(root: Element, name: str, k: int, said: str) -> None:
+    kind = "Fiducial" if name.startswith("beads") else "Line"
+    display, storage = f"vtkMRMLMarkupsDisplayNode{k}", f"vtkMRMLMarkupsJsonStorageNode{k}"
+    _node(root, "MarkupsDisplay", display, f"{name} display", visibility="true")
+    _node(root, "MarkupsJsonStorage", storage, name, fileName=name, coordinateSystem="LPS")
+    label = name.removesuffix(".mrk.json")
+    _node(root, f"Markups{kind}", f"vtkMRMLMarkups{kind}Node{k}", label, said, display=display, storage=storage)
+
+
+def _volume(root: Element, name: str, k: int, said: str) -> None:
+    display, storage = f"vtkMRMLScalarVolumeDisplayNode{k}", f"vtkMRMLVolumeArchetypeStorageNode{k}"
+    grey = {"colorNodeID": "vtkMRMLColorTableNodeGrey", "autoWindowLevel": "1", "interpolate": "1"}
+    _node(root, "VolumeDisplay", display, f"{name} display", **grey)
+    _node(root, "VolumeArchetypeStorage", storage, name, fileName=name, centerImage="0", UseOrientationFromFile="1")
+    _node(root, "Volume", f"vtkMRMLScalarVolumeNode{k}", name[:-5], said, display=display, storage=storage)
+
+
+def _slice(root: Element, layout: str, volume: str, pinhole: Pinhole, to_lps: np.ndarray) -> None:
+    """The viewer's plane is the image's: its first axis along a row, its second up, through the image's middle."""
+    corner, steps = plate_corner(pinhole)
+    height, width = pinhole.stated_shape()
+    middle = corner + 0.5 * (width - 1) * steps[0] + 0.5 * (height - 1) * steps[1]
+    placed = np.eye(4)
+    across, up = (axis / np.linalg.norm(axis) for axis in (steps[0], -steps[1]))
+    placed[:3] = np.column_stack([across, up, np.cross(across, up), middle])
+    matrix = _RAS_LPS @ to_lps @ placed
+    laid = {"orientation": "Reformat", "sliceToRAS": " ".join(repr(float(x) + 0.0) for x in matrix.ravel())}
+    common = {"singletonTag": layout, "layoutName": layout}
+    _node(root, "Slice", f"vtkMRMLSliceNode{layout}", layout, sliceVisibility="true", **common, **laid)
+    _node(root, "SliceComposite", f"vtkMRMLSliceCompositeNode{layout}", layout, backgroundVolumeID=volume, **common)

@@ -1,0 +1,176 @@
+"""`sightline export`: views, undistorted images and plans in the files of other programs (docs/interop.md)."""
+
+from importlib import import_module
+from importlib.util import find_spec
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from sightline.cli.calibrate import FrameName, see
+from sightline.cli.output import Json, Output, Quiet
+
+if TYPE_CHECKING:
+    from sightline.calibration import BeadView
+    from sightline.case.interop.pinhole import Pinhole
+    from sightline.case.interop.plate import PlateImage
+    from sightline.case.views import Seen
+
+export_app = typer.Typer(no_args_is_help=True)
+
+Out = Annotated[Path, typer.Option(help="Folder for the files.")]
+Image = Annotated[Path, typer.Argument(help="The image of one view, or observations as CSV.")]
+Second = Annotated[Path | None, typer.Argument(help="The image of the other view.", show_default=False)]
+
+
+def register(app: typer.Typer) -> None:
+    """Add the group, and what other files add to it."""
+    app.add_typer(export_app, name="export", help="Views, images and plans in other programs' files.")
+    for name in ("export_plan", "deidentify"):
+        if find_spec(f"sightline.cli.{name}"):
+            import_module(f"sightline.cli.{name}").register(export_app)
+
+
+@export_app.command("views")
+def views(
+    pa: Image,
+    lateral: Second = None,
+    *,
+    out: Out,
+    to: Annotated[str, typer.Option(help="Formats: opencv,rtk,mayacam2,diffdrr,deepdrr,xreg.")] = "opencv",
+    frame: FrameName = "gamma",
+    raw: Annotated[
+        bool, typer.Option("--raw", help="The raw image's nearest pinhole; refused where the image is distorted.")
+    ] = False,
+    json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Each view's undistorted image and its exact matrix (exit code 3 where a view's check failed)."""
+    with Output(json=json, quiet=quiet) as output:
+        from sightline.case.documents import write_folder
+        from sightline.case.interop.formats import known, write_view
+
+        kinds = [known(kind.strip()) for kind in to.split(",")]
+        calibrated = _calibrate(output, [pa, lateral], frame, pixels=raw)
+        files: dict[str, bytes] = {}
+        documents = []
+        for view, seen in calibrated:
+            pinhole, pixels, document = _raw(view, seen) if raw else _plate(view, seen)
+            documents.append(document)
+            if pixels is not None and not raw:
+                files[f"{view.name}.png"] = _png(pixels)
+            for kind in kinds:
+                files |= write_view(pinhole, kind, pixels)
+        written = write_folder(out, files)
+        _say(output, documents, written)
+        output.result(
+            {"views": documents, "files": written}, [check for view, _ in calibrated for check in view.checks]
+        )
+
+
+@export_app.command("undistorted")
+def undistorted(
+    pa: Image,
+    lateral: Second = None,
+    *,
+    out: Out,
+    to: Annotated[str, typer.Option(help="png, npy, dicom; png and npy as the original's 8 or 16 bits.")] = "png",
+    frame: FrameName = "gamma",
+    spacing: Annotated[
+        float | None,
+        typer.Option(help="Pixel size on the plate, mm; by default that of the image.", show_default=False),
+    ] = None,
+    json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Each image without distortion, as the X-ray source sees the XRII plate, with its matrix beside it."""
+    with Output(json=json, quiet=quiet) as output:
+        from sightline.case.documents import write_folder
+        from sightline.case.interop import opencv
+        from sightline.case.interop.images import encode
+        from sightline.case.interop.writing import json_bytes
+
+        calibrated = _calibrate(output, [pa, lateral], frame, pixels=True)
+        files: dict[str, bytes] = {}
+        documents = []
+        for view, seen in calibrated:
+            pinhole, pixels, document = _plate(view, seen, spacing)
+            documents.append(document)
+            files[f"{view.name}.opencv.json"] = json_bytes(opencv.document(pinhole))
+            for kind in to.split(","):
+                files |= encode(kind.strip(), view.name, pixels, seen.image.white, pinhole)  # pyright: ignore[reportOptionalMemberAccess]
+        written = write_folder(out, files)
+        _say(output, documents, written)
+        output.result(
+            {"views": documents, "files": written}, [check for view, _ in calibrated for check in view.checks]
+        )
+
+
+def _calibrate(
+    output: Output, paths: list[Path | None], frame_name: str, *, pixels: bool
+) -> "list[tuple[BeadView, Seen]]":
+    """Each view with what it was calibrated from; with `pixels` none of them may be observations alone."""
+    from sightline.calibration import calibrate
+    from sightline.case.views import see_pair
+    from sightline.errors import UnusableInputError
+    from sightline.frame import Frame
+
+    known: Frame = Frame.load(frame_name)
+    first, second = paths
+    assert first is not None  # noqa: S101 - typer requires it
+    with output.step("finding and telling apart the beads"):
+        seen = [see(first, known, None, None, None)] if second is None else list(see_pair(first, second, known))
+    for one in seen:
+        if pixels and one.image is None:
+            raise UnusableInputError(f"{one.source} has no pixels; give the image itself")
+    with output.step("calibrating (smooth)"):
+        return [(calibrate(one.observations, known), one) for one in seen]
+
+
+def _plate(view: "BeadView", seen: "Seen", spacing: float | None = None) -> Any:
+    """Pinhole, pixels or None, and what is said of them."""
+    from sightline.case.interop.plate import plate_image
+
+    plate: PlateImage = plate_image(view, None if seen.image is None else seen.image.pixels, spacing)
+    pinhole = _with_checks(plate.pinhole, view)
+    document = {"view": view.name, "source": seen.source, "image": "undistorted", "residual_px": 0.0}
+    return pinhole, plate.pixels, document | _geometry(pinhole)
+
+
+def _raw(view: "BeadView", seen: "Seen") -> Any:
+    """The same of the raw image."""
+    from sightline.case.interop.plate import raw_pinhole
+
+    assert seen.image is not None  # noqa: S101 - `_calibrate` refused
+    pinhole, residual = raw_pinhole(view, seen.image.shape)
+    pinhole = _with_checks(pinhole, view)
+    document = {"view": view.name, "source": seen.source, "image": "raw", "residual_px": residual}
+    return pinhole, seen.image.pixels, document | _geometry(pinhole)
+
+
+def _with_checks(pinhole: "Pinhole", view: "BeadView") -> "Pinhole":
+    """The note says which checks failed, so that the file does."""
+    from dataclasses import replace
+
+    from sightline.checks import failed
+
+    bad = ", ".join(check.name for check in failed(view.checks))
+    return replace(pinhole, note=f"{pinhole.note}; NOT TO BE TRUSTED, checks failed: {bad}") if bad else pinhole
+
+
+def _geometry(pinhole: "Pinhole") -> dict[str, Any]:
+    return {"matrix": pinhole.matrix, "shape": pinhole.shape, "pixel_mm": pinhole.pixel_mm, "note": pinhole.note}
+
+
+def _png(pixels: Any) -> bytes:
+    import cv2
+
+    return cv2.imencode(".png", pixels)[1].tobytes()
+
+
+def _say(output: Output, documents: list[dict[str, Any]], written: list[Path]) -> None:
+    for document in documents:
+        height, width = document["shape"]
+        output.say(f"{document['view']}: {width} x {height} pixels, {document['image']}; {document['note']}")
+    for file in written:
+        output.say(f"written: {file}")

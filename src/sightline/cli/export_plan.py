@@ -1,0 +1,79 @@
+"""`sightline export plan`: a plan for 3D Slicer, ITK, DICOM, tables and robots."""
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+import typer
+
+from sightline.cli.export import Out
+from sightline.cli.output import Json, Output, Quiet
+
+Side = Literal["right", "left"]
+KINDS = ("slicer", "itk", "dicom", "csv", "igtl")
+
+
+def register(export_app: typer.Typer) -> None:
+    """Add the command to the group."""
+    export_app.command("plan")(plan)
+
+
+def plan(
+    path: Annotated[Path, typer.Argument(metavar="PLAN", help="plan.json, or the folder of `sightline plan --out`.")],
+    *,
+    out: Out,
+    to: Annotated[str, typer.Option(help=f"Formats: {','.join(KINDS)}. Each goes to a folder of its name.")] = "csv",
+    side: Annotated[
+        Side | None, typer.Option(help="Of the hip, as confirmed in the images: patient axes depend on it.")
+    ] = None,
+    case: Annotated[str, typer.Option(help="Case number; nothing else names the patient.")] = "plan",
+    original: Annotated[
+        list[str] | None,
+        typer.Option(help="A raw DICOM image to draw over, 'pa:FILE'; its UIDs are written.", show_default=False),
+    ] = None,
+    json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """A plan in other programs' files; a NO-GO plan says so in each of them, and is refused as a robot's message."""
+    with Output(json=json, quiet=quiet) as output:
+        from datetime import datetime
+
+        from sightline.case.documents import write_folder
+        from sightline.case.interop import dicom_plan, itk, robot_files, slicer, tables
+        from sightline.case.interop.dicom_parts import Filed
+        from sightline.case.interop.plan_file import PlanFile
+        from sightline.errors import UnusableInputError
+
+        kinds = [kind.strip() for kind in to.split(",")]
+        unknown = [kind for kind in kinds if kind not in KINDS]
+        if unknown:
+            raise UnusableInputError(f"{unknown[0]!r} is no format of a plan; choose of {', '.join(KINDS)}")
+        filed = Filed(case, datetime.now().replace(microsecond=0))
+        known, originals = PlanFile.read(path), _originals(original)
+        if originals and "dicom" not in kinds:
+            raise UnusableInputError("--original is for --to dicom alone")
+        writers = {
+            "slicer": lambda: slicer.write(known, side),
+            "itk": lambda: itk.write(known, side),
+            "dicom": lambda: dicom_plan.write(known, filed, originals),
+            "csv": lambda: tables.write(known, side),
+            "igtl": lambda: robot_files.write(known, side, case),
+        }
+        with output.step("making the files"):
+            made = {kind: writers[kind]() for kind in kinds}  # all of them, before any is written
+        written = [file for kind, files in made.items() for file in write_folder(out / kind, files)]
+        output.say(known.statement)
+        for file in written:
+            output.say(f"written: {file}")
+        output.result({"go": known.go, "statement": known.statement, "side": side, "files": written})
+
+
+def _originals(texts: list[str] | None) -> dict[str, Path]:
+    from sightline.errors import UnusableInputError
+
+    out: dict[str, Path] = {}
+    for text in texts or ():
+        view, colon, file = text.partition(":")
+        if not colon or not file or view in out:
+            raise UnusableInputError(f"--original {text!r} is not VIEW:FILE, for example pa:shot1.dcm, once a view")
+        out[view] = Path(file)
+    return out

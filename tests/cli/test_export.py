@@ -1,0 +1,137 @@
+"""`sightline export` on the twin's images: what it writes is read back; what it may not write is not written."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pydicom import dcmread
+
+from sightline.case.interop.formats import FORMATS, read_view
+from sightline.imaging import read_image
+
+TARGETS_MM = np.array([[11.3, -7.9, 4.1], [-20.7, 15.2, -9.9]])
+WIRE_MM = np.array([[31.3, 28.9, -9.7], [-30.1, -27.7, 8.3]])
+
+
+def pick(setup, xyz_mm: np.ndarray) -> str:
+    pixels = {name: setup.views[name].project(xyz_mm[None])[0] for name in ("pa", "lateral")}
+    return " ".join(f"{name}:{u},{v}" for name, (u, v) in pixels.items())
+
+
+@pytest.fixture(scope="module")
+def planned(run, pair, setup, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("planned")
+    entry, end = (pick(setup, one) for one in WIRE_MM)
+    ran = run("plan", pair["pa"], pair["lateral"], "--entry", entry, "--end", end, "--pick-sd", "0.1", "--out", out)
+    assert ran.code in (0, 3), ran.err
+    return out
+
+
+@pytest.fixture(scope="module")
+def exported(run, pair, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict]:
+    out = tmp_path_factory.mktemp("views")
+    ran = run("export", "views", pair["pa"], pair["lateral"], "--to", ",".join(FORMATS), "--out", out, "--json")
+    assert ran.code in (0, 3), ran.out
+    return out, ran.document
+
+
+def test_every_format_gives_one_view(exported: tuple[Path, dict], setup) -> None:
+    """All files agree; and rays from their focal point run as from the true one, nearly."""
+    folder, document = exported
+    for stated in document["views"]:
+        name = stated["view"]
+        files = [p for p in folder.glob(f"{name}.*.*") if p.suffix != ".mha"]
+        assert len(files) == len(FORMATS) + 2  # OpenCV's three
+        seen = [read_view(p).view().project(TARGETS_MM) for p in files]
+        assert max(np.abs(one - seen[0]).max() for one in seen) < 1e-6
+        assert read_image(folder / f"{name}.png").shape == tuple(stated["shape"])
+        truth = setup.views[name].focal_point_mm
+        focal = read_view(files[0]).focal_point_mm
+        ray = (TARGETS_MM - focal) / np.linalg.norm(TARGETS_MM - focal, axis=1, keepdims=True)
+        true = (TARGETS_MM - truth) / np.linalg.norm(TARGETS_MM - truth, axis=1, keepdims=True)
+        assert np.abs(ray - true).max() < 0.03  # 20 mm of focal point at 620 mm, mostly along the beam
+
+
+def test_a_bead_is_found_where_the_exported_matrix_has_it(exported: tuple[Path, dict], frame) -> None:
+    """The image's own detection against the matrix: beads of the source plate, which the undistortion does not fit."""
+    from sightline.detection import detect
+
+    folder, _ = exported
+    found = detect(read_image(folder / "pa.png")).uv_px
+    plate = frame.view("pa").source
+    seen = read_view(folder / "pa.xreg.json").view().project(plate.xyz_mm)
+    size = read_image(folder / "pa.png").shape
+    inner = ((seen > 40) & (seen < np.array(size[::-1]) - 40)).all(axis=1)
+    apart = np.linalg.norm(found[None] - seen[inner, None], axis=2).min(axis=1)
+    assert inner.sum() > 20
+    assert np.median(apart) < 0.5
+
+
+def test_the_raw_image_of_an_intensifier_is_refused_and_nothing_is_written(run, pair, tmp_path: Path) -> None:
+    ran = run("export", "views", pair["pa"], "--raw", "--out", tmp_path / "raw")
+    assert ran.code == 3
+    assert "is no pinhole's" in ran.err
+    assert not (tmp_path / "raw").exists()
+
+
+def test_undistorted_images_in_three_formats(run, pair, tmp_path: Path) -> None:
+    ran = run("export", "undistorted", pair["lateral"], "--to", "png,npy,dicom", "--out", tmp_path, "--json")
+    assert ran.code in (0, 3), ran.out
+    png, npy, dicom = (read_image(tmp_path / f"lateral.{end}").pixels for end in ("png", "npy", "dcm"))
+    assert np.array_equal(png, npy) and np.array_equal(png, dicom)
+    assert read_view(tmp_path / "lateral.opencv.json").shape == png.shape
+
+
+def test_a_plan_in_every_format(run, planned: Path, pair, tmp_path: Path) -> None:
+    document = json.loads((planned / "plan.json").read_text())
+    kinds = ["slicer", "itk", "dicom", "csv"] + (["igtl"] if document["go"] else [])
+    ran = run(
+        "export", "plan", planned, "--to", ",".join(kinds), "--side", "left", "--case", "c-1", "--out", tmp_path,
+        "--original", f"pa:{pair['pa']}", "--json",
+    )  # fmt: skip
+    assert ran.code == 0, ran.out
+    assert {Path(file).parent.name for file in ran.document["files"]} == set(kinds)
+    assert all(Path(file).is_file() for file in ran.document["files"])
+    assert dcmread(tmp_path / "dicom" / "pa-original-state.dcm").PatientID == "c-1"
+    verdict = "GO" if document["go"] else "NO-GO"
+    assert ran.document["statement"].startswith(verdict)
+
+
+def test_a_no_go_plan_is_no_robots_and_then_nothing_else_is_written_either(run, planned: Path, tmp_path: Path) -> None:
+    document = json.loads((planned / "plan.json").read_text())
+    document["go"] = False
+    (tmp_path / "plan.json").write_text(json.dumps(document))
+    ran = run("export", "plan", tmp_path / "plan.json", "--to", "csv,igtl", "--side", "left", "--out", tmp_path / "out")
+    assert ran.code == 3
+    assert "NO-GO" in ran.err
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["views", "PA", "--to", "maya"], "no format of a view"),
+        (["views", "CSV", "CSV", "--raw"], "no pixels"),
+        (["undistorted", "CSV", "CSV"], "no pixels"),
+        (["undistorted", "PA", "--to", "gif"], "no format of an image"),
+        (["plan", "PLAN", "--to", "word"], "no format of a plan"),
+        (["plan", "PLAN", "--to", "slicer"], "--side"),
+        (["plan", "PLAN", "--original", "pa.dcm"], "VIEW:FILE"),
+        (["plan", "PLAN", "--to", "csv", "--original", "pa:x.dcm"], "for --to dicom alone"),
+        (["plan", "PLAN", "--case", "Jane Doe"], "no case number"),
+        (["plan", "nowhere"], "cannot read"),
+    ],
+)
+def test_unusable_arguments(run, pair, planned, beads_csv, tmp_path: Path, arguments: list[str], words: str) -> None:
+    given = {"PA": pair["pa"], "CSV": beads_csv, "PLAN": planned}
+    ran = run("export", *(given.get(a, a) for a in arguments), "--out", tmp_path / "out")
+    assert ran.code == 2, ran.err
+    assert words in ran.err
+    assert not (tmp_path / "out").exists()
+
+
+def test_beads_alone_give_the_geometry_without_an_image(run, beads_csv: Path, tmp_path: Path) -> None:
+    ran = run("export", "views", beads_csv, beads_csv, "--to", "deepdrr", "--out", tmp_path, "--json")
+    assert ran.code in (0, 3), ran.out
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["lateral.deepdrr.json", "pa.deepdrr.json"]
