@@ -7,9 +7,9 @@ import pytest
 from tests.robot.rig import CLIENT, END_MM, ENTRY_MM, IMAGED, ROBOT, T_MCS_CFCS, Rig, code, metadata, wire
 
 from sightline.robot.contract import HEARTBEAT, Code
-from sightline.robot.controller import Reset
 from sightline.robot.igtl import Capability, Command, CommandReply, Status, String, Transform
 from sightline.robot.manipulator import FEED
+from sightline.robot.requests import Reset
 from sightline.robot.states import COMMANDS, MOVING, TRANSITIONS, WAITING, Cause, State, phase
 
 OTHER = 2

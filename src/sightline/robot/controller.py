@@ -3,121 +3,45 @@
 One thread calls it: `submit` for each request, `cycle` every `CYCLE_S`.
 """
 
-from collections import deque
-from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
 from sightline.errors import RobotRefusedError
-from sightline.robot.activities import MOVING_LIMIT, STANDING_LIMIT, Activity, Drilling, align, retract
+from sightline.robot.activities import STANDING_LIMIT, Activity, Drilling, align, retract
 from sightline.robot.calibrated import CalibratedRobot
 from sightline.robot.contract import SILENCE_S, Code
 from sightline.robot.igtl import Message
 from sightline.robot.insertion import Insertion, LinkRegistration, Setup, read_registration, read_target
-from sightline.robot.manipulator import FEED, JOINTS, said_beyond
+from sightline.robot.look import LONGEST_S, Look, Surveyor, at_once
+from sightline.robot.manipulator import FEED, JOINTS
 from sightline.robot.panel import Panel
-from sightline.robot.plant import Plant, PlantFlag, Reading
-from sightline.robot.states import ACTIVITIES, COMMANDS, MOVING, TRANSITIONS, WAITING, Cause, State
+from sightline.robot.plant import Plant, PlantFlag
+from sightline.robot.requests import (
+    Aim,
+    Answer,
+    Command,
+    Fault,
+    Outcome,
+    Register,
+    Request,
+    RequestRefusedError,
+    Reset,
+    ShotDepth,
+    Snapshot,
+)
+from sightline.robot.samples import STALE_S, Samples
+from sightline.robot.states import ACTIVITIES, COMMANDS, MOVING, TRANSITIONS, Cause, State
 
-STALE_S = 0.05  # ten cycles without a sample: the plant is gone [ours]
-WINDOW = 6  # samples in which a joint that stands changes by a count at most: speed below 1 % of full speed
-STILL_COUNTS = 1.5
 SHOT_LIMIT_MM = 3.0  # between shot and encoders: registration, bending and the shot together do not err so much [ours]
 STOP_S = 1.0  # ten times what a stop takes at most
 _MOTION = (Cause.MOVE_TO_TARGET, Cause.DRILL, Cause.GUIDE, Cause.RETRACT)
 
 
-@dataclass(frozen=True)
-class Command:
-    """A command by its name, known or not."""
-
-    name: str
-
-
-@dataclass(frozen=True)
-class Register:
-    """A registration, as it came."""
-
-    message: Message
-
-
-@dataclass(frozen=True)
-class Aim:
-    """A target, as it came."""
-
-    message: Message
-
-
-@dataclass(frozen=True)
-class Reset:
-    """A person's reset from afar, after they read this fault."""
-
-    fault: int
-
-
-@dataclass(frozen=True)
-class ShotDepth:
-    """How far beyond the entry point the second shot shows the tip, mm: the zero of depth set anew."""
-
-    depth_mm: float
-
-
-Request = Command | Register | Aim | Reset | ShotDepth
-
-
-@dataclass(frozen=True)
-class Answer:
-    """To a request, at once. Where it is not yet `done`, an Outcome follows."""
-
-    code: Code
-    text: str = ""
-    done: bool = True
-
-
-@dataclass(frozen=True)
-class Outcome:
-    """How a command ended, for the client that sent it; None: something all must know."""
-
-    client: int | None
-    name: str
-    code: Code
-    text: str
-
-
-@dataclass(frozen=True)
-class Fault:
-    """Why the robot is in EMERGENCY."""
-
-    number: int
-    code: Code
-    text: str
-
-
-@dataclass(frozen=True, eq=False)
-class Snapshot:
-    """What there is to know now. `depth_mm` beyond the entry point, None without a target; `wanted` (5,): where the
-    joints should be."""
-
-    state: State
-    reading: Reading
-    velocity: np.ndarray
-    wanted: np.ndarray
-    commanded: np.ndarray
-    depth_mm: float | None
-    fault: Fault | None
-    registration: LinkRegistration | None
-    insertion: Insertion | None
-
-
-class _No(Exception):  # noqa: N818 - an answer, not an error
-    def __init__(self, code: Code, text: str) -> None:
-        super().__init__(text)
-        self.code, self.text = code, text
-
-
 class Controller:
     """See the module. `first_fault`: the number of its first fault; one that differs with every start keeps a reset
-    meant for an earlier fault from clearing a later one."""
+    meant for an earlier fault from clearing a later one. `surveyor`: where it looks for collisions; a loop that must
+    keep its time has that done beside it."""
 
     def __init__(
         self, robot: CalibratedRobot, plant: Plant, setup: Setup, panel: Panel | None = None, first_fault: int = 1
@@ -130,18 +54,15 @@ class Controller:
         self.registration: LinkRegistration | None = None
         self.insertion: Insertion | None = None
         self.drilling: Drilling | None = None
-        self._plant = plant
+        self.surveyor: Surveyor = at_once
+        self._plant, self._samples = plant, Samples(plant)
         self._activity: Activity | None = None
         self._next_fault = first_fault
-        self._reading = plant.read()
         self._begun_s = 0.0  # an activity's first cycle: what was asked before it may have taken long
         self._acted_s: float | None = None  # when the activity that goes on had its last cycle
-        self._sound = True  # the last sample was one of numbers
-        self._sampled_s: float | None = None  # by the controller's clock
-        self._past: deque[Reading] = deque([self._reading], maxlen=WINDOW)
         self._commanded = np.zeros(len(JOINTS))
-        self._rest = self._reading.encoders  # where the joints stand while the robot waits
-        self._surveyed_from = self._reading.encoders
+        self._rest = self._surveyed_from = self._q  # where the joints stand while the robot waits
+        self._look: Look | None = None
         self._moving_for: tuple[int, str] | None = None
         self._stopping: list[tuple[int, str]] = []
         self._stopped_s = 0.0
@@ -154,8 +75,8 @@ class Controller:
         """An answer to every request in every state."""
         try:
             match request:
-                case Command(name):
-                    return self._command(client, name, now_s)
+                case Command(name, overtaken):
+                    return self._command(client, name, overtaken, now_s)
                 case Register(message):
                     return self._register(client, message)
                 case Aim(message):
@@ -164,8 +85,8 @@ class Controller:
                     return self._reset_from_afar(fault)
                 case ShotDepth(depth_mm):
                     return self._shot_depth(client, depth_mm)
-        except _No as no:
-            return Answer(no.code, no.text)
+        except RequestRefusedError as refused:
+            return refused.answer
 
     def heartbeat(self, client: int, now_s: float) -> None:
         """A sign of life, or the promise of more: from now on this client's silence is noticed."""
@@ -182,8 +103,7 @@ class Controller:
         self._stopping = [due for due in self._stopping if due[0] != client]
         if client != self.lease:
             return
-        self.lease = None
-        self._moving_for = None
+        self.lease = self._moving_for = self._look = None
         self._halt(now_s)
         self._enter(Cause.LOST)
         self._forget()
@@ -196,8 +116,9 @@ class Controller:
             self._halt_by_itself(f"the control loop was {now_s - self._acted_s:.2f} s late", now_s)
         if self._acted_s is None:
             self._begun_s = now_s
-        self._read(now_s)
+        self._samples.take(now_s)
         self._watch(now_s)
+        self._see_look(now_s)
         if self._activity is not None:
             self._act(now_s)
         if self._activity is None:
@@ -213,31 +134,40 @@ class Controller:
 
     @property
     def busy(self) -> bool:
-        """Whether something moves, or has yet to be seen to stand."""
-        return self._activity is not None or bool(self._stopping)
+        """Whether something moves, has yet to be seen to stand, or is looked at."""
+        return self._activity is not None or bool(self._stopping) or self._look is not None
+
+    @property
+    def looking_for(self) -> int | None:
+        """The client whose target is looked at; it waits for the answer."""
+        return None if self._look is None else self._look.client
 
     def snapshot(self) -> Snapshot:
         """For telemetry."""
-        q = self._reading.encoders
         return Snapshot(
             self.state,
-            self._reading,
-            self._velocity(),
-            q if self._activity is None else self._activity.position,
+            self._samples.latest,
+            self._samples.velocity,
+            self._q if self._activity is None else self._activity.position,
             self._commanded,
-            None if self.insertion is None else float(q[FEED] - self.insertion.q[FEED]),
+            None if self.insertion is None else float(self._q[FEED] - self.insertion.q[FEED]),
             self.fault,
             self.registration,
             self.insertion,
         )
 
+    @property
+    def _q(self) -> np.ndarray:
+        """(5,): the joints."""
+        return self._samples.latest.encoders
+
     # Requests.
 
-    def _command(self, client: int, name: str, now_s: float) -> Answer:
+    def _command(self, client: int, name: str, overtaken: bool, now_s: float) -> Answer:
         cause = next((cause for cause in COMMANDS if cause.value == name), None)
         if cause is None:
             known = ", ".join(command.value for command in COMMANDS)
-            raise _No(Code.UNKNOWN, f"there is no command {name[:40]!r}; there are {known}")
+            raise _no(Code.UNKNOWN, f"there is no command {name[:40]!r}; there are {known}")
         if cause is Cause.STOP:
             return self._stop(client, now_s)
         if cause is Cause.EMERGENCY:
@@ -246,13 +176,17 @@ class Controller:
         self._hold_lease(client)
         if (self.state, cause) not in TRANSITIONS:
             raise self._illegal(cause)
+        if overtaken and cause in _MOTION:
+            raise _no(Code.NOT_READY, "a stop came after this command, which is void")
         self._guard(cause, now_s)
+        if self.insertion is not None and self._must_look(cause):
+            return self._begin_look(client, self.insertion, cause, now_s)
         return self._start(client, cause)
 
     def _start(self, client: int, cause: Cause) -> Answer:
         was = self.state
         self._enter(cause)
-        manipulator, insertion, q = self.robot.manipulator, self.insertion, self._reading.encoders
+        manipulator, insertion, q = self.robot.manipulator, self.insertion, self._q
         if cause is Cause.START_UP:
             self._forget()
         elif cause is Cause.MANUAL:
@@ -271,68 +205,103 @@ class Controller:
 
     def _guard(self, cause: Cause, now_s: float) -> None:
         """What the table cannot know."""
-        if cause is Cause.START_UP and self._reading.flags & PlantFlag.STOP_PRESSED:
-            raise _No(Code.NOT_READY, "the stop button is pressed; release it at the robot")
+        if cause is Cause.START_UP and self._stop_pressed:
+            raise _no(Code.NOT_READY, "the stop button is pressed; release it at the robot")
         if cause is Cause.TARGETING and self.registration is None:
-            raise _No(Code.NOT_READY, "there is no registration; send CALIBRATION and CLB_ first")
+            raise _no(Code.NOT_READY, "there is no registration; send CALIBRATION and CLB_ first")
         if cause not in _MOTION:
             return
-        if self._reading.flags & PlantFlag.STOP_PRESSED or not self._reading.flags & PlantFlag.RUN_HELD:
-            raise _No(Code.NOT_READY, "the hold-to-run switch is not held, or the stop button is pressed")
+        if self._stop_pressed or not self._run_held:
+            raise _no(Code.NOT_READY, "the hold-to-run switch is not held, or the stop button is pressed")
         if self._stopping:
-            raise _No(Code.NOT_READY, "the robot is still stopping")
+            raise _no(Code.NOT_READY, "the robot is still stopping")
         if TRANSITIONS[self.state, cause] is State.RETRACT:
             return
         if self.insertion is None:
-            raise _No(Code.NOT_READY, "there is no target; send TARGETING and TGT_ first")
+            raise _no(Code.NOT_READY, "there is no target; send TARGETING and TGT_ first")
         if not now_s <= self.insertion.expires_s:
-            raise _No(Code.CONFIGURATION, "the plan has expired; take new images and plan again")
-        moved = np.abs(self._reading.encoders - self._surveyed_from)
-        if TRANSITIONS[self.state, cause] is State.ALIGN and (moved > STANDING_LIMIT).any():
-            try:
-                self._survey(self.insertion)
-            except RobotRefusedError as error:
-                raise _No(Code.CONFIGURATION, str(error)) from error
+            raise _no(Code.CONFIGURATION, "the plan has expired; take new images and plan again")
 
-    def _survey(self, insertion: Insertion) -> None:
-        """Look for collisions from here on. It takes a quarter of a second, in which the robot stands."""
-        self._surveyed_from = self._reading.encoders
-        insertion.refuse_collision(self.robot.manipulator, self._surveyed_from, self.setup)
+    def _must_look(self, cause: Cause) -> bool:
+        """Whether the arm would turn from elsewhere than where its way was looked at from."""
+        moved = np.abs(self._q - self._surveyed_from) > STANDING_LIMIT
+        return cause in _MOTION and TRANSITIONS[self.state, cause] is State.ALIGN and bool(moved.any())
+
+    # The look for collisions.
+
+    def _begin_look(self, client: int, insertion: Insertion, cause: Cause | None, now_s: float) -> Answer:
+        """From here on. The robot stands until it has ended, and what else its client sends must wait."""
+        start = self._q
+        work = partial(insertion.refuse_collision, self.robot.manipulator, start, self.setup)
+        self._look = Look(client, cause, insertion, start, now_s, self.surveyor(work))
+        return self._looked(now_s) or Answer(Code.OK, done=False)
+
+    def _see_look(self, now_s: float) -> None:
+        look, answer = self._look, self._looked(now_s)
+        if look is not None and answer is not None and answer.done:
+            self._outcomes.append(Outcome(look.client, look.name, answer.code, answer.text))
+
+    def _looked(self, now_s: float) -> Answer | None:
+        """How the look has ended, and the motion begun that waited for it; None while it goes on."""
+        look = self._look
+        if look is None or not look.result.done():
+            return None
+        self._look = None
+        try:
+            look.result.result()
+            self.insertion, self._surveyed_from = look.insertion, look.start
+            return Answer(Code.OK) if look.cause is None else self._go_after_look(look, look.cause, now_s)
+        except RobotRefusedError as error:
+            return Answer(Code.CONFIGURATION, str(error))
+        except RequestRefusedError as refused:
+            return refused.answer
+
+    def _go_after_look(self, look: Look, cause: Cause, now_s: float) -> Answer:
+        if now_s - look.begun_s > LONGEST_S or self._must_look(cause):
+            text = f"looking for collisions took {now_s - look.begun_s:.1f} s, or the robot was moved meanwhile"
+            raise _no(Code.NOT_READY, f"{text}; command it again")
+        self._guard(cause, now_s)
+        return self._start(look.client, cause)
+
+    def _drop_look(self, code: Code, text: str) -> None:
+        """Whatever it finds now is void."""
+        if self._look is not None:
+            self._look.result.cancel()
+            self._outcomes.append(Outcome(self._look.client, self._look.name, code, text))
+            self._look = None
 
     def _register(self, client: int, message: Message) -> Answer:
         self._hold_lease(client)
         if self.state is not State.CALIBRATION:
-            raise _No(Code.NOT_READY, f"a registration is taken in CALIBRATION; the robot is in {self.state.value}")
+            raise _no(Code.NOT_READY, f"a registration is taken in CALIBRATION; the robot is in {self.state.value}")
         self.registration = self.insertion = None  # whatever comes, the old one is no longer meant
         try:
             self.registration = read_registration(message)
         except RobotRefusedError as error:
-            raise _No(Code.CONFIGURATION, str(error)) from error
+            raise _no(Code.CONFIGURATION, str(error)) from error
         return Answer(Code.OK)
 
     def _aim(self, client: int, message: Message, now_s: float) -> Answer:
         self._hold_lease(client)
         if self.registration is None:
-            raise _No(Code.NOT_READY, "there is no registration; send CALIBRATION and CLB_ first")
+            raise _no(Code.NOT_READY, "there is no registration; send CALIBRATION and CLB_ first")
         if self.state is not State.TARGETING:
-            raise _No(Code.NOT_READY, f"a target is taken in TARGETING; the robot is in {self.state.value}")
+            raise _no(Code.NOT_READY, f"a target is taken in TARGETING; the robot is in {self.state.value}")
         self.insertion = None  # whatever comes, the old one is no longer meant
         try:
             insertion = read_target(message, self.registration, self.robot, self.setup, now_s)
-            self._survey(insertion)
-            self.insertion = insertion
         except RobotRefusedError as error:
-            raise _No(Code.CONFIGURATION, str(error)) from error
-        return Answer(Code.OK)
+            raise _no(Code.CONFIGURATION, str(error)) from error
+        return self._begin_look(client, insertion, None, now_s)
 
     def _shot_depth(self, client: int, depth_mm: float) -> Answer:
         self._hold_lease(client)
         if self.state is not State.PAUSED or self.insertion is None or self.drilling is None:
-            raise _No(Code.NOT_READY, f"a shot's depth is taken in PAUSED; the robot is in {self.state.value}")
-        own_mm = float(self._reading.encoders[FEED] - self.insertion.q[FEED])
+            raise _no(Code.NOT_READY, f"a shot's depth is taken in PAUSED; the robot is in {self.state.value}")
+        own_mm = float(self._q[FEED] - self.insertion.q[FEED])
         if not abs(depth_mm - own_mm) <= SHOT_LIMIT_MM:
             text = f"the shot shows the tip at {depth_mm:.1f} mm, the encoders at {own_mm:.1f} mm: more than "
-            raise _No(
+            raise _no(
                 Code.CONFIGURATION, text + f"{SHOT_LIMIT_MM:g} mm apart, something has moved; retract and plan again"
             )
         self.insertion = self.insertion.shifted(own_mm - depth_mm)
@@ -341,6 +310,7 @@ class Controller:
 
     def _stop(self, client: int, now_s: float) -> Answer:
         self._halt(now_s)
+        self._drop_look(Code.NOT_READY, "stopped by a client's STOP")
         self._end_motion(Code.NOT_READY, "stopped by a client's STOP")
         self._stopping.append((client, Cause.STOP.value))
         self._enter(Cause.STOP)
@@ -350,11 +320,11 @@ class Controller:
 
     def _reset_from_afar(self, fault: int) -> Answer:
         if self.panel.key_switch:
-            raise _No(Code.DENIED, "this robot is reset with the key at its panel")
+            raise _no(Code.DENIED, "this robot is reset with the key at its panel")
         if self.fault is None:
-            raise _No(Code.NOT_READY, "there is no fault to reset")
+            raise _no(Code.NOT_READY, "there is no fault to reset")
         if fault != self.fault.number:
-            raise _No(Code.NOT_READY, f"the fault is number {self.fault.number}, not {fault}: read it first")
+            raise _no(Code.NOT_READY, f"the fault is number {self.fault.number}, not {fault}: read it first")
         self._reset()
         return Answer(Code.OK)
 
@@ -363,28 +333,20 @@ class Controller:
         if self.lease is None:
             self.lease = client
         if self.lease != client:
-            raise _No(Code.DENIED, "another client holds the command lease; it ends with that client's connection")
+            raise _no(Code.DENIED, "another client holds the command lease; it ends with that client's connection")
+        if self._look is not None:
+            raise _no(Code.NOT_READY, "the way to the target is still looked at; wait for the answer")
 
-    def _illegal(self, cause: Cause) -> _No:
+    def _illegal(self, cause: Cause) -> RequestRefusedError:
         if self.state is State.MANUAL:
-            return _No(Code.MANUAL, "the robot is in MANUAL; send PLANNING or START_UP first")
+            return _no(Code.MANUAL, "the robot is in MANUAL; send PLANNING or START_UP first")
         if self.state is State.EMERGENCY:
             number = "" if self.fault is None else f" {self.fault.number}: {self.fault.text}"
-            return _No(Code.EMERGENCY, f"fault{number}; a person must reset the robot")
+            return _no(Code.EMERGENCY, f"fault{number}; a person must reset the robot")
         legal = ", ".join(command.value for command in COMMANDS if (self.state, command) in TRANSITIONS)
-        return _No(Code.NOT_READY, f"not {cause.value} in {self.state.value}; possible are {legal}")
+        return _no(Code.NOT_READY, f"not {cause.value} in {self.state.value}; possible are {legal}")
 
     # A cycle's parts.
-
-    def _read(self, now_s: float) -> None:
-        reading = self._plant.read()
-        self._sound = bool(np.isfinite(reading.encoders).all() and np.isfinite(reading.force_n))
-        if not self._sound:
-            return  # what was last known stays known
-        if self._sampled_s is None or reading.time_s > self._reading.time_s:
-            self._sampled_s = now_s
-            self._past.append(reading)
-        self._reading = reading
 
     def _watch(self, now_s: float) -> None:
         """What must end motion whatever the activity."""
@@ -393,38 +355,29 @@ class Controller:
                 self._reset_at_panel()
             return
         self.panel.take_reset()  # pressed too early
-        reading, sampled_s = self._reading, self._sampled_s
-        if not self._sound:
-            self._fail(Code.HARDWARE, "an encoder or the force sensor gives no number", now_s)
-        elif sampled_s is None or now_s - sampled_s > STALE_S:
-            self._fail(Code.HARDWARE, f"no sample from the drives for {STALE_S:g} s", now_s)
-        elif reading.flags & PlantFlag.STOP_PRESSED and self.state is not State.UNDEFINED:
+        missing = self._samples.missing(now_s)
+        if missing:
+            self._fail(Code.HARDWARE, missing, now_s)
+        elif self._stop_pressed and self.state is not State.UNDEFINED:
             self._fail(Code.EMERGENCY, "the stop button was pressed", now_s)
         elif self.state in ACTIVITIES:
-            self._watch_activity(now_s)
-
-    def _watch_activity(self, now_s: float) -> None:
-        reading = self._reading
-        beyond = self.robot.manipulator.beyond_limits(reading.encoders)
-        outside = np.abs(beyond) > MOVING_LIMIT
-        if outside.any():
-            joint = int(np.argmax(outside))
-            said = said_beyond(joint, float(reading.encoders[joint]), float(beyond[joint]))
-            self._fail(Code.HARDWARE, f"outside the workspace: {said}", now_s)
-        elif reading.flags & PlantFlag.OVERLOAD and self.state in MOVING:
-            self._fail(Code.HARDWARE, "a drive is at the limit of its force: something blocks the robot", now_s)
-        elif self.state in WAITING:
-            off = np.abs(reading.encoders - self._rest) > STANDING_LIMIT
-            if off.any():
-                joint = JOINTS[int(np.argmax(off))]
-                self._fail(Code.HARDWARE, f"{joint} was moved while it should stand", now_s)
-        else:
-            reason = self._reason_to_halt(now_s)
-            if reason:
+            wrong = self._samples.wrong(self.robot.manipulator, self.state, self._rest)
+            reason = self._reason_to_halt(now_s) if self.state in MOVING else None
+            if wrong:
+                self._fail(Code.HARDWARE, wrong, now_s)
+            elif reason:
                 self._halt_by_itself(reason, now_s)
 
+    @property
+    def _stop_pressed(self) -> bool:
+        return bool(self._samples.latest.flags & PlantFlag.STOP_PRESSED)
+
+    @property
+    def _run_held(self) -> bool:
+        return bool(self._samples.latest.flags & PlantFlag.RUN_HELD)
+
     def _reason_to_halt(self, now_s: float) -> str | None:
-        if not self._reading.flags & PlantFlag.RUN_HELD:
+        if not self._run_held:
             return "the hold-to-run switch was released"
         heard_s = self._heartbeats.get(-1 if self.lease is None else self.lease)
         if heard_s is not None and now_s - max(heard_s, self._begun_s) > SILENCE_S:
@@ -436,7 +389,7 @@ class Controller:
     def _act(self, now_s: float) -> None:
         if self._activity is None:
             return
-        step = self._activity.step(self._reading, now_s)
+        step = self._activity.step(self._samples.latest, now_s)
         if step.cause is None:
             self._acted_s = now_s
             self._commanded = step.velocity
@@ -466,18 +419,19 @@ class Controller:
             self._next_fault += 1
         self._enter(Cause.FAULT)
         self._forget()
+        self._drop_look(code, text)
         self._end_motion(code, text)
         self._outcomes.append(Outcome(None, State.EMERGENCY.value, Code.EMERGENCY, text))
 
     def _reset_at_panel(self) -> None:
         try:
             self._reset()
-        except _No as no:
-            self._outcomes.append(Outcome(None, State.EMERGENCY.value, no.code, no.text))
+        except RequestRefusedError as refused:
+            self._outcomes.append(Outcome(None, State.EMERGENCY.value, refused.answer.code, refused.answer.text))
 
     def _reset(self) -> None:
-        if self._reading.flags & PlantFlag.STOP_PRESSED:
-            raise _No(Code.NOT_READY, "the stop button is pressed; release it at the robot")
+        if self._stop_pressed:
+            raise _no(Code.NOT_READY, "the stop button is pressed; release it at the robot")
         self.fault = None
         self._enter(Cause.RESET)
 
@@ -503,8 +457,7 @@ class Controller:
         """A stop is reported as done when the joints stand, and not before."""
         if not self._stopping:
             return
-        moved = np.ptp([reading.encoders for reading in self._past], axis=0)
-        if len(self._past) == WINDOW and (moved < STILL_COUNTS * self.robot.manipulator.resolution).all():
+        if self._samples.still(self.robot.manipulator):
             self._outcomes += [Outcome(*due, Code.OK, "stands still") for due in self._stopping]
             self._stopping = []
         elif now_s - self._stopped_s > STOP_S:
@@ -512,7 +465,6 @@ class Controller:
             self._outcomes += [Outcome(*one, Code.HARDWARE, "the joints still move") for one in due]
             self._fail(Code.HARDWARE, f"the joints still move {STOP_S:g} s after a stop", now_s)
 
-    def _velocity(self) -> np.ndarray:
-        first, last = self._past[0], self._past[-1]
-        elapsed = last.time_s - first.time_s
-        return (last.encoders - first.encoders) / elapsed if elapsed > 0 else np.zeros(len(JOINTS))
+
+def _no(code: Code, text: str) -> RequestRefusedError:
+    return RequestRefusedError(code, text)

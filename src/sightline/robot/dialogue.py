@@ -11,18 +11,7 @@ import numpy as np
 from sightline.robot import contract
 from sightline.robot.activities import Drilling
 from sightline.robot.contract import Code
-from sightline.robot.controller import (
-    Aim,
-    Answer,
-    Command,
-    Controller,
-    Outcome,
-    Register,
-    Request,
-    Reset,
-    ShotDepth,
-    Snapshot,
-)
+from sightline.robot.controller import Controller
 from sightline.robot.igtl import (
     MILLIMETRE,
     NEWTON,
@@ -40,7 +29,19 @@ from sightline.robot.igtl import (
 )
 from sightline.robot.igtl import Command as CommandMessage
 from sightline.robot.igtl.kinds import Body
+from sightline.robot.look import TARGET
 from sightline.robot.plant import CYCLE_S
+from sightline.robot.requests import (
+    Aim,
+    Answer,
+    Command,
+    Outcome,
+    Register,
+    Request,
+    Reset,
+    ShotDepth,
+    Snapshot,
+)
 from sightline.robot.states import MOVING, Cause, phase
 
 UNDERSTOOD = (
@@ -56,7 +57,6 @@ UNDERSTOOD = (
 )
 OFFERED = (contract.HAS_HEARTBEAT, contract.HAS_TELEMETRY, contract.HAS_DRILLING, contract.HAS_PLAN, contract.HAS_RESET)
 _NAME_BYTES = 20
-STOPPING = (Cause.STOP.value, Cause.EMERGENCY.value)
 
 
 @dataclass(frozen=True)
@@ -97,6 +97,7 @@ class Dialogue:
 
     def __post_init__(self) -> None:
         self._peers: dict[int, _Peer] = {}
+        self._sent_target: Body = String("")  # the newest, as it came
         self._hole: Drilling | None = None
         self._events = 0  # of this hole that were told
 
@@ -109,15 +110,16 @@ class Dialogue:
         self._peers.pop(client, None)
         self.controller.lost(client, now_s)
 
-    def receive(self, client: int, event: Event, now_s: float) -> list[Outgoing]:
-        """What a client sent. Every command is answered; what is no command and no question is not."""
+    def receive(self, client: int, event: Event, now_s: float, overtaken: bool = False) -> list[Outgoing]:
+        """What a client sent. Every command is answered; what is no command and no question is not. `overtaken`: a
+        stop that came later has been heard."""
         if isinstance(event, Rejected):
             return self._rejected(client, event)
         self.joined(client)
         peer = self._peers[client]
         peer.version = max(peer.version, event.version)
         self.controller.heard(client, now_s)
-        return self._all(client, self._answer(client, event, now_s))
+        return self._all(client, self._answer(client, event, now_s, overtaken))
 
     def cycle(self, now_s: float) -> list[Outgoing]:
         """One cycle of the controller, and what it gives to say."""
@@ -129,12 +131,12 @@ class Dialogue:
 
     # Answers, as (device name, body) in their order.
 
-    def _answer(self, client: int, message: Message, now_s: float) -> list[tuple[str, Body]]:
+    def _answer(self, client: int, message: Message, now_s: float, overtaken: bool) -> list[tuple[str, Body]]:
         name = message.device_name
         said: list[tuple[str, Body]] = []
         match message.body:
             case String(text):
-                said = self._of_string(client, name, text, now_s)
+                said = self._of_string(client, name, text, now_s, overtaken)
             case Transform():
                 said = self._of_transform(client, message, now_s)
             case CommandMessage(number, command, text):
@@ -168,9 +170,9 @@ class Dialogue:
         text = f"a TRANSFORM is named {contract.CALIBRATION}... or {contract.TARGET}..., not {name!r}"
         return [(_fitting(name), Status(Code.UNKNOWN, Code.UNKNOWN.name, text))]
 
-    def _of_string(self, client: int, name: str, text: str, now_s: float) -> list[tuple[str, Body]]:
+    def _of_string(self, client: int, name: str, text: str, now_s: float, overtaken: bool) -> list[tuple[str, Body]]:
         if name.startswith(contract.COMMAND):
-            answer = self.controller.submit(client, Command(text), now_s)
+            answer = self.controller.submit(client, Command(text, overtaken), now_s)
             acknowledged = contract.ACKNOWLEDGED + name.removeprefix(contract.COMMAND)
             said: list[tuple[str, Body]] = [(acknowledged, String(text)), (contract.CURRENT_STATUS, self._current())]
             return said + ([(_fitting(text), _status(answer))] if answer.done else [])
@@ -185,11 +187,15 @@ class Dialogue:
         return [(_fitting(name), Status(Code.UNKNOWN, Code.UNKNOWN.name, reason))]
 
     def _of_target(self, client: int, message: Message, now_s: float) -> list[tuple[str, Body]]:
+        self._sent_target = message.body
         answer = self.controller.submit(client, Aim(message), now_s)
-        said: list[tuple[str, Body]] = [_echo(message.device_name, message.body), ("TARGET", _status(answer))]
+        return [_echo(message.device_name, message.body), *(self._target_answer(answer) if answer.done else [])]
+
+    def _target_answer(self, answer: Answer) -> list[tuple[str, Body]]:
+        said: list[tuple[str, Body]] = [(TARGET, _status(answer))]
         insertion = self.controller.insertion
         if answer.code is Code.OK and insertion is not None:
-            said += [("TARGET", message.body), ("REACHABLE_TARGET", Transform.of(insertion.T_cfcs_wire))]
+            said += [(TARGET, self._sent_target), ("REACHABLE_TARGET", Transform.of(insertion.T_cfcs_wire))]
         return said
 
     def _of_command(self, client: int, number: int, command: str, text: str, now_s: float) -> CommandReply:
@@ -208,7 +214,10 @@ class Dialogue:
         return self._all(client, [(contract.CURRENT_STATUS, Status(Code.CONFIGURATION, "UNREADABLE", event.reason))])
 
     def _of_outcome(self, outcome: Outcome) -> list[tuple[str, Body]]:
-        said: list[tuple[str, Body]] = [(_fitting(outcome.name), _status(Answer(outcome.code, outcome.text)))]
+        answer = Answer(outcome.code, outcome.text)
+        if outcome.name == TARGET:
+            return self._target_answer(answer)
+        said: list[tuple[str, Body]] = [(_fitting(outcome.name), _status(answer))]
         if outcome.name == Cause.MOVE_TO_TARGET.value:
             said.append(self._position())
         return said

@@ -1,4 +1,5 @@
-"""The robot as a server: the control loop in one thread, the link in another, a stop heard by both."""
+"""The robot as a server: the control loop in one thread, the link in another, a stop heard by both; a third looks for
+collisions."""
 
 import asyncio
 import gc
@@ -8,18 +9,18 @@ import threading
 import time
 import traceback
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import replace
-from enum import Enum
-from queue import Empty, SimpleQueue
 from types import TracebackType
 from typing import Self
 
 from sightline.errors import LinkError, MessageError
 from sightline.robot import contract
 from sightline.robot.controller import Controller
-from sightline.robot.dialogue import STOPPING, Dialogue, Outgoing
-from sightline.robot.igtl import Event, Message, String, timestamp_of
+from sightline.robot.dialogue import Dialogue, Outgoing
+from sightline.robot.igtl import Event, timestamp_of
+from sightline.robot.inbox import Change, Heard, Inbox, stops
 from sightline.robot.plant import CYCLE_S, Plant
 from sightline.robot.transport import LOOPBACK, PORT, Connection, serve
 
@@ -36,13 +37,6 @@ VIRTUAL_TELEMETRY_S = (
 START_S = 5.0
 MAX_BODY_BYTES = 1 << 20  # no message of the contract needs a hundredth
 _AFTER_REQUEST = 20  # cycles that virtual time goes on for after a request
-
-
-class _Change(Enum):
-    """Of who is there."""
-
-    JOINED = "joined"
-    LEFT = "left"
 
 
 class RobotServer:
@@ -70,8 +64,7 @@ class RobotServer:
         self.dialogue = Dialogue(controller, advance is not None, truth, telemetry_s)
         self._controller, self._plant, self._advance, self._virtual = controller, plant, advance, virtual
         self._host = host
-        self._urgent: SimpleQueue[tuple[int, Event]] = SimpleQueue()
-        self._inbox: SimpleQueue[tuple[int, Event | _Change]] = SimpleQueue()
+        self._inbox = Inbox()
         self._connections: dict[int, Connection] = {}
         self._numbers: dict[Connection, int] = {}
         self._next = 1
@@ -84,6 +77,10 @@ class RobotServer:
         self._closing: asyncio.Event
         self._link = threading.Thread(target=self._run_link, name="link", daemon=True)
         self._control = threading.Thread(target=self._run_control, name="control", daemon=True)
+        # Who holds Python's lock must not wait while the loop waits for it.
+        prefer = None if virtual else lambda: _prefer_this_thread(PRIORITY - 2)
+        self._survey = ThreadPoolExecutor(1, "survey", prefer)
+        controller.surveyor = self._survey.submit
 
     def __enter__(self) -> Self:
         self._link.start()
@@ -106,6 +103,7 @@ class RobotServer:
         if self._link.is_alive():
             self._close_link()
             self._link.join()
+        self._survey.shutdown(wait=False, cancel_futures=True)
 
     def wait(self) -> None:
         """Until the link ends, or a KeyboardInterrupt."""
@@ -137,20 +135,18 @@ class RobotServer:
     def opened(self, connection: Connection) -> None:
         """See transport.Handler."""
         self._connections[self._next], self._numbers[connection] = connection, self._next
-        self._inbox.put((self._next, _Change.JOINED))
+        self._inbox.put(self._next, Change.JOINED)
         self._next += 1
 
     def received(self, connection: Connection, event: Event) -> None:
         """See transport.Handler. A stop overtakes whatever waits; where the loop does not turn, it acts from here."""
         client = self._numbers[connection]
-        if _stops(event):
-            self._urgent.put((client, event))
-            if time.monotonic() - self._turned_s > DEAF_S and not self._virtual:
-                self._plant.hold()
-        elif self._inbox.qsize() > WAITING_REQUESTS:
+        if len(self._inbox) > WAITING_REQUESTS and not stops(event):
             connection.close("too many requests at once")
-        else:
-            self._inbox.put((client, event))
+            return
+        self._inbox.put(client, event)
+        if stops(event) and time.monotonic() - self._turned_s > DEAF_S and not self._virtual:
+            self._plant.hold()
 
     def silent(self, connection: Connection) -> None:
         """See transport.Handler. Silence is judged by the loop, which knows who must not be silent."""
@@ -159,7 +155,7 @@ class RobotServer:
         """See transport.Handler."""
         client = self._numbers.pop(connection)
         del self._connections[client]
-        self._inbox.put((client, _Change.LEFT))
+        self._inbox.put(client, Change.LEFT)
 
     def _deliver(self, batch: list[Outgoing]) -> None:
         self._delivered += 1
@@ -215,7 +211,9 @@ class RobotServer:
     def _turn_virtually(self) -> None:
         now, idle = 0.0, 0
         while not self._end.is_set():
-            idle = 0 if self._controller.busy or not (self._inbox.empty() and self._urgent.empty()) else idle + 1
+            if self._controller.looking_for is not None:
+                time.sleep(CYCLE_S)  # what is looked at beside the loop takes its time
+            idle = 0 if self._controller.busy or len(self._inbox) else idle + 1
             if idle > _AFTER_REQUEST:
                 time.sleep(0.0005)  # time stands still
                 continue
@@ -243,23 +241,26 @@ class RobotServer:
 
     def _hear(self, now_s: float) -> list[Outgoing]:
         """What clients sent, their stops before all else."""
-        if not self._urgent.empty():
+        if self._inbox.stop_waits:
             self._plant.hold()
         said: list[Outgoing] = []
-        with suppress(Empty):
-            while True:
-                client, stop = self._urgent.get_nowait()
-                said += self.dialogue.receive(client, stop, now_s)
-        with suppress(Empty):
-            for _ in range(REQUESTS_PER_CYCLE):
-                client, event = self._inbox.get_nowait()
-                if event is _Change.JOINED:
-                    self.dialogue.joined(client)
-                elif event is _Change.LEFT:
-                    self.dialogue.left(client, now_s)
-                elif not isinstance(event, _Change):
-                    said += self.dialogue.receive(client, event, now_s)
+        while (stop := self._inbox.take_stop()) is not None:
+            said += self._heard(stop, now_s)
+        for _ in range(REQUESTS_PER_CYCLE):
+            heard = self._inbox.take(self._controller.looking_for)
+            if heard is None:
+                break
+            said += self._heard(heard, now_s)
         return said
+
+    def _heard(self, heard: Heard, now_s: float) -> list[Outgoing]:
+        if heard.what is Change.JOINED:
+            self.dialogue.joined(heard.client)
+        elif heard.what is Change.LEFT:
+            self.dialogue.left(heard.client, now_s)
+        elif not isinstance(heard.what, Change):
+            return self.dialogue.receive(heard.client, heard.what, now_s, heard.overtaken)
+        return []
 
 
 def tune_process() -> None:
@@ -275,12 +276,3 @@ def _prefer_this_thread(priority: int) -> None:
     if hasattr(os, "sched_setscheduler"):
         with suppress(OSError):
             os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
-
-
-def _stops(event: Event) -> bool:
-    return (
-        isinstance(event, Message)
-        and isinstance(event.body, String)
-        and event.device_name.startswith(contract.COMMAND)
-        and event.body.text in STOPPING
-    )

@@ -1,0 +1,197 @@
+"""The look for collisions beside the loop: answered when it is done, void after a stop, and it moves nothing late."""
+
+from concurrent.futures import Future
+from threading import Event
+
+import numpy as np
+import pytest
+from tests.robot.rig import CLIENT, T_MCS_CFCS, Rig, code, metadata, served, wire
+
+from sightline.errors import RobotRefusedError
+from sightline.robot.client import RobotClient
+from sightline.robot.contract import Code
+from sightline.robot.igtl import Message, Status, String, Transform
+from sightline.robot.insertion import Insertion
+from sightline.robot.look import LONGEST_S
+from sightline.robot.states import State
+
+
+class Survey:
+    """A surveyor whose searches end when the test says so."""
+
+    def __init__(self, rig: Rig) -> None:
+        self.begun: list[tuple] = []
+        rig.controller.surveyor = self
+
+    def __call__(self, work):
+        result: Future[None] = Future()
+        self.begun.append((work, result))
+        return result
+
+    def end(self) -> None:
+        work, result = self.begun[-1]
+        if not result.cancelled():
+            result.set_result(work())
+
+
+def target(rig: Rig) -> list:
+    return rig.send("TGT_1", Transform.of(wire()), version=2, metadata=metadata())
+
+
+def names(said: list) -> list[str]:
+    return [message.device_name for message in said]
+
+
+def test_a_target_is_acknowledged_at_once_and_answered_when_it_was_looked_at():
+    rig = Rig.at(State.TARGETING)
+    survey = Survey(rig)
+    assert names(target(rig)) == ["ACK_1"]
+    assert rig.run(0.5) == []
+    assert rig.controller.insertion is None
+    survey.end()
+    said = rig.run(0.01)
+    assert names(said) == ["TARGET", "TARGET", "REACHABLE_TARGET"]
+    assert code(said, "TARGET") == 1
+    assert np.array_equal(said[1].body.matrix, wire().as_matrix())
+    assert rig.controller.insertion is not None
+
+
+def test_what_is_in_the_way_is_the_answer():
+    rig = Rig.at(State.TARGETING)
+    survey = Survey(rig)
+    target(rig)
+    survey.begun[-1][1].set_exception(RobotRefusedError("the table"))
+    said = rig.run(0.01)
+    assert code(said, "TARGET") == Code.CONFIGURATION
+    assert rig.controller.insertion is None
+
+
+def test_a_bug_in_the_search_is_no_answer_that_moves_anything():
+    rig = Rig.at(State.TARGETING)
+    survey = Survey(rig)
+    target(rig)
+    survey.begun[-1][1].set_exception(ZeroDivisionError())
+    with pytest.raises(ZeroDivisionError):
+        rig.run(0.01)
+    assert rig.controller.insertion is None
+    assert not rig.controller.busy
+
+
+def test_its_client_waits_and_others_may_stop_and_ask():
+    rig = Rig.at(State.TARGETING)
+    Survey(rig)
+    target(rig)
+    for text in ("MOVE_TO_TARGET", "START_UP"):
+        assert code(rig.command(text), text) == Code.NOT_READY
+    assert names(target(rig)) == ["ACK_1", "TARGET"]
+    assert rig.state is State.TARGETING
+    (said,) = rig.send("CURRENT_STATUS", String("CURRENT_STATUS"), client=2)
+    assert said.device_name == "TARGETING"
+
+
+@pytest.mark.parametrize("how", ["STOP", "EMERGENCY", "lost", "stop button"])
+def test_a_stop_makes_what_is_found_afterwards_void(how):
+    rig = Rig.at(State.TARGETING)
+    survey = Survey(rig)
+    target(rig)
+    if how == "lost":
+        rig.dialogue.left(CLIENT, rig.now_s)
+    elif how == "stop button":
+        rig.plant.stop_pressed = True
+    else:
+        rig.command(how, client=2)
+    said = rig.run(0.2)
+    assert code(said, "TARGET") == {"STOP": Code.NOT_READY, "lost": None}.get(how, Code.EMERGENCY)
+    survey.end()
+    assert code(rig.run(0.2), "TARGET") is None
+    assert rig.controller.insertion is None
+
+
+def stopped_on_its_way() -> tuple[Rig, Survey]:
+    """With a target, and an arm that stands elsewhere than where the way was looked at from."""
+    rig = Rig.at(State.ALIGN)
+    rig.run(1.0)
+    rig.command("STOP")
+    rig.run(0.5)
+    return rig, Survey(rig)
+
+
+def test_a_motion_waits_for_its_look():
+    rig, survey = stopped_on_its_way()
+    said = rig.command("MOVE_TO_TARGET")
+    assert names(said) == ["ACK_1", "CURRENT_STATUS"]
+    rig.run(0.5)
+    assert rig.state is State.STOP
+    assert rig.speed() == 0.0
+    survey.end()
+    rig.run(0.2)
+    assert rig.state is State.ALIGN
+    assert code(rig.run_until(State.ALIGNED), "MOVE_TO_TARGET") == 1
+
+
+@pytest.mark.parametrize("how", ["STOP", "late", "hold-to-run", "button", "pushed"])
+def test_a_late_answer_moves_nothing(how):
+    rig, survey = stopped_on_its_way()
+    rig.command("MOVE_TO_TARGET")
+    said = []
+    if how == "STOP":
+        said += rig.command("STOP", client=2)
+    elif how == "late":
+        said += rig.run(LONGEST_S + 0.01)
+    elif how == "hold-to-run":
+        rig.plant.run_held = False
+    elif how == "button":
+        rig.plant.stop_pressed = True
+    else:
+        rig.plant.q = rig.plant.q + np.array([1.0, 0.0, 0.0, 0.0, 0.0])
+    said += rig.run(0.05)
+    survey.end()
+    said += rig.run(0.3)
+    assert rig.state is not State.ALIGN
+    assert rig.speed() == 0.0
+    assert code(said, "MOVE_TO_TARGET") == (Code.EMERGENCY if how == "button" else Code.NOT_READY)
+    if how == "late":  # nothing has changed: now its way is known
+        rig.command("MOVE_TO_TARGET")
+        assert rig.state is State.ALIGN
+
+
+def test_a_command_that_a_stop_overtook_is_void():
+    rig = Rig.at(State.STOP)
+    out = rig.dialogue.receive(CLIENT, Message(String("MOVE_TO_TARGET"), "CMD_4"), rig.now_s, overtaken=True)
+    assert code([o.message for o in out], "MOVE_TO_TARGET") == Code.NOT_READY
+    assert rig.state is State.STOP
+    out = rig.dialogue.receive(CLIENT, Message(String("PLANNING"), "CMD_5"), rig.now_s, overtaken=True)
+    assert code([o.message for o in out], "PLANNING") == 1
+
+
+def test_behind_its_port_the_robot_goes_on_while_it_looks(monkeypatch):
+    """The loop turns, others are answered, and what its own client sent meanwhile is answered afterwards, in order."""
+    free, looks = Event(), Event()
+    real = Insertion.refuse_collision
+
+    def slow(*args):
+        looks.set()
+        assert free.wait(10.0)
+        real(*args)
+
+    monkeypatch.setattr(Insertion, "refuse_collision", slow)
+    with served() as server, RobotClient(port=server.port) as robot, RobotClient(port=server.port) as other:
+        robot.start_up()
+        robot.calibrate(T_MCS_CFCS, 10.0)
+        robot.command("TARGETING").refuse_unless_ok()
+        robot._send(Transform.of(wire()), "TGT_9", metadata=metadata(), imaged_s=10.0)
+        robot._send(String("MOVE_TO_TARGET"), "CMD_10")
+        assert looks.wait(10.0)
+        before = server.dialogue.cycles.count
+        while server.dialogue.cycles.count < before + 10:
+            assert other.status().error_name == "TARGETING"
+        free.set()
+        wanted = ("ACK_9", "TARGET", "REACHABLE_TARGET", "ACK_10")
+        came = []
+        while "ACK_10" not in came:
+            message = robot._main.receive(5.0)
+            if message.device_name in wanted and message.device_name not in came:
+                came.append(message.device_name)
+                assert not isinstance(message.body, Status) or message.body.code == 1
+        assert tuple(came) == wanted
+        robot.stop()
