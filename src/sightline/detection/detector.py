@@ -28,6 +28,7 @@ _ENOUGH_TO_COMPARE = 8
 _BLURRED = 1.5  # times the usual blur: one detector, one blur; beads up to 1.33 at low dose, 1.14 else [twin]
 _SMALL = 0.55  # of the usual radius: beads 0.62 and more, grains beside the beads 0.45 and less [twin, ARCADIS]
 _MINORITY = 0.33  # of the beads: no frame has both balls and holes
+_COVERED = 0.35  # of a bead's disc under writing; what is left of its rim no longer holds centre and radius [twin]
 _WASHER_RIM = 0.68  # of a washer's radius: what is further in is left out; its hole reaches to 0.45-0.55 [DIN 125]
 
 _NOT_ROUND = "not round: some side does not differ from the middle, as on an edge, a wire or a bone contour"
@@ -56,6 +57,8 @@ def detect(image: Radiograph) -> Detections:
     beads, unfit = _fitted(rows[spots.round], fit)
     rejected += unfit
     reason = _odd_ones(beads)
+    if image.burnt_in is not None:
+        reason[_covered(beads, image.burnt_in) > _COVERED] = "covered by writing in the image"
     rejected += _rejected(beads[reason != ""], reason[reason != ""])
     beads = beads[reason == ""]
     if len(beads) == 0:
@@ -151,6 +154,16 @@ def _odd_ones(beads: np.ndarray) -> np.ndarray:
             "much smaller than the other beads"
         )
     return reason
+
+
+def _covered(beads: np.ndarray, written: np.ndarray) -> np.ndarray:
+    """(N,) how much of each bead's disc, with its rim, lies under `written` (H, W)."""
+    shares = np.zeros(len(beads))
+    for i, (u, v, radius) in enumerate(beads[:, :3]):
+        disc = np.zeros(written.shape, np.uint8)
+        cv2.circle(disc, (round(u), round(v)), round(radius) + 1, 1, -1)
+        shares[i] = written[disc > 0].mean()
+    return shares
 
 
 def _repeats(fit: np.ndarray) -> np.ndarray:

@@ -14,13 +14,15 @@ _EDGE = 5  # px, width of the square that takes the field's outermost two pixels
 
 
 def field_inset(image: Radiograph) -> np.ndarray:
-    """(H, W) bool: the field without its outermost pixels, which may be mixed with what lies outside."""
-    return cv2.erode(image.field_mask.view(np.uint8), np.ones((_EDGE, _EDGE), np.uint8)).view(bool)
+    """(H, W) bool: the field without what was written into it, and without its outermost pixels, which may be mixed
+    with what lies outside."""
+    inset = cv2.erode(image.field_mask.view(np.uint8), np.ones((_EDGE, _EDGE), np.uint8)).view(bool)
+    return inset if image.burnt_in is None else inset & ~image.burnt_in
 
 
 def log_image(image: Radiograph, mask: np.ndarray) -> np.ndarray:
     """(H, W) float32: natural logarithm of the pixels, a zero taken for half a grey level; outside `mask` what a
-    coarse pyramid of the inside holds nearest."""
+    coarse pyramid of the inside holds nearest, under what was written into the image what a fine one holds."""
     pixels = image.pixels
     if pixels.dtype == np.float32:
         logs = np.log(np.maximum(pixels, np.float32(max(float(image.white) * 2.0**-16, 1e-30))))
@@ -29,6 +31,9 @@ def log_image(image: Radiograph, mask: np.ndarray) -> np.ndarray:
     if not mask.all():
         values, known = (np.ascontiguousarray(whole[::_COARSE, ::_COARSE]) for whole in (logs, mask))
         _fill(logs, mask, _filled(np.where(known, values, np.float32(0)), known.astype(np.float32)))
+    if image.burnt_in is not None:
+        known = ~image.burnt_in
+        logs = np.where(known, logs, _filled(np.where(known, logs, np.float32(0)), known.astype(np.float32)))
     return logs
 
 

@@ -59,3 +59,10 @@ class Radiograph:
         from sightline.imaging.collimation import field_mask
 
         return field_mask(self)
+
+    @cached_property
+    def burnt_in(self) -> np.ndarray | None:
+        """(H, W) bool, True on what was written into the image; None where nothing was."""
+        from sightline.imaging.burnt_in import burnt_in
+
+        return burnt_in(self)

@@ -1,0 +1,113 @@
+"""What a C-arm writes into its images (letters, logos, arrows, lines): pixels that no X-ray made.
+
+A mark has one exact value and ends from one pixel to the next. X-ray images do neither: quanta make equal neighbours
+rare, and the detector's blur spreads every edge over two pixels and more, be it that of a saturated place or of an
+opaque ball.
+"""
+
+import cv2
+import numpy as np
+
+from sightline.imaging.radiograph import Radiograph
+
+# All [ours], tried on the twin's images with and without marks and on those of a mobile C-arm.
+_STEP = 0.04  # of the values' range: a fainter mark moves no bead's rim
+_NOISE_STEP = 4.0  # times the 90 % quantile of differences between neighbours, 6.6 standard deviations of noise
+_SHARP = 0.35  # of the pixels beside a mark differ from it by such a step
+_WIDEST = 6.0  # px, half the width of a stroke
+_SLENDER = 10.0  # times its squared half width is what a stroke covers, three times as long as wide; a disc's is 3.1
+_SMALLEST = 12  # px; saturated specks and dead pixels are smaller, letters larger
+_SEEDS = 4  # rows in which a run of one value begins and ends with a step; fewer are no writing
+_VALUES = 6  # that marks of one image may have
+_RIM = 0.03  # of the image's side inside the field's edge, where blanking ends as sharply as letters do
+_AROUND = 5  # px, width of the square by which marks are widened: their edges may be smoothed
+_SAMPLE = 16  # every so many rows and columns tell how much neighbours differ
+
+
+def burnt_in(radiograph: Radiograph) -> np.ndarray | None:
+    """(H, W) bool, read-only, True on marks and two pixels around them; None where there is none, as in most images.
+
+    Found are marks of one exact value that lie in the field, at least in part: what lies outside it is no part of the
+    field mask. Not found are half-transparent marks, and those that a lossy compression or a video chain blurred.
+    """
+    pixels, least = radiograph.pixels, _least_step(radiograph)
+    seeds = _seeds(radiograph, least)
+    values, counts = np.unique(pixels[seeds[:, 0], seeds[:, 1]], return_counts=True)
+    commonest = np.argsort(-counts, kind="stable")[:_VALUES]
+    marks = np.zeros(pixels.shape, bool)
+    for value in values[commonest][counts[commonest] >= _SEEDS]:
+        marks |= _marks_of(radiograph, value, seeds, least)
+    if not marks.any():
+        return None
+    mask = cv2.dilate(marks.view(np.uint8), np.ones((_AROUND, _AROUND), np.uint8)).view(bool)
+    mask.flags.writeable = False
+    return mask
+
+
+def _least_step(radiograph: Radiograph) -> float:
+    """How much neighbours must differ to be a step."""
+    pixels = radiograph.pixels
+    span = radiograph.white if pixels.dtype != np.float32 else float(pixels.max()) - float(pixels.min())
+    here, beside = (pixels[::_SAMPLE, column::_SAMPLE].astype(np.float32) for column in (0, 1))
+    differences = np.sort(np.abs(here[:, : beside.shape[1]] - beside), axis=None)
+    return max(_STEP * span, _NOISE_STEP * float(differences[int(0.9 * (len(differences) - 1))]))
+
+
+def _seeds(radiograph: Radiograph, least: float) -> np.ndarray:
+    """(N, 2) row and column where a run of one value, two pixels or more, begins and ends with the same step.
+
+    Every second row is looked at, well inside the field: letters are higher than two rows.
+    """
+    pixels, rows = radiograph.pixels, radiograph.pixels[::2]
+    row, before = np.nonzero(cv2.absdiff(rows[:, 1:], rows[:, :-1]) > least)
+    first, last = before[:-1] + 1, before[1:]  # of the run between one step and the next
+    run = (row[:-1] == row[1:]) & (last > first)
+    v, first, last = 2 * row[:-1][run], first[run], last[run]
+    value = pixels[v, first]
+    alike = (pixels[v, last] == value) & (pixels[v, (first + last) // 2] == value)
+    ends = (pixels[v, first - 1] > value) == (pixels[v, last + 1] > value)
+    return np.stack([v, first], axis=1)[alike & ends & _well_inside(radiograph, v, first)]
+
+
+def _well_inside(radiograph: Radiograph, v: np.ndarray, u: np.ndarray) -> np.ndarray:
+    """(N,) bool: whether these pixels lie in the field and not on its rim."""
+    field, (height, width) = radiograph.field_mask, radiograph.shape
+    rim = 1 + int(_RIM * min(height, width))
+    inside = (v >= rim) & (v < height - rim) & (u >= rim) & (u < width - rim)
+    near = [field[(v + y * rim) % height, (u + x * rim) % width] for y, x in ((-1, 0), (1, 0), (0, -1), (0, 1))]
+    return inside & np.all(near, axis=0)
+
+
+def _marks_of(radiograph: Radiograph, value: np.generic, seeds: np.ndarray, least: float) -> np.ndarray:
+    """(H, W) bool: connected pixels of one value in the field that are marks; none unless one of them holds a seed."""
+    pixels, field = radiograph.pixels, radiograph.field_mask
+    alike = (pixels == value).view(np.uint8)
+    count, part, stats, _ = cv2.connectedComponentsWithStats(alike, connectivity=8)
+    size, inside = stats[:, cv2.CC_STAT_AREA], np.bincount(part[field], minlength=count)
+    keep = (size >= _SMALLEST) & (2 * inside > size)
+    keep[0] = False  # what is not alike
+    clipped = value >= radiograph.white or value == pixels[field].min()
+    seeded = np.unique(part[seeds[:, 0], seeds[:, 1]])
+
+    def is_mark(i: int) -> bool:
+        left, top, width, height = (int(n) for n in stats[i, :4])
+        about = np.s_[max(top - 1, 0) : top + height + 1, max(left - 1, 0) : left + width + 1]
+        mark = (part[about] == i).view(np.uint8)
+        return _is_sharp(mark, pixels[about], float(value), least) and (not clipped or _is_stroke(mark))
+
+    if not any(keep[i] and is_mark(i) for i in seeded):
+        return np.zeros(pixels.shape, bool)
+    keep[keep] = [is_mark(i) for i in np.flatnonzero(keep)]
+    return keep[part]
+
+
+def _is_sharp(mark: np.ndarray, pixels: np.ndarray, value: float, least: float) -> bool:
+    """Whether most pixels beside it differ by a step: on all its sides, where a patch at an edge does so on one."""
+    beside = cv2.dilate(mark, cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))) > mark
+    return float(np.mean(np.abs(pixels[beside].astype(np.float32) - value) > least)) > _SHARP
+
+
+def _is_stroke(mark: np.ndarray) -> bool:
+    """Whether it is thin and long: clipped holes, balls and open beam may end as sharply, but are wide."""
+    half = float(cv2.distanceTransform(np.pad(mark, 1), cv2.DIST_L2, 3).max())
+    return half <= _WIDEST and np.count_nonzero(mark) > _SLENDER * half**2
