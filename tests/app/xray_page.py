@@ -1,12 +1,14 @@
-"""A page with two X-ray views, for tests and figures: `python -m tests.app.xray_page PORT [SECONDS]`.
+"""A page with two X-ray views, for tests and figures: `python -m tests.app.xray_page PORT SECONDS REVISION`.
 
-The image is `picture()`. Moves of a point are answered after SECONDS of waiting (default none) with a curve in the
-other view. What the views heard is served as JSON under /heard; /do/NAME calls one of `COMMANDS`.
+The image is `picture()`. Moves of a point are answered after SECONDS of waiting with a curve in the
+other view. What the views heard is served as JSON under /heard until /forget; /do/NAME calls one of `COMMANDS`.
 """
 
 import asyncio
+import functools
 import sys
 import time
+from collections.abc import Callable
 from dataclasses import asdict
 from typing import Any
 
@@ -49,12 +51,14 @@ TEXTS = {
 }
 
 
+@functools.cache
 def picture() -> np.ndarray:
-    """(1024, 1024) uint16: a ramp in the round field of an intensifier, with `SPOTS` on it."""
+    """(1024, 1024) uint16: flat in the round field of an intensifier (no slope shifts a spot), a disc and `SPOTS`."""
     v, u = np.mgrid[0:SIDE, 0:SIDE].astype(np.float64)
-    values = 9000.0 + 14000.0 * u / SIDE + 5000.0 * np.sin(v / 70.0) ** 2
+    values = np.full((SIDE, SIDE), 15000.0)
+    values[np.hypot(u - 650, v - 720) < 90] += 6000.0
     for spot_u, spot_v in SPOTS:
-        values += 30000.0 * np.exp(-((u - spot_u) ** 2 + (v - spot_v) ** 2) / (2 * 3.0**2))
+        values += 30000.0 * np.exp(-((u - spot_u) ** 2 + (v - spot_v) ** 2) / (2 * 5.0**2))
     values[np.hypot(u - SIDE / 2, v - SIDE / 2) > 0.49 * SIDE] = 0.0
     return values.astype("<u2")
 
@@ -110,14 +114,18 @@ def gallery() -> list[dict[str, Any]]:
     ]
 
 
-views: dict[str, XrayView] = {}  # of the last page that was built
+pages: list[dict[str, XrayView]] = []  # the two views of each page that is open
 heard: list[dict[str, Any]] = []
-state = {"revision": 1, "answering": True}
+state: dict[str, int] = {"revision": 1, "answering": True}
 
 
 def page(seconds: float) -> None:
+    views: dict[str, XrayView] = {}
+    pages.append(views)
+    ui.context.client.on_delete(lambda: pages.remove(views))
+
     async def hear(view: XrayView, event: XrayEvent) -> None:
-        name = next(key for key, each in views.items() if each is view)
+        name = "pa" if view is views["pa"] else "lateral"
         heard.append({"view": name, **asdict(event)})
         if event.uv is None or event.seq is None or not state["answering"]:
             return
@@ -135,30 +143,46 @@ def page(seconds: float) -> None:
             view.on_event(hear)
             view.set_image("/picture", SIDE, SIDE, window=WINDOW)
             view.set_points(POINTS)
-            view.set_revision(int(state["revision"]))
+            view.set_revision(state["revision"])
 
 
-COMMANDS = {
-    "place": lambda: views["pa"].place("aim"),
-    "beads": lambda: views["pa"].draw("beads", beads()),
-    "gallery": lambda: views["pa"].draw("gallery", gallery()),
-    "hide": lambda: views["pa"].show_layer("gallery", False),
-    "show": lambda: views["pa"].show_layer("gallery", True),
-    "stale": lambda: views["pa"].stale(True),
-    "fresh": lambda: views["pa"].stale(False),
-    "notice": lambda: views["pa"].notice("The image is 0.4 s old"),
-    "no-notice": lambda: views["pa"].notice(None),
-    "turn": lambda: views["pa"].set_display(rotation=90, mirrored=True),
-    "move": lambda: views["pa"].move_point("entry", (100.0, 500.0)),
-    "short": lambda: views["pa"].set_image("/picture", SIDE, SIDE - 1, window=WINDOW),
-    "hostile": lambda: views["pa"].set_points([{**POINTS[0], "label": HOSTILE}, *POINTS[1:]]),
-    "unknown-style": lambda: views["pa"].draw("odd", [{"shape": "line", "points": [[1, 2], [3, 4]], "style": "pink"}]),
-    "deaf": lambda: state.update(answering=False),
-    "hearing": lambda: state.update(answering=True),
-    "next-revision": lambda: state.update(revision=int(state["revision"]) + 1),
-    "acknowledge-all": lambda: [views["pa"].acknowledge(one["seq"]) for one in heard if one["seq"]],
-    "forget": heard.clear,
+def restore(view: XrayView) -> None:
+    """The view as it was built, and nothing heard."""
+    for one in heard:
+        if one["seq"]:
+            view.acknowledge(one["seq"])
+    for layer in ("beads", "gallery", "odd"):
+        view.draw(layer, [])
+    view.show_layer("gallery", True)
+    view.place(None)
+    view.notice(None)
+    view.stale(False)
+    view.set_points(POINTS)
+    view.set_display(rotation=0, mirrored=False)
+    view.set_image("/picture", SIDE, SIDE, window=WINDOW)
+    view.refused = 0
+
+
+COMMANDS: dict[str, Callable[[XrayView], None]] = {
+    "restore": restore,
+    "place": lambda view: view.place("aim"),
+    "beads": lambda view: view.draw("beads", beads()),
+    "gallery": lambda view: view.draw("gallery", gallery()),
+    "dim": lambda view: view.set_points([point | {"uv": None} for point in POINTS]),
+    "hide": lambda view: view.show_layer("gallery", False),
+    "show": lambda view: view.show_layer("gallery", True),
+    "stale": lambda view: view.stale(True),
+    "fresh": lambda view: view.stale(False),
+    "notice": lambda view: view.notice("The image is 0.4 s old"),
+    "no-notice": lambda view: view.notice(None),
+    "turn": lambda view: view.set_display(rotation=90, mirrored=True),
+    "move": lambda view: view.move_point("entry", (100.0, 500.0)),
+    "short": lambda view: view.set_image("/picture", SIDE, SIDE - 1, window=WINDOW),
+    "hostile": lambda view: view.set_points([{**POINTS[0], "label": HOSTILE}, *POINTS[1:]]),
+    "unknown-style": lambda view: view.draw("odd", [{"shape": "line", "points": [[1, 2], [3, 4]], "style": "pink"}]),
+    "acknowledge": lambda view: view.acknowledge(next(one["seq"] for one in reversed(heard) if one["seq"])),
 }
+"""What /do/NAME does to the PA view of every page."""
 
 
 @app.get("/picture")
@@ -170,20 +194,27 @@ def _picture() -> Response:
 
 @app.get("/heard")
 def _heard() -> dict[str, Any]:
-    return {"events": heard, "refused": views["pa"].refused}
+    return {"events": heard, "refused": sum(views["pa"].refused for views in pages)}
+
+
+@app.post("/forget")
+def _forget(answering: bool) -> None:
+    heard.clear()
+    state["answering"] = answering
 
 
 @app.post("/do/{name}")
-async def _do(name: str) -> str:
-    COMMANDS[name]()
-    return name
+async def _do(name: str, mark: int) -> None:
+    for views in pages:
+        COMMANDS[name](views["pa"])
+        views["pa"].client.run_javascript(f"window.marked = {mark}")  # comes after what the command did
 
 
 def main() -> None:
-    port, *rest = sys.argv[1:]
-    seconds = float(rest[0]) if rest else 0.0
+    port, seconds, revision = sys.argv[1:]
+    state["revision"] = int(revision)
     ui.run(
-        lambda: page(seconds),
+        lambda: page(float(seconds)),
         host="127.0.0.1",
         port=int(port),
         reload=False,

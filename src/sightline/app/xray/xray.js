@@ -96,6 +96,7 @@ export class XrayCore {
       this.#report(String(error.message || error));
       this.invalidate("image", "overlay", "readout");
     }
+    if (this.loading === loading) this.loading = null;
   }
 
   // `shapes` replace the layer; layers are drawn in the order in which they were first named.
@@ -160,8 +161,7 @@ export class XrayCore {
 
   setStale(on) {
     this.state.stale = on;
-    this.chrome.stale.hidden = !on;
-    this.root.classList.toggle("xray-stale", on);
+    this.chrome.showLine(this.chrome.stale, on ? this.texts.stale : "");
     this.invalidate("overlay");
   }
 
@@ -204,8 +204,7 @@ export class XrayCore {
     const point = this.state.points.get(id);
     point.uv = this.display.clamp(uv);
     this.moves.push(type, id, point.uv);
-    if (type !== "drag") this.#showPoints();
-    if (type !== "drag") this.chrome.say(this.describe(point));
+    if (type !== "drag") this.#settled(point);
     this.invalidate("overlay");
   }
 
@@ -236,7 +235,7 @@ export class XrayCore {
   }
 
   sayLost(id) {
-    this.chrome.showLine(this.chrome.fault, this.texts.edit_lost.replace("{name}", this.#nameOf(id)));
+    this.chrome.showLine(this.chrome.lost, this.texts.edit_lost.replace("{name}", this.#nameOf(id)));
   }
 
   // ------------------------------------------------------------------------------------------------ what stands where
@@ -488,6 +487,13 @@ export class XrayCore {
     this.#setInverted(Boolean(inverted));
     this.chrome.showLine(this.chrome.fault, "");
     this.movedView();
+  }
+
+  // A move came to its end: the screen reader hears where, and an old loss is made good.
+  #settled(point) {
+    this.#showPoints();
+    this.chrome.say(this.describe(point));
+    this.chrome.showLine(this.chrome.lost, "");
   }
 
   #point({ id, label, uv, style, movable, snapped }, before) {

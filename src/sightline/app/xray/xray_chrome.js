@@ -37,7 +37,7 @@ const SHEET = `
 .xray-name { padding: 0.42em 0.8em; font-weight: 650; white-space: nowrap; }
 .xray-notices { flex-basis: 100%; display: flex; flex-direction: column; gap: 0.3em; align-items: flex-start; }
 .xray-notice { padding: 0.42em 0.8em; color: #ffd27a; border-left: 0.25em solid #e69f00; }
-.xray-hint { padding: 0.42em 0.8em; border-left: 0.25em solid #56b4e9; }
+.xray-hint { color: #eef2f5; border-left-color: #56b4e9; }
 .xray-tools { display: flex; gap: 0.15em; padding: 0.2em; pointer-events: auto; }
 .xray-tools button { width: 2.75em; height: 2.75em; padding: 0; display: grid; place-items: center; color: #c9d2da; background: none; border: 0;
   border-radius: 0.35em; cursor: pointer; font: inherit; }
@@ -96,11 +96,11 @@ export class Chrome {
     this.overlay = element("canvas", "xray-overlay", { "aria-hidden": "true" });
     this.points = element("div", "xray-points");
     this.stage.append(this.image, this.overlay, this.points);
-    this.notice = element("div", "xray-panel xray-notice", { role: "status", "data-testid": "notice", hidden: "" });
-    this.stale = element("div", "xray-panel xray-notice", { role: "status", "data-testid": "stale", hidden: "" });
-    this.stale.textContent = texts.stale;
-    this.fault = element("div", "xray-panel xray-notice", { role: "status", "data-testid": "fault", hidden: "" });
-    this.hint = element("div", "xray-panel xray-hint", { role: "status", "data-testid": "hint", hidden: "" });
+    this.notice = this.#line("notice");
+    this.stale = this.#line("stale");
+    this.fault = this.#line("fault");
+    this.lost = this.#line("lost");
+    this.hint = this.#line("hint");
     this.readout = element("div", "xray-panel", { "data-testid": "readout" });
     this.state = element("div", "xray-panel", { "data-testid": "state" });
     this.turned = element("span", "xray-turned", { "data-testid": "turned" });
@@ -112,12 +112,19 @@ export class Chrome {
     root.append(this.stage, this.#head(label, actions), this.#foot(), this.tip, this.live);
   }
 
+  // A line of text over the image, hidden while there is nothing to say.
+  #line(name) {
+    const line = element("div", "xray-panel xray-notice", { role: "status", "data-testid": name, hidden: "" });
+    line.classList.toggle("xray-hint", name === "hint");
+    return line;
+  }
+
   #head(label, actions) {
     const head = element("div", "xray-head");
     const name = element("div", "xray-panel xray-name");
     name.textContent = label;
     const notices = element("div", "xray-notices");
-    notices.append(this.fault, this.notice, this.stale, this.hint);
+    notices.append(this.fault, this.lost, this.notice, this.stale, this.hint);
     const tools = element("div", "xray-panel xray-tools", { role: "toolbar", "aria-label": label });
     for (const [action, act] of Object.entries(actions)) tools.append(this.#button(action, act));
     head.append(name, tools, notices);

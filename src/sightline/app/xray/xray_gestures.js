@@ -85,9 +85,10 @@ export class Gestures {
     const point = this.core.pointAt(at, this.#reach(event));
     if (point) this.core.focusPoint(point.id);
     if (point && point.movable) {
-      const [x, y] = this.core.display.toView(point.uv);
       state.dragging = point.id;
-      return { kind: "drag", ...base, id: point.id, start: point.uv, grip: [x - at[0], y - at[1]] };
+      const drag = { kind: "drag", ...base, id: point.id, start: point.uv };
+      this.#startFrom(drag, at);
+      return drag;
     }
     return { kind: state.tool === "window" ? "window" : "pan", ...base };
   }
@@ -121,22 +122,26 @@ export class Gestures {
   #continue(at) {
     const gesture = this.now;
     if (!gesture.moved) {
-      if (Math.hypot(at[0] - gesture.from[0], at[1] - gesture.from[1]) < (SLOP[gesture.type] || 0)) return;
+      const slop = SLOP[gesture.type] || 0;
+      if (Math.hypot(at[0] - gesture.from[0], at[1] - gesture.from[1]) < slop) return;
       gesture.moved = true;
-      gesture.last = at;
-      if (gesture.kind === "drag" && SLOP[gesture.type]) gesture.grip = this.#gripFrom(at); // no jump over the slop
+      if (slop > 0) this.#startFrom(gesture, at); // no jump over the slop
     }
     const [dx, dy] = [at[0] - gesture.last[0], at[1] - gesture.last[1]];
     gesture.last = at;
-    if (gesture.kind === "pan") this.core.display.panBy(dx, dy);
     if (gesture.kind === "window") this.#window(dx, dy);
     if (gesture.kind === "drag") this.core.move("drag", gesture.id, this.#held(at));
-    if (gesture.kind === "pan") this.core.movedView();
+    if (gesture.kind === "pan") {
+      this.core.display.panBy(dx, dy);
+      this.core.movedView();
+    }
   }
 
-  #gripFrom(at) {
-    const [x, y] = this.core.display.toView(this.now.start);
-    return [x - at[0], y - at[1]];
+  #startFrom(gesture, at) {
+    gesture.last = at;
+    if (gesture.kind !== "drag") return;
+    const [x, y] = this.core.display.toView(gesture.start);
+    gesture.grip = [x - at[0], y - at[1]];
   }
 
   #held(at) {

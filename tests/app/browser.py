@@ -1,0 +1,134 @@
+"""What the app's browser tests share: an installed Chromium, servers in processes of their own, watched pages."""
+
+import os
+import shutil
+import socket
+import subprocess
+import sys
+import time
+import urllib.error
+import urllib.request
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+from urllib.parse import urlsplit
+
+from playwright.sync_api import Browser, ConsoleMessage, Page, sync_playwright
+
+ROOT = Path(__file__).resolve().parents[2]
+NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
+FLAGS = [
+    *("--disable-gpu", "--disable-quic", "--no-first-run", "--no-proxy-server"),
+    *("--disable-background-networking", "--disable-component-update", "--disable-sync"),
+    "--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1, EXCLUDE localhost",  # nothing else can be reached
+]
+START_S = 30.0  # a server that has not answered by then never will
+END_S = 5.0
+PATIENCE_MS = 10_000  # of a page, for what a test waits for
+
+
+def find_chromium() -> str | None:
+    """Path of an installed Chromium or Chrome: what CHROME names, or the first of `NAMES` there is."""
+    named = os.environ.get("CHROME")
+    return next((path for name in ([named] if named else NAMES) if (path := shutil.which(name))), None)
+
+
+@contextmanager
+def chromium(path: str) -> Iterator[Browser]:
+    """The browser at `path`, headless, that reaches nothing but this machine."""
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=path, args=FLAGS)
+        try:
+            yield browser
+        finally:
+            browser.close()
+
+
+class Server:
+    """`python -m *argv` in a process of its own, "{port}" in it filled in."""
+
+    def __init__(self, log: Path, *argv: str) -> None:
+        with socket.socket() as free:
+            free.bind(("127.0.0.1", 0))
+            self.port: int = free.getsockname()[1]
+        self.url = f"http://127.0.0.1:{self.port}/"
+        self.log = log
+        self.argv = [argument.replace("{port}", str(self.port)) for argument in argv]
+        self._process: subprocess.Popen[bytes] | None = None
+        self.start()
+
+    def start(self) -> None:
+        """Start it (again, on the same port) and wait until it answers."""
+        environment = {key: value for key, value in os.environ.items() if not key.startswith(("PYTEST_", "NICEGUI_"))}
+        with self.log.open("ab") as log:
+            command = [sys.executable, "-m", *self.argv]
+            self._process = subprocess.Popen(command, stdout=log, stderr=log, cwd=ROOT, env=environment)  # noqa: S603
+        last = time.monotonic() + START_S
+        while not self._answers():
+            if self._process.poll() is not None or time.monotonic() > last:
+                self.stop()
+                raise RuntimeError(f"the server did not start:\n{self.log.read_text()}")
+            time.sleep(0.05)
+
+    def _answers(self) -> bool:
+        try:
+            with urllib.request.urlopen(self.url, timeout=1.0):  # noqa: S310
+                return True
+        except urllib.error.HTTPError:
+            return True  # it answers, if only to refuse
+        except OSError:
+            return False
+
+    def stop(self) -> None:
+        """End it: asked first, then killed."""
+        if self._process is None:
+            return
+        self._process.terminate()
+        try:
+            self._process.wait(END_S)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+        self._process = None
+
+    def check(self) -> None:
+        """Fail if the server met an error that nobody handled."""
+        assert "Traceback" not in self.log.read_text(), self.log.read_text()
+
+
+class Tab:
+    """A page whose requests off this machine and whose errors on the console are remembered."""
+
+    def __init__(self, browser: Browser, url: str, **options: Any) -> None:
+        self.strays: list[str] = []
+        self.errors: list[str] = []
+        self.context = browser.new_context(**{"viewport": {"width": 1280, "height": 800}, **options})
+        self.context.on("request", lambda request: self._asked(request.url))
+        self.page: Page = self.context.new_page()
+        self.page.set_default_timeout(PATIENCE_MS)
+        self.page.on("websocket", lambda opened: self._asked(opened.url))
+        self.page.on("console", self._said)
+        self.page.on("pageerror", lambda error: self.errors.append(str(error)))
+        self.page.goto(url)
+
+    def _asked(self, url: str) -> None:
+        parts = urlsplit(url)
+        if parts.scheme not in ("data", "blob", "about") and parts.hostname not in ("127.0.0.1", "localhost"):
+            self.strays.append(url)
+
+    def _said(self, message: ConsoleMessage) -> None:
+        if message.type == "error":
+            self.errors.append(message.text)
+
+    def check(self, allow: tuple[str, ...] = ()) -> None:
+        """Fail on requests off this machine and on errors that hold none of `allow`; then forget them."""
+        unexpected = [error for error in self.errors if not any(part in error for part in allow)]
+        strays = list(self.strays)
+        self.errors.clear()
+        self.strays.clear()
+        assert not strays, f"requests off this machine: {strays}"
+        assert not unexpected, f"errors in the browser: {unexpected}"
+
+    def close(self) -> None:
+        self.context.close()

@@ -1,0 +1,741 @@
+"""The X-ray view in a real browser: what a hand does, what the server hears, and where things are seen."""
+
+import itertools
+import math
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from playwright.sync_api import Browser, Locator, Page, expect
+from tests.app.browser import Server, Tab
+from tests.app.xray_page import HOSTILE, POINTS, SIDE, SPOTS, TEXTS, picture
+
+from sightline.app.xray.view import TEXT_KEYS, Bounds, XrayEvent, XrayView, checked
+
+PLACE_PX = 0.05  # image pixels: what a place on the screen may be off by
+MARKS = itertools.count(1)
+ORIENTATIONS = [(rotation, mirrored) for rotation in (0, 90, 180, 270) for mirrored in (False, True)]
+
+
+class View:
+    """The PA view of a page, with the hand of a person and the ears of the server."""
+
+    def __init__(self, page: Page, server: Server) -> None:
+        self.page = page
+        self.server = server
+        self.root: Locator = page.get_by_test_id("xray-pa")
+        self.stage = self.root.get_by_role("application")
+        self.mouse = page.mouse
+        self.answering = True
+
+    def ready(self) -> None:
+        """Wait until both images are there."""
+        both = "window.sightlineXray?.pa?.state.image && window.sightlineXray.lateral?.state.image"
+        self.page.wait_for_function(both)
+        self.settle()
+
+    def core(self, expression: str, value: Any = None) -> Any:
+        return self.page.evaluate(f"(value) => {{ const core = window.sightlineXray.pa; return {expression}; }}", value)
+
+    def settle(self) -> None:
+        """Wait until everything asked for is drawn."""
+        self.page.evaluate("() => new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))")
+
+    def do(self, name: str) -> None:
+        """Let the server run a command, and wait until the browser has done what it says."""
+        mark = next(MARKS)
+        answer = self.page.request.post(f"{self.server.url}do/{name}", params={"mark": mark})
+        assert answer.ok
+        self.page.wait_for_function(f"window.marked === {mark} && !sightlineXray.pa.loading")
+        self.settle()
+
+    def forget(self, *, answering: bool = True) -> None:
+        """Let the server forget what it heard; from now on it answers moves, or does not."""
+        self.answering = answering
+        self.page.request.post(f"{self.server.url}forget", params={"answering": answering})
+
+    def _said(self) -> dict[str, Any]:
+        """What the server has heard, once everything has arrived that the browser has sent so far."""
+        if self.answering:
+            self.page.wait_for_function("!sightlineXray.pa.moves.inFlight")  # nor anything that waits behind it
+        mark = f"mark {next(MARKS)}"
+        self.core("core.emit({type: 'error', message: value})", mark)
+        for _ in range(100):
+            said = self.page.request.get(f"{self.server.url}heard").json()
+            if any(one["message"] == mark for one in said["events"]):
+                return said
+            self.page.wait_for_timeout(10)
+        raise AssertionError("the server hears nothing")
+
+    def heard(self, *types: str) -> list[dict[str, Any]]:
+        """What the server heard of the PA view, of these types."""
+        of_view = (one for one in self._said()["events"] if one["view"] == "pa" and one["type"] in types)
+        return [one for one in of_view if not str(one["message"]).startswith("mark ")]
+
+    def refused(self) -> int:
+        return self._said()["refused"]
+
+    def screen(self, uv: tuple[float, float]) -> tuple[float, float]:
+        x, y = self.core("core.toScreen(value)", list(uv))
+        return x, y
+
+    def point(self, name: str) -> tuple[float, float]:
+        u, v = self.core("core.state.points.get(value).uv", name)
+        return u, v
+
+    def button(self, name: str) -> Locator:
+        return self.root.get_by_role("button", name=TEXTS[name], exact=True)
+
+    def middle(self) -> tuple[float, float]:
+        box = self.stage.bounding_box()
+        assert box is not None
+        return box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+
+    def zoom(self) -> float:
+        return self.core("core.display.zoom")
+
+    def drag(self, start: tuple[float, float], end: tuple[float, float], button: Any = "left") -> None:
+        self.mouse.move(*start)
+        self.mouse.down(button=button)
+        self.mouse.move((start[0] + end[0]) / 2, (start[1] + end[1]) / 2)
+        self.mouse.move(*end)
+        self.mouse.up(button=button)
+        self.settle()
+
+    def grey(self) -> np.ndarray:
+        """(H, W) what the whole page looks like, in device pixels."""
+        seen = np.frombuffer(self.page.screenshot(), np.uint8)
+        return cv2.imdecode(seen, cv2.IMREAD_GRAYSCALE).astype(np.float64)
+
+    def seen_spot(self, around: tuple[float, float], radius: float = 45.0) -> tuple[float, float]:
+        """Where the bright spot near a place is seen on the screen, CSS px: its centre of light above a threshold."""
+        grey = self.grey()
+        density = self.page.evaluate("devicePixelRatio")
+        y, x = np.mgrid[0 : grey.shape[0], 0 : grey.shape[1]]
+        x, y = (x + 0.5) / density, (y + 0.5) / density  # a device pixel's centre
+        near = np.hypot(x - around[0], y - around[1]) < radius
+        weight = np.where(near, np.maximum(grey - 120.0, 0.0), 0.0)
+        assert weight.sum() > 300.0, "no spot there"
+        return float((weight * x).sum() / weight.sum()), float((weight * y).sum() / weight.sum())
+
+
+@pytest.fixture(scope="module")
+def server(serve: Callable[..., Server]) -> Server:
+    return serve("tests.app.xray_page", "{port}", "0", "1")
+
+
+@pytest.fixture(scope="module")
+def tab(browser: Browser, server: Server) -> Iterator[Tab]:
+    tab = Tab(browser, server.url)
+    yield tab
+    tab.close()
+
+
+@pytest.fixture
+def view(tab: Tab, server: Server) -> Iterator[View]:
+    """The view as it was built; at the end nothing may have asked for another machine or failed in the browser."""
+    view = View(tab.page, server)
+    tab.page.wait_for_function("window.sightlineXray?.pa")
+    tab.page.mouse.move(1, 1)
+    view.do("restore")
+    view.forget()
+    view.ready()
+    view.button("fit").click()
+    view.settle()
+    yield view
+    tab.check()
+
+
+def near(found: tuple[float, float], truth: tuple[float, float]) -> float:
+    return math.hypot(found[0] - truth[0], found[1] - truth[1])
+
+
+# where things are
+
+
+@pytest.mark.parametrize(("rotation", "mirrored"), ORIENTATIONS)
+def test_a_click_on_what_is_seen_reports_where_it_is(view: View, rotation: int, mirrored: bool) -> None:
+    spot = SPOTS[rotation // 90]
+    for _ in range(rotation // 90):
+        view.button("rotate").click()
+    if mirrored:
+        view.button("flip").click()
+    view.mouse.move(*view.screen(spot))
+    view.mouse.wheel(0, -1200)
+    view.settle()
+    assert view.zoom() > 3.0
+    view.do("dim")
+    seen = view.seen_spot(view.screen(spot))
+    view.do("place")
+    view.mouse.click(*seen)
+    (placed,) = view.heard("place")
+    assert placed["id"] == "aim"
+    assert near(placed["uv"], spot) < PLACE_PX
+    turned = view.heard("display")[-1]["display"] if rotation or mirrored else {"rotation": 0, "mirrored": False}
+    expected = (360 - rotation) % 360 if mirrored else rotation  # a flip after a turn is a turn back after a flip
+    assert (turned["rotation"], turned["mirrored"]) == (expected, mirrored)
+
+
+def test_on_a_dense_screen_too(open_page: Callable[..., Page], server: Server) -> None:
+    view = View(open_page(server.url, device_scale_factor=2.0), server)
+    view.ready()
+    view.forget()
+    box = view.stage.bounding_box()
+    assert box is not None
+    assert view.core("[core.chrome.image.width, core.chrome.overlay.width]") == [2 * box["width"]] * 2
+    view.do("dim")
+    seen = view.seen_spot(view.screen(SPOTS[1]), radius=12.0)
+    view.do("place")
+    view.mouse.click(*seen)
+    (placed,) = view.heard("place")
+    assert near(placed["uv"], SPOTS[1]) < PLACE_PX
+
+
+def test_the_wheel_zooms_at_the_pointer(view: View) -> None:
+    x, y = view.screen((300.25, 611.5))
+    at = (round(x), round(y))  # a wheel event counts whole pixels
+    held = tuple(view.core("core.toImage(value)", at))
+    before = view.zoom()
+    view.mouse.move(*at)
+    view.mouse.wheel(0, -300)
+    view.settle()
+    assert view.zoom() == pytest.approx(before * math.exp(300 * 0.0015))
+    assert near(view.screen(held), at) < 1e-6
+    view.mouse.wheel(0, 100)
+    view.settle()
+    assert near(view.screen(held), at) < 1e-6
+
+
+@pytest.mark.parametrize("button", ["left", "middle"])
+def test_a_drag_on_nothing_pans(view: View, button: str) -> None:
+    start = view.screen((450.0, 500.0))
+    view.drag(start, (start[0] + 60, start[1] - 40), button)
+    assert near(view.screen((450.0, 500.0)), (start[0] + 60, start[1] - 40)) < 1e-6
+    assert view.heard("drag", "drop") == []
+
+
+def test_the_image_cannot_be_lost(view: View) -> None:
+    x, y = view.middle()
+    for _ in range(3):
+        view.drag((x - 200, y), (x + 200, y))
+    u, v = view.core("core.toImage(value)", [x, y])
+    assert (u, v) == pytest.approx((0.0, (SIDE - 1) / 2))
+
+
+def test_fit_and_reset(view: View) -> None:
+    fitted = view.zoom()
+    view.mouse.move(*view.middle())
+    view.mouse.wheel(0, -500)
+    view.button("rotate").click()
+    view.button("invert").click()
+    view.button("fit").click()
+    view.settle()
+    assert view.zoom() == pytest.approx(fitted)
+    assert view.core("core.display.rotation") == 90
+    view.button("reset").click()
+    last = view.heard("display")[-1]["display"]
+    window = {"centre": 32768.0, "width": 65536.0}
+    assert last == {"rotation": 0, "mirrored": False, "inverted": False, "window": window}
+
+
+def test_the_readout_says_the_pixel_under_the_pointer(view: View) -> None:
+    values = picture()
+    for uv in [(200.3, 300.7), (0.0 + SIDE / 2, 12.2), (799.6, 150.4)]:
+        view.mouse.move(*view.screen(uv))
+        view.settle()
+        value = values[round(uv[1]), round(uv[0])]
+        expect(view.root.get_by_test_id("readout")).to_have_text(f"u {uv[0]:.1f}   v {uv[1]:.1f}   value {value}")
+    x, y = view.screen((-3.0, 500.0))
+    view.mouse.move(x, y)
+    expect(view.root.get_by_test_id("readout")).to_have_text(TEXTS["outside"])
+
+
+# how it looks
+
+
+def test_invert_shows_the_negative(view: View) -> None:
+    x, y = (round(value) for value in view.screen((420.0, 460.0)))
+    positive = view.grey()[y, x]
+    view.button("invert").click()
+    view.settle()
+    assert view.grey()[y, x] == pytest.approx(255 - positive, abs=1)
+    assert view.button("invert").get_attribute("aria-pressed") == "true"
+
+
+def test_a_drag_with_the_right_button_changes_the_window(view: View) -> None:
+    x, y = view.screen((420.0, 460.0))
+    view.drag((x, y), (x - 150, y - 60), "right")
+    (said,) = view.heard("display")
+    window = said["display"]["window"]
+    assert window["width"] == pytest.approx(65536 * math.exp(-150 / 300))
+    assert window["centre"] < 32768  # upwards: brighter
+    value = float(picture()[460, 420])
+    expected = 255 * min(max((value - window["centre"]) / window["width"] + 0.5, 0), 1)
+    assert view.grey()[round(y), round(x)] == pytest.approx(expected, abs=1.5)
+    assert near(view.screen((420.0, 460.0)), (x, y)) < 1e-6
+
+
+def test_with_the_window_tool_the_left_button_does_it(view: View) -> None:
+    x, y = view.screen((420.0, 460.0))
+    view.button("window").click()
+    view.drag((x, y), (x + 90, y))
+    view.button("window").click()
+    (said,) = view.heard("display")
+    assert said["display"]["window"]["width"] == pytest.approx(65536)  # already as wide as grey levels go
+    assert near(view.screen((420.0, 460.0)), (x, y)) < 1e-6
+
+
+def test_what_is_turned_says_so(view: View) -> None:
+    turned = view.root.get_by_test_id("turned")
+    expect(turned).to_have_text("")
+    view.do("turn")
+    expect(turned).to_have_text("turned 90°, mirrored")
+    assert view.heard("display") == []  # the server knows what it said
+
+
+def test_the_magnifier_shows_the_place_four_times_larger(view: View) -> None:
+    view.do("dim")
+    view.do("place")
+    spot = SPOTS[1]
+    at = view.screen(spot)
+    view.mouse.move(*at)
+    view.settle()
+    lens = (at[0], at[1] - 84 - 44)
+    grey = view.grey()
+    light = 0.5 * 30000 / 65536 * 255  # of the spot alone, at half of its height
+    diagonal = [grey[round(lens[1] + step - 0.5), round(lens[0] + step - 0.5)] for step in range(-20, 21)]
+    lit = np.flatnonzero(np.array(diagonal) > 15000 / 65536 * 255 + light) - 20  # the cross-hair leaves diagonals free
+    wide = 4 * view.zoom() * 5.0 * math.sqrt(2 * math.log(2))  # half a width of the spot, CSS px
+    assert (-lit[0] * math.sqrt(2), lit[-1] * math.sqrt(2)) == pytest.approx((wide, wide), abs=2.5)  # squares of 2.4 px
+    view.mouse.click(*at)
+    view.settle()
+    assert view.core("core.lens") is None
+
+
+def test_plan_layers_hide_while_the_image_is_stale(view: View) -> None:
+    view.do("gallery")
+    with_plan = view.grey()
+    view.do("stale")
+    expect(view.root.get_by_test_id("stale")).to_be_visible()
+    without = view.grey()
+    on_wire = [round(value) for value in view.screen((540.0, 440.0))]
+    on_aid = [round(value) for value in view.screen((300.0, 310.0))]
+    assert with_plan[on_wire[1], on_wire[0]] - without[on_wire[1], on_wire[0]] > 20
+    assert with_plan[on_aid[1], on_aid[0]] == without[on_aid[1], on_aid[0]]
+    view.do("fresh")
+    assert np.array_equal(view.grey(), with_plan)
+
+
+def test_layers_show_and_hide(view: View) -> None:
+    bare = view.grey()
+    view.do("gallery")
+    drawn = view.grey()
+    view.do("hide")
+    assert np.array_equal(view.grey(), bare)
+    view.do("show")
+    assert np.array_equal(view.grey(), drawn)
+    assert not np.array_equal(bare, drawn)
+
+
+def test_a_notice_stands_over_the_image(view: View) -> None:
+    notice = view.root.get_by_test_id("notice")
+    expect(notice).to_be_hidden()
+    view.do("notice")
+    expect(notice).to_have_text("The image is 0.4 s old")
+    view.do("no-notice")
+    expect(notice).to_be_hidden()
+
+
+def test_maximised_it_fills_the_window(view: View) -> None:
+    view.button("maximise").click()
+    assert view.root.bounding_box() == {"x": 0, "y": 0, "width": 1280, "height": 800}
+    view.page.keyboard.press("Escape")
+    box = view.root.bounding_box()
+    assert box is not None
+    assert box["width"] < 640
+
+
+def test_nothing_is_drawn_while_nothing_changes(view: View) -> None:
+    view.do("beads")
+    before = view.core("{...core.draws}")
+    view.page.wait_for_timeout(300)
+    assert view.core("{...core.draws}") == before
+    start = view.screen(POINTS[0]["uv"])
+    view.drag(start, (start[0] + 30, start[1] + 10))
+    after = view.core("{...core.draws}")
+    assert after["overlay"] > before["overlay"]
+    assert (after["image"], after["table"]) == (before["image"], before["table"])
+
+
+# points and moves
+
+
+def test_a_point_follows_the_hand_and_the_server_hears_where_it_was_left(view: View) -> None:
+    start = view.screen(POINTS[0]["uv"])
+    zoom = view.zoom()
+    view.drag((start[0] + 4, start[1] - 3), (start[0] + 44, start[1] + 17))  # gripped beside its middle
+    truth = (300 + 40 / zoom, 400 + 20 / zoom)
+    assert near(view.point("entry"), truth) < 1e-6
+    (dropped,) = view.heard("drop")
+    assert dropped["id"] == "entry"
+    assert near(dropped["uv"], truth) < 1e-6
+    assert [one["id"] for one in view.heard("select")] in (["entry"], [])  # it may have been selected before
+    curve = view.page.evaluate("sightlineXray.lateral.state.layers.get('curve').shapes[0]")
+    assert curve["of"] == dropped["seq"]
+
+
+def test_a_click_on_a_point_moves_nothing(view: View) -> None:
+    view.mouse.click(*view.screen(POINTS[0]["uv"]))
+    assert view.heard("drag", "drop", "place") == []
+    assert view.core("core.state.selected") == "entry"
+
+
+def test_what_may_not_move_stays(view: View) -> None:
+    start = view.screen((512.0, 200.0))
+    view.drag(start, (start[0] + 40, start[1] + 20))
+    assert view.point("fixed") == (512.0, 200.0)
+    assert view.heard("drag", "drop") == []
+
+
+def test_a_point_cannot_leave_the_image(view: View) -> None:
+    start = view.screen(POINTS[0]["uv"])
+    view.drag(start, (start[0], view.middle()[1] - 385))
+    (dropped,) = view.heard("drop")
+    assert dropped["uv"][1] == -0.5
+
+
+def test_one_move_is_in_flight_and_the_newest_wins(view: View) -> None:
+    view.forget(answering=False)
+    x, y = view.screen(POINTS[0]["uv"])
+    view.mouse.move(x, y)
+    view.mouse.down()
+    for step in range(1, 11):
+        view.mouse.move(x + 3 * step, y + step)
+    assert len(view.heard("drag")) == 1
+    view.do("acknowledge")
+    first, second = view.heard("drag")
+    zoom = view.zoom()
+    assert near(first["uv"], (300 + 3 / zoom, 400 + 1 / zoom)) < 1e-6
+    assert near(second["uv"], (300 + 30 / zoom, 400 + 10 / zoom)) < 1e-6
+    view.mouse.up()
+    assert view.heard("drop") == []  # behind the drag that is not answered
+    view.do("acknowledge")
+    (dropped,) = view.heard("drop")
+    assert dropped["uv"] == second["uv"]
+
+
+def test_the_server_moves_a_point_but_not_one_in_the_hand(view: View) -> None:
+    view.do("move")
+    assert view.point("entry") == (100.0, 500.0)
+    x, y = view.screen((100.0, 500.0))
+    view.mouse.move(x, y)
+    view.mouse.down()
+    view.mouse.move(x + 20, y)
+    held = view.point("entry")
+    view.do("move")
+    assert view.point("entry") == held
+    view.mouse.up()
+
+
+def test_escape_takes_a_drag_back(view: View) -> None:
+    x, y = view.screen(POINTS[0]["uv"])
+    view.mouse.move(x, y)
+    view.mouse.down()
+    view.mouse.move(x + 50, y + 50)
+    view.page.keyboard.press("Escape")
+    view.mouse.move(x + 70, y + 70)
+    view.mouse.up()
+    assert view.point("entry") == (300.0, 400.0)
+    assert view.heard("drop")[-1]["uv"] == [300.0, 400.0]
+
+
+def test_placing_ends_with_escape(view: View) -> None:
+    view.do("place")
+    expect(view.root.get_by_test_id("hint")).to_have_text("Click to place Aim. Escape cancels.")
+    view.page.keyboard.press("Escape")
+    assert [one["id"] for one in view.heard("cancel")] == ["aim"]
+    view.mouse.click(*view.screen((420.0, 460.0)))
+    assert view.heard("place") == []
+
+
+# keys
+
+
+def test_the_tab_key_reaches_the_points_and_arrows_move_them(view: View) -> None:
+    view.stage.focus()
+    view.page.keyboard.press("Tab")
+    focused = view.page.locator(":focus")
+    expect(focused).to_have_attribute("aria-label", "Entry: column 300.0, row 400.0")
+    assert focused.evaluate("element => getComputedStyle(element).outlineWidth") == "3px"
+    view.page.keyboard.press("ArrowRight")
+    view.page.keyboard.press("Shift+ArrowDown")
+    assert view.point("entry") == pytest.approx((301.0, 400.1), abs=1e-9)
+    assert near(view.heard("nudge")[-1]["uv"], (301.0, 400.1)) < 1e-9
+    expect(view.root.get_by_test_id("live")).to_have_text("Entry: column 301.0, row 400.1")
+    view.page.keyboard.press("Tab")
+    expect(view.page.locator(":focus")).to_have_attribute(
+        "aria-label", "End: column 700.0, row 600.0, on the matching curve"
+    )
+    view.page.keyboard.press("Tab")
+    view.page.keyboard.press("ArrowLeft")
+    assert view.point("fixed") == (512.0, 200.0)
+
+
+def test_arrows_go_where_the_eye_sees_them_go(view: View) -> None:
+    view.do("turn")  # mirrored, then a quarter turn clockwise: down on the screen is to the left in the image
+    before = view.screen(POINTS[0]["uv"])
+    view.root.get_by_test_id("point-entry").focus()
+    view.page.keyboard.press("ArrowDown")
+    assert view.point("entry") == pytest.approx((299.0, 400.0), abs=1e-9)
+    after = view.screen(view.point("entry"))
+    assert (after[0], after[1]) == pytest.approx((before[0], before[1] + view.zoom()))
+
+
+def test_delete_asks_and_enter_places(view: View) -> None:
+    view.root.get_by_test_id("point-end").focus()
+    view.page.keyboard.press("Delete")
+    assert [one["id"] for one in view.heard("remove")] == ["end"]
+    assert view.point("end") == (700.0, 600.0)  # the server decides
+    view.do("place")
+    view.stage.focus()
+    view.page.keyboard.press("Enter")
+    (placed,) = view.heard("place")
+    assert placed["uv"] == [(SIDE - 1) / 2, (SIDE - 1) / 2]
+
+
+def test_plus_and_minus_zoom(view: View) -> None:
+    before = view.zoom()
+    view.stage.focus()
+    view.page.keyboard.press("+")
+    assert view.zoom() == pytest.approx(1.25 * before)
+    view.page.keyboard.press("-")
+    assert view.zoom() == pytest.approx(before)
+
+
+# touch
+
+
+class Fingers:
+    """Fingers on the glass, through the browser's own protocol."""
+
+    def __init__(self, page: Page) -> None:
+        self.session = page.context.new_cdp_session(page)
+
+    def _send(self, kind: str, places: list[tuple[float, float]]) -> None:
+        touches = [{"x": x, "y": y, "id": number} for number, (x, y) in enumerate(places)]
+        self.session.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": touches})
+
+    def stroke(self, *path: list[tuple[float, float]]) -> None:
+        self._send("touchStart", path[0])
+        for places in path[1:]:
+            self._send("touchMove", places)
+        self._send("touchEnd", [])
+
+
+@pytest.fixture
+def touched(open_page: Callable[..., Page], server: Server) -> View:
+    view = View(open_page(server.url, has_touch=True), server)
+    view.ready()
+    view.forget()
+    return view
+
+
+def test_a_finger_drags_a_point_it_touches_beside(touched: View) -> None:
+    x, y = touched.screen(POINTS[0]["uv"])
+    x, y = x + 20, y + 18  # 27 CSS px off
+    Fingers(touched.page).stroke([(x, y)], [(x + 8, y)], [(x + 8, y + 30)], [(x + 48, y + 30)])
+    (dropped,) = touched.heard("drop")
+    zoom = touched.zoom()
+    assert near(dropped["uv"], (300 + 40 / zoom, 400 + 30 / zoom)) < PLACE_PX  # from where the touch became a drag
+
+
+def test_a_finger_that_rests_moves_nothing(touched: View) -> None:
+    x, y = touched.screen(POINTS[0]["uv"])
+    Fingers(touched.page).stroke([(x, y)], [(x + 2, y + 3)], [(x - 2, y)])
+    assert touched.point("entry") == (300.0, 400.0)
+    assert touched.heard("drag", "drop") == []
+
+
+def test_two_fingers_zoom_and_pan(touched: View) -> None:
+    x, y = touched.screen((450.0, 480.0))
+    before = touched.zoom()
+    Fingers(touched.page).stroke(
+        [(x - 50, y), (x + 50, y)], [(x - 75, y), (x + 75, y)], [(x - 100 + 30, y + 20), (x + 100 + 30, y + 20)]
+    )
+    touched.settle()
+    assert touched.zoom() == pytest.approx(2 * before, rel=1e-6)
+    assert near(touched.screen((450.0, 480.0)), (x + 30, y + 20)) < 0.05
+    assert touched.heard("drag", "drop") == []
+
+
+def test_a_finger_places_where_it_is_lifted(touched: View) -> None:
+    touched.do("place")
+    x, y = touched.screen((420.0, 460.0))
+    fingers = Fingers(touched.page)
+    fingers.stroke([(x - 30, y - 30)], [(x - 10, y)], [(x, y)])
+    (placed,) = touched.heard("place")
+    assert near(placed["uv"], (420.0, 460.0)) < PLACE_PX
+
+
+# bad and hostile
+
+
+def test_hostile_text_stays_text(view: View) -> None:
+    view.do("gallery")
+    view.do("hostile")
+    view.mouse.move(*view.screen((300.0, 310.0)))
+    expect(view.root.get_by_test_id("tip")).to_have_text(HOSTILE)
+    button = view.root.get_by_test_id("point-entry")
+    expect(button).to_have_attribute("aria-label", f"{HOSTILE}: column 300.0, row 400.0")
+    assert view.page.locator("img").count() == 0
+    assert view.page.evaluate("window.hacked") is None
+
+
+def test_an_image_of_the_wrong_size_is_not_shown(view: View) -> None:
+    view.do("short")
+    (said,) = view.heard("error")
+    assert said["message"] == "image: 2097152 bytes, not 1024 x 1023 of two"
+    expect(view.root.get_by_test_id("fault")).to_have_text(TEXTS["load_failed"])
+    assert view.core("core.state.image") is None
+    x, y = view.middle()
+    assert view.grey()[round(y), round(x)] < 20
+
+
+def test_an_unknown_style_is_said_and_not_drawn(view: View) -> None:
+    view.do("unknown-style")
+    (said,) = view.heard("error")
+    assert said["message"] == 'layer odd: unknown style "pink"'
+    assert view.core("core.state.layers.get('odd').shapes") == []
+
+
+def test_what_the_browser_makes_up_is_dropped_and_the_rest_goes_on(view: View) -> None:
+    for event in (
+        {"type": "drop", "id": "nobody", "uv": [1, 2], "seq": 900},
+        {"type": "drop", "id": "entry", "uv": [1e9, 2], "seq": 901},
+        {"type": ["drop"], "id": "entry"},
+    ):
+        view.core("core.emit(value)", event)
+    assert view.refused() == 3
+    start = view.screen(POINTS[0]["uv"])
+    view.drag(start, (start[0] + 20, start[1]))
+    assert len(view.heard("drop")) == 1
+
+
+BOUNDS = Bounds(width=100, height=50, ids={"a"})
+MOVE = {"type": "drop", "id": "a", "uv": [1, 2.5], "seq": 3}
+SHOWN = {"type": "display", "rotation": 90, "mirrored": True, "inverted": False, "window": {"centre": 5, "width": 9}}
+
+
+def test_good_events_are_taken_as_they_are() -> None:
+    assert checked(MOVE, BOUNDS) == XrayEvent("drop", "a", (1.0, 2.5), 3)
+    assert checked({"type": "remove", "id": "a", "uv": "x"}, BOUNDS) == XrayEvent("remove", "a")
+    assert checked({"type": "select", "id": None}, BOUNDS) == XrayEvent("select")
+    assert checked({"type": "ready"}, BOUNDS) == XrayEvent("ready")
+    assert checked({"type": "error", "message": "a\nb" * 1000}, BOUNDS) == XrayEvent("error", message="a b" * 100)
+    event = checked(SHOWN, BOUNDS)
+    assert event is not None
+    assert event.display is not None
+    assert (event.display.rotation, event.display.mirrored, event.display.window.width) == (90, True, 9.0)
+
+
+@pytest.mark.parametrize(
+    "said",
+    [
+        None,
+        [],
+        "drop",
+        {},
+        {"type": None},
+        {"type": {}},
+        {"type": "explode"},
+        MOVE | {"id": "b"},
+        MOVE | {"id": None},
+        MOVE | {"id": ["a"]},
+        MOVE | {"uv": None},
+        MOVE | {"uv": [1]},
+        MOVE | {"uv": [1, "2"]},
+        MOVE | {"uv": [1, True]},
+        MOVE | {"uv": [1, math.nan]},
+        MOVE | {"uv": [1, math.inf]},
+        MOVE | {"uv": [10**400, 1]},
+        MOVE | {"uv": [-1.6, 1]},
+        MOVE | {"uv": [1, 50.6]},
+        MOVE | {"seq": None},
+        MOVE | {"seq": True},
+        MOVE | {"seq": 0},
+        MOVE | {"seq": 1.0},
+        MOVE | {"seq": 10**30},
+        {"type": "select", "id": 3},
+        {"type": "error", "message": 3},
+        SHOWN | {"rotation": 45},
+        SHOWN | {"rotation": True},
+        SHOWN | {"mirrored": 1},
+        SHOWN | {"window": None},
+        SHOWN | {"window": {"centre": 5, "width": 0}},
+        SHOWN | {"window": {"centre": 5, "width": 10**400}},
+    ],
+    ids=repr,
+)
+def test_bad_events_are_not(said: object) -> None:
+    assert checked(said, BOUNDS) is None
+
+
+def test_nothing_can_be_placed_before_there_is_an_image() -> None:
+    assert checked(MOVE, Bounds(ids={"a"})) is None
+
+
+def test_a_missing_text_is_named() -> None:
+    with pytest.raises(KeyError, match="edit_lost"):
+        XrayView("x", label="X", texts={key: "" for key in TEXT_KEYS if key != "edit_lost"})
+
+
+# the server went away
+
+
+@pytest.mark.parametrize("changed", [False, True])
+def test_an_edit_made_while_the_server_is_away(
+    serve: Callable[..., Server], open_page: Callable[..., Page], changed: bool
+) -> None:
+    server = serve("tests.app.xray_page", "{port}", "0", "1")
+    page = open_page(server.url, allow=("ERR_CONNECTION_REFUSED", "WebSocket", "502", "Failed to load resource"))
+    view = View(page, server)
+    view.ready()
+    server.stop()
+    start = view.screen(POINTS[0]["uv"])
+    view.drag(start, (start[0] + 60, start[1] + 25))
+    left = view.point("entry")
+    if changed:
+        server.argv[-1] = "2"  # another revision
+    server.start()
+    if changed:
+        expect(view.root.get_by_test_id("lost")).to_contain_text("The last change of Entry", timeout=15000)
+        assert view.heard("drop") == []
+        assert view.point("entry") == (300.0, 400.0)
+    else:
+        page.wait_for_function("uv => sightlineXray?.pa?.state.points.get('entry').uv[0] === uv[0]", arg=list(left))
+        page.wait_for_function("sessionStorage.getItem('sightline-xray-pa') === null", timeout=15000)
+        assert near(view.heard("drop")[-1]["uv"], left) < 1e-9
+
+
+# to look at
+
+
+@pytest.mark.parametrize(("width", "height"), [(1280, 800), (3840, 2160)])
+def test_pictures_for_the_eye(
+    server: Server, open_page: Callable[..., Page], shoot: Callable[..., None], width: int, height: int
+) -> None:
+    page = open_page(server.url, viewport={"width": width, "height": height})
+    view = View(page, server)
+    view.ready()
+    for name in ("beads", "gallery", "notice"):
+        view.do(name)
+    x, y = view.screen(POINTS[0]["uv"])
+    view.mouse.move(x, y)
+    view.mouse.down()
+    view.mouse.move(x + 60, y + 50)
+    view.heard()
+    shoot(page, f"xray-{width}")
+    view.mouse.up()
+    assert view.core("core.frames.length") > 0
