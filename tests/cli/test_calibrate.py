@@ -106,3 +106,13 @@ def test_a_malformed_datum_is_refused(run, pair, datums: list[str], says: str) -
 def test_options_of_images_are_refused_for_observations(run, beads_csv: Path) -> None:
     for option in ("--datum=x=1,2", "--frame-index=0"):
         assert run("calibrate", beads_csv, "--view", "pa", option).code == 2
+
+
+def test_detections_without_names_calibrate_like_their_image(run, pair, tmp_path: Path) -> None:
+    beads = tmp_path / "beads.csv"
+    assert run("detect", pair["pa"], "--csv", beads).code == 0
+    ran, of_image = run("calibrate", beads, "--json"), run("calibrate", pair["pa"], "--json")
+    assert ran.document["view"] == "pa"
+    apart = np.subtract(ran.document["focal_point_mm"], of_image.document["focal_point_mm"])
+    assert np.abs(apart).max() < 10.0  # the image is looked at again for beads that were missed; the file is not
+    assert run("calibrate", beads, "--frame-index", "0").code == 2

@@ -7,6 +7,7 @@ from pathlib import Path
 from sightline.calibration import BeadView, calibrate
 from sightline.calibration.fit import Method
 from sightline.detection import Detections, Observations, detect, label, look_again
+from sightline.detection.detections_csv import are_detections, label_csv
 from sightline.detection.files import read_observations
 from sightline.errors import ObservationsError, UnusableInputError
 from sightline.frame import Frame
@@ -54,7 +55,9 @@ def see(
     return Seen(path.name, look_again(image, beads, label(beads, frame, view, datums), frame), image, beads)
 
 
-def _from_csv(path: Path, name: str) -> Seen:
+def _from_csv(path: Path, name: str, frame: Frame) -> Seen:
+    if are_detections(path):
+        return Seen(path.name, label_csv(path, frame))
     views = read_observations(path)
     if name in views:
         return Seen(path.name, views[name])
@@ -67,7 +70,7 @@ def see_pair(pa: Path, lateral: Path, frame: Frame) -> tuple[Seen, Seen]:
     Raises UnusableInputError where the two are swapped or are one view twice, and whatever reading raises.
     """
     pair = tuple(
-        _from_csv(path, name) if path.suffix.lower() == ".csv" else see(path, frame)
+        _from_csv(path, name, frame) if path.suffix.lower() == ".csv" else see(path, frame)
         for path, name in zip((pa, lateral), NAMES, strict=True)
     )
     found = tuple(seen.observations.view for seen in pair)

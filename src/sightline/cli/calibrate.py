@@ -34,7 +34,7 @@ def register(app: typer.Typer) -> None:
 
 
 def calibrate(
-    image: Annotated[Path, typer.Argument(help="An image, or observations as CSV.")],
+    image: Annotated[Path, typer.Argument(help="An image, or its beads as CSV: told apart (observations) or not.")],
     *,
     frame: FrameName = "gamma",
     view: ViewName = None,
@@ -71,11 +71,17 @@ def calibrate(
 
 
 def see(path: Path, frame: "Frame", view: str | None, datum: list[str] | None, frame_index: int | None) -> "Seen":
-    """The beads of one view, told apart: of an image, or of a CSV file. Raises what reading and labelling raise."""
+    """The beads of one view, told apart: of an image, or of a CSV file, with or without the beads' names.
+
+    Raises what reading and labelling raise.
+    """
     from sightline.case import views
+    from sightline.detection.detections_csv import are_detections, label_csv
     from sightline.errors import UnusableInputError
 
     if path.suffix.lower() == ".csv":
+        if frame_index is None and are_detections(path):
+            return views.Seen(path.name, label_csv(path, frame, view, _datums(datum)))
         if datum or frame_index is not None:
             raise UnusableInputError(
                 "--datum and --frame-index are of images; observations in CSV are told apart already"
