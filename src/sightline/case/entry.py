@@ -2,7 +2,6 @@
 
 import os
 import re
-from collections.abc import Iterator
 from dataclasses import dataclass
 from datetime import datetime
 from enum import StrEnum
@@ -17,8 +16,11 @@ from sightline.errors import CaseError
 
 # What can be kept, by its suffix: images, observations, frames.
 SUFFIXES = (".dcm", ".png", ".tif", ".tiff", ".bmp", ".npy", ".csv", ".json")
-ORIGINAL = re.compile(rf"[0-9a-f]{{64}}({'|'.join(map(re.escape, SUFFIXES))})")
-_FILE = re.compile(rf".*({'|'.join(map(re.escape, SUFFIXES))})", re.IGNORECASE | re.DOTALL)
+_ENDING = f"(?:{'|'.join(map(re.escape, SUFFIXES))})"
+ORIGINAL = re.compile(f"[0-9a-f]{{64}}{_ENDING}")
+_END = re.compile(f'{_ENDING}"', re.IGNORECASE)
+# A string of JSON that ends like a file. Slow, so only where there is such an end.
+_FILE = re.compile(rf'"((?:[^"\\]|\\.)*{_ENDING})"', re.IGNORECASE)
 
 
 class Kind(StrEnum):
@@ -74,30 +76,15 @@ def link(before: str, head: dict[str, Any]) -> str:
     return digest(before + canonical(head))
 
 
-def originals_in(value: Any) -> set[str]:
-    """Names of originals anywhere in a JSON value.
+def originals_in(text: str) -> set[str]:
+    """Names of originals in a JSON text, where they are strings of their own.
 
-    Raises CaseError on a string that looks like any other file's name: such names often hold a patient's.
+    Raises CaseError on a string that ends like any other file's name: such names often hold a patient's.
     """
-    found = set()
-    for text in _strings(value):
-        if ORIGINAL.fullmatch(text):
-            found.add(text)
-        elif _FILE.fullmatch(text):
-            raise CaseError("a case never holds the name of a file; keep the file and write its original's name")
+    found = set(_FILE.findall(text)) if _END.search(text) else set()
+    if not all(ORIGINAL.fullmatch(name) for name in found):
+        raise CaseError("a case never holds the name of a file; keep the file and write its original's name")
     return found
-
-
-def _strings(value: Any) -> Iterator[str]:
-    if isinstance(value, str):
-        yield value
-    elif isinstance(value, dict):
-        for key, item in value.items():
-            yield key
-            yield from _strings(item)
-    elif isinstance(value, list):
-        for item in value:
-            yield from _strings(item)
 
 
 @cache

@@ -1,19 +1,19 @@
 """A case: all that was done for one patient, in one folder, in order, never lost and never changed (docs/case.md)."""
 
-import json
 import sqlite3
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from datetime import UTC, datetime
 from enum import StrEnum
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from threading import RLock
 from types import TracebackType
 from typing import Any, Self, TypeVar
 
 from sightline.case import originals, schema
 from sightline.case.canonical import canonical, digest
-from sightline.case.database import connect, said, transaction
+from sightline.case.database import connect, in_memory, log_ahead, said, transaction
 from sightline.case.entry import Actor, Entry, Kind, link, originals_in, versions
 from sightline.case.integrity import check_case
 from sightline.case.rows import HEAD, entry_of_row, first_link, head_of_row
@@ -47,6 +47,7 @@ class Case:
             db = connect(place / JOURNAL, "rwc")
             try:
                 schema.create(db)
+                log_ahead(db)
                 originals.sync_folder(place)
                 originals.sync_folder(place.absolute().parent)
                 return Case(place, db)
@@ -132,7 +133,7 @@ class Case:
         """
         what, who = _one_of(Kind, kind), _one_of(Actor, by)
         texts = [canonical(dict(value)) for value in (content, settings or {})]
-        for name in sorted(originals_in([json.loads(text) for text in texts])):
+        for name in sorted(originals_in(texts[0]) | originals_in(texts[1])):
             self.original(name)
         with self._reading(), transaction(self._db):
             last, before = self._tail()
@@ -198,12 +199,12 @@ def _one_of(names: type[_Named], name: str) -> _Named:
 def _writable(file: Path) -> sqlite3.Connection:
     db = connect(file, "rw")
     try:
-        db.execute("BEGIN IMMEDIATE")  # refused here, not at the first entry, where the file cannot be written
-        db.execute("ROLLBACK")
         version = schema.check_version(db)
+        schema.refuse_unwritable(db)
         if version < schema.VERSION:
             schema.back_up(db, file.with_name(f"journal-schema-{version}.sqlite"))
             schema.migrate(db)
+        log_ahead(db)
     except BaseException:
         db.close()
         raise
@@ -211,27 +212,33 @@ def _writable(file: Path) -> sqlite3.Connection:
 
 
 def _read_only(file: Path) -> sqlite3.Connection:
-    """What a killed program left half written must be taken back even then, which SQLite does when it may write."""
-    db = connect(file, "ro")
+    """Reading needs to write, too, beside the file: where that cannot be, and for an old version, a copy is read."""
     try:
-        try:
-            version = schema.check_version(db)
-        except sqlite3.OperationalError:
-            db.close()
-            writer = connect(file, "rw")
-            try:
-                schema.check_version(writer)
-            finally:
-                writer.close()
-            db = connect(file, "ro")
-            version = schema.check_version(db)
+        db = connect(file, "rw")
+    except sqlite3.OperationalError:
+        db = _copy(file)
+    try:
+        version = schema.check_version(db)
         if version < schema.VERSION:
-            copy = sqlite3.connect(":memory:", isolation_level=None, check_same_thread=False)
-            db.backup(copy)
-            db.close()
-            schema.migrate(copy)
-            return copy
+            old, db = db, in_memory(db)
+            old.close()
+            schema.migrate(db)
+        db.execute("PRAGMA query_only = 1")
     except BaseException:
         db.close()
         raise
     return db
+
+
+def _copy(file: Path) -> sqlite3.Connection:
+    """The journal in memory, with what its log holds. Raises OSError, sqlite3.Error."""
+    with TemporaryDirectory() as place:
+        for suffix in ("", "-wal", "-journal"):
+            beside = file.with_name(file.name + suffix)
+            if beside.is_file():
+                (Path(place) / beside.name).write_bytes(beside.read_bytes())
+        db = connect(Path(place) / file.name, "rw")
+        try:
+            return in_memory(db)
+        finally:
+            db.close()

@@ -53,6 +53,16 @@ def check_version(db: sqlite3.Connection) -> int:
     return version
 
 
+def refuse_unwritable(db: sqlite3.Connection) -> None:
+    """Begin to write, and take it back: refused on opening, not at the first entry."""
+    db.execute("BEGIN IMMEDIATE")
+    try:
+        db.execute(f"PRAGMA user_version = {VERSION}")
+    finally:
+        if db.in_transaction:
+            db.execute("ROLLBACK")
+
+
 def migrate(db: sqlite3.Connection) -> None:
     """From an older version to this one, in one step."""
     with transaction(db):
