@@ -1,10 +1,10 @@
 """What a plan looks like in an image: picks, image-matching curves with their band, the wire with its ellipses."""
 
 import numpy as np
-from scipy.stats import chi2
 
 from sightline.calibration import CalibratedView
 from sightline.case import svg
+from sightline.geometry.covariance import ellipsoid_factor
 from sightline.planning import MatchingCurve, Pick, Trajectory
 
 LABEL_EVERY_MM = 50.0  # of depth [ours]
@@ -52,7 +52,7 @@ def _ellipse(view: CalibratedView, xyz_mm: np.ndarray, covariance_mm2: np.ndarra
     ahead, back = np.split(view.project(steps), 2)
     jacobian = (ahead - back).T / (2 * _DIFFERENCE_MM)
     values, vectors = np.linalg.eigh(jacobian @ covariance_mm2 @ jacobian.T)
-    rx, ry = np.sqrt(np.clip(values, 0.0, None) * chi2.ppf(0.95, 2))
+    rx, ry = np.sqrt(np.clip(values, 0.0, None)) * ellipsoid_factor(0.95, 2)
     u, v = view.project(xyz_mm[None])[0]
     turn = float(np.degrees(np.arctan2(vectors[1, 0], vectors[0, 0])))
     shape = {"cx": float(u), "cy": float(v), "rx": float(rx), "ry": float(ry)}

@@ -5,9 +5,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial import ConvexHull
-from scipy.stats import chi2
 
 from sightline.case import svg
+from sightline.geometry.covariance import ellipsoid_factor
 from sightline.geometry.planes import Plane
 
 # The first look: from the front, a little to the side and from above, so that both arms show [ours].
@@ -52,7 +52,7 @@ def plate(xyz_mm: np.ndarray, style: str, says: str) -> list[Shape]:
 
 def magnification(covariances_mm2: np.ndarray, drawn_mm: float) -> float:
     """How many times larger ellipsoids (N, 3, 3) are drawn, to be up to `drawn_mm`: 1, 2 or 5 times 10^k."""
-    largest = np.sqrt(np.linalg.eigvalsh(covariances_mm2).max() * chi2.ppf(0.95, 3))
+    largest = np.sqrt(np.linalg.eigvalsh(covariances_mm2).max()) * ellipsoid_factor(0.95, 3)
     exact = drawn_mm / max(largest, 1e-6)
     power = 10.0 ** np.floor(np.log10(exact))
     return float(power * max(step for step in (1, 2, 5) if step * power <= exact * (1 + 1e-9)))
@@ -61,7 +61,7 @@ def magnification(covariances_mm2: np.ndarray, drawn_mm: float) -> float:
 def ellipsoid(centre_mm: np.ndarray, covariance_mm2: np.ndarray, times: float, says: str) -> list[Shape]:
     """The three principal ellipses of the 95 % ellipsoid, `times` as large as it is."""
     values, vectors = np.linalg.eigh(covariance_mm2)
-    axes = vectors * np.sqrt(np.clip(values, 0.0, None) * chi2.ppf(0.95, 3)) * times
+    axes = vectors * np.sqrt(np.clip(values, 0.0, None)) * ellipsoid_factor(0.95, 3) * times
     turn = np.linspace(0.0, 2 * np.pi, RING)
     circle = np.stack([np.cos(turn), np.sin(turn)])
     return [
