@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from sightline.cli import frame_fit
+from sightline.cli import frame_draw, frame_fit
 from sightline.cli.output import Json, Output, Quiet
 
 if TYPE_CHECKING:
@@ -19,7 +19,8 @@ FrameSource = Annotated[str, typer.Argument(metavar="FRAME", help='Frame file, o
 
 def register(parent: typer.Typer) -> None:
     """Add the commands."""
-    frame_fit.register(app)
+    for command in (frame_fit, frame_draw):
+        command.register(app)
     parent.add_typer(app, name="frame")
 
 

@@ -1,0 +1,47 @@
+"""`sightline frame draw`: drawings, bill and inspection sheet for the workshop that makes a frame."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from sightline.cli.output import Json, Output, Quiet
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command to `sightline frame`."""
+    app.command("draw")(draw)
+
+
+def draw(
+    frame: Annotated[str, typer.Argument(metavar="FRAME", help='Frame file, or "gamma", "biplane", "stereo".')],
+    *,
+    out: Annotated[Path, typer.Option(help="Folder to write into.")],
+    json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Write what a workshop needs to make a frame: SVG, DXF, STL of each plate, bill of material, inspection sheet."""
+    with Output(json=json, quiet=quiet) as output:
+        from sightline.frame import Frame
+        from sightline.frame.bill import bill_rows
+        from sightline.frame.part import parts_of
+        from sightline.frame.workshop import write_workshop
+
+        loaded = Frame.load(frame)
+        with output.step("drawing the plates"):
+            files = write_workshop(loaded, out)
+        parts = parts_of(loaded)
+        output.table("Bill of material", ("item", "number", "material", "remark"), bill_rows(parts))
+        output.say(f"wrote {len(files)} files into {out}")
+        document = [
+            {
+                "plate": part.name,
+                "width_mm": part.width_mm,
+                "height_mm": part.height_mm,
+                "thickness_mm": part.thickness_mm,
+                "bores": len(part.bores),
+                "position_tolerance_mm": part.position_mm,
+            }
+            for part in parts
+        ]
+        output.result({"files": files, "parts": document})

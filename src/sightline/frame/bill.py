@@ -1,0 +1,165 @@
+"""What a frame is made of, what it bears, and the sheet that its balls are inspected by."""
+
+import csv
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from io import StringIO
+
+import numpy as np
+
+from sightline.frame.deviations import plates
+from sightline.frame.fit import EXPANSION_PER_K
+from sightline.frame.model import Frame
+from sightline.frame.part import SIGMAS, Part
+
+SWELLING_PER_WATER = 0.2  # growth in length per share of mass taken up as water: 1 % of water, 0.2 % [mem]
+DRAPE_CLEARANCE_MM = 30.0  # [ours] all round, so that nothing pulls on a plate
+SHEET_COLUMNS = (
+    "series", "id", "view", "plate", "nominal_x_mm", "nominal_y_mm", "nominal_z_mm", "tolerance_mm",
+    "nominal_diameter_mm", "x_mm", "y_mm", "z_mm", "sd_mm", "diameter_mm", "remark",
+)  # fmt: skip
+
+
+def bill_rows(parts: Sequence[Part]) -> list[tuple[str, int, str, str]]:
+    """(item, number, material, remark) of all that is bought or made."""
+    rows = [
+        (
+            f"plate {part.name}",
+            1,
+            f"PMMA, cast sheet, {part.thickness_mm:g} mm",
+            f"{part.width_mm:g} x {part.height_mm:g} mm, {len(part.bores)} bores, drawing {part.name}.svg",
+        )
+        for part in parts
+    ]
+    balls = Counter((b.ball.shape, b.ball.diameter_mm, b.ball.datum) for part in parts for b in part.bores)
+    for (shape, diameter, datum), number in sorted(balls.items()):
+        where = "datum marker" if datum else "fiducial"
+        material = "stainless steel 1.4404 (AISI 316L)" + (", grade G100 (ISO 3290-1)" if shape == "ball" else "")
+        rows.append((f"{shape} ø{diameter:g} mm, {where}", number, material, "10 % spare"))
+    rows.append(("screw M5", 4 * len(parts), "polyamide", "no metal in the beam"))
+    rows.append(("adhesive", 1, "clear, UV-curing, without metal or barium filler", "a drop on the floor of each bore"))
+    return rows
+
+
+def bill_csv(parts: Sequence[Part]) -> bytes:
+    """The bill of material as CSV."""
+    return _csv(("item", "number", "material", "remark"), bill_rows(parts))
+
+
+def holes_csv(part: Part) -> bytes:
+    """The bores of one plate, for a machine."""
+    head = ("no", "id", "x_mm", "y_mm", "diameter_mm", "upper_mm", "depth_mm", "position_tolerance_mm")
+    return _csv(
+        head,
+        [
+            (b.number, b.ball.id, b.x_mm, b.y_mm, b.ball.diameter_mm, b.upper_mm, b.depth_mm, part.position_mm)
+            for b in part.bores
+        ],
+    )
+
+
+def inspection_csv(frame: Frame) -> bytes:
+    """The sheet to be filled in, one row a ball; `sightline frame fit` reads it back."""
+    tolerance = round(SIGMAS * frame.effective_tolerances.bead_mm, 3)
+    rows = [
+        ("1", f.id, view, role, *f.xyz_mm, tolerance, f.diameter_mm, "", "", "", "", "", "")
+        for view, role, plate in plates(frame)
+        for f in plate.fiducials
+    ]
+    return _csv(SHEET_COLUMNS, rows)
+
+
+def bill_page(frame: Frame, parts: Sequence[Part]) -> str:
+    """The bill of material and what the maker and the user must know of the material, as Markdown."""
+    rows = "\n".join(
+        f"| {item} | {number} | {material} | {remark} |" for item, number, material, remark in bill_rows(parts)
+    )
+    envelopes = "\n".join(
+        f"| {name} | {' x '.join(f'{mm:.0f}' for mm in box)} |" for name, box in drape_envelopes(frame, parts)
+    )
+    widest = max(max(part.width_mm, part.height_mm) for part in parts)
+    sd = frame.effective_tolerances
+    return _PAGE.format(
+        name=frame.name,
+        rows=rows,
+        envelopes=envelopes,
+        clearance=DRAPE_CLEARANCE_MM,
+        ppm=1e6 * EXPANSION_PER_K,
+        widest=widest,
+        per_10_k=10 * EXPANSION_PER_K * widest,
+        per_water=0.01 * SWELLING_PER_WATER * widest,
+        bead=sd.bead_mm,
+        plate=sd.plate_mm,
+        plate_mrad=1e3 * sd.plate_rad,
+        arm=sd.arm_mm,
+        arm_mrad=1e3 * sd.arm_rad,
+    )
+
+
+def drape_envelopes(frame: Frame, parts: Sequence[Part]) -> list[tuple[str, np.ndarray]]:
+    """What a cover is made for, and its (width, height, length along the beam), mm: each plate; both of a view where
+    the patient does not lie between them."""
+    out = [
+        (f"{part.view} {part.role} plate", np.array([part.width_mm, part.height_mm, part.thickness_mm]))
+        for part in parts
+    ]
+    for name, view in frame.views.items():
+        mine = [part for part in parts if part.view == name]
+        near, far = view.source.xyz_mm.mean(axis=0), view.xrii.xyz_mm.mean(axis=0)
+        if near @ far > 0:
+            length = np.linalg.norm(far - near) + max(part.thickness_mm for part in mine)
+            across = max(part.width_mm for part in mine), max(part.height_mm for part in mine)
+            out.append((f"{name}, both plates", np.array([*across, length])))
+    return [(name, box + 2 * DRAPE_CLEARANCE_MM) for name, box in out]
+
+
+def _csv(head: Sequence[str], rows: Iterable[Sequence[object]]) -> bytes:
+    text = StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(head)
+    writer.writerows(rows)
+    return text.getvalue().encode()
+
+
+_PAGE = """# Frame {name}: bill of material
+
+| item | number | material | remark |
+|---|---|---|---|
+{rows}
+
+The arms that hold the plates are not part of the frame file. They must keep the plates where the file has them: plates
+to {plate:g} mm and {plate_mrad:g} mrad on their arm, arms to {arm:g} mm and {arm_mrad:g} mrad, balls to {bead:g} mm in
+their plate, one standard deviation each; and they must keep out of the beams.
+
+## The material
+
+- **Heat.** PMMA grows by {ppm:.0f} ppm/K: the widest plate ({widest:g} mm) by {per_10_k:.2f} mm for 10 K. Measure at
+  the temperature of use, or tell `sightline frame fit` both.
+- **Water.** PMMA takes up to 2 % of its mass; 1 % makes the widest plate {per_water:.2f} mm wider. Keep plates dry,
+  measure them as they will be used, and again after a year.
+- **Cleaning.** Mild soap and water, wiped dry. Alcohol makes PMMA craze at every bore; so do acetone and most solvents.
+- **Sterilisation.** No steam: PMMA softens near 100 °C, an autoclave has 121 to 134 °C. No dry heat. Ethylene oxide
+  (aired out) or low-temperature hydrogen peroxide plasma are usual for PMMA; gamma radiation yellows it and makes it
+  brittle. Any of them must be proved with this frame, and the frame measured again afterwards. Where it can be, use a
+  sterile drape instead.
+
+These figures are common knowledge of the material, not of your sheet: ask its maker.
+
+## Drapes
+
+Sterile covers, loose, with {clearance:g} mm of room all round, so that no weight hangs on a plate:
+
+| cover for | width x height x length along the beam, mm |
+|---|---|
+{envelopes}
+
+A wet drape of 10 N sags a plate by about as much as its tolerance. Clip drapes to the arms, never to the plates.
+
+## Inspection
+
+`inspection.csv` has a row for each ball. Measure all plates mounted, in one set-up of the instrument, and fill in
+`x_mm`, `y_mm`, `z_mm` (any axes), `sd_mm` (the instrument's) and `diameter_mm`. A second measurement goes below as rows
+with another `series`. Then:
+
+    sightline frame fit inspection.csv --frame frame.json --out measured.json
+"""

@@ -1,0 +1,24 @@
+import pytest
+
+
+def test_draw_writes_the_workshop_folder(run, tmp_path):
+    ran = run("frame", "draw", "stereo", "--out", tmp_path / "shop", "--json")
+    assert ran.code == 0, ran.err
+    assert [part["bores"] for part in ran.document["parts"]] == [49, 64, 49, 64]
+    assert len(ran.document["files"]) == len(list((tmp_path / "shop").iterdir())) == 20
+    assert run("frame", "draw", "stereo", "--out", tmp_path / "quiet", "--quiet").out == ""
+    assert "Bill of material" in run("frame", "draw", "gamma", "--out", tmp_path / "loud").out
+
+
+@pytest.mark.parametrize(("frame", "words"), [("delta", "delta"), ("no.json", "no.json")])
+def test_no_such_frame(run, tmp_path, frame, words):
+    ran = run("frame", "draw", frame, "--out", tmp_path / "shop")
+    assert ran.code == 2
+    assert words in ran.err
+    assert not (tmp_path / "shop").exists()
+
+
+def test_a_file_in_the_way_is_left_alone(run, tmp_path):
+    (tmp_path / "shop").write_text("mine")
+    assert run("frame", "draw", "gamma", "--out", tmp_path / "shop").code == 2
+    assert (tmp_path / "shop").read_text() == "mine"

@@ -1,0 +1,206 @@
+import csv
+import io
+import xml.etree.ElementTree as ET
+from dataclasses import replace
+
+import ezdxf
+import numpy as np
+import pytest
+import trimesh
+
+from sightline.errors import FrameError
+from sightline.frame import Fiducial, Frame, FrameView, Plate
+from sightline.frame.bill import bill_csv, bill_page, drape_envelopes, inspection_csv
+from sightline.frame.deviations import fiducials, plates
+from sightline.frame.fit import Circumstances, fit_frame
+from sightline.frame.measurements import read_measurements
+from sightline.frame.part import CHAMFER_MM, SCREW_MM, parts_of
+from sightline.frame.part_dxf import plate_dxf
+from sightline.frame.part_mesh import FACETS, plate_mesh, plate_stl
+from sightline.frame.part_svg import plate_svg
+from sightline.frame.workshop import write_workshop
+
+FRAMES = ("gamma", "biplane", "stereo")
+GAMMA = Frame.load("gamma")
+
+
+def changed(ball: int, **what) -> Frame:
+    """The Γ frame with one ball of the PA XRII plate changed."""
+    view = GAMMA.view("pa")
+    balls = list(view.xrii.fiducials)
+    balls[ball] = replace(balls[ball], **what)
+    return replace(GAMMA, views={**GAMMA.views, "pa": replace(view, xrii=Plate(tuple(balls)))})
+
+
+@pytest.mark.parametrize("name", FRAMES)
+def test_bores_put_the_balls_where_the_frame_has_them(name):
+    """Sheet coordinates, turned back by what the sheet says of its axes, are the frame's, to the drawing's 0.001 mm."""
+    frame = Frame.load(name)
+    for part, (_, _, plate) in zip(parts_of(frame), plates(frame), strict=True):
+        at = np.array([[b.x_mm, b.y_mm, part.thickness_mm - b.depth_mm + b.ball.diameter_mm / 2] for b in part.bores])
+        true = np.array([b.ball.xyz_mm for b in part.bores])
+        assert {b.ball.id for b in part.bores} == set(plate.ids)
+        axes = np.array([_unit(text) for text in (part.right, part.up, part.front)])
+        np.testing.assert_allclose(np.linalg.det(axes), 1.0, atol=1e-12)
+        np.testing.assert_allclose((at - at[0]) @ axes, true - true[0], atol=2e-3)
+        np.testing.assert_allclose(at[:, 2], part.thickness_mm / 2, atol=1e-9)
+
+
+def _unit(text: str) -> np.ndarray:
+    if text[0] == "(":
+        return np.array([float(x) for x in text.strip("()").split(",")])
+    return np.eye(3)["XYZ".index(text[1])] * (1 if text[0] == "+" else -1)
+
+
+@pytest.mark.parametrize("name", FRAMES)
+def test_solids_are_closed_and_of_the_right_volume(name):
+    circle = FACETS / 2 * np.sin(2 * np.pi / FACETS)  # area of the polygon in a unit circle
+    for part in parts_of(Frame.load(name)):
+        mesh = trimesh.load(io.BytesIO(plate_stl(part)), file_type="stl")
+        mesh.merge_vertices()
+        assert mesh.is_watertight
+        bores = sum(circle * (b.ball.diameter_mm / 2) ** 2 * b.depth_mm for b in part.bores)
+        screws = 4 * circle * (SCREW_MM / 2) ** 2 * part.thickness_mm
+        sheet = (part.width_mm * part.height_mm - CHAMFER_MM**2 / 2) * part.thickness_mm
+        assert mesh.volume == pytest.approx(sheet - bores - screws, rel=1e-5)
+        np.testing.assert_allclose(mesh.bounds[1], (part.width_mm, part.height_mm, part.thickness_mm), atol=1e-4)
+
+
+def test_a_solid_has_its_bores_where_they_are():
+    """A point on the axis of a bore, half-way down, is outside; the same depth between bores is inside."""
+    part = parts_of(GAMMA)[0]
+    mesh = plate_mesh(part)
+    areas = {}
+    for bore in part.bores:
+        floor = part.thickness_mm - bore.depth_mm
+        centre = mesh.triangles_center
+        near = np.linalg.norm(centre[:, :2] - (bore.x_mm, bore.y_mm), axis=1) < bore.ball.diameter_mm / 2
+        on_floor = near & (np.abs(centre[:, 2] - floor) < 1e-9) & (mesh.face_normals[:, 2] > 0.5)
+        areas[bore.number] = mesh.area_faces[on_floor].sum() / (np.pi * bore.ball.diameter_mm**2 / 4)
+    np.testing.assert_allclose(list(areas.values()), FACETS / (2 * np.pi) * np.sin(2 * np.pi / FACETS), rtol=1e-9)
+
+
+@pytest.mark.parametrize("name", FRAMES)
+def test_dxf_holds_every_bore_at_its_true_diameter_in_mm(name):
+    for part in parts_of(Frame.load(name)):
+        document = ezdxf.read(io.StringIO(plate_dxf(part, name).decode()))
+        assert not document.audit().errors
+        assert (document.dxfversion, document.header["$INSUNITS"]) == ("AC1024", 4)
+        found = {}
+        for circle in document.modelspace().query('CIRCLE[layer=="BORES" | layer=="DATUM_BORES"]'):
+            at = circle.dxf.center
+            found[round(at.x, 3), round(at.y, 3)] = (2 * circle.dxf.radius, circle.dxf.layer == "DATUM_BORES")
+        assert found == {(b.x_mm, b.y_mm): (b.ball.diameter_mm, b.ball.datum) for b in part.bores}
+        said = {text.dxf.text for text in document.modelspace().query('TEXT[layer=="TABLE"]')}
+        assert {b.ball.id for b in part.bores} <= said
+        measured = sorted(d.get_measurement() for d in document.modelspace().query("DIMENSION"))
+        assert measured == pytest.approx(sorted((part.width_mm, part.height_mm)))
+
+
+@pytest.mark.parametrize("name", FRAMES)
+def test_svg_is_a_sheet_with_every_bore_and_nothing_beyond_its_border(name):
+    for part in parts_of(Frame.load(name)):
+        root = ET.fromstring(plate_svg(part, name))  # noqa: S314 - our own
+        ns = "{http://www.w3.org/2000/svg}"
+        texts = [node.text for node in root.iter(f"{ns}text")]
+        assert {b.ball.id for b in part.bores} <= set(texts)
+        assert {"PMMA, cast, 8 mm", "1:1", "A", "B", "C"} <= set(texts)
+        for node in [*root.iter(f"{ns}polyline"), *root.iter(f"{ns}polygon")]:
+            xy = np.array([[float(v) for v in pair.split(",")] for pair in node.get("points").split()])
+            assert ((xy >= 10) & (xy <= (410, 287))).all()
+        radii = [float(node.get("r")) for node in root.iter(f"{ns}circle")]
+        for bore in part.bores:
+            assert pytest.approx(bore.ball.diameter_mm / 2, abs=1e-3) in radii
+
+
+def test_a_name_cannot_break_the_sheet():
+    text = plate_svg(parts_of(GAMMA)[0], 'a<b>&"c')
+    ET.fromstring(text)  # noqa: S314 - our own
+    assert "a&lt;b&gt;" in text
+
+
+def test_a_plate_larger_than_the_sheet_is_drawn_smaller():
+    view = GAMMA.view("pa")
+    wide = Plate(tuple(replace(f, xyz_mm=(3 * f.xyz_mm[0], f.xyz_mm[1], f.xyz_mm[2])) for f in view.xrii.fiducials))
+    part = parts_of(replace(GAMMA, views={"pa": FrameView(wide, view.source)}))[0]
+    assert part.width_mm == 3 * 132 + 30
+    text = plate_svg(part, "wide")
+    assert "1:5" in text
+    assert "426 ±0.1" in text
+
+
+def test_washers_get_a_pocket_and_large_balls_a_thicker_plate():
+    washer = parts_of(changed(3, shape="washer", diameter_mm=6.0, datum=True))[0]
+    bore = next(b for b in washer.bores if b.ball.shape == "washer")
+    assert (bore.ball.diameter_mm, bore.depth_mm, washer.thickness_mm) == (6.0, 4.75, 8.0)
+    plate_mesh(washer)
+    thick = parts_of(changed(3, diameter_mm=8.0))[0]
+    assert thick.thickness_mm == 11.0
+    assert max(b.depth_mm for b in thick.bores) == 9.5
+
+
+def test_a_ball_off_the_plane_is_bored_less_deep_and_one_far_off_is_refused():
+    near = parts_of(changed(24, xyz_mm=(0.0, 0.0, 300.5)))[0]
+    depth = {b.ball.id: b.depth_mm for b in near.bores}
+    others = np.median([d for i, d in depth.items() if i != "pa-x-4-4"])
+    assert others - depth["pa-x-4-4"] == pytest.approx(0.5, abs=0.02)  # the plane follows it a little
+    with pytest.raises(FrameError, match="pa-x-4-4 lies"):
+        parts_of(changed(24, xyz_mm=(0.0, 0.0, 305.0)))
+
+
+def test_bores_that_would_break_into_each_other_are_refused():
+    x, y, z = GAMMA.view("pa").xrii.fiducials[24].xyz_mm
+    with pytest.raises(FrameError, match="a wall of 1 mm"):
+        parts_of(changed(23, xyz_mm=(x + 3.9, y, z)))
+
+
+def test_the_bill_counts_and_its_figures_are_those_of_pmma():
+    parts = parts_of(GAMMA)
+    rows = {row["item"]: row for row in csv.DictReader(io.StringIO(bill_csv(parts).decode()))}
+    assert rows["ball ø3 mm, fiducial"]["number"] == "202"
+    assert rows["ball ø5 mm, datum marker"]["number"] == "24"
+    page = bill_page(GAMMA, parts)
+    assert "(162 mm) by 0.11 mm for 10 K" in page  # 162 x 70e-6 x 10
+    assert "0.32 mm wider" in page  # 162 x 0.2 x 0.01
+    assert "{" not in page
+
+
+def test_covers_have_room_and_leave_the_patient_out():
+    boxes = dict(drape_envelopes(GAMMA, parts_of(GAMMA)))
+    np.testing.assert_allclose(boxes["pa, both plates"], (222.0, 222.0, 218.0))
+    np.testing.assert_allclose(boxes["pa source plate"], (202.0, 202.0, 68.0))
+    biplane = Frame.load("biplane")
+    assert len(drape_envelopes(biplane, parts_of(biplane))) == 4
+
+
+def test_the_inspection_sheet_filled_in_is_read_back(tmp_path):
+    rows = list(csv.DictReader(io.StringIO(inspection_csv(GAMMA).decode())))
+    rng = np.random.default_rng(1)
+    for row in rows[2:]:
+        for axis in "xyz":
+            row[f"{axis}_mm"] = f"{float(row[f'nominal_{axis}_mm']) + 0.02 * rng.standard_normal():.4f}"
+        row |= {"sd_mm": "0.004", "diameter_mm": row["nominal_diameter_mm"], "remark": "ok"}
+    with (tmp_path / "filled.csv").open("w", newline="") as file:
+        writer = csv.DictWriter(file, list(rows[0]))
+        writer.writeheader()
+        writer.writerows(rows)
+    fitted = fit_frame(GAMMA, read_measurements(tmp_path / "filled.csv"), Circumstances())
+    assert fitted.frame is not None
+    assert fitted.missing == ("pa-x-1-1", "pa-x-1-2")
+    with pytest.raises(FrameError, match="no measured ball"):
+        (tmp_path / "empty.csv").write_bytes(inspection_csv(GAMMA))
+        read_measurements(tmp_path / "empty.csv")
+
+
+def test_a_folder_holds_it_all_and_an_own_frame_is_drawn_too(tmp_path):
+    balls = [(-40.0, -30.5), (38.0, -36.0), (41.5, 33.0), (-35.0, 37.0), (4.5, 2.0)]
+
+    def plate(name: str, z: float) -> Plate:
+        return Plate(tuple(Fiducial(f"{name}{k}", (x, y, z), 4.0, k < 3) for k, (x, y) in enumerate(balls)))
+
+    own = Frame("own", {"front": FrameView(plate("a", 200.0), plate("b", -120.0))})
+    files = write_workshop(own, tmp_path / "shop")
+    names = {file.name for file in files}
+    assert names == {file.name for file in (tmp_path / "shop").iterdir()}
+    assert {f"front-{role}.{kind}" for role in ("xrii", "source") for kind in ("svg", "dxf", "stl", "csv")} <= names
+    assert [f.id for f in fiducials(Frame.load(tmp_path / "shop" / "frame.json"))] == [f.id for f in fiducials(own)]
