@@ -36,7 +36,7 @@ def burnt_in(radiograph: Radiograph) -> np.ndarray | None:
     commonest = np.argsort(-counts, kind="stable")[:_VALUES]
     marks = np.zeros(pixels.shape, bool)
     for value in values[commonest][counts[commonest] >= _SEEDS]:
-        marks |= _marks_of(radiograph, value, seeds, least)
+        marks |= _marks_of(radiograph, float(value), seeds, least)
     if not marks.any():
         return None
     mask = cv2.dilate(marks.view(np.uint8), np.ones((_AROUND, _AROUND), np.uint8)).view(bool)
@@ -78,7 +78,7 @@ def _well_inside(radiograph: Radiograph, v: np.ndarray, u: np.ndarray) -> np.nda
     return inside & np.all(near, axis=0)
 
 
-def _marks_of(radiograph: Radiograph, value: np.generic, seeds: np.ndarray, least: float) -> np.ndarray:
+def _marks_of(radiograph: Radiograph, value: float, seeds: np.ndarray, least: float) -> np.ndarray:
     """(H, W) bool: connected pixels of one value in the field that are marks; none unless one of them holds a seed."""
     pixels, field = radiograph.pixels, radiograph.field_mask
     alike = (pixels == value).view(np.uint8)
@@ -89,11 +89,11 @@ def _marks_of(radiograph: Radiograph, value: np.generic, seeds: np.ndarray, leas
     clipped = value >= radiograph.white or value == pixels[field].min()
     seeded = np.unique(part[seeds[:, 0], seeds[:, 1]])
 
-    def is_mark(i: int) -> bool:
+    def is_mark(i: np.intp) -> bool:
         left, top, width, height = (int(n) for n in stats[i, :4])
         about = np.s_[max(top - 1, 0) : top + height + 1, max(left - 1, 0) : left + width + 1]
         mark = (part[about] == i).view(np.uint8)
-        return _is_sharp(mark, pixels[about], float(value), least) and (not clipped or _is_stroke(mark))
+        return _is_sharp(mark, pixels[about], value, least) and (not clipped or _is_stroke(mark))
 
     if not any(keep[i] and is_mark(i) for i in seeded):
         return np.zeros(pixels.shape, bool)
@@ -110,4 +110,4 @@ def _is_sharp(mark: np.ndarray, pixels: np.ndarray, value: float, least: float) 
 def _is_stroke(mark: np.ndarray) -> bool:
     """Whether it is thin and long: clipped holes, balls and open beam may end as sharply, but are wide."""
     half = float(cv2.distanceTransform(np.pad(mark, 1), cv2.DIST_L2, 3).max())
-    return half <= _WIDEST and np.count_nonzero(mark) > _SLENDER * half**2
+    return half <= _WIDEST and int(np.count_nonzero(mark)) > _SLENDER * half**2

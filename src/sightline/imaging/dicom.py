@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from pydicom import Dataset, dcmread, dcmwrite
 from pydicom.dataset import FileMetaDataset
+from pydicom.encaps import get_frame
 from pydicom.filereader import read_file_meta_info
 from pydicom.multival import MultiValue
 from pydicom.pixels.utils import pixel_array
@@ -25,6 +26,8 @@ from pydicom.uid import (
 
 from sightline.atomic import write_whole
 from sightline.errors import ImageError
+from sightline.imaging.compressed import unpacks_to
+from sightline.imaging.decoder import Decoder
 from sightline.imaging.headers import damaged
 from sightline.imaging.limits import check_size
 from sightline.imaging.radiograph import GeometryTags, Radiograph
@@ -70,6 +73,9 @@ _EMPTY = [
 def read(file: Path, frame_index: int | None) -> Radiograph:
     """One frame of a DICOM file: XA, RF, CR, DX, secondary capture; native, RLE, JPEG, JPEG-LS or JPEG 2000.
 
+    A compressed frame is decoded only where its own header is that of the file: what
+    unpacks to more than the file says is refused before it does.
+
     Stored values are kept. They are inverted where fewer X-rays give larger ones: where Pixel Intensity Relationship
     Sign (0028,1041) says -1; where that is absent, for MONOCHROME1 (taken with the sign of Rescale Slope), since
     C-arms show bone dark. Negative stored values are shifted up by the smallest that can be stored.
@@ -79,7 +85,7 @@ def read(file: Path, frame_index: int | None) -> Radiograph:
         header = _header(file)
         index = _frame(header, frame_index, file.name)
         height, width, bits = _layout(header, file.name)
-        stored = _decode(file, index)
+        stored = _decode(file, index, (height, width))
     if stored.shape[:2] != (height, width):
         raise damaged(file.name)
     if stored.ndim == 3:
@@ -130,13 +136,12 @@ def write(radiograph: Radiograph, path: str | Path) -> Path:
     return write_whole(path, buffer.getvalue())
 
 
+_decoder = Decoder()
+
+
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Nothing of a header reaches a log: pydicom's messages quote values, and gdcm writes to stderr."""
-    import gdcm  # never before numpy: where it is loaded first, the next numba compilation finds a broken heap
-
-    gdcm.Trace.WarningOff()
-    gdcm.Trace.ErrorOff()
+    """Nothing of a header reaches a log: pydicom's messages quote values."""
     log = getLogger("pydicom")
     before, log.propagate, log.disabled = (log.propagate, log.disabled), False, True
     try:
@@ -192,11 +197,22 @@ def _layout(header: dict[str, Any], name: str) -> tuple[int, int, int]:
     return height, width, bits
 
 
-def _decode(file: Path, index: int) -> np.ndarray:
+def _decode(file: Path, index: int, shape: tuple[int, int]) -> np.ndarray:
     try:
-        return pixel_array(file, index=index)
-    except Exception:  # as above
+        syntax = read_file_meta_info(file).TransferSyntaxUID
+        if not syntax.is_encapsulated:
+            return pixel_array(file, index=index)
+        if unpacks_to(_coded(file, index), syntax, shape):
+            return _decoder.decode(file, index)
+    except Exception:  # as above; and UndecodableError
         raise _undecodable(file.name) from None
+    raise _undecodable(file.name)
+
+
+def _coded(file: Path, index: int) -> bytes:
+    """One compressed frame."""
+    elements = dcmread(file, specific_tags=["NumberOfFrames", "PixelData"])
+    return get_frame(elements.PixelData, index, number_of_frames=int(elements.get("NumberOfFrames") or 1))
 
 
 def _undecodable(name: str) -> ImageError:

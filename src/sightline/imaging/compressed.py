@@ -1,0 +1,65 @@
+"""How large a compressed frame of a DICOM file is once unpacked, read from its own bytes before a decoder is."""
+
+import struct
+
+from pydicom.uid import JPEG2000TransferSyntaxes, JPEGLSTransferSyntaxes, JPEGTransferSyntaxes, RLELossless
+
+_J2K_SIZE = b"\xff\x4f\xff\x51"  # start of a codestream and its SIZ segment (ISO/IEC 15444-1, A.4 and A.5)
+_JP2 = b"\x00\x00\x00\x0cjP  "  # a JP2 file about the codestream, which the standard forbids and some write
+_FRAME_HEADERS = {*range(0xC0, 0xD0), 0xF7} - {0xC4, 0xC8, 0xCC}  # SOF of JPEG; F7: of JPEG-LS
+_RLE_SEGMENTS = 15  # PS3.5, annex G
+
+
+def unpacks_to(coded: bytes, syntax: str, shape: tuple[int, int]) -> bool:
+    """Whether a frame's bytes say that they hold (H, W) pixels, of three components and two bytes at most."""
+    if syntax == RLELossless:
+        return _rle_fits(coded, shape[0] * shape[1])
+    if syntax in JPEGTransferSyntaxes or syntax in JPEGLSTransferSyntaxes:
+        return _jpeg_shape(coded) == shape
+    return syntax in JPEG2000TransferSyntaxes and _j2k_shape(coded) == shape
+
+
+def _jpeg_shape(coded: bytes) -> tuple[int, int] | None:
+    """Height and width of the first frame header (ITU-T T.81, B.2.2); None where there is none."""
+    at = 2
+    while at + 9 <= len(coded) and coded[at] == 0xFF:
+        if coded[at + 1] == 0xFF:  # a fill byte
+            at += 1
+            continue
+        if coded[at + 1] in _FRAME_HEADERS:
+            height, width, components = struct.unpack_from(">HHB", coded, at + 5)
+            return (height, width) if components <= 3 else None
+        at += 2 + struct.unpack_from(">H", coded, at + 2)[0]
+    return None
+
+
+def _j2k_shape(coded: bytes) -> tuple[int, int] | None:
+    """Height and width of the image area; None for what is no codestream, or has more than three components."""
+    at = coded.find(_J2K_SIZE, 0, 1024) if coded.startswith(_JP2) else 0
+    if at < 0 or coded[at : at + 4] != _J2K_SIZE or len(coded) < at + 42:
+        return None
+    right, bottom, left, top = struct.unpack_from(">IIII", coded, at + 8)
+    (components,) = struct.unpack_from(">H", coded, at + 40)
+    return (bottom - top, right - left) if components <= 3 else None
+
+
+def _rle_fits(coded: bytes, pixels: int) -> bool:
+    """Whether no segment unpacks to more than a byte for each pixel, and one to pad it (PS3.5, G.3)."""
+    if len(coded) < 64:
+        return False
+    count, *starts = struct.unpack_from("<16I", coded)
+    if not 0 < count <= _RLE_SEGMENTS:
+        return False
+    ends = [*starts[1:count], len(coded)]
+    return all(_unpacked(coded, a, b, pixels + 1) for a, b in zip(starts[:count], ends, strict=True))
+
+
+def _unpacked(coded: bytes, at: int, end: int, most: int) -> bool:
+    size = 0
+    while at < min(end, len(coded)) and size <= most:
+        code = coded[at]
+        if code < 128:
+            size, at = size + code + 1, at + code + 2
+        else:
+            size, at = size + (257 - code) % 129, at + 2  # 128 stands for nothing
+    return size <= most

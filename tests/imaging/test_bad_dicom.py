@@ -1,0 +1,147 @@
+"""Damaged and hostile DICOM files: each is read or refused, none ends the program or fills the memory."""
+
+import struct
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pydicom import dcmread
+from pydicom.encaps import encapsulate, get_frame
+from pydicom.uid import JPEG2000Lossless, JPEGLosslessSV1, JPEGLSLossless, RLELossless
+
+from sightline.errors import ImageError
+from sightline.imaging import Radiograph, dicom, read_image, write_dicom
+from sightline.imaging.compressed import unpacks_to
+from sightline.imaging.decoder import Decoder, UndecodableError
+
+SYNTAXES = {
+    "native": None,
+    "JPEG": JPEGLosslessSV1,
+    "JPEG-LS": JPEGLSLossless,
+    "JPEG 2000": JPEG2000Lossless,
+    "RLE": RLELossless,
+}
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """The same image in each syntax."""
+    import gdcm
+
+    folder = tmp_path_factory.mktemp("syntaxes")
+    pixels = np.random.default_rng(1).integers(0, 4096, (64, 64), dtype=np.uint16)
+    found = {"native": write_dicom(Radiograph(pixels, 4095.0), folder / "native.dcm")}
+    for name, uid in SYNTAXES.items():
+        if uid is None:
+            continue
+        reader = gdcm.ImageReader()
+        reader.SetFileName(str(found["native"]))
+        assert reader.Read()
+        change = gdcm.ImageChangeTransferSyntax()
+        change.SetTransferSyntax(gdcm.TransferSyntax(gdcm.TransferSyntax.GetTSType(str(uid))))
+        change.SetInput(reader.GetImage())
+        assert change.Change()
+        writer = gdcm.ImageWriter()
+        found[name] = folder / f"{name}.dcm"
+        writer.SetFileName(str(found[name]))
+        writer.SetFile(reader.GetFile())
+        writer.SetImage(change.GetOutput())
+        assert writer.Write()
+    return found
+
+
+def mutated(data: bytes, rng: np.random.Generator) -> bytes:
+    """Bytes changed in the head, anywhere or in the pixels; the end cut off; a piece of another length put in."""
+    out, how = bytearray(data), rng.integers(5)
+    if how == 3:
+        return bytes(out[: rng.integers(len(out))])
+    if how == 4:
+        at = int(rng.integers(132, len(out) - 80))
+        out[at : at + int(rng.integers(1, 64))] = rng.bytes(int(rng.integers(0, 80)))
+        return bytes(out)
+    start, end = ((132, 1200), (0, len(out)), (len(out) // 3, len(out)))[how]
+    for at in rng.integers(start, min(end, len(out)), rng.integers(1, 9)):
+        out[at] = rng.integers(256)
+    return bytes(out)
+
+
+def outcomes(files: dict[str, Path], tmp_path: Path, each: int) -> dict[str, list[bool]]:
+    """Whether each of `each` mutated files of a syntax was read; an error other than ImageError is one of the test."""
+    rng, target = np.random.default_rng(20), tmp_path / "mutated.dcm"
+    read: dict[str, list[bool]] = {name: [] for name in files}
+    for name, file in files.items():
+        data = file.read_bytes()
+        for _ in range(each):
+            target.write_bytes(mutated(data, rng))
+            try:
+                image = read_image(target)
+            except ImageError as error:
+                assert "PHANTOM" not in str(error)
+                read[name].append(False)
+            else:
+                assert image.pixels.size <= 2**25
+                read[name].append(True)
+    return read
+
+
+def test_mutated_files_are_read_or_refused(files: dict[str, Path], tmp_path: Path) -> None:
+    read = outcomes(files, tmp_path, 30)
+    assert 0 < sum(read["native"]) < len(read["native"])
+
+
+@pytest.mark.slow
+def test_2000_mutated_files_are_read_or_refused(files: dict[str, Path], tmp_path: Path) -> None:
+    read = outcomes(files, tmp_path, 400)
+    assert sum(map(len, read.values())) == 2000
+
+
+@pytest.mark.parametrize("name", list(SYNTAXES)[1:])
+def test_a_frame_tells_its_size_before_it_is_decoded(files: dict[str, Path], name: str) -> None:
+    coded = get_frame(dcmread(files[name]).PixelData, 0, number_of_frames=1)
+    syntax = str(SYNTAXES[name])
+    assert unpacks_to(coded, syntax, (64, 64))
+    assert not unpacks_to(coded, syntax, (64, 63)) or name == "RLE"
+    assert not unpacks_to(coded, syntax, (40, 40))
+    assert not unpacks_to(coded[:8], syntax, (64, 64))
+    assert not unpacks_to(b"", syntax, (64, 64))
+
+
+def test_a_frame_that_unpacks_to_more_than_its_file_says_never_reaches_a_decoder(
+    files: dict[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def decode(*_: object) -> None:
+        pytest.fail("a decoder was called")
+
+    monkeypatch.setattr(dicom._decoder, "decode", decode)
+    bomb = dcmread(files["RLE"])
+    segments = struct.pack("<16I", 2, 64, 64 + 2000, *[0] * 13) + b"\x81\x00" * 2000  # 128 times 1000, twice
+    bomb.PixelData = encapsulate([segments])
+    bomb.save_as(tmp_path / "rle.dcm")
+    with pytest.raises(ImageError, match="damaged, or compressed"):
+        read_image(tmp_path / "rle.dcm")
+    wide = files["JPEG 2000"].read_bytes()
+    at = wide.index(b"\xff\x4f\xff\x51") + 8
+    (tmp_path / "j2k.dcm").write_bytes(wide[:at] + struct.pack(">II", 60000, 60000) + wide[at + 8 :])
+    with pytest.raises(ImageError, match="damaged, or compressed"):
+        read_image(tmp_path / "j2k.dcm")
+
+
+def test_a_decoder_that_dies_refuses_that_file_and_reads_the_next(files: dict[str, Path], monkeypatch) -> None:
+    decoder = Decoder()
+    try:
+        expected = read_image(files["native"]).pixels
+        np.testing.assert_array_equal(decoder.decode(files["JPEG"], 0), expected)
+        assert decoder._helper is not None
+        decoder._helper.kill()
+        decoder._helper.wait()
+        np.testing.assert_array_equal(decoder.decode(files["RLE"], 0), expected)
+        with pytest.raises(UndecodableError):
+            decoder.decode(files["RLE"], 7)
+        monkeypatch.setattr("sightline.imaging.decoder.DEADLINE_S", 0.0)  # killed at once, within its answer
+        decoder._helper.kill()
+        with pytest.raises(UndecodableError):
+            decoder.decode(files["JPEG"], 0)
+        monkeypatch.undo()
+        np.testing.assert_array_equal(decoder.decode(files["JPEG"], 0), expected)
+    finally:
+        decoder.close()
