@@ -1,0 +1,323 @@
+// A scene of named groups in a box, drawn when something has changed and not otherwise. Knows no framework.
+//
+// Mouse: left turns, right or shift moves, wheel comes nearer. Touch: one finger turns, two move and come nearer.
+// Keys: arrows turn, with shift they move, + and - come nearer. Up is always +Z.
+
+import { CSS2DRenderer, OrbitControls, THREE } from "nicegui-scene";
+import { dispose, make } from "space_objects";
+
+const FIELD_DEG = 30;
+const GROUND = "#0e1217";
+const TURN = Math.PI / 36; // of an arrow key
+const NEARER = 1.15;
+const FARTHEST_LINES = 4; // of text, between a label and its place
+const REACHES = ["hip", "frame", "room"]; // each holds those before it
+// Where one looks from, for a hip whose feet are towards -Y (a left one); of a right one they are towards +Y.
+const FROM = { feet: [0, -1, 0], side: [1, 0, 0], above: [0, -0.001, 1], aslant: [0.441, -0.83, 0.342] };
+
+const CSS = `
+.space { position: absolute; inset: 0; overflow: hidden; background: ${GROUND}; }
+.space canvas { display: block; touch-action: none; }
+.space canvas:focus-visible { outline: 3px solid #56b4e9; outline-offset: -3px; }
+.space-labels { position: absolute; inset: 0; pointer-events: none; overflow: hidden; }
+.space-label { font: 600 12px system-ui, sans-serif; white-space: nowrap; padding: 1px 5px; border-radius: 4px;
+  background: rgba(14, 18, 23, 0.72); max-width: 20em; overflow: hidden; text-overflow: ellipsis; }
+.space-bar { position: absolute; display: flex; flex-wrap: wrap; gap: 4px; padding: 6px; z-index: 1; }
+.space-bar button { font: 500 12px system-ui, sans-serif; color: #eef2f6; background: rgba(34, 43, 53, 0.88);
+  border: 1px solid #36424f; border-radius: 6px; padding: 3px 9px; min-height: 26px; cursor: pointer; }
+.space-bar button:hover { border-color: #56b4e9; }
+.space-bar button:focus-visible { outline: 3px solid #56b4e9; }
+.space-bar button[aria-pressed="false"] { color: #a9b6c3; background: rgba(14, 18, 23, 0.6); text-decoration: line-through; }
+.space-notes { position: absolute; left: 0; bottom: 0; margin: 0; padding: 8px 10px; font: 500 12px system-ui, sans-serif;
+  color: #a9b6c3; pointer-events: none; }
+.space-none { position: absolute; inset: 0; display: grid; place-content: center; padding: 2em; text-align: center; }`;
+
+export class SpaceCore {
+  constructor(box, { label, groups, texts }) {
+    this.texts = texts;
+    this.groups = new Map(); // name -> THREE.Group
+    this.objects = {}; // name -> the plain objects it was made from
+    this.names = groups; // name -> words in the legend
+    this.renders = 0;
+    this.asked = 0;
+    this.feet = 1; // -1: towards +Y
+    this.touched = false; // the person has chosen a view: do not take it away
+    this.root = document.createElement("div");
+    this.root.className = "space";
+    box.append(this.root);
+    if (!document.getElementById("space-css")) {
+      document.head.append(Object.assign(document.createElement("style"), { id: "space-css", textContent: CSS }));
+    }
+    try {
+      this.renderer = new THREE.WebGLRenderer({ antialias: true });
+    } catch {
+      this.sayNone();
+      return;
+    }
+    this.build(label);
+  }
+
+  sayNone() {
+    const said = document.createElement("p");
+    said.className = "space-none";
+    said.textContent = this.texts.none;
+    this.root.append(said);
+  }
+
+  build(label) {
+    const canvas = this.renderer.domElement;
+    canvas.tabIndex = 0;
+    canvas.setAttribute("role", "img");
+    canvas.setAttribute("aria-label", `${label}. ${this.texts.keys}`);
+    this.labels = new CSS2DRenderer();
+    this.labels.domElement.className = "space-labels";
+    this.root.append(canvas, this.labels.domElement);
+
+    this.scene = new THREE.Scene();
+    this.scene.background = new THREE.Color(GROUND);
+    this.camera = new THREE.PerspectiveCamera(FIELD_DEG, 1, 1, 10000);
+    this.camera.up.set(0, 0, 1);
+    const light = new THREE.DirectionalLight("#ffffff", 2.2);
+    light.position.set(-1, 1.4, 1);
+    this.camera.add(light); // over the viewer's shoulder
+    this.scene.add(this.camera, new THREE.AmbientLight("#ffffff", 1.1));
+
+    this.controls = new OrbitControls(this.camera, canvas);
+    this.controls.addEventListener("change", () => this.draw());
+    this.controls.addEventListener("start", () => (this.touched = true));
+    this.pressed = (event) => this.key(event);
+    canvas.addEventListener("keydown", this.pressed);
+    canvas.addEventListener("webglcontextrestored", () => this.draw());
+    this.watch = new ResizeObserver(() => this.resize());
+    this.watch.observe(this.root);
+    this.buildLooks();
+    this.legend = this.bar("left: 0; top: 0; max-width: 60%");
+    this.notes = document.createElement("p");
+    this.notes.className = "space-notes";
+    this.root.append(this.notes);
+    this.look("aslant");
+    this.resize();
+  }
+
+  bar(style) {
+    const made = document.createElement("div");
+    made.className = "space-bar";
+    made.style.cssText = style;
+    this.root.append(made);
+    return made;
+  }
+
+  button(bar, words, id, onClick) {
+    const made = document.createElement("button");
+    made.type = "button";
+    made.textContent = words;
+    made.dataset.testid = id;
+    made.addEventListener("click", onClick);
+    bar.append(made);
+    return made;
+  }
+
+  buildLooks() {
+    const bar = this.bar("right: 0; top: 0; justify-content: flex-end; max-width: 40%");
+    for (const from of ["feet", "side", "above"]) {
+      this.button(bar, this.texts[from], `space-look-${from}`, () => this.chosen(() => this.look(from)));
+    }
+    for (const reach of REACHES) {
+      this.button(bar, this.texts[reach], `space-fit-${reach}`, () => this.chosen(() => this.fit(reach)));
+    }
+  }
+
+  chosen(change) {
+    this.touched = true;
+    change();
+  }
+
+  // ------------------------------------------------------------------------------------------------------ what is shown
+
+  // Replaces everything: group name -> list of plain objects.
+  set(document) {
+    for (const name of Object.keys(this.objects)) if (!(name in document)) this.update(name, []);
+    for (const [name, objects] of Object.entries(document)) this.update(name, objects);
+  }
+
+  // Replaces one group. Its notes are words below the picture; all else is in it.
+  update(name, objects) {
+    this.objects[name] = objects;
+    if (!this.renderer) return;
+    const before = this.groups.get(name);
+    const group = new THREE.Group();
+    group.visible = before ? before.visible : true;
+    for (const object of objects) if (object.kind !== "note") group.add(make(object));
+    if (before) {
+      this.scene.remove(before);
+      dispose(before);
+    }
+    this.groups.set(name, group);
+    this.scene.add(group);
+    this.drawLegend();
+    this.drawNotes();
+    if (!this.touched) this.fit("frame");
+    this.draw();
+  }
+
+  show(name, on) {
+    const group = this.groups.get(name);
+    if (!group) return;
+    group.visible = on;
+    this.drawLegend();
+    this.drawNotes();
+    this.draw();
+  }
+
+  drawLegend() {
+    const shown = Object.keys(this.names).filter((name) => this.groups.get(name)?.children.length);
+    const state = JSON.stringify(shown.map((name) => [name, this.groups.get(name).visible]));
+    if (state === this.legendState) return; // so that an update does not take the focus away
+    this.legendState = state;
+    const focused = this.legend.contains(document.activeElement) ? document.activeElement.dataset.testid : null;
+    this.legend.replaceChildren();
+    for (const name of shown) {
+      const { visible } = this.groups.get(name);
+      const made = this.button(this.legend, this.names[name], `space-show-${name}`, () => this.show(name, !visible));
+      made.setAttribute("aria-pressed", String(visible));
+      if (made.dataset.testid === focused) made.focus();
+    }
+  }
+
+  drawNotes() {
+    const shown = Object.keys(this.objects).filter((name) => this.groups.get(name)?.visible);
+    const notes = shown.flatMap((name) => this.objects[name].filter(({ kind }) => kind === "note"));
+    this.notes.textContent = notes.map(({ text }) => text).join(" · ");
+  }
+
+  // ---------------------------------------------------------------------------------------------------------- the camera
+
+  // Says which hip it is, "right" or another word: the patient's feet are then towards the viewer, the head up.
+  orient(side) {
+    this.feet = side === "right" ? -1 : 1;
+    if (!this.touched) this.look("aslant");
+  }
+
+  // Looks from a side at what it looks at, from as far away as now.
+  look(from) {
+    if (!this.renderer) return;
+    const distance = this.camera.position.distanceTo(this.controls.target) || 1000;
+    const towards = new THREE.Vector3(...FROM[from]).multiply(new THREE.Vector3(1, this.feet, 1)).normalize();
+    this.camera.position.copy(this.controls.target).addScaledVector(towards, distance);
+    this.controls.update();
+    this.draw();
+  }
+
+  // Brings into the picture what is shown of the hip, the frame or the whole room.
+  fit(reach) {
+    if (!this.renderer) return;
+    const within = REACHES.slice(0, REACHES.indexOf(reach) + 1);
+    const bounds = new THREE.Box3();
+    for (const group of this.groups.values()) {
+      if (!group.visible) continue;
+      for (const made of group.children) if (within.includes(made.userData.reach)) bounds.expandByObject(made);
+    }
+    if (bounds.isEmpty()) return;
+    const ball = bounds.getBoundingSphere(new THREE.Sphere());
+    const half = ((FIELD_DEG / 2) * Math.PI) / 180;
+    const narrow = Math.min(1, this.camera.aspect);
+    const distance = (0.9 * Math.max(ball.radius, 10)) / Math.sin(half) / narrow;
+    const from = this.camera.position.clone().sub(this.controls.target).normalize();
+    this.controls.target.copy(ball.center);
+    this.camera.position.copy(ball.center).addScaledVector(from, distance);
+    this.controls.update();
+    this.draw();
+  }
+
+  key(event) {
+    const moves = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] }[event.key];
+    const zoom = { "+": 1 / NEARER, "=": 1 / NEARER, "-": NEARER }[event.key];
+    if ((!moves && !zoom) || event.ctrlKey || event.metaKey || event.altKey) return;
+    event.preventDefault();
+    this.touched = true;
+    const away = this.camera.position.clone().sub(this.controls.target);
+    if (zoom) away.multiplyScalar(zoom);
+    else if (event.shiftKey) this.shift(moves, away.length());
+    else this.turn(moves, away);
+    this.camera.position.copy(this.controls.target).add(away);
+    this.controls.update();
+    this.draw();
+  }
+
+  turn([right, up], away) {
+    const polar = new THREE.Spherical().setFromVector3(new THREE.Vector3(away.x, away.z, -away.y)); // its up is +y
+    polar.theta += right * TURN;
+    polar.phi = Math.min(Math.max(polar.phi - up * TURN, 0.01), Math.PI - 0.01);
+    const turned = new THREE.Vector3().setFromSpherical(polar);
+    away.set(turned.x, -turned.z, turned.y);
+  }
+
+  shift([right, up], distance) {
+    const step = 0.04 * distance;
+    const across = new THREE.Vector3().setFromMatrixColumn(this.camera.matrix, 0).multiplyScalar(right * step);
+    const upwards = new THREE.Vector3().setFromMatrixColumn(this.camera.matrix, 1).multiplyScalar(up * step);
+    this.controls.target.add(across).add(upwards);
+  }
+
+  // ------------------------------------------------------------------------------------------------------------ drawing
+
+  resize() {
+    const { clientWidth: width, clientHeight: height } = this.root;
+    if (!width || !height) return;
+    this.renderer.setPixelRatio(Math.min(window.devicePixelRatio, 2));
+    this.renderer.setSize(width, height);
+    this.labels.setSize(width, height);
+    this.camera.aspect = width / height;
+    this.camera.updateProjectionMatrix();
+    if (!this.touched) this.fit("frame");
+    this.draw();
+  }
+
+  // Draws once, with the next frame of the page, however often it is asked.
+  draw() {
+    this.asked ||= requestAnimationFrame(() => {
+      this.asked = 0;
+      if (!this.root.clientWidth || !this.root.clientHeight) return; // hidden: `resize` draws when it is back
+      this.renderer.render(this.scene, this.camera);
+      this.labels.render(this.scene, this.camera);
+      this.spreadLabels();
+      this.renders += 1;
+    });
+  }
+
+  // Moves labels up until none covers another, the nearest to the viewer first; what would end far away is left out.
+  spreadLabels() {
+    const placed = [];
+    const shown = [];
+    this.scene.traverseVisible((made) => made.isCSS2DObject && shown.push(made));
+    const depth = (made) => made.getWorldPosition(new THREE.Vector3()).distanceTo(this.camera.position);
+    shown.sort((a, b) => depth(a) - depth(b));
+    for (const made of shown) {
+      const [x, y] = this.toScreen(made.position.toArray());
+      const size = (made.userData.size ??= [made.element.offsetWidth, made.element.offsetHeight]); // asked once: it is slow
+      let top = y - size[1] - 4;
+      const covered = () => placed.find((o) => Math.abs(o.x - x) < (o.width + size[0]) / 2 && Math.abs(o.top - top) < size[1]);
+      for (let other = covered(); other; other = covered()) top = other.top - size[1] - 1;
+      const near = y - top < FARTHEST_LINES * size[1];
+      if (near) placed.push({ x, top, width: size[0] });
+      made.element.style.visibility = near ? "visible" : "hidden";
+      made.element.style.marginTop = `${top - y + size[1] / 2}px`;
+    }
+  }
+
+  // Where a place in space is in the box, CSS pixels.
+  toScreen(xyz) {
+    const { x, y } = new THREE.Vector3(...xyz).project(this.camera);
+    return [((x + 1) / 2) * this.root.clientWidth, ((1 - y) / 2) * this.root.clientHeight];
+  }
+
+  destroy() {
+    cancelAnimationFrame(this.asked);
+    this.watch?.disconnect();
+    this.controls?.dispose();
+    for (const group of this.groups.values()) dispose(group);
+    this.renderer?.dispose();
+    this.renderer?.forceContextLoss(); // browsers allow few at a time
+    this.root.remove();
+  }
+}

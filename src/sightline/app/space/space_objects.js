@@ -1,0 +1,178 @@
+// Plain objects (mm, CFCS) to three.js: one table of named styles, one maker for each kind.
+//
+// Colours: Okabe and Ito, Color Universal Design (2008), as in the X-ray views. No meaning rests on colour alone:
+// what could be confused has a label, another shape or dashes.
+
+import { CSS2DObject, THREE } from "nicegui-scene";
+
+const SKY = "#56b4e9";
+const ORANGE = "#e69f00";
+const GREEN = "#2fc79a";
+const YELLOW = "#f0e442";
+const PURPLE = "#cc79a7";
+const GREY = "#a7b0ba";
+
+// dash: mm on, mm off.
+export const STYLES = {
+  pa: { colour: SKY },
+  left: { colour: SKY },
+  lateral: { colour: ORANGE, dash: [9, 5] },
+  right: { colour: ORANGE, dash: [9, 5] },
+  wire: { colour: YELLOW },
+  drilled: { colour: GREEN },
+  ellipsoid: { colour: PURPLE, opacity: 0.5 },
+  bone: { colour: "#eadbb8", opacity: 0.5 },
+  tool: { colour: "#f4f6f8" },
+  robot: { colour: "#8fa3b8" },
+  quiet: { colour: GREY, opacity: 0.55 },
+};
+
+const FACETS = 16;
+const DOT_PX = 9;
+const SEEN_FROM_BEHIND = 0.25; // an image on a plate must not hide the hip from who looks over the plate
+const styleOf = (object) => ({ opacity: 1, dash: null, ...(STYLES[object.style] ?? STYLES.quiet) });
+const vector = (xyz) => new THREE.Vector3(...xyz);
+
+function solid(object, more = {}) {
+  const { colour, opacity } = styleOf(object);
+  return new THREE.MeshLambertMaterial({ color: colour, opacity, transparent: opacity < 1, ...more });
+}
+
+function spheres(object) {
+  const made = new THREE.InstancedMesh(new THREE.SphereGeometry(1, FACETS, FACETS / 2), solid(object), object.at.length);
+  const each = new THREE.Matrix4();
+  object.at.forEach((xyz, index) => {
+    const radius = Array.isArray(object.radius) ? object.radius[index] : object.radius;
+    made.setMatrixAt(index, each.makeScale(radius, radius, radius).setPosition(...xyz));
+  });
+  return made;
+}
+
+function disc() {
+  const canvas = Object.assign(document.createElement("canvas"), { width: 32, height: 32 });
+  const context = canvas.getContext("2d");
+  context.fillStyle = "white";
+  context.arc(16, 16, 15, 0, 2 * Math.PI);
+  context.fill();
+  return new THREE.CanvasTexture(canvas);
+}
+
+// Dots that keep their size on the screen.
+function points(object) {
+  const { colour } = styleOf(object);
+  const geometry = new THREE.BufferGeometry().setFromPoints(object.at.map(vector));
+  const look = { color: colour, size: DOT_PX * window.devicePixelRatio, sizeAttenuation: false, map: disc(), alphaTest: 0.5 };
+  return new THREE.Points(geometry, new THREE.PointsMaterial(look));
+}
+
+function lines(object) {
+  const { colour, opacity, dash } = styleOf(object);
+  const ends = object.lines.flatMap((line) => line.slice(1).flatMap((xyz, index) => [vector(line[index]), vector(xyz)]));
+  const look = { color: colour, opacity, transparent: opacity < 1 };
+  const material = dash
+    ? new THREE.LineDashedMaterial({ ...look, dashSize: dash[0], gapSize: dash[1] })
+    : new THREE.LineBasicMaterial(look);
+  const made = new THREE.LineSegments(new THREE.BufferGeometry().setFromPoints(ends), material);
+  return made.computeLineDistances();
+}
+
+function surface(object) {
+  const geometry = new THREE.BufferGeometry();
+  geometry.setAttribute("position", new THREE.Float32BufferAttribute(object.vertices.flat(), 3));
+  geometry.setIndex(object.triangles.flat());
+  return geometry;
+}
+
+function mesh(object) {
+  const geometry = surface(object);
+  geometry.computeVertexNormals();
+  const made = new THREE.Mesh(geometry, solid(object));
+  made.renderOrder = 1; // after what lies inside it
+  return made;
+}
+
+// An image on a surface, facing where its triangles are counter-clockwise: `uv` from the top left, 0 to 1; `grey`
+// base64 bytes, row by row.
+function picture(object) {
+  const { width, height, grey } = object.image;
+  const bytes = Uint8Array.from(atob(grey), (character) => character.charCodeAt(0));
+  const coloured = new Uint8Array(4 * bytes.length);
+  bytes.forEach((value, index) => coloured.set([value, value, value, 255], 4 * index));
+  const texture = new THREE.DataTexture(coloured, width, height);
+  texture.colorSpace = THREE.SRGBColorSpace;
+  texture.magFilter = texture.minFilter = THREE.LinearFilter;
+  texture.needsUpdate = true;
+  const geometry = surface(object);
+  geometry.setAttribute("uv", new THREE.Float32BufferAttribute(object.uv.flat(), 2));
+  const made = new THREE.Group();
+  for (const [side, opacity] of [[THREE.FrontSide, 0.92], [THREE.BackSide, SEEN_FROM_BEHIND]]) {
+    const look = { map: texture, side, opacity, transparent: true, depthWrite: false };
+    const face = new THREE.Mesh(geometry, new THREE.MeshBasicMaterial(look));
+    face.renderOrder = -1; // before all else that is see-through
+    made.add(face);
+  }
+  return made;
+}
+
+// `axes`: three half axes, each a vector.
+function ellipsoid(object) {
+  const geometry = new THREE.SphereGeometry(1, FACETS, FACETS);
+  const [a, b, c] = object.axes.map(vector);
+  geometry.applyMatrix4(new THREE.Matrix4().makeBasis(a, b, c).setPosition(...object.at));
+  geometry.computeVertexNormals();
+  const made = new THREE.Mesh(geometry, solid(object, { side: THREE.DoubleSide, depthWrite: false }));
+  return made;
+}
+
+function cylinder(object) {
+  const [from, to] = [vector(object.from), vector(object.to)];
+  const along = to.clone().sub(from);
+  const made = new THREE.Mesh(
+    new THREE.CylinderGeometry(object.radius, object.radius, along.length(), FACETS),
+    solid(object),
+  );
+  made.quaternion.setFromUnitVectors(new THREE.Vector3(0, 1, 0), along.clone().normalize());
+  made.position.copy(from).addScaledVector(along, 0.5);
+  return made;
+}
+
+function label(object) {
+  const words = document.createElement("div");
+  words.className = "space-label";
+  words.textContent = object.text; // as text: it may come from a file
+  words.style.color = styleOf(object).colour;
+  const made = new CSS2DObject(words);
+  made.position.set(...object.at);
+  return made;
+}
+
+function axes(object) {
+  const made = new THREE.Group();
+  object.axes.forEach(([x, y, z], index) => {
+    const [ox, oy, oz] = object.at;
+    made.add(lines({ style: object.style, lines: [[object.at, [ox + x, oy + y, oz + z]]] }));
+    made.add(label({ style: object.style, text: object.labels[index], at: [ox + 1.1 * x, oy + 1.1 * y, oz + 1.1 * z] }));
+  });
+  return made;
+}
+
+const MAKERS = { spheres, points, lines, mesh, picture, ellipsoid, cylinder, label, axes };
+
+export function make(object) {
+  const maker = MAKERS[object.kind];
+  if (!maker) throw new Error(`no kind of object: ${object.kind}`);
+  const made = maker(object);
+  made.userData.reach = object.reach ?? "frame";
+  return made;
+}
+
+// Frees what the graphics card and the page hold of an object.
+export function dispose(made) {
+  made.traverse((part) => {
+    part.geometry?.dispose();
+    part.material?.map?.dispose();
+    part.material?.dispose();
+    part.element?.remove();
+    part.dispose?.();
+  });
+}

@@ -1,0 +1,33 @@
+// The shell of the scene for NiceGUI: forwards calls. Tests find the core as window.sightlineSpace.
+
+import { SpaceCore } from "space";
+
+export default {
+  template: '<div style="position: relative; width: 100%; height: 100%"></div>',
+  props: { label: String, groups: Object, texts: Object },
+  mounted() {
+    this.core = new SpaceCore(this.$el, { label: this.label, groups: this.groups, texts: this.texts });
+    window.sightlineSpace = this.core;
+  },
+  unmounted() {
+    if (window.sightlineSpace === this.core) delete window.sightlineSpace;
+    this.core.destroy();
+  },
+  methods: {
+    set(objects) {
+      this.core.set(objects);
+    },
+    draw(name, objects) {
+      this.core.update(name, objects);
+    },
+    look(from) {
+      this.core.look(from);
+    },
+    orient(side) {
+      this.core.orient(side);
+    },
+    show(name, on) {
+      this.core.show(name, on);
+    },
+  },
+};
