@@ -295,6 +295,15 @@ def test_what_is_turned_says_so(view: View) -> None:
     assert view.heard("display") == []  # the server knows what it said
 
 
+def test_how_an_image_is_shown_overtakes_its_pixels(view: View) -> None:
+    view.do("show-again")
+    assert view.core("core.state.window") == {"centre": 20000, "width": 30000}
+    assert view.core("core.state.inverted")
+    view.button("reset").click()
+    assert view.core("core.state.window") == {"centre": 32768, "width": 65536}
+    assert not view.core("core.state.inverted")
+
+
 def test_the_magnifier_shows_the_place_four_times_larger(view: View) -> None:
     view.do("dim")
     view.do("place")

@@ -146,6 +146,12 @@ def page(seconds: float) -> None:
             view.set_revision(state["revision"])
 
 
+def show_again(view: XrayView) -> None:
+    """The image anew, and at once another way to show it, before its pixels can have arrived."""
+    view.set_image("/picture", SIDE, SIDE, window=WINDOW)
+    view.set_display(inverted=True, window=Window(20000.0, 30000.0))
+
+
 def restore(view: XrayView) -> None:
     """The view as it was built, and nothing heard."""
     for one in heard:
@@ -176,6 +182,7 @@ COMMANDS: dict[str, Callable[[XrayView], None]] = {
     "notice": lambda view: view.notice("The image is 0.4 s old"),
     "no-notice": lambda view: view.notice(None),
     "turn": lambda view: view.set_display(rotation=90, mirrored=True),
+    "show-again": show_again,
     "move": lambda view: view.move_point("entry", (100.0, 500.0)),
     "short": lambda view: view.set_image("/picture", SIDE, SIDE - 1, window=WINDOW),
     "hostile": lambda view: view.set_points([{**POINTS[0], "label": HOSTILE}, *POINTS[1:]]),

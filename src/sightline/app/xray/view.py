@@ -78,6 +78,7 @@ class XrayView(Element, component="xray_view.js", dependencies=["xray*.js"]):
     def __init__(self, name: str, *, label: str, texts: Mapping[str, str]) -> None:
         """`name` is the view's key in the page, `label` what people call it. Raises KeyError if a text is missing."""
         super().__init__()
+        self.name = name
         self._props["name"] = name
         self._props["label"] = label
         self._props["texts"] = {key: texts[key] for key in TEXT_KEYS}

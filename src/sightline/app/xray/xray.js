@@ -41,7 +41,8 @@ export class XrayCore {
       points: new Map(),
       layers: new Map(),
     };
-    this.initial = { window: this.state.window, inverted: false };
+    this.initial = { window: this.state.window, inverted: false }; // as the last setImage wanted it: what a reset gives
+    this.arriving = this.initial; // how the image that is on its way will be shown
     this.chrome = new Chrome(root, label, texts, this.#actions());
     this.stage = this.chrome.stage;
     this.contexts = {
@@ -60,6 +61,8 @@ export class XrayCore {
     this.gestures = new Gestures(this);
     this.observer = new ResizeObserver(() => this.#resize());
     this.observer.observe(this.stage);
+    this.resized = () => this.#resize(); // another screen with other pixels leaves the size in CSS pixels as it is
+    window.addEventListener("resize", this.resized);
     this.#resize();
     this.#showState();
     window.sightlineXray = window.sightlineXray || {};
@@ -69,6 +72,7 @@ export class XrayCore {
 
   destroy() {
     this.observer.disconnect();
+    window.removeEventListener("resize", this.resized);
     this.gestures.destroy();
     if (this.loading) this.loading.abort();
     cancelAnimationFrame(this.request);
@@ -81,6 +85,8 @@ export class XrayCore {
   async setImage({ url, width, height, window: shown, inverted }) {
     if (this.loading) this.loading.abort();
     const loading = (this.loading = new AbortController());
+    this.initial = { window: { ...shown }, inverted: Boolean(inverted) };
+    this.arriving = { ...this.initial }; // a setDisplay that overtakes the pixels changes it
     try {
       const answer = await fetch(url, { signal: loading.signal });
       if (!answer.ok) throw new Error(`image: HTTP ${answer.status}`);
@@ -88,7 +94,7 @@ export class XrayCore {
       if (bytes.byteLength !== 2 * width * height) {
         throw new Error(`image: ${bytes.byteLength} bytes, not ${width} x ${height} of two`);
       }
-      this.#takeImage({ url, width, height, pixels: new Uint16Array(bytes) }, shown, inverted);
+      this.#takeImage({ url, width, height, pixels: new Uint16Array(bytes) });
     } catch (error) {
       if (loading.signal.aborted) return;
       this.state.image = null; // an old image under a new plan would look right and be wrong
@@ -146,8 +152,12 @@ export class XrayCore {
   // Only what is given changes.
   setDisplay({ rotation, mirrored, inverted, window: shown }) {
     this.display.orient(rotation ?? this.display.rotation, mirrored ?? this.display.mirrored);
-    if (shown) this.setWindow(shown);
-    if (inverted !== undefined && inverted !== null) this.#setInverted(inverted);
+    const { window: was, inverted: negative } = this.loading ? this.arriving : this.state;
+    this.arriving = { window: shown ?? was, inverted: inverted ?? negative };
+    if (!this.loading) {
+      this.setWindow(this.arriving.window);
+      this.#setInverted(this.arriving.inverted);
+    }
     this.#turned();
   }
 
@@ -474,17 +484,16 @@ export class XrayCore {
     this.gestures.showCursor();
   }
 
-  #takeImage(image, shown, inverted) {
+  #takeImage(image) {
     if (!this.picture || this.bitmap.width !== image.width || this.bitmap.height !== image.height) {
       this.bitmap.width = image.width;
       this.bitmap.height = image.height;
       this.picture = new ImageData(image.width, image.height);
     }
     this.state.image = image;
-    this.initial = { window: { ...shown }, inverted: Boolean(inverted) };
     this.display.setImage(image.width, image.height);
-    this.setWindow(shown);
-    this.#setInverted(Boolean(inverted));
+    this.setWindow(this.arriving.window);
+    this.#setInverted(this.arriving.inverted);
     this.chrome.showLine(this.chrome.fault, "");
     this.movedView();
   }
