@@ -4,19 +4,22 @@ import csv
 import gzip
 import io
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform
+from tests.robot.rig import ROBOT, T_MCS_CFCS
 
 from sightline.case.interop import itk, robot_files, slicer, tables, xml_safe
 from sightline.case.interop.nrrd import plate_corner
 from sightline.case.interop.patient import R_lps_cfcs
 from sightline.case.interop.plan_file import PlanFile
-from sightline.errors import RefusedError, UnusableInputError
+from sightline.errors import RefusedError, RobotRefusedError, UnusableInputError
 from sightline.robot import contract
 from sightline.robot.igtl import Message, Stream, Trajectories, Transform
+from sightline.robot.insertion import LinkRegistration, Setup, read_target
 
 SIDES = ("right", "left")
 IN_FILE = 1e-9  # mm: doubles written with all digits
@@ -180,8 +183,13 @@ def test_a_robots_messages_say_what_the_contract_asks_and_that_they_have_expired
     assert np.abs(pose[:3, 2] - (end - entry) / go_plan.length_mm).max() < 1e-6
     assert np.abs(path.body.paths[0].entry_mm - entry).max() < 1e-4
     assert set(contract.PLAN_KEYS) <= set(target.metadata)
-    assert target.metadata[contract.VALID_S] == "0"
-    assert target.metadata[contract.SIDE] == "right"
+    setup, registered = Setup("right", ""), LinkRegistration(T_MCS_CFCS, 0)
+    with pytest.raises(RobotRefusedError, match="expired"):
+        read_target(target, registered, ROBOT, setup, 0.0)
+    live = replace(target, metadata={**target.metadata, contract.VALID_S: "500"})
+    taken = read_target(live, registered, ROBOT, setup, 0.0)
+    in_mcs = T_MCS_CFCS.apply(go_plan.points_mm)
+    assert np.abs(np.stack([taken.entry_mm, taken.end_mm]) - in_mcs).max() < 1e-3  # 32-bit directions over 80 mm
     with pytest.raises(UnusableInputError, match="side"):
         robot_files.write(go_plan, None, "case-7")
 

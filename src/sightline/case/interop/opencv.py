@@ -90,13 +90,25 @@ def write(pinhole: Pinhole) -> dict[str, bytes]:
 def read(data: bytes, name: str) -> Pinhole:
     """From any of the three; its first bytes tell which. Raises UnusableInputError."""
     if data.startswith(b"\x93NUMPY"):
-        try:
-            loaded = np.load(io.BytesIO(data), allow_pickle=False)
-        except (ValueError, EOFError, OSError):
-            raise UnusableInputError("this is not a whole NumPy file; save the matrix again") from None
-        return Pinhole.of_matrix(reading.array(loaded, (3, 4), "the matrix"), name)
+        return Pinhole.of_matrix(_npy(data), name)
     if data.lstrip()[:1] in (b"{", b"["):
         value = reading.json_value(data)
         return of_document(value if isinstance(value, dict) else {"matrix": value}, name)
     lines = [line.replace(",", " ").split() for line in reading.text(data).splitlines() if line.strip()]
     return Pinhole.of_matrix(reading.array(lines, (3, 4), "the matrix"), name)
+
+
+def _npy(data: bytes) -> np.ndarray:
+    """(3, 4) of a NumPy file. Its header is parsed as Python, and may raise whatever that parser raises."""
+    stream = io.BytesIO(data)
+    try:
+        version = np.lib.format.read_magic(stream)
+        header = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}[version]
+        shape, _, kind = header(stream)
+        # Before anything of the stated size is made.
+        matrix = np.load(io.BytesIO(data), allow_pickle=False) if shape == (3, 4) and kind.kind in "fiu" else None
+    except Exception:
+        matrix = None
+    if matrix is None:
+        raise UnusableInputError("this is not a whole NumPy file of 3 x 4 numbers; save the matrix again")
+    return reading.array(matrix, (3, 4), "the matrix")
