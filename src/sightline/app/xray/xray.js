@@ -8,14 +8,13 @@ import { Display } from "./xray_display.js";
 import { Gestures } from "./xray_gestures.js";
 import { Moves } from "./xray_moves.js";
 import { paintCrosshair, paintPoint, paintShape, shapeDistance, shapeFault, STYLES } from "./xray_paint.js";
+import { fetchPixels, heldWindow, Picture } from "./xray_picture.js";
 
-const GREY_LEVELS = 65536;
 const ZOOM_STEP = 1.25; // of a key
 const LENS_TIMES = 4;
 const LENS_ZOOM_MAX = 32; // [ours] CSS pixels per image pixel: enough to point at a 1/32 of a pixel
 const LENS_RADIUS = 84; // CSS pixels
 const TIP_REACH = 8; // CSS pixels
-const CRISP_ZOOM = 3; // from here on pixels are drawn as squares: what is measured is seen as it is
 const FRAMES_KEPT = 2000;
 const BREAK_MS = 250; // a longer pause between two frames is a pause of the person
 
@@ -49,7 +48,7 @@ export class XrayCore {
       image: this.chrome.image.getContext("2d", { alpha: false }),
       overlay: this.chrome.overlay.getContext("2d"),
     };
-    this.bitmap = document.createElement("canvas"); // the image through the window table, a pixel a pixel
+    this.picture = new Picture();
     this.lens = null; // {uv, at}: what the magnifier shows, and beside which place of the view
     this.pointer = null; // where the pointer is, CSS pixels in the view; null outside
     this.dirty = { table: false, image: true, overlay: true, readout: true };
@@ -88,13 +87,8 @@ export class XrayCore {
     this.initial = { window: { ...shown }, inverted: Boolean(inverted) };
     this.arriving = { ...this.initial }; // a setDisplay that overtakes the pixels changes it
     try {
-      const answer = await fetch(url, { signal: loading.signal });
-      if (!answer.ok) throw new Error(`image: HTTP ${answer.status}`);
-      const bytes = await answer.arrayBuffer();
-      if (bytes.byteLength !== 2 * width * height) {
-        throw new Error(`image: ${bytes.byteLength} bytes, not ${width} x ${height} of two`);
-      }
-      this.#takeImage({ url, width, height, pixels: new Uint16Array(bytes) });
+      const pixels = await fetchPixels(url, width, height, loading.signal);
+      this.#takeImage({ url, width, height, pixels });
     } catch (error) {
       if (loading.signal.aborted) return;
       this.state.image = null; // an old image under a new plan would look right and be wrong
@@ -177,10 +171,8 @@ export class XrayCore {
 
   // ---------------------------------------------------------------------------------------------- what the person does
 
-  setWindow({ centre, width }) {
-    const least = 2; // grey levels
-    const held = (value, low) => Math.min(Math.max(value, low), GREY_LEVELS);
-    this.state.window = { centre: held(centre, 0), width: held(width, least) };
+  setWindow(shown) {
+    this.state.window = heldWindow(shown);
     this.invalidate("table");
   }
 
@@ -249,11 +241,6 @@ export class XrayCore {
   }
 
   // ------------------------------------------------------------------------------------------------ what stands where
-
-  // Size of a CSS pixel of marks and fonts: the view's own text grows with the screen, and they with it.
-  get unit() {
-    return this.scale;
-  }
 
   toScreen(uv) {
     const box = this.stage.getBoundingClientRect();
@@ -326,21 +313,11 @@ export class XrayCore {
     if (readout || table) this.#showReadout();
   }
 
-  // The image through the window: grey = (value - centre) / width + 1/2, between black and white.
   #drawTable() {
     const { image, inverted, window: shown } = this.state;
     if (!image) return;
     this.draws.table++;
-    const table = new Uint32Array(GREY_LEVELS);
-    for (let value = 0; value < GREY_LEVELS; value++) {
-      const grey = Math.min(Math.max((value - shown.centre) / shown.width + 0.5, 0), 1);
-      const level = Math.round(255 * (inverted ? 1 - grey : grey));
-      table[value] = 0xff000000 | (level << 16) | (level << 8) | level;
-    }
-    const { pixels } = image;
-    const out = new Uint32Array(this.picture.data.buffer);
-    for (let index = 0; index < out.length; index++) out[index] = table[pixels[index]];
-    this.bitmap.getContext("2d", { alpha: false }).putImageData(this.picture, 0, 0);
+    this.picture.draw(image, shown, inverted);
   }
 
   #drawImage() {
@@ -356,12 +333,8 @@ export class XrayCore {
   // The image with `uv` at the place `at` of the view (CSS pixels), `times` larger than the display's zoom.
   #paintBitmap(context, uv, at, times) {
     if (!this.state.image) return;
-    const [a, b, c, d] = this.display.linear().map((number) => number * times);
-    const [sx, sy] = this.density;
-    context.setTransform(a * sx, b * sy, c * sx, d * sy, at[0] * sx, at[1] * sy);
-    context.imageSmoothingEnabled = this.display.zoom * times * sx < CRISP_ZOOM;
-    context.imageSmoothingQuality = "medium";
-    context.drawImage(this.bitmap, -0.5 - uv[0], -0.5 - uv[1]); // pixel (0, 0) is centred on (0, 0)
+    const linear = this.display.linear().map((number) => number * times);
+    this.picture.paint(context, linear, uv, at, this.density);
   }
 
   #drawOverlay() {
@@ -485,11 +458,6 @@ export class XrayCore {
   }
 
   #takeImage(image) {
-    if (!this.picture || this.bitmap.width !== image.width || this.bitmap.height !== image.height) {
-      this.bitmap.width = image.width;
-      this.bitmap.height = image.height;
-      this.picture = new ImageData(image.width, image.height);
-    }
     this.state.image = image;
     this.display.setImage(image.width, image.height);
     this.setWindow(this.arriving.window);
@@ -604,7 +572,7 @@ export class XrayCore {
       canvas.height = high;
     }
     this.density = [wide / Math.max(clientWidth, 1), high / Math.max(clientHeight, 1)];
-    this.scale = parseFloat(getComputedStyle(this.root).fontSize) / 15;
+    this.unit = parseFloat(getComputedStyle(this.root).fontSize) / 15; // marks grow with the text, and it with the screen
     this.display.setView(clientWidth, clientHeight);
     this.movedView();
   }

@@ -70,7 +70,7 @@ export class Gestures {
     this.stage.setPointerCapture(event.pointerId);
     this.core.chrome.showTip("", at);
     if (this.now && this.now.kind === "drag") return; // a second finger does not shake a point out of the hand
-    this.now = this.pointers.size === 2 ? this.#startPinch() : this.#start(event, at);
+    this.now = this.pointers.size >= 2 ? this.#startPinch() : this.#start(event, at);
     event.preventDefault(); // no focus and no selection but ours
     if (this.now.kind !== "drag") this.stage.focus({ preventScroll: true });
     this.#draw(at);

@@ -1,0 +1,139 @@
+"""The X-ray view in an installed Chromium: frames while a point is dragged, repaints of the window, the way to a curve.
+
+Two views of 1024 x 1024, 120 beads; the hand moves at 60 Hz; the server computes for 15 ms on each move. Times are read
+in the page, from the pointer's own time stamp to the end of the frame that draws.
+"""
+
+import asyncio
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from playwright.async_api import Page, async_playwright
+from tests.app.browser import FLAGS, Server, find_chromium
+from tests.app.xray_page import POINTS
+
+from benchmarks.rows import Row
+
+COMPUTING_S = 0.015
+FRAME_MS = 1000 / 60
+ASKED_FRAME_MS = 1.05 * FRAME_MS  # a frame that was not missed, and 5 % for the clock
+ASKED_CURVE_MS = 50.0
+
+# How long each frame's own code runs, when each move of the pointer is drawn, and when its curve is in the other view.
+_WATCH = """() => {
+  const watch = (window.watch = { frame: [], point: [], curve: [] });
+  const { pa, lateral } = window.sightlineXray;
+  const [request, push, layer] = [window.requestAnimationFrame, pa.moves.push, lateral.setLayer];
+  const times = new Map();
+  let pointer = 0;
+  let undrawn = null;
+  window.addEventListener("pointermove", (event) => { pointer = undrawn = event.timeStamp; }, true);
+  window.requestAnimationFrame = (draw) => request((now) => {
+    const start = performance.now();
+    draw(now);
+    watch.frame.push(performance.now() - start);
+    if (undrawn !== null) watch.point.push(performance.now() - undrawn);
+    undrawn = null;
+  });
+  pa.moves.push = (...move) => { push.apply(pa.moves, move); times.set(pa.moves.seq, pointer); };
+  lateral.setLayer = (name, shapes) => {
+    layer.call(lateral, name, shapes);
+    const from = times.get(shapes[0].of);
+    request(() => watch.curve.push(performance.now() - from)); // after the frame that the layer asked for
+  };
+}"""
+
+_REPAINT = """async (times) => {
+  const core = window.sightlineXray.pa;
+  window.watch.frame = [];
+  for (let index = 0; index < times; index++) {
+    core.setWindow({ centre: 20000 + 100 * (index % 50), width: 30000 });
+    await new Promise((done) => requestAnimationFrame(done));
+  }
+  return window.watch.frame.filter((ms) => ms > 0.2); // without those of this loop, that draw nothing
+}"""
+
+
+def run(quick: bool) -> list[Row]:
+    """The rows of this benchmark."""
+    group = "X-ray view"
+    path = find_chromium()
+    if path is None:
+        return [Row(group, "no Chromium is installed", "-")]
+    with tempfile.TemporaryDirectory() as folder:
+        server = Server(Path(folder) / "log.txt", "tests.app.xray_page", "{port}", str(COMPUTING_S), "1")
+        try:
+            seen, frames, repaints = asyncio.run(_measure(path, server.url, 60 if quick else 600))
+        finally:
+            server.stop()
+    drawn = _high(seen["point"])
+    return [
+        Row(
+            group,
+            "interval of frames in a drag",
+            _spread(frames),
+            f"{FRAME_MS:.1f} ms at 95 %",
+            met=_high(frames) <= ASKED_FRAME_MS,
+        ),
+        Row(group, "pointer to the point drawn", _spread(seen["point"]), "one frame", met=drawn <= FRAME_MS),
+        Row(group, "code of a frame in a drag", _spread(seen["frame"])),
+        Row(
+            group,
+            f"pointer to the curve in the other view, {COMPUTING_S * 1e3:.0f} ms computed",
+            _spread(seen["curve"]),
+            f"{ASKED_CURVE_MS:.0f} ms at 95 %",
+            met=_high(seen["curve"]) <= ASKED_CURVE_MS,
+        ),
+        Row(group, "repaint of another window", _spread(repaints), "one frame", met=_high(repaints) <= FRAME_MS),
+    ]
+
+
+async def _measure(path: str, url: str, times: int) -> tuple[dict[str, list[float]], list[float], list[float]]:
+    async with async_playwright() as playwright:
+        browser = await playwright.chromium.launch(executable_path=path, args=FLAGS)
+        page = await browser.new_page(viewport={"width": 1280, "height": 800})
+        await page.goto(url)
+        await page.wait_for_function(
+            "window.sightlineXray?.pa?.state.image && window.sightlineXray.lateral?.state.image"
+        )
+        await page.request.post(f"{url}do/beads", params={"mark": 1})
+        await page.wait_for_function("window.marked === 1")
+        await page.evaluate(_WATCH)
+        frames = await _drag(page, times)
+        seen = await page.evaluate("window.watch")
+        repaints = await page.evaluate(_REPAINT, times)
+        await browser.close()
+    return seen, frames, repaints
+
+
+async def _drag(page: Page, moves: int) -> list[float]:
+    """A point in the hand for `moves` of 1/60 s; ms between the frames meanwhile."""
+    x, y = await page.evaluate("uv => window.sightlineXray.pa.toScreen(uv)", list(POINTS[0]["uv"]))
+    hand = await page.context.new_cdp_session(page)
+
+    def do(kind: str, dx: float, dy: float) -> "asyncio.Task[Any]":
+        event = {"type": kind, "x": x + dx, "y": y + dy, "button": "left", "buttons": 1, "clickCount": 1}
+        return asyncio.ensure_future(hand.send("Input.dispatchMouseEvent", event))
+
+    await do("mousePressed", 0, 0)
+    await page.evaluate("window.sightlineXray.pa.frames.length = 0")
+    clock = asyncio.get_running_loop()
+    started = clock.time()
+    under_way = []
+    for index in range(moves):  # not waiting for one before the next: a hand does not
+        under_way.append(do("mouseMoved", 60 * np.sin(index / 15), 60 * np.sin(index / 23)))
+        await asyncio.sleep(max(started + (index + 1) / 60 - clock.time(), 0.0))
+    await asyncio.gather(*under_way)
+    frames = await page.evaluate("window.sightlineXray.pa.frames")
+    await do("mouseReleased", 0, 0)
+    return frames
+
+
+def _high(values: list[float]) -> float:
+    return float(np.percentile(values, 95))
+
+
+def _spread(values: list[float]) -> str:
+    return f"{np.median(values):.1f} ms, 95 % {_high(values):.1f} ms"

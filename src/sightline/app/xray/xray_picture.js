@@ -1,0 +1,58 @@
+// The pixels of an image, and the bitmap that they give through a window.
+
+const GREY_LEVELS = 65536;
+const CRISP_ZOOM = 3; // device pixels a pixel; from here on pixels are squares: what is measured is seen as it is
+
+// Raw little-endian uint16 from `url`, by rows. Throws where it is not `width * height` of them.
+export async function fetchPixels(url, width, height, signal) {
+  const answer = await fetch(url, { signal });
+  if (!answer.ok) throw new Error(`image: HTTP ${answer.status}`);
+  const bytes = await answer.arrayBuffer();
+  if (bytes.byteLength !== 2 * width * height) {
+    throw new Error(`image: ${bytes.byteLength} bytes, not ${width} x ${height} of two`);
+  }
+  return new Uint16Array(bytes);
+}
+
+// A window that can be shown: at least two grey levels, at most all.
+export function heldWindow({ centre, width }) {
+  const held = (value, low) => Math.min(Math.max(value, low), GREY_LEVELS);
+  return { centre: held(centre, 0), width: held(width, 2) };
+}
+
+export class Picture {
+  constructor() {
+    this.bitmap = document.createElement("canvas"); // a pixel a pixel
+    this.shown = null;
+  }
+
+  // grey = (value - centre) / width + 1/2, between black and white, by a table of all values.
+  draw({ width, height, pixels }, window, inverted) {
+    if (!this.shown || this.shown.width !== width || this.shown.height !== height) {
+      Object.assign(this.bitmap, { width, height });
+      this.shown = new ImageData(width, height);
+    }
+    const table = greyTable(window, inverted);
+    const out = new Uint32Array(this.shown.data.buffer);
+    for (let index = 0; index < out.length; index++) out[index] = table[pixels[index]];
+    this.bitmap.getContext("2d", { alpha: false }).putImageData(this.shown, 0, 0);
+  }
+
+  // The bitmap with the image's `uv` at `at` (CSS pixels), through the linear part [a, b, c, d] of a display.
+  paint(context, [a, b, c, d], uv, at, [sx, sy]) {
+    context.setTransform(a * sx, b * sy, c * sx, d * sy, at[0] * sx, at[1] * sy);
+    context.imageSmoothingEnabled = Math.hypot(a, b) * sx < CRISP_ZOOM;
+    context.imageSmoothingQuality = "medium";
+    context.drawImage(this.bitmap, -0.5 - uv[0], -0.5 - uv[1]); // pixel (0, 0) is centred on (0, 0)
+  }
+}
+
+function greyTable({ centre, width }, inverted) {
+  const table = new Uint32Array(GREY_LEVELS);
+  for (let value = 0; value < GREY_LEVELS; value++) {
+    const grey = Math.min(Math.max((value - centre) / width + 0.5, 0), 1);
+    const level = Math.round(255 * (inverted ? 1 - grey : grey));
+    table[value] = 0xff000000 | (level << 16) | (level << 8) | level;
+  }
+  return table;
+}
