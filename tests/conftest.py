@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner, Result
 
-from sightline.cli import app
+from sightline.cli import commands
 from sightline.frame import Frame
 from sightline.twin import SetUp, draw_setup
 
@@ -26,7 +26,7 @@ def setup(frame: Frame) -> SetUp:
 def demo_run(tmp_path_factory: pytest.TempPathFactory) -> tuple[Result, Path]:
     """What `sightline demo` said, and the folder that it wrote."""
     out = tmp_path_factory.mktemp("demo") / "deep" / "demo"
-    return CliRunner().invoke(app, ["demo", "--out", str(out)]), out
+    return CliRunner().invoke(commands, ["demo", "--out", str(out)]), out
 
 
 @pytest.fixture(scope="session")

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from sightline.cli import app
+from sightline.cli import commands
 from sightline.detection.files import write_observations
 from sightline.detection.results import Observations
 from sightline.imaging import write_dicom
@@ -38,7 +38,7 @@ def run() -> Callable[..., Ran]:
     """`run(ARGUMENTS)`: `sightline ARGUMENTS` in this process."""
 
     def ran(*arguments: object) -> Ran:
-        result = CliRunner().invoke(app, [str(argument) for argument in arguments])
+        result = CliRunner().invoke(commands, [str(argument) for argument in arguments])
         return Ran(result.exit_code, result.stdout, result.stderr)
 
     return ran

@@ -47,7 +47,7 @@ def test_help_lists_every_command_and_each_takes_json_and_quiet(run) -> None:
 def test_help_loads_nothing_that_is_slow() -> None:
     """What makes `sightline --help` slow are these; a time is no test."""
     script = (
-        "import sys; from sightline.cli import app\n"
+        "import sys; from sightline.cli import commands\n"
         "print(sorted({'numpy', 'scipy', 'cv2', 'numba', 'pydicom', 'matplotlib', 'pydantic'} & set(sys.modules)))"
     )
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)  # noqa: S603

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from sightline.cli import app
+from sightline.cli import commands
 from sightline.frame import Frame
 
 
 def run(*arguments: str, code: int = 0) -> str:
-    result = CliRunner().invoke(app, ["frame", *arguments])
+    result = CliRunner().invoke(commands, ["frame", *arguments])
     assert result.exit_code == code, result.output
     return result.output if code == 2 else result.stdout
 

@@ -9,14 +9,14 @@ from tests.robot.old_robot import old_robot
 from tests.robot.rig import END_MM, ENTRY_MM, served
 from typer.testing import CliRunner
 
-from sightline.cli import app
+from sightline.cli import commands
 from sightline.frame import Frame
 from sightline.rehearsal.procedure import Rehearsal
 from sightline.robot.client import RobotClient
 
 
 def run(*args: object, say: str = ""):
-    return CliRunner().invoke(app, ["robot", *map(str, args)], input=say)
+    return CliRunner().invoke(commands, ["robot", *map(str, args)], input=say)
 
 
 @pytest.fixture

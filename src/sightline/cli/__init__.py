@@ -41,11 +41,12 @@ _COMMANDS = (
     "compare",
     "frame",
     "robot",
+    "app",
     "case",
     "export",
 )
 
-app = typer.Typer(
+commands = typer.Typer(
     name="sightline",
     no_args_is_help=True,
     add_completion=False,
@@ -60,7 +61,7 @@ def _show_version(wanted: bool) -> None:
         raise typer.Exit
 
 
-@app.callback()
+@commands.callback()
 def _sightline(
     version: Annotated[
         bool, typer.Option("--version", callback=_show_version, is_eager=True, help="Print the version.")
@@ -75,7 +76,7 @@ def _sightline(
 
 for _name in _COMMANDS:
     if find_spec(f"sightline.cli.{_name}"):
-        import_module(f"sightline.cli.{_name}").register(app)
+        import_module(f"sightline.cli.{_name}").register(commands)
 
 
 # Matrices here are small: threads of the linear algebra cost more than they save, and spin while others compute.
@@ -87,4 +88,4 @@ def main() -> None:
     """Entry point of `sightline`."""
     for name in _BLAS_THREADS:
         os.environ.setdefault(name, "1")  # read when numpy is first imported, which no command file does at its top
-    app()
+    commands()
