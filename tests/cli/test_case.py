@@ -90,6 +90,29 @@ def test_no_name_of_a_patient_is_in_the_journal_or_in_what_is_printed(run, recor
         assert b"MILLER" not in data.upper()
 
 
+def test_the_report_names_the_case_by_its_number_alone(run, recorded: Path, tmp_path: Path) -> None:
+    ran = run("case", "report", recorded, "--out", tmp_path / "report", "--json")
+    assert ran.code == 0, ran.out
+    files = {file.name: file.read_bytes() for file in (tmp_path / "report").iterdir()}
+    assert files.keys() == {"report.html", "report.json", "report.pdf"}
+    for data in files.values():
+        assert b"MILLER" not in data.upper()
+    number = ran.document["case"].encode()
+    assert number in files["report.html"]
+    document = json.loads(files["report.json"])
+    assert document["case"].encode() == number
+    with Case.open(recorded, read_only=True) as case:
+        assert document["trajectory"] == case.entry(9).content["trajectory"]
+
+
+def test_a_case_without_a_plan_has_no_report(run, tmp_path: Path) -> None:
+    Case.create(tmp_path / "case").close()
+    ran = run("case", "report", tmp_path / "case", "--out", tmp_path / "report")
+    assert ran.code == 2
+    assert "holds no plan yet" in ran.err
+    assert not (tmp_path / "report").exists()
+
+
 def test_results_are_made_again_from_their_entries(recorded: Path, setup) -> None:
     with Case.open(recorded, read_only=True) as case:
         entry = case.latest(Kind.PLANNED)

@@ -1,5 +1,6 @@
 """What a case holds of each stage's result: one function for what is recorded and for what is computed again."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -24,7 +25,7 @@ class Asked:
     entry_uv_px: np.ndarray
     end_uv_px: np.ndarray
     pick_sd_px: float
-    snapped: bool
+    snapped: bool | Sequence[bool]
     landmarks_uv_px: np.ndarray | None = None
     landmark_names: tuple[str, ...] = ()
     limits: Limits | None = None

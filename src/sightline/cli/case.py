@@ -71,6 +71,40 @@ def show(folder: Folder, *, json: Json = False, quiet: Quiet = False) -> None:
         output.result({"case": number, "entries": document}, problems)
 
 
+@case_app.command("report")
+def report(
+    folder: Folder,
+    *,
+    out: Annotated[Path, typer.Option(help="Folder for report.html, report.json and report.pdf.")],
+    json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """The report of the case's last plan, computed again; it names the case by its number alone."""
+    with Output(json=json, quiet=quiet) as output:
+        from sightline.case.case_report import report_of
+        from sightline.case.documents import write_folder
+        from sightline.case.journal import Case
+        from sightline.case.report import render
+        from sightline.case.report_document import report_document
+        from sightline.case.report_pdf import render_pdf
+
+        with Case.open(folder, read_only=True) as case:
+            with output.step("computing the last plan again"):
+                made = report_of(case)
+            number = case.number
+        with output.step("writing the report"):
+            document = report_document(made, number)
+            pages = {
+                "report.html": render(made).encode(),
+                "report.json": document.model_dump_json(indent=1).encode(),
+                "report.pdf": render_pdf(made),
+            }
+            files = write_folder(out, pages)
+        for file in files:
+            output.say(f"written: {file}")
+        output.result({"case": number, "go": made.plan.verdict.go, "files": files})
+
+
 def _checked(folder: Path) -> tuple[dict[str, Any], tuple[Check, ...]]:
     """A file too damaged to be opened is a case that is not whole, not an argument that cannot be used."""
     from sightline.case.database import is_damage

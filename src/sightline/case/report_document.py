@@ -1,0 +1,144 @@
+"""The report as JSON: the schema is docs/report.schema.json. `python -m sightline.case.report_document` prints it.
+
+Keys that are not named here may follow: readers pass over what they do not know. What is named stays as it is.
+"""
+
+import json
+from typing import Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from sightline.case.canonical import canonical
+from sightline.case.documents import check_document, view_document
+from sightline.case.entry import versions
+from sightline.case.report import Report
+
+Point = tuple[float, float, float]
+
+
+class _Open(BaseModel):
+    model_config = ConfigDict(extra="allow", frozen=True)
+
+
+class CheckDocument(_Open):
+    """One check: a figure held against its limit, both in `unit`; null where there is none."""
+
+    name: str
+    passed: bool
+    figure: float | None
+    limit: float | None
+    unit: str
+    sentence: str
+
+
+class FrameNamed(_Open):
+    """The calibration frame."""
+
+    name: str
+    serial: str | None
+
+
+class BeadDocument(_Open):
+    """One bead: where it was seen, IDCS px, and what the fit left of it on the reference plane, mm."""
+
+    id: str
+    uv_px: tuple[float, float]
+    residual_mm: tuple[float, float]
+    used: bool
+
+
+class ViewDocument(_Open):
+    """One calibrated view; lengths in mm, CFCS."""
+
+    view: str
+    method: str
+    mirrored: bool
+    focal_point_mm: Point
+    residual_rms_mm: float
+    leave_one_out_rms_mm: float | None
+    left_out: tuple[str, ...]
+    beads: tuple[BeadDocument, ...]
+    checks: tuple[CheckDocument, ...]
+
+
+class ErrorBounds(_Open):
+    """With a probability of 95 % the errors are smaller."""
+
+    entry_mm: float
+    end_mm: float
+    direction_deg: float
+
+
+class TrajectoryDocument(_Open):
+    """The planned wire, CFCS, mm. `error_95` is null where a view's error is unknown."""
+
+    coordinates: Literal["CFCS"]
+    entry_mm: Point
+    end_mm: Point
+    direction: Point
+    length_mm: float
+    error_95: ErrorBounds | None
+    gap_mm: tuple[float, float]
+    gap_tested: tuple[bool, bool]
+
+
+class LandmarkDocument(_Open):
+    """A point of the bone that both views show."""
+
+    xyz_mm: Point
+    gap_mm: float
+    gap_sigma: float | None
+
+
+class ReportDocument(_Open):
+    """The report of one plan. `case`: the number of its case, the only identity in it; null outside a case.
+
+    `go`: true only where every check passed; a person decides. `drilled`: once a robot carried the plan out.
+    """
+
+    model_config = ConfigDict(title="Sightline report")
+
+    report: Literal[1] = Field(description="The version of this schema.")
+    case: str | None
+    title: str
+    versions: dict[str, str]
+    provenance: dict[str, str]
+    frame: FrameNamed
+    views: tuple[ViewDocument, ViewDocument]
+    go: bool
+    trajectory: TrajectoryDocument
+    landmarks: tuple[LandmarkDocument, ...]
+    checks: tuple[CheckDocument, ...]
+    drilled: dict[str, Any] | None
+
+
+def report_document(report: Report, case_number: str | None = None) -> ReportDocument:
+    """What a report states."""
+    views = [view_document(image) for image in report.images]
+    for view in views:
+        del view["source"]  # the name of a file may be a patient's
+    plan = report.plan
+    stated = {
+        "report": 1,
+        "case": case_number,
+        "title": report.title,
+        "versions": versions(),
+        "provenance": report.provenance,
+        "frame": {"name": report.frame.name, "serial": report.frame.serial},
+        "views": views,
+        "go": plan.verdict.go,
+        "trajectory": plan.trajectory.document(),
+        "landmarks": plan.landmarks_document(),
+        "checks": [check_document(check) for check in plan.verdict.checks],
+        "drilled": None if report.drilled is None else report.drilled.document(),
+    }
+    return ReportDocument.model_validate_json(canonical(stated))
+
+
+def schema_text() -> str:
+    """The published schema."""
+    return json.dumps(ReportDocument.model_json_schema(), indent=1) + "\n"
+
+
+if __name__ == "__main__":
+    print(schema_text(), end="")
