@@ -1,24 +1,55 @@
-"""Reconstruction, image-matching curves, trajectories, go and no-go."""
+"""Reconstruction, image-matching curves, trajectories, go and no-go; aids and figures of hip implants."""
 
+from sightline.planning.aids import Aids, Circle, Line
+from sightline.planning.anatomy import Anatomy, locate
+from sightline.planning.axis import Axis
+from sightline.planning.corridor import Corridor, corridor
 from sightline.planning.curve import MatchingCurve, matching_curve, snap
+from sightline.planning.figures import Figure, figures
+from sightline.planning.head import Sphere, outline
+from sightline.planning.kinds import KINDS, Asked, TrajectoryKind, kind
 from sightline.planning.picks import Pick
 from sightline.planning.plan import Plan, plan
+from sightline.planning.proposal import Proposal, ProposalRule, propose
 from sightline.planning.reconstruct import reconstruct
 from sightline.planning.results import SpacePoints, Verdict
+from sightline.planning.shares import Share, error_shares, error_shares_of
 from sightline.planning.trajectory import Trajectory
 from sightline.planning.verdict import Limits, judge
 
 __all__ = [
+    "KINDS",
+    "Aids",
+    "Anatomy",
+    "Asked",
+    "Axis",
+    "Circle",
+    "Corridor",
+    "Figure",
     "Limits",
+    "Line",
     "MatchingCurve",
     "Pick",
     "Plan",
+    "Proposal",
+    "ProposalRule",
+    "Share",
     "SpacePoints",
+    "Sphere",
     "Trajectory",
+    "TrajectoryKind",
     "Verdict",
+    "corridor",
+    "error_shares",
+    "error_shares_of",
+    "figures",
     "judge",
+    "kind",
+    "locate",
     "matching_curve",
+    "outline",
     "plan",
+    "propose",
     "reconstruct",
     "snap",
 ]

@@ -7,7 +7,7 @@ import numpy as np
 
 from sightline.calibration.view import CalibratedView, LinesOfSight
 from sightline.errors import ReconstructionRefusedError, UnusableInputError
-from sightline.geometry.lines import nearest_approach
+from sightline.geometry.lines import NearestApproach, nearest_approach
 from sightline.planning.picks import DEFAULT_PICK_SD_PX
 from sightline.planning.residuals import Residuals, covariance_by_source, pick_covariance_mm2
 from sightline.planning.results import SpacePoints
@@ -43,33 +43,46 @@ def reconstruct(
     first, second = _two_views(views)
     uv, covariance, across = _picks(uv_px, uv_covariance_px2, across_px)
     lines = first.lines_of_sight(uv[0]), second.lines_of_sight(uv[1])
-    _refuse_parallel(*lines)
-    nearest = nearest_approach(*[end for one in lines for end in (one.focal_point_mm, one.directions)])
-    xyz = nearest.middle_mm
-    _refuse_behind(lines, xyz)
-    used: Method = "nearest" if any(one.covariance is None for one in lines) else method
-    solution = _Solution(lines, (covariance, across), xyz, used)
-    for _ in range(_ITERATIONS if used == "weighted" else 0):
-        xyz = xyz + solution.step_mm()
-        solution = _Solution(lines, (covariance, across), xyz, used)
+    solution = solve(lines, covariance, across, method)
     budget, gaps = solution.budget_mm2(), solution.gap_covariance_mm2()
+    gap_mm = _approach(lines).gap_mm
     tested = ~np.any(across != 0.0, axis=(0, 2))
     shift, shift_sd = (None, None) if gaps is None or not tested.any() else _mean_gap(lines, gaps, tested)
     return SpacePoints(
-        xyz_mm=xyz,
-        gap_mm=nearest.gap_mm,
+        xyz_mm=solution.xyz_mm,
+        gap_mm=gap_mm,
         gap_tested=tested,
-        gap_sigma=None if gaps is None else np.where(tested, nearest.gap_mm / np.sqrt(np.diag(gaps)), 0.0),
+        gap_sigma=None if gaps is None else np.where(tested, gap_mm / np.sqrt(np.diag(gaps)), 0.0),
         joint_covariance_mm2=None if budget is None else np.sum(list(budget.values()), axis=0),
         budget_mm2=budget,
         inside_hull=lines[0].inside_hull & lines[1].inside_hull,
-        method=used,
+        method=solution.method,
         shift_mm=shift,
         shift_sd_mm=shift_sd,
     )
 
 
-class _Solution:
+def solve(
+    lines: tuple[LinesOfSight, LinesOfSight], covariance_px2: np.ndarray, across_px: np.ndarray, method: Method
+) -> "Solution":
+    """The points of N pairs of lines of sight; arguments and refusals are those of `reconstruct`."""
+    _refuse_parallel(*lines)
+    xyz = _approach(lines).middle_mm
+    _refuse_behind(lines, xyz)
+    used: Method = "nearest" if any(one.covariance is None for one in lines) else method
+    solution = Solution(lines, (covariance_px2, across_px), xyz, used)
+    for _ in range(_ITERATIONS if used == "weighted" else 0):
+        xyz = xyz + solution.step_mm()
+        solution = Solution(lines, (covariance_px2, across_px), xyz, used)
+    return solution
+
+
+def _approach(lines: tuple[LinesOfSight, LinesOfSight]) -> NearestApproach:
+    first, second = lines
+    return nearest_approach(first.focal_point_mm, first.directions, second.focal_point_mm, second.directions)
+
+
+class Solution:
     """Linearised at given points: residuals of both views, their covariance, the weights that solve for X."""
 
     def __init__(
@@ -80,6 +93,7 @@ class _Solution:
         method: Method,
     ) -> None:
         covariance_px2, across_px = picks
+        self.xyz_mm, self.method = xyz_mm, method
         self.residuals = Residuals.at(lines[0], xyz_mm), Residuals.at(lines[1], xyz_mm)
         self.covariances = _covariances(self.residuals, covariance_px2)
         if method == "weighted" and self.covariances is not None:
@@ -94,6 +108,16 @@ class _Solution:
     def step_mm(self) -> np.ndarray:
         """(N, 3): the Gauss-Newton step."""
         return np.einsum("iaj,ij->ia", self.weights, np.hstack([r.xy_mm for r in self.residuals]))
+
+    @property
+    def response(self) -> tuple[np.ndarray, np.ndarray]:
+        """For each view (3N, 3 + 2N): how the points move with its focal point and the xy of its lines."""
+        n = len(self.weights)
+        first, second = (
+            np.einsum("iap,ipz->iaz", self.weights[:, :, 2 * k : 2 * k + 2], r.to_line.reshape(n, 2, -1))
+            for k, r in enumerate(self.residuals)
+        )
+        return first.reshape(3 * n, -1), second.reshape(3 * n, -1)
 
     def budget_mm2(self) -> dict[str, np.ndarray] | None:
         """(3N, 3N) covariance of the points for each source of BUDGET; None where a view's error is unknown."""

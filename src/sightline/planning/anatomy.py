@@ -1,0 +1,236 @@
+"""Where the drawn parts of the bone lie in space: a sphere for the head, axes of neck and shaft."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from sightline.calibration.view import CalibratedView
+from sightline.checks import Check
+from sightline.errors import OutsideRegionError, ReconstructionRefusedError, SightlineError, UnusableInputError
+from sightline.geometry.lines import nearest_approach
+from sightline.planning.aids import Aids, Circle
+from sightline.planning.axis import Axis, find_axis
+from sightline.planning.directions import caudal
+from sightline.planning.head import Sphere, find_head
+from sightline.planning.picks import Pick, stack
+from sightline.planning.reconstruct import Method, solve
+from sightline.planning.sights import Drawn, Sights, response
+
+NOT_PLACED = {
+    "head": "the head is not drawn: draw a circle over it in both images",
+    "neck": "the neck axis is not drawn: draw a line along it in both images",
+    "shaft": "the shaft axis is not drawn: draw a line along it in both images",
+    "calcar": "the calcar is not clicked: click on the medial cortex of the neck in the PA image",
+    "cortex": "the lateral cortex is not clicked: click on it in the PA image",
+    "wire": "no wire is planned: pick entry and end point",
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Anatomy:
+    """What was found, and `absent`: what was not, with the reason.
+
+    `values` (n,), `covariance` (n, n) or None: all numbers of it, mm, errors shared by its parts included; `at`: where
+    each part stands there: "focal" (6: F of the PA view, of the lateral one), "wire" (6: entry, end), "head" (4),
+    "neck", "shaft" (6: both ends), "calcar" (3: where that line of sight passes the head nearest), "cortex" (3: the
+    shaft).
+    """
+
+    values: np.ndarray
+    covariance: np.ndarray | None
+    at: dict[str, slice]
+    absent: dict[str, str]
+    head_agreement: Check | None
+
+    @cached_property
+    def head(self) -> Sphere | None:
+        """The femoral head."""
+        if "head" not in self.at:
+            return None
+        values = self.part("head")
+        return Sphere(values[:3], float(values[3]), self._covariance_of("head"), self.head_agreement)
+
+    @cached_property
+    def neck(self) -> Axis | None:
+        """Axis of the neck."""
+        return self._axis("neck")
+
+    @cached_property
+    def shaft(self) -> Axis | None:
+        """Axis of the shaft."""
+        return self._axis("shaft")
+
+    def part(self, name: str) -> np.ndarray:
+        """The numbers of one part."""
+        return self.values[self.at[name]]
+
+    def refuse_side(self, side: str) -> None:
+        """Raises ReconstructionRefusedError where the shaft lies above the head if the hip is of this side."""
+        if self.head is None or self.shaft is None:
+            return
+        if (self.shaft.ends_mm.mean(axis=0) - self.head.centre_mm) @ caudal(side) <= 0.0:
+            raise ReconstructionRefusedError(
+                f"the shaft lies above the head of a {side} hip; check the side, and which line is which"
+            )
+
+    def _axis(self, name: str) -> Axis | None:
+        if name not in self.at:
+            return None
+        return Axis(self.part(name).reshape(2, 3), self._covariance_of(name))
+
+    def _covariance_of(self, name: str) -> np.ndarray | None:
+        at = self.at[name]
+        return None if self.covariance is None else self.covariance[at, at]
+
+
+def locate(
+    views: Sequence[CalibratedView],
+    aids: Aids,
+    picks: Sequence[tuple[Pick, Pick]] | None = None,
+    method: Method = "weighted",
+) -> Anatomy:
+    """Find what is drawn on the PA and the lateral view, with the wire of `picks` (`Plan.picks`: entry, end) if given.
+
+    What cannot be found is absent with the reason, and holds nothing else up. Raises UnusableInputError.
+    """
+    if [view.name for view in views] != ["pa", "lateral"]:
+        raise UnusableInputError("anatomy is found on two views, 'pa' and 'lateral', in this order")
+    absent: dict[str, str] = {}
+    sights = _sights(views, _drawn(aids, picks), absent)
+    found = _Finder(sights, absent)
+    if picks is not None:
+        found.add("wire", lambda: _wire(sights, picks, method))
+    for name in ("neck", "shaft"):
+        found.add(name, lambda name=name: find_axis(sights, name))
+    if aids.head is not None:
+        found.add_head(aids.head)
+    found.add("calcar", lambda: _level(sights, "calcar", found.part("head")[:3]))
+    found.add("cortex", lambda: _level(sights, "cortex", _passed(sights, "cortex", found.part("shaft"))))
+    return found.anatomy()
+
+
+class _Finder:
+    """Gathers parts: their numbers, and how these follow z."""
+
+    def __init__(self, sights: Sights, absent: dict[str, str]) -> None:
+        self.sights, self.absent = sights, absent
+        self.covariance = sights.covariance
+        self.agreement: Check | None = None
+        size, first = len(sights.values), 3 + 2 * len(sights.lines[0].xy_mm)
+        focal = np.r_[0:3, first : first + 3]
+        self.parts = {"focal": (sights.values[focal], np.eye(size)[focal])}
+
+    def add(self, name: str, find: Callable[[], tuple[np.ndarray, np.ndarray]]) -> None:
+        """`find` gives values (m,) and response (m, numbers of the drawing)."""
+        if not any(name in rows for rows in self.sights.rows):
+            self.absent.setdefault(name, NOT_PLACED[name])
+            return
+        try:
+            values, own = find()
+        except SightlineError as refusal:
+            self.absent[name] = str(refusal)
+            return
+        whole = np.zeros((len(values), len(self.sights.values)))
+        whole[:, self.sights.index(name)] = own
+        self.parts[name] = values, whole
+
+    def add_head(self, circles: tuple[Circle, Circle]) -> None:
+        """The head, and whether its outlines agree."""
+
+        def find() -> tuple[np.ndarray, np.ndarray]:
+            values, own, self.agreement = find_head(self.sights, circles, self.covariance)
+            return values, own
+
+        self.add("head", find)
+
+    def part(self, name: str) -> np.ndarray:
+        """Raises ReconstructionRefusedError with the reason why there is none."""
+        if name not in self.parts:
+            raise ReconstructionRefusedError(self.absent.get(name, NOT_PLACED[name]))
+        return self.parts[name][0]
+
+    def anatomy(self) -> Anatomy:
+        """All that was found, with its joint covariance."""
+        counts = np.cumsum([0, *(len(values) for values, _ in self.parts.values())])
+        at = {name: slice(int(a), int(b)) for name, a, b in zip(self.parts, counts, counts[1:], strict=False)}
+        by_z = np.concatenate([own for _, own in self.parts.values()])
+        covariance = None if self.covariance is None else by_z @ self.covariance @ by_z.T
+        absent = {name: why for name, why in NOT_PLACED.items() if name not in at} | self.absent
+        return Anatomy(np.concatenate([v for v, _ in self.parts.values()]), covariance, at, absent, self.agreement)
+
+
+def _drawn(aids: Aids, picks: Sequence[tuple[Pick, Pick]] | None) -> list[dict[str, Drawn]]:
+    """What is drawn in each view."""
+    out: list[dict[str, Drawn]] = [{}, {}]
+    for k, drawn in enumerate(out):
+        if picks is not None:
+            own = [pick[k] for pick in picks]
+            drawn["wire"] = np.array([p.uv_px for p in own]), _blocks([p.covariance_px2 for p in own])
+        if aids.head is not None:
+            drawn["head"] = aids.head[k].uv_px, aids.head[k].covariance_px2
+        for name in ("neck", "shaft"):
+            lines = getattr(aids, name)
+            if lines is not None:
+                drawn[name] = lines[k].uv_px, lines[k].sd_px ** 2 * np.eye(4)
+    for name in ("calcar", "cortex"):
+        pick = getattr(aids, name)
+        if pick is not None:
+            out[0][name] = pick.uv_px[None], pick.covariance_px2
+    return out
+
+
+def _blocks(covariances: list[np.ndarray]) -> np.ndarray:
+    out = np.zeros((2 * len(covariances),) * 2)
+    for k, own in enumerate(covariances):
+        out[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] = own
+    return out
+
+
+def _sights(views: Sequence[CalibratedView], drawn: list[dict[str, Drawn]], absent: dict[str, str]) -> Sights:
+    """Of all drawings; one that lies outside a view's calibrated region is left out, and `absent` says so."""
+    try:
+        return Sights.of(views, drawn)
+    except OutsideRegionError:
+        for view, named in zip(views, drawn, strict=True):
+            for name, (uv, _) in list(named.items()):
+                try:
+                    view.lines_of_sight(uv)
+                except OutsideRegionError as refusal:
+                    absent[name] = str(refusal)
+        return Sights.of(views, [{n: d for n, d in named.items() if n not in absent} for named in drawn])
+
+
+def _wire(sights: Sights, picks: Sequence[tuple[Pick, Pick]], method: Method) -> tuple[np.ndarray, np.ndarray]:
+    """Entry and end point, as `reconstruct` has them."""
+    lines = sights.lines[0].only(sights.rows[0]["wire"]), sights.lines[1].only(sights.rows[1]["wire"])
+    _, covariance, across = stack(picks)
+    size = np.trace(covariance, axis1=-2, axis2=-1)[..., None, None]
+    solution = solve(lines, covariance + size * across[..., :, None] * across[..., None, :], across, method)
+    return solution.xyz_mm.ravel(), np.hstack(solution.response)
+
+
+def _passed(sights: Sights, name: str, ends: np.ndarray) -> np.ndarray:
+    """(3,): where the only line of sight of a drawing passes an axis (6,: both ends) nearest."""
+    ((focal, points),) = sights.rays(name, sights.values[sights.index(name)][None])
+    along = (ends[3:] - ends[:3])[None]
+    return nearest_approach(focal[0], (points - focal)[0], ends[None, :3], along).first_mm[0]
+
+
+def _level(sights: Sights, name: str, with_mm: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Where the only line of sight of a drawing is level with a point (3,), (3,); how that follows its numbers, (3, n).
+
+    Along the line of sight it says nothing, so that the point's own error does not matter.
+    """
+    at = sights.values[sights.index(name)]
+
+    def pierced(z: np.ndarray) -> np.ndarray:
+        ((focal, points),) = sights.rays(name, z)
+        ray, normal = (points - focal)[:, 0], with_mm - focal[:1, 0]
+        return (
+            focal[:, 0]
+            + ((with_mm - focal[:, 0]) * normal).sum(-1, keepdims=True) / (ray * normal).sum(-1, keepdims=True) * ray
+        )
+
+    return response(pierced, at)

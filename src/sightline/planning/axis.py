@@ -1,0 +1,75 @@
+"""The axis of neck or shaft: a line drawn in an image is a plane in space, and the planes of two images meet in it."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from sightline.errors import ReconstructionRefusedError
+from sightline.geometry.covariance import line_direction
+from sightline.planning.sights import Sights, response
+from sightline.planning.trajectory import SHORTEST_MM
+
+# Two planes that meet at less make the axis's error six times that of the planes [ours].
+SMALLEST_ANGLE_RAD = np.deg2rad(10.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Axis:
+    """A straight axis, CFCS: `ends_mm` (2, 3) on it, where the first view's two clicks fall; `covariance_mm2` (6, 6) of
+    both, None where a view's error is unknown."""
+
+    ends_mm: np.ndarray
+    covariance_mm2: np.ndarray | None
+
+    @property
+    def direction(self) -> np.ndarray:
+        """(3,) unit vector from the first end to the second."""
+        along = self.ends_mm[1] - self.ends_mm[0]
+        return along / np.linalg.norm(along)
+
+    @property
+    def direction_covariance_rad2(self) -> np.ndarray | None:
+        """(2, 2), along two axes across it."""
+        if self.covariance_mm2 is None:
+            return None
+        to_direction = line_direction(*self.ends_mm)
+        return to_direction @ self.covariance_mm2 @ to_direction.T
+
+    def distance_mm(self, xyz_mm: np.ndarray) -> np.ndarray:
+        """(...): of points (..., 3) from the axis."""
+        return np.linalg.norm(np.cross(xyz_mm - self.ends_mm[0], self.direction), axis=-1)
+
+
+def find_axis(sights: Sights, name: str) -> tuple[np.ndarray, np.ndarray]:
+    """Both ends (6,) of the axis drawn under `name`, and how they follow its numbers in z, (6, n).
+
+    Raises ReconstructionRefusedError where the planes do not determine it.
+    """
+    at = sights.values[sights.index(name)]
+    rays = sights.rays(name, at[None])
+    if min(np.linalg.norm(points[0, 1] - points[0, 0]) for _, points in rays) < SHORTEST_MM:
+        raise ReconstructionRefusedError(
+            f"the two clicks of the {name} axis lie too near to each other; draw the line longer in both images"
+        )
+    first, second = (np.cross(points[0, 0] - focal[0, 0], points[0, 1] - focal[0, 0]) for focal, points in rays)
+    sine = np.linalg.norm(np.cross(first, second)) / (np.linalg.norm(first) * np.linalg.norm(second))
+    if sine < np.sin(SMALLEST_ANGLE_RAD):
+        raise ReconstructionRefusedError(
+            f"the planes of the {name} axis in the two images meet at {np.rad2deg(np.arcsin(sine)):.0f}° (at least "
+            f"{np.rad2deg(SMALLEST_ANGLE_RAD):.0f}° is needed): it runs in the plane of both beams, where no two such "
+            "images determine it; turn the C-arm for one of them"
+        )
+    ends, own = response(lambda z: _ends(sights.rays(name, z)), at)
+    length = np.linalg.norm(ends[3:] - ends[:3])
+    if length < SHORTEST_MM:
+        raise ReconstructionRefusedError(f"the {name} axis is drawn {length:.1f} mm long; draw it longer")
+    return ends, own
+
+
+def _ends(both: list[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
+    """(K, 6): where the first view's two rays pierce the plane of the second's."""
+    (focal_a, a), (focal_b, b) = both
+    normal = np.cross(b[:, 0] - focal_b[:, 0], b[:, 1] - focal_b[:, 0])[:, None]
+    rays = a - focal_a
+    reach = (normal * (focal_b - focal_a)).sum(axis=-1) / (normal * rays).sum(axis=-1)
+    return (focal_a + reach[..., None] * rays).reshape(len(a), 6)

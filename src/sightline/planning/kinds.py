@@ -1,0 +1,121 @@
+"""Kinds of trajectory, as data: what to pick, which aids help, which limits hold."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from sightline.errors import UnusableInputError
+from sightline.planning.proposal import ProposalRule
+from sightline.planning.verdict import Limits
+
+
+@dataclass(frozen=True)
+class Asked:
+    """One thing that a person is asked for: `key` in data, `name` and `sentence` to be read."""
+
+    key: str
+    name: str
+    sentence: str
+
+
+@dataclass(frozen=True)
+class TrajectoryKind:
+    """`points`: entry and end, in this order; `landmarks`: picked freely in both views; `aids`: fields of `Aids` that
+    help; `wire_mm`: diameter of what is drilled; `beyond_mm`: how far it goes past the end point; `limits` of the
+    predicted 95 % errors, and their `limits_source`; `proposal` where one can be made."""
+
+    key: str
+    name: str
+    purpose: str
+    points: tuple[Asked, Asked]
+    landmarks: tuple[Asked, ...]
+    aids: tuple[Asked, ...]
+    wire_mm: float
+    beyond_mm: float
+    limits: Limits
+    limits_source: str
+    proposal: ProposalRule | None
+
+
+_HIP_LANDMARKS = (
+    Asked("head-centre", "centre of the head", "A sharp point at the head, the same in both images."),
+    Asked("lesser-trochanter", "lesser trochanter", "The tip of the lesser trochanter."),
+)
+_HIP_AIDS = (
+    Asked("head", "femoral head", "A circle over the head, or clicks on its rim, in both images."),
+    Asked("shaft", "shaft axis", "A line along the middle of the shaft in both images."),
+    Asked("neck", "neck axis", "A line along the middle of the neck in both images."),
+    Asked("cortex", "lateral cortex", "One click on the lateral edge of the shaft in the PA image."),
+    Asked("calcar", "calcar", "One click on the medial cortex of the neck in the PA image."),
+)
+# Holes of a nail: 5 mm, the drill 4 mm: half a millimetre to each side, at two holes about 11 mm apart [ours].
+_HOLE_PLAY_MM, _HOLES_APART_MM = 0.5, 11.0
+
+KINDS: dict[str, TrajectoryKind] = {
+    kind.key: kind
+    for kind in (
+        TrajectoryKind(
+            "hip-screw",
+            "hip screw",
+            "The guide wire of a dynamic hip screw, from the lateral cortex through the neck into the head.",
+            (
+                Asked("entry", "entry point", "Where the wire enters the lateral cortex."),
+                Asked(
+                    "end", "end point", "Where its tip shall lie in the head, 5 to 10 mm under the subchondral bone."
+                ),
+            ),
+            _HIP_LANDMARKS,
+            _HIP_AIDS,
+            wire_mm=2.5,  # physics.md, Planning figures
+            beyond_mm=0.0,
+            limits=Limits(),
+            limits_source="what the paper reached with its robot: 1 mm and 0.6°",
+            proposal=ProposalRule(),
+        ),
+        TrajectoryKind(
+            "interlocking",
+            "interlocking holes",
+            "A drill through a pair of holes of a nail, along their common axis.",
+            (
+                Asked("entry", "near hole", "The centre of the hole on the side where the drill enters."),
+                Asked("end", "far hole", "The centre of the hole on the other side of the nail."),
+            ),
+            (
+                Asked("nail-tip", "tip of the nail", "The end of the nail."),
+                Asked("other-hole", "centre of another hole", "A hole that is not drilled now, or a sharp edge."),
+            ),
+            (),
+            wire_mm=4.0,
+            beyond_mm=15.0,  # to the far cortex [ours]
+            limits=Limits(_HOLE_PLAY_MM, float(np.arctan2(2 * _HOLE_PLAY_MM, _HOLES_APART_MM))),
+            limits_source="a 4 mm drill in two 5 mm holes 11 mm apart",
+            proposal=None,
+        ),
+        TrajectoryKind(
+            "free-wire",
+            "free wire",
+            "Any straight wire from one point to another.",
+            (
+                Asked("entry", "entry point", "Where the wire enters the bone."),
+                Asked("end", "end point", "Where its tip shall lie."),
+            ),
+            (
+                Asked("landmark-1", "first landmark", "A sharp point of the bone that both images show."),
+                Asked("landmark-2", "second landmark", "Another, away from the first."),
+            ),
+            (),
+            wire_mm=2.5,
+            beyond_mm=0.0,
+            limits=Limits(),
+            limits_source="what the paper reached with its robot: 1 mm and 0.6°",
+            proposal=None,
+        ),
+    )
+}
+
+
+def kind(key: str) -> TrajectoryKind:
+    """The kind of this key. Raises UnusableInputError."""
+    if key not in KINDS:
+        raise UnusableInputError(f"unknown kind of trajectory {key!r}; choose one of {', '.join(KINDS)}")
+    return KINDS[key]

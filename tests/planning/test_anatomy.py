@@ -1,0 +1,184 @@
+"""Head, neck and shaft from what is drawn: exact without error, covariance by sampling, refused with a reason."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sightline.errors import UnusableInputError
+from sightline.planning import Aids, Circle, Line, Pick, figures, locate, matching_curve, outline, reconstruct, snap
+from sightline.planning.picks import stack
+
+from . import bone
+from .standin import StandInView, stand_in
+
+
+def _views(scale: float = 0.3) -> list[StandInView]:
+    return [stand_in("pa", 0.4, scale), stand_in("lateral", -0.2, scale)]
+
+
+def test_perfect_drawings_give_the_bone():
+    views = _views()
+    uv = bone.pixels(views)
+    found = locate(views, bone.aids(uv), bone.picks(uv))
+    assert found.absent == {}
+    np.testing.assert_allclose(found.head.centre_mm, bone.CENTRE_MM, atol=1e-6)
+    assert found.head.radius_mm == pytest.approx(bone.RADIUS_MM, abs=1e-6)
+    assert found.head.agreement.passed
+    assert found.head.agreement.figure < 1e-6
+    for axis, on_mm, along in ((found.neck, bone.ON_NECK_MM, bone.NECK), (found.shaft, bone.ON_SHAFT_MM, bone.SHAFT)):
+        np.testing.assert_allclose(axis.direction, along, atol=1e-8)
+        assert axis.distance_mm(on_mm) < 1e-6
+    np.testing.assert_allclose(found.part("wire"), np.r_[bone.ENTRY_MM, bone.END_MM], atol=1e-7)
+
+
+def test_all_covariances_by_sampling():
+    """Views, shared frame errors and clicks are drawn anew; each part and all together err as stated, figures too."""
+    views, rng = _views(), np.random.default_rng(12)
+    uv, sd, draws = bone.pixels(views), 0.5, 250
+    stated = locate(views, bone.aids(uv, sd), bone.picks(uv, sd))
+    truth = figures(stated, "right")
+    parts, errors, agreements = ("wire", "neck", "shaft", "head"), [], []
+    for _ in range(draws):
+        drawn = [view.draw_errors(rng) for view in views]
+        drawn[1]["frame"] = drawn[0]["frame"]
+        estimated = [view.erring(e) for view, e in zip(views, drawn, strict=True)]
+        clicked = {name: [each + rng.normal(0.0, sd, each.shape) for each in both] for name, both in uv.items()}
+        found = locate(estimated, bone.aids(clicked, sd), bone.picks(clicked, sd))
+        agreements.append(found.head.agreement.figure)
+        errors.append(
+            np.r_[
+                np.concatenate([found.part(name) - stated.part(name) for name in parts]),
+                [(one.value - true.value) / true.sd for one, true in zip(figures(found, "right"), truth, strict=True)],
+            ]
+        )
+    own = [np.arange(stated.at[name].start, stated.at[name].stop) for name in parts]
+    whole = np.concatenate(own)
+    for rows in (*own, whole):
+        at = [int(np.flatnonzero(whole == row)[0]) for row in rows]
+        error, covariance = np.array(errors)[:, at], stated.covariance[np.ix_(rows, rows)]
+        squares = np.einsum("ni,in->n", error, np.linalg.solve(covariance, error.T))
+        # The mean of chi-square over its freedom scatters by sqrt(2 / (freedom draws)); 4 of these.
+        assert squares.mean() / len(rows) == pytest.approx(1.0, abs=4 * np.sqrt(2 / (len(rows) * draws)))
+    spread = np.mean(np.square(np.array(errors)[:, len(whole) :]), axis=0)
+    np.testing.assert_allclose(spread, 1.0, atol=4 * np.sqrt(2 / draws))
+    # Nine clicks on the rim less four numbers of the sphere.
+    assert np.mean(agreements) == pytest.approx(5.0, abs=4 * np.sqrt(2 * 5.0 / draws))
+
+
+@pytest.mark.parametrize("snapped", [False, True])
+def test_the_wire_is_the_trajectory_of_the_plan(snapped):
+    views = _views()
+    uv = bone.pixels(views)
+    picks = bone.picks(uv)
+    if snapped:
+        curves = [matching_curve(views[0], first.uv_px, views[1]) for first, _ in picks]
+        picks = tuple((a, snap(curve, b.uv_px)) for (a, b), curve in zip(picks, curves, strict=True))
+    uv_px, covariance, across = stack(picks)
+    points = reconstruct(views, uv_px, covariance, across_px=across)
+    found = locate(views, bone.aids(uv), picks)
+    np.testing.assert_allclose(found.part("wire"), points.xyz_mm.ravel(), atol=1e-9)
+    at = found.at["wire"]
+    np.testing.assert_allclose(found.covariance[at, at], points.joint_covariance_mm2, rtol=1e-8, atol=1e-12)
+
+
+def test_a_drawn_circle_is_three_numbers_and_finds_the_sphere():
+    """A circle cannot follow a distorted outline: 0.15 mm are left to it."""
+    views = _views()
+    turns = np.deg2rad(np.arange(0.0, 360.0, 10.0))
+    circles = []
+    for view in views:
+        rim = bone.rim(view, turns)
+        design = np.column_stack([2 * rim, np.ones(len(rim))])
+        u, v, rest = np.linalg.lstsq(design, (rim**2).sum(axis=1), rcond=None)[0]
+        circles.append(Circle.of(np.array([u, v]), float(np.sqrt(rest + u**2 + v**2)), 0.5))
+        assert np.linalg.matrix_rank(circles[-1].covariance_px2, tol=1e-9) == 3
+    found = locate(views, Aids(head=(circles[0], circles[1])))
+    np.testing.assert_allclose(found.head.centre_mm, bone.CENTRE_MM, atol=0.15)
+    assert found.head.radius_mm == pytest.approx(bone.RADIUS_MM, abs=0.15)
+    # Six numbers for four: not twenty-four.
+    assert found.head.agreement.limit == pytest.approx(13.8, abs=0.1)
+
+
+def test_the_centre_of_the_outline_is_not_the_image_of_the_centre():
+    """What a circle fitted in the image would get wrong, and lines of sight do not: about 0.1 px here."""
+    view = _views()[0]
+    sphere = locate(_views(), bone.aids(bone.pixels(_views()))).head
+    drawn = outline(view, sphere, 360)
+    assert len(drawn) == 360
+    ray = view.plane.to_space(view.to_plane(drawn)) - view.focal_point_mm
+    passed = np.cross(sphere.centre_mm - view.focal_point_mm, ray)
+    np.testing.assert_allclose(np.linalg.norm(passed, axis=1) / np.linalg.norm(ray, axis=1), bone.RADIUS_MM, atol=1e-5)
+    off = np.linalg.norm(drawn.mean(axis=0) - view.project(bone.CENTRE_MM[None])[0])
+    assert off > 0.05
+
+
+def test_outlines_of_two_different_heads_disagree():
+    views = _views(0.1)
+    uv = bone.pixels(views)
+    uv["head"][1] = uv["head"][1].mean(axis=0) + 1.08 * (uv["head"][1] - uv["head"][1].mean(axis=0))
+    head = locate(views, bone.aids(uv)).head
+    assert not head.agreement.passed
+    assert "draw them again" in head.agreement.sentence
+
+
+def test_an_axis_in_the_plane_of_both_beams_is_refused_and_nothing_else_is():
+    views = _views()
+    uv = bone.pixels(views)
+    level = np.array([-0.8, 0.0, 0.6])  # beams run along Z and X
+    uv["neck"] = [bone.drawn_line(view, bone.ON_NECK_MM, level, (0.0, 25.0)) for view in views]
+    found = locate(views, bone.aids(uv), bone.picks(uv))
+    assert set(found.absent) == {"neck"}
+    assert "plane of both beams" in found.absent["neck"]
+    assert found.neck is None
+    np.testing.assert_allclose(found.head.centre_mm, bone.CENTRE_MM, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("change", "name", "why"),
+    [
+        ({"neck": [np.array([[500.0, 500.0], [502.0, 501.0]])] * 2}, "neck", "too near"),
+        ({"shaft": [np.array([[20.0, 20.0], [500.0, 400.0]])] * 2}, "shaft", "outside the calibrated region"),
+        ({"head": [500.0 + 20.0 * np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0]])] * 2}, "head", "no sphere"),
+    ],
+)
+def test_bad_drawings_are_absent_with_the_reason(change, name, why):
+    views = _views()
+    uv = bone.pixels(views) | change
+    found = locate(views, bone.aids(uv), bone.picks(uv))
+    assert why in found.absent[name]
+    assert "wire" in found.at
+
+
+def test_what_is_not_drawn_is_absent():
+    found = locate(_views(), Aids())
+    assert set(found.absent) == {"head", "neck", "shaft", "calcar", "cortex", "wire"}
+    assert (found.head, found.neck, found.shaft) == (None, None, None)
+    assert set(found.at) == {"focal"}
+
+
+def test_unknown_errors_stay_unknown():
+    views = _views()
+    uv = bone.pixels(views)
+    found = locate([views[0], replace(views[1], factors=None)], bone.aids(uv), bone.picks(uv))
+    assert found.covariance is None
+    assert found.head.covariance_mm2 is None
+    assert found.head.agreement is None
+    assert found.neck.direction_covariance_rad2 is None
+    np.testing.assert_allclose(found.head.centre_mm, bone.CENTRE_MM, atol=1e-6)
+    assert all(figure.sd is None and figure.value is not None for figure in figures(found, "right"))
+
+
+def test_bad_arguments_are_refused():
+    with pytest.raises(UnusableInputError, match="'pa' and 'lateral'"):
+        locate(_views()[::-1], Aids())
+    for bad in (np.zeros((2, 2)), np.full((3, 2), np.nan), np.zeros(4)):
+        with pytest.raises(UnusableInputError, match="rim"):
+            Circle.through(bad)
+    for centre, radius in ((np.zeros(3), 5.0), (np.zeros(2), 0.0), (np.array([np.nan, 1.0]), 5.0)):
+        with pytest.raises(UnusableInputError, match="radius"):
+            Circle.of(centre, radius)
+    for uv, sd in ((np.zeros((3, 2)), 0.5), (np.zeros((2, 2)), 0.0), (np.full((2, 2), np.inf), 0.5)):
+        with pytest.raises(UnusableInputError):
+            Line(uv, sd)
+    assert Pick.free([1.0, 2.0]).uv_px.shape == (2,)

@@ -1,0 +1,139 @@
+"""The proposed wire: through the head's centre at its angle, into the cortex; refused with the reason."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sightline.errors import ReconstructionRefusedError
+from sightline.planning import KINDS, Circle, Line, Pick, ProposalRule, kind, locate, plan, propose
+from sightline.planning.aids import Aids
+from sightline.planning.kinds import Asked
+
+from . import bone
+from .standin import StandInView, stand_in
+
+
+def _views() -> list[StandInView]:
+    return [stand_in("pa", 0.4, 0.3), stand_in("lateral", -0.2, 0.3)]
+
+
+def _proposed(aids: Aids | None = None, side: str = "right", rule: ProposalRule | None = None):
+    views = _views()
+    aids = bone.aids(bone.pixels(views)) if aids is None else aids
+    return views, propose(views, locate(views, aids), side, rule)
+
+
+@pytest.mark.parametrize("with_neck", [False, True])
+@pytest.mark.parametrize("rule", [ProposalRule(), ProposalRule(np.deg2rad(130.0), 6.0)])
+def test_the_proposal_is_what_the_rule_says(with_neck, rule):
+    drawn = bone.aids(bone.pixels(_views()))
+    views, made = _proposed(drawn if with_neck else replace(drawn, neck=None), rule=rule)
+    wire = made.end_mm - made.entry_mm
+    length = np.linalg.norm(wire)
+    wire /= length
+    assert np.arccos(wire @ bone.SHAFT) == pytest.approx(rule.angle_rad, abs=1e-7)
+    np.testing.assert_allclose(np.cross(bone.CENTRE_MM - made.entry_mm, wire), 0.0, atol=1e-5)
+    assert np.linalg.norm(made.end_mm - bone.CENTRE_MM) == pytest.approx(
+        bone.RADIUS_MM - rule.under_surface_mm, abs=1e-5
+    )
+    off_axis = np.cross(made.entry_mm - bone.ON_SHAFT_MM, bone.SHAFT)
+    assert np.linalg.norm(off_axis) == pytest.approx(14.8, abs=0.01)  # the cortex that the click touches
+    assert made.entry_mm[0] > bone.ON_SHAFT_MM[0]  # the lateral one
+    turned = np.cross(wire, bone.SHAFT) / np.linalg.norm(np.cross(wire, bone.SHAFT))
+    across = np.cross(bone.NECK, bone.SHAFT) / np.linalg.norm(np.cross(bone.NECK, bone.SHAFT))
+    assert (abs(turned @ across) > 1 - 1e-9) == with_neck
+    again = plan(views, made.entry_uv_px, made.end_uv_px)
+    np.testing.assert_allclose(again.trajectory.entry_mm, made.entry_mm, atol=1e-6)
+    np.testing.assert_allclose(again.trajectory.end_mm, made.end_mm, atol=1e-6)
+    assert f"{length:.0f} mm long" in made.sentence
+
+
+def _pixel(xyz_mm: np.ndarray) -> Pick:
+    return Pick.free(_views()[0].project(xyz_mm[None])[0])
+
+
+@pytest.mark.parametrize(
+    ("change", "why"),
+    [
+        ({"head": None}, "the head is not drawn"),
+        ({"shaft": None}, "the shaft axis is not drawn"),
+        ({"cortex": None}, "the lateral cortex is not clicked"),
+        ({"cortex": "medial"}, "on the side of the head"),
+        ({"cortex": "near"}, "3 mm away"),
+        ({"shaft": "through the head"}, "from the shaft's axis"),
+        ({"neck": "backwards"}, "beside the head's centre"),
+    ],
+)
+def test_impossible_proposals_are_refused_with_the_reason(change, why):
+    views = _views()
+    drawn = bone.aids(bone.pixels(views))
+    ((name, what),) = change.items()
+    lateral, medial = (bone.ON_SHAFT_MM + 5.0 * bone.SHAFT + np.array([x, 0.0, 0.0]) for x in (3.0, -12.0))
+    new = {
+        None: None,
+        "medial": _pixel(medial),
+        "near": _pixel(lateral),
+        "through the head": _lines(views, bone.CENTRE_MM + np.array([3.0, 0.0, 1.0]), bone.SHAFT),
+        "backwards": _lines(views, bone.ON_NECK_MM, np.array([-0.35, -0.45, -0.82])),
+    }[what]
+    with pytest.raises(ReconstructionRefusedError, match=why):
+        _proposed(replace(drawn, **{name: new}))
+
+
+def _lines(views: list[StandInView], on_mm: np.ndarray, along: np.ndarray) -> tuple[Line, Line]:
+    first, second = (Line(bone.drawn_line(view, on_mm, along, (-12.0, 14.0))) for view in views)
+    return first, second
+
+
+def test_the_wrong_side_is_refused():
+    """Else a wire would be proposed that runs from above into the head, as long and as steep as a good one."""
+    with pytest.raises(ReconstructionRefusedError, match="above the head of a left hip"):
+        _proposed(side="left")
+
+
+def test_a_head_too_small_for_the_tip_is_refused():
+    with pytest.raises(ReconstructionRefusedError, match="no place"):
+        _proposed(rule=ProposalRule(under_surface_mm=25.0))
+
+
+def test_kinds_are_complete():
+    fields = set(Aids.__dataclass_fields__)
+    for key, one in KINDS.items():
+        assert one.key == key
+        asked = [*one.points, *one.landmarks, *one.aids]
+        assert all(isinstance(each, Asked) and each.name and each.sentence for each in asked)
+        assert [each.key for each in one.points] == ["entry", "end"]
+        assert len(one.landmarks) >= 2  # a plan needs them (judge)
+        assert {each.key for each in one.aids} <= fields
+        assert one.proposal is None or {"head", "shaft", "cortex"} <= {each.key for each in one.aids}
+        assert one.limits.position_mm > 0
+        assert one.limits_source
+    assert kind("interlocking").limits.position_mm < kind("hip-screw").limits.position_mm
+    with pytest.raises(Exception, match="choose one of hip-screw"):
+        kind("tibial")
+
+
+def test_a_kinds_limits_judge_its_plan():
+    views = _views()
+    near, far = np.array([10.0, 20.0, 3.0]), np.array([-1.0, 20.5, 2.0])  # two holes of a nail
+    uv = np.array([view.project(np.stack([near, far])) for view in views])
+    strict, loose = (
+        {c.name: c for c in plan(views, uv[:, 0], uv[:, 1], limits=kind(key).limits).verdict.checks}
+        for key in ("hip-screw", "interlocking")
+    )
+    assert strict["direction error"].limit == pytest.approx(0.6)
+    assert loose["direction error"].limit == pytest.approx(5.19, abs=0.01)
+    assert loose["entry error"].limit == 0.5
+    assert strict["direction error"].passed < loose["direction error"].passed
+
+
+def test_a_circle_may_stand_for_the_rim():
+    views = _views()
+    drawn = bone.aids(bone.pixels(views))
+    rims = [bone.rim(view, np.deg2rad(np.arange(0.0, 360.0, 15.0))) for view in views]
+    circles = [
+        Circle.of(rim.mean(axis=0), float(np.linalg.norm(rim - rim.mean(axis=0), axis=1).mean())) for rim in rims
+    ]
+    _, made = _proposed(replace(drawn, head=(circles[0], circles[1])))
+    np.testing.assert_allclose(made.end_mm, _proposed()[1].end_mm, atol=0.4)
