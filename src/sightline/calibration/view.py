@@ -1,6 +1,6 @@
 """A calibrated view: a plane map and a focal point with their joint covariance; and what it gives, lines of sight."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
@@ -70,6 +70,20 @@ class LinesOfSight:
         """(N, 3) unit vectors from the focal point to the points on the plane."""
         d = self.points_mm - self.focal_point_mm
         return d / np.linalg.norm(d, axis=-1, keepdims=True)
+
+    def only(self, rows: slice) -> "LinesOfSight":
+        """Some of the lines, with their share of the covariance."""
+        numbers = np.arange(3 + 2 * len(self.xy_mm))
+        kept = np.concatenate([numbers[:3], numbers[3:].reshape(-1, 2)[rows].ravel()])
+        each = self.covariance
+        return replace(
+            self,
+            xy_mm=self.xy_mm[rows],
+            jacobian=self.jacobian[rows],
+            covariance=None if each is None else {source: c[np.ix_(kept, kept)] for source, c in each.items()},
+            frame_factor=None if self.frame_factor is None else self.frame_factor[kept],
+            inside_hull=self.inside_hull[rows],
+        )
 
 
 class CalibratedView(Protocol):

@@ -58,8 +58,9 @@ def plan(
     """Plan from the pixels of entry and end point, each (2, 2): a row for each view, IDCS.
 
     `pick_sd_px`: how well a person picks. `snapped`: the second view's picks are taken to the curves of the first's,
-    both, or (entry, end) as each says. `landmarks_uv_px` (2, L, 2): points of the bone picked freely in both views, which show
-    whether it moved between them; they change neither entry nor end. A plan whose picks are snapped is no GO without two of them (`judge`).
+    both, or (entry, end) as each says. `landmarks_uv_px` (2, L, 2): points of the bone picked freely in both views,
+    which show whether it moved between them; they change neither entry nor end. A plan whose picks are snapped is no GO
+    without two of them (`judge`).
     Raises what `reconstruct`, `matching_curve` and `snap` raise.
     """
     if len(views) != 2:
