@@ -40,6 +40,8 @@ class TrajectoryKind:
 _HIP_LANDMARKS = (
     Asked("head-centre", "centre of the head", "A sharp point at the head, the same in both images."),
     Asked("lesser-trochanter", "lesser trochanter", "The tip of the lesser trochanter."),
+    # Two show a shift between the views; a check shot needs a third, which shows a turn as well.
+    Asked("greater-trochanter", "greater trochanter", "The tip of the greater trochanter."),
 )
 _HIP_AIDS = (
     Asked("head", "femoral head", "A circle over the head, or clicks on its rim, in both images."),

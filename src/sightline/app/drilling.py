@@ -1,0 +1,158 @@
+"""The fourth step: a plan sent to the robot and drilled, each motion told by a person."""
+
+import asyncio
+import time
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from sightline.app.decisions import Decisions
+from sightline.app.planner import Planned, planned
+from sightline.app.rehearsing import Patient
+from sightline.app.robot_session import RobotNow, RobotSession
+from sightline.app.texts import NO_DEPTH_LIMIT, NO_ROBOT
+from sightline.case.entry import Actor, Kind
+from sightline.case.views import NAMES
+from sightline.errors import RobotRefusedError, UnusableInputError
+from sightline.planning.figures import Figure
+from sightline.rehearsal.process import RobotProcess
+from sightline.rehearsal.robots import calibrated_robot
+from sightline.robot.record import DrillingEvent, DrillingRecord
+from sightline.robot.simulated import SimulatedWire
+from sightline.robot.states import State
+from sightline.robot.target import PlanIdentity
+
+if TYPE_CHECKING:
+    from sightline.app.procedure import Procedure
+
+TO_BONE = "tip to bone along wire"
+
+
+class Drilling:
+    """`session` and `now`: once the robot is started. `sent`: what the robot was told. `record`: once it is drilled to
+    the planned depth; `wire`: where a simulator says that it truly is, for simulated check images."""
+
+    def __init__(self, procedure: "Procedure") -> None:
+        self._procedure = procedure
+        self._process: RobotProcess | None = None
+        self.session: RobotSession | None = None
+        self.sent: Planned | None = None
+        self.record: DrillingRecord | None = None
+        self.wire: SimulatedWire | None = None
+
+    @property
+    def now(self) -> RobotNow | None:
+        """What is known of the robot."""
+        return None if self.session is None else self.session.now
+
+    def restore(self) -> None:
+        """What was sent and drilled before the program ended; the robot itself knows nothing of it any more."""
+        case, views = self._procedure.case, self._procedure.views()
+        sent = case.latest(Kind.SENT)
+        if sent is None or views is None or self.sent is not None:
+            return
+        decisions = Decisions.of(sent.content["decisions"])
+        if any(decisions.images.get(name) != self._procedure.decisions.images.get(name) for name in NAMES):
+            return  # of images that were since replaced
+        self.sent = planned(decisions, views)
+        drilled = case.latest(Kind.DRILLED)
+        if drilled is not None and drilled.number > sent.number:
+            self.record = _record_of(drilled.content["record"])
+            self.wire = SimulatedWire.of(drilled.content["simulated_wire"])
+
+    async def start_robot(self, *, fast: bool) -> None:
+        """The simulated robot of the rehearsed patient, in a process of its own, where it stood at the images.
+
+        `fast`: its time runs as fast as it computes. Raises RobotRefusedError, LinkError."""
+        patient = self._procedure.patient
+        if patient is None:
+            raise RobotRefusedError(NO_ROBOT)
+        await self.close()
+        loop, notify = asyncio.get_running_loop(), self._procedure.notify
+
+        def start(patient: Patient) -> tuple[RobotProcess, RobotSession]:
+            process = RobotProcess(patient.seed, patient.frame, patient.side, virtual=fast)
+            try:
+                return process, RobotSession(
+                    calibrated_robot(patient.side),
+                    process.port,
+                    lambda: loop.call_soon_threadsafe(notify) and None,
+                    heartbeat=not fast,
+                )
+            except BaseException:
+                process.close()
+                raise
+
+        self._process, self.session = await asyncio.to_thread(start, patient)
+        notify()
+
+    async def close(self) -> None:
+        """End the simulated robot, if it runs."""
+        session, process = self.session, self._process
+        self.session = self._process = None
+        if session is not None:
+            await asyncio.to_thread(session.close)
+        if process is not None:
+            await asyncio.to_thread(process.close)
+
+    @property
+    def identity(self) -> PlanIdentity:
+        """Of the plan as it is now. Raises UnusableInputError without a confirmed side."""
+        procedure = self._procedure
+        name = f"{procedure.case.number}-{procedure.case.last}"
+        return PlanIdentity(name, procedure.decisions.side or "", procedure.decisions.serial or "", procedure.go)
+
+    async def send(self) -> None:
+        """Tell the robot of the plan; nothing moves. Raises RobotRefusedError, LinkError, CaseError."""
+        procedure, session, known = self._procedure, self._running(), self._procedure.planned
+        if known is None or known.plan is None or not procedure.go:
+            raise RobotRefusedError("only a plan that is GO can be sent; the step Plan says what stands against it")
+        age = procedure.age_s
+        assert age is not None  # noqa: S101 - it is GO
+        identity, limit = self.identity, _depth_limit(known)
+        target = await session.send(known.plan, identity, time.monotonic() - age, limit)
+        procedure.case.record(
+            Kind.SENT,
+            {
+                "plan": identity.plan,
+                "decisions": procedure.decisions.document(),
+                "trajectory": known.plan.trajectory.document(),
+                "joints": target.q,
+                "error_95_mm": [target.entry_error_95_mm, target.end_error_95_mm],
+                "depth_limit_mm": limit,
+            },
+            by=Actor.SURGEON,
+        )
+        self.sent, self.record, self.wire = known, None, None
+        procedure.notify()
+
+    async def drill(self) -> None:
+        """To the pause, or from it to the tip. Raises RobotRefusedError, LinkError, CaseError."""
+        session = self._running()
+        if await session.drill() != State.DONE.value:
+            return
+        self.record, self.wire = session.record, await session.simulated_wire()
+        content = {"record": self.record.document(), "simulated_wire": self.wire.text()}
+        self._procedure.case.record(Kind.DRILLED, content, by=Actor.ROBOT)
+        self._procedure.notify()
+
+    def _running(self) -> RobotSession:
+        if self.session is None or self.session.now.lost:
+            raise RobotRefusedError("there is no link to a robot; start it first")
+        return self.session
+
+
+def _depth_limit(known: Planned) -> float | None:
+    """How far beyond the entry point the joint's surface lies along the wire, for kinds that end before a joint."""
+    if known.kind.proposal is None:
+        return None
+    assert known.plan is not None  # noqa: S101
+    left: Figure | None = next((one for one in known.figures if one.name == TO_BONE), None)
+    if left is None or left.value is None:
+        raise UnusableInputError(NO_DEPTH_LIMIT)
+    return known.plan.trajectory.length_mm + left.value
+
+
+def _record_of(document: dict) -> DrillingRecord:
+    events = tuple(DrillingEvent(**event) for event in document["events"])
+    return DrillingRecord(np.array(document["depth_mm"]), np.array(document["force_n"]), events)

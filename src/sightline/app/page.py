@@ -1,0 +1,133 @@
+"""The page: steps along the top, two X-ray views, the panel of the step beside them."""
+
+from importlib.resources import files
+from typing import Any
+
+from nicegui import ui
+
+from sightline.app import panel_calibrate, panel_drill, panel_images, panel_plan, panel_verdict, panel_verify
+from sightline.app.drawn import Pictures
+from sightline.app.panel_space import Space
+from sightline.app.procedure import Procedure
+from sightline.app.section import Section, action
+from sightline.app.serve import Site
+from sightline.app.steps import steps
+from sightline.app.tab import Tab
+from sightline.app.texts import NOT_A_DEVICE, REACHABLE, STANDING, STEPS
+
+_CSS = (files("sightline.app") / "page.css").read_text("utf-8")
+_PANELS: dict[str, Any] = dict(
+    zip(STEPS, (panel_images, panel_calibrate, panel_plan, panel_drill, panel_verify), strict=True)
+)
+
+
+def build(site: Site, procedure: Procedure, pictures: Pictures, *, fast_robot: bool = False) -> None:
+    """One page, for one tab of a browser."""
+    ui.add_css(_CSS)
+    tab = Tab(procedure, pictures, fast_robot=fast_robot)
+    with ui.element("header").classes("bar"):
+        tools = _bar(tab)
+    if site.reachable_from_outside:
+        ui.label(REACHABLE).classes("outside").props("role=alert data-testid=reachable")
+    with ui.element("main").classes("work"):
+        with ui.element("div").classes("sight"):
+            Section(tab, lambda t: (t.message, _to_do(t)), _say, classes="say")
+            with ui.splitter(value=50, limits=(20, 80)).classes("views") as both:
+                both.props("data-testid=views")
+                with both.before, ui.element("div").classes("view"):
+                    first = ui.element("div").classes("fill")
+                with both.after, ui.element("div").classes("view"):
+                    second = ui.element("div").classes("fill")
+                tab.build_views(first, second)
+            space = Space(tab)
+        with ui.element("aside").classes("panel"):
+            panel_images.build_drop_zone(tab, site)
+            Section(tab, lambda t: t.step, lambda t: _PANELS[t.step].build(t), classes="step-panel")
+            Section(tab, _beside_key(panel_plan.figures_key), _figures, classes="figures")
+            Section(tab, _beside_key(panel_verdict.key), _verdict, classes="verdict-panel")
+            ui.label(f"{NOT_A_DEVICE} Case {procedure.case.number}").classes("foot")
+    with tools:
+        action("3-D", space.toggle, testid="space-toggle", kind="plain").move(tools, 0)
+    ui.keyboard(on_key=lambda event: _key(tab, event), ignore=["input", "select", "textarea"])
+    procedure.listeners.append(tab.later)
+    ui.context.client.on_delete(lambda: procedure.listeners.remove(tab.later))
+    tab.go_to(_first_open(procedure))
+
+
+def _first_open(procedure: Procedure) -> str:
+    """The step to begin with: the first that is not done."""
+    return next((step.name for step in steps(procedure) if step.standing != "done"), STEPS[-1])
+
+
+def _bar(tab: Tab) -> ui.element:
+    """Brand, steps and tools; the box of the tools."""
+    ui.label("Sightline").classes("brand")
+    Section(tab, lambda t: (steps(t.procedure), t.step), _steps, classes="steps")
+    with ui.element("div").classes("tools") as tools:
+        Section(tab, lambda t: (t.procedure.history.can_undo, t.procedure.history.can_redo), _undo, classes="undo")
+        Section(tab, lambda t: t.procedure.drilling.now is not None, _stop, classes="stop-box")
+    return tools
+
+
+def _steps(tab: Tab) -> None:
+    for number, step in enumerate(steps(tab.procedure), 1):
+        button = action(f"{number} {step.name}", lambda step=step: tab.go_to(step.name), testid=f"step-{step.name}")
+        button.classes(f"step {step.standing}{' here' if step.name == tab.step else ''}")
+        button.props(f"aria-current={'step' if step.name == tab.step else 'false'}")
+        button.tooltip(step.reason)
+        with button:
+            ui.label(STANDING[step.standing]).classes("standing")
+
+
+def _undo(tab: Tab) -> None:
+    history = tab.procedure.history
+    action("↶ Undo", tab.doing(tab.procedure.undo), testid="undo", kind="plain", enabled=history.can_undo)
+    action("↷ Redo", tab.doing(tab.procedure.redo), testid="redo", kind="plain", enabled=history.can_redo)
+
+
+def _stop(tab: Tab) -> None:
+    if tab.procedure.drilling.session is not None:
+        action("STOP", tab.doing(lambda: _stop_robot(tab)), testid="stop", kind="danger")
+
+
+async def _stop_robot(tab: Tab) -> None:
+    session = tab.procedure.drilling.session
+    if session is not None:
+        await session.stop()
+
+
+async def _key(tab: Tab, event) -> None:
+    if not event.action.keydown or event.action.repeat:
+        return
+    if event.key == " ":
+        await tab.act(lambda: _stop_robot(tab))
+    elif event.modifiers.ctrl and event.key == "z":
+        await tab.act(tab.procedure.redo if event.modifiers.shift else tab.procedure.undo)
+    elif event.modifiers.ctrl and event.key == "y":
+        await tab.act(tab.procedure.redo)
+
+
+def _say(tab: Tab) -> None:
+    if tab.message:
+        ui.label(tab.message).classes("message").props("role=alert data-testid=message")
+    else:
+        ui.label(_to_do(tab)).classes("instruction").props("role=status data-testid=instruction")
+
+
+def _to_do(tab: Tab) -> str:
+    """What to do next: place a point, or what the step waits for."""
+    return panel_plan.instruction(tab) or next(s.reason for s in steps(tab.procedure) if s.name == tab.step)
+
+
+def _beside_key(key):
+    return lambda tab: (tab.step, key(tab))
+
+
+def _figures(tab: Tab) -> None:
+    if tab.step == STEPS[2]:
+        panel_plan.build_figures(tab)
+
+
+def _verdict(tab: Tab) -> None:
+    if tab.step in (STEPS[2], STEPS[3]):
+        panel_verdict.build(tab)

@@ -1,0 +1,183 @@
+"""The fourth step: the plan sent, the arm aligned, the wire drilled; a person tells each motion."""
+
+from collections.abc import Awaitable, Callable, Hashable
+
+import numpy as np
+from nicegui import ui
+
+from sightline.app.section import Section, action, checks, heading, note, table
+from sightline.app.tab import Tab
+from sightline.app.texts import (
+    ALIGN_QUESTION,
+    DRILL_ON_QUESTION,
+    DRILL_QUESTION,
+    NO_ROBOT,
+    RESET_QUESTION,
+    RETRACT_QUESTION,
+    SEND_QUESTION,
+    SEND_WHAT,
+    STOP_IS_NO_EMERGENCY_STOP,
+)
+from sightline.case.figure_force import force_trace
+from sightline.robot.states import State
+
+_LIVE_S = 0.2  # between two looks at the robot [ours]
+_BEFORE_MM = 10.0  # of the entry point, where the drawing of the force begins
+
+
+def _key(tab: Tab) -> Hashable:
+    drilling, now = tab.procedure.drilling, tab.procedure.drilling.now
+    told = () if now is None else (now.state, now.fault, now.doing, now.said, now.lost)
+    return (told, drilling.sent, drilling.record, tab.procedure.go, tab.procedure.working, tab.fast_robot)
+
+
+def build(tab: Tab) -> None:
+    """The panel."""
+    Section(tab, _key, _robot)
+    Section(tab, lambda t: t.procedure.drilling.session, _force)
+
+
+def _robot(tab: Tab) -> None:
+    procedure = tab.procedure
+    drilling, now = procedure.drilling, procedure.drilling.now
+    heading("Robot")
+    note(STOP_IS_NO_EMERGENCY_STOP, kind="warn")
+    if now is None or now.lost:
+        if now is not None:
+            note(now.said, kind="bad", testid="robot-said")
+        if procedure.patient is None:
+            note(NO_ROBOT, kind="warn", testid="no-robot")
+            return
+
+        def begin() -> Awaitable[None]:
+            return procedure.during("starting the simulated robot", drilling.start_robot(fast=tab.fast_robot))
+
+        busy = bool(procedure.working)
+        action("Start the simulated robot", tab.doing(begin), testid="start-robot", kind="primary", enabled=not busy)
+        if busy:
+            note(f"{procedure.working.capitalize()} …")
+        return
+    _state(tab)
+    if drilling.session is not None and drilling.session.target is not None:
+        checks(drilling.session.target.checks, testid="target-checks")
+    _orders(tab)
+
+
+def _state(tab: Tab) -> None:
+    now = tab.procedure.drilling.now
+    assert now is not None  # noqa: S101
+    with ui.element("div").classes("robot-state").props("data-testid=robot-state role=status"):
+        ui.label(now.state).classes("state-word")
+        ui.label(f"{now.doing} …" if now.doing else "").classes("state-doing")
+    if now.said:
+        note(now.said, kind="bad", testid="robot-said")
+    live = ui.label().classes("live").props("data-testid=robot-live")
+
+    def tell() -> None:
+        at = tab.procedure.drilling.now
+        if at is None:
+            return
+        depth = "–" if at.depth_mm is None else f"{at.depth_mm:.1f} mm"
+        force = "–" if at.force_n is None else f"{at.force_n:.1f} N"
+        live.set_text(f"depth {depth} · thrust {force}")
+
+    tell()
+    ui.timer(_LIVE_S, tell)
+
+
+def _orders(tab: Tab) -> None:
+    """The buttons that lead on from here; a person's confirmation before each motion."""
+    procedure = tab.procedure
+    drilling, now = procedure.drilling, procedure.drilling.now
+    session = drilling.session
+    assert now is not None and session is not None  # noqa: S101
+    idle, state = not now.doing, now.state
+    if now.fault:
+        note(f"Fault {now.fault}: {now.text}", kind="bad", testid="fault")
+        _asked(tab, "Reset the fault", RESET_QUESTION, lambda: session.reset(now.fault), "reset-fault", enabled=idle)
+        return
+    plan = procedure.planned.plan if procedure.planned is not None else None
+    can_send = idle and procedure.go and state not in (State.ALIGNED.value, State.PAUSED.value, State.DONE.value)
+    if plan is not None and procedure.go and procedure.decisions.side is not None:
+        what = SEND_WHAT.format(
+            robot="simulated robot" if procedure.patient else "robot",
+            length=plan.trajectory.length_mm,
+            side=procedure.decisions.side,
+            serial=procedure.decisions.serial,
+        )
+        _asked(tab, "Send the plan", SEND_QUESTION, drilling.send, "send", what=what, enabled=can_send)
+    else:
+        note("Only a plan that is GO can be sent.", kind="warn", testid="not-go")
+    ready = idle and session.target is not None
+    if state in (State.TARGETING.value, State.STOP.value):
+        _asked(tab, "Align", ALIGN_QUESTION, session.align, "align", enabled=ready)
+    if state == State.ALIGNED.value:
+        _asked(tab, "Drill", DRILL_QUESTION, drilling.drill, "drill", enabled=ready)
+    if state == State.PAUSED.value:
+        _asked(tab, "Drill on", DRILL_ON_QUESTION, drilling.drill, "drill-on", enabled=ready)
+    if state in (State.DONE.value, State.STOP.value, State.ALIGNED.value, State.PAUSED.value):
+        _asked(tab, "Draw back", RETRACT_QUESTION, session.retract, "retract", enabled=idle, kind="plain")
+    if state == State.DONE.value or drilling.record is not None:
+        note("Drilled to the planned depth. Verify it in two more images.", kind="good", testid="drilled")
+
+
+def _asked(
+    tab: Tab,
+    text: str,
+    question: str,
+    order: Callable[[], Awaitable[object]],
+    testid: str,
+    *,
+    what: str = "",
+    enabled: bool,
+    kind: str = "primary",
+) -> None:
+    """A button that asks once more before it does it."""
+    with ui.dialog() as dialog, ui.card().classes("question"):
+        ui.label(question).classes("question-text")
+        if what:
+            ui.label(what)
+
+        async def agreed() -> None:
+            dialog.close()
+            await tab.act(order)
+
+        with ui.element("div").classes("choice"):
+            action("Cancel", dialog.close, testid=f"{testid}-cancel", kind="plain")
+            action(text, agreed, testid=f"{testid}-yes", kind="primary")
+    action(text, dialog.open, testid=testid, kind=kind, enabled=enabled)
+
+
+def _force(tab: Tab) -> None:
+    """The thrust over the depth, as it comes."""
+    if tab.procedure.drilling.session is None and tab.procedure.drilling.record is None:
+        return
+    heading("Thrust over depth")
+    drawing = ui.html("", sanitize=False).classes("force").props("data-testid=force")
+    events = ui.column().classes("events").props("data-testid=events")
+    shown = -1
+
+    def tell() -> None:
+        nonlocal shown
+        drilling = tab.procedure.drilling
+        session = drilling.session
+        record = drilling.record or (None if session is None else session.record)
+        if record is None or len(record.depth_mm) == shown or len(record.depth_mm) < 2:
+            return
+        shown = len(record.depth_mm)
+        near = record.depth_mm > -_BEFORE_MM
+        if np.count_nonzero(near) < 2:
+            return
+        noticed = {event.name: event.depth_mm for event in reversed(record.events)}
+        said = ", ".join(f"{event.name} at {event.depth_mm:.1f} mm" for event in record.events)
+        drawing.set_content(force_trace(record.depth_mm[near], record.force_n[near], noticed, f"Thrust: {said}"))
+        events.clear()
+        with events:
+            table(
+                ("noticed", "depth", "thrust"),
+                [(one.name, f"{one.depth_mm:.1f} mm", f"{one.force_n:.1f} N") for one in record.events],
+                testid="events-table",
+            )
+
+    tell()
+    ui.timer(_LIVE_S * 2, tell)

@@ -1,0 +1,297 @@
+"""One case at work: its images, what people decided, what follows. The journal has it all before a page shows it."""
+
+import asyncio
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import replace
+from datetime import UTC, datetime
+from pathlib import Path
+
+from sightline.app import rehearsing
+from sightline.app.decisions import Decisions, Display, History, Pixel, Side
+from sightline.app.drilling import Drilling
+from sightline.app.marks import CHECK_NAMES
+from sightline.app.planner import Planned, moved, planned
+from sightline.app.rehearsing import Patient
+from sightline.app.seen import Lightbox, SeenImage
+from sightline.app.texts import BUG
+from sightline.app.verifying import Verifying
+from sightline.app.workshop import Workshop, warm_up
+from sightline.calibration import BeadView
+from sightline.case import stages
+from sightline.case.entry import Actor, Kind
+from sightline.case.journal import Case
+from sightline.case.views import NAMES
+from sightline.checks import Check
+from sightline.errors import SightlineError, UnusableInputError
+from sightline.frame import Frame
+from sightline.robot.target import LIFETIME_S
+
+IMAGES = (*NAMES, *CHECK_NAMES)
+_EDITS = ("edit", "undo", "redo")
+
+
+class Procedure:
+    """`changed` listeners are called, on the event loop, whenever something that a page shows is another."""
+
+    def __init__(self, case: Case, frame_ref: str, workshop: Workshop) -> None:
+        self.case, self.frame, self.workshop = case, stages.frame_of(case, frame_ref), workshop
+        self.snapping = True
+        self.listeners: list[Callable[[], None]] = []
+        self.working = ""  # what is being done that is no single image's
+        self.trouble = ""  # why the last of it failed
+        self.lightbox = Lightbox(case, frame_ref, workshop, self.notify)
+        changes = [entry.content for entry in case.entries(Kind.CHANGED) if entry.content["what"] in _EDITS]
+        self.history = History((one["what"], None if one["to"] is None else Decisions.of(one["to"])) for one in changes)
+        self._planned: Planned | None = None
+        self.drilling, self.verifying = Drilling(self), Verifying(self)
+
+    @staticmethod
+    def open(folder: Path, frame_name: str | None, patient: Patient | None, workshop: Workshop) -> "Procedure":
+        """The case in a folder, made there where there is none: with a frame, and a patient to rehearse on if given.
+
+        Raises CaseError, FrameError, UnusableInputError where the case has another frame than the one named."""
+        if not (folder / "journal.sqlite").exists():
+            case = Case.create(folder)
+            frame = Frame.load(frame_name or "gamma")
+            case.record(Kind.CHANGED, _change("frame", stages.keep_frame(case, frame)), by=Actor.APP)
+            if patient is not None:
+                case.record(Kind.CHANGED, _change("rehearsal", vars(patient)), by=Actor.APP)
+        case = Case.open(folder)
+        entry = case.latest(Kind.CHANGED, where={"what": "frame"})
+        kept = "gamma" if entry is None else str(entry.content["to"])
+        if frame_name is not None and stages.keep_frame(case, Frame.load(frame_name)) != kept:
+            raise UnusableInputError(
+                "this case was begun with another frame; open it without --frame, or begin a new case for this frame"
+            )
+        return Procedure(case, kept, workshop)
+
+    # What is known.
+
+    @property
+    def decisions(self) -> Decisions:
+        """What people decided, now."""
+        return self.history.now
+
+    @property
+    def patient(self) -> Patient | None:
+        """Whom this case rehearses; None where its images are somebody's own."""
+        entry = self.case.latest(Kind.CHANGED, where={"what": "rehearsal"})
+        return None if entry is None else Patient.of(entry.content["to"])
+
+    def seen(self, image: str) -> SeenImage | None:
+        """What is known of an image, by its name; None where there is none."""
+        return self.lightbox.image(self.decisions.images.get(image))
+
+    def views(self, names: tuple[str, str] = NAMES) -> tuple[BeadView, BeadView] | None:
+        """Both views of a pair, once both are calibrated."""
+        first, second = (None if seen is None else seen.view for seen in map(self.seen, names))
+        return None if first is None or second is None else (first, second)
+
+    @property
+    def planned(self) -> Planned | None:
+        """All that follows from the decisions; None until both views are calibrated."""
+        views = self.views()
+        if views is None:
+            return None
+        old = self._planned
+        if old is None or old.decisions is not self.decisions or old.views != views:
+            self._planned = planned(self.decisions, views)
+        return self._planned
+
+    @property
+    def imaged_at(self) -> datetime | None:
+        """When the older of the two planning images came in."""
+        seen = [self.seen(name) for name in NAMES]
+        at = [one.acquired.at for one in seen if one is not None]
+        return min(at) if len(at) == len(NAMES) else None
+
+    @property
+    def age_s(self) -> float | None:
+        """Of the plan: since its older image. None without images; negative where the clock was set back."""
+        at = self.imaged_at
+        return None if at is None else (datetime.now(UTC) - at).total_seconds()
+
+    @property
+    def checks(self) -> tuple[Check, ...]:
+        """All that stands for or against sending the plan: planning's checks, then what a person must confirm."""
+        known = self.planned
+        of_plan = () if known is None or known.plan is None else known.plan.verdict.checks
+        return (*of_plan, *self.confirmations)
+
+    @property
+    def go(self) -> bool:
+        """True if there is a plan and every check passed."""
+        known = self.planned
+        return known is not None and known.plan is not None and all(check.passed for check in self.checks)
+
+    @property
+    def confirmations(self) -> list[Check]:
+        """What a person must confirm before anything is sent, and the plan's age."""
+        side, serial, age = self.decisions.side, self.decisions.serial, self.age_s
+        known = self.frame.serial
+        fresh = age is not None and 0.0 <= age <= LIFETIME_S
+        return [
+            Check(
+                "side confirmed",
+                side is not None,
+                None,
+                None,
+                "",
+                f"A person confirmed on the images that this is a {side} hip."
+                if side
+                else "Look at both images and confirm the patient's side, on the step Images.",
+            ),
+            Check(
+                "frame confirmed",
+                serial is not None and (known is None or serial == known),
+                None,
+                None,
+                "",
+                f"A person read the serial {serial} on the frame."
+                if serial
+                else "Read the serial on the frame that the robot holds and confirm it, on the step Images.",
+            ),
+            Check(
+                "plan age",
+                fresh,
+                age,
+                LIFETIME_S,
+                "s",
+                "The images are recent enough: the patient has not had long to move."
+                if fresh
+                else "The images are too old, or the clock was set back: the patient may have moved; take both again.",
+            ),
+        ]
+
+    # What people do.
+
+    def edit(self, decisions: Decisions) -> None:
+        """Decide otherwise; in the journal when this returns. Raises CaseError."""
+        if decisions != self.decisions:
+            self._record("edit", decisions)
+            self.history.edit(decisions)
+            self.notify()
+
+    def undo(self) -> None:
+        """One change back."""
+        if self.history.can_undo:
+            self._record("undo", None)
+            self.history.undo()
+            self._reopen()
+
+    def redo(self) -> None:
+        """And forth again."""
+        if self.history.can_redo:
+            self._record("redo", None)
+            self.history.redo()
+            self._reopen()
+
+    def moved(self, name: str, image: str, uv_px: Pixel) -> Decisions:
+        """What placing or moving a mark would come to. Raises what `snap` raises."""
+        return moved(self.decisions, self.views() or (), name, image, uv_px, snapping=self.snapping)
+
+    def preview(self, name: str, image: str, uv_px: Pixel) -> Planned | None:
+        """What would follow from moving a mark; nothing is changed. None until both views are calibrated."""
+        views = self.views()
+        return None if views is None else planned(self.moved(name, image, uv_px), views)
+
+    def remove(self, names: tuple[str, ...]) -> None:
+        """Take marks away."""
+        decisions = self.decisions
+        for name in names:
+            decisions = decisions.with_mark(name, None)
+        self.edit(decisions)
+
+    def choose_kind(self, kind: str) -> None:
+        """Plan another kind of trajectory; marks that both kinds ask for stay."""
+        self.edit(replace(self.decisions, kind=kind))
+
+    def confirm_side(self, side: Side | None) -> None:
+        """A person saw on the images which side it is."""
+        self.edit(replace(self.decisions, side=side))
+
+    def confirm_serial(self, serial: str | None) -> None:
+        """A person read the frame's serial. Raises UnusableInputError where it is another than the frame file's."""
+        known = self.frame.serial
+        if serial is not None and known is not None and serial != known:
+            raise UnusableInputError(
+                f"this case was calibrated with the frame {known}; if the robot holds another, open a case with that"
+            )
+        self.edit(replace(self.decisions, serial=serial))
+
+    def show(self, image: str, display: Display) -> None:
+        """Show an image otherwise."""
+        self.edit(self.decisions.with_display(image, display))
+
+    async def take(self, data: bytes, suffix: str, *, image: str, by: Actor = Actor.RADIOGRAPHER) -> str:
+        """A new image; its datum markers tell which view it is, `image` only where they cannot be read. The name it was
+        put under. Raises ImageError, CaseError."""
+        check = image in CHECK_NAMES
+        seen = await self.lightbox.acquire(data, suffix, by)
+        name = image
+        if seen.observations is not None:
+            name = f"check-{seen.observations.view}" if check else seen.observations.view
+        before = self.seen(name)
+        same = before is not None and before.acquired.content["original"] == seen.acquired.content["original"]
+        self.edit(self.decisions.with_image(name, seen.acquired.number, same_pixels=same))
+        return name
+
+    def notify(self) -> None:
+        """Tell every page."""
+        for listener in list(self.listeners):
+            listener()
+
+    # How the case is brought back.
+
+    async def start(self) -> None:
+        """Open the images that the decisions name; a rehearsal without images takes its first."""
+        with suppress(SightlineError):  # pages show it as `trouble`
+            await self.during("starting", self.workshop.do(warm_up))
+            if self.patient is not None and not self.decisions.images:
+                await self.take_rehearsed()
+        await self._open_named()
+
+    async def take_rehearsed(self) -> None:
+        """Both planning images of the rehearsed patient, anew."""
+        patient = self.patient
+        if patient is None:
+            raise UnusableInputError("this case is no rehearsal: its images come from a C-arm")
+        files = await self.during(
+            "taking both images of the simulated patient", self.workshop.do(rehearsing.images, patient)
+        )
+        for name, data in files.items():
+            await self.take(data, ".dcm", image=name, by=Actor.DEMO)
+
+    async def during(self, what: str, work):
+        """`await` some work while pages say what it is; its SightlineError is shown and raised."""
+        self.working, self.trouble = what, ""
+        self.notify()
+        try:
+            return await work
+        except SightlineError as error:
+            self.trouble = str(error)
+            raise
+        except Exception as error:
+            self.trouble = BUG.format(kind=type(error).__name__)
+            raise
+        finally:
+            self.working = ""
+            self.notify()
+
+    def _reopen(self) -> None:
+        self.notify()
+        asyncio.get_running_loop().create_task(self._open_named())
+
+    async def _open_named(self) -> None:
+        for number in self.decisions.images.values():
+            with suppress(SightlineError):
+                await self.lightbox.open(self.case.entry(number))
+
+    def _record(self, what: str, decisions: Decisions | None) -> None:
+        to = None if decisions is None else decisions.document()
+        self.case.record(Kind.CHANGED, _change(what, to), by=Actor.SURGEON)
+
+
+def _change(what: str, to: object) -> dict[str, object]:
+    return {"what": what, "from": None, "to": to}

@@ -1,0 +1,56 @@
+"""Images of a rehearsed patient, made in the workshop's process; nothing but files' bytes comes back."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+from sightline.app.space_document import bone_objects
+from sightline.case.views import NAMES
+from sightline.frame import Frame
+from sightline.imaging import Radiograph, write_dicom
+from sightline.rehearsal.procedure import Rehearsal
+from sightline.robot.simulated import SimulatedWire
+
+
+@dataclass(frozen=True)
+class Patient:
+    """Whom to rehearse on: `Rehearsal.draw(seed, Frame.load(frame), side)`."""
+
+    seed: int
+    frame: str = "gamma"
+    side: str = "right"
+
+    @staticmethod
+    def of(document: Mapping[str, Any]) -> "Patient":
+        """From JSON types."""
+        return Patient(int(document["seed"]), str(document["frame"]), str(document["side"]))
+
+
+@lru_cache(maxsize=1)
+def drawn(patient: Patient) -> Rehearsal:
+    """The patient, drawn once in a process."""
+    return Rehearsal.draw(patient.seed, Frame.load(patient.frame), patient.side)
+
+
+def images(patient: Patient) -> dict[str, bytes]:
+    """The planning images as DICOM, by view."""
+    return _files(drawn(patient).images)
+
+
+def check_images(patient: Patient, wire: str) -> dict[str, bytes]:
+    """The check shot's images as DICOM, by view, with the wire (`SimulatedWire.text`) in the bone."""
+    return _files(drawn(patient).check_images(SimulatedWire.of(wire)).images)
+
+
+def bone(patient: Patient) -> list[dict[str, Any]]:
+    """The femur's surface, for the scene in space."""
+    return [one for volume in drawn(patient).hip.bone.volumes for one in bone_objects(volume)]
+
+
+def _files(radiographs: Mapping[str, Radiograph]) -> dict[str, bytes]:
+    with TemporaryDirectory() as folder:
+        written = {name: write_dicom(radiographs[name], Path(folder) / f"{name}.dcm") for name in NAMES}
+        return {name: file.read_bytes() for name, file in written.items()}

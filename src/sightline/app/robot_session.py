@@ -1,0 +1,204 @@
+"""The robot as the page has it: a link on a thread of its own, what it streams, and what people tell it to do."""
+
+import asyncio
+import threading
+import time
+from collections.abc import Callable
+from concurrent.futures import Future
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from queue import Empty, SimpleQueue
+from typing import Any, TypeVar
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+from sightline.errors import LinkError, SightlineError
+from sightline.planning import Plan
+from sightline.rehearsal.operation import target_of
+from sightline.robot import contract
+from sightline.robot.calibrated import CalibratedRobot
+from sightline.robot.client import RobotClient
+from sightline.robot.igtl import Message, NDArray, Sensor
+from sightline.robot.record import DrillingRecord, Recorder
+from sightline.robot.registration import PoseAtImage, register
+from sightline.robot.simulated import SimulatedWire
+from sightline.robot.target import PlanIdentity, RobotTarget
+
+T = TypeVar("T")
+_STATUS_EVERY_S = 0.25  # [ours]
+_IDLE_S = 0.02  # between two looks for something to do
+_TOLD = ("state", "fault", "doing", "said", "lost")  # news that pages are told of; the rest they look up themselves
+
+
+@dataclass(frozen=True, eq=False)
+class RobotNow:
+    """What is known of the robot at this moment. `state`: of its contract; `fault`: its number, 0 for none; `doing`:
+    what a person told it and it has not ended yet; `said`: why the last thing it was told failed."""
+
+    state: str = "UNDEFINED"
+    text: str = ""
+    fault: int = 0
+    doing: str = ""
+    said: str = ""
+    depth_mm: float | None = None
+    force_n: float | None = None
+    joints: np.ndarray | None = None
+    lost: bool = False
+
+
+class RobotSession:
+    """A robot behind a port of this machine. `changed` is called, from any thread, when state, fault or orders change.
+
+    Orders are carried out in their turn, one at a time; `stop` goes at once, on a connection of its own.
+    """
+
+    def __init__(
+        self, robot: CalibratedRobot, port: int, changed: Callable[[], None], *, heartbeat: bool = True
+    ) -> None:
+        """Blocks until the link stands. Raises LinkError."""
+        self.robot, self.now, self.target = robot, RobotNow(), None
+        self._changed, self._heartbeat = changed, heartbeat
+        self._recorder = Recorder()
+        self._orders: SimpleQueue[tuple[Callable[[RobotClient], Any], Future]] = SimpleQueue()
+        self._end = threading.Event()
+        self._client = RobotClient(port=port, heartbeat=heartbeat)
+        self._client.listeners.append(self._heard)
+        self.imaged_q = self._client.joints()[0]
+        self._thread = threading.Thread(target=self._run, name="robot session", daemon=True)
+        self._thread.start()
+
+    target: RobotTarget | None
+
+    @property
+    def record(self) -> DrillingRecord:
+        """Depth, force and events since the last target was sent."""
+        return self._recorder.record
+
+    def close(self) -> None:
+        """Let the robot go: it stops and forgets what it was told."""
+        self._end.set()
+        self._thread.join(5.0)
+
+    async def send(
+        self, plan: Plan, identity: PlanIdentity, imaged_s: float, depth_limit_mm: float | None
+    ) -> RobotTarget:
+        """Register, aim and send a plan. `imaged_s`: of the images, time.monotonic. `depth_limit_mm` from the entry
+        point; without one the wire may go as deep as planned. Raises RobotRefusedError, LinkError."""
+        pose = PoseAtImage(self.imaged_q, imaged_s, imaged_s)
+        target = target_of(plan, identity, register(self.robot, {"pa": pose, "lateral": pose}))
+
+        def order(client: RobotClient) -> None:
+            client.start_up()
+            client.calibrate(target.registration.T_mcs_cfcs, imaged_s)
+            limit = target.length_mm if depth_limit_mm is None else depth_limit_mm - target.end_error_95_mm
+            client.aim_plan(target, time.monotonic(), limit)
+
+        self._recorder = Recorder()
+        await self._do("taking over the plan", order)
+        self.target = target
+        return target
+
+    async def align(self) -> None:
+        """Turn the arm to the plan, and wait there. Raises RobotRefusedError, LinkError."""
+        await self._do("aligning", lambda client: client.align())
+
+    async def drill(self) -> str:
+        """To the pause, or from it to the tip: where it ended. Raises RobotRefusedError, LinkError."""
+        return await self._do("drilling", lambda client: client.drill())
+
+    async def retract(self) -> None:
+        """Draw the wire, or the open chuck, back. Raises RobotRefusedError, LinkError."""
+        await self._do("drawing back", lambda client: client.retract())
+
+    async def reset(self, fault: int) -> None:
+        """After a fault that a person has seen to. Raises RobotRefusedError, LinkError."""
+        await self._do("resetting", lambda client: client.reset(fault))
+
+    async def simulated_wire(self) -> SimulatedWire:
+        """Where a simulated robot's wire truly is. Raises RobotRefusedError of a real one."""
+        return await self._do("telling where the wire is", lambda client: client.simulated_wire())
+
+    async def stop(self) -> None:
+        """At once, whatever goes on. Raises LinkError."""
+        await asyncio.to_thread(self._client.stop)
+
+    async def _do(self, doing: str, order: Callable[[RobotClient], T]) -> T:
+        future: Future = Future()
+        self._put(doing=doing, said="")
+        self._orders.put((order, future))
+        try:
+            return await asyncio.wrap_future(future)
+        except SightlineError as error:
+            self._put(said=str(error))
+            raise
+        finally:
+            self._put(doing="")
+
+    # The link's thread.
+
+    def _run(self) -> None:
+        try:
+            with self._client:
+                asked_s = 0.0
+                while not self._end.is_set():
+                    with suppress(Empty):
+                        self._carry_out(*self._orders.get_nowait())
+                    if time.monotonic() - asked_s > _STATUS_EVERY_S:
+                        status = self._client.status()
+                        state = status.text.split(";")[0] or status.error_name
+                        self._put(state=state, text=status.text, fault=int(status.subcode))
+                        asked_s = time.monotonic()
+                    if self._heartbeat:
+                        self._client.stream(contract.MEASURED_JS)  # hears all streams, and sends heartbeats meanwhile
+                    else:
+                        self._end.wait(_IDLE_S)
+        except LinkError as error:
+            self._put(lost=True, said=str(error), doing="")
+        finally:
+            with suppress(Empty):
+                while True:
+                    _, future = self._orders.get_nowait()
+                    future.set_exception(LinkError("the link to the robot was closed"))
+
+    def _carry_out(self, order: Callable[[RobotClient], Any], future: Future) -> None:
+        try:
+            result = order(self._client)
+        except BaseException as error:
+            future.set_exception(error)
+            if isinstance(error, LinkError) and not self._answers():
+                raise
+        else:
+            future.set_result(result)
+
+    def _answers(self) -> bool:
+        with suppress(SightlineError):
+            self._client.status()
+            return True
+        return False
+
+    def _heard(self, message: Message) -> None:
+        self._recorder.heard(message)
+        body = message.body
+        if isinstance(body, Sensor) and len(body.values) == 1:
+            value = float(body.values[0])
+            if message.device_name == contract.DEPTH:
+                self._put(depth_mm=value if np.isfinite(value) else None)
+            elif message.device_name == contract.FORCE:
+                self._put(force_n=value)
+        elif isinstance(body, NDArray) and message.device_name == contract.MEASURED_JS and body.values.ndim == 2:
+            self._put(joints=np.array(body.values[0]))
+
+    def _put(self, **news: Any) -> None:
+        told = any(getattr(self.now, name) != news[name] for name in _TOLD if name in news)
+        self.now = replace(self.now, **news)
+        if told:
+            self._changed()
+
+
+def wire_pose(session: RobotSession) -> RigidTransform | None:
+    """Where the wire is by the encoders, CFCS of the images; None before a target was sent."""
+    if session.target is None or session.now.joints is None:
+        return None
+    registration = session.target.registration
+    return registration.T_mcs_cfcs.inv() * registration.robot.manipulator.T_mcs_tool(session.now.joints)

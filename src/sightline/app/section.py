@@ -1,0 +1,90 @@
+"""A part of the page that is built anew when what it shows is another, and left alone otherwise."""
+
+from collections.abc import Callable, Hashable, Sequence
+from typing import Any
+
+from nicegui import ui
+
+from sightline.app.tab import Tab
+from sightline.checks import Check
+
+
+class Section:
+    """`build(tab)` fills the section, and again whenever `key(tab)` has changed. Sections may hold others: what is
+    typed into one is not lost because another is built anew."""
+
+    def __init__(
+        self, tab: Tab, key: Callable[[Tab], Hashable], build: Callable[[Tab], None], *, classes: str = ""
+    ) -> None:
+        self._tab, self._key, self._build = tab, key, build
+        self._shown: Hashable = object()
+        self._box = ui.element("section").classes(classes)
+        tab.on_refresh.append(self.refresh)
+        self.refresh()
+
+    def refresh(self) -> None:
+        """Build it if it is to show something else."""
+        if self._box.is_deleted:
+            self._tab.on_refresh.remove(self.refresh)
+            return
+        key = self._key(self._tab)
+        if key != self._shown:
+            self._shown = key
+            self._box.clear()
+            with self._box:
+                self._build(self._tab)
+
+
+def heading(text: str) -> None:
+    """Of a part of a panel."""
+    with ui.element("h2"):
+        ui.label(text)
+
+
+def note(text: str, *, kind: str = "", testid: str = "") -> None:
+    """A sentence; `kind`: good, warn, bad or quiet."""
+    label = ui.label(text).classes(f"note {kind}".strip())
+    if testid:
+        label.props(f"data-testid={testid}")
+
+
+def action(text: str, handler: Any, *, testid: str, kind: str = "", enabled: bool = True) -> ui.button:
+    """A button; `kind`: primary, danger or plain."""
+    button = ui.button(text, on_click=handler, color=None).classes(f"action {kind}".strip())
+    button.props(f"no-caps unelevated data-testid={testid}")
+    button.set_enabled(enabled)
+    return button
+
+
+def checks(listed: Sequence[Check], *, testid: str) -> None:
+    """Checks with figure, limit and sentence, the failed ones first."""
+    with ui.element("ul").classes("checks").props(f"data-testid={testid}"):
+        for check in sorted(listed, key=lambda one: one.passed):
+            with ui.element("li").classes("passed" if check.passed else "failed"):
+                with ui.element("div").classes("check-head"):
+                    ui.label("✓" if check.passed else "✕").classes("mark").props("aria-hidden=true")
+                    ui.label(check.name).classes("check-name")
+                    ui.label(_figure(check)).classes("check-figure")
+                    ui.label("passed" if check.passed else "failed").classes("unseen")
+                ui.label(check.sentence).classes("check-sentence")
+
+
+def _figure(check: Check) -> str:
+    if check.figure is None:
+        return ""
+    limit = "" if check.limit is None else f" / {check.limit:.3g}"
+    return f"{check.figure:.3g}{limit} {check.unit}".strip()
+
+
+def table(columns: Sequence[str], rows: Sequence[Sequence[str]], *, testid: str) -> None:
+    """A small table."""
+    with ui.element("table").props(f"data-testid={testid}"):
+        with ui.element("tr"):
+            for column in columns:
+                with ui.element("th"):
+                    ui.label(column)
+        for row in rows:
+            with ui.element("tr"):
+                for cell in row:
+                    with ui.element("td"):
+                        ui.label(cell)

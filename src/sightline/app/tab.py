@@ -1,0 +1,285 @@
+"""One open page: what it shows of the procedure, and what its person does. Several may show the same procedure."""
+
+import asyncio
+import traceback
+from collections.abc import Awaitable, Callable
+from typing import Any
+
+from nicegui import ui
+
+from sightline.app import shapes
+from sightline.app.decisions import Display
+from sightline.app.drawn import Pictures
+from sightline.app.marks import CHECK_NAMES, Asked, asked_of
+from sightline.app.planner import Planned
+from sightline.app.procedure import Procedure
+from sightline.app.texts import BUG, IMAGE_LABELS, STEPS, XRAY
+from sightline.app.xray import Window, XrayEvent, XrayView
+from sightline.case.views import NAMES
+from sightline.errors import SightlineError
+
+_STYLES = {"wire": "plan", "landmark": "landmark", "aid": "aid"}
+
+
+class Tab:
+    """State of one page that is nobody else's: its step, what is to be placed next, what was said to its person."""
+
+    def __init__(self, procedure: Procedure, pictures: Pictures, *, fast_robot: bool = False) -> None:
+        """`fast_robot`: a simulated robot's time runs as fast as it computes."""
+        self.procedure, self.pictures, self.fast_robot = procedure, pictures, fast_robot
+        self.step = STEPS[0]
+        self.placing: tuple[str, str] | None = None  # a mark and the image it is placed in
+        self.sequence: tuple[Asked, ...] = ()  # what is placed one after the other
+        self.message = ""
+        self.show_beads, self.show_rejected = True, False
+        self.views: tuple[XrayView, XrayView]
+        self.preview: Planned | None = None  # while a point is dragged
+        self.on_refresh: list[Callable[[], None]] = []
+        self._shown: dict[tuple[str, str], Any] = {}
+        self._waiting = self._offered = False
+
+    # What is shown.
+
+    @property
+    def images(self) -> tuple[str, str]:
+        """Names of the images in the two views."""
+        return CHECK_NAMES if self.step == STEPS[4] and self.procedure.seen(CHECK_NAMES[0]) else NAMES
+
+    def build_views(self, *boxes: ui.element) -> None:
+        """The two X-ray views, each in its box."""
+        made = []
+        for name, box in zip(NAMES, boxes, strict=True):
+            with box:
+                made.append(XrayView(name, label=IMAGE_LABELS[name], texts=XRAY))
+            made[-1].on_event(self._heard)
+        self.views = (made[0], made[1])
+
+    def go_to(self, step: str) -> None:
+        """Another step; nothing is lost by it."""
+        self.step, self.message = step, ""
+        self.show_beads = step in STEPS[:2]  # where bone is looked at they are in the way
+        self.placing, self._offered = None, False
+        self.refresh()
+
+    def _offer(self) -> None:
+        """Ask for the points of a step once, as soon as its images are there."""
+        check = self.step == STEPS[4] and self.procedure.views(CHECK_NAMES) is not None
+        plan = self.step == STEPS[2] and self.procedure.planned is not None
+        if (check or plan) and not self._offered:
+            self._offered = True
+            self.place_next(self._landmarks() if check else self._wire_and_landmarks(), self.images)
+
+    def say(self, text: str) -> None:
+        """A sentence for the person; empty: nothing to say."""
+        self.message = text
+        self.refresh()
+
+    def later(self) -> None:
+        """Refresh soon, once however often this is called until then."""
+        if not self._waiting:
+            self._waiting = True
+            asyncio.get_running_loop().call_soon(self._refresh_now)
+
+    def _refresh_now(self) -> None:
+        self._waiting = False
+        self.refresh()
+
+    def refresh(self) -> None:
+        """Show all that is another than what is shown."""
+        self._offer()
+        for view, image in zip(self.views, self.images, strict=True):
+            self._show(view, image)
+        for refresh in list(self.on_refresh):
+            refresh()
+
+    def _show(self, view: XrayView, image: str) -> None:
+        procedure, seen = self.procedure, self.procedure.seen(image)
+        key = view._props["name"]
+        if seen is not None and self._is_new(key, "image", (image, seen.acquired.number)):
+            picture = self.pictures.of(seen)
+            view.set_image(picture.url, picture.width, picture.height, window=picture.window)
+        display = procedure.decisions.display.get(image, Display())
+        if self._is_new(key, "display", (image, display)):
+            window = None if display.window is None else Window(*display.window)
+            view.set_display(
+                rotation=display.rotation, mirrored=display.mirrored, inverted=display.inverted, window=window
+            )
+        if seen is not None and self._is_new(key, "beads", (seen, image)):
+            view.draw("beads", shapes.beads(seen))
+            view.draw("rejected", shapes.rejected(seen))
+        view_doing = "" if seen is None else (seen.doing and f"{seen.doing.capitalize()} …") or (seen.refused or "")
+        if self._is_new(key, "notice", view_doing):
+            view.notice(view_doing or None)
+        if self._is_new(key, "show beads", self.show_beads):
+            view.show_layer("beads", self.show_beads)
+        if self._is_new(key, "rejected", self.show_rejected):
+            view.show_layer("rejected", self.show_rejected)
+        self._draw_plan(view, key, image, procedure.planned)
+        marks = self._points(image)
+        if self._is_new(key, "points", marks):
+            view.set_points([dict(mark) for mark in marks])
+        placing = self.placing[0] if self.placing is not None and self.placing[1] == image else None
+        if self._is_new(key, "placing", placing):
+            view.place(placing)
+        if self._is_new(key, "revision", procedure.history.revision):
+            view.set_revision(procedure.history.revision)
+
+    def _draw_plan(self, view: XrayView, key: str, image: str, known: Planned | None) -> None:
+        wire_found = self.procedure.verifying.wires.get(image)
+        if not self._is_new(key, "plan", (image, known, wire_found)):
+            return
+        of_check = image in CHECK_NAMES
+        view.draw("curves", [] if known is None or image != NAMES[1] else shapes.curves(known))
+        view.draw("wire", [] if known is None or of_check else shapes.wire(known, image))
+        view.draw("aids", [] if known is None or of_check else shapes.aids(known, image))
+        view.draw("found", shapes.found(self.procedure, image) if of_check else [])
+
+    def _points(self, image: str) -> tuple[tuple[tuple[str, Any], ...], ...]:
+        """What `set_points` wants, in a form that can be compared."""
+        decisions = self.procedure.decisions
+        out = []
+        for asked in asked_of(decisions.kind):
+            check = image in CHECK_NAMES
+            if (check and asked.group != "landmark") or (not check and image not in asked.images):
+                continue
+            mark = decisions.mark(asked.name)
+            snapped = image == NAMES[1] and asked.group == "wire" and not mark.free
+            values = (asked.name, asked.label, mark.at(image), _STYLES[asked.group], True, snapped)
+            out.append(tuple(zip(("id", "label", "uv", "style", "movable", "snapped"), values, strict=True)))
+        return tuple(out)
+
+    def _is_new(self, view: str, what: str, value: Any) -> bool:
+        if (view, what) in self._shown and self._shown[view, what] == value:
+            return False
+        self._shown[view, what] = value
+        return True
+
+    # What is placed next.
+
+    def place_next(self, sequence: tuple[Asked, ...], images: tuple[str, str] = NAMES) -> None:
+        """Ask for the first of these marks that is not placed; after it for the next."""
+        self.sequence = sequence
+        decisions, self.placing = self.procedure.decisions, None
+        # Image by image for each two: entry and end in the PA image, then both in the lateral one.
+        wire = [(a, image) for image in images for a in sequence if a.group != "landmark" and image in a.images]
+        others = [(a, image) for a in sequence if a.group == "landmark" for image in images]
+        for asked, image in (*wire, *others):
+            if decisions.mark(asked.name).at(image) is None:
+                self.placing = (asked.name, image)
+                return
+
+    def place_again(self, asked: Asked, image: str) -> None:
+        """Place one mark anew in one image."""
+        self.sequence, self.placing = (asked,), (asked.name, image)
+        self.refresh()
+
+    @property
+    def asked(self) -> Asked | None:
+        """What is to be placed now."""
+        if self.placing is None:
+            return None
+        return next((one for one in asked_of(self.procedure.decisions.kind) if one.name == self.placing[0]), None)
+
+    def _wire_and_landmarks(self) -> tuple[Asked, ...]:
+        return tuple(a for a in asked_of(self.procedure.decisions.kind) if a.group != "aid")
+
+    def _landmarks(self) -> tuple[Asked, ...]:
+        return tuple(a for a in asked_of(self.procedure.decisions.kind) if a.group == "landmark")
+
+    # What a person does in a view.
+
+    async def _heard(self, view: XrayView, event: XrayEvent) -> None:
+        image = self.images[self.views.index(view)]
+        if event.type in ("place", "drop", "nudge", "drag"):
+            await self._moved(view, image, event)
+        elif event.type == "remove" and event.id is not None:
+            await self.act(lambda: self.procedure.edit(self._without(event.id or "", image)))
+        elif event.type == "cancel":
+            self.placing = None
+            self.refresh()
+        elif event.type == "display" and event.display is not None:
+            shown = event.display
+            window = (shown.window.centre, shown.window.width)
+            display = Display(shown.rotation, shown.mirrored, shown.inverted, window)
+            self._shown[view._props["name"], "display"] = (image, display)
+            await self.act(lambda: self.procedure.show(image, display))
+        elif event.type == "error":
+            self.say(event.message or XRAY["load_failed"])
+
+    def _without(self, name: str, image: str):
+        decisions = self.procedure.decisions
+        return decisions.with_mark(name, decisions.mark(name).placed(image, None))
+
+    async def _moved(self, view: XrayView, image: str, event: XrayEvent) -> None:
+        assert event.id is not None and event.uv is not None and event.seq is not None  # noqa: S101 - checked by the view
+        name, uv = event.id, event.uv
+        try:
+            if event.type == "drag":
+                await self._follow(name, image, uv)
+            else:
+                self.preview = None
+                self.procedure.edit(self.procedure.moved(name, image, uv))
+                self.message = ""
+                if event.type == "place" and self.placing is not None:
+                    self.place_next(self.sequence, self.images)
+                self._forget_plan()
+                self.refresh()
+        except SightlineError as error:
+            if event.type != "drag":
+                self._forget_plan()
+                self._shown.pop((view._props["name"], "points"), None)
+                self.say(str(error))
+        finally:
+            view.acknowledge(event.seq)
+
+    async def _follow(self, name: str, image: str, uv: tuple[float, float]) -> None:
+        """Curves, wire and figures follow a point that is being dragged."""
+        known = await asyncio.to_thread(self.procedure.preview, name, image, uv)
+        if known is None:
+            return
+        self.preview = known
+        for view, shown in zip(self.views, self.images, strict=True):
+            if shown == NAMES[1]:
+                view.draw("curves", shapes.curves(known))
+                for point in shapes.snapped(known):
+                    at = known.decisions.mark(point).at(shown)
+                    if at is not None and (point, shown) != (name, image):
+                        view.move_point(point, at)
+            view.draw("wire", shapes.wire(known, shown))
+            view.draw("aids", shapes.aids(known, shown))
+        self._forget_plan()
+        for refresh in list(self.on_refresh):
+            refresh()
+
+    def _forget_plan(self) -> None:
+        for view in self.views:
+            self._shown.pop((view._props["name"], "plan"), None)
+
+    # How anything a person asks for is done.
+
+    async def act(self, what: Callable[[], Awaitable[Any] | None]) -> None:
+        """Do it; what goes wrong ends in a sentence on the page."""
+        try:
+            pending = what()
+            self.message = ""
+            if pending is not None:
+                await pending
+        except SightlineError as error:
+            self.message = str(error)
+        except Exception as error:
+            traceback.print_exc()
+            self.message = BUG.format(kind=type(error).__name__)
+        self.refresh()
+
+    def doing(self, what: Callable[[], Awaitable[Any] | None]) -> Callable[[], Awaitable[None]]:
+        """A handler for a button."""
+
+        async def handler() -> None:
+            await self.act(what)
+
+        return handler
+
+    @property
+    def known(self) -> Planned | None:
+        """The plan that figures are shown of: of the point being dragged, or as it is."""
+        return self.preview or self.procedure.planned

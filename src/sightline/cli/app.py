@@ -1,0 +1,60 @@
+"""`sightline app`: the planning app in the browser, on this machine."""
+
+from importlib.util import find_spec
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from sightline.cli.output import Json, Output, Quiet
+
+if TYPE_CHECKING:
+    from sightline.app.serve import Site
+
+DEMO_SEED = 9  # that of `sightline demo`
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command."""
+    app.command("app")(app_command)
+
+
+def app_command(
+    *,
+    case: Annotated[
+        Path | None, typer.Option(help="Folder of the case, made where there is none.", show_default="the demo's")
+    ] = None,
+    frame: Annotated[str | None, typer.Option(help="For a new case: a frame file, or gamma, biplane, stereo.")] = None,
+    rehearse: Annotated[
+        int | None, typer.Option(min=0, help="For a new case: a simulated patient and robot, drawn from this seed.")
+    ] = None,
+    port: Annotated[int, typer.Option(min=0, max=65535, help="0 takes a free one.")] = 8765,
+    host: Annotated[
+        str, typer.Option(help="Address to listen at; beyond this machine a token is needed, and printed.")
+    ] = "127.0.0.1",
+    browser: Annotated[bool, typer.Option(help="Open the page.")] = True,
+    fast_robot: Annotated[
+        bool, typer.Option("--fast-robot", help="The simulated robot's time runs as fast as it computes.")
+    ] = False,
+    json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Plan, drill and check a wire in the browser, step by step; without --case on a simulated patient."""
+    with Output(json=json, quiet=quiet) as output:
+        from sightline.errors import UnusableInputError
+
+        if find_spec("nicegui") is None:
+            raise UnusableInputError("the app needs NiceGUI: pip install 'sightline[app]'")
+        from sightline.app.rehearsing import Patient
+        from sightline.app.run import Settings, run
+
+        folder = Path("out/app") if case is None else case
+        seed = DEMO_SEED if case is None and rehearse is None else rehearse
+        patient = None if seed is None else Patient(seed, frame or "gamma")
+        settings = Settings(folder, frame, patient, host, port, browser, fast_robot)
+
+        def ready(site: "Site") -> None:
+            output.say(f"open {site.url} in a browser; stop with Ctrl-C")
+
+        run(settings, ready)
+        output.result({"case": folder})
