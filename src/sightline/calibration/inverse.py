@@ -76,7 +76,7 @@ class Inverse:
             at, step, length = at[leads], step[leads], length[leads]
             uv[at] += step * np.minimum(1.0, 0.25 * size / np.maximum(length, 1e-300))[:, None]
             before[at], found[at] = length, length < LAST_STEP_PX
-            at = at[~found[at]]
+            at = at[~found[at] & _within(uv[at], low, high, 1.25 * REACH * size)]  # others do not come back
         found &= _within(uv, low, high, REACH * size)
         return uv[found], found
 

@@ -66,13 +66,11 @@ def plan(
     if len(views) != 2:
         raise UnusableInputError(f"{len(views)} views given; a plan is made on exactly two")
     each = (snapped, snapped) if isinstance(snapped, bool) else tuple(snapped)
-    picked = [
-        _picks(views, uv, pick_sd_px, taken) for uv, taken in zip((entry_uv_px, end_uv_px), each, strict=True)
-    ]
+    picked = [_picks(views, uv, pick_sd_px, taken) for uv, taken in zip((entry_uv_px, end_uv_px), each, strict=True)]
     (entry, entry_curve), (end, end_curve) = picked
     free = _landmarks(landmarks_uv_px, pick_sd_px)
-    trajectory = Trajectory(_reconstructed(views, [entry, end], method))
-    seen = _reconstructed(views, [entry, end, *free], method) if free else trajectory.points
+    seen = _reconstructed(views, [entry, end, *free], method)
+    trajectory = Trajectory(seen.first(2) if free else seen)
     return Plan(trajectory, (entry, end), seen, entry_curve, end_curve, judge(trajectory, views, limits, seen))
 
 

@@ -1,6 +1,6 @@
 """What planning hands on: points in space, and a verdict."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -51,6 +51,21 @@ class SpacePoints:
         for array in arrays:
             if array is not None:
                 array.flags.writeable = False
+
+    def first(self, count: int) -> "SpacePoints":
+        """So many of the points, with their covariance; the shift stays that of all."""
+        joint, budget, sigma = self.joint_covariance_mm2, self.budget_mm2, self.gap_sigma
+        at = slice(3 * count)
+        return replace(
+            self,
+            xyz_mm=self.xyz_mm[:count],
+            gap_mm=self.gap_mm[:count],
+            gap_tested=self.gap_tested[:count],
+            gap_sigma=None if sigma is None else sigma[:count],
+            joint_covariance_mm2=None if joint is None else joint[at, at],
+            budget_mm2=None if budget is None else {source: c[at, at] for source, c in budget.items()},
+            inside_hull=self.inside_hull[:count],
+        )
 
     @property
     def covariance_mm2(self) -> np.ndarray:
