@@ -49,11 +49,11 @@ class JointFit:
         n, k = len(at), 2 * len(self.beads)
         design = np.zeros((3 + 2 * n, 2 * _CUBIC + 3))
         design[:3, -3:] = self.pencil.focal_point_by_pq
-        design[3:, :-3] = _twice(monomials(at, DEGREE))
+        design[3:, :-3] = twice(monomials(at, DEGREE))
         cross = np.zeros((3 + 2 * n, k))
-        cross[3:] = _twice(self.map.kernel(at, self.map.controls_unit))
+        cross[3:] = twice(self.map.kernel(at, self.map.controls_unit))
         prior = np.zeros((3 + 2 * n, 3 + 2 * n))
-        prior[3:, 3:] = _twice(self.map.kernel(at, at))
+        prior[3:, 3:] = twice(self.map.kernel(at, at))
         weights, total = self.solution.predict(design, cross, prior)
         frame_factor = -weights @ self._frame_in_data
         noise = weights @ self.noise @ weights.T
@@ -73,7 +73,7 @@ class JointFit:
         total = errors.noise + errors.misfit + errors.frame_factor @ errors.frame_factor.T
         by_focal = self.pencil.by_pq(others.xyz_mm) @ np.linalg.inv(self.pencil.focal_point_by_pq)
         to_gap = np.concatenate([-by_focal.reshape(-1, 3), np.eye(2 * len(others))], axis=1)
-        spread = to_gap @ total @ to_gap.T + _measurement(
+        spread = to_gap @ total @ to_gap.T + pixel_noise_mm2(
             others, self.map.jacobian(others.uv_px), self.learned.noise_scale
         )
         spread += _carried(self.pencil.by_point(others.xyz_mm), others.frame_covariance)
@@ -117,10 +117,10 @@ def _weighted(  # noqa: PLR0917
 ) -> JointFit:
     """One Gauss-Newton step with full weights; a second changes nothing that matters (tests)."""
     y, by_pq = pencil.linearised(beads.xyz_mm)
-    noise = _measurement(beads, slopes, learned.noise_scale)
+    noise = pixel_noise_mm2(beads, slopes, learned.noise_scale)
     jacobian = pencil.by_point(beads.xyz_mm)
-    covariance = _twice(kernel) + noise + _carried(jacobian, beads.frame_covariance)
-    design = np.concatenate([_twice(start.basis), -by_pq.reshape(-1, 3)], axis=1)
+    covariance = twice(kernel) + noise + _carried(jacobian, beads.frame_covariance)
+    design = np.concatenate([twice(start.basis), -by_pq.reshape(-1, 3)], axis=1)
     solution = Solution.of(design, covariance, y.reshape(-1, 1))
     theta = solution.theta[:, 0]
     moved = Pencil(beads.plane, pencil.pq + theta[-3:])
@@ -150,7 +150,7 @@ class _Start:
         unit, radius = Affine.fit(beads.uv_px, y)
         at = unit(beads.uv_px)
         basis = monomials(at, DEGREE)
-        design = np.concatenate([_twice(basis), -by_pq.reshape(-1, 3)], axis=1)
+        design = np.concatenate([twice(basis), -by_pq.reshape(-1, 3)], axis=1)
         theta, r = least_squares(design, y.reshape(-1))
         moved = Pencil(beads.plane, pencil.pq + theta[-3:])
         refuse_misplaced(moved, beads.xyz_mm)
@@ -199,7 +199,7 @@ def _noise_px2(beads: Beads) -> np.ndarray:
     return np.broadcast_to(np.eye(2), (len(beads), 2, 2))
 
 
-def _measurement(beads: Beads, slopes: np.ndarray, scale: float) -> np.ndarray:
+def pixel_noise_mm2(beads: Beads, slopes: np.ndarray, scale: float) -> np.ndarray:
     """(2N, 2N) covariance of the beads' pixels carried onto the plane."""
     n = len(beads)
     blocks = slopes @ (scale**2 * _noise_px2(beads)) @ np.swapaxes(slopes, 1, 2)
@@ -215,7 +215,7 @@ def _carried(jacobian: np.ndarray, covariance: np.ndarray) -> np.ndarray:
     return (jacobian @ np.ascontiguousarray(half.T).reshape(n, 3, 2 * n)).reshape(2 * n, 2 * n)
 
 
-def _twice(matrix: np.ndarray) -> np.ndarray:
+def twice(matrix: np.ndarray) -> np.ndarray:
     """(2N, 2M): the same for x and y, interleaved."""
     n, m = matrix.shape
     out = np.zeros((n, 2, m, 2))

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from sightline.cli import frame_draw, frame_fit
+from sightline.cli import frame_draw, frame_fit, frame_self_check
 from sightline.cli.output import Json, Output, Quiet
 
 if TYPE_CHECKING:
@@ -19,7 +19,7 @@ FrameSource = Annotated[str, typer.Argument(metavar="FRAME", help='Frame file, o
 
 def register(parent: typer.Typer) -> None:
     """Add the commands."""
-    for command in (frame_fit, frame_draw):
+    for command in (frame_fit, frame_draw, frame_self_check):
         command.register(app)
     parent.add_typer(app, name="frame")
 

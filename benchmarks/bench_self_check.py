@@ -1,0 +1,124 @@
+"""What do images of a frame tell of it? Its errors after a self-check, beside those before, by the number of images.
+
+Each trial draws a frame of the default tolerances and takes images of it, half PA and half lateral, the C-arm elsewhere
+and its distortion anew in each; beads at 0.1 px. Then one more pair is taken, and targets located to 0.1 px in it are
+reconstructed with the frame as its file has it and as the self-check found it. The last column of a motion is its rms
+before any image: what no image shows stays there.
+"""
+
+import numpy as np
+
+import sightline as sl
+from benchmarks.parallel import in_parallel
+from benchmarks.rows import Row
+from sightline.calibration.plate_motion import MOTIONS, Errors, in_plate, plate_pairs
+from sightline.calibration.self_check import self_check
+from sightline.detection import Observations
+from sightline.errors import SightlineError
+from sightline.frame import Frame
+from sightline.frame.deviations import fiducials
+from sightline.studies.scenes import VIEWS
+from sightline.twin import SetUp, bead_images, draw_setup
+from sightline.twin.carm import with_errors
+
+TRIALS = 40
+IMAGES = (4, 8, 16, 32)
+BEAD_PX = PICK_PX = 0.1
+TARGETS, REACH_MM = 4, 25.0
+FIRST_SEED = 40_000  # other frames than those of the other benchmarks
+
+Figures = dict[str, float]
+
+
+def run(quick: bool) -> list[Row]:
+    """The rows of this benchmark."""
+    number = TRIALS // 10 if quick else TRIALS
+    trials = in_parallel(trial, range(FIRST_SEED, FIRST_SEED + number))
+    rows = []
+    for count in IMAGES:
+        done = [one[count] for one in trials if count in one]
+        group = f"self-check, {count} images"
+        if len(done) < len(trials):
+            rows.append(Row(group, "refused", f"{len(trials) - len(done)} of {len(trials)}"))
+        if not done:
+            continue
+
+        def rms(name: str, done: list[Figures] = done) -> float:
+            return float(np.sqrt(np.mean([one[name] for one in done])))
+
+        for name, unit, scale in (
+            ("plate shift along itself", "mm", 1), ("plate shift along the beam", "mm", 1),
+            ("plate tilt", "mrad", 1e3), ("plate twist", "mrad", 1e3),
+            ("ball in its plate", "mm", 1), ("ball across its plate", "mm", 1), ("target", "mm", 1),
+        ):  # fmt: skip
+            figure, before = (f"{scale * rms(key):.4f} {unit}" for key in (name, f"{name}, before"))
+            rows.append(Row(group, name, figure, "", f"before {before}"))
+        square = float(np.mean([one["chi-square"] for one in done]))
+        rows.append(Row(group, "mean chi-square / 678", f"{square:.3f}", "0.95-1.05", "", bool(0.95 <= square <= 1.05)))
+    return rows
+
+
+def trial(seed: int) -> dict[int, Figures]:
+    """Mean squares by number of images."""
+    rng = np.random.default_rng([seed, 6])
+    frame = Frame.load("gamma")
+    true = with_errors(frame, rng)
+    errors = _places(true) - _places(frame)
+    seen = [image(rng, draw_setup(rng, true, frame_errors=False), VIEWS[k % 2]) for k in range(max(IMAGES))]
+    pair = draw_setup(rng, true, frame_errors=False)
+    beads = [image(rng, pair, view) for view in VIEWS]
+    targets = rng.uniform(-REACH_MM, REACH_MM, (TARGETS, 3))
+    picks = np.array([pair.views[view].project(targets) for view in VIEWS])
+    picks += PICK_PX * rng.standard_normal(picks.shape)
+    out = {}
+    for count in IMAGES:
+        try:
+            found = self_check(seen[:count], frame)
+        except SightlineError:
+            continue
+        assert found.frame.covariance_mm2 is not None
+        left = errors - found.moved_mm
+        figures = _motions(frame, left) | {f"{k}, before": v for k, v in _motions(frame, errors).items()}
+        figures["chi-square"] = (
+            float(left.ravel() @ np.linalg.solve(found.frame.covariance_mm2, left.ravel())) / left.size
+        )
+        figures["target"] = _target(found.frame, beads, picks, targets)
+        figures["target, before"] = _target(frame, beads, picks, targets)
+        out[count] = figures
+    return out
+
+
+def image(rng: np.random.Generator, setup: SetUp, view: str) -> Observations:
+    """The beads of one view."""
+    ids, uv = bead_images(setup, view, rng, BEAD_PX)
+    return Observations(view, ids, uv, np.broadcast_to(BEAD_PX**2 * np.eye(2), (len(ids), 2, 2)))
+
+
+def _places(frame: Frame) -> np.ndarray:
+    return np.array([f.xyz_mm for f in fiducials(frame)])
+
+
+def _motions(frame: Frame, errors_mm: np.ndarray) -> Figures:
+    """Mean squares of errors (M, 3): plates of a view against each other, balls against their plate."""
+    nothing = np.zeros((errors_mm.size, errors_mm.size))
+    told = Errors(errors_mm, nothing, nothing, np.ones(len(errors_mm), dtype=bool))
+    moved = np.mean([pair.moved**2 for pair in plate_pairs(frame, told)], axis=0)
+    assert len(moved) == len(MOTIONS)
+    balls = in_plate(frame, told).moved_mm
+    normals = [view.xrii.plane.normal for view in frame.views.values() for _ in view.fiducials]
+    across = np.einsum("na,na->n", balls, np.array(normals))
+    return {
+        "plate shift along itself": float(moved[:2].mean()),
+        "plate shift along the beam": float(moved[2]),
+        "plate tilt": float(moved[3:5].mean()),
+        "plate twist": float(moved[5]),
+        "ball in its plate": float(((balls**2).sum(axis=1) - across**2).mean() / 2),
+        "ball across its plate": float((across**2).mean()),
+    }
+
+
+def _target(frame: Frame, beads: list[Observations], picks: np.ndarray, targets: np.ndarray) -> float:
+    views = [sl.calibrate(one, frame) for one in beads]
+    noise = np.broadcast_to(PICK_PX**2 * np.eye(2), (*picks.shape, 2))
+    gap = sl.reconstruct(views, picks, noise).xyz_mm - targets
+    return float((gap**2).sum(axis=1).mean())

@@ -1,0 +1,327 @@
+"""A frame measured by its own images: several images of one frame, the C-arm standing elsewhere in each.
+
+Every image has a map and a focal point of its own; the errors of the frame are the same in all. With the map and the
+focal point eliminated, an image leaves a quadratic form in the errors of its view's balls; the forms add up, and the
+frame's tolerances are the prior. All is linear but for products of small numbers, which a second pass takes in.
+
+What no number of images shows: they all stay as they are where space is sheared, stretched or bent along the beam with
+the XRII plate held fast, (x, h) -> (x + a h, c h) / (1 + d h). The focal points move along, and they and the maps are
+free. So shifts of a plate against its sister, along itself and along the beam, keep the error that the tolerances
+state. So do the two views against each other, and the scale of the frame.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.special import chdtri
+
+from sightline.calibration.beads import Beads, match
+from sightline.calibration.gaussian import cholesky, solve_lower
+from sightline.calibration.joint import JointFit, pixel_noise_mm2, twice
+from sightline.calibration.outliers import FALSE_ALARM, fit_robustly
+from sightline.calibration.plate_motion import Errors, InPlate, PlatePair, in_plate, plate_pairs
+from sightline.calibration.polynomial import monomials
+from sightline.calibration.projection import Pencil
+from sightline.calibration.smooth import DEGREE
+from sightline.checks import Check
+from sightline.detection.results import Observations
+from sightline.errors import CalibrationRefusedError, ObservationsError
+from sightline.frame import Frame, FrameView, Plate
+from sightline.frame.deviations import fiducials
+
+FEWEST_IMAGES = 4  # [ours] two of each of two views: one image cannot be told from its own map
+# [ours] half the shortest correlation length of what a cubic leaves of a real tube (physics.md, Distortion): images
+# nearer to each other share the errors of their maps, and would be counted as if they did not.
+LEAST_MOVEMENT_MM = 15.0
+MOVED_FREELY_MM = 3.0  # [ours] s.d. of a ball that contradicts its tolerance: a third of the densest pitch
+PASSES = 3  # the second changes 1e-3 of a step, the third nothing (tests)
+MOST_MOVED = 12  # [ours] more is no damaged ball but a wrong frame
+
+
+@dataclass(frozen=True, eq=False)
+class SelfCheck:
+    """What images say of a frame. M balls in the order of `Frame.error_factor`.
+
+    `frame`: the frame as estimated, with its covariance. `moved_mm` (M, 3): from the frame file; `in_plate`: the same
+    against each ball's own plate; `pairs`: the plates of each view against each other. `sigma` (M,): how far each ball
+    lies from where all others and the tolerances put it; `misplaced`: those beyond their tolerance. `images` (M,): in
+    how many images each was used; `focal_points_mm`: (K, 3) of each view's images.
+    """
+
+    frame: Frame
+    moved_mm: np.ndarray
+    in_plate: InPlate
+    pairs: tuple[PlatePair, ...]
+    sigma: np.ndarray
+    misplaced: tuple[str, ...]
+    images: np.ndarray
+    focal_points_mm: dict[str, np.ndarray]
+    checks: tuple[Check, ...]
+
+
+def self_check(observations: Sequence[Observations], frame: Frame) -> SelfCheck:
+    """The errors of a frame, from 4 images or more. Raises ObservationsError, FrameError, CalibrationRefusedError."""
+    if len(observations) < FEWEST_IMAGES:
+        raise CalibrationRefusedError(
+            f"{len(observations)} images were given; a self-check needs {FEWEST_IMAGES} or more, the C-arm moved "
+            "between them"
+        )
+    _refuse_repeats(observations)
+    images = _images(observations, frame)
+    prior = frame.error_factor
+    free: list[int] = []
+    sigma = np.zeros(len(prior) // 3)
+    while True:
+        factor = np.hstack([prior, *(_freed(ball, len(prior)) for ball in free)])
+        normal = _settled(images, factor)
+        square = _score(normal)
+        square[free] = 0.0
+        sigma = np.where(np.isin(np.arange(len(square)), free), sigma, np.sqrt(square))
+        worst = int(np.argmax(square))
+        if square[worst] <= chdtri(3, FALSE_ALARM / len(square)):
+            break
+        sigma[worst] = np.sqrt(square[worst])
+        free.append(worst)
+        if len(free) > MOST_MOVED:
+            names = ", ".join(fiducials(frame)[ball].id for ball in free[:5])
+            raise CalibrationRefusedError(
+                f"more than {MOST_MOVED} balls lie beyond their tolerance ({names} first); check that the images show "
+                "this frame, and that its tolerances are true"
+            )
+    return _result(frame, images, normal, free, sigma)
+
+
+@dataclass(frozen=True, eq=False)
+class _Image:
+    """One image: its beads, the `fit` that gives map and noise, `rows` (N,) of its beads among all of the frame.
+
+    `factor`, lower: of the covariance of map beyond the cubic, and pixels, (2N, 2N).
+    """
+
+    beads: Beads
+    fit: JointFit
+    rows: np.ndarray
+    basis: np.ndarray
+    factor: np.ndarray
+
+    @staticmethod
+    def of(beads: Beads, fit: JointFit) -> "_Image":
+        frame = beads.frame
+        start = frame.rows(beads.view).start // 3
+        at = fit.map.unit(beads.uv_px)
+        kernel = fit.learned.kernel(at, at)
+        noise = pixel_noise_mm2(beads, fit.map.jacobian(beads.uv_px), fit.learned.noise_scale)
+        return _Image(beads, fit, start + beads.rows, twice(monomials(at, DEGREE)), cholesky(twice(kernel) + noise))
+
+
+@dataclass(frozen=True, eq=False)
+class _Normal:
+    """Summed over images: `precision` (3M, 3M) of the frame's errors as the images alone see them, `pull` (3M,), and
+    the `square` of the data; `freedom`: data less maps and focal points. `errors` (3M,): estimated so far."""
+
+    precision: np.ndarray
+    pull: np.ndarray
+    square: float
+    freedom: int
+    errors: np.ndarray
+    covariance: np.ndarray
+
+
+def _images(observations: Sequence[Observations], frame: Frame) -> list[_Image]:
+    """Beads that one image alone contradicts are left out of it; those that most images contradict have moved, and
+    stay."""
+    matched = [match(one, frame, None) for one in observations]
+    fits = [fit_robustly(beads) for beads in matched]
+    seen: dict[str, int] = {}
+    wrong: dict[str, int] = {}
+    for _, residuals in fits:
+        for ball, used in zip(residuals.ids, residuals.used, strict=True):
+            seen[ball] = seen.get(ball, 0) + 1
+            wrong[ball] = wrong.get(ball, 0) + (not used)
+    moved = {ball for ball, count in wrong.items() if count > 1 and 2 * count >= seen[ball]}
+    out = []
+    for beads, (fit, residuals) in zip(matched, fits, strict=True):
+        kept = residuals.used | np.array([ball in moved for ball in beads.ids])
+        out.append(_Image.of(beads.where(kept), fit))
+    return out
+
+
+def _settled(images: Sequence[_Image], factor: np.ndarray) -> _Normal:
+    """Errors with a prior of factor @ factor.T, their products with the focal points taken in."""
+    pencils = [image.fit.pencil for image in images]
+    normal, pencils = _summed(images, pencils, factor, np.zeros(len(factor)))
+    for _ in range(PASSES - 1):
+        normal, pencils = _summed(images, pencils, factor, normal.errors)
+    return normal
+
+
+def _summed(
+    images: Sequence[_Image], pencils: Sequence[Pencil], factor: np.ndarray, errors: np.ndarray
+) -> tuple[_Normal, list[Pencil]]:
+    """One Gauss-Newton step from the errors (3M,) and focal points that are known so far."""
+    precision, pull, square, freedom = np.zeros((len(factor), len(factor))), np.zeros(len(factor)), 0.0, 0
+    kept = []
+    for image, pencil in zip(images, pencils, strict=True):
+        rows = (3 * image.rows[:, None] + np.arange(3)).ravel()
+        data, response, back = _eliminated(image, pencil, errors[rows])
+        precision[np.ix_(rows, rows)] += response.T @ response
+        pull[rows] += response.T @ data
+        square, freedom = square + float(data @ data), freedom + len(data) - len(back)
+        kept.append((rows, back))
+    lower = solve_lower(cholesky(np.eye(factor.shape[1]) + factor.T @ precision @ factor), factor.T)
+    covariance = lower.T @ lower
+    errors = covariance @ pull
+    moved = [
+        Pencil(pencil.plane, pencil.pq + (back @ np.append(1.0, errors[rows]))[-3:])
+        for pencil, (rows, back) in zip(pencils, kept, strict=True)
+    ]
+    return _Normal(precision, pull, square, freedom, errors, covariance), moved
+
+
+def _eliminated(image: _Image, pencil: Pencil, errors: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Whitened data (2N,) and its response (2N, 3N) to the beads' errors, cubic and focal point taken out; and (23,
+    1 + 3N): cubic and focal point by (1, errors)."""
+    xyz = image.beads.xyz_mm + errors.reshape(-1, 3)
+    y, by_pq = pencil.linearised(xyz)
+    by_point = pencil.by_point(xyz)
+    n = len(xyz)
+    response = np.zeros((n, 2, n, 3))
+    response[range(n), :, range(n), :] = -by_point
+    data = y.ravel() - np.einsum("nai,ni->na", by_point, errors.reshape(-1, 3)).ravel()
+    design = np.concatenate([image.basis, -by_pq.reshape(-1, 3)], axis=1)
+    white = solve_lower(image.factor, np.column_stack([design, data, response.reshape(2 * n, 3 * n)]))
+    q, r = np.linalg.qr(white[:, : design.shape[1]])
+    others = white[:, design.shape[1] :]
+    along = q.T @ others
+    others = others - q @ along
+    back = np.linalg.solve(r, along)
+    back[:, 1:] *= -1
+    return others[:, 0], others[:, 1:], back
+
+
+def _score(normal: _Normal) -> np.ndarray:
+    """(M,): for each ball the score test of a shift of its own, beside all that its prior lets it do; chi-square of
+    three degrees of freedom."""
+    score = normal.pull - normal.precision @ normal.errors
+    spread = normal.precision - normal.precision @ normal.covariance @ normal.precision
+    m = len(score) // 3
+    blocks = spread.reshape(m, 3, m, 3)[range(m), :, range(m), :]
+    inverse = np.linalg.pinv((blocks + np.swapaxes(blocks, 1, 2)) / 2, rcond=1e-9, hermitian=True)
+    return np.maximum(np.einsum("na,nab,nb->n", score.reshape(m, 3), inverse, score.reshape(m, 3)), 0.0)
+
+
+def _freed(ball: int, size: int) -> np.ndarray:
+    """(size, 3): prior columns of a ball that may lie anywhere near."""
+    out = np.zeros((size, 3))
+    out[3 * ball : 3 * ball + 3] = MOVED_FREELY_MM * np.eye(3)
+    return out
+
+
+def _result(
+    frame: Frame, images: Sequence[_Image], normal: _Normal, free: Sequence[int], sigma: np.ndarray
+) -> SelfCheck:
+    balls = fiducials(frame)
+    moved = normal.errors.reshape(-1, 3)
+    sound = ~np.isin(np.arange(len(balls)), free)
+    errors = Errors(moved, frame.error_factor @ frame.error_factor.T, normal.covariance, sound)
+    beside = in_plate(frame, errors)
+    count = np.zeros(len(balls), dtype=int)
+    for image in images:
+        count[image.rows] += 1
+    focal = {
+        name: np.array([i.fit.pencil.focal_point_mm for i in images if i.beads.view == name]).reshape(-1, 3)
+        for name in frame.views
+    }
+    return SelfCheck(
+        frame=_estimated(frame, moved, normal.covariance),
+        moved_mm=moved,
+        in_plate=beside,
+        pairs=plate_pairs(frame, errors),
+        sigma=sigma,
+        misplaced=tuple(balls[ball].id for ball in free),
+        images=count,
+        focal_points_mm=focal,
+        checks=(_movement(images), _chi_square(normal), _misplaced([balls[b].id for b in free], free, beside, count)),
+    )
+
+
+def _estimated(frame: Frame, moved_mm: np.ndarray, covariance: np.ndarray) -> Frame:
+    moves = iter(moved_mm)
+
+    def plate(one: Plate) -> Plate:
+        balls = (replace(b, xyz_mm=tuple((np.array(b.xyz_mm) + next(moves)).round(6).tolist())) for b in one.fiducials)
+        return Plate(tuple(balls))
+
+    covariance = (covariance + covariance.T) / 2
+    covariance.flags.writeable = False
+    views = {name: FrameView(plate(view.xrii), plate(view.source)) for name, view in frame.views.items()}
+    return replace(frame, views=views, tolerances=None, covariance_mm2=covariance)
+
+
+def _movement(images: Sequence[_Image]) -> Check:
+    """How far each image lies from the nearest other of its view; of these the lower quartile."""
+    views = [[image for image in images if image.beads.view == name] for name in images[0].beads.frame.views]
+    lone = [mine[0].beads.view for mine in views if len(mine) == 1]
+    nearest = [
+        min(_apart(one, other) for other in mine if other is not one) for mine in views if len(mine) > 1 for one in mine
+    ]
+    figure = float(np.quantile(nearest, 0.25)) if nearest else None
+    passed = figure is not None and figure >= LEAST_MOVEMENT_MM
+    sentence = (
+        "The frame lies elsewhere in every image, so that each has errors of its own."
+        if passed
+        else "Some images are nearly the same: they share the errors of their distortion and count as one. Move or "
+        "turn the C-arm between images; leave out what is double."
+    )
+    if lone:
+        sentence += f" There is one image alone of view {', '.join(lone)}."
+    return Check("image movement", passed, figure, LEAST_MOVEMENT_MM, "mm", sentence)
+
+
+def _apart(first: _Image, second: _Image) -> float:
+    """Rms distance between the places of the balls in two images, in mm of the reference plane."""
+    ids = sorted(set(first.beads.ids) & set(second.beads.ids))
+    if not ids:
+        return float("inf")
+    at = [image.beads.uv_px[[image.beads.ids.index(i) for i in ids]] for image in (first, second)]
+    scale = np.sqrt(np.abs(np.linalg.det(first.fit.map.jacobian(first.beads.uv_px))).mean())
+    return float(scale * np.sqrt(((at[0] - at[1]) ** 2).sum(axis=1).mean()))
+
+
+def _chi_square(normal: _Normal) -> Check:
+    square = normal.square - float(normal.pull @ normal.errors)
+    figure = square / normal.freedom
+    limit = float(chdtri(normal.freedom, FALSE_ALARM)) / normal.freedom
+    sentence = (
+        "All images together agree with the noise and the tolerances stated."
+        if figure <= limit
+        else "The images disagree by more than noise and tolerances explain: a frame that changed between them, wrong "
+        "labels, or tolerances that are too small."
+    )
+    return Check("self-check chi-square", figure <= limit, figure, limit, "", sentence)
+
+
+def _misplaced(names: Sequence[str], free: Sequence[int], beside: InPlate, count: np.ndarray) -> Check:
+    once = [name for name, ball in zip(names, free, strict=True) if count[ball] < 2]
+    said = [
+        f"{name} by {np.linalg.norm(beside.moved_mm[ball]):.2f} mm (±{beside.sd_mm[ball].max():.2f})"
+        for name, ball in zip(names, free, strict=True)
+    ]
+    sentence = (
+        f"Beyond their tolerance: {', '.join(said)}. Look at them." if said else "All are within their tolerance."
+    )
+    if once:
+        sentence += f" {', '.join(once)}: seen in one image only; take another."
+    return Check("misplaced balls", not once, float(len(names)), None, "balls", sentence)
+
+
+def _refuse_repeats(observations: Sequence[Observations]) -> None:
+    for k, one in enumerate(observations):
+        for other in observations[:k]:
+            shared = set(one.ids) & set(other.ids) if one.view == other.view else set()
+            if not shared:
+                continue
+            at = [np.array([o.uv_px[o.ids.index(i)] for i in sorted(shared)]) for o in (one, other)]
+            if np.mean(np.all(at[0] == at[1], axis=1)) > 0.5:
+                raise ObservationsError("one image was given twice; it says nothing new the second time: leave it out")

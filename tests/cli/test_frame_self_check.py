@@ -1,0 +1,59 @@
+import numpy as np
+import pytest
+
+from sightline.detection.files import write_observations
+from sightline.detection.results import Observations
+from sightline.frame import Frame
+from sightline.twin.carm import bead_images, displaced, draw_setup, with_errors
+
+
+@pytest.fixture(scope="module")
+def tables(tmp_path_factory):
+    """Two pairs of views of a frame with one ball displaced by 0.6 mm, each pair a CSV."""
+    rng = np.random.default_rng(31)
+    frame = Frame.load("gamma")
+    moves = np.zeros((226, 3))
+    moves[70] = (0.6, 0.0, 0.0)
+    true = displaced(with_errors(frame, rng), moves)
+    folder, out = tmp_path_factory.mktemp("check"), []
+    for k in range(2):
+        setup = draw_setup(rng, true, frame_errors=False)
+        views = []
+        for view in ("pa", "lateral"):
+            ids, uv = bead_images(setup, view, rng, 0.1)
+            views.append(Observations(view, ids, uv, np.broadcast_to(0.01 * np.eye(2), (len(ids), 2, 2))))
+        out.append(write_observations(views, folder / f"{k}.csv"))
+    return out
+
+
+def test_a_displaced_ball_is_named_and_the_frame_written(run, tables, tmp_path):
+    ran = run("frame", "self-check", *tables, "--frame", "gamma", "--out", tmp_path / "found.json", "--json")
+    assert ran.code == 0, ran.out
+    view = Frame.load("gamma").view("pa")
+    assert ran.document["misplaced"] == [view.fiducials[70].id]
+    assert ran.document["images"] == 4
+    seen = {(p["view"], p["motion"]): p["seen"] for p in ran.document["plates"]}
+    assert seen["pa", "twist"]
+    assert not any(seen["pa", motion] for motion in ("shift 1", "shift 2", "along the beam"))
+    assert Frame.load(tmp_path / "found.json").covariance_mm2 is not None
+
+
+def test_what_a_person_reads(run, tables):
+    ran = run("frame", "self-check", *tables)
+    assert "not seen" in ran.out
+    assert "Images show neither the scale" in ran.out
+    assert run("frame", "self-check", *tables, "--quiet").out == ""
+
+
+def test_an_image_is_read_like_any_other(run, pair, tables, tmp_path):
+    ran = run("frame", "self-check", pair["pa"], tables[0], "--json")
+    assert ran.code == 3
+    assert "4 or more" in ran.document["error"]["message"]
+
+
+def test_one_file_twice_and_a_frame_file_in_the_way_end_with_2(run, tables, tmp_path):
+    assert run("frame", "self-check", tables[0], tables[0]).code == 2
+    (tmp_path / "f.json").write_text("mine")
+    assert run("frame", "self-check", *tables, "--out", tmp_path / "f.json").code == 2
+    assert (tmp_path / "f.json").read_text() == "mine"
+    assert run("frame", "self-check", *tables, "--frame", "delta").code == 2
