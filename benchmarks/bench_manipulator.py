@@ -12,6 +12,7 @@ from scipy.spatial.transform import RigidTransform
 
 from benchmarks.rows import Row
 from sightline.robot.manipulator import FEED, WRIST_MM, Manipulator, nominal_manipulator
+from sightline.robot.plant import CYCLE_S
 from sightline.robot.reach import check_reach, hip_theatre
 from sightline.twin.drilling import Bone
 from sightline.twin.femur import Femur, to_cfcs, voxelise
@@ -63,11 +64,12 @@ def _factor(robot: Manipulator, seconds: float) -> float:
     start = robot.inverse(*_wire(robot), -STANDOFF_MM)
     plant = SimulatedPlant(robot, bone, np.random.default_rng(2), start)
     plant.guide_mm = start[FEED] + STANDOFF_MM - GUIDE_GAP_MM
-    plant.command(np.array([0.0, 0.0, 0.0, 0.0, 1.0]), drill_on=True)
-    spent = []
+    velocity, spent = np.array([0.0, 0.0, 0.0, 0.0, 1.0]), []
     for _ in range(10):
         begun = time.thread_time()
-        plant.advance(seconds / 10)
+        for _ in range(round(seconds / 10 / CYCLE_S)):
+            plant.command(velocity, drill_on=True)
+            plant.advance(CYCLE_S)
         spent.append(time.thread_time() - begun)
     return seconds / 10 / min(spent)
 

@@ -1,4 +1,4 @@
-"""Break-through noticed while a wire is drilled: delay, overshoot and false alarms over 1,000 simulated holes.
+"""Contact and break-through noticed while a wire is drilled: where, and false alarms, over 1,000 simulated holes.
 
 Two cortices of each hole: the lateral one that the wire enters by, and the shell of the femoral head, which a wire that
 is fed too far would leave by. A third each of the femurs is healthy, osteopenic and osteoporotic (physics.md, Femur).
@@ -15,7 +15,7 @@ from benchmarks.parallel import in_parallel
 from benchmarks.rows import Row
 from sightline.robot.plant import CYCLE_S
 from sightline.robot.supervision import Event, Supervision
-from sightline.twin.drilling import AXIAL_N_PER_MM, Bone, Wire, sensed
+from sightline.twin.drilling import AXIAL_N_PER_MM, CORTICAL_G_CM3, Bone, Wire, sensed
 from sightline.twin.femur import draw_femur, voxelise
 
 FEED_MM_S = 1.0  # 60 mm/min: physics.md, Drilling
@@ -42,6 +42,9 @@ def _rows(name: str, holes: list[dict[str, Any]]) -> list[Row]:
             rows.append(Row("supervision", f"{what} beyond the {cortex}, {name}: median / 95 % / most", figure))
         missed = f"{len(holes) - len(ends)} of {len(holes)}"
         rows.append(Row("supervision", f"break-throughs of the {cortex} missed, {name}", missed))
+    before = np.array([hole["contact"] for hole in holes])
+    told = f"{before.mean():.2f} / {before.std():.2f} / {before.min():.2f} to {before.max():.2f} mm"
+    rows.append(Row("supervision", f"contact noticed before the axis meets bone, {name}: mean / s.d. / range", told))
     false = f"{sum(hole['false'] for hole in holes)} in {len(holes)} holes"
     return [*rows, Row("supervision", f"break-throughs noticed where none is, {name}", false)]
 
@@ -71,14 +74,18 @@ def _hole(bone: Bone, line_mm: np.ndarray, rng: np.random.Generator) -> dict[str
     x = np.linalg.svd(along[None])[2][1]
     axes = np.stack([x, np.cross(along, x), along])
     wire, watch = Wire(bone), Supervision(length + 100.0, length + 100.0)
-    tip, noted = 0.0, []
+    tip, noted, touched = 0.0, [], np.nan
     for step in range(int((length + BEFORE_MM + BEYOND_MM) / (FEED_MM_S * CYCLE_S))):
         depth = -BEFORE_MM + step * FEED_MM_S * CYCLE_S
         thrust = wire.step(line_mm[0] + depth * along, axes, 5.0, turning=True, dt_s=CYCLE_S)
         tip = float((wire.tip_mm - line_mm[0]) @ along)
-        if any(one.event is Event.BREAK_THROUGH for one in watch.step(step * CYCLE_S, depth, sensed(thrust, rng))):
-            noted.append((tip, tip + thrust / AXIAL_N_PER_MM))  # the feed stops, the spring in the wire does not
-    return _judged(_cortex_ends(bone, line_mm[0], along, tip), noted)
+        for one in watch.step(step * CYCLE_S, depth, sensed(thrust, rng)):
+            if one.event is Event.BREAK_THROUGH:
+                noted.append((tip, tip + thrust / AXIAL_N_PER_MM))  # the feed stops, the spring in the wire does not
+            elif one.event is Event.CONTACT:
+                touched = depth
+    met = bone.first_met_mm(line_mm[0] - BEFORE_MM * along, line_mm[1], CORTICAL_G_CM3 / 2) - BEFORE_MM
+    return {"contact": met - touched, **_judged(_cortex_ends(bone, line_mm[0], along, tip), noted)}
 
 
 def _judged(ends_mm: tuple[float, float], noted: list[tuple[float, float]]) -> dict[str, Any]:

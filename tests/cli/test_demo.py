@@ -95,6 +95,8 @@ def test_the_wire_was_drilled_and_the_check_shot_agrees_with_the_physics(demo_fo
     noticed = [event["name"] for event in drilled["record"]["events"]]
     assert noticed[:3] == ["contact", "cortex", "break-through"]
     assert len(drilled["record"]["depth_mm"]) == len(drilled["record"]["force_n"]) > 500
+    assert drilled["record"]["depth_sd_mm"][0] == 0.5  # by the plan; then bone was met, where it should be
+    assert 0.3 < drilled["record"]["depth_sd_mm"][-1] < 0.4
     against_plan, against_ideal = drilled["physics"]
     shot = drilled["check_shot"]
     for key in ("entry_mm", "tip_mm"):

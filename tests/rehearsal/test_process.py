@@ -1,14 +1,17 @@
 """The rehearsal's robot as a process: it listens, tells simulated imaging devices the truth, and surely ends."""
 
 import os
+import signal
 import sys
 import time
 from subprocess import PIPE, Popen
+from threading import Timer
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import RigidTransform, Rotation
 
-from sightline.errors import LinkError
+from sightline.errors import LinkError, RobotRefusedError
 from sightline.frame import Frame
 from sightline.rehearsal.procedure import Rehearsal
 from sightline.rehearsal.process import RobotProcess
@@ -43,6 +46,34 @@ def test_it_is_the_robot_of_the_rehearsal_and_ends_with_its_block():
         assert process.alive
     assert not process.alive
     process.close()
+
+
+def test_a_controller_that_is_killed_while_it_moves():
+    """Its client notices; another start knows nothing, says so, and moves nothing. (Drives stop by their watchdog:
+    tests/twin/test_simulated_plant.py.)"""
+    wire = Rehearsal.draw(SEED, Frame.load("gamma")).hip.wire_mm
+    z = (wire[1] - wire[0]) / np.linalg.norm(wire[1] - wire[0])
+    turned = Rotation.align_vectors([z], [[0.0, 0.0, 1.0]])[0]
+    with RobotProcess(SEED) as process, RobotClient(port=process.port) as robot:
+        robot.start_up()
+        robot.calibrate(robot.simulated_wire().T_mcs_cfcs)
+        robot.aim(RigidTransform.from_components(wire[1], turned))
+        killing = Timer(0.5, lambda: os.kill(process.pid, signal.SIGKILL))
+        killing.start()
+        with pytest.raises(LinkError, match=r"lost|closed"):
+            robot.align()
+        killing.join()
+        with pytest.raises(LinkError):
+            robot.status()
+    assert not process.alive
+    with RobotProcess(SEED) as process, RobotClient(port=process.port) as robot:
+        assert robot.status().error_name == "UNDEFINED"
+        before = robot.joints()[0]
+        for attempt in (robot.align, robot.drill, robot.retract):
+            with pytest.raises(RobotRefusedError, match="in UNDEFINED"):
+                attempt()
+        np.testing.assert_allclose(robot.joints()[0], before, atol=0.02)
+        assert robot.status().error_name == "UNDEFINED"
 
 
 def test_one_that_cannot_start_says_why():

@@ -22,7 +22,7 @@ from sightline.twin.manipulator import SimulatedPlant
 IMAGED = np.array([3.0, -5.0, np.pi / 4, 0.0, 0.5])  # joints at the images
 # CFCS; shorter than a wire in a hip, since drilling takes a second for each millimetre
 ENTRY_MM, END_MM = np.array([35.0, 31.0, -4.0]), np.array([7.7, 2.3, 1.1])
-SETUP = Setup("right", "SN-7")
+SETUP = Setup("right", "SN-7", into_bone=False)  # its wire is in air
 ROBOT = calibrated_robot()
 T_MCS_CFCS = ROBOT.manipulator.T_mcs_cfcs(IMAGED)
 CLIENT = 1
@@ -82,9 +82,11 @@ def plant(seed: int = 0) -> SimulatedPlant:
 class Rig:
     """Controller, plant and dialogue without a link; time passes in `run`."""
 
-    def __init__(self, key_switch: bool = False, moved: SimulatedPlant | IdealPlant | None = None) -> None:
+    def __init__(
+        self, key_switch: bool = False, moved: SimulatedPlant | IdealPlant | None = None, setup: Setup = SETUP
+    ) -> None:
         self.plant, self.panel = moved or IdealPlant(), Panel(key_switch=key_switch)
-        self.controller = Controller(ROBOT, self.plant, SETUP, self.panel)
+        self.controller = Controller(ROBOT, self.plant, setup, self.panel)
         self.dialogue = Dialogue(self.controller)
         self.now_s = 0.0
         self.dialogue.joined(CLIENT)
@@ -118,6 +120,10 @@ class Rig:
             assert self.now_s < end, f"still {self.state}, not {state}"
             said += self.run(CYCLE_S)
         return said
+
+    def run_until_depth(self, depth_mm: float) -> None:
+        while self.controller.snapshot().depth_mm < depth_mm:
+            self.run(CYCLE_S)
 
     @staticmethod
     def at(state: State) -> "Rig":

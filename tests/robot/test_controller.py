@@ -1,5 +1,6 @@
 """The controller without a link: an answer to everything in every state, and motion that is watched."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -9,6 +10,7 @@ from tests.robot.rig import CLIENT, END_MM, ENTRY_MM, IMAGED, ROBOT, T_MCS_CFCS,
 from sightline.robot.contract import HEARTBEAT, Code
 from sightline.robot.igtl import Capability, Command, CommandReply, Status, String, Transform
 from sightline.robot.manipulator import FEED
+from sightline.robot.plant import PlantFlag
 from sightline.robot.requests import Reset
 from sightline.robot.states import COMMANDS, MOVING, TRANSITIONS, WAITING, Cause, State, phase
 
@@ -225,14 +227,18 @@ def test_the_second_shot_sets_the_depth_anew():
     length = float(np.linalg.norm(END_MM - ENTRY_MM))
     rig = Rig.at(State.PAUSED)
     before = rig.plant.read().encoders[FEED]
-    for text, done in (("nan", False), ("inf", False), ("", False), ("-12", False), (repr(length - 8.5), True)):
+    bad = ("nan", "inf", "", "-12", "30 0", "30 -1", "30 nan", "30 9", "30 0.1 7")
+    for text, done in (*((text, False) for text in bad), (f"{length - 8.5!r} 0.25", True)):
         (reply,) = rig.send("shot", Command(3, "SHOT_DEPTH", text))
         assert (reply.body.error == "") is done, reply.body
-    assert rig.controller.snapshot().depth_mm == pytest.approx(length - 8.5, abs=1e-6)
+    # The shot says 1.5 mm more than the encoders, and errs half as much as the plan: four parts of five are taken.
+    now = rig.controller.snapshot()
+    assert now.depth_mm == pytest.approx(length - 10 + 0.8 * 1.5, abs=0.02)
+    assert now.depth_sd_mm == pytest.approx(0.5 * np.sqrt(0.2))
     assert rig.send("shot", Command(4, "SHOT_DEPTH", repr(length - 8.5)), client=OTHER)[0].body.error == "refused"
     rig.command("DRILL")
     rig.run_until(State.DONE)
-    assert rig.plant.read().encoders[FEED] - before == pytest.approx(8.5, abs=0.03)
+    assert rig.plant.read().encoders[FEED] - before == pytest.approx(10 - 0.8 * 1.5, abs=0.03)
 
 
 @pytest.mark.parametrize("state", [state for state in STATES if state is not State.PAUSED], ids=lambda s: s.value)
@@ -311,8 +317,9 @@ def test_a_joint_that_does_not_follow_is_a_fault(joint):
         ("frozen", "no sample"),
         ({"force_n": 200.0}, "above its limit"),
         ({"encoders": IMAGED + 500.0}, "outside the workspace"),
+        ({"flags": PlantFlag.RUN_HELD | PlantFlag.OVERLOAD}, "at the limit of its force"),
     ],
-    ids=["encoders", "force", "clock", "frozen", "thrust", "workspace"],
+    ids=["encoders", "force", "clock", "frozen", "thrust", "workspace", "overload"],
 )
 def test_what_the_plant_says_wrong_while_drilling_is_a_fault(change, why):
     rig = Rig.at(State.DRILL)
@@ -332,6 +339,32 @@ def test_what_the_plant_says_wrong_while_drilling_is_a_fault(change, why):
     rig.plant.read = real
     rig.run(0.1)
     assert rig.speed() < 0.01
+
+
+def test_a_wire_that_runs_past_its_depth_limit_is_a_fault():
+    """The chuck slips, or a drive runs away: the loop sees the wire beyond the limit, where no command sent it."""
+    rig = Rig.at(State.DRILL)
+    insertion = rig.controller.insertion
+    rig.run_until(State.PAUSED)
+    rig.command("DRILL")
+    rig.run_until_depth(insertion.length_mm - 0.1)
+    assert insertion.depth_limit_mm == pytest.approx(insertion.length_mm + 1.0)
+    before = rig.plant.read
+    rig.plant.read = lambda: replace(before(), encoders=rig.plant.q + np.array([0, 0, 0, 0, 1.2]))
+    said = rig.run_until(State.EMERGENCY, 0.1)
+    assert "depth limit" in rig.controller.fault.text
+    assert code(said, "DRILL") == Code.HARDWARE
+    rig.plant.read = before
+    rig.run(0.1)
+    assert rig.speed() < 0.01
+
+
+def test_an_overloaded_drive_stops_no_robot_that_stands():
+    rig = Rig.at(State.PAUSED)
+    before = rig.plant.read
+    rig.plant.read = lambda: replace(before(), flags=PlantFlag.RUN_HELD | PlantFlag.OVERLOAD)
+    rig.run(0.1)
+    assert rig.state is State.PAUSED
 
 
 def test_a_far_break_through_stops_and_a_near_one_does_not():

@@ -10,7 +10,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from sightline.errors import SetUpError
 from sightline.robot.manipulator import FEED, LIFT, TRAVERSE, YAW, nominal_manipulator
-from sightline.robot.plant import CYCLE_S, Plant, PlantFlag
+from sightline.robot.plant import CYCLE_S, WATCHDOG_S, Plant, PlantFlag
 from sightline.twin.drilling import Bone
 from sightline.twin.manipulator import SimulatedPlant
 from sightline.twin.mjcf import Build, mjcf, unit
@@ -24,6 +24,13 @@ START = np.array([10.0, -20.0, 0.6, 0.1, 100.0])
 
 def plant(robot=NOMINAL, bone=None, build=None, start=START, seed=0) -> SimulatedPlant:
     return SimulatedPlant(robot, bone, np.random.default_rng(seed), start, build)
+
+
+def driven(one: SimulatedPlant, velocity, seconds: float, *, drill_on: bool = False) -> None:
+    """Commanded every cycle, as by a controller that lives."""
+    for _ in range(round(seconds / CYCLE_S)):
+        one.command(velocity, drill_on)
+        one.advance(CYCLE_S)
 
 
 def displaced(seed):
@@ -60,8 +67,7 @@ def test_it_is_a_plant():
 
 def test_encoders_count_in_their_resolution():
     one = plant()
-    one.command(np.array([3.0, -2.0, 0.03, 0.02, 4.0]), drill_on=False)
-    one.advance(1.0)
+    driven(one, np.array([3.0, -2.0, 0.03, 0.02, 4.0]), 1.0)
     counts = one.read().encoders / NOMINAL.resolution
     assert np.allclose(counts, np.round(counts), atol=1e-6)
     assert one.read().time_s == pytest.approx(1.0)
@@ -70,10 +76,9 @@ def test_encoders_count_in_their_resolution():
 def test_velocities_are_followed_and_kept():
     one = plant(build=WEIGHTLESS)
     before, velocity = one.read().encoders, np.array([5.0, -5.0, 0.05, -0.05, 10.0])
-    one.command(velocity, drill_on=False)
-    one.advance(0.5)
+    driven(one, velocity, 0.5)
     after = one.read().encoders
-    one.advance(1.0)
+    driven(one, velocity, 1.0)
     assert np.allclose(one.read().encoders - after, velocity, atol=3 * NOMINAL.resolution)
     # It got there with the stated acceleration: half the ramp's time is lost.
     lost = velocity * 0.5 - (after - before)
@@ -82,17 +87,15 @@ def test_velocities_are_followed_and_kept():
 
 def test_a_velocity_beyond_the_joints_speed_is_cut():
     one = plant(build=WEIGHTLESS, start=np.zeros(5))
-    one.command(10 * NOMINAL.speed, drill_on=False)
-    one.advance(0.1)
+    driven(one, 10 * NOMINAL.speed, 0.1)
     first = one.read().encoders
-    one.advance(0.5)
+    driven(one, 10 * NOMINAL.speed, 0.5)
     assert np.allclose((one.read().encoders - first) / 0.5, NOMINAL.speed, rtol=0.01)
 
 
 def test_from_full_speed_a_hold_stops_within_50_ms_and_stays():
     one = plant(start=np.zeros(5))
-    one.command(NOMINAL.speed, drill_on=False)
-    one.advance(0.5)
+    driven(one, NOMINAL.speed, 0.5)
     one.hold()
     one.advance(0.045)
     first = one.read().encoders
@@ -106,30 +109,46 @@ def test_from_full_speed_a_hold_stops_within_50_ms_and_stays():
 @pytest.mark.parametrize(("attribute", "value"), [("stop_pressed", True), ("run_held", False)])
 def test_the_hardwares_own_inputs_stop_whatever_is_commanded(attribute, value):
     one = plant()
-    one.command(NOMINAL.speed / 2, drill_on=True)
-    one.advance(0.1)
+    driven(one, NOMINAL.speed / 2, 0.1, drill_on=True)
     assert PlantFlag.DRILL_ON in one.read().flags
     setattr(one, attribute, value)
     one.advance(0.1)
     first = one.read().encoders
-    one.command(NOMINAL.speed / 2, drill_on=True)
-    one.advance(0.2)
+    driven(one, NOMINAL.speed / 2, 0.2, drill_on=True)
     assert np.allclose(one.read().encoders, first, atol=3 * NOMINAL.resolution)
     assert PlantFlag.DRILL_ON not in one.read().flags
     assert (PlantFlag.STOP_PRESSED in one.read().flags) == (attribute == "stop_pressed")
     assert (PlantFlag.RUN_HELD in one.read().flags) == (attribute != "run_held")
 
 
+def test_drives_that_nobody_commands_stop_by_themselves():
+    """A dead controller: what it said last holds for 50 ms and no longer, and the drill stops with it."""
+    one = plant(build=WEIGHTLESS)
+    driven(one, NOMINAL.speed / 2, 0.2, drill_on=True)
+    one.advance(WATCHDOG_S - 2 * CYCLE_S)
+    assert PlantFlag.DRILL_ON in one.read().flags
+    one.advance(2 * CYCLE_S)
+    last = one.read().encoders
+    one.advance(0.05)
+    assert PlantFlag.DRILL_ON not in one.read().flags
+    stopped = one.read().encoders
+    # From half speed at full acceleration, and the cycle in which the watchdog acts.
+    way = (NOMINAL.speed / 2) ** 2 / (2 * NOMINAL.acceleration) + NOMINAL.speed / 2 * CYCLE_S
+    assert (stopped - last < way + 2 * NOMINAL.resolution).all()
+    one.advance(0.5)
+    assert np.allclose(one.read().encoders, stopped, atol=3 * NOMINAL.resolution)
+    driven(one, NOMINAL.speed / 2, 0.2)  # and obey again
+    assert (one.read().encoders > stopped + 10 * NOMINAL.resolution).all()
+
+
 @pytest.mark.parametrize("sign", [1, -1])
 def test_a_joint_stops_at_its_limit(sign):
     near = NOMINAL.upper - 0.01 * NOMINAL.speed if sign > 0 else NOMINAL.lower + 0.01 * NOMINAL.speed
     one = plant(build=WEIGHTLESS, start=near)
-    one.command(sign * NOMINAL.speed, drill_on=False)
-    one.advance(1.0)
+    driven(one, sign * NOMINAL.speed, 1.0)
     assert PlantFlag.AT_LIMIT in one.read().flags
     assert (np.abs(NOMINAL.beyond_limits(one.read().encoders)) < 0.01 * NOMINAL.speed).all()
-    one.command(-sign * NOMINAL.speed, drill_on=False)
-    one.advance(0.3)
+    driven(one, -sign * NOMINAL.speed, 0.3)
     assert PlantFlag.AT_LIMIT not in one.read().flags
 
 
@@ -169,8 +188,7 @@ def test_the_yaws_play_leaves_the_wire_where_it_came_from():
     ends = []
     for sign in (1, -1):
         one = plant(start=START - sign * np.array([0.0, 0.0, 0.05, 0.0, 0.0]))
-        one.command(sign * np.array([0.0, 0.0, 0.02, 0.0, 0.0]), drill_on=False)
-        one.advance(2.0)
+        driven(one, sign * np.array([0.0, 0.0, 0.02, 0.0, 0.0]), 2.0)
         axis = one.true_T_mcs_tool().rotation.apply([0.0, 0.0, 1.0])
         ends.append(np.arctan2(axis[1], axis[0]) - one.read().encoders[YAW])
     assert ends[1] - ends[0] == pytest.approx(0.0, abs=np.deg2rad(0.055))
@@ -189,8 +207,7 @@ def test_thrust_bends_the_robot_back_where_the_encoders_cannot_see_it():
     one = plant(bone=slab(NOMINAL, START, 2.0), build=WEIGHTLESS)
     one.guide_mm = START[FEED] - 5.0
     for each in (free, one):
-        each.command(np.array([0.0, 0.0, 0.0, 0.0, 1.0]), drill_on=True)
-        each.advance(8.0)
+        driven(each, np.array([0.0, 0.0, 0.0, 0.0, 1.0]), 8.0, drill_on=True)
     assert one.thrust_n == pytest.approx(35.0, rel=0.02)
     assert np.allclose(one.read().encoders, free.read().encoders, atol=0.03)
     axis = NOMINAL.T_mcs_tool(START).rotation.apply([0.0, 0.0, 1.0])
@@ -205,8 +222,7 @@ def test_thrust_bends_the_robot_back_where_the_encoders_cannot_see_it():
 def test_a_hold_while_drilling_leaves_the_tip_where_it_is():
     one = plant(bone=slab(NOMINAL, START, 2.0))
     one.guide_mm = START[FEED] - 5.0
-    one.command(np.array([0.0, 0.0, 0.0, 0.0, 1.0]), drill_on=True)
-    one.advance(6.0)
+    driven(one, np.array([0.0, 0.0, 0.0, 0.0, 1.0]), 6.0, drill_on=True)
     before = one.true_T_mcs_tool().translation
     one.hold()
     one.advance(1.0)
@@ -218,8 +234,7 @@ def test_whatever_is_commanded_the_plant_stays_whole():
     rng = np.random.default_rng(11)
     one = plant()
     for _ in range(200):
-        one.command(rng.uniform(-2, 2, 5) * NOMINAL.speed, drill_on=bool(rng.integers(2)))
-        one.advance(0.3)
+        driven(one, rng.uniform(-2, 2, 5) * NOMINAL.speed, 0.3, drill_on=bool(rng.integers(2)))
         encoders = one.read().encoders
         assert (np.abs(NOMINAL.beyond_limits(encoders)) < 0.01 * NOMINAL.speed).all()
         off = one.true_T_mcs_tool().translation - NOMINAL.T_mcs_tool(encoders).translation
@@ -241,11 +256,10 @@ def test_a_start_beyond_the_limits_is_refused(bad):
 def test_the_sensor_reads_the_thrust_with_its_noise():
     one = plant(bone=slab(NOMINAL, START, 2.0), build=WEIGHTLESS)
     one.guide_mm = START[FEED] - 5.0
-    one.command(np.array([0.0, 0.0, 0.0, 0.0, 1.0]), drill_on=True)
-    one.advance(6.0)
+    driven(one, np.array([0.0, 0.0, 0.0, 0.0, 1.0]), 6.0, drill_on=True)
     read = []
     for _ in range(400):
-        one.advance(CYCLE_S)
+        driven(one, np.array([0.0, 0.0, 0.0, 0.0, 1.0]), CYCLE_S, drill_on=True)
         read.append(one.read().force_n)
     assert np.mean(read) == pytest.approx(35.0, abs=5 * 3.5 / 20)
     assert np.std(read) == pytest.approx(3.5, rel=0.2)
@@ -255,13 +269,11 @@ def test_a_drive_that_cannot_follow_says_so_and_does_not_wind_up():
     weak = Build(gravity=(0.0, 0.0, 0.0), drive_force=(1000.0, 400.0, 60.0, 60.0, 15.0))
     one = plant(bone=slab(NOMINAL, START, 2.0), build=weak)
     one.guide_mm = START[FEED] - 5.0
-    one.command(np.array([0.0, 0.0, 0.0, 0.0, 1.0]), drill_on=False)  # against bone, not turning
-    one.advance(6.0)
+    driven(one, np.array([0.0, 0.0, 0.0, 0.0, 1.0]), 6.0)  # against bone, not turning
     assert PlantFlag.OVERLOAD in one.read().flags
     assert one.thrust_n == pytest.approx(15.0, abs=1.0)
     stuck = one.read().encoders[FEED]
-    one.command(np.array([0.0, 0.0, 0.0, 0.0, -1.0]), drill_on=False)
-    one.advance(1.0)
+    driven(one, np.array([0.0, 0.0, 0.0, 0.0, -1.0]), 1.0)
     assert one.read().encoders[FEED] < stuck - 0.8
 
 
@@ -272,8 +284,7 @@ def test_the_true_wire_runs_from_its_guide_through_its_entry_to_its_tip():
     ahead = RigidTransform.from_translation([0.0, 0.0, 6.0])
     one = plant(bone=Bone((volume,), tool * ahead * tilt))
     one.guide_mm = START[FEED] - 30.0
-    one.command(np.array([0.0, 0.0, 0.0, 0.0, 1.0]), drill_on=True)
-    one.advance(25.0)
+    driven(one, np.array([0.0, 0.0, 0.0, 0.0, 1.0]), 25.0, drill_on=True)
     mouth, entry, tip = one.true_wire_mm()
     true = one.true_T_mcs_tool()
     assert np.allclose(tip, true.translation)
@@ -298,8 +309,8 @@ def test_the_same_generator_gives_the_same_readings():
     read = []
     for _ in range(2):
         one = plant(bone=slab(NOMINAL, START, 2.0), seed=3)
-        one.command(np.array([0.0, 0.0, 0.01, 0.0, 1.0]), drill_on=True)
-        one.advance(1.003)
+        driven(one, np.array([0.0, 0.0, 0.01, 0.0, 1.0]), 1.0, drill_on=True)
+        one.advance(0.003)
         read.append((*one.read().encoders, one.read().force_n, one.read().time_s))
     assert read[0] == read[1]
     assert read[0][-1] == pytest.approx(1.0)  # whole cycles; 3 ms are owed

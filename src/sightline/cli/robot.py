@@ -132,7 +132,7 @@ def drive(
         if address is None:
             with out.step("starting a simulator"):
                 theatre = _theatre(side, frame_serial, rehearse, frame)
-            frame_serial = theatre.serial
+            frame_serial = theatre.setup.frame_serial
             server = stack.enter_context(theatre.server(virtual=True))
             robot = stack.enter_context(RobotClient(port=server.port, heartbeat=False, streams=False))
         elif rehearse is not None:

@@ -56,24 +56,23 @@ class Outcome:
 @dataclass(frozen=True, eq=False)
 class Theatre:
     """A robot beside a patient: as it is known (`robot`), as it is (`plant`), its encoders at the images (`imaged`),
-    and where the frame truly stood then (`T_mcs_cfcs`), which is where the bone is."""
+    where the frame truly stood then (`T_mcs_cfcs`), which is where the bone is, and what a person has confirmed."""
 
     robot: CalibratedRobot
     plant: SimulatedPlant
     imaged: np.ndarray
     T_mcs_cfcs: RigidTransform
-    side: str
-    serial: str
+    setup: Setup
 
     @staticmethod
-    def draw(robot: CalibratedRobot, hip: HipScene, rng: np.random.Generator, serial: str, side: str) -> "Theatre":
+    def draw(robot: CalibratedRobot, hip: HipScene, rng: np.random.Generator, setup: Setup) -> "Theatre":
         """A true robot at the images of a hip. Raises SetUpError without MuJoCo."""
-        true, start = drawn_robot(robot, side, rng)
+        true, start = drawn_robot(robot, setup.side, rng)
         # Its own generator: how many samples it takes depends on the link, and the images must not.
         plant = SimulatedPlant(true, None, rng.spawn(1)[0], start=start)
         place = plant.true_T_mcs_cfcs()
         plant.meet(Bone(hip.bone.volumes, place))
-        return Theatre(robot, plant, plant.read().encoders, place, side, serial)
+        return Theatre(robot, plant, plant.read().encoders, place, setup)
 
     @staticmethod
     def in_air(side: str, serial: str) -> "Theatre":
@@ -81,14 +80,13 @@ class Theatre:
         robot, start = calibrated_robot(side), np.zeros(5)
         start[YAW], start[FEED] = imaging_yaw(side), IN_SLEEVE_MM
         plant = SimulatedPlant(robot.manipulator, None, np.random.default_rng(), start=start)
-        return Theatre(robot, plant, plant.read().encoders, plant.true_T_mcs_cfcs(), side, serial)
+        confirmed = Setup(side, serial, into_bone=False)
+        return Theatre(robot, plant, plant.read().encoders, plant.true_T_mcs_cfcs(), confirmed)
 
     def server(self, *, host: str = LOOPBACK, port: int = 0, virtual: bool = False) -> RobotServer:
         """The robot behind its link, not yet listening. A person pushes the sleeve to the bone once it is aligned."""
         # A reset meant for a fault of an earlier start must not clear one of this.
-        controller = Controller(
-            self.robot, self.plant, Setup(self.side, self.serial), first_fault=int(time.time()) % 1_000_000 + 1
-        )
+        controller = Controller(self.robot, self.plant, self.setup, first_fault=int(time.time()) % 1_000_000 + 1)
 
         def advance(dt_s: float) -> None:
             if controller.state is State.ALIGNED and controller.insertion is not None:
@@ -107,7 +105,7 @@ class Theatre:
 
     def target(self, plan: Plan, name: str) -> RobotTarget:
         """What the robot is to drill. Raises RobotRefusedError."""
-        identity = PlanIdentity(name, self.side, self.serial, plan.verdict.go)
+        identity = PlanIdentity(name, self.setup.side, self.setup.frame_serial, plan.verdict.go)
         return target_of(plan, identity, registered(self.robot, self.imaged, time.monotonic()))
 
     def drill(self, target: RobotTarget, depth_limit_mm: float) -> DrillingRecord:

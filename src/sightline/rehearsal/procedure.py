@@ -16,6 +16,7 @@ from sightline.rehearsal.check_images import CheckImages
 from sightline.rehearsal.operation import Theatre
 from sightline.rehearsal.robots import calibrated_robot, drawn_robot
 from sightline.robot.calibrated import CalibratedRobot
+from sightline.robot.insertion import Setup
 from sightline.robot.simulated import SimulatedWire
 from sightline.twin import HipScene, SetUp, render, shown_hip_scene
 from sightline.twin.femur import SHORT_MM
@@ -82,7 +83,7 @@ class Rehearsal:
 
     def theatre(self) -> Theatre:
         """The robot as it is, where it stands at the images, before this bone. Raises SetUpError without MuJoCo."""
-        return Theatre.draw(self.robot, self.hip, self.generator("robot"), self.serial, self.side)
+        return Theatre.draw(self.robot, self.hip, self.generator("robot"), Setup(self.side, self.serial))
 
     def check_images(self, wire: SimulatedWire) -> CheckImages:
         """Two more images, with the wire where it truly is. The chuck is opened, and the arm goes back to where the

@@ -1,4 +1,5 @@
-"""What the robot does below MOVE_TO_TARGET while it moves: align, drill, retract. Each is stepped once a cycle."""
+"""What the robot does below MOVE_TO_TARGET while it moves: courses of its joints, to align and to retract. Drilling is
+in robot/drilling.py. Each is stepped once a cycle."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -6,21 +7,14 @@ from typing import Protocol
 
 import numpy as np
 
-from sightline.errors import UnusableInputError
-from sightline.robot.insertion import STANDOFF_MM, Insertion, retracted
+from sightline.robot.insertion import Insertion, retracted
 from sightline.robot.manipulator import FEED, JOINTS, TURNS, Manipulator
 from sightline.robot.motion import Move
 from sightline.robot.plant import Reading
 from sightline.robot.states import Cause
-from sightline.robot.supervision import Event, Noted, Supervision
 
 ACCELERATION_SHARE = 0.5  # of the manipulator's, so that the drives can still correct [ours]
 RETRACT_MM_S = 10.0  # out of bone, the drill off [ours]
-APPROACH_MM_S, NEAR_MM = 5.0, 2.0  # towards the entry point, and from where on as in bone: its 95 % error, twice [ours]
-DRILL_MM_S = 1.0  # 60 mm/min [physics.md, Drilling]
-PAUSE_MM = 10.0  # short of the tip, for the second shot [issue]
-# A wire that leaves bone beyond this share of its path has gone through the far side, not the near one [ours].
-FAR_SHARE = 0.5
 PULL_PER_S = 10.0  # of what a joint is behind: a time constant of 0.1 s, twenty cycles [ours]
 # How far a joint may be from where it should be: while it moves, and while it should stand (mm, rad) [ours].
 MOVING_LIMIT = np.where(TURNS, np.deg2rad(0.5), 1.0)
@@ -103,90 +97,16 @@ def align(manipulator: Manipulator, insertion: Insertion, q: np.ndarray) -> Cour
     """From the joints `q` (5,): the wire back, the arm turned, the wire forward to its stand-off."""
     _, back, turned, forward = insertion.course(manipulator, q)
     speed = manipulator.speed
-    return Course(manipulator, q, (Leg(back, _feeding(speed, RETRACT_MM_S)), Leg(turned, speed), Leg(forward, speed)))
+    return Course(manipulator, q, (Leg(back, feeding(speed, RETRACT_MM_S)), Leg(turned, speed), Leg(forward, speed)))
 
 
 def retract(manipulator: Manipulator, q: np.ndarray) -> Course:
     """The wire back, all else held."""
-    return Course(manipulator, q, (Leg(retracted(manipulator, q), _feeding(manipulator.speed, RETRACT_MM_S)),))
+    return Course(manipulator, q, (Leg(retracted(manipulator, q), feeding(manipulator.speed, RETRACT_MM_S)),))
 
 
-class Drilling:
-    """One hole, with its pause. `resume` starts it, and starts it again."""
-
-    def __init__(self, manipulator: Manipulator, insertion: Insertion) -> None:
-        self.position = insertion.at_depth(-STANDOFF_MM)
-        self.noted: list[Noted] = []
-        self.insertion = insertion  # a check shot may set its depths anew while the drill stands
-        self._manipulator = manipulator
-        self._supervision: Supervision
-        self._sampled_s = -np.inf
-        self._pause_mm = max(insertion.length_mm - PAUSE_MM, 0.0)
-        self._paused = self._near = False
-
-    def resume(self) -> None:
-        """Go on, from where the wire is."""
-        self._supervision = Supervision(self.insertion.length_mm, self.insertion.depth_limit_mm)
-        self._begin()
-
-    def step(self, reading: Reading, now_s: float) -> Step:
-        """One cycle: PAUSE short of the tip, ARRIVED at it; HALT or FAULT with the reason."""
-        stopped = self._watch(reading)
-        if stopped is not None:
-            return stopped
-        if not self._near and any(noted.event is Event.CONTACT for noted in self.noted):
-            self._begin()  # slower from here on
-        step = self._course.step(reading, now_s)
-        self.position = self._course.position
-        if step.cause is Cause.ARRIVED and not self._paused:
-            self._paused = True
-            return Step(step.velocity, cause=Cause.PAUSE)
-        return Step(step.velocity, drill_on=step.cause is None, cause=step.cause, text=step.text)
-
-    def _begin(self) -> None:
-        goal = self.insertion.length_mm if self._paused else self._pause_mm
-        speed = self._manipulator.speed
-        legs = [Leg(self.insertion.at_depth(goal), _feeding(speed, DRILL_MM_S))]
-        depth = self.position[FEED] - self.insertion.q[FEED]
-        touched = any(noted.event is Event.CONTACT for noted in self.noted)
-        if depth < -NEAR_MM and not touched:
-            legs.insert(0, Leg(self.insertion.at_depth(-NEAR_MM), _feeding(speed, APPROACH_MM_S)))
-        self._near = len(legs) == 1
-        self._course = Course(self._manipulator, self.position, legs)
-
-    def _watch(self, reading: Reading) -> Step | None:
-        """What the supervision says against going on."""
-        if reading.time_s == self._sampled_s:
-            return None
-        self._sampled_s = reading.time_s
-        depth = float(reading.encoders[FEED] - self.insertion.q[FEED])
-        try:
-            noted = self._supervision.step(reading.time_s, depth, reading.force_n)
-        except UnusableInputError as error:
-            return _stop(Cause.FAULT, str(error))
-        self.noted += noted
-        for event in noted:
-            said = _SAID.get(event.event)
-            if said is not None:
-                return _stop(Cause.FAULT, said.format(force=event.force_n, depth=event.depth_mm))
-            if event.event is Event.BREAK_THROUGH and depth > FAR_SHARE * self.insertion.length_mm:
-                return _stop(
-                    Cause.HALT, f"the wire broke through a cortex at {depth:.1f} mm, on the far side: take a check shot"
-                )
-        return None
-
-
-_SAID = {
-    Event.FORCE_LIMIT: "the thrust of {force:.0f} N at {depth:.1f} mm is above its limit",
-    Event.DEPTH_LIMIT: "the wire reached its depth limit at {depth:.1f} mm",
-}
-
-
-def _stop(cause: Cause, text: str) -> Step:
-    return Step(np.zeros(len(JOINTS)), cause=cause, text=text)
-
-
-def _feeding(speed: np.ndarray, feed_mm_s: float) -> np.ndarray:
+def feeding(speed: np.ndarray, feed_mm_s: float) -> np.ndarray:
+    """(5,): the joints' speeds, the feed's no more than this."""
     out = speed.copy()
     out[FEED] = min(out[FEED], feed_mm_s)
     return out

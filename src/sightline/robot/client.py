@@ -13,6 +13,7 @@ from scipy.spatial.transform import RigidTransform
 from sightline.errors import LinkError, RobotRefusedError
 from sightline.robot import contract
 from sightline.robot.contract import ACK_S, STATUS_S, Code
+from sightline.robot.depth import SHOT_SD_MM
 from sightline.robot.igtl import (
     Capability,
     Command,
@@ -206,9 +207,9 @@ class RobotClient:
         """Reset the robot after a fault that a person has read and seen to, by its number."""
         self._order(contract.RESET, str(fault))
 
-    def shot_depth(self, depth_mm: float) -> None:
-        """Tell the robot, in PAUSED, how far beyond the entry point the second shot shows the tip."""
-        self._order(contract.SHOT_DEPTH, repr(float(depth_mm)))
+    def shot_depth(self, depth_mm: float, sd_mm: float = SHOT_SD_MM) -> None:
+        """Tell the robot, in PAUSED, how far beyond the entry point the second shot shows the tip, give or take."""
+        self._order(contract.SHOT_DEPTH, f"{float(depth_mm)!r} {float(sd_mm)!r}")
 
     def simulated_wire(self) -> SimulatedWire:
         """Where a simulated robot's wire truly is, for simulated images. Raises RobotRefusedError of a real robot."""

@@ -14,6 +14,7 @@ HEARTBEAT = "HEARTBEAT"
 CURRENT_STATUS, CURRENT_POSITION = "CURRENT_STATUS", "CURRENT_POSITION"
 MEASURED_CP, MEASURED_JS = f"{ARM}/measured_cp", f"{ARM}/measured_js"
 FORCE, DEPTH, CYCLES = f"{ARM}/force", f"{ARM}/depth", f"{ARM}/cycles"
+DEPTH_SD = f"{ARM}/depth_sd"  # error of depth, 1 s.d.
 EVENT = f"{ARM}/event"  # what supervision noticed: "break-through; 5.31 mm; 12.4 N"
 
 # What a peer may announce in its CAPABILITY beside types of messages, in their twelve characters.
@@ -25,7 +26,7 @@ IS_SIMULATED = "X_SIMULATOR"  # robot: nothing real moves
 HAS_RESET = "X_RESET"  # robot: a person may reset it over the link
 
 RESET = "RESET"  # name of the COMMAND that does, its text the number of the fault that the person has read
-SHOT_DEPTH = "SHOT_DEPTH"  # another: how far beyond the entry point the check shot shows the tip, mm
+SHOT_DEPTH = "SHOT_DEPTH"  # another: how far beyond the entry point the check shot shows the tip, mm, and its s.d.
 SIMULATED_WIRE = "SIMULATED_WIRE"  # a third, of simulators alone: where the wire truly is, for simulated images
 
 # Metadata of a target. Where PLAN stands all others must.

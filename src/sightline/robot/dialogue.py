@@ -9,9 +9,9 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from sightline.robot import contract
-from sightline.robot.activities import Drilling
 from sightline.robot.contract import Code
 from sightline.robot.controller import Controller
+from sightline.robot.drilling import Drilling
 from sightline.robot.igtl import (
     MILLIMETRE,
     NEWTON,
@@ -286,8 +286,9 @@ class Dialogue:
             (contract.CYCLES, Sensor(np.array([self.cycles.count, self.cycles.missed, self.cycles.worst_s]))),
             (contract.CURRENT_STATUS, self._current()),
         ]
-        if now.depth_mm is not None:
-            said.append((contract.DEPTH, Sensor(np.array([now.depth_mm]), MILLIMETRE)))
+        for name, value in ((contract.DEPTH_SD, now.depth_sd_mm), (contract.DEPTH, now.depth_mm)):
+            if value is not None:
+                said.append((name, Sensor(np.array([value]), MILLIMETRE)))
         return said
 
     def _joints(self, now: Snapshot) -> tuple[str, Body]:
@@ -316,9 +317,10 @@ def _request(command: str, text: str) -> Request | str:
         return Reset(int(text)) if digits else f"{contract.RESET} carries the number of the fault"
     if command == contract.SHOT_DEPTH:
         try:
-            return ShotDepth(float(text[:40]))
-        except ValueError:
-            return f"{contract.SHOT_DEPTH} carries a depth in mm"
+            depth, *sd = (float(part) for part in text[:80].split())
+            return ShotDepth(depth, *sd)
+        except (TypeError, ValueError):
+            return f"{contract.SHOT_DEPTH} carries a depth in mm, and its standard deviation if known: '79.6 0.15'"
     return f"there is no COMMAND {command[:40]!r}; there are {contract.RESET} and {contract.SHOT_DEPTH}"
 
 

@@ -1,7 +1,7 @@
 """What the robot is told to drill: read from a registration and a target as they come over the link, or refused."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from math import isfinite
 
 import numpy as np
@@ -30,12 +30,14 @@ BASE_IN_METRES, TARGET_IN_METRES = 10.0, 1.0
 @dataclass(frozen=True)
 class Setup:
     """What a person has confirmed at the robot: the patient's side, the serial of the frame, whether it is still on the
-    flange, and if it was taken off since its calibration how well it repeats its place."""
+    flange, and if it was taken off since its calibration how well it repeats its place; whether bone is to be met at
+    the entry point, which it is not in a dry run and in a bore."""
 
     side: str
     frame_serial: str
     frame_mounted: bool = True
     remount_mm: float | None = None
+    into_bone: bool = True
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,10 +73,6 @@ class Insertion:
         q = self.q.copy()
         q[FEED] += depth_mm
         return q
-
-    def shifted(self, feed_mm: float) -> "Insertion":
-        """The same with every depth so much further along the feed."""
-        return replace(self, q=self.at_depth(feed_mm))
 
     def course(self, manipulator: Manipulator, q: np.ndarray) -> np.ndarray:
         """Joints (4, 5) on the way from `q` (5,) to the stand-off: the wire back, the arm turned, the wire forward."""

@@ -7,6 +7,7 @@ from typing import Protocol
 import numpy as np
 
 CYCLE_S = 0.005  # of reading and commanding: 200 Hz [ours]
+WATCHDOG_S = 0.05  # without a command after which the drives stop by themselves: ten cycles [ours]
 
 
 class PlantFlag(Flag):
@@ -32,7 +33,8 @@ class Reading:
 
 
 class Plant(Protocol):
-    """What moves. A command holds until the next one."""
+    """What moves. A command holds until the next one, but no longer than WATCHDOG_S: then whoever gave it is gone, and
+    the drives stop by themselves, the drill off, as after `hold`."""
 
     def read(self) -> Reading:
         """The latest sample."""

@@ -23,24 +23,32 @@ class DrillingEvent:
 
 @dataclass(frozen=True, eq=False)
 class DrillingRecord:
-    """`depth_mm` beyond the entry point and `force_n`, (N,) in the order they came; `events` likewise."""
+    """`depth_mm` beyond the entry point and `force_n`, (N,) in the order they came; `events` likewise. `depth_sd_mm`
+    (N,): the depth's error, 1 s.d.; None of a robot that states none."""
 
     depth_mm: np.ndarray
     force_n: np.ndarray
     events: tuple[DrillingEvent, ...]
+    depth_sd_mm: np.ndarray | None = None
 
     def document(self) -> dict[str, Any]:
         """As JSON types."""
         events = [vars(event) for event in self.events]
-        return {"depth_mm": self.depth_mm.tolist(), "force_n": self.force_n.tolist(), "events": events}
+        sd = None if self.depth_sd_mm is None else self.depth_sd_mm.tolist()
+        return {
+            "depth_mm": self.depth_mm.tolist(),
+            "depth_sd_mm": sd,
+            "force_n": self.force_n.tolist(),
+            "events": events,
+        }
 
 
 class Recorder:
     """Give `heard` to a client's `listeners`; `record` is what was heard so far. Messages it does not know pass by."""
 
     def __init__(self) -> None:
-        self._force_n = np.nan
-        self._samples: list[tuple[float, float]] = []
+        self._force_n = self._sd_mm = np.nan
+        self._samples: list[tuple[float, float, float]] = []  # depth, force, error of depth
         self._events: list[DrillingEvent] = []
 
     def heard(self, message: Message) -> None:
@@ -50,8 +58,10 @@ class Recorder:
             value = float(body.values[0])
             if message.device_name == contract.FORCE:
                 self._force_n = value
+            elif message.device_name == contract.DEPTH_SD:
+                self._sd_mm = value
             elif message.device_name == contract.DEPTH and np.isfinite([value, self._force_n]).all():
-                self._samples.append((value, self._force_n))
+                self._samples.append((value, self._force_n, self._sd_mm))
         elif isinstance(body, String) and message.device_name == contract.EVENT:
             said = _EVENT.fullmatch(body.text)
             if said is not None:
@@ -60,5 +70,5 @@ class Recorder:
     @property
     def record(self) -> DrillingRecord:
         """Up to now."""
-        samples = np.array(self._samples).reshape(-1, 2)
-        return DrillingRecord(samples[:, 0], samples[:, 1], tuple(self._events))
+        depth, force, sd = np.array(self._samples).reshape(-1, 3).T
+        return DrillingRecord(depth, force, tuple(self._events), sd if np.isfinite(sd).all() else None)

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from sightline.robot.contract import Code
+from sightline.robot.depth import SHOT_SD_MM
 from sightline.robot.igtl import Message
-from sightline.robot.insertion import Insertion, LinkRegistration
 from sightline.robot.plant import Reading
 from sightline.robot.states import State
 
@@ -42,9 +42,10 @@ class Reset:
 
 @dataclass(frozen=True)
 class ShotDepth:
-    """How far beyond the entry point the second shot shows the tip, mm: the zero of depth set anew."""
+    """How far beyond the entry point the second shot shows the tip, and its error, 1 s.d.; mm."""
 
     depth_mm: float
+    sd_mm: float = SHOT_SD_MM
 
 
 Request = Command | Register | Aim | Reset | ShotDepth
@@ -88,8 +89,8 @@ class Fault:
 
 @dataclass(frozen=True, eq=False)
 class Snapshot:
-    """What there is to know now. `depth_mm` beyond the entry point, None without a target; `wanted` (5,): where the
-    joints should be."""
+    """What there is to know now. `depth_mm` beyond the entry point, and its error, 1 s.d., None without a target;
+    `wanted` (5,): where the joints should be."""
 
     state: State
     reading: Reading
@@ -97,6 +98,5 @@ class Snapshot:
     wanted: np.ndarray
     commanded: np.ndarray
     depth_mm: float | None
+    depth_sd_mm: float | None
     fault: Fault | None
-    registration: LinkRegistration | None
-    insertion: Insertion | None

@@ -100,9 +100,12 @@ class ForceFilter:
 
 
 class Supervision:
-    """The watch over one hole. Depths are mm of feed beyond depth zero, which may be set anew (contact, check shot)."""
+    """The watch over one hole. Depths are mm of feed beyond depth zero, which may be set anew (robot/depth.py).
+    `touched`: the wire is in bone already."""
 
-    def __init__(self, planned_mm: float, limit_mm: float, force_limit_n: float = FORCE_LIMIT_N) -> None:
+    def __init__(
+        self, planned_mm: float, limit_mm: float, force_limit_n: float = FORCE_LIMIT_N, *, touched: bool = False
+    ) -> None:
         if not 0 < planned_mm <= limit_mm:
             raise RobotRefusedError(
                 f"the planned depth of {planned_mm:.1f} mm lies beyond the depth limit of {limit_mm:.1f} mm; plan a "
@@ -112,7 +115,7 @@ class Supervision:
         self._filter = ForceFilter()
         self._cortex_n = 0.0  # the most force of late while in a cortex, otherwise 0
         self._left = False  # a cortex, while its force still falls
-        self._touched = self._arrived = False
+        self._touched, self._arrived = touched, False
         self._last: tuple[float, float] | None = None
 
     @property

@@ -22,6 +22,7 @@ from sightline.frame import Frame
 from sightline.planning import Plan, plan
 from sightline.rehearsal.operation import Outcome, Theatre
 from sightline.rehearsal.robots import calibrated_robot
+from sightline.robot.insertion import Setup
 from sightline.studies.intervals import quantile, share
 from sightline.studies.phantoms import PHANTOMS, SIDE, image_of, observed
 from sightline.studies.scenes import VIEWS
@@ -146,7 +147,9 @@ def _inserted(planned: Planned, method: Method, rng: np.random.Generator) -> Val
         made = planned.plan(method)
         by_plan = Outcome.of(made.trajectory.points.xyz_mm, planned.hip.wire_mm)
         out = {"plan_entry": by_plan.entry_mm, "plan_angle": float(np.rad2deg(by_plan.angle_rad))}
-        theatre = Theatre.draw(calibrated_robot(SIDE), planned.hip, rng, planned.setup.frame.serial or "twin", SIDE)
+        # Along a bore, whose mouth nothing touches, no contact can be waited for.
+        confirmed = Setup(SIDE, planned.setup.frame.serial or "twin", into_bone=False)
+        theatre = Theatre.draw(calibrated_robot(SIDE), planned.hip, rng, confirmed)
         target = theatre.target(made, "fig15")
         theatre.drill(target, target.length_mm + BEYOND_MM)
     except SightlineError as error:

@@ -7,7 +7,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from sightline.errors import SetUpError
 from sightline.robot.manipulator import FEED, JOINTS, Manipulator
-from sightline.robot.plant import CYCLE_S, PlantFlag, Reading
+from sightline.robot.plant import CYCLE_S, WATCHDOG_S, PlantFlag, Reading
 from sightline.twin.drilling import Bone, Wire, sensed
 from sightline.twin.mjcf import STEP_S, Build, M, mjcf, unit
 
@@ -46,6 +46,7 @@ class SimulatedPlant:
         self._body = _Body(robot, build or Build(), at)
         self._goal, self._drill_on = np.zeros(len(JOINTS)), False
         self._time_s, self._owed_s = 0.0, 0.0
+        self._told_s = 0.0  # when the last command came
         if bone is not None:
             self.meet(bone)
         self._reading = self._sample(overloaded=False, limited=False)
@@ -60,7 +61,7 @@ class SimulatedPlant:
         if velocity.shape != (len(JOINTS),) or not np.isfinite(velocity).all():
             raise ValueError("a command is five finite joint velocities")
         self._goal = np.clip(velocity, -self.robot.speed, self.robot.speed)
-        self._drill_on = drill_on
+        self._drill_on, self._told_s = drill_on, self._time_s
 
     def hold(self) -> None:
         """See Plant."""
@@ -114,6 +115,8 @@ class SimulatedPlant:
         return self.run_held and not self.stop_pressed
 
     def _cycle(self) -> None:
+        if self._time_s - self._told_s > WATCHDOG_S - CYCLE_S / 2:
+            self.hold()
         goal = self._goal if self._may_move else np.zeros(len(JOINTS))
         overloaded, limited = self._body.drive(goal)
         self._time_s += CYCLE_S

@@ -1,0 +1,39 @@
+"""Which client commands, and whether it has fallen silent."""
+
+from sightline.robot.contract import SILENCE_S
+
+
+class Lease:
+    """One client may hold it, by its number; silence is noticed of those that have promised heartbeats."""
+
+    def __init__(self) -> None:
+        self.holder: int | None = None
+        self._heard_s: dict[int, float] = {}
+
+    def heartbeat(self, client: int, now_s: float) -> None:
+        """A sign of life, or the promise of more."""
+        self._heard_s[client] = now_s
+
+    def heard(self, client: int, now_s: float) -> None:
+        """Any other message; it counts where the client has promised heartbeats."""
+        if client in self._heard_s:
+            self._heard_s[client] = now_s
+
+    def take(self, client: int) -> bool:
+        """Take it if it is free. Whether this client holds it now."""
+        if self.holder is None:
+            self.holder = client
+        return self.holder == client
+
+    def left(self, client: int) -> bool:
+        """The client is gone. Whether it held the lease, which is free then."""
+        self._heard_s.pop(client, None)
+        if client != self.holder:
+            return False
+        self.holder = None
+        return True
+
+    def silent(self, begun_s: float, now_s: float) -> bool:
+        """Whether its holder has said nothing for too long, since `begun_s` at most."""
+        heard_s = self._heard_s.get(-1 if self.holder is None else self.holder)
+        return heard_s is not None and now_s - max(heard_s, begun_s) > SILENCE_S

@@ -1,0 +1,228 @@
+"""What the robot does by itself: read the plant, watch, move, stop. It knows states and activities, no requests."""
+
+import numpy as np
+
+from sightline.robot.activities import Activity, align, retract
+from sightline.robot.calibrated import CalibratedRobot
+from sightline.robot.contract import SILENCE_S, Code
+from sightline.robot.depth import DepthZero
+from sightline.robot.drilling import Drilling
+from sightline.robot.insertion import Insertion, LinkRegistration, Setup
+from sightline.robot.lease import Lease
+from sightline.robot.manipulator import FEED, JOINTS
+from sightline.robot.panel import Panel
+from sightline.robot.plant import Plant, PlantFlag
+from sightline.robot.requests import Answer, Fault, Outcome, RequestRefusedError, Snapshot
+from sightline.robot.samples import STALE_S, Samples
+from sightline.robot.states import ACTIVITIES, MOVING, TRANSITIONS, Cause, State
+
+STOP_S = 1.0  # ten times what a stop takes at most
+
+
+class Machine:
+    """The robot without those who command it. `first_fault`: the number of its first fault."""
+
+    def __init__(
+        self, robot: CalibratedRobot, plant: Plant, setup: Setup, panel: Panel | None = None, first_fault: int = 1
+    ) -> None:
+        self.robot, self.setup = robot, setup
+        self.panel = panel or Panel()
+        self.state = State.UNDEFINED
+        self.fault: Fault | None = None
+        self.registration: LinkRegistration | None = None
+        self.insertion: Insertion | None = None
+        self.drilling: Drilling | None = None
+        self._lease = Lease()
+        self._plant, self._samples = plant, Samples(plant)
+        self._activity: Activity | None = None
+        self._next_fault = first_fault
+        self._begun_s = 0.0  # an activity's first cycle: what was asked before it may have taken long
+        self._acted_s: float | None = None  # when the activity that goes on had its last cycle
+        self._commanded = np.zeros(len(JOINTS))
+        self._rest = self._q  # where the joints stand while the robot waits
+        self._moving_for: tuple[int, str] | None = None
+        self._stopping: list[tuple[int, str]] = []
+        self._stopped_s = 0.0
+        self._outcomes: list[Outcome] = []
+
+    def fail(self, text: str, now_s: float) -> None:
+        """Something went wrong that no rule foresaw: stop, and wait for a person."""
+        self._fail(Code.HARDWARE, text, now_s)
+
+    def snapshot(self) -> Snapshot:
+        """For telemetry."""
+        zero = self._depth_zero
+        return Snapshot(
+            self.state,
+            self._samples.latest,
+            self._samples.velocity,
+            self._q if self._activity is None else self._activity.position,
+            self._commanded,
+            None if zero is None else zero.depth_mm(float(self._q[FEED])),
+            None if zero is None else zero.sd_mm,
+            self.fault,
+        )
+
+    @property
+    def _q(self) -> np.ndarray:
+        """(5,): the joints."""
+        return self._samples.latest.encoders
+
+    @property
+    def _depth_zero(self) -> DepthZero | None:
+        """Of the hole that was begun, else of the plan."""
+        if self.insertion is None:
+            return None
+        return DepthZero(float(self.insertion.q[FEED])) if self.drilling is None else self.drilling.zero
+
+    def _turn(self, now_s: float) -> None:
+        """One cycle."""
+        if self._acted_s is not None and now_s - self._acted_s > STALE_S:
+            self._halt_by_itself(f"the control loop was {now_s - self._acted_s:.2f} s late", now_s)
+        if self._acted_s is None:
+            self._begun_s = now_s
+        self._samples.take(now_s)
+        self._watch(now_s)
+        if self._activity is not None:
+            self._act(now_s)
+        if self._activity is None:
+            self._commanded = np.zeros(len(JOINTS))
+            self._plant.hold()
+        self._report_stops(now_s)
+
+    def _start(self, client: int, cause: Cause) -> Answer:
+        """Go where a command leads from here; whoever asks has seen that it is legal."""
+        was = self.state
+        self._enter(cause)
+        manipulator, insertion, q = self.robot.manipulator, self.insertion, self._q
+        if cause is Cause.START_UP:
+            self._forget()
+        elif cause is Cause.MANUAL:
+            self.insertion = None
+        elif self.state is State.RETRACT:
+            self._activity = retract(manipulator, q)
+        elif self.state is State.ALIGN and insertion is not None:
+            self._activity = align(manipulator, insertion, q)
+            self.drilling = Drilling(manipulator, insertion, self.setup.into_bone)
+        elif self.state is State.DRILL and self.drilling is not None:
+            self.drilling.resume()
+            self._activity = self.drilling
+        if self._activity is None:
+            return Answer(Code.OK)
+        self._moving_for = (client, cause.value)
+        return Answer(Code.OK, f"from {was.value} to {self.state.value}", done=False)
+
+    def _watch(self, now_s: float) -> None:
+        """What must end motion whatever the activity."""
+        if self.state is State.EMERGENCY:
+            if self.panel.take_reset():
+                self._reset_at_panel()
+            return
+        self.panel.take_reset()  # pressed too early
+        missing = self._samples.missing(now_s)
+        if missing:
+            self._fail(Code.HARDWARE, missing, now_s)
+        elif self._stop_pressed and self.state is not State.UNDEFINED:
+            self._fail(Code.EMERGENCY, "the stop button was pressed", now_s)
+        elif self.state in ACTIVITIES:
+            wrong = self._samples.wrong(self.robot.manipulator, self.state, self._rest)
+            reason = self._reason_to_halt(now_s) if self.state in MOVING else None
+            if wrong:
+                self._fail(Code.HARDWARE, wrong, now_s)
+            elif reason:
+                self._halt_by_itself(reason, now_s)
+
+    @property
+    def _stop_pressed(self) -> bool:
+        return bool(self._samples.latest.flags & PlantFlag.STOP_PRESSED)
+
+    @property
+    def _run_held(self) -> bool:
+        return bool(self._samples.latest.flags & PlantFlag.RUN_HELD)
+
+    def _reason_to_halt(self, now_s: float) -> str | None:
+        if not self._run_held:
+            return "the hold-to-run switch was released"
+        if self._lease.silent(self._begun_s, now_s):
+            return f"the client was silent for {SILENCE_S:g} s"
+        if self.state is not State.RETRACT and self.insertion is not None and now_s > self.insertion.expires_s:
+            return "the plan has expired"
+        return None
+
+    def _act(self, now_s: float) -> None:
+        if self._activity is None:
+            return
+        step = self._activity.step(self._samples.latest, now_s)
+        if step.cause is None:
+            self._acted_s = now_s
+            self._commanded = step.velocity
+            self._plant.command(step.velocity, step.drill_on)
+        elif step.cause is Cause.FAULT:
+            self._fail(Code.HARDWARE, step.text, now_s)
+        elif step.cause is Cause.HALT:
+            self._halt_by_itself(step.text, now_s)
+        else:
+            retracted, self._rest = self.state is State.RETRACT, self._activity.position
+            self._halt(now_s)
+            self._enter(step.cause)
+            if retracted:
+                self.insertion = None  # what was drilled, or given up, is not drilled again
+            self._end_motion(Code.OK, self.state.value)
+
+    def _halt_by_itself(self, reason: str, now_s: float) -> None:
+        self._halt(now_s)
+        self._enter(Cause.HALT)
+        self._end_motion(Code.NOT_READY, reason)
+
+    def _fail(self, code: Code, text: str, now_s: float) -> None:
+        """Stop; only a person goes on."""
+        self._halt(now_s)
+        if self.state is not State.EMERGENCY:
+            self.fault = Fault(self._next_fault, code, text)
+            self._next_fault += 1
+        self._enter(Cause.FAULT)
+        self._forget()
+        self._end_motion(code, text)
+        self._outcomes.append(Outcome(None, State.EMERGENCY.value, Code.EMERGENCY, text))
+
+    def _reset_at_panel(self) -> None:
+        try:
+            self._reset()
+        except RequestRefusedError as refused:
+            self._outcomes.append(Outcome(None, State.EMERGENCY.value, refused.answer.code, refused.answer.text))
+
+    def _reset(self) -> None:
+        if self._stop_pressed:
+            raise RequestRefusedError(Code.NOT_READY, "the stop button is pressed; release it at the robot")
+        self.fault = None
+        self._enter(Cause.RESET)
+
+    def _enter(self, cause: Cause) -> None:
+        self.state = TRANSITIONS[self.state, cause]
+
+    def _halt(self, now_s: float) -> None:
+        """Stop the joints and the drill."""
+        self._plant.hold()
+        self._activity = self._acted_s = None
+        self._commanded = np.zeros(len(JOINTS))
+        self._stopped_s = now_s
+
+    def _forget(self) -> None:
+        self.registration = self.insertion = self.drilling = None
+
+    def _end_motion(self, code: Code, text: str) -> None:
+        if self._moving_for is not None:
+            self._outcomes.append(Outcome(*self._moving_for, code, text))
+            self._moving_for = None
+
+    def _report_stops(self, now_s: float) -> None:
+        """A stop is reported as done when the joints stand, and not before."""
+        if not self._stopping:
+            return
+        if self._samples.still(self.robot.manipulator):
+            self._outcomes += [Outcome(*due, Code.OK, "stands still") for due in self._stopping]
+            self._stopping = []
+        elif now_s - self._stopped_s > STOP_S:
+            due, self._stopping = self._stopping, []
+            self._outcomes += [Outcome(*one, Code.HARDWARE, "the joints still move") for one in due]
+            self._fail(Code.HARDWARE, f"the joints still move {STOP_S:g} s after a stop", now_s)

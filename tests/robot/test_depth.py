@@ -1,0 +1,149 @@
+"""The zero of depth: plan, contact and shot weighed by their errors; contact where no bone is planned stops."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from tests.robot.rig import END_MM, ENTRY_MM, SETUP, IdealPlant, Rig
+
+from sightline.errors import RobotRefusedError
+from sightline.robot.contract import DEPTH, DEPTH_SD
+from sightline.robot.depth import CONTACT_LEAD_MM, CONTACT_SD_MM, LIMIT_MM, PLAN_SD_MM, DepthZero, before_contact
+from sightline.robot.igtl import MILLIMETRE, NEWTON, Capability, Message, Sensor, Status, String
+from sightline.robot.manipulator import FEED
+from sightline.robot.record import Recorder
+from sightline.robot.states import State
+
+LENGTH_MM = float(np.linalg.norm(END_MM - ENTRY_MM))
+WEIGHT = PLAN_SD_MM**2 / (PLAN_SD_MM**2 + CONTACT_SD_MM**2)
+
+
+def test_what_is_told_is_weighed_by_its_error():
+    """As the least-squares mean of both does, tried on random errors."""
+    rng = np.random.default_rng(3)
+    zeros, true = [], 120.0
+    for _ in range(4000):
+        planned = DepthZero(true + rng.normal(0.0, PLAN_SD_MM))
+        feed = true + 40.0
+        told = planned.told(feed, 40.0 + rng.normal(0.0, 0.3), 0.3)
+        zeros.append(told.feed_mm - true)
+    assert np.std(zeros) == pytest.approx(told.sd_mm, rel=0.04)
+    assert np.mean(zeros) == pytest.approx(0.0, abs=4 * told.sd_mm / np.sqrt(4000))
+    assert told.sd_mm < 0.3
+
+
+@pytest.mark.parametrize("off", [LIMIT_MM + 0.01, -LIMIT_MM - 0.01, np.nan, np.inf])
+def test_what_cannot_be_is_refused(off):
+    with pytest.raises(RobotRefusedError, match="something has moved"):
+        DepthZero(100.0).told(140.0, 40.0 + off, 0.2)
+
+
+@pytest.mark.parametrize("sd", [0.0, -0.1, np.nan, np.inf])
+def test_an_error_that_is_none_is_refused(sd):
+    with pytest.raises(RobotRefusedError):
+        DepthZero(100.0).told(140.0, 40.0, sd)
+
+
+def test_bone_may_be_met_until_its_contact_could_no_longer_be_taken():
+    assert before_contact(LIMIT_MM - CONTACT_LEAD_MM - 0.01)
+    assert not before_contact(LIMIT_MM - CONTACT_LEAD_MM + 0.01)
+
+
+class Bone(IdealPlant):
+    """Pushes back with 20 N from a depth on."""
+
+    def __init__(self, from_mm: float) -> None:
+        super().__init__()
+        self.from_mm, self.zero_mm = from_mm, np.inf
+
+    def read(self):
+        inside = self.q[FEED] - self.zero_mm > self.from_mm
+        return replace(super().read(), force_n=20.0 if inside else 0.0)
+
+
+def drilling(bone_mm: float) -> Rig:
+    """In DRILL, with bone so far beyond the planned entry point, which the robot knows it must meet."""
+    plant = Bone(bone_mm)
+    rig = Rig(moved=plant, setup=replace(SETUP, into_bone=True))
+    rig.reach(State.ALIGNED)
+    plant.zero_mm = float(rig.controller.insertion.q[FEED])
+    rig.command("DRILL")
+    return rig
+
+
+@pytest.mark.parametrize("bone_mm", [-CONTACT_LEAD_MM, 1.1, -2.4])
+def test_contact_sets_the_zero_as_far_as_it_is_to_be_trusted(bone_mm):
+    rig = drilling(bone_mm)
+    planned = rig.controller.drilling.zero
+    assert planned.sd_mm == PLAN_SD_MM
+    rig.run_until(State.PAUSED)
+    off = bone_mm + CONTACT_LEAD_MM
+    zero = rig.controller.drilling.zero
+    assert zero.feed_mm - planned.feed_mm == pytest.approx(WEIGHT * off, abs=0.05)  # noticed 0.02 mm late
+    assert zero.sd_mm == pytest.approx(PLAN_SD_MM * np.sqrt(1 - WEIGHT))
+    assert rig.controller.snapshot().depth_mm == pytest.approx(LENGTH_MM - 10.0, abs=0.02)
+    assert rig.plant.q[FEED] - planned.feed_mm == pytest.approx(LENGTH_MM - 10.0 + WEIGHT * off, abs=0.05)
+    rig.command("DRILL")
+    rig.run_until(State.DONE)  # bone was met already: it is not met again
+    assert rig.controller.drilling.zero == zero
+
+
+@pytest.mark.parametrize(
+    ("bone_mm", "why"), [(-4.5, "met something 4.5 mm before"), (60.0, "no bone was met up to 2.3")]
+)
+def test_bone_where_none_is_planned_stops_with_the_reason(bone_mm, why):
+    rig = drilling(bone_mm)
+    said = rig.run_until(State.STOP, 20.0)
+    assert any(why in message.body.text for message in said if isinstance(message.body, Status))
+    assert rig.run(0.2) == []
+    assert rig.speed() < 0.01
+    assert rig.plant.q[FEED] - rig.plant.zero_mm < LIMIT_MM
+
+
+def test_a_hole_begun_anew_begins_with_the_plan_s_zero():
+    rig = drilling(1.1)
+    planned = rig.controller.drilling.zero
+    rig.run_until(State.PAUSED)
+    rig.command("STOP")
+    rig.run(0.5)
+    rig.command("MOVE_TO_TARGET")
+    assert rig.controller.drilling.zero == planned
+
+
+def test_depth_travels_with_its_error_and_is_recorded_with_it():
+    rig = drilling(0.4)
+    rig.send("", Capability(("X_TELEMETRY",)))
+    recorder = Recorder()
+    streamed = []
+    while rig.state is not State.PAUSED:
+        rig.now_s += 0.005
+        rig.plant.advance(0.005)
+        for outgoing in rig.dialogue.cycle(rig.now_s):
+            recorder.heard(outgoing.message)
+            streamed.append(outgoing.message.device_name)
+    assert streamed.index(DEPTH_SD) < streamed.index(DEPTH)  # the error is that of the depth that follows
+    record = recorder.record
+    assert record.depth_sd_mm[0] == PLAN_SD_MM
+    assert record.depth_sd_mm[-1] == pytest.approx(PLAN_SD_MM * np.sqrt(1 - WEIGHT))
+    told = record.document()
+    assert len(told["depth_sd_mm"]) == len(told["depth_mm"]) > 100
+    assert [event.name for event in record.events][:2] == ["contact", "cortex"]
+
+
+def test_a_record_of_a_robot_that_states_no_error_says_so():
+    recorder = Recorder()
+    assert recorder.record.depth_mm.shape == (0,)
+    recorder.heard(Message(Sensor(np.array([1.0]), NEWTON), "arm/force"))
+    recorder.heard(Message(Sensor(np.array([-3.0]), MILLIMETRE), "arm/depth"))
+    recorder.heard(Message(String("x"), "arm/event"))
+    assert recorder.record.depth_sd_mm is None
+    assert recorder.record.document()["depth_sd_mm"] is None
+
+
+def test_a_shot_that_leaves_too_little_feed_is_refused():
+    rig = drilling(-CONTACT_LEAD_MM)
+    rig.run_until(State.PAUSED)
+    manipulator = rig.controller.robot.manipulator
+    rig.controller.drilling._manipulator = replace(manipulator, upper=rig.plant.q + np.array([9, 9, 9, 9, 10.3]))
+    with pytest.raises(RobotRefusedError, match="the feed would end"):
+        rig.controller.drilling.told(float(rig.plant.q[FEED]), LENGTH_MM - 11.0, 0.1)
