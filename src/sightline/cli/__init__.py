@@ -41,6 +41,7 @@ _COMMANDS = (
     "compare",
     "frame",
     "robot",
+    "acquire",
     "app",
     "case",
     "export",

@@ -1,7 +1,7 @@
 """Radiographs: reading, writing, the field of view."""
 
 from sightline.imaging.dicom import write as write_dicom
-from sightline.imaging.files import read_image, write_png
+from sightline.imaging.files import frames_in, read_image, suffix_of, write_png
 from sightline.imaging.radiograph import GeometryTags, Radiograph
 
-__all__ = ["GeometryTags", "Radiograph", "read_image", "write_dicom", "write_png"]
+__all__ = ["GeometryTags", "Radiograph", "frames_in", "read_image", "suffix_of", "write_dicom", "write_png"]

@@ -96,6 +96,12 @@ def read(file: Path, frame_index: int | None) -> Radiograph:
     return Radiograph(pixels, white, _geometry(header))
 
 
+def frames_in(file: Path) -> int:
+    """How many frames a file says that it holds. Raises ImageError."""
+    with _quiet():
+        return _frames(_header(file), file.name)
+
+
 def write(radiograph: Radiograph, path: str | Path) -> Path:
     """Write an X-ray angiographic image as a mobile C-arm does: of the geometry only what `tags` holds, mostly nothing.
 
@@ -173,8 +179,12 @@ def _whole(header: dict[str, Any], keyword: str, name: str) -> int:
         raise damaged(name) from None
 
 
+def _frames(header: dict[str, Any], name: str) -> int:
+    return max(1, _whole(header, "NumberOfFrames", name))
+
+
 def _frame(header: dict[str, Any], frame_index: int | None, name: str) -> int:
-    frames = _whole(header, "NumberOfFrames", name) or 1
+    frames = _frames(header, name)
     if frame_index is None and frames > 1:
         raise ImageError(f"{name} is a run of {frames} frames; say which one is meant, 0 to {frames - 1}")
     index = frame_index or 0

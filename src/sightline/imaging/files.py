@@ -14,6 +14,14 @@ from sightline.imaging.radiograph import Radiograph
 
 _RASTER = {b"\x89PNG\r\n\x1a\n": headers.png, b"BM": headers.bmp, b"II*\x00": headers.tiff, b"MM\x00*": headers.tiff}
 
+_SUFFIXES = {
+    b"\x89PNG\r\n\x1a\n": ".png",
+    b"BM": ".bmp",
+    b"II*\x00": ".tif",
+    b"MM\x00*": ".tif",
+    b"\x93NUMPY": ".npy",
+}
+
 
 def read_image(path: str | Path, frame_index: int | None = None) -> Radiograph:
     """Read one X-ray image: DICOM, PNG, TIFF, BMP or `.npy`, 8 to 16 bit (TIFF and `.npy` also floating point).
@@ -35,6 +43,19 @@ def read_image(path: str | Path, frame_index: int | None = None) -> Radiograph:
         if start.startswith(magic):
             return _read_raster(file, read_header)
     raise ImageError(f"{file.name} is not an image that can be read; give DICOM, PNG, TIFF, BMP or NumPy (.npy)")
+
+
+def frames_in(path: str | Path) -> int:
+    """How many frames a file holds; 1 for all but runs in DICOM. Raises ImageError."""
+    file = Path(path)
+    return dicom.frames_in(file) if _first_bytes(file)[128:132] == b"DICM" else 1
+
+
+def suffix_of(start: bytes) -> str | None:
+    """By what name an image that begins with these 132 bytes ends; None for what cannot be read."""
+    if start[128:132] == b"DICM":
+        return ".dcm"
+    return next((suffix for magic, suffix in _SUFFIXES.items() if start.startswith(magic)), None)
 
 
 def write_png(radiograph: Radiograph, path: str | Path) -> Path:

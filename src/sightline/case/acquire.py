@@ -1,0 +1,104 @@
+"""Images into a case: each is looked at, kept and entered, once, and on the disk before anybody is told of it."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from threading import Lock
+from typing import Any, Literal
+
+from sightline.case import contents, originals
+from sightline.case.entry import Entry, Kind
+from sightline.case.journal import Actor, Case
+from sightline.errors import CaseError, ImageError
+from sightline.imaging import frames_in, read_image
+
+
+@dataclass(frozen=True)
+class Taken:
+    """An image's entry; `new` is False where the case held it already."""
+
+    entry: Entry
+    new: bool
+
+
+@dataclass(frozen=True)
+class News:
+    """What a source tells of: an image `kept` or held `already` (with its entry), something `refused`, a `note`.
+
+    `text` names no file, peer or person.
+    """
+
+    kind: Literal["kept", "already", "refused", "note"]
+    text: str
+    entry: Entry | None = None
+
+
+Tell = Callable[[News], None]
+
+
+class Acquirer:
+    """The one way of images into a case; sources of several threads take turns, so one image is in memory at a time."""
+
+    def __init__(self, case: Case, by: Actor = Actor.RECEIVER) -> None:
+        self._case, self._by, self._lock = case, by, Lock()
+        self._held: dict[str, Entry] = {}  # by the original's name; of a run the first entry
+        self._seen = 0
+
+    def take(
+        self, data: bytes, suffix: str, *, frame_index: int | None = None, how: Mapping[str, Any] | None = None
+    ) -> Taken:
+        """An image as it came; its entry is on the disk when this returns. The same bytes twice make one entry.
+
+        A run of several frames is kept whole; its entry is of `frame_index`, or of the last frame, the one that a C-arm
+        goes on showing. `how` is what is known of the acquisition, for the entry's settings. Raises ImageError on what
+        is no image, of which nothing is kept; CaseError where the disk does not take it.
+        """
+        with self._lock:
+            self._look_back()
+            name = originals.name_of(data, suffix)
+            held = self._held.get(name)
+            if held is not None and frame_index in (None, held.settings.get("frame_index")):
+                return Taken(held, new=False)
+            content, index, frames = _looked_at(data, name, suffix, frame_index)
+            acquisition = {**(how or {}), **({"frames": frames} if frames > 1 else {})}
+            self._case.keep(data, suffix)
+            entry = self._case.record(
+                Kind.ACQUIRED, content, by=self._by, settings={"frame_index": index, "acquisition": acquisition}
+            )
+            self._held.setdefault(name, entry)
+            return Taken(entry, new=True)
+
+    def _look_back(self) -> None:
+        """Entries that others, or an earlier program, made."""
+        for entry in self._case.entries(Kind.ACQUIRED, after=self._seen):
+            self._held.setdefault(entry.content["original"], entry)
+            self._seen = entry.number
+
+
+def news_of(taken: Taken) -> News:
+    """What to tell of it."""
+    entry, number = taken.entry, taken.entry.number
+    short = entry.content["original"][:12]
+    if not taken.new:
+        return News("already", f"entry {number}: came again, {short}", entry)
+    frames = entry.settings["acquisition"].get("frames")
+    run = f", a run of {frames} frames of which the entry is frame {entry.settings['frame_index']}" if frames else ""
+    return News("kept", f"entry {number}: kept, {short}{run}", entry)
+
+
+def _looked_at(data: bytes, name: str, suffix: str, frame_index: int | None) -> tuple[dict[str, Any], int | None, int]:
+    """The entry's content, its frame, and how many there are. Raises ImageError, which calls it "the image"."""
+    try:
+        with TemporaryDirectory(prefix="sightline-") as folder:
+            file = Path(folder) / f"image{suffix}"
+            file.write_bytes(data)
+            frames = frames_in(file)
+            index = frames - 1 if frame_index is None and frames > 1 else frame_index
+            return contents.acquired(name, read_image(file, index)), index, frames
+    except ImageError as error:
+        raise ImageError(str(error).replace(f"image{suffix}", "the image")) from None
+    except OSError as error:
+        raise CaseError(
+            f"there is no room to look at an image ({error.strerror}); free some space for temporary files"
+        ) from error

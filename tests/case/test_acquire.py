@@ -1,0 +1,102 @@
+"""Images into a case: once each, on the disk first, and nothing of what is no image."""
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pydicom import dcmread
+
+from sightline.case import stages
+from sightline.case.acquire import Acquirer, news_of
+from sightline.case.entry import Kind
+from sightline.case.journal import Actor, Case
+from sightline.case.recompute import replay
+from sightline.errors import CaseError, ImageError
+from sightline.imaging import Radiograph, write_dicom, write_png
+
+
+def image(seed: int = 0) -> Radiograph:
+    return Radiograph(np.random.default_rng(seed).integers(0, 4096, (32, 40), dtype=np.uint16), 4095.0)
+
+
+def run(tmp_path: Path, frames: int) -> bytes:
+    """A run of frames, the last all 7."""
+    header = dcmread(write_dicom(image(), tmp_path / "one.dcm"))
+    pixels = np.random.default_rng(1).integers(0, 4096, (frames, 32, 40), dtype=np.uint16)
+    pixels[-1] = 7
+    header.NumberOfFrames, header.PixelData = frames, pixels.tobytes()
+    header.save_as(tmp_path / "run.dcm")
+    return (tmp_path / "run.dcm").read_bytes()
+
+
+@pytest.fixture
+def case(tmp_path: Path) -> Iterator[Case]:
+    with Case.create(tmp_path / "case") as case:
+        yield case
+
+
+def test_an_image_is_kept_once_and_can_be_replayed(case: Case, tmp_path: Path) -> None:
+    data = write_dicom(image(), tmp_path / "Doe^Jane.dcm").read_bytes()
+    first = Acquirer(case).take(data, ".dcm", how={"source": "folder"})
+    assert first.new
+    assert case.original(first.entry.content["original"]).read_bytes() == data
+    np.testing.assert_array_equal(stages.image_of(case, first.entry).pixels, image().pixels)
+    again = Acquirer(case).take(data, ".dcm")  # another program's
+    assert not again.new
+    assert again.entry.number == first.entry.number
+    assert [one.differences for one in replay(case)] == [()]
+    assert case.problems == ()
+    assert "Doe" not in news_of(first).text
+    assert first.entry.content["original"][:12] in news_of(first).text
+    assert first.entry.by is Actor.RECEIVER
+
+
+def test_a_run_is_kept_whole_and_entered_by_its_last_frame_or_another(case: Case, tmp_path: Path) -> None:
+    data, acquirer = run(tmp_path, 5), Acquirer(case)
+    last = acquirer.take(data, ".dcm").entry
+    assert last.settings == {"frame_index": 4, "acquisition": {"frames": 5}}
+    assert (stages.image_of(case, last).pixels == 7).all()
+    assert "a run of 5 frames" in news_of(acquirer.take(data, ".dcm", frame_index=2)).text
+    assert not acquirer.take(data, ".dcm").new
+    assert len(case.entries(Kind.ACQUIRED)) == 2
+    assert len(list((case.folder / "originals").iterdir())) == 1
+
+
+def test_what_is_no_image_is_refused_without_its_name_and_leaves_nothing(case: Case, tmp_path: Path) -> None:
+    data = write_dicom(image(), tmp_path / "one.dcm").read_bytes()
+    acquirer = Acquirer(case)
+    for bad in (data[:900], b"\0" * 128 + b"DICM", b"no image at all"):
+        with pytest.raises(ImageError, match="the image"):
+            acquirer.take(bad, ".dcm")
+    with pytest.raises(CaseError):
+        acquirer.take(b"MZ", ".exe")
+    assert case.entries() == []
+    assert list((case.folder / "originals").iterdir()) == []
+
+
+def test_images_keep_their_order_whatever_the_clock_says(
+    case: Case, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from datetime import UTC, datetime
+
+    import sightline.case.journal as journal
+
+    class Clock(datetime):
+        hour_now = 12
+
+        @classmethod
+        def now(cls, tz=None):
+            cls.hour_now -= 1  # back an hour at every look
+            return datetime(2026, 1, 1, cls.hour_now, tzinfo=UTC)
+
+    monkeypatch.setattr(journal, "datetime", Clock)
+    acquirer = Acquirer(case)
+    for seed in range(4):
+        acquirer.take(write_png(image(seed), tmp_path / "a.png").read_bytes(), ".png")
+    entries = case.entries()
+    assert [entry.number for entry in entries] == [1, 2, 3, 4]
+    assert entries[0].at > entries[3].at
+    assert case.check() and all(check.passed for check in case.check())
+    assert json.dumps([entry.content for entry in entries])

@@ -1,0 +1,217 @@
+"""The DICOM receiver beside a real sender (pynetdicom) and beside bytes that are none."""
+
+import socket
+import struct
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pydicom import Dataset, dcmread
+from pynetdicom import AE
+from pynetdicom.association import Association
+
+from sightline.case.acquire import Acquirer, News
+from sightline.case.acquire_dicom import DicomReceiver, Peer
+from sightline.case.acquire_guard import Limits
+from sightline.case.journal import Case
+from sightline.errors import CaseError, LinkError, UnusableInputError
+from sightline.imaging import Radiograph, read_image, write_dicom
+
+XA, ECHO = "1.2.840.10008.5.1.4.1.1.12.1", "1.2.840.10008.1.1"
+PEER = Peer.parse("CARM@127.0.0.1")
+LIMITS = Limits(pdu_bytes=1 << 20, message_bytes=1 << 18, pdu_s=1.0)
+
+
+class Scene:
+    """A receiver, its case, what it told."""
+
+    def __init__(self, receiver: DicomReceiver, case: Case, news: list[News]) -> None:
+        self.receiver, self.case, self.news = receiver, case, news
+
+    @contextmanager
+    def association(self, title: str = "CARM", called: str = "SIGHTLINE") -> Iterator[Association]:
+        ae = AE(ae_title=title)
+        ae.add_requested_context(XA)
+        ae.add_requested_context(ECHO)
+        ae.connection_timeout = ae.acse_timeout = ae.dimse_timeout = 5.0
+        association = ae.associate("127.0.0.1", self.receiver.port, ae_title=called)
+        yield association
+        if association.is_established:
+            association.release()
+
+    def store(self, dataset: Dataset) -> int:
+        """The status of one image on an association of its own."""
+        with self.association() as association:
+            assert association.is_established
+            return association.send_c_store(dataset).Status
+
+    def raw(self, data: bytes) -> bytes:
+        """What comes back for bytes, until the connection ends."""
+        with socket.create_connection(("127.0.0.1", self.receiver.port), timeout=5.0) as peer:
+            peer.sendall(data)
+            got = b""
+            try:
+                while piece := peer.recv(1000):
+                    got += piece
+            except ConnectionError:
+                pass
+            return got
+
+    def told(self, text: str) -> bool:
+        """Whether something is told of within a second."""
+        end = time.monotonic() + 2.0
+        while time.monotonic() < end:
+            if any(text in news.text for news in self.news):
+                return True
+            time.sleep(0.01)
+        return False
+
+
+@pytest.fixture
+def scene(tmp_path: Path) -> Iterator[Scene]:
+    news: list[News] = []
+    with Case.create(tmp_path / "case") as case:
+        acquirer = Acquirer(case)
+        with DicomReceiver(acquirer, [PEER], news.append, port=0, limits=LIMITS, idle_s=2.0) as receiver:
+            yield Scene(receiver, case, news)
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory: pytest.TempPathFactory) -> Callable[[int], Dataset]:
+    folder = tmp_path_factory.mktemp("sent")
+
+    def made(seed: int) -> Dataset:
+        pixels = np.random.default_rng(seed).integers(0, 4096, (64, 64), dtype=np.uint16)
+        out = dcmread(write_dicom(Radiograph(pixels, 4095.0), folder / f"{seed}.dcm"))
+        out.PatientName = "Doe^Jane"
+        return out
+
+    return made
+
+
+def test_an_image_is_in_the_case_when_it_is_answered(scene: Scene, dataset) -> None:
+    with scene.association() as association:
+        assert association.send_c_echo().Status == 0
+        for seed in range(3):
+            assert association.send_c_store(dataset(seed)).Status == 0
+            entries = scene.case.entries()
+            assert len(entries) == seed + 1
+            kept = read_image(scene.case.original(entries[-1].content["original"]))
+            np.testing.assert_array_equal(kept.pixels, dataset(seed).pixel_array)
+        assert association.send_c_store(dataset(0)).Status == 0
+    assert scene.store(dataset(1)) == 0
+    assert len(scene.case.entries()) == 3
+    assert [news.kind for news in scene.news] == ["kept"] * 3 + ["already"] * 2
+    assert "Doe" not in repr([news.text for news in scene.news])
+
+
+def test_who_is_not_known_is_rejected_and_told_of(scene: Scene) -> None:
+    for title, called in (("STRANGER", "SIGHTLINE"), ("CARM", "OTHER")):
+        with scene.association(title, called) as association:
+            assert association.is_rejected
+    assert scene.told("not that of a known peer")
+    assert scene.told("another AE title than ours")
+    assert "STRANGER" not in repr([news.text for news in scene.news])
+
+
+def test_an_unknown_address_is_not_even_read(tmp_path: Path) -> None:
+    news: list[News] = []
+    with Case.create(tmp_path / "case") as case:
+        elsewhere = Peer("CARM", frozenset({"192.0.2.7"}))
+        with DicomReceiver(Acquirer(case), [elsewhere], news.append, port=0) as receiver:
+            scene = Scene(receiver, case, news)
+            assert scene.raw(b"\x01") == b""
+            assert scene.told("no known peer's address")
+
+
+def test_a_full_disk_is_answered_so_and_loses_nothing(scene: Scene, dataset, monkeypatch) -> None:
+    assert scene.store(dataset(0)) == 0
+
+    def full(*_: object, **__: object) -> None:
+        raise CaseError("the disk is full")
+
+    for step in ("keep", "record"):
+        with monkeypatch.context() as patch:
+            patch.setattr(scene.case, step, full)
+            assert scene.store(dataset(1)) == 0xA700
+    assert len(scene.case.entries()) == 1
+    assert scene.store(dataset(1)) == 0
+    assert len(scene.case.entries()) == 2
+    assert scene.case.check() and all(check.passed for check in scene.case.check())
+
+
+def test_what_is_no_image_is_refused_and_nothing_of_it_is_kept(scene: Scene, dataset) -> None:
+    for spoil in ({"Rows": 65535}, {"BitsStored": 3}, {"PixelData": b"\0\0"}, {"NumberOfFrames": "9"}):
+        bad = dataset(5)
+        for keyword, value in spoil.items():
+            setattr(bad, keyword, value)
+        assert scene.store(bad) == 0xC000, spoil
+    assert scene.case.entries() == []
+    assert list((scene.case.folder / "originals").iterdir()) == []
+    assert scene.store(dataset(0)) == 0
+
+
+def test_whatever_a_peer_sends_the_next_image_is_received(scene: Scene, dataset) -> None:
+    rng = np.random.default_rng(3)
+    hostile = [
+        b"GET / HTTP/1.1\r\nHost: localhost\r\n\r\n",
+        struct.pack(">BxI", 1, 0xFFFFFFFF) + b"x" * 100,
+        struct.pack(">BxI", 4, 20) + b"\xff" * 20,
+        struct.pack(">BxI", 1, 68) + b"\0" * 68,
+        *(struct.pack(">BxI", int(kind), 60) + rng.bytes(60) for kind in rng.integers(0, 9, 8)),
+        *(rng.bytes(200) for _ in range(4)),
+    ]
+    for k, data in enumerate(hostile):
+        with socket.create_connection(("127.0.0.1", scene.receiver.port)) as peer:
+            peer.sendall(data)
+        if k % 8 == 0:
+            assert scene.store(dataset(k)) == 0
+    assert scene.told("too large")
+    assert scene.store(dataset(100)) == 0
+
+
+def test_a_sender_that_vanishes_in_the_middle_leaves_no_half_image(scene: Scene, dataset) -> None:
+    with scene.association() as association:
+        socket_ = association.dul.socket
+        assert socket_ is not None and socket_.socket is not None
+        send = socket_.socket.sendall
+        command = struct.pack(">IBB", 100, 1, 0) + b"d" * 98
+        send(struct.pack(">BxI", 4, len(command)) + command)
+        association.abort()
+    assert scene.store(dataset(0)) == 0
+    assert len(scene.case.entries()) == 1
+    assert len(list((scene.case.folder / "originals").iterdir())) == 1
+
+
+def test_an_image_above_the_limit_ends_the_association_and_not_the_receiver(scene: Scene, dataset, tmp_path) -> None:
+    large = dcmread(write_dicom(Radiograph(np.zeros((600, 600), np.uint16), 4095.0), tmp_path / "large.dcm"))
+    with scene.association() as association:
+        assert "Status" not in association.send_c_store(large)
+    assert scene.told("too large")
+    assert scene.store(dataset(0)) == 0
+
+
+def test_a_peer_that_never_ends_its_association_is_let_go(scene: Scene, dataset) -> None:
+    with scene.association() as idle:
+        end = time.monotonic() + 20.0
+        while idle.is_established and time.monotonic() < end:
+            time.sleep(0.05)
+        assert not idle.is_established
+    assert scene.store(dataset(0)) == 0
+
+
+def test_what_cannot_work_is_refused(tmp_path: Path, scene: Scene) -> None:
+    acquirer = Acquirer(scene.case)
+    with pytest.raises(UnusableInputError, match="at least one peer"):
+        DicomReceiver(acquirer, [], scene.news.append)
+    with pytest.raises(UnusableInputError, match="AE title"):
+        DicomReceiver(acquirer, [PEER], scene.news.append, aet="much too long for a title")
+    for text in ("CARM", "@host", "a\\b@127.0.0.1", "CARM@", "CARM@no.such.host.invalid"):
+        with pytest.raises(UnusableInputError):
+            Peer.parse(text)
+    receiver = DicomReceiver(acquirer, [PEER], scene.news.append, port=scene.receiver.port)
+    with pytest.raises(LinkError, match="cannot listen"), receiver:
+        pass

@@ -1,0 +1,96 @@
+"""`sightline acquire`: images go into a case, names stay out of what is printed, Ctrl-C ends it well."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+from pydicom import dcmread
+from pynetdicom import AE
+
+from sightline.case.journal import Case
+from sightline.imaging import Radiograph, write_dicom
+
+
+def image(seed: int) -> Radiograph:
+    return Radiograph(np.random.default_rng(seed).integers(0, 4096, (32, 40), dtype=np.uint16), 4095.0)
+
+
+def started(*arguments: object) -> "subprocess.Popen[str]":
+    """`sightline acquire ARGUMENTS` in a process of its own."""
+    command = [sys.executable, "-m", "sightline", "acquire", *map(str, arguments)]
+    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)  # noqa: S603
+
+
+def said(process: "subprocess.Popen[str]", text: str) -> str:
+    """The line of its notes that holds a text."""
+    assert process.stderr is not None
+    lines = iter(process.stderr.readline, "")
+    return next(line for line in lines if text in line)
+
+
+def test_a_folder_goes_into_a_new_case_and_again_into_the_same(run, tmp_path: Path) -> None:
+    (tmp_path / "in").mkdir()
+    for seed in range(3):
+        write_dicom(image(seed), tmp_path / "in" / f"Doe^Jane {seed}.dcm")
+    ran = run("acquire", "folder", tmp_path / "in", "--case", tmp_path / "case", "--json")
+    assert ran.code == 0, ran.err
+    assert [entry["number"] for entry in ran.document["entries"]] == [1, 2, 3]
+    assert "Doe" not in ran.out + ran.err
+    (tmp_path / "in" / "bad").write_bytes(b"x")
+    ran = run("acquire", "folder", tmp_path / "in", "--case", tmp_path / "case")
+    assert ran.code == 0
+    assert ran.out.count("came again") == 3
+    assert "file 4 (1 bytes)" in ran.err
+    with Case.open(tmp_path / "case") as case:
+        assert len(case.entries()) == 3
+        assert case.problems == ()
+
+
+def test_what_cannot_be_used_is_said(run, tmp_path: Path) -> None:
+    (tmp_path / "in").mkdir()
+    (tmp_path / "in" / "bad").write_bytes(b"x")
+    assert run("acquire", "folder", tmp_path / "in", "--case", tmp_path / "case").code == 2
+    assert run("acquire", "folder", tmp_path / "absent", "--case", tmp_path / "case").code == 2
+    assert run("acquire", "dicom", "--peer", "nobody", "--case", tmp_path / "case").code == 2
+    assert run("acquire", "dicom", "--case", tmp_path / "case").code == 2
+
+
+def test_the_receiver_takes_an_image_and_ctrl_c_ends_it_with_its_result(tmp_path: Path) -> None:
+    process = started("dicom", "--port", 0, "--peer", "CARM@127.0.0.1", "--case", tmp_path / "case")
+    port = int(said(process, "listening at port").split("port ")[1].split()[0])
+    ae = AE(ae_title="CARM")
+    ae.add_requested_context("1.2.840.10008.5.1.4.1.1.12.1")
+    association = ae.associate("127.0.0.1", port, ae_title="SIGHTLINE")
+    assert association.send_c_store(dcmread(write_dicom(image(1), tmp_path / "a.dcm"))).Status == 0
+    association.release()
+    process.send_signal(signal.SIGINT)
+    out, err = process.communicate(timeout=30)
+    assert process.returncode == 0, err
+    assert "entry 1: kept" in out
+    assert "Traceback" not in err
+    with Case.open(tmp_path / "case") as case:
+        assert len(case.entries()) == 1
+
+
+def test_a_watched_folder_takes_what_is_written_later(tmp_path: Path) -> None:
+    (tmp_path / "in").mkdir()
+    process = started("folder", tmp_path / "in", "--case", tmp_path / "case", "--watch", "--json")
+    journal = tmp_path / "case" / "journal.sqlite"
+    end = time.monotonic() + 30
+    while not journal.is_file() and time.monotonic() < end:
+        time.sleep(0.05)
+    write_dicom(image(1), tmp_path / "in" / "a.dcm")
+    while time.monotonic() < end:
+        time.sleep(0.2)
+        with Case.open(tmp_path / "case", read_only=True) as case:
+            if case.last:
+                break
+    os.kill(process.pid, signal.SIGINT)
+    out, err = process.communicate(timeout=30)
+    assert process.returncode == 0, err
+    assert [entry["number"] for entry in json.loads(out)["entries"]] == [1]
