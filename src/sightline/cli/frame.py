@@ -114,6 +114,7 @@ def _document(frame: "Frame") -> dict[str, Any]:
         "temperature_c": frame.temperature_c,
         "tolerances": None if frame.covariance_mm2 is not None else frame.effective_tolerances,
         "tolerances_from": _tolerances_from(frame),
+        "in_use": frame.in_use,
         "plates": [
             _plate_document(name, role, view, getattr(view, role))
             for name, view in frame.views.items()
@@ -165,6 +166,11 @@ def _show(out: Output, frame: "Frame", document: dict[str, Any]) -> None:
     )
     out.say("reach: how far the ends of a 95 mm wire at 45° at the hip may stray inside the beads' hull")
     out.say(f"tolerances (1 s.d.) from {document['tolerances_from']}")
+    if (use := frame.in_use) is not None:
+        out.say(
+            f"use adds (1 s.d.): {use.warmer_k:g} K of heat, {100 * use.water_share:g} % of water, "
+            f"{use.drape_n:g} N of drapes"
+        )
     if (sd := document["tolerances"]) is not None:
         out.table(
             "Tolerances",

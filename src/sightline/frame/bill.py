@@ -8,11 +8,10 @@ from io import StringIO
 import numpy as np
 
 from sightline.frame.deviations import plates
-from sightline.frame.fit import EXPANSION_PER_K
 from sightline.frame.model import Frame
 from sightline.frame.part import SIGMAS, Part
+from sightline.frame.tolerances import EXPANSION_PER_K, SWELLING_PER_WATER
 
-SWELLING_PER_WATER = 0.2  # growth in length per share of mass taken up as water: 1 % of water, 0.2 % [mem]
 DRAPE_CLEARANCE_MM = 30.0  # [ours] all round, so that nothing pulls on a plate
 SHEET_COLUMNS = (
     "series", "id", "view", "plate", "nominal_x_mm", "nominal_y_mm", "nominal_z_mm", "tolerance_mm",

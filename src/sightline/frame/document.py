@@ -1,12 +1,13 @@
 """The schema of a frame file, and the way between it and a `Frame`."""
 
+from dataclasses import asdict
 from datetime import date
 from typing import Annotated, Any, Self
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
-from sightline.frame.model import Fiducial, Frame, FrameView, Plate, Shape, Tolerances
+from sightline.frame.model import Fiducial, Frame, FrameView, InUse, Plate, Shape, Tolerances
 
 MIN_BEADS = 4  # a plate seen in perspective has eight unknowns: four balls
 
@@ -63,6 +64,14 @@ class SdRad(_Strict):
     arm: Sd
 
 
+class InUseDocument(_Strict):
+    """What use adds to a frame's errors, 1 s.d. each; limits are far beyond what a frame of PMMA is used in [ours]."""
+
+    warmer_k: Annotated[float, Field(allow_inf_nan=False, ge=0, le=50)]
+    water_share: Annotated[float, Field(allow_inf_nan=False, ge=0, le=0.03)]
+    drape_n: Annotated[float, Field(allow_inf_nan=False, ge=0, le=1000)]
+
+
 class FrameDocument(_Strict):
     """A frame file."""
 
@@ -75,6 +84,7 @@ class FrameDocument(_Strict):
     sd_mm: SdMm | None = None
     sd_rad: SdRad | None = None
     covariance_mm2: list[list[Number]] | None = None
+    in_use: InUseDocument | None = None
 
     @field_validator("units")
     @classmethod
@@ -132,6 +142,7 @@ def frame_of(document: FrameDocument) -> Frame:
         temperature_c=document.temperature_c,
         tolerances=Tolerances(mm.bead, mm.plate, rad.plate, mm.arm, rad.arm) if mm and rad else None,
         covariance_mm2=covariance,
+        in_use=InUse(**document.in_use.model_dump()) if document.in_use else None,
     )
 
 
@@ -148,6 +159,8 @@ def document_of(frame: Frame) -> dict[str, Any]:
     if (sd := frame.tolerances) is not None:
         out["sd_mm"] = {"bead": sd.bead_mm, "plate": sd.plate_mm, "arm": sd.arm_mm}
         out["sd_rad"] = {"plate": sd.plate_rad, "arm": sd.arm_rad}
+    if frame.in_use is not None:
+        out["in_use"] = asdict(frame.in_use)
     out["views"] = {
         name: {"xrii": _fiducials(view.xrii), "source": _fiducials(view.source)} for name, view in frame.views.items()
     }

@@ -13,9 +13,8 @@ from sightline.frame.deviations import Completed, PlateDeviation, complete, fidu
 from sightline.frame.identify import Identified, identify
 from sightline.frame.measurements import Series
 from sightline.frame.model import Frame, FrameView, Plate, Tolerances
-from sightline.frame.tolerances import error_factor
+from sightline.frame.tolerances import EXPANSION_PER_K, error_factor
 
-EXPANSION_PER_K = 70e-6  # PMMA [mem, physics.md]
 DRIFT_MM = 0.05  # physics.md, Frame [ours]: plate
 DRIFT_RAD_PER_MM = 0.2e-3 / 0.05  # physics.md, Frame [ours]: plate
 FEWEST_OF_A_PLATE = 4  # as in a frame file
@@ -108,7 +107,7 @@ def _measured(frame: Frame, whole: Completed, told: Circumstances) -> Frame:
         return Plate(tuple(replace(ball, xyz_mm=tuple(at)) for ball, at in balls))
 
     drift = Tolerances(0.0, told.drift_mm, told.drift_mm * DRIFT_RAD_PER_MM, 0.0, 0.0)
-    factor = error_factor(replace(frame, tolerances=drift, covariance_mm2=None))
+    factor = error_factor(replace(frame, tolerances=drift, covariance_mm2=None, in_use=None))
     covariance = whole.covariance_mm2 + factor @ factor.T
     covariance.flags.writeable = False
     return replace(

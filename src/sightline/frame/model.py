@@ -40,6 +40,16 @@ class Tolerances:
 
 
 @dataclass(frozen=True)
+class InUse:
+    """What befalls a frame between its measurement and its use, one s.d. each: kelvin that the plates (PMMA) are warmer
+    or colder, share of their mass taken up or given off as water, newtons of drapes on an arm."""
+
+    warmer_k: float = 0.0
+    water_share: float = 0.0
+    drape_n: float = 0.0
+
+
+@dataclass(frozen=True)
 class Plate:
     """One calibration plate: its fiducials, in the order of the frame file."""
 
@@ -92,7 +102,7 @@ class Frame:
 
     `tolerances` is None where the file states none: then `effective_tolerances` are the defaults, and reports say so.
     `covariance_mm2` (3M, 3M), or None: full covariance of all bead coordinates, views in file order, in each
-    view XRII before source; it replaces the tolerances.
+    view XRII before source; it replaces the tolerances. `in_use`: what is added to either, or None.
     """
 
     name: str
@@ -102,6 +112,7 @@ class Frame:
     temperature_c: float | None = None
     tolerances: Tolerances | None = None
     covariance_mm2: np.ndarray | None = field(default=None, repr=False)
+    in_use: InUse | None = None
 
     @property
     def effective_tolerances(self) -> Tolerances:
@@ -131,7 +142,7 @@ class Frame:
 
         M beads, views in file order, in each view XRII before source. Bead errors are independent; a plate's shift and
         rotation (about the centroid of its beads) are shared by its beads; an arm's (about the centroid of the
-        view's beads) by the view. With `covariance_mm2`, a factor of that. mm.
+        view's beads) by the view. With `covariance_mm2`, a factor of that; with `in_use`, columns more. mm.
         """
         from sightline.frame.tolerances import error_factor
 

@@ -2,7 +2,11 @@
 
 import numpy as np
 
-from sightline.frame.model import Frame
+from sightline.frame.model import Frame, InUse, Tolerances
+
+EXPANSION_PER_K = 70e-6  # PMMA [mem, physics.md]
+SWELLING_PER_WATER = 0.2  # growth in length per share of mass taken up as water: 1 % of water, 0.2 % [mem]
+DRAPE_N = 10.0  # a wet drape: moves an arm by one plate tolerance [ours]
 
 
 def _rigid(xyz_mm: np.ndarray, shift_mm: float, turn_rad: float) -> np.ndarray:
@@ -24,10 +28,20 @@ def _stated_factor(covariance_mm2: np.ndarray) -> np.ndarray:
 def error_factor(frame: Frame) -> np.ndarray:
     """See `Frame.error_factor`."""
     if frame.covariance_mm2 is not None:
-        return _stated_factor(frame.covariance_mm2)
-    sd = frame.effective_tolerances
-    beads = sum(len(view.fiducials) for view in frame.views.values())
+        columns = [_stated_factor(frame.covariance_mm2)]
+    else:
+        sd = frame.effective_tolerances
+        beads = sum(len(view.fiducials) for view in frame.views.values())
+        columns = [sd.bead_mm * np.eye(3 * beads), *_shared(frame, sd)]
+    if frame.in_use is not None:
+        columns += _in_use(frame, frame.in_use)
+    return np.hstack(columns)
+
+
+def _shared(frame: Frame, sd: Tolerances) -> list[np.ndarray]:
+    """Columns of the plates' and the arms' errors, (3M, 6) each."""
     shared: list[np.ndarray] = []
+    beads = sum(len(view.fiducials) for view in frame.views.values())
     start = 0
     for view in frame.views.values():
         both = np.concatenate([view.xrii.xyz_mm, view.source.xyz_mm])
@@ -40,4 +54,18 @@ def error_factor(frame: Frame) -> np.ndarray:
             block[3 * first : 3 * (first + len(points))] = _rigid(points, mm, rad)
             shared.append(block)
         start += len(both)
-    return np.hstack([sd.bead_mm * np.eye(3 * beads), *shared])
+    return shared
+
+
+def _in_use(frame: Frame, handled: InUse) -> list[np.ndarray]:
+    """Columns of what use adds. All plates are of one material in one room: they grow alike, each about its middle, so
+    heat and water are one number each. A drape hangs on an arm, and moves both plates of a view as one, anywhere."""
+    plates = [plate.xyz_mm for view in frame.views.values() for plate in (view.xrii, view.source)]
+    growth = np.concatenate([xyz - xyz.mean(axis=0) for xyz in plates]).reshape(-1, 1)
+    load = handled.drape_n / DRAPE_N
+    sag = Tolerances(0.0, 0.0, 0.0, load * Tolerances.plate_mm, load * Tolerances.plate_rad)
+    return [
+        EXPANSION_PER_K * handled.warmer_k * growth,
+        SWELLING_PER_WATER * handled.water_share * growth,
+        *_shared(frame, sag),
+    ]
