@@ -1,5 +1,7 @@
 """From labelled beads to a calibrated view."""
 
+from collections.abc import Callable
+
 import numpy as np
 
 from sightline.calibration.bead_view import BeadView
@@ -8,7 +10,7 @@ from sightline.calibration.checks import noise_checks, view_checks
 from sightline.calibration.classical import Fitter, PlateName, classical_residuals, fit_plates
 from sightline.calibration.fit import Method, refuse_unknown_method
 from sightline.calibration.hull import Hull
-from sightline.calibration.joint import FEWEST_BEADS, JointFit
+from sightline.calibration.joint import FEWEST_BEADS, JointFit, fit_jointly
 from sightline.calibration.localized import LocalizedMap
 from sightline.calibration.outliers import fit_robustly
 from sightline.calibration.polynomial import PolynomialMap
@@ -42,14 +44,15 @@ def calibrate(
         raise UnusableInputError(f"there is no plate {plate!r}; choose 'xrii' or 'source'")
     beads = match(observations, frame, view)
     if method == "smooth":
-        return _smooth(beads)
+        return smooth_view(beads)
     if method == "localized":
         return _classical(beads, method, LocalizedMap.fit, plate)
     return _classical(beads, method, lambda uv, xy: PolynomialMap.fit(uv, xy, degree), plate)
 
 
-def _smooth(beads: Beads) -> BeadView:
-    fit, residuals = fit_robustly(beads)
+def smooth_view(beads: Beads, fit_to: Callable[[Beads], JointFit] = fit_jointly) -> BeadView:
+    """The view of the smooth method. Raises CalibrationRefusedError."""
+    fit, residuals = fit_robustly(beads, fit_to)
     return BeadView(
         name=beads.view,
         method="smooth",

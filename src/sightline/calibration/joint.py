@@ -94,7 +94,18 @@ def fit_jointly(beads: Beads) -> JointFit:
     learned = learn(problem, NOISE_SCALES_PX if beads.covariance_px2 is None else None)
     kernel = learned.kernel(start.at, start.at)
     pencil, plane_map = _roughly(beads, start, problem, learned, kernel)
-    return _weighted(beads, start, learned, kernel, pencil, plane_map.jacobian(beads.uv_px))
+    return _weighted(beads, start.unit, learned, kernel, pencil, plane_map.jacobian(beads.uv_px))
+
+
+def fit_jointly_from(last: JointFit, beads: Beads) -> JointFit:
+    """The same with the prior, and from the focal point and the slopes, of the fit of another image of one sequence.
+
+    Raises CalibrationRefusedError.
+    """
+    unit, _ = Affine.fit(beads.uv_px, last.pencil.project(beads.xyz_mm))
+    at = unit(beads.uv_px)
+    kernel = last.learned.kernel(at, at)
+    return _weighted(beads, unit, last.learned, kernel, last.pencil, last.map.jacobian(beads.uv_px))
 
 
 def _roughly(
@@ -113,20 +124,21 @@ def _roughly(
 
 
 def _weighted(  # noqa: PLR0917
-    beads: Beads, start: "_Start", learned: Learned, kernel: np.ndarray, pencil: Pencil, slopes: np.ndarray
+    beads: Beads, unit: Affine, learned: Learned, kernel: np.ndarray, pencil: Pencil, slopes: np.ndarray
 ) -> JointFit:
     """One Gauss-Newton step with full weights; a second changes nothing that matters (tests)."""
     y, by_pq = pencil.linearised(beads.xyz_mm)
     noise = pixel_noise_mm2(beads, slopes, learned.noise_scale)
     jacobian = pencil.by_point(beads.xyz_mm)
     covariance = twice(kernel) + noise + _carried(jacobian, beads.frame_covariance)
-    design = np.concatenate([twice(start.basis), -by_pq.reshape(-1, 3)], axis=1)
+    basis = monomials(unit(beads.uv_px), DEGREE)
+    design = np.concatenate([twice(basis), -by_pq.reshape(-1, 3)], axis=1)
     solution = Solution.of(design, covariance, y.reshape(-1, 1))
     theta = solution.theta[:, 0]
     moved = Pencil(beads.plane, pencil.pq + theta[-3:])
     refuse_misplaced(moved, beads.xyz_mm)
     plane_map = SmoothMap(
-        start.unit, learned.kernel, theta[:-3].reshape(_CUBIC, 2), solution.dual.reshape(-1, 2), beads.uv_px
+        unit, learned.kernel, theta[:-3].reshape(_CUBIC, 2), solution.dual.reshape(-1, 2), beads.uv_px
     )
     return JointFit(beads, moved, plane_map, learned, solution, y.reshape(-1), noise, jacobian)
 

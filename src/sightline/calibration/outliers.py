@@ -1,5 +1,7 @@
 """Wrong beads: found by what the others say of each, left out one at a time, reported."""
 
+from collections.abc import Callable
+
 import numpy as np
 
 from sightline.calibration.beads import Beads
@@ -14,12 +16,12 @@ MOST_WRONG = 6
 MOST_WRONG_SHARE = 0.1
 
 
-def fit_robustly(beads: Beads) -> tuple[JointFit, Residuals]:
+def fit_robustly(beads: Beads, fit_to: Callable[[Beads], JointFit] = fit_jointly) -> tuple[JointFit, Residuals]:
     """The joint fit without the beads that contradict the others. Raises CalibrationRefusedError."""
     used = np.ones(len(beads), dtype=bool)
     most = max(1, min(MOST_WRONG, int(MOST_WRONG_SHARE * len(beads))))
     while True:
-        fit = fit_jointly(beads.where(used))
+        fit = fit_to(beads.where(used))
         error, square = leave_one_out(fit)
         # Where all residuals are too large the noise stated is too small: that is the chi-square check's to say.
         common = max(1.0, float(np.median(square)) / (2 * np.log(2)))

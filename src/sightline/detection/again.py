@@ -169,12 +169,20 @@ def _start(beads: Detections, expected: _Expected, which: np.ndarray) -> np.ndar
 def _fitted(image: Radiograph, rows: np.ndarray, which: np.ndarray) -> np.ndarray:
     """The rows `which` fitted to what metal and overlapping shadows leave of them; TOO_FEW_PIXELS if that is little."""
     fit = fit_of(image)
-    usable = fit.usable.copy()
-    enough = np.array([_hide(image, fit, rows, i, usable) for i in which])
+    usable, enough = without_overlaps(image, fit, rows, which)
     out = rows[which]
     out[:, columns.STATUS] = columns.TOO_FEW_PIXELS
     out[enough] = fit.within(usable)(rows, which[enough])
     return out
+
+
+def without_overlaps(
+    image: Radiograph, fit: refine.Fit, rows: np.ndarray, which: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """(H, W) bool: the pixels that count where the beads `which` (M,) of `rows` are not under metal and under each
+    other; and (M,) bool: of which beads enough is left."""
+    usable = fit.usable.copy()
+    return usable, np.array([_hide(image, fit, rows, i, usable) for i in which], dtype=bool)
 
 
 def _hide(image: Radiograph, fit: refine.Fit, rows: np.ndarray, i: int, usable: np.ndarray) -> bool:

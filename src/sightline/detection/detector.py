@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 
 from sightline.detection import columns, refine
-from sightline.detection.find import Candidates, distinct, find_candidates
+from sightline.detection.find import distinct, find_candidates
 from sightline.detection.log_image import field_inset, log_image
 from sightline.detection.noise import NoiseModel, estimate_noise
 from sightline.detection.results import Detections, Rejected
@@ -51,7 +51,7 @@ def detect(image: Radiograph) -> Detections:
     spots = find_candidates(logs, mask, noise)
     rows = refine.start(spots.uv_px, spots.radius_px, spots.response)
     rejected = _rejected(rows[~spots.round], np.full(len(rows), _NOT_ROUND))
-    usable = _without_middles(mask, spots)
+    usable = without_middles(mask, spots.uv_px[spots.washer], spots.radius_px[spots.washer])
     fit = refine.Fit(logs, usable, noise)
     _fits[image] = fit
     beads, unfit = _fitted(rows[spots.round], fit)
@@ -75,6 +75,11 @@ def fit_of(image: Radiograph) -> refine.Fit:
         mask, logs, noise = _looked_at(image)
         _fits[image] = refine.Fit(logs, mask, noise)
     return _fits[image]
+
+
+def keep_fit(image: Radiograph, fit: refine.Fit) -> None:
+    """What `fit_of` shall give for an image whose beads were measured without `detect`."""
+    _fits[image] = fit
 
 
 def _looked_at(image: Radiograph) -> tuple[np.ndarray, np.ndarray, NoiseModel]:
@@ -105,10 +110,10 @@ def _fitted(rows: np.ndarray, fit: refine.Fit) -> tuple[np.ndarray, tuple[Reject
     return beads[reason == ""], rejected + _rejected(beads[reason != ""], reason[reason != ""])
 
 
-def _without_middles(mask: np.ndarray, spots: Candidates) -> np.ndarray:
+def without_middles(mask: np.ndarray, uv_px: np.ndarray, radius_px: np.ndarray) -> np.ndarray:
     """The mask without the middles of washers: of those the outer rim is fitted, as if they were balls."""
     middles = np.zeros(mask.shape, np.uint8)
-    for (u, v), radius in zip(spots.uv_px[spots.washer], spots.radius_px[spots.washer], strict=True):
+    for (u, v), radius in zip(uv_px, radius_px, strict=True):
         cv2.circle(middles, (round(16 * u), round(16 * v)), round(16 * _WASHER_RIM * radius), 1, -1, cv2.LINE_8, 4)
     return mask & (middles == 0)
 

@@ -23,6 +23,11 @@ def field_inset(image: Radiograph) -> np.ndarray:
 def log_image(image: Radiograph, mask: np.ndarray) -> np.ndarray:
     """(H, W) float32: natural logarithm of the pixels, a zero taken for half a grey level; outside `mask` what a
     coarse pyramid of the inside holds nearest, under what was written into the image what a fine one holds."""
+    return logs_of(image, mask, image.burnt_in)
+
+
+def logs_of(image: Radiograph, mask: np.ndarray, written: np.ndarray | None) -> np.ndarray:
+    """`log_image`, where what is `written` into the image (H, W) is known from an image before."""
     pixels = image.pixels
     if pixels.dtype == np.float32:
         logs = np.log(np.maximum(pixels, np.float32(max(float(image.white) * 2.0**-16, 1e-30))))
@@ -31,8 +36,8 @@ def log_image(image: Radiograph, mask: np.ndarray) -> np.ndarray:
     if not mask.all():
         values, known = (np.ascontiguousarray(whole[::_COARSE, ::_COARSE]) for whole in (logs, mask))
         _fill(logs, mask, _filled(np.where(known, values, np.float32(0)), known.astype(np.float32)))
-    if image.burnt_in is not None:
-        known = ~image.burnt_in
+    if written is not None:
+        known = ~written
         logs = np.where(known, logs, _filled(np.where(known, logs, np.float32(0)), known.astype(np.float32)))
     return logs
 

@@ -53,6 +53,13 @@ class Fit:
         other._usable = usable
         return other
 
+    def on(self, log_image: np.ndarray) -> "Fit":
+        """The same in the next image of a sequence: noise and sharpening are taken to have stayed."""
+        other = copy(self)
+        other._image = log_image
+        other._line = np.array([*self._line[:2], float(log_image.max())])
+        return other
+
     def __call__(self, rows: np.ndarray, which: np.ndarray | None = None) -> np.ndarray:
         """`rows` (N, COUNT), or those of them that are named (M,), fitted anew from where they stand.
 
