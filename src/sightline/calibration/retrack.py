@@ -11,9 +11,7 @@ from sightline.detection.results import Observations
 from sightline.errors import UnusableInputError
 from sightline.frame import Frame
 
-OTHER_BEADS = (
-    0.1  # share of its beads by which an image may differ from the last before the prior is learnt anew [ours]
-)
+OTHER_BEADS = 0.1  # share of its beads in which an image may differ before the prior is learnt anew [ours]
 
 
 def recalibrate(observations: Observations, frame: Frame, last: BeadView) -> BeadView:

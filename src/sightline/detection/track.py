@@ -210,7 +210,7 @@ class Track:
             raise TrackLost(f"{lost} of {len(good)} beads are not where they were")
 
     def _refuse_other_sizes(self, rows: np.ndarray, good: np.ndarray) -> None:
-        """Raises TrackLost: beads that moved by a step of their grid are seen where others were, and have their sizes."""
+        """Raises TrackLost: beads that moved by a step of their grid lie where others were, and have their sizes."""
         by_id = self.frame.view(self.view).by_id
         log_mm = np.log([by_id[name].diameter_mm for name in self.ids])
         sizes = np.unique(log_mm.round(6))
@@ -248,7 +248,7 @@ class Track:
 def _sizes(
     beads: Detections, observations: Observations, row: np.ndarray, frame: Frame
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(L,) radii and contrasts of labelled beads; what `look_again` found has those of its plate's balls of its size."""
+    """(L,) radii and contrasts of labelled beads; what `look_again` found has those of its plate's balls."""
     by_id, xrii = frame.view(observations.view).by_id, set(frame.view(observations.view).xrii.ids)
     diameter = np.array([by_id[name].diameter_mm for name in observations.ids])
     plate = np.array([name in xrii for name in observations.ids])
