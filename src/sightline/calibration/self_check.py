@@ -35,6 +35,9 @@ FEWEST_IMAGES = 4  # [ours] two of each of two views: one image cannot be told f
 # nearer to each other share the errors of their maps, and would be counted as if they did not.
 LEAST_MOVEMENT_MM = 15.0
 MOVED_FREELY_MM = 3.0  # [ours] s.d. of a ball that contradicts its tolerance: a third of the densest pitch
+# Beads found in images state a covariance that is too small by 1.09 to 1.39 (docs/benchmarks.md, detection); one image
+# does not show it, many together do.
+NOISE_SLACK = 1.25
 PASSES = 3  # the second changes 1e-3 of a step, the third nothing (tests)
 MOST_MOVED = 12  # [ours] more is no damaged ball but a wrong frame
 
@@ -292,7 +295,7 @@ def _apart(first: _Image, second: _Image) -> float:
 def _chi_square(normal: _Normal) -> Check:
     square = normal.square - float(normal.pull @ normal.errors)
     figure = square / normal.freedom
-    limit = float(chdtri(normal.freedom, FALSE_ALARM)) / normal.freedom
+    limit = NOISE_SLACK * float(chdtri(normal.freedom, FALSE_ALARM)) / normal.freedom
     sentence = (
         "All images together agree with the noise and the tolerances stated."
         if figure <= limit
