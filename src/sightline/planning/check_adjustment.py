@@ -1,0 +1,236 @@
+"""The adjustment of a check shot, in the coordinates of the planning images, which the bone carries."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from sightline.calibration.view import CalibratedView, LinesOfSight
+from sightline.errors import ReconstructionRefusedError
+from sightline.geometry.lines import nearest_approach
+from sightline.planning.check_result import FEWEST_LANDMARKS, CheckShot, checks
+from sightline.planning.check_rows import Rows, along_and_across, joint_covariance
+from sightline.planning.check_start import (
+    CURVE,
+    KnownWire,
+    Landmarks,
+    WireSeen,
+    seen,
+    start_movement,
+    start_wire,
+    terms,
+)
+from sightline.planning.picks import Pick, stack
+from sightline.planning.trajectory import Trajectory
+from sightline.planning.verdict import Limits
+
+# What is taken of a movement that landmarks do not show, s.d. per axis: a leg that is thought still [twin, BoneMotion].
+STILL_MM, STILL_RAD = 1.0, float(np.deg2rad(0.5))
+_FREE_MM, _FREE_RAD = 100.0, 1.0
+LEAST_TESTED = 1e-3  # share of an observation that others check; one with less contradicts nothing [ours]
+_FREE_PX = 1e3  # across a snapped pick's curve, where it says nothing
+_OUTSIDE_MM = 15.0  # of wire before the entry point that still counts: further out it may be bent [ours]
+
+
+class Adjustment:
+    """The adjustment. Its numbers are the landmarks and the plan's two points (3N + 6), a small movement (6: turn about
+    the plan's middle, shift), the wire's curve (8) and the place of its tip along the plan (1). Its rows are those of
+    four views. The plan's points are in it, since the landmarks tell how the views err that show both."""
+
+    def __init__(
+        self,
+        trajectory: Trajectory,
+        picks: Sequence[tuple[Pick, Pick]],
+        views: tuple[Sequence[CalibratedView], Sequence[CalibratedView]],
+        wires: Sequence[WireSeen],
+        landmarks: Landmarks,
+    ) -> None:
+        self._trajectory, self._landmarks, self._views, self._n = trajectory, landmarks, views, len(landmarks)
+        self._axes = np.vstack([np.linalg.svd(trajectory.direction[None])[2][1:], trajectory.direction])
+        ends, spread, across = stack(picks)
+        self._pick_px2 = spread + _FREE_PX**2 * across[..., :, None] * across[..., None, :]
+        self._before = [
+            view.lines_of_sight(np.concatenate([marks, uv]))
+            for view, marks, uv in zip(views[0], landmarks.planned_uv_px, ends, strict=True)
+        ]
+        marks_mm, self.movement = start_movement(views, landmarks)
+        self._points_mm = np.concatenate([marks_mm, [trajectory.entry_mm, trajectory.end_mm]])
+        wires = [seen(view, wire) for view, wire in zip(views[1], wires, strict=True)]
+        self._curve, self._tip_mm = start_wire(trajectory, self._axes, self.movement, views[1], wires)
+        wires = [self._near_the_bone(view, wire) for view, wire in zip(views[1], wires, strict=True)]
+        self._wire_px2 = [np.append(wire.variance_px2, wire.tip_variance_px2) for wire in wires]
+        self._after = [
+            view.lines_of_sight(np.concatenate([marks, wire.uv_px, wire.tip_uv_px[None]]))
+            for view, marks, wire in zip(views[1], landmarks.checked_uv_px, wires, strict=True)
+        ]
+
+    def step(self) -> None:
+        """Gauss and Newton's."""
+        residual, _, gain, _ = self._linearised()
+        sizes = [self._points_mm.size, 3, 3, 2 * CURVE]
+        points, turn, shift, curve, tip = np.split(gain @ residual, np.cumsum(sizes))
+        self._points_mm = self._points_mm + points.reshape(-1, 3)
+        rotation, middle = Rotation.from_rotvec(turn), self._middle
+        move = RigidTransform.from_components(middle + shift - rotation.apply(middle), rotation)
+        self.movement = move * self.movement
+        self._curve = self._curve + curve.reshape(CURVE, 2)
+        self._tip_mm += float(tip[0])
+
+    def result(self, limits: Limits) -> CheckShot:
+        """What has come out, with its errors and its checks."""
+        residual, design, gain, covariance = self._linearised()
+        # A prior that leaves all free is no observation.
+        free = 6 if self._n >= FEWEST_LANDMARKS else 3 if self._n else 0
+        square = residual @ np.linalg.solve(covariance, residual) / (len(residual) - free - design.shape[1])
+        to_deviation = self._to_deviation() @ gain
+        spread = to_deviation @ (covariance - self._plan_picks_mm2(len(covariance))) @ to_deviation.T
+        bending = slice(self._points_mm.size + 10, -1)
+        bends = self._curve[2:].ravel()
+        known = (gain @ covariance @ gain.T)[bending, bending]
+        along = np.linspace(0.0, self._tip_mm, 101)
+        entry, tip = self._wire(np.array([0.0, self._tip_mm]))
+        chord = entry + np.outer(along / self._tip_mm, tip - entry)
+        planned = self._points_mm[-2:]
+        shot = CheckShot(
+            entry_mm=entry,
+            tip_mm=tip,
+            deviation_mm=np.concatenate([self._axes[:2] @ (entry - planned[0]), self._axes @ (tip - planned[1])]),
+            covariance_mm2=spread,
+            across=self._axes[:2],
+            length_mm=self._trajectory.length_mm,
+            movement=self.movement,
+            landmarks=self._n,
+            bow_mm=float(np.linalg.norm(self._wire(along) - chord, axis=1).max()),
+            bow_sigma=float(np.sqrt(bends @ np.linalg.solve(known, bends) / len(bends))),
+            residual_rms=float(np.sqrt(square)),
+            outlier_sigma=_largest_outlier(residual, design, covariance),
+        )
+        return replace(shot, checks=checks(shot, limits, self._views[1]))
+
+    @property
+    def _middle(self) -> np.ndarray:
+        """(3,) where the middle of the plan is in the check's images."""
+        return self.movement.apply((self._trajectory.entry_mm + self._trajectory.end_mm) / 2)
+
+    @property
+    def _prior_sd(self) -> np.ndarray:
+        """(6,) of turn and shift."""
+        turn = _FREE_RAD if self._n >= FEWEST_LANDMARKS else STILL_RAD
+        return np.repeat([turn, _FREE_MM if self._n else STILL_MM], 3)
+
+    def _offset(self, along_mm: np.ndarray | float) -> np.ndarray:
+        """(..., 2) of the wire from the planned axis."""
+        return terms(np.asarray(along_mm) / self._trajectory.length_mm) @ self._curve
+
+    def _wire(self, along_mm: np.ndarray) -> np.ndarray:
+        """(N, 3) its points, in the bone."""
+        return self._trajectory.entry_mm + along_mm[:, None] * self._axes[2] + self._offset(along_mm) @ self._axes[:2]
+
+    def _tangent(self, along_mm: np.ndarray) -> np.ndarray:
+        """(N, 3) d wire / d along."""
+        return (self._wire(along_mm + 0.5) - self._wire(along_mm - 0.5)) / 1.0
+
+    def _places(self, focal_mm: np.ndarray, directions: np.ndarray) -> np.ndarray:
+        """(N,) where along the plan lines of sight pass the wire."""
+        line = self.movement.apply(self._wire(np.array([0.0, self._trajectory.length_mm])))
+        on = nearest_approach(focal_mm, directions, line[0], line[1] - line[0]).second_mm
+        return (self.movement.inv().apply(on) - self._trajectory.entry_mm) @ self._axes[2]
+
+    def _linearised(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Residuals of all rows and of the prior, their derivatives, the gain from the former to the numbers sought,
+        and the residuals' covariance."""
+        marks_px2 = np.broadcast_to(self._landmarks.sd_px**2 * np.eye(2), (self._n, 2, 2))
+        rows, designs = [], []
+        for lines, plan_px2 in zip(self._before, self._pick_px2, strict=True):
+            count = len(self._points_mm)
+            one = Rows.of(lines, self._points_mm, np.concatenate([marks_px2, plan_px2]), np.eye(2 * count))
+            design = np.zeros((2 * count, 3 * count + 7 + 2 * CURVE))
+            design[:, : 3 * count] = one.to_point.reshape(2 * count, -1)
+            rows.append(one)
+            designs.append(design)
+        for lines, wire_px2 in zip(self._after, self._wire_px2, strict=True):
+            one, design = self._after_rows(lines, wire_px2, marks_px2)
+            rows.append(one)
+            designs.append(design)
+        prior = np.zeros((6, designs[0].shape[1]))
+        prior[:, self._points_mm.size : self._points_mm.size + 6] = np.eye(6)
+        residual = np.concatenate([*(one.residual for one in rows), self._prior_residual()])
+        design = np.concatenate([*designs, prior])
+        covariance = np.zeros((len(residual), len(residual)))
+        covariance[:-6, :-6] = joint_covariance(rows)
+        covariance[-6:, -6:] = np.diag(self._prior_sd**2)
+        weighed = np.linalg.solve(covariance, design).T
+        return residual, design, np.linalg.solve(weighed @ design, weighed), covariance
+
+    def _plan_picks_mm2(self, size: int) -> np.ndarray:
+        """(R, R): what the scatter of the plan's picks, which defines the plan, adds to the rows' covariance."""
+        out = np.zeros((size, size))
+        for view, lines in enumerate(self._before):
+            for k in range(2):
+                first = 2 * (view * len(self._points_mm) + self._n + k)
+                jacobian = lines.jacobian[self._n + k]
+                out[first : first + 2, first : first + 2] = jacobian @ self._pick_px2[view, k] @ jacobian.T
+        return out
+
+    def _after_rows(self, lines: LinesOfSight, wire_px2: np.ndarray, marks_px2: np.ndarray) -> tuple[Rows, np.ndarray]:
+        """Of a check image: its rows, and their derivatives by all numbers sought."""
+        n, count, moving = self._n, len(wire_px2) - 1, self._points_mm.size
+        along = np.append(self._places(lines.focal_point_mm, lines.directions[n:-1]), self._tip_mm)
+        tangent = self._tangent(along)
+        xyz = self.movement.apply(np.concatenate([self._points_mm[:n], self._wire(along)]))
+        turned = self.movement.rotation.as_matrix()
+        way, across = along_and_across(lines, xyz[n:], tangent @ turned.T)
+        select = np.zeros((2 * n + count + 1, len(xyz), 2))
+        select[np.arange(2 * n), np.arange(2 * n) // 2, np.arange(2 * n) % 2] = 1.0
+        select[2 * n + np.arange(count), n + np.arange(count)] = across[:-1]
+        select[-1, -1] = way[-1]
+        noise = np.concatenate([marks_px2, wire_px2[:, None, None] * np.eye(2)])
+        rows = Rows.of(lines, xyz, noise, select.reshape(len(select), -1))
+        design = np.zeros((len(select), moving + 7 + 2 * CURVE))
+        in_bone = rows.to_point @ turned
+        design[:, : 3 * n] = in_bone[:, :n].reshape(len(select), -1)
+        design[:, moving : moving + 3] = np.cross(xyz - self._middle, rows.to_point).sum(axis=1)
+        design[:, moving + 3 : moving + 6] = rows.to_point.sum(axis=1)
+        by_offset = in_bone[:, n:] @ self._axes[:2].T
+        of_curve = terms(along / self._trajectory.length_mm)
+        design[:, moving + 6 : -1] = np.einsum("rnc,nk->rkc", by_offset, of_curve).reshape(len(select), -1)
+        design[:, -1] = in_bone[:, -1] @ tangent[-1]
+        return rows, design
+
+    def _prior_residual(self) -> np.ndarray:
+        """(6,) from what has moved to nothing moved."""
+        middle = (self._trajectory.entry_mm + self._trajectory.end_mm) / 2
+        return -np.concatenate([self.movement.rotation.as_rotvec(), self.movement.apply(middle) - middle])
+
+    def _to_deviation(self) -> np.ndarray:
+        """(5, all numbers): derivative of the deviation by what is sought."""
+        first = self._points_mm.size + 6
+        out = np.zeros((5, first + 2 * CURVE + 1))
+        ends = terms(np.array([0.0, self._tip_mm]) / self._trajectory.length_mm)
+        for row, k in ((0, 0), (2, 1)):
+            out[row : row + 2, first:-1] = np.kron(ends[k], np.eye(2))
+        out[2:4, -1] = self._tangent(np.array([self._tip_mm]))[0] @ self._axes[:2].T
+        out[4, -1] = 1.0
+        out[:2, first - 12 : first - 9], out[2:, first - 9 : first - 6] = -self._axes[:2], -self._axes
+        return out
+
+    def _near_the_bone(self, view: CalibratedView, wire: KnownWire) -> KnownWire:
+        """Without what lies far outside the entry."""
+        lines = view.lines_of_sight(wire.uv_px)
+        along = self._places(lines.focal_point_mm, lines.directions)
+        kept = (along > -_OUTSIDE_MM) & (along < self._tip_mm)
+        if np.count_nonzero(kept) < CURVE:
+            raise ReconstructionRefusedError(
+                f"view {view.name!r} shows less of the wire within the bone than its line needs; check that the images "
+                "belong to this plan"
+            )
+        return replace(wire, uv_px=wire.uv_px[kept], variance_px2=wire.variance_px2[kept])
+
+
+def _largest_outlier(residual: np.ndarray, design: np.ndarray, covariance: np.ndarray) -> float:
+    """The residual that all others contradict most, over its standard deviation (Baarda's data snooping)."""
+    weight = np.linalg.inv(covariance)
+    weight -= weight @ design @ np.linalg.solve(design.T @ weight @ design, design.T @ weight)
+    tested = np.diag(weight) > LEAST_TESTED * np.diag(covariance) ** -1
+    return float(np.max(np.abs(weight @ residual)[tested] / np.sqrt(np.diag(weight)[tested]), initial=0.0))
