@@ -1,0 +1,325 @@
+"""A live image watched: each frame calibrated, the plan drawn into it, and an alarm where frame or C-arm move."""
+
+import time
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from threading import Condition, Thread
+from types import TracebackType
+from typing import Protocol, Self
+
+import numpy as np
+
+from sightline.calibration import BeadView
+from sightline.calibration.displacement import Rest
+from sightline.calibration.joint import JointFit
+from sightline.case.watch_alarm import Alarm, Movement
+from sightline.case.watch_follow import Followed, Follower, State
+from sightline.detection import Observations
+from sightline.errors import CalibrationRefusedError, OutsideRegionError, SightlineError, UnusableInputError
+from sightline.frame import Frame
+from sightline.geometry.covariance import ellipsoid_factor
+from sightline.imaging import Radiograph
+from sightline.planning.corridor import Corridor, corridor
+from sightline.planning.residuals import Residuals
+from sightline.planning.trajectory import Trajectory
+
+STALE_S = 0.2  # an older image is not what is: nothing is drawn into it
+REST_FRAMES = 16  # half a second: their mean is where the beads are at rest [ours]
+_WITHIN_95 = ellipsoid_factor(0.95, 2)  # standard deviations of the worse direction: a bound on the safe side
+_ORIGIN_MM = np.zeros((1, 3))  # where the hip's centre should lie (docs/conventions.md): the target without a plan
+
+
+class Shown(Protocol):
+    """A frame of a source: its image, and when it came, s since 1970."""
+
+    @property
+    def image(self) -> Radiograph:
+        """The image."""
+        ...
+
+    @property
+    def stamped_s(self) -> float:
+        """When it came."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class Watched:
+    """What is known of the newest frame that was worked on.
+
+    `number`: of the frames that came, from 1; `dropped`: of these, replaced by a newer one before they were worked on.
+    `latency_s`: from when it came to when this was known. `age_s` and `stale`: when asked; of a stale image there is no
+    `corridor`. `error_95_mm`: at the target the view's lines of sight err by less, with 95 % or more.
+    `movement` is None while there is nothing to compare with; `note` says why.
+    """
+
+    image: Radiograph
+    number: int
+    dropped: int
+    stamped_s: float
+    latency_s: float
+    age_s: float
+    stale: bool
+    state: State
+    reason: str
+    view: BeadView | None
+    corridor: Corridor | None
+    error_95_mm: float | None
+    movement: Movement | None
+    note: str
+
+    @property
+    def moved(self) -> bool:
+        """The alarm."""
+        return self.movement is not None and self.movement.moved
+
+
+class Eye:
+    """What `Watch` does with one frame after the other, without threads: view, overlay, movement."""
+
+    def __init__(self, frame: Frame, trajectory: Trajectory | None, references: Sequence[BeadView]) -> None:
+        self._frame, self._trajectory = frame, trajectory
+        self._targets = _ORIGIN_MM if trajectory is None else np.stack([trajectory.entry_mm, trajectory.end_mm])
+        self._follower = Follower(frame)
+        self._still: dict[str, tuple[Rest, Alarm]] = {}
+        self._settling: list[Observations] = []
+        for view in references:
+            self._still[view.name] = Rest.of(view, frame, [_beads_of(view)], self._targets), self._alarm("planning")
+
+    def rest(self) -> None:
+        """Where all is now is where it is at rest: the next frames say where that is."""
+        self._still.clear()
+        self._settling.clear()
+
+    def look(self, shown: Shown, number: int, dropped: int) -> Watched:
+        """One frame."""
+        followed = self._follower.take(shown.image, shown.stamped_s)
+        movement, note = self._movement(followed)
+        drawn, error = self._drawn(followed.view)
+        latency = time.time() - shown.stamped_s
+        return Watched(
+            image=shown.image,
+            number=number,
+            dropped=dropped,
+            stamped_s=shown.stamped_s,
+            latency_s=latency,
+            age_s=latency,
+            stale=latency > STALE_S,
+            state=followed.state,
+            reason=followed.reason,
+            view=followed.view,
+            corridor=drawn,
+            error_95_mm=error,
+            movement=movement,
+            note=note,
+        )
+
+    def _movement(self, followed: Followed) -> tuple[Movement | None, str]:
+        view, seen = followed.view, followed.observations
+        if view is None or seen is None:
+            return None, "no view: a movement would not be seen"
+        if view.name not in self._still:
+            return None, self._settle(view, seen)
+        rest, alarm = self._still[view.name]
+        try:
+            return alarm.take(rest.displacement(seen)), ""
+        except CalibrationRefusedError as few:
+            return None, str(few)
+
+    def _settle(self, view: BeadView, seen: Observations) -> str:
+        """Collect frames of rest; they are the reference once enough of them show none that moved."""
+        if self._settling and self._settling[0].view != view.name:
+            self._settling.clear()
+        self._settling.append(seen)
+        if len(self._settling) < REST_FRAMES:
+            return f"finding the place of rest, {len(self._settling)} of {REST_FRAMES} images"
+        rest, alarm = Rest.of(view, self._frame, self._settling, self._targets), self._alarm("rest")
+        try:
+            moving = any(alarm.take(rest.displacement(one)).moved for one in self._settling)
+        except CalibrationRefusedError as few:
+            moving, why = True, str(few)
+        else:
+            why = "it moves: hold still"
+        self._settling.clear()
+        if moving:
+            return f"no place of rest was found: {why}"
+        self._still[view.name] = rest, alarm
+        return "at rest"
+
+    def _alarm(self, since: str) -> Alarm:
+        return Alarm(len(self._targets), since)
+
+    def _drawn(self, view: BeadView | None) -> tuple[Corridor | None, float | None]:
+        """The plan in the view, and how far its lines of sight may be off at the target; None where it sees neither."""
+        if view is None:
+            return None, None
+        try:
+            lines = view.lines_of_sight(view.project(self._targets))
+        except OutsideRegionError:
+            return None, None
+        at = Residuals.at(lines, self._targets)
+        whole = np.sum(list((lines.covariance or {}).values()), axis=0)
+        own = np.einsum("iaib->iab", (at.to_line @ whole @ at.to_line.T).reshape(len(at.reach), 2, -1, 2))
+        error = _WITHIN_95 * float((at.reach * np.sqrt(np.linalg.eigvalsh(own)[:, -1])).max())
+        if self._trajectory is None:
+            return None, error
+        try:
+            return corridor(view, self._trajectory), error
+        except OutsideRegionError:
+            return None, error
+
+
+class Watch:
+    """Two threads while it is entered or started: one takes frames from the source, one works on the newest.
+
+    `plan`: the trajectory to draw. `references`: views calibrated at planning, against which movements are told while
+    the C-arm stands as it stood then; without one of the view that is seen, the first half second is the place of rest.
+    Raises UnusableInputError where a reference is of another frame or not of the smooth method.
+    """
+
+    def __init__(
+        self,
+        frame: Frame,
+        source: Iterable[Shown],
+        plan: Trajectory | None = None,
+        references: Sequence[BeadView] = (),
+    ) -> None:
+        if any(view.frame_key != frame.key for view in references):
+            raise UnusableInputError(
+                "a view of planning is of another frame; watch with the frame that was planned with"
+            )
+        self._source = source
+        self._eye = Eye(frame, plan, references)
+        self._changed = Condition()
+        self._waiting: Shown | None = None
+        self._came = self._taken = 0
+        self._newest: Watched | None = None
+        self._over = self._closing = self._at_rest = self._ended = False
+        self._error: Exception | None = None
+
+    def __enter__(self) -> Self:
+        self.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def start(self) -> None:
+        """Begin."""
+        for run, name in ((self._read, "watch: source"), (self._work, "watch: work")):
+            Thread(target=run, name=name, daemon=True).start()
+
+    def close(self) -> None:
+        """End, and let go of the source."""
+        with self._changed:
+            self._closing = True
+            self._changed.notify_all()
+        close = getattr(self._source, "close", None)
+        if close is not None:
+            close()
+
+    def rest(self) -> None:
+        """A person has looked: where frame and C-arm are now is where they are at rest. The alarm goes off."""
+        with self._changed:
+            self._at_rest = True
+
+    @property
+    def ended(self) -> bool:
+        """Whether no frame will be worked on any more."""
+        with self._changed:
+            return self._ended
+
+    @property
+    def error(self) -> Exception | None:
+        """What ended it before the source did."""
+        with self._changed:
+            return self._error
+
+    @property
+    def fault(self) -> str | None:
+        """The same for people."""
+        error = self.error
+        if error is None:
+            return None
+        return str(error) if isinstance(error, SightlineError) else f"a bug in Sightline ({type(error).__name__})"
+
+    def latest(self) -> Watched | None:
+        """The newest frame that was worked on, and how old it is by now; None before the first."""
+        with self._changed:
+            newest = self._newest
+        return None if newest is None else aged(newest, time.time())
+
+    def next(self, after: int, timeout_s: float) -> Watched | None:
+        """The first that is newer than frame number `after`; None where none came in time."""
+        with self._changed:
+            self._changed.wait_for(lambda: self._is_newer(after) or self._ended, timeout_s)
+            newest = self._newest if self._is_newer(after) else None
+        return None if newest is None else aged(newest, time.time())
+
+    def _is_newer(self, after: int) -> bool:
+        return self._newest is not None and self._newest.number > after
+
+    def _read(self) -> None:
+        try:
+            for shown in self._source:
+                with self._changed:
+                    if self._closing:
+                        return
+                    self._waiting = shown  # what waited is dropped: the newest counts
+                    self._came += 1
+                    self._changed.notify_all()
+        except Exception as error:  # a thread's error is told to whoever asks
+            self._fail(error)
+        finally:
+            with self._changed:
+                self._over = True
+                self._changed.notify_all()
+
+    def _work(self) -> None:
+        try:
+            while (job := self._next_job()) is not None:
+                watched = self._eye.look(*job)
+                with self._changed:
+                    self._newest = watched
+                    self._changed.notify_all()
+        except Exception as error:
+            self._fail(error)
+        finally:
+            with self._changed:
+                self._ended = True
+                self._changed.notify_all()
+
+    def _next_job(self) -> tuple[Shown, int, int] | None:
+        """The newest frame, its number, and how many were dropped; None at the end."""
+        with self._changed:
+            self._changed.wait_for(lambda: self._waiting is not None or self._closing or self._over)
+            if self._closing or self._waiting is None:
+                return None
+            shown, self._waiting = self._waiting, None
+            self._taken += 1
+            if self._at_rest:
+                self._at_rest = False
+                self._eye.rest()
+            return shown, self._came, self._came - self._taken
+
+    def _fail(self, error: Exception) -> None:
+        with self._changed:
+            self._error = self._error or error
+            self._changed.notify_all()
+
+
+def aged(watched: Watched, now_s: float) -> Watched:
+    """The same as it is at `now_s`: a stale image has no overlay."""
+    age = max(now_s - watched.stamped_s, 0.0)
+    stale = age > STALE_S
+    return replace(watched, age_s=age, stale=stale, corridor=None if stale else watched.corridor)
+
+
+def _beads_of(view: BeadView) -> Observations:
+    """The beads that a view was calibrated from. Raises UnusableInputError."""
+    fit = view.posterior
+    if not isinstance(fit, JointFit):
+        raise UnusableInputError("movements are told against views of the smooth method; calibrate with 'smooth'")
+    return Observations(view.name, fit.beads.ids, fit.beads.uv_px, fit.beads.covariance_px2)

@@ -1,0 +1,220 @@
+"""A live image watched: states and their reasons, the plan drawn in, frames dropped and counted, the alarm."""
+
+import time
+from dataclasses import dataclass, replace
+from functools import cache
+from threading import Event
+
+import numpy as np
+import pytest
+from tests.detection.track_images import FRAME, SIZE, beads, image
+
+from sightline.calibration import BeadView, calibrate
+from sightline.calibration.displacement import Displacement
+from sightline.case.watch import REST_FRAMES, Eye, Watch, Watched, aged
+from sightline.case.watch_alarm import FOUND, HOUR, PROMISED_MM, Alarm, limit_mm, quantiles
+from sightline.case.watch_follow import State
+from sightline.detection import Observations
+from sightline.errors import SourceError, UnusableInputError
+from sightline.imaging import Radiograph
+from sightline.planning import Trajectory
+from sightline.planning.results import SpacePoints
+
+ENTRY_END_MM = np.array([[-20.3, 11.2, -9.7], [22.1, -14.6, 13.4]])
+NOISES = 3  # images of one scene; they take turns
+
+
+@dataclass(frozen=True)
+class Still:
+    image: Radiograph
+    stamped_s: float
+
+
+@cache
+def shown(x_mm: float = 0.0, noise: int = 0) -> Radiograph:
+    return image(beads((x_mm, 0.0, 0.0)), 100 + noise)
+
+
+EMPTY = Radiograph(np.full((SIZE, SIZE), 2000, np.uint16), 4095)
+
+
+def trajectory() -> Trajectory:
+    none = np.zeros(2)
+    covariance = 0.04 * np.eye(6)
+    return Trajectory(SpacePoints(ENTRY_END_MM.copy(), none, np.zeros(2, bool), none, covariance, None, none > -1))
+
+
+def seen_by(eye: Eye, images: list[Radiograph]) -> list[Watched]:
+    start = time.time()
+    return [eye.look(Still(one, start + k / 30), k + 1, 0) for k, one in enumerate(images)]
+
+
+@cache
+def planned_view() -> BeadView:
+    return seen_by(Eye(FRAME, None, ()), [shown()])[0].view
+
+
+@pytest.fixture(scope="module")
+def settled() -> tuple[Eye, list[Watched]]:
+    """An eye that has found its place of rest, and what it said on the way."""
+    eye = Eye(FRAME, trajectory(), ())
+    return eye, seen_by(eye, [shown(0.0, k % NOISES) for k in range(REST_FRAMES)])
+
+
+def test_the_first_image_is_searched_and_the_others_are_tracked(settled) -> None:
+    states = [watched.state for watched in settled[1]]
+    assert states == [State.SEARCHING] + [State.TRACKING] * (REST_FRAMES - 1)
+    assert settled[1][0].reason == "the first image"
+    assert settled[1][1].reason == ""
+
+
+def test_the_plan_is_drawn_where_the_view_has_it(settled) -> None:
+    last = settled[1][-1]
+    ends = last.corridor.uv_px[[0, -1]]
+    assert ends == pytest.approx(last.view.project(ENTRY_END_MM), abs=0.01)
+    assert 0.05 < last.error_95_mm < 2.0
+    assert Eye(FRAME, None, ()).look(Still(shown(), time.time()), 1, 0).corridor is None
+
+
+def test_a_jump_is_searched_for_and_lost_images_are_said() -> None:
+    eye = Eye(FRAME, None, ())
+    said = seen_by(eye, [shown(), shown(4.0), EMPTY, EMPTY, shown(4.0), shown(4.0, 1)])
+    assert [w.state for w in said] == ["searching", "searching", "lost", "lost", "searching", "tracking"]
+    assert "not where they were" in said[1].reason
+    assert said[2].view is None
+    assert said[2].movement is None
+    assert said[2].reason != ""
+    assert "not be seen" in said[2].note
+
+
+def test_a_shift_is_told_within_two_images_and_stays_told() -> None:
+    eye = Eye(FRAME, trajectory(), [planned_view()])
+    still = seen_by(eye, [shown(0.0, k % NOISES) for k in range(4)])
+    assert not any(w.moved for w in still)
+    assert all(w.movement.able for w in still)
+    first, second, third = seen_by(eye, [shown(PROMISED_MM), shown(PROMISED_MM, 1), shown(0.0, 2)])
+    assert first.movement.shift_mm == pytest.approx(PROMISED_MM, abs=5 * first.movement.sd_mm)
+    assert (first.moved, second.moved, third.moved) == (False, True, True)
+    assert "moved since planning" in second.movement.text
+    eye.rest()
+    (after,) = seen_by(eye, [shown(0.3, 2)])
+    assert not after.moved
+    assert after.note.startswith("finding the place of rest")
+
+
+def test_without_a_view_of_planning_the_first_half_second_is_rest(settled) -> None:
+    eye, said = settled
+    assert [w.movement for w in said] == [None] * REST_FRAMES
+    assert said[-1].note == "at rest"
+    (following,) = seen_by(eye, [shown(0.0, 1)])
+    assert following.movement.since == "rest"
+    assert following.movement.shift_mm < 5 * following.movement.sd_mm
+
+
+def test_what_moves_while_rest_is_sought_is_no_rest() -> None:
+    eye = Eye(FRAME, None, ())
+    said = seen_by(eye, [shown(0.0 if k < REST_FRAMES / 2 else 0.6, k % NOISES) for k in range(REST_FRAMES)])
+    assert "hold still" in said[-1].note
+    assert said[-1].movement is None
+
+
+def displacement(x_mm: float, sd_mm: float = 0.01, rest_sd_mm: float = 0.0025) -> Displacement:
+    own, rest = (sd**2 * np.eye(2)[None] for sd in (sd_mm, rest_sd_mm))
+    return Displacement(np.array([[x_mm, 0.0]]), own, rest, 90)
+
+
+def test_one_image_beyond_the_limit_is_no_alarm() -> None:
+    alarm = Alarm(1, "rest")
+    moved = [alarm.take(displacement(x)).moved for x in (0.0, 0.9, 0.0, 0.9, 0.0, 0.3, 0.3, 0.0)]
+    assert moved == [False] * 6 + [True] * 2
+
+
+def test_noise_that_hides_the_promised_shift_is_said() -> None:
+    room = PROMISED_MM / sum(quantiles(1))
+    assert Alarm(1, "rest").take(displacement(0.0, 0.9 * room, 0.0)).able
+    noisy = Alarm(1, "rest").take(displacement(0.0, 1.1 * room, 0.0))
+    assert not noisy.able
+    assert "too noisy" in noisy.text
+    assert not Alarm(1, "rest").take(displacement(0.0, 0.9 * room, 0.9 * room)).able
+
+
+@pytest.mark.parametrize("targets", [1, 2])
+def test_the_limit_keeps_both_promises_at_the_most_noise_it_takes(targets: int) -> None:
+    rng = np.random.default_rng(7)
+    sd, hours = PROMISED_MM / sum(quantiles(targets)), 10
+    noise = sd * rng.standard_normal((hours * HOUR, targets, 2))
+    beyond = np.hypot(*np.moveaxis(noise, 2, 0)).max(axis=1) > limit_mm(targets)
+    false = np.count_nonzero(beyond[1:] & beyond[:-1])
+    assert false <= hours + 3 * np.sqrt(hours)  # one an hour
+    moved = noise[: 2 * 20_000] + np.array([PROMISED_MM, 0.0])
+    found = (np.hypot(*np.moveaxis(moved, 2, 0)).max(axis=1) > limit_mm(targets)).reshape(-1, 2).all(axis=1).mean()
+    assert found > FOUND - 3 * np.sqrt(FOUND * (1 - FOUND) / 20_000)
+
+
+def test_a_late_image_is_stale_and_has_no_overlay(settled) -> None:
+    last = settled[1][-1]
+    fresh, late = aged(last, last.stamped_s + 0.15), aged(last, last.stamped_s + 0.25)
+    assert (fresh.stale, late.stale) == (False, True)
+    assert fresh.corridor is not None
+    assert late.corridor is None
+    assert late.age_s == pytest.approx(0.25)
+    assert aged(last, last.stamped_s - 5.0).age_s == 0.0  # a clock that was set back
+
+
+class Burst:
+    """Frames that come all at once, in groups: the next group when the one before was worked on."""
+
+    def __init__(self, *groups: int) -> None:
+        self.groups, self.go_on, self.closed = groups, Event(), False
+
+    def __iter__(self):
+        for count in self.groups:
+            for k in range(count):
+                yield Still(shown(0.0, k % NOISES), time.time())
+            self.go_on.wait(30)
+            self.go_on.clear()
+
+    def close(self) -> None:
+        self.closed = True
+
+
+def test_frames_that_come_too_fast_are_dropped_and_counted_and_the_newest_wins() -> None:
+    source = Burst(6, 1)
+    with Watch(FRAME, source) as watch:
+        newest = watch.next(5, 30)
+        assert newest.number == 6
+        worked_on_before = 1 if newest.dropped == 4 else 0
+        assert newest.dropped + worked_on_before == 5
+        source.go_on.set()
+        following = watch.next(6, 30)
+        assert (following.number, following.dropped) == (7, newest.dropped)
+        assert not watch.ended
+        source.go_on.set()
+        assert watch.next(7, 30) is None
+        assert watch.ended
+        assert watch.fault is None
+        assert watch.latest().number == 7
+    assert source.closed
+
+
+def test_a_source_that_fails_is_told_and_what_was_seen_stays() -> None:
+    def failing():
+        yield Still(shown(), time.time())
+        raise SourceError("the source is gone; look at its cable")
+
+    with Watch(FRAME, failing()) as watch:
+        assert watch.next(1, 30) is None
+        assert watch.ended
+        assert "look at its cable" in watch.fault
+        assert watch.latest().number == 1
+
+
+def test_a_reference_of_another_frame_is_refused() -> None:
+    view = planned_view()
+    with pytest.raises(UnusableInputError, match="another frame"):
+        Watch(FRAME, [], references=[replace(view, frame_key="other/1")])
+    beads_of = view.posterior.beads
+    seen = Observations(view.name, beads_of.ids, beads_of.uv_px, beads_of.covariance_px2)
+    by_others = calibrate(seen, FRAME, method="polynomial")
+    with pytest.raises(UnusableInputError, match="smooth"):
+        Watch(FRAME, [], references=[by_others])
