@@ -15,6 +15,10 @@ class ImageError(UnusableInputError):
     """A file is not an image that Sightline can read."""
 
 
+class SourceError(SightlineError):
+    """A source of images cannot be opened, or has stopped giving them."""
+
+
 class FrameError(UnusableInputError):
     """A frame file is malformed or describes no usable frame."""
 
@@ -47,6 +51,10 @@ class RefusedError(SightlineError):
 
 class DetectionRefusedError(RefusedError):
     """An image shows no beads that can be told from its background."""
+
+
+class MovedRefusedError(RefusedError):
+    """Images that should show the same have moved against each other."""
 
 
 class LabellingRefusedError(RefusedError):

@@ -94,3 +94,58 @@ def test_a_watched_folder_takes_what_is_written_later(tmp_path: Path) -> None:
     out, err = process.communicate(timeout=30)
     assert process.returncode == 0, err
     assert [entry["number"] for entry in json.loads(out)["entries"]] == [1]
+
+
+def test_one_image_of_a_video_or_the_mean_of_several_is_taken(run, tmp_path: Path) -> None:
+    import cv2
+
+    file = tmp_path / "Doe^Jane.avi"
+    writer = cv2.VideoWriter(str(file), cv2.VideoWriter.fourcc(*"FFV1"), 25.0, (64, 48))
+    still = np.random.default_rng(1).integers(60, 200, (48, 64), dtype=np.uint8)
+    still = cv2.GaussianBlur(still, (0, 0), 2.0)
+    for _ in range(6):
+        writer.write(cv2.cvtColor(still, cv2.COLOR_GRAY2BGR))
+    writer.release()
+    into = ("--case", tmp_path / "case", "--json")
+    ran = run("acquire", "video", file, *into, "--average", 4, "--crop", "8,8,40,32")
+    assert ran.code == 0, ran.err
+    (entry,) = ran.document["entries"]
+    assert entry["settings"]["acquisition"]["averaged"] == 4
+    assert entry["settings"]["acquisition"]["crop"] == [8, 8, 40, 32]
+    assert "Doe" not in ran.out + ran.err
+    assert run("acquire", "video", file, *into, "--average", 20).code == 2
+    assert run("acquire", "video", file, *into, "--crop", "1,2,3").code == 2
+    assert run("acquire", "video", tmp_path / "absent.avi", *into).code == 2
+    with Case.open(tmp_path / "case") as case:
+        assert len(case.entries()) == 1
+
+
+def test_one_image_of_an_openigtlink_peer_is_taken_and_a_stale_pose_is_refused(
+    run, tmp_path: Path, monkeypatch
+) -> None:
+    import socket
+    from threading import Thread
+
+    from sightline.case import acquire_robot
+    from sightline.robot.igtl import Image, Message, encode
+
+    def silent(*_: object, **__: object) -> acquire_robot.PoseNow:
+        return acquire_robot.PoseNow((1.0,) * 5, 9.0)
+
+    monkeypatch.setattr(acquire_robot.RobotWatch, "__enter__", lambda self: self)
+    monkeypatch.setattr(acquire_robot.RobotWatch, "now", silent)
+    server = socket.create_server(("127.0.0.1", 0))
+
+    def serve() -> None:
+        peer, _ = server.accept()
+        peer.sendall(encode(Message(Image(image(1).pixels[None], np.eye(4)), "x")))
+        peer.close()
+
+    Thread(target=serve, daemon=True).start()
+    port = server.getsockname()[1]
+    ran = run("acquire", "igtl", f"127.0.0.1:{port}", "--case", tmp_path / "case", "--robot", "127.0.0.1:9", "--json")
+    server.close()
+    assert ran.code == 3, ran.err
+    assert "pose stale" in ran.out
+    (entry,) = ran.document["entries"]
+    assert entry["settings"]["acquisition"]["robot"] == {"age_s": 9.0, "fresh": False, "joints": None}

@@ -1,11 +1,11 @@
-"""`sightline acquire folder | dicom`: images from real sources into a case."""
+"""`sightline acquire folder | dicom | video | igtl`: images from real sources into a case."""
 
 import time
 from collections import deque
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
@@ -14,12 +14,20 @@ from sightline.cli.output import Json, Output, Quiet
 if TYPE_CHECKING:
     from sightline.case.acquire import Acquirer, News
     from sightline.case.journal import Case
+    from sightline.imaging import Source
 
 _REMEMBERED = 1000  # refusals, for the result: who sends rubbish for days fills no memory
 
-app = typer.Typer(no_args_is_help=True, help="Take images from folders and DICOM senders into a case.")
+app = typer.Typer(
+    no_args_is_help=True, help="Take images into a case: from a folder, a DICOM sender, video, OpenIGTLink."
+)
 
 CaseFolder = Annotated[Path, typer.Option("--case", help="Folder of the case; a new one is made where there is none.")]
+
+Average = Annotated[int, typer.Option(min=1, max=64, help="How many frames to average, if nothing moves.")]
+Robot = Annotated[
+    str | None, typer.Option(metavar="HOST:PORT", help="Write the robot's pose of that moment too.", show_default=False)
+]
 
 
 def register(parent: typer.Typer) -> None:
@@ -72,6 +80,115 @@ def dicom(
             out.note(f"listening at port {receiver.port} as {aet}; stop with Ctrl-C")
             desk.until_interrupted(lambda: None, 0.5)
         out.result({"port": receiver.port, **desk.document()})
+
+
+@app.command("video")
+def video(
+    place: Annotated[str, typer.Argument(help="Number of a device, a video file, a stream's address, a DICOM run.")],
+    *,
+    case: CaseFolder,
+    average: Average = 1,
+    skip: Annotated[int, typer.Option(min=0, help="Frames to pass over first.")] = 0,
+    field: Annotated[
+        Literal["first", "second"] | None, typer.Option(help="Of interlaced video one field alone.", show_default=False)
+    ] = None,
+    crop: Annotated[str | None, typer.Option(metavar="LEFT,TOP,WIDTH,HEIGHT", help="Part of the picture, px.")] = None,
+    robot: Robot = None,
+    json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Take one image of a video source into a case, or the mean of several if nothing moved."""
+    with Output(json=json, quiet=quiet) as out, _into(case, out) as desk:
+        from sightline.imaging.source import Run
+        from sightline.imaging.video import VideoSource
+
+        part = _crop(crop)
+        is_run = not place.isdigit() and _is_image(Path(place))
+        if is_run and part is not None:
+            raise typer.BadParameter("a run is taken whole", param_hint="--crop")
+        at = int(place) if place.isdigit() else place
+        source = Run(Path(place)) if is_run else VideoSource(at, crop=part, tell=out.note)
+        how = {"crop": part} if part else {}
+        options = {"field": field, "interlaced": not is_run}
+        _take(out, desk, source, first=skip + 1, average=average, robot=robot, options=options, how=lambda: how)
+
+
+@app.command("igtl")
+def igtl(
+    address: Annotated[
+        str, typer.Argument(metavar="HOST:PORT", help="The peer; with --listen where it is waited for.")
+    ],
+    *,
+    case: CaseFolder,
+    listen: Annotated[bool, typer.Option("--listen", help="Wait for the peer instead of calling it.")] = False,
+    average: Average = 1,
+    robot: Robot = None,
+    json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Take one image of an OpenIGTLink peer (3D Slicer, PLUS) into a case, or the mean of several."""
+    with Output(json=json, quiet=quiet) as out, _into(case, out) as desk:
+        from sightline.case.acquire_igtl import ImageLink
+        from sightline.cli.robot import parse_address
+
+        host, port = parse_address(address)
+        link = ImageLink(host, port, listen=listen, tell=out.note)
+        if listen:
+            out.note(f"waiting at port {link.port}")
+        _take(out, desk, link, first=1, average=average, robot=robot, options={}, how=link.stated)
+
+
+def _take(
+    out: Output,
+    desk: "_Desk",
+    source: "Source",
+    *,
+    first: int,
+    average: int,
+    robot: str | None,
+    options: dict[str, Any],
+    how: Callable[[], dict[str, Any]],
+) -> None:
+    """Frames `first` and following of a source, as one image, with the robot's pose at the last of them."""
+    from sightline.case.acquire import news_of
+    from sightline.case.acquire_frames import take_frames
+    from sightline.case.acquire_robot import RobotWatch
+    from sightline.cli.robot import parse_address
+    from sightline.errors import SourceError
+
+    with ExitStack() as stack:
+        watch = stack.enter_context(RobotWatch(*parse_address(robot))) if robot else None
+        stack.callback(source.close)
+        frames, pose = [], None
+        for frame in source:
+            pose = watch.now() if watch else None
+            if frame.number >= first:
+                frames.append(frame)
+            if len(frames) == average:
+                break
+        if len(frames) < average:
+            raise SourceError(f"the source ended after {len(frames)} of {average} images; ask for fewer")
+        desk.tell(news_of(take_frames(desk.acquirer, frames, pose=pose, how=how(), **options)))
+    out.result(desk.document(), checks=[pose.check] if pose else [])
+
+
+def _crop(text: str | None) -> tuple[int, int, int, int] | None:
+    if text is None:
+        return None
+    try:
+        left, top, width, height = (int(part) for part in text.split(","))
+    except ValueError:
+        raise typer.BadParameter("four whole numbers: LEFT,TOP,WIDTH,HEIGHT", param_hint="--crop") from None
+    return left, top, width, height
+
+
+def _is_image(file: Path) -> bool:
+    from sightline.imaging import suffix_of
+
+    if not file.is_file():
+        return False
+    with file.open("rb") as stream:
+        return suffix_of(stream.read(132)) is not None
 
 
 class _Desk:

@@ -3,5 +3,16 @@
 from sightline.imaging.dicom import write as write_dicom
 from sightline.imaging.files import frames_in, read_image, suffix_of, write_png
 from sightline.imaging.radiograph import GeometryTags, Radiograph
+from sightline.imaging.source import Frame, Source
 
-__all__ = ["GeometryTags", "Radiograph", "frames_in", "read_image", "suffix_of", "write_dicom", "write_png"]
+__all__ = [
+    "Frame",
+    "GeometryTags",
+    "Radiograph",
+    "Source",
+    "frames_in",
+    "read_image",
+    "suffix_of",
+    "write_dicom",
+    "write_png",
+]

@@ -1,0 +1,66 @@
+"""Frames of a source into a case: one, or the mean of several, as a file that says what was done with them."""
+
+import io
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+
+from sightline.case.acquire import Acquirer, Taken
+from sightline.case.acquire_robot import PoseNow
+from sightline.errors import MovedRefusedError
+from sightline.imaging import Frame, Radiograph, write_png
+from sightline.imaging.average import average
+from sightline.imaging.interlace import MOVED, comb, field_of
+
+FIELDS = ("first", "second")
+
+
+def take_frames(
+    acquirer: Acquirer,
+    frames: Sequence[Frame],
+    *,
+    field: str | None = None,
+    interlaced: bool = False,
+    pose: PoseNow | None = None,
+    how: Mapping[str, Any] | None = None,
+) -> Taken:
+    """The mean of frames, one or more, as PNG (NumPy where they are floats), with what is known of them.
+
+    `field`: of interlaced video one of FIELDS alone. With `interlaced` an image between whose fields something moved is
+    refused. Raises MovedRefusedError, ImageError, CaseError.
+    """
+    combs = [comb(frame.image) for frame in frames] if interlaced else []
+    if combs and field is None and max(combs) > MOVED:
+        raise MovedRefusedError(
+            f"something moved between the two fields of the video (comb {max(combs):.2f}, at most {MOVED:g}); hold "
+            "still and take the image again, or take one field of it (--field first)"
+        )
+    images = [frame.image if field is None else field_of(frame.image, FIELDS.index(field)) for frame in frames]
+    image = images[0] if len(images) == 1 else average(images)
+    last = frames[-1]
+    known: dict[str, Any] = {
+        "source": last.source,
+        "arrival": last.number,
+        "received_s": last.stamped_s,
+        "sender_s": last.sender_s,
+        "averaged": len(frames),
+        "comb": max(combs) if combs else None,
+        "field": field,
+        "pixel_aspect": last.pixel_aspect,
+        "robot": None if pose is None else pose.document(),
+        **(how or {}),
+    }
+    return acquirer.take(*_file_of(image), how={key: value for key, value in known.items() if value is not None})
+
+
+def _file_of(image: Radiograph) -> tuple[bytes, str]:
+    """The image's bytes as a file, and by what its name ends."""
+    if image.pixels.dtype == np.float32:
+        buffer = io.BytesIO()
+        np.save(buffer, image.pixels)
+        return buffer.getvalue(), ".npy"
+    with TemporaryDirectory(prefix="sightline-") as folder:
+        return write_png(image, Path(folder) / "image.png").read_bytes(), ".png"

@@ -1,0 +1,37 @@
+"""Interlaced video: two fields, one after the other, woven into one image."""
+
+import numpy as np
+
+from sightline.imaging.radiograph import Radiograph
+
+# A line of a whole frame lies as near to the mean of its neighbours as to that of the lines two away, or nearer: in
+# structure, and in noise where that is blurred; white noise alone gives 1. Fields between which something moved do not.
+MOVED = 1.05  # [twin: PAL at rest 1.01, whole frames less; 1 px between the fields 1.10, 3 px 1.6]
+
+
+def comb(image: Radiograph) -> float:
+    """How far lines lie from the mean of their neighbours, over how far from that of the lines two away; see MOVED."""
+    pixels, field = image.pixels[:, ::2].astype(np.float32), image.field_mask[:, ::2]
+    inside = field[:-4] & field[4:]
+    middle = pixels[2:-2]
+    near, far = middle - 0.5 * (pixels[1:-3] + pixels[3:-1]), middle - 0.5 * (pixels[:-4] + pixels[4:])
+    if not inside.any():
+        return 0.0
+    a, b = (float(np.sqrt(np.mean(values[inside] ** 2))) for values in (near, far))
+    return a / max(b, 1e-6)
+
+
+def field_of(image: Radiograph, which: int) -> Radiograph:
+    """The image as its first (0, the even lines) or second (1) field shows it: the other's lines are interpolated.
+
+    No line moves, so that a bead's centre is where it was; across the lines the image is half as sharp.
+    """
+    pixels = image.pixels.astype(np.float32)
+    lines = np.arange(image.shape[0])
+    missing = lines[lines % 2 != which]
+    above, below = missing - 1, missing + 1
+    above[above < 0], below[below >= len(lines)] = below[above < 0], above[below >= len(lines)]
+    pixels[missing] = 0.5 * (pixels[above] + pixels[below])
+    if image.pixels.dtype != np.float32:
+        pixels = np.rint(pixels).astype(image.pixels.dtype)
+    return Radiograph(pixels, image.white, image.tags)

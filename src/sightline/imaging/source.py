@@ -1,0 +1,54 @@
+"""The port of every source that gives image after image: a camera, a video, a run of frames, a link."""
+
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
+
+from sightline.imaging.files import frames_in, read_image
+from sightline.imaging.radiograph import Radiograph
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """One image of a source. `number` counts arrivals from 1 and orders them whatever clocks say.
+
+    `stamped_s`: when it came, `sender_s`: what the sender says of that, seconds since 1970. `robot_pose`: the robot's
+    joints (mm, rad) then. `pixel_aspect`: width over height of a pixel, as the source states it; nothing is resampled.
+    """
+
+    image: Radiograph
+    number: int
+    stamped_s: float
+    source: str
+    sender_s: float | None = None
+    robot_pose: tuple[float, ...] | None = None
+    pixel_aspect: float | None = None
+
+
+class Source(Protocol):
+    """`for frame in source:` until it ends. Raises SourceError where it stops giving images; it never hangs."""
+
+    def __iter__(self) -> Iterator[Frame]:
+        """Its frames, as they come."""
+        ...
+
+    def close(self) -> None:
+        """Let go of the device or the link."""
+        ...
+
+
+class Run:
+    """The frames of an image file: one, or those of a multi-frame DICOM run. Raises ImageError."""
+
+    def __init__(self, file: Path) -> None:
+        self._file, self._frames = file, frames_in(file)
+
+    def __iter__(self) -> Iterator[Frame]:
+        for index in range(self._frames):
+            image = read_image(self._file, index if self._frames > 1 else None)
+            yield Frame(image, index + 1, time.time(), "run")
+
+    def close(self) -> None:
+        """Nothing is held."""

@@ -1,0 +1,190 @@
+"""Video: a frame grabber, a capture card, a file or a stream, read through OpenCV in a thread that may hang."""
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from pathlib import Path
+from queue import Empty, Full, Queue
+from threading import Event, Thread
+from typing import Any
+
+import cv2
+import numpy as np
+
+from sightline.errors import ImageError, SourceError
+from sightline.imaging.radiograph import Radiograph
+from sightline.imaging.source import Frame
+
+DEADLINE_S = 2.0  # [ours] without an image, fifty frame times: the device hangs or is gone
+RETRY_S = 20.0  # [ours] for a cable to be put back
+_AGAIN_S = 0.5  # between two tries
+_WAITING = 2  # frames: of a live source only the newest counts, and a file waits
+_COLOUR = 24  # of 255: a grey image through a colour encoder differs less between channels [ours]
+_COLOURED = 0.02  # of the pixels may differ more: coloured writing [ours]
+
+Opener = Callable[[int | str], Any]  # of what has isOpened, read, get and release
+
+
+def _capture(place: int | str) -> cv2.VideoCapture:
+    return cv2.VideoCapture(place)
+
+
+class VideoSource:
+    """Frames of `place`: a device's number, a file, or a stream's address. A live source gives its newest frame.
+
+    A device that gives nothing within `deadline_s` is opened again, for `retry_s`; `tell` is told. Reading happens in a
+    thread that is left behind where the driver hangs. Raises SourceError where it cannot be opened or does not come
+    back, ImageError on a picture in colour. `crop`: left, top, width, height, px.
+    """
+
+    def __init__(
+        self,
+        place: int | str,
+        *,
+        crop: tuple[int, int, int, int] | None = None,
+        deadline_s: float = DEADLINE_S,
+        retry_s: float = RETRY_S,
+        tell: Callable[[str], None] = lambda _: None,
+        opener: Opener = _capture,
+    ) -> None:
+        self._place, self._crop, self._opener, self._tell = place, crop, opener, tell
+        self._deadline_s, self._retry_s = deadline_s, retry_s
+        self._live = isinstance(place, int) or not Path(place).is_file()
+        self._number = 0
+        self._reader = self._opened()
+
+    def __iter__(self) -> Iterator[Frame]:
+        while True:
+            got = self._reader.next(self._deadline_s)
+            if got is None and self._reader.ended and not self._live:
+                return
+            if got is None:
+                self._come_back("gave no image" if not self._reader.ended else "was unplugged or ended")
+                continue
+            pixels, stamped_s = got
+            self._number += 1
+            image = Radiograph(self._cropped(luma(pixels)), 255.0 if pixels.dtype == np.uint8 else 65535.0)
+            yield Frame(image, self._number, stamped_s, "video", pixel_aspect=self._reader.pixel_aspect)
+
+    def close(self) -> None:
+        """Let go of it."""
+        self._reader.stop()
+
+    def _opened(self) -> "_Reader":
+        reader = _Reader(self._opener, self._place, self._live)
+        if not reader.opened(self._deadline_s):
+            reader.stop()
+            raise SourceError("the video source cannot be opened; look at its cable, its number and who else uses it")
+        return reader
+
+    def _come_back(self, why: str) -> None:
+        """Open it again. Raises SourceError where that fails for too long."""
+        self._tell(f"the video source {why}; opening it again")
+        self._reader.stop()
+        end = time.monotonic() + self._retry_s
+        while True:
+            time.sleep(min(_AGAIN_S, self._retry_s))
+            try:
+                self._reader = self._opened()
+            except SourceError:
+                if time.monotonic() >= end:
+                    raise SourceError(
+                        f"the video source {why} and did not come back within {self._retry_s:g} s; look at its cable"
+                    ) from None
+            else:
+                self._tell("the video source is back")
+                return
+
+    def _cropped(self, pixels: np.ndarray) -> np.ndarray:
+        if self._crop is None:
+            return pixels
+        left, top, width, height = self._crop
+        if left < 0 or top < 0 or left + width > pixels.shape[1] or top + height > pixels.shape[0]:
+            raise ImageError(f"the crop reaches beyond the {pixels.shape[1]} x {pixels.shape[0]} pixels of the video")
+        return np.ascontiguousarray(pixels[top : top + height, left : left + width])
+
+
+def luma(pixels: np.ndarray) -> np.ndarray:
+    """(H, W) grey of a picture (H, W), (H, W, 1) or (H, W, 3), whose channels may differ by what an encoder does.
+
+    Raises ImageError on a picture in colour.
+    """
+    if pixels.ndim == 2 or pixels.shape[2] == 1:
+        return pixels.reshape(pixels.shape[:2])
+    sample = pixels[::8, ::8].astype(np.int32)
+    if (np.ptp(sample, axis=2) > _COLOUR * (np.iinfo(pixels.dtype).max // 255)).mean() > _COLOURED:
+        raise ImageError("the video is in colour; choose the input that the C-arm's monitor has")
+    return cv2.cvtColor(pixels, cv2.COLOR_BGR2GRAY)
+
+
+class _Reader:
+    """A thread that opens and reads a capture; `stop` leaves it to itself."""
+
+    def __init__(self, opener: Opener, place: int | str, live: bool) -> None:
+        self.pixel_aspect: float | None = None
+        self._live = live
+        self._frames: Queue[tuple[np.ndarray, float]] = Queue(_WAITING)
+        self._is_open, self._over, self._stop = Event(), Event(), Event()
+        Thread(target=self._run, args=(opener, place), name="video", daemon=True).start()
+
+    @property
+    def ended(self) -> bool:
+        """Whether no more will come."""
+        return self._over.is_set() and self._frames.empty()
+
+    def opened(self, timeout_s: float) -> bool:
+        """Whether it is open, at the latest after `timeout_s`."""
+        end = time.monotonic() + timeout_s
+        while not self._is_open.wait(0.01) and not self._over.is_set() and time.monotonic() < end:
+            pass
+        return self._is_open.is_set()
+
+    def next(self, timeout_s: float) -> tuple[np.ndarray, float] | None:
+        """The next picture and when it came; None where none came in time, or none will."""
+        end = time.monotonic() + timeout_s
+        while not self.ended:
+            try:
+                return self._frames.get(timeout=max(0.0, min(0.05, end - time.monotonic())))
+            except Empty:
+                if time.monotonic() >= end:
+                    return None
+        return None
+
+    def stop(self) -> None:
+        """The thread ends with its next picture, if there is one."""
+        self._stop.set()
+
+    def _run(self, opener: Opener, place: int | str) -> None:
+        capture = None
+        try:
+            capture = opener(place)
+            if not capture.isOpened():
+                return
+            self.pixel_aspect = _aspect(capture)
+            self._is_open.set()
+            while not self._stop.is_set():
+                good, pixels = capture.read()
+                if not good or pixels is None:
+                    return
+                self._put((pixels, time.time()))
+        except cv2.error:  # the driver's words help nobody
+            return
+        finally:
+            self._over.set()
+            if capture is not None:
+                capture.release()
+
+    def _put(self, picture: tuple[np.ndarray, float]) -> None:
+        """Of a live source the oldest makes room; a file waits."""
+        while not self._stop.is_set():
+            with suppress(Full):
+                self._frames.put(picture, timeout=0.0 if self._live else 0.05)
+                return
+            if self._live:
+                with suppress(Empty):
+                    self._frames.get_nowait()
+
+
+def _aspect(capture: Any) -> float | None:
+    wide, high = capture.get(cv2.CAP_PROP_SAR_NUM), capture.get(cv2.CAP_PROP_SAR_DEN)
+    return wide / high if wide > 0 and high > 0 else None
