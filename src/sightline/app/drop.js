@@ -32,8 +32,8 @@ export default {
     <div style="display:flex;flex-wrap:wrap;align-items:center;gap:8px">
       <template v-for="(target, i) in targets" :key="target.address">
         <q-btn outline no-caps icon="upload_file" :label="target.label" :loading="busy === i" :percentage="percent"
-               :disable="busy !== null" @click="$refs.inputs[i].click()"></q-btn>
-        <input ref="inputs" type="file" hidden :aria-label="target.label" :data-testid="'drop-' + target.label"
+               @click="$refs.inputs[i].click()"></q-btn>
+        <input ref="inputs" type="file" multiple hidden :aria-label="target.label" :data-testid="'drop-' + target.label"
                accept=".dcm,.dicom,.png,.tif,.tiff,.bmp,.npy,application/dicom" @change="chosen($event, i)">
       </template>
       <span data-testid="drop-message" role="status" :style="{color: bad ? '#ffb000' : 'inherit'}">{{ message }}</span>
@@ -46,7 +46,7 @@ export default {
       </teleport>
     </div>`,
   props: { targets: Array, maxBytes: Number },
-  data: () => ({ dragging: false, over: null, busy: null, percent: 0, message: "", bad: false }),
+  data: () => ({ dragging: false, over: null, busy: null, waiting: [], percent: 0, message: "", bad: false }),
   mounted() {
     this.listeners = {
       dragenter: (event) => this.dragged(event),
@@ -80,10 +80,14 @@ export default {
     dropped(event, target) {
       this.take([...event.dataTransfer.files], target);
     },
+    // Several files at once go to this target and to those after it; each waits for the one before.
     async take(files, target) {
-      if (!files.length || this.busy !== null) return;
-      if (files.length > 1) return this.say("drop one image here at a time", true);
-      const [file] = files;
+      if (files.length > this.targets.length) return this.say(`at most ${this.targets.length} images at a time`, true);
+      files.forEach((file, n) => this.waiting.push([file, (target + n) % this.targets.length]));
+      if (this.busy !== null) return;
+      while (this.waiting.length) await this.hand(...this.waiting.shift());
+    },
+    async hand(file, target) {
       if (file.size > this.maxBytes) {
         return this.say(`${file.name} has more than ${Math.floor(this.maxBytes / 1e6)} MB; export a single image`, true);
       }

@@ -37,17 +37,21 @@ def asked_of(kind: str) -> tuple[Asked, ...]:
     """All points of a kind of trajectory, in the order they are asked for. Raises UnusableInputError."""
     known = kind_of(kind)
     wire = [
-        Asked(name, point.name, point.sentence, "wire", name)
+        Asked(name, _titled(point.name), point.sentence, "wire", name)
         for name, point in zip((ENTRY, END), known.points, strict=True)
     ]
-    landmarks = [Asked(f"landmark-{p.key}", p.name, p.sentence, "landmark", p.key) for p in known.landmarks]
+    landmarks = [Asked(f"landmark-{p.key}", _titled(p.name), p.sentence, "landmark", p.key) for p in known.landmarks]
     aids = []
     for aid in known.aids:
         clicks, images = _CLICKS[aid.key]
         for k in range(clicks):
-            label = f"{aid.name} {k + 1}" if clicks > 1 else aid.name
+            label = f"{_titled(aid.name)} {k + 1}" if clicks > 1 else _titled(aid.name)
             aids.append(Asked(f"{aid.key}-{k + 1}", label, aid.sentence, "aid", aid.key, images))
     return (*wire, *landmarks, *aids)
+
+
+def _titled(name: str) -> str:
+    return name[:1].upper() + name[1:]
 
 
 def names_of(kind: str, group: Group) -> tuple[str, ...]:

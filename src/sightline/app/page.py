@@ -1,5 +1,6 @@
 """The page: steps along the top, two X-ray views, the panel of the step beside them."""
 
+from collections.abc import Callable
 from importlib.resources import files
 from typing import Any
 
@@ -42,9 +43,10 @@ def build(site: Site, procedure: Procedure, pictures: Pictures, *, fast_robot: b
             space = Space(tab)
         with ui.element("aside").classes("panel"):
             panel_images.build_drop_zone(tab, site)
+            Section(tab, _beside_key(panel_verdict.key), _on(panel_verdict.build, 2, 3), classes="verdict-panel")
             Section(tab, lambda t: t.step, lambda t: _PANELS[t.step].build(t), classes="step-panel")
-            Section(tab, _beside_key(panel_plan.figures_key), _figures, classes="figures")
-            Section(tab, _beside_key(panel_verdict.key), _verdict, classes="verdict-panel")
+            Section(tab, _beside_key(panel_plan.figures_key), _on(panel_plan.build_figures, 2), classes="figures")
+            Section(tab, _beside_key(panel_verdict.key), _on(panel_verdict.build_details, 2, 3), classes="details")
             ui.label(f"{NOT_A_DEVICE} Case {procedure.case.number}").classes("foot")
     with tools:
         action("3-D", space.toggle, testid="space-toggle", kind="plain").move(tools, 0)
@@ -123,11 +125,11 @@ def _beside_key(key):
     return lambda tab: (tab.step, key(tab))
 
 
-def _figures(tab: Tab) -> None:
-    if tab.step == STEPS[2]:
-        panel_plan.build_figures(tab)
+def _on(build: Callable[[Tab], None], *numbers: int) -> Callable[[Tab], None]:
+    """Builds on some of the steps only."""
 
+    def build_there(tab: Tab) -> None:
+        if STEPS.index(tab.step) in numbers:
+            build(tab)
 
-def _verdict(tab: Tab) -> None:
-    if tab.step in (STEPS[2], STEPS[3]):
-        panel_verdict.build(tab)
+    return build_there

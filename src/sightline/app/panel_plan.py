@@ -11,20 +11,11 @@ from sightline.app.section import Section, action, heading, note, table
 from sightline.app.tab import Tab
 from sightline.app.texts import IMAGE_LABELS
 from sightline.case.views import NAMES
+from sightline.errors import UnusableInputError
 from sightline.planning.kinds import KINDS
 
 _TITLES = {"wire": "Wire", "landmark": "Landmarks: did the bone move?", "aid": "Aids"}
 _SHORT = {"pa": "PA", "lateral": "lat"}
-
-
-def _points_key(tab: Tab) -> Hashable:
-    known = tab.procedure.planned
-    return (
-        tab.procedure.history.revision,
-        tab.placing,
-        known is None,
-        known is not None and "head" in known.anatomy.absent,
-    )
 
 
 def figures_key(tab: Tab) -> Hashable:
@@ -35,16 +26,16 @@ def figures_key(tab: Tab) -> Hashable:
 def build(tab: Tab) -> None:
     """Kind, points, aids."""
     Section(tab, lambda t: t.procedure.decisions.kind, _kind)
-    Section(tab, _points_key, _points)
+    Section(tab, lambda t: t.procedure.decisions.kind, _points)
 
 
 def _kind(tab: Tab) -> None:
     procedure = tab.procedure
     decisions = procedure.decisions
-    kinds = {name: kind.name for name, kind in KINDS.items()}
+    kinds = {name: kind.name.capitalize() for name, kind in KINDS.items()}
 
-    def choose(event) -> None:
-        procedure.choose_kind(event.value)
+    async def choose(event) -> None:
+        await tab.act(lambda: procedure.choose_kind(event.value))
         tab.go_to(tab.step)
 
     ui.select(kinds, value=decisions.kind, label="Kind of trajectory", on_change=choose).props(
@@ -74,54 +65,66 @@ def _points(tab: Tab) -> None:
         for _, same in groupby(listed, key=lambda one: one.of):
             _row(tab, tuple(same))
     if KINDS[decisions.kind].proposal is not None:
-        _proposal(tab)
+        action("Propose a wire from head and shaft", tab.doing(lambda: _propose(tab)), testid="propose")
+        Section(tab, _missing, lambda t: note(_missing(t), kind="quiet") if _missing(t) else None)
 
 
 def _row(tab: Tab, same: tuple[Asked, ...]) -> None:
-    """One point, or the clicks of one aid."""
-    decisions, first = tab.procedure.decisions, same[0]
+    """One point, or the clicks of one aid. Its buttons stay: one that is built anew under a click loses the click."""
+    first, names = same[0], tuple(one.name for one in same)
     label = first.label if len(same) == 1 else first.label.rsplit(" ", 1)[0]
-    current = tab.placing is not None and tab.placing[0] in {one.name for one in same}
-    with ui.element("div").classes("pick current" if current else "pick").props(f"data-testid=row-{first.of}"):
+
+    def placed(t: Tab) -> tuple[int, ...]:
+        """How many clicks are there in each image."""
+        marks = [t.procedure.decisions.mark(name) for name in names]
+        return tuple(sum(mark.at(image) is not None for mark in marks) for image in first.images)
+
+    def current(t: Tab) -> bool:
+        return t.placing is not None and t.placing[0] in names
+
+    def place() -> None:
+        tab.place_next(same)
+        if tab.placing is None:  # all there: the first is placed anew, the others stay until they are clicked
+            tab.place_again(first, first.images[0])
+        tab.refresh()
+
+    def show(t: Tab) -> None:
+        row.classes(add="current" if current(t) else "", remove="" if current(t) else "current")
+        remove.set_enabled(any(placed(t)))
+        for image, count in zip(first.images, placed(t), strict=True):
+            whole = count == len(same)
+            part = f" {count}/{len(same)}" if 0 < count < len(same) else ""
+            ui.label(f"{'●' if whole else '○'} {_SHORT[image]}{part}").classes("placed" if whole else "missing")
+
+    with ui.element("div").classes("pick").props(f"data-testid=row-{first.of}") as row:
         ui.label(label).classes("pick-name").tooltip(first.sentence)
-        for image in first.images:
-            placed = sum(decisions.mark(one.name).at(image) is not None for one in same)
-            done = "●" if placed == len(same) else "○"
-            count = f" {placed}/{len(same)}" if 0 < placed < len(same) else ""
-            ui.label(f"{done} {_SHORT[image]}{count}").classes("placed" if placed == len(same) else "missing")
-
-        def place() -> None:
-            tab.place_next(same)
-            if tab.placing is None:  # all there: the first is placed anew, the others stay until they are clicked
-                tab.place_again(same[0], same[0].images[0])
-            tab.refresh()
-
+        status = ui.element("div").classes("pick-status")
         action("Place", place, testid=f"place-{first.of}", kind="small")
-        if any(one.name in decisions.marks for one in same):
-            remove = tab.doing(lambda: tab.procedure.remove(tuple(one.name for one in same)))
-            action("✕", remove, testid=f"remove-{first.of}", kind="small").props(f'aria-label="Remove {label}"')
+        remove = action("✕", tab.doing(lambda: tab.procedure.remove(names)), testid=f"remove-{first.of}", kind="small")
+        remove.props(f'aria-label="Remove {label}"')
+    with status:
+        Section(tab, lambda t: (placed(t), current(t)), show, classes="pick-status")
 
 
-def _proposal(tab: Tab) -> None:
+def _propose(tab: Tab) -> None:
     known = tab.procedure.planned
+    if known is None:
+        raise UnusableInputError("both views must be calibrated before a wire can be proposed")
+    proposal, decisions = known.proposal(), tab.procedure.decisions
+    for name, uv in ((ENTRY, proposal.entry_uv_px), (END, proposal.end_uv_px)):
+        mark = decisions.mark(name)
+        for image, at in zip(NAMES, uv, strict=True):
+            mark = mark.placed(image, (float(at[0]), float(at[1])), free=False)
+        decisions = decisions.with_mark(name, mark)
+    tab.procedure.edit(decisions)
+    tab.go_to(tab.step)
 
-    def take() -> None:
-        assert known is not None  # noqa: S101 - the button is there only then
-        proposal = known.proposal()
-        decisions = tab.procedure.decisions
-        for name, uv in ((ENTRY, proposal.entry_uv_px), (END, proposal.end_uv_px)):
-            mark = decisions.mark(name)
-            for image, at in zip(NAMES, uv, strict=True):
-                mark = mark.placed(image, (float(at[0]), float(at[1])), free=False)
-            decisions = decisions.with_mark(name, mark)
-        tab.procedure.edit(decisions)
-        tab.go_to(tab.step)
 
-    action("Propose a wire from head and shaft", tab.doing(take), testid="propose", enabled=known is not None)
-    if known is not None and known.anatomy.absent:
-        why = "; ".join(text for name, text in known.anatomy.absent.items() if name in ("head", "shaft", "cortex"))
-        if why:
-            note(why, kind="quiet")
+def _missing(tab: Tab) -> str:
+    """What a proposal still needs."""
+    known = tab.procedure.planned
+    absent = {} if known is None else known.anatomy.absent
+    return "; ".join(text for name, text in absent.items() if name in ("head", "shaft", "cortex"))
 
 
 def build_figures(tab: Tab) -> None:

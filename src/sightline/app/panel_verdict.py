@@ -7,7 +7,7 @@ from nicegui import ui
 
 from sightline.app.section import checks, heading, note
 from sightline.app.tab import Tab
-from sightline.checks import failed
+from sightline.checks import Check, failed
 from sightline.errors import SightlineError
 from sightline.planning.shares import error_shares, error_shares_of
 from sightline.robot.target import LIFETIME_S
@@ -28,12 +28,17 @@ def key(tab: Tab) -> Hashable:
     return known, procedure.decisions.side, procedure.decisions.serial, procedure.go, procedure.drilling.session
 
 
+def _listed(tab: Tab) -> tuple[Check, ...]:
+    """Every check of the plan that is shown; none where there is no plan."""
+    known = tab.known
+    return () if known is None or known.plan is None else (*known.plan.verdict.checks, *tab.procedure.confirmations)
+
+
 def build(tab: Tab) -> None:
-    """The verdict."""
-    procedure, known = tab.procedure, tab.known
-    if known is None or known.plan is None:
+    """The verdict, and what to do about each check that failed."""
+    listed = _listed(tab)
+    if not listed:
         return
-    listed = (*known.plan.verdict.checks, *procedure.confirmations)
     go = all(check.passed for check in listed)
     with ui.element("div").classes(f"verdict {'go' if go else 'no-go'}").props("data-testid=verdict role=status"):
         ui.label("GO" if go else "NO-GO").classes("verdict-word")
@@ -44,6 +49,13 @@ def build(tab: Tab) -> None:
     _age(tab)
     for check in failed(listed):
         note(check.sentence, kind="bad", testid="do-about")
+
+
+def build_details(tab: Tab) -> None:
+    """Where the error comes from, and every check with figure and limit."""
+    listed = _listed(tab)
+    if not listed:
+        return
     _shares(tab)
     with ui.element("details").props("data-testid=all-checks"):
         with ui.element("summary"):

@@ -1,11 +1,12 @@
 """One case at work: its images, what people decided, what follows. The journal has it all before a page shows it."""
 
 import asyncio
-from collections.abc import Callable
+from collections.abc import Callable, Coroutine
 from contextlib import suppress
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any
 
 from sightline.app import rehearsing
 from sightline.app.decisions import Decisions, Display, History, Pixel, Side
@@ -44,6 +45,7 @@ class Procedure:
         changes = [entry.content for entry in case.entries(Kind.CHANGED) if entry.content["what"] in _EDITS]
         self.history = History((one["what"], None if one["to"] is None else Decisions.of(one["to"])) for one in changes)
         self._planned: Planned | None = None
+        self._tasks: set[asyncio.Task[None]] = set()
         self.drilling, self.verifying = Drilling(self), Verifying(self)
 
     @staticmethod
@@ -238,7 +240,9 @@ class Procedure:
         return name
 
     def notify(self) -> None:
-        """Tell every page."""
+        """Tell every page; and measure the check shot anew where it is another. Called on the event loop."""
+        if self.verifying.due:
+            self._soon(self.verifying.measure())
         for listener in list(self.listeners):
             listener()
 
@@ -281,7 +285,12 @@ class Procedure:
 
     def _reopen(self) -> None:
         self.notify()
-        asyncio.get_running_loop().create_task(self._open_named())
+        self._soon(self._open_named())
+
+    def _soon(self, work: Coroutine[Any, Any, None]) -> None:
+        task = asyncio.get_running_loop().create_task(work)
+        self._tasks.add(task)  # the loop itself holds it weakly
+        task.add_done_callback(self._tasks.discard)
 
     async def _open_named(self) -> None:
         for number in self.decisions.images.values():

@@ -79,10 +79,11 @@ def _figure(check: Check) -> str:
 def table(columns: Sequence[str], rows: Sequence[Sequence[str]], *, testid: str) -> None:
     """A small table."""
     with ui.element("table").props(f"data-testid={testid}"):
-        with ui.element("tr"):
-            for column in columns:
-                with ui.element("th"):
-                    ui.label(column)
+        if any(columns):
+            with ui.element("tr"):
+                for column in columns:
+                    with ui.element("th"):
+                        ui.label(column)
         for row in rows:
             with ui.element("tr"):
                 for cell in row:

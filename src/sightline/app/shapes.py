@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from sightline.app.marks import END, ENTRY
+from sightline.app.marks import CHECK_NAMES, END, ENTRY
 from sightline.app.planner import Planned, aid_pixels
 from sightline.app.procedure import Procedure
 from sightline.app.seen import SeenImage
@@ -119,9 +119,22 @@ def found(procedure: Procedure, image: str) -> list[Shape]:
         return []
     tip = wire.tip_uv_px.tolist()
     return [
+        *_planned_there(procedure, image),
         {"shape": "line", "points": wire.uv_px.tolist(), "style": "found", "title": "the wire as this image shows it"},
         {"shape": "cross", "points": [tip], "style": "found", "label": "tip"},
     ]
+
+
+def _planned_there(procedure: Procedure, image: str) -> list[Shape]:
+    """The plan as the check image would show it, the bone's movement since then taken along."""
+    shot, sent, views = procedure.verifying.shot, procedure.drilling.sent, procedure.views(CHECK_NAMES)
+    if shot is None or sent is None or sent.plan is None or views is None:
+        return []
+    path = sent.plan.trajectory
+    along = np.linspace(0.0, 1.0, 40)[:, None]
+    points = shot.movement.apply((1.0 - along) * path.entry_mm + along * path.end_mm)
+    uv, _ = views[CHECK_NAMES.index(image)].project_seen(points)
+    return [{"shape": "line", "points": uv.tolist(), "style": "plan", "title": "the plan"}] if len(uv) > 1 else []
 
 
 def _radius(seen: SeenImage, uv: np.ndarray) -> float:

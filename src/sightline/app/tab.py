@@ -94,10 +94,13 @@ class Tab:
 
     def _show(self, view: XrayView, image: str) -> None:
         procedure, seen = self.procedure, self.procedure.seen(image)
-        key = view._props["name"]
+        key = view.name
+        if self._is_new(key, "label", image):
+            view.set_label(IMAGE_LABELS[image])
         if seen is not None and self._is_new(key, "image", (image, seen.acquired.number)):
             picture = self.pictures.of(seen)
             view.set_image(picture.url, picture.width, picture.height, window=picture.window)
+            self._shown.pop((key, "display"), None)  # the image comes with a window of its own
         display = procedure.decisions.display.get(image, Display())
         if self._is_new(key, "display", (image, display)):
             window = None if display.window is None else Window(*display.window)
@@ -125,8 +128,8 @@ class Tab:
             view.set_revision(procedure.history.revision)
 
     def _draw_plan(self, view: XrayView, key: str, image: str, known: Planned | None) -> None:
-        wire_found = self.procedure.verifying.wires.get(image)
-        if not self._is_new(key, "plan", (image, known, wire_found)):
+        verifying = self.procedure.verifying
+        if not self._is_new(key, "plan", (image, known, verifying.wires.get(image), verifying.shot)):
             return
         of_check = image in CHECK_NAMES
         view.draw("curves", [] if known is None or image != NAMES[1] else shapes.curves(known))
@@ -201,7 +204,7 @@ class Tab:
             shown = event.display
             window = (shown.window.centre, shown.window.width)
             display = Display(shown.rotation, shown.mirrored, shown.inverted, window)
-            self._shown[view._props["name"], "display"] = (image, display)
+            self._shown[view.name, "display"] = (image, display)
             await self.act(lambda: self.procedure.show(image, display))
         elif event.type == "error":
             self.say(event.message or XRAY["load_failed"])
@@ -227,7 +230,7 @@ class Tab:
         except SightlineError as error:
             if event.type != "drag":
                 self._forget_plan()
-                self._shown.pop((view._props["name"], "points"), None)
+                self._shown.pop((view.name, "points"), None)
                 self.say(str(error))
         finally:
             view.acknowledge(event.seq)
@@ -253,7 +256,7 @@ class Tab:
 
     def _forget_plan(self) -> None:
         for view in self.views:
-            self._shown.pop((view._props["name"], "plan"), None)
+            self._shown.pop((view.name, "plan"), None)
 
     # How anything a person asks for is done.
 

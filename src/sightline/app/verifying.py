@@ -1,17 +1,20 @@
 """The fifth step: two more images with the wire in the bone, and where it lies against the plan."""
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from sightline.app.marks import CHECK_NAMES, names_of
-from sightline.app.planner import PICK_SD_PX
+from sightline.app.planner import PICK_SD_PX, Planned
 from sightline.app.rehearsing import check_images
 from sightline.app.seen import SeenImage
+from sightline.calibration import BeadView
 from sightline.case.entry import Actor, Kind
 from sightline.case.views import NAMES
 from sightline.detection.wire import WireShadow, find_wire
 from sightline.errors import SightlineError, UnusableInputError
+from sightline.planning import Plan
 from sightline.planning.check_result import CheckShot
 from sightline.planning.check_shot import Landmarks, check_shot
 from sightline.planning.expected_wire import expected_wire
@@ -27,6 +30,7 @@ class Verifying:
     def __init__(self, procedure: "Procedure") -> None:
         self._procedure = procedure
         self._measured: tuple[object, ...] = ()
+        self._found_in: dict[tuple[int, Planned], WireShadow] = {}
         self.shot: CheckShot | None = None
         self.refused = ""
         self.wires: dict[str, WireShadow] = {}
@@ -41,12 +45,19 @@ class Verifying:
         for name, data in (await procedure.during("taking both check images", work)).items():
             await procedure.take(data, ".dcm", image=f"check-{name}", by=Actor.DEMO)
 
-    async def measure(self) -> None:
-        """Find the wire in both check images and compare, if images, plan or landmarks are others than before."""
+    @property
+    def due(self) -> bool:
+        """True if images, plan or landmarks are others than those that were measured."""
+        asked = self._asked()
+        return asked is not None and asked.key != self._measured
+
+    def _asked(self) -> "_Asked | None":
+        """What there is to measure; None before both check images are calibrated."""
         procedure, sent = self._procedure, self._procedure.drilling.sent
         seen = [procedure.seen(name) for name in CHECK_NAMES]
-        if sent is None or sent.plan is None or None in seen or any(one.view is None for one in seen if one):
-            return
+        views = procedure.views(CHECK_NAMES)
+        if sent is None or sent.plan is None or views is None:
+            return None
         names = [
             name
             for name in names_of(procedure.decisions.kind, "landmark")
@@ -56,31 +67,51 @@ class Verifying:
             np.array([[decisions.mark(name).at(image) for name in names] for image in images]).reshape(2, -1, 2)
             for decisions, images in ((sent.decisions, NAMES), (procedure.decisions, CHECK_NAMES))
         )
-        inputs = (sent, *(one.acquired.number for one in seen if one), checked_px.tobytes())
-        if inputs == self._measured:
+        landmarks = Landmarks(planned_px, checked_px, PICK_SD_PX)
+        return _Asked(sent, sent.plan, tuple(one for one in seen if one is not None), views, landmarks)
+
+    async def measure(self) -> None:
+        """Find the wire in both check images and compare."""
+        asked = self._asked()
+        if asked is None:
             return
-        self._measured, self.shot, self.refused = inputs, None, ""
+        self._measured, self.shot, self.refused = asked.key, None, ""
         try:
-            views = [one.view for one in seen if one and one.view]
-            for name, one in zip(CHECK_NAMES, seen, strict=True):
-                assert one is not None  # noqa: S101
-                self.wires[name] = await self._found(one)
-            self.shot = check_shot(
-                sent.plan.trajectory,
-                sent.plan.picks,
-                sent.views,
-                views,
-                [self.wires[name] for name in CHECK_NAMES],
-                landmarks=Landmarks(planned_px, checked_px, PICK_SD_PX),
-            )
-            procedure.case.record(Kind.VERIFIED, self.shot.document(), by=Actor.APP)
+            for name, one in zip(CHECK_NAMES, asked.seen, strict=True):
+                self.wires[name] = await self._found(asked, one)
+            wires = [self.wires[name] for name in CHECK_NAMES]
+            plan, before = asked.plan, asked.sent.views
+            self.shot = check_shot(plan.trajectory, plan.picks, before, asked.views, wires, landmarks=asked.landmarks)
+            self._procedure.case.record(Kind.VERIFIED, self.shot.document(), by=Actor.APP)
         except SightlineError as error:
             self.refused = str(error)
-        procedure.notify()
+        self._procedure.notify()
 
-    async def _found(self, seen: SeenImage) -> WireShadow:
-        sent = self._procedure.drilling.sent
-        assert sent is not None and sent.plan is not None and seen.view is not None and seen.beads is not None  # noqa: S101
-        expected = expected_wire(seen.view, sent.plan.trajectory)
-        beads, width = seen.beads, sent.kind.wire_mm
-        return await self._procedure.workshop.do(find_wire, seen.image, expected, width, beads.uv_px, beads.radius_px)
+    async def _found(self, asked: "_Asked", seen: SeenImage) -> WireShadow:
+        """The wire in one image, looked for once."""
+        key = (seen.acquired.number, asked.sent)
+        if key not in self._found_in:
+            assert seen.view is not None and seen.beads is not None  # noqa: S101 - it is calibrated
+            expected = expected_wire(seen.view, asked.plan.trajectory)
+            beads, width = seen.beads, asked.sent.kind.wire_mm
+            self._found_in[key] = await self._procedure.workshop.do(
+                find_wire, seen.image, expected, width, beads.uv_px, beads.radius_px
+            )
+        return self._found_in[key]
+
+
+@dataclass(frozen=True, eq=False)
+class _Asked:
+    """All that a check shot is measured from."""
+
+    sent: Planned
+    plan: Plan
+    seen: tuple[SeenImage, ...]
+    views: tuple[BeadView, BeadView]
+    landmarks: Landmarks
+
+    @property
+    def key(self) -> tuple[object, ...]:
+        """Equal for two that come to the same."""
+        numbers = (one.acquired.number for one in self.seen)
+        return (self.sent, *numbers, self.landmarks.checked_uv_px.tobytes())

@@ -101,6 +101,10 @@ class XrayView(Element, component="xray_view.js", dependencies=["xray*.js"]):
         image = {"url": url, "width": width, "height": height, "window": asdict(window), "inverted": inverted}
         self.run_method("setImage", image)
 
+    def set_label(self, label: str) -> None:
+        """What people call the image that is shown."""
+        self.run_method("setLabel", label)
+
     def draw(self, layer: str, shapes: Sequence[Mapping[str, Any]]) -> None:
         """Replace `layer` by `shapes` (image pixels; styles are names of the table in xray_paint.js)."""
         self.run_method("setLayer", layer, list(shapes))

@@ -90,8 +90,7 @@ export class Chrome {
     this.root = root;
     root.classList.add("xray");
     root.setAttribute("role", "group");
-    root.setAttribute("aria-label", label);
-    this.stage = element("div", "xray-stage", { tabindex: "0", role: "application", "aria-label": label });
+    this.stage = element("div", "xray-stage", { tabindex: "0", role: "application" });
     this.image = element("canvas", "xray-image", { "aria-hidden": "true" });
     this.overlay = element("canvas", "xray-overlay", { "aria-hidden": "true" });
     this.points = element("div", "xray-points");
@@ -109,7 +108,14 @@ export class Chrome {
     this.tip = element("div", "xray-panel xray-tip", { role: "tooltip", "data-testid": "tip", hidden: "" });
     this.live = element("div", "xray-live", { "aria-live": "polite", "data-testid": "live" });
     this.buttons = {};
-    root.append(this.stage, this.#head(label, actions), this.#foot(), this.tip, this.live);
+    root.append(this.stage, this.#head(actions), this.#foot(), this.tip, this.live);
+    this.setLabel(label);
+  }
+
+  // What people call the image.
+  setLabel(label) {
+    this.name.textContent = label;
+    for (const named of [this.root, this.stage, this.tools]) named.setAttribute("aria-label", label);
   }
 
   // A line of text over the image, hidden while there is nothing to say.
@@ -119,15 +125,14 @@ export class Chrome {
     return line;
   }
 
-  #head(label, actions) {
+  #head(actions) {
     const head = element("div", "xray-head");
-    const name = element("div", "xray-panel xray-name");
-    name.textContent = label;
+    this.name = element("div", "xray-panel xray-name");
     const notices = element("div", "xray-notices");
     notices.append(this.fault, this.lost, this.notice, this.stale, this.hint);
-    const tools = element("div", "xray-panel xray-tools", { role: "toolbar", "aria-label": label });
-    for (const [action, act] of Object.entries(actions)) tools.append(this.#button(action, act));
-    head.append(name, tools, notices);
+    this.tools = element("div", "xray-panel xray-tools", { role: "toolbar" });
+    for (const [action, act] of Object.entries(actions)) this.tools.append(this.#button(action, act));
+    head.append(this.name, this.tools, notices);
     return head;
   }
 

@@ -28,7 +28,7 @@ export const STYLES = {
   wire: { colour: YELLOW, width: 3, fill: 0.6, plan: true },
   corridor: { colour: PURPLE, width: 2, fill: 0.24, dash: [8, 5], plan: true },
   plan: { colour: YELLOW, width: 2, fill: 0.14, dash: [2, 4], plan: true },
-  aid: { colour: GREY, width: 1.5, fill: 0.12, dash: [5, 5] },
+  aid: { colour: GREY, width: 1.5, fill: 0.12, dash: [5, 5], silent: true },
   landmark: { colour: ORANGE, width: 2, fill: 0.14, mark: "ring" },
   focus: { colour: WHITE, width: 3, fill: 0.14, mark: "ring" },
   found: { colour: GREEN, width: 3, fill: 0.2, mark: "ring-cross" },
@@ -256,7 +256,8 @@ export function paintPoint(context, point, [x, y], selected) {
   strokeCased(context, { ...look, width: selected ? 2.5 : 2, dash: point.movable ? undefined : [3, 3] });
   context.fillStyle = look.colour;
   context.fillRect(x - 0.75, y - 0.75, 1.5, 1.5);
-  if (point.label) paintText(context, point.label, [x + radius + 9, y - radius - 3]);
+  // Aids are many and near each other: their names show once they are selected.
+  if (point.label && (selected || !look.silent)) paintText(context, point.label, [x + radius + 9, y - radius - 3]);
 }
 
 export function paintCrosshair(context, [x, y], radius) {

@@ -25,6 +25,9 @@ export default {
     this.core.destroy();
   },
   methods: {
+    setLabel(label) {
+      this.core.chrome.setLabel(label);
+    },
     setImage(image) {
       this.core.setImage(image);
     },

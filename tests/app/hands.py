@@ -1,0 +1,137 @@
+"""A person before the planning page: looks, clicks, drags, types. What they know of the patient is the twin's truth."""
+
+from functools import cache
+from typing import Any
+
+import numpy as np
+from playwright.sync_api import Locator, Page, expect
+
+from sightline.app.marks import asked_of
+from sightline.case.views import NAMES
+from sightline.frame import Frame
+from sightline.rehearsal.procedure import Rehearsal
+
+SEED = 9
+KIND = "hip-screw"
+LANDMARKS = ("head centre", "lesser trochanter", "greater trochanter")  # as the twin names the kind's, in its order
+PATIENCE_MS = 90_000  # for images that are taken and calibrated on a busy machine
+Pixels = dict[str, tuple[float, float]]
+
+
+@cache
+def rehearsal() -> Rehearsal:
+    """The patient whom the page rehearses on."""
+    return Rehearsal.draw(SEED, Frame.load("gamma"))
+
+
+def truth() -> dict[str, Pixels]:
+    """Where each mark of the kind belongs, by image."""
+    patient = rehearsal()
+    found = {name: patient.pixels(patient.hip.wire_mm)[:, k] for k, name in enumerate(("entry", "end"))}
+    asked = [one.name for one in asked_of(KIND) if one.group == "landmark"]
+    found |= {name: patient.landmarks[known] for name, known in zip(asked, LANDMARKS, strict=True)}
+    found |= _rim(patient)
+    return {name: dict(zip(NAMES, map(tuple, uv.tolist()), strict=True)) for name, uv in found.items()}
+
+
+def _rim(patient: Rehearsal) -> dict[str, np.ndarray]:
+    """Three points of the head's silhouette in each view."""
+    centre, radius = patient.hip.head_mm, patient.hip.femur.head_radius_mm
+    out = np.zeros((3, len(NAMES), 2))
+    for k, name in enumerate(NAMES):
+        view = patient.setup.views[name]
+        ray = centre - view.focal_point_mm
+        distance = np.linalg.norm(ray)
+        across = np.linalg.svd(ray[None] / distance)[2][1:]
+        # The rays that touch a sphere do so on a circle nearer to the source, smaller than the sphere.
+        nearer = centre - ray / distance * radius**2 / distance
+        touching = radius * np.sqrt(1.0 - (radius / distance) ** 2)
+        for n, turn in enumerate((0.3, 2.4, 4.5)):
+            at = nearer + touching * (np.cos(turn) * across[0] + np.sin(turn) * across[1])
+            out[n, k] = view.project(at[None])[0]
+    return {f"head-{n + 1}": out[n] for n in range(3)}
+
+
+def _ask(expression: str) -> str:
+    return f"([name, value]) => {{ const core = window.sightlineXray?.[name]; return core && ({expression}); }}"
+
+
+class Hands:
+    """What a person does on a page, and waits to see."""
+
+    def __init__(self, page: Page) -> None:
+        self.page = page
+
+    def see(self, testid: str) -> Locator:
+        """A part of the page."""
+        return self.page.get_by_test_id(testid)
+
+    def press(self, testid: str) -> None:
+        """Click a button."""
+        self.see(testid).click()
+
+    def step(self, name: str) -> None:
+        """Go to a step."""
+        self.press(f"step-{name}")
+        expect(self.see(f"step-{name}")).to_have_attribute("aria-current", "step")
+
+    def wait_for_step(self, name: str, standing: str) -> None:
+        """Until a step is done, or what it shall be."""
+        expect(self.see(f"step-{name}")).to_contain_text(standing, timeout=PATIENCE_MS)
+
+    def core(self, image: str, expression: str, value: Any = None) -> Any:
+        """Ask the view that shows an image."""
+        return self.page.evaluate(_ask(expression), [image, value])
+
+    def until(self, image: str, expression: str, value: Any = None, timeout_ms: float = 10_000) -> None:
+        """Wait until the view that shows an image says yes."""
+        self.page.wait_for_function(_ask(expression), arg=[image, value], timeout=timeout_ms)
+
+    def on_screen(self, view: str, uv: tuple[float, float]) -> tuple[float, float]:
+        """Where a pixel of a view's image is on the screen."""
+        before, x, y = None, 0.0, 0.0
+        while before != (x, y):  # until the page has come to rest
+            before = x, y
+            x, y = self.core(view, "core.toScreen(value)", list(uv))
+            self.page.evaluate("() => new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))")
+        return x, y
+
+    def click(self, view: str, uv: tuple[float, float]) -> None:
+        """Click at a pixel."""
+        self.page.mouse.click(*self.on_screen(view, uv))
+
+    def place(self, name: str, view: str, uv: tuple[float, float]) -> None:
+        """Click where a mark belongs, and wait until it is there."""
+        self.until(view, "core.state.placing === value", name)
+        self.click(view, uv)
+        self.until(view, "core.state.placing !== value", name)
+
+    def placed(self, name: str, view: str) -> tuple[float, float]:
+        """Where a mark is in a view."""
+        uv = self.core(view, "core.state.points.get(value).uv", name)
+        return uv[0], uv[1]
+
+    def confirm(self, side: str = "right", serial: str = "none") -> None:
+        """Side and serial."""
+        self.step("Images")
+        self.press(f"side-{side}")
+        self.page.locator("input[data-testid=serial], [data-testid=serial] input").fill(serial)
+        self.press("confirm-serial")
+        self.wait_for_step("Images", "done")
+
+    def plan(self, *, head: bool = True) -> None:
+        """Wire and landmarks, in the order that the page asks for them; then the head's rim."""
+        known = truth()
+        self.step("Plan")
+        for view in NAMES:
+            for name in ("entry", "end"):
+                self.place(name, view, known[name][view])
+        for name in (one.name for one in asked_of(KIND) if one.group == "landmark"):
+            for view in NAMES:
+                self.place(name, view, known[name][view])
+        expect(self.see("row-greater-trochanter")).to_contain_text("● lat")
+        if head:
+            self.press("place-head")
+            for view in NAMES:
+                for n in range(3):
+                    self.place(f"head-{n + 1}", view, known[f"head-{n + 1}"][view])

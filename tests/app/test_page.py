@@ -1,0 +1,238 @@
+"""The planning page in a real browser: the whole procedure by mouse and keyboard, and what a person may do wrong."""
+
+import re
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from playwright.sync_api import Page, expect
+from tests.app.browser import Server
+from tests.app.hands import LANDMARKS, PATIENCE_MS, SEED, Hands, rehearsal, truth
+
+from sightline.app.decisions import Decisions
+from sightline.case.entry import Kind
+from sightline.case.journal import Case
+from sightline.case.views import NAMES
+from sightline.imaging import write_dicom
+from sightline.robot.simulated import SimulatedWire
+from sightline.robot.states import State
+from sightline.twin import render
+from sightline.twin.implants import guide_wire
+
+SEEN_PX = 1.2  # a click is a whole pixel of the screen, the image drawn at 0.45: half of one over that
+# How far a point is from [name, u, v], px.
+_AWAY = "Math.hypot(core.state.points.get(value[0]).uv[0] - value[1], core.state.points.get(value[0]).uv[1] - value[2])"
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("case")
+
+
+@pytest.fixture(scope="module")
+def server(serve: Callable[..., Server], folder: Path) -> Server:
+    command = ["sightline", "app", "--port", "{port}", "--no-browser", "--case", str(folder)]
+    return serve(*command, "--rehearse", str(SEED), "--fast-robot", "--quiet")
+
+
+@pytest.fixture
+def hands(server: Server, open_page: Callable[..., Page]) -> Iterator[Hands]:
+    """A person before the page, its images calibrated."""
+    person = Hands(open_page(server.url))
+    person.wait_for_step("Calibrate", "done")
+    yield person
+
+
+def _recorded(folder: Path) -> Decisions:
+    with Case.open(folder, read_only=True) as case:
+        return Decisions.of(case.latest(Kind.CHANGED, where={"what": "edit"}).content["to"])
+
+
+def test_the_whole_procedure_by_mouse_and_keyboard(hands: Hands, folder: Path, shoot) -> None:
+    """From two images to a wire in the bone that two more images show where it was planned."""
+    shoot(hands.page, "images")
+    hands.step("Calibrate")
+    expect(hands.see("checks-pa").locator("li.failed")).to_have_count(0)
+    shoot(hands.page, "calibrate")
+    hands.confirm()
+    hands.plan()
+    for name, where in truth().items():
+        for view in NAMES:
+            assert np.hypot(*np.subtract(hands.placed(name, view), where[view])) < 2 * SEEN_PX, (name, view)
+    expect(hands.see("verdict")).to_contain_text("GO")
+    expect(hands.see("verdict")).not_to_contain_text("NO-GO")
+    expect(hands.see("figures")).to_contain_text("tip to bone along wire")
+    shoot(hands.page, "plan")
+    _drill(hands, shoot)
+    _verify(hands, shoot, folder)
+    with Case.open(folder, read_only=True) as case:
+        assert not case.problems
+        assert {Kind.SENT, Kind.DRILLED, Kind.VERIFIED} <= {entry.kind for entry in case.entries()}
+
+
+def _drill(hands: Hands, shoot) -> None:
+    hands.step("Drill")
+    hands.press("start-robot")
+    expect(hands.see("robot-state")).to_be_visible(timeout=PATIENCE_MS)
+    hands.press("send")
+    expect(hands.page.get_by_text("Nothing moves yet")).to_be_visible()
+    hands.press("send-yes")
+    for order, state in (("align", State.ALIGNED), ("drill", State.PAUSED), ("drill-on", State.DONE)):
+        expect(hands.see(order)).to_be_enabled(timeout=PATIENCE_MS)
+        hands.press(order)
+        hands.press(f"{order}-yes")
+        expect(hands.see("robot-state")).to_contain_text(state.value, timeout=PATIENCE_MS)
+    expect(hands.see("drilled")).to_be_visible()
+    expect(hands.see("events")).to_contain_text("cortex")
+    shoot(hands.page, "drill")
+
+
+def _verify(hands: Hands, shoot, folder: Path) -> None:
+    hands.step("Verify")
+    hands.press("take-check")
+    for view in NAMES:
+        hands.until(view, "core.state.layers.get('found')?.shapes.length > 0", timeout_ms=PATIENCE_MS)
+    _find_landmarks_again(hands, folder)
+    expect(hands.see("check-verdict")).to_have_text("The check shot passed.")
+    shoot(hands.page, "verify")
+
+
+def _find_landmarks_again(hands: Hands, folder: Path) -> None:
+    with Case.open(folder, read_only=True) as case:
+        drilled = case.latest(Kind.DRILLED)
+    assert drilled is not None
+    check = rehearsal().check_images(SimulatedWire.of(drilled.content["simulated_wire"]))
+    for known in LANDMARKS:
+        name = f"landmark-{known.replace(' ', '-')}"
+        for view in NAMES:
+            at = check.setup.views[view].project(check.hip.landmarks_mm[known][None])[0]
+            hands.place(name, view, (float(at[0]), float(at[1])))
+
+
+def test_a_drag_moves_curve_wire_and_figures_and_is_undone(hands: Hands) -> None:
+    _planned(hands)
+    before = hands.placed("end", "lateral")
+    figures = hands.see("figures").inner_text()
+    x, y = hands.on_screen("pa", hands.placed("end", "pa"))
+    mouse = hands.page.mouse
+    mouse.move(x, y)
+    mouse.down()
+    mouse.move(x + 15, y + 4, steps=5)
+    expect(hands.see("figures")).not_to_have_text(figures, use_inner_text=True)  # while it is dragged
+    mouse.up()
+    hands.until("lateral", f"{_AWAY} > 3", ["end", *before])
+    hands.press("undo")
+    hands.until("lateral", f"{_AWAY} < 0.01", ["end", *before])
+    expect(hands.see("figures")).to_have_text(figures, use_inner_text=True)
+
+
+def _planned(hands: Hands) -> None:
+    """The plan of the first test, or one like it."""
+    if hands.see("step-Plan").inner_text().find("done") < 0:
+        if "done" not in hands.see("step-Images").inner_text():
+            hands.confirm()
+        hands.plan()
+    hands.step("Plan")
+
+
+def test_arrow_keys_move_a_point_by_a_tenth_of_a_pixel(hands: Hands) -> None:
+    _planned(hands)
+    u, v = hands.placed("entry", "pa")
+    hands.page.get_by_test_id("xray-pa").get_by_test_id("point-entry").focus()
+    hands.page.keyboard.press("Shift+ArrowRight")
+    hands.until("pa", f"{_AWAY} < 0.001", ["entry", u + 0.1, v])
+    hands.page.keyboard.press("Control+z")
+    hands.until("pa", f"{_AWAY} === 0", ["entry", u, v])
+
+
+def test_a_plan_outlives_a_reload_a_second_tab_and_a_killed_server(
+    server: Server, open_page: Callable[..., Page], folder: Path
+) -> None:
+    gone = ("WebSocket", "ERR_", "Failed to load")  # what the browser says of a server that was killed
+    hands = Hands(open_page(server.url, allow=gone))
+    hands.wait_for_step("Calibrate", "done")
+    _planned(hands)
+    here = hands.placed("end", "lateral")
+    hands.page.reload()
+    hands.wait_for_step("Plan", "")
+    hands.step("Plan")
+    hands.until("lateral", "core.state.points.get('end')?.uv")
+    assert hands.placed("end", "lateral") == here
+    other = Hands(open_page(server.url, allow=gone))
+    other.step("Plan")
+    other.until("lateral", "core.state.points.get('end')?.uv")
+    assert other.placed("end", "lateral") == here
+    decided = _recorded(folder)
+    assert server._process is not None
+    server._process.kill()
+    server._process.wait()
+    server.start()
+    other.page.reload()
+    other.wait_for_step("Calibrate", "done")
+    other.step("Plan")
+    other.until("lateral", "core.state.points.get('end')?.uv")
+    assert other.placed("end", "lateral") == here
+    assert _recorded(folder) == decided
+
+
+def test_what_a_person_does_wrong_ends_in_a_sentence(
+    server: Server, open_page: Callable[..., Page], tmp_path: Path
+) -> None:
+    hands = Hands(open_page(server.url, allow=("422",)))  # what the browser itself says of a refused upload
+    hands.wait_for_step("Calibrate", "done")
+    hands.step("Images")
+    note = tmp_path / "note.txt"
+    note.write_text("not an image")
+    hands.page.locator("input[type=file]").first.set_input_files(note)
+    expect(hands.see("drop-message")).to_contain_text(re.compile("image|DICOM"))
+    hands.page.locator("input[data-testid=serial], [data-testid=serial] input").fill(" ")
+    hands.press("confirm-serial")
+    expect(hands.see("message")).to_contain_text("engraved")
+    _planned(hands)
+    u, v = truth()["end"]["lateral"]
+    hands.press("remove-end")
+    expect(hands.see("row-end")).to_contain_text("○ lat")
+    hands.press("place-end")
+    hands.place("end", "pa", truth()["end"]["pa"])
+    hands.until("lateral", "core.state.placing === value", "end")
+    hands.click("lateral", (u + 150.0, v + 150.0))
+    expect(hands.see("message")).to_contain_text("from the matching curve")
+    hands.page.keyboard.press("Escape")
+    for _ in range(2):
+        hands.page.keyboard.press("Control+z")
+    hands.until("lateral", "core.state.points.get('end').uv")
+
+
+@pytest.fixture(scope="module")
+def obstructed(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    """Both images with a retractor of steel before a part of the beads."""
+    patient, folder = rehearsal(), tmp_path_factory.mktemp("images")
+    steel = guide_wire(np.array([[70.0, -50.0, 45.0], [-75.0, 60.0, -40.0]]), diameter_mm=9.0)
+    scene, rng = patient.hip.scene + steel, np.random.default_rng(5)
+    return [write_dicom(render(patient.setup, name, scene, rng), folder / f"{name}.dcm") for name in NAMES]
+
+
+def test_images_with_hidden_beads_are_dropped_planned_and_not_sent(
+    serve: Callable[..., Server], open_page: Callable[..., Page], obstructed: list[Path], tmp_path: Path, shoot
+) -> None:
+    """Both are handed to the button of the other view: their markers tell. Without a robot's pose nothing is sent."""
+    command = ["sightline", "app", "--port", "{port}", "--no-browser", "--quiet", "--case", str(tmp_path / "case")]
+    hands = Hands(open_page(serve(*command).url))
+    for file, button in zip(obstructed, reversed(NAMES), strict=True):
+        hands.page.locator("input[type=file]").nth(NAMES.index(button)).set_input_files(file)
+    hands.wait_for_step("Calibrate", "done")
+    hands.step("Calibrate")
+    told = [re.search(r"(\d+) / \d+", hands.see(f"calibration-{name}").inner_text()) for name in NAMES]
+    used = [int(one[1]) for one in told if one]
+    assert len(used) == 2 and all(60 <= n < 108 for n in used), used
+    hands.confirm()
+    hands.plan(head=False)
+    expect(hands.see("verdict")).not_to_contain_text("NO-GO")
+    shoot(hands.page, "hidden-beads")
+    hands.step("Drill")
+    expect(hands.see("no-robot")).to_be_visible()
+
+
+def test_landmarks_of_the_kind_are_the_twins() -> None:
+    assert set(LANDMARKS) <= set(rehearsal().landmarks)
