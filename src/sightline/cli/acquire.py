@@ -150,6 +150,8 @@ def _take(
     how: Callable[[], dict[str, Any]],
 ) -> None:
     """Frames `first` and following of a source, as one image, with the robot's pose at the last of them."""
+    from dataclasses import replace
+
     from sightline.case.acquire import news_of
     from sightline.case.acquire_frames import take_frames
     from sightline.case.acquire_robot import RobotWatch
@@ -163,7 +165,8 @@ def _take(
         for frame in source:
             pose = watch.now() if watch else None
             if frame.number >= first:
-                frames.append(frame)
+                joints = pose.joints if pose and pose.check.passed else None
+                frames.append(replace(frame, robot_pose=joints))
             if len(frames) == average:
                 break
         if len(frames) < average:
