@@ -89,7 +89,7 @@ def test_contact_sets_the_zero_as_far_as_it_is_to_be_trusted(bone_mm):
 
 
 @pytest.mark.parametrize(
-    ("bone_mm", "why"), [(-4.5, "met something 4.5 mm before"), (60.0, "no bone was met up to 2.3")]
+    ("bone_mm", "why"), [(-4.5, "met something 4.5 mm before"), (60.0, "no bone was met up to 2.4")]
 )
 def test_bone_where_none_is_planned_stops_with_the_reason(bone_mm, why):
     rig = drilling(bone_mm)
