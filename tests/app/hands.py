@@ -135,3 +135,4 @@ class Hands:
             for view in NAMES:
                 for n in range(3):
                     self.place(f"head-{n + 1}", view, known[f"head-{n + 1}"][view])
+            expect(self.see("figures")).to_contain_text("tip to bone along wire")

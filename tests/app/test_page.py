@@ -110,6 +110,17 @@ def _find_landmarks_again(hands: Hands, folder: Path) -> None:
             hands.place(name, view, (float(at[0]), float(at[1])))
 
 
+def test_the_live_image_is_calibrated_overlaid_and_watched(hands: Hands, shoot) -> None:
+    _planned(hands)
+    hands.step("Drill")
+    hands.press("live-start")
+    expect(hands.see("live-state")).to_contain_text("Tracking", timeout=PATIENCE_MS)
+    hands.until("pa", "core.state.layers.get('wire').shapes.length > 0")
+    shoot(hands.page, "live")
+    hands.press("live-stop")
+    hands.until("pa", "core.state.points.size > 0")  # the plan's image again
+
+
 def test_a_drag_moves_curve_wire_and_figures_and_is_undone(hands: Hands) -> None:
     _planned(hands)
     before = hands.placed("end", "lateral")
@@ -134,6 +145,7 @@ def _planned(hands: Hands) -> None:
             hands.confirm()
         hands.plan()
     hands.step("Plan")
+    expect(hands.see("figures")).to_contain_text("tip to bone along wire")
 
 
 def test_arrow_keys_move_a_point_by_a_tenth_of_a_pixel(hands: Hands) -> None:
@@ -218,7 +230,7 @@ def test_images_with_hidden_beads_are_dropped_planned_and_not_sent(
 ) -> None:
     """Both are handed to the button of the other view: their markers tell. Without a robot's pose nothing is sent."""
     command = ["sightline", "app", "--port", "{port}", "--no-browser", "--quiet", "--case", str(tmp_path / "case")]
-    hands = Hands(open_page(serve(*command).url))
+    hands = Hands(open_page(serve(*command, "--live", str(obstructed[0].parent)).url))
     for file, button in zip(obstructed, reversed(NAMES), strict=True):
         hands.page.locator("input[type=file]").nth(NAMES.index(button)).set_input_files(file)
     hands.wait_for_step("Calibrate", "done")
@@ -232,6 +244,9 @@ def test_images_with_hidden_beads_are_dropped_planned_and_not_sent(
     shoot(hands.page, "hidden-beads")
     hands.step("Drill")
     expect(hands.see("no-robot")).to_be_visible()
+    hands.press("live-start")  # two images, and then no more: what is shown grows old
+    expect(hands.see("live-state")).to_contain_text("does not show what is now", timeout=PATIENCE_MS)
+    assert hands.core("pa", "core.state.stale") or hands.core("lateral", "core.state.stale")
 
 
 def test_landmarks_of_the_kind_are_the_twins() -> None:

@@ -12,6 +12,7 @@ from sightline.app.panel_space import Space
 from sightline.app.procedure import Procedure
 from sightline.app.section import Section, action
 from sightline.app.serve import Site
+from sightline.app.settings import Settings
 from sightline.app.steps import steps
 from sightline.app.tab import Tab
 from sightline.app.texts import NOT_A_DEVICE, REACHABLE, STANDING, STEPS
@@ -22,10 +23,10 @@ _PANELS: dict[str, Any] = dict(
 )
 
 
-def build(site: Site, procedure: Procedure, pictures: Pictures, *, fast_robot: bool = False) -> None:
+def build(site: Site, procedure: Procedure, pictures: Pictures, settings: Settings) -> None:
     """One page, for one tab of a browser."""
     ui.add_css(_CSS)
-    tab = Tab(procedure, pictures, fast_robot=fast_robot)
+    tab = Tab(procedure, pictures, fast_robot=settings.fast_robot, live_source=settings.live)
     with ui.element("header").classes("bar"):
         tools = _bar(tab)
     if site.reachable_from_outside:

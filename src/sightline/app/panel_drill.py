@@ -5,6 +5,7 @@ from collections.abc import Awaitable, Callable, Hashable
 import numpy as np
 from nicegui import ui
 
+from sightline.app import panel_live
 from sightline.app.section import Section, action, checks, heading, note, table
 from sightline.app.tab import Tab
 from sightline.app.texts import (
@@ -34,6 +35,7 @@ def _key(tab: Tab) -> Hashable:
 def build(tab: Tab) -> None:
     """The panel."""
     Section(tab, _key, _robot)
+    panel_live.build(tab)
     Section(tab, lambda t: t.procedure.drilling.session, _force)
 
 

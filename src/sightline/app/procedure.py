@@ -11,6 +11,7 @@ from typing import Any
 from sightline.app import rehearsing
 from sightline.app.decisions import Decisions, Display, History, Pixel, Side
 from sightline.app.drilling import Drilling
+from sightline.app.live import Live
 from sightline.app.marks import CHECK_NAMES
 from sightline.app.planner import Planned, moved, planned
 from sightline.app.rehearsing import Patient
@@ -46,7 +47,7 @@ class Procedure:
         self.history = History((one["what"], None if one["to"] is None else Decisions.of(one["to"])) for one in changes)
         self._planned: Planned | None = None
         self._tasks: set[asyncio.Task[None]] = set()
-        self.drilling, self.verifying = Drilling(self), Verifying(self)
+        self.drilling, self.verifying, self.live = Drilling(self), Verifying(self), Live(self)
 
     @staticmethod
     def open(folder: Path, frame_name: str | None, patient: Patient | None, workshop: Workshop) -> "Procedure":
@@ -296,6 +297,8 @@ class Procedure:
         for number in self.decisions.images.values():
             with suppress(SightlineError):
                 await self.lightbox.open(self.case.entry(number))
+        self.drilling.restore()
+        self.notify()
 
     def _record(self, what: str, decisions: Decisions | None) -> None:
         to = None if decisions is None else decisions.document()

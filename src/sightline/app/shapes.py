@@ -11,7 +11,7 @@ from sightline.app.seen import SeenImage
 from sightline.case.views import NAMES
 from sightline.errors import SightlineError
 from sightline.planning import MatchingCurve
-from sightline.planning.corridor import corridor
+from sightline.planning.corridor import Corridor, corridor
 from sightline.planning.head import outline
 
 Shape = dict[str, Any]
@@ -81,6 +81,11 @@ def wire(planned: Planned, image: str) -> list[Shape]:
         )
     except SightlineError:
         return []  # the view sees none of it; the plan's checks say so
+    return band(found)
+
+
+def band(found: Corridor) -> list[Shape]:
+    """A wire and its corridor in an image."""
     line = found.uv_px.tolist()
     out: list[Shape] = []
     if found.half_95_px is not None:

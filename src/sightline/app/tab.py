@@ -13,9 +13,10 @@ from sightline.app.drawn import Pictures
 from sightline.app.marks import CHECK_NAMES, Asked, asked_of
 from sightline.app.planner import Planned
 from sightline.app.procedure import Procedure
-from sightline.app.texts import BUG, IMAGE_LABELS, STEPS, XRAY
+from sightline.app.texts import BUG, IMAGE_LABELS, LIVE_LABELS, STALE, STEPS, XRAY
 from sightline.app.xray import Window, XrayEvent, XrayView
 from sightline.case.views import NAMES
+from sightline.case.watch import Watched
 from sightline.errors import SightlineError
 
 _STYLES = {"wire": "plan", "landmark": "landmark", "aid": "aid"}
@@ -24,9 +25,13 @@ _STYLES = {"wire": "plan", "landmark": "landmark", "aid": "aid"}
 class Tab:
     """State of one page that is nobody else's: its step, what is to be placed next, what was said to its person."""
 
-    def __init__(self, procedure: Procedure, pictures: Pictures, *, fast_robot: bool = False) -> None:
-        """`fast_robot`: a simulated robot's time runs as fast as it computes."""
-        self.procedure, self.pictures, self.fast_robot = procedure, pictures, fast_robot
+    def __init__(
+        self, procedure: Procedure, pictures: Pictures, *, fast_robot: bool = False, live_source: str | None = None
+    ) -> None:
+        """`fast_robot`: a simulated robot's time runs as fast as it computes. `live_source`: of the live image."""
+        self.procedure, self.pictures = procedure, pictures
+        self.fast_robot, self.live_source = fast_robot, live_source
+        self.live: Watched | None = None  # what is shown of it
         self.step = STEPS[0]
         self.placing: tuple[str, str] | None = None  # a mark and the image it is placed in
         self.sequence: tuple[Asked, ...] = ()  # what is placed one after the other
@@ -57,6 +62,7 @@ class Tab:
     def go_to(self, step: str) -> None:
         """Another step; nothing is lost by it."""
         self.step, self.message = step, ""
+        self.show_live(None)
         self.show_beads = step in STEPS[:2]  # where bone is looked at they are in the way
         self.placing, self._offered = None, False
         self.refresh()
@@ -68,6 +74,28 @@ class Tab:
         if (check or plan) and not self._offered:
             self._offered = True
             self.place_next(self._landmarks() if check else self._wire_and_landmarks(), self.images)
+
+    def show_live(self, watched: Watched | None) -> None:
+        """A live image in the view it belongs to; None: the images of the plan again."""
+        if watched is not None:
+            self.live = watched
+            name = NAMES[0] if watched.view is None else watched.view.name
+            view = self.views[NAMES.index(name)]
+            picture = self.pictures.live(watched.image)
+            view.set_label(LIVE_LABELS[name])
+            view.set_image(picture.url, picture.width, picture.height, window=picture.window)
+            view.draw("wire", [] if watched.corridor is None else shapes.band(watched.corridor))
+            for layer in ("beads", "curves", "aids"):
+                view.draw(layer, [])
+            view.set_points([])
+            view.stale(watched.stale)
+            view.notice(STALE.format(age=watched.age_s) if watched.stale else None)
+        elif self.live is not None:
+            self.live = None
+            self._shown.clear()
+            for view in self.views:
+                view.stale(False)
+            self.refresh()
 
     def say(self, text: str) -> None:
         """A sentence for the person; empty: nothing to say."""
@@ -87,8 +115,9 @@ class Tab:
     def refresh(self) -> None:
         """Show all that is another than what is shown."""
         self._offer()
-        for view, image in zip(self.views, self.images, strict=True):
-            self._show(view, image)
+        if self.live is None:
+            for view, image in zip(self.views, self.images, strict=True):
+                self._show(view, image)
         for refresh in list(self.on_refresh):
             refresh()
 

@@ -7,6 +7,8 @@ IMAGE_LABELS = {
     "check-pa": "PA check image",
     "check-lateral": "Lateral check image",
 }
+LIVE_LABELS = {"pa": "PA, live", "lateral": "Lateral, live"}
+STALE = "This image is {age:.1f} s old: it does not show what is now. The plan over it is hidden."
 STANDING = {"done": "done", "open": "to do", "attention": "needs attention", "blocked": "blocked"}
 XRAY = {
     "fit": "Show the whole image",

@@ -33,6 +33,9 @@ def app_command(
         str, typer.Option(help="Address to listen at; beyond this machine a token is needed, and printed.")
     ] = "127.0.0.1",
     browser: Annotated[bool, typer.Option(help="Open the page.")] = True,
+    live: Annotated[
+        str | None, typer.Option(help="Source of a live image on the step Drill, as `sightline watch` names it.")
+    ] = None,
     fast_robot: Annotated[
         bool, typer.Option("--fast-robot", help="The simulated robot's time runs as fast as it computes.")
     ] = False,
@@ -46,12 +49,13 @@ def app_command(
         if find_spec("nicegui") is None:
             raise UnusableInputError("the app needs NiceGUI: pip install 'sightline[app]'")
         from sightline.app.rehearsing import Patient
-        from sightline.app.run import Settings, run
+        from sightline.app.run import run
+        from sightline.app.settings import Settings
 
         folder = Path("out/app") if case is None else case
         seed = DEMO_SEED if case is None and rehearse is None else rehearse
         patient = None if seed is None else Patient(seed, frame or "gamma")
-        settings = Settings(folder, frame, patient, host, port, browser, fast_robot)
+        settings = Settings(folder, frame, patient, live, host, port, browser, fast_robot)
 
         def ready(site: "Site") -> None:
             output.say(f"open {site.url} in a browser; stop with Ctrl-C")

@@ -1,0 +1,71 @@
+"""A live image beside the robot: watched, calibrated and overlaid as `sightline watch` does, ten times a second."""
+
+import asyncio
+from collections.abc import Iterable, Iterator
+from typing import TYPE_CHECKING
+
+from sightline.app.rehearsing import Patient
+from sightline.case.watch import Shown, Watch, Watched
+from sightline.case.watch_sources import open_source
+from sightline.errors import UnusableInputError
+from sightline.frame import Frame
+from sightline.rehearsal.stream import Stream
+
+if TYPE_CHECKING:
+    from sightline.app.procedure import Procedure
+
+EVERY = 3  # of 30 images a second one in three is worked on: the page needs the cores too [ours]
+
+
+class Live:
+    """`watch`: while a live image is shown."""
+
+    def __init__(self, procedure: "Procedure") -> None:
+        self._procedure = procedure
+        self.watch: Watch | None = None
+
+    async def start(self, source: str | None) -> None:
+        """Watch a source by its name, or without one the rehearsed patient's C-arm. Raises SightlineError."""
+        self.close()
+        known, views = self._procedure.planned, self._procedure.views()
+        plan = None if known is None or known.plan is None else known.plan.trajectory
+        images = await asyncio.to_thread(_opened, source, self._procedure.patient)
+        self.watch = Watch(self._procedure.frame, _Thinned(images), plan, views or ())
+        self.watch.start()
+        self._procedure.notify()
+
+    def close(self) -> None:
+        """No live image any more."""
+        if self.watch is not None:
+            self.watch.close()
+        self.watch = None
+
+    def latest(self) -> Watched | None:
+        """The newest image that was worked on."""
+        return None if self.watch is None else self.watch.latest()
+
+
+class _Thinned:
+    """One in EVERY images of a source."""
+
+    def __init__(self, source: Iterable[Shown]) -> None:
+        self._source = source
+
+    def __iter__(self) -> Iterator[Shown]:
+        for k, shown in enumerate(self._source):
+            if k % EVERY == 0:
+                yield shown
+
+    def close(self) -> None:
+        """End the source."""
+        close = getattr(self._source, "close", None)
+        if close is not None:
+            close()
+
+
+def _opened(source: str | None, patient: Patient | None) -> Iterable[Shown]:
+    if source is not None:
+        return open_source(source)
+    if patient is None:
+        raise UnusableInputError("no live image is connected; start the app with --live SOURCE")
+    return Stream(patient.seed, Frame.load(patient.frame))

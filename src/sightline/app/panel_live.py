@@ -1,0 +1,62 @@
+"""The live image on the step Drill: fresh or marked as old, the plan over it only while it is fresh."""
+
+from nicegui import ui
+
+from sightline.app.section import Section, action, heading, note
+from sightline.app.tab import Tab
+from sightline.app.texts import STALE
+from sightline.case.watch import Watched
+from sightline.case.watch_alarm import BLIND_TO
+
+_LOOK_S = 0.1  # half of what makes an image old
+
+
+def build(tab: Tab) -> None:
+    """The panel's part."""
+    heading("Live image")
+    Section(tab, lambda t: t.procedure.live.watch is not None, _switch)
+    said = ui.label().classes("note").props("data-testid=live-state role=status")
+    note(f"What it cannot tell: {BLIND_TO}.", kind="quiet")
+    shown = 0
+
+    def look() -> None:
+        nonlocal shown
+        watched = tab.procedure.live.latest()
+        if watched is None:
+            if tab.live is not None:
+                tab.show_live(None)
+            watch = tab.procedure.live.watch
+            said.set_text("" if watch is None else watch.fault or "Waiting for the first image …")
+            return
+        said.set_text(_sentence(watched))
+        said.classes(add="bad" if watched.moved else "", remove="" if watched.moved else "bad")
+        if watched.number != shown or watched.stale:
+            shown = watched.number
+            tab.show_live(watched)
+
+    ui.timer(_LOOK_S, look)
+
+
+def _switch(tab: Tab) -> None:
+    live = tab.procedure.live
+    if live.watch is None:
+        start = tab.doing(lambda: live.start(tab.live_source))
+        action("Show the live image", start, testid="live-start", kind="plain")
+        return
+
+    def stop() -> None:
+        live.close()
+        tab.show_live(None)
+        tab.procedure.notify()
+
+    with ui.element("div").classes("choice"):
+        action("End the live image", tab.doing(stop), testid="live-stop", kind="plain")
+        action("Nothing moved: I looked", tab.doing(live.watch.rest), testid="live-rest", kind="plain")
+
+
+def _sentence(watched: Watched) -> str:
+    if watched.stale:
+        return STALE.format(age=watched.age_s)
+    movement = watched.movement.text if watched.movement is not None else watched.note
+    reason = f" ({watched.reason})" if watched.reason else ""
+    return f"{watched.state.capitalize()}{reason}, {1000 * watched.latency_s:.0f} ms old. {movement}"

@@ -1,0 +1,22 @@
+"""How the app is run."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from sightline.app.rehearsing import Patient
+
+
+@dataclass(frozen=True)
+class Settings:
+    """`folder`: of the case; `frame`: None for that of the case; `patient`: for a new case that rehearses; `live`: the
+    source of a live image, as `sightline watch` names it; `fast_robot`: a simulated robot's time runs as fast as it
+    computes."""
+
+    folder: Path
+    frame: str | None
+    patient: Patient | None
+    live: str | None
+    host: str
+    port: int
+    open_browser: bool
+    fast_robot: bool
