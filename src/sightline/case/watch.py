@@ -25,6 +25,7 @@ from sightline.planning.trajectory import Trajectory
 
 STALE_S = 0.2  # an older image is not what is: nothing is drawn into it
 REST_FRAMES = 16  # half a second: their mean is where the beads are at rest [ours]
+_END_S = 5.0  # what the frame that is being worked on may take, and then some
 _WITHIN_95 = ellipsoid_factor(0.95, 2)  # standard deviations of the worse direction: a bound on the safe side
 _ORIGIN_MM = np.zeros((1, 3))  # where the hip's centre should lie (docs/conventions.md): the target without a plan
 
@@ -190,6 +191,7 @@ class Watch:
             )
         self._source = source
         self._eye = Eye(frame, plan, references)
+        self._worker = Thread(target=self._work, name="watch: work", daemon=True)
         self._changed = Condition()
         self._waiting: Shown | None = None
         self._came = self._taken = 0
@@ -208,14 +210,16 @@ class Watch:
 
     def start(self) -> None:
         """Begin."""
-        for run, name in ((self._read, "watch: source"), (self._work, "watch: work")):
-            Thread(target=run, name=name, daemon=True).start()
+        Thread(target=self._read, name="watch: source", daemon=True).start()  # a driver may hang: it is left behind
+        self._worker.start()
 
     def close(self) -> None:
         """End, and let go of the source."""
         with self._changed:
             self._closing = True
             self._changed.notify_all()
+        if self._worker.is_alive():
+            self._worker.join(_END_S)
         close = getattr(self._source, "close", None)
         if close is not None:
             close()

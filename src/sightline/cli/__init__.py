@@ -44,6 +44,7 @@ _COMMANDS = (
     "acquire",
     "app",
     "case",
+    "watch",
     "export",
 )
 

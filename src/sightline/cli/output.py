@@ -19,6 +19,7 @@ from sightline.errors import SightlineError
 
 if TYPE_CHECKING:
     from rich.console import Console
+    from rich.table import Table
 
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON document, for machines.")]
 Quiet = Annotated[bool, typer.Option("--quiet", help="Print nothing but errors and what --json asks for.")]
@@ -69,18 +70,24 @@ class Output:
 
     def table(self, title: str, columns: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
         """A table of the result, for people; None is shown as a dash."""
-        if self._silent:
-            return
-        from rich import box
-        from rich.table import Table
-        from rich.text import Text
+        if not self._silent:
+            _console().print(_table(title, columns, rows))
 
-        table = Table(title=Text(title), title_justify="left", box=box.SIMPLE)
-        for column in columns:
-            table.add_column(Text(column))
-        for row in rows:
-            table.add_row(*(Text("-" if cell is None else str(cell)) for cell in row))
-        _console().print(table)
+    @contextmanager
+    def live(self, title: str, columns: Sequence[str]) -> Iterator[Callable[[Iterable[Sequence[object]]], None]]:
+        """`with out.live("Watching", ("", "")) as show:` a table, for people, that each `show(rows)` replaces."""
+        from rich.live import Live
+
+        if self._silent:
+            yield lambda _: None
+            return
+        with Live(console=_console(stderr=True), refresh_per_second=10) as shown:
+            yield lambda rows: shown.update(_table(title, columns, rows))
+
+    def line(self, document: dict[str, Any]) -> None:
+        """One of many results, as it comes: with --json, a line of its own before the document."""
+        if self._json:
+            typer.echo(as_json(document))
 
     def result(self, document: dict[str, Any], checks: Iterable[Check] = ()) -> None:
         """The result of the command, once. With a failed check the command ends with exit code 3."""
@@ -139,6 +146,19 @@ def _plain(value: Any) -> Any:
     if isinstance(value, Path):
         return str(value)
     return value.tolist() if hasattr(value, "tolist") else value  # numpy arrays and scalars
+
+
+def _table(title: str, columns: Sequence[str], rows: Iterable[Sequence[object]]) -> "Table":
+    from rich import box
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table(title=Text(title), title_justify="left", box=box.SIMPLE)
+    for column in columns:
+        table.add_column(Text(column))
+    for row in rows:
+        table.add_row(*(Text("-" if cell is None else str(cell)) for cell in row))
+    return table
 
 
 class _Step:

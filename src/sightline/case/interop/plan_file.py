@@ -12,6 +12,8 @@ from sightline.case.interop.pinhole import Pinhole
 from sightline.errors import UnusableInputError
 from sightline.geometry.covariance import length_quantile
 from sightline.imaging import read_image
+from sightline.planning import Trajectory
+from sightline.planning.results import SpacePoints
 
 _MAX_BYTES = 2**24  # [ours] a hundred times a plan with its beads
 
@@ -153,6 +155,13 @@ class PlanFile:
         """(6, 6) of (entry, end)."""
         given = self.document.trajectory.covariance_mm2
         return None if given is None else reading.array(given, (6, 6), "the covariance")
+
+    @property
+    def trajectory(self) -> Trajectory:
+        """The plan as planning has it, but for its gaps, which the file's plan was judged by already."""
+        none = np.zeros(2)
+        points = SpacePoints(self.points_mm, none, none > 0, None, self.covariance_mm2, None, none == 0)
+        return Trajectory(points)
 
     @property
     def errors_95_mm(self) -> tuple[float, float] | None:

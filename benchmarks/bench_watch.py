@@ -1,0 +1,311 @@
+"""A live image watched: time per frame beside a blob detector's on the same frames, latency, and the alarm's promises.
+
+Frames are the twin's fluoroscopy (lowest dose, 1024²). The programs take turns frame by frame, so that a busy moment of
+the machine hits all alike. The alarm is tried on points: drawn set-ups whose beads have the noise of that dose, a C-arm
+that translates and turns so that the target's line of sight moves by just what is promised; and, a few, on rendered
+sequences.
+"""
+
+import json
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import replace
+
+import cv2
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+import sightline as sl
+from benchmarks.parallel import in_parallel
+from benchmarks.rows import Row
+from sightline.calibration.displacement import Rest
+from sightline.case.watch import REST_FRAMES, Eye, Watch
+from sightline.case.watch_alarm import HOUR, PROMISED_MM, Alarm
+from sightline.case.watch_follow import Follower
+from sightline.detection import Observations
+from sightline.planning.residuals import Residuals
+from sightline.rehearsal.stream import Shot, Stream, shifted
+from sightline.twin import DOSES, ViewTruth, bead_images, draw_setup, shown_hip_scene
+from sightline.twin.render import expose
+
+ASKED_TRACKING_MS, ASKED_COLD_MS, ASKED_LATENCY_MS, ASKED_APART_MM, ASKED_COVARIANCE = 15.0, 100.0, 100.0, 0.01, 0.05
+SEED = 3
+NOISE_PX = 0.12  # of a bead at the lowest dose, median of the twin's beads
+TARGETS_MM = np.array([[-20.0, 11.0, -10.0], [22.0, -15.0, 13.0]])
+_GROUP = "watching, 1024² at 30/s"
+_ALARM = f"movement alarm, {PROMISED_MM} mm at the target"
+
+
+def run(quick: bool) -> list[Row]:
+    """The rows of this benchmark."""
+    times = {threads: _timed(threads, 20 if quick else 90) for threads in (2, 1)}
+    two = times[2]
+    whole = "array to calibrated view"
+    rows = [_time_row(f"{whole}, tracking, two cores", two, "tracking", ASKED_TRACKING_MS)]
+    rows.append(_time_row(f"{whole}, cold, two cores", two, "cold", ASKED_COLD_MS))
+    rows.append(_time_row("tracking with overlay and alarm, two cores", two, "all"))
+    rows += [_time_row(f"{name}, one core", times[1], name) for name in ("tracking", "cold", "all")]
+    blobs = two["blobs"]["wall_ms"]
+    rows.append(Row(_GROUP, "SimpleBlobDetector, blobs only", f"{blobs:.1f} ms", "", "the peer itself"))
+    ratio = two["tracking"]["wall_ms"] / blobs
+    rows.append(Row(_GROUP, "tracking over SimpleBlobDetector", f"{ratio:.2f}", "<= 1", "blobs only", ratio <= 1))
+    return rows + _agreement_rows(quick) + _sustained_rows(quick) + _alarm_rows(quick)
+
+
+def _time_row(name: str, times: dict[str, dict[str, float]], which: str, asked_ms: float | None = None) -> Row:
+    one = times[which]
+    figure = f"{one['wall_ms']:.1f} ms (best {one['best_ms']:.1f}, CPU {one['cpu_ms']:.1f})"
+    asked = "" if asked_ms is None else f"<= {asked_ms:.0f} ms"
+    peer = f"SimpleBlobDetector {times['blobs']['wall_ms']:.1f} ms"
+    return Row(_GROUP, name, figure, asked, peer, None if asked_ms is None else one["wall_ms"] <= asked_ms)
+
+
+def _timed(threads: int, runs: int) -> dict[str, dict[str, float]]:
+    """Times of a process of its own: the number of threads is fixed when the kernels are loaded."""
+    program = f"from benchmarks.bench_watch import timed; timed({runs})"
+    environment = {**os.environ, "NUMBA_NUM_THREADS": str(threads), "OPENBLAS_NUM_THREADS": "1"}
+    ran = subprocess.run([sys.executable, "-c", program], check=True, capture_output=True, text=True, env=environment)
+    return json.loads(ran.stdout.splitlines()[-1])
+
+
+def timed(runs: int) -> None:
+    """Print times per frame as JSON: tracked, cold, with overlay and alarm, a blob detector; they take turns."""
+    frame = sl.Frame.load("gamma")
+    stream = Stream(SEED, frame)
+    eye, follower = Eye(frame, stream.wire, ()), Follower(frame)
+    detector = cv2.SimpleBlobDetector.create(_blob_options())
+    grey = [cv2.convertScaleAbs(one.pixels, alpha=255.0 / float(one.pixels.max())) for one in stream.still]
+    programs: dict[str, Callable[[int], object]] = {
+        "tracking": lambda k: follower.take(_shot(stream, k).image, time.time()),
+        "cold": lambda k: Follower(frame).take(_shot(stream, k).image, time.time()),
+        "all": lambda k: eye.look(_shot(stream, k), k + 1, 0),
+        "blobs": lambda k: detector.detect(grey[k % len(grey)]),
+    }
+    taken: dict[str, list[tuple[float, float]]] = {name: [] for name in programs}
+    for k in range(REST_FRAMES + 2 + runs):
+        for name, program in programs.items():
+            wall, cpu = time.perf_counter(), time.process_time()
+            program(k)
+            if k >= REST_FRAMES + 2:
+                taken[name].append((1e3 * (time.perf_counter() - wall), 1e3 * (time.process_time() - cpu)))
+    out = {}
+    for name, values in taken.items():
+        wall, cpu = np.array(values).T
+        out[name] = {"wall_ms": np.median(wall), "best_ms": wall.min(), "cpu_ms": np.median(cpu)}
+    print(json.dumps(out))
+
+
+def _shot(stream: Stream, k: int) -> Shot:
+    images = stream.still
+    return Shot(sl.Radiograph(images[k % len(images)].pixels, images[0].white), k + 1, time.time())
+
+
+def _blob_options() -> cv2.SimpleBlobDetector.Params:
+    """The coarsest of bench_speed's grid: the fastest."""
+    options = cv2.SimpleBlobDetector.Params()
+    options.thresholdStep, options.minThreshold, options.maxThreshold = 20, 10, 220
+    options.minRepeatability, options.minDistBetweenBlobs = 2, 5
+    options.filterByArea, options.minArea, options.maxArea = True, 60, 1500
+    options.filterByCircularity, options.minCircularity = True, 0.7
+    options.filterByConvexity, options.minConvexity = True, 0.9
+    options.filterByInertia = False
+    return options
+
+
+def _agreement_rows(quick: bool) -> list[Row]:
+    """Tracked views against views of the same images by themselves."""
+    frame = sl.Frame.load("gamma")
+    apart, ratios = [], []
+    for seed in range(SEED, SEED + (1 if quick else 3)):
+        stream = Stream(seed, frame)
+        eye = Eye(frame, stream.wire, ())
+        targets = np.stack([stream.wire.entry_mm, stream.wire.end_mm])
+        for k in range(12):
+            tracked = eye.look(_shot(stream, k), k + 1, 0).view
+            cold = Eye(frame, None, ()).look(_shot(stream, k), 1, 0).view
+            assert tracked is not None
+            assert cold is not None
+            uv = cold.project(targets)
+            (warm_mm, warm), (cold_mm, alone) = (_at_targets(view, uv, targets) for view in (tracked, cold))
+            apart.append(np.hypot(*(warm_mm - cold_mm).T).mean())
+            ratios.append(np.abs(np.diag(warm) / np.diag(alone) - 1).max())
+    mean, worst = float(np.mean(apart)), float(np.max(ratios))
+    return [
+        Row(
+            _GROUP,
+            "lines of sight at the target, tracked less cold, mean",
+            f"{mean:.4f} mm",
+            f"< {ASKED_APART_MM} mm",
+            "",
+            mean < ASKED_APART_MM,
+        ),
+        Row(
+            _GROUP,
+            "their variances, tracked over cold, worst",
+            f"{100 * worst:.1f} % off",
+            f"<= {100 * ASKED_COVARIANCE:.0f} %",
+            "",
+            worst <= ASKED_COVARIANCE,
+        ),
+    ]
+
+
+def _at_targets(view: sl.CalibratedView, uv_px: np.ndarray, targets_mm: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Where lines of sight pass, (N, 2) mm, and their covariance there."""
+    lines = view.lines_of_sight(uv_px)
+    at = Residuals.at(lines, targets_mm)
+    whole = np.sum(list((lines.covariance or {}).values()), axis=0)
+    return at.reach[:, None] * at.xy_mm, at.to_line @ whole @ at.to_line.T
+
+
+def _sustained_rows(quick: bool) -> list[Row]:
+    """A source at 30 images a second through both threads."""
+    frame, seconds = sl.Frame.load("gamma"), 3.0 if quick else 10.0
+    stream = Stream(SEED, frame)
+    latencies, last = [], None
+    with Watch(frame, stream, stream.wire) as watch:
+        watch.next(0, 60.0)
+        started = time.monotonic()
+        first = last = watch.latest()
+        while time.monotonic() - started < seconds:
+            last = watch.next(last.number, 1.0) or last
+            latencies.append(1e3 * last.latency_s)
+    came, dropped = last.number - first.number, last.dropped - first.dropped
+    late = float(np.quantile(latencies, 0.95))
+    return [
+        Row(
+            _GROUP,
+            "frames worked on, of those that came",
+            f"{(came - dropped) / seconds:.1f} of {came / seconds:.1f} a second",
+        ),
+        Row(
+            _GROUP,
+            "latency from frame to overlay, median / 95 %",
+            f"{np.median(latencies):.0f} / {late:.0f} ms",
+            f"< {ASKED_LATENCY_MS:.0f} ms",
+            "",
+            late < ASKED_LATENCY_MS,
+        ),
+    ]
+
+
+def _alarm_rows(quick: bool) -> list[Row]:
+    cases, frames = (100, HOUR // 10) if quick else (1000, HOUR)
+    set_ups = 20 if quick else 50
+    found = in_parallel(_found, [(seed, cases // set_ups) for seed in range(set_ups)])
+    false = in_parallel(_false, [(seed, frames // set_ups) for seed in range(1000, 1000 + set_ups)])
+    share, hours = float(np.mean(np.concatenate([f for f, _ in found]))), frames / HOUR
+    spread = np.concatenate([sd for _, sd in found])
+    alarms, largest = sum(count for count, _ in false), max(size for _, size in false)
+    rendered = [_rendered(seed) for seed in range(2 if quick else 6)]
+    return [
+        Row(
+            _ALARM,
+            f"reported within two images, of {cases} cases",
+            f"{100 * share:.1f} %",
+            ">= 99 %",
+            "",
+            share >= 0.99,
+        ),
+        Row(
+            _ALARM,
+            f"false alarms in {hours:g} h of images",
+            f"{alarms}",
+            f"<= {hours:g}",
+            f"largest shift {largest:.3f} mm",
+            alarms <= hours,
+        ),
+        Row(
+            _ALARM, "noise at the target, 1 s.d., median / largest", f"{np.median(spread):.3f} / {spread.max():.3f} mm"
+        ),
+        Row(
+            _ALARM,
+            f"rendered sequences, of {len(rendered)}",
+            f"{sum(rendered)} right",
+            f"{len(rendered)}",
+            "still without alarm, moved with the second image",
+            all(rendered),
+        ),
+    ]
+
+
+def _found(job: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
+    """Of a drawn set-up's cases: whether the second image gave the alarm, and the noise, mm."""
+    seed, cases = job
+    rng = np.random.default_rng(seed)
+    found, spread = [], []
+    rest, truth, see = _at_rest(rng)
+    for _ in range(cases):
+        alarm = Alarm(len(TARGETS_MM), "rest")
+        moved = _moved(truth, rng)
+        said = [alarm.take(rest.displacement(see(moved))) for _ in range(2)]
+        found.append(said[-1].moved and said[-1].able)
+        spread.append(said[-1].sd_mm)
+    return np.array(found), np.array(spread)
+
+
+def _false(job: tuple[int, int]) -> tuple[int, float]:
+    """Alarms among images of a set-up at rest, each of them counted and the alarm set anew; the largest shift, mm."""
+    seed, frames = job
+    rest, truth, see = _at_rest(np.random.default_rng(seed))
+    alarm, alarms, largest = Alarm(len(TARGETS_MM), "rest"), 0, 0.0
+    for _ in range(frames):
+        said = alarm.take(rest.displacement(see(truth)))
+        largest = max(largest, said.shift_mm)
+        if said.moved:
+            alarm, alarms = Alarm(len(TARGETS_MM), "rest"), alarms + 1
+    return alarms, largest
+
+
+def _at_rest(rng: np.random.Generator) -> tuple[Rest, ViewTruth, Callable[[ViewTruth], Observations]]:
+    """The place of rest of a drawn set-up's view, the view's truth, and what is seen of a view."""
+    frame = sl.Frame.load("gamma")
+    setup = draw_setup(rng, frame)
+    name = ("pa", "lateral")[int(rng.integers(2))]
+    noise = NOISE_PX**2 * np.eye(2)
+
+    def see(truth: ViewTruth) -> Observations:
+        ids, uv = bead_images(replace(setup, views={name: truth}), name, rng, NOISE_PX)
+        return Observations(name, tuple(ids), uv, np.broadcast_to(noise, (len(ids), 2, 2)))
+
+    truth = setup.views[name]
+    still = [see(truth) for _ in range(REST_FRAMES)]
+    return Rest.of(sl.calibrate(still[-1], frame), frame, still, TARGETS_MM), truth, see
+
+
+def _moved(truth: ViewTruth, rng: np.random.Generator) -> ViewTruth:
+    """The C-arm shifted and turned, so that the larger of the targets' lines moves by what is promised."""
+    turn, shift = 1e-3 * rng.standard_normal(3), 0.3 * rng.standard_normal(3)
+    about = rng.uniform(-200.0, 200.0, 3)
+    beam = TARGETS_MM - truth.focal_point_mm
+    beam /= np.linalg.norm(beam, axis=1, keepdims=True)
+    moves = shift + np.cross(turn, TARGETS_MM - about)
+    across = moves - np.einsum("ij,ij->i", moves, beam)[:, None] * beam
+    size = PROMISED_MM / np.linalg.norm(across, axis=1).max()
+    rotation = Rotation.from_rotvec(size * turn).as_matrix()
+    detector = truth.detector
+    turned = replace(
+        detector,
+        origin_mm=about + rotation @ (detector.origin_mm - about) + size * shift,
+        axes=detector.axes @ rotation.T,
+    )
+    return replace(
+        truth, focal_point_mm=about + rotation @ (truth.focal_point_mm - about) + size * shift, detector=turned
+    )
+
+
+def _rendered(seed: int) -> bool:
+    """Whether a rendered sequence is right: no alarm at rest, one with the second image after a shift."""
+    frame, rng = sl.Frame.load("gamma"), np.random.default_rng(seed)
+    setup, hip = shown_hip_scene(rng, frame)
+    truth = setup.views[("pa", "lateral")[seed % 2]]
+    turn = rng.uniform(0.0, 2 * np.pi)
+    moved = shifted(truth, PROMISED_MM * np.array([np.cos(turn), np.sin(turn)]) @ truth.detector.axes)
+    still, after = (expose(one, hip.scene, DOSES["low"]) for one in (truth, moved))
+    eye = Eye(frame, None, ())
+    images = [still.read_out(rng) for _ in range(REST_FRAMES + 2)] + [after.read_out(rng) for _ in range(2)]
+    said = [eye.look(Shot(one, k + 1, time.time()), k + 1, 0).moved for k, one in enumerate(images)]
+    return said == [False] * (len(images) - 1) + [True]

@@ -1,0 +1,72 @@
+"""What can be watched, by its name: a device's number, a stream's address, a video, a run, a folder of images."""
+
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+from sightline.errors import UnusableInputError
+from sightline.imaging import suffix_of
+from sightline.imaging.source import Frame, Run, Source
+from sightline.imaging.video import VideoSource
+
+PER_S = 30.0  # images of files: what a C-arm's video gives
+_START = 132  # bytes that tell what a file is
+
+
+def open_source(name: str) -> Source:
+    """The source called `name`. Files are played at 30 images a second. Raises UnusableInputError, ImageError,
+    SourceError."""
+    if name.isdecimal() or "://" in name:
+        return VideoSource(int(name) if name.isdecimal() else name)
+    path = Path(name)
+    if path.is_dir():
+        return Paced(_Folder(path))
+    if not path.is_file():
+        raise UnusableInputError(
+            f"there is no file or folder {name}; name one, a device by its number, or a stream by its address"
+        )
+    return Paced(VideoSource(name) if _kind(path) is None else Run(path))
+
+
+class Paced:
+    """A source of stored images, each given when its time has come, as if it came then."""
+
+    def __init__(self, source: Source) -> None:
+        self._source = source
+
+    def __iter__(self) -> Iterator[Frame]:
+        start = time.monotonic()
+        for k, frame in enumerate(self._source):
+            time.sleep(max(0.0, start + k / PER_S - time.monotonic()))
+            yield replace(frame, stamped_s=time.time())
+
+    def close(self) -> None:
+        """Let go of the source."""
+        self._source.close()
+
+
+class _Folder:
+    """The images of a folder, by name; what begins with a dot, or is no image, is passed over. Raises
+    UnusableInputError where there is none."""
+
+    def __init__(self, folder: Path) -> None:
+        self._files = [path for path in sorted(folder.iterdir()) if path.name[0] != "." and _kind(path) is not None]
+        if not self._files:
+            raise UnusableInputError("the folder holds no image; name the folder of the frames")
+
+    def __iter__(self) -> Iterator[Frame]:
+        frames = (frame for path in self._files for frame in Run(path))
+        for number, frame in enumerate(frames, 1):
+            yield replace(frame, number=number)
+
+    def close(self) -> None:
+        """Nothing is held."""
+
+
+def _kind(path: Path) -> str | None:
+    """The suffix that suits the file's content; None where it is no image, or no file."""
+    if not path.is_file():
+        return None
+    with path.open("rb") as file:
+        return suffix_of(file.read(_START))

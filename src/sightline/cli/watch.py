@@ -1,0 +1,201 @@
+"""`sightline watch`: a live image, each frame calibrated, the plan in it, and an alarm where frame or C-arm move."""
+
+from collections import Counter
+from collections.abc import Iterable
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from sightline.cli.output import Json, Output, Quiet
+
+if TYPE_CHECKING:
+    from sightline.calibration import BeadView
+    from sightline.case.watch import Shown, Watch, Watched
+    from sightline.frame import Frame
+    from sightline.planning import Trajectory
+
+_WAIT_S = 0.5  # between two looks whether it has ended
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command."""
+    app.command("watch")(watch)
+
+
+def watch(
+    source: Annotated[
+        str | None,
+        typer.Argument(help="A device's number, a stream's address, a video, a run of frames, or a folder of images."),
+    ] = None,
+    *,
+    rehearse: Annotated[
+        int | None, typer.Option(metavar="SEED", help="Watch a simulated C-arm, which is bumped after 6 s.")
+    ] = None,
+    frame: Annotated[str, typer.Option(help="Frame file, or gamma, biplane, stereo.")] = "gamma",
+    plan: Annotated[Path | None, typer.Option(help="plan.json of `sightline plan --out`: drawn into the view.")] = None,
+    planned: Annotated[
+        list[Path] | None,
+        typer.Option(
+            help="Image of the planning, taken with the C-arm as it stands now: movements are told against it. Without "
+            "one, against the first half second. May be given for each view."
+        ),
+    ] = None,
+    seconds: Annotated[float | None, typer.Option(min=0.0, help="End after this time.", show_default=False)] = None,
+    json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Watch a live image: calibrate every frame, draw the plan, tell when frame or C-arm moved.
+
+    With --json every frame is a line of its own, and the last line says how it went.
+    """
+    with Output(json=json, quiet=quiet) as out:
+        from sightline.case.watch import Watch
+        from sightline.case.watch_alarm import BLIND_TO
+        from sightline.frame import Frame
+
+        known = Frame.load(frame)
+        images, wire = _opened(source, rehearse, known, out)
+        wire = wire if plan is None else _planned(plan, known, out)
+        with out.step("planning images"):
+            references = [_reference(path, known) for path in planned or ()]
+        out.note(f"what an alarm cannot tell: {BLIND_TO}")
+        with Watch(known, images, wire, references) as watching:
+            tally = _follow(watching, out, seconds)
+        out.result(_summary(tally, watching) | {"blind_to": BLIND_TO})
+
+
+def _opened(
+    source: str | None, seed: int | None, frame: "Frame", out: Output
+) -> "tuple[Iterable[Shown], Trajectory | None]":
+    """The source, and the wire of a simulated one. Raises UnusableInputError."""
+    from sightline.case.watch_sources import open_source
+    from sightline.errors import UnusableInputError
+
+    if (source is None) == (seed is None):
+        raise UnusableInputError("name one source, or --rehearse SEED for a simulated one")
+    if source is not None:
+        return open_source(source), None
+    from sightline.rehearsal.stream import Stream
+
+    with out.step("taking the C-arm's images"):
+        stream = Stream(int(seed or 0), frame)
+    return stream, stream.wire
+
+
+def _planned(path: Path, frame: "Frame", out: Output) -> "Trajectory":
+    """Raises UnusableInputError."""
+    from sightline.case.interop.plan_file import PlanFile
+    from sightline.errors import UnusableInputError
+
+    plan = PlanFile.read(path)
+    made_with = plan.document.frame
+    if made_with is not None and made_with.name != frame.name:
+        raise UnusableInputError(f"the plan was made with frame {made_with.name!r}, not {frame.name!r}; give --frame")
+    if not plan.go:
+        out.note(f"the plan that is drawn is {plan.verdict}")
+    return plan.trajectory
+
+
+def _reference(path: Path, frame: "Frame") -> "BeadView":
+    from sightline.calibration import calibrate
+    from sightline.case.views import see
+
+    return calibrate(see(path, frame).observations, frame)
+
+
+def _follow(watching: "Watch", out: Output, seconds: float | None) -> "list[Watched]":
+    """What was said of each frame that was worked on, without the images."""
+    from dataclasses import replace
+    from time import monotonic
+
+    end = None if seconds is None else monotonic() + seconds
+    said: list[Watched] = []
+    with out.live("Watching; Ctrl-C ends it", ("", "")) as show:
+        number = 0
+        while end is None or monotonic() < end:
+            watched = watching.next(number, _WAIT_S)
+            if watched is None:
+                if watching.ended:
+                    break
+                continue
+            number = watched.number
+            out.line(_document(watched))
+            said.append(replace(watched, view=None, corridor=None))
+            show(_rows(watched, said))
+    error = watching.error
+    if error is not None:
+        raise error
+    return said
+
+
+def _rows(watched: "Watched", said: "list[Watched]") -> list[tuple[str, str]]:
+    """For a person."""
+    movement = watched.movement
+    view = watched.view
+    error = "unknown" if watched.error_95_mm is None else f"{watched.error_95_mm:.2f} mm"
+    return [
+        ("frame", f"{watched.number}, {watched.dropped} dropped, {_rate(said):.0f} a second"),
+        ("latency", f"{1e3 * watched.latency_s:.0f} ms" + (" STALE" if watched.stale else "")),
+        ("state", f"{watched.state} {watched.reason}"),
+        ("view", "none" if view is None else f"{view.name}, {len(view.residuals.ids)} beads"),
+        ("residual", "-" if view is None else f"{view.residuals.leave_one_out_rms_mm:.3f} mm, each bead by the others"),
+        ("error at the target", f"{error} (95 %)"),
+        ("movement", watched.note if movement is None else f"{movement.shift_mm:.3f} mm: {movement.text}"),
+        ("plan", "not drawn" if watched.corridor is None else f"drawn, {len(watched.corridor.uv_px)} stations"),
+    ]
+
+
+def _rate(said: "list[Watched]") -> float:
+    """Of the last half second, frames a second."""
+    last = said[-16:]
+    gone = last[-1].stamped_s - last[0].stamped_s
+    return (len(last) - 1) / gone if gone > 0 else 0.0
+
+
+def _document(watched: "Watched") -> dict[str, Any]:
+    view, drawn = watched.view, watched.corridor
+    return {
+        "number": watched.number,
+        "dropped": watched.dropped,
+        "stamped_s": watched.stamped_s,
+        "latency_s": watched.latency_s,
+        "stale": watched.stale,
+        "state": watched.state.value,
+        "reason": watched.reason,
+        "view": None
+        if view is None
+        else {
+            "name": view.name,
+            "focal_point_mm": view.focal_point_mm,
+            "beads": int(view.residuals.used.sum()),
+            "leave_one_out_rms_mm": view.residuals.leave_one_out_rms_mm,
+            "failed": [check.name for check in view.checks if not check.passed],
+        },
+        "error_95_mm": watched.error_95_mm,
+        "movement": watched.movement,
+        "moved": watched.moved,
+        "note": watched.note,
+        "plan": None if drawn is None else {"uv_px": drawn.uv_px, "half_95_px": drawn.half_95_px},
+    }
+
+
+def _summary(said: "list[Watched]", watching: "Watch") -> dict[str, Any]:
+    """How it went. Raises CalibrationRefusedError where no frame gave a view."""
+    from statistics import median
+
+    from sightline.case.watch_follow import State
+    from sightline.errors import CalibrationRefusedError
+
+    states = Counter(watched.state for watched in said)
+    if not said or states[State.LOST] == len(said):
+        why = f": {said[-1].reason}" if said else ""
+        raise CalibrationRefusedError(f"none of {len(said)} frames gave a calibrated view{why}")
+    return {
+        "frames": said[-1].number,
+        "worked_on": said[-1].number - said[-1].dropped,
+        "dropped": said[-1].dropped,
+        "states": {state.value: states[state] for state in State},
+        "latency_s": {"median": median(w.latency_s for w in said), "largest": max(w.latency_s for w in said)},
+        "moved": any(watched.moved for watched in said),
+    }

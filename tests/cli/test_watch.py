@@ -1,0 +1,67 @@
+"""`sightline watch` over folders of images: a line of JSON for each frame, a last one, exit codes."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from tests.detection.track_images import SIZE, beads, image
+
+from sightline.case.watch_alarm import BLIND_TO
+from sightline.imaging import Radiograph, write_png
+
+
+@pytest.fixture(scope="module")
+def frames(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("frames")
+    for k in range(4):
+        write_png(image(beads(), k), folder / f"{k}.png")
+    (folder / "notes.txt").write_text("no image")
+    return folder
+
+
+def test_every_frame_is_a_line_and_the_last_line_says_how_it_went(run, frames: Path) -> None:
+    ran = run("watch", frames, "--json")
+    assert ran.code == 0, ran.err
+    *each, whole = [json.loads(line) for line in ran.out.splitlines()]
+    assert each[0]["state"] == "searching"
+    assert each[0]["view"]["name"] == "pa"
+    assert each[0]["view"]["beads"] > 60
+    assert each[0]["plan"] is None
+    assert each[-1]["number"] == whole["frames"] == 4
+    assert whole["worked_on"] + whole["dropped"] == 4
+    assert whole["moved"] is False
+    assert whole["blind_to"] == BLIND_TO
+
+
+def test_a_person_is_told_what_the_alarm_cannot_see(run, frames: Path) -> None:
+    ran = run("watch", frames, "--planned", frames / "0.png")
+    assert ran.code == 0
+    assert "moves no bead" in " ".join(ran.err.split())
+
+
+def test_images_without_beads_are_refused(run, tmp_path: Path) -> None:
+    write_png(Radiograph(np.full((SIZE, SIZE), 2000, np.uint16), 4095), tmp_path / "0.png")
+    ran = run("watch", tmp_path)
+    assert ran.code == 3
+    assert "none of 1 frames" in ran.err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        ((), "name one source"),
+        (("somewhere", "--rehearse", "1"), "name one source"),
+        (("nowhere.mp4",), "no file or folder"),
+    ],
+)
+def test_what_is_no_source_is_unusable(run, arguments: tuple[str, ...], says: str) -> None:
+    ran = run("watch", *arguments)
+    assert ran.code == 2
+    assert says in ran.err
+
+
+def test_an_empty_folder_is_unusable(run, tmp_path: Path) -> None:
+    ran = run("watch", tmp_path, "--json")
+    assert ran.code == 2
+    assert "no image" in ran.document["error"]["message"]

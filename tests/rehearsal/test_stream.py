@@ -1,0 +1,40 @@
+"""The simulated fluoroscopy, watched image by image: no clock has a part in it."""
+
+import time
+
+import numpy as np
+import pytest
+
+from sightline.case.watch import REST_FRAMES, Eye
+from sightline.case.watch_follow import State
+from sightline.frame import Frame
+from sightline.rehearsal.stream import BUMP_MM, Shot, Stream
+
+
+@pytest.mark.slow
+def test_the_bump_is_told_with_its_second_image_and_the_wire_is_drawn() -> None:
+    frame = Frame.load("gamma")
+    stream = Stream(3, frame)
+    eye = Eye(frame, stream.wire, ())
+    still = [stream.still[k % len(stream.still)] for k in range(REST_FRAMES + 3)]
+    said = [eye.look(Shot(one, k + 1, time.time()), k + 1, 0) for k, one in enumerate([*still, *stream.moved])]
+    before, after = said[: len(still)], said[len(still) :]
+    assert [w.state for w in said] == [State.SEARCHING] + [State.TRACKING] * (len(said) - 1)
+    assert not any(w.moved for w in before)
+    assert [w.moved for w in after] == [False] + [True] * (len(after) - 1)
+    assert after[1].movement.shift_mm == pytest.approx(BUMP_MM, abs=0.05)
+    ends = said[0].view.project(np.stack([stream.wire.entry_mm, stream.wire.end_mm]))
+    assert said[0].corridor.uv_px[[0, -1]] == pytest.approx(ends, abs=0.01)
+    assert said[0].corridor.half_95_px is None  # nobody planned it
+
+
+def test_stored_images_come_when_their_time_has_come() -> None:
+    stream = object.__new__(Stream)
+    stream.still, stream.moved, stream._closed = ("a", "b"), ("c",), False
+    shots = iter(stream)
+    first, second, third = next(shots), next(shots), next(shots)
+    assert (first.image, second.image, third.image) == ("a", "b", "a")
+    assert first.number == 1
+    assert third.stamped_s - first.stamped_s >= 0.06
+    stream.close()
+    assert next(shots, None) is None
