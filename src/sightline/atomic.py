@@ -35,7 +35,8 @@ def whole_folder(path: str | Path) -> Iterator[Path]:
     """`with whole_folder(out) as scratch:` what is written into the scratch folder beside `out` is moved there at the
     end; after an error or an interruption nothing is.
 
-    Files that `out` holds under other names stay. Raises UnusableInputError where the place cannot be written.
+    Files that `out` holds under other names stay; a folder in it is replaced as a whole.
+    Raises UnusableInputError where the place cannot be written.
     """
     target = Path(path)
     try:
@@ -46,6 +47,9 @@ def whole_folder(path: str | Path) -> Iterator[Path]:
             yield Path(scratch)
             target.mkdir(exist_ok=True)
             for file in sorted(Path(scratch).iterdir()):
-                file.replace(target / file.name)
+                place = target / file.name
+                if file.is_dir() and place.exists():
+                    place.rename(Path(scratch) / f".{file.name}.before")  # goes with the scratch folder
+                file.replace(place)
     except OSError as error:
         raise UnusableInputError(f"cannot write into {target.name}: {error.strerror}; name another folder") from error

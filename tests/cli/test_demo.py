@@ -6,6 +6,11 @@ from pathlib import Path
 import numpy as np
 import pydicom
 
+from sightline.app.decisions import Decisions
+from sightline.app.marks import asked_of
+from sightline.case.entry import Kind
+from sightline.case.journal import Case
+from sightline.case.recompute import Outcome, replay
 from sightline.cli import demo as demo_module
 from sightline.detection.files import read_observations
 
@@ -21,6 +26,7 @@ EXPECTED = {
     "comparison.json",
     "drilling.json",
     "truth.json",
+    "case",
 }
 
 
@@ -35,6 +41,18 @@ def test_it_says_where_everything_is(demo_run) -> None:
     assert "report.html" in ran.stdout
     assert "8/8" in ran.stderr
     assert [p.name for p in out.parent.iterdir()] == ["demo"]  # no scratch folder is left
+
+
+def test_its_case_comes_out_the_same_and_the_app_finds_the_plan_in_it(demo_folder) -> None:
+    with Case.open(demo_folder / "case", read_only=True) as case:
+        assert not case.problems
+        outcomes = {one.outcome for one in replay(case)}
+        edit = case.latest(Kind.CHANGED, where={"what": "edit"})
+    assert outcomes <= {Outcome.SAME, Outcome.RECORDED}
+    assert edit is not None
+    decided = Decisions.of(edit.content["to"])
+    asked = [one.name for one in asked_of(decided.kind) if one.group != "aid"]
+    assert decided.complete(asked)  # every name is one that the app asks for
 
 
 def test_images_are_like_those_of_a_c_arm(demo_folder) -> None:

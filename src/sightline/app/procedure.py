@@ -30,6 +30,7 @@ from sightline.frame import Frame
 from sightline.robot.target import LIFETIME_S
 
 IMAGES = (*NAMES, *CHECK_NAMES)
+_TAKEN_IN = 8  # images that are looked at when a case has none placed [ours]
 _EDITS = ("edit", "undo", "redo")
 
 
@@ -255,7 +256,17 @@ class Procedure:
             await self.during("starting", self.workshop.do(warm_up))
             if self.patient is not None and not self.decisions.images:
                 await self.take_rehearsed()
+            if not self.decisions.images:
+                await self._take_in()
         await self._open_named()
+
+    async def _take_in(self) -> None:
+        """The newest images that were acquired into this case otherwise, each placed by what its markers tell."""
+        for entry in self.case.entries(Kind.ACQUIRED)[-_TAKEN_IN:]:
+            with suppress(SightlineError):  # what is no image that can be calibrated is left to a person
+                seen = await self.lightbox.open(entry, record=True)
+                if seen.view is not None:
+                    self.edit(self.decisions.with_image(seen.view.name, entry.number, same_pixels=False))
 
     async def take_rehearsed(self) -> None:
         """Both planning images of the rehearsed patient, anew."""

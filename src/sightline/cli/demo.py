@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from sightline.cli.demo_case import Kept, record
 from sightline.cli.demo_robot import Planned, drill
 from sightline.cli.output import Json, Output, Quiet
 
@@ -55,11 +56,11 @@ def _run(output: Output, folder: Path, seed: int) -> dict[str, Any]:
     import numpy as np
 
     from sightline.case.comparison import Truth
+    from sightline.case.contents import Asked
     from sightline.case.report import Report, render
     from sightline.case.views import NAMES, calibrate_pair, see_pair
     from sightline.frame import Frame
     from sightline.imaging import write_dicom
-    from sightline.planning import plan
     from sightline.rehearsal.procedure import Rehearsal
     from sightline.twin import truth_document
 
@@ -82,14 +83,10 @@ def _run(output: Output, folder: Path, seed: int) -> dict[str, Any]:
     landmarks_px = landmarks_px + PICK_SD_PX * rng.standard_normal(landmarks_px.shape)
     with output.step("4/8 planning entry and tip, drawing the image-matching curves"):
         views = [image.view for image in images[METHODS[0]]]
-        planned = plan(
-            views,
-            picks[:, 0],
-            picks[:, 1],
-            pick_sd_px=PICK_SD_PX,
-            snapped=True,
-            landmarks_uv_px=landmarks_px,
+        asked = Asked(
+            picks[:, 0], picks[:, 1], PICK_SD_PX, snapped=True, landmarks_uv_px=landmarks_px, landmark_names=landmarks
         )
+        planned = asked.plan(images[METHODS[0]])
     with output.step("5/8 comparing three methods with the truth"):
         compared = _compare(images, picks, truth, planned)
     drilled = drill(output, Planned(rehearsal, planned, views, landmarks, landmarks_px, PICK_SD_PX), rng)
@@ -111,6 +108,7 @@ def _run(output: Output, folder: Path, seed: int) -> dict[str, Any]:
             drilled=drilled,
         )
         page = render(report)
+    record(folder / "case", Kept(rehearsal, (pa, lateral), images[METHODS[0]], asked, planned, drilled))
     _write_results(folder, page, report, {"seed": seed, **truth_document(rehearsal.setup, rehearsal.hip)})
     _show(output, planned, compared)
     if drilled is not None:

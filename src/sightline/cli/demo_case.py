@@ -1,0 +1,73 @@
+"""The demo's case: what `sightline case` checks and computes again, and `sightline app --case` opens."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from types import MappingProxyType
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from sightline.case.contents import Asked
+    from sightline.case.drilled import Drilled
+    from sightline.case.views import CalibratedImage
+    from sightline.planning import Plan
+    from sightline.rehearsal.procedure import Rehearsal
+
+
+@dataclass(frozen=True, eq=False)
+class Kept:
+    """What the demo keeps: `files` as they were read, the views made of them, what the plan was asked from."""
+
+    rehearsal: "Rehearsal"
+    files: tuple[Path, Path]
+    images: "tuple[CalibratedImage, CalibratedImage]"
+    asked: "Asked"
+    plan: "Plan"
+    drilled: "Drilled | None"
+
+
+def record(folder: Path, kept: Kept) -> None:
+    """Make the case in a folder."""
+    from sightline.case import stages
+    from sightline.case.entry import Actor, Kind
+    from sightline.case.journal import Case
+    from sightline.case.views import NAMES
+
+    rehearsal, by = kept.rehearsal, Actor.DEMO
+    with Case.create(folder) as case:
+        frame_ref = stages.keep_frame(case, rehearsal.setup.frame)
+        patient = {"seed": rehearsal.seed, "frame": rehearsal.setup.frame.name, "side": rehearsal.side}
+        case.record(Kind.CHANGED, {"what": "frame", "from": None, "to": frame_ref}, by=by)
+        case.record(Kind.CHANGED, {"what": "rehearsal", "from": None, "to": patient}, by=by)
+        before = case.last
+        first, second = (
+            stages.record_view(case, file, image, frame_ref=frame_ref, by=by)
+            for file, image in zip(kept.files, kept.images, strict=True)
+        )
+        acquired = [entry.number for entry in case.entries(Kind.ACQUIRED, after=before)]
+        decided = _decisions(kept, dict(zip(NAMES, acquired, strict=True)))
+        case.record(Kind.CHANGED, {"what": "edit", "from": None, "to": decided}, by=by)
+        plan = stages.record_planned(case, (first, second), kept.asked, kept.plan, by=by)
+        if kept.drilled is not None:
+            document = kept.drilled.document()
+            case.record(Kind.DRILLED, {"record": document["record"]}, by=Actor.ROBOT, rests_on=[plan.number])
+            case.record(Kind.VERIFIED, document["check_shot"], by=by, rests_on=[plan.number])
+
+
+def _decisions(kept: Kept, acquired: dict[str, int]) -> dict[str, object]:
+    """The picks as the app keeps them; side and serial are for a person to confirm."""
+    from sightline.app.decisions import Decisions, Mark
+    from sightline.app.marks import END, ENTRY
+    from sightline.case.views import NAMES
+
+    def mark(uv_px, *, free: bool) -> Mark:
+        return Mark({name: (float(u), float(v)) for name, (u, v) in zip(NAMES, uv_px, strict=True)}, free)
+
+    # As they were used: lateral picks on their curves.
+    marks = {
+        name: mark([pick.uv_px for pick in picks], free=False)
+        for name, picks in zip((ENTRY, END), kept.plan.picks, strict=True)
+    }
+    for k, name in enumerate(kept.asked.landmark_names):
+        assert kept.asked.landmarks_uv_px is not None  # noqa: S101 - they have names
+        marks[f"landmark-{name.replace(' ', '-')}"] = mark(kept.asked.landmarks_uv_px[:, k], free=True)
+    return Decisions(images=MappingProxyType(acquired), marks=MappingProxyType(marks)).document()
