@@ -47,7 +47,7 @@ def build(site: Site, procedure: Procedure, pictures: Pictures, settings: Settin
             Section(tab, _beside_key(panel_verdict.key), _on(panel_verdict.build, 2, 3), classes="verdict-panel")
             Section(tab, lambda t: t.step, lambda t: _PANELS[t.step].build(t), classes="step-panel")
             Section(tab, _beside_key(panel_plan.figures_key), _on(panel_plan.build_figures, 2), classes="figures")
-            Section(tab, _beside_key(panel_verdict.key), _on(panel_verdict.build_details, 2, 3), classes="details")
+            Section(tab, _beside_key(panel_verdict.count), _on(panel_verdict.build_details, 2, 3), classes="details")
             ui.label(f"{NOT_A_DEVICE} Case {procedure.case.number}").classes("foot")
     with tools:
         action("3-D", space.toggle, testid="space-toggle", kind="plain").move(tools, 0)

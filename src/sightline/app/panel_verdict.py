@@ -5,11 +5,11 @@ from collections.abc import Hashable
 import numpy as np
 from nicegui import ui
 
-from sightline.app.section import checks, heading, note
+from sightline.app.section import Section, checks, heading, markup, note
 from sightline.app.tab import Tab
 from sightline.checks import Check, failed
 from sightline.errors import SightlineError
-from sightline.planning.shares import error_shares, error_shares_of
+from sightline.planning.shares import Share, error_shares, error_shares_of
 from sightline.robot.target import LIFETIME_S
 
 _SOURCES = {
@@ -24,6 +24,17 @@ _SOURCES = {
 
 def key(tab: Tab) -> Hashable:
     """What the verdict shows."""
+    listed = _listed(tab)
+    return len(listed), tuple(check.sentence for check in failed(listed))
+
+
+def count(tab: Tab) -> Hashable:
+    """How many checks there are."""
+    return len(_listed(tab))
+
+
+def details_key(tab: Tab) -> Hashable:
+    """What the details show."""
     procedure, known = tab.procedure, tab.known
     return known, procedure.decisions.side, procedure.decisions.serial, procedure.go, procedure.drilling.session
 
@@ -56,11 +67,11 @@ def build_details(tab: Tab) -> None:
     listed = _listed(tab)
     if not listed:
         return
-    _shares(tab)
+    Section(tab, details_key, _shares)
     with ui.element("details").props("data-testid=all-checks"):
         with ui.element("summary"):
             ui.label(f"All {len(listed)} checks")
-        checks(listed, testid="verdict-checks")
+        Section(tab, details_key, lambda t: checks(_listed(t), testid="verdict-checks"))
 
 
 def _age(tab: Tab) -> None:
@@ -85,7 +96,8 @@ def _age(tab: Tab) -> None:
 def _shares(tab: Tab) -> None:
     """Where the error comes from, as bars."""
     known = tab.known
-    assert known is not None and known.plan is not None  # noqa: S101
+    if known is None or known.plan is None:
+        return
     try:
         target = tab.procedure.drilling.session and tab.procedure.drilling.session.target
         if target:
@@ -96,19 +108,23 @@ def _shares(tab: Tab) -> None:
     except SightlineError:
         return
     heading("Where the error comes from")
-    with ui.element("div").classes("shares").props("data-testid=shares"):
-        for what, share in shares.items():
-            together: dict[str, float] = {}
-            for source, percent in share.percent.items():
-                name = source if source in _SOURCES else "robot"
-                together[name] = together.get(name, 0.0) + percent
-            ui.label({"entry": "entry", "end": "tip", "direction": "direction"}[what])
-            with ui.element("div").classes("bar"):
-                for source, percent in together.items():
-                    piece = ui.element("div").style(f"width:{percent:.2f}%;background:{_SOURCES[source]}")
-                    piece.props(f'title="{source.replace("_", " ")}: {percent:.0f} %"')
-            ui.label(f"{share.rms:.2f} {share.unit}")
-    with ui.element("div").classes("legend"):
-        for source, colour in _SOURCES.items():
-            ui.element("i").style(f"background:{colour}")
-            ui.label(source.replace("_", " "))
+    markup("".join(map(_bar, shares, shares.values())), "div").classes("shares").props("data-testid=shares")
+    legend = (f'<i style="background:{colour}"></i><div>{_words(source)}</div>' for source, colour in _SOURCES.items())
+    markup("".join(legend), "div").classes("legend")
+
+
+def _bar(what: str, share: Share) -> str:
+    together: dict[str, float] = {}
+    for source, percent in share.percent.items():
+        name = source if source in _SOURCES else "robot"
+        together[name] = together.get(name, 0.0) + percent
+    pieces = (
+        f'<div style="width:{percent:.2f}%;background:{_SOURCES[name]}" title="{_words(name)}: {percent:.0f} %"></div>'
+        for name, percent in together.items()
+    )
+    label = {"entry": "entry", "end": "tip", "direction": "direction"}[what]
+    return f'<div>{label}</div><div class="bar">{"".join(pieces)}</div><div>{share.rms:.2f} {share.unit}</div>'
+
+
+def _words(source: str) -> str:
+    return source.replace("_", " ")

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 
@@ -22,6 +22,7 @@ from sightline.planning.proposal import Proposal, propose
 
 PICK_SD_PX = DEFAULT_PICK_SD_PX
 _RIM_CLICKS = 3
+_PICK_PX2 = PICK_SD_PX**2 * np.eye(2)
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,15 +72,7 @@ _SideUnknownError = _NoSideError("confirm the patient's side first: what is supe
 def planned(decisions: Decisions, views: Sequence[CalibratedView]) -> Planned:
     """All that follows from decisions on two calibrated views, PA first."""
     pair = (views[0], views[1])
-    curves: dict[str, MatchingCurve] = {}
-    refused: dict[str, str] = {}
-    for name in (ENTRY, END):
-        at = decisions.mark(name).at(NAMES[0])
-        if at is not None:
-            try:
-                curves[name] = matching_curve(pair[0], np.array(at), pair[1])
-            except SightlineError as error:
-                refused[name] = str(error)
+    curves, refused = drawn_curves(decisions, pair)
     found: Plan | None = None
     if decisions.complete((ENTRY, END)) and not refused:
         try:
@@ -87,6 +80,35 @@ def planned(decisions: Decisions, views: Sequence[CalibratedView]) -> Planned:
         except SightlineError as error:
             refused["plan"] = str(error)
     return Planned(decisions, pair, curves, found, refused)
+
+
+def drawn_curves(
+    decisions: Decisions, views: Sequence[CalibratedView]
+) -> tuple[dict[str, MatchingCurve], dict[str, str]]:
+    """The curves of the wire's points by their names, in the second view; and why one is not there."""
+    curves: dict[str, MatchingCurve] = {}
+    refused: dict[str, str] = {}
+    for name in (ENTRY, END):
+        at = decisions.mark(name).at(NAMES[0])
+        if at is not None:
+            try:
+                curves[name] = _curve(views[0], np.array(at), views[1])
+            except SightlineError as error:
+                refused[name] = str(error)
+    return curves, refused
+
+
+def _curve(
+    from_view: CalibratedView, uv_px: np.ndarray, to_view: CalibratedView, uv_covariance_px2: np.ndarray = _PICK_PX2
+) -> MatchingCurve:
+    """`matching_curve`, drawn once: moving, planning and drawing a point ask for the same one."""
+    return _remembered(from_view, to_view, uv_px.tobytes(), uv_covariance_px2.tobytes())
+
+
+@lru_cache(maxsize=8)  # the curves of two points, before and after a move, of two pages [ours]
+def _remembered(from_view: CalibratedView, to_view: CalibratedView, uv_px: bytes, covariance_px2: bytes):
+    covariance = np.frombuffer(covariance_px2).reshape(2, 2)
+    return matching_curve(from_view, np.frombuffer(uv_px), to_view, covariance)
 
 
 def _plan(decisions: Decisions, views: tuple[CalibratedView, CalibratedView]) -> Plan:
@@ -99,6 +121,7 @@ def _plan(decisions: Decisions, views: tuple[CalibratedView, CalibratedView]) ->
         snapped=[not mark.free for mark in wire],
         landmarks_uv_px=np.array([_pixels(mark) for mark in landmarks]).reshape(-1, 2, 2).swapaxes(0, 1),
         limits=kind_of(decisions.kind).limits,
+        curve=_curve,
     )
 
 
@@ -119,7 +142,7 @@ def moved(
         first = mark.at(NAMES[0])
         if not snapping or first is None:
             return decisions.with_mark(name, mark.placed(image, uv_px, free=True))
-        curve = matching_curve(views[0], np.array(first), views[1])
+        curve = _curve(views[0], np.array(first), views[1])
         return decisions.with_mark(name, mark.placed(image, _pixel(snap(curve, np.array(uv_px)).uv_px), free=False))
     after = mark.placed(image, uv_px)
     if image == NAMES[0] and not mark.free and mark.complete():
@@ -129,7 +152,7 @@ def moved(
 
 def _slid(views: Sequence[CalibratedView], mark: Mark, uv_px: Pixel) -> Pixel | None:
     """Where a snapped point lies on the curve of another PA pixel: as deep as before, as far as the curve is seen."""
-    before, after = (matching_curve(views[0], np.array(uv), views[1]) for uv in (mark.at(NAMES[0]), uv_px))
+    before, after = (_curve(views[0], np.array(uv), views[1]) for uv in (mark.at(NAMES[0]), uv_px))
     at = np.array(mark.at(NAMES[1]))
     nearest = int(np.argmin(np.linalg.norm(before.uv_px - at, axis=1)))
     ahead = float((at - before.uv_px[nearest]) @ before.tangent_px[nearest])

@@ -195,11 +195,6 @@ class Procedure:
         """What placing or moving a mark would come to. Raises what `snap` raises."""
         return moved(self.decisions, self.views() or (), name, image, uv_px, snapping=self.snapping)
 
-    def preview(self, name: str, image: str, uv_px: Pixel) -> Planned | None:
-        """What would follow from moving a mark; nothing is changed. None until both views are calibrated."""
-        views = self.views()
-        return None if views is None else planned(self.moved(name, image, uv_px), views)
-
     def remove(self, names: tuple[str, ...]) -> None:
         """Take marks away."""
         decisions = self.decisions

@@ -1,6 +1,7 @@
 """A part of the page that is built anew when what it shows is another, and left alone otherwise."""
 
 from collections.abc import Callable, Hashable, Sequence
+from html import escape
 from typing import Any
 
 from nicegui import ui
@@ -58,15 +59,23 @@ def action(text: str, handler: Any, *, testid: str, kind: str = "", enabled: boo
 
 def checks(listed: Sequence[Check], *, testid: str) -> None:
     """Checks with figure, limit and sentence, the failed ones first."""
-    with ui.element("ul").classes("checks").props(f"data-testid={testid}"):
-        for check in sorted(listed, key=lambda one: one.passed):
-            with ui.element("li").classes("passed" if check.passed else "failed"):
-                with ui.element("div").classes("check-head"):
-                    ui.label("✓" if check.passed else "✕").classes("mark").props("aria-hidden=true")
-                    ui.label(check.name).classes("check-name")
-                    ui.label(_figure(check)).classes("check-figure")
-                    ui.label("passed" if check.passed else "failed").classes("unseen")
-                ui.label(check.sentence).classes("check-sentence")
+    markup("".join(map(_item, sorted(listed, key=lambda one: one.passed))), "ul").classes("checks").props(
+        f"data-testid={testid}"
+    )
+
+
+def _item(check: Check) -> str:
+    name, sign = ("passed", "✓") if check.passed else ("failed", "✕")
+    return (
+        f'<li class="{name}"><div class="check-head"><div class="mark" aria-hidden="true">{sign}</div>'
+        f'<div class="check-name">{escape(check.name)}</div><div class="check-figure">{escape(_figure(check))}</div>'
+        f'<div class="unseen">{name}</div></div><div class="check-sentence">{escape(check.sentence)}</div></li>'
+    )
+
+
+def markup(html: str, tag: str) -> ui.html:
+    """One element for many that follow a drag; a label for each takes 50 ms more. Whoever writes it escapes texts."""
+    return ui.html(html, sanitize=False, tag=tag)
 
 
 def _figure(check: Check) -> str:
@@ -78,14 +87,6 @@ def _figure(check: Check) -> str:
 
 def table(columns: Sequence[str], rows: Sequence[Sequence[str]], *, testid: str) -> None:
     """A small table."""
-    with ui.element("table").props(f"data-testid={testid}"):
-        if any(columns):
-            with ui.element("tr"):
-                for column in columns:
-                    with ui.element("th"):
-                        ui.label(column)
-        for row in rows:
-            with ui.element("tr"):
-                for cell in row:
-                    with ui.element("td"):
-                        ui.label(cell)
+    head = "<tr>" + "".join(f"<th>{escape(column)}</th>" for column in columns) + "</tr>" if any(columns) else ""
+    body = ("<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in row) + "</tr>" for row in rows)
+    markup(head + "".join(body), "table").props(f"data-testid={testid}")

@@ -1,9 +1,11 @@
 """What is drawn over an image: beads, curves, wire and corridor, aids; plain shapes in the image's own pixels."""
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
+from sightline.app.decisions import Decisions, Pixel
 from sightline.app.marks import CHECK_NAMES, END, ENTRY
 from sightline.app.planner import Planned, aid_pixels
 from sightline.app.procedure import Procedure
@@ -52,9 +54,9 @@ def rejected(seen: SeenImage) -> list[Shape]:
     ]
 
 
-def curves(planned: Planned) -> list[Shape]:
-    """The image-matching curves of entry and end, with their bands and ticks, for the lateral image."""
-    return [shape for name, curve in planned.curves.items() for shape in _curve(name, curve)]
+def curves(drawn: Mapping[str, MatchingCurve]) -> list[Shape]:
+    """Image-matching curves by the names of their points, with their bands and ticks, for the lateral image."""
+    return [shape for name, curve in drawn.items() for shape in _curve(name, curve)]
 
 
 def _curve(name: str, curve: MatchingCurve) -> list[Shape]:
@@ -112,9 +114,11 @@ def aids(planned: Planned, image: str) -> list[Shape]:
     return out
 
 
-def snapped(planned: Planned) -> tuple[str, ...]:
-    """Names of the wire's points that lie on their curves."""
-    return tuple(name for name in (ENTRY, END) if not planned.decisions.mark(name).free)
+def snapped(decisions: Decisions) -> dict[str, Pixel]:
+    """Where the wire's points that lie on their curves are in the lateral image."""
+    marks = {name: decisions.mark(name) for name in (ENTRY, END)}
+    found = {name: mark.at(NAMES[1]) for name, mark in marks.items() if not mark.free}
+    return {name: at for name, at in found.items() if at is not None}
 
 
 def found(procedure: Procedure, image: str) -> list[Shape]:

@@ -3,21 +3,24 @@
 import asyncio
 import traceback
 from collections.abc import Awaitable, Callable
+from contextlib import suppress
 from typing import Any
 
 from nicegui import ui
 
 from sightline.app import shapes
-from sightline.app.decisions import Display
+from sightline.app.decisions import Decisions, Display
 from sightline.app.drawn import Pictures
-from sightline.app.marks import CHECK_NAMES, Asked, asked_of
-from sightline.app.planner import Planned
+from sightline.app.marks import CHECK_NAMES, Asked, asked_of, names_of
+from sightline.app.planner import Planned, drawn_curves, planned
 from sightline.app.procedure import Procedure
 from sightline.app.texts import BUG, IMAGE_LABELS, LIVE_LABELS, STALE, STEPS, XRAY
 from sightline.app.xray import Window, XrayEvent, XrayView
+from sightline.calibration import BeadView
 from sightline.case.views import NAMES
 from sightline.case.watch import Watched
 from sightline.errors import SightlineError
+from sightline.planning import MatchingCurve
 
 _STYLES = {"wire": "plan", "landmark": "landmark", "aid": "aid"}
 
@@ -161,7 +164,7 @@ class Tab:
         if not self._is_new(key, "plan", (image, known, verifying.wires.get(image), verifying.shot)):
             return
         of_check = image in CHECK_NAMES
-        view.draw("curves", [] if known is None or image != NAMES[1] else shapes.curves(known))
+        view.draw("curves", [] if known is None or image != NAMES[1] else shapes.curves(known.curves))
         view.draw("wire", [] if known is None or of_check else shapes.wire(known, image))
         view.draw("aids", [] if known is None or of_check else shapes.aids(known, image))
         view.draw("found", shapes.found(self.procedure, image) if of_check else [])
@@ -265,20 +268,20 @@ class Tab:
             view.acknowledge(event.seq)
 
     async def _follow(self, name: str, image: str, uv: tuple[float, float]) -> None:
-        """Curves, wire and figures follow a point that is being dragged."""
-        known = await asyncio.to_thread(self.procedure.preview, name, image, uv)
-        if known is None:
+        """Curves, wire and figures follow a point that is being dragged: the curves first, they guide the hand."""
+        procedure = self.procedure
+        pair = procedure.views()
+        if pair is None:
             return
+        decisions, curves = await asyncio.to_thread(_moved_curves, procedure, pair, name, image, uv)
+        lateral = self.views[self.images.index(NAMES[1])] if NAMES[1] in self.images else None
+        if lateral is not None:
+            others = {n: at for n, at in shapes.snapped(decisions).items() if (n, NAMES[1]) != (name, image)}
+            lateral.follow({"curves": shapes.curves(curves)}, others)
+        known, drawn = await asyncio.to_thread(_planned_shapes, decisions, pair, self.images, name)
         self.preview = known
-        for view, shown in zip(self.views, self.images, strict=True):
-            if shown == NAMES[1]:
-                view.draw("curves", shapes.curves(known))
-                for point in shapes.snapped(known):
-                    at = known.decisions.mark(point).at(shown)
-                    if at is not None and (point, shown) != (name, image):
-                        view.move_point(point, at)
-            view.draw("wire", shapes.wire(known, shown))
-            view.draw("aids", shapes.aids(known, shown))
+        for view, layers in zip(self.views, drawn, strict=True):
+            view.follow(layers, {})
         self._forget_plan()
         for refresh in list(self.on_refresh):
             refresh()
@@ -315,3 +318,29 @@ class Tab:
     def known(self) -> Planned | None:
         """The plan that figures are shown of: of the point being dragged, or as it is."""
         return self.preview or self.procedure.planned
+
+
+_Pair = tuple[BeadView, BeadView]
+
+
+def _moved_curves(
+    procedure: Procedure, pair: _Pair, name: str, image: str, uv: tuple[float, float]
+) -> tuple[Decisions, dict[str, MatchingCurve]]:
+    """What moving a mark would come to, and the curves then; runs beside the page."""
+    decisions = procedure.moved(name, image, uv)
+    return decisions, drawn_curves(decisions, pair)[0]
+
+
+def _planned_shapes(
+    decisions: Decisions, pair: _Pair, images: tuple[str, str], moved: str
+) -> tuple[Planned, list[dict[str, list[shapes.Shape]]]]:
+    """All that follows from decisions, its figures too, and what is drawn otherwise in each view; runs beside the
+    page."""
+    known = planned(decisions, pair)
+    layers = [{"wire": shapes.wire(known, image)} for image in images]
+    if moved in names_of(decisions.kind, "aid"):
+        for image, drawn in zip(images, layers, strict=True):
+            drawn["aids"] = shapes.aids(known, image)
+    with suppress(SightlineError):  # whoever shows them says why they are not there
+        _ = known.figures
+    return known, layers

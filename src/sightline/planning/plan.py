@@ -1,6 +1,6 @@
 """From picks in two views to a plan: trajectory, image-matching curves, verdict."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -54,19 +54,22 @@ def plan(
     landmarks_uv_px: np.ndarray | None = None,
     method: Method = "weighted",
     limits: Limits | None = None,
+    curve: Callable[..., MatchingCurve] = matching_curve,
 ) -> Plan:
     """Plan from the pixels of entry and end point, each (2, 2): a row for each view, IDCS.
 
     `pick_sd_px`: how well a person picks. `snapped`: the second view's picks are taken to the curves of the first's,
     both, or (entry, end) as each says. `landmarks_uv_px` (2, L, 2): points of the bone picked freely in both views,
     which show whether it moved between them; they change neither entry nor end. A plan whose picks are snapped is no GO
-    without two of them (`judge`).
+    without two of them (`judge`). `curve`: `matching_curve`, or one that remembers what it drew.
     Raises what `reconstruct`, `matching_curve` and `snap` raise.
     """
     if len(views) != 2:
         raise UnusableInputError(f"{len(views)} views given; a plan is made on exactly two")
     each = (snapped, snapped) if isinstance(snapped, bool) else tuple(snapped)
-    picked = [_picks(views, uv, pick_sd_px, taken) for uv, taken in zip((entry_uv_px, end_uv_px), each, strict=True)]
+    picked = [
+        _picks(views, uv, pick_sd_px, taken, curve) for uv, taken in zip((entry_uv_px, end_uv_px), each, strict=True)
+    ]
     (entry, entry_curve), (end, end_curve) = picked
     free = _landmarks(landmarks_uv_px, pick_sd_px)
     seen = _reconstructed(views, [entry, end, *free], method)
@@ -90,12 +93,16 @@ def _landmarks(uv_px: np.ndarray | None, sd_px: float) -> list[tuple[Pick, Pick]
 
 
 def _picks(
-    views: Sequence[CalibratedView], uv_px: np.ndarray, sd_px: float, snapped: bool
+    views: Sequence[CalibratedView],
+    uv_px: np.ndarray,
+    sd_px: float,
+    snapped: bool,
+    draw: Callable[..., MatchingCurve],
 ) -> tuple[tuple[Pick, Pick], MatchingCurve]:
     uv = np.asarray(uv_px, dtype=np.float64)
     if uv.shape != (2, 2) or not np.isfinite(uv).all():
         raise UnusableInputError("a plan point needs one finite pixel (u, v) in each of the two images")
     first = Pick.free(uv[0], sd_px)
-    curve = matching_curve(views[0], first.uv_px, views[1], first.covariance_px2)
+    curve = draw(views[0], first.uv_px, views[1], first.covariance_px2)
     second = snap(curve, uv[1], sd_px) if snapped else Pick.free(uv[1], sd_px)
     return (first, second), curve

@@ -125,6 +125,11 @@ class XrayView(Element, component="xray_view.js", dependencies=["xray*.js"]):
         """Move a point to `uv` (px), unless the person holds it or has moved it since."""
         self.run_method("movePoint", name, [float(value) for value in uv])
 
+    def follow(self, layers: Mapping[str, Sequence[Mapping[str, Any]]], points: Mapping[str, Sequence[float]]) -> None:
+        """`draw` each of the layers and `move_point` each of the points, in one message: fast enough for a drag."""
+        moved = {name: [float(value) for value in uv] for name, uv in points.items()}
+        self.run_method("follow", {name: list(shapes) for name, shapes in layers.items()}, moved)
+
     def place(self, name: str | None) -> None:
         """Let the next click place the point `name`; None: no longer."""
         if name is not None:

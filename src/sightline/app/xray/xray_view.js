@@ -43,6 +43,10 @@ export default {
     movePoint(id, uv) {
       this.core.movePoint(id, uv);
     },
+    follow(layers, points) {
+      for (const [name, shapes] of Object.entries(layers)) this.core.setLayer(name, shapes);
+      for (const [id, uv] of Object.entries(points)) this.core.movePoint(id, uv);
+    },
     place(id) {
       this.core.place(id);
     },

@@ -1,0 +1,155 @@
+"""The app in an installed Chromium: how soon its first page is there, and how it follows a hand.
+
+A simulated patient, two views of 1024 x 1024, a complete plan (wire, landmarks, the head's rim). The hand drags the tip
+in the PA image at 60 Hz for 5 s; times are read in the page, from the pointer's own time stamp to the end of the frame
+that draws.
+"""
+
+import asyncio
+import os
+import socket
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+from playwright.async_api import async_playwright
+from playwright.sync_api import Browser, Page
+from tests.app.browser import FLAGS, Server, chromium, find_chromium
+from tests.app.hands import SEED, Hands
+
+from benchmarks.bench_xray import ASKED_CURVE_MS, ASKED_FRAME_MS, FRAME_MS, drag, high, spread
+from benchmarks.rows import Row
+
+GROUP = "app"
+ASKED_PAGE_S = 3.0
+REACH_PX = 40.0  # of the hand, on the screen
+SECONDS = 5
+PATIENCE_MS = 120_000
+
+# A move is in flight until its curve is drawn; figures that change belong to the newest curve before them.
+_WATCH = """() => {
+  const watch = (window.watch = { curve: [], figures: [], moves: 0 });
+  const { pa, lateral } = window.sightlineXray;
+  const [request, push, layer] = [window.requestAnimationFrame, pa.moves.push, lateral.setLayer];
+  const times = new Map();
+  let pointer = 0;
+  let drawn = null;
+  window.addEventListener("pointermove", (event) => { pointer = event.timeStamp; watch.moves++; }, true);
+  pa.moves.push = (...move) => { push.apply(pa.moves, move); times.set(pa.moves.seq, pointer); };
+  const after = (list, from) => request(() => setTimeout(() => list.push(performance.now() - from)));
+  lateral.setLayer = (name, shapes) => {
+    layer.call(lateral, name, shapes);
+    if (name !== "curves" || !pa.moves.inFlight) return;
+    drawn = times.get(pa.moves.inFlight.seq);
+    after(watch.curve, drawn);
+  };
+  new MutationObserver(() => { if (drawn !== null) after(watch.figures, drawn); drawn = null; })
+    .observe(document.querySelector("section.figures"), { childList: true, subtree: true, characterData: true });
+}"""
+
+
+class _Server(Server):
+    """Is up once it takes a connection: no page is built before the one that is timed."""
+
+    def _answers(self) -> bool:
+        try:
+            socket.create_connection(("127.0.0.1", self.port), timeout=1.0).close()
+        except OSError:
+            return False
+        return True
+
+
+def run(quick: bool) -> list[Row]:
+    """The rows of this benchmark."""
+    path = find_chromium()
+    if path is None:
+        return [Row(GROUP, "no Chromium is installed", "-")]
+    busy = f"{os.getloadavg()[0]:.1f}"
+    starts, calibrated_s = [], 0.0
+    server: _Server | None = None
+    try:
+        with tempfile.TemporaryDirectory() as folder:
+            with chromium(path) as browser:
+                for _ in range(1 if quick else 3):
+                    if server is not None:
+                        server.stop()
+                    server, page, seconds, calibrated_s = _start(browser, Path(tempfile.mkdtemp(dir=folder)))
+                    starts.append(seconds)
+                _plan(page)
+            assert server is not None
+            seen, frames = asyncio.run(_measure(path, server.url, 60 * SECONDS))
+            server.stop()
+            server.check()
+    finally:
+        if server is not None:
+            server.stop()
+    first = float(np.median(starts))
+    return [
+        Row(
+            GROUP,
+            f"start to the first page, load {busy}",
+            f"{first:.1f} s",
+            f"{ASKED_PAGE_S:.0f} s",
+            met=first < ASKED_PAGE_S,
+        ),
+        Row(GROUP, "start to both images taken and calibrated", f"{calibrated_s:.1f} s"),
+        Row(
+            GROUP,
+            "interval of frames in a drag",
+            spread(frames),
+            f"{FRAME_MS:.1f} ms at 95 %",
+            met=high(frames) <= ASKED_FRAME_MS,
+        ),
+        Row(
+            GROUP,
+            f"pointer to the lateral curve, {len(seen['curve'])} of {seen['moves']} moves",
+            spread(seen["curve"]),
+            f"{ASKED_CURVE_MS:.0f} ms at 95 %",
+            met=high(seen["curve"]) <= ASKED_CURVE_MS,
+        ),
+        Row(
+            GROUP,
+            f"pointer to the figures, {len(seen['figures'])} of {seen['moves']} moves",
+            spread(seen["figures"]),
+            f"{ASKED_CURVE_MS:.0f} ms at 95 %",
+            met=high(seen["figures"]) <= ASKED_CURVE_MS,
+        ),
+    ]
+
+
+def _start(browser: Browser, folder: Path) -> tuple[_Server, Page, float, float]:
+    """The app on a new case: server and page, s until the page's steps are seen, s until both views are calibrated."""
+    command = ["sightline", "app", "--port", "{port}", "--no-browser", "--quiet"]
+    page = browser.new_page(viewport={"width": 1280, "height": 800})
+    began = time.perf_counter()
+    server = _Server(folder / "log.txt", *command, "--case", str(folder / "case"), "--rehearse", str(SEED))
+    page.goto(server.url, timeout=PATIENCE_MS)
+    page.get_by_test_id("step-Images").wait_for(timeout=PATIENCE_MS)
+    seen = time.perf_counter() - began
+    Hands(page).wait_for_step("Calibrate", "done")
+    return server, page, seen, time.perf_counter() - began
+
+
+def _plan(page: Page) -> None:
+    """A complete plan, by mouse."""
+    hands = Hands(page)
+    hands.confirm()
+    hands.plan()
+
+
+async def _measure(path: str, url: str, times: int) -> tuple[dict[str, list[float]], list[float]]:
+    async with async_playwright() as playwright:
+        browser = await playwright.chromium.launch(executable_path=path, args=FLAGS)
+        page = await browser.new_page(viewport={"width": 1280, "height": 800})
+        await page.goto(url)
+        await page.get_by_test_id("step-Plan").click()
+        await page.get_by_test_id("figures").wait_for()
+        await page.wait_for_function("window.sightlineXray.lateral.state.layers.get('curves')?.shapes.length")
+        await page.wait_for_timeout(1000)  # until the page has come to rest
+        await page.evaluate(_WATCH)
+        start = await page.evaluate("window.sightlineXray.pa.state.points.get('end').uv")
+        frames = await drag(page, start, times, REACH_PX)
+        seen = await page.evaluate("window.watch")
+        await browser.close()
+    return seen, frames
