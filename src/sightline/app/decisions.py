@@ -33,8 +33,9 @@ class Mark:
         return self.places.get(image)
 
     def placed(self, image: str, uv_px: Pixel | None, *, free: bool | None = None) -> "Mark":
-        """Moved in one image, or with None taken away from it."""
-        places = {name: uv for name, uv in self.places.items() if name != image}
+        """Moved in one image, or with None taken away from it: a place on the curve of a PA pixel goes with that."""
+        gone = {image, NAMES[1]} if uv_px is None and image == NAMES[0] and not self.free else {image}
+        places = {name: uv for name, uv in self.places.items() if name not in gone}
         if uv_px is not None:
             places[image] = uv_px
         return Mark(MappingProxyType(places), self.free if free is None else free)
@@ -50,7 +51,7 @@ class Mark:
 
 @dataclass(frozen=True)
 class Display:
-    """How an image is shown: turned by quarter turns, then mirrored; coordinates never follow."""
+    """How an image is shown: mirrored left to right, then turned clockwise; coordinates never follow."""
 
     rotation: int = 0
     mirrored: bool = False
@@ -89,13 +90,14 @@ class Decisions:
         return replace(self, marks=MappingProxyType(marks))
 
     def with_image(self, name: str, acquired: int, *, same_pixels: bool) -> "Decisions":
-        """Another image under a name; marks placed in the one before stay only where the pixels are the same."""
+        """Another image under a name; what was decided on the one before, marks placed in it and in a planning image
+        the patient's side, stays only where the pixels are the same."""
         images = MappingProxyType({**self.images, name: acquired})
         if same_pixels:
             return replace(self, images=images)
         left = {key: mark.placed(name, None) for key, mark in self.marks.items()}
         marks = MappingProxyType({key: mark for key, mark in left.items() if mark.places})
-        return replace(self, images=images, marks=marks)
+        return replace(self, images=images, marks=marks, side=None if name in NAMES else self.side)
 
     def with_display(self, view: str, display: Display) -> "Decisions":
         """One view shown otherwise."""

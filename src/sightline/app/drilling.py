@@ -7,25 +7,30 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from sightline.app.decisions import Decisions
+from sightline.app.marks import END, ENTRY
 from sightline.app.planner import Planned, planned
 from sightline.app.rehearsing import Patient
 from sightline.app.robot_session import RobotNow, RobotSession
-from sightline.app.texts import NO_DEPTH_LIMIT, NO_ROBOT
+from sightline.app.texts import CHANGED_SINCE_SENT, NO_DEPTH_LIMIT, NO_ROBOT
 from sightline.case.entry import Actor, Kind
 from sightline.case.views import NAMES
 from sightline.errors import RobotRefusedError, UnusableInputError
 from sightline.planning.figures import Figure
 from sightline.rehearsal.process import RobotProcess
 from sightline.rehearsal.robots import calibrated_robot
+from sightline.robot.insertion import DEPTH_SLACK_MM
 from sightline.robot.record import DrillingEvent, DrillingRecord
 from sightline.robot.simulated import SimulatedWire
 from sightline.robot.states import State
-from sightline.robot.target import PlanIdentity
+from sightline.robot.supervision import depth_limit
+from sightline.robot.target import PlanIdentity, RobotTarget
 
 if TYPE_CHECKING:
     from sightline.app.procedure import Procedure
 
 TO_BONE = "tip to bone along wire"
+_SAME_MM = 1e-6  # of a plan that is computed again
+_TWO_SIDED_95 = 1.96  # normal quantile
 
 
 class Drilling:
@@ -35,6 +40,7 @@ class Drilling:
     def __init__(self, procedure: "Procedure") -> None:
         self._procedure = procedure
         self._process: RobotProcess | None = None
+        self._starting = False
         self.session: RobotSession | None = None
         self.sent: Planned | None = None
         self.record: DrillingRecord | None = None
@@ -54,9 +60,18 @@ class Drilling:
         decisions = Decisions.of(sent.content["decisions"])
         if any(decisions.images.get(name) != self._procedure.decisions.images.get(name) for name in NAMES):
             return  # of images that were since replaced
-        self.sent = planned(decisions, views)
+        again = planned(decisions, views)
+        if again.plan is None or not np.allclose(
+            [again.plan.trajectory.entry_mm, again.plan.trajectory.end_mm],
+            [sent.content["trajectory"][key] for key in ("entry_mm", "end_mm")],
+            rtol=0.0,
+            atol=_SAME_MM,
+        ):
+            self._procedure.trouble = CHANGED_SINCE_SENT
+            return
+        self.sent = again
         drilled = case.latest(Kind.DRILLED)
-        if drilled is not None and drilled.number > sent.number:
+        if drilled is not None and drilled.number > sent.number and "simulated_wire" in drilled.content:
             self.record = _record_of(drilled.content["record"])
             self.wire = SimulatedWire.of(drilled.content["simulated_wire"])
 
@@ -67,6 +82,15 @@ class Drilling:
         patient = self._procedure.patient
         if patient is None:
             raise RobotRefusedError(NO_ROBOT)
+        if self._starting:
+            raise RobotRefusedError("the robot is being started already; wait for it")
+        self._starting = True
+        try:
+            await self._start(patient, fast=fast)
+        finally:
+            self._starting = False
+
+    async def _start(self, patient: Patient, *, fast: bool) -> None:
         await self.close()
         loop, notify = asyncio.get_running_loop(), self._procedure.notify
 
@@ -84,7 +108,7 @@ class Drilling:
                 raise
 
         self._process, self.session = await asyncio.to_thread(start, patient)
-        notify()
+        self._procedure.notify()
 
     async def close(self) -> None:
         """End the simulated robot, if it runs."""
@@ -102,20 +126,39 @@ class Drilling:
         name = f"{procedure.case.number}-{procedure.case.last}"
         return PlanIdentity(name, procedure.decisions.side or "", procedure.decisions.serial or "", procedure.go)
 
-    async def send(self) -> None:
-        """Tell the robot of the plan; nothing moves. Raises RobotRefusedError, LinkError, CaseError."""
-        procedure, session, known = self._procedure, self._running(), self._procedure.planned
-        if known is None or known.plan is None or not procedure.go:
-            raise RobotRefusedError("only a plan that is GO can be sent; the step Plan says what stands against it")
+    @property
+    def current(self) -> bool:
+        """True while the plan that was sent is the one that the page shows."""
+        if self.sent is None:
+            return False
+        then, now = self.sent.decisions, self._procedure.decisions
+        same = ("kind", "side", "serial")
+        return (
+            all(getattr(then, name) == getattr(now, name) for name in same)
+            and all(then.images.get(name) == now.images.get(name) for name in NAMES)
+            and all(then.mark(name) == now.mark(name) for name in (ENTRY, END))
+        )
+
+    async def send(self, known: Planned) -> None:
+        """Tell the robot of the plan that a person confirmed; nothing moves.
+
+        Raises RobotRefusedError where it is another by now, LinkError, CaseError."""
+        procedure, session = self._procedure, self._running()
+        if known is not procedure.planned or known.plan is None or not procedure.go:
+            raise RobotRefusedError(
+                "the plan is another than the one you confirmed, or is no GO: look at the step Plan, and send again"
+            )
         age = procedure.age_s
         assert age is not None  # noqa: S101 - it is GO
-        identity, limit = self.identity, _depth_limit(known)
-        target = await session.send(known.plan, identity, time.monotonic() - age, limit)
+        decisions, identity = known.decisions, self.identity
+        target = session.aimed(known.plan, identity, time.monotonic() - age)
+        limit = _depth_limit(known, target)
+        await session.send(target, limit)
         procedure.case.record(
             Kind.SENT,
             {
                 "plan": identity.plan,
-                "decisions": procedure.decisions.document(),
+                "decisions": decisions.document(),
                 "trajectory": known.plan.trajectory.document(),
                 "joints": target.q,
                 "error_95_mm": [target.entry_error_95_mm, target.end_error_95_mm],
@@ -126,15 +169,26 @@ class Drilling:
         self.sent, self.record, self.wire = known, None, None
         procedure.notify()
 
-    async def drill(self) -> None:
-        """To the pause, or from it to the tip. Raises RobotRefusedError, LinkError, CaseError."""
+    async def align(self) -> None:
+        """Turn the arm to the plan that was sent. Raises RobotRefusedError, LinkError."""
         session = self._running()
-        if await session.drill() != State.DONE.value:
+        self._refuse_changed()
+        await session.align()
+
+    async def drill(self, since: State) -> None:
+        """From ALIGNED to the pause, or from PAUSED to the tip. Raises RobotRefusedError, LinkError, CaseError."""
+        session = self._running()
+        self._refuse_changed()
+        if await session.drill(since) != State.DONE.value:
             return
         self.record, self.wire = session.record, await session.simulated_wire()
         content = {"record": self.record.document(), "simulated_wire": self.wire.text()}
         self._procedure.case.record(Kind.DRILLED, content, by=Actor.ROBOT)
         self._procedure.notify()
+
+    def _refuse_changed(self) -> None:
+        if not self.current:
+            raise RobotRefusedError("the plan was changed after it was sent; send it again, or undo the change")
 
     def _running(self) -> RobotSession:
         if self.session is None or self.session.now.lost:
@@ -142,17 +196,19 @@ class Drilling:
         return self.session
 
 
-def _depth_limit(known: Planned) -> float | None:
-    """How far beyond the entry point the joint's surface lies along the wire, for kinds that end before a joint."""
+def _depth_limit(known: Planned, target: RobotTarget) -> float:
+    """How far beyond the entry point the wire may go, mm: for kinds that end before a joint less than to its surface,
+    by the 95 % error of both. Raises UnusableInputError where the surface is not known."""
     if known.kind.proposal is None:
-        return None
-    assert known.plan is not None  # noqa: S101
+        return target.length_mm + DEPTH_SLACK_MM
     left: Figure | None = next((one for one in known.figures if one.name == TO_BONE), None)
-    if left is None or left.value is None:
+    if left is None or left.value is None or left.sd is None:
         raise UnusableInputError(NO_DEPTH_LIMIT)
-    return known.plan.trajectory.length_mm + left.value
+    error = float(np.hypot(_TWO_SIDED_95 * left.sd, target.end_error_95_mm))
+    return depth_limit(target.length_mm + left.value, error)
 
 
 def _record_of(document: dict) -> DrillingRecord:
     events = tuple(DrillingEvent(**event) for event in document["events"])
-    return DrillingRecord(np.array(document["depth_mm"]), np.array(document["force_n"]), events)
+    depth_sd = document.get("depth_sd_mm")
+    return DrillingRecord(np.array(document["depth_mm"]), np.array(document["force_n"]), events, depth_sd)

@@ -5,14 +5,12 @@ from collections.abc import Iterable, Iterator
 from typing import TYPE_CHECKING
 
 from sightline.app.rehearsing import Patient
-from sightline.case.watch import Shown, Watch, Watched
-from sightline.case.watch_sources import open_source
 from sightline.errors import UnusableInputError
 from sightline.frame import Frame
-from sightline.rehearsal.stream import Stream
 
 if TYPE_CHECKING:
     from sightline.app.procedure import Procedure
+    from sightline.case.watch import Shown, Watch, Watched
 
 EVERY = 3  # of 30 images a second one in three is worked on: the page needs the cores too [ours]
 
@@ -26,8 +24,10 @@ class Live:
 
     async def start(self, source: str | None) -> None:
         """Watch a source by its name, or without one the rehearsed patient's C-arm. Raises SightlineError."""
+        from sightline.case.watch import Watch
+
         self.close()
-        known, views = self._procedure.planned, self._procedure.views()
+        known, views = self._procedure.drilling.sent or self._procedure.planned, self._procedure.views()
         plan = None if known is None or known.plan is None else known.plan.trajectory
         images = await asyncio.to_thread(_opened, source, self._procedure.patient)
         self.watch = Watch(self._procedure.frame, _Thinned(images), plan, views or ())
@@ -40,7 +40,7 @@ class Live:
             self.watch.close()
         self.watch = None
 
-    def latest(self) -> Watched | None:
+    def latest(self) -> "Watched | None":
         """The newest image that was worked on."""
         return None if self.watch is None else self.watch.latest()
 
@@ -48,10 +48,10 @@ class Live:
 class _Thinned:
     """One in EVERY images of a source."""
 
-    def __init__(self, source: Iterable[Shown]) -> None:
+    def __init__(self, source: "Iterable[Shown]") -> None:
         self._source = source
 
-    def __iter__(self) -> Iterator[Shown]:
+    def __iter__(self) -> "Iterator[Shown]":
         for k, shown in enumerate(self._source):
             if k % EVERY == 0:
                 yield shown
@@ -63,7 +63,10 @@ class _Thinned:
             close()
 
 
-def _opened(source: str | None, patient: Patient | None) -> Iterable[Shown]:
+def _opened(source: str | None, patient: Patient | None) -> "Iterable[Shown]":
+    from sightline.case.watch_sources import open_source
+    from sightline.rehearsal.stream import Stream
+
     if source is not None:
         return open_source(source)
     if patient is None:

@@ -17,7 +17,7 @@ from sightline.app.steps import steps
 from sightline.app.tab import Tab
 from sightline.app.texts import NOT_A_DEVICE, REACHABLE, STANDING, STEPS
 
-_CSS = (files("sightline.app") / "page.css").read_text("utf-8")
+_CSS, _SCRIPT = ((files("sightline.app") / name).read_text("utf-8") for name in ("page.css", "page.js"))
 _PANELS: dict[str, Any] = dict(
     zip(STEPS, (panel_images, panel_calibrate, panel_plan, panel_drill, panel_verify), strict=True)
 )
@@ -26,6 +26,7 @@ _PANELS: dict[str, Any] = dict(
 def build(site: Site, procedure: Procedure, pictures: Pictures, settings: Settings) -> None:
     """One page, for one tab of a browser."""
     ui.add_css(_CSS)
+    ui.add_head_html(f"<script>{_SCRIPT}</script>")
     tab = Tab(procedure, pictures, fast_robot=settings.fast_robot, live_source=settings.live)
     with ui.element("header").classes("bar"):
         tools = _bar(tab)
@@ -102,11 +103,10 @@ async def _stop_robot(tab: Tab) -> None:
 async def _key(tab: Tab, event) -> None:
     if not event.action.keydown or event.action.repeat:
         return
-    if event.key == " ":
-        await tab.act(lambda: _stop_robot(tab))
-    elif event.modifiers.ctrl and event.key == "z":
+    name = str(event.key.name).lower()
+    if event.modifiers.ctrl and name == "z":
         await tab.act(tab.procedure.redo if event.modifiers.shift else tab.procedure.undo)
-    elif event.modifiers.ctrl and event.key == "y":
+    elif event.modifiers.ctrl and name == "y":
         await tab.act(tab.procedure.redo)
 
 

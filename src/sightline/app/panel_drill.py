@@ -10,6 +10,7 @@ from sightline.app.section import Section, action, checks, heading, note, table
 from sightline.app.tab import Tab
 from sightline.app.texts import (
     ALIGN_QUESTION,
+    CHANGED_AFTER_SENDING,
     DRILL_ON_QUESTION,
     DRILL_QUESTION,
     NO_ROBOT,
@@ -29,7 +30,9 @@ _BEFORE_MM = 10.0  # of the entry point, where the drawing of the force begins
 def _key(tab: Tab) -> Hashable:
     drilling, now = tab.procedure.drilling, tab.procedure.drilling.now
     told = () if now is None else (now.state, now.fault, now.doing, now.said, now.lost)
-    return (told, drilling.sent, drilling.record, tab.procedure.go, tab.procedure.working, tab.fast_robot)
+    procedure, decisions = tab.procedure, tab.procedure.decisions
+    plan = (procedure.planned, decisions.side, decisions.serial, procedure.go)
+    return (told, drilling.sent, drilling.record, drilling.current, plan, procedure.working)
 
 
 def build(tab: Tab) -> None:
@@ -107,16 +110,20 @@ def _orders(tab: Tab) -> None:
             side=procedure.decisions.side,
             serial=procedure.decisions.serial,
         )
-        _asked(tab, "Send the plan", SEND_QUESTION, drilling.send, "send", what=what, enabled=can_send)
+        known = procedure.planned
+        assert known is not None  # noqa: S101 - its plan is there
+        _asked(tab, "Send the plan", SEND_QUESTION, lambda: drilling.send(known), "send", what=what, enabled=can_send)
     else:
         note("Only a plan that is GO can be sent.", kind="warn", testid="not-go")
-    ready = idle and session.target is not None
+    ready = idle and session.target is not None and drilling.current
+    if session.target is not None and not drilling.current:
+        note(CHANGED_AFTER_SENDING, kind="bad", testid="changed-after-sending")
     if state in (State.TARGETING.value, State.STOP.value):
-        _asked(tab, "Align", ALIGN_QUESTION, session.align, "align", enabled=ready)
+        _asked(tab, "Align", ALIGN_QUESTION, drilling.align, "align", enabled=ready)
     if state == State.ALIGNED.value:
-        _asked(tab, "Drill", DRILL_QUESTION, drilling.drill, "drill", enabled=ready)
+        _asked(tab, "Drill", DRILL_QUESTION, lambda: drilling.drill(State.ALIGNED), "drill", enabled=ready)
     if state == State.PAUSED.value:
-        _asked(tab, "Drill on", DRILL_ON_QUESTION, drilling.drill, "drill-on", enabled=ready)
+        _asked(tab, "Drill on", DRILL_ON_QUESTION, lambda: drilling.drill(State.PAUSED), "drill-on", enabled=ready)
     if state in (State.DONE.value, State.STOP.value, State.ALIGNED.value, State.PAUSED.value):
         _asked(tab, "Draw back", RETRACT_QUESTION, session.retract, "retract", enabled=idle, kind="plain")
     if state == State.DONE.value or drilling.record is not None:

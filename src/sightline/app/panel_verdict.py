@@ -36,7 +36,14 @@ def count(tab: Tab) -> Hashable:
 def details_key(tab: Tab) -> Hashable:
     """What the details show."""
     procedure, known = tab.procedure, tab.known
-    return known, procedure.decisions.side, procedure.decisions.serial, procedure.go, procedure.drilling.session
+    return (
+        known,
+        _fresh(tab),
+        procedure.decisions.side,
+        procedure.decisions.serial,
+        procedure.go,
+        procedure.drilling.session,
+    )
 
 
 def _listed(tab: Tab) -> tuple[Check, ...]:
@@ -74,12 +81,21 @@ def build_details(tab: Tab) -> None:
         Section(tab, details_key, lambda t: checks(_listed(t), testid="verdict-checks"))
 
 
+def _fresh(tab: Tab) -> bool:
+    age = tab.procedure.age_s
+    return age is not None and 0 <= age <= LIFETIME_S
+
+
 def _age(tab: Tab) -> None:
     label = ui.label().classes("age").props("data-testid=age")
+    was_fresh = _fresh(tab)
 
     def tell() -> None:
         age = tab.procedure.age_s
         if age is None:
+            return
+        if _fresh(tab) != was_fresh:
+            tab.refresh()  # GO must not stand over a plan that has expired
             return
         left = LIFETIME_S - age
         gone = f"{int(age // 60)} min {int(age % 60):02d} s old"

@@ -1,6 +1,7 @@
 """One case at work: its images, what people decided, what follows. The journal has it all before a page shows it."""
 
 import asyncio
+import traceback
 from collections.abc import Callable, Coroutine
 from contextlib import suppress
 from dataclasses import replace
@@ -233,11 +234,15 @@ class Procedure:
             name = f"check-{seen.observations.view}" if check else seen.observations.view
         before = self.seen(name)
         same = before is not None and before.acquired.content["original"] == seen.acquired.content["original"]
+        if same and by is not Actor.DEMO:
+            return name  # the same file again is no new exposure: it is as old as it was
         self.edit(self.decisions.with_image(name, seen.acquired.number, same_pixels=same))
         return name
 
     def notify(self) -> None:
         """Tell every page; and measure the check shot anew where it is another. Called on the event loop."""
+        if self.verifying.void:
+            self.verifying.forget()
         if self.verifying.due:
             self._soon(self.verifying.measure())
         for listener in list(self.listeners):
@@ -276,6 +281,8 @@ class Procedure:
 
     async def during(self, what: str, work):
         """`await` some work while pages say what it is; its SightlineError is shown and raised."""
+        if self.working:
+            raise UnusableInputError(f"{self.working} is not done yet; wait for it")
         self.working, self.trouble = what, ""
         self.notify()
         try:
@@ -297,7 +304,14 @@ class Procedure:
     def _soon(self, work: Coroutine[Any, Any, None]) -> None:
         task = asyncio.get_running_loop().create_task(work)
         self._tasks.add(task)  # the loop itself holds it weakly
-        task.add_done_callback(self._tasks.discard)
+        task.add_done_callback(self._ended)
+
+    def _ended(self, task: asyncio.Task[None]) -> None:
+        self._tasks.discard(task)
+        if not task.cancelled() and (error := task.exception()) is not None:
+            traceback.print_exception(error)
+            self.trouble = BUG.format(kind=type(error).__name__)
+            self.notify()
 
     async def _open_named(self) -> None:
         for number in self.decisions.images.values():

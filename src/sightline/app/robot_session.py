@@ -13,7 +13,8 @@ from typing import Any, TypeVar
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from sightline.errors import LinkError, SightlineError
+from sightline.app.texts import BUG
+from sightline.errors import LinkError, RobotRefusedError, SightlineError
 from sightline.planning import Plan
 from sightline.rehearsal.operation import target_of
 from sightline.robot import contract
@@ -23,6 +24,7 @@ from sightline.robot.igtl import Message, NDArray, Sensor
 from sightline.robot.record import DrillingRecord, Recorder
 from sightline.robot.registration import PoseAtImage, register
 from sightline.robot.simulated import SimulatedWire
+from sightline.robot.states import State
 from sightline.robot.target import PlanIdentity, RobotTarget
 
 T = TypeVar("T")
@@ -80,32 +82,35 @@ class RobotSession:
         self._end.set()
         self._thread.join(5.0)
 
-    async def send(
-        self, plan: Plan, identity: PlanIdentity, imaged_s: float, depth_limit_mm: float | None
-    ) -> RobotTarget:
-        """Register, aim and send a plan. `imaged_s`: of the images, time.monotonic. `depth_limit_mm` from the entry
-        point; without one the wire may go as deep as planned. Raises RobotRefusedError, LinkError."""
+    def aimed(self, plan: Plan, identity: PlanIdentity, imaged_s: float) -> RobotTarget:
+        """What the robot would be told of a plan. `imaged_s`: of the images, time.monotonic.
+
+        Raises RobotRefusedError."""
         pose = PoseAtImage(self.imaged_q, imaged_s, imaged_s)
-        target = target_of(plan, identity, register(self.robot, {"pa": pose, "lateral": pose}))
+        return target_of(plan, identity, register(self.robot, {"pa": pose, "lateral": pose}))
+
+    async def send(self, target: RobotTarget, depth_limit_mm: float) -> None:
+        """Send the registration and the target. `depth_limit_mm` from the entry point. Raises RobotRefusedError,
+        LinkError."""
 
         def order(client: RobotClient) -> None:
             client.start_up()
-            client.calibrate(target.registration.T_mcs_cfcs, imaged_s)
-            limit = target.length_mm if depth_limit_mm is None else depth_limit_mm - target.end_error_95_mm
-            client.aim_plan(target, time.monotonic(), limit)
+            client.calibrate(target.registration.T_mcs_cfcs, target.registration.imaged_s)
+            client.aim_plan(target, time.monotonic(), depth_limit_mm)
 
         self._recorder = Recorder()
         await self._do("taking over the plan", order)
         self.target = target
-        return target
 
     async def align(self) -> None:
         """Turn the arm to the plan, and wait there. Raises RobotRefusedError, LinkError."""
         await self._do("aligning", lambda client: client.align())
 
-    async def drill(self) -> str:
-        """To the pause, or from it to the tip: where it ended. Raises RobotRefusedError, LinkError."""
-        return await self._do("drilling", lambda client: client.drill())
+    async def drill(self, since: State) -> str:
+        """From ALIGNED to the pause, or from PAUSED to the tip: where it ended.
+
+        Raises RobotRefusedError where the robot is no longer in the state that the person confirmed, LinkError."""
+        return await self._do("drilling", lambda client: client.drill(), since)
 
     async def retract(self) -> None:
         """Draw the wire, or the open chuck, back. Raises RobotRefusedError, LinkError."""
@@ -120,10 +125,20 @@ class RobotSession:
         return await self._do("telling where the wire is", lambda client: client.simulated_wire())
 
     async def stop(self) -> None:
-        """At once, whatever goes on. Raises LinkError."""
+        """At once, whatever goes on; what waits is not begun. Raises LinkError."""
+        self._drop_orders("the robot was told to stop")
         await asyncio.to_thread(self._client.stop)
 
-    async def _do(self, doing: str, order: Callable[[RobotClient], T]) -> T:
+    async def _do(self, doing: str, order: Callable[[RobotClient], T], since: State | None = None) -> T:
+        # One order at a time: a second confirmation, of another page say, was of what is no longer so.
+        if self.now.lost:
+            raise LinkError("the link to the robot is lost; start it again")
+        if self.now.doing:
+            raise RobotRefusedError(f"the robot is still {self.now.doing}; wait until it has ended, or stop it")
+        if since is not None and self.now.state != since.value:
+            raise RobotRefusedError(
+                f"the robot is in {self.now.state} by now, not in {since.value}: look, and confirm again"
+            )
         future: Future = Future()
         self._put(doing=doing, said="")
         self._orders.put((order, future))
@@ -155,11 +170,17 @@ class RobotSession:
                         self._end.wait(_IDLE_S)
         except LinkError as error:
             self._put(lost=True, said=str(error), doing="")
+        except Exception as error:
+            self._put(lost=True, said=BUG.format(kind=type(error).__name__), doing="")
+            raise
         finally:
-            with suppress(Empty):
-                while True:
-                    _, future = self._orders.get_nowait()
-                    future.set_exception(LinkError("the link to the robot was closed"))
+            self._put(lost=True)
+            self._drop_orders("the link to the robot was closed")
+
+    def _drop_orders(self, why: str) -> None:
+        with suppress(Empty):
+            while True:
+                self._orders.get_nowait()[1].set_exception(LinkError(why))
 
     def _carry_out(self, order: Callable[[RobotClient], Any], future: Future) -> None:
         try:

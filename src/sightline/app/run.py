@@ -27,7 +27,14 @@ def run(settings: Settings, on_ready: Callable[[Site], None]) -> None:
         on_ready(site)
 
     try:
-        serve(page, host=settings.host, port=settings.port, open_browser=settings.open_browser, on_ready=ready)
+        serve(
+            page,
+            host=settings.host,
+            port=settings.port,
+            token=settings.token,
+            open_browser=settings.open_browser,
+            on_ready=ready,
+        )
     finally:
         procedure.live.close()
         asyncio.run(procedure.drilling.close())

@@ -4,6 +4,7 @@ import asyncio
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
+from sightline.app.texts import BUG
 from sightline.app.workshop import Workshop
 from sightline.calibration import BeadView, calibrate
 from sightline.case import stages
@@ -59,13 +60,18 @@ class Lightbox:
 
     async def open(self, entry: Entry, *, record: bool = False) -> SeenImage:
         """Work on an image of the case to the end. `record`: put each result into the journal."""
-        if entry.number in self._images:
-            return self._images[entry.number]
+        known = self._images.get(entry.number)
+        if known is not None and known.refused is None:
+            return known
         image = await asyncio.to_thread(stages.image_of, self._case, entry)
         try:
             await self._work(SeenImage(entry, image), record)
         except SightlineError as error:
             self._put(replace(self._images[entry.number], doing="", refused=str(error)))
+        except Exception as error:
+            refused = BUG.format(kind=type(error).__name__)
+            self._put(replace(self._images[entry.number], doing="", refused=refused))
+            raise
         return self._images[entry.number]
 
     async def _work(self, seen: SeenImage, record: bool) -> None:

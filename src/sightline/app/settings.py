@@ -10,7 +10,7 @@ from sightline.app.rehearsing import Patient
 class Settings:
     """`folder`: of the case; `frame`: None for that of the case; `patient`: for a new case that rehearses; `live`: the
     source of a live image, as `sightline watch` names it; `fast_robot`: a simulated robot's time runs as fast as it
-    computes."""
+    computes. `token`: asked of every browser; made for addresses beyond this machine where none is given."""
 
     folder: Path
     frame: str | None
@@ -18,5 +18,6 @@ class Settings:
     live: str | None
     host: str
     port: int
+    token: str | None
     open_browser: bool
     fast_robot: bool

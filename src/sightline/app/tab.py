@@ -4,7 +4,7 @@ import asyncio
 import traceback
 from collections.abc import Awaitable, Callable
 from contextlib import suppress
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from nicegui import ui
 
@@ -14,13 +14,15 @@ from sightline.app.drawn import Pictures
 from sightline.app.marks import CHECK_NAMES, Asked, asked_of, names_of
 from sightline.app.planner import Planned, drawn_curves, planned
 from sightline.app.procedure import Procedure
-from sightline.app.texts import BUG, IMAGE_LABELS, LIVE_LABELS, STALE, STEPS, XRAY
+from sightline.app.texts import BUG, IMAGE_LABELS, LIVE_LABELS, LIVE_UNKNOWN, STALE, STEPS, XRAY
 from sightline.app.xray import Window, XrayEvent, XrayView
 from sightline.calibration import BeadView
 from sightline.case.views import NAMES
-from sightline.case.watch import Watched
 from sightline.errors import SightlineError
 from sightline.planning import MatchingCurve
+
+if TYPE_CHECKING:
+    from sightline.case.watch import Watched
 
 _STYLES = {"wire": "plan", "landmark": "landmark", "aid": "aid"}
 
@@ -35,6 +37,7 @@ class Tab:
         self.procedure, self.pictures = procedure, pictures
         self.fast_robot, self.live_source = fast_robot, live_source
         self.live: Watched | None = None  # what is shown of it
+        self._live_in = NAMES[0]  # the view it is shown in
         self.step = STEPS[0]
         self.placing: tuple[str, str] | None = None  # a mark and the image it is placed in
         self.sequence: tuple[Asked, ...] = ()  # what is placed one after the other
@@ -42,6 +45,7 @@ class Tab:
         self.show_beads, self.show_rejected = True, False
         self.views: tuple[XrayView, XrayView]
         self.preview: Planned | None = None  # while a point is dragged
+        self._previewed: Decisions | None = None  # what was decided when it began
         self.on_refresh: list[Callable[[], None]] = []
         self._shown: dict[tuple[str, str], Any] = {}
         self._waiting = self._offered = False
@@ -78,14 +82,17 @@ class Tab:
             self._offered = True
             self.place_next(self._landmarks() if check else self._wire_and_landmarks(), self.images)
 
-    def show_live(self, watched: Watched | None) -> None:
+    def show_live(self, watched: "Watched | None") -> None:
         """A live image in the view it belongs to; None: the images of the plan again."""
         if watched is not None:
             self.live = watched
-            name = NAMES[0] if watched.view is None else watched.view.name
-            view = self.views[NAMES.index(name)]
+            before = self._live_in
+            self._live_in = before if watched.view is None else watched.view.name
+            if before != self._live_in:
+                self._show_planned(before)
+            view = self.views[NAMES.index(self._live_in)]
             picture = self.pictures.live(watched.image)
-            view.set_label(LIVE_LABELS[name])
+            view.set_label(LIVE_LABELS[self._live_in] if watched.view is not None else LIVE_UNKNOWN)
             view.set_image(picture.url, picture.width, picture.height, window=picture.window)
             view.draw("wire", [] if watched.corridor is None else shapes.band(watched.corridor))
             for layer in ("beads", "curves", "aids"):
@@ -95,10 +102,16 @@ class Tab:
             view.notice(STALE.format(age=watched.age_s) if watched.stale else None)
         elif self.live is not None:
             self.live = None
-            self._shown.clear()
-            for view in self.views:
-                view.stale(False)
+            self._show_planned(self._live_in)
             self.refresh()
+
+    def _show_planned(self, name: str) -> None:
+        """The plan's image again in the view that a live one was in."""
+        view = self.views[NAMES.index(name)]
+        for key in [key for key in self._shown if key[0] == name]:
+            del self._shown[key]
+        view.stale(False)
+        self._show(view, self.images[NAMES.index(name)])
 
     def say(self, text: str) -> None:
         """A sentence for the person; empty: nothing to say."""
@@ -118,8 +131,8 @@ class Tab:
     def refresh(self) -> None:
         """Show all that is another than what is shown."""
         self._offer()
-        if self.live is None:
-            for view, image in zip(self.views, self.images, strict=True):
+        for view, image in zip(self.views, self.images, strict=True):
+            if self.live is None or view.name != self._live_in:
                 self._show(view, image)
         for refresh in list(self.on_refresh):
             refresh()
@@ -135,7 +148,8 @@ class Tab:
             self._shown.pop((key, "display"), None)  # the image comes with a window of its own
         display = procedure.decisions.display.get(image, Display())
         if self._is_new(key, "display", (image, display)):
-            window = None if display.window is None else Window(*display.window)
+            own = None if seen is None else self.pictures.of(seen).window  # also where a change of it is undone
+            window = own if display.window is None else Window(*display.window)
             view.set_display(
                 rotation=display.rotation, mirrored=display.mirrored, inverted=display.inverted, window=window
             )
@@ -179,7 +193,14 @@ class Tab:
                 continue
             mark = decisions.mark(asked.name)
             snapped = image == NAMES[1] and asked.group == "wire" and not mark.free
-            values = (asked.name, asked.label, mark.at(image), _STYLES[asked.group], True, snapped)
+            values = (
+                asked.name,
+                asked.label,
+                mark.at(image),
+                _STYLES[asked.group],
+                self.step in (STEPS[2], STEPS[4]),
+                snapped,
+            )
             out.append(tuple(zip(("id", "label", "uv", "style", "movable", "snapped"), values, strict=True)))
         return tuple(out)
 
@@ -232,7 +253,7 @@ class Tab:
         elif event.type == "cancel":
             self.placing = None
             self.refresh()
-        elif event.type == "display" and event.display is not None:
+        elif event.type == "display" and event.display is not None and self.live is None:
             shown = event.display
             window = (shown.window.centre, shown.window.width)
             display = Display(shown.rotation, shown.mirrored, shown.inverted, window)
@@ -261,16 +282,23 @@ class Tab:
                 self.refresh()
         except SightlineError as error:
             if event.type != "drag":
-                self._forget_plan()
-                self._shown.pop((view.name, "points"), None)
-                self.say(str(error))
+                self._back(view, str(error))
+        except Exception as error:
+            traceback.print_exc()
+            self._back(view, BUG.format(kind=type(error).__name__))
         finally:
             view.acknowledge(event.seq)
+
+    def _back(self, view: XrayView, why: str) -> None:
+        """The point goes back to where it was, and the person is told why."""
+        self._forget_plan()
+        self._shown.pop((view.name, "points"), None)
+        self.say(why)
 
     async def _follow(self, name: str, image: str, uv: tuple[float, float]) -> None:
         """Curves, wire and figures follow a point that is being dragged: the curves first, they guide the hand."""
         procedure = self.procedure
-        pair = procedure.views()
+        pair, before = procedure.views(), procedure.decisions
         if pair is None:
             return
         decisions, curves = await asyncio.to_thread(_moved_curves, procedure, pair, name, image, uv)
@@ -279,7 +307,9 @@ class Tab:
             others = {n: at for n, at in shapes.snapped(decisions).items() if (n, NAMES[1]) != (name, image)}
             lateral.follow({"curves": shapes.curves(curves)}, others)
         known, drawn = await asyncio.to_thread(_planned_shapes, decisions, pair, self.images, name)
-        self.preview = known
+        if procedure.decisions is not before:
+            return  # it was dropped, undone or changed elsewhere meanwhile
+        self.preview, self._previewed = known, before
         for view, layers in zip(self.views, drawn, strict=True):
             view.follow(layers, {})
         self._forget_plan()
@@ -317,7 +347,8 @@ class Tab:
     @property
     def known(self) -> Planned | None:
         """The plan that figures are shown of: of the point being dragged, or as it is."""
-        return self.preview or self.procedure.planned
+        fresh = self.preview is not None and self._previewed is self.procedure.decisions
+        return self.preview if fresh else self.procedure.planned
 
 
 _Pair = tuple[BeadView, BeadView]

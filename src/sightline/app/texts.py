@@ -8,6 +8,7 @@ IMAGE_LABELS = {
     "check-lateral": "Lateral check image",
 }
 LIVE_LABELS = {"pa": "PA, live", "lateral": "Lateral, live"}
+LIVE_UNKNOWN = "Live, view unknown"
 STALE = "This image is {age:.1f} s old: it does not show what is now. The plan over it is hidden."
 STANDING = {"done": "done", "open": "to do", "attention": "needs attention", "blocked": "blocked"}
 XRAY = {
@@ -72,6 +73,11 @@ NO_ROBOT = (
     "These images carry no pose of a robot, so no robot can be told where the bone is. "
     "Take the images through a robot's link, or rehearse on the demo case."
 )
+CHANGED_SINCE_SENT = (
+    "The plan that was sent does not come out the same any more (other software?): it is not taken up again. "
+    "Send the plan anew."
+)
+CHANGED_AFTER_SENDING = "The plan was changed after it was sent: send it again, or undo the change."
 NO_DEPTH_LIMIT = (
     "How deep the wire may go is not known: place the rim of the femoral head in both images, which gives its distance "
     "to the joint."

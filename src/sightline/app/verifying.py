@@ -58,9 +58,12 @@ class Verifying:
         views = procedure.views(CHECK_NAMES)
         if sent is None or sent.plan is None or views is None:
             return None
+        told = procedure.case.latest(Kind.SENT)
+        if told is None or any(one is None or one.acquired.number < told.number for one in seen):
+            return None  # images of before this plan was sent show another wire, or none
         names = [
             name
-            for name in names_of(procedure.decisions.kind, "landmark")
+            for name in names_of(sent.decisions.kind, "landmark")
             if sent.decisions.mark(name).complete() and procedure.decisions.mark(name).complete(CHECK_NAMES)
         ]
         planned_px, checked_px = (
@@ -70,21 +73,33 @@ class Verifying:
         landmarks = Landmarks(planned_px, checked_px, PICK_SD_PX)
         return _Asked(sent, sent.plan, tuple(one for one in seen if one is not None), views, landmarks)
 
+    def forget(self) -> None:
+        """What was measured holds no more."""
+        self._measured, self.shot, self.refused, self.wires = (), None, "", {}
+
+    @property
+    def void(self) -> bool:
+        """True if something is shown of images that are not those of now."""
+        return bool(self._measured) and self._asked() is None
+
     async def measure(self) -> None:
         """Find the wire in both check images and compare."""
         asked = self._asked()
         if asked is None:
             return
-        self._measured, self.shot, self.refused = asked.key, None, ""
+        self.forget()
+        self._measured = asked.key
         try:
-            for name, one in zip(CHECK_NAMES, asked.seen, strict=True):
-                self.wires[name] = await self._found(asked, one)
-            wires = [self.wires[name] for name in CHECK_NAMES]
+            wires = [await self._found(asked, one) for one in asked.seen]
+            if asked.key != self._measured:
+                return  # another was asked for meanwhile
+            self.wires = dict(zip(CHECK_NAMES, wires, strict=True))
             plan, before = asked.plan, asked.sent.views
             self.shot = check_shot(plan.trajectory, plan.picks, before, asked.views, wires, landmarks=asked.landmarks)
             self._procedure.case.record(Kind.VERIFIED, self.shot.document(), by=Actor.APP)
         except SightlineError as error:
-            self.refused = str(error)
+            if asked.key == self._measured:
+                self.refused = str(error)
         self._procedure.notify()
 
     async def _found(self, asked: "_Asked", seen: SeenImage) -> WireShadow:

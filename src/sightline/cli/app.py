@@ -1,6 +1,7 @@
 """`sightline app`: the planning app in the browser, on this machine."""
 
 from importlib.util import find_spec
+from os import environ
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -55,7 +56,8 @@ def app_command(
         folder = Path("out/app") if case is None else case
         seed = DEMO_SEED if case is None and rehearse is None else rehearse
         patient = None if seed is None else Patient(seed, frame or "gamma")
-        settings = Settings(folder, frame, patient, live, host, port, browser, fast_robot)
+        token = environ.get("SIGHTLINE_TOKEN") or None  # not an option: others can read command lines
+        settings = Settings(folder, frame, patient, live, host, port, token, browser, fast_robot)
 
         def ready(site: "Site") -> None:
             output.say(f"open {site.url} in a browser; stop with Ctrl-C")
