@@ -10,14 +10,11 @@ from sightline.app.decisions import Decisions
 from sightline.app.marks import END, ENTRY
 from sightline.app.planner import Planned, planned
 from sightline.app.rehearsing import Patient
-from sightline.app.robot_session import RobotNow, RobotSession
 from sightline.app.texts import CHANGED_SINCE_SENT, NO_DEPTH_LIMIT, NO_ROBOT
 from sightline.case.entry import Actor, Kind
 from sightline.case.views import NAMES
 from sightline.errors import RobotRefusedError, UnusableInputError
 from sightline.planning.figures import Figure
-from sightline.rehearsal.process import RobotProcess
-from sightline.rehearsal.robots import calibrated_robot
 from sightline.robot.insertion import DEPTH_SLACK_MM
 from sightline.robot.record import DrillingEvent, DrillingRecord
 from sightline.robot.simulated import SimulatedWire
@@ -27,6 +24,8 @@ from sightline.robot.target import PlanIdentity, RobotTarget
 
 if TYPE_CHECKING:
     from sightline.app.procedure import Procedure
+    from sightline.app.robot_session import RobotNow, RobotSession
+    from sightline.rehearsal.process import RobotProcess
 
 TO_BONE = "tip to bone along wire"
 _SAME_MM = 1e-6  # of a plan that is computed again
@@ -47,7 +46,7 @@ class Drilling:
         self.wire: SimulatedWire | None = None
 
     @property
-    def now(self) -> RobotNow | None:
+    def now(self) -> "RobotNow | None":
         """What is known of the robot."""
         return None if self.session is None else self.session.now
 
@@ -94,7 +93,12 @@ class Drilling:
         await self.close()
         loop, notify = asyncio.get_running_loop(), self._procedure.notify
 
-        def start(patient: Patient) -> tuple[RobotProcess, RobotSession]:
+        def start(patient: Patient) -> "tuple[RobotProcess, RobotSession]":
+            # The first page does not wait for the robot, nor for the twin that stands for it.
+            from sightline.app.robot_session import RobotSession
+            from sightline.rehearsal.process import RobotProcess
+            from sightline.rehearsal.robots import calibrated_robot
+
             process = RobotProcess(patient.seed, patient.frame, patient.side, virtual=fast)
             try:
                 return process, RobotSession(
@@ -190,7 +194,7 @@ class Drilling:
         if not self.current:
             raise RobotRefusedError("the plan was changed after it was sent; send it again, or undo the change")
 
-    def _running(self) -> RobotSession:
+    def _running(self) -> "RobotSession":
         if self.session is None or self.session.now.lost:
             raise RobotRefusedError("there is no link to a robot; start it first")
         return self.session

@@ -1,12 +1,16 @@
 """The live image on the step Drill: fresh or marked as old, the plan over it only while it is fresh."""
 
+from typing import TYPE_CHECKING
+
 from nicegui import ui
 
 from sightline.app.section import Section, action, heading, note
 from sightline.app.tab import Tab
 from sightline.app.texts import STALE
-from sightline.case.watch import Watched
 from sightline.case.watch_alarm import BLIND_TO
+
+if TYPE_CHECKING:
+    from sightline.case.watch import Watched
 
 _LOOK_S = 0.1  # half of what makes an image old
 
@@ -54,7 +58,7 @@ def _switch(tab: Tab) -> None:
         action("Nothing moved: I looked", tab.doing(live.watch.rest), testid="live-rest", kind="plain")
 
 
-def _sentence(watched: Watched) -> str:
+def _sentence(watched: "Watched") -> str:
     if watched.stale:
         return STALE.format(age=watched.age_s)
     movement = watched.movement.text if watched.movement is not None else watched.note

@@ -1,18 +1,21 @@
-"""Images of a rehearsed patient, made in the workshop's process; nothing but files' bytes comes back."""
+"""Images of a rehearsed patient, made in the workshop's process; nothing but files' bytes comes back.
+
+The twin is imported there alone: the first page does not wait for it.
+"""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from sightline.app.space_document import bone_objects
 from sightline.case.views import NAMES
 from sightline.frame import Frame
 from sightline.imaging import Radiograph, write_dicom
-from sightline.rehearsal.procedure import Rehearsal
-from sightline.robot.simulated import SimulatedWire
+
+if TYPE_CHECKING:
+    from sightline.rehearsal.procedure import Rehearsal
 
 
 @dataclass(frozen=True)
@@ -30,8 +33,10 @@ class Patient:
 
 
 @lru_cache(maxsize=1)
-def drawn(patient: Patient) -> Rehearsal:
+def drawn(patient: Patient) -> "Rehearsal":
     """The patient, drawn once in a process."""
+    from sightline.rehearsal.procedure import Rehearsal
+
     return Rehearsal.draw(patient.seed, Frame.load(patient.frame), patient.side)
 
 
@@ -42,11 +47,15 @@ def images(patient: Patient) -> dict[str, bytes]:
 
 def check_images(patient: Patient, wire: str) -> dict[str, bytes]:
     """The check shot's images as DICOM, by view, with the wire (`SimulatedWire.text`) in the bone."""
+    from sightline.robot.simulated import SimulatedWire
+
     return _files(drawn(patient).check_images(SimulatedWire.of(wire)).images)
 
 
 def bone(patient: Patient) -> list[dict[str, Any]]:
     """The femur's surface, for the scene in space."""
+    from sightline.app.space_document import bone_objects
+
     return [one for volume in drawn(patient).hip.bone.volumes for one in bone_objects(volume)]
 
 

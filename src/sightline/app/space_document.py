@@ -6,22 +6,24 @@ space/space_objects.js; `reach` is "hip", "frame" (unless said) or "room": what 
 
 from base64 import b64encode
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import RigidTransform
-from scipy.stats import chi2
 
 from sightline.calibration.view import CalibratedView
 from sightline.case.figure_space import NEAR_MM, magnification
 from sightline.frame import Frame
 from sightline.frame.model import Plate
+from sightline.geometry.covariance import ellipsoid_factor
 from sightline.imaging import Radiograph
 from sightline.planning import Trajectory
 from sightline.robot.manipulator import FEED, Manipulator
-from sightline.twin.volumes import Volume
+
+if TYPE_CHECKING:
+    from sightline.twin.volumes import Volume
 
 Object = dict[str, Any]
 
@@ -111,7 +113,7 @@ def drilled_objects(entry_mm: np.ndarray, tip_mm: np.ndarray, diameter_mm: float
     return [_cylinder(entry_mm, tip_mm, diameter_mm / 2, "drilled"), _label(middle, "drilled", "drilled")]
 
 
-def bone_objects(volume: Volume) -> list[Object]:
+def bone_objects(volume: "Volume") -> list[Object]:
     """The outer surface of the bone, where it is known: in the twin and from CT. Slow: some tenths of a second."""
     from sightline.app.space.surface import outer_surface
 
@@ -236,7 +238,7 @@ def _thumbnail(image: Radiograph) -> Object:
 
 def _ellipsoid(at_mm: np.ndarray, covariance_mm2: np.ndarray, times: float) -> Object:
     values, vectors = np.linalg.eigh(covariance_mm2)
-    half = vectors * np.sqrt(np.clip(values, 0.0, None) * chi2.ppf(0.95, 3)) * times
+    half = vectors * np.sqrt(np.clip(values, 0.0, None)) * ellipsoid_factor(0.95, 3) * times
     return {"kind": "ellipsoid", "style": "ellipsoid", "at": _list(at_mm), "axes": _list(half.T, 4), "reach": "hip"}
 
 

@@ -12,7 +12,6 @@ from sightline.app.seen import SeenImage
 from sightline.calibration import BeadView
 from sightline.case.entry import Actor, Kind
 from sightline.case.views import NAMES
-from sightline.detection.wire import WireShadow, find_wire
 from sightline.errors import SightlineError, UnusableInputError
 from sightline.planning import Plan
 from sightline.planning.check_result import CheckShot
@@ -21,6 +20,7 @@ from sightline.planning.expected_wire import expected_wire
 
 if TYPE_CHECKING:
     from sightline.app.procedure import Procedure
+    from sightline.detection.wire import WireShadow
 
 
 class Verifying:
@@ -102,8 +102,10 @@ class Verifying:
                 self.refused = str(error)
         self._procedure.notify()
 
-    async def _found(self, asked: "_Asked", seen: SeenImage) -> WireShadow:
+    async def _found(self, asked: "_Asked", seen: SeenImage) -> "WireShadow":
         """The wire in one image, looked for once."""
+        from sightline.detection.wire import find_wire
+
         key = (seen.acquired.number, asked.sent)
         if key not in self._found_in:
             assert seen.view is not None and seen.beads is not None  # noqa: S101 - it is calibrated

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
-from scipy.stats import chi2
+from scipy.special import chdtrc  # not scipy.stats, which takes half a second to import
 
 from sightline.errors import RobotRefusedError, UnusableInputError
 from sightline.geometry.rigid import adjoint, displacement
@@ -140,7 +140,7 @@ def _enough_turns(rotation: Rotation) -> None:
 
 def refuse_unlikely(squares: float, freedom: int, what: str) -> None:
     """Raise RobotRefusedError where a sum of squares of so many degrees of freedom shows that something is wrong."""
-    if freedom > 0 and chi2.sf(squares, freedom) < LEAST_PROBABILITY:
+    if freedom > 0 and chdtrc(freedom, squares) < LEAST_PROBABILITY:
         raise RobotRefusedError(
             f"{what} are {np.sqrt(squares / freedom):.1f} times further off than their stated accuracy allows: two are "
             "swapped, something moved, or the accuracy stated is too good; measure again"
