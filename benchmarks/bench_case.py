@@ -1,6 +1,6 @@
 """The case: what an entry costs, an original, opening and checking; beside SQLite alone, in both of its ways.
 
-An entry's time is the disk's: it is on the disk when `record` returns. What SQLite alone takes shows what of it is ours.
+An entry is on the disk when `record` returns, so its time is the disk's; SQLite alone shows what of it is ours.
 """
 
 import json

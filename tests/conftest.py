@@ -1,10 +1,14 @@
 """What several rooms' tests share: a set-up, and one run of the demo."""
 
+import fcntl
+import json
+import os
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner, Result
+from typer.testing import CliRunner
 
 from sightline.cli import commands
 from sightline.frame import Frame
@@ -22,15 +26,32 @@ def setup(frame: Frame) -> SetUp:
     return draw_setup(np.random.default_rng(7), frame)
 
 
-@pytest.fixture(scope="session")
-def demo_run(tmp_path_factory: pytest.TempPathFactory) -> tuple[Result, Path]:
-    """What `sightline demo` said, and the folder that it wrote."""
-    out = tmp_path_factory.mktemp("demo") / "deep" / "demo"
-    return CliRunner().invoke(commands, ["demo", "--out", str(out)]), out
+@dataclass(frozen=True)
+class Ran:
+    """How a command ended, and what it said."""
+
+    exit_code: int
+    stdout: str
+    stderr: str
 
 
 @pytest.fixture(scope="session")
-def demo_folder(demo_run: tuple[Result, Path]) -> Path:
-    result, out = demo_run
-    assert result.exit_code == 0, result.stderr
+def demo_run(tmp_path_factory: pytest.TempPathFactory) -> tuple[Ran, Path]:
+    """What `sightline demo` said, and the folder that it wrote: once, for all processes of a test run."""
+    base = tmp_path_factory.getbasetemp()
+    shared = (base.parent if os.environ.get("PYTEST_XDIST_WORKER") else base) / "demo-run"
+    shared.mkdir(exist_ok=True)
+    out, said = shared / "deep" / "demo", shared / "said.json"
+    with (shared / "lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)  # until another process is done with it
+        if not said.exists():
+            result = CliRunner().invoke(commands, ["demo", "--out", str(out)])
+            said.write_text(json.dumps([result.exit_code, result.stdout, result.stderr]))
+    return Ran(*json.loads(said.read_text())), out
+
+
+@pytest.fixture(scope="session")
+def demo_folder(demo_run: tuple[Ran, Path]) -> Path:
+    ran, out = demo_run
+    assert ran.exit_code == 0, ran.stderr
     return out

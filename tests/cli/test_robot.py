@@ -38,6 +38,7 @@ def test_drive_a_plan_in_the_simulator(plan):
     assert np.allclose(said["tip_mm"], END_MM, atol=0.05)
 
 
+@pytest.mark.slow
 def test_drive_a_rehearsal_s_plan_into_its_bone(tmp_path):
     wire = Rehearsal.draw(9, Frame.load("gamma")).hip.wire_mm
     path = {"entry_mm": wire[0].tolist(), "end_mm": wire[1].tolist(), "covariance_mm2": (0.01 * np.eye(6)).tolist()}

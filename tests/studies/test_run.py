@@ -101,6 +101,7 @@ def test_a_killed_worker_costs_no_trial(whole, tmp_path):
     assert len(counted) == N
 
 
+@pytest.mark.slow
 def test_a_trial_that_always_kills_its_worker_is_named(tmp_path):
     worst = float(np.sort(EXPECTED)[-2])
     deadly = SmallStudy(deadly=str(tmp_path), limit=worst, always=True)
@@ -157,6 +158,7 @@ def finished_in(folder: Path) -> int:
     return len(file.read_bytes().splitlines()) - 1 if file.exists() else 0
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name != "posix", reason="the keyboard's signal goes to a process group")
 def test_the_keyboard_stops_it_and_the_same_command_goes_on(tmp_path):
     script = tmp_path / "command.py"

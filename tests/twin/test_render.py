@@ -137,6 +137,7 @@ def test_scatter_follows_what_lies_in_the_beam(setup):
             assert seen.quanta[v, u] / seen.open_quanta[v, u] == pytest.approx(expected, abs=0.03), (thick_mm, even)
 
 
+@pytest.mark.slow
 def test_a_drawn_hip_has_the_chain_s_scatter_in_the_mean_of_its_views():
     """Against even scatter: the light in the middle of both views, to 10 %; less in PA, more in the lateral view."""
     setup, hip = shown_hip_scene(np.random.default_rng(4), Frame.load("gamma"))
