@@ -108,3 +108,16 @@ def test_a_broken_record_is_refused(broken):
     document = {**Decisions().document(), **broken} if broken else {}
     with pytest.raises(CaseError, match="case check"):
         Decisions.of(document)
+
+
+def test_a_place_on_a_curve_goes_with_the_pixel_that_drew_it():
+    places = {"pa": (3.0, 4.0), "lateral": (5.0, 6.0), "check-pa": (7.0, 8.0)}
+    assert set(Mark(places, free=False).placed("pa", None).places) == {"check-pa"}
+    assert set(Mark(places, free=True).placed("pa", None).places) == {"lateral", "check-pa"}
+
+
+def test_the_side_is_confirmed_anew_on_another_planning_image():
+    decisions = Decisions(images={"pa": 1}, side="right")
+    assert decisions.with_image("pa", 2, same_pixels=False).side is None
+    assert decisions.with_image("pa", 2, same_pixels=True).side == "right"
+    assert decisions.with_image("check-pa", 2, same_pixels=False).side == "right"

@@ -46,6 +46,8 @@ class Space:
         tab, procedure = self._tab, self._tab.procedure
         decisions, known, views = procedure.decisions, tab.known, procedure.views()
         seen = [procedure.seen(name) for name in NAMES]
+        if self._drawn.get("sides", "never") != decisions.side:
+            self._view.orient(decisions.side)
         self._group("frame", procedure.frame, lambda: space.frame_objects(procedure.frame))
         self._group("sides", decisions.side, lambda: space.side_objects(decisions.side, np.zeros(3)))
         self._group("views", tuple(seen), self._views)
