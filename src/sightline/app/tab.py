@@ -170,8 +170,11 @@ class Tab:
         placing = self.placing[0] if self.placing is not None and self.placing[1] == image else None
         if self._is_new(key, "placing", placing):
             view.place(placing)
-        if self._is_new(key, "revision", procedure.history.revision):
-            view.set_revision(procedure.history.revision)
+        # Case and image are part of it: an edit that a killed server lost belongs to no other.
+        number = 0 if seen is None else seen.acquired.number
+        revision = f"{procedure.case.number} {image} {number} {procedure.history.revision}"
+        if seen is not None and self._is_new(key, "revision", revision):
+            view.set_revision(revision)
 
     def _draw_plan(self, view: XrayView, key: str, image: str, known: Planned | None) -> None:
         verifying = self.procedure.verifying

@@ -166,8 +166,10 @@ class XrayView(Element, component="xray_view.js", dependencies=["xray*.js"]):
         """The move `seq` is done, its consequences drawn: the browser may send the next."""
         self.run_method("acknowledge", seq)
 
-    def set_revision(self, revision: int) -> None:
-        """Say which state of the plan the page shows; once when the page is built and after every change."""
+    def set_revision(self, revision: int | str) -> None:
+        """Say which state of the plan the page shows; once when the page is built and after every change.
+
+        An edit that was not acknowledged is sent again only under the same one."""
         self.run_method("setRevision", revision)
 
     async def _hear(self, arguments: GenericEventArguments) -> None:
