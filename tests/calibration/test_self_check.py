@@ -174,6 +174,7 @@ def test_balls_outside_every_field_keep_their_tolerance():
     assert (found.in_plate.sd_mm[0] > 0.9 * found.in_plate.prior_sd_mm[0]).all()
 
 
+@pytest.mark.slow
 def test_a_frame_with_twice_the_errors_stated_is_told_and_with_four_times_refused():
     rng = np.random.default_rng(24)
     found = self_check(images(rng, displaced(GAMMA, rng.normal(0.0, 0.04, NOMINAL_MM.shape)), 4), GAMMA)

@@ -109,6 +109,7 @@ def test_a_plan_that_errs_too_much_is_refused(tmp_path):
     assert "must not be drilled" in done.stderr
 
 
+@pytest.mark.slow
 def test_check_a_robot(tmp_path):
     with served() as server:
         done = run("check", f"127.0.0.1:{server.port}", "--yes", "--json")

@@ -26,6 +26,7 @@ def simulated(run, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
+@pytest.mark.slow
 def test_any_seed_gives_the_same_files_again_to_the_byte(run, simulated: Path, tmp_path: Path) -> None:
     assert run("simulate", "object", "--seed", 5, "--out", tmp_path / "again", "--quiet").code == 0
     other = run("simulate", "object", "--seed", 6, "--out", tmp_path / "other", "--json")
@@ -120,6 +121,7 @@ def nifti(folder: Path, voxel_mm: float = 2.0) -> Path:
     return folder / "scan.nii.gz"
 
 
+@pytest.mark.slow
 def test_a_mesh_or_a_scan_is_put_with_its_middle_or_a_stated_point_at_the_origin(run, block, tmp_path: Path) -> None:
     made = {}
     for name, what in (

@@ -54,6 +54,7 @@ def test_far_in_the_corridor_and_across_a_bone_edge():
     assert abs(at_tip(seen, wire)) < 1.0
 
 
+@pytest.mark.slow
 def test_the_stated_variance_is_that_of_repeated_images():
     """What is stated holds what images of bone add to the noise: here it may be too large, not too small."""
     line, tip = [], []

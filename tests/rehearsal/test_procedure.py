@@ -18,6 +18,7 @@ def rehearsal() -> Rehearsal:
     return Rehearsal.draw(SEED, Frame.load("gamma"))
 
 
+@pytest.mark.slow
 def test_each_part_is_the_same_when_drawn_again_alone(rehearsal):
     again = Rehearsal.draw(SEED, Frame.load("gamma"))
     alone = render(again.setup, "lateral", again.hip.scene, again.generator("lateral"))

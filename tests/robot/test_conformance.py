@@ -40,6 +40,7 @@ def test_an_old_robot_passes_what_it_knows():
         assert dry_run("127.0.0.1", port).verdict is Verdict.PASSED
 
 
+@pytest.mark.slow
 def test_a_robot_that_does_not_answer_unknown_commands_fails():
     with old_robot(answers_all=False) as port:
         verdict, seen = verdicts(port)["unknown command: 12"]

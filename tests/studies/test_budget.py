@@ -34,6 +34,7 @@ def test_set_ups_differ_by_what_is_switched_on_alone():
     np.testing.assert_array_equal(exact.xrii.xyz_mm, none.scene.frame.view("pa").xrii.xyz_mm)
 
 
+@pytest.mark.slow
 def test_a_trial_repeats_and_its_sources_add_up():
     trials = [SMALL.trial(np.random.default_rng([1, k])) for k in range(12)]
     assert json.loads(json.dumps(trials[0])) == trials[0]

@@ -28,6 +28,7 @@ def cluster() -> Iterator[str]:
         yield running.scheduler_address
 
 
+@pytest.mark.slow
 def test_a_cluster_gives_the_same_result_and_goes_on_where_others_stopped(cluster: str, tmp_path: Path) -> None:
     Run.open(SmallStudy(), 4, SEED, tmp_path).do(workers=1)
     run = Run.open(SmallStudy(), N, SEED, tmp_path)

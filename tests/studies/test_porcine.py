@@ -20,6 +20,7 @@ def test_wires_run_through_the_origin_and_a_pigs_is_shorter():
         np.testing.assert_allclose(one.wire_mm.mean(axis=0), 0.0, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_a_wire_is_planned_from_images_of_a_pigs_femur():
     trial = PIG.trial(np.random.default_rng([2, 0]))
     assert json.loads(json.dumps(trial)) == trial

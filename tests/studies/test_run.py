@@ -92,6 +92,7 @@ def test_a_file_that_is_no_record_is_refused(tmp_path, text):
     assert (tmp_path / TRIALS).read_text() == text
 
 
+@pytest.mark.slow
 def test_a_killed_worker_costs_no_trial(whole, tmp_path):
     deadly = SmallStudy(deadly=str(tmp_path), limit=1.0)
     assert 1 <= sum(value > deadly.limit for value in EXPECTED) < N

@@ -119,6 +119,7 @@ def test_tissue_of_a_transmission_is_the_tissue_that_leaves_it(beam):
     assert tissue_mm(np.array([0.0, 1e-30, 1.0]), beam) == pytest.approx([THICKEST_MM, THICKEST_MM, 0.0])
 
 
+@pytest.mark.slow
 def test_scatter_follows_what_lies_in_the_beam(setup):
     """Behind a ball in an open beam nothing is scattered, behind one in a block of tissue the share of its thickness.
 
