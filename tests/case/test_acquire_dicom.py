@@ -4,7 +4,7 @@ import socket
 import struct
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 
 import numpy as np
@@ -38,9 +38,11 @@ class Scene:
         ae.add_requested_context(ECHO)
         ae.connection_timeout = ae.acse_timeout = ae.dimse_timeout = 5.0
         association = ae.associate("127.0.0.1", self.receiver.port, ae_title=called)
-        yield association
-        if association.is_established:
-            association.release()
+        held = association.dul.socket
+        with held.socket if held and held.socket else nullcontext():  # pynetdicom leaves it open after a reset
+            yield association
+            if association.is_established:
+                association.release()
 
     def store(self, dataset: Dataset) -> int:
         """The status of one image on an association of its own."""

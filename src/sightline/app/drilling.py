@@ -14,9 +14,10 @@ from sightline.app.texts import CHANGED_SINCE_SENT, NO_DEPTH_LIMIT, NO_ROBOT
 from sightline.case.entry import Actor, Kind
 from sightline.case.views import NAMES
 from sightline.errors import RobotRefusedError, UnusableInputError
+from sightline.geometry.covariance import TWO_SIDED_95
 from sightline.planning.figures import Figure
 from sightline.robot.insertion import DEPTH_SLACK_MM
-from sightline.robot.record import DrillingEvent, DrillingRecord
+from sightline.robot.record import DrillingRecord
 from sightline.robot.simulated import SimulatedWire
 from sightline.robot.states import State
 from sightline.robot.supervision import depth_limit
@@ -29,7 +30,6 @@ if TYPE_CHECKING:
 
 TO_BONE = "tip to bone along wire"
 _SAME_MM = 1e-6  # of a plan that is computed again
-_TWO_SIDED_95 = 1.96  # normal quantile
 
 
 class Drilling:
@@ -71,7 +71,7 @@ class Drilling:
         self.sent = again
         drilled = case.latest(Kind.DRILLED)
         if drilled is not None and drilled.number > sent.number and "simulated_wire" in drilled.content:
-            self.record = _record_of(drilled.content["record"])
+            self.record = DrillingRecord.of(drilled.content["record"])
             self.wire = SimulatedWire.of(drilled.content["simulated_wire"])
 
     async def start_robot(self, *, fast: bool) -> None:
@@ -208,11 +208,5 @@ def _depth_limit(known: Planned, target: RobotTarget) -> float:
     left: Figure | None = next((one for one in known.figures if one.name == TO_BONE), None)
     if left is None or left.value is None or left.sd is None:
         raise UnusableInputError(NO_DEPTH_LIMIT)
-    error = float(np.hypot(_TWO_SIDED_95 * left.sd, target.end_error_95_mm))
+    error = float(np.hypot(TWO_SIDED_95 * left.sd, target.end_error_95_mm))
     return depth_limit(target.length_mm + left.value, error)
-
-
-def _record_of(document: dict) -> DrillingRecord:
-    events = tuple(DrillingEvent(**event) for event in document["events"])
-    depth_sd = document.get("depth_sd_mm")
-    return DrillingRecord(np.array(document["depth_mm"]), np.array(document["force_n"]), events, depth_sd)

@@ -2,7 +2,6 @@
 
 from collections.abc import Awaitable, Callable, Hashable
 
-import numpy as np
 from nicegui import ui
 
 from sightline.app import panel_live
@@ -20,11 +19,10 @@ from sightline.app.texts import (
     SEND_WHAT,
     STOP_IS_NO_EMERGENCY_STOP,
 )
-from sightline.case.figure_force import force_trace
+from sightline.case.drilled import force_picture
 from sightline.robot.states import State
 
 _LIVE_S = 0.2  # between two looks at the robot [ours]
-_BEFORE_MM = 10.0  # of the entry point, where the drawing of the force begins
 
 
 def _key(tab: Tab) -> Hashable:
@@ -171,15 +169,13 @@ def _force(tab: Tab) -> None:
         drilling = tab.procedure.drilling
         session = drilling.session
         record = drilling.record or (None if session is None else session.record)
-        if record is None or len(record.depth_mm) == shown or len(record.depth_mm) < 2:
+        if record is None or len(record.depth_mm) == shown:
             return
         shown = len(record.depth_mm)
-        near = record.depth_mm > -_BEFORE_MM
-        if np.count_nonzero(near) < 2:
+        picture = force_picture(record)
+        if not picture:
             return
-        noticed = {event.name: event.depth_mm for event in reversed(record.events)}
-        said = ", ".join(f"{event.name} at {event.depth_mm:.1f} mm" for event in record.events)
-        drawing.set_content(force_trace(record.depth_mm[near], record.force_n[near], noticed, f"Thrust: {said}"))
+        drawing.set_content(picture)
         events.clear()
         with events:
             table(

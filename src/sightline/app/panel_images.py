@@ -13,7 +13,6 @@ from sightline.app.uploads import Upload
 from sightline.case.views import NAMES
 from sightline.errors import UnusableInputError
 
-_SUFFIXES = {"DICOM": ".dcm", "PNG": ".png", "TIFF": ".tif", "BMP": ".bmp", "NumPy": ".npy"}
 _SERIAL_LENGTH = 64  # characters of a serial [ours]
 
 
@@ -23,7 +22,7 @@ def build_drop_zone(tab: Tab, site: Site) -> None:
     def taker(view: str):
         async def take(upload: Upload) -> None:
             image = f"check-{view}" if tab.step == STEPS[-1] else view
-            where = await tab.procedure.take(upload.data, _SUFFIXES[upload.kind], image=image)
+            where = await tab.procedure.take(upload.data, upload.suffix, image=image)
             if where != image:
                 tab.say(f"This is the {IMAGE_LABELS[where]}, as its markers tell; it was put there.")
 

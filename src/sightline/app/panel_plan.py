@@ -12,6 +12,7 @@ from sightline.app.tab import Tab
 from sightline.app.texts import IMAGE_LABELS
 from sightline.case.views import NAMES
 from sightline.errors import UnusableInputError
+from sightline.geometry.covariance import TWO_SIDED_95
 from sightline.planning.kinds import KINDS
 
 _TITLES = {"wire": "Wire", "landmark": "Landmarks: did the bone move?", "aid": "Aids"}
@@ -148,7 +149,7 @@ def build_figures(tab: Tab) -> None:
     for figure in known.figures:
         if figure.value is not None:
             space = "" if figure.unit == "°" else " "
-            sd = "" if figure.sd is None else f" ± {1.96 * figure.sd:.1f}"
+            sd = "" if figure.sd is None else f" ± {TWO_SIDED_95 * figure.sd:.1f}"
             mark = {True: "✓", False: "!", None: ""}[figure.within]
             rows.append((figure.name, f"{figure.value:.1f}{sd}{space}{figure.unit}", mark))
     table(("", "± 95 %", ""), rows, testid="figures")

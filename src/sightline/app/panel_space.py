@@ -54,11 +54,8 @@ class Space:
         self._group("sights", (views, decisions.marks), self._sights)
         plan = None if known is None else known.plan
         self._group("points", plan, self._points)
-        wire = [] if known is None or plan is None else space.wire_objects(plan.trajectory, known.kind.wire_mm)
-        self._group("wire", plan, lambda: wire)
-        shot = procedure.verifying.shot
-        drilled = [] if shot is None else space.drilled_objects(shot.entry_mm, shot.tip_mm, 2.5)
-        self._group("drilled", shot, lambda: drilled)
+        self._group("wire", plan, self._wire)
+        self._group("drilled", procedure.verifying.shot, self._drilled)
         if procedure.patient is not None and self._bone is None:
             self._bone = []
             asyncio.get_running_loop().create_task(self._fetch_bone())
@@ -103,6 +100,19 @@ class Space:
         listed = [a for a in asked_of(known.decisions.kind) if a.group == "landmark"]
         words = [asked.label for asked in listed if known.decisions.mark(asked.name).complete()]
         return space.point_objects(known.plan.seen.xyz_mm[2:], words)
+
+    def _wire(self) -> list[dict[str, Any]]:
+        known = self._tab.known
+        if known is None or known.plan is None:
+            return []
+        return space.wire_objects(known.plan.trajectory, known.kind.wire_mm)
+
+    def _drilled(self) -> list[dict[str, Any]]:
+        procedure = self._tab.procedure
+        shot, sent = procedure.verifying.shot, procedure.drilling.sent
+        if shot is None or sent is None:
+            return []
+        return space.drilled_objects(shot.entry_mm, shot.tip_mm, sent.kind.wire_mm)
 
     def _robot(self) -> None:
         session = self._tab.procedure.drilling.session

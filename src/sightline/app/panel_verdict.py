@@ -38,7 +38,7 @@ def details_key(tab: Tab) -> Hashable:
     procedure, known = tab.procedure, tab.known
     return (
         known,
-        _fresh(tab),
+        procedure.fresh,
         procedure.decisions.side,
         procedure.decisions.serial,
         procedure.go,
@@ -81,27 +81,22 @@ def build_details(tab: Tab) -> None:
         Section(tab, details_key, lambda t: checks(_listed(t), testid="verdict-checks"))
 
 
-def _fresh(tab: Tab) -> bool:
-    age = tab.procedure.age_s
-    return age is not None and 0 <= age <= LIFETIME_S
-
-
 def _age(tab: Tab) -> None:
     label = ui.label().classes("age").props("data-testid=age")
-    was_fresh = _fresh(tab)
+    was_fresh = tab.procedure.fresh
 
     def tell() -> None:
         age = tab.procedure.age_s
         if age is None:
             return
-        if _fresh(tab) != was_fresh:
+        if tab.procedure.fresh != was_fresh:
             tab.refresh()  # GO must not stand over a plan that has expired
             return
         left = LIFETIME_S - age
         gone = f"{int(age // 60)} min {int(age % 60):02d} s old"
         label.set_text(
             f"The images are {gone}; the plan expires in {int(left // 60)} min {int(left % 60):02d} s."
-            if 0 <= age <= LIFETIME_S
+            if was_fresh
             else "The plan has expired: take both images again (step Images)."
         )
 

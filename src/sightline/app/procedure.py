@@ -6,6 +6,7 @@ from collections.abc import Callable, Coroutine
 from contextlib import suppress
 from dataclasses import replace
 from datetime import UTC, datetime
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -23,14 +24,13 @@ from sightline.app.workshop import Workshop, warm_up
 from sightline.calibration import BeadView
 from sightline.case import stages
 from sightline.case.entry import Actor, Kind
-from sightline.case.journal import Case
+from sightline.case.journal import JOURNAL, Case
 from sightline.case.views import NAMES
 from sightline.checks import Check
 from sightline.errors import SightlineError, UnusableInputError
 from sightline.frame import Frame
 from sightline.robot.target import LIFETIME_S
 
-IMAGES = (*NAMES, *CHECK_NAMES)
 _TAKEN_IN = 8  # images that are looked at when a case has none placed [ours]
 _EDITS = ("edit", "undo", "redo")
 
@@ -56,12 +56,12 @@ class Procedure:
         """The case in a folder, made there where there is none: with a frame, and a patient to rehearse on if given.
 
         Raises CaseError, FrameError, UnusableInputError where the case has another frame than the one named."""
-        if not (folder / "journal.sqlite").exists():
-            case = Case.create(folder)
-            frame = Frame.load(frame_name or "gamma")
-            case.record(Kind.CHANGED, _change("frame", stages.keep_frame(case, frame)), by=Actor.APP)
-            if patient is not None:
-                case.record(Kind.CHANGED, _change("rehearsal", vars(patient)), by=Actor.APP)
+        if not (folder / JOURNAL).exists():
+            with Case.create(folder) as case:
+                frame = Frame.load(frame_name or "gamma")
+                stages.record_changed(case, "frame", stages.keep_frame(case, frame), by=Actor.APP)
+                if patient is not None:
+                    stages.record_changed(case, "rehearsal", vars(patient), by=Actor.APP)
         case = Case.open(folder)
         entry = case.latest(Kind.CHANGED, where={"what": "frame"})
         kept = "gamma" if entry is None else str(entry.content["to"])
@@ -78,7 +78,7 @@ class Procedure:
         """What people decided, now."""
         return self.history.now
 
-    @property
+    @cached_property
     def patient(self) -> Patient | None:
         """Whom this case rehearses; None where its images are somebody's own."""
         entry = self.case.latest(Kind.CHANGED, where={"what": "rehearsal"})
@@ -118,6 +118,12 @@ class Procedure:
         return None if at is None else (datetime.now(UTC) - at).total_seconds()
 
     @property
+    def fresh(self) -> bool:
+        """True while the images are young enough to act on."""
+        age = self.age_s
+        return age is not None and 0.0 <= age <= LIFETIME_S
+
+    @property
     def checks(self) -> tuple[Check, ...]:
         """All that stands for or against sending the plan: planning's checks, then what a person must confirm."""
         known = self.planned
@@ -134,8 +140,7 @@ class Procedure:
     def confirmations(self) -> list[Check]:
         """What a person must confirm before anything is sent, and the plan's age."""
         side, serial, age = self.decisions.side, self.decisions.serial, self.age_s
-        known = self.frame.serial
-        fresh = age is not None and 0.0 <= age <= LIFETIME_S
+        known, fresh = self.frame.serial, self.fresh
         return [
             Check(
                 "side confirmed",
@@ -241,9 +246,7 @@ class Procedure:
 
     def notify(self) -> None:
         """Tell every page; and measure the check shot anew where it is another. Called on the event loop."""
-        if self.verifying.void:
-            self.verifying.forget()
-        if self.verifying.due:
+        if self.verifying.look():
             self._soon(self.verifying.measure())
         for listener in list(self.listeners):
             listener()
@@ -322,8 +325,4 @@ class Procedure:
 
     def _record(self, what: str, decisions: Decisions | None) -> None:
         to = None if decisions is None else decisions.document()
-        self.case.record(Kind.CHANGED, _change(what, to), by=Actor.SURGEON)
-
-
-def _change(what: str, to: object) -> dict[str, object]:
-    return {"what": what, "from": None, "to": to}
+        stages.record_changed(self.case, what, to, by=Actor.SURGEON)

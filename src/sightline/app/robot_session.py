@@ -11,7 +11,6 @@ from queue import Empty, SimpleQueue
 from typing import Any, TypeVar
 
 import numpy as np
-from scipy.spatial.transform import RigidTransform
 
 from sightline.app.texts import BUG
 from sightline.errors import LinkError, RobotRefusedError, SightlineError
@@ -215,11 +214,3 @@ class RobotSession:
         self.now = replace(self.now, **news)
         if told:
             self._changed()
-
-
-def wire_pose(session: RobotSession) -> RigidTransform | None:
-    """Where the wire is by the encoders, CFCS of the images; None before a target was sent."""
-    if session.target is None or session.now.joints is None:
-        return None
-    registration = session.target.registration
-    return registration.T_mcs_cfcs.inv() * registration.robot.manipulator.T_mcs_tool(session.now.joints)

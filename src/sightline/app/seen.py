@@ -10,8 +10,8 @@ from sightline.calibration import BeadView, calibrate
 from sightline.case import stages
 from sightline.case.entry import Actor, Entry
 from sightline.case.journal import Case
-from sightline.case.views import CalibratedImage, Seen
-from sightline.detection import Detections, Observations, detect, label, look_again
+from sightline.case.views import CalibratedImage, Seen, tell_apart
+from sightline.detection import Detections, Observations, detect
 from sightline.errors import SightlineError
 from sightline.frame import Frame
 from sightline.imaging import Radiograph
@@ -90,11 +90,6 @@ class Lightbox:
     def _put(self, seen: SeenImage) -> None:
         self._images[seen.acquired.number] = seen
         self._changed()
-
-
-def tell_apart(image: Radiograph, beads: Detections, frame: Frame) -> Observations:
-    """The beads by their names, half-hidden ones looked at again; the datum markers tell which view it is."""
-    return look_again(image, beads, label(beads, frame), frame)
 
 
 def calibrated(observations: Observations, frame: Frame) -> BeadView:

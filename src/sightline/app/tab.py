@@ -85,25 +85,31 @@ class Tab:
     def show_live(self, watched: "Watched | None") -> None:
         """A live image in the view it belongs to; None: the images of the plan again."""
         if watched is not None:
+            if self.live is None or self.live.number != watched.number:
+                self._draw_live(watched)
             self.live = watched
-            before = self._live_in
-            self._live_in = before if watched.view is None else watched.view.name
-            if before != self._live_in:
-                self._show_planned(before)
             view = self.views[NAMES.index(self._live_in)]
-            picture = self.pictures.live(watched.image)
-            view.set_label(LIVE_LABELS[self._live_in] if watched.view is not None else LIVE_UNKNOWN)
-            view.set_image(picture.url, picture.width, picture.height, window=picture.window)
             view.draw("wire", [] if watched.corridor is None else shapes.band(watched.corridor))
-            for layer in ("beads", "curves", "aids"):
-                view.draw(layer, [])
-            view.set_points([])
             view.stale(watched.stale)
             view.notice(STALE.format(age=watched.age_s) if watched.stale else None)
         elif self.live is not None:
             self.live = None
             self._show_planned(self._live_in)
             self.refresh()
+
+    def _draw_live(self, watched: "Watched") -> None:
+        """A new live image."""
+        before = self._live_in
+        self._live_in = before if watched.view is None else watched.view.name
+        if before != self._live_in:
+            self._show_planned(before)
+        view = self.views[NAMES.index(self._live_in)]
+        picture = self.pictures.live(watched.image)
+        view.set_label(LIVE_LABELS[self._live_in] if watched.view is not None else LIVE_UNKNOWN)
+        view.set_image(picture.url, picture.width, picture.height, window=picture.window)
+        for layer in ("beads", "curves", "aids"):
+            view.draw(layer, [])
+        view.set_points([])
 
     def _show_planned(self, name: str) -> None:
         """The plan's image again in the view that a live one was in."""

@@ -13,7 +13,7 @@ from starlette.responses import JSONResponse, Response
 from starlette.routing import Route
 
 from sightline.errors import ImageError, SightlineError
-from sightline.imaging import Radiograph, read_image
+from sightline.imaging import Radiograph, read_image, suffix_of
 from sightline.imaging.limits import MAX_PIXELS
 
 MAX_UPLOAD_BYTES = 4 * MAX_PIXELS + 2**20  # [calc] the largest image as float32, and a header
@@ -21,16 +21,8 @@ MAX_AT_ONCE = 2  # [ours] two views; bounds what uploads hold in memory
 MAX_NAME_CHARACTERS = 80  # [ours] what a line of the page shows
 UPLOADS_PATH = "/upload/"
 
-# Where a file of each kind has its mark; `read_image` decides by the same.
-_MARKS = [
-    (128, b"DICM", "DICOM"),
-    (0, b"\x89PNG\r\n\x1a\n", "PNG"),
-    (0, b"II*\x00", "TIFF"),
-    (0, b"MM\x00*", "TIFF"),
-    (0, b"BM", "BMP"),
-    (0, b"\x93NUMPY", "NumPy"),
-]
-_MARKED_BYTES = 132
+_KINDS = {".dcm": "DICOM", ".png": "PNG", ".tif": "TIFF", ".bmp": "BMP", ".npy": "NumPy"}  # for people, by suffix
+_MARKED_BYTES = 132  # that tell what a file is
 
 
 @dataclass(frozen=True)
@@ -40,6 +32,11 @@ class Upload:
     name: str
     kind: str
     data: bytes = field(repr=False)
+
+    @property
+    def suffix(self) -> str:
+        """How a file of its kind ends, ".dcm" say."""
+        return next(suffix for suffix, kind in _KINDS.items() if kind == self.kind)
 
     def read(self, frame_index: int | None = None) -> Radiograph:
         """The image; takes a while, so not on the event loop. Raises ImageError, as `read_image`."""
@@ -111,7 +108,8 @@ async def receive(chunks: AsyncIterator[bytes], name: str) -> Upload:
 
 def kind_of(data: bytes | bytearray) -> str | None:
     """What the first bytes of a file say it is; None for what is no image we read."""
-    return next((kind for at, mark, kind in _MARKS if data[at : at + len(mark)] == mark), None)
+    suffix = suffix_of(bytes(data[:_MARKED_BYTES]))
+    return None if suffix is None else _KINDS[suffix]
 
 
 def shown_name(given: str) -> str:

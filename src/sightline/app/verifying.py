@@ -45,10 +45,11 @@ class Verifying:
         for name, data in (await procedure.during("taking both check images", work)).items():
             await procedure.take(data, ".dcm", image=f"check-{name}", by=Actor.DEMO)
 
-    @property
-    def due(self) -> bool:
-        """True if images, plan or landmarks are others than those that were measured."""
+    def look(self) -> bool:
+        """Forget what was measured on images that are not those of now. True if there is something to measure anew."""
         asked = self._asked()
+        if asked is None and self._measured:
+            self._forget()
         return asked is not None and asked.key != self._measured
 
     def _asked(self) -> "_Asked | None":
@@ -73,21 +74,16 @@ class Verifying:
         landmarks = Landmarks(planned_px, checked_px, PICK_SD_PX)
         return _Asked(sent, sent.plan, tuple(one for one in seen if one is not None), views, landmarks)
 
-    def forget(self) -> None:
+    def _forget(self) -> None:
         """What was measured holds no more."""
         self._measured, self.shot, self.refused, self.wires = (), None, "", {}
-
-    @property
-    def void(self) -> bool:
-        """True if something is shown of images that are not those of now."""
-        return bool(self._measured) and self._asked() is None
 
     async def measure(self) -> None:
         """Find the wire in both check images and compare."""
         asked = self._asked()
         if asked is None:
             return
-        self.forget()
+        self._forget()
         self._measured = asked.key
         try:
             wires = [await self._found(asked, one) for one in asked.seen]

@@ -71,6 +71,11 @@ class GuardedSocket(socket.socket):
             self._waiting = max(0, self._waiting - 1)
         return super().send(data, flags)
 
+    def shutdown(self, how: int) -> None:  # pyright: ignore[reportIncompatibleMethodOverride]
+        """As a socket does, and nothing where the peer has gone: the library would forget to close it."""
+        with suppress(OSError):
+            super().shutdown(how)
+
     def _watch(self, data: bytes) -> None:
         view = memoryview(data)
         while view:
@@ -127,7 +132,6 @@ class GuardedSocket(socket.socket):
                 raise self._ended("it sends without waiting for answers")
 
     def _ended(self, why: str) -> PeerError:
-        with suppress(OSError):  # it may be shut already
-            self.shutdown(socket.SHUT_RDWR)
+        self.shutdown(socket.SHUT_RDWR)
         self._say(why)
         return PeerError(why)

@@ -12,7 +12,7 @@ def canonical(value: Any) -> str:
     """JSON of plain values, arrays and dataclasses: keys in order, no spaces, floats as the shortest text that reads
     back to the same bits. Raises CaseError on what is no JSON and on numbers that are not finite."""
     try:
-        return dumps(_plain(value), allow_nan=False, sort_keys=True, separators=(",", ":"), ensure_ascii=False)
+        return dumps(plain(value), allow_nan=False, sort_keys=True, separators=(",", ":"), ensure_ascii=False)
     except (TypeError, ValueError) as error:
         raise CaseError(
             f"a case holds JSON: {error}; write None for what is unknown, and lists and numbers for the rest"
@@ -24,12 +24,13 @@ def digest(data: str | bytes) -> str:
     return sha256(data.encode() if isinstance(data, str) else data).hexdigest()
 
 
-def _plain(value: Any) -> Any:
+def plain(value: Any) -> Any:
+    """Dataclasses, arrays and tuples as dicts and lists; what else there is stays."""
     if is_dataclass(value) and not isinstance(value, type):
-        return {field.name: _plain(getattr(value, field.name)) for field in fields(value)}
+        return {field.name: plain(getattr(value, field.name)) for field in fields(value)}
     if isinstance(value, dict):
-        return {str(key): _plain(item) for key, item in value.items()}
+        return {str(key): plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
+        return [plain(item) for item in value]
     to_list = getattr(value, "tolist", None)  # of numpy arrays and scalars
     return value if to_list is None else to_list()

@@ -16,7 +16,7 @@ from pydicom.uid import generate_uid
 
 from sightline import __version__
 from sightline.imaging import read_image, write_dicom
-from sightline.imaging.dicom import _quiet as quiet
+from sightline.imaging.dicom import quiet
 from sightline.imaging.headers import damaged
 
 NOBODY = "REMOVED"

@@ -69,17 +69,25 @@ def _stated(target: RobotTarget) -> dict[str, float]:
     }
 
 
+def force_picture(record: DrillingRecord) -> str:
+    """The thrust over the depth near the bone, with what was noticed; empty before there is enough to draw."""
+    near = record.depth_mm > -BEFORE_MM
+    if np.count_nonzero(near) < 2:
+        return ""
+    events = {event.name: event.depth_mm for event in reversed(record.events)}  # of several the first
+    described = f"Thrust along the wire over its depth: {_noticed(record)}"
+    return force_trace(record.depth_mm[near], record.force_n[near], events, described)
+
+
+def _noticed(record: DrillingRecord) -> str:
+    return ", ".join(f"{event.name} at {event.depth_mm:.1f} mm" for event in record.events)
+
+
 def section(drilled: Drilled | None) -> dict[str, Any] | None:
     """The report's section as its template wants it."""
     if drilled is None:
         return None
     target, check, record = drilled.target, drilled.check, drilled.record
-    events = {event.name: event.depth_mm for event in reversed(record.events)}  # of several the first
-    said = ", ".join(f"{event.name} at {event.depth_mm:.1f} mm" for event in record.events)
-    near = record.depth_mm > -BEFORE_MM
-    drawing = force_trace(
-        record.depth_mm[near], record.force_n[near], events, f"Thrust along the wire over its depth: {said}"
-    )
     rows = [("the robot's error, as stated before drilling (95 %)", *_figures(_stated(target)))]
     if not isinstance(check, str):
         shown = check.document()
@@ -87,8 +95,8 @@ def section(drilled: Drilled | None) -> dict[str, Any] | None:
         rows.append(("check shot: its own error (95 %)", *_figures(shown["error_95"])))
     rows += [(f"physics: the wire against {one.against}", *_figures(vars(one))) for one in drilled.physics]
     return {
-        "force": Markup(drawing),  # noqa: S704 - made by svg.py, which escapes
-        "events": said,
+        "force": Markup(force_picture(record)),  # noqa: S704 - made by svg.py, which escapes
+        "events": _noticed(record),
         "rows": rows,
         "sources": _sources(target),
         "check": check_sentence(check),

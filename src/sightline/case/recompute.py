@@ -14,9 +14,9 @@ from sightline.case.contents import Asked
 from sightline.case.entry import Entry, Kind, versions
 from sightline.case.journal import Case
 from sightline.case.stages import TABLE, frame_of, image_of
-from sightline.case.views import CalibratedImage, Seen
+from sightline.case.views import CalibratedImage, Seen, tell_apart
 from sightline.checks import Check
-from sightline.detection import Detections, detect, label, look_again
+from sightline.detection import Detections, detect
 from sightline.detection.files import read_observations
 from sightline.errors import CaseError, ObservationsError, SightlineError
 from sightline.frame import Frame
@@ -111,8 +111,8 @@ class Recomputed:
             return _from_table(self._case.original(source.content["original"]), entry.content["view"])
         beads, acquired = self.beads(source), self._under(source)
         image = self._present(self.image(acquired))
-        labels = label(beads, frame, view, entry.settings["datums"])
-        return Seen(acquired.content["original"], look_again(image, beads, labels, frame), image, beads)
+        observations = tell_apart(image, beads, frame, view, entry.settings["datums"])
+        return Seen(acquired.content["original"], observations, image, beads)
 
     def _frame(self, entry: Entry) -> Frame:
         return frame_of(self._case, entry.settings["frame"])

@@ -20,6 +20,11 @@ from sightline.planning import Plan
 TABLE = ".csv"  # of beads, found by other software or by hand
 
 
+def record_changed(case: Case, what: str, to: object, *, by: Actor) -> Entry:
+    """Something about the case is another: its frame, its patient, what a person decided."""
+    return case.record(Kind.CHANGED, {"what": what, "from": None, "to": to}, by=by)
+
+
 def record_acquired(case: Case, data: bytes, suffix: str, *, by: Actor, frame_index: int | None = None) -> Entry:
     """An image, or beads as CSV, as it came. The file's own name is not asked for: it may be a patient's.
 

@@ -52,7 +52,18 @@ def see(
     """
     image = read_image(path, frame_index)
     beads = detect(image)
-    return Seen(path.name, look_again(image, beads, label(beads, frame, view, datums), frame), image, beads)
+    return Seen(path.name, tell_apart(image, beads, frame, view, datums), image, beads)
+
+
+def tell_apart(
+    image: Radiograph,
+    beads: Detections,
+    frame: Frame,
+    view: str | None = None,
+    datums: dict[str, tuple[float, float]] | None = None,
+) -> Observations:
+    """The beads of an image by their names, half-hidden ones looked at again; see `see`."""
+    return look_again(image, beads, label(beads, frame, view, datums), frame)
 
 
 def _from_csv(path: Path, name: str, frame: Frame) -> Seen:

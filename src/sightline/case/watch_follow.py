@@ -5,8 +5,9 @@ from enum import StrEnum
 
 from sightline.calibration import BeadView, calibrate
 from sightline.calibration.retrack import recalibrate
+from sightline.case.views import tell_apart
 from sightline.checks import failed
-from sightline.detection import Observations, detect, label, look_again
+from sightline.detection import Observations, detect
 from sightline.detection.track import Track, TrackLost
 from sightline.errors import RefusedError
 from sightline.frame import Frame
@@ -76,7 +77,7 @@ class Follower:
     def _anew(self, image: Radiograph, at_s: float, why: str) -> Followed:
         """As if it were the first image. Raises RefusedError."""
         beads = detect(image)
-        seen = look_again(image, beads, label(beads, self._frame), self._frame)
+        seen = tell_apart(image, beads, self._frame)
         view = calibrate(seen, self._frame)
         self._track, self._view = Track.begin(image, beads, seen, self._frame), view
         self._since_look, self._searched_s = 0, at_s

@@ -36,8 +36,8 @@ def record(folder: Path, kept: Kept) -> None:
     with Case.create(folder) as case:
         frame_ref = stages.keep_frame(case, rehearsal.setup.frame)
         patient = {"seed": rehearsal.seed, "frame": rehearsal.setup.frame.name, "side": rehearsal.side}
-        case.record(Kind.CHANGED, {"what": "frame", "from": None, "to": frame_ref}, by=by)
-        case.record(Kind.CHANGED, {"what": "rehearsal", "from": None, "to": patient}, by=by)
+        stages.record_changed(case, "frame", frame_ref, by=by)
+        stages.record_changed(case, "rehearsal", patient, by=by)
         before = case.last
         first, second = (
             stages.record_view(case, file, image, frame_ref=frame_ref, by=by)
@@ -45,7 +45,7 @@ def record(folder: Path, kept: Kept) -> None:
         )
         acquired = [entry.number for entry in case.entries(Kind.ACQUIRED, after=before)]
         decided = _decisions(kept, dict(zip(NAMES, acquired, strict=True)))
-        case.record(Kind.CHANGED, {"what": "edit", "from": None, "to": decided}, by=by)
+        stages.record_changed(case, "edit", decided, by=by)
         plan = stages.record_planned(case, (first, second), kept.asked, kept.plan, by=by)
         if kept.drilled is not None:
             document = kept.drilled.document()

@@ -5,7 +5,6 @@ import sys
 import traceback
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import fields, is_dataclass
 from json import dumps
 from pathlib import Path
 from time import perf_counter
@@ -133,19 +132,15 @@ class Output:
 
 def as_json(value: Any) -> str:
     """JSON of plain values, arrays, dataclasses and paths. None is null; a value that is not finite is a bug."""
-    return dumps(_plain(value), allow_nan=False)
+    from sightline.case.canonical import plain
+
+    return dumps(plain(value), allow_nan=False, default=_path)
 
 
-def _plain(value: Any) -> Any:
-    if is_dataclass(value):
-        return {field.name: _plain(getattr(value, field.name)) for field in fields(value)}
-    if isinstance(value, dict):
-        return {str(key): _plain(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_plain(item) for item in value]
-    if isinstance(value, Path):
-        return str(value)
-    return value.tolist() if hasattr(value, "tolist") else value  # numpy arrays and scalars
+def _path(value: Any) -> str:
+    if not isinstance(value, Path):
+        raise TypeError(f"{type(value).__name__} is no JSON")
+    return str(value)
 
 
 def _table(title: str, columns: Sequence[str], rows: Iterable[Sequence[object]]) -> "Table":

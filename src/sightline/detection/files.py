@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from sightline.atomic import write_whole
+from sightline.bounded import read_text
 from sightline.detection.results import Observations
 from sightline.errors import ObservationsError
 
@@ -21,7 +22,12 @@ _MAX_TEXT = 64  # [ours] characters in the name of a view or fiducial
 def read_observations(path: str | Path) -> dict[str, Observations]:
     """The observations in a CSV file, by view. Raises ObservationsError, which names the line."""
     name = Path(path).name
-    reader = csv.reader(io.StringIO(_text(Path(path))), strict=True)
+    reader = csv.reader(
+        io.StringIO(
+            read_text(Path(path), _MAX_BYTES, ObservationsError, "give the beads of one pair of images as CSV")
+        ),
+        strict=True,
+    )
     rows: dict[str, list[tuple[str, list[float]]]] = {}
     try:
         header = tuple(cell.strip() for cell in next(reader, []))
@@ -57,20 +63,6 @@ def _lines(view: Observations, known: bool) -> Iterator[list[str]]:
         if known and view.covariance_px2 is not None:
             numbers += list(view.covariance_px2[i][[0, 0, 1], [0, 1, 1]])
         yield [view.view, fiducial, *(repr(float(number)) for number in numbers)]
-
-
-def _text(file: Path) -> str:
-    try:
-        with file.open("rb") as stream:
-            data = stream.read(_MAX_BYTES + 1)
-    except OSError as error:
-        raise ObservationsError(f"cannot read {file.name}: {error.strerror}") from error
-    if len(data) > _MAX_BYTES:
-        raise ObservationsError(f"{file.name} is larger than {_MAX_BYTES} bytes; give the beads of one pair of images")
-    try:
-        return data.decode("utf-8-sig")
-    except UnicodeDecodeError:
-        raise ObservationsError(f"{file.name} is not a text file; write observations as CSV in UTF-8") from None
 
 
 def _row(cells: list[str], width: int, where: str) -> tuple[str, str, list[float]]:

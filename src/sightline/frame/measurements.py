@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from sightline.bounded import read_text
 from sightline.errors import FrameError
 from sightline.frame.files import SIZE_LIMIT_BYTES
 
@@ -104,17 +105,7 @@ def _rows(file: Path) -> list[tuple[int, Row]]:
 
 
 def _text(file: Path) -> str:
-    try:
-        with file.open("rb") as stream:
-            data = stream.read(SIZE_LIMIT_BYTES + 1)
-    except OSError as error:
-        raise FrameError(f"cannot read {file.name}: {error.strerror}; name a CSV file") from error
-    if len(data) > SIZE_LIMIT_BYTES:
-        raise FrameError(f"{file.name} is larger than {SIZE_LIMIT_BYTES >> 20} MiB; that is no table of balls")
-    try:
-        return data.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise FrameError(f"{file.name} is not a CSV file in UTF-8: {error}") from None
+    return read_text(file, SIZE_LIMIT_BYTES, FrameError, "give a table of balls as CSV")
 
 
 def _column(name: str) -> str:

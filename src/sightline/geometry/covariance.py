@@ -3,6 +3,7 @@
 import numpy as np
 from scipy.special import erf, gammaincinv, ndtri
 
+TWO_SIDED_95 = 1.959964  # standard deviations that hold 95 % of a normal distribution
 # Nodes over one octant of directions: the probability is right to 1e-6 (tests/geometry/test_covariance.py).
 _COSINES, _COSINE_WEIGHTS = np.polynomial.legendre.leggauss(24)
 _HEIGHTS = (_COSINES + 1) / 2

@@ -81,7 +81,7 @@ def read(file: Path, frame_index: int | None) -> Radiograph:
     C-arms show bone dark. Negative stored values are shifted up by the smallest that can be stored.
     Raises ImageError.
     """
-    with _quiet():
+    with quiet():
         header = _header(file)
         index = _frame(header, frame_index, file.name)
         height, width, bits = _layout(header, file.name)
@@ -98,7 +98,7 @@ def read(file: Path, frame_index: int | None) -> Radiograph:
 
 def frames_in(file: Path) -> int:
     """How many frames a file says that it holds. Raises ImageError."""
-    with _quiet():
+    with quiet():
         return _frames(_header(file), file.name)
 
 
@@ -146,7 +146,7 @@ _decoder = Decoder()
 
 
 @contextmanager
-def _quiet() -> Iterator[None]:
+def quiet() -> Iterator[None]:
     """Nothing of a header reaches a log: pydicom's messages quote values."""
     log = getLogger("pydicom")
     before, log.propagate, log.disabled = (log.propagate, log.disabled), False, True

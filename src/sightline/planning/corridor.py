@@ -6,11 +6,11 @@ import numpy as np
 
 from sightline.calibration.view import CalibratedView
 from sightline.errors import OutsideRegionError
+from sightline.geometry.covariance import TWO_SIDED_95
 from sightline.planning.trajectory import Trajectory
 
 WIRE_MM = 2.5  # diameter (physics.md, Planning figures) [paper]
 _STEP_MM = 5.0  # about 25 px: the chord of a distorted line is then off by less than 0.06 px [ours]
-_TWO_SIDED_95 = 1.959964  # normal quantile
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,5 +63,5 @@ def corridor(
         covariance = trajectory.covariance_mm2 if robot_mm2 is None else trajectory.covariance_mm2 + robot_mm2
         share = (along / length)[whole, None]
         errs = np.hstack([(1.0 - share) * sideways[whole], share * sideways[whole]])
-        half_95 = _TWO_SIDED_95 * px_per_mm * np.sqrt(np.einsum("ip,pq,iq->i", errs, covariance, errs))
+        half_95 = TWO_SIDED_95 * px_per_mm * np.sqrt(np.einsum("ip,pq,iq->i", errs, covariance, errs))
     return Corridor(along[whole], middle, across, px_per_mm * wire_mm / 2, half_95)

@@ -6,13 +6,13 @@ import numpy as np
 
 from sightline.calibration.view import CalibratedView, LinesOfSight
 from sightline.errors import OutsideRegionError, UnusableInputError
+from sightline.geometry.covariance import TWO_SIDED_95
 from sightline.planning.picks import DEFAULT_PICK_SD_PX, Pick
 from sightline.planning.residuals import Residuals, pick_covariance_mm2
 
 STEP_MM = 2.0  # about 10 px: the chord of a distorted line is then off by less than 0.01 px [ours]
 TICK_MM = 10.0  # [ours]
 _BAND_EVERY = 5  # samples: the band is as smooth as the map's covariance, which follows the beads' pitch
-_TWO_SIDED_95 = 1.959964  # normal quantile
 # A click farther than this from the curve is not a click on the curve: about 8 mm at the hip [ours].
 FARTHEST_SNAP_PX = 25.0
 
@@ -81,7 +81,7 @@ def matching_curve(
         uv_px=curve_px,
         tangent_px=tangent,
         is_tick=np.isclose(depth % TICK_MM, 0.0),
-        half_width_px=None if sd is None else np.interp(depth, depth[some], _TWO_SIDED_95 * sd),
+        half_width_px=None if sd is None else np.interp(depth, depth[some], TWO_SIDED_95 * sd),
     )
 
 

@@ -34,21 +34,18 @@ def expected_wire(view: CalibratedView, trajectory: Trajectory) -> ExpectedWire:
     across = np.cross(trajectory.direction, rays)
     sine = np.linalg.norm(across, axis=1) / np.linalg.norm(rays, axis=1)
     across /= np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-9)
-    seen = [_projected(view, np.stack([p, p - a / 2, p + a / 2])) for p, a in zip(xyz, across, strict=True)]
-    inside = np.array([one is not None for one in seen])
+    edged = np.stack([xyz, xyz - across / 2, xyz + across / 2], axis=1)
+    pixels, visible = view.project_seen(edged.reshape(-1, 3))
+    seen = np.full((edged.size // 3, 2), np.nan)
+    seen[visible] = pixels
+    seen = seen.reshape(-1, 3, 2)
+    inside = visible.reshape(-1, 3).all(axis=1)
     if np.count_nonzero(inside) < 2:
         raise OutsideRegionError(
             f"view {view.name!r} is calibrated nowhere along the plan; move the frame so that its beads surround it"
         )
     edges = np.flatnonzero(np.diff(np.concatenate([[False], inside, [False]]).astype(int))).reshape(-1, 2)
     first, last = edges[np.argmax(np.diff(edges, axis=1))]
-    uv = np.array(seen[first:last])
+    uv = seen[first:last]
     scale = np.linalg.norm(uv[:, 2] - uv[:, 1], axis=1)
     return ExpectedWire(uv[:, 0], along[first:last], scale, sine[first:last])
-
-
-def _projected(view: CalibratedView, xyz_mm: np.ndarray) -> np.ndarray | None:
-    try:
-        return view.project(xyz_mm)
-    except OutsideRegionError:
-        return None

@@ -9,7 +9,7 @@ from scipy.spatial.transform import RigidTransform
 import sightline as sl
 from sightline.calibration import BeadView
 from sightline.case.views import NAMES as VIEWS
-from sightline.detection import look_again
+from sightline.case.views import tell_apart
 from sightline.detection.wire import WireShadow, find_wire
 from sightline.errors import SetUpError
 from sightline.imaging import Radiograph
@@ -67,7 +67,7 @@ class CheckImages:
     def _found(self, name: str, plan: Plan) -> tuple[BeadView, WireShadow]:
         image = self.images[name]
         beads = sl.detect(image)
-        seen = look_again(image, beads, sl.label(beads, self.setup.frame, name), self.setup.frame)
+        seen = tell_apart(image, beads, self.setup.frame, name)
         view = sl.calibrate(seen, self.setup.frame, view=name)
         expected = expected_wire(view, plan.trajectory)
         return view, find_wire(image, expected, WIRE_MM, beads.uv_px, beads.radius_px)

@@ -1,6 +1,7 @@
 """What the robot said while it drilled: depth and force over the link, and the events that its supervision noticed."""
 
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -41,6 +42,17 @@ class DrillingRecord:
             "force_n": self.force_n.tolist(),
             "events": events,
         }
+
+    @staticmethod
+    def of(document: Mapping[str, Any]) -> "DrillingRecord":
+        """From JSON types."""
+        sd = document.get("depth_sd_mm")
+        return DrillingRecord(
+            np.array(document["depth_mm"]),
+            np.array(document["force_n"]),
+            tuple(DrillingEvent(**event) for event in document["events"]),
+            None if sd is None else np.array(sd),
+        )
 
 
 class Recorder:

@@ -5,10 +5,10 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.stats import beta, binom
 
+from sightline.geometry.covariance import TWO_SIDED_95
 from sightline.studies.study import Figure
 
 _TAIL = 0.025
-_TWO_SIDED = 1.959964  # standard deviations that hold 95 % of a normal distribution
 
 
 def quantile(name: str, values: np.ndarray, at: float, unit: str = "mm") -> Figure:
@@ -45,7 +45,7 @@ def rms(name: str, groups: Sequence[np.ndarray], unit: str = "") -> Figure:
     mean = float(weights @ kept)
     if len(kept) < 2:
         return Figure(name, float(np.sqrt(mean)), None, None, unit, len(kept))
-    half = _TWO_SIDED * float(np.sqrt(np.sum((weights * (np.array(kept) - mean)) ** 2) * len(kept) / (len(kept) - 1)))
+    half = TWO_SIDED_95 * float(np.sqrt(np.sum((weights * (np.array(kept) - mean)) ** 2) * len(kept) / (len(kept) - 1)))
     return Figure(
         name, float(np.sqrt(mean)), float(np.sqrt(max(mean - half, 0.0))), float(np.sqrt(mean + half)), unit, len(kept)
     )

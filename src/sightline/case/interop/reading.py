@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from sightline.bounded import read_bounded
 from sightline.errors import UnusableInputError
 
 MAX_BYTES = 2**20  # [ours] a matrix with its covariance takes 5 kB
@@ -17,14 +18,7 @@ _MAX_DEPTH = 8  # [ours] of brackets in JSON; ours have 3
 
 def read_bytes(path: Path, limit: int = MAX_BYTES) -> bytes:
     """A whole file of at most `limit` bytes."""
-    try:
-        with path.open("rb") as stream:
-            data = stream.read(limit + 1)
-    except OSError as error:
-        raise UnusableInputError(f"cannot read {path.name}: {error.strerror}") from error
-    if len(data) > limit:
-        raise UnusableInputError(f"{path.name} is larger than {limit >> 10} KiB; give the file of one view or plan")
-    return data
+    return read_bounded(path, limit, UnusableInputError, "give the file of one view or plan")
 
 
 def text(data: bytes) -> str:
