@@ -79,7 +79,7 @@ def _row(cells: list[str], width: int, where: str) -> tuple[str, str, list[float
         raise ObservationsError(f"{where}: a value is not finite; leave out beads that were not measured")
     if len(numbers) == 5:
         suu, suv, svv = numbers[2:]
-        if suu <= 0 or svv <= 0 or suv**2 >= suu * svv:
+        if suu <= 0 or svv <= 0 or suv * suv >= suu * svv:
             raise ObservationsError(f"{where}: the covariance is not positive definite; check suu, suv and svv")
     return view, fiducial, numbers
 

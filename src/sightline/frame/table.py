@@ -118,7 +118,7 @@ def _ball_covariance(row: Row, line: int) -> np.ndarray | None:
     if single:
         if not (sd := _number(row, "sd_mm", line)) >= 0:
             raise FrameError(f"line {line}: sd_mm is {sd:g}; a standard deviation is not negative")
-        return sd**2 * np.eye(3)
+        return np.diag([sd * sd] * 3)
     if len(full) < len(_COVARIANCE):
         raise FrameError(f"line {line}: a covariance needs all of {', '.join(_COVARIANCE)}")
     xx, xy, xz, yy, yz, zz = (_number(row, column, line) for column in _COVARIANCE)

@@ -1,6 +1,7 @@
 """Image files in and out: DICOM, PNG, TIFF, BMP, NumPy. The first bytes tell the format, not the name."""
 
-import io
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import cv2
@@ -10,6 +11,7 @@ from sightline.atomic import write_whole
 from sightline.errors import ImageError
 from sightline.imaging import dicom, headers
 from sightline.imaging.limits import MAX_FILE_BYTES, check_size
+from sightline.imaging.npy import npy_array
 from sightline.imaging.radiograph import Radiograph
 
 _RASTER = {b"\x89PNG\r\n\x1a\n": headers.png, b"BM": headers.bmp, b"II*\x00": headers.tiff, b"MM\x00*": headers.tiff}
@@ -85,7 +87,8 @@ def _read_raster(file: Path, read_header: headers.HeaderReader) -> Radiograph:
     height, width = read_header(data, file.name)
     check_size(height, width, file.name)
     try:
-        pixels = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+        with _quiet():
+            pixels = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
     except cv2.error:
         pixels = None
     if pixels is None or pixels.shape[:2] != (height, width):
@@ -93,22 +96,28 @@ def _read_raster(file: Path, read_header: headers.HeaderReader) -> Radiograph:
     return _radiograph(grey(pixels, file.name), file.name)
 
 
-def _read_npy(file: Path) -> Radiograph:
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """What OpenCV's decoders find is said once, by us."""
+    log = cv2.utils.logging
+    before = log.setLogLevel(log.LOG_LEVEL_SILENT)
     try:
-        with file.open("rb") as stream:
-            version = np.lib.format.read_magic(stream)
-            shape, _, dtype = (
-                np.lib.format.read_array_header_1_0(stream)
-                if version == (1, 0)
-                else np.lib.format.read_array_header_2_0(stream)
-            )
-        if len(shape) not in (2, 3) or dtype.hasobject:
+        yield
+    finally:
+        log.setLogLevel(before)
+
+
+def _read_npy(file: Path) -> Radiograph:
+    def look(shape: tuple[int, ...], dtype: np.dtype) -> None:
+        if len(shape) not in (2, 3) or 0 in shape or dtype.hasobject:
             raise ImageError(
                 f"{file.name} holds no image: shape {shape}, type {dtype}; save one (H, W) array of numbers"
             )
         check_size(shape[0], shape[1], file.name)
-        pixels = np.load(io.BytesIO(file.read_bytes()), allow_pickle=False)
-    except (ValueError, EOFError, OSError) as error:
+
+    try:
+        pixels = npy_array(file.read_bytes(), look)
+    except (ValueError, OSError) as error:
         raise ImageError(f"{file.name} is not a whole NumPy file; save the array again") from error
     return _radiograph(grey(pixels, file.name), file.name)
 
@@ -127,6 +136,8 @@ def _radiograph(pixels: np.ndarray, name: str) -> Radiograph:
     if pixels.dtype in (np.uint8, np.uint16):
         return Radiograph(pixels, float(np.iinfo(pixels.dtype).max))
     if pixels.dtype.kind == "f":
-        largest = np.float32(pixels.max())  # nothing says where such an image saturates: above all that occurs
+        with np.errstate(over="ignore"):  # what float32 cannot hold is refused as not finite
+            pixels = pixels.astype(np.float32)
+        largest = pixels.max()  # nothing says where such an image saturates: above all that occurs
         return Radiograph(pixels, float(np.nextafter(largest, np.float32(np.inf))))
     raise ImageError(f"{name} holds {pixels.dtype} pixels; save them as uint8, uint16 or float32")

@@ -8,6 +8,7 @@ import numpy as np
 from sightline.case.interop import reading
 from sightline.case.interop.pinhole import Pinhole
 from sightline.errors import UnusableInputError
+from sightline.imaging.npy import npy_array
 
 CONVENTION = (
     "(u w, v w, w) = camera_matrix (rotation X + translation_mm), X in CFCS mm; pixel (0, 0) is the centre of the "
@@ -99,16 +100,14 @@ def read(data: bytes, name: str) -> Pinhole:
 
 
 def _npy(data: bytes) -> np.ndarray:
-    """(3, 4) of a NumPy file. Its header is parsed as Python, and may raise whatever that parser raises."""
-    stream = io.BytesIO(data)
+    """(3, 4) of a NumPy file."""
+
+    def look(shape: tuple[int, ...], dtype: np.dtype) -> None:
+        if shape != (3, 4) or dtype.kind not in "fiu":
+            raise ValueError("another array")
+
     try:
-        version = np.lib.format.read_magic(stream)
-        header = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}[version]
-        shape, _, kind = header(stream)
-        # Before anything of the stated size is made.
-        matrix = np.load(io.BytesIO(data), allow_pickle=False) if shape == (3, 4) and kind.kind in "fiu" else None
-    except Exception:
-        matrix = None
-    if matrix is None:
-        raise UnusableInputError("this is not a whole NumPy file of 3 x 4 numbers; save the matrix again")
+        matrix = npy_array(data, look)
+    except ValueError:
+        raise UnusableInputError("this is not a whole NumPy file of 3 x 4 numbers; save the matrix again") from None
     return reading.array(matrix, (3, 4), "the matrix")

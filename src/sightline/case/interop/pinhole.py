@@ -51,6 +51,11 @@ class Pinhole:
         Raises UnusableInputError where it is no perspective projection.
         """
         p = view_from_matrix(matrix, covariance).matrix  # refuses what has no focal point
+        if p[2, 3] == 0:
+            raise UnusableInputError(
+                "the origin of the matrix's world is its X-ray source; give the matrix of a world, such as CFCS, whose "
+                "origin lies before the source"
+            )
         scale = np.linalg.norm(p[2, :3]) * np.sign(p[2, 3])  # the CFCS origin lies before the source, not behind it
         p = p / scale
         camera, turn = rq(p[:, :3])
