@@ -1,14 +1,10 @@
 """From a case to the report of its last plan."""
 
-from dataclasses import replace
-from pathlib import Path
-
 from sightline.case.entry import Kind
 from sightline.case.journal import Case
 from sightline.case.recompute import Recomputed
 from sightline.case.report import Report
 from sightline.case.stages import frame_of
-from sightline.case.views import CalibratedImage
 from sightline.errors import CaseError
 
 
@@ -22,7 +18,7 @@ def report_of(case: Case) -> Report:
         raise CaseError("the case holds no plan yet; plan first, then report")
     again = Recomputed(case)
     views = [case.entry(number) for number in entry.rests_on]
-    first, second = (_called_shortly(again.calibrated(view)) for view in views)
+    first, second = (again.calibrated(view) for view in views)
     return Report(
         title=f"Case {case.number}",
         frame=frame_of(case, views[0].settings["frame"]),
@@ -34,9 +30,3 @@ def report_of(case: Case) -> Report:
             "journal": f"the chain of entries is {entry.chain[:16]} at entry {entry.number}",
         },
     )
-
-
-def _called_shortly(image: CalibratedImage) -> CalibratedImage:
-    """By the first letters of its original's name, which tell it from others."""
-    source = Path(image.seen.source)
-    return replace(image, seen=replace(image.seen, source=source.stem[:12] + source.suffix))

@@ -2,6 +2,7 @@
 
 import os
 from contextlib import suppress
+from hashlib import file_digest
 from pathlib import Path
 from stat import S_IRGRP, S_IROTH, S_IRUSR
 from threading import get_ident
@@ -9,8 +10,11 @@ from threading import get_ident
 from sightline.case.canonical import digest
 from sightline.case.entry import ORIGINAL, SUFFIXES
 from sightline.errors import CaseError
+from sightline.imaging import suffix_of
 
 FOLDER = "originals"
+_SHOWN = 12  # letters of a hash that tell one file of a case from another
+_START = 132  # bytes that tell what a file is
 
 
 def name_of(data: bytes, suffix: str) -> str:
@@ -20,6 +24,19 @@ def name_of(data: bytes, suffix: str) -> str:
             f"a file ending in {suffix!r} cannot be kept in a case; its originals are {', '.join(SUFFIXES)}"
         )
     return digest(data) + suffix
+
+
+def short(name: str) -> str:
+    """An original's name as people are told it."""
+    return name[:_SHOWN] + Path(name).suffix
+
+
+def called(path: Path) -> str:
+    """A file of beads or of an image as a case would call it, shortly: its own name may be a patient's."""
+    with path.open("rb") as file:
+        suffix = suffix_of(file.read(_START)) or ".csv"
+        file.seek(0)
+        return file_digest(file, "sha256").hexdigest()[:_SHOWN] + suffix
 
 
 def keep(folder: Path, name: str, data: bytes) -> None:

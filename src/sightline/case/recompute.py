@@ -13,6 +13,7 @@ from sightline.case.compare_json import Difference, differences
 from sightline.case.contents import Asked
 from sightline.case.entry import Entry, Kind, versions
 from sightline.case.journal import Case
+from sightline.case.originals import short
 from sightline.case.stages import TABLE, frame_of, image_of
 from sightline.case.views import CalibratedImage, Seen, tell_apart
 from sightline.checks import Check
@@ -112,7 +113,7 @@ class Recomputed:
         beads, acquired = self.beads(source), self._under(source)
         image = self._present(self.image(acquired))
         observations = tell_apart(image, beads, frame, view, entry.settings["datums"])
-        return Seen(acquired.content["original"], observations, image, beads)
+        return Seen(short(acquired.content["original"]), observations, image, beads)
 
     def _frame(self, entry: Entry) -> Frame:
         return frame_of(self._case, entry.settings["frame"])
@@ -185,4 +186,4 @@ def _from_table(path: Path, view: str) -> Seen:
     views = read_observations(path)
     if view not in views:
         raise ObservationsError(f"the table holds no observations of view {view!r}")
-    return Seen(path.name, views[view])
+    return Seen(short(path.name), views[view])

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from sightline.calibration import BeadView, calibrate
 from sightline.calibration.fit import Method
+from sightline.case.originals import called
 from sightline.detection import Detections, Observations, detect, label, look_again
 from sightline.detection.detections_csv import are_detections, label_csv
 from sightline.detection.files import read_observations
@@ -18,7 +19,10 @@ NAMES = ("pa", "lateral")  # the order of a pair of views, everywhere
 
 @dataclass(frozen=True, eq=False)
 class Seen:
-    """One view before it is calibrated: its file, and what was found. Without an image there are no `beads`."""
+    """One view before it is calibrated, and what was found in it. Without an image there are no `beads`.
+
+    `source`: the file as a case calls it, by its bytes; never its own name, which may be a patient's.
+    """
 
     source: str
     observations: Observations
@@ -52,7 +56,7 @@ def see(
     """
     image = read_image(path, frame_index)
     beads = detect(image)
-    return Seen(path.name, tell_apart(image, beads, frame, view, datums), image, beads)
+    return Seen(called(path), tell_apart(image, beads, frame, view, datums), image, beads)
 
 
 def tell_apart(
@@ -68,10 +72,10 @@ def tell_apart(
 
 def _from_csv(path: Path, name: str, frame: Frame) -> Seen:
     if are_detections(path):
-        return Seen(path.name, label_csv(path, frame))
+        return Seen(called(path), label_csv(path, frame))
     views = read_observations(path)
     if name in views:
-        return Seen(path.name, views[name])
+        return Seen(called(path), views[name])
     raise ObservationsError(f"{path.name} holds no observations of view {name!r}; it has: {', '.join(views)}")
 
 

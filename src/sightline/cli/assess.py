@@ -67,7 +67,7 @@ def _pixels(points: "MeasuredPoints", images: "tuple[CalibratedImage, Calibrated
     for image in images:
         if image.seen.beads is None:
             raise UnusableInputError(
-                f"{image.seen.source} holds the frame's beads, not the test points: "
+                f"the table of the {image.name} view holds the frame's beads, not the test points: "
                 "give the test points' pixels in the table, or the images themselves"
             )
         found.append(find_balls(image.view, image.seen.beads, image.seen.observations, points))

@@ -76,17 +76,18 @@ def see(path: Path, frame: "Frame", view: str | None, datum: list[str] | None, f
     Raises what reading and labelling raise.
     """
     from sightline.case import views
+    from sightline.case.originals import called
     from sightline.detection.detections_csv import are_detections, label_csv
     from sightline.errors import UnusableInputError
 
     if path.suffix.lower() == ".csv":
         if frame_index is None and are_detections(path):
-            return views.Seen(path.name, label_csv(path, frame, view, _datums(datum)))
+            return views.Seen(called(path), label_csv(path, frame, view, _datums(datum)))
         if datum or frame_index is not None:
             raise UnusableInputError(
                 "--datum and --frame-index are of images; observations in CSV are told apart already"
             )
-        return views.Seen(path.name, _observed(path, view))
+        return views.Seen(called(path), _observed(path, view))
     return views.see(path, frame, view, _datums(datum), frame_index)
 
 

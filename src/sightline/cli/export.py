@@ -122,7 +122,9 @@ def _calibrate(
         seen = [see(first, known, None, None, None)] if second is None else list(see_pair(first, second, known))
     for one in seen:
         if pixels and one.image is None:
-            raise UnusableInputError(f"{one.source} has no pixels; give the image itself")
+            raise UnusableInputError(
+                f"beads alone have no pixels; give the image of the {one.observations.view} view itself"
+            )
     with output.step("calibrating (smooth)"):
         return [(calibrate(one.observations, known), one) for one in seen]
 

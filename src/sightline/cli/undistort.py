@@ -52,7 +52,7 @@ def undistort(
         with output.step("resampling"):
             pixels = None if seen.image is None else seen.image.pixels
             plane_image = resample(pixels, calibrated.plane_map, calibrated.hull, spacing)  # pyright: ignore[reportArgumentType]
-        document = _document(image.name, calibrated, plane_image)
+        document = _document(seen.source, calibrated, plane_image)
         document["files"] = _write(out, plane_image, document)
         height, width = plane_image.pixels.shape
         output.say(
