@@ -6,7 +6,6 @@ from typing import Protocol
 import cv2
 import numpy as np
 from scipy.ndimage import binary_dilation, gaussian_filter
-from scipy.signal import fftconvolve
 
 from sightline.detection.log_image import field_inset, log_image
 from sightline.detection.noise import NoiseModel, estimate_noise
@@ -256,17 +255,22 @@ class _Strip:
         rest = self.residuals(pieces)
         known = np.isfinite(rest)
         values, seen = self.image(np.where(known, rest, 0.0)), self.image(known.astype(np.float64))
-        products, counts = (fftconvolve(a, a[::-1, ::-1]) for a in (values, seen))
-        middle = np.array(values.shape) - 1
-        window = tuple(slice(m - _LAGS, m + _LAGS + 1) for m in middle)
-        return products[window] / np.maximum(counts[window], 1.0)
+        return _products_by_lag(values) / np.maximum(_products_by_lag(seen), 1.0)
 
     def variance(self, pixels: np.ndarray, influence: np.ndarray, correlation: np.ndarray) -> float:
         """Variance of what depends by `influence` on the light of pixels, in units of its noise."""
         row, column = self.row[pixels], self.column[pixels]
         field = np.zeros((int(np.ptp(row)) + 1, int(np.ptp(column)) + 1))
         field[row - row.min(), column - column.min()] = influence
-        return float((field * fftconvolve(field, correlation, mode="same")).sum())
+        return float((_products_by_lag(field) * correlation).sum())
+
+
+def _products_by_lag(values: np.ndarray) -> np.ndarray:
+    """(2 L + 1, 2 L + 1): sums of the products of pixels that lie -L to L rows and columns apart."""
+    shape = [length + _LAGS for length in values.shape]
+    products = np.fft.irfft2(np.abs(np.fft.rfft2(values, shape)) ** 2, shape)
+    lags = np.arange(-_LAGS, _LAGS + 1)
+    return products[np.ix_(lags, lags)]
 
 
 def _on_a_curve(pieces: list[_Piece]) -> list[_Piece]:
