@@ -36,11 +36,11 @@ export default {
         <input ref="inputs" type="file" multiple hidden :aria-label="target.label" :data-testid="'drop-' + target.label"
                accept=".dcm,.dicom,.png,.tif,.tiff,.bmp,.npy,application/dicom" @change="chosen($event, i)">
       </template>
-      <span data-testid="drop-message" role="status" :style="{color: bad ? '#ffb000' : 'inherit'}">{{ message }}</span>
+      <span data-testid="drop-message" role="status" :style="{color: bad ? 'var(--orange)' : 'inherit'}">{{ message }}</span>
       <teleport to="body">
         <div v-if="dragging" style="${PAGE}" data-testid="drop-page">
           <div v-for="(target, i) in targets" :key="target.address" @dragenter="over = i" @drop.prevent="dropped($event, i)"
-               :style="'${PANEL};' + (over === i ? 'border-color:#56b4e9;color:#56b4e9' : 'border-color:#667;color:#ccd')"
+               :style="'${PANEL};' + (over === i ? 'border-color:var(--sky);color:var(--sky)' : 'border-color:var(--edge);color:var(--text)')"
                :data-testid="'drop-panel-' + target.label">{{ target.label }}</div>
         </div>
       </teleport>

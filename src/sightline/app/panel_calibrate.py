@@ -3,6 +3,7 @@
 import numpy as np
 from nicegui import ui
 
+from sightline.app import texts
 from sightline.app.section import Section, checks, heading, note, table
 from sightline.app.tab import Tab
 from sightline.app.texts import IMAGE_LABELS
@@ -16,9 +17,7 @@ def build(tab: Tab) -> None:
         tab.show_rejected = bool(event.value)
         tab.refresh()
 
-    ui.checkbox("Show candidates that are no beads, with the reason", value=tab.show_rejected, on_change=show).props(
-        "data-testid=show-rejected"
-    )
+    ui.checkbox(texts.SHOW_REJECTED, value=tab.show_rejected, on_change=show).props("data-testid=show-rejected")
     Section(tab, lambda t: tuple(t.procedure.seen(name) for name in NAMES), _views)
 
 
@@ -27,7 +26,7 @@ def _views(tab: Tab) -> None:
         heading(IMAGE_LABELS[name])
         seen = tab.procedure.seen(name)
         if seen is None:
-            note("No image yet: drop one onto the page.", kind="quiet")
+            note(texts.DROP_FIRST, kind="quiet")
         elif seen.refused:
             note(seen.refused, kind="bad", testid=f"refused-{name}")
         elif seen.view is None:
@@ -36,9 +35,9 @@ def _views(tab: Tab) -> None:
             left = seen.view.residuals
             sizes = np.linalg.norm(left.residual_mm[left.used], axis=1)
             rows = [
-                ("beads used / left out", f"{int(left.used.sum())} / {len(left.left_out)}"),
-                ("residual, rms", f"{np.sqrt(np.mean(sizes**2)):.3f} mm"),
-                ("focal point", ", ".join(f"{x:.0f}" for x in seen.view.focal_point_mm) + " mm"),
+                (texts.BEADS_USED, f"{int(left.used.sum())} / {len(left.left_out)}"),
+                (texts.RESIDUAL, f"{np.sqrt(np.mean(sizes**2)):.3f} mm"),
+                (texts.FOCAL_POINT, ", ".join(f"{x:.0f}" for x in seen.view.focal_point_mm) + " mm"),
             ]
             table(("", ""), rows, testid=f"calibration-{name}")
             checks(seen.view.checks, testid=f"checks-{name}")

@@ -4,11 +4,12 @@ from collections.abc import Hashable
 
 from nicegui import ui
 
+from sightline.app import texts
 from sightline.app.drop import DropZone
 from sightline.app.section import Section, action, heading, note
 from sightline.app.serve import Site
 from sightline.app.tab import Tab
-from sightline.app.texts import IMAGE_LABELS, ORIENTATION, STEPS
+from sightline.app.texts import IMAGE_LABELS, ORIENTATION, STEPS, XRAY
 from sightline.app.uploads import Upload
 from sightline.case.views import NAMES
 from sightline.errors import UnusableInputError
@@ -24,7 +25,7 @@ def build_drop_zone(tab: Tab, site: Site) -> None:
             image = f"check-{view}" if tab.step == STEPS[-1] else view
             where = await tab.procedure.take(upload.data, upload.suffix, image=image)
             if where != image:
-                tab.say(f"This is the {IMAGE_LABELS[where]}, as its markers tell; it was put there.")
+                tab.say(texts.PUT_WHERE_IT_BELONGS.format(image=IMAGE_LABELS[where]))
 
         return take
 
@@ -51,15 +52,17 @@ def _state(tab: Tab) -> Hashable:
 
 def _images(tab: Tab) -> None:
     procedure = tab.procedure
-    heading("Images")
+    heading(texts.IMAGES_HEADING)
     for name in NAMES:
         seen = procedure.seen(name)
         if seen is None:
-            note(f"{IMAGE_LABELS[name]}: none yet", kind="quiet")
+            note(texts.NO_IMAGE.format(image=IMAGE_LABELS[name]), kind="quiet")
             continue
         height, width = seen.image.shape
-        beads = "" if seen.beads is None else f", {len(seen.beads)} beads found"
-        note(f"{IMAGE_LABELS[name]}: {width} × {height}{beads}", kind="bad" if seen.refused else "good")
+        said = texts.IMAGE_SIZE if seen.beads is None else texts.IMAGE_BEADS
+        beads = 0 if seen.beads is None else len(seen.beads)
+        told = said.format(image=IMAGE_LABELS[name], width=width, height=height, beads=beads)
+        note(told, kind="bad" if seen.refused else "good")
         if seen.refused:
             note(seen.refused, kind="bad")
     if procedure.working:
@@ -67,19 +70,19 @@ def _images(tab: Tab) -> None:
     if procedure.trouble:
         note(procedure.trouble, kind="bad", testid="trouble")
     if procedure.patient is not None:
-        note("This case rehearses on a simulated patient.", kind="quiet")
+        note(texts.REHEARSING, kind="quiet")
         retake = tab.doing(procedure.take_rehearsed)
-        action("Take both images again", retake, testid="retake", enabled=not procedure.working)
+        action(texts.TAKE_AGAIN, retake, testid="retake", enabled=not procedure.working)
 
 
 def _side(tab: Tab) -> None:
-    heading("Patient's side")
+    heading(texts.SIDE_HEADING)
     side = tab.procedure.decisions.side
-    note("Look at both images, at the letters on the film or at the patient, and confirm:", kind="quiet")
-    with ui.element("div").classes("choice").props('role=radiogroup aria-label="Patient\'s side"'):
-        for one in ("right", "left"):
+    note(texts.SIDE_HINT, kind="quiet")
+    with ui.element("div").classes("choice").props(f'role=radiogroup aria-label="{texts.SIDE_HEADING}"'):
+        for one, words in texts.SIDES.items():
             button = action(
-                f"{one.capitalize()} hip",
+                words,
                 tab.doing(lambda one=one: tab.procedure.confirm_side(one)),
                 testid=f"side-{one}",
                 kind="primary" if side == one else "plain",
@@ -90,36 +93,36 @@ def _side(tab: Tab) -> None:
 
 
 def _serial(tab: Tab) -> None:
-    heading("Frame's serial")
+    heading(texts.SERIAL_HEADING)
     known, confirmed = tab.procedure.frame.serial, tab.procedure.decisions.serial
     if confirmed is not None:
-        note(f"Confirmed: {confirmed}", kind="good", testid="serial-confirmed")
+        note(texts.SERIAL_CONFIRMED.format(serial=confirmed), kind="good", testid="serial-confirmed")
     elif known is None:
-        note("The frame file states none. Type what is engraved on the frame; “none” if nothing is.", kind="quiet")
+        note(texts.SERIAL_UNKNOWN, kind="quiet")
     else:
-        note("Type the serial that is engraved on the frame; it must be the frame file's.", kind="quiet")
-    field = ui.input("Serial on the frame", value=confirmed or "").props(
+        note(texts.SERIAL_KNOWN, kind="quiet")
+    field = ui.input(texts.SERIAL_FIELD, value=confirmed or "").props(
         f"dense outlined data-testid=serial maxlength={_SERIAL_LENGTH}"
     )
 
     def confirm() -> None:
         serial = str(field.value or "").strip()
         if not serial or len(serial) > _SERIAL_LENGTH or not serial.isprintable():
-            raise UnusableInputError("type the serial as it is engraved on the frame, or “none” if there is none")
+            raise UnusableInputError(texts.SERIAL_REFUSED)
         tab.procedure.confirm_serial(serial)
 
     field.on("keydown.enter", tab.doing(confirm))
-    action("Confirm serial", tab.doing(confirm), testid="confirm-serial", kind="plain" if confirmed else "primary")
+    action(texts.SERIAL_CONFIRM, tab.doing(confirm), testid="confirm-serial", kind="plain" if confirmed else "primary")
 
 
 def _display(tab: Tab) -> None:
-    shown = [
-        f"{IMAGE_LABELS[image]}: "
-        + " and ".join(["mirrored"] * display.mirrored + [f"turned {display.rotation}°"] * bool(display.rotation))
-        for image, display in tab.procedure.decisions.display.items()
-        if display.mirrored or display.rotation
-    ]
+    shown = []
+    for image, display in tab.procedure.decisions.display.items():
+        mirrored = [XRAY["mirrored"]] * display.mirrored
+        turned = [XRAY["rotated"].format(degrees=display.rotation)] * bool(display.rotation)
+        if how := texts.DISPLAY_AND.join(mirrored + turned):
+            shown.append(texts.DISPLAY_SHOWN.format(image=IMAGE_LABELS[image], how=how))
     if shown:
-        heading("Display")
+        heading(texts.DISPLAY_HEADING)
         for line in shown:
             note(line, kind="warn")

@@ -6,6 +6,7 @@ from itertools import groupby
 import numpy as np
 from nicegui import ui
 
+from sightline.app import texts
 from sightline.app.marks import END, ENTRY, Asked, asked_of
 from sightline.app.section import Section, action, heading, note, table
 from sightline.app.tab import Tab
@@ -14,9 +15,6 @@ from sightline.case.views import NAMES
 from sightline.errors import UnusableInputError
 from sightline.geometry.covariance import TWO_SIDED_95
 from sightline.planning.kinds import KINDS
-
-_TITLES = {"wire": "Wire", "landmark": "Landmarks: did the bone move?", "aid": "Aids"}
-_SHORT = {"pa": "PA", "lateral": "lat"}
 
 
 def figures_key(tab: Tab) -> Hashable:
@@ -39,7 +37,7 @@ def _kind(tab: Tab) -> None:
         await tab.act(lambda: procedure.choose_kind(event.value))
         tab.go_to(tab.step)
 
-    ui.select(kinds, value=decisions.kind, label="Kind of trajectory", on_change=choose).props(
+    ui.select(kinds, value=decisions.kind, label=texts.KIND_FIELD, on_change=choose).props(
         "outlined options-dense data-testid=kind"
     )
     note(KINDS[decisions.kind].purpose, kind="quiet")
@@ -48,25 +46,23 @@ def _kind(tab: Tab) -> None:
         procedure.snapping = bool(event.value)
         tab.refresh()
 
-    ui.checkbox("Take lateral points of the wire to their curves", value=procedure.snapping, on_change=snap).props(
-        "data-testid=snapping"
-    )
+    ui.checkbox(texts.SNAP, value=procedure.snapping, on_change=snap).props("data-testid=snapping")
 
     def show(event) -> None:
         tab.show_beads = bool(event.value)
         tab.refresh()
 
-    ui.checkbox("Show the beads", value=tab.show_beads, on_change=show).props("data-testid=show-beads")
+    ui.checkbox(texts.SHOW_BEADS, value=tab.show_beads, on_change=show).props("data-testid=show-beads")
 
 
 def _points(tab: Tab) -> None:
     decisions = tab.procedure.decisions
     for group, listed in groupby(asked_of(decisions.kind), key=lambda one: one.group):
-        heading(_TITLES[group])
+        heading(texts.POINT_GROUPS[group])
         for _, same in groupby(listed, key=lambda one: one.of):
             _row(tab, tuple(same))
     if KINDS[decisions.kind].proposal is not None:
-        action("Propose a wire from head and shaft", tab.doing(lambda: _propose(tab)), testid="propose")
+        action(texts.PROPOSE, tab.doing(lambda: _propose(tab)), testid="propose")
         Section(tab, _missing, lambda t: note(_missing(t), kind="quiet") if _missing(t) else None)
 
 
@@ -95,14 +91,18 @@ def _row(tab: Tab, same: tuple[Asked, ...]) -> None:
         for image, count in zip(first.images, placed(t), strict=True):
             whole = count == len(same)
             part = f" {count}/{len(same)}" if 0 < count < len(same) else ""
-            ui.label(f"{'●' if whole else '○'} {_SHORT[image]}{part}").classes("placed" if whole else "missing")
+            ui.label(f"{'●' if whole else '○'} {texts.IMAGES_SHORT[image]}{part}").classes(
+                "placed" if whole else "missing"
+            )
 
     with ui.element("div").classes("pick").props(f"data-testid=row-{first.of}") as row:
         ui.label(label).classes("pick-name").tooltip(first.sentence)
         status = ui.element("div").classes("pick-status")
-        action("Place", place, testid=f"place-{first.of}", kind="small")
+        action(texts.PLACE, place, testid=f"place-{first.of}", kind="small").props(
+            f'aria-label="{texts.PLACE_WHAT.format(what=label)}"'
+        )
         remove = action("✕", tab.doing(lambda: tab.procedure.remove(names)), testid=f"remove-{first.of}", kind="small")
-        remove.props(f'aria-label="Remove {label}"')
+        remove.props(f'aria-label="{texts.REMOVE_WHAT.format(what=label)}"')
     with status:
         Section(tab, lambda t: (placed(t), current(t)), show, classes="pick-status")
 
@@ -110,7 +110,7 @@ def _row(tab: Tab, same: tuple[Asked, ...]) -> None:
 def _propose(tab: Tab) -> None:
     known = tab.procedure.planned
     if known is None:
-        raise UnusableInputError("both views must be calibrated before a wire can be proposed")
+        raise UnusableInputError(texts.PROPOSE_UNCALIBRATED)
     proposal, decisions = known.proposal(), tab.procedure.decisions
     for name, uv in ((ENTRY, proposal.entry_uv_px), (END, proposal.end_uv_px)):
         mark = decisions.mark(name)
@@ -133,26 +133,26 @@ def build_figures(tab: Tab) -> None:
     known = tab.known
     if known is None or (known.plan is None and not known.figures):
         return
-    heading("Figures")
+    heading(texts.FIGURES_HEADING)
     rows = []
     if known.plan is not None:
         path = known.plan.trajectory
         if path.points.joint_covariance_mm2 is not None:
             rows += [
-                ("entry, 95 % error", f"{path.entry_error_95_mm:.2f} mm", ""),
-                ("tip, 95 % error", f"{path.end_error_95_mm:.2f} mm", ""),
-                ("direction, 95 % error", f"{np.rad2deg(path.direction_error_95_rad):.2f}°", ""),
+                (texts.ENTRY_ERROR, f"{path.entry_error_95_mm:.2f} mm", ""),
+                (texts.TIP_ERROR, f"{path.end_error_95_mm:.2f} mm", ""),
+                (texts.DIRECTION_ERROR, f"{np.rad2deg(path.direction_error_95_rad):.2f}°", ""),
             ]
         rows += _gaps(tab)
     if tab.procedure.decisions.side is None:
-        note("Confirm the patient's side on the step Images to see figures of the implant.", kind="warn")
+        note(texts.SIDE_FOR_FIGURES, kind="warn")
     for figure in known.figures:
         if figure.value is not None:
             space = "" if figure.unit == "°" else " "
             sd = "" if figure.sd is None else f" ± {TWO_SIDED_95 * figure.sd:.1f}"
             mark = {True: "✓", False: "!", None: ""}[figure.within]
             rows.append((figure.name, f"{figure.value:.1f}{sd}{space}{figure.unit}", mark))
-    table(("", "± 95 %", ""), rows, testid="figures")
+    table(texts.FIGURE_COLUMNS, rows, testid="figures")
 
 
 def _gaps(tab: Tab) -> list[tuple[str, str, str]]:
@@ -160,10 +160,10 @@ def _gaps(tab: Tab) -> list[tuple[str, str, str]]:
     assert known is not None and known.plan is not None  # noqa: S101
     seen, decisions = known.plan.seen, known.decisions
     landmarks = [a for a in asked_of(decisions.kind) if a.group == "landmark" and decisions.mark(a.name).complete()]
-    names = ["entry", "tip", *(a.label for a in landmarks)]
+    names = [*texts.GAP_ENDS, *(a.label[:1].lower() + a.label[1:] for a in landmarks)]
     out = []
     for name, gap, tested in zip(names, seen.gap_mm, seen.gap_tested, strict=True):
-        out.append((f"gap of {name}", f"{gap:.2f} mm" if tested else "not tested (snapped)", ""))
+        out.append((texts.GAP_OF.format(point=name), f"{gap:.2f} mm" if tested else texts.GAP_NOT_TESTED, ""))
     return out
 
 
@@ -172,4 +172,4 @@ def instruction(tab: Tab) -> str:
     asked = tab.asked
     if asked is None or tab.placing is None:
         return ""
-    return f"Click in the {IMAGE_LABELS.get(tab.placing[1], tab.placing[1])}: {asked.label}. {asked.sentence}"
+    return texts.PLACE_WHERE.format(image=IMAGE_LABELS[tab.placing[1]], point=asked.label, sentence=asked.sentence)

@@ -3,22 +3,24 @@
 from collections.abc import Hashable
 
 import numpy as np
+from markupsafe import Markup
 from nicegui import ui
 
-from sightline.app.section import Section, checks, heading, markup, note
+from sightline.app import texts
+from sightline.app.section import Section, checks, heading, markup, note, table
 from sightline.app.tab import Tab
 from sightline.checks import Check, failed
 from sightline.errors import SightlineError
 from sightline.planning.shares import Share, error_shares, error_shares_of
 from sightline.robot.target import LIFETIME_S
 
-_SOURCES = {
-    "beads": "#56b4e9",
-    "map": "#009e73",
-    "focal_point": "#f0e442",
-    "frame": "#e69f00",
-    "picks": "#cc79a7",
-    "robot": "#d55e00",
+SOURCES = {  # of error, and the colour of each (colours.js)
+    "beads": "sky",
+    "map": "green",
+    "focal_point": "yellow",
+    "frame": "orange",
+    "picks": "purple",
+    "robot": "vermillion",
 }
 
 
@@ -59,11 +61,10 @@ def build(tab: Tab) -> None:
         return
     go = all(check.passed for check in listed)
     with ui.element("div").classes(f"verdict {'go' if go else 'no-go'}").props("data-testid=verdict role=status"):
-        ui.label("GO" if go else "NO-GO").classes("verdict-word")
+        ui.label(texts.GO[go]).classes("verdict-word")
         wrong = failed(listed)
-        ui.label(
-            "Every check passed. A person decides." if go else f"{len(wrong)} of {len(listed)} checks failed."
-        ).classes("verdict-sentence")
+        told = texts.ALL_PASSED if go else texts.SOME_FAILED.format(failed=len(wrong), all=len(listed))
+        ui.label(told).classes("verdict-sentence")
     _age(tab)
     for check in failed(listed):
         note(check.sentence, kind="bad", testid="do-about")
@@ -77,7 +78,7 @@ def build_details(tab: Tab) -> None:
     Section(tab, details_key, _shares)
     with ui.element("details").props("data-testid=all-checks"):
         with ui.element("summary"):
-            ui.label(f"All {len(listed)} checks")
+            ui.label(texts.ALL_CHECKS.format(count=len(listed)))
         Section(tab, details_key, lambda t: checks(_listed(t), testid="verdict-checks"))
 
 
@@ -92,20 +93,19 @@ def _age(tab: Tab) -> None:
         if tab.procedure.fresh != was_fresh:
             tab.refresh()  # GO must not stand over a plan that has expired
             return
-        left = LIFETIME_S - age
-        gone = f"{int(age // 60)} min {int(age % 60):02d} s old"
-        label.set_text(
-            f"The images are {gone}; the plan expires in {int(left // 60)} min {int(left % 60):02d} s."
-            if was_fresh
-            else "The plan has expired: take both images again (step Images)."
-        )
+        told = texts.EXPIRES.format(age=_minutes(age), left=_minutes(LIFETIME_S - age))
+        label.set_text(told if was_fresh else texts.EXPIRED)
 
     tell()
     ui.timer(1.0, tell)
 
 
+def _minutes(seconds: float) -> str:
+    return texts.MINUTES.format(minutes=int(seconds // 60), seconds=int(seconds % 60))
+
+
 def _shares(tab: Tab) -> None:
-    """Where the error comes from, as bars."""
+    """Where the error comes from: a table, and bars for who sees their colours."""
     known = tab.known
     if known is None or known.plan is None:
         return
@@ -118,24 +118,43 @@ def _shares(tab: Tab) -> None:
             shares = error_shares(known.plan.trajectory)
     except SightlineError:
         return
-    heading("Where the error comes from")
-    markup("".join(map(_bar, shares, shares.values())), "div").classes("shares").props("data-testid=shares")
-    legend = (f'<i style="background:{colour}"></i><div>{_words(source)}</div>' for source, colour in _SOURCES.items())
-    markup("".join(legend), "div").classes("legend")
+    heading(texts.SHARES_HEADING)
+    together = [_together(share) for share in shares.values()]
+    bars = (f'<div class="share">{_pieces(percent)}</div>' for percent in together)
+    markup("".join(bars), "div").props("aria-hidden=true")
+    columns = [f"{texts.SHARES_OF[what]}, {share.unit}" for what, share in shares.items()]
+    rows = [
+        (
+            _named(source),
+            *(_part(share, percent[source]) for share, percent in zip(shares.values(), together, strict=True)),
+        )
+        for source in SOURCES
+    ]
+    whole = (texts.SHARES_WHOLE, *(_part(share, 100.0) for share in shares.values()))
+    shown = table((texts.SHARES_SOURCE, *columns), [*rows, whole], testid="shares")
+    shown.classes("shares").props(f'aria-label="{texts.SHARES_LABEL}"')
 
 
-def _bar(what: str, share: Share) -> str:
-    together: dict[str, float] = {}
+def _together(share: Share) -> dict[str, float]:
+    """Percent by source; all that the robot adds is one."""
+    together = dict.fromkeys(SOURCES, 0.0)
     for source, percent in share.percent.items():
-        name = source if source in _SOURCES else "robot"
-        together[name] = together.get(name, 0.0) + percent
-    pieces = (
-        f'<div style="width:{percent:.2f}%;background:{_SOURCES[name]}" title="{_words(name)}: {percent:.0f} %"></div>'
-        for name, percent in together.items()
-    )
-    label = {"entry": "entry", "end": "tip", "direction": "direction"}[what]
-    return f'<div>{label}</div><div class="bar">{"".join(pieces)}</div><div>{share.rms:.2f} {share.unit}</div>'
+        together[source if source in SOURCES else "robot"] += percent
+    return together
 
 
-def _words(source: str) -> str:
-    return source.replace("_", " ")
+def _pieces(percent: dict[str, float]) -> str:
+    return "".join(f'<i style="width:{of:.2f}%;background:{_colour(source)}"></i>' for source, of in percent.items())
+
+
+def _named(source: str) -> Markup:
+    return Markup('<i style="background:{}"></i>{}').format(_colour(source), source.replace("_", " "))
+
+
+def _part(share: Share, percent: float) -> Markup:
+    """What a source adds: squares of root mean squares add up."""
+    return Markup("{:.2f}<small>{:.0f} %</small>").format(share.rms * np.sqrt(percent / 100.0), percent)
+
+
+def _colour(source: str) -> str:
+    return f"var(--{SOURCES[source]})"

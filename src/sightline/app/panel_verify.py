@@ -4,6 +4,7 @@ from collections.abc import Hashable
 
 import numpy as np
 
+from sightline.app import texts
 from sightline.app.marks import CHECK_NAMES, asked_of
 from sightline.app.section import Section, action, checks, heading, note, table
 from sightline.app.tab import Tab
@@ -32,15 +33,15 @@ def build(tab: Tab) -> None:
 
 def _check(tab: Tab) -> None:
     procedure = tab.procedure
-    heading("Check shot")
+    heading(texts.CHECK_HEADING)
     if procedure.patient is not None:
         take = tab.doing(procedure.verifying.take_rehearsed)
         enabled = procedure.drilling.wire is not None and not procedure.working
-        action("Take both check images", take, testid="take-check", kind="primary", enabled=enabled)
+        action(texts.TAKE_CHECK, take, testid="take-check", kind="primary", enabled=enabled)
         if procedure.drilling.wire is None:
-            note("Drill the wire first.", kind="quiet")
+            note(texts.DRILL_FIRST, kind="quiet")
     else:
-        note("Drop both check images onto the page: PA and lateral, the frame where it was.", kind="quiet")
+        note(texts.DROP_CHECK, kind="quiet")
     if procedure.working:
         note(f"{procedure.working.capitalize()} …")
     if procedure.trouble:
@@ -49,8 +50,12 @@ def _check(tab: Tab) -> None:
         seen = procedure.seen(name)
         if seen is not None:
             wire = name in procedure.verifying.wires
-            state = seen.refused or (f"{seen.doing} …" if seen.doing else "wire found" if wire else "calibrated")
-            note(f"{IMAGE_LABELS[name]}: {state}", kind="bad" if seen.refused else "good")
+            state = seen.refused or (
+                f"{seen.doing} …" if seen.doing else texts.WIRE_FOUND if wire else texts.CALIBRATED_ONLY
+            )
+            note(
+                texts.CHECK_IMAGE.format(image=IMAGE_LABELS[name], state=state), kind="bad" if seen.refused else "good"
+            )
     if all(procedure.seen(name) for name in CHECK_NAMES):
         _landmarks(tab)
     _result(tab)
@@ -58,19 +63,20 @@ def _check(tab: Tab) -> None:
 
 def _landmarks(tab: Tab) -> None:
     """The same points of the bone, found again: they carry the plan over, should the bone have moved."""
-    heading("Landmarks, found again")
+    heading(texts.FOUND_AGAIN_HEADING)
     decisions = tab.procedure.decisions
     listed = tuple(asked for asked in asked_of(decisions.kind) if asked.group == "landmark")
     for asked in listed:
-        with_plan = "" if decisions.mark(asked.name).complete() else " (not in the plan)"
+        planned = decisions.mark(asked.name).complete()
+        point = asked.label if planned else texts.NOT_IN_PLAN.format(point=asked.label)
         placed = decisions.mark(asked.name).complete(CHECK_NAMES)
-        note(f"{'●' if placed else '○'} {asked.label}{with_plan}", kind="good" if placed else "quiet")
+        note(f"{'●' if placed else '○'} {point}", kind="good" if placed else "quiet")
 
     def place() -> None:
         tab.place_next(listed, CHECK_NAMES)
         tab.refresh()
 
-    action("Place landmarks", place, testid="place-check")
+    action(texts.PLACE_LANDMARKS, place, testid="place-check")
 
 
 def _result(tab: Tab) -> None:
@@ -80,16 +86,17 @@ def _result(tab: Tab) -> None:
     shot = verifying.shot
     if shot is None:
         return
-    heading("The wire against its plan")
+    heading(texts.AGAINST_PLAN_HEADING)
+    entry, tip, direction = texts.DEVIATIONS
     rows = [
-        ("entry, across", f"{shot.entry_deviation_mm:.2f}", f"{shot.entry_error_95_mm:.2f}", "mm"),
-        ("tip", f"{shot.tip_deviation_mm:.2f}", f"{shot.tip_error_95_mm:.2f}", "mm"),
-        ("direction", f"{np.rad2deg(shot.angle_rad):.2f}", f"{np.rad2deg(shot.direction_error_95_rad):.2f}", "°"),
+        (entry, f"{shot.entry_deviation_mm:.2f}", f"{shot.entry_error_95_mm:.2f}", "mm"),
+        (tip, f"{shot.tip_deviation_mm:.2f}", f"{shot.tip_error_95_mm:.2f}", "mm"),
+        (direction, f"{np.rad2deg(shot.angle_rad):.2f}", f"{np.rad2deg(shot.direction_error_95_rad):.2f}", "°"),
     ]
-    table(("", "measured", "± 95 %", ""), rows, testid="deviation")
-    note(f"The wire is bent by up to {shot.bow_mm:.2f} mm.", kind="quiet")
+    table(texts.DEVIATION_COLUMNS, rows, testid="deviation")
+    note(texts.BENT.format(bow_mm=shot.bow_mm), kind="quiet")
     note(
-        "The check shot passed." if shot.passed else "The check shot did NOT pass.",
+        texts.CHECK_VERDICT[shot.passed],
         kind="good" if shot.passed else "bad",
         testid="check-verdict",
     )

@@ -1,9 +1,9 @@
 """A part of the page that is built anew when what it shows is another, and left alone otherwise."""
 
 from collections.abc import Callable, Hashable, Sequence
-from html import escape
 from typing import Any
 
+from markupsafe import escape
 from nicegui import ui
 
 from sightline.app.tab import Tab
@@ -85,8 +85,15 @@ def _figure(check: Check) -> str:
     return f"{check.figure:.3g}{limit} {check.unit}".strip()
 
 
-def table(columns: Sequence[str], rows: Sequence[Sequence[str]], *, testid: str) -> None:
-    """A small table."""
-    head = "<tr>" + "".join(f"<th>{escape(column)}</th>" for column in columns) + "</tr>" if any(columns) else ""
-    body = ("<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in row) + "</tr>" for row in rows)
-    markup(head + "".join(body), "table").props(f"data-testid={testid}")
+def table(columns: Sequence[str], rows: Sequence[Sequence[str]], *, testid: str) -> ui.html:
+    """A small table; the first cell of a row names it. Text that is no `Markup` is escaped."""
+    head = (
+        "<tr>" + "".join(f'<th scope="col">{escape(column)}</th>' for column in columns) + "</tr>"
+        if any(columns)
+        else ""
+    )
+    body = (
+        f'<tr><th scope="row">{escape(name)}</th>' + "".join(f"<td>{escape(cell)}</td>" for cell in cells) + "</tr>"
+        for name, *cells in rows
+    )
+    return markup(head + "".join(body), "table").props(f"data-testid={testid}")

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 from enum import StrEnum
 
+from sightline.app import texts
 from sightline.app.marks import asked_of
 from sightline.app.procedure import Procedure
 from sightline.app.seen import SeenImage
@@ -46,58 +47,58 @@ def _both(procedure: Procedure) -> list[SeenImage]:
 def _images(procedure: Procedure) -> _Found:
     decisions, missing = procedure.decisions, [name for name in NAMES if name not in procedure.decisions.images]
     if procedure.working and missing:
-        return Standing.OPEN, f"{procedure.working.capitalize()}."
+        return Standing.OPEN, texts.DOING.format(doing=procedure.working.capitalize())
     if missing:
-        return Standing.OPEN, f"Drop the {' and the '.join(IMAGE_LABELS[name] for name in missing)} onto the page."
+        return Standing.OPEN, texts.DROP_MISSING.format(images=" and the ".join(IMAGE_LABELS[name] for name in missing))
     if decisions.side is None or decisions.serial is None:
-        return Standing.ATTENTION, "Confirm the patient's side and the frame's serial."
-    return Standing.DONE, "Both images are here; side and frame are confirmed."
+        return Standing.ATTENTION, texts.CONFIRM_BOTH
+    return Standing.DONE, texts.IMAGES_DONE
 
 
 def _calibrate(procedure: Procedure) -> _Found:
     seen = _both(procedure)
     if len(seen) < len(NAMES):
-        return Standing.BLOCKED, "Both images are needed first."
+        return Standing.BLOCKED, texts.IMAGES_FIRST
     if busy := next((one.doing for one in seen if one.doing), ""):
-        return Standing.OPEN, f"{busy.capitalize()}."
+        return Standing.OPEN, texts.DOING.format(doing=busy.capitalize())
     if refused := next((one.refused for one in seen if one.refused), ""):
         return Standing.ATTENTION, refused
     views = procedure.views()
     if views is None:
-        return Standing.ATTENTION, "The two images show the same view; a PA and a lateral image are needed."
+        return Standing.ATTENTION, texts.SAME_VIEW
     wrong = failed(check for view in views for check in view.checks)
     if wrong:
         return Standing.ATTENTION, wrong[0].sentence
-    return Standing.DONE, "Both views are calibrated from their own beads, and every check passed."
+    return Standing.DONE, texts.CALIBRATED
 
 
 def _plan(procedure: Procedure) -> _Found:
     known = procedure.planned
     if known is None:
-        return Standing.BLOCKED, "Both views must be calibrated first."
+        return Standing.BLOCKED, texts.CALIBRATE_FIRST
     if known.plan is None:
         refused = next(iter(known.refused.values()), None)
         if refused is not None:
             return Standing.ATTENTION, refused
         wire = [asked for asked in asked_of(procedure.decisions.kind) if asked.group == "wire"]
         left = [asked.label for asked in wire if not procedure.decisions.complete([asked.name])]
-        return Standing.OPEN, f"Place in both images: {', '.join(left)}."
+        return Standing.OPEN, texts.PLACE_WIRE.format(points=", ".join(left))
     wrong = failed(procedure.checks)
-    return (Standing.ATTENTION, wrong[0].sentence) if wrong else (Standing.DONE, "GO: every check passed.")
+    return (Standing.ATTENTION, wrong[0].sentence) if wrong else (Standing.DONE, texts.PLAN_DONE)
 
 
 def _drill(procedure: Procedure) -> _Found:
     drilling = procedure.drilling
     if drilling.record is not None:
-        return Standing.DONE, "The wire is drilled to the planned depth."
+        return Standing.DONE, texts.DRILL_DONE
     now = drilling.now
     if now is not None and (now.lost or now.fault or now.said):
-        return Standing.ATTENTION, now.said or now.text or "The link to the robot is lost."
+        return Standing.ATTENTION, now.said or now.text or texts.LINK_LOST
     if now is not None and drilling.sent is not None and now.state != State.UNDEFINED.value:
-        return Standing.OPEN, f"The robot is in {now.state}."
+        return Standing.OPEN, texts.ROBOT_IN.format(state=now.state)
     if not procedure.go:
-        return Standing.BLOCKED, "Only a plan that is GO can be sent."
-    return Standing.OPEN, "The plan can be sent to the robot."
+        return Standing.BLOCKED, texts.ONLY_GO
+    return Standing.OPEN, texts.CAN_SEND
 
 
 def _verify(procedure: Procedure) -> _Found:
@@ -108,7 +109,7 @@ def _verify(procedure: Procedure) -> _Found:
         wrong = failed(verifying.shot.checks)
         if wrong:
             return Standing.ATTENTION, wrong[0].sentence
-        return Standing.DONE, "The wire in the bone was measured in two more images, and lies where it was planned."
+        return Standing.DONE, texts.VERIFIED
     if procedure.drilling.sent is None:
-        return Standing.BLOCKED, "Nothing was drilled yet."
-    return Standing.OPEN, "Take two more images, with the wire in the bone."
+        return Standing.BLOCKED, texts.NOT_DRILLED
+    return Standing.OPEN, texts.TAKE_TWO_MORE

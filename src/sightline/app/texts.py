@@ -26,7 +26,7 @@ XRAY = {
     "mirrored": "mirrored",
     "rotated": "turned {degrees}°",
     "stale": "Plan hidden: the image is out of date",
-    "edit_lost": "The last change of {name} did not reach the server, and the plan has changed since: make it again.",
+    "edit_lost": "The last change of {name} was not taken: the image or the plan has changed since. Make it again.",
     "load_failed": "The image could not be loaded: reload the page.",
     "readout": "column {u}, row {v}: {value}",
     "outside": "–",
@@ -47,6 +47,110 @@ SPACE_GROUPS = {
     "robot": "robot",
     "sides": "sides",
 }
+
+# The steps, and why each is where it is.
+DOING = "{doing}."
+DROP_MISSING = "Drop the {images} onto the page."
+CONFIRM_BOTH = "Confirm the patient's side and the frame's serial."
+IMAGES_DONE = "Both images are here; side and frame are confirmed."
+IMAGES_FIRST = "Both images are needed first."
+SAME_VIEW = "The two images show the same view; a PA and a lateral image are needed."
+CALIBRATED = "Both views are calibrated from their own beads, and every check passed."
+CALIBRATE_FIRST = "Both views must be calibrated first."
+PLACE_WIRE = "Place in both images: {points}."
+PLAN_DONE = "GO: every check passed."
+DRILL_DONE = "The wire is drilled to the planned depth."
+LINK_LOST = "The link to the robot is lost."
+ROBOT_IN = "The robot is in {state}."
+ONLY_GO = "Only a plan that is GO can be sent."
+CAN_SEND = "The plan can be sent to the robot."
+VERIFIED = "The wire in the bone was measured in two more images, and lies where it was planned."
+NOT_DRILLED = "Nothing was drilled yet."
+TAKE_TWO_MORE = "Take two more images, with the wire in the bone."
+
+# Images.
+IMAGES_HEADING = "Images"
+PUT_WHERE_IT_BELONGS = "This is the {image}, as its markers tell; it was put there."
+NO_IMAGE = "{image}: none yet"
+IMAGE_SIZE = "{image}: {width} × {height}"
+IMAGE_BEADS = "{image}: {width} × {height}, {beads} beads found"
+REHEARSING = "This case rehearses on a simulated patient."
+TAKE_AGAIN = "Take both images again"
+SIDE_HEADING = "Patient's side"
+SIDE_HINT = "Look at both images, at the letters on the film or at the patient, and confirm:"
+SIDES = {"right": "Right hip", "left": "Left hip"}
+SERIAL_HEADING = "Frame's serial"
+SERIAL_CONFIRMED = "Confirmed: {serial}"
+SERIAL_UNKNOWN = "The frame file states none. Type what is engraved on the frame; “none” if nothing is."
+SERIAL_KNOWN = "Type the serial that is engraved on the frame; it must be the frame file's."
+SERIAL_FIELD = "Serial on the frame"
+SERIAL_CONFIRM = "Confirm serial"
+SERIAL_REFUSED = "type the serial as it is engraved on the frame, or “none” if there is none"
+DISPLAY_HEADING = "Display"
+DISPLAY_SHOWN = "{image}: {how}"
+DISPLAY_AND = " and "
+
+# Calibrate.
+SHOW_REJECTED = "Show candidates that are no beads, with the reason"
+DROP_FIRST = "No image yet: drop one onto the page."
+BEADS_USED = "beads used / left out"
+RESIDUAL = "residual, rms"
+FOCAL_POINT = "focal point"
+
+# Plan.
+POINT_GROUPS = {"wire": "Wire", "landmark": "Landmarks: did the bone move?", "aid": "Aids"}
+IMAGES_SHORT = {"pa": "PA", "lateral": "lat"}
+KIND_FIELD = "Kind of trajectory"
+SNAP = "Take lateral points of the wire to their curves"
+SHOW_BEADS = "Show the beads"
+PLACE = "Place"
+PLACE_WHAT = "Place {what}"
+REMOVE_WHAT = "Remove {what}"
+PROPOSE = "Propose a wire from head and shaft"
+PROPOSE_UNCALIBRATED = "both views must be calibrated before a wire can be proposed"
+PLACE_WHERE = "Click in the {image}: {point}. {sentence}"
+FIGURES_HEADING = "Figures"
+FIGURE_COLUMNS = ("", "± 95 %", "")
+ENTRY_ERROR = "entry, 95 % error"
+TIP_ERROR = "tip, 95 % error"
+DIRECTION_ERROR = "direction, 95 % error"
+SIDE_FOR_FIGURES = "Confirm the patient's side on the step Images to see figures of the implant."
+GAP_OF = "gap of {point}"
+GAP_ENDS = ("entry", "tip")
+GAP_NOT_TESTED = "not tested (snapped)"
+
+# The verdict.
+GO = {True: "GO", False: "NO-GO"}
+ALL_PASSED = "Every check passed. A person decides."
+SOME_FAILED = "{failed} of {all} checks failed."
+ALL_CHECKS = "All {count} checks"
+EXPIRES = "The images are {age} old; the plan expires in {left}."
+EXPIRED = "The plan has expired: take both images again (step Images)."
+MINUTES = "{minutes} min {seconds:02d} s"
+SHARES_HEADING = "Where the error comes from"
+SHARES_LABEL = "Each source's root mean square, and its share of the mean square"
+SHARES_OF = {"entry": "entry", "end": "tip", "direction": "direction"}
+SHARES_SOURCE = "source"
+SHARES_WHOLE = "together"
+
+# Verify.
+CHECK_HEADING = "Check shot"
+TAKE_CHECK = "Take both check images"
+DRILL_FIRST = "Drill the wire first."
+DROP_CHECK = "Drop both check images onto the page: PA and lateral, the frame where it was."
+CHECK_IMAGE = "{image}: {state}"
+WIRE_FOUND = "wire found"
+CALIBRATED_ONLY = "calibrated"
+FOUND_AGAIN_HEADING = "Landmarks, found again"
+NOT_IN_PLAN = "{point} (not in the plan)"
+PLACE_LANDMARKS = "Place landmarks"
+AGAINST_PLAN_HEADING = "The wire against its plan"
+DEVIATION_COLUMNS = ("", "measured", "± 95 %", "")
+DEVIATIONS = ("entry, across", "tip", "direction")
+BENT = "The wire is bent by up to {bow_mm:.2f} mm."
+CHECK_VERDICT = {True: "The check shot passed.", False: "The check shot did NOT pass."}
+
+# What is said of software, reach and robot.
 NOT_A_DEVICE = "Research software, not a medical device."
 STOP_IS_NO_EMERGENCY_STOP = (
     "STOP and the space bar ask the robot's program to stop. Neither is an emergency stop: "
@@ -67,6 +171,13 @@ DRILL_QUESTION = (
     "Does the confirmation shot show the guide on the plan?"
 )
 DRILL_ON_QUESTION = "Drill on: the last 10 mm. Does the second shot show the wire on the plan?"
+BY_PLAN, BY_CONTACT, BY_SHOT = "plan", "contact", "second shot"  # what tells where depth is counted from
+SHOT_QUESTION = "Tell the robot this depth? The last 10 mm are then counted from it, and it can be told once only."
+SHOT_UNMEASURED = (
+    "Sightline does not measure the second shot: the frame has turned away with the arm. Who measured on it how far "
+    "beyond the planned entry point the tip is may tell the robot here; otherwise it drills on by {zero}, to {error}."
+)
+SHOT_TOLD = "The robot was told of the second shot: it drills on by {zero}, to {error}."
 RETRACT_QUESTION = "Draw back: open the chuck first, if the wire is to stay in the bone. Is it open?"
 RESET_QUESTION = "Have you been at the robot and seen to the fault?"
 NO_ROBOT = (

@@ -3,11 +3,11 @@
 // Mouse: left turns, right or shift moves, wheel comes nearer. Touch: one finger turns, two move and come nearer.
 // Keys: arrows turn, with shift they move, + and - come nearer. Up is always +Z.
 
+import { COLOURS } from "colours";
 import { CSS2DRenderer, OrbitControls, THREE } from "nicegui-scene";
 import { dispose, make } from "space_objects";
 
 const FIELD_DEG = 30;
-const GROUND = "#0e1217";
 const TURN = Math.PI / 36; // of an arrow key
 const NEARER = 1.15;
 const FARTHEST_LINES = 4; // of text, between a label and its place
@@ -16,20 +16,21 @@ const REACHES = ["hip", "frame", "room"]; // each holds those before it
 const FROM = { feet: [0, -1, 0], side: [1, 0, 0], above: [0, -0.001, 1], aslant: [0.441, -0.83, 0.342] };
 
 const CSS = `
-.space { position: absolute; inset: 0; overflow: hidden; background: ${GROUND}; }
+.space { position: absolute; inset: 0; overflow: hidden; font: 500 clamp(13px, 9px + 0.32vw, 22px) system-ui, sans-serif; background: var(--ground); }
 .space canvas { display: block; touch-action: none; }
-.space canvas:focus-visible { outline: 3px solid #56b4e9; outline-offset: -3px; }
+.space canvas:focus-visible { outline: 3px solid var(--sky); outline-offset: -3px; }
 .space-labels { position: absolute; inset: 0; pointer-events: none; overflow: hidden; }
-.space-label { font: 600 12px system-ui, sans-serif; white-space: nowrap; padding: 1px 5px; border-radius: 4px;
-  background: rgba(14, 18, 23, 0.72); max-width: 20em; overflow: hidden; text-overflow: ellipsis; }
+.space-label { font-weight: 600; white-space: nowrap; padding: 1px 5px; border-radius: 4px;
+  background: rgba(14, 18, 23, 0.88); max-width: 20em; overflow: hidden; text-overflow: ellipsis; }
 .space-bar { position: absolute; display: flex; flex-wrap: wrap; gap: 4px; padding: 6px; z-index: 1; }
-.space-bar button { font: 500 12px system-ui, sans-serif; color: #eef2f6; background: rgba(34, 43, 53, 0.88);
-  border: 1px solid #36424f; border-radius: 6px; padding: 3px 9px; min-height: 26px; cursor: pointer; }
-.space-bar button:hover { border-color: #56b4e9; }
-.space-bar button:focus-visible { outline: 3px solid #56b4e9; }
-.space-bar button[aria-pressed="false"] { color: #a9b6c3; background: rgba(14, 18, 23, 0.6); text-decoration: line-through; }
-.space-notes { position: absolute; left: 0; bottom: 0; margin: 0; padding: 8px 10px; font: 500 12px system-ui, sans-serif;
-  color: #a9b6c3; pointer-events: none; }
+.space-bar button { font: inherit; color: var(--text); background: rgba(34, 43, 53, 0.88);
+  border: 1px solid var(--edge); border-radius: 6px; padding: 0.2em 0.7em; min-height: 2em; cursor: pointer; }
+.space-bar button:hover { border-color: var(--sky); }
+.space-bar button:focus-visible { outline: 3px solid var(--sky); }
+.space-bar button[aria-pressed="false"] { color: var(--quiet); background: rgba(14, 18, 23, 0.88); text-decoration: line-through; }
+.space-notes { position: absolute; left: 0; bottom: 0; margin: 0; padding: 0.3em 0.8em;
+  color: var(--quiet); background: rgba(14, 18, 23, 0.88); pointer-events: none; }
+.space-notes:empty { display: none; }
 .space-none { position: absolute; inset: 0; display: grid; place-content: center; padding: 2em; text-align: center; }`;
 
 export class SpaceCore {
@@ -74,7 +75,7 @@ export class SpaceCore {
     this.root.append(canvas, this.labels.domElement);
 
     this.scene = new THREE.Scene();
-    this.scene.background = new THREE.Color(GROUND);
+    this.scene.background = new THREE.Color(COLOURS.ground);
     this.camera = new THREE.PerspectiveCamera(FIELD_DEG, 1, 1, 10000);
     this.camera.up.set(0, 0, 1);
     const light = new THREE.DirectionalLight("#ffffff", 2.2);

@@ -1,30 +1,23 @@
 // Plain objects (mm, CFCS) to three.js: one table of named styles, one maker for each kind.
 //
-// Colours: Okabe and Ito, Color Universal Design (2008), as in the X-ray views. No meaning rests on colour alone:
-// what could be confused has a label, another shape or dashes.
+// No meaning rests on colour alone: what could be confused has a label, another shape or dashes.
 
+import { COLOURS } from "colours";
 import { CSS2DObject, THREE } from "nicegui-scene";
-
-const SKY = "#56b4e9";
-const ORANGE = "#e69f00";
-const GREEN = "#2fc79a";
-const YELLOW = "#f0e442";
-const PURPLE = "#cc79a7";
-const GREY = "#a7b0ba";
 
 // dash: mm on, mm off.
 export const STYLES = {
-  pa: { colour: SKY },
-  left: { colour: SKY },
-  lateral: { colour: ORANGE, dash: [9, 5] },
-  right: { colour: ORANGE, dash: [9, 5] },
-  wire: { colour: YELLOW },
-  drilled: { colour: GREEN },
-  ellipsoid: { colour: PURPLE, opacity: 0.5 },
-  bone: { colour: "#eadbb8", opacity: 0.5 },
-  tool: { colour: "#f4f6f8" },
-  robot: { colour: "#8fa3b8" },
-  quiet: { colour: GREY, opacity: 0.55 },
+  pa: { colour: COLOURS.sky },
+  left: { colour: COLOURS.sky },
+  lateral: { colour: COLOURS.orange, dash: [9, 5] },
+  right: { colour: COLOURS.orange, dash: [9, 5] },
+  wire: { colour: COLOURS.yellow },
+  drilled: { colour: COLOURS.green },
+  ellipsoid: { colour: COLOURS.purple, opacity: 0.5 },
+  bone: { colour: COLOURS.bone, opacity: 0.5 },
+  tool: { colour: COLOURS.text },
+  robot: { colour: COLOURS.steel },
+  quiet: { colour: COLOURS.quiet, opacity: 0.55 },
 };
 
 const FACETS = 16;

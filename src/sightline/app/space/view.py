@@ -1,11 +1,13 @@
 """The scene as an element of NiceGUI. It holds nothing: every change is a call of a method in the browser."""
 
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any, Literal
 
 import nicegui.elements.scene  # noqa: F401 - makes its three.js known to the page; ours is no copy of it
 from nicegui.element import Element
 
+_COLOURS = Path(__file__).parents[1] / "colours.js"
 TEXTS = {
     "feet": "From the feet",
     "side": "From the side",
@@ -21,7 +23,7 @@ Objects = Sequence[Mapping[str, Any]]
 From = Literal["feet", "side", "above", "aslant"]
 
 
-class SpaceView(Element, component="space_view.js", dependencies=["space*.js"]):
+class SpaceView(Element, component="space_view.js", dependencies=["space*.js", _COLOURS]):
     """The set-up in space. Objects are those of `space_document`, in named groups that a person can hide."""
 
     def __init__(self, *, label: str, groups: Mapping[str, str], texts: Mapping[str, str] = TEXTS) -> None:

@@ -7,11 +7,13 @@ properties are first values only, every change is a call of a method in the brow
 import inspect
 from collections.abc import Awaitable, Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
+from pathlib import Path
 from typing import Any, Literal, TypeGuard, get_args
 
 from nicegui.element import Element
 from nicegui.events import GenericEventArguments
 
+_COLOURS = Path(__file__).parents[1] / "colours.js"
 TEXT_KEYS = (
     *("fit", "window", "invert", "flip", "rotate", "reset", "maximise", "restore"),  # names of the buttons
     *("point", "snapped", "placing", "mirrored", "rotated", "stale", "readout", "outside", "edit_lost", "load_failed"),
@@ -72,7 +74,7 @@ class Bounds:
     ids: set[str] = field(default_factory=set)
 
 
-class XrayView(Element, component="xray_view.js", dependencies=["xray*.js"]):
+class XrayView(Element, component="xray_view.js", dependencies=["xray*.js", _COLOURS]):
     """An X-ray image in the browser, with layers of shapes and points to place and move."""
 
     def __init__(self, name: str, *, label: str, texts: Mapping[str, str]) -> None:

@@ -3,6 +3,7 @@
 // Two canvases, image and overlay; each is drawn in an animation frame, and only when something on it changed.
 // Coordinates out and in are image pixels (see xray_display.js); what the person does goes out through `emit`.
 
+import { COLOURS } from "colours";
 import { Chrome } from "./xray_chrome.js";
 import { Display } from "./xray_display.js";
 import { Gestures } from "./xray_gestures.js";
@@ -324,7 +325,7 @@ export class XrayCore {
     this.draws.image++;
     const context = this.contexts.image;
     context.setTransform(1, 0, 0, 1, 0, 0);
-    context.fillStyle = "#07090b";
+    context.fillStyle = COLOURS.stage;
     context.fillRect(0, 0, context.canvas.width, context.canvas.height);
     const middle = [this.display.viewWidth / 2, this.display.viewHeight / 2];
     this.#paintBitmap(context, this.display.centre, middle, 1);
@@ -379,7 +380,7 @@ export class XrayCore {
     context.save();
     context.beginPath();
     context.arc(...middle, LENS_RADIUS, 0, 2 * Math.PI);
-    context.fillStyle = "#07090b";
+    context.fillStyle = COLOURS.stage;
     context.fill();
     context.clip();
     this.#paintBitmap(context, uv, [x, y], times);
@@ -390,10 +391,10 @@ export class XrayCore {
     context.beginPath();
     context.arc(...middle, LENS_RADIUS, 0, 2 * Math.PI);
     context.lineWidth = 5;
-    context.strokeStyle = "#07090b";
+    context.strokeStyle = COLOURS.stage;
     context.stroke();
     context.lineWidth = 2;
-    context.strokeStyle = "#c9d2da";
+    context.strokeStyle = COLOURS.text;
     context.stroke();
   }
 

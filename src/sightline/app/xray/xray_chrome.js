@@ -14,43 +14,43 @@ const ICONS = {
   restore: "M20 10h-6V4M14 10l7-7M4 14h6v6M10 14l-7 7",
 };
 
-// Greys are at least 7:1 on the panels; controls are 2.75 em, more than the 24 CSS pixels of WCAG 2.2 (2.5.8).
+// Controls are 2.75 em, more than the 24 CSS pixels of WCAG 2.2 (2.5.8).
 const SHEET = `
 .xray { position: relative; width: 100%; height: 100%; min-height: 12em; overflow: hidden; container-type: inline-size;
-  background: #07090b; color: #eef2f5;
+  background: var(--stage); color: var(--text);
   font: 400 clamp(15px, 11px + 0.32vw, 24px)/1.35 system-ui, "Segoe UI", Roboto, "DejaVu Sans", sans-serif;
-  border: 1px solid #2a323a; border-radius: 0.5em; user-select: none; -webkit-user-select: none; }
+  border: 1px solid var(--line); border-radius: 0.5em; user-select: none; -webkit-user-select: none; }
 .xray.xray-maximised { position: fixed; inset: 0; z-index: 2500; border-radius: 0; height: auto; width: auto; }
 .xray-stage { position: absolute; inset: 0; touch-action: none; outline: none; cursor: default; }
 .xray-stage canvas { position: absolute; inset: 0; width: 100%; height: 100%; }
 .xray-stage[data-cursor=grab] { cursor: grab; } .xray-stage[data-cursor=pan] { cursor: grabbing; }
 .xray-stage[data-cursor=window] { cursor: ns-resize; } .xray-stage[data-cursor=none] { cursor: none; }
 .xray-stage[data-cursor=place] { cursor: crosshair; } .xray-lens .xray-points { opacity: 0; }
-.xray-stage:focus-visible::after { content: ""; position: absolute; inset: 2px; border: 2px solid #56b4e9; border-radius: 0.4em; pointer-events: none; }
+.xray-stage:focus-visible::after { content: ""; position: absolute; inset: 2px; border: 2px solid var(--sky); border-radius: 0.4em; pointer-events: none; }
 .xray-points button { position: absolute; left: -1.4em; top: -1.4em; width: 2.8em; height: 2.8em; padding: 0; background: none; border: 0;
   border-radius: 50%; pointer-events: none; outline-offset: 2px; }
 .xray-points button:focus { outline: 2px solid transparent; }
-.xray-points button:focus-visible { outline: 3px solid #f4f6f8; box-shadow: 0 0 0 3px #07090b, 0 0 0 8px rgba(5, 8, 11, 0.6); }
+.xray-points button:focus-visible { outline: 3px solid var(--text); box-shadow: 0 0 0 3px var(--stage), 0 0 0 8px rgba(5, 8, 11, 0.6); }
 .xray-panel { background: rgba(12, 16, 20, 0.84); border-radius: 0.45em; }
 .xray-head { position: absolute; left: 0.6em; top: 0.6em; right: 0.6em; display: flex; flex-wrap: wrap; gap: 0.5em;
   align-items: flex-start; justify-content: space-between; pointer-events: none; }
 .xray-name { padding: 0.42em 0.8em; font-weight: 650; white-space: nowrap; }
 .xray-notices { flex-basis: 100%; display: flex; flex-direction: column; gap: 0.3em; align-items: flex-start; }
-.xray-notice { padding: 0.42em 0.8em; color: #ffd27a; border-left: 0.25em solid #e69f00; }
-.xray-hint { color: #eef2f5; border-left-color: #56b4e9; }
+.xray-notice { padding: 0.42em 0.8em; color: var(--orange); border-left: 0.25em solid currentColor; }
+.xray-hint { color: var(--text); border-left-color: var(--sky); }
 .xray-tools { display: flex; gap: 0.15em; padding: 0.2em; pointer-events: auto; }
-.xray-tools button { width: 2.75em; height: 2.75em; padding: 0; display: grid; place-items: center; color: #c9d2da; background: none; border: 0;
+.xray-tools button { width: 2.75em; height: 2.75em; padding: 0; display: grid; place-items: center; color: var(--text); background: none; border: 0;
   border-radius: 0.35em; cursor: pointer; font: inherit; }
-.xray-tools button:hover { background: #2a333c; color: #fff; }
-.xray-tools button[aria-pressed=true] { background: #14435f; color: #d6eefc; box-shadow: inset 0 -0.16em #56b4e9; }
-.xray-tools button:focus-visible { outline: 3px solid #56b4e9; outline-offset: -3px; }
+.xray-tools button:hover { background: var(--raised); color: var(--text); }
+.xray-tools button[aria-pressed=true] { background: var(--chosen); color: var(--text); box-shadow: inset 0 -0.16em var(--sky); }
+.xray-tools button:focus-visible { outline: 3px solid var(--sky); outline-offset: -3px; }
 .xray-tools svg { width: 1.5em; height: 1.5em; fill: none; stroke: currentColor; stroke-width: 1.8; stroke-linecap: round; stroke-linejoin: round; }
 .xray-foot { position: absolute; left: 0.6em; right: 0.6em; bottom: 0.6em; display: flex; justify-content: space-between; align-items: flex-end;
-  gap: 0.6em; pointer-events: none; font-variant-numeric: tabular-nums; color: #c9d2da; font-size: 0.93em; }
+  gap: 0.6em; pointer-events: none; font-variant-numeric: tabular-nums; color: var(--text); font-size: 0.93em; }
 .xray-foot > * { padding: 0.3em 0.7em; white-space: pre; overflow: hidden; text-overflow: ellipsis; }
-.xray-turned { color: #ffd27a; font-weight: 650; } .xray-turned:not(:empty) { margin-right: 1em; }
+.xray-turned { color: var(--orange); font-weight: 650; } .xray-turned:not(:empty) { margin-right: 1em; }
 .xray-tip { position: absolute; left: 0; top: 0; max-width: 22em; padding: 0.4em 0.7em; pointer-events: none; white-space: pre-line; overflow-wrap: anywhere;
-  background: rgba(12, 16, 20, 0.95); border: 1px solid #4b5762; }
+  background: rgba(12, 16, 20, 0.95); border: 1px solid var(--line); }
 .xray-live { position: absolute; width: 1px; height: 1px; overflow: hidden; clip-path: inset(50%); white-space: nowrap; }
 .xray [hidden] { display: none; }
 @container (max-width: 28em) { .xray-tools button { width: 2.1em; height: 2.5em; } .xray-name { padding-inline: 0.55em; } }

@@ -1,41 +1,35 @@
 // How shapes and points look: one table of named styles, and a painter for each shape.
 //
 // Everything is painted in CSS pixels of the view, with `toView` mapping image pixels to them: lines and marks keep
-// their size on screen at every zoom. Colours: Okabe and Ito, Color Universal Design (2008); blue and black are left
-// out, too dark on a dark image. No meaning rests on colour alone: beads differ in their mark, lines in their dashes.
+// their size on screen at every zoom. No meaning rests on colour alone: beads differ in their mark, lines in their dashes.
 
-const ORANGE = "#e69f00";
-const SKY = "#56b4e9";
-const GREEN = "#009e73";
-const YELLOW = "#f0e442";
-const VERMILLION = "#d55e00";
-const PURPLE = "#cc79a7";
-const WHITE = "#f4f6f8";
-const GREY = "#a7b0ba";
-const CASING = "rgba(5, 8, 11, 0.78)"; // under every line: X-ray images are white as well as black
+import { COLOURS } from "colours";
+
+const CASING = "rgba(5, 8, 11, 0.86)"; // under every line: X-ray images are white as well as black
 
 const FONT = '600 14px system-ui, "Segoe UI", Roboto, "DejaVu Sans", sans-serif';
 
 // plan: hidden while the image is stale. fill: opacity of an area.
 export const STYLES = {
-  "bead-good": { colour: GREEN, width: 2, mark: "ring" },
-  "bead-warn": { colour: ORANGE, width: 2, mark: "ring", dash: [4, 3] },
-  "bead-bad": { colour: VERMILLION, width: 2.5, mark: "ring-cross" },
-  rejected: { colour: GREY, width: 2, mark: "cross" },
-  curve: { colour: SKY, width: 2.5, plan: true },
-  "curve-band": { colour: SKY, width: 1, fill: 0.2, plan: true },
-  tick: { colour: WHITE, width: 1.5, plan: true },
-  wire: { colour: YELLOW, width: 3, fill: 0.6, plan: true },
-  corridor: { colour: PURPLE, width: 2, fill: 0.24, dash: [8, 5], plan: true },
-  plan: { colour: YELLOW, width: 2, fill: 0.14, dash: [2, 4], plan: true },
-  aid: { colour: GREY, width: 1.5, fill: 0.12, dash: [5, 5], silent: true },
-  landmark: { colour: ORANGE, width: 2, fill: 0.14, mark: "ring" },
-  focus: { colour: WHITE, width: 3, fill: 0.14, mark: "ring" },
-  found: { colour: GREEN, width: 3, fill: 0.2, mark: "ring-cross" },
-  stale: { colour: GREY, width: 1.5, fill: 0.08, dash: [2, 6], mark: "ring" },
+  "bead-good": { colour: COLOURS.green, width: 2, mark: "ring" },
+  "bead-warn": { colour: COLOURS.orange, width: 2, mark: "ring", dash: [4, 3] },
+  "bead-bad": { colour: COLOURS.vermillion, width: 2.5, mark: "ring-cross" },
+  rejected: { colour: COLOURS.quiet, width: 2, mark: "cross" },
+  curve: { colour: COLOURS.sky, width: 2.5, plan: true },
+  "curve-band": { colour: COLOURS.sky, width: 1, fill: 0.2, plan: true },
+  tick: { colour: COLOURS.text, width: 1.5, plan: true },
+  wire: { colour: COLOURS.yellow, width: 3, fill: 0.6, plan: true },
+  corridor: { colour: COLOURS.purple, width: 2, fill: 0.24, dash: [8, 5], plan: true },
+  plan: { colour: COLOURS.yellow, width: 2, fill: 0.14, dash: [2, 4], plan: true },
+  aid: { colour: COLOURS.quiet, width: 1.5, fill: 0.12, dash: [5, 5], silent: true },
+  landmark: { colour: COLOURS.orange, width: 2, fill: 0.14, mark: "ring" },
+  focus: { colour: COLOURS.text, width: 3, fill: 0.14, mark: "ring" },
+  found: { colour: COLOURS.green, width: 3, fill: 0.2, mark: "ring-cross" },
+  stale: { colour: COLOURS.quiet, width: 1.5, fill: 0.08, dash: [2, 6], mark: "ring" },
 };
 
-const SCALE = [SKY, YELLOW, VERMILLION].map((hex) => [1, 3, 5].map((at) => parseInt(hex.slice(at, at + 2), 16)));
+const ENDS = [COLOURS.sky, COLOURS.yellow, COLOURS.vermillion];
+const SCALE = ENDS.map((hex) => [1, 3, 5].map((at) => parseInt(hex.slice(at, at + 2), 16)));
 const MARK_RADIUS = 7; // CSS pixels, of marks that have no size in the image
 const POINT_RADIUS = 11;
 
@@ -85,7 +79,7 @@ function paintText(context, text, [x, y], align = "left") {
   context.lineWidth = 4;
   context.strokeStyle = CASING;
   context.strokeText(text, x, y);
-  context.fillStyle = WHITE;
+  context.fillStyle = COLOURS.text;
   context.fillText(text, x, y);
 }
 
@@ -165,13 +159,7 @@ const PAINTERS = {
     const [left, right] = bandEdges(places, shape, zoom);
     path(context, [...left, ...right.reverse()], true);
     fillArea(context, look);
-    context.setLineDash(look.dash || []);
-    context.globalAlpha = 0.7; // the edge of a band says less than a line
-    context.lineWidth = 1.25;
-    context.strokeStyle = look.colour;
-    context.stroke();
-    context.globalAlpha = 1;
-    context.setLineDash([]);
+    strokeCased(context, { ...look, width: 1.25 }); // the edge of a band says less than a line
   },
   text(context, places, shape) {
     places.forEach((place) => paintText(context, String(shape.label), place));
@@ -266,5 +254,5 @@ export function paintCrosshair(context, [x, y], radius) {
     context.moveTo(x + dx * 6, y + dy * 6);
     context.lineTo(x + dx * radius, y + dy * radius);
   }
-  strokeCased(context, { colour: YELLOW, width: 1 });
+  strokeCased(context, { colour: COLOURS.yellow, width: 1 });
 }
