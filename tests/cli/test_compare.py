@@ -4,10 +4,12 @@ import json
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from sightline.imaging import Radiograph, write_png
 
 
+@pytest.mark.slow
 def test_an_image_of_beads_is_measured_beside_its_twin(run, pair, tmp_path: Path) -> None:
     folder = tmp_path / "images"
     folder.mkdir()

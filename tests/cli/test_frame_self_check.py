@@ -38,6 +38,7 @@ def test_a_displaced_ball_is_named_and_the_frame_written(run, tables, tmp_path):
     assert Frame.load(tmp_path / "found.json").covariance_mm2 is not None
 
 
+@pytest.mark.slow
 def test_what_a_person_reads(run, tables):
     ran = run("frame", "self-check", *tables)
     assert "not seen" in ran.out

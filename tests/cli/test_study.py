@@ -41,6 +41,7 @@ def test_a_wrong_name_prints_the_studies(run, tmp_path: Path) -> None:
     assert not (tmp_path / "x").exists()
 
 
+@pytest.mark.slow
 def test_trials_of_another_seed_are_not_mixed_in(run, small, tmp_path: Path) -> None:
     assert run("study", "small", "--trials", "2", "--out", tmp_path, "--quiet").code == 0
     before = (tmp_path / "trials.jsonl").read_bytes()

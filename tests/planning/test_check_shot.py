@@ -121,6 +121,7 @@ def one() -> Case:
     return case(3, WIRE)
 
 
+@pytest.mark.slow
 def test_the_stated_covariance_is_that_of_the_errors():
     rng, squares, ends = np.random.default_rng(11), [], []
     for seed in range(12):

@@ -48,6 +48,7 @@ def test_it_is_the_robot_of_the_rehearsal_and_ends_with_its_block():
     process.close()
 
 
+@pytest.mark.slow
 def test_a_controller_that_is_killed_while_it_moves():
     """Its client notices; another start knows nothing, says so, and moves nothing. (Drives stop by their watchdog:
     tests/twin/test_simulated_plant.py.)"""
@@ -81,6 +82,7 @@ def test_one_that_cannot_start_says_why():
         RobotProcess(SEED, frame="unobtainium")
 
 
+@pytest.mark.slow
 def test_it_does_not_outlive_who_started_it():
     """Even one that was killed without a word."""
     starts = "import sys\nfrom sightline.rehearsal.process import RobotProcess\n"

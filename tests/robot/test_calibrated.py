@@ -14,6 +14,7 @@ IMAGED = np.array([-12.0, 15.0, 0.75, -0.05, 0.0])
 TARGETS_MM = np.array([[40.0, 10.0, -20.0], [-35.0, 25.0, 30.0], [5.0, -50.0, 60.0]])
 
 
+@pytest.mark.slow
 def test_the_wire_errs_as_stated():
     robot, rng = calibrated_robot(), np.random.default_rng(1)
     manipulator = robot.manipulator
@@ -52,6 +53,7 @@ def measured(true: Manipulator, rng: np.random.Generator, sd: float, n: int = 30
     return q, targets + sd * rng.standard_normal(targets.shape)
 
 
+@pytest.mark.slow
 def test_calibrated_axes_put_the_flange_where_it_is():
     nominal, rng, sd = nominal_manipulator("right"), np.random.default_rng(2), 0.03
     squares, before, after = [], [], []

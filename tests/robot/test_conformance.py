@@ -99,6 +99,7 @@ class OldClient:
         raise AssertionError(f"no {name}")
 
 
+@pytest.mark.slow
 def test_an_old_client_drives_ours_through_an_insertion_and_every_refusal():
     with served(virtual=True) as server:
         old = OldClient(server.port)

@@ -95,6 +95,7 @@ def poses(rng: np.random.Generator, n: int, spread_rad: float = 0.5) -> RigidTra
     return RigidTransform.from_components(rng.uniform(-80, 80, (n, 3)), turns)
 
 
+@pytest.mark.slow
 def test_hand_eye_errs_as_it_says():
     rng = np.random.default_rng(6)
     world = RigidTransform.from_exp_coords([2.0, 0.3, -0.4, 900.0, 310.0, -50.0])

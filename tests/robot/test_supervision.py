@@ -86,6 +86,7 @@ def test_a_plan_beyond_the_depth_limit_is_refused():
             depth_limit(distance, error)
 
 
+@pytest.mark.slow
 def test_the_filter_is_as_sure_as_it_says():
     """Of a force that wanders as the filter assumes; the mean squared normalised error of force and rate is 1."""
     rng = np.random.default_rng(4)

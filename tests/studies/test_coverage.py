@@ -56,6 +56,7 @@ def test_understated_errors_are_found_out():
     assert any("21 of 21 shares" in finding for finding in summary.findings)
 
 
+@pytest.mark.slow
 def test_a_trial_states_what_was_predicted_and_what_came():
     trial = SMALL.trial(np.random.default_rng([2, 0]))
     assert json.loads(json.dumps(trial)) == trial

@@ -24,6 +24,7 @@ def test_a_registration_image_is_found_and_named(trial):
     assert np.median(trial["error_px"]) < 0.1  # 0.05 px at the medium dose
 
 
+@pytest.mark.slow
 def test_a_wrong_name_is_counted_as_one(monkeypatch):
     def confused(image, frame, view):
         true = shadows(setup)
