@@ -24,7 +24,7 @@ test: $(READY)  ## the whole suite, under five minutes
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist loadfile
 
 slow: $(READY)  ## what is too slow for `make test`
-	$(BIN)/python -m pytest -m slow
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -m slow -n auto --dist loadfile
 
 bench: $(READY)  ## the figures of docs/benchmarks.md, each beside its peer
 	$(BIN)/python -m benchmarks
