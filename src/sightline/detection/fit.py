@@ -29,7 +29,8 @@ from sightline.detection.shadow import (
     GROUND,
     TAKEN_BY_BALL,
     TAKEN_BY_HOLE,
-    fill_columns,
+    fill_light,
+    fill_slopes,
     normal_equations,
     solve,
     substitute,
@@ -40,6 +41,7 @@ from sightline.detection.window import (
     along_both_axes,
     gather,
     hide_metal,
+    in_one_row,
     level,
     look,
     mark,
@@ -117,10 +119,11 @@ def _solve(spots, rows, noise, sharpening, plain, tables, light, state, window, 
     x0, y0 = spots[row, U] - left, spots[row, V] - top
     filtered = spread(state, x0, y0, radius) < _LOST
     taps, gain, blur2, together2, after = sharpening if filtered else plain
-    at, where = gather(state, filtered, along_both_axes(light, taps) if filtered else light, x0, y0, reach)
+    at, where, counting = gather(state, filtered, along_both_axes(light, taps) if filtered else light, x0, y0, reach)
     beads, shine, ground = _start(spots, rows, blur2)
     first = beads.copy()
-    columns, root = np.empty((size + 3, at.shape[1]), np.float32), np.ones(at.shape[1], np.float32)
+    columns, root = np.empty((size + 3, at.shape[1]), np.float32), np.empty(at.shape[1], np.float32)
+    behind, effect = np.empty((4, at.shape[1]), np.float32), np.empty((len(rows), at.shape[1]), np.float32)
     A, L, b, step = np.empty((size, size)), np.empty((size, size)), np.empty(size), np.zeros(size)
     known = np.zeros(size)
     optics = np.float32(1.0 / reach), taken, np.float32(together2)
@@ -129,10 +132,12 @@ def _solve(spots, rows, noise, sharpening, plain, tables, light, state, window, 
     out[STATUS] = TOO_FEW_PIXELS
     chi2, pixels = 0.0, 0
     for turn in range(_STEPS):
-        fill_columns(table, at, beads, np.float32(shine), ground, optics, columns)
-        pixels = _weigh(columns[: size + 2], np.float32(brightest), roots, turn < _CHOOSING, root)
+        fill_light(table, at, beads, np.float32(shine), ground, optics, behind, effect, columns)
+        if turn < _CHOOSING:
+            pixels = _weigh(columns[-2], counting, np.float32(brightest), roots, root)
         if pixels < 2 * size:
             return
+        fill_slopes(at, optics[0], root, behind, effect, columns)
         chi2 = normal_equations(columns, A, b)
         _rely_on_what_is_known(beads, first, ground, known, A, b)
         if not solve(A, b, L, step):
@@ -156,7 +161,8 @@ def _solve(spots, rows, noise, sharpening, plain, tables, light, state, window, 
     out[U], out[V], out[RADIUS] = spots[row, U] + beads[0, 0], spots[row, V] + beads[0, 1], beads[0, 2]
     out[CONTRAST] = np.log(inside / max(ground[0], 1e-3))
     out[BLUR] = np.sqrt(max(beads[0, 3] ** 2 - blur2, 0.0))
-    _judge(table, at, where, light, beads, shine, ground, optics, (blur2, together2), gain, root, pixels, columns, out)
+    blurs, room = (blur2, together2), (behind, effect, columns)
+    _judge(table, at, where, light, beads, shine, ground, optics, blurs, gain, root, pixels, room, out)
 
 
 @nb.njit(cache=True, fastmath=FAST, nogil=True)
@@ -216,21 +222,19 @@ def _roots(lift, slope):
 
 
 @nb.njit(cache=True, fastmath=FAST)
-def _weigh(columns, brightest, roots, anew, root):
-    """Divide all columns but the last by the noise's deviation at the model's light; the number of pixels that count.
+def _weigh(light, counting, brightest, roots, root):
+    """One over the noise's deviation at the model's light, of the first `counting` pixels; how many of them count.
 
     Pixels that the model makes brighter than `brightest` may be clipped and do not count. The model chooses, not what
     is seen there: of pixels that are just not clipped the noise is negative.
     """
-    light, count = columns[-1], 0
-    if anew:
-        for p in range(len(root)):
-            at = np.int32(min(max(light[p] * _LIGHTS, np.float32(0.0)), np.float32(2 * _LIGHTS - 1)))
-            root[p] = roots[at] if light[p] < brightest else np.float32(0.0)
-    for m in range(len(columns) - 1):
-        for p in range(len(root)):
-            columns[m, p] *= root[p]
+    count = 0
     for p in range(len(root)):
+        at = np.int32(min(max(light[p] * _LIGHTS, np.float32(0.0)), np.float32(2 * _LIGHTS - 1)))
+        root[p] = roots[np.uint32(at)] if light[p] < brightest else np.float32(0.0)
+    for p in range(counting, len(root)):
+        root[p] = 0.0
+    for p in range(counting):
         count += root[p] > 0
     return count
 
@@ -288,22 +292,26 @@ def _covariance(columns, where, L, wide, after, scale2, known, ground, out):  # 
         unit[:] = 0.0
         unit[parameter] = 1.0
         substitute(L, unit, influence[row])
-    reach = len(after) - 1
-    field = np.zeros((3, wide + 2 * reach, wide + 2 * reach), np.float32)
-    total = np.empty(columns.shape[1], np.float32)
-    for row in range(3):
-        total[:] = 0.0
-        for k in range(size):
-            weight = np.float32(influence[row, k])
-            for p in range(len(total)):
-                total[p] += weight * columns[k, p]
-        for p in range(len(total)):
-            field[row, where[0, p] + reach, where[1, p] + reach] = total[p]
-    across, along = along_both_axes(field[0], after), along_both_axes(field[1], after)
-    out[CUU] = scale2 * _product(field[0], across)
-    out[CUV] = scale2 * _product(field[1], across)
-    out[CVV] = scale2 * _product(field[1], along)
-    out[CCC] = scale2 * _product(field[2], along_both_axes(field[2], after))
+    reach = np.uint32(len(after) - 1)
+    width, pixels = np.uint32(wide) + 2 * reach, columns.shape[1]
+    total, field = np.zeros((3, pixels), np.float32), np.zeros((3, width * width), np.float32)
+    for k in range(size):
+        u, v, contrast = np.float32(influence[0, k]), np.float32(influence[1, k]), np.float32(influence[2, k])
+        column = columns[k]
+        for p in range(pixels):
+            total[0, p] += u * column[p]
+            total[1, p] += v * column[p]
+            total[2, p] += contrast * column[p]
+    for p in range(pixels):
+        at = (where[0, p] + reach) * width + where[1, p] + reach
+        field[0, at], field[1, at], field[2, at] = total[0, p], total[1, p], total[2, p]
+    noise = in_one_row(field.reshape(-1), after, width)
+    across, along, middle = noise[: width * wide], noise[width * width :], noise[2 * width * width :]
+    inner = field[:, reach * width + reach : (reach + wide) * width]
+    out[CUU] = scale2 * _product(inner[0], across)
+    out[CUV] = scale2 * _product(inner[1], across)
+    out[CVV] = scale2 * _product(inner[1], along)
+    out[CCC] = scale2 * _product(inner[2], middle)
     for m in range(GROUND - CUBIC, GROUND):
         out[CUU] += (_BENT_PX * ground[m]) ** 2
         out[CVV] += (_BENT_PX * ground[m]) ** 2
@@ -318,37 +326,38 @@ def _covariance(columns, where, L, wide, after, scale2, known, ground, out):  # 
 
 @nb.njit(cache=True, fastmath=FAST)
 def _product(field, correlated):
-    """Sum of the products of a field, without its margin, and what noise makes of another."""
-    reach, total = (len(field) - len(correlated)) // 2, np.float32(0.0)
-    for i in range(correlated.shape[0]):
-        for j in range(correlated.shape[1]):
-            total += field[i + reach, j + reach] * correlated[i, j]
+    """Sum of the products of a field and what noise makes of another."""
+    total = np.float32(0.0)
+    for p in range(len(field)):
+        total += field[p] * correlated[p]
     return total
 
 
 @nb.njit(cache=True, fastmath=FAST, error_model="numpy")
-def _judge(table, at, where, light, beads, shine, ground, optics, blurs, gain, root, pixels, columns, out):  # noqa: PLR0917
+def _judge(table, at, where, light, beads, shine, ground, optics, blurs, gain, root, pixels, room, out):  # noqa: PLR0917
     """How well the bead explains its window as it was before sharpening: residual, weakest sector."""
     for k in range(len(beads)):
         beads[k, 3] = np.sqrt(max(beads[k, 3] ** 2 - blurs[0], _LEAST_BLUR**2))
     optics = optics[0], optics[1], np.float32(blurs[1] - blurs[0])
+    margin, darkest, zero = np.uint32(MARGIN), np.float32(0.02), np.float32(0.0)
     for p in range(at.shape[1]):
-        at[2, p] = light[where[0, p] + MARGIN, where[1, p] + MARGIN]
-    fill_columns(table, at, beads, np.float32(shine), ground, optics, columns)
+        at[2, p] = light[where[0, p] + margin, where[1, p] + margin]
+    behind, effect, columns = room
+    fill_light(table, at, beads, np.float32(shine), ground, optics, behind, effect, columns)
     rest, meant_light, bright = columns[-3], columns[-2], columns[-1]
-    residuals = expected = np.float32(0.0)
+    residuals = expected = zero
     for p in range(at.shape[1]):
-        m, counts = max(meant_light[p], np.float32(0.02)), root[p] > 0
+        m, counts = max(meant_light[p], darkest), root[p] > zero
         residual, sd = rest[p] / m, np.float32(1.0) / (root[p] * m)
-        residuals += residual * residual if counts else np.float32(0.0)
-        expected += sd * sd if counts else np.float32(0.0)
+        residuals += residual * residual if counts else zero
+        expected += sd * sd if counts else zero
     beyond = max(residuals - _SPREAD_OF_NOISE * expected / gain, 0.0) / pixels
     out[EXCESS] = np.sqrt(beyond) / max(abs(out[CONTRAST]), 1e-9)
     seen, meant, rim2 = np.zeros(8), np.zeros(8), (beads[0, 2] + 1) ** 2
     for p in range(at.shape[1]):
         x, y = at[0, p] - beads[0, 0], at[1, p] - beads[0, 1]
         if x * x + y * y < rim2 and root[p] > 0:
-            bead = max(meant_light[p], np.float32(0.02)) / bright[p] - np.float32(1.0)
+            bead = max(meant_light[p], darkest) / bright[p] - np.float32(1.0)
             sector = 4 * (x > 0) + 2 * (y > 0) + (abs(x) > abs(y))
             seen[sector] += (rest[p] / bright[p] + bead) * bead
             meant[sector] += bead * bead

@@ -34,9 +34,9 @@ def _shadow(row, at, bead, out, slopes):
     In several short loops, each of which the compiler vectorises.
     """
     u, v, radius, blur = np.float32(bead[0]), np.float32(bead[1]), np.float32(bead[2]), np.float32(bead[3])
-    e_axes, e_diagonals = np.float32(bead[4]), np.float32(bead[5])
-    one, first, per_step, last = np.float32(1.0), np.float32(T_FIRST), np.float32(1.0 / T_STEP), np.float32(T_COUNT)
-    last -= np.float32(1.001)
+    e_axes, e_diagonals = np.float32(bead[4]), np.float32(2.0 * bead[5])
+    one, two, first = np.float32(1.0), np.float32(2.0), np.float32(T_FIRST)
+    per_step, last = np.float32(1.0 / T_STEP), np.float32(T_COUNT - 1.001)
     per_blur, per_radius, pixels = one / blur, one / radius, at.shape[1]
     r, t, by_r, by_q = out[2], out[3], out[4], out[5]
     for n in range(pixels):
@@ -44,7 +44,7 @@ def _shadow(row, at, bead, out, slopes):
         r[n] = np.sqrt(dx * dx + dy * dy + np.float32(1e-6))
         c, s = dx / r[n], dy / r[n]
         out[0, n], out[1, n] = c, s
-        t[n] = (r[n] * (one - e_axes * (c * c - s * s) - e_diagonals * (2 * c * s)) - radius) * per_blur
+        t[n] = (r[n] * (one - e_axes * (c * c - s * s) - e_diagonals * c * s) - radius) * per_blur
     for n in range(pixels):
         x = min(max((t[n] - first) * per_step, np.float32(0.0)), last)
         w = x - np.float32(np.int32(x))
@@ -61,26 +61,34 @@ def _shadow(row, at, bead, out, slopes):
         g = f * r[n]
         out[2, n] = -f - q * blur * per_radius * per_radius
         out[3, n] = q * per_radius - f * t[n]
-        out[4, n], out[5, n] = -g * (c * c - s * s), -g * (2 * c * s)
+        out[4, n], out[5, n] = -g * (c * c - s * s), -g * two * c * s
 
 
 @nb.njit(cache=True, fastmath=FAST, error_model="numpy")
-def fill_columns(table, at, beads, shine, ground, optics, columns):  # noqa: PLR0917
-    """Derivatives of the model's light at the pixels, its residual, light and background, in this order.
+def fill_light(table, at, beads, shine, ground, optics, behind, effect, columns):  # noqa: PLR0917
+    """The last three of `columns`: what the model's light leaves of the values seen, that light, and the background.
 
     `at` (3, N): x, y, value seen; `shine`: the light from elsewhere; `optics`: one over the window's reach, the share
     that a bead takes away, and the squared blur that background and shadow went through together; `columns`
-    (6K + 1 + GROUND + 3, N). Sharp, the light is G W + s (1 - V), where W and V are what the beads leave of either;
-    blur over a slope of G moves the rim, to first order by blur² grad G grad W.
+    (6K + 1 + GROUND + 3, N). For `fill_slopes` are kept: in the first 6K columns derivatives of each bead's share,
+    in `effect` (K, N) those of the light by the share, in `behind` (4, N) what the beads leave of the background and
+    of the light from elsewhere, and the first one's slopes. Sharp, the light is G W + s (1 - V), where W and V are what
+    the beads leave of either; blur over a slope of G moves the rim, to first order by blur² grad G grad W.
     """
-    count, first, pixels = len(beads), BEAD * len(beads), at.shape[1]
-    taken, blur2, one = optics[1], optics[2] * optics[0], np.float32(1.0)
+    count, pixels = len(beads), at.shape[1]
+    scale, taken, blur2, one = optics[0], optics[1], optics[2] * optics[0], np.float32(1.0)
+    three = np.float32(3.0)
     row, slopes = np.empty((2, T_COUNT), np.float32), np.empty((count, 3, pixels), np.float32)
-    left, clear = np.empty(pixels, np.float32), np.empty(pixels, np.float32)
-    left_x, left_y = np.empty(pixels, np.float32), np.empty(pixels, np.float32)
     others_left, others_clear = np.empty(pixels, np.float32), np.empty(pixels, np.float32)
-    bright = columns[first + GROUND + 3]
-    _ground(at, optics[0], ground, bright)
+    left, clear, left_x, left_y = behind[0], behind[1], behind[2], behind[3]
+    rest, light, bright = columns[-3], columns[-2], columns[-1]
+    g0, g1, g2 = np.float32(ground[0]), np.float32(ground[1]), np.float32(ground[2])
+    g3, g4, g5 = np.float32(ground[3]), np.float32(ground[4]), np.float32(ground[5])
+    g6, g7, g8, g9 = np.float32(ground[6]), np.float32(ground[7]), np.float32(ground[8]), np.float32(ground[9])
+    for n in range(pixels):
+        a, b = at[0, n] * scale, at[1, n] * scale
+        low = g0 + a * (g1 + a * (g3 + a * g6)) + b * (g2 + b * (g5 + b * g9))
+        bright[n] = low + a * b * (g4 + a * g7 + b * g8)
     left[:], clear[:], left_x[:], left_y[:] = one, one, 0.0, 0.0
     for k in range(count):
         _profile_row(table, beads[k, 2], beads[k, 3], row)
@@ -98,47 +106,40 @@ def fill_columns(table, at, beads, shine, ground, optics, columns):  # noqa: PLR
         for n in range(pixels):
             left_x[n] -= blur2 * taken * slopes[k, 1, n] * others_left[n]
             left_y[n] -= blur2 * taken * slopes[k, 2, n] * others_left[n]
-            others_clear[n] = shine * others_clear[n] - taken * bright[n] * others_left[n]
+            effect[k, n] = shine * others_clear[n] - taken * bright[n] * others_left[n]
+    for n in range(pixels):
+        a, b = at[0, n] * scale, at[1, n] * scale
+        by_a = g1 + a * (g3 + g3 + three * a * g6) + b * (g4 + a * (g7 + g7) + b * g8)
+        by_b = g2 + b * (g5 + g5 + three * b * g9) + a * (g4 + b * (g8 + g8) + a * g7)
+        light[n] = shine * (one - clear[n]) + bright[n] * left[n] + by_a * left_x[n] + by_b * left_y[n]
+        rest[n] = at[2, n] - light[n]
+
+
+@nb.njit(cache=True, fastmath=FAST)
+def fill_slopes(at, scale, root, behind, effect, columns):  # noqa: PLR0917
+    """Derivatives of the light that `fill_light` found, by all parameters, and the residual after them, each times
+    `root` (N,)."""
+    first, pixels = BEAD * len(effect), at.shape[1]
+    one, two, three = np.float32(1.0), np.float32(2.0), np.float32(3.0)
+    for k in range(len(effect)):
+        for n in range(pixels):
+            effect[k, n] *= root[n]
         for m in range(BEAD * k, BEAD * k + BEAD):
             for n in range(pixels):
-                columns[m, n] *= others_clear[n]
+                columns[m, n] *= effect[k, n]
+    shine, rest = columns[first], columns[-3]
     for n in range(pixels):
-        columns[first, n] = one - clear[n]
-        columns[first + GROUND + 2, n] = shine * columns[first, n]
-    _background(at, optics[0], ground, left, left_x, left_y, columns[first + 1 :])
-
-
-@nb.njit(cache=True, fastmath=FAST)
-def _ground(at, scale, ground, bright):
-    """The light of the background at the pixels `at`."""
-    g0, g1, g2 = np.float32(ground[0]), np.float32(ground[1]), np.float32(ground[2])
-    g3, g4, g5 = np.float32(ground[3]), np.float32(ground[4]), np.float32(ground[5])
-    g6, g7, g8, g9 = np.float32(ground[6]), np.float32(ground[7]), np.float32(ground[8]), np.float32(ground[9])
-    for n in range(at.shape[1]):
+        shine[n] = root[n] * (one - behind[1, n])
+        rest[n] *= root[n]
+    ground = columns[first + 1 :]
+    for n in range(pixels):
         a, b = at[0, n] * scale, at[1, n] * scale
-        low = g0 + a * (g1 + a * (g3 + a * g6)) + b * (g2 + b * (g5 + b * g9))
-        bright[n] = low + a * b * (g4 + a * g7 + b * g8)
-
-
-@nb.njit(cache=True, fastmath=FAST)
-def _background(at, scale, ground, left, left_x, left_y, columns):  # noqa: PLR0917
-    """Columns of the background behind what the beads leave; its light is added to theirs, and the residual taken."""
-    rest, light = columns[GROUND], columns[GROUND + 1]
-    for n in range(at.shape[1]):
-        a, b, w, x, y = at[0, n] * scale, at[1, n] * scale, left[n], left_x[n], left_y[n]
+        w, x, y = root[n] * behind[0, n], root[n] * behind[2, n], root[n] * behind[3, n]
         aa, ab, bb = a * a, a * b, b * b
-        columns[0, n], columns[1, n], columns[2, n] = w, w * a + x, w * b + y
-        columns[3, n], columns[4, n] = w * aa + 2 * a * x, w * ab + b * x + a * y
-        columns[5, n], columns[6, n] = w * bb + 2 * b * y, w * aa * a + 3 * aa * x
-        columns[7, n] = w * aa * b + 2 * ab * x + aa * y
-        columns[8, n] = w * ab * b + bb * x + 2 * ab * y
-        columns[9, n] = w * bb * b + 3 * bb * y
-    for m in range(GROUND):
-        share = np.float32(ground[m])
-        for n in range(at.shape[1]):
-            light[n] += share * columns[m, n]
-    for n in range(at.shape[1]):
-        rest[n] = at[2, n] - light[n]
+        ground[0, n], ground[1, n], ground[2, n] = w, w * a + x, w * b + y
+        ground[3, n], ground[4, n], ground[5, n] = w * aa + two * a * x, w * ab + b * x + a * y, w * bb + two * b * y
+        ground[6, n], ground[7, n] = w * aa * a + three * aa * x, w * aa * b + two * ab * x + aa * y
+        ground[8, n], ground[9, n] = w * ab * b + bb * x + two * ab * y, w * bb * b + three * bb * y
 
 
 @nb.njit(cache=True, fastmath=True)

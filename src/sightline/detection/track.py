@@ -24,7 +24,7 @@ _HALF_WAY = 0.5  # of the step of log radius between two sizes of ball
 _OTHER_SIZE = 0.15  # log radius; a right bead's changes by 0.03 from image to image [twin], the datum's step is 0.51
 _FROM_OTHERS_PX = 3.0  # from where the others' movement puts it; a bead that went elsewhere is none [ours]
 _AT_REST_PX = 0.3  # movement of a plate's beads below which the next image is not expected to move on [ours]
-_STALE_PX = 0.5  # movement after which overlaps are looked at anew; they have a margin of 2.5 px
+_STALE_PX = 0.5  # movement after which overlaps and middles are looked at anew; they have margins of 2 px and more
 
 
 class TrackLost(Exception):  # noqa: N818 - the sequence is lost, the image may be a good one
@@ -38,7 +38,8 @@ class Track:
     `ids` (L,): the labelled beads, the first L of `rows` (N, COUNT) of `columns`; after them spots that are no bead of
     the frame. `seen` (L,) bool: in this image. `crowded` (L,) bool: fitted only where others and metal leave it free.
     `radius_px` (L,) at the last whole look. `mask` (H, W): the field; `written` (H, W) or None: letters. `washer` (N,)
-    bool. `free` (H, W): what of it counts for crowded beads, since the labelled ones were at `free_at_px` (L, 2).
+    bool. `fit`: to what counts of the field, `free` (H, W): what of that counts for crowded beads, since the labelled
+    ones were at `free_at_px` (L, 2).
     `step_px` (N, 2): how the beads of each plate moved last: the source plate's move twice as far as the other's.
     """
 
@@ -76,7 +77,9 @@ class Track:
             np.concatenate([contrast, beads.contrast[other]]),
         )
         kind = np.array(beads.kind, dtype=object)
-        fit, crowded = fit_of(image), row < 0
+        washer = np.concatenate([(row >= 0) & (kind[row] == "washer"), kind[other] == "washer"])
+        mask, crowded = field_inset(image), row < 0
+        fit = fit_of(image).within(without_middles(mask, rows[washer, :2], rows[washer, columns.RADIUS]))
         free, free_for = without_overlaps(image, fit, rows, np.flatnonzero(crowded))
         return Track(
             frame=frame,
@@ -87,9 +90,9 @@ class Track:
             seen=np.ones(len(row), dtype=bool),
             crowded=crowded,
             radius_px=radius,
-            washer=np.concatenate([(row >= 0) & (kind[row] == "washer"), kind[other] == "washer"]),
+            washer=washer,
             fit=fit,
-            mask=field_inset(image),
+            mask=mask,
             written=image.burnt_in,
             free=free,
             free_for=free_for,
@@ -101,9 +104,9 @@ class Track:
         """The beads of the next image, each fitted from where it was. Raises TrackLost."""
         self._refuse_other_shape(image)
         fit = self.fit.on(logs_of(image, self.mask, self.written))
-        if self.washer.any():
-            middle = self._expected()[self.washer]
-            fit = fit.within(without_middles(self.mask, middle[:, :2], middle[:, columns.RADIUS]))
+        moved = np.hypot(*(self._expected()[: len(self.ids), :2] - self.free_at_px).T)
+        if np.median(moved) > _STALE_PX:
+            fit = fit.within(self._usable(self.mask))
         track = self._fitted(image, fit)
         return track, track.observations
 
@@ -115,9 +118,7 @@ class Track:
         noise = estimate_noise(logs, mask)
         if noise is None:
             raise TrackLost("no part of the image is left to measure its noise in")
-        middle = self._expected()[self.washer]
-        usable = without_middles(mask, middle[:, :2], middle[:, columns.RADIUS])
-        fit = refine.Fit(logs, usable, noise)
+        fit = refine.Fit(logs, self._usable(mask), noise)
         keep_fit(image, fit)
         track = self._fitted(image, fit)
         beads, alone = track._alone(image)
@@ -195,12 +196,16 @@ class Track:
                 out[: len(near)][plate] = np.median(moved_px[plate & good], axis=0)
         return out
 
+    def _usable(self, mask: np.ndarray) -> np.ndarray:
+        """`mask` (H, W) without the middles of washers, where these are expected."""
+        washer = self._expected()[self.washer]
+        return without_middles(mask, washer[:, :2], washer[:, columns.RADIUS])
+
     def _free(self, image: Radiograph, fit: refine.Fit, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """`free`, `free_for` and `free_at_px`, looked at anew where the beads have moved since."""
-        places = rows[: len(self.ids), :2]
-        moved = np.hypot(*(places - self.free_at_px).T)
-        if not self.crowded.any() or (fit.usable is self.fit.usable and np.median(moved) < _STALE_PX):
+        """`free`, `free_for` and `free_at_px`, looked at anew where other pixels count than before."""
+        if fit.usable is self.fit.usable:
             return self.free, self.free_for, self.free_at_px
+        places = rows[: len(self.ids), :2]
         return *without_overlaps(image, fit, rows, np.flatnonzero(self.crowded)), places
 
     def _refuse_few(self, good: np.ndarray) -> None:
