@@ -59,7 +59,8 @@ def _seeds(radiograph: Radiograph, least: float) -> np.ndarray:
     Every second row is looked at, well inside the field: letters are higher than two rows.
     """
     pixels, rows = radiograph.pixels, radiograph.pixels[::2]
-    row, before = np.nonzero(cv2.absdiff(rows[:, 1:], rows[:, :-1]) > least)
+    steps = np.flatnonzero(cv2.absdiff(rows[:, 1:], rows[:, :-1]) > least)  # few; along one axis they are found sooner
+    row, before = np.divmod(steps, pixels.shape[1] - 1)
     first, last = before[:-1] + 1, before[1:]  # of the run between one step and the next
     run = (row[:-1] == row[1:]) & (last > first)
     v, first, last = 2 * row[:-1][run], first[run], last[run]
