@@ -28,6 +28,7 @@ DECISIONS = st.builds(
     st.none() | st.text(max_size=8),
     st.dictionaries(st.text(min_size=1, max_size=8), MARKS, max_size=5),
     st.dictionaries(st.sampled_from(["pa", "lateral"]), DISPLAYS),
+    st.booleans(),
 )
 
 
@@ -108,6 +109,13 @@ def test_a_broken_record_is_refused(broken):
     document = {**Decisions().document(), **broken} if broken else {}
     with pytest.raises(CaseError, match="case check"):
         Decisions.of(document)
+
+
+def test_a_journal_of_before_snapping_was_a_decision_can_be_read():
+    document = Decisions(snapping=False).document()
+    assert not Decisions.of(document).snapping
+    del document["snapping"]
+    assert Decisions.of(document).snapping
 
 
 def test_a_place_on_a_curve_goes_with_the_pixel_that_drew_it():

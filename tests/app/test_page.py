@@ -1,6 +1,7 @@
 """The planning page in a real browser: the whole procedure by mouse and keyboard, and what a person may do wrong."""
 
 import re
+import signal
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -83,9 +84,23 @@ def _drill(hands: Hands, shoot) -> None:
         hands.press(order)
         hands.press(f"{order}-yes")
         expect(hands.see("robot-state")).to_contain_text(state.value, timeout=PATIENCE_MS)
+        if state is State.PAUSED:
+            _tell_the_second_shot(hands)
     expect(hands.see("drilled")).to_be_visible()
     expect(hands.see("events")).to_contain_text("cortex")
     shoot(hands.page, "drill")
+
+
+def _tell_the_second_shot(hands: Hands) -> None:
+    """A shot that shows what the robot has, once and known better."""
+    expect(hands.see("robot-live")).to_contain_text("± 0.8 mm (zero: plan and contact)")
+    expect(hands.see("shot-unmeasured")).to_contain_text("drills on by plan and contact, to ± 0.8 mm")
+    depth = hands.see("robot-live").inner_text().split()[1]
+    for field, value in (("shot-depth", depth), ("shot-error", "0.3")):
+        hands.page.locator(f"input[data-testid={field}], [data-testid={field}] input").fill(value)
+    hands.press("tell-shot")
+    hands.press("tell-shot-yes")
+    expect(hands.see("shot-told")).to_contain_text("plan, contact and second shot, to ± 0.3 mm", timeout=PATIENCE_MS)
 
 
 def _verify(hands: Hands, shoot, folder: Path) -> None:
@@ -110,13 +125,23 @@ def _find_landmarks_again(hands: Hands, folder: Path) -> None:
             hands.place(name, view, (float(at[0]), float(at[1])))
 
 
-def test_the_live_image_is_calibrated_overlaid_and_watched(hands: Hands, shoot) -> None:
+def test_the_live_image_is_calibrated_overlaid_and_watched(hands: Hands, server: Server, shoot) -> None:
+    """And marked as old by the browser itself where the server says nothing more."""
     _planned(hands)
     hands.step("Drill")
     hands.press("live-start")
     expect(hands.see("live-state")).to_contain_text("Tracking", timeout=PATIENCE_MS)
     hands.until("pa", "core.state.layers.get('wire').shapes.length > 0")
     shoot(hands.page, "live")
+    hands.until("pa", "!core.state.stale")
+    assert server._process is not None
+    server._process.send_signal(signal.SIGSTOP)
+    try:
+        hands.until("pa", "core.state.stale")
+        expect(hands.see("xray-pa").get_by_test_id("stale")).to_be_visible()
+    finally:
+        server._process.send_signal(signal.SIGCONT)
+    hands.until("pa", "!core.state.stale && core.state.layers.get('wire').shapes.length > 0")
     hands.press("live-stop")
     hands.until("pa", "core.state.points.size > 0")  # the plan's image again
 

@@ -1,12 +1,26 @@
 """The robot as the page has it: one order at a time, and an answer to each even when the link has ended."""
 
 import asyncio
+import time
+from collections.abc import Iterator
 
+import numpy as np
 import pytest
+from tests.robot.rig import ROBOT, SETUP, T_MCS_CFCS, metadata, wire
+from tests.robot.test_depth import Bone
 
-from sightline.app.robot_session import RobotSession
+from sightline.app.panel_drill import depth_words
+from sightline.app.robot_session import RobotNow, RobotSession
+from sightline.app.texts import BY_CONTACT, BY_PLAN, BY_SHOT
 from sightline.errors import LinkError, RobotRefusedError
+from sightline.geometry.covariance import TWO_SIDED_95
 from sightline.rehearsal.operation import Theatre
+from sightline.robot.client import RobotClient
+from sightline.robot.controller import Controller
+from sightline.robot.depth import CONTACT_LEAD_MM, CONTACT_SD_MM, PLAN_SD_MM
+from sightline.robot.insertion import Setup
+from sightline.robot.manipulator import FEED
+from sightline.robot.server import RobotServer
 from sightline.robot.states import State
 
 
@@ -39,3 +53,102 @@ def test_an_order_after_the_link_has_ended_is_answered(session: RobotSession) ->
     session.close()
     with pytest.raises(LinkError, match="lost"):
         asyncio.run(session.retract())
+
+
+def test_nobody_is_told_of_a_link_that_was_ended_on_purpose() -> None:
+    """When the program ends, the loop that would hear of it has ended already."""
+    told: list[str] = []
+    theatre = Theatre.in_air("right", "none")
+    with theatre.server(virtual=True) as server:
+        session = RobotSession(theatre.robot, server.port, lambda: told.append("changed"), heartbeat=False)
+        with pytest.raises(RobotRefusedError):
+            asyncio.run(session.reset(1))
+        assert told
+        told.clear()
+        session.close()
+    assert session.now.lost
+    assert not told
+
+
+AT_CONTACT_MM = PLAN_SD_MM * CONTACT_SD_MM / float(np.hypot(PLAN_SD_MM, CONTACT_SD_MM))
+
+
+@pytest.fixture
+def paused() -> Iterator[RobotSession]:
+    """At the pause, 10 mm short of the tip, after bone was met where it is planned."""
+    plant = Bone(-CONTACT_LEAD_MM)
+    controller = Controller(ROBOT, plant, Setup(SETUP.side, SETUP.frame_serial))
+
+    def ready(client: RobotClient) -> None:
+        client.start_up()
+        client.calibrate(T_MCS_CFCS, 10.0)
+        client.aim(wire(), metadata(), 10.0)
+        assert controller.insertion is not None
+        plant.zero_mm = float(controller.insertion.q[FEED])
+
+    with RobotServer(controller, plant, advance=plant.advance, virtual=True) as server:
+        session = RobotSession(ROBOT, server.port, lambda: None, heartbeat=False)
+        asyncio.run(session._do("aiming", ready))
+        assert session.now.zero == (BY_PLAN,)
+        asyncio.run(session.align())
+        _until(session, lambda now: now.state == "ALIGNED")
+        asyncio.run(session.drill(State.ALIGNED))
+        _until(session, lambda now: now.state == "PAUSED" and now.depth_sd_mm is not None)
+        yield session
+        session.close()
+
+
+def _until(session: RobotSession, there) -> None:
+    end = time.monotonic() + 10.0
+    while not there(session.now):
+        assert time.monotonic() < end, session.now
+        time.sleep(0.01)
+
+
+@pytest.mark.parametrize(
+    ("now", "words"),
+    [
+        (RobotNow(), "–"),
+        (RobotNow(depth_mm=3.04), "3.0 mm ± ? (zero: plan)"),
+        (
+            RobotNow(depth_mm=80.0, depth_sd_mm=0.1, zero=(BY_PLAN, BY_CONTACT, BY_SHOT)),
+            "80.0 mm ± 0.2 mm (zero: plan, contact and second shot)",
+        ),
+    ],
+)
+def test_a_depth_without_an_error_says_so(now: RobotNow, words: str) -> None:
+    assert depth_words(now) == words
+
+
+def test_a_second_shot_is_told_with_its_error_and_counts_once(paused: RobotSession) -> None:
+    before = paused.now.depth_mm
+    assert before is not None
+    assert paused.now.zero == (BY_PLAN, BY_CONTACT)
+    assert paused.now.depth_sd_mm == pytest.approx(AT_CONTACT_MM)
+    words = f"± {TWO_SIDED_95 * AT_CONTACT_MM:.1f} mm (zero: plan and contact)"
+    assert depth_words(paused.now) == f"{before:.1f} mm {words}"
+    shot, error = before + 0.7, 0.5
+    asyncio.run(paused.tell_shot(shot, error))
+    _until(paused, lambda now: BY_SHOT in now.zero)
+    now, sd = paused.now, error / TWO_SIDED_95
+    weight = AT_CONTACT_MM**2 / (AT_CONTACT_MM**2 + sd**2)
+    assert now.zero == (BY_PLAN, BY_CONTACT, BY_SHOT)
+    assert now.depth_sd_mm == pytest.approx(AT_CONTACT_MM * np.sqrt(1 - weight))
+    _until(paused, lambda now: now.depth_mm == pytest.approx(before + weight * 0.7, abs=0.02))
+    with pytest.raises(RobotRefusedError, match="counts once"):
+        asyncio.run(paused.tell_shot(shot, error))
+
+
+IMPOSSIBLE = [(1.6, 0.5, "1.4 mm apart"), (-1.6, 0.5, "1.4 mm apart"), (0.0, 0.0, "95 %"), (0.0, -0.1, "95 %")]
+NOT_FINITE = [(np.nan, 0.5, "the depth"), (0.0, np.nan, "95 %"), (np.inf, 0.5, "the depth")]
+
+
+def test_a_second_shot_that_cannot_be_tells_the_robot_nothing(paused: RobotSession) -> None:
+    before = paused.now
+    assert before.depth_mm is not None
+    for off_mm, error_95_mm, why in (*IMPOSSIBLE, *NOT_FINITE):
+        with pytest.raises(RobotRefusedError, match=why):
+            asyncio.run(paused.tell_shot(before.depth_mm + off_mm, error_95_mm))
+    paused.refuse_shot(before.depth_mm + 1.2, 0.5)  # within what both state
+    time.sleep(0.1)
+    assert (paused.now.depth_sd_mm, paused.now.zero) == (before.depth_sd_mm, before.zero)

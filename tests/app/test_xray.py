@@ -43,12 +43,12 @@ class View:
         """Wait until everything asked for is drawn."""
         self.page.evaluate("() => new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))")
 
-    def do(self, name: str) -> None:
-        """Let the server run a command, and wait until the browser has done what it says."""
+    def do(self, name: str, *, loaded: bool = True) -> None:
+        """Let the server run a command, and wait until the browser has done what it says, and loaded an image."""
         mark = next(MARKS)
         answer = self.page.request.post(f"{self.server.url}do/{name}", params={"mark": mark})
         assert answer.ok
-        self.page.wait_for_function(f"window.marked === {mark} && !sightlineXray.pa.loading")
+        self.page.wait_for_function(f"window.marked === {mark} && !({str(loaded).lower()} && sightlineXray.pa.loading)")
         self.settle()
 
     def forget(self, *, answering: bool = True) -> None:
@@ -337,6 +337,29 @@ def test_plan_layers_hide_while_the_image_is_stale(view: View) -> None:
     assert np.array_equal(view.grey(), with_plan)
 
 
+def test_the_browser_itself_hides_the_plan_of_a_live_image_that_no_word_comes_of(view: View) -> None:
+    view.do("fresh-shortly")
+    assert not view.core("core.state.stale")
+    view.page.wait_for_function("sightlineXray.pa.state.stale")  # the server says nothing more
+    expect(view.root.get_by_test_id("stale")).to_be_visible()
+    view.do("fresh-long")
+    assert not view.core("core.state.stale")
+    expect(view.root.get_by_test_id("stale")).to_be_hidden()
+
+
+def test_word_of_a_live_image_is_not_taken_for_the_older_one_on_the_screen(view: View) -> None:
+    """Its pixels do not come, the word that it is fresh does."""
+    view.page.route("**/late", lambda route: None)
+    view.do("late", loaded=False)
+    view.page.wait_for_function("sightlineXray.pa.state.stale")
+    view.do("fresh-long", loaded=False)
+    assert view.core("core.shownUrl") == "/picture"
+    assert view.core("core.state.stale")
+    view.page.unroute("**/late")
+    view.do("restore")
+    assert not view.core("core.state.stale")
+
+
 def test_layers_show_and_hide(view: View) -> None:
     bare = view.grey()
     view.do("gallery")
@@ -433,6 +456,32 @@ def test_one_move_is_in_flight_and_the_newest_wins(view: View) -> None:
     view.do("acknowledge")
     (dropped,) = view.heard("drop")
     assert dropped["uv"] == second["uv"]
+
+
+@pytest.mark.parametrize("released", [False, True])
+def test_what_is_done_on_an_image_ends_with_it(view: View, released: bool) -> None:
+    """Neither a drag in hand nor a drop that waits behind it is carried over to the next image."""
+    view.forget(answering=False)
+    x, y = view.screen(POINTS[0]["uv"])
+    view.mouse.move(x, y)
+    view.mouse.down()
+    view.mouse.move(x + 30, y)
+    view.mouse.move(x + 60, y)
+    if released:
+        view.mouse.up()
+    assert (len(view.heard("drag")), view.heard("drop")) == (1, [])
+    view.do("other")
+    expect(view.root.get_by_test_id("lost")).to_contain_text("Entry")
+    assert view.point("entry") == POINTS[0]["uv"]
+    view.do("acknowledge")
+    view.mouse.move(x + 80, y)
+    view.mouse.up()
+    assert (len(view.heard("drag")), view.heard("drop")) == (1, [])
+    assert view.core("sessionStorage.getItem('sightline-xray-pa')") is None
+    view.drag(view.screen(POINTS[0]["uv"]), (x + 20, y))  # on the new one
+    view.do("acknowledge")
+    assert view.refused() == 0
+    assert len(view.heard("drag")) == 2
 
 
 def test_the_server_moves_a_point_but_not_one_in_the_hand(view: View) -> None:
@@ -622,8 +671,8 @@ def test_an_unknown_style_is_said_and_not_drawn(view: View) -> None:
 def test_what_the_browser_makes_up_is_dropped_and_the_rest_goes_on(view: View) -> None:
     for event in (
         {"type": "drop", "id": "nobody", "uv": [1, 2], "seq": 900},
-        {"type": "drop", "id": "entry", "uv": [1e9, 2], "seq": 901},
-        {"type": ["drop"], "id": "entry"},
+        {"type": "drop", "id": "entry", "uv": [1e9, 2], "seq": 901, "image": "/picture"},
+        {"type": ["drop"], "id": "entry", "seq": 902},
     ):
         view.core("core.emit(value)", event)
     assert view.refused() == 3
@@ -632,14 +681,22 @@ def test_what_the_browser_makes_up_is_dropped_and_the_rest_goes_on(view: View) -
     assert len(view.heard("drop")) == 1
 
 
-BOUNDS = Bounds(width=100, height=50, ids={"a"})
-MOVE = {"type": "drop", "id": "a", "uv": [1, 2.5], "seq": 3}
-SHOWN = {"type": "display", "rotation": 90, "mirrored": True, "inverted": False, "window": {"centre": 5, "width": 9}}
+BOUNDS = Bounds("/one", width=100, height=50, ids={"a"})
+MOVE = {"type": "drop", "id": "a", "uv": [1, 2.5], "seq": 3, "image": "/one"}
+REMOVE = {"type": "remove", "id": "a", "uv": "x", "image": "/one"}
+SHOWN = {
+    "type": "display",
+    "image": "/one",
+    "rotation": 90,
+    "mirrored": True,
+    "inverted": False,
+    "window": {"centre": 5, "width": 9},
+}
 
 
 def test_good_events_are_taken_as_they_are() -> None:
     assert checked(MOVE, BOUNDS) == XrayEvent("drop", "a", (1.0, 2.5), 3)
-    assert checked({"type": "remove", "id": "a", "uv": "x"}, BOUNDS) == XrayEvent("remove", "a")
+    assert checked(REMOVE, BOUNDS) == XrayEvent("remove", "a")
     assert checked({"type": "select", "id": None}, BOUNDS) == XrayEvent("select")
     assert checked({"type": "ready"}, BOUNDS) == XrayEvent("ready")
     assert checked({"type": "error", "message": "a\nb" * 1000}, BOUNDS) == XrayEvent("error", message="a b" * 100)
@@ -678,6 +735,13 @@ def test_good_events_are_taken_as_they_are() -> None:
         MOVE | {"seq": 10**30},
         {"type": "select", "id": 3},
         {"type": "error", "message": 3},
+        MOVE | {"image": "/other"},
+        MOVE | {"image": None},
+        MOVE | {"image": ["/one"]},
+        {key: MOVE[key] for key in ("type", "id", "uv", "seq")},
+        *(MOVE | {"image": "/other", "type": kind} for kind in ("place", "drag", "nudge")),
+        REMOVE | {"image": "/other"},
+        SHOWN | {"image": "/other"},
         SHOWN | {"rotation": 45},
         SHOWN | {"rotation": True},
         SHOWN | {"mirrored": 1},
@@ -711,7 +775,9 @@ def test_an_edit_made_while_the_server_is_away(
     page = open_page(server.url, allow=("ERR_CONNECTION_REFUSED", "WebSocket", "502", "Failed to load resource"))
     view = View(page, server)
     view.ready()
+    view.do("fresh-long")
     server.stop()
+    expect(view.root.get_by_test_id("stale")).to_be_visible()  # though the last word was that it lasts
     start = view.screen(POINTS[0]["uv"])
     view.drag(start, (start[0] + 60, start[1] + 25))
     left = view.point("entry")

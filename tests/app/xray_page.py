@@ -152,6 +152,12 @@ def show_again(view: XrayView) -> None:
     view.set_display(inverted=True, window=Window(20000.0, 30000.0))
 
 
+def show_other(view: XrayView) -> None:
+    """Another image, and the points on it."""
+    view.set_image("/picture?other", SIDE, SIDE, window=WINDOW)
+    view.set_points(POINTS)
+
+
 def restore(view: XrayView) -> None:
     """The view as it was built, and nothing heard."""
     for one in heard:
@@ -162,7 +168,7 @@ def restore(view: XrayView) -> None:
     view.show_layer("gallery", True)
     view.place(None)
     view.notice(None)
-    view.stale(False)
+    view.fresh_for(None)
     view.set_points(POINTS)
     view.set_display(rotation=0, mirrored=False)
     view.set_image("/picture", SIDE, SIDE, window=WINDOW)
@@ -177,8 +183,12 @@ COMMANDS: dict[str, Callable[[XrayView], None]] = {
     "dim": lambda view: view.set_points([point | {"uv": None} for point in POINTS]),
     "hide": lambda view: view.show_layer("gallery", False),
     "show": lambda view: view.show_layer("gallery", True),
-    "stale": lambda view: view.stale(True),
-    "fresh": lambda view: view.stale(False),
+    "stale": lambda view: view.fresh_for(0.0),
+    "fresh": lambda view: view.fresh_for(None),
+    "fresh-shortly": lambda view: view.fresh_for(0.5),
+    "fresh-long": lambda view: view.fresh_for(600.0),
+    "late": lambda view: view.set_image("/late", SIDE, SIDE, window=WINDOW, fresh_s=0.5),
+    "other": show_other,
     "notice": lambda view: view.notice("The image is 0.4 s old"),
     "no-notice": lambda view: view.notice(None),
     "turn": lambda view: view.set_display(rotation=90, mirrored=True),

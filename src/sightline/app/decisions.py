@@ -62,7 +62,8 @@ class Display:
 @dataclass(frozen=True)
 class Decisions:
     """All that people decided, at one moment. `images`: by name, the journal's entry that acquired it. `serial`: of the
-    frame, as a person read it."""
+    frame, as a person read it. `snapping`: lateral points of the wire are taken to their curves when they are placed.
+    """
 
     images: Mapping[str, int] = field(default_factory=lambda: MappingProxyType({}))
     kind: str = "hip-screw"
@@ -70,6 +71,7 @@ class Decisions:
     serial: str | None = None
     marks: Mapping[str, Mark] = field(default_factory=lambda: MappingProxyType({}))
     display: Mapping[str, Display] = field(default_factory=lambda: MappingProxyType({}))
+    snapping: bool = True
 
     def mark(self, name: str) -> Mark:
         """The mark of a name; an empty one where it is not placed."""
@@ -112,6 +114,7 @@ class Decisions:
             "serial": self.serial,
             "marks": {name: mark.document() for name, mark in self.marks.items()},
             "display": {name: vars(display) for name, display in self.display.items()},
+            "snapping": self.snapping,
         }
 
     @staticmethod
@@ -130,6 +133,7 @@ class Decisions:
                 document["serial"],
                 MappingProxyType(marks),
                 MappingProxyType(display),
+                bool(document.get("snapping", True)),  # before it was decided, every page began with it
             )
         except (KeyError, TypeError, ValueError, AttributeError) as error:
             raise CaseError(

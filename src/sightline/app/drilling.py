@@ -12,6 +12,7 @@ from sightline.app.planner import Planned, planned
 from sightline.app.rehearsing import Patient
 from sightline.app.texts import CHANGED_SINCE_SENT, NO_DEPTH_LIMIT, NO_ROBOT
 from sightline.case.entry import Actor, Kind
+from sightline.case.stages import record_changed
 from sightline.case.views import NAMES
 from sightline.errors import RobotRefusedError, UnusableInputError
 from sightline.geometry.covariance import TWO_SIDED_95
@@ -189,6 +190,15 @@ class Drilling:
         content = {"record": self.record.document(), "simulated_wire": self.wire.text()}
         self._procedure.case.record(Kind.DRILLED, content, by=Actor.ROBOT)
         self._procedure.notify()
+
+    async def tell_shot(self, depth_mm: float, error_95_mm: float) -> None:
+        """Where in PAUSED the second shot shows the tip, as a person measured it. Raises RobotRefusedError, LinkError,
+        CaseError."""
+        session = self._running()
+        self._refuse_changed()
+        told = {"depth_mm": depth_mm, "error_95_mm": error_95_mm, "robot_depth_mm": session.now.depth_mm}
+        await session.tell_shot(depth_mm, error_95_mm)
+        record_changed(self._procedure.case, "second shot", told, by=Actor.SURGEON)
 
     def _refuse_changed(self) -> None:
         if not self.current:

@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from sightline.app.procedure import Procedure
     from sightline.case.watch import Shown, Watch, Watched
 
+LATE_S = 0.2  # word of a fresh image is sent every 0.1 s; so much and as much again on the way is not late [ours]
 EVERY = 3  # of 30 images a second one in three is worked on: the page needs the cores too [ours]
 
 
@@ -43,6 +44,13 @@ class Live:
     def latest(self) -> "Watched | None":
         """The newest image that was worked on."""
         return None if self.watch is None else self.watch.latest()
+
+
+def fresh_s(watched: "Watched") -> float:
+    """For how long a page may take an image for what is now, without another word of it."""
+    from sightline.case.watch import STALE_S
+
+    return 0.0 if watched.stale else STALE_S - watched.age_s + LATE_S
 
 
 class _Thinned:

@@ -1,6 +1,7 @@
 """The fourth step: the plan sent, the arm aligned, the wire drilled; a person tells each motion."""
 
 from collections.abc import Awaitable, Callable, Hashable
+from typing import TYPE_CHECKING
 
 from nicegui import ui
 
@@ -9,6 +10,7 @@ from sightline.app.section import Section, action, checks, heading, note, table
 from sightline.app.tab import Tab
 from sightline.app.texts import (
     ALIGN_QUESTION,
+    BY_SHOT,
     CHANGED_AFTER_SENDING,
     DRILL_ON_QUESTION,
     DRILL_QUESTION,
@@ -17,17 +19,24 @@ from sightline.app.texts import (
     RETRACT_QUESTION,
     SEND_QUESTION,
     SEND_WHAT,
+    SHOT_QUESTION,
+    SHOT_TOLD,
+    SHOT_UNMEASURED,
     STOP_IS_NO_EMERGENCY_STOP,
 )
 from sightline.case.drilled import force_picture
+from sightline.geometry.covariance import TWO_SIDED_95
 from sightline.robot.states import State
+
+if TYPE_CHECKING:
+    from sightline.app.robot_session import RobotNow
 
 _LIVE_S = 0.2  # between two looks at the robot [ours]
 
 
 def _key(tab: Tab) -> Hashable:
     drilling, now = tab.procedure.drilling, tab.procedure.drilling.now
-    told = () if now is None else (now.state, now.fault, now.doing, now.said, now.lost)
+    told = () if now is None else (now.state, now.fault, now.doing, now.said, now.lost, now.zero)
     procedure, decisions = tab.procedure, tab.procedure.decisions
     plan = (procedure.planned, decisions.side, decisions.serial, procedure.go)
     return (told, drilling.sent, drilling.record, drilling.current, plan, procedure.working)
@@ -53,7 +62,7 @@ def _robot(tab: Tab) -> None:
             return
 
         def begin() -> Awaitable[None]:
-            return procedure.during("starting the simulated robot", drilling.start_robot(fast=tab.fast_robot))
+            return procedure.during("starting the simulated robot", lambda: drilling.start_robot(fast=tab.fast_robot))
 
         busy = bool(procedure.working)
         action("Start the simulated robot", tab.doing(begin), testid="start-robot", kind="primary", enabled=not busy)
@@ -80,12 +89,26 @@ def _state(tab: Tab) -> None:
         at = tab.procedure.drilling.now
         if at is None:
             return
-        depth = "–" if at.depth_mm is None else f"{at.depth_mm:.1f} mm"
         force = "–" if at.force_n is None else f"{at.force_n:.1f} N"
-        live.set_text(f"depth {depth} · thrust {force}")
+        live.set_text(f"depth {depth_words(at)} · thrust {force}")
 
     tell()
     ui.timer(_LIVE_S, tell)
+
+
+def depth_words(now: "RobotNow") -> str:
+    """Depth with its 95 % error, and what tells where it is counted from."""
+    if now.depth_mm is None:
+        return "–"
+    return f"{now.depth_mm:.1f} mm {_error_words(now)} (zero: {_zero_words(now)})"
+
+
+def _error_words(now: "RobotNow") -> str:
+    return "± ?" if now.depth_sd_mm is None else f"± {TWO_SIDED_95 * now.depth_sd_mm:.1f} mm"
+
+
+def _zero_words(now: "RobotNow") -> str:
+    return " and ".join([", ".join(now.zero[:-1]), now.zero[-1]] if now.zero[1:] else now.zero)
 
 
 def _orders(tab: Tab) -> None:
@@ -121,11 +144,31 @@ def _orders(tab: Tab) -> None:
     if state == State.ALIGNED.value:
         _asked(tab, "Drill", DRILL_QUESTION, lambda: drilling.drill(State.ALIGNED), "drill", enabled=ready)
     if state == State.PAUSED.value:
+        _second_shot(tab, enabled=ready)
         _asked(tab, "Drill on", DRILL_ON_QUESTION, lambda: drilling.drill(State.PAUSED), "drill-on", enabled=ready)
     if state in (State.DONE.value, State.STOP.value, State.ALIGNED.value, State.PAUSED.value):
         _asked(tab, "Draw back", RETRACT_QUESTION, session.retract, "retract", enabled=idle, kind="plain")
     if state == State.DONE.value or drilling.record is not None:
         note("Drilled to the planned depth. Verify it in two more images.", kind="good", testid="drilled")
+
+
+def _second_shot(tab: Tab, *, enabled: bool) -> None:
+    """At the pause: what a person measured on the second shot, told to the robot."""
+    drilling, now = tab.procedure.drilling, tab.procedure.drilling.now
+    assert now is not None  # noqa: S101
+    known = {"zero": _zero_words(now), "error": _error_words(now)}
+    heading("Second shot")
+    if BY_SHOT in now.zero:
+        note(SHOT_TOLD.format(**known), kind="good", testid="shot-told")
+        return
+    note(SHOT_UNMEASURED.format(**known), testid="shot-unmeasured")
+    depth = ui.number("Depth of the tip, mm", format="%.2f").props("outlined dense data-testid=shot-depth")
+    error = ui.number("Its 95 % error, ± mm", format="%.2f").props("outlined dense data-testid=shot-error")
+
+    def tell() -> Awaitable[None]:
+        return drilling.tell_shot(*(float("nan" if one.value is None else one.value) for one in (depth, error)))
+
+    _asked(tab, "Tell the robot", SHOT_QUESTION, tell, "tell-shot", enabled=enabled, kind="plain")
 
 
 def _asked(

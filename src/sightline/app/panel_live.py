@@ -12,7 +12,7 @@ from sightline.case.watch_alarm import BLIND_TO
 if TYPE_CHECKING:
     from sightline.case.watch import Watched
 
-_LOOK_S = 0.1  # half of what makes an image old
+_LOOK_S = 0.1  # half of what makes an image old; word of it to the browser each time (live.LATE_S)
 
 
 def build(tab: Tab) -> None:
@@ -21,10 +21,8 @@ def build(tab: Tab) -> None:
     Section(tab, lambda t: t.procedure.live.watch is not None, _switch)
     said = ui.label().classes("note").props("data-testid=live-state role=status")
     note(f"What it cannot tell: {BLIND_TO}.", kind="quiet")
-    shown = 0
 
     def look() -> None:
-        nonlocal shown
         watched = tab.procedure.live.latest()
         if watched is None:
             if tab.live is not None:
@@ -34,9 +32,7 @@ def build(tab: Tab) -> None:
             return
         said.set_text(_sentence(watched))
         said.classes(add="bad" if watched.moved else "", remove="" if watched.moved else "bad")
-        if watched.number != shown or watched.stale:
-            shown = watched.number
-            tab.show_live(watched)
+        tab.show_live(watched)
 
     ui.timer(_LOOK_S, look)
 

@@ -8,6 +8,7 @@ from nicegui import ui
 
 from sightline.app import texts
 from sightline.app.marks import END, ENTRY, Asked, asked_of
+from sightline.app.planner import Planned
 from sightline.app.section import Section, action, heading, note, table
 from sightline.app.tab import Tab
 from sightline.app.texts import IMAGE_LABELS
@@ -25,6 +26,7 @@ def figures_key(tab: Tab) -> Hashable:
 def build(tab: Tab) -> None:
     """Kind, points, aids."""
     Section(tab, lambda t: t.procedure.decisions.kind, _kind)
+    Section(tab, lambda t: t.procedure.decisions.snapping, _snapping)
     Section(tab, lambda t: t.procedure.decisions.kind, _points)
 
 
@@ -42,17 +44,21 @@ def _kind(tab: Tab) -> None:
     )
     note(KINDS[decisions.kind].purpose, kind="quiet")
 
-    def snap(event) -> None:
-        procedure.snapping = bool(event.value)
-        tab.refresh()
-
-    ui.checkbox(texts.SNAP, value=procedure.snapping, on_change=snap).props("data-testid=snapping")
-
     def show(event) -> None:
         tab.show_beads = bool(event.value)
         tab.refresh()
 
     ui.checkbox(texts.SHOW_BEADS, value=tab.show_beads, on_change=show).props("data-testid=show-beads")
+
+
+def _snapping(tab: Tab) -> None:
+    procedure = tab.procedure
+
+    async def snap(event) -> None:
+        await tab.act(lambda: procedure.choose_snapping(bool(event.value)))
+
+    on = procedure.decisions.snapping
+    ui.checkbox(texts.SNAP, value=on, on_change=snap).props("data-testid=snapping")
 
 
 def _points(tab: Tab) -> None:
@@ -146,6 +152,8 @@ def build_figures(tab: Tab) -> None:
         rows += _gaps(tab)
     if tab.procedure.decisions.side is None:
         note(texts.SIDE_FOR_FIGURES, kind="warn")
+    for why in _refused(known):
+        note(why, kind="bad", testid="figures-refused")
     for figure in known.figures:
         if figure.value is not None:
             space = "" if figure.unit == "°" else " "
@@ -153,6 +161,13 @@ def build_figures(tab: Tab) -> None:
             mark = {True: "✓", False: "!", None: ""}[figure.within]
             rows.append((figure.name, f"{figure.value:.1f}{sd}{space}{figure.unit}", mark))
     table(texts.FIGURE_COLUMNS, rows, testid="figures")
+
+
+def _refused(known: Planned) -> list[str]:
+    """Why figures are not there though all they need is drawn, each reason once."""
+    missing = {f"Not known: {why}." for why in known.anatomy.absent.values()}
+    absent = dict.fromkeys(figure.sentence for figure in known.figures if figure.value is None)
+    return [sentence for sentence in absent if sentence not in missing]
 
 
 def _gaps(tab: Tab) -> list[tuple[str, str, str]]:

@@ -131,16 +131,17 @@ def _pixels(mark: Mark) -> np.ndarray:
 
 
 def moved(
-    decisions: Decisions, views: Sequence[CalibratedView], name: str, image: str, uv_px: Pixel, *, snapping: bool
+    decisions: Decisions, views: Sequence[CalibratedView], name: str, image: str, uv_px: Pixel, *, anew: bool
 ) -> Decisions:
-    """A mark placed or moved, as its kind wants it: a point of the wire is taken to its curve in the lateral image
-    while `snapping`, and slides along with it when its PA pixel moves. Raises what `snap` raises."""
+    """A mark placed (`anew`) or moved, as its kind wants it: a point of the wire is taken to its curve in the lateral
+    image while `decisions.snapping`, and slides along with it when its PA pixel moves. One that was taken there stays
+    so however it is moved: seen beside its curve or not, it tells nothing of a gap. Raises what `snap` raises."""
     mark = decisions.mark(name)
     if name not in (ENTRY, END) or len(views) < 2:
         return decisions.with_mark(name, mark.placed(image, uv_px))
     if image == NAMES[1]:
-        first = mark.at(NAMES[0])
-        if not snapping or first is None:
+        first, kept = mark.at(NAMES[0]), not anew and mark.at(image) is not None and not mark.free
+        if first is None or not (decisions.snapping or kept):
             return decisions.with_mark(name, mark.placed(image, uv_px, free=True))
         curve = _curve(views[0], np.array(first), views[1])
         return decisions.with_mark(name, mark.placed(image, _pixel(snap(curve, np.array(uv_px)).uv_px), free=False))

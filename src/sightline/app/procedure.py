@@ -2,13 +2,13 @@
 
 import asyncio
 import traceback
-from collections.abc import Callable, Coroutine
+from collections.abc import Awaitable, Callable, Coroutine
 from contextlib import suppress
 from dataclasses import replace
 from datetime import UTC, datetime
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from sightline.app import rehearsing
 from sightline.app.decisions import Decisions, Display, History, Pixel, Side
@@ -31,6 +31,7 @@ from sightline.errors import SightlineError, UnusableInputError
 from sightline.frame import Frame
 from sightline.robot.target import LIFETIME_S
 
+T = TypeVar("T")
 _TAKEN_IN = 8  # images that are looked at when a case has none placed [ours]
 _EDITS = ("edit", "undo", "redo")
 
@@ -40,7 +41,6 @@ class Procedure:
 
     def __init__(self, case: Case, frame_ref: str, workshop: Workshop) -> None:
         self.case, self.frame, self.workshop = case, stages.frame_of(case, frame_ref), workshop
-        self.snapping = True
         self.listeners: list[Callable[[], None]] = []
         self.working = ""  # what is being done that is no single image's
         self.trouble = ""  # why the last of it failed
@@ -197,9 +197,9 @@ class Procedure:
             self.history.redo()
             self._reopen()
 
-    def moved(self, name: str, image: str, uv_px: Pixel) -> Decisions:
-        """What placing or moving a mark would come to. Raises what `snap` raises."""
-        return moved(self.decisions, self.views() or (), name, image, uv_px, snapping=self.snapping)
+    def moved(self, name: str, image: str, uv_px: Pixel, *, anew: bool = False) -> Decisions:
+        """What moving a mark, or placing it `anew`, would come to. Raises what `snap` raises."""
+        return moved(self.decisions, self.views() or (), name, image, uv_px, anew=anew)
 
     def remove(self, names: tuple[str, ...]) -> None:
         """Take marks away."""
@@ -211,6 +211,10 @@ class Procedure:
     def choose_kind(self, kind: str) -> None:
         """Plan another kind of trajectory; marks that both kinds ask for stay."""
         self.edit(replace(self.decisions, kind=kind))
+
+    def choose_snapping(self, on: bool) -> None:
+        """Take lateral points of the wire to their curves from now on, or leave them where they are placed."""
+        self.edit(replace(self.decisions, snapping=on))
 
     def confirm_side(self, side: Side | None) -> None:
         """A person saw on the images which side it is."""
@@ -256,7 +260,7 @@ class Procedure:
     async def start(self) -> None:
         """Open the images that the decisions name; a rehearsal without images takes its first."""
         with suppress(SightlineError):  # pages show it as `trouble`
-            await self.during("starting", self.workshop.do(warm_up))
+            await self.during("starting", lambda: self.workshop.do(warm_up))
             if self.patient is not None and not self.decisions.images:
                 await self.take_rehearsed()
             if not self.decisions.images:
@@ -277,19 +281,20 @@ class Procedure:
         if patient is None:
             raise UnusableInputError("this case is no rehearsal: its images come from a C-arm")
         files = await self.during(
-            "taking both images of the simulated patient", self.workshop.do(rehearsing.images, patient)
+            "taking both images of the simulated patient", lambda: self.workshop.do(rehearsing.images, patient)
         )
         for name, data in files.items():
             await self.take(data, ".dcm", image=name, by=Actor.DEMO)
 
-    async def during(self, what: str, work):
-        """`await` some work while pages say what it is; its SightlineError is shown and raised."""
+    async def during(self, what: str, work: Callable[[], Awaitable[T]]) -> T:
+        """Begin some work and await it while pages say what it is; its SightlineError is shown and raised. Raises
+        UnusableInputError while other work goes on, and begins nothing."""
         if self.working:
             raise UnusableInputError(f"{self.working} is not done yet; wait for it")
         self.working, self.trouble = what, ""
         self.notify()
         try:
-            return await work
+            return await work()
         except SightlineError as error:
             self.trouble = str(error)
             raise

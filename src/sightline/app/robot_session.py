@@ -12,8 +12,9 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from sightline.app.texts import BUG
+from sightline.app.texts import BUG, BY_CONTACT, BY_PLAN, BY_SHOT
 from sightline.errors import LinkError, RobotRefusedError, SightlineError
+from sightline.geometry.covariance import TWO_SIDED_95
 from sightline.planning import Plan
 from sightline.rehearsal.operation import target_of
 from sightline.robot import contract
@@ -29,13 +30,15 @@ from sightline.robot.target import PlanIdentity, RobotTarget
 T = TypeVar("T")
 _STATUS_EVERY_S = 0.25  # [ours]
 _IDLE_S = 0.02  # between two looks for something to do
-_TOLD = ("state", "fault", "doing", "said", "lost")  # news that pages are told of; the rest they look up themselves
+_TOLD = ("state", "fault", "doing", "said", "lost", "zero")  # news that pages are told of; the rest they look up
+_CONTRADICTS = 3.0  # standard deviations of both together; chance alone comes to it in three of a thousand shots [ours]
 
 
 @dataclass(frozen=True, eq=False)
 class RobotNow:
     """What is known of the robot at this moment. `state`: of its contract; `fault`: its number, 0 for none; `doing`:
-    what a person told it and it has not ended yet; `said`: why the last thing it was told failed."""
+    what a person told it and it has not ended yet; `said`: why the last thing it was told failed. `depth_sd_mm`: of
+    depth, None of a robot that states none; `zero`: what tells where depth is counted from."""
 
     state: str = "UNDEFINED"
     text: str = ""
@@ -43,6 +46,8 @@ class RobotNow:
     doing: str = ""
     said: str = ""
     depth_mm: float | None = None
+    depth_sd_mm: float | None = None
+    zero: tuple[str, ...] = (BY_PLAN,)
     force_n: float | None = None
     joints: np.ndarray | None = None
     lost: bool = False
@@ -61,6 +66,7 @@ class RobotSession:
         self.robot, self.now, self.target = robot, RobotNow(), None
         self._changed, self._heartbeat = changed, heartbeat
         self._recorder = Recorder()
+        self._telling = False
         self._orders: SimpleQueue[tuple[Callable[[RobotClient], Any], Future]] = SimpleQueue()
         self._end = threading.Event()
         self._client = RobotClient(port=port, heartbeat=heartbeat)
@@ -110,6 +116,40 @@ class RobotSession:
 
         Raises RobotRefusedError where the robot is no longer in the state that the person confirmed, LinkError."""
         return await self._do("drilling", lambda client: client.drill(), since)
+
+    def refuse_shot(self, depth_mm: float, error_95_mm: float) -> None:
+        """Raise RobotRefusedError where a second shot cannot show the tip at this depth, give or take, or was told of
+        already: one shot counts once."""
+        now, sd = self.now, error_95_mm / TWO_SIDED_95
+        if BY_SHOT in now.zero or self._telling:
+            raise RobotRefusedError("the robot was told of the second shot already, and one shot counts once")
+        if not (np.isfinite([depth_mm, sd]).all() and sd > 0.0):
+            raise RobotRefusedError("give the depth that the second shot shows and its 95 % error, both in mm")
+        if now.depth_mm is None or now.depth_sd_mm is None:
+            raise RobotRefusedError(
+                "the robot states no depth with its error: what a shot shows cannot be weighed by it"
+            )
+        apart, together = abs(depth_mm - now.depth_mm), float(np.hypot(sd, now.depth_sd_mm))
+        if apart > _CONTRADICTS * together:
+            raise RobotRefusedError(
+                f"the shot shows the tip at {depth_mm:.1f} mm, the robot has it at {now.depth_mm:.1f} mm: with the "
+                f"errors of both they may be {_CONTRADICTS * together:.1f} mm apart; measure the shot again, and if it "
+                "stays so stop, and plan on new images"
+            )
+
+    async def tell_shot(self, depth_mm: float, error_95_mm: float) -> None:
+        """Where in PAUSED the second shot shows the tip, give or take. Raises RobotRefusedError, LinkError."""
+        self.refuse_shot(depth_mm, error_95_mm)
+
+        def order(client: RobotClient) -> None:
+            self._telling = True  # the next smaller error is the shot's
+            try:
+                client.shot_depth(depth_mm, error_95_mm / TWO_SIDED_95)
+            except BaseException:
+                self._telling = False
+                raise
+
+        await self._do("taking the second shot over", order, State.PAUSED)
 
     async def retract(self) -> None:
         """Draw the wire, or the open chuck, back. Raises RobotRefusedError, LinkError."""
@@ -204,13 +244,24 @@ class RobotSession:
             value = float(body.values[0])
             if message.device_name == contract.DEPTH:
                 self._put(depth_mm=value if np.isfinite(value) else None)
+            elif message.device_name == contract.DEPTH_SD:
+                self._heard_error(value if np.isfinite(value) else None)
             elif message.device_name == contract.FORCE:
                 self._put(force_n=value)
         elif isinstance(body, NDArray) and message.device_name == contract.MEASURED_JS and body.values.ndim == 2:
             self._put(joints=np.array(body.values[0]))
 
+    def _heard_error(self, sd_mm: float | None) -> None:
+        """Of depth. It falls where something tells more of the zero, and rises where a target is new."""
+        before, zero = self.now.depth_sd_mm, self.now.zero
+        if sd_mm is None or before is None or sd_mm > before:
+            zero, self._telling = (BY_PLAN,), False
+        elif sd_mm < before:
+            zero, self._telling = (*zero, BY_SHOT if self._telling else BY_CONTACT), False
+        self._put(depth_sd_mm=sd_mm, zero=zero)
+
     def _put(self, **news: Any) -> None:
         told = any(getattr(self.now, name) != news[name] for name in _TOLD if name in news)
         self.now = replace(self.now, **news)
-        if told:
+        if told and not self._end.is_set():  # who ends it knows, and may have ended what would hear of it
             self._changed()

@@ -6,13 +6,14 @@ from typing import Any
 from markupsafe import escape
 from nicegui import ui
 
-from sightline.app.tab import Tab
+from sightline.app.tab import Tab, why_not
 from sightline.checks import Check
 
 
 class Section:
     """`build(tab)` fills the section, and again whenever `key(tab)` has changed. Sections may hold others: what is
-    typed into one is not lost because another is built anew."""
+    typed into one is not lost because another is built anew. Where either fails a sentence stands in its place, and
+    the other sections go on."""
 
     def __init__(
         self, tab: Tab, key: Callable[[Tab], Hashable], build: Callable[[Tab], None], *, classes: str = ""
@@ -28,12 +29,20 @@ class Section:
         if self._box.is_deleted:
             self._tab.on_refresh.remove(self.refresh)
             return
-        key = self._key(self._tab)
+        found: list[Hashable] = []
+        refused = why_not(lambda: found.append(self._key(self._tab)))
+        key = (refused, *found)
         if key != self._shown:
             self._shown = key
-            self._box.clear()
-            with self._box:
-                self._build(self._tab)
+            self._fill(refused)
+
+    def _fill(self, refused: str) -> None:
+        self._box.clear()
+        with self._box:
+            refused = refused or why_not(lambda: self._build(self._tab))
+            if refused:
+                self._box.clear()  # half a section may say something else than the whole
+                note(refused, kind="bad", testid="section-refused")
 
 
 def heading(text: str) -> None:

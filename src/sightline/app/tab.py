@@ -11,6 +11,7 @@ from nicegui import ui
 from sightline.app import shapes
 from sightline.app.decisions import Decisions, Display
 from sightline.app.drawn import Pictures
+from sightline.app.live import fresh_s
 from sightline.app.marks import CHECK_NAMES, Asked, asked_of, names_of
 from sightline.app.planner import Planned, drawn_curves, planned
 from sightline.app.procedure import Procedure
@@ -48,6 +49,7 @@ class Tab:
         self._previewed: Decisions | None = None  # what was decided when it began
         self.on_refresh: list[Callable[[], None]] = []
         self._shown: dict[tuple[str, str], Any] = {}
+        self._undrawn: dict[str, str] = {}  # by view, why a layer of the plan is not there
         self._waiting = self._offered = False
 
     # What is shown.
@@ -87,10 +89,10 @@ class Tab:
         if watched is not None:
             if self.live is None or self.live.number != watched.number:
                 self._draw_live(watched)
+            else:
+                self.views[NAMES.index(self._live_in)].fresh_for(fresh_s(watched))
             self.live = watched
             view = self.views[NAMES.index(self._live_in)]
-            view.draw("wire", [] if watched.corridor is None else shapes.band(watched.corridor))
-            view.stale(watched.stale)
             view.notice(STALE.format(age=watched.age_s) if watched.stale else None)
         elif self.live is not None:
             self.live = None
@@ -106,7 +108,9 @@ class Tab:
         view = self.views[NAMES.index(self._live_in)]
         picture = self.pictures.live(watched.image)
         view.set_label(LIVE_LABELS[self._live_in] if watched.view is not None else LIVE_UNKNOWN)
-        view.set_image(picture.url, picture.width, picture.height, window=picture.window)
+        size = picture.width, picture.height
+        view.set_image(picture.url, *size, window=picture.window, fresh_s=fresh_s(watched))
+        view.draw("wire", [] if watched.corridor is None else shapes.band(watched.corridor))
         for layer in ("beads", "curves", "aids"):
             view.draw(layer, [])
         view.set_points([])
@@ -116,7 +120,6 @@ class Tab:
         view = self.views[NAMES.index(name)]
         for key in [key for key in self._shown if key[0] == name]:
             del self._shown[key]
-        view.stale(False)
         self._show(view, self.images[NAMES.index(name)])
 
     def say(self, text: str) -> None:
@@ -140,8 +143,14 @@ class Tab:
         for view, image in zip(self.views, self.images, strict=True):
             if self.live is None or view.name != self._live_in:
                 self._show(view, image)
-        for refresh in list(self.on_refresh):
-            refresh()
+        self._refresh_parts()
+
+    def _refresh_parts(self) -> None:
+        """All that is beside the two views; none holds another up."""
+        refused = [why for why in map(why_not, list(self.on_refresh)) if why]
+        if refused and not self.message:
+            self.message = refused[0]
+            self.later()
 
     def _show(self, view: XrayView, image: str) -> None:
         procedure, seen = self.procedure, self.procedure.seen(image)
@@ -152,6 +161,7 @@ class Tab:
             picture = self.pictures.of(seen)
             view.set_image(picture.url, picture.width, picture.height, window=picture.window)
             self._shown.pop((key, "display"), None)  # the image comes with a window of its own
+            self._shown.pop((key, "points"), None)  # and without what was being done on the one before
         display = procedure.decisions.display.get(image, Display())
         if self._is_new(key, "display", (image, display)):
             own = None if seen is None else self.pictures.of(seen).window  # also where a change of it is undone
@@ -162,14 +172,15 @@ class Tab:
         if seen is not None and self._is_new(key, "beads", (seen, image)):
             view.draw("beads", shapes.beads(seen))
             view.draw("rejected", shapes.rejected(seen))
-        view_doing = "" if seen is None else (seen.doing and f"{seen.doing.capitalize()} …") or (seen.refused or "")
-        if self._is_new(key, "notice", view_doing):
-            view.notice(view_doing or None)
         if self._is_new(key, "show beads", self.show_beads):
             view.show_layer("beads", self.show_beads)
         if self._is_new(key, "rejected", self.show_rejected):
             view.show_layer("rejected", self.show_rejected)
         self._draw_plan(view, key, image, procedure.planned)
+        doing = "" if seen is None else (seen.doing and f"{seen.doing.capitalize()} …") or (seen.refused or "")
+        notice = doing or self._undrawn.get(key, "")
+        if self._is_new(key, "notice", notice):
+            view.notice(notice or None)
         marks = self._points(image)
         if self._is_new(key, "points", marks):
             view.set_points([dict(mark) for mark in marks])
@@ -186,11 +197,22 @@ class Tab:
         verifying = self.procedure.verifying
         if not self._is_new(key, "plan", (image, known, verifying.wires.get(image), verifying.shot)):
             return
-        of_check = image in CHECK_NAMES
-        view.draw("curves", [] if known is None or image != NAMES[1] else shapes.curves(known.curves))
-        view.draw("wire", [] if known is None or of_check else shapes.wire(known, image))
-        view.draw("aids", [] if known is None or of_check else shapes.aids(known, image))
-        view.draw("found", shapes.found(self.procedure, image) if of_check else [])
+        layers: dict[str, Callable[[], list[shapes.Shape]]] = dict.fromkeys(("curves", "wire", "aids", "found"), list)
+        if image in CHECK_NAMES:
+            layers["found"] = lambda: shapes.found(self.procedure, image)
+        elif known is not None:
+            layers["wire"] = lambda: shapes.wire(known, image)
+            layers["aids"] = lambda: shapes.aids(known, image)
+            layers["curves"] = lambda: shapes.curves(known.curves) if image == NAMES[1] else []
+        refused = [self._draw(view, layer, shapes_of) for layer, shapes_of in layers.items()]
+        self._undrawn[key] = next(filter(None, refused), "")
+
+    def _draw(self, view: XrayView, layer: str, shapes_of: Callable[[], list[shapes.Shape]]) -> str:
+        """Draw a layer, or where it cannot be drawn nothing: what was there is of another plan. Why it cannot."""
+        drawn: list[shapes.Shape] = []
+        refused = why_not(lambda: drawn.extend(shapes_of()))
+        view.draw(layer, drawn)
+        return refused
 
     def _points(self, image: str) -> tuple[tuple[tuple[str, Any], ...], ...]:
         """What `set_points` wants, in a form that can be compared."""
@@ -254,22 +276,37 @@ class Tab:
     # What a person does in a view.
 
     async def _heard(self, view: XrayView, event: XrayEvent) -> None:
-        image = self.images[self.views.index(view)]
-        if event.type in ("place", "drop", "nudge", "drag"):
+        if event.type == "cancel":
+            self.placing = None
+            self.refresh()
+        elif event.type == "error":
+            self.say(event.message or XRAY["load_failed"])
+        elif event.type in ("place", "drop", "nudge", "drag", "remove", "display"):
+            image = self._shown_in(view)
+            if image is None:
+                view.drop(event)
+            else:
+                await self._done_on(view, image, event)
+
+    async def _done_on(self, view: XrayView, image: str, event: XrayEvent) -> None:
+        if event.uv is not None:
             await self._moved(view, image, event)
         elif event.type == "remove" and event.id is not None:
             await self.act(lambda: self.procedure.edit(self._without(event.id or "", image)))
-        elif event.type == "cancel":
-            self.placing = None
-            self.refresh()
-        elif event.type == "display" and event.display is not None and self.live is None:
+        elif event.display is not None:
             shown = event.display
             window = (shown.window.centre, shown.window.width)
             display = Display(shown.rotation, shown.mirrored, shown.inverted, window)
             self._shown[view.name, "display"] = (image, display)
             await self.act(lambda: self.procedure.show(image, display))
-        elif event.type == "error":
-            self.say(event.message or XRAY["load_failed"])
+
+    def _shown_in(self, view: XrayView) -> str | None:
+        """Name of the image that a view shows; None of a live one, and of one in whose place another is by now."""
+        image = self.images[self.views.index(view)]
+        seen, live = self.procedure.seen(image), self.live is not None and view.name == self._live_in
+        if live or seen is None or self._shown.get((view.name, "image")) != (image, seen.acquired.number):
+            return None
+        return image
 
     def _without(self, name: str, image: str):
         decisions = self.procedure.decisions
@@ -283,7 +320,7 @@ class Tab:
                 await self._follow(name, image, uv)
             else:
                 self.preview = None
-                self.procedure.edit(self.procedure.moved(name, image, uv))
+                self.procedure.edit(self.procedure.moved(name, image, uv, anew=event.type == "place"))
                 self.message = ""
                 if event.type == "place" and self.placing is not None:
                     self.place_next(self.sequence, self.images)
@@ -322,8 +359,7 @@ class Tab:
         for view, layers in zip(self.views, drawn, strict=True):
             view.follow(layers, {})
         self._forget_plan()
-        for refresh in list(self.on_refresh):
-            refresh()
+        self._refresh_parts()
 
     def _forget_plan(self) -> None:
         for view in self.views:
@@ -384,3 +420,15 @@ def _planned_shapes(
     with suppress(SightlineError):  # whoever shows them says why they are not there
         _ = known.figures
     return known, layers
+
+
+def why_not(work: Callable[[], object]) -> str:
+    """Do it. Empty, or the sentence why it could not be done."""
+    try:
+        work()
+    except SightlineError as error:
+        return str(error)
+    except Exception as error:
+        traceback.print_exc()
+        return BUG.format(kind=type(error).__name__)
+    return ""

@@ -41,8 +41,11 @@ class Verifying:
         patient, wire = procedure.patient, procedure.drilling.wire
         if patient is None or wire is None:
             raise UnusableInputError("drill the wire first; then two more images show where it lies")
-        work = procedure.workshop.do(check_images, patient, wire.text())
-        for name, data in (await procedure.during("taking both check images", work)).items():
+        text = wire.text()
+        files = await procedure.during(
+            "taking both check images", lambda: procedure.workshop.do(check_images, patient, text)
+        )
+        for name, data in files.items():
             await procedure.take(data, ".dcm", image=f"check-{name}", by=Actor.DEMO)
 
     def look(self) -> bool:

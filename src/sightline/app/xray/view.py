@@ -24,7 +24,9 @@ TEXT_KEYS = (
 EventType = Literal["place", "drag", "drop", "nudge", "select", "remove", "cancel", "display", "ready", "error"]
 _TYPES = frozenset(get_args(EventType))
 _MOVES = frozenset({"place", "drag", "drop", "nudge"})
+_EDITS = _MOVES - {"drag"}
 _OF_A_POINT = _MOVES | {"select", "remove", "cancel"}
+_ON_AN_IMAGE = _MOVES | {"remove", "display"}  # what says nothing of another image than the one it was made on
 _MARGIN_PX = 1.0  # the browser keeps points on the image; this much is rounding [ours]
 _LONGEST_MESSAGE = 300  # characters of an error that are kept [ours]
 _LARGEST = 2**31  # of any number: moves of one page would take 68 years at one a second [calc]
@@ -67,8 +69,9 @@ Handler = Callable[["XrayView", XrayEvent], Awaitable[None] | None]
 
 @dataclass
 class Bounds:
-    """What a client may name: the size of the image (px) and the points there are."""
+    """What a client may name: the image that is shown, its size (px) and the points there are."""
 
+    image: str | None = None
     width: int = 0
     height: int = 0
     ids: set[str] = field(default_factory=set)
@@ -97,11 +100,21 @@ class XrayView(Element, component="xray_view.js", dependencies=["xray*.js", _COL
 
     # ------------------------------------------------------------------------------------------------- what is shown
 
-    def set_image(self, url: str, width: int, height: int, *, window: Window, inverted: bool = False) -> None:
-        """Show the raw little-endian uint16 pixels at `url`, `height` rows of `width`."""
-        self._bounds.width, self._bounds.height = width, height
+    def set_image(
+        self,
+        url: str,
+        width: int,
+        height: int,
+        *,
+        window: Window,
+        inverted: bool = False,
+        fresh_s: float | None = None,
+    ) -> None:
+        """Show the raw little-endian uint16 pixels at `url`, `height` rows of `width`. What was done on another image
+        and is on its way here is dropped from now on. `fresh_s`: of a live image, as `fresh_for` has it."""
+        self._bounds.image, self._bounds.width, self._bounds.height = url, width, height
         image = {"url": url, "width": width, "height": height, "window": asdict(window), "inverted": inverted}
-        self.run_method("setImage", image)
+        self.run_method("setImage", {**image, "freshMs": None if fresh_s is None else 1000.0 * fresh_s})
 
     def set_label(self, label: str) -> None:
         """What people call the image that is shown."""
@@ -158,15 +171,20 @@ class XrayView(Element, component="xray_view.js", dependencies=["xray*.js", _COL
         """Show `text` over the image; None: nothing."""
         self.run_method("setNotice", text)
 
-    def stale(self, on: bool) -> None:
-        """Hide what belongs to the plan, and say so: the image is no longer the one it was made on."""
-        self.run_method("setStale", on)
+    def fresh_for(self, seconds: float | None) -> None:
+        """The image is what is now for so long from here on; unless that is said again, the browser then hides what
+        belongs to the plan, and says so. None: it is no live image and does not grow old."""
+        self.run_method("setFresh", self._bounds.image, None if seconds is None else 1000.0 * seconds)
 
     # ----------------------------------------------------------------------------------------------- what is answered
 
     def acknowledge(self, seq: int) -> None:
         """The move `seq` is done, its consequences drawn: the browser may send the next."""
         self.run_method("acknowledge", seq)
+
+    def drop(self, event: XrayEvent) -> None:
+        """What was done is not taken, since another image is to be shown: the person is told of an edit."""
+        self._release(asdict(event))
 
     def set_revision(self, revision: int | str) -> None:
         """Say which state of the plan the page shows; once when the page is built and after every change.
@@ -186,15 +204,20 @@ class XrayView(Element, component="xray_view.js", dependencies=["xray*.js", _COL
 
     def _release(self, said: object) -> None:
         # A refused move must not hold up those behind it.
-        seq = said.get("seq") if isinstance(said, dict) else None
+        kind, name, seq = (said.get(key) if isinstance(said, dict) else None for key in ("type", "id", "seq"))
         if _is_seq(seq):
             self.acknowledge(seq)
+            if isinstance(kind, str) and kind in _EDITS and isinstance(name, str):
+                self.run_method("sayLost", name)
 
 
 def checked(said: object, bounds: Bounds) -> XrayEvent | None:
-    """The event in what a browser said; None if it is not one, names an unknown point or lies off the image."""
+    """The event in what a browser said; None if it is not one, names an unknown point, lies off the image or was made
+    on another image than the one that is shown."""
     kind = said.get("type") if isinstance(said, dict) else None
     if not isinstance(said, dict) or not isinstance(kind, str) or kind not in _TYPES:
+        return None
+    if kind in _ON_AN_IMAGE and said.get("image") != bounds.image:
         return None
     if kind in _OF_A_POINT:
         return _of_a_point(kind, said, bounds)

@@ -8,7 +8,7 @@ import { Chrome } from "./xray_chrome.js";
 import { Display } from "./xray_display.js";
 import { Gestures } from "./xray_gestures.js";
 import { Moves } from "./xray_moves.js";
-import { paintCrosshair, paintPoint, paintShape, shapeDistance, shapeFault, STYLES } from "./xray_paint.js";
+import { paintCrosshair, paintNames, paintPoint, paintShape, shapeDistance, shapeFault, STYLES } from "./xray_paint.js";
 import { fetchPixels, heldWindow, Picture } from "./xray_picture.js";
 
 const ZOOM_STEP = 1.25; // of a key
@@ -58,6 +58,10 @@ export class XrayCore {
     this.lastFrame = 0;
     this.request = null;
     this.loading = null;
+    this.url = null; // of the image that was asked for last; its pixels may be on their way
+    this.freshUntil = Infinity; // of the image on the screen: when it is no longer what is now, by performance.now()
+    this.coming = null; // {url, freshUntil} of an image that is not on the screen yet
+    this.aging = null;
     this.gestures = new Gestures(this);
     this.observer = new ResizeObserver(() => this.#resize());
     this.observer.observe(this.stage);
@@ -75,6 +79,7 @@ export class XrayCore {
     window.removeEventListener("resize", this.resized);
     this.gestures.destroy();
     if (this.loading) this.loading.abort();
+    clearTimeout(this.aging);
     cancelAnimationFrame(this.request);
     if (window.sightlineXray[this.name] === this) delete window.sightlineXray[this.name];
   }
@@ -82,8 +87,11 @@ export class XrayCore {
   // ---------------------------------------------------------------------------------------------- what the server says
 
   // Raw little-endian uint16, `width * height` of them, from `url`; the newest call wins.
-  async setImage({ url, width, height, window: shown, inverted }) {
+  async setImage({ url, width, height, window: shown, inverted, freshMs }) {
     if (this.loading) this.loading.abort();
+    if (url !== this.url) this.#letGo();
+    this.url = url;
+    this.setFresh(url, freshMs);
     const loading = (this.loading = new AbortController());
     this.initial = { window: { ...shown }, inverted: Boolean(inverted) };
     this.arriving = { ...this.initial }; // a setDisplay that overtakes the pixels changes it
@@ -164,10 +172,20 @@ export class XrayCore {
     this.chrome.showLine(this.chrome.notice, text);
   }
 
-  setStale(on) {
-    this.state.stale = on;
-    this.chrome.showLine(this.chrome.stale, on ? this.texts.stale : "");
-    this.invalidate("overlay");
+  // The image at `url` is what is now for so many ms, unless this is said again; null: it does not grow old.
+  setFresh(url, ms) {
+    const freshUntil = ms === null ? Infinity : performance.now() + ms;
+    const shown = this.state.image !== null && this.state.image.url === url;
+    this.coming = shown ? null : { url, freshUntil };
+    this.freshUntil = shown ? freshUntil : Math.min(this.freshUntil, freshUntil); // on the screen is an older one
+    this.#age();
+  }
+
+  // Nothing more is heard of what is now.
+  loseTouch() {
+    if (this.freshUntil !== Infinity) this.freshUntil = 0;
+    if (this.coming && this.coming.freshUntil !== Infinity) this.coming.freshUntil = 0;
+    this.#age();
   }
 
   // ---------------------------------------------------------------------------------------------- what the person does
@@ -192,7 +210,7 @@ export class XrayCore {
   displayChanged() {
     const { rotation, mirrored } = this.display;
     const { inverted, window: shown } = this.state;
-    this.emit({ type: "display", rotation, mirrored, inverted, window: { ...shown } });
+    this.emit({ type: "display", image: this.shownUrl, rotation, mirrored, inverted, window: { ...shown } });
   }
 
   select(id) {
@@ -206,9 +224,18 @@ export class XrayCore {
   move(type, id, uv) {
     const point = this.state.points.get(id);
     point.uv = this.display.clamp(uv);
-    this.moves.push(type, id, point.uv);
+    this.moves.push(type, id, point.uv, this.shownUrl);
     if (type !== "drag") this.#settled(point);
     this.invalidate("overlay");
+  }
+
+  remove(id) {
+    this.emit({ type: "remove", id, image: this.shownUrl });
+  }
+
+  // The address of the image that the person sees; null: none.
+  get shownUrl() {
+    return this.state.image && this.state.image.url;
   }
 
   // The click that was waited for.
@@ -231,7 +258,7 @@ export class XrayCore {
   resend({ type, id, uv }) {
     if (!this.state.points.has(id)) return false;
     this.state.points.get(id).uv = uv;
-    this.moves.push(type, id, uv);
+    this.moves.push(type, id, uv, this.url);
     this.#showPoints();
     this.invalidate("overlay");
     return true;
@@ -358,9 +385,11 @@ export class XrayCore {
 
   #paintMarks(context, toUnits, zoom, without) {
     for (const shape of this.#shownShapes()) paintShape(context, shape, toUnits, zoom, this.state.stale);
-    for (const point of this.state.points.values()) {
-      if (point.uv && point.id !== without) paintPoint(context, point, toUnits(point.uv), point.id === this.state.selected);
-    }
+    const points = [...this.state.points.values()].filter((point) => point.uv && point.id !== without);
+    const places = points.map((point) => toUnits(point.uv));
+    points.forEach((point, index) => paintPoint(context, point, places[index], point.id === this.state.selected));
+    const size = [this.display.viewWidth / this.unit, this.display.viewHeight / this.unit];
+    paintNames(context, points, places, this.state.selected, size);
   }
 
   // A round glass above the hand (below it at the upper edge), the place itself in the middle under a cross-hair.
@@ -460,11 +489,35 @@ export class XrayCore {
 
   #takeImage(image) {
     this.state.image = image;
+    if (this.coming && this.coming.url === image.url) {
+      this.freshUntil = this.coming.freshUntil;
+      this.coming = null;
+      this.#age();
+    }
     this.display.setImage(image.width, image.height);
     this.setWindow(this.arriving.window);
     this.#setInverted(this.arriving.inverted);
     this.chrome.showLine(this.chrome.fault, "");
     this.movedView();
+  }
+
+  // What belongs to the plan hides as soon as the image is no longer what is now.
+  #age() {
+    clearTimeout(this.aging);
+    const left = this.freshUntil - performance.now();
+    const stale = left <= 0;
+    if (stale !== this.state.stale) {
+      this.state.stale = stale;
+      this.chrome.showLine(this.chrome.stale, stale ? this.texts.stale : "");
+      this.invalidate("overlay");
+    }
+    if (!stale && left !== Infinity) this.aging = setTimeout(() => this.#age(), left);
+  }
+
+  // Another image: what the person was doing on the one before ends, and is not carried over.
+  #letGo() {
+    const [held, waiting] = [this.gestures.leaveImage(), this.moves.abandon()];
+    if (held !== null || waiting !== null) this.sayLost(held ?? waiting);
   }
 
   // A move came to its end: the screen reader hears where, and an old loss is made good.

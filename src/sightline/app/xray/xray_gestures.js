@@ -46,6 +46,13 @@ export class Gestures {
     this.showCursor();
   }
 
+  // The image is another: what was pressed on the one before is not released on this. The point in hand, if any.
+  leaveImage() {
+    const held = this.core.state.dragging;
+    if (this.now && (this.now.kind === "drag" || this.now.kind === "place")) this.letGo();
+    return held;
+  }
+
   showCursor() {
     const { state } = this.core;
     let cursor = "";
@@ -275,7 +282,7 @@ export class Gestures {
     const { core } = this;
     if (event.key === "+" || event.key === "=") core.zoom(true);
     else if (event.key === "-" || event.key === "_") core.zoom(false);
-    else if (event.key === "Delete" && point) core.emit({ type: "remove", id: point.id });
+    else if (event.key === "Delete" && point) core.remove(point.id);
     else if (event.key === "Enter" && core.state.placing !== null) core.placeAt(core.display.centre);
     else return false;
     return true;

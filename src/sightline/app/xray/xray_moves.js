@@ -17,8 +17,9 @@ export class Moves {
     this.timer = null;
   }
 
-  push(type, id, uv) {
-    const move = { type, id, uv: [...uv], seq: ++this.seq };
+  // `image`: the address of the one that it was made on; the server takes no move for another.
+  push(type, id, uv, image) {
+    const move = { type, id, uv: [...uv], image, seq: ++this.seq };
     this.waiting.delete(id); // the newest goes to the end of the line
     this.waiting.set(id, move);
     if (EDITS.has(type)) this.#hold(move);
@@ -39,6 +40,14 @@ export class Moves {
   forget(id) {
     this.waiting.delete(id);
     if (this.kept && this.kept.id === id) this.#hold(null);
+  }
+
+  // What waits was made on an image that is gone. The point of the last edit among it, null where there is none.
+  abandon() {
+    const lost = [...this.waiting.values()].findLast((move) => EDITS.has(move.type));
+    this.waiting.clear();
+    if (lost && this.kept === lost) this.#hold(null);
+    return lost ? lost.id : null;
   }
 
   #hold(move) {

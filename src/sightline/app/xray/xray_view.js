@@ -17,11 +17,20 @@ export default {
       emit: (event) => this.$emit("xray", event),
       keep: (move) => this.keep(move),
     });
+    this.disconnected = () => this.core.loseTouch();
     this.reconnected = () => setTimeout(() => this.settle(), REPLAY_MS);
-    setTimeout(() => window.socket && window.socket.io.on("reconnect", this.reconnected)); // the page makes it after us
+    // The page makes its socket after us.
+    setTimeout(() => {
+      if (!window.socket) return;
+      window.socket.on("disconnect", this.disconnected);
+      window.socket.io.on("reconnect", this.reconnected);
+    });
   },
   unmounted() {
-    if (window.socket) window.socket.io.off("reconnect", this.reconnected);
+    if (window.socket) {
+      window.socket.off("disconnect", this.disconnected);
+      window.socket.io.off("reconnect", this.reconnected);
+    }
     this.core.destroy();
   },
   methods: {
@@ -29,6 +38,7 @@ export default {
       this.core.chrome.setLabel(label);
     },
     setImage(image) {
+      if (image.url !== this.core.url && this.revision !== null) this.revision = ""; // until the server says which
       this.core.setImage(image);
     },
     setLayer(name, shapes) {
@@ -59,8 +69,11 @@ export default {
     setNotice(text) {
       this.core.setNotice(text);
     },
-    setStale(on) {
-      this.core.setStale(on);
+    setFresh(url, ms) {
+      this.core.setFresh(url, ms);
+    },
+    sayLost(id) {
+      this.core.sayLost(id);
     },
     // The first number after the page was built settles what a lost connection left behind.
     setRevision(revision) {
@@ -81,7 +94,7 @@ export default {
       if (stash === null) return;
       this.keep(null);
       const { move, revision } = JSON.parse(stash);
-      if (revision !== this.revision || !this.core.resend(move)) this.core.sayLost(move.id);
+      if (!revision || revision !== this.revision || !this.core.resend(move)) this.core.sayLost(move.id);
     },
   },
 };

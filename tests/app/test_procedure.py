@@ -1,0 +1,65 @@
+"""The case at work without a page: what is decided comes back, one thing at a time."""
+
+import asyncio
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from sightline.app.procedure import Procedure
+from sightline.app.workshop import Workshop
+from sightline.case.journal import Case
+from sightline.errors import UnusableInputError
+
+
+@pytest.fixture
+def workshop() -> Iterator[Workshop]:
+    made = Workshop()
+    yield made
+    made.close()
+
+
+def test_snapping_is_a_decision_like_any_other(tmp_path: Path, workshop: Workshop) -> None:
+    """For every page, undone with the others, and there again when the case is opened again."""
+
+    async def decide() -> None:
+        procedure = Procedure.open(tmp_path, "gamma", None, workshop)
+        told: list[bool] = []
+        procedure.listeners.append(lambda: told.append(procedure.decisions.snapping))
+        procedure.choose_snapping(False)
+        procedure.undo()
+        procedure.redo()
+        assert told[:3] == [False, True, False]
+        await asyncio.sleep(0)
+        procedure.case.close()
+
+    asyncio.run(decide())
+    again = Procedure.open(tmp_path, None, None, workshop)
+    assert not again.decisions.snapping
+    assert again.history.can_undo
+    again.case.close()
+    with Case.open(tmp_path, read_only=True) as case:
+        assert not case.problems
+
+
+def test_work_that_is_refused_while_other_work_goes_on_is_not_begun(tmp_path: Path, workshop: Workshop) -> None:
+    """A coroutine made for it would be left behind, of which Python warns."""
+    begun: list[str] = []
+
+    async def work(name: str) -> str:
+        begun.append(name)
+        await asyncio.sleep(0)
+        return name
+
+    async def both() -> list[object]:
+        procedure = Procedure.open(tmp_path, "gamma", None, workshop)
+        asked = [procedure.during(name, lambda name=name: work(name)) for name in ("first", "second")]
+        said = await asyncio.gather(*asked, return_exceptions=True)
+        assert await procedure.during("third", lambda: work("third")) == "third"
+        procedure.case.close()
+        return list(said)
+
+    first, second = asyncio.run(both())
+    assert first == "first"
+    assert isinstance(second, UnusableInputError) and "first is not done yet" in str(second)
+    assert begun == ["first", "third"]

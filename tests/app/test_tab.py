@@ -1,0 +1,269 @@
+"""One open page without a browser: on which image an event was made, what a live image is said to be, what one part
+that fails does to the others."""
+
+import asyncio
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+from nicegui import Client, ui
+from nicegui.events import GenericEventArguments
+from nicegui.page import page
+from tests.planning import bone
+from tests.planning.standin import stand_in
+
+from sightline.app import panel_plan, shapes
+from sightline.app.decisions import Mark, Side
+from sightline.app.drawn import Picture
+from sightline.app.live import LATE_S
+from sightline.app.marks import CHECK_NAMES
+from sightline.app.procedure import Procedure
+from sightline.app.section import Section, note
+from sightline.app.seen import SeenImage
+from sightline.app.tab import Tab
+from sightline.app.texts import STEPS
+from sightline.app.workshop import Workshop
+from sightline.app.xray import Window, XrayView
+from sightline.case.views import NAMES
+from sightline.case.watch import STALE_S
+from sightline.errors import UnusableInputError
+
+SIZE = 4096
+VIEWS = dict(zip(NAMES, (stand_in("pa", 0.4, 0.3), stand_in("lateral", -0.2, 0.3)), strict=True))
+
+
+class Drawn:
+    """In place of published pictures: an address for each image."""
+
+    def of(self, seen: SeenImage) -> Picture:
+        return Picture(f"/image/{seen.acquired.number}", SIZE, SIZE, Window(1.0, 2.0))
+
+    def live(self, image: object) -> Picture:
+        return Picture(f"/live/{image}", SIZE, SIZE, Window(1.0, 2.0))
+
+
+@dataclass
+class Page:
+    """A tab, and what its views were told: (view, method, arguments)."""
+
+    tab: Tab
+    told: list[tuple[str, str, tuple[Any, ...]]] = field(default_factory=list)
+
+    @property
+    def procedure(self) -> Procedure:
+        return self.tab.procedure
+
+    def add_image(self, name: str, number: int) -> None:
+        """An image that is calibrated, under a name."""
+        acquired: Any = SimpleNamespace(number=number, at=None)
+        image: Any = None
+        view: Any = VIEWS[name.removeprefix("check-")]
+        self.procedure.lightbox._images[number] = SeenImage(acquired, image, view=view)
+        self.procedure.edit(self.procedure.decisions.with_image(name, number, same_pixels=False))
+
+    def hear(self, view: str, said: dict[str, Any]) -> None:
+        """Of the browser."""
+        xray = self.tab.views[NAMES.index(view)]
+        event = GenericEventArguments(sender=xray, client=xray.client, args=said)
+        asyncio.get_event_loop().run_until_complete(xray._hear(event))
+
+    def of(self, view: str, method: str) -> list[tuple[Any, ...]]:
+        return [arguments for name, called, arguments in self.told if (name, called) == (view, method)]
+
+    def elements(self) -> list[ui.element]:
+        return list(self.tab.views[0].client.elements.values())
+
+    def sentences(self) -> list[str]:
+        return [one.text for one in self.elements() if isinstance(one, ui.label)]
+
+
+@pytest.fixture
+def opened(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Page]:
+    """On the step Plan, both images of planning calibrated; their numbers are 101 and 102."""
+    loop = asyncio.new_event_loop()
+    asyncio.set_event_loop(loop)
+    workshop = Workshop()
+    procedure = Procedure.open(tmp_path, "gamma", None, workshop)
+    drawn: Any = Drawn()
+    made = Page(Tab(procedure, drawn))
+
+    def told(view: XrayView, method: str, *arguments: Any) -> None:
+        made.told.append((view.name, method, arguments))
+
+    monkeypatch.setattr(XrayView, "run_method", told)
+
+    async def build() -> Client:
+        client = Client(page("/tab"), request=None)
+        with client:
+            made.tab.build_views(ui.element("div"), ui.element("div"))
+        return client
+
+    with loop.run_until_complete(build()):
+        for number, name in enumerate(NAMES, 101):
+            made.add_image(name, number)
+        made.tab.go_to(STEPS[2])
+        yield made
+    procedure.case.close()
+    workshop.close()
+    loop.close()
+
+
+def _move(image: str, name: str, kind: str = "drop") -> dict[str, Any]:
+    return {"type": kind, "id": name, "uv": [300.0, 400.0], "seq": 7, "image": image}
+
+
+LANDMARK = "landmark-head-centre"
+
+
+def _check_images(opened: Page) -> None:
+    for number, name in enumerate(CHECK_NAMES, 103):
+        opened.add_image(name, number)
+
+
+def test_a_move_made_on_the_planned_image_is_not_taken_for_the_check_image(opened: Page) -> None:
+    _check_images(opened)
+    opened.tab.go_to(STEPS[4])
+    before = opened.procedure.decisions
+    for kind in ("place", "drop", "nudge", "drag"):
+        opened.told.clear()
+        opened.hear("pa", _move("/image/101", LANDMARK, kind))
+        assert opened.procedure.decisions is before
+        assert opened.of("pa", "acknowledge") == [(7,)]  # those behind it are not held up
+        assert opened.of("pa", "sayLost") == ([] if kind == "drag" else [(LANDMARK,)])
+    opened.hear("pa", {"type": "remove", "id": LANDMARK, "image": "/image/101"})
+    turned = {"rotation": 90, "mirrored": False, "inverted": False, "window": {"centre": 9.0, "width": 9.0}}
+    opened.hear("pa", {"type": "display", "image": "/image/101", **turned})
+    assert opened.procedure.decisions is before
+    opened.hear("pa", _move("/image/103", LANDMARK))
+    assert opened.procedure.decisions.mark(LANDMARK).places == {"check-pa": (300.0, 400.0)}
+
+
+def test_nor_before_the_page_has_drawn_what_the_procedure_has_already(opened: Page) -> None:
+    opened.tab.go_to(STEPS[4])  # still the images of the plan
+    _check_images(opened)
+    before = opened.procedure.decisions
+    opened.hear("pa", _move("/image/101", LANDMARK))
+    assert opened.procedure.decisions is before
+    assert opened.of("pa", "sayLost") == [(LANDMARK,)]
+    opened.tab.refresh()
+    opened.hear("pa", _move("/image/103", LANDMARK))
+    assert set(opened.procedure.decisions.mark(LANDMARK).places) == {"check-pa"}
+
+
+def _live(number: int, age_s: float = 0.05) -> Any:
+    return SimpleNamespace(
+        number=number, age_s=age_s, stale=age_s > STALE_S, image=number, view=SimpleNamespace(name="pa"), corridor=None
+    )
+
+
+def test_a_move_on_the_planned_image_is_not_taken_for_the_live_one(opened: Page) -> None:
+    opened.tab.show_live(_live(1))
+    before = opened.procedure.decisions
+    opened.tab.views[0].place(LANDMARK)  # whatever the browser may name
+    for image in ("/image/101", "/live/1"):
+        opened.hear("pa", _move(image, LANDMARK, "place"))
+    assert opened.procedure.decisions is before
+    opened.hear("lateral", _move("/image/102", LANDMARK))  # the other view shows the plan's still
+    assert set(opened.procedure.decisions.mark(LANDMARK).places) == {"lateral"}
+
+
+def test_the_browser_is_told_at_every_look_how_long_a_live_image_is_what_is_now(opened: Page) -> None:
+    opened.told.clear()
+    opened.tab.show_live(_live(1, 0.05))
+    ((image,),) = opened.of("pa", "setImage")
+    assert image["freshMs"] == pytest.approx(1000.0 * (STALE_S - 0.05 + LATE_S))
+    opened.tab.show_live(_live(1, 0.15))
+    ((url, left),) = opened.of("pa", "setFresh")
+    assert (url, left) == ("/live/1", pytest.approx(1000.0 * (STALE_S - 0.15 + LATE_S)))
+    opened.tab.show_live(_live(1, 0.25))
+    assert opened.of("pa", "setFresh")[-1] == ("/live/1", 0.0)
+    opened.tab.show_live(None)
+    assert opened.of("pa", "setImage")[-1][0]["freshMs"] is None  # the plan's image does not grow old
+
+
+@pytest.mark.parametrize("error", [UnusableInputError("this cannot be said"), ZeroDivisionError()])
+@pytest.mark.parametrize("in_key", [False, True])
+def test_a_section_that_fails_says_so_and_holds_no_other_up(opened: Page, error: Exception, in_key: bool) -> None:
+    broken, count = False, 0
+
+    def fail(value: str) -> str:
+        if broken:
+            raise error
+        return value
+
+    def key(tab: Tab) -> object:
+        return fail("key") if in_key else (broken, count)
+
+    def build(tab: Tab) -> None:
+        ui.label("half of it")
+        fail("built")
+        ui.label("in order")
+
+    Section(opened.tab, key, build)
+    Section(opened.tab, lambda tab: count, lambda tab: note(f"the next {count}"))
+    assert {"in order", "the next 0"} <= set(opened.sentences())
+    broken, count = True, 1
+    opened.tab.refresh()
+    said = opened.sentences()
+    assert "the next 1" in said
+    assert "half of it" not in said and "in order" not in said
+    assert any(str(error) in text if str(error) else "ZeroDivisionError" in text for text in said)
+    broken, count = False, 2
+    opened.tab.refresh()
+    assert {"in order", "the next 2"} <= set(opened.sentences())
+
+
+def _place_all(opened: Page, side: Side) -> None:
+    """Wire, head and shaft of a right hip, as both images show them."""
+    uv = bone.pixels([VIEWS[name] for name in NAMES])
+    decisions = opened.procedure.decisions
+    for name, at in {"entry": 0, "end": 1}.items():
+        decisions = decisions.with_mark(name, Mark(_places(uv["wire"], at)))
+    for aid, clicks in {"head": 3, "shaft": 2}.items():
+        for k in range(clicks):
+            decisions = decisions.with_mark(f"{aid}-{k + 1}", Mark(_places(uv[aid], k)))
+    opened.procedure.edit(decisions)
+    opened.procedure.confirm_side(side)
+
+
+def _places(uv: Any, k: int) -> dict[str, tuple[float, float]]:
+    return {name: (float(both[k][0]), float(both[k][1])) for name, both in zip(NAMES, uv, strict=True)}
+
+
+@pytest.mark.parametrize(("side", "refused"), [("right", False), ("left", True)])
+def test_figures_that_are_refused_leave_those_of_the_plan(opened: Page, side: Side, refused: bool) -> None:
+    _place_all(opened, side)
+    panel_plan.build_figures(opened.tab)
+    said = [text for text in opened.sentences() if "the shaft lies above the head" in text]
+    assert len(said) == (1 if refused else 0), said
+    (table,) = [one for one in opened.elements() if one.props.get("data-testid") == "figures"]
+    assert "entry, 95 % error" in table.props["innerHTML"]
+    assert "tip to bone along wire" in table.props["innerHTML"]  # which no side changes
+    assert ("wire to shaft" in table.props["innerHTML"]) is not refused
+
+
+def test_a_layer_that_cannot_be_drawn_is_empty_and_the_others_are_there(
+    opened: Page, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    _place_all(opened, "right")
+    opened.tab.refresh()
+    assert _last(opened, "aids") and _last(opened, "wire")
+
+    def fail(*_: object) -> list[shapes.Shape]:
+        raise UnusableInputError("no outline can be drawn")
+
+    monkeypatch.setattr(shapes, "aids", fail)
+    opened.told.clear()
+    opened.procedure.edit(opened.procedure.decisions.with_mark(LANDMARK, Mark({"pa": (9.0, 9.0)})))
+    opened.tab.refresh()
+    assert _last(opened, "aids") == [] and _last(opened, "wire")
+    assert opened.of("pa", "setNotice") == [("no outline can be drawn",)]
+
+
+def _last(opened: Page, layer: str) -> list[shapes.Shape]:
+    drawn: Callable[[tuple[Any, ...]], bool] = partial(lambda name, arguments: arguments[0] == name, layer)
+    return next(arguments[1] for arguments in reversed(opened.of("pa", "setLayer")) if drawn(arguments))
