@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from sightline.case.comparison import Compared, Truth
+from sightline.case.exposures import PLANNING, of_images
 from sightline.case.report import Report
 from sightline.case.views import NAMES, Seen, calibrate_pair
 from sightline.detection import Detections, Observations, Rejected
@@ -51,6 +52,7 @@ def report(frame, setup, pair, truth) -> Report:
         frame=frame,
         images=images,
         plan=planned,
+        exposures=of_images(images, PLANNING),
         provenance={"picks": "drawn"},
         localized=(localized[0].view, localized[1].view),
         truth=truth,

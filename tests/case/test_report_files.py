@@ -8,7 +8,8 @@ import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 from sightline.case import report_pdf
-from sightline.case.report import Report
+from sightline.case.exposures import NOTE, Exposure
+from sightline.case.report import Report, render
 from sightline.case.report_document import ReportDocument, report_document, schema_text
 from sightline.planning.results import Verdict
 
@@ -34,9 +35,20 @@ def test_what_is_written_is_what_the_plan_states(report: Report) -> None:
     assert json.loads(written)["trajectory"]["budget_rms"] == report.plan.trajectory.document()["budget_rms"]
 
 
-def test_no_name_of_a_file_is_in_it(report: Report) -> None:
-    sources = {image.seen.source for image in report.images}
-    assert not any(source in report_document(report).model_dump_json() for source in sources)
+def test_exposures_are_in_page_document_and_pdf(report: Report) -> None:
+    """And so is what is not known of them."""
+    many = replace(report, exposures=[Exposure(f"{k:012d}.dcm", f"use {k}", frames=k) for k in range(1, 60)])
+    page = render(many)
+    document = json.loads(report_document(many).model_dump_json())
+    said = [text.get_text() for sheet in report_pdf.draw(many) for text in sheet.texts]
+    for k in (1, 59):
+        assert f"{k:012d}.dcm" in page
+        assert f"use {k}" in page
+        assert {"image": f"{k:012d}.dcm", "used": f"use {k}", "at": None, "frames": k} in document["exposures"]
+        assert {f"{k:012d}.dcm", f"use {k}"} <= set(said)
+    assert NOTE in " ".join(page.split())
+    assert "neither is any dose" in " ".join(said)
+    assert "neither is any dose" in schema_text()
 
 
 def stands_against(report: Report) -> Report:

@@ -1,18 +1,24 @@
 """`sightline demo`, the whole way from drawing images to the report, once."""
 
 import json
+import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pydicom
+import pytest
 
 from sightline.app.decisions import Decisions
 from sightline.app.marks import asked_of
-from sightline.case.entry import Kind
+from sightline.case import stages
+from sightline.case.contents import CheckAsked
+from sightline.case.entry import Actor, Kind
 from sightline.case.journal import Case
 from sightline.case.recompute import Outcome, replay
 from sightline.cli import demo as demo_module
 from sightline.detection.files import read_observations
+from sightline.errors import CaseError
 
 EXPECTED = {
     "report.html",
@@ -43,16 +49,52 @@ def test_it_says_where_everything_is(demo_run) -> None:
     assert [p.name for p in out.parent.iterdir()] == ["demo"]  # no scratch folder is left
 
 
-def test_its_case_comes_out_the_same_and_the_app_finds_the_plan_in_it(demo_folder) -> None:
-    with Case.open(demo_folder / "case", read_only=True) as case:
+def test_its_case_comes_out_the_same_and_altered_check_shots_are_noticed(demo_folder, tmp_path) -> None:
+    with Case.open(shutil.copytree(demo_folder / "case", tmp_path / "case")) as case:
         assert not case.problems
-        outcomes = {one.outcome for one in replay(case)}
+        last, shot = case.last, case.latest(Kind.VERIFIED)
+        assert shot is not None
+        altered = {**shot.content, "bow_mm": shot.content["bow_mm"] + 1e-9}
+        old = {key: value for key, value in shot.content.items() if key != "asked"}  # as earlier versions had it
+        case.record(Kind.VERIFIED, altered, by=Actor.ENGINEER, rests_on=shot.rests_on)
+        case.record(Kind.VERIFIED, old, by=Actor.ENGINEER)
+        plan, pa, lateral = (case.entry(number) for number in shot.rests_on)
+        other = replace(CheckAsked.of(shot.content["asked"]), wire_mm=6.0)  # which no image shows
+        stages.record_verified(case, plan, (pa, lateral), other, "for another reason", by=Actor.ENGINEER)
+        with pytest.raises(CaseError, match="rests on a plan and two calibrated views"):
+            stages.record_verified(case, pa, (plan, lateral), other, "", by=Actor.ENGINEER)
+        replayed = list(replay(case))
+    made = replayed[:last]
+    assert {one.outcome for one in made} == {Outcome.SAME, Outcome.RECORDED}
+    assert {one.entry.kind for one in made if one.outcome is Outcome.RECORDED} == {Kind.CHANGED, Kind.DRILLED}
+    assert [one.outcome for one in replayed[last:]] == [Outcome.DIFFERENT, Outcome.RECORDED, Outcome.DIFFERENT]
+    assert [one.where for one in replayed[-1].differences] == ["refused"]
+    assert "wire" in replayed[-1].differences[0].now
+
+
+def test_the_app_finds_the_plan_in_its_case(demo_folder) -> None:
+    with Case.open(demo_folder / "case", read_only=True) as case:
         edit = case.latest(Kind.CHANGED, where={"what": "edit"})
-    assert outcomes <= {Outcome.SAME, Outcome.RECORDED}
     assert edit is not None
     decided = Decisions.of(edit.content["to"])
     asked = [one.name for one in asked_of(decided.kind) if one.group != "aid"]
     assert decided.complete(asked)  # every name is one that the app asks for
+
+
+@pytest.mark.slow
+def test_the_report_of_its_case_tells_exposures_and_deviations(run, demo_folder, tmp_path) -> None:
+    ran = run("case", "report", demo_folder / "case", "--out", tmp_path, "--quiet")
+    assert ran.code == 0, ran.err
+    document = load(tmp_path, "report")
+    assert [one["used"] for one in document["exposures"]] == [
+        f"{use}, {view} view" for use in ("planning", "check shot") for view in ("PA", "lateral")
+    ]
+    then = load(demo_folder, "drilling")
+    assert document["drilled"]["check_shot"] == then["check_shot"]
+    assert document["drilled"]["record"] == then["record"]
+    page = (tmp_path / "report.html").read_text()
+    for words in ("The drilled wire", "check shot: the wire against the plan", "The robot noticed", "Exposures"):
+        assert words in page
 
 
 def test_images_are_like_those_of_a_c_arm(demo_folder) -> None:

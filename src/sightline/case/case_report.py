@@ -1,15 +1,19 @@
 """From a case to the report of its last plan."""
 
-from sightline.case.entry import Kind
+from sightline.case import exposures
+from sightline.case.drilled import Drilled
+from sightline.case.entry import Entry, Kind
 from sightline.case.journal import Case
 from sightline.case.recompute import Recomputed
 from sightline.case.report import Report
 from sightline.case.stages import frame_of
 from sightline.errors import CaseError
+from sightline.robot.record import DrillingRecord
 
 
 def report_of(case: Case) -> Report:
-    """The report of the last plan, made from the originals: its images are called by their originals' names.
+    """The report of the last plan, made from the originals, and of what became of it: its images are called by their
+    originals' names.
 
     Raises CaseError where there is no plan, and what the stages raise.
     """
@@ -17,16 +21,29 @@ def report_of(case: Case) -> Report:
     if entry is None:
         raise CaseError("the case holds no plan yet; plan first, then report")
     again = Recomputed(case)
-    views = [case.entry(number) for number in entry.rests_on]
-    first, second = (again.calibrated(view) for view in views)
     return Report(
         title=f"Case {case.number}",
-        frame=frame_of(case, views[0].settings["frame"]),
-        images=(first, second),
+        frame=frame_of(case, case.entry(entry.rests_on[0]).settings["frame"]),
+        images=again.images(entry),
         plan=again.plan(entry),
+        exposures=exposures.of_case(case, entry),
+        drilled=_drilled(case, entry, again),
         provenance={
             "case": f"{case.number}, entry {entry.number} of {case.last}",
             "planned": f"{entry.at:%Y-%m-%d %H:%M} UTC, by {entry.by}",
             "journal": f"the chain of entries is {entry.chain[:16]} at entry {entry.number}",
         },
+    )
+
+
+def _drilled(case: Case, plan: Entry, again: Recomputed) -> Drilled | None:
+    """What the robot said last, and the last check shot, since the plan; None where there is neither."""
+    records = [one.content["record"] for one in case.entries(Kind.DRILLED, plan.number) if "record" in one.content]
+    shots = [one for one in case.entries(Kind.VERIFIED, plan.number) if plan.number in one.rests_on]
+    if not records and not shots:
+        return None
+    return Drilled(
+        target=None,
+        record=DrillingRecord.of(records[-1]) if records else None,
+        check=again.shot(shots[-1]) if shots else None,
     )

@@ -10,9 +10,14 @@ from sightline.case.canonical import digest
 from sightline.case.documents import check_document, view_document
 from sightline.case.views import CalibratedImage
 from sightline.detection import Detections, Observations
+from sightline.errors import CaseError
 from sightline.imaging import Radiograph
 from sightline.planning import Plan, plan
+from sightline.planning.check_result import CheckShot
+from sightline.planning.check_start import Landmarks
 from sightline.planning.verdict import Limits
+
+Pair = tuple[CalibratedImage, CalibratedImage]
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,7 +42,7 @@ class Asked:
         limits = document["limits"]
         return Asked(**{**document, "limits": None if limits is None else Limits(**limits)})
 
-    def plan(self, views: "tuple[CalibratedImage, CalibratedImage]") -> Plan:
+    def plan(self, views: Pair) -> Plan:
         """Raises what `planning.plan` raises."""
         return plan(
             [image.view for image in views],
@@ -48,6 +53,38 @@ class Asked:
             landmarks_uv_px=None if self.landmarks_uv_px is None else np.asarray(self.landmarks_uv_px),
             limits=self.limits,
         )
+
+
+@dataclass(frozen=True, eq=False)
+class CheckAsked:
+    """What a check shot is measured from besides its images: the wire's width, and landmarks that were found again."""
+
+    wire_mm: float
+    landmarks: Landmarks
+
+    @staticmethod
+    def of(document: dict[str, Any]) -> "CheckAsked":
+        """From what `verified` made of one."""
+        known = document["landmarks"]
+        before, after = (np.reshape(known[key], (2, -1, 2)) for key in ("planned_uv_px", "checked_uv_px"))
+        return CheckAsked(document["wire_mm"], Landmarks(before, after, known["sd_px"]))
+
+    def shot(self, made: Plan, planned: Pair, checked: Pair) -> CheckShot:
+        """The wire, found in both check images, against the plan. Raises CaseError where one is no image, and what
+        `find_wire` and `check_shot` raise."""
+        from sightline.detection.wire import find_wire
+        from sightline.planning.check_shot import check_shot
+        from sightline.planning.expected_wire import expected_wire
+
+        wires = []
+        for image in checked:
+            seen = image.seen
+            if seen.image is None or seen.beads is None:
+                raise CaseError("a check shot shows the wire in two images; a table of beads shows none")
+            expected = expected_wire(image.view, made.trajectory)
+            wires.append(find_wire(seen.image, expected, self.wire_mm, seen.beads.uv_px, seen.beads.radius_px))
+        before, after = ([image.view for image in pair] for pair in (planned, checked))
+        return check_shot(made.trajectory, made.picks, before, after, wires, landmarks=self.landmarks)
 
 
 def acquired(original: str, image: Radiograph | None) -> dict[str, Any]:
@@ -75,7 +112,7 @@ def labelled(observations: Observations, frame_key: str) -> dict[str, Any]:
 
 
 def calibrated(image: CalibratedImage) -> dict[str, Any]:
-    """Without the source's name, which may be a patient's."""
+    """Without the source, which the acquired entry names."""
     document = view_document(image)
     del document["source"]
     return document
@@ -92,3 +129,8 @@ def planned(asked: Asked, made: Plan) -> dict[str, Any]:
         "landmarks": made.landmarks_document(),
         "checks": [check_document(check) for check in made.verdict.checks],
     }
+
+
+def verified(asked: CheckAsked, found: CheckShot | str) -> dict[str, Any]:
+    """`found`: the check shot, or why it was refused."""
+    return {"asked": asked, **({"refused": found} if isinstance(found, str) else found.document())}

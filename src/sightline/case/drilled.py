@@ -38,27 +38,34 @@ class Deviation:
 
 @dataclass(frozen=True, eq=False)
 class Drilled:
-    """`check`: the check shot, or why there is none. `physics`: only where the truth is known."""
+    """Each part where it is known. `check`: the check shot, or why it was refused. `physics`: only where the truth is
+    known."""
 
-    target: RobotTarget
-    record: DrillingRecord
-    check: CheckShot | str
+    target: RobotTarget | None
+    record: DrillingRecord | None
+    check: CheckShot | str | None
     physics: tuple[Deviation, ...] = ()
 
     def document(self) -> dict[str, Any]:
         """As JSON types."""
-        target = self.target
+        check = {"refused": self.check} if isinstance(self.check, str) else self.check and self.check.document()
         return {
-            "coordinates": "MCS",
-            "plan": target.identity.plan,
-            "joints": target.q.tolist(),
-            "entry_mm": target.entry_mm.tolist(),
-            "end_mm": target.end_mm.tolist(),
-            "error_95": _stated(target),
-            "record": self.record.document(),
-            "check_shot": {"refused": self.check} if isinstance(self.check, str) else self.check.document(),
+            **({} if self.target is None else _sent(self.target)),
+            "record": self.record and self.record.document(),
+            "check_shot": check,
             "physics": [vars(deviation) for deviation in self.physics],
         }
+
+
+def _sent(target: RobotTarget) -> dict[str, Any]:
+    return {
+        "coordinates": "MCS",
+        "plan": target.identity.plan,
+        "joints": target.q.tolist(),
+        "entry_mm": target.entry_mm.tolist(),
+        "end_mm": target.end_mm.tolist(),
+        "error_95": _stated(target),
+    }
 
 
 def _stated(target: RobotTarget) -> dict[str, float]:
@@ -88,23 +95,27 @@ def section(drilled: Drilled | None) -> dict[str, Any] | None:
     if drilled is None:
         return None
     target, check, record = drilled.target, drilled.check, drilled.record
-    rows = [("the robot's error, as stated before drilling (95 %)", *_figures(_stated(target)))]
-    if not isinstance(check, str):
+    rows = []
+    if target is not None:
+        rows.append(("the robot's error, as stated before drilling (95 %)", *_figures(_stated(target))))
+    if isinstance(check, CheckShot):
         shown = check.document()
         rows.append(("check shot: the wire against the plan", *_figures(shown["deviation"])))
         rows.append(("check shot: its own error (95 %)", *_figures(shown["error_95"])))
     rows += [(f"physics: the wire against {one.against}", *_figures(vars(one))) for one in drilled.physics]
     return {
-        "force": Markup(force_picture(record)),  # noqa: S704 - made by svg.py, which escapes
-        "events": _noticed(record),
+        "force": Markup("" if record is None else force_picture(record)),  # noqa: S704 - made by svg.py, which escapes
+        "events": "" if record is None else _noticed(record),
         "rows": rows,
-        "sources": _sources(target),
+        "sources": [] if target is None else _sources(target),
         "check": check_sentence(check),
     }
 
 
-def check_sentence(check: CheckShot | str) -> str:
+def check_sentence(check: CheckShot | str | None) -> str:
     """What the check shot says, for a person."""
+    if check is None:
+        return "No check shot was measured."
     if isinstance(check, str):
         return f"The check shot was refused: {check}."
     return (
@@ -117,8 +128,9 @@ def checks(drilled: Drilled | None) -> "list[tuple[str, tuple[Check, ...]]]":
     """Titles and checks for the report's last section."""
     if drilled is None:
         return []
-    of_check = () if isinstance(drilled.check, str) else drilled.check.checks
-    return [("The robot's target", drilled.target.checks), ("The check shot", of_check)]
+    of_target = () if drilled.target is None else drilled.target.checks
+    of_check = drilled.check.checks if isinstance(drilled.check, CheckShot) else ()
+    return [("The robot's target", of_target), ("The check shot", of_check)]
 
 
 def _figures(of: dict[str, Any]) -> tuple[str, str, str]:

@@ -10,7 +10,7 @@ from sightline.calibration import calibrate
 from sightline.case import contents
 from sightline.case.canonical import canonical, digest
 from sightline.case.compare_json import Difference, differences
-from sightline.case.contents import Asked
+from sightline.case.contents import Asked, CheckAsked, Pair
 from sightline.case.entry import Entry, Kind, versions
 from sightline.case.journal import Case
 from sightline.case.originals import short
@@ -19,10 +19,11 @@ from sightline.case.views import CalibratedImage, Seen, tell_apart
 from sightline.checks import Check
 from sightline.detection import Detections, detect
 from sightline.detection.files import read_observations
-from sightline.errors import CaseError, ObservationsError, SightlineError
+from sightline.errors import CaseError, ObservationsError, RefusedError, SightlineError
 from sightline.frame import Frame
 from sightline.imaging import Radiograph
 from sightline.planning import Plan
+from sightline.planning.check_result import CheckShot
 
 _Made = TypeVar("_Made")
 
@@ -86,25 +87,38 @@ class Recomputed:
     def plan(self, entry: Entry) -> Plan:
         """Of a planned entry."""
 
-        def make() -> Plan:
-            first, second = (self.calibrated(self._case.entry(number)) for number in entry.rests_on)
-            return Asked.of(entry.content["asked"]).plan((first, second))
+        return self._once(entry, lambda: Asked.of(entry.content["asked"]).plan(self.images(entry)))
+
+    def images(self, entry: Entry) -> Pair:
+        """Both calibrated images of a planned entry."""
+        first, second = (self.calibrated(self._case.entry(number)) for number in entry.rests_on)
+        return first, second
+
+    def shot(self, entry: Entry) -> CheckShot | str:
+        """Of a verified entry that says what was asked; where it is refused, why."""
+
+        def make() -> CheckShot | str:
+            plan, *views = (self._case.entry(number) for number in entry.rests_on)
+            first, second = (self.calibrated(view) for view in views)
+            try:
+                return CheckAsked.of(entry.content["asked"]).shot(self.plan(plan), self.images(plan), (first, second))
+            except RefusedError as error:
+                return str(error)
 
         return self._once(entry, make)
 
     def content(self, entry: Entry) -> dict[str, Any] | None:
         """What the entry would hold if it were recorded now; None of an entry that is a record, not a result."""
-        if entry.kind is Kind.ACQUIRED:
-            return contents.acquired(entry.content["original"], self.image(entry))
-        if entry.kind is Kind.DETECTED:
-            return contents.detected(self.beads(entry))
-        if entry.kind is Kind.LABELLED:
-            return contents.labelled(self.seen(entry).observations, self._frame(entry).key)
-        if entry.kind is Kind.CALIBRATED:
-            return contents.calibrated(self.calibrated(entry))
-        if entry.kind is Kind.PLANNED:
-            return contents.planned(Asked.of(entry.content["asked"]), self.plan(entry))
-        return None
+        again: dict[Kind, Callable[[], dict[str, Any]]] = {
+            Kind.ACQUIRED: lambda: contents.acquired(entry.content["original"], self.image(entry)),
+            Kind.DETECTED: lambda: contents.detected(self.beads(entry)),
+            Kind.LABELLED: lambda: contents.labelled(self.seen(entry).observations, self._frame(entry).key),
+            Kind.CALIBRATED: lambda: contents.calibrated(self.calibrated(entry)),
+            Kind.PLANNED: lambda: contents.planned(Asked.of(entry.content["asked"]), self.plan(entry)),
+        }
+        if "asked" in entry.content:  # earlier versions did not say what a check shot was measured from
+            again[Kind.VERIFIED] = lambda: contents.verified(CheckAsked.of(entry.content["asked"]), self.shot(entry))
+        return again[entry.kind]() if entry.kind in again else None
 
     def _seen(self, entry: Entry) -> Seen:
         source, frame, view = self._under(entry), self._frame(entry), entry.settings["view"]

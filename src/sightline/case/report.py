@@ -14,6 +14,7 @@ from sightline.calibration import BeadView
 from sightline.case import report_pictures, report_tables
 from sightline.case.comparison import Compared, Refused, Truth
 from sightline.case.drilled import Drilled
+from sightline.case.exposures import Exposure
 from sightline.case.views import CalibratedImage
 from sightline.frame import Frame
 from sightline.planning import Plan
@@ -24,14 +25,15 @@ class Report:
     """What a report is made from. `images`: PA and lateral, with the views that `plan` was made on.
 
     `localized`: both views calibrated with the paper's method, for its triangles. `compared` and `truth`: only
-    where the truth is known. `drilled`: once a robot has carried the plan out. `provenance`: what a reader needs to
-    make the same report again, in words.
+    where the truth is known. `drilled`: once a robot has carried the plan out. `exposures`: those of the procedure that
+    are known. `provenance`: what a reader needs to make the same report again, in words.
     """
 
     title: str
     frame: Frame
     images: tuple[CalibratedImage, CalibratedImage]
     plan: Plan
+    exposures: Sequence[Exposure]
     provenance: dict[str, str]
     localized: tuple[BeadView, BeadView] | None = None
     truth: Truth | None = None

@@ -11,6 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from sightline.case.canonical import canonical
 from sightline.case.documents import check_document, view_document
 from sightline.case.entry import versions
+from sightline.case.exposures import NOTE
 from sightline.case.report import Report
 
 Point = tuple[float, float, float]
@@ -90,6 +91,16 @@ class LandmarkDocument(_Open):
     gap_sigma: float | None
 
 
+class ExposureDocument(_Open):
+    """An image that was taken, by the first letters of its hash. `at`: UTC, when it was kept; null outside a case.
+    `frames`: that were exposed for it, of a run or an average."""
+
+    image: str
+    used: str
+    at: str | None
+    frames: int
+
+
 class ReportDocument(_Open):
     """The report of one plan. `case`: the number of its case, the only identity in it; null outside a case.
 
@@ -109,14 +120,12 @@ class ReportDocument(_Open):
     trajectory: TrajectoryDocument
     landmarks: tuple[LandmarkDocument, ...]
     checks: tuple[CheckDocument, ...]
+    exposures: tuple[ExposureDocument, ...] = Field(description=NOTE)
     drilled: dict[str, Any] | None
 
 
 def report_document(report: Report, case_number: str | None = None) -> ReportDocument:
     """What a report states."""
-    views = [view_document(image) for image in report.images]
-    for view in views:
-        del view["source"]  # the name of a file may be a patient's
     plan = report.plan
     stated = {
         "report": 1,
@@ -125,11 +134,12 @@ def report_document(report: Report, case_number: str | None = None) -> ReportDoc
         "versions": versions(),
         "provenance": report.provenance,
         "frame": {"name": report.frame.name, "serial": report.frame.serial},
-        "views": views,
+        "views": [view_document(image) for image in report.images],
         "go": plan.verdict.go,
         "trajectory": plan.trajectory.document(),
         "landmarks": plan.landmarks_document(),
         "checks": [check_document(check) for check in plan.verdict.checks],
+        "exposures": report.exposures,
         "drilled": None if report.drilled is None else report.drilled.document(),
     }
     return ReportDocument.model_validate_json(canonical(stated))

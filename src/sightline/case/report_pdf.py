@@ -19,7 +19,7 @@ from sightline.case.views import NAMES, CalibratedImage
 _A4_IN = (8.27, 11.69)
 _LEFT, _RIGHT, _TOP, _LINE = 0.09, 0.91, 0.95, 0.0165  # of the page
 _WRAP = 104  # letters of a line of text
-_CHECKS_A_PAGE = 17
+_CHECKS_A_PAGE, _EXPOSURES_A_PAGE = 17, 45
 _GOOD, _BAD, _INK, _MUTED, _RULE = "#1b7f4d", "#b3261e", "#1d2733", "#5b6875", "#c9d1d9"
 _WIRE, _CURVE, _BEAD = "#ffb000", "#4cc9f0", "#7ae582"
 _SOURCES = ("#4c6ef5", "#12a5a5", "#e8961e", "#8a63d2", "#8c99a6")  # those of the page, in the order of the budget
@@ -37,7 +37,7 @@ def render_pdf(report: Report) -> bytes:
 def draw(report: Report) -> list[Figure]:
     """Its pages."""
     told = tables(report)
-    pages = [_first(report, told), _images(report), *_checks(report)]
+    pages = [_first(report, told), _images(report), *_checks(report), *_exposures(told)]
     for number, page in enumerate(pages, 1):
         foot = f"{report.title} · Sightline {__version__} · research software, not a medical device"
         _say(page, foot, _LEFT, 0.035, size=7, colour=_MUTED)
@@ -81,8 +81,9 @@ def _first(report: Report, told: dict[str, Any]) -> Figure:
 
 def _drilled(page: Figure, told: dict[str, Any], y: float) -> float:
     y = _heading(page, "The drilled wire", y)
-    rows = [("", "entry mm", "tip mm", "direction °"), *told["rows"]]
-    y = _table(page, rows, (0.0, 0.55, 0.66, 0.75), y)
+    if told["rows"]:
+        rows = [("", "entry mm", "tip mm", "direction °"), *told["rows"]]
+        y = _table(page, rows, (0.0, 0.55, 0.66, 0.75), y)
     return _lines(page, [told["check"]], y)
 
 
@@ -161,6 +162,19 @@ def _checks(report: Report) -> Iterable[Figure]:
             _say(page, check.name, _LEFT + 0.07, y, size=8.5, weight="bold")
             _say(page, figure + limit, _RIGHT, y, size=8.5, align="right", colour=_MUTED)
             y = _lines(page, [check.sentence], y - _LINE, indent=0.07) - 0.35 * _LINE
+        yield page
+
+
+def _exposures(told: dict[str, Any]) -> Iterable[Figure]:
+    exposures = told["exposures"]
+    for first in range(0, len(exposures), _EXPOSURES_A_PAGE):
+        page = Figure(figsize=_A4_IN)
+        y = _heading(page, "Exposures" if first == 0 else "Exposures, continued", _TOP)
+        y = _lines(page, [told["exposures_note"]], y, colour=_MUTED) - 0.5 * _LINE
+        rows: list[tuple[str, ...]] = [("image", "kept (UTC)", "used for", "frames")]
+        for one in exposures[first : first + _EXPOSURES_A_PAGE]:
+            rows.append((one.image, one.at or "not known", one.used, str(one.frames)))
+        _table(page, rows, (0.0, 0.2, 0.42, 0.72), y)
         yield page
 
 

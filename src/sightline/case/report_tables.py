@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from sightline.case import drilled
+from sightline.case import drilled, exposures
 from sightline.case.comparison import Compared, Refused
 from sightline.case.figure_budget import Bar
 from sightline.case.views import NAMES
@@ -35,6 +35,8 @@ def tables(report: "Report") -> dict[str, Any]:
         "points": _points(report),
         "comparison": _comparison(report),
         "drilled": drilled.section(report.drilled),
+        "exposures": report.exposures,
+        "exposures_note": exposures.NOTE,
         "checks": _checks(report),
     }
 

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from sightline.case import contents
-from sightline.case.contents import Asked
+from sightline.case.contents import Asked, CheckAsked
 from sightline.case.entry import Entry, Kind
 from sightline.case.journal import Actor, Case
 from sightline.case.views import CalibratedImage
@@ -16,6 +16,7 @@ from sightline.frame.builtin import BUILTIN
 from sightline.frame.files import frame_to_json
 from sightline.imaging import Radiograph, read_image
 from sightline.planning import Plan
+from sightline.planning.check_result import CheckShot
 
 TABLE = ".csv"  # of beads, found by other software or by hand
 
@@ -101,3 +102,15 @@ def record_planned(case: Case, views: tuple[Entry, Entry], asked: Asked, made: P
     if kinds != [Kind.CALIBRATED, Kind.CALIBRATED]:
         raise CaseError(f"a plan rests on two calibrated views, not on {' and '.join(kinds)}")
     return case.record(Kind.PLANNED, contents.planned(asked, made), by=by, rests_on=[view.number for view in views])
+
+
+def record_verified(
+    case: Case, plan: Entry, views: tuple[Entry, Entry], asked: CheckAsked, found: CheckShot | str, *, by: Actor
+) -> Entry:
+    """A check shot that `asked.shot` measured in two more calibrated views, PA first, or why it refused."""
+    rests_on = (plan, *views)
+    kinds = [entry.kind for entry in rests_on]
+    if kinds != [Kind.PLANNED, Kind.CALIBRATED, Kind.CALIBRATED]:
+        raise CaseError(f"a check shot rests on a plan and two calibrated views, not on {', '.join(kinds)}")
+    content = contents.verified(asked, found)
+    return case.record(Kind.VERIFIED, content, by=by, rests_on=[entry.number for entry in rests_on])

@@ -55,6 +55,7 @@ def _run(output: Output, folder: Path, seed: int) -> dict[str, Any]:
     """All steps. The images are read back from their files: nothing but the truth passes from the twin to the rest."""
     import numpy as np
 
+    from sightline.case import exposures
     from sightline.case.comparison import Truth
     from sightline.case.contents import Asked
     from sightline.case.report import Report, render
@@ -82,20 +83,24 @@ def _run(output: Output, folder: Path, seed: int) -> dict[str, Any]:
     landmarks_px = np.stack(list(rehearsal.landmarks.values()), axis=1)
     landmarks_px = landmarks_px + PICK_SD_PX * rng.standard_normal(landmarks_px.shape)
     with output.step("4/8 planning entry and tip, drawing the image-matching curves"):
-        views = [image.view for image in images[METHODS[0]]]
         asked = Asked(
             picks[:, 0], picks[:, 1], PICK_SD_PX, snapped=True, landmarks_uv_px=landmarks_px, landmark_names=landmarks
         )
         planned = asked.plan(images[METHODS[0]])
     with output.step("5/8 comparing three methods with the truth"):
         compared = _compare(images, picks, truth, planned)
-    drilled = drill(output, Planned(rehearsal, planned, views, landmarks, landmarks_px, PICK_SD_PX), rng)
+    whole = Planned(rehearsal, planned, images[METHODS[0]], landmarks, landmarks_px, PICK_SD_PX)
+    drilled, checked = drill(output, whole, rng) or (None, None)
+    exposed = exposures.of_images(images[METHODS[0]], exposures.PLANNING)
+    if checked is not None and checked.images is not None:
+        exposed += exposures.of_images(checked.images, exposures.CHECK)
     with output.step("8/8 drawing the report"):
         report = Report(
             title="A guide wire planned on two images of the twin" + (", and drilled" if drilled else ""),
             frame=frame,
             images=images[METHODS[0]],
             plan=planned,
+            exposures=exposed,
             provenance={
                 "images": f"made by the digital twin, seed {seed}, written as DICOM without geometry and read back",
                 "picks": f"the true places with {PICK_SD_PX:g} px of normal noise; lateral ones snapped to curves, but "
@@ -108,7 +113,7 @@ def _run(output: Output, folder: Path, seed: int) -> dict[str, Any]:
             drilled=drilled,
         )
         page = render(report)
-    record(folder / "case", Kept(rehearsal, (pa, lateral), images[METHODS[0]], asked, planned, drilled))
+    record(folder / "case", Kept(rehearsal, (pa, lateral), images[METHODS[0]], asked, planned, drilled, checked))
     _write_results(folder, page, report, {"seed": seed, **truth_document(rehearsal.setup, rehearsal.hip)})
     _show(output, planned, compared)
     if drilled is not None:

@@ -8,7 +8,10 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from sightline.case.contents import Asked
     from sightline.case.drilled import Drilled
+    from sightline.case.entry import Entry
+    from sightline.case.journal import Case
     from sightline.case.views import CalibratedImage
+    from sightline.cli.demo_robot import Checked
     from sightline.planning import Plan
     from sightline.rehearsal.procedure import Rehearsal
 
@@ -23,6 +26,7 @@ class Kept:
     asked: "Asked"
     plan: "Plan"
     drilled: "Drilled | None"
+    checked: "Checked | None"
 
 
 def record(folder: Path, kept: Kept) -> None:
@@ -47,10 +51,28 @@ def record(folder: Path, kept: Kept) -> None:
         decided = _decisions(kept, dict(zip(NAMES, acquired, strict=True)))
         stages.record_changed(case, "edit", decided, by=by)
         plan = stages.record_planned(case, (first, second), kept.asked, kept.plan, by=by)
-        if kept.drilled is not None:
+        if kept.drilled is not None and kept.checked is not None:
             document = kept.drilled.document()
             case.record(Kind.DRILLED, {"record": document["record"]}, by=Actor.ROBOT, rests_on=[plan.number])
-            case.record(Kind.VERIFIED, document["check_shot"], by=by, rests_on=[plan.number])
+            _record_check(case, plan, kept.checked, frame_ref)
+
+
+def _record_check(case: "Case", plan: "Entry", checked: "Checked", frame_ref: str) -> None:
+    """Both images of the check shot and what it says, if they could be calibrated."""
+    from tempfile import TemporaryDirectory
+
+    from sightline.case import stages
+    from sightline.case.entry import Actor
+    from sightline.imaging import write_dicom
+
+    by, entries = Actor.DEMO, []
+    for image in checked.images or ():
+        assert image.seen.image is not None  # noqa: S101 - it was read
+        with TemporaryDirectory() as folder:
+            file = write_dicom(image.seen.image, Path(folder) / "image.dcm")
+            entries.append(stages.record_view(case, file, image, frame_ref=frame_ref, by=by))
+    if entries:
+        stages.record_verified(case, plan, (entries[0], entries[1]), checked.asked, checked.found, by=by)
 
 
 def _decisions(kept: Kept, acquired: dict[str, int]) -> dict[str, object]:

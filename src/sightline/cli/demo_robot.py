@@ -7,10 +7,13 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     import numpy as np
 
-    from sightline.calibration import BeadView
+    from sightline.case.contents import CheckAsked, Pair
     from sightline.case.drilled import Drilled
     from sightline.cli.output import Output
+    from sightline.frame import Frame
+    from sightline.imaging import Radiograph
     from sightline.planning import Plan
+    from sightline.planning.check_result import CheckShot
     from sightline.rehearsal.procedure import Rehearsal
 
 
@@ -21,13 +24,23 @@ class Planned:
 
     rehearsal: "Rehearsal"
     plan: "Plan"
-    views: "list[BeadView]"
+    images: "Pair"
     landmarks: tuple[str, ...]
     landmarks_px: "np.ndarray"
     pick_sd_px: float
 
 
-def drill(output: "Output", planned: Planned, rng: "np.random.Generator") -> "Drilled | None":
+@dataclass(frozen=True, eq=False)
+class Checked:
+    """The check shot: what was asked, its images, and what came of it or why it was refused. `images` is None where one
+    of them could not be calibrated."""
+
+    asked: "CheckAsked"
+    images: "Pair | None"
+    found: "CheckShot | str"
+
+
+def drill(output: "Output", planned: Planned, rng: "np.random.Generator") -> "tuple[Drilled, Checked] | None":
     """What robot and check shot come to; None, with the reason said, where there is no robot or it refuses."""
     from sightline.errors import RefusedError
 
@@ -41,11 +54,12 @@ def drill(output: "Output", planned: Planned, rng: "np.random.Generator") -> "Dr
         return None
 
 
-def _drill(output: "Output", planned: Planned, rng: "np.random.Generator") -> "Drilled":
+def _drill(output: "Output", planned: Planned, rng: "np.random.Generator") -> "tuple[Drilled, Checked]":
     from time import monotonic
 
     import numpy as np
 
+    from sightline.case.contents import CheckAsked
     from sightline.case.drilled import Deviation, Drilled
     from sightline.errors import RefusedError
     from sightline.planning.check_shot import Landmarks
@@ -54,6 +68,7 @@ def _drill(output: "Output", planned: Planned, rng: "np.random.Generator") -> "D
     from sightline.robot.client import RobotClient
     from sightline.robot.supervision import depth_limit
     from sightline.robot.target import PlanIdentity
+    from sightline.twin.implants import WIRE_MM
 
     rehearsal, plan, sd_px = planned.rehearsal, planned.plan, planned.pick_sd_px
     with output.step("6/8 the robot: carrying the plan over, aligning, drilling under force supervision"):
@@ -66,17 +81,32 @@ def _drill(output: "Output", planned: Planned, rng: "np.random.Generator") -> "D
             record = insert(robot, target, depth_limit(_surface_mm(planned, rng), target.end_error_95_mm))
             wire = robot.simulated_wire()
     with output.step("7/8 the check shot: two more images, the wire found in both"):
-        shot = rehearsal.check_images(wire)
-        found = shot.landmarks_px(planned.landmarks, sd_px, rng)
+        taken = rehearsal.check_images(wire)
+        found = taken.landmarks_px(planned.landmarks, sd_px, rng)
+        asked, images = CheckAsked(WIRE_MM, Landmarks(planned.landmarks_px, found, sd_px)), None
         try:
-            check = shot.compare(plan, planned.views, Landmarks(planned.landmarks_px, found, sd_px))
+            images = _read_back(taken.images, rehearsal.setup.frame)
+            check = asked.shot(plan, planned.images, images)
         except RefusedError as error:
             check = str(error)
     physics = []
     for name, line in (("the plan", plan.trajectory.points.xyz_mm), ("the ideal wire", rehearsal.hip.wire_mm)):
         one = Outcome.of(wire.axis_mm, line)
         physics.append(Deviation(name, one.entry_mm, one.end_mm, float(np.rad2deg(one.angle_rad))))
-    return Drilled(target, record, check, tuple(physics))
+    return Drilled(target, record, check, tuple(physics)), Checked(asked, images, check)
+
+
+def _read_back(images: "dict[str, Radiograph]", frame: "Frame") -> "Pair":
+    """Both images from their files, like the first two, calibrated."""
+    from pathlib import Path
+    from tempfile import TemporaryDirectory
+
+    from sightline.case.views import NAMES, calibrate_pair, see_pair
+    from sightline.imaging import write_dicom
+
+    with TemporaryDirectory() as folder:
+        pa, lateral = (write_dicom(images[name], Path(folder) / f"{name}.dcm") for name in NAMES)
+        return calibrate_pair(see_pair(pa, lateral, frame), frame, "smooth")
 
 
 def _surface_mm(planned: Planned, rng: "np.random.Generator") -> float:
@@ -88,6 +118,6 @@ def _surface_mm(planned: Planned, rng: "np.random.Generator") -> float:
     uv = planned.rehearsal.pixels(planned.rehearsal.surface_mm[None])
     uv = uv + planned.pick_sd_px * rng.standard_normal(uv.shape)
     spread = np.broadcast_to(planned.pick_sd_px**2 * np.eye(2), (2, 1, 2, 2))
-    found = reconstruct(planned.views, uv, spread).xyz_mm[0]
+    found = reconstruct([image.view for image in planned.images], uv, spread).xyz_mm[0]
     trajectory = planned.plan.trajectory
     return float((found - trajectory.entry_mm) @ trajectory.direction)

@@ -80,11 +80,13 @@ def plan(
             )
         document = plan_document(planned, images)
         if out is not None:
+            from sightline.case import exposures
             from sightline.case.report import Report
 
             picks = f"entry {entry}; end {end}; {pick_sd:g} px{', snapped' if snapped else ''}"
             picks += "".join(f"; landmark {text}" for text in landmark or [])
-            report = Report("Planned guide wire", known_frame, images, planned, {"picks": picks})
+            exposed = exposures.of_images(images, exposures.PLANNING)
+            report = Report("Planned guide wire", known_frame, images, planned, exposed, {"picks": picks})
             with output.step("writing the report"):
                 document["files"] = _write(out, report, document)
         show(output, planned)

@@ -1,0 +1,69 @@
+"""The exposures that a procedure used, as far as their images were kept."""
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+
+from sightline.case.entry import Entry, Kind
+from sightline.case.journal import Case
+from sightline.case.originals import short
+from sightline.case.views import CalibratedImage
+
+NOTE = (
+    "Those whose images were kept. What was exposed beside them, to position patient and C-arm or live, is not known "
+    "here, and neither is any dose."
+)
+PLANNING, CHECK, UNUSED = "planning", "check shot", "not used for this plan"
+
+
+@dataclass(frozen=True)
+class Exposure:
+    """An image that was taken. `image`: by the first letters of its hash. `at`: UTC, when it was kept, where a case
+    tells. `frames`: that were exposed for it, of a run or an average."""
+
+    image: str
+    used: str
+    at: str | None = None
+    frames: int = 1
+
+
+def of_images(images: Iterable[CalibratedImage], used: str) -> tuple[Exposure, ...]:
+    """Outside a case: the images themselves."""
+    return tuple(Exposure(image.seen.source, f"{used}, {_spoken(image.name)}") for image in images)
+
+
+def of_case(case: Case, plan: Entry) -> tuple[Exposure, ...]:
+    """All exposures that the case holds, and what each was used for in a plan and its check shot, in order.
+
+    Pixels that came again, in the same file or under another header, are no further exposure.
+    """
+    uses = dict(_uses(case, plan))
+    found: dict[str, Exposure] = {}
+    for entry in case.entries(Kind.ACQUIRED):
+        acquisition = entry.settings.get("acquisition") or {}
+        frames = int(acquisition.get("frames") or acquisition.get("averaged") or 1)
+        known = str(entry.content.get("pixels_sha256", f"{entry.number}"))
+        used = uses.get(entry.number)
+        before = found.get(known)
+        if before is None or (used is not None and before.used == UNUSED):
+            at = before.at if before else f"{entry.at:%Y-%m-%d %H:%M:%S}"
+            found[known] = Exposure(short(entry.content["original"]), used or UNUSED, at, frames)
+    return tuple(found.values())
+
+
+def _uses(case: Case, plan: Entry) -> Iterator[tuple[int, str]]:
+    """Numbers of acquired entries, and what their images were used for."""
+    checks = [one.rests_on[1:] for one in case.entries(Kind.VERIFIED) if one.rests_on[:1] == (plan.number,)]
+    for what, views in ((CHECK, (number for pair in checks for number in pair)), (PLANNING, plan.rests_on)):
+        for number in views:
+            view = case.entry(number)
+            yield _acquired(case, view).number, f"{what}, {_spoken(view.content['view'])}"
+
+
+def _acquired(case: Case, entry: Entry) -> Entry:
+    while entry.kind is not Kind.ACQUIRED:
+        entry = case.entry(entry.rests_on[0])
+    return entry
+
+
+def _spoken(view: str) -> str:
+    return f"{'PA' if view == 'pa' else view} view"

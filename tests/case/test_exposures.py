@@ -1,0 +1,71 @@
+"""The exposures of a report: each once, with its use, its frames and its time; none that is not told of."""
+
+from pathlib import Path
+
+import pytest
+
+from sightline.case import exposures
+from sightline.case.entry import Entry
+from sightline.case.journal import Actor, Case, Kind
+
+
+@pytest.fixture
+def case(tmp_path: Path):
+    with Case.create(tmp_path / "case") as opened:
+        yield opened
+
+
+def acquired(case: Case, pixels: str, **acquisition: object) -> Entry:
+    name = case.keep(f"{pixels} {case.last}".encode(), ".dcm")
+    content = {"original": name, "pixels_sha256": pixels}
+    return case.record(Kind.ACQUIRED, content, by=Actor.RECEIVER, settings={"acquisition": acquisition})
+
+
+def calibrated(case: Case, image: Entry, view: str) -> Entry:
+    labelled = case.record(Kind.LABELLED, {}, by=Actor.APP, rests_on=[image.number])
+    return case.record(Kind.CALIBRATED, {"view": view}, by=Actor.APP, rests_on=[labelled.number])
+
+
+def planned(case: Case, *images: Entry) -> Entry:
+    views = [calibrated(case, image, name).number for image, name in zip(images, ("pa", "lateral"), strict=True)]
+    return case.record(Kind.PLANNED, {}, by=Actor.SURGEON, rests_on=views)
+
+
+def test_every_exposure_is_listed_with_what_it_was_used_for(case: Case) -> None:
+    spoilt, pa = acquired(case, "a"), acquired(case, "b", averaged=8)
+    lateral, live = acquired(case, "c"), acquired(case, "d", frames=60)
+    plan = planned(case, pa, lateral)
+    checks = [acquired(case, name) for name in "ef"]
+    views = [calibrated(case, one, name).number for one, name in zip(checks, ("pa", "lateral"), strict=True)]
+    case.record(Kind.VERIFIED, {}, by=Actor.APP, rests_on=[plan.number, *views])
+    found = exposures.of_case(case, plan)
+    assert [(one.used, one.frames) for one in found] == [
+        (exposures.UNUSED, 1),
+        ("planning, PA view", 8),
+        ("planning, lateral view", 1),
+        (exposures.UNUSED, 60),
+        ("check shot, PA view", 1),
+        ("check shot, lateral view", 1),
+    ]
+    for one, entry in zip(found, (spoilt, pa, lateral, live, *checks), strict=True):
+        assert one.image == f"{entry.content['original'][:12]}.dcm"
+        assert one.at == f"{entry.at:%Y-%m-%d %H:%M:%S}"
+
+
+def test_what_came_again_is_no_further_exposure(case: Case) -> None:
+    """The same pixels under another header: an archive sent them again, and the plan was made on those."""
+    first, lateral = acquired(case, "a"), acquired(case, "b")
+    again = acquired(case, "a")
+    found = exposures.of_case(case, planned(case, again, lateral))
+    assert [one.used for one in found] == ["planning, PA view", "planning, lateral view"]
+    assert found[0].image.startswith(again.content["original"][:12])
+    assert found[0].at == f"{first.at:%Y-%m-%d %H:%M:%S}"
+
+
+def test_another_plans_exposures_are_not_called_this_ones(case: Case) -> None:
+    old = [acquired(case, name) for name in "ab"]
+    planned(case, old[0], old[1])
+    new = [acquired(case, name) for name in "cd"]
+    found = exposures.of_case(case, planned(case, new[0], new[1]))
+    assert [one.used for one in found[:2]] == [exposures.UNUSED] * 2
+    assert found[2].used == "planning, PA view"
