@@ -30,8 +30,12 @@ def truth() -> dict[str, Pixels]:
     found = {name: patient.pixels(patient.hip.wire_mm)[:, k] for k, name in enumerate(("entry", "end"))}
     asked = [one.name for one in asked_of(KIND) if one.group == "landmark"]
     found |= {name: patient.landmarks[known] for name, known in zip(asked, LANDMARKS, strict=True)}
-    found |= _rim(patient)
-    return {name: dict(zip(NAMES, map(tuple, uv.tolist()), strict=True)) for name, uv in found.items()}
+    return by_image(found | _rim(patient))
+
+
+def by_image(uv_px: dict[str, np.ndarray]) -> dict[str, Pixels]:
+    """Pixels (2, 2), a row for each view, of each mark."""
+    return {name: dict(zip(NAMES, map(tuple, uv.tolist()), strict=True)) for name, uv in uv_px.items()}
 
 
 def _rim(patient: Rehearsal) -> dict[str, np.ndarray]:
@@ -131,8 +135,12 @@ class Hands:
                 self.place(name, view, known[name][view])
         expect(self.see("row-greater-trochanter")).to_contain_text("● lat")
         if head:
-            self.press("place-head")
-            for view in NAMES:
-                for n in range(3):
-                    self.place(f"head-{n + 1}", view, known[f"head-{n + 1}"][view])
+            self.aid("head", known)
             expect(self.see("figures")).to_contain_text("tip to bone along wire")
+
+    def aid(self, key: str, known: dict[str, Pixels]) -> None:
+        """The clicks of an aid: all in the first image, then in the other."""
+        self.press(f"place-{key}")
+        for view in NAMES:
+            for name in (name for name in known if name.startswith(f"{key}-") and view in known[name]):
+                self.place(name, view, known[name][view])

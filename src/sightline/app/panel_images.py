@@ -80,9 +80,9 @@ def _side(tab: Tab) -> None:
     side = tab.procedure.decisions.side
     note(texts.SIDE_HINT, kind="quiet")
     with ui.element("div").classes("choice").props(f'role=radiogroup aria-label="{texts.SIDE_HEADING}"'):
-        for one, words in texts.SIDES.items():
+        for one in ("right", "left"):
             button = action(
-                words,
+                texts.SIDES[one],
                 tab.doing(lambda one=one: tab.procedure.confirm_side(one)),
                 testid=f"side-{one}",
                 kind="primary" if side == one else "plain",

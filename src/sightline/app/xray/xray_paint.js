@@ -244,9 +244,36 @@ export function paintPoint(context, point, [x, y], selected) {
   strokeCased(context, { ...look, width: selected ? 2.5 : 2, dash: point.movable ? undefined : [3, 3] });
   context.fillStyle = look.colour;
   context.fillRect(x - 0.75, y - 0.75, 1.5, 1.5);
-  // Aids are many and near each other: their names show once they are selected.
-  if (point.label && (selected || !look.silent)) paintText(context, point.label, [x + radius + 9, y - radius - 3]);
 }
+
+// Names of points at `places`, within a view of this size: each right of its point where there is room, else left of it,
+// above or below. Aids are many and near each other: their names show once they are selected.
+export function paintNames(context, points, places, selected, size) {
+  context.font = FONT;
+  const r = POINT_RADIUS;
+  const taken = places.map(([x, y]) => ({ left: x - r, right: x + r, top: y - r, bottom: y + r }));
+  points.forEach((point, index) => {
+    if (!point.label || (STYLES[point.style].silent && point.id !== selected)) return;
+    const others = taken.filter((_, other) => other !== index);
+    const boxes = roomAbout(places[index], context.measureText(point.label).width, size[0]);
+    const box = boxes.find((one) => isWithin(one, size) && !others.some((other) => overlap(one, other)));
+    const shown = box || boxes.find((one) => isWithin(one, size)) || boxes[0];
+    taken.push(shown);
+    paintText(context, point.label, [shown.left, (shown.top + shown.bottom) / 2]);
+  });
+}
+
+function roomAbout([x, y], width, most) {
+  const away = POINT_RADIUS + 9;
+  const sides = [x + away, x - away - width];
+  const middles = [-1, 1].flatMap((down) => sides.map((left) => [left, y + down * (POINT_RADIUS + 3)]));
+  const centred = Math.min(Math.max(x - width / 2, 3), most - width - 3);
+  middles.push(...[-1, 1].map((down) => [centred, y + down * 2.4 * POINT_RADIUS]));
+  return middles.map(([left, middle]) => ({ left, right: left + width, top: middle - 9, bottom: middle + 9 }));
+}
+
+const isWithin = (box, [width, height]) => box.left > 2 && box.top > 2 && box.right < width - 2 && box.bottom < height - 2;
+const overlap = (a, b) => a.left < b.right && b.left < a.right && a.top < b.bottom && b.top < a.bottom;
 
 export function paintCrosshair(context, [x, y], radius) {
   context.beginPath();
