@@ -3,6 +3,7 @@
 import socket
 import struct
 import time
+import tracemalloc
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext
 from pathlib import Path
@@ -13,10 +14,11 @@ from pydicom import Dataset, dcmread
 from pynetdicom import AE
 from pynetdicom.association import Association
 
+from sightline.case import exposures
 from sightline.case.acquire import Acquirer, News
 from sightline.case.acquire_dicom import DicomReceiver, Peer
 from sightline.case.acquire_guard import Limits
-from sightline.case.journal import Case
+from sightline.case.journal import Actor, Case, Kind
 from sightline.errors import CaseError, LinkError, UnusableInputError
 from sightline.imaging import Radiograph, read_image, write_dicom
 
@@ -110,6 +112,22 @@ def test_an_image_is_in_the_case_when_it_is_answered(scene: Scene, dataset) -> N
     assert "Doe" not in repr([news.text for news in scene.news])
 
 
+def test_an_archive_that_sends_again_under_another_header_loses_nothing_and_makes_no_new_exposure(
+    scene: Scene, dataset
+) -> None:
+    """The same instance with a corrected name: both files are kept, and the second says whose pixels it has."""
+    first, again, other = dataset(5), dataset(5), dataset(6)
+    again.PatientName, other.SOPInstanceUID = "Roe^Richard", first.SOPInstanceUID  # the last is against the standard
+    assert [scene.store(one) for one in (first, again, other)] == [0, 0, 0]
+    entries = scene.case.entries()
+    assert len({entry.content["original"] for entry in entries}) == 3
+    said = [entry.settings["acquisition"].get("same_pixels_as") for entry in entries]
+    assert said == [None, entries[0].number, None]
+    assert "its pixels are those of entry 1, so it is no new exposure" in scene.news[1].text
+    plan = scene.case.record(Kind.PLANNED, {}, by=Actor.SURGEON)
+    assert len(exposures.of_case(scene.case, plan)) == 2
+
+
 def test_who_is_not_known_is_rejected_and_told_of(scene: Scene) -> None:
     for title, called in (("STRANGER", "SIGHTLINE"), ("CARM", "OTHER")):
         with scene.association(title, called) as association:
@@ -192,6 +210,27 @@ def test_an_image_above_the_limit_ends_the_association_and_not_the_receiver(scen
     large = dcmread(write_dicom(Radiograph(np.zeros((600, 600), np.uint16), 4095.0), tmp_path / "large.dcm"))
     with scene.association() as association:
         assert "Status" not in association.send_c_store(large)
+    assert scene.told("too large")
+    assert scene.store(dataset(0)) == 0
+
+
+def test_an_image_that_never_ends_fills_no_memory(scene: Scene, dataset) -> None:
+    """40 MB of one image are sent where 256 KiB are allowed."""
+    fragment = struct.pack(">IBB", 20002, 1, 0) + bytes(20000)  # of data, not the last
+    piece = struct.pack(">BxI", 4, len(fragment)) + fragment
+    tracemalloc.start()
+    try:
+        with scene.association() as association:
+            held = association.dul.socket
+            assert held is not None
+            assert held.socket is not None
+            with pytest.raises(OSError):
+                for _ in range(2000):
+                    held.socket.sendall(piece)
+        _, peak = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert peak < 20 * LIMITS.message_bytes  # pieces on their way, and this side's
     assert scene.told("too large")
     assert scene.store(dataset(0)) == 0
 

@@ -1,5 +1,6 @@
 """A folder of images: whole files are taken, half-written ones wait, and none is named."""
 
+import tracemalloc
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,7 @@ from sightline.case.acquire_folder import GIVE_UP_S, SETTLED_S, Folder
 from sightline.case.journal import Case
 from sightline.errors import CaseError, UnusableInputError
 from sightline.imaging import Radiograph, write_dicom, write_png
+from sightline.imaging.limits import MAX_FILE_BYTES
 
 
 def image(seed: int) -> Radiograph:
@@ -82,6 +84,22 @@ def test_a_file_that_never_becomes_whole_is_told_of_once_and_taken_when_it_does(
     assert watched.after(1.0) == []
     assert watched.after(2.0) == ["kept"]
     assert "Doe" not in watched.texts()
+
+
+def test_a_huge_file_is_told_of_and_never_read(watched: Watched) -> None:
+    with (watched.folder / "huge.dcm").open("wb") as file:
+        file.write(bytes(128) + b"DICM")
+        file.truncate(MAX_FILE_BYTES + 1)  # takes no room on the disk
+    write_dicom(image(1), watched.folder / "one.dcm")
+    tracemalloc.start()
+    try:
+        watched.after(0.0)
+        assert watched.after(SETTLED_S) == ["kept"]
+        assert watched.after(GIVE_UP_S) == ["refused"]
+        assert tracemalloc.get_traced_memory()[1] < 2**24
+    finally:
+        tracemalloc.stop()
+    assert "the limit is" in watched.texts()
 
 
 def test_a_file_that_goes_away_is_forgotten(watched: Watched) -> None:

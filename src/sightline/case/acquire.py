@@ -43,12 +43,15 @@ class Acquirer:
     def __init__(self, case: Case, by: Actor = Actor.RECEIVER) -> None:
         self._case, self._by, self._lock = case, by, Lock()
         self._held: dict[str, Entry] = {}  # by the original's name; of a run the first entry
+        self._shown: dict[str, int] = {}  # by the pixels, the number of the first entry
         self._seen = 0
 
     def take(
         self, data: bytes, suffix: str, *, frame_index: int | None = None, how: Mapping[str, Any] | None = None
     ) -> Taken:
-        """An image as it came; its entry is on the disk when this returns. The same bytes twice make one entry.
+        """An image as it came; its entry is on the disk when this returns. The same bytes twice make one entry. Other
+        bytes with the same pixels, which an archive makes by changing a header, are kept too, and their entry says
+        whose pixels these are.
 
         A run of several frames is kept whole; its entry is of `frame_index`, or of the last frame, the one that a C-arm
         goes on showing. `how` is what is known of the acquisition, for the entry's settings. Raises ImageError on what
@@ -62,18 +65,24 @@ class Acquirer:
                 return Taken(held, new=False)
             content, index, frames = _looked_at(data, name, suffix, frame_index)
             acquisition = {**(how or {}), **({"frames": frames} if frames > 1 else {})}
+            if (before := self._shown.get(content["pixels_sha256"])) is not None:
+                acquisition["same_pixels_as"] = before
             self._case.keep(data, suffix)
             entry = self._case.record(
                 Kind.ACQUIRED, content, by=self._by, settings={"frame_index": index, "acquisition": acquisition}
             )
-            self._held.setdefault(name, entry)
+            self._note(entry)
             return Taken(entry, new=True)
 
     def _look_back(self) -> None:
         """Entries that others, or an earlier program, made."""
         for entry in self._case.entries(Kind.ACQUIRED, after=self._seen):
-            self._held.setdefault(entry.content["original"], entry)
+            self._note(entry)
             self._seen = entry.number
+
+    def _note(self, entry: Entry) -> None:
+        self._held.setdefault(entry.content["original"], entry)
+        self._shown.setdefault(entry.content.get("pixels_sha256", ""), entry.number)  # a table of beads has none
 
 
 def news_of(taken: Taken) -> News:
@@ -82,9 +91,11 @@ def news_of(taken: Taken) -> News:
     short = entry.content["original"][:12]
     if not taken.new:
         return News("already", f"entry {number}: came again, {short}", entry)
-    frames = entry.settings["acquisition"].get("frames")
+    acquisition = entry.settings["acquisition"]
+    frames, before = acquisition.get("frames"), acquisition.get("same_pixels_as")
     run = f", a run of {frames} frames of which the entry is frame {entry.settings['frame_index']}" if frames else ""
-    return News("kept", f"entry {number}: kept, {short}{run}", entry)
+    same = f"; its pixels are those of entry {before}, so it is no new exposure" if before is not None else ""
+    return News("kept", f"entry {number}: kept, {short}{run}{same}", entry)
 
 
 def _looked_at(data: bytes, name: str, suffix: str, frame_index: int | None) -> tuple[dict[str, Any], int | None, int]:

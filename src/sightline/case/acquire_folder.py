@@ -123,4 +123,4 @@ def _read(path: Path) -> bytes:
     if size == 0:
         raise ImageError("it is empty; export the image again")
     with path.open("rb") as file:
-        return file.read(MAX_FILE_BYTES + 1)
+        return file.read(size)  # room is made for all that is asked for
