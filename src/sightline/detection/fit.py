@@ -124,7 +124,7 @@ def _solve(spots, rows, noise, sharpening, plain, tables, light, state, window, 
     first = beads.copy()
     columns, root = np.empty((size + 3, at.shape[1]), np.float32), np.empty(at.shape[1], np.float32)
     behind, effect = np.empty((4, at.shape[1]), np.float32), np.empty((len(rows), at.shape[1]), np.float32)
-    A, L, b, step = np.empty((size, size)), np.empty((size, size)), np.empty(size), np.zeros(size)
+    A, L, b, step = np.empty((size + 1, size + 1)), np.empty((size, size)), np.empty(size), np.zeros(size)
     known = np.zeros(size)
     optics = np.float32(1.0 / reach), taken, np.float32(together2)
     roots = _roots(np.exp(0.5 * (noise[0] - noise[1] * zero)) * np.sqrt(gain), noise[1])
@@ -228,14 +228,14 @@ def _weigh(light, counting, brightest, roots, root):
     Pixels that the model makes brighter than `brightest` may be clipped and do not count. The model chooses, not what
     is seen there: of pixels that are just not clipped the noise is negative.
     """
-    count = 0
+    count, zero, steps, last = np.int32(0), np.float32(0.0), np.float32(_LIGHTS), np.float32(2 * _LIGHTS - 1)
     for p in range(len(root)):
-        at = np.int32(min(max(light[p] * _LIGHTS, np.float32(0.0)), np.float32(2 * _LIGHTS - 1)))
-        root[p] = roots[np.uint32(at)] if light[p] < brightest else np.float32(0.0)
+        at = np.uint32(np.int32(min(max(light[p] * steps, zero), last)))
+        root[p] = roots[at] if light[p] < brightest else zero
     for p in range(counting, len(root)):
-        root[p] = 0.0
-    for p in range(counting):
-        count += root[p] > 0
+        root[p] = zero
+    for p in range(len(root)):
+        count += np.int32(1) if root[p] > zero else np.int32(0)
     return count
 
 

@@ -144,29 +144,25 @@ def fill_slopes(at, scale, root, behind, effect, columns):  # noqa: PLR0917
 
 @nb.njit(cache=True, fastmath=True)
 def normal_equations(columns, A, b):
-    """A = J'J, b = J'r of the first len(b) columns and the one after them, an even number; the sum of r²."""
+    """A = J'J on its diagonal and below, b = J'r of the first len(b) columns and the one after them, a multiple of
+    three, for which A has room; the sum of r²."""
     n = len(b)
-    for i in range(0, n + 1, 2):
-        for j in range(0, i + 1, 2):
-            ii = ij = ji = jj = np.float32(0.0)
-            for p in range(columns.shape[1]):  # four sums at once: half the loads
-                f, g = columns[i, p], columns[i + 1, p]
-                ii += f * columns[j, p]
-                ij += f * columns[j + 1, p]
-                ji += g * columns[j, p]
-                jj += g * columns[j + 1, p]
-            A[j, i] = A[i, j] = ii
-            if i + 1 < n:
-                A[j + 1, i] = A[i, j + 1] = ij
-                A[j, i + 1] = A[i + 1, j] = ji
-                A[j + 1, i + 1] = A[i + 1, j + 1] = jj
-            elif j + 1 < n:
-                A[j + 1, i] = A[i, j + 1] = ij
-                b[j], b[j + 1] = ji, jj
-            else:
-                b[j] = ji
-                return jj
-    return np.float32(0.0)
+    for i in range(0, n + 1, 3):
+        first, second, third = columns[i], columns[i + 1], columns[i + 2]
+        for j in range(0, i + 1, 3):
+            x, y, z = columns[j], columns[j + 1], columns[j + 2]
+            fx = fy = fz = gx = gy = gz = hx = hy = hz = np.float32(0.0)
+            for p in range(columns.shape[1]):  # nine sums at once: a third of the loads
+                f, g, h = first[p], second[p], third[p]
+                fx, fy, fz = fx + f * x[p], fy + f * y[p], fz + f * z[p]
+                gx, gy, gz = gx + g * x[p], gy + g * y[p], gz + g * z[p]
+                hx, hy, hz = hx + h * x[p], hy + h * y[p], hz + h * z[p]
+            A[i, j], A[i, j + 1], A[i, j + 2] = fx, fy, fz
+            A[i + 1, j], A[i + 1, j + 1], A[i + 1, j + 2] = gx, gy, gz
+            A[i + 2, j], A[i + 2, j + 1], A[i + 2, j + 2] = hx, hy, hz
+    for k in range(n):
+        b[k] = A[n, k]
+    return A[n, n]
 
 
 @nb.njit(cache=True, fastmath=FAST)

@@ -212,16 +212,16 @@ def gather(state, filtered, values, x0, y0, reach):  # noqa: PLR0917
     margin = (len(values) - n) // 2
     room = n * n + _VECTOR
     at, where = np.empty((3, room), np.float32), np.empty((2, room), np.uint32)
-    worst = np.uint8(3) if filtered else np.uint8(255)
+    worst, reach2 = np.uint8(3 if filtered else 255), np.float32(reach * reach)
     pixels = np.uint32(0)
     for i in range(n):
-        y = np.float32(i - y0)
+        y, row, seen = np.float32(i - y0), state[i], values[i + margin, margin:]
         for j in range(n):
-            x = np.float32(j - x0)
-            at[0, pixels], at[1, pixels], at[2, pixels] = x, y, values[i + margin, j + margin]
-            where[0, pixels], where[1, pixels] = i, j
-            seen = (x * x + y * y < reach * reach) & (state[i, j] & 3 != HIDDEN) & (state[i, j] <= worst)
-            pixels += np.uint32(seen)
+            x = np.float32(j) - np.float32(x0)
+            at[0, pixels], at[1, pixels], at[2, pixels] = x, y, seen[j]
+            where[0, pixels], where[1, pixels] = np.uint32(i), np.uint32(j)
+            counts = (x * x + y * y < reach2) & (row[j] & 3 != HIDDEN) & (row[j] <= worst)
+            pixels += np.uint32(counts)  # without a branch: what does not count is written over
     count = int(pixels)
     whole = (count + _VECTOR - 1) // _VECTOR * _VECTOR
     at[:, count:whole], where[:, count:whole] = 0.0, 0
