@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 from nicegui import ui
 
-from sightline.app import panel_live
+from sightline.app import panel_live, texts
 from sightline.app.section import Section, action, checks, heading, note, table
 from sightline.app.tab import Tab
 from sightline.app.texts import (
@@ -31,6 +31,7 @@ from sightline.robot.states import State
 if TYPE_CHECKING:
     from sightline.app.robot_session import RobotNow
 
+_PICTURE_PX = 400.0  # about the panel's width, so that words in it are as large as those about it [ours]
 _LIVE_S = 0.2  # between two looks at the robot [ours]
 
 
@@ -52,7 +53,7 @@ def build(tab: Tab) -> None:
 def _robot(tab: Tab) -> None:
     procedure = tab.procedure
     drilling, now = procedure.drilling, procedure.drilling.now
-    heading("Robot")
+    heading(texts.ROBOT_HEADING)
     note(STOP_IS_NO_EMERGENCY_STOP, kind="warn")
     if now is None or now.lost:
         if now is not None:
@@ -62,10 +63,10 @@ def _robot(tab: Tab) -> None:
             return
 
         def begin() -> Awaitable[None]:
-            return procedure.during("starting the simulated robot", lambda: drilling.start_robot(fast=tab.fast_robot))
+            return procedure.during(texts.STARTING_ROBOT, lambda: drilling.start_robot(fast=tab.fast_robot))
 
         busy = bool(procedure.working)
-        action("Start the simulated robot", tab.doing(begin), testid="start-robot", kind="primary", enabled=not busy)
+        action(texts.START_ROBOT, tab.doing(begin), testid="start-robot", kind="primary", enabled=not busy)
         if busy:
             note(f"{procedure.working.capitalize()} …")
         return
@@ -119,37 +120,37 @@ def _orders(tab: Tab) -> None:
     assert now is not None and session is not None  # noqa: S101
     idle, state = not now.doing, now.state
     if now.fault:
-        note(f"Fault {now.fault}: {now.text}", kind="bad", testid="fault")
-        _asked(tab, "Reset the fault", RESET_QUESTION, lambda: session.reset(now.fault), "reset-fault", enabled=idle)
+        note(texts.FAULT.format(number=now.fault, what=now.text), kind="bad", testid="fault")
+        _asked(tab, texts.RESET_FAULT, RESET_QUESTION, lambda: session.reset(now.fault), "reset-fault", enabled=idle)
         return
     plan = procedure.planned.plan if procedure.planned is not None else None
     can_send = idle and procedure.go and state not in (State.ALIGNED.value, State.PAUSED.value, State.DONE.value)
     if plan is not None and procedure.go and procedure.decisions.side is not None:
         what = SEND_WHAT.format(
-            robot="simulated robot" if procedure.patient else "robot",
+            robot=texts.ROBOT_NAMES[procedure.patient is not None],
             length=plan.trajectory.length_mm,
             side=procedure.decisions.side,
             serial=procedure.decisions.serial,
         )
         known = procedure.planned
         assert known is not None  # noqa: S101 - its plan is there
-        _asked(tab, "Send the plan", SEND_QUESTION, lambda: drilling.send(known), "send", what=what, enabled=can_send)
+        _asked(tab, texts.SEND, SEND_QUESTION, lambda: drilling.send(known), "send", what=what, enabled=can_send)
     else:
-        note("Only a plan that is GO can be sent.", kind="warn", testid="not-go")
+        note(texts.ONLY_GO, kind="warn", testid="not-go")
     ready = idle and session.target is not None and drilling.current
     if session.target is not None and not drilling.current:
         note(CHANGED_AFTER_SENDING, kind="bad", testid="changed-after-sending")
     if state in (State.TARGETING.value, State.STOP.value):
-        _asked(tab, "Align", ALIGN_QUESTION, drilling.align, "align", enabled=ready)
+        _asked(tab, texts.ALIGN, ALIGN_QUESTION, drilling.align, "align", enabled=ready)
     if state == State.ALIGNED.value:
-        _asked(tab, "Drill", DRILL_QUESTION, lambda: drilling.drill(State.ALIGNED), "drill", enabled=ready)
+        _asked(tab, texts.DRILL, DRILL_QUESTION, lambda: drilling.drill(State.ALIGNED), "drill", enabled=ready)
     if state == State.PAUSED.value:
         _second_shot(tab, enabled=ready)
-        _asked(tab, "Drill on", DRILL_ON_QUESTION, lambda: drilling.drill(State.PAUSED), "drill-on", enabled=ready)
+        _asked(tab, texts.DRILL_ON, DRILL_ON_QUESTION, lambda: drilling.drill(State.PAUSED), "drill-on", enabled=ready)
     if state in (State.DONE.value, State.STOP.value, State.ALIGNED.value, State.PAUSED.value):
-        _asked(tab, "Draw back", RETRACT_QUESTION, session.retract, "retract", enabled=idle, kind="plain")
+        _asked(tab, texts.DRAW_BACK, RETRACT_QUESTION, session.retract, "retract", enabled=idle, kind="plain")
     if state == State.DONE.value or drilling.record is not None:
-        note("Drilled to the planned depth. Verify it in two more images.", kind="good", testid="drilled")
+        note(texts.DRILLED, kind="good", testid="drilled")
 
 
 def _second_shot(tab: Tab, *, enabled: bool) -> None:
@@ -157,18 +158,18 @@ def _second_shot(tab: Tab, *, enabled: bool) -> None:
     drilling, now = tab.procedure.drilling, tab.procedure.drilling.now
     assert now is not None  # noqa: S101
     known = {"zero": _zero_words(now), "error": _error_words(now)}
-    heading("Second shot")
+    heading(texts.SHOT_HEADING)
     if BY_SHOT in now.zero:
         note(SHOT_TOLD.format(**known), kind="good", testid="shot-told")
         return
     note(SHOT_UNMEASURED.format(**known), testid="shot-unmeasured")
-    depth = ui.number("Depth of the tip, mm", format="%.2f").props("outlined dense data-testid=shot-depth")
-    error = ui.number("Its 95 % error, ± mm", format="%.2f").props("outlined dense data-testid=shot-error")
+    depth = ui.number(texts.SHOT_DEPTH, format="%.2f").props("outlined dense data-testid=shot-depth")
+    error = ui.number(texts.SHOT_ERROR, format="%.2f").props("outlined dense data-testid=shot-error")
 
     def tell() -> Awaitable[None]:
         return drilling.tell_shot(*(float("nan" if one.value is None else one.value) for one in (depth, error)))
 
-    _asked(tab, "Tell the robot", SHOT_QUESTION, tell, "tell-shot", enabled=enabled, kind="plain")
+    _asked(tab, texts.TELL_ROBOT, SHOT_QUESTION, tell, "tell-shot", enabled=enabled, kind="plain")
 
 
 def _asked(
@@ -193,7 +194,7 @@ def _asked(
             await tab.act(order)
 
         with ui.element("div").classes("choice"):
-            action("Cancel", dialog.close, testid=f"{testid}-cancel", kind="plain")
+            action(texts.CANCEL, dialog.close, testid=f"{testid}-cancel", kind="plain")
             action(text, agreed, testid=f"{testid}-yes", kind="primary")
     action(text, dialog.open, testid=testid, kind=kind, enabled=enabled)
 
@@ -202,7 +203,7 @@ def _force(tab: Tab) -> None:
     """The thrust over the depth, as it comes."""
     if tab.procedure.drilling.session is None and tab.procedure.drilling.record is None:
         return
-    heading("Thrust over depth")
+    heading(texts.THRUST_HEADING)
     drawing = ui.html("", sanitize=False).classes("force").props("data-testid=force")
     events = ui.column().classes("events").props("data-testid=events")
     shown = -1
@@ -215,14 +216,14 @@ def _force(tab: Tab) -> None:
         if record is None or len(record.depth_mm) == shown:
             return
         shown = len(record.depth_mm)
-        picture = force_picture(record)
+        picture = force_picture(record, _PICTURE_PX)
         if not picture:
             return
         drawing.set_content(picture)
         events.clear()
         with events:
             table(
-                ("noticed", "depth", "thrust"),
+                texts.EVENT_COLUMNS,
                 [(one.name, f"{one.depth_mm:.1f} mm", f"{one.force_n:.1f} N") for one in record.events],
                 testid="events-table",
             )

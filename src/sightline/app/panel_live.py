@@ -4,6 +4,7 @@ from typing import TYPE_CHECKING
 
 from nicegui import ui
 
+from sightline.app import texts
 from sightline.app.section import Section, action, heading, note
 from sightline.app.tab import Tab
 from sightline.app.texts import STALE
@@ -17,10 +18,10 @@ _LOOK_S = 0.1  # half of what makes an image old; word of it to the browser each
 
 def build(tab: Tab) -> None:
     """The panel's part."""
-    heading("Live image")
+    heading(texts.LIVE_HEADING)
     Section(tab, lambda t: t.procedure.live.watch is not None, _switch)
     said = ui.label().classes("note").props("data-testid=live-state role=status")
-    note(f"What it cannot tell: {BLIND_TO}.", kind="quiet")
+    note(texts.LIVE_BLIND.format(what=BLIND_TO), kind="quiet")
 
     def look() -> None:
         watched = tab.procedure.live.latest()
@@ -28,7 +29,7 @@ def build(tab: Tab) -> None:
             if tab.live is not None:
                 tab.show_live(None)
             watch = tab.procedure.live.watch
-            said.set_text("" if watch is None else watch.fault or "Waiting for the first image …")
+            said.set_text("" if watch is None else watch.fault or texts.LIVE_WAITING)
             return
         said.set_text(_sentence(watched))
         said.classes(add="bad" if watched.moved else "", remove="" if watched.moved else "bad")
@@ -41,7 +42,7 @@ def _switch(tab: Tab) -> None:
     live = tab.procedure.live
     if live.watch is None:
         start = tab.doing(lambda: live.start(tab.live_source))
-        action("Show the live image", start, testid="live-start", kind="plain")
+        action(texts.LIVE_SHOW, start, testid="live-start", kind="plain")
         return
 
     def stop() -> None:
@@ -50,8 +51,8 @@ def _switch(tab: Tab) -> None:
         tab.procedure.notify()
 
     with ui.element("div").classes("choice"):
-        action("End the live image", tab.doing(stop), testid="live-stop", kind="plain")
-        action("Nothing moved: I looked", tab.doing(live.watch.rest), testid="live-rest", kind="plain")
+        action(texts.LIVE_END, tab.doing(stop), testid="live-stop", kind="plain")
+        action(texts.LIVE_AT_REST, tab.doing(live.watch.rest), testid="live-rest", kind="plain")
 
 
 def _sentence(watched: "Watched") -> str:

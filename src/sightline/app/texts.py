@@ -133,6 +133,33 @@ SHARES_OF = {"entry": "entry", "end": "tip", "direction": "direction"}
 SHARES_SOURCE = "source"
 SHARES_WHOLE = "together"
 
+# Drill.
+ROBOT_HEADING = "Robot"
+ROBOT_NAMES = {True: "simulated robot", False: "robot"}  # whether the patient is simulated
+STARTING_ROBOT = "starting the simulated robot"
+START_ROBOT = "Start the simulated robot"
+FAULT = "Fault {number}: {what}"
+RESET_FAULT = "Reset the fault"
+SEND = "Send the plan"
+ALIGN = "Align"
+DRILL = "Drill"
+DRILL_ON = "Drill on"
+DRAW_BACK = "Draw back"
+CANCEL = "Cancel"
+DRILLED = "Drilled to the planned depth. Verify it in two more images."
+SHOT_HEADING = "Second shot"
+SHOT_DEPTH = "Depth of the tip, mm"
+SHOT_ERROR = "Its 95 % error, ± mm"
+TELL_ROBOT = "Tell the robot"
+THRUST_HEADING = "Thrust over depth"
+EVENT_COLUMNS = ("noticed", "depth", "thrust")
+LIVE_HEADING = "Live image"
+LIVE_BLIND = "What it cannot tell: {what}."
+LIVE_WAITING = "Waiting for the first image …"
+LIVE_SHOW = "Show the live image"
+LIVE_END = "End the live image"
+LIVE_AT_REST = "Nothing moved: I looked"
+
 # Verify.
 CHECK_HEADING = "Check shot"
 TAKE_CHECK = "Take both check images"

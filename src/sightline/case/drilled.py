@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from markupsafe import Markup
 
-from sightline.case.figure_force import force_trace
+from sightline.case.figure_force import WIDTH, force_trace
 from sightline.planning.check_shot import CheckShot
 from sightline.robot.record import DrillingRecord
 from sightline.robot.target import RobotTarget
@@ -76,14 +76,14 @@ def _stated(target: RobotTarget) -> dict[str, float]:
     }
 
 
-def force_picture(record: DrillingRecord) -> str:
+def force_picture(record: DrillingRecord, width: float = WIDTH) -> str:
     """The thrust over the depth near the bone, with what was noticed; empty before there is enough to draw."""
     near = record.depth_mm > -BEFORE_MM
     if np.count_nonzero(near) < 2:
         return ""
     events = {event.name: event.depth_mm for event in reversed(record.events)}  # of several the first
     described = f"Thrust along the wire over its depth: {_noticed(record)}"
-    return force_trace(record.depth_mm[near], record.force_n[near], events, described)
+    return force_trace(record.depth_mm[near], record.force_n[near], events, described, width)
 
 
 def _noticed(record: DrillingRecord) -> str:

@@ -8,36 +8,41 @@ from sightline.case import svg
 
 WIDTH, HEIGHT, LEFT, RIGHT, TOP, FOOT = 760.0, 270.0, 56.0, 20.0, 44.0, 40.0
 NAME_ROWS, NAME_PITCH = 3, 13.0  # of the events' names, so that near ones do not overlap
+NAME_ROOM = 110.0  # right of an event; with less its name stands on the left
 MOST_POINTS = 700  # of the line: about one a pixel
 _STEPS = (1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
 
 
-def force_trace(depth_mm: np.ndarray, force_n: np.ndarray, events: Mapping[str, float], description: str) -> str:
-    """Force (N,) over depth (N,), beyond the entry point; `events`: by name, the depth at which each was noticed."""
+def force_trace(
+    depth_mm: np.ndarray, force_n: np.ndarray, events: Mapping[str, float], description: str, width: float = WIDTH
+) -> str:
+    """Force (N,) over depth (N,), beyond the entry point; `events`: by name, the depth at which each was noticed.
+
+    `width`: in its own units, of which its words are 12 to 14 high."""
     depth, force = np.asarray(depth_mm, dtype=np.float64), np.asarray(force_n, dtype=np.float64)
     low, high = float(min(depth.min(), 0.0)), float(max(depth.max(), 1.0))
     most = float(max(force.max() * 1.05, 5.0))
 
     def x(value: float | np.ndarray) -> np.ndarray:
-        return LEFT + (np.asarray(value) - low) / (high - low) * (WIDTH - LEFT - RIGHT)
+        return LEFT + (np.asarray(value) - low) / (high - low) * (width - LEFT - RIGHT)
 
     def y(value: float | np.ndarray) -> np.ndarray:
         return HEIGHT - FOOT - np.maximum(value, 0.0) / most * (HEIGHT - FOOT - TOP)
 
-    parts = [*_axes(x, y, (low, high), most)]
+    parts = [*_axes(x, y, (low, high), most, width)]
     for number, (name, at) in enumerate(events.items()):
         where = float(x(at))
         parts.append(svg.element("line", x1=where, x2=where, y1=TOP, y2=HEIGHT - FOOT, class_="event"))
-        said = svg.text(
-            name, where + 3, TOP - 4 - NAME_PITCH * (NAME_ROWS - 1 - number % NAME_ROWS), class_="event-name"
-        )
+        level = TOP - 4 - NAME_PITCH * (NAME_ROWS - 1 - number % NAME_ROWS)
+        room = where < width - NAME_ROOM
+        said = svg.text(name, where + (3 if room else -3), level, class_="event-name" if room else "event-name end")
         parts.append(svg.group([svg.hint(f"{name} at {at:.2f} mm"), said]))
     line = _thinned(np.column_stack([x(depth), y(force)]))
     parts.append(svg.element("polyline", points=svg.points(line), class_="force"))
-    return svg.picture((0, 0, WIDTH, HEIGHT), description, parts, class_="force-trace")
+    return svg.picture((0, 0, width, HEIGHT), description, parts, class_="force-trace")
 
 
-def _axes(x, y, depths: tuple[float, float], most: float) -> list[str]:
+def _axes(x, y, depths: tuple[float, float], most: float, width: float) -> list[str]:
     left, foot = float(x(depths[0])), float(y(0.0))
     parts = []
     for value in _ticks(*depths):
@@ -45,11 +50,11 @@ def _axes(x, y, depths: tuple[float, float], most: float) -> list[str]:
         parts.append(svg.text(f"{value:g}", float(x(value)), foot + 16, class_="tick middle"))
     for value in _ticks(0.0, most):
         parts.append(
-            svg.element("line", x1=left, x2=WIDTH - RIGHT, y1=float(y(value)), y2=float(y(value)), class_="grid")
+            svg.element("line", x1=left, x2=width - RIGHT, y1=float(y(value)), y2=float(y(value)), class_="grid")
         )
         parts.append(svg.text(f"{value:g}", left - 8, float(y(value)) + 4, class_="tick end"))
     parts.append(
-        svg.text("depth beyond the entry point, mm", (LEFT + WIDTH - RIGHT) / 2, HEIGHT - 6, class_="tick middle")
+        svg.text("depth beyond the entry point, mm", (LEFT + width - RIGHT) / 2, HEIGHT - 6, class_="tick middle")
     )
     parts.append(svg.text("thrust, N", 4, TOP - 8, class_="tick"))
     return parts
