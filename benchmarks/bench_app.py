@@ -36,6 +36,7 @@ _WATCH = """() => {
   let pointer = 0;
   let drawn = null;
   window.addEventListener("pointermove", (event) => { pointer = event.timeStamp; watch.moves++; }, true);
+  window.addEventListener("pointerrawupdate", (event) => { pointer = event.timeStamp; }, true);
   pa.moves.push = (...move) => { push.apply(pa.moves, move); times.set(pa.moves.seq, pointer); };
   const after = (list, from) => request(() => setTimeout(() => list.push(performance.now() - from)));
   lateral.setLayer = (name, shapes) => {

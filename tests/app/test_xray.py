@@ -184,7 +184,7 @@ def test_on_a_dense_screen_too(open_page: Callable[..., Page], server: Server) -
     view.forget()
     box = view.stage.bounding_box()
     assert box is not None
-    assert view.core("[core.chrome.image.width, core.chrome.overlay.width]") == [2 * box["width"]] * 2
+    assert view.core("core.chrome.canvas.width") == 2 * box["width"]
     view.do("dim")
     seen = view.seen_spot(view.screen(SPOTS[1]), radius=12.0)
     view.do("place")

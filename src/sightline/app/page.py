@@ -4,13 +4,14 @@ from collections.abc import Callable
 from importlib.resources import files
 from typing import Any
 
+from markupsafe import Markup
 from nicegui import ui
 
 from sightline.app import panel_calibrate, panel_drill, panel_images, panel_plan, panel_verdict, panel_verify
 from sightline.app.drawn import Pictures
 from sightline.app.panel_space import Space
 from sightline.app.procedure import Procedure
-from sightline.app.section import Section, action
+from sightline.app.section import Following, Section, action
 from sightline.app.serve import Site
 from sightline.app.settings import Settings
 from sightline.app.steps import steps
@@ -45,9 +46,10 @@ def build(site: Site, procedure: Procedure, pictures: Pictures, settings: Settin
             space = Space(tab)
         with ui.element("aside").classes("panel"):
             panel_images.build_drop_zone(tab, site)
-            Section(tab, _beside_key(panel_verdict.key), _on(panel_verdict.build, 2, 3), classes="verdict-panel")
+            Following(tab, _beside_key(panel_verdict.key), _html_on(panel_verdict.html, 2, 3))
+            Section(tab, _beside_key(panel_verdict.age_key), _on(panel_verdict.build_age, 2, 3))
             Section(tab, lambda t: t.step, lambda t: _PANELS[t.step].build(t), classes="step-panel")
-            Section(tab, _beside_key(panel_plan.figures_key), _on(panel_plan.build_figures, 2), classes="figures")
+            Following(tab, _beside_key(panel_plan.figures_key), _html_on(panel_plan.figures_html, 2), classes="figures")
             Section(tab, _beside_key(panel_verdict.count), _on(panel_verdict.build_details, 2, 3), classes="details")
             ui.label(f"{NOT_A_DEVICE} Case {procedure.case.number}").classes("foot")
     with tools:
@@ -134,3 +136,8 @@ def _on(build: Callable[[Tab], None], *numbers: int) -> Callable[[Tab], None]:
             build(tab)
 
     return build_there
+
+
+def _html_on(html: Callable[[Tab], Markup], *numbers: int) -> Callable[[Tab], Markup]:
+    """HTML on some of the steps only."""
+    return lambda tab: html(tab) if STEPS.index(tab.step) in numbers else Markup()

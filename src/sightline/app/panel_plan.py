@@ -4,12 +4,13 @@ from collections.abc import Hashable
 from itertools import groupby
 
 import numpy as np
+from markupsafe import Markup
 from nicegui import ui
 
-from sightline.app import texts
+from sightline.app import markup, texts
 from sightline.app.marks import END, ENTRY, Asked, asked_of
 from sightline.app.planner import Planned
-from sightline.app.section import Section, action, heading, note, table
+from sightline.app.section import Section, action, heading, note
 from sightline.app.tab import Tab
 from sightline.app.texts import IMAGE_LABELS
 from sightline.case.views import NAMES
@@ -134,12 +135,11 @@ def _missing(tab: Tab) -> str:
     return "; ".join(text for name, text in absent.items() if name in ("head", "shaft", "cortex"))
 
 
-def build_figures(tab: Tab) -> None:
+def figures_html(tab: Tab) -> Markup:
     """Figures of plan and implant; they follow a point that is dragged."""
     known = tab.known
     if known is None or (known.plan is None and not known.figures):
-        return
-    heading(texts.FIGURES_HEADING)
+        return Markup()
     rows = []
     if known.plan is not None:
         path = known.plan.trajectory
@@ -150,17 +150,17 @@ def build_figures(tab: Tab) -> None:
                 (texts.DIRECTION_ERROR, f"{np.rad2deg(path.direction_error_95_rad):.2f}°", ""),
             ]
         rows += _gaps(tab)
+    said = [markup.note(why, kind="bad", testid="figures-refused") for why in _refused(known)]
     if tab.procedure.decisions.side is None:
-        note(texts.SIDE_FOR_FIGURES, kind="warn")
-    for why in _refused(known):
-        note(why, kind="bad", testid="figures-refused")
+        said.insert(0, markup.note(texts.SIDE_FOR_FIGURES, kind="warn"))
     for figure in known.figures:
         if figure.value is not None:
             space = "" if figure.unit == "°" else " "
             sd = "" if figure.sd is None else f" ± {TWO_SIDED_95 * figure.sd:.1f}"
             mark = {True: "✓", False: "!", None: ""}[figure.within]
             rows.append((figure.name, f"{figure.value:.1f}{sd}{space}{figure.unit}", mark))
-    table(texts.FIGURE_COLUMNS, rows, testid="figures")
+    table = markup.table(texts.FIGURE_COLUMNS, rows, testid="figures")
+    return markup.joined(markup.heading(texts.FIGURES_HEADING), *said, table)
 
 
 def _refused(known: Planned) -> list[str]:

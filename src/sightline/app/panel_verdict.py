@@ -6,8 +6,8 @@ import numpy as np
 from markupsafe import Markup
 from nicegui import ui
 
-from sightline.app import texts
-from sightline.app.section import Section, checks, heading, markup, note, table
+from sightline.app import markup, texts
+from sightline.app.section import Following
 from sightline.app.tab import Tab
 from sightline.checks import Check, failed
 from sightline.errors import SightlineError
@@ -23,11 +23,23 @@ SOURCES = {  # of error, and the colour of each (colours.js)
     "robot": "vermillion",
 }
 
+_VERDICT = Markup(
+    '<div class="verdict {kind}" data-testid="verdict" role="status"><div class="verdict-word">{word}</div>'
+    '<div class="verdict-sentence">{sentence}</div></div>'
+)
+_BARS = Markup('<div aria-hidden="true">{}</div>')
+_PIECE = Markup('<i style="width:{:.2f}%;background:{}"></i>')
+
 
 def key(tab: Tab) -> Hashable:
-    """What the verdict shows."""
+    """What the verdict says."""
     listed = _listed(tab)
     return len(listed), tuple(check.sentence for check in failed(listed))
+
+
+def age_key(tab: Tab) -> Hashable:
+    """Whether there is a plan, and it is young enough."""
+    return bool(_listed(tab)), tab.procedure.fresh
 
 
 def count(tab: Tab) -> Hashable:
@@ -54,20 +66,16 @@ def _listed(tab: Tab) -> tuple[Check, ...]:
     return () if known is None or known.plan is None else (*known.plan.verdict.checks, *tab.procedure.confirmations)
 
 
-def build(tab: Tab) -> None:
+def html(tab: Tab) -> Markup:
     """The verdict, and what to do about each check that failed."""
     listed = _listed(tab)
     if not listed:
-        return
-    go = all(check.passed for check in listed)
-    with ui.element("div").classes(f"verdict {'go' if go else 'no-go'}").props("data-testid=verdict role=status"):
-        ui.label(texts.GO[go]).classes("verdict-word")
-        wrong = failed(listed)
-        told = texts.ALL_PASSED if go else texts.SOME_FAILED.format(failed=len(wrong), all=len(listed))
-        ui.label(told).classes("verdict-sentence")
-    _age(tab)
-    for check in failed(listed):
-        note(check.sentence, kind="bad", testid="do-about")
+        return Markup()
+    wrong = failed(listed)
+    go = not wrong
+    told = texts.ALL_PASSED if go else texts.SOME_FAILED.format(failed=len(wrong), all=len(listed))
+    verdict = _VERDICT.format(kind="go" if go else "no-go", word=texts.GO[go], sentence=told)
+    return markup.joined(verdict, *(markup.note(one.sentence, kind="bad", testid="do-about") for one in wrong))
 
 
 def build_details(tab: Tab) -> None:
@@ -75,14 +83,17 @@ def build_details(tab: Tab) -> None:
     listed = _listed(tab)
     if not listed:
         return
-    Section(tab, details_key, _shares)
+    Following(tab, details_key, _shares)
     with ui.element("details").props("data-testid=all-checks"):
         with ui.element("summary"):
             ui.label(texts.ALL_CHECKS.format(count=len(listed)))
-        Section(tab, details_key, lambda t: checks(_listed(t), testid="verdict-checks"))
+        Following(tab, details_key, lambda t: markup.checks(_listed(t), testid="verdict-checks"))
 
 
-def _age(tab: Tab) -> None:
+def build_age(tab: Tab) -> None:
+    """How old the plan is, and when it expires."""
+    if not _listed(tab):
+        return
     label = ui.label().classes("age").props("data-testid=age")
     was_fresh = tab.procedure.fresh
 
@@ -104,11 +115,11 @@ def _minutes(seconds: float) -> str:
     return texts.MINUTES.format(minutes=int(seconds // 60), seconds=int(seconds % 60))
 
 
-def _shares(tab: Tab) -> None:
+def _shares(tab: Tab) -> Markup:
     """Where the error comes from: a table, and bars for who sees their colours."""
     known = tab.known
     if known is None or known.plan is None:
-        return
+        return Markup()
     try:
         target = tab.procedure.drilling.session and tab.procedure.drilling.session.target
         if target:
@@ -117,11 +128,8 @@ def _shares(tab: Tab) -> None:
         else:
             shares = error_shares(known.plan.trajectory)
     except SightlineError:
-        return
-    heading(texts.SHARES_HEADING)
+        return Markup()
     together = [_together(share) for share in shares.values()]
-    bars = (f'<div class="share">{_pieces(percent)}</div>' for percent in together)
-    markup("".join(bars), "div").props("aria-hidden=true")
     columns = [f"{texts.SHARES_OF[what]}, {share.unit}" for what, share in shares.items()]
     rows = [
         (
@@ -131,8 +139,17 @@ def _shares(tab: Tab) -> None:
         for source in SOURCES
     ]
     whole = (texts.SHARES_WHOLE, *(_part(share, 100.0) for share in shares.values()))
-    shown = table((texts.SHARES_SOURCE, *columns), [*rows, whole], testid="shares")
-    shown.classes("shares").props(f'aria-label="{texts.SHARES_LABEL}"')
+    return markup.joined(
+        markup.heading(texts.SHARES_HEADING),
+        _BARS.format(markup.joined(*map(_bar, together))),
+        markup.table(
+            (texts.SHARES_SOURCE, *columns),
+            [*rows, whole],
+            testid="shares",
+            classes="shares",
+            label=texts.SHARES_LABEL,
+        ),
+    )
 
 
 def _together(share: Share) -> dict[str, float]:
@@ -143,8 +160,10 @@ def _together(share: Share) -> dict[str, float]:
     return together
 
 
-def _pieces(percent: dict[str, float]) -> str:
-    return "".join(f'<i style="width:{of:.2f}%;background:{_colour(source)}"></i>' for source, of in percent.items())
+def _bar(percent: dict[str, float]) -> Markup:
+    return Markup('<div class="share">{}</div>').format(
+        markup.joined(*(_PIECE.format(of, _colour(source)) for source, of in percent.items()))
+    )
 
 
 def _named(source: str) -> Markup:

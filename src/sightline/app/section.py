@@ -1,31 +1,31 @@
-"""A part of the page that is built anew when what it shows is another, and left alone otherwise."""
+"""A part of the page that is made anew when what it shows is another, and left alone otherwise."""
 
 from collections.abc import Callable, Hashable, Sequence
+from pathlib import Path
 from typing import Any
 
-from markupsafe import escape
+from markupsafe import Markup
 from nicegui import ui
 
+from sightline.app import markup
 from sightline.app.tab import Tab, why_not
 from sightline.checks import Check
 
+Key = Callable[[Tab], Hashable]
 
-class Section:
-    """`build(tab)` fills the section, and again whenever `key(tab)` has changed. Sections may hold others: what is
-    typed into one is not lost because another is built anew. Where either fails a sentence stands in its place, and
-    the other sections go on."""
 
-    def __init__(
-        self, tab: Tab, key: Callable[[Tab], Hashable], build: Callable[[Tab], None], *, classes: str = ""
-    ) -> None:
-        self._tab, self._key, self._build = tab, key, build
+class _Part:
+    """Filled, and again whenever `key(tab)` has changed. Where it fails a sentence stands in its place, and the other
+    parts of the page go on."""
+
+    def __init__(self, tab: Tab, key: Key, box: ui.element) -> None:
+        self._tab, self._key, self._box = tab, key, box
         self._shown: Hashable = object()
-        self._box = ui.element("section").classes(classes)
         tab.on_refresh.append(self.refresh)
         self.refresh()
 
     def refresh(self) -> None:
-        """Build it if it is to show something else."""
+        """Fill it if it is to show something else."""
         if self._box.is_deleted:
             self._tab.on_refresh.remove(self.refresh)
             return
@@ -37,6 +37,18 @@ class Section:
             self._fill(refused)
 
     def _fill(self, refused: str) -> None:
+        raise NotImplementedError
+
+
+class Section(_Part):
+    """`build(tab)` fills it with elements. Sections may hold others: what is typed into one is not lost because
+    another is built anew."""
+
+    def __init__(self, tab: Tab, key: Key, build: Callable[[Tab], None], *, classes: str = "") -> None:
+        self._build = build
+        super().__init__(tab, key, ui.element("section").classes(classes))
+
+    def _fill(self, refused: str) -> None:
         self._box.clear()
         with self._box:
             refused = refused or why_not(lambda: self._build(self._tab))
@@ -45,17 +57,53 @@ class Section:
                 note(refused, kind="bad", testid="section-refused")
 
 
+class Following(_Part):
+    """`html(tab)` fills it. A change is one message, and the page around it is left alone: it follows a drag."""
+
+    def __init__(self, tab: Tab, key: Key, html: Callable[[Tab], Markup], *, classes: str = "") -> None:
+        self._html, self._element = html, _Html()
+        super().__init__(tab, key, self._element.classes(classes))
+
+    def _fill(self, refused: str) -> None:
+        made: list[Markup] = []
+        refused = refused or why_not(lambda: made.append(self._html(self._tab)))
+        self._element.show(markup.note(refused, kind="bad", testid="section-refused") if refused else made[0])
+
+
+class _Html(ui.element, component=Path(__file__).parent / "following.js"):
+    def __init__(self) -> None:
+        super().__init__()
+        self.html = Markup()
+
+    def show(self, html: Markup) -> None:
+        if html != self.html:
+            self.html = html
+            self.run_method("show", html)
+
+
+def put(html: Markup) -> ui.html:
+    """HTML among the elements of a section."""
+    return ui.html(html, sanitize=False)
+
+
 def heading(text: str) -> None:
-    """Of a part of a panel."""
-    with ui.element("h2"):
-        ui.label(text)
+    """`markup.heading` among the elements of a section."""
+    put(markup.heading(text))
 
 
 def note(text: str, *, kind: str = "", testid: str = "") -> None:
-    """A sentence; `kind`: good, warn, bad or quiet."""
-    label = ui.label(text).classes(f"note {kind}".strip())
-    if testid:
-        label.props(f"data-testid={testid}")
+    """`markup.note` among the elements of a section."""
+    put(markup.note(text, kind=kind, testid=testid))
+
+
+def checks(listed: Sequence[Check], *, testid: str) -> None:
+    """`markup.checks` among the elements of a section."""
+    put(markup.checks(listed, testid=testid))
+
+
+def table(columns: Sequence[str], rows: Sequence[Sequence[str]], *, testid: str) -> None:
+    """`markup.table` among the elements of a section."""
+    put(markup.table(columns, rows, testid=testid))
 
 
 def action(text: str, handler: Any, *, testid: str, kind: str = "", enabled: bool = True) -> ui.button:
@@ -64,45 +112,3 @@ def action(text: str, handler: Any, *, testid: str, kind: str = "", enabled: boo
     button.props(f"no-caps unelevated data-testid={testid}")
     button.set_enabled(enabled)
     return button
-
-
-def checks(listed: Sequence[Check], *, testid: str) -> None:
-    """Checks with figure, limit and sentence, the failed ones first."""
-    markup("".join(map(_item, sorted(listed, key=lambda one: one.passed))), "ul").classes("checks").props(
-        f"data-testid={testid}"
-    )
-
-
-def _item(check: Check) -> str:
-    name, sign = ("passed", "✓") if check.passed else ("failed", "✕")
-    return (
-        f'<li class="{name}"><div class="check-head"><div class="mark" aria-hidden="true">{sign}</div>'
-        f'<div class="check-name">{escape(check.name)}</div><div class="check-figure">{escape(_figure(check))}</div>'
-        f'<div class="unseen">{name}</div></div><div class="check-sentence">{escape(check.sentence)}</div></li>'
-    )
-
-
-def markup(html: str, tag: str) -> ui.html:
-    """One element for many that follow a drag; a label for each takes 50 ms more. Whoever writes it escapes texts."""
-    return ui.html(html, sanitize=False, tag=tag)
-
-
-def _figure(check: Check) -> str:
-    if check.figure is None:
-        return ""
-    limit = "" if check.limit is None else f" / {check.limit:.3g}"
-    return f"{check.figure:.3g}{limit} {check.unit}".strip()
-
-
-def table(columns: Sequence[str], rows: Sequence[Sequence[str]], *, testid: str) -> ui.html:
-    """A small table; the first cell of a row names it. Text that is no `Markup` is escaped."""
-    head = (
-        "<tr>" + "".join(f'<th scope="col">{escape(column)}</th>' for column in columns) + "</tr>"
-        if any(columns)
-        else ""
-    )
-    body = (
-        f'<tr><th scope="row">{escape(name)}</th>' + "".join(f"<td>{escape(cell)}</td>" for cell in cells) + "</tr>"
-        for name, *cells in rows
-    )
-    return markup(head + "".join(body), "table").props(f"data-testid={testid}")

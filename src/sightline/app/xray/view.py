@@ -82,11 +82,12 @@ class XrayView(Element, component="xray_view.js", dependencies=["xray*.js", _COL
 
     def __init__(self, name: str, *, label: str, texts: Mapping[str, str]) -> None:
         """`name` is the view's key in the page, `label` what people call it. Raises KeyError if a text is missing."""
+        said = {key: texts[key] for key in TEXT_KEYS}
         super().__init__()
         self.name = name
         self._props["name"] = name
         self._props["label"] = label
-        self._props["texts"] = {key: texts[key] for key in TEXT_KEYS}
+        self._props["texts"] = said
         self._props["data-testid"] = f"xray-{name}"
         self.refused = 0
         """Events of the browser that were dropped because they were not what they must be."""

@@ -1,6 +1,7 @@
 // The X-ray view: an image, layers of shapes and points that a person places and moves. Knows no framework.
 //
-// Two canvases, image and overlay; each is drawn in an animation frame, and only when something on it changed.
+// One canvas on the page, since each of them costs the browser a millisecond in every frame; the image without marks is
+// kept on another. Each is drawn in an animation frame, and only when something on it changed.
 // Coordinates out and in are image pixels (see xray_display.js); what the person does goes out through `emit`.
 
 import { COLOURS } from "colours";
@@ -46,8 +47,8 @@ export class XrayCore {
     this.chrome = new Chrome(root, label, texts, this.#actions());
     this.stage = this.chrome.stage;
     this.contexts = {
-      image: this.chrome.image.getContext("2d", { alpha: false }),
-      overlay: this.chrome.overlay.getContext("2d"),
+      ground: document.createElement("canvas").getContext("2d", { alpha: false }),
+      shown: this.chrome.canvas.getContext("2d", { alpha: false }),
     };
     this.picture = new Picture();
     this.lens = null; // {uv, at}: what the magnifier shows, and beside which place of the view
@@ -337,7 +338,7 @@ export class XrayCore {
     this.dirty = { table: false, image: false, overlay: false, readout: false };
     if (table) this.#drawTable();
     if (image || table) this.#drawImage();
-    if (overlay || (table && this.lens)) this.#drawOverlay();
+    if (image || table || overlay) this.#drawOverlay();
     if (readout || table) this.#showReadout();
   }
 
@@ -350,7 +351,7 @@ export class XrayCore {
 
   #drawImage() {
     this.draws.image++;
-    const context = this.contexts.image;
+    const context = this.contexts.ground;
     context.setTransform(1, 0, 0, 1, 0, 0);
     context.fillStyle = COLOURS.stage;
     context.fillRect(0, 0, context.canvas.width, context.canvas.height);
@@ -367,15 +368,15 @@ export class XrayCore {
 
   #drawOverlay() {
     this.draws.overlay++;
-    const context = this.contexts.overlay;
+    const context = this.contexts.shown;
     context.setTransform(1, 0, 0, 1, 0, 0);
-    context.clearRect(0, 0, context.canvas.width, context.canvas.height);
+    context.drawImage(this.contexts.ground.canvas, 0, 0);
     this.#toUnits(context);
     const toUnits = (uv) => this.display.toView(uv).map((value) => value / this.unit);
     this.#paintMarks(context, toUnits, this.display.zoom / this.unit, null);
     if (this.lens) this.#drawLens(context);
     this.stage.classList.toggle("xray-lens", this.lens !== null); // the ring of the focus would lie on the glass
-    this.#placeButtons();
+    if (!this.lens) this.#placeButtons(); // under the glass they are hidden
   }
 
   #toUnits(context) {
@@ -595,7 +596,7 @@ export class XrayCore {
     const off = value === null || value === undefined || value === "";
     const [u, v] = uv ? uv.map((number) => number.toFixed(1)) : ["", ""];
     const text = this.texts.readout.replace("{u}", u).replace("{v}", v).replace("{value}", String(value));
-    this.chrome.readout.textContent = off ? this.texts.outside : text;
+    this.chrome.showText(this.chrome.readout, off ? this.texts.outside : text);
     this.#showState();
   }
 

@@ -16,7 +16,7 @@ const ICONS = {
 
 // Controls are 2.75 em, more than the 24 CSS pixels of WCAG 2.2 (2.5.8).
 const SHEET = `
-.xray { position: relative; width: 100%; height: 100%; min-height: 12em; overflow: hidden; container-type: inline-size;
+.xray { position: relative; width: 100%; height: 100%; min-height: 12em; overflow: hidden; contain: layout paint style; container-type: inline-size;
   background: var(--stage); color: var(--text);
   font: 400 clamp(15px, 11px + 0.32vw, 24px)/1.35 system-ui, "Segoe UI", Roboto, "DejaVu Sans", sans-serif;
   border: 1px solid var(--line); border-radius: 0.5em; user-select: none; -webkit-user-select: none; }
@@ -91,10 +91,9 @@ export class Chrome {
     root.classList.add("xray");
     root.setAttribute("role", "group");
     this.stage = element("div", "xray-stage", { tabindex: "0", role: "application" });
-    this.image = element("canvas", "xray-image", { "aria-hidden": "true" });
-    this.overlay = element("canvas", "xray-overlay", { "aria-hidden": "true" });
+    this.canvas = element("canvas", "xray-canvas", { "aria-hidden": "true" });
     this.points = element("div", "xray-points");
-    this.stage.append(this.image, this.overlay, this.points);
+    this.stage.append(this.canvas, this.points);
     this.notice = this.#line("notice");
     this.stale = this.#line("stale");
     this.fault = this.#line("fault");
@@ -171,8 +170,13 @@ export class Chrome {
   }
 
   showState(numbers, turned) {
-    this.numbers.textContent = numbers;
-    this.turned.textContent = turned;
+    this.showText(this.numbers, numbers);
+    this.showText(this.turned, turned);
+  }
+
+  // A text that is set is laid out anew, also where it is the same.
+  showText(where, text) {
+    if (where.textContent !== text) where.textContent = text;
   }
 
   showTip(text, [x, y]) {

@@ -19,12 +19,14 @@ export class Gestures {
     this.core = core;
     this.stage = core.stage;
     this.now = null; // {kind, ...}
+    this.box = null; // of the stage on the page, when the gesture began
     this.pointers = new Map(); // id -> place in the view
     this.end = new AbortController();
     const listen = (target, type, handler, options = {}) =>
       target.addEventListener(type, handler, { signal: this.end.signal, ...options });
     listen(this.stage, "pointerdown", (event) => this.#down(event));
     listen(this.stage, "pointermove", (event) => this.#move(event));
+    listen(this.stage, "pointerrawupdate", (event) => this.#hurry(event));
     listen(this.stage, "pointerup", (event) => this.#up(event));
     listen(this.stage, "pointercancel", (event) => this.#cancel(event));
     listen(this.stage, "pointerleave", (event) => this.#leave(event));
@@ -67,8 +69,9 @@ export class Gestures {
   // ----------------------------------------------------------------------------------------------------------- pointers
 
   #at(event) {
-    const box = this.stage.getBoundingClientRect();
-    return [event.clientX - box.left, event.clientY - box.top];
+    // Asked once a gesture: the answer may take a layout of the page.
+    if (!this.now || !this.box) this.box = this.stage.getBoundingClientRect();
+    return [event.clientX - this.box.left, event.clientY - this.box.top];
   }
 
   #down(event) {
@@ -119,6 +122,12 @@ export class Gestures {
     this.#draw(at);
   }
 
+  // A point in hand goes to the server at once: the browser keeps "pointermove" back until its next frame.
+  #hurry(event) {
+    const { now } = this;
+    if (now && now.kind === "drag" && now.pointer === event.pointerId) this.#continue(this.#at(event));
+  }
+
   #hover(event, at) {
     const { core } = this;
     const point = core.pointAt(at, this.#reach(event));
@@ -128,6 +137,7 @@ export class Gestures {
 
   #continue(at) {
     const gesture = this.now;
+    if (gesture.moved && at[0] === gesture.last[0] && at[1] === gesture.last[1]) return;
     if (!gesture.moved) {
       const slop = SLOP[gesture.type] || 0;
       if (Math.hypot(at[0] - gesture.from[0], at[1] - gesture.from[1]) < slop) return;
