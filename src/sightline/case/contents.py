@@ -50,7 +50,7 @@ class Asked:
             np.asarray(self.end_uv_px),
             pick_sd_px=self.pick_sd_px,
             snapped=self.snapped,
-            landmarks_uv_px=None if self.landmarks_uv_px is None else np.asarray(self.landmarks_uv_px),
+            landmarks_uv_px=None if self.landmarks_uv_px is None else np.reshape(self.landmarks_uv_px, (2, -1, 2)),
             limits=self.limits,
         )
 
