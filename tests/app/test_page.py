@@ -14,6 +14,7 @@ from tests.app.hands import LANDMARKS, PATIENCE_MS, SEED, Hands, rehearsal, trut
 from sightline.app.decisions import Decisions
 from sightline.case.entry import Kind
 from sightline.case.journal import Case
+from sightline.case.recompute import Outcome, replay
 from sightline.case.views import NAMES
 from sightline.imaging import write_dicom
 from sightline.robot.simulated import SimulatedWire
@@ -69,7 +70,11 @@ def test_the_whole_procedure_by_mouse_and_keyboard(hands: Hands, folder: Path, s
     _verify(hands, shoot, folder)
     with Case.open(folder, read_only=True) as case:
         assert not case.problems
-        assert {Kind.SENT, Kind.DRILLED, Kind.VERIFIED} <= {entry.kind for entry in case.entries()}
+        replayed = list(replay(case))
+    recorded = {one.entry.kind for one in replayed if one.outcome is Outcome.RECORDED}
+    assert recorded == {Kind.CHANGED, Kind.SENT, Kind.DRILLED}
+    assert all(one.passed for one in replayed)  # to the bit only with the server's number of threads
+    assert {Kind.PLANNED, Kind.VERIFIED} <= {one.entry.kind for one in replayed}
 
 
 def _drill(hands: Hands, shoot) -> None:

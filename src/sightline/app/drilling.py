@@ -8,11 +8,11 @@ import numpy as np
 
 from sightline.app.decisions import Decisions
 from sightline.app.marks import END, ENTRY
-from sightline.app.planner import Planned, planned
+from sightline.app.planner import Planned, asked, planned
 from sightline.app.rehearsing import Patient
 from sightline.app.texts import CHANGED_SINCE_SENT, NO_DEPTH_LIMIT, NO_ROBOT
 from sightline.case.entry import Actor, Kind
-from sightline.case.stages import record_changed
+from sightline.case.stages import calibrated_of, record_changed, record_planned
 from sightline.case.views import NAMES
 from sightline.errors import RobotRefusedError, UnusableInputError
 from sightline.geometry.covariance import TWO_SIDED_95
@@ -159,7 +159,10 @@ class Drilling:
         target = session.aimed(known.plan, identity, time.monotonic() - age)
         limit = _depth_limit(known, target)
         await session.send(target, limit)
-        procedure.case.record(
+        case = procedure.case
+        views = [calibrated_of(case, decisions.images[name]) for name in NAMES]
+        made = record_planned(case, (views[0], views[1]), asked(decisions), known.plan, by=Actor.SURGEON)
+        case.record(
             Kind.SENT,
             {
                 "plan": identity.plan,
@@ -170,6 +173,7 @@ class Drilling:
                 "depth_limit_mm": limit,
             },
             by=Actor.SURGEON,
+            rests_on=[made.number],
         )
         self.sent, self.record, self.wire = known, None, None
         procedure.notify()

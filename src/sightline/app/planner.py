@@ -9,6 +9,7 @@ import numpy as np
 from sightline.app.decisions import Decisions, Mark, Pixel
 from sightline.app.marks import END, ENTRY, names_of
 from sightline.calibration import CalibratedView
+from sightline.case.contents import Asked
 from sightline.case.views import NAMES
 from sightline.errors import SightlineError
 from sightline.planning import MatchingCurve, Plan, matching_curve, plan, snap
@@ -111,16 +112,31 @@ def _remembered(from_view: CalibratedView, to_view: CalibratedView, uv_px: bytes
     return matching_curve(from_view, np.frombuffer(uv_px), to_view, covariance)
 
 
-def _plan(decisions: Decisions, views: tuple[CalibratedView, CalibratedView]) -> Plan:
+def asked(decisions: Decisions) -> Asked:
+    """What a plan is made from besides its views; entry and end point are placed."""
     wire = [decisions.mark(name) for name in (ENTRY, END)]
-    landmarks = [m for m in map(decisions.mark, names_of(decisions.kind, "landmark")) if m.complete()]
-    return plan(
-        views,
+    names = tuple(n for n in names_of(decisions.kind, "landmark") if decisions.mark(n).complete())
+    return Asked(
         *(_pixels(mark) for mark in wire),
         pick_sd_px=PICK_SD_PX,
         snapped=[not mark.free for mark in wire],
-        landmarks_uv_px=np.array([_pixels(mark) for mark in landmarks]).reshape(-1, 2, 2).swapaxes(0, 1),
+        landmarks_uv_px=np.array([_pixels(decisions.mark(n)) for n in names]).reshape(-1, 2, 2).swapaxes(0, 1),
+        landmark_names=names,
         limits=kind_of(decisions.kind).limits,
+        kind=decisions.kind,
+    )
+
+
+def _plan(decisions: Decisions, views: tuple[CalibratedView, CalibratedView]) -> Plan:
+    one = asked(decisions)
+    return plan(
+        views,
+        one.entry_uv_px,
+        one.end_uv_px,
+        pick_sd_px=one.pick_sd_px,
+        snapped=one.snapped,
+        landmarks_uv_px=one.landmarks_uv_px,
+        limits=one.limits,
         curve=_curve,
     )
 

@@ -10,7 +10,9 @@ from sightline.app.planner import PICK_SD_PX, Planned
 from sightline.app.rehearsing import check_images
 from sightline.app.seen import SeenImage
 from sightline.calibration import BeadView
+from sightline.case.contents import CheckAsked
 from sightline.case.entry import Actor, Kind
+from sightline.case.stages import calibrated_of, record_verified
 from sightline.case.views import NAMES
 from sightline.errors import SightlineError, UnusableInputError
 from sightline.planning import Plan
@@ -95,11 +97,20 @@ class Verifying:
             self.wires = dict(zip(CHECK_NAMES, wires, strict=True))
             plan, before = asked.plan, asked.sent.views
             self.shot = check_shot(plan.trajectory, plan.picks, before, asked.views, wires, landmarks=asked.landmarks)
-            self._procedure.case.record(Kind.VERIFIED, self.shot.document(), by=Actor.APP)
+            self._record(asked, self.shot)
         except SightlineError as error:
             if asked.key == self._measured:
                 self.refused = str(error)
         self._procedure.notify()
+
+    def _record(self, asked: "_Asked", shot: CheckShot) -> None:
+        case = self._procedure.case
+        told = case.latest(Kind.SENT)
+        if told is None or not told.rests_on:
+            return  # sent by a version that did not record its plan
+        first, second = (calibrated_of(case, one.acquired.number) for one in asked.seen)
+        measured = CheckAsked(asked.sent.kind.wire_mm, asked.landmarks)
+        record_verified(case, case.entry(told.rests_on[0]), (first, second), measured, shot, by=Actor.APP)
 
     async def _found(self, asked: "_Asked", seen: SeenImage) -> "WireShadow":
         """The wire in one image, looked for once."""

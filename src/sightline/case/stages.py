@@ -114,3 +114,14 @@ def record_verified(
         raise CaseError(f"a check shot rests on a plan and two calibrated views, not on {', '.join(kinds)}")
     content = contents.verified(asked, found)
     return case.record(Kind.VERIFIED, content, by=by, rests_on=[entry.number for entry in rests_on])
+
+
+def calibrated_of(case: Case, acquired: int) -> Entry:
+    """The last calibrated entry that goes back to the acquired one of this number. Raises CaseError."""
+    for entry in reversed(case.entries(Kind.CALIBRATED)):
+        below = entry
+        while below.kind is not Kind.ACQUIRED:
+            below = case.entry(below.rests_on[0])
+        if below.number == acquired:
+            return entry
+    raise CaseError(f"the image of entry {acquired} was not calibrated in this case")
