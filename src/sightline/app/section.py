@@ -83,7 +83,7 @@ class _Html(ui.element, component=Path(__file__).parent / "following.js"):
 
 def put(html: Markup) -> ui.html:
     """HTML among the elements of a section."""
-    return ui.html(html, sanitize=False)
+    return ui.html(html, sanitize=False).classes("put")
 
 
 def heading(text: str) -> None:
