@@ -139,6 +139,23 @@ def test_a_second_shot_is_told_with_its_error_and_counts_once(paused: RobotSessi
         asyncio.run(paused.tell_shot(shot, error))
 
 
+def test_a_second_shot_whose_answer_came_too_late_counts_once_too(
+    paused: RobotSession, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    before, tell = paused.now.depth_mm, paused._client.shot_depth
+    assert before is not None
+
+    def late(*told: float) -> None:
+        tell(*told)
+        raise LinkError("no answer in time")
+
+    monkeypatch.setattr(paused._client, "shot_depth", late)
+    with pytest.raises(LinkError):
+        asyncio.run(paused.tell_shot(before, 0.5))
+    with pytest.raises(RobotRefusedError, match="counts once"):
+        asyncio.run(paused.tell_shot(before, 0.5))
+
+
 IMPOSSIBLE = [(1.6, 0.5, "1.4 mm apart"), (-1.6, 0.5, "1.4 mm apart"), (0.0, 0.0, "95 %"), (0.0, -0.1, "95 %")]
 NOT_FINITE = [(np.nan, 0.5, "the depth"), (0.0, np.nan, "95 %"), (np.inf, 0.5, "the depth")]
 

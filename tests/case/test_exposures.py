@@ -69,3 +69,12 @@ def test_another_plans_exposures_are_not_called_this_ones(case: Case) -> None:
     found = exposures.of_case(case, planned(case, new[0], new[1]))
     assert [one.used for one in found[:2]] == [exposures.UNUSED] * 2
     assert found[2].used == "planning, PA view"
+
+
+def test_frames_taken_out_of_one_file_are_one_exposure(case: Case) -> None:
+    run = case.keep(b"a run of 30 frames", ".dcm")
+    for index in range(2):
+        content = {"original": run, "pixels_sha256": f"frame {index}"}
+        case.record(Kind.ACQUIRED, content, by=Actor.RECEIVER, settings={"acquisition": {"frames": 30}})
+    found = exposures.of_case(case, planned(case, acquired(case, "a"), acquired(case, "b")))
+    assert [one.frames for one in found] == [30, 1, 1]

@@ -158,10 +158,12 @@ class Drilling:
         decisions, identity = known.decisions, self.identity
         target = session.aimed(known.plan, identity, time.monotonic() - age)
         limit = _depth_limit(known, target)
-        await session.send(target, limit)
         case = procedure.case
         views = [calibrated_of(case, decisions.images[name]) for name in NAMES]
         made = record_planned(case, (views[0], views[1]), asked(decisions), known.plan, by=Actor.SURGEON)
+        # Whatever fails from here on, the robot may hold this plan, and is given no order by the one before.
+        self.sent, self.record, self.wire = None, None, None
+        await session.send(target, limit)
         case.record(
             Kind.SENT,
             {
@@ -175,7 +177,7 @@ class Drilling:
             by=Actor.SURGEON,
             rests_on=[made.number],
         )
-        self.sent, self.record, self.wire = known, None, None
+        self.sent = known
         procedure.notify()
 
     async def align(self) -> None:

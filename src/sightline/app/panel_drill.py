@@ -43,9 +43,16 @@ def _key(tab: Tab) -> Hashable:
     return (told, drilling.sent, drilling.record, drilling.current, plan, procedure.working)
 
 
+def _shot_key(tab: Tab) -> Hashable:
+    # Of what is typed nothing is lost by a look at the images.
+    drilling, now = tab.procedure.drilling, tab.procedure.drilling.now
+    return None if now is None else (now.state == State.PAUSED.value, now.zero, now.doing, drilling.current)
+
+
 def build(tab: Tab) -> None:
     """The panel."""
     Section(tab, _key, _robot)
+    Section(tab, _shot_key, _second_shot)
     panel_live.build(tab)
     Section(tab, lambda t: t.procedure.drilling.session, _force)
 
@@ -145,7 +152,6 @@ def _orders(tab: Tab) -> None:
     if state == State.ALIGNED.value:
         _asked(tab, texts.DRILL, DRILL_QUESTION, lambda: drilling.drill(State.ALIGNED), "drill", enabled=ready)
     if state == State.PAUSED.value:
-        _second_shot(tab, enabled=ready)
         _asked(tab, texts.DRILL_ON, DRILL_ON_QUESTION, lambda: drilling.drill(State.PAUSED), "drill-on", enabled=ready)
     if state in (State.DONE.value, State.STOP.value, State.ALIGNED.value, State.PAUSED.value):
         _asked(tab, texts.DRAW_BACK, RETRACT_QUESTION, session.retract, "retract", enabled=idle, kind="plain")
@@ -153,10 +159,12 @@ def _orders(tab: Tab) -> None:
         note(texts.DRILLED, kind="good", testid="drilled")
 
 
-def _second_shot(tab: Tab, *, enabled: bool) -> None:
+def _second_shot(tab: Tab) -> None:
     """At the pause: what a person measured on the second shot, told to the robot."""
     drilling, now = tab.procedure.drilling, tab.procedure.drilling.now
-    assert now is not None  # noqa: S101
+    if now is None or now.state != State.PAUSED.value:
+        return
+    enabled = not now.doing and drilling.current
     known = {"zero": _zero_words(now), "error": _error_words(now)}
     heading(texts.SHOT_HEADING)
     if BY_SHOT in now.zero:
@@ -217,10 +225,10 @@ def _force(tab: Tab) -> None:
             return
         shown = len(record.depth_mm)
         picture = force_picture(record, _PICTURE_PX)
-        if not picture:
-            return
         drawing.set_content(picture)
         events.clear()
+        if not picture:
+            return  # what was drilled before belongs to another plan
         with events:
             table(
                 texts.EVENT_COLUMNS,

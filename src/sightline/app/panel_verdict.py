@@ -12,7 +12,7 @@ from sightline.app.tab import Tab
 from sightline.checks import Check, failed
 from sightline.errors import SightlineError
 from sightline.planning.shares import Share, error_shares, error_shares_of
-from sightline.robot.target import LIFETIME_S
+from sightline.robot.target import LIFETIME_S, RobotTarget
 
 SOURCES = {  # of error, and the colour of each (colours.js)
     "beads": "sky",
@@ -56,7 +56,7 @@ def details_key(tab: Tab) -> Hashable:
         procedure.decisions.side,
         procedure.decisions.serial,
         procedure.go,
-        procedure.drilling.session,
+        _target(tab),
     )
 
 
@@ -121,8 +121,8 @@ def _shares(tab: Tab) -> Markup:
     if known is None or known.plan is None:
         return Markup()
     try:
-        target = tab.procedure.drilling.session and tab.procedure.drilling.session.target
-        if target:
+        target = _target(tab)
+        if target is not None:
             ends = np.stack([target.entry_mm, target.end_mm])
             shares = error_shares_of(ends, target.budget_mm2)
         else:
@@ -150,6 +150,13 @@ def _shares(tab: Tab) -> Markup:
             label=texts.SHARES_LABEL,
         ),
     )
+
+
+def _target(tab: Tab) -> RobotTarget | None:
+    """What the robot made of the plan that is shown; None before it is sent, and of another."""
+    drilling = tab.procedure.drilling
+    shown = drilling.session is not None and drilling.current and tab.known is tab.procedure.planned
+    return drilling.session.target if drilling.session is not None and shown else None
 
 
 def _together(share: Share) -> dict[str, float]:

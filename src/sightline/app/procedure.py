@@ -271,7 +271,7 @@ class Procedure:
         """The newest images that were acquired into this case otherwise, each placed by what its markers tell."""
         for entry in self.case.entries(Kind.ACQUIRED)[-_TAKEN_IN:]:
             with suppress(SightlineError):  # what is no image that can be calibrated is left to a person
-                seen = await self.lightbox.open(entry, record=True)
+                seen = await self.lightbox.open(entry)
                 if seen.view is not None:
                     self.edit(self.decisions.with_image(seen.view.name, entry.number, same_pixels=False))
 

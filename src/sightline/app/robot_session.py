@@ -103,7 +103,7 @@ class RobotSession:
             client.calibrate(target.registration.T_mcs_cfcs, target.registration.imaged_s)
             client.aim_plan(target, time.monotonic(), depth_limit_mm)
 
-        self._recorder = Recorder()
+        self._recorder, self.target = Recorder(), None
         await self._do("taking over the plan", order)
         self.target = target
 
@@ -145,7 +145,7 @@ class RobotSession:
             self._telling = True  # the next smaller error is the shot's
             try:
                 client.shot_depth(depth_mm, error_95_mm / TWO_SIDED_95)
-            except BaseException:
+            except RobotRefusedError:  # after anything else it may have been taken
                 self._telling = False
                 raise
 

@@ -2,6 +2,7 @@
 
 import asyncio
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 from sightline.app.texts import BUG
@@ -12,7 +13,7 @@ from sightline.case.entry import Actor, Entry
 from sightline.case.journal import Case
 from sightline.case.views import CalibratedImage, Seen, tell_apart
 from sightline.detection import Detections, Observations, detect
-from sightline.errors import SightlineError
+from sightline.errors import CaseError, SightlineError
 from sightline.frame import Frame
 from sightline.imaging import Radiograph
 
@@ -56,16 +57,16 @@ class Lightbox:
     async def acquire(self, data: bytes, suffix: str, by: Actor) -> SeenImage:
         """Keep a new image in the case and work on it to the end. Raises ImageError, CaseError."""
         entry = await asyncio.to_thread(stages.record_acquired, self._case, data, suffix, by=by)
-        return await self.open(entry, record=True)
+        return await self.open(entry)
 
-    async def open(self, entry: Entry, *, record: bool = False) -> SeenImage:
-        """Work on an image of the case to the end. `record`: put each result into the journal."""
+    async def open(self, entry: Entry) -> SeenImage:
+        """Work on an image of the case to the end; the results go into the journal where it does not hold them yet."""
         known = self._images.get(entry.number)
         if known is not None and known.refused is None:
             return known
         image = await asyncio.to_thread(stages.image_of, self._case, entry)
         try:
-            await self._work(SeenImage(entry, image), record)
+            await self._work(SeenImage(entry, image))
         except SightlineError as error:
             self._put(replace(self._images[entry.number], doing="", refused=str(error)))
         except Exception as error:
@@ -74,7 +75,7 @@ class Lightbox:
             raise
         return self._images[entry.number]
 
-    async def _work(self, seen: SeenImage, record: bool) -> None:
+    async def _work(self, seen: SeenImage) -> None:
         case, frame, number = self._case, self._frame, seen.acquired.number
         self._put(replace(seen, doing="finding the beads"))
         beads = await self._workshop.do(detect, seen.image)
@@ -83,8 +84,7 @@ class Lightbox:
         self._put(replace(self._images[number], doing="calibrating", observations=observations))
         view = await self._workshop.do(calibrated, observations, frame)
         done = replace(self._images[number], doing="", view=view)
-        if record:
-            await asyncio.to_thread(_record, case, done, self._frame_ref)
+        await asyncio.to_thread(_record, case, done, self._frame_ref)
         self._put(done)
 
     def _put(self, seen: SeenImage) -> None:
@@ -98,6 +98,9 @@ def calibrated(observations: Observations, frame: Frame) -> BeadView:
 
 
 def _record(case: Case, seen: SeenImage, frame_ref: str) -> None:
+    with suppress(CaseError):
+        stages.calibrated_of(case, seen.acquired.number)
+        return  # the same image, the same results
     assert seen.beads is not None and seen.observations is not None and seen.calibrated is not None  # noqa: S101
     detected = stages.record_detected(case, seen.acquired, seen.beads, by=Actor.APP)
     labelled = stages.record_labelled(case, detected, seen.observations, frame_ref=frame_ref, by=Actor.APP)

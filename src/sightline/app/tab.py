@@ -284,6 +284,7 @@ class Tab:
         elif event.type in ("place", "drop", "nudge", "drag", "remove", "display"):
             image = self._shown_in(view)
             if image is None:
+                self._shown.pop((view.name, "placing"), None)  # which the view has ended
                 view.drop(event)
             else:
                 await self._done_on(view, image, event)
@@ -338,7 +339,8 @@ class Tab:
     def _back(self, view: XrayView, why: str) -> None:
         """The point goes back to where it was, and the person is told why."""
         self._forget_plan()
-        self._shown.pop((view.name, "points"), None)
+        for what in ("points", "placing"):  # the view has ended both
+            self._shown.pop((view.name, what), None)
         self.say(why)
 
     async def _follow(self, name: str, image: str, uv: tuple[float, float]) -> None:
@@ -348,13 +350,17 @@ class Tab:
         if pair is None:
             return
         decisions, curves = await asyncio.to_thread(_moved_curves, procedure, pair, name, image, uv)
+        if procedure.decisions is not before:
+            return  # it was dropped, undone or changed elsewhere meanwhile
         lateral = self.views[self.images.index(NAMES[1])] if NAMES[1] in self.images else None
         if lateral is not None:
             others = {n: at for n, at in shapes.snapped(decisions).items() if (n, NAMES[1]) != (name, image)}
             lateral.follow({"curves": shapes.curves(curves)}, others)
         known, drawn = await asyncio.to_thread(_planned_shapes, decisions, pair, self.images, name)
         if procedure.decisions is not before:
-            return  # it was dropped, undone or changed elsewhere meanwhile
+            self._forget_plan()
+            self.later()
+            return
         self.preview, self._previewed = known, before
         for view, layers in zip(self.views, drawn, strict=True):
             view.follow(layers, {})

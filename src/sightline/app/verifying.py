@@ -14,7 +14,7 @@ from sightline.case.contents import CheckAsked
 from sightline.case.entry import Actor, Kind
 from sightline.case.stages import calibrated_of, record_verified
 from sightline.case.views import NAMES
-from sightline.errors import SightlineError, UnusableInputError
+from sightline.errors import RefusedError, SightlineError, UnusableInputError
 from sightline.planning import Plan
 from sightline.planning.check_result import CheckShot
 from sightline.planning.check_shot import Landmarks, check_shot
@@ -91,26 +91,35 @@ class Verifying:
         self._forget()
         self._measured = asked.key
         try:
+            await self._measure(asked)
+        except SightlineError as error:
+            if asked.key == self._measured:
+                self.shot, self.refused = None, str(error)
+        self._procedure.notify()
+
+    async def _measure(self, asked: "_Asked") -> None:
+        """Measured or refused, the case tells it: the last word is what a report repeats. Raises SightlineError."""
+        try:
             wires = [await self._found(asked, one) for one in asked.seen]
             if asked.key != self._measured:
                 return  # another was asked for meanwhile
             self.wires = dict(zip(CHECK_NAMES, wires, strict=True))
             plan, before = asked.plan, asked.sent.views
             self.shot = check_shot(plan.trajectory, plan.picks, before, asked.views, wires, landmarks=asked.landmarks)
-            self._record(asked, self.shot)
-        except SightlineError as error:
+        except RefusedError as error:
             if asked.key == self._measured:
-                self.refused = str(error)
-        self._procedure.notify()
+                self._record(asked, str(error))
+            raise
+        self._record(asked, self.shot)
 
-    def _record(self, asked: "_Asked", shot: CheckShot) -> None:
+    def _record(self, asked: "_Asked", found: CheckShot | str) -> None:
         case = self._procedure.case
         told = case.latest(Kind.SENT)
         if told is None or not told.rests_on:
             return  # sent by a version that did not record its plan
         first, second = (calibrated_of(case, one.acquired.number) for one in asked.seen)
         measured = CheckAsked(asked.sent.kind.wire_mm, asked.landmarks)
-        record_verified(case, case.entry(told.rests_on[0]), (first, second), measured, shot, by=Actor.APP)
+        record_verified(case, case.entry(told.rests_on[0]), (first, second), measured, found, by=Actor.APP)
 
     async def _found(self, asked: "_Asked", seen: SeenImage) -> "WireShadow":
         """The wire in one image, looked for once."""

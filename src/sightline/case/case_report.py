@@ -39,7 +39,7 @@ def report_of(case: Case) -> Report:
 def _drilled(case: Case, plan: Entry, again: Recomputed) -> Drilled | None:
     """What the robot said last, and the last check shot, since the plan; None where there is neither."""
     records = [one.content["record"] for one in case.entries(Kind.DRILLED, plan.number) if "record" in one.content]
-    shots = [one for one in case.entries(Kind.VERIFIED, plan.number) if plan.number in one.rests_on]
+    shots = [one for one in case.entries(Kind.VERIFIED, plan.number) if _is_measured(one, plan)]
     if not records and not shots:
         return None
     return Drilled(
@@ -47,3 +47,8 @@ def _drilled(case: Case, plan: Entry, again: Recomputed) -> Drilled | None:
         record=DrillingRecord.of(records[-1]) if records else None,
         check=again.shot(shots[-1]) if shots else None,
     )
+
+
+def _is_measured(verified: Entry, plan: Entry) -> bool:
+    """False of a check shot of another plan, and of one that an earlier version did not say the making of."""
+    return plan.number in verified.rests_on and "asked" in verified.content

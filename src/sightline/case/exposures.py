@@ -38,10 +38,12 @@ def of_case(case: Case, plan: Entry) -> tuple[Exposure, ...]:
     """
     uses = dict(_uses(case, plan))
     found: dict[str, Exposure] = {}
+    by_file: dict[str, str] = {}
     for entry in case.entries(Kind.ACQUIRED):
         acquisition = entry.settings.get("acquisition") or {}
         frames = int(acquisition.get("frames") or acquisition.get("averaged") or 1)
-        known = str(entry.content.get("pixels_sha256", f"{entry.number}"))
+        pixels = str(entry.content.get("pixels_sha256", f"{entry.number}"))
+        known = by_file.setdefault(entry.content["original"], pixels)
         used = uses.get(entry.number)
         before = found.get(known)
         if before is None or (used is not None and before.used == UNUSED):
