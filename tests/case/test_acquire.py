@@ -10,6 +10,7 @@ from pydicom import dcmread
 
 from sightline.case import stages
 from sightline.case.acquire import Acquirer, news_of
+from sightline.case.acquire_robot import PoseNow
 from sightline.case.entry import Kind
 from sightline.case.journal import Actor, Case
 from sightline.case.recompute import replay
@@ -100,3 +101,16 @@ def test_images_keep_their_order_whatever_the_clock_says(
     assert entries[0].at > entries[3].at
     assert case.check() and all(check.passed for check in case.check())
     assert json.dumps([entry.content for entry in entries])
+
+
+def test_the_robots_pose_of_an_arrival_is_stamped_as_such_and_a_stale_one_is_not(case: Case, tmp_path: Path) -> None:
+    """A source that knows the pose of its own moment says it itself."""
+    poses = [PoseNow((1.0, 2.0, 0.1, 0.2, 3.0), 0.05), PoseNow((1.0, 2.0, 0.1, 0.2, 3.0), 7.0)]
+    acquirer = Acquirer(case, arrival_pose=lambda: poses.pop(0))
+    told = [{"source": "dicom"}, {"source": "dicom"}, {"source": "video", "robot": {"joints": None}}]
+    data = [write_dicom(image(seed), tmp_path / f"{seed}.dcm").read_bytes() for seed in range(3)]
+    entries = [acquirer.take(one, ".dcm", how=how).entry for one, how in zip(data, told, strict=True)]
+    fresh, stale, own = (entry.settings["acquisition"]["robot"] for entry in entries)
+    assert fresh == {"joints": [1.0, 2.0, 0.1, 0.2, 3.0], "age_s": 0.05, "fresh": True, "moment": "arrival"}
+    assert stale == {"joints": None, "age_s": 7.0, "fresh": False, "moment": "arrival"}
+    assert own == {"joints": None}

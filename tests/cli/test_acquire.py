@@ -58,6 +58,7 @@ def test_what_cannot_be_used_is_said(run, tmp_path: Path) -> None:
     assert run("acquire", "folder", tmp_path / "absent", "--case", tmp_path / "case").code == 2
     assert run("acquire", "dicom", "--peer", "nobody", "--case", tmp_path / "case").code == 2
     assert run("acquire", "dicom", "--case", tmp_path / "case").code == 2
+    assert run("acquire", "folder", tmp_path, "--case", tmp_path / "case", "--robot", "127.0.0.1:9").code == 2
 
 
 def test_the_receiver_takes_an_image_and_ctrl_c_ends_it_with_its_result(tmp_path: Path) -> None:

@@ -5,13 +5,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from threading import Lock
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from sightline.case import contents, originals
 from sightline.case.entry import Entry, Kind
 from sightline.case.journal import Actor, Case
 from sightline.errors import CaseError, ImageError
 from sightline.imaging import frames_in, read_image
+
+if TYPE_CHECKING:
+    from sightline.case.acquire_robot import PoseNow
 
 
 @dataclass(frozen=True)
@@ -40,8 +43,11 @@ Tell = Callable[[News], None]
 class Acquirer:
     """The one way of images into a case; sources of several threads take turns, so one image is in memory at a time."""
 
-    def __init__(self, case: Case, by: Actor = Actor.RECEIVER) -> None:
-        self._case, self._by, self._lock = case, by, Lock()
+    def __init__(
+        self, case: Case, by: Actor = Actor.RECEIVER, arrival_pose: "Callable[[], PoseNow] | None" = None
+    ) -> None:
+        """`arrival_pose` tells the robot's pose of now, for images whose source says none of its own."""
+        self._case, self._by, self._lock, self._arrival_pose = case, by, Lock(), arrival_pose
         self._held: dict[str, Entry] = {}  # by the original's name; of a run the first entry
         self._shown: dict[str, int] = {}  # by the pixels, the number of the first entry
         self._seen = 0
@@ -57,6 +63,9 @@ class Acquirer:
         goes on showing. `how` is what is known of the acquisition, for the entry's settings. Raises ImageError on what
         is no image, of which nothing is kept; CaseError where the disk does not take it.
         """
+        stamped = dict(how or {})
+        if self._arrival_pose is not None and "robot" not in stamped:  # before it waits for others
+            stamped["robot"] = {**self._arrival_pose().document(), "moment": "arrival"}
         with self._lock:
             self._look_back()
             name = originals.name_of(data, suffix)
@@ -64,7 +73,7 @@ class Acquirer:
             if held is not None and frame_index in (None, held.settings.get("frame_index")):
                 return Taken(held, new=False)
             content, index, frames = _looked_at(data, name, suffix, frame_index)
-            acquisition = {**(how or {}), **({"frames": frames} if frames > 1 else {})}
+            acquisition = {**stamped, **({"frames": frames} if frames > 1 else {})}
             if (before := self._shown.get(content["pixels_sha256"])) is not None:
                 acquisition["same_pixels_as"] = before
             self._case.keep(data, suffix)

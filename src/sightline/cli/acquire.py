@@ -13,6 +13,7 @@ from sightline.cli.output import Json, Output, Quiet
 
 if TYPE_CHECKING:
     from sightline.case.acquire import Acquirer, News
+    from sightline.case.acquire_robot import RobotWatch
     from sightline.case.journal import Case
     from sightline.imaging import Source
 
@@ -43,11 +44,14 @@ def folder(
     watch: Annotated[
         bool, typer.Option("--watch", help="Go on until Ctrl-C: take images as they are written.")
     ] = False,
+    robot: Robot = None,
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:
     """Take the images of a folder into a case, each once; with --watch those that come later too."""
-    with Output(json=json, quiet=quiet) as out, _into(case, out) as desk:
+    if robot and not watch:
+        raise typer.BadParameter("goes with --watch: images that lie there already are older", param_hint="--robot")
+    with Output(json=json, quiet=quiet) as out, _into(case, out, robot) as desk:
         from sightline.case.acquire_folder import SCAN_S, Folder
 
         files = Folder(source, desk.acquirer, desk.tell)
@@ -68,11 +72,12 @@ def dicom(
     port: Annotated[int, typer.Option(min=0, max=65535, help="0 takes a free one.")] = 11112,
     aet: Annotated[str, typer.Option(help="Our AE title.")] = "SIGHTLINE",
     host: Annotated[str, typer.Option(help="Address to listen at; 0.0.0.0 for the network.")] = "127.0.0.1",
+    robot: Robot = None,
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:
     """Receive images by DICOM C-STORE into a case until Ctrl-C; each is on the disk before it is answered."""
-    with Output(json=json, quiet=quiet) as out, _into(case, out) as desk:
+    with Output(json=json, quiet=quiet) as out, _into(case, out, robot) as desk:
         from sightline.case.acquire_dicom import DicomReceiver, Peer
 
         peers = [Peer.parse(text) for text in peer]
@@ -154,12 +159,10 @@ def _take(
 
     from sightline.case.acquire import news_of
     from sightline.case.acquire_frames import take_frames
-    from sightline.case.acquire_robot import RobotWatch
-    from sightline.cli.robot import parse_address
     from sightline.errors import SourceError
 
     with ExitStack() as stack:
-        watch = stack.enter_context(RobotWatch(*parse_address(robot))) if robot else None
+        watch = stack.enter_context(_robot(robot)) if robot else None
         stack.callback(source.close)
         frames, pose = [], None
         for frame in source:
@@ -209,6 +212,8 @@ class _Desk:
         if news.kind == "kept" and news.entry is not None:
             content, settings = news.entry.content, news.entry.settings
             self._entries.append({"number": news.entry.number, "original": content["original"], "settings": settings})
+            if not settings["acquisition"].get("robot", {}).get("fresh", True):
+                self._out.note(f"entry {news.entry.number}: pose stale, none is written; look at the robot's link")
         elif news.kind == "already":
             self._already += 1
         elif news.kind == "refused":
@@ -240,13 +245,22 @@ class _Desk:
 
 
 @contextmanager
-def _into(folder: Path, out: Output) -> Iterator[_Desk]:
-    """A case that is there, or a new one."""
+def _into(folder: Path, out: Output, robot: str | None = None) -> Iterator[_Desk]:
+    """A case that is there, or a new one; `robot`: whose pose is written when an image arrives."""
     from sightline.case.acquire import Acquirer
     from sightline.case.journal import JOURNAL, Case
 
-    with Case.open(folder) if (folder / JOURNAL).is_file() else Case.create(folder) as case:
+    with ExitStack() as stack:
+        pose = stack.enter_context(_robot(robot)).now if robot else None
+        case = stack.enter_context(Case.open(folder) if (folder / JOURNAL).is_file() else Case.create(folder))
         for problem in case.problems:
             out.note(f"the case has a problem: {problem.sentence}")
         out.note(f"case {case.number}")
-        yield _Desk(case, Acquirer(case), out)
+        yield _Desk(case, Acquirer(case, arrival_pose=pose), out)
+
+
+def _robot(address: str) -> "RobotWatch":
+    from sightline.case.acquire_robot import RobotWatch
+    from sightline.cli.robot import parse_address
+
+    return RobotWatch(*parse_address(address))
