@@ -16,6 +16,7 @@ from sightline.errors import LinkError, RobotRefusedError
 from sightline.geometry.covariance import TWO_SIDED_95
 from sightline.rehearsal.operation import Theatre
 from sightline.robot.client import RobotClient
+from sightline.robot.contract import DEPTH
 from sightline.robot.controller import Controller
 from sightline.robot.depth import CONTACT_LEAD_MM, CONTACT_SD_MM, PLAN_SD_MM
 from sightline.robot.insertion import Setup
@@ -94,6 +95,9 @@ def paused() -> Iterator[RobotSession]:
         _until(session, lambda now: now.state == "ALIGNED")
         asyncio.run(session.drill(State.ALIGNED))
         _until(session, lambda now: now.state == "PAUSED" and now.depth_sd_mm is not None)
+        heard: list[str] = []  # the depth that is known by now may be of before it stood
+        session._client.listeners.append(lambda message: heard.append(message.device_name))
+        _until(session, lambda _: heard.count(DEPTH) > 2)
         yield session
         session.close()
 
