@@ -87,7 +87,7 @@ def paused() -> Iterator[RobotSession]:
         assert controller.insertion is not None
         plant.zero_mm = float(controller.insertion.q[FEED])
 
-    with RobotServer(controller, plant, advance=plant.advance, virtual=True) as server:
+    with RobotServer(controller, plant, port=0, advance=plant.advance, virtual=True) as server:
         session = RobotSession(ROBOT, server.port, lambda: None, heartbeat=False)
         asyncio.run(session._do("aiming", ready))
         assert session.now.zero == (BY_PLAN,)
