@@ -125,7 +125,8 @@ def test_no_identifier_survives_anywhere_in_the_bytes(tmp_path: Path, words: lis
     file, present = identified(tmp_path, words, day)
     cleaned = Deidentifier().clean(file).data
     for word in present:
-        for text in (word, word.upper(), word.lower(), word[1:-1]):
+        inner = word if word.isdigit() else word[1:-1]  # six digits of a day stand in a new UID by chance
+        for text in (word, word.upper(), word.lower(), inner):
             for encoding in ("utf-8", "utf-16-le", "utf-16-be"):
                 assert text.encode(encoding) not in cleaned
     assert set(elements(cleaned)) == set(ELEMENTS)
