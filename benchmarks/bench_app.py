@@ -18,7 +18,7 @@ from playwright.sync_api import Browser, Page
 from tests.app.browser import FLAGS, Server, chromium, find_chromium
 from tests.app.hands import SEED, Hands
 
-from benchmarks.bench_xray import ASKED_CURVE_MS, ASKED_FRAME_MS, FRAME_MS, drag, high, spread
+from benchmarks.bench_xray import drag, following_row, frame_row
 from benchmarks.rows import Row
 
 GROUP = "app"
@@ -95,26 +95,10 @@ def run(quick: bool) -> list[Row]:
             met=first < ASKED_PAGE_S,
         ),
         Row(GROUP, "start to both images taken and calibrated", f"{calibrated_s:.1f} s"),
-        Row(
-            GROUP,
-            "interval of frames in a drag",
-            spread(frames),
-            f"{FRAME_MS:.1f} ms at 95 %",
-            met=high(frames) <= ASKED_FRAME_MS,
-        ),
-        Row(
-            GROUP,
-            f"pointer to the lateral curve, {len(seen['curve'])} of {seen['moves']} moves",
-            spread(seen["curve"]),
-            f"{ASKED_CURVE_MS:.0f} ms at 95 %",
-            met=high(seen["curve"]) <= ASKED_CURVE_MS,
-        ),
-        Row(
-            GROUP,
-            f"pointer to the figures, {len(seen['figures'])} of {seen['moves']} moves",
-            spread(seen["figures"]),
-            f"{ASKED_CURVE_MS:.0f} ms at 95 %",
-            met=high(seen["figures"]) <= ASKED_CURVE_MS,
+        frame_row(GROUP, frames),
+        *(
+            following_row(GROUP, f"pointer to the {what}, {len(seen[key])} of {seen['moves']} moves", seen[key])
+            for key, what in (("curve", "lateral curve"), ("figures", "figures"))
         ),
     ]
 

@@ -71,21 +71,11 @@ def run(quick: bool) -> list[Row]:
             server.stop()
     drawn = high(seen["point"])
     return [
-        Row(
-            group,
-            "interval of frames in a drag",
-            spread(frames),
-            f"{FRAME_MS:.1f} ms at 95 %",
-            met=high(frames) <= ASKED_FRAME_MS,
-        ),
+        frame_row(group, frames),
         Row(group, "pointer to the point drawn", spread(seen["point"]), "one frame", met=drawn <= FRAME_MS),
         Row(group, "code of a frame in a drag", spread(seen["frame"])),
-        Row(
-            group,
-            f"pointer to the curve in the other view, {COMPUTING_S * 1e3:.0f} ms computed",
-            spread(seen["curve"]),
-            f"{ASKED_CURVE_MS:.0f} ms at 95 %",
-            met=high(seen["curve"]) <= ASKED_CURVE_MS,
+        following_row(
+            group, f"pointer to the curve in the other view, {COMPUTING_S * 1e3:.0f} ms computed", seen["curve"]
         ),
         Row(group, "repaint of another window", spread(repaints), "one frame", met=high(repaints) <= FRAME_MS),
     ]
@@ -135,6 +125,17 @@ async def drag(page: Page, uv: Sequence[float], moves: int, reach: float = 60.0)
 def high(values: list[float]) -> float:
     """The 95th percentile."""
     return float(np.percentile(values, 95))
+
+
+def frame_row(group: str, frames: list[float]) -> Row:
+    """Whether a drag is drawn in every frame."""
+    asked, met = f"{FRAME_MS:.1f} ms at 95 %", high(frames) <= ASKED_FRAME_MS
+    return Row(group, "interval of frames in a drag", spread(frames), asked, met=met)
+
+
+def following_row(group: str, what: str, times: list[float]) -> Row:
+    """Whether something follows the pointer soon enough."""
+    return Row(group, what, spread(times), f"{ASKED_CURVE_MS:.0f} ms at 95 %", met=high(times) <= ASKED_CURVE_MS)
 
 
 def spread(values: list[float]) -> str:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from sightline.case.entry import Entry, Kind
 from sightline.case.journal import Case
 from sightline.case.originals import short
+from sightline.case.stages import acquired_of
 from sightline.case.views import CalibratedImage
 
 NOTE = (
@@ -58,13 +59,7 @@ def _uses(case: Case, plan: Entry) -> Iterator[tuple[int, str]]:
     for what, views in ((CHECK, (number for pair in checks for number in pair)), (PLANNING, plan.rests_on)):
         for number in views:
             view = case.entry(number)
-            yield _acquired(case, view).number, f"{what}, {_spoken(view.content['view'])}"
-
-
-def _acquired(case: Case, entry: Entry) -> Entry:
-    while entry.kind is not Kind.ACQUIRED:
-        entry = case.entry(entry.rests_on[0])
-    return entry
+            yield acquired_of(case, view).number, f"{what}, {_spoken(view.content['view'])}"
 
 
 def _spoken(view: str) -> str:

@@ -116,12 +116,16 @@ def record_verified(
     return case.record(Kind.VERIFIED, content, by=by, rests_on=[entry.number for entry in rests_on])
 
 
+def acquired_of(case: Case, entry: Entry) -> Entry:
+    """The acquired entry that one of an image goes back to; it may be that itself."""
+    while entry.kind is not Kind.ACQUIRED:
+        entry = case.entry(entry.rests_on[0])
+    return entry
+
+
 def calibrated_of(case: Case, acquired: int) -> Entry:
     """The last calibrated entry that goes back to the acquired one of this number. Raises CaseError."""
     for entry in reversed(case.entries(Kind.CALIBRATED)):
-        below = entry
-        while below.kind is not Kind.ACQUIRED:
-            below = case.entry(below.rests_on[0])
-        if below.number == acquired:
+        if acquired_of(case, entry).number == acquired:
             return entry
     raise CaseError(f"the image of entry {acquired} was not calibrated in this case")
