@@ -68,9 +68,12 @@ class Page:
 
     def hear(self, view: str, said: dict[str, Any]) -> None:
         """Of the browser."""
+        asyncio.get_event_loop().run_until_complete(self.heard(view, said))
+
+    async def heard(self, view: str, said: dict[str, Any]) -> None:
+        """Within the loop."""
         xray = self.tab.views[NAMES.index(view)]
-        event = GenericEventArguments(sender=xray, client=xray.client, args=said)
-        asyncio.get_event_loop().run_until_complete(xray._hear(event))
+        await xray._hear(GenericEventArguments(sender=xray, client=xray.client, args=said))
 
     def of(self, view: str, method: str) -> list[tuple[Any, ...]]:
         return [arguments for name, called, arguments in self.told if (name, called) == (view, method)]
@@ -156,6 +159,47 @@ def test_nor_before_the_page_has_drawn_what_the_procedure_has_already(opened: Pa
     opened.tab.refresh()
     opened.hear("pa", _move("/image/103", LANDMARK))
     assert set(opened.procedure.decisions.mark(LANDMARK).places) == {"check-pa"}
+
+
+def _drag_and_meanwhile(opened: Page, deed: Callable[[], object]) -> None:
+    """A drag of the end, and what is done while its consequences are computed."""
+
+    async def drag() -> None:
+        following = asyncio.create_task(opened.heard("pa", _move("/image/101", "end", "drag")))
+        await asyncio.sleep(0)
+        deed()
+        opened.told.clear()
+        await following
+
+    asyncio.get_event_loop().run_until_complete(drag())
+
+
+def test_a_drag_is_followed(opened: Page) -> None:
+    _drag_and_meanwhile(opened, lambda: None)
+    assert opened.tab.known is opened.tab.preview is not opened.procedure.planned
+    opened.hear("pa", _move("/image/101", "end"))
+    assert opened.tab.known is opened.procedure.planned
+
+
+def test_what_follows_a_drag_late_is_not_shown_where_it_was_dropped_and_undone_meanwhile(opened: Page) -> None:
+    """The decisions are the very ones that the drag began with, and yet not what it led to."""
+
+    def drop_and_undo() -> None:
+        opened.procedure.edit(opened.procedure.moved("end", "pa", (300.0, 400.0)))
+        opened.procedure.undo()
+
+    _drag_and_meanwhile(opened, drop_and_undo)
+    assert opened.of("pa", "follow") == opened.of("lateral", "follow") == []
+    assert opened.tab.known is opened.procedure.planned
+
+
+def test_nor_where_it_was_dropped_where_it_had_been(opened: Page) -> None:
+    opened.hear("pa", _move("/image/101", "end"))
+    revision = opened.procedure.history.revision
+    _drag_and_meanwhile(opened, lambda: asyncio.create_task(opened.heard("pa", _move("/image/101", "end"))))
+    assert opened.procedure.history.revision == revision
+    assert opened.of("pa", "follow") == opened.of("lateral", "follow") == []
+    assert opened.tab.known is opened.procedure.planned
 
 
 def _live(number: int, age_s: float = 0.05) -> Any:

@@ -452,36 +452,71 @@ def test_one_move_is_in_flight_and_the_newest_wins(view: View) -> None:
     assert near(first["uv"], (300 + 3 / zoom, 400 + 1 / zoom)) < 1e-6
     assert near(second["uv"], (300 + 30 / zoom, 400 + 10 / zoom)) < 1e-6
     view.mouse.up()
-    assert view.heard("drop") == []  # behind the drag that is not answered
-    view.do("acknowledge")
-    (dropped,) = view.heard("drop")
-    assert dropped["uv"] == second["uv"]
 
 
-@pytest.mark.parametrize("released", [False, True])
-def test_what_is_done_on_an_image_ends_with_it(view: View, released: bool) -> None:
-    """Neither a drag in hand nor a drop that waits behind it is carried over to the next image."""
+def test_a_drop_waits_for_nothing(view: View) -> None:
+    """An undo that overtook it would undo something else."""
     view.forget(answering=False)
     x, y = view.screen(POINTS[0]["uv"])
     view.mouse.move(x, y)
     view.mouse.down()
     view.mouse.move(x + 30, y)
     view.mouse.move(x + 60, y)
-    if released:
-        view.mouse.up()
-    assert (len(view.heard("drag")), view.heard("drop")) == (1, [])
+    view.mouse.up()
+    first, dropped = view.heard("drag", "drop")
+    assert (first["type"], dropped["type"]) == ("drag", "drop")
+    assert dropped["uv"] == pytest.approx((300 + 60 / view.zoom(), 400), abs=1e-6)
+    view.do("acknowledge")
+    assert view.core("sessionStorage.getItem('sightline-xray-pa')") is None
+
+
+@pytest.mark.parametrize("deed", ["key", "pointer", "click"])
+def test_nudges_do_not_queue_up_and_come_before_anything_else(view: View, deed: str) -> None:
+    view.forget(answering=False)
+    _nudge_twice_and_more(view)
+    assert [one["uv"] for one in view.heard("nudge")] == [[301.0, 400.0]]
+    if deed == "key":
+        view.page.keyboard.press("Control+z")
+    elif deed == "pointer":
+        view.mouse.move(1.0, 1.0)  # beside the views
+        view.mouse.down()
+    else:
+        view.page.evaluate("document.body.click()")  # as a screen reader does
+    assert [one["uv"] for one in view.heard("nudge")] == [[301.0, 400.0], [303.0, 400.0]]
+    view.mouse.up()
+
+
+def _nudge_twice_and_more(view: View) -> None:
+    view.stage.focus()
+    view.page.keyboard.press("Tab")
+    for _ in range(3):
+        view.page.keyboard.press("ArrowRight")
+
+
+@pytest.mark.parametrize("gesture", ["drag", "nudge"])
+def test_what_is_done_on_an_image_ends_with_it(view: View, gesture: str) -> None:
+    """Neither a drag in hand nor a nudge that waits behind another is carried over to the next image."""
+    view.forget(answering=False)
+    x, y = view.screen(POINTS[0]["uv"])
+    if gesture == "nudge":
+        _nudge_twice_and_more(view)
+    else:
+        view.mouse.move(x, y)
+        view.mouse.down()
+        view.mouse.move(x + 30, y)
+        view.mouse.move(x + 60, y)
+    assert [one["type"] for one in view.heard("drag", "nudge", "drop")] == [gesture]
     view.do("other")
     expect(view.root.get_by_test_id("lost")).to_contain_text("Entry")
     assert view.point("entry") == POINTS[0]["uv"]
     view.do("acknowledge")
     view.mouse.move(x + 80, y)
     view.mouse.up()
-    assert (len(view.heard("drag")), view.heard("drop")) == (1, [])
+    assert [one["type"] for one in view.heard("drag", "nudge", "drop")] == [gesture]
     assert view.core("sessionStorage.getItem('sightline-xray-pa')") is None
     view.drag(view.screen(POINTS[0]["uv"]), (x + 20, y))  # on the new one
-    view.do("acknowledge")
+    assert [one["type"] for one in view.heard("drag", "nudge", "drop")] == [gesture, "drag", "drop"]
     assert view.refused() == 0
-    assert len(view.heard("drag")) == 2
 
 
 def test_the_server_moves_a_point_but_not_one_in_the_hand(view: View) -> None:

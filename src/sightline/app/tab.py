@@ -46,7 +46,7 @@ class Tab:
         self.show_beads, self.show_rejected = True, False
         self.views: tuple[XrayView, XrayView]
         self.preview: Planned | None = None  # while a point is dragged
-        self._previewed: Decisions | None = None  # what was decided when it began
+        self._dragged: tuple[object, int] | None = None  # the last drag that is not over, and the revision it is of
         self.on_refresh: list[Callable[[], None]] = []
         self._shown: dict[tuple[str, str], Any] = {}
         self._undrawn: dict[str, str] = {}  # by view, why a layer of the plan is not there
@@ -320,7 +320,7 @@ class Tab:
             if event.type == "drag":
                 await self._follow(name, image, uv)
             else:
-                self.preview = None
+                self.preview = self._dragged = None
                 self.procedure.edit(self.procedure.moved(name, image, uv, anew=event.type == "place"))
                 self.message = ""
                 if event.type == "place" and self.placing is not None:
@@ -346,26 +346,31 @@ class Tab:
     async def _follow(self, name: str, image: str, uv: tuple[float, float]) -> None:
         """Curves, wire and figures follow a point that is being dragged: the curves first, they guide the hand."""
         procedure = self.procedure
-        pair, before = procedure.views(), procedure.decisions
+        pair, drag = procedure.views(), (object(), procedure.history.revision)
         if pair is None:
             return
+        self._dragged = drag
         decisions, curves = await asyncio.to_thread(_moved_curves, procedure, pair, name, image, uv)
-        if procedure.decisions is not before:
-            return  # it was dropped, undone or changed elsewhere meanwhile
+        if not self._goes_on(drag):
+            return
         lateral = self.views[self.images.index(NAMES[1])] if NAMES[1] in self.images else None
         if lateral is not None:
             others = {n: at for n, at in shapes.snapped(decisions).items() if (n, NAMES[1]) != (name, image)}
             lateral.follow({"curves": shapes.curves(curves)}, others)
         known, drawn = await asyncio.to_thread(_planned_shapes, decisions, pair, self.images, name)
-        if procedure.decisions is not before:
+        if not self._goes_on(drag):
             self._forget_plan()
             self.later()
             return
-        self.preview, self._previewed = known, before
+        self.preview = known
         for view, layers in zip(self.views, drawn, strict=True):
             view.follow(layers, {})
         self._forget_plan()
         self._refresh_parts()
+
+    def _goes_on(self, drag: tuple[object, int] | None) -> bool:
+        """False once the point was dropped or dragged on, or anything was decided meanwhile, undone again or not."""
+        return drag is not None and drag is self._dragged and drag[1] == self.procedure.history.revision
 
     def _forget_plan(self) -> None:
         for view in self.views:
@@ -398,8 +403,7 @@ class Tab:
     @property
     def known(self) -> Planned | None:
         """The plan that figures are shown of: of the point being dragged, or as it is."""
-        fresh = self.preview is not None and self._previewed is self.procedure.decisions
-        return self.preview if fresh else self.procedure.planned
+        return self.preview if self.preview is not None and self._goes_on(self._dragged) else self.procedure.planned
 
 
 _Pair = tuple[BeadView, BeadView]

@@ -34,6 +34,10 @@ export class Gestures {
     listen(this.stage, "contextmenu", (event) => event.preventDefault());
     listen(this.stage, "keydown", (event) => this.#key(event));
     listen(window, "keydown", (event) => this.#escape(event));
+    // Anywhere on the page, and before whatever it is meant for.
+    for (const deed of ["pointerdown", "keydown", "click"]) {
+      listen(window, deed, (event) => this.#somethingElse(event), { capture: true });
+    }
   }
 
   destroy() {
@@ -296,6 +300,12 @@ export class Gestures {
     else if (event.key === "Enter" && core.state.placing !== null) core.placeAt(core.display.centre);
     else return false;
     return true;
+  }
+
+  // Arrows on a point are more of the same: held down, they come faster than they are answered.
+  #somethingElse(event) {
+    if (ARROWS[event.key] && this.stage.contains(event.target)) return;
+    this.core.moves.flush();
   }
 
   // From anywhere on the page: the button that began the placing may still have the focus.

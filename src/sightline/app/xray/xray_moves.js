@@ -1,9 +1,11 @@
-// Moves of points to the server: one in flight, the newest of each point wins.
+// Moves of points to the server: drags and nudges one in flight, the newest of each point wins.
 //
 // Unlimited sends queue behind a slow computation and the curve lags behind the hand; one in flight never does.
+// What comes once, at the end of a gesture, waits for nothing: an undo that overtook it would undo something else.
 
 const PATIENCE_MS = 2000; // [ours] an answer that takes longer is lost: far above a computation, short for a person
 const EDITS = new Set(["place", "drop", "nudge"]); // what a person did and meant; a drag is on its way still
+const ONCE = new Set(["place", "drop"]);
 
 export class Moves {
   // `send(move)` tells the server; `keep(move | null)` holds the newest edit that the server has not acknowledged.
@@ -23,7 +25,13 @@ export class Moves {
     this.waiting.delete(id); // the newest goes to the end of the line
     this.waiting.set(id, move);
     if (EDITS.has(type)) this.#hold(move);
-    this.#next();
+    if (ONCE.has(type)) this.#send(move);
+    else this.#next();
+  }
+
+  // The person is about to do something else, which must not come before what they did already.
+  flush() {
+    for (const move of this.waiting.values()) if (EDITS.has(move.type)) this.#send(move);
   }
 
   // Whether a newer move of the point waits to be sent: an answer that comes now is older than that.
@@ -63,8 +71,12 @@ export class Moves {
 
   #next() {
     if (this.inFlight || this.waiting.size === 0) return;
-    const [id, move] = this.waiting.entries().next().value;
-    this.waiting.delete(id);
+    this.#send(this.waiting.values().next().value);
+  }
+
+  #send(move) {
+    this.waiting.delete(move.id);
+    clearTimeout(this.timer);
     this.inFlight = move;
     this.timer = setTimeout(() => this.#release(), PATIENCE_MS);
     this.send(move);
