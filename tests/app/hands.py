@@ -93,12 +93,16 @@ class Hands:
 
     def on_screen(self, view: str, uv: tuple[float, float]) -> tuple[float, float]:
         """Where a pixel of a view's image is on the screen."""
+        self._until_shown(view)
         before, x, y = None, 0.0, 0.0
         while before != (x, y):  # until the page has come to rest
             before = x, y
             x, y = self.core(view, "core.toScreen(value)", list(uv))
             self.page.evaluate("() => new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))")
         return x, y
+
+    def _until_shown(self, view: str) -> None:
+        self.until(view, "core.state.image && core.state.image.url === core.url")
 
     def click(self, view: str, uv: tuple[float, float]) -> None:
         """Click at a pixel."""
@@ -112,6 +116,7 @@ class Hands:
 
     def placed(self, name: str, view: str) -> tuple[float, float]:
         """Where a mark is in a view."""
+        self._until_shown(view)
         uv = self.core(view, "core.state.points.get(value).uv", name)
         return uv[0], uv[1]
 

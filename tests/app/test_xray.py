@@ -716,6 +716,28 @@ def test_what_the_browser_makes_up_is_dropped_and_the_rest_goes_on(view: View) -
     assert len(view.heard("drop")) == 1
 
 
+def test_a_point_whose_move_is_refused_goes_back(view: View) -> None:
+    start = view.screen(POINTS[0]["uv"])
+    view.core("core.display.clamp = () => [1e9, 2]")  # a browser that is wrong
+    view.drag(start, (start[0] + 20, start[1]))
+    view.core("delete core.display.clamp")
+    expect(view.root.get_by_test_id("lost")).to_contain_text("Entry")
+    assert view.point("entry") == POINTS[0]["uv"]
+
+
+def test_no_point_is_moved_before_its_image_is_there(view: View) -> None:
+    view.page.route("**/late", lambda route: None)
+    view.do("late", loaded=False)
+    assert view.core("core.shownUrl") == "/picture"
+    x, y = view.screen(POINTS[0]["uv"])
+    view.drag((x, y), (x + 20, y))
+    view.root.get_by_test_id("point-entry").press("ArrowRight")
+    assert view.heard("drag", "drop", "nudge") == []
+    assert view.point("entry") == POINTS[0]["uv"]
+    view.page.unroute("**/late")
+    view.do("restore")
+
+
 BOUNDS = Bounds("/one", width=100, height=50, ids={"a"})
 MOVE = {"type": "drop", "id": "a", "uv": [1, 2.5], "seq": 3, "image": "/one"}
 REMOVE = {"type": "remove", "id": "a", "uv": "x", "image": "/one"}

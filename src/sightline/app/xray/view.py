@@ -92,6 +92,7 @@ class XrayView(Element, component="xray_view.js", dependencies=["xray*.js", _COL
         self.refused = 0
         """Events of the browser that were dropped because they were not what they must be."""
         self._bounds = Bounds()
+        self._points: list[Mapping[str, Any]] = []
         self._handler: Handler | None = None
         self.on("xray", self._hear)
 
@@ -134,8 +135,9 @@ class XrayView(Element, component="xray_view.js", dependencies=["xray*.js", _COL
 
         Only points that are listed here, placed or not, may be named by the browser.
         """
+        self._points = list(points)
         self._bounds.ids = {str(point["id"]) for point in points}
-        self.run_method("setPoints", list(points))
+        self.run_method("setPoints", self._points)
 
     def move_point(self, name: str, uv: Sequence[float]) -> None:
         """Move a point to `uv` (px), unless the person holds it or has moved it since."""
@@ -184,7 +186,7 @@ class XrayView(Element, component="xray_view.js", dependencies=["xray*.js", _COL
         self.run_method("acknowledge", seq)
 
     def drop(self, event: XrayEvent) -> None:
-        """What was done is not taken, since another image is to be shown: the person is told of an edit."""
+        """What was done is not taken, since another image is to be shown: a point goes back, the person is told."""
         self._release(asdict(event))
 
     def set_revision(self, revision: int | str) -> None:
@@ -209,6 +211,7 @@ class XrayView(Element, component="xray_view.js", dependencies=["xray*.js", _COL
         if _is_seq(seq):
             self.acknowledge(seq)
             if isinstance(kind, str) and kind in _EDITS and isinstance(name, str):
+                self.run_method("setPoints", self._points)  # the browser has moved it already
                 self.run_method("sayLost", name)
 
 

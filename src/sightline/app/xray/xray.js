@@ -223,6 +223,7 @@ export class XrayCore {
 
   // Draws the point at once; `type` says to the server what the person did: place, drag, drop or nudge.
   move(type, id, uv) {
+    if (!this.#onItsImage) return;
     const point = this.state.points.get(id);
     point.uv = this.display.clamp(uv);
     this.moves.push(type, id, point.uv, this.shownUrl);
@@ -239,10 +240,15 @@ export class XrayCore {
     return this.state.image && this.state.image.url;
   }
 
+  // No point is placed or moved over another image than the one that the server last said it is on.
+  get #onItsImage() {
+    return this.state.image !== null && this.shownUrl === this.url;
+  }
+
   // The click that was waited for.
   placeAt(uv) {
     const id = this.state.placing;
-    if (id === null || !this.state.image || !this.display.contains(uv)) return;
+    if (id === null || !this.#onItsImage || !this.display.contains(uv)) return;
     if (!this.state.points.has(id)) this.state.points.set(id, this.#point({ id, label: id, style: "landmark" }));
     this.place(null);
     this.move("place", id, uv);
