@@ -60,7 +60,7 @@ def test_a_bead_is_found_where_the_exported_matrix_has_it(exported: tuple[Path, 
     folder, _ = exported
     found = detect(read_image(folder / "pa.png")).uv_px
     plate = frame.view("pa").source
-    seen = read_view(folder / "pa.xreg.json").view().project(plate.xyz_mm)
+    seen = read_view(folder / "pa.xreg.h5").view().project(plate.xyz_mm)
     size = read_image(folder / "pa.png").shape
     inner = ((seen > 40) & (seen < np.array(size[::-1]) - 40)).all(axis=1)
     apart = np.linalg.norm(found[None] - seen[inner, None], axis=2).min(axis=1)

@@ -90,7 +90,7 @@ def test_a_target_keeps_its_place_and_its_error_through_every_format(views, plat
             file = next(
                 p
                 for p in sorted(tmp_path.glob(f"{plate.pinhole.name}.{kind}.*"))
-                if p.suffix in (".json", ".txt", ".xml")
+                if p.suffix in (".json", ".txt", ".xml", ".h5")
             )
             back.append(read_view(file).view())
         px = np.stack([plate.pinhole.view().project(TARGETS_MM) for plate in plates])

@@ -1,43 +1,71 @@
-"""xReg's camera model, under the names that its HDF5 files have: `num-rows`, `row-spacing`, `intrinsic`, `extrinsic`.
+"""xReg's projection data, HDF5: `num-projs`, and in each `proj-000` a group `cam` (camera, sizes) and a group `img`.
 
-All three of its coordinate frames are read; written is `origin-at-focal-pt-det-pos-z`, which is OpenCV's.
+Written is one projection in `origin-at-focal-pt-det-pos-z`, which is OpenCV's; read are all three of xReg's coordinate
+frames, and a file that is a camera alone. xReg: lib/file_formats/xregH5ProjDataIO.cpp, xregH5CamModelIO.cpp.
 """
+
+import io
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from sightline.case.interop import reading
 from sightline.case.interop.pinhole import Pinhole
-from sightline.case.interop.writing import json_bytes
 from sightline.errors import UnusableInputError
 
+if TYPE_CHECKING:
+    import h5py
+
+MAX_BYTES = 2**28  # [ours] two dozen projections of 1536 x 1536 floats
 _WRITTEN = "origin-at-focal-pt-det-pos-z"
 _FRAMES = (_WRITTEN, "origin-at-focal-pt-det-neg-z", "origin-on-det")
+_PIXELS = ("uint8", "uint16", "float32")  # what xReg has projections of
+_MOST_PROJECTIONS = 1000  # their names have three digits
+_STATED = (
+    "num-projs",
+    "num-rows",
+    "num-cols",
+    "row-spacing",
+    "col-spacing",
+    "cam-coord-frame-type",
+    "intrinsic",
+    "extrinsic",
+)
+_MOST_ENTRIES, _MOST_BYTES = 16, 64  # of what is stated: a matrix, and each of its numbers or a word
 
 
-def write(pinhole: Pinhole) -> dict[str, bytes]:
-    """Raises UnusableInputError where pixel size or image size are unknown."""
+def write(pinhole: Pinhole, pixels: np.ndarray | None = None) -> dict[str, bytes]:
+    """One projection, with its image (H, W) where there is one. Raises UnusableInputError where pixel size or image
+    size are unknown."""
     _, across, down = pinhole.detector_mm()
     height, width = pinhole.stated_shape()
-    stated = {
-        "xreg-type": "cam-model",
-        "view": pinhole.name,
-        "coordinates": "CFCS",
-        "units": "mm",
-        "note": pinhole.note,
-        "num-rows": height,
-        "num-cols": width,
-        "row-spacing": down,
-        "col-spacing": across,
-        "cam-coord-frame-type": _WRITTEN,
-        "intrinsic": pinhole.camera_matrix.tolist(),
-        "extrinsic": pinhole.extrinsic.tolist(),
-    }
-    return {f"{pinhole.name}.xreg.json": json_bytes(stated)}
+    buffer = io.BytesIO()
+    with _library().File(buffer, "w") as file:
+        file.attrs["xreg-type"] = np.bytes_("proj-data")
+        file["num-projs"] = np.uint64(1)
+        camera = file.create_group("proj-000/cam")
+        stated = {"xreg-type": "cam-model", "coordinates": "CFCS", "units": "mm", "note": pinhole.note}
+        camera.attrs.update({key: np.bytes_(text.encode()) for key, text in stated.items() if text})
+        camera["num-rows"], camera["num-cols"] = np.uint64(height), np.uint64(width)
+        camera["row-spacing"], camera["col-spacing"] = down, across
+        camera["cam-coord-frame-type"] = np.bytes_(_WRITTEN)
+        camera["intrinsic"], camera["extrinsic"] = pinhole.camera_matrix, pinhole.extrinsic
+        if pixels is not None:
+            if pixels.shape != (height, width) or pixels.dtype.name not in _PIXELS:
+                raise UnusableInputError(f"the image of {pinhole.name} does not belong to its geometry: {pixels.shape}")
+            image = file.create_group("proj-000/img")
+            image.attrs["xreg-type"] = np.bytes_("image-2D")
+            image["dir-mat"], image["origin"] = np.eye(2), np.zeros((2, 1))
+            image["spacing"], image["pixels"] = np.array([[across], [down]]), pixels
+    return {f"{pinhole.name}.xreg.h5": buffer.getvalue()}
 
 
 def read(data: bytes, name: str) -> Pinhole:
-    """Raises UnusableInputError."""
-    given = reading.json_object(data)
+    """The one projection of a file, or of several the one of this name ("proj-001"). Raises UnusableInputError."""
+    with _opened(data) as file:
+        given = _camera(file, name)
     frame = reading.entry(given, "cam-coord-frame-type")
     if frame not in _FRAMES:
         raise UnusableInputError(f"cam-coord-frame-type is {str(frame)[:40]!r}; one of {', '.join(_FRAMES)}")
@@ -50,3 +78,63 @@ def read(data: bytes, name: str) -> Pinhole:
         focal = 0.5 * (abs(camera[0, 0] * across) + abs(camera[1, 1] * down))
         placed = np.diag([1.0, 1.0, -1.0]) @ placed + np.array([[0, 0, 0, 0], [0, 0, 0, 0], [0, 0, 0, focal]])
     return Pinhole.of_matrix(camera @ placed, name, shape, (across, down))
+
+
+def _library() -> Any:
+    try:
+        import h5py
+    except ModuleNotFoundError:
+        raise UnusableInputError("xReg's files are HDF5, which needs h5py; install sightline[xreg]") from None
+    return h5py
+
+
+@contextmanager
+def _opened(data: bytes) -> "Iterator[h5py.File]":
+    """A file from its bytes. Whatever the library says of a spoilt one is one sentence."""
+    library = _library()
+    try:
+        with library.File(io.BytesIO(data), "r") as file:
+            yield file
+    except UnusableInputError:
+        raise
+    except Exception as error:
+        raise UnusableInputError(f"it is no HDF5 file that can be read ({type(error).__name__})") from None
+
+
+def _camera(file: "h5py.File", name: str) -> dict[str, Any]:
+    """The camera of a projection: small numbers and one word, by xReg's names."""
+    if _has(file, "num-rows"):
+        return _values(file)
+    count = reading.number(_values(file).get("num-projs", 0), "num-projs")
+    names = [one for one in (f"proj-{k:03d}" for k in range(min(int(count), _MOST_PROJECTIONS))) if _has(file, one)]
+    if name not in names and len(names) != 1:
+        raise UnusableInputError(
+            f"the file has {len(names)} projections; name the one to read ({', '.join(names[:3]) or 'it has none'})"
+        )
+    projection: Any = file[name if name in names else names[0]]
+    if not _has(projection, "cam"):
+        raise UnusableInputError("the projection has no group 'cam'; write it with xReg again")
+    return _values(projection["cam"])
+
+
+def _has(group: Any, name: str) -> bool:
+    """Whether something lies in the file itself under a name: a link could lead to any other file."""
+    library = _library()
+    if not isinstance(group, library.Group):
+        raise UnusableInputError("a group was expected where the file has numbers; write it with xReg again")
+    return isinstance(group.get(name, getlink=True), library.HardLink)
+
+
+def _values(group: "h5py.Group") -> dict[str, Any]:
+    """What is stated in the group itself: small, of a known kind, and stored in the file, uncompressed."""
+    out: dict[str, Any] = {}
+    for key in (key for key in _STATED if _has(group, key)):
+        held: Any = group[key]
+        if not isinstance(held, _library().Dataset) or held.size is None:
+            continue
+        here = held.chunks is None and held.external is None and not held.is_virtual
+        small = held.size <= _MOST_ENTRIES and held.dtype.itemsize <= _MOST_BYTES
+        if here and small and held.dtype.kind in "iufSO":
+            value = held[()]
+            out[key] = value.decode("ascii", "replace") if isinstance(value, bytes) else value
+    return out
