@@ -6,6 +6,7 @@ import cv2
 import numba as nb
 import numpy as np
 
+from sightline.detection.compiled import exact
 from sightline.detection.noise import NoiseModel
 from sightline.detection.rim import FAINTEST, HOLLOW, RADIUS, RESPONSE, SCORE, U, V, broad_noise, judged
 
@@ -126,7 +127,7 @@ def _band(difference, coarse, mask, step, radius, line, rows) -> int:  # noqa: P
     return n
 
 
-@nb.njit(cache=True, fastmath=True)
+@exact
 def _mark_extremal(d, y, least, extremal):
     """Where in a row a value is `least` or more from zero, and no neighbour further on the same side: no branches."""
     for x in range(1, d.shape[1] - 1):

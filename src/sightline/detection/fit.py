@@ -22,10 +22,10 @@ from sightline.detection.columns import (
     U,
     V,
 )
+from sightline.detection.compiled import FAST, exact, exact_unchecked, part_of_caller
 from sightline.detection.shadow import (
     BEAD,
     CUBIC,
-    FAST,
     GROUND,
     TAKEN_BY_BALL,
     TAKEN_BY_HOLE,
@@ -75,13 +75,13 @@ _ITSELF = np.array([2.0, 2.0, 0.2, 0.5])
 _NEIGHBOUR = np.array([0.7, 0.7, 0.06, 0.3])
 
 
-@nb.njit(cache=True)
+@exact
 def _copy(values, out):
     for k in range(len(out)):  # an assignment to out[:] would take seconds to compile
         out[k] = values[k]
 
 
-@nb.njit(cache=True)
+@exact
 def _group(spots, i, reach):
     """Rows of the beads to be fitted with bead `i`, itself first: the nearest of those that reach into its window."""
     rows, gaps = np.empty(_MOST, np.int64), np.empty(_MOST)
@@ -109,7 +109,7 @@ def _group(spots, i, reach):
 
 
 # Inlined where it is called, once: by itself it would be compiled a second time.
-@nb.njit(cache=True, fastmath=FAST, inline="always")
+@part_of_caller
 def _solve(spots, rows, noise, sharpening, plain, tables, light, state, window, out):  # noqa: PLR0917
     """Fit the beads `rows` to the pixels that are seen; the first one's answer goes into `out`."""
     left, top, reach, zero = window
@@ -197,7 +197,7 @@ def fit_part(part, parts, image, usable, spots, which, noise, sharpening, plain,
                 break
 
 
-@nb.njit(cache=True, fastmath=FAST)
+@exact
 def _start(spots, rows, blur2):
     """Beads of a joint fit, from where the first one is thought to be; light from elsewhere; background."""
     one = spots[rows[0]]
@@ -212,7 +212,7 @@ def _start(spots, rows, blur2):
     return beads, inside - (1.0 - TAKEN_BY_BALL) if one[CONTRAST] < 0 else inside - 1.0, ground
 
 
-@nb.njit(cache=True)
+@exact
 def _roots(lift, slope):
     """One over the noise's deviation at light 0 ... 2, in steps that weights need not be finer than."""
     roots = np.empty(2 * _LIGHTS, np.float32)
@@ -221,7 +221,7 @@ def _roots(lift, slope):
     return roots
 
 
-@nb.njit(cache=True, fastmath=FAST)
+@part_of_caller
 def _weigh(light, counting, brightest, roots, root):
     """One over the noise's deviation at the model's light, of the first `counting` pixels; how many of them count.
 
@@ -239,7 +239,7 @@ def _weigh(light, counting, brightest, roots, root):
     return count
 
 
-@nb.njit(cache=True)
+@exact
 def _rely_on_what_is_known(beads, first, ground, known, A, b):  # noqa: PLR0917
     """Ellipticity and cubic terms are small, beads are about where they start; `known`: 1 / s.d.²."""
     known[:] = 0.0
@@ -262,7 +262,7 @@ def _rely_on_what_is_known(beads, first, ground, known, A, b):  # noqa: PLR0917
         A[k, k] = (A[k, k] + known[k]) * (1.0 + 1e-5)
 
 
-@nb.njit(cache=True)
+@exact
 def _move(beads, shine, ground, step, share):
     """Take a `share` of a step, shortened where it is wild; the largest move of the first bead's centre and radius, px;
     shine."""
@@ -283,7 +283,7 @@ def _move(beads, shine, ground, step, share):
     return max(abs(step[0]), abs(step[1]), abs(step[2])), shine + min(max(step[at], -0.5), 0.5)
 
 
-@nb.njit(cache=True, fastmath=FAST)
+@exact
 def _covariance(columns, where, L, wide, after, scale2, known, ground, out):  # noqa: PLR0917
     """What noise of the correlation `after`, and what was relied on, do to u, v and the light in the middle."""
     size = len(L)
@@ -324,7 +324,7 @@ def _covariance(columns, where, L, wide, after, scale2, known, ground, out):  # 
         out[CVV] += influence[1, k] ** 2 * missing
 
 
-@nb.njit(cache=True, fastmath=FAST)
+@exact
 def _product(field, correlated):
     """Sum of the products of a field and what noise makes of another."""
     total = np.float32(0.0)
@@ -333,7 +333,7 @@ def _product(field, correlated):
     return total
 
 
-@nb.njit(cache=True, fastmath=FAST, error_model="numpy")
+@exact_unchecked
 def _judge(table, at, where, light, beads, shine, ground, optics, blurs, gain, root, pixels, room, out):  # noqa: PLR0917
     """How well the bead explains its window as it was before sharpening: residual, weakest sector."""
     for k in range(len(beads)):

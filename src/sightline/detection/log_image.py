@@ -3,9 +3,9 @@
 from functools import cache
 
 import cv2
-import numba as nb
 import numpy as np
 
+from sightline.detection.compiled import exact
 from sightline.imaging import Radiograph
 
 _COARSE = 4  # px; what lies outside the field is filled at this coarseness
@@ -57,7 +57,7 @@ def _filled(total: np.ndarray, weight: np.ndarray) -> np.ndarray:
     return np.divide(total, weight, out=out, where=weight > _KNOWN)
 
 
-@nb.njit(cache=True)
+@exact
 def _looked_up(pixels, table):
     out = np.empty(pixels.shape, np.float32)
     for i in range(pixels.shape[0]):
@@ -66,7 +66,7 @@ def _looked_up(pixels, table):
     return out
 
 
-@nb.njit(cache=True)
+@exact
 def _fill(values, mask, coarse):
     """The field is convex: in every row it is one run, and what lies beside it is filled from both ends."""
     height, width = values.shape

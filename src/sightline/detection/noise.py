@@ -6,6 +6,8 @@ import cv2
 import numba as nb
 import numpy as np
 
+from sightline.detection.compiled import exact, fast
+
 BLOCK = 16  # px; small enough that anatomy is a plane over most blocks [ours]
 LAGS = 4  # px; a detector blur of 0.7-1.2 px leaves a correlation below 3 % beyond [calc]
 _SILL = 6  # px; lag at which noise counts as uncorrelated
@@ -110,7 +112,7 @@ def _variograms(image: np.ndarray, mask: np.ndarray) -> tuple[np.ndarray, np.nda
     return level[:n], brightest[:n], gamma[:n]
 
 
-@nb.njit(cache=True, fastmath=True)
+@exact
 def _copied(image, mask, top, left, block) -> bool:
     """Whether the block there lies inside the mask; its pixels go to `block`."""
     inside = True
@@ -123,7 +125,7 @@ def _copied(image, mask, top, left, block) -> bool:
     return inside
 
 
-@nb.njit(cache=True, fastmath=True)
+@exact
 def _flatten(block, turned) -> tuple[float, float]:
     """Take a plane off the pixels of a block; its mean and largest value. `turned`: the same, columns for rows."""
     mean, su, sv, largest = 0.0, 0.0, 0.0, block[0]
@@ -141,7 +143,7 @@ def _flatten(block, turned) -> tuple[float, float]:
     return mean, largest
 
 
-@nb.njit(cache=True, fastmath=True)
+@fast
 def _squares(values, lag):
     """Sum of squared differences of what lies `lag` apart: one loop over neighbours, which the compiler vectorises."""
     later, total = values[lag:], np.float32(0)

@@ -3,6 +3,7 @@
 import numba as nb
 import numpy as np
 
+from sightline.detection.compiled import exact
 from sightline.threads import in_parts
 
 # Columns of an extremum (the first four) and of a candidate.
@@ -25,7 +26,7 @@ _LEAST_OFF = 0.8
 _LEAST_SNR = 4.5  # step times root of the disc's area over the noise of a broad mean [ours]
 
 
-@nb.njit(cache=True, fastmath=True)
+@exact
 def broad_noise(level, line) -> float:
     """Noise of a mean over many pixels, times the root of their number, where the log intensity is `level`."""
     return np.exp(np.float32(0.5) * (line[0] - line[1] * level))
@@ -38,7 +39,7 @@ def judged(base: np.ndarray, extrema: np.ndarray, line: np.ndarray) -> np.ndarra
     return out
 
 
-@nb.njit(cache=True, fastmath=True, nogil=True)
+@nb.njit(cache=True, nogil=True)
 def _judge_part(part, parts, base, extrema, line, out):  # noqa: PLR0917
     seen = np.empty((_PLACES, _RAYS), np.float32)
     rim, step = np.empty(_RAYS, np.float32), np.empty(_RAYS, np.float32)
@@ -47,7 +48,7 @@ def _judge_part(part, parts, base, extrema, line, out):  # noqa: PLR0917
         _judge(base, extrema[i], line, seen, rim, step, ordered, out[i])
 
 
-@nb.njit(cache=True, fastmath=True)
+@exact
 def _judge(base, start, line, seen, rim, step, ordered, out):  # noqa: PLR0917
     """From an extremum to the circle through its rim points, and how many of them lie on it."""
     u, v, radius, sign = start[U], start[V], start[RADIUS], 1.0 if start[RESPONSE] > 0 else -1.0
@@ -78,7 +79,7 @@ def _judge(base, start, line, seen, rim, step, ordered, out):  # noqa: PLR0917
     out[HOLLOW] = _hollow(base, u, v, radius, sign) / middle
 
 
-@nb.njit(cache=True, fastmath=True)
+@exact
 def _has_all_sides(base, u, v, radius, sign, noise, falls) -> bool:  # noqa: PLR0917
     """Whether it goes down from within the disc to without in 5 of 8 directions at least; `falls` is overwritten."""
     whole = 0.0
@@ -96,7 +97,7 @@ def _has_all_sides(base, u, v, radius, sign, noise, falls) -> bool:  # noqa: PLR
     return down >= 5
 
 
-@nb.njit(cache=True, fastmath=True)
+@exact
 def _cast(base, u, v, first, spacing, sign, averaged, seen):  # noqa: PLR0917
     """Signed values along rays from (u, v), or their means with the rays beside, (_PLACES, _RAYS)."""
     count = _BESIDE if averaged else 1
@@ -110,7 +111,7 @@ def _cast(base, u, v, first, spacing, sign, averaged, seen):  # noqa: PLR0917
                 seen[j, k] += part * _at(base, v + r * _SIN[b, k], u + r * _COS[b, k])
 
 
-@nb.njit(cache=True, fastmath=True)
+@exact
 def _steepest(seen, first, spacing, rim, step):
     """Per ray where it falls most, and by how much it falls about there."""
     for k in range(_RAYS):  # without branches, for all rays at once
@@ -129,7 +130,7 @@ def _steepest(seen, first, spacing, rim, step):
         rim[k], step[k] = first + (at + shift) * spacing, before + after
 
 
-@nb.njit(cache=True, fastmath=True)
+@exact
 def _median(values, ordered) -> float:
     """Median of the rays' values; `ordered` is overwritten."""
     for k in range(_RAYS):
@@ -141,7 +142,7 @@ def _median(values, ordered) -> float:
     return 0.5 * (ordered[_RAYS // 2 - 1] + ordered[_RAYS // 2])
 
 
-@nb.njit(cache=True, fastmath=True)
+@exact
 def _circle(rim, step, least, slack, radius, ordered):  # noqa: PLR0917
     """How many rim points lie within `slack` of a circle, its middle from here, its radius: r = R + a cos + b sin."""
     a = b = 0.0
@@ -169,7 +170,7 @@ def _circle(rim, step, least, slack, radius, ordered):  # noqa: PLR0917
     return sound, a, b, size
 
 
-@nb.njit(cache=True, fastmath=True)
+@exact
 def _step_at(base, u, v, radius, sign) -> float:
     """Mean within a circle less mean around it: linear in the image, so that noise does not add to it."""
     step = 0.0
@@ -181,7 +182,7 @@ def _step_at(base, u, v, radius, sign) -> float:
     return sign * step / _RAYS
 
 
-@nb.njit(cache=True, fastmath=True)
+@exact
 def _hollow(base, u, v, radius, sign) -> float:
     """By how much the middle of a disc falls short of a ring at three quarters of its radius."""
     middle, ring = _at(base, v, u), 0.0
@@ -192,7 +193,7 @@ def _hollow(base, u, v, radius, sign) -> float:
     return sign * (ring / 8 - middle / 9)
 
 
-@nb.njit(cache=True, fastmath=True)
+@exact
 def _at(image, v, u):
     """Bilinear value; the border repeats. In single precision and with unsigned indices, which takes half the time."""
     v = min(max(np.float32(v), np.float32(0)), np.float32(image.shape[0] - 1.01))

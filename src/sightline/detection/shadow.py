@@ -1,8 +1,8 @@
 """The model of a window: shadows of one to three beads on a cubic background, and its least squares."""
 
-import numba as nb
 import numpy as np
 
+from sightline.detection.compiled import exact, fast, part_of_caller
 from sightline.detection.profile import Q_COUNT, Q_STEP, T_COUNT, T_FIRST, T_STEP
 
 # Per bead: u, v, radius, blur, ellipticity along the axes and along the diagonals. Then the light in the middle of a
@@ -13,10 +13,9 @@ BEAD, GROUND, CUBIC = 6, 10, 4
 # not follow the background: 0.93-0.97 for 3 mm of steel; 0.87 leaves least of a background's slope in the centre, whose
 # cubic part is damped [twin]. What a bright hole adds does not follow the background either.
 TAKEN_BY_BALL, TAKEN_BY_HOLE = np.float32(0.87), np.float32(0.0)
-FAST = {"reassoc", "contract", "arcp", "nsz"}  # all of fastmath that keeps NaN and infinity
 
 
-@nb.njit(cache=True, fastmath=FAST)
+@part_of_caller
 def _profile_row(table, radius, blur, row):
     """Of the profile of this radius and blur, by its column: value, and derivative by blur over radius."""
     y = min(max(blur / radius / Q_STEP - 1.0, 0.0), Q_COUNT - 1.001)
@@ -27,7 +26,7 @@ def _profile_row(table, radius, blur, row):
         row[1, j] = (table[i + 1, j] - table[i, j]) / Q_STEP
 
 
-@nb.njit(cache=True, fastmath=FAST, error_model="numpy")
+@part_of_caller
 def _shadow(row, at, bead, out, slopes):
     """Derivatives of one bead's share by its six parameters into `out`; the share and its slopes into `slopes`.
 
@@ -64,7 +63,7 @@ def _shadow(row, at, bead, out, slopes):
         out[4, n], out[5, n] = -g * (c * c - s * s), -g * two * c * s
 
 
-@nb.njit(cache=True, fastmath=FAST, error_model="numpy")
+@fast
 def fill_light(table, at, beads, shine, ground, optics, behind, effect, columns):  # noqa: PLR0917
     """The last three of `columns`: what the model's light leaves of the values seen, that light, and the background.
 
@@ -115,7 +114,7 @@ def fill_light(table, at, beads, shine, ground, optics, behind, effect, columns)
         rest[n] = at[2, n] - light[n]
 
 
-@nb.njit(cache=True, fastmath=FAST)
+@part_of_caller
 def fill_slopes(at, scale, root, behind, effect, columns):  # noqa: PLR0917
     """Derivatives of the light that `fill_light` found, by all parameters, and the residual after them, each times
     `root` (N,)."""
@@ -142,7 +141,7 @@ def fill_slopes(at, scale, root, behind, effect, columns):  # noqa: PLR0917
         ground[8, n], ground[9, n] = w * ab * b + bb * x + two * ab * y, w * bb * b + three * bb * y
 
 
-@nb.njit(cache=True, fastmath=True)
+@part_of_caller
 def normal_equations(columns, A, b):
     """A = J'J on its diagonal and below, b = J'r of the first len(b) columns and the one after them, a multiple of
     three, for which A has room; the sum of r²."""
@@ -165,7 +164,7 @@ def normal_equations(columns, A, b):
     return A[n, n]
 
 
-@nb.njit(cache=True, fastmath=FAST)
+@exact
 def solve(A, b, L, x):
     """Solve A x = b for symmetric A by Cholesky (`L` is room for it); False if A is not positive."""
     n = len(b)
@@ -183,7 +182,7 @@ def solve(A, b, L, x):
     return substitute(L, b, x)
 
 
-@nb.njit(cache=True, fastmath=FAST)
+@exact
 def substitute(L, b, x):
     """Solve L L' x = b."""
     n = len(b)

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numba as nb
 import numpy as np
 
+from sightline.detection.compiled import exact
 from sightline.detection.noise import BLOCK, NoiseModel
 from sightline.detection.window import along_both_axes
 from sightline.threads import in_parts
@@ -106,7 +107,7 @@ def _after_part(part, parts, image, mask, line, taps, ceiling, columns, out):  #
             out[b, lag] = total / (2.0 * BLOCK * (BLOCK - lag)) / variance
 
 
-@nb.njit(cache=True, fastmath=True)
+@exact
 def _usable(image, mask, top, left, ceiling) -> bool:
     """Whether the pixels of a block and its margin are all in the field, and none clipped."""
     for i in range(top, top + _WIDE):
@@ -116,7 +117,7 @@ def _usable(image, mask, top, left, ceiling) -> bool:
     return True
 
 
-@nb.njit(cache=True, fastmath=True)
+@exact
 def _flatten(block: np.ndarray) -> float:
     """Take a plane off `block`; its mean."""
     n = block.shape[0]

@@ -1,10 +1,9 @@
 """The window of a bead: its light, which of its pixels tell of the bead, and the filter along both axes."""
 
-import numba as nb
 import numpy as np
 
 from sightline.detection.columns import CONTRAST, RADIUS, U, V
-from sightline.detection.shadow import FAST
+from sightline.detection.compiled import exact, fast, part_of_caller
 
 BEYOND = 5.0  # px of background about the rim, and as many blurs as fit [ours]
 MARGIN = 6  # px about the window that the filter may need
@@ -18,7 +17,7 @@ _VECTOR = 32  # pixels that a loop takes at once: a remainder takes as long as a
 SEEN, CLIPPED, HIDDEN = 0, 1, 2
 
 
-@nb.njit(cache=True, fastmath=FAST)
+@exact
 def level(image, usable, bead, reach):
     """Mean log light about the bead; 0 where nothing about it is usable."""
     height, width = image.shape
@@ -33,7 +32,7 @@ def level(image, usable, bead, reach):
     return total / max(outside, 1)
 
 
-@nb.njit(cache=True, fastmath=True)
+@exact
 def look(image, left, top, half, zero):
     """The light exp(image - zero) of the window and MARGIN pixels about it; the image's border repeats."""
     height, width = image.shape
@@ -53,7 +52,7 @@ def look(image, left, top, half, zero):
     return light
 
 
-@nb.njit(cache=True, fastmath=True)
+@part_of_caller
 def _exponentiate(values):
     """exp of values, those beyond 8 in size taken for 8, to 1e-6: a polynomial of x / 16, squared four times, which is
     vectorised."""
@@ -69,7 +68,7 @@ def _exponentiate(values):
         values[k] = y * y
 
 
-@nb.njit(cache=True, fastmath=FAST)
+@exact
 def mark(image, usable, spots, rows, left, top, n, ceiling):  # noqa: PLR0917
     """(n, n) whether each pixel is seen, clipped, or hidden: outside the field, or on something else."""
     height, width = usable.shape
@@ -97,7 +96,7 @@ def mark(image, usable, spots, rows, left, top, n, ceiling):  # noqa: PLR0917
     return state
 
 
-@nb.njit(cache=True, fastmath=FAST)
+@exact
 def _hide(state, y, x, reach):
     n = len(state)
     for i in range(max(0, int(y - reach)), min(n, int(y + reach) + 2)):
@@ -106,7 +105,7 @@ def _hide(state, y, x, reach):
                 state[i, j] = HIDDEN
 
 
-@nb.njit(cache=True, fastmath=FAST)
+@exact
 def hide_metal(state, spots, rows, left, top, light) -> bool:  # noqa: PLR0917
     """Hide what stands about the beads and is nearly as dark as the first one; whether there is any."""
     n = len(state)
@@ -125,7 +124,7 @@ def hide_metal(state, spots, rows, left, top, light) -> bool:  # noqa: PLR0917
     return True
 
 
-@nb.njit(cache=True, fastmath=FAST)
+@part_of_caller
 def _about_beads(state, spots, rows, left, top, light):  # noqa: PLR0917
     """Means over 3x3 pixels, which of them are on no bead, and the first bead's own light in its middle."""
     n = len(state)
@@ -148,7 +147,7 @@ def _about_beads(state, spots, rows, left, top, light):  # noqa: PLR0917
     return mean, free, inside / max(core, 1)
 
 
-@nb.njit(cache=True, fastmath=FAST)
+@exact
 def _metal_limit(mean, free, dark):
     """What is darker than this is metal: between the bead's light and that of the background, which is free of it."""
     limit = 0.0
@@ -163,7 +162,7 @@ def _metal_limit(mean, free, dark):
     return limit
 
 
-@nb.njit(cache=True, fastmath=FAST)
+@exact
 def rim_seen(state, spots, rows, left, top):
     """Share of the first bead's rim that is neither hidden nor on another bead."""
     rim, seen = 0, 0
@@ -179,7 +178,7 @@ def rim_seen(state, spots, rows, left, top):
     return seen / max(rim, 1)
 
 
-@nb.njit(cache=True, fastmath=FAST)
+@part_of_caller
 def spread(state, x, y, radius):
     """Carry what is not seen on by the filter's reach in the high bits of `state`; share of the rim that this costs."""
     n = len(state)
@@ -202,7 +201,7 @@ def spread(state, x, y, radius):
     return lost / max(rim, 1)
 
 
-@nb.njit(cache=True, fastmath=FAST)
+@part_of_caller
 def gather(state, filtered, values, x0, y0, reach):  # noqa: PLR0917
     """x, y from the first guess of the centre and value of each pixel that counts; its place; how many they are.
 
@@ -228,7 +227,7 @@ def gather(state, filtered, values, x0, y0, reach):  # noqa: PLR0917
     return at[:, :whole].copy(), where[:, :whole].copy(), count
 
 
-@nb.njit(cache=True, fastmath=FAST)
+@fast
 def along_both_axes(field, taps):
     """`field` convolved along both axes with the symmetric `taps`, without its margin of as many pixels."""
     t, width = len(taps) - 1, field.shape[1]
@@ -236,7 +235,7 @@ def along_both_axes(field, taps):
     return out.reshape(len(out) // width, width)[:, : width - 2 * t]
 
 
-@nb.njit(cache=True, fastmath=FAST)
+@fast
 def in_one_row(field, taps, width):
     """The same of a field whose rows of `width` stand one after the other; of each row of the answer what lies in the
     margin means nothing."""
@@ -249,7 +248,7 @@ def in_one_row(field, taps, width):
     return twice
 
 
-@nb.njit(cache=True, fastmath=FAST)
+@fast
 def _along(values, taps, step, out):
     """`values` convolved with `taps` that are `step` apart: long loops over neighbours, which are vectorised."""
     middle = (len(taps) - 1) * step

@@ -28,7 +28,7 @@ class Rays(NamedTuple):
     inside: np.ndarray
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", fastmath=False)
 def _towards(rays: Rays, r: int, c: int, d: np.ndarray) -> float:
     """Fills `d` (3,) with the way from focal point to input plane of one pixel; its length, mm."""
     norm = 0.0
@@ -38,7 +38,7 @@ def _towards(rays: Rays, r: int, c: int, d: np.ndarray) -> float:
     return np.sqrt(norm)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", fastmath=False)
 def _within(span: tuple[float, float], start: float, slope: float, low: float, high: float) -> tuple[float, float]:
     """The part of a span of t (near, far) where start + t slope lies between low and high; far < near: none."""
     near, far = span
@@ -62,6 +62,7 @@ def volume_integral(rays: Rays, values: np.ndarray, origin: np.ndarray, voxel: n
 
 
 # Sums may be taken in any order: that lets eight samples be taken at a time, and changes no bit of a float32 result.
+# What it calls says that this is not so there: else it would be, where this is the first to call it.
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"reassoc", "contract"})
 def _cast_volume(part, parts, rays, flat, shape, start, ratio, unit, out):  # noqa: PLR0917
     """Voxels `flat` (n,) of `shape`; `start` (3,) the focal point in voxels, `ratio` (3,) voxels per `unit` mm."""
