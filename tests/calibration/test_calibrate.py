@@ -65,6 +65,7 @@ def test_smooth_is_near_exact_for_a_tilted_camera_with_distortion():
     assert np.abs(miss[3:]).max() < 0.003
 
 
+@pytest.mark.slow
 def test_smooth_states_the_covariance_that_sampling_shows():
     # 200 draws of bead noise; the camera lies in the model (an affine map), so noise is all the error there is. Sample
     # variances of 200 draws scatter by 10 %; hyper-parameters learnt anew each time add the misfit they cannot exclude.

@@ -79,11 +79,15 @@ def test_a_real_robot_takes_no_yes_and_no_saved_plan(plan):
         done = run("drive", plan, f"127.0.0.1:{port}", "--yes")
         assert done.exit_code == 3
         assert "simulators alone" in done.stderr
-        done = run("check", f"127.0.0.1:{port}", "--yes", "--quiet")
-        assert done.exit_code == 3
         done = run("drive", plan, f"127.0.0.1:{port}")
         assert done.exit_code == 3
         assert "where a real robot stood" in done.stderr
+
+
+@pytest.mark.slow
+def test_nor_does_its_check_take_a_yes():
+    with old_robot() as port:
+        assert run("check", f"127.0.0.1:{port}", "--yes", "--quiet").exit_code == 3
 
 
 @pytest.mark.parametrize(

@@ -82,7 +82,12 @@ def test_tags_state_the_nominal_geometry(run, side: str, tmp_path: Path) -> None
         assert abs(tags[view].secondary_angle_deg) <= 15
 
 
-@pytest.mark.parametrize("preset", PRESETS)
+_FIRST = next(iter(PRESETS))
+
+
+@pytest.mark.parametrize(
+    "preset", [_FIRST, *(pytest.param(one, marks=pytest.mark.slow) for one in PRESETS if one != _FIRST)]
+)
 def test_every_image_chain_shows_a_hip(run, preset: str, tmp_path: Path) -> None:
     ran = run("simulate", "--preset", preset, "--dose", "low", "--side", "left", "--out", tmp_path, "--json")
     assert ran.code == 0, ran.out

@@ -45,6 +45,7 @@ def test_exact_measurements_give_the_frame_back_whole():
     assert fitted.adjusted.freedom == 90
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("count", [1, 3])
 def test_the_covariance_is_that_of_the_errors(count):
     """Pooled chi-square of 60 frames within what chance gives it 999 times in 1,000; rank all but the gauge's six."""

@@ -32,6 +32,7 @@ def test_perfect_drawings_give_the_bone():
     np.testing.assert_allclose(found.part("wire"), np.r_[bone.ENTRY_MM, bone.END_MM], atol=1e-7)
 
 
+@pytest.mark.slow
 def test_all_covariances_by_sampling():
     """Views, shared frame errors and clicks are drawn anew; each part and all together err as stated, figures too."""
     views, rng = _views(), np.random.default_rng(12)

@@ -44,6 +44,7 @@ def test_perfect_picks_give_the_point(method, xyz):
     assert points.gap_mm[0] < 1e-8
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["weighted", "nearest"])
 def test_joint_covariance_by_sampling(method):
     views = _views()
@@ -105,6 +106,7 @@ def test_frames_error_is_shared_between_views_of_one_frame_only():
     assert not np.allclose(shared.budget_mm2["frame"], apart.budget_mm2["frame"], rtol=0.05)
 
 
+@pytest.mark.slow
 def test_snapped_pick_is_one_number():
     """A snapped pick says nothing across its curve: the point stays on the PA line, and its covariance is right."""
     views = _views()

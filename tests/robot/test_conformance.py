@@ -28,6 +28,7 @@ def test_ours_passes_everything_and_stands_after_the_dry_run():
         assert depth is None or depth < -15.0  # it stood at its stand-off
 
 
+@pytest.mark.slow
 def test_an_old_robot_passes_what_it_knows():
     with old_robot() as port:
         found = verdicts(port)

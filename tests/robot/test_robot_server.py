@@ -225,7 +225,12 @@ def test_a_stop_from_another_thread_and_from_another_client(how):
                 assert still(server)
 
 
-@pytest.mark.parametrize("state", [State.TARGETING, *MOVING], ids=lambda state: state.value)
+@pytest.mark.parametrize(
+    "state",
+    # To drill it first takes its time to align.
+    [pytest.param(one, marks=[pytest.mark.slow] if one is State.DRILL else []) for one in (State.TARGETING, *MOVING)],
+    ids=lambda state: state.value,
+)
 def test_a_client_that_is_killed(state):
     with served() as server:
         controller = server.dialogue.controller

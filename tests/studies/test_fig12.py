@@ -39,6 +39,7 @@ def test_a_trial_repeats_and_is_plain():
     assert all(0.5 < trial[end]["band_px"] < 12.0 for end in ENDS)
 
 
+@pytest.mark.slow
 def test_the_summary_states_shares_and_draws_the_curves():
     trial = Figure12().trial(np.random.default_rng([3, 1]))
     one = {"band_px": 2.0, "bend_px": 4.0}

@@ -100,7 +100,7 @@ def test_the_frame_shows_as_many_beads_as_a_set_up_asks_for(frame):
             assert view.in_field(uv).mean() > 0.6
 
 
-@pytest.mark.parametrize("chain", ["9in-pal", "flat-panel"])
+@pytest.mark.parametrize("chain", ["9in-pal", pytest.param("flat-panel", marks=pytest.mark.slow)])
 def test_scenes_are_drawn_for_any_chain(frame, chain):
     image, truth = hard_scene(np.random.default_rng(45), "high", frame, chain=chain)
     assert image.shape == preset(chain).shape
