@@ -19,12 +19,13 @@ $(READY): requirements.lock pyproject.toml
 demo: $(READY)  ## two images of a twin, calibrated, planned, reported: out/demo/report.html
 	$(BIN)/sightline demo
 
-# A process for each core, a file of tests on one of them: files share fixtures. Matrices are small: a thread each will do.
+# A process for each core, a file of tests on one of them: files share fixtures; in their order, that the longest (app) do
+# not come last. Matrices are small: a thread each will do.
 test: $(READY)  ## the whole suite, under five minutes
-	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist loadfile
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist loadfile --no-loadscope-reorder
 
 slow: $(READY)  ## what is too slow for `make test`
-	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -m slow -n auto --dist loadfile
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -m slow -n auto --dist loadfile --no-loadscope-reorder
 
 bench: $(READY)  ## the figures of docs/benchmarks.md, each beside its peer
 	$(BIN)/python -m benchmarks
