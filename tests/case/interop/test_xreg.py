@@ -55,12 +55,21 @@ def test_projections_of_xregs_own_writer_are_read_by_name(tmp_path_factory, firs
             image = held.create_group(f"proj-{k:03d}/img")
             image.create_dataset("pixels", data=np.zeros(pinhole.shape or (), np.float32), compression=9)
             held[f"proj-{k:03d}/landmarks/FH-l"] = np.zeros((2, 1), np.float32)
-    with pytest.raises(UnusableInputError, match=r"has 2 projections; name the one to read \(proj-000, proj-001\)"):
+    with pytest.raises(
+        UnusableInputError, match="2 projections none is called 'fluoro'; there are: proj-000, proj-001"
+    ):
         read_view(file)
     for k, pinhole in enumerate((first, second)):
         back = read_view(file, name=f"proj-{k:03d}")
         assert back.shape == pinhole.shape
         assert np.abs(back.view().project(POINTS) - project(pinhole, POINTS)).max() < FLOAT_PX
+
+
+def test_the_only_projection_is_not_taken_for_another_one(tmp_path: Path) -> None:
+    put(tmp_path / "a.xreg.h5", example())
+    assert read_view(tmp_path / "a.xreg.h5", name="proj-000").name == "proj-000"
+    with pytest.raises(UnusableInputError, match="none is called 'proj-001'; there are: proj-000"):
+        read_view(tmp_path / "a.xreg.h5", name="proj-001")
 
 
 def test_a_camera_alone_is_read(tmp_path: Path) -> None:
@@ -175,8 +184,8 @@ def test_numbers_are_taken_from_the_file_itself_alone(tmp_path: Path) -> None:
 def test_files_without_a_projection_are_refused(tmp_path: Path) -> None:
     file = tmp_path / "a.xreg.h5"
     for fill, words in (
-        ({}, "0 projections"),
-        ({"num-projs": np.uint64(9)}, "0 projections"),
+        ({}, "0 projections none is called"),
+        ({"num-projs": np.uint64(9)}, "0 projections none is called"),
         ({"num-projs": np.uint64(2**63)}, "num-projs must be"),
         ({"num-projs": np.uint64(1), "proj-000": 5.0}, "a group was expected"),
         ({"num-projs": np.uint64(1), "proj-000/x": 5.0}, "no group 'cam'"),

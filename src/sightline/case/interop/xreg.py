@@ -107,10 +107,9 @@ def _camera(file: "h5py.File", name: str) -> dict[str, Any]:
         return _values(file)
     count = reading.number(_values(file).get("num-projs", 0), "num-projs")
     names = [one for one in (f"proj-{k:03d}" for k in range(min(int(count), _MOST_PROJECTIONS))) if _has(file, one)]
-    if name not in names and len(names) != 1:
-        raise UnusableInputError(
-            f"the file has {len(names)} projections; name the one to read ({', '.join(names[:3]) or 'it has none'})"
-        )
+    if name not in names and (len(names) != 1 or name.startswith("proj-")):
+        there = ", ".join(names[:3]) or "none"
+        raise UnusableInputError(f"of the file's {len(names)} projections none is called {name!r}; there are: {there}")
     projection: Any = file[name if name in names else names[0]]
     if not _has(projection, "cam"):
         raise UnusableInputError("the projection has no group 'cam'; write it with xReg again")
