@@ -1,6 +1,7 @@
 """The page: steps along the top, two X-ray views, the panel of the step beside them."""
 
 from collections.abc import Callable
+from functools import partial
 from importlib.resources import files
 from typing import Any
 
@@ -11,7 +12,7 @@ from sightline.app import panel_calibrate, panel_drill, panel_images, panel_plan
 from sightline.app.drawn import Pictures
 from sightline.app.panel_space import Space
 from sightline.app.procedure import Procedure
-from sightline.app.section import Following, Section, action
+from sightline.app.section import Following, Lasting, Section, action
 from sightline.app.serve import Site
 from sightline.app.settings import Settings
 from sightline.app.steps import steps
@@ -68,27 +69,39 @@ def _first_open(procedure: Procedure) -> str:
 def _bar(tab: Tab) -> ui.element:
     """Brand, steps and tools; the box of the tools."""
     ui.label("Sightline").classes("brand")
-    Section(tab, lambda t: (steps(t.procedure), t.step), _steps, classes="steps")
+    Lasting(tab, lambda t: (steps(t.procedure), t.step), _steps, classes="steps")
     with ui.element("div").classes("tools") as tools:
-        Section(tab, lambda t: (t.procedure.history.can_undo, t.procedure.history.can_redo), _undo, classes="undo")
+        Lasting(tab, lambda t: (t.procedure.history.can_undo, t.procedure.history.can_redo), _undo, classes="undo")
         Section(tab, lambda t: t.procedure.drilling.now is not None, _stop, classes="stop-box")
     return tools
 
 
-def _steps(tab: Tab) -> None:
-    for number, step in enumerate(steps(tab.procedure), 1):
-        button = action(f"{number} {step.name}", lambda step=step: tab.go_to(step.name), testid=f"step-{step.name}")
-        button.classes(f"step {step.standing}{' here' if step.name == tab.step else ''}")
-        button.props(f"aria-current={'step' if step.name == tab.step else 'false'}")
-        button.tooltip(step.reason)
-        with button:
-            ui.label(STANDING[step.standing]).classes("standing")
+def _steps(tab: Tab) -> Callable[[], None]:
+    made: list[tuple[ui.button, ui.label, ui.tooltip]] = []
+    for number, name in enumerate(STEPS, 1):
+        with action(f"{number} {name}", partial(tab.go_to, name), testid=f"step-{name}").classes("step") as button:
+            made.append((button, ui.label().classes("standing"), ui.tooltip("")))
+
+    def update() -> None:
+        for step, (button, standing, tip) in zip(steps(tab.procedure), made, strict=True):
+            here = step.name == tab.step
+            button.classes(f"{step.standing} {'here' if here else ''}", remove=" ".join((*STANDING, "here")))
+            button.props(f"aria-current={'step' if here else 'false'}")
+            standing.set_text(STANDING[step.standing])
+            tip.set_text(step.reason)
+
+    return update
 
 
-def _undo(tab: Tab) -> None:
-    history = tab.procedure.history
-    action("↶ Undo", tab.doing(tab.procedure.undo), testid="undo", kind="plain", enabled=history.can_undo)
-    action("↷ Redo", tab.doing(tab.procedure.redo), testid="redo", kind="plain", enabled=history.can_redo)
+def _undo(tab: Tab) -> Callable[[], None]:
+    undo = action("↶ Undo", tab.doing(tab.procedure.undo), testid="undo", kind="plain")
+    redo = action("↷ Redo", tab.doing(tab.procedure.redo), testid="redo", kind="plain")
+
+    def update() -> None:
+        undo.set_enabled(tab.procedure.history.can_undo)
+        redo.set_enabled(tab.procedure.history.can_redo)
+
+    return update
 
 
 def _stop(tab: Tab) -> None:

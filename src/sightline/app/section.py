@@ -57,6 +57,18 @@ class Section(_Part):
                 note(refused, kind="bad", testid="section-refused")
 
 
+class Lasting(_Part):
+    """`build(tab)` fills it once and gives what brings it up to date: a click on its way meets its button."""
+
+    def __init__(self, tab: Tab, key: Key, build: Callable[[Tab], Callable[[], None]], *, classes: str = "") -> None:
+        with ui.element("section").classes(classes) as box:
+            self._update = build(tab)
+        super().__init__(tab, key, box)
+
+    def _fill(self, refused: str) -> None:
+        self._tab.message = refused or why_not(self._update) or self._tab.message
+
+
 class Following(_Part):
     """`html(tab)` fills it. A change is one message, and the page around it is left alone: it follows a drag."""
 
