@@ -13,5 +13,5 @@ FAST = {"reassoc", "contract", "arcp", "nsz"}  # all of fastmath that keeps NaN 
 exact = nb.njit(cache=True, fastmath=False, error_model="python", forceinline=False)
 exact_unchecked = nb.njit(cache=True, fastmath=False, error_model="numpy", forceinline=False)
 fast = nb.njit(cache=True, fastmath=FAST, error_model="numpy", forceinline=True)
-# Inlined before it is compiled, as part of its caller: saves time where there is one.
+# Inlined before it is compiled: by itself a function that is called once would be compiled a second time.
 part_of_caller = nb.njit(cache=True, inline="always")

@@ -108,7 +108,6 @@ def _group(spots, i, reach):
     return rows[:count]
 
 
-# Inlined where it is called, once: by itself it would be compiled a second time.
 @part_of_caller
 def _solve(spots, rows, noise, sharpening, plain, tables, light, state, window, out):  # noqa: PLR0917
     """Fit the beads `rows` to the pixels that are seen; the first one's answer goes into `out`."""

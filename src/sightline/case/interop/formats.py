@@ -10,24 +10,29 @@ from sightline.case.interop import deepdrr, diffdrr, mayacam2, opencv, reading, 
 from sightline.case.interop.pinhole import Pinhole
 from sightline.errors import UnusableInputError
 
-Write = Callable[[Pinhole], dict[str, bytes]]
-Read = Callable[[bytes, str], Pinhole]
-_PLAIN: dict[str, tuple[Write, Read]] = {
-    "opencv": (opencv.write, opencv.read),
-    "mayacam2": (mayacam2.write, mayacam2.read),
-    "diffdrr": (diffdrr.write, diffdrr.read),
-    "deepdrr": (deepdrr.write, deepdrr.read),
+_WRITE: dict[str, Callable[[Pinhole], dict[str, bytes]]] = {
+    "opencv": opencv.write,
+    "mayacam2": mayacam2.write,
+    "diffdrr": diffdrr.write,
+    "deepdrr": deepdrr.write,
 }
-FORMATS = (*_PLAIN, "rtk", "xreg")
+_WRITE_WITH_IMAGE = {"rtk": rtk.write, "xreg": xreg.write}
+_READ: dict[str, Callable[[bytes, str], Pinhole]] = {  # RTK's takes the head of its image too
+    "opencv": opencv.read,
+    "mayacam2": mayacam2.read,
+    "diffdrr": diffdrr.read,
+    "deepdrr": deepdrr.read,
+    "xreg": xreg.read,
+}
+_MOST_BYTES = {"xreg": xreg.MAX_BYTES}  # its images are in the same file
+FORMATS = (*_WRITE, *_WRITE_WITH_IMAGE)
 
 
 def write_view(pinhole: Pinhole, kind: str, pixels: np.ndarray | None = None) -> dict[str, bytes]:
     """Files of one view by name; RTK's and xReg's hold the image too. Raises UnusableInputError."""
-    if known(kind) == "rtk":
-        return rtk.write(pinhole, pixels)
-    if kind == "xreg":
-        return xreg.write(pinhole, pixels)
-    return _PLAIN[kind][0](pinhole)
+    if known(kind) in _WRITE_WITH_IMAGE:
+        return _WRITE_WITH_IMAGE[kind](pinhole, pixels)
+    return _WRITE[kind](pinhole)
 
 
 def read_view(path: str | Path, kind: str | None = None, name: str | None = None) -> Pinhole:
@@ -40,14 +45,12 @@ def read_view(path: str | Path, kind: str | None = None, name: str | None = None
     words = file.name.lower().split(".")
     kind = known(kind or next((word for word in words[1:] if word in FORMATS), "opencv"))
     view = name or re.sub(r"[^\w-]", "_", words[0])[:32]
-    data = reading.read_bytes(file, xreg.MAX_BYTES if kind == "xreg" else reading.MAX_BYTES)
+    data = reading.read_bytes(file, _MOST_BYTES.get(kind, reading.MAX_BYTES))
     try:
-        if kind == "xreg":
-            return xreg.read(data, view)
         if kind == "rtk":
             image = file.with_suffix(".mha")
             return rtk.read(data, view, _head(image) if image.is_file() else None)
-        return _PLAIN[kind][1](data, view)
+        return _READ[kind](data, view)
     except UnusableInputError as error:
         raise UnusableInputError(f"{file.name} ({kind}): {error}") from None
 

@@ -5,7 +5,6 @@ import gzip
 import numpy as np
 
 from sightline.case.interop.pinhole import Pinhole
-from sightline.errors import UnusableInputError
 
 _TYPES = {"uint8": "unsigned char", "uint16": "unsigned short", "float32": "float"}
 
@@ -20,11 +19,9 @@ def plate_corner(pinhole: Pinhole) -> tuple[np.ndarray, np.ndarray]:
 
 def nrrd_bytes(pixels: np.ndarray, pinhole: Pinhole, T_lps_cfcs: np.ndarray, statement: str) -> bytes:
     """An undistorted image (H, W) where its plate stands, one voxel thick. Raises UnusableInputError."""
-    if pixels.shape != pinhole.shape or pixels.dtype.name not in _TYPES:
-        raise UnusableInputError(f"the image of view {pinhole.name} does not belong to its geometry")
     corner, steps = plate_corner(pinhole)
     turn = T_lps_cfcs[:3, :3]
-    height, width = pixels.shape
+    height, width = pinhole.own_image(pixels).shape
     lines = (
         "NRRD0005",
         f"type: {_TYPES[pixels.dtype.name]}",

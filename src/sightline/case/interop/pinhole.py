@@ -11,6 +11,7 @@ from sightline.errors import UnusableInputError
 
 # Focal lengths along u and v, in mm, that differ by less than this share are one [ours]: 0.001 mm at 1000 mm.
 _ONE_FOCAL = 1e-6
+_PIXELS = ("uint8", "uint16", "float32")  # numbers that other programs' images are of
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,6 +99,12 @@ class Pinhole:
         if self.shape is None:
             raise UnusableInputError("the format needs the image's size; read the view from a format that states it")
         return self.shape
+
+    def own_image(self, pixels: np.ndarray) -> np.ndarray:
+        """(H, W) as it is. Raises UnusableInputError where its size or its kind of numbers is not a projection's."""
+        if pixels.shape != self.stated_shape() or pixels.dtype.name not in _PIXELS:
+            raise UnusableInputError(f"the image of view {self.name} does not belong to its geometry: {pixels.shape}")
+        return pixels
 
     def detector_mm(self) -> tuple[float, float, float]:
         """Source-to-detector distance and pixel size along u and v.

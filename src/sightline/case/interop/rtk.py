@@ -83,10 +83,8 @@ def write(pinhole: Pinhole, pixels: np.ndarray | None = None) -> dict[str, bytes
 def _image(pinhole: Pinhole, pixels: np.ndarray | None) -> tuple[bytes, bytes]:
     """Header and pixels, bottom row first; zeros where there is no image."""
     height, width = pinhole.stated_shape()
-    stored = np.zeros((height, width), np.uint8) if pixels is None else np.asarray(pixels)
+    stored = pinhole.own_image(np.zeros((height, width), np.uint8) if pixels is None else np.asarray(pixels))
     kinds = {"uint8": "MET_UCHAR", "uint16": "MET_USHORT", "float32": "MET_FLOAT"}
-    if stored.shape != (height, width) or stored.dtype.name not in kinds:
-        raise UnusableInputError(f"the image of {pinhole.name} does not belong to its geometry: {stored.shape}")
     _, across, down = pinhole.detector_mm()
     lines = (
         "ObjectType = Image",

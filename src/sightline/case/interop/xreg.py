@@ -21,7 +21,6 @@ if TYPE_CHECKING:
 MAX_BYTES = 2**28  # [ours] two dozen projections of 1536 x 1536 floats
 _WRITTEN = "origin-at-focal-pt-det-pos-z"
 _FRAMES = (_WRITTEN, "origin-at-focal-pt-det-neg-z", "origin-on-det")
-_PIXELS = ("uint8", "uint16", "float32")  # what xReg has projections of
 _MOST_PROJECTIONS = 1000  # their names have three digits
 _STATED = (
     "num-projs",
@@ -53,12 +52,10 @@ def write(pinhole: Pinhole, pixels: np.ndarray | None = None) -> dict[str, bytes
         camera["cam-coord-frame-type"] = np.bytes_(_WRITTEN)
         camera["intrinsic"], camera["extrinsic"] = pinhole.camera_matrix, pinhole.extrinsic
         if pixels is not None:
-            if pixels.shape != (height, width) or pixels.dtype.name not in _PIXELS:
-                raise UnusableInputError(f"the image of {pinhole.name} does not belong to its geometry: {pixels.shape}")
             image = file.create_group("proj-000/img")
             image.attrs["xreg-type"] = np.bytes_("image-2D")
             image["dir-mat"], image["origin"] = np.eye(2), np.zeros((2, 1))
-            image["spacing"], image["pixels"] = np.array([[across], [down]]), pixels
+            image["spacing"], image["pixels"] = np.array([[across], [down]]), pinhole.own_image(pixels)
     return {f"{pinhole.name}.xreg.h5": buffer.getvalue()}
 
 
