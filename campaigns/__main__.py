@@ -1,0 +1,56 @@
+"""Run campaigns: `python -m campaigns [NAME ...] [--tries N] [--seed S]`; the same command goes on where it stopped.
+
+Exit code 1 where a try ended in a defect of a class that is not proved invisible.
+"""
+
+import argparse
+import sys
+from pathlib import Path
+
+from rich.console import Console
+from rich.progress import Progress
+from rich.table import Table
+
+from campaigns.campaign import called
+from sightline.errors import UnusableInputError
+from sightline.studies.run import Run
+
+NAMES = ("points", "images", "files", "kills", "disks", "robots", "pages")
+TRIES = 200  # of each campaign: minutes on two cores
+
+
+def main() -> int:
+    """Print a table for each campaign."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("names", nargs="*", metavar="NAME", help=f"of {', '.join(NAMES)}; all unless told")
+    parser.add_argument("--tries", type=int, default=TRIES, help="of each; more can be added later")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--out", type=Path, default=Path("out/campaign"), help="folder of finished tries")
+    options = parser.parse_args()
+    unknown = [name for name in options.names if name not in NAMES]
+    if unknown:
+        parser.error(f"there is no campaign {', '.join(unknown)}; there are: {', '.join(NAMES)}")
+    console = Console(width=180)
+    wrong = False
+    for name in options.names or NAMES:
+        try:
+            run = Run.open(called(name), options.tries, options.seed, options.out / f"{name}-{options.seed}")
+        except UnusableInputError as error:
+            parser.error(str(error))
+        with Progress(console=console, transient=True) as progress:
+            bar = progress.add_task(name, total=len(run.missing))
+            run.do(advance=lambda bar=bar, progress=progress: progress.advance(bar))
+        summary = run.result().summary
+        for told in summary.tables:
+            table = Table(*told.columns, title=f"{name}: {told.title}")
+            for row in told.rows:
+                table.add_row(*row)
+            console.print(table)
+        for finding in summary.findings:
+            console.print(f"- {finding}")
+        wrong |= summary.findings != ("No defect.",)
+    return int(wrong)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,121 @@
+"""What a campaign is: classes of damage, one try of each, and the table of how tries ended."""
+
+import hashlib
+import importlib
+import traceback
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sightline.errors import SightlineError
+from sightline.studies.intervals import share
+from sightline.studies.study import Summary, Table, Values
+
+# How a try may end. "wrong": GO, and an end is off by more than 1.5 times its stated 95 % bound; "lost": something
+# acknowledged is not there; "unsafe": a robot moved, or did not stop, where it must not. The last four are defects.
+ENDINGS = ("refused", "NO-GO", "incomplete", "right", "wrong", "crash", "lost", "unsafe")
+DEFECTS = ENDINGS[4:]
+
+
+@dataclass(frozen=True)
+class Ended:
+    """How one try ended, why, and for a plan the larger of its ends' errors over their 95 % bounds."""
+
+    how: str
+    why: str = ""
+    ratio: float | None = None
+    said: str = ""  # the whole sentence of a refusal
+
+
+@dataclass(frozen=True)
+class Damage:
+    """One class. `make` does one try, or raises what the program raises; `cause`: words of which a refusal must hold
+    one to name the true cause; `invisible`: it is proved that the observations cannot show it (docs/safety.md)."""
+
+    make: Callable[[np.random.Generator], Ended]
+    cause: tuple[str, ...] = ()
+    invisible: bool = False
+
+
+@dataclass(frozen=True)
+class Campaign:
+    """A study (`sightline.studies`) whose trials are tries of classes drawn at random."""
+
+    name: str
+    about: str
+    classes: Mapping[str, Damage]
+
+    @property
+    def configuration(self) -> dict[str, Any]:
+        """The classes, and the code of the campaigns themselves."""
+        code = b"".join(file.read_bytes() for file in sorted(Path(__file__).parent.glob("*.py")))
+        return {"classes": list(self.classes), "campaigns": hashlib.sha256(code).hexdigest()[:16]}
+
+    def __reduce__(self) -> tuple[Callable[[str], "Campaign"], tuple[str]]:
+        """Travels to a worker by its name: functions made by functions cannot."""
+        return called, (self.name,)
+
+    def trial(self, rng: np.random.Generator) -> Values:
+        """One try of one class."""
+        name = str(rng.choice(list(self.classes)))
+        ended = attempt(self.classes[name].make, rng)
+        return {"class": name, **vars(ended), "named": _names_cause(self.classes[name], ended)}
+
+    def summary(self, trials: Sequence[Values]) -> Summary:
+        """The table by class, and what is a defect."""
+        rows = [self._row(name, [one for one in trials if one["class"] == name]) for name in self.classes]
+        total = self._row("all", list(trials))
+        defects = [one for one in trials if one["how"] in DEFECTS and not self.classes[one["class"]].invisible]
+        shares = [share(f"{self.name}: {how}", np.array([one["how"] == how for one in trials])) for how in ENDINGS]
+        told = Counter((one["class"], one["how"], one["why"]) for one in defects)
+        findings = [f"{name}: {how} {count} times: {why}" for (name, how, why), count in told.most_common()]
+        columns = ("class", "tries", *ENDINGS, "largest error of a GO / bound", "cause named", "mostly for")
+        return Summary(
+            findings=tuple(findings) or ("No defect.",),
+            figures=tuple(shares),
+            tables=(Table(self.about, columns, (*rows, total)),),
+        )
+
+    def _row(self, name: str, tries: list[Values]) -> tuple[str, ...]:
+        ends = Counter(one["how"] for one in tries)
+        ratios = [one["ratio"] for one in tries if one["how"] in ("right", "wrong") and one["ratio"] is not None]
+        named = [one["named"] for one in tries if one["named"] is not None]
+        why = Counter(one["why"] for one in tries if one["how"] in ("refused", "NO-GO", "incomplete"))
+        invisible = name in self.classes and self.classes[name].invisible
+        return (
+            f"{name} (invisible)" if invisible else name,
+            str(len(tries)),
+            *(str(ends[how] or "") for how in ENDINGS),
+            f"{max(ratios):.2f}" if ratios else "",
+            f"{sum(named) / len(named):.0%}" if named else "",
+            why.most_common(1)[0][0] if why else "",
+        )
+
+
+def called(name: str) -> Campaign:
+    """The campaign of a file here."""
+    return importlib.import_module(f"campaigns.{name}").CAMPAIGN
+
+
+def attempt(make: Callable[[np.random.Generator], Ended], rng: np.random.Generator) -> Ended:
+    """One try; what is raised is a refusal if it is ours, and a crash if it is not."""
+    try:
+        return make(rng)
+    except SightlineError as refusal:
+        return Ended("refused", type(refusal).__name__, said=str(refusal))
+    except Exception as fault:
+        last = traceback.extract_tb(fault.__traceback__)[-1]
+        return Ended(
+            "crash", f"{type(fault).__name__} in {Path(last.filename).name}:{last.lineno}", said=str(fault)[:200]
+        )
+
+
+def _names_cause(damage: Damage, ended: Ended) -> bool | None:
+    """Whether a refusal says what is wrong; None where nothing was refused, or no cause is asked for."""
+    if not damage.cause or ended.how not in ("refused", "NO-GO"):
+        return None
+    return any(word in f"{ended.why} {ended.said}".lower() for word in damage.cause)

@@ -1,0 +1,203 @@
+"""Do the tests notice? One-token changes drawn by seed, each with the tests run against it.
+
+`python -m campaigns.mutants [--changes N] [--seed S]`. A change that no test notices is printed with its line: it is
+shown to change nothing, or gets a test. Finished changes are kept; the same command goes on where it stopped. Every
+change is made in a copy of the checkout, which is deleted at the end.
+"""
+
+import argparse
+import ast
+import json
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+from queue import SimpleQueue
+
+import numpy as np
+from rich.console import Console
+
+ROOT = Path(__file__).parents[1]
+ROOMS = ("detection", "calibration", "planning", "frame", "robot", "case")
+SWAPPED = {
+    ast.Add: "-", ast.Sub: "+", ast.Mult: "/", ast.Div: "*", ast.Lt: ">", ast.LtE: ">", ast.Gt: "<", ast.GtE: "<",
+    ast.Eq: "!=", ast.NotEq: "==", ast.And: "or", ast.Or: "and",
+}  # fmt: skip
+TOKENS = {
+    ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/", ast.Lt: "<", ast.LtE: "<=", ast.Gt: ">", ast.GtE: ">=",
+    ast.Eq: "==", ast.NotEq: "!=", ast.And: "and", ast.Or: "or",
+}  # fmt: skip
+LIMIT_S = 900  # a change that makes the tests run this long is noticed: something waits for ever
+
+
+@dataclass(frozen=True)
+class Change:
+    """One token of a file, at byte offsets of its UTF-8 text, and what stands there instead."""
+
+    file: str
+    line: int
+    start: int
+    end: int
+    token: str
+    instead: str
+
+    @property
+    def key(self) -> str:
+        """Names it in the record."""
+        return f"{self.file}:{self.line}: {self.token} -> {self.instead} @{self.start}"
+
+    def applied(self, text: bytes) -> bytes:
+        """The file's text with the change."""
+        assert text[self.start : self.end] == self.token.encode()
+        return text[: self.start] + self.instead.encode() + text[self.end :]
+
+
+def changes_of(file: Path) -> Iterator[Change]:
+    """All of a file: numbers, operators, comparisons, truth values, indices 0 and 1. None in docstrings."""
+    text = file.read_bytes()
+    starts = np.cumsum([0, *(len(line) for line in text.splitlines(keepends=True))])
+    name = str(file.relative_to(ROOT))
+
+    def at(node: ast.expr, end: bool = False) -> int:
+        line, column = (node.end_lineno, node.end_col_offset) if end else (node.lineno, node.col_offset)
+        return int(starts[line - 1]) + column
+
+    def between(left: ast.expr, right: ast.expr, operator: ast.AST) -> Iterator[Change]:
+        token, instead = TOKENS.get(type(operator)), SWAPPED.get(type(operator))
+        place = text.find(token.encode(), at(left, end=True), at(right)) if token else -1
+        if token and instead and place >= 0:
+            yield Change(name, left.end_lineno, place, place + len(token), token, instead)
+
+    for node in ast.walk(ast.parse(text)):
+        if isinstance(node, ast.Constant) and type(node.value) in (int, float, bool):
+            token = text[at(node) : at(node, end=True)].decode()
+            yield Change(name, node.lineno, at(node), at(node, end=True), token, _other(node.value))
+        elif isinstance(node, ast.BinOp):
+            yield from between(node.left, node.right, node.op)
+        elif isinstance(node, ast.BoolOp):
+            yield from between(node.values[0], node.values[1], node.op)
+        elif isinstance(node, ast.Compare) and len(node.ops) == 1:
+            yield from between(node.left, node.comparators[0], node.ops[0])
+
+
+def _other(value: float | bool) -> str:
+    if isinstance(value, bool):
+        return str(not value)
+    if value in (0, 1) and isinstance(value, int):
+        return str(1 - value)
+    return repr(value + 1 if isinstance(value, int) else 1.5 * value if value else 0.5)
+
+
+def drawn(number: int, seed: int) -> list[Change]:
+    """The first of a shuffle of all changes of the rooms: more can be added later."""
+    files = sorted(f for room in ROOMS for f in (ROOT / "src/sightline" / room).rglob("*.py"))
+    every = [change for file in files for change in changes_of(file)]
+    order = np.random.default_rng(seed).permutation(len(every))
+    return [every[k] for k in order[:number]]
+
+
+def copy_of_checkout(folder: Path) -> Path:
+    """What git tracks, with the compiled kernels, whose stamps are the files' times."""
+    tree = folder / "tree"
+    listed = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, check=True, capture_output=True).stdout  # noqa: S607
+    for name in filter(None, listed.decode().split("\0")):
+        (tree / name).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy2(ROOT / name, tree / name)
+    for cache in (ROOT / "src").rglob("__pycache__"):
+        shutil.copytree(cache, tree / cache.relative_to(ROOT), dirs_exist_ok=True)
+    return tree
+
+
+def noticed(change: Change, tree: Path) -> str:
+    """The first test that fails with the change, or nothing: the room's own tests first, then all others."""
+    file = tree / change.file
+    before, stamp = file.read_bytes(), file.stat()
+    room = Path(change.file).parts[2]
+    kept = _set_aside(tree) if b"njit" in before or b"@fast" in before or b"@exact" in before else None
+    try:
+        file.write_bytes(change.applied(before))
+        rest = [f"--ignore=tests/{room}"]
+        return _fails([f"tests/{room}"], tree) or _fails(["tests", *rest], tree)
+    finally:
+        file.write_bytes(before)
+        os.utime(file, ns=(stamp.st_atime_ns, stamp.st_mtime_ns))
+        if kept is not None:
+            _put_back(tree, kept)
+
+
+def _set_aside(tree: Path) -> Path:
+    """Compiled kernels hold copies of what they call, in other files too: none may be left from before the change."""
+    kept = tree.parent / "kept"
+    shutil.rmtree(kept, ignore_errors=True)
+    for cache in list((tree / "src").rglob("__pycache__")):
+        (kept / cache.relative_to(tree)).parent.mkdir(parents=True, exist_ok=True)
+        cache.rename(kept / cache.relative_to(tree))
+    return kept
+
+
+def _put_back(tree: Path, kept: Path) -> None:
+    for cache in list((tree / "src").rglob("__pycache__")):
+        shutil.rmtree(cache)
+    for cache in list(kept.rglob("__pycache__")):
+        cache.rename(tree / cache.relative_to(kept))
+
+
+def _fails(where: list[str], tree: Path) -> str:
+    command = [sys.executable, "-m", "pytest", "-x", "-q", "--no-header", "-p", "no:cacheprovider", *where]
+    environment = {**os.environ, "PYTHONPATH": str(tree / "src"), "OPENBLAS_NUM_THREADS": "1"}
+    try:
+        run = subprocess.run(
+            command, check=False, cwd=tree, env=environment, capture_output=True, text=True, timeout=LIMIT_S
+        )
+    except subprocess.TimeoutExpired:
+        return "the tests do not end"
+    if run.returncode == 0:
+        return ""
+    lines = [line for line in run.stdout.splitlines() if line.startswith(("FAILED", "ERROR"))]
+    return lines[0].split(" - ")[0] if lines else f"exit code {run.returncode}"
+
+
+def main() -> int:
+    """Print the changes that no test noticed."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--changes", type=int, default=300)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--out", type=Path, default=Path("out/mutants"))
+    options = parser.parse_args()
+    options.out.mkdir(parents=True, exist_ok=True)
+    record = options.out / f"{options.seed}.jsonl"
+    finished = {}
+    if record.exists():
+        finished = {one["change"]: one["noticed"] for one in map(json.loads, record.read_text().splitlines())}
+    wanted = drawn(options.changes, options.seed)
+    console, trees = Console(), SimpleQueue[Path]()
+    with tempfile.TemporaryDirectory() as scratch, ThreadPoolExecutor(os.cpu_count()) as pool:
+        for k in range(os.cpu_count() or 1):
+            trees.put(copy_of_checkout(Path(scratch) / str(k)))
+
+        def one(change: Change) -> tuple[str, str]:
+            tree = trees.get()
+            try:
+                return change.key, noticed(change, tree)
+            finally:
+                trees.put(tree)
+
+        for key, by in pool.map(one, [change for change in wanted if change.key not in finished]):
+            finished[key] = by
+            with record.open("a") as out:
+                out.write(json.dumps({"change": key, "noticed": by}) + "\n")
+            console.print(f"{len(finished)} of {len(wanted)}: {key}: {by or 'NOT NOTICED'}", soft_wrap=True)
+    left = [change.key for change in wanted if not finished[change.key]]
+    console.print(f"{len(wanted) - len(left)} of {len(wanted)} changes were noticed; not noticed:")
+    for key in left:
+        console.print(f"- {key}", soft_wrap=True)
+    return int(bool(left))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

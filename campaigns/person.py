@@ -1,0 +1,111 @@
+"""The person of a campaign: who clicks on what the images show, plans, and is judged by the twin's truth."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from campaigns.campaign import Ended
+from sightline.calibration import CalibratedView
+from sightline.checks import failed
+from sightline.planning import Plan, plan
+from sightline.planning.aids import Aids, Circle
+from sightline.twin import HipScene, SetUp
+
+VIEWS = ("pa", "lateral")
+PICK_PX = 0.5  # a careful click (physics.md, Picks)
+WRONG = 1.5  # times the stated 95 % bound
+Shown = Callable[[np.ndarray], np.ndarray]
+
+
+@dataclass(frozen=True, eq=False)
+class Clicks:
+    """What a person clicks, px: `wire` (2, 2, 2) view, entry or end, (u, v); `landmarks` (2, L, 2) by `names`; `head`
+    (2, 3): circle (u, v, radius) in each view; `side` as the person believes it to be."""
+
+    wire: np.ndarray
+    landmarks: np.ndarray
+    names: tuple[str, ...]
+    head: np.ndarray
+    side: str
+
+    @staticmethod
+    def on(
+        setup: SetUp, hip: HipScene, rng: np.random.Generator, moved: Mapping[str, HipScene] | None = None
+    ) -> "Clicks":
+        """On what each view truly shows, with a careful click's noise. `moved`: the hip at the moment of a view."""
+        at = {name: (moved or {}).get(name, hip) for name in VIEWS}
+        views = [setup.views[name] for name in VIEWS]
+        wire = np.stack([view.project(at[view.name].wire_mm) for view in views])
+        names = tuple(hip.landmarks_mm)
+        marks = np.stack([view.project(np.stack(list(at[view.name].landmarks_mm.values()))) for view in views])
+        shown = np.all([view.in_field(marks[k], 5.0) for k, view in enumerate(views)], axis=0)
+        head = np.stack([_outline(view, at[view.name]) for view in views])
+        kept = tuple(name for name, seen in zip(names, shown, strict=True) if seen)
+        exact = Clicks(wire, marks[:, shown], kept, head, setup.side)
+        return exact.jittered(rng, PICK_PX)
+
+    def jittered(self, rng: np.random.Generator, sd_px: float) -> "Clicks":
+        """With normal noise on every click, the circle's radius included."""
+        return replace(
+            self,
+            wire=self.wire + sd_px * rng.standard_normal(self.wire.shape),
+            landmarks=self.landmarks + sd_px * rng.standard_normal(self.landmarks.shape),
+            head=self.head + sd_px * rng.standard_normal(self.head.shape),
+        )
+
+    def as_shown(self, shown: Mapping[str, Shown]) -> "Clicks":
+        """Where a damaged image shows the same points."""
+
+        def at(points: np.ndarray) -> np.ndarray:
+            return np.stack([shown.get(name, lambda uv: uv)(points[k]) for k, name in enumerate(VIEWS)])
+
+        head = np.concatenate([at(self.head[:, None, :2])[:, 0], self.head[:, 2:]], axis=1)
+        return replace(self, wire=at(self.wire), landmarks=at(self.landmarks), head=head)
+
+    def plan(self, views: Sequence[CalibratedView], pick_sd_px: float = PICK_PX) -> Plan:
+        """Raises SightlineError."""
+        aids = Aids(head=tuple(Circle.of(row[:2], float(row[2]), pick_sd_px) for row in self.head))
+        return plan(
+            views,
+            self.wire[:, 0],
+            self.wire[:, 1],
+            pick_sd_px=pick_sd_px,
+            kind="hip-screw",
+            side=self.side,
+            aids=aids,
+            landmarks_uv_px=self.landmarks,
+            landmark_names=self.names,
+        )
+
+
+def judged(made: Plan, wire_mm: np.ndarray) -> Ended:
+    """A plan against the true entry and end point (2, 3), CFCS."""
+    why = ", ".join(sorted({check.name for check in failed(made.verdict.checks)}))
+    said = " ".join(check.sentence for check in failed(made.verdict.checks))
+    path = made.trajectory
+    if path.points.joint_covariance_mm2 is None:
+        return Ended("NO-GO", why, said=said)
+    errors = np.linalg.norm(path.points.xyz_mm - wire_mm, axis=1)
+    ratio = float((errors / [path.entry_error_95_mm, path.end_error_95_mm]).max())
+    if made.verdict.state == "incomplete":
+        return Ended("incomplete", "; ".join(made.verdict.missing), ratio, said)
+    if not made.verdict.go:
+        return Ended("NO-GO", why, ratio, said)
+    return Ended(
+        "wrong" if ratio > WRONG else "right", f"GO, off by {ratio:.1f} times its bound" if ratio > WRONG else "", ratio
+    )
+
+
+def _outline(view, hip: HipScene) -> np.ndarray:
+    """(3,) px: centre and mean radius of the head's outline in one view."""
+    towards = hip.head_mm - view.focal_point_mm
+    across = np.linalg.svd(towards[None])[2][1:]
+    angle = np.arange(12) * np.pi / 6
+    sine = hip.femur.head_radius_mm / np.linalg.norm(towards)
+    rim = hip.head_mm + hip.femur.head_radius_mm / np.sqrt(1 - sine**2) * (
+        np.stack([np.cos(angle), np.sin(angle)], axis=1) @ across
+    )
+    uv = view.project(rim)
+    centre = uv.mean(axis=0)
+    return np.append(centre, np.linalg.norm(uv - centre, axis=1).mean())

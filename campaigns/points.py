@@ -1,0 +1,347 @@
+"""Beads, clicks, frames and patients that are not what they are said to be: measured points, nothing rendered."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+import sightline as sl
+from campaigns.campaign import Campaign, Damage, Ended
+from campaigns.person import PICK_PX, VIEWS, Clicks, judged
+from sightline.detection import Observations
+from sightline.errors import SetUpError
+from sightline.frame import Fiducial, Frame
+from sightline.studies.scenes import MARGIN_PX, measure
+from sightline.twin import HipScene, SetUp, draw_setup
+from sightline.twin.femur import draw_femur
+from sightline.twin.scene import draw_head
+from sightline.twin.things import Scene
+
+BEAD_PX = 0.1  # physics.md, Centroid limit
+ATTEMPTS = 100
+
+
+@dataclass
+class World:
+    """One procedure as it is told to the program; a damage changes it. `hip` at rest, `moved` at the lateral image."""
+
+    setup: SetUp
+    hip: HipScene
+    told: Frame
+    observations: dict[str, Observations]
+    clicks: Clicks
+    moved: HipScene
+    pick_sd_px: float = PICK_PX
+    never_go: bool = False  # the plan that was meant is itself wrong
+
+    @staticmethod
+    def draw(rng: np.random.Generator) -> "World":
+        """Without any damage. Raises SetUpError."""
+        frame = Frame.load("gamma")
+        side = str(rng.choice(["right", "left"]))
+        femur = draw_femur(rng)
+        for _ in range(ATTEMPTS):
+            setup = draw_setup(rng, frame, side=side)
+            hip = HipScene.of(Scene(), Scene(), femur, side, draw_head(side, femur, rng))
+            if all(view.in_field(view.project(hip.wire_mm), MARGIN_PX).all() for view in setup.views.values()):
+                return World(setup, hip, frame, measure(rng, setup, BEAD_PX), Clicks.on(setup, hip, rng), hip)
+        raise SetUpError(f"no set-up of {ATTEMPTS} shows the whole wire")
+
+    def end(self) -> Ended:
+        """From observations to a verdict."""
+        views = [sl.calibrate(self.observations[name], self.told, view=name) for name in VIEWS]
+        ended = judged(self.clicks.plan(views, self.pick_sd_px), self.moved.wire_mm)
+        if self.never_go and ended.how == "right":
+            return Ended("wrong", "GO for a plan that no surgeon wants", ended.ratio)
+        return ended
+
+    def change_beads(self, name: str, uv_px: np.ndarray | None = None, ids: tuple[str, ...] | None = None) -> None:
+        """Other pixels or other names for what one view shows."""
+        seen = self.observations[name]
+        self.observations[name] = Observations(
+            name, ids or seen.ids, seen.uv_px if uv_px is None else uv_px, seen.covariance_px2
+        )
+
+    def keep_beads(self, name: str, kept: np.ndarray) -> None:
+        """Only some (N,) bool."""
+        seen = self.observations[name]
+        assert seen.covariance_px2 is not None
+        ids = tuple(i for i, keep in zip(seen.ids, kept, strict=True) if keep)
+        self.observations[name] = Observations(name, ids, seen.uv_px[kept], seen.covariance_px2[kept])
+
+    def move_wire(self, view: int, point: int, by_px: np.ndarray) -> None:
+        """One click elsewhere. `point`: 0 entry, 1 end."""
+        wire = self.clicks.wire.copy()
+        wire[view, point] += by_px
+        self.clicks = replace(self.clicks, wire=wire)
+
+    def reclick(self, hip: HipScene, rng: np.random.Generator, **at: HipScene) -> None:
+        """The person clicks on another hip, or on one that moved at the image of a view."""
+        self.clicks = Clicks.on(self.setup, hip, rng, at)
+
+
+Change = Callable[[World, np.random.Generator], None]
+
+
+def damage(change: Change, *cause: str, invisible: bool = False) -> Damage:
+    """One class."""
+
+    def make(rng: np.random.Generator) -> Ended:
+        world = World.draw(rng)
+        change(world, rng)
+        return world.end()
+
+    return Damage(make, cause, invisible)
+
+
+def nothing(world: World, rng: np.random.Generator) -> None:
+    """As it should be."""
+
+
+def _view(rng: np.random.Generator) -> int:
+    return int(rng.integers(2))
+
+
+def _unit(rng: np.random.Generator, size: int) -> np.ndarray:
+    vector = rng.standard_normal(size)
+    return vector / np.linalg.norm(vector)
+
+
+def exchanged_ids(world: World, rng: np.random.Generator) -> None:
+    """One to four pairs of neighbouring beads with each other's names."""
+    name = VIEWS[_view(rng)]
+    seen = world.observations[name]
+    ids = list(seen.ids)
+    for _ in range(int(rng.integers(1, 5))):
+        one = int(rng.integers(len(ids)))
+        order = np.argsort(np.linalg.norm(seen.uv_px - seen.uv_px[one], axis=1))
+        other = int(order[int(rng.integers(1, 4))])
+        ids[one], ids[other] = ids[other], ids[one]
+    world.change_beads(name, ids=tuple(ids))
+
+
+def displaced_beads(world: World, rng: np.random.Generator) -> None:
+    """One to ten beads 0.3 to 20 px aside."""
+    name = VIEWS[_view(rng)]
+    uv = world.observations[name].uv_px.copy()
+    hit = rng.choice(len(uv), int(rng.integers(1, 11)), replace=False)
+    uv[hit] += np.exp(rng.uniform(np.log(0.3), np.log(20.0))) * rng.standard_normal((len(hit), 2))
+    world.change_beads(name, uv)
+
+
+def understated_noise(world: World, rng: np.random.Generator) -> None:
+    """Beads 2 to 8 times noisier than stated, in both views."""
+    factor = rng.uniform(2.0, 8.0) * BEAD_PX
+    for name in VIEWS:
+        uv = world.observations[name].uv_px
+        world.change_beads(name, uv + factor * rng.standard_normal(uv.shape))
+
+
+def missing_beads(world: World, rng: np.random.Generator) -> None:
+    """Up to three quarters, at random or all on one side."""
+    name = VIEWS[_view(rng)]
+    uv = world.observations[name].uv_px
+    order = rng.random(len(uv)) if rng.random() < 0.5 else uv @ _unit(rng, 2)
+    world.keep_beads(name, order >= np.quantile(order, rng.uniform(0.1, 0.75)))
+
+
+def _lower(uv: np.ndarray, row: float) -> np.ndarray:
+    return uv[..., 1] > row
+
+
+def torn(world: World, rng: np.random.Generator) -> None:
+    """All below a row through the wire, beads and clicks, 1 to 40 px aside."""
+    _torn(world, rng, keep=True)
+
+
+def torn_and_dropped(world: World, rng: np.random.Generator) -> None:
+    """The same, and labelling has dropped the beads below."""
+    _torn(world, rng, keep=False)
+
+
+def _torn(world: World, rng: np.random.Generator, *, keep: bool) -> None:
+    view = _view(rng)
+    name, by = VIEWS[view], np.array([rng.choice([-1, 1]) * np.exp(rng.uniform(0, np.log(40))), 0.0])
+    ends = np.sort(world.clicks.wire[view, :, 1])
+    row = rng.uniform(*ends)
+    uv = world.observations[name].uv_px
+    world.change_beads(name, uv + _lower(uv, row)[:, None] * by)
+    if not keep:
+        world.keep_beads(name, ~_lower(uv, row))
+
+    def shown(points: np.ndarray) -> np.ndarray:
+        return points + _lower(points, row)[:, None] * by
+
+    world.clicks = world.clicks.as_shown({name: shown})
+
+
+def warped(world: World, rng: np.random.Generator) -> None:
+    """One image sheared, stretched and turned as a whole: the map takes it up."""
+    name = VIEWS[_view(rng)]
+    matrix = np.eye(2) + rng.uniform(-0.08, 0.08, (2, 2))
+
+    def shown(points: np.ndarray) -> np.ndarray:
+        return points @ matrix.T
+
+    world.change_beads(name, shown(world.observations[name].uv_px))
+    world.clicks = world.clicks.as_shown({name: shown})
+
+
+def entry_for_end(world: World, _: np.random.Generator) -> None:
+    """Entry and end exchanged."""
+    world.clicks = replace(world.clicks, wire=world.clicks.wire[:, ::-1])
+    world.never_go = True
+
+
+def views_exchanged(world: World, _: np.random.Generator) -> None:
+    """The clicks of one image given for the other."""
+    c = world.clicks
+    world.clicks = replace(c, wire=c.wire[::-1], landmarks=c.landmarks[::-1], head=c.head[::-1])
+    world.never_go = True
+
+
+def row_column(world: World, _: np.random.Generator) -> None:
+    """(v, u) for (u, v)."""
+    c = world.clicks
+    head = np.concatenate([c.head[:, 1::-1], c.head[:, 2:]], axis=1)
+    world.clicks = replace(c, wire=c.wire[..., ::-1], landmarks=c.landmarks[..., ::-1], head=head)
+
+
+def points_for_views(world: World, _: np.random.Generator) -> None:
+    """(point, view) for (view, point): the shape is the same."""
+    world.clicks = replace(world.clicks, wire=world.clicks.wire.swapaxes(0, 1))
+
+
+def one_pick_off(world: World, rng: np.random.Generator) -> None:
+    """5 to 20 px, any way."""
+    world.move_wire(_view(rng), _view(rng), rng.uniform(5, 20) * _unit(rng, 2))
+
+
+def one_pick_along(world: World, rng: np.random.Generator) -> None:
+    """5 to 20 px along its image-matching curve: no gap shows it."""
+    point, xyz = _view(rng), world.hip.wire_mm
+    views = [world.setup.views[name] for name in VIEWS]
+    ray = xyz[point] - views[0].focal_point_mm
+    ray = ray / np.linalg.norm(ray)
+    step = views[1].project(np.stack([xyz[point] - ray, xyz[point] + ray]))
+    along = (step[1] - step[0]) / np.linalg.norm(step[1] - step[0])
+    world.move_wire(1, point, rng.choice([-1, 1]) * rng.uniform(5, 20) * along)
+
+
+def careless(world: World, rng: np.random.Generator) -> None:
+    """All clicks with 2 to 4 px, 0.5 px stated."""
+    world.clicks = world.clicks.jittered(rng, rng.uniform(2.0, 4.0))
+
+
+def landmark_off(world: World, rng: np.random.Generator) -> None:
+    """A landmark is another point in one image, 8 to 60 px away."""
+    marks = world.clicks.landmarks.copy()
+    marks[_view(rng), int(rng.integers(marks.shape[1]))] += rng.uniform(8, 60) * _unit(rng, 2)
+    world.clicks = replace(world.clicks, landmarks=marks)
+
+
+def head_off(world: World, rng: np.random.Generator) -> None:
+    """The head's circle 20 to 60 px off or 0.6 to 1.5 times as large in one image: the wire itself stays right."""
+    head = world.clicks.head.copy()
+    view = _view(rng)
+    if rng.random() < 0.5:
+        head[view, :2] += rng.uniform(20, 60) * _unit(rng, 2)
+    else:
+        head[view, 2] *= rng.choice([rng.uniform(0.6, 0.85), rng.uniform(1.18, 1.5)])
+    world.clicks = replace(world.clicks, head=head)
+
+
+def wrong_side(world: World, _: np.random.Generator) -> None:
+    """The other hip's side stated."""
+    world.clicks = replace(world.clicks, side="left" if world.clicks.side == "right" else "right")
+    world.never_go = True
+
+
+def _rewired(world: World, rng: np.random.Generator, wire_mm: np.ndarray) -> None:
+    world.hip = replace(world.hip, wire_mm=wire_mm)
+    world.moved = world.hip
+    world.reclick(world.hip, rng)
+    world.never_go = True
+
+
+def through_the_joint(world: World, rng: np.random.Generator) -> None:
+    """The tip 3 to 20 mm beyond the head's surface."""
+    entry, end = world.hip.wire_mm
+    along = (end - entry) / np.linalg.norm(end - entry)
+    surface = world.hip.head_mm + world.hip.femur.head_radius_mm * along
+    _rewired(world, rng, np.stack([entry, surface + rng.uniform(3, 20) * along]))
+
+
+def entry_in_the_neck(world: World, rng: np.random.Generator) -> None:
+    """The entry half to three quarters along the wire."""
+    entry, end = world.hip.wire_mm
+    _rewired(world, rng, np.stack([entry + rng.uniform(0.5, 0.75) * (end - entry), end]))
+
+
+def mirrored_frame(world: World, _: np.random.Generator) -> None:
+    """The frame's file is left-handed: y has the other sign; the images are then told the same names."""
+    world.told = altered(world.told, lambda bead: (bead.xyz_mm[0], -bead.xyz_mm[1], bead.xyz_mm[2]))
+
+
+def scaled_frame(world: World, rng: np.random.Generator) -> None:
+    """The frame's file is wrong by 0.2 to 3 %."""
+    factor = 1 + rng.choice([-1, 1]) * rng.uniform(0.002, 0.03)
+    world.told = altered(world.told, lambda bead: tuple(factor * c for c in bead.xyz_mm))
+
+
+def shifted_plate(world: World, rng: np.random.Generator) -> None:
+    """One plate 0.2 to 2 mm from where its file says."""
+    name, plate, by = VIEWS[_view(rng)], str(rng.choice(["xrii", "source"])), rng.uniform(0.2, 2.0) * _unit(rng, 3)
+    ids = set(getattr(world.told.view(name), plate).ids)
+    world.told = altered(world.told, lambda bead: tuple(np.array(bead.xyz_mm) + (by if bead.id in ids else 0.0)))
+
+
+def altered(frame: Frame, place: Callable[[Fiducial], tuple[float, ...]]) -> Frame:
+    """A frame whose balls are told to be elsewhere."""
+
+    def moved(plate):
+        return replace(plate, fiducials=tuple(replace(b, xyz_mm=tuple(map(float, place(b)))) for b in plate.fiducials))
+
+    views = {n: replace(v, xrii=moved(v.xrii), source=moved(v.source)) for n, v in frame.views.items()}
+    return replace(frame, views=views)
+
+
+def moved_patient(world: World, rng: np.random.Generator) -> None:
+    """0.5 to 8 mm between the two images, and up to 3 degrees."""
+    from scipy.spatial.transform import RigidTransform, Rotation
+
+    turn = Rotation.from_rotvec(np.deg2rad(rng.uniform(0, 3)) * _unit(rng, 3))
+    about = world.hip.head_mm
+    shift = rng.uniform(0.5, 8.0) * _unit(rng, 3)
+    motion = RigidTransform.from_components(about - turn.apply(about) + shift, turn)
+    world.moved = replace(world.hip, motions={"lateral": motion}).at("lateral")
+    world.reclick(world.hip, rng, lateral=world.moved)
+
+
+CLASSES: dict[str, Damage] = {
+    "untouched": damage(nothing),
+    "names of beads exchanged": damage(exchanged_ids),
+    "beads displaced": damage(displaced_beads),
+    "noise of beads understated": damage(understated_noise),
+    "beads missing": damage(missing_beads),
+    "torn": damage(torn, "torn", "rows", "shift"),
+    "torn, lower beads dropped": damage(torn_and_dropped, "torn", "rows", "shift", "bead"),
+    "sheared, stretched, turned": damage(warped),
+    "entry and end exchanged": damage(entry_for_end, "exchang", "entry"),
+    "clicks of the views exchanged": damage(views_exchanged),
+    "row and column exchanged": damage(row_column),
+    "points and views exchanged": damage(points_for_views),
+    "one click 5-20 px off": damage(one_pick_off),
+    "one click 5-20 px along its curve": damage(one_pick_along, invisible=True),
+    "clicks of 2-4 px stated as 0.5": damage(careless),
+    "a landmark is another point": damage(landmark_off),
+    "the head's circle is wrong": damage(head_off),
+    "the wrong side": damage(wrong_side, "side"),
+    "tip through the joint": damage(through_the_joint, "joint", "head"),
+    "entry in the neck": damage(entry_in_the_neck, "entry", "long", "short"),
+    "left-handed frame file": damage(mirrored_frame, "mirror", "hand"),
+    "frame file of another scale": damage(scaled_frame, invisible=True),
+    "plate shifted": damage(shifted_plate, invisible=True),
+    "patient moved between the images": damage(moved_patient, "mov", invisible=True),
+}
+CAMPAIGN = Campaign("points", "Beads, clicks, frames and patients that are not what they are said to be", CLASSES)
