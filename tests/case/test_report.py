@@ -9,6 +9,8 @@ import pytest
 
 from sightline.case.comparison import Refused
 from sightline.case.report import render
+from sightline.case.report_document import report_document
+from sightline.case.report_tables import tables
 from sightline.checks import Check
 from sightline.planning import Verdict
 
@@ -130,6 +132,25 @@ def test_an_unknown_error_is_called_unknown(report) -> None:
     assert page.text.count("unknown") >= 3
     assert "Where the error comes from" not in page.text
     assert "95 % ellipsoids" not in page.text
+
+
+def test_where_a_gap_failed_no_error_stands_beside_the_coordinates(report) -> None:
+    """Of the point itself in the table of points; of entry, tip and direction in tiles, budget and pictures."""
+    points = report.plan.seen
+    sigma = np.ma.masked_array(np.ma.getdata(points.gap_sigma).copy())
+    sigma[1] = 7.0
+    seen = replace(points, gap_sigma=sigma, gap_tested=np.ones(len(points.xyz_mm), dtype=bool))
+    trajectory = replace(report.plan.trajectory, points=seen.first(2))
+    failed_gap = replace(report, plan=replace(report.plan, trajectory=trajectory, seen=seen), compared=())
+    table = [[sd is None for _, sd in row["xyz"]] for row in tables(failed_gap)["points"]]
+    assert table[:2] == [[False] * 3, [True] * 3]
+    tiles = tables(failed_gap)["tiles"]
+    assert [tile["figure"] for tile in tiles[:3]] == ["unknown"] * 3
+    assert {tile["note"] for tile in tiles[:3]} == {"the lines of sight miss each other"}
+    page = Page(render(failed_gap))
+    assert "Where the error comes from" not in page.text
+    assert "95 % ellipsoids" not in page.text
+    assert report_document(failed_gap).trajectory.error_95 is None
 
 
 def test_observations_without_images_make_a_report_without_them(report) -> None:

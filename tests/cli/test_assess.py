@@ -45,6 +45,22 @@ def test_a_wrong_coordinate_is_not_as_predicted(run, beads_csv: Path, setup, tmp
         assert words in ran.out
 
 
+def test_a_point_whose_gap_failed_gets_no_predicted_error(run, beads_csv: Path, setup, tmp_path: Path) -> None:
+    """One lateral pick 25 px aside, to where a gap opens."""
+    truth = table(tmp_path / "points.csv", setup, POINTS_MM)
+    lines = truth.read_text().splitlines()
+    cells = lines[3].split(",")
+    cells[-2:] = [str(float(cells[-2]) + 17.7), str(float(cells[-1]) + 17.7)]
+    truth.write_text("\n".join([*lines[:3], ",".join(cells), *lines[4:]]) + "\n")
+    ran = run("assess", beads_csv, beads_csv, "--truth", truth, "--pick-sd", "0.1", "--json")
+    assert ran.code == 3
+    assert [p["predicted_95_mm"] is None for p in ran.document["points"]] == [False, False, True, False]
+    assert [p["normalised"] is None for p in ran.document["points"]] == [False, False, True, False]
+    gaps = [check for check in ran.document["checks"] if check["name"] == "gap"]
+    assert [check["passed"] for check in gaps] == [True, True, False, True]
+    assert "ball2" in gaps[2]["sentence"]
+
+
 def test_without_pixels_the_images_are_needed(run, beads_csv: Path, tmp_path: Path) -> None:
     truth = tmp_path / "points.csv"
     truth.write_text("name,x_mm,y_mm,z_mm\nball0,1,2,3\n")

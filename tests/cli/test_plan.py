@@ -80,6 +80,7 @@ def test_snapped_picks_have_no_gap_so_movement_is_untested_without_landmarks(run
     ran = run("plan", beads_csv, beads_csv, *picks(wire_px, shift=4.0), "--snap", "--json")
     assert ran.code == 3
     assert ran.document["trajectory"]["gap_tested"] == [False, False]
+    assert ran.document["trajectory"]["gap_sigma"] == [None, None]
     assert ran.document["landmarks"] == []
     assert failing(ran) == {"movement"}
 

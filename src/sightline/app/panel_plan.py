@@ -143,7 +143,7 @@ def figures_html(tab: Tab) -> Markup:
     rows = []
     if known.plan is not None:
         path = known.plan.trajectory
-        if path.points.joint_covariance_mm2 is not None:
+        if path.error_stated:
             rows += [
                 (texts.ENTRY_ERROR, f"{path.entry_error_95_mm:.2f} mm", ""),
                 (texts.TIP_ERROR, f"{path.end_error_95_mm:.2f} mm", ""),

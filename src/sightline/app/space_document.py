@@ -95,10 +95,9 @@ def wire_objects(trajectory: Trajectory, diameter_mm: float) -> list[Object]:
     ends = (trajectory.entry_mm, trajectory.end_mm)
     made: list[Object] = [_cylinder(*ends, diameter_mm / 2, "wire")]
     made += [_label(at, word, "wire") for at, word in zip(ends, ("entry", "tip"), strict=True)]
-    joint = trajectory.points.joint_covariance_mm2
-    if joint is None:
+    if not trajectory.error_stated:
         return [*made, {"kind": "note", "text": "the error of the wire's ends is unknown"}]
-    covariances = np.stack([joint[:3, :3], joint[3:, 3:]])
+    covariances = trajectory.points.covariance_mm2
     times = magnification(covariances, NEAR_MM)
     made += [_ellipsoid(at, covariance, times) for at, covariance in zip(ends, covariances, strict=True)]
     return [

@@ -47,7 +47,7 @@ class Compared:
     @property
     def bounds_95(self) -> tuple[float, float, float] | None:
         """What the plan stated for the same three; None where its error is unknown."""
-        if self.trajectory.points.joint_covariance_mm2 is None:
+        if not self.trajectory.error_stated:
             return None
         path = self.trajectory
         return path.entry_error_95_mm, path.end_error_95_mm, float(np.rad2deg(path.direction_error_95_rad))

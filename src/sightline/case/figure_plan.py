@@ -64,7 +64,7 @@ def wire(view: CalibratedView, trajectory: Trajectory) -> str:
     along = np.linspace(0.0, 1.0, 25)[:, None]
     path = view.project((1 - along) * trajectory.entry_mm + along * trajectory.end_mm)
     parts = [svg.element("polyline", svg.hint("planned wire"), points=svg.points(path), class_="wire")]
-    if trajectory.points.joint_covariance_mm2 is not None:
+    if trajectory.error_stated:
         pairs = zip(trajectory.points.xyz_mm, trajectory.points.covariance_mm2, strict=True)
         parts += [_ellipse(view, xyz, covariance) for xyz, covariance in pairs]
     return svg.group(parts)

@@ -152,7 +152,7 @@ def _capital(words: str) -> str:
 def _space(report: "Report") -> dict[str, Any]:
     """The whole set-up, and the wire from near."""
     points = report.plan.trajectory.points
-    known = points.joint_covariance_mm2 is not None
+    known = report.plan.trajectory.error_stated
     whole, near = list(_whole(report)), list(_near(report))
     note = ""
     if known:

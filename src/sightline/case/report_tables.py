@@ -78,8 +78,9 @@ def _reason(check: Check, report: "Report") -> dict[str, str]:
 def _tiles(report: "Report") -> list[dict[str, str]]:
     path = report.plan.trajectory
     length = {"name": "Wire, entry to tip", "figure": f"{path.length_mm:.1f} mm", "note": "along the planned path"}
-    if path.points.joint_covariance_mm2 is None:
-        unknown = "a view states no covariance"
+    if not path.error_stated:
+        failed = path.points.gap_failed.any()
+        unknown = "the lines of sight miss each other" if failed else "a view states no covariance"
         return [{"name": n, "figure": "unknown", "note": unknown} for n in ("Entry point", "Tip", "Direction")] + [
             length
         ]
@@ -115,18 +116,18 @@ def _notes(report: "Report") -> Iterable[str]:
 def _points(report: "Report") -> list[dict[str, Any]]:
     """Entry, tip and landmarks."""
     space = report.plan.seen
-    known = space.joint_covariance_mm2 is not None
     names = [*POINTS, *(f"landmark {k + 1}" for k in range(len(space.xyz_mm) - len(POINTS)))]
     out = []
     for i, name in enumerate(names):
-        sds = np.sqrt(np.diag(space.covariance_mm2[i])) if known else (None,) * 3
-        sigma = f" ({space.gap_sigma[i]:.1f} σ)" if space.gap_sigma is not None else ""
+        sds = np.sqrt(np.diag(space.covariance_mm2[i])) if space.error_stated[i] else (None,) * 3
+        tested = space.gap_tested[i]
+        sigma = f" ({space.gap_sigma[i]:.1f} σ)" if tested and space.gap_sigma is not None else ""
         out.append(
             {
                 "name": name,
                 "xyz": list(zip(space.xyz_mm[i], sds, strict=True)),
-                "gap": f"{space.gap_mm[i]:.2f}{sigma}" if space.gap_tested[i] else "not tested",
-                "how": "free" if space.gap_tested[i] else "snapped to the image-matching curve",
+                "gap": f"{space.gap_mm[i]:.2f}{sigma}" if tested else "not tested",
+                "how": "free" if tested else "snapped to the image-matching curve",
             }
         )
     return out
@@ -134,7 +135,7 @@ def _points(report: "Report") -> list[dict[str, Any]]:
 
 def bars(report: "Report") -> list[Bar]:
     """The error budget; empty where the error is unknown."""
-    if report.plan.trajectory.points.budget_mm2 is None:
+    if not report.plan.trajectory.error_stated:
         return []
     rms = report.plan.trajectory.budget_rms()
     return [

@@ -19,7 +19,7 @@ class Corridor:
 
     `along_mm` (S,) from the entry point; `uv_px` (S, 2) its middle, `across_px` (S, 2) unit vectors across, IDCS;
     `wire_half_px` (S,): half its width; `half_95_px` (S,): at each station the drilled wire runs within this of the
-    line that was meant, seen in this image, with a probability of 95 %; None where a view's error is unknown.
+    line that was meant, seen in this image, with a probability of 95 %; None where `trajectory.error_stated` is False.
     """
 
     along_mm: np.ndarray
@@ -59,7 +59,7 @@ def corridor(
     across = np.stack([-tangent[:, 1], tangent[:, 0]], axis=1) / np.linalg.norm(tangent, axis=1, keepdims=True)
     px_per_mm = np.abs(np.einsum("ij,ij->i", across, right - left))
     half_95 = None
-    if trajectory.points.joint_covariance_mm2 is not None:
+    if trajectory.error_stated:
         covariance = trajectory.covariance_mm2 if robot_mm2 is None else trajectory.covariance_mm2 + robot_mm2
         share = (along / length)[whole, None]
         errs = np.hstack([(1.0 - share) * sideways[whole], share * sideways[whole]])

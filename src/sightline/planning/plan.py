@@ -34,11 +34,12 @@ class Plan:
     def landmarks_document(self) -> list[dict[str, Any]]:
         """The landmarks as JSON types: place, CFCS mm, and gap; `gap_sigma` is null where a view's error is unknown."""
         seen = self.seen
+        sigma = None if seen.gap_sigma is None else seen.gap_sigma.tolist()
         return [
             {
                 "xyz_mm": seen.xyz_mm[k].tolist(),
                 "gap_mm": float(seen.gap_mm[k]),
-                "gap_sigma": None if seen.gap_sigma is None else float(seen.gap_sigma[k]),
+                "gap_sigma": None if sigma is None else sigma[k],
             }
             for k in range(len(self.picks), len(seen.xyz_mm))
         ]

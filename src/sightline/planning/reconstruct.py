@@ -1,6 +1,6 @@
 """From picks in two views to points in space: nearest approach (the paper) or covariance-weighted."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Literal
 
 import numpy as np
@@ -23,25 +23,28 @@ _ITERATIONS = 2  # the model is linear but for the small change of its weights w
 
 def reconstruct(
     views: Sequence[CalibratedView],
-    uv_px: np.ndarray,
-    uv_covariance_px2: np.ndarray | None = None,
+    uv_px: np.ndarray | Mapping[str, np.ndarray],
+    uv_covariance_px2: np.ndarray | Mapping[str, np.ndarray] | None = None,
     method: Method = "weighted",
     across_px: np.ndarray | None = None,
 ) -> SpacePoints:
     """Points seen at pixels `uv_px` (2, N, 2) of two views, with their joint covariance, CFCS.
 
-    `uv_covariance_px2` (2, N, 2, 2): of the picks; without it 0.5 px, a careful click. `across_px` (2, N, 2): where a
-    pick was snapped to an image-matching curve, the direction across the curve, in which it says nothing; zero for a
-    free pick (see `Pick`). "nearest" is the point of nearest approach (the paper, eqs 1 and 2); "weighted" is the
-    maximum-likelihood point given the covariance of both lines of sight and the picks. Each point is computed
-    from its own picks alone, so a bad pick moves no other point; their errors are correlated all the same.
+    The axes of `uv_px` are view, point and (u, v). Of two points, (point, view, (u, v)) has the same shape: pass
+    `{"pa": (N, 2), "lateral": (N, 2)}`, the pixels by the views' names, which cannot be confused. Look at the result's
+    `checks`. `uv_covariance_px2` (2, N, 2, 2), or by the views' names: of the picks; without it 0.5 px, a careful
+    click. `across_px` (2, N, 2): where a pick was snapped to an image-matching curve, the direction across the curve, in which
+    it says nothing; zero for a free pick (see `Pick`). "nearest" is the point of nearest approach (the paper, eqs 1 and
+    2); "weighted" is the maximum-likelihood point given the covariance of both lines of sight and the picks. Each point
+    is computed from its own picks alone, so a bad pick moves no other point; their errors are correlated all the same.
     A view of unknown error leaves nothing to weigh by: then the method is "nearest" and the result says so.
     Raises UnusableInputError, ReconstructionRefusedError, OutsideRegionError.
     """
     if method not in ("weighted", "nearest"):
         raise UnusableInputError(f"unknown method {method!r}; choose 'weighted' or 'nearest'")
     first, second = _two_views(views)
-    uv, covariance, across = _picks(uv_px, uv_covariance_px2, across_px)
+    uv_covariance_px2 = None if uv_covariance_px2 is None else _by_view(views, uv_covariance_px2, "covariances")
+    uv, covariance, across = _picks(_by_view(views, uv_px, "picks"), uv_covariance_px2, across_px)
     lines = first.lines_of_sight(uv[0]), second.lines_of_sight(uv[1])
     solution = solve(lines, covariance, across, method)
     budget, gaps = solution.budget_mm2(), solution.gap_covariance_mm2()
@@ -52,7 +55,7 @@ def reconstruct(
         xyz_mm=solution.xyz_mm,
         gap_mm=gap_mm,
         gap_tested=tested,
-        gap_sigma=None if gaps is None else np.where(tested, gap_mm / np.sqrt(np.diag(gaps)), 0.0),
+        gap_sigma=None if gaps is None else np.ma.masked_array(gap_mm / np.sqrt(np.diag(gaps)), mask=~tested),
         joint_covariance_mm2=None if budget is None else np.sum(list(budget.values()), axis=0),
         budget_mm2=budget,
         inside_hull=lines[0].inside_hull & lines[1].inside_hull,
@@ -225,6 +228,22 @@ def _two_views(views: Sequence[CalibratedView]) -> tuple[CalibratedView, Calibra
             "give two images taken from different directions"
         )
     return first, second
+
+
+def _by_view(views: Sequence[CalibratedView], given: np.ndarray | Mapping[str, np.ndarray], what: str) -> np.ndarray:
+    """What is given by the views' names, in their order; arrays as they are. Raises UnusableInputError."""
+    if not isinstance(given, Mapping):
+        return given
+    names = [view.name for view in views]
+    if len(set(names)) < len(names) or set(given) != set(names):
+        raise UnusableInputError(
+            f"the {what} are given for {', '.join(map(repr, given))}, the views are {', '.join(map(repr, names))}; "
+            "give an entry for each view, and views of different names"
+        )
+    shapes = {np.shape(given[name]) for name in names}
+    if len(shapes) > 1:
+        raise UnusableInputError(f"the {what} have different shapes in the two views; give the same points in both")
+    return np.array([given[name] for name in names], dtype=np.float64)
 
 
 def _picks(

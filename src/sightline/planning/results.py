@@ -1,5 +1,6 @@
 """What planning hands on: points in space, and a verdict."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -9,6 +10,8 @@ from sightline.errors import ErrorUnknownError
 
 # Where the error of a point comes from; their covariances add up to the whole.
 BUDGET = ("beads", "map", "focal_point", "frame", "picks")
+# A gap of this many standard deviations happens once in a thousand honest pairs of picks [ours].
+LARGEST_GAP_SIGMA = 3.29
 
 
 def error_unknown() -> ErrorUnknownError:
@@ -21,13 +24,14 @@ def error_unknown() -> ErrorUnknownError:
 
 @dataclass(frozen=True, eq=False)
 class SpacePoints:
-    """N points reconstructed from two views, CFCS.
+    """N points reconstructed from two views, CFCS. Look at `checks` before you use them.
 
     `xyz_mm` (N, 3). `method`: "weighted" or "nearest"; always "nearest" where a view's error is unknown. `gap_mm` (N,):
-    nearest approach of the two lines of sight. `gap_tested` (N,) bool: False where
-    a pick was snapped to an image-matching curve, so that the gap says nothing. `gap_sigma` (N,): gap over its own
-    standard deviation; 0 where not tested. `shift_mm`, `shift_sd_mm`: how far the second view's lines of sight pass
-    beside the first's along their common normal, in the best mean of all tested points, and its standard deviation:
+    nearest approach of the two lines of sight. `gap_tested` (N,) bool: False where a pick was snapped to an
+    image-matching curve, so that the gap says nothing. `gap_sigma` (N,), masked where not tested: gap over its own
+    standard deviation; None where a view's error is unknown. `shift_mm`, `shift_sd_mm`: how far the second view's lines
+    of sight pass beside the first's along their common normal, in the best mean of all tested points, and its standard
+    deviation:
     what a patient who moves between the views opens. None where no point is tested or a view's error is unknown.
     `joint_covariance_mm2` (3N, 3N), or None where a view's error is unknown:
     the points share focal points, maps and frame, so their errors are correlated. `budget_mm2`: the same, for each of
@@ -37,7 +41,7 @@ class SpacePoints:
     xyz_mm: np.ndarray
     gap_mm: np.ndarray
     gap_tested: np.ndarray
-    gap_sigma: np.ndarray | None
+    gap_sigma: np.ma.MaskedArray | None
     joint_covariance_mm2: np.ndarray | None
     budget_mm2: dict[str, np.ndarray] | None
     inside_hull: np.ndarray
@@ -68,12 +72,64 @@ class SpacePoints:
         )
 
     @property
+    def gap_failed(self) -> np.ndarray:
+        """(N,) bool: the gap was tested and is larger than picks and views explain."""
+        if self.gap_sigma is None:
+            return np.zeros(len(self.xyz_mm), dtype=bool)
+        return self.gap_tested & ~(np.ma.getdata(self.gap_sigma) <= LARGEST_GAP_SIGMA)
+
+    @property
+    def error_stated(self) -> np.ndarray:
+        """(N,) bool: the covariance is known and the gap does not contradict it."""
+        return ~self.gap_failed & (self.joint_covariance_mm2 is not None)
+
+    @property
+    def checks(self) -> tuple[Check, ...]:
+        """Is the error known, and does the gap of each point agree with it? A gap that was not tested has no check."""
+        names = [f"point {k + 1}" for k in range(len(self.xyz_mm))]
+        return (error_known(self), *self.gap_checks(names))
+
+    def gap_checks(self, names: Sequence[str]) -> tuple[Check, ...]:
+        """One for each of the points, called by these names, whose gap was tested."""
+        if self.gap_sigma is None:
+            return ()
+        columns = names, self.gap_tested, self.gap_failed, np.ma.getdata(self.gap_sigma), self.gap_mm
+        return tuple(
+            _gap_check(name, bool(failed), float(sigma), gap)
+            for name, tested, failed, sigma, gap in zip(*columns, strict=True)
+            if tested
+        )
+
+    @property
     def covariance_mm2(self) -> np.ndarray:
         """(N, 3, 3). Raises ErrorUnknownError where a view has no covariance."""
         if self.joint_covariance_mm2 is None:
             raise error_unknown()
         n = len(self.xyz_mm)
         return np.einsum("iaib->iab", self.joint_covariance_mm2.reshape(n, 3, n, 3))
+
+
+def error_known(points: SpacePoints) -> Check:
+    """Do both views state their error?"""
+    known = points.joint_covariance_mm2 is not None
+    sentence = (
+        "Both views state their error."
+        if known
+        else "Error unknown: a view states no covariance, so nothing can be said of the error of any point; "
+        "calibrate both views from their beads, or give the matrix of a view with its covariance."
+    )
+    return Check("error known", known, None, None, "", sentence)
+
+
+def _gap_check(name: str, failed: bool, sigma: float, gap_mm: float) -> Check:
+    sentence = f"The two lines of sight of {name} pass {gap_mm:.2f} mm apart, {sigma:.1f} standard deviations"
+    sentence += (
+        "; the picks of the two images are not the same point, the patient moved between the views, or a view is "
+        "wrong: pick again. Arrays of picks must be (view, point, (u, v)), in the order of the views."
+        if failed
+        else "."
+    )
+    return Check("gap", not failed, sigma, LARGEST_GAP_SIGMA, "σ", sentence)
 
 
 @dataclass(frozen=True)

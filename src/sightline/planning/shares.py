@@ -27,7 +27,7 @@ def error_shares(
     `robot_mm2`: what the robot adds, (6, 6) of (entry, end) in CFCS: as one source, "robot", or several by name.
     Raises ErrorUnknownError.
     """
-    if trajectory.points.budget_mm2 is None:
+    if not trajectory.error_stated or trajectory.points.budget_mm2 is None:
         raise error_unknown()
     added = {} if robot_mm2 is None else robot_mm2 if isinstance(robot_mm2, Mapping) else {"robot": robot_mm2}
     ends = np.stack([trajectory.entry_mm, trajectory.end_mm])

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from sightline.errors import UnusableInputError
+from sightline.errors import ErrorUnknownError, UnusableInputError
 from sightline.geometry.covariance import length_quantile, line_direction
 from sightline.planning.results import SpacePoints, error_unknown
 
@@ -19,7 +19,7 @@ class Trajectory:
     """A straight path from the entry point to the end point (the tip of the wire), CFCS: no robot is known here.
 
     `points`: the two reconstructed points, with their joint covariance, budget and gaps. What depends on their errors
-    raises ErrorUnknownError where a view's error is unknown. Raises UnusableInputError for points without a direction.
+    raises ErrorUnknownError where `error_stated` is False. Raises UnusableInputError for points without a direction.
     """
 
     points: SpacePoints
@@ -56,11 +56,27 @@ class Trajectory:
         return (self.end_mm - self.entry_mm) / self.length_mm
 
     @property
+    def error_stated(self) -> bool:
+        """Is the error known, and contradicted by no gap? One gap speaks for both points: they share the views."""
+        return bool(self.points.error_stated.all())
+
+    @property
     def covariance_mm2(self) -> np.ndarray:
         """(6, 6) of (entry, end). Raises ErrorUnknownError."""
+        self._refuse_unstated()
+        assert self.points.joint_covariance_mm2 is not None  # noqa: S101 - stated
+        return self.points.joint_covariance_mm2
+
+    def _refuse_unstated(self) -> None:
+        failed = self.points.gap_failed
+        if failed.any():
+            point = ("entry", "end")[int(failed.argmax())]
+            raise ErrorUnknownError(
+                f"the two lines of sight of the {point} point pass {self.points.gap_mm[failed.argmax()]:.2f} mm apart, "
+                "more than any stated error explains, so the error is unknown; pick the point again in both images"
+            )
         if self.points.joint_covariance_mm2 is None:
             raise error_unknown()
-        return self.points.joint_covariance_mm2
 
     @property
     def direction_covariance_rad2(self) -> np.ndarray:
@@ -88,6 +104,7 @@ class Trajectory:
 
     def budget_rms(self) -> dict[str, dict[str, float]]:
         """For each of BUDGET the rms error it causes: "entry_mm", "end_mm", "direction_rad". Their squares add up."""
+        self._refuse_unstated()
         if self.points.budget_mm2 is None:
             raise error_unknown()
         return {
@@ -100,8 +117,11 @@ class Trajectory:
         }
 
     def document(self) -> dict[str, Any]:
-        """Everything as JSON types; mm, and degrees where a person reads. Errors are null where unknown."""
-        known = self.points.joint_covariance_mm2 is not None
+        """Everything as JSON types; mm, and degrees where a person reads.
+
+        Errors are null where `error_stated` is False, a `gap_sigma` where its gap was not tested.
+        """
+        known = self.error_stated
         return {
             "coordinates": "CFCS",
             "robot": "none known: coordinates are those of the calibration frame",

@@ -7,12 +7,10 @@ import numpy as np
 
 from sightline.calibration.view import CalibratedView
 from sightline.checks import Check
-from sightline.planning.results import SpacePoints, Verdict
+from sightline.planning.results import LARGEST_GAP_SIGMA, SpacePoints, Verdict, error_known
 from sightline.planning.trajectory import Trajectory
 
-# A gap of this many standard deviations happens once in a thousand honest pairs of picks [ours].
-LARGEST_GAP_SIGMA = 3.29
-# With this many more of them a movement is noticed 95 times in a hundred (normal quantile).
+# With this many standard deviations beyond LARGEST_GAP_SIGMA a movement is noticed 95 times in 100 (normal quantile).
 _NOTICED_SIGMA = 1.645
 # One point shows a shift of the bone; it takes another to show that it turned [ours].
 LEAST_FREE_POINTS = 2
@@ -38,22 +36,13 @@ def judge(
     `seen`: entry, end and landmarks, in this order; without it there are no landmarks."""
     limits, seen = limits or Limits(), seen or trajectory.points
     checks = [replace(check, sentence=f"{view.name}: {check.sentence}") for view in views for check in view.checks]
-    checks.append(_error_known(trajectory))
+    checks.append(error_known(trajectory.points))
+    if trajectory.error_stated:
+        checks += _errors(trajectory, limits)
     if trajectory.points.joint_covariance_mm2 is not None:
-        checks += [*_errors(trajectory, limits), *_gaps(seen), _movement(seen)]
+        checks += [*_gaps(seen), _movement(seen)]
     checks.append(_inside_hull(trajectory, views))
     return Verdict(tuple(checks))
-
-
-def _error_known(trajectory: Trajectory) -> Check:
-    known = trajectory.points.joint_covariance_mm2 is not None
-    sentence = (
-        "Both views state their error."
-        if known
-        else "Error unknown: a view states no covariance, so nothing can be said of the trajectory's error; "
-        "calibrate both views from their beads, or give the matrix of a view with its covariance."
-    )
-    return Check("error known", known, None, None, "", sentence)
 
 
 def _errors(trajectory: Trajectory, limits: Limits) -> list[Check]:
@@ -81,25 +70,11 @@ def _largest(trajectory: Trajectory, check: str) -> str:
     return max(budget, key=lambda source: budget[source][key]).replace("_", " ")
 
 
-def _gaps(points: SpacePoints) -> list[Check]:
+def _gaps(points: SpacePoints) -> tuple[Check, ...]:
     """One check for each point whose gap can be tested: a pick snapped to a curve has none."""
-    assert points.gap_sigma is not None  # noqa: S101 - asked only where the errors are known
-    out = []
     names = [f"the {name} point" for name in _POINTS]
     names += [f"landmark {k + 1}" for k in range(len(points.xyz_mm) - len(names))]
-    for name, tested, sigma, gap in zip(names, points.gap_tested, points.gap_sigma, points.gap_mm, strict=True):
-        if not tested:
-            continue
-        passed = bool(sigma <= LARGEST_GAP_SIGMA)
-        sentence = f"The two lines of sight of {name} pass {gap:.2f} mm apart, {sigma:.1f} standard deviations"
-        sentence += (
-            "."
-            if passed
-            else "; the picks of the two images are not the same point, the patient moved between the views, or a view "
-            "is wrong: pick again."
-        )
-        out.append(Check("gap", passed, float(sigma), LARGEST_GAP_SIGMA, "σ", sentence))
-    return out
+    return points.gap_checks(names)
 
 
 def _movement(points: SpacePoints) -> Check:

@@ -57,19 +57,26 @@ class Assessment:
         return np.linalg.norm(self.error_mm, axis=1)
 
     @cached_property
-    def predicted_95_mm(self) -> np.ndarray | None:
-        """(N,) with a probability of 95 % the point errs by less; None where a view's error is unknown."""
+    def predicted_95_mm(self) -> np.ma.MaskedArray | None:
+        """(N,) with a probability of 95 % the point errs by less; None where a view's error is unknown.
+
+        Masked where the gap of the point contradicts it.
+        """
         if self.points.joint_covariance_mm2 is None:
             return None
-        return length_quantile(self.points.covariance_mm2)
+        return np.ma.masked_array(length_quantile(self.points.covariance_mm2), mask=self.points.gap_failed)
 
     @property
-    def normalised(self) -> np.ndarray | None:
-        """(N,) Mahalanobis length of each error: about 1.7 where the covariance is right. None where it is unknown."""
+    def normalised(self) -> np.ma.MaskedArray | None:
+        """(N,) Mahalanobis length of each error: about 1.7 where the covariance is right. None where it is unknown.
+
+        Masked where the gap of the point contradicts the covariance.
+        """
         if self.points.joint_covariance_mm2 is None:
             return None
         scaled = np.linalg.solve(self.points.covariance_mm2, self.error_mm[..., None])[..., 0]
-        return np.sqrt(np.einsum("ia,ia->i", self.error_mm, scaled))
+        lengths = np.sqrt(np.einsum("ia,ia->i", self.error_mm, scaled))
+        return np.ma.masked_array(lengths, mask=self.points.gap_failed)
 
     def table(self) -> tuple[Statistics, ...]:
         """Position and, from two points on, distance and angle between pairs of points: separately (ASTM F2554)."""
@@ -90,7 +97,7 @@ class Assessment:
 
     @property
     def checks(self) -> tuple[Check, ...]:
-        """Whether the errors, all points together, are as large as was predicted."""
+        """Whether the errors, all points together, are as large as was predicted, and each gap as stated."""
         if self.points.joint_covariance_mm2 is None:
             sentence = "Error unknown: a view states no covariance, so no error was predicted."
             return (Check("errors as predicted", False, None, LEAST_PROBABILITY, "", sentence),)
@@ -100,11 +107,13 @@ class Assessment:
         passed = probability >= LEAST_PROBABILITY
         sentence = f"Errors this large have a probability of {probability:.2g} under the covariance stated"
         sentence += "." if passed else "; check the measured coordinates, the frame's tolerances and the picks."
-        return (Check("errors as predicted", passed, probability, LEAST_PROBABILITY, "", sentence),)
+        agreement = Check("errors as predicted", passed, probability, LEAST_PROBABILITY, "", sentence)
+        return (agreement, *self.points.gap_checks(self.truth.names))
 
     def document(self) -> dict[str, Any]:
-        """Everything as JSON types; null where the error is unknown."""
-        predicted, normalised = self.predicted_95_mm, self.normalised
+        """Everything as JSON types; null where the error is unknown or contradicted by the gap."""
+        unknown = [None] * len(self.truth.names)
+        predicted, normalised = (unknown if a is None else a.tolist() for a in (self.predicted_95_mm, self.normalised))
         return {
             "coordinates": "CFCS",
             "method": self.points.method,
@@ -114,8 +123,8 @@ class Assessment:
                     "measured_mm": self.truth.xyz_mm[i].tolist(),
                     "reconstructed_mm": self.points.xyz_mm[i].tolist(),
                     "error_mm": float(self.absolute_mm[i]),
-                    "predicted_95_mm": None if predicted is None else float(predicted[i]),
-                    "normalised": None if normalised is None else float(normalised[i]),
+                    "predicted_95_mm": predicted[i],
+                    "normalised": normalised[i],
                     "gap_mm": float(self.points.gap_mm[i]),
                     "inside_hull": bool(self.points.inside_hull[i]),
                 }

@@ -262,12 +262,12 @@ def _ended(observations: dict[str, Observations], frame: Frame, picks: Picks, wi
         return {"ended": "refused", "why": type(error).__name__}
     path = made.trajectory
     errors = np.linalg.norm(path.points.xyz_mm - wire_mm, axis=1)
-    bounds = np.array([path.entry_error_95_mm, path.end_error_95_mm])
+    go = made.verdict.go
     return {
-        "ended": "GO" if made.verdict.go else "NO-GO",
+        "ended": "GO" if go else "NO-GO",
         "why": ", ".join(sorted({check.name for check in failed(made.verdict.checks)})),
         "error_mm": float(errors.max()),
-        "over": bool((errors > bounds).any()),
+        "over": go and bool((errors > (path.entry_error_95_mm, path.end_error_95_mm)).any()),
     }
 
 

@@ -1,0 +1,123 @@
+"""A failed gap: no error stands beside its point, and the result says so; arrays that can and cannot be confused."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sightline.calibration import view_from_matrix
+from sightline.checks import failed
+from sightline.errors import ErrorUnknownError, UnusableInputError
+from sightline.planning import Trajectory, corridor, error_shares, plan, reconstruct
+from sightline.planning.results import LARGEST_GAP_SIGMA
+
+from .standin import StandInView, stand_in
+
+ENTRY_MM, END_MM = np.array([31.0, 24.0, -9.0]), np.array([-22.0, -26.0, 11.0])
+
+
+def _views() -> list[StandInView]:
+    return [stand_in("pa", 0.4, 0.05), stand_in("lateral", -0.2, 0.05)]
+
+
+def _pixels(views: list[StandInView]) -> np.ndarray:
+    return np.array([view.project(np.stack([ENTRY_MM, END_MM])) for view in views])
+
+
+WRONG = {
+    "point before view": lambda uv: uv.swapaxes(0, 1),
+    "views exchanged": lambda uv: uv[::-1],
+    "row before column": lambda uv: uv[..., ::-1],
+}
+
+
+@pytest.mark.parametrize("how", WRONG)
+def test_arrays_in_another_order_fail_their_gap_and_get_no_error(how):
+    views = _views()
+    right, wrong = (reconstruct(views, uv) for uv in (_pixels(views), WRONG[how](_pixels(views))))
+    assert not failed(right.checks)
+    assert [check.name for check in right.checks] == ["error known", "gap", "gap"]
+    assert "gap" in {check.name for check in failed(wrong.checks)}
+    assert np.linalg.norm(wrong.xyz_mm - right.xyz_mm, axis=1).max() > 5.0
+    trajectory = Trajectory(wrong)
+    for what in ("covariance_mm2", "entry_error_95_mm", "end_error_95_mm", "direction_error_95_rad"):
+        with pytest.raises(ErrorUnknownError, match=r"pass .* mm apart"):
+            getattr(trajectory, what)
+    for ask in (trajectory.budget_rms, lambda: error_shares(trajectory)):
+        with pytest.raises(ErrorUnknownError):
+            ask()
+    document = trajectory.document()
+    assert all(document[key] is None for key in ("error_95", "covariance_mm2", "budget_rms"))
+    assert corridor(views[0], trajectory, 2.5).half_95_px is None
+
+
+@pytest.mark.parametrize("how", WRONG)
+def test_points_on_one_level_across_the_beams_hide_the_order(how):
+    """What docs/planning.md warns of: where all picks lie in one row, no gap opens, however the array is ordered."""
+    lens = np.array([[2000.0, 0.0, 512.0], [0.0, 2000.0, 512.0], [0.0, 0.0, 1.0]])
+    pa = np.column_stack([np.eye(3), [0.0, 0.0, 620.0]])
+    lateral = np.column_stack([np.eye(3)[[2, 1, 0]] * [1.0, 1.0, -1.0], [0.0, 0.0, 620.0]])
+    noise = 1e-8 * np.eye(12)
+    views = [view_from_matrix(lens @ p, noise, name) for p, name in ((pa, "pa"), (lateral, "lateral"))]
+    level = np.array([[30.0, 0.0, -9.0], [-22.0, 0.0, 11.0]])
+    uv = np.array([view.project(level) for view in views])
+    wrong = uv[..., ::-1] if how == "row before column" else WRONG[how](uv)
+    points = reconstruct(views, wrong)
+    hidden = how != "row before column"  # the rows are then columns, and differ
+    assert bool(failed(points.checks)) != hidden
+    assert np.linalg.norm(points.xyz_mm - level, axis=1).max() > 5.0
+    np.testing.assert_allclose(reconstruct(views, {"lateral": uv[1], "pa": uv[0]}).xyz_mm, level, atol=1e-6)
+
+
+def test_one_failed_gap_speaks_for_both_points_of_a_plan_and_no_error_check_stands_beside_it():
+    views = _views()
+    uv = _pixels(views)
+    uv[1, 1] += 12.0
+    made = plan(views, uv[:, 0], uv[:, 1])
+    assert made.seen.gap_failed.tolist() == [False, True]
+    assert made.seen.error_stated.tolist() == [True, False]
+    assert not made.trajectory.error_stated
+    checks = {check.name: check for check in made.verdict.checks}
+    assert not {"entry error", "end error", "direction error"} & set(checks)
+    assert "gap" in {check.name for check in failed(made.verdict.checks)}
+    assert checks["gap"].limit == LARGEST_GAP_SIGMA
+
+
+def test_the_limit_is_where_a_gap_begins_to_fail():
+    points = reconstruct(_views(), _pixels(_views()))
+    for sigma, fails in ((LARGEST_GAP_SIGMA, False), (np.nextafter(LARGEST_GAP_SIGMA, 4.0), True), (np.nan, True)):
+        at = replace(points, gap_sigma=np.ma.masked_array([0.1, sigma]))
+        assert at.gap_failed.tolist() == [False, fails]
+        assert bool(failed(at.checks)) == fails
+        untested = replace(at, gap_tested=np.array([True, False]))
+        assert not untested.gap_failed.any()
+        assert len(untested.checks) == 2
+
+
+def test_an_unknown_error_fails_the_points_too():
+    views = [_views()[0], replace(_views()[1], factors=None)]
+    points = reconstruct(views, _pixels(_views()))
+    assert [check.name for check in failed(points.checks)] == ["error known"]
+    assert not points.error_stated.any()
+
+
+def test_pixels_by_name_cannot_be_exchanged():
+    views = _views()
+    uv = _pixels(views)
+    covariance = 0.04 * np.broadcast_to(np.eye(2), (2, 2, 2, 2)) * np.array([1.0, 4.0])[:, None, None, None]
+    stated = reconstruct(views, uv, covariance)
+    named = {"lateral": uv[1], "pa": uv[0]}
+    for order in (views, views[::-1]):
+        points = reconstruct(order, named, {"pa": covariance[0], "lateral": covariance[1]})
+        np.testing.assert_allclose(points.xyz_mm, stated.xyz_mm, atol=1e-9)
+        np.testing.assert_allclose(points.covariance_mm2, stated.covariance_mm2, atol=1e-9)
+    again = [views[0], replace(views[1], name="pa")]
+    cases = (
+        (views, {"pa": uv[0]}, "an entry for each view"),
+        (views, {"pa": uv[0], "AP": uv[1]}, "'AP'"),
+        (again, {"pa": uv[0]}, "different names"),
+        (views, {"pa": uv[0], "lateral": uv[1, :1]}, "same points"),
+    )
+    for given, pixels, message in cases:
+        with pytest.raises(UnusableInputError, match=message):
+            reconstruct(given, pixels)
