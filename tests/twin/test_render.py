@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
+from scipy.stats import norm
 
 from sightline.errors import SetUpError
 from sightline.frame import Frame
@@ -263,3 +264,21 @@ def test_nothing_left_to_expose_with_is_refused(setup):
     wall = Rod((0.0, 0.0, 0.0), (0.0, 0.0, 1.0), 300.0, 250.0)
     with pytest.raises(SetUpError, match="nothing passes"):
         expose(setup.views["pa"], Scene(solids=(wall,)))
+
+
+def test_scatter_spreads_as_wide_as_its_kernel(setup):
+    """Behind opaque balls beside a block of tissue: how much of its scatter is there.
+
+    To 0.03 of that: the sides of the block do not lie along all rays, and the balls take a little of what scatters."""
+    view, at = setup.views["pa"], np.array([[-45.0, 0.0, 20.0], [8.0, 0.0, 20.0], [16.0, 0.0, 20.0]])
+    block = Box(np.array([-150.0, 0.0, 0.0]), np.eye(3), np.array([150.0, 300.0, 5.0]), "tissue")
+    scene = Scene(solids=tuple(Ball((x, y, z), 4.0, within=None) for x, y, z in at.tolist()), boxes=(block,))
+    u, v = np.rint(view.project(at)).astype(int).T
+    beside_mm = (view.project(at) - view.project(np.zeros(3)))[1:] * CHAIN.pitch_mm
+    tissue = float(WEIGHTS @ np.exp(-10.0 * attenuation_per_mm("tissue")))
+    for width_mm in (8.0, 12.0, np.inf):
+        seen = expose(view, scene, scatter_mm=width_mm)
+        behind, without = seen.quanta[v, u], seen.open_quanta[v, u]
+        over_open = behind / (without - behind) * [tissue, 1.0, 1.0]
+        expected = norm.sf(np.linalg.norm(beside_mm, axis=1) / width_mm) if np.isfinite(width_mm) else 1.0
+        assert over_open[1:] / over_open[0] == pytest.approx(expected, abs=0.03), width_mm

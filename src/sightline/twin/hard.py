@@ -51,11 +51,14 @@ def hard_scene(
     spread: HardScene | None = None,
     *,
     chain: str = "9in-1k",
+    scatter_mm: float | None = None,
 ) -> tuple[Radiograph, BeadTruth]:
     """A random hard image of one view, and the truth of its beads.
 
     A drawn set-up of the frame (default: the Γ frame) at any rotation of the image, around a drawn hip of either side,
-    with metal in it. `dose_class`: "low", "medium", "high" (`render.DOSES`). Raises SetUpError.
+    with metal in it. `dose_class`: "low", "medium", "high" (`render.DOSES`). `scatter_mm`: s.d. of the kernel that
+    spreads what each part of the object scatters, infinite for an even veil; None: scatter is the chain's share of the
+    primary, as when detection was first tuned on these scenes. Raises SetUpError.
     """
     if dose_class not in DOSES:
         raise SetUpError(f"there is no dose class {dose_class!r}; there are: {', '.join(DOSES)}")
@@ -66,8 +69,11 @@ def hard_scene(
     body, scale = SoftTissue(), rng.uniform(*spread.tissue_scale)
     half = (body.half_mm[0] * scale, body.half_mm[1] * scale)
     scene = replace(hip, solids=hip.solids + _metal(rng, spread), tissue=replace(body, half_mm=half))
-    # Even scatter: the distribution of these scenes was set before detection was tuned on them, and stays.
-    exposure = expose(view, scene, replace(DOSES[dose_class], level=rng.uniform(*spread.level)), even_scatter=True)
+    dose = replace(DOSES[dose_class], level=rng.uniform(*spread.level))
+    if scatter_mm is None:
+        exposure = expose(view, scene, dose, even_scatter=True)
+    else:
+        exposure = expose(view, scene, dose, scatter_mm=scatter_mm)
     image = exposure.read_out(rng)
     return image, bead_truth(setup, view, scene, exposure)
 

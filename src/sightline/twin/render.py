@@ -27,7 +27,10 @@ from sightline.twin.volumes import Volume
 
 RAY_MARGIN_PX = 6  # rays are cast this far beyond the blanking, so that blur finds light there
 RAY_GRID_PX = 8  # the inverse distortion is exact on this grid, splines between: error below 1e-5 px
-SCATTER_MM = 30.0  # reach of scattered radiation at the input plane, s.d. [ours]
+# S.d. of the scatter kernel at the input plane. Scatter behind slabs spreads as a Gaussian [src Med Phys 13:254 1986].
+# Kernels that gave the scatter of head, chest and pelvis phantoms best had a full width of 50-150 pixels at half
+# maximum, 512 across fields of 15-36 cm [src Med Phys 14:178 1987]: s.d. 6-45 mm [calc].
+SCATTER_MM = 30.0  # [ours]
 # Tissue, mm, at which scatter over primary is that of the chain; it grows in proportion to tissue [mem]. What drawn
 # hips with bone and plates take, mean of PA and lateral [calc].
 HIP_MM = 250.0
@@ -127,18 +130,24 @@ def render(setup: SetUp, view: str, scene: Scene, rng: np.random.Generator, dose
     return expose(setup.views[view], scene, dose).read_out(rng)
 
 
-def expose(view: ViewTruth, scene: Scene, dose: Dose | None = None, *, even_scatter: bool = False) -> Exposure:
+def expose(
+    view: ViewTruth,
+    scene: Scene,
+    dose: Dose | None = None,
+    *,
+    even_scatter: bool = False,
+    scatter_mm: float = SCATTER_MM,
+) -> Exposure:
     """The expected image of a scene. `dose` defaults to "medium"; exposure control holds its mean in the middle.
 
     Scatter follows what lies in the beam, unless `even_scatter`: the chain's share of the primary everywhere.
+    `scatter_mm`: s.d. of the kernel that spreads it; infinite: as much scatter in every pixel.
     """
     chain, dose = view.chain, dose or DOSES["medium"]
     rays, area = pixel_rays(view)
     arriving, without = (share * area for share in primary(view, scene, rays))
-    reach = SCATTER_MM / chain.pitch_mm
     source = arriving if even_scatter else arriving * tissue_mm(without / area, chain.spectrum) / HIP_MM
-    # The body scatters as much at the rim as in the middle: the share of scatter does not fall towards the rim.
-    scattered = chain.scatter_to_primary * _smooth(source, reach) / np.maximum(_smooth(rays.inside, reach), 0.1)
+    scattered = chain.scatter_to_primary * _spread(source, rays.inside, scatter_mm / chain.pitch_mm)
     middle = _rim_px(chain) > 0.5 * chain.mask_px
     level = float((arriving + scattered)[middle].mean())
     if not level > 0:
@@ -153,6 +162,16 @@ def expose(view: ViewTruth, scene: Scene, dose: Dose | None = None, *, even_scat
         core_px=chain.core_mm * float(np.sqrt(np.linalg.det(view.intensifier.jacobian(np.zeros((1, 2))))[0])),
         gain=dose.level * chain.white / wanted,
     )
+
+
+def _spread(source: np.ndarray, inside: np.ndarray, sd_px: float) -> np.ndarray:
+    """What is scattered in each pixel of the field `inside` spread over its surroundings, or over the field evenly.
+
+    The body scatters as much at the rim as in the middle: the share of scatter does not fall towards the rim.
+    """
+    if np.isinf(sd_px):
+        return np.full(source.shape, source[inside].mean())
+    return _smooth(source, sd_px) / np.maximum(_smooth(inside, sd_px), 0.1)
 
 
 def tissue_mm(transmission: np.ndarray, beam: str) -> np.ndarray:
