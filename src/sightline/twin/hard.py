@@ -9,7 +9,7 @@ from sightline.frame import Frame
 from sightline.imaging import Radiograph
 from sightline.twin.carm import SetUp, ViewTruth, draw_setup, shadow_centres_px, shadow_radius_px
 from sightline.twin.distributions import HardScene
-from sightline.twin.render import DOSES, Exposure, expose
+from sightline.twin.render import DOSES, SCATTER_MM, Exposure, expose
 from sightline.twin.scene import hip_scene
 from sightline.twin.things import CENTRE, RADIUS, Rod, Scene, SoftTissue, Solid, pack, stations
 
@@ -51,14 +51,14 @@ def hard_scene(
     spread: HardScene | None = None,
     *,
     chain: str = "9in-1k",
-    scatter_mm: float | None = None,
+    even_scatter: bool = True,
+    scatter_mm: float = SCATTER_MM,
 ) -> tuple[Radiograph, BeadTruth]:
     """A random hard image of one view, and the truth of its beads.
 
     A drawn set-up of the frame (default: the Γ frame) at any rotation of the image, around a drawn hip of either side,
-    with metal in it. `dose_class`: "low", "medium", "high" (`render.DOSES`). `scatter_mm`: s.d. of the kernel that
-    spreads what each part of the object scatters, infinite for an even veil; None: scatter is the chain's share of the
-    primary, as when detection was first tuned on these scenes. Raises SetUpError.
+    with metal in it. `dose_class`: "low", "medium", "high" (`render.DOSES`). `even_scatter` and `scatter_mm` as in
+    `expose`; with their defaults the scenes are those that detection was first tuned on. Raises SetUpError.
     """
     if dose_class not in DOSES:
         raise SetUpError(f"there is no dose class {dose_class!r}; there are: {', '.join(DOSES)}")
@@ -70,10 +70,7 @@ def hard_scene(
     half = (body.half_mm[0] * scale, body.half_mm[1] * scale)
     scene = replace(hip, solids=hip.solids + _metal(rng, spread), tissue=replace(body, half_mm=half))
     dose = replace(DOSES[dose_class], level=rng.uniform(*spread.level))
-    if scatter_mm is None:
-        exposure = expose(view, scene, dose, even_scatter=True)
-    else:
-        exposure = expose(view, scene, dose, scatter_mm=scatter_mm)
+    exposure = expose(view, scene, dose, even_scatter=even_scatter, scatter_mm=scatter_mm)
     image = exposure.read_out(rng)
     return image, bead_truth(setup, view, scene, exposure)
 
