@@ -5,6 +5,7 @@ import pytest
 from calibration_scenes import TARGETS_MM
 
 from sightline.calibration import view_from_matrix
+from sightline.calibration.matrix import HomographyMap
 from sightline.errors import UnusableInputError
 
 FOCAL_MM = np.array([20.0, -14.0, -610.0])
@@ -93,3 +94,14 @@ def test_a_matrix_sees_whatever_lies_before_its_source():
     uv, seen = view.project_seen(points)
     np.testing.assert_array_equal(seen, [*[True] * len(TARGETS_MM), False, False])
     np.testing.assert_allclose(uv, pixels(P), atol=1e-8)
+
+
+def test_the_derivative_of_a_homography_of_any_tilt():
+    """A matrix view's plane faces its detector; of a plane that does not, the depth changes with the pixel."""
+    homography = HomographyMap(np.array([[4.1, -0.7, 503.0], [0.5, 3.8, 489.0], [1.3e-3, -0.9e-3, 1.0]]))
+    uv = np.array([[214.3, 760.9], [803.2, 131.7]])
+    xy, by_uv = homography.linearised(uv)
+    np.testing.assert_allclose(homography.to_image(xy), uv, atol=1e-9)
+    for axis, step in enumerate(1e-3 * np.eye(2)):
+        difference = homography.to_plane(uv + step) - homography.to_plane(uv - step)
+        np.testing.assert_allclose(by_uv[:, :, axis], difference / 2e-3, atol=1e-8)
