@@ -15,6 +15,7 @@ from sightline.errors import (
     OutsideRegionError,
     UnusableInputError,
 )
+from sightline.frame import Frame
 from sightline.geometry.planes import Plane
 
 METHODS = ("smooth", "polynomial", "localized")
@@ -107,7 +108,7 @@ def test_frame_errors_move_the_lines_as_the_frame_factor_says(method, plate):
 def test_two_views_of_one_frame_share_their_frame_errors():
     view = calibrate(Camera.pa().observe(GAMMA), GAMMA)
     lines = view.lines_of_sight(Camera.pa().project(TARGETS_MM))
-    assert lines.frame_key == GAMMA.key
+    assert lines.frame_key == GAMMA.fingerprint
     assert lines.frame_factor.shape == (3 + 2 * len(TARGETS_MM), GAMMA.error_factor.shape[1])
     np.testing.assert_allclose(lines.covariance["frame"], lines.frame_factor @ lines.frame_factor.T)
     lateral = lines.frame_factor[:, GAMMA.rows("lateral")]
@@ -308,3 +309,22 @@ def test_default_tolerances_are_said_to_be_assumed():
     bare = replace(GAMMA, tolerances=None)
     assert any(c.name == "frame tolerances" for c in calibrate(SEEN, bare).checks)
     assert not any(c.name == "frame tolerances" for c in calibrate(SEEN, EXACT).checks)
+
+
+def test_a_calibrated_view_says_which_file_of_which_frame_it_was_made_with(tmp_path) -> None:
+    """Serial and coordinates: the same file read again is the same, another serial or a moved bead is not."""
+    plate = GAMMA.view("pa").xrii
+    moved = replace(plate.fiducials[3], xyz_mm=tuple(np.add(plate.fiducials[3].xyz_mm, (0.0, 0.01, 0.0))))
+    views = dict(GAMMA.views)
+    views["pa"] = replace(
+        views["pa"], xrii=replace(plate, fiducials=(*plate.fiducials[:3], moved, *plate.fiducials[4:]))
+    )
+    GAMMA.save(tmp_path / "gamma.json")
+    same = Frame.load(tmp_path / "gamma.json")
+    others = [replace(GAMMA, serial="04"), replace(GAMMA, views=views)]
+    keys = [
+        calibrate(Camera.pa().observe(frame), frame).lines_of_sight(np.array([[512.0, 512.0]])).frame_key
+        for frame in (GAMMA, same, *others)
+    ]
+    assert keys[0] == keys[1]
+    assert len(set(keys)) == 3

@@ -97,11 +97,18 @@ def test_a_point_does_not_depend_on_the_others():
     np.testing.assert_allclose(both.covariance_mm2[0], first.covariance_mm2[0], rtol=1e-9)
 
 
-def test_frames_error_is_shared_between_views_of_one_frame_only():
+def test_frames_error_is_shared_between_views_of_the_frame():
     views = _views()
     uv = _seen(views, TARGETS_MM)
     shared = reconstruct(views, uv, method="nearest")
-    apart = reconstruct([views[0], replace(views[1], frame_key="another/2")], uv, method="nearest")
+    alone = StandInView.lines_of_sight
+
+    class WithoutFactor(StandInView):
+        def lines_of_sight(self, uv_px):
+            return replace(alone(self, uv_px), frame_factor=None, frame_key=None)
+
+    fields = {name: getattr(views[1], name) for name in StandInView.__dataclass_fields__}
+    apart = reconstruct([views[0], WithoutFactor(**fields)], uv, method="nearest")
     np.testing.assert_array_equal(shared.budget_mm2["map"], apart.budget_mm2["map"])
     assert not np.allclose(shared.budget_mm2["frame"], apart.budget_mm2["frame"], rtol=0.05)
 

@@ -17,7 +17,7 @@ from sightline.geometry.planes import Plane
 class BeadView:
     """A `CalibratedView`: `plane_map` takes pixels to the reference plane `plane`.
 
-    `residuals`: of every bead given; `hull`: of the beads used, in the image; `frame_key`: of its frame.
+    `residuals`: of every bead given; `hull`: of the beads used, in the image; `frame_key`: `Frame.fingerprint`.
     """
 
     name: str

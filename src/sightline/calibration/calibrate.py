@@ -62,7 +62,7 @@ def smooth_view(beads: Beads, fit_to: Callable[[Beads], JointFit] = fit_jointly)
         residuals=residuals,
         hull=Hull.of(fit.beads.uv_px),
         checks=tuple(view_checks(beads, residuals) + noise_checks(fit)),
-        frame_key=beads.frame.key,
+        frame_key=beads.frame.fingerprint,
         posterior=fit,
     )
 
@@ -85,7 +85,7 @@ def _classical(beads: Beads, method: Method, fitter: Fitter, plate: PlateName) -
         residuals=residuals,
         hull=fit.plate.hull,
         checks=tuple(view_checks(beads, residuals) + _approximate(fit.plate.misfit_mm2, joint, noise_px)),
-        frame_key=beads.frame.key,
+        frame_key=beads.frame.fingerprint,
         posterior=fit,
     )
 

@@ -46,7 +46,8 @@ class LinesOfSight:
     (focal point, xy of line 1, ..., xy of line N). The picks' own noise is not in it.
     `frame_factor` (3 + 2N, K) or None: the same numbers' response to the K independent unit-variance errors of the
     frame (`Frame.error_factor`), so covariance["frame"] = frame_factor @ frame_factor.T, and the shared error of two
-    views a and b of the frame with one `frame_key` is a.frame_factor @ b.frame_factor.T.
+    views a and b of the frame is a.frame_factor @ b.frame_factor.T. `frame_key`: `Frame.fingerprint`, None for a view
+    that knows no frame; views with different keys are not combined.
     `inside_hull` (N,) bool: within the hull of the beads.
     """
 

@@ -185,7 +185,7 @@ class Watch:
         plan: Trajectory | None = None,
         references: Sequence[BeadView] = (),
     ) -> None:
-        if any(view.frame_key != frame.key for view in references):
+        if any(view.frame_key != frame.fingerprint for view in references):
             raise UnusableInputError(
                 "a view of planning is of another frame; watch with the frame that was planned with"
             )

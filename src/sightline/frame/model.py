@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, field
 from functools import cached_property
+from hashlib import sha256
 from pathlib import Path
 from typing import Literal
 
@@ -152,6 +153,16 @@ class Frame:
     def key(self) -> str:
         """Tells this physical frame from others: name and serial."""
         return f"{self.name}/{self.serial or ''}"
+
+    @cached_property
+    def fingerprint(self) -> str:
+        """Tells this frame as its file describes it from others: key, and a hash of the file.
+
+        One frame measured twice has one key and two fingerprints: its coordinates differ.
+        """
+        from sightline.frame.files import frame_to_json
+
+        return f"{self.key}#{sha256(frame_to_json(self)).hexdigest()[:16]}"
 
     @staticmethod
     def load(source: str | Path) -> "Frame":

@@ -22,6 +22,7 @@ from sightline.planning.check_start import (
     terms,
 )
 from sightline.planning.picks import Pick, stack
+from sightline.planning.residuals import refuse_two_frames
 from sightline.planning.trajectory import Trajectory
 from sightline.planning.verdict import Limits
 
@@ -64,6 +65,7 @@ class Adjustment:
             view.lines_of_sight(np.concatenate([marks, wire.uv_px, wire.tip_uv_px[None]]))
             for view, marks, wire in zip(views[1], landmarks.checked_uv_px, wires, strict=True)
         ]
+        refuse_two_frames([*self._before, *self._after])
 
     def step(self) -> None:
         """Gauss and Newton's."""

@@ -56,7 +56,7 @@ def along_and_across(lines: LinesOfSight, xyz_mm: np.ndarray, tangent: np.ndarra
 
 
 def joint_covariance(rows: Sequence[Rows]) -> np.ndarray:
-    """(R, R) of the rows of several views, one after the other: only views of one frame share its errors."""
+    """(R, R) of the rows of several views, one after the other: all views of the frame share its errors."""
     ends = np.cumsum([0, *(len(one.residual) for one in rows)])
     out = np.zeros((ends[-1], ends[-1]))
     for i, a in enumerate(rows):
@@ -64,7 +64,7 @@ def joint_covariance(rows: Sequence[Rows]) -> np.ndarray:
             block = np.zeros((len(a.residual), len(b.residual)))
             if i == j:
                 block += a.covariance
-            if i == j or (a.frame_key == b.frame_key and a.frame_key is not None):
+            if i == j or (a.frame_key is not None and b.frame_key is not None):
                 block += a.frame @ b.frame.T
             out[ends[i] : ends[i + 1], ends[j] : ends[j + 1]] = block
     return out

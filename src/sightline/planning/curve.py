@@ -8,7 +8,7 @@ from sightline.calibration.view import CalibratedView, LinesOfSight
 from sightline.errors import OutsideRegionError, UnusableInputError
 from sightline.geometry.covariance import TWO_SIDED_95
 from sightline.planning.picks import DEFAULT_PICK_SD_PX, Pick
-from sightline.planning.residuals import Residuals, pick_covariance_mm2
+from sightline.planning.residuals import Residuals, pick_covariance_mm2, refuse_two_frames
 
 STEP_MM = 2.0  # about 10 px: the chord of a distorted line is then off by less than 0.01 px [ours]
 TICK_MM = 10.0  # [ours]
@@ -50,7 +50,7 @@ def matching_curve(
     """Draw the line of sight of pixel `uv_px` (2,) of one view in another (the paper, section 4.3 and Fig. 12).
 
     `uv_covariance_px2` (2, 2): of the pick; 0.5 px where not given. Raises OutsideRegionError where the other view
-    sees none of the line.
+    sees none of the line, ReconstructionRefusedError for views of two frames.
     """
     uv = np.asarray(uv_px, dtype=np.float64)
     if uv.shape != (2,) or not np.isfinite(uv).all():
@@ -72,6 +72,7 @@ def matching_curve(
     pick = DEFAULT_PICK_SD_PX**2 * np.eye(2) if uv_covariance_px2 is None else np.asarray(uv_covariance_px2)
     some = np.unique(np.r_[0 : len(depth) : _BAND_EVERY, len(depth) - 1])
     there = Residuals.at(to_view.lines_of_sight(curve_px[some]), xyz[some])
+    refuse_two_frames((line, there.lines))
     sd = _sd_across_px(line, pick, 1.0 - depth[some] / length, there, _turned(tangent[some]))
     return MatchingCurve(
         from_view=from_view.name,
@@ -152,6 +153,6 @@ def _sd_across_px(
     variance = np.einsum("ip,pq,iq->i", by_line, line_covariance, by_line)
     variance += np.einsum("ip,pq,iq->i", by_view, view_covariance, by_view)
     mine, theirs = line.frame_factor, samples.lines.frame_factor
-    if line.frame_key == samples.lines.frame_key and mine is not None and theirs is not None:
+    if mine is not None and theirs is not None:
         variance -= 2.0 * np.einsum("ik,ik->i", by_line @ mine, by_view @ theirs)
     return np.sqrt(variance)

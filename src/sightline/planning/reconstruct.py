@@ -9,7 +9,7 @@ from sightline.calibration.view import CalibratedView, LinesOfSight
 from sightline.errors import ReconstructionRefusedError, UnusableInputError
 from sightline.geometry.lines import NearestApproach, nearest_approach
 from sightline.planning.picks import DEFAULT_PICK_SD_PX
-from sightline.planning.residuals import Residuals, covariance_by_source, pick_covariance_mm2
+from sightline.planning.residuals import Residuals, covariance_by_source, pick_covariance_mm2, refuse_two_frames
 from sightline.planning.results import SpacePoints
 
 Method = Literal["weighted", "nearest"]
@@ -33,10 +33,11 @@ def reconstruct(
     The axes of `uv_px` are view, point and (u, v). Of two points, (point, view, (u, v)) has the same shape: pass
     `{"pa": (N, 2), "lateral": (N, 2)}`, the pixels by the views' names, which cannot be confused. Look at the result's
     `checks`. `uv_covariance_px2` (2, N, 2, 2), or by the views' names: of the picks; without it 0.5 px, a careful
-    click. `across_px` (2, N, 2): where a pick was snapped to an image-matching curve, the direction across the curve, in which
-    it says nothing; zero for a free pick (see `Pick`). "nearest" is the point of nearest approach (the paper, eqs 1 and
-    2); "weighted" is the maximum-likelihood point given the covariance of both lines of sight and the picks. Each point
-    is computed from its own picks alone, so a bad pick moves no other point; their errors are correlated all the same.
+    click. `across_px` (2, N, 2): where a pick was snapped to an image-matching curve, the direction across the curve,
+    in which it says nothing; zero for a free pick (see `Pick`). "nearest" is the point of nearest approach (the paper,
+    eqs 1 and 2); "weighted" is the maximum-likelihood point given the covariance of both lines of sight and the picks.
+    Each point is computed from its own picks alone, so a bad pick moves no other point; their errors are correlated all
+    the same.
     A view of unknown error leaves nothing to weigh by: then the method is "nearest" and the result says so.
     Raises UnusableInputError, ReconstructionRefusedError, OutsideRegionError.
     """
@@ -69,6 +70,7 @@ def solve(
     lines: tuple[LinesOfSight, LinesOfSight], covariance_px2: np.ndarray, across_px: np.ndarray, method: Method
 ) -> "Solution":
     """The points of N pairs of lines of sight; arguments and refusals are those of `reconstruct`."""
+    refuse_two_frames(lines)
     _refuse_parallel(*lines)
     xyz = _approach(lines).middle_mm
     _refuse_behind(lines, xyz)

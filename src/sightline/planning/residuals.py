@@ -4,12 +4,15 @@ The residual of a point X in a view is `xy - projection(F, X)`, mm on the view's
 where the focal point throws X. Its error is that of xy less what the error of F does to the projection.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
 from sightline.calibration.projection import Pencil
 from sightline.calibration.view import SOURCES, LinesOfSight
+from sightline.errors import ReconstructionRefusedError
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,7 +47,7 @@ class Residuals:
 def covariance_by_source(first: Residuals, second: Residuals) -> dict[str, np.ndarray] | None:
     """(4N, 4N) covariance of the residuals of both views (view, point, axis) for each of SOURCES; None where unknown.
 
-    Only the frame's error is shared by two views, and only if they saw the same frame.
+    Only the frame's error is shared by two views; a view from a matrix has none.
     """
     a, b = first.lines, second.lines
     if a.covariance is None or b.covariance is None:
@@ -55,11 +58,30 @@ def covariance_by_source(first: Residuals, second: Residuals) -> dict[str, np.nd
         out[source] = np.zeros((2 * n, 2 * n))
         out[source][:n, :n] = first.to_line @ a.covariance[source] @ first.to_line.T
         out[source][n:, n:] = second.to_line @ b.covariance[source] @ second.to_line.T
-    if a.frame_key == b.frame_key and a.frame_factor is not None and b.frame_factor is not None:
+    if a.frame_factor is not None and b.frame_factor is not None:
         shared = (first.to_line @ a.frame_factor) @ (second.to_line @ b.frame_factor).T
         out["frame"][:n, n:] = shared
         out["frame"][n:, :n] = shared.T
     return out
+
+
+def refuse_two_frames(lines: Sequence[LinesOfSight]) -> None:
+    """Refuse views of two frames: their coordinates have nothing in common. A view from a matrix knows no frame.
+
+    Raises ReconstructionRefusedError.
+    """
+    known = [(one.view, one.frame_key) for one in lines if one.frame_key is not None]
+    for (first, frame), (second, other) in pairwise(known):
+        if frame == other:
+            continue
+        names = [key.partition("#")[0].rstrip("/") for key in (frame, other)]
+        which = (
+            f"the frames {names[0]} and {names[1]}" if names[0] != names[1] else f"two files of the frame {names[0]}"
+        )
+        raise ReconstructionRefusedError(
+            f"the views {first!r} and {second!r} were calibrated with {which}, whose coordinates differ; "
+            "calibrate all views with one file, that of the frame in the images"
+        )
 
 
 def pick_covariance_mm2(lines: LinesOfSight, covariance_px2: np.ndarray) -> np.ndarray:

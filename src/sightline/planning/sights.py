@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sightline.calibration.view import CalibratedView, LinesOfSight
+from sightline.planning.residuals import refuse_two_frames
 
 _STEP_MM = 1e-3  # of a central difference: its error is that of the third derivative, below 1e-9 here [calc]
 
@@ -30,7 +31,7 @@ class Sights:
 
     @staticmethod
     def of(views: Sequence[CalibratedView], drawn: Sequence[Mapping[str, Drawn]]) -> "Sights":
-        """Of the named drawings of two views. Raises OutsideRegionError."""
+        """Of the named drawings of two views. Raises OutsideRegionError, ReconstructionRefusedError."""
         lines, rows, picks = [], [], []
         for view, named in zip(views, drawn, strict=True):
             counts = np.cumsum([0, *(len(uv) for uv, _ in named.values())])
@@ -40,6 +41,7 @@ class Sights:
                 covariance[2 * at.start : 2 * at.stop, 2 * at.start : 2 * at.stop] = own
             picks.append(covariance)
             lines.append(view.lines_of_sight(np.concatenate([np.zeros((0, 2)), *(uv for uv, _ in named.values())])))
+        refuse_two_frames(lines)
         return Sights((lines[0], lines[1]), (rows[0], rows[1]), (picks[0], picks[1]))
 
     @property
@@ -49,7 +51,7 @@ class Sights:
 
     @property
     def covariance(self) -> np.ndarray | None:
-        """Of z; None where a view's error is unknown. Only the frame's error is shared by two views of one frame."""
+        """Of z; None where a view's error is unknown. Only the frame's error is shared by two views."""
         first, second = self.lines
         if first.covariance is None or second.covariance is None:
             return None
@@ -64,7 +66,7 @@ class Sights:
             on_plane = on_plane.reshape(2 * count, 2 * count)
             own[3:, 3:] += on_plane @ picks_px2 @ on_plane.T
             whole[at : at + len(own), at : at + len(own)] = own
-        if first.frame_key == second.frame_key and first.frame_factor is not None and second.frame_factor is not None:
+        if first.frame_factor is not None and second.frame_factor is not None:
             whole[:size, size:] = first.frame_factor @ second.frame_factor.T
             whole[size:, :size] = whole[:size, size:].T
         return whole
