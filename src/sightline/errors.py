@@ -43,6 +43,10 @@ class CaseError(UnusableInputError):
     """A case cannot be opened, read or written, or is asked to hold what no case may."""
 
 
+class OvertakenError(CaseError):
+    """Another entry was recorded since the last one that the caller had seen; nothing was appended."""
+
+
 class RefusedError(SightlineError):
     """The input is readable, but a trustworthy result cannot be computed from it (exit code 3)."""
 

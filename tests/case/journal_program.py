@@ -13,7 +13,6 @@ from random import Random
 
 from sightline.case import entry, journal
 from sightline.case.journal import Actor, Case, Kind
-from sightline.errors import CaseError
 
 EVENTS = ("open", "os.rename", "os.chmod", "os.remove", "os.mkdir")  # audit events of the operations that matter
 
@@ -40,14 +39,6 @@ def say(*words: object) -> None:
     os.write(1, (" ".join(map(str, words)) + "\n").encode())
 
 
-def opened(folder: Path) -> Case:
-    """A case that was cut off while it was created is none: it is created then."""
-    try:
-        return Case.open(folder)
-    except CaseError:
-        return Case.create(folder)
-
-
 def main(folder: Path, seed: int, steps: int | None) -> None:
     entry.versions()  # slow once, and no part of what is killed
     fuse, rng = Fuse(steps), Random(seed)  # noqa: S311 - no secret
@@ -60,7 +51,7 @@ def main(folder: Path, seed: int, steps: int | None) -> None:
 
     journal.connect = watched
     sys.addaudithook(fuse.audit)
-    case = opened(folder)
+    case = Case.create(folder, exist_ok=True)  # as `acquire` and the app do
     say("ready", case.number)
     while True:
         data = rng.randbytes(rng.randrange(1, 20_000))

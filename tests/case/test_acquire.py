@@ -54,6 +54,30 @@ def test_an_image_is_kept_once_and_can_be_replayed(case: Case, tmp_path: Path) -
     assert first.entry.by is Actor.RECEIVER
 
 
+def test_two_programs_that_take_the_same_images_at_once_enter_each_once(
+    case: Case, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The other program takes the image while this one has looked back and not yet recorded: the worst moment."""
+    from sightline.case import acquire
+
+    data = [write_png(image(seed), tmp_path / f"{seed}.png").read_bytes() for seed in range(3)]
+    looked_at, others = acquire._looked_at, []
+
+    def meanwhile(*arguments):
+        if not others or others[-1] is not None:
+            others.append(None)  # the other one's own look
+            with Case.open(case.folder) as same:
+                others[-1] = Acquirer(same).take(data[1], ".png")
+        return looked_at(*arguments)
+
+    monkeypatch.setattr(acquire, "_looked_at", meanwhile)
+    acquirer = Acquirer(case)
+    taken = [acquirer.take(one, ".png") for one in (data[1], data[0], data[2])]
+    assert [one.new for one in taken] == [False, True, True]
+    assert taken[0].entry.number == others[0].entry.number == 1
+    assert len({entry.content["original"] for entry in case.entries()}) == len(case.entries()) == 3
+
+
 def test_a_run_is_kept_whole_and_entered_by_its_last_frame_or_another(case: Case, tmp_path: Path) -> None:
     data, acquirer = run(tmp_path, 5), Acquirer(case)
     last = acquirer.take(data, ".dcm").entry
@@ -61,6 +85,7 @@ def test_a_run_is_kept_whole_and_entered_by_its_last_frame_or_another(case: Case
     assert (stages.image_of(case, last).pixels == 7).all()
     assert "a run of 5 frames" in news_of(acquirer.take(data, ".dcm", frame_index=2)).text
     assert not acquirer.take(data, ".dcm").new
+    assert not acquirer.take(data, ".dcm", frame_index=2).new
     assert len(case.entries(Kind.ACQUIRED)) == 2
     assert len(list((case.folder / "originals").iterdir())) == 1
 

@@ -3,6 +3,7 @@
 import json
 import sqlite3
 import threading
+from concurrent.futures import ThreadPoolExecutor
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -174,10 +175,24 @@ def test_a_folder_without_a_case_is_said(tmp_path: Path) -> None:
             Case.open(tmp_path, read_only)
         assert list(tmp_path.iterdir()) == []
     (tmp_path / "journal.sqlite").touch()  # what is left where creating a case was cut off
+    assert not Case.exists(tmp_path)
     with pytest.raises(CaseError, match="no case in this folder"):
         Case.open(tmp_path)
-    with Case.create(tmp_path) as case:
+    with Case.create(tmp_path, exist_ok=True) as case:
         note(case)
+    with Case.create(tmp_path, exist_ok=True) as case:
+        assert case.last == 1
+
+
+def test_programs_that_create_a_case_at_once_share_one(tmp_path: Path) -> None:
+    with ThreadPoolExecutor(3) as pool:
+        cases = list(pool.map(lambda _: Case.create(tmp_path, exist_ok=True), range(3)))
+    for case in cases:
+        note(case)
+        case.close()
+    assert len({case.number for case in cases}) == 1
+    with Case.open(tmp_path) as case:
+        assert case.last == 3
 
 
 def test_reading_changes_nothing(case: Case) -> None:

@@ -24,7 +24,7 @@ from sightline.app.workshop import Workshop, warm_up
 from sightline.calibration import BeadView
 from sightline.case import stages
 from sightline.case.entry import Actor, Kind
-from sightline.case.journal import JOURNAL, Case
+from sightline.case.journal import Case
 from sightline.case.views import NAMES
 from sightline.checks import Check
 from sightline.errors import SightlineError, UnusableInputError
@@ -56,16 +56,16 @@ class Procedure:
         """The case in a folder, made there where there is none: with a frame, and a patient to rehearse on if given.
 
         Raises CaseError, FrameError, UnusableInputError where the case has another frame than the one named."""
-        if not (folder / JOURNAL).exists():
-            with Case.create(folder) as case:
-                frame = Frame.load(frame_name or "gamma")
-                stages.record_changed(case, "frame", stages.keep_frame(case, frame), by=Actor.APP)
-                if patient is not None:
-                    stages.record_changed(case, "rehearsal", vars(patient), by=Actor.APP)
-        case = Case.open(folder)
+        frame = Frame.load(frame_name or "gamma")  # refused before a case is made for it
+        case = Case.create(folder, exist_ok=True)
+        if patient is not None and case.last == 0:
+            stages.record_changed(case, "rehearsal", vars(patient), by=Actor.APP)
+        # The frame comes last: a case without one was cut off while it was begun, or holds acquired images alone.
+        if case.latest(Kind.CHANGED, where={"what": "frame"}) is None:
+            stages.record_changed(case, "frame", stages.keep_frame(case, frame), by=Actor.APP)
         entry = case.latest(Kind.CHANGED, where={"what": "frame"})
         kept = "gamma" if entry is None else str(entry.content["to"])
-        if frame_name is not None and stages.keep_frame(case, Frame.load(frame_name)) != kept:
+        if frame_name is not None and stages.keep_frame(case, frame) != kept:
             raise UnusableInputError(
                 "this case was begun with another frame; open it without --frame, or begin a new case for this frame"
             )

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from sightline.case import contents, originals
 from sightline.case.entry import Entry, Kind
 from sightline.case.journal import Actor, Case
-from sightline.errors import CaseError, ImageError
+from sightline.errors import CaseError, ImageError, OvertakenError
 from sightline.imaging import frames_in, read_image
 
 if TYPE_CHECKING:
@@ -48,7 +48,7 @@ class Acquirer:
     ) -> None:
         """`arrival_pose` tells the robot's pose of now, for images whose source says none of its own."""
         self._case, self._by, self._lock, self._arrival_pose = case, by, Lock(), arrival_pose
-        self._held: dict[str, Entry] = {}  # by the original's name; of a run the first entry
+        self._held: dict[str, list[Entry]] = {}  # by the original's name; of a run an entry for each frame taken
         self._shown: dict[str, int] = {}  # by the pixels, the number of the first entry
         self._seen = 0
 
@@ -66,31 +66,38 @@ class Acquirer:
         stamped = dict(how or {})
         if self._arrival_pose is not None and "robot" not in stamped:  # before it waits for others
             stamped["robot"] = {**self._arrival_pose().document(), "moment": "arrival"}
+        name = originals.name_of(data, suffix)
         with self._lock:
-            self._look_back()
-            name = originals.name_of(data, suffix)
-            held = self._held.get(name)
-            if held is not None and frame_index in (None, held.settings.get("frame_index")):
+            if (held := self._look_back(name, frame_index)) is not None:
                 return Taken(held, new=False)
             content, index, frames = _looked_at(data, name, suffix, frame_index)
-            acquisition = {**stamped, **({"frames": frames} if frames > 1 else {})}
-            if (before := self._shown.get(content["pixels_sha256"])) is not None:
-                acquisition["same_pixels_as"] = before
             self._case.keep(data, suffix)
-            entry = self._case.record(
-                Kind.ACQUIRED, content, by=self._by, settings={"frame_index": index, "acquisition": acquisition}
-            )
-            self._note(entry)
-            return Taken(entry, new=True)
+            while True:
+                acquisition = {**stamped, **({"frames": frames} if frames > 1 else {})}
+                if (before := self._shown.get(content["pixels_sha256"])) is not None:
+                    acquisition["same_pixels_as"] = before
+                settings = {"frame_index": index, "acquisition": acquisition}
+                try:
+                    entry = self._case.record(Kind.ACQUIRED, content, by=self._by, settings=settings, expect=self._seen)
+                except OvertakenError:  # another program's entry, perhaps of this very image
+                    if (held := self._look_back(name, frame_index)) is not None:
+                        return Taken(held, new=False)
+                else:
+                    self._note(entry)
+                    return Taken(entry, new=True)
 
-    def _look_back(self) -> None:
-        """Entries that others, or an earlier program, made."""
-        for entry in self._case.entries(Kind.ACQUIRED, after=self._seen):
+    def _look_back(self, name: str, frame_index: int | None) -> Entry | None:
+        """Read the entries that others made; return that of this original and frame, if there is one."""
+        for entry in self._case.entries(after=self._seen):
             self._note(entry)
-            self._seen = entry.number
+        held = self._held.get(name, ())
+        return next((one for one in held if frame_index in (None, one.settings.get("frame_index"))), None)
 
     def _note(self, entry: Entry) -> None:
-        self._held.setdefault(entry.content["original"], entry)
+        self._seen = entry.number
+        if entry.kind is not Kind.ACQUIRED:
+            return
+        self._held.setdefault(entry.content["original"], []).append(entry)
         self._shown.setdefault(entry.content.get("pixels_sha256", ""), entry.number)  # a table of beads has none
 
 

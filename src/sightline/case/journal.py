@@ -18,7 +18,7 @@ from sightline.case.entry import Actor, Entry, Kind, link, originals_in, version
 from sightline.case.integrity import check_case
 from sightline.case.rows import HEAD, entry_of_row, first_link, head_of_row
 from sightline.checks import Check, failed
-from sightline.errors import CaseError
+from sightline.errors import CaseError, OvertakenError
 
 JOURNAL = "journal.sqlite"
 _Named = TypeVar("_Named", bound=StrEnum)
@@ -39,14 +39,23 @@ class Case:
         self.checks: tuple[Check, ...] = self.check()
 
     @staticmethod
-    def create(folder: str | Path) -> "Case":
-        """A new case; the folder is made where it is missing. Raises CaseError where it holds one already."""
+    def create(folder: str | Path, *, exist_ok: bool = False) -> "Case":
+        """A new case; the folder is made where it is missing. A journal that a killed program left empty is no case.
+
+        Raises CaseError where there is a case already; with `exist_ok` that one is opened.
+        """
         place = Path(folder)
+        if exist_ok and Case.exists(place):
+            return Case.open(place)
         with said(place / JOURNAL):
             (place / originals.FOLDER).mkdir(parents=True, exist_ok=True)
             db = connect(place / JOURNAL, "rwc")
             try:
-                schema.create(db)
+                if not schema.create(db):
+                    if not exist_ok:
+                        raise CaseError("there is a case in this folder already; open it, or name another folder")
+                    db.close()
+                    return Case.open(place)
                 log_ahead(db)
                 originals.sync_folder(place)
                 originals.sync_folder(place.absolute().parent)
@@ -54,6 +63,19 @@ class Case:
             except BaseException:
                 db.close()
                 raise
+
+    @staticmethod
+    def exists(folder: str | Path) -> bool:
+        """Return whether there is a case, of any version. An empty journal is none. Raises CaseError."""
+        file = Path(folder) / JOURNAL
+        if not file.is_file():
+            return False
+        with said(file):
+            db = _readable(file)
+            try:
+                return schema.has_tables(db)
+            finally:
+                db.close()
 
     @staticmethod
     def open(folder: str | Path, read_only: bool = False) -> "Case":
@@ -129,7 +151,7 @@ class Case:
         """Append an entry; it is on the disk when this returns. `expect`: the number that must still be the last.
 
         Raises CaseError, and then nothing was appended: content that is no JSON or names a file that is not kept,
-        `rests_on` that is no earlier entry, somebody else's entry in between, a disk that does not take it.
+        `rests_on` that is no earlier entry, a disk that does not take it; OvertakenError where `expect` is past.
         """
         what, who = _one_of(Kind, kind), _one_of(Actor, by)
         texts = [canonical(dict(value)) for value in (content, settings or {})]
@@ -138,7 +160,7 @@ class Case:
         with self._reading(), transaction(self._db):
             last, before = self._tail()
             if expect is not None and expect != last:
-                raise CaseError(
+                raise OvertakenError(
                     f"entry {last} was recorded meanwhile, after the {expect} that this one expects; look at it first"
                 )
             if not all(isinstance(one, int) and 1 <= one <= last for one in rests_on):
@@ -213,10 +235,7 @@ def _writable(file: Path) -> sqlite3.Connection:
 
 def _read_only(file: Path) -> sqlite3.Connection:
     """Reading needs to write, too, beside the file: where that cannot be, and for an old version, a copy is read."""
-    try:
-        db = connect(file, "rw")
-    except sqlite3.OperationalError:
-        db = _copy(file)
+    db = _readable(file)
     try:
         version = schema.check_version(db)
         if version < schema.VERSION:
@@ -228,6 +247,13 @@ def _read_only(file: Path) -> sqlite3.Connection:
         db.close()
         raise
     return db
+
+
+def _readable(file: Path) -> sqlite3.Connection:
+    try:
+        return connect(file, "rw")
+    except sqlite3.OperationalError:
+        return _copy(file)
 
 
 def _copy(file: Path) -> sqlite3.Connection:

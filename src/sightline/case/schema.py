@@ -31,17 +31,22 @@ CREATE TRIGGER never_removed BEFORE DELETE ON entries BEGIN SELECT RAISE(ABORT, 
 """
 
 
-def create(db: sqlite3.Connection) -> None:
-    """A new case's tables, in one step. Raises CaseError where there are some."""
+def create(db: sqlite3.Connection) -> bool:
+    """Make a new case's tables in one step, unless there are tables already; return whether they were made.
+
+    SQLite's lock decides between programs that do so at the same time. A rename of a finished file would not: it could
+    replace the journal into which the other program already records.
+    """
     with transaction(db):
-        if _tables(db):
-            raise CaseError("there is a case in this folder already; open it, or name another folder")
-        _build(db, "-".join(["C", *_groups(_NUMBER_LENGTH)]))
+        new = not has_tables(db)
+        if new:
+            _build(db, "-".join(["C", *_groups(_NUMBER_LENGTH)]))
+    return new
 
 
 def check_version(db: sqlite3.Connection) -> int:
     """The version of what is in the file. Raises CaseError where it is no case, or a newer one."""
-    if not _tables(db):
+    if not has_tables(db):
         raise CaseError("there is no case in this folder; create one, or name the folder of one")
     application, version = (db.execute(f"PRAGMA {name}").fetchone()[0] for name in ("application_id", "user_version"))
     if application != APPLICATION:
@@ -119,7 +124,8 @@ def _statements() -> list[str]:
     return out
 
 
-def _tables(db: sqlite3.Connection) -> bool:
+def has_tables(db: sqlite3.Connection) -> bool:
+    """Return whether anything was ever written: a program killed while it creates a case leaves an empty file."""
     return db.execute("SELECT count(*) FROM sqlite_master").fetchone()[0] > 0
 
 

@@ -248,11 +248,11 @@ class _Desk:
 def _into(folder: Path, out: Output, robot: str | None = None) -> Iterator[_Desk]:
     """A case that is there, or a new one; `robot`: whose pose is written when an image arrives."""
     from sightline.case.acquire import Acquirer
-    from sightline.case.journal import JOURNAL, Case
+    from sightline.case.journal import Case
 
     with ExitStack() as stack:
         pose = stack.enter_context(_robot(robot)).now if robot else None
-        case = stack.enter_context(Case.open(folder) if (folder / JOURNAL).is_file() else Case.create(folder))
+        case = stack.enter_context(Case.create(folder, exist_ok=True))
         for problem in case.problems:
             out.note(f"the case has a problem: {problem.sentence}")
         out.note(f"case {case.number}")
