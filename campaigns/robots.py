@@ -1,0 +1,253 @@
+"""Clients and hardware that do not behave: the arm moves only where it may, stops when it is told, and always answers.
+
+The robot's controller and its side of the talk, without a link: time is simulated, so that nothing depends on the
+machine. What a robot may do wrong to our client is in the tests of the conformance test.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+from tests.robot.igtl_faults import in_pieces
+from tests.robot.rig import CLIENT, ROBOT, T_MCS_CFCS, IdealPlant, Rig, code, metadata, wire
+
+from campaigns.campaign import Campaign, Damage, Ended
+from sightline.robot.igtl import Capability, Message, String, Transform, encode
+from sightline.robot.manipulator import FEED
+from sightline.robot.plant import CYCLE_S, PlantFlag, Reading
+from sightline.robot.states import COMMANDS, MOVING, State
+
+STILL = 0.02  # of a joint's full speed: what an arm at rest may show
+STOPS_S = 0.3  # from full speed to rest, by the joints' accelerations, and then some
+BEYOND_MM = 0.3  # what feed error and braking may add to a depth limit
+STATES = tuple(State)
+TEXTS = (*(cause.value for cause in COMMANDS), "stop", "STOP ", "DANCE", "", "DRILL" * 40)
+NUMBERS = ("nan", "inf", "-1", "0", "1e9", "1e308", "0.035", "", "sixty")
+
+
+class Faulty(IdealPlant):
+    """A plant whose readings go wrong from some moment on."""
+
+    def __init__(self, spoil: Callable[[Reading, Reading], Reading], after_s: float) -> None:
+        super().__init__()
+        self.spoil, self.after_s = spoil, after_s
+        self.last: Reading | None = None
+
+    def read(self) -> Reading:
+        """As it is, until it is spoilt."""
+        now = super().read()
+        if self.last is None or now.time_s < self.after_s:
+            self.last = now
+            return now
+        return self.spoil(self.last, now)
+
+
+@dataclass
+class Witness:
+    """Watches a rig while time passes: `unsafe` tells what it saw first."""
+
+    rig: Rig
+    unsafe: str = ""
+    still_since_s: float = -np.inf
+    stopped_s: float | None = None
+
+    def __post_init__(self) -> None:
+        self.still_since_s = self.rig.now_s
+
+    def run(self, seconds: float) -> None:
+        """Let time pass, a cycle at a time."""
+        for _ in range(max(1, round(seconds / CYCLE_S))):
+            self.rig.run(CYCLE_S)
+            self.look()
+
+    def look(self) -> None:
+        """Does it move where it may not? The truth is the plant's, not what its readings say."""
+        now, plant = self.rig.now_s, self.rig.plant
+        moves = float(np.max(np.abs(plant.velocity) / ROBOT.manipulator.speed)) > STILL
+        if self.rig.state in MOVING:
+            self.still_since_s = now
+        elif moves and now - self.still_since_s > STOPS_S:
+            self.say(f"it moves in {self.rig.state.value}")
+        if self.stopped_s is not None and moves and now - self.stopped_s > STOPS_S and self.rig.state not in MOVING:
+            self.say("it moves after a stop")
+        insertion = self.rig.controller.insertion
+        if insertion is not None and self.rig.state is State.DRILL:
+            depth = float(plant.q[FEED] - insertion.q[FEED])
+            if depth > insertion.depth_limit_mm + BEYOND_MM:
+                self.say("the wire is beyond its depth limit")
+            if insertion.depth_limit_mm > insertion.length_mm + 50.0:
+                self.say("it drills to a limit that no plan has")
+            others = np.delete(plant.q - insertion.q, FEED)
+            if np.abs(others[:3]).max() > 0.5:
+                self.say("it drills aside of its line")
+
+    def say(self, what: str) -> None:
+        """The first counts."""
+        self.unsafe = self.unsafe or what
+
+    def send(self, name: str, body, client: int = CLIENT, **header) -> list[Message]:
+        """A message, which must be answered if it is a command."""
+        said = self.rig.send(name, body, client, **header)
+        if name.startswith("CMD_") and not any(one.device_name.startswith("ACK_") for one in said):
+            self.say("a command without an answer")
+        if isinstance(body, String) and body.text in ("STOP", "EMERGENCY"):
+            self.stopped_s = self.rig.now_s
+        elif code(said) == 1:
+            self.stopped_s = None
+        return said
+
+    @property
+    def ended(self) -> Ended:
+        """Whether all was well."""
+        return Ended("unsafe", self.unsafe) if self.unsafe else Ended("right")
+
+
+Play = Callable[[Witness, np.random.Generator], None]
+
+
+def play(one: Play) -> Damage:
+    """One class: a robot in any state, and then."""
+
+    def make(rng: np.random.Generator) -> Ended:
+        witness = Witness(Rig.at(STATES[int(rng.integers(len(STATES)))]))
+        one(witness, rng)
+        witness.run(0.5)
+        return witness.ended
+
+    return Damage(make)
+
+
+def _command(rng: np.random.Generator) -> tuple[str, String]:
+    return f"CMD_{rng.integers(1, 30)}", String(str(rng.choice(TEXTS)))
+
+
+def _pose(rng: np.random.Generator) -> RigidTransform:
+    matrix = wire().as_matrix()
+    matrix[:3, 3] += rng.choice([0.0, 3.0, 60.0, 1e4]) * rng.standard_normal(3)
+    if rng.random() < 0.2:
+        matrix[:3, 3] /= 1000.0
+    return RigidTransform.from_matrix(matrix)
+
+
+def commands(witness: Witness, rng: np.random.Generator, clients: tuple[int, ...] = (CLIENT,)) -> None:
+    """Any commands, targets and registrations in any order, at any pace."""
+    for _ in range(25):
+        client = int(rng.choice(clients))
+        kind = rng.random()
+        if kind < 0.7:
+            witness.send(*_command(rng), client=client)
+        elif kind < 0.85:
+            spoilt = {str(rng.choice(list(metadata()))): str(rng.choice(NUMBERS))} if rng.random() < 0.5 else {}
+            witness.send(
+                f"TGT_{rng.integers(9)}", Transform.of(_pose(rng)), client, version=2, metadata=metadata(**spoilt)
+            )
+        else:
+            witness.send(f"CLB_{rng.integers(9)}", Transform.of(T_MCS_CFCS.inv()), client)
+        witness.run(float(rng.choice([0.005, 0.1, 1.0])))
+
+
+def several_clients(witness: Witness, rng: np.random.Generator) -> None:
+    """The same by four clients at once."""
+    commands(witness, rng, (CLIENT, 2, 3, 4))
+
+
+def spoilt_bytes(witness: Witness, rng: np.random.Generator) -> None:
+    """Whole messages with bytes changed, in pieces."""
+    for _ in range(15):
+        name, body = _command(rng)
+        data = bytearray(encode(Message(body, name)) + encode(Message(Transform.of(_pose(rng)), "TGT_1")))
+        for at in rng.integers(0, len(data), int(rng.integers(1, 5))):
+            data[at] = rng.integers(256)
+        for event in in_pieces(bytes(data), rng):
+            witness.rig.dialogue.receive(CLIENT, event, witness.rig.now_s)
+        witness.run(0.1)
+
+
+def numbers_in_transforms(witness: Witness, rng: np.random.Generator) -> None:
+    """Matrices with numbers that no pose has."""
+    for _ in range(15):
+        matrix = wire().as_matrix()
+        matrix[rng.integers(3), rng.integers(4)] = rng.choice([np.nan, np.inf, -np.inf, 1e30, 0.0, -1.0])
+        witness.send(
+            f"{rng.choice(['TGT', 'CLB'])}_{rng.integers(9)}", Transform(matrix), version=2, metadata=metadata()
+        )
+        witness.send(*_command(rng))
+        witness.run(0.1)
+
+
+def stops(witness: Witness, rng: np.random.Generator) -> None:
+    """A stop at any moment, by anybody, with more commands right after it."""
+    witness.run(float(rng.uniform(0.0, 3.0)))
+    witness.send(
+        f"CMD_{rng.integers(9)}", String(str(rng.choice(["STOP", "EMERGENCY"]))), client=int(rng.integers(1, 5))
+    )
+    for _ in range(int(rng.integers(0, 4))):
+        witness.send(*_command(rng))
+    witness.run(1.0)
+
+
+def lost_client(witness: Witness, rng: np.random.Generator) -> None:
+    """The client promises heartbeats and falls silent, or its connection ends."""
+    witness.send("caps", Capability(("X_HEARTBEAT",)))
+    witness.run(float(rng.uniform(0.0, 1.0)))
+    if rng.random() < 0.5:
+        witness.rig.dialogue.left(CLIENT, witness.rig.now_s)
+    moving = witness.rig.state in MOVING
+    witness.run(0.2 + STOPS_S)
+    if moving and witness.rig.state in MOVING:
+        witness.say("it goes on without its client")
+
+
+def clock(witness: Witness, rng: np.random.Generator) -> None:
+    """The clock leaps by minutes or days, or back."""
+    for _ in range(6):
+        witness.rig.now_s += float(rng.choice([-86_400.0, -60.0, -1.0, 30.0, 900.0, 86_400.0]))
+        witness.still_since_s = witness.rig.now_s
+        witness.stopped_s = None
+        witness.send(*_command(rng))
+        witness.run(0.5)
+
+
+SPOILT: dict[str, Callable[[Reading, Reading], Reading]] = {
+    "encoders stick": lambda last, now: replace(now, encoders=last.encoders),
+    "encoders jump": lambda _, now: replace(now, encoders=now.encoders + np.array([0, 0, 0.3, 25.0, 0])),
+    "encoders say nothing": lambda _, now: replace(now, encoders=np.full(5, np.nan)),
+    "readings are old": lambda last, _: last,
+    "time runs back": lambda _, now: replace(now, time_s=-now.time_s),
+    "force says nothing": lambda _, now: replace(now, force_n=float("nan")),
+    "force is huge": lambda _, now: replace(now, force_n=1e6),
+    "all flags at once": lambda _, now: replace(now, flags=~PlantFlag.NONE),
+    "no flag at all": lambda _, now: replace(now, flags=PlantFlag.NONE),
+}
+
+
+def hardware(spoil: Callable[[Reading, Reading], Reading]) -> Damage:
+    """One class: sensors that fail while the arm moves: within a second it must stand."""
+
+    def make(rng: np.random.Generator) -> Ended:
+        state = MOVING[int(rng.integers(len(MOVING)))]
+        plant = Faulty(spoil, np.inf)
+        rig = Rig(moved=plant)
+        rig.reach(state)
+        rig.run(float(rng.uniform(0.0, 1.0)))
+        witness = Witness(rig)
+        plant.after_s = plant.time_s
+        for _ in range(int(rng.integers(0, 3))):
+            witness.send(*_command(rng))
+        witness.run(1.0)
+        return witness.ended
+
+    return Damage(make)
+
+
+CLASSES: dict[str, Damage] = {
+    "any commands": play(commands),
+    "several clients": play(several_clients),
+    "spoilt bytes": play(spoilt_bytes),
+    "numbers that no pose has": play(numbers_in_transforms),
+    "stops": play(stops),
+    "lost client": play(lost_client),
+    "clock": play(clock),
+} | {name: hardware(spoil) for name, spoil in SPOILT.items()}
+CAMPAIGN = Campaign("robots", "Clients and hardware that do not behave", CLASSES)
