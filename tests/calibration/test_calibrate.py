@@ -255,6 +255,8 @@ def first(count):
         (replace(SEEN, view="oblique"), {}, FrameError, "pa, lateral"),
         (replace(SEEN, ids=("nobody", *SEEN.ids[1:])), {}, ObservationsError, "'nobody'"),
         (replace(SEEN, covariance_px2=0 * SEEN.covariance_px2), {}, ObservationsError, "positive definite"),
+        (replace(SEEN, covariance_px2=1e9 * SEEN.covariance_px2), {}, ObservationsError, "between 1e-06 and 1000 px"),
+        (replace(SEEN, covariance_px2=1e-12 * SEEN.covariance_px2), {}, ObservationsError, "between 1e-06 and 1000 px"),
         (choose(SEEN, lambda i: False), {}, CalibrationRefusedError, "none of the"),
         (choose(SEEN, lambda i: i in XRII), {}, CalibrationRefusedError, "source plate"),
         (choose(SEEN, lambda i: i not in XRII), {}, CalibrationRefusedError, "XRII plate"),

@@ -96,6 +96,8 @@ def test_a_ball_twice_and_errors_for_some_are_refused(table):
         (np.eye(6) + np.eye(6, k=1), "symmetric"),
         (np.full((6, 6), np.nan), "finite"),
         (np.diag([1, 1, 1, 1, 1, np.inf]), "finite"),
+        (1e3 * np.eye(6), "between 1e-05 and 10 mm"),
+        (np.diag([1e-11, 1e-5, 1e-5, 1e-5, 1e-5, 1e-5]), "not positive definite|between 1e-05 and 10 mm"),
     ],
 )
 def test_bad_covariance_files_are_refused(table, tmp_path, matrix, words):

@@ -11,6 +11,8 @@ from sightline.errors import CalibrationRefusedError, ObservationsError
 from sightline.frame import Frame, Plate
 from sightline.geometry.planes import Plane
 
+MIN_SD_PX, MAX_SD_PX = 1e-6, 1e3  # of a bead's centre: rounding at 1e4 px, a whole image [ours]
+
 
 @dataclass(frozen=True, eq=False)
 class Beads:
@@ -87,8 +89,7 @@ def match(observations: Observations, frame: Frame, view: str | None) -> Beads:
     noise = observations.covariance_px2
     if noise is not None:
         noise = noise[order]
-        if len(noise) and np.linalg.eigvalsh(noise).min() <= 0:
-            raise ObservationsError("a bead's covariance is not positive definite; give variances above zero, in px²")
+        _refuse_stated(noise)
     xyz = np.concatenate([frame_view.xrii.xyz_mm, frame_view.source.xyz_mm])[rows]
     ids = tuple(observations.ids[k] for k in order)
     on_xrii = rows < len(frame_view.xrii.fiducials)
@@ -96,6 +97,18 @@ def match(observations: Observations, frame: Frame, view: str | None) -> Beads:
     for mine, plate, name in ((on_xrii, frame_view.xrii, "XRII"), (~on_xrii, frame_view.source, "source")):
         _refuse_unusable(beads.uv_px[mine], xyz[mine], plate, name)
     return beads
+
+
+def _refuse_stated(covariance_px2: np.ndarray) -> None:
+    """Refuse stated errors (N, 2, 2) that no measurement has, and with which no weights can be computed."""
+    variances = np.linalg.eigvalsh(covariance_px2)
+    if (variances <= 0).any():
+        raise ObservationsError("a bead's covariance is not positive definite; give variances above zero, in px²")
+    if ((variances < MIN_SD_PX**2) | (variances > MAX_SD_PX**2)).any():
+        raise ObservationsError(
+            f"a bead's stated error is not between {MIN_SD_PX:g} and {MAX_SD_PX:g} px in every direction; "
+            "give variances in px²"
+        )
 
 
 def _refuse_unusable(uv_px: np.ndarray, xyz_mm: np.ndarray, plate: Plate, name: str) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 from sightline.detection import columns, refine
 from sightline.detection.find import distinct, find_candidates
 from sightline.detection.log_image import field_inset, log_image
-from sightline.detection.noise import NoiseModel, estimate_noise
+from sightline.detection.noise import MIN_FIELD_PX, NoiseModel, estimate_noise
 from sightline.detection.results import Detections, Rejected
 from sightline.errors import DetectionRefusedError
 from sightline.imaging import Radiograph
@@ -88,10 +88,19 @@ def _looked_at(image: Radiograph) -> tuple[np.ndarray, np.ndarray, NoiseModel]:
     logs = log_image(image, mask)
     noise = estimate_noise(logs, mask)
     if noise is None:
-        raise DetectionRefusedError(
-            "the image has no area of 16x16 px inside its field of view to measure noise in; give a larger image"
-        )
+        raise DetectionRefusedError(_no_noise(image, mask))
     return mask, logs, noise
+
+
+def _no_noise(image: Radiograph, mask: np.ndarray) -> str:
+    """Why there is no noise to measure: too small a field, or too little of it that is not constant."""
+    if np.count_nonzero(mask) < MIN_FIELD_PX:
+        return f"the field of view has fewer than {MIN_FIELD_PX} px, too few to measure its noise; give a larger image"
+    levels = len(np.unique(image.pixels[mask]))
+    return (
+        f"the image's noise cannot be measured: most of its field is constant ({levels} grey levels in all); "
+        "export the image as the C-arm stores it, neither windowed nor compressed"
+    )
 
 
 def _fitted(rows: np.ndarray, fit: refine.Fit) -> tuple[np.ndarray, tuple[Rejected, ...]]:

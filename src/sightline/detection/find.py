@@ -52,7 +52,7 @@ def find_candidates(log_image: np.ndarray, mask: np.ndarray, noise: NoiseModel) 
     base = cv2.GaussianBlur(log_image, (5, 5), 0.8)
     half = cv2.resize(log_image, None, fx=1 / _HALF, fy=1 / _HALF, interpolation=cv2.INTER_AREA)
     finest, first = cv2.GaussianBlur(half, (3, 3), 0.5), cv2.GaussianBlur(half, (7, 7), 1.0)
-    line = np.array([noise.offset + 2 * np.log(1 + 2 * noise.correlation[1:].sum()), noise.slope], np.float32)
+    line = np.array([noise.offset + 2 * np.log(noise.broad), noise.slope], np.float32)
     extrema = _extrema(finest, first, mask, _HALF, _FINEST_RADIUS, line)
     for octave in range(_OCTAVES):
         second = cv2.GaussianBlur(first, (11, 11), 3**0.5)

@@ -15,6 +15,8 @@ _NO_FLAT_AREA = 0.3  # correlation at the last lag above which the blocks hold s
 _USUAL_BLUR = 0.9  # px; sigma of an intensifier's blur: 0.22 mm at 0.21-0.3 mm/px [physics.md]
 _QUIET = 0.3  # the quietest share of the blocks is taken as free of structure [ours]
 _FEWEST_BLOCKS = 8
+_MIN_BROAD = 0.1  # variance of a broad mean along one axis; negative correlations add up to less than noise has [ours]
+MIN_FIELD_PX = _FEWEST_BLOCKS * (2 * BLOCK) ** 2  # every second block along either axis counts
 _ENOUGH_BLOCKS = 24  # without clipped ones [ours]
 
 
@@ -30,13 +32,21 @@ class NoiseModel:
     slope: float
     correlation: np.ndarray
 
+    @property
+    def broad(self) -> float:
+        """Variance of a mean over many pixels along one axis, times their number, over that of one pixel."""
+        return max(float(1 + 2 * self.correlation[1:].sum()), _MIN_BROAD)
+
     def variance(self, log_intensity: np.ndarray | float) -> np.ndarray:
         """Variance of the log intensity where its mean is `log_intensity`."""
         return np.exp(self.offset - self.slope * np.asarray(log_intensity))
 
 
 def estimate_noise(log_image: np.ndarray, mask: np.ndarray) -> NoiseModel | None:
-    """Noise of `log_image` (H, W) float32 from its quiet blocks inside `mask`; None if no block lies inside."""
+    """Noise of `log_image` (H, W) float32 from its quiet blocks inside `mask`; None if too few blocks have any.
+
+    Constant blocks do not count: clipping, compression or too few grey levels took their noise away.
+    """
     level, gamma = _clean_variograms(log_image, mask)
     if len(level) < _FEWEST_BLOCKS:
         return None
@@ -44,14 +54,13 @@ def estimate_noise(log_image: np.ndarray, mask: np.ndarray) -> NoiseModel | None
     ratio = np.log(gamma[:, -1]) - (offset - slope * level)
     quiet = gamma[np.abs(ratio) < 0.35]
     mean = (quiet / quiet[:, -1:]).mean(axis=0) if len(quiet) else np.ones(gamma.shape[1])
-    structured = 1 - mean[-2] / mean[-1] > _NO_FLAT_AREA
+    if 1 - mean[-2] / mean[-1] > _NO_FLAT_AREA:
+        return _noise_of_a_pattern(log_image, mask)
     # What grows beyond the last lag is structure, smooth and therefore quadratic in the lag: it is taken off.
     growth = max(mean[-1] - mean[-2], 0.0) / (_SILL**2 - LAGS**2)
     mean = mean - growth * np.append(np.arange(1, LAGS + 1), _SILL) ** 2
     offset += float(np.log(max(mean[-1], 0.3)))
     correlation = np.concatenate([[1.0], np.clip(1 - mean[:-1] / mean[-1], -0.2, 0.98)])
-    if structured:
-        return _noise_of_a_pattern(log_image, mask)
     return NoiseModel(offset, slope, correlation)
 
 
@@ -64,12 +73,15 @@ def _clean_variograms(log_image: np.ndarray, mask: np.ndarray) -> tuple[np.ndarr
     return level[keep], gamma[keep]
 
 
-def _noise_of_a_pattern(log_image: np.ndarray, mask: np.ndarray) -> NoiseModel:
+def _noise_of_a_pattern(log_image: np.ndarray, mask: np.ndarray) -> NoiseModel | None:
     """Noise where no block is flat (a perforated plate): from mixed fourth differences and the usual blur."""
     correlation = np.exp(-((np.arange(LAGS + 1) / _USUAL_BLUR) ** 2) / 4)
     kernel = np.outer([1.0, -2.0, 1.0], [1.0, -2.0, 1.0])
     rough = np.abs(cv2.filter2D(log_image, -1, kernel)[mask])
     gain = 6 - 8 * correlation[1] + 2 * correlation[2]  # variance that (1, -2, 1) leaves, per axis
+    rough = rough[rough > 0]  # compression leaves flat areas, which hold no noise
+    if not rough.size:
+        return None
     sd = float(np.median(rough)) / 0.6745 / gain
     level = float(np.median(log_image[mask]))
     return NoiseModel(2 * np.log(sd) + level, 1.0, correlation)

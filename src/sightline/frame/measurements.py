@@ -26,6 +26,8 @@ SHEET_ONLY = (
 )  # fmt: skip
 _COORDINATE = re.compile(r"^([xyz])(?:[ _]*[\[(]?([a-zµ\"]+)[\])]?)?$")
 
+MIN_SD_MM, MAX_SD_MM = 1e-5, 10.0  # of a measured centre: below an interferometer's, above a ruler's [ours]
+
 Row = Mapping[str, str]
 
 
@@ -34,6 +36,7 @@ class Series:
     """One measurement of a frame: ball `ids[i]` at `xyz_mm[i]` (N, 3), in the instrument's own axes.
 
     `covariance_mm2` (3N, 3N), or None where nothing is stated; `diameter_mm` (N,), NaN where it was not measured.
+    Raises FrameError for a stated error that no instrument has, and with which no weights can be computed.
     """
 
     name: str
@@ -41,6 +44,16 @@ class Series:
     xyz_mm: np.ndarray
     covariance_mm2: np.ndarray | None
     diameter_mm: np.ndarray
+
+    def __post_init__(self) -> None:
+        if self.covariance_mm2 is None or not len(self.ids):
+            return
+        least, *_, most = np.linalg.eigvalsh(self.covariance_mm2)
+        if least < MIN_SD_MM**2 or most > MAX_SD_MM**2:
+            raise FrameError(
+                f"series {self.name!r}: the error stated is not between {MIN_SD_MM:g} and {MAX_SD_MM:g} mm in every "
+                "direction; check its unit"
+            )
 
     def where(self, keep: np.ndarray) -> "Series":
         """The balls for which `keep` (N,) is true."""

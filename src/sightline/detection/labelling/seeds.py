@@ -219,6 +219,8 @@ def find_seeds(detections: Detections, patterns: list[Pattern], usable: np.ndarr
         guesses += [(score, k, i) for i, score in enumerate(scores[k, :count].tolist())]
     for score, k, i in sorted(guesses, key=lambda guess: -guess[0]):
         turn, shift = found[k, i].tolist()
+        if turn == 0:  # so far from the image that its pixels are rounded away
+            continue
         similarity = Similarity(turn, shift, bool(what[k, i, 6]))
         yield Seed(patterns[k], similarity, what[k, i, :3], what[k, i, 3:6], score)
 
