@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.robot.old_robot import old_robot
+from tests.robot.scripted_robot import old_robot
 from tests.robot.rig import END_MM, ENTRY_MM, served
 from typer.testing import CliRunner
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform
-from tests.robot.old_robot import old_robot
 from tests.robot.rig import END_MM, T_MCS_CFCS, served, wire
+from tests.robot.scripted_robot import old_robot
 
 from sightline.errors import LinkError, RobotRefusedError
 from sightline.robot.client import RobotClient

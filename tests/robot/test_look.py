@@ -179,19 +179,20 @@ def test_behind_its_port_the_robot_goes_on_while_it_looks(monkeypatch):
         robot.start_up()
         robot.calibrate(T_MCS_CFCS, 10.0)
         robot.command("TARGETING").refuse_unless_ok()
-        robot._send(Transform.of(wire()), "TGT_9", metadata=metadata(), imaged_s=10.0)
-        robot._send(String("MOVE_TO_TARGET"), "CMD_10")
-        assert looks.wait(10.0)
-        before = server.dialogue.cycles.count
-        while server.dialogue.cycles.count < before + 10:
-            assert other.status().error_name == "TARGETING"
-        free.set()
-        wanted = ("ACK_9", "TARGET", "REACHABLE_TARGET", "ACK_10")
-        came = []
-        while "ACK_10" not in came:
-            message = robot._main.receive(5.0)
-            if message.device_name in wanted and message.device_name not in came:
-                came.append(message.device_name)
-                assert not isinstance(message.body, Status) or message.body.code == 1
+        with robot.talk.mail() as mail:
+            robot.talk.send(Transform.of(wire()), "TGT_9", metadata=metadata(), imaged_s=10.0)
+            robot.talk.send(String("MOVE_TO_TARGET"), "CMD_10")
+            assert looks.wait(10.0)
+            before = server.dialogue.cycles.count
+            while server.dialogue.cycles.count < before + 10:
+                assert other.status().error_name == "TARGETING"
+            free.set()
+            wanted = ("ACK_9", "TARGET", "REACHABLE_TARGET", "ACK_10")
+            came = []
+            while "ACK_10" not in came:
+                message = mail.need(lambda m: m.device_name in wanted, 5.0, "answer")
+                if message.device_name not in came:
+                    came.append(message.device_name)
+                    assert not isinstance(message.body, Status) or message.body.code == 1
         assert tuple(came) == wanted
         robot.stop()

@@ -112,8 +112,9 @@ def at(translation_mm, matrix=None) -> np.ndarray:
 )
 def test_targets_that_must_not_be_drilled_are_refused_with_the_reason(robot, target, said, why):
     ready(robot)
+    robot.command("TARGETING").refuse_unless_ok()
     with pytest.raises(RobotRefusedError, match=why):
-        robot.aim(target, metadata(**said), 10.0)
+        robot.send_transform(contract.TARGET, target, "TARGET", metadata(**said), 10.0).refuse_unless_ok()
     with pytest.raises(RobotRefusedError, match="no target"):  # the earlier one is no longer meant
         robot.align()
 

@@ -1,9 +1,10 @@
 """Navigation's side of the link, blocking and simple: one call for each step, each answered or an error in time."""
 
-import time
-from collections.abc import Callable, Mapping
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from itertools import count
+from threading import Event, Lock, Thread
 from types import TracebackType
 from typing import Self
 
@@ -13,6 +14,7 @@ from scipy.spatial.transform import RigidTransform
 from sightline.errors import LinkError, RobotRefusedError
 from sightline.robot import contract
 from sightline.robot.contract import ACK_S, STATUS_S, Code
+from sightline.robot.depth import LIMIT_MM as ZERO_LIMIT_MM
 from sightline.robot.depth import SHOT_SD_MM
 from sightline.robot.igtl import (
     Capability,
@@ -21,24 +23,27 @@ from sightline.robot.igtl import (
     Get,
     Message,
     NDArray,
-    Rejected,
+    Sensor,
     Status,
     String,
     Transform,
-    timestamp_of,
 )
 from sightline.robot.igtl.kinds import Body
+from sightline.robot.laid import Laid, refuse_other_pose
 from sightline.robot.simulated import SimulatedWire
-from sightline.robot.states import Cause
+from sightline.robot.states import Cause, State
+from sightline.robot.talk import LateError, Mail, Talk
 from sightline.robot.target import RobotTarget
-from sightline.robot.transport import LOOPBACK, PORT, BlockingClient
+from sightline.robot.transport import LOOPBACK, PORT
 
-CAPABILITY_S = (
-    0.3  # a robot that answers no question for its CAPABILITY by then follows the old convention alone [ours]
-)
 MOTION_S = 300.0  # the longest motion: 250 mm at 1 mm/s, and some [calc]
 # Robots of 2013 send no STATUS for these; what they do send says that the phase was entered.
 _ENTERED_IS_DONE = (Cause.PLANNING.value, Cause.CALIBRATION.value)
+_UNDERSTOOD = ("STRING", "STATUS", "TRANSFORM", "CAPABILITY", "RTS_COMMAND", "NDARRAY", "SENSOR")
+# A stop that is not acknowledged on its own connection by then goes over the main one too [ours]: a robot of ours
+# acknowledges in 10 ms.
+STOP_ACK_S = 0.2
+PROBE_S = 1.0  # between two looks whether the stop's connection still answers [ours]
 
 
 @dataclass(frozen=True)
@@ -59,41 +64,45 @@ class Said:
         return self
 
 
-_UNDERSTOOD = ("STRING", "STATUS", "TRANSFORM", "CAPABILITY", "RTS_COMMAND", "NDARRAY", "SENSOR")
-
-
 class RobotClient:
     """A robot behind `host`:`port`: ours, or one of the old convention, which is told apart by its CAPABILITY.
 
     Every call raises LinkError where an answer does not come in time or the connection is lost, RobotRefusedError with
-    the robot's reason where it refuses. Heartbeats go out while a call waits, so that a program that hangs stops the
-    robot. `latest` holds the newest message of each device name, and `listeners` are told of every one. One thread;
-    `stop` and `emergency` may be called from any other, and have a connection of their own.
+    the robot's reason where it refuses. While a call waits, heartbeats go out on a thread of their own; a call that
+    hangs for a second sends no more, and the robot stops. `latest` holds the newest message of each device name, and
+    `listeners` are told of every one; `talk` is the connection itself. One thread; `stop` and `emergency` may be called
+    from any other, have a connection of their own, and fall back to the main one.
     """
 
     def __init__(self, host: str = LOOPBACK, port: int = PORT, *, heartbeat: bool = True, streams: bool = True) -> None:
-        self.latest: dict[str, Message] = {}
-        self.listeners: list[Callable[[Message], None]] = []  # each hears every message, in order
         self.capabilities: frozenset[str] = frozenset()
         self.host, self.port = host, port
-        self._number = 0
-        self._beats, self._beat_s = False, -np.inf
-        self._main = BlockingClient(host, port)
-        self._stopper: BlockingClient | None = None
+        self._numbers = count(1)
+        self._aimed: RigidTransform | None = None
+        self._length_mm: float | None = None
+        self._doubts: dict[str, str] = {}  # by what was sent: why nothing may move by it
+        self._stopping, self._ended = Lock(), Event()
+        self._stopper: Talk | None = None
+        self.talk = Talk(host, port)
+        self.latest, self.listeners = self.talk.latest, self.talk.listeners
         try:
             self._ask_capabilities(heartbeat, streams)
-            if contract.HAS_HEARTBEAT in self.capabilities:
-                self._stopper = BlockingClient(host, port)
         except LinkError:
             self.close()
             raise
-        self._beats = heartbeat and contract.HAS_HEARTBEAT in self.capabilities
+        if contract.HAS_HEARTBEAT in self.capabilities:
+            self._connect_stopper()
+            Thread(target=self._keep_stopper, name="stop connection", daemon=True).start()
+            if heartbeat:
+                self.talk.keep_alive()
 
     def close(self) -> None:
         """End it. A robot of ours that holds this client's lease stops and forgets what it was told."""
-        self._main.close()
-        if self._stopper is not None:
-            self._stopper.close()
+        self._ended.set()
+        self.talk.close()
+        stopper = self._stopper
+        if stopper is not None:
+            stopper.close()
 
     def __enter__(self) -> Self:
         return self
@@ -119,9 +128,17 @@ class RobotClient:
         self.command(Cause.PLANNING.value).refuse_unless_ok()
 
     def calibrate(self, T_mcs_cfcs: RigidTransform, imaged_s: float | None = None) -> None:
-        """Send the registration. `imaged_s`: when its last image was taken, by the clock that targets are timed by."""
+        """Send the registration. `imaged_s`: when its last image was taken, by the clock that targets are timed by.
+
+        Raises RobotRefusedError also where the robot acknowledges another than was sent: then it is not told to
+        move."""
         self.command(Cause.CALIBRATION.value).refuse_unless_ok()
-        self.send_transform(contract.CALIBRATION, T_mcs_cfcs.inv(), "CALIBRATION", imaged_s=imaged_s).refuse_unless_ok()
+        sent = T_mcs_cfcs.inv()
+        with self.talk.mail() as mail:
+            said, echo = self._transform(mail, contract.CALIBRATION, sent.as_matrix(), "CALIBRATION", imaged_s=imaged_s)
+        said.refuse_unless_ok()
+        with self._doubted("registration"):
+            refuse_other_pose(_matrix(echo), sent.as_matrix(), "registration")
 
     def aim(
         self,
@@ -129,12 +146,30 @@ class RobotClient:
         metadata: Mapping[str, str] | None = None,
         imaged_s: float | None = None,
     ) -> RigidTransform:
-        """Send a target: the wire's pose at the end point. What the robot can reach of it, CFCS."""
+        """Send a target: the wire's pose at the end point. What the robot can reach of it, CFCS; where a robot of the
+        old convention does not say, the target as it acknowledged it.
+
+        Raises RobotRefusedError also where the robot acknowledges another target, or would lay the wire elsewhere: then
+        it is not told to move."""
+        self._aimed = None
         self.command(Cause.TARGETING.value).refuse_unless_ok()
-        self.latest.pop("REACHABLE_TARGET", None)
-        self.send_transform(contract.TARGET, T_cfcs_wire, "TARGET", metadata, imaged_s).refuse_unless_ok()
-        reached = self._await(lambda message: _is(message, Transform, "REACHABLE_TARGET"), STATUS_S, "REACHABLE_TARGET")
-        return _pose(reached)
+        with self.talk.mail() as mail:
+            said, echo = self._transform(
+                mail, contract.TARGET, T_cfcs_wire.as_matrix(), "TARGET", metadata=metadata, imaged_s=imaged_s
+            )
+            said.refuse_unless_ok()
+            reachable = mail.until(
+                lambda m: m.device_name == "REACHABLE_TARGET", STATUS_S if self._knows_ours else ACK_S
+            )
+        if reachable is None and self._knows_ours:
+            raise LateError(f"the robot sent no REACHABLE_TARGET within {STATUS_S:g} s; it does not keep the contract")
+        with self._doubted("target"):
+            refuse_other_pose(_matrix(echo), T_cfcs_wire.as_matrix(), "target")
+            reached = _pose(reachable or echo)
+            Laid.of(reached, T_cfcs_wire).refuse_elsewhere("the robot would lay the wire")
+        self._aimed = T_cfcs_wire
+        self._length_mm = float(metadata[contract.LENGTH_MM]) if metadata and contract.LENGTH_MM in metadata else None
+        return reached
 
     def aim_plan(self, target: RobotTarget, now_s: float, depth_limit_mm: float) -> RigidTransform:
         """Send a planned target with its identity; refused here already where its checks failed or it has expired.
@@ -146,16 +181,27 @@ class RobotClient:
         return self.aim(target.T_cfcs_wire, plan_metadata(target, now_s, depth_limit_mm), imaged_s)
 
     def align(self) -> None:
-        """Move to the aligned pose and wait there for the confirmation shot."""
+        """Move to the aligned pose and wait there for the confirmation shot. A robot of the old convention goes to the
+        target itself; then its own position is compared with the plan, as after `drill`."""
+        self._refuse_doubted()
         self.command(Cause.MOVE_TO_TARGET.value, MOTION_S).refuse_unless_ok()
+        if contract.HAS_DRILLING not in self.capabilities:
+            self.laid()
 
     def drill(self) -> str:
         """Confirm, and drill: up to the pause before the tip, the next time to the tip. Where it ended: PAUSED or
-        DONE; a robot of the old convention may say nothing of it."""
-        return self._go_on(Cause.DRILL.value)
+        DONE; a robot of the old convention may say nothing of it.
+
+        Raises RobotRefusedError also where the wire ends elsewhere than planned by the robot's own position."""
+        self._refuse_doubted()
+        where = self._go_on(Cause.DRILL.value)
+        if where == State.DONE.value or contract.HAS_DRILLING not in self.capabilities:
+            self.laid()
+        return where
 
     def guide(self) -> None:
         """Hold the guide stiff; a person drills."""
+        self._refuse_doubted()
         self.command(Cause.GUIDE.value).refuse_unless_ok()
 
     def retract(self) -> None:
@@ -174,34 +220,48 @@ class RobotClient:
 
     def status(self) -> Status:
         """The robot's phase (`error_name`), with activity, fault and late cycles in the text."""
-        self._send(String(contract.CURRENT_STATUS), contract.CURRENT_STATUS)
-        body = self._await(self._answers_status, STATUS_S, contract.CURRENT_STATUS).body
+        body = self._ask(String(contract.CURRENT_STATUS), contract.CURRENT_STATUS, self._answers_status).body
         assert isinstance(body, Status)  # noqa: S101
         return body
 
     def position(self) -> RigidTransform:
-        """The wire's pose, CFCS. Raises RobotRefusedError where no registration was sent yet."""
-        self._send(String(contract.CURRENT_POSITION), contract.CURRENT_POSITION)
-        said = self._await(
-            lambda m: m.device_name == contract.CURRENT_POSITION and isinstance(m.body, (Transform, Status)),
-            STATUS_S,
+        """The wire's pose, CFCS. Raises RobotRefusedError where no registration was sent yet, or the robot sends what
+        is not a pose."""
+        said = self._ask(
+            String(contract.CURRENT_POSITION),
             contract.CURRENT_POSITION,
+            lambda m: m.device_name == contract.CURRENT_POSITION and isinstance(m.body, (Transform, Status)),
         )
         if isinstance(said.body, Status):
             Said(contract.CURRENT_POSITION, said.body.code, said.body.text).refuse_unless_ok()
         return _pose(said)
 
+    def laid(self) -> Laid:
+        """How the wire lies against the target, by the robot's own position. Raises RobotRefusedError where it is
+        beyond 0.5 mm or 0.2°. Along the wire the robot's depth counts where it states one: contact and the second shot
+        move its zero."""
+        if self._aimed is None:
+            raise RobotRefusedError("this client has sent no target to compare the wire with")
+        laid = Laid.of(self.position(), self._aimed)
+        depth = self.latest.get(contract.DEPTH)
+        if self._length_mm is None or depth is None or not isinstance(depth.body, Sensor):
+            laid.refuse_elsewhere("the wire lies")
+        else:
+            laid.refuse_elsewhere("the wire lies", float(depth.body.values[0]) - self._length_mm, ZERO_LIMIT_MM)
+        return laid
+
     def joints(self) -> np.ndarray:
         """(6, N): position, velocity, wanted position, commanded velocity, lower and upper limits; mm, rad."""
-        self._send(Get("NDARRAY"), contract.MEASURED_JS)
-        body = self.stream(contract.MEASURED_JS).body
+        said = self._ask(Get("NDARRAY"), contract.MEASURED_JS, lambda m: m.device_name == contract.MEASURED_JS)
+        body = said.body
         if not (isinstance(body, NDArray) and body.values.ndim == 2 and len(body.values) == 6):
-            raise LinkError(f"the robot's {contract.MEASURED_JS} is no array (6, N)")
+            raise LinkError(f"the robot's {contract.MEASURED_JS} is not an array (6, N)")
         return body.values
 
     def stream(self, name: str, timeout_s: float = STATUS_S) -> Message:
         """The next message of a stream."""
-        return self._await(lambda message: message.device_name == name, timeout_s, name)
+        with self.talk.mail() as mail:
+            return mail.need(lambda message: message.device_name == name, timeout_s, name)
 
     def reset(self, fault: int) -> None:
         """Reset the robot after a fault that a person has read and seen to, by its number."""
@@ -217,23 +277,20 @@ class RobotClient:
 
     def _order(self, name: str, text: str) -> str:
         """A COMMAND and the text of its reply."""
-        self._number += 1
-        number = self._number
-        self._send(Command(number, name, text), name, version=2)
-        said = self._await(lambda m: isinstance(m.body, CommandReply) and m.body.command_id == number, ACK_S, name).body
-        assert isinstance(said, CommandReply)  # noqa: S101
-        if said.error:
-            raise RobotRefusedError(f"the robot refused {name}: {said.text}")
-        return said.text
+        number = next(self._numbers)
+        with self.talk.mail() as mail:
+            self.talk.send(Command(number, name, text), name, version=2)
+            said = mail.need(lambda m: isinstance(m.body, CommandReply) and m.body.command_id == number, ACK_S, name)
+        assert isinstance(said.body, CommandReply)  # noqa: S101
+        if said.body.error:
+            raise RobotRefusedError(f"the robot refused {name}: {said.body.text}")
+        return said.body.text
 
     # How anything is asked.
 
     def command(self, name: str, timeout_s: float = STATUS_S) -> Said:
         """Send a phase or an activity by its name, and wait for its acknowledgement, then for how it ended."""
-        number = self._next_number()
-        self._send(String(name), contract.COMMAND + number)
-        self._acknowledged(self._main_hears, number, name)
-        return self._ended(self._main_hears, name, timeout_s)
+        return self._command(self.talk, name, ACK_S, timeout_s)
 
     def send_transform(
         self,
@@ -244,53 +301,35 @@ class RobotClient:
         imaged_s: float | None = None,
     ) -> Said:
         """Send a registration or a target, a pose or a matrix (4, 4), and wait for its echo and status."""
-        number = self._next_number()
         matrix = pose.as_matrix() if isinstance(pose, RigidTransform) else pose
-        self._send(Transform(matrix), kind + number, metadata=metadata or {}, imaged_s=imaged_s)
-        self._acknowledged(self._main_hears, number, name)
-        return self._ended(self._main_hears, name, STATUS_S)
+        with self.talk.mail() as mail:
+            return self._transform(mail, kind, matrix, name, metadata=metadata, imaged_s=imaged_s)[0]
 
-    def _go_on(self, name: str) -> str:
-        """The next step by its own name, or as the old convention has it."""
-        if contract.HAS_DRILLING not in self.capabilities:
-            name = Cause.MOVE_TO_TARGET.value
-        return self.command(name, MOTION_S).refuse_unless_ok().text
+    def _command(self, talk: Talk, name: str, ack_s: float, timeout_s: float) -> Said:
+        number = str(next(self._numbers))
+        with talk.mail() as mail:
+            talk.send(String(name), contract.COMMAND + number)
+            mail.need(lambda m: m.device_name == contract.ACKNOWLEDGED + number, ack_s, f"ACK of {name}")
+            return self._outcome(mail, name, timeout_s)
 
-    def _stop(self, name: str) -> Said:
-        if self._stopper is None:
-            return self.command(name)
-        stopper = self._stopper
-        number = f"S{time.monotonic_ns() % 10**9}"
-        stopper.send(Message(String(name), contract.COMMAND + number))
+    def _transform(
+        self,
+        mail: Mail,
+        kind: str,
+        matrix: np.ndarray,
+        name: str,
+        *,
+        metadata: Mapping[str, str] | None = None,
+        imaged_s: float | None = None,
+    ) -> tuple[Said, Message]:
+        """How it ended, and its echo."""
+        number = str(next(self._numbers))
+        self.talk.send(Transform(matrix), kind + number, metadata=metadata, imaged_s=imaged_s)
+        echo = mail.need(lambda m: m.device_name == contract.ACKNOWLEDGED + number, ACK_S, f"ACK of {name}")
+        return self._outcome(mail, name, STATUS_S), echo
 
-        def hears(timeout_s: float) -> Message | None:
-            return _readable(stopper.receive(timeout_s))
-
-        self._acknowledged(hears, number, name)
-        return self._ended(hears, name, STATUS_S)
-
-    def _ask_capabilities(self, heartbeat: bool, streams: bool) -> None:
-        self._send(Get("CAPABILITY"), "")
-        with suppress(_LateError):
-            said = self._await(lambda message: isinstance(message.body, Capability), CAPABILITY_S, "CAPABILITY").body
-            self.capabilities = frozenset(said.types) if isinstance(said, Capability) else frozenset()
-        if self.capabilities:
-            mine = {contract.HAS_TELEMETRY: streams, contract.HAS_HEARTBEAT: heartbeat}
-            said = (*_UNDERSTOOD, *(name for name, wanted in mine.items() if wanted))
-            self._send(Capability(said), "", version=2)
-
-    def _answers_status(self, message: Message) -> bool:
-        """Named after the phase; ours says it twice, which tells the answer from how something ended."""
-        body = message.body
-        if not isinstance(body, Status) or message.device_name == contract.CURRENT_STATUS:
-            return False
-        return not self.capabilities or body.error_name == message.device_name
-
-    def _acknowledged(self, hears: "_Hears", number: str, name: str) -> None:
-        _wait(hears, lambda message: message.device_name == contract.ACKNOWLEDGED + number, ACK_S, f"ACK of {name}")
-
-    def _ended(self, hears: "_Hears", name: str, timeout_s: float) -> Said:
-        entered = name in _ENTERED_IS_DONE and not self.capabilities
+    def _outcome(self, mail: Mail, name: str, timeout_s: float) -> Said:
+        entered = name in _ENTERED_IS_DONE and not self._knows_ours
 
         def ends(message: Message) -> bool:
             body = message.body
@@ -300,45 +339,96 @@ class RobotClient:
                 entered and message.device_name == contract.CURRENT_STATUS and body.error_name == name
             )
 
-        body = _wait(hears, ends, timeout_s, f"STATUS {name}").body
+        body = mail.need(ends, timeout_s, f"STATUS {name}").body
         assert isinstance(body, Status)  # noqa: S101
         return Said(name, body.code, body.text)
 
-    def _await(self, wanted: Callable[[Message], bool], timeout_s: float, what: str) -> Message:
-        return _wait(self._main_hears, wanted, timeout_s, what)
+    def _go_on(self, name: str) -> str:
+        """The next step by its own name, or as the old convention has it."""
+        if contract.HAS_DRILLING not in self.capabilities:
+            name = Cause.MOVE_TO_TARGET.value
+        return self.command(name, MOTION_S).refuse_unless_ok().text
 
-    def _main_hears(self, timeout_s: float) -> Message | None:
-        """The next message, heartbeats sent meanwhile."""
-        self._beat()
-        message = _readable(self._main.receive(min(timeout_s, contract.HEARTBEAT_S)))
-        if message is not None:
-            self.latest[message.device_name] = message
-            for listener in self.listeners:
-                listener(message)
-        return message
+    def _ask(self, body: Body, name: str, answers: Callable[[Message], bool]) -> Message:
+        return self.talk.ask(body, name, answers, name, marked=self._knows_ours)
 
-    def _beat(self) -> None:
-        now = time.monotonic()
-        if self._beats and now - self._beat_s >= contract.HEARTBEAT_S:
-            self._beat_s = now
-            self._send(String(""), contract.HEARTBEAT)
+    def _answers_status(self, message: Message) -> bool:
+        """Named after the phase; ours says it twice, which tells the answer from how something ended."""
+        body = message.body
+        if not isinstance(body, Status) or message.device_name == contract.CURRENT_STATUS:
+            return False
+        return not self._knows_ours or body.error_name == message.device_name
 
-    def _send(
-        self,
-        body: Body,
-        name: str,
-        *,
-        version: int = 1,
-        metadata: Mapping[str, str] | None = None,
-        imaged_s: float | None = None,
-    ) -> None:
-        timestamp = 0 if imaged_s is None else timestamp_of(imaged_s)
-        version = 2 if metadata else version
-        self._main.send(Message(body, name, timestamp, version, metadata=metadata or {}))
+    @property
+    def _knows_ours(self) -> bool:
+        """Whether the robot knows what we added to the convention of 2013."""
+        return bool(self.capabilities)
 
-    def _next_number(self) -> str:
-        self._number += 1
-        return str(self._number)
+    def _ask_capabilities(self, heartbeat: bool, streams: bool) -> None:
+        """A robot of the old convention answers the question for its state, and not the one before it."""
+        with self.talk.mail() as mail:
+            self.talk.send(Get("CAPABILITY"), "")
+            self.talk.send(String(contract.CURRENT_STATUS), contract.CURRENT_STATUS)
+            said = mail.until(lambda m: isinstance(m.body, (Capability, Status)), ACK_S)
+            if said is None or not isinstance(said.body, Capability):
+                return
+            self.capabilities = frozenset(said.body.types)
+            mine = {contract.HAS_TELEMETRY: streams, contract.HAS_HEARTBEAT: heartbeat}
+            announced = (*_UNDERSTOOD, *(name for name, wanted in mine.items() if wanted))
+            self.talk.send(Capability(announced), "", version=2)
+            mail.until(lambda m: isinstance(m.body, Capability), ACK_S)
+
+    # What stops it.
+
+    def _stop(self, name: str) -> Said:
+        """One after the other: each of several at once is answered."""
+        with self._stopping:
+            for talk, ack_s in ((self._stopper, STOP_ACK_S), (self.talk, ACK_S)):
+                with suppress(LinkError):
+                    if talk is not None:
+                        return self._command(talk, name, ack_s, STATUS_S)
+            self.close()
+        raise LinkError(
+            f"the robot answers no {name} on any connection; all are closed, which stops a robot that keeps the "
+            "contract. Use the red button"
+        )
+
+    def _connect_stopper(self) -> None:
+        """Without one a stop goes over the main connection."""
+        with suppress(LinkError):
+            self._stopper = Talk(self.host, self.port)
+
+    def _keep_stopper(self) -> None:
+        """A connection on which nothing is said may be dead without a sign: it is asked, and made anew."""
+        while not self._ended.wait(PROBE_S):
+            stopper = self._stopper
+            if stopper is None:
+                self._connect_stopper()
+                continue
+            try:
+                stopper.ask(
+                    String(contract.CURRENT_STATUS), contract.CURRENT_STATUS, self._answers_status, "", marked=False
+                )
+            except LinkError:
+                stopper.close()
+                self._stopper = None
+        if self._stopper is not None:
+            self._stopper.close()
+
+    # What the robot said and was not meant.
+
+    @contextmanager
+    def _doubted(self, what: str) -> Iterator[None]:
+        self._doubts.pop(what, None)
+        try:
+            yield
+        except RobotRefusedError as error:
+            self._doubts[what] = str(error)
+            raise
+
+    def _refuse_doubted(self) -> None:
+        for why in self._doubts.values():
+            raise RobotRefusedError(f"nothing may move: {why}")
 
 
 def plan_metadata(target: RobotTarget, now_s: float, depth_limit_mm: float) -> dict[str, str]:
@@ -358,32 +448,16 @@ def plan_metadata(target: RobotTarget, now_s: float, depth_limit_mm: float) -> d
     }
 
 
-_Hears = Callable[[float], Message | None]
-
-
-class _LateError(LinkError):
-    """An answer did not come in time."""
-
-
-def _wait(hears: _Hears, wanted: Callable[[Message], bool], timeout_s: float, what: str) -> Message:
-    end = time.monotonic() + timeout_s
-    while (left := end - time.monotonic()) > 0:
-        message = hears(left)
-        if message is not None and wanted(message):
-            return message
-    raise _LateError(f"the robot sent no {what} within {timeout_s:g} s; check its state, and that it is a robot at all")
-
-
-def _readable(event: object) -> Message | None:
-    if isinstance(event, Rejected) and event.fatal:
-        raise LinkError(f"the robot sends no OpenIGTLink: {event.reason}")
-    return event if isinstance(event, Message) else None
-
-
-def _is(message: Message, kind: type, name: str) -> bool:
-    return message.device_name == name and isinstance(message.body, kind)
-
-
 def _pose(message: Message) -> RigidTransform:
-    assert isinstance(message.body, Transform)  # noqa: S101
-    return message.body.rigid()
+    """Raises RobotRefusedError for what is not one."""
+    body = message.body
+    fault = body.fault if isinstance(body, Transform) else f"it is a {message.type_name}"
+    if not isinstance(body, Transform) or fault is not None:
+        raise RobotRefusedError(f"the robot's {message.device_name} is not a pose: {fault}")
+    return body.rigid()
+
+
+def _matrix(message: Message) -> np.ndarray:
+    if not isinstance(message.body, Transform):
+        raise RobotRefusedError(f"the robot acknowledged a TRANSFORM by a {message.type_name}")
+    return message.body.matrix

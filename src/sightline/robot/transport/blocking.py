@@ -3,6 +3,8 @@
 import socket
 import time
 from collections import deque
+from contextlib import suppress
+from threading import Lock
 from types import TracebackType
 from typing import Self
 
@@ -17,7 +19,8 @@ _SEND_S = 5.0  # [ours] a peer that reads nothing for so long is given up
 
 
 class BlockingClient:
-    """A connection for one thread. Raises LinkError where it cannot be made in time.
+    """A connection: any thread may send and close, one at a time receive. Raises LinkError where it cannot be made in
+    time.
 
     It does not connect again by itself, and it hears nothing between two calls.
     """
@@ -37,33 +40,43 @@ class BlockingClient:
         except OSError as error:
             raise LinkError(f"cannot connect to {host}:{port}: {error.strerror or error}") from error
         prepare(self._socket)
+        self._writer = self._socket.dup()  # a socket's time limit is its own: receiving must not shorten sending
+        self._writer.settimeout(_SEND_S)
+        self._writing = Lock()
 
     def send(self, message: Message) -> None:
         """Send it. Raises LinkError where the connection is gone, MessageError as `encode` does."""
-        data = encode(message)
+        self.send_bytes(encode(message))
+
+    def send_bytes(self, data: bytes) -> None:
+        """The same, of what may be no message: a test of the peer."""
         try:
-            self._socket.settimeout(_SEND_S)
-            self._socket.sendall(data)
+            with self._writing:
+                self._writer.sendall(data)
         except OSError as error:
             self.close()
             raise LinkError(f"the connection was lost: {error}") from error
 
     def receive(self, timeout_s: float) -> Event | None:
-        """What came next, in order; None where nothing was complete in time. Raises LinkError after the end."""
+        """What came next, in order; None where nothing was complete in time. With a time of 0, what is there already.
+        Raises LinkError after the end."""
         end = time.monotonic() + timeout_s
         while not self._events:
             left = end - time.monotonic()
-            if left <= 0:
+            self._hear(max(left, 0.0))
+            if left <= 0 and not self._events:
                 return None
-            self._hear(left)
         event = self._events.popleft()
         if isinstance(event, Rejected) and event.fatal:
             self.close()
         return event
 
     def close(self) -> None:
-        """End it."""
+        """End it; the peer and a thread that receives notice at once."""
+        with suppress(OSError):
+            self._socket.shutdown(socket.SHUT_RDWR)
         self._socket.close()
+        self._writer.close()
 
     def __enter__(self) -> Self:
         return self
@@ -77,7 +90,7 @@ class BlockingClient:
         try:
             self._socket.settimeout(timeout_s)
             data = self._socket.recv(_PIECE)
-        except TimeoutError:
+        except (TimeoutError, BlockingIOError):
             return
         except OSError as error:
             self.close()

@@ -1,0 +1,266 @@
+"""The client believes no robot: what was acknowledged, what will be laid and what was laid are compared with the plan;
+answers are those of their questions; a stop finds a way."""
+
+import threading
+import time
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import RigidTransform, Rotation
+from tests.robot.scripted_robot import HOME, ScriptedRobot, serving
+
+from sightline.errors import LinkError, RobotRefusedError
+from sightline.robot import contract
+from sightline.robot.client import RobotClient
+from sightline.robot.laid import AXIS_LIMIT_RAD, TIP_LIMIT_MM, Laid, refuse_other_pose
+
+T_MCS_CFCS = RigidTransform.from_components([400.0, 20.0, 290.0], Rotation.from_rotvec([0.0, 0.0, np.pi]))
+TARGET = T_MCS_CFCS.inv() * RigidTransform.from_matrix(HOME) * RigidTransform.from_translation([3.0, -2.0, 120.0])
+
+
+def told(robot: RobotClient) -> None:
+    robot.start_up()
+    robot.calibrate(T_MCS_CFCS)
+    robot.aim(TARGET)
+
+
+def wait_for(condition, within_s: float = 30.0) -> None:
+    end = time.monotonic() + within_s
+    while not condition():
+        assert time.monotonic() < end
+        time.sleep(0.005)
+
+
+def test_a_wire_is_laid_where_its_axis_and_tip_are():
+    turned = TARGET * RigidTransform.from_components([0.0, 0.0, 0.0], Rotation.from_rotvec([0.0, 0.0, 2.1]))
+    laid = Laid.of(turned, TARGET)
+    assert max(laid.aside_mm, abs(laid.along_mm), laid.angle_rad) < 1e-9
+    laid.refuse_elsewhere("the wire lies")
+    shift = RigidTransform.from_translation([0.3, -0.4, 0.7])
+    tilt = RigidTransform.from_components([0.0, 0.0, 0.0], Rotation.from_rotvec([0.0, 0.01, 0.0]))
+    laid = Laid.of(TARGET * shift * tilt, TARGET)
+    assert (laid.aside_mm, laid.along_mm, laid.angle_rad) == pytest.approx((0.5, 0.7, 0.01), abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("aside", "along", "angle", "depth_off", "good"),
+    [
+        (0.49, 0.0, 0.0, None, True),
+        (0.51, 0.0, 0.0, None, False),
+        (0.0, -0.51, 0.0, None, False),
+        (0.0, 0.0, 0.99 * AXIS_LIMIT_RAD, None, True),
+        (0.0, 0.0, 1.01 * AXIS_LIMIT_RAD, None, False),
+        (0.0, 1.5, 0.0, 0.02, True),  # a shot has moved the zero of depth
+        (0.0, 1.5, 0.0, 0.6, False),
+        (0.0, 3.1, 0.0, 0.02, False),
+        (0.0, 0.0, 0.0, float("nan"), False),
+        (float("nan"), 0.0, 0.0, None, False),
+    ],
+)
+def test_beyond_its_limits_it_is_refused(aside, along, angle, depth_off, good):
+    laid = Laid(aside, along, angle)
+    if good:
+        laid.refuse_elsewhere("the wire lies", depth_off, 3.0 if depth_off is not None else 0.0)
+    else:
+        with pytest.raises(RobotRefusedError, match="elsewhere than planned"):
+            laid.refuse_elsewhere("the wire lies", depth_off, 3.0 if depth_off is not None else 0.0)
+    assert TIP_LIMIT_MM == 0.5
+
+
+def test_an_echo_is_what_was_sent_to_32_bits():
+    sent = TARGET.as_matrix()
+    refuse_other_pose(sent.astype(np.float32), sent, "target")
+    refuse_other_pose(np.full((4, 4), np.nan), np.full((4, 4), np.nan), "target")
+    for row, column, by in ((0, 3, 0.001), (1, 1, 1e-5), (0, 3, np.nan)):
+        echo = sent.copy()
+        echo[row, column] += by
+        with pytest.raises(RobotRefusedError, match="another target"):
+            refuse_other_pose(echo, sent, "target")
+
+
+@pytest.mark.parametrize("ours", [True, False], ids=["ours", "2013"])
+@pytest.mark.parametrize(
+    ("flaw", "why"),
+    [
+        ("would lay it aside", "would lay the wire elsewhere than planned: the tip 15.00 mm aside"),
+        ("echoes another target", "another target than was sent"),
+        ("echoes another registration", "another registration than was sent"),
+    ],
+)
+def test_a_robot_that_means_another_target_is_not_told_to_move(ours, flaw, why):
+    peer = ScriptedRobot(flaw, ours=ours)
+    with serving(peer) as port, RobotClient(port=port) as robot:
+        with pytest.raises(RobotRefusedError, match=why):
+            told(robot)
+        for move in (robot.align, robot.drill, robot.guide):
+            with pytest.raises(RobotRefusedError, match="nothing may move"):
+                move()
+        assert not {"MOVE_TO_TARGET", "DRILL", "GUIDE"} & set(peer.commands)
+
+
+@pytest.mark.parametrize("ours", [True, False], ids=["ours", "2013"])
+def test_a_robot_that_lays_the_wire_elsewhere_than_it_said_is_found_out_at_the_end(ours):
+    with serving(ScriptedRobot("lays it aside", ours=ours)) as port, RobotClient(port=port) as robot:
+        told(robot)
+        with pytest.raises(RobotRefusedError, match="the wire lies elsewhere than planned"):
+            for step in (robot.align, robot.drill):
+                step()
+
+
+@pytest.mark.parametrize("how", [{}, {"ours": False}, {"ours": False, "says_reachable": False}], ids=str)
+def test_a_good_robot_passes(how):
+    with serving(ScriptedRobot(**how)) as port, RobotClient(port=port) as robot:
+        told(robot)
+        robot.align()
+        if how == {}:
+            assert robot.drill() == "DONE"
+        assert robot.laid().aside_mm < 1e-4
+
+
+def test_answers_are_those_of_their_questions():
+    peer = ScriptedRobot()
+    with serving(peer) as port, RobotClient(port=port) as robot:
+        told(robot)
+        for k in range(5):
+            for _ in range(3):
+                robot.stream(contract.MEASURED_JS)  # and others wait to be read
+            peer.tip = HOME.copy()
+            peer.tip[0, 3] += 15.0 * k
+            assert robot.joints()[0, 0] == pytest.approx(peer.tip[0, 3])
+            peer.tip[1, 3] = 7.0 * k
+            assert T_MCS_CFCS.apply(robot.position().translation) == pytest.approx(peer.tip[:3, 3], abs=1e-3)
+            assert robot.status().error_name == peer.phase
+
+
+def test_nor_does_a_late_answer_count_for_the_next_question(monkeypatch):
+    monkeypatch.setattr("sightline.robot.talk.STATUS_S", 0.5)
+    peer = ScriptedRobot()
+    with serving(peer) as port, RobotClient(port=port, streams=False, heartbeat=False) as robot:
+        peer.holds = True
+        with pytest.raises(LinkError, match="no arm/measured_js"):
+            robot.joints()
+        peer.late = HOME + 5.0  # it moves after what it held back, which comes now, in its order
+        peer.holds = False
+        assert robot.joints()[0, 0] == pytest.approx(255.0)
+
+
+def test_a_robot_of_2013_answers_with_where_it_is_now():
+    peer = ScriptedRobot(ours=False)
+    with serving(peer) as port, RobotClient(port=port) as robot:
+        told(robot)
+        robot.command("MOVE_TO_TARGET")
+        assert robot.position().translation == pytest.approx(TARGET.translation, abs=1e-3)
+        peer.tip = HOME.copy()
+        assert T_MCS_CFCS.apply(robot.position().translation) == pytest.approx(HOME[:3, 3], abs=1e-3)
+
+
+# A stop finds a way.
+
+
+def test_four_stops_at_once_are_all_answered():
+    peer = ScriptedRobot()
+    with serving(peer) as port, RobotClient(port=port) as robot:
+        told(robot)
+        said = []
+        threads = [threading.Thread(target=lambda: said.append(robot.stop())) for _ in range(4)]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+        assert [one.code for one in said] == [1, 1, 1, 1]
+        assert peer.commands.count("STOP") == 4
+
+
+@pytest.mark.parametrize("clients", [1, 8], ids=["takes one client", "is deaf on the second connection"])
+def test_a_stop_falls_back_to_the_main_connection(clients):
+    """While another thread waits there for the end of the motion."""
+    peer = ScriptedRobot("deaf on other connections", clients=clients)
+    with serving(peer) as port, RobotClient(port=port) as robot:
+        told(robot)
+        refused = []
+
+        def move() -> None:
+            try:
+                robot.align()
+            except RobotRefusedError as error:
+                refused.append(str(error))
+
+        moving = threading.Thread(target=move)
+        moving.start()
+        wait_for(lambda: peer.moving is not None)
+        assert robot.stop().code == 1
+        moving.join()
+        assert peer.moving is None
+        assert peer.phase == "STOP"
+        assert refused
+
+
+@pytest.mark.parametrize("ours", [True, False], ids=["ours", "2013"])
+def test_where_no_stop_is_answered_the_connections_are_closed(ours):
+    peer = ScriptedRobot("deaf to STOP", ours=ours)
+    with serving(peer) as port, RobotClient(port=port) as robot:
+        told(robot)
+        with pytest.raises(LinkError, match="red button"):
+            robot.stop()
+        wait_for(lambda: not peer.peers)
+        assert peer.phase == "UNDEFINED"  # it stopped by itself
+        with pytest.raises(LinkError):
+            robot.status()
+
+
+def test_a_stop_s_connection_that_dies_is_made_anew(monkeypatch):
+    monkeypatch.setattr("sightline.robot.client.PROBE_S", 0.05)
+    peer = ScriptedRobot()
+    with serving(peer) as port, RobotClient(port=port) as robot:
+        told(robot)
+        first = peer.peers[1]
+        first.transport.abort()
+        wait_for(lambda: len(peer.peers) == 2 and first not in peer.peers)
+        assert robot.stop().code == 1
+        assert peer.phase == "STOP"
+
+
+# Signs of life.
+
+
+def test_heartbeats_go_on_while_what_listens_computes(monkeypatch):
+    monkeypatch.setattr("sightline.robot.talk.ALIVE_S", 5.0)
+    peer = ScriptedRobot(steps=200)
+    with serving(peer) as port, RobotClient(port=port) as robot:
+        told(robot)
+        slow = [1.0]  # twice what the robot takes for silence
+        robot.listeners.append(lambda _: time.sleep(slow.pop()) if slow and peer.moving is not None else None)
+        robot.align()
+        assert not slow
+
+
+def test_a_program_that_hangs_is_silent(monkeypatch):
+    monkeypatch.setattr("sightline.robot.talk.ALIVE_S", 0.1)
+    peer = ScriptedRobot(steps=3000)
+    with serving(peer) as port, RobotClient(port=port) as robot:
+        told(robot)
+        hangs = threading.Event()
+        robot.listeners.append(lambda _: hangs.wait(60.0) if peer.moving is not None else None)
+
+        def align() -> None:
+            with pytest.raises((LinkError, RobotRefusedError)):  # its ACK may lie behind what hangs
+                robot.align()
+
+        moving = threading.Thread(target=align)
+        moving.start()
+        wait_for(lambda: peer.moving is not None)
+        wait_for(lambda: peer.moving is None, 20.0)
+        assert peer.phase == "STOP"
+        hangs.set()
+        moving.join()
+
+
+def test_between_two_calls_nobody_moves_anything():
+    """A call that was given up leaves a robot that moves for nobody: silence stops it."""
+    peer = ScriptedRobot(steps=3000)
+    with serving(peer) as port, RobotClient(port=port) as robot:
+        told(robot)
+        with pytest.raises(LinkError, match="no STATUS MOVE_TO_TARGET"):
+            robot.command("MOVE_TO_TARGET", 0.1)
+        wait_for(lambda: peer.moving is None)
+        assert peer.phase == "STOP"
