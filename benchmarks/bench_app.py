@@ -31,19 +31,28 @@ PATIENCE_MS = 120_000
 _WATCH = """() => {
   const watch = (window.watch = { curve: [], figures: [], moves: 0 });
   const { pa, lateral } = window.sightlineXray;
-  const [request, push, layer] = [window.requestAnimationFrame, pa.moves.push, lateral.setLayer];
+  const [request, push, show] = [window.requestAnimationFrame, pa.moves.push, lateral.show];
   const times = new Map();
   let pointer = 0;
   let drawn = null;
+  let counted = null;
   window.addEventListener("pointermove", (event) => { pointer = event.timeStamp; watch.moves++; }, true);
   window.addEventListener("pointerrawupdate", (event) => { pointer = event.timeStamp; }, true);
-  pa.moves.push = (...move) => { push.apply(pa.moves, move); times.set(pa.moves.seq, pointer); };
+  pa.moves.push = (...move) => {
+    const seq = push.apply(pa.moves, move);
+    times.set(seq, pointer);
+    return seq;
+  };
   const after = (list, from) => request(() => setTimeout(() => list.push(performance.now() - from)));
-  lateral.setLayer = (name, shapes) => {
-    layer.call(lateral, name, shapes);
-    if (name !== "curves" || !pa.moves.inFlight) return;
-    drawn = times.get(pa.moves.inFlight.seq);
-    after(watch.curve, drawn);
+  lateral.show = (word) => {
+    const newer = show.call(lateral, word);
+    const { inFlight } = pa.moves;
+    if (inFlight && inFlight.seq !== counted) {
+      counted = inFlight.seq;
+      drawn = times.get(counted);
+      after(watch.curve, drawn);
+    }
+    return newer;
   };
   new MutationObserver(() => { if (drawn !== null) after(watch.figures, drawn); drawn = null; })
     .observe(document.querySelector("section.figures"), { childList: true, subtree: true, characterData: true });

@@ -4,7 +4,6 @@ that fails does to the others."""
 import asyncio
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
-from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -19,7 +18,6 @@ from tests.planning.standin import stand_in
 
 from sightline.app import panel_plan, shapes
 from sightline.app.decisions import Mark, Side
-from sightline.app.drawn import Picture
 from sightline.app.live import LATE_S
 from sightline.app.marks import CHECK_NAMES
 from sightline.app.procedure import Procedure
@@ -28,7 +26,7 @@ from sightline.app.seen import SeenImage
 from sightline.app.tab import Tab
 from sightline.app.texts import STEPS
 from sightline.app.workshop import Workshop
-from sightline.app.xray import Window, XrayView
+from sightline.app.xray import Picture, Window, XrayView
 from sightline.case.views import NAMES
 from sightline.case.watch import STALE_S
 from sightline.errors import UnusableInputError
@@ -77,6 +75,10 @@ class Page:
 
     def of(self, view: str, method: str) -> list[tuple[Any, ...]]:
         return [arguments for name, called, arguments in self.told if (name, called) == (view, method)]
+
+    def word(self, view: str) -> dict[str, Any]:
+        """What a view was last told to show."""
+        return self.of(view, "show")[-1][0]
 
     def elements(self) -> list[ui.element]:
         return list(self.tab.views[0].client.elements.values())
@@ -176,7 +178,9 @@ def _drag_and_meanwhile(opened: Page, deed: Callable[[], object]) -> None:
 
 def test_a_drag_is_followed(opened: Page) -> None:
     _drag_and_meanwhile(opened, lambda: None)
-    assert opened.tab.known is opened.tab.preview is not opened.procedure.planned
+    assert opened.tab.preview is not None
+    assert opened.tab.known is opened.tab.preview.known is not opened.procedure.planned
+    assert opened.word("lateral")["layers"]["curves"]
     opened.hear("pa", _move("/image/101", "end"))
     assert opened.tab.known is opened.procedure.planned
 
@@ -189,7 +193,7 @@ def test_what_follows_a_drag_late_is_not_shown_where_it_was_dropped_and_undone_m
         opened.procedure.undo()
 
     _drag_and_meanwhile(opened, drop_and_undo)
-    assert opened.of("pa", "follow") == opened.of("lateral", "follow") == []
+    assert not any("curves" in word["layers"] for view in NAMES for (word,) in opened.of(view, "show"))
     assert opened.tab.known is opened.procedure.planned
 
 
@@ -198,7 +202,7 @@ def test_nor_where_it_was_dropped_where_it_had_been(opened: Page) -> None:
     revision = opened.procedure.history.revision
     _drag_and_meanwhile(opened, lambda: asyncio.create_task(opened.heard("pa", _move("/image/101", "end"))))
     assert opened.procedure.history.revision == revision
-    assert opened.of("pa", "follow") == opened.of("lateral", "follow") == []
+    assert not any("curves" in word["layers"] for view in NAMES for (word,) in opened.of(view, "show"))
     assert opened.tab.known is opened.procedure.planned
 
 
@@ -211,7 +215,6 @@ def _live(number: int, age_s: float = 0.05) -> Any:
 def test_a_move_on_the_planned_image_is_not_taken_for_the_live_one(opened: Page) -> None:
     opened.tab.show_live(_live(1))
     before = opened.procedure.decisions
-    opened.tab.views[0].place(LANDMARK)  # whatever the browser may name
     for image in ("/image/101", "/live/1"):
         opened.hear("pa", _move(image, LANDMARK, "place"))
     assert opened.procedure.decisions is before
@@ -222,15 +225,15 @@ def test_a_move_on_the_planned_image_is_not_taken_for_the_live_one(opened: Page)
 def test_the_browser_is_told_at_every_look_how_long_a_live_image_is_what_is_now(opened: Page) -> None:
     opened.told.clear()
     opened.tab.show_live(_live(1, 0.05))
-    ((image,),) = opened.of("pa", "setImage")
-    assert image["freshMs"] == pytest.approx(1000.0 * (STALE_S - 0.05 + LATE_S))
+    ((word,),) = opened.of("pa", "show")
+    assert word["freshMs"] == pytest.approx(1000.0 * (STALE_S - 0.05 + LATE_S))
     opened.tab.show_live(_live(1, 0.15))
     ((url, left),) = opened.of("pa", "setFresh")
     assert (url, left) == ("/live/1", pytest.approx(1000.0 * (STALE_S - 0.15 + LATE_S)))
     opened.tab.show_live(_live(1, 0.25))
-    assert opened.of("pa", "setFresh")[-1] == ("/live/1", 0.0)
+    assert opened.word("pa")["freshMs"] == 0.0
     opened.tab.show_live(None)
-    assert opened.of("pa", "setImage")[-1][0]["freshMs"] is None  # the plan's image does not grow old
+    assert opened.word("pa")["freshMs"] is None  # the plan's image does not grow old
 
 
 @pytest.mark.parametrize("error", [UnusableInputError("this cannot be said"), ZeroDivisionError()])
@@ -307,9 +310,77 @@ def test_a_layer_that_cannot_be_drawn_is_empty_and_the_others_are_there(
     opened.procedure.edit(opened.procedure.decisions.with_mark(LANDMARK, Mark({"pa": (9.0, 9.0)})))
     opened.tab.refresh()
     assert _last(opened, "aids") == [] and _last(opened, "wire")
-    assert opened.of("pa", "setNotice") == [("no outline can be drawn",)]
+    assert opened.word("pa")["notice"] == "no outline can be drawn"
 
 
 def _last(opened: Page, layer: str) -> list[shapes.Shape]:
-    drawn: Callable[[tuple[Any, ...]], bool] = partial(lambda name, arguments: arguments[0] == name, layer)
-    return next(arguments[1] for arguments in reversed(opened.of("pa", "setLayer")) if drawn(arguments))
+    return opened.word("pa")["layers"].get(layer, [])
+
+
+def _uv(opened: Page, view: str, name: str) -> Any:
+    return next(point["uv"] for point in opened.word(view)["points"] if point["id"] == name)
+
+
+def test_a_drop_that_is_refused_leaves_both_views_as_they_were(opened: Page, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whatever the drag has shown meanwhile in the other view: what is shown follows from the decisions."""
+    _place_all(opened, "right")
+    opened.tab.refresh()
+    before = {view: opened.word(view) for view in NAMES}
+    u, v = _uv(opened, "pa", "end")
+    dragged = {"type": "drag", "id": "end", "uv": [u + 9.0, v], "seq": 8, "image": "/image/101"}
+    opened.hear("pa", dragged)
+    assert _uv(opened, "lateral", "end") is not None
+    assert opened.word("lateral")["layers"]["wire"] != before["lateral"]["layers"]["wire"]
+    off = _move("/image/101", "end") | {"uv": [u + 60.0, v]}
+
+    def refuse(*_: object, **__: object) -> None:
+        raise UnusableInputError("outside the calibrated area")
+
+    monkeypatch.setattr(opened.procedure, "moved", refuse)
+    opened.hear("pa", off | {"type": "drag", "seq": 9})
+    opened.hear("pa", off)
+    for view in NAMES:
+        now, was = opened.word(view), before[view]
+        assert now["version"] > was["version"]
+        assert {key: now[key] for key in ("layers", "points")} == {key: was[key] for key in ("layers", "points")}
+        assert opened.told.index((view, "show", (now,))) < opened.told.index(("pa", "acknowledge", (7,)))
+    assert opened.tab.message == "outside the calibrated area"
+    assert opened.tab.known is opened.procedure.planned
+
+
+def test_the_guide_follows_from_the_decisions(opened: Page) -> None:
+    """Undo steps back in it, redo forth; a mark that is taken away is asked for again."""
+
+    def asked() -> tuple[str, str] | None:
+        opened.tab.refresh()
+        goal = opened.tab.goal
+        shown = [(view, opened.word(view)["placing"]) for view in NAMES]
+        assert shown == [(view, goal.asked.name if goal and goal.image == view else None) for view in NAMES]
+        return goal and (goal.asked.name, goal.image)
+
+    assert asked() == ("entry", "pa")
+    uv = bone.pixels([VIEWS[name] for name in NAMES])["wire"]
+    for k, name in enumerate(("entry", "end")):
+        opened.hear("pa", _move("/image/101", name, "place") | {"uv": uv[0][k].tolist()})
+    assert asked() == ("entry", "lateral")
+    opened.procedure.history.undo()
+    assert asked() == ("end", "pa")
+    opened.procedure.history.undo()
+    assert asked() == ("entry", "pa")
+    opened.procedure.history.redo()
+    opened.procedure.history.redo()
+    assert asked() == ("entry", "lateral")
+    opened.procedure.remove(("end",))
+    assert asked() == ("end", "pa")
+    opened.procedure.history.undo()
+    entry = opened.tab.goal.asked if opened.tab.goal else None
+    assert entry is not None
+    opened.hear("lateral", {"type": "cancel", "id": "entry", "seq": 11})
+    assert asked() is None
+    opened.hear("lateral", _move("/image/102", "entry", "place") | {"uv": uv[1][0].tolist()})
+    opened.tab.place([entry])  # it is in both images: the first is placed anew
+    assert asked() == ("entry", "pa")
+    opened.hear("pa", _move("/image/101", "entry", "place") | {"uv": (uv[0][0] + 2.0).tolist()})
+    assert asked() is None
+    opened.procedure.history.undo()
+    assert asked() == ("entry", "pa")

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from playwright.sync_api import Browser, Locator, Page, expect
 from tests.app.browser import Server, Tab
-from tests.app.xray_page import HOSTILE, POINTS, SIDE, SPOTS, TEXTS, picture
+from tests.app.xray_page import FIELD_PX, HOSTILE, POINTS, SIDE, SPOTS, TEXTS, picture
 
-from sightline.app.xray.view import TEXT_KEYS, Bounds, XrayEvent, XrayView, checked
+from sightline.app.xray.view import TEXT_KEYS, Picture, Shown, Window, XrayEvent, XrayView, checked
 
 PLACE_PX = 0.05  # image pixels: what a place on the screen may be off by
 MARKS = itertools.count(1)
@@ -334,7 +334,8 @@ def test_plan_layers_hide_while_the_image_is_stale(view: View) -> None:
     assert with_plan[on_wire[1], on_wire[0]] - without[on_wire[1], on_wire[0]] > 20
     assert with_plan[on_aid[1], on_aid[0]] == without[on_aid[1], on_aid[0]]
     view.do("fresh")
-    assert np.array_equal(view.grey(), with_plan)
+    below = slice(100, None)  # the lines of text above: their corners are smoothed anew
+    assert np.array_equal(view.grey()[below], with_plan[below])
 
 
 def test_the_browser_itself_hides_the_plan_of_a_live_image_that_no_word_comes_of(view: View) -> None:
@@ -342,7 +343,7 @@ def test_the_browser_itself_hides_the_plan_of_a_live_image_that_no_word_comes_of
     assert not view.core("core.state.stale")
     view.page.wait_for_function("sightlineXray.pa.state.stale")  # the server says nothing more
     expect(view.root.get_by_test_id("stale")).to_be_visible()
-    view.do("fresh-long")
+    view.do("fresh")
     assert not view.core("core.state.stale")
     expect(view.root.get_by_test_id("stale")).to_be_hidden()
 
@@ -352,7 +353,7 @@ def test_word_of_a_live_image_is_not_taken_for_the_older_one_on_the_screen(view:
     view.page.route("**/late", lambda route: None)
     view.do("late", loaded=False)
     view.page.wait_for_function("sightlineXray.pa.state.stale")
-    view.do("fresh-long", loaded=False)
+    view.do("fresh", loaded=False)
     assert view.core("core.shownUrl") == "/picture"
     assert view.core("core.state.stale")
     view.page.unroute("**/late")
@@ -366,7 +367,7 @@ def test_layers_show_and_hide(view: View) -> None:
     drawn = view.grey()
     view.do("hide")
     assert np.array_equal(view.grey(), bare)
-    view.do("show")
+    view.do("gallery")
     assert np.array_equal(view.grey(), drawn)
     assert not np.array_equal(bare, drawn)
 
@@ -387,6 +388,37 @@ def test_maximised_it_fills_the_window(view: View) -> None:
     box = view.root.bounding_box()
     assert box is not None
     assert box["width"] < 640
+
+
+def test_maximised_nothing_lies_over_it(view: View) -> None:
+    """Not the other view, which comes after it in the page."""
+    view.button("maximise").click()
+    for at in ((60, 60), (640, 400), (960, 400), (1260, 780)):
+        assert view.page.evaluate(
+            "at => Boolean(document.elementFromPoint(...at).closest('[data-testid=xray-pa]'))", at
+        )
+    view.button("restore").click()
+    assert view.page.evaluate("Boolean(document.elementFromPoint(960, 400).closest('[data-testid=xray-lateral]'))")
+    assert view.page.locator(".box-pa [data-testid=xray-pa]").count() == 1
+
+
+def test_one_escape_does_one_thing(view: View) -> None:
+    """Whichever of the views it is to be done in."""
+    view.button("maximise").click()
+    view.do("place-lateral")
+    x, y = view.screen(POINTS[0]["uv"])
+    view.mouse.move(x, y)
+    view.mouse.down()
+    view.mouse.move(x + 50, y + 50)
+
+    def there() -> list[bool]:
+        lateral = "sightlineXray.lateral.state.placing !== null"
+        return view.core(f"[core.state.dragging !== null, {lateral}, core.state.maximised]")
+
+    for left in ([True, True, True], [False, True, True], [False, False, True], [False, False, False]):
+        assert there() == left
+        view.page.keyboard.press("Escape")
+    view.mouse.up()
 
 
 def test_nothing_is_drawn_while_nothing_changes(view: View) -> None:
@@ -431,11 +463,57 @@ def test_what_may_not_move_stays(view: View) -> None:
     assert view.heard("drag", "drop") == []
 
 
-def test_a_point_cannot_leave_the_image(view: View) -> None:
-    start = view.screen(POINTS[0]["uv"])
-    view.drag(start, (start[0], view.middle()[1] - 385))
+def test_a_point_cannot_leave_the_field(view: View) -> None:
+    """The field decides, not the rectangle about it: there is nothing to point at in the black corner."""
+    start, corner = view.screen(POINTS[0]["uv"]), view.screen((20.0, 20.0))
+    view.drag(start, corner)
     (dropped,) = view.heard("drop")
-    assert dropped["uv"][1] == -0.5
+    assert near(dropped["uv"], (SIDE / 2, SIDE / 2)) == pytest.approx(FIELD_PX, abs=1.0)
+    assert view.refused() == 0
+
+
+def test_a_click_in_the_black_corner_places_nothing(view: View) -> None:
+    view.do("place")
+    view.mouse.click(*view.screen((20.0, 20.0)))
+    expect(view.root.get_by_test_id("lost")).to_have_text(TEXTS["off_field"])
+    assert view.heard("place") == []
+    assert view.core("core.state.placing") == "aim"
+    view.mouse.click(*view.screen((420.0, 460.0)))
+    assert [one["id"] for one in view.heard("place")] == ["aim"]
+    expect(view.root.get_by_test_id("lost")).to_be_hidden()
+
+
+def test_what_is_refused_is_not_shown_though_the_server_says_nothing_more(view: View) -> None:
+    """Of what the browser shows there is one copy: the newest message. What was done is answered by it or gone."""
+    view.do("refuse")
+    start = view.screen(POINTS[0]["uv"])
+    view.drag(start, (start[0] + 40, start[1] + 10))
+    view.do("place")
+    view.mouse.click(*view.screen((420.0, 460.0)))
+    assert [one["type"] for one in view.heard("place", "drop")] == ["drop", "place"]
+    assert view.point("entry") == POINTS[0]["uv"]
+    assert view.core("core.state.points.get('aim').uv") is None
+    assert view.core("core.state.placing") == "aim"
+
+
+def test_an_older_message_changes_nothing(view: View) -> None:
+    view.do("once-more")
+    assert view.core("core.state.points.size") == len(POINTS)
+
+
+def test_a_point_in_the_hand_stays_where_it_is_while_the_view_changes_its_size(view: View) -> None:
+    x, y = view.screen(POINTS[1]["uv"])
+    view.mouse.move(x, y)
+    view.mouse.down()
+    view.mouse.move(x + 20, y)
+    before = view.point("end")
+    view.page.evaluate("document.querySelector('.box-pa').style.marginTop = '300px'")
+    view.page.wait_for_function("sightlineXray.pa.stage.getBoundingClientRect().top > 290")
+    view.settle()
+    view.mouse.move(x + 21, y)
+    assert near(view.point("end"), before) < 2 / view.zoom()
+    view.mouse.up()
+    view.page.evaluate("document.querySelector('.box-pa').style.marginTop = ''")
 
 
 def test_one_move_is_in_flight_and_the_newest_wins(view: View) -> None:
@@ -738,12 +816,15 @@ def test_no_point_is_moved_before_its_image_is_there(view: View) -> None:
     view.do("restore")
 
 
-BOUNDS = Bounds("/one", width=100, height=50, ids={"a"})
+FIELD = ((10.0, -0.5), (99.5, -0.5), (99.5, 49.5), (-0.5, 49.5), (-0.5, 10.0))  # a corner is cut off
+ON = Shown("one", Picture("/one", 100, 50, Window(5.0, 9.0)), points=[{"id": "a"}])
+IN_FIELD = Shown("one", Picture("/one", 100, 50, Window(5.0, 9.0), FIELD), points=[{"id": "a"}])
 MOVE = {"type": "drop", "id": "a", "uv": [1, 2.5], "seq": 3, "image": "/one"}
 REMOVE = {"type": "remove", "id": "a", "uv": "x", "image": "/one"}
 SHOWN = {
     "type": "display",
     "image": "/one",
+    "seq": 4,
     "rotation": 90,
     "mirrored": True,
     "inverted": False,
@@ -752,12 +833,12 @@ SHOWN = {
 
 
 def test_good_events_are_taken_as_they_are() -> None:
-    assert checked(MOVE, BOUNDS) == XrayEvent("drop", "a", (1.0, 2.5), 3)
-    assert checked(REMOVE, BOUNDS) == XrayEvent("remove", "a")
-    assert checked({"type": "select", "id": None}, BOUNDS) == XrayEvent("select")
-    assert checked({"type": "ready"}, BOUNDS) == XrayEvent("ready")
-    assert checked({"type": "error", "message": "a\nb" * 1000}, BOUNDS) == XrayEvent("error", message="a b" * 100)
-    event = checked(SHOWN, BOUNDS)
+    assert checked(MOVE, ON) == XrayEvent("drop", "a", (1.0, 2.5), 3)
+    assert checked(REMOVE, ON) == XrayEvent("remove", "a")
+    assert checked({"type": "select", "id": None}, ON) == XrayEvent("select")
+    assert checked({"type": "ready"}, ON) == XrayEvent("ready")
+    assert checked({"type": "error", "message": "a\nb" * 1000}, ON) == XrayEvent("error", message="a b" * 100)
+    event = checked(SHOWN, ON)
     assert event is not None
     assert event.display is not None
     assert (event.display.rotation, event.display.mirrored, event.display.window.width) == (90, True, 9.0)
@@ -809,11 +890,19 @@ def test_good_events_are_taken_as_they_are() -> None:
     ids=repr,
 )
 def test_bad_events_are_not(said: object) -> None:
-    assert checked(said, BOUNDS) is None
+    assert checked(said, ON) is None
+
+
+@pytest.mark.parametrize(
+    ("uv", "taken"), [((4.0, 4.0), False), ((12.0, 2.0), True), ((4.9, 4.9), True), ((99.0, 1.0), True)]
+)
+def test_the_field_decides_what_is_on_the_image(uv: tuple[float, float], taken: bool) -> None:
+    assert checked(MOVE | {"uv": list(uv)}, ON) is not None
+    assert (checked(MOVE | {"uv": list(uv)}, IN_FIELD) is not None) is taken
 
 
 def test_nothing_can_be_placed_before_there_is_an_image() -> None:
-    assert checked(MOVE, Bounds(ids={"a"})) is None
+    assert checked(MOVE, Shown("one", points=[{"id": "a"}])) is None
 
 
 def test_a_missing_text_is_named() -> None:
@@ -832,7 +921,7 @@ def test_an_edit_made_while_the_server_is_away(
     page = open_page(server.url, allow=("ERR_CONNECTION_REFUSED", "WebSocket", "502", "Failed to load resource"))
     view = View(page, server)
     view.ready()
-    view.do("fresh-long")
+    view.do("fresh")
     server.stop()
     expect(view.root.get_by_test_id("stale")).to_be_visible()  # though the last word was that it lasts
     start = view.screen(POINTS[0]["uv"])

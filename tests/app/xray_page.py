@@ -9,17 +9,22 @@ import functools
 import sys
 import time
 from collections.abc import Callable
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from typing import Any
 
 import numpy as np
 from fastapi import Response
 from nicegui import app, ui
 
-from sightline.app.xray import Window, XrayEvent, XrayView
+from sightline.app.xray import Display, Picture, Shown, Window, XrayEvent, XrayView
 
 SIDE = 1024
 WINDOW = Window(32768.0, 65536.0)
+FIELD_PX = 0.49 * SIDE  # radius of the round field
+_TURNS = np.arange(64) * 2 * np.pi / 64
+FIELD = tuple((SIDE / 2 + FIELD_PX * float(np.cos(t)), SIDE / 2 + FIELD_PX * float(np.sin(t))) for t in _TURNS)
+PICTURE = Picture("/picture", SIDE, SIDE, WINDOW, FIELD)
+DISPLAY = Display(0, False, False, WINDOW)
 SPOTS = [(200.3, 300.7), (511.5, 512.25), (800.6, 150.4), (350.2, 850.9)]
 """Bright spots, off the grid: what a place on the screen is measured by."""
 POINTS: list[dict[str, Any]] = [
@@ -48,6 +53,7 @@ TEXTS = {
     "outside": "–",
     "edit_lost": "The last change of {name} did not reach the server: please make it again.",
     "load_failed": "The image could not be loaded.",
+    "off_field": "Outside the field.",
 }
 
 
@@ -59,7 +65,7 @@ def picture() -> np.ndarray:
     values[np.hypot(u - 650, v - 720) < 90] += 6000.0
     for spot_u, spot_v in SPOTS:
         values += 30000.0 * np.exp(-((u - spot_u) ** 2 + (v - spot_v) ** 2) / (2 * 5.0**2))
-    values[np.hypot(u - SIDE / 2, v - SIDE / 2) > 0.49 * SIDE] = 0.0
+    values[np.hypot(u - SIDE / 2, v - SIDE / 2) > FIELD_PX] = 0.0
     return values.astype("<u2")
 
 
@@ -116,7 +122,15 @@ def gallery() -> list[dict[str, Any]]:
 
 pages: list[dict[str, XrayView]] = []  # the two views of each page that is open
 heard: list[dict[str, Any]] = []
-state: dict[str, int] = {"revision": 1, "answering": True}
+state: dict[str, int] = {"revision": 1, "answering": True, "taking": True}
+
+
+class View(XrayView):
+    """Answers a move after `seconds`, with a curve in the other view, or not at all."""
+
+    def acknowledge(self, seq: int) -> None:
+        if state["answering"]:
+            super().acknowledge(seq)
 
 
 def page(seconds: float) -> None:
@@ -127,77 +141,97 @@ def page(seconds: float) -> None:
     async def hear(view: XrayView, event: XrayEvent) -> None:
         name = "pa" if view is views["pa"] else "lateral"
         heard.append({"view": name, **asdict(event)})
+        if event.type == "display":
+            change(view, display=event.display)
+        elif event.type == "cancel":
+            change(view, placing=None)
         if event.uv is None or event.seq is None or not state["answering"]:
             return
         await asyncio.to_thread(time.sleep, seconds)
         other = views["lateral" if name == "pa" else "pa"]
-        other.draw("curve", [{**curve(event.uv), "of": event.seq}])
-        view.acknowledge(event.seq)
+        draw(other, "curve", [{**curve(event.uv), "of": event.seq}])
+        if event.type != "drag" and state["taking"]:
+            points = [point | {"uv": event.uv} if point["id"] == event.id else point for point in view.shown.points]
+            change(view, points=points, placing=None)
 
     ui.dark_mode(True)
     ui.query(".nicegui-content").style("padding: 0; gap: 0")
     with ui.element("div").style("display: flex; gap: 8px; padding: 8px; width: 100vw; height: 100vh"):
         for name, label in (("pa", "PA image"), ("lateral", "Lateral image")):
-            with ui.element("div").style("flex: 1; min-width: 0"):
-                views[name] = view = XrayView(name, label=label, texts=TEXTS)
+            with ui.element("div").style("flex: 1; min-width: 0").classes(f"box-{name}"):
+                views[name] = view = View(name, label=label, texts=TEXTS)
             view.on_event(hear)
-            view.set_image("/picture", SIDE, SIDE, window=WINDOW)
-            view.set_points(POINTS)
-            view.set_revision(state["revision"])
+            view.show(Shown(label, PICTURE, DISPLAY, points=POINTS, revision=str(state["revision"])))
 
 
-def show_again(view: XrayView) -> None:
-    """The image anew, and at once another way to show it, before its pixels can have arrived."""
-    view.set_image("/picture", SIDE, SIDE, window=WINDOW)
-    view.set_display(inverted=True, window=Window(20000.0, 30000.0))
+def change(view: XrayView, **news: Any) -> None:
+    """Show something else."""
+    view.show(replace(view.shown, **news))
 
 
-def show_other(view: XrayView) -> None:
-    """Another image, and the points on it."""
-    view.set_image("/picture?other", SIDE, SIDE, window=WINDOW)
-    view.set_points(POINTS)
+def draw(view: XrayView, layer: str, shapes: list[dict[str, Any]] | None) -> None:
+    """A layer anew, or without shapes none."""
+    others = {name: drawn for name, drawn in view.shown.layers.items() if name != layer}
+    change(view, layers=others if shapes is None else {**others, layer: shapes})
+
+
+def show_as(view: XrayView, address: str, **news: Any) -> None:
+    """The picture under another address."""
+    change(view, picture=replace(PICTURE, url=address), **news)
 
 
 def restore(view: XrayView) -> None:
     """The view as it was built, and nothing heard."""
     for one in heard:
         if one["seq"]:
-            view.acknowledge(one["seq"])
-    for layer in ("beads", "gallery", "odd"):
-        view.draw(layer, [])
-    view.show_layer("gallery", True)
-    view.place(None)
-    view.notice(None)
-    view.fresh_for(None)
-    view.set_points(POINTS)
-    view.set_display(rotation=0, mirrored=False)
-    view.set_image("/picture", SIDE, SIDE, window=WINDOW)
+            XrayView.acknowledge(view, one["seq"])
+    change(view, notice="restored")
+    change(view, picture=PICTURE, display=DISPLAY, layers={}, points=POINTS, placing=None, notice=None)
+    change(pages[-1]["lateral"], placing=None)
     view.refused = 0
+    state["taking"] = True
+
+
+def once_more(view: XrayView) -> None:
+    """A message that was sent before, after a newer one."""
+    view.run_method("show", {"version": 1, "freshMs": None, **replace(view.shown, points=[]).document()})
+
+
+def say_again(seconds: float) -> Callable[[XrayView], None]:
+    return lambda view: view.show(view.shown, fresh_s=seconds)
+
+
+def refuse(view: XrayView) -> None:
+    """What is done from now on changes nothing."""
+    state["taking"] = False
 
 
 COMMANDS: dict[str, Callable[[XrayView], None]] = {
     "restore": restore,
-    "place": lambda view: view.place("aim"),
-    "beads": lambda view: view.draw("beads", beads()),
-    "gallery": lambda view: view.draw("gallery", gallery()),
-    "dim": lambda view: view.set_points([point | {"uv": None} for point in POINTS]),
-    "hide": lambda view: view.show_layer("gallery", False),
-    "show": lambda view: view.show_layer("gallery", True),
-    "stale": lambda view: view.fresh_for(0.0),
-    "fresh": lambda view: view.fresh_for(None),
-    "fresh-shortly": lambda view: view.fresh_for(0.5),
-    "fresh-long": lambda view: view.fresh_for(600.0),
-    "late": lambda view: view.set_image("/late", SIDE, SIDE, window=WINDOW, fresh_s=0.5),
-    "other": show_other,
-    "notice": lambda view: view.notice("The image is 0.4 s old"),
-    "no-notice": lambda view: view.notice(None),
-    "turn": lambda view: view.set_display(rotation=90, mirrored=True),
-    "show-again": show_again,
-    "move": lambda view: view.move_point("entry", (100.0, 500.0)),
-    "short": lambda view: view.set_image("/picture", SIDE, SIDE - 1, window=WINDOW),
-    "hostile": lambda view: view.set_points([{**POINTS[0], "label": HOSTILE}, *POINTS[1:]]),
-    "unknown-style": lambda view: view.draw("odd", [{"shape": "line", "points": [[1, 2], [3, 4]], "style": "pink"}]),
-    "acknowledge": lambda view: view.acknowledge(next(one["seq"] for one in reversed(heard) if one["seq"])),
+    "refuse": refuse,
+    "place": lambda view: change(view, placing="aim"),
+    "place-lateral": lambda view: change(pages[-1]["lateral"], placing="aim"),
+    "beads": lambda view: draw(view, "beads", beads()),
+    "gallery": lambda view: draw(view, "gallery", gallery()),
+    "dim": lambda view: change(view, points=[point | {"uv": None} for point in POINTS]),
+    "hide": lambda view: draw(view, "gallery", None),
+    "stale": say_again(0.0),
+    "fresh": say_again(600.0),
+    "fresh-shortly": say_again(0.5),
+    "late": lambda view: view.show(replace(view.shown, picture=replace(PICTURE, url="/late")), fresh_s=0.5),
+    "other": lambda view: show_as(view, "/picture?other"),
+    "notice": lambda view: change(view, notice="The image is 0.4 s old"),
+    "no-notice": lambda view: change(view, notice=None),
+    "turn": lambda view: change(view, display=Display(90, True, False, WINDOW)),
+    "show-again": lambda view: show_as(
+        view, "/picture?again", display=Display(0, False, True, Window(20000.0, 30000.0))
+    ),
+    "move": lambda view: change(view, points=[{**POINTS[0], "uv": (100.0, 500.0)}, *POINTS[1:]]),
+    "short": lambda view: change(view, picture=replace(PICTURE, height=SIDE - 1)),
+    "hostile": lambda view: change(view, points=[{**POINTS[0], "label": HOSTILE}, *POINTS[1:]]),
+    "unknown-style": lambda view: draw(view, "odd", [{"shape": "line", "points": [[1, 2], [3, 4]], "style": "pink"}]),
+    "acknowledge": lambda view: XrayView.acknowledge(view, next(one["seq"] for one in reversed(heard) if one["seq"])),
+    "once-more": once_more,
 }
 """What /do/NAME does to the PA view of every page."""
 

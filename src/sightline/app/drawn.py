@@ -1,28 +1,19 @@
 """Pictures for the browser: published once for all pages, by the image's number in the case."""
 
 from collections import deque
-from dataclasses import dataclass
 
+import cv2
 import numpy as np
 
 from sightline.app.images import Images, as_u16
 from sightline.app.seen import SeenImage
-from sightline.app.xray import Window
+from sightline.app.xray import Picture, Window
 from sightline.imaging import Radiograph
 
 _MOST = 16  # pictures kept: two planning and two check images, and what undo may bring back [ours]
 _PASSING = 20  # live pictures kept: two seconds of them
+_FIELD_PX = 0.5  # by which corners of the field may cut it off: less than anybody clicks [ours]
 _SHARES = (0.5, 96.0)  # per cent of the field's grey levels: bone, not the open beam, gets the window [ours]
-
-
-@dataclass(frozen=True)
-class Picture:
-    """Where the browser gets an image, its size, and the window that shows all it holds."""
-
-    url: str
-    width: int
-    height: int
-    window: Window
 
 
 class Pictures:
@@ -31,15 +22,17 @@ class Pictures:
     def __init__(self, images: Images) -> None:
         self._images = images
         self._pictures: dict[int, Picture] = {}
-        self._passing: deque[str] = deque()
+        self._passing: deque[tuple[Radiograph, Picture]] = deque()
 
     def live(self, image: Radiograph) -> Picture:
         """The picture of an image that is seen once; a few of them are kept for pages that are late."""
-        picture = self._published(image)
-        self._passing.append(picture.url)
+        known = next((picture for passing, picture in self._passing if passing is image), None)
+        if known is not None:
+            return known
+        self._passing.append((image, self._published(image)))
         if len(self._passing) > _PASSING:
-            self._images.forget(self._passing.popleft())
-        return picture
+            self._images.forget(self._passing.popleft()[1].url)
+        return self._passing[-1][1]
 
     def _published(self, image: Radiograph) -> Picture:
         pixels, _ = as_u16(image)
@@ -47,7 +40,7 @@ class Pictures:
         low, high = np.percentile(pixels[::4, ::4][inside], _SHARES)
         window = Window(float(low + high) / 2.0, float(max(high - low, 1.0)))
         height, width = pixels.shape
-        return Picture(self._images.publish(pixels), width, height, window)
+        return Picture(self._images.publish(pixels), width, height, window, _field(image))
 
     def of(self, seen: SeenImage) -> Picture:
         """The picture of an image."""
@@ -57,3 +50,18 @@ class Pictures:
             while len(self._pictures) > _MOST:
                 self._images.forget(self._pictures.pop(next(iter(self._pictures))).url)
         return self._pictures[number]
+
+
+def _field(image: Radiograph) -> tuple[tuple[float, float], ...] | None:
+    """Corners (u, v) of the field, clockwise as it is seen; None where X-rays reach the whole image."""
+    mask = image.field_mask
+    if mask.all():
+        return None
+    (whole, *_) = sorted(cv2.findContours(mask.view(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)[0], key=len)[
+        ::-1
+    ]
+    corners = cv2.approxPolyDP(cv2.convexHull(whole), _FIELD_PX, True)[:, 0].astype(np.float64)
+    u, v = corners.T
+    if u @ np.roll(v, -1) < v @ np.roll(u, -1):
+        corners = corners[::-1]
+    return tuple((float(u), float(v)) for u, v in corners)

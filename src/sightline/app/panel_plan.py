@@ -84,13 +84,7 @@ def _row(tab: Tab, same: tuple[Asked, ...]) -> None:
         return tuple(sum(mark.at(image) is not None for mark in marks) for image in first.images)
 
     def current(t: Tab) -> bool:
-        return t.placing is not None and t.placing[0] in names
-
-    def place() -> None:
-        tab.place_next(same)
-        if tab.placing is None:  # all there: the first is placed anew, the others stay until they are clicked
-            tab.place_again(first, first.images[0])
-        tab.refresh()
+        return t.goal is not None and t.goal.asked.name in names
 
     def show(t: Tab) -> None:
         row.classes(add="current" if current(t) else "", remove="" if current(t) else "current")
@@ -105,7 +99,7 @@ def _row(tab: Tab, same: tuple[Asked, ...]) -> None:
     with ui.element("div").classes("pick").props(f"data-testid=row-{first.of}") as row:
         ui.label(label).classes("pick-name").tooltip(first.sentence)
         status = ui.element("div").classes("pick-status")
-        action(texts.PLACE, place, testid=f"place-{first.of}", kind="small").props(
+        action(texts.PLACE, lambda: tab.place(same), testid=f"place-{first.of}", kind="small").props(
             f'aria-label="{texts.PLACE_WHAT.format(what=label)}"'
         )
         remove = action("✕", tab.doing(lambda: tab.procedure.remove(names)), testid=f"remove-{first.of}", kind="small")
@@ -184,7 +178,9 @@ def _gaps(tab: Tab) -> list[tuple[str, str, str]]:
 
 def instruction(tab: Tab) -> str:
     """What to do next, in a sentence."""
-    asked = tab.asked
-    if asked is None or tab.placing is None:
+    goal = tab.goal
+    if goal is None:
         return ""
-    return texts.PLACE_WHERE.format(image=IMAGE_LABELS[tab.placing[1]], point=asked.label, sentence=asked.sentence)
+    return texts.PLACE_WHERE.format(
+        image=IMAGE_LABELS[goal.image], point=goal.asked.label, sentence=goal.asked.sentence
+    )

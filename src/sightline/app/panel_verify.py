@@ -21,7 +21,7 @@ def _key(tab: Tab) -> Hashable:
         procedure.drilling.wire,
         procedure.working,
         procedure.trouble,
-        tab.placing,
+        tab.goal,
         procedure.history.revision,
     )
 
@@ -72,11 +72,7 @@ def _landmarks(tab: Tab) -> None:
         placed = decisions.mark(asked.name).complete(CHECK_NAMES)
         note(f"{'●' if placed else '○'} {point}", kind="good" if placed else "quiet")
 
-    def place() -> None:
-        tab.place_next(listed, CHECK_NAMES)
-        tab.refresh()
-
-    action(texts.PLACE_LANDMARKS, place, testid="place-check")
+    action(texts.PLACE_LANDMARKS, lambda: tab.place(listed, CHECK_NAMES), testid="place-check")
 
 
 def _result(tab: Tab) -> None:

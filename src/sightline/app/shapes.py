@@ -5,8 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from sightline.app.decisions import Decisions, Pixel
-from sightline.app.marks import CHECK_NAMES, END, ENTRY
+from sightline.app.marks import CHECK_NAMES
 from sightline.app.planner import Planned, aid_pixels
 from sightline.app.procedure import Procedure
 from sightline.app.seen import SeenImage
@@ -112,13 +111,6 @@ def aids(planned: Planned, image: str) -> list[Shape]:
         if len(seen) > 2:
             out.append({"shape": "polygon", "points": seen.tolist(), "style": "aid", "title": "femoral head"})
     return out
-
-
-def snapped(decisions: Decisions) -> dict[str, Pixel]:
-    """Where the wire's points that lie on their curves are in the lateral image."""
-    marks = {name: decisions.mark(name) for name in (ENTRY, END)}
-    found = {name: mark.at(NAMES[1]) for name, mark in marks.items() if not mark.free}
-    return {name: at for name, at in found.items() if at is not None}
 
 
 def found(procedure: Procedure, image: str) -> list[Shape]:

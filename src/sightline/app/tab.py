@@ -2,21 +2,24 @@
 
 import asyncio
 import traceback
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 from nicegui import ui
 
 from sightline.app import shapes
-from sightline.app.decisions import Decisions, Display
+from sightline.app.decisions import Decisions, Display, Pixel
 from sightline.app.drawn import Pictures
 from sightline.app.live import fresh_s
 from sightline.app.marks import CHECK_NAMES, Asked, asked_of, names_of
 from sightline.app.planner import Planned, drawn_curves, planned
 from sightline.app.procedure import Procedure
+from sightline.app.seen import SeenImage
 from sightline.app.texts import BUG, IMAGE_LABELS, LIVE_LABELS, LIVE_UNKNOWN, STALE, STEPS, XRAY
-from sightline.app.xray import Window, XrayEvent, XrayView
+from sightline.app.xray import Display as XrayDisplay
+from sightline.app.xray import Shown, Window, XrayEvent, XrayView
 from sightline.calibration import BeadView
 from sightline.case.views import NAMES
 from sightline.errors import SightlineError
@@ -28,8 +31,33 @@ if TYPE_CHECKING:
 _STYLES = {"wire": "plan", "landmark": "landmark", "aid": "aid"}
 
 
+@dataclass(frozen=True)
+class Goal:
+    """A mark to be placed in an image: reached once it is elsewhere than `before`, None for not placed at all."""
+
+    asked: Asked
+    image: str
+    before: Pixel | None = None
+
+    def reached(self, decisions: Decisions) -> bool:
+        """True once it is placed."""
+        return decisions.mark(self.asked.name).at(self.image) != self.before
+
+
+@dataclass(frozen=True, eq=False)
+class Preview:
+    """What follows from a point on its way, as far as it is computed. `revision`: of the decisions that it left.
+    `layers`: by image, those that are drawn otherwise. `known`: the plan, once it is there."""
+
+    revision: int
+    decisions: Decisions
+    layers: Mapping[str, Mapping[str, list[shapes.Shape]]]
+    known: Planned | None = None
+
+
 class Tab:
-    """State of one page that is nobody else's: its step, what is to be placed next, what was said to its person."""
+    """State of one page that is nobody else's: its step, what its person wants to place, what was said to them. What
+    the views show follows from it and from the procedure, anew at each refresh."""
 
     def __init__(
         self, procedure: Procedure, pictures: Pictures, *, fast_robot: bool = False, live_source: str | None = None
@@ -40,17 +68,16 @@ class Tab:
         self.live: Watched | None = None  # what is shown of it
         self._live_in = NAMES[0]  # the view it is shown in
         self.step = STEPS[0]
-        self.placing: tuple[str, str] | None = None  # a mark and the image it is placed in
-        self.sequence: tuple[Asked, ...] = ()  # what is placed one after the other
+        self._wanted: tuple[Goal, ...] | None = None  # what a person chose to place; None: what the step asks for
         self.message = ""
         self.show_beads, self.show_rejected = True, False
         self.views: tuple[XrayView, XrayView]
-        self.preview: Planned | None = None  # while a point is dragged
+        self._preview: Preview | None = None  # while a point is dragged
         self._dragged: tuple[object, int] | None = None  # the last drag that is not over, and the revision it is of
         self.on_refresh: list[Callable[[], None]] = []
-        self._shown: dict[tuple[str, str], Any] = {}
-        self._undrawn: dict[str, str] = {}  # by view, why a layer of the plan is not there
-        self._waiting = self._offered = False
+        self.on_step: Callable[[str], None] = lambda step: None
+        self._drawn: dict[str, tuple[tuple[object, ...], _Layers, str]] = {}  # by image: of what, layers, why not all
+        self._waiting = False
 
     # What is shown.
 
@@ -71,56 +98,21 @@ class Tab:
     def go_to(self, step: str) -> None:
         """Another step; nothing is lost by it."""
         self.step, self.message = step, ""
-        self.show_live(None)
+        self.live = None
         self.show_beads = step in STEPS[:2]  # where bone is looked at they are in the way
-        self.placing, self._offered = None, False
+        self._wanted = None
+        self.on_step(step)
         self.refresh()
-
-    def _offer(self) -> None:
-        """Ask for the points of a step once, as soon as its images are there."""
-        check = self.step == STEPS[4] and self.procedure.views(CHECK_NAMES) is not None
-        plan = self.step == STEPS[2] and self.procedure.planned is not None
-        if (check or plan) and not self._offered:
-            self._offered = True
-            self.place_next(self._landmarks() if check else self._wire_and_landmarks(), self.images)
 
     def show_live(self, watched: "Watched | None") -> None:
         """A live image in the view it belongs to; None: the images of the plan again."""
+        self.live, ended = watched, watched is None and self.live is not None
         if watched is not None:
-            if self.live is None or self.live.number != watched.number:
-                self._draw_live(watched)
-            else:
-                self.views[NAMES.index(self._live_in)].fresh_for(fresh_s(watched))
-            self.live = watched
-            view = self.views[NAMES.index(self._live_in)]
-            view.notice(STALE.format(age=watched.age_s) if watched.stale else None)
-        elif self.live is not None:
-            self.live = None
-            self._show_planned(self._live_in)
+            if watched.view is not None:
+                self._live_in = watched.view.name
+            self._show_views()
+        elif ended:
             self.refresh()
-
-    def _draw_live(self, watched: "Watched") -> None:
-        """A new live image."""
-        before = self._live_in
-        self._live_in = before if watched.view is None else watched.view.name
-        if before != self._live_in:
-            self._show_planned(before)
-        view = self.views[NAMES.index(self._live_in)]
-        picture = self.pictures.live(watched.image)
-        view.set_label(LIVE_LABELS[self._live_in] if watched.view is not None else LIVE_UNKNOWN)
-        size = picture.width, picture.height
-        view.set_image(picture.url, *size, window=picture.window, fresh_s=fresh_s(watched))
-        view.draw("wire", [] if watched.corridor is None else shapes.band(watched.corridor))
-        for layer in ("beads", "curves", "aids"):
-            view.draw(layer, [])
-        view.set_points([])
-
-    def _show_planned(self, name: str) -> None:
-        """The plan's image again in the view that a live one was in."""
-        view = self.views[NAMES.index(name)]
-        for key in [key for key in self._shown if key[0] == name]:
-            del self._shown[key]
-        self._show(view, self.images[NAMES.index(name)])
 
     def say(self, text: str) -> None:
         """A sentence for the person; empty: nothing to say."""
@@ -138,11 +130,8 @@ class Tab:
         self.refresh()
 
     def refresh(self) -> None:
-        """Show all that is another than what is shown."""
-        self._offer()
-        for view, image in zip(self.views, self.images, strict=True):
-            if self.live is None or view.name != self._live_in:
-                self._show(view, image)
+        """Show what is so now."""
+        self._show_views()
         self._refresh_parts()
 
     def _refresh_parts(self) -> None:
@@ -152,229 +141,194 @@ class Tab:
             self.message = refused[0]
             self.later()
 
-    def _show(self, view: XrayView, image: str) -> None:
+    def _show_views(self) -> None:
+        for view, image in zip(self.views, self.images, strict=True):
+            if self.live is not None and view.name == self._live_in:
+                view.show(self._shown_live(view, self.live), fresh_s=fresh_s(self.live))
+            else:
+                view.show(self._shown(image))
+
+    def _shown_live(self, view: XrayView, watched: "Watched") -> Shown:
+        picture = self.pictures.live(watched.image)
+        turned = self.procedure.decisions.display.get(view.name, Display())
+        return Shown(
+            LIVE_LABELS[view.name] if watched.view is not None else LIVE_UNKNOWN,
+            picture,
+            XrayDisplay(turned.rotation, turned.mirrored, False, picture.window),
+            {"wire": [] if watched.corridor is None else shapes.band(watched.corridor)},
+            notice=STALE.format(age=watched.age_s) if watched.stale else None,
+        )
+
+    def _shown(self, image: str) -> Shown:
+        """What the view of an image shows."""
         procedure, seen = self.procedure, self.procedure.seen(image)
-        key = view.name
-        if self._is_new(key, "label", image):
-            view.set_label(IMAGE_LABELS[image])
-        if seen is not None and self._is_new(key, "image", (image, seen.acquired.number)):
-            picture = self.pictures.of(seen)
-            view.set_image(picture.url, picture.width, picture.height, window=picture.window)
-            self._shown.pop((key, "display"), None)  # the image comes with a window of its own
-            self._shown.pop((key, "points"), None)  # and without what was being done on the one before
-        display = procedure.decisions.display.get(image, Display())
-        if self._is_new(key, "display", (image, display)):
-            own = None if seen is None else self.pictures.of(seen).window  # also where a change of it is undone
-            window = own if display.window is None else Window(*display.window)
-            view.set_display(
-                rotation=display.rotation, mirrored=display.mirrored, inverted=display.inverted, window=window
-            )
-        if seen is not None and self._is_new(key, "beads", (seen, image)):
-            view.draw("beads", shapes.beads(seen))
-            view.draw("rejected", shapes.rejected(seen))
-        if self._is_new(key, "show beads", self.show_beads):
-            view.show_layer("beads", self.show_beads)
-        if self._is_new(key, "rejected", self.show_rejected):
-            view.show_layer("rejected", self.show_rejected)
-        self._draw_plan(view, key, image, procedure.planned)
-        doing = "" if seen is None else (seen.doing and f"{seen.doing.capitalize()} …") or (seen.refused or "")
-        notice = doing or self._undrawn.get(key, "")
-        if self._is_new(key, "notice", notice):
-            view.notice(notice or None)
-        marks = self._points(image)
-        if self._is_new(key, "points", marks):
-            view.set_points([dict(mark) for mark in marks])
-        placing = self.placing[0] if self.placing is not None and self.placing[1] == image else None
-        if self._is_new(key, "placing", placing):
-            view.place(placing)
-        # Case and image are part of it: an edit that a killed server lost belongs to no other.
-        number = 0 if seen is None else seen.acquired.number
-        revision = f"{procedure.case.number} {image} {number} {procedure.history.revision}"
-        if seen is not None and self._is_new(key, "revision", revision):
-            view.set_revision(revision)
+        if seen is None:
+            return Shown(IMAGE_LABELS[image])
+        layers, undrawn = self._layers(image, seen)
+        preview = self.preview
+        if preview is not None:
+            layers = {**layers, **preview.layers.get(image, {})}
+        hidden = {name for name, on in (("beads", self.show_beads), ("rejected", self.show_rejected)) if not on}
+        picture, display = self.pictures.of(seen), procedure.decisions.display.get(image, Display())
+        window = picture.window if display.window is None else Window(*display.window)
+        goal = self.goal
+        # Case and image are part of the revision: an edit that a killed server lost belongs to no other.
+        return Shown(
+            IMAGE_LABELS[image],
+            picture,
+            XrayDisplay(display.rotation, display.mirrored, display.inverted, window),
+            {name: drawn for name, drawn in layers.items() if name not in hidden},
+            self._points(image, procedure.decisions if preview is None else preview.decisions),
+            goal.asked.name if goal is not None and goal.image == image else None,
+            (f"{seen.doing.capitalize()} …" if seen.doing else seen.refused) or undrawn or None,
+            f"{procedure.case.number} {image} {seen.acquired.number} {procedure.history.revision}",
+        )
 
-    def _draw_plan(self, view: XrayView, key: str, image: str, known: Planned | None) -> None:
-        verifying = self.procedure.verifying
-        if not self._is_new(key, "plan", (image, known, verifying.wires.get(image), verifying.shot)):
-            return
-        layers: dict[str, Callable[[], list[shapes.Shape]]] = dict.fromkeys(("curves", "wire", "aids", "found"), list)
+    def _layers(self, image: str, seen: SeenImage) -> "tuple[_Layers, str]":
+        """What is drawn over an image by layer, and why one of them is not there. Computed once for the same plan."""
+        verifying, known = self.procedure.verifying, self.procedure.planned
+        of = (seen, known, verifying.wires.get(image), verifying.shot)
+        if image in self._drawn and self._drawn[image][0] == of:
+            return self._drawn[image][1:]
+        makers: dict[str, Callable[[], list[shapes.Shape]]] = {
+            "beads": lambda: shapes.beads(seen),
+            "rejected": lambda: shapes.rejected(seen),
+        }
         if image in CHECK_NAMES:
-            layers["found"] = lambda: shapes.found(self.procedure, image)
+            makers["found"] = lambda: shapes.found(self.procedure, image)
         elif known is not None:
-            layers["wire"] = lambda: shapes.wire(known, image)
-            layers["aids"] = lambda: shapes.aids(known, image)
-            layers["curves"] = lambda: shapes.curves(known.curves) if image == NAMES[1] else []
-        refused = [self._draw(view, layer, shapes_of) for layer, shapes_of in layers.items()]
-        self._undrawn[key] = next(filter(None, refused), "")
+            makers["curves"] = lambda: shapes.curves(known.curves) if image == NAMES[1] else []
+            makers["wire"] = lambda: shapes.wire(known, image)
+            makers["aids"] = lambda: shapes.aids(known, image)
+        layers: dict[str, list[shapes.Shape]] = {}
+        refused = [why_not(lambda name=name: layers.update({name: makers[name]()})) for name in makers]
+        self._drawn[image] = of, layers, next(filter(None, refused), "")
+        return self._drawn[image][1:]
 
-    def _draw(self, view: XrayView, layer: str, shapes_of: Callable[[], list[shapes.Shape]]) -> str:
-        """Draw a layer, or where it cannot be drawn nothing: what was there is of another plan. Why it cannot."""
-        drawn: list[shapes.Shape] = []
-        refused = why_not(lambda: drawn.extend(shapes_of()))
-        view.draw(layer, drawn)
-        return refused
-
-    def _points(self, image: str) -> tuple[tuple[tuple[str, Any], ...], ...]:
-        """What `set_points` wants, in a form that can be compared."""
-        decisions = self.procedure.decisions
+    def _points(self, image: str, decisions: Decisions) -> list[dict[str, Any]]:
+        """The points of an image, placed or not."""
         out = []
         for asked in asked_of(decisions.kind):
             check = image in CHECK_NAMES
             if (check and asked.group != "landmark") or (not check and image not in asked.images):
                 continue
             mark = decisions.mark(asked.name)
-            snapped = image == NAMES[1] and asked.group == "wire" and not mark.free
-            values = (
-                asked.name,
-                asked.label,
-                mark.at(image),
-                _STYLES[asked.group],
-                self.step in (STEPS[2], STEPS[4]),
-                snapped,
+            out.append(
+                {
+                    "id": asked.name,
+                    "label": asked.label,
+                    "uv": mark.at(image),
+                    "style": _STYLES[asked.group],
+                    "movable": self.step in (STEPS[2], STEPS[4]),
+                    "snapped": image == NAMES[1] and asked.group == "wire" and not mark.free,
+                }
             )
-            out.append(tuple(zip(("id", "label", "uv", "style", "movable", "snapped"), values, strict=True)))
-        return tuple(out)
+        return out
 
-    def _is_new(self, view: str, what: str, value: Any) -> bool:
-        if (view, what) in self._shown and self._shown[view, what] == value:
-            return False
-        self._shown[view, what] = value
-        return True
-
-    # What is placed next.
-
-    def place_next(self, sequence: tuple[Asked, ...], images: tuple[str, str] = NAMES) -> None:
-        """Ask for the first of these marks that is not placed; after it for the next."""
-        self.sequence = sequence
-        decisions, self.placing = self.procedure.decisions, None
-        # Image by image for each two: entry and end in the PA image, then both in the lateral one.
-        wire = [(a, image) for image in images for a in sequence if a.group != "landmark" and image in a.images]
-        others = [(a, image) for a in sequence if a.group == "landmark" for image in images]
-        for asked, image in (*wire, *others):
-            if decisions.mark(asked.name).at(image) is None:
-                self.placing = (asked.name, image)
-                return
-
-    def place_again(self, asked: Asked, image: str) -> None:
-        """Place one mark anew in one image."""
-        self.sequence, self.placing = (asked,), (asked.name, image)
-        self.refresh()
+    # What is placed next: it follows from the decisions, so that undo steps back in it too.
 
     @property
-    def asked(self) -> Asked | None:
+    def goal(self) -> Goal | None:
         """What is to be placed now."""
-        if self.placing is None:
-            return None
-        return next((one for one in asked_of(self.procedure.decisions.kind) if one.name == self.placing[0]), None)
+        wanted = self._asked_by_step() if self._wanted is None else self._wanted
+        return next((one for one in wanted if not one.reached(self.procedure.decisions)), None)
 
-    def _wire_and_landmarks(self) -> tuple[Asked, ...]:
-        return tuple(a for a in asked_of(self.procedure.decisions.kind) if a.group != "aid")
+    def _asked_by_step(self) -> tuple[Goal, ...]:
+        asked, procedure = asked_of(self.procedure.decisions.kind), self.procedure
+        if self.step == STEPS[4] and procedure.views(CHECK_NAMES) is not None:
+            return _goals([one for one in asked if one.group == "landmark"], CHECK_NAMES)
+        if self.step == STEPS[2] and procedure.planned is not None:
+            return _goals([one for one in asked if one.group != "aid"], NAMES)
+        return ()
 
-    def _landmarks(self) -> tuple[Asked, ...]:
-        return tuple(a for a in asked_of(self.procedure.decisions.kind) if a.group == "landmark")
+    def place(self, listed: Sequence[Asked], images: tuple[str, str] = NAMES) -> None:
+        """Ask for those of these marks that are not placed; where all are, for the first anew."""
+        goals, decisions = _goals(listed, images), self.procedure.decisions
+        if all(one.reached(decisions) for one in goals):
+            first = goals[0]
+            goals = (replace(first, before=decisions.mark(first.asked.name).at(first.image)),)
+        self._wanted = goals
+        self.refresh()
 
     # What a person does in a view.
 
     async def _heard(self, view: XrayView, event: XrayEvent) -> None:
         if event.type == "cancel":
-            self.placing = None
+            self._wanted = ()
             self.refresh()
         elif event.type == "error":
             self.say(event.message or XRAY["load_failed"])
         elif event.type in ("place", "drop", "nudge", "drag", "remove", "display"):
             image = self._shown_in(view)
             if image is None:
-                self._shown.pop((view.name, "placing"), None)  # which the view has ended
                 view.drop(event)
+                self.refresh()
             else:
-                await self._done_on(view, image, event)
+                await self._done_on(image, event)
 
-    async def _done_on(self, view: XrayView, image: str, event: XrayEvent) -> None:
-        if event.uv is not None:
-            await self._moved(view, image, event)
-        elif event.type == "remove" and event.id is not None:
-            await self.act(lambda: self.procedure.edit(self._without(event.id or "", image)))
+    async def _done_on(self, image: str, event: XrayEvent) -> None:
+        if event.id is not None and event.uv is not None:
+            await self._moved(image, event.type, event.id, event.uv)
+        elif event.id is not None:
+            without = self.procedure.decisions.mark(event.id).placed(image, None)
+            await self.act(lambda: self.procedure.edit(self.procedure.decisions.with_mark(event.id or "", without)))
         elif event.display is not None:
             shown = event.display
-            window = (shown.window.centre, shown.window.width)
-            display = Display(shown.rotation, shown.mirrored, shown.inverted, window)
-            self._shown[view.name, "display"] = (image, display)
+            display = Display(shown.rotation, shown.mirrored, shown.inverted, (shown.window.centre, shown.window.width))
             await self.act(lambda: self.procedure.show(image, display))
 
     def _shown_in(self, view: XrayView) -> str | None:
         """Name of the image that a view shows; None of a live one, and of one in whose place another is by now."""
         image = self.images[self.views.index(view)]
-        seen, live = self.procedure.seen(image), self.live is not None and view.name == self._live_in
-        if live or seen is None or self._shown.get((view.name, "image")) != (image, seen.acquired.number):
-            return None
-        return image
+        seen, shown = self.procedure.seen(image), view.shown.picture
+        return None if seen is None or shown is None or shown.url != self.pictures.of(seen).url else image
 
-    def _without(self, name: str, image: str):
-        decisions = self.procedure.decisions
-        return decisions.with_mark(name, decisions.mark(name).placed(image, None))
+    async def _moved(self, image: str, how: str, name: str, uv: Pixel) -> None:
+        if how == "drag":
+            await self._follow(name, image, uv)
+            return
+        self._preview = self._dragged = None
+        await self.act(lambda: self.procedure.edit(self.procedure.moved(name, image, uv, anew=how == "place")))
 
-    async def _moved(self, view: XrayView, image: str, event: XrayEvent) -> None:
-        assert event.id is not None and event.uv is not None and event.seq is not None  # noqa: S101 - checked by the view
-        name, uv = event.id, event.uv
-        try:
-            if event.type == "drag":
-                await self._follow(name, image, uv)
-            else:
-                self.preview = self._dragged = None
-                self.procedure.edit(self.procedure.moved(name, image, uv, anew=event.type == "place"))
-                self.message = ""
-                if event.type == "place" and self.placing is not None:
-                    self.place_next(self.sequence, self.images)
-                self._forget_plan()
-                self.refresh()
-        except SightlineError as error:
-            if event.type != "drag":
-                self._back(view, str(error))
-        except Exception as error:
-            traceback.print_exc()
-            self._back(view, BUG.format(kind=type(error).__name__))
-        finally:
-            view.acknowledge(event.seq)
-
-    def _back(self, view: XrayView, why: str) -> None:
-        """The point goes back to where it was, and the person is told why."""
-        self._forget_plan()
-        for what in ("points", "placing"):  # the view has ended both
-            self._shown.pop((view.name, what), None)
-        self.say(why)
-
-    async def _follow(self, name: str, image: str, uv: tuple[float, float]) -> None:
+    async def _follow(self, name: str, image: str, uv: Pixel) -> None:
         """Curves, wire and figures follow a point that is being dragged: the curves first, they guide the hand."""
         procedure = self.procedure
         pair, drag = procedure.views(), (object(), procedure.history.revision)
         if pair is None:
             return
         self._dragged = drag
-        decisions, curves = await asyncio.to_thread(_moved_curves, procedure, pair, name, image, uv)
-        if not self._goes_on(drag):
-            return
-        lateral = self.views[self.images.index(NAMES[1])] if NAMES[1] in self.images else None
-        if lateral is not None:
-            others = {n: at for n, at in shapes.snapped(decisions).items() if (n, NAMES[1]) != (name, image)}
-            lateral.follow({"curves": shapes.curves(curves)}, others)
-        known, drawn = await asyncio.to_thread(_planned_shapes, decisions, pair, self.images, name)
-        if not self._goes_on(drag):
-            self._forget_plan()
-            self.later()
-            return
-        self.preview = known
-        for view, layers in zip(self.views, drawn, strict=True):
-            view.follow(layers, {})
-        self._forget_plan()
-        self._refresh_parts()
+        try:
+            decisions, curves = await asyncio.to_thread(_moved_curves, procedure, pair, name, image, uv)
+            if not self._goes_on(drag):
+                return
+            before, drawn = self.preview, {NAMES[1]: {"curves": shapes.curves(curves)}}
+            if before is not None:  # the wire waits for its plan
+                drawn = {of: {**before.layers.get(of, {}), **drawn.get(of, {})} for of in NAMES}
+            self._preview = Preview(drag[1], decisions, drawn, None if before is None else before.known)
+            self._show_views()
+            known, layers = await asyncio.to_thread(_planned_layers, decisions, pair, name)
+            if not self._goes_on(drag):
+                return
+            layers[NAMES[1]]["curves"] = drawn[NAMES[1]]["curves"]
+            self._preview = Preview(drag[1], decisions, layers, known)
+        except SightlineError:  # told where it is dropped; nothing follows from here
+            if not self._goes_on(drag):
+                return
+            self._preview = None
+        except Exception as error:
+            traceback.print_exc()
+            self._preview, self.message = None, BUG.format(kind=type(error).__name__)
+        self.refresh()
 
-    def _goes_on(self, drag: tuple[object, int] | None) -> bool:
+    def _goes_on(self, drag: tuple[object, int]) -> bool:
         """False once the point was dropped or dragged on, or anything was decided meanwhile, undone again or not."""
-        return drag is not None and drag is self._dragged and drag[1] == self.procedure.history.revision
+        return drag is self._dragged and drag[1] == self.procedure.history.revision
 
-    def _forget_plan(self) -> None:
-        for view in self.views:
-            self._shown.pop((view.name, "plan"), None)
+    @property
+    def preview(self) -> Preview | None:
+        """What follows from the point that is being dragged; None of a drag that is over."""
+        one = self._preview
+        return one if one is not None and one.revision == self.procedure.history.revision else None
 
     # How anything a person asks for is done.
 
@@ -403,29 +357,36 @@ class Tab:
     @property
     def known(self) -> Planned | None:
         """The plan that figures are shown of: of the point being dragged, or as it is."""
-        return self.preview if self.preview is not None and self._goes_on(self._dragged) else self.procedure.planned
+        preview = self.preview
+        return self.procedure.planned if preview is None or preview.known is None else preview.known
 
 
 _Pair = tuple[BeadView, BeadView]
+_Layers = dict[str, list[shapes.Shape]]
+
+
+def _goals(listed: Iterable[Asked], images: tuple[str, str]) -> tuple[Goal, ...]:
+    """Wire and aids image by image, entry and end in the PA image, then both in the lateral one; landmarks one by one
+    in both."""
+    listed = tuple(listed)
+    wire = [Goal(a, image) for image in images for a in listed if a.group != "landmark" and image in a.images]
+    return (*wire, *(Goal(a, image) for a in listed if a.group == "landmark" for image in images))
 
 
 def _moved_curves(
-    procedure: Procedure, pair: _Pair, name: str, image: str, uv: tuple[float, float]
+    procedure: Procedure, pair: _Pair, name: str, image: str, uv: Pixel
 ) -> tuple[Decisions, dict[str, MatchingCurve]]:
     """What moving a mark would come to, and the curves then; runs beside the page."""
     decisions = procedure.moved(name, image, uv)
     return decisions, drawn_curves(decisions, pair)[0]
 
 
-def _planned_shapes(
-    decisions: Decisions, pair: _Pair, images: tuple[str, str], moved: str
-) -> tuple[Planned, list[dict[str, list[shapes.Shape]]]]:
-    """All that follows from decisions, its figures too, and what is drawn otherwise in each view; runs beside the
-    page."""
+def _planned_layers(decisions: Decisions, pair: _Pair, moved: str) -> tuple[Planned, dict[str, _Layers]]:
+    """All that follows from decisions, its figures too, and by image what is drawn otherwise; runs beside the page."""
     known = planned(decisions, pair)
-    layers = [{"wire": shapes.wire(known, image)} for image in images]
+    layers = {image: {"wire": shapes.wire(known, image)} for image in NAMES}
     if moved in names_of(decisions.kind, "aid"):
-        for image, drawn in zip(images, layers, strict=True):
+        for image, drawn in layers.items():
             drawn["aids"] = shapes.aids(known, image)
     with suppress(SightlineError):  # whoever shows them says why they are not there
         _ = known.figures

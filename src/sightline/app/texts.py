@@ -30,6 +30,7 @@ XRAY = {
     "load_failed": "The image could not be loaded: reload the page.",
     "readout": "column {u}, row {v}: {value}",
     "outside": "–",
+    "off_field": "X-rays do not reach this place: click inside the field.",
 }
 ORIENTATION = {
     "right": "Right hip: +Y of the frame points to the feet.",

@@ -3,6 +3,9 @@
 // One canvas on the page, since each of them costs the browser a millisecond in every frame; the image without marks is
 // kept on another. Each is drawn in an animation frame, and only when something on it changed.
 // Coordinates out and in are image pixels (see xray_display.js); what the person does goes out through `emit`.
+//
+// `word` is the server's newest message: all that the view shows. What the person does is drawn over it at once, and
+// given up when the server acknowledges it: from then on the word holds, whatever was done.
 
 import { COLOURS } from "colours";
 import { Chrome } from "./xray_chrome.js";
@@ -42,8 +45,9 @@ export class XrayCore {
       points: new Map(),
       layers: new Map(),
     };
-    this.initial = { window: this.state.window, inverted: false }; // as the last setImage wanted it: what a reset gives
-    this.arriving = this.initial; // how the image that is on its way will be shown
+    this.word = { version: 0, picture: null, display: null, points: [], placing: null };
+    this.undone = { points: new Map(), placing: null, display: null }; // numbers of what is not acknowledged
+    this.place = document.createComment("enlarged"); // stands where the view belongs
     this.chrome = new Chrome(root, label, texts, this.#actions());
     this.stage = this.chrome.stage;
     this.contexts = {
@@ -59,7 +63,7 @@ export class XrayCore {
     this.lastFrame = 0;
     this.request = null;
     this.loading = null;
-    this.url = null; // of the image that was asked for last; its pixels may be on their way
+    this.asked = null; // the picture that was asked for last; its pixels may be on their way
     this.freshUntil = Infinity; // of the image on the screen: when it is no longer what is now, by performance.now()
     this.coming = null; // {url, freshUntil} of an image that is not on the screen yet
     this.aging = null;
@@ -76,6 +80,7 @@ export class XrayCore {
   }
 
   destroy() {
+    if (this.state.maximised) this.root.remove();
     this.observer.disconnect();
     window.removeEventListener("resize", this.resized);
     this.gestures.destroy();
@@ -87,96 +92,112 @@ export class XrayCore {
 
   // ---------------------------------------------------------------------------------------------- what the server says
 
-  // Raw little-endian uint16, `width * height` of them, from `url`; the newest call wins.
-  async setImage({ url, width, height, window: shown, inverted, freshMs }) {
+  // Show exactly this; false where a newer message is known.
+  show({ freshMs, ...word }) {
+    if (word.version <= this.word.version) return false;
+    this.word = word;
+    this.chrome.setLabel(word.label);
+    this.chrome.showLine(this.chrome.notice, word.notice);
+    this.#showPicture(word.picture, freshMs);
+    this.#showLayers(word.layers);
+    this.#showDisplay();
+    this.#mergePoints();
+    this.#showPlacing();
+    return true;
+  }
+
+  // What was done under this number is answered: the word holds.
+  acknowledge(seq) {
+    const { undone } = this;
+    for (const [id, number] of [...undone.points]) if (number === seq) undone.points.delete(id);
+    if (undone.placing === seq) undone.placing = null;
+    if (undone.display === seq) undone.display = null;
+    this.moves.acknowledge(seq);
+    this.release();
+    this.#showPlacing();
+  }
+
+  // What was done and not acknowledged is not done.
+  giveUp() {
+    this.undone = { points: new Map(), placing: null, display: null };
+    this.release();
+    this.#showPlacing();
+  }
+
+  // Raw little-endian uint16, `width * height` of them, from `url`; the newest picture wins.
+  async #showPicture(picture, freshMs) {
+    const url = picture && picture.url;
+    this.setFresh(url, freshMs);
+    if (JSON.stringify(picture) === JSON.stringify(this.asked)) return;
     if (this.loading) this.loading.abort();
     if (url !== this.url) this.#letGo();
-    this.url = url;
-    this.setFresh(url, freshMs);
+    this.asked = picture;
+    this.loading = null;
+    if (picture === null) return this.#takeImage(null);
     const loading = (this.loading = new AbortController());
-    this.initial = { window: { ...shown }, inverted: Boolean(inverted) };
-    this.arriving = { ...this.initial }; // a setDisplay that overtakes the pixels changes it
     try {
-      const pixels = await fetchPixels(url, width, height, loading.signal);
-      this.#takeImage({ url, width, height, pixels });
+      const pixels = await fetchPixels(url, picture.width, picture.height, loading.signal);
+      if (this.loading === loading) this.loading = null;
+      this.#takeImage({ ...picture, pixels });
     } catch (error) {
       if (loading.signal.aborted) return;
-      this.state.image = null; // an old image under a new plan would look right and be wrong
+      if (this.loading === loading) this.loading = null;
+      this.#takeImage(null); // an old image under a new plan would look right and be wrong
       this.chrome.showLine(this.chrome.fault, this.texts.load_failed);
       this.#report(String(error.message || error));
-      this.invalidate("image", "overlay", "readout");
     }
-    if (this.loading === loading) this.loading = null;
   }
 
-  // `shapes` replace the layer; layers are drawn in the order in which they were first named.
-  setLayer(name, shapes) {
-    const faults = shapes.map(shapeFault).filter(Boolean);
-    if (faults.length) this.#report(`layer ${name}: ${faults[0]}`);
-    const layer = this.state.layers.get(name) || { on: true };
-    layer.shapes = shapes.filter((shape) => !shapeFault(shape));
-    this.state.layers.set(name, layer);
+  // By name, drawn in this order.
+  #showLayers(layers) {
+    this.state.layers.clear();
+    for (const [name, shapes] of Object.entries(layers)) {
+      const faults = shapes.map(shapeFault).filter(Boolean);
+      if (faults.length) this.#report(`layer ${name}: ${faults[0]}`);
+      this.state.layers.set(name, { shapes: faults.length ? shapes.filter((shape) => !shapeFault(shape)) : shapes });
+    }
     this.invalidate("overlay");
   }
 
-  showLayer(name, on) {
-    const layer = this.state.layers.get(name) || { shapes: [] };
-    layer.on = on;
-    this.state.layers.set(name, layer);
-    this.invalidate("overlay");
-  }
-
-  setPoints(points) {
+  // The points of the word; one in the person's hand, or moved and not acknowledged, stays where they have it.
+  #mergePoints() {
     const before = this.state.points;
-    this.state.points = new Map(points.map((point) => [point.id, this.#point(point, before.get(point.id))]));
+    this.state.points = new Map(this.word.points.map((point) => [point.id, this.#point(point, before.get(point.id))]));
     for (const id of before.keys()) if (!this.state.points.has(id)) this.#dropPoint(id);
     this.#showPoints();
     this.invalidate("overlay");
   }
 
-  // The server's word on a point; not on one in the person's hand, nor where a newer move waits to be sent.
-  movePoint(id, uv) {
-    const point = this.state.points.get(id);
-    if (!point || this.#held(id)) return;
-    point.uv = uv;
-    this.#showPoints();
-    this.invalidate("overlay");
-  }
-
-  // The next click places the point `id`; null: none.
-  place(id) {
+  // The next click places this point; null: none.
+  #showPlacing() {
+    const id = this.undone.placing === null ? this.word.placing : null;
+    if (id === this.state.placing) return;
     this.state.placing = id;
     if (id === null) this.lens = null;
-    const name = id === null ? "" : this.#nameOf(id);
-    this.chrome.showLine(this.chrome.hint, id === null ? "" : this.texts.placing.replace("{name}", name));
+    this.chrome.showLine(this.chrome.hint, id === null ? "" : this.texts.placing.replace("{name}", this.#nameOf(id)));
     this.gestures.showCursor();
     this.invalidate("overlay");
   }
 
-  // Only what is given changes.
-  setDisplay({ rotation, mirrored, inverted, window: shown }) {
-    this.display.orient(rotation ?? this.display.rotation, mirrored ?? this.display.mirrored);
-    const { window: was, inverted: negative } = this.loading ? this.arriving : this.state;
-    this.arriving = { window: shown ?? was, inverted: inverted ?? negative };
-    if (!this.loading) {
-      this.setWindow(this.arriving.window);
-      this.#setInverted(this.arriving.inverted);
+  // How the image is drawn; grey levels wait for the pixels that they are of.
+  #showDisplay() {
+    const { display } = this.word;
+    if (display === null || this.undone.display !== null || this.gestures.changesWindow) return;
+    const { rotation, mirrored, inverted, window: shown } = display;
+    if (rotation !== this.display.rotation || mirrored !== this.display.mirrored) {
+      this.display.orient(rotation, mirrored);
+      this.#turned();
     }
-    this.#turned();
-  }
-
-  acknowledge(seq) {
-    this.moves.acknowledge(seq);
-  }
-
-  setNotice(text) {
-    this.chrome.showLine(this.chrome.notice, text);
+    if (this.loading) return;
+    const [held, now] = [heldWindow(shown), this.state.window];
+    if (held.centre !== now.centre || held.width !== now.width) this.setWindow(held);
+    if (inverted !== this.state.inverted) this.#setInverted(inverted);
   }
 
   // The image at `url` is what is now for so many ms, unless this is said again; null: it does not grow old.
   setFresh(url, ms) {
     const freshUntil = ms === null ? Infinity : performance.now() + ms;
-    const shown = this.state.image !== null && this.state.image.url === url;
+    const shown = this.shownUrl === url;
     this.coming = shown ? null : { url, freshUntil };
     this.freshUntil = shown ? freshUntil : Math.min(this.freshUntil, freshUntil); // on the screen is an older one
     this.#age();
@@ -211,7 +232,8 @@ export class XrayCore {
   displayChanged() {
     const { rotation, mirrored } = this.display;
     const { inverted, window: shown } = this.state;
-    this.emit({ type: "display", image: this.shownUrl, rotation, mirrored, inverted, window: { ...shown } });
+    const seq = (this.undone.display = this.moves.number());
+    this.emit({ type: "display", image: this.shownUrl, seq, rotation, mirrored, inverted, window: { ...shown } });
   }
 
   select(id) {
@@ -223,12 +245,18 @@ export class XrayCore {
 
   // Draws the point at once; `type` says to the server what the person did: place, drag, drop or nudge.
   move(type, id, uv) {
-    if (!this.#onItsImage) return;
+    if (!this.#onItsImage) return this.release();
     const point = this.state.points.get(id);
     point.uv = this.display.clamp(uv);
-    this.moves.push(type, id, point.uv, this.shownUrl);
+    this.undone.points.set(id, this.moves.push(type, id, point.uv, this.shownUrl));
     if (type !== "drag") this.#settled(point);
     this.invalidate("overlay");
+  }
+
+  // Nothing is in the hand any more, and nothing of it is told to the server.
+  release() {
+    this.#showDisplay();
+    this.#mergePoints();
   }
 
   remove(id) {
@@ -240,6 +268,11 @@ export class XrayCore {
     return this.state.image && this.state.image.url;
   }
 
+  // Of the one that was asked for last.
+  get url() {
+    return this.asked && this.asked.url;
+  }
+
   // No point is placed or moved over another image than the one that the server last said it is on.
   get #onItsImage() {
     return this.state.image !== null && this.shownUrl === this.url;
@@ -248,24 +281,29 @@ export class XrayCore {
   // The click that was waited for.
   placeAt(uv) {
     const id = this.state.placing;
-    if (id === null || !this.#onItsImage || !this.display.contains(uv)) return;
-    if (!this.state.points.has(id)) this.state.points.set(id, this.#point({ id, label: id, style: "landmark" }));
-    this.place(null);
+    if (id === null || !this.#onItsImage) return;
+    if (!this.display.contains(uv)) {
+      this.chrome.showLine(this.chrome.lost, this.texts.off_field);
+      return;
+    }
     this.move("place", id, uv);
+    this.undone.placing = this.undone.points.get(id);
+    this.#showPlacing();
     this.select(id);
   }
 
   cancelPlacing() {
     const id = this.state.placing;
-    this.place(null);
-    this.emit({ type: "cancel", id });
+    const seq = (this.undone.placing = this.moves.number());
+    this.#showPlacing();
+    this.emit({ type: "cancel", id, seq });
   }
 
   // An edit that was made before the connection broke; false where its point is gone.
   resend({ type, id, uv }) {
     if (!this.state.points.has(id)) return false;
     this.state.points.get(id).uv = uv;
-    this.moves.push(type, id, uv, this.url);
+    this.undone.points.set(id, this.moves.push(type, id, uv, this.url));
     this.#showPoints();
     this.invalidate("overlay");
     return true;
@@ -435,7 +473,7 @@ export class XrayCore {
   }
 
   #shownShapes() {
-    return [...this.state.layers.values()].filter((layer) => layer.on).flatMap((layer) => layer.shapes);
+    return [...this.state.layers.values()].flatMap((layer) => layer.shapes);
   }
 
   // ------------------------------------------------------------------------------------------------------------ inside
@@ -452,7 +490,17 @@ export class XrayCore {
     };
   }
 
+  // Over the whole page: within its own box it would lie under what comes after that.
   maximise(on) {
+    if (on === this.state.maximised) return;
+    const focused = document.activeElement;
+    if (on) {
+      this.root.replaceWith(this.place);
+      document.body.append(this.root);
+    } else {
+      this.place.replaceWith(this.root);
+    }
+    if (this.root.contains(focused)) focused.focus({ preventScroll: true }); // an element that is moved loses it
     this.state.maximised = on;
     this.root.classList.toggle("xray-maximised", on);
     this.chrome.relabel("maximise", on ? "restore" : "maximise");
@@ -478,8 +526,8 @@ export class XrayCore {
   #reset() {
     this.display.orient(0, false);
     this.display.fit();
-    this.setWindow(this.initial.window);
-    this.#setInverted(this.initial.inverted);
+    if (this.asked) this.setWindow(this.asked.window);
+    this.#setInverted(false);
   }
 
   #setInverted(on) {
@@ -494,18 +542,20 @@ export class XrayCore {
     this.gestures.showCursor();
   }
 
+  // Null: there is none.
   #takeImage(image) {
     this.state.image = image;
-    if (this.coming && this.coming.url === image.url) {
-      this.freshUntil = this.coming.freshUntil;
-      this.coming = null;
-      this.#age();
+    if (image !== null) {
+      if (this.coming && this.coming.url === image.url) {
+        this.freshUntil = this.coming.freshUntil;
+        this.coming = null;
+        this.#age();
+      }
+      this.display.setImage(image);
+      this.#showDisplay();
+      this.chrome.showLine(this.chrome.fault, "");
     }
-    this.display.setImage(image.width, image.height);
-    this.setWindow(this.arriving.window);
-    this.#setInverted(this.arriving.inverted);
-    this.chrome.showLine(this.chrome.fault, "");
-    this.movedView();
+    this.invalidate("table", "image", "overlay", "readout");
   }
 
   // What belongs to the plan hides as soon as the image is no longer what is now.
@@ -524,6 +574,7 @@ export class XrayCore {
   // Another image: what the person was doing on the one before ends, and is not carried over.
   #letGo() {
     const [held, waiting] = [this.gestures.leaveImage(), this.moves.abandon()];
+    this.undone = { points: new Map(), placing: null, display: null };
     if (held !== null || waiting !== null) this.sayLost(held ?? waiting);
   }
 
@@ -547,11 +598,12 @@ export class XrayCore {
   }
 
   #held(id) {
-    return this.state.dragging === id || this.moves.hasNewer(id);
+    return this.state.dragging === id || this.undone.points.has(id);
   }
 
   #dropPoint(id) {
     this.moves.forget(id);
+    this.undone.points.delete(id);
     if (this.state.dragging === id) this.gestures.letGo();
     if (this.state.selected === id) this.state.selected = null;
   }
@@ -635,6 +687,7 @@ export class XrayCore {
     this.density = [wide / Math.max(clientWidth, 1), high / Math.max(clientHeight, 1)];
     this.unit = parseFloat(getComputedStyle(this.root).fontSize) / 15; // marks grow with the text, and it with the screen
     this.display.setView(clientWidth, clientHeight);
+    this.gestures.viewChanged();
     this.movedView();
   }
 }

@@ -20,7 +20,7 @@ const SHEET = `
   background: var(--stage); color: var(--text);
   font: 400 clamp(15px, 11px + 0.32vw, 24px)/1.35 system-ui, "Segoe UI", Roboto, "DejaVu Sans", sans-serif;
   border: 1px solid var(--line); border-radius: 0.5em; user-select: none; -webkit-user-select: none; }
-.xray.xray-maximised { position: fixed; inset: 0; z-index: 2500; border-radius: 0; height: auto; width: auto; }
+.xray.xray-maximised { position: fixed; inset: var(--xray-top, 0) 0 0 0; z-index: 2500; border-radius: 0; height: auto; width: auto; }
 .xray-stage { position: absolute; inset: 0; touch-action: none; outline: none; cursor: default; }
 .xray-stage canvas { position: absolute; inset: 0; width: 100%; height: 100%; }
 .xray-stage[data-cursor=grab] { cursor: grab; } .xray-stage[data-cursor=pan] { cursor: grabbing; }

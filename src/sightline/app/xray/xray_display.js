@@ -12,6 +12,7 @@ export class Display {
   constructor() {
     this.width = 1; // of the image, pixels
     this.height = 1;
+    this.field = [];
     this.viewWidth = 1; // of the view, CSS pixels
     this.viewHeight = 1;
     this.rotation = 0;
@@ -46,7 +47,9 @@ export class Display {
     return [(d * dx - c * dy) / determinant, (a * dy - b * dx) / determinant];
   }
 
-  setImage(width, height) {
+  // `field`: corners of the convex part that X-rays reach, clockwise as the image is stored; null: all of it.
+  setImage({ width, height, field }) {
+    this.field = field || [[-0.5, -0.5], [width - 0.5, -0.5], [width - 0.5, height - 0.5], [-0.5, height - 0.5]];
     const same = width === this.width && height === this.height;
     this.width = width;
     this.height = height;
@@ -110,11 +113,33 @@ export class Display {
     this.orient((360 - this.rotation) % 360, !this.mirrored);
   }
 
-  clamp([u, v]) {
-    return [Math.min(Math.max(u, -0.5), this.width - 0.5), Math.min(Math.max(v, -0.5), this.height - 0.5)];
+  // The place itself, or the nearest in the field.
+  clamp(uv) {
+    if (this.contains(uv)) return uv;
+    let best = uv;
+    let least = Infinity;
+    this.field.forEach(([u, v], index) => {
+      const [du, dv] = this.#side(index);
+      const along = ((uv[0] - u) * du + (uv[1] - v) * dv) / (du * du + dv * dv);
+      const share = Math.min(Math.max(along, 0), 1);
+      const at = [u + share * du, v + share * dv];
+      const away = Math.hypot(at[0] - uv[0], at[1] - uv[1]);
+      if (away < least) [best, least] = [at, away];
+    });
+    return best;
   }
 
-  contains([u, v]) {
-    return u >= -0.5 && v >= -0.5 && u <= this.width - 0.5 && v <= this.height - 0.5;
+  // Whether X-rays reach the place.
+  contains(uv) {
+    return this.field.every(([u, v], index) => {
+      const [du, dv] = this.#side(index);
+      return du * (uv[1] - v) - dv * (uv[0] - u) >= 0;
+    });
+  }
+
+  #side(index) {
+    const [u, v] = this.field[index];
+    const [nextU, nextV] = this.field[(index + 1) % this.field.length];
+    return [nextU - u, nextV - v];
   }
 }

@@ -14,6 +14,9 @@ const STEP = 1; // image pixels an arrow key moves a point
 const FINE_STEP = 0.1; // with shift
 const ARROWS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };
 
+const OVER_THE_PAGE = "[role=dialog], [role=listbox], [role=menu]"; // what is open takes the Escape key itself
+const gestures = new Set(); // of all views of the page
+
 export class Gestures {
   constructor(core) {
     this.core = core;
@@ -34,6 +37,7 @@ export class Gestures {
     listen(this.stage, "contextmenu", (event) => event.preventDefault());
     listen(this.stage, "keydown", (event) => this.#key(event));
     listen(window, "keydown", (event) => this.#escape(event));
+    gestures.add(this);
     // Anywhere on the page, and before whatever it is meant for.
     for (const deed of ["pointerdown", "keydown", "click"]) {
       listen(window, deed, (event) => this.#somethingElse(event), { capture: true });
@@ -41,7 +45,24 @@ export class Gestures {
   }
 
   destroy() {
+    gestures.delete(this);
     this.end.abort();
+  }
+
+  // The window is in the hand.
+  get changesWindow() {
+    return this.now !== null && this.now.kind === "window";
+  }
+
+  // The view has another size or another place: what is in the hand goes on from where it is.
+  viewChanged() {
+    if (!this.now || !this.box) return;
+    const { left, top } = this.box;
+    this.box = this.stage.getBoundingClientRect();
+    const moved = ([x, y]) => [x + left - this.box.left, y + top - this.box.top];
+    for (const [id, at] of this.pointers) this.pointers.set(id, moved(at));
+    for (const what of ["from", "last", "middle"]) if (this.now[what]) this.now[what] = moved(this.now[what]);
+    if (this.now.kind === "drag") this.#grip(this.now, this.core.state.points.get(this.now.id).uv);
   }
 
   // The point in hand is gone.
@@ -161,8 +182,12 @@ export class Gestures {
   #startFrom(gesture, at) {
     gesture.last = at;
     if (gesture.kind !== "drag") return;
-    const [x, y] = this.core.display.toView(gesture.start);
-    gesture.grip = [x - at[0], y - at[1]];
+    this.#grip(gesture, gesture.start);
+  }
+
+  #grip(gesture, uv) {
+    const [x, y] = this.core.display.toView(uv);
+    gesture.grip = [x - gesture.last[0], y - gesture.last[1]];
   }
 
   #held(at) {
@@ -214,6 +239,7 @@ export class Gestures {
   #drop(type, { id }) {
     this.core.state.dragging = null;
     if (type) this.core.move(type, id, this.core.state.points.get(id).uv);
+    else this.core.release();
     this.core.invalidate("overlay");
   }
 
@@ -222,6 +248,7 @@ export class Gestures {
     if (this.now && this.now.kind === "drag" && this.now.pointer === event.pointerId) this.#takeBack();
     this.now = null;
     this.core.lens = null;
+    this.core.release();
     this.#draw(null);
   }
 
@@ -308,19 +335,34 @@ export class Gestures {
     this.core.moves.flush();
   }
 
-  // From anywhere on the page: the button that began the placing may still have the focus.
+  // From anywhere on the page: the button that began the placing may still have the focus. One key does one thing, in
+  // whichever view there is something to end: what is in the hand first.
   #escape(event) {
-    if (event.key !== "Escape") return;
-    const { core } = this;
-    if (this.now && this.now.kind === "drag") {
-      this.#takeBack();
-      this.#draw(core.pointer);
-    } else if (core.state.placing !== null) {
-      this.now = null;
-      core.cancelPlacing();
-    } else if (core.state.maximised) {
-      core.maximise(false);
-    }
+    if (event.key !== "Escape" || event.defaultPrevented) return;
+    if ([...document.querySelectorAll(OVER_THE_PAGE)].some((element) => element.checkVisibility())) return;
+    const ends = (what) => [...gestures].some((each) => each[what]());
+    if (ends("endDrag") || ends("endPlacing") || ends("endEnlarged")) event.preventDefault();
+  }
+
+  // True where there was something to end.
+  endDrag() {
+    if (!this.now || this.now.kind !== "drag") return false;
+    this.#takeBack();
+    this.#draw(this.core.pointer);
+    return true;
+  }
+
+  endPlacing() {
+    if (this.core.state.placing === null) return false;
+    this.now = null;
+    this.core.cancelPlacing();
+    return true;
+  }
+
+  endEnlarged() {
+    const { maximised } = this.core.state;
+    this.core.maximise(false);
+    return maximised;
   }
 }
 

@@ -19,24 +19,25 @@ export class Moves {
     this.timer = null;
   }
 
-  // `image`: the address of the one that it was made on; the server takes no move for another.
+  // A number that the server has not seen.
+  number() {
+    return ++this.seq;
+  }
+
+  // `image`: the address of the one that it was made on; the server takes no move for another. The move's number.
   push(type, id, uv, image) {
-    const move = { type, id, uv: [...uv], image, seq: ++this.seq };
+    const move = { type, id, uv: [...uv], image, seq: this.number() };
     this.waiting.delete(id); // the newest goes to the end of the line
     this.waiting.set(id, move);
     if (EDITS.has(type)) this.#hold(move);
     if (ONCE.has(type)) this.#send(move);
     else this.#next();
+    return move.seq;
   }
 
   // The person is about to do something else, which must not come before what they did already.
   flush() {
     for (const move of this.waiting.values()) if (EDITS.has(move.type)) this.#send(move);
-  }
-
-  // Whether a newer move of the point waits to be sent: an answer that comes now is older than that.
-  hasNewer(id) {
-    return this.waiting.has(id);
   }
 
   acknowledge(seq) {

@@ -34,52 +34,21 @@ export default {
     this.core.destroy();
   },
   methods: {
-    setLabel(label) {
-      this.core.chrome.setLabel(label);
-    },
-    setImage(image) {
-      if (image.url !== this.core.url && this.revision !== null) this.revision = ""; // until the server says which
-      this.core.setImage(image);
-    },
-    setLayer(name, shapes) {
-      this.core.setLayer(name, shapes);
-    },
-    showLayer(name, on) {
-      this.core.showLayer(name, on);
-    },
-    setPoints(points) {
-      this.core.setPoints(points);
-    },
-    movePoint(id, uv) {
-      this.core.movePoint(id, uv);
-    },
-    follow(layers, points) {
-      for (const [name, shapes] of Object.entries(layers)) this.core.setLayer(name, shapes);
-      for (const [id, uv] of Object.entries(points)) this.core.movePoint(id, uv);
-    },
-    place(id) {
-      this.core.place(id);
-    },
-    setDisplay(display) {
-      this.core.setDisplay(display);
+    // The first message after the page was built settles what a lost connection left behind.
+    show(message) {
+      const first = !this.revision;
+      if (!this.core.show(message)) return;
+      this.revision = message.revision;
+      if (first && this.revision) this.settle();
     },
     acknowledge(seq) {
       this.core.acknowledge(seq);
-    },
-    setNotice(text) {
-      this.core.setNotice(text);
     },
     setFresh(url, ms) {
       this.core.setFresh(url, ms);
     },
     sayLost(id) {
       this.core.sayLost(id);
-    },
-    // The first number after the page was built settles what a lost connection left behind.
-    setRevision(revision) {
-      const first = this.revision === null;
-      this.revision = revision;
-      if (first) this.settle();
     },
     stashName() {
       return `sightline-xray-${this.name}`;
@@ -94,7 +63,9 @@ export default {
       if (stash === null) return;
       this.keep(null);
       const { move, revision } = JSON.parse(stash);
-      if (!revision || revision !== this.revision || !this.core.resend(move)) this.core.sayLost(move.id);
+      if (revision && revision === this.revision && this.core.resend(move)) return;
+      this.core.giveUp();
+      this.core.sayLost(move.id);
     },
   },
 };
