@@ -4,7 +4,7 @@ VENV   := .venv
 BIN    := $(VENV)/bin
 READY  := $(VENV)/.ready
 
-.PHONY: demo test slow bench lint lock wheel clean
+.PHONY: demo test slow bench campaign mutants busy lint lock wheel clean
 .DEFAULT_GOAL := demo
 
 $(READY): requirements.lock pyproject.toml
@@ -29,6 +29,17 @@ slow: $(READY)  ## what is too slow for `make test`
 
 bench: $(READY)  ## the figures of docs/benchmarks.md, each beside its peer
 	$(BIN)/python -m benchmarks
+
+TRIES ?= 200
+campaign: $(READY)  ## inputs spoilt by seeds: refused, NO-GO, right, wrong, crash; TRIES=10000 takes hours
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m campaigns --tries $(TRIES)
+
+CHANGES ?= 300
+mutants: $(READY)  ## one-token changes of the source, and whether a test notices: hours
+	$(BIN)/python -m campaigns.mutants --changes $(CHANGES)
+
+busy: $(READY)  ## the tests, again and again, while all cores are busy: hours
+	$(BIN)/python -m campaigns.busy
 
 lint: $(READY)
 	$(BIN)/ruff check .

@@ -15,7 +15,7 @@ from campaigns.campaign import called
 from sightline.errors import UnusableInputError
 from sightline.studies.run import Run
 
-NAMES = ("points", "images", "files", "kills", "disks", "robots", "pages")
+NAMES = ("points", "images", "files", "robots")
 TRIES = 200  # of each campaign: minutes on two cores
 
 
