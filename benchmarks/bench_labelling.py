@@ -12,10 +12,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from benchmarks.rows import Row
-from benchmarks.scenes_labelling import Scene, draw_scene
+from benchmarks.scenes_labelling import Scene, clean_views, draw_scene
 from sightline.detection import Observations, label
 from sightline.errors import LabellingRefusedError
 from sightline.frame import Frame
+from sightline.twin.presets import PRESETS
 
 SCENES = 10_000
 BLOCK = 250
@@ -71,6 +72,31 @@ def outcomes(count: int) -> list[Outcome]:
         return [one for block in pool.imap(_block, range(0, count, BLOCK)) for one in block]
 
 
+def _refused_clean(chain: str, cropped: bool, count: int) -> tuple[int, int]:
+    """Of `count` views that the twin's image chain shows clean: refused or labelled wrongly, and labelled rightly."""
+    frame, wrong, right, seed = Frame.load("gamma"), 0, 0, 0
+    while wrong + right < count:
+        for scene in clean_views(np.random.default_rng([9, seed]), frame, chain, cropped=cropped):
+            if scene.solvable:
+                try:
+                    good = _judged(label(scene.detections, frame), scene)[:2] == (0, 0)
+                except LabellingRefusedError:
+                    good = False
+                wrong, right = wrong + (not good), right + good
+        seed += 1
+    return wrong, right
+
+
+def _clean_rows(count: int) -> list[Row]:
+    rows = []
+    for chain in PRESETS:
+        for cropped in (False, True):
+            wrong, right = _refused_clean(chain, cropped, count)
+            name = f"{chain}{', cropped' if cropped else ''}: refused or wrong, of {wrong + right}"
+            rows.append(Row("labelling, clean views of the twin", name, str(wrong), "0", met=wrong == 0))
+    return rows
+
+
 def run(quick: bool = False) -> list[Row]:
     """The figures of the issue's labelling line."""
     every = outcomes(SCENES // 10 if quick else SCENES)
@@ -97,6 +123,7 @@ def run(quick: bool = False) -> list[Row]:
         Row(group, "views or mirror images misread", str(misread), "0", met=misread == 0),
         Row(group, "beads seen that were labelled, where labelled", f"{share:.1%}"),
         Row(group, "median processor time of one image", f"{warm_ms:.1f} ms"),
+        *_clean_rows(50 if quick else 500),
     ]
 
 

@@ -10,6 +10,8 @@ import numpy as np
 
 from sightline.detection import Detections
 from sightline.frame import Frame, FrameView
+from sightline.twin import bead_images, draw_setup
+from sightline.twin.carm import shadow_radius_px
 
 SOURCE_HIP_MM = 620.0  # physics.md, C-arm and image chain [ours]
 SOURCE_DETECTOR_MM = 1000.0  # [src ARCADIS manual]
@@ -242,8 +244,6 @@ def draw_scene(
     shown = uv + noise_px * rng.standard_normal(uv.shape)
     seen = _merged([fiducials[i].id for i in kept], shown[kept], radii[kept], rng)
     single = {next(iter(ids)) for ids in seen.truth if len(ids) == 1}
-    plates = (frame.view(name).xrii, frame.view(name).source)
-    left = [np.array([f.xyz_mm for f in p.fiducials if f.datum and f.id in single]).reshape(-1, 3) for p in plates]
     shapes = ["ball"] * (len(seen.uv) + false)
     for k, ids in enumerate(seen.truth):
         shapes[k] = "washer" if any(frame.view(name).by_id[i].shape == "washer" for i in ids) else "ball"
@@ -259,5 +259,55 @@ def draw_scene(
         contrast=np.full(count, -0.5),
         image_shape=(camera.side_px, camera.side_px),
     )
-    solvable = all(_spread_mm(p) > 5.0 for p in left)
-    return Scene(detections, tuple(seen.truth[i] for i in order), name, camera.mirrored, solvable)
+    truth = tuple(seen.truth[i] for i in order)
+    return Scene(detections, truth, name, camera.mirrored, _solvable(frame.view(name), single))
+
+
+def _solvable(view: FrameView, single: set[str]) -> bool:
+    """Whether the fiducials that are seen by themselves hold three datum markers of each plate, not on one line."""
+    left = [[f.xyz_mm for f in plate.fiducials if f.datum and f.id in single] for plate in (view.xrii, view.source)]
+    return all(_spread_mm(np.array(p).reshape(-1, 3)) > 5.0 for p in left)
+
+
+CLEAN_NOISE_PX, CLEAN_RADIUS_NOISE = 0.06, 0.01  # of `detect` at medium dose, as above [twin]
+CROPS = (0.6, 1.0)  # share of each side that a crop leaves, uniform [ours]
+
+
+def clean_views(rng: np.random.Generator, frame: Frame, chain: str, *, cropped: bool = False) -> list[Scene]:
+    """Both views of a set-up of the twin's image chain: every bead that the field shows whole, nothing else.
+
+    `cropped`: to a rectangle anywhere in the image, beads at its border left out.
+    """
+    setup = draw_setup(rng, frame, chain=chain)
+    out = []
+    for name, truth in setup.views.items():
+        ids, uv = bead_images(setup, name, rng, sd_px=CLEAN_NOISE_PX)
+        by_id = setup.true_frame.view(name).by_id
+        beads = [by_id[one] for one in ids]
+        half = np.array([bead.diameter_mm / 2 for bead in beads])
+        radius = shadow_radius_px(truth, np.array([bead.xyz_mm for bead in beads]), half)
+        size = np.array(truth.chain.shape[::-1])
+        left_top = np.zeros(2, int)
+        if cropped:
+            whole, size = size, np.rint(size * rng.uniform(*CROPS, 2)).astype(int)
+            left_top = rng.integers(0, whole - size + 1)
+        uv = uv - left_top
+        kept = np.flatnonzero(((uv > radius[:, None]) & (uv < size - 1 - radius[:, None])).all(axis=1))
+        single = {ids[k] for k in kept}
+        out.append(
+            Scene(
+                detections=Detections(
+                    uv_px=uv[kept],
+                    radius_px=radius[kept] * (1 + CLEAN_RADIUS_NOISE * _normal(rng, kept)),
+                    covariance_px2=np.tile(CLEAN_NOISE_PX**2 * np.eye(2), (len(kept), 1, 1)),
+                    kind=tuple(beads[k].shape for k in kept),
+                    contrast=np.full(len(kept), -0.5),
+                    image_shape=(int(size[1]), int(size[0])),
+                ),
+                truth=tuple(frozenset({ids[k]}) for k in kept),
+                view=name,
+                mirrored=False,
+                solvable=_solvable(frame.view(name), single),
+            )
+        )
+    return out

@@ -5,7 +5,7 @@ from itertools import permutations
 
 import numpy as np
 import pytest
-from benchmarks.scenes_labelling import Hiding, Scene, draw_scene
+from benchmarks.scenes_labelling import Hiding, Scene, clean_views, draw_scene
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -13,6 +13,7 @@ from sightline.detection import Detections, Observations, label
 from sightline.errors import FrameError, LabellingRefusedError, ObservationsError
 from sightline.frame import Fiducial, Frame, FrameView, Plate
 from sightline.frame.builtin import BUILTIN
+from sightline.twin.presets import PRESETS
 
 GAMMA = Frame.load("gamma")
 ALL_SEEN = Hiding(most=0.15)
@@ -105,6 +106,32 @@ def test_a_hundred_scenes_are_right_or_refused() -> None:
     assert solvable > 70
     # 98 % of 10,000 scenes (benchmarks/bench_labelling.py), less two standard deviations of the share of 80.
     assert solved >= 0.95 * solvable
+
+
+def labelled_clean_views(chain: str, count: int, cropped: bool) -> int:
+    """How many of the first `count` set-ups' views can be labelled; all of these are."""
+    able = [
+        one
+        for seed in range(count)
+        for one in clean_views(np.random.default_rng([9, seed]), GAMMA, chain, cropped=cropped)
+        if one.solvable
+    ]
+    for one in able:
+        assert_right(label(one.detections, GAMMA), one)
+    return len(able)
+
+
+@pytest.mark.parametrize("cropped", [False, True])
+@pytest.mark.parametrize("chain", PRESETS)
+def test_clean_views_of_every_image_chain_are_labelled(chain: str, cropped: bool) -> None:
+    assert labelled_clean_views(chain, 10, cropped) > 2  # a 17 cm field shows few datum markers
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("cropped", [False, True])
+@pytest.mark.parametrize("chain", PRESETS)
+def test_five_hundred_clean_views_of_every_image_chain_are_labelled(chain: str, cropped: bool) -> None:
+    assert labelled_clean_views(chain, 250, cropped) > 60
 
 
 @settings(max_examples=20, deadline=None, derandomize=True)

@@ -7,7 +7,7 @@ import numpy as np
 
 from sightline.detection import columns, refine, window
 from sightline.detection.detector import fine_reasons, fit_of
-from sightline.detection.labelling.growth import features
+from sightline.detection.labelling.growth import Field, features
 from sightline.detection.labelling.joint import CENTRE_PX, REMAINDER_LENGTH, REMAINDER_SD
 from sightline.detection.labelling.patterns import Pattern, median, patterns
 from sightline.detection.labelling.seeds import best_similarity
@@ -109,7 +109,8 @@ def _on_plate(pattern: Pattern, beads: Detections, row: np.ndarray) -> tuple[np.
     seen = np.flatnonzero(row >= 0)
     uv, covariance = beads.uv_px[row[seen]], beads.covariance_px2[row[seen]]
     similarity = best_similarity(pattern.xy_mm[seen], uv)
-    middle, half = (np.array(beads.image_shape[::-1]) - 1) / 2, max(beads.image_shape) / 2
+    field = Field.of(beads.uv_px)
+    middle, half = field.centre_px, field.radius_px
     laid, measured = (similarity.to_image(pattern.xy_mm) - middle) / half, (uv - middle) / half
     phi = features(laid)[0]
     gap2 = ((laid[:, None] - laid[seen]) ** 2).sum(axis=2)

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 from numba import njit
 
@@ -10,8 +11,8 @@ from sightline.detection.labelling.seeds import Seed, Similarity
 from sightline.detection.results import Detections
 
 DEGREE = 5
-# What a map adds to a similarity, per degree, as a share of half the image: position, tilt and scale, perspective of
-# a 20° tilt, 9 % pincushion with a 4° S, and what both leave at higher degrees (physics.md, Distortion) [ours].
+# What a map adds to a similarity, per degree, as a share of the field's radius: position, tilt and scale, perspective
+# of a 20° tilt, 9 % pincushion with a 4° S, and what both leave at higher degrees (physics.md, Distortion) [ours].
 PRIOR = np.array([0.3, 0.15, 0.06, 0.10, 0.03, 0.03])
 REMAINDER = 0.003  # smooth rest beyond degree 5, same share: 0.3 mm of 107 (physics.md: 0.11-0.13 mm rms) [ours]
 GATE = 3.5  # standard deviations [ours]
@@ -152,7 +153,7 @@ def _level(ratio, log_half, place_of):
 
 @njit(cache=True, error_model="numpy")
 def _grow(w, log_r, noise, target, log_half, pitch, seed, usable):  # noqa: PLR0917 - a kernel
-    """The rounds of `grow`, in units of half the image. `seed` (N,): the place of each detection, or -1."""
+    """The rounds of `grow`, in units of the field's radius. `seed` (N,): the place of each detection, or -1."""
     phi = features(w)
     upper, beta = np.empty((phi.shape[2], phi.shape[2])), np.empty((phi.shape[2], 2))
     at, ratio, reach = w.copy(), log_r.copy(), np.empty(len(w))
@@ -190,19 +191,32 @@ def _grow(w, log_r, noise, target, log_half, pitch, seed, usable):  # noqa: PLR0
 
 
 @dataclass(frozen=True, eq=False)
+class Field:
+    """The circle in which an image's beads lie: what the distortion is a function of, however the image is cropped."""
+
+    centre_px: np.ndarray
+    radius_px: float
+
+    @staticmethod
+    def of(uv_px: np.ndarray) -> "Field":
+        """The smallest circle about detections (N, 2)."""
+        (u, v), radius = cv2.minEnclosingCircle(uv_px.astype(np.float32))
+        return Field(np.array([u, v]), radius)
+
+
+@dataclass(frozen=True, eq=False)
 class Sheet:
-    """Image coordinates laid out on a plate by a similarity: w = mm / `unit_mm` from the image's centre."""
+    """Image coordinates laid out on a plate by a similarity: w = mm / `unit_mm` from the field's centre."""
 
     similarity: Similarity
     centre_mm: np.ndarray
     unit_mm: float
 
     @staticmethod
-    def of(similarity: Similarity, image_shape: tuple[int, int]) -> "Sheet":
-        """The unit is half the longer side of the image."""
-        height, width = image_shape
-        centre = similarity.to_plate(np.array([[(width - 1) / 2, (height - 1) / 2]]))[0]
-        return Sheet(similarity, centre, max(height, width) / 2 / similarity.scale)
+    def of(similarity: Similarity, field: "Field") -> "Sheet":
+        """The unit is the field's radius."""
+        centre = similarity.to_plate(field.centre_px[None])[0]
+        return Sheet(similarity, centre, field.radius_px / similarity.scale)
 
     def w(self, uv_px: np.ndarray) -> np.ndarray:
         """(N, 2), within about ±1."""
@@ -239,7 +253,7 @@ class Grown:
 def grow(seed: Seed, detections: Detections, usable: np.ndarray) -> Grown:
     """The beads of the seed's plate, as far as one smooth map reaches them."""
     pattern = seed.pattern
-    sheet = Sheet.of(seed.similarity, detections.image_shape)
+    sheet = Sheet.of(seed.similarity, Field.of(detections.uv_px))
     place_of = np.full(len(detections), -1)
     place_of[seed.rows] = seed.places
     place_of, all_of, at, log_ratio, level = _grow(

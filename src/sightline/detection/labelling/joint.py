@@ -11,7 +11,7 @@ from sightline.detection.labelling.patterns import Pattern
 from sightline.detection.results import Detections
 from sightline.geometry.lines import meeting_point
 
-# What is left beyond degree 5, as shares of half the image: 0.11-0.13 mm rms and 30-60 mm of 107 (physics.md).
+# What is left beyond degree 5, as shares of the field's radius: 0.11-0.13 mm rms and 30-60 mm of 107 (physics.md).
 REMAINDER_SD, REMAINDER_LENGTH = 0.0013, 0.4
 LEAST_BEYOND = 0.1  # of the distance between the plates: nearer to them no shadows are cast [ours]
 # What a centre may be off besides its stated noise: uneven background, overlap [ours]. In 78 rendered images the noise
