@@ -193,3 +193,14 @@ def test_observations_of_something_else_are_refused() -> None:
     )
     with pytest.raises(ObservationsError, match="fewer than 8 beads of the source plate"):
         look_again(one, beads, half, GAMMA)
+
+
+def test_the_second_look_depends_on_its_arguments_alone() -> None:
+    """Washers at the middles of some balls: those do not count, whether `detect` saw this image before or not."""
+    one, other = (image(seen(44), np.random.default_rng(44)) for _ in range(2))
+    beads = detect(one)
+    told = label(beads, GAMMA)
+    washers = replace(beads, kind=tuple("washer" if k % 3 else "ball" for k in range(len(beads))))
+    here, there, balls = (look_again(i, b, told, GAMMA) for i, b in ((one, washers), (other, washers), (one, beads)))
+    assert (here.ids, here.uv_px.tobytes()) == (there.ids, there.uv_px.tobytes())
+    assert (here.ids, here.uv_px.tobytes()) != (balls.ids, balls.uv_px.tobytes())

@@ -1,5 +1,6 @@
 """A second look: once beads are told apart, the frame says where the others must be; they are fitted there."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import cv2
@@ -59,13 +60,24 @@ def look_again(image: Radiograph, beads: Detections, observations: Observations,
     anew, both at once, or left out. What was fitted stands last. Washers are not looked for.
     Raises ObservationsError where `observations` are not those that `label` made of `beads`.
     """
+    return look_again_with(lambda: fit_of(image, beads), image, beads, observations, frame)
+
+
+def look_again_with(
+    fit_of_image: Callable[[], refine.Fit],
+    image: Radiograph,
+    beads: Detections,
+    observations: Observations,
+    frame: Frame,
+) -> Observations:
+    """`look_again` with the image's own fit, which is asked for only where there is something to look at."""
     plates = [pattern for pattern in patterns(frame) if pattern.view == observations.view]
     row_of = _rows_of(observations, beads)
     expected = _expected(plates, beads, row_of)
     which = _to_look_at(image, plates, expected)
     if len(which) == 0:
         return observations
-    fit = _fitted(image, _start(beads, expected, which), which)
+    fit = _fitted(fit_of_image(), image, _start(beads, expected, which), which)
     clear = _clear(fit, expected, which)
     ids = [name for pattern in plates for name in pattern.ids]
     looked_at, good = {ids[i] for i in which}, fit[clear]
@@ -167,9 +179,8 @@ def _start(beads: Detections, expected: _Expected, which: np.ndarray) -> np.ndar
     )
 
 
-def _fitted(image: Radiograph, rows: np.ndarray, which: np.ndarray) -> np.ndarray:
+def _fitted(fit: refine.Fit, image: Radiograph, rows: np.ndarray, which: np.ndarray) -> np.ndarray:
     """The rows `which` fitted to what metal and overlapping shadows leave of them; TOO_FEW_PIXELS if that is little."""
-    fit = fit_of(image)
     usable, enough = without_overlaps(image, fit, rows, which)
     out = rows[which]
     out[:, columns.STATUS] = columns.TOO_FEW_PIXELS

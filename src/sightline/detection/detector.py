@@ -1,7 +1,5 @@
 """Automatic detection: candidates, fits, and the reasons for which a candidate is no bead."""
 
-from weakref import WeakKeyDictionary
-
 import cv2
 import numpy as np
 
@@ -38,8 +36,6 @@ _FIT_REASONS = {
     columns.SINGULAR: "no disc at this place: the fit found none",
 }
 
-_fits: WeakKeyDictionary[Radiograph, refine.Fit] = WeakKeyDictionary()  # of images in memory, for a second look
-
 
 def detect(image: Radiograph) -> Detections:
     """Beads (dark balls and washers, bright holes; radius 2-25 px) of one image, with their covariances.
@@ -53,7 +49,6 @@ def detect(image: Radiograph) -> Detections:
     rejected = _rejected(rows[~spots.round], np.full(len(rows), _NOT_ROUND))
     usable = without_middles(mask, spots.uv_px[spots.washer], spots.radius_px[spots.washer])
     fit = refine.Fit(logs, usable, noise)
-    _fits[image] = fit
     beads, unfit = _fitted(rows[spots.round], fit)
     rejected += unfit
     reason = _odd_ones(beads)
@@ -69,17 +64,11 @@ def detect(image: Radiograph) -> Detections:
     return _detections(beads, mask & ~usable, image, rejected)
 
 
-def fit_of(image: Radiograph) -> refine.Fit:
-    """The fit with which `detect` measured the beads of an image. Raises DetectionRefusedError."""
-    if image not in _fits:
-        mask, logs, noise = _looked_at(image)
-        _fits[image] = refine.Fit(logs, mask, noise)
-    return _fits[image]
-
-
-def keep_fit(image: Radiograph, fit: refine.Fit) -> None:
-    """What `fit_of` shall give for an image whose beads were measured without `detect`."""
-    _fits[image] = fit
+def fit_of(image: Radiograph, beads: Detections) -> refine.Fit:
+    """The fit to measure more beads of an image with. Raises DetectionRefusedError."""
+    mask, logs, noise = _looked_at(image)
+    washer = np.array([kind == "washer" for kind in beads.kind], dtype=bool)
+    return refine.Fit(logs, without_middles(mask, beads.uv_px[washer], beads.radius_px[washer]), noise)
 
 
 def _looked_at(image: Radiograph) -> tuple[np.ndarray, np.ndarray, NoiseModel]:

@@ -9,8 +9,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sightline.detection import columns, refine
-from sightline.detection.again import look_again, without_overlaps
-from sightline.detection.detector import fine_reasons, fit_of, keep_fit, without_middles
+from sightline.detection.again import look_again_with, without_overlaps
+from sightline.detection.detector import fine_reasons, fit_of, without_middles
 from sightline.detection.log_image import field_inset, log_image, logs_of
 from sightline.detection.noise import estimate_noise
 from sightline.detection.results import Detections, Observations
@@ -66,6 +66,13 @@ class Track:
 
         Raises DetectionRefusedError.
         """
+        return Track._begun(fit_of(image, beads), image, beads, observations, frame)
+
+    @staticmethod
+    def _begun(
+        fit: refine.Fit, image: Radiograph, beads: Detections, observations: Observations, frame: Frame
+    ) -> "Track":
+        """`begin` with the image's own fit."""
         row_of = {place: row for row, place in enumerate(map(tuple, beads.uv_px.tolist()))}
         row = np.array([row_of.get(tuple(uv), -1) for uv in observations.uv_px.tolist()], dtype=int)
         radius, contrast = _sizes(beads, observations, row, frame)
@@ -79,7 +86,7 @@ class Track:
         kind = np.array(beads.kind, dtype=object)
         washer = np.concatenate([(row >= 0) & (kind[row] == "washer"), kind[other] == "washer"])
         mask, crowded = field_inset(image), row < 0
-        fit = fit_of(image).within(without_middles(mask, rows[washer, :2], rows[washer, columns.RADIUS]))
+        fit = fit.within(without_middles(mask, rows[washer, :2], rows[washer, columns.RADIUS]))
         free, free_for = without_overlaps(image, fit, rows, np.flatnonzero(crowded))
         return Track(
             frame=frame,
@@ -119,14 +126,13 @@ class Track:
         if noise is None:
             raise TrackLost("no part of the image is left to measure its noise in")
         fit = refine.Fit(logs, self._usable(mask), noise)
-        keep_fit(image, fit)
         track = self._fitted(image, fit)
         beads, alone = track._alone(image)
         try:
-            observations = look_again(image, beads, alone, self.frame)
+            observations = look_again_with(lambda: fit, image, beads, alone, self.frame)
         except ObservationsError as refused:
             raise TrackLost(str(refused)) from None
-        anew = Track.begin(image, beads, observations, self.frame)
+        anew = Track._begun(fit, image, beads, observations, self.frame)
         steps = dict(zip(track.ids, track.step_px, strict=False))
         none = np.zeros(2)
         step = np.array([steps.get(name, none) for name in anew.ids] + [none] * (len(anew.rows) - len(anew.ids)))
