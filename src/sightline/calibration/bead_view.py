@@ -1,9 +1,11 @@
 """A view calibrated from its beads, whatever the method."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 
+from sightline.calibration.checks import handedness_check
 from sightline.calibration.hull import Hull
 from sightline.calibration.posterior import Posterior
 from sightline.calibration.residuals import Residuals
@@ -18,6 +20,8 @@ class BeadView:
     """A `CalibratedView`: `plane_map` takes pixels to the reference plane `plane`.
 
     `residuals`: of every bead given; `hull`: of the beads used, in the image; `frame_key`: `Frame.fingerprint`.
+    `mirrored`: the image shows the frame file's beads as their mirror image; `mirrored_display`: what a person said of
+    the display, None where nobody was asked.
     """
 
     name: str
@@ -26,13 +30,20 @@ class BeadView:
     plane_map: PlaneMap
     focal_point_mm: np.ndarray
     residuals: Residuals
+    mirrored: bool
     hull: Hull
     checks: tuple[Check, ...]
     frame_key: str
     posterior: Posterior
+    mirrored_display: bool | None = None
 
     def __post_init__(self) -> None:
         self.focal_point_mm.flags.writeable = False
+
+    def said_to_be(self, mirrored_display: bool) -> Self:
+        """The view, once a person saw whether the display is mirrored, with a check of it."""
+        check = handedness_check(self.mirrored, mirrored_display)
+        return replace(self, mirrored_display=mirrored_display, checks=(*self.checks, check))
 
     def project(self, xyz_mm: np.ndarray) -> np.ndarray:
         """Points (N, 3) CFCS to pixels (N, 2). Raises OutsideRegionError."""
@@ -68,4 +79,5 @@ class BeadView:
             frame_factor=errors.frame_factor,
             frame_key=self.frame_key,
             inside_hull=self.hull.contains(uv),
+            upright=self.mirrored == bool(self.mirrored_display),
         )

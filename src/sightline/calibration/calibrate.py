@@ -13,7 +13,7 @@ from sightline.calibration.hull import Hull
 from sightline.calibration.joint import FEWEST_BEADS, JointFit, fit_jointly
 from sightline.calibration.localized import LocalizedMap
 from sightline.calibration.outliers import fit_robustly
-from sightline.calibration.polynomial import PolynomialMap
+from sightline.calibration.polynomial import Affine, PolynomialMap
 from sightline.checks import Check
 from sightline.detection.results import Observations
 from sightline.errors import UnusableInputError
@@ -31,12 +31,14 @@ def calibrate(
     *,
     degree: int = 3,
     plate: PlateName = "xrii",
+    mirrored_display: bool | None = None,
 ) -> BeadView:
     """The view that the beads of one image determine.
 
     `view`: must be that of the observations, where given. `degree` (1 to 7) of "polynomial"; `plate`: which plate the
     lines of "localized" and "polynomial" go through (the paper's PA/X and PA/S). Beads that contradict the others are
-    left out and named.
+    left out and named. `mirrored_display`: whether the display mirrors the image, by what a person sees of writing in
+    it; None where nobody looked. Beads that contradict it mean that the frame file is the mirror image of the frame.
     Raises ObservationsError, FrameError, UnusableInputError, CalibrationRefusedError.
     """
     refuse_unknown_method(method)
@@ -44,10 +46,12 @@ def calibrate(
         raise UnusableInputError(f"there is no plate {plate!r}; choose 'xrii' or 'source'")
     beads = match(observations, frame, view)
     if method == "smooth":
-        return smooth_view(beads)
-    if method == "localized":
-        return _classical(beads, method, LocalizedMap.fit, plate)
-    return _classical(beads, method, lambda uv, xy: PolynomialMap.fit(uv, xy, degree), plate)
+        fitted = smooth_view(beads)
+    elif method == "localized":
+        fitted = _classical(beads, method, LocalizedMap.fit, plate)
+    else:
+        fitted = _classical(beads, method, lambda uv, xy: PolynomialMap.fit(uv, xy, degree), plate)
+    return fitted if mirrored_display is None else fitted.said_to_be(mirrored_display)
 
 
 def smooth_view(beads: Beads, fit_to: Callable[[Beads], JointFit] = fit_jointly) -> BeadView:
@@ -60,6 +64,7 @@ def smooth_view(beads: Beads, fit_to: Callable[[Beads], JointFit] = fit_jointly)
         plane_map=fit.map,
         focal_point_mm=fit.pencil.focal_point_mm,
         residuals=residuals,
+        mirrored=_mirrored(beads, fit.pencil.focal_point_mm),
         hull=Hull.of(fit.beads.uv_px),
         checks=tuple(view_checks(beads, residuals) + noise_checks(fit)),
         frame_key=beads.frame.fingerprint,
@@ -83,11 +88,19 @@ def _classical(beads: Beads, method: Method, fitter: Fitter, plate: PlateName) -
         plane_map=fit.plate.map,
         focal_point_mm=fit.focal_point_mm,
         residuals=residuals,
+        mirrored=_mirrored(beads, fit.focal_point_mm),
         hull=fit.plate.hull,
         checks=tuple(view_checks(beads, residuals) + _approximate(fit.plate.misfit_mm2, joint, noise_px)),
         frame_key=beads.frame.fingerprint,
         posterior=fit,
     )
+
+
+def _mirrored(beads: Beads, focal_point_mm: np.ndarray) -> bool:
+    """Does the image show the frame as its mirror image? Right-handed are u, v and the beam (docs/conventions.md)."""
+    plane, mine = beads.plane, beads.on_xrii
+    to_plane, _ = Affine.fit(beads.uv_px[mine], plane.to_plane(beads.xyz_mm[mine]))
+    return bool(np.linalg.det(to_plane.matrix) * plane.height_mm(focal_point_mm) > 0)
 
 
 def _approximate(misfit_mm2: float, joint: JointFit | None, noise_px: float | None) -> list[Check]:

@@ -58,6 +58,19 @@ def noise_checks(fit: JointFit) -> list[Check]:
     return [Check("chi-square", figure <= limit, figure, limit, "", sentence)]
 
 
+def handedness_check(mirrored: bool, display: bool) -> Check:
+    """Whether the beads and a person agree that the image is mirrored."""
+    words = {True: "a mirror image", False: "not mirrored"}
+    sentence = f"The display is {words[display]} as was said, and by the frame file's beads it is {words[mirrored]}"
+    sentence += (
+        "."
+        if mirrored == display
+        else ": the frame file describes the mirror image of the frame. Correct its axes to a right-handed system, and "
+        "run 'sightline frame check --before' with the file before it."
+    )
+    return Check("frame handedness", mirrored == display, None, None, "", sentence)
+
+
 def _count(count: int) -> Check:
     sentence = f"{count} beads are used; {GOOD_COUNT} are needed for a residual to tell anything, 60 or more are good."
     return Check("bead count", count >= GOOD_COUNT, float(count), float(GOOD_COUNT), "beads", sentence)

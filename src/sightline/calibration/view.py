@@ -48,7 +48,8 @@ class LinesOfSight:
     frame (`Frame.error_factor`), so covariance["frame"] = frame_factor @ frame_factor.T, and the shared error of two
     views a and b of the frame is a.frame_factor @ b.frame_factor.T. `frame_key`: `Frame.fingerprint`, None for a view
     that knows no frame; views with different keys are not combined.
-    `inside_hull` (N,) bool: within the hull of the beads.
+    `inside_hull` (N,) bool: within the hull of the beads. `upright`: whether the image shows the frame file's beads as
+    the X-ray source sees them, or as a display does that a person said is mirrored; None without a frame.
     """
 
     view: str
@@ -60,6 +61,7 @@ class LinesOfSight:
     frame_factor: np.ndarray | None
     frame_key: str | None
     inside_hull: np.ndarray
+    upright: bool | None = None
 
     @property
     def points_mm(self) -> np.ndarray:

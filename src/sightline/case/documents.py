@@ -20,7 +20,7 @@ def view_document(image: CalibratedImage) -> dict[str, Any]:
         "view": view.name,
         "source": seen.source,
         "method": view.method,
-        "mirrored": seen.observations.mirrored,
+        "mirrored": view.mirrored,
         "coordinates": "CFCS",
         "focal_point_mm": view.focal_point_mm.tolist(),
         "residual_rms_mm": float(np.sqrt(np.mean(left.residual_mm[left.used] ** 2))),

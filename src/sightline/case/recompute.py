@@ -80,7 +80,9 @@ class Recomputed:
         def make() -> CalibratedImage:
             seen = self.seen(self._under(entry))
             method = entry.settings["method"]
-            return CalibratedImage(seen, calibrate(seen.observations, self._frame(entry), method=method))
+            display = entry.settings.get("mirrored_display")
+            view = calibrate(seen.observations, self._frame(entry), method=method, mirrored_display=display)
+            return CalibratedImage(seen, view)
 
         return self._once(entry, make)
 

@@ -109,7 +109,7 @@ def _notes(report: "Report") -> Iterable[str]:
             "mrad). Measure your frame: the bounds are only as true as these."
         )
     for image in report.images:
-        if image.seen.observations.mirrored:
+        if image.view.mirrored:
             yield f"The {spoken(image.name)} image is a mirror image of the frame; it was used as it is."
 
 

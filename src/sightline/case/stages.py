@@ -1,6 +1,6 @@
 """The stages of a procedure as entries of a case, each resting on those before: what `recompute` can do again."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +14,7 @@ from sightline.errors import CaseError
 from sightline.frame import Frame
 from sightline.frame.builtin import BUILTIN
 from sightline.frame.files import frame_to_json
+from sightline.frame.handed import refuse_mirror_image
 from sightline.imaging import Radiograph, read_image
 from sightline.planning import Plan
 from sightline.planning.check_result import CheckShot
@@ -47,11 +48,22 @@ def record_detected(case: Case, acquired: Entry, beads: Detections, *, by: Actor
 
 
 def keep_frame(case: Case, frame: Frame) -> str:
-    """How entries name a frame: a built-in one by its name, another by the original that holds it."""
+    """How entries name a frame: a built-in one by its name, another by the original that holds it.
+
+    Raises FrameError for the mirror image of a frame of the same name and serial that the case has.
+    """
     text = frame_to_json(frame)
     if frame.name in BUILTIN and frame_to_json(Frame.load(frame.name)) == text:
         return frame.name
+    refuse_mirror_image(frame, _frames_before(case))
     return case.keep(text, ".json")
+
+
+def _frames_before(case: Case) -> Iterator[Frame]:
+    """The frames that entries of a case name, those of files."""
+    changed = (str(e.content["to"]) for e in case.entries(Kind.CHANGED) if e.content["what"] == "frame")
+    named = {*changed, *(str(e.settings["frame"]) for e in case.entries(Kind.LABELLED))}
+    yield from (frame_of(case, name) for name in sorted(named - BUILTIN.keys()))
 
 
 def frame_of(case: Case, name: str) -> Frame:
@@ -81,6 +93,8 @@ def record_labelled(
 def record_calibrated(case: Case, labelled: Entry, image: CalibratedImage, *, by: Actor) -> Entry:
     """A view, calibrated from the observations of `labelled` by `calibrate` with its defaults."""
     settings = {"frame": labelled.settings["frame"], "method": image.view.method}
+    if image.view.mirrored_display is not None:
+        settings["mirrored_display"] = image.view.mirrored_display
     return case.record(
         Kind.CALIBRATED, contents.calibrated(image), by=by, rests_on=[labelled.number], settings=settings
     )

@@ -1,6 +1,6 @@
 """From two files to two calibrated views: images as a C-arm writes them, or observations in CSV."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -103,7 +103,21 @@ def see_pair(pa: Path, lateral: Path, frame: Frame) -> tuple[Seen, Seen]:
     )
 
 
-def calibrate_pair(pair: Sequence[Seen], frame: Frame, method: Method) -> tuple[CalibratedImage, CalibratedImage]:
-    """Both views calibrated, each from its own beads."""
-    first, second = (CalibratedImage(s, calibrate(s.observations, frame, method=method)) for s in pair)
+def calibrate_pair(
+    pair: Sequence[Seen], frame: Frame, method: Method, mirrored: Collection[str] = ()
+) -> tuple[CalibratedImage, CalibratedImage]:
+    """Both views calibrated, each from its own beads.
+
+    `mirrored`: the views whose display a person saw to be mirrored. Raises UnusableInputError, and what calibrating
+    raises.
+    """
+    if unknown := sorted(set(mirrored) - set(NAMES)):
+        raise UnusableInputError(f"there is no view {unknown[0]!r} whose display is mirrored; name pa or lateral")
+    first, second = (
+        CalibratedImage(
+            s,
+            calibrate(s.observations, frame, method=method, mirrored_display=s.observations.view in mirrored or None),
+        )
+        for s in pair
+    )
     return first, second

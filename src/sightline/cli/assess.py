@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from sightline.cli.output import Json, Output, Quiet
-from sightline.cli.plan import MethodName
+from sightline.cli.plan import MethodName, Mirrored
 
 if TYPE_CHECKING:
     from sightline.case.views import CalibratedImage
@@ -29,6 +29,7 @@ def assess(
     frame: Annotated[str, typer.Option(help="A frame file, or gamma, biplane, stereo.")] = "gamma",
     method: Annotated[MethodName, typer.Option(help="localized is the paper's.")] = "smooth",
     pick_sd: Annotated[float, typer.Option(help="Standard deviation of pixels given in the table, px.")] = 0.5,
+    mirrored: Mirrored = None,
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:
@@ -44,11 +45,15 @@ def assess(
         with output.step("finding and telling apart the beads"):
             seen = see_pair(pa, lateral, known_frame)
         with output.step(f"calibrating both views ({method})"):
-            images = calibrate_pair(seen, known_frame, method)
+            images = calibrate_pair(seen, known_frame, method, mirrored or ())
         uv_px, covariance_px2 = _pixels(points, images, pick_sd)
         result = compare([image.view for image in images], points, uv_px, covariance_px2)
         _show(output, result)
-        checks = [check for image in images for check in image.view.checks] + list(result.checks)
+        checks = (
+            [check for image in images for check in image.view.checks]
+            + list(result.checks)
+            + list(result.points.frame_checks())
+        )
         output.result({**result.document(), "views": [view_document(image) for image in images]}, checks)
 
 

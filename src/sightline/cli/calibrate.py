@@ -41,6 +41,12 @@ def calibrate(
     method: Annotated[str, typer.Option(help="smooth, localized (the paper's) or polynomial.")] = "smooth",
     datum: Datums = None,
     frame_index: FrameIndex = None,
+    mirrored: Annotated[
+        bool | None,
+        typer.Option(
+            help="Whether you saw the display to be mirrored (writing in it reads backwards).", show_default=False
+        ),
+    ] = None,
     csv: Annotated[Path | None, typer.Option(help="Write the beads that were told apart as CSV.")] = None,
     json: Json = False,
     quiet: Quiet = False,
@@ -63,7 +69,7 @@ def calibrate(
         for sentence in advice["sentences"] if advice else ():
             out.say(sentence)
         with out.step(f"calibrating ({method})"):
-            calibrated = fit(seen.observations, known_frame, view, method)  # pyright: ignore[reportArgumentType]
+            calibrated = fit(seen.observations, known_frame, view, method, mirrored_display=mirrored)  # pyright: ignore[reportArgumentType]
         document = view_document(CalibratedImage(seen, calibrated)) | {"set_up": advice}
         _add_leave_one_out(document, calibrated)
         _show(out, document)

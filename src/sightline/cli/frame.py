@@ -85,14 +85,26 @@ def show(
 
 
 @app.command("check")
-def check(frame: FrameSource, *, json: Json = False, quiet: Quiet = False) -> None:
+def check(
+    frame: FrameSource,
+    *,
+    before: Annotated[
+        str | None, typer.Option(help="The file of the same frame before this one: a mirror image of it is told.")
+    ] = None,
+    json: Json = False,
+    quiet: Quiet = False,
+) -> None:
     """Say what is wrong with a frame; exit code 3 where anything is."""
     with Output(json=json, quiet=quiet) as out:
         from sightline.frame import Frame
         from sightline.frame.check import check_frame
+        from sightline.frame.handed import before_check
 
         loaded = Frame.load(frame)
-        out.result({"frame": loaded.key}, check_frame(loaded))
+        checks = check_frame(loaded)
+        if before is not None:
+            checks += (before_check(loaded, Frame.load(before)),)
+        out.result({"frame": loaded.key}, checks)
 
 
 def _design(name: str, like: str, stated: dict[str, Any], datums: int | None) -> "FrameDesign":

@@ -16,6 +16,10 @@ if TYPE_CHECKING:
     from sightline.planning import Plan
 
 MethodName = Literal["smooth", "localized", "polynomial"]
+Mirrored = Annotated[
+    list[str] | None,
+    typer.Option(help="A view, pa or lateral, whose display you saw to be mirrored (writing in it reads backwards)."),
+]
 PICK_HELP = (
     "Where the point is, in pixels: 'pa:U,V lateral:U,V'. Instead of the lateral pixel, 'depth:MM' is a place on the "
     "image-matching curve, in mm from the PA plate towards the X-ray source."
@@ -44,6 +48,7 @@ def plan(
     frame: Annotated[str, typer.Option(help="A frame file, or gamma, biplane, stereo.")] = "gamma",
     method: Annotated[MethodName, typer.Option(help="localized is the paper's.")] = "smooth",
     pick_sd: Annotated[float, typer.Option(help="Standard deviation of a pick, px: 0.5 is a careful click.")] = 0.5,
+    mirrored: Mirrored = None,
     snap: Annotated[
         bool, typer.Option("--snap", help="Take the lateral picks to their image-matching curves.")
     ] = False,
@@ -66,7 +71,7 @@ def plan(
         with output.step("finding and telling apart the beads"):
             seen = see_pair(pa, lateral, known_frame)
         with output.step(f"calibrating both views ({method})"):
-            images = calibrate_pair(seen, known_frame, method)
+            images = calibrate_pair(seen, known_frame, method, mirrored or ())
         with output.step("planning"):
             views = [image.view for image in images]
             entry_px, end_px = (_pixels(point, views, pick_sd) for point in points)

@@ -1,5 +1,6 @@
 """A calibration frame as data: views, plates, fiducials, tolerances. All coordinates are CFCS, mm."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from functools import cached_property
 from hashlib import sha256
@@ -165,11 +166,18 @@ class Frame:
         return f"{self.key}#{sha256(frame_to_json(self)).hexdigest()[:16]}"
 
     @staticmethod
-    def load(source: str | Path) -> "Frame":
-        """A frame from a JSON file, or "gamma", "biplane", "stereo". Raises FrameError."""
-        from sightline.frame.files import load_frame
+    def load(source: str | Path, before: "Iterable[Frame]" = ()) -> "Frame":
+        """A frame from a JSON file, or "gamma", "biplane", "stereo".
 
-        return load_frame(source)
+        `before`: frames that were used earlier; the mirror image of one with the same name and serial is refused, since
+        it would calibrate as well and mirror every point. Raises FrameError.
+        """
+        from sightline.frame.files import load_frame
+        from sightline.frame.handed import refuse_mirror_image
+
+        frame = load_frame(source)
+        refuse_mirror_image(frame, before)
+        return frame
 
     def save(self, path: str | Path) -> None:
         """Write the frame file of docs/frame-file.md."""

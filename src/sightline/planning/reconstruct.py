@@ -63,6 +63,7 @@ def reconstruct(
         method=solution.method,
         shift_mm=shift,
         shift_sd_mm=shift_sd,
+        upright=_upright(lines),
     )
 
 
@@ -80,6 +81,11 @@ def solve(
         xyz = xyz + solution.step_mm()
         solution = Solution(lines, (covariance_px2, across_px), xyz, used)
     return solution
+
+
+def _upright(lines: tuple[LinesOfSight, LinesOfSight]) -> bool | None:
+    said = [one.upright for one in lines if one.upright is not None]
+    return any(said) if said else None
 
 
 def _approach(lines: tuple[LinesOfSight, LinesOfSight]) -> NearestApproach:

@@ -35,7 +35,8 @@ class SpacePoints:
     what a patient who moves between the views opens. None where no point is tested or a view's error is unknown.
     `joint_covariance_mm2` (3N, 3N), or None where a view's error is unknown:
     the points share focal points, maps and frame, so their errors are correlated. `budget_mm2`: the same, for each of
-    BUDGET. `inside_hull` (N,): within the beads' hull in both views.
+    BUDGET. `inside_hull` (N,): within the beads' hull in both views. `upright`: whether a view shows the frame
+    file's beads not mirrored (`LinesOfSight.upright`); None where no view says so.
     """
 
     xyz_mm: np.ndarray
@@ -48,6 +49,7 @@ class SpacePoints:
     method: str = "weighted"
     shift_mm: float | None = None
     shift_sd_mm: float | None = None
+    upright: bool | None = None
 
     def __post_init__(self) -> None:
         arrays = [getattr(self, name) for name in ("xyz_mm", "gap_mm", "gap_tested", "inside_hull")]
@@ -87,7 +89,11 @@ class SpacePoints:
     def checks(self) -> tuple[Check, ...]:
         """Is the error known, and does the gap of each point agree with it? A gap that was not tested has no check."""
         names = [f"point {k + 1}" for k in range(len(self.xyz_mm))]
-        return (error_known(self), *self.gap_checks(names))
+        return (error_known(self), *self.frame_checks(), *self.gap_checks(names))
+
+    def frame_checks(self) -> tuple[Check, ...]:
+        """Is the frame file the frame, and not its mirror image? One upright image shows it."""
+        return () if self.upright is None else (_handedness(self.upright),)
 
     def gap_checks(self, names: Sequence[str]) -> tuple[Check, ...]:
         """One for each of the points, called by these names, whose gap was tested."""
@@ -119,6 +125,17 @@ def error_known(points: SpacePoints) -> Check:
         "calibrate both views from their beads, or give the matrix of a view with its covariance."
     )
     return Check("error known", known, None, None, "", sentence)
+
+
+def _handedness(upright: bool) -> Check:
+    sentence = (
+        "An image shows the frame as its file describes it, not as a mirror image."
+        if upright
+        else "Every image shows the mirror image of the frame file: either the displays are mirrored, or the file is "
+        "left-handed and every point is wrong. Look at writing in the images. If it is mirrored, confirm that: "
+        "mirrored_display=True of calibrate, --mirrored on the command line. If not, correct the frame file."
+    )
+    return Check("frame handedness", upright, None, None, "", sentence)
 
 
 def _gap_check(name: str, failed: bool, sigma: float, gap_mm: float) -> Check:
