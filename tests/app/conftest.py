@@ -6,6 +6,7 @@ from typing import Any
 
 import pytest
 from playwright.sync_api import Browser, Locator, Page
+from tests.app import NO_BROWSER
 from tests.app.browser import NAMES, ROOT, Server, Tab, chromium, find_chromium
 
 
@@ -16,7 +17,7 @@ def browser() -> Iterator[Browser]:
     """An installed Chromium, headless."""
     path = find_chromium()
     if path is None:
-        said = f"no browser: none of {', '.join(NAMES)} is installed; CHROME may name one"
+        said = f"{NO_BROWSER}: none of {', '.join(NAMES)} is installed; CHROME may name one"
         if os.environ.get("CI") == "true":
             pytest.fail(said)
         pytest.skip(said)

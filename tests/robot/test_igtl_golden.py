@@ -1,11 +1,11 @@
-"""Byte for byte what the reference implementation writes: its own test messages, read where they lie."""
+"""Byte for byte what the protocol's documents say: messages laid out by hand (tests/golden/make_openigtlink.py)."""
 
 import json
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.golden import make_openigtlink
 
 from sightline.robot.igtl import (
     Bind,
@@ -28,115 +28,120 @@ from sightline.robot.igtl import (
     unit,
 )
 
-FOLDER = Path(__file__).parents[3] / "shared" / "data" / "openigtlink"  # not part of the project
-FILES = sorted(FOLDER.glob("*_v[12].json"))
-
-pytestmark = pytest.mark.skipif(not FILES, reason="the golden OpenIGTLink messages lie beside the project, not in it")
-
-MATRIX = [[-0.954892, -0.196632, 0.222525, 46.0531], [0.196632, 0.142857, 0.970014, 19.4709]]
-MATRIX += [[-0.222525, 0.970014, -0.0977491, 46.0531], [0, 0, 0, 1]]
+GOLDEN = json.loads(make_openigtlink.FILE.read_text(encoding="utf-8"))
 ROUNDED = {"rtol": 1e-6, "atol": 1e-7}  # 32 bits
 
 
-def golden(name: str) -> dict:
-    return json.loads((FOLDER / f"{name}.json").read_text())
+def fields(name: str) -> dict:
+    return GOLDEN[name]["fields"]
 
 
 def read(name: str) -> Message:
-    (event,) = Stream().feed(bytes.fromhex(golden(name)["wire_hex"]))
+    (event,) = Stream().feed(bytes.fromhex(GOLDEN[name]["wire_hex"]))
     assert isinstance(event, Message)
     return event
 
 
-@pytest.mark.parametrize("path", FILES, ids=lambda path: path.stem)
-def test_bytes_are_the_same_both_ways(path: Path) -> None:
-    entry = golden(path.stem)
-    message, fields = read(path.stem), entry["fields"]
-    assert encode(message) == bytes.fromhex(entry["wire_hex"])
-    assert (message.version, message.type_name) == (entry["header"]["version"], entry["header"]["type"])
-    assert message.device_name == fields["device_name"]
-    assert message.timestamp == int(entry["header"]["timestamp_hex"], 16)
-    assert message.message_id == fields.get("message_id", 0)
-    assert dict(message.metadata) == {key: value for key, _, value in fields.get("metadata", [])}
+def test_the_crc_is_ecma_182() -> None:
+    assert make_openigtlink.crc64(b"123456789") == 0x6C40DF5F0B497347  # the check value of CRC-64/ECMA-182
 
 
-@pytest.mark.parametrize("path", FILES, ids=lambda path: path.stem)
-def test_a_flipped_bit_of_the_body_is_seen(path: Path) -> None:
-    wire = bytearray.fromhex(golden(path.stem)["wire_hex"])
+def test_the_golden_messages_are_those_that_their_script_makes() -> None:
+    assert json.loads(json.dumps(make_openigtlink.make())) == GOLDEN
+    assert {one["type"] for one in GOLDEN.values()} == set(make_openigtlink.BODIES)
+
+
+@pytest.mark.parametrize("name", GOLDEN)
+def test_bytes_are_the_same_both_ways(name: str) -> None:
+    message, one = read(name), GOLDEN[name]
+    said = one["fields"]
+    assert encode(message) == bytes.fromhex(one["wire_hex"])
+    assert (message.version, message.type_name) == (one["version"], one["type"])
+    assert message.device_name == said["device_name"]
+    assert message.timestamp == said["timestamp_seconds"] << 32 | said["timestamp_fraction"]
+    assert message.message_id == said.get("message_id", 0)
+    assert dict(message.metadata) == {key: value for key, _, value in said.get("metadata", [])}
+
+
+@pytest.mark.parametrize("name", GOLDEN)
+def test_a_flipped_bit_of_the_body_is_seen(name: str) -> None:
+    wire = bytearray.fromhex(GOLDEN[name]["wire_hex"])
     wire[(58 + len(wire)) // 2] ^= 0x10
     (event,) = Stream().feed(bytes(wire))
     assert not isinstance(event, Message)
     assert event.fault.value == "wrong CRC"
 
 
-def test_poses_are_read() -> None:
-    body = read("TRANSFORM_v2").body
+@pytest.mark.parametrize("version", [1, 2])
+def test_poses_are_read(version: int) -> None:
+    body = read(f"TRANSFORM_v{version}").body
     assert isinstance(body, Transform)
-    np.testing.assert_allclose(body.matrix, MATRIX, **ROUNDED)
+    np.testing.assert_allclose(body.matrix, fields("TRANSFORM_v1")["matrix_rows"], **ROUNDED)
     assert body.fault is None
-    position, fields = read("POSITION_v1").body, golden("POSITION_v1")["fields"]
+    position, said = read(f"POSITION_v{version}").body, fields("POSITION_v1")
     assert isinstance(position, Position)
-    np.testing.assert_allclose(position.position_mm, fields["position"], **ROUNDED)
-    np.testing.assert_allclose(position.quaternion, fields["quaternion_xyzw"], **ROUNDED)
-    tools = read("TDATA_v2").body
+    np.testing.assert_array_equal(position.position_mm, said["position"])
+    np.testing.assert_array_equal(position.quaternion, said["quaternion_xyzw"])
+    tools, said = read(f"TDATA_v{version}").body, fields("TDATA_v1")["elements"]
     assert isinstance(tools, TrackingData)
-    assert [(tool.name, tool.kind) for tool in tools.tools] == [(f"Tracker{k}", 2) for k in range(3)]
-    np.testing.assert_allclose([tool.matrix for tool in tools.tools], [MATRIX] * 3, **ROUNDED)
+    assert [(tool.name, tool.kind) for tool in tools.tools] == [(one["name"], one["type"]) for one in said]
+    np.testing.assert_allclose([tool.matrix for tool in tools.tools], [one["matrix_rows"] for one in said], **ROUNDED)
 
 
 def test_points_and_paths_are_read() -> None:
     points, paths = read("POINT_v1").body, read("TRAJ_v2").body
     assert isinstance(points, Points)
     assert isinstance(paths, Trajectories)
-    for point, said in zip(points.points, golden("POINT_v1")["fields"]["points"], strict=True):
-        assert (point.name, point.group, list(point.rgba), point.diameter_mm, point.owner) == (
-            said["name"], said["group"], said["rgba"], said["radius"], said["owner"],
-        )  # fmt: skip
+    for point, said in zip(points.points, fields("POINT_v1")["points"], strict=True):
+        found = (point.name, point.group, list(point.rgba), point.diameter_mm, point.owner)
+        assert found == tuple(said[key] for key in ("name", "group", "rgba", "radius", "owner"))
         np.testing.assert_array_equal(point.position_mm, said["position"])
-    for path, said in zip(paths.paths, golden("TRAJ_v2")["fields"]["trajectories"], strict=True):
-        assert (path.name, path.group, path.kind, list(path.rgba), path.diameter_mm, path.owner) == (
-            said["name"], said["group"], said["type"], said["rgba"], said["radius"], said["owner"],
-        )  # fmt: skip
+    for path, said in zip(paths.paths, fields("TRAJ_v2")["trajectories"], strict=True):
+        found = (path.name, path.group, path.kind, list(path.rgba), path.diameter_mm, path.owner)
+        assert found == tuple(said[key] for key in ("name", "group", "type", "rgba", "radius", "owner"))
         np.testing.assert_array_equal(path.entry_mm, said["entry"])
         np.testing.assert_array_equal(path.target_mm, said["target"])
 
 
 def test_words_are_read() -> None:
-    assert read("STATUS_v1").body == Status(15, "ACTUATOR_DISABLED", "Actuator A is disabled.", 10)
-    assert read("STRING_v1").body == String("Welcome to OpenIGTLink")
-    assert read("COMMAND_v2").body == Command(5, "This is a test command", "Start the tracking machine")
-    assert read("CAPABILITY_v1").body == Capability(("IMAGE", "GET_IMAGE", "TRANSFORM", "GET_TRANS"))
+    assert read("STATUS_v1").body == Status(13, "MOVE_TO_TARGET", "no target is set", -4)
+    assert read("STRING_v1").body == String("MOVE_TO_TARGET")
+    for version in (1, 2):
+        asked = fields("COMMAND_v1")
+        expected = Command(asked["command_id"], asked["command_name"], asked["command"])
+        assert read(f"COMMAND_v{version}").body == expected
+    assert read("CAPABILITY_v1").body == Capability(tuple(fields("CAPABILITY_v1")["types"]))
 
 
 def test_numbers_are_read() -> None:
-    sensor, fields = read("SENSOR_v1").body, golden("SENSOR_v1")["fields"]
+    sensor, said = read("SENSOR_v1").body, fields("SENSOR_v1")
     assert isinstance(sensor, Sensor)
-    np.testing.assert_array_equal(sensor.values, fields["data"])
-    assert sensor.unit == fields["unit"] == unit(0, (0x01, 1), (0x03, -2))  # metre per second squared
+    np.testing.assert_array_equal(sensor.values, said["data"])
+    assert sensor.unit == said["unit"] == unit(0, (0x01, 1), (0x03, -2))  # metre per second squared
     array = read("NDARRAY_v1").body
     assert isinstance(array, NDArray)
-    np.testing.assert_array_equal(array.values, np.arange(60.0).reshape(5, 4, 3))
-    image = read("IMAGE_v1").body
+    np.testing.assert_array_equal(array.values, np.arange(12.0).reshape(2, 3, 2) / 8)
+    image, said = read("IMAGE_v1").body, fields("IMAGE_v1")
     assert isinstance(image, Image)
-    assert (image.pixels.shape, image.pixels.dtype, image.coordinates) == ((1, 50, 50), np.uint8, "RAS")
-    assert image.pixels[0, 0, 0] == 0xFD
-    np.testing.assert_allclose(image.matrix, MATRIX, **ROUNDED)
+    assert (image.pixels.shape, image.pixels.dtype, image.coordinates) == ((1, 3, 5), np.uint16, "RAS")
+    np.testing.assert_array_equal(image.pixels.ravel(), said["pixels"])
+    np.testing.assert_allclose(image.matrix, said["matrix_rows"], **ROUNDED)
 
 
 def test_a_mesh_is_read() -> None:
-    mesh, fields = read("POLYDATA_v1").body, golden("POLYDATA_v1")["fields"]
+    mesh, said = read("POLYDATA_v1").body, fields("POLYDATA_v1")
     assert isinstance(mesh, PolyData)
-    assert sorted(map(tuple, mesh.points_mm)) == [(a, b, c) for a in (0, 1) for b in (0, 1) for c in (0, 1)]
-    assert [list(cell) for cell in mesh.polygons] == fields["polygons"]
+    np.testing.assert_array_equal(mesh.points_mm, said["points"])
+    assert [list(cell) for cell in mesh.polygons] == said["polygons"]
     (attribute,) = mesh.attributes
-    assert (attribute.name, attribute.kind) == ("attr", 0)
-    np.testing.assert_array_equal(attribute.values[:, 0], fields["attribute"]["data"])
+    assert (attribute.name, attribute.kind) == ("mm", 0)
+    np.testing.assert_array_equal(attribute.values[:, 0], said["attribute"]["data"])
 
 
 def test_bound_messages_are_those_sent_alone() -> None:
     bind = read("BIND_v1").body
     assert isinstance(bind, Bind)
-    assert [name for name, _ in bind.children] == ["ChildTrans", "ChildImage", "ChildSensor"]
+    assert [name for name, _ in bind.children] == ["Tip", "Shot", "Gauge"]
     for _, body in bind.children:
         alone = read(f"{body.type_name}_v1")
         assert encode(replace(alone, body=body)) == encode(alone)

@@ -1,0 +1,1 @@
+NO_BROWSER = "no browser"
