@@ -17,7 +17,7 @@ from sightline.calibration import BeadView
 from sightline.detection.wire import WireShadow, find_wire
 from sightline.errors import SetUpError, SightlineError
 from sightline.frame import Frame
-from sightline.planning import Plan, plan
+from sightline.planning import Plan, kind, plan
 from sightline.planning.check_shot import CheckShot, Landmarks, check_shot
 from sightline.planning.expected_wire import expected_wire
 from sightline.studies.scenes import VIEWS, measure
@@ -117,7 +117,7 @@ def planned(rng: np.random.Generator, shot: Shot) -> tuple[list[BeadView], Plan]
     seen = measure(rng, shot.planned, BEAD_PX)
     views = [sl.calibrate(seen[name], shot.planned.frame, view=name) for name in VIEWS]
     ends = np.array([shot.planned.views[name].project(shot.hip.wire_mm) for name in VIEWS])
-    return views, plan(views, ends[:, 0], ends[:, 1])
+    return views, plan(views, ends[:, 0], ends[:, 1], kind=kind("free-wire"))
 
 
 def in_image(rng: np.random.Generator, shot: Shot, name: str, made: Plan) -> tuple[BeadView, WireShadow]:

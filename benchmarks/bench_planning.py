@@ -14,7 +14,7 @@ import numpy as np
 import sightline as sl
 from benchmarks.rows import Row
 from sightline.frame import Frame
-from sightline.planning import corridor, matching_curve, plan
+from sightline.planning import corridor, kind, matching_curve, plan
 from sightline.studies.scenes import WHOLE, draw_scene
 
 CURVE_MS, PLAN_MS, CORRIDOR_MS = 5.0, 15.0, 3.0
@@ -39,9 +39,9 @@ def run(quick: bool) -> list[Row]:
 
     def planned() -> object:
         at = dragged()
-        return plan(views, at[:, 0], at[:, 1], snapped=True, landmarks_uv_px=landmarks)
+        return plan(views, at[:, 0], at[:, 1], snapped=True, landmarks_uv_px=landmarks, kind=kind("free-wire"))
 
-    made = plan(views, uv[:, 0], uv[:, 1])
+    made = plan(views, uv[:, 0], uv[:, 1], kind=kind("free-wire"))
     runs = RUNS // 10 if quick else RUNS
     asked = (
         ("curve of a dragged point", lambda: matching_curve(views[0], dragged()[0, 0], views[1]), CURVE_MS, "curve"),

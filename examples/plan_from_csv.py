@@ -10,7 +10,7 @@ import numpy as np
 import sightline as sl
 from sightline.checks import failed
 from sightline.detection.files import read_observations
-from sightline.planning import matching_curve, plan
+from sightline.planning import kind, matching_curve, plan
 
 
 def main(path: str) -> None:
@@ -19,7 +19,7 @@ def main(path: str) -> None:
     seen = read_observations(path)
     views = [sl.calibrate(seen[name], frame) for name in ("pa", "lateral")]
     entry_px, end_px = (pair_of_picks(views, uv) for uv in ([560.0, 580.0], [440.0, 430.0]))
-    made = plan(views, entry_px, end_px, snapped=True)
+    made = plan(views, entry_px, end_px, snapped=True, kind=kind("free-wire"))
     wire = made.trajectory
     print("GO" if made.verdict.go else "NO-GO")
     for check in failed(made.verdict.checks):  # snapped picks alone do not tell whether the patient moved

@@ -16,7 +16,7 @@ from sightline.case import figure_image, figure_plan, svg
 from sightline.case.figure_image import Marked
 from sightline.case.views import NAMES
 from sightline.detection.files import read_observations
-from sightline.planning import Plan, plan
+from sightline.planning import Plan, kind, plan
 
 SIDE, GAP = 1024, 24
 SHOWN = 560  # pixels of the embedded image: sharp at half size, and small
@@ -29,7 +29,7 @@ def picture(folder: Path) -> str:
     truth = json.loads((folder / "truth.json").read_text())["views"]
     views = [sl.calibrate(seen[name], frame) for name in NAMES]
     ends = [np.array([truth[name][f"{point}_uv_px"] for name in NAMES]) for point in ("entry", "end")]
-    made = plan(views, *ends, snapped=True)
+    made = plan(views, *ends, snapped=True, kind=kind("free-wire"))
     panels = [_panel(folder, k, view, made) for k, view in enumerate(views)]
     style = (files("sightline.case") / "templates" / "report.css").read_text("utf-8")
     body = svg.element("style", style.replace("</", "<\\/"))

@@ -15,7 +15,7 @@ from sightline.frame.model import Frame
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", ROOT / "CHANGELOG.md", *sorted((ROOT / "docs").glob("*.md"))]
 # Checks whose name is not written where they are made: it comes from a table beside it.
-NAMED_ELSEWHERE = {"rule.name", "name"}
+NAMED_ELSEWHERE = {"rule.name", "self.name", "name"}
 
 
 def headings(page: Path) -> list[str]:
@@ -26,7 +26,11 @@ def names_in(source: Path) -> set[str]:
     """Names of the checks made in a file: of `Check(...)`, and of rules that become checks."""
     found = set()
     for call in ast.walk(ast.parse(source.read_text())):
-        if isinstance(call, ast.Call) and isinstance(call.func, ast.Name) and call.func.id in ("Check", "Rule"):
+        if (
+            isinstance(call, ast.Call)
+            and isinstance(call.func, ast.Name)
+            and call.func.id in ("Check", "Rule", "Measure")
+        ):
             name = call.args[0]
             if isinstance(name, ast.Constant):
                 found.add(name.value)

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from math import radians
 
 
 @dataclass(frozen=True)
@@ -18,6 +19,16 @@ class Check:
     limit: float | None
     unit: str
     sentence: str
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What a kind of trajectory allows: limits of the predicted 95 % errors, and `beyond_mm`, how far the drill goes
+    past the end point. Defaults: what the paper reached with its robot [paper]."""
+
+    position_mm: float = 1.0
+    direction_rad: float = radians(0.6)
+    beyond_mm: float = 0.0
 
 
 def failed(checks: Iterable[Check]) -> tuple[Check, ...]:

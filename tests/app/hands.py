@@ -40,20 +40,8 @@ def by_image(uv_px: dict[str, np.ndarray]) -> dict[str, Pixels]:
 
 def _rim(patient: Rehearsal) -> dict[str, np.ndarray]:
     """Three points of the head's silhouette in each view."""
-    centre, radius = patient.hip.head_mm, patient.hip.femur.head_radius_mm
-    out = np.zeros((3, len(NAMES), 2))
-    for k, name in enumerate(NAMES):
-        view = patient.setup.views[name]
-        ray = centre - view.focal_point_mm
-        distance = np.linalg.norm(ray)
-        across = np.linalg.svd(ray[None] / distance)[2][1:]
-        # The rays that touch a sphere do so on a circle nearer to the source, smaller than the sphere.
-        nearer = centre - ray / distance * radius**2 / distance
-        touching = radius * np.sqrt(1.0 - (radius / distance) ** 2)
-        for n, turn in enumerate((0.3, 2.4, 4.5)):
-            at = nearer + touching * (np.cos(turn) * across[0] + np.sin(turn) * across[1])
-            out[n, k] = view.project(at[None])[0]
-    return {f"head-{n + 1}": out[n] for n in range(3)}
+    rim = patient.head_rim
+    return {f"head-{n + 1}": rim[:, n] for n in range(rim.shape[1])}
 
 
 def _ask(expression: str) -> str:

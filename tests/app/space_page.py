@@ -22,7 +22,7 @@ from sightline.calibration import calibrate
 from sightline.detection import Observations
 from sightline.frame import Frame
 from sightline.imaging import Radiograph
-from sightline.planning import plan
+from sightline.planning import kind, plan
 from sightline.robot.manipulator import YAW, imaging_yaw, nominal_manipulator
 from sightline.twin import bead_images
 from sightline.twin.scene import shown_hip_scene
@@ -51,7 +51,7 @@ def scene() -> tuple[dict, list]:
         moved += sight_objects(view, uv_px[:1])
         views.append(view)
         picks.append(uv_px)
-    planned = plan(views, np.stack(picks)[:, 0], np.stack(picks)[:, 1], snapped=True)
+    planned = plan(views, np.stack(picks)[:, 0], np.stack(picks)[:, 1], snapped=True, kind=kind("free-wire"))
     robot, q = nominal_manipulator(), np.zeros(5)
     q[YAW] = imaging_yaw("right")
     entry, tip = hip.wire_mm + np.array([3.0, 0.0, 2.0])

@@ -9,7 +9,7 @@ from sightline.case.report import Report
 from sightline.case.views import NAMES, Seen, calibrate_pair
 from sightline.detection import Detections, Observations, Rejected
 from sightline.imaging import Radiograph
-from sightline.planning import plan
+from sightline.planning import kind, plan
 from sightline.twin import bead_images
 
 WIRE_MM = np.array([[31.3, 28.9, -9.7], [-30.1, -27.7, 8.3]])
@@ -46,7 +46,7 @@ def report(frame, setup, pair, truth) -> Report:
     picks = truth.uv_px + np.random.default_rng(2).normal(0.0, 0.5, (2, 2, 2))
     marks = np.stack([setup.views[name].project(LANDMARKS_MM) for name in NAMES])
     views = [image.view for image in images]
-    planned = plan(views, picks[:, 0], picks[:, 1], snapped=True, landmarks_uv_px=marks)
+    planned = plan(views, picks[:, 0], picks[:, 1], snapped=True, landmarks_uv_px=marks, kind=kind("free-wire"))
     return Report(
         title="A plan & its report",
         frame=frame,

@@ -241,7 +241,7 @@ def test_a_mirror_image_is_found_and_said(run, world: World) -> None:
 def test_a_view_without_covariance_is_no_go() -> None:
     """Such a view comes from another system's matrix, through Python; its plan is NO-GO: error unknown."""
     import sightline as sl
-    from sightline.planning import plan
+    from sightline.planning import kind, plan
 
     def camera(focal_mm: np.ndarray, toward: np.ndarray) -> np.ndarray:
         across = np.cross([0.0, 1.0, 0.0], toward)
@@ -254,7 +254,9 @@ def test_a_view_without_covariance_is_no_go() -> None:
         camera(np.array([-620.0, 0, 0]), np.array([1.0, 0, 0])),
     ]
     views = [sl.view_from_matrix(matrix, name=name) for matrix, name in zip(matrices, ("pa", "lateral"), strict=True)]
-    planned = plan(views, np.array([[500.0, 512], [500, 512]]), np.array([[620.0, 512], [620, 512]]))
+    planned = plan(
+        views, np.array([[500.0, 512], [500, 512]]), np.array([[620.0, 512], [620, 512]]), kind=kind("free-wire")
+    )
     assert not planned.verdict.go
     failed = [check for check in planned.verdict.checks if not check.passed]
     assert any("unknown" in check.sentence for check in failed)

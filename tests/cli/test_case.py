@@ -34,7 +34,7 @@ def recorded(pair, beads_csv, frame, setup, tmp_path_factory: pytest.TempPathFac
     wire, marks = (
         np.stack([setup.views[n].project(xyz) for n in ("pa", "lateral")]) for xyz in (WIRE_MM, LANDMARKS_MM)
     )
-    asked = Asked(wire[:, 0], wire[:, 1], 0.5, True, marks, ("head", "trochanter"))
+    asked = Asked(wire[:, 0], wire[:, 1], 0.5, True, marks)
     with Case.create(folder / "case") as case:
         ref = stages.keep_frame(case, frame)
         first, second = (

@@ -8,6 +8,7 @@ import pytest
 from pydicom import dcmread
 
 from sightline.case.interop.formats import FORMATS, read_view
+from sightline.case.interop.plan_file import sealed
 from sightline.imaging import read_image
 
 TARGETS_MM = np.array([[11.3, -7.9, 4.1], [-20.7, 15.2, -9.9]])
@@ -23,7 +24,23 @@ def pick(setup, xyz_mm: np.ndarray) -> str:
 def planned(run, pair, setup, tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("planned")
     entry, end = (pick(setup, one) for one in WIRE_MM)
-    ran = run("plan", pair["pa"], pair["lateral"], "--entry", entry, "--end", end, "--pick-sd", "0.1", "--out", out)
+    ran = run(
+        "plan",
+        pair["pa"],
+        pair["lateral"],
+        "--entry",
+        entry,
+        "--end",
+        end,
+        "--pick-sd",
+        "0.1",
+        "--kind",
+        "free-wire",
+        "--side",
+        "left",
+        "--out",
+        out,
+    )
     assert ran.code in (0, 3), ran.err
     return out
 
@@ -100,11 +117,21 @@ def test_a_plan_in_every_format(run, planned: Path, pair, tmp_path: Path) -> Non
 
 def test_a_no_go_plan_is_no_robots_and_then_nothing_else_is_written_either(run, planned: Path, tmp_path: Path) -> None:
     document = json.loads((planned / "plan.json").read_text())
-    document["go"] = False
-    (tmp_path / "plan.json").write_text(json.dumps(document))
-    ran = run("export", "plan", tmp_path / "plan.json", "--to", "csv,igtl", "--side", "left", "--out", tmp_path / "out")
+    document |= {"go": False, "verdict": "no-go"}
+    (tmp_path / "plan.json").write_text(json.dumps(sealed(document)))
+    ran = run("export", "plan", tmp_path / "plan.json", "--to", "csv,igtl", "--out", tmp_path / "out")
     assert ran.code == 3
     assert "NO-GO" in ran.err
+    assert not (tmp_path / "out").exists()
+
+
+def test_an_edited_plan_is_exported_to_nothing(run, planned: Path, tmp_path: Path) -> None:
+    document = json.loads((planned / "plan.json").read_text())
+    document["trajectory"]["entry_mm"][0] += 1.0
+    (tmp_path / "plan.json").write_text(json.dumps(document))
+    ran = run("export", "plan", tmp_path / "plan.json", "--to", "csv", "--out", tmp_path / "out")
+    assert ran.code == 2
+    assert "changed after it was made" in ran.err.replace("\n", " ")
     assert not (tmp_path / "out").exists()
 
 
@@ -116,7 +143,7 @@ def test_a_no_go_plan_is_no_robots_and_then_nothing_else_is_written_either(run, 
         (["undistorted", "CSV", "CSV"], "no pixels"),
         (["undistorted", "PA", "--to", "gif"], "no format of an image"),
         (["plan", "PLAN", "--to", "word"], "no format of a plan"),
-        (["plan", "PLAN", "--to", "slicer"], "--side"),
+        (["plan", "PLAN", "--to", "slicer", "--side", "right"], "the plan's side left"),
         (["plan", "PLAN", "--original", "pa.dcm"], "VIEW:FILE"),
         (["plan", "PLAN", "--to", "csv", "--original", "pa:x.dcm"], "for --to dicom alone"),
         (["plan", "PLAN", "--case", "Jane Doe"], "no case number"),

@@ -25,7 +25,7 @@ def picks(wire_px, shift=0.0) -> list[str]:
         (u, v), (s, t) = wire_px["pa"][k], wire_px["lateral"][k] + shift
         return f"pa:{u:.2f},{v:.2f} lateral:{s:.2f},{t:.2f}"
 
-    return ["--entry", point(0), "--end", point(1)]
+    return ["--entry", point(0), "--end", point(1), "--kind", "free-wire"]
 
 
 def test_a_plan_lies_within_its_own_bounds_of_the_truth(run, beads_csv: Path, wire_px) -> None:
@@ -108,7 +108,7 @@ def test_a_depth_is_a_place_on_the_curve(run, beads_csv: Path, wire_px) -> None:
     """The same plan, whether its lateral places are clicked or stated in mm along the PA lines of sight."""
     (u0, v0), (u1, v1) = wire_px["pa"]
     ends = [f"pa:{u0:.2f},{v0:.2f} depth:300", f"pa:{u1:.2f},{v1:.2f} depth:310"]
-    ran = run("plan", beads_csv, beads_csv, "--entry", ends[0], "--end", ends[1], "--json")
+    ran = run("plan", beads_csv, beads_csv, "--entry", ends[0], "--end", ends[1], "--kind", "free-wire", "--json")
     assert ran.code == 3, ran.out
     assert failing(ran) == {"movement"}  # a place on a curve has no gap
     path = ran.document["trajectory"]
@@ -125,6 +125,93 @@ def test_picks_of_different_points_are_a_no_go_with_the_gap_as_reason(run, beads
     assert "gap" in [check["name"] for check in failed]
     assert all("pick again" in check["sentence"] for check in failed if check["name"] == "gap")
     assert ran.document["go"] is False
+
+
+CENTRE_MM, RADIUS_MM = WIRE_MM[1] + 15.0 * (WIRE_MM[0] - WIRE_MM[1]) / np.linalg.norm(WIRE_MM[0] - WIRE_MM[1]), 23.0
+LESSER_MM = WIRE_MM[0] + [-36.0, 4.0, -7.0]
+
+
+def of_a_hip(setup) -> dict[str, str]:
+    """What a hip screw asks for, without error: the outline of a head around the tip, and the lesser trochanter."""
+    circles, pixels = [], []
+    for name in ("pa", "lateral"):
+        view = setup.views[name]
+        ray = CENTRE_MM - view.focal_point_mm
+        around = np.linalg.svd(ray[None])[2][1:]
+        turns = np.linspace(0.0, 2 * np.pi, 60, endpoint=False)
+        sine = RADIUS_MM / np.linalg.norm(ray)
+        ring = np.stack([np.cos(turns), np.sin(turns)], axis=1) @ around
+        rim = view.project(CENTRE_MM - sine**2 * ray + RADIUS_MM * np.sqrt(1 - sine**2) * ring)
+        u, v = rim.mean(axis=0)
+        circles.append(f"{name}:{u:.2f},{v:.2f},{np.linalg.norm(rim - [u, v], axis=1).mean():.2f}")
+        pixels.append("{}:{:.2f},{:.2f}".format(name, *view.project(LESSER_MM)))
+    return {"--side": "right", "--head": " ".join(circles), "--landmark": f"lesser trochanter {' '.join(pixels)}"}
+
+
+def options(given: dict[str, str]) -> list[str]:
+    return [word for pair in given.items() for word in pair]
+
+
+def test_a_hip_screw_is_go_with_all_it_asks_for_and_incomplete_without(run, beads_csv: Path, wire_px, setup) -> None:
+    given = of_a_hip(setup)
+    plan = ["plan", beads_csv, beads_csv, *picks(wire_px)[:4], "--json"]
+    whole = run(*plan, *options(given))
+    assert whole.code == 0, failing(whole)
+    assert (whole.document["go"], whole.document["verdict"], whole.document["missing"]) == (True, "go", [])
+    assert (whole.document["kind"], whole.document["side"]) == ("hip-screw", "right")
+    assert whole.document["limits"] == {"position_mm": 1.0, "direction_deg": pytest.approx(0.6), "beyond_mm": 0.0}
+    assert [mark["name"] for mark in whole.document["landmarks"]] == ["lesser-trochanter"]
+    for option, check, words in (
+        ("--side", "side", "right or the left"),
+        ("--head", "head", "The head is not drawn"),
+        ("--landmark", "entry at cortex", "lesser trochanter"),
+    ):
+        ran = run(*plan, *options({key: value for key, value in given.items() if key != option}))
+        assert ran.code == 3
+        assert (ran.document["go"], ran.document["verdict"]) == (False, "incomplete")
+        assert failing(ran) == {check}
+        (missing,) = ran.document["missing"]
+        assert words in missing
+    said = run(*plan[:-1])
+    assert said.code == 3
+    assert "INCOMPLETE" in said.out and "GO:" not in said.out
+
+
+def test_a_hip_screw_that_is_wrong_in_its_bone_is_no_go(run, beads_csv: Path, wire_px, setup) -> None:
+    given = of_a_hip(setup)
+    entry, end = picks(wire_px)[1:4:2]
+    exchanged = run("plan", beads_csv, beads_csv, "--entry", end, "--end", entry, *options(given), "--json")
+    assert (exchanged.code, exchanged.document["verdict"]) == (3, "no-go")
+    assert "entry and end" in failing(exchanged)
+    plan = ["plan", beads_csv, beads_csv, "--entry", entry, "--end", end, "--json"]
+    left = run(*plan, *options(given | {"--side": "left"}))
+    assert (left.code, failing(left)) == (3, {"side"})
+    shrunk = [text.rsplit(",", 1) for text in given["--head"].split()]
+    small = {"--head": " ".join(f"{at},{float(radius) * 0.62:.2f}" for at, radius in shrunk)}
+    through = run(*plan, *options(given | small))
+    assert (through.code, failing(through)) == (3, {"tip in head"})
+    (check,) = (check for check in through.document["checks"] if check["name"] == "tip in head")
+    assert check["figure"] == pytest.approx(23.0 * 0.62 - 15.0, abs=0.6)
+    assert 0.1 < check["limit"] < 1.5
+    assert "95 % error" in check["sentence"] and "joint" in check["sentence"]
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--head", "pa:1,2,3"], "two circles"),
+        (["--head", "pa:1,2 lateral:3,4"], "two circles"),
+        (["--head", "pa:500,500,-9 lateral:500,500,90"], "positive radius"),
+        (["--landmark", "patella pa:500,500 lateral:500,500"], "lesser-trochanter"),
+        (["--landmark", "lesser-trochanter pa:500,500"], "--landmark"),
+        (["--side", "middle"], "side"),
+        (["--kind", "tunnel"], "kind"),
+    ],
+)
+def test_aids_that_cannot_be_read_are_refused(run, beads_csv: Path, wire_px, options: list[str], words: str) -> None:
+    ran = run("plan", beads_csv, beads_csv, *picks(wire_px)[:4], *options)
+    assert ran.code == 2
+    assert words in " ".join(ran.err.split())
 
 
 def test_half_the_beads_in_the_wrong_place_is_refused_or_a_no_go(run, observations, wire_px, tmp_path: Path) -> None:

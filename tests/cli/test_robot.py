@@ -9,6 +9,7 @@ from tests.robot.scripted_robot import old_robot
 from tests.robot.rig import END_MM, ENTRY_MM, served
 from typer.testing import CliRunner
 
+from sightline.case.interop.plan_file import sealed
 from sightline.cli import commands
 from sightline.frame import Frame
 from sightline.rehearsal.procedure import Rehearsal
@@ -25,9 +26,29 @@ def plan(tmp_path: Path) -> Path:
 
 
 def written(file: Path, **changed) -> Path:
-    path = {"entry_mm": ENTRY_MM.tolist(), "end_mm": END_MM.tolist(), "covariance_mm2": (0.01 * np.eye(6)).tolist()}
-    file.write_text(json.dumps({"go": True, "trajectory": path} | changed))
+    document = {
+        "go": True,
+        "verdict": "go",
+        "missing": [],
+        "kind": "free-wire",
+        "side": "right",
+        "limits": {"position_mm": 1.0, "direction_deg": 0.6, "beyond_mm": 0.0},
+        "trajectory": trajectory(),
+        "checks": [{"name": "gap", "passed": True}],
+    }
+    file.write_text(json.dumps(sealed(document | changed)))
     return file
+
+
+def trajectory(wire_mm: np.ndarray | None = None, variance_mm2: float = 0.01) -> dict:
+    entry, end = (ENTRY_MM, END_MM) if wire_mm is None else wire_mm
+    covariance = variance_mm2 * np.eye(6)
+    return {
+        "coordinates": "CFCS",
+        "entry_mm": entry.tolist(),
+        "end_mm": end.tolist(),
+        "covariance_mm2": covariance.tolist(),
+    }
 
 
 def test_drive_a_plan_in_the_simulator(plan):
@@ -41,8 +62,9 @@ def test_drive_a_plan_in_the_simulator(plan):
 @pytest.mark.slow
 def test_drive_a_rehearsal_s_plan_into_its_bone(tmp_path):
     wire = Rehearsal.draw(9, Frame.load("gamma")).hip.wire_mm
-    path = {"entry_mm": wire[0].tolist(), "end_mm": wire[1].tolist(), "covariance_mm2": (0.01 * np.eye(6)).tolist()}
-    done = run("drive", written(tmp_path / "plan.json", trajectory=path), "--rehearse", "9", "--yes", "--json")
+    done = run(
+        "drive", written(tmp_path / "plan.json", trajectory=trajectory(wire)), "--rehearse", "9", "--yes", "--json"
+    )
     assert done.exit_code == 0, done.output
     said = json.loads(done.stdout)
     assert said["state"] == "DONE"
@@ -93,22 +115,63 @@ def test_nor_does_its_check_take_a_yes():
 @pytest.mark.parametrize(
     ("changed", "code", "why"),
     [
-        ({"go": False}, 3, "NO-GO"),
-        ({"go": "yes"}, 3, "NO-GO"),
-        ({"trajectory": {}}, 2, "no plan"),
-        ({"trajectory": {"entry_mm": [0, 0, 0], "end_mm": [1, 1], "covariance_mm2": None}}, 2, "no plan"),
-        ({"trajectory": {"entry_mm": [0, 0, 0], "end_mm": [9, 9, 9], "covariance_mm2": None}}, 3, "error is unknown"),
+        ({"go": False, "verdict": "no-go"}, 3, "NO-GO"),
+        ({"go": False, "verdict": "incomplete", "missing": ["The head."]}, 3, "INCOMPLETE"),
+        ({"go": True, "verdict": "incomplete"}, 2, "its verdict is 'incomplete'"),
+        ({"go": "perhaps"}, 2, "go"),
+        ({"side": None}, 3, "side"),
+        ({"limits": None}, 2, "no verdict, kind or limits"),
+        ({"trajectory": {}}, 2, "trajectory"),
+        ({"trajectory": trajectory() | {"end_mm": [1, 1]}}, 2, "trajectory.end_mm"),
+        ({"trajectory": trajectory() | {"covariance_mm2": None}}, 3, "error is unknown"),
     ],
 )
 def test_plans_that_are_none(tmp_path, changed, code, why):
     done = run("drive", written(tmp_path / "plan.json", **changed), "--yes")
     assert done.exit_code == code
-    assert why in done.stderr
+    assert why in " ".join(done.stderr.split())
+
+
+def test_the_plans_own_limits_and_depth_are_those_of_the_robot(tmp_path):
+    narrow = {"position_mm": 0.3, "direction_deg": 0.6, "beyond_mm": 0.0}
+    done = run("drive", written(tmp_path / "plan.json", limits=narrow), "--yes")
+    assert done.exit_code == 3
+    assert "limit 0.30 mm" in done.stderr
+    past = {"position_mm": 1.0, "direction_deg": 0.6, "beyond_mm": 4.0}
+    done = run("drive", written(tmp_path / "plan.json", limits=past), "--yes", "--json")
+    assert done.exit_code == 0, done.output
+    tip = END_MM + 4.0 * (END_MM - ENTRY_MM) / np.linalg.norm(END_MM - ENTRY_MM)
+    assert np.allclose(json.loads(done.stdout)["tip_mm"], tip, atol=0.05)
+
+
+@pytest.mark.parametrize("change", ["entry", "bound", "checks", "go", "limits", "no digest"])
+def test_an_edited_plan_is_refused(tmp_path, change):
+    """Even where what is left says GO in itself."""
+    stopped = {"go": False, "verdict": "no-go"} if change == "go" else {}
+    file = written(tmp_path / "plan.json", **stopped)
+    document = json.loads(file.read_text())
+    if change == "entry":
+        document["trajectory"]["entry_mm"][0] += 1.0
+    elif change == "bound":
+        document["trajectory"]["covariance_mm2"] = (1e-5 * np.eye(6)).tolist()
+    elif change == "checks":
+        document["checks"] = [{"name": "entry error", "passed": True}]
+    elif change == "go":
+        document |= {"go": True, "verdict": "go"}
+    elif change == "limits":
+        document["limits"]["position_mm"] = 9.0
+    else:
+        del document["digest"]
+    file.write_text(json.dumps(document, indent=2))
+    done = run("drive", file, "--yes")
+    assert done.exit_code == (3 if change == "no digest" else 2)
+    assert ("without a digest" if change == "no digest" else "changed after it was made") in " ".join(
+        done.stderr.split()
+    )
 
 
 def test_a_plan_that_errs_too_much_is_refused(tmp_path):
-    path = {"entry_mm": ENTRY_MM.tolist(), "end_mm": END_MM.tolist(), "covariance_mm2": np.eye(6).tolist()}
-    done = run("drive", written(tmp_path / "plan.json", trajectory=path), "--yes")
+    done = run("drive", written(tmp_path / "plan.json", trajectory=trajectory(variance_mm2=1.0)), "--yes")
     assert done.exit_code == 3
     assert "must not be drilled" in done.stderr
 

@@ -15,7 +15,7 @@ import sightline as sl
 from sightline.cli.output import as_json
 from sightline.detection.files import read_observations, write_observations
 from sightline.imaging import write_png
-from sightline.planning import plan
+from sightline.planning import kind, plan
 
 HERE = Path(__file__).parent
 CROP_PX = 160  # a few beads; the file stays small
@@ -38,7 +38,9 @@ def answers(picks_px: np.ndarray) -> dict[str, Any]:
         method: [sl.calibrate(seen[name], frame, method=method) for name in ("pa", "lateral")]
         for method in ("smooth", "polynomial", "localized")
     }
-    planned = plan(views["smooth"], picks_px[:, 0], picks_px[:, 1], pick_sd_px=0.5, snapped=False)
+    planned = plan(
+        views["smooth"], picks_px[:, 0], picks_px[:, 1], pick_sd_px=0.5, snapped=False, kind=kind("free-wire")
+    )
     return {
         "detect": {"uv_px": beads.uv_px[order], "radius_px": beads.radius_px[order]},
         "label": dict(zip(labelled.ids, labelled.uv_px.tolist(), strict=True)),

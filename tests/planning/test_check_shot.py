@@ -10,7 +10,7 @@ from sightline.calibration import BeadView
 from sightline.checks import failed
 from sightline.errors import ReconstructionRefusedError, UnusableInputError
 from sightline.frame import Frame
-from sightline.planning import Plan, plan
+from sightline.planning import Plan, kind, plan
 from sightline.planning.check_shot import CheckShot, Landmarks, check_shot
 from sightline.planning.expected_wire import expected_wire
 from sightline.studies.scenes import VIEWS, measure
@@ -98,7 +98,7 @@ def case(seed: int, wire: np.ndarray, bow_mm: float = 0.0) -> Case:
         for setup, xyz in ((first, MARKS), (second, motion.apply(MARKS)))
     )
     return Case(
-        plan(views[0], ends[:, 0], ends[:, 1]),
+        plan(views[0], ends[:, 0], ends[:, 1], kind=kind("free-wire")),
         *views,
         [wire_in(rng, second, name, curve) for name in VIEWS],
         Landmarks(*marks, MARK_PX),

@@ -6,7 +6,7 @@ import pytest
 import sightline as sl
 from sightline.checks import failed
 from sightline.errors import ReconstructionRefusedError
-from sightline.planning import matching_curve, plan
+from sightline.planning import kind, matching_curve, plan
 
 # Cameras 620 mm from the origin along -Z and along -X, 4760 px focal length.
 CAMERA = np.array([[4760.0, 0.0, 511.5], [0.0, 4760.0, 511.5], [0.0, 0.0, 1.0]])
@@ -27,7 +27,7 @@ UV_PX = np.array([_pixels(PA), _pixels(LATERAL)])
 def test_points_from_two_bare_matrices_and_no_go():
     views = [sl.view_from_matrix(PA), sl.view_from_matrix(LATERAL)]
     np.testing.assert_allclose(sl.reconstruct(views, UV_PX).xyz_mm, TARGETS_MM, atol=1e-6)
-    made = plan(views, UV_PX[:, 0], UV_PX[:, 1])
+    made = plan(views, UV_PX[:, 0], UV_PX[:, 1], kind=kind("free-wire"))
     assert not made.verdict.go
     assert "error known" in {check.name for check in failed(made.verdict.checks)}
     assert made.entry_curve.half_width_px is None
@@ -50,7 +50,7 @@ def test_an_error_of_zero_is_refused():
 
 def test_snapped_picks_on_exact_views():
     views = [sl.view_from_matrix(PA, 0.0 * COVARIANCE), sl.view_from_matrix(LATERAL, 0.0 * COVARIANCE)]
-    trajectory = plan(views, UV_PX[:, 0], UV_PX[:, 1], snapped=True).trajectory
+    trajectory = plan(views, UV_PX[:, 0], UV_PX[:, 1], kind=kind("free-wire"), snapped=True).trajectory
     np.testing.assert_allclose(trajectory.points.xyz_mm, TARGETS_MM, atol=1e-3)
     assert not trajectory.points.gap_tested.any()
 

@@ -5,8 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from sightline.checks import Limits
 from sightline.errors import RobotRefusedError, UnusableInputError
 from sightline.rehearsal.robots import calibrated_robot
+from sightline.robot.client import plan_metadata
 from sightline.robot.registration import PoseAtImage, Registration, register
 from sightline.robot.target import LIFETIME_S, PlanIdentity, RobotTarget, aim
 
@@ -21,8 +23,11 @@ def registered(q: np.ndarray = Q, second: np.ndarray = Q) -> Registration:
     return register(calibrated_robot(), poses)
 
 
-def aimed(identity: PlanIdentity = IDENTITY, points: np.ndarray = POINTS, scale: float = 1.0) -> RobotTarget:
-    return aim(identity, points, {name: scale * part for name, part in PLANNED.items()}, registered())
+def aimed(
+    identity: PlanIdentity = IDENTITY, points: np.ndarray = POINTS, scale: float = 1.0, limits: Limits | None = None
+) -> RobotTarget:
+    budget = {name: scale * part for name, part in PLANNED.items()}
+    return aim(identity, points, budget, registered(), limits or Limits())
 
 
 def test_the_frame_stands_where_the_flange_holds_it():
@@ -98,6 +103,29 @@ def test_a_target_is_refused_by_its_errors_its_plan_and_its_age():
         aimed(scale=20.0).refuse_unfit(40.0)
 
 
+def test_the_plans_limits_decide_and_its_depth_is_drilled():
+    plain, strict, loose = (
+        {check.name: check for check in aimed(limits=limits).checks}
+        for limits in (Limits(), Limits(0.2, 1e-4), Limits(0.9, 0.2))
+    )
+    for name, unit in (("wire entry error", 1.0), ("wire end error", 1.0), ("wire direction error", 0.6)):
+        assert plain[name].limit == pytest.approx(unit)
+        assert not strict[name].passed
+    assert (strict["wire end error"].limit, loose["wire end error"].limit) == (0.2, 0.9)
+    assert loose["wire direction error"].limit == pytest.approx(np.rad2deg(0.2))
+    target = aimed(limits=Limits(beyond_mm=7.5))
+    assert target.depth_mm == pytest.approx(target.length_mm + 7.5)
+    past = POINTS[1] + 7.5 * np.diff(POINTS, axis=0)[0] / target.length_mm
+    assert np.allclose(target.T_cfcs_wire.translation, past, atol=1e-9)
+    said = plan_metadata(target, 40.0, 99.0)
+    assert float(said["length_mm"]) == pytest.approx(target.depth_mm)
+    assert [float(said[key]) for key in ("position_limit_mm", "direction_limit_deg", "beyond_mm")] == pytest.approx(
+        [1.0, 0.6, 7.5]
+    )
+    with pytest.raises(RobotRefusedError, match="feed ends"):
+        aimed(limits=Limits(beyond_mm=200.0))
+
+
 def test_lines_that_no_wire_can_follow_are_refused():
     with pytest.raises(RobotRefusedError, match="same"):
         aimed(points=POINTS[[0, 0]])
@@ -110,6 +138,6 @@ def test_lines_that_no_wire_can_follow_are_refused():
     with pytest.raises(UnusableInputError, match="finite"):
         aimed(points=POINTS * np.nan)
     with pytest.raises(RobotRefusedError, match="error is unknown"):
-        aim(IDENTITY, POINTS, None, registered())
+        aim(IDENTITY, POINTS, None, registered(), Limits())
     with pytest.raises(UnusableInputError, match="side"):
         PlanIdentity("plan-1", "middle", "SN-7", go=True)

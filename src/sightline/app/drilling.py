@@ -129,7 +129,8 @@ class Drilling:
         """Of the plan as it is now. Raises UnusableInputError without a confirmed side."""
         procedure = self._procedure
         name = f"{procedure.case.number}-{procedure.case.last}"
-        return PlanIdentity(name, procedure.decisions.side or "", procedure.decisions.serial or "", procedure.go)
+        decisions = procedure.decisions
+        return PlanIdentity(name, decisions.side or "", decisions.serial or "", procedure.go, decisions.kind)
 
     @property
     def current(self) -> bool:
@@ -219,8 +220,8 @@ class Drilling:
 def _depth_limit(known: Planned, target: RobotTarget) -> float:
     """How far beyond the entry point the wire may go, mm: for kinds that end before a joint less than to its surface,
     by the 95 % error of both. Raises UnusableInputError where the surface is not known."""
-    if known.kind.proposal is None:
-        return target.length_mm + DEPTH_SLACK_MM
+    if known.kind.bone is None:
+        return target.depth_mm + DEPTH_SLACK_MM
     left: Figure | None = next((one for one in known.figures if one.name == TO_BONE), None)
     if left is None or left.value is None or left.sd is None:
         raise UnusableInputError(NO_DEPTH_LIMIT)

@@ -62,20 +62,24 @@ def details_key(tab: Tab) -> Hashable:
 
 def _listed(tab: Tab) -> tuple[Check, ...]:
     """Every check of the plan that is shown; none where there is no plan."""
-    known = tab.known
-    return () if known is None or known.plan is None else (*known.plan.verdict.checks, *tab.procedure.confirmations)
+    verdict = tab.procedure.verdict_of(tab.known)
+    return () if verdict is None else verdict.checks
 
 
 def html(tab: Tab) -> Markup:
     """The verdict, and what to do about each check that failed."""
-    listed = _listed(tab)
-    if not listed:
+    verdict = tab.procedure.verdict_of(tab.known)
+    if verdict is None:
         return Markup()
-    wrong = failed(listed)
-    go = not wrong
-    told = texts.ALL_PASSED if go else texts.SOME_FAILED.format(failed=len(wrong), all=len(listed))
-    verdict = _VERDICT.format(kind="go" if go else "no-go", word=texts.GO[go], sentence=told)
-    return markup.joined(verdict, *(markup.note(one.sentence, kind="bad", testid="do-about") for one in wrong))
+    state, wrong = verdict.state, failed(verdict.checks)
+    word, sentence = texts.VERDICTS[state]
+    told = sentence.format(failed=len(wrong), all=len(verdict.checks))
+    shown = _VERDICT.format(kind=state, word=word, sentence=told)
+    kinds = ["warn" if one in verdict.unmade else "bad" for one in wrong]
+    return markup.joined(
+        shown,
+        *(markup.note(one.sentence, kind=kind, testid="do-about") for one, kind in zip(wrong, kinds, strict=True)),
+    )
 
 
 def build_details(tab: Tab) -> None:

@@ -7,12 +7,12 @@ from functools import cached_property, lru_cache
 import numpy as np
 
 from sightline.app.decisions import Decisions, Mark, Pixel
-from sightline.app.marks import END, ENTRY, names_of
+from sightline.app.marks import END, ENTRY, asked_of
 from sightline.calibration import CalibratedView
 from sightline.case.contents import Asked
 from sightline.case.views import NAMES
 from sightline.errors import SightlineError
-from sightline.planning import MatchingCurve, Plan, matching_curve, plan, snap
+from sightline.planning import MatchingCurve, Plan, matching_curve, snap
 from sightline.planning.aids import Aids, Circle, Line
 from sightline.planning.anatomy import Anatomy, locate
 from sightline.planning.figures import Figure, figures
@@ -45,8 +45,9 @@ class Planned:
     @cached_property
     def anatomy(self) -> Anatomy:
         """What the aids are in space."""
-        picks = None if self.plan is None else self.plan.picks
-        return locate(self.views, _aids(self.decisions), picks=picks)
+        if self.plan is not None and self.plan.anatomy is not None:
+            return self.plan.anatomy
+        return locate(self.views, _aids(self.decisions))
 
     @cached_property
     def figures(self) -> tuple[Figure, ...]:
@@ -77,7 +78,7 @@ def planned(decisions: Decisions, views: Sequence[CalibratedView]) -> Planned:
     found: Plan | None = None
     if decisions.complete((ENTRY, END)) and not refused:
         try:
-            found = _plan(decisions, pair)
+            found = asked(decisions).plan_on(pair, _curve)
         except SightlineError as error:
             refused["plan"] = str(error)
     return Planned(decisions, pair, curves, found, refused)
@@ -115,29 +116,17 @@ def _remembered(from_view: CalibratedView, to_view: CalibratedView, uv_px: bytes
 def asked(decisions: Decisions) -> Asked:
     """What a plan is made from besides its views; entry and end point are placed."""
     wire = [decisions.mark(name) for name in (ENTRY, END)]
-    names = tuple(n for n in names_of(decisions.kind, "landmark") if decisions.mark(n).complete())
+    known = {one.name: one.of for one in asked_of(decisions.kind) if one.group == "landmark"}
+    names = tuple(n for n in known if decisions.mark(n).complete())
     return Asked(
         *(_pixels(mark) for mark in wire),
         pick_sd_px=PICK_SD_PX,
         snapped=[not mark.free for mark in wire],
         landmarks_uv_px=np.array([_pixels(decisions.mark(n)) for n in names]).reshape(-1, 2, 2).swapaxes(0, 1),
-        landmark_names=names,
-        limits=kind_of(decisions.kind).limits,
+        landmark_names=tuple(known[n] for n in names),
         kind=decisions.kind,
-    )
-
-
-def _plan(decisions: Decisions, views: tuple[CalibratedView, CalibratedView]) -> Plan:
-    one = asked(decisions)
-    return plan(
-        views,
-        one.entry_uv_px,
-        one.end_uv_px,
-        pick_sd_px=one.pick_sd_px,
-        snapped=one.snapped,
-        landmarks_uv_px=one.landmarks_uv_px,
-        limits=one.limits,
-        curve=_curve,
+        side=decisions.side,
+        aids=_aids(decisions),
     )
 
 

@@ -29,6 +29,7 @@ from sightline.case.views import NAMES
 from sightline.checks import Check
 from sightline.errors import SightlineError, UnusableInputError
 from sightline.frame import Frame
+from sightline.planning.results import Verdict
 from sightline.robot.target import LIFETIME_S
 
 T = TypeVar("T")
@@ -123,18 +124,26 @@ class Procedure:
         age = self.age_s
         return age is not None and 0.0 <= age <= LIFETIME_S
 
+    def verdict_of(self, known: Planned | None) -> Verdict | None:
+        """All that stands for or against sending a plan: planning's checks, then what a person must confirm."""
+        if known is None or known.plan is None:
+            return None
+        side, serial, _ = confirmations = self.confirmations
+        given = ((side, self.decisions.side), (serial, self.decisions.serial))
+        return known.plan.verdict.joined(
+            Verdict(tuple(confirmations), tuple(check for check, value in given if value is None))
+        )
+
     @property
-    def checks(self) -> tuple[Check, ...]:
-        """All that stands for or against sending the plan: planning's checks, then what a person must confirm."""
-        known = self.planned
-        of_plan = () if known is None or known.plan is None else known.plan.verdict.checks
-        return (*of_plan, *self.confirmations)
+    def verdict(self) -> Verdict | None:
+        """Of the plan as it is now; None without one."""
+        return self.verdict_of(self.planned)
 
     @property
     def go(self) -> bool:
         """True if there is a plan and every check passed."""
-        known = self.planned
-        return known is not None and known.plan is not None and all(check.passed for check in self.checks)
+        verdict = self.verdict
+        return verdict is not None and verdict.go
 
     @property
     def confirmations(self) -> list[Check]:

@@ -78,7 +78,10 @@ def wire(planned: Planned, image: str) -> list[Shape]:
     kind = planned.kind
     try:
         found = corridor(
-            planned.views[NAMES.index(image)], planned.plan.trajectory, wire_mm=kind.wire_mm, beyond_mm=kind.beyond_mm
+            planned.views[NAMES.index(image)],
+            planned.plan.trajectory,
+            wire_mm=kind.wire_mm,
+            beyond_mm=kind.limits.beyond_mm,
         )
     except SightlineError:
         return []  # the view sees none of it; the plan's checks say so

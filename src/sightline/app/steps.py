@@ -83,7 +83,8 @@ def _plan(procedure: Procedure) -> _Found:
         wire = [asked for asked in asked_of(procedure.decisions.kind) if asked.group == "wire"]
         left = [asked.label for asked in wire if not procedure.decisions.complete([asked.name])]
         return Standing.OPEN, texts.PLACE_WIRE.format(points=", ".join(left))
-    wrong = failed(procedure.checks)
+    verdict = procedure.verdict
+    wrong = () if verdict is None else failed(verdict.checks)
     return (Standing.ATTENTION, wrong[0].sentence) if wrong else (Standing.DONE, texts.PLAN_DONE)
 
 

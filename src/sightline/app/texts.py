@@ -121,9 +121,11 @@ GAP_ENDS = ("entry", "tip")
 GAP_NOT_TESTED = "not tested (snapped)"
 
 # The verdict.
-GO = {True: "GO", False: "NO-GO"}
-ALL_PASSED = "Every check passed. A person decides."
-SOME_FAILED = "{failed} of {all} checks failed."
+VERDICTS = {  # word and sentence
+    "go": ("GO", "Every check passed. A person decides."),
+    "no-go": ("NO-GO", "{failed} of {all} checks failed."),
+    "incomplete": ("INCOMPLETE", "{failed} of {all} checks need something that is missing."),
+}
 ALL_CHECKS = "All {count} checks"
 EXPIRES = "The images are {age} old; the plan expires in {left}."
 EXPIRED = "The plan has expired: take both images again (step Images)."

@@ -105,7 +105,15 @@ class Verifying:
                 return  # another was asked for meanwhile
             self.wires = dict(zip(CHECK_NAMES, wires, strict=True))
             plan, before = asked.plan, asked.sent.views
-            self.shot = check_shot(plan.trajectory, plan.picks, before, asked.views, wires, landmarks=asked.landmarks)
+            self.shot = check_shot(
+                plan.trajectory,
+                plan.picks,
+                before,
+                asked.views,
+                wires,
+                landmarks=asked.landmarks,
+                limits=plan.kind.limits,
+            )
         except RefusedError as error:
             if asked.key == self._measured:
                 self._record(asked, str(error))
@@ -128,7 +136,7 @@ class Verifying:
         key = (seen.acquired.number, asked.sent)
         if key not in self._found_in:
             assert seen.view is not None and seen.beads is not None  # noqa: S101 - it is calibrated
-            expected = expected_wire(seen.view, asked.plan.trajectory)
+            expected = expected_wire(seen.view, asked.plan.trajectory, asked.plan.kind.limits.beyond_mm)
             beads, width = seen.beads, asked.sent.kind.wire_mm
             self._found_in[key] = await self._procedure.workshop.do(
                 find_wire, seen.image, expected, width, beads.uv_px, beads.radius_px

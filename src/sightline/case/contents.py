@@ -1,21 +1,23 @@
 """What a case holds of each stage's result: one function for what is recorded and for what is computed again."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
+from sightline.calibration.view import CalibratedView
 from sightline.case.canonical import digest
 from sightline.case.documents import check_document, view_document
 from sightline.case.views import CalibratedImage
+from sightline.checks import Limits
 from sightline.detection import Detections, Observations
 from sightline.errors import CaseError
 from sightline.imaging import Radiograph
-from sightline.planning import Plan, plan
+from sightline.planning import Aids, MatchingCurve, Plan, TrajectoryKind, matching_curve, plan
+from sightline.planning import kind as kind_of
 from sightline.planning.check_result import CheckShot
 from sightline.planning.check_start import Landmarks
-from sightline.planning.verdict import Limits
 
 Pair = tuple[CalibratedImage, CalibratedImage]
 
@@ -23,8 +25,8 @@ Pair = tuple[CalibratedImage, CalibratedImage]
 @dataclass(frozen=True, eq=False)
 class Asked:
     """What a plan is made from besides its views: `entry_uv_px`, `end_uv_px` (2, 2), a row for each view, as picked;
-    `landmarks_uv_px` (2, L, 2) or None, with L `landmark_names` or none. `kind`: of
-    trajectory, where one was chosen. See `planning.plan` for the others.
+    `landmarks_uv_px` (2, L, 2) or None, with L `landmark_names` or none. `kind`: the key of one, None for any wire;
+    `limits` where they are not the kind's. See `planning.plan` for the others.
     """
 
     entry_uv_px: np.ndarray
@@ -35,24 +37,44 @@ class Asked:
     landmark_names: tuple[str, ...] = ()
     limits: Limits | None = None
     kind: str | None = None
+    side: str | None = None
+    aids: Aids | None = None
 
     @staticmethod
     def of(document: dict[str, Any]) -> "Asked":
-        """From what `asked` made of one."""
+        """From the JSON of one. Before sides and aids were asked for, a plan was judged as any wire is, by the limits
+        of its kind."""
         limits = document["limits"]
-        return Asked(**{**document, "limits": None if limits is None else Limits(**limits)})
+        made = Asked(**{**document, "limits": None if limits is None else Limits(**limits)})
+        if "side" not in document:
+            return replace(made, kind=None, landmark_names=())
+        return made if made.aids is None else replace(made, aids=Aids.of(document["aids"]))
 
     def plan(self, views: Pair) -> Plan:
         """Raises what `planning.plan` raises."""
+        return self.plan_on([image.view for image in views])
+
+    def plan_on(self, views: Sequence[CalibratedView], curve: Callable[..., MatchingCurve] = matching_curve) -> Plan:
+        """The same on two calibrated views, PA first."""
         return plan(
-            [image.view for image in views],
+            views,
             np.asarray(self.entry_uv_px),
             np.asarray(self.end_uv_px),
             pick_sd_px=self.pick_sd_px,
             snapped=self.snapped,
             landmarks_uv_px=None if self.landmarks_uv_px is None else np.reshape(self.landmarks_uv_px, (2, -1, 2)),
-            limits=self.limits,
+            landmark_names=self.landmark_names,
+            kind=self.known_kind,
+            side=self.side,
+            aids=self.aids,
+            curve=curve,
         )
+
+    @property
+    def known_kind(self) -> TrajectoryKind:
+        """The kind, with the limits that hold. Raises UnusableInputError."""
+        known = kind_of(self.kind or "free-wire")
+        return known if self.limits is None else replace(known, limits=self.limits)
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,10 +103,12 @@ class CheckAsked:
             seen = image.seen
             if seen.image is None or seen.beads is None:
                 raise CaseError("a check shot shows the wire in two images; a table of beads shows none")
-            expected = expected_wire(image.view, made.trajectory)
+            expected = expected_wire(image.view, made.trajectory, made.kind.limits.beyond_mm)
             wires.append(find_wire(seen.image, expected, self.wire_mm, seen.beads.uv_px, seen.beads.radius_px))
         before, after = ([image.view for image in pair] for pair in (planned, checked))
-        return check_shot(made.trajectory, made.picks, before, after, wires, landmarks=self.landmarks)
+        return check_shot(
+            made.trajectory, made.picks, before, after, wires, landmarks=self.landmarks, limits=made.kind.limits
+        )
 
 
 def acquired(original: str, image: Radiograph | None) -> dict[str, Any]:
@@ -124,7 +148,7 @@ def planned(asked: Asked, made: Plan) -> dict[str, Any]:
     return {
         "asked": asked,
         "used_uv_px": {"entry": used[0], "end": used[1]},
-        "go": made.verdict.go,
+        **made.verdict_document(),
         "trajectory": made.trajectory.document(),
         "landmarks": made.landmarks_document(),
         "checks": [check_document(check) for check in made.verdict.checks],

@@ -8,7 +8,7 @@ from typing import Any, TypeVar
 
 from sightline.calibration import calibrate
 from sightline.case import contents
-from sightline.case.canonical import canonical, digest
+from sightline.case.canonical import canonical, digest, plain
 from sightline.case.compare_json import Difference, differences
 from sightline.case.contents import Asked, CheckAsked, Pair
 from sightline.case.entry import Entry, Kind, versions
@@ -116,11 +116,23 @@ class Recomputed:
             Kind.DETECTED: lambda: contents.detected(self.beads(entry)),
             Kind.LABELLED: lambda: contents.labelled(self.seen(entry).observations, self._frame(entry).key),
             Kind.CALIBRATED: lambda: contents.calibrated(self.calibrated(entry)),
-            Kind.PLANNED: lambda: contents.planned(Asked.of(entry.content["asked"]), self.plan(entry)),
+            Kind.PLANNED: lambda: self._planned(entry),
         }
         if "asked" in entry.content:  # earlier versions did not say what a check shot was measured from
             again[Kind.VERIFIED] = lambda: contents.verified(CheckAsked.of(entry.content["asked"]), self.shot(entry))
         return again[entry.kind]() if entry.kind in again else None
+
+    def _planned(self, entry: Entry) -> dict[str, Any]:
+        """With what was known when it was recorded: earlier versions made fewer checks, and knew no third verdict."""
+        then, made = entry.content, self.plan(entry)
+        now = plain(contents.planned(Asked.of(then["asked"]), made))
+        if "verdict" in then:
+            return now
+        known = {check["name"] for check in then["checks"]}
+        now["checks"] = [check for check in now["checks"] if check["name"] in known]
+        now["go"] = all(check["passed"] for check in now["checks"])
+        now["landmarks"] = [{key: mark[key] for key in mark if key != "name"} for mark in now["landmarks"]]
+        return {key: now[key] for key in then} | {"asked": then["asked"]}
 
     def _seen(self, entry: Entry) -> Seen:
         source, frame, view = self._under(entry), self._frame(entry), entry.settings["view"]

@@ -13,6 +13,7 @@ from sightline.case.documents import check_document, view_document
 from sightline.case.entry import versions
 from sightline.case.exposures import NOTE
 from sightline.case.report import Report
+from sightline.planning.results import State
 
 Point = tuple[float, float, float]
 
@@ -83,9 +84,18 @@ class TrajectoryDocument(_Open):
     gap_tested: tuple[bool, bool]
 
 
-class LandmarkDocument(_Open):
-    """A point of the bone that both views show."""
+class LimitsDocument(_Open):
+    """What a plan was judged by: limits of its 95 % errors, and how far past its end point it is drilled."""
 
+    position_mm: float
+    direction_deg: float
+    beyond_mm: float
+
+
+class LandmarkDocument(_Open):
+    """A point of the bone that both views show; `name` is null where it has none."""
+
+    name: str | None
     xyz_mm: Point
     gap_mm: float
     gap_sigma: float | None
@@ -104,7 +114,8 @@ class ExposureDocument(_Open):
 class ReportDocument(_Open):
     """The report of one plan. `case`: the number of its case, the only identity in it; null outside a case.
 
-    `go`: true only where every check passed; a person decides. `drilled`: once a robot carried the plan out.
+    `go`: true only where every check passed; a person decides. `verdict` is "incomplete" where nothing but what is
+    `missing` stands against it. `limits`: what the plan was judged by. `drilled`: once a robot carried the plan out.
     """
 
     model_config = ConfigDict(title="Sightline report")
@@ -117,6 +128,11 @@ class ReportDocument(_Open):
     frame: FrameNamed
     views: tuple[ViewDocument, ViewDocument]
     go: bool
+    verdict: State
+    missing: tuple[str, ...]
+    kind: str
+    side: str | None
+    limits: LimitsDocument
     trajectory: TrajectoryDocument
     landmarks: tuple[LandmarkDocument, ...]
     checks: tuple[CheckDocument, ...]
@@ -135,7 +151,7 @@ def report_document(report: Report, case_number: str | None = None) -> ReportDoc
         "provenance": report.provenance,
         "frame": {"name": report.frame.name, "serial": report.frame.serial},
         "views": [view_document(image) for image in report.images],
-        "go": plan.verdict.go,
+        **plan.verdict_document(),
         "trajectory": plan.trajectory.document(),
         "landmarks": plan.landmarks_document(),
         "checks": [check_document(check) for check in plan.verdict.checks],

@@ -50,9 +50,10 @@ def _first(report: Report, told: dict[str, Any]) -> Figure:
     _say(page, report.title, _LEFT, y, size=17, weight="bold")
     y = _lines(page, [told["subtitle"]], y - 1.6 * _LINE, colour=_MUTED)
     verdict = told["verdict"]
-    colour = _GOOD if verdict["go"] else _BAD
+    colour = {"go": _GOOD, "no-go": _BAD, "incomplete": _INK}[verdict["state"]]
     _say(page, verdict["word"], _LEFT, y - 1.3 * _LINE, size=22, weight="bold", colour=colour)
-    _say(page, verdict["sentence"], _LEFT + 0.17, y - 1.3 * _LINE, size=10, colour=colour)
+    beside = _LEFT + (0.30 if verdict["state"] == "incomplete" else 0.17)
+    _say(page, verdict["sentence"], beside, y - 1.3 * _LINE, size=10, colour=colour)
     y -= 3.5 * _LINE
     reasons = [f"{reason['name']}: {reason['sentence']}" for reason in verdict["reasons"][:4]]
     y = _lines(page, reasons, y, bullet="– ") - 0.5 * _LINE

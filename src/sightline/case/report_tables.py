@@ -57,13 +57,14 @@ def _verdict(report: "Report") -> dict[str, Any]:
     verdict = report.plan.verdict
     against = failed(verdict.checks)
     count = len(verdict.checks)
-    if verdict.go:
-        sentence = f"All {count} checks passed. A person decides."
-    else:
-        sentence = f"{len(against)} of {count} checks stand against this plan:"
+    sentence = {
+        "go": f"All {count} checks passed. A person decides.",
+        "no-go": f"{len(against)} of {count} checks stand against this plan:",
+        "incomplete": f"{len(against)} of {count} checks could not be made, since something is missing:",
+    }[verdict.state]
     return {
-        "go": verdict.go,
-        "word": "GO" if verdict.go else "NO-GO",
+        "state": verdict.state,
+        "word": verdict.state.upper(),
         "sentence": sentence,
         "reasons": [_reason(c, report) for c in against],
     }

@@ -62,6 +62,7 @@ def _run(output: Output, folder: Path, seed: int) -> dict[str, Any]:
     from sightline.case.views import NAMES, calibrate_pair, see_pair
     from sightline.frame import Frame
     from sightline.imaging import write_dicom
+    from sightline.planning import Aids, Circle
     from sightline.rehearsal.procedure import Rehearsal
     from sightline.twin import truth_document
 
@@ -82,9 +83,19 @@ def _run(output: Output, folder: Path, seed: int) -> dict[str, Any]:
     landmarks = tuple(rehearsal.landmarks)
     landmarks_px = np.stack(list(rehearsal.landmarks.values()), axis=1)
     landmarks_px = landmarks_px + PICK_SD_PX * rng.standard_normal(landmarks_px.shape)
+    rim_px = rehearsal.head_rim + PICK_SD_PX * rng.standard_normal(rehearsal.head_rim.shape)
+    head = [Circle.through(rim, PICK_SD_PX) for rim in rim_px]
     with output.step("4/8 planning entry and tip, drawing the image-matching curves"):
         asked = Asked(
-            picks[:, 0], picks[:, 1], PICK_SD_PX, snapped=True, landmarks_uv_px=landmarks_px, landmark_names=landmarks
+            picks[:, 0],
+            picks[:, 1],
+            PICK_SD_PX,
+            snapped=True,
+            landmarks_uv_px=landmarks_px,
+            landmark_names=tuple(name.replace(" ", "-") for name in landmarks),
+            kind="hip-screw",
+            side=rehearsal.side,
+            aids=Aids(head=(head[0], head[1])),
         )
         planned = asked.plan(images[METHODS[0]])
     with output.step("5/8 comparing three methods with the truth"):
@@ -104,7 +115,8 @@ def _run(output: Output, folder: Path, seed: int) -> dict[str, Any]:
             provenance={
                 "images": f"made by the digital twin, seed {seed}, written as DICOM without geometry and read back",
                 "picks": f"the true places with {PICK_SD_PX:g} px of normal noise; lateral ones snapped to curves, but "
-                "those of the landmarks: centre of the head, both trochanters",
+                "those of the landmarks: centre of the head, both trochanters; three clicks on the head's rim in each",
+                "side": rehearsal.side,
                 "command": f"sightline demo --seed {seed}",
             },
             localized=(images["localized"][0].view, images["localized"][1].view),
@@ -113,13 +125,14 @@ def _run(output: Output, folder: Path, seed: int) -> dict[str, Any]:
             drilled=drilled,
         )
         page = render(report)
-    record(folder / "case", Kept(rehearsal, (pa, lateral), images[METHODS[0]], asked, planned, drilled, checked))
+    kept = Kept(rehearsal, (pa, lateral), images[METHODS[0]], asked, planned, rim_px, drilled, checked)
+    record(folder / "case", kept)
     _write_results(folder, page, report, {"seed": seed, **truth_document(rehearsal.setup, rehearsal.hip)})
     _show(output, planned, compared)
     if drilled is not None:
         _show_drilled(output, drilled)
     return {
-        "go": planned.verdict.go,
+        **planned.verdict_document(),
         "trajectory": planned.trajectory.document(),
         "comparison": [one.document() for one in compared],
         "drilled": None if drilled is None else drilled.document()["check_shot"],
@@ -132,7 +145,7 @@ def _compare(
     """Every method with the picks of a person, and with the true pixels, which show what the calibration is worth."""
     from sightline.case.comparison import Compared, Refused
     from sightline.errors import RefusedError
-    from sightline.planning import plan
+    from sightline.planning import kind, plan
 
     out: list[Compared | Refused] = [Compared(METHODS[0], BY_HAND, planned.trajectory, truth)]
     for how, uv, sd, snapped in ((BY_HAND, picks, PICK_SD_PX, True), (EXACT, truth.uv_px, 0.1, False)):
@@ -141,8 +154,8 @@ def _compare(
                 continue
             views = [image.view for image in images[method]]
             try:
-                path = plan(views, uv[:, 0], uv[:, 1], pick_sd_px=sd, snapped=snapped).trajectory
-                out.append(Compared(method, how, path, truth))
+                made = plan(views, uv[:, 0], uv[:, 1], pick_sd_px=sd, snapped=snapped, kind=kind("free-wire"))
+                out.append(Compared(method, how, made.trajectory, truth))
             except RefusedError as error:
                 out.append(Refused(method, how, str(error)))
     return out
@@ -158,7 +171,7 @@ def _write_results(folder: Path, page: str, report: "Report", truth: dict[str, A
     trajectory = {
         **planned.trajectory.document(),
         "landmarks": landmarks,
-        "go": planned.verdict.go,
+        **planned.verdict_document(),
         "checks": planned.verdict.checks,
     }
     results = {

@@ -6,6 +6,8 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    import numpy as np
+
     from sightline.case.contents import Asked
     from sightline.case.drilled import Drilled
     from sightline.case.entry import Entry
@@ -18,13 +20,15 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Kept:
-    """What the demo keeps: `files` as they were read, the views made of them, what the plan was asked from."""
+    """What the demo keeps: `files` as they were read, the views made of them, what the plan was asked from; `rim_px`
+    (2, N, 2): the clicks on the head's rim."""
 
     rehearsal: "Rehearsal"
     files: tuple[Path, Path]
     images: "tuple[CalibratedImage, CalibratedImage]"
     asked: "Asked"
     plan: "Plan"
+    rim_px: "np.ndarray"
     drilled: "Drilled | None"
     checked: "Checked | None"
 
@@ -91,5 +95,7 @@ def _decisions(kept: Kept, acquired: dict[str, int]) -> dict[str, object]:
     }
     for k, name in enumerate(kept.asked.landmark_names):
         assert kept.asked.landmarks_uv_px is not None  # noqa: S101 - they have names
-        marks[f"landmark-{name.replace(' ', '-')}"] = mark(kept.asked.landmarks_uv_px[:, k], free=True)
+        marks[f"landmark-{name}"] = mark(kept.asked.landmarks_uv_px[:, k], free=True)
+    for k in range(kept.rim_px.shape[1]):
+        marks[f"head-{k + 1}"] = mark(kept.rim_px[:, k], free=True)
     return Decisions(images=MappingProxyType(acquired), marks=MappingProxyType(marks)).document()

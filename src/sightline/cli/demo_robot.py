@@ -72,7 +72,7 @@ def _drill(output: "Output", planned: Planned, rng: "np.random.Generator") -> "t
 
     rehearsal, plan, sd_px = planned.rehearsal, planned.plan, planned.pick_sd_px
     with output.step("6/8 the robot: carrying the plan over, aligning, drilling under force supervision"):
-        identity = PlanIdentity("demo", rehearsal.side, rehearsal.serial, plan.verdict.go)
+        identity = PlanIdentity("demo", rehearsal.side, rehearsal.serial, plan.verdict.go, plan.kind.key)
         with (
             RobotProcess(rehearsal.seed, side=rehearsal.side, virtual=True) as process,
             RobotClient(port=process.port, heartbeat=False) as robot,

@@ -23,7 +23,7 @@ def plan(
     out: Out,
     to: Annotated[str, typer.Option(help=f"Formats: {','.join(KINDS)}. Each goes to a folder of its name.")] = "csv",
     side: Annotated[
-        Side | None, typer.Option(help="Of the hip, as confirmed in the images: patient axes depend on it.")
+        Side | None, typer.Option(help="Of the hip, where the plan does not say: patient axes depend on it.")
     ] = None,
     case: Annotated[str, typer.Option(help="Case number; nothing else names the patient.")] = "plan",
     original: Annotated[
@@ -33,7 +33,7 @@ def plan(
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """A plan in other programs' files; a NO-GO plan says so in each of them, and is refused as a robot's message."""
+    """A plan in other programs' files; one that is not GO says so in each, and no robot's message is made of it."""
     with Output(json=json, quiet=quiet) as output:
         from datetime import datetime
 
@@ -49,6 +49,9 @@ def plan(
             raise UnusableInputError(f"{unknown[0]!r} is no format of a plan; choose of {', '.join(KINDS)}")
         filed = Filed(case, datetime.now().replace(microsecond=0))
         known, originals = PlanFile.read(path), _originals(original)
+        if None not in (side, known.side) and side != known.side:
+            raise UnusableInputError(f"--side is {side}, the plan's side {known.side}; find out which it is")
+        side = side or known.side
         if originals and "dicom" not in kinds:
             raise UnusableInputError("--original is for --to dicom alone")
         writers = {
@@ -56,7 +59,7 @@ def plan(
             "itk": lambda: itk.write(known, side),
             "dicom": lambda: dicom_plan.write(known, filed, originals),
             "csv": lambda: tables.write(known, side),
-            "igtl": lambda: robot_files.write(known, side, case),
+            "igtl": lambda: robot_files.write(known, case),
         }
         with output.step("making the files"):
             made = {kind: writers[kind]() for kind in kinds}  # all of them, before any is written

@@ -15,11 +15,18 @@ if TYPE_CHECKING:
     from sightline.case.views import CalibratedImage
     from sightline.planning import Plan
 
+Side = Literal["right", "left"]
+KindName = Literal["hip-screw", "interlocking", "free-wire"]
 MethodName = Literal["smooth", "localized", "polynomial"]
 Mirrored = Annotated[
     list[str] | None,
     typer.Option(help="A view, pa or lateral, whose display you saw to be mirrored (writing in it reads backwards)."),
 ]
+SAID = {
+    "go": "GO: every check passed; a person decides",
+    "no-go": "NO-GO: see the checks that failed",
+    "incomplete": "INCOMPLETE: see the checks that something is missing for",
+}
 PICK_HELP = (
     "Where the point is, in pixels: 'pa:U,V lateral:U,V'. Instead of the lateral pixel, 'depth:MM' is a place on the "
     "image-matching curve, in mm from the PA plate towards the X-ray source."
@@ -40,11 +47,25 @@ def plan(
     landmark: Annotated[
         list[str] | None,
         typer.Option(
-            help="A point of the bone that both views show, picked freely: 'pa:U,V lateral:U,V'. Two or more tell "
-            "whether the patient moved; snapped picks do not.",
+            help="A point of the bone that both views show, picked freely: 'NAME pa:U,V lateral:U,V'. Two or more tell "
+            "whether the patient moved; snapped picks do not. Names of a hip screw: head-centre, lesser-trochanter, "
+            "greater-trochanter; without a name it tells of movement alone.",
             show_default=False,
         ),
     ] = None,
+    side: Annotated[
+        Side | None, typer.Option(help="Of the patient, as a look at both images shows it.", show_default=False)
+    ] = None,
+    head: Annotated[
+        str | None,
+        typer.Option(
+            help="Circles over the femoral head, centre and radius in pixels: 'pa:U,V,R lateral:U,V,R'.",
+            show_default=False,
+        ),
+    ] = None,
+    kind: Annotated[KindName, typer.Option(help="Of trajectory: what is asked for, and which limits hold.")] = (
+        "hip-screw"
+    ),
     frame: Annotated[str, typer.Option(help="A frame file, or gamma, biplane, stereo.")] = "gamma",
     method: Annotated[MethodName, typer.Option(help="localized is the paper's.")] = "smooth",
     pick_sd: Annotated[float, typer.Option(help="Standard deviation of a pick, px: 0.5 is a careful click.")] = 0.5,
@@ -56,15 +77,18 @@ def plan(
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Plan a wire on two images: trajectory, 95 % error bounds, GO or NO-GO (exit code 3)."""
+    """Plan a wire on two images: trajectory, 95 % error bounds, GO; NO-GO or INCOMPLETE (exit code 3)."""
     with Output(json=json, quiet=quiet) as output:
         points = [parse_point(entry, "--entry"), parse_point(end, "--end")]
-        landmarks = [_free_point(text) for text in landmark or []]
+        names, landmarks = zip(*map(parse_landmark, landmark or []), strict=True) if landmark else ((), ())
+        circles = None if head is None else parse_head(head)
         snapped = snap or _all_depths(points)
         import numpy as np
 
         from sightline.case.views import calibrate_pair, see_pair
         from sightline.frame import Frame
+        from sightline.planning import Aids, Circle
+        from sightline.planning import kind as kind_of
         from sightline.planning import plan as make_plan
 
         known_frame = Frame.load(frame)
@@ -75,6 +99,7 @@ def plan(
         with output.step("planning"):
             views = [image.view for image in images]
             entry_px, end_px = (_pixels(point, views, pick_sd) for point in points)
+            drawn = None if circles is None else [Circle.of(np.array(c[:2]), c[2], pick_sd) for c in circles]
             planned = make_plan(
                 views,
                 entry_px,
@@ -82,6 +107,10 @@ def plan(
                 pick_sd_px=pick_sd,
                 snapped=snapped,
                 landmarks_uv_px=np.reshape(landmarks, (-1, 2, 2)).swapaxes(0, 1),
+                landmark_names=names,
+                kind=kind_of(kind),
+                side=side,
+                aids=None if drawn is None else Aids(head=(drawn[0], drawn[1])),
             )
         document = plan_document(planned, images)
         if out is not None:
@@ -90,6 +119,7 @@ def plan(
 
             picks = f"entry {entry}; end {end}; {pick_sd:g} px{', snapped' if snapped else ''}"
             picks += "".join(f"; landmark {text}" for text in landmark or [])
+            picks += "" if head is None else f"; head {head}"
             exposed = exposures.of_images(images, exposures.PLANNING)
             report = Report("Planned guide wire", known_frame, images, planned, exposed, {"picks": picks})
             with output.step("writing the report"):
@@ -104,17 +134,7 @@ def parse_point(text: str, option: str) -> dict[str, tuple[float, ...]]:
     """'pa:U,V lateral:U,V' or 'pa:U,V depth:MM' as numbers. Raises UnusableInputError."""
     from sightline.errors import UnusableInputError
 
-    out: dict[str, tuple[float, ...]] = {}
-    try:
-        for part in text.split():
-            name, numbers = part.split(":")
-            if name in out:
-                raise ValueError
-            out[name] = tuple(float(number) for number in numbers.split(","))
-            if not all(isfinite(number) for number in out[name]):
-                raise ValueError
-    except ValueError:
-        out = {}
+    out = _numbers(text)
     lengths = {name: len(numbers) for name, numbers in out.items()}
     if lengths not in ({"pa": 2, "lateral": 2}, {"pa": 2, "depth": 1}):
         raise UnusableInputError(
@@ -124,16 +144,44 @@ def parse_point(text: str, option: str) -> dict[str, tuple[float, ...]]:
     return out
 
 
-def _free_point(text: str) -> list[tuple[float, ...]]:
-    """The pixels of a landmark in both views. Raises UnusableInputError."""
+def parse_head(text: str) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """'pa:U,V,R lateral:U,V,R' as numbers, a circle (3,) for each view. Raises UnusableInputError."""
     from sightline.errors import UnusableInputError
 
-    point = parse_point(text, "--landmark")
+    found = _numbers(text)
+    if {name: len(numbers) for name, numbers in found.items()} != {"pa": 3, "lateral": 3}:
+        raise UnusableInputError(
+            f"--head {text!r} is not two circles; write centre and radius in pixels, 'pa:U,V,R lateral:U,V,R'"
+        )
+    return found["pa"], found["lateral"]
+
+
+def _numbers(text: str) -> dict[str, tuple[float, ...]]:
+    """'name:1,2 other:3' as finite numbers by name; empty where it is written otherwise."""
+    out: dict[str, tuple[float, ...]] = {}
+    try:
+        for part in text.split():
+            name, numbers = part.split(":")
+            if name in out:
+                return {}
+            out[name] = tuple(float(number) for number in numbers.split(","))
+    except ValueError:
+        return {}
+    return out if all(isfinite(number) for numbers in out.values() for number in numbers) else {}
+
+
+def parse_landmark(text: str) -> tuple[str, list[tuple[float, ...]]]:
+    """'NAME pa:U,V lateral:U,V': the name, "" without one, and the pixels in both views. Raises UnusableInputError."""
+    from sightline.errors import UnusableInputError
+
+    words = text.split()
+    name = "-".join(word for word in words if ":" not in word)
+    point = parse_point(" ".join(word for word in words if ":" in word), "--landmark")
     if "depth" in point:
         raise UnusableInputError(
             f"--landmark {text!r} states a depth; a landmark is picked freely in both views: 'pa:U,V lateral:U,V'"
         )
-    return [point["pa"], point["lateral"]]
+    return name, [point["pa"], point["lateral"]]
 
 
 def _all_depths(points: list[dict[str, tuple[float, ...]]]) -> bool:
@@ -171,7 +219,7 @@ def plan_document(planned: "Plan", images: "tuple[CalibratedImage, CalibratedIma
     from sightline.case.documents import view_document
 
     return {
-        "go": planned.verdict.go,
+        **planned.verdict_document(),
         "trajectory": planned.trajectory.document(),
         "landmarks": planned.landmarks_document(),
         "views": [view_document(image) for image in images],
@@ -189,17 +237,16 @@ def show(output: Output, planned: "Plan") -> None:
     output.table("Trajectory in CFCS, mm (no robot is known)", ("point", "x", "y", "z", "95 % error"), rows)
     direction = f"{errors['direction_deg']:.2f}°" if errors else "unknown"
     output.say(f"wire {path.length_mm:.1f} mm, 95 % error of its direction {direction}")
-    output.say(
-        "GO: every check passed; a person decides" if planned.verdict.go else "NO-GO: see the checks that failed"
-    )
+    output.say(SAID[planned.verdict.state])
 
 
 def _write(folder: Path, report: "Report", document: dict[str, Any]) -> list[Path]:
     from sightline.case.documents import write_folder
     from sightline.case.interop.bundle import bundle
+    from sightline.case.interop.plan_file import sealed
     from sightline.case.report import render
     from sightline.cli.output import as_json
 
     taken, files = bundle(report.plan, report.images, report.frame)
-    plan_json = as_json({**document, **taken, "checks": report.plan.verdict.checks})
+    plan_json = as_json(sealed({**document, **taken, "checks": report.plan.verdict.checks}))
     return write_folder(folder, {"report.html": render(report).encode(), "plan.json": plan_json.encode(), **files})

@@ -4,13 +4,14 @@ import os
 from contextlib import ExitStack
 from pathlib import Path
 from threading import Thread
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
 from sightline.cli.output import Json, Output, Quiet, as_json
 
 if TYPE_CHECKING:
+    from sightline.case.interop.plan_file import PlanFile
     from sightline.rehearsal.operation import Theatre
     from sightline.robot.client import RobotClient
     from sightline.robot.server import RobotServer
@@ -115,7 +116,6 @@ def drive(
     plan: Annotated[Path, typer.Argument(help="plan.json, as `sightline plan --out` writes it.")],
     address: Annotated[str | None, typer.Argument(metavar="[HOST:PORT]", help="A simulator starts by itself.")] = None,
     *,
-    side: Side = "right",
     frame_serial: Serial = None,
     rehearse: Seed = None,
     frame: FrameName = "gamma",
@@ -128,10 +128,10 @@ def drive(
         from sightline.errors import UnusableInputError
         from sightline.robot.client import RobotClient
 
-        document = read_plan(plan)
+        known = read_plan(plan)
         if address is None:
             with out.step("starting a simulator"):
-                theatre = _theatre(side, frame_serial, rehearse, frame)
+                theatre = _theatre(known.side or "", frame_serial, rehearse, frame)
             frame_serial = theatre.setup.frame_serial
             server = stack.enter_context(theatre.server(virtual=True))
             robot = stack.enter_context(RobotClient(port=server.port, heartbeat=False, streams=False))
@@ -143,7 +143,7 @@ def drive(
             robot = stack.enter_context(RobotClient(*parse_address(address)))
         _refuse_yes(robot.simulated, yes)
         with out.step("sending the plan"):
-            target = _send(robot, document, plan.stem, side, frame_serial or SERIAL)
+            target = _send(robot, known, plan.stem, frame_serial or SERIAL)
         _show(out, target, robot)
         steps = (
             ("align", "The wire goes back, the arm turns, the wire stops 20 mm before bone. Is it clear?", robot.align),
@@ -159,7 +159,7 @@ def drive(
                 go()
         state, tip_mm = robot.status().text.split(";")[0], robot.position().translation
         out.say(f"the robot is in {state}")
-        told = {"state": state, "tip_mm": tip_mm, "end_mm": document["trajectory"]["end_mm"]}
+        told = {"state": state, "tip_mm": tip_mm, "end_mm": known.points_mm[1]}
         if rehearse is not None:
             told["true_wire_mm"] = robot.simulated_wire().axis_mm
         out.result(told)
@@ -193,30 +193,13 @@ def parse_address(text: str) -> tuple[str, int]:
     return host, int(port)
 
 
-def read_plan(file: Path) -> dict[str, Any]:
-    """A plan as JSON. Raises UnusableInputError, and RobotRefusedError for a plan that is NO-GO."""
-    from json import JSONDecodeError, loads
+def read_plan(file: Path) -> "PlanFile":
+    """A plan that a robot may be sent. Raises UnusableInputError, RobotRefusedError."""
+    from sightline.case.interop.plan_file import PlanFile
 
-    import numpy as np
-
-    from sightline.errors import RobotRefusedError, UnusableInputError
-
-    try:
-        document = loads(file.read_text(encoding="utf-8"))
-        path = document["trajectory"]
-        points = np.array([path["entry_mm"], path["end_mm"]], dtype=np.float64)
-        go, covariance = document["go"], path["covariance_mm2"]
-    except OSError as error:
-        raise UnusableInputError(f"cannot read {file}: {error.strerror}") from error
-    except (JSONDecodeError, UnicodeDecodeError, KeyError, TypeError, ValueError) as error:
-        raise UnusableInputError(f"{file} is no plan; write one with `sightline plan --out`") from error
-    if points.shape != (2, 3) or not np.isfinite(points).all():
-        raise UnusableInputError(f"{file}: entry and end point are three finite numbers each")
-    if go is not True:
-        raise RobotRefusedError("checks of the plan failed: planning says NO-GO; see them, and plan again")
-    if covariance is None or np.shape(covariance) != (6, 6):
-        raise RobotRefusedError("the plan's error is unknown; calibrate both views from beads")
-    return document
+    plan = PlanFile.read(file)
+    plan.refuse_for_robot()
+    return plan
 
 
 def _theatre(side: str, frame_serial: str | None, rehearse: int | None, frame: str) -> "Theatre":
@@ -241,11 +224,9 @@ def _close_with_stdin(server: "RobotServer") -> None:
     server.close()
 
 
-def _send(robot: "RobotClient", document: dict[str, Any], name: str, side: str, frame_serial: str) -> "RobotTarget":
+def _send(robot: "RobotClient", plan: "PlanFile", name: str, frame_serial: str) -> "RobotTarget":
     """Register, aim and send. The frame is where a simulator's encoders say; a real one's images are long taken."""
     import time
-
-    import numpy as np
 
     from sightline.errors import RobotRefusedError
     from sightline.rehearsal.robots import calibrated_robot
@@ -257,17 +238,21 @@ def _send(robot: "RobotClient", document: dict[str, Any], name: str, side: str, 
         raise RobotRefusedError(
             "a saved plan does not say where a real robot stood at its images; send it from the program that took them"
         )
-    now = time.time()
+    now, side = time.time(), plan.side or ""
     robot.start_up()
     q = robot.joints()[0]
     poses = {view: PoseAtImage(q, now, now) for view in ("pa", "lateral")}
     registration = register(calibrated_robot(side), poses)
-    path = document["trajectory"]
-    points = np.array([path["entry_mm"], path["end_mm"]], dtype=np.float64)
-    budget = {"planning": np.array(path["covariance_mm2"], dtype=np.float64)}
-    target = aim(PlanIdentity(name, side, frame_serial, go=True), points, budget, registration)
+    budget = None if plan.covariance_mm2 is None else {"planning": plan.covariance_mm2}
+    target = aim(
+        PlanIdentity(name, side, frame_serial, plan.go, plan.document.kind or ""),
+        plan.points_mm,
+        budget,
+        registration,
+        plan.limits,
+    )
     robot.calibrate(registration.T_mcs_cfcs, now)
-    robot.aim_plan(target, now, target.length_mm + DEPTH_SLACK_MM)
+    robot.aim_plan(target, now, target.depth_mm + DEPTH_SLACK_MM)
     return target
 
 

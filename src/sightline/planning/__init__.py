@@ -1,8 +1,10 @@
 """Reconstruction, image-matching curves, trajectories, go and no-go; aids and figures of hip implants."""
 
+from sightline.checks import Limits
 from sightline.planning.aids import Aids, Circle, Line
 from sightline.planning.anatomy import Anatomy, locate
 from sightline.planning.axis import Axis
+from sightline.planning.bone_checks import BoneRule
 from sightline.planning.corridor import Corridor, corridor
 from sightline.planning.curve import MatchingCurve, matching_curve, snap
 from sightline.planning.figures import Figure, figures
@@ -15,7 +17,7 @@ from sightline.planning.reconstruct import reconstruct
 from sightline.planning.results import SpacePoints, Verdict
 from sightline.planning.shares import Share, error_shares, error_shares_of
 from sightline.planning.trajectory import Trajectory
-from sightline.planning.verdict import Limits, judge
+from sightline.planning.verdict import judge
 
 __all__ = [
     "KINDS",
@@ -23,6 +25,7 @@ __all__ = [
     "Anatomy",
     "Asked",
     "Axis",
+    "BoneRule",
     "Circle",
     "Corridor",
     "Figure",

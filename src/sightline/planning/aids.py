@@ -1,6 +1,8 @@
 """What a person draws on two images to tell the bone: circles, lines, single clicks; in px, each as sure as a click."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -73,6 +75,22 @@ class Aids:
     shaft: tuple[Line, Line] | None = None
     calcar: Pick | None = None
     cortex: Pick | None = None
+
+    @staticmethod
+    def of(document: Mapping[str, Any]) -> "Aids":
+        """From what its fields are as JSON types."""
+        made: dict[str, Any] = {}
+        for name, kind in (("head", Circle), ("neck", Line), ("shaft", Line), ("calcar", Pick), ("cortex", Pick)):
+            drawn = document[name]
+            if isinstance(drawn, list):
+                made[name] = tuple(_read(kind, one) for one in drawn)
+            elif drawn is not None:
+                made[name] = _read(kind, drawn)
+        return Aids(**made)
+
+
+def _read(kind: type, document: Mapping[str, Any]) -> Any:
+    return kind(**{key: np.array(value) if isinstance(value, list) else value for key, value in document.items()})
 
 
 def _refuse_sd(sd_px: float) -> None:

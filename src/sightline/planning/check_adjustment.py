@@ -7,6 +7,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from sightline.calibration.view import CalibratedView, LinesOfSight
+from sightline.checks import Limits
 from sightline.errors import ReconstructionRefusedError
 from sightline.geometry.lines import nearest_approach
 from sightline.planning.check_result import FEWEST_LANDMARKS, CheckShot, checks
@@ -24,7 +25,6 @@ from sightline.planning.check_start import (
 from sightline.planning.picks import Pick, stack
 from sightline.planning.residuals import refuse_two_frames
 from sightline.planning.trajectory import Trajectory
-from sightline.planning.verdict import Limits
 
 # What is taken of a movement that landmarks do not show, s.d. per axis: a leg that is thought still [twin, BoneMotion].
 STILL_MM, STILL_RAD = 1.0, float(np.deg2rad(0.5))
@@ -85,7 +85,7 @@ class Adjustment:
         # A prior that leaves all free is no observation.
         free = 6 if self._n >= FEWEST_LANDMARKS else 3 if self._n else 0
         square = residual @ np.linalg.solve(covariance, residual) / (len(residual) - free - design.shape[1])
-        to_deviation = self._to_deviation() @ gain
+        to_deviation = self._to_deviation(limits.beyond_mm) @ gain
         spread = to_deviation @ (covariance - self._plan_picks_mm2(len(covariance))) @ to_deviation.T
         bending = slice(self._points_mm.size + 10, -1)
         bends = self._curve[2:].ravel()
@@ -94,13 +94,14 @@ class Adjustment:
         entry, tip = self._wire(np.array([0.0, self._tip_mm]))
         chord = entry + np.outer(along / self._tip_mm, tip - entry)
         planned = self._points_mm[-2:]
+        planned_tip = planned[1] + limits.beyond_mm / self._trajectory.length_mm * (planned[1] - planned[0])
         shot = CheckShot(
             entry_mm=entry,
             tip_mm=tip,
-            deviation_mm=np.concatenate([self._axes[:2] @ (entry - planned[0]), self._axes @ (tip - planned[1])]),
+            deviation_mm=np.concatenate([self._axes[:2] @ (entry - planned[0]), self._axes @ (tip - planned_tip)]),
             covariance_mm2=spread,
             across=self._axes[:2],
-            length_mm=self._trajectory.length_mm,
+            length_mm=self._trajectory.length_mm + limits.beyond_mm,
             movement=self.movement,
             landmarks=self._n,
             bow_mm=float(np.linalg.norm(self._wire(along) - chord, axis=1).max()),
@@ -205,8 +206,8 @@ class Adjustment:
         middle = (self._trajectory.entry_mm + self._trajectory.end_mm) / 2
         return -np.concatenate([self.movement.rotation.as_rotvec(), self.movement.apply(middle) - middle])
 
-    def _to_deviation(self) -> np.ndarray:
-        """(5, all numbers): derivative of the deviation by what is sought."""
+    def _to_deviation(self, beyond_mm: float) -> np.ndarray:
+        """(5, all numbers): derivative of the deviation by what is sought; the tip is planned past the end point."""
         first = self._points_mm.size + 6
         out = np.zeros((5, first + 2 * CURVE + 1))
         ends = terms(np.array([0.0, self._tip_mm]) / self._trajectory.length_mm)
@@ -214,7 +215,9 @@ class Adjustment:
             out[row : row + 2, first:-1] = np.kron(ends[k], np.eye(2))
         out[2:4, -1] = self._tangent(np.array([self._tip_mm]))[0] @ self._axes[:2].T
         out[4, -1] = 1.0
-        out[:2, first - 12 : first - 9], out[2:, first - 9 : first - 6] = -self._axes[:2], -self._axes
+        past = beyond_mm / self._trajectory.length_mm
+        out[:2, first - 12 : first - 9] = -self._axes[:2]
+        out[2:, first - 12 : first - 9], out[2:, first - 9 : first - 6] = past * self._axes, -(1 + past) * self._axes
         return out
 
     def _near_the_bone(self, view: CalibratedView, wire: KnownWire) -> KnownWire:

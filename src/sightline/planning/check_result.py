@@ -8,9 +8,8 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from sightline.calibration.view import CalibratedView
-from sightline.checks import Check, failed
+from sightline.checks import Check, Limits, failed
 from sightline.geometry.covariance import length_quantile
-from sightline.planning.verdict import Limits
 
 FEWEST_LANDMARKS = 3  # that tell of a rotation
 LARGEST_OUTLIER = 4.0  # standard deviations; eight honest shots had 3.2 at most, one with a tip 1 mm off 4.8 [calc]
@@ -23,10 +22,10 @@ class CheckShot:
 
     `entry_mm` (3,): where the wire passes the planned entry, across the planned axis; `tip_mm` (3,). `deviation_mm`
     (5,): of the entry across (2), of the tip across (2) and along (1, positive: too deep), across along the rows of
-    `across` (2, 3); `covariance_mm2` (5, 5). `length_mm` planned. `movement`: of the bone against the frame, from
-    planning CFCS to check CFCS. `bow_mm`: largest distance of the centre line from the chord; `bow_sigma`: of its terms
-    together, over their standard deviations. `residual_rms`: over what is stated. `outlier_sigma`: of the observation
-    that all others contradict most.
+    `across` (2, 3); `covariance_mm2` (5, 5). `length_mm`: planned, from the entry to where the tip ends. `movement`: of
+    the bone against the frame, from planning CFCS to check CFCS. `bow_mm`: largest distance of the centre line from the
+    chord; `bow_sigma`: of its terms together, over their standard deviations. `residual_rms`: over what is stated.
+    `outlier_sigma`: of the observation that all others contradict most.
     """
 
     entry_mm: np.ndarray

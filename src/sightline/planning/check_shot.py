@@ -8,13 +8,13 @@ four images, centre line and tip in two. Views err as they state, the frame's er
 from collections.abc import Sequence
 
 from sightline.calibration.view import CalibratedView
+from sightline.checks import Limits
 from sightline.errors import UnusableInputError
 from sightline.planning.check_adjustment import Adjustment
 from sightline.planning.check_result import CheckShot
 from sightline.planning.check_start import Landmarks, WireSeen
 from sightline.planning.picks import Pick
 from sightline.planning.trajectory import Trajectory
-from sightline.planning.verdict import Limits
 
 __all__ = ["CheckShot", "Landmarks", "check_shot"]
 

@@ -8,7 +8,7 @@ from sightline.calibration.view import CalibratedView
 from sightline.errors import OutsideRegionError
 from sightline.planning.trajectory import Trajectory
 
-BEFORE_MM, BEYOND_MM = 25.0, 15.0  # of the wire outside the entry, and beyond the planned tip [ours]
+BEFORE_MM, BEYOND_MM = 25.0, 15.0  # of the wire outside the entry, and beyond the planned depth [ours]
 _STEP_MM = 1.0
 
 
@@ -26,9 +26,11 @@ class ExpectedWire:
     sine: np.ndarray
 
 
-def expected_wire(view: CalibratedView, trajectory: Trajectory) -> ExpectedWire:
-    """The planned wire in a view, as far as the view is calibrated. Raises OutsideRegionError where it is nowhere."""
-    along = np.arange(-BEFORE_MM, trajectory.length_mm + BEYOND_MM, _STEP_MM)
+def expected_wire(view: CalibratedView, trajectory: Trajectory, drilled_beyond_mm: float = 0.0) -> ExpectedWire:
+    """The planned wire in a view, drilled so far past its end point, as far as the view is calibrated.
+
+    Raises OutsideRegionError where that is nowhere."""
+    along = np.arange(-BEFORE_MM, trajectory.length_mm + drilled_beyond_mm + BEYOND_MM, _STEP_MM)
     xyz = trajectory.entry_mm + along[:, None] * trajectory.direction
     rays = xyz - view.focal_point_mm
     across = np.cross(trajectory.direction, rays)

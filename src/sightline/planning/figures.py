@@ -91,6 +91,13 @@ def _valued(found: Anatomy, function: Callable[["_Parts"], np.ndarray], side: st
     return float(value[0]), sd
 
 
+def tip_depth(found: Anatomy) -> tuple[float, float | None]:
+    """How far the tip lies under the head's surface, mm, at its nearest; and its standard deviation.
+
+    Wire and head are known."""
+    return _valued(found, _nearest_bone, "right")  # of either side alike
+
+
 class _Parts:
     """The parts of the bone for K sets of all numbers, (K, n)."""
 

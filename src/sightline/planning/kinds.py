@@ -4,9 +4,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sightline.checks import Limits
 from sightline.errors import UnusableInputError
+from sightline.planning.bone_checks import HEAD_CENTRE, LESSER, BoneRule
 from sightline.planning.proposal import ProposalRule
-from sightline.planning.verdict import Limits
 
 
 @dataclass(frozen=True)
@@ -21,8 +22,8 @@ class Asked:
 @dataclass(frozen=True)
 class TrajectoryKind:
     """`points`: entry and end, in this order; `landmarks`: picked freely in both views; `aids`: fields of `Aids` that
-    help; `wire_mm`: diameter of what is drilled; `beyond_mm`: how far it goes past the end point; `limits` of the
-    predicted 95 % errors, and their `limits_source`; `proposal` where one can be made."""
+    help; `wire_mm`: diameter of what is drilled; `limits`, and their `limits_source`; `bone`: where the wire must lie
+    in the bone, which asks for the side and for some of landmarks and aids; `proposal` where one can be made."""
 
     key: str
     name: str
@@ -31,15 +32,15 @@ class TrajectoryKind:
     landmarks: tuple[Asked, ...]
     aids: tuple[Asked, ...]
     wire_mm: float
-    beyond_mm: float
     limits: Limits
     limits_source: str
+    bone: BoneRule | None
     proposal: ProposalRule | None
 
 
 _HIP_LANDMARKS = (
-    Asked("head-centre", "centre of the head", "A sharp point at the head, the same in both images."),
-    Asked("lesser-trochanter", "lesser trochanter", "The tip of the lesser trochanter."),
+    Asked(HEAD_CENTRE, "centre of the head", "A sharp point at the head, the same in both images."),
+    Asked(LESSER, "lesser trochanter", "The tip of the lesser trochanter."),
     # Two show a shift between the views; a check shot needs a third, which shows a turn as well.
     Asked("greater-trochanter", "greater trochanter", "The tip of the greater trochanter."),
 )
@@ -69,9 +70,9 @@ KINDS: dict[str, TrajectoryKind] = {
             _HIP_LANDMARKS,
             _HIP_AIDS,
             wire_mm=2.5,  # physics.md, Planning figures
-            beyond_mm=0.0,
             limits=Limits(),
             limits_source="what the paper reached with its robot: 1 mm and 0.6°",
+            bone=BoneRule(),
             proposal=ProposalRule(),
         ),
         TrajectoryKind(
@@ -88,9 +89,13 @@ KINDS: dict[str, TrajectoryKind] = {
             ),
             (),
             wire_mm=4.0,
-            beyond_mm=15.0,  # to the far cortex [ours]
-            limits=Limits(_HOLE_PLAY_MM, float(np.arctan2(2 * _HOLE_PLAY_MM, _HOLES_APART_MM))),
+            limits=Limits(
+                _HOLE_PLAY_MM,
+                float(np.arctan2(2 * _HOLE_PLAY_MM, _HOLES_APART_MM)),
+                beyond_mm=15.0,  # to the far cortex [ours]
+            ),
             limits_source="a 4 mm drill in two 5 mm holes 11 mm apart",
+            bone=None,
             proposal=None,
         ),
         TrajectoryKind(
@@ -107,9 +112,9 @@ KINDS: dict[str, TrajectoryKind] = {
             ),
             (),
             wire_mm=2.5,
-            beyond_mm=0.0,
             limits=Limits(),
             limits_source="what the paper reached with its robot: 1 mm and 0.6°",
+            bone=None,
             proposal=None,
         ),
     )

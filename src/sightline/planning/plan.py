@@ -8,12 +8,18 @@ import numpy as np
 
 from sightline.calibration.view import CalibratedView
 from sightline.errors import UnusableInputError
+from sightline.planning.aids import Aids
+from sightline.planning.anatomy import Anatomy, locate
+from sightline.planning.bone_checks import judge_in_bone
 from sightline.planning.curve import MatchingCurve, matching_curve, snap
+from sightline.planning.kinds import KINDS, TrajectoryKind
 from sightline.planning.picks import DEFAULT_PICK_SD_PX, Pick, stack
 from sightline.planning.reconstruct import Method, reconstruct
 from sightline.planning.results import SpacePoints, Verdict
 from sightline.planning.trajectory import Trajectory
-from sightline.planning.verdict import Limits, judge
+from sightline.planning.verdict import judge
+
+HIP_SCREW = KINDS["hip-screw"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -21,7 +27,7 @@ class Plan:
     """A trajectory, the curves of its two points in the second view, and what stands for or against it.
 
     `picks`: for entry and end, the pick in each view as it was used: snapped ones lie on their curve. `seen`: entry,
-    end and landmarks, in this order.
+    end and landmarks, in this order; `landmark_names`: of these, "" without one. `anatomy`: what was drawn.
     """
 
     trajectory: Trajectory
@@ -30,6 +36,26 @@ class Plan:
     entry_curve: MatchingCurve
     end_curve: MatchingCurve
     verdict: Verdict
+    kind: TrajectoryKind
+    side: str | None
+    anatomy: Anatomy | None
+    landmark_names: tuple[str, ...]
+
+    def verdict_document(self) -> dict[str, Any]:
+        """The verdict as JSON types, and by which limits it was reached; without the checks."""
+        limits = self.kind.limits
+        return {
+            "go": self.verdict.go,
+            "verdict": self.verdict.state,
+            "missing": list(self.verdict.missing),
+            "kind": self.kind.key,
+            "side": self.side,
+            "limits": {
+                "position_mm": limits.position_mm,
+                "direction_deg": float(np.rad2deg(limits.direction_rad)),
+                "beyond_mm": limits.beyond_mm,
+            },
+        }
 
     def landmarks_document(self) -> list[dict[str, Any]]:
         """The landmarks as JSON types: place, CFCS mm, and gap; `gap_sigma` is null where a view's error is unknown."""
@@ -37,6 +63,7 @@ class Plan:
         sigma = None if seen.gap_sigma is None else seen.gap_sigma.tolist()
         return [
             {
+                "name": self.landmark_names[k - len(self.picks)] or None,
                 "xyz_mm": seen.xyz_mm[k].tolist(),
                 "gap_mm": float(seen.gap_mm[k]),
                 "gap_sigma": None if sigma is None else sigma[k],
@@ -53,8 +80,11 @@ def plan(
     pick_sd_px: float = DEFAULT_PICK_SD_PX,
     snapped: bool | Sequence[bool] = False,
     landmarks_uv_px: np.ndarray | None = None,
+    landmark_names: Sequence[str] = (),
+    kind: TrajectoryKind = HIP_SCREW,
+    side: str | None = None,
+    aids: Aids | None = None,
     method: Method = "weighted",
-    limits: Limits | None = None,
     curve: Callable[..., MatchingCurve] = matching_curve,
 ) -> Plan:
     """Plan from the pixels of entry and end point, each (2, 2): a row for each view, IDCS.
@@ -62,8 +92,11 @@ def plan(
     `pick_sd_px`: how well a person picks. `snapped`: the second view's picks are taken to the curves of the first's,
     both, or (entry, end) as each says. `landmarks_uv_px` (2, L, 2): points of the bone picked freely in both views,
     which show whether it moved between them; they change neither entry nor end. A plan whose picks are snapped is no GO
-    without two of them (`judge`). `curve`: `matching_curve`, or one that remembers what it drew.
-    Raises what `reconstruct`, `matching_curve` and `snap` raise.
+    without two of them (`judge`). `landmark_names`: their keys in the kind of trajectory, "" for one
+    without. `kind` says which
+    limits hold and what is asked for; `side` ("right", "left") and `aids` are held against the wire where it names a
+    bone: without them the plan is incomplete. `curve`: `matching_curve`, or one that remembers what it drew.
+    Raises UnusableInputError, and what `reconstruct`, `matching_curve` and `snap` raise.
     """
     if len(views) != 2:
         raise UnusableInputError(f"{len(views)} views given; a plan is made on exactly two")
@@ -73,9 +106,26 @@ def plan(
     ]
     (entry, entry_curve), (end, end_curve) = picked
     free = _landmarks(landmarks_uv_px, pick_sd_px)
+    names = _names(kind, landmark_names, len(free))
     seen = _reconstructed(views, [entry, end, *free], method)
     trajectory = Trajectory(seen.first(2) if free else seen)
-    return Plan(trajectory, (entry, end), seen, entry_curve, end_curve, judge(trajectory, views, limits, seen))
+    anatomy = None if aids is None and kind.bone is None else locate(views, aids or Aids(), (entry, end), method)
+    verdict = judge(trajectory, views, kind.limits, seen)
+    if kind.bone is not None and anatomy is not None:
+        known = dict(zip(names, seen.xyz_mm[2:], strict=False))
+        verdict = verdict.joined(judge_in_bone(anatomy, kind.bone, side, known))
+    return Plan(trajectory, (entry, end), seen, entry_curve, end_curve, verdict, kind, side, anatomy, names)
+
+
+def _names(kind: TrajectoryKind, names: Sequence[str], count: int) -> tuple[str, ...]:
+    """Raises UnusableInputError where a landmark is none of the kind's, or named twice."""
+    known, given = [landmark.key for landmark in kind.landmarks], [name for name in names if name]
+    if not set(given) <= set(known) or len(set(given)) < len(given) or len(names) not in (0, count):
+        raise UnusableInputError(
+            f"{count} landmarks have the names {', '.join(map(repr, names))}; a {kind.name} knows {', '.join(known)}: "
+            "give each name once at most, and '' to a landmark without a name"
+        )
+    return tuple(names) or ("",) * count
 
 
 def _reconstructed(views: Sequence[CalibratedView], picks: Sequence[tuple[Pick, Pick]], method: Method) -> SpacePoints:

@@ -2,12 +2,14 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 
-from sightline.checks import Check
+from sightline.checks import Check, failed
 from sightline.errors import ErrorUnknownError
 
+State = Literal["go", "no-go", "incomplete"]
 # Where the error of a point comes from; their covariances add up to the whole.
 BUDGET = ("beads", "map", "focal_point", "frame", "picks")
 # A gap of this many standard deviations happens once in a thousand honest pairs of picks [ours].
@@ -151,11 +153,30 @@ def _gap_check(name: str, failed: bool, sigma: float, gap_mm: float) -> Check:
 
 @dataclass(frozen=True)
 class Verdict:
-    """GO only if every check passed; a person decides, this says what stands against it."""
+    """GO only if every check passed; a person decides, this says what stands against it.
+
+    `unmade`: those of the checks that could not be made, since something they need is missing; they failed."""
 
     checks: tuple[Check, ...]
+    unmade: tuple[Check, ...] = ()
 
     @property
     def go(self) -> bool:
         """True if every check passed."""
-        return all(check.passed for check in self.checks)
+        return not failed(self.checks)
+
+    @property
+    def state(self) -> State:
+        """ "incomplete" where nothing stands against the plan but what is missing."""
+        if self.go:
+            return "go"
+        return "incomplete" if all(check in self.unmade for check in failed(self.checks)) else "no-go"
+
+    def joined(self, other: "Verdict") -> "Verdict":
+        """With another's checks."""
+        return Verdict(self.checks + other.checks, self.unmade + other.unmade)
+
+    @property
+    def missing(self) -> tuple[str, ...]:
+        """What is missing, each in a sentence that says what to do."""
+        return tuple(check.sentence for check in self.unmade)

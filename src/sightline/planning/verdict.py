@@ -1,12 +1,12 @@
 """Go or no-go: the planned trajectory held against limits."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from sightline.calibration.view import CalibratedView
-from sightline.checks import Check
+from sightline.checks import Check, Limits
 from sightline.planning.results import LARGEST_GAP_SIGMA, SpacePoints, Verdict, error_known
 from sightline.planning.trajectory import Trajectory
 
@@ -15,14 +15,6 @@ _NOTICED_SIGMA = 1.645
 # One point shows a shift of the bone; it takes another to show that it turned [ours].
 LEAST_FREE_POINTS = 2
 _POINTS = ("entry", "end")
-
-
-@dataclass(frozen=True)
-class Limits:
-    """What the predicted 95 % errors must stay below. Defaults: what the paper reached with its robot [paper]."""
-
-    position_mm: float = 1.0
-    direction_rad: float = float(np.deg2rad(0.6))
 
 
 def judge(
@@ -42,7 +34,8 @@ def judge(
     if trajectory.points.joint_covariance_mm2 is not None:
         checks += [*_gaps(seen), _movement(seen)]
     checks.append(_inside_hull(trajectory, views))
-    return Verdict(tuple(checks))
+    # A movement that was not looked for is not one that was found.
+    return Verdict(tuple(checks), tuple(c for c in checks if c.name == "movement" and c.figure is None))
 
 
 def _errors(trajectory: Trajectory, limits: Limits) -> list[Check]:

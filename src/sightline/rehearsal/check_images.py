@@ -62,6 +62,7 @@ class CheckImages:
             [view for view, _ in seen],
             [wire for _, wire in seen],
             landmarks=landmarks,
+            limits=plan.kind.limits,
         )
 
     def _found(self, name: str, plan: Plan) -> tuple[BeadView, WireShadow]:
@@ -69,5 +70,5 @@ class CheckImages:
         beads = sl.detect(image)
         seen = tell_apart(image, beads, self.setup.frame, name)
         view = sl.calibrate(seen, self.setup.frame, view=name)
-        expected = expected_wire(view, plan.trajectory)
+        expected = expected_wire(view, plan.trajectory, plan.kind.limits.beyond_mm)
         return view, find_wire(image, expected, WIRE_MM, beads.uv_px, beads.radius_px)

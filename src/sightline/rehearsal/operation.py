@@ -105,7 +105,7 @@ class Theatre:
 
     def target(self, plan: Plan, name: str) -> RobotTarget:
         """What the robot is to drill. Raises RobotRefusedError."""
-        identity = PlanIdentity(name, self.setup.side, self.setup.frame_serial, plan.verdict.go)
+        identity = PlanIdentity(name, self.setup.side, self.setup.frame_serial, plan.verdict.go, plan.kind.key)
         return target_of(plan, identity, registered(self.robot, self.imaged, time.monotonic()))
 
     def drill(self, target: RobotTarget, depth_limit_mm: float) -> DrillingRecord:
@@ -136,7 +136,7 @@ def registered(robot: CalibratedRobot, imaged: np.ndarray, now_s: float) -> Regi
 def target_of(plan: Plan, identity: PlanIdentity, registration: Registration) -> RobotTarget:
     """A plan carried over. Raises RobotRefusedError."""
     points = plan.trajectory.points
-    return aim(identity, points.xyz_mm, points.budget_mm2, registration)
+    return aim(identity, points.xyz_mm, points.budget_mm2, registration, plan.kind.limits)
 
 
 def insert(client: RobotClient, target: RobotTarget, depth_limit_mm: float) -> DrillingRecord:

@@ -23,6 +23,7 @@ from sightline.twin.femur import SHORT_MM
 
 PARTS = (*VIEWS, "robot", "check", "picks")  # each with a generator of its own; new ones at the end
 LANDMARK_MARGIN_PX = 30.0  # inside both fields; landmarks nearer to the edge are not picked [ours]
+RIM_TURNS_RAD = np.array([0.3, 2.4, 4.5])  # about a third of the outline apart
 NO_SERIAL = "none"  # what the robot is told of a frame that has none
 
 
@@ -69,6 +70,22 @@ class Rehearsal:
         uv = self.pixels(np.stack(list(known.values())))
         shown = [self.setup.views[name].in_field(uv[k], LANDMARK_MARGIN_PX) for k, name in enumerate(VIEWS)]
         return {name: uv[:, k] for k, name in enumerate(known) if shown[0][k] and shown[1][k]}
+
+    @property
+    def head_rim(self) -> np.ndarray:
+        """(2, 3, 2) pixels in both images: three points around the outline of the head."""
+        out = np.zeros((2, len(RIM_TURNS_RAD), 2))
+        for k, name in enumerate(VIEWS):
+            view = self.setup.views[name]
+            ray, radius = self.hip.head_mm - view.focal_point_mm, self.hip.femur.head_radius_mm
+            distance = np.linalg.norm(ray)
+            across = np.linalg.svd(ray[None] / distance)[2][1:]
+            # The rays that touch a sphere do so on a circle nearer to the source, smaller than the sphere.
+            nearer = self.hip.head_mm - ray * (radius / distance) ** 2
+            touching = radius * np.sqrt(1.0 - (radius / distance) ** 2)
+            around = np.stack([np.cos(RIM_TURNS_RAD), np.sin(RIM_TURNS_RAD)], axis=1)
+            out[k] = view.project(nearer + touching * around @ across)
+        return out
 
     @property
     def surface_mm(self) -> np.ndarray:

@@ -1,5 +1,6 @@
 """Navigation's side of the link, blocking and simple: one call for each step, each answered or an error in time."""
 
+import math
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
@@ -434,7 +435,7 @@ class RobotClient:
 def plan_metadata(target: RobotTarget, now_s: float, depth_limit_mm: float) -> dict[str, str]:
     """What a target of ours says beside its pose. `now_s` by the clock of `target.expires_s`: what travels is the time
     left, so that two clocks need not agree."""
-    identity = target.identity
+    identity, limits = target.identity, target.limits
     return {
         contract.PLAN: identity.plan,
         contract.SIDE: identity.side,
@@ -442,9 +443,13 @@ def plan_metadata(target: RobotTarget, now_s: float, depth_limit_mm: float) -> d
         contract.GO: contract.YES if identity.go else contract.NO,
         contract.UNITS: contract.MM,
         contract.COORDINATES: contract.CFCS,
-        contract.LENGTH_MM: repr(target.length_mm),
+        contract.LENGTH_MM: repr(target.depth_mm),
         contract.DEPTH_LIMIT_MM: repr(depth_limit_mm),
         contract.VALID_S: repr(target.expires_s - now_s),
+        contract.KIND: identity.kind,
+        contract.POSITION_LIMIT_MM: repr(limits.position_mm),
+        contract.DIRECTION_LIMIT_DEG: repr(math.degrees(limits.direction_rad)),
+        contract.BEYOND_MM: repr(limits.beyond_mm),
     }
 
 

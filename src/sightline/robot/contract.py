@@ -36,6 +36,14 @@ UNITS, COORDINATES, PLAN = "units", "coordinates", "plan"
 SIDE, FRAME_SERIAL, GO = "side", "frame_serial", "go"
 LENGTH_MM, DEPTH_LIMIT_MM, VALID_S = "length_mm", "depth_limit_mm", "valid_s"
 PLAN_KEYS = (PLAN, SIDE, FRAME_SERIAL, GO, UNITS, COORDINATES, LENGTH_MM, DEPTH_LIMIT_MM, VALID_S)
+# And what a target may say besides: the kind of trajectory, the limits that the plan was judged by, and how much of
+# LENGTH_MM lies past the planned end point.
+KIND, POSITION_LIMIT_MM, DIRECTION_LIMIT_DEG, BEYOND_MM = (
+    "kind",
+    "position_limit_mm",
+    "direction_limit_deg",
+    "beyond_mm",
+)
 YES, NO = "yes", "no"
 MM, CFCS, MCS = "mm", "CFCS", "MCS"
 

@@ -186,7 +186,11 @@ def _plan(said: Mapping[str, str], setup: Setup) -> tuple[PlanIdentity, float, f
         raise RobotRefusedError(f"{contract.GO} is {contract.YES!r} or {contract.NO!r}, not {go!r}")
     try:
         identity = PlanIdentity(
-            said[contract.PLAN], said[contract.SIDE], said[contract.FRAME_SERIAL], go == contract.YES
+            said[contract.PLAN],
+            said[contract.SIDE],
+            said[contract.FRAME_SERIAL],
+            go == contract.YES,
+            said.get(contract.KIND, ""),
         )
     except UnusableInputError as error:
         raise RobotRefusedError(str(error)) from error

@@ -7,7 +7,7 @@ from functools import cached_property
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from sightline.checks import Check
+from sightline.checks import Check, Limits
 from sightline.errors import RobotRefusedError, UnusableInputError
 from sightline.geometry.covariance import length_quantile, line_direction
 from sightline.robot.manipulator import FEED
@@ -15,9 +15,6 @@ from sightline.robot.registration import Registration
 
 # A plan is as old as its last image; patients breathe, tables sag [issue: 10 minutes].
 LIFETIME_S = 600.0
-# What the paper reached with its robot [paper, Fig. 15].
-POSITION_LIMIT_MM = 1.0
-DIRECTION_LIMIT_RAD = float(np.deg2rad(0.6))
 # What an oblique cortex bends a wire whose sleeve stands at the bone, 1 s.d. per axis: 60 holes of 130° to 138° drilled
 # in the twin, the sleeve 5 mm before the bone, gave 0.9 mrad, at most 3.5 [calc]. Four times that at 10 mm.
 SKIVING_RAD = 1e-3
@@ -26,12 +23,14 @@ SIDES = ("right", "left")
 
 @dataclass(frozen=True)
 class PlanIdentity:
-    """Which plan it is: its identifier, the patient's side, the frame's serial, and whether planning says GO."""
+    """Which plan it is: its identifier, the patient's side, the frame's serial, whether planning says GO, and the kind
+    of trajectory, "" where a peer does not say it."""
 
     plan: str
     side: str
     frame_serial: str
     go: bool
+    kind: str = ""
 
     def __post_init__(self) -> None:
         if not self.plan or self.side not in SIDES:
@@ -42,7 +41,7 @@ class PlanIdentity:
 class RobotTarget:
     """A trajectory in MCS: `entry_mm`, `end_mm` (3,), the joints `q` (5,) with the tip at the entry point, and when it
     expires. `covariance_mm2` (6, 6) of (entry, end): where the wire will be in the bone, not where the encoders say.
-    `budget_mm2`: the same for each source, those of planning and of the robot."""
+    `budget_mm2`: the same for each source, those of planning and of the robot. `limits`: the plan's."""
 
     identity: PlanIdentity
     registration: Registration
@@ -52,6 +51,7 @@ class RobotTarget:
     covariance_mm2: np.ndarray
     budget_mm2: dict[str, np.ndarray]
     expires_s: float
+    limits: Limits
 
     @property
     def length_mm(self) -> float:
@@ -59,10 +59,15 @@ class RobotTarget:
         return float(np.linalg.norm(self.end_mm - self.entry_mm))
 
     @property
+    def depth_mm(self) -> float:
+        """From the entry to where the tip ends: past the end point, where the plan says so."""
+        return self.length_mm + self.limits.beyond_mm
+
+    @property
     def T_cfcs_wire(self) -> RigidTransform:
-        """Pose of the wire at its end point, CFCS: +z towards the tip; the robot's own, so its turn is reachable."""
+        """Pose of the wire when it is drilled, CFCS: +z towards the tip; the robot's own, so its turn is reachable."""
         manipulator = self.registration.robot.manipulator
-        q = self.q + np.array([0.0, 0.0, 0.0, 0.0, self.length_mm])
+        q = self.q + np.array([0.0, 0.0, 0.0, 0.0, self.depth_mm])
         return self.registration.T_mcs_cfcs.inv() * manipulator.T_mcs_tool(q)
 
     @cached_property
@@ -84,10 +89,10 @@ class RobotTarget:
     @property
     def checks(self) -> tuple[Check, ...]:
         """What stands for or against drilling it, the robot's errors included."""
-        degrees = (float(np.rad2deg(self.direction_error_95_rad)), float(np.rad2deg(DIRECTION_LIMIT_RAD)))
+        degrees = (float(np.rad2deg(self.direction_error_95_rad)), float(np.rad2deg(self.limits.direction_rad)))
         figures = (
-            ("wire entry error", "entry point", self.entry_error_95_mm, POSITION_LIMIT_MM, "mm"),
-            ("wire end error", "tip", self.end_error_95_mm, POSITION_LIMIT_MM, "mm"),
+            ("wire entry error", "entry point", self.entry_error_95_mm, self.limits.position_mm, "mm"),
+            ("wire end error", "tip", self.end_error_95_mm, self.limits.position_mm, "mm"),
             ("wire direction error", "direction", *degrees, "°"),
         )
         go = self.identity.go
@@ -120,9 +125,10 @@ def aim(
     points_mm: np.ndarray,
     budget_mm2: Mapping[str, np.ndarray] | None,
     registration: Registration,
+    limits: Limits,
 ) -> RobotTarget:
-    """The target of a planned trajectory: entry and end point (2, 3) CFCS, and the covariances (6, 6) of each source of
-    planning's error (`SpacePoints.budget_mm2`; None where a view states no error).
+    """The target of a planned trajectory: entry and end point (2, 3) CFCS, the covariances (6, 6) of each source of
+    planning's error (`SpacePoints.budget_mm2`; None where a view states no error), and the plan's limits.
 
     Raises RobotRefusedError where the error is unknown, entry and end are one point, or the line is out of reach.
     """
@@ -134,18 +140,20 @@ def aim(
     entry, end = registration.T_mcs_cfcs.apply(points)
     robot = registration.robot
     q = robot.manipulator.inverse(entry, end)
-    fed = q + np.array([0.0, 0.0, 0.0, 0.0, np.linalg.norm(end - entry)])
+    fed = q + np.array([0.0, 0.0, 0.0, 0.0, np.linalg.norm(end - entry) + limits.beyond_mm])
     short = robot.manipulator.beyond_limits(fed)[FEED]
     if short:
         raise RobotRefusedError(
-            f"the feed ends {short:.1f} mm before the end point; bring the robot's base nearer, or plan a shorter wire"
+            f"the feed ends {short:.1f} mm before the planned depth; bring the robot's base nearer, or plan a shorter "
+            "wire"
         )
     turn = np.kron(np.eye(2), registration.T_mcs_cfcs.rotation.as_matrix())
     budget = {source: turn @ covariance @ turn.T for source, covariance in budget_mm2.items()}
     budget |= robot.wire_against_frame(registration.q, q, np.stack([entry, end]))
     budget["skiving"] = _skiving(entry, end)
     covariance = np.sum(list(budget.values()), axis=0)
-    return RobotTarget(identity, registration, entry, end, q, covariance, budget, registration.imaged_s + LIFETIME_S)
+    expires_s = registration.imaged_s + LIFETIME_S
+    return RobotTarget(identity, registration, entry, end, q, covariance, budget, expires_s, limits)
 
 
 def _skiving(entry_mm: np.ndarray, end_mm: np.ndarray) -> np.ndarray:

@@ -19,7 +19,7 @@ from sightline.calibration.fit import Method
 from sightline.detection import Observations
 from sightline.errors import OutsideRegionError, SightlineError
 from sightline.frame import Frame
-from sightline.planning import Plan, plan
+from sightline.planning import Plan, kind, plan
 from sightline.rehearsal.operation import Outcome, Theatre
 from sightline.rehearsal.robots import calibrated_robot
 from sightline.robot.insertion import Setup
@@ -53,7 +53,7 @@ class Planned:
         entry, end, *marks = np.moveaxis(self.picks, 1, 0)
         known = [mark for mark in marks if _sees(views, mark)]
         landmarks = np.stack(known, axis=1) if known else None
-        return plan(views, entry, end, pick_sd_px=PICK_PX, landmarks_uv_px=landmarks)
+        return plan(views, entry, end, pick_sd_px=PICK_PX, landmarks_uv_px=landmarks, kind=kind("free-wire"))
 
 
 @dataclass(frozen=True)

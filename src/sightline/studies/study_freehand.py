@@ -27,7 +27,7 @@ import sightline as sl
 from sightline.calibration import BeadView
 from sightline.errors import SightlineError
 from sightline.frame import Frame, nominal
-from sightline.planning import plan
+from sightline.planning import kind, plan
 from sightline.studies.intervals import quantile, rms, share
 from sightline.studies.scenes import VIEWS, draw_showing, measure
 from sightline.studies.study import Figure, Summary, Table, Values
@@ -143,7 +143,9 @@ class CalibratedEyes(PlainEyes):
         super().__init__(setup, 0.0, rng)
         self.views = views
         entry, end = np.array(self.marks_px).swapaxes(0, 1)
-        self.plan_mm = plan(views, entry, end, pick_sd_px=PICK_PX, snapped=True).trajectory.points.xyz_mm
+        self.plan_mm = plan(
+            views, entry, end, pick_sd_px=PICK_PX, snapped=True, kind=kind("free-wire")
+        ).trajectory.points.xyz_mm
 
     def error_mm(self, wire_mm: np.ndarray) -> np.ndarray:
         """(2, 3)."""

@@ -15,7 +15,7 @@ import numpy as np
 from sightline.checks import failed
 from sightline.errors import SightlineError
 from sightline.frame import Frame
-from sightline.planning import plan
+from sightline.planning import kind, plan
 from sightline.studies.intervals import quantile, rms, share
 from sightline.studies.phantoms import PHANTOMS, calibrated_images
 from sightline.studies.scenes import VIEWS
@@ -82,7 +82,7 @@ def _planned(phantom: str, rng: np.random.Generator) -> Values:
         exact = np.array([setup.views[name].project(hip.wire_mm) for name in VIEWS])
         sd = PICKS_PX[phantom]
         uv = exact + sd * rng.standard_normal(exact.shape)
-        made = plan(views, uv[:, 0], uv[:, 1], pick_sd_px=sd)
+        made = plan(views, uv[:, 0], uv[:, 1], pick_sd_px=sd, kind=kind("free-wire"))
     except SightlineError as error:
         return {"ended": "refused", "why": type(error).__name__}
     path, wire = made.trajectory, hip.wire_mm

@@ -22,7 +22,7 @@ from sightline.checks import failed
 from sightline.detection import Observations
 from sightline.errors import SightlineError
 from sightline.frame import Frame
-from sightline.planning import Pick, Plan, matching_curve, plan
+from sightline.planning import Pick, Plan, kind, matching_curve, plan
 from sightline.studies.figure_xy import Axis, Point, Series, xy
 from sightline.studies.intervals import quantile, share
 from sightline.studies.scenes import VIEWS, WHOLE, draw_showing
@@ -240,7 +240,13 @@ class Picks:
         if self.snapped:
             ends = [np.array([first, _nearest_on_curve(views, first, second)]) for first, second in ends]
         return plan(
-            views, ends[0], ends[1], pick_sd_px=PICK_PX, snapped=self.snapped, landmarks_uv_px=self.landmarks_px
+            views,
+            ends[0],
+            ends[1],
+            pick_sd_px=PICK_PX,
+            snapped=self.snapped,
+            landmarks_uv_px=self.landmarks_px,
+            kind=kind("free-wire"),
         )
 
 

@@ -9,11 +9,11 @@ import pytest
 from tests.case.conftest import HOSTILE, LANDMARKS_MM, WIRE_MM
 
 from sightline.case.interop.bundle import bundle
-from sightline.case.interop.plan_file import PlanFile
+from sightline.case.interop.plan_file import PlanFile, sealed
 from sightline.case.views import NAMES, calibrate_pair
 from sightline.cli.output import as_json
 from sightline.cli.plan import plan_document
-from sightline.planning import plan
+from sightline.planning import kind, plan
 
 
 @pytest.fixture(scope="session")
@@ -21,10 +21,18 @@ def plan_folder(pair, frame, setup, tmp_path_factory: pytest.TempPathFactory) ->
     images = calibrate_pair(pair, frame, "smooth")
     entry, end = (np.stack([setup.views[name].project(one[None])[0] for name in NAMES]) for one in WIRE_MM)
     landmarks = np.stack([setup.views[name].project(LANDMARKS_MM) for name in NAMES])
-    planned = plan([image.view for image in images], entry, end, pick_sd_px=0.1, landmarks_uv_px=landmarks)
+    planned = plan(
+        [image.view for image in images],
+        entry,
+        end,
+        pick_sd_px=0.1,
+        landmarks_uv_px=landmarks,
+        kind=kind("free-wire"),
+        side="right",
+    )
     taken, files = bundle(planned, images, frame)
     folder = tmp_path_factory.mktemp("plan")
-    text = as_json({**plan_document(planned, images), **taken, "checks": planned.verdict.checks})
+    text = as_json(sealed({**plan_document(planned, images), **taken, "checks": planned.verdict.checks}))
     assert HOSTILE.replace('"', "") in text  # plan.json names the images' files; no export may
     (folder / "plan.json").write_text(text)
     for name, data in files.items():
@@ -47,5 +55,6 @@ def no_go_plan(plan_folder: Path, tmp_path_factory: pytest.TempPathFactory) -> P
         (folder / image.name).write_bytes(image.read_bytes())
     document["go"] = False
     document["checks"][0]["passed"] = False
-    (folder / "plan.json").write_text(json.dumps(document))
+    document["verdict"] = "no-go"
+    (folder / "plan.json").write_text(json.dumps(sealed(document)))
     return PlanFile.read(folder)

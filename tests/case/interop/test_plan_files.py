@@ -15,7 +15,7 @@ from tests.robot.rig import ROBOT, T_MCS_CFCS
 from sightline.case.interop import itk, robot_files, slicer, tables, xml_safe
 from sightline.case.interop.nrrd import plate_corner
 from sightline.case.interop.patient import R_lps_cfcs
-from sightline.case.interop.plan_file import PlanFile
+from sightline.case.interop.plan_file import PlanFile, sealed
 from sightline.errors import RefusedError, RobotRefusedError, UnusableInputError
 from sightline.robot import contract
 from sightline.robot.igtl import Message, Stream, Trajectories, Transform
@@ -168,7 +168,7 @@ def test_the_table_has_both_frames_and_their_covariances(go_plan: PlanFile) -> N
 
 
 def test_a_robots_messages_say_what_the_contract_asks_and_that_they_have_expired(go_plan: PlanFile) -> None:
-    files = robot_files.write(go_plan, "right", "case-7")
+    files = robot_files.write(go_plan, "case-7")
     messages = {}
     for name in ("target.igtl", "trajectory.igtl"):
         (event,) = Stream().feed(files[name])
@@ -184,14 +184,13 @@ def test_a_robots_messages_say_what_the_contract_asks_and_that_they_have_expired
     assert np.abs(path.body.paths[0].entry_mm - entry).max() < 1e-4
     assert set(contract.PLAN_KEYS) <= set(target.metadata)
     setup, registered = Setup("right", ""), LinkRegistration(T_MCS_CFCS, 0)
+    assert target.metadata["kind"] == "free-wire"
     with pytest.raises(RobotRefusedError, match="expired"):
         read_target(target, registered, ROBOT, setup, 0.0)
     live = replace(target, metadata={**target.metadata, contract.VALID_S: "500"})
     taken = read_target(live, registered, ROBOT, setup, 0.0)
     in_mcs = T_MCS_CFCS.apply(go_plan.points_mm)
     assert np.abs(np.stack([taken.entry_mm, taken.end_mm]) - in_mcs).max() < 1e-3  # 32-bit directions over 80 mm
-    with pytest.raises(UnusableInputError, match="side"):
-        robot_files.write(go_plan, None, "case-7")
 
 
 def test_a_no_go_plan_says_so_everywhere_and_no_robot_gets_it(no_go_plan: PlanFile) -> None:
@@ -201,13 +200,17 @@ def test_a_no_go_plan_says_so_everywhere_and_no_robot_gets_it(no_go_plan: PlanFi
     (line,) = json.loads(scene["wire.mrk.json"])["markups"]
     assert line["name"].startswith("NO-GO")
     with pytest.raises(RefusedError, match="NO-GO"):
-        robot_files.write(no_go_plan, "right", "case-7")
+        robot_files.write(no_go_plan, "case-7")
 
 
 def test_no_file_tells_the_images_names(go_plan: PlanFile, scenes) -> None:
     files = scenes["left"] | itk.write(go_plan, "left") | tables.write(go_plan, "left")
-    for name, data in (files | robot_files.write(go_plan, "left", "c")).items():
+    for name, data in (files | robot_files.write(go_plan, "c")).items():
         assert b"alert" not in data and b".dcm" not in data, name
+
+
+# What plans of the earlier form lack.
+NEW = ("verdict", "missing", "kind", "side", "limits", "digest")
 
 
 def edited(plan_folder: Path, folder: Path, **changes: object) -> Path:
@@ -218,7 +221,7 @@ def edited(plan_folder: Path, folder: Path, **changes: object) -> Path:
         for step in steps:
             inner = inner[step]
         inner[last] = value
-    (folder / "plan.json").write_text(json.dumps(document))
+    (folder / "plan.json").write_text(json.dumps(sealed(document)))
     return folder
 
 
@@ -233,6 +236,8 @@ def edited(plan_folder: Path, folder: Path, **changes: object) -> Path:
         ({"checks": []}, "no checks"),
         ({"checks": [{"name": "x", "passed": False}]}, r"GO beside failed checks \(x\)"),
         ({"go": "perhaps"}, "go"),
+        ({"verdict": "no-go"}, "its verdict is 'no-go' and go True"),
+        ({"limits": None}, "no verdict, kind or limits"),
     ],
 )
 def test_a_plan_file_that_cannot_be_is_refused(plan_folder: Path, tmp_path: Path, changes: dict, words: str) -> None:
@@ -243,7 +248,7 @@ def test_a_plan_file_that_cannot_be_is_refused(plan_folder: Path, tmp_path: Path
 
 def test_an_old_plan_is_exported_as_far_as_it_goes(plan_folder: Path, tmp_path: Path) -> None:
     document = json.loads((plan_folder / "plan.json").read_text())
-    for key in ("frame", "plates", "lines_of_sight", "drawn"):
+    for key in ("frame", "plates", "lines_of_sight", "drawn", *NEW):
         del document[key]
     (tmp_path / "plan.json").write_text(json.dumps(document))
     old = PlanFile.read(tmp_path)
@@ -251,6 +256,29 @@ def test_an_old_plan_is_exported_as_far_as_it_goes(plan_folder: Path, tmp_path: 
     assert itk.write(old, "left")
     with pytest.raises(UnusableInputError, match="plan again with --out"):
         slicer.write(old, "left")
+    with pytest.raises(RobotRefusedError, match="without a digest"):
+        robot_files.write(old, "case-7")
+
+
+def test_a_plan_that_was_edited_is_refused_and_one_that_was_only_written_anew_is_not(
+    plan_folder: Path, tmp_path: Path
+) -> None:
+    document = json.loads((plan_folder / "plan.json").read_text())
+    file = tmp_path / "plan.json"
+    file.write_text(json.dumps(dict(sorted(document.items())), indent=3))
+    assert PlanFile.read(file).go
+    document["trajectory"]["entry_mm"][1] += 1e-9
+    file.write_text(json.dumps(document))
+    with pytest.raises(UnusableInputError, match="changed after it was made"):
+        PlanFile.read(file)
+
+
+def test_an_incomplete_plan_says_so_everywhere_and_no_robot_gets_it(plan_folder: Path, tmp_path: Path) -> None:
+    changes = {"go": False, "verdict": "incomplete", "checks": [{"name": "head", "passed": False}]}
+    incomplete = PlanFile.read(edited(plan_folder, tmp_path, **changes))
+    assert b"INCOMPLETE (missing: head)" in tables.write(incomplete, None)["trajectory.csv"]
+    with pytest.raises(RobotRefusedError, match="INCOMPLETE"):
+        robot_files.write(incomplete, "case-7")
 
 
 @pytest.mark.parametrize("name", ["../plan.json", "/etc/hostname", 7])

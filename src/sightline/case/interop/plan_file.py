@@ -1,4 +1,7 @@
-"""`plan.json` as `sightline plan --out` writes it, read back and checked."""
+"""`plan.json` as `sightline plan --out` writes it, read back and checked.
+
+Its digest shows that nobody changed it, by accident or by hand. It is no signature: whoever means to can make another.
+"""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -7,20 +10,24 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from sightline.case.canonical import canonical, digest
 from sightline.case.interop import opencv, reading
 from sightline.case.interop.pinhole import Pinhole
-from sightline.errors import UnusableInputError
+from sightline.checks import Limits
+from sightline.errors import RobotRefusedError, UnusableInputError
 from sightline.geometry.covariance import length_quantile
 from sightline.imaging import read_image
 from sightline.planning import Trajectory
-from sightline.planning.results import SpacePoints
+from sightline.planning.results import SpacePoints, State
 
+_DIGEST = "digest"
 _MAX_BYTES = 2**24  # [ours] a hundred times a plan with its beads
 
 Number = Annotated[float, Field(allow_inf_nan=False, ge=-1e5, le=1e5)]
 Point = tuple[Number, Number, Number]
 Pixel = tuple[Number, Number]
 Text = Annotated[str, Field(max_length=200)]
+Positive = Annotated[float, Field(allow_inf_nan=False, gt=0.0, le=1e3)]
 
 
 class _Part(BaseModel):
@@ -83,10 +90,25 @@ class LandmarkPart(_Part):
     xyz_mm: Point
 
 
+class LimitsPart(_Part):
+    """What the plan was judged by."""
+
+    position_mm: Positive
+    direction_deg: Positive
+    beyond_mm: Annotated[float, Field(allow_inf_nan=False, ge=0.0, le=1e3)]
+
+
 class PlanDocument(_Part):
-    """What is read of plan.json. The last four are missing in plans without images' geometry."""
+    """What is read of plan.json. Without `digest` and what goes with it it is of an earlier form; the last four are
+    missing in plans without images' geometry."""
 
     go: bool
+    verdict: State | None = None
+    missing: Annotated[list[Annotated[str, Field(max_length=2000)]], Field(max_length=200)] = []
+    kind: Text | None = None
+    side: Literal["right", "left"] | None = None
+    limits: LimitsPart | None = None
+    digest: Text | None = None
     trajectory: TrajectoryPart
     checks: Annotated[list[CheckPart], Field(max_length=200)]
     landmarks: Annotated[list[LandmarkPart], Field(max_length=200)] = []
@@ -94,6 +116,12 @@ class PlanDocument(_Part):
     plates: dict[str, dict[str, Any]] | None = None
     lines_of_sight: Annotated[list[SightPart], Field(max_length=200)] = []
     drawn: dict[str, DrawnPart] | None = None
+
+
+def sealed(document: Mapping[str, Any]) -> dict[str, Any]:
+    """A plan's document with its digest: of the canonical JSON of all else in it."""
+    rest = {key: value for key, value in document.items() if key != _DIGEST}
+    return {**rest, _DIGEST: f"sha256:{digest(canonical(rest))}"}
 
 
 class PlanFile:
@@ -109,7 +137,9 @@ class PlanFile:
         file = Path(path) / "plan.json" if Path(path).is_dir() else Path(path)
         data = reading.read_bytes(file, _MAX_BYTES)
         try:
-            reading.json_object(data, depth=12)
+            given = reading.json_object(data, depth=12)
+            if _DIGEST in given and given[_DIGEST] != sealed(given)[_DIGEST]:
+                raise UnusableInputError("it was changed after it was made: its digest is another; plan again")
             plan = PlanFile(PlanDocument.model_validate_json(data), file.parent)
             plan.refuse_contradictions()
         except ValidationError as error:
@@ -121,7 +151,13 @@ class PlanFile:
         return plan
 
     def refuse_contradictions(self) -> None:
-        """Raises UnusableInputError where GO stands beside a failed check, or the covariance is none."""
+        """Raises UnusableInputError where GO stands beside a failed check or another verdict, where a plan with a
+        digest lacks what goes with it, or where the covariance is none."""
+        document = self.document
+        if document.digest is not None and None in (document.verdict, document.kind, document.limits):
+            raise UnusableInputError("it has a digest, but no verdict, kind or limits; plan again")
+        if document.verdict is not None and document.go != (document.verdict == "go"):
+            raise UnusableInputError(f"its verdict is {document.verdict!r} and go {document.go}; plan again")
         if self.document.go and self.failed:
             raise UnusableInputError(f"it says GO beside failed checks ({', '.join(self.failed)}); plan again")
         if not self.document.checks or self.length_mm < 1.0:
@@ -130,10 +166,37 @@ class PlanFile:
         if covariance is not None and np.linalg.eigvalsh(covariance).min() < -1e-9 * np.abs(covariance).max():
             raise UnusableInputError("its covariance is not positive; plan again")
 
+    def refuse_for_robot(self) -> None:
+        """Raises RobotRefusedError unless a robot may be sent this plan."""
+        document = self.document
+        if not document.go:
+            raise RobotRefusedError(f"the plan is {self.verdict}: no robot is sent it; see its checks, and plan again")
+        if document.digest is None:
+            raise RobotRefusedError(
+                "the plan is of an earlier form without a digest: nothing shows that it is as it was made; plan again"
+            )
+        if document.side is None:
+            raise RobotRefusedError("the plan does not say which side of the patient it is for: plan again with --side")
+        if self.covariance_mm2 is None:
+            raise RobotRefusedError("the plan's error is unknown; calibrate both views from beads")
+
     @property
     def go(self) -> bool:
         """Whether planning says GO."""
         return self.document.go
+
+    @property
+    def side(self) -> str | None:
+        """Of the patient, where the plan says."""
+        return self.document.side
+
+    @property
+    def limits(self) -> Limits:
+        """What the plan was judged by. Raises UnusableInputError for a plan of an earlier form."""
+        limits = self.document.limits
+        if limits is None:
+            raise UnusableInputError("the plan is of an earlier form and does not state its limits; plan again")
+        return Limits(limits.position_mm, float(np.deg2rad(limits.direction_deg)), limits.beyond_mm)
 
     @property
     def failed(self) -> list[str]:
@@ -171,8 +234,11 @@ class PlanFile:
 
     @property
     def verdict(self) -> str:
-        """GO, or NO-GO with the checks that failed."""
-        return "GO" if self.go else f"NO-GO (failed: {', '.join(self.failed) or 'see the plan'})"
+        """GO, or NO-GO with the checks that failed, or INCOMPLETE with those that could not be made."""
+        if self.go:
+            return "GO"
+        names = ", ".join(dict.fromkeys(self.failed)) or "see the plan"
+        return f"INCOMPLETE (missing: {names})" if self.document.verdict == "incomplete" else f"NO-GO (failed: {names})"
 
     @property
     def statement(self) -> str:

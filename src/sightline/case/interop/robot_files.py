@@ -4,10 +4,13 @@ A file keeps no time, so they say that the plan has expired (`valid_s` 0): a rob
 whoever sends one answers for how long the plan is still good (docs/robot-link.md).
 """
 
+from math import degrees
+
+import numpy as np
+
 from sightline.case.interop.itk import T_cfcs_wire
 from sightline.case.interop.plan_file import PlanFile
 from sightline.case.interop.writing import json_bytes
-from sightline.errors import RefusedError
 from sightline.robot import contract
 from sightline.robot.igtl import Message, Trajectories, Transform, encode
 from sightline.robot.igtl.messages_plan import Path
@@ -15,12 +18,15 @@ from sightline.robot.insertion import DEPTH_SLACK_MM
 from sightline.robot.target import PlanIdentity
 
 
-def write(plan: PlanFile, side: str | None, case: str) -> dict[str, bytes]:
-    """Raises RefusedError for a plan that is NO-GO, which a robot cannot weigh; UnusableInputError without a side."""
-    if not plan.go:
-        raise RefusedError(f"the plan is {plan.verdict}: no message for a robot is written of it; plan again")
+def write(plan: PlanFile, case: str) -> dict[str, bytes]:
+    """Raises RobotRefusedError for a plan that no robot may be sent."""
+    plan.refuse_for_robot()
     serial = plan.document.frame.serial if plan.document.frame else None
-    identity = PlanIdentity(case, side or "", serial or "", go=True)
+    identity = PlanIdentity(case, plan.side or "", serial or "", plan.go, plan.document.kind or "")
+    limits = plan.limits
+    depth_mm = plan.length_mm + limits.beyond_mm
+    entry, end = plan.points_mm
+    tip = entry + depth_mm * (end - entry) / plan.length_mm
     metadata = {
         contract.PLAN: identity.plan,
         contract.SIDE: identity.side,
@@ -28,12 +34,16 @@ def write(plan: PlanFile, side: str | None, case: str) -> dict[str, bytes]:
         contract.GO: contract.YES,
         contract.UNITS: contract.MM,
         contract.COORDINATES: contract.CFCS,
-        contract.LENGTH_MM: repr(plan.length_mm),
-        contract.DEPTH_LIMIT_MM: repr(plan.length_mm + DEPTH_SLACK_MM),
+        contract.LENGTH_MM: repr(depth_mm),
+        contract.DEPTH_LIMIT_MM: repr(depth_mm + DEPTH_SLACK_MM),
         contract.VALID_S: "0",
+        contract.KIND: identity.kind,
+        contract.POSITION_LIMIT_MM: repr(limits.position_mm),
+        contract.DIRECTION_LIMIT_DEG: repr(degrees(limits.direction_rad)),
+        contract.BEYOND_MM: repr(limits.beyond_mm),
     }
-    pose = T_cfcs_wire(plan.points_mm)
-    path = Path("planned wire", *plan.points_mm, group="Sightline", owner="CFCS")
+    pose = T_cfcs_wire(np.stack([entry, tip]))
+    path = Path("planned wire", entry, tip, group="Sightline", owner="CFCS")
     named = {
         "target.igtl": Message(Transform(pose), f"{contract.TARGET}plan", version=2, metadata=metadata),
         "trajectory.igtl": Message(Trajectories((path,)), "plan", version=2, metadata=metadata),
@@ -42,7 +52,7 @@ def write(plan: PlanFile, side: str | None, case: str) -> dict[str, bytes]:
         "statement": plan.statement,
         "coordinates": "CFCS",
         "units": "mm",
-        "pose": "of the wire at its end point, +z towards the tip",
+        "pose": "of the wire when it is drilled, +z towards the tip",
         "matrix": pose.tolist(),
         "entry_mm": plan.points_mm[0].tolist(),
         "end_mm": plan.points_mm[1].tolist(),

@@ -1,0 +1,214 @@
+"""A wire held against its bone: side, which end is which, the tip under the head's surface, the entry at the cortex."""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from sightline.checks import Check, failed
+from sightline.errors import UnusableInputError
+from sightline.planning import Aids, Circle, MatchingCurve, Plan, kind, matching_curve, plan
+from sightline.planning.bone_checks import BoneRule
+from sightline.planning.results import Verdict
+
+from . import bone
+from .standin import StandInView, stand_in
+
+LESSER_MM = bone.ENTRY_MM + np.array([-35.3, 4.7, -8.2])
+DOWN = {"right": 1.0, "left": -1.0}
+
+
+@cache
+def _views() -> list[StandInView]:
+    return [stand_in("pa", 0.4, 0.05), stand_in("lateral", -0.2, 0.05)]
+
+
+@cache
+def _curve_once() -> MatchingCurve:
+    return matching_curve(_views()[0], np.array([512.0, 512.0]), _views()[1])
+
+
+def _one_curve(*_: object) -> MatchingCurve:
+    """No curve is looked at here, and drawing one takes most of the time of a plan."""
+    return _curve_once()
+
+
+def _planned(
+    wire_mm: np.ndarray,
+    centre_mm: np.ndarray = bone.CENTRE_MM,
+    side: str | None = "right",
+    lesser_mm: np.ndarray | None = LESSER_MM,
+    radius_mm: float | None = bone.RADIUS_MM,
+    aids: Aids | None = None,
+    noise_px: np.ndarray | float = 0.0,
+) -> Plan:
+    """On a sphere for a head, as clicks on its rim show it."""
+    views = _views()
+    uv = np.array([view.project(wire_mm) for view in views]) + noise_px
+    drawn = aids or Aids()
+    if radius_mm is not None:
+        drawn = replace(drawn, head=(_rim(views[0], centre_mm, radius_mm), _rim(views[1], centre_mm, radius_mm)))
+    marks = None if lesser_mm is None else np.array([view.project(lesser_mm[None]) for view in views])
+    names = () if lesser_mm is None else ("lesser-trochanter",)
+    return plan(
+        views, uv[:, 0], uv[:, 1], side=side, aids=drawn, landmarks_uv_px=marks, landmark_names=names, curve=_one_curve
+    )
+
+
+def _rim(view: StandInView, centre_mm: np.ndarray, radius_mm: float) -> Circle:
+    ray = centre_mm - view.focal_point_mm
+    around = np.linalg.svd(ray[None])[2][1:]
+    sine = radius_mm / np.linalg.norm(ray)
+    turns = np.deg2rad([10.0, 75.0, 140.0, 210.0, 290.0])
+    ring = np.stack([np.cos(turns), np.sin(turns)], axis=1) @ around
+    return Circle.through(view.project(centre_mm - sine**2 * ray + radius_mm * np.sqrt(1 - sine**2) * ring))
+
+
+def _names(verdict: Verdict) -> set[str]:
+    return {check.name for check in failed(verdict.checks)}
+
+
+def _drawn_hips(count: int = 60) -> list[tuple[np.ndarray, np.ndarray, float, str]]:
+    """Wire (2, 3), centre and radius of the head, side: hips of both sides, about as far apart as patients are."""
+    rng, out = np.random.default_rng(21), []
+    for k in range(count):
+        side, radius = ("right", "left")[k % 2], rng.uniform(20.0, 26.0)
+        angle, turn = np.deg2rad(rng.uniform(126.0, 142.0)), np.deg2rad(rng.uniform(-5.0, 25.0))
+        along = np.array([-np.sin(angle) * np.cos(turn), np.cos(angle), np.sin(angle) * np.sin(turn)])
+        along[1] *= DOWN[side]
+        centre = rng.uniform(-8.0, 8.0, 3) - np.array([15.0, 15.0 * DOWN[side], 0.0])
+        wire = np.stack([centre - rng.uniform(62.0, 82.0) * along, centre + (radius - rng.uniform(5.0, 10.0)) * along])
+        out.append((wire, centre, radius, side))
+    return out
+
+
+def _lesser(wire_mm: np.ndarray, side: str) -> np.ndarray:
+    return wire_mm[0] + np.array([-35.0, 5.0 * DOWN[side], -8.0])
+
+
+def test_right_plans_are_go_and_not_one_of_sixty_is_when_its_points_are_exchanged_or_its_side_is_the_other():
+    other = {"right": "left", "left": "right"}
+    noise = np.random.default_rng(22)
+    for wire, centre, radius, side in _drawn_hips():
+        known = {"centre_mm": centre, "radius_mm": radius, "lesser_mm": _lesser(wire, side)}
+        noise_px = noise.normal(0.0, 0.5, (2, 2, 2))
+        right = _planned(wire, side=side, noise_px=noise_px, **known).verdict
+        assert right.state == "go", failed(right.checks)
+        exchanged = _planned(wire[::-1], side=side, noise_px=noise_px, **known).verdict
+        assert exchanged.state == "no-go" and "entry and end" in _names(exchanged)
+        wrong = _planned(wire, side=other[side], noise_px=noise_px, **known).verdict
+        assert wrong.state == "no-go" and _names(wrong) == {"side"}
+        both = _planned(wire[::-1], side=other[side], noise_px=noise_px, **known).verdict
+        assert both.state == "no-go"
+
+
+def test_what_is_known_without_the_head_tells_an_exchange_too():
+    """The landmark at the head's centre, where no outline was drawn: incomplete, and wrong where exchanged."""
+    views = _views()
+    marks = np.array([view.project(np.stack([bone.CENTRE_MM, LESSER_MM])) for view in views])
+    uv = np.array([view.project(np.stack([bone.ENTRY_MM, bone.END_MM])) for view in views])
+    names = ("head-centre", "lesser-trochanter")
+    known = {"side": "right", "landmarks_uv_px": marks, "landmark_names": names}
+    right = plan(views, uv[:, 0], uv[:, 1], **known).verdict
+    assert (right.state, _names(right)) == ("incomplete", {"head"})
+    assert right.missing[0].startswith("The head is not drawn")
+    exchanged = plan(views, uv[:, 1], uv[:, 0], **known).verdict
+    assert exchanged.state == "no-go" and "entry and end" in _names(exchanged)
+
+
+@pytest.mark.parametrize("short_mm", [-4.0, -0.6, 0.1, 2.5, 8.0, 40.0])
+def test_the_tip_must_stay_under_the_heads_surface_by_more_than_its_error(short_mm: float):
+    along = (bone.END_MM - bone.ENTRY_MM) / np.linalg.norm(bone.END_MM - bone.ENTRY_MM)
+    through = bone.CENTRE_MM + 3.0 * np.array([0.0, 0.0, 1.0])  # not quite central
+    inside = np.sqrt(bone.RADIUS_MM**2 - np.linalg.norm(np.cross(through - bone.CENTRE_MM, along)) ** 2)
+    end = through + (inside - (through - bone.CENTRE_MM) @ along - short_mm) * along
+    wire = np.stack([through - 74.0 * along, end])
+    verdict = _planned(wire, lesser_mm=_lesser(wire, "right")).verdict
+    (check,) = (check for check in verdict.checks if check.name == "tip in head")
+    depth = bone.RADIUS_MM - np.linalg.norm(end - bone.CENTRE_MM)
+    assert check.figure == pytest.approx(depth, abs=0.02)
+    assert 0.12 < check.limit < 0.2  # clicks of 0.5 px are 0.1 mm here
+    assert check.passed == (depth > check.limit)
+    assert verdict.go == (short_mm in (2.5, 8.0, 40.0))
+    if not check.passed:
+        assert f"{check.limit:.1f} mm" in check.sentence and f"{depth:.1f} mm" in check.sentence
+
+
+@pytest.mark.parametrize("inside_mm", [0.0, 16.0, 25.0, 45.0])
+def test_an_entry_inside_the_neck_is_no_go(inside_mm: float):
+    along = (bone.END_MM - bone.ENTRY_MM) / np.linalg.norm(bone.END_MM - bone.ENTRY_MM)
+    wire = np.stack([bone.ENTRY_MM + inside_mm * along, bone.END_MM])
+    by_lesser = _planned(wire).verdict
+    assert by_lesser.go == (inside_mm == 0.0)
+    uv = bone.pixels(_views())
+    shaft_and_cortex = replace(bone.aids(uv), neck=None, calcar=None)
+    by_cortex = _planned(wire, lesser_mm=None, radius_mm=None, aids=shaft_and_cortex).verdict
+    assert ("entry at cortex" in _names(by_cortex)) == (inside_mm > 0.0)
+    assert "entry at cortex" not in {check.name for check in by_cortex.unmade}
+
+
+def test_a_wire_that_no_plate_or_screw_fits_is_no_go():
+    uv = bone.pixels(_views())
+    drawn = replace(bone.aids(uv), neck=None, calcar=None, cortex=None)
+    steep = np.stack([bone.CENTRE_MM + np.array([30.0, 75.0, -4.0]), bone.CENTRE_MM - np.array([4.0, 10.0, 0.0])])
+    verdict = _planned(steep, radius_mm=None, lesser_mm=steep[0] - np.array([30.0, 0.0, 0.0]), aids=drawn).verdict
+    (check,) = (check for check in verdict.checks if check.name == "wire to shaft")
+    assert check.figure > check.limit == BoneRule().to_shaft_deg[1]
+    assert not check.passed
+    length = _planned(np.stack([bone.ENTRY_MM, bone.END_MM]))
+    short = plan(
+        _views(),
+        *np.swapaxes([view.project(np.stack([bone.ENTRY_MM, bone.END_MM])) for view in _views()], 0, 1),
+        kind=replace(kind("hip-screw"), bone=BoneRule(length_mm=(50.0, 80.0))),
+    )
+    (check,) = (check for check in short.verdict.checks if check.name == "wire length")
+    assert (check.limit, check.passed) == (80.0, False)
+    assert length.verdict.go
+
+
+def test_a_head_that_is_none_is_no_go_and_not_merely_missing():
+    wire = np.stack([bone.ENTRY_MM, bone.END_MM])
+    verdict = _planned(wire, radius_mm=37.0).verdict
+    assert verdict.state == "no-go"
+    (check,) = (check for check in failed(verdict.checks) if check.name == "head")
+    assert "no sphere" in check.sentence
+
+
+def test_outlines_of_two_spheres_are_no_go():
+    """Their radii, corrected for magnification, differ by 1.5 mm; their centres agree."""
+    views, wire = _views(), np.stack([bone.ENTRY_MM, bone.END_MM])
+    head = tuple(
+        _rim(view, bone.CENTRE_MM, bone.RADIUS_MM + more) for view, more in zip(views, (0.75, -0.75), strict=True)
+    )
+    assert _names(_planned(wire, radius_mm=None, aids=Aids(head=head)).verdict) == {"head agreement"}
+
+
+def test_nothing_is_asked_of_a_wire_without_a_bone():
+    views = _views()
+    uv = np.array([view.project(np.stack([bone.ENTRY_MM, bone.END_MM])) for view in views])
+    verdict = plan(views, uv[:, 0], uv[:, 1], kind=kind("free-wire")).verdict
+    assert verdict.go and verdict.missing == ()
+
+
+def test_missing_and_wrong_together_are_no_go_and_both_are_said():
+    wanting, wrong = (Check(name, False, None, None, "", f"{name}.") for name in ("side", "gap"))
+    right = Check("error known", True, None, None, "", "Known.")
+    assert Verdict((right,)).state == "go"
+    assert Verdict((right, wanting), (wanting,)).state == "incomplete"
+    both = Verdict((right, wanting, wrong), (wanting,))
+    assert (both.state, both.missing, both.go) == ("no-go", ("side.",), False)
+
+
+@pytest.mark.parametrize("names", [("patella",), ("lesser-trochanter", "head-centre"), ("", "")])
+def test_landmarks_have_names_of_the_kinds_once_each(names: tuple[str, ...]):
+    views = _views()
+    uv = np.array([view.project(np.stack([bone.ENTRY_MM, bone.END_MM])) for view in views])
+    mark = np.array([view.project(LESSER_MM[None]) for view in views])
+    with pytest.raises(UnusableInputError, match="landmark"):
+        plan(views, uv[:, 0], uv[:, 1], landmarks_uv_px=mark, landmark_names=names)
+
+
+def test_a_side_that_is_none_is_refused():
+    with pytest.raises(UnusableInputError, match="side"):
+        _planned(np.stack([bone.ENTRY_MM, bone.END_MM]), side="middle")
