@@ -5,8 +5,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.robot.scripted_robot import old_robot
 from tests.robot.rig import END_MM, ENTRY_MM, served
+from tests.robot.scripted_robot import old_robot
 from typer.testing import CliRunner
 
 from sightline.case.interop.plan_file import sealed
