@@ -1,6 +1,7 @@
 """A view calibrated from its beads, whatever the method."""
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Self
 
 import numpy as np
@@ -9,9 +10,11 @@ from sightline.calibration.checks import handedness_check
 from sightline.calibration.hull import Hull
 from sightline.calibration.posterior import Posterior
 from sightline.calibration.residuals import Residuals
+from sightline.calibration.support import Support
 from sightline.calibration.view import LinesOfSight, PlaneMap
 from sightline.checks import Check
 from sightline.errors import UnusableInputError
+from sightline.frame import FrameView
 from sightline.geometry.planes import Plane
 
 
@@ -19,7 +22,8 @@ from sightline.geometry.planes import Plane
 class BeadView:
     """A `CalibratedView`: `plane_map` takes pixels to the reference plane `plane`.
 
-    `residuals`: of every bead given; `hull`: of the beads used, in the image; `frame_key`: `Frame.fingerprint`.
+    `residuals`: of every bead given; `hull`: of the beads used, in the image; `frame_key`: `Frame.fingerprint`;
+    `frame_view`: the frame's beads of this view.
     `mirrored`: the image shows the frame file's beads as their mirror image; `mirrored_display`: what a person said of
     the display, None where nobody was asked.
     """
@@ -34,6 +38,7 @@ class BeadView:
     hull: Hull
     checks: tuple[Check, ...]
     frame_key: str
+    frame_view: FrameView
     posterior: Posterior
     mirrored_display: bool | None = None
 
@@ -61,6 +66,19 @@ class BeadView:
         seen[seen] = near
         return uv[near], seen
 
+    @cached_property
+    def _support(self) -> Support:
+        fiducials = self.frame_view.fiducials
+        xyz = np.array([f.xyz_mm for f in fiducials], dtype=np.float64)
+        places, seen = self.project_seen(xyz)
+        # As wide as their diameter across the beam: the rim's image, as far from the centre's.
+        rims, rim_seen = self.project_seen(xyz + np.outer([f.diameter_mm / 2 for f in fiducials], self.plane.axes[0]))
+        both = seen & rim_seen
+        radii = np.linalg.norm(rims[both[rim_seen]] - places[both[seen]], axis=1)
+        used = {i for i, taken in zip(self.residuals.ids, self.residuals.used, strict=True) if taken}
+        ids = [f.id for f, shown in zip(fiducials, both, strict=True) if shown]
+        return Support.of(places[both[seen]], radii, np.array([i in used for i in ids], dtype=bool))
+
     def lines_of_sight(self, uv_px: np.ndarray) -> LinesOfSight:
         """Lines of sight of pixels (N, 2). Raises OutsideRegionError, UnusableInputError."""
         uv = np.asarray(uv_px, dtype=np.float64)
@@ -80,4 +98,5 @@ class BeadView:
             frame_key=self.frame_key,
             inside_hull=self.hull.contains(uv),
             upright=self.mirrored == bool(self.mirrored_display),
+            beads_near=self._support.near(uv),
         )

@@ -6,7 +6,7 @@ import numpy as np
 
 from sightline.calibration.bead_view import BeadView
 from sightline.calibration.beads import Beads, match
-from sightline.calibration.checks import noise_checks, view_checks
+from sightline.calibration.checks import noise_checks, row_check, view_checks
 from sightline.calibration.classical import Fitter, PlateName, classical_residuals, fit_plates
 from sightline.calibration.fit import Method, refuse_unknown_method
 from sightline.calibration.hull import Hull
@@ -66,8 +66,9 @@ def smooth_view(beads: Beads, fit_to: Callable[[Beads], JointFit] = fit_jointly)
         residuals=residuals,
         mirrored=_mirrored(beads, fit.pencil.focal_point_mm),
         hull=Hull.of(fit.beads.uv_px),
-        checks=tuple(view_checks(beads, residuals) + noise_checks(fit)),
+        checks=(*view_checks(beads, residuals), *noise_checks(fit), row_check(fit)),
         frame_key=beads.frame.fingerprint,
+        frame_view=beads.frame.view(beads.view),
         posterior=fit,
     )
 
@@ -92,6 +93,7 @@ def _classical(beads: Beads, method: Method, fitter: Fitter, plate: PlateName) -
         hull=fit.plate.hull,
         checks=tuple(view_checks(beads, residuals) + _approximate(fit.plate.misfit_mm2, joint, noise_px)),
         frame_key=beads.frame.fingerprint,
+        frame_view=beads.frame.view(beads.view),
         posterior=fit,
     )
 
@@ -111,7 +113,7 @@ def _approximate(misfit_mm2: float, joint: JointFit | None, noise_px: float | No
     )
     out = [Check("map misfit", True, figure, None, "mm", sentence)]
     if joint is not None:
-        return out + noise_checks(joint)
+        return [*out, *noise_checks(joint), row_check(joint)]
     if noise_px is not None:
         sentence = f"Nothing is known of the beads' noise and they are too few to tell it; {noise_px} px is assumed."
         out.append(Check("measurement noise", True, noise_px, None, "px", sentence))

@@ -22,6 +22,7 @@ GOOD_COVERAGE = 0.45  # [ours] share of each plate's area, within the hull of it
 GOOD_LEAVE_ONE_OUT_MM = 0.5  # [ours] half of the 1 mm the paper reaches at the entry point
 GOOD_NOISE_PX = 2.0  # [ours] twice an ordinary click (physics.md, Picks)
 CHI_SQUARE_FALSE_ALARM = 1e-4  # [ours]
+FEWEST_BESIDE = 6  # [ours] beads on either side of a row at which an image may be torn
 
 
 def view_checks(beads: Beads, residuals: Residuals) -> list[Check]:
@@ -69,6 +70,32 @@ def handedness_check(mirrored: bool, display: bool) -> Check:
         "run 'sightline frame check --before' with the file before it."
     )
     return Check("frame handedness", mirrored == display, None, None, "", sentence)
+
+
+def row_check(fit: JointFit) -> Check:
+    """Whether the rows above some row are shifted against those below, in the direction that shows it best.
+
+    A shift of the pixels of one side, along the rows or across, is one number more in the model of the image; every row
+    between two beads is tried.
+    """
+    uv, slopes = fit.beads.uv_px, fit.map.jacobian(fit.beads.uv_px)
+    order = np.sort(uv[:, 1])
+    rows = (order[FEWEST_BESIDE - 1 : -FEWEST_BESIDE] + order[FEWEST_BESIDE : len(order) - FEWEST_BESIDE + 1]) / 2
+    below = uv[:, 1, None] > rows
+    directions = np.concatenate([-slopes[:, :, k, None] * below[:, None] for k in range(2)], axis=2)
+    shifts_px, sds_px = fit.solution.score(directions.reshape(2 * len(uv), -1))
+    sigma = np.abs(shifts_px) / sds_px
+    worst = int(sigma.argmax())
+    figure, limit = float(sigma[worst]), float(np.sqrt(chdtri(1, CHI_SQUARE_FALSE_ALARM / len(sigma))))
+    if passed := figure <= limit:
+        sentence = "No row is found at which the image is torn."
+    else:
+        way = ("along", "across")[worst // len(rows)]
+        sentence = (
+            f"The image seems torn at row {rows[worst % len(rows)]:.0f}: what lies below is shifted by "
+            f"{abs(shifts_px[worst]):.1f} px {way} the rows. Take another image, or check how it was transferred."
+        )
+    return Check("image rows", passed, figure, limit, "σ", sentence)
 
 
 def _count(count: int) -> Check:

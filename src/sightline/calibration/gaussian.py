@@ -94,6 +94,16 @@ class Solution:
         weights = (back + slope @ self._fixed) @ self._inverse
         return weights, prior - back @ back.T + slope @ slope.T
 
+    def score(self, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """How much of each direction (n, k) is in the data beside the model: amounts (k,), and their s.d. (k,).
+
+        Each by itself, by generalised least squares: theta and g are fitted with it.
+        """
+        white = solve_lower(self.factor, directions)
+        fixed = solve_lower(self.r, self.white.T @ white)
+        precision = (white**2).sum(axis=0) - (fixed**2).sum(axis=0)
+        return directions.T @ self.dual[:, 0] / precision, 1.0 / np.sqrt(precision)
+
     def residual_precision(self, size: int) -> np.ndarray:
         """(n / size, size, size): diagonal blocks of P = V^-1 - V^-1 X (X^T V^-1 X)^-1 X^T V^-1.
 

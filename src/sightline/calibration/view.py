@@ -50,6 +50,8 @@ class LinesOfSight:
     that knows no frame; views with different keys are not combined.
     `inside_hull` (N,) bool: within the hull of the beads. `upright`: whether the image shows the frame file's beads as
     the X-ray source sees them, or as a display does that a person said is mirrored; None without a frame.
+    `beads_near` (N, 2) int: of the frame's beads nearest to each pixel, how many the view rests on, and how many the
+    image should show; None without a frame.
     """
 
     view: str
@@ -62,6 +64,7 @@ class LinesOfSight:
     frame_key: str | None
     inside_hull: np.ndarray
     upright: bool | None = None
+    beads_near: np.ndarray | None = None
 
     @property
     def points_mm(self) -> np.ndarray:
@@ -86,6 +89,7 @@ class LinesOfSight:
             covariance=None if each is None else {source: c[np.ix_(kept, kept)] for source, c in each.items()},
             frame_factor=None if self.frame_factor is None else self.frame_factor[kept],
             inside_hull=self.inside_hull[rows],
+            beads_near=None if self.beads_near is None else self.beads_near[rows],
         )
 
 

@@ -64,6 +64,7 @@ def reconstruct(
         shift_mm=shift,
         shift_sd_mm=shift_sd,
         upright=_upright(lines),
+        beads_near={one.view: one.beads_near for one in lines if one.beads_near is not None} or None,
     )
 
 

@@ -28,7 +28,8 @@ def judge(
     `seen`: entry, end and landmarks, in this order; without it there are no landmarks."""
     limits, seen = limits or Limits(), seen or trajectory.points
     checks = [replace(check, sentence=f"{view.name}: {check.sentence}") for view in views for check in view.checks]
-    checks += [error_known(trajectory.points), *seen.frame_checks()]
+    named = [f"the {name} point" for name in _POINTS]
+    checks += [error_known(trajectory.points), *seen.frame_checks(), *trajectory.points.bead_checks(named)]
     if trajectory.error_stated:
         checks += _errors(trajectory, limits)
     if trajectory.points.joint_covariance_mm2 is not None:

@@ -1,0 +1,52 @@
+"""Which of the frame's beads should be seen near a pixel, and how many of them the calibration rests on.
+
+Labelling drops what does not fit the rest, such as the beads of a strip of torn rows. The map there is then a guess
+from elsewhere, and no residual says so.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import ConvexHull
+from scipy.spatial.distance import cdist
+
+NEAREST = 8  # [ours] beads about a pixel, of both plates: within 1.1 pitches of 7 x 7 and 8 x 8 beads
+
+
+@dataclass(frozen=True, eq=False)
+class Support:
+    """E beads that the view shows apart from each other: `places_px` (E, 2), `radii_px` (E,), `used` (E,) bool."""
+
+    places_px: np.ndarray
+    radii_px: np.ndarray
+    used: np.ndarray
+
+    @staticmethod
+    def of(places_px: np.ndarray, radii_px: np.ndarray, used: np.ndarray) -> "Support":
+        """Of all beads that the view projects (M, 2); of two that touch or overlap detection may find none."""
+        apart = cdist(places_px, places_px) - radii_px[:, None] - radii_px
+        np.fill_diagonal(apart, np.inf)
+        alone = apart.min(axis=1, initial=np.inf) > 0.0
+        return Support(places_px[alone], radii_px[alone], used[alone])
+
+    def near(self, uv_px: np.ndarray) -> np.ndarray:
+        """(N, 2) int: used and expected ones of the NEAREST beads to each pixel (N, 2) that lie in the field.
+
+        The field of view is convex and holds the beads used and the pixel: what lies between them is in it.
+        """
+        out = np.zeros((len(uv_px), 2), dtype=int)
+        known = self.places_px[self.used]
+        within = _inside(known, self.places_px, self.radii_px)
+        for k, uv in enumerate(uv_px):
+            beyond = np.concatenate([known, uv[None]])
+            seen = within if _inside(known, uv[None]).all() else _inside(beyond, self.places_px, self.radii_px)
+            rows = np.flatnonzero(seen | self.used)
+            nearest = rows[np.argsort(np.linalg.norm(self.places_px[rows] - uv, axis=1))[:NEAREST]]
+            out[k] = self.used[nearest].sum(), len(nearest)
+        return out
+
+
+def _inside(corners_px: np.ndarray, uv_px: np.ndarray, margin_px: np.ndarray | float = 0.0) -> np.ndarray:
+    """(N,) bool: pixels (N, 2) within the convex hull of others, by at least a margin."""
+    sides = ConvexHull(corners_px).equations
+    return (uv_px @ sides[:, :2].T + sides[:, 2]).max(axis=1) <= -np.asarray(margin_px)

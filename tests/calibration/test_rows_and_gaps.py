@@ -1,0 +1,114 @@
+"""Torn rows and dropped beads: found from the beads alone, in the view and about each point of a plan."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from calibration_scenes import EXACT, GAMMA, Camera, choose
+
+from sightline.calibration import calibrate
+from sightline.calibration.support import Support
+from sightline.detection.results import Observations
+from sightline.planning import plan
+from sightline.twin import bead_images
+
+POINT_PX = np.array([[520.0, 470.0]])
+
+
+def rows_check(view):
+    return next(check for check in view.checks if check.name == "image rows")
+
+
+def torn(observations, row: float, shift_px: tuple[float, float]):
+    below = observations.uv_px[:, 1] > row
+    return replace(observations, uv_px=observations.uv_px + below[:, None] * np.array(shift_px))
+
+
+@pytest.mark.parametrize("method", ["smooth", "polynomial"])
+@pytest.mark.parametrize("shift_px", [(2.0, 0.0), (0.0, -2.0)])
+def test_a_torn_image_is_found_with_its_row_and_shift(method, shift_px):
+    whole = Camera.pa(bend=0.03).observe(GAMMA, np.random.default_rng(3))
+    assert rows_check(calibrate(whole, GAMMA, method=method)).passed
+    check = rows_check(calibrate(torn(whole, 480.0, shift_px), GAMMA, method=method))
+    assert not check.passed
+    row = float(check.sentence.split("row ")[1].split(":")[0])
+    shift = float(check.sentence.split("shifted by ")[1].split(" px")[0])
+    assert abs(row - 480.0) < 40.0  # half a pitch of the beads, 90 px, parts the rows of two beads
+    assert shift == pytest.approx(2.0, abs=0.5)
+    assert ("along" if shift_px[0] else "across") in check.sentence
+
+
+def test_whole_images_are_not_called_torn():
+    """The largest of 200 scores: its limit is exceeded once in 10,000 images, and follows the standard normal."""
+    rng = np.random.default_rng(6)
+    figures = [rows_check(calibrate(Camera.pa(bend=0.03).observe(EXACT, rng), EXACT)).figure for _ in range(20)]
+    assert 2.0 < np.median(figures) < 3.6  # of 100 to 200 correlated standard normal numbers
+    assert max(figures) < rows_check(calibrate(Camera.pa().observe(EXACT, rng), EXACT)).limit
+
+
+def near(view, uv_px=POINT_PX) -> float:
+    used, shown = view.lines_of_sight(uv_px).beads_near[0]
+    return used / shown
+
+
+@pytest.mark.parametrize("method", ["smooth", "polynomial"])
+def test_dropped_beads_are_counted_where_they_are_missed(method):
+    """Beads of one strip were not labelled: missed by a point in it, not by one elsewhere."""
+    whole = Camera.pa().observe(GAMMA)
+    strip = choose(whole, lambda i: abs(dict(zip(whole.ids, whole.uv_px[:, 1], strict=True))[i] - 470.0) > 60.0)
+    assert 10 < len(whole) - len(strip) < 30
+    assert near(calibrate(whole, GAMMA, method=method)) == 1.0
+    view = calibrate(strip, GAMMA, method=method)
+    assert near(view) < 0.7
+    assert near(view, np.array([[520.0, 750.0]])) > 0.8
+
+
+def test_a_bead_left_out_as_wrong_counts_as_missing():
+    whole = Camera.pa().observe(GAMMA)
+    moved = whole.uv_px.copy()
+    nearest = np.argsort(np.linalg.norm(moved - POINT_PX, axis=1))[[0, 5]]
+    moved[nearest] += [(9.0, -7.0), (-8.0, -8.0)]
+    view = calibrate(replace(whole, uv_px=moved), GAMMA)
+    assert len(view.residuals.left_out) == 2
+    assert near(view) == 0.75
+
+
+def test_beads_that_touch_are_not_expected_nor_those_beyond_the_field():
+    grid = 50.0 * np.stack(np.meshgrid(np.arange(6), np.arange(6)), axis=-1).reshape(-1, 2)
+    places = np.concatenate([grid, [[102.0, 109.0]]])  # its neighbour at (100, 100)
+    used = np.ones(len(places), dtype=bool)
+    used[-1] = False
+    support = Support.of(places, np.full(len(places), 6.0), used)
+    assert len(support.places_px) == 35
+    outside = used.copy()
+    outside[places[:, 0] > 220.0] = False  # the field ends before the last column
+    cut = Support.of(places, np.full(len(places), 6.0), outside)
+    used_near, shown = cut.near(np.array([[190.0, 120.0]]))[0]
+    assert used_near == shown
+    used_near, shown = cut.near(np.array([[275.0, 120.0]]))[0]  # a pick beyond it: the field does not end there
+    assert used_near < shown
+
+
+def test_a_plan_among_dropped_beads_is_no_go(setup, frame):
+    """16 dropped beads, entry inside their strip: by the beads' count alone the view is good."""
+    rng = np.random.default_rng(12)
+    wire = np.array([[22.0, 14.0, -7.0], [-20.0, -24.0, 9.0]])
+    views, uv = {}, []
+    for name in ("pa", "lateral"):
+        ids, px = bead_images(setup, name, rng, 0.1)
+        ends = setup.views[name].project(wire)
+        uv.append(ends)
+        seen = Observations(name, tuple(ids), px, np.repeat(0.01 * np.eye(2)[None], len(ids), axis=0))
+        off = np.abs(px[:, 1] - ends[0, 1])
+        strip = set(np.array(ids)[np.argsort(off)[:16]])
+        views[name] = [calibrate(seen, frame), calibrate(choose(seen, lambda i, s=strip: i not in s), frame)]
+        assert all(check.passed for view in views[name] for check in view.checks)
+    entry, end = np.swapaxes(np.array(uv), 0, 1)
+    for pa, lateral, image in ((0, 0, None), (1, 0, "pa"), (0, 1, "lateral"), (1, 1, "pa")):
+        made = plan([views["pa"][pa], views["lateral"][lateral]], entry, end)
+        failing = [check for check in made.verdict.checks if not check.passed]
+        assert [check.name for check in failing] == ([] if image is None else ["beads near"])
+        if image is not None:
+            assert "the entry point" in failing[0].sentence
+            assert f"the {image} image" in failing[0].sentence or (pa and lateral)
+            assert "beads near" in {check.name for check in made.seen.checks if not check.passed}
