@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from tests.robot.rig import END_MM, ENTRY_MM, served
-from tests.robot.scripted_robot import old_robot
+from tests.robot.scripted_robot import old_robot, scripted
 from typer.testing import CliRunner
 
 from sightline.case.interop.plan_file import sealed
@@ -106,7 +106,6 @@ def test_a_real_robot_takes_no_yes_and_no_saved_plan(plan):
         assert "where a real robot stood" in done.stderr
 
 
-@pytest.mark.slow
 def test_nor_does_its_check_take_a_yes():
     with old_robot() as port:
         assert run("check", f"127.0.0.1:{port}", "--yes", "--quiet").exit_code == 3
@@ -176,20 +175,29 @@ def test_a_plan_that_errs_too_much_is_refused(tmp_path):
     assert "must not be drilled" in done.stderr
 
 
-@pytest.mark.slow
-def test_check_a_robot(tmp_path):
-    with served() as server:
-        done = run("check", f"127.0.0.1:{server.port}", "--yes", "--json")
+def test_check_a_robot():
+    with scripted() as port:
+        done = run("check", f"127.0.0.1:{port}", "--yes", "--json")
     assert done.exit_code == 0, done.output
     said = json.loads(done.stdout)
     assert said["conforms"] is True
     assert {"name": "unknown command: 12", "verdict": "pass"}.items() <= said["findings"][3].items()
     assert said["findings"][-1]["name"].startswith("dry run")
-    with old_robot(answers_all=False) as port:
-        done = run("check", f"127.0.0.1:{port}", "--no-dry-run")
-    assert done.exit_code == 3
-    assert "unknown command" in done.stderr
-    assert "not supported" in done.stdout
+
+
+def test_a_bad_robot_s_findings_are_printed_for_people_and_for_machines():
+    """Whatever it sends: text where a message should be, too."""
+    for flaw, name in (("ignores unknown commands", "unknown command"), ("answers a wrong CRC with text", "survives")):
+        with scripted(flaw) as port:
+            done = run("check", f"127.0.0.1:{port}", "--no-dry-run")
+            assert done.exit_code == 3
+            assert f"does not keep the contract: {name}" in done.stderr
+            assert "FAIL" in done.stdout
+            done = run("check", f"127.0.0.1:{port}", "--no-dry-run", "--json")
+            assert done.exit_code == 3
+            said = json.loads(done.stdout)
+            assert said["conforms"] is False
+            assert next(f["name"] for f in said["findings"] if f["verdict"] == "FAIL").startswith(name)
 
 
 @pytest.mark.parametrize("address", ["nowhere", "127.0.0.1:", ":1", "127.0.0.1:99999", "127.0.0.1:x"])

@@ -82,6 +82,8 @@ class Peer(asyncio.Protocol):
         self.robot.left(self)
 
     def send(self, name: str, body, later_s: float = 0.0) -> None:
+        if self.transport.is_closing():
+            return
         data = encode(Message(body, name))
         if later_s:
             asyncio.get_running_loop().call_later(later_s, self.transport.write, data)
@@ -110,12 +112,14 @@ class ScriptedRobot:
         self.holds, self.held = False, []  # what it does not answer for the moment
         self.late: np.ndarray | None = None  # where it is once it has answered that
         self.commands: list[str] = []
+        self.turned_away = 0
         self.unexpected: list[str] = []  # what a robot of 2013 does not know
 
     # Who is there.
 
     def joined(self, peer: Peer) -> None:
         if len(self.peers) == self.clients:
+            self.turned_away += 1
             peer.transport.close()
             return
         self.peers.append(peer)
@@ -153,7 +157,7 @@ class ScriptedRobot:
                 peer.send("CURRENT_POSITION", self.position())
             case _, String(text) if "CURRENT_STATUS" in (text, event.device_name):
                 phase = "READY" if "wrong phase" in self.flaws else self.phase
-                peer.send(phase, Status(1, phase if self.ours else "", phase))
+                peer.send(phase, Status(1, phase if self.ours else "", phase, self.fault * (self.phase == "EMERGENCY")))
             case _ if self.ours:
                 self.heard_ours(peer, event)
             case _, Get("CAPABILITY"):
@@ -238,11 +242,9 @@ class ScriptedRobot:
         return 1
 
     def obey(self, peer: Peer, text: str) -> None:
-        ignored = "ignores STOP" in self.flaws or (
-            "ignores STOP while moving" in self.flaws and self.moving is not None
-        )
+        ignored = self.flaws & {"ignores STOP while standing" if self.moving is None else "ignores STOP while moving"}
         ignored = ignored or ("deaf to others while moving" in self.flaws and peer is not self.lease and self.moving)
-        if text in ("STOP", "EMERGENCY") and ignored:
+        if text == "STOP" and ignored:
             return
         if text in ("MOVE_TO_TARGET", "DRILL"):
             if self.target is not None and self.phase != "MANUAL":
@@ -323,7 +325,8 @@ class ScriptedRobot:
     def unwatched(self, peer: Peer) -> bool:
         """Whether its client has fallen silent."""
         silent = peer.promised and time.monotonic() - peer.heard_s > SILENCE_S
-        return silent and "never notices silence" not in self.flaws
+        lost = peer not in self.peers  # whom only the flaw lets move on
+        return silent and not lost and "never notices silence" not in self.flaws
 
     def halt(self, code: int) -> None:
         if self.moving is not None:

@@ -4,54 +4,152 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform
 from tests.robot.rig import END_MM, T_MCS_CFCS, served, wire
-from tests.robot.scripted_robot import old_robot
+from tests.robot.scripted_robot import ScriptedRobot, old_robot, scripted, serving
 
 from sightline.errors import LinkError, RobotRefusedError
 from sightline.robot.client import RobotClient
-from sightline.robot.conformance import Verdict, dry_run, examine
+from sightline.robot.conformance import MOTIONS, QUESTIONS, Examination, Verdict
 from sightline.robot.igtl import Message, Status, String, Transform
 from sightline.robot.transport import BlockingClient
 
 
-def verdicts(port: int) -> dict[str, tuple[Verdict, str]]:
-    return {finding.name: (finding.verdict, finding.seen) for finding in examine("127.0.0.1", port)}
+def failed(findings) -> set[str]:
+    return {finding.name for finding in findings if finding.verdict is Verdict.FAILED}
+
+
+def unjudged(findings) -> set[str]:
+    return {finding.name for finding in findings if finding.verdict not in (Verdict.PASSED, Verdict.FAILED)}
 
 
 def test_ours_passes_everything_and_stands_after_the_dry_run():
-    with served() as server:
-        found = verdicts(server.port)
-        bad = {name: seen for name, (verdict, seen) in found.items() if verdict is not Verdict.PASSED}
+    with served() as server, Examination("127.0.0.1", server.port) as robot:
+        findings = robot.examine() + robot.dry_run()
+        bad = {f.name: f.seen for f in findings if f.verdict is not Verdict.PASSED}
         assert not bad
-        finding = dry_run("127.0.0.1", server.port)
-        assert finding.verdict is Verdict.PASSED, finding.seen
         depth = server.dialogue.controller.snapshot().depth_mm
         assert depth is None or depth < -15.0  # it stood at its stand-off
 
 
-@pytest.mark.slow
-def test_an_old_robot_passes_what_it_knows():
-    with old_robot() as port:
-        found = verdicts(port)
-        assert {verdict for verdict, _ in found.values()} == {Verdict.PASSED, Verdict.UNSUPPORTED}
-        unsupported = {name for name, (verdict, _) in found.items() if verdict is Verdict.UNSUPPORTED}
-        assert unsupported == {
-            "target in metres: 10", "plan that is NO-GO: 10", "plan in another frame: 10", "one client holds the lease",
-            "forgets a lost client", "streams", "EMERGENCY waits for a reset",
-        }  # fmt: skip
-        assert dry_run("127.0.0.1", port).verdict is Verdict.PASSED
+def test_a_good_robot_passes_everything():
+    with scripted() as port, Examination("127.0.0.1", port) as robot:
+        findings = robot.examine() + robot.dry_run()
+        assert {f.name: f.seen for f in findings if f.verdict is not Verdict.PASSED} == {}
+        assert {f.name for f in findings} == {"every message can be read", *QUESTIONS, *MOTIONS}
 
 
-@pytest.mark.slow
-def test_a_robot_that_does_not_answer_unknown_commands_fails():
-    with old_robot(answers_all=False) as port:
-        verdict, seen = verdicts(port)["unknown command: 12"]
-        assert verdict is Verdict.FAILED
-        assert "no ACK of DANCE" in seen
+OURS_ALONE = {
+    "target in metres: 10", "target in another frame: 10", "target in another unit: 10", "plan that is NO-GO: 10",
+    "plan that leaves out its side: 10", "STOP on a second connection", "one client holds the lease",
+    "forgets a lost client", "streams", "EMERGENCY waits for a reset", "a reset names its fault",
+    "dry run: STOP while moving, on a second connection", "dry run: silence stops motion",
+    "dry run: a lost client's motion stops",
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("says_reachable", [True, False])
+def test_a_robot_of_2013_is_asked_what_it_knows_over_one_connection(says_reachable):
+    """It takes one client, whose STATUS or second connection it would not expect, and ends with it."""
+    peer = ScriptedRobot(ours=False, clients=1, says_reachable=says_reachable)
+    came = []
+    with serving(peer) as port, Examination("127.0.0.1", port) as robot:
+        came += peer.peers
+        findings = robot.examine() + robot.dry_run()
+        assert peer.peers == came
+    assert failed(findings) == set()
+    assert unjudged(findings) == OURS_ALONE | (set() if says_reachable else {"REACHABLE_TARGET is the target"})
+    assert peer.turned_away == 0
+    assert not peer.unexpected
+
+
+# Each fault of a robot by the one line that it fails, or by all that ask for what it leaves out.
+FAULTS: list[tuple[str, str | set[str]]] = [
+    ("no ACK", "commands are acknowledged in time"),
+    ("late ACK", "commands are acknowledged in time"),
+    ("another ACK text", "ACK carries the command's text"),
+    ("STATUS before ACK", "answers come in their order"),
+    ("ignores unknown commands", "unknown command: 12"),
+    ("wrong phase", "the phase is told"),
+    ("no PLANNING from START_UP", "PLANNING from START_UP"),
+    ("TARGETING without calibration", "TARGETING without calibration: 13"),
+    ("moves without a target", "MOVE_TO_TARGET without target: 13"),
+    ("moves in MANUAL", "MOVE_TO_TARGET in MANUAL: 14 or 13"),
+    ("takes no registration", "takes a registration"),
+    ("echoes another registration", "ACK echoes a registration"),
+    ("takes a registration that is not rigid", "registration that is no rotation: 10"),
+    ("takes a registration that is not finite", "registration of NaN: 10"),
+    ("echoes another target", "ACK echoes a target"),
+    ("would lay it aside", "REACHABLE_TARGET is the target"),
+    ("takes a target that is not rigid", "target that is no rotation: 10"),
+    ("takes a target that is not finite", "target of NaN: 10"),
+    ("takes a target out of reach", "target out of reach: 10"),
+    ("takes metres", "target in metres: 10"),
+    ("takes any frame", "target in another frame: 10"),
+    ("takes any unit", "target in another unit: 10"),
+    ("takes NO-GO", "plan that is NO-GO: 10"),
+    ("takes half a plan", "plan that leaves out its side: 10"),
+    ("ignores STOP while standing", {"STOP is obeyed in every phase", "STOP on a second connection"}),
+    ("stops for its own client only", "STOP on a second connection"),
+    ("obeys a wrong CRC", "a command with a wrong CRC is not obeyed"),
+    ("hangs up on a wrong CRC", "survives a wrong CRC"),
+    ("answers a wrong CRC with text", "survives a wrong CRC"),
+    ("hangs up on unknown types", "survives an unknown type"),
+    ("whole pieces only", "reads a message in pieces"),
+    ("deaf to metadata", "reads header version 2"),
+    ("no lease", "one client holds the lease"),
+    ("keeps a lost client", "forgets a lost client"),
+    ("NaN in its joints", "streams"),
+    ("five rows of joints", "streams"),
+    ("obeys in EMERGENCY", "EMERGENCY waits for a reset"),
+    ("any reset", "a reset names its fault"),
+    ("sends wrong CRCs", "every message can be read"),
+    (
+        "ignores metadata",
+        {
+            "target in metres: 10", "target in another frame: 10", "target in another unit: 10",
+            "plan that is NO-GO: 10", "plan that leaves out its side: 10",
+        },
+    ),
+]  # fmt: skip
+FAULTS_IN_MOTION = [
+    ("ignores STOP while moving", {"dry run: STOP while moving", "dry run: STOP while moving, on a second connection"}),
+    ("deaf to others while moving", {"dry run: STOP while moving, on a second connection"}),
+    ("never notices silence", {"dry run: silence stops motion"}),
+    ("goes on without its client", {"dry run: a lost client's motion stops"}),
+    ("lays it aside", {"dry run: aligns, and stands"}),
+]
+
+
+@pytest.mark.parametrize(("flaw", "question"), FAULTS, ids=[flaw for flaw, _ in FAULTS])
+def test_a_bad_robot_fails_its_own_line(flaw, question):
+    with scripted(flaw) as port, Examination("127.0.0.1", port) as robot:
+        assert failed(robot.examine()) == ({question} if isinstance(question, str) else question)
+
+
+@pytest.mark.parametrize(
+    ("flaw", "questions"),
+    [pytest.param(*one, id=one[0], marks=[pytest.mark.slow] if k else []) for k, one in enumerate(FAULTS_IN_MOTION)],
+)
+def test_a_robot_that_is_bad_in_motion_fails_its_own_line(flaw, questions):
+    with scripted(flaw, steps=60 if flaw == "lays it aside" else 400) as port:
+        with Examination("127.0.0.1", port) as robot:
+            found = robot.dry_run()
+        assert failed(found) == questions
+
+
+def test_every_question_has_its_bad_robot():
+    asked = {question for _, question in FAULTS if isinstance(question, str)} | {"STOP is obeyed in every phase"}
+    asked |= {question for _, questions in FAULTS_IN_MOTION for question in questions}
+    assert asked == {"every message can be read", *QUESTIONS, *MOTIONS}
+
+
+def test_a_motion_that_ends_by_itself_is_not_taken_for_a_stop():
+    with scripted("ignores STOP while moving", steps=1) as port, Examination("127.0.0.1", port) as robot:
+        assert "dry run: STOP while moving" in unjudged(robot.dry_run())
 
 
 def test_nobody_there():
     with pytest.raises(LinkError, match="cannot connect"):
-        list(examine("127.0.0.1", 1))
+        Examination("127.0.0.1", 1)
 
 
 def test_our_client_drives_an_old_robot():

@@ -166,7 +166,7 @@ class RobotClient:
             raise LateError(f"the robot sent no REACHABLE_TARGET within {STATUS_S:g} s; it does not keep the contract")
         with self._doubted("target"):
             refuse_other_pose(_matrix(echo), T_cfcs_wire.as_matrix(), "target")
-            reached = _pose(reachable or echo)
+            reached = pose_of(reachable or echo)
             Laid.of(reached, T_cfcs_wire).refuse_elsewhere("the robot would lay the wire")
         self._aimed = T_cfcs_wire
         self._length_mm = float(metadata[contract.LENGTH_MM]) if metadata and contract.LENGTH_MM in metadata else None
@@ -235,7 +235,7 @@ class RobotClient:
         )
         if isinstance(said.body, Status):
             Said(contract.CURRENT_POSITION, said.body.code, said.body.text).refuse_unless_ok()
-        return _pose(said)
+        return pose_of(said)
 
     def laid(self) -> Laid:
         """How the wire lies against the target, by the robot's own position. Raises RobotRefusedError where it is
@@ -289,6 +289,10 @@ class RobotClient:
 
     # How anything is asked.
 
+    def next_number(self) -> str:
+        """An identifier that was not used before."""
+        return str(next(self._numbers))
+
     def command(self, name: str, timeout_s: float = STATUS_S) -> Said:
         """Send a phase or an activity by its name, and wait for its acknowledgement, then for how it ended."""
         return self._command(self.talk, name, ACK_S, timeout_s)
@@ -307,7 +311,7 @@ class RobotClient:
             return self._transform(mail, kind, matrix, name, metadata=metadata, imaged_s=imaged_s)[0]
 
     def _command(self, talk: Talk, name: str, ack_s: float, timeout_s: float) -> Said:
-        number = str(next(self._numbers))
+        number = self.next_number()
         with talk.mail() as mail:
             talk.send(String(name), contract.COMMAND + number)
             mail.need(lambda m: m.device_name == contract.ACKNOWLEDGED + number, ack_s, f"ACK of {name}")
@@ -324,7 +328,7 @@ class RobotClient:
         imaged_s: float | None = None,
     ) -> tuple[Said, Message]:
         """How it ended, and its echo."""
-        number = str(next(self._numbers))
+        number = self.next_number()
         self.talk.send(Transform(matrix), kind + number, metadata=metadata, imaged_s=imaged_s)
         echo = mail.need(lambda m: m.device_name == contract.ACKNOWLEDGED + number, ACK_S, f"ACK of {name}")
         return self._outcome(mail, name, STATUS_S), echo
@@ -453,8 +457,8 @@ def plan_metadata(target: RobotTarget, now_s: float, depth_limit_mm: float) -> d
     }
 
 
-def _pose(message: Message) -> RigidTransform:
-    """Raises RobotRefusedError for what is not one."""
+def pose_of(message: Message) -> RigidTransform:
+    """The pose of a TRANSFORM. Raises RobotRefusedError for what is not one."""
     body = message.body
     fault = body.fault if isinstance(body, Transform) else f"it is a {message.type_name}"
     if not isinstance(body, Transform) or fault is not None:

@@ -1,30 +1,37 @@
 """Does a robot keep the contract of docs/robot-link.md? Asked over the link, of any robot; the answer is a table.
 
-Nothing moves but in the dry run, which aligns in air and drills nothing.
+Nothing moves but in the dry run, which aligns in air and drills nothing. A question judges one thing: what leads to it
+is taken as it comes, and where it does not lead there the question is not asked.
 """
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
-from socket import create_connection, socket
 from time import monotonic
+from types import TracebackType
+from typing import Self
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from sightline.errors import LinkError, RobotRefusedError
+from sightline.errors import LinkError, RobotRefusedError, SightlineError
 from sightline.robot import contract
-from sightline.robot.client import RobotClient, Said
+from sightline.robot.client import RobotClient, pose_of
 from sightline.robot.contract import Code
-from sightline.robot.igtl import Message, NDArray, Status, Stream, String, Transform, encode
-from sightline.robot.transport import BlockingClient
+from sightline.robot.conversation import Answer, Conversation, NotAskedError
+from sightline.robot.igtl import Fault, Message, NDArray, Rejected, String, Transform, encode
+from sightline.robot.laid import Laid, refuse_other_pose
 
 # Any registration does for refusals: 500 mm from base to hip, as many robots stand.
 REGISTRATION = RigidTransform.from_translation([500.0, 0.0, 0.0])
-# How far beyond where the wire is now targets of the dry run lie, along it, mm: the first that is reachable is taken.
+# How far beyond where the wire is now a target in air lies, along it, mm: the first that is reachable is taken.
 AHEAD_MM, ASIDE_MM = (130.0, 100.0, 60.0, 30.0), 3.0
 HIP_AHEAD_MM = 150.0  # of the wire in its sleeve, as our frame is held; CFCS upright, its +X towards the robot
-ARRIVED_MM = 0.5
+# A robot that notices silence stands by then. More than the contract's 0.2 s: a checking computer that is busy sees it
+# late; the time is told [ours].
+SILENT_S = 1.5
+LOST_S = 0.5  # a connection that ends is seen at once; a motion that ends by itself must not be taken for it [ours]
+ALIGN_S = 120.0  # for what a person stands beside [ours]
 
 
 class Verdict(Enum):
@@ -33,6 +40,7 @@ class Verdict(Enum):
     PASSED = "pass"
     FAILED = "FAIL"
     UNSUPPORTED = "not supported"
+    NOT_ASKED = "not asked"
 
 
 @dataclass(frozen=True)
@@ -48,106 +56,180 @@ class _UnsupportedError(Exception):
     pass
 
 
-def examine(host: str, port: int) -> Iterator[Finding]:
-    """All questions that move nothing, one after the other. Raises LinkError where nobody answers at all."""
-    RobotClient(host, port).close()
-    for name, question in _QUESTIONS.items():
-        yield _ask(name, question, host, port)
+class Examination:
+    """A robot's examination, over one connection; robots that take several, by their CAPABILITY, are asked over a
+    second one too. Raises LinkError where nobody listens."""
 
+    def __init__(self, host: str, port: int) -> None:
+        self._host, self._port = host, port
+        self._unreadable: list[Rejected] = []
+        self._robot: RobotClient | None = RobotClient(host, port)
+        self.simulated = self._robot.simulated
 
-def dry_run(host: str, port: int) -> Finding:
-    """Aligns to a target in air ahead of the wire, stops, and drills nothing. On robots of the old convention a
-    MOVE_TO_TARGET may insert: the caller must have a person's word that nobody is in the way."""
-    return _ask("dry run: aligns, and stands", _dry_run, host, port)
+    def close(self) -> None:
+        """End it."""
+        if self._robot is not None:
+            self._robot.close()
+            self._robot = None
 
+    def __enter__(self) -> Self:
+        return self
 
-def _ask(name: str, question: Callable[[RobotClient], str], host: str, port: int) -> Finding:
-    try:
-        with RobotClient(host, port) as robot:
-            seen = question(robot)
-    except _UnsupportedError as why:
-        return Finding(name, Verdict.UNSUPPORTED, str(why))
-    except (LinkError, RobotRefusedError) as error:
-        return Finding(name, Verdict.FAILED, str(error))
-    return Finding(name, Verdict.PASSED, seen)
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def examine(self) -> list[Finding]:
+        """All questions that move nothing."""
+        found = [self._ask(name, question) for name, question in QUESTIONS.items()]
+        return [*found, self._read_all()]
+
+    def dry_run(self) -> list[Finding]:
+        """Motions to a target in air ahead of the wire, most of them stopped; nothing is drilled. On robots of the old
+        convention a MOVE_TO_TARGET may insert: the caller must have a person's word that nobody is in the way."""
+        return [self._ask(name, question) for name, question in MOTIONS.items()]
+
+    def _ask(self, name: str, question: Callable[[RobotClient], str]) -> Finding:
+        try:
+            robot = self._connected()
+            said = Finding(name, Verdict.PASSED, question(robot))
+        except _UnsupportedError as why:
+            return Finding(name, Verdict.UNSUPPORTED, str(why))
+        except NotAskedError as why:
+            said = Finding(name, Verdict.NOT_ASKED, str(why))
+        except SightlineError as error:
+            said = Finding(name, Verdict.FAILED, str(error))
+        if self._robot is not None:
+            self._unreadable += self._robot.talk.unreadable
+            self._robot.talk.unreadable.clear()
+            if self._robot.talk.closed:
+                self.close()
+        return said
+
+    def _connected(self) -> RobotClient:
+        if self._robot is None:
+            self._robot = RobotClient(self._host, self._port)
+        return self._robot
+
+    def _read_all(self) -> Finding:
+        name = "every message can be read"
+        # What is fatal has failed its question already; other types are the robot's own affair.
+        bad = [e.reason for e in self._unreadable if not e.fatal and e.fault is not Fault.UNKNOWN_TYPE]
+        if bad:
+            return Finding(name, Verdict.FAILED, f"{len(bad)} could not, the first: {bad[0]}")
+        return Finding(name, Verdict.PASSED, "CRC and content of all that came")
 
 
 # Each returns what was seen, or raises.
 
 
-def _starts_up(robot: RobotClient) -> str:
-    began = monotonic()
-    robot.start_up()
-    return f"in {1e3 * (monotonic() - began):.0f} ms"
+def _acknowledges(robot: RobotClient) -> str:
+    talk = Conversation(robot)
+    slowest = 0.0
+    for name in ("START_UP", "PLANNING"):
+        answer = talk.command(name, whole=True)
+        _need(answer.ack_s is not None and answer.ack_s <= contract.ACK_S, f"no ACK of {name} within 1 s")
+        _need(answer.status_s is not None, f"no STATUS {name} within {contract.STATUS_S:g} s")
+        slowest = max(slowest, answer.ack_s or 0.0)
+    return f"in {1e3 * slowest:.0f} ms"
 
 
-def _knows_its_phase(robot: RobotClient) -> str:
-    robot.start_up()
-    said = robot.command("PLANNING").refuse_unless_ok()
-    status = robot.status()
-    _need(status.code == Code.OK, f"CURRENT_STATUS in PLANNING has code {status.code}")
-    return f"PLANNING straight from START_UP; {said.text or status.text or 'no text'}"
+def _repeats_the_command(robot: RobotClient) -> str:
+    answer = Conversation(robot).command("START_UP", whole=True)
+    if answer.ack is None:
+        raise NotAskedError("no ACK came")
+    text = answer.ack.body.text if isinstance(answer.ack.body, String) else answer.ack.type_name
+    _need(text == "START_UP", f"the ACK of START_UP says {text[:40]!r}")
+    return "ACK says what it acknowledges"
 
 
-def _order(robot: RobotClient) -> str:
-    names = []
-    with BlockingClient(robot.host, robot.port) as raw:
-        raw.send(Message(String("START_UP"), "CMD_77"))
-        end = monotonic() + contract.STATUS_S
-        while "START_UP" not in names and monotonic() < end:
-            event = raw.receive(0.1)
-            if isinstance(event, Message):
-                names.append(event.device_name)
-    wanted = ["ACK_77", contract.CURRENT_STATUS, "START_UP"]
-    _need(names == wanted, f"came: {', '.join(names) or 'nothing'}; wanted: {', '.join(wanted)}")
+def _in_order(robot: RobotClient) -> str:
+    answer = Conversation(robot).command("START_UP", whole=True)
+    wanted = ["ACK", contract.CURRENT_STATUS, "START_UP"]
+    _need(answer.order == wanted, f"came: {', '.join(answer.order) or 'nothing'}; wanted: {', '.join(wanted)}")
     return "ACK, CURRENT_STATUS, STATUS"
 
 
+def _tells_its_phase(robot: RobotClient) -> str:
+    talk = Conversation(robot)
+    talk.bring("START_UP")
+    status = robot.status()
+    _need(status.code == Code.OK, f"CURRENT_STATUS in START_UP has code {status.code}")
+    phase = talk.phase()
+    _need(phase == "START_UP", f"CURRENT_STATUS in START_UP is a STATUS named {phase!r}")
+    return status.text or "STATUS named after the phase"
+
+
+def _plans_from_start_up(robot: RobotClient) -> str:
+    talk = Conversation(robot)
+    talk.bring("START_UP")
+    return _code(talk.command("PLANNING"), Code.OK)
+
+
 def _unknown_command(robot: RobotClient) -> str:
-    return _refused(robot.command("DANCE"), Code.UNKNOWN)
+    answer = Conversation(robot).command("DANCE", whole=True)
+    _need(answer.ack is not None, "no ACK of DANCE within 1 s")
+    return _code(answer, Code.UNKNOWN)
 
 
-def _targeting_first(robot: RobotClient) -> str:
-    robot.start_up()
-    return _refused(robot.command("TARGETING"), Code.NOT_READY)
-
-
-def _move_first(robot: RobotClient) -> str:
-    robot.start_up()
-    return _refused(robot.command("MOVE_TO_TARGET"), Code.NOT_READY)
-
-
-def _move_in_manual(robot: RobotClient) -> str:
-    robot.start_up()
-    robot.command("MANUAL").refuse_unless_ok()
-    seen = _refused(robot.command("MOVE_TO_TARGET"), Code.MANUAL, Code.NOT_READY)
-    robot.start_up()
-    return seen
-
-
-def _takes_a_registration(robot: RobotClient) -> str:
-    robot.start_up()
-    robot.calibrate(REGISTRATION)
-    return "CALIBRATION, CLB_"
-
-
-def _no_registration(matrix: np.ndarray) -> Callable[[RobotClient], str]:
+def _refused_after(*before: str, command: str, codes: tuple[Code, ...]) -> Callable[[RobotClient], str]:
     def question(robot: RobotClient) -> str:
-        robot.start_up()
-        robot.command("CALIBRATION")
-        return _refused(robot.send_transform(contract.CALIBRATION, matrix, "CALIBRATION"), Code.CONFIGURATION)
+        talk = Conversation(robot)
+        for phase in before:
+            talk.bring(phase)
+        try:
+            return _code(talk.command(command), *codes)
+        finally:
+            talk.command("STOP")
 
     return question
 
 
-def _no_target(matrix: np.ndarray, **said: str) -> Callable[[RobotClient], str]:
+def _takes_a_registration(robot: RobotClient) -> str:
+    talk = Conversation(robot)
+    talk.bring("START_UP", "CALIBRATION")
+    return _code(talk.pose(contract.CALIBRATION, REGISTRATION.as_matrix()), Code.OK)
+
+
+def _echoes_a_registration(robot: RobotClient) -> str:
+    talk = Conversation(robot)
+    talk.bring("START_UP", "CALIBRATION")
+    sent = RigidTransform.from_components([512.5, -0.3, 3.7], Rotation.from_rotvec([0.1, -0.2, 0.3])).as_matrix()
+    return _echo(talk.pose(contract.CALIBRATION, sent), sent, "registration")
+
+
+def _no_registration(matrix: np.ndarray) -> Callable[[RobotClient], str]:
     def question(robot: RobotClient) -> str:
-        if said and contract.HAS_PLAN not in robot.capabilities:
+        talk = Conversation(robot)
+        talk.bring("START_UP", "CALIBRATION")
+        return _code(talk.pose(contract.CALIBRATION, matrix), Code.CONFIGURATION)
+
+    return question
+
+
+def _no_target(change: Callable[[np.ndarray], np.ndarray]) -> Callable[[RobotClient], str]:
+    """A target that is wrong in one thing: without it, it was taken."""
+
+    def question(robot: RobotClient) -> str:
+        talk = Conversation(robot)
+        good = _target_in_air(robot, talk)
+        talk.bring("TARGETING")
+        return _code(talk.pose(contract.TARGET, change(good)), Code.CONFIGURATION)
+
+    return question
+
+
+def _no_plan(**said: str) -> Callable[[RobotClient], str]:
+    """Metadata that must be refused, of a pose that was taken without."""
+
+    def question(robot: RobotClient) -> str:
+        if contract.HAS_PLAN not in robot.capabilities:
             raise _UnsupportedError(f"announces no {contract.HAS_PLAN}")
-        robot.start_up()
-        robot.calibrate(REGISTRATION)
-        robot.command("TARGETING").refuse_unless_ok()
-        return _refused(robot.send_transform(contract.TARGET, matrix, "TARGET", said), Code.CONFIGURATION)
+        talk = Conversation(robot)
+        good = _target_in_air(robot, talk)
+        talk.bring("TARGETING")
+        return _code(talk.pose(contract.TARGET, good, said), Code.CONFIGURATION)
 
     return question
 
@@ -156,95 +238,141 @@ def _in_metres(robot: RobotClient) -> str:
     """Not of the old convention, whose robots cannot tell."""
     if contract.HAS_PLAN not in robot.capabilities:
         raise _UnsupportedError(f"announces no {contract.HAS_PLAN}")
-    return _no_target(_at(0.05, 0.02, 0.01))(robot)
+    return _no_target(lambda good: _moved(good, 1e-3 * good[:3, 3]))(robot)
 
 
-def _stops(name: str) -> Callable[[RobotClient], str]:
-    def question(robot: RobotClient) -> str:
-        robot.start_up()
-        for phase in ("PLANNING", "CALIBRATION"):
-            robot.command(phase).refuse_unless_ok()
-            began = monotonic()
-            robot.command(name).refuse_unless_ok()
-            took = monotonic() - began
-            robot.start_up()
-        return f"answered in {1e3 * took:.0f} ms"
+def _echoes_a_target(robot: RobotClient) -> str:
+    talk = Conversation(robot)
+    good = _target_in_air(robot, talk)
+    talk.bring("TARGETING")
+    return _echo(talk.pose(contract.TARGET, good), good, "target")
 
-    return question
+
+def _reaches_what_it_takes(robot: RobotClient) -> str:
+    talk = Conversation(robot)
+    good = _target_in_air(robot, talk)
+    talk.bring("TARGETING")
+    answer = talk.pose(contract.TARGET, good)
+    if answer.code != Code.OK:
+        raise NotAskedError(f"the target was refused: {answer.text}")
+    reachable = talk.next("REACHABLE_TARGET", contract.ACK_S)
+    if reachable is None and not robot.capabilities:
+        raise _UnsupportedError("of the old convention, it does not say what it reaches")
+    if reachable is None:
+        raise RobotRefusedError("a target was taken, and no REACHABLE_TARGET came")
+    laid = Laid.of(pose_of(reachable), RigidTransform.from_matrix(good))
+    laid.refuse_elsewhere("the robot would lay the wire")
+    return f"{laid.aside_mm:.2f} mm beside its line"
+
+
+def _stands_on_stop(robot: RobotClient) -> str:
+    talk = Conversation(robot)
+    slowest = 0.0
+    for phase in ("START_UP", "PLANNING", "CALIBRATION"):
+        talk.at("START_UP", phase)
+        answer = talk.command("STOP")
+        _code(answer, Code.OK)
+        now = talk.phase()
+        _need(now == "STOP", f"after STOP in {phase} the phase is {now}")
+        slowest = max(slowest, answer.status_s or 0.0)
+    return f"answered in {1e3 * slowest:.0f} ms"
 
 
 def _stops_from_elsewhere(robot: RobotClient) -> str:
-    robot.start_up()
-    try:
-        with RobotClient(robot.host, robot.port, heartbeat=False) as other:
-            _need(other.command("STOP").code == Code.OK, "STOP was refused")
-    except LinkError as error:
-        raise _UnsupportedError(f"takes one client only: {error}") from error
+    _several(robot)
+    talk = Conversation(robot)
+    talk.at("START_UP")
+    with _second(robot) as other:
+        _code(Conversation(other).command("STOP"), Code.OK)
+    now = talk.phase()
+    _need(now == "STOP", f"after STOP on a second connection the phase is {now}")
     return "on a second connection"
 
 
-def _survives(data: bytes, pieces: bool = False) -> Callable[[RobotClient], str]:
+def _obeys_no_wrong_crc(robot: RobotClient) -> str:
+    talk = Conversation(robot)
+    talk.at("START_UP")
+    for name in ("PLANNING", "CALIBRATION", "MANUAL"):
+        robot.talk.send_bytes(_altered(encode(Message(String(name), f"{contract.COMMAND}X{name[:3]}"))))
+        try:
+            phase = talk.phase()
+        except LinkError as error:
+            raise NotAskedError(f"it hangs up: {error}") from error
+        _need(phase == "START_UP", f"{name} with a wrong CRC was obeyed: the phase is {phase}")
+    return "the phase stays"
+
+
+def _survives(data: bytes) -> Callable[[RobotClient], str]:
     def question(robot: RobotClient) -> str:
-        stream = Stream()
-        with create_connection((robot.host, robot.port), timeout=contract.ACK_S) as raw:
-            for piece in [data[k : k + 1] for k in range(len(data))] if pieces else [data]:
-                raw.sendall(piece)
-            raw.sendall(encode(Message(String("START_UP"), "CMD_8")))
-            while came := _received(raw):
-                for event in stream.feed(came):
-                    if isinstance(event, Message) and event.device_name == "ACK_8":
-                        return "answers afterwards"
-        raise LinkError("no answer afterwards")
+        talk = Conversation(robot)
+        talk.bring("START_UP")
+        robot.talk.send_bytes(data)
+        _need(talk.command("PLANNING").status_s is not None, "no answer afterwards")
+        return "answers afterwards"
 
     return question
 
 
-def _received(raw: socket) -> bytes:
-    try:
-        return raw.recv(1 << 16)
-    except OSError:
-        return b""
+def _reads(message: bytes, piece: int = 1000) -> Callable[[RobotClient], str]:
+    """START_UP, in another form, in pieces of so many bytes."""
+
+    def question(robot: RobotClient) -> str:
+        talk = Conversation(robot)
+        talk.bring("START_UP", "PLANNING")
+        pieces = [message[k : k + piece] for k in range(0, len(message), piece)]
+        answer = talk.exchange(lambda: robot.talk.send_bytes(*pieces), "77", "START_UP")
+        return _code(answer, Code.OK)
+
+    return question
 
 
 def _lease(robot: RobotClient) -> str:
-    if not robot.capabilities:
-        raise _UnsupportedError("the old convention knows no lease")
-    robot.start_up()
-    with RobotClient(robot.host, robot.port, heartbeat=False) as other:
-        return _refused(other.command("START_UP"), Code.DENIED)
+    _several(robot)
+    Conversation(robot).bring("START_UP")
+    with _second(robot) as other:
+        return _code(Conversation(other).command("START_UP"), Code.DENIED)
 
 
 def _forgets_a_lost_client(robot: RobotClient) -> str:
-    if not robot.capabilities:
-        raise _UnsupportedError("the old convention does not say what becomes of a lost client")
-    with RobotClient(robot.host, robot.port) as other:
-        robot.close()
+    _several(robot)
+    Conversation(robot).at("START_UP")
+    robot.close()
+    with _second(robot) as other:
         end = monotonic() + contract.STATUS_S
-        other.start_up()
-        other.calibrate(REGISTRATION)
-    with RobotClient(robot.host, robot.port) as third:
-        while third.status().error_name != "UNDEFINED":
-            _need(monotonic() < end, "the phase is still the lost client's")
-        return "returns to UNDEFINED"
+        while (phase := Conversation(other).phase()) != "UNDEFINED":
+            _need(monotonic() < end, f"the phase is still the lost client's, {phase}")
+    return "returns to UNDEFINED"
 
 
 def _streams(robot: RobotClient) -> str:
     if contract.HAS_TELEMETRY not in robot.capabilities:
         raise _UnsupportedError(f"announces no {contract.HAS_TELEMETRY}")
-    rows = robot.stream(contract.MEASURED_JS).body
-    if not (isinstance(rows, NDArray) and rows.values.ndim == 2 and len(rows.values) == 6):
-        raise RobotRefusedError(f"{contract.MEASURED_JS} is no array (6, N)")
-    pose = robot.stream(contract.MEASURED_CP).body
-    _need(isinstance(pose, Transform) and pose.fault is None, f"{contract.MEASURED_CP} is no pose")
+    rows = robot.talk.fresh(contract.MEASURED_JS).body
+    array = isinstance(rows, NDArray) and rows.values.ndim == 2 and len(rows.values) == 6
+    _need(array, f"{contract.MEASURED_JS} is not an array (6, N)")
+    assert isinstance(rows, NDArray)  # noqa: S101
+    _need(bool(np.isfinite(rows.values).all()), f"{contract.MEASURED_JS} holds numbers that are not finite")
+    pose_of(robot.talk.fresh(contract.MEASURED_CP))
     return f"{contract.MEASURED_CP}, {contract.MEASURED_JS} of {rows.values.shape[1]} joints"
 
 
-def _emergency_and_reset(robot: RobotClient) -> str:
-    if contract.HAS_RESET not in robot.capabilities or not robot.simulated:
-        raise _UnsupportedError("a person would have to reset the robot afterwards; asked of simulators only")
-    robot.start_up()
-    robot.command("EMERGENCY")
-    _need(robot.command("START_UP").code != Code.OK, "START_UP is obeyed in EMERGENCY")
+def _waits_in_emergency(robot: RobotClient) -> str:
+    _simulator(robot)
+    talk = Conversation(robot)
+    talk.bring("START_UP")
+    talk.command("EMERGENCY")
+    fault = robot.status().subcode
+    obeyed = talk.command("START_UP").code == Code.OK
+    robot.reset(robot.status().subcode or fault)
+    _need(not obeyed, "START_UP is obeyed in EMERGENCY")
+    return "START_UP is refused"
+
+
+def _reset_names_its_fault(robot: RobotClient) -> str:
+    _simulator(robot)
+    talk = Conversation(robot)
+    talk.bring("START_UP")
+    talk.command("EMERGENCY")
     fault = robot.status().subcode
     try:
         robot.reset(fault + 1)
@@ -254,35 +382,129 @@ def _emergency_and_reset(robot: RobotClient) -> str:
     raise RobotRefusedError("a reset of another fault was obeyed")
 
 
-def _dry_run(robot: RobotClient) -> str:
-    robot.start_up()
-    if contract.HAS_TELEMETRY in robot.capabilities:
-        T_mcs_wire = _pose(robot.stream(contract.MEASURED_CP))
-        hip = T_mcs_wire.apply([0.0, 0.0, HIP_AHEAD_MM])
-        robot.calibrate(RigidTransform.from_components(hip, Rotation.from_rotvec([0.0, 0.0, np.pi])))
-    else:
-        robot.calibrate(REGISTRATION)
-    now, why = robot.position(), ""
-    for ahead in AHEAD_MM:
-        target = now * RigidTransform.from_translation([0.0, ASIDE_MM, ahead])
+# The dry run.
+
+
+def _stops_while_moving(robot: RobotClient) -> str:
+    talk = Conversation(robot)
+    _aimed(robot, talk)
+    with talk.moving() as moving:
+        return moving.must_stand_after(lambda: talk.command("STOP"))
+
+
+def _stops_while_moving_from_elsewhere(robot: RobotClient) -> str:
+    _several(robot)
+    talk = Conversation(robot)
+    _aimed(robot, talk)
+    with _second(robot) as other, talk.moving() as moving:
+        return moving.must_stand_after(lambda: Conversation(other).command("STOP"))
+
+
+def _notices_silence(robot: RobotClient) -> str:
+    if contract.HAS_HEARTBEAT not in robot.capabilities:
+        raise _UnsupportedError(f"announces no {contract.HAS_HEARTBEAT}")
+    if contract.HAS_TELEMETRY not in robot.capabilities:
+        raise _UnsupportedError(f"announces no {contract.HAS_TELEMETRY}: it cannot be watched in silence")
+    talk = Conversation(robot)
+    _aimed(robot, talk)
+    with talk.moving() as moving:
+        robot.talk.fall_silent()
         try:
-            reached = robot.aim(target)
-            break
+            return moving.must_stand_by_itself(SILENT_S)
+        finally:
+            talk.command("STOP")
+            robot.close()  # the next question has its heartbeats again
+
+
+def _stops_for_a_lost_client(robot: RobotClient) -> str:
+    _several(robot)
+    if contract.HAS_TELEMETRY not in robot.capabilities:
+        raise _UnsupportedError(f"announces no {contract.HAS_TELEMETRY}: it cannot be watched by another")
+    talk = Conversation(robot)
+    _aimed(robot, talk)
+    with _second(robot) as other, talk.moving() as moving:
+        robot.close()
+        moving.watch = Conversation(other)
+        try:
+            return moving.must_stand_by_itself(LOST_S)
+        finally:
+            Conversation(other).command("STOP")
+
+
+def _aligns(robot: RobotClient) -> str:
+    talk = Conversation(robot)
+    target = _aimed(robot, talk)
+    _code(talk.command("MOVE_TO_TARGET", within_s=ALIGN_S), Code.OK)
+    laid = Laid.of(robot.position(), RigidTransform.from_matrix(target))
+    talk.command("STOP")
+    Laid(laid.aside_mm, 0.0, laid.angle_rad).refuse_elsewhere("the aligned wire lies")
+    return f"{laid.aside_mm:.2f} mm beside its line, {-laid.along_mm:.0f} mm before its end"
+
+
+# What they share.
+
+
+def _target_in_air(robot: RobotClient, talk: Conversation) -> np.ndarray:
+    """(4, 4): a target ahead of the wire that the robot takes, CFCS; it holds it now. Raises NotAskedError."""
+    talk.bring("START_UP")
+    registration = REGISTRATION
+    if contract.HAS_TELEMETRY in robot.capabilities:
+        T_mcs_wire = pose_of(robot.talk.fresh(contract.MEASURED_CP))
+        hip = T_mcs_wire.apply([0.0, 0.0, HIP_AHEAD_MM])
+        registration = RigidTransform.from_components(hip, Rotation.from_rotvec([0.0, 0.0, np.pi]))
+    talk.bring("CALIBRATION")
+    said = talk.pose(contract.CALIBRATION, registration.inv().as_matrix())
+    if said.code != Code.OK:
+        raise NotAskedError(f"no registration was taken: {said.text or said.code}")
+    now, why = robot.position(), ""
+    talk.bring("TARGETING")
+    for ahead in AHEAD_MM:
+        target = (now * RigidTransform.from_translation([0.0, ASIDE_MM, ahead])).as_matrix()
+        said = talk.pose(contract.TARGET, target)
+        if said.code == Code.OK:
+            return target
+        why = why or said.text
+    raise NotAskedError(f"no target ahead of the wire is reachable: {why or 'no reason given'}")
+
+
+def _aimed(robot: RobotClient, talk: Conversation) -> np.ndarray:
+    """(4, 4): a target that the robot has taken, and means. Raises NotAskedError."""
+    target = _target_in_air(robot, talk)
+    reachable = talk.next("REACHABLE_TARGET", contract.ACK_S)
+    if reachable is not None:
+        try:
+            Laid.of(pose_of(reachable), RigidTransform.from_matrix(target)).refuse_elsewhere("it would lay the wire")
         except RobotRefusedError as error:
-            why = why or str(error)
-    else:
-        raise _UnsupportedError(f"no target ahead of the wire is reachable: {why}")
-    robot.align()
-    tip = (reached.inv() * robot.position()).translation
-    aside = float(np.hypot(*tip[:2]))
-    robot.stop().refuse_unless_ok()
-    _need(aside < ARRIVED_MM, f"the aligned wire lies {aside:.2f} mm beside its line")
-    return f"{aside:.2f} mm beside its line, {-tip[2]:.0f} mm before its end"
+            raise NotAskedError(str(error)) from error
+    return target
 
 
-def _refused(said: Said, *codes: Code) -> str:
-    _need(said.code in codes, f"code {said.code} ({said.text or 'no text'}), wanted {' or '.join(map(str, codes))}")
-    return f"code {said.code}: {said.text}" if said.text else f"code {said.code}"
+def _second(robot: RobotClient) -> RobotClient:
+    return RobotClient(robot.host, robot.port, heartbeat=False)
+
+
+def _several(robot: RobotClient) -> None:
+    if not robot.capabilities:
+        raise _UnsupportedError("of the old convention, it takes one client")
+
+
+def _simulator(robot: RobotClient) -> None:
+    if contract.HAS_RESET not in robot.capabilities or not robot.simulated:
+        raise _UnsupportedError("a person would have to reset the robot afterwards; asked of simulators only")
+
+
+def _code(answer: Answer, *codes: Code) -> str:
+    _need(answer.code is not None, "no STATUS came")
+    said = f"code {answer.code}: {answer.text}" if answer.text else f"code {answer.code}"
+    _need(answer.code in codes, f"{said}; wanted {' or '.join(str(int(code)) for code in codes)}")
+    return said
+
+
+def _echo(answer: Answer, sent: np.ndarray, what: str) -> str:
+    if answer.ack is None or not isinstance(answer.ack.body, Transform):
+        raise RobotRefusedError(f"no echo of the {what} came")
+    refuse_other_pose(answer.ack.body.matrix, sent, what)
+    return "as it was sent"
 
 
 def _need(condition: bool, seen: str) -> None:
@@ -290,53 +512,81 @@ def _need(condition: bool, seen: str) -> None:
         raise RobotRefusedError(seen)
 
 
-def _pose(message: Message) -> RigidTransform:
-    if not isinstance(message.body, Transform):
-        raise RobotRefusedError(f"{message.device_name} is no TRANSFORM")
-    return message.body.rigid()
+def _altered(data: bytes) -> bytes:
+    return data[:-1] + bytes([data[-1] ^ 1])
 
 
-def _at(x: float, y: float, z: float, matrix: Iterable[Iterable[float]] | None = None) -> np.ndarray:
-    out = np.eye(4)
-    if matrix is not None:
-        out[:3, :3] = np.array([list(row) for row in matrix])
-    out[:3, 3] = x, y, z
+def _moved(pose: np.ndarray, to_mm: np.ndarray) -> np.ndarray:
+    out = pose.copy()
+    out[:3, 3] = to_mm
     return out
 
 
-_SCALED = 2 * np.eye(3)
-_GOOD = encode(Message(Status(1), "HELLO"))
+def _scaled(pose: np.ndarray) -> np.ndarray:
+    out = pose.copy()
+    out[:3, :3] *= 2.0
+    return out
+
+
+def _without(*keys: str) -> dict[str, str]:
+    return {key: value for key, value in _PLAN.items() if key not in keys}
+
+
+_STATE = Message(String(contract.CURRENT_STATUS), contract.CURRENT_STATUS)
+_START = Message(String("START_UP"), f"{contract.COMMAND}77")
+_START_2 = Message(String("START_UP"), f"{contract.COMMAND}77", version=2, metadata={"a": "b"})
+_GENERAL = _moved(np.eye(4), np.array([500.0, 0.0, 0.0]))
+_NAN = np.full(3, np.nan)
 _PLAN = {
     contract.PLAN: "conformance", contract.SIDE: "right", contract.FRAME_SERIAL: "none", contract.GO: contract.NO,
     contract.UNITS: contract.MM, contract.COORDINATES: contract.CFCS, contract.LENGTH_MM: "90",
     contract.DEPTH_LIMIT_MM: "91", contract.VALID_S: "60",
 }  # fmt: skip
+_NOT_READY = (Code.NOT_READY,)
 
-_QUESTIONS: dict[str, Callable[[RobotClient], str]] = {
-    "START_UP is answered in time": _starts_up,
-    "answers come in their order": _order,
-    "phase is told, PLANNING from START_UP": _knows_its_phase,
+QUESTIONS: dict[str, Callable[[RobotClient], str]] = {
+    "commands are acknowledged in time": _acknowledges,
+    "ACK carries the command's text": _repeats_the_command,
+    "answers come in their order": _in_order,
     "unknown command: 12": _unknown_command,
-    "TARGETING without calibration: 13": _targeting_first,
-    "MOVE_TO_TARGET without target: 13": _move_first,
-    "MOVE_TO_TARGET in MANUAL: 14 or 13": _move_in_manual,
+    "the phase is told": _tells_its_phase,
+    "PLANNING from START_UP": _plans_from_start_up,
+    "TARGETING without calibration: 13": _refused_after("START_UP", command="TARGETING", codes=_NOT_READY),
+    "MOVE_TO_TARGET without target: 13": _refused_after("START_UP", command="MOVE_TO_TARGET", codes=_NOT_READY),
+    "MOVE_TO_TARGET in MANUAL: 14 or 13": _refused_after(
+        "START_UP", "MANUAL", command="MOVE_TO_TARGET", codes=(Code.MANUAL, Code.NOT_READY)
+    ),
     "takes a registration": _takes_a_registration,
-    "registration that is no rotation: 10": _no_registration(_at(500, 0, 0, _SCALED)),
-    "registration of NaN: 10": _no_registration(_at(np.nan, 0, 0)),
-    "target that is no rotation: 10": _no_target(_at(50, 0, 0, _SCALED)),
-    "target of NaN: 10": _no_target(_at(np.nan, 0, 0)),
-    "target out of reach: 10": _no_target(_at(5000, 0, 0)),
+    "ACK echoes a registration": _echoes_a_registration,
+    "registration that is no rotation: 10": _no_registration(_scaled(_GENERAL)),
+    "registration of NaN: 10": _no_registration(_moved(_GENERAL, _NAN)),
+    "ACK echoes a target": _echoes_a_target,
+    "REACHABLE_TARGET is the target": _reaches_what_it_takes,
+    "target that is no rotation: 10": _no_target(_scaled),
+    "target of NaN: 10": _no_target(lambda good: _moved(good, _NAN)),
+    "target out of reach: 10": _no_target(lambda good: _moved(good, good[:3, 3] + 5000.0)),
     "target in metres: 10": _in_metres,
-    "plan that is NO-GO: 10": _no_target(_at(50, 20, 10), **_PLAN),
-    "plan in another frame: 10": _no_target(_at(50, 20, 10), **(_PLAN | {contract.COORDINATES: "RAS"})),
-    "STOP is obeyed in every phase": _stops("STOP"),
+    "target in another frame: 10": _no_plan(coordinates="RAS"),
+    "target in another unit: 10": _no_plan(units="m"),
+    "plan that is NO-GO: 10": _no_plan(**_PLAN),
+    "plan that leaves out its side: 10": _no_plan(**(_without(contract.SIDE) | {contract.GO: contract.YES})),
+    "STOP is obeyed in every phase": _stands_on_stop,
     "STOP on a second connection": _stops_from_elsewhere,
-    "survives a wrong CRC": _survives(_GOOD[:-1] + bytes([_GOOD[-1] ^ 1])),
-    "survives an unknown type": _survives(_GOOD.replace(b"STATUS\0", b"NOVELTY", 1)),
-    "survives a message in pieces": _survives(_GOOD, pieces=True),
-    "reads header version 2": _survives(encode(Message(Status(1), "HELLO", version=2, metadata={"a": "b"}))),
+    "a command with a wrong CRC is not obeyed": _obeys_no_wrong_crc,
+    "survives a wrong CRC": _survives(_altered(encode(_STATE))),
+    "survives an unknown type": _survives(encode(_STATE).replace(b"STRING\0", b"NOVELTY", 1)),
+    "reads a message in pieces": _reads(encode(_START), piece=1),
+    "reads header version 2": _reads(encode(_START_2)),
     "one client holds the lease": _lease,
     "forgets a lost client": _forgets_a_lost_client,
     "streams": _streams,
-    "EMERGENCY waits for a reset": _emergency_and_reset,
+    "EMERGENCY waits for a reset": _waits_in_emergency,
+    "a reset names its fault": _reset_names_its_fault,
+}
+MOTIONS: dict[str, Callable[[RobotClient], str]] = {
+    "dry run: STOP while moving": _stops_while_moving,
+    "dry run: STOP while moving, on a second connection": _stops_while_moving_from_elsewhere,
+    "dry run: silence stops motion": _notices_silence,
+    "dry run: a lost client's motion stops": _stops_for_a_lost_client,
+    "dry run: aligns, and stands": _aligns,
 }

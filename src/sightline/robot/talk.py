@@ -73,6 +73,11 @@ class Talk:
         self._silent.set()
         self._link.close()
 
+    @property
+    def closed(self) -> bool:
+        """Whether it was ended here, or is lost."""
+        return self._link.closed
+
     def keep_alive(self) -> None:
         """Send heartbeats from now on, on a thread of their own."""
         Thread(target=self._beat, name="heartbeats", daemon=True).start()
@@ -81,9 +86,9 @@ class Talk:
         """Send no more heartbeats, as a program that hangs: a test whether the robot notices."""
         self._silent.set()
 
-    def send_bytes(self, data: bytes) -> None:
-        """Send what may be no message: a test of the robot."""
-        self._link.send_bytes(data)
+    def send_bytes(self, *pieces: bytes) -> None:
+        """Send what may be no message, no heartbeat between its pieces: a test of the robot."""
+        self._link.send_bytes(*pieces)
 
     def send(
         self,

@@ -48,11 +48,12 @@ class BlockingClient:
         """Send it. Raises LinkError where the connection is gone, MessageError as `encode` does."""
         self.send_bytes(encode(message))
 
-    def send_bytes(self, data: bytes) -> None:
-        """The same, of what may be no message: a test of the peer."""
+    def send_bytes(self, *pieces: bytes) -> None:
+        """The same, of what may be no message and in several pieces: a test of the peer."""
         try:
             with self._writing:
-                self._writer.sendall(data)
+                for piece in pieces:
+                    self._writer.sendall(piece)
         except OSError as error:
             self.close()
             raise LinkError(f"the connection was lost: {error}") from error
@@ -70,6 +71,11 @@ class BlockingClient:
         if isinstance(event, Rejected) and event.fatal:
             self.close()
         return event
+
+    @property
+    def closed(self) -> bool:
+        """Whether it has ended."""
+        return self._socket.fileno() < 0
 
     def close(self) -> None:
         """End it; the peer and a thread that receives notice at once."""
