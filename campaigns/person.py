@@ -37,7 +37,7 @@ class Clicks:
         at = {name: (moved or {}).get(name, hip) for name in VIEWS}
         views = [setup.views[name] for name in VIEWS]
         wire = np.stack([view.project(at[view.name].wire_mm) for view in views])
-        names = tuple(hip.landmarks_mm)
+        names = tuple(name.replace(" ", "-") for name in hip.landmarks_mm)  # as the kind of trajectory has them
         marks = np.stack([view.project(np.stack(list(at[view.name].landmarks_mm.values()))) for view in views])
         shown = np.all([view.in_field(marks[k], 5.0) for k, view in enumerate(views)], axis=0)
         head = np.stack([_outline(view, at[view.name]) for view in views])
@@ -71,7 +71,6 @@ class Clicks:
             self.wire[:, 0],
             self.wire[:, 1],
             pick_sd_px=pick_sd_px,
-            kind="hip-screw",
             side=self.side,
             aids=aids,
             landmarks_uv_px=self.landmarks,
@@ -84,7 +83,7 @@ def judged(made: Plan, wire_mm: np.ndarray) -> Ended:
     why = ", ".join(sorted({check.name for check in failed(made.verdict.checks)}))
     said = " ".join(check.sentence for check in failed(made.verdict.checks))
     path = made.trajectory
-    if path.points.joint_covariance_mm2 is None:
+    if not path.error_stated:
         return Ended("NO-GO", why, said=said)
     errors = np.linalg.norm(path.points.xyz_mm - wire_mm, axis=1)
     ratio = float((errors / [path.entry_error_95_mm, path.end_error_95_mm]).max())

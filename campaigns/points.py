@@ -212,20 +212,28 @@ def points_for_views(world: World, _: np.random.Generator) -> None:
     world.clicks = replace(world.clicks, wire=world.clicks.wire.swapaxes(0, 1))
 
 
+def _along_curve(world: World, view: int, point: int) -> np.ndarray:
+    """(2,) unit: where the other view's line of sight of entry or end runs in this one."""
+    this, other = (world.setup.views[VIEWS[k]] for k in (view, 1 - view))
+    at = world.hip.wire_mm[point]
+    ray = (at - other.focal_point_mm) / np.linalg.norm(at - other.focal_point_mm)
+    step = this.project(np.stack([at - ray, at + ray]))
+    return (step[1] - step[0]) / np.linalg.norm(step[1] - step[0])
+
+
 def one_pick_off(world: World, rng: np.random.Generator) -> None:
-    """5 to 20 px, any way."""
-    world.move_wire(_view(rng), _view(rng), rng.uniform(5, 20) * _unit(rng, 2))
+    """5 to 20 px across its curve, and as much at most along it."""
+    view, point = _view(rng), _view(rng)
+    along = _along_curve(world, view, point)
+    across = np.array([-along[1], along[0]])
+    by = rng.choice([-1, 1]) * rng.uniform(5, 20)
+    world.move_wire(view, point, by * (across + rng.uniform(-1, 1) * along))
 
 
 def one_pick_along(world: World, rng: np.random.Generator) -> None:
-    """5 to 20 px along its image-matching curve: no gap shows it."""
-    point, xyz = _view(rng), world.hip.wire_mm
-    views = [world.setup.views[name] for name in VIEWS]
-    ray = xyz[point] - views[0].focal_point_mm
-    ray = ray / np.linalg.norm(ray)
-    step = views[1].project(np.stack([xyz[point] - ray, xyz[point] + ray]))
-    along = (step[1] - step[0]) / np.linalg.norm(step[1] - step[0])
-    world.move_wire(1, point, rng.choice([-1, 1]) * rng.uniform(5, 20) * along)
+    """5 to 20 px along its curve: no gap shows it."""
+    view, point = _view(rng), _view(rng)
+    world.move_wire(view, point, rng.choice([-1, 1]) * rng.uniform(5, 20) * _along_curve(world, view, point))
 
 
 def careless(world: World, rng: np.random.Generator) -> None:
@@ -331,7 +339,7 @@ CLASSES: dict[str, Damage] = {
     "clicks of the views exchanged": damage(views_exchanged),
     "row and column exchanged": damage(row_column),
     "points and views exchanged": damage(points_for_views),
-    "one click 5-20 px off": damage(one_pick_off),
+    "one click 5-20 px off, across its curve": damage(one_pick_off),
     "one click 5-20 px along its curve": damage(one_pick_along, invisible=True),
     "clicks of 2-4 px stated as 0.5": damage(careless),
     "a landmark is another point": damage(landmark_off),
