@@ -9,6 +9,7 @@ import pytest
 from sightline.checks import Check, failed
 from sightline.errors import ErrorUnknownError, UnusableInputError
 from sightline.planning import Limits, SpacePoints, Trajectory, judge, kind, plan, reconstruct
+from sightline.planning.picks import Pick, stack
 from sightline.planning.results import BUDGET
 from sightline.planning.verdict import LARGEST_GAP_SIGMA
 
@@ -109,6 +110,7 @@ def test_a_good_plan_is_go():
         "end error",
         "direction error",
         "gap",
+        "pick spread",
         "movement",
         "plan inside hull",
     }
@@ -254,3 +256,34 @@ def test_one_point_may_be_snapped_and_the_other_free():
     entry, end = np.swapaxes(_pixels(views), 0, 1)
     made = plan(views, entry, end, kind=kind("free-wire"), snapped=(True, False))
     assert made.trajectory.points.gap_tested.tolist() == [False, True]
+
+
+def _spread_of(rng: np.random.Generator, sd_px: float, snapped: bool) -> Check:
+    views = _views(0.05)
+    uv = _pixels(views) + rng.normal(0.0, sd_px, (2, 2, 2))
+    marks = np.array([view.project(np.vstack([LANDMARKS_MM, [[-4.0, 22.0, 9.0]]])) for view in views])
+    marks = marks + rng.normal(0.0, sd_px, marks.shape)
+    picks = [(Pick.free(a), Pick.free(b)) for a, b in zip(*np.concatenate([uv, marks], axis=1), strict=True)]
+    uv_px, covariance, across = stack(picks)
+    if snapped:
+        across[1, :2] = [0.0, 1.0]
+    seen = reconstruct(views, uv_px, covariance, across_px=across)
+    (check,) = (one for one in judge(Trajectory(seen.first(2)), views, seen=seen).checks if one.name == "pick spread")
+    return check
+
+
+def test_the_gaps_chi_square_is_one_and_its_limit_is_passed_once_in_a_thousand():
+    """Picks of 0.5 px, as they are said to be: mean and variance of a chi-square of five points; views err not at all,
+    which 0.05 of a frame's errors hardly changes."""
+    rng = np.random.default_rng(31)
+    found = np.array([_spread_of(rng, 0.5, snapped=False).figure for _ in range(150)])
+    assert np.mean(found) == pytest.approx(5.0, abs=4 * np.sqrt(10.0 / 150))
+    assert np.var(found) == pytest.approx(10.0, abs=4 * np.sqrt(900.0 / 150))
+
+
+@pytest.mark.parametrize(("sd_px", "snapped", "least"), [(2.0, False, 38), (3.0, False, 40), (3.0, True, 34)])
+def test_picks_that_are_less_sure_than_said_are_no_go(sd_px: float, snapped: bool, least: int):
+    rng = np.random.default_rng(32)
+    found = [_spread_of(rng, sd_px, snapped) for _ in range(40)]
+    assert sum(not check.passed for check in found) >= least
+    assert "less sure than" in next(check for check in found if not check.passed).sentence

@@ -92,7 +92,7 @@ def _run(output: Output, folder: Path, seed: int) -> dict[str, Any]:
             PICK_SD_PX,
             snapped=True,
             landmarks_uv_px=landmarks_px,
-            landmark_names=tuple(name.replace(" ", "-") for name in landmarks),
+            landmark_names=tuple("-".join(name.split()) for name in landmarks),
             kind="hip-screw",
             side=rehearsal.side,
             aids=Aids(head=(head[0], head[1])),

@@ -12,14 +12,13 @@ from sightline.planning.aids import Aids
 from sightline.planning.anatomy import Anatomy, locate
 from sightline.planning.bone_checks import judge_in_bone
 from sightline.planning.curve import MatchingCurve, matching_curve, snap
-from sightline.planning.kinds import KINDS, TrajectoryKind
+from sightline.planning.kinds import TrajectoryKind
+from sightline.planning.kinds import kind as kind_of
 from sightline.planning.picks import DEFAULT_PICK_SD_PX, Pick, stack
 from sightline.planning.reconstruct import Method, reconstruct
 from sightline.planning.results import SpacePoints, Verdict
 from sightline.planning.trajectory import Trajectory
 from sightline.planning.verdict import judge
-
-HIP_SCREW = KINDS["hip-screw"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,7 +80,7 @@ def plan(
     snapped: bool | Sequence[bool] = False,
     landmarks_uv_px: np.ndarray | None = None,
     landmark_names: Sequence[str] = (),
-    kind: TrajectoryKind = HIP_SCREW,
+    kind: TrajectoryKind | str = "hip-screw",
     side: str | None = None,
     aids: Aids | None = None,
     method: Method = "weighted",
@@ -92,10 +91,10 @@ def plan(
     `pick_sd_px`: how well a person picks. `snapped`: the second view's picks are taken to the curves of the first's,
     both, or (entry, end) as each says. `landmarks_uv_px` (2, L, 2): points of the bone picked freely in both views,
     which show whether it moved between them; they change neither entry nor end. A plan whose picks are snapped is no GO
-    without two of them (`judge`). `landmark_names`: their keys in the kind of trajectory, "" for one
-    without. `kind` says which
-    limits hold and what is asked for; `side` ("right", "left") and `aids` are held against the wire where it names a
-    bone: without them the plan is incomplete. `curve`: `matching_curve`, or one that remembers what it drew.
+    without two of them (`judge`). `landmark_names`: their keys in the kind of trajectory, "" for one without. `kind`,
+    or its key, says which limits hold and what is asked for; `side` ("right", "left") and `aids` are held against the
+    wire where it names a bone: without them the plan is incomplete. `curve`: `matching_curve`, or one that remembers
+    what it drew.
     Raises UnusableInputError, and what `reconstruct`, `matching_curve` and `snap` raise.
     """
     if len(views) != 2:
@@ -106,6 +105,7 @@ def plan(
     ]
     (entry, entry_curve), (end, end_curve) = picked
     free = _landmarks(landmarks_uv_px, pick_sd_px)
+    kind = kind_of(kind) if isinstance(kind, str) else kind
     names = _names(kind, landmark_names, len(free))
     seen = _reconstructed(views, [entry, end, *free], method)
     trajectory = Trajectory(seen.first(2) if free else seen)
@@ -117,15 +117,16 @@ def plan(
     return Plan(trajectory, (entry, end), seen, entry_curve, end_curve, verdict, kind, side, anatomy, names)
 
 
-def _names(kind: TrajectoryKind, names: Sequence[str], count: int) -> tuple[str, ...]:
+def _names(kind: TrajectoryKind, landmark_names: Sequence[str], count: int) -> tuple[str, ...]:
     """Raises UnusableInputError where a landmark is none of the kind's, or named twice."""
+    names = tuple("-".join(name.split()) for name in landmark_names)
     known, given = [landmark.key for landmark in kind.landmarks], [name for name in names if name]
     if not set(given) <= set(known) or len(set(given)) < len(given) or len(names) not in (0, count):
         raise UnusableInputError(
             f"{count} landmarks have the names {', '.join(map(repr, names))}; a {kind.name} knows {', '.join(known)}: "
             "give each name once at most, and '' to a landmark without a name"
         )
-    return tuple(names) or ("",) * count
+    return names or ("",) * count
 
 
 def _reconstructed(views: Sequence[CalibratedView], picks: Sequence[tuple[Pick, Pick]], method: Method) -> SpacePoints:

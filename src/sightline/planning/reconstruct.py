@@ -51,7 +51,8 @@ def reconstruct(
     budget, gaps = solution.budget_mm2(), solution.gap_covariance_mm2()
     gap_mm = _approach(lines).gap_mm
     tested = ~np.any(across != 0.0, axis=(0, 2))
-    shift, shift_sd = (None, None) if gaps is None or not tested.any() else _mean_gap(lines, gaps, tested)
+    none = gaps is None or not tested.any()
+    shift, shift_sd, chi2 = (None, None, None) if none else _all_gaps(lines, gaps, tested)
     return SpacePoints(
         xyz_mm=solution.xyz_mm,
         gap_mm=gap_mm,
@@ -63,6 +64,7 @@ def reconstruct(
         method=solution.method,
         shift_mm=shift,
         shift_sd_mm=shift_sd,
+        gap_chi2=chi2,
         upright=_upright(lines),
         beads_near={one.view: one.beads_near for one in lines if one.beads_near is not None} or None,
     )
@@ -158,15 +160,17 @@ def _common_normals(first: LinesOfSight, second: LinesOfSight) -> np.ndarray:
     return common / np.linalg.norm(common, axis=1, keepdims=True)
 
 
-def _mean_gap(
+def _all_gaps(
     lines: tuple[LinesOfSight, LinesOfSight], covariance_mm2: np.ndarray, tested: np.ndarray
-) -> tuple[float, float]:
-    """The best mean of the tested points' signed gaps, mm, and its standard deviation. Raises
+) -> tuple[float, float, float]:
+    """The best mean of the tested points' signed gaps, mm, its standard deviation, and the gaps' chi-square. Raises
     ReconstructionRefusedError where something is stated to have no error at all."""
     normals = _common_normals(*lines)[tested]
     signed = normals @ (lines[1].focal_point_mm - lines[0].focal_point_mm)
-    weights = _inverse(covariance_mm2[np.ix_(tested, tested)]).sum(axis=0)
-    return float(weights @ signed / weights.sum()), float(1.0 / np.sqrt(weights.sum()))
+    information = _inverse(covariance_mm2[np.ix_(tested, tested)])
+    weights = information.sum(axis=0)
+    mean, sd = float(weights @ signed / weights.sum()), float(1.0 / np.sqrt(weights.sum()))
+    return mean, sd, float(signed @ information @ signed)
 
 
 def _covariances(

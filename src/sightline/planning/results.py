@@ -36,13 +36,13 @@ class SpacePoints:
     image-matching curve, so that the gap says nothing. `gap_sigma` (N,), masked where not tested: gap over its own
     standard deviation; None where a view's error is unknown. `shift_mm`, `shift_sd_mm`: how far the second view's lines
     of sight pass beside the first's along their common normal, in the best mean of all tested points, and its standard
-    deviation:
-    what a patient who moves between the views opens. None where no point is tested or a view's error is unknown.
-    `joint_covariance_mm2` (3N, 3N), or None where a view's error is unknown:
-    the points share focal points, maps and frame, so their errors are correlated. `budget_mm2`: the same, for each of
-    BUDGET. `inside_hull` (N,): within the beads' hull in both views. `upright`: whether a view shows the frame
-    file's beads not mirrored (`LinesOfSight.upright`); None where no view says so.
-    `beads_near`: for each view of the frame `LinesOfSight.beads_near` of the points, (N, 2).
+    deviation: what a patient who moves between the views opens. `gap_chi2`: of the gaps of all tested points together,
+    with as many degrees of freedom. These three are None where no point is tested or a view's error is unknown.
+    `joint_covariance_mm2` (3N, 3N), or None where a view's error is unknown: the points share focal points, maps and
+    frame, so their errors are correlated. `budget_mm2`: the same, for each of BUDGET. `inside_hull` (N,): within the
+    beads' hull in both views. `upright`: whether a view shows the frame file's beads not mirrored
+    (`LinesOfSight.upright`); None where no view says so. `beads_near`: for each view of the frame
+    `LinesOfSight.beads_near` of the points, (N, 2).
     """
 
     xyz_mm: np.ndarray
@@ -55,6 +55,7 @@ class SpacePoints:
     method: str = "weighted"
     shift_mm: float | None = None
     shift_sd_mm: float | None = None
+    gap_chi2: float | None = None
     upright: bool | None = None
     beads_near: dict[str, np.ndarray] | None = None
 
@@ -66,7 +67,7 @@ class SpacePoints:
                 array.flags.writeable = False
 
     def first(self, count: int) -> "SpacePoints":
-        """So many of the points, with their covariance; the shift stays that of all."""
+        """So many of the points, with their covariance; shift and chi-square stay those of all."""
         joint, budget, sigma = self.joint_covariance_mm2, self.budget_mm2, self.gap_sigma
         at = slice(3 * count)
         return replace(

@@ -7,6 +7,7 @@ import numpy as np
 
 from sightline.calibration.view import CalibratedView
 from sightline.checks import Check, Limits
+from sightline.geometry.covariance import ellipsoid_factor
 from sightline.planning.results import LARGEST_GAP_SIGMA, SpacePoints, Verdict, error_known
 from sightline.planning.trajectory import Trajectory
 
@@ -14,6 +15,8 @@ from sightline.planning.trajectory import Trajectory
 _NOTICED_SIGMA = 1.645
 # One point shows a shift of the bone; it takes another to show that it turned [ours].
 LEAST_FREE_POINTS = 2
+# Gaps of all free points together are larger once in a thousand honest plans [ours].
+_SPREAD = 0.999
 _POINTS = ("entry", "end")
 
 
@@ -33,7 +36,7 @@ def judge(
     if trajectory.error_stated:
         checks += _errors(trajectory, limits)
     if trajectory.points.joint_covariance_mm2 is not None:
-        checks += [*_gaps(seen), _movement(seen)]
+        checks += [*_gaps(seen), *_spread(seen), _movement(seen)]
     checks.append(_inside_hull(trajectory, views))
     # A movement that was not looked for is not one that was found.
     return Verdict(tuple(checks), tuple(c for c in checks if c.name == "movement" and c.figure is None))
@@ -69,6 +72,24 @@ def _gaps(points: SpacePoints) -> tuple[Check, ...]:
     names = [f"the {name} point" for name in _POINTS]
     names += [f"landmark {k + 1}" for k in range(len(points.xyz_mm) - len(names))]
     return points.gap_checks(names)
+
+
+def _spread(points: SpacePoints) -> list[Check]:
+    """Are the picks as sure as they are said to be? All free points together tell more than the gap of each."""
+    count = int(points.gap_tested.sum())
+    if points.gap_chi2 is None or count < LEAST_FREE_POINTS:
+        return []
+    limit = ellipsoid_factor(_SPREAD, count) ** 2
+    passed = points.gap_chi2 <= limit
+    times = float(np.sqrt(points.gap_chi2 / count))
+    sentence = f"The gaps of {count} free points together are {times:.1f} times what picks and views explain"
+    sentence += (
+        "."
+        if passed
+        else "; the picks are less sure than they are said to be, or the patient moved: pick all points again, or "
+        "state a larger error of the picks, with which the plan's own error grows."
+    )
+    return [Check("pick spread", passed, points.gap_chi2, limit, "χ²", sentence)]
 
 
 def _movement(points: SpacePoints) -> Check:
