@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from sightline.case.comparison import Refused
+from sightline.case.documents import view_document
 from sightline.case.report import render
 from sightline.case.report_document import report_document
 from sightline.case.report_tables import tables
@@ -132,6 +133,17 @@ def test_an_unknown_error_is_called_unknown(report) -> None:
     assert page.text.count("unknown") >= 3
     assert "Where the error comes from" not in page.text
     assert "95 % ellipsoids" not in page.text
+
+
+def test_the_residual_has_one_meaning(report) -> None:
+    """Per axis, in JSON, report and of the view itself: the rms of the lengths is 1.4 times as large."""
+    page = Page(render(report))
+    for image in report.images:
+        rms = image.view.residuals.rms_mm
+        used = image.view.residuals.residual_mm[image.view.residuals.used]
+        assert rms == pytest.approx(np.sqrt(np.mean((used**2).sum(axis=1)) / 2))
+        assert view_document(image)["residual_rms_mm"] == rms
+        assert f"residual {rms:.3f} mm rms per axis" in page.text
 
 
 def test_where_a_gap_failed_no_error_stands_beside_the_coordinates(report) -> None:

@@ -1,6 +1,5 @@
 """The second step: what each view's calibration is worth."""
 
-import numpy as np
 from nicegui import ui
 
 from sightline.app import texts
@@ -33,10 +32,9 @@ def _views(tab: Tab) -> None:
             note(f"{seen.doing.capitalize()} …", kind="quiet")
         else:
             left = seen.view.residuals
-            sizes = np.linalg.norm(left.residual_mm[left.used], axis=1)
             rows = [
                 (texts.BEADS_USED, f"{int(left.used.sum())} / {len(left.left_out)}"),
-                (texts.RESIDUAL, f"{np.sqrt(np.mean(sizes**2)):.3f} mm"),
+                (texts.RESIDUAL, f"{left.rms_mm:.3f} mm"),
                 (texts.FOCAL_POINT, ", ".join(f"{x:.0f}" for x in seen.view.focal_point_mm) + " mm"),
             ]
             table(("", ""), rows, testid=f"calibration-{name}")

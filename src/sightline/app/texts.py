@@ -95,7 +95,7 @@ DISPLAY_AND = " and "
 SHOW_REJECTED = "Show candidates that are no beads, with the reason"
 DROP_FIRST = "No image yet: drop one onto the page."
 BEADS_USED = "beads used / left out"
-RESIDUAL = "residual, rms"
+RESIDUAL = "residual, rms per axis"
 FOCAL_POINT = "focal point"
 
 # Plan.

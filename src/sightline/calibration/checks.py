@@ -133,7 +133,7 @@ def _leave_one_out(residuals: Residuals) -> Check:
         sentence = "No bead can be predicted from the others: too few are seen. More beads are needed."
         return Check("leave-one-out error", False, None, limit, "mm", sentence)
     figure = residuals.leave_one_out_rms_mm
-    sentence = f"Each bead is predicted by the others to {figure:.3f} mm rms on its plate."
+    sentence = f"Each bead is predicted by the others to {figure:.3f} mm rms per axis on its plate."
     return Check("leave-one-out error", figure <= limit, figure, limit, "mm", sentence)
 
 

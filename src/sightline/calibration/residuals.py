@@ -33,6 +33,11 @@ class Residuals:
         return tuple(i for i, used in zip(self.ids, self.used, strict=True) if not used)
 
     @property
+    def rms_mm(self) -> float:
+        """Of the residuals per axis, over the beads that were used: 0.7 times the rms of their lengths."""
+        return float(np.sqrt(np.mean(self.residual_mm[self.used] ** 2)))
+
+    @property
     def leave_one_out_rms_mm(self) -> float:
         """Per axis, over the beads that were used and could be predicted."""
         rows = self.used & self.predicted

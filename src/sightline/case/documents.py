@@ -4,8 +4,6 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from sightline.atomic import write_whole
 from sightline.case.views import CalibratedImage
 from sightline.checks import Check
@@ -23,7 +21,7 @@ def view_document(image: CalibratedImage) -> dict[str, Any]:
         "mirrored": view.mirrored,
         "coordinates": "CFCS",
         "focal_point_mm": view.focal_point_mm.tolist(),
-        "residual_rms_mm": float(np.sqrt(np.mean(left.residual_mm[left.used] ** 2))),
+        "residual_rms_mm": left.rms_mm,
         "leave_one_out_rms_mm": left.leave_one_out_rms_mm,
         "left_out": list(left.left_out),
         "beads": [

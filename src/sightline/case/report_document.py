@@ -50,7 +50,7 @@ class BeadDocument(_Open):
 
 
 class ViewDocument(_Open):
-    """One calibrated view; lengths in mm, CFCS."""
+    """One calibrated view; lengths in mm, CFCS. Rms values are per axis."""
 
     view: str
     method: str

@@ -129,9 +129,9 @@ def _beads_of(image: CalibratedImage, marked: list[figure_image.Marked], top_mm:
     assert image.seen.image is not None and image.seen.beads is not None  # noqa: S101 - only images are shown
     refused = _elsewhere(image)
     left_out = sum(not bead.used for bead in marked)
-    size = float(np.sqrt(np.mean([bead.residual_mm**2 for bead in marked if bead.used])))
+    size = image.view.residuals.rms_mm
     words = (
-        f"{spoken(image.name)} image: {len(marked)} beads told apart, residual {size:.3f} mm rms, "
+        f"{spoken(image.name)} image: {len(marked)} beads told apart, residual {size:.3f} mm rms per axis, "
         f"{left_out} left out of the fit, {len(refused)} other candidates rejected"
     )
     marks = [figure_image.rejected(refused), figure_image.beads(marked, top_mm)]

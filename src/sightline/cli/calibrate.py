@@ -155,7 +155,7 @@ def _show(out: Output, document: dict[str, Any]) -> None:
     mirrored = ", a mirror image" if document["mirrored"] else ""
     out.say(f"view {document['view']}{mirrored}; focal point ({focal}) mm in CFCS")
     left, predicted = document["residual_rms_mm"], document["leave_one_out_rms_mm"]
-    out.say(f"{len(document['beads'])} beads; residual {left:.3f} mm rms, leave-one-out {predicted:.3f} mm rms")
+    out.say(f"{len(document['beads'])} beads; residual {left:.3f} mm rms per axis, leave-one-out {predicted:.3f} mm")
     worst = sorted(document["beads"], key=lambda bead: -_length(bead["leave_one_out_mm"] or (0.0, 0.0)))
     out.table(
         f"Beads with the largest leave-one-out errors (of {len(worst)}), mm on the reference plane",
