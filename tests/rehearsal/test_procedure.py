@@ -47,7 +47,7 @@ def test_check_images_show_the_wire_that_was_drilled(rehearsal):
     off = np.array([0.6, -0.4, 0.3])
     T_mcs_cfcs = RigidTransform.from_translation([400.0, 12.0, 300.0])
     held = np.stack([entry - 20 * (end - entry) / np.linalg.norm(end - entry), entry, end]) + off
-    shot = rehearsal.check_images(SimulatedWire(T_mcs_cfcs.apply(held), T_mcs_cfcs))
+    shot = rehearsal.check_images(SimulatedWire(T_mcs_cfcs.apply(held), T_mcs_cfcs, np.zeros(5)))
     moved = shot.hip.landmarks_mm["head centre"] - rehearsal.hip.head_mm
     assert 0.0 < np.linalg.norm(moved) < 0.5
     along = held[1] + np.linspace(0.1, 0.9, 80)[:, None] * (held[2] - held[1]) + moved
@@ -60,9 +60,10 @@ def test_check_images_show_the_wire_that_was_drilled(rehearsal):
 
 
 def test_a_simulated_wire_survives_the_link():
-    wire = SimulatedWire(np.arange(9.0).reshape(3, 3), RigidTransform.from_rotation(RigidTransform.identity().rotation))
+    wire = SimulatedWire(np.arange(9.0).reshape(3, 3), RigidTransform.identity(), np.arange(5.0))
     again = SimulatedWire.of(wire.text())
     np.testing.assert_array_equal(again.wire_mm, wire.wire_mm)
+    np.testing.assert_array_equal(again.imaged, wire.imaged)
     np.testing.assert_array_equal(again.T_mcs_cfcs.as_matrix(), wire.T_mcs_cfcs.as_matrix())
 
 

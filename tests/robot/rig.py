@@ -1,6 +1,7 @@
 """A robot for tests: simulated, with a client beside it, and a target that it can reach."""
 
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from copy import deepcopy
 from functools import cache
@@ -11,6 +12,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from sightline.rehearsal.robots import calibrated_robot
 from sightline.robot.controller import Controller
+from sightline.robot.dialect import SIGHTLINE, Dialect
 from sightline.robot.dialogue import Dialogue
 from sightline.robot.igtl import Message, Status, String, Transform
 from sightline.robot.insertion import Setup
@@ -27,7 +29,7 @@ SETUP = Setup("right", "SN-7", into_bone=False)  # its wire is in air
 ROBOT = calibrated_robot()
 T_MCS_CFCS = ROBOT.manipulator.T_mcs_cfcs(IMAGED)
 CLIENT = 1
-BUSY_S = 1.0  # other programs keep a process from the processor for no longer
+BUSY_S = 60.0  # other programs keep a process from the processor for no longer
 
 
 def wire(entry_mm: np.ndarray = ENTRY_MM, end_mm: np.ndarray = END_MM) -> RigidTransform:
@@ -85,12 +87,16 @@ class Rig:
     """Controller, plant and dialogue without a link; time passes in `run`."""
 
     def __init__(
-        self, key_switch: bool = False, moved: SimulatedPlant | IdealPlant | None = None, setup: Setup = SETUP
+        self,
+        key_switch: bool = False,
+        moved: SimulatedPlant | IdealPlant | None = None,
+        setup: Setup = SETUP,
+        dialect: Dialect = SIGHTLINE,
     ) -> None:
         self.plant, self.panel = moved or IdealPlant(), Panel(key_switch=key_switch)
         self.controller = Controller(ROBOT, self.plant, setup, self.panel)
-        self.dialogue = Dialogue(self.controller)
-        self.now_s = 0.0
+        self.dialogue = Dialogue(self.controller, dialect=dialect)
+        self.now_s, self.number = 0.0, 0  # of the newest command
         self.dialogue.joined(CLIENT)
         self.said: list[Message] = []
         self.run(0.1)
@@ -105,7 +111,8 @@ class Rig:
         return [o.message for o in out if o.client == client]
 
     def command(self, text: str, client: int = CLIENT) -> list[Message]:
-        return self.send("CMD_1", String(text), client)
+        self.number += 1
+        return self.send(f"CMD_{self.number}", String(text), client)
 
     def run(self, seconds: float) -> list[Message]:
         """What was said meanwhile, telemetry aside."""
@@ -189,14 +196,50 @@ def code(said: list[Message], name: str | None = None) -> int | None:
 
 
 @contextmanager
-def served(*, virtual: bool = False, port: int = 0, key_switch: bool = False) -> Iterator[RobotServer]:
+def served(
+    *, virtual: bool = False, port: int = 0, key_switch: bool = False, halted: State | None = None
+) -> Iterator[RobotServer]:
     """The robot behind a port. On a busy machine its loop may pause for longer than the 50 ms after which a robot stops
-    by itself (tests/robot/test_controller.py); here it may."""
+    by itself (tests/robot/test_controller.py), and an answer take longer than a client waits; here they may.
+
+    `halted`: virtual time stands still in this state, in mid-motion, until a client says something; `mid_motion` waits
+    for that."""
     moved = IdealPlant() if virtual else plant()
     controller = Controller(ROBOT, moved, SETUP, Panel(key_switch=key_switch))
+    cycles = 0
+
+    def advance(dt_s: float) -> None:
+        nonlocal cycles
+        cycles = cycles + 1 if controller.state is halted else 0
+        if cycles == _INTO_MOTION:
+            _halted.add(server)
+            while not (len(server._inbox) or server._end.is_set()):
+                time.sleep(0.001)
+            _halted.discard(server)
+        moved.advance(dt_s)
+
     with (
         patch("sightline.robot.machine.STALE_S", BUSY_S),
         patch("sightline.robot.samples.STALE_S", BUSY_S),
-        RobotServer(controller, moved, port=port, advance=moved.advance, virtual=virtual) as server,
+        patch("sightline.robot.client.ACK_S", BUSY_S, create=True),
+        patch("sightline.robot.client.STATUS_S", BUSY_S, create=True),
+        RobotServer(controller, moved, port=port, advance=advance, virtual=virtual) as server,
     ):
         yield server
+
+
+_INTO_MOTION = 20  # cycles: the joints move by then
+_halted: set[RobotServer] = set()
+
+
+def mid_motion(server: RobotServer) -> None:
+    """Until the server stands still in virtual time, where it was told to."""
+    wait_for(lambda: server in _halted)
+
+
+def wait_for(condition: Callable[[], bool]) -> None:
+    """Until it holds. The limit is there to end a test that would never end."""
+    end = time.monotonic() + BUSY_S
+    while not condition():
+        assert time.monotonic() < end
+        time.sleep(0.002)

@@ -24,7 +24,7 @@ def test_every_command_in_every_state_gets_its_three_answers(state):
         rig = Rig.at(state)
         said = rig.command(text)
         assert [type(message.body) for message in said[:2]] == [String, Status]
-        assert said[0].device_name == "ACK_1"
+        assert said[0].device_name == f"ACK_{rig.number}"
         assert said[0].body.text == text
         assert said[1].device_name == "CURRENT_STATUS"
         assert said[1].body.error_name == phase(rig.state)
@@ -211,8 +211,8 @@ def test_a_reset_from_afar_names_the_fault():
     rig.panel.reset()
     rig.run(0.05)
     rig.command("EMERGENCY")
-    for text, done in (("1", False), ("zwei", False), ("\u00b2", False), ("", False), ("2", True)):
-        (reply,) = rig.send("r", Command(9, "RESET", text), client=OTHER)
+    for number, (text, done) in enumerate((("1", False), ("zwei", False), ("\u00b2", False), ("", False), ("2", True))):
+        (reply,) = rig.send("r", Command(number, "RESET", text), client=OTHER)
         assert isinstance(reply.body, CommandReply)
         assert (reply.body.error == "") is done
     assert rig.state is State.UNDEFINED
@@ -228,14 +228,16 @@ def test_the_second_shot_sets_the_depth_anew():
     rig = Rig.at(State.PAUSED)
     before = rig.plant.read().encoders[FEED]
     bad = ("nan", "inf", "", "-12", "30 0", "30 -1", "30 nan", "30 9", "30 0.1 7")
-    for text, done in (*((text, False) for text in bad), (f"{length - 8.5!r} 0.25", True)):
-        (reply,) = rig.send("shot", Command(3, "SHOT_DEPTH", text))
+    good = f"{length - 8.5!r} 0.25"
+    for number, (text, done) in enumerate((*((text, False) for text in bad), (good, True))):
+        (reply,) = rig.send("shot", Command(number, "SHOT_DEPTH", text))
         assert (reply.body.error == "") is done, reply.body
+    assert rig.send("shot", Command(len(bad), "SHOT_DEPTH", good))[0].body == reply.body  # a repeat refines nothing
     # The shot says 1.5 mm more than the encoders, and errs half as much as the plan: four parts of five are taken.
     now = rig.controller.snapshot()
     assert now.depth_mm == pytest.approx(length - 10 + 0.8 * 1.5, abs=0.02)
     assert now.depth_sd_mm == pytest.approx(0.5 * np.sqrt(0.2))
-    assert rig.send("shot", Command(4, "SHOT_DEPTH", repr(length - 8.5)), client=OTHER)[0].body.error == "refused"
+    assert rig.send("shot", Command(40, "SHOT_DEPTH", repr(length - 8.5)), client=OTHER)[0].body.error == "refused"
     rig.command("DRILL")
     rig.run_until(State.DONE)
     assert rig.plant.read().encoders[FEED] - before == pytest.approx(10 - 0.8 * 1.5, abs=0.03)

@@ -119,7 +119,7 @@ def stopped_on_its_way() -> tuple[Rig, Survey]:
 def test_a_motion_waits_for_its_look():
     rig, survey = stopped_on_its_way()
     said = rig.command("MOVE_TO_TARGET")
-    assert names(said) == ["ACK_1", "CURRENT_STATUS"]
+    assert names(said) == [f"ACK_{rig.number}", "CURRENT_STATUS"]
     rig.run(0.5)
     assert rig.state is State.STOP
     assert rig.speed() == 0.0
@@ -157,10 +157,10 @@ def test_a_late_answer_moves_nothing(how):
 
 def test_a_command_that_a_stop_overtook_is_void():
     rig = Rig.at(State.STOP)
-    out = rig.dialogue.receive(CLIENT, Message(String("MOVE_TO_TARGET"), "CMD_4"), rig.now_s, overtaken=True)
+    out = rig.dialogue.receive(CLIENT, Message(String("MOVE_TO_TARGET"), "CMD_A"), rig.now_s, overtaken=True)
     assert code([o.message for o in out], "MOVE_TO_TARGET") == Code.NOT_READY
     assert rig.state is State.STOP
-    out = rig.dialogue.receive(CLIENT, Message(String("PLANNING"), "CMD_5"), rig.now_s, overtaken=True)
+    out = rig.dialogue.receive(CLIENT, Message(String("PLANNING"), "CMD_B"), rig.now_s, overtaken=True)
     assert code([o.message for o in out], "PLANNING") == 1
 
 

@@ -46,6 +46,9 @@ def serve(
     frame_serial: Serial = None,
     rehearse: Seed = None,
     frame: FrameName = "gamma",
+    dialect: Annotated[
+        Literal["sightline", "brp2013"], typer.Option(help="brp2013: for clients of the convention of 2013 alone.")
+    ] = "sightline",
     virtual: Annotated[
         bool, typer.Option("--virtual", help="As fast as it computes, for clients without heartbeats.")
     ] = False,
@@ -61,11 +64,12 @@ def serve(
 ) -> None:
     """Serve a simulated robot until Ctrl-C: its wire in air, or in the bone of a rehearsal."""
     with Output(json=json, quiet=quiet) as out:
+        from sightline.robot.dialect import DIALECTS
         from sightline.robot.server import tune_process
 
         theatre = _theatre(side, frame_serial, rehearse, frame)
         tune_process()
-        with theatre.server(host=host, port=port, virtual=virtual) as server:
+        with theatre.server(host=host, port=port, virtual=virtual, dialect=DIALECTS[dialect]) as server:
             out.say(f"a simulated robot listens at {host}:{server.port}; stop it with Ctrl-C")
             if attached:
                 typer.echo(as_json({"port": server.port}))
@@ -240,12 +244,12 @@ def _send(robot: "RobotClient", plan: "PlanFile", name: str, frame_serial: str) 
         )
     now, side = time.time(), plan.side or ""
     robot.start_up()
-    q = robot.joints()[0]
+    q = robot.simulated_wire().imaged  # where it stood at the images, not where an earlier drive left it
     poses = {view: PoseAtImage(q, now, now) for view in ("pa", "lateral")}
     registration = register(calibrated_robot(side), poses)
     budget = None if plan.covariance_mm2 is None else {"planning": plan.covariance_mm2}
     target = aim(
-        PlanIdentity(name, side, frame_serial, plan.go, plan.document.kind or ""),
+        PlanIdentity(f"{name}-{now:.0f}", side, frame_serial, plan.go, plan.document.kind or ""),
         plan.points_mm,
         budget,
         registration,

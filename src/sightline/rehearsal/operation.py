@@ -5,7 +5,7 @@ told comes from the images and from its encoders alone, over the link; the truth
 """
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
@@ -15,7 +15,8 @@ from sightline.rehearsal.robots import calibrated_robot, drawn_robot
 from sightline.robot.calibrated import CalibratedRobot
 from sightline.robot.client import RobotClient
 from sightline.robot.controller import Controller
-from sightline.robot.insertion import Setup
+from sightline.robot.dialect import SIGHTLINE, Dialect
+from sightline.robot.insertion import OwnFrames, Setup
 from sightline.robot.manipulator import FEED, YAW, imaging_yaw
 from sightline.robot.record import DrillingRecord, Recorder
 from sightline.robot.registration import PoseAtImage, Registration, register
@@ -83,10 +84,15 @@ class Theatre:
         confirmed = Setup(side, serial, into_bone=False)
         return Theatre(robot, plant, plant.read().encoders, plant.true_T_mcs_cfcs(), confirmed)
 
-    def server(self, *, host: str = LOOPBACK, port: int = 0, virtual: bool = False) -> RobotServer:
+    def server(
+        self, *, host: str = LOOPBACK, port: int = 0, virtual: bool = False, dialect: Dialect = SIGHTLINE
+    ) -> RobotServer:
         """The robot behind its link, not yet listening. A person pushes the sleeve to the bone once it is aligned."""
+        setup = self.setup
+        if dialect.own_frames:
+            setup = replace(setup, frames=own_frames(self.robot, self.imaged))
         # A reset meant for a fault of an earlier start must not clear one of this.
-        controller = Controller(self.robot, self.plant, self.setup, first_fault=int(time.time()) % 1_000_000 + 1)
+        controller = Controller(self.robot, self.plant, setup, first_fault=int(time.time()) % 1_000_000 + 1)
 
         def advance(dt_s: float) -> None:
             if controller.state is State.ALIGNED and controller.insertion is not None:
@@ -101,6 +107,7 @@ class Theatre:
             advance=advance,
             virtual=virtual,
             truth=self._truth,
+            dialect=dialect,
         )
 
     def target(self, plan: Plan, name: str) -> RobotTarget:
@@ -116,7 +123,7 @@ class Theatre:
     @property
     def wire(self) -> SimulatedWire:
         """Where the wire truly is, now."""
-        return SimulatedWire(self.plant.true_wire_mm(), self.T_mcs_cfcs)
+        return SimulatedWire(self.plant.true_wire_mm(), self.T_mcs_cfcs, self.imaged)
 
     def _truth(self) -> str:
         return self.wire.text()
@@ -124,6 +131,14 @@ class Theatre:
     def outcome(self, ideal_mm: np.ndarray) -> Outcome:
         """The physics' word, against entry and end point (2, 3) CFCS."""
         return Outcome.of(self.wire.axis_mm, ideal_mm)
+
+
+def own_frames(robot: CalibratedRobot, imaged: np.ndarray) -> OwnFrames:
+    """Of a robot whose encoders (5,) were these at the images: its base frame lies at the hip and has the axes of the
+    wire, both as at the images."""
+    T_mcs_hip = robot.manipulator.T_mcs_cfcs(imaged)
+    axes = robot.manipulator.T_mcs_tool(imaged).rotation
+    return OwnFrames(RigidTransform.from_components(T_mcs_hip.translation, axes), T_mcs_hip)
 
 
 def registered(robot: CalibratedRobot, imaged: np.ndarray, now_s: float) -> Registration:

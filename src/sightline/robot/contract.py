@@ -7,12 +7,15 @@ SILENCE_S = 0.2  # of the leaseholder, before motion stops [issue]
 HEARTBEAT_S = 0.05  # between a client's heartbeats: three may be late [ours]
 IDLE_S = 1.0  # between the heartbeats of a client that waits for nothing: silence, if anything moves [ours]
 ALIVE_S = 1.0  # a call of our client that has not gone on for so long hangs, and sends no more heartbeats [ours]
+MUTE_S = 10.0  # a client that has said nothing by then is cut off [ours]
 TELEMETRY_S = 0.02  # between two of a stream [ours]: a display shows no more
 ARM = "arm"  # how names of telemetry begin
 
 # Device names. A command's is its kind, "_" and an identifier that its acknowledgement carries too.
 COMMAND, CALIBRATION, TARGET, ACKNOWLEDGED = "CMD_", "CLB_", "TGT_", "ACK_"
 HEARTBEAT = "HEARTBEAT"
+# A client that cannot read STATUS asks by a STRING of the first name for each as a STRING of the second.
+MIRROR_STATUS, MIRRORED = "MIRROR_STATUS", "STATUS"
 CURRENT_STATUS, CURRENT_POSITION = "CURRENT_STATUS", "CURRENT_POSITION"
 MEASURED_CP, MEASURED_JS = f"{ARM}/measured_cp", f"{ARM}/measured_js"
 FORCE, DEPTH, CYCLES = f"{ARM}/force", f"{ARM}/depth", f"{ARM}/cycles"
@@ -22,7 +25,7 @@ EVENT = f"{ARM}/event"  # what supervision noticed: "break-through; 5.31 mm; 12.
 # What a peer may announce in its CAPABILITY beside types of messages, in their twelve characters.
 HAS_HEARTBEAT = "X_HEARTBEAT"  # client: I send heartbeats, stop when they end; robot: I watch them
 HAS_TELEMETRY = "X_TELEMETRY"  # client: send me the streams; robot: I have them
-HAS_DRILLING = "X_DRILLING"  # robot: DRILL, GUIDE and RETRACT are commands
+HAS_DRILLING = "X_DRILLING"  # robot: DRILL, GUIDE and RETRACT are commands; client: I drill by DRILL alone
 HAS_PLAN = "X_PLAN"  # robot: a target may carry a plan's identity
 IS_SIMULATED = "X_SIMULATOR"  # robot: nothing real moves
 HAS_RESET = "X_RESET"  # robot: a person may reset it over the link

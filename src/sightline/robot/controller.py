@@ -8,11 +8,13 @@ from functools import partial
 import numpy as np
 
 from sightline.errors import RobotRefusedError
+from sightline.robot import contract
 from sightline.robot.activities import STANDING_LIMIT
 from sightline.robot.calibrated import CalibratedRobot
 from sightline.robot.contract import Code
 from sightline.robot.igtl import Message
 from sightline.robot.insertion import Insertion, Setup, read_registration, read_target
+from sightline.robot.lifetimes import Lifetimes
 from sightline.robot.look import LONGEST_S, Look, Surveyor, at_once
 from sightline.robot.machine import Machine
 from sightline.robot.manipulator import FEED
@@ -44,6 +46,7 @@ class Controller(Machine):
     ) -> None:
         super().__init__(robot, plant, setup, panel, first_fault)
         self.surveyor: Surveyor = at_once
+        self._lifetimes = Lifetimes()
         self._surveyed_from = self._q
         self._look: Look | None = None
 
@@ -53,10 +56,10 @@ class Controller(Machine):
         """An answer to every request in every state."""
         try:
             match request:
-                case Command(name, overtaken):
-                    return self._command(client, name, overtaken, now_s)
+                case Command():
+                    return self._command(client, request, now_s)
                 case Register(message):
-                    return self._register(client, message)
+                    return self._register(client, message, now_s)
                 case Aim(message):
                     return self._aim(client, message, now_s)
                 case Reset(fault):
@@ -76,7 +79,7 @@ class Controller(Machine):
 
     def lost(self, client: int, now_s: float) -> None:
         """The client is gone for good: if it held the lease, the robot stops and forgets what it was told."""
-        self._stopping = [due for due in self._stopping if due[0] != client]
+        self._stopping = [due for due in self._stopping if due.client != client]
         if not self._lease.left(client):
             return
         self._moving_for = self._look = None
@@ -108,7 +111,8 @@ class Controller(Machine):
 
     # Requests.
 
-    def _command(self, client: int, name: str, overtaken: bool, now_s: float) -> Answer:
+    def _command(self, client: int, command: Command, now_s: float) -> Answer:
+        name = command.name
         cause = next((cause for cause in COMMANDS if cause.value == name), None)
         if cause is None:
             known = ", ".join(command.value for command in COMMANDS)
@@ -121,7 +125,10 @@ class Controller(Machine):
         self._hold_lease(client)
         if (self.state, cause) not in TRANSITIONS:
             raise self._illegal(cause)
-        if overtaken and cause in _MOTION:
+        if command.by_name and cause is Cause.MOVE_TO_TARGET and TRANSITIONS[self.state, cause] is State.DRILL:
+            text = f"this client announced {contract.HAS_DRILLING}: it drills by {Cause.DRILL.value} alone"
+            raise _no(Code.NOT_READY, text)
+        if command.overtaken and cause in _MOTION:
             raise _no(Code.NOT_READY, "a stop came after this command, which is void")
         self._guard(cause, now_s)
         if self.insertion is not None and self._must_look(cause):
@@ -194,18 +201,19 @@ class Controller(Machine):
         """Whatever it finds now is void."""
         if self._look is not None:
             self._look.result.cancel()
-            self._outcomes.append(Outcome(self._look.client, self._look.name, code, text))
+            self._conclude(Outcome(self._look.client, self._look.name, code, text))
             self._look = None
 
-    def _register(self, client: int, message: Message) -> Answer:
+    def _register(self, client: int, message: Message, now_s: float) -> Answer:
         self._hold_lease(client)
         if self.state is not State.CALIBRATION:
             raise _no(Code.NOT_READY, f"a registration is taken in CALIBRATION; the robot is in {self.state.value}")
         self._forget()  # whatever comes, the old one is no longer meant
         try:
-            self.registration = read_registration(message)
+            self.registration = read_registration(message, self.setup)
         except RobotRefusedError as error:
             raise _no(Code.CONFIGURATION, str(error)) from error
+        self._lifetimes.registered(now_s)
         return Answer(Code.OK)
 
     def _aim(self, client: int, message: Message, now_s: float) -> Answer:
@@ -216,7 +224,8 @@ class Controller(Machine):
             raise _no(Code.NOT_READY, f"a target is taken in TARGETING; the robot is in {self.state.value}")
         self.insertion = self.drilling = None  # whatever comes, the old one is no longer meant
         try:
-            insertion = read_target(message, self.registration, self.robot, self.setup, now_s)
+            read = read_target(message, self.registration, self.robot, self.setup, now_s)
+            insertion = self._lifetimes.limit(read, now_s)
         except RobotRefusedError as error:
             raise _no(Code.CONFIGURATION, str(error)) from error
         return self._begin_look(client, insertion, None, now_s)
@@ -233,12 +242,12 @@ class Controller(Machine):
 
     def _stop(self, client: int, now_s: float) -> Answer:
         self._halt(now_s)
+        self._stopping.append(Outcome(client, Cause.STOP.value, Code.OK, "stands still"))
+        if self.lease is not None and client != self.lease:
+            self._stopping.append(Outcome(self.lease, Cause.STOP.value, Code.OK, "stopped by another client"))
         self._drop_look(Code.NOT_READY, "stopped by a client's STOP")
         self._end_motion(Code.NOT_READY, "stopped by a client's STOP")
-        self._stopping.append((client, Cause.STOP.value))
         self._enter(Cause.STOP)
-        if self.lease is not None and client != self.lease:
-            self._outcomes.append(Outcome(self.lease, Cause.STOP.value, Code.OK, "stopped by another client"))
         return Answer(Code.OK, done=False)
 
     def _reset_from_afar(self, fault: int) -> Answer:

@@ -4,13 +4,14 @@ Nothing is read or sent here: `receive` and `cycle` return what is to be sent to
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from sightline.robot import contract
 from sightline.robot.contract import Code
 from sightline.robot.controller import Controller
+from sightline.robot.dialect import SIGHTLINE, Dialect
 from sightline.robot.drilling import Drilling
 from sightline.robot.igtl import (
     MILLIMETRE,
@@ -29,8 +30,10 @@ from sightline.robot.igtl import (
 )
 from sightline.robot.igtl import Command as CommandMessage
 from sightline.robot.igtl.kinds import Body
+from sightline.robot.inbox import stop_word
 from sightline.robot.look import TARGET
 from sightline.robot.plant import CYCLE_S
+from sightline.robot.remembered import Remembered
 from sightline.robot.requests import (
     Aim,
     Answer,
@@ -42,7 +45,7 @@ from sightline.robot.requests import (
     ShotDepth,
     Snapshot,
 )
-from sightline.robot.states import MOVING, Cause, phase
+from sightline.robot.states import COMMANDS, MOVING, Cause, phase
 
 UNDERSTOOD = (
     "STRING",
@@ -55,6 +58,8 @@ UNDERSTOOD = (
     "GET_NDARRAY",
     "GET_CAPABIL",
 )
+_ACTIVITIES = (Cause.DRILL, Cause.GUIDE, Cause.RETRACT)
+PHASES = tuple(command.value for command in COMMANDS if command not in _ACTIVITIES)  # of the convention
 OFFERED = (contract.HAS_HEARTBEAT, contract.HAS_TELEMETRY, contract.HAS_DRILLING, contract.HAS_PLAN, contract.HAS_RESET)
 _NAME_BYTES = 20
 
@@ -81,23 +86,27 @@ class Cycles:
 class _Peer:
     version: int = 1  # of headers: 1 until the client sends 2
     telemetry: bool = False
+    drills_by_name: bool = False
+    mirrored: bool = False  # each STATUS goes out as a STRING too
+    sent_emergency: bool = False  # and was not answered yet
     told_s: float = -np.inf
+    asked: Remembered = field(default_factory=Remembered)
 
 
 @dataclass
 class Dialogue:
     """Speaks for one controller with all its clients, known by a number; `telemetry_s` between two of a stream.
-    `truth`: what a simulator answers to SIMULATED_WIRE, if it does."""
+    `truth`: what a simulator answers to SIMULATED_WIRE, if it does; `dialect`: what its clients understand."""
 
     controller: Controller
     simulated: bool = False
     truth: Callable[[], str] | None = None
     telemetry_s: float = contract.TELEMETRY_S
+    dialect: Dialect = SIGHTLINE
     cycles: Cycles = field(default_factory=Cycles)
 
     def __post_init__(self) -> None:
         self._peers: dict[int, _Peer] = {}
-        self._sent_target: Body = String("")  # the newest, as it came
         self._hole: Drilling | None = None
         self._events = 0  # of this hole that were told
 
@@ -126,7 +135,7 @@ class Dialogue:
         out = []
         for outcome in self.controller.cycle(now_s):
             for client in [outcome.client] if outcome.client is not None else list(self._peers):
-                out += self._all(client, self._of_outcome(outcome))
+                out += self._all(client, self._of_outcome(client, outcome))
         return out + self._new_events() + self._telemetry(now_s)
 
     # Answers, as (device name, body) in their order.
@@ -143,6 +152,7 @@ class Dialogue:
                 said = [(name, self._of_command(client, number, command, text, now_s))]
             case Capability(types):
                 self._peers[client].telemetry = contract.HAS_TELEMETRY in types
+                self._peers[client].drills_by_name = contract.HAS_DRILLING in types
                 if contract.HAS_HEARTBEAT in types:
                     self.controller.heartbeat(client, now_s)
                 said = [self._capability()]
@@ -166,19 +176,19 @@ class Dialogue:
             return self._of_target(client, message, now_s)
         if name.startswith(contract.CALIBRATION):
             answer = self.controller.submit(client, Register(message), now_s)
-            return [_echo(name, message.body), (Cause.CALIBRATION.value, _status(answer))]
+            return [_echo(name, message.body), (Cause.CALIBRATION.value, self._status(answer))]
         text = f"a TRANSFORM is named {contract.CALIBRATION}... or {contract.TARGET}..., not {name!r}"
         return [(_fitting(name), Status(Code.UNKNOWN, Code.UNKNOWN.name, text))]
 
     def _of_string(self, client: int, name: str, text: str, now_s: float, overtaken: bool) -> list[tuple[str, Body]]:
         if name.startswith(contract.COMMAND):
-            answer = self.controller.submit(client, Command(text, overtaken), now_s)
-            acknowledged = contract.ACKNOWLEDGED + name.removeprefix(contract.COMMAND)
-            said: list[tuple[str, Body]] = [(acknowledged, String(text)), (contract.CURRENT_STATUS, self._current())]
-            return said + ([(_fitting(text), _status(answer))] if answer.done else [])
+            return self._of_phase(client, name, text, now_s, overtaken)
         if name == contract.HEARTBEAT:
             self.controller.heartbeat(client, now_s)
             return []
+        if name == contract.MIRROR_STATUS:
+            self._peers[client].mirrored = True
+            return [self._state_now()]
         if contract.CURRENT_POSITION in (name, text):
             return [self._position()]
         if contract.CURRENT_STATUS in (name, text):
@@ -186,16 +196,39 @@ class Dialogue:
         reason = f"a STRING is named {contract.COMMAND}..., {contract.HEARTBEAT}, or asks for {contract.CURRENT_STATUS}"
         return [(_fitting(name), Status(Code.UNKNOWN, Code.UNKNOWN.name, reason))]
 
+    def _of_phase(self, client: int, name: str, text: str, now_s: float, overtaken: bool) -> list[tuple[str, Body]]:
+        """The answers to a CMD_: to stop at once, whatever its identifier; to act, the first time that it comes."""
+        peer, stop = self._peers[client], stop_word(text)
+        answer = None if stop else peer.asked.earlier(name, text)
+        if answer is None:
+            peer.sent_emergency |= stop == Cause.EMERGENCY.value
+            command = Command(stop or text, overtaken, peer.drills_by_name)
+            answer = self.controller.submit(client, command, now_s)
+            peer.asked.put(name, text, answer)
+        said: list[tuple[str, Body]] = [
+            (contract.ACKNOWLEDGED + name.removeprefix(contract.COMMAND), String(text)),
+            (contract.CURRENT_STATUS, self._after_command(stop or text)),
+        ]
+        entered = answer.code is Code.OK and text in (Cause.PLANNING.value, Cause.CALIBRATION.value)
+        if not answer.done or (entered and not self.dialect.tells_entered):
+            return said
+        return [*said, (_fitting(stop or text), self._status(answer))]
+
+    def _after_command(self, text: str) -> Status:
+        commanded = self.dialect.names_commanded and text in PHASES
+        return replace(self._current(), error_name=text) if commanded else self._current()
+
     def _of_target(self, client: int, message: Message, now_s: float) -> list[tuple[str, Body]]:
-        self._sent_target = message.body
         answer = self.controller.submit(client, Aim(message), now_s)
         return [_echo(message.device_name, message.body), *(self._target_answer(answer) if answer.done else [])]
 
     def _target_answer(self, answer: Answer) -> list[tuple[str, Body]]:
-        said: list[tuple[str, Body]] = [(TARGET, _status(answer))]
+        said: list[tuple[str, Body]] = [(TARGET, self._status(answer))]
         insertion = self.controller.insertion
         if answer.code is Code.OK and insertion is not None:
-            said += [(TARGET, self._sent_target), ("REACHABLE_TARGET", Transform.of(insertion.T_cfcs_wire))]
+            said.append((TARGET, insertion.sent))
+            if self.dialect.tells_reachable:
+                said.append(("REACHABLE_TARGET", Transform.of(insertion.T_cfcs_wire)))
         return said
 
     def _of_command(self, client: int, number: int, command: str, text: str, now_s: float) -> CommandReply:
@@ -204,7 +237,11 @@ class Dialogue:
         request = _request(command, text)
         if isinstance(request, str):
             return CommandReply(number, "refused", request)
-        answer = self.controller.submit(client, request, now_s)
+        asked, identifier = self._peers[client].asked, f"COMMAND {number}"
+        answer = asked.earlier(identifier, f"{command} {text}")
+        if answer is None:
+            answer = self.controller.submit(client, request, now_s)
+            asked.put(identifier, f"{command} {text}", answer)
         return CommandReply(number, "" if answer.code is Code.OK else "refused", answer.text)
 
     def _rejected(self, client: int, event: Rejected) -> list[Outgoing]:
@@ -213,14 +250,23 @@ class Dialogue:
             return []
         return self._all(client, [(contract.CURRENT_STATUS, Status(Code.CONFIGURATION, "UNREADABLE", event.reason))])
 
-    def _of_outcome(self, outcome: Outcome) -> list[tuple[str, Body]]:
+    def _of_outcome(self, client: int, outcome: Outcome) -> list[tuple[str, Body]]:
         answer = Answer(outcome.code, outcome.text)
         if outcome.name == TARGET:
             return self._target_answer(answer)
-        said: list[tuple[str, Body]] = [(_fitting(outcome.name), _status(answer))]
+        if client in self._peers:
+            self._peers[client].asked.ended(outcome.name, answer)
+            if outcome.code is Code.EMERGENCY and self._peers[client].sent_emergency:
+                self._peers[client].sent_emergency = False
+                answer = Answer(self.dialect.own_emergency, outcome.text)
+        said: list[tuple[str, Body]] = [(_fitting(outcome.name), self._status(answer))]
         if outcome.name == Cause.MOVE_TO_TARGET.value:
             said.append(self._position())
         return said
+
+    def _status(self, answer: Answer) -> Status:
+        code = self.dialect.in_manual if answer.code is Code.MANUAL else answer.code
+        return Status(int(code), "" if code is Code.OK else code.name, answer.text)
 
     def _current(self) -> Status:
         state, fault = self.controller.state, self.controller.fault
@@ -297,8 +343,10 @@ class Dialogue:
         return contract.MEASURED_JS, NDArray(rows)
 
     def _all(self, client: int, said: list[tuple[str, Body]], *, telemetry: bool = False) -> list[Outgoing]:
-        version = self._peers[client].version if client in self._peers else 1
-        return [Outgoing(client, _message(name, body, version), telemetry) for name, body in said]
+        peer = self._peers.get(client) or _Peer()
+        if peer.mirrored:
+            said = [each for name, body in said for each in _with_mirror(name, body)]
+        return [Outgoing(client, _message(name, body, peer.version), telemetry) for name, body in said]
 
 
 def _message(name: str, body: Body, version: int) -> Message:
@@ -328,8 +376,11 @@ def _echo(name: str, body: Body) -> tuple[str, Body]:
     return contract.ACKNOWLEDGED + name.split("_", 1)[1], body
 
 
-def _status(answer: Answer) -> Status:
-    return Status(int(answer.code), "" if answer.code is Code.OK else answer.code.name, answer.text)
+def _with_mirror(name: str, body: Body) -> list[tuple[str, Body]]:
+    """What is said, and where it is a STATUS the same in words."""
+    if not isinstance(body, Status):
+        return [(name, body)]
+    return [(name, body), (contract.MIRRORED, String(f"{name}; {body.code}; {body.error_name}; {body.text}"))]
 
 
 def _fitting(name: str) -> str:

@@ -23,21 +23,34 @@ SHORTEST_MM = 5.0  # as planning has it: less gives no direction
 # Past the planned depth, where a target states no limit: what the paper allows the tip to err [paper, Fig. 15].
 DEPTH_SLACK_MM = 1.0
 LEAST_SLACK_MM = 0.2  # between planned depth and its limit: feed error at rest, and then some [ours]
+# The bone's far surface lies no further beyond a planned tip: the head of a femur has a radius of 20 to 30 mm [ours].
+MOST_SLACK_MM = 30.0
 # No robot stands so near the hip, and no plan ends so near the frame's origin, unless its numbers are metres [ours].
 BASE_IN_METRES, TARGET_IN_METRES = 10.0, 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class OwnFrames:
+    """For clients of 2013, whose registration leads from a base frame of the robot's own (`T_mcs_base`) to a frame of
+    the patient that says nothing of the hip, which is where it was set up (`T_mcs_hip`, axes of CFCS)."""
+
+    T_mcs_base: RigidTransform
+    T_mcs_hip: RigidTransform
 
 
 @dataclass(frozen=True)
 class Setup:
     """What a person has confirmed at the robot: the patient's side, the serial of the frame, whether it is still on the
     flange, and if it was taken off since its calibration how well it repeats its place; whether bone is to be met at
-    the entry point, which it is not in a dry run and in a bore."""
+    the entry point, which it is not in a dry run and in a bore. `frames`: None where registrations are those of
+    docs/robot-link.md."""
 
     side: str
     frame_serial: str
     frame_mounted: bool = True
     remount_mm: float | None = None
     into_bone: bool = True
+    frames: OwnFrames | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,14 +64,15 @@ class LinkRegistration:
 @dataclass(frozen=True, eq=False)
 class Insertion:
     """A wire to be drilled. `entry_mm`, `end_mm` (3,) MCS; `q` (5,): the joints with the tip at the entry point;
-    `T_cfcs_wire`: at the end point, as the robot will lay it; depths from the entry point. `identity` is None where a
-    bare transform came."""
+    `sent`: the pose at the end point as it came, `T_cfcs_wire`: as the robot will lay it; depths from the entry point.
+    `identity` is None where a bare transform came."""
 
     identity: PlanIdentity | None
     T_mcs_cfcs: RigidTransform
     entry_mm: np.ndarray
     end_mm: np.ndarray
     q: np.ndarray
+    sent: Transform
     T_cfcs_wire: RigidTransform
     depth_limit_mm: float
     expires_s: float
@@ -84,7 +98,8 @@ class Insertion:
     def refuse_collision(self, manipulator: Manipulator, q: np.ndarray, setup: Setup) -> None:
         """Raise RobotRefusedError where the way from the joints `q` (5,) to the end point touches something."""
         way = np.vstack([self.course(manipulator, q), self.at_depth(self.length_mm)])
-        theatre = hip_theatre(self.T_mcs_cfcs, setup.frame_mounted, setup.remount_mm)
+        T_mcs_hip = self.T_mcs_cfcs if setup.frames is None else setup.frames.T_mcs_hip
+        theatre = hip_theatre(T_mcs_hip, setup.frame_mounted, setup.remount_mm)
         bad = failed(check_reach(manipulator, way, theatre))
         if bad:
             raise RobotRefusedError(" ".join(check.sentence for check in bad))
@@ -97,9 +112,11 @@ def retracted(manipulator: Manipulator, q: np.ndarray) -> np.ndarray:
     return back
 
 
-def read_registration(message: Message) -> LinkRegistration:
-    """From a transform that maps MCS to CFCS. Raises RobotRefusedError."""
-    T_cfcs_mcs = _rigid(message, "registration")
+def read_registration(message: Message, setup: Setup) -> LinkRegistration:
+    """From a transform that maps MCS, or the base frame of 2013, to CFCS. Raises RobotRefusedError."""
+    T_cfcs_mcs = _rigid(message, "registration").rigid()
+    if setup.frames is not None:
+        return LinkRegistration(setup.frames.T_mcs_base * T_cfcs_mcs.inv(), message.timestamp)
     distance = float(np.linalg.norm(T_cfcs_mcs.translation))
     if distance < BASE_IN_METRES:
         raise RobotRefusedError(
@@ -116,10 +133,12 @@ def read_target(
     The way there from where the robot stands is checked later: `Insertion.refuse_collision`. Raises RobotRefusedError
     with the reason.
     """
-    T_cfcs_wire = _rigid(message, "target")
+    sent = _rigid(message, "target")
+    T_cfcs_wire = sent.rigid()
     said = message.metadata
     _refuse_frame_and_units(said)
-    _refuse_metres(T_cfcs_wire)
+    if setup.frames is None:
+        _refuse_metres(T_cfcs_wire)
     if message.timestamp and registration.timestamp and message.timestamp < registration.timestamp:
         raise RobotRefusedError("the target is older than the registration; plan again on the images just taken")
     identity, length, limit, expires = None, BARE_LENGTH_MM, BARE_LENGTH_MM + DEPTH_SLACK_MM, now_s + LIFETIME_S
@@ -133,7 +152,7 @@ def read_target(
     refuse_feed(robot.manipulator, q, length)
     q_end = q + np.array([0.0, 0.0, 0.0, 0.0, length])
     laid = registration.T_mcs_cfcs.inv() * robot.manipulator.T_mcs_tool(q_end)
-    return Insertion(identity, registration.T_mcs_cfcs, entry, end, q, laid, limit, expires)
+    return Insertion(identity, registration.T_mcs_cfcs, entry, end, q, sent, laid, limit, expires)
 
 
 def refuse_feed(manipulator: Manipulator, q: np.ndarray, length_mm: float) -> None:
@@ -150,13 +169,13 @@ def refuse_feed(manipulator: Manipulator, q: np.ndarray, length_mm: float) -> No
         )
 
 
-def _rigid(message: Message, what: str) -> RigidTransform:
+def _rigid(message: Message, what: str) -> Transform:
     body = message.body
     if not isinstance(body, Transform):
         raise RobotRefusedError(f"a {what} comes as TRANSFORM, not as {message.type_name}")
     if body.fault is not None:
         raise RobotRefusedError(f"the {what} is no rigid motion: {body.fault}")
-    return body.rigid()
+    return body
 
 
 def _refuse_frame_and_units(said: Mapping[str, str]) -> None:
@@ -217,6 +236,11 @@ def _plan(said: Mapping[str, str], setup: Setup) -> tuple[PlanIdentity, float, f
         raise RobotRefusedError(
             f"the planned depth of {length:.1f} mm comes within {LEAST_SLACK_MM:g} mm of its limit of {limit:.1f} mm "
             "or passes it; plan a shorter wire"
+        )
+    if limit > length + MOST_SLACK_MM:
+        raise RobotRefusedError(
+            f"the depth limit of {limit:.4g} mm lies {limit - length:.4g} mm beyond the planned depth of {length:.1f} "
+            f"mm, where no bone is (at most {MOST_SLACK_MM:g} mm); state the distance to the bone's far surface"
         )
     if not 0 < valid <= LIFETIME_S:
         raise RobotRefusedError(

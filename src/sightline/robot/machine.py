@@ -1,5 +1,7 @@
 """What the robot does by itself: read the plant, watch, move, stop. It knows states and activities, no requests."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from sightline.robot.activities import Activity, align, retract
@@ -41,7 +43,8 @@ class Machine:
         self._commanded = np.zeros(len(JOINTS))
         self._rest = self._q  # where the joints stand while the robot waits
         self._moving_for: tuple[int, str] | None = None
-        self._stopping: list[tuple[int, str]] = []
+        self._stopping: list[Outcome] = []  # told once the joints stand
+        self._after_stops: list[Outcome] = []  # of what a stop ended: told after it
         self._stopped_s = 0.0
         self._outcomes: list[Outcome] = []
 
@@ -182,8 +185,8 @@ class Machine:
             self._next_fault += 1
         self._enter(Cause.FAULT)
         self._forget()
-        self._end_motion(code, text)
         self._outcomes.append(Outcome(None, State.EMERGENCY.value, Code.EMERGENCY, text))
+        self._end_motion(code, text)
 
     def _reset_at_panel(self) -> None:
         try:
@@ -212,17 +215,19 @@ class Machine:
 
     def _end_motion(self, code: Code, text: str) -> None:
         if self._moving_for is not None:
-            self._outcomes.append(Outcome(*self._moving_for, code, text))
+            self._conclude(Outcome(*self._moving_for, code, text))
             self._moving_for = None
+
+    def _conclude(self, outcome: Outcome) -> None:
+        """Tell how something ended; where a stop ended it, after that stop."""
+        (self._after_stops if self._stopping else self._outcomes).append(outcome)
 
     def _report_stops(self, now_s: float) -> None:
         """A stop is reported as done when the joints stand, and not before."""
-        if not self._stopping:
-            return
-        if self._samples.still(self.robot.manipulator):
-            self._outcomes += [Outcome(*due, Code.OK, "stands still") for due in self._stopping]
-            self._stopping = []
-        elif now_s - self._stopped_s > STOP_S:
-            due, self._stopping = self._stopping, []
-            self._outcomes += [Outcome(*one, Code.HARDWARE, "the joints still move") for one in due]
+        if self._stopping and not self._samples.still(self.robot.manipulator):
+            if now_s - self._stopped_s <= STOP_S:
+                return
+            self._stopping = [replace(due, code=Code.HARDWARE, text="the joints still move") for due in self._stopping]
             self._fail(Code.HARDWARE, f"the joints still move {STOP_S:g} s after a stop", now_s)
+        self._outcomes += self._stopping + self._after_stops
+        self._stopping, self._after_stops = [], []

@@ -13,10 +13,12 @@ from sightline.robot.states import State
 
 @dataclass(frozen=True)
 class Command:
-    """A command by its name, known or not. `overtaken`: a stop that was sent later has been heard before it."""
+    """A command by its name, known or not. `overtaken`: a stop that was sent later has been heard before it.
+    `by_name`: its client drills by DRILL, and never by a further MOVE_TO_TARGET."""
 
     name: str
     overtaken: bool = False
+    by_name: bool = False
 
 
 @dataclass(frozen=True)

@@ -18,9 +18,10 @@ from typing import Self
 from sightline.errors import LinkError, MessageError
 from sightline.robot import contract
 from sightline.robot.controller import Controller
+from sightline.robot.dialect import SIGHTLINE, Dialect
 from sightline.robot.dialogue import Dialogue, Outgoing
 from sightline.robot.igtl import Event, timestamp_of
-from sightline.robot.inbox import Change, Heard, Inbox, stops
+from sightline.robot.inbox import Change, Heard, Inbox, stop_of
 from sightline.robot.plant import CYCLE_S, Plant
 from sightline.robot.transport import LOOPBACK, PORT, Connection, serve
 
@@ -29,7 +30,7 @@ SWITCH_S = 0.0005  # Python's threads take turns so often: a tenth of a cycle [o
 PRIORITY = 10  # of the loop's thread among real-time threads, where the system allows it [ours]
 DEAF_S = 3 * CYCLE_S  # a loop that has not turned for so long cannot stop the drives
 REQUESTS_PER_CYCLE = 32  # the others wait, so that no flood of requests makes a cycle late [ours]
-WAITING_REQUESTS = 1024  # a client that has more than this waiting is cut off [ours]
+WAITING_REQUESTS = 256  # of one client: that which has more waiting is cut off [ours]
 WAITING_BATCHES = 64  # of telemetry, when the link cannot follow; what is newer is dropped [ours]
 VIRTUAL_TELEMETRY_S = (
     0.1  # of virtual time: a tenth of a millimetre drilled; sending more takes half of all time [ours]
@@ -44,7 +45,7 @@ class RobotServer:
 
     `advance(dt_s)` lets a simulated plant's time pass; a real one needs none. With `virtual` time runs as fast as it
     can while something moves and stands still otherwise: for trials, with clients that send no heartbeats. `truth`:
-    what a simulator tells simulated imaging devices (robot/simulated.py).
+    what a simulator tells simulated imaging devices (robot/simulated.py). `dialect`: robot/dialect.py.
     Raises LinkError where the port cannot be had.
     """
 
@@ -58,10 +59,11 @@ class RobotServer:
         advance: Callable[[float], None] | None = None,
         virtual: bool = False,
         truth: Callable[[], str] | None = None,
+        dialect: Dialect = SIGHTLINE,
     ) -> None:
         self.port = port
         telemetry_s = VIRTUAL_TELEMETRY_S if virtual else contract.TELEMETRY_S
-        self.dialogue = Dialogue(controller, advance is not None, truth, telemetry_s)
+        self.dialogue = Dialogue(controller, advance is not None, truth, telemetry_s, dialect)
         self._controller, self._plant, self._advance, self._virtual = controller, plant, advance, virtual
         self._host = host
         self._inbox = Inbox()
@@ -127,7 +129,9 @@ class RobotServer:
 
     async def _listen(self) -> None:
         self._event_loop, self._closing = asyncio.get_running_loop(), asyncio.Event()
-        async with await serve(self, self._host, self.port, max_body_bytes=MAX_BODY_BYTES) as server:
+        async with await serve(
+            self, self._host, self.port, max_body_bytes=MAX_BODY_BYTES, mute_s=contract.MUTE_S, kept_for=_stops
+        ) as server:
             self.port = server.port
             self._listening.set()
             await self._closing.wait()
@@ -141,11 +145,12 @@ class RobotServer:
     def received(self, connection: Connection, event: Event) -> None:
         """See transport.Handler. A stop overtakes whatever waits; where the loop does not turn, it acts from here."""
         client = self._numbers[connection]
-        if len(self._inbox) > WAITING_REQUESTS and not stops(event):
+        stops = _stops(event)
+        if self._inbox.waiting(client) >= WAITING_REQUESTS and not stops:
             connection.close("too many requests at once")
             return
         self._inbox.put(client, event)
-        if stops(event) and time.monotonic() - self._turned_s > DEAF_S and not self._virtual:
+        if stops and time.monotonic() - self._turned_s > DEAF_S and not self._virtual:
             self._plant.hold()
 
     def silent(self, connection: Connection) -> None:
@@ -244,12 +249,7 @@ class RobotServer:
         if self._inbox.stop_waits:
             self._plant.hold()
         said: list[Outgoing] = []
-        while (stop := self._inbox.take_stop()) is not None:
-            said += self._heard(stop, now_s)
-        for _ in range(REQUESTS_PER_CYCLE):
-            heard = self._inbox.take(self._controller.looking_for)
-            if heard is None:
-                break
+        for heard in self._inbox.turn(REQUESTS_PER_CYCLE, lambda: self._controller.looking_for):
             said += self._heard(heard, now_s)
         return said
 
@@ -261,6 +261,10 @@ class RobotServer:
         elif not isinstance(heard.what, Change):
             return self.dialogue.receive(heard.client, heard.what, now_s, heard.overtaken)
         return []
+
+
+def _stops(event: Event) -> bool:
+    return stop_of(event) is not None
 
 
 def tune_process() -> None:

@@ -10,6 +10,7 @@ from sightline.robot.igtl.crc import crc64
 from sightline.robot.igtl.header import VERSIONS, Header, time_of, unwrap, wrap
 from sightline.robot.igtl.kinds import Body, is_plain, read_plain
 from sightline.robot.igtl.messages_bind import Bind
+from sightline.robot.igtl.messages_text import String
 
 LONG_NAME = "IGTL_DEVICE_NAME"  # metadata in which PLUS gives a name that it cut to the header's 20 bytes
 
@@ -90,3 +91,14 @@ def decode(header: Header, body: bytes) -> Message:
         message_id,
         metadata,
     )
+
+
+def seeming_text(header: Header, body: bytes) -> str:
+    """The text of a STRING that cannot be read as one, after its encoding and length; "" of any other type."""
+    if header.type_name != String.type_name:
+        return ""
+    try:
+        content = body if header.version == 1 else unwrap(body)[0]
+    except (MessageError, struct.error):
+        return ""
+    return content[4:].decode("latin-1")

@@ -35,20 +35,26 @@ class Bind:
 
     def content(self) -> bytes:
         """Types and sizes, names, contents; names and contents end at even places."""
-        heads, contents, names = struct.pack(">H", len(self.children)), b"", b""
+        heads, contents, names = struct.pack(">H", len(self.children)), b"", []
         for name, body in self.children:
             if not is_plain(body.type_name):
                 raise MessageError(f"a message of type {body.type_name} cannot be bound")
             content = body.content()
             heads += field(body.type_name, TYPE_BYTES, "type") + struct.pack(">Q", len(content))
             contents += content + bytes(len(content) % 2)
-            names += field(name, len(name.encode("utf-8")), "name") + b"\0"
-        names += bytes(len(names) % 2)
-        return heads + struct.pack(">H", len(names)) + names + contents
+            names.append(field(name, len(name.encode("utf-8")), "name"))
+        table = _name_table(names)
+        return heads + struct.pack(">H", len(table)) + table + contents
 
 
 def _names(table: bytes, count: int) -> list[str]:
-    names = table.split(b"\0")
-    if len(names) <= count or any(names[count:]):
-        raise MessageError(f"names other than {count} messages")
-    return [text_of(name) for name in names[:count]]
+    names = table.split(b"\0")[:count]
+    if table != _name_table(names):
+        raise MessageError(f"has a table of names that is not that of {count} messages")
+    return [text_of(name) for name in names]
+
+
+def _name_table(names: list[bytes]) -> bytes:
+    """Each name ended by a zero, and one zero more where that makes the size even."""
+    table = b"".join(name + b"\0" for name in names)
+    return table + bytes(len(table) % 2)

@@ -6,7 +6,7 @@ from enum import Enum
 from sightline.errors import MessageError
 from sightline.robot.igtl.crc import crc64
 from sightline.robot.igtl.header import HEADER_BYTES, Header, read_header
-from sightline.robot.igtl.messages import Message, decode, is_known
+from sightline.robot.igtl.messages import Message, decode, is_known, seeming_text
 
 MAX_BODY_BYTES = 16 << 20  # [ours] twice an image of 2048 x 2048 with 16 bits, the largest that C-arms make
 
@@ -23,11 +23,13 @@ class Fault(Enum):
 
 @dataclass(frozen=True)
 class Rejected:
-    """Bytes that are no message, and why. `header` is None where not even that could be read."""
+    """Bytes that are no message, and why. `header` is None where not even that could be read. `text`: what a STRING
+    seems to say all the same; to be trusted in nothing but a request to stop."""
 
     fault: Fault
     reason: str
     header: Header | None = None
+    text: str = ""
 
     @property
     def fatal(self) -> bool:
@@ -96,10 +98,12 @@ class Stream:
     def _read_body(self, header: Header, body: bytes) -> list[Event]:
         self._header = None
         if crc64(body) != header.crc:
-            return [Rejected(Fault.WRONG_CRC, f"the {header.type_name} was altered on its way", header)]
+            reason = f"the {header.type_name} was altered on its way"
+            return [Rejected(Fault.WRONG_CRC, reason, header, seeming_text(header, body))]
         if not is_known(header.type_name):
             return [Rejected(Fault.UNKNOWN_TYPE, f"{header.type_name} is not read here", header)]
         try:
             return [decode(header, body)]
         except MessageError as error:
-            return [Rejected(Fault.BAD_BODY, f"the {header.type_name} {error}", header)]
+            reason = f"the {header.type_name} {error}"
+            return [Rejected(Fault.BAD_BODY, reason, header, seeming_text(header, body))]

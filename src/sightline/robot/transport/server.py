@@ -1,6 +1,7 @@
 """The listening side: several clients at one port."""
 
 import asyncio
+from collections.abc import Callable
 from types import TracebackType
 from typing import Self
 
@@ -12,15 +13,27 @@ LOOPBACK = "127.0.0.1"
 PORT = 18936  # that of the needle robots' convention
 MAX_CLIENTS = 8  # [ours] navigation, a stop on its own connection, displays; more is a fault or an attack
 
+Urgent = Callable[[Event], bool]  # whether it must be heard however many clients there are
+
 
 class Server:
     """Clients of a port; `serve` makes one. `async with` closes it."""
 
-    def __init__(self, handler: Handler, silence_s: float | None, max_body_bytes: int):
+    def __init__(
+        self,
+        handler: Handler,
+        silence_s: float | None,
+        max_body_bytes: int,
+        mute_s: float | None,
+        kept_for: Urgent | None,
+    ):
         self.refused = 0  # clients turned away because there were too many
         self._handler = handler
         self._silence_s, self._max_body_bytes = silence_s, max_body_bytes
-        self._connections: dict[Connection, None] = {}
+        self._mute_s, self._kept_for = mute_s, kept_for
+        self._connections: dict[Connection, None] = {}  # those that the handler knows
+        self._kept: Connection | None = None  # who has the place beyond the last
+        self._mute: dict[Connection, asyncio.TimerHandle] = {}
         self._server: asyncio.Server
 
     @property
@@ -46,7 +59,9 @@ class Server:
     async def close(self) -> None:
         """Say goodbye to all, and listen no more."""
         self._server.close()
-        connections = self.connections
+        connections = list(self._connections)
+        if self._kept is not None and self._kept not in self._connections:
+            connections.append(self._kept)
         for connection in connections:
             connection.close("the server ends")
         for connection in connections:
@@ -64,16 +79,31 @@ class Server:
     # It stands between its connections and the handler, to know who is there.
 
     def opened(self, connection: Connection) -> None:
-        """Take it, or turn it away."""
-        if len(self._connections) == MAX_CLIENTS:
-            self.refused += 1
-            connection.close("too many clients")
+        """Take it, give it the place kept for what is urgent, or turn it away."""
+        if len(self._connections.keys() - {self._kept}) < MAX_CLIENTS:
+            self._welcome(connection)
+        elif self._kept_for is None:
+            self._turn_away(connection)
             return
-        self._connections[connection] = None
-        self._handler.opened(connection)
+        else:
+            if self._kept is not None:
+                self._kept.close("another client needs the last place")
+            self._kept = connection
+        if self._mute_s is not None:
+            text = f"it said nothing for {self._mute_s:g} s"
+            self._mute[connection] = asyncio.get_running_loop().call_later(self._mute_s, connection.close, text)
 
     def received(self, connection: Connection, event: Event) -> None:
-        """Pass it on."""
+        """Pass it on. In the kept place the first message is urgent, or the last."""
+        self._speaks(connection)
+        if connection is self._kept and self._kept_for is not None:
+            urgent, known = self._kept_for(event), connection in self._connections
+            if not urgent:
+                if not known:
+                    self._turn_away(connection)
+                return
+            if not known:
+                self._welcome(connection)
         if connection in self._connections:
             self._handler.received(connection, event)
 
@@ -84,9 +114,25 @@ class Server:
 
     def lost(self, connection: Connection, reason: str) -> None:
         """Pass it on."""
+        self._speaks(connection)
+        if connection is self._kept:
+            self._kept = None
         if connection in self._connections:
             del self._connections[connection]
             self._handler.lost(connection, reason)
+
+    def _welcome(self, connection: Connection) -> None:
+        self._connections[connection] = None
+        self._handler.opened(connection)
+
+    def _turn_away(self, connection: Connection) -> None:
+        self.refused += 1
+        connection.close("too many clients")
+
+    def _speaks(self, connection: Connection) -> None:
+        timer = self._mute.pop(connection, None)
+        if timer is not None:
+            timer.cancel()
 
 
 async def serve(
@@ -96,11 +142,15 @@ async def serve(
     *,
     silence_s: float | None = None,
     max_body_bytes: int = MAX_BODY_BYTES,
+    mute_s: float | None = None,
+    kept_for: Urgent | None = None,
 ) -> Server:
-    """A server that listens; port 0 takes a free one. After `silence_s` without a message a client is `silent`.
+    """A server that listens; port 0 takes a free one. After `silence_s` without a message a client is `silent`; one
+    that has never said anything is cut off after `mute_s`. Beyond the last place one is kept for clients that send
+    nothing but what `kept_for` calls urgent; the next who comes takes it over.
 
     Whoever reaches the port can send: the protocol knows no password. Raises LinkError where the port cannot be had.
     """
-    server = Server(handler, silence_s, max_body_bytes)
+    server = Server(handler, silence_s, max_body_bytes, mute_s, kept_for)
     await server.listen(host, port)
     return server
