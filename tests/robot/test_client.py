@@ -1,6 +1,8 @@
 """The client believes no robot: what was acknowledged, what will be laid and what was laid are compared with the plan;
 answers are those of their questions; a stop finds a way."""
 
+import subprocess
+import sys
 import threading
 import time
 
@@ -264,3 +266,43 @@ def test_between_two_calls_nobody_moves_anything():
             robot.command("MOVE_TO_TARGET", 0.1)
         wait_for(lambda: peer.moving is None)
         assert peer.phase == "STOP"
+
+
+@pytest.mark.parametrize(("signal", "ends"), [(9, "UNDEFINED"), (19, "STOP")], ids=["killed", "stopped"])
+def test_a_client_that_is_gone_is_not_outlived_by_its_heartbeats(signal, ends):
+    """They are a process of its own: it ends with the client, and sends none for one that hangs."""
+    peer = ScriptedRobot(steps=3000)
+    with serving(peer) as port:
+        says = f"from tests.robot.test_client import *\nrobot = RobotClient(port={port})\ntold(robot)\nrobot.align()\n"
+        with subprocess.Popen([sys.executable, "-c", says], stderr=subprocess.DEVNULL) as client:  # noqa: S603
+            wait_for(lambda: peer.moving is not None)
+            moving = peer.peers[0]
+            client.send_signal(signal)
+            wait_for(lambda: peer.moving is None)
+            assert peer.phase == ends
+            client.kill()
+        wait_for(lambda: not peer.peers)
+        assert moving.transport.is_closing()
+
+
+def test_what_holds_the_interpreter_delays_no_heartbeat():
+    """A computation that lets no other thread run, for longer than the robot's silence."""
+    peer = ScriptedRobot(steps=40)
+    with serving(peer) as port:
+        says = (
+            f"import sightline.robot.talk\nsightline.robot.talk.ALIVE_S = 30.0\n"
+            f"from tests.robot.test_client import *\nrobot = RobotClient(port={port})\ntold(robot)\n"
+            "big = np.random.default_rng(1).random(1_000_000).tolist()\n"
+            "began = time.monotonic()\nsorted(big[:100_000])\n"
+            "big = big * round(0.2 / (time.monotonic() - began) + 1)\n"  # a second and more
+            "def listen(_, hold=[1]):\n"
+            "    if hold:\n"
+            "        hold.pop()\n"
+            "        began = time.monotonic()\n"
+            "        sorted(big)\n"
+            "        print(time.monotonic() - began, flush=True)\n"
+            "robot.listeners.append(listen)\nrobot.align()\nprint('aligned', flush=True)\n"
+        )
+        done = subprocess.run([sys.executable, "-c", says], capture_output=True, text=True, timeout=120, check=False)  # noqa: S603
+    assert "aligned" in done.stdout, done.stderr
+    assert float(done.stdout.split()[0]) > 0.5

@@ -4,13 +4,14 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from threading import Event, Lock, Thread
+from threading import Lock
 
 from sightline.errors import LinkError
 from sightline.robot.contract import ALIVE_S, HEARTBEAT, HEARTBEAT_S, IDLE_S, STATUS_S
 from sightline.robot.igtl import Capability, Get, Message, Rejected, String, timestamp_of
 from sightline.robot.igtl.kinds import Body
 from sightline.robot.transport import BlockingClient
+from sightline.robot.transport.heartbeat import Heartbeat, Pace
 
 DRAIN_S = 30.0  # a client that was idle for an hour reads what has queued up in 5 s [measured]
 Wanted = Callable[[Message], bool]
@@ -28,7 +29,9 @@ class Mail:
         self.came: deque[Message] = deque()
 
     def until(self, wanted: Wanted, timeout_s: float) -> Message | None:
-        """The next message that is wanted; None where none came in time. Those before it are dropped."""
+        """The next message that is wanted; None where none came in time. Those before it are dropped.
+
+        What came in time and was not read, because this program paused, counts."""
         end = time.monotonic() + timeout_s
         while True:
             while self.came:
@@ -36,9 +39,9 @@ class Mail:
                 if wanted(message):
                     return message
             left = end - time.monotonic()
-            if left <= 0:
+            self._talk.hear(self, min(max(left, 0.0), HEARTBEAT_S))
+            if (left <= 0 and not self.came) or left < -DRAIN_S:
                 return None
-            self._talk.hear(self, min(left, HEARTBEAT_S))
 
     def need(self, wanted: Wanted, timeout_s: float, what: str) -> Message:
         """The same; raises LateError where it did not come in time."""
@@ -65,13 +68,12 @@ class Talk:
         self._reading, self._asking = Lock(), Lock()
         self._mails: list[Mail] = []
         self._marks_sent = self._marks_heard = 0
-        self._turned_s = time.monotonic()
-        self._silent = Event()
+        self._heartbeat: Heartbeat | None = None
 
     def close(self) -> None:
         """End it, whatever other threads do with it."""
-        self._silent.set()
         self._link.close()
+        self.fall_silent()
 
     @property
     def closed(self) -> bool:
@@ -79,12 +81,15 @@ class Talk:
         return self._link.closed
 
     def keep_alive(self) -> None:
-        """Send heartbeats from now on, on a thread of their own."""
-        Thread(target=self._beat, name="heartbeats", daemon=True).start()
+        """Send heartbeats from now on, from a process of their own, while a call is seen to wait. Between two calls a
+        robot moves for nobody, and one heartbeat a second shows that the connection stands."""
+        self._heartbeat = self._link.heartbeat(Message(String(""), HEARTBEAT), Pace(HEARTBEAT_S, ALIVE_S, IDLE_S))
 
     def fall_silent(self) -> None:
         """Send no more heartbeats, as a program that hangs: a test whether the robot notices."""
-        self._silent.set()
+        heartbeat, self._heartbeat = self._heartbeat, None
+        if heartbeat is not None:
+            heartbeat.close()
 
     def send_bytes(self, *pieces: bytes) -> None:
         """Send what may be no message, no heartbeat between its pieces: a test of the robot."""
@@ -108,16 +113,18 @@ class Talk:
     def mail(self) -> Iterator[Mail]:
         """Open it before a question is sent: what answers cannot then be read by another thread alone."""
         mail = Mail(self)
-        self._turned_s = time.monotonic()
         self._mails.append(mail)
+        self._turns()
         try:
             yield mail
         finally:
             self._mails.remove(mail)
+            if not self._mails and self._heartbeat is not None:
+                self._heartbeat.idles()
 
     def hear(self, mail: Mail, timeout_s: float) -> None:
         """Wait until something may have come for `mail`, at most so long."""
-        self._turned_s = time.monotonic()
+        self._turns()
         if self._reading.acquire(timeout=timeout_s):
             try:
                 if not mail.came:
@@ -165,22 +172,14 @@ class Talk:
         assert newest is not None  # noqa: S101
         return newest
 
+    def _turns(self) -> None:
+        heartbeat = self._heartbeat
+        if heartbeat is not None:
+            heartbeat.waits()
+
     def _mark(self) -> None:
         self._marks_sent += 1
         self.send(Get("CAPABILITY"), "")
-
-    def _beat(self) -> None:
-        """A call that waits must be seen to go on: a program that hangs sends no more heartbeats. Between two calls a
-        robot moves for nobody, and one heartbeat a second shows that the connection stands."""
-        sent_s = -IDLE_S
-        while not self._silent.wait(HEARTBEAT_S):
-            now = time.monotonic()
-            if now - self._turned_s < ALIVE_S if self._mails else now - sent_s >= IDLE_S:
-                try:
-                    self.send(String(""), HEARTBEAT)
-                except LinkError:
-                    return  # which whoever waits is told too
-                sent_s = now
 
     def _drain(self) -> None:
         """Read all that has come: a stream goes on where nobody asks."""

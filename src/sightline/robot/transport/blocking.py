@@ -1,5 +1,6 @@
 """The calling side without an event loop: send, and wait for what comes."""
 
+import select
 import socket
 import time
 from collections import deque
@@ -11,6 +12,7 @@ from typing import Self
 from sightline.errors import LinkError
 from sightline.robot.igtl import MAX_BODY_BYTES, Event, Message, Rejected, Stream, encode
 from sightline.robot.transport.client import CONNECT_S
+from sightline.robot.transport.heartbeat import Heartbeat, Pace
 from sightline.robot.transport.server import LOOPBACK, PORT
 from sightline.robot.transport.sockets import prepare
 
@@ -48,13 +50,23 @@ class BlockingClient:
         """Send it. Raises LinkError where the connection is gone, MessageError as `encode` does."""
         self.send_bytes(encode(message))
 
+    def heartbeat(self, message: Message, pace: Pace) -> Heartbeat:
+        """Heartbeats on this connection from a process of their own. Raises LinkError where it does not start."""
+        try:
+            return Heartbeat(self._writer, encode(message), pace)
+        except OSError as error:
+            raise LinkError(f"heartbeats cannot be sent: {error}") from error
+
     def send_bytes(self, *pieces: bytes) -> None:
         """The same, of what may be no message and in several pieces: a test of the peer."""
         try:
             with self._writing:
                 for piece in pieces:
+                    # What is writable takes a message of the contract whole: no heartbeat comes between its parts.
+                    if not select.select([], [self._writer], [], _SEND_S)[1]:
+                        raise TimeoutError("the peer does not read")
                     self._writer.sendall(piece)
-        except OSError as error:
+        except (OSError, ValueError) as error:  # the latter: closed by another thread
             self.close()
             raise LinkError(f"the connection was lost: {error}") from error
 

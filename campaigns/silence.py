@@ -1,0 +1,100 @@
+"""Dry runs and drillings while all cores are busy with other work: `python -m campaigns.silence`. None may be ended by
+the client's silence.
+
+Each dry run is that of `sightline robot check`, which also asks that true silence stops the wire; each drilling goes
+through air to the tip. The robot is a process of its own. Finished runs are kept; the same command goes on where it
+stopped.
+"""
+
+import argparse
+import json
+import subprocess
+import sys
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from rich.console import Console
+from scipy.spatial.transform import RigidTransform
+
+from campaigns.busy import busy_cores
+from sightline.errors import SightlineError
+from sightline.rehearsal.robots import calibrated_robot
+from sightline.robot.client import RobotClient
+from sightline.robot.conformance import Examination, Verdict
+from sightline.robot.states import State
+
+DRY_RUNS, DRILLINGS = 500, 100
+AHEAD_MM = 125.0  # the end of a bare target, whose wire is 95 mm: its entry lies 30 mm ahead
+
+
+@contextmanager
+def robot_in_air() -> Iterator[int]:
+    """The port of a simulated robot, a process of its own."""
+    command = [sys.executable, "-m", "sightline", "robot", "serve", "--attached", "--port", "0", "--quiet"]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as process:
+        assert process.stdin is not None and process.stdout is not None
+        yield json.loads(process.stdout.readline())["port"]
+        process.stdin.close()
+
+
+def dry_run(port: int) -> str:
+    """'' or what went wrong."""
+    with Examination("127.0.0.1", port) as robot:
+        bad = [f"{one.name}: {one.seen}" for one in robot.dry_run() if one.verdict is not Verdict.PASSED]
+    return "; ".join(bad)
+
+
+def drilling(port: int) -> str:
+    """'' or what went wrong."""
+    with RobotClient(port=port) as robot:
+        robot.start_up()
+        q = robot.joints()[0]
+        manipulator = calibrated_robot().manipulator
+        registration = manipulator.T_mcs_cfcs(q)
+        robot.calibrate(registration)
+        wire = registration.inv() * manipulator.T_mcs_tool(q)
+        robot.aim(wire * RigidTransform.from_translation([0.0, 2.0, AHEAD_MM]))
+        robot.align()
+        while robot.drill() != State.DONE.value:
+            pass
+        robot.retract()
+    return ""
+
+
+def ended(what: str, port: int) -> str:
+    """How a run ended: "done", "silence", or the reason."""
+    try:
+        wrong = dry_run(port) if what == "dry run" else drilling(port)
+    except SightlineError as error:
+        wrong = str(error)
+    return "silence" if "was silent" in wrong else wrong or "done"
+
+
+def main() -> int:
+    """Run what is not finished; 1 if silence ended one that was not silent."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--dry-runs", type=int, default=DRY_RUNS)
+    parser.add_argument("--drillings", type=int, default=DRILLINGS)
+    parser.add_argument("--out", type=Path, default=Path("out/silence.jsonl"), help="finished runs")
+    options = parser.parse_args()
+    options.out.parent.mkdir(parents=True, exist_ok=True)
+    lines = options.out.read_text().splitlines() if options.out.exists() else []
+    told = [json.loads(line) for line in lines]
+    asked = {"dry run": options.dry_runs, "drilling": options.drillings}
+    with busy_cores(), robot_in_air() as port:
+        for what, number in asked.items():
+            for _ in range(number - sum(one["what"] == what for one in told)):
+                told.append({"what": what, "ended": ended(what, port)})
+                with options.out.open("a") as out:
+                    out.write(json.dumps(told[-1]) + "\n")
+    console = Console()
+    for what in asked:
+        for how, count in Counter(one["ended"] for one in told if one["what"] == what).most_common():
+            console.print(f"{what}: {how}: {count}", soft_wrap=True)
+    return int(any(one["ended"] == "silence" for one in told))
+
+
+if __name__ == "__main__":
+    sys.exit(main())
