@@ -168,7 +168,7 @@ class Motion:
         off = self._moves(at_once)
         if off:
             raise RobotRefusedError(f"STOP was acknowledged, and the wire went on by {off}")
-        if self._mail.until(_arrived, 0.0) is not None:
+        if self._mail.holds(_arrived):
             raise NotAskedError("the motion had ended by itself before it could be stopped")
         took = f"answered in {1e3 * (answer.status_s or 0.0):.0f} ms"
         return f"{took}, {_apart(before, at_once)[0]:.1f} mm after it was sent"
@@ -180,7 +180,7 @@ class Motion:
         while monotonic() - began < within_s:
             seen_s = monotonic() - began
             off = self._moves(self.watch.tip())
-            if self._mail.until(_arrived, 0.0) is not None:
+            if self._mail.holds(_arrived):
                 raise NotAskedError("the motion had ended by itself before it could be judged")
             if not off:
                 return f"stands after {seen_s:.2f} s at most"

@@ -43,6 +43,10 @@ class Mail:
             if (left <= 0 and not self.came) or left < -DRAIN_S:
                 return None
 
+    def holds(self, wanted: Wanted) -> bool:
+        """Whether such a message has come and was not taken; nothing is read."""
+        return any(wanted(message) for message in tuple(self.came))
+
     def need(self, wanted: Wanted, timeout_s: float, what: str) -> Message:
         """The same; raises LateError where it did not come in time."""
         message = self.until(wanted, timeout_s)
@@ -138,7 +142,8 @@ class Talk:
 
         Raises LateError."""
         with self._asking:
-            self._drain()
+            if not marked:
+                self._drain()
             with self.mail() as mail:
                 with self._reading:
                     due = self._marks_sent - self._marks_heard
