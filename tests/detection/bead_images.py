@@ -38,12 +38,13 @@ def transmission(bead: Bead, shape: tuple[int, int]) -> np.ndarray:
     return out
 
 
-def quanta(beads: list[Bead], open_quanta: np.ndarray, scatter: float = 0.4) -> np.ndarray:
-    """Expected counts per pixel: primary behind the beads, and scatter that they do not stop."""
+def quanta(beads: list[Bead], open_quanta: np.ndarray, scatter: float | np.ndarray = 0.4) -> np.ndarray:
+    """Expected counts per pixel: primary behind the beads, and scatter that they do not stop: a share of the open
+    quanta, or counts (H, W)."""
     primary = open_quanta.copy()
     for bead in beads:
         primary *= transmission(bead, open_quanta.shape)
-    return primary + scatter * open_quanta
+    return primary + (scatter if isinstance(scatter, np.ndarray) else scatter * open_quanta)
 
 
 def radiograph(

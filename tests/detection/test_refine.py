@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from bead_images import Bead, grid, quanta, radiograph
+from scipy.ndimage import gaussian_filter
 
 from sightline.detection import columns, refine
 from sightline.detection.noise import estimate_noise
@@ -10,9 +11,11 @@ from sightline.detection.noise import estimate_noise
 SIZE = 320
 
 
-def fitted(beads: list[Bead], open_quanta: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+def fitted(
+    beads: list[Bead], open_quanta: np.ndarray, rng: np.random.Generator, scatter: float | np.ndarray = 0.4
+) -> tuple[np.ndarray, np.ndarray]:
     """Errors (N, 2) and covariances (N, 2, 2) of fits started 0.3 px and 5 % off."""
-    image = radiograph(quanta(beads, open_quanta), rng)
+    image = radiograph(quanta(beads, open_quanta, scatter), rng)
     light = np.log(np.maximum(image.pixels, 0.5)).astype(np.float32)
     usable = np.ones(light.shape, bool)
     noise = estimate_noise(light, usable)
@@ -77,3 +80,27 @@ def test_a_bone_edge_under_a_bead_shows_in_its_covariance() -> None:
         chi2 += list(normalised(*fitted(beads, 120.0 * np.exp(-edges), rng)))
     assert np.median(chi2) < 1.5 * np.log(2)
     assert np.mean(chi2) < 2.0
+
+
+@pytest.mark.parametrize("width_px", [38.0, 57.0, 143.0, np.inf])  # 8, 12 and 30 mm at 0.21 mm/px, and even
+def test_scatter_that_follows_the_background_pulls_no_centre(width_px: float) -> None:
+    """Centres stay within their covariance, and do not run along the background's slope."""
+    rng = np.random.default_rng([37, 2000])
+    y, x = np.mgrid[:SIZE, :SIZE]
+    error, cov, slope = [], [], []
+    for turn in range(4):
+        wave = 2 * np.pi / rng.uniform(90, 140) * np.array([np.cos(turn), np.sin(turn)])  # a thigh, or a wide bone
+        primary = 2000.0 * np.exp(0.5 * np.sin(wave[0] * x + wave[1] * y + turn))
+        wide = primary.mean() if np.isinf(width_px) else gaussian_filter(primary, width_px, mode="reflect")
+        beads = [Bead(u, v, rng.uniform(6.5, 9.5)) for u, v in grid(40, SIZE, rng)]
+        e, c = fitted(beads, primary, rng, 0.7 * wide * np.ones_like(primary))
+        phase = np.array([wave @ (bead.u, bead.v) + turn for bead in beads])
+        error.append(e)
+        cov.append(c)
+        slope.append(0.5 * np.cos(phase)[:, None] * wave)
+    error, cov, slope = np.concatenate(error), np.concatenate(cov), np.concatenate(slope)
+    chi2 = normalised(error, cov)
+    weight = slope / np.trace(cov, axis1=1, axis2=2)[:, None]
+    along = 0.01 * (weight * error).sum() / (weight * slope).sum()  # px where the background changes by 1 % per px
+    assert 0.8 < np.sqrt(chi2.mean()) < 1.15  # standard error 0.04; the noise estimate is good to 15 % in variance
+    assert abs(along) < 0.002  # standard error 0.0005; 0.007 where scatter is taken for level

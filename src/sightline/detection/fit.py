@@ -27,6 +27,7 @@ from sightline.detection.shadow import (
     BEAD,
     CUBIC,
     GROUND,
+    SCATTER,
     TAKEN_BY_BALL,
     TAKEN_BY_HOLE,
     fill_light,
@@ -57,6 +58,13 @@ _SETTLED = 0.02  # px: a step as small as that is a tenth of the noise or less, 
 _PRIOR_PIXELS = 50.0  # weight of the noise model against the bead's own residuals, in pixels [ours]
 _LEAST_BLUR = 0.3  # px; a pixel alone blurs by 0.29
 _CUBIC = 0.06  # s.d. of a background's cubic terms at the window's rim, share of its light [twin: hard scenes]
+# Slope of the scatter in shares of its level: from that of an even veil to that of light which follows the background,
+# and a little that has to do with neither. With TAKEN_BY_BALL the light behind a ball slopes half as steeply as the
+# background, with a s.d. as large: 0.03-0.4 of its slope instead of 0-0.5 [twin: kernels of 8 mm to even].
+_FOLLOWS, _FOLLOWS_SD, _UNLIKE = 0.35, 0.5, 0.01
+# Of the background, per window: what is steeper is the edge of a bone, which scatter does not follow [twin]; and where
+# the background is clipped, its slope is not known.
+_STEEPEST = 0.1
 _FLAT = 0.005  # the least that is taken for them where the fit shows less [ours]
 _ELLIPTIC = 0.05  # s.d. of a shadow's ellipticity: distortion and the slant of the rays make 0.00-0.08 [twin]
 # S.d. of the other terms, which matters where the background is clipped [ours].
@@ -66,10 +74,9 @@ _UNEXPLAINED = 0.05  # residual beyond noise over contrast: clear beads have 0.0
 _LEAST_RIM = 0.7  # share of it that metal must leave: the straight sides of a wire pass for shorter arcs [ours]
 _SPREAD_OF_NOISE = 1.3  # times the expected square of the residuals, which noise alone may reach [ours]
 _LONGEST = 0.12  # ellipticity: beads in images up to 0.09, pieces of wire more [twin]
+# Covariance beyond what is linear in the noise, in units of the centre's variance over the blur's square [twin].
+_RIM_BENDS = 6.0
 _LOST = 0.15  # share of the rim that sharpening may cost, before a window is left as it is [ours]
-# Of a shadow's centre over a background that bends: what its cubic terms show, times this, is not explained by them;
-# without any noise centres near bone edges are off by 0.02-0.03 px rms [twin].
-_BENT_PX = 0.15
 # What is known of a bead and of its neighbours from where they start, s.d.: px, px, share of radius, of blur [ours].
 _ITSELF = np.array([2.0, 2.0, 0.2, 0.5])
 _NEIGHBOUR = np.array([0.7, 0.7, 0.06, 0.3])
@@ -114,16 +121,16 @@ def _solve(spots, rows, noise, sharpening, plain, tables, light, state, window, 
     left, top, reach, zero = window
     row, radius = rows[0], spots[rows[0], RADIUS]
     table, taken = (tables[0], TAKEN_BY_BALL) if spots[row, CONTRAST] < 0 else (tables[1], TAKEN_BY_HOLE)
-    size = BEAD * len(rows) + 1 + GROUND
+    size = BEAD * len(rows) + SCATTER + GROUND
     x0, y0 = spots[row, U] - left, spots[row, V] - top
     filtered = spread(state, x0, y0, radius) < _LOST
     taps, gain, blur2, together2, after = sharpening if filtered else plain
     at, where, counting = gather(state, filtered, along_both_axes(light, taps) if filtered else light, x0, y0, reach)
-    beads, shine, ground = _start(spots, rows, blur2)
+    beads, scatter, ground = _start(spots, rows, blur2)
     first = beads.copy()
     columns, root = np.empty((size + 3, at.shape[1]), np.float32), np.empty(at.shape[1], np.float32)
     behind, effect = np.empty((4, at.shape[1]), np.float32), np.empty((len(rows), at.shape[1]), np.float32)
-    A, L, b, step = np.empty((size + 1, size + 1)), np.empty((size, size)), np.empty(size), np.zeros(size)
+    A, L, b, step = np.empty((size + 2, size + 2)), np.empty((size, size)), np.empty(size), np.zeros(size)
     known = np.zeros(size)
     optics = np.float32(1.0 / reach), taken, np.float32(together2)
     roots = _roots(np.exp(0.5 * (noise[0] - noise[1] * zero)) * np.sqrt(gain), noise[1])
@@ -131,18 +138,18 @@ def _solve(spots, rows, noise, sharpening, plain, tables, light, state, window, 
     out[STATUS] = TOO_FEW_PIXELS
     chi2, pixels = 0.0, 0
     for turn in range(_STEPS):
-        fill_light(table, at, beads, np.float32(shine), ground, optics, behind, effect, columns)
+        fill_light(table, at, beads, scatter, ground, optics, behind, effect, columns)
         if turn < _CHOOSING:
             pixels = _weigh(columns[-2], counting, np.float32(brightest), roots, root)
         if pixels < 2 * size:
             return
         fill_slopes(at, optics[0], root, behind, effect, columns)
         chi2 = normal_equations(columns, A, b)
-        _rely_on_what_is_known(beads, first, ground, known, A, b)
+        _rely_on_what_is_known(beads, first, scatter, ground, known, A, b)
         if not solve(A, b, L, step):
             out[STATUS] = SINGULAR
             return
-        moved, shine = _move(beads, shine, ground, step, 1.0 if turn < _CHOOSING else 0.5)
+        moved = _move(beads, scatter, ground, step, 1.0 if turn < _CHOOSING else 0.5)
         out[STATUS] = WANDERED
         if np.hypot(beads[0, 0], beads[0, 1]) > 0.5 * radius + 1 or not 0.5 < beads[0, 2] / radius < 1.9:
             return
@@ -154,14 +161,14 @@ def _solve(spots, rows, noise, sharpening, plain, tables, light, state, window, 
         return
     out[CHI2] = chi2 / max(pixels - size, 1.0)
     scale2 = (_PRIOR_PIXELS + pixels * out[CHI2]) / (_PRIOR_PIXELS + pixels)
+    out[BLUR] = np.sqrt(max(beads[0, 3] ** 2 - blur2, 0.0))
     _covariance(columns, where, L, len(state), after, scale2, known, ground, out)
-    inside = max((1.0 - taken) * ground[0] + shine, 0.02 * ground[0])
+    inside = max((1.0 - taken) * ground[0] + scatter[0], 0.02 * ground[0])
     out[CCC] /= inside**2
     out[U], out[V], out[RADIUS] = spots[row, U] + beads[0, 0], spots[row, V] + beads[0, 1], beads[0, 2]
     out[CONTRAST] = np.log(inside / max(ground[0], 1e-3))
-    out[BLUR] = np.sqrt(max(beads[0, 3] ** 2 - blur2, 0.0))
     blurs, room = (blur2, together2), (behind, effect, columns)
-    _judge(table, at, where, light, beads, shine, ground, optics, blurs, gain, root, pixels, room, out)
+    _judge(table, at, where, light, beads, scatter, ground, optics, blurs, gain, root, pixels, room, out)
 
 
 @nb.njit(cache=True, fastmath=FAST, nogil=True)
@@ -198,17 +205,17 @@ def fit_part(part, parts, image, usable, spots, which, noise, sharpening, plain,
 
 @exact
 def _start(spots, rows, blur2):
-    """Beads of a joint fit, from where the first one is thought to be; light from elsewhere; background."""
+    """Beads of a joint fit, from where the first one is thought to be; scatter; background."""
     one = spots[rows[0]]
     beads = np.zeros((len(rows), BEAD))
     for k in range(len(rows)):
         bead = spots[rows[k]]
         beads[k, 0], beads[k, 1], beads[k, 2] = bead[U] - one[U], bead[V] - one[V], bead[RADIUS]
         beads[k, 3] = np.sqrt(max(bead[BLUR] ** 2 + blur2, 0.4**2))
-    ground = np.zeros(GROUND)
+    scatter, ground = np.zeros(SCATTER), np.zeros(GROUND)
     ground[0] = 1.0
-    inside = np.exp(one[CONTRAST])
-    return beads, inside - (1.0 - TAKEN_BY_BALL) if one[CONTRAST] < 0 else inside - 1.0, ground
+    scatter[0] = np.exp(one[CONTRAST]) - (1.0 - TAKEN_BY_BALL if one[CONTRAST] < 0 else 1.0)
+    return beads, scatter, ground
 
 
 @exact
@@ -239,8 +246,9 @@ def _weigh(light, counting, brightest, roots, root):
 
 
 @exact
-def _rely_on_what_is_known(beads, first, ground, known, A, b):  # noqa: PLR0917
-    """Ellipticity and cubic terms are small, beads are about where they start; `known`: 1 / s.d.²."""
+def _rely_on_what_is_known(beads, first, scatter, ground, known, A, b):  # noqa: PLR0917
+    """Ellipticity and cubic terms are small, beads are about where they start, scatter slopes at most about as the
+    background does; `known`: 1 / s.d.²."""
     known[:] = 0.0
     for k in range(len(beads)):
         for m in range(4, BEAD):
@@ -250,6 +258,12 @@ def _rely_on_what_is_known(beads, first, ground, known, A, b):  # noqa: PLR0917
             sd = (_NEIGHBOUR[m] if k > 0 else _ITSELF[m]) * (abs(first[k, m]) if m > 1 else 1.0)
             known[BEAD * k + m] = 1.0 / sd**2
             b[BEAD * k + m] += (first[k, m] - beads[k, m]) / sd**2
+    at, slope = BEAD * len(beads) + 1, np.hypot(ground[1], ground[2])
+    share = scatter[0] * min(1.0, _STEEPEST / max(slope, 1e-9))
+    sd2 = (_FOLLOWS_SD * share * slope) ** 2 + (_UNLIKE * scatter[0]) ** 2 + 1e-6
+    for m in range(SCATTER - 1):
+        known[at + m] = 1.0 / sd2
+        b[at + m] += (_FOLLOWS * share * ground[1 + m] - scatter[1 + m]) / sd2
     for m in range(GROUND - CUBIC):
         known[len(b) - GROUND + m] = 1.0 / _VAGUE[m] ** 2
         b[len(b) - GROUND + m] -= (ground[m] - (1.0 if m == 0 else 0.0)) / _VAGUE[m] ** 2
@@ -262,9 +276,9 @@ def _rely_on_what_is_known(beads, first, ground, known, A, b):  # noqa: PLR0917
 
 
 @exact
-def _move(beads, shine, ground, step, share):
-    """Take a `share` of a step, shortened where it is wild; the largest move of the first bead's centre and radius, px;
-    shine."""
+def _move(beads, scatter, ground, step, share):
+    """Take a `share` of a step, shortened where it is wild; the largest move of the first bead's centre and radius,
+    px."""
     for k in range(len(step)):
         step[k] *= share
     for k in range(len(beads)):
@@ -277,17 +291,22 @@ def _move(beads, shine, ground, step, share):
         for m in range(4, BEAD):
             beads[k, m] = min(max(beads[k, m] + step[at + m], -0.3), 0.3)
     at = BEAD * len(beads)
+    for m in range(SCATTER):
+        scatter[m] += min(max(step[at + m], -0.5), 0.5)
     for m in range(GROUND):
-        ground[m] += step[at + 1 + m]
-    return max(abs(step[0]), abs(step[1]), abs(step[2])), shine + min(max(step[at], -0.5), 0.5)
+        ground[m] += step[at + SCATTER + m]
+    return max(abs(step[0]), abs(step[1]), abs(step[2]))
 
 
 @exact
 def _covariance(columns, where, L, wide, after, scale2, known, ground, out):  # noqa: PLR0917
-    """What noise of the correlation `after`, and what was relied on, do to u, v and the light in the middle."""
+    """What noise of the correlation `after`, and what was relied on, do to u, v and the light in the middle.
+
+    Expects the blur in `out`.
+    """
     size = len(L)
     unit, influence = np.zeros(size), np.empty((3, size))
-    for row, parameter in enumerate((0, 1, size - GROUND - 1)):
+    for row, parameter in enumerate((0, 1, size - GROUND - SCATTER)):
         unit[:] = 0.0
         unit[parameter] = 1.0
         substitute(L, unit, influence[row])
@@ -311,9 +330,6 @@ def _covariance(columns, where, L, wide, after, scale2, known, ground, out):  # 
     out[CUV] = scale2 * _product(inner[1], across)
     out[CVV] = scale2 * _product(inner[1], along)
     out[CCC] = scale2 * _product(inner[2], middle)
-    for m in range(GROUND - CUBIC, GROUND):
-        out[CUU] += (_BENT_PX * ground[m]) ** 2
-        out[CVV] += (_BENT_PX * ground[m]) ** 2
     for k in range(size):
         # Of cubic terms as much is taken to be missing as the fit found.
         m = k - (size - GROUND)
@@ -321,6 +337,8 @@ def _covariance(columns, where, L, wide, after, scale2, known, ground, out):  # 
         out[CUU] += influence[0, k] ** 2 * missing
         out[CUV] += influence[0, k] * influence[1, k] * missing
         out[CVV] += influence[1, k] ** 2 * missing
+    bent = 1.0 + _RIM_BENDS * 0.5 * (out[CUU] + out[CVV]) / max(out[BLUR], _LEAST_BLUR) ** 2
+    out[CUU], out[CUV], out[CVV] = bent * out[CUU], bent * out[CUV], bent * out[CVV]
 
 
 @exact
@@ -333,7 +351,7 @@ def _product(field, correlated):
 
 
 @exact_unchecked
-def _judge(table, at, where, light, beads, shine, ground, optics, blurs, gain, root, pixels, room, out):  # noqa: PLR0917
+def _judge(table, at, where, light, beads, scatter, ground, optics, blurs, gain, root, pixels, room, out):  # noqa: PLR0917
     """How well the bead explains its window as it was before sharpening: residual, weakest sector."""
     for k in range(len(beads)):
         beads[k, 3] = np.sqrt(max(beads[k, 3] ** 2 - blurs[0], _LEAST_BLUR**2))
@@ -342,7 +360,7 @@ def _judge(table, at, where, light, beads, shine, ground, optics, blurs, gain, r
     for p in range(at.shape[1]):
         at[2, p] = light[where[0, p] + margin, where[1, p] + margin]
     behind, effect, columns = room
-    fill_light(table, at, beads, np.float32(shine), ground, optics, behind, effect, columns)
+    fill_light(table, at, beads, scatter, ground, optics, behind, effect, columns)
     rest, meant_light, bright = columns[-3], columns[-2], columns[-1]
     residuals = expected = zero
     for p in range(at.shape[1]):

@@ -5,13 +5,13 @@ import numpy as np
 from sightline.detection.compiled import exact, fast, part_of_caller
 from sightline.detection.profile import Q_COUNT, Q_STEP, T_COUNT, T_FIRST, T_STEP
 
-# Per bead: u, v, radius, blur, ellipticity along the axes and along the diagonals. Then the light in the middle of a
-# bead that comes from elsewhere (scatter), one for all beads of a window, and the background, of which the last four
-# are cubic.
-BEAD, GROUND, CUBIC = 6, 10, 4
-# Of the light behind a dark bead the share that it takes away; what is seen in its middle is mostly scatter, which does
-# not follow the background: 0.93-0.97 for 3 mm of steel; 0.87 leaves least of a background's slope in the centre, whose
-# cubic part is damped [twin]. What a bright hole adds does not follow the background either.
+# Per bead: u, v, radius, blur, ellipticity along the axes and along the diagonals. Then the light behind the beads that
+# they do not take away (scatter), or that bright holes add: level and slopes, the same for all beads of a window; and
+# the background, of which the last four are cubic.
+BEAD, SCATTER, GROUND, CUBIC = 6, 3, 10, 4
+# Of the light behind a dark bead the share that it takes away: 0.93-0.97 for 3 mm of steel [calc], and of the veiling
+# glare that follows the background as closely less. With more than 0.87 the light in a bead's middle says too little of
+# a background that is clipped around it [twin].
 TAKEN_BY_BALL, TAKEN_BY_HOLE = np.float32(0.87), np.float32(0.0)
 
 
@@ -64,19 +64,19 @@ def _shadow(row, at, bead, out, slopes):
 
 
 @fast
-def fill_light(table, at, beads, shine, ground, optics, behind, effect, columns):  # noqa: PLR0917
+def fill_light(table, at, beads, scatter, ground, optics, behind, effect, columns):  # noqa: PLR0917
     """The last three of `columns`: what the model's light leaves of the values seen, that light, and the background.
 
-    `at` (3, N): x, y, value seen; `shine`: the light from elsewhere; `optics`: one over the window's reach, the share
-    that a bead takes away, and the squared blur that background and shadow went through together; `columns`
-    (6K + 1 + GROUND + 3, N). For `fill_slopes` are kept: in the first 6K columns derivatives of each bead's share,
-    in `effect` (K, N) those of the light by the share, in `behind` (4, N) what the beads leave of the background and
-    of the light from elsewhere, and the first one's slopes. Sharp, the light is G W + s (1 - V), where W and V are what
-    the beads leave of either; blur over a slope of G moves the rim, to first order by blur² grad G grad W.
+    `at` (3, N): x, y, value seen; `scatter` (3,): its level and slopes; `optics`: one over the window's reach, the
+    share that a bead takes away, and the squared blur that background and shadow went through together; `columns`
+    (6K + SCATTER + GROUND + 3, N). For `fill_slopes` are kept: in the first 6K columns derivatives of each bead's
+    share, in `effect` (K, N) those of the light by the share, in `behind` (4, N) what the beads leave of the background
+    and of light that they stop altogether, and the first one's slopes. Sharp, the light is G W + s (1 - V), W and V
+    are what the beads leave of either; blur over a slope of G moves the rim, to first order by blur² grad G grad W.
     """
     count, pixels = len(beads), at.shape[1]
     scale, taken, blur2, one = optics[0], optics[1], optics[2] * optics[0], np.float32(1.0)
-    three = np.float32(3.0)
+    three, s0, s1, s2 = np.float32(3.0), np.float32(scatter[0]), np.float32(scatter[1]), np.float32(scatter[2])
     row, slopes = np.empty((2, T_COUNT), np.float32), np.empty((count, 3, pixels), np.float32)
     others_left, others_clear = np.empty(pixels, np.float32), np.empty(pixels, np.float32)
     left, clear, left_x, left_y = behind[0], behind[1], behind[2], behind[3]
@@ -105,12 +105,13 @@ def fill_light(table, at, beads, shine, ground, optics, behind, effect, columns)
         for n in range(pixels):
             left_x[n] -= blur2 * taken * slopes[k, 1, n] * others_left[n]
             left_y[n] -= blur2 * taken * slopes[k, 2, n] * others_left[n]
-            effect[k, n] = shine * others_clear[n] - taken * bright[n] * others_left[n]
+            behind_it = s0 + scale * (s1 * at[0, n] + s2 * at[1, n])
+            effect[k, n] = behind_it * others_clear[n] - taken * bright[n] * others_left[n]
     for n in range(pixels):
         a, b = at[0, n] * scale, at[1, n] * scale
         by_a = g1 + a * (g3 + g3 + three * a * g6) + b * (g4 + a * (g7 + g7) + b * g8)
         by_b = g2 + b * (g5 + g5 + three * b * g9) + a * (g4 + b * (g8 + g8) + a * g7)
-        light[n] = shine * (one - clear[n]) + bright[n] * left[n] + by_a * left_x[n] + by_b * left_y[n]
+        light[n] = (s0 + s1 * a + s2 * b) * (one - clear[n]) + bright[n] * left[n] + by_a * left_x[n] + by_b * left_y[n]
         rest[n] = at[2, n] - light[n]
 
 
@@ -126,11 +127,13 @@ def fill_slopes(at, scale, root, behind, effect, columns):  # noqa: PLR0917
         for m in range(BEAD * k, BEAD * k + BEAD):
             for n in range(pixels):
                 columns[m, n] *= effect[k, n]
-    shine, rest = columns[first], columns[-3]
+    scatter, rest = columns[first : first + SCATTER], columns[-3]
     for n in range(pixels):
-        shine[n] = root[n] * (one - behind[1, n])
+        stopped = root[n] * (one - behind[1, n])
+        scatter[0, n] = stopped
+        scatter[1, n], scatter[2, n] = stopped * at[0, n] * scale, stopped * at[1, n] * scale
         rest[n] *= root[n]
-    ground = columns[first + 1 :]
+    ground = columns[first + SCATTER :]
     for n in range(pixels):
         a, b = at[0, n] * scale, at[1, n] * scale
         w, x, y = root[n] * behind[0, n], root[n] * behind[2, n], root[n] * behind[3, n]
