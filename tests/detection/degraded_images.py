@@ -36,3 +36,17 @@ def blocks(pixels: np.ndarray, side: int) -> np.ndarray:
     height, width = pixels.shape
     small = cv2.resize(pixels, (width // side, height // side), interpolation=cv2.INTER_AREA)
     return cv2.resize(small, (width, height), interpolation=cv2.INTER_NEAREST)
+
+
+def torn(pixels: np.ndarray, at: int, shift: int) -> np.ndarray:
+    """From row `at` on shifted to the right."""
+    out = pixels.copy()
+    out[at:] = np.roll(out[at:], shift, axis=1)
+    return out
+
+
+def interlaced(pixels: np.ndarray, down: int, right: int) -> np.ndarray:
+    """Every second line from an image that has moved on."""
+    out = pixels.copy()
+    out[1::2] = np.roll(pixels, (down, right), axis=(0, 1))[1::2]
+    return out

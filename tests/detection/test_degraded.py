@@ -2,15 +2,19 @@
 
 from collections.abc import Callable
 
+import cv2
 import numpy as np
 import pytest
-from degraded_images import banded, blocks, in_8_bits, jpeg, levels
+from degraded_images import banded, blocks, in_8_bits, interlaced, jpeg, levels, torn
 from track_images import FRAME, beads, image
 
+from sightline.case.views import tell_apart
 from sightline.detection import Observations, detect, label, look_again
 from sightline.detection.noise import LAGS, NoiseModel
-from sightline.errors import DetectionRefusedError, SightlineError
+from sightline.errors import DetectionRefusedError, LabellingRefusedError, SightlineError
 from sightline.imaging import Radiograph
+from sightline.imaging.defects import Tear, line_defect
+from sightline.imaging.defects import torn as tear_of
 
 TRUTH = beads()
 CLEAN = in_8_bits(image(TRUTH, 5))
@@ -66,3 +70,61 @@ def test_an_image_of_few_grey_levels_is_refused_as_such() -> None:
 def test_a_broad_mean_has_noise_whatever_the_correlation(correlation: float) -> None:
     noise = NoiseModel(0.0, 1.0, np.array([1.0] + LAGS * [correlation]))
     assert noise.broad == pytest.approx(max(1 + 2 * LAGS * correlation, 0.1))
+
+
+@pytest.mark.parametrize("shift", [5, -12, 40])
+@pytest.mark.parametrize("at", [139, 256, 371])
+def test_a_torn_image_is_refused_as_such(at: int, shift: int) -> None:
+    assert tear_of(Radiograph(torn(CLEAN, at, shift), 255.0)) == Tear(at, shift, rows=True)
+    assert tear_of(Radiograph(torn(CLEAN, at, shift).T.copy(), 255.0)) == Tear(at, shift, rows=False)
+    with pytest.raises(DetectionRefusedError, match=f"torn: from row {at} on it is shifted by {abs(shift)} columns"):
+        detect(Radiograph(torn(CLEAN, at, shift), 255.0))
+
+
+def test_a_tear_between_two_exposures_is_found() -> None:
+    """The halves have noise of their own."""
+    later = in_8_bits(image(TRUTH, 6))
+    both = np.concatenate([CLEAN[:240], np.roll(later, (3, 15), axis=(0, 1))[240:]])
+    tear = tear_of(Radiograph(both, 255.0))
+    assert tear is not None
+    assert (tear.at, tear.rows, abs(tear.shift_px - 15) <= 2) == (240, True, True)
+    assert tear_of(Radiograph(np.concatenate([CLEAN[:240], later[240:]]), 255.0)) is None  # nothing moved
+
+
+@pytest.mark.parametrize(("down", "right"), [(0, 2), (0, -5), (2, 0), (6, 3)])
+def test_an_interlaced_image_of_something_that_moved_is_refused_as_such(down: int, right: int) -> None:
+    with pytest.raises(DetectionRefusedError, match="interlaced"):
+        detect(Radiograph(interlaced(CLEAN, down, right), 255.0))
+
+
+def test_whole_images_have_no_line_defect() -> None:
+    for one in (CLEAN, jpeg(CLEAN, 50), levels(CLEAN, 32), cv2.GaussianBlur(CLEAN, (0, 0), 3)):
+        assert line_defect(Radiograph(one, 255.0)) is None
+
+
+def refusal(pixels: np.ndarray) -> str:
+    one = Radiograph(pixels, 255.0)
+    with pytest.raises((DetectionRefusedError, LabellingRefusedError)) as refused:
+        tell_apart(one, detect(one), FRAME)
+    return str(refused.value)
+
+
+def test_an_inverted_image_is_refused_as_such_and_read_inverted() -> None:
+    inverted = Radiograph(255 - CLEAN, 255.0)
+    assert refusal(255 - CLEAN).startswith("inverted: ")
+    assert "--invert" in refusal(255 - CLEAN)
+    np.testing.assert_array_equal(detect(inverted.inverted()).uv_px, detect(Radiograph(CLEAN, 255.0)).uv_px)
+
+
+@pytest.mark.parametrize("sigma_px", [3, 4])
+def test_a_blurred_image_is_refused_as_such(sigma_px: int) -> None:
+    assert "the image is blurred" in refusal(cv2.GaussianBlur(CLEAN, (0, 0), sigma_px))
+
+
+@pytest.mark.parametrize("gain", [3, 6, 20])
+def test_a_saturated_image_is_refused_as_such(gain: int) -> None:
+    assert "the image is saturated" in refusal(np.clip(CLEAN.astype(int) * gain, 0, 255).astype(np.uint8))
+
+
+def test_another_frame_in_a_good_image_is_not_blamed_on_the_image() -> None:
+    assert "the image is" not in refusal(np.ascontiguousarray(CLEAN[:, :180]))

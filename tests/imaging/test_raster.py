@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sightline.errors import ImageError, UnusableInputError
-from sightline.imaging import Radiograph, read_image, write_png
+from sightline.imaging import Radiograph, image_checks, read_image, write_png
 
 RNG = np.random.default_rng(11)
 GREY8 = RNG.integers(0, 256, (31, 43), dtype=np.uint8)
@@ -99,7 +99,7 @@ def _png_claiming(width: int, height: int) -> bytes:
         (b"", "is empty"),
         (b"\n", "not an image"),
         (b"%PDF-1.7 a report", "not an image"),
-        (encoded(GREY8, ".jpg"), "not an image"),
+        (encoded(GREY8, ".webp"), "not an image"),
         (_png_claiming(60000, 60000), "limit"),
         (_png_claiming(20, 20), "damaged"),
         (encoded(GREY8[:9, :9], ".png"), "at least 16"),
@@ -174,3 +174,40 @@ def test_a_damaged_file_gives_an_image_or_an_image_error(scratch: Path, kind: st
     scratch.write_bytes(bytes(data))
     with suppress(ImageError):
         assert min(read_image(scratch).shape) >= 16
+
+
+def test_jpeg_is_read_and_says_that_it_was_compressed(tmp_path: Path) -> None:
+    smooth = np.add.outer(np.arange(64), np.arange(80)).astype(np.uint8)
+    image = read_image(named(tmp_path, encoded(smooth, ".jpg", cv2.IMWRITE_JPEG_QUALITY, 95)))
+    assert np.abs(image.pixels.astype(int) - smooth).max() <= 2
+    assert (image.lossy, image.white) == (True, 255.0)
+    assert [check.name for check in image_checks(image)] == ["clipped pixels", "compression"]
+    stored = read_image(named(tmp_path, encoded(smooth, ".png"), "other"))
+    assert [check.name for check in image_checks(stored)] == ["clipped pixels"]
+
+
+@pytest.mark.parametrize("keep", [200, 0.5, -20])
+def test_a_jpeg_that_breaks_off_is_refused(tmp_path: Path, keep: float) -> None:
+    data = encoded(RNG.integers(0, 256, (200, 200), dtype=np.uint8), ".jpg")
+    with pytest.raises(ImageError, match="truncated or damaged"):
+        read_image(named(tmp_path, data[: int(keep * len(data)) if 0 < keep < 1 else int(keep)]))
+
+
+@pytest.mark.parametrize("pixels", [GREY8, GREY16, GREY16.astype(np.float32)])
+def test_an_inverted_image_is_the_same_twice_inverted(tmp_path: Path, pixels: np.ndarray) -> None:
+    np.save(tmp_path / "image.npy", pixels)
+    plain, inverted = (read_image(tmp_path / "image.npy", invert=invert) for invert in (False, True))
+    np.testing.assert_allclose(inverted.pixels, plain.white - pixels.astype(float), atol=0.01)
+    np.testing.assert_allclose(np.ptp(inverted.inverted().pixels), np.ptp(pixels))
+    assert (inverted.pixels < inverted.white).any()
+    assert plain.pixels.dtype == inverted.pixels.dtype
+
+
+def test_the_share_of_clipped_pixels_is_a_check() -> None:
+    pixels = np.full((40, 50), 100, np.uint8)
+    pixels[:10] = 255
+    pixels[10:15] = 0
+    (check,) = image_checks(Radiograph(pixels, 255.0))
+    assert (check.passed, check.figure) == (True, pytest.approx(37.5))
+    pixels[:21] = 255
+    assert not image_checks(Radiograph(pixels, 255.0))[0].passed

@@ -8,9 +8,10 @@ from sightline.calibration import BeadView, calibrate
 from sightline.calibration.fit import Method
 from sightline.case.originals import called
 from sightline.detection import Detections, Observations, detect, label, look_again
+from sightline.detection.causes import cause_of
 from sightline.detection.detections_csv import are_detections, label_csv
 from sightline.detection.files import read_observations
-from sightline.errors import ObservationsError, UnusableInputError
+from sightline.errors import LabellingRefusedError, ObservationsError, UnusableInputError
 from sightline.frame import Frame
 from sightline.imaging import Radiograph, read_image
 
@@ -49,12 +50,14 @@ def see(
     view: str | None = None,
     datums: dict[str, tuple[float, float]] | None = None,
     frame_index: int | None = None,
+    *,
+    invert: bool = False,
 ) -> Seen:
     """Beads of one image, found, told apart (`label`) and looked at again (`look_again`).
 
-    Without `view`, the datum markers tell which it is.
+    Without `view`, the datum markers tell which it is. `invert`: as `read_image`.
     """
-    image = read_image(path, frame_index)
+    image = read_image(path, frame_index, invert=invert)
     beads = detect(image)
     return Seen(called(path), tell_apart(image, beads, frame, view, datums), image, beads)
 
@@ -66,8 +69,16 @@ def tell_apart(
     view: str | None = None,
     datums: dict[str, tuple[float, float]] | None = None,
 ) -> Observations:
-    """The beads of an image by their names, half-hidden ones looked at again; see `see`."""
-    return look_again(image, beads, label(beads, frame, view, datums), frame)
+    """The beads of an image by their names, half-hidden ones looked at again; see `see`.
+
+    Raises LabellingRefusedError, which names what is wrong with the image where its pixels tell.
+    """
+    try:
+        observations = label(beads, frame, view, datums)
+    except LabellingRefusedError as refused:
+        why = cause_of(image, len(beads), beads.rejected)
+        raise LabellingRefusedError(f"{why} ({refused})" if why else str(refused)) from None
+    return look_again(image, beads, observations, frame)
 
 
 def _from_csv(path: Path, name: str, frame: Frame) -> Seen:
@@ -79,13 +90,14 @@ def _from_csv(path: Path, name: str, frame: Frame) -> Seen:
     raise ObservationsError(f"{path.name} holds no observations of view {name!r}; it has: {', '.join(views)}")
 
 
-def see_pair(pa: Path, lateral: Path, frame: Frame) -> tuple[Seen, Seen]:
-    """Both views of a pair, each from an image or from observations in CSV (one file may hold both).
+def see_pair(pa: Path, lateral: Path, frame: Frame, *, invert: bool = False) -> tuple[Seen, Seen]:
+    """Both views of a pair, each from an image or from observations in CSV (one file may hold both). `invert`: of both
+    images, as `read_image`.
 
     Raises UnusableInputError where the two are swapped or are one view twice, and whatever reading raises.
     """
     pair = tuple(
-        _from_csv(path, name, frame) if path.suffix.lower() == ".csv" else see(path, frame)
+        _from_csv(path, name, frame) if path.suffix.lower() == ".csv" else see(path, frame, invert=invert)
         for path, name in zip((pa, lateral), NAMES, strict=True)
     )
     found = tuple(seen.observations.view for seen in pair)

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from sightline.cli.detect import Invert
 from sightline.cli.output import Json, Output, Quiet
 from sightline.cli.plan import MethodName, Mirrored
 
@@ -30,6 +31,7 @@ def assess(
     method: Annotated[MethodName, typer.Option(help="localized is the paper's.")] = "smooth",
     pick_sd: Annotated[float, typer.Option(help="Standard deviation of pixels given in the table, px.")] = 0.5,
     mirrored: Mirrored = None,
+    invert: Invert = False,
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:
@@ -43,7 +45,7 @@ def assess(
 
         known_frame, points = Frame.load(frame), read_points(truth)
         with output.step("finding and telling apart the beads"):
-            seen = see_pair(pa, lateral, known_frame)
+            seen = see_pair(pa, lateral, known_frame, invert=invert)
         with output.step(f"calibrating both views ({method})"):
             images = calibrate_pair(seen, known_frame, method, mirrored or ())
         uv_px, covariance_px2 = _pixels(points, images, pick_sd)

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from sightline.cli.detect import FrameIndex
+from sightline.cli.detect import FrameIndex, Invert
 from sightline.cli.output import Json, Output, Quiet
 
 if TYPE_CHECKING:
@@ -47,6 +47,7 @@ def calibrate(
             help="Whether you saw the display to be mirrored (writing in it reads backwards).", show_default=False
         ),
     ] = None,
+    invert: Invert = False,
     csv: Annotated[Path | None, typer.Option(help="Write the beads that were told apart as CSV.")] = None,
     json: Json = False,
     quiet: Quiet = False,
@@ -58,10 +59,11 @@ def calibrate(
         from sightline.case.views import CalibratedImage
         from sightline.detection.files import write_observations
         from sightline.frame import Frame
+        from sightline.imaging import image_checks
 
         known_frame = Frame.load(frame)
         with out.step("finding and telling apart the beads"):
-            seen = see(image, known_frame, view, datum, frame_index)
+            seen = see(image, known_frame, view, datum, frame_index, invert=invert)
         if csv is not None:
             write_observations([seen.observations], csv)
         # Before the calibration: where that is refused for want of beads, this says how to get them.
@@ -73,10 +75,19 @@ def calibrate(
         document = view_document(CalibratedImage(seen, calibrated)) | {"set_up": advice}
         _add_leave_one_out(document, calibrated)
         _show(out, document)
-        out.result(document, calibrated.checks)
+        checks = () if seen.image is None else image_checks(seen.image)
+        out.result(document, (*checks, *calibrated.checks))
 
 
-def see(path: Path, frame: "Frame", view: str | None, datum: list[str] | None, frame_index: int | None) -> "Seen":
+def see(
+    path: Path,
+    frame: "Frame",
+    view: str | None,
+    datum: list[str] | None,
+    frame_index: int | None,
+    *,
+    invert: bool = False,
+) -> "Seen":
     """The beads of one view, told apart: of an image, or of a CSV file, with or without the beads' names.
 
     Raises what reading and labelling raise.
@@ -87,6 +98,8 @@ def see(path: Path, frame: "Frame", view: str | None, datum: list[str] | None, f
     from sightline.errors import UnusableInputError
 
     if path.suffix.lower() == ".csv":
+        if invert:
+            raise UnusableInputError("--invert is of images; beads in CSV have no pixels to invert")
         if frame_index is None and are_detections(path):
             return views.Seen(called(path), label_csv(path, frame, view, _datums(datum)))
         if datum or frame_index is not None:
@@ -94,7 +107,7 @@ def see(path: Path, frame: "Frame", view: str | None, datum: list[str] | None, f
                 "--datum and --frame-index are of images; observations in CSV are told apart already"
             )
         return views.Seen(called(path), _observed(path, view))
-    return views.see(path, frame, view, _datums(datum), frame_index)
+    return views.see(path, frame, view, _datums(datum), frame_index, invert=invert)
 
 
 def _advise(seen: "Seen", frame: "Frame") -> dict[str, Any] | None:

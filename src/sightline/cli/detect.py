@@ -18,6 +18,9 @@ _SCALE = 2  # of the picture, so that rings do not hide small beads
 FrameIndex = Annotated[
     int | None, typer.Option("--frame-index", help="Which frame of a run of images, from 0.", show_default=False)
 ]
+Invert = Annotated[
+    bool, typer.Option("--invert", help="Invert the image: it shows bright balls, against what its header says.")
+]
 
 
 def register(app: typer.Typer) -> None:
@@ -26,9 +29,10 @@ def register(app: typer.Typer) -> None:
 
 
 def detect(
-    image: Annotated[Path, typer.Argument(help="DICOM, PNG, TIFF, BMP or NumPy file.")],
+    image: Annotated[Path, typer.Argument(help="DICOM, PNG, TIFF, BMP, JPEG or NumPy file.")],
     *,
     frame_index: FrameIndex = None,
+    invert: Invert = False,
     csv: Annotated[Path | None, typer.Option(help="Write the beads as CSV.")] = None,
     picture: Annotated[Path | None, typer.Option(help="Write a PNG with beads and rejected candidates marked.")] = None,
     json: Json = False,
@@ -37,9 +41,9 @@ def detect(
     """Find the beads of one image: centres with covariance, radii, and why candidates were rejected."""
     with Output(json=json, quiet=quiet) as out:
         from sightline.detection import detect as find
-        from sightline.imaging import read_image
+        from sightline.imaging import image_checks, read_image
 
-        radiograph = read_image(image, frame_index)
+        radiograph = read_image(image, frame_index, invert=invert)
         with out.step("finding beads"):
             beads = find(radiograph)
         if csv is not None:
@@ -47,7 +51,7 @@ def detect(
         if picture is not None:
             _write_picture(radiograph, beads, picture)
         _show(out, beads)
-        out.result(_document(beads))
+        out.result(_document(beads), image_checks(radiograph))
 
 
 def _document(beads: "Detections") -> dict[str, Any]:

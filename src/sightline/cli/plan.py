@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
+from sightline.cli.detect import Invert
 from sightline.cli.output import Json, Output, Quiet
 
 if TYPE_CHECKING:
@@ -74,6 +75,7 @@ def plan(
         bool, typer.Option("--snap", help="Take the lateral picks to their image-matching curves.")
     ] = False,
     out: Annotated[Path | None, typer.Option(help="Folder for report, plan.json, undistorted images.")] = None,
+    invert: Invert = False,
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:
@@ -93,7 +95,7 @@ def plan(
 
         known_frame = Frame.load(frame)
         with output.step("finding and telling apart the beads"):
-            seen = see_pair(pa, lateral, known_frame)
+            seen = see_pair(pa, lateral, known_frame, invert=invert)
         with output.step(f"calibrating both views ({method})"):
             images = calibrate_pair(seen, known_frame, method, mirrored or ())
         with output.step("planning"):

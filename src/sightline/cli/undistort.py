@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from sightline.cli.calibrate import Datums, FrameName, ViewName, see
-from sightline.cli.detect import FrameIndex
+from sightline.cli.detect import FrameIndex, Invert
 from sightline.cli.output import Json, Output, Quiet, as_json
 
 if TYPE_CHECKING:
@@ -21,13 +21,14 @@ def register(app: typer.Typer) -> None:
 
 
 def undistort(
-    image: Annotated[Path, typer.Argument(help="DICOM, PNG, TIFF, BMP or NumPy file.")],
+    image: Annotated[Path, typer.Argument(help="DICOM, PNG, TIFF, BMP, JPEG or NumPy file.")],
     *,
     out: Annotated[Path, typer.Option(help="Folder for plate.png, map.npz and map.json.")],
     frame: FrameName = "gamma",
     view: ViewName = None,
     datum: Datums = None,
     frame_index: FrameIndex = None,
+    invert: Invert = False,
     spacing: Annotated[
         float | None,
         typer.Option(help="Pixel size on the plate, mm; by default that of the image.", show_default=False),
@@ -46,7 +47,7 @@ def undistort(
             raise UnusableInputError("observations in CSV have no pixels to resample; give the image")
         known_frame = Frame.load(frame)
         with output.step("finding and telling apart the beads"):
-            seen = see(image, known_frame, view, datum, frame_index)
+            seen = see(image, known_frame, view, datum, frame_index, invert=invert)
         with output.step("calibrating (smooth)"):
             calibrated = calibrate(seen.observations, known_frame, view)
         with output.step("resampling"):

@@ -4,12 +4,14 @@ import cv2
 import numpy as np
 
 from sightline.detection import columns, refine
+from sightline.detection.causes import NO_RIM, NOT_ROUND, cause_of
 from sightline.detection.find import distinct, find_candidates
 from sightline.detection.log_image import field_inset, log_image
 from sightline.detection.noise import MIN_FIELD_PX, NoiseModel, estimate_noise
 from sightline.detection.results import Detections, Rejected
 from sightline.errors import DetectionRefusedError
 from sightline.imaging import Radiograph
+from sightline.imaging.defects import line_defect
 
 _SMALLEST_PX, _LARGEST_PX = 1.7, 27.0  # what is promised, 2-25 px, and a margin for the fit
 _NOISIEST_PX = 1.0  # a centre less certain than this is of no use; promised is recall below 0.5 px [ours]
@@ -29,7 +31,7 @@ _MINORITY = 0.33  # of the beads: no frame has both balls and holes
 _COVERED = 0.35  # of a bead's disc under writing; what is left of its rim no longer holds centre and radius [twin]
 _WASHER_RIM = 0.68  # of a washer's radius: what is further in is left out; its hole reaches to 0.45-0.55 [DIN 125]
 
-_NOT_ROUND = "not round: some side does not differ from the middle, as on an edge, a wire or a bone contour"
+_NOT_ROUND = f"{NOT_ROUND}: some side does not differ from the middle, as on an edge, a wire or a bone contour"
 _FIT_REASONS = {
     columns.TOO_FEW_PIXELS: "too few usable pixels: at the edge of the field, or covered by another bead",
     columns.WANDERED: "no disc at this place: the fit moved away",
@@ -41,8 +43,12 @@ def detect(image: Radiograph) -> Detections:
     """Beads (dark balls and washers, bright holes; radius 2-25 px) of one image, with their covariances.
 
     `rejected` holds what came near to being a bead; places without any rim are passed over in silence.
-    Raises DetectionRefusedError where nothing in the image looks like a bead.
+    Raises DetectionRefusedError where nothing in the image looks like a bead, and where its lines were not all taken
+    at one place: torn, or interlaced with movement.
     """
+    defect = line_defect(image)
+    if defect is not None:
+        raise DetectionRefusedError(defect)
     mask, logs, noise = _looked_at(image)
     spots = find_candidates(logs, mask, noise)
     rows = refine.start(spots.uv_px, spots.radius_px, spots.response)
@@ -57,10 +63,11 @@ def detect(image: Radiograph) -> Detections:
     rejected += _rejected(beads[reason != ""], reason[reason != ""])
     beads = beads[reason == ""]
     if len(beads) == 0:
-        raise DetectionRefusedError(
-            f"no bead was found ({len(rejected)} candidates were rejected); check that this is the image of a frame "
-            "with beads of 2-25 px radius, exposed so that they differ from their surroundings"
+        why = cause_of(image, 0, rejected) or (
+            "check that this is the image of a frame with beads of 2-25 px radius, exposed so that they differ from "
+            "their surroundings"
         )
+        raise DetectionRefusedError(f"no bead was found ({len(rejected)} candidates were rejected); {why}")
     return _detections(beads, mask & ~usable, image, rejected)
 
 
@@ -85,6 +92,9 @@ def _no_noise(image: Radiograph, mask: np.ndarray) -> str:
     """Why there is no noise to measure: too small a field, or too little of it that is not constant."""
     if np.count_nonzero(mask) < MIN_FIELD_PX:
         return f"the field of view has fewer than {MIN_FIELD_PX} px, too few to measure its noise; give a larger image"
+    why = cause_of(image, 0, ())
+    if why is not None:
+        return why
     levels = len(np.unique(image.pixels[mask]))
     return (
         f"the image's noise cannot be measured: most of its field is constant ({levels} grey levels in all); "
@@ -123,7 +133,7 @@ def _shape_reasons(fit: np.ndarray, limits: tuple[float, float]) -> np.ndarray:
     excess, weakest = limits
     reason[fit[:, columns.EXCESS] > excess] = "not a disc: what remains after the fit is too large beside its contrast"
     reason[fit[:, columns.WEAKEST] < weakest] = _NOT_ROUND
-    reason[fit[:, columns.BLUR] > _SOFTEST * size + 0.1] = "no rim: it fades out like anatomy, not like a bead"
+    reason[fit[:, columns.BLUR] > _SOFTEST * size + 0.1] = f"{NO_RIM}: it fades out like anatomy, not like a bead"
     reason[(size < _SMALLEST_PX) | (size > _LARGEST_PX)] = "its radius is not within 2-25 px"
     for status, why in _FIT_REASONS.items():
         reason[fit[:, columns.STATUS] == status] = why

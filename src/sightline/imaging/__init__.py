@@ -1,5 +1,6 @@
 """Radiographs: reading, writing, the field of view."""
 
+from sightline.imaging.defects import image_checks
 from sightline.imaging.dicom import write as write_dicom
 from sightline.imaging.files import frames_in, read_image, suffix_of, write_png
 from sightline.imaging.radiograph import GeometryTags, Radiograph
@@ -11,6 +12,7 @@ __all__ = [
     "Radiograph",
     "Source",
     "frames_in",
+    "image_checks",
     "read_image",
     "suffix_of",
     "write_dicom",

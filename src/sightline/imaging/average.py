@@ -129,7 +129,7 @@ def average(images: Sequence[Radiograph]) -> Radiograph:
                 "or take a single image"
             )
         total += image.pixels
-    mean = total / len(images)
+    mean, lossy = total / len(images), any(image.lossy for image in images)
     if first.pixels.dtype == np.float32:
-        return Radiograph(mean.astype(np.float32), first.white, first.tags)
-    return Radiograph(np.rint(mean * (65535.0 / first.white)).astype(np.uint16), 65535.0, first.tags)
+        return Radiograph(mean.astype(np.float32), first.white, first.tags, lossy)
+    return Radiograph(np.rint(mean * (65535.0 / first.white)).astype(np.uint16), 65535.0, first.tags, lossy)

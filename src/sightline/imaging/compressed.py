@@ -15,11 +15,11 @@ def unpacks_to(coded: bytes, syntax: str, shape: tuple[int, int]) -> bool:
     if syntax == RLELossless:
         return _rle_fits(coded, shape[0] * shape[1])
     if syntax in JPEGTransferSyntaxes or syntax in JPEGLSTransferSyntaxes:
-        return _jpeg_shape(coded) == shape
+        return jpeg_shape(coded) == shape
     return syntax in JPEG2000TransferSyntaxes and _j2k_shape(coded) == shape
 
 
-def _jpeg_shape(coded: bytes) -> tuple[int, int] | None:
+def jpeg_shape(coded: bytes) -> tuple[int, int] | None:
     """Height and width of the first frame header (ITU-T T.81, B.2.2); None where there is none."""
     at = 2
     while at + 9 <= len(coded) and coded[at] == 0xFF:

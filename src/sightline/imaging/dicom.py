@@ -18,8 +18,13 @@ from pydicom.filereader import read_file_meta_info
 from pydicom.multival import MultiValue
 from pydicom.pixels.utils import pixel_array
 from pydicom.uid import (
+    JPEG2000,
+    UID,
     DeflatedExplicitVRLittleEndian,
     ExplicitVRLittleEndian,
+    JPEGBaseline8Bit,
+    JPEGExtended12Bit,
+    JPEGLSNearLossless,
     XRayAngiographicImageStorage,
     generate_uid,
 )
@@ -31,6 +36,8 @@ from sightline.imaging.decoder import Decoder
 from sightline.imaging.headers import damaged
 from sightline.imaging.limits import check_size
 from sightline.imaging.radiograph import GeometryTags, Radiograph
+
+_LOSSY = {JPEGBaseline8Bit, JPEGExtended12Bit, JPEGLSNearLossless, JPEG2000}  # of the last, what may be
 
 # Everything that is read besides the pixels.
 _READ = [
@@ -44,6 +51,7 @@ _READ = [
     "PixelRepresentation",
     "PixelIntensityRelationshipSign",
     "RescaleSlope",
+    "LossyImageCompression",
     "DistanceSourceToDetector",
     "ImagerPixelSpacing",
     "IntensifierSize",
@@ -86,6 +94,7 @@ def read(file: Path, frame_index: int | None) -> Radiograph:
         index = _frame(header, frame_index, file.name)
         height, width, bits = _layout(header, file.name)
         stored = _decode(file, index, (height, width))
+        lossy = header["LossyImageCompression"] == "01" or _syntax(file) in _LOSSY
     if stored.shape[:2] != (height, width):
         raise damaged(file.name)
     if stored.ndim == 3:
@@ -93,7 +102,7 @@ def read(file: Path, frame_index: int | None) -> Radiograph:
             raise ImageError(f"{file.name} is a colour image; export the X-ray image itself in grey")
         stored = stored[..., 0]
     pixels, white = _as_x_rays(stored, header, bits)
-    return Radiograph(pixels, white, _geometry(header))
+    return Radiograph(pixels, white, _geometry(header), lossy)
 
 
 def frames_in(file: Path) -> int:
@@ -209,7 +218,7 @@ def _layout(header: dict[str, Any], name: str) -> tuple[int, int, int]:
 
 def _decode(file: Path, index: int, shape: tuple[int, int]) -> np.ndarray:
     try:
-        syntax = read_file_meta_info(file).TransferSyntaxUID
+        syntax = _syntax(file)
         if not syntax.is_encapsulated:
             return pixel_array(file, index=index)
         if unpacks_to(_coded(file, index), syntax, shape):
@@ -217,6 +226,10 @@ def _decode(file: Path, index: int, shape: tuple[int, int]) -> np.ndarray:
     except Exception:  # as above; and UndecodableError
         raise _undecodable(file.name) from None
     raise _undecodable(file.name)
+
+
+def _syntax(file: Path) -> UID:
+    return read_file_meta_info(file).TransferSyntaxUID
 
 
 def _coded(file: Path, index: int) -> bytes:

@@ -1,7 +1,8 @@
-"""Image files in and out: DICOM, PNG, TIFF, BMP, NumPy. The first bytes tell the format, not the name."""
+"""Image files in and out: DICOM, PNG, TIFF, BMP, JPEG, NumPy. The first bytes tell the format, not the name."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -14,26 +15,39 @@ from sightline.imaging.limits import MAX_FILE_BYTES, check_size
 from sightline.imaging.npy import npy_array
 from sightline.imaging.radiograph import Radiograph
 
-_RASTER = {b"\x89PNG\r\n\x1a\n": headers.png, b"BM": headers.bmp, b"II*\x00": headers.tiff, b"MM\x00*": headers.tiff}
+_JPEG = b"\xff\xd8\xff"
+_RASTER = {
+    b"\x89PNG\r\n\x1a\n": headers.png,
+    b"BM": headers.bmp,
+    b"II*\x00": headers.tiff,
+    b"MM\x00*": headers.tiff,
+    _JPEG: headers.jpeg,
+}
 
 _SUFFIXES = {
     b"\x89PNG\r\n\x1a\n": ".png",
     b"BM": ".bmp",
     b"II*\x00": ".tif",
     b"MM\x00*": ".tif",
+    _JPEG: ".jpg",
     b"\x93NUMPY": ".npy",
 }
 
 
-def read_image(path: str | Path, frame_index: int | None = None) -> Radiograph:
-    """Read one X-ray image: DICOM, PNG, TIFF, BMP or `.npy`, 8 to 16 bit (TIFF and `.npy` also floating point).
+def read_image(path: str | Path, frame_index: int | None = None, *, invert: bool = False) -> Radiograph:
+    """Read one X-ray image: DICOM, PNG, TIFF, BMP, JPEG or `.npy`, 8 to 16 bit (TIFF and `.npy` also floating point).
 
     The stored values are kept: no window, look-up table or rescaling is applied, because those are made for the eye
     and may clip; only their direction is read, so that brighter is more X-rays (see `dicom.read`). A colour image
     whose channels are equal is a grey one. `frame_index` (from 0) picks a frame of a multi-frame run; without it
-    a run of several frames is refused, since no frame of it is "the" image. Raises ImageError.
+    a run of several frames is refused, since no frame of it is "the" image. `invert`: the file shows dark what X-rays
+    reach, against what its header says. Raises ImageError.
     """
-    file = Path(path)
+    image = _read(Path(path), frame_index)
+    return image.inverted() if invert else image
+
+
+def _read(file: Path, frame_index: int | None) -> Radiograph:
     start = _first_bytes(file)
     if start[128:132] == b"DICM":
         return dicom.read(file, frame_index)
@@ -44,7 +58,7 @@ def read_image(path: str | Path, frame_index: int | None = None) -> Radiograph:
     for magic, read_header in _RASTER.items():
         if start.startswith(magic):
             return _read_raster(file, read_header)
-    raise ImageError(f"{file.name} is not an image that can be read; give DICOM, PNG, TIFF, BMP or NumPy (.npy)")
+    raise ImageError(f"{file.name} is not an image that can be read; give DICOM, PNG, TIFF, BMP, JPEG or NumPy (.npy)")
 
 
 def frames_in(path: str | Path) -> int:
@@ -93,7 +107,8 @@ def _read_raster(file: Path, read_header: headers.HeaderReader) -> Radiograph:
         pixels = None
     if pixels is None or pixels.shape[:2] != (height, width):
         raise ImageError(f"{file.name} is damaged or of a kind that cannot be read; export it as 16-bit grey PNG")
-    return _radiograph(grey(pixels, file.name), file.name)
+    image = _radiograph(grey(pixels, file.name), file.name)
+    return replace(image, lossy=read_header is headers.jpeg)
 
 
 @contextmanager

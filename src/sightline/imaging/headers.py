@@ -1,4 +1,4 @@
-"""Size and wholeness of PNG, BMP and TIFF files, read before a decoder touches them.
+"""Size and wholeness of PNG, BMP, TIFF and JPEG files, read before a decoder touches them.
 
 Decoders fill what is missing of a truncated file with grey and reserve whatever memory a header asks for.
 """
@@ -8,6 +8,7 @@ import zlib
 from collections.abc import Callable
 
 from sightline.errors import ImageError
+from sightline.imaging.compressed import jpeg_shape
 
 # (bytes of the file, its name) -> (height, width). Raises ImageError.
 HeaderReader = Callable[[bytes, str], tuple[int, int]]
@@ -65,6 +66,14 @@ def tiff(data: bytes, name: str) -> tuple[int, int]:
     if any(offset + length > len(data) for offset, length in zip(offsets, lengths, strict=True)):
         raise damaged(name)
     return tags[257][0], tags[256][0]
+
+
+def jpeg(data: bytes, name: str) -> tuple[int, int]:
+    """Height and width of the first frame header; the end marker is there (ITU-T T.81, B.2.2)."""
+    shape = jpeg_shape(data)
+    if shape is None or b"\xff\xd9" not in data[-64:]:
+        raise damaged(name)
+    return shape
 
 
 def damaged(name: str) -> ImageError:

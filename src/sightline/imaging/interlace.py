@@ -1,5 +1,7 @@
 """Interlaced video: two fields, one after the other, woven into one image."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from sightline.imaging.radiograph import Radiograph
@@ -34,4 +36,4 @@ def field_of(image: Radiograph, which: int) -> Radiograph:
     pixels[missing] = 0.5 * (pixels[above] + pixels[below])
     if image.pixels.dtype != np.float32:
         pixels = np.rint(pixels).astype(image.pixels.dtype)
-    return Radiograph(pixels, image.white, image.tags)
+    return replace(image, pixels=pixels)

@@ -1,6 +1,6 @@
 """A radiograph: pixels, and what is known of them."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -29,12 +29,14 @@ class Radiograph:
 
     `pixels` (H, W), uint8, uint16 or float32, read-only; more is brighter is more X-rays reaching the
     detector (MONOCHROME1 has been inverted). `white` is the largest value the source can store, so
-    `pixels >= white` is saturated. Raises ImageError on anything but a finite two-dimensional array.
+    `pixels >= white` is saturated. `lossy`: it was compressed with loss before it came here. Raises
+    ImageError on anything but a finite two-dimensional array.
     """
 
     pixels: np.ndarray
     white: float
     tags: GeometryTags = field(default_factory=GeometryTags)
+    lossy: bool = False
 
     def __post_init__(self) -> None:
         pixels = np.asarray(self.pixels)
@@ -52,6 +54,13 @@ class Radiograph:
     def shape(self) -> tuple[int, int]:
         """Height and width in pixels."""
         return self.pixels.shape[0], self.pixels.shape[1]
+
+    def inverted(self) -> "Radiograph":
+        """The same image, white for black."""
+        if self.pixels.dtype != np.float32:
+            return replace(self, pixels=(self.white - self.pixels).astype(self.pixels.dtype))
+        pixels = np.float32(self.white) - self.pixels
+        return replace(self, pixels=pixels, white=float(np.nextafter(pixels.max(), np.float32(np.inf))))
 
     @cached_property
     def field_mask(self) -> np.ndarray:

@@ -42,6 +42,11 @@ def label(
     every = patterns(frame)
     couples = sorted(zip(every[::2], every[1::2], strict=True), key=lambda couple: couple[0].view != view)
     usable = np.array([kind != "hole" for kind in detections.kind], dtype=bool)
+    if usable.sum() < 2 * LEAST_BEADS <= (~usable).sum():
+        raise LabellingRefusedError(
+            f"inverted: {(~usable).sum()} bright balls were found and {usable.sum()} dark ones; read the image with "
+            "--invert (in Python: read_image(path, invert=True))"
+        )
     if usable.sum() < 2 * LEAST_BEADS:
         raise LabellingRefusedError(
             f"{usable.sum()} beads were found, and {LEAST_BEADS} of each plate are needed; check that the frame is in "
