@@ -3,6 +3,7 @@
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
+import cv2
 import numpy as np
 import pytest
 from bead_images import Bead, radiograph, transmission
@@ -204,3 +205,24 @@ def test_the_second_look_depends_on_its_arguments_alone() -> None:
     here, there, balls = (look_again(i, b, told, GAMMA) for i, b in ((one, washers), (other, washers), (one, beads)))
     assert (here.ids, here.uv_px.tobytes()) == (there.ids, there.uv_px.tobytes())
     assert (here.ids, here.uv_px.tobytes()) != (balls.ids, balls.uv_px.tobytes())
+
+
+def test_a_finer_image_gives_the_same_beads() -> None:
+    """Balls of 20 px radius and datum balls of 33 px: more than is measured as it is."""
+    coarse = image(seen(44), np.random.default_rng(44))
+    pixels = cv2.resize(coarse.pixels, None, fx=2, fy=2, interpolation=cv2.INTER_CUBIC)
+    fine = replace(coarse, pixels=np.minimum(pixels, np.uint16(coarse.white)))
+    assert np.median(detect(fine).radius_px) > 15
+    (told, looked_again), (told_fine, again_fine) = looked(coarse), looked(fine)
+    assert len(told_fine) > 0.95 * len(told)
+    assert again_fine.image_shape == fine.shape
+    for one, other in ((told, told_fine), (looked_again, again_fine)):
+        both = [name for name in one.ids if name in other.ids]
+        assert len(both) > 0.95 * len(one)
+        rows, fine_rows = ([observed.ids.index(name) for name in both] for observed in (one, other))
+        off = (other.uv_px[fine_rows] + 0.5) / 2 - 0.5 - one.uv_px[rows]
+        assert np.sqrt((off**2).mean()) < 0.02  # px of the coarse image
+        ratio = other.covariance_px2[fine_rows, 0, 0] / 4 / one.covariance_px2[rows, 0, 0]
+        assert 0.7 < np.median(ratio) < 1.4
+    alone = {tuple(uv) for uv in told_fine.uv_px.tolist()}
+    assert sum(tuple(uv) in alone for uv in again_fine.uv_px.tolist()) > 0.8 * len(told_fine)  # to the last bit

@@ -14,6 +14,7 @@ from sightline.detection.labelling.patterns import Pattern, median, patterns
 from sightline.detection.labelling.seeds import best_similarity
 from sightline.detection.labelling.solve import LEAST_BEADS
 from sightline.detection.results import Detections, Observations
+from sightline.detection.scale import FACTOR, coarser, coarser_observations, finer_observations, is_fine
 from sightline.errors import ObservationsError
 from sightline.frame import Frame
 from sightline.imaging import Radiograph
@@ -60,6 +61,9 @@ def look_again(image: Radiograph, beads: Detections, observations: Observations,
     anew, both at once, or left out. What was fitted stands last. Washers are not looked for.
     Raises ObservationsError where `observations` are not those that `label` made of `beads`.
     """
+    if is_fine(beads.radius_px):
+        seen = look_again(image.binned(FACTOR), coarser(beads), coarser_observations(observations), frame)
+        return finer_observations(seen, observations.image_shape)
     return look_again_with(lambda: fit_of(image, beads), image, beads, observations, frame)
 
 

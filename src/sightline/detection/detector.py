@@ -9,6 +9,7 @@ from sightline.detection.find import distinct, find_candidates
 from sightline.detection.log_image import field_inset, log_image
 from sightline.detection.noise import MIN_FIELD_PX, NoiseModel, estimate_noise
 from sightline.detection.results import Detections, Rejected
+from sightline.detection.scale import FACTOR, finer, is_fine
 from sightline.errors import DetectionRefusedError
 from sightline.imaging import Radiograph
 from sightline.imaging.defects import line_defect
@@ -32,6 +33,7 @@ _COVERED = 0.35  # of a bead's disc under writing; what is left of its rim no lo
 _WASHER_RIM = 0.68  # of a washer's radius: what is further in is left out; its hole reaches to 0.45-0.55 [DIN 125]
 
 _NOT_ROUND = f"{NOT_ROUND}: some side does not differ from the middle, as on an edge, a wire or a bone contour"
+_TOO_LARGE = "its radius is above 25 px"
 _FIT_REASONS = {
     columns.TOO_FEW_PIXELS: "too few usable pixels: at the edge of the field, or covered by another bead",
     columns.WANDERED: "no disc at this place: the fit moved away",
@@ -44,11 +46,17 @@ def detect(image: Radiograph) -> Detections:
 
     `rejected` holds what came near to being a bead; places without any rim are passed over in silence.
     Raises DetectionRefusedError where nothing in the image looks like a bead, and where its lines were not all taken
-    at one place: torn, or interlaced with movement.
+    at one place: torn, or interlaced with movement. Where most beads have a radius above 15 px they are measured in
+    pixels of twice the side, as often as it takes; the answer is in the image's own pixels.
     """
     defect = line_defect(image)
     if defect is not None:
         raise DetectionRefusedError(defect)
+    return _detected(image)
+
+
+def _detected(image: Radiograph) -> Detections:
+    """`detect` without the look for defects of lines."""
     mask, logs, noise = _looked_at(image)
     spots = find_candidates(logs, mask, noise)
     rows = refine.start(spots.uv_px, spots.radius_px, spots.response)
@@ -62,6 +70,8 @@ def detect(image: Radiograph) -> Detections:
         reason[_covered(beads, image.burnt_in) > _COVERED] = "covered by writing in the image"
     rejected += _rejected(beads[reason != ""], reason[reason != ""])
     beads = beads[reason == ""]
+    if is_fine(np.append(beads[:, columns.RADIUS], [one.radius_px for one in rejected if one.reason == _TOO_LARGE])):
+        return finer(_detected(image.binned(FACTOR)), image.shape)
     if len(beads) == 0:
         why = cause_of(image, 0, rejected) or (
             "check that this is the image of a frame with beads of 2-25 px radius, exposed so that they differ from "
@@ -134,7 +144,8 @@ def _shape_reasons(fit: np.ndarray, limits: tuple[float, float]) -> np.ndarray:
     reason[fit[:, columns.EXCESS] > excess] = "not a disc: what remains after the fit is too large beside its contrast"
     reason[fit[:, columns.WEAKEST] < weakest] = _NOT_ROUND
     reason[fit[:, columns.BLUR] > _SOFTEST * size + 0.1] = f"{NO_RIM}: it fades out like anatomy, not like a bead"
-    reason[(size < _SMALLEST_PX) | (size > _LARGEST_PX)] = "its radius is not within 2-25 px"
+    reason[size < _SMALLEST_PX] = "its radius is below 2 px"
+    reason[size > _LARGEST_PX] = _TOO_LARGE
     for status, why in _FIT_REASONS.items():
         reason[fit[:, columns.STATUS] == status] = why
     return reason

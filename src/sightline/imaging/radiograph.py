@@ -62,6 +62,15 @@ class Radiograph:
         pixels = np.float32(self.white) - self.pixels
         return replace(self, pixels=pixels, white=float(np.nextafter(pixels.max(), np.float32(np.inf))))
 
+    def binned(self, factor: int) -> "Radiograph":
+        """The sums of `factor` x `factor` pixels, float32; rows and columns that are left over are dropped."""
+        height, width = (side // factor for side in self.shape)
+        whole = self.pixels[: height * factor, : width * factor].astype(np.float32)
+        sums = whole.reshape(height, factor, width, factor).sum(axis=(1, 3))
+        spacing = self.tags.imager_pixel_spacing_mm
+        tags = replace(self.tags, imager_pixel_spacing_mm=spacing and (spacing[0] * factor, spacing[1] * factor))
+        return replace(self, pixels=sums, white=self.white * factor**2, tags=tags)
+
     @cached_property
     def field_mask(self) -> np.ndarray:
         """(H, W) bool, True inside the round or octagonal collimation."""

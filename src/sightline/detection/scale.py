@@ -1,0 +1,63 @@
+"""Images with pixels finer than detection is made for: beads are measured in pixels of twice the side."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from sightline.detection.results import Detections, Observations
+
+FACTOR = 2
+MAX_USUAL_RADIUS_PX = 15.0  # of most beads; datum balls, 5/3 as large, reach 25 px then [ours]
+_EXACT = 2.0**32  # per px: so rounded, a pixel is the same in both scales, to the last bit
+
+
+def is_fine(radius_px: np.ndarray) -> bool:
+    """Whether most beads of these radii (N,) are larger than they need to be."""
+    return len(radius_px) > 0 and float(np.median(radius_px)) > MAX_USUAL_RADIUS_PX
+
+
+def finer(beads: Detections, image_shape: tuple[int, int]) -> Detections:
+    """Beads of the binned image as those of the image itself."""
+    return replace(
+        beads,
+        uv_px=_finer_uv(beads.uv_px),
+        radius_px=beads.radius_px * FACTOR,
+        covariance_px2=beads.covariance_px2 * FACTOR**2,
+        image_shape=image_shape,
+        rejected=tuple(
+            replace(one, uv_px=tuple(_finer_uv(np.array(one.uv_px)).tolist()), radius_px=one.radius_px * FACTOR)
+            for one in beads.rejected
+        ),
+    )
+
+
+def coarser(beads: Detections) -> Detections:
+    """Beads of an image as those of the binned image."""
+    return replace(
+        beads,
+        uv_px=_coarser_uv(beads.uv_px),
+        radius_px=beads.radius_px / FACTOR,
+        covariance_px2=beads.covariance_px2 / FACTOR**2,
+        image_shape=(beads.image_shape[0] // FACTOR, beads.image_shape[1] // FACTOR),
+    )
+
+
+def finer_observations(seen: Observations, image_shape: tuple[int, int] | None) -> Observations:
+    """Observations in the binned image as those in the image itself."""
+    covariance = None if seen.covariance_px2 is None else seen.covariance_px2 * FACTOR**2
+    return replace(seen, uv_px=_finer_uv(seen.uv_px), covariance_px2=covariance, image_shape=image_shape)
+
+
+def coarser_observations(seen: Observations) -> Observations:
+    """Observations in an image as those in the binned image."""
+    covariance = None if seen.covariance_px2 is None else seen.covariance_px2 / FACTOR**2
+    return replace(seen, uv_px=_coarser_uv(seen.uv_px), covariance_px2=covariance)
+
+
+def _finer_uv(uv_px: np.ndarray) -> np.ndarray:
+    """Pixel (0, 0) of the binned image is centred between pixels 0 and 1 of the image."""
+    return (np.rint(uv_px * _EXACT) / _EXACT + 0.5) * FACTOR - 0.5
+
+
+def _coarser_uv(uv_px: np.ndarray) -> np.ndarray:
+    return (uv_px + 0.5) / FACTOR - 0.5
