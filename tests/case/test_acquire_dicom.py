@@ -11,6 +11,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from pydicom import Dataset, dcmread
+from pydicom.uid import (
+    JPEGExtended12Bit,
+    JPEGLosslessSV1,
+    SecondaryCaptureImageStorage,
+    XRayAngiographicImageStorage,
+)
 from pynetdicom import AE
 from pynetdicom.association import Association
 
@@ -126,6 +132,20 @@ def test_an_archive_that_sends_again_under_another_header_loses_nothing_and_make
     assert "its pixels are those of entry 1, so it is no new exposure" in scene.news[1].text
     plan = scene.case.record(Kind.PLANNED, {}, by=Actor.SURGEON)
     assert len(exposures.of_case(scene.case, plan)) == 2
+
+
+def test_what_could_not_be_decoded_is_not_negotiated(scene: Scene) -> None:
+    """JPEG Extended at 12 bits: accepted and then refused, the sender's image would be lost."""
+    ae = AE(ae_title="CARM")
+    ae.add_requested_context(XRayAngiographicImageStorage, JPEGExtended12Bit)
+    ae.add_requested_context(SecondaryCaptureImageStorage, [JPEGExtended12Bit, JPEGLosslessSV1])
+    association = ae.associate("127.0.0.1", scene.receiver.port, ae_title="SIGHTLINE")
+    try:
+        (accepted,), (rejected,) = association.accepted_contexts, association.rejected_contexts
+        assert accepted.transfer_syntax == [JPEGLosslessSV1]
+        assert rejected.abstract_syntax == XRayAngiographicImageStorage
+    finally:
+        association.release()
 
 
 def test_who_is_not_known_is_rejected_and_told_of(scene: Scene) -> None:

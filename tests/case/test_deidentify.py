@@ -29,7 +29,8 @@ ELEMENTS = _names(
     DeidentificationMethod DeidentificationMethodCodeSequence KVP DistanceSourceToDetector ExposureTime
     XRayTubeCurrent RadiationSetting IntensifierSize ImagerPixelSpacing PositionerMotion PositionerPrimaryAngle
     PositionerSecondaryAngle StudyInstanceUID SeriesInstanceUID StudyID SeriesNumber InstanceNumber PatientOrientation
-    SamplesPerPixel PhotometricInterpretation Rows Columns BitsAllocated BitsStored HighBit PixelRepresentation
+    Laterality SamplesPerPixel PhotometricInterpretation Rows Columns BitsAllocated BitsStored HighBit
+    PixelRepresentation
     PixelIntensityRelationship LossyImageCompression LongitudinalTemporalInformationModified PixelData"""
 )
 # Elements that hold people, places, times, devices: of PS3.15, table E.1-1, those that X-ray images have.

@@ -5,8 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from sightline.atomic import write_folder
 from sightline.case.comparison import Compared
-from sightline.case.documents import view_document, write_folder
+from sightline.case.documents import view_document
 from sightline.case.views import see_pair
 from sightline.detection.files import write_observations
 from sightline.errors import ObservationsError, UnusableInputError
@@ -54,7 +55,7 @@ def test_a_view_as_json_holds_every_bead(report) -> None:
 
 def test_a_folder_that_cannot_be_made_is_said(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("in the way")
-    with pytest.raises(UnusableInputError, match="--out"):
+    with pytest.raises(UnusableInputError, match="name another place"):
         write_folder(tmp_path / "file" / "folder", {"a.json": b"{}"})
 
 

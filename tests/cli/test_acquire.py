@@ -1,6 +1,5 @@
 """`sightline acquire`: images go into a case, names stay out of what is printed, Ctrl-C ends it well."""
 
-import json
 import os
 import signal
 import subprocess
@@ -9,6 +8,7 @@ import time
 from pathlib import Path
 
 import numpy as np
+import pytest
 from pydicom import dcmread
 from pynetdicom import AE
 
@@ -21,9 +21,13 @@ def image(seed: int) -> Radiograph:
 
 
 def started(*arguments: object) -> "subprocess.Popen[str]":
-    """`sightline acquire ARGUMENTS` in a process of its own."""
+    """`sightline acquire ARGUMENTS` in a process of its own, with SIGINT ignored, as a script's `&` starts it."""
     command = [sys.executable, "-m", "sightline", "acquire", *map(str, arguments)]
-    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)  # noqa: S603
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)  # noqa: S603
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 def said(process: "subprocess.Popen[str]", text: str) -> str:
@@ -52,16 +56,34 @@ def test_a_folder_goes_into_a_new_case_and_again_into_the_same(run, tmp_path: Pa
 
 
 def test_what_cannot_be_used_is_said(run, tmp_path: Path) -> None:
+    """No case is made for a source that cannot be had."""
+    into = ("--case", tmp_path / "case")
+    assert run("acquire", "folder", tmp_path / "absent", *into).code == 2
+    assert run("acquire", "dicom", "--peer", "nobody", *into).code == 2
+    assert run("acquire", "dicom", *into).code == 2
+    assert run("acquire", "folder", tmp_path, *into, "--robot", "127.0.0.1:9").code == 2
+    assert run("acquire", "folder", tmp_path, *into, "--watch", "--robot", "127.0.0.1:9").code == 2
+    assert run("acquire", "video", tmp_path / "absent.avi", *into).code == 2
+    (tmp_path / "bad.dcm").write_bytes(b"\0" * 128 + b"DICM")
+    assert run("acquire", "video", tmp_path / "bad.dcm", *into).code == 2
+    assert not (tmp_path / "case").exists()
     (tmp_path / "in").mkdir()
     (tmp_path / "in" / "bad").write_bytes(b"x")
-    assert run("acquire", "folder", tmp_path / "in", "--case", tmp_path / "case").code == 2
-    assert run("acquire", "folder", tmp_path / "absent", "--case", tmp_path / "case").code == 2
-    assert run("acquire", "dicom", "--peer", "nobody", "--case", tmp_path / "case").code == 2
-    assert run("acquire", "dicom", "--case", tmp_path / "case").code == 2
-    assert run("acquire", "folder", tmp_path, "--case", tmp_path / "case", "--robot", "127.0.0.1:9").code == 2
+    assert run("acquire", "folder", tmp_path / "in", *into).code == 2
 
 
-def test_the_receiver_takes_an_image_and_ctrl_c_ends_it_with_its_result(tmp_path: Path) -> None:
+def test_what_a_killed_program_left_of_a_case_is_gone_on_with(run, tmp_path: Path) -> None:
+    (tmp_path / "in").mkdir()
+    (tmp_path / "case").mkdir()
+    (tmp_path / "case" / "journal.sqlite").touch()
+    write_dicom(image(1), tmp_path / "in" / "a.dcm")
+    assert run("case", "check", tmp_path / "case").code == 2
+    assert run("acquire", "folder", tmp_path / "in", "--case", tmp_path / "case").code == 0
+    assert run("case", "check", tmp_path / "case").code == 0
+
+
+@pytest.mark.parametrize("sign", [signal.SIGINT, signal.SIGTERM])
+def test_the_receiver_takes_an_image_and_a_signal_ends_it_with_its_result(tmp_path: Path, sign: signal.Signals) -> None:
     process = started("dicom", "--port", 0, "--peer", "CARM@127.0.0.1", "--case", tmp_path / "case")
     port = int(said(process, "listening at port").split("port ")[1].split()[0])
     ae = AE(ae_title="CARM")
@@ -69,7 +91,7 @@ def test_the_receiver_takes_an_image_and_ctrl_c_ends_it_with_its_result(tmp_path
     association = ae.associate("127.0.0.1", port, ae_title="SIGHTLINE")
     assert association.send_c_store(dcmread(write_dicom(image(1), tmp_path / "a.dcm"))).Status == 0
     association.release()
-    process.send_signal(signal.SIGINT)
+    process.send_signal(sign)
     out, err = process.communicate(timeout=30)
     assert process.returncode == 0, err
     assert "entry 1: kept" in out
@@ -79,22 +101,18 @@ def test_the_receiver_takes_an_image_and_ctrl_c_ends_it_with_its_result(tmp_path
 
 
 def test_a_watched_folder_takes_what_is_written_later(tmp_path: Path) -> None:
+    """What is waited for is the process's own word and the case, however long a busy machine takes."""
     (tmp_path / "in").mkdir()
-    process = started("folder", tmp_path / "in", "--case", tmp_path / "case", "--watch", "--json")
-    journal = tmp_path / "case" / "journal.sqlite"
-    end = time.monotonic() + 30
-    while not journal.is_file() and time.monotonic() < end:
-        time.sleep(0.05)
+    process = started("folder", tmp_path / "in", "--case", tmp_path / "case", "--watch")
+    said(process, "watching the folder")
     write_dicom(image(1), tmp_path / "in" / "a.dcm")
-    while time.monotonic() < end:
-        time.sleep(0.2)
-        with Case.open(tmp_path / "case", read_only=True) as case:
-            if case.last:
-                break
+    with Case.open(tmp_path / "case", read_only=True) as case:
+        while not case.last and process.poll() is None:
+            time.sleep(0.1)
     os.kill(process.pid, signal.SIGINT)
-    out, err = process.communicate(timeout=30)
+    out, err = process.communicate(timeout=60)
     assert process.returncode == 0, err
-    assert [entry["number"] for entry in json.loads(out)["entries"]] == [1]
+    assert "entry 1: kept" in out
 
 
 def test_one_image_of_a_video_or_the_mean_of_several_is_taken(run, tmp_path: Path) -> None:

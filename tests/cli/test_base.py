@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 import sightline
 from sightline.checks import Check
 from sightline.cli import _COMMANDS
-from sightline.cli.output import Json, Output, Quiet, as_json
+from sightline.cli.output import Json, Output, Quiet, Terminated, as_json
 from sightline.errors import ImageError, LabellingRefusedError
 
 PASSED = Check("bead count", True, 98.0, 60.0, "beads", "98 beads are used.")
@@ -93,12 +93,13 @@ def test_a_bug_is_one_line_and_its_traceback_is_for_who_asks(monkeypatch: pytest
     assert "secret detail" in invoke(body).stderr
 
 
-def test_the_keyboard_ends_a_command_cleanly() -> None:
+@pytest.mark.parametrize(("error", "code"), [(KeyboardInterrupt, 130), (Terminated, 143)])
+def test_a_signal_ends_a_command_cleanly(error: type[BaseException], code: int) -> None:
     def body(_: Output) -> None:
-        raise KeyboardInterrupt
+        raise error
 
     result = invoke(body)
-    assert result.exit_code == 130
+    assert result.exit_code == code
     assert "Traceback" not in result.stderr
 
 

@@ -14,6 +14,7 @@ from sightline.case.journal import Actor, Case, Kind
 from sightline.case.recompute import Recomputed
 from sightline.case.views import calibrate_pair, see_pair
 from sightline.errors import CaseError
+from sightline.estimator import ESTIMATOR
 
 WIRE_MM = np.array([[31.3, 28.9, -9.7], [-30.1, -27.7, 8.3]])
 LANDMARKS_MM = np.array([[-21.3, -17.9, 4.4], [12.2, 30.1, -16.8]])
@@ -55,7 +56,7 @@ def copied(recorded: Path, tmp_path: Path) -> Path:
 
 def edit(folder: Path, statement: str, values: tuple[object, ...] = ()) -> None:
     with sqlite3.connect(folder / "journal.sqlite") as db:
-        db.execute("DROP TRIGGER never_changed")
+        db.execute("DROP TRIGGER IF EXISTS never_changed")
         db.execute(statement, values)
     db.close()
 
@@ -142,6 +143,10 @@ def test_a_missing_original_is_refused_and_what_rests_on_it_cannot_be_computed(r
     assert "no such original" in ran.document["entries"][3]["reason"]
 
 
+NOW = {"estimator": str(ESTIMATOR)}
+SINCE = "version 2" if ESTIMATOR == 2 else f"versions 2 to {ESTIMATOR}"
+
+
 def forged(folder: Path, number: int, change, versions: dict[str, str] | None = None) -> None:
     """An entry with another content and a hash that fits it: what the chain notices, replaying shall notice too."""
     with Case.open(folder, read_only=True) as case:
@@ -165,14 +170,20 @@ def shift(by_mm: float):
     ("by_mm", "versions", "outcome"),
     [
         (1e-9, None, "differs"),
+        (1e-9, {"numpy": "1.0", **NOW}, "within tolerance, by other versions"),
+        (0.1, {"numpy": "1.0", **NOW}, "differs"),
+        (0.1, {"numpy": "1.0"}, f"estimates changed in {SINCE}"),
+        (0.1, {"estimator": str(ESTIMATOR + 1)}, f"estimates changed in version {ESTIMATOR + 1}"),
         (1e-9, {"numpy": "1.0"}, "within tolerance, by other versions"),
-        (0.1, {"numpy": "1.0"}, "differs"),
     ],
 )
 def test_a_result_that_is_not_what_the_originals_give_is_noticed(
     run, copied: Path, by_mm: float, versions: dict[str, str] | None, outcome: str
 ) -> None:
-    """Were the versions the same, it must be the same to the bit; with others, to what they may change."""
+    """Were the versions the same, it must be the same to the bit; with others, to what they may change.
+
+    Of another estimator it may be anything, and how far is said.
+    """
     forged(copied, 9, shift(by_mm), versions)
     ran = run("case", "replay", copied, "--json")
     planned = ran.document["entries"][8]
@@ -182,13 +193,31 @@ def test_a_result_that_is_not_what_the_originals_give_is_noticed(
     assert difference["by"] == pytest.approx(by_mm, rel=1e-3)
     replayed = next(check for check in ran.document["checks"] if check["name"] == "case replay")
     assert replayed["passed"] is (outcome != "differs")
-    if versions:
+    if versions and "numpy" in versions:
         assert any(change.startswith("numpy 1.0 -> ") for change in planned["versions"])
+    if outcome.startswith("estimates"):
+        assert planned["largest_change"]["mm"]["by"] == pytest.approx(by_mm)
+        assert planned["largest_change"]["px"] is None
+        assert "by at most 0.1 mm (entry 9, trajectory.entry_mm[0])" in replayed["sentence"]
+
+
+def test_an_image_is_no_estimate(run, copied: Path) -> None:
+    """However old the entry, its pixels are those of the original."""
+    forged(copied, 1, lambda content: content.update(pixels_sha256="0" * 64), {"numpy": "1.0"})
+    ran = run("case", "replay", copied, "--json")
+    assert ran.code == 3
+    assert ran.document["entries"][0]["outcome"] == "differs"
 
 
 def test_another_verdict_is_a_difference_whatever_the_versions(run, copied: Path) -> None:
-    forged(copied, 9, lambda content: content.update(go=not content["go"]), {"numpy": "1.0"})
+    """Of another estimator it is said apart from the change of numbers."""
+    forged(copied, 9, lambda content: content.update(go=not content["go"]), {"numpy": "1.0", **NOW})
     assert run("case", "replay", copied, "--json").document["entries"][8]["outcome"] == "differs"
+    forged(copied, 9, lambda content: content, {"numpy": "1.0"})
+    ran = run("case", "replay", copied, "--json")
+    assert ran.document["entries"][8]["outcome"] == f"estimates changed in {SINCE}"
+    replayed = next(check for check in ran.document["checks"] if check["name"] == "case replay")
+    assert replayed["sentence"].endswith("another verdict in entry 9.")
 
 
 def test_content_that_no_stage_recorded_is_said_not_crashed_on(run, copied: Path) -> None:

@@ -222,6 +222,9 @@ def test_a_colour_image_is_read_where_it_is_grey(tmp_path: Path, grey: bool) -> 
         ({"BitsStored": 4, "HighBit": 3}, "8 to 16 bits"),
         ({"PhotometricInterpretation": "PALETTE COLOR"}, "colour"),
         ({"Rows": 4800}, "damaged"),
+        ({"Columns": 63}, "holds more pixels than it states"),
+        ({"Rows": 47}, "holds more pixels than it states"),
+        ({"BitsAllocated": 8, "BitsStored": 8, "HighBit": 7}, "holds more pixels than it states"),
     ],
 )
 def test_a_header_that_promises_what_is_not_there_is_refused(tmp_path: Path, change: dict, says: str) -> None:

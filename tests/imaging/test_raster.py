@@ -1,6 +1,8 @@
 """Raster and NumPy images are read as they are, or refused."""
 
 import pickle
+import struct
+import zlib
 from contextlib import suppress
 from pathlib import Path
 
@@ -11,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sightline.errors import ImageError, UnusableInputError
-from sightline.imaging import Radiograph, image_checks, read_image, write_png
+from sightline.imaging import Radiograph, headers, image_checks, read_image, write_png
 
 RNG = np.random.default_rng(11)
 GREY8 = RNG.integers(0, 256, (31, 43), dtype=np.uint8)
@@ -137,6 +139,67 @@ def test_a_header_that_claims_a_huge_array_reserves_no_memory(tmp_path: Path) ->
     data = (tmp_path / "image.npy").read_bytes().replace(b"(31, 43), }        ", b"(99999999, 99999), }")
     with pytest.raises(ImageError, match="limit"):
         read_image(named(tmp_path, data))
+
+
+def restated(data: bytes, kind: str) -> bytes:
+    """The same file, its width said to be one pixel less; its sum made right where it has one."""
+    out = bytearray(data)
+    width = GREY8.shape[1]
+    if kind == ".png":
+        out[16:20] = struct.pack(">I", width - 1)
+        out[29:33] = struct.pack(">I", zlib.crc32(out[12:29]))
+    elif kind == ".bmp":
+        out[18:22] = struct.pack("<i", width - 4)  # rows end at multiples of four bytes
+    else:
+        at = out.index(struct.pack("<HHI", 256, 3, 1)) + 8
+        out[at : at + 2] = struct.pack("<H", width - 1)
+    return bytes(out)
+
+
+@pytest.mark.parametrize(
+    ("kind", "options"),
+    [
+        (".png", ()),
+        (".bmp", ()),
+        (".tiff", (cv2.IMWRITE_TIFF_COMPRESSION, 1)),
+        (".tiff", (cv2.IMWRITE_TIFF_COMPRESSION, 1, cv2.IMWRITE_TIFF_ROWSPERSTRIP, 4)),
+        (".tiff", (cv2.IMWRITE_TIFF_COMPRESSION, 8, cv2.IMWRITE_TIFF_ROWSPERSTRIP, 4)),
+    ],
+)
+def test_a_file_that_holds_more_than_it_states_is_refused_not_sheared(
+    tmp_path: Path, kind: str, options: tuple[int, ...]
+) -> None:
+    data = encoded(GREY8, kind, *options)
+    np.testing.assert_array_equal(read_image(named(tmp_path, data)).pixels, GREY8)
+    with pytest.raises(ImageError, match="holds more pixels than it states"):
+        read_image(named(tmp_path, restated(data, kind)))
+
+
+def test_an_array_with_more_behind_it_is_refused(tmp_path: Path) -> None:
+    np.save(tmp_path / "one.npy", GREY16)
+    data = (tmp_path / "one.npy").read_bytes()
+    np.testing.assert_array_equal(read_image(named(tmp_path, data)).pixels, GREY16)
+    for more in (data, b"\0"):
+        with pytest.raises(ImageError, match="not a whole NumPy file"):
+            read_image(named(tmp_path, data + more))
+
+
+def test_an_interlaced_png_is_read(tmp_path: Path) -> None:
+    """Adam7, which OpenCV does not write: seven small images, each without a filter."""
+    rows = b"".join(
+        b"\0" + GREY8[y, left::across].tobytes()
+        for left, top, across, down in headers._ADAM7
+        for y in range(top, GREY8.shape[0], down)
+        if left < GREY8.shape[1]
+    )
+    chunks = [(b"IHDR", struct.pack(">IIBBBBB", *GREY8.shape[::-1], 8, 0, 0, 0, 1))]
+    chunks += [(b"IDAT", zlib.compress(rows)), (b"IEND", b"")]
+    data = b"\x89PNG\r\n\x1a\n" + b"".join(
+        struct.pack(">I", len(body)) + kind + body + struct.pack(">I", zlib.crc32(kind + body)) for kind, body in chunks
+    )
+    np.testing.assert_array_equal(read_image(named(tmp_path, data)).pixels, GREY8)
+    with pytest.raises(ImageError, match="holds more pixels than it states"):
+        read_image(named(tmp_path, restated(data, ".png")))
 
 
 def test_a_folder_an_absent_file_and_a_frame_of_a_still_are_refused(tmp_path: Path) -> None:

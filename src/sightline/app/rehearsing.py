@@ -42,14 +42,14 @@ def drawn(patient: Patient) -> "Rehearsal":
 
 def images(patient: Patient) -> dict[str, bytes]:
     """The planning images as DICOM, by view."""
-    return _files(drawn(patient).images)
+    return _files(drawn(patient).images, patient)
 
 
 def check_images(patient: Patient, wire: str) -> dict[str, bytes]:
     """The check shot's images as DICOM, by view, with the wire (`SimulatedWire.text`) in the bone."""
     from sightline.robot.simulated import SimulatedWire
 
-    return _files(drawn(patient).check_images(SimulatedWire.of(wire)).images)
+    return _files(drawn(patient).check_images(SimulatedWire.of(wire)).images, patient)
 
 
 def bone(patient: Patient) -> list[dict[str, Any]]:
@@ -59,7 +59,7 @@ def bone(patient: Patient) -> list[dict[str, Any]]:
     return [one for volume in drawn(patient).hip.bone.volumes for one in bone_objects(volume)]
 
 
-def _files(radiographs: Mapping[str, Radiograph]) -> dict[str, bytes]:
+def _files(radiographs: Mapping[str, Radiograph], patient: Patient) -> dict[str, bytes]:
     with TemporaryDirectory() as folder:
-        written = {name: write_dicom(radiographs[name], Path(folder) / f"{name}.dcm") for name in NAMES}
+        written = {name: write_dicom(radiographs[name], Path(folder) / f"{name}.dcm", patient.side) for name in NAMES}
         return {name: file.read_bytes() for name, file in written.items()}

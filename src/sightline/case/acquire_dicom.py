@@ -21,6 +21,7 @@ from pydicom.uid import (
     ExplicitVRLittleEndian,
     ImplicitVRLittleEndian,
     JPEG2000TransferSyntaxes,
+    JPEGExtended12Bit,
     JPEGLSTransferSyntaxes,
     JPEGTransferSyntaxes,
     MultiFrameGrayscaleByteSecondaryCaptureImageStorage,
@@ -58,12 +59,13 @@ _IMAGES = (
     MultiFrameGrayscaleByteSecondaryCaptureImageStorage,
     MultiFrameGrayscaleWordSecondaryCaptureImageStorage,
 )
-# What `read_image` reads; the deflated syntax, which could unpack to any size, is not among them.
+# What `read_image` reads. Not the deflated syntax, which could unpack to any size; nor JPEG Extended, whose 12 bits are
+# not decoded here: a sender that is not offered it sends another one, and no image is lost.
 _SYNTAXES: list[UID] = [
     ExplicitVRLittleEndian,
     ImplicitVRLittleEndian,
     ExplicitVRBigEndian,
-    *JPEGTransferSyntaxes,
+    *(syntax for syntax in JPEGTransferSyntaxes if syntax != JPEGExtended12Bit),
     *JPEGLSTransferSyntaxes,
     *JPEG2000TransferSyntaxes,
     RLELossless,

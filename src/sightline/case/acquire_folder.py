@@ -5,6 +5,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+from sightline.bounded import regular_file
 from sightline.case.acquire import Acquirer, News, Tell, news_of
 from sightline.errors import CaseError, ImageError, UnusableInputError
 from sightline.imaging import suffix_of
@@ -27,6 +28,12 @@ class _Seen:
     told: bool = False
 
 
+def check_folder(folder: Path) -> None:
+    """Raises UnusableInputError where there is no such folder; to be asked before a case is created for it."""
+    if not folder.is_dir():
+        raise UnusableInputError("there is no such folder; name the folder that images are written to")
+
+
 class Folder:
     """A folder of images. Files are numbered as they are found, those found together in the order of their names.
 
@@ -34,8 +41,7 @@ class Folder:
     """
 
     def __init__(self, folder: Path, acquirer: Acquirer, tell: Tell) -> None:
-        if not folder.is_dir():
-            raise UnusableInputError("there is no such folder; name the folder that images are written to")
+        check_folder(folder)
         self._folder, self._acquirer, self._tell = folder, acquirer, tell
         self._files: dict[Path, _Seen] = {}
 
@@ -122,5 +128,5 @@ def _read(path: Path) -> bytes:
         raise ImageError(f"the limit is {MAX_FILE_BYTES} bytes: export single images")
     if size == 0:
         raise ImageError("it is empty; export the image again")
-    with path.open("rb") as file:
+    with regular_file(path) as file:
         return file.read(size)  # room is made for all that is asked for

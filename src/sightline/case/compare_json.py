@@ -1,7 +1,8 @@
 """Two JSON documents held against each other: where they differ, and whether machines may differ by so much."""
 
 import json
-from collections.abc import Iterator
+import re
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any, TypeGuard
 
@@ -22,6 +23,12 @@ class Difference:
     now: Any
     by: float | None
     close: bool
+
+
+def largest(found: Iterable[Difference], unit: str) -> Difference | None:
+    """The largest change among numbers whose key ends in this unit, `px` or `mm`; None where there is none."""
+    ours = [one for one in found if one.by is not None and re.search(rf"_{unit}(\[\d+\])*$", one.where)]
+    return max(ours, key=lambda one: one.by or 0.0, default=None)
 
 
 def differences(then: Any, now_text: str) -> tuple[Difference, ...]:

@@ -15,6 +15,7 @@ from pydicom.sequence import Sequence
 from pydicom.uid import generate_uid
 
 from sightline import __version__
+from sightline.bounded import regular_file
 from sightline.imaging import read_image, write_dicom
 from sightline.imaging.dicom import quiet
 from sightline.imaging.headers import damaged
@@ -52,6 +53,7 @@ class Deidentifier:
         for keyword in _UIDS:
             setattr(out, keyword, self._uid(source[keyword]))
         out.PatientName = out.PatientID = NOBODY
+        out.StudyID = None
         out.DeidentificationMethod = f"PS3.15 basic profile, Sightline {__version__}"
         out.DeidentificationMethodCodeSequence = Sequence([_code(*_METHOD)])
         out.LongitudinalTemporalInformationModified = "REMOVED"
@@ -71,7 +73,7 @@ class Deidentifier:
 
 def _source(file: Path) -> dict[str, Any]:
     """UIDs, which tell what belongs together, and what is said of burnt-in text; None each where there is nothing."""
-    with file.open("rb") as stream:
+    with regular_file(file) as stream:
         is_dicom = stream.read(132)[128:] == b"DICM"
     if not is_dicom:
         return dict.fromkeys([*_UIDS, "BurnedInAnnotation"])

@@ -1,13 +1,9 @@
-"""Results as files: what is written of a view, and folders of documents."""
+"""Results as documents: what is written of a view and of a check."""
 
-from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
-from sightline.atomic import write_whole
 from sightline.case.views import CalibratedImage
 from sightline.checks import Check
-from sightline.errors import UnusableInputError
 
 
 def view_document(image: CalibratedImage) -> dict[str, Any]:
@@ -35,14 +31,3 @@ def view_document(image: CalibratedImage) -> dict[str, Any]:
 def check_document(check: Check) -> dict[str, Any]:
     """A check as JSON types."""
     return dict(vars(check))
-
-
-def write_folder(folder: Path, documents: Mapping[str, bytes]) -> list[Path]:
-    """Write files into a folder, made where it is missing; each is whole or not there. Raises UnusableInputError."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise UnusableInputError(
-            f"cannot make the folder {folder}: {error.strerror}; name another with --out"
-        ) from error
-    return [write_whole(folder / name, data) for name, data in documents.items()]

@@ -13,6 +13,7 @@ from typing import Any
 from sightline import __version__
 from sightline.case.canonical import canonical, digest
 from sightline.errors import CaseError
+from sightline.estimator import ESTIMATOR
 
 # What can be kept, by its suffix: images, observations, frames.
 SUFFIXES = (".dcm", ".png", ".tif", ".tiff", ".bmp", ".npy", ".csv", ".json")
@@ -95,6 +96,7 @@ def versions() -> dict[str, str]:
     names = ("numpy", "scipy", "numba", "opencv-python-headless", "pydicom", "python-gdcm")
     return {
         "sightline": __version__,
+        "estimator": str(ESTIMATOR),
         "python": python_version(),
         **{name: version(name) for name in names},
         "machine": f"{system()} {machine()} {get_host_cpu_name()}",

@@ -26,6 +26,7 @@ class Shape:
     xyz_mm: np.ndarray
     style: str
     says: str = ""
+    radius: float = 0.0  # of a circle: an attribute, since other readers of SVG than browsers take none from CSS
 
 
 def line(start_mm: np.ndarray, end_mm: np.ndarray, style: str, says: str = "") -> Shape:
@@ -33,9 +34,9 @@ def line(start_mm: np.ndarray, end_mm: np.ndarray, style: str, says: str = "") -
     return Shape("polyline", np.array([start_mm, end_mm]), style, says)
 
 
-def dot(xyz_mm: np.ndarray, style: str, says: str = "") -> Shape:
-    """A round mark that keeps its size."""
-    return Shape("circle", np.reshape(xyz_mm, (1, 3)), style, says)
+def dot(xyz_mm: np.ndarray, style: str, radius: float, says: str = "") -> Shape:
+    """A round mark that keeps its size, `radius` on the page."""
+    return Shape("circle", np.reshape(xyz_mm, (1, 3)), style, says, radius)
 
 
 def label(xyz_mm: np.ndarray, words: str) -> Shape:
@@ -47,7 +48,7 @@ def plate(xyz_mm: np.ndarray, style: str, says: str) -> list[Shape]:
     """The outline of a plate's beads (N, 3), and the beads."""
     plane = Plane.fit(xyz_mm)
     outline = xyz_mm[ConvexHull(plane.to_plane(xyz_mm)).vertices]
-    return [Shape("polygon", outline, f"plate {style}", says), *(dot(p, f"bead {style}") for p in xyz_mm)]
+    return [Shape("polygon", outline, f"plate {style}", says), *(dot(p, f"bead {style}", 1.7) for p in xyz_mm)]
 
 
 def magnification(covariances_mm2: np.ndarray, drawn_mm: float) -> float:
@@ -85,7 +86,7 @@ def _drawn(shape: Shape, xy: np.ndarray) -> str:
         return svg.text(shape.says, xy[0, 0], xy[0, 1], **marks)
     says = (svg.hint(shape.says),) if shape.says else ()
     if shape.kind == "circle":
-        return svg.element("circle", *says, cx=float(xy[0, 0]), cy=float(xy[0, 1]), **marks)
+        return svg.element("circle", *says, cx=float(xy[0, 0]), cy=float(xy[0, 1]), r=shape.radius, **marks)
     return svg.element(shape.kind, *says, points=svg.points(xy), **marks)
 
 

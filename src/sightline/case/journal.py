@@ -11,6 +11,7 @@ from threading import RLock
 from types import TracebackType
 from typing import Any, Self, TypeVar
 
+from sightline.atomic import sync_folder
 from sightline.case import originals, schema
 from sightline.case.canonical import canonical, digest
 from sightline.case.database import connect, in_memory, log_ahead, said, transaction
@@ -57,8 +58,8 @@ class Case:
                     db.close()
                     return Case.open(place)
                 log_ahead(db)
-                originals.sync_folder(place)
-                originals.sync_folder(place.absolute().parent)
+                sync_folder(place)
+                sync_folder(place.absolute().parent)
                 return Case(place, db)
             except BaseException:
                 db.close()

@@ -7,6 +7,8 @@ from pathlib import Path
 from stat import S_IRGRP, S_IROTH, S_IRUSR
 from threading import get_ident
 
+from sightline.atomic import sync_folder
+from sightline.bounded import regular_file
 from sightline.case.canonical import digest
 from sightline.case.entry import ORIGINAL, SUFFIXES
 from sightline.errors import CaseError
@@ -33,7 +35,7 @@ def short(name: str) -> str:
 
 def called(path: Path) -> str:
     """A file of beads or of an image as a case would call it, shortly: its own name may be a patient's."""
-    with path.open("rb") as file:
+    with regular_file(path) as file:
         suffix = suffix_of(file.read(_START)) or ".csv"
         file.seek(0)
         return file_digest(file, "sha256").hexdigest()[:_SHOWN] + suffix
@@ -69,13 +71,3 @@ def path_of(folder: Path, name: str) -> Path:
     if not (ORIGINAL.fullmatch(name) and path.is_file()):
         raise CaseError("the case has no such original; `sightline case check` says what is missing")
     return path
-
-
-def sync_folder(folder: Path) -> None:
-    """Names in a folder are on the disk only once the folder is; Windows knows no such thing."""
-    if os.name == "posix":
-        handle = os.open(folder, os.O_RDONLY)
-        try:
-            os.fsync(handle)
-        finally:
-            os.close(handle)

@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 from sightline.calibration import calibrate
 from sightline.case import contents
 from sightline.case.canonical import canonical, digest, plain
-from sightline.case.compare_json import Difference, differences
+from sightline.case.compare_json import Difference, differences, largest
 from sightline.case.contents import Asked, CheckAsked, Pair
 from sightline.case.entry import Entry, Kind, versions
 from sightline.case.journal import Case
@@ -20,6 +20,7 @@ from sightline.checks import Check
 from sightline.detection import Detections, detect
 from sightline.detection.files import read_observations
 from sightline.errors import CaseError, ObservationsError, RefusedError, SightlineError
+from sightline.estimator import ESTIMATOR, FIRST
 from sightline.frame import Frame
 from sightline.imaging import Radiograph
 from sightline.planning import Plan
@@ -33,6 +34,7 @@ class Outcome(StrEnum):
 
     SAME = "same to the bit"
     CLOSE = "within tolerance, by other versions"
+    ESTIMATES = "estimates changed"
     DIFFERENT = "differs"
     FAILED = "cannot be computed again"
     RECORDED = "recorded, not computed"
@@ -41,7 +43,7 @@ class Outcome(StrEnum):
 @dataclass(frozen=True)
 class Replayed:
     """One entry, computed again. `changed`: versions that are not those of the entry, as "name then -> now";
-    `differences`: where DIFFERENT or CLOSE, the largest first; `reason`: why it FAILED."""
+    `differences`: where the result is another, the largest first; `reason`: why it FAILED."""
 
     entry: Entry
     outcome: Outcome
@@ -53,6 +55,11 @@ class Replayed:
     def passed(self) -> bool:
         """True unless something speaks against the entry."""
         return self.outcome not in (Outcome.DIFFERENT, Outcome.FAILED)
+
+    @property
+    def said(self) -> str:
+        """The outcome in words; where ESTIMATES, with the estimator's versions that changed them."""
+        return f"{self.outcome} in {_since(self.entry)}" if self.outcome is Outcome.ESTIMATES else str(self.outcome)
 
 
 class Recomputed:
@@ -176,8 +183,10 @@ def judge(replayed: Sequence[Replayed]) -> Check:
     computed = [one for one in replayed if one.outcome is not Outcome.RECORDED]
     same = sum(one.outcome is Outcome.SAME for one in computed)
     sentence = f"Of {len(computed)} computed entries {same} are the same to the bit"
-    if close := len(computed) - same - len(bad):
+    if close := sum(one.outcome is Outcome.CLOSE for one in computed):
         sentence += f", {close} within the tolerances, by other versions"
+    if moved := [one for one in computed if one.outcome is Outcome.ESTIMATES]:
+        sentence += f"; of {len(moved)} the {moved[0].said}, {_by_at_most(moved)}"
     if bad:
         sentence += f"; entry {bad[0].entry.number} ({bad[0].entry.kind}) {bad[0].outcome}"
     return Check("case replay", not bad, float(len(bad)), 0.0, "entries", sentence + ".")
@@ -196,8 +205,37 @@ def _replayed(entry: Entry, again: Recomputed) -> Replayed:
     if digest(text) == entry.content_sha256:
         return Replayed(entry, Outcome.SAME, changed)
     found = differences(entry.content, text)
-    close = bool(changed) and all(one.close for one in found)
-    return Replayed(entry, Outcome.CLOSE if close else Outcome.DIFFERENT, changed, found)
+    if changed and all(one.close for one in found):
+        outcome = Outcome.CLOSE
+    elif _estimator(entry) != ESTIMATOR and all(one.where != "pixels_sha256" for one in found):  # no estimate
+        outcome = Outcome.ESTIMATES
+    else:
+        outcome = Outcome.DIFFERENT
+    return Replayed(entry, outcome, changed, found)
+
+
+def _estimator(entry: Entry) -> int:
+    stated = entry.versions.get("estimator", "")
+    return int(stated) if stated.isdecimal() else FIRST
+
+
+def _since(entry: Entry) -> str:
+    """The versions in which the estimates became others than the entry's."""
+    low, high = sorted((_estimator(entry), ESTIMATOR))
+    return f"version {high}" if high == low + 1 else f"versions {low + 1} to {high}"
+
+
+def _by_at_most(replayed: Sequence[Replayed]) -> str:
+    """The largest changes of pixels and lengths, each with its place, and verdicts that changed."""
+    said = []
+    for unit in ("px", "mm"):
+        tops = [(top, one) for one in replayed if (top := largest(one.differences, unit)) is not None]
+        if tops:
+            top, one = max(tops, key=lambda pair: pair[0].by or 0.0)
+            said.append(f"{top.by:.2g} {unit} (entry {one.entry.number}, {top.where})")
+    words = f"by at most {' and '.join(said)}" if said else "without a change of pixels or lengths"
+    other = [one.entry.number for one in replayed if any(d.where == "go" for d in one.differences)]
+    return f"{words}; another verdict in entry {', '.join(map(str, other))}" if other else words
 
 
 def _changed(entry: Entry) -> tuple[str, ...]:

@@ -185,7 +185,7 @@ def _whole(report: "Report") -> Iterable[figure_space.Shape]:
         yield from figure_space.plate(plates.xrii.xyz_mm, "xrii", f"{spoken(image.name)} XRII plate")
         yield from figure_space.plate(plates.source.xyz_mm, "source", f"{spoken(image.name)} source plate")
         focal = image.view.focal_point_mm
-        yield figure_space.dot(focal, "focal", f"{spoken(image.name)} focal point")
+        yield figure_space.dot(focal, "focal", 6.0, f"{spoken(image.name)} focal point")
         yield figure_space.label(focal, f"{spoken(image.name)} focal point")
         for line in _lines(report, image):
             yield figure_space.line(focal, line, "sight")

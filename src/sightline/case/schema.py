@@ -4,10 +4,10 @@ import secrets
 import sqlite3
 from pathlib import Path
 
+from sightline.atomic import sync_folder
 from sightline.case.canonical import digest
 from sightline.case.database import connect, transaction
 from sightline.case.entry import link
-from sightline.case.originals import sync_folder
 from sightline.case.rows import HEAD, first_link, head_of_row
 from sightline.errors import CaseError
 

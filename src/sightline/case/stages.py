@@ -4,6 +4,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+from sightline.bounded import read_bounded
 from sightline.case import contents
 from sightline.case.contents import Asked, CheckAsked
 from sightline.case.entry import Entry, Kind
@@ -16,6 +17,7 @@ from sightline.frame.builtin import BUILTIN
 from sightline.frame.files import frame_to_json
 from sightline.frame.handed import refuse_mirror_image
 from sightline.imaging import Radiograph, read_image
+from sightline.imaging.limits import MAX_FILE_BYTES
 from sightline.planning import Plan
 from sightline.planning.check_result import CheckShot
 
@@ -103,7 +105,8 @@ def record_calibrated(case: Case, labelled: Entry, image: CalibratedImage, *, by
 def record_view(case: Case, file: Path, image: CalibratedImage, *, frame_ref: str, by: Actor) -> Entry:
     """Everything of one view, from its file to its geometry, as `case.views` makes it; the entry of the latter."""
     seen = image.seen
-    source = record_acquired(case, file.read_bytes(), file.suffix.lower(), by=by)
+    data = read_bounded(file, MAX_FILE_BYTES, CaseError, "export single images")
+    source = record_acquired(case, data, file.suffix.lower(), by=by)
     if seen.beads is not None:
         source = record_detected(case, source, seen.beads, by=by)
     labelled = record_labelled(case, source, seen.observations, frame_ref=frame_ref, by=by)

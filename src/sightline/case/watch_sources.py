@@ -5,6 +5,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
+from sightline.bounded import regular_file
 from sightline.errors import UnusableInputError
 from sightline.imaging import suffix_of
 from sightline.imaging.source import Frame, Run, Source
@@ -68,5 +69,5 @@ def _kind(path: Path) -> str | None:
     """The suffix that suits the file's content; None where it is no image, or no file."""
     if not path.is_file():
         return None
-    with path.open("rb") as file:
+    with regular_file(path) as file:
         return suffix_of(file.read(_START))

@@ -21,6 +21,7 @@ At its top a command file imports the standard library, typer, `sightline.cli.ou
 """
 
 import os
+import signal
 from importlib import import_module
 from importlib.util import find_spec
 from typing import Annotated
@@ -28,6 +29,7 @@ from typing import Annotated
 import typer
 
 from sightline import __version__
+from sightline.cli.output import Terminated
 
 _COMMANDS = (
     "demo",
@@ -90,4 +92,12 @@ def main() -> None:
     """Entry point of `sightline`."""
     for name in _BLAS_THREADS:
         os.environ.setdefault(name, "1")  # read when numpy is first imported, which no command file does at its top
+    # A shell without job control starts what runs in the background with SIGINT ignored, and Python would leave it so.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    signal.signal(signal.SIGTERM, _terminate)
     commands()
+
+
+def _terminate(*_: object) -> None:
+    """SIGTERM, from a service manager or at a shutdown, ends a command as Ctrl-C does."""
+    raise Terminated

@@ -51,17 +51,19 @@ def folder(
     """Take the images of a folder into a case, each once; with --watch those that come later too."""
     if robot and not watch:
         raise typer.BadParameter("goes with --watch: images that lie there already are older", param_hint="--robot")
-    with Output(json=json, quiet=quiet) as out, _into(case, out, robot) as desk:
-        from sightline.case.acquire_folder import SCAN_S, Folder
+    with Output(json=json, quiet=quiet) as out:
+        from sightline.case.acquire_folder import SCAN_S, Folder, check_folder
 
-        files = Folder(source, desk.acquirer, desk.tell)
-        if watch:
-            out.note("watching the folder; stop with Ctrl-C")
-            desk.until_interrupted(lambda: files.scan(time.monotonic()), SCAN_S)
-        else:
-            files.take_all()
-        out.result({**desk.document(), "waiting": files.waiting})
-        desk.end()
+        check_folder(source)
+        with _into(case, out, robot) as desk:
+            files = Folder(source, desk.acquirer, desk.tell)
+            if watch:
+                out.note("watching the folder; stop with Ctrl-C")
+                desk.until_interrupted(lambda: files.scan(time.monotonic()), SCAN_S)
+            else:
+                files.take_all()
+            out.result({**desk.document(), "waiting": files.waiting})
+            desk.end()
 
 
 @app.command("dicom")
@@ -77,14 +79,15 @@ def dicom(
     quiet: Quiet = False,
 ) -> None:
     """Receive images by DICOM C-STORE into a case until Ctrl-C; each is on the disk before it is answered."""
-    with Output(json=json, quiet=quiet) as out, _into(case, out, robot) as desk:
+    with Output(json=json, quiet=quiet) as out:
         from sightline.case.acquire_dicom import DicomReceiver, Peer
 
         peers = [Peer.parse(text) for text in peer]
-        with DicomReceiver(desk.acquirer, peers, desk.tell, aet=aet, host=host, port=port) as receiver:
-            out.note(f"listening at port {receiver.port} as {aet}; stop with Ctrl-C")
-            desk.until_interrupted(lambda: None, 0.5)
-        out.result({"port": receiver.port, **desk.document()})
+        with _into(case, out, robot) as desk:
+            with DicomReceiver(desk.acquirer, peers, desk.tell, aet=aet, host=host, port=port) as receiver:
+                out.note(f"listening at port {receiver.port} as {aet}; stop with Ctrl-C")
+                desk.until_interrupted(lambda: None, 0.5)
+            out.result({"port": receiver.port, **desk.document()})
 
 
 @app.command("video")
@@ -103,7 +106,7 @@ def video(
     quiet: Quiet = False,
 ) -> None:
     """Take one image of a video source into a case, or the mean of several if nothing moved."""
-    with Output(json=json, quiet=quiet) as out, _into(case, out) as desk:
+    with Output(json=json, quiet=quiet) as out:
         from sightline.imaging.source import Run
         from sightline.imaging.video import VideoSource
 
@@ -115,7 +118,7 @@ def video(
         source = Run(Path(place)) if is_run else VideoSource(at, crop=part, tell=out.note)
         how = {"crop": part} if part else {}
         options = {"field": field, "interlaced": not is_run}
-        _take(out, desk, source, first=skip + 1, average=average, robot=robot, options=options, how=lambda: how)
+        _take(out, case, source, first=skip + 1, average=average, robot=robot, options=options, how=lambda: how)
 
 
 @app.command("igtl")
@@ -132,7 +135,7 @@ def igtl(
     quiet: Quiet = False,
 ) -> None:
     """Take one image of an OpenIGTLink peer (3D Slicer, PLUS) into a case, or the mean of several."""
-    with Output(json=json, quiet=quiet) as out, _into(case, out) as desk:
+    with Output(json=json, quiet=quiet) as out:
         from sightline.case.acquire_igtl import ImageLink
         from sightline.cli.robot import parse_address
 
@@ -140,12 +143,12 @@ def igtl(
         link = ImageLink(host, port, listen=listen, tell=out.note)
         if listen:
             out.note(f"waiting at port {link.port}")
-        _take(out, desk, link, first=1, average=average, robot=robot, options={}, how=link.stated)
+        _take(out, case, link, first=1, average=average, robot=robot, options={}, how=link.stated)
 
 
 def _take(
     out: Output,
-    desk: "_Desk",
+    case: Path,
     source: "Source",
     *,
     first: int,
@@ -174,8 +177,9 @@ def _take(
                 break
         if len(frames) < average:
             raise SourceError(f"the source ended after {len(frames)} of {average} images; ask for fewer")
+        desk = stack.enter_context(_into(case, out))  # now that there is something to take
         desk.tell(news_of(take_frames(desk.acquirer, frames, pose=pose, how=how(), **options)))
-    out.result(desk.document(), checks=[pose.check] if pose else [])
+        out.result(desk.document(), checks=[pose.check] if pose else [])
 
 
 def _crop(text: str | None) -> tuple[int, int, int, int] | None:
@@ -189,11 +193,12 @@ def _crop(text: str | None) -> tuple[int, int, int, int] | None:
 
 
 def _is_image(file: Path) -> bool:
+    from sightline.bounded import regular_file
     from sightline.imaging import suffix_of
 
     if not file.is_file():
         return False
-    with file.open("rb") as stream:
+    with regular_file(file) as stream:
         return suffix_of(stream.read(132)) is not None
 
 

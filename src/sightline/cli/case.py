@@ -81,8 +81,8 @@ def report(
 ) -> None:
     """The report of the case's last plan, computed again; it names the case by its number alone."""
     with Output(json=json, quiet=quiet) as output:
+        from sightline.atomic import write_folder
         from sightline.case.case_report import report_of
-        from sightline.case.documents import write_folder
         from sightline.case.journal import Case
         from sightline.case.report import render
         from sightline.case.report_document import report_document
@@ -123,7 +123,7 @@ def _checked(folder: Path) -> tuple[dict[str, Any], tuple[Check, ...]]:
 
 
 def _row(one: "Replayed") -> tuple[str, str, str]:
-    said = [f"{one.outcome}{f': {one.reason}' if one.reason else ''}"]
+    said = [f"{one.said}{f': {one.reason}' if one.reason else ''}"]
     said += [f"{d.where}: {d.then} -> {d.now}" for d in one.differences[:_SHOWN]]
     if len(one.differences) > _SHOWN:
         said.append(f"and {len(one.differences) - _SHOWN} more")
@@ -131,12 +131,15 @@ def _row(one: "Replayed") -> tuple[str, str, str]:
 
 
 def _document(one: "Replayed") -> dict[str, Any]:
+    from sightline.case.compare_json import largest
+
     return {
         "entry": one.entry.number,
         "kind": one.entry.kind,
-        "outcome": one.outcome,
+        "outcome": one.said,
         "reason": one.reason or None,
         "versions": one.changed,
+        "largest_change": {unit: largest(one.differences, unit) for unit in ("px", "mm")},
         "differences": one.differences,
     }
 

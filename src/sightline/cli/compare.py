@@ -25,7 +25,7 @@ def compare(
     with Output(json=json, quiet=quiet) as output:
         import numpy as np
 
-        from sightline.case.documents import write_folder
+        from sightline.atomic import write_folder
         from sightline.studies.compare import alone, document, findings, pictures, read_folder
         from sightline.studies.compare import compare as one_pair
         from sightline.studies.compare_page import render

@@ -24,8 +24,8 @@ def deidentify(
 ) -> None:
     """New DICOM files of the pixels and the geometry alone; text burnt into the pixels stays."""
     with Output(json=json, quiet=quiet) as output:
+        from sightline.atomic import write_folder
         from sightline.case.deidentify import Deidentifier
-        from sightline.case.documents import write_folder
 
         cleaner = Deidentifier()
         cleaned = [cleaner.clean(image, frame_index) for image in images]  # all of them, before one is written

@@ -43,7 +43,7 @@ def demo(
         from sightline.atomic import whole_folder
 
         output.note(f"Sightline demo, seed {seed}: about half a minute; the first run compiles and takes one or two")
-        with whole_folder(out) as scratch:
+        with whole_folder(out, units=("case",)) as scratch:
             document = _run(output, scratch, seed)
             files = [out / file.name for file in sorted(scratch.iterdir())]
         output.say(f"report: {out / 'report.html'}")
@@ -71,7 +71,9 @@ def _run(output: Output, folder: Path, seed: int) -> dict[str, Any]:
         rehearsal = Rehearsal.draw(seed, frame)
         wire = rehearsal.hip.wire_mm
         truth = Truth(wire, rehearsal.pixels(wire))
-        pa, lateral = (write_dicom(rehearsal.images[name], folder / f"demo_{name}.dcm") for name in NAMES)
+        pa, lateral = (
+            write_dicom(rehearsal.images[name], folder / f"demo_{name}.dcm", rehearsal.side) for name in NAMES
+        )
     with output.step("2/8 reading the images, finding and telling apart the beads"):
         seen = see_pair(pa, lateral, frame)
     images: dict[str, tuple[CalibratedImage, CalibratedImage]] = {}
@@ -162,7 +164,8 @@ def _compare(
 
 
 def _write_results(folder: Path, page: str, report: "Report", truth: dict[str, Any]) -> None:
-    from sightline.case.documents import view_document, write_folder
+    from sightline.atomic import write_folder
+    from sightline.case.documents import view_document
     from sightline.cli.output import as_json
     from sightline.detection.files import write_observations
 

@@ -47,7 +47,7 @@ def views(
 ) -> None:
     """Each view's undistorted image and its exact matrix (exit code 3 where a view's check failed)."""
     with Output(json=json, quiet=quiet) as output:
-        from sightline.case.documents import write_folder
+        from sightline.atomic import write_folder
         from sightline.case.interop.formats import known, write_view
 
         kinds = [known(kind.strip()) for kind in to.split(",")]
@@ -85,7 +85,7 @@ def undistorted(
 ) -> None:
     """Each image without distortion, as the X-ray source sees the XRII plate, with its matrix beside it."""
     with Output(json=json, quiet=quiet) as output:
-        from sightline.case.documents import write_folder
+        from sightline.atomic import write_folder
         from sightline.case.interop import opencv
         from sightline.case.interop.images import encode
         from sightline.case.interop.writing import json_bytes

@@ -37,7 +37,7 @@ def plan(
     with Output(json=json, quiet=quiet) as output:
         from datetime import datetime
 
-        from sightline.case.documents import write_folder
+        from sightline.atomic import write_folder
         from sightline.case.interop import dicom_plan, itk, robot_files, slicer, tables
         from sightline.case.interop.dicom_parts import Filed
         from sightline.case.interop.plan_file import PlanFile
@@ -47,7 +47,7 @@ def plan(
         unknown = [kind for kind in kinds if kind not in KINDS]
         if unknown:
             raise UnusableInputError(f"{unknown[0]!r} is no format of a plan; choose of {', '.join(KINDS)}")
-        filed = Filed(case, datetime.now().replace(microsecond=0))
+        filed = Filed(case, datetime.now().replace(microsecond=0), side)
         known, originals = PlanFile.read(path), _originals(original)
         if None not in (side, known.side) and side != known.side:
             raise UnusableInputError(f"--side is {side}, the plan's side {known.side}; find out which it is")
@@ -63,7 +63,8 @@ def plan(
         }
         with output.step("making the files"):
             made = {kind: writers[kind]() for kind in kinds}  # all of them, before any is written
-        written = [file for kind, files in made.items() for file in write_folder(out / kind, files)]
+        documents = {f"{kind}/{name}": data for kind, files in made.items() for name, data in files.items()}
+        written = write_folder(out, documents)
         output.say(known.statement)
         for file in written:
             output.say(f"written: {file}")

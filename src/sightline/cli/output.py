@@ -25,7 +25,12 @@ Quiet = Annotated[bool, typer.Option("--quiet", help="Print nothing but errors a
 
 # Typer turns these into exit codes itself.
 _PASSED_ON = (typer.Exit, typer.Abort, typer.BadParameter, BrokenPipeError)
-_REFUSED, _BUG, _INTERRUPTED = 3, 1, 130  # 130 = 128 + SIGINT, as shells expect
+_REFUSED, _BUG = 3, 1
+_INTERRUPTED, _TERMINATED = 130, 143  # 128 + SIGINT, 128 + SIGTERM, as shells expect
+
+
+class Terminated(KeyboardInterrupt):
+    """SIGTERM came; handled wherever Ctrl-C is."""
 
 
 class Output:
@@ -108,6 +113,8 @@ class Output:
                 typer.echo(self._document or "{}")
             if self._refused:
                 raise typer.Exit(_REFUSED)
+        elif isinstance(error, Terminated):
+            self._fail("Interrupted", "stopped by a signal (SIGTERM)", _TERMINATED)
         elif isinstance(error, KeyboardInterrupt):
             self._fail("Interrupted", "stopped by the keyboard", _INTERRUPTED)
         elif isinstance(error, SightlineError):

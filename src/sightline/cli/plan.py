@@ -243,7 +243,7 @@ def show(output: Output, planned: "Plan") -> None:
 
 
 def _write(folder: Path, report: "Report", document: dict[str, Any]) -> list[Path]:
-    from sightline.case.documents import write_folder
+    from sightline.atomic import write_folder
     from sightline.case.interop.bundle import bundle
     from sightline.case.interop.plan_file import sealed
     from sightline.case.report import render

@@ -112,5 +112,5 @@ def _write(
             files.append(write_png(image, folder / f"{name}.png"))
         else:
             stated = nominal_tags(made.setup.views[name], made.setup.side) if tags else image.tags
-            files.append(write_dicom(replace(image, tags=stated), folder / f"{name}.dcm"))
+            files.append(write_dicom(replace(image, tags=stated), folder / f"{name}.dcm", made.setup.side))
     return [*files, write_whole(folder / "truth.json", as_json(truth).encode())]

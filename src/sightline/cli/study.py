@@ -62,11 +62,8 @@ def _do(output: Output, run: "Run", scheduler: str | None) -> "Result":
 
 
 def _write(folder: Path, chosen: "Study", result: "Result") -> list[Path]:
-    from sightline.atomic import write_whole
+    from sightline.atomic import write_folder
     from sightline.studies.page import render
 
     page = render(chosen.about, result)
-    return [
-        write_whole(folder / "report.html", page.encode()),
-        write_whole(folder / "result.json", as_json(result.document()).encode()),
-    ]
+    return write_folder(folder, {"report.html": page.encode(), "result.json": as_json(result.document()).encode()})

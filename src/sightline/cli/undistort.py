@@ -82,7 +82,7 @@ def _write(folder: Path, image: "PlaneImage", document: dict[str, Any]) -> list[
     import cv2
     import numpy as np
 
-    from sightline.case.documents import write_folder
+    from sightline.atomic import write_folder
 
     arrays = BytesIO()
     np.savez_compressed(

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from sightline.bounded import read_text, regular_file
 from sightline.detection.labelling import label
 from sightline.detection.results import Detections, Observations
 from sightline.errors import ObservationsError
@@ -25,7 +26,7 @@ _USUAL_SD_PX = 0.1
 def are_detections(path: Path) -> bool:
     """Whether a CSV file holds beads without names: its header has no `id`."""
     try:
-        with path.open("rb") as stream:
+        with regular_file(path) as stream:
             header = stream.readline(4096).decode("utf-8-sig", "replace")
     except OSError:
         return False  # whoever reads it says why it cannot
@@ -48,16 +49,14 @@ def label_csv(
 
 def read_detections(path: Path) -> tuple[Detections, bool]:
     """Detections, and whether the file states the errors of their centres. Raises ObservationsError."""
+    text = read_text(path, _MAX_BYTES, ObservationsError, "give one image's beads as CSV")
     try:
-        data = path.read_bytes() if path.stat().st_size <= _MAX_BYTES else b""
-        if not data:
-            raise ObservationsError(f"{path.name} is empty or larger than {_MAX_BYTES} bytes; give one image's beads")
-        reader = csv.DictReader(io.StringIO(data.decode("utf-8-sig")), strict=True, skipinitialspace=True)
+        if not text:
+            raise ObservationsError(f"{path.name} is empty; give one image's beads as CSV")
+        reader = csv.DictReader(io.StringIO(text), strict=True, skipinitialspace=True)
         columns = _columns(reader, path.name)
         rows = [_row(row, columns, f"{path.name}, line {reader.line_num}") for row in reader]
-    except OSError as error:
-        raise ObservationsError(f"cannot read {path.name}: {error.strerror}") from error
-    except (UnicodeDecodeError, csv.Error):
+    except csv.Error:
         raise ObservationsError(f"{path.name} is not plain comma-separated text in UTF-8") from None
     if not rows:
         raise ObservationsError(f"{path.name} holds no beads; give one line for each")

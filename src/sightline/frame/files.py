@@ -7,6 +7,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from sightline.atomic import write_whole
+from sightline.bounded import read_bounded
 from sightline.errors import FrameError
 from sightline.frame.builtin import BUILTIN, builtin_frame
 from sightline.frame.document import FrameDocument, document_of, frame_of
@@ -34,14 +35,11 @@ def load_frame(source: str | Path) -> Frame:
         raise FrameError(
             f"there is no frame file {path.name!r}; name a file, or one of the built-in frames: {', '.join(BUILTIN)}"
         )
-    if path.stat().st_size > SIZE_LIMIT_BYTES:
-        raise FrameError(f"{path.name} is larger than {SIZE_LIMIT_BYTES >> 20} MiB; that is no frame file")
+    data = read_bounded(path, SIZE_LIMIT_BYTES, FrameError, "that is no frame file")
     try:
-        return frame_from_json(path.read_bytes())
+        return frame_from_json(data)
     except FrameError as error:
         raise FrameError(f"{path.name}: {error}") from None
-    except OSError as error:
-        raise FrameError(f"cannot read {path.name}: {error.strerror}") from error
 
 
 def save_frame(frame: Frame, path: str | Path) -> None:

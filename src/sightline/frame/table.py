@@ -3,12 +3,14 @@
 import csv
 from collections.abc import Mapping
 from dataclasses import replace
+from io import StringIO
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from pydantic import ValidationError
 
+from sightline.bounded import read_text
 from sightline.errors import FrameError
 from sightline.frame.document import FrameDocument, frame_of
 from sightline.frame.files import SIZE_LIMIT_BYTES, explain
@@ -58,18 +60,14 @@ def frame_from_csv(path: str | Path, name: str) -> Frame:
 
 def _rows(path: Path) -> list[tuple[int, Row]]:
     """Rows with their line numbers; the columns are known."""
+    text = read_text(path, SIZE_LIMIT_BYTES, FrameError, "give a table of measured balls as CSV")
     try:
-        if path.stat().st_size > SIZE_LIMIT_BYTES:
-            raise FrameError(f"{path.name} is larger than {SIZE_LIMIT_BYTES >> 20} MiB; that is no table of balls")
-        with path.open(newline="", encoding="utf-8-sig") as file:
-            reader = csv.DictReader(file, strict=True)
-            columns = [column.strip() for column in reader.fieldnames or ()]
-            reader.fieldnames = columns
-            rows: list[tuple[int, Row]] = [(reader.line_num, row) for row in reader]
-    except OSError as error:
-        raise FrameError(f"cannot read {path.name}: {error.strerror}; name a CSV file of measured balls") from error
-    except (csv.Error, UnicodeDecodeError) as error:
-        raise FrameError(f"{path.name} is not a CSV file in UTF-8: {error}") from None
+        reader = csv.DictReader(StringIO(text, newline=""), strict=True)
+        columns = [column.strip() for column in reader.fieldnames or ()]
+        reader.fieldnames = columns
+        rows: list[tuple[int, Row]] = [(reader.line_num, row) for row in reader]
+    except csv.Error as error:
+        raise FrameError(f"{path.name} is not a CSV file: {error}") from None
     if missing := [column for column in _NEEDED if column not in columns]:
         raise FrameError(f"{path.name} lacks the columns {', '.join(missing)}; it needs {', '.join(_NEEDED)}")
     if unknown := [column for column in columns if column not in (*_NEEDED, *_OPTIONAL)]:

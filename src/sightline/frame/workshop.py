@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from sightline.atomic import whole_folder
+from sightline.atomic import whole_folder, write_whole
 from sightline.frame.bill import bill_csv, bill_page, holes_csv, inspection_csv
 from sightline.frame.model import Frame
 from sightline.frame.part import parts_of
@@ -29,6 +29,6 @@ def write_workshop(frame: Frame, folder: str | Path) -> tuple[Path, ...]:
         files[f"{part.name}.stl"] = plate_stl(part)
     with whole_folder(folder) as scratch:
         for name, data in files.items():
-            (scratch / name).write_bytes(data)
+            write_whole(scratch / name, data)
         frame.save(scratch / "frame.json")
     return tuple(Path(folder) / name for name in sorted([*files, "frame.json"]))

@@ -8,15 +8,16 @@ from io import BytesIO
 from logging import getLogger
 from math import isfinite
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from pydicom import Dataset, dcmread, dcmwrite
 from pydicom.dataset import FileMetaDataset
 from pydicom.encaps import get_frame
-from pydicom.filereader import read_file_meta_info
+from pydicom.filereader import read_file_meta_info, read_partial
 from pydicom.multival import MultiValue
 from pydicom.pixels.utils import pixel_array
+from pydicom.tag import BaseTag
 from pydicom.uid import (
     JPEG2000,
     UID,
@@ -30,10 +31,11 @@ from pydicom.uid import (
 )
 
 from sightline.atomic import write_whole
+from sightline.bounded import regular_file
 from sightline.errors import ImageError
 from sightline.imaging.compressed import unpacks_to
 from sightline.imaging.decoder import Decoder
-from sightline.imaging.headers import damaged
+from sightline.imaging.headers import damaged, refuse_longer
 from sightline.imaging.limits import check_size
 from sightline.imaging.radiograph import GeometryTags, Radiograph
 
@@ -59,15 +61,14 @@ _READ = [
     "PositionerSecondaryAngle",
 ]
 
+_PIXEL_DATA = 0x7FE00010
+
 # Elements the standard wants present and a mobile C-arm without a worklist leaves empty.
 _EMPTY = [
     "StudyDate",
     "StudyTime",
     "AccessionNumber",
     "ReferringPhysicianName",
-    "StudyID",
-    "SeriesNumber",
-    "InstanceNumber",
     "PatientBirthDate",
     "PatientSex",
     "PatientOrientation",
@@ -75,6 +76,7 @@ _EMPTY = [
     "XRayTubeCurrent",
     "ExposureTime",
     "PositionerMotion",
+    "Laterality",
 ]
 
 
@@ -111,9 +113,10 @@ def frames_in(file: Path) -> int:
         return _frames(_header(file), file.name)
 
 
-def write(radiograph: Radiograph, path: str | Path) -> Path:
+def write(radiograph: Radiograph, path: str | Path, side: Literal["left", "right"] | None = None) -> Path:
     """Write an X-ray angiographic image as a mobile C-arm does: of the geometry only what `tags` holds, mostly nothing.
 
+    `side`: of the patient, for Laterality (0020,0060), which is empty where it is not known.
     8 bits in 8, 10 to 16 bits in 16, MONOCHROME2, explicit little endian, a neutral patient. UIDs are made from the
     pixels, so the same image gives the same file. Raises ImageError on pixels that are not whole numbers up to `white`.
     """
@@ -129,6 +132,9 @@ def write(radiograph: Radiograph, path: str | Path) -> Path:
     )
     for keyword in _EMPTY:
         setattr(out, keyword, None)
+    out.StudyID, out.SeriesNumber, out.InstanceNumber = "1", 1, 1
+    if side is not None:
+        out.Laterality = side[0].upper()
     out.Modality, out.Manufacturer, out.ImageType = "XA", "", ["ORIGINAL", "PRIMARY", "SINGLE PLANE"]
     out.PatientName, out.PatientID, out.PatientIdentityRemoved = "PHANTOM", "PHANTOM", "YES"
     out.DeidentificationMethod = "No patient was imaged"
@@ -220,9 +226,12 @@ def _decode(file: Path, index: int, shape: tuple[int, int]) -> np.ndarray:
     try:
         syntax = _syntax(file)
         if not syntax.is_encapsulated:
+            _refuse_longer(file, shape)
             return pixel_array(file, index=index)
         if unpacks_to(_coded(file, index), syntax, shape):
             return _decoder.decode(file, index)
+    except ImageError:
+        raise
     except Exception:  # as above; and UndecodableError
         raise _undecodable(file.name) from None
     raise _undecodable(file.name)
@@ -230,6 +239,24 @@ def _decode(file: Path, index: int, shape: tuple[int, int]) -> np.ndarray:
 
 def _syntax(file: Path) -> UID:
     return read_file_meta_info(file).TransferSyntaxUID
+
+
+def _refuse_longer(file: Path, shape: tuple[int, int]) -> None:
+    """Raises ImageError where the uncompressed pixels are more than the header states."""
+    found: list[int] = []
+
+    def at_pixels(tag: BaseTag, _: str | None, length: int) -> bool:
+        if tag == _PIXEL_DATA:
+            found.append(length)
+        return tag >= _PIXEL_DATA
+
+    with regular_file(file) as stream:
+        elements = read_partial(stream, at_pixels)
+    if str(elements.PhotometricInterpretation).endswith("_422"):  # colours, two bytes a pixel of three
+        return
+    frames, samples = int(elements.get("NumberOfFrames") or 1), int(elements.get("SamplesPerPixel") or 1)
+    row_bytes = shape[1] * samples * (int(elements.BitsAllocated) // 8)
+    refuse_longer(frames * shape[0] * row_bytes, max(found, default=0), shape[0], row_bytes, file.name)
 
 
 def _coded(file: Path, index: int) -> bytes:

@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 
 from sightline.atomic import write_whole
+from sightline.bounded import read_bounded, regular_file
 from sightline.errors import ImageError
 from sightline.imaging import dicom, headers
 from sightline.imaging.limits import MAX_FILE_BYTES, check_size
@@ -85,7 +86,7 @@ def _first_bytes(file: Path) -> bytes:
     try:
         size = file.stat().st_size
         if file.is_file() and 0 < size <= MAX_FILE_BYTES:
-            with file.open("rb") as stream:
+            with regular_file(file) as stream:
                 return stream.read(132)
     except OSError as error:
         raise ImageError(f"cannot read {file.name}: {error.strerror}") from error
@@ -97,7 +98,7 @@ def _first_bytes(file: Path) -> bytes:
 
 
 def _read_raster(file: Path, read_header: headers.HeaderReader) -> Radiograph:
-    data = file.read_bytes()
+    data = read_bounded(file, MAX_FILE_BYTES, ImageError, "export single images")
     height, width = read_header(data, file.name)
     check_size(height, width, file.name)
     try:
@@ -131,8 +132,8 @@ def _read_npy(file: Path) -> Radiograph:
         check_size(shape[0], shape[1], file.name)
 
     try:
-        pixels = npy_array(file.read_bytes(), look)
-    except (ValueError, OSError) as error:
+        pixels = npy_array(read_bounded(file, MAX_FILE_BYTES, ImageError, "export single images"), look)
+    except ValueError as error:
         raise ImageError(f"{file.name} is not a whole NumPy file; save the array again") from error
     return _radiograph(grey(pixels, file.name), file.name)
 

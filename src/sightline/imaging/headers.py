@@ -9,6 +9,10 @@ from collections.abc import Callable
 
 from sightline.errors import ImageError
 from sightline.imaging.compressed import jpeg_shape
+from sightline.imaging.limits import check_size
+
+_ADAM7 = ((0, 0, 8, 8), (4, 0, 8, 8), (0, 4, 4, 8), (2, 0, 4, 4), (0, 2, 2, 4), (1, 0, 2, 2), (0, 1, 1, 2))
+_DEFLATE = (8, 32946)
 
 # (bytes of the file, its name) -> (height, width). Raises ImageError.
 HeaderReader = Callable[[bytes, str], tuple[int, int]]
@@ -16,7 +20,7 @@ HeaderReader = Callable[[bytes, str], tuple[int, int]]
 
 def png(data: bytes, name: str) -> tuple[int, int]:
     """Height and width; every chunk is there and its checksum right (ISO/IEC 15948, 5.3)."""
-    at, size, ended = 8, None, False
+    at, size, ended, packed = 8, None, False, []
     while at + 12 <= len(data) and not ended:
         length, kind = struct.unpack_from(">I4s", data, at)
         body = data[at + 8 : at + 8 + length]
@@ -26,13 +30,38 @@ def png(data: bytes, name: str) -> tuple[int, int]:
         ):
             raise damaged(name)
         if kind == b"IHDR" and length == 13:
-            width, height = struct.unpack_from(">II", body)
-            size = height, width
+            header = struct.unpack(">IIBBBBB", body)
+            size = header[1], header[0]
+        elif kind == b"IDAT":
+            packed.append(body)
         at += 12 + length
         ended = kind == b"IEND"
     if size is None or not ended:
         raise damaged(name)
+    check_size(*size, name)
+    rows, row_bytes = _png_layout(*header[:4], interlaced=header[6] == 1)
+    refuse_longer(rows * row_bytes, _inflated(b"".join(packed), 2 * rows * row_bytes, name), rows, row_bytes, name)
     return size
+
+
+def _png_layout(width: int, height: int, depth: int, colour: int, *, interlaced: bool) -> tuple[int, int]:
+    """Rows and bytes of a row, a filter's byte among them; of an interlaced image all bytes as one row."""
+    bits = depth * {2: 3, 4: 2, 6: 4}.get(colour, 1)
+    if not interlaced:
+        return height, 1 + (width * bits + 7) // 8
+    total = 0
+    for left, top, across, down in _ADAM7:
+        columns, rows = -(-(width - left) // across), -(-(height - top) // down)
+        total += rows * (1 + (columns * bits + 7) // 8) if columns > 0 and rows > 0 else 0
+    return 1, total
+
+
+def _inflated(packed: bytes, most: int, name: str) -> int:
+    """How many bytes a zlib stream unpacks to, counted up to `most`."""
+    try:
+        return len(zlib.decompressobj().decompress(packed, max(most, 1)))
+    except zlib.error:
+        raise damaged(name) from None
 
 
 def bmp(data: bytes, name: str) -> tuple[int, int]:
@@ -42,9 +71,11 @@ def bmp(data: bytes, name: str) -> tuple[int, int]:
     start, _, width, height, _, bits, compression = struct.unpack_from("<IIiiHHI", data, 10)
     if compression not in (0, 3):
         raise ImageError(f"{name} is a compressed bitmap; export it as PNG")
-    height = abs(height)
-    if width <= 0 or start + height * ((width * bits + 31) // 32 * 4) > len(data):
+    height, row_bytes = abs(height), (width * bits + 31) // 32 * 4
+    if width <= 0 or start + height * row_bytes > len(data):
         raise damaged(name)
+    check_size(height, width, name)
+    refuse_longer(height * row_bytes, len(data) - start, height, row_bytes, name)
     return height, width
 
 
@@ -65,7 +96,38 @@ def tiff(data: bytes, name: str) -> tuple[int, int]:
         raise damaged(name)
     if any(offset + length > len(data) for offset, length in zip(offsets, lengths, strict=True)):
         raise damaged(name)
-    return tags[257][0], tags[256][0]
+    height, width = tags[257][0], tags[256][0]
+    check_size(height, width, name)
+    if 273 in tags and tags.get(284, (1,))[0] == 1:  # strips, all channels of a pixel side by side
+        strips = [data[offset : offset + length] for offset, length in zip(offsets, lengths, strict=True)]
+        _check_strips(strips, tags, name)
+    return height, width
+
+
+def _check_strips(strips: list[bytes], tags: dict[int, tuple[int, ...]], name: str) -> None:
+    """Raises ImageError where strips, plain or deflated, hold more than the stated rows; the last may be filled up."""
+    height, width, packing = tags[257][0], tags[256][0], tags.get(259, (1,))[0]
+    if packing not in (1, *_DEFLATE):
+        return
+    row_bytes = (width * sum(tags.get(258, (1,) * tags.get(277, (1,))[0])) + 7) // 8
+    whole = min(tags.get(278, (height,))[0], height) * row_bytes
+    held = [len(strip) if packing == 1 else _inflated(strip, 2 * whole, name) for strip in strips]
+    rest = height * row_bytes - whole * (len(strips) - 1)
+    if held[-1] == whole:
+        held[-1] = rest
+    refuse_longer(height * row_bytes, sum(held), height, row_bytes, name)
+
+
+def refuse_longer(stated: int, held: int, rows: int, row_bytes: int, name: str) -> None:
+    """Raises ImageError where a file holds a row or a column more than it states: its rows would be sheared.
+
+    Less than that is padding.
+    """
+    if held - stated >= min(rows, row_bytes):
+        raise ImageError(
+            f"{name} holds more pixels than it states: {held} bytes or more, not {stated}; its rows and columns cannot "
+            "be right: export it again"
+        )
 
 
 def jpeg(data: bytes, name: str) -> tuple[int, int]:

@@ -22,6 +22,6 @@ def npy_array(data: bytes, look: Look) -> np.ndarray:
     except Exception:  # the header is parsed as Python, and raises whatever that parser raises
         raise ValueError("the header is damaged") from None
     look(shape, dtype)
-    if dtype.hasobject or min(shape, default=0) < 0 or stream.tell() + prod(shape) * dtype.itemsize > len(data):
+    if dtype.hasobject or min(shape, default=0) < 0 or stream.tell() + prod(shape) * dtype.itemsize != len(data):
         raise ValueError("the file does not hold what its header states")
     return np.load(io.BytesIO(data), allow_pickle=False)

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from sightline.bounded import read_text
 from sightline.calibration import CalibratedView
 from sightline.detection import Detections, Observations
 from sightline.errors import RefusedError, UnusableInputError
@@ -35,13 +36,10 @@ def read_points(path: str | Path) -> MeasuredPoints:
     Raises UnusableInputError, which names the line.
     """
     file = Path(path)
+    text = read_text(file, _MAX_BYTES, UnusableInputError, "give a table of test points as CSV")
     try:
-        if file.stat().st_size > _MAX_BYTES:
-            raise UnusableInputError(f"{file.name} is too large for a table of test points (limit {_MAX_BYTES} bytes)")
-        rows = list(csv.reader(io.StringIO(file.read_text(encoding="utf-8-sig")), strict=True))
-    except OSError as error:
-        raise UnusableInputError(f"{file.name} cannot be read: {error.strerror}") from None
-    except (UnicodeDecodeError, csv.Error):
+        rows = list(csv.reader(io.StringIO(text), strict=True))
+    except csv.Error:
         raise UnusableInputError(
             f"{file.name} is no CSV text; write {','.join(_PLACE)} and one line per point"
         ) from None

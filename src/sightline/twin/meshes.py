@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from sightline.bounded import read_bounded
 from sightline.errors import UnusableInputError
 
 MAX_FILE_BYTES = 2**28  # [ours] 5 million triangles of binary STL
@@ -57,7 +58,7 @@ def read_mesh(path: str | Path, material: str = "bone", within: str | None = "ti
     kind = file.suffix.lower().removeprefix(".")
     if kind not in KINDS:
         raise UnusableInputError(f"{file.name}: a mesh is read from {', '.join(KINDS)}; convert it to one of them")
-    data = _bytes(file)
+    data = read_bounded(file, MAX_FILE_BYTES, UnusableInputError, "reduce the mesh")
     try:
         loaded = trimesh.load_mesh(BytesIO(data), file_type=kind, process=False)
         vertices, triangles = np.asarray(loaded.vertices, np.float64), np.asarray(loaded.faces, np.int64)
@@ -80,16 +81,6 @@ def box_mesh(low_mm: np.ndarray, high_mm: np.ndarray, material: str, within: str
     quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
     triangles = np.array([[(a, b, c), (a, c, d)] for a, b, c, d in quads]).reshape(-1, 3)
     return Mesh(np.where(corners, high_mm, low_mm), triangles, material, within)
-
-
-def _bytes(file: Path) -> bytes:
-    try:
-        size = file.stat().st_size
-        if size > MAX_FILE_BYTES:
-            raise UnusableInputError(f"{file.name} has {size} bytes; the limit is {MAX_FILE_BYTES}: reduce the mesh")
-        return file.read_bytes()
-    except OSError as error:
-        raise UnusableInputError(f"cannot read {file.name}: {error.strerror}") from error
 
 
 def _check(vertices: np.ndarray, triangles: np.ndarray) -> None:

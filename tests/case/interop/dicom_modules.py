@@ -11,7 +11,7 @@ _STUDY = {
     1: ["StudyInstanceUID"],
     2: ["StudyDate", "StudyTime", "ReferringPhysicianName", "StudyID", "AccessionNumber"],
 }
-_SERIES = {1: ["Modality", "SeriesInstanceUID"], 2: ["SeriesNumber"]}
+_SERIES = {1: ["Modality", "SeriesInstanceUID"], 2: ["SeriesNumber", "Laterality"]}  # 2C of the latter: a paired part
 _SOP = {1: ["SOPClassUID", "SOPInstanceUID", "SpecificCharacterSet"]}
 _COMMON = [_PATIENT, _DEIDENTIFIED, _STUDY, _SERIES, _SOP]
 _PIXELS = [

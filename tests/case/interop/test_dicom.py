@@ -17,7 +17,7 @@ from sightline.case.interop.plan_file import PlanFile
 from sightline.errors import UnusableInputError
 from sightline.imaging import Radiograph, read_image, write_dicom
 
-FILED = Filed("case-0042", datetime(2024, 5, 17, 10, 30))
+FILED = Filed("case-0042", datetime(2024, 5, 17, 10, 30), "left")
 NAMED = re.compile("|".join(("Name", "Birth", "Address", "Institution", "Operator", "Physician", "Device", "Station")))
 
 
@@ -45,6 +45,20 @@ def test_every_object_has_what_its_modules_require(objects: dict[str, Dataset]) 
     for name, made in objects.items():
         assert faults(made, "state" if "state" in name else "capture") == [], name
     assert len({made.SOPInstanceUID for made in objects.values()}) == len(objects)
+
+
+def test_side_study_and_series_are_said_where_they_are_known(objects: dict[str, Dataset]) -> None:
+    for name, made in objects.items():
+        assert made.Laterality == "L"
+        assert made.SeriesNumber == (2 if "state" in name else 1)
+        study = (made.StudyDate, made.StudyTime, made.StudyID)
+        # Of the original's own study nothing but its UIDs was read.
+        assert study == (("", "", "") if "original" in name else ("20240517", "103000", "case-0042")), name
+
+
+def test_without_a_side_the_laterality_is_there_and_empty(go_plan: PlanFile) -> None:
+    for data in dicom_plan.write(go_plan, Filed(FILED.case, FILED.created), {}).values():
+        assert read(data)["Laterality"].is_empty
 
 
 @pytest.mark.parametrize("keyword", ["ConversionType", "PixelData", "StudyInstanceUID", "PatientID"])

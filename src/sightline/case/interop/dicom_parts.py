@@ -4,6 +4,7 @@ import re
 from dataclasses import dataclass
 from datetime import datetime
 from io import BytesIO
+from typing import Literal
 
 from pydicom import Dataset, dcmwrite
 from pydicom.dataset import FileMetaDataset
@@ -12,13 +13,19 @@ from pydicom.uid import ExplicitVRLittleEndian, generate_uid
 from sightline import __version__
 from sightline.errors import UnusableInputError
 
+_SERIES = {"OT": 1, "PR": 2}  # images, presentation states
+
 
 @dataclass(frozen=True)
 class Filed:
-    """Under what an export is filed: case number, and when it was made. The same export has the same UIDs."""
+    """Under what an export is filed: case number, when it was made, the patient's side where it is known.
+
+    The same export has the same UIDs.
+    """
 
     case: str
     created: datetime
+    side: Literal["left", "right"] | None = None
 
     def __post_init__(self) -> None:
         if not re.fullmatch(r"[A-Za-z0-9_.-]{1,16}", self.case):
@@ -39,11 +46,15 @@ def dataset(filed: Filed, sop_class: str, modality: str, part: str, study_uid: s
     out.SeriesInstanceUID = filed.uid("series", modality, out.StudyInstanceUID)
     out.SpecificCharacterSet = "ISO_IR 192"
     out.PatientName = out.PatientID = filed.case
-    for empty in ("PatientBirthDate", "PatientSex", "ReferringPhysicianName", "StudyID", "AccessionNumber"):
+    for empty in ("PatientBirthDate", "PatientSex", "ReferringPhysicianName", "AccessionNumber"):
         setattr(out, empty, None)
-    out.StudyDate = out.StudyTime = None  # of the images, which the plan does not hold
+    if study_uid in (None, filed.uid("study")):
+        out.StudyDate, out.StudyTime, out.StudyID = f"{filed.created:%Y%m%d}", f"{filed.created:%H%M%S}", filed.case
+    else:  # of somebody else's study, of which nothing but its UIDs was read
+        out.StudyDate = out.StudyTime = out.StudyID = None
     out.PatientIdentityRemoved, out.DeidentificationMethod = "YES", "Only the case number is written"
-    out.Modality, out.SeriesNumber, out.Manufacturer = modality, None, "Sightline"
+    out.Modality, out.SeriesNumber, out.Manufacturer = modality, _SERIES[modality], "Sightline"
+    out.Laterality = None if filed.side is None else filed.side[0].upper()
     out.SoftwareVersions = __version__
     return out
 

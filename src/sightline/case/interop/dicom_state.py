@@ -7,6 +7,7 @@ import numpy as np
 from pydicom import Dataset, dcmread
 from pydicom.uid import GrayscaleSoftcopyPresentationStateStorage
 
+from sightline.bounded import regular_file
 from sightline.case.interop.dicom_parts import Filed, dataset
 from sightline.case.interop.drawing import Drawn
 from sightline.errors import UnusableInputError
@@ -51,7 +52,8 @@ class Referred:
     def read(file: Path) -> "Referred":
         """From a DICOM file's header. Raises UnusableInputError."""
         try:
-            header = dcmread(file, stop_before_pixels=True, specific_tags=_READ + _ALSO)
+            with regular_file(file) as stream:
+                header = dcmread(stream, stop_before_pixels=True, specific_tags=_READ + _ALSO)
             return Referred.of(header)
         except UnusableInputError as error:
             raise UnusableInputError(f"{file.name}: {error}") from None

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from sightline.bounded import regular_file
 from sightline.case.interop import deepdrr, diffdrr, mayacam2, opencv, reading, rtk, xreg
 from sightline.case.interop.pinhole import Pinhole
 from sightline.errors import UnusableInputError
@@ -56,7 +57,7 @@ def read_view(path: str | Path, kind: str | None = None, name: str | None = None
 
 
 def _head(image: Path) -> bytes:
-    with image.open("rb") as stream:
+    with regular_file(image) as stream:
         return stream.read(4096)
 
 
