@@ -75,7 +75,7 @@ class Hands:
         """Ask the view that shows an image."""
         return self.page.evaluate(_ask(expression), [image, value])
 
-    def until(self, image: str, expression: str, value: Any = None, timeout_ms: float = 10_000) -> None:
+    def until(self, image: str, expression: str, value: Any = None, timeout_ms: float = PATIENCE_MS) -> None:
         """Wait until the view that shows an image says yes."""
         self.page.wait_for_function(_ask(expression), arg=[image, value], timeout=timeout_ms)
 

@@ -21,7 +21,7 @@ def _drilling(monkeypatch: pytest.MonkeyPatch, send: Any, record: Any) -> tuple[
     known: Any = SimpleNamespace(plan=SimpleNamespace(trajectory=stub), decisions=decisions)
     case = SimpleNamespace(number="C", last=1, record=record)
     procedure: Any = SimpleNamespace(
-        planned=known, go=True, age_s=1.0, decisions=decisions, case=case, notify=lambda: None
+        planned=known, go=True, can_send=True, age_s=1.0, decisions=decisions, case=case, notify=lambda: None
     )
     made = Drilling(procedure)
     session: Any = SimpleNamespace(now=SimpleNamespace(lost=False), aimed=lambda *_: stub, send=send)

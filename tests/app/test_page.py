@@ -12,6 +12,7 @@ from tests.app.browser import Server
 from tests.app.hands import LANDMARKS, PATIENCE_MS, SEED, Hands, rehearsal, truth
 
 from sightline.app.decisions import Decisions
+from sightline.app.texts import STEPS, XRAY
 from sightline.case.entry import Kind
 from sightline.case.journal import Case
 from sightline.case.recompute import Outcome, replay
@@ -218,6 +219,122 @@ def test_a_plan_outlives_a_reload_a_second_tab_and_a_killed_server(
     assert _recorded(folder) == decided
 
 
+def test_a_refused_drop_leaves_the_plan_where_it_is(hands: Hands) -> None:
+    """In both images: what the drag has shown meanwhile is gone."""
+    _planned(hands)
+    before = {view: hands.placed("end", view) for view in NAMES}
+    x, y = hands.on_screen("pa", before["pa"])
+    mouse = hands.page.mouse
+    mouse.move(x, y)
+    mouse.down()
+    mouse.move(x + 12, y, steps=4)
+    hands.until("lateral", f"{_AWAY} > 1", ["end", *before["lateral"]])
+    mouse.move(*hands.core("pa", "core.toScreen([30, 30])"), steps=4)  # the field's rim: no bead is as far out
+    mouse.up()
+    expect(hands.see("message")).to_be_visible()
+    for view in NAMES:
+        hands.until(view, f"{_AWAY} === 0", ["end", *before[view]])
+    expect(hands.see("verdict")).to_contain_text("GO")
+
+
+def test_undo_steps_the_guide_back_and_a_click_in_the_black_corner_places_nothing(hands: Hands) -> None:
+    _planned(hands)
+    hands.press("remove-end")
+    expect(hands.see("instruction")).to_contain_text("PA image")
+    hands.until("pa", "core.state.placing === 'end'")
+    hands.click("pa", (6.0, 6.0))
+    expect(hands.see("xray-pa").get_by_test_id("lost")).to_contain_text("X-rays do not reach")
+    hands.place("end", "pa", truth()["end"]["pa"])
+    hands.until("lateral", "core.state.placing === 'end'")
+    hands.press("undo")
+    hands.until("pa", "core.state.placing === 'end'")
+    assert hands.core("lateral", "core.state.placing") is None
+    hands.press("undo")  # the removal too
+    hands.until("pa", "core.state.placing === null && core.state.points.get('end').uv !== null")
+
+
+def test_a_reload_stays_on_its_step_and_back_goes_one_step_back(hands: Hands) -> None:
+    first = next(name for name in STEPS if hands.see(f"step-{name}").get_attribute("aria-current") == "step")
+    second, third = [name for name in STEPS[:4] if name != first][:2]
+
+    def here(step: str) -> None:
+        expect(hands.see(f"step-{step}")).to_have_attribute("aria-current", "step")
+
+    hands.step(second)
+    hands.step(third)
+    hands.page.reload()
+    here(third)
+    hands.page.go_back()
+    here(second)
+    hands.page.go_back()
+    here(first)
+    hands.page.evaluate("history.back()")  # beyond the first: the page asks, and stays
+    expect(hands.see("leave-question")).to_be_visible()
+    hands.press("leave-no")
+    here(first)
+
+
+def test_no_text_moves_the_images_or_covers_the_instruction(hands: Hands) -> None:
+    _planned(hands)
+    top = hands.core("pa", "core.stage.getBoundingClientRect().top")
+    hands.page.evaluate(
+        "() => { document.querySelector('.say').firstElementChild.textContent = 'a long sentence '.repeat(20); }"
+    )
+    assert hands.core("pa", "core.stage.getBoundingClientRect().top") == top
+    bar = hands.page.locator(".say").bounding_box()
+    assert bar is not None
+    for name in STEPS:
+        hands.see(f"step-{name}").hover()
+        shown = hands.page.get_by_role("tooltip")
+        expect(shown).to_have_count(1)
+        box = shown.bounding_box()
+        assert box is not None and box["y"] >= bar["y"] + bar["height"], name
+        hands.page.mouse.move(640, 700)
+        expect(shown).to_have_count(0)
+
+
+def test_an_enlarged_image_lies_over_all_but_the_bar(hands: Hands, shoot) -> None:
+    _planned(hands)
+    for width, height in ((1280, 800), (1920, 1080)):
+        hands.page.set_viewport_size({"width": width, "height": height})
+        shoot(hands.page, f"plan-{width}")
+        hands.see("xray-pa").get_by_role("button", name=XRAY["maximise"]).click()
+        hands.until("pa", "core.root.getBoundingClientRect().width === innerWidth")
+        for at in ((0.05, 0.5), (0.7, 0.4), (0.95, 0.7), (0.5, 0.98)):
+            assert hands.core(
+                "pa", "core.root.contains(document.elementFromPoint(...value))", [at[0] * width, at[1] * height]
+            )
+        shoot(hands.page, f"enlarged-{width}")
+        hands.press("step-Plan")  # the bar is in reach
+        hands.see("xray-pa").get_by_role("button", name=XRAY["restore"]).click()
+
+
+def test_a_server_that_does_not_answer_is_said_over_the_whole_page(hands: Hands, server: Server, shoot) -> None:
+    """Within a second: a verdict and a STOP that nobody stands behind must not look alive."""
+    _planned(hands)
+    if hands.see("stop").count() == 0:
+        hands.step("Drill")
+        hands.press("start-robot")
+        expect(hands.see("stop")).to_be_visible(timeout=PATIENCE_MS)
+        hands.step("Plan")
+    dead, look = hands.see("dead"), "getComputedStyle(element)"
+    expect(dead).to_be_hidden()
+    assert server._process is not None
+    server._process.send_signal(signal.SIGSTOP)
+    try:
+        expect(dead).to_be_visible()
+        box = dead.bounding_box()
+        assert box is not None and box["width"] == hands.page.viewport_size["width"]  # type: ignore[index]
+        assert "grayscale" in hands.see("verdict").evaluate(f"element => {look}.filter")
+        assert "line-through" in hands.see("stop").evaluate(f"element => {look}.textDecorationLine")
+        expect(hands.see("red-button")).to_be_visible()
+        shoot(hands.page, "dead")
+    finally:
+        server._process.send_signal(signal.SIGCONT)
+    expect(dead).to_be_hidden()
+    expect(hands.see("red-button")).to_be_hidden()
+
+
 def test_what_a_person_does_wrong_ends_in_a_sentence(
     server: Server, open_page: Callable[..., Page], tmp_path: Path
 ) -> None:
@@ -268,8 +385,18 @@ def test_images_with_hidden_beads_are_dropped_planned_and_not_sent(
     told = [re.search(r"(\d+) / \d+", hands.see(f"calibration-{name}").inner_text()) for name in NAMES]
     used = [int(one[1]) for one in told if one]
     assert len(used) == 2 and all(60 <= n < 108 for n in used), used
-    hands.confirm()
+    hands.step("Images")
+    for name in NAMES:
+        expect(hands.see(f"taken-unknown-{name}")).to_be_visible()  # the files do not say when
     hands.plan(head=False)
+    expect(hands.see("verdict")).to_contain_text("NO-GO")
+    hands.step("Images")
+    for name in NAMES:
+        hands.page.locator(f"input[data-testid=taken-{name}], [data-testid=taken-{name}] input").fill("2")
+        hands.press(f"confirm-taken-{name}")
+        expect(hands.see(f"taken-unknown-{name}")).to_have_count(0)
+    hands.confirm()
+    hands.step("Plan")
     expect(hands.see("verdict")).not_to_contain_text("NO-GO")
     shoot(hands.page, "hidden-beads")
     hands.step("Drill")

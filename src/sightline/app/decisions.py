@@ -5,6 +5,7 @@ Nothing here is computed; everything that is computed follows from these decisio
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
+from datetime import datetime
 from types import MappingProxyType
 from typing import Any, Literal
 
@@ -63,6 +64,7 @@ class Display:
 class Decisions:
     """All that people decided, at one moment. `images`: by name, the journal's entry that acquired it. `serial`: of the
     frame, as a person read it. `snapping`: lateral points of the wire are taken to their curves when they are placed.
+    `taken`: by the image's entry, when a person says that it was taken; asked for where the file does not say it.
     """
 
     images: Mapping[str, int] = field(default_factory=lambda: MappingProxyType({}))
@@ -72,6 +74,7 @@ class Decisions:
     marks: Mapping[str, Mark] = field(default_factory=lambda: MappingProxyType({}))
     display: Mapping[str, Display] = field(default_factory=lambda: MappingProxyType({}))
     snapping: bool = True
+    taken: Mapping[int, datetime] = field(default_factory=lambda: MappingProxyType({}))
 
     def mark(self, name: str) -> Mark:
         """The mark of a name; an empty one where it is not placed."""
@@ -105,6 +108,10 @@ class Decisions:
         """One view shown otherwise."""
         return replace(self, display=MappingProxyType({**self.display, view: display}))
 
+    def with_taken(self, acquired: int, at: datetime) -> "Decisions":
+        """When the image of an entry was taken."""
+        return replace(self, taken=MappingProxyType({**self.taken, acquired: at}))
+
     def document(self) -> dict[str, Any]:
         """As JSON types."""
         return {
@@ -115,6 +122,7 @@ class Decisions:
             "marks": {name: mark.document() for name, mark in self.marks.items()},
             "display": {name: vars(display) for name, display in self.display.items()},
             "snapping": self.snapping,
+            "taken": {str(acquired): at.isoformat() for acquired, at in self.taken.items()},
         }
 
     @staticmethod
@@ -134,6 +142,7 @@ class Decisions:
                 MappingProxyType(marks),
                 MappingProxyType(display),
                 bool(document.get("snapping", True)),  # before it was decided, every page began with it
+                MappingProxyType({int(number): _instant(at) for number, at in document.get("taken", {}).items()}),
             )
         except (KeyError, TypeError, ValueError, AttributeError) as error:
             raise CaseError(
@@ -194,6 +203,13 @@ class History:
 def _mark(document: Mapping[str, Any]) -> Mark:
     places = {str(image): (float(u), float(v)) for image, (u, v) in document["places"].items()}
     return Mark(MappingProxyType(places), bool(document["free"]))
+
+
+def _instant(text: str) -> datetime:
+    at = datetime.fromisoformat(text)
+    if at.tzinfo is None:
+        raise ValueError(text)
+    return at
 
 
 def _display(shown: Mapping[str, Any]) -> Display:

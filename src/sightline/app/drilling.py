@@ -2,6 +2,7 @@
 
 import asyncio
 import time
+from datetime import datetime
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -34,8 +35,9 @@ _SAME_MM = 1e-6  # of a plan that is computed again
 
 
 class Drilling:
-    """`session` and `now`: once the robot is started. `sent`: what the robot was told. `record`: once it is drilled to
-    the planned depth; `wire`: where a simulator says that it truly is, for simulated check images."""
+    """`session` and `now`: once the robot is started. `sent`: what the robot was told, and `sent_at` when. `record`:
+    once it is drilled to the planned depth; `wire`: where a simulator says that it truly is, for simulated check
+    images."""
 
     def __init__(self, procedure: "Procedure") -> None:
         self._procedure = procedure
@@ -43,6 +45,7 @@ class Drilling:
         self._starting = False
         self.session: RobotSession | None = None
         self.sent: Planned | None = None
+        self.sent_at: datetime | None = None
         self.record: DrillingRecord | None = None
         self.wire: SimulatedWire | None = None
 
@@ -69,7 +72,7 @@ class Drilling:
         ):
             self._procedure.trouble = CHANGED_SINCE_SENT
             return
-        self.sent = again
+        self.sent, self.sent_at = again, sent.at
         drilled = case.latest(Kind.DRILLED)
         if drilled is not None and drilled.number > sent.number and "simulated_wire" in drilled.content:
             self.record = DrillingRecord.of(drilled.content["record"])
@@ -130,7 +133,7 @@ class Drilling:
         procedure = self._procedure
         name = f"{procedure.case.number}-{procedure.case.last}"
         decisions = procedure.decisions
-        return PlanIdentity(name, decisions.side or "", decisions.serial or "", procedure.go, decisions.kind)
+        return PlanIdentity(name, decisions.side or "", decisions.serial or "", procedure.can_send, decisions.kind)
 
     @property
     def current(self) -> bool:
@@ -150,12 +153,12 @@ class Drilling:
 
         Raises RobotRefusedError where it is another by now, LinkError, CaseError."""
         procedure, session = self._procedure, self._running()
-        if known is not procedure.planned or known.plan is None or not procedure.go:
+        if known is not procedure.planned or known.plan is None or not procedure.can_send:
             raise RobotRefusedError(
                 "the plan is another than the one you confirmed, or is no GO: look at the step Plan, and send again"
             )
         age = procedure.age_s
-        assert age is not None  # noqa: S101 - it is GO
+        assert age is not None  # noqa: S101 - it can be sent
         decisions, identity = known.decisions, self.identity
         target = session.aimed(known.plan, identity, time.monotonic() - age)
         limit = _depth_limit(known, target)
@@ -163,9 +166,9 @@ class Drilling:
         views = [calibrated_of(case, decisions.images[name]) for name in NAMES]
         made = record_planned(case, (views[0], views[1]), asked(decisions), known.plan, by=Actor.SURGEON)
         # Whatever fails from here on, the robot may hold this plan, and is given no order by the one before.
-        self.sent, self.record, self.wire = None, None, None
+        self.sent = self.sent_at = self.record = self.wire = None
         await session.send(target, limit)
-        case.record(
+        entry = case.record(
             Kind.SENT,
             {
                 "plan": identity.plan,
@@ -178,7 +181,7 @@ class Drilling:
             by=Actor.SURGEON,
             rests_on=[made.number],
         )
-        self.sent = known
+        self.sent, self.sent_at = known, entry.at
         procedure.notify()
 
     async def align(self) -> None:

@@ -10,7 +10,7 @@ from starlette.routing import Route
 from sightline.errors import ImageError
 from sightline.imaging import Radiograph
 
-_START, _END = "/image/", ".u16"
+IMAGES_PATH, _END = "/image/", ".u16"
 
 
 class Images:
@@ -18,7 +18,7 @@ class Images:
 
     def __init__(self) -> None:
         self._pixels: dict[str, bytes] = {}
-        self.route = Route(_START + "{key}" + _END, self._answer, methods=["GET"])
+        self.route = Route(IMAGES_PATH + "{key}" + _END, self._answer, methods=["GET"])
 
     def publish(self, pixels: np.ndarray) -> str:
         """The address of `pixels` (H, W) uint16, served little-endian by rows. Raises ImageError on another type."""
@@ -26,11 +26,11 @@ class Images:
             raise ImageError(f"the browser shows (H, W) uint16, not {pixels.dtype} of shape {pixels.shape}")
         key = secrets.token_urlsafe(18)
         self._pixels[key] = pixels.astype("<u2", copy=False).tobytes()
-        return f"{_START}{key}{_END}"
+        return f"{IMAGES_PATH}{key}{_END}"
 
     def forget(self, address: str) -> None:
         """Nothing is served under `address` any more; an address already forgotten is no error."""
-        self._pixels.pop(address.removeprefix(_START).removesuffix(_END), None)
+        self._pixels.pop(address.removeprefix(IMAGES_PATH).removesuffix(_END), None)
 
     async def _answer(self, request: Request) -> Response:
         pixels = self._pixels.get(request.path_params["key"])

@@ -22,24 +22,34 @@ class Live:
     def __init__(self, procedure: "Procedure") -> None:
         self._procedure = procedure
         self.watch: Watch | None = None
+        self._starting = False
 
     async def start(self, source: str | None) -> None:
-        """Watch a source by its name, or without one the rehearsed patient's C-arm. Raises SightlineError."""
+        """Watch a source by its name, or without one the rehearsed patient's C-arm: against the plan that was sent and
+        the views that it was made in, or the one that is shown. Raises SightlineError."""
         from sightline.case.watch import Watch
 
-        self.close()
-        known, views = self._procedure.drilling.sent or self._procedure.planned, self._procedure.views()
-        plan = None if known is None or known.plan is None else known.plan.trajectory
-        images = await asyncio.to_thread(_opened, source, self._procedure.patient)
-        self.watch = Watch(self._procedure.frame, _Thinned(images), plan, views or ())
-        self.watch.start()
+        if self._starting:
+            raise UnusableInputError("the live image is being started already; wait for it")
+        self._starting = True
+        try:
+            await self.close()
+            images = await asyncio.to_thread(_opened, source, self._procedure.patient)
+            known = self._procedure.drilling.sent or self._procedure.planned
+            views = (self._procedure.views() or ()) if known is None else known.views
+            plan = None if known is None or known.plan is None else known.plan.trajectory
+            self.watch = Watch(self._procedure.frame, _Thinned(images), plan, views)
+            self.watch.start()
+        finally:
+            self._starting = False
         self._procedure.notify()
 
-    def close(self) -> None:
-        """No live image any more."""
-        if self.watch is not None:
-            self.watch.close()
-        self.watch = None
+    async def close(self) -> None:
+        """No live image any more. A source that hangs is waited for elsewhere: the page goes on, and STOP with it."""
+        watch, self.watch = self.watch, None
+        if watch is not None:
+            self._procedure.notify()
+            await asyncio.to_thread(watch.close)
 
     def latest(self) -> "Watched | None":
         """The newest image that was worked on."""

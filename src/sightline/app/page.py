@@ -1,5 +1,6 @@
 """The page: steps along the top, two X-ray views, the panel of the step beside them."""
 
+import json
 from collections.abc import Callable
 from functools import partial
 from importlib.resources import files
@@ -17,7 +18,17 @@ from sightline.app.serve import Site
 from sightline.app.settings import Settings
 from sightline.app.steps import steps
 from sightline.app.tab import Tab
-from sightline.app.texts import NOT_A_DEVICE, REACHABLE, STANDING, STEPS
+from sightline.app.texts import (
+    DEAD,
+    LEAVE,
+    LEAVE_QUESTION,
+    NOT_A_DEVICE,
+    REACHABLE,
+    RED_BUTTON,
+    STANDING,
+    STAY,
+    STEPS,
+)
 
 _CSS, _SCRIPT = ((files("sightline.app") / name).read_text("utf-8") for name in ("page.css", "page.js"))
 _PANELS: dict[str, Any] = dict(
@@ -32,6 +43,7 @@ def build(site: Site, procedure: Procedure, pictures: Pictures, settings: Settin
     tab = Tab(procedure, pictures, fast_robot=settings.fast_robot, live_source=settings.live)
     with ui.element("header").classes("bar"):
         tools = _bar(tab)
+    ui.label(DEAD).classes("dead-banner").props("role=alert data-testid=dead")
     if site.reachable_from_outside:
         ui.label(REACHABLE).classes("outside").props("role=alert data-testid=reachable")
     with ui.element("main").classes("work"):
@@ -58,7 +70,22 @@ def build(site: Site, procedure: Procedure, pictures: Pictures, settings: Settin
     ui.keyboard(on_key=lambda event: _key(tab, event), ignore=["input", "select", "textarea"])
     procedure.listeners.append(tab.later)
     ui.context.client.on_delete(lambda: procedure.listeners.remove(tab.later))
-    tab.go_to(_first_open(procedure))
+    leaving = _leave_question()
+    ui.on("leave", leaving.open)
+    request = ui.context.client.request
+    asked = None if request is None else request.query_params.get("step")
+    tab.on_step = lambda step: ui.run_javascript(f"sightlineStep({json.dumps(step)})") and None
+    tab.go_to(asked if asked in STEPS else _first_open(procedure))
+
+
+def _leave_question() -> ui.dialog:
+    """Asked of who goes back beyond the first step."""
+    with ui.dialog() as dialog, ui.card().classes("question"):
+        ui.label(LEAVE_QUESTION).classes("question-text").props("data-testid=leave-question")
+        with ui.element("div").classes("choice"):
+            action(STAY, dialog.close, testid="leave-no", kind="primary")
+            action(LEAVE, lambda: ui.run_javascript("sightlineLeave()") and None, testid="leave-yes", kind="plain")
+    return dialog
 
 
 def _first_open(procedure: Procedure) -> str:
@@ -80,7 +107,7 @@ def _steps(tab: Tab) -> Callable[[], None]:
     made: list[tuple[ui.button, ui.label, ui.tooltip]] = []
     for number, name in enumerate(STEPS, 1):
         with action(f"{number} {name}", partial(tab.go_to, name), testid=f"step-{name}").classes("step") as button:
-            made.append((button, ui.label().classes("standing"), ui.tooltip("")))
+            made.append((button, ui.label().classes("standing"), ui.tooltip("").classes("step-reason")))
 
     def update() -> None:
         for step, (button, standing, tip) in zip(steps(tab.procedure), made, strict=True):
@@ -107,6 +134,7 @@ def _undo(tab: Tab) -> Callable[[], None]:
 def _stop(tab: Tab) -> None:
     if tab.procedure.drilling.session is not None:
         action("STOP", tab.doing(lambda: _stop_robot(tab)), testid="stop", kind="danger")
+        ui.label(RED_BUTTON).classes("red-button").props("data-testid=red-button")
 
 
 async def _stop_robot(tab: Tab) -> None:

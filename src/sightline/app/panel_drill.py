@@ -39,7 +39,7 @@ def _key(tab: Tab) -> Hashable:
     drilling, now = tab.procedure.drilling, tab.procedure.drilling.now
     told = () if now is None else (now.state, now.fault, now.doing, now.said, now.lost, now.zero)
     procedure, decisions = tab.procedure, tab.procedure.decisions
-    plan = (procedure.planned, decisions.side, decisions.serial, procedure.go)
+    plan = (procedure.planned, decisions.side, decisions.serial, procedure.can_send)
     return (told, drilling.sent, drilling.record, drilling.current, plan, procedure.working)
 
 
@@ -131,8 +131,8 @@ def _orders(tab: Tab) -> None:
         _asked(tab, texts.RESET_FAULT, RESET_QUESTION, lambda: session.reset(now.fault), "reset-fault", enabled=idle)
         return
     plan = procedure.planned.plan if procedure.planned is not None else None
-    can_send = idle and procedure.go and state not in (State.ALIGNED.value, State.PAUSED.value, State.DONE.value)
-    if plan is not None and procedure.go and procedure.decisions.side is not None:
+    can_send = idle and procedure.can_send and state not in (State.ALIGNED.value, State.PAUSED.value, State.DONE.value)
+    if plan is not None and procedure.can_send and procedure.decisions.side is not None:
         what = SEND_WHAT.format(
             robot=texts.ROBOT_NAMES[procedure.patient is not None],
             length=plan.trajectory.length_mm,

@@ -42,6 +42,7 @@ def build(tab: Tab) -> None:
     Section(tab, _state, _images)
     Section(tab, lambda t: t.procedure.decisions.side, _side)
     Section(tab, lambda t: t.procedure.decisions.serial, _serial)
+    Section(tab, _untimed, _taken)
     Section(tab, lambda t: tuple(t.procedure.decisions.display.items()), _display)
 
 
@@ -113,6 +114,27 @@ def _serial(tab: Tab) -> None:
 
     field.on("keydown.enter", tab.doing(confirm))
     action(texts.SERIAL_CONFIRM, tab.doing(confirm), testid="confirm-serial", kind="plain" if confirmed else "primary")
+
+
+def _untimed(tab: Tab) -> tuple[str, ...]:
+    """The images that nobody knows the time of."""
+    seen = {name: tab.procedure.seen(name) for name in NAMES}
+    return tuple(name for name, one in seen.items() if one is not None and tab.procedure.taken_at(one) is None)
+
+
+def _taken(tab: Tab) -> None:
+    untimed = _untimed(tab)
+    if untimed:
+        heading(texts.TAKEN_HEADING)
+    for name in untimed:
+        note(texts.TAKEN_UNKNOWN.format(image=IMAGE_LABELS[name]), kind="warn", testid=f"taken-unknown-{name}")
+        said = ui.number(texts.TAKEN_FIELD.format(image=IMAGE_LABELS[name]), format="%.0f", min=0)
+        said.props(f"outlined dense data-testid=taken-{name}")
+
+        def confirm(name: str = name, said: ui.number = said) -> None:
+            tab.procedure.state_taken(name, float("nan") if said.value is None else float(said.value))
+
+        action(texts.TAKEN_CONFIRM, tab.doing(confirm), testid=f"confirm-taken-{name}", kind="primary")
 
 
 def _display(tab: Tab) -> None:

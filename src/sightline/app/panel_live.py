@@ -45,10 +45,9 @@ def _switch(tab: Tab) -> None:
         action(texts.LIVE_SHOW, start, testid="live-start", kind="plain")
         return
 
-    def stop() -> None:
-        live.close()
+    async def stop() -> None:
         tab.show_live(None)
-        tab.procedure.notify()
+        await live.close()
 
     with ui.element("div").classes("choice"):
         action(texts.LIVE_END, tab.doing(stop), testid="live-stop", kind="plain")

@@ -39,7 +39,7 @@ def key(tab: Tab) -> Hashable:
 
 def age_key(tab: Tab) -> Hashable:
     """Whether there is a plan, and it is young enough."""
-    return bool(_listed(tab)), tab.procedure.fresh
+    return bool(_listed(tab)), tab.procedure.fresh, tab.procedure.drilled_age_s
 
 
 def count(tab: Tab) -> Hashable:
@@ -99,7 +99,10 @@ def build_age(tab: Tab) -> None:
     if not _listed(tab):
         return
     label = ui.label().classes("age").props("data-testid=age")
-    was_fresh = tab.procedure.fresh
+    was_fresh, drilled = tab.procedure.fresh, tab.procedure.drilled_age_s
+    if drilled is not None:
+        label.set_text(texts.SENT_AT.format(age=_minutes(drilled)))
+        return
 
     def tell() -> None:
         age = tab.procedure.age_s

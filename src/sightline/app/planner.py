@@ -8,7 +8,7 @@ import numpy as np
 
 from sightline.app.decisions import Decisions, Mark, Pixel
 from sightline.app.marks import END, ENTRY, asked_of
-from sightline.calibration import CalibratedView
+from sightline.calibration import BeadView, CalibratedView
 from sightline.case.contents import Asked
 from sightline.case.views import NAMES
 from sightline.errors import SightlineError
@@ -32,7 +32,7 @@ class Planned:
     why it is not there."""
 
     decisions: Decisions
-    views: tuple[CalibratedView, CalibratedView]
+    views: tuple[BeadView, BeadView]
     curves: Mapping[str, MatchingCurve] = field(default_factory=dict)
     plan: Plan | None = None
     refused: Mapping[str, str] = field(default_factory=dict)
@@ -59,7 +59,7 @@ class Planned:
         """A wire by the kind's rule, from head and shaft. Raises SightlineError."""
         side, rule = self.decisions.side, self.kind.proposal
         if side is None:
-            raise _SideUnknownError
+            raise _NoSideError
         assert rule is not None  # noqa: S101 - the page offers it only where there is one
         return propose(self.views, self.anatomy, side, rule=rule)
 
@@ -67,11 +67,11 @@ class Planned:
 class _NoSideError(SightlineError):
     """The side of the patient is not confirmed."""
 
+    def __init__(self) -> None:
+        super().__init__("confirm the patient's side first: what is superior and what is anterior follows it")
 
-_SideUnknownError = _NoSideError("confirm the patient's side first: what is superior and what is anterior follows it")
 
-
-def planned(decisions: Decisions, views: Sequence[CalibratedView]) -> Planned:
+def planned(decisions: Decisions, views: Sequence[BeadView]) -> Planned:
     """All that follows from decisions on two calibrated views, PA first."""
     pair = (views[0], views[1])
     curves, refused = drawn_curves(decisions, pair)

@@ -5,8 +5,9 @@ import traceback
 from collections.abc import Awaitable, Callable, Coroutine
 from contextlib import suppress
 from dataclasses import replace
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from functools import cached_property
+from math import isfinite
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -18,7 +19,7 @@ from sightline.app.marks import CHECK_NAMES
 from sightline.app.planner import Planned, moved, planned
 from sightline.app.rehearsing import Patient
 from sightline.app.seen import Lightbox, SeenImage
-from sightline.app.texts import BUG
+from sightline.app.texts import BUG, TAKEN_REFUSED
 from sightline.app.verifying import Verifying
 from sightline.app.workshop import Workshop, warm_up
 from sightline.calibration import BeadView
@@ -34,6 +35,8 @@ from sightline.robot.target import LIFETIME_S
 
 T = TypeVar("T")
 _TAKEN_IN = 8  # images that are looked at when a case has none placed [ours]
+_CLOCKS_APART = timedelta(seconds=5)  # of C-arm and this machine, both set by the same time server [ours]
+_LONGEST_AGO_MIN = 1e6  # two years [ours]
 _EDITS = ("edit", "undo", "redo")
 
 
@@ -105,24 +108,45 @@ class Procedure:
             self._planned = planned(self.decisions, views)
         return self._planned
 
+    def taken_at(self, seen: SeenImage) -> datetime | None:
+        """When an image was taken: as its file says, else as a person says; None where neither does. A file that says a
+        time after its arrival was written by a clock that is not this machine's, and says nothing."""
+        arrived, said = seen.acquired.at, seen.taken_at
+        if seen.acquired.by is Actor.DEMO:
+            return arrived  # it was made for this
+        if said is not None and said <= arrived + _CLOCKS_APART:
+            return min(said, arrived)
+        return self.decisions.taken.get(seen.acquired.number)
+
     @property
     def imaged_at(self) -> datetime | None:
-        """When the older of the two planning images came in."""
-        seen = [self.seen(name) for name in NAMES]
-        at = [one.acquired.at for one in seen if one is not None]
-        return min(at) if len(at) == len(NAMES) else None
+        """When the older of the two planning images was taken; None where one is missing, or its time is not known."""
+        at = [None if seen is None else self.taken_at(seen) for seen in map(self.seen, NAMES)]
+        known = [one for one in at if one is not None]
+        return min(known) if len(known) == len(NAMES) else None
 
     @property
     def age_s(self) -> float | None:
-        """Of the plan: since its older image. None without images; negative where the clock was set back."""
+        """Of the plan: since its older image was taken. None where that is not known; negative where the clock was set
+        back."""
+        return self._age_s(datetime.now(UTC))
+
+    def _age_s(self, when: datetime) -> float | None:
         at = self.imaged_at
-        return None if at is None else (datetime.now(UTC) - at).total_seconds()
+        return None if at is None else (when - at).total_seconds()
+
+    @property
+    def drilled_age_s(self) -> float | None:
+        """How old the images were when the plan was sent that is drilled by now; None of another plan."""
+        drilling = self.drilling
+        if drilling.record is None or drilling.sent_at is None or not drilling.current:
+            return None
+        return self._age_s(drilling.sent_at)
 
     @property
     def fresh(self) -> bool:
         """True while the images are young enough to act on."""
-        age = self.age_s
-        return age is not None and 0.0 <= age <= LIFETIME_S
+        return _is_fresh(self.age_s)
 
     def verdict_of(self, known: Planned | None) -> Verdict | None:
         """All that stands for or against sending a plan: planning's checks, then what a person must confirm."""
@@ -146,10 +170,17 @@ class Procedure:
         return verdict is not None and verdict.go
 
     @property
+    def can_send(self) -> bool:
+        """True if the plan is GO and its images are recent enough to act on, now."""
+        return self.go and self.fresh
+
+    @property
     def confirmations(self) -> list[Check]:
         """What a person must confirm before anything is sent, and the plan's age."""
-        side, serial, age = self.decisions.side, self.decisions.serial, self.age_s
-        known, fresh = self.frame.serial, self.fresh
+        side, serial, known = self.decisions.side, self.decisions.serial, self.frame.serial
+        drilled = self.drilled_age_s  # what is drilled grows no older
+        age = self.age_s if drilled is None else drilled
+        fresh = _is_fresh(age)
         return [
             Check(
                 "side confirmed",
@@ -177,9 +208,7 @@ class Procedure:
                 age,
                 LIFETIME_S,
                 "s",
-                "The images are recent enough: the patient has not had long to move."
-                if fresh
-                else "The images are too old, or the clock was set back: the patient may have moved; take both again.",
+                _age_sentence(age, fresh=fresh, drilled=drilled is not None),
             ),
         ]
 
@@ -237,6 +266,14 @@ class Procedure:
                 f"this case was calibrated with the frame {known}; if the robot holds another, open a case with that"
             )
         self.edit(replace(self.decisions, serial=serial))
+
+    def state_taken(self, image: str, minutes_ago: float) -> None:
+        """A person says when an image was taken. Raises UnusableInputError."""
+        seen = self.seen(image)
+        if seen is None or not (isfinite(minutes_ago) and 0.0 <= minutes_ago <= _LONGEST_AGO_MIN):
+            raise UnusableInputError(TAKEN_REFUSED)
+        at = datetime.now(UTC) - timedelta(minutes=minutes_ago)
+        self.edit(self.decisions.with_taken(seen.acquired.number, at))
 
     def show(self, image: str, display: Display) -> None:
         """Show an image otherwise."""
@@ -340,3 +377,17 @@ class Procedure:
     def _record(self, what: str, decisions: Decisions | None) -> None:
         to = None if decisions is None else decisions.document()
         stages.record_changed(self.case, what, to, by=Actor.SURGEON)
+
+
+def _is_fresh(age_s: float | None) -> bool:
+    return age_s is not None and 0.0 <= age_s <= LIFETIME_S
+
+
+def _age_sentence(age_s: float | None, *, fresh: bool, drilled: bool) -> str:
+    if age_s is None:
+        return "It is not known when the images were taken: state it on the step Images, or take both again."
+    if not fresh:
+        return "The images are too old, or the clock was set back: the patient may have moved; take both again."
+    if drilled:
+        return "The images were recent enough when the plan was sent; the wire is drilled."
+    return "The images are recent enough: the patient has not had long to move."

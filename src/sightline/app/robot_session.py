@@ -4,7 +4,7 @@ import asyncio
 import threading
 import time
 from collections.abc import Callable
-from concurrent.futures import Future
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from queue import Empty, SimpleQueue
@@ -29,6 +29,7 @@ from sightline.robot.target import PlanIdentity, RobotTarget
 
 T = TypeVar("T")
 _STATUS_EVERY_S = 0.25  # [ours]
+_STOPS = 4  # STOPs that may be on their way at once; a press more waits for one of them [ours]
 _IDLE_S = 0.02  # between two looks for something to do
 _TOLD = ("state", "fault", "doing", "said", "lost", "zero")  # news that pages are told of; the rest they look up
 _CONTRADICTS = 3.0  # standard deviations of both together; chance alone comes to it in three of a thousand shots [ours]
@@ -69,6 +70,9 @@ class RobotSession:
         self._telling = False
         self._orders: SimpleQueue[tuple[Callable[[RobotClient], Any], Future]] = SimpleQueue()
         self._end = threading.Event()
+        self._lock = threading.Lock()  # for `now` and `_over`, which this thread and the link's replace
+        self._over = False  # no order is carried out any more
+        self._stops = ThreadPoolExecutor(_STOPS, "stop")  # STOP waits for no other work of the page
         self._client = RobotClient(port=port, heartbeat=heartbeat)
         self._client.listeners.append(self._heard)
         self.imaged_q = self._client.joints()[0]
@@ -166,21 +170,15 @@ class RobotSession:
     async def stop(self) -> None:
         """At once, whatever goes on; what waits is not begun. Raises LinkError."""
         self._drop_orders("the robot was told to stop")
-        await asyncio.to_thread(self._client.stop)
+        with self._lock:
+            if self._over:
+                raise LinkError("the link to the robot is lost, and STOP with it; use the red button")
+            stopping = self._stops.submit(self._client.stop)
+        await asyncio.wrap_future(stopping)
 
     async def _do(self, doing: str, order: Callable[[RobotClient], T], since: State | None = None) -> T:
-        # One order at a time: a second confirmation, of another page say, was of what is no longer so.
-        if self.now.lost:
-            raise LinkError("the link to the robot is lost; start it again")
-        if self.now.doing:
-            raise RobotRefusedError(f"the robot is still {self.now.doing}; wait until it has ended, or stop it")
-        if since is not None and self.now.state != since.value:
-            raise RobotRefusedError(
-                f"the robot is in {self.now.state} by now, not in {since.value}: look, and confirm again"
-            )
         future: Future = Future()
-        self._put(doing=doing, said="")
-        self._orders.put((order, future))
+        self._begin(doing, since, (order, future))
         try:
             return await asyncio.wrap_future(future)
         except SightlineError as error:
@@ -188,6 +186,22 @@ class RobotSession:
             raise
         finally:
             self._put(doing="")
+
+    def _begin(self, doing: str, since: State | None, ordered: tuple[Callable[[RobotClient], Any], Future]) -> None:
+        # One order at a time: a second confirmation, of another page say, was of what is no longer so.
+        with self._lock:
+            now = self.now
+            if now.lost or self._over:
+                raise LinkError("the link to the robot is lost; start it again")
+            if now.doing:
+                raise RobotRefusedError(f"the robot is still {now.doing}; wait until it has ended, or stop it")
+            if since is not None and now.state != since.value:
+                raise RobotRefusedError(
+                    f"the robot is in {now.state} by now, not in {since.value}: look, and confirm again"
+                )
+            self.now = replace(now, doing=doing, said="")
+            self._orders.put(ordered)
+        self._tell()
 
     # The link's thread.
 
@@ -213,8 +227,11 @@ class RobotSession:
             self._put(lost=True, said=BUG.format(kind=type(error).__name__), doing="")
             raise
         finally:
-            self._put(lost=True)
+            with self._lock:
+                self._over = True  # an order that comes from here on is refused, and none is left in the queue
+            self._put(lost=True, doing="")
             self._drop_orders("the link to the robot was closed")
+            self._stops.shutdown(wait=False)
 
     def _drop_orders(self, why: str) -> None:
         with suppress(Empty):
@@ -261,7 +278,11 @@ class RobotSession:
         self._put(depth_sd_mm=sd_mm, zero=zero)
 
     def _put(self, **news: Any) -> None:
-        told = any(getattr(self.now, name) != news[name] for name in _TOLD if name in news)
-        self.now = replace(self.now, **news)
-        if told and not self._end.is_set():  # who ends it knows, and may have ended what would hear of it
+        with self._lock:
+            before, self.now = self.now, replace(self.now, **news)
+        if any(getattr(before, name) != news[name] for name in _TOLD if name in news):
+            self._tell()
+
+    def _tell(self) -> None:
+        if not self._end.is_set():  # who ends it knows, and may have ended what would hear of it
             self._changed()

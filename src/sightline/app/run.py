@@ -42,7 +42,12 @@ def run(settings: Settings, on_ready: Callable[[Site], None]) -> None:
             on_ready=ready,
         )
     finally:
-        procedure.live.close()
-        asyncio.run(procedure.drilling.close())
+        asyncio.run(_close(procedure))
         workshop.close()
         procedure.case.close()
+
+
+async def _close(procedure: Procedure) -> None:
+    procedure.listeners.clear()  # whatever page there was, its loop has ended
+    await procedure.drilling.close()  # the robot before all else
+    await procedure.live.close()

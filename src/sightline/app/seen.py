@@ -4,6 +4,7 @@ import asyncio
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from datetime import datetime
 
 from sightline.app.texts import BUG
 from sightline.app.workshop import Workshop
@@ -15,18 +16,20 @@ from sightline.case.views import CalibratedImage, Seen, tell_apart
 from sightline.detection import Detections, Observations, detect
 from sightline.errors import CaseError, SightlineError
 from sightline.frame import Frame
-from sightline.imaging import Radiograph
+from sightline.imaging import Radiograph, taken_at
 
 
 @dataclass(frozen=True, eq=False)
 class SeenImage:
     """What is known so far of one acquired image. `doing`: what is being done now, empty at rest. `refused`: why it
-    goes no further. Each later member is there once the work has come so far."""
+    goes no further. `taken_at`: when the image was taken, as its file says; None where it does not. Each later member
+    is there once the work has come so far."""
 
     acquired: Entry
     image: Radiograph
     doing: str = ""
     refused: str | None = None
+    taken_at: datetime | None = None
     beads: Detections | None = None
     observations: Observations | None = None
     view: BeadView | None = None
@@ -65,8 +68,9 @@ class Lightbox:
         if known is not None and known.refused is None:
             return known
         image = await asyncio.to_thread(stages.image_of, self._case, entry)
+        taken = await asyncio.to_thread(taken_at, self._case.original(entry.content["original"]))
         try:
-            await self._work(SeenImage(entry, image))
+            await self._work(SeenImage(entry, image, taken_at=taken))
         except SightlineError as error:
             self._put(replace(self._images[entry.number], doing="", refused=str(error)))
         except Exception as error:

@@ -12,11 +12,12 @@ from dataclasses import dataclass, field
 
 import uvicorn
 from fastapi import FastAPI
-from nicegui import core, ui
+from nicegui import Client, core, ui
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from sightline.app.guard import MAX_BODY_BYTES, Guard, is_loopback
-from sightline.app.images import Images
+from sightline.app.images import IMAGES_PATH, Images
+from sightline.app.pages import Pages
 from sightline.app.uploads import MAX_UPLOAD_BYTES, UPLOADS_PATH, Uploads
 from sightline.errors import UnusableInputError
 
@@ -24,6 +25,7 @@ MAX_CONNECTIONS = 64  # [ours] a browser opens six, and a socket
 HEADERS_S = 10.0  # [ours] longest time for the headers of a request
 STOP_S = 3  # [ours] how long open connections may take to finish
 RECONNECT_S = 10.0  # [ours] how long a page that lost its connection keeps its place
+_NO_PAGES = ("/_nicegui", "/favicon", IMAGES_PATH, UPLOADS_PATH)
 
 _ICON = (
     '<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 32 32" fill="none" stroke="#56b4e9" stroke-width="3">'
@@ -97,9 +99,16 @@ def guarded(page_root: PageRoot, site: Site) -> Guard:
         tailwind=False,  # 270 kB of compiler at every start of a page
         show_welcome_message=False,
     )
+    core.sio.on("alive", _alive)
     core.sio.eio.cors_allowed_origins = []  # no header that lets other pages in; the guard checks Origin
     core.sio.eio.max_http_buffer_size = MAX_BODY_BYTES
-    return Guard(app, site.host, site.port, site.token, {UPLOADS_PATH: MAX_UPLOAD_BYTES})
+    pages = Pages(app, _NO_PAGES, lambda: len(Client.instances))
+    return Guard(pages, site.host, site.port, site.token, {UPLOADS_PATH: MAX_UPLOAD_BYTES})
+
+
+async def _alive(_: str) -> bool:
+    """A page asks whether anybody answers (page.js)."""
+    return True
 
 
 def _ready(site: Site, open_browser: bool, on_ready: Callable[[Site], None]) -> None:

@@ -52,6 +52,8 @@ def _images(procedure: Procedure) -> _Found:
         return Standing.OPEN, texts.DROP_MISSING.format(images=" and the ".join(IMAGE_LABELS[name] for name in missing))
     if decisions.side is None or decisions.serial is None:
         return Standing.ATTENTION, texts.CONFIRM_BOTH
+    if any(procedure.taken_at(seen) is None for seen in _both(procedure)):
+        return Standing.ATTENTION, texts.STATE_WHEN_TAKEN
     return Standing.DONE, texts.IMAGES_DONE
 
 
@@ -97,7 +99,7 @@ def _drill(procedure: Procedure) -> _Found:
         return Standing.ATTENTION, now.said or now.text or texts.LINK_LOST
     if now is not None and drilling.sent is not None and now.state != State.UNDEFINED.value:
         return Standing.OPEN, texts.ROBOT_IN.format(state=now.state)
-    if not procedure.go:
+    if not procedure.can_send:
         return Standing.BLOCKED, texts.ONLY_GO
     return Standing.OPEN, texts.CAN_SEND
 

@@ -53,6 +53,7 @@ SPACE_GROUPS = {
 DOING = "{doing}."
 DROP_MISSING = "Drop the {images} onto the page."
 CONFIRM_BOTH = "Confirm the patient's side and the frame's serial."
+STATE_WHEN_TAKEN = "State when the images were taken that do not say it."
 IMAGES_DONE = "Both images are here; side and frame are confirmed."
 IMAGES_FIRST = "Both images are needed first."
 SAME_VIEW = "The two images show the same view; a PA and a lateral image are needed."
@@ -87,6 +88,11 @@ SERIAL_KNOWN = "Type the serial that is engraved on the frame; it must be the fr
 SERIAL_FIELD = "Serial on the frame"
 SERIAL_CONFIRM = "Confirm serial"
 SERIAL_REFUSED = "type the serial as it is engraved on the frame, or “none” if there is none"
+TAKEN_HEADING = "When the images were taken"
+TAKEN_UNKNOWN = "{image}: unknown. The file does not say it, or says a time after its arrival: compare the clocks."
+TAKEN_FIELD = "{image}: taken, minutes ago"
+TAKEN_CONFIRM = "Confirm the time"
+TAKEN_REFUSED = "give the minutes since the image was taken, a number from 0 on"
 DISPLAY_HEADING = "Display"
 DISPLAY_SHOWN = "{image}: {how}"
 DISPLAY_AND = " and "
@@ -128,6 +134,7 @@ VERDICTS = {  # word and sentence
 }
 ALL_CHECKS = "All {count} checks"
 EXPIRES = "The images are {age} old; the plan expires in {left}."
+SENT_AT = "The images were {age} old when the plan was sent; the wire is drilled."
 EXPIRED = "The plan has expired: take both images again (step Images)."
 MINUTES = "{minutes} min {seconds:02d} s"
 SHARES_HEADING = "Where the error comes from"
@@ -186,6 +193,14 @@ STOP_IS_NO_EMERGENCY_STOP = (
     "STOP and the space bar ask the robot's program to stop. Neither is an emergency stop: "
     "that is the red button at the robot."
 )
+DEAD = (
+    "The program does not answer. What is shown may be out of date, and STOP does not reach the robot: "
+    "use the red button."
+)
+RED_BUTTON = "use the red button"
+LEAVE_QUESTION = "Leave this page? The plan stays in the case; STOP is gone with the page."
+STAY = "Stay"
+LEAVE = "Leave"
 REACHABLE = "This page can be reached from other machines; who has its address and token can move the robot."
 SEND_QUESTION = "Send this plan to the robot?"
 SEND_WHAT = (

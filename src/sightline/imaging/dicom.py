@@ -1,10 +1,13 @@
 """DICOM in and out. No element that tells who the patient is, is ever read."""
 
+import re
 import warnings
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from datetime import UTC, datetime
 from hashlib import sha256
 from io import BytesIO
+from itertools import chain
 from logging import getLogger
 from math import isfinite
 from pathlib import Path
@@ -62,6 +65,10 @@ _READ = [
 ]
 
 _PIXEL_DATA = 0x7FE00010
+# Where a file may say when its image was acquired, the nearest to the exposure first.
+_TIMES = (("AcquisitionDateTime",), ("AcquisitionDate", "AcquisitionTime"), ("ContentDate", "ContentTime"))
+_ZONE = "TimezoneOffsetFromUTC"
+_STAMP = re.compile(r"(\d{14})(?:\.\d*)?([+-]\d{4})?")
 
 # Elements the standard wants present and a mobile C-arm without a worklist leaves empty.
 _EMPTY = [
@@ -105,6 +112,29 @@ def read(file: Path, frame_index: int | None) -> Radiograph:
         stored = stored[..., 0]
     pixels, white = _as_x_rays(stored, header, bits)
     return Radiograph(pixels, white, _geometry(header), lossy)
+
+
+def taken_at(file: Path) -> datetime | None:
+    """When the image of a DICOM file was acquired, by the clock of the device; None where the file does not say it.
+
+    Acquisition Date Time (0008,002A), else acquisition date and time, else content date and time; without Timezone
+    Offset From UTC (0008,0201) in this machine's zone. Raises ImageError.
+    """
+    with quiet():
+        try:
+            said = dcmread(file, stop_before_pixels=True, specific_tags=[*chain(*_TIMES), _ZONE])
+        except Exception:  # as in `_header`
+            raise damaged(file.name) from None
+        for keywords in _TIMES:
+            match = _STAMP.fullmatch("".join(str(said.get(keyword) or "") for keyword in keywords).strip())
+            if match is None:
+                continue
+            zone = match[2] or str(said.get(_ZONE) or "").strip()
+            with suppress(ValueError):  # no such day or hour
+                if zone:
+                    return datetime.strptime(match[1] + zone, "%Y%m%d%H%M%S%z").astimezone(UTC)
+                return datetime.strptime(match[1], "%Y%m%d%H%M%S").astimezone(UTC)  # this machine's zone
+    return None
 
 
 def frames_in(file: Path) -> int:

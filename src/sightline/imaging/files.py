@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
+from datetime import datetime
 from pathlib import Path
 
 import cv2
@@ -66,6 +67,13 @@ def frames_in(path: str | Path) -> int:
     """How many frames a file holds; 1 for all but runs in DICOM. Raises ImageError."""
     file = Path(path)
     return dicom.frames_in(file) if _first_bytes(file)[128:132] == b"DICM" else 1
+
+
+def taken_at(path: str | Path) -> datetime | None:
+    """When the image of a file was acquired, by the clock of the device; None where the file does not say it, as only
+    DICOM does. Raises ImageError."""
+    file = Path(path)
+    return dicom.taken_at(file) if _first_bytes(file)[128:132] == b"DICM" else None
 
 
 def suffix_of(start: bytes) -> str | None:

@@ -85,10 +85,10 @@ class Picture:
 
 @dataclass(frozen=True)
 class Shown:
-    """All that a view shows. `layers`: shapes by layer, drawn in this order (image pixels; styles are names of the table
-    in xray_paint.js). `points`: id, label, uv (None: not placed), style, movable, snapped; only these may be named by
-    the browser. `placing`: the point that the next click places. `notice`: a text over the image. `revision`: the state
-    of the plan; an edit that was not acknowledged is sent again only under the same one."""
+    """All that a view shows. `layers`: shapes by layer, drawn in this order (image pixels; styles are names of the
+    table in xray_paint.js). `points`: id, label, uv (None: not placed), style, movable, snapped; only these may be
+    named by the browser. `placing`: the point that the next click places. `notice`: a text over the image.
+    `revision`: the state of the plan; an edit that was not acknowledged is sent again only under the same one."""
 
     label: str
     picture: Picture | None = None
@@ -192,8 +192,8 @@ class XrayView(Element, component="xray_view.js", dependencies=["xray*.js", _COL
 
 
 def checked(said: object, shown: Shown) -> XrayEvent | None:
-    """The event in what a browser said; None if it is not one, names an unknown point, lies off the field or was made on
-    another image than the one that is shown."""
+    """The event in what a browser said; None if it is not one, names an unknown point, lies off the field or was made
+    on another image than the one that is shown."""
     kind = said.get("type") if isinstance(said, dict) else None
     if not isinstance(said, dict) or not isinstance(kind, str) or kind not in _TYPES:
         return None

@@ -1,0 +1,137 @@
+"""How old a plan is: since its images were taken, not since their files came; and no older once it is drilled."""
+
+from collections.abc import Iterator
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from pydicom import dcmread
+from pydicom.config import disable_value_validation
+from pydicom.datadict import dictionary_VR
+
+from sightline.app import procedure as module
+from sightline.app.decisions import Decisions
+from sightline.app.procedure import Procedure
+from sightline.app.seen import SeenImage
+from sightline.app.workshop import Workshop
+from sightline.case.entry import Actor
+from sightline.case.views import NAMES
+from sightline.errors import UnusableInputError
+from sightline.imaging import Radiograph, taken_at, write_dicom, write_png
+from sightline.robot.target import LIFETIME_S
+
+NOW = datetime(2026, 3, 4, 12, 0, 0, tzinfo=UTC)
+IMAGE = Radiograph(np.full((32, 32), 9, np.uint16), 4095.0)
+
+
+@pytest.mark.parametrize(
+    ("said", "at"),
+    [
+        ({"AcquisitionDateTime": "20260304115030.25+0100"}, datetime(2026, 3, 4, 10, 50, 30, tzinfo=UTC)),
+        (
+            {"AcquisitionDate": "20260304", "AcquisitionTime": "115030", "TimezoneOffsetFromUTC": "-0500"},
+            datetime(2026, 3, 4, 16, 50, 30, tzinfo=UTC),
+        ),
+        ({"ContentDate": "20260304", "ContentTime": "115030.5"}, datetime(2026, 3, 4, 11, 50, 30).astimezone()),
+        ({"StudyDate": "20260304", "StudyTime": "115030"}, None),  # of the study, not of the image
+        ({"AcquisitionDate": "20260304", "AcquisitionTime": "11"}, None),  # to the hour
+        ({"AcquisitionDate": "20261404", "AcquisitionTime": "115030"}, None),
+        ({"AcquisitionTime": "115030"}, None),
+        ({}, None),
+    ],
+)
+def test_a_dicom_file_says_when_its_image_was_taken(tmp_path: Path, said: dict[str, str], at: datetime | None) -> None:
+    file = write_dicom(IMAGE, tmp_path / "one.dcm")
+    data = dcmread(file)
+    for keyword in [one.keyword for one in data if one.keyword.endswith(("Date", "Time"))]:
+        delattr(data, keyword)
+    with disable_value_validation():
+        for keyword, value in said.items():
+            data.add_new(keyword, dictionary_VR(keyword), value)
+        data.save_as(file)
+    assert taken_at(file) == at
+
+
+def test_no_other_file_says_it(tmp_path: Path) -> None:
+    assert taken_at(write_png(IMAGE, tmp_path / "one.png")) is None
+
+
+class _Clock(datetime):
+    """`now` is set by hand."""
+
+    at = NOW
+
+    @classmethod
+    def now(cls, tz: Any = None) -> datetime:
+        return cls.at
+
+
+@pytest.fixture
+def opened(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Procedure]:
+    """Both images came just now."""
+    monkeypatch.setattr(module, "datetime", _Clock)
+    _Clock.at = NOW
+    workshop = Workshop()
+    made = Procedure.open(tmp_path, "gamma", None, workshop)
+    for number, name in enumerate(NAMES, 101):
+        _came(made, name, number)
+    yield made
+    made.case.close()
+    workshop.close()
+
+
+def _came(procedure: Procedure, name: str, number: int, said_ago_s: float | None = 0.0, by: Actor = Actor.APP) -> None:
+    acquired: Any = SimpleNamespace(number=number, at=NOW, by=by)
+    image: Any = None
+    said = None if said_ago_s is None else NOW - timedelta(seconds=said_ago_s)
+    procedure.lightbox._images[number] = SeenImage(acquired, image, taken_at=said)
+    procedure.history.edit(procedure.decisions.with_image(name, number, same_pixels=True))
+
+
+def _age_check(procedure: Procedure):
+    return next(check for check in procedure.confirmations if check.name == "plan age")
+
+
+def test_age_counts_from_the_acquisition(opened: Procedure) -> None:
+    """A file that lay for an hour is an hour old however lately it came."""
+    assert opened.age_s == 0.0 and opened.fresh
+    _came(opened, "lateral", 103, said_ago_s=3600.0)
+    assert opened.age_s == 3600.0 and not opened.fresh
+    assert "too old" in _age_check(opened).sentence
+
+
+@pytest.mark.parametrize("said_ago_s", [None, -60.0])
+def test_a_time_that_is_not_known_is_asked_for(opened: Procedure, said_ago_s: float | None) -> None:
+    """Nor is one known that lies after the file's arrival: that clock is another."""
+    _came(opened, "lateral", 103, said_ago_s)
+    assert opened.age_s is None and not opened.fresh
+    assert not _age_check(opened).passed and "not known" in _age_check(opened).sentence
+    for minutes in (-1.0, float("nan"), 1e9):
+        with pytest.raises(UnusableInputError, match="minutes"):
+            opened.state_taken("lateral", minutes)
+    opened.state_taken("lateral", 4.0)
+    assert opened.age_s == 240.0 and _age_check(opened).passed
+    assert Decisions.of(opened.decisions.document()) == opened.decisions
+    _came(opened, "lateral", 104, None)  # what was said was said of another image
+    assert opened.age_s is None
+
+
+def test_the_images_of_a_rehearsal_are_taken_as_they_come(opened: Procedure) -> None:
+    for number, name in enumerate(NAMES, 103):
+        _came(opened, name, number, None, Actor.DEMO)
+    assert opened.age_s == 0.0
+
+
+def test_what_is_drilled_grows_no_older_but_is_not_sent_again(opened: Procedure) -> None:
+    drilling: Any = opened.drilling
+    drilling.sent = SimpleNamespace(decisions=opened.decisions)
+    drilling.sent_at, drilling.record = NOW + timedelta(seconds=120), SimpleNamespace()
+    _Clock.at = NOW + timedelta(seconds=LIFETIME_S + 1.0)
+    check = _age_check(opened)
+    assert check.passed and check.figure == 120.0
+    assert not opened.fresh and not opened.can_send
+    opened.history.edit(opened.decisions.with_image("pa", 105, same_pixels=True))  # another plan
+    assert not _age_check(opened).passed
