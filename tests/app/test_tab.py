@@ -348,6 +348,18 @@ def test_a_drop_that_is_refused_leaves_both_views_as_they_were(opened: Page, mon
     assert opened.tab.known is opened.procedure.planned
 
 
+@pytest.mark.parametrize("wrong", [{"uv": [9e6, 1.0]}, {"image": "/image/99"}])
+def test_nor_does_a_drop_that_is_not_even_heard(opened: Page, wrong: dict[str, Any]) -> None:
+    _place_all(opened, "right")
+    opened.tab.refresh()
+    before = {view: (opened.word(view)["points"], opened.word(view)["layers"]) for view in NAMES}
+    u, v = _uv(opened, "pa", "end")
+    opened.hear("pa", _move("/image/101", "end", "drag") | {"uv": [u + 9.0, v]})
+    assert opened.word("lateral")["layers"] != before["lateral"][1]
+    opened.hear("pa", _move("/image/101", "end") | wrong)
+    assert {view: (opened.word(view)["points"], opened.word(view)["layers"]) for view in NAMES} == before
+
+
 def test_the_guide_follows_from_the_decisions(opened: Page) -> None:
     """Undo steps back in it, redo forth; a mark that is taken away is asked for again."""
 

@@ -139,6 +139,8 @@ def page(seconds: float) -> None:
     ui.context.client.on_delete(lambda: pages.remove(views))
 
     async def hear(view: XrayView, event: XrayEvent) -> None:
+        if event.type == "refused":
+            return
         name = "pa" if view is views["pa"] else "lateral"
         heard.append({"view": name, **asdict(event)})
         if event.type == "display":

@@ -256,15 +256,22 @@ class Tab:
         if event.type == "cancel":
             self._wanted = ()
             self.refresh()
+        elif event.type == "refused":
+            self._let_go()
         elif event.type == "error":
             self.say(event.message or XRAY["load_failed"])
         elif event.type in ("place", "drop", "nudge", "drag", "remove", "display"):
             image = self._shown_in(view)
             if image is None:
                 view.drop(event)
-                self.refresh()
+                self._let_go()
             else:
                 await self._done_on(image, event)
+
+    def _let_go(self) -> None:
+        """Nothing is dragged any more: what followed from it is not so."""
+        self._preview = self._dragged = None
+        self.refresh()
 
     async def _done_on(self, image: str, event: XrayEvent) -> None:
         if event.id is not None and event.uv is not None:

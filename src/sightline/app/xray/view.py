@@ -24,8 +24,10 @@ TEXT_KEYS = (
 """Texts that a view needs. Fields in braces: point {name} {u} {v}, placing {name}, rotated {degrees}, readout {u} {v}
 {value}, edit_lost {name}."""
 
-EventType = Literal["place", "drag", "drop", "nudge", "select", "remove", "cancel", "display", "ready", "error"]
-_TYPES = frozenset(get_args(EventType))
+EventType = Literal[
+    "place", "drag", "drop", "nudge", "select", "remove", "cancel", "display", "ready", "error", "refused"
+]
+_TYPES = frozenset(get_args(EventType)) - {"refused"}
 _MOVES = frozenset({"place", "drag", "drop", "nudge"})
 _EDITS = _MOVES - {"drag"}
 _OF_A_POINT = _MOVES | {"select", "remove", "cancel"}
@@ -113,7 +115,8 @@ class Shown:
 
 @dataclass(frozen=True)
 class XrayEvent:
-    """What a person did in the view, checked. `uv` (u, v) px; `seq` numbers what the view acknowledges."""
+    """What a person did in the view, checked; "refused" stands for what was not what it must be. `uv` (u, v) px; `seq`
+    numbers what the view acknowledges."""
 
     type: EventType
     id: str | None = None
@@ -175,8 +178,8 @@ class XrayView(Element, component="xray_view.js", dependencies=["xray*.js", _COL
         try:
             if event is None:
                 self.refused += 1
-            elif self._handler is not None:
-                answer = self._handler(self, event)
+            if self._handler is not None:
+                answer = self._handler(self, event or XrayEvent("refused"))
                 if inspect.isawaitable(answer):
                     await answer
         finally:  # what is refused must not hold up what comes behind it
