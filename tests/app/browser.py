@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
 
-from playwright.sync_api import Browser, ConsoleMessage, Page, sync_playwright
+from playwright.sync_api import Browser, ConsoleMessage, Page, expect, sync_playwright
 
 ROOT = Path(__file__).resolve().parents[2]
 NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
@@ -23,9 +23,9 @@ FLAGS = [
     *("--disable-background-networking", "--disable-component-update", "--disable-sync"),
     "--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1, EXCLUDE localhost",  # nothing else can be reached
 ]
-START_S = 120.0  # a server that has not answered by then never will, on a busy machine either
+START_S = 300.0  # a server that has not answered by then never will, on a busy machine either
 END_S = 20.0
-PATIENCE_MS = 60_000  # of a page, for what a test waits for
+PATIENCE_MS = 120_000  # of a page, for what a test waits for
 
 
 def find_chromium() -> str | None:
@@ -37,6 +37,7 @@ def find_chromium() -> str | None:
 @contextmanager
 def chromium(path: str) -> Iterator[Browser]:
     """The browser at `path`, headless, that reaches nothing but this machine."""
+    expect.set_options(timeout=PATIENCE_MS)
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=path, args=FLAGS)
         try:
@@ -73,7 +74,7 @@ class Server:
 
     def _answers(self) -> bool:
         try:
-            with urllib.request.urlopen(self.url, timeout=1.0):  # noqa: S310
+            with urllib.request.urlopen(self.url, timeout=START_S):  # noqa: S310
                 return True
         except urllib.error.HTTPError:
             return True  # it answers, if only to refuse

@@ -276,7 +276,7 @@ def test_a_reload_stays_on_its_step_and_back_goes_one_step_back(hands: Hands) ->
 
 
 def test_no_text_moves_the_images_or_covers_the_instruction(hands: Hands) -> None:
-    _planned(hands)
+    hands.step("Plan")
     top = hands.core("pa", "core.stage.getBoundingClientRect().top")
     hands.page.evaluate(
         "() => { document.querySelector('.say').firstElementChild.textContent = 'a long sentence '.repeat(20); }"
@@ -295,7 +295,7 @@ def test_no_text_moves_the_images_or_covers_the_instruction(hands: Hands) -> Non
 
 
 def test_an_enlarged_image_lies_over_all_but_the_bar(hands: Hands, shoot) -> None:
-    _planned(hands)
+    hands.step("Plan")
     for width, height in ((1280, 800), (1920, 1080)):
         hands.page.set_viewport_size({"width": width, "height": height})
         shoot(hands.page, f"plan-{width}")

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import pytest
 from playwright.sync_api import Browser, Locator, Page, expect
-from tests.app.browser import Server, Tab
+from tests.app.browser import PATIENCE_MS, Server, Tab
 from tests.app.xray_page import FIELD_PX, HOSTILE, POINTS, SIDE, SPOTS, TEXTS, picture
 
 from sightline.app.xray.view import TEXT_KEYS, Picture, Shown, Window, XrayEvent, XrayView, checked
@@ -62,7 +62,7 @@ class View:
             self.page.wait_for_function("!sightlineXray.pa.moves.inFlight")  # nor anything that waits behind it
         mark = f"mark {next(MARKS)}"
         self.core("core.emit({type: 'error', message: value})", mark)
-        for _ in range(100):
+        for _ in range(PATIENCE_MS // 10):
             said = self.page.request.get(f"{self.server.url}heard").json()
             if any(one["message"] == mark for one in said["events"]):
                 return said
@@ -339,8 +339,9 @@ def test_plan_layers_hide_while_the_image_is_stale(view: View) -> None:
 
 
 def test_the_browser_itself_hides_the_plan_of_a_live_image_that_no_word_comes_of(view: View) -> None:
-    view.do("fresh-shortly")
+    view.do("fresh")
     assert not view.core("core.state.stale")
+    view.do("fresh-shortly")
     view.page.wait_for_function("sightlineXray.pa.state.stale")  # the server says nothing more
     expect(view.root.get_by_test_id("stale")).to_be_visible()
     view.do("fresh")
@@ -424,7 +425,7 @@ def test_one_escape_does_one_thing(view: View) -> None:
 def test_nothing_is_drawn_while_nothing_changes(view: View) -> None:
     view.do("beads")
     before = view.core("{...core.draws}")
-    view.page.wait_for_timeout(300)
+    view.page.evaluate("async () => { for (let n = 0; n < 20; n++) await new Promise(requestAnimationFrame); }")
     assert view.core("{...core.draws}") == before
     start = view.screen(POINTS[0]["uv"])
     view.drag(start, (start[0] + 30, start[1] + 10))
@@ -931,12 +932,12 @@ def test_an_edit_made_while_the_server_is_away(
         server.argv[-1] = "2"  # another revision
     server.start()
     if changed:
-        expect(view.root.get_by_test_id("lost")).to_contain_text("The last change of Entry", timeout=15000)
+        expect(view.root.get_by_test_id("lost")).to_contain_text("The last change of Entry")
         assert view.heard("drop") == []
         assert view.point("entry") == (300.0, 400.0)
     else:
         page.wait_for_function("uv => sightlineXray?.pa?.state.points.get('entry').uv[0] === uv[0]", arg=list(left))
-        page.wait_for_function("sessionStorage.getItem('sightline-xray-pa') === null", timeout=15000)
+        page.wait_for_function("sessionStorage.getItem('sightline-xray-pa') === null")
         assert near(view.heard("drop")[-1]["uv"], left) < 1e-9
 
 
