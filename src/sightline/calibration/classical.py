@@ -2,7 +2,8 @@
 
 Its errors: beads' noise and frame errors are carried through the same linear algebra. What the maps themselves get
 wrong is judged by leave-one-out residuals: their variance beyond the noise, correlated over `MISFIT_REACH` of the
-region, is taken to hold everywhere. That is a rule of thumb, not a model; the check "map misfit" says so.
+region, is taken to hold everywhere. That is a rule of thumb, not a model, and too cautious: a bead that is left out
+leaves a gap twice as wide as those between beads. The check "map misfit" says so.
 """
 
 from collections.abc import Callable
