@@ -81,6 +81,21 @@ def test_two_sizes_are_found_in_one_image() -> None:
     assert found.radius_px[at] == pytest.approx(radii, rel=0.06)
 
 
+def test_a_faint_round_texture_among_beads_is_not_a_bead_but_a_thin_washer_is() -> None:
+    rng = np.random.default_rng(14)
+    places = grid(50, SIZE, rng)
+    beads = [Bead(u, v, 8.0) for u, v in places]
+    texture, washer = (places[7] + 25.0).tolist(), (places[16] + 25.0).tolist()
+    beads += [Bead(*texture, 6.5, depth=0.35, ball=False), Bead(*washer, 10.0, depth=0.35, ball=False, inner=5.0)]
+    found = detect(radiograph(quanta(beads, flat(2000.0)), rng))
+    apart = np.linalg.norm(found.uv_px - texture, axis=1)
+    assert apart.min() > 10
+    assert len(found) == len(places) + 1
+    assert found.kind[np.linalg.norm(found.uv_px - washer, axis=1).argmin()] == "washer"
+    reasons = [r.reason for r in found.rejected if np.hypot(*np.subtract(r.uv_px, texture)) < 2]
+    assert reasons == ["much fainter than the other beads"]
+
+
 @pytest.mark.parametrize("level", [20.0, 120.0, 500.0])
 def test_stated_covariance_is_that_of_blurred_noise(level: float) -> None:
     rng = np.random.default_rng(6)

@@ -28,6 +28,9 @@ _SOFTEST = 0.45  # blur over radius of a shape with a rim [ARCADIS: 0.1-0.3; ana
 _ENOUGH_TO_COMPARE = 8
 _BLURRED = 1.5  # times the usual blur: one detector, one blur; beads up to 1.33 at low dose, 1.14 else [twin]
 _SMALL = 0.55  # of the usual radius: beads 0.62 and more, grains beside the beads 0.45 and less [twin, ARCADIS]
+# Of the usual contrast: one in a thousand beads has less, on dense bone at low dose [twin]; textures of bone that pass
+# for round have 0.14 and more [twin], 0.08 in images of hips [measured].
+_FAINT = 0.25
 _MINORITY = 0.33  # of the beads: no frame has both balls and holes
 _COVERED = 0.35  # of a bead's disc under writing; what is left of its rim no longer holds centre and radius [twin]
 _WASHER_RIM = 0.68  # of a washer's radius: what is further in is left out; its hole reaches to 0.45-0.55 [DIN 125]
@@ -65,7 +68,8 @@ def _detected(image: Radiograph) -> Detections:
     fit = refine.Fit(logs, usable, noise)
     beads, unfit = _fitted(rows[spots.round], fit)
     rejected += unfit
-    reason = _odd_ones(beads)
+    middles = mask & ~usable
+    reason = _odd_ones(beads, _on(middles, beads))
     if image.burnt_in is not None:
         reason[_covered(beads, image.burnt_in) > _COVERED] = "covered by writing in the image"
     rejected += _rejected(beads[reason != ""], reason[reason != ""])
@@ -78,7 +82,7 @@ def _detected(image: Radiograph) -> Detections:
             "their surroundings"
         )
         raise DetectionRefusedError(f"no bead was found ({len(rejected)} candidates were rejected); {why}")
-    return _detections(beads, mask & ~usable, image, rejected)
+    return _detections(beads, middles, image, rejected)
 
 
 def fit_of(image: Radiograph, beads: Detections) -> refine.Fit:
@@ -161,8 +165,9 @@ def fine_reasons(fit: np.ndarray) -> np.ndarray:
     return reason
 
 
-def _odd_ones(beads: np.ndarray) -> np.ndarray:
-    """Why a bead does not belong to the others of its image; empty where it does."""
+def _odd_ones(beads: np.ndarray, washer: np.ndarray) -> np.ndarray:
+    """Why a bead does not belong to the others of its image; empty where it does. `washer` (N,) bool: thin, and
+    therefore fainter than balls."""
     reason = np.full(len(beads), "", dtype=object)
     dark = beads[:, columns.CONTRAST] < 0
     strength = np.abs(beads[:, columns.CONTRAST]) * beads[:, columns.RADIUS]
@@ -177,7 +182,16 @@ def _odd_ones(beads: np.ndarray) -> np.ndarray:
         reason[usual & (beads[:, columns.RADIUS] < _SMALL * np.median(beads[usual, columns.RADIUS]))] = (
             "much smaller than the other beads"
         )
+        contrast = np.abs(beads[:, columns.CONTRAST])
+        if (solid := usual & ~washer).any():
+            reason[solid & (contrast < _FAINT * np.median(contrast[solid]))] = "much fainter than the other beads"
     return reason
+
+
+def _on(mask: np.ndarray, beads: np.ndarray) -> np.ndarray:
+    """(N,) bool: whether a mask (H, W) is true at each bead's centre."""
+    u, v = np.clip(np.rint(beads[:, :2]).astype(int), 0, np.array(mask.shape[::-1]) - 1).T
+    return mask[v, u]
 
 
 def _covered(beads: np.ndarray, written: np.ndarray) -> np.ndarray:
@@ -208,14 +222,13 @@ def _detections(
     beads: np.ndarray, middles: np.ndarray, image: Radiograph, rejected: tuple[Rejected, ...]
 ) -> Detections:
     """`middles` (H, W): where there are middles of washers."""
-    u, v = np.clip(np.rint(beads[:, :2]).astype(int), 0, np.array(image.shape[::-1]) - 1).T
     cuu, cuv, cvv = (beads[:, c] for c in (columns.CUU, columns.CUV, columns.CVV))
     return Detections(
         uv_px=beads[:, :2],
         radius_px=beads[:, columns.RADIUS],
         covariance_px2=np.stack([cuu, cuv, cuv, cvv], axis=-1).reshape(-1, 2, 2),
         kind=tuple(
-            np.where(middles[v, u], "washer", np.where(beads[:, columns.CONTRAST] < 0, "ball", "hole")).tolist()
+            np.where(_on(middles, beads), "washer", np.where(beads[:, columns.CONTRAST] < 0, "ball", "hole")).tolist()
         ),
         contrast=beads[:, columns.CONTRAST],
         image_shape=image.shape,

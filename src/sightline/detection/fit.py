@@ -54,7 +54,9 @@ _LIGHTS = 32  # steps per unit of light
 _MOST = 3  # beads of a joint fit
 _STEPS = 12
 _CHOOSING = 4  # steps after which weights and choice of pixels stay, and steps are halved: they would take turns [ours]
-_SETTLED = 0.02  # px: a step as small as that is a tenth of the noise or less, and the next one nothing
+_SETTLED = (
+    0.02  # px, and share of light: a step as small as that is a tenth of the noise or less, and the next one nothing
+)
 _PRIOR_PIXELS = 50.0  # weight of the noise model against the bead's own residuals, in pixels [ours]
 _LEAST_BLUR = 0.3  # px; a pixel alone blurs by 0.29
 _CUBIC = 0.06  # s.d. of a background's cubic terms at the window's rim, share of its light [twin: hard scenes]
@@ -77,6 +79,8 @@ _LONGEST = 0.12  # ellipticity: beads in images up to 0.09, pieces of wire more 
 # Covariance beyond what is linear in the noise, in units of the centre's variance over the blur's square [twin].
 _RIM_BENDS = 6.0
 _LOST = 0.15  # share of the rim that sharpening may cost, before a window is left as it is [ours]
+# Of a shadow's centre over a background that bends: what its cubic terms show, times this, is not explained by them.
+_BENT_PX = 0.1
 # What is known of a bead and of its neighbours from where they start, s.d.: px, px, share of radius, of blur [ours].
 _ITSELF = np.array([2.0, 2.0, 0.2, 0.5])
 _NEIGHBOUR = np.array([0.7, 0.7, 0.06, 0.3])
@@ -136,7 +140,7 @@ def _solve(spots, rows, noise, sharpening, plain, tables, light, state, window, 
     roots = _roots(np.exp(0.5 * (noise[0] - noise[1] * zero)) * np.sqrt(gain), noise[1])
     brightest = np.exp(noise[2] - zero - _NEARLY_CLIPPED * np.exp(0.5 * (noise[0] - noise[1] * noise[2])))
     out[STATUS] = TOO_FEW_PIXELS
-    chi2, pixels = 0.0, 0
+    chi2, pixels, follows = 0.0, 0, 0.0
     for turn in range(_STEPS):
         fill_light(table, at, beads, scatter, ground, optics, behind, effect, columns)
         if turn < _CHOOSING:
@@ -145,7 +149,7 @@ def _solve(spots, rows, noise, sharpening, plain, tables, light, state, window, 
             return
         fill_slopes(at, optics[0], root, behind, effect, columns)
         chi2 = normal_equations(columns, A, b)
-        _rely_on_what_is_known(beads, first, scatter, ground, known, A, b)
+        follows = _rely_on_what_is_known(beads, first, scatter, ground, known, A, b)
         if not solve(A, b, L, step):
             out[STATUS] = SINGULAR
             return
@@ -162,7 +166,7 @@ def _solve(spots, rows, noise, sharpening, plain, tables, light, state, window, 
     out[CHI2] = chi2 / max(pixels - size, 1.0)
     scale2 = (_PRIOR_PIXELS + pixels * out[CHI2]) / (_PRIOR_PIXELS + pixels)
     out[BLUR] = np.sqrt(max(beads[0, 3] ** 2 - blur2, 0.0))
-    _covariance(columns, where, L, len(state), after, scale2, known, ground, out)
+    _covariance(columns, where, L, len(state), after, scale2, known, follows, ground, out)
     inside = max((1.0 - taken) * ground[0] + scatter[0], 0.02 * ground[0])
     out[CCC] /= inside**2
     out[U], out[V], out[RADIUS] = spots[row, U] + beads[0, 0], spots[row, V] + beads[0, 1], beads[0, 2]
@@ -248,7 +252,7 @@ def _weigh(light, counting, brightest, roots, root):
 @exact
 def _rely_on_what_is_known(beads, first, scatter, ground, known, A, b):  # noqa: PLR0917
     """Ellipticity and cubic terms are small, beads are about where they start, scatter slopes at most about as the
-    background does; `known`: 1 / s.d.²."""
+    background does; `known`: 1 / s.d.². Return how far scatter's slopes are held to the background's."""
     known[:] = 0.0
     for k in range(len(beads)):
         for m in range(4, BEAD):
@@ -258,12 +262,16 @@ def _rely_on_what_is_known(beads, first, scatter, ground, known, A, b):  # noqa:
             sd = (_NEIGHBOUR[m] if k > 0 else _ITSELF[m]) * (abs(first[k, m]) if m > 1 else 1.0)
             known[BEAD * k + m] = 1.0 / sd**2
             b[BEAD * k + m] += (first[k, m] - beads[k, m]) / sd**2
-    at, slope = BEAD * len(beads) + 1, np.hypot(ground[1], ground[2])
+    at, to, slope = BEAD * len(beads) + 1, len(b) - GROUND + 1, np.hypot(ground[1], ground[2])
     share = scatter[0] * min(1.0, _STEEPEST / max(slope, 1e-9))
-    sd2 = (_FOLLOWS_SD * share * slope) ** 2 + (_UNLIKE * scatter[0]) ** 2 + 1e-6
+    follows, sd2 = _FOLLOWS * share, (_FOLLOWS_SD * share * slope) ** 2 + (_UNLIKE * scatter[0]) ** 2 + 1e-6
     for m in range(SCATTER - 1):
+        off = (follows * ground[1 + m] - scatter[1 + m]) / sd2
         known[at + m] = 1.0 / sd2
-        b[at + m] += (_FOLLOWS * share * ground[1 + m] - scatter[1 + m]) / sd2
+        b[at + m] += off
+        b[to + m] -= follows * off
+        A[to + m, at + m] -= follows / sd2
+        A[to + m, to + m] += follows**2 / sd2
     for m in range(GROUND - CUBIC):
         known[len(b) - GROUND + m] = 1.0 / _VAGUE[m] ** 2
         b[len(b) - GROUND + m] -= (ground[m] - (1.0 if m == 0 else 0.0)) / _VAGUE[m] ** 2
@@ -273,12 +281,13 @@ def _rely_on_what_is_known(beads, first, scatter, ground, known, A, b):  # noqa:
         b[len(b) - GROUND + m] -= ground[m] / _CUBIC**2
     for k in range(len(b)):
         A[k, k] = (A[k, k] + known[k]) * (1.0 + 1e-5)
+    return follows
 
 
 @exact
 def _move(beads, scatter, ground, step, share):
-    """Take a `share` of a step, shortened where it is wild; the largest move of the first bead's centre and radius,
-    px."""
+    """Take a `share` of a step, shortened where it is wild; the largest move of the first bead's centre and radius, px,
+    and of scatter, share of the light."""
     for k in range(len(step)):
         step[k] *= share
     for k in range(len(beads)):
@@ -295,11 +304,11 @@ def _move(beads, scatter, ground, step, share):
         scatter[m] += min(max(step[at + m], -0.5), 0.5)
     for m in range(GROUND):
         ground[m] += step[at + SCATTER + m]
-    return max(abs(step[0]), abs(step[1]), abs(step[2]))
+    return max(abs(step[0]), abs(step[1]), abs(step[2]), abs(step[at]))
 
 
 @exact
-def _covariance(columns, where, L, wide, after, scale2, known, ground, out):  # noqa: PLR0917
+def _covariance(columns, where, L, wide, after, scale2, known, follows, ground, out):  # noqa: PLR0917
     """What noise of the correlation `after`, and what was relied on, do to u, v and the light in the middle.
 
     Expects the blur in `out`.
@@ -330,6 +339,12 @@ def _covariance(columns, where, L, wide, after, scale2, known, ground, out):  # 
     out[CUV] = scale2 * _product(inner[1], across)
     out[CVV] = scale2 * _product(inner[1], along)
     out[CCC] = scale2 * _product(inner[2], middle)
+    for m in range(GROUND - CUBIC, GROUND):
+        out[CUU] += (_BENT_PX * ground[m]) ** 2
+        out[CVV] += (_BENT_PX * ground[m]) ** 2
+    for m in range(SCATTER - 1):
+        for row in range(2):
+            influence[row, size - GROUND - SCATTER + 1 + m] -= follows * influence[row, size - GROUND + 1 + m]
     for k in range(size):
         # Of cubic terms as much is taken to be missing as the fit found.
         m = k - (size - GROUND)
