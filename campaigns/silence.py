@@ -69,7 +69,7 @@ def ended(what: str, port: int) -> str:
         wrong = dry_run(port) if what == "dry run" else drilling(port)
     except SightlineError as error:
         wrong = str(error)
-    return "silence" if "was silent" in wrong else wrong or "done"
+    return "silence" if "silent for" in wrong else wrong or "done"
 
 
 def main() -> int:
@@ -83,10 +83,11 @@ def main() -> int:
     lines = options.out.read_text().splitlines() if options.out.exists() else []
     told = [json.loads(line) for line in lines]
     asked = {"dry run": options.dry_runs, "drilling": options.drillings}
-    with busy_cores(), robot_in_air() as port:
+    with busy_cores():
         for what, number in asked.items():
             for _ in range(number - sum(one["what"] == what for one in told)):
-                told.append({"what": what, "ended": ended(what, port)})
+                with robot_in_air() as port:  # anew: each run leaves the arm elsewhere
+                    told.append({"what": what, "ended": ended(what, port)})
                 with options.out.open("a") as out:
                     out.write(json.dumps(told[-1]) + "\n")
     console = Console()

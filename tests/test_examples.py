@@ -16,7 +16,11 @@ def run(name: str, *arguments: Path) -> str:
 
 
 def test_every_example_is_run_here() -> None:
-    assert {file.name for file in EXAMPLES.glob("*.py")} == {"plan_from_csv.py", "readme_picture.py"}
+    assert {file.name for file in EXAMPLES.glob("*.py")} == {
+        "plan_from_csv.py",
+        "plant_template.py",  # tests/cli/test_real_robot.py
+        "readme_picture.py",
+    }
 
 
 def test_a_plan_from_csv(demo_folder: Path) -> None:

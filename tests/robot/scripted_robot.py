@@ -39,7 +39,7 @@ OURS = (
 )  # fmt: skip
 STEP_S = 0.01  # of a motion
 SILENCE_S = 0.5  # of the client: a busy machine that runs this robot and its client may pause for longer than 0.2 s
-REACH_MM = 400.0  # of its tip, from where it stands at first
+REACH_MM = 600.0  # of its tip, from where it stands at first
 HOME = np.array([[0.0, 0.0, 1.0, 250.0], [1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 300.0], [0.0, 0.0, 0.0, 1.0]])  # MCS
 SHORT_MM = 60.0  # before the target's tip a robot of ours stands aligned
 LAID_ASIDE_MM = 15.0
@@ -96,10 +96,16 @@ class Peer(asyncio.Protocol):
 
 class ScriptedRobot:
     """`ours`: it knows what we added to the convention. `says_reachable`, `clients`: as robots of 2013 differ.
-    `steps`: of a motion."""
+    `steps`: of a motion. `joints_at`: what its encoders say, where that matters."""
 
     def __init__(
-        self, *flaws: str, ours: bool = True, clients: int = 8, says_reachable: bool = True, steps: int = 60
+        self,
+        *flaws: str,
+        ours: bool = True,
+        clients: int = 8,
+        says_reachable: bool = True,
+        steps: int = 60,
+        simulated: bool = True,
     ) -> None:
         self.flaws, self.steps = frozenset(flaws), steps
         self.ours, self.clients, self.says_reachable = ours, clients, says_reachable
@@ -111,6 +117,9 @@ class ScriptedRobot:
         self.tip, self.moving, self.mover = HOME.copy(), None, None
         self.holds, self.held = False, []  # what it does not answer for the moment
         self.late: np.ndarray | None = None  # where it is once it has answered that
+        self.joints_at: np.ndarray | None = None
+        self.length_mm = 95.0  # from entry to tip
+        self.types = OURS if simulated else OURS[:-1]
         self.commands: list[str] = []
         self.turned_away = 0
         self.unexpected: list[str] = []  # what a robot of 2013 does not know
@@ -169,9 +178,9 @@ class ScriptedRobot:
         match event.body:
             case Capability(types):
                 peer.telemetry, peer.promised = contract.HAS_TELEMETRY in types, contract.HAS_HEARTBEAT in types
-                peer.send("", Capability(("STRING", *OURS)))
+                peer.send("", Capability(("STRING", *self.types)))
             case Get("CAPABILITY"):
-                peer.send("", Capability(("STRING", *OURS)))
+                peer.send("", Capability(("STRING", *self.types)))
             case Get("NDARRAY"):
                 peer.send(contract.MEASURED_JS, self.joints())
             case Command(number, contract.RESET, text):
@@ -224,7 +233,7 @@ class ScriptedRobot:
         """1, or the code by which it refuses."""
         if text in ("STOP", "EMERGENCY"):
             return 5 if "stops for its own client only" in self.flaws and peer is not (self.lease or peer) else 1
-        if text not in (*PHASES, "DRILL"):
+        if text not in (*PHASES, "DRILL", "RETRACT"):
             return 12
         if self.ours and peer is not (self.lease or peer) and "no lease" not in self.flaws:
             return 5
@@ -254,7 +263,7 @@ class ScriptedRobot:
                 self.mover = peer
             return
         self.halt(13)
-        self.phase = text
+        self.phase = "PLANNING" if text == "RETRACT" else text
         if text == "START_UP":
             self.registration = self.target = None
 
@@ -273,6 +282,7 @@ class ScriptedRobot:
         self.target = None
         if good and pose.fault is None and self.registration is not None:
             self.target = np.linalg.inv(self.registration) @ pose.matrix
+        self.length_mm = float(said.get("length_mm", 95.0))
         peer.send("TARGET", Status(1 if good else 10))
         if good:
             peer.send("TARGET", pose)
@@ -318,7 +328,7 @@ class ScriptedRobot:
             peer.send("CURRENT_POSITION", self.position())
         self.moving = None
         if self.ours:
-            peer.send(contract.DEPTH, Sensor(np.array([-short])))
+            peer.send(contract.DEPTH, Sensor(np.array([self.length_mm - short])))
         peer.send(text, Status(1, "", "DONE" if text == "DRILL" else ""))
         peer.send("CURRENT_POSITION", self.position())
 
@@ -341,6 +351,7 @@ class ScriptedRobot:
     def joints(self) -> NDArray:
         rows = np.zeros((6, 5))
         rows[0, :3] = self.tip[:3, 3]
+        rows[0] = rows[0] if self.joints_at is None else self.joints_at
         rows[4], rows[5] = -500.0, 500.0
         if "NaN in its joints" in self.flaws:
             rows[1, 2] = np.nan

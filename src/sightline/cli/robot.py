@@ -1,4 +1,5 @@
-"""`sightline robot serve | check | drive | reset`: the simulated robot, and any robot behind an address."""
+"""`sightline robot serve | check | calibrate | register | drive | reset`: the simulated robot, and any robot behind an
+address."""
 
 import os
 from contextlib import ExitStack
@@ -11,13 +12,19 @@ import typer
 from sightline.cli.output import Json, Output, Quiet, as_json
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from sightline.case.interop.plan_file import PlanFile
     from sightline.rehearsal.operation import Theatre
     from sightline.robot.client import RobotClient
+    from sightline.robot.measured import RobotFile
+    from sightline.robot.registration import Registration
     from sightline.robot.server import RobotServer
     from sightline.robot.target import RobotTarget
 
-app = typer.Typer(no_args_is_help=True, help="Serve a simulated robot; check, drive and reset any.")
+app = typer.Typer(
+    no_args_is_help=True, help="Serve a simulated robot; check, calibrate, register, drive and reset any."
+)
 
 SERIAL = "simulated"
 Address = Annotated[str, typer.Argument(metavar="HOST:PORT", help="Where the robot listens.")]
@@ -115,11 +122,66 @@ def check(
         raise typer.Exit(3)
 
 
+@app.command("calibrate")
+def calibrate(
+    measurements: Annotated[Path, typer.Argument(help="What was measured on the robot, JSON: docs/real-robot.md.")],
+    *,
+    out_file: Annotated[Path, typer.Option("--out", help="The robot's file.")] = Path("robot.json"),
+    json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Calibrate a robot from measurements of its axes, its frame and its wire, and write its file."""
+    with Output(json=json, quiet=quiet) as out:
+        from sightline.robot.measured import Measurements, RobotFile
+
+        said = Measurements.read(measurements)
+        robot, rms = RobotFile.calibrated(said)
+        robot.write(out_file)
+        sd = {"axes": said.axes.sd_mm, "frame": said.frame.sd_mm, "wire": said.wire.sd_mm}
+        rows = [(name, f"{rms[name]:.3f}", f"{sd[name]:.3f}") for name in rms]
+        out.table("Residuals, mm", ("measured", "rms", "stated, per axis"), rows)
+        out.say(f"robot {robot.robot_serial} with frame {robot.frame_serial}: {out_file}")
+        out.result({"file": str(out_file), "residual_rms_mm": rms, "robot_serial": robot.robot_serial})
+
+
+@app.command("register")
+def register_image(
+    robot_file: Annotated[Path, typer.Argument(help="The robot's file, of `sightline robot calibrate`.")],
+    address: Address,
+    *,
+    view: Annotated[Literal["pa", "lateral"], typer.Option(help="Which image is taken.")],
+    json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Read the robot's joints at the moment of an image, and keep them in its file: once for each view."""
+    with Output(json=json, quiet=quiet) as out:
+        import time
+
+        from sightline.errors import RobotRefusedError
+        from sightline.robot.client import RobotClient
+        from sightline.robot.measured import RobotFile
+
+        known = RobotFile.read(robot_file)
+        known.refuse_old(time.time())
+        with RobotClient(*parse_address(address), heartbeat=False, streams=False) as robot:
+            before = robot.joints()[0]
+            if not _said_yes(f"Robot {known.robot_serial} stands still. Take the {view} image now; was it taken?"):
+                raise RobotRefusedError("no image was taken; nothing was registered")
+            q, now = robot.joints()[0], time.time()
+        known.refuse_moved(before, q)
+        known.at_image(view, q, now).write(robot_file)
+        out.say(f"the {view} image: joints {', '.join(f'{one:.3f}' for one in q)} (mm, rad)")
+        out.result({"file": str(robot_file), "view": view, "joints": q, "read_s": now})
+
+
 @app.command("drive")
 def drive(
     plan: Annotated[Path, typer.Argument(help="plan.json, as `sightline plan --out` writes it.")],
     address: Annotated[str | None, typer.Argument(metavar="[HOST:PORT]", help="A simulator starts by itself.")] = None,
     *,
+    registration: Annotated[
+        Path | None, typer.Option(help="The robot's file with its poses at the images: a real robot needs it.")
+    ] = None,
     frame_serial: Serial = None,
     rehearse: Seed = None,
     frame: FrameName = "gamma",
@@ -127,34 +189,39 @@ def drive(
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Drive a planned wire: align, confirm, drill, pause, confirm, drill. Asks before each motion."""
+    """Drive a planned wire: align, confirm, drill, pause, confirm, drill. Asks before each motion; a real robot first
+    goes to the plan without the wire."""
     with Output(json=json, quiet=quiet) as out, ExitStack() as stack:
         from sightline.errors import UnusableInputError
         from sightline.robot.client import RobotClient
+        from sightline.robot.measured import RobotFile
 
         known = read_plan(plan)
+        stood = None if registration is None else RobotFile.read(registration)
         if address is None:
+            if stood is not None:
+                raise UnusableInputError("--registration is of a robot that stands somewhere: give its HOST:PORT")
             with out.step("starting a simulator"):
                 theatre = _theatre(known.side or "", frame_serial, rehearse, frame)
             frame_serial = theatre.setup.frame_serial
             server = stack.enter_context(theatre.server(virtual=True))
-            robot = stack.enter_context(RobotClient(port=server.port, heartbeat=False, streams=False))
+            robot = stack.enter_context(RobotClient(port=server.port, heartbeat=False))
         elif rehearse is not None:
             raise UnusableInputError(
                 "--rehearse starts a simulator by itself; leave it or the address out, and state --frame-serial"
             )
+        elif stood is not None and frame_serial is not None:
+            raise UnusableInputError("the robot's file names its frame; leave out --frame-serial")
         else:
             robot = stack.enter_context(RobotClient(*parse_address(address)))
         _refuse_yes(robot.simulated, yes)
         with out.step("sending the plan"):
-            target = _send(robot, known, plan.stem, frame_serial or SERIAL)
+            if stood is None:
+                target = _send(robot, known, plan.stem, frame_serial or SERIAL)
+            else:
+                target = _send_registered(robot, known, plan.stem, stood)
         _show(out, target, robot)
-        steps = (
-            ("align", "The wire goes back, the arm turns, the wire stops 20 mm before bone. Is it clear?", robot.align),
-            ("drill", "Does the confirmation shot show the guide on the plan? The robot will drill.", robot.drill),
-            ("drill on", "Does the second shot, 10 mm short of the tip, show the wire on the plan?", robot.drill),
-        )
-        for name, question, go in steps:
+        for name, question, go in _steps(robot, target, known_way=robot.simulated):
             if not _agreed(robot.simulated, yes, question):
                 robot.stop()
                 out.note(f"stopped before: {name}")
@@ -228,36 +295,93 @@ def _close_with_stdin(server: "RobotServer") -> None:
     server.close()
 
 
+_Step = tuple[str, str, "Callable[[], object]"]
+
+
+def _steps(robot: "RobotClient", target: "RobotTarget", *, known_way: bool) -> "list[_Step]":
+    """Each motion, what a person must have seen before it, and how it is told."""
+    import time
+
+    from sightline.robot import contract
+
+    def again() -> None:
+        robot.retract()
+        _tell(robot, target, time.time())
+
+    if contract.HAS_DRILLING not in robot.capabilities:
+        return [
+            (
+                "go to the target",
+                "This robot knows the convention of 2013 alone: it moves the wire to the end point at once, and no dry "
+                "run shows the way. Is it clear, and do both images show the plan as it should be?",
+                robot.align,
+            )
+        ]
+    dry: list[_Step] = [
+        (
+            "dry run",
+            "Dry run: take the wire out. The arm turns to the plan, in air. Is the way clear?",
+            robot.align,
+        ),
+        ("draw back", "Did the arm go where it should? It draws back; then put the wire in.", again),
+    ]
+    return [
+        *([] if known_way else dry),
+        ("align", "The wire goes back, the arm turns, the wire stops 20 mm before bone. Is it clear?", robot.align),
+        ("drill", "Does the confirmation shot show the guide on the plan? The robot will drill.", robot.drill),
+        ("drill on", "Does the second shot, 10 mm short of the tip, show the wire on the plan?", robot.drill),
+    ]
+
+
 def _send(robot: "RobotClient", plan: "PlanFile", name: str, frame_serial: str) -> "RobotTarget":
     """Register, aim and send. The frame is where a simulator's encoders say; a real one's images are long taken."""
     import time
 
     from sightline.errors import RobotRefusedError
     from sightline.rehearsal.robots import calibrated_robot
-    from sightline.robot.insertion import DEPTH_SLACK_MM
     from sightline.robot.registration import PoseAtImage, register
-    from sightline.robot.target import PlanIdentity, aim
 
     if not robot.simulated:
         raise RobotRefusedError(
-            "a saved plan does not say where a real robot stood at its images; send it from the program that took them"
+            "a saved plan does not say where a real robot stood at its images: give --registration, the file of "
+            "`sightline robot calibrate` and `register`"
         )
-    now, side = time.time(), plan.side or ""
+    now = time.time()
     robot.start_up()
     q = robot.simulated_wire().imaged  # where it stood at the images, not where an earlier drive left it
     poses = {view: PoseAtImage(q, now, now) for view in ("pa", "lateral")}
-    registration = register(calibrated_robot(side), poses)
-    budget = None if plan.covariance_mm2 is None else {"planning": plan.covariance_mm2}
-    target = aim(
-        PlanIdentity(f"{name}-{now:.0f}", side, frame_serial, plan.go, plan.document.kind or ""),
-        plan.points_mm,
-        budget,
-        registration,
-        plan.limits,
-    )
-    robot.calibrate(registration.T_mcs_cfcs, now)
-    robot.aim_plan(target, now, target.depth_mm + DEPTH_SLACK_MM)
+    # A plan for a simulator, whose images were never taken, is a new one each time.
+    target = _target(plan, f"{name}-{now:.0f}", frame_serial, register(calibrated_robot(plan.side or ""), poses))
+    _tell(robot, target, now)
     return target
+
+
+def _send_registered(robot: "RobotClient", plan: "PlanFile", name: str, stood: "RobotFile") -> "RobotTarget":
+    """The same, of a robot whose file says where it stood. Raises RobotRefusedError for another plan's."""
+    import time
+
+    frame = plan.document.frame
+    stood.refuse_other(plan.side, None if frame is None else frame.serial, time.time())
+    target = _target(plan, name, stood.frame_serial, stood.registration())
+    target.refuse_unfit(time.time())
+    robot.start_up()
+    _tell(robot, target, time.time())
+    return target
+
+
+def _target(plan: "PlanFile", name: str, frame_serial: str, registration: "Registration") -> "RobotTarget":
+    from sightline.robot.target import PlanIdentity, aim
+
+    budget = None if plan.covariance_mm2 is None else {"planning": plan.covariance_mm2}
+    identity = PlanIdentity(name, plan.side or "", frame_serial, plan.go, plan.document.kind or "")
+    return aim(identity, plan.points_mm, budget, registration, plan.limits)
+
+
+def _tell(robot: "RobotClient", target: "RobotTarget", now_s: float) -> None:
+    from sightline.robot.insertion import DEPTH_SLACK_MM
+
+    robot.calibrate(target.registration.T_mcs_cfcs, target.registration.imaged_s)
+    robot.aim_plan(target, now_s, target.depth_mm + DEPTH_SLACK_MM)
 
 
 def _show(out: Output, target: "RobotTarget", robot: "RobotClient") -> None:
@@ -280,4 +404,8 @@ def _refuse_yes(simulated: bool, yes: bool) -> None:
 
 def _agreed(simulated: bool, yes: bool, question: str) -> bool:
     _refuse_yes(simulated, yes)
-    return yes or typer.confirm(question, err=True)
+    return yes or _said_yes(question)
+
+
+def _said_yes(question: str) -> bool:
+    return typer.confirm(question, err=True)

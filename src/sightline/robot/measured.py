@@ -1,0 +1,262 @@
+"""A robot as it was measured, in one file: its calibration, whose it is, and where it stood at the images."""
+
+from collections.abc import Iterable
+from dataclasses import replace
+from datetime import UTC, datetime, timedelta
+from json import JSONDecodeError, loads
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from scipy.spatial.transform import RigidTransform
+
+from sightline.atomic import write_whole
+from sightline.bounded import read_bounded
+from sightline.errors import RobotRefusedError, UnusableInputError
+from sightline.robot.calibrated import CalibratedAxes, CalibratedRobot, calibrate_axes
+from sightline.robot.igtl import why_not_rigid
+from sightline.robot.manipulator import nominal_manipulator
+from sightline.robot.mounts import Mount, measured_axis, measured_mount
+from sightline.robot.registration import PoseAtImage, Registration, register
+from sightline.robot.target import LIFETIME_S
+
+MAX_BYTES = 2**20  # [ours] 36 x 36 numbers take 30 kB; 200 poses of 20 targets 300 kB
+CALIBRATION_DAYS = 90  # a knock on the flange goes unnoticed; so old a calibration must be measured again [ours]
+VIEWS = ("pa", "lateral")
+
+Number = Annotated[float, Field(allow_inf_nan=False, ge=-1e5, le=1e5)]
+Positive = Annotated[float, Field(allow_inf_nan=False, gt=0, le=10)]
+Serial = Annotated[str, Field(min_length=1, max_length=80)]
+Side = Literal["right", "left"]
+Point = tuple[Number, Number, Number]
+Joints = tuple[Number, Number, Number, Number, Number]
+Row4 = tuple[Number, Number, Number, Number]
+Pose = tuple[Row4, Row4, Row4, Row4]
+Twist = tuple[Number, Number, Number, Number, Number, Number]
+
+
+class _Part(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class AxesPart(_Part):
+    """Targets on the flange, measured at several joint positions: (N, 5) and (N, M, 3) mm, MCS."""
+
+    sd_mm: Positive
+    q: Annotated[list[Joints], Field(max_length=500)]
+    targets_mm: Annotated[list[Annotated[list[Point], Field(max_length=50)]], Field(max_length=500)]
+
+
+class FramePart(_Part):
+    """Points of the frame, in its own coordinates (CFCS) and measured in the flange's, mm."""
+
+    sd_mm: Positive
+    own_mm: Annotated[list[Point], Field(max_length=500)]
+    flange_mm: Annotated[list[Point], Field(max_length=500)]
+
+
+class WirePart(_Part):
+    """The wire's tip at several feeds, mm, in the flange's coordinates."""
+
+    sd_mm: Positive
+    feed_mm: Annotated[list[Number], Field(max_length=500)]
+    tip_flange_mm: Annotated[list[Point], Field(max_length=500)]
+
+
+class Measurements(_Part):
+    """What a person measured on a robot, and on what."""
+
+    schema_: Annotated[Literal["sightline-robot-measurements/1"], Field(alias="schema")]
+    robot_serial: Serial
+    frame_serial: Serial
+    side: Side
+    measured_on: datetime
+    axes: AxesPart
+    frame: FramePart
+    wire: WirePart
+
+    @staticmethod
+    def read(file: Path) -> "Measurements":
+        """From its file. Raises UnusableInputError."""
+        return _read(file, Measurements)
+
+
+class ManipulatorPart(_Part):
+    """Screw axes at q = 0 (5, 6), and poses (4, 4): the flange at q = 0 in MCS, frame and wire on the flange."""
+
+    axes: tuple[Twist, Twist, Twist, Twist, Twist]
+    T_mcs_flange_home: Pose
+    T_flange_cfcs: Pose
+    T_flange_tool: Pose
+
+
+class ImagePart(_Part):
+    """Joints at an image, and when they were read, s since 1970."""
+
+    q: Joints
+    read_s: Annotated[float, Field(allow_inf_nan=False, ge=0, le=1e11)]
+
+
+class RobotFile(_Part):
+    """A measured robot. `covariance` (36, 36) as in `CalibratedRobot`; `images`: where it stood, by view."""
+
+    schema_: Annotated[Literal["sightline-robot/1"], Field(alias="schema")] = "sightline-robot/1"
+    robot_serial: Serial
+    frame_serial: Serial
+    side: Side
+    measured_on: datetime
+    manipulator: ManipulatorPart
+    covariance: Annotated[
+        list[Annotated[list[Number], Field(min_length=36, max_length=36)]], Field(min_length=36, max_length=36)
+    ]
+    compliance_sd: Twist
+    images: dict[Literal["pa", "lateral"], ImagePart] = {}
+
+    @staticmethod
+    def calibrated(said: Measurements) -> "tuple[RobotFile, dict[str, float]]":
+        """The robot that was measured, and the rms of each measurement's residuals, mm.
+
+        Raises UnusableInputError, RobotRefusedError for measurements that contradict each other."""
+        axes = calibrate_axes(
+            nominal_manipulator(said.side), np.array(said.axes.q), _even(said.axes.targets_mm), said.axes.sd_mm
+        )
+        frame = measured_mount(np.array(said.frame.own_mm), np.array(said.frame.flange_mm), said.frame.sd_mm)
+        wire = measured_axis(np.array(said.wire.feed_mm), np.array(said.wire.tip_flange_mm), said.wire.sd_mm)
+        robot = CalibratedRobot.of(axes, frame, wire)
+        manipulator = robot.manipulator
+        part = ManipulatorPart.model_validate(
+            {
+                "axes": manipulator.axes.tolist(),
+                **{
+                    name: getattr(manipulator, name).as_matrix().tolist()
+                    for name in ("T_mcs_flange_home", "T_flange_cfcs", "T_flange_tool")
+                },
+            }
+        )
+        file = RobotFile.model_validate(
+            {
+                "robot_serial": said.robot_serial,
+                "frame_serial": said.frame_serial,
+                "side": said.side,
+                "measured_on": said.measured_on,
+                "manipulator": part,
+                "covariance": robot.covariance.tolist(),
+                "compliance_sd": robot.compliance_sd.tolist(),
+                "schema": "sightline-robot/1",
+            }
+        )
+        return file, {"axes": _rms(axes), "frame": _rms(frame), "wire": _rms(wire)}
+
+    @staticmethod
+    def read(file: Path) -> "RobotFile":
+        """From its file. Raises UnusableInputError for what is not a robot, wherever it is not one."""
+        out = _read(file, RobotFile)
+        try:
+            out.robot()
+        except UnusableInputError as error:
+            raise UnusableInputError(f"{file.name}: {error}; calibrate the robot again") from error
+        return out
+
+    def write(self, file: Path) -> None:
+        """Whole or not at all."""
+        write_whole(file, self.model_dump_json(by_alias=True, indent=1).encode())
+
+    def robot(self) -> CalibratedRobot:
+        """As calibrated. Raises UnusableInputError."""
+        part, nominal = self.manipulator, nominal_manipulator(self.side)
+        manipulator = replace(
+            nominal,
+            axes=np.array(part.axes),
+            T_mcs_flange_home=_rigid("flange", part.T_mcs_flange_home),
+            T_flange_cfcs=_rigid("frame on the flange", part.T_flange_cfcs),
+            T_flange_tool=_rigid("wire on the flange", part.T_flange_tool),
+        )
+        covariance = np.array(self.covariance)
+        if not np.allclose(covariance, covariance.T, rtol=1e-9, atol=1e-15):
+            raise UnusableInputError("its covariance is not symmetric")
+        return CalibratedRobot(manipulator, covariance, np.array(self.compliance_sd))
+
+    def refuse_old(self, now_s: float) -> None:
+        """Raise RobotRefusedError where the calibration is too old, or is of a time to come."""
+        now = datetime.fromtimestamp(now_s, UTC)
+        age = now - _aware(self.measured_on)
+        if not timedelta(0) <= age <= timedelta(days=CALIBRATION_DAYS):
+            raise RobotRefusedError(
+                f"the robot was calibrated on {self.measured_on:%Y-%m-%d}: {age.days} days ago (0 to "
+                f"{CALIBRATION_DAYS} are taken); look at the clock, or calibrate it again"
+            )
+
+    def refuse_moved(self, before: np.ndarray, after: np.ndarray) -> None:
+        """Raise RobotRefusedError where the robot did not stand still between two readings of its joints."""
+        register(self.robot(), {"one": PoseAtImage(before, 0.0, 0.0), "other": PoseAtImage(after, 0.0, 0.0)})
+
+    def at_image(self, view: Literal["pa", "lateral"], q: np.ndarray, now_s: float) -> "RobotFile":
+        """With the joints at an image taken just now. An image so old that a plan on it has expired is dropped.
+
+        Raises RobotRefusedError for joints that cannot be, and for a robot that moved since the other image."""
+        if q.shape != (5,) or not np.isfinite(q).all():
+            raise UnusableInputError("the robot's pose at an image needs five finite joint positions: docs/robot.md")
+        joints: Any = tuple(float(one) for one in q)
+        kept = {name: one for name, one in self.images.items() if now_s - one.read_s < LIFETIME_S and name != view}
+        out = self.model_copy(update={"images": {**kept, view: ImagePart(q=joints, read_s=now_s)}})
+        out._registration()
+        return out
+
+    def registration(self) -> Registration:
+        """Where the frame stood at both images. Raises RobotRefusedError."""
+        missing = [view for view in VIEWS if view not in self.images]
+        if missing:
+            raise RobotRefusedError(
+                f"the robot's pose at the {' and '.join(missing)} image is missing: `sightline robot register` reads it"
+            )
+        return self._registration()
+
+    def _registration(self) -> Registration:
+        """Of the images that there are."""
+        poses = {str(view): PoseAtImage(np.array(one.q), one.read_s, one.read_s) for view, one in self.images.items()}
+        return register(self.robot(), poses)
+
+    def refuse_other(self, side: str | None, frame_serial: str | None, now_s: float) -> None:
+        """Raise RobotRefusedError where a plan is of another side or frame than this robot's, or it is too old."""
+        self.refuse_old(now_s)
+        for what, planned, here in (("side", side, self.side), ("frame serial", frame_serial, self.frame_serial)):
+            if planned != here:
+                raise RobotRefusedError(
+                    f"the plan's {what} is {planned!r}, the robot's file is for {here!r}: not this patient's plan, or "
+                    "not this frame; find out which before anything else"
+                )
+
+
+def _read(file: Path, kind: type[Any]) -> Any:
+    try:
+        return kind.model_validate(loads(read_bounded(file, MAX_BYTES, UnusableInputError, "give a robot's own file")))
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(map(str, first["loc"]))
+        raise UnusableInputError(f"{file.name}: {where}: {first['msg']}") from None
+    except (JSONDecodeError, UnicodeDecodeError, RecursionError, ValueError) as error:
+        raise UnusableInputError(f"{file.name} is not JSON: {str(error)[:200]}") from None
+
+
+def _even(rows: list[list[Point]]) -> np.ndarray:
+    if len({len(row) for row in rows}) != 1:
+        raise UnusableInputError("the same targets must be measured at every position of the joints")
+    return np.array(rows)
+
+
+def _rigid(name: str, rows: Iterable[Iterable[float]]) -> RigidTransform:
+    matrix = np.array([list(row) for row in rows])
+    fault = why_not_rigid(matrix)
+    if fault is not None:
+        raise UnusableInputError(f"the pose of its {name} is not a rigid motion: {fault}")
+    return RigidTransform.from_matrix(matrix)
+
+
+def _aware(when: datetime) -> datetime:
+    """A date without a zone is of this computer's."""
+    return when.astimezone(UTC)
+
+
+def _rms(found: CalibratedAxes | Mount) -> float:
+    return float(np.sqrt(np.mean(found.residual_mm**2)))

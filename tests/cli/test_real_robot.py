@@ -1,0 +1,150 @@
+"""A robot that is not a simulator, from its measurements to a drilled wire: every motion is confirmed, and a plan that
+is not this robot's, this frame's or of these images is refused."""
+
+import json
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+from tests.cli.test_robot import run, trajectory, written
+from tests.robot.rig import END_MM, ENTRY_MM, IMAGED
+from tests.robot.scripted_robot import ScriptedRobot, serving
+from tests.robot.test_measured import measurements, true_robot
+
+EXAMPLE = Path(__file__).parents[2] / "examples" / "plant_template.py"
+FRAME = {"name": "gamma", "serial": "SN-7", "beads": []}
+
+
+@pytest.fixture(scope="module")
+def calibrated(tmp_path_factory) -> Path:
+    """The robot's file as `robot calibrate` writes it."""
+    folder = tmp_path_factory.mktemp("robot")
+    (folder / "measured.json").write_text(json.dumps(measurements(true_robot())))
+    done = run("calibrate", folder / "measured.json", "--out", folder / "robot.json", "--json")
+    assert done.exit_code == 0, done.output
+    assert max(json.loads(done.stdout)["residual_rms_mm"].values()) < 0.1
+    return folder / "robot.json"
+
+
+@pytest.fixture
+def robot_file(calibrated, tmp_path) -> Path:
+    file = tmp_path / "robot.json"
+    file.write_bytes(calibrated.read_bytes())
+    return file
+
+
+@pytest.fixture
+def plan(tmp_path) -> Path:
+    return written(tmp_path / "plan.json", frame=FRAME)
+
+
+def real_robot() -> ScriptedRobot:
+    robot = ScriptedRobot(simulated=False, steps=5)
+    robot.joints_at = IMAGED
+    return robot
+
+
+def register(file: Path, address: str) -> None:
+    for view in ("pa", "lateral"):
+        done = run("register", file, address, "--view", view, say="y\n")
+        assert done.exit_code == 0, done.output
+
+
+def test_calibrate_register_and_drive(robot_file, plan):
+    peer = real_robot()
+    with serving(peer) as port:
+        address = f"127.0.0.1:{port}"
+        register(robot_file, address)
+        done = run("drive", plan, address, "--registration", robot_file, "--json", say="y\n" * 5)
+        assert done.exit_code == 0, done.output
+        assert np.allclose(json.loads(done.stdout.splitlines()[-1])["tip_mm"], END_MM, atol=0.01)
+        assert [one for one in peer.commands if one in ("MOVE_TO_TARGET", "DRILL", "RETRACT")] == [
+            "MOVE_TO_TARGET", "RETRACT", "MOVE_TO_TARGET", "DRILL", "DRILL",
+        ]  # fmt: skip
+        for agreed in (0, 2, 3):
+            before = len(peer.commands)
+            done = run("drive", plan, address, "--registration", robot_file, say="y\n" * agreed + "n\n")
+            assert "stopped before" in done.stderr
+            moved = [one for one in peer.commands[before:] if one in ("MOVE_TO_TARGET", "DRILL", "RETRACT")]
+            assert len(moved) == agreed
+        assert run("drive", plan, address, "--registration", robot_file, "--yes").exit_code == 3
+
+
+def test_what_is_not_this_robot_s_is_refused(robot_file, plan, tmp_path):
+    peer = real_robot()
+    with serving(peer) as port:
+        address = f"127.0.0.1:{port}"
+        done = run("drive", plan, address, "--registration", robot_file, say="y\n" * 5)
+        assert done.exit_code == 3
+        assert "pa and lateral image is missing" in done.stderr
+        done = run("register", robot_file, address, "--view", "pa", say="n\n")
+        assert done.exit_code == 3
+        register(robot_file, address)
+        for changed, why in (
+            ({"side": "left"}, "side"),
+            ({"frame": FRAME | {"serial": "SN-8"}}, "frame serial"),
+            ({"frame": FRAME | {"serial": None}}, "frame serial"),
+        ):
+            other = written(tmp_path / "other.json", **({"frame": FRAME} | changed))
+            done = run("drive", other, address, "--registration", robot_file, say="y\n" * 5)
+            assert done.exit_code == 3
+            assert why in done.stderr
+        document = json.loads(robot_file.read_text())
+        for image in document["images"].values():
+            image["read_s"] -= 700.0
+        robot_file.write_text(json.dumps(document))
+        done = run("drive", plan, address, "--registration", robot_file, say="y\n" * 5)
+        assert done.exit_code == 3
+        assert "expired" in done.stderr
+        assert "MOVE_TO_TARGET" not in peer.commands
+    assert run("drive", plan, "--registration", robot_file).exit_code == 2
+    assert run("drive", plan, "127.0.0.1:1", "--registration", robot_file, "--frame-serial", "SN-7").exit_code == 2
+
+
+def test_a_robot_of_2013_is_told_once_and_asked_for(robot_file, plan):
+    peer = ScriptedRobot(ours=False, clients=1, steps=5)
+    with serving(peer) as port:
+        document = json.loads(robot_file.read_text())
+        document["images"] = {view: {"q": IMAGED.tolist(), "read_s": time.time()} for view in ("pa", "lateral")}
+        robot_file.write_text(json.dumps(document))
+        done = run("drive", plan, f"127.0.0.1:{port}", "--registration", robot_file, say="y\n")
+        assert done.exit_code == 0, done.output
+        assert "convention of 2013" in done.stderr
+        assert peer.commands.count("MOVE_TO_TARGET") == 1
+
+
+@contextmanager
+def example(robot_file: Path) -> Iterator[str]:
+    """The address of the template's robot."""
+    command = [sys.executable, str(EXAMPLE), str(robot_file), "0"]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:  # noqa: S603
+        assert process.stdin is not None
+        assert process.stdout is not None
+        yield process.stdout.readline().split()[-1]
+        process.stdin.close()
+
+
+def test_the_plant_template_is_a_robot(robot_file):
+    """It is registered and checked like any other."""
+    with example(robot_file) as address:
+        register(robot_file, address)
+        done = run("check", address, "--no-dry-run", "--json")
+        assert done.exit_code == 0, done.output
+        assert json.loads(robot_file.read_text())["images"]["pa"]["q"] == pytest.approx(IMAGED.tolist())
+
+
+@pytest.mark.slow
+def test_the_plant_template_drills(robot_file, tmp_path):
+    along = END_MM - ENTRY_MM
+    short = np.stack([ENTRY_MM, ENTRY_MM + 12.0 * along / np.linalg.norm(along)])
+    plan = written(tmp_path / "plan.json", frame=FRAME, trajectory=trajectory(short))
+    with example(robot_file) as address:
+        register(robot_file, address)
+        done = run("drive", plan, address, "--registration", robot_file, "--json", say="y\n" * 5)
+        assert done.exit_code == 0, done.output
+        assert json.loads(done.stdout.splitlines()[-1])["state"] == "DONE"
