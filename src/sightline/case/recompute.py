@@ -234,7 +234,7 @@ def _by_at_most(replayed: Sequence[Replayed]) -> str:
             top, one = max(tops, key=lambda pair: pair[0].by or 0.0)
             said.append(f"{top.by:.2g} {unit} (entry {one.entry.number}, {top.where})")
     words = f"by at most {' and '.join(said)}" if said else "without a change of pixels or lengths"
-    other = [one.entry.number for one in replayed if any(d.where == "go" for d in one.differences)]
+    other = [one.entry.number for one in replayed if any(d.where in ("go", "verdict") for d in one.differences)]
     return f"{words}; another verdict in entry {', '.join(map(str, other))}" if other else words
 
 

@@ -47,11 +47,11 @@ def plan(
         unknown = [kind for kind in kinds if kind not in KINDS]
         if unknown:
             raise UnusableInputError(f"{unknown[0]!r} is no format of a plan; choose of {', '.join(KINDS)}")
-        filed = Filed(case, datetime.now().replace(microsecond=0), side)
         known, originals = PlanFile.read(path), _originals(original)
         if None not in (side, known.side) and side != known.side:
             raise UnusableInputError(f"--side is {side}, the plan's side {known.side}; find out which it is")
         side = side or known.side
+        filed = Filed(case, datetime.now().replace(microsecond=0), side)
         if originals and "dicom" not in kinds:
             raise UnusableInputError("--original is for --to dicom alone")
         writers = {

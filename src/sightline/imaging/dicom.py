@@ -11,7 +11,7 @@ from itertools import chain
 from logging import getLogger
 from math import isfinite
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from pydicom import Dataset, dcmread, dcmwrite
@@ -143,10 +143,10 @@ def frames_in(file: Path) -> int:
         return _frames(_header(file), file.name)
 
 
-def write(radiograph: Radiograph, path: str | Path, side: Literal["left", "right"] | None = None) -> Path:
+def write(radiograph: Radiograph, path: str | Path, side: str | None = None) -> Path:
     """Write an X-ray angiographic image as a mobile C-arm does: of the geometry only what `tags` holds, mostly nothing.
 
-    `side`: of the patient, for Laterality (0020,0060), which is empty where it is not known.
+    `side`: of the patient, left or right, for Laterality (0020,0060), which is empty where it is not known.
     8 bits in 8, 10 to 16 bits in 16, MONOCHROME2, explicit little endian, a neutral patient. UIDs are made from the
     pixels, so the same image gives the same file. Raises ImageError on pixels that are not whole numbers up to `white`.
     """

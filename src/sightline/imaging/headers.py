@@ -20,7 +20,7 @@ HeaderReader = Callable[[bytes, str], tuple[int, int]]
 
 def png(data: bytes, name: str) -> tuple[int, int]:
     """Height and width; every chunk is there and its checksum right (ISO/IEC 15948, 5.3)."""
-    at, size, ended, packed = 8, None, False, []
+    at, header, ended, packed = 8, None, False, []
     while at + 12 <= len(data) and not ended:
         length, kind = struct.unpack_from(">I4s", data, at)
         body = data[at + 8 : at + 8 + length]
@@ -31,17 +31,17 @@ def png(data: bytes, name: str) -> tuple[int, int]:
             raise damaged(name)
         if kind == b"IHDR" and length == 13:
             header = struct.unpack(">IIBBBBB", body)
-            size = header[1], header[0]
         elif kind == b"IDAT":
             packed.append(body)
         at += 12 + length
         ended = kind == b"IEND"
-    if size is None or not ended:
+    if header is None or not ended:
         raise damaged(name)
-    check_size(*size, name)
-    rows, row_bytes = _png_layout(*header[:4], interlaced=header[6] == 1)
+    width, height, depth, colour, *_, interlace = header
+    check_size(height, width, name)
+    rows, row_bytes = _png_layout(width, height, depth, colour, interlaced=interlace == 1)
     refuse_longer(rows * row_bytes, _inflated(b"".join(packed), 2 * rows * row_bytes, name), rows, row_bytes, name)
-    return size
+    return height, width
 
 
 def _png_layout(width: int, height: int, depth: int, colour: int, *, interlaced: bool) -> tuple[int, int]:
