@@ -1,10 +1,16 @@
 """How a drilled wire is judged, and a whole insertion of the plastic femur."""
 
+import time
+
 import numpy as np
 import pytest
+from tests.robot.rig import END_MM, ENTRY_MM, wait_for
 
-from sightline.rehearsal.operation import Outcome
+from sightline.errors import RobotRefusedError
+from sightline.rehearsal.operation import Outcome, Theatre, registered
+from sightline.robot.client import RobotClient
 from sightline.robot.manipulator import imaging_yaw, nominal_manipulator
+from sightline.robot.target import PlanIdentity, aim
 from sightline.studies.study_fig15 import Figure15
 
 IDEAL = np.array([[40.0, 30.0, -5.0], [-30.0, -35.0, 7.0]])
@@ -34,6 +40,28 @@ def test_the_frame_stands_square_at_its_nominal_yaw():
     for side in ("right", "left"):
         turned = nominal_manipulator(side).T_mcs_cfcs(np.array([0.0, 0.0, imaging_yaw(side), 0.0, 0.0])).rotation
         assert turned.apply([1.0, 0.0, 0.0]) == pytest.approx([-1.0, 0.0, 0.0], abs=1e-12)  # lateral: to the robot
+
+
+def test_a_second_insertion_finds_its_line_where_the_images_had_it():
+    """The frame stood at the images where its encoders were then, not where the first insertion left them."""
+    pytest.importorskip("mujoco")
+    theatre = Theatre.in_air("right", "SN-7")
+    wire, budget = np.stack([ENTRY_MM, END_MM]), {"planning": 0.01 * np.eye(6)}
+    with theatre.server(virtual=True) as server:
+        for number in range(2):
+            with RobotClient(port=server.port, heartbeat=False, streams=False) as robot:
+                registration = registered(theatre.robot, robot.simulated_wire().imaged, time.monotonic())
+                target = aim(PlanIdentity(f"{number}", "right", "SN-7", go=True), wire, budget, registration)
+                robot.start_up()
+                robot.calibrate(registration.T_mcs_cfcs)
+                robot.aim_plan(target, time.monotonic(), target.length_mm + 1.0)
+                robot.align()
+                along = (END_MM - ENTRY_MM) / np.linalg.norm(END_MM - ENTRY_MM)
+                assert np.allclose(robot.position().translation, ENTRY_MM - 20 * along, atol=0.05)
+                left = registered(theatre.robot, robot.joints()[0], time.monotonic())
+                with pytest.raises(RobotRefusedError, match=r"out of reach|feed"):
+                    aim(target.identity, wire, budget, left)
+            wait_for(lambda: server.dialogue.controller.lease is None)
 
 
 @pytest.mark.slow
