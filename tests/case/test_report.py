@@ -135,6 +135,14 @@ def test_an_unknown_error_is_called_unknown(report) -> None:
     assert "95 % ellipsoids" not in page.text
 
 
+def test_what_two_images_cannot_show_stands_beside_the_bound(report) -> None:
+    text = " ".join(Page(render(report)).text.split())
+    bound = text.index("95 % bound")
+    assert bound < text.index("Two images cannot show") < bound + 800
+    for words in ("one scale", "a plate that has shifted", "along its line of sight", "in the plane of both beams"):
+        assert words in text
+
+
 def test_the_residual_has_one_meaning(report) -> None:
     """Per axis, in JSON, report and of the view itself: the rms of the lengths is 1.4 times as large."""
     page = Page(render(report))

@@ -35,6 +35,11 @@ def failing(checks) -> set[str]:
     return {check.name for check in checks if not check.passed}
 
 
+def against(verdict) -> set[str]:
+    """What stands against a plan, but for what nobody drew here."""
+    return failing(verdict.checks) - {check.name for check in verdict.unmade}
+
+
 def planned(observations, setup, frame: Frame, flipped: tuple[str, ...] = (), display: bool | None = None):
     """A plan through images whose displays are mirrored for the views `flipped`; a person says `display` of those."""
     views, uv = [], []
@@ -50,7 +55,8 @@ def planned(observations, setup, frame: Frame, flipped: tuple[str, ...] = (), di
 @pytest.mark.parametrize("axis", [0, 1, 2])
 def test_a_left_handed_file_is_no_go_from_points(observations, setup, frame, axis: int) -> None:
     made = planned(observations, setup, mirrored(frame, axis))
-    assert failing(made.verdict.checks) == {"frame handedness"}
+    assert made.verdict.state == "no-go"
+    assert against(made.verdict) == {"frame handedness"}
     assert failing(made.seen.checks) == {"frame handedness"}
 
 
@@ -67,7 +73,7 @@ def test_a_left_handed_file_is_no_go_from_points(observations, setup, frame, axi
 def test_mirrored_displays_are_legitimate(observations, setup, frame, flipped, display, go) -> None:
     """One view that is not mirrored shows that the file is right-handed; two that are need a person's word."""
     made = planned(observations, setup, frame, flipped, display)
-    assert failing(made.verdict.checks) == (set() if go else {"frame handedness"})
+    assert against(made.verdict) == (set() if go else {"frame handedness"})
     if go:
         assert np.linalg.norm(made.seen.xyz_mm - WIRE_MM, axis=1).max() < 1.0
 
@@ -95,9 +101,10 @@ def test_the_command_line_refuses_until_it_is_confirmed(run, beads_csv: Path, se
     command = ["plan", beads_csv, beads_csv, *points, "--frame", left, "--json"]
     ran = run(*command)
     assert ran.code == 3
-    assert [c["name"] for c in ran.document["checks"] if not c["passed"]] == ["frame handedness"]
+    assert ran.document["verdict"] == "no-go"
+    assert "frame handedness" in [c["name"] for c in ran.document["checks"] if not c["passed"]]
     assert [view["mirrored"] for view in ran.document["views"]] == [True, True]
-    assert run(*command, "--mirrored", "lateral").code == 0
+    assert run(*command, "--mirrored", "lateral").document["verdict"] == "incomplete"  # nobody drew the head
     assert "no view 'AP'" in run(*command, "--mirrored", "AP").out
     alone = ["calibrate", beads_csv, "--view", "pa", "--frame", left]
     assert run(*alone).code == 0

@@ -7,7 +7,7 @@ from elsewhere, and no residual says so.
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import ConvexHull
+from scipy.spatial import ConvexHull, QhullError
 from scipy.spatial.distance import cdist
 
 NEAREST = 8  # [ours] beads about a pixel, of both plates: within 1.1 pitches of 7 x 7 and 8 x 8 beads
@@ -47,6 +47,12 @@ class Support:
 
 
 def _inside(corners_px: np.ndarray, uv_px: np.ndarray, margin_px: np.ndarray | float = 0.0) -> np.ndarray:
-    """(N,) bool: pixels (N, 2) within the convex hull of others, by at least a margin."""
-    sides = ConvexHull(corners_px).equations
+    """(N,) bool: pixels (N, 2) within the convex hull of others, by at least a margin.
+
+    All are where the others span none: then no bead is excused.
+    """
+    try:
+        sides = ConvexHull(corners_px).equations
+    except (QhullError, ValueError):
+        return np.ones(len(uv_px), dtype=bool)
     return (uv_px @ sides[:, :2].T + sides[:, 2]).max(axis=1) <= -np.asarray(margin_px)

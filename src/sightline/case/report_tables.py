@@ -97,7 +97,16 @@ def _tiles(report: "Report") -> list[dict[str, str]]:
     ] + [length]
 
 
+# What no two images of one frame can show; docs/safety.md bounds each.
+UNSEEN = (
+    "The bounds hold if the frame is what its file says, within its tolerances. Two images cannot show a file that is "
+    "wrong by one scale, a plate that has shifted, one pick that is wrong along its line of sight, or movement of the "
+    "bone in the plane of both beams; a check shot shows what they come to."
+)
+
+
 def _notes(report: "Report") -> Iterable[str]:
+    yield UNSEEN
     yield (
         "All coordinates are in CFCS, those of the calibration frame: no robot is known here, so the error of "
         "registering one is not in these figures."
