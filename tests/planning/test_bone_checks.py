@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from sightline.checks import Check, failed
-from sightline.errors import UnusableInputError
+from sightline.errors import OutsideRegionError, UnusableInputError
 from sightline.planning import Aids, Circle, MatchingCurve, Plan, kind, matching_curve, plan
 from sightline.planning.bone_checks import BoneRule
 from sightline.planning.results import Verdict
@@ -212,3 +212,36 @@ def test_landmarks_have_names_of_the_kinds_once_each(names: tuple[str, ...]):
 def test_a_side_that_is_none_is_refused():
     with pytest.raises(UnusableInputError, match="side"):
         _planned(np.stack([bone.ENTRY_MM, bone.END_MM]), side="middle")
+
+
+def _noticed(wire_mm: np.ndarray) -> bool:
+    try:
+        return _planned(wire_mm).verdict.state == "no-go"
+    except OutsideRegionError:
+        return True
+
+
+def test_how_far_a_point_may_be_wrong_along_its_line_of_sight_is_what_the_checks_let_pass():
+    """The end moved along either view's line of sight by a little less than is stated is still GO, by more NO-GO in at
+    least one way; the entry likewise. A wire without a bone has nothing that would notice."""
+    views, wire = _views(), np.stack([bone.ENTRY_MM, bone.END_MM])
+    made = _planned(wire)
+    assert made.verdict.go
+    for point, reach in enumerate(made.noticed_mm):
+        assert reach is not None and 3.0 < reach < 50.0
+        fails = []
+        for view in views:
+            away = (wire[point] - view.focal_point_mm) / np.linalg.norm(wire[point] - view.focal_point_mm)
+            for along in (away, -away):
+                moved = wire.copy()
+                moved[point] += (reach + 0.3) * along
+                fails.append(_noticed(moved))
+                moved[point] -= 0.9 * along
+                fails.append(_noticed(moved))
+        assert all(fails[::2])
+        assert not all(fails[1::2])
+    assert "error of up to" in made.along_sentences()[0]
+    uv = np.array([view.project(wire) for view in views])
+    free = plan(views, uv[:, 0], uv[:, 1], kind="free-wire", curve=_one_curve)
+    assert free.noticed_mm == (None, None)
+    assert all(sentence.startswith("Nothing checks") for sentence in free.along_sentences())

@@ -145,6 +145,8 @@ def figures_html(tab: Tab) -> Markup:
             ]
         rows += _gaps(tab)
     said = [markup.note(why, kind="bad", testid="figures-refused") for why in _refused(known)]
+    if known.plan is not None:
+        said += [markup.note(sentence, kind="quiet", testid="along") for sentence in known.plan.along_sentences()]
     if tab.procedure.decisions.side is None:
         said.insert(0, markup.note(texts.SIDE_FOR_FIGURES, kind="warn"))
     for figure in known.figures:

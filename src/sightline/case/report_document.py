@@ -92,6 +92,14 @@ class LimitsDocument(_Open):
     beyond_mm: float
 
 
+class AlongDocument(_Open):
+    """How far entry and end could be wrong along a line of sight before a check of the bone fails; null where nothing
+    would notice."""
+
+    entry: float | None
+    end: float | None
+
+
 class LandmarkDocument(_Open):
     """A point of the bone that both views show; `name` is null where it has none."""
 
@@ -130,6 +138,7 @@ class ReportDocument(_Open):
     go: bool
     verdict: State
     missing: tuple[str, ...]
+    noticed_along_mm: AlongDocument
     kind: str
     side: str | None
     limits: LimitsDocument

@@ -118,6 +118,7 @@ def _notes(report: "Report") -> Iterable[str]:
             f"plate {sd.plate_mm:g} mm and {sd.plate_rad * 1e3:g} mrad, arm {sd.arm_mm:g} mm and {sd.arm_rad * 1e3:g} "
             "mrad). Measure your frame: the bounds are only as true as these."
         )
+    yield " ".join(report.plan.along_sentences())
     for image in report.images:
         if image.view.mirrored:
             yield f"The {spoken(image.name)} image is a mirror image of the frame; it was used as it is."

@@ -239,6 +239,8 @@ def show(output: Output, planned: "Plan") -> None:
     output.table("Trajectory in CFCS, mm (no robot is known)", ("point", "x", "y", "z", "95 % error"), rows)
     direction = f"{errors['direction_deg']:.2f}°" if errors else "unknown"
     output.say(f"wire {path.length_mm:.1f} mm, 95 % error of its direction {direction}")
+    for sentence in planned.along_sentences():
+        output.say(sentence)
     output.say(SAID[planned.verdict.state])
 
 

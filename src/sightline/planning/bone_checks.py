@@ -1,6 +1,6 @@
 """Checks of a planned wire against the bone it is for: side, which end is which, the tip under the head's surface."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -8,12 +8,14 @@ import numpy as np
 from sightline.checks import Check
 from sightline.geometry.covariance import TWO_SIDED_95
 from sightline.planning.anatomy import NOT_PLACED, Anatomy
-from sightline.planning.directions import MEDIAL, caudal
+from sightline.planning.directions import ANTERIOR, MEDIAL, caudal
 from sightline.planning.figures import tip_depth
 from sightline.planning.results import Verdict
 
 HEAD_CENTRE, LESSER = "head-centre", "lesser-trochanter"
 _LATERAL = -MEDIAL
+# Along a line of sight a point is tried so far, in such steps [ours].
+FARTHEST_MM, _STEP_MM = 60.0, 0.5
 
 
 @dataclass(frozen=True)
@@ -21,7 +23,8 @@ class BoneRule:
     """Where the wire of a hip screw usually lies. A wire outside of these ranges is not this procedure's.
 
     `length_mm`: in which hip screws are made. `head_to_entry_mm`: at least from the head's centre to the entry.
-    `lesser_to_entry_mm`: at least from the tip of the lesser trochanter laterally to the entry. `cortex_mm`: at most
+    `lateral_of_lesser_mm`, `before_lesser_mm`: how far the entry lies lateral and anterior of the tip of the lesser
+    trochanter. `cortex_mm`: at most
     from the entry to the lateral cortex, inward from it. `to_shaft_deg`: between wire and shaft.
     """
 
@@ -29,7 +32,9 @@ class BoneRule:
     # In adults 70 to 90 mm; the smallest necks have 55 [mem], so an entry nearer lies in the neck [ours].
     head_to_entry_mm: float = 50.0
     # In the twin 35 mm; the femur is 40 mm wide there [mem]; 10 mm for the frame's tilt against the bone [ours].
-    lesser_to_entry_mm: float = 25.0
+    lateral_of_lesser_mm: tuple[float, float] = (25.0, 60.0)
+    # In the twin 18 mm; a thigh that is turned by 45° carries the trochanter to the front [ours].
+    before_lesser_mm: tuple[float, float] = (-15.0, 50.0)
     cortex_mm: float = 8.0  # the cortex is 5 mm thick (physics.md, Femur), the bone flares by 3 [ours]
     to_shaft_deg: tuple[float, float] = (120.0, 155.0)  # plates have 130° to 150° [mem], and 5° to 10° for the hand
 
@@ -96,13 +101,35 @@ def measures(
     if found.head is not None:
         out.append(_tip(found))
     if LESSER in landmarks_mm:
-        out.append(_from_lesser(landmarks_mm[LESSER], rule))
+        out += _from_lesser(landmarks_mm[LESSER], rule)
     if found.shaft is not None:
         out.append(_to_shaft(found.shaft.direction, rule))
         if centre is not None and "cortex" in found.at:
             out.append(_from_cortex(found, centre, rule))
     out.append(_length(rule))
     return tuple(out)
+
+
+def noticed_beyond_mm(checked: Sequence[Measure], found: Anatomy) -> tuple[float | None, float | None]:
+    """How far entry and end could be wrong along a line of sight before one of the measures fails; None where none does
+    within FARTHEST_MM.
+
+    A pick that is wrong along its image-matching curve moves its point along the other view's line of sight, and no gap
+    shows it."""
+    wire, focal = found.part("wire").reshape(2, 3), found.part("focal").reshape(2, 3)
+    steps = np.arange(_STEP_MM, FARTHEST_MM + _STEP_MM, _STEP_MM)
+    out: list[float | None] = []
+    for point in range(2):
+        reach: float | None = 0.0
+        for away in (wire[point] - focal) / _distance(wire[point], focal)[:, None]:
+            for along in (away, -away):
+                ends = np.repeat(wire[:, None], len(steps), axis=1)
+                ends[point] += steps[:, None] * along
+                passes = [m.passes(*ends) for m in checked if m.passes(*wire[:, None])[0]]
+                fails = np.flatnonzero(~np.all(passes, axis=0)) if passes else np.zeros(0, dtype=int)
+                reach = None if reach is None or not len(fails) else max(reach, float(steps[fails[0]]))
+        out.append(reach)
+    return out[0], out[1]
 
 
 def _missing(found: Anatomy, side: str | None, landmarks_mm: Mapping[str, np.ndarray]) -> tuple[Check, ...]:
@@ -205,17 +232,24 @@ def _from_head(centre: np.ndarray, rule: BoneRule) -> Measure:
     )
 
 
-def _from_lesser(lesser: np.ndarray, rule: BoneRule) -> Measure:
-    return Measure(
-        "entry at cortex",
-        lambda entry, end: (entry - lesser) @ _LATERAL,
-        rule.lesser_to_entry_mm,
-        np.inf,
-        "mm",
-        "The entry lies {} lateral of the lesser trochanter's tip",
-        f"at less than {rule.lesser_to_entry_mm:.0f} mm it lies inside the bone, not at the lateral cortex: pick entry "
-        "or trochanter again",
+def _from_lesser(lesser: np.ndarray, rule: BoneRule) -> list[Measure]:
+    ways = (
+        ("lateral", _LATERAL, rule.lateral_of_lesser_mm, "inside the bone"),
+        ("anterior", ANTERIOR, rule.before_lesser_mm, "behind the bone"),
     )
+    return [
+        Measure(
+            "entry at cortex",
+            lambda entry, end, way=way: (entry - lesser) @ way,
+            low,
+            high,
+            "mm",
+            f"The entry lies {{}} {name} of the lesser trochanter's tip",
+            f"at less than {low:.0f} mm it lies {where}, at more than {high:.0f} mm beside it: pick one of them "
+            "again; it may be wrong along its line of sight",
+        )
+        for name, way, (low, high), where in ways
+    ]
 
 
 def _from_cortex(found: Anatomy, centre: np.ndarray, rule: BoneRule) -> Measure:

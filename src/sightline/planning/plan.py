@@ -10,7 +10,7 @@ from sightline.calibration.view import CalibratedView
 from sightline.errors import UnusableInputError
 from sightline.planning.aids import Aids
 from sightline.planning.anatomy import Anatomy, locate
-from sightline.planning.bone_checks import judge_in_bone
+from sightline.planning.bone_checks import judge_in_bone, measures, noticed_beyond_mm
 from sightline.planning.curve import MatchingCurve, matching_curve, snap
 from sightline.planning.kinds import TrajectoryKind
 from sightline.planning.kinds import kind as kind_of
@@ -27,6 +27,8 @@ class Plan:
 
     `picks`: for entry and end, the pick in each view as it was used: snapped ones lie on their curve. `seen`: entry,
     end and landmarks, in this order; `landmark_names`: of these, "" without one. `anatomy`: what was drawn.
+    `noticed_mm`: how far entry and end could be wrong along a line of sight before a check of the bone fails; None
+    where nothing would notice.
     """
 
     trajectory: Trajectory
@@ -39,6 +41,18 @@ class Plan:
     side: str | None
     anatomy: Anatomy | None
     landmark_names: tuple[str, ...]
+    noticed_mm: tuple[float | None, float | None]
+
+    def along_sentences(self) -> list[str]:
+        """Of entry and end: what would notice that it is wrong along its line of sight."""
+        return [
+            f"Nothing checks the {name} point along its lines of sight: a pick that is wrong along its image-matching "
+            "curve does not show."
+            if reach is None
+            else f"Along its lines of sight the {name} point is checked by the bone alone: an error of up to "
+            f"{reach:.1f} mm there would not be noticed."
+            for name, reach in zip(("entry", "end"), self.noticed_mm, strict=True)
+        ]
 
     def verdict_document(self) -> dict[str, Any]:
         """The verdict as JSON types, and by which limits it was reached; without the checks."""
@@ -47,6 +61,7 @@ class Plan:
             "go": self.verdict.go,
             "verdict": self.verdict.state,
             "missing": list(self.verdict.missing),
+            "noticed_along_mm": dict(zip(("entry", "end"), self.noticed_mm, strict=True)),
             "kind": self.kind.key,
             "side": self.side,
             "limits": {
@@ -110,11 +125,12 @@ def plan(
     seen = _reconstructed(views, [entry, end, *free], method)
     trajectory = Trajectory(seen.first(2) if free else seen)
     anatomy = None if aids is None and kind.bone is None else locate(views, aids or Aids(), (entry, end), method)
-    verdict = judge(trajectory, views, kind.limits, seen)
+    verdict, noticed = judge(trajectory, views, kind.limits, seen), (None, None)
     if kind.bone is not None and anatomy is not None:
         known = dict(zip(names, seen.xyz_mm[2:], strict=False))
         verdict = verdict.joined(judge_in_bone(anatomy, kind.bone, side, known))
-    return Plan(trajectory, (entry, end), seen, entry_curve, end_curve, verdict, kind, side, anatomy, names)
+        noticed = noticed_beyond_mm(measures(anatomy, kind.bone, side, known), anatomy)
+    return Plan(trajectory, (entry, end), seen, entry_curve, end_curve, verdict, kind, side, anatomy, names, noticed)
 
 
 def _names(kind: TrajectoryKind, landmark_names: Sequence[str], count: int) -> tuple[str, ...]:
