@@ -3,6 +3,7 @@
 import json
 import shutil
 import sqlite3
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -265,3 +266,26 @@ def test_a_file_that_is_no_database_is_a_case_that_is_not_whole(run, copied: Pat
     ran = run("case", "check", copied)
     assert ran.code == 3
     assert "damaged" in " ".join(ran.out.split())
+
+
+def test_a_plan_of_an_earlier_version_is_judged_by_what_was_known_then(recorded: Path) -> None:
+    with Case.open(recorded, read_only=True) as case:
+        entry = case.latest(Kind.PLANNED)
+        assert entry is not None
+        old = json.loads(json.dumps(entry.content))
+        for key in ("verdict", "missing", "noticed_along_mm", "kind", "side", "limits"):
+            del old[key]
+        for key in ("side", "aids"):
+            del old["asked"][key]
+        old["asked"] |= {"kind": "hip-screw", "limits": {"position_mm": 1.0, "direction_rad": 0.0105}}
+        old["asked"]["landmark_names"] = ["landmark-head-centre", "landmark-lesser-trochanter"]
+        old["landmarks"] = [{key: mark[key] for key in mark if key != "name"} for mark in old["landmarks"]]
+        old["checks"] = [check for check in old["checks"] if check["name"] != "pick spread"]
+        for check in old["checks"]:
+            if check["name"] == "direction error":
+                check["limit"] = float(np.rad2deg(0.0105))
+        again = Recomputed(case).content(replace(entry, content=old))
+    assert again is not None
+    for check in (*again["checks"], *old["checks"]):
+        del check["sentence"]  # it repeats the limit
+    assert again == old

@@ -7,7 +7,7 @@ import pytest
 
 import sightline as sl
 from sightline.calibration import BeadView
-from sightline.checks import failed
+from sightline.checks import Limits, failed
 from sightline.errors import ReconstructionRefusedError, UnusableInputError
 from sightline.frame import Frame
 from sightline.planning import Plan, kind, plan
@@ -53,6 +53,7 @@ class Case:
             given["after"],
             given["wires"],
             landmarks=given["landmarks"],
+            limits=others.get("limits"),
         )
 
 
@@ -212,3 +213,16 @@ def test_the_planned_wire_is_expected_where_it_projects(one):
     assert (np.diff(where.along_mm) > 0).all()
     assert 5.0 < np.median(where.px_per_mm) < 10.0
     assert ((where.sine > 0.3) & (where.sine <= 1.0 + 1e-12)).all()
+
+
+def test_the_limits_of_the_plan_are_those_of_its_check_and_the_tip_is_looked_for_where_it_was_drilled_to(one):
+    plain, other = (one.result(limits=limits) for limits in (Limits(), Limits(0.25, 0.01, beyond_mm=6.0)))
+    limits = {check.name: check.limit for check in other.checks}
+    assert (limits["wire entry"], limits["wire tip"]) == (0.25, 0.25)
+    assert limits["wire direction"] == pytest.approx(np.rad2deg(0.01))
+    # The tip that ends at the end point lies 6 mm short of where such a kind drills to.
+    assert other.deviation_mm[4] - plain.deviation_mm[4] == pytest.approx(-6.0, abs=1e-3)
+    # The adjusted plan is turned by some 0.01 rad against its axes: 6 mm of that across.
+    np.testing.assert_allclose(other.deviation_mm[:2], plain.deviation_mm[:2], atol=1e-9)
+    np.testing.assert_allclose(other.deviation_mm[2:4], plain.deviation_mm[2:4], atol=0.1)
+    assert other.length_mm == pytest.approx(plain.length_mm + 6.0)
