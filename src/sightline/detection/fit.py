@@ -77,7 +77,7 @@ _LEAST_RIM = 0.7  # share of it that metal must leave: the straight sides of a w
 _SPREAD_OF_NOISE = 1.3  # times the expected square of the residuals, which noise alone may reach [ours]
 _LONGEST = 0.12  # ellipticity: beads in images up to 0.09, pieces of wire more [twin]
 # Covariance beyond what is linear in the noise, in units of the centre's variance over the blur's square [twin].
-_RIM_BENDS = 6.0
+_RIM_BENDS = 3.0
 _LOST = 0.15  # share of the rim that sharpening may cost, before a window is left as it is [ours]
 # Of a shadow's centre over a background that bends: what its cubic terms show, times this, is not explained by them.
 _BENT_PX = 0.1
