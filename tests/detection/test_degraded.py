@@ -33,15 +33,14 @@ def squares(found: Observations) -> np.ndarray:
     return np.einsum("ni,nij,nj->n", off, np.linalg.inv(found.covariance_px2), off) / 2
 
 
-@pytest.mark.parametrize("quality", [20, 35, 50, 65, 80, 95])
+@pytest.mark.parametrize("quality", [20, 50, 95])
 def test_beads_of_compressed_images_are_within_their_errors(quality: int) -> None:
     found = labelled(jpeg(CLEAN, quality))
     assert len(found) > 0.5 * len(TRUTH)
     assert np.median(squares(found)) / np.log(2) < 1.5
 
 
-@pytest.mark.parametrize("side", [2, 4, 8])
-@pytest.mark.parametrize("quality", [1, 5, 10, 20, 30])
+@pytest.mark.parametrize(("side", "quality"), [(2, 10), (4, 10), (8, 10), (4, 30), (8, 30), (8, 1)])
 def test_whatever_compression_and_blocks_leave_is_measured_or_refused(side: int, quality: int) -> None:
     try:
         found = labelled(jpeg(blocks(CLEAN, side), quality))
@@ -72,8 +71,7 @@ def test_a_broad_mean_has_noise_whatever_the_correlation(correlation: float) -> 
     assert noise.broad == pytest.approx(max(1 + 2 * LAGS * correlation, 0.1))
 
 
-@pytest.mark.parametrize("shift", [5, -12, 40])
-@pytest.mark.parametrize("at", [139, 256, 371])
+@pytest.mark.parametrize(("at", "shift"), [(139, -12), (256, 5), (371, 40)])
 def test_a_torn_image_is_refused_as_such(at: int, shift: int) -> None:
     assert tear_of(Radiograph(torn(CLEAN, at, shift), 255.0)) == Tear(at, shift, rows=True)
     assert tear_of(Radiograph(torn(CLEAN, at, shift).T.copy(), 255.0)) == Tear(at, shift, rows=False)

@@ -31,6 +31,8 @@ class Tear:
 
 def line_defect(image: Radiograph) -> str | None:
     """What is wrong with an image whose lines were not taken at one place, and what to do; None where nothing is."""
+    if 100 * clipped_share(image) > MOST_CLIPPED:
+        return None  # lines that are clipped have nothing to compare
     moved = comb(image)
     if moved > MOVED:
         return (
@@ -84,15 +86,19 @@ def _shift(above: np.ndarray, below: np.ndarray, inside: np.ndarray) -> tuple[in
     """By how many pixels the lines below lie further on than those above, and how much less they then differ: in each
     half of the line, since a tear shifts all of it and an edge of metal only looks so in places."""
     first, second, width = above.mean(axis=0), below.mean(axis=0), above.shape[1]
-    best, least, halves = 0, np.inf, _halves((first - second) ** 2, inside)
-    moved = halves
-    for shift in range(-_FARTHEST_PX, _FARTHEST_PX + 1):
-        a, b = slice(max(0, -shift), width - max(0, shift)), slice(max(0, shift), width - max(0, -shift))
-        both = inside[a] & inside[b]
-        square = (first[a] - second[b]) ** 2
-        if np.count_nonzero(both) > _SHARE * width and (mean := float(square[both].mean())) < least:
-            best, least, moved = shift, mean, _halves(square, both)
-    return best, float((halves / np.maximum(moved, 1e-12)).min())
+    level, known = float(first.mean()), inside.astype(np.float64)
+    x, y = (first - level) * known, (second - level) * known
+    shifts = np.arange(-_FARTHEST_PX, _FARTHEST_PX + 1)
+    count, xx, yy, xy = (
+        np.correlate(later, earlier, "full")[width - 1 + shifts]
+        for later, earlier in ((known, known), (known, x * x), (y * y, known), (y, x))
+    )
+    square = np.where(count > _SHARE * width, (xx + yy - 2 * xy) / np.maximum(count, 1), np.inf)
+    shift = int(shifts[np.argmin(square)])
+    a, b = slice(max(0, -shift), width - max(0, shift)), slice(max(0, shift), width - max(0, -shift))
+    at_rest = _halves((first - second) ** 2, inside)
+    moved = _halves((first[a] - second[b]) ** 2, inside[a] & inside[b])
+    return shift, float((at_rest / np.maximum(moved, 1e-12)).min())
 
 
 def _halves(values: np.ndarray, counting: np.ndarray) -> np.ndarray:
