@@ -22,9 +22,14 @@ def cluster() -> Iterator[str]:
     """The address of a scheduler with two workers, in threads of this process."""
     from distributed import LocalCluster
 
-    with LocalCluster(
-        n_workers=2, threads_per_worker=1, processes=False, dashboard_address=None, protocol="tcp://"
-    ) as running:
+    with (
+        pytest.MonkeyPatch.context() as patched,
+        LocalCluster(
+            n_workers=2, threads_per_worker=1, processes=False, dashboard_address=None, protocol="tcp://"
+        ) as running,
+    ):
+        for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
+            patched.setenv(name, "1")  # as `dask worker` does
         yield running.scheduler_address
 
 
@@ -45,6 +50,20 @@ def test_workers_with_other_code_are_refused(cluster: str, tmp_path: Path, monke
     calls = count()
     monkeypatch.setattr(workers, "code_digest", lambda: str(next(calls)))
     with pytest.raises(UnusableInputError, match="no Sightline or another one"):
+        run.do(cluster)
+    assert run.missing == list(range(N))
+
+
+@pytest.mark.parametrize("threads", ["2", None])
+def test_workers_with_threads_of_linear_algebra_are_refused(
+    cluster: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, threads: str | None
+) -> None:
+    if threads is None:
+        monkeypatch.delenv("OPENBLAS_NUM_THREADS")
+    else:
+        monkeypatch.setenv("OPENBLAS_NUM_THREADS", threads)
+    run = Run.open(SmallStudy(), N, SEED, tmp_path)
+    with pytest.raises(UnusableInputError, match="linear algebra on several threads"):
         run.do(cluster)
     assert run.missing == list(range(N))
 

@@ -15,7 +15,8 @@ from sightline.errors import UnusableInputError
 from sightline.studies.record import code_digest
 
 # Matrices here are small: threads of the linear algebra cost more than they save.
-_THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
+_LINEAR_ALGEBRA = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
+_THREADS = (*_LINEAR_ALGEBRA, "NUMBA_NUM_THREADS")
 PATIENCE_S = 10.0  # for a scheduler to answer, and for its first worker [ours]
 
 
@@ -70,7 +71,8 @@ def cluster_workers(address: str) -> Iterator[Workers]:
 
 
 def _refuse_other_code(client, address: str) -> int:
-    """How many trials the cluster does at a time. Refused if it has no workers, or if they have other code."""
+    """How many trials the cluster does at a time. Refused if it has no workers, or if they have other code or do linear
+    algebra on several threads."""
     try:
         client.wait_for_workers(1, timeout=PATIENCE_S)
     except TimeoutError:
@@ -87,7 +89,18 @@ def _refuse_other_code(client, address: str) -> int:
             f"workers of {address} have no Sightline or another one ({', '.join(other)}): their trials must not be "
             "mixed with these; install the same version there"
         )
+    threaded = [worker for worker, one in client.run(one_threaded).items() if not one]
+    if threaded:
+        raise UnusableInputError(
+            f"workers of {address} may do linear algebra on several threads ({', '.join(threaded)}), which changes the "
+            f"last digits: start them with {'=1 '.join(_LINEAR_ALGEBRA)}=1, as `dask worker` does by itself"
+        )
     return sum(client.nthreads().values())
+
+
+def one_threaded() -> bool:
+    """Whether this process was told to do linear algebra on one thread, so that results are bit-identical."""
+    return all(os.environ.get(name) == "1" for name in _LINEAR_ALGEBRA)
 
 
 def _settle() -> None:
