@@ -9,10 +9,8 @@ import subprocess
 import tempfile
 from collections.abc import Callable
 from datetime import datetime
-from importlib import import_module
-from importlib.metadata import version
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -35,20 +33,20 @@ SIDE = "left"
 def run(quick: bool) -> list[Row]:
     """The rows of this benchmark."""
     views = [_drawn(np.random.default_rng([SEED, k])) for k in range(VIEWS // 10 if quick else VIEWS)]
-    peers: tuple[tuple[str, str, Callable[[Any, list[Pinhole], Path], list[Row]]], ...] = (
-        ("itk-rtk", "itk.RTK", _rtk),
-        ("SimpleITK", "SimpleITK", _simple_itk),
-        ("slicerio", "slicerio", _slicerio),
-    )
+    peers: dict[str, Callable[[list[Pinhole], Path], list[Row]]] = {
+        "itk-rtk": _rtk,
+        "SimpleITK": _simple_itk,
+        "slicerio": _slicerio,
+    }
     rows = []
     with tempfile.TemporaryDirectory() as folder:
-        for package, module, measure in peers:
+        for package, measure in peers.items():
             try:
-                peer = import_module(module)
-            except ImportError:
+                version(package)
+            except PackageNotFoundError:
                 rows.append(Row(GROUP, package, "not installed", "", f"pip install {package}"))
             else:
-                rows += measure(peer, views, Path(folder))
+                rows += measure(views, Path(folder))
         return [*rows, *_dcmtk(views[0], Path(folder))]
 
 
@@ -79,19 +77,17 @@ def _row(name: str, worst: float, unit: str, package: str, trials: str) -> Row:
     return Row(GROUP, name, figure, f"{asked:g} {unit}", f"{package} {version(package)}", worst <= asked)
 
 
-def _rtk(itk: Any, views: list[Pinhole], folder: Path) -> list[Row]:
+def _rtk(views: list[Pinhole], folder: Path) -> list[Row]:
     """RTK's matrix for each of our geometry files takes points to the detector; its image says which pixel is there."""
+    from itk import RTK
+
     worst = 0.0
     rng = np.random.default_rng(SEED)
     for view in views:
         for name, data in write_view(view, "rtk", _pixels(view)).items():
             (folder / name).write_bytes(data)
-        reader = itk.ThreeDCircularProjectionGeometryXMLFileReader.New()
-        reader.SetFilename(str(folder / "pa.rtk.xml"))
-        reader.GenerateOutputInformation()
-        matrix = np.array(
-            [[reader.GetOutputObject().GetMatrix(0).GetVnlMatrix().get(i, j) for j in range(4)] for i in range(3)]
-        )
+        entry = RTK.read_geometry(str(folder / "pa.rtk.xml")).GetMatrix(0).GetVnlMatrix().get
+        matrix = np.array([[entry(i, j) for j in range(4)] for i in range(3)])
         xyz = rng.uniform(-90.0, 90.0, (POINTS, 3))
         u, v, w = matrix @ np.column_stack([xyz, np.ones(POINTS)]).T
         _, across, down = view.detector_mm()
@@ -102,25 +98,27 @@ def _rtk(itk: Any, views: list[Pinhole], folder: Path) -> list[Row]:
     return [_row("RTK's geometry", worst, "px", "itk-rtk", f"{len(views)} views")]
 
 
-def _simple_itk(sitk: Any, views: list[Pinhole], folder: Path) -> list[Row]:
+def _simple_itk(views: list[Pinhole], folder: Path) -> list[Row]:
     """Transforms applied to points; images by their values and the places of their pixels."""
+    import SimpleITK
+
     rng = np.random.default_rng(SEED)
     moved, placed, same = 0.0, 0.0, True
     to_lps = T_lps_cfcs(SIDE)
     for view in views:
         wire = to_lps @ T_cfcs_wire(rng.uniform(-90.0, 90.0, (2, 3)))
         (folder / "wire.tfm").write_bytes(transform_bytes(wire, "wire"))
-        transform = sitk.ReadTransform(str(folder / "wire.tfm"))
+        transform = SimpleITK.ReadTransform(str(folder / "wire.tfm"))
         for point in rng.uniform(-90.0, 90.0, (POINTS, 3)):
             expected = wire[:3, :3] @ point + wire[:3, 3]
             moved = max(moved, float(np.abs(np.array(transform.TransformPoint(point.tolist())) - expected).max()))
         pixels = _pixels(view)
         (folder / "plate.nrrd").write_bytes(nrrd_bytes(pixels, view, to_lps, "a plan"))
-        image = sitk.ReadImage(str(folder / "plate.nrrd"))
+        image = SimpleITK.ReadImage(str(folder / "plate.nrrd"))
         (folder / "pa.rtk.mha").write_bytes(write_view(view, "rtk", pixels)["pa.rtk.mha"])
-        projection = sitk.ReadImage(str(folder / "pa.rtk.mha"))
-        same &= bool((sitk.GetArrayFromImage(image)[0] == pixels).all())
-        same &= bool((sitk.GetArrayFromImage(projection)[0] == pixels[::-1]).all())
+        projection = SimpleITK.ReadImage(str(folder / "pa.rtk.mha"))
+        same &= bool((SimpleITK.GetArrayFromImage(image)[0] == pixels).all())
+        same &= bool((SimpleITK.GetArrayFromImage(projection)[0] == pixels[::-1]).all())
         corner, steps = plate_corner(view)
         for u, v in rng.uniform(0.0, 60.0, (POINTS, 2)):
             expected = to_lps[:3, :3] @ (corner + u * steps[0] + v * steps[1])
@@ -134,8 +132,10 @@ def _simple_itk(sitk: Any, views: list[Pinhole], folder: Path) -> list[Row]:
     ]
 
 
-def _slicerio(slicerio: Any, views: list[Pinhole], folder: Path) -> list[Row]:
+def _slicerio(views: list[Pinhole], folder: Path) -> list[Row]:
     """The reader of 3D Slicer's volumes outside of Slicer: the plate's image, and where its pixels are in LPS."""
+    import slicerio
+
     worst, same = 0.0, True
     to_lps = T_lps_cfcs(SIDE)
     for view in views:
