@@ -186,7 +186,7 @@ class PlanFile:
         return self.document.go
 
     @property
-    def side(self) -> str | None:
+    def side(self) -> Literal["right", "left"] | None:
         """Of the patient, where the plan says."""
         return self.document.side
 
