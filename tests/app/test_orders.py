@@ -17,7 +17,9 @@ def _drilling(monkeypatch: pytest.MonkeyPatch, send: Any, record: Any) -> tuple[
     stub = SimpleNamespace(number=1, q=(), entry_error_95_mm=0.5, end_error_95_mm=0.5, document=dict)
     for name in ("calibrated_of", "record_planned", "_depth_limit", "asked"):
         monkeypatch.setattr(module, name, lambda *_, **__: stub)
-    decisions = SimpleNamespace(images={"pa": 1, "lateral": 2}, side="right", serial="1", document=dict)
+    decisions = SimpleNamespace(
+        images={"pa": 1, "lateral": 2}, side="right", serial="1", kind="hip-screw", document=dict
+    )
     known: Any = SimpleNamespace(plan=SimpleNamespace(trajectory=stub), decisions=decisions)
     case = SimpleNamespace(number="C", last=1, record=record)
     procedure: Any = SimpleNamespace(
