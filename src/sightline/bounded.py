@@ -3,14 +3,14 @@
 from collections.abc import Iterator
 from contextlib import contextmanager
 from errno import EISDIR
+from io import BufferedReader
 from pathlib import Path
-from typing import BinaryIO
 
 from sightline.errors import UnusableInputError
 
 
 @contextmanager
-def regular_file(file: Path) -> Iterator[BinaryIO]:
+def regular_file(file: Path) -> Iterator[BufferedReader]:
     """Open a regular file for reading. Raises OSError, also on a folder, a device or a pipe.
 
     A pipe would be waited for without end, and a device may have no end.

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 from sightline.detection.results import Rejected
 from sightline.imaging import Radiograph
-from sightline.imaging.defects import MOST_CLIPPED, clipped_share
+from sightline.imaging.defects import MOST_CLIPPED, clipped_share, torn
 
 NO_RIM, NOT_ROUND = "no rim", "not round"  # how these reasons begin
 _FEWEST = 5  # spots that tell anything of an image [ours]
@@ -18,6 +18,9 @@ def cause_of(image: Radiograph, beads: int, rejected: Sequence[Rejected]) -> str
         return (
             f"the image is saturated: {share:.0f} % of its field is clipped; expose less, or export it without a window"
         )
+    tear = torn(image)  # here alone: it takes as long as half of detection, and beads show a tear in a view's checks
+    if tear is not None:
+        return tear.sentence
     soft, uneven = (sum(one.reason.startswith(why) for one in rejected) for why in (NO_RIM, NOT_ROUND))
     if soft >= max(_FEWEST, beads / 2):
         return f"the image is blurred: {soft} spots fade out without a rim, and {beads} have one; focus, or hold still"

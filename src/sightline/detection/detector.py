@@ -12,7 +12,7 @@ from sightline.detection.results import Detections, Rejected
 from sightline.detection.scale import FACTOR, finer, is_fine
 from sightline.errors import DetectionRefusedError
 from sightline.imaging import Radiograph
-from sightline.imaging.defects import line_defect
+from sightline.imaging.defects import interlaced
 
 _SMALLEST_PX, _LARGEST_PX = 1.7, 27.0  # what is promised, 2-25 px, and a margin for the fit
 _NOISIEST_PX = 1.0  # a centre less certain than this is of no use; promised is recall below 0.5 px [ours]
@@ -48,18 +48,18 @@ def detect(image: Radiograph) -> Detections:
     """Beads (dark balls and washers, bright holes; radius 2-25 px) of one image, with their covariances.
 
     `rejected` holds what came near to being a bead; places without any rim are passed over in silence.
-    Raises DetectionRefusedError where nothing in the image looks like a bead, and where its lines were not all taken
-    at one place: torn, or interlaced with movement. Where most beads have a radius above 15 px they are measured in
-    pixels of twice the side, as often as it takes; the answer is in the image's own pixels.
+    Raises DetectionRefusedError where nothing in the image looks like a bead, and where something moved between the two
+    fields of an interlaced image, which no centre shows. Where most beads have a radius above 15 px they are measured
+    in pixels of twice the side, as often as it takes; the answer is in the image's own pixels.
     """
-    defect = line_defect(image)
+    defect = interlaced(image)
     if defect is not None:
         raise DetectionRefusedError(defect)
     return _detected(image)
 
 
 def _detected(image: Radiograph) -> Detections:
-    """`detect` without the look for defects of lines."""
+    """`detect` without the look at its two fields."""
     mask, logs, noise = _looked_at(image)
     spots = find_candidates(logs, mask, noise)
     rows = refine.start(spots.uv_px, spots.radius_px, spots.response)

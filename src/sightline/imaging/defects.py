@@ -28,25 +28,27 @@ class Tear:
     shift_px: int
     rows: bool
 
+    @property
+    def sentence(self) -> str:
+        """What is wrong, and what to do."""
+        line, along = ("row", "columns") if self.rows else ("column", "rows")
+        return (
+            f"the image is torn: from {line} {self.at} on it is shifted by {abs(self.shift_px)} {along}; its parts "
+            "show different moments: take it again"
+        )
 
-def line_defect(image: Radiograph) -> str | None:
-    """What is wrong with an image whose lines were not taken at one place, and what to do; None where nothing is."""
+
+def interlaced(image: Radiograph) -> str | None:
+    """What is wrong with an image between whose two fields something moved, and what to do; None where nothing did."""
     if 100 * clipped_share(image) > MOST_CLIPPED:
         return None  # lines that are clipped have nothing to compare
     moved = comb(image)
-    if moved > MOVED:
-        return (
-            f"the image is interlaced and something moved between its two fields (comb {moved:.2f}, at most {MOVED:g})"
-            "; take it again without movement, or from a progressive source"
-        )
-    tear = torn(image)
-    if tear is not None:
-        line, along = ("row", "columns") if tear.rows else ("column", "rows")
-        return (
-            f"the image is torn: from {line} {tear.at} on it is shifted by {abs(tear.shift_px)} {along}; "
-            "its parts show different moments: take it again"
-        )
-    return None
+    if moved <= MOVED:
+        return None
+    return (
+        f"the image is interlaced and something moved between its two fields (comb {moved:.2f}, at most {MOVED:g}); "
+        "take it again without movement, or from a progressive source"
+    )
 
 
 def torn(image: Radiograph) -> Tear | None:
@@ -90,7 +92,7 @@ def _shift(above: np.ndarray, below: np.ndarray, inside: np.ndarray) -> tuple[in
     x, y = (first - level) * known, (second - level) * known
     shifts = np.arange(-_FARTHEST_PX, _FARTHEST_PX + 1)
     count, xx, yy, xy = (
-        np.correlate(later, earlier, "full")[width - 1 + shifts]
+        np.correlate(np.pad(later, _FARTHEST_PX), earlier, "valid")
         for later, earlier in ((known, known), (known, x * x), (y * y, known), (y, x))
     )
     square = np.where(count > _SHARE * width, (xx + yy - 2 * xy) / np.maximum(count, 1), np.inf)
@@ -108,8 +110,9 @@ def _halves(values: np.ndarray, counting: np.ndarray) -> np.ndarray:
 
 def clipped_share(image: Radiograph) -> float:
     """Share of the field's pixels that are as bright or as dark as can be stored."""
-    inside = image.pixels[image.field_mask]
-    return float(np.mean((inside >= image.white) | (inside <= 0))) if inside.size else 0.0
+    size = np.count_nonzero(image.field_mask)
+    clipped = ((image.pixels >= image.white) | (image.pixels <= 0)) & image.field_mask
+    return float(np.count_nonzero(clipped) / size) if size else 0.0
 
 
 def image_checks(image: Radiograph) -> tuple[Check, ...]:

@@ -51,8 +51,7 @@ def reconstruct(
     budget, gaps = solution.budget_mm2(), solution.gap_covariance_mm2()
     gap_mm = _approach(lines).gap_mm
     tested = ~np.any(across != 0.0, axis=(0, 2))
-    none = gaps is None or not tested.any()
-    shift, shift_sd, chi2 = (None, None, None) if none else _all_gaps(lines, gaps, tested)
+    shift, shift_sd, chi2 = (None, None, None) if gaps is None or not tested.any() else _all_gaps(lines, gaps, tested)
     return SpacePoints(
         xyz_mm=solution.xyz_mm,
         gap_mm=gap_mm,
