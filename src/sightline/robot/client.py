@@ -379,7 +379,8 @@ class RobotClient:
                 return
             self.capabilities = frozenset(said.body.types)
             mine = {contract.HAS_TELEMETRY: streams, contract.HAS_HEARTBEAT: heartbeat}
-            announced = (*_UNDERSTOOD, *(name for name, wanted in mine.items() if wanted))
+            # Who announces drilling drills by DRILL alone: a stray MOVE_TO_TARGET at the bone is then refused.
+            announced = (*_UNDERSTOOD, contract.HAS_DRILLING, *(name for name, wanted in mine.items() if wanted))
             self.talk.send(Capability(announced), "", version=2)
             mail.until(lambda m: isinstance(m.body, Capability), ACK_S)
 
