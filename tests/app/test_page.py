@@ -368,7 +368,7 @@ def test_what_a_person_does_wrong_ends_in_a_sentence(
 def obstructed(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     """Both images with a retractor of steel before a part of the beads."""
     patient, folder = rehearsal(), tmp_path_factory.mktemp("images")
-    steel = guide_wire(np.array([[70.0, -50.0, 45.0], [-75.0, 60.0, -40.0]]), diameter_mm=9.0)
+    steel = guide_wire(np.array([[75.0, -60.0, 75.0], [-75.0, 50.0, -10.0]]), diameter_mm=9.0)
     scene, rng = patient.hip.scene + steel, np.random.default_rng(5)
     return [write_dicom(render(patient.setup, name, scene, rng), folder / f"{name}.dcm") for name in NAMES]
 

@@ -46,9 +46,11 @@ def test_balls_have_their_true_place_and_size(gamma: Frame) -> None:
 def test_ellipsoids_hold_95_percent() -> None:
     rng = np.random.default_rng(3)
     factor = rng.normal(0.0, 0.1, (6, 6))
-    points = SimpleNamespace(joint_covariance_mm2=factor @ factor.T)
+    joint = factor @ factor.T
+    points = SimpleNamespace(covariance_mm2=np.stack([joint[:3, :3], joint[3:, 3:]]))
     entry, tip = np.array([31.3, 28.9, -9.7]), np.array([-30.1, -27.7, 8.3])
-    objects = wire_objects(SimpleNamespace(points=points, entry_mm=entry, end_mm=tip), 2.5)  # type: ignore[arg-type]
+    path = SimpleNamespace(points=points, entry_mm=entry, end_mm=tip, error_stated=True)
+    objects = wire_objects(path, 2.5)  # type: ignore[arg-type]
     assert of_kind(objects, "cylinder")[0]["radius"] == 1.25
     times = float(of_kind(objects, "note")[0]["text"].rpartition(", ")[2].split()[0])
     for one, part in zip(of_kind(objects, "ellipsoid"), (factor[:3], factor[3:]), strict=True):
@@ -56,8 +58,8 @@ def test_ellipsoids_hold_95_percent() -> None:
         held = np.linalg.norm(rng.normal(size=(20000, 6)) @ part.T @ np.linalg.inv(axes), axis=1) < 1
         assert abs(held.mean() - 0.95) < 0.005  # 3 s.d. of a share of 20,000
         np.testing.assert_allclose(axes.T @ axes, chi2.ppf(0.95, 3) * part @ part.T, atol=1e-3)  # rounded for the page
-    points.joint_covariance_mm2 = None
-    unknown = wire_objects(SimpleNamespace(points=points, entry_mm=entry, end_mm=tip), 2.5)  # type: ignore[arg-type]
+    path.error_stated = False
+    unknown = wire_objects(path, 2.5)  # type: ignore[arg-type]
     assert not of_kind(unknown, "ellipsoid") and "unknown" in of_kind(unknown, "note")[0]["text"]
 
 

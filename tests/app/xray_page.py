@@ -166,6 +166,11 @@ def page(seconds: float) -> None:
             view.show(Shown(label, PICTURE, DISPLAY, points=POINTS, revision=str(state["revision"])))
 
 
+def beside(view: XrayView) -> dict[str, XrayView]:
+    """The views of the page that a view is of."""
+    return next(page for page in pages if view in page.values())
+
+
 def change(view: XrayView, **news: Any) -> None:
     """Show something else."""
     view.show(replace(view.shown, **news))
@@ -189,7 +194,7 @@ def restore(view: XrayView) -> None:
             XrayView.acknowledge(view, one["seq"])
     change(view, notice="restored")
     change(view, picture=PICTURE, display=DISPLAY, layers={}, points=POINTS, placing=None, notice=None)
-    change(pages[-1]["lateral"], placing=None)
+    change(beside(view)["lateral"], placing=None)
     view.refused = 0
     state["taking"] = True
 
@@ -212,7 +217,7 @@ COMMANDS: dict[str, Callable[[XrayView], None]] = {
     "restore": restore,
     "refuse": refuse,
     "place": lambda view: change(view, placing="aim"),
-    "place-lateral": lambda view: change(pages[-1]["lateral"], placing="aim"),
+    "place-lateral": lambda view: change(beside(view)["lateral"], placing="aim"),
     "beads": lambda view: draw(view, "beads", beads()),
     "gallery": lambda view: draw(view, "gallery", gallery()),
     "dim": lambda view: change(view, points=[point | {"uv": None} for point in POINTS]),

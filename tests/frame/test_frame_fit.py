@@ -38,7 +38,9 @@ def squares(error: np.ndarray, covariance: np.ndarray) -> tuple[float, int]:
 def test_exact_measurements_give_the_frame_back_whole():
     rng = np.random.default_rng(1)
     true = made(rng)
-    series = [replace(measured(true, rng, name, sd_mm=0.0), covariance_mm2=1e-6 * np.eye(96)) for name in "12"]
+    series = [
+        replace(measured(true, rng, name, sd_mm=0.0, stated=False), covariance_mm2=1e-6 * np.eye(96)) for name in "12"
+    ]
     fitted = fit_frame(FRAME, series, STILL)
     np.testing.assert_allclose(positions(fitted), in_gauge(true), atol=2e-6)  # six decimals are written
     assert fitted.adjusted is not None

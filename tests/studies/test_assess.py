@@ -110,7 +110,7 @@ def test_table_of_points_is_read(tmp_path):
         (HEADER + "\nT1,1,2,nan\n", "line 2: a value"),
         (HEADER + "\nT1,1,2,x\n", "line 2: a value"),
         (HEADER + "\nT1,1,2,3\nT1,4,5,6\n", "line 3.*twice"),
-        (b"\xff\xfe\x00\x01", "no CSV"),
+        (b"\xff\xfe\x00\x01", "not a text file in UTF-8"),
     ],
 )
 def test_bad_tables_are_refused(tmp_path, text, message):
@@ -121,7 +121,7 @@ def test_bad_tables_are_refused(tmp_path, text, message):
 
 
 def test_a_missing_table_is_refused(tmp_path):
-    with pytest.raises(UnusableInputError, match="cannot be read"):
+    with pytest.raises(UnusableInputError, match="cannot read"):
         read_points(tmp_path / "none.csv")
 
 

@@ -38,9 +38,10 @@ setInterval(() => {
 // Each step is an entry of the browser's history: Back goes to the step before, a reload stays where it was. Before the
 // first there is an entry that is never shown: who goes back to it is asked whether to leave.
 const LEAVE = "leave";
-window.sightlineStep = (step) => {
+// Word of a step comes late: a Back that overtook it counts. `before`: the step that was left, null where the page opens.
+window.sightlineStep = (before, step) => {
   const at = history.state && history.state.sightline;
-  if (at === step) return;
+  if (at === step || (at && at !== before)) return;
   if (!at) history.replaceState({ sightline: LEAVE }, "");
   history.pushState({ sightline: step }, "", `?step=${encodeURIComponent(step)}`);
 };

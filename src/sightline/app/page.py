@@ -74,8 +74,10 @@ def build(site: Site, procedure: Procedure, pictures: Pictures, settings: Settin
     ui.on("leave", leaving.open)
     request = ui.context.client.request
     asked = None if request is None else request.query_params.get("step")
-    tab.on_step = lambda step: ui.run_javascript(f"sightlineStep({json.dumps(step)})") and None
-    tab.go_to(asked if asked in STEPS else _first_open(procedure))
+    first = asked if asked in STEPS else _first_open(procedure)
+    tab.go_to(first)
+    ui.run_javascript(f"sightlineStep(null, {json.dumps(first)})")
+    tab.on_step = lambda *steps: ui.run_javascript(f"sightlineStep(...{json.dumps(steps)})") and None
 
 
 def _leave_question() -> ui.dialog:

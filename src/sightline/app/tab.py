@@ -75,7 +75,7 @@ class Tab:
         self._preview: Preview | None = None  # while a point is dragged
         self._dragged: tuple[object, int] | None = None  # the last drag that is not over, and the revision it is of
         self.on_refresh: list[Callable[[], None]] = []
-        self.on_step: Callable[[str], None] = lambda step: None
+        self.on_step: Callable[[str, str], None] = lambda before, step: None
         self._drawn: dict[str, tuple[tuple[object, ...], _Layers, str]] = {}  # by image: of what, layers, why not all
         self._waiting = False
 
@@ -97,11 +97,11 @@ class Tab:
 
     def go_to(self, step: str) -> None:
         """Another step; nothing is lost by it."""
-        self.step, self.message = step, ""
+        before, self.step, self.message = self.step, step, ""
         self.live = None
         self.show_beads = step in STEPS[:2]  # where bone is looked at they are in the way
         self._wanted = None
-        self.on_step(step)
+        self.on_step(before, step)
         self.refresh()
 
     def show_live(self, watched: "Watched | None") -> None:

@@ -58,6 +58,9 @@ def test_the_other_beam_direction_is_seen_from_the_source_too(views) -> None:
         def to_image(self, xy_mm):
             return view.plane_map.to_image(xy_mm * [-1, 1])
 
+        def find_image(self, xy_mm):
+            return view.plane_map.find_image(xy_mm * [-1, 1])
+
         def jacobian(self, uv_px):
             return self.linearised(uv_px)[1]
 
