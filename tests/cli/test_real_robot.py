@@ -11,8 +11,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.cli.test_robot import run, trajectory, written
-from tests.robot.rig import END_MM, ENTRY_MM, IMAGED
+from tests.cli.test_robot import run, written
+from tests.robot.rig import END_MM, IMAGED
 from tests.robot.scripted_robot import ScriptedRobot, serving
 from tests.robot.test_measured import measurements, true_robot
 
@@ -136,15 +136,3 @@ def test_the_plant_template_is_a_robot(robot_file):
         done = run("check", address, "--no-dry-run", "--json")
         assert done.exit_code == 0, done.output
         assert json.loads(robot_file.read_text())["images"]["pa"]["q"] == pytest.approx(IMAGED.tolist())
-
-
-@pytest.mark.slow
-def test_the_plant_template_drills(robot_file, tmp_path):
-    along = END_MM - ENTRY_MM
-    short = np.stack([ENTRY_MM, ENTRY_MM + 12.0 * along / np.linalg.norm(along)])
-    plan = written(tmp_path / "plan.json", frame=FRAME, trajectory=trajectory(short))
-    with example(robot_file) as address:
-        register(robot_file, address)
-        done = run("drive", plan, address, "--registration", robot_file, "--json", say="y\n" * 5)
-        assert done.exit_code == 0, done.output
-        assert json.loads(done.stdout.splitlines()[-1])["state"] == "DONE"
