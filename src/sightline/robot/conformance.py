@@ -92,7 +92,7 @@ class Examination:
 
     def _ask(self, name: str, question: Callable[[RobotClient], str]) -> Finding:
         try:
-            robot = self._connected(quiet=name in _QUIET)
+            robot = self._connected()
             said = Finding(name, Verdict.PASSED, question(robot))
         except _UnsupportedError as why:
             return Finding(name, Verdict.UNSUPPORTED, str(why))
@@ -103,20 +103,13 @@ class Examination:
         if self._robot is not None:
             self._unreadable += self._robot.talk.unreadable
             self._robot.talk.unreadable.clear()
-            if self._robot.talk.closed or (name in _QUIET and self._beats):
+            if self._robot.talk.closed:
                 self.close()
         return said
 
-    @property
-    def _beats(self) -> bool:
-        return self._robot is not None and contract.HAS_HEARTBEAT in self._robot.capabilities
-
-    def _connected(self, *, quiet: bool) -> RobotClient:
-        """`quiet`: over a connection on which no heartbeat comes between the pieces of a message."""
-        if quiet and self._beats:
-            self.close()
+    def _connected(self) -> RobotClient:
         if self._robot is None:
-            self._robot = RobotClient(self._host, self._port, heartbeat=not quiet)
+            self._robot = RobotClient(self._host, self._port)
         return self._robot
 
     def _read_all(self) -> Finding:
@@ -333,6 +326,20 @@ def _reads(message: bytes, piece: int = 1000) -> Callable[[RobotClient], str]:
     return question
 
 
+def _reads_pieces(message: bytes) -> Callable[[RobotClient], str]:
+    """The same byte by byte, over a connection on which no heartbeat comes between two of them."""
+    reads = _reads(message, piece=1)
+
+    def question(robot: RobotClient) -> str:
+        if contract.HAS_HEARTBEAT not in robot.capabilities:
+            return reads(robot)
+        robot.close()
+        with _second(robot) as quiet:
+            return reads(quiet)
+
+    return question
+
+
 def _lease(robot: RobotClient) -> str:
     _several(robot)
     Conversation(robot).bring("START_UP")
@@ -363,12 +370,17 @@ def _streams(robot: RobotClient) -> str:
     return f"{contract.MEASURED_CP}, {contract.MEASURED_JS} of {rows.values.shape[1]} joints"
 
 
-def _waits_in_emergency(robot: RobotClient) -> str:
+def _in_emergency(robot: RobotClient) -> tuple[Conversation, int]:
+    """A simulator, brought there, and the fault to reset."""
     _simulator(robot)
     talk = Conversation(robot)
     talk.bring("START_UP")
     talk.command("EMERGENCY")
-    fault = robot.status().subcode
+    return talk, robot.status().subcode
+
+
+def _waits_in_emergency(robot: RobotClient) -> str:
+    talk, fault = _in_emergency(robot)
     obeyed = talk.command("START_UP").code == Code.OK
     robot.reset(robot.status().subcode or fault)
     _need(not obeyed, "START_UP is obeyed in EMERGENCY")
@@ -376,11 +388,7 @@ def _waits_in_emergency(robot: RobotClient) -> str:
 
 
 def _reset_names_its_fault(robot: RobotClient) -> str:
-    _simulator(robot)
-    talk = Conversation(robot)
-    talk.bring("START_UP")
-    talk.command("EMERGENCY")
-    fault = robot.status().subcode
+    _, fault = _in_emergency(robot)
     try:
         robot.reset(fault + 1)
     except RobotRefusedError:
@@ -582,7 +590,7 @@ QUESTIONS: dict[str, Callable[[RobotClient], str]] = {
     "a command with a wrong CRC is not obeyed": _obeys_no_wrong_crc,
     "survives a wrong CRC": _survives(_altered(encode(_STATE))),
     "survives an unknown type": _survives(encode(_STATE).replace(b"STRING\0", b"NOVELTY", 1)),
-    "reads a message in pieces": _reads(encode(_START), piece=1),
+    "reads a message in pieces": _reads_pieces(encode(_START)),
     "reads header version 2": _reads(encode(_START_2)),
     "one client holds the lease": _lease,
     "forgets a lost client": _forgets_a_lost_client,
@@ -590,7 +598,6 @@ QUESTIONS: dict[str, Callable[[RobotClient], str]] = {
     "EMERGENCY waits for a reset": _waits_in_emergency,
     "a reset names its fault": _reset_names_its_fault,
 }
-_QUIET = ("reads a message in pieces",)
 MOTIONS: dict[str, Callable[[RobotClient], str]] = {
     "dry run: STOP while moving": _stops_while_moving,
     "dry run: STOP while moving, on a second connection": _stops_while_moving_from_elsewhere,
