@@ -13,10 +13,11 @@ from scipy.special import expit
 
 import sightline as sl
 from campaigns.campaign import Campaign, Damage, Ended
-from campaigns.person import VIEWS, Clicks, Shown, judged
+from campaigns.person import Clicks, Shown, judged
 from sightline.frame import Frame
 from sightline.imaging import Radiograph
 from sightline.rehearsal.procedure import Rehearsal
+from sightline.studies.scenes import VIEWS
 
 BASES = 12  # rendered patients; the same for every seed
 Picture = tuple[np.ndarray, Shown]  # pixels, 0 to 1, and where it shows what was at a pixel

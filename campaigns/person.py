@@ -10,9 +10,9 @@ from sightline.calibration import CalibratedView
 from sightline.checks import failed
 from sightline.planning import Plan, plan
 from sightline.planning.aids import Aids, Circle
+from sightline.studies.scenes import VIEWS
 from sightline.twin import HipScene, SetUp
 
-VIEWS = ("pa", "lateral")
 PICK_PX = 0.5  # a careful click (physics.md, Picks)
 WRONG = 1.5  # times the stated 95 % bound
 Shown = Callable[[np.ndarray], np.ndarray]

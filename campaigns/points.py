@@ -7,11 +7,11 @@ import numpy as np
 
 import sightline as sl
 from campaigns.campaign import Campaign, Damage, Ended
-from campaigns.person import PICK_PX, VIEWS, Clicks, judged
+from campaigns.person import PICK_PX, Clicks, judged
 from sightline.detection import Observations
 from sightline.errors import SetUpError
 from sightline.frame import Fiducial, Frame
-from sightline.studies.scenes import MARGIN_PX, measure
+from sightline.studies.scenes import MARGIN_PX, VIEWS, measure
 from sightline.twin import HipScene, SetUp, draw_setup
 from sightline.twin.femur import draw_femur
 from sightline.twin.scene import draw_head

@@ -131,7 +131,7 @@ def _beads_of(image: CalibratedImage, marked: list[figure_image.Marked], top_mm:
     left_out = sum(not bead.used for bead in marked)
     size = image.view.residuals.rms_mm
     words = (
-        f"{spoken(image.name)} image: {len(marked)} beads told apart, residual {size:.3f} mm rms per axis, "
+        f"{spoken(image.name)} image: {len(marked)} beads labelled, residual {size:.3f} mm rms per axis, "
         f"{left_out} left out of the fit, {len(refused)} other candidates rejected"
     )
     marks = [figure_image.rejected(refused), figure_image.beads(marked, top_mm)]

@@ -116,7 +116,7 @@ def clipped_share(image: Radiograph) -> float:
 
 
 def image_checks(image: Radiograph) -> tuple[Check, ...]:
-    """What of an image limits every result from it: clipped pixels, and compression where there was any."""
+    """Checks of what limits every result from an image: clipped pixels, and lossy compression if there was any."""
     share = 100 * clipped_share(image)
     sentence = f"{share:.1f} % of the field's pixels are as bright or as dark as can be stored: nothing is known there."
     checks = [Check("clipped pixels", share <= MOST_CLIPPED, share, MOST_CLIPPED, "%", sentence)]

@@ -96,7 +96,7 @@ class Talk:
             heartbeat.close()
 
     def send_bytes(self, *pieces: bytes) -> None:
-        """Send what may be no message, no heartbeat between its pieces: a test of the robot."""
+        """Send what may not be a message, to test the robot. A heartbeat may come between two pieces."""
         self._link.send_bytes(*pieces)
 
     def send(

@@ -62,7 +62,7 @@ class BlockingClient:
         try:
             with self._writing:
                 for piece in pieces:
-                    # What is writable takes a message of the contract whole: no heartbeat comes between its parts.
+                    # What is writable takes a message of the contract whole: no heartbeat comes within a piece.
                     if not select.select([], [self._writer], [], _SEND_S)[1]:
                         raise TimeoutError("the peer does not read")
                     self._writer.sendall(piece)

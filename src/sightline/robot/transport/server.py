@@ -32,7 +32,7 @@ class Server:
         self._silence_s, self._max_body_bytes = silence_s, max_body_bytes
         self._mute_s, self._kept_for = mute_s, kept_for
         self._connections: dict[Connection, None] = {}  # those that the handler knows
-        self._kept: Connection | None = None  # who has the place beyond the last
+        self._kept: Connection | None = None  # the connection in the reserved place
         self._mute: dict[Connection, asyncio.TimerHandle] = {}
         self._server: asyncio.Server
 
