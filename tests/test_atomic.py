@@ -6,6 +6,7 @@ import socket
 import stat
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
 
 import pytest
@@ -94,6 +95,34 @@ def test_a_result_that_cannot_be_put_in_place_leaves_the_old_one(out: Path, monk
     assert [path.name for path in out.parent.iterdir()] == ["out"]
 
 
+def test_old_files_that_cannot_be_put_back_are_kept_and_said_where(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = tmp_path / "out"
+    out.mkdir()
+    for name in ("a.txt", "b.txt", "mine.txt"):
+        (out / name).write_text(f"old {name}")
+    rename = Path.rename
+
+    def fails_from_the_new_ones_on(path: Path, place: Path) -> Path:
+        if not failed and "before" not in place.parts:
+            failed.append(path)
+        if failed:
+            raise OSError(5, "Input/output error")
+        return rename(path, place)
+
+    failed: list[Path] = []
+    monkeypatch.setattr(Path, "rename", fails_from_the_new_ones_on)
+    with pytest.raises(UnusableInputError, match=r"could not be put back: it lies beside it, in \.out-"):
+        write_folder(out, {"a.txt": b"new", "b.txt": b"new"})
+    (scratch,) = tmp_path.glob(".out-*")
+    assert {one.name: one.read_text() for one in (scratch / "before").iterdir()} == {
+        "a.txt": "old a.txt",
+        "b.txt": "old b.txt",
+    }
+    assert (out / "mine.txt").read_text() == "old mine.txt"
+
+
 def test_a_folder_that_is_a_unit_is_replaced_as_a_whole(tmp_path: Path) -> None:
     for seed in (1, 2):
         with whole_folder(tmp_path / "out", units=("case",)) as scratch:
@@ -144,3 +173,47 @@ def test_what_is_not_a_regular_file_is_not_replaced(tmp_path: Path) -> None:
     with pytest.raises(UnusableInputError, match="a device"):
         write_whole("/dev/full", b"data")
     assert sorted(path.name for path in tmp_path.iterdir()) == ["folder", "link", "pipe", "socket"]
+
+
+@pytest.mark.parametrize("write", ["before", "after"])
+def test_a_disk_that_becomes_read_only_is_a_refusal(write: str) -> None:
+    """While the folder is written: what lies beside it cannot be removed either, which must not matter."""
+    with tempfile.TemporaryDirectory() as name:
+        place = Path(name)
+        child = os.fork()
+        if child == 0:
+            said = 1
+            try:
+                if os.geteuid() == 0:  # root may write anywhere
+                    os.chown(place, 65534, 65534)
+                    os.seteuid(65534)
+                with whole_folder(place / "out") as scratch:
+                    if write == "before":
+                        write_whole(scratch / "a.txt", b"a")
+                    for folder in (scratch, scratch.parent, place):
+                        folder.chmod(0o555)
+                    if write == "after":
+                        write_whole(scratch / "a.txt", b"a")
+            except UnusableInputError as error:
+                said = 0 if "Permission denied" in str(error) else 2
+            finally:
+                os._exit(said)
+        code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+        for folder in (place, *place.rglob("*")):
+            folder.chmod(0o755)
+        assert code == 0
+        assert not (place / "out").exists()
+
+
+def test_a_sub_folder_that_cannot_be_made_is_a_refusal(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    made = Path.mkdir
+
+    def mkdir(path: Path, *options: object, **named: object) -> None:
+        if path.name == "views":
+            raise OSError(28, "No space left on device")
+        made(path, *options, **named)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(Path, "mkdir", mkdir)
+    with pytest.raises(UnusableInputError, match="No space left on device; free some space"):
+        write_folder(tmp_path / "out", {"views/pa.csv": b"1"})
+    assert list(tmp_path.iterdir()) == []

@@ -6,13 +6,14 @@ import shutil
 import sys
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager, suppress
-from errno import EDQUOT, EFBIG, EISDIR, ENOENT, ENOSPC
+from errno import EACCES, EDQUOT, EFBIG, EIO, EISDIR, ENOENT, ENOSPC, EPERM, EROFS
 from pathlib import Path
-from tempfile import TemporaryDirectory
+from tempfile import mkdtemp
 from threading import get_ident
 
 from sightline.errors import UnusableInputError
 
+_BEFORE = "before"  # of a scratch folder: old files, until the new ones are in their places
 _ADVICE = {
     ENOENT: "name a folder that exists",
     **dict.fromkeys((ENOSPC, EDQUOT, EFBIG), "free some space, or name a place on another disk"),
@@ -48,7 +49,8 @@ def write_folder(folder: Path, documents: Mapping[str, bytes]) -> list[Path]:
     """
     with whole_folder(folder) as scratch:
         for name, data in documents.items():
-            (scratch / name).parent.mkdir(parents=True, exist_ok=True)
+            with _placing(f"write {name}"):
+                (scratch / name).parent.mkdir(parents=True, exist_ok=True)
             write_whole(scratch / name, data)
     return [folder / name for name in documents]
 
@@ -75,9 +77,9 @@ def whole_folder(path: str | Path, units: Collection[str] = ()) -> Iterator[Path
         raise UnusableInputError(f"{target.name} is a file; name a folder")
     with _placing(said):
         target.parent.mkdir(parents=True, exist_ok=True)
-        beside = TemporaryDirectory(dir=target.parent, prefix=f".{target.name}-", ignore_cleanup_errors=True)
-    with beside as place:
-        scratch = Path(place) / target.name  # with the usual permissions; those of `place` are for its owner alone
+        place = Path(mkdtemp(dir=target.parent, prefix=f".{target.name}-"))
+    try:
+        scratch = place / target.name  # with the usual permissions; those of `place` are for its owner alone
         with _placing(said):
             scratch.mkdir()
         yield scratch
@@ -85,6 +87,21 @@ def whole_folder(path: str | Path, units: Collection[str] = ()) -> Iterator[Path
             _sync(scratch)
             _put(scratch, target, units)
             sync_folder(target.parent)
+    finally:
+        if not (place / _BEFORE).exists():  # else it holds old files that could not be put back
+            shutil.rmtree(place, ignore_errors=True)
+
+
+@contextmanager
+def scratch_folder() -> Iterator[Path]:
+    """A folder for files on their way, removed afterwards as far as the disk lets it. Raises OSError.
+
+    Not `TemporaryDirectory`: on a disk that can no longer be written its removal recurses without end (Python 3.11)."""
+    place = Path(mkdtemp(prefix="sightline-"))
+    try:
+        yield place
+    finally:
+        shutil.rmtree(place, ignore_errors=True)
 
 
 def sync_folder(folder: Path) -> None:
@@ -97,13 +114,22 @@ def sync_folder(folder: Path) -> None:
             os.close(handle)
 
 
+def is_of_a_disk(error: OSError) -> bool:
+    """Whether a disk is full, read-only or fails, and no program is to blame."""
+    return error.errno in (ENOSPC, EDQUOT, EFBIG, EROFS, EACCES, EPERM, EIO)
+
+
+def advice(error: OSError) -> str:
+    """What to do about a place that cannot be written."""
+    return _ADVICE.get(error.errno or 0, "name another place")
+
+
 @contextmanager
 def _placing(what: str) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        advice = _ADVICE.get(error.errno or 0, "name another place")
-        raise UnusableInputError(f"cannot {what}: {error.strerror}; {advice}") from error
+        raise UnusableInputError(f"cannot {what}: {error.strerror}; {advice(error)}") from error
 
 
 def _refuse_odd(place: Path) -> None:
@@ -157,7 +183,9 @@ def _exchange(one: Path, other: Path) -> bool:
 
 
 def _put_each(new: Path, target: Path, items: Collection[Path], units: Collection[str]) -> None:
-    """Every old item out, then every new one in; all is taken back where one cannot be moved."""
+    """Every old item out, then every new one in; all is taken back where one cannot be moved. What the disk does not
+    let be taken back stays in the scratch folder."""
+    before = new.parent / _BEFORE
     moved: list[tuple[Path, Path]] = []
 
     def move(source: Path, place: Path) -> None:
@@ -170,13 +198,19 @@ def _put_each(new: Path, target: Path, items: Collection[Path], units: Collectio
             if str(item) not in units:
                 _refuse_odd(target / item)
             if os.path.lexists(target / item):
-                move(target / item, new.parent / "before" / item)
+                move(target / item, before / item)
         for item in sorted(items):
             move(new / item, target / item)
     except BaseException:
-        for source, place in reversed(moved):
-            place.rename(source)
+        try:
+            for source, place in reversed(moved):
+                place.rename(source)
+        except OSError as error:
+            lies = f"what was there could not be put back: it lies beside it, in {before.parent.name}"
+            raise OSError(error.errno, f"{error.strerror}, and {lies}") from error
+        shutil.rmtree(before, ignore_errors=True)
         raise
+    shutil.rmtree(before, ignore_errors=True)
 
 
 def _sync(folder: Path) -> None:
