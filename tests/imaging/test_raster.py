@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 
 from sightline.errors import ImageError, UnusableInputError
 from sightline.imaging import Radiograph, headers, image_checks, read_image, write_png
+from sightline.imaging.lzw import lzw_size
 
 RNG = np.random.default_rng(11)
 GREY8 = RNG.integers(0, 256, (31, 43), dtype=np.uint8)
@@ -163,7 +164,8 @@ def restated(data: bytes, kind: str) -> bytes:
         (".bmp", ()),
         (".tiff", (cv2.IMWRITE_TIFF_COMPRESSION, 1)),
         (".tiff", (cv2.IMWRITE_TIFF_COMPRESSION, 1, cv2.IMWRITE_TIFF_ROWSPERSTRIP, 4)),
-        (".tiff", (cv2.IMWRITE_TIFF_COMPRESSION, 8, cv2.IMWRITE_TIFF_ROWSPERSTRIP, 4)),
+        *((".tiff", (cv2.IMWRITE_TIFF_COMPRESSION, c)) for c in (5, 32773)),
+        *((".tiff", (cv2.IMWRITE_TIFF_COMPRESSION, c, cv2.IMWRITE_TIFF_ROWSPERSTRIP, 4)) for c in (5, 8, 32773)),
     ],
 )
 def test_a_file_that_holds_more_than_it_states_is_refused_not_sheared(
@@ -173,6 +175,64 @@ def test_a_file_that_holds_more_than_it_states_is_refused_not_sheared(
     np.testing.assert_array_equal(read_image(named(tmp_path, data)).pixels, GREY8)
     with pytest.raises(ImageError, match="holds more pixels than it states"):
         read_image(named(tmp_path, restated(data, kind)))
+
+
+def tiled(pixels: np.ndarray, side: int, width: int) -> bytes:
+    """A TIFF of 8 bits in square tiles, whose header states this width."""
+    height = len(pixels)
+    whole = np.pad(pixels, [(0, -size % side) for size in pixels.shape])
+    tiles = [
+        whole[v : v + side, u : u + side].tobytes()
+        for v in range(0, whole.shape[0], side)
+        for u in range(0, whole.shape[1], side)
+    ]
+    offsets = [8 + k * side**2 for k in range(len(tiles))]
+    lists = 8 + len(tiles) * side**2
+    directory = lists + 8 * len(tiles)
+    tags = [(256, width), (257, height), (258, 8), (259, 1), (262, 1), (277, 1), (322, side), (323, side)]
+    entries = [struct.pack("<HHII", tag, 4, 1, value) for tag, value in tags]
+    for tag, at in ((324, lists), (325, lists + 4 * len(tiles))):
+        entries.append(struct.pack("<HHII", tag, 4, len(tiles), at))
+    numbers = struct.pack(f"<{2 * len(tiles)}I", *offsets, *[side**2] * len(tiles))
+    end = struct.pack("<H", len(entries)) + b"".join(entries) + bytes(4)
+    return struct.pack("<2sHI", b"II", 42, directory) + b"".join(tiles) + numbers + end
+
+
+def test_tiles_that_are_more_than_the_image_needs_are_refused() -> None:
+    assert headers.tiff(tiled(GREY8, 16, GREY8.shape[1]), "tiled") == GREY8.shape
+    with pytest.raises(ImageError, match="truncated or damaged"):
+        headers.tiff(tiled(GREY8, 16, 32), "tiled")
+
+
+def test_a_tiff_whose_compression_tells_no_length_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(ImageError, match="LZW, Deflate or PackBits"):
+        read_image(named(tmp_path, encoded(GREY8, ".tiff", cv2.IMWRITE_TIFF_COMPRESSION, 7)))
+
+
+@pytest.mark.parametrize("pixels", [GREY16, np.zeros((600, 700), np.uint16), np.tile(GREY8, (9, 9))])
+def test_the_length_of_lzw_is_that_of_the_pixels(pixels: np.ndarray) -> None:
+    data = encoded(pixels, ".tiff", cv2.IMWRITE_TIFF_COMPRESSION, 5, cv2.IMWRITE_TIFF_ROWSPERSTRIP, len(pixels))
+    assert lzw_size(data[8:], 2 * pixels.nbytes) == pixels.nbytes  # the strip comes first, and ends itself
+    assert lzw_size(data[8:], 1000) < 6000  # no further than a string beyond
+    with pytest.raises(ValueError, match="LZW"):
+        lzw_size(b"\xff" * 40, 1000)
+
+
+def test_a_tiff_whose_numbers_are_no_numbers_is_refused_or_read(tmp_path: Path) -> None:
+    """Each entry of its directory in turn: of text, or with no value at all."""
+    data = encoded(GREY16, ".tiff", cv2.IMWRITE_TIFF_COMPRESSION, 1)
+    (at,) = struct.unpack_from("<I", data, 4)
+    (count,) = struct.unpack_from("<H", data, at)
+    refused = set()
+    for entry in range(at + 2, at + 2 + 12 * count, 12):
+        for where, what in ((entry + 2, 2), (entry + 4, 0)):
+            spoilt = bytearray(data)
+            struct.pack_into("<H", spoilt, where, what)
+            try:
+                read_image(named(tmp_path, bytes(spoilt)))
+            except ImageError:
+                refused.add(struct.unpack_from("<H", data, entry)[0])
+    assert refused >= {256, 257, 258, 273, 277, 279}
 
 
 def test_an_array_with_more_behind_it_is_refused(tmp_path: Path) -> None:

@@ -116,11 +116,16 @@ def clipped_share(image: Radiograph) -> float:
 
 
 def image_checks(image: Radiograph) -> tuple[Check, ...]:
-    """Checks of what limits every result from an image: clipped pixels, and lossy compression if there was any."""
+    """Checks of what limits every result from an image: clipped pixels; lossy compression and inversion if any."""
     share = 100 * clipped_share(image)
     sentence = f"{share:.1f} % of the field's pixels are as bright or as dark as can be stored: nothing is known there."
     checks = [Check("clipped pixels", share <= MOST_CLIPPED, share, MOST_CLIPPED, "%", sentence)]
     if image.lossy:
         sentence = "The image was compressed with loss, which moves edges: export it uncompressed if you can."
         checks.append(Check("compression", True, None, None, "", sentence))
+    if image.is_inverted:
+        sentence = (
+            "The file shows the balls bright: the image was inverted. Export it as the C-arm stores it if you can."
+        )
+        checks.append(Check("inversion", True, None, None, "", sentence))
     return tuple(checks)

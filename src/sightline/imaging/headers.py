@@ -8,11 +8,14 @@ import zlib
 from collections.abc import Callable
 
 from sightline.errors import ImageError
-from sightline.imaging.compressed import jpeg_shape
+from sightline.imaging.compressed import jpeg_shape, packbits_size
 from sightline.imaging.limits import check_size
 
 _ADAM7 = ((0, 0, 8, 8), (4, 0, 8, 8), (0, 4, 4, 8), (2, 0, 4, 4), (0, 2, 2, 4), (1, 0, 2, 2), (0, 1, 1, 2))
-_DEFLATE = (8, 32946)
+# Of TIFF: compression (259), planar configuration (284).
+_STORED, _LZW, _DEFLATE, _PACKBITS = 1, 5, (8, 32946), 32773
+_PLANES_APART = 2
+_MOST_PARTS = 2**20  # strips of the tallest image, in four planes [ours]
 
 # (bytes of the file, its name) -> (height, width). Raises ImageError.
 HeaderReader = Callable[[bytes, str], tuple[int, int]]
@@ -85,7 +88,8 @@ def tiff(data: bytes, name: str) -> tuple[int, int]:
     try:
         (at,) = struct.unpack_from(order + "I", data, 4)
         (count,) = struct.unpack_from(order + "H", data, at)
-        tags = dict(_tiff_entry(data, order, at + 2 + 12 * i) for i in range(count))
+        entries = (_tiff_entry(data, order, at + 2 + 12 * i) for i in range(count))
+        tags = {tag: numbers for tag, numbers in entries if numbers}
         (following,) = struct.unpack_from(order + "I", data, at + 2 + 12 * count)
     except struct.error:
         raise damaged(name) from None
@@ -98,24 +102,65 @@ def tiff(data: bytes, name: str) -> tuple[int, int]:
         raise damaged(name)
     height, width = tags[257][0], tags[256][0]
     check_size(height, width, name)
-    if 273 in tags and tags.get(284, (1,))[0] == 1:  # strips, all channels of a pixel side by side
-        strips = [data[offset : offset + length] for offset, length in zip(offsets, lengths, strict=True)]
-        _check_strips(strips, tags, name)
+    _check_parts([data[offset : offset + length] for offset, length in zip(offsets, lengths, strict=True)], tags, name)
     return height, width
 
 
-def _check_strips(strips: list[bytes], tags: dict[int, tuple[int, ...]], name: str) -> None:
-    """Raises ImageError where strips, plain or deflated, hold more than the stated rows; the last may be filled up."""
-    height, width, packing = tags[257][0], tags[256][0], tags.get(259, (1,))[0]
-    if packing not in (1, *_DEFLATE):
-        return
-    row_bytes = (width * sum(tags.get(258, (1,) * tags.get(277, (1,))[0])) + 7) // 8
-    whole = min(tags.get(278, (height,))[0], height) * row_bytes
-    held = [len(strip) if packing == 1 else _inflated(strip, 2 * whole, name) for strip in strips]
-    rest = height * row_bytes - whole * (len(strips) - 1)
-    if held[-1] == whole:
-        held[-1] = rest
-    refuse_longer(height * row_bytes, sum(held), height, row_bytes, name)
+def _check_parts(parts: list[bytes], tags: dict[int, tuple[int, ...]], name: str) -> None:
+    """Raises ImageError where strips or tiles hold more pixels than the header states, or are not as many; the last
+    strip may be filled up."""
+    stated, row_bytes = _tiff_layout(tags, name)
+    if len(parts) != len(stated):
+        raise damaged(name)
+    held = [_part_size(part, tags.get(259, (1,))[0], 2 * size, name) for part, size in zip(parts, stated, strict=True)]
+    if held[-1] == stated[0]:
+        held[-1] = stated[-1]
+    refuse_longer(sum(stated), sum(held), tags[257][0], row_bytes, name)
+
+
+def _tiff_layout(tags: dict[int, tuple[int, ...]], name: str) -> tuple[list[int], int]:
+    """The bytes of each strip or tile, and of a row of pixels (TIFF 6.0, 8 and 15). Raises ImageError."""
+    height, width = tags[257][0], tags[256][0]
+    channels = tags.get(277, (1,))[0]
+    bits = tags.get(258, (1,))
+    planes = channels if tags.get(284, (1,))[0] == _PLANES_APART else 1
+    pixel_bits = (sum(bits) if len(bits) == channels else channels * bits[0]) // max(planes, 1)
+
+    def bytes_of(columns: int) -> int:
+        return (columns * pixel_bits + 7) // 8
+
+    if 273 in tags:
+        rows = min(tags.get(278, (height,))[0], height)
+        count = -(-height // rows) if rows else 0
+        sizes = [rows * bytes_of(width)] * (count - 1) + [(height - rows * (count - 1)) * bytes_of(width)]
+    else:
+        across, down = tags.get(322, (0,))[0], tags.get(323, (0,))[0]
+        count = -(-width // across) * -(-height // down) if across and down else 0
+        sizes = [down * bytes_of(across)] * count
+    if not 0 < count * planes <= _MOST_PARTS or pixel_bits <= 0:
+        raise damaged(name)
+    return sizes * planes, planes * bytes_of(width)
+
+
+def _part_size(part: bytes, packing: int, most: int, name: str) -> int:
+    """How many bytes a strip or tile unpacks to, counted up to a little more than `most`. Raises ImageError."""
+    if packing == _STORED:
+        return len(part)
+    if packing in _DEFLATE:
+        return _inflated(part, most, name)
+    if packing == _PACKBITS:
+        return packbits_size(part, most)
+    if packing == _LZW:
+        from sightline.imaging.lzw import lzw_size
+
+        try:
+            return lzw_size(part, most)
+        except ValueError:
+            raise damaged(name) from None
+    raise ImageError(
+        f"{name} is compressed in a way whose length cannot be verified (TIFF compression {packing}); export it "
+        "uncompressed, or with LZW, Deflate or PackBits"
+    )
 
 
 def refuse_longer(stated: int, held: int, rows: int, row_bytes: int, name: str) -> None:

@@ -29,14 +29,15 @@ class Radiograph:
 
     `pixels` (H, W), uint8, uint16 or float32, read-only; more is brighter is more X-rays reaching the
     detector (MONOCHROME1 has been inverted). `white` is the largest value the source can store, so
-    `pixels >= white` is saturated. `lossy`: it was compressed with loss before it came here. Raises
-    ImageError on anything but a finite two-dimensional array.
+    `pixels >= white` is saturated. `lossy`: it was compressed with loss before it came here. `is_inverted`: white for
+    black, against the file. Raises ImageError on anything but a finite two-dimensional array.
     """
 
     pixels: np.ndarray
     white: float
     tags: GeometryTags = field(default_factory=GeometryTags)
     lossy: bool = False
+    is_inverted: bool = False
 
     def __post_init__(self) -> None:
         pixels = np.asarray(self.pixels)
@@ -57,10 +58,12 @@ class Radiograph:
 
     def inverted(self) -> "Radiograph":
         """The same image, white for black."""
+        now = not self.is_inverted
         if self.pixels.dtype != np.float32:
-            return replace(self, pixels=(self.white - self.pixels).astype(self.pixels.dtype))
+            return replace(self, pixels=(self.white - self.pixels).astype(self.pixels.dtype), is_inverted=now)
         pixels = np.float32(self.white) - self.pixels
-        return replace(self, pixels=pixels, white=float(np.nextafter(pixels.max(), np.float32(np.inf))))
+        white = float(np.nextafter(pixels.max(), np.float32(np.inf)))
+        return replace(self, pixels=pixels, white=white, is_inverted=now)
 
     def binned(self, factor: int) -> "Radiograph":
         """The sums of `factor` x `factor` pixels, float32; rows and columns that are left over are dropped."""
