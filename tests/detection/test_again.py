@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 from bead_images import Bead, radiograph, transmission
 
-from sightline.detection import Observations, detect, label, look_again
+from sightline.detection import Observations, detect, label, look_again, refine
+from sightline.detection.again import without_overlaps
+from sightline.detection.detector import fit_of
 from sightline.errors import ObservationsError
 from sightline.frame import Frame, FrameView, Plate
 from sightline.imaging import Radiograph
@@ -49,6 +51,19 @@ def seen(seed: int) -> Seen:
     inside = view.in_field(uv, 30.0)
     ids = tuple(b.id for b, one in zip(beads, inside, strict=True) if one)
     return Seen(ids, uv[inside], shadow_radius_px(view, xyz, radius)[inside])
+
+
+def only(told: Observations, rows: list[int]) -> Observations:
+    """Some of the labelled beads."""
+    assert told.covariance_px2 is not None
+    assert told.radius_px is not None
+    return replace(
+        told,
+        ids=tuple(told.ids[i] for i in rows),
+        uv_px=told.uv_px[rows],
+        covariance_px2=told.covariance_px2[rows],
+        radius_px=told.radius_px[rows],
+    )
 
 
 def image(
@@ -118,6 +133,32 @@ def test_beads_half_under_metal_come_back_with_their_covariance() -> None:
     assert 0.6 < np.mean(chi2) < 1.6
 
 
+def test_metal_beside_a_bead_is_hidden_under_it_too() -> None:
+    """A bar that crosses a datum ball shows beside it alone: as much light passes steel as steel and a bar."""
+    rng = np.random.default_rng(47)
+    one = seen(9)
+    large = [one.ids[i] for i in np.flatnonzero((one.radius_px > 12) & (one.gaps() > 30))][:1]
+    assert large
+    bars = beside(one, large, rng, 0.3)
+    seen_image = image(one, rng, bars)
+    beads = detect(seen_image)
+    (u, v), radius, (normal, place) = one.at(large[0]), one.radius_px[one.ids.index(large[0])], bars[0]
+    rows = refine.start(np.array([[u, v]]), np.array([radius]), np.array([-0.9]))
+    usable, enough = without_overlaps(seen_image, fit_of(seen_image, beads), rows, np.array([0]))
+    y, x = np.mgrid[: SHAPE[0], : SHAPE[1]]
+    in_disc = np.hypot(x - u, y - v) < radius
+    under = normal[0] * (x - place[0]) + normal[1] * (y - place[1]) > 0
+    assert enough.all()
+    assert not (usable & in_disc & under).any()
+    assert (usable & in_disc & ~under).sum() > 0.5 * in_disc.sum()
+    # Where all that the bar leaves of its surroundings is clipped, the rim has no foot.
+    pixels = seen_image.pixels.copy()
+    pixels[(np.hypot(x - u, y - v) > radius + 1.5) & ~under] = np.uint16(seen_image.white)
+    clipped = replace(seen_image, pixels=pixels)
+    _, enough = without_overlaps(clipped, fit_of(clipped, beads), rows, np.array([0]))
+    assert not enough.any()
+
+
 @pytest.mark.parametrize("cover", [None, 0.4])
 def test_a_bead_that_is_absent_is_never_found(cover: float | None) -> None:
     rng = np.random.default_rng(42)
@@ -164,16 +205,33 @@ def test_a_bead_that_hides_another_is_dropped() -> None:
     assert merged > 2
 
 
+def test_radii_and_what_was_rejected_follow_the_second_look() -> None:
+    """What a bead fitted anew covers is rejected no more; what is not known to be rejected stays unknown."""
+    rng = np.random.default_rng(48)
+    one = seen(1)
+    shown = image(one, rng)
+    beads = detect(shown)
+    told = label(beads, GAMMA)
+    again = look_again(shown, beads, told, GAMMA)
+    assert again.radius_px is not None
+    assert again.rejected is not None
+    assert set(again.ids) - set(told.ids)
+    truth = np.array([one.radius_px[one.ids.index(name)] for name in again.ids])
+    np.testing.assert_allclose(again.radius_px, truth, rtol=0.1)
+    for left in again.rejected:
+        assert (np.hypot(*(again.uv_px - left.uv_px).T) > again.radius_px / 2).all()
+    unknown = look_again(shown, beads, replace(told, rejected=None), GAMMA)
+    assert unknown.rejected is None
+    assert unknown.ids == again.ids
+
+
 def test_where_nothing_is_missing_the_observations_stay() -> None:
     one = seen(9)
     free = {name for name, gap in zip(one.ids, one.gaps(), strict=True) if gap > 0}
     told, _ = looked(image(one, np.random.default_rng(44)))
     beads = detect(image(one, np.random.default_rng(44)))
     kept = [i for i, name in enumerate(told.ids) if name in free]
-    assert told.covariance_px2 is not None
-    told = replace(
-        told, ids=tuple(told.ids[i] for i in kept), uv_px=told.uv_px[kept], covariance_px2=told.covariance_px2[kept]
-    )
+    told = only(told, kept)
     view = GAMMA.view("pa")
     plates = [Plate(tuple(f for f in plate.fiducials if f.id in told.ids)) for plate in (view.xrii, view.source)]
     only_these = replace(GAMMA, views={"pa": FrameView(*plates)})
@@ -188,12 +246,8 @@ def test_observations_of_something_else_are_refused() -> None:
     with pytest.raises(ObservationsError, match="are not what `label` made"):
         look_again(one, beads, replace(told, uv_px=told.uv_px + 0.01), GAMMA)
     few = [i for i, name in enumerate(told.ids) if "-s-" not in name]
-    assert told.covariance_px2 is not None
-    half = replace(
-        told, ids=tuple(told.ids[i] for i in few), uv_px=told.uv_px[few], covariance_px2=told.covariance_px2[few]
-    )
     with pytest.raises(ObservationsError, match="fewer than 8 beads of the source plate"):
-        look_again(one, beads, half, GAMMA)
+        look_again(one, beads, only(told, few), GAMMA)
 
 
 def test_the_second_look_depends_on_its_arguments_alone() -> None:

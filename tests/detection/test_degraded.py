@@ -1,5 +1,6 @@
 """Compressed, quantised and partly constant images give beads within their errors, or a refusal that says why."""
 
+import re
 from collections.abc import Callable
 
 import cv2
@@ -8,12 +9,12 @@ import pytest
 from degraded_images import banded, blocks, in_8_bits, interlaced, jpeg, levels, torn
 from track_images import FRAME, beads, image
 
-from sightline.case.views import tell_apart
+from sightline.case.views import find_beads, tell_apart
 from sightline.detection import Observations, detect, label, look_again
 from sightline.detection.causes import cause_of
 from sightline.detection.noise import LAGS, NoiseModel
 from sightline.errors import DetectionRefusedError, LabellingRefusedError, SightlineError
-from sightline.imaging import Radiograph
+from sightline.imaging import Radiograph, image_checks
 from sightline.imaging.defects import Tear
 from sightline.imaging.defects import interlaced as interlaced_image
 from sightline.imaging.defects import torn as tear_of
@@ -77,7 +78,7 @@ def test_a_broad_mean_has_noise_whatever_the_correlation(correlation: float) -> 
 def test_a_torn_image_is_refused_as_such(at: int, shift: int) -> None:
     assert tear_of(Radiograph(torn(CLEAN, at, shift), 255.0)) == Tear(at, shift, rows=True)
     assert tear_of(Radiograph(torn(CLEAN, at, shift).T.copy(), 255.0)) == Tear(at, shift, rows=False)
-    said = cause_of(Radiograph(torn(CLEAN, at, shift), 255.0), 0, ())
+    said = cause_of(Radiograph(torn(CLEAN, at, shift), 255.0), np.zeros((0, 3)), ())
     assert said is not None and f"torn: from row {at} on it is shifted by {abs(shift)} columns" in said
 
 
@@ -98,7 +99,8 @@ def test_an_interlaced_image_of_something_that_moved_is_refused_as_such(down: in
 
 
 def test_whole_images_have_no_line_defect() -> None:
-    for one in (CLEAN, jpeg(CLEAN, 50), levels(CLEAN, 32), cv2.GaussianBlur(CLEAN, (0, 0), 3)):
+    enlarged = [np.kron(CLEAN, np.ones((2, 2), np.uint8)), cv2.resize(CLEAN, None, fx=1.5, fy=1.5, interpolation=0)]
+    for one in (CLEAN, jpeg(CLEAN, 50), levels(CLEAN, 32), cv2.GaussianBlur(CLEAN, (0, 0), 3), *enlarged):
         assert interlaced_image(Radiograph(one, 255.0)) is None
         assert tear_of(Radiograph(one, 255.0)) is None
 
@@ -117,9 +119,46 @@ def test_an_inverted_image_is_refused_as_such_and_read_inverted() -> None:
     np.testing.assert_array_equal(detect(inverted.inverted()).uv_px, detect(Radiograph(CLEAN, 255.0)).uv_px)
 
 
+def test_beads_of_a_frame_are_found_in_the_inverse_of_an_image_that_shows_them_bright() -> None:
+    one = Radiograph(CLEAN, 255.0)
+    for given, inverted in ((one, False), (one.inverted(), False), (Radiograph(255 - CLEAN, 255.0), True)):
+        read, found = find_beads(given)
+        assert read.is_inverted is inverted
+        np.testing.assert_array_equal(read.pixels, CLEAN)
+        np.testing.assert_array_equal(found.uv_px, detect(one).uv_px)
+        assert [check.name for check in image_checks(read)] == ["clipped pixels", *["inversion"] * inverted]
+
+
 @pytest.mark.parametrize("sigma_px", [3, 4])
 def test_a_blurred_image_is_refused_as_such(sigma_px: int) -> None:
     assert "the image is blurred" in refusal(cv2.GaussianBlur(CLEAN, (0, 0), sigma_px))
+
+
+def smeared(pixels: np.ndarray, length_px: float, angle_deg: float) -> np.ndarray:
+    """Moved along a line while it was exposed; the noise is of the whole exposure."""
+    kernel = np.zeros((31, 31), np.float32)
+    way = np.array([np.cos(np.deg2rad(angle_deg)), np.sin(np.deg2rad(angle_deg))]) * length_px / 2
+    ends = [tuple(round(16 * (15 + sign * part)) for part in way) for sign in (-1, 1)]
+    cv2.line(kernel, ends[0], ends[1], 1.0, 1, cv2.LINE_AA, 4)
+    noise = np.random.default_rng(3).normal(0.0, 2.0, pixels.shape)
+    return np.clip(cv2.filter2D(pixels.astype(np.float32), -1, kernel / kernel.sum()) + noise, 0, 255).astype(np.uint8)
+
+
+@pytest.mark.parametrize(("length_px", "angle_deg"), [(9, 0), (9, 90), (12, 40), (15, 130)])
+def test_an_image_smeared_by_movement_is_refused_as_such_and_says_in_which_direction(
+    length_px: float, angle_deg: float
+) -> None:
+    said = re.search(r"smeared by movement at about (\d+)° to its rows", refusal(smeared(CLEAN, length_px, angle_deg)))
+    assert said is not None
+    assert abs((float(said[1]) - angle_deg + 90) % 180 - 90) < 15
+
+
+def test_noise_blur_and_stripes_are_not_taken_for_movement() -> None:
+    blur = cv2.GaussianBlur(CLEAN, (0, 0), 3.5)
+    noise = np.clip(CLEAN + np.random.default_rng(4).normal(0.0, 40.0, CLEAN.shape), 0, 255).astype(np.uint8)
+    stripes = np.clip(blur * (1 + 0.2 * np.sin(np.arange(len(blur)) / 2))[:, None], 0, 255).astype(np.uint8)
+    for pixels in (blur, noise, stripes):
+        assert "smeared" not in refusal(pixels)
 
 
 @pytest.mark.parametrize("gain", [3, 6, 20])

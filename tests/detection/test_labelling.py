@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sightline.detection import Detections, Observations, label
+from sightline.detection.labelling.label import MAY_BE_TWO
 from sightline.errors import FrameError, LabellingRefusedError, ObservationsError
 from sightline.frame import Fiducial, Frame, FrameView, Plate
 from sightline.frame.builtin import BUILTIN
@@ -285,3 +286,21 @@ def test_covariances_travel_with_their_beads() -> None:
     assert found.covariance_px2 is not None
     assert all((at[tuple(uv)] == c).all() for uv, c in zip(found.uv_px, found.covariance_px2, strict=True))
     assert found.image_shape == one.detections.image_shape
+
+
+def test_labels_come_with_the_radii_and_with_what_was_not_labelled() -> None:
+    """Each dark detection is labelled or rejected with a reason; false beads are never said to be of the frame."""
+    one = scene(9)
+    found = label(one.detections, GAMMA)
+    radius = dict(zip(map(tuple, one.detections.uv_px), one.detections.radius_px, strict=True))
+    assert found.radius_px is not None
+    assert found.rejected
+    assert all(radius[tuple(uv)] == r for uv, r in zip(found.uv_px, found.radius_px, strict=True))
+    dark = {tuple(uv) for uv, kind in zip(one.detections.uv_px, one.detections.kind, strict=True) if kind != "hole"}
+    labelled, left = {tuple(uv) for uv in found.uv_px}, {rejected.uv_px for rejected in found.rejected}
+    assert labelled | left == dark
+    assert not labelled & left
+    truth = dict(zip(map(tuple, one.detections.uv_px), one.truth, strict=True))
+    nowhere = [r for r in found.rejected if r.reason != MAY_BE_TWO]
+    assert nowhere
+    assert all(len(truth[r.uv_px]) != 1 for r in nowhere)  # false beads, and two that touch

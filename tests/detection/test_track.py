@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 from tests.detection.bead_images import Bead
@@ -43,6 +44,31 @@ def test_a_followed_bead_is_where_it_would_be_found_anew(start: Track) -> None:
     assert np.sqrt(np.median((apart**2).sum(axis=1))) < 0.01  # a tenth of the noise: steps end at 0.02 px
     assert np.sqrt(np.mean(errors_px(seen, shown) ** 2)) < 0.15
     assert len(start.follow(following)[1]) == len(seen)  # following changes nothing in the track it starts from
+
+
+def test_beads_of_a_fine_panel_are_followed_in_pixels_of_twice_the_side() -> None:
+    def fine(x_mm: float, seed: int) -> Radiograph:
+        pixels = cv2.resize(
+            image(beads((x_mm, 0.0, 0.0)), seed).pixels, None, fx=4, fy=4, interpolation=cv2.INTER_CUBIC
+        )
+        return Radiograph(pixels, 4095)
+
+    first, then, later = fine(0.0, 1), fine(0.31, 2), fine(0.62, 3)
+    (track, _), (halved, _) = looked_at(first), looked_at(first.binned(2))
+    assert track.ids == halved.ids
+    for step, one in (("follow", then), ("look", later)):
+        track, seen = getattr(track, step)(one)
+        halved, expected = getattr(halved, step)(one.binned(2))
+        assert sorted(seen.ids) == sorted(expected.ids) and seen.image_shape == (4 * SIZE, 4 * SIZE)
+        order = [seen.ids.index(one) for one in expected.ids]  # anew, beads come as they were found
+        assert seen.covariance_px2 is not None and expected.covariance_px2 is not None
+        apart = np.abs((seen.uv_px[order] + 0.5) / 2 - 0.5 - expected.uv_px)
+        assert (apart < 0.02).mean() > 0.95  # where fits end; of beads that touch, within what is stated of them:
+        assert (apart**2 < np.diagonal(expected.covariance_px2, axis1=1, axis2=2)).all()
+        ratio = seen.covariance_px2[order, 0, 0] / 4 / expected.covariance_px2[:, 0, 0]
+        assert (np.abs(ratio - 1) < 0.01).mean() > 0.95  # but crowded ones: their free pixels are counted in whole
+    with pytest.raises(TrackLost, match="size"):
+        track.follow(then.binned(2))
 
 
 def test_a_steady_movement_is_followed_further_than_a_window(start: Track) -> None:

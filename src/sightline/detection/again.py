@@ -13,7 +13,7 @@ from sightline.detection.labelling.joint import CENTRE_PX, REMAINDER_LENGTH, REM
 from sightline.detection.labelling.patterns import Pattern, median, patterns
 from sightline.detection.labelling.seeds import best_similarity
 from sightline.detection.labelling.solve import LEAST_BEADS
-from sightline.detection.results import Detections, Observations
+from sightline.detection.results import Detections, Observations, Rejected
 from sightline.detection.scale import FACTOR, coarser, coarser_observations, finer_observations, is_fine
 from sightline.errors import ObservationsError
 from sightline.frame import Frame
@@ -31,7 +31,7 @@ _ONE = 1.4  # of it: shadows that overlap by more are not told apart, the fit's 
 _MARGIN_PX = 2.5
 _RIM_SEEN = 0.3  # least share of the rim that metal and other beads must leave [ours]
 _AROUND_PX = -1.0, 4.0  # from the rim: what surrounds a bead [ours]
-_CLIPPED = 0.5  # most of that: without its foot a rim is misjudged by more than is stated [twin]
+_CLIPPED = 0.4  # most of what is visible of that: without its foot a rim is misjudged by more than is stated [twin]
 # What may be taken: centre, light and size must be told by the image, and be what the frame and the neighbours say.
 _NOISIEST_PX = 0.5  # as a bead counts that an image determines (docs/benchmarks.md)
 _OFF_M2 = 16.0  # squared distance from the prediction, whose s.d. is 1.2 times as large at the field's edge [twin]
@@ -92,7 +92,25 @@ def look_again_with(
         ids=(*kept, *(ids[i] for i in which[clear])),
         uv_px=np.concatenate([beads.uv_px[rows], good[:, :2]]),
         covariance_px2=np.concatenate([beads.covariance_px2[rows], _covariance(good)]),
+        radius_px=np.concatenate([beads.radius_px[rows], good[:, columns.RADIUS]]),
+        rejected=_rejected(observations, beads, [row_of[i] for i in observations.ids if i in looked_at], good),
     )
+
+
+def _rejected(
+    observations: Observations, beads: Detections, again: list[int], good: np.ndarray
+) -> tuple[Rejected, ...] | None:
+    """Of `label`, and of the detections fitted `again`: those that no bead of the fit covers. None as it came."""
+    if observations.rejected is None:
+        return None
+    hidden = (
+        Rejected(tuple(beads.uv_px[row].tolist()), float(beads.radius_px[row]), "another bead hides too much of it")
+        for row in again
+    )
+    every = (*observations.rejected, *hidden)
+    places = np.array([one.uv_px for one in every]).reshape(-1, 2)
+    covered = np.any(_apart(places, good[:, :2]) < good[:, columns.RADIUS], axis=1).tolist()
+    return tuple(one for one, taken in zip(every, covered, strict=True) if not taken)
 
 
 def _rows_of(observations: Observations, beads: Detections) -> dict[str, int]:
@@ -214,6 +232,7 @@ def _hide(image: Radiograph, fit: refine.Fit, rows: np.ndarray, i: int, usable: 
     state = window.mark(fit.log_image, fit.usable, rows, near, left, top, 2 * half + 1, np.inf)
     outside = state == window.HIDDEN
     window.hide_metal(state, rows, near, left, top, light)
+    state[_under((state == window.HIDDEN) & ~outside)] = window.HIDDEN
     metal = (state == window.HIDDEN) & ~outside
     hidden = cv2.dilate(metal.view(np.uint8), np.ones((3, 3), np.uint8)) > 0
     y, x = np.arange(len(state))[:, None] + top, np.arange(len(state)) + left
@@ -227,9 +246,24 @@ def _hide(image: Radiograph, fit: refine.Fit, rows: np.ndarray, i: int, usable: 
     there = slice(max(top, 0), top + len(state)), slice(max(left, 0), left + len(state))
     usable[there] &= ~hidden[seen]
     around = (from_centre > radius + _AROUND_PX[0]) & (from_centre < radius + _AROUND_PX[1])
-    clipped = (image.pixels[there] >= image.white)[around[seen]].mean()
+    visible = around[seen] & usable[there]
+    clipped = visible & (image.pixels[there] >= image.white)
     rim = window.rim_seen(state, rows, near, left, top)
-    return bool(rim > _RIM_SEEN and clipped < _CLIPPED and overlap.max(initial=0.0) < _ONE)
+    foot = np.count_nonzero(clipped) < _CLIPPED * np.count_nonzero(visible)
+    return bool(rim > _RIM_SEEN and foot and overlap.max(initial=0.0) < _ONE)
+
+
+def _under(metal: np.ndarray) -> np.ndarray:
+    """(H, W) bool: the convex hull of what `hide_metal` found, without the margin that `metal` (H, W) has about it.
+
+    Under a bead, metal does not show: a wire seen on two sides of it runs on between them.
+    """
+    side = 2 * window.METAL + 1
+    found = cv2.erode(metal.view(np.uint8), cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side)))
+    points = cv2.findNonZero(found)
+    if points is not None:
+        cv2.fillConvexPoly(found, cv2.convexHull(points), 1)
+    return found > 0
 
 
 def _apart(a: np.ndarray, b: np.ndarray) -> np.ndarray:

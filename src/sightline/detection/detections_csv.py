@@ -37,7 +37,7 @@ def are_detections(path: Path) -> bool:
 def label_csv(
     path: Path, frame: Frame, view: str | None = None, datums: dict[str, tuple[float, float]] | None = None
 ) -> Observations:
-    """The beads of a file, told apart by `label`. Without errors in the file the observations have none.
+    """The beads of a file, labelled by `label`. Without errors in the file the observations have none.
 
     Raises ObservationsError, which names the line, and what `label` raises.
     """

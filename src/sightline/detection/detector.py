@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 
 from sightline.detection import columns, refine
-from sightline.detection.causes import NO_RIM, NOT_ROUND, cause_of
+from sightline.detection.causes import NO_RIM, cause_of
 from sightline.detection.find import distinct, find_candidates
 from sightline.detection.log_image import field_inset, log_image
 from sightline.detection.noise import MIN_FIELD_PX, NoiseModel, estimate_noise
@@ -35,7 +35,7 @@ _MINORITY = 0.33  # of the beads: no frame has both balls and holes
 _COVERED = 0.35  # of a bead's disc under writing; what is left of its rim no longer holds centre and radius [twin]
 _WASHER_RIM = 0.68  # of a washer's radius: what is further in is left out; its hole reaches to 0.45-0.55 [DIN 125]
 
-_NOT_ROUND = f"{NOT_ROUND}: some side does not differ from the middle, as on an edge, a wire or a bone contour"
+_NOT_ROUND = "not round: some side does not differ from the middle, as on an edge, a wire or a bone contour"
 _TOO_LARGE = "its radius is above 25 px"
 _FIT_REASONS = {
     columns.TOO_FEW_PIXELS: "too few usable pixels: at the edge of the field, or covered by another bead",
@@ -77,7 +77,7 @@ def _detected(image: Radiograph) -> Detections:
     if is_fine(np.append(beads[:, columns.RADIUS], [one.radius_px for one in rejected if one.reason == _TOO_LARGE])):
         return finer(_detected(image.binned(FACTOR)), image.shape)
     if len(beads) == 0:
-        why = cause_of(image, 0, rejected) or (
+        why = cause_of(image, beads[:, :3], rejected) or (
             "check that this is the image of a frame with beads of 2-25 px radius, exposed so that they differ from "
             "their surroundings"
         )
@@ -106,7 +106,7 @@ def _no_noise(image: Radiograph, mask: np.ndarray) -> str:
     """Why there is no noise to measure: too small a field, or too little of it that is not constant."""
     if np.count_nonzero(mask) < MIN_FIELD_PX:
         return f"the field of view has fewer than {MIN_FIELD_PX} px, too few to measure its noise; give a larger image"
-    why = cause_of(image, 0, ())
+    why = cause_of(image, np.zeros((0, 3)), ())
     if why is not None:
         return why
     levels = len(np.unique(image.pixels[mask]))

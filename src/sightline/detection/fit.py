@@ -79,8 +79,6 @@ _LONGEST = 0.12  # ellipticity: beads in images up to 0.09, pieces of wire more 
 # Covariance beyond what is linear in the noise, in units of the centre's variance over the blur's square [twin].
 _RIM_BENDS = 3.0
 _LOST = 0.15  # share of the rim that sharpening may cost, before a window is left as it is [ours]
-# Of a shadow's centre over a background that bends: what its cubic terms show, times this, is not explained by them.
-_BENT_PX = 0.1
 # What is known of a bead and of its neighbours from where they start, s.d.: px, px, share of radius, of blur [ours].
 _ITSELF = np.array([2.0, 2.0, 0.2, 0.5])
 _NEIGHBOUR = np.array([0.7, 0.7, 0.06, 0.3])
@@ -163,8 +161,8 @@ def _solve(spots, rows, noise, sharpening, plain, tables, light, state, window, 
     if out[STATUS] != FITTED or np.hypot(beads[0, 4], beads[0, 5]) > _LONGEST:
         out[STATUS] = max(out[STATUS], WANDERED)
         return
-    out[CHI2] = chi2 / max(pixels - size, 1.0)
-    scale2 = (_PRIOR_PIXELS + pixels * out[CHI2]) / (_PRIOR_PIXELS + pixels)
+    freedom = max(pixels - _absorbed(columns, where, L, len(state), after), 1.0)
+    out[CHI2], scale2 = chi2 / freedom, (_PRIOR_PIXELS + chi2) / (_PRIOR_PIXELS + freedom)
     out[BLUR] = np.sqrt(max(beads[0, 3] ** 2 - blur2, 0.0))
     _covariance(columns, where, L, len(state), after, scale2, known, follows, ground, out)
     inside = max((1.0 - taken) * ground[0] + scatter[0], 0.02 * ground[0])
@@ -308,6 +306,37 @@ def _move(beads, scatter, ground, step, share):
 
 
 @exact
+def _absorbed(columns, where, L, wide, after):
+    """Expected sum of squares that the fit takes from the residuals of noise of the correlation `after`.
+
+    tr(H C), H = J A^-1 J' the projection on the parameters. Where noise is white this is their number.
+    """
+    size, pixels = len(L), columns.shape[1]
+    reach = np.uint32(len(after) - 1)
+    width = np.uint32(wide) + 2 * reach
+    rows, at = np.empty((size, pixels), np.float32), np.empty(pixels, np.uint32)
+    for p in range(pixels):
+        at[p] = (where[0, p] + reach) * width + where[1, p] + reach
+    field = np.zeros(width * width, np.float32)
+    inner, products = field[reach * width + reach : (reach + wide) * width], np.zeros(width * wide, np.float32)
+    for k in range(size):  # rows of L^-1 J'
+        row = rows[k]
+        _copy(columns[k], row)
+        for m in range(k):
+            share, other = np.float32(L[k, m]), rows[m]
+            for p in range(pixels):
+                row[p] -= share * other[p]
+        scale = np.float32(1.0 / L[k, k])
+        for p in range(pixels):
+            row[p] *= scale
+            field[at[p]] = row[p]
+        noise = in_one_row(field, after, width)
+        for p in range(len(inner)):
+            products[p] += inner[p] * noise[p]
+    return products.sum()
+
+
+@exact
 def _covariance(columns, where, L, wide, after, scale2, known, follows, ground, out):  # noqa: PLR0917
     """What noise of the correlation `after`, and what was relied on, do to u, v and the light in the middle.
 
@@ -339,9 +368,6 @@ def _covariance(columns, where, L, wide, after, scale2, known, follows, ground, 
     out[CUV] = scale2 * _product(inner[1], across)
     out[CVV] = scale2 * _product(inner[1], along)
     out[CCC] = scale2 * _product(inner[2], middle)
-    for m in range(GROUND - CUBIC, GROUND):
-        out[CUU] += (_BENT_PX * ground[m]) ** 2
-        out[CVV] += (_BENT_PX * ground[m]) ** 2
     for m in range(SCATTER - 1):
         for row in range(2):
             influence[row, size - GROUND - SCATTER + 1 + m] -= follows * influence[row, size - GROUND + 1 + m]

@@ -20,7 +20,7 @@ def _frozen(array: np.ndarray, shape: tuple[int, ...], what: str) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Rejected:
-    """A candidate that is no bead, and why."""
+    """A candidate that is not a bead, or a detection that was not labelled, and why."""
 
     uv_px: tuple[float, float]
     radius_px: float
@@ -60,10 +60,12 @@ class Detections:
 
 @dataclass(frozen=True, eq=False)
 class Observations:
-    """Beads of one view that have been told apart: fiducial `ids[i]` is seen at `uv_px[i]`, in IDCS.
+    """Beads of one view that have been labelled: fiducial `ids[i]` is seen at `uv_px[i]`, in IDCS.
 
     `covariance_px2` (N, 2, 2), or None where nothing is known of the measurement noise. `mirrored` says
-    that the image is a mirror image of the frame. `image_shape` (H, W) where the image is known.
+    that the image is a mirror image of the frame. `image_shape` (H, W) where the image is known. `radius_px` (N,): as
+    in `Detections`, or None where it is not known. `rejected`: detections that were not labelled, with
+    reasons; None where the beads come without the others of their image.
     Raises ObservationsError on wrong shapes, values that are not finite, and an id that stands twice.
     """
 
@@ -73,6 +75,8 @@ class Observations:
     covariance_px2: np.ndarray | None = None
     mirrored: bool = False
     image_shape: tuple[int, int] | None = None
+    radius_px: np.ndarray | None = None
+    rejected: tuple[Rejected, ...] | None = None
 
     def __post_init__(self) -> None:
         n = len(self.ids)
@@ -83,6 +87,8 @@ class Observations:
         object.__setattr__(self, "uv_px", _frozen(self.uv_px, (n, 2), "uv_px"))
         if self.covariance_px2 is not None:
             object.__setattr__(self, "covariance_px2", _frozen(self.covariance_px2, (n, 2, 2), "covariance_px2"))
+        if self.radius_px is not None:
+            object.__setattr__(self, "radius_px", _frozen(self.radius_px, (n,), "radius_px"))
 
     def __len__(self) -> int:
         return len(self.ids)

@@ -1,10 +1,11 @@
 """Images with pixels finer than detection is made for: beads are measured in pixels of twice the side."""
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 
-from sightline.detection.results import Detections, Observations
+from sightline.detection.results import Detections, Observations, Rejected
 
 FACTOR = 2
 MAX_USUAL_RADIUS_PX = 15.0  # of most beads; datum balls, 5/3 as large, reach 25 px then [ours]
@@ -24,10 +25,7 @@ def finer(beads: Detections, image_shape: tuple[int, int]) -> Detections:
         radius_px=beads.radius_px * FACTOR,
         covariance_px2=beads.covariance_px2 * FACTOR**2,
         image_shape=image_shape,
-        rejected=tuple(
-            replace(one, uv_px=tuple(_finer_uv(np.array(one.uv_px)).tolist()), radius_px=one.radius_px * FACTOR)
-            for one in beads.rejected
-        ),
+        rejected=_scaled(beads.rejected, _finer_uv, FACTOR),
     )
 
 
@@ -45,13 +43,35 @@ def coarser(beads: Detections) -> Detections:
 def finer_observations(seen: Observations, image_shape: tuple[int, int] | None) -> Observations:
     """Observations in the binned image as those in the image itself."""
     covariance = None if seen.covariance_px2 is None else seen.covariance_px2 * FACTOR**2
-    return replace(seen, uv_px=_finer_uv(seen.uv_px), covariance_px2=covariance, image_shape=image_shape)
+    return replace(
+        seen,
+        uv_px=_finer_uv(seen.uv_px),
+        covariance_px2=covariance,
+        image_shape=image_shape,
+        radius_px=None if seen.radius_px is None else seen.radius_px * FACTOR,
+        rejected=None if seen.rejected is None else _scaled(seen.rejected, _finer_uv, FACTOR),
+    )
 
 
 def coarser_observations(seen: Observations) -> Observations:
     """Observations in an image as those in the binned image."""
     covariance = None if seen.covariance_px2 is None else seen.covariance_px2 / FACTOR**2
-    return replace(seen, uv_px=_coarser_uv(seen.uv_px), covariance_px2=covariance)
+    return replace(
+        seen,
+        uv_px=_coarser_uv(seen.uv_px),
+        covariance_px2=covariance,
+        radius_px=None if seen.radius_px is None else seen.radius_px / FACTOR,
+        rejected=None if seen.rejected is None else _scaled(seen.rejected, _coarser_uv, 1 / FACTOR),
+    )
+
+
+def _scaled(
+    rejected: tuple[Rejected, ...], to_other: Callable[[np.ndarray], np.ndarray], factor: float
+) -> tuple[Rejected, ...]:
+    return tuple(
+        replace(one, uv_px=tuple(to_other(np.array(one.uv_px)).tolist()), radius_px=one.radius_px * factor)
+        for one in rejected
+    )
 
 
 def _finer_uv(uv_px: np.ndarray) -> np.ndarray:

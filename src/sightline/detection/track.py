@@ -14,6 +14,7 @@ from sightline.detection.detector import fine_reasons, fit_of, without_middles
 from sightline.detection.log_image import field_inset, log_image, logs_of
 from sightline.detection.noise import estimate_noise
 from sightline.detection.results import Detections, Observations
+from sightline.detection.scale import FACTOR, coarser, coarser_observations, finer_observations, is_fine
 from sightline.errors import ObservationsError
 from sightline.frame import Frame
 from sightline.imaging import Radiograph
@@ -41,6 +42,8 @@ class Track:
     bool. `fit`: to what counts of the field, `free` (H, W): what of that counts for crowded beads, since the labelled
     ones were at `free_at_px` (L, 2).
     `step_px` (N, 2): how the beads of each plate moved last: the source plate's move twice as far as the other's.
+    `image_shape`: of the images. Fine ones are `halved` so many times before beads are followed, as `detect` does: all
+    else here is in pixels of the halved image.
     """
 
     frame: Frame
@@ -59,6 +62,8 @@ class Track:
     free_for: np.ndarray
     free_at_px: np.ndarray
     step_px: np.ndarray
+    image_shape: tuple[int, int]
+    halved: int = 0
 
     @staticmethod
     def begin(image: Radiograph, beads: Detections, observations: Observations, frame: Frame) -> "Track":
@@ -66,13 +71,18 @@ class Track:
 
         Raises DetectionRefusedError.
         """
-        return Track._begun(fit_of(image, beads), image, beads, observations, frame)
+        shape, halved = image.shape, 0
+        while is_fine(beads.radius_px):
+            image, beads, observations = image.binned(FACTOR), coarser(beads), coarser_observations(observations)
+            halved += 1
+        track = Track._begun(fit_of(image, beads), image, beads, observations, frame)
+        return replace(track, image_shape=shape, halved=halved)
 
     @staticmethod
     def _begun(
         fit: refine.Fit, image: Radiograph, beads: Detections, observations: Observations, frame: Frame
     ) -> "Track":
-        """`begin` with the image's own fit."""
+        """`begin` with the fit of an image that needs no halving."""
         row_of = {place: row for row, place in enumerate(map(tuple, beads.uv_px.tolist()))}
         row = np.array([row_of.get(tuple(uv), -1) for uv in observations.uv_px.tolist()], dtype=int)
         radius, contrast = _sizes(beads, observations, row, frame)
@@ -105,11 +115,12 @@ class Track:
             free_for=free_for,
             free_at_px=observations.uv_px,
             step_px=np.zeros((len(rows), 2)),
+            image_shape=image.shape,
         )
 
     def follow(self, image: Radiograph) -> tuple["Track", Observations]:
         """The beads of the next image, each fitted from where it was. Raises TrackLost."""
-        self._refuse_other_shape(image)
+        image = self._halved(image)
         fit = self.fit.on(logs_of(image, self.mask, self.written))
         moved = np.hypot(*(self._expected()[: len(self.ids), :2] - self.free_at_px).T)
         if np.median(moved) > _STALE_PX:
@@ -119,7 +130,7 @@ class Track:
 
     def look(self, image: Radiograph) -> tuple["Track", Observations]:
         """`follow`, with field and noise measured anew, and beads looked for that came into sight. Raises TrackLost."""
-        self._refuse_other_shape(image)
+        image = self._halved(image)
         mask = field_inset(image)
         logs = log_image(image, mask)
         noise = estimate_noise(logs, mask)
@@ -136,13 +147,14 @@ class Track:
         steps = dict(zip(track.ids, track.step_px, strict=False))
         none = np.zeros(2)
         step = np.array([steps.get(name, none) for name in anew.ids] + [none] * (len(anew.rows) - len(anew.ids)))
-        return replace(anew, step_px=step), observations
+        anew = replace(anew, step_px=step, image_shape=self.image_shape, halved=self.halved)
+        return anew, anew._in_image(observations)
 
     @property
     def observations(self) -> Observations:
         """The beads that are seen."""
         rows = self.rows[: len(self.ids)][self.seen]
-        return Observations(
+        seen = Observations(
             view=self.view,
             ids=tuple(i for i, seen in zip(self.ids, self.seen, strict=True) if seen),
             uv_px=rows[:, :2],
@@ -150,15 +162,24 @@ class Track:
             mirrored=self.mirrored,
             image_shape=self.mask.shape,
         )
+        return self._in_image(seen)
+
+    def _in_image(self, seen: Observations) -> Observations:
+        """Observations in the halved image as those in the image itself."""
+        for _ in range(self.halved):
+            seen = finer_observations(seen, self.image_shape)
+        return seen
 
     def _expected(self) -> np.ndarray:
         out = self.rows.copy()
         out[:, :2] += self.step_px
         return out
 
-    def _refuse_other_shape(self, image: Radiograph) -> None:
-        if image.shape != self.mask.shape:
+    def _halved(self, image: Radiograph) -> Radiograph:
+        """The next image as beads are followed in it. Raises TrackLost."""
+        if image.shape != self.image_shape:
             raise TrackLost("the images changed their size")
+        return image.binned(FACTOR**self.halved) if self.halved else image
 
     def _fitted(self, image: Radiograph, fit: refine.Fit) -> "Track":
         """Every bead where this image has it. Raises TrackLost."""

@@ -10,7 +10,7 @@ MARGIN = 6  # px about the window that the filter may need
 _SPREAD = 3  # px about a pixel that is not usable, into which the filter carries it
 # Of the step from the bead's light to the background's: below it lies metal; dense bone reaches 0.4 [twin].
 _AS_DARK = 0.3
-_METAL = 4  # px about metal: its rim and the blur of that
+METAL = 4  # px about metal: its rim and the blur of that
 _FEWEST_METAL = 6  # px [ours]
 _RIM = 2.5  # px to either side of the rim, where a centre is told from
 _VECTOR = 32  # pixels that a loop takes at once: a remainder takes as long as all the rest
@@ -120,7 +120,7 @@ def hide_metal(state, spots, rows, left, top, light) -> bool:  # noqa: PLR0917
     for i in range(n):
         for j in range(n):
             if free[i, j]:
-                _hide(state, float(i), float(j), _METAL + 0.5)
+                _hide(state, float(i), float(j), METAL + 0.5)
     return True
 
 

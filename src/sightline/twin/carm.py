@@ -67,24 +67,28 @@ class ViewTruth:
 class SetUp:
     """A frame before a C-arm, with two views.
 
-    `frame` is what the software is told, `true_frame` where its beads truly are. `side` of the hip.
+    `frame` is what the software is told, `true_frame` where its beads truly are. `side` of the hip. `tube`: the C-arm's
+    detector before it is exposed.
     """
 
     frame: Frame
     true_frame: Frame
     views: dict[str, ViewTruth]
     side: str
+    tube: Tube | FlatPanel
 
 
 @dataclass(frozen=True)
 class Variation:
     """What set-ups are drawn from. `site`: a magnetic field that is given instead of drawn, stray field and all. `arm`:
-    views by one arm that orbits and sags, instead of each alone; `Pose.orbit` is then not used."""
+    views by one arm that orbits and sags, instead of each alone; `Pose.orbit` is then not used. `tube`: of a C-arm
+    that is there already, instead of a drawn one."""
 
     pose: Pose = field(default_factory=Pose)
     distortion: Distortion = field(default_factory=Distortion)
     site: Site | None = None
     arm: Arm | None = None
+    tube: Tube | FlatPanel | None = None
 
 
 def draw_setup(
@@ -108,7 +112,7 @@ def draw_setup(
     true_frame = with_errors(frame, rng) if frame_errors else frame
     pose, optics = variation.pose, preset(chain)
     earth = draw_earth(rng, variation.distortion)
-    tube = draw_tube(rng, optics, variation.distortion)
+    tube = variation.tube or draw_tube(rng, optics, variation.distortion)
     stance = EachAlone(pose) if variation.arm is None else draw_arm(rng, variation.arm, pose)
     caudal = np.array([0.0, 1.0 if side == "right" else -1.0, 0.0])
     for _ in range(ATTEMPTS):
@@ -125,7 +129,7 @@ def draw_setup(
             if stand is not None
         }
         if all(_enough_in_field(views[name], view, pose) for name, view in true_frame.views.items()):
-            return SetUp(frame, true_frame, views, side)
+            return SetUp(frame, true_frame, views, side, tube)
     raise SetUpError(
         f"no pose of {ATTEMPTS} brings {pose.beads_in_field:.0%} of each plate of frame {frame.name!r} into the field: "
         "make its plates smaller or the C-arm's variation less"

@@ -9,7 +9,7 @@ from sightline.frame import Frame
 from sightline.imaging import Radiograph
 from sightline.twin.carm import SetUp, ViewTruth, draw_setup, shadow_centres_px, shadow_radius_px
 from sightline.twin.distributions import HardScene
-from sightline.twin.render import DOSES, SCATTER_MM, Exposure, expose
+from sightline.twin.render import DOSES, SCATTER_MM, Dose, Exposure, Projection, project
 from sightline.twin.scene import hip_scene
 from sightline.twin.things import CENTRE, RADIUS, Rod, Scene, SoftTissue, Solid, pack, stations
 
@@ -60,8 +60,40 @@ def hard_scene(
     with metal in it. `dose_class`: "low", "medium", "high" (`render.DOSES`). `even_scatter` and `scatter_mm` as in
     `expose`; with their defaults the scenes are those that detection was first tuned on. Raises SetUpError.
     """
-    if dose_class not in DOSES:
-        raise SetUpError(f"there is no dose class {dose_class!r}; there are: {', '.join(DOSES)}")
+    _dose(dose_class)
+    return hard_view(rng, frame, spread, chain=chain).exposed(
+        rng, dose_class, even_scatter=even_scatter, scatter_mm=scatter_mm
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class HardView:
+    """A hard scene in one view before it is exposed. `level`: where exposure control brings the image's middle."""
+
+    setup: SetUp
+    scene: Scene
+    projection: Projection
+    level: float
+
+    def exposed(
+        self,
+        rng: np.random.Generator,
+        dose_class: str,
+        *,
+        even_scatter: bool = True,
+        scatter_mm: float = SCATTER_MM,
+    ) -> tuple[Radiograph, BeadTruth]:
+        """Its image with noise drawn from `rng`, and the truth of its beads. Raises SetUpError."""
+        dose = replace(_dose(dose_class), level=self.level)
+        exposure = self.projection.exposed(dose, even_scatter=even_scatter, scatter_mm=scatter_mm)
+        image = exposure.read_out(rng)
+        return image, bead_truth(self.setup, self.projection.view, self.scene, exposure)
+
+
+def hard_view(
+    rng: np.random.Generator, frame: Frame | None = None, spread: HardScene | None = None, *, chain: str = "9in-1k"
+) -> HardView:
+    """The drawn scene of `hard_scene`, projected once for several doses and scatters. Raises SetUpError."""
     spread = spread or HardScene()
     setup = draw_setup(rng, frame or Frame.load("gamma"), side=str(rng.choice(["right", "left"])), chain=chain)
     view = setup.views[str(rng.choice(list(setup.views)))]
@@ -69,10 +101,14 @@ def hard_scene(
     body, scale = SoftTissue(), rng.uniform(*spread.tissue_scale)
     half = (body.half_mm[0] * scale, body.half_mm[1] * scale)
     scene = replace(hip, solids=hip.solids + _metal(rng, spread), tissue=replace(body, half_mm=half))
-    dose = replace(DOSES[dose_class], level=rng.uniform(*spread.level))
-    exposure = expose(view, scene, dose, even_scatter=even_scatter, scatter_mm=scatter_mm)
-    image = exposure.read_out(rng)
-    return image, bead_truth(setup, view, scene, exposure)
+    level = float(rng.uniform(*spread.level))
+    return HardView(setup, scene, project(view, scene), level)
+
+
+def _dose(dose_class: str) -> Dose:
+    if dose_class not in DOSES:
+        raise SetUpError(f"there is no dose class {dose_class!r}; there are: {', '.join(DOSES)}")
+    return DOSES[dose_class]
 
 
 def bead_truth(setup: SetUp, view: ViewTruth, scene: Scene, exposure: Exposure) -> BeadTruth:

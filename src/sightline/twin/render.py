@@ -143,25 +143,54 @@ def expose(
     Scatter follows what lies in the beam, unless `even_scatter`: the chain's share of the primary everywhere.
     `scatter_mm`: s.d. of the kernel that spreads it; infinite: as much scatter in every pixel.
     """
-    chain, dose = view.chain, dose or DOSES["medium"]
+    return project(view, scene).exposed(dose, even_scatter=even_scatter, scatter_mm=scatter_mm)
+
+
+@dataclass(frozen=True, eq=False)
+class Projection:
+    """The primary of a scene in one view, of which any dose and any scatter make an exposure.
+
+    `arriving` (H, W): photons per pixel, of one pixel of the open beam in the middle; `without`: were the sharp things
+    not there. `area` (H, W): each pixel's, of the middle's. `inside` (H, W): where rays were cast.
+    """
+
+    view: ViewTruth
+    arriving: np.ndarray
+    without: np.ndarray
+    area: np.ndarray
+    inside: np.ndarray
+
+    def exposed(
+        self, dose: Dose | None = None, *, even_scatter: bool = False, scatter_mm: float = SCATTER_MM
+    ) -> Exposure:
+        """The expected image, as from `expose`. Raises SetUpError where nothing passes the middle."""
+        chain, dose, arriving = self.view.chain, dose or DOSES["medium"], self.arriving
+        tissue = 1.0 if even_scatter else tissue_mm(self.without / self.area, chain.spectrum) / HIP_MM
+        scattered = chain.scatter_to_primary * _spread(arriving * tissue, self.inside, scatter_mm / chain.pitch_mm)
+        rim = _rim_px(chain)
+        level = float((arriving + scattered)[rim > 0.5 * chain.mask_px].mean())
+        if not level > 0:
+            raise SetUpError("nothing passes the middle of the scene; take some of it out of the beam")
+        wanted = dose.quanta(chain)
+        quanta, open_quanta = (
+            np.where(self.inside, wanted / level * (p + scattered), 0.0) for p in (arriving, self.without)
+        )
+        jacobian = self.view.intensifier.jacobian(np.zeros((1, 2)))[0]
+        return Exposure(
+            chain=chain,
+            quanta=quanta,
+            open_quanta=open_quanta,
+            field=rim >= 0,
+            core_px=chain.core_mm * float(np.sqrt(np.linalg.det(jacobian))),
+            gain=dose.level * chain.white / wanted,
+        )
+
+
+def project(view: ViewTruth, scene: Scene) -> Projection:
+    """Cast a scene's rays once, for exposures at several doses and scatters."""
     rays, area = pixel_rays(view)
     arriving, without = (share * area for share in primary(view, scene, rays))
-    source = arriving if even_scatter else arriving * tissue_mm(without / area, chain.spectrum) / HIP_MM
-    scattered = chain.scatter_to_primary * _spread(source, rays.inside, scatter_mm / chain.pitch_mm)
-    middle = _rim_px(chain) > 0.5 * chain.mask_px
-    level = float((arriving + scattered)[middle].mean())
-    if not level > 0:
-        raise SetUpError("nothing passes the middle of the scene; take some of it out of the beam")
-    wanted = dose.quanta(chain)
-    quanta, open_quanta = (np.where(rays.inside, wanted / level * (p + scattered), 0.0) for p in (arriving, without))
-    return Exposure(
-        chain=chain,
-        quanta=quanta,
-        open_quanta=open_quanta,
-        field=_rim_px(chain) >= 0,
-        core_px=chain.core_mm * float(np.sqrt(np.linalg.det(view.intensifier.jacobian(np.zeros((1, 2))))[0])),
-        gain=dose.level * chain.white / wanted,
-    )
+    return Projection(view, arriving, without, area, rays.inside)
 
 
 def _spread(source: np.ndarray, inside: np.ndarray, sd_px: float) -> np.ndarray:

@@ -88,13 +88,24 @@ def shown_hip_scene(
     rng: np.random.Generator, frame: Frame, side: str = "right", femur: Femur | None = None, *, chain: str = "9in-1k"
 ) -> tuple[SetUp, HipScene]:
     """A set-up and a hip whose whole ideal wire both views show. Raises SetUpError where none is found."""
-    femur, place = femur or draw_femur(rng), HipPlace()
+    femur = femur or draw_femur(rng)
+    setup, head = shown_setup(rng, frame, side, femur, chain=chain)
+    return setup, placed_hip(setup, femur, head, rng)
+
+
+def shown_setup(
+    rng: np.random.Generator, frame: Frame, side: str, femur: Femur, *, chain: str = "9in-1k"
+) -> tuple[SetUp, np.ndarray]:
+    """A set-up, and the centre (3,) CFCS of a femur's head there, so that both views show its whole ideal wire.
+
+    Raises SetUpError where none is found."""
     for _ in range(ATTEMPTS):
         setup = draw_setup(rng, frame, side=side, chain=chain)
         head = draw_head(side, femur, rng)
         wire = to_cfcs(np.stack(femur.wire_mm()), side, head)
-        if all(view.in_field(view.project(wire), place.margin_px).all() for view in setup.views.values()):
-            return setup, placed_hip(setup, femur, head, rng)
+        margin = HipPlace().margin_px
+        if all(view.in_field(view.project(wire), margin).all() for view in setup.views.values()):
+            return setup, head
     raise SetUpError(f"no set-up of {ATTEMPTS} shows the whole wire in all views of frame {frame.name!r}")
 
 

@@ -10,7 +10,7 @@ from sightline.detection.labelling.naming import most_like
 from sightline.detection.labelling.patterns import Pattern, patterns
 from sightline.detection.labelling.seeds import Seed, best_similarity, find_seeds
 from sightline.detection.labelling.solve import LEAST_BEADS, Problem, Solution, solve
-from sightline.detection.results import Detections, Observations
+from sightline.detection.results import Detections, Observations, Rejected
 from sightline.errors import LabellingRefusedError, ObservationsError
 from sightline.frame import Frame
 
@@ -19,6 +19,7 @@ MOST_FIRST, MOST_SECOND, MOST_GROWN = 4, 3, 12  # lattices tried before giving u
 LEFT_OVER = 0.4  # of a lattice's beads: fewer detections besides them are no second plate [ours]
 SAME_SHAPE = 1.05  # ratio of the sides of triangles that are the same but for their scale [ours]
 CLICK = 1.5  # how far a pixel given for a datum may be from the bead's centre, in radii [ours]
+MAY_BE_TWO = "it may be two beads of the frame, or a false bead"
 LEAST_SPREAD = 0.25  # rms distance of a plate's given datums from one line, in pitches [ours]
 
 
@@ -31,8 +32,8 @@ def label(
     """Tell the beads of one image apart: which fiducial of `frame` is seen where.
 
     The pattern of datum markers tells view, plate and orientation; a `view` that contradicts it is refused. Detections
-    that are no bead of the frame, or might be two, are left out. `mirrored` is False where the image shows the frame
-    as the X-ray source sees it. `datums`, fiducial id to pixel (u, v), is the paper's semi-automatic way (section
+    that are not a bead of the frame, or might be two, are in `rejected`. `mirrored` is False where the image shows the
+    frame as the X-ray source sees it. `datums`, fiducial id to pixel (u, v), is the paper's semi-automatic way (section
     4.2): three or more datum markers of each plate, from which the others are found.
     Raises LabellingRefusedError where the labels are not certain; FrameError for a view that the frame
     does not have; ObservationsError for `datums` that are not three fiducials of each plate of one view.
@@ -42,7 +43,7 @@ def label(
     every = patterns(frame)
     couples = sorted(zip(every[::2], every[1::2], strict=True), key=lambda couple: couple[0].view != view)
     usable = np.array([kind != "hole" for kind in detections.kind], dtype=bool)
-    if usable.sum() < 2 * LEAST_BEADS <= (~usable).sum():
+    if is_inverted(detections):
         raise LabellingRefusedError(
             f"inverted: {(~usable).sum()} bright balls were found and {usable.sum()} dark ones; read the image with "
             "--invert (in Python: read_image(path, invert=True))"
@@ -67,7 +68,28 @@ def label(
         covariance_px2=detections.covariance_px2[solution.rows],
         mirrored=solution.mirrored,
         image_shape=detections.image_shape,
+        radius_px=detections.radius_px[solution.rows],
+        rejected=_rejected(detections, usable, solution),
     )
+
+
+def _rejected(detections: Detections, usable: np.ndarray, solution: Solution) -> tuple[Rejected, ...]:
+    """The dark detections that are not labelled: bright ones are holes, which no frame has."""
+    left = usable.copy()
+    left[solution.rows] = False
+    reasons = np.where(solution.on_place, MAY_BE_TWO, "no single bead of the frame is expected there")
+    return tuple(
+        Rejected((float(u), float(v)), float(radius), str(reason))
+        for (u, v), radius, reason in zip(
+            detections.uv_px[left], detections.radius_px[left], reasons[left], strict=True
+        )
+    )
+
+
+def is_inverted(detections: Detections) -> bool:
+    """Whether the balls are bright in the image: as many bright spots as labels take, and too few dark ones."""
+    bright = sum(kind == "hole" for kind in detections.kind)
+    return len(detections) - bright < 2 * LEAST_BEADS <= bright
 
 
 def _found(problem: Problem) -> Solution:

@@ -50,12 +50,14 @@ class Problem:
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """A labelled view: detections `rows` are fiducials `ids`."""
+    """A labelled view: detections `rows` are fiducials `ids`. `on_place` (N,) bool: which detections lie where a
+    fiducial is expected."""
 
     view: str
     ids: tuple[str, ...]
     rows: np.ndarray
     mirrored: bool
+    on_place: np.ndarray
 
 
 def _again(problem: Problem, grown: Grown, pattern: Pattern, places: np.ndarray) -> Grown:
@@ -221,4 +223,6 @@ def solve(problem: Problem, pair: tuple[Grown, Grown]) -> Solution:
     ids = xrii.ids + source.ids
     normal_along_beam = model.shadows.height_mm.mean() < 0
     mirrored = pair[0].sheet.similarity.mirror == normal_along_beam
-    return Solution(xrii.view, tuple(ids[p] for p in beads[:, 1]), beads[:, 0], bool(mirrored))
+    off2 = ((fit.xy_mm[:, None] - fit.target_mm) ** 2).sum(axis=2)
+    on_place = off2.min(axis=1) / fit.variance_mm2 < NEAR_M2
+    return Solution(xrii.view, tuple(ids[p] for p in beads[:, 1]), beads[:, 0], bool(mirrored), on_place)
