@@ -8,7 +8,7 @@ from calibration_scenes import EXACT, GAMMA, Camera, choose
 
 from sightline.calibration import calibrate
 from sightline.calibration.support import Support
-from sightline.detection.results import Observations
+from sightline.detection.results import Observations, Rejected
 from sightline.planning import plan
 from sightline.twin import bead_images
 
@@ -47,7 +47,8 @@ def test_whole_images_are_not_called_torn():
 
 
 def near(view, uv_px=POINT_PX) -> float:
-    used, shown = view.lines_of_sight(uv_px).beads_near[0]
+    used, hidden, shown = view.lines_of_sight(uv_px).beads_near[0]
+    assert hidden == 0  # nobody knows what else was detected
     return used / shown
 
 
@@ -78,23 +79,72 @@ def test_beads_that_touch_are_not_expected_nor_those_beyond_the_field():
     places = np.concatenate([grid, [[102.0, 109.0]]])  # its neighbour at (100, 100)
     used = np.ones(len(places), dtype=bool)
     used[-1] = False
-    support = Support.of(places, np.full(len(places), 6.0), used)
+    support = Support.of(places, np.full(len(places), 6.0), used, None)
     assert len(support.places_px) == 35
     outside = used.copy()
     outside[places[:, 0] > 220.0] = False  # the field ends before the last column
-    cut = Support.of(places, np.full(len(places), 6.0), outside)
-    used_near, shown = cut.near(np.array([[190.0, 120.0]]))[0]
+    cut = Support.of(places, np.full(len(places), 6.0), outside, None)
+    used_near, _, shown = cut.near(np.array([[190.0, 120.0]]))[0]
     assert used_near == shown
-    used_near, shown = cut.near(np.array([[275.0, 120.0]]))[0]  # a pick beyond it: the field does not end there
+    used_near, _, shown = cut.near(np.array([[275.0, 120.0]]))[0]  # a pick beyond it: the field does not end there
     assert used_near < shown
 
 
 def test_where_the_used_beads_span_nothing_all_count_as_missing():
     places = 50.0 * np.stack(np.meshgrid(np.arange(4), np.arange(4)), axis=-1).reshape(-1, 2)
     for count in (0, 1, 2):
-        support = Support.of(places, np.full(16, 6.0), np.arange(16) < count)
-        used, shown = support.near(np.array([[75.0, 75.0]]))[0]
+        support = Support.of(places, np.full(16, 6.0), np.arange(16) < count, None)
+        used, _, shown = support.near(np.array([[75.0, 75.0]]))[0]
         assert (used <= count, shown) == (True, 8)
+
+
+def rejected(uv_px: np.ndarray, by_px: tuple[float, float]) -> tuple[Rejected, ...]:
+    return tuple(Rejected(tuple(uv), 8.0, "no bead of the frame is expected there") for uv in (uv_px + by_px).tolist())
+
+
+def test_a_hidden_bead_contradicts_nothing_and_counts_half():
+    """Metal hides three of the eight beads about a point, or they were seen elsewhere and not labelled."""
+    whole = replace(Camera.pa().observe(GAMMA), rejected=())
+    order = np.argsort(np.linalg.norm(whole.uv_px - POINT_PX, axis=1))
+    gone = {whole.ids[k] for k in order[:3]}
+    hidden = choose(whole, lambda i: i not in gone)
+    assert calibrate(hidden, GAMMA).lines_of_sight(POINT_PX).beads_near[0].tolist() == [5, 3, 8]
+    strays = rejected(whole.uv_px[order[:3]], (25.0, 0.0))
+    for known, counts in ((strays, [5, 0, 8]), (strays[:1], [5, 2, 8]), (None, [5, 0, 8])):
+        view = calibrate(replace(hidden, rejected=known), GAMMA)
+        assert view.lines_of_sight(POINT_PX).beads_near[0].tolist() == counts
+    far = rejected(whole.uv_px[order[-3:]], (25.0, 0.0))
+    assert calibrate(replace(hidden, rejected=far), GAMMA).lines_of_sight(POINT_PX).beads_near[0].tolist() == [5, 3, 8]
+
+
+def test_what_is_left_of_two_touching_beads_is_no_stray():
+    grid = 50.0 * np.stack(np.meshgrid(np.arange(6), np.arange(6)), axis=-1).reshape(-1, 2)
+    places, stray = np.concatenate([grid, [[102.0, 109.0]]]), np.array([[101.0, 104.0]])
+    used = np.ones(len(places), dtype=bool)
+    used[[6 * 2 + 2, 6 * 2 + 3, len(grid)]] = False  # both of the pair, and a neighbour that is hidden
+    counts = Support.of(places, np.full(len(places), 6.0), used, stray).near(np.array([[125.0, 125.0]]))[0]
+    assert counts.tolist() == [7, 1, 8]
+
+
+@pytest.mark.parametrize(("by_mm", "hidden", "passes"), [(11, True, True), (18, True, False), (11, False, False)])
+def test_a_retractor_is_no_torn_strip(setup, frame, by_mm: int, hidden: bool, passes: bool):
+    """`by_mm`: half the width of what covers the beads about the entry point, or of the strip whose beads moved."""
+    views, uv = [], []
+    wire = np.array([[22.0, 14.0, -7.0], [-20.0, -24.0, 9.0]])
+    for name in ("pa", "lateral"):
+        ids, px = bead_images(setup, name, np.random.default_rng(13), 0.1)
+        ends = setup.views[name].project(wire)
+        uv.append(ends)
+        whole = Observations(name, tuple(ids), px, np.repeat(0.01 * np.eye(2)[None], len(ids), axis=0), rejected=())
+        covered = np.abs(px - ends[0]).max(axis=1) < by_mm / 0.15
+        gone = {i for i, one in zip(ids, covered, strict=True) if one}
+        seen = choose(whole, lambda i, gone=gone: i not in gone)
+        views.append(calibrate(seen if hidden else replace(seen, rejected=rejected(px[covered], (14.0, 0.0))), frame))
+    made = plan(views, np.array(uv)[:, 0], np.array(uv)[:, 1])
+    check = next(check for check in made.verdict.checks if check.name == "beads near")
+    assert check.passed is passes, check.sentence
+    if hidden:  # and the error that is stated without these beads is honest
+        assert np.linalg.norm(made.trajectory.entry_mm - wire[0]) < made.trajectory.entry_error_95_mm
 
 
 def test_a_plan_among_dropped_beads_is_no_go(setup, frame):

@@ -3,6 +3,7 @@
 from sightline.calibration.bead_view import BeadView
 from sightline.calibration.calibrate import calibrate
 from sightline.calibration.fit import fit_map
+from sightline.calibration.focal_length import CArm
 from sightline.calibration.matrix import MatrixView, view_from_matrix
 from sightline.calibration.residuals import Residuals
 from sightline.calibration.setup_aid import SetupAdvice, advise
@@ -10,6 +11,7 @@ from sightline.calibration.view import CalibratedView, LinesOfSight, PlaneMap
 
 __all__ = [
     "BeadView",
+    "CArm",
     "CalibratedView",
     "LinesOfSight",
     "MatrixView",

@@ -1,6 +1,6 @@
 """The beads of one view: what was seen of each, where it is, and how the frame may err there."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 
 import numpy as np
@@ -19,7 +19,8 @@ class Beads:
     """N beads of one view, in the order of the frame: XRII plate first.
 
     `uv_px` (N, 2); `covariance_px2` (N, 2, 2) or None where nothing is known of the noise; `xyz_mm` (N, 3) CFCS;
-    `on_xrii` (N,) bool; `rows` (N,): their places among the fiducials of the view.
+    `on_xrii` (N,) bool; `rows` (N,): their places among the fiducials of the view; `radius_px` (N,) of their shadows,
+    or None where these were not measured.
     """
 
     frame: Frame
@@ -30,6 +31,7 @@ class Beads:
     xyz_mm: np.ndarray
     on_xrii: np.ndarray
     rows: np.ndarray
+    radius_px: np.ndarray | None = None
 
     def __len__(self) -> int:
         return len(self.ids)
@@ -45,8 +47,15 @@ class Beads:
             return self
         noise = None if self.covariance_px2 is None else self.covariance_px2[keep]
         ids = tuple(i for i, k in zip(self.ids, keep, strict=True) if k)
-        return Beads(
-            self.frame, self.view, ids, self.uv_px[keep], noise, self.xyz_mm[keep], self.on_xrii[keep], self.rows[keep]
+        return replace(
+            self,
+            ids=ids,
+            uv_px=self.uv_px[keep],
+            covariance_px2=noise,
+            xyz_mm=self.xyz_mm[keep],
+            on_xrii=self.on_xrii[keep],
+            rows=self.rows[keep],
+            radius_px=None if self.radius_px is None else self.radius_px[keep],
         )
 
     def frame_factor(self) -> np.ndarray:
@@ -93,7 +102,8 @@ def match(observations: Observations, frame: Frame, view: str | None) -> Beads:
     xyz = np.concatenate([frame_view.xrii.xyz_mm, frame_view.source.xyz_mm])[rows]
     ids = tuple(observations.ids[k] for k in order)
     on_xrii = rows < len(frame_view.xrii.fiducials)
-    beads = Beads(frame, observations.view, ids, observations.uv_px[order], noise, xyz, on_xrii, rows)
+    radius = None if observations.radius_px is None else observations.radius_px[order]
+    beads = Beads(frame, observations.view, ids, observations.uv_px[order], noise, xyz, on_xrii, rows, radius)
     for mine, plate, name in ((on_xrii, frame_view.xrii, "XRII"), (~on_xrii, frame_view.source, "source")):
         _refuse_unusable(beads.uv_px[mine], xyz[mine], plate, name)
     return beads

@@ -59,17 +59,32 @@ def noise_checks(fit: JointFit) -> list[Check]:
     return [Check("chi-square", figure <= limit, figure, limit, "", sentence)]
 
 
-def handedness_check(mirrored: bool, display: bool) -> Check:
-    """Whether the beads and a person agree that the image is mirrored."""
-    words = {True: "a mirror image", False: "not mirrored"}
-    sentence = f"The display is {words[display]} as was said, and by the frame file's beads it is {words[mirrored]}"
-    sentence += (
-        "."
-        if mirrored == display
-        else ": the frame file describes the mirror image of the frame. Correct its axes to a right-handed system, and "
-        "run 'sightline frame check --before' with the file before it."
-    )
-    return Check("frame handedness", mirrored == display, None, None, "", sentence)
+def handedness_check(upright: bool, mirrored_display: bool | None) -> Check:
+    """Whether the frame file describes the frame, and not its mirror image.
+
+    `upright`: an image shows the beads as the file has them, once a mirrored display is allowed for;
+    `mirrored_display`: what a person said of it, None where nobody was asked.
+    """
+    if mirrored_display is None:
+        sentence = (
+            "An image shows the frame as its file describes it, not as a mirror image."
+            if upright
+            else "Every image shows the mirror image of the frame file: either the displays are mirrored, or the file "
+            "is left-handed and every point is wrong. Look at writing in the images. If it is mirrored, confirm that: "
+            "mirrored_display=True of calibrate, --mirrored on the command line, in the app on the step Images. If "
+            "not, correct the frame file."
+        )
+    else:
+        display = "mirrored" if mirrored_display else "not mirrored"
+        sentence = f"The display is {display}, as was said, and the image of the beads agrees"
+        if not upright:
+            sentence = (
+                f"The display is {display}, as was said, and the image of the beads contradicts it: the frame file "
+                "describes the mirror image of the frame. Correct its axes to a right-handed system, and run "
+                "'sightline frame check --before' with the file before it"
+            )
+        sentence += "."
+    return Check("frame handedness", upright, None, None, "", sentence)
 
 
 def row_check(fit: JointFit) -> Check:

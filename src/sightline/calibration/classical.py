@@ -1,9 +1,10 @@
 """The paper's chain (sections 4.3 and 4.4): a map for each plate, then the focal point from lines through both.
 
 Its errors: beads' noise and frame errors are carried through the same linear algebra. What the maps themselves get
-wrong is judged by leave-one-out residuals: their variance beyond the noise, correlated over `MISFIT_REACH` of the
-region, is taken to hold everywhere. That is a rule of thumb, not a model, and too cautious: a bead that is left out
-leaves a gap twice as wide as those between beads. The check "map misfit" says so.
+wrong is seen where they differ from the smooth fit of both plates by more than the beads' noise: that variance, about
+each line of sight, correlated over `MISFIT_REACH` of the region. Where beads are too few for the smooth fit, it is
+judged by leave-one-out residuals, and too large: a bead that is left out leaves a gap twice as wide as those between
+beads. The check "map misfit" says which.
 """
 
 from collections.abc import Callable
@@ -15,6 +16,7 @@ import numpy as np
 from sightline.calibration.beads import Beads
 from sightline.calibration.focal_point import focal_point, focal_point_response
 from sightline.calibration.hull import Hull
+from sightline.calibration.joint import JointFit
 from sightline.calibration.posterior import LineErrors
 from sightline.calibration.projection import Pencil, refuse_misplaced
 from sightline.calibration.residuals import Residuals
@@ -25,6 +27,7 @@ from sightline.geometry.planes import Plane
 PlateName = Literal["xrii", "source"]
 # Length of correlation of a map's misfit, in hull radii [ours]: about three spacings of 7 x 7 beads.
 MISFIT_REACH = 0.5
+PROBES = 12  # a side, of the square about a plate's hull where its map is compared with the smooth one [ours]
 
 
 class LinearMap(PlaneMap, Protocol):
@@ -49,10 +52,11 @@ class PlateFit:
     leave_one_out_mm: np.ndarray
     predicted: np.ndarray
     noise_mm2: np.ndarray
+    probes: "Probes | None"
 
     @staticmethod
-    def of(plane: Plane, beads: Beads, fit: Fitter, noise_px: float | None) -> "PlateFit":
-        """`noise_px` replaces the covariance that the beads lack."""
+    def of(plane: Plane, beads: Beads, fit: Fitter, noise_px: float | None, joint: JointFit | None) -> "PlateFit":
+        """`noise_px` replaces the covariance that the beads lack. `joint`: the smooth fit of both plates, if any."""
         xy = plane.to_plane(beads.xyz_mm)
         plane_map = fit(beads.uv_px, xy)
         error, predicted = np.zeros_like(xy), np.zeros(len(xy), dtype=bool)
@@ -69,19 +73,65 @@ class PlateFit:
         )
         assert covariance is not None  # noqa: S101 - the caller states noise_px where the beads lack it
         noise = slopes @ covariance @ np.swapaxes(slopes, 1, 2)
-        return PlateFit(plane, beads, plane_map, Hull.of(beads.uv_px), error, predicted, noise)
+        hull = Hull.of(beads.uv_px)
+        probes = None if joint is None else Probes.of(plane, plane_map, noise, hull, joint)
+        return PlateFit(plane, beads, plane_map, hull, error, predicted, noise, probes)
 
     @property
     def misfit_mm2(self) -> float:
-        """Variance per axis of what leave-one-out shows beyond the noise."""
+        """Variance per axis, in the mean over the plate, of what the map gets wrong beyond the noise."""
+        if self.probes is not None:
+            return float(self.probes.misfit_mm2.mean())
         seen = self.leave_one_out_mm[self.predicted]
         noise = 0.5 * float(np.trace(self.noise_mm2.mean(axis=0)))
         return max(float(np.mean(seen**2)) - 1.5 * noise, 0.0) if len(seen) else 0.0
 
     def misfit(self, a_px: np.ndarray, b_px: np.ndarray) -> np.ndarray:
         """(2N, 2M) covariance of the map's misfit at pixels (N, 2) and (M, 2)."""
+        alike = np.exp(-0.5 * self._apart2(a_px, b_px))
+        return np.kron(self._misfit_sd(a_px)[:, None] * alike * self._misfit_sd(b_px), np.eye(2))
+
+    def _misfit_sd(self, uv_px: np.ndarray) -> np.ndarray:
+        """(N,) mm per axis, at pixels (N, 2): of the probes about each."""
+        if self.probes is None:
+            return np.full(len(uv_px), np.sqrt(self.misfit_mm2))
+        weights = np.exp(-0.5 * self._apart2(uv_px, self.probes.uv_px))
+        return np.sqrt(weights @ self.probes.misfit_mm2 / weights.sum(axis=1))
+
+    def _apart2(self, a_px: np.ndarray, b_px: np.ndarray) -> np.ndarray:
+        """(N, M) squared distances of pixels, in lengths of correlation."""
         gap = (a_px[:, None] - b_px[None]) / (MISFIT_REACH * self.hull.radius_px)
-        return np.kron(self.misfit_mm2 * np.exp(-0.5 * (gap**2).sum(axis=-1)), np.eye(2))
+        return (gap**2).sum(axis=-1)
+
+
+@dataclass(frozen=True, eq=False)
+class Probes:
+    """Pixels `uv_px` (M, 2) all over a plate's hull, and what the plate's map gets wrong there: `misfit_mm2` (M,),
+    variance per axis beyond the noise, by the smooth fit of both plates."""
+
+    uv_px: np.ndarray
+    misfit_mm2: np.ndarray
+
+    @staticmethod
+    def of(plane: Plane, plane_map: LinearMap, noise_mm2: np.ndarray, hull: Hull, joint: JointFit) -> "Probes | None":
+        """None where the map is defined at none of them.
+
+        Given the beads, the map's squared error is that of its difference from the smooth one, and the variance that
+        this states of itself; what the beads' noise takes of it is counted by the map's own weights already.
+        """
+        low, high = hull.corners_px.min(axis=0), hull.corners_px.max(axis=0)
+        sides = [np.linspace(a, b, PROBES + 2)[1:-1] for a, b in zip(low, high, strict=True)]
+        grid = np.stack(np.meshgrid(*sides), axis=-1).reshape(-1, 2)
+        uv = grid[_defined(plane_map, hull, grid)]
+        if not len(uv):
+            return None
+        own = np.trace(noise_mm2, axis1=1, axis2=2) / 2
+        noise = plane_map.weights(uv) ** 2 @ own
+        errors = joint.line_errors(uv)
+        smooth = (errors.noise + errors.misfit).diagonal()[3:].reshape(-1, 2).mean(axis=1)
+        seen = joint.beads.plane.to_space(joint.map.to_plane(uv))
+        off = plane_map.to_plane(uv) - plane.central_projection(joint.pencil.focal_point_mm, seen)
+        return Probes(uv, np.maximum((off**2).mean(axis=1) + smooth - noise, 0.0))
 
 
 def _inward(uv_px: np.ndarray) -> np.ndarray:
@@ -161,11 +211,14 @@ class ClassicalFit:
         return -by_bead.reshape(len(taught), -1) @ factor
 
 
-def fit_plates(beads: Beads, fit: Fitter, through: PlateName, noise_px: float | None) -> ClassicalFit:
-    """The chain for a method's map. Raises CalibrationRefusedError."""
+def fit_plates(
+    beads: Beads, fit: Fitter, through: PlateName, noise_px: float | None, joint: JointFit | None
+) -> ClassicalFit:
+    """The chain for a method's map. `joint`: the smooth fit of the same beads, if any. Raises
+    CalibrationRefusedError."""
     view = beads.frame.view(beads.view)
-    xrii = PlateFit.of(view.xrii.plane, beads.where(beads.on_xrii), fit, noise_px)
-    source = PlateFit.of(view.source.plane, beads.where(~beads.on_xrii), fit, noise_px)
+    xrii = PlateFit.of(view.xrii.plane, beads.where(beads.on_xrii), fit, noise_px, joint)
+    source = PlateFit.of(view.source.plane, beads.where(~beads.on_xrii), fit, noise_px, joint)
     lines = np.flatnonzero(_mapped(source, xrii.beads.uv_px))
     from_mm = xrii.beads.xyz_mm[lines]
     to_mm = source.plane.to_space(source.map.to_plane(xrii.beads.uv_px[lines]))
@@ -176,10 +229,15 @@ def fit_plates(beads: Beads, fit: Fitter, through: PlateName, noise_px: float | 
 
 def _mapped(plate: PlateFit, uv_px: np.ndarray) -> np.ndarray:
     """(N,) bool: pixels inside the plate's hull, where its map interpolates."""
-    inside = plate.hull.contains(uv_px)
+    return _defined(plate.map, plate.hull, uv_px)
+
+
+def _defined(plane_map: PlaneMap, hull: Hull, uv_px: np.ndarray) -> np.ndarray:
+    """(N,) bool: pixels inside a hull, where the map interpolates."""
+    inside = hull.contains(uv_px)
     for k in np.flatnonzero(inside):
         try:
-            plate.map.to_plane(uv_px[k : k + 1])
+            plane_map.to_plane(uv_px[k : k + 1])
         except OutsideRegionError:
             inside[k] = False
     return inside

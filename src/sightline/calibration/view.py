@@ -50,8 +50,8 @@ class LinesOfSight:
     that knows no frame; views with different keys are not combined.
     `inside_hull` (N,) bool: within the hull of the beads. `upright`: whether the image shows the frame file's beads as
     the X-ray source sees them, or as a display does that a person said is mirrored; None without a frame.
-    `beads_near` (N, 2) int: of the frame's beads nearest to each pixel, how many the view rests on, and how many the
-    image should show; None without a frame.
+    `beads_near` (N, 3) int: of the frame's beads nearest to each pixel, how many the view rests on, how many something
+    seems to hide, and how many the image should show (`Support`); None without a frame.
     """
 
     view: str

@@ -9,6 +9,7 @@ import numpy as np
 from sightline.calibration.view import CalibratedView
 from sightline.checks import Check
 from sightline.errors import OutsideRegionError, ReconstructionRefusedError, SightlineError, UnusableInputError
+from sightline.geometry.covariance import response
 from sightline.geometry.lines import nearest_approach
 from sightline.planning.aids import Aids, Circle
 from sightline.planning.axis import Axis, find_axis
@@ -16,7 +17,7 @@ from sightline.planning.directions import caudal
 from sightline.planning.head import Sphere, find_head
 from sightline.planning.picks import Pick, stack
 from sightline.planning.reconstruct import Method, solve
-from sightline.planning.sights import Drawn, Sights, response
+from sightline.planning.sights import Drawn, Sights
 
 NOT_PLACED = {
     "head": "the head is not drawn: draw a circle over it in both images",

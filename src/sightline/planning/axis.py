@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from sightline.errors import ReconstructionRefusedError
-from sightline.geometry.covariance import line_direction
-from sightline.planning.sights import Sights, response
+from sightline.geometry.covariance import line_direction, response
+from sightline.planning.sights import Sights
 from sightline.planning.trajectory import SHORTEST_MM
 
 # Two planes that meet at less make the axis's error six times that of the planes [ours].

@@ -10,9 +10,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from sightline.errors import ReconstructionRefusedError
+from sightline.geometry.covariance import response
 from sightline.planning.anatomy import Anatomy
 from sightline.planning.directions import ANTERIOR, MEDIAL, caudal, towards
-from sightline.planning.sights import response
 
 # A wire that passes the head's centre by more of the radius leaves it at a glance [ours].
 _GRAZES = 0.95

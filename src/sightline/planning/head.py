@@ -13,10 +13,10 @@ from scipy.linalg import block_diag
 from sightline.calibration.view import CalibratedView
 from sightline.checks import Check
 from sightline.errors import ReconstructionRefusedError
-from sightline.geometry.covariance import ellipsoid_factor
+from sightline.geometry.covariance import ellipsoid_factor, response
 from sightline.geometry.lines import nearest_approach
 from sightline.planning.aids import Circle
-from sightline.planning.sights import Sights, response
+from sightline.planning.sights import Sights
 
 # Radii between which a sphere may be a femoral head; adults have 20 to 26 mm (physics.md, Femur) [ours].
 RADII_MM = (14.0, 35.0)

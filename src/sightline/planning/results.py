@@ -6,16 +6,19 @@ from typing import Literal
 
 import numpy as np
 
+from sightline.calibration.checks import handedness_check
 from sightline.checks import Check, failed
 from sightline.errors import ErrorUnknownError
+from sightline.geometry.covariance import TWO_SIDED_999
 
 State = Literal["go", "no-go", "incomplete"]
 # Where the error of a point comes from; their covariances add up to the whole.
 BUDGET = ("beads", "map", "focal_point", "frame", "picks")
 # A gap of this many standard deviations happens once in a thousand honest pairs of picks [ours].
-LARGEST_GAP_SIGMA = 3.29
+LARGEST_GAP_SIGMA = TWO_SIDED_999
 # Share of the eight beads about a point that its view must rest on: in 20 whole images of the twin 0.88 or more, in the
-# middle of a strip of 16 dropped beads 0.62 or less [twin].
+# middle of a strip of 16 dropped beads 0.62 or less [twin]. A hidden bead counts half: nothing contradicts the map
+# there, and nothing confirms it; so three of eight must be used [ours].
 LEAST_BEADS_NEAR = 0.7
 
 
@@ -42,7 +45,7 @@ class SpacePoints:
     frame, so their errors are correlated. `budget_mm2`: the same, for each of BUDGET. `inside_hull` (N,): within the
     beads' hull in both views. `upright`: whether a view shows the frame file's beads not mirrored
     (`LinesOfSight.upright`); None where no view says so. `beads_near`: for each view of the frame
-    `LinesOfSight.beads_near` of the points, (N, 2).
+    `LinesOfSight.beads_near` of the points, (N, 3).
     """
 
     xyz_mm: np.ndarray
@@ -105,15 +108,15 @@ class SpacePoints:
         if not self.beads_near:
             return ()
         shares = {
-            (view, name): (int(used), int(shown))
+            (view, name): (int(used), int(hidden), int(shown))
             for view, counts in self.beads_near.items()
-            for name, (used, shown) in zip(names, counts, strict=True)
+            for name, (used, hidden, shown) in zip(names, counts, strict=True)
         }
         return (_beads_near(shares),)
 
     def frame_checks(self) -> tuple[Check, ...]:
         """Is the frame file the frame, and not its mirror image? One upright image shows it."""
-        return () if self.upright is None else (_handedness(self.upright),)
+        return () if self.upright is None else (handedness_check(self.upright, None),)
 
     def gap_checks(self, names: Sequence[str]) -> tuple[Check, ...]:
         """One for each of the points, called by these names, whose gap was tested."""
@@ -147,23 +150,14 @@ def error_known(points: SpacePoints) -> Check:
     return Check("error known", known, None, None, "", sentence)
 
 
-def _handedness(upright: bool) -> Check:
-    sentence = (
-        "An image shows the frame as its file describes it, not as a mirror image."
-        if upright
-        else "Every image shows the mirror image of the frame file: either the displays are mirrored, or the file is "
-        "left-handed and every point is wrong. Look at writing in the images. If it is mirrored, confirm that: "
-        "mirrored_display=True of calibrate, --mirrored on the command line. If not, correct the frame file."
-    )
-    return Check("frame handedness", upright, None, None, "", sentence)
-
-
-def _beads_near(shares: dict[tuple[str, str], tuple[int, int]]) -> Check:
-    """`shares`: by view and point, how many beads are used of those that should be seen."""
-    (view, name), (used, shown) = min(shares.items(), key=lambda entry: entry[1][0] / max(entry[1][1], 1))
-    figure = used / max(shown, 1)
+def _beads_near(counts: dict[tuple[str, str], tuple[int, int, int]]) -> Check:
+    """`counts`: by view and point, how many beads are used, and how many hidden, of those that should be seen."""
+    shares = {place: (used + hidden / 2) / max(shown, 1) for place, (used, hidden, shown) in counts.items()}
+    view, name = min(shares, key=lambda place: shares[place])
+    (used, hidden, shown), figure = counts[view, name], shares[view, name]
     passed = figure >= LEAST_BEADS_NEAR
     sentence = f"Of the {shown} beads that the {view} image should show nearest to {name}, {used} are used"
+    sentence += f" and {hidden} hidden" if hidden else ""
     sentence += (
         "."
         if passed

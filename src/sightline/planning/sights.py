@@ -4,15 +4,13 @@ What two drawings have in common, the focal points, the maps, the frame, is so c
 them together.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from sightline.calibration.view import CalibratedView, LinesOfSight
 from sightline.planning.residuals import refuse_two_frames
-
-_STEP_MM = 1e-3  # of a central difference: its error is that of the third derivative, below 1e-9 here [calc]
 
 # Of one drawing in one view: pixels (M, 2) and their covariance (2M, 2M).
 Drawn = tuple[np.ndarray, np.ndarray]
@@ -91,11 +89,3 @@ class Sights:
                 out.append((z[:, None, start : start + 3], one.plane.to_space(xy)))
                 start += 3 + 2 * count
         return out
-
-
-def response(function: Callable[[np.ndarray], np.ndarray], at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Value (m,) and derivative (m, n) at n numbers of a function that takes (K, n) to (K, m)."""
-    steps = _STEP_MM * np.eye(len(at))
-    values = function(np.concatenate([at[None], at + steps, at - steps]))
-    up, down = values[1 : len(at) + 1], values[len(at) + 1 :]
-    return values[0], (up - down).T / (2 * _STEP_MM)
