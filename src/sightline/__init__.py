@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from sightline.calibration import CalibratedView as CalibratedView
+    from sightline.calibration import CArm as CArm
     from sightline.calibration import calibrate as calibrate
     from sightline.calibration import fit_map as fit_map
     from sightline.calibration import view_from_matrix as view_from_matrix
@@ -26,6 +27,7 @@ __version__ = "0.1.0"
 
 # The promised face, imported on first use: `sightline --help` must not wait for numba.
 _HOMES = {
+    "CArm": "calibration",
     "CalibratedView": "calibration",
     "Detections": "detection",
     "Frame": "frame",
@@ -59,6 +61,7 @@ __all__ = [  # noqa: RUF022 - the order a reader meets them in
     "Detections",
     "Observations",
     "CalibratedView",
+    "CArm",
     "SpacePoints",
     "Trajectory",
     "SightlineError",

@@ -4,6 +4,7 @@
 # A case records it with each entry; entries without one are of version 1.
 CHANGES = {
     2: "the scatter under a ball follows the background's slope; a plan can be incomplete, and says what is missing",
+    3: "labelling lists what it rejects; a view is checked by its balls' sizes and by the C-arm's distance",
 }
 FIRST = 1
 ESTIMATOR = max(CHANGES)

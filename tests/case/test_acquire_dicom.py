@@ -85,7 +85,8 @@ def scene(tmp_path: Path) -> Iterator[Scene]:
     news: list[News] = []
     with Case.create(tmp_path / "case") as case:
         acquirer = Acquirer(case)
-        with DicomReceiver(acquirer, [PEER], news.append, port=0, limits=LIMITS, idle_s=2.0) as receiver:
+        receiver = DicomReceiver([PEER], port=0, limits=LIMITS, idle_s=2.0)
+        with receiver, receiver.receiving(acquirer, news.append):
             yield Scene(receiver, case, news)
 
 
@@ -161,7 +162,7 @@ def test_an_unknown_address_is_not_even_read(tmp_path: Path) -> None:
     news: list[News] = []
     with Case.create(tmp_path / "case") as case:
         elsewhere = Peer("CARM", frozenset({"192.0.2.7"}))
-        with DicomReceiver(Acquirer(case), [elsewhere], news.append, port=0) as receiver:
+        with DicomReceiver([elsewhere], port=0) as receiver, receiver.receiving(Acquirer(case), news.append):
             scene = Scene(receiver, case, news)
             assert scene.raw(b"\x01") == b""
             assert scene.told("no known peer's address")
@@ -264,15 +265,14 @@ def test_a_peer_that_never_ends_its_association_is_let_go(scene: Scene, dataset)
     assert scene.store(dataset(0)) == 0
 
 
-def test_what_cannot_work_is_refused(tmp_path: Path, scene: Scene) -> None:
-    acquirer = Acquirer(scene.case)
+def test_what_cannot_work_is_refused(scene: Scene) -> None:
     with pytest.raises(UnusableInputError, match="at least one peer"):
-        DicomReceiver(acquirer, [], scene.news.append)
+        DicomReceiver([])
     with pytest.raises(UnusableInputError, match="AE title"):
-        DicomReceiver(acquirer, [PEER], scene.news.append, aet="much too long for a title")
+        DicomReceiver([PEER], aet="much too long for a title")
     for text in ("CARM", "@host", "a\\b@127.0.0.1", "CARM@", "CARM@no.such.host.invalid"):
         with pytest.raises(UnusableInputError):
             Peer.parse(text)
-    receiver = DicomReceiver(acquirer, [PEER], scene.news.append, port=scene.receiver.port)
+    receiver = DicomReceiver([PEER], port=scene.receiver.port)
     with pytest.raises(LinkError, match="cannot listen"), receiver:
         pass

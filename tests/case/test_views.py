@@ -6,11 +6,13 @@ import numpy as np
 import pytest
 
 from sightline.atomic import write_folder
+from sightline.calibration import CArm
 from sightline.case.comparison import Compared
 from sightline.case.documents import view_document
-from sightline.case.views import see_pair
+from sightline.case.views import calibrate_pair, known_arm, see_pair
 from sightline.detection.files import write_observations
 from sightline.errors import ObservationsError, UnusableInputError
+from sightline.imaging import GeometryTags, Radiograph
 
 
 @pytest.fixture
@@ -51,6 +53,29 @@ def test_a_view_as_json_holds_every_bead(report) -> None:
     assert document["view"] == "pa"
     assert [b["id"] for b in document["beads"]] == list(report.images[0].view.residuals.ids)
     assert 0.0 < document["residual_rms_mm"] < document["leave_one_out_rms_mm"]
+
+
+def test_what_is_given_of_the_c_arm_comes_before_what_a_file_says() -> None:
+    pixels = np.zeros((32, 32), np.uint8)
+
+    def image(distance, spacing) -> Radiograph:
+        tags = GeometryTags(source_detector_mm=distance, imager_pixel_spacing_mm=spacing)
+        return Radiograph(pixels, 255.0, tags)
+
+    assert known_arm(image(1000.0, (0.2, 0.2))) == CArm(1000.0, 0.2)
+    assert known_arm(image(1000.0, (0.2, 0.2)), 980.0, 0.4) == CArm(980.0, 0.4)
+    assert known_arm(image(1000.0, None)) == CArm(1000.0)
+    assert known_arm(image(None, (0.2, 0.2)), 980.0) == CArm(980.0, 0.2)
+    assert known_arm(image(1000.0, (0.2, 0.3))) == CArm(1000.0)  # no one focal length belongs to it
+    assert known_arm(image(None, (0.2, 0.2))) is None
+    assert known_arm(None, 980.0) == CArm(980.0)
+
+
+def test_both_views_are_held_against_the_c_arm(pair, frame) -> None:
+    for distance, passes in ((1000.0, True), (800.0, False)):
+        for image in calibrate_pair(pair, frame, "smooth", source_detector_mm=distance):
+            assert image.view.c_arm == CArm(distance)
+            assert [c.passed for c in image.view.checks if c.name == "source distance"] == [passes]
 
 
 def test_a_folder_that_cannot_be_made_is_said(tmp_path: Path) -> None:

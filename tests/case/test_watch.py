@@ -46,7 +46,7 @@ def trajectory() -> Trajectory:
 
 def seen_by(eye: Eye, images: list[Radiograph]) -> list[Watched]:
     start = time.time()
-    return [eye.look(Still(one, start + k / 30), k + 1, 0) for k, one in enumerate(images)]
+    return [eye.look(Still(one, start + k / 30), time.monotonic(), k + 1, 0) for k, one in enumerate(images)]
 
 
 @cache
@@ -68,12 +68,22 @@ def test_the_first_image_is_searched_and_the_others_are_tracked(settled) -> None
     assert settled[1][1].reason == ""
 
 
+def test_a_source_that_shows_balls_bright_is_followed_inverted(settled) -> None:
+    white = int(shown().white)
+    bright = [Radiograph(white - shown(0.0, k).pixels, white) for k in range(NOISES)]
+    watched = seen_by(Eye(FRAME, None, ()), bright)
+    assert [one.state for one in watched] == [State.SEARCHING] + [State.TRACKING] * (NOISES - 1)
+    for one, upright in zip(watched, settled[1], strict=False):
+        assert one.view is not None and upright.view is not None
+        np.testing.assert_array_equal(one.view.focal_point_mm, upright.view.focal_point_mm)
+
+
 def test_the_plan_is_drawn_where_the_view_has_it(settled) -> None:
     last = settled[1][-1]
     ends = last.corridor.uv_px[[0, -1]]
     assert ends == pytest.approx(last.view.project(ENTRY_END_MM), abs=0.01)
     assert 0.05 < last.error_95_mm < 2.0
-    assert Eye(FRAME, None, ()).look(Still(shown(), time.time()), 1, 0).corridor is None
+    assert Eye(FRAME, None, ()).look(Still(shown(), time.time()), time.monotonic(), 1, 0).corridor is None
 
 
 def test_a_jump_is_searched_for_and_lost_images_are_said() -> None:
@@ -153,12 +163,26 @@ def test_the_limit_keeps_both_promises_at_the_most_noise_it_takes(targets: int) 
 
 def test_a_late_image_is_stale_and_has_no_overlay(settled) -> None:
     last = settled[1][-1]
-    fresh, late = aged(last, last.stamped_s + 0.15), aged(last, last.stamped_s + 0.25)
+    fresh, late = aged(last, last.came_s + 0.15), aged(last, last.came_s + 0.25)
     assert (fresh.stale, late.stale) == (False, True)
     assert fresh.corridor is not None
     assert late.corridor is None
     assert late.age_s == pytest.approx(0.25)
-    assert aged(last, last.stamped_s - 5.0).age_s == 0.0  # a clock that was set back
+
+
+def test_an_image_grows_old_though_the_clock_is_set_back(settled, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A C-arm that shows nothing new: its last image must not look as new as ever."""
+    source = Burst(1)
+    with Watch(FRAME, source) as watch:
+        came_s = watch.next(0, 30).came_s
+        monkeypatch.setattr(time, "time", lambda: 0.0)
+        monkeypatch.setattr(time, "monotonic", lambda: came_s + 60.0)
+        assert watch.latest().stale
+        assert watch.latest().age_s == pytest.approx(60.0)
+        eye = Eye(FRAME, None, ())
+        assert eye.look(Still(shown(), 3600.0), came_s + 59.0, 1, 0).latency_s == pytest.approx(1.0)
+        monkeypatch.undo()
+        source.go_on.set()
 
 
 class Burst:

@@ -2,6 +2,7 @@
 
 import os
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -70,6 +71,14 @@ def test_what_cannot_be_used_is_said(run, tmp_path: Path) -> None:
     (tmp_path / "in").mkdir()
     (tmp_path / "in" / "bad").write_bytes(b"x")
     assert run("acquire", "folder", tmp_path / "in", *into).code == 2
+
+
+def test_no_case_is_made_where_the_port_is_taken(run, tmp_path: Path) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        ran = run("acquire", "dicom", "--peer", "CARM@127.0.0.1", "--port", port, "--case", tmp_path / "case")
+    assert ran.code == 2 and "cannot listen" in ran.err
+    assert not (tmp_path / "case").exists()
 
 
 def test_what_a_killed_program_left_of_a_case_is_gone_on_with(run, tmp_path: Path) -> None:

@@ -1,6 +1,8 @@
 """What all commands share: help, version, one JSON document, exit codes, no traceback."""
 
+import errno
 import json
+import os
 import re
 import subprocess
 import sys
@@ -148,6 +150,22 @@ def test_a_failed_check_is_exit_code_3_with_the_result_still_printed(machine: bo
     else:
         assert "FAIL" in result.stdout
         assert "not measured" in result.stdout
+
+
+@pytest.mark.parametrize(
+    ("number", "says", "code"),
+    [(errno.ENOSPC, "the disk refuses", 2), (errno.EROFS, "the disk refuses", 2), (errno.ECONNREFUSED, "a bug", 1)],
+)
+def test_a_disk_that_refuses_is_no_bug(number: int, says: str, code: int) -> None:
+    """Nor is its file named: names hold patients' names."""
+
+    def body(_: Output) -> None:
+        raise OSError(number, os.strerror(number), "/mnt/doe-john.dcm")
+
+    result = invoke(body)
+    assert result.exit_code == code
+    assert says in result.stderr and "doe" not in result.stderr
+    assert len(result.stderr.splitlines()) == 1
 
 
 def test_a_value_that_is_not_finite_is_a_bug_not_a_document() -> None:

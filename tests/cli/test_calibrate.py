@@ -116,3 +116,20 @@ def test_detections_without_names_calibrate_like_their_image(run, pair, tmp_path
     apart = np.subtract(ran.document["focal_point_mm"], of_image.document["focal_point_mm"])
     assert np.abs(apart).max() < 10.0  # the image is looked at again for beads that were missed; the file is not
     assert run("calibrate", beads, "--frame-index", "0").code == 2
+
+
+@pytest.mark.parametrize(
+    ("options", "failing"),
+    [
+        (["--sid", "1000"], []),
+        (["--sid", "1000", "--pixel", "0.21"], []),
+        (["--sid", "700"], ["source distance"]),
+        (["--sid", "1000", "--pixel", "0.42"], ["focal length"]),
+    ],
+)
+def test_the_c_arms_distance_is_held_against_the_view(run, beads_csv: Path, options, failing) -> None:
+    ran = run("calibrate", beads_csv, "--view", "pa", *options, "--json")
+    assert ran.code == (3 if failing else 0)
+    assert [check["name"] for check in ran.document["checks"] if not check["passed"]] == failing
+    made = {check["name"] for check in ran.document["checks"]}
+    assert ("focal length" in made) == ("--pixel" in options)

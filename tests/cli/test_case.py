@@ -13,9 +13,11 @@ from sightline.case import recompute, stages
 from sightline.case.contents import Asked
 from sightline.case.journal import Actor, Case, Kind
 from sightline.case.recompute import Recomputed
-from sightline.case.views import calibrate_pair, see_pair
+from sightline.case.views import NAMES, calibrate_pair, see_pair
 from sightline.errors import CaseError
 from sightline.estimator import ESTIMATOR
+from sightline.imaging import write_dicom
+from sightline.twin import draw_setup, hip_scene, render
 
 WIRE_MM = np.array([[31.3, 28.9, -9.7], [-30.1, -27.7, 8.3]])
 LANDMARKS_MM = np.array([[-21.3, -17.9, 4.4], [12.2, 30.1, -16.8]])
@@ -124,6 +126,24 @@ def test_results_are_made_again_from_their_entries(recorded: Path, setup) -> Non
     assert np.linalg.norm(plan.trajectory.points.xyz_mm - WIRE_MM, axis=1).max() < 1.0  # the frame's errors
 
 
+def test_a_view_held_against_its_c_arm_and_earlier_ones_is_computed_again_so(frame, tmp_path: Path) -> None:
+    """What a view was compared with stands in its entry; only a flat panel's is compared with earlier ones."""
+    rng = np.random.default_rng(10)
+    panel = draw_setup(rng, frame, chain="flat-panel")
+    scene = hip_scene(panel, rng).scene
+    pair = {name: write_dicom(render(panel, name, scene, rng), tmp_path / f"{name}.dcm") for name in NAMES}
+    images = calibrate_pair(see_pair(pair["pa"], pair["lateral"], frame), frame, "smooth", source_detector_mm=1000.0)
+    with Case.create(tmp_path / "case") as case:
+        ref = stages.keep_frame(case, frame)
+        first = stages.record_view(case, pair["pa"], images[0], frame_ref=ref, by=Actor.RECEIVER)
+        again = replace(images[0], view=images[0].view.steady_since([images[0].view]))
+        labelled = case.entry(first.rests_on[0])
+        later = stages.record_calibrated(case, labelled, again, by=Actor.RECEIVER, before=[first.number])
+        names = [check["name"] for check in later.content["checks"]]
+        assert names[-2:] == ["source distance", "focal length before"]
+        assert all(one.outcome == "same to the bit" for one in recompute.replay(case))
+
+
 def test_an_edited_entry_is_refused_with_the_reason(run, copied: Path) -> None:
     edit(copied, "UPDATE entries SET content = replace(content, 'smooth', 'Smooth') WHERE number = 4")
     ran = run("case", "check", copied)
@@ -174,6 +194,7 @@ def shift(by_mm: float):
         (1e-9, {"numpy": "1.0", **NOW}, "within tolerance, by other versions"),
         (0.1, {"numpy": "1.0", **NOW}, "differs"),
         (0.1, {"numpy": "1.0"}, f"estimates changed in {SINCE}"),
+        (3.0, {"numpy": "1.0"}, f"estimates changed by more than their stated error in {SINCE}"),
         (0.1, {"estimator": str(ESTIMATOR + 1)}, f"estimates changed in version {ESTIMATOR + 1}"),
         (1e-9, {"numpy": "1.0"}, "within tolerance, by other versions"),
     ],
@@ -193,13 +214,34 @@ def test_a_result_that_is_not_what_the_originals_give_is_noticed(
     assert difference["where"] == "trajectory.entry_mm[0]"
     assert difference["by"] == pytest.approx(by_mm, rel=1e-3)
     replayed = next(check for check in ran.document["checks"] if check["name"] == "case replay")
-    assert replayed["passed"] is (outcome != "differs")
+    assert replayed["passed"] is not (outcome == "differs" or "more than" in outcome)
     if versions and "numpy" in versions:
         assert any(change.startswith("numpy 1.0 -> ") for change in planned["versions"])
     if outcome.startswith("estimates"):
         assert planned["largest_change"]["mm"]["by"] == pytest.approx(by_mm)
         assert planned["largest_change"]["px"] is None
-        assert "by at most 0.1 mm (entry 9, trajectory.entry_mm[0])" in replayed["sentence"]
+        told = (
+            "entry point by 3 mm, 95 % error stated"
+            if by_mm > 1
+            else "by at most 0.1 mm (entry 9, trajectory.entry_mm[0]"
+        )
+        assert told in replayed["sentence"]
+
+
+def test_a_bead_of_an_older_estimator_stays_within_its_stated_error(run, copied: Path) -> None:
+    def moved(by_sd: float):
+        def change(content) -> None:
+            content["uv_px"][0][0] += by_sd * content["covariance_px2"][0][0][0] ** 0.5
+
+        return change
+
+    forged(copied, 3, moved(1.0), {"numpy": "1.0"})
+    forged(copied, 7, moved(12.0), {"numpy": "1.0"})
+    ran = run("case", "replay", copied, "--json")
+    assert ran.code == 3
+    outcomes = {one["entry"]: one["outcome"] for one in ran.document["entries"]}
+    assert outcomes[3] == f"estimates changed in {SINCE}"
+    assert outcomes[7] == f"estimates changed by more than their stated error in {SINCE}"
 
 
 def test_an_image_is_no_estimate(run, copied: Path) -> None:

@@ -16,8 +16,11 @@ from tests.robot.rig import END_MM, IMAGED
 from tests.robot.scripted_robot import ScriptedRobot, serving
 from tests.robot.test_measured import measurements, true_robot
 
+from sightline.case.originals import called
+
 EXAMPLE = Path(__file__).parents[2] / "examples" / "plant_template.py"
 FRAME = {"name": "gamma", "serial": "SN-7", "beads": []}
+VIEWS = ("pa", "lateral")
 
 
 @pytest.fixture(scope="module")
@@ -39,8 +42,25 @@ def robot_file(calibrated, tmp_path) -> Path:
 
 
 @pytest.fixture
-def plan(tmp_path) -> Path:
-    return written(tmp_path / "plan.json", frame=FRAME)
+def images(tmp_path) -> dict[str, Path]:
+    """The file of each image, as it comes from the C-arm."""
+    return {view: image(tmp_path / f"{view}.npy", number) for number, view in enumerate(VIEWS)}
+
+
+def image(file: Path, number: int) -> Path:
+    """One that differs with its number."""
+    np.save(file, np.full((16, 16), number, dtype=np.uint8))
+    return file
+
+
+def views_of(images: dict[str, Path]) -> list[dict]:
+    """As plan.json names them."""
+    return [{"view": view, "source": called(file)} for view, file in images.items()]
+
+
+@pytest.fixture
+def plan(tmp_path, images) -> Path:
+    return written(tmp_path / "plan.json", frame=FRAME, views=views_of(images))
 
 
 def real_robot() -> ScriptedRobot:
@@ -49,17 +69,17 @@ def real_robot() -> ScriptedRobot:
     return robot
 
 
-def register(file: Path, address: str) -> None:
-    for view in ("pa", "lateral"):
-        done = run("register", file, address, "--view", view, say="y\n")
+def register(file: Path, address: str, images: dict[str, Path]) -> None:
+    for view in VIEWS:
+        done = run("register", file, address, "--view", view, "--image", images[view], say="y\n")
         assert done.exit_code == 0, done.output
 
 
-def test_calibrate_register_and_drive(robot_file, plan):
+def test_calibrate_register_and_drive(robot_file, plan, images):
     peer = real_robot()
     with serving(peer) as port:
         address = f"127.0.0.1:{port}"
-        register(robot_file, address)
+        register(robot_file, address, images)
         done = run("drive", plan, address, "--registration", robot_file, "--json", say="y\n" * 5)
         assert done.exit_code == 0, done.output
         assert np.allclose(json.loads(done.stdout.splitlines()[-1])["tip_mm"], END_MM, atol=0.01)
@@ -75,22 +95,22 @@ def test_calibrate_register_and_drive(robot_file, plan):
         assert run("drive", plan, address, "--registration", robot_file, "--yes").exit_code == 3
 
 
-def test_what_is_not_this_robot_s_is_refused(robot_file, plan, tmp_path):
+def test_what_is_not_this_robot_s_is_refused(robot_file, plan, images, tmp_path):
     peer = real_robot()
     with serving(peer) as port:
         address = f"127.0.0.1:{port}"
         done = run("drive", plan, address, "--registration", robot_file, say="y\n" * 5)
         assert done.exit_code == 3
         assert "pa and lateral image is missing" in done.stderr
-        done = run("register", robot_file, address, "--view", "pa", say="n\n")
+        done = run("register", robot_file, address, "--view", "pa", "--image", images["pa"], say="n\n")
         assert done.exit_code == 3
-        register(robot_file, address)
+        register(robot_file, address, images)
         for changed, why in (
             ({"side": "left"}, "side"),
             ({"frame": FRAME | {"serial": "SN-8"}}, "frame serial"),
             ({"frame": FRAME | {"serial": None}}, "frame serial"),
         ):
-            other = written(tmp_path / "other.json", **({"frame": FRAME} | changed))
+            other = written(tmp_path / "other.json", **({"frame": FRAME, "views": views_of(images)} | changed))
             done = run("drive", other, address, "--registration", robot_file, say="y\n" * 5)
             assert done.exit_code == 3
             assert why in done.stderr
@@ -106,11 +126,54 @@ def test_what_is_not_this_robot_s_is_refused(robot_file, plan, tmp_path):
     assert run("drive", plan, "127.0.0.1:1", "--registration", robot_file, "--frame-serial", "SN-7").exit_code == 2
 
 
-def test_a_robot_of_2013_is_told_once_and_asked_for(robot_file, plan):
+def test_a_plan_on_other_images_than_those_registered_is_refused(robot_file, plan, images, tmp_path):
+    """Where the robot stood at its images is not known, though side and frame are the same."""
+    peer = real_robot()
+    with serving(peer) as port:
+        address = f"127.0.0.1:{port}"
+        register(robot_file, address, images)
+        new = image(tmp_path / "new.npy", 2)
+        named, anew = views_of(images), {"view": "lateral", "source": called(new)}
+        for views in ([named[0], anew], [named[0]], [], [named[0], {**named[0], "view": "lateral"}]):
+            other = written(tmp_path / "other.json", frame=FRAME, views=views)
+            done = run("drive", other, address, "--registration", robot_file, say="y\n" * 5)
+            assert done.exit_code == 3
+            assert "plan on the images that were registered" in " ".join(done.stderr.split())
+        register(robot_file, address, images | {"lateral": new})
+        planned_anew = written(tmp_path / "new.json", frame=FRAME, views=[named[0], anew])
+        for planned, refused in ((plan, True), (planned_anew, False)):
+            done = run("drive", planned, address, "--registration", robot_file, say="n\n")
+            assert (done.exit_code == 3) is refused, done.output
+        assert "MOVE_TO_TARGET" not in peer.commands
+        for none in (tmp_path / "none.npy", plan):
+            done = run("register", robot_file, address, "--view", "pa", "--image", none, say="y\n")
+            assert done.exit_code == 2
+
+
+def test_a_plan_on_new_images_is_another_plan_for_the_robot(robot_file, plan, images, tmp_path):
+    """Ten minutes after the first its identifier has expired; that of the next, in a file of the same name, has not."""
+    peer = real_robot()
+    with serving(peer) as port:
+        address = f"127.0.0.1:{port}"
+        for number in range(2):
+            image(images["pa"], 10 + number)
+            register(robot_file, address, images)
+            written(plan, frame=FRAME, views=views_of(images))
+            for _ in range(2):  # sent again it is the same plan
+                done = run("drive", plan, address, "--registration", robot_file, say="n\n")
+                assert done.exit_code == 0, done.output
+    first, again, other, _ = peer.plans
+    assert first == again != other
+    assert first.startswith("plan-")
+
+
+def test_a_robot_of_2013_is_told_once_and_asked_for(robot_file, plan, images):
     peer = ScriptedRobot(ours=False, clients=1, steps=5)
     with serving(peer) as port:
         document = json.loads(robot_file.read_text())
-        document["images"] = {view: {"q": IMAGED.tolist(), "read_s": time.time()} for view in ("pa", "lateral")}
+        document["images"] = {
+            view: {"q": IMAGED.tolist(), "read_s": time.time(), "source": called(file)} for view, file in images.items()
+        }
         robot_file.write_text(json.dumps(document))
         done = run("drive", plan, f"127.0.0.1:{port}", "--registration", robot_file, say="y\n")
         assert done.exit_code == 0, done.output
@@ -129,10 +192,10 @@ def example(robot_file: Path) -> Iterator[str]:
         process.stdin.close()
 
 
-def test_the_plant_template_is_a_robot(robot_file):
+def test_the_plant_template_is_a_robot(robot_file, images):
     """It is registered and checked like any other."""
     with example(robot_file) as address:
-        register(robot_file, address)
+        register(robot_file, address, images)
         done = run("check", address, "--no-dry-run", "--json")
         assert done.exit_code == 0, done.output
         assert json.loads(robot_file.read_text())["images"]["pa"]["q"] == pytest.approx(IMAGED.tolist())

@@ -2,11 +2,10 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from pathlib import Path
-from tempfile import TemporaryDirectory
 from threading import Lock
 from typing import TYPE_CHECKING, Any, Literal
 
+from sightline.atomic import scratch_folder
 from sightline.case import contents, originals
 from sightline.case.entry import Entry, Kind
 from sightline.case.journal import Actor, Case
@@ -117,8 +116,8 @@ def news_of(taken: Taken) -> News:
 def _looked_at(data: bytes, name: str, suffix: str, frame_index: int | None) -> tuple[dict[str, Any], int | None, int]:
     """The entry's content, its frame, and how many there are. Raises ImageError, which calls it "the image"."""
     try:
-        with TemporaryDirectory(prefix="sightline-") as folder:
-            file = Path(folder) / f"image{suffix}"
+        with scratch_folder() as folder:
+            file = folder / f"image{suffix}"
             file.write_bytes(data)
             frames = frames_in(file)
             index = frames - 1 if frame_index is None and frames > 1 else frame_index

@@ -3,7 +3,8 @@
 import logging
 import socket
 import warnings
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from socketserver import TCPServer
 from threading import Thread
@@ -96,7 +97,8 @@ class Peer:
 
 
 class DicomReceiver:
-    """Listens while it is entered: `with DicomReceiver(...) as receiver`. `port`: where; 0 asks for a free one.
+    """Has its port while it is entered, and answers there while it is told where images go:
+    `with DicomReceiver(...) as receiver, receiver.receiving(...)`. `port`: where; 0 asks for a free one.
 
     Before a C-STORE is answered with success the image is in the case and on the disk. A7xx says that the disk took
     nothing, C000 that it is no image that can be read: nothing of it is kept, and the sender knows. A peer that is not
@@ -107,9 +109,7 @@ class DicomReceiver:
 
     def __init__(
         self,
-        acquirer: Acquirer,
         peers: Iterable[Peer],
-        tell: Tell,
         *,
         aet: str = AET,
         host: str = LOOPBACK,
@@ -117,7 +117,7 @@ class DicomReceiver:
         limits: Limits | None = None,
         idle_s: float = IDLE_S,
     ) -> None:
-        self._acquirer, self._tell, self._peers = acquirer, tell, tuple(peers)
+        self._peers = tuple(peers)
         if not self._peers:
             raise UnusableInputError("name at least one peer that may send, as AET@HOST")
         if not _is_title(aet):
@@ -145,19 +145,28 @@ class DicomReceiver:
             )
         except OSError as error:
             raise LinkError(f"cannot listen at port {self._wanted_port}: {error.strerror}; choose another") from error
-        server.limits, server.tell = self._limits, self._tell
+        server.limits = self._limits
         server.addresses = frozenset(address for peer in self._peers for address in peer.addresses)
         self._server = server
-        Thread(target=server.serve_forever, args=(0.1,), name="DICOM receiver", daemon=True).start()
         return self
+
+    @contextmanager
+    def receiving(self, acquirer: Acquirer, tell: Tell) -> Iterator[None]:
+        """Answer whoever has called since the port was had: images go to `acquirer`, news to `tell`."""
+        assert self._server is not None  # noqa: S101 - it is entered
+        self._acquirer, self._tell, self._server.tell = acquirer, tell, tell
+        Thread(target=self._server.serve_forever, args=(0.1,), name="DICOM receiver", daemon=True).start()
+        try:
+            yield
+        finally:
+            TCPServer.shutdown(self._server)
+            self._ae.shutdown()  # what is still associated
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         if self._server is not None:
-            TCPServer.shutdown(self._server)
             self._server.server_close()
-            self._ae.shutdown()  # what is still associated
 
     @property
     def port(self) -> int:

@@ -2,12 +2,11 @@
 
 import io
 from collections.abc import Mapping, Sequence
-from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 
+from sightline.atomic import scratch_folder
 from sightline.case.acquire import Acquirer, Taken
 from sightline.case.acquire_robot import PoseNow
 from sightline.errors import MovedRefusedError
@@ -62,5 +61,5 @@ def _file_of(image: Radiograph) -> tuple[bytes, str]:
         buffer = io.BytesIO()
         np.save(buffer, image.pixels)
         return buffer.getvalue(), ".npy"
-    with TemporaryDirectory(prefix="sightline-") as folder:
-        return write_png(image, Path(folder) / "image.png").read_bytes(), ".png"
+    with scratch_folder() as folder:
+        return write_png(image, folder / "image.png").read_bytes(), ".png"

@@ -7,7 +7,6 @@ made of the pixels and five numbers of geometry, so that what nobody thought of 
 from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 from pydicom import Dataset, dcmread, dcmwrite
@@ -15,6 +14,7 @@ from pydicom.sequence import Sequence
 from pydicom.uid import generate_uid
 
 from sightline import __version__
+from sightline.atomic import scratch_folder
 from sightline.bounded import regular_file
 from sightline.imaging import read_image, write_dicom
 from sightline.imaging.dicom import quiet
@@ -48,8 +48,8 @@ class Deidentifier:
         """
         image = read_image(file, frame_index)
         source = _source(file)
-        with TemporaryDirectory() as place:
-            out = dcmread(write_dicom(image, Path(place) / "image.dcm"))
+        with scratch_folder() as place:
+            out = dcmread(write_dicom(image, place / "image.dcm"))
         for keyword in _UIDS:
             setattr(out, keyword, self._uid(source[keyword]))
         out.PatientName = out.PatientID = NOBODY

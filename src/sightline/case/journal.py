@@ -6,12 +6,10 @@ from contextlib import contextmanager
 from datetime import UTC, datetime
 from enum import StrEnum
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from threading import RLock
-from types import TracebackType
-from typing import Any, Self, TypeVar
+from typing import Any, TypeVar
 
-from sightline.atomic import sync_folder
+from sightline.atomic import scratch_folder, sync_folder
 from sightline.case import originals, schema
 from sightline.case.canonical import canonical, digest
 from sightline.case.database import connect, in_memory, log_ahead, said, transaction
@@ -19,13 +17,14 @@ from sightline.case.entry import Actor, Entry, Kind, link, originals_in, version
 from sightline.case.integrity import check_case
 from sightline.case.rows import HEAD, entry_of_row, first_link, head_of_row
 from sightline.checks import Check, failed
+from sightline.closing import Closing
 from sightline.errors import CaseError, OvertakenError
 
 JOURNAL = "journal.sqlite"
 _Named = TypeVar("_Named", bound=StrEnum)
 
 
-class Case:
+class Case(Closing):
     """One folder: `journal.sqlite` and `originals/`. Made by `create` or `open`; several threads may use one.
 
     `number`: random, the only identity that leaves the case. `checks`: made on opening; `problems`: those that failed.
@@ -100,14 +99,6 @@ class Case:
         """Nothing is lost without it: every entry is on the disk when `record` returns."""
         with self._lock:
             self._db.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     @property
     def problems(self) -> tuple[Check, ...]:
@@ -259,12 +250,12 @@ def _readable(file: Path) -> sqlite3.Connection:
 
 def _copy(file: Path) -> sqlite3.Connection:
     """The journal in memory, with what its log holds. Raises OSError, sqlite3.Error."""
-    with TemporaryDirectory() as place:
+    with scratch_folder() as place:
         for suffix in ("", "-wal", "-journal"):
             beside = file.with_name(file.name + suffix)
             if beside.is_file():
-                (Path(place) / beside.name).write_bytes(beside.read_bytes())
-        db = connect(Path(place) / file.name, "rw")
+                (place / beside.name).write_bytes(beside.read_bytes())
+        db = connect(place / file.name, "rw")
         try:
             return in_memory(db)
         finally:

@@ -6,7 +6,7 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Any, TypeVar
 
-from sightline.calibration import calibrate
+from sightline.calibration import CArm
 from sightline.case import contents
 from sightline.case.canonical import canonical, digest, plain
 from sightline.case.compare_json import Difference, differences, largest
@@ -15,7 +15,8 @@ from sightline.case.entry import Entry, Kind, versions
 from sightline.case.journal import Case
 from sightline.case.originals import short
 from sightline.case.stages import TABLE, frame_of, image_of
-from sightline.case.views import CalibratedImage, Seen, tell_apart
+from sightline.case.stated_error import beyond_stated
+from sightline.case.views import CalibratedImage, Seen, calibrated, tell_apart
 from sightline.checks import Check
 from sightline.detection import Detections, detect
 from sightline.detection.files import read_observations
@@ -35,6 +36,7 @@ class Outcome(StrEnum):
     SAME = "same to the bit"
     CLOSE = "within tolerance, by other versions"
     ESTIMATES = "estimates changed"
+    BEYOND = "estimates changed by more than their stated error"
     DIFFERENT = "differs"
     FAILED = "cannot be computed again"
     RECORDED = "recorded, not computed"
@@ -43,7 +45,7 @@ class Outcome(StrEnum):
 @dataclass(frozen=True)
 class Replayed:
     """One entry, computed again. `changed`: versions that are not those of the entry, as "name then -> now";
-    `differences`: where the result is another, the largest first; `reason`: why it FAILED."""
+    `differences`: where the result is another, the largest first; `reason`: why it FAILED, or what is BEYOND."""
 
     entry: Entry
     outcome: Outcome
@@ -54,12 +56,13 @@ class Replayed:
     @property
     def passed(self) -> bool:
         """True unless something speaks against the entry."""
-        return self.outcome not in (Outcome.DIFFERENT, Outcome.FAILED)
+        return self.outcome not in (Outcome.BEYOND, Outcome.DIFFERENT, Outcome.FAILED)
 
     @property
     def said(self) -> str:
-        """The outcome in words; where ESTIMATES, with the estimator's versions that changed them."""
-        return f"{self.outcome} in {_since(self.entry)}" if self.outcome is Outcome.ESTIMATES else str(self.outcome)
+        """The outcome in words; where estimates changed, with the estimator's versions that changed them."""
+        changed = self.outcome in (Outcome.ESTIMATES, Outcome.BEYOND)
+        return f"{self.outcome} in {_since(self.entry)}" if changed else str(self.outcome)
 
 
 class Recomputed:
@@ -75,7 +78,7 @@ class Recomputed:
 
     def beads(self, entry: Entry) -> Detections:
         """Of a detected entry."""
-        return self._once(entry, lambda: detect(self._present(self.image(self._under(entry)))))
+        return self._once(entry, lambda: detect(self._searched(entry)))
 
     def seen(self, entry: Entry) -> Seen:
         """Of a labelled entry."""
@@ -85,11 +88,12 @@ class Recomputed:
         """Of a calibrated entry."""
 
         def make() -> CalibratedImage:
-            seen = self.seen(self._under(entry))
-            method = entry.settings["method"]
-            display = entry.settings.get("mirrored_display")
-            view = calibrate(seen.observations, self._frame(entry), method=method, mirrored_display=display)
-            return CalibratedImage(seen, view)
+            said, known = entry.settings, entry.settings.get("c_arm")
+            c_arm = None if known is None else CArm(**known)
+            made = calibrated(self.seen(self._under(entry)), self._frame(entry), said["method"], c_arm)
+            before = [self.calibrated(self._case.entry(number)).view for number in said.get("before", ())]
+            view = made.view.steady_since(before).said_to_be(said.get("mirrored_display"))
+            return CalibratedImage(made.seen, view)
 
         return self._once(entry, make)
 
@@ -146,9 +150,14 @@ class Recomputed:
         if source.kind is Kind.ACQUIRED:
             return _from_table(self._case.original(source.content["original"]), entry.content["view"])
         beads, acquired = self.beads(source), self._under(source)
-        image = self._present(self.image(acquired))
+        image = self._searched(source)
         observations = tell_apart(image, beads, frame, view, entry.settings["datums"])
         return Seen(short(acquired.content["original"]), observations, image, beads)
+
+    def _searched(self, detected: Entry) -> Radiograph:
+        """The image that a detected entry is of: inverted where its beads were found so."""
+        image = self._present(self.image(self._under(detected)))
+        return image.inverted() if detected.settings.get("inverted") else image
 
     def _frame(self, entry: Entry) -> Frame:
         return frame_of(self._case, entry.settings["frame"])
@@ -188,7 +197,8 @@ def judge(replayed: Sequence[Replayed]) -> Check:
     if moved := [one for one in computed if one.outcome is Outcome.ESTIMATES]:
         sentence += f"; of {len(moved)} the {moved[0].said}, {_by_at_most(moved)}"
     if bad:
-        sentence += f"; entry {bad[0].entry.number} ({bad[0].entry.kind}) {bad[0].outcome}"
+        sentence += f"; entry {bad[0].entry.number} ({bad[0].entry.kind}) {bad[0].said}"
+        sentence += f": {bad[0].reason}" if bad[0].reason else ""
     return Check("case replay", not bad, float(len(bad)), 0.0, "entries", sentence + ".")
 
 
@@ -205,13 +215,15 @@ def _replayed(entry: Entry, again: Recomputed) -> Replayed:
     if digest(text) == entry.content_sha256:
         return Replayed(entry, Outcome.SAME, changed)
     found = differences(entry.content, text)
+    reason = ""
     if changed and all(one.close for one in found):
         outcome = Outcome.CLOSE
     elif _estimator(entry) != ESTIMATOR and all(one.where != "pixels_sha256" for one in found):  # no estimate
-        outcome = Outcome.ESTIMATES
+        reason = beyond_stated(entry.content, plain(now))
+        outcome = Outcome.BEYOND if reason else Outcome.ESTIMATES
     else:
         outcome = Outcome.DIFFERENT
-    return Replayed(entry, outcome, changed, found)
+    return Replayed(entry, outcome, changed, found, reason)
 
 
 def _estimator(entry: Entry) -> int:

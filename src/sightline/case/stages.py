@@ -1,6 +1,6 @@
 """The stages of a procedure as entries of a case, each resting on those before: what `recompute` can do again."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -44,9 +44,10 @@ def image_of(case: Case, acquired: Entry) -> Radiograph:
     return read_image(case.original(acquired.content["original"]), acquired.settings["frame_index"])
 
 
-def record_detected(case: Case, acquired: Entry, beads: Detections, *, by: Actor) -> Entry:
-    """What `detect` found in the image."""
-    return case.record(Kind.DETECTED, contents.detected(beads), by=by, rests_on=[acquired.number])
+def record_detected(case: Case, acquired: Entry, beads: Detections, *, by: Actor, inverted: bool = False) -> Entry:
+    """What `detect` found in the image, or in its inverse."""
+    settings = {"inverted": True} if inverted else None
+    return case.record(Kind.DETECTED, contents.detected(beads), by=by, rests_on=[acquired.number], settings=settings)
 
 
 def keep_frame(case: Case, frame: Frame) -> str:
@@ -92,11 +93,18 @@ def record_labelled(
     return case.record(Kind.LABELLED, content, by=by, rests_on=[source.number], settings=settings)
 
 
-def record_calibrated(case: Case, labelled: Entry, image: CalibratedImage, *, by: Actor) -> Entry:
-    """A view, calibrated from the observations of `labelled` by `calibrate` with its defaults."""
-    settings = {"frame": labelled.settings["frame"], "method": image.view.method}
+def record_calibrated(
+    case: Case, labelled: Entry, image: CalibratedImage, *, by: Actor, before: Sequence[int] = ()
+) -> Entry:
+    """A view, calibrated from the observations of `labelled` by `calibrate` with its defaults. `before`: numbers of
+    calibrated entries that it was held against (`BeadView.steady_since`)."""
+    settings: dict[str, Any] = {"frame": labelled.settings["frame"], "method": image.view.method}
     if image.view.mirrored_display is not None:
         settings["mirrored_display"] = image.view.mirrored_display
+    if image.view.c_arm is not None:
+        settings["c_arm"] = vars(image.view.c_arm)
+    if before:
+        settings["before"] = list(before)
     return case.record(
         Kind.CALIBRATED, contents.calibrated(image), by=by, rests_on=[labelled.number], settings=settings
     )
@@ -108,7 +116,8 @@ def record_view(case: Case, file: Path, image: CalibratedImage, *, frame_ref: st
     data = read_bounded(file, MAX_FILE_BYTES, CaseError, "export single images")
     source = record_acquired(case, data, file.suffix.lower(), by=by)
     if seen.beads is not None:
-        source = record_detected(case, source, seen.beads, by=by)
+        inverted = seen.image is not None and seen.image.is_inverted
+        source = record_detected(case, source, seen.beads, by=by, inverted=inverted)
     labelled = record_labelled(case, source, seen.observations, frame_ref=frame_ref, by=by)
     return record_calibrated(case, labelled, image, by=by)
 

@@ -1,27 +1,32 @@
 """From two files to two calibrated views: images as a C-arm writes them, or observations in CSV."""
 
 from collections.abc import Collection, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-from sightline.calibration import BeadView, calibrate
+import numpy as np
+
+from sightline.calibration import BeadView, CArm, calibrate
 from sightline.calibration.fit import Method
 from sightline.case.originals import called
-from sightline.detection import Detections, Observations, detect, label, look_again
+from sightline.detection import Detections, Observations, detect, is_inverted, label, look_again
 from sightline.detection.causes import cause_of
 from sightline.detection.detections_csv import are_detections, label_csv
 from sightline.detection.files import read_observations
-from sightline.errors import LabellingRefusedError, ObservationsError, UnusableInputError
+from sightline.errors import DetectionRefusedError, LabellingRefusedError, ObservationsError, UnusableInputError
 from sightline.frame import Frame
-from sightline.imaging import Radiograph, read_image
+from sightline.imaging import GeometryTags, Radiograph, image_checks, read_image
 
 NAMES = ("pa", "lateral")  # the order of a pair of views, everywhere
+_SQUARE = 1e-3  # share by which a pixel's sides may differ [ours]
 
 
 @dataclass(frozen=True, eq=False)
 class Seen:
     """One view before it is calibrated, and what was found in it. Without an image there are no `beads`.
 
+    `image`: as its `beads` were found in it; inverted where the file shows the balls bright.
     `source`: the file as a case calls it, by its bytes; never its own name, which may be a patient's.
     """
 
@@ -55,11 +60,26 @@ def see(
 ) -> Seen:
     """Beads of one image, found, told apart (`label`) and looked at again (`look_again`).
 
-    Without `view`, the datum markers tell which it is. `invert`: as `read_image`.
+    Without `view`, the datum markers tell which it is. An image that shows the balls bright is inverted, and a check
+    says so; `invert`, as of `read_image`, is for one whose bright balls are not found.
     """
-    image = read_image(path, frame_index, invert=invert)
-    beads = detect(image)
+    image, beads = find_beads(read_image(path, frame_index, invert=invert))
     return Seen(called(path), tell_apart(image, beads, frame, view, datums), image, beads)
+
+
+def find_beads(image: Radiograph) -> tuple[Radiograph, Detections]:
+    """The beads of an image of a frame, and the image that they were found in: inverted where it shows balls bright.
+
+    Raises what `detect` raises.
+    """
+    beads = detect(image)
+    if is_inverted(beads):
+        with suppress(DetectionRefusedError):
+            other = image.inverted()
+            found = detect(other)
+            if not is_inverted(found):
+                return other, found
+    return image, beads
 
 
 def tell_apart(
@@ -76,7 +96,7 @@ def tell_apart(
     try:
         observations = label(beads, frame, view, datums)
     except LabellingRefusedError as refused:
-        why = cause_of(image, len(beads), beads.rejected)
+        why = cause_of(image, np.column_stack([beads.uv_px, beads.radius_px]), beads.rejected)
         raise LabellingRefusedError(f"{why} ({refused})" if why else str(refused)) from None
     return look_again(image, beads, observations, frame)
 
@@ -115,20 +135,56 @@ def see_pair(pa: Path, lateral: Path, frame: Frame, *, invert: bool = False) -> 
     )
 
 
+def known_arm(
+    image: Radiograph | None, source_detector_mm: float | None = None, pixel_mm: float | None = None
+) -> CArm | None:
+    """What is known of the C-arm of an image: as given, else as its file states it; None without a distance."""
+    tags = GeometryTags() if image is None else image.tags
+    distance = source_detector_mm or tags.source_detector_mm
+    if pixel_mm is None and tags.imager_pixel_spacing_mm is not None:
+        along, across = tags.imager_pixel_spacing_mm
+        pixel_mm = along if abs(along - across) <= _SQUARE * along else None
+    return None if distance is None else CArm(distance, pixel_mm)
+
+
+def calibrated(
+    seen: Seen,
+    frame: Frame,
+    method: Method = "smooth",
+    c_arm: CArm | None = None,
+    *,
+    mirrored_display: bool | None = None,
+) -> CalibratedImage:
+    """One view, calibrated from its own beads, with the checks of its image; see `calibrate`."""
+    view = calibrate(seen.observations, frame, method=method, c_arm=c_arm)
+    view = view if seen.image is None else view.checked(image_checks(seen.image))
+    return CalibratedImage(seen, view.said_to_be(mirrored_display))
+
+
 def calibrate_pair(
-    pair: Sequence[Seen], frame: Frame, method: Method, mirrored: Collection[str] = ()
+    pair: Sequence[Seen],
+    frame: Frame,
+    method: Method,
+    mirrored: Collection[str] = (),
+    *,
+    source_detector_mm: float | None = None,
+    pixel_mm: float | None = None,
 ) -> tuple[CalibratedImage, CalibratedImage]:
     """Both views calibrated, each from its own beads.
 
-    `mirrored`: the views whose display a person saw to be mirrored. Raises UnusableInputError, and what calibrating
+    `mirrored`: the views whose display a person saw to be mirrored. `source_detector_mm`, `pixel_mm`: of the C-arm; see
+    `known_arm`. Raises UnusableInputError, and what calibrating
     raises.
     """
     if unknown := sorted(set(mirrored) - set(NAMES)):
         raise UnusableInputError(f"there is no view {unknown[0]!r} whose display is mirrored; name pa or lateral")
     first, second = (
-        CalibratedImage(
+        calibrated(
             s,
-            calibrate(s.observations, frame, method=method, mirrored_display=s.observations.view in mirrored or None),
+            frame,
+            method,
+            known_arm(s.image, source_detector_mm, pixel_mm),
+            mirrored_display=s.observations.view in mirrored or None,
         )
         for s in pair
     )

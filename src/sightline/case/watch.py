@@ -4,7 +4,6 @@ import time
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from threading import Condition, Thread
-from types import TracebackType
 from typing import Protocol, Self
 
 import numpy as np
@@ -14,6 +13,7 @@ from sightline.calibration.displacement import Rest
 from sightline.calibration.joint import JointFit
 from sightline.case.watch_alarm import Alarm, Movement
 from sightline.case.watch_follow import Followed, Follower, State
+from sightline.closing import Closing
 from sightline.detection import Observations
 from sightline.errors import CalibrationRefusedError, OutsideRegionError, SightlineError, UnusableInputError
 from sightline.frame import Frame
@@ -49,8 +49,9 @@ class Watched:
     """What is known of the newest frame that was worked on.
 
     `number`: of the frames that came, from 1; `dropped`: of these, replaced by a newer one before they were worked on.
-    `latency_s`: from when it came to when this was known. `age_s` and `stale`: when asked; of a stale image there is no
-    `corridor`. `error_95_mm`: at the target the view's lines of sight err by less, with 95 % or more.
+    `came_s`: when it came, by the monotonic clock, which nobody sets. `latency_s`: from then to when this was known.
+    `age_s` and `stale`: when asked; of a stale image there is no `corridor`. `error_95_mm`: at the target the view's
+    lines of sight err by less, with 95 % or more.
     `movement` is None while there is nothing to compare with; `note` says why.
     """
 
@@ -58,6 +59,7 @@ class Watched:
     number: int
     dropped: int
     stamped_s: float
+    came_s: float
     latency_s: float
     age_s: float
     stale: bool
@@ -92,17 +94,19 @@ class Eye:
         self._still.clear()
         self._settling.clear()
 
-    def look(self, shown: Shown, number: int, dropped: int) -> Watched:
-        """One frame."""
+    def look(self, shown: Shown, came_s: float, number: int, dropped: int) -> Watched:
+        """One frame, which came at `came_s` by the monotonic clock, or earlier as it says itself."""
         followed = self._follower.take(shown.image, shown.stamped_s)
         movement, note = self._movement(followed)
         drawn, error = self._drawn(followed.view)
-        latency = time.time() - shown.stamped_s
+        now_s = time.monotonic()
+        latency = max(now_s - came_s, time.time() - shown.stamped_s)
         return Watched(
             image=shown.image,
             number=number,
             dropped=dropped,
             stamped_s=shown.stamped_s,
+            came_s=now_s - latency,
             latency_s=latency,
             age_s=latency,
             stale=latency > STALE_S,
@@ -170,7 +174,7 @@ class Eye:
             return None, error
 
 
-class Watch:
+class Watch(Closing):
     """Two threads while it is entered or started: one takes frames from the source, one works on the newest.
 
     `plan`: the trajectory to draw. `references`: views calibrated at planning, against which movements are told while
@@ -193,7 +197,7 @@ class Watch:
         self._eye = Eye(frame, plan, references)
         self._worker = Thread(target=self._work, name="watch: work", daemon=True)
         self._changed = Condition()
-        self._waiting: Shown | None = None
+        self._waiting: tuple[Shown, float] | None = None  # and when it came
         self._came = self._taken = 0
         self._newest: Watched | None = None
         self._over = self._closing = self._at_rest = self._ended = False
@@ -202,11 +206,6 @@ class Watch:
     def __enter__(self) -> Self:
         self.start()
         return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     def start(self) -> None:
         """Begin."""
@@ -253,14 +252,14 @@ class Watch:
         """The newest frame that was worked on, and how old it is by now; None before the first."""
         with self._changed:
             newest = self._newest
-        return None if newest is None else aged(newest, time.time())
+        return None if newest is None else aged(newest, time.monotonic())
 
     def next(self, after: int, timeout_s: float) -> Watched | None:
         """The first that is newer than frame number `after`; None where none came in time."""
         with self._changed:
             self._changed.wait_for(lambda: self._is_newer(after) or self._ended, timeout_s)
             newest = self._newest if self._is_newer(after) else None
-        return None if newest is None else aged(newest, time.time())
+        return None if newest is None else aged(newest, time.monotonic())
 
     def _is_newer(self, after: int) -> bool:
         return self._newest is not None and self._newest.number > after
@@ -271,7 +270,7 @@ class Watch:
                 with self._changed:
                     if self._closing:
                         return
-                    self._waiting = shown  # what waited is dropped: the newest counts
+                    self._waiting = shown, time.monotonic()  # what waited is dropped: the newest counts
                     self._came += 1
                     self._changed.notify_all()
         except Exception as error:  # a thread's error is told to whoever asks
@@ -295,18 +294,18 @@ class Watch:
                 self._ended = True
                 self._changed.notify_all()
 
-    def _next_job(self) -> tuple[Shown, int, int] | None:
-        """The newest frame, its number, and how many were dropped; None at the end."""
+    def _next_job(self) -> tuple[Shown, float, int, int] | None:
+        """The newest frame, when it came, its number, and how many were dropped; None at the end."""
         with self._changed:
             self._changed.wait_for(lambda: self._waiting is not None or self._closing or self._over)
             if self._closing or self._waiting is None:
                 return None
-            shown, self._waiting = self._waiting, None
+            (shown, came_s), self._waiting = self._waiting, None
             self._taken += 1
             if self._at_rest:
                 self._at_rest = False
                 self._eye.rest()
-            return shown, self._came, self._came - self._taken
+            return shown, came_s, self._came, self._came - self._taken
 
     def _fail(self, error: Exception) -> None:
         with self._changed:
@@ -315,8 +314,8 @@ class Watch:
 
 
 def aged(watched: Watched, now_s: float) -> Watched:
-    """The same as it is at `now_s`: a stale image has no overlay."""
-    age = max(now_s - watched.stamped_s, 0.0)
+    """The same as it is at `now_s`, by the monotonic clock: a stale image has no overlay."""
+    age = now_s - watched.came_s
     stale = age > STALE_S
     return replace(watched, age_s=age, stale=stale, corridor=None if stale else watched.corridor)
 

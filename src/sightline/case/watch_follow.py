@@ -5,9 +5,9 @@ from enum import StrEnum
 
 from sightline.calibration import BeadView, calibrate
 from sightline.calibration.retrack import recalibrate
-from sightline.case.views import tell_apart
+from sightline.case.views import find_beads, tell_apart
 from sightline.checks import failed
-from sightline.detection import Observations, detect
+from sightline.detection import Observations
 from sightline.detection.track import Track, TrackLost
 from sightline.errors import RefusedError
 from sightline.frame import Frame
@@ -44,6 +44,7 @@ class Follower:
         self._view: BeadView | None = None
         self._since_look = 0
         self._searched_s = 0.0
+        self._inverted = False
         self._why = "the first image"
 
     def take(self, image: Radiograph, at_s: float) -> Followed:
@@ -62,6 +63,7 @@ class Follower:
 
     def _on(self, image: Radiograph, at_s: float, track: Track, last: BeadView) -> Followed:
         """From the last image. Raises TrackLost, RefusedError."""
+        image = image.inverted() if self._inverted else image
         due = self._since_look + 1 >= LOOK_EVERY
         track, seen = track.look(image) if due else track.follow(image)
         learn = at_s - self._searched_s >= SEARCH_S
@@ -76,7 +78,8 @@ class Follower:
 
     def _anew(self, image: Radiograph, at_s: float, why: str) -> Followed:
         """As if it were the first image. Raises RefusedError."""
-        beads = detect(image)
+        image, beads = find_beads(image)
+        self._inverted = image.is_inverted
         seen = tell_apart(image, beads, self._frame)
         view = calibrate(seen, self._frame)
         self._track, self._view = Track.begin(image, beads, seen, self._frame), view

@@ -83,8 +83,9 @@ def dicom(
         from sightline.case.acquire_dicom import DicomReceiver, Peer
 
         peers = [Peer.parse(text) for text in peer]
-        with _into(case, out, robot) as desk:
-            with DicomReceiver(desk.acquirer, peers, desk.tell, aet=aet, host=host, port=port) as receiver:
+        # The port first: where it cannot be had, no case is made.
+        with DicomReceiver(peers, aet=aet, host=host, port=port) as receiver, _into(case, out, robot) as desk:
+            with receiver.receiving(desk.acquirer, desk.tell):
                 out.note(f"listening at port {receiver.port} as {aet}; stop with Ctrl-C")
                 desk.until_interrupted(lambda: None, 0.5)
             out.result({"port": receiver.port, **desk.document()})

@@ -28,6 +28,26 @@ Datums = Annotated[
 ]
 
 
+Sid = Annotated[
+    float | None,
+    typer.Option(
+        "--sid",
+        min=1.0,
+        help="From X-ray source to detector, mm, of this C-arm; without it as DICOM states it, if it does.",
+        show_default=False,
+    ),
+]
+PixelSize = Annotated[
+    float | None,
+    typer.Option(
+        "--pixel",
+        min=1e-4,
+        help="Side of a pixel on the detector, mm; without it as DICOM states it, if it does.",
+        show_default=False,
+    ),
+]
+
+
 def register(app: typer.Typer) -> None:
     """Add the command."""
     app.command("calibrate")(calibrate)
@@ -47,6 +67,8 @@ def calibrate(
             help="Whether you saw the display to be mirrored (writing in it reads backwards).", show_default=False
         ),
     ] = None,
+    sid: Sid = None,
+    pixel: PixelSize = None,
     invert: Invert = False,
     csv: Annotated[Path | None, typer.Option(help="Write the beads that were told apart as CSV.")] = None,
     json: Json = False,
@@ -54,12 +76,11 @@ def calibrate(
 ) -> None:
     """Calibrate one view: its focal point, what is left of each bead, and its checks (exit code 3 if one fails)."""
     with Output(json=json, quiet=quiet) as out:
-        from sightline.calibration import calibrate as fit
         from sightline.case.documents import view_document
-        from sightline.case.views import CalibratedImage
+        from sightline.case.views import calibrated as calibrated_image
+        from sightline.case.views import known_arm
         from sightline.detection.files import write_observations
         from sightline.frame import Frame
-        from sightline.imaging import image_checks
 
         known_frame = Frame.load(frame)
         with out.step("finding and telling apart the beads"):
@@ -71,12 +92,17 @@ def calibrate(
         for sentence in advice["sentences"] if advice else ():
             out.say(sentence)
         with out.step(f"calibrating ({method})"):
-            calibrated = fit(seen.observations, known_frame, view, method, mirrored_display=mirrored)  # pyright: ignore[reportArgumentType]
-        document = view_document(CalibratedImage(seen, calibrated)) | {"set_up": advice}
-        _add_leave_one_out(document, calibrated)
+            calibrated = calibrated_image(
+                seen,
+                known_frame,
+                method,  # pyright: ignore[reportArgumentType]
+                known_arm(seen.image, sid, pixel),
+                mirrored_display=mirrored,
+            )
+        document = view_document(calibrated) | {"set_up": advice}
+        _add_leave_one_out(document, calibrated.view)
         _show(out, document)
-        checks = () if seen.image is None else image_checks(seen.image)
-        out.result(document, (*checks, *calibrated.checks))
+        out.result(document, calibrated.view.checks)
 
 
 def see(

@@ -63,8 +63,7 @@ def record(folder: Path, kept: Kept) -> None:
 
 def _record_check(case: "Case", plan: "Entry", checked: "Checked", frame_ref: str) -> None:
     """Both images of the check shot and what it says, if they could be calibrated."""
-    from tempfile import TemporaryDirectory
-
+    from sightline.atomic import scratch_folder
     from sightline.case import stages
     from sightline.case.entry import Actor
     from sightline.imaging import write_dicom
@@ -72,8 +71,8 @@ def _record_check(case: "Case", plan: "Entry", checked: "Checked", frame_ref: st
     by, entries = Actor.DEMO, []
     for image in checked.images or ():
         assert image.seen.image is not None  # noqa: S101 - it was read
-        with TemporaryDirectory() as folder:
-            file = write_dicom(image.seen.image, Path(folder) / "image.dcm")
+        with scratch_folder() as folder:
+            file = write_dicom(image.seen.image, folder / "image.dcm")
             entries.append(stages.record_view(case, file, image, frame_ref=frame_ref, by=by))
     if entries:
         stages.record_verified(case, plan, (entries[0], entries[1]), checked.asked, checked.found, by=by)

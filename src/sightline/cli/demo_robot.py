@@ -98,14 +98,12 @@ def _drill(output: "Output", planned: Planned, rng: "np.random.Generator") -> "t
 
 def _read_back(images: "dict[str, Radiograph]", frame: "Frame") -> "Pair":
     """Both images from their files, like the first two, calibrated."""
-    from pathlib import Path
-    from tempfile import TemporaryDirectory
-
+    from sightline.atomic import scratch_folder
     from sightline.case.views import NAMES, calibrate_pair, see_pair
     from sightline.imaging import write_dicom
 
-    with TemporaryDirectory() as folder:
-        pa, lateral = (write_dicom(images[name], Path(folder) / f"{name}.dcm") for name in NAMES)
+    with scratch_folder() as folder:
+        pa, lateral = (write_dicom(images[name], folder / f"{name}.dcm") for name in NAMES)
         return calibrate_pair(see_pair(pa, lateral, frame), frame, "smooth")
 
 

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Self
 import typer
 
 from sightline.checks import Check, failed
-from sightline.errors import SightlineError
+from sightline.errors import SightlineError, UnusableInputError
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -119,6 +119,8 @@ class Output:
             self._fail("Interrupted", "stopped by the keyboard", _INTERRUPTED)
         elif isinstance(error, SightlineError):
             self._fail(type(error).__name__, str(error), error.exit_code)
+        elif isinstance(error, OSError) and (said := _said_of_a_disk(error)):
+            self._fail("UnusableInputError", said, UnusableInputError.exit_code)
         elif isinstance(error, Exception) and not isinstance(error, _PASSED_ON):
             if os.environ.get("SIGHTLINE_DEBUG"):
                 traceback.print_exception(error, file=sys.stderr)
@@ -142,6 +144,13 @@ def as_json(value: Any) -> str:
     from sightline.case.canonical import plain
 
     return dumps(plain(value), allow_nan=False, default=_path)
+
+
+def _said_of_a_disk(error: OSError) -> str:
+    """What a disk refuses, without the file's name, which may be a patient's; "" where no disk is to blame."""
+    from sightline.atomic import advice, is_of_a_disk
+
+    return f"the disk refuses: {error.strerror}; {advice(error)}" if is_of_a_disk(error) else ""
 
 
 def _path(value: Any) -> str:

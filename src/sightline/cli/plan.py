@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
+from sightline.cli.calibrate import PixelSize, Sid
 from sightline.cli.detect import Invert
 from sightline.cli.output import Json, Output, Quiet
 
@@ -71,6 +72,8 @@ def plan(
     method: Annotated[MethodName, typer.Option(help="localized is the paper's.")] = "smooth",
     pick_sd: Annotated[float, typer.Option(help="Standard deviation of a pick, px: 0.5 is a careful click.")] = 0.5,
     mirrored: Mirrored = None,
+    sid: Sid = None,
+    pixel: PixelSize = None,
     snap: Annotated[
         bool, typer.Option("--snap", help="Take the lateral picks to their image-matching curves.")
     ] = False,
@@ -97,7 +100,7 @@ def plan(
         with output.step("finding and telling apart the beads"):
             seen = see_pair(pa, lateral, known_frame, invert=invert)
         with output.step(f"calibrating both views ({method})"):
-            images = calibrate_pair(seen, known_frame, method, mirrored or ())
+            images = calibrate_pair(seen, known_frame, method, mirrored or (), source_detector_mm=sid, pixel_mm=pixel)
         with output.step("planning"):
             views = [image.view for image in images]
             entry_px, end_px = (_pixels(point, views, pick_sd) for point in points)

@@ -150,6 +150,7 @@ def register_image(
     address: Address,
     *,
     view: Annotated[Literal["pa", "lateral"], typer.Option(help="Which image is taken.")],
+    image: Annotated[Path, typer.Option(help="Its file, once it is taken: the one that the plan is made on.")],
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:
@@ -157,7 +158,9 @@ def register_image(
     with Output(json=json, quiet=quiet) as out:
         import time
 
+        from sightline.case.originals import called
         from sightline.errors import RobotRefusedError
+        from sightline.imaging import read_image
         from sightline.robot.client import RobotClient
         from sightline.robot.measured import RobotFile
 
@@ -165,13 +168,16 @@ def register_image(
         known.refuse_old(time.time())
         with RobotClient(*parse_address(address), heartbeat=False, streams=False) as robot:
             before = robot.joints()[0]
-            if not _said_yes(f"Robot {known.robot_serial} stands still. Take the {view} image now; was it taken?"):
+            question = f"Robot {known.robot_serial} stands still. Take the {view} image now; is it in {image.name}?"
+            if not _said_yes(question):
                 raise RobotRefusedError("no image was taken; nothing was registered")
             q, now = robot.joints()[0], time.time()
         known.refuse_moved(before, q)
-        known.at_image(view, q, now).write(robot_file)
+        read_image(image, 0)  # or what is registered is not an image
+        source = called(image)
+        known.at_image(view, q, now, source).write(robot_file)
         out.say(f"the {view} image: joints {', '.join(f'{one:.3f}' for one in q)} (mm, rad)")
-        out.result({"file": str(robot_file), "view": view, "joints": q, "read_s": now})
+        out.result({"file": str(robot_file), "view": view, "joints": q, "read_s": now, "source": source})
 
 
 @app.command("drive")
@@ -195,7 +201,9 @@ def drive(
         from sightline.errors import UnusableInputError
         from sightline.robot.client import RobotClient
         from sightline.robot.measured import RobotFile
+        from sightline.robot.server import tune_process
 
+        tune_process()
         known = read_plan(plan)
         stood = None if registration is None else RobotFile.read(registration)
         if address is None:
@@ -217,9 +225,9 @@ def drive(
         _refuse_yes(robot.simulated, yes)
         with out.step("sending the plan"):
             if stood is None:
-                target = _send(robot, known, plan.stem, frame_serial or SERIAL)
+                target = _send(robot, known, known.identifier(plan.stem), frame_serial or SERIAL)
             else:
-                target = _send_registered(robot, known, plan.stem, stood)
+                target = _send_registered(robot, known, known.identifier(plan.stem), stood)
         _show(out, target, robot)
         for name, question, go in _steps(robot, target, known_way=robot.simulated):
             if not _agreed(robot.simulated, yes, question):
@@ -362,7 +370,9 @@ def _send_registered(robot: "RobotClient", plan: "PlanFile", name: str, stood: "
 
     frame = plan.document.frame
     stood.refuse_other(plan.side, None if frame is None else frame.serial, time.time())
-    target = _target(plan, name, stood.frame_serial, stood.registration())
+    registration = stood.registration()
+    stood.refuse_other_images(plan.images)
+    target = _target(plan, name, stood.frame_serial, registration)
     target.refuse_unfit(time.time())
     robot.start_up()
     _tell(robot, target, time.time())

@@ -84,6 +84,13 @@ class DrawnPart(_Part):
     wire_px: Annotated[list[Pixel], Field(max_length=1000)]
 
 
+class ViewPart(_Part):
+    """A view, and the file of its image, named by its bytes."""
+
+    view: Text
+    source: Text
+
+
 class LandmarkPart(_Part):
     """A point of the bone, CFCS mm."""
 
@@ -99,7 +106,7 @@ class LimitsPart(_Part):
 
 
 class PlanDocument(_Part):
-    """What is read of plan.json. Without `digest` and what goes with it it is of an earlier form; the last four are
+    """What is read of plan.json. Without `digest` and what goes with it it is of an earlier form; the last five are
     missing in plans without images' geometry."""
 
     go: bool
@@ -113,6 +120,7 @@ class PlanDocument(_Part):
     checks: Annotated[list[CheckPart], Field(max_length=200)]
     landmarks: Annotated[list[LandmarkPart], Field(max_length=200)] = []
     frame: FramePart | None = None
+    views: Annotated[list[ViewPart], Field(max_length=2)] = []
     plates: dict[str, dict[str, Any]] | None = None
     lines_of_sight: Annotated[list[SightPart], Field(max_length=200)] = []
     drawn: dict[str, DrawnPart] | None = None
@@ -189,6 +197,15 @@ class PlanFile:
     def side(self) -> Literal["right", "left"] | None:
         """Of the patient, where the plan says."""
         return self.document.side
+
+    @property
+    def images(self) -> dict[str, str]:
+        """The image of each view that the plan was made on: its file's name by its bytes."""
+        return {one.view: one.source for one in self.document.views}
+
+    def identifier(self, name: str) -> str:
+        """What a robot knows this plan by: a plan on other images, or of other points, has another."""
+        return f"{name}-{(self.document.digest or '').removeprefix('sha256:')[:12]}"
 
     @property
     def limits(self) -> Limits:

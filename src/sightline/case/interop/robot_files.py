@@ -22,7 +22,7 @@ def write(plan: PlanFile, case: str) -> dict[str, bytes]:
     """Raises RobotRefusedError for a plan that no robot may be sent."""
     plan.refuse_for_robot()
     serial = plan.document.frame.serial if plan.document.frame else None
-    identity = PlanIdentity(case, plan.side or "", serial or "", plan.go, plan.document.kind or "")
+    identity = PlanIdentity(plan.identifier(case), plan.side or "", serial or "", plan.go, plan.document.kind or "")
     limits = plan.limits
     depth_mm = plan.length_mm + limits.beyond_mm
     entry, end = plan.points_mm
