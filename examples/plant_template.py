@@ -17,7 +17,7 @@ from sightline.robot.insertion import Setup
 from sightline.robot.manipulator import Manipulator
 from sightline.robot.measured import RobotFile
 from sightline.robot.plant import WATCHDOG_S, PlantFlag, Reading
-from sightline.robot.server import RobotServer
+from sightline.robot.server import PRIORITY, RobotServer, prefer_this_thread
 
 SAMPLE_S = 0.002  # of your motor controller: at least twice for each cycle of 5 ms
 
@@ -49,7 +49,7 @@ class MotorPlant:
     def __init__(self, motors: Motors, manipulator: Manipulator) -> None:
         self._motors, self._manipulator = motors, manipulator
         self._lock, self._end = Lock(), Event()
-        self._began_s = time.monotonic()
+        self._began_s = self._turned_s = time.monotonic()
         self._latest = self._sample()
         self._loop = Thread(target=self._run, name="motors", daemon=True)
 
@@ -81,14 +81,18 @@ class MotorPlant:
 
     # The loop.
 
+    def turn(self) -> None:
+        """One turn of the loop: a new sample."""
+        now = time.monotonic()
+        with self._lock:
+            self._motors.step(now - self._turned_s)  # leave this out: your hardware moves by itself
+            self._latest = self._sample()
+        self._turned_s = now
+
     def _run(self) -> None:
-        last = time.monotonic()
+        prefer_this_thread(PRIORITY)  # where the system allows it: the control loop must never wait for a sample
         while not self._end.wait(SAMPLE_S):
-            now = time.monotonic()
-            with self._lock:
-                self._motors.step(now - last)  # leave this out: your hardware moves by itself
-                self._latest = self._sample()
-            last = now
+            self.turn()
 
     def _sample(self) -> Reading:
         """Encoders in the units and directions of docs/robot.md: check each joint's sign by hand, slowly, first."""

@@ -41,6 +41,7 @@ def test_landmarks_and_wire_lie_in_both_images(rehearsal):
     assert np.linalg.norm(rehearsal.surface_mm - entry) == pytest.approx(np.linalg.norm(end - entry) + 8.0)
 
 
+@pytest.mark.slow
 def test_check_images_show_the_wire_that_was_drilled(rehearsal):
     """The shadow is where the truth has the wire; the frame came back to within the arm's play."""
     entry, end = rehearsal.hip.wire_mm

@@ -77,6 +77,7 @@ def test_a_controller_that_is_killed_while_it_moves():
         assert robot.status().error_name == "UNDEFINED"
 
 
+@pytest.mark.slow
 def test_one_that_cannot_start_says_why():
     with pytest.raises(LinkError, match=r"did not start: .*unobtainium"):
         RobotProcess(SEED, frame="unobtainium")

@@ -17,7 +17,8 @@ def test_the_bump_is_told_with_its_second_image_and_the_wire_is_drawn() -> None:
     stream = Stream(3, frame)
     eye = Eye(frame, stream.wire, ())
     still = [stream.still[k % len(stream.still)] for k in range(REST_FRAMES + 3)]
-    said = [eye.look(Shot(one, k + 1, time.time()), k + 1, 0) for k, one in enumerate([*still, *stream.moved])]
+    shots = [Shot(one, k + 1, time.time()) for k, one in enumerate([*still, *stream.moved])]
+    said = [eye.look(shot, time.monotonic(), shot.number, 0) for shot in shots]
     before, after = said[: len(still)], said[len(still) :]
     assert [w.state for w in said] == [State.SEARCHING] + [State.TRACKING] * (len(said) - 1)
     assert not any(w.moved for w in before)

@@ -95,7 +95,8 @@ class Rig:
     ) -> None:
         self.plant, self.panel = moved or IdealPlant(), Panel(key_switch=key_switch)
         self.controller = Controller(ROBOT, self.plant, setup, self.panel)
-        self.dialogue = Dialogue(self.controller, dialect=dialect)
+        # `run` leaves telemetry aside, whose poses take half of all time.
+        self.dialogue = Dialogue(self.controller, telemetry_s=1.0, dialect=dialect)
         self.now_s, self.number = 0.0, 0  # of the newest command
         self.dialogue.joined(CLIENT)
         self.said: list[Message] = []
@@ -141,7 +142,12 @@ class Rig:
 
     def reach(self, state: State) -> None:
         """By commands, from UNDEFINED."""
-        for step in _WAY[state]:
+        self.go(_WAY[state])
+        assert self.state is state
+
+    def go(self, way: tuple) -> None:
+        """The steps of a way."""
+        for step in way:
             if isinstance(step, State):
                 self.run_until(step)
             elif step == "CLB":
@@ -152,7 +158,6 @@ class Rig:
             else:
                 self.command(step)
                 self.run(0.2 if step in ("STOP", "EMERGENCY") else 0.0)
-        assert self.state is state
 
     def speed(self) -> float:
         """Largest joint speed as a share of the joint's full speed, over the last cycles."""
@@ -184,8 +189,13 @@ _WAY: dict[State, tuple] = {
 
 @cache
 def _brought(state: State) -> Rig:
-    rig = Rig()
-    rig.reach(state)
+    """From the state that lies last on its way, which was reached already."""
+    way = _WAY[state]
+    earlier = [one for one in _WAY if one is not state and way[: len(_WAY[one])] == _WAY[one]]
+    last = max(earlier, key=lambda one: len(_WAY[one]), default=None)
+    rig = Rig() if last is None else Rig.at(last)
+    rig.go(way[0 if last is None else len(_WAY[last]) :])
+    assert rig.state is state
     return rig
 
 
@@ -197,14 +207,14 @@ def code(said: list[Message], name: str | None = None) -> int | None:
 
 @contextmanager
 def served(
-    *, virtual: bool = False, port: int = 0, key_switch: bool = False, halted: State | None = None
+    *, virtual: bool = False, ideal: bool = False, port: int = 0, key_switch: bool = False, halted: State | None = None
 ) -> Iterator[RobotServer]:
-    """The robot behind a port. On a busy machine its loop may pause for longer than the 50 ms after which a robot stops
-    by itself (tests/robot/test_controller.py), and an answer take longer than a client waits; here they may.
+    """The robot behind a port. On a busy machine an answer may take longer than a client waits; here it may. `ideal`:
+    an IdealPlant, in real time.
 
     `halted`: virtual time stands still in this state, in mid-motion, until a client says something; `mid_motion` waits
     for that."""
-    moved = IdealPlant() if virtual else plant()
+    moved = IdealPlant() if virtual or ideal else plant()
     controller = Controller(ROBOT, moved, SETUP, Panel(key_switch=key_switch))
     cycles = 0
 
@@ -219,8 +229,6 @@ def served(
         moved.advance(dt_s)
 
     with (
-        patch("sightline.robot.machine.STALE_S", BUSY_S),
-        patch("sightline.robot.samples.STALE_S", BUSY_S),
         patch("sightline.robot.client.ACK_S", BUSY_S, create=True),
         patch("sightline.robot.client.STATUS_S", BUSY_S, create=True),
         RobotServer(controller, moved, port=port, advance=advance, virtual=virtual) as server,

@@ -29,6 +29,7 @@ from sightline.robot.igtl import (
     Transform,
     encode,
 )
+from sightline.robot.own_time import OwnTime
 
 PHASES = (
     "START_UP", "PLANNING", "CALIBRATION", "TARGETING", "MOVE_TO_TARGET", "MANUAL", "STOP", "EMERGENCY",
@@ -38,7 +39,7 @@ OURS = (
     contract.IS_SIMULATED,
 )  # fmt: skip
 STEP_S = 0.01  # of a motion
-SILENCE_S = 0.5  # of the client: a busy machine that runs this robot and its client may pause for longer than 0.2 s
+SILENCE_S = 0.5  # of the client, while this robot itself runs
 REACH_MM = 600.0  # of its tip, from where it stands at first
 HOME = np.array([[0.0, 0.0, 1.0, 250.0], [1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 300.0], [0.0, 0.0, 0.0, 1.0]])  # MCS
 SHORT_MM = 60.0  # before the target's tip a robot of ours stands aligned
@@ -55,6 +56,7 @@ class Peer(asyncio.Protocol):
     telemetry: bool = False
     promised: bool = False
     heard_s: float = 0.0
+    asked: dict[str, list] = field(default_factory=dict)  # by identifier: text, and the code that answered it
 
     def connection_made(self, transport) -> None:
         self.transport = transport
@@ -72,7 +74,7 @@ class Peer(asyncio.Protocol):
             if self.robot.held and self.robot.late is not None:
                 self.robot.tip = self.robot.late
             self.robot.held.clear()
-            self.heard_s = time.monotonic()
+            self.heard_s = self.robot.own.now_s
             self.robot.heard(self, event)
             if isinstance(event, Rejected) and event.fatal:
                 self.transport.close()
@@ -115,12 +117,14 @@ class ScriptedRobot:
         self.registration: np.ndarray | None = None  # maps MCS to CFCS
         self.target: np.ndarray | None = None  # the wire, MCS
         self.tip, self.moving, self.mover = HOME.copy(), None, None
+        self.own = OwnTime()
         self.holds, self.held = False, []  # what it does not answer for the moment
         self.late: np.ndarray | None = None  # where it is once it has answered that
         self.joints_at: np.ndarray | None = None
         self.length_mm = 95.0  # from entry to tip
         self.types = OURS if simulated else OURS[:-1]
         self.commands: list[str] = []
+        self.plans: list[str] = []  # that it was sent, by their identifiers
         self.turned_away = 0
         self.unexpected: list[str] = []  # what a robot of 2013 does not know
 
@@ -203,6 +207,8 @@ class ScriptedRobot:
     def command(self, peer: Peer, number: str, text: str) -> None:
         if text == "STOP" and "deaf to STOP" in self.flaws:
             return
+        if self.ours and text not in ("STOP", "EMERGENCY") and self.repeated(peer, number, text):
+            return
         self.commands.append(text)
         if text not in PHASES and "ignores unknown commands" in self.flaws:
             return
@@ -213,6 +219,7 @@ class ScriptedRobot:
         elif "STATUS before ACK" not in self.flaws:
             peer.send(f"ACK_{number}", String(text.lower() if "another ACK text" in self.flaws else text))
         code, moved = self.refusal(peer, text), self.moving
+        peer.asked[number] = [text, code]
         if code == 1:
             self.obey(peer, text)
         peer.send("CURRENT_STATUS", Status(1, self.phase))
@@ -223,11 +230,29 @@ class ScriptedRobot:
             peer.send(text[:20] or "UNKNOWN", Status(told))
         if moved is not None and self.moving is not moved and self.mover in self.peers:
             self.mover.send(moved.get_name(), Status(13))
+            for entry in self.mover.asked.values():
+                entry[1] = 13 if entry[0] == moved.get_name() else entry[1]
         if "STATUS before ACK" in self.flaws:
             peer.send(f"ACK_{number}", String(text))
         if "sends wrong CRCs" in self.flaws:
             data = encode(Message(Status(1), "NOISE"))
             peer.transport.write(data[:-1] + bytes([data[-1] ^ 1]))
+
+    def repeated(self, peer: Peer, number: str, text: str) -> bool:
+        """Whether this identifier was used before; then it is answered."""
+        before, code = peer.asked.get(number, (None, 0))
+        if before is None or "forgets identifiers" in self.flaws:
+            return False
+        if before == text and "acts on a repeat" in self.flaws:
+            return False
+        if before == text == "MOVE_TO_TARGET" and "moves on a repeat" in self.flaws:
+            return False
+        if before != text and "takes an identifier twice" in self.flaws:
+            return False
+        peer.send(f"ACK_{number}", String(text))
+        peer.send("CURRENT_STATUS", Status(1, self.phase))
+        peer.send(text[:20], Status(code if before == text and "refuses a repeat" not in self.flaws else 10))
+        return True
 
     def refusal(self, peer: Peer, text: str) -> int:
         """1, or the code by which it refuses."""
@@ -283,6 +308,7 @@ class ScriptedRobot:
         if good and pose.fault is None and self.registration is not None:
             self.target = np.linalg.inv(self.registration) @ pose.matrix
         self.length_mm = float(said.get("length_mm", 95.0))
+        self.plans += [said["plan"]] if "plan" in said else []
         peer.send("TARGET", Status(1 if good else 10))
         if good:
             peer.send("TARGET", pose)
@@ -319,6 +345,7 @@ class ScriptedRobot:
         start = self.tip[:3, 3].copy()
         for step in range(1, self.steps + 1):
             await asyncio.sleep(STEP_S)
+            self.own.turn(time.monotonic())
             if self.unwatched(peer):
                 self.moving, self.phase = None, "STOP"
                 peer.send(text, Status(13))
@@ -334,7 +361,7 @@ class ScriptedRobot:
 
     def unwatched(self, peer: Peer) -> bool:
         """Whether its client has fallen silent."""
-        silent = peer.promised and time.monotonic() - peer.heard_s > SILENCE_S
+        silent = peer.promised and self.own.now_s - peer.heard_s > SILENCE_S
         lost = peer not in self.peers  # whom only the flaw lets move on
         return silent and not lost and "never notices silence" not in self.flaws
 

@@ -5,6 +5,7 @@ import subprocess
 import sys
 import threading
 import time
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,7 +15,9 @@ from tests.robot.scripted_robot import HOME, ScriptedRobot, serving
 from sightline.errors import LinkError, RobotRefusedError
 from sightline.robot import contract
 from sightline.robot.client import RobotClient
+from sightline.robot.igtl import Message, String
 from sightline.robot.laid import AXIS_LIMIT_RAD, TIP_LIMIT_MM, Laid, refuse_other_pose
+from sightline.robot.talk import Mail
 
 T_MCS_CFCS = RigidTransform.from_components([400.0, 20.0, 290.0], Rotation.from_rotvec([0.0, 0.0, np.pi]))
 TARGET = T_MCS_CFCS.inv() * RigidTransform.from_matrix(HOME) * RigidTransform.from_translation([3.0, -2.0, 120.0])
@@ -223,6 +226,25 @@ def test_a_stop_s_connection_that_dies_is_made_anew(monkeypatch):
 
 
 # Signs of life.
+
+
+@pytest.mark.parametrize(("pauses", "comes"), [(3, True), (0, False)], ids=["it paused", "the robot is late"])
+def test_a_pause_of_the_client_is_not_the_robot_s_lateness(monkeypatch, pauses, comes):
+    """What comes after it comes in time, though its second has long passed on the clock."""
+    clock, left = SimpleNamespace(now_s=0.0), pauses
+    monkeypatch.setattr("sightline.robot.talk.time", SimpleNamespace(monotonic=lambda: clock.now_s))
+    answer = Message(String("START_UP"), "ACK_1")
+
+    class Connection:
+        def hear(self, mail: Mail, timeout_s: float) -> None:
+            nonlocal left
+            left -= 1
+            clock.now_s += 5.0 if left >= 0 else timeout_s
+            if comes and left == -5:
+                mail.came.append(answer)
+
+    assert Mail(Connection()).until(lambda _: True, contract.ACK_S) is (answer if comes else None)
+    assert clock.now_s == pytest.approx(15.2 if comes else contract.ACK_S, abs=0.06)
 
 
 def test_heartbeats_go_on_while_what_listens_computes(monkeypatch):

@@ -10,7 +10,8 @@ from tests.robot.rig import CLIENT, END_MM, ENTRY_MM, IMAGED, ROBOT, T_MCS_CFCS,
 from sightline.robot.contract import HEARTBEAT, Code
 from sightline.robot.igtl import Capability, Command, CommandReply, Status, String, Transform
 from sightline.robot.manipulator import FEED
-from sightline.robot.plant import PlantFlag
+from sightline.robot.own_time import OwnTime
+from sightline.robot.plant import CYCLE_S, PlantFlag
 from sightline.robot.requests import Reset
 from sightline.robot.states import COMMANDS, MOVING, TRANSITIONS, WAITING, Cause, State, phase
 
@@ -174,6 +175,78 @@ def test_a_loop_that_is_late_while_it_moves_stops():
     assert rig.state is State.STOP
     assert "late" in said[0].body.text
     assert rig.speed() < 0.01
+
+
+def test_own_time_goes_on_by_little_and_never_back():
+    own = OwnTime()
+    assert [own.turn(now_s) for now_s in (5.0, 5.005, 9.0, 3.0, 3.01)] == pytest.approx([0.0, 0.005, 0.02, 0.0, 0.01])
+    assert own.now_s == pytest.approx(0.035)
+
+
+PAUSE_S = 0.3  # of the machine: longer than the drives' 0.05 s and the client's 0.2 s
+
+
+@pytest.mark.parametrize("state", WAITING, ids=lambda state: state.value)
+def test_a_controller_that_slept_does_not_blame_the_drives(state):
+    """Their samples paused as it did, and come again some cycles after it woke."""
+    rig = Rig.at(state)
+    rig.now_s += PAUSE_S
+    real, frozen = rig.plant.read, rig.plant.read()
+    rig.plant.read = lambda: frozen
+    rig.run(0.03)
+    assert rig.state is state
+    rig.plant.read = real
+    rig.run(0.1)
+    assert rig.state is state
+    rig.plant.read = lambda: frozen  # but drives that are gone are noticed, and in time
+    rig.run(0.06)
+    assert rig.state is State.EMERGENCY
+    assert "no sample from the drives" in rig.controller.fault.text
+
+
+def test_a_controller_that_pauses_does_not_blame_its_client():
+    """Turn after turn it pauses, each time for less than it may; so does the client on the same machine."""
+    rig = Rig.at(State.ALIGN)
+    rig.send(HEARTBEAT, String(""))
+    for _ in range(8):
+        rig.now_s += 0.045
+        rig.plant.advance(0.045)
+        rig.dialogue.cycle(rig.now_s)
+    assert rig.state is State.ALIGN
+    rig.run(0.2)
+    assert rig.state is State.STOP  # true silence
+
+
+def test_silence_counts_only_where_the_robot_listened():
+    """What a client sent may lie in the robot's sockets; a robot that does not read them hears no stop either."""
+
+    def run(rig: Rig, seconds: float, *, listened: bool) -> list[str]:
+        said = []
+        for k in range(round(seconds / CYCLE_S)):
+            rig.now_s += CYCLE_S
+            rig.plant.advance(CYCLE_S)
+            unread_s = 0.0 if listened else (k + 1) * CYCLE_S
+            said += [o.message.body for o in rig.dialogue.cycle(rig.now_s, unread_s) if not o.telemetry]
+        return [body.text for body in said if isinstance(body, Status)]
+
+    rig = Rig.at(State.DRILL)
+    rig.send(HEARTBEAT, String(""))
+    run(rig, 0.15, listened=True)
+    run(rig, 0.15, listened=False)
+    assert rig.state is State.DRILL
+    rig.send(HEARTBEAT, String(""))  # it lay there
+    run(rig, 0.19, listened=True)
+    assert rig.state is State.DRILL
+    assert any("client was silent" in text for text in run(rig, 0.02, listened=True))
+    for promised in (True, False):
+        for seconds, ends in ((0.195, State.DRILL), (0.21, State.STOP)):
+            rig = Rig.at(State.DRILL)
+            if promised:
+                rig.send(HEARTBEAT, String(""))
+            run(rig, 0.15, listened=True)
+            said = run(rig, seconds, listened=False)
+            assert rig.state is ends
+            assert any("its own link" in text for text in said) is (ends is State.STOP)
 
 
 def test_a_fault_waits_for_a_person():

@@ -12,6 +12,7 @@ from sightline.robot.depth import CONTACT_LEAD_MM, CONTACT_SD_MM, LIMIT_MM, PLAN
 from sightline.robot.igtl import MILLIMETRE, NEWTON, Capability, Message, Sensor, Status, String
 from sightline.robot.manipulator import FEED
 from sightline.robot.record import Recorder
+from sightline.robot.server import VIRTUAL_TELEMETRY_S
 from sightline.robot.states import State
 
 LENGTH_MM = float(np.linalg.norm(END_MM - ENTRY_MM))
@@ -113,6 +114,7 @@ def test_a_hole_begun_anew_begins_with_the_plan_s_zero():
 def test_depth_travels_with_its_error_and_is_recorded_with_it():
     rig = drilling(0.4)
     rig.send("", Capability(("X_TELEMETRY",)))
+    rig.dialogue.telemetry_s = VIRTUAL_TELEMETRY_S
     recorder = Recorder()
     streamed = []
     while rig.state is not State.PAUSED:

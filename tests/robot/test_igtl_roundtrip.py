@@ -37,7 +37,7 @@ from sightline.robot.igtl import (
 )
 from sightline.robot.igtl.crc import crc64
 
-quick = settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+quick = settings(max_examples=20, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 
 
 def same(one: object, other: object) -> bool:

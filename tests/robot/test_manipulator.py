@@ -85,7 +85,7 @@ def test_many_positions_are_many_poses():
         NOMINAL.T_mcs_tool(np.zeros(4))
 
 
-@settings(deadline=None, max_examples=60)
+@settings(deadline=None, max_examples=30)
 @given(seeds)
 def test_the_inverse_undoes_the_forward(seed):
     rng = np.random.default_rng(seed)
@@ -109,7 +109,7 @@ def test_for_nominal_axes_the_inverse_finds_the_joints(seed):
         assert np.allclose(found, q, atol=1e-8, rtol=0)
 
 
-@settings(deadline=None, max_examples=20)
+@settings(deadline=None, max_examples=8)
 @given(seeds)
 def test_jacobians_are_the_derivatives(seed):
     rng = np.random.default_rng(seed)
@@ -121,7 +121,7 @@ def test_jacobians_are_the_derivatives(seed):
             assert np.allclose(getattr(robot, jacobian)(q), np.stack(found, axis=1), atol=1e-5)
 
 
-@settings(deadline=None, max_examples=10)
+@settings(deadline=None, max_examples=5)
 @given(seeds)
 def test_parameter_jacobians_are_the_derivatives(seed):
     rng = np.random.default_rng(seed)

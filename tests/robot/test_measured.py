@@ -129,19 +129,20 @@ def test_where_it_stood_at_the_images(robot):
     now = 1.7e9
     with pytest.raises(RobotRefusedError, match="pa and lateral image is missing"):
         robot.registration()
-    one = robot.at_image("pa", IMAGED, now)
+    one = robot.at_image("pa", IMAGED, now, "image.png")
     with pytest.raises(RobotRefusedError, match="the lateral image is missing"):
         one.registration()
-    both = one.at_image("lateral", IMAGED + 1e-4, now + 60.0)
+    both = one.at_image("lateral", IMAGED + 1e-4, now + 60.0, "image.png")
     assert both.registration().imaged_s == now + 60.0
     with pytest.raises(RobotRefusedError, match="moved between the images"):
-        one.at_image("lateral", LIFTED, now + 60.0)
+        one.at_image("lateral", LIFTED, now + 60.0, "image.png")
     with pytest.raises(RobotRefusedError, match="beyond the manipulator's limits"):
-        one.at_image("pa", IMAGED + 900.0, now)
+        one.at_image("pa", IMAGED + 900.0, now, "image.png")
     with pytest.raises(UnusableInputError, match="five finite"):
-        one.at_image("lateral", np.full(5, np.nan), now)
-    later = both.at_image("pa", LIFTED, now + 700.0)  # for the next patient
+        one.at_image("lateral", np.full(5, np.nan), now, "image.png")
+    later = both.at_image("pa", LIFTED, now + 700.0, "image.png")  # for the next patient
     assert set(later.images) == {"pa"}
+    assert set(one.at_image("lateral", IMAGED, now - 60.0, "l").images) == {"lateral"}  # the clock was set back
     with pytest.raises(RobotRefusedError, match="moved"):
         robot.refuse_moved(IMAGED, LIFTED)
     robot.refuse_moved(IMAGED, IMAGED + 1e-4)

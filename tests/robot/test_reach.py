@@ -45,7 +45,7 @@ def names(checks):
     return [check.name for check in failed(checks)]
 
 
-@settings(deadline=None, max_examples=40)
+@settings(deadline=None, max_examples=15)
 @given(st.integers(0, 2**32 - 1))
 def test_distance_of_a_line_from_a_box_is_the_least_of_its_points(seed):
     rng = np.random.default_rng(seed)

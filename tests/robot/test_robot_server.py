@@ -1,8 +1,10 @@
 """The robot behind its port: an insertion, refusals, lost clients and servers, and stops."""
 
+import asyncio
 import socket
 import threading
 import time
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,10 +13,12 @@ from tests.robot.rig import (
     BUSY_S,
     END_MM,
     ENTRY_MM,
+    IMAGED,
     ROBOT,
     SETUP,
     T_MCS_CFCS,
     IdealPlant,
+    Rig,
     metadata,
     mid_motion,
     served,
@@ -27,6 +31,7 @@ from sightline.robot import contract
 from sightline.robot.client import RobotClient
 from sightline.robot.controller import Controller
 from sightline.robot.igtl import Message, String, Transform, encode
+from sightline.robot.own_time import OwnTime
 from sightline.robot.server import RobotServer
 from sightline.robot.states import MOVING, State
 from sightline.robot.transport import BlockingClient
@@ -371,6 +376,79 @@ def test_a_stranger_s_flood_cuts_off_the_stranger_alone():
         heard += [one.client for one in server._inbox.turn(32)]
     assert heard.count(1) >= 100  # the leaseholder, in few turns
     assert len(server._inbox) < 7 * 300
+
+
+def test_a_round_of_the_link_has_read_all_that_had_come(monkeypatch):
+    """The robot's program paused, and a message waits in its socket: it is heard before silence is judged."""
+    monkeypatch.setattr("sightline.robot.server.READ_S", 0.0)
+    moved = IdealPlant()
+    server = RobotServer(Controller(ROBOT, moved, SETUP), moved, port=0)
+
+    async def link() -> None:
+        listening = asyncio.create_task(server._listen())
+        while not server._listening.is_set():
+            await asyncio.sleep(0)
+        with socket.create_connection(("127.0.0.1", server.port)) as client:
+            while not server._connections:
+                await asyncio.sleep(0)
+            for number in range(20):
+                asked = server._rounds
+                client.sendall(encode(Message(String(""), "HEARTBEAT")))  # this coroutine is the pause
+                while server._rounds < asked + 2:
+                    await asyncio.sleep(0)
+                assert server._inbox.waiting(1) == 1 + number + 1  # that it is there was heard first
+        server._closing.set()
+        await listening
+
+    asyncio.run(link())
+
+
+class Clock:
+    """Of a server whose loop is run by a test: `sleep` takes what it should, and one of `pauses_s` besides; the link
+    is read meanwhile, and `goes_on` told what passed."""
+
+    def __init__(self, server: RobotServer, now_s: float, pauses_s: list[float], goes_on) -> None:
+        self.now_s, self._pauses_s, self._server, self._goes_on = now_s, pauses_s, server, goes_on
+        self._thread = threading.get_ident()
+
+    def monotonic(self) -> float:
+        return self.now_s if threading.get_ident() == self._thread else time.monotonic()
+
+    def sleep(self, seconds: float) -> None:
+        if threading.get_ident() != self._thread:  # that of another server, which goes on
+            time.sleep(seconds)
+            return
+        self._server._rounds += 1
+        if self._pauses_s:
+            passed = seconds + self._pauses_s.pop(0)
+            self.now_s += passed
+            self._goes_on(passed)
+        else:
+            self._server._end.set()
+
+
+@pytest.mark.parametrize("simulated", [True, False], ids=["simulated", "real"])
+def test_a_simulated_robot_stands_still_while_its_program_does(simulated, monkeypatch):
+    """Its motion goes on afterwards; a real robot's drives have stopped, and the motion ends."""
+    rig = Rig.at(State.ALIGN)
+    server = RobotServer(rig.controller, rig.plant, advance=rig.plant.advance if simulated else None)
+    server.dialogue = rig.dialogue
+    began, own = rig.now_s, OwnTime()
+    own.now_s = began  # the rig's time goes on in the server's
+    monkeypatch.setattr("sightline.robot.server.OwnTime", lambda: own)
+    pauses_s = [0.0] * 20 + [0.3, 0.0, 5.0] + [0.0] * 20
+    clock = Clock(server, began, pauses_s, (lambda _: None) if simulated else rig.plant.advance)
+    monkeypatch.setattr("sightline.robot.server.time", clock)
+    monkeypatch.setattr(server, "_event_loop", SimpleNamespace(call_soon_threadsafe=lambda *_: None), raising=False)
+    moved = np.abs(rig.plant.q - IMAGED).max()
+    server._turn_on_time()
+    if simulated:
+        assert rig.state is State.ALIGN
+        assert np.abs(rig.plant.q - IMAGED).max() > moved
+        assert own.now_s - began < 43 * 0.005 + 2 * 0.02
+    else:
+        assert rig.state is State.STOP
+    assert server.dialogue.cycles.worst_s == pytest.approx(5.0)
 
 
 def test_a_stop_s_place_is_kept_however_many_say_nothing(virtual, robot):

@@ -97,6 +97,9 @@ def test_a_target_is_refused_by_its_errors_its_plan_and_its_age():
         good.refuse_unfit(39.95 + LIFETIME_S + 1)
     with pytest.raises(RobotRefusedError, match="expired"):
         good.refuse_unfit(np.nan)
+    good.refuse_unfit(39.95)
+    with pytest.raises(RobotRefusedError, match=r"60 s from now: the clock was set back"):
+        good.refuse_unfit(39.95 - 60.0)
     with pytest.raises(RobotRefusedError, match="NO-GO"):
         aimed(replace(IDENTITY, go=False)).refuse_unfit(40.0)
     with pytest.raises(RobotRefusedError, match=r"drilled tip errs by less than .*largest share: picks"):

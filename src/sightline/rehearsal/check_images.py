@@ -16,7 +16,7 @@ from sightline.imaging import Radiograph
 from sightline.planning import Plan
 from sightline.planning.check_shot import CheckShot, Landmarks, check_shot
 from sightline.planning.expected_wire import expected_wire
-from sightline.twin import HipScene, SetUp, draw_setup, render
+from sightline.twin import HipScene, SetUp, Variation, draw_setup, render
 from sightline.twin.implants import WIRE_MM, guide_wire
 
 ATTEMPTS = 200
@@ -39,8 +39,9 @@ class CheckImages:
         anew. Raises SetUpError where no set-up shows it all."""
         then = replace(hip, bone=hip.bone + guide_wire(wire_mm), motions={"check": motion}).at("check")
         points = np.concatenate([motion.apply(wire_mm), np.stack(list(then.landmarks_mm.values()))])
+        chain, same_arm = planned.views[VIEWS[0]].chain.name, Variation(tube=planned.tube)
         for _ in range(ATTEMPTS):
-            drawn = draw_setup(rng, planned.frame, side=planned.side, chain=planned.views[VIEWS[0]].chain.name)
+            drawn = draw_setup(rng, planned.frame, side=planned.side, chain=chain, variation=same_arm)
             setup = replace(drawn, true_frame=planned.true_frame)
             if all(view.in_field(view.project(points), MARGIN_PX).all() for view in setup.views.values()):
                 return CheckImages(setup, then, {name: render(setup, name, then.scene, rng) for name in VIEWS})

@@ -7,9 +7,9 @@ from json import JSONDecodeError, loads
 from queue import Empty, SimpleQueue
 from tempfile import TemporaryFile
 from threading import Thread
-from types import TracebackType
-from typing import IO, Self
+from typing import IO
 
+from sightline.closing import Closing
 from sightline.errors import LinkError
 
 START_S = 120.0  # imports and bone take 3 s; the very first start compiles kernels [measured]
@@ -17,7 +17,7 @@ END_S = 5.0  # what a robot takes to stop and say goodbye, and then some
 _SAID = 2000  # characters of what it said that an error repeats
 
 
-class RobotProcess:
+class RobotProcess(Closing):
     """`with RobotProcess(seed) as robot:` and a RobotClient at `robot.port`, loopback.
 
     The robot of `Rehearsal.draw(seed, Frame.load(frame), side)`. Blocks until it listens. It ends with the block, with
@@ -61,14 +61,6 @@ class RobotProcess:
     def alive(self) -> bool:
         """Whether it still runs."""
         return self._process.poll() is None
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     def _listening_port(self) -> int:
         lines: SimpleQueue[bytes] = SimpleQueue()

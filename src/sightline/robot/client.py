@@ -6,12 +6,12 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from itertools import count
 from threading import Event, Lock, Thread
-from types import TracebackType
 from typing import Self
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
+from sightline.closing import Closing
 from sightline.errors import LinkError, RobotRefusedError
 from sightline.robot import contract
 from sightline.robot.contract import ACK_S, STATUS_S, Code
@@ -65,7 +65,7 @@ class Said:
         return self
 
 
-class RobotClient:
+class RobotClient(Closing):
     """A robot behind `host`:`port`: ours, or one of the old convention, which is told apart by its CAPABILITY.
 
     Every call raises LinkError where an answer does not come in time or the connection is lost, RobotRefusedError with
@@ -104,14 +104,6 @@ class RobotClient:
         stopper = self._stopper
         if stopper is not None:
             stopper.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     @property
     def simulated(self) -> bool:

@@ -8,12 +8,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
 from time import monotonic
-from types import TracebackType
-from typing import Self
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from sightline.closing import Closing
 from sightline.errors import LinkError, RobotRefusedError, SightlineError
 from sightline.robot import contract
 from sightline.robot.client import RobotClient, pose_of
@@ -56,7 +55,7 @@ class _UnsupportedError(Exception):
     pass
 
 
-class Examination:
+class Examination(Closing):
     """A robot's examination, over one connection; robots that take several, by their CAPABILITY, are asked over a
     second one too. Raises LinkError where nobody listens."""
 
@@ -71,14 +70,6 @@ class Examination:
         if self._robot is not None:
             self._robot.close()
             self._robot = None
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     def examine(self) -> list[Finding]:
         """All questions that move nothing."""
@@ -184,6 +175,31 @@ def _refused_after(*before: str, command: str, codes: tuple[Code, ...]) -> Calla
             talk.command("STOP")
 
     return question
+
+
+def _acts_once(robot: RobotClient) -> str:
+    _identifies(robot)
+    talk, number = Conversation(robot), robot.next_number()
+    first = talk.command("START_UP", number=number)
+    talk.at("PLANNING")
+    again = talk.command("START_UP", number=number, whole=True)
+    _need(again.ack is not None, "the repeated command was not acknowledged")
+    _need(again.code == first.code, f"the repeated command was answered by {again.code}, the first by {first.code}")
+    phase = talk.phase()
+    _need(phase == "PLANNING", f"the repeated START_UP acted again: the phase is {phase}")
+    return "the first answer, and nothing else"
+
+
+def _refuses_a_used_identifier(robot: RobotClient) -> str:
+    _identifies(robot)
+    talk, number = Conversation(robot), robot.next_number()
+    if talk.command("START_UP", number=number).code != Code.OK:
+        raise NotAskedError("START_UP was not done")
+    before = talk.phase()
+    said = _code(talk.command("PLANNING", number=number), Code.CONFIGURATION)
+    phase = talk.phase()
+    _need(phase == before, f"it was obeyed: the phase went from {before} to {phase}")
+    return said
 
 
 def _takes_a_registration(robot: RobotClient) -> str:
@@ -415,6 +431,21 @@ def _stops_while_moving_from_elsewhere(robot: RobotClient) -> str:
         return moving.must_stand_after(lambda: Conversation(other).command("STOP"))
 
 
+def _moves_once(robot: RobotClient) -> str:
+    _identifies(robot)
+    talk, number = Conversation(robot), robot.next_number()
+    _aimed(robot, talk)
+    with talk.moving(number) as moving:
+        try:
+            moving.must_stand_after(lambda: talk.command("STOP"))
+        except RobotRefusedError as error:
+            raise NotAskedError(str(error)) from error
+        try:
+            return moving.must_not_begin_again(talk.command("MOVE_TO_TARGET", number=number, within_s=contract.ACK_S))
+        finally:
+            talk.command("STOP")
+
+
 def _notices_silence(robot: RobotClient) -> str:
     if contract.HAS_HEARTBEAT not in robot.capabilities:
         raise _UnsupportedError(f"announces no {contract.HAS_HEARTBEAT}")
@@ -503,6 +534,11 @@ def _several(robot: RobotClient) -> None:
         raise _UnsupportedError("of the old convention, it takes one client")
 
 
+def _identifies(robot: RobotClient) -> None:
+    if not robot.capabilities:
+        raise _UnsupportedError("the old convention does not say what a repeated identifier means")
+
+
 def _simulator(robot: RobotClient) -> None:
     if contract.HAS_RESET not in robot.capabilities or not robot.simulated:
         raise _UnsupportedError("a person would have to reset the robot afterwards; asked of simulators only")
@@ -571,6 +607,8 @@ QUESTIONS: dict[str, Callable[[RobotClient], str]] = {
     "MOVE_TO_TARGET in MANUAL: 14 or 13": _refused_after(
         "START_UP", "MANUAL", command="MOVE_TO_TARGET", codes=(Code.MANUAL, Code.NOT_READY)
     ),
+    "a repeated command acts once": _acts_once,
+    "an identifier used for another command: 10": _refuses_a_used_identifier,
     "takes a registration": _takes_a_registration,
     "ACK echoes a registration": _echoes_a_registration,
     "registration that is no rotation: 10": _no_registration(_scaled(_GENERAL)),
@@ -601,6 +639,7 @@ QUESTIONS: dict[str, Callable[[RobotClient], str]] = {
 MOTIONS: dict[str, Callable[[RobotClient], str]] = {
     "dry run: STOP while moving": _stops_while_moving,
     "dry run: STOP while moving, on a second connection": _stops_while_moving_from_elsewhere,
+    "dry run: a repeated command moves nothing": _moves_once,
     "dry run: silence stops motion": _notices_silence,
     "dry run: a lost client's motion stops": _stops_for_a_lost_client,
     "dry run: aligns, and stands": _aligns,

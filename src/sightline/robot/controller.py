@@ -69,13 +69,13 @@ class Controller(Machine):
         except RequestRefusedError as refused:
             return refused.answer
 
-    def heartbeat(self, client: int, now_s: float) -> None:
+    def heartbeat(self, client: int) -> None:
         """A sign of life, or the promise of more: from now on this client's silence is noticed."""
-        self._lease.heartbeat(client, now_s)
+        self._lease.heartbeat(client, self._own.now_s)
 
-    def heard(self, client: int, now_s: float) -> None:
+    def heard(self, client: int) -> None:
         """Any other message; it counts where the client has promised heartbeats."""
-        self._lease.heard(client, now_s)
+        self._lease.heard(client, self._own.now_s)
 
     def lost(self, client: int, now_s: float) -> None:
         """The client is gone for good: if it held the lease, the robot stops and forgets what it was told."""
@@ -87,9 +87,10 @@ class Controller(Machine):
         self._enter(Cause.LOST)
         self._forget()
 
-    def cycle(self, now_s: float) -> tuple[Outcome, ...]:
-        """Read the plant, watch, decide, command. What has ended since the last cycle."""
-        self._turn(now_s)
+    def cycle(self, now_s: float, unread_s: float = 0.0) -> tuple[Outcome, ...]:
+        """Read the plant, watch, decide, command. What has ended since the last cycle. `unread_s`: of its own time for
+        how long what clients sent may not have been read yet."""
+        self._turn(now_s, unread_s)
         self._see_look(now_s)
         ended, self._outcomes = tuple(self._outcomes), []
         return ended

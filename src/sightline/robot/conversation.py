@@ -11,8 +11,9 @@ from scipy.spatial.transform import RigidTransform
 from sightline.errors import RobotRefusedError
 from sightline.robot import contract
 from sightline.robot.client import RobotClient, pose_of
-from sightline.robot.contract import Code
+from sightline.robot.contract import HEARTBEAT_S, Code
 from sightline.robot.igtl import Message, Status, String, Transform
+from sightline.robot.own_time import OwnTime
 from sightline.robot.talk import Mail
 
 MOVED_MM = 0.5  # a motion has begun [ours]
@@ -59,9 +60,12 @@ class Conversation:
         if (phase := self.phase()) != commands[-1]:
             raise NotAskedError(f"after {commands[-1]} it says that its phase is {phase}")
 
-    def command(self, name: str, *, whole: bool = False, within_s: float = contract.STATUS_S) -> Answer:
-        """`whole`: until ACK and STATUS came, in whatever order; else until STATUS."""
-        number = self._robot.next_number()
+    def command(
+        self, name: str, *, number: str | None = None, whole: bool = False, within_s: float = contract.STATUS_S
+    ) -> Answer:
+        """`number`: its identifier, else a new one. `whole`: until ACK and STATUS came, in whatever order; else until
+        STATUS."""
+        number = number or self._robot.next_number()
 
         def send() -> None:
             self._robot.talk.send(String(name), contract.COMMAND + number)
@@ -88,13 +92,13 @@ class Conversation:
         within_s: float = contract.STATUS_S,
     ) -> Answer:
         """What came until the STATUS of that name."""
-        answer, began = Answer(), monotonic()
+        answer = Answer()
         entered = status in _ENTERED_IS_DONE and not self._robot.capabilities
 
         def ends(message: Message) -> bool:
-            self._note(answer, message, number, status, monotonic() - began)
+            self._note(answer, message, number, status, mail.own.now_s)
             if entered and answer.order and answer.order[-1] == contract.CURRENT_STATUS and answer.code is None:
-                answer.code, answer.status_s = int(Code.OK), monotonic() - began
+                answer.code, answer.status_s = int(Code.OK), mail.own.now_s
             return answer.code is not None and (answer.ack is not None or not whole)
 
         with self._robot.talk.mail() as mail:
@@ -138,15 +142,16 @@ class Conversation:
         return self._robot.position()
 
     @contextmanager
-    def moving(self) -> Iterator["Motion"]:
+    def moving(self, number: str | None = None) -> Iterator["Motion"]:
         """A motion to the target that the robot holds, seen to have begun. Raises NotAskedError where it is over."""
         before = self.tip()
-        number = self._robot.next_number()
+        number = number or self._robot.next_number()
         with self._robot.talk.mail() as mail:
             self._robot.talk.send(String("MOVE_TO_TARGET"), contract.COMMAND + number)
-            end = monotonic() + contract.STATUS_S
+            waited = OwnTime(HEARTBEAT_S)
             while _apart(before, self.tip())[0] < MOVED_MM:
-                if monotonic() > end:
+                waited.turn(monotonic())
+                if waited.now_s > contract.STATUS_S:
                     raise NotAskedError("it acknowledged a motion, and does not move")
             yield Motion(self, mail)
 
@@ -157,6 +162,7 @@ class Motion:
     def __init__(self, watch: Conversation, mail: Mail) -> None:
         self.watch = watch
         self._mail = mail
+        self._own = OwnTime(HEARTBEAT_S)
 
     def must_stand_after(self, stop: Callable[[], Answer]) -> str:
         """Raise RobotRefusedError where the wire goes on after a stop was answered."""
@@ -173,12 +179,20 @@ class Motion:
         took = f"answered in {1e3 * (answer.status_s or 0.0):.0f} ms"
         return f"{took}, {_apart(before, at_once)[0]:.1f} mm after it was sent"
 
+    def must_not_begin_again(self, answer: Answer) -> str:
+        """Raise RobotRefusedError where the wire, which stood, moves after what was answered so."""
+        off = self._moves(self.watch.tip())
+        if off:
+            raise RobotRefusedError(f"the repeated MOVE_TO_TARGET moved the wire again, by {off}")
+        if answer.code is None:
+            raise RobotRefusedError("the repeated MOVE_TO_TARGET was not answered")
+        return f"the first answer again: {answer.code} {answer.text}"
+
     def must_stand_by_itself(self, within_s: float) -> str:
         """Raise RobotRefusedError where the wire still moves after this time."""
-        began = monotonic()
-        off = "nothing"
-        while monotonic() - began < within_s:
-            seen_s = monotonic() - began
+        self._own.turn(monotonic())
+        began_s, off = self._own.now_s, "nothing"
+        while (seen_s := self._own.now_s - began_s) < within_s:
             off = self._moves(self.watch.tip())
             if self._mail.holds(_arrived):
                 raise NotAskedError("the motion had ended by itself before it could be judged")
@@ -190,6 +204,7 @@ class Motion:
         """By how much it moves from there in the time that it takes to see; '' where it stands."""
         began, seen = monotonic(), 0
         while monotonic() - began < STILL_S or seen < STILL_POSES:
+            self._own.turn(monotonic())
             mm, rad = _apart(first, self.watch.tip())
             if mm > STILL_MM or rad > STILL_RAD:
                 return f"{mm:.2f} mm, {np.rad2deg(rad):.2f}°"

@@ -127,13 +127,13 @@ class Dialogue:
         self.joined(client)
         peer = self._peers[client]
         peer.version = max(peer.version, event.version)
-        self.controller.heard(client, now_s)
+        self.controller.heard(client)
         return self._all(client, self._answer(client, event, now_s, overtaken))
 
-    def cycle(self, now_s: float) -> list[Outgoing]:
-        """One cycle of the controller, and what it gives to say."""
+    def cycle(self, now_s: float, unread_s: float = 0.0) -> list[Outgoing]:
+        """One cycle of the controller, and what it gives to say. `unread_s`: see `Controller.cycle`."""
         out = []
-        for outcome in self.controller.cycle(now_s):
+        for outcome in self.controller.cycle(now_s, unread_s):
             for client in [outcome.client] if outcome.client is not None else list(self._peers):
                 out += self._all(client, self._of_outcome(client, outcome))
         return out + self._new_events() + self._telemetry(now_s)
@@ -154,7 +154,7 @@ class Dialogue:
                 self._peers[client].telemetry = contract.HAS_TELEMETRY in types
                 self._peers[client].drills_by_name = contract.HAS_DRILLING in types
                 if contract.HAS_HEARTBEAT in types:
-                    self.controller.heartbeat(client, now_s)
+                    self.controller.heartbeat(client)
                 said = [self._capability()]
             case Get("CAPABILITY"):
                 said = [self._capability()]
@@ -184,7 +184,7 @@ class Dialogue:
         if name.startswith(contract.COMMAND):
             return self._of_phase(client, name, text, now_s, overtaken)
         if name == contract.HEARTBEAT:
-            self.controller.heartbeat(client, now_s)
+            self.controller.heartbeat(client)
             return []
         if name == contract.MIRROR_STATUS:
             self._peers[client].mirrored = True

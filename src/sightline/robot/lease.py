@@ -1,4 +1,4 @@
-"""Which client commands, and whether it has fallen silent."""
+"""Which client commands, and whether it has fallen silent. Times are the robot's own (robot/own_time.py)."""
 
 from sightline.robot.contract import SILENCE_S
 
@@ -33,7 +33,12 @@ class Lease:
         self.holder = None
         return True
 
-    def silent(self, begun_s: float, now_s: float) -> bool:
-        """Whether its holder has said nothing for too long, since `begun_s` at most."""
+    def silence(self, begun_s: float, now_s: float, unread_s: float) -> str | None:
+        """Why a motion that began at `begun_s` must end: its client said nothing for too long, up to what came in the
+        last `unread_s`; or the robot did not read that for too long, and would hear no stop."""
         heard_s = self._heard_s.get(-1 if self.holder is None else self.holder)
-        return heard_s is not None and now_s - max(heard_s, begun_s) > SILENCE_S
+        if heard_s is not None and now_s - unread_s - max(heard_s, begun_s) > SILENCE_S:
+            return f"the client was silent for {SILENCE_S:g} s"
+        if min(unread_s, now_s - begun_s) > SILENCE_S:
+            return f"the robot did not read its own link for {SILENCE_S:g} s: its computer is too busy"
+        return None

@@ -6,12 +6,13 @@ import numpy as np
 
 from sightline.robot.activities import Activity, align, retract
 from sightline.robot.calibrated import CalibratedRobot
-from sightline.robot.contract import SILENCE_S, Code
+from sightline.robot.contract import Code
 from sightline.robot.depth import DepthZero
 from sightline.robot.drilling import Drilling
 from sightline.robot.insertion import Insertion, LinkRegistration, Setup
 from sightline.robot.lease import Lease
 from sightline.robot.manipulator import FEED, JOINTS
+from sightline.robot.own_time import OwnTime
 from sightline.robot.panel import Panel
 from sightline.robot.plant import Plant, PlantFlag
 from sightline.robot.requests import Answer, Fault, Outcome, RequestRefusedError, Snapshot
@@ -35,10 +36,12 @@ class Machine:
         self.insertion: Insertion | None = None
         self.drilling: Drilling | None = None
         self._lease = Lease()
+        self._own = OwnTime()
+        self._unread_s = 0.0
         self._plant, self._samples = plant, Samples(plant)
         self._activity: Activity | None = None
         self._next_fault = first_fault
-        self._begun_s = 0.0  # an activity's first cycle: what was asked before it may have taken long
+        self._begun_s = 0.0  # own time of an activity's first cycle: what was asked before it may have taken long
         self._acted_s: float | None = None  # when the activity that goes on had its last cycle
         self._commanded = np.zeros(len(JOINTS))
         self._rest = self._q  # where the joints stand while the robot waits
@@ -78,13 +81,15 @@ class Machine:
             return None
         return DepthZero(float(self.insertion.q[FEED])) if self.drilling is None else self.drilling.zero
 
-    def _turn(self, now_s: float) -> None:
-        """One cycle."""
+    def _turn(self, now_s: float, unread_s: float) -> None:
+        """One cycle. `unread_s`: see `Controller.cycle`."""
+        self._own.turn(now_s)
+        self._unread_s = unread_s
         if self._acted_s is not None and now_s - self._acted_s > STALE_S:
             self._halt_by_itself(f"the control loop was {now_s - self._acted_s:.2f} s late", now_s)
         if self._acted_s is None:
-            self._begun_s = now_s
-        self._samples.take(now_s)
+            self._begun_s = self._own.now_s
+        self._samples.take(self._own.now_s)
         self._watch(now_s)
         if self._activity is not None:
             self._act(now_s)
@@ -122,7 +127,7 @@ class Machine:
                 self._reset_at_panel()
             return
         self.panel.take_reset()  # pressed too early
-        missing = self._samples.missing(now_s)
+        missing = self._samples.missing(self._own.now_s)
         if missing:
             self._fail(Code.HARDWARE, missing, now_s)
         elif self._stop_pressed and self.state is not State.UNDEFINED:
@@ -146,11 +151,9 @@ class Machine:
     def _reason_to_halt(self, now_s: float) -> str | None:
         if not self._run_held:
             return "the hold-to-run switch was released"
-        if self._lease.silent(self._begun_s, now_s):
-            return f"the client was silent for {SILENCE_S:g} s"
         if self.state is not State.RETRACT and self.insertion is not None and now_s > self.insertion.expires_s:
             return "the plan has expired"
-        return None
+        return self._lease.silence(self._begun_s, self._own.now_s, self._unread_s)
 
     def _act(self, now_s: float) -> None:
         if self._activity is None:

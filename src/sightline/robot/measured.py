@@ -1,6 +1,6 @@
 """A robot as it was measured, in one file: its calibration, whose it is, and where it stood at the images."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from json import JSONDecodeError, loads
@@ -92,10 +92,11 @@ class ManipulatorPart(_Part):
 
 
 class ImagePart(_Part):
-    """Joints at an image, and when they were read, s since 1970."""
+    """Joints at an image, when they were read, s since 1970, and the image's file, named by its bytes."""
 
     q: Joints
     read_s: Annotated[float, Field(allow_inf_nan=False, ge=0, le=1e11)]
+    source: Annotated[str, Field(max_length=200)] = ""
 
 
 class RobotFile(_Part):
@@ -191,15 +192,19 @@ class RobotFile(_Part):
         """Raise RobotRefusedError where the robot did not stand still between two readings of its joints."""
         register(self.robot(), {"one": PoseAtImage(before, 0.0, 0.0), "other": PoseAtImage(after, 0.0, 0.0)})
 
-    def at_image(self, view: Literal["pa", "lateral"], q: np.ndarray, now_s: float) -> "RobotFile":
-        """With the joints at an image taken just now. An image so old that a plan on it has expired is dropped.
+    def at_image(self, view: Literal["pa", "lateral"], q: np.ndarray, now_s: float, source: str) -> "RobotFile":
+        """With the joints at an image taken just now. An image so old that a plan on it has expired is dropped, and so
+        is one of a time to come: the clock was set back since, and its age is not known.
+        `source`: the image's file by its bytes, as the plan on it will name it.
 
         Raises RobotRefusedError for joints that cannot be, and for a robot that moved since the other image."""
         if q.shape != (5,) or not np.isfinite(q).all():
             raise UnusableInputError("the robot's pose at an image needs five finite joint positions: docs/robot.md")
         joints: Any = tuple(float(one) for one in q)
-        kept = {name: one for name, one in self.images.items() if now_s - one.read_s < LIFETIME_S and name != view}
-        out = self.model_copy(update={"images": {**kept, view: ImagePart(q=joints, read_s=now_s)}})
+        kept = {
+            name: one for name, one in self.images.items() if 0.0 <= now_s - one.read_s < LIFETIME_S and name != view
+        }
+        out = self.model_copy(update={"images": {**kept, view: ImagePart(q=joints, read_s=now_s, source=source)}})
         out._registration()
         return out
 
@@ -216,6 +221,17 @@ class RobotFile(_Part):
         """Of the images that there are."""
         poses = {str(view): PoseAtImage(np.array(one.q), one.read_s, one.read_s) for view, one in self.images.items()}
         return register(self.robot(), poses)
+
+    def refuse_other_images(self, images: Mapping[str, str]) -> None:
+        """Raise RobotRefusedError unless a plan was made on the very images that were registered; `images`: the file of
+        each of its views, named by its bytes."""
+        for view, registered in self.images.items():
+            if not registered.source or images.get(view) != registered.source:
+                raise RobotRefusedError(
+                    f"the plan's {view} image is {images.get(view) or 'not named'}, the one registered is "
+                    f"{registered.source or 'not named'}: where the robot stood at the plan's images is not known; "
+                    "plan on the images that were registered, or take and register new ones"
+                )
 
     def refuse_other(self, side: str | None, frame_serial: str | None, now_s: float) -> None:
         """Raise RobotRefusedError where a plan is of another side or frame than this robot's, or it is too old."""

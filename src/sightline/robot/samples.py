@@ -21,7 +21,7 @@ class Samples:
         self._plant = plant
         self.latest: Reading = plant.read()
         self._sound = True  # the last sample was one of numbers
-        self._sampled_s: float | None = None  # by the controller's clock
+        self._sampled_s: float | None = None  # the controller's own time, so that its pauses are not the plant's
         self._past: deque[Reading] = deque([self.latest], maxlen=WINDOW)
 
     def take(self, now_s: float) -> None:

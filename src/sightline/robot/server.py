@@ -12,9 +12,10 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import replace
-from types import TracebackType
+from functools import partial
 from typing import Self
 
+from sightline.closing import Closing
 from sightline.errors import LinkError, MessageError
 from sightline.robot import contract
 from sightline.robot.controller import Controller
@@ -22,6 +23,7 @@ from sightline.robot.dialect import SIGHTLINE, Dialect
 from sightline.robot.dialogue import Dialogue, Outgoing
 from sightline.robot.igtl import Event, timestamp_of
 from sightline.robot.inbox import Change, Heard, Inbox, stop_of
+from sightline.robot.own_time import OwnTime
 from sightline.robot.plant import CYCLE_S, Plant
 from sightline.robot.transport import LOOPBACK, PORT, Connection, serve
 
@@ -29,6 +31,7 @@ LATE_S = 0.001  # a cycle that begins later than this has missed its time [issue
 SWITCH_S = 0.0005  # Python's threads take turns so often: a tenth of a cycle [ours]
 PRIORITY = 10  # of the loop's thread among real-time threads, where the system allows it [ours]
 DEAF_S = 3 * CYCLE_S  # a loop that has not turned for so long cannot stop the drives
+READ_S = CYCLE_S  # between the rounds in which the link reads its sockets, at most
 REQUESTS_PER_CYCLE = 32  # the others wait, so that no flood of requests makes a cycle late [ours]
 WAITING_REQUESTS = 256  # of one client: that which has more waiting is cut off [ours]
 WAITING_BATCHES = 64  # of telemetry, when the link cannot follow; what is newer is dropped [ours]
@@ -40,10 +43,11 @@ MAX_BODY_BYTES = 1 << 20  # no message of the contract needs a hundredth
 _AFTER_REQUEST = 20  # cycles that virtual time goes on for after a request
 
 
-class RobotServer:
+class RobotServer(Closing):
     """`with RobotServer(controller, plant):` listens at `port` until the block ends.
 
-    `advance(dt_s)` lets a simulated plant's time pass; a real one needs none. With `virtual` time runs as fast as it
+    `advance(dt_s)` lets a simulated plant's time pass, which stands still while this program does not run; a real one
+    needs none. With `virtual` time runs as fast as it
     can while something moves and stands still otherwise: for trials, with clients that send no heartbeats. `truth`:
     what a simulator tells simulated imaging devices (robot/simulated.py). `dialect`: robot/dialect.py.
     Raises LinkError where the port cannot be had.
@@ -72,6 +76,7 @@ class RobotServer:
         self._next = 1
         self._handed = self._delivered = 0  # batches: the first counted by the loop's thread, the second by the link's
         self._turned_s = time.monotonic()
+        self._rounds = 0  # of the link's thread: how often it has read all its sockets
         self._end = threading.Event()
         self._listening: threading.Event = threading.Event()
         self._failed: LinkError | None = None
@@ -79,8 +84,8 @@ class RobotServer:
         self._closing: asyncio.Event
         self._link = threading.Thread(target=self._run_link, name="link", daemon=True)
         self._control = threading.Thread(target=self._run_control, name="control", daemon=True)
-        # Who holds Python's lock must not wait while the loop waits for it.
-        prefer = None if virtual else lambda: _prefer_this_thread(PRIORITY - 2)
+        # A thread that holds the global interpreter lock must not be preempted while the control loop waits for it.
+        prefer = None if virtual else lambda: prefer_this_thread(PRIORITY - 2)
         self._survey = ThreadPoolExecutor(1, "survey", prefer)
         controller.surveyor = self._survey.submit
 
@@ -90,11 +95,6 @@ class RobotServer:
             raise self._failed or LinkError("the link did not start")
         self._control.start()
         return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     def close(self) -> None:
         """Stop the robot, say goodbye, and end."""
@@ -110,7 +110,7 @@ class RobotServer:
     def wait(self) -> None:
         """Until the link ends, or a KeyboardInterrupt."""
         if not self._virtual:
-            _prefer_this_thread(PRIORITY - 1)  # it wakes now and then, and holds Python's lock for a moment
+            prefer_this_thread(PRIORITY - 1)  # it wakes now and then, and holds Python's lock for a moment
         while self._link.is_alive():
             self._link.join(1.0)
 
@@ -118,7 +118,7 @@ class RobotServer:
 
     def _run_link(self) -> None:
         if not self._virtual:
-            _prefer_this_thread(PRIORITY - 1)  # who holds Python's lock must not wait while the loop waits for it
+            prefer_this_thread(PRIORITY - 1)  # its decoding holds that lock, too
         try:
             asyncio.run(self._listen())
         except LinkError as error:
@@ -133,8 +133,14 @@ class RobotServer:
             self, self._host, self.port, max_body_bytes=MAX_BODY_BYTES, mute_s=contract.MUTE_S, kept_for=_stops
         ) as server:
             self.port = server.port
+            self._count_round()
             self._listening.set()
             await self._closing.wait()
+
+    def _count_round(self) -> None:
+        """The event loop calls this after it has read all sockets: what had come at the last round is in the inbox."""
+        self._rounds += 1
+        self._event_loop.call_later(READ_S, self._count_round)
 
     def opened(self, connection: Connection) -> None:
         """See transport.Handler."""
@@ -182,7 +188,7 @@ class RobotServer:
             if self._virtual:
                 self._turn_virtually()
             else:
-                _prefer_this_thread(PRIORITY)
+                prefer_this_thread(PRIORITY)
                 self._turn_on_time()
         finally:
             self._plant.hold()
@@ -194,8 +200,9 @@ class RobotServer:
             self._event_loop.call_soon_threadsafe(self._closing.set)
 
     def _turn_on_time(self) -> None:
-        cycles = self.dialogue.cycles
-        due = last = time.monotonic()
+        cycles, own = self.dialogue.cycles, OwnTime()
+        read_s, asked_s, asked = 0.0, 0.0, self._rounds
+        due = time.monotonic()
         while not self._end.is_set():
             due += CYCLE_S
             time.sleep(max(due - time.monotonic(), 0.0))
@@ -203,14 +210,16 @@ class RobotServer:
             cycles.count += 1
             cycles.missed += late > LATE_S
             cycles.worst_s = max(cycles.worst_s, late)
-            said = self._guarded(self._hear, due)
+            if self._rounds >= asked + 2:  # the second has begun after it was asked for
+                read_s, asked_s, asked = asked_s, own.now_s, self._rounds
+            said = self._guarded(self._hear, own.now_s if self._advance else due)
             # What was never begun is not made up for: requests may take long where the robot stands.
             skipped = int((time.monotonic() - due) / CYCLE_S)
             cycles.count += skipped
             cycles.missed += skipped
             due += CYCLE_S * skipped
-            self._turn(due, due - last, said)
-            last = due
+            passed = own.turn(due)
+            self._turn(own.now_s if self._advance else due, passed, said, own.now_s - read_s)
             self._turned_s = time.monotonic()
 
     def _turn_virtually(self) -> None:
@@ -225,11 +234,11 @@ class RobotServer:
             now += CYCLE_S
             self._turn(now, CYCLE_S, self._guarded(self._hear, now))
 
-    def _turn(self, now_s: float, elapsed_s: float, said: list[Outgoing]) -> None:
+    def _turn(self, now_s: float, elapsed_s: float, said: list[Outgoing], unread_s: float = 0.0) -> None:
         """Let time pass, one cycle of the controller, and hand over what there is to say."""
         if self._advance is not None:
             self._advance(elapsed_s)
-        said = said + self._guarded(self.dialogue.cycle, now_s)
+        said = said + self._guarded(partial(self.dialogue.cycle, unread_s=unread_s), now_s)
         waiting = self._handed - self._delivered
         if said and (waiting < WAITING_BATCHES or not all(outgoing.telemetry for outgoing in said)):
             self._handed += 1
@@ -268,15 +277,15 @@ def _stops(event: Event) -> bool:
 
 
 def tune_process() -> None:
-    """For a process that is a robot and nothing else: short turns of threads, and no long search for garbage."""
+    """For a process that is a robot or drives one: short turns of threads, and no long search for garbage."""
     sys.setswitchinterval(SWITCH_S)
     gc.collect()
     gc.freeze()  # what is there now stays, and is not looked through again
     gc.set_threshold(10_000, 50, 1000)
 
 
-def _prefer_this_thread(priority: int) -> None:
-    """Before all that is not in real time, where the system has this and allows it."""
+def prefer_this_thread(priority: int) -> None:
+    """Run the calling thread before all that is not real-time, where the system allows it."""
     if hasattr(os, "sched_setscheduler"):
         with suppress(OSError):
             os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))

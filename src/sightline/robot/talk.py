@@ -10,6 +10,7 @@ from sightline.errors import LinkError
 from sightline.robot.contract import ALIVE_S, HEARTBEAT, HEARTBEAT_S, IDLE_S, STATUS_S
 from sightline.robot.igtl import Capability, Get, Message, Rejected, String, timestamp_of
 from sightline.robot.igtl.kinds import Body
+from sightline.robot.own_time import OwnTime
 from sightline.robot.transport import BlockingClient
 from sightline.robot.transport.heartbeat import Heartbeat, Pace
 
@@ -22,24 +23,29 @@ class LateError(LinkError):
 
 
 class Mail:
-    """What has come since it was opened."""
+    """What has come since it was opened. `own`: time that its reader has waited; a pause of this program is not the
+    robot's lateness."""
 
     def __init__(self, talk: "Talk") -> None:
         self._talk = talk
         self.came: deque[Message] = deque()
+        self.own = OwnTime(HEARTBEAT_S)
+        self.own.turn(time.monotonic())
 
     def until(self, wanted: Wanted, timeout_s: float) -> Message | None:
         """The next message that is wanted; None where none came in time. Those before it are dropped.
 
         What came in time and was not read, because this program paused, counts."""
-        end = time.monotonic() + timeout_s
+        self.own.turn(time.monotonic())
+        end_s = self.own.now_s + timeout_s
         while True:
             while self.came:
                 message = self.came.popleft()
                 if wanted(message):
                     return message
-            left = end - time.monotonic()
+            left = end_s - self.own.now_s
             self._talk.hear(self, min(max(left, 0.0), HEARTBEAT_S))
+            self.own.turn(time.monotonic())
             if (left <= 0 and not self.came) or left < -DRAIN_S:
                 return None
 

@@ -15,6 +15,7 @@ from sightline.robot.registration import Registration
 
 # A plan is as old as its last image; patients breathe, tables sag [issue: 10 minutes].
 LIFETIME_S = 600.0
+_CLOCK_S = 1.0  # [ours] by how much two readings of one clock may disagree
 # What an oblique cortex bends a wire whose sleeve stands at the bone, 1 s.d. per axis: 60 holes of 130° to 138° drilled
 # in the twin, the sleeve 5 mm before the bone, gave 0.9 mrad, at most 3.5 [calc]. Four times that at 10 mm.
 SKIVING_RAD = 1e-3
@@ -100,7 +101,7 @@ class RobotTarget:
         return (Check("plan go", go, None, None, "", said), *(self._check(*figure) for figure in figures))
 
     def refuse_unfit(self, now_s: float) -> None:
-        """Raise RobotRefusedError where a check failed or the target has expired."""
+        """Raise RobotRefusedError where a check failed, the target has expired, or its images are of a time to come."""
         failed = [check.sentence for check in self.checks if not check.passed]
         if failed:
             raise RobotRefusedError(f"the plan must not be drilled: {' '.join(failed)}")
@@ -108,6 +109,11 @@ class RobotTarget:
             raise RobotRefusedError(
                 f"the plan expired {now_s - self.expires_s:.0f} s ago ({LIFETIME_S / 60:g} minutes after its images); "
                 "take new images and plan again"
+            )
+        if (ahead_s := self.expires_s - LIFETIME_S - now_s) > _CLOCK_S:
+            raise RobotRefusedError(
+                f"the plan's images were taken {ahead_s:.0f} s from now: the clock was set back "
+                "since, and nobody knows how old they are; take new images and plan again"
             )
 
     def _check(self, name: str, what: str, figure: float, limit: float, unit: str) -> Check:

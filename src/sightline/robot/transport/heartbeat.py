@@ -33,10 +33,13 @@ class Pace(NamedTuple):
 
 def beat(link: socket.socket, told: socket.socket, message: bytes, pace: Pace) -> None:
     """Send heartbeats until the client or the connection has ended."""
-    waiting, turned_s, sent_s = False, 0.0, -pace.idle_s
+    waiting, quiet_s, sent_s, turned_s = False, 0.0, -pace.idle_s, time.monotonic()
     while True:
         now = time.monotonic()
-        due = now - turned_s < pace.alive_s if waiting else now - sent_s >= pace.idle_s
+        # Of a pause of this process no more counts: the client, on the same machine, may have paused too.
+        quiet_s += min(now - turned_s, 2 * pace.every_s)
+        turned_s = now
+        due = quiet_s < pace.alive_s if waiting else now - sent_s >= pace.idle_s
         if due and now - sent_s >= pace.every_s:
             if not _sent(link, message):
                 return
@@ -46,8 +49,7 @@ def beat(link: socket.socket, told: socket.socket, message: bytes, pace: Pace) -
             said = told.recv(4096)
             if not said:
                 return
-            waiting = said.endswith(WAITING)
-            turned_s = time.monotonic()
+            waiting, quiet_s, turned_s = said.endswith(WAITING), 0.0, time.monotonic()
 
 
 def _sent(link: socket.socket, message: bytes) -> bool:
