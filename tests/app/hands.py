@@ -116,9 +116,10 @@ class Hands:
         self.press("confirm-serial")
         self.wait_for_step("Images", "done")
 
-    def plan(self, *, head: bool = True) -> None:
-        """Wire and landmarks, in the order that the page asks for them; then the head's rim."""
-        known = truth()
+    def plan(self, known: dict[str, Pixels] | None = None, *, head: bool = True) -> None:
+        """Wire and landmarks, in the order that the page asks for them; then the head's rim. `known`: where each
+        belongs, if not where the twin has it."""
+        known = truth() if known is None else known
         self.step("Plan")
         for view in NAMES:
             for name in ("entry", "end"):

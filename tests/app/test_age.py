@@ -73,6 +73,7 @@ class _Clock(datetime):
 def opened(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Procedure]:
     """Both images came just now."""
     monkeypatch.setattr(module, "datetime", _Clock)
+    monkeypatch.setattr(module, "monotonic", lambda: 0.0)
     _Clock.at = NOW
     workshop = Workshop()
     made = Procedure.open(tmp_path, "gamma", None, workshop)
@@ -117,6 +118,21 @@ def test_a_time_that_is_not_known_is_asked_for(opened: Procedure, said_ago_s: fl
     assert Decisions.of(opened.decisions.document()) == opened.decisions
     _came(opened, "lateral", 104, None)  # what was said was said of another image
     assert opened.age_s is None
+
+
+def test_a_clock_that_is_set_back_makes_no_plan_younger(opened: Procedure, monkeypatch: pytest.MonkeyPatch) -> None:
+    passed_s = [1000.0]
+    monkeypatch.setattr(module, "monotonic", lambda: passed_s[0])
+    _Clock.at = NOW + timedelta(seconds=60.0)
+    assert opened.age_s == 60.0
+    passed_s[0] += LIFETIME_S - 30.0
+    assert opened.age_s == LIFETIME_S + 30.0 and not opened.fresh
+    _Clock.at = NOW - timedelta(seconds=1.0)
+    assert opened.age_s == -1.0 and not opened.fresh
+    _came(opened, "pa", 103, said_ago_s=0.0)
+    _came(opened, "lateral", 104, said_ago_s=5.0)
+    _Clock.at = NOW
+    assert opened.age_s == 5.0  # of another pair
 
 
 def test_the_images_of_a_rehearsal_are_taken_as_they_come(opened: Procedure) -> None:

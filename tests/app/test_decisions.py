@@ -1,6 +1,7 @@
 """Decisions, their history, and how both come back from what was recorded."""
 
 import json
+from datetime import UTC
 
 import pytest
 from hypothesis import given
@@ -29,6 +30,8 @@ DECISIONS = st.builds(
     st.dictionaries(st.text(min_size=1, max_size=8), MARKS, max_size=5),
     st.dictionaries(st.sampled_from(["pa", "lateral"]), DISPLAYS),
     st.booleans(),
+    st.dictionaries(st.integers(1, 99), st.datetimes(timezones=st.just(UTC))),
+    st.dictionaries(st.integers(1, 99), st.booleans()),
 )
 
 

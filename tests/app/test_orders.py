@@ -15,15 +15,22 @@ from sightline.errors import CaseError, LinkError, RobotRefusedError, WireRefuse
 def _drilling(monkeypatch: pytest.MonkeyPatch, send: Any, record: Any) -> tuple[Drilling, Any]:
     """Before a plan that was sent, another is confirmed."""
     stub = SimpleNamespace(number=1, q=(), entry_error_95_mm=0.5, end_error_95_mm=0.5, document=dict)
-    for name in ("calibrated_of", "record_planned", "_depth_limit", "asked"):
+    for name in ("entry_of", "record_planned", "_depth_limit", "asked"):
         monkeypatch.setattr(module, name, lambda *_, **__: stub)
     decisions = SimpleNamespace(
-        images={"pa": 1, "lateral": 2}, side="right", serial="1", kind="hip-screw", document=dict
+        images={"pa": 1, "lateral": 2}, side="right", serial="1", kind="hip-screw", mirrored={}, document=dict
     )
     known: Any = SimpleNamespace(plan=SimpleNamespace(trajectory=stub), decisions=decisions)
     case = SimpleNamespace(number="C", last=1, record=record)
     procedure: Any = SimpleNamespace(
-        planned=known, go=True, can_send=True, age_s=1.0, decisions=decisions, case=case, notify=lambda: None
+        planned=known,
+        go=True,
+        can_send=True,
+        age_s=1.0,
+        decisions=decisions,
+        case=case,
+        seen=lambda name: stub,
+        notify=lambda: None,
     )
     made = Drilling(procedure)
     session: Any = SimpleNamespace(now=SimpleNamespace(lost=False), aimed=lambda *_: stub, send=send)

@@ -3,6 +3,7 @@
 import re
 import signal
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +21,7 @@ from sightline.case.views import NAMES
 from sightline.imaging import write_dicom
 from sightline.robot.simulated import SimulatedWire
 from sightline.robot.states import State
+from sightline.robot.target import LIFETIME_S
 from sightline.twin import render
 from sightline.twin.implants import guide_wire
 
@@ -34,8 +36,16 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def server(serve: Callable[..., Server], folder: Path) -> Server:
-    command = ["sightline", "app", "--port", "{port}", "--no-browser", "--case", str(folder)]
+def clock(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Holds by how many seconds the server's clock is ahead."""
+    file = tmp_path_factory.mktemp("clock") / "ahead.txt"
+    file.write_text("0")
+    return file
+
+
+@pytest.fixture(scope="module")
+def server(serve: Callable[..., Server], folder: Path, clock: Path) -> Server:
+    command = ["tests.app.clock_app", str(clock), "app", "--port", "{port}", "--no-browser", "--case", str(folder)]
     return serve(*command, "--rehearse", str(SEED), "--fast-robot", "--quiet")
 
 
@@ -52,7 +62,7 @@ def _recorded(folder: Path) -> Decisions:
         return Decisions.of(case.latest(Kind.CHANGED, where={"what": "edit"}).content["to"])
 
 
-def test_the_whole_procedure_by_mouse_and_keyboard(hands: Hands, folder: Path, shoot) -> None:
+def test_the_whole_procedure_by_mouse_and_keyboard(hands: Hands, folder: Path, clock: Path, shoot) -> None:
     """From two images to a wire in the bone that two more images show where it was planned."""
     shoot(hands.page, "images")
     hands.step("Calibrate")
@@ -67,7 +77,9 @@ def test_the_whole_procedure_by_mouse_and_keyboard(hands: Hands, folder: Path, s
     expect(hands.see("verdict")).not_to_contain_text("NO-GO")
     expect(hands.see("figures")).to_contain_text("tip to bone along wire")
     shoot(hands.page, "plan")
+    _expire(hands, clock)
     _drill(hands, shoot)
+    _stay_drilled(hands, clock)
     _verify(hands, shoot, folder)
     with Case.open(folder, read_only=True) as case:
         assert not case.problems
@@ -76,6 +88,30 @@ def test_the_whole_procedure_by_mouse_and_keyboard(hands: Hands, folder: Path, s
     assert recorded == {Kind.CHANGED, Kind.SENT, Kind.DRILLED}
     assert all(one.passed for one in replayed)  # to the bit only with the server's number of threads
     assert {Kind.PLANNED, Kind.VERIFIED} <= {one.entry.kind for one in replayed}
+
+
+def _expire(hands: Hands, clock: Path) -> None:
+    """The page says it by itself, and takes it back."""
+    clock.write_text(str(LIFETIME_S + 1.0))
+    expect(hands.see("verdict")).to_contain_text("NO-GO")
+    expect(hands.see("age")).to_contain_text("expired")
+    clock.write_text("0")
+    expect(hands.see("verdict")).not_to_contain_text("NO-GO")
+    expect(hands.see("age")).to_contain_text("expires in")
+
+
+def _stay_drilled(hands: Hands, clock: Path) -> None:
+    """What is drilled grows no older; another plan on the same images does."""
+    clock.write_text(str(LIFETIME_S + 1.0))
+    hands.step("Plan")
+    expect(hands.see("age")).to_contain_text("the wire is drilled")
+    expect(hands.see("verdict")).not_to_contain_text("NO-GO")
+    hands.page.get_by_test_id("xray-pa").get_by_test_id("point-entry").focus()
+    hands.page.keyboard.press("ArrowRight")
+    expect(hands.see("verdict")).to_contain_text("NO-GO")
+    hands.page.keyboard.press("Control+z")
+    expect(hands.see("verdict")).not_to_contain_text("NO-GO")
+    clock.write_text("0")
 
 
 def _drill(hands: Hands, shoot) -> None:
@@ -115,6 +151,7 @@ def _verify(hands: Hands, shoot, folder: Path) -> None:
     for view in NAMES:
         hands.until(view, "core.state.layers.get('found')?.shapes.length > 0", timeout_ms=PATIENCE_MS)
     _find_landmarks_again(hands, folder)
+    expect(hands.see("check-checks").locator("li.failed")).to_have_text([])
     expect(hands.see("check-verdict")).to_have_text("The check shot passed.")
     shoot(hands.page, "verify")
 
@@ -324,8 +361,8 @@ def test_a_server_that_does_not_answer_is_said_over_the_whole_page(hands: Hands,
     server._process.send_signal(signal.SIGSTOP)
     try:
         expect(dead).to_be_visible()
-        box = dead.bounding_box()
-        assert box is not None and box["width"] == hands.page.viewport_size["width"]  # type: ignore[index]
+        # Seen again and again: an answer that was on its way may hide it once more on a busy machine.
+        expect(dead).to_have_css("width", f"{hands.page.viewport_size['width']}px")  # type: ignore[index]
         assert "grayscale" in hands.see("verdict").evaluate(f"element => {look}.filter")
         assert "line-through" in hands.see("stop").evaluate(f"element => {look}.textDecorationLine")
         expect(hands.see("red-button")).to_be_visible()
@@ -366,17 +403,20 @@ def test_what_a_person_does_wrong_ends_in_a_sentence(
 
 @pytest.fixture(scope="module")
 def obstructed(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
-    """Both images with a retractor of steel before a part of the beads."""
+    """Both images as mirrored displays show them, with a retractor of steel before a part of the beads."""
     patient, folder = rehearsal(), tmp_path_factory.mktemp("images")
     steel = guide_wire(np.array([[75.0, -60.0, 75.0], [-75.0, 50.0, -10.0]]), diameter_mm=9.0)
     scene, rng = patient.hip.scene + steel, np.random.default_rng(5)
-    return [write_dicom(render(patient.setup, name, scene, rng), folder / f"{name}.dcm") for name in NAMES]
+    shown = {name: render(patient.setup, name, scene, rng) for name in NAMES}
+    mirrored = {name: replace(one, pixels=one.pixels[:, ::-1]) for name, one in shown.items()}
+    return [write_dicom(mirrored[name], folder / f"{name}.dcm") for name in NAMES]
 
 
-def test_images_with_hidden_beads_are_dropped_planned_and_not_sent(
+def test_mirrored_images_with_hidden_beads_are_dropped_planned_and_not_sent(
     serve: Callable[..., Server], open_page: Callable[..., Page], obstructed: list[Path], tmp_path: Path, shoot
 ) -> None:
-    """Both are handed to the button of the other view: their markers tell. Without a robot's pose nothing is sent."""
+    """Both are handed to the button of the other view: their markers tell. A person says whether the displays or the
+    frame file are mirrored. Without a robot's pose nothing is sent."""
     command = ["sightline", "app", "--port", "{port}", "--no-browser", "--quiet", "--case", str(tmp_path / "case")]
     hands = Hands(open_page(serve(*command, "--live", str(obstructed[0].parent)).url))
     for file, button in zip(obstructed, reversed(NAMES), strict=True):
@@ -389,16 +429,33 @@ def test_images_with_hidden_beads_are_dropped_planned_and_not_sent(
     hands.step("Images")
     for name in NAMES:
         expect(hands.see(f"taken-unknown-{name}")).to_be_visible()  # the files do not say when
-    hands.plan(head=False)
+    width = rehearsal().images["pa"].shape[1] - 1
+    known = {mark: {view: (width - u, v) for view, (u, v) in uv.items()} for mark, uv in truth().items()}
+    hands.plan(known, head=False)
     expect(hands.see("verdict")).to_contain_text("NO-GO")
+    against = hands.see("do-about").filter(has_text="Every image shows the mirror image")
+    expect(against).to_have_count(1)
     hands.step("Images")
+    expect(hands.see("mirrored-question")).to_be_visible()
+    hands.press("mirrored-lateral-forwards")  # a wrong answer, and taken back
+    hands.wait_for_step("Calibrate", "needs attention")
+    hands.press("undo")
+    hands.wait_for_step("Calibrate", "done")
+    hands.press("mirrored-pa-backwards")
+    expect(hands.see("mirrored-pa-backwards")).to_have_attribute("aria-checked", "true")
     for name in NAMES:
         hands.page.locator(f"input[data-testid=taken-{name}], [data-testid=taken-{name}] input").fill("2")
         hands.press(f"confirm-taken-{name}")
         expect(hands.see(f"taken-unknown-{name}")).to_have_count(0)
+    hands.step("Plan")
+    expect(hands.see("age")).to_contain_text(
+        re.compile("The images are ([2-9]|[1-9][0-9]+) min")
+    )  # not since they came
     hands.confirm()
     hands.step("Plan")
     expect(hands.see("verdict")).not_to_contain_text("NO-GO")
+    expect(against).to_have_count(0)
+    assert set(_recorded(tmp_path / "case").mirrored.values()) == {True}
     shoot(hands.page, "hidden-beads")
     hands.step("Drill")
     expect(hands.see("no-robot")).to_be_visible()

@@ -65,6 +65,8 @@ class Decisions:
     """All that people decided, at one moment. `images`: by name, the journal's entry that acquired it. `serial`: of the
     frame, as a person read it. `snapping`: lateral points of the wire are taken to their curves when they are placed.
     `taken`: by the image's entry, when a person says that it was taken; asked for where the file does not say it.
+    `mirrored`: by the image's entry, whether a person saw that the file shows it mirrored, by writing in it; asked for
+    where no image shows the frame unmirrored.
     """
 
     images: Mapping[str, int] = field(default_factory=lambda: MappingProxyType({}))
@@ -75,6 +77,7 @@ class Decisions:
     display: Mapping[str, Display] = field(default_factory=lambda: MappingProxyType({}))
     snapping: bool = True
     taken: Mapping[int, datetime] = field(default_factory=lambda: MappingProxyType({}))
+    mirrored: Mapping[int, bool] = field(default_factory=lambda: MappingProxyType({}))
 
     def mark(self, name: str) -> Mark:
         """The mark of a name; an empty one where it is not placed."""
@@ -112,6 +115,10 @@ class Decisions:
         """When the image of an entry was taken."""
         return replace(self, taken=MappingProxyType({**self.taken, acquired: at}))
 
+    def with_mirrored(self, acquired: int, mirrored: bool) -> "Decisions":
+        """Whether the file shows the image of an entry mirrored."""
+        return replace(self, mirrored=MappingProxyType({**self.mirrored, acquired: mirrored}))
+
     def document(self) -> dict[str, Any]:
         """As JSON types."""
         return {
@@ -123,6 +130,7 @@ class Decisions:
             "display": {name: vars(display) for name, display in self.display.items()},
             "snapping": self.snapping,
             "taken": {str(acquired): at.isoformat() for acquired, at in self.taken.items()},
+            "mirrored": {str(acquired): mirrored for acquired, mirrored in self.mirrored.items()},
         }
 
     @staticmethod
@@ -143,6 +151,7 @@ class Decisions:
                 MappingProxyType(display),
                 bool(document.get("snapping", True)),  # before it was decided, every page began with it
                 MappingProxyType({int(number): _instant(at) for number, at in document.get("taken", {}).items()}),
+                MappingProxyType({int(number): _truth(said) for number, said in document.get("mirrored", {}).items()}),
             )
         except (KeyError, TypeError, ValueError, AttributeError) as error:
             raise CaseError(
@@ -210,6 +219,12 @@ def _instant(text: str) -> datetime:
     if at.tzinfo is None:
         raise ValueError(text)
     return at
+
+
+def _truth(said: Any) -> bool:
+    if not isinstance(said, bool):
+        raise TypeError(said)
+    return said
 
 
 def _display(shown: Mapping[str, Any]) -> Display:

@@ -21,7 +21,7 @@ class Pictures:
 
     def __init__(self, images: Images) -> None:
         self._images = images
-        self._pictures: dict[int, Picture] = {}
+        self._pictures: dict[tuple[int, bool], Picture] = {}  # by number, and whether it is inverted
         self._passing: deque[tuple[Radiograph, Picture]] = deque()
 
     def live(self, image: Radiograph) -> Picture:
@@ -44,12 +44,12 @@ class Pictures:
 
     def of(self, seen: SeenImage) -> Picture:
         """The picture of an image."""
-        number = seen.acquired.number
-        if number not in self._pictures:
-            self._pictures[number] = self._published(seen.image)
+        key = seen.acquired.number, seen.image.is_inverted
+        if key not in self._pictures:
+            self._pictures[key] = self._published(seen.image)
             while len(self._pictures) > _MOST:
                 self._images.forget(self._pictures.pop(next(iter(self._pictures))).url)
-        return self._pictures[number]
+        return self._pictures[key]
 
 
 def _field(image: Radiograph) -> tuple[tuple[float, float], ...] | None:

@@ -11,9 +11,10 @@ from sightline.app.decisions import Decisions
 from sightline.app.marks import END, ENTRY
 from sightline.app.planner import Planned, asked, planned
 from sightline.app.rehearsing import Patient
+from sightline.app.seen import entry_of
 from sightline.app.texts import CHANGED_SINCE_SENT, NO_DEPTH_LIMIT, NO_ROBOT
 from sightline.case.entry import Actor, Kind
-from sightline.case.stages import calibrated_of, record_changed, record_planned
+from sightline.case.stages import record_changed, record_planned
 from sightline.case.views import NAMES
 from sightline.errors import RobotRefusedError, UnusableInputError
 from sightline.geometry.covariance import TWO_SIDED_95
@@ -145,6 +146,9 @@ class Drilling:
         return (
             all(getattr(then, name) == getattr(now, name) for name in same)
             and all(then.images.get(name) == now.images.get(name) for name in NAMES)
+            and all(
+                then.mirrored.get(at) == now.mirrored.get(at) for at in map(now.images.get, NAMES) if at is not None
+            )
             and all(then.mark(name) == now.mark(name) for name in (ENTRY, END))
         )
 
@@ -163,7 +167,7 @@ class Drilling:
         target = session.aimed(known.plan, identity, time.monotonic() - age)
         limit = _depth_limit(known, target)
         case = procedure.case
-        views = [calibrated_of(case, decisions.images[name]) for name in NAMES]
+        views = [entry_of(case, seen) for seen in map(procedure.seen, NAMES) if seen is not None]
         made = record_planned(case, (views[0], views[1]), asked(decisions), known.plan, by=Actor.SURGEON)
         # Whatever fails from here on, the robot may hold this plan, and is given no order by the one before.
         self.sent = self.sent_at = self.record = self.wire = None

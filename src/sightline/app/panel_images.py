@@ -43,6 +43,7 @@ def build(tab: Tab) -> None:
     Section(tab, lambda t: t.procedure.decisions.side, _side)
     Section(tab, lambda t: t.procedure.decisions.serial, _serial)
     Section(tab, _untimed, _taken)
+    Section(tab, _mirrored_key, _mirrored)
     Section(tab, lambda t: tuple(t.procedure.decisions.display.items()), _display)
 
 
@@ -135,6 +136,40 @@ def _taken(tab: Tab) -> None:
             tab.procedure.state_taken(name, float("nan") if said.value is None else float(said.value))
 
         action(texts.TAKEN_CONFIRM, tab.doing(confirm), testid=f"confirm-taken-{name}", kind="primary")
+
+
+def _mirrored_key(tab: Tab) -> Hashable:
+    """The images that are asked about, what was said of each, and how the page shows them."""
+    asked, decisions = tab.procedure.asks_mirrored, tab.procedure.decisions
+    said = (decisions.mirrored.get(decisions.images[name]) for name in asked)
+    return asked, *said, *(_is_turned(tab, name) for name in asked)
+
+
+def _is_turned(tab: Tab, image: str) -> bool:
+    shown = tab.procedure.decisions.display.get(image)
+    return shown is not None and shown.mirrored
+
+
+def _mirrored(tab: Tab) -> None:
+    procedure, asked = tab.procedure, tab.procedure.asks_mirrored
+    if not asked:
+        return
+    heading(texts.MIRRORED_HEADING)
+    note(texts.MIRRORED_HINT, kind="warn", testid="mirrored-question")
+    for name in asked:
+        said = procedure.decisions.mirrored.get(procedure.decisions.images[name])
+        label = texts.MIRRORED_FIELD.format(image=IMAGE_LABELS[name])
+        note(label if said is None else texts.MIRRORED_SAID[said].format(image=IMAGE_LABELS[name]))
+        with ui.element("div").classes("choice").props(f'role=radiogroup aria-label="{label}"'):
+            for answer, word in texts.MIRRORED_ANSWERS.items():
+                chosen = said is not None and answer == (said != _is_turned(tab, name))
+                button = action(
+                    word,
+                    tab.doing(lambda name=name, answer=answer: procedure.state_mirrored(name, answer)),
+                    testid=f"mirrored-{name}-{word}",
+                    kind="primary" if chosen else "plain",
+                )
+                button.props(f"role=radio aria-checked={'true' if chosen else 'false'}")
 
 
 def _display(tab: Tab) -> None:

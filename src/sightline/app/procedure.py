@@ -9,6 +9,7 @@ from datetime import UTC, datetime, timedelta
 from functools import cached_property
 from math import isfinite
 from pathlib import Path
+from time import monotonic
 from typing import Any, TypeVar
 
 from sightline.app import rehearsing
@@ -19,7 +20,7 @@ from sightline.app.marks import CHECK_NAMES
 from sightline.app.planner import Planned, moved, planned
 from sightline.app.rehearsing import Patient
 from sightline.app.seen import Lightbox, SeenImage
-from sightline.app.texts import BUG, TAKEN_REFUSED
+from sightline.app.texts import BUG, MIRRORED_REFUSED, TAKEN_REFUSED
 from sightline.app.verifying import Verifying
 from sightline.app.workshop import Workshop, warm_up
 from sightline.calibration import BeadView
@@ -52,6 +53,7 @@ class Procedure:
         changes = [entry.content for entry in case.entries(Kind.CHANGED) if entry.content["what"] in _EDITS]
         self.history = History((one["what"], None if one["to"] is None else Decisions.of(one["to"])) for one in changes)
         self._planned: Planned | None = None
+        self._aged: dict[datetime, tuple[float, float]] = {}  # by a plan's time: its age when first asked, and when
         self._tasks: set[asyncio.Task[None]] = set()
         self.drilling, self.verifying, self.live = Drilling(self), Verifying(self), Live(self)
 
@@ -90,12 +92,20 @@ class Procedure:
 
     def seen(self, image: str) -> SeenImage | None:
         """What is known of an image, by its name; None where there is none."""
-        return self.lightbox.image(self.decisions.images.get(image))
+        number = self.decisions.images.get(image)
+        return self.lightbox.image(number, None if number is None else self.decisions.mirrored.get(number))
 
     def views(self, names: tuple[str, str] = NAMES) -> tuple[BeadView, BeadView] | None:
         """Both views of a pair, once both are calibrated."""
         first, second = (None if seen is None else seen.view for seen in map(self.seen, names))
         return None if first is None or second is None else (first, second)
+
+    @property
+    def asks_mirrored(self) -> tuple[str, ...]:
+        """Names of the planning images that show the frame mirrored where none shows it unmirrored: a person must say
+        whether the display or the frame file is the cause; one answer is enough."""
+        views = self.views()
+        return NAMES if views is not None and all(view.mirrored for view in views) else ()
 
     @property
     def planned(self) -> Planned | None:
@@ -128,8 +138,12 @@ class Procedure:
     @property
     def age_s(self) -> float | None:
         """Of the plan: since its older image was taken. None where that is not known; negative where the clock was set
-        back."""
-        return self._age_s(datetime.now(UTC))
+        back to before that. It grows with the time that passes here, even if the clock is set back meanwhile."""
+        age, at = self._age_s(datetime.now(UTC)), self.imaged_at
+        if age is None or at is None or age < 0.0:
+            return age
+        first, asked_s = self._aged.setdefault(at, (age, monotonic()))
+        return max(age, first + monotonic() - asked_s)
 
     def _age_s(self, when: datetime) -> float | None:
         at = self.imaged_at
@@ -274,6 +288,16 @@ class Procedure:
             raise UnusableInputError(TAKEN_REFUSED)
         at = datetime.now(UTC) - timedelta(minutes=minutes_ago)
         self.edit(self.decisions.with_taken(seen.acquired.number, at))
+
+    def state_mirrored(self, image: str, backwards: bool) -> None:
+        """A person says whether writing in an image reads backwards, as the page shows it.
+
+        Raises UnusableInputError."""
+        seen = self.seen(image)
+        if seen is None or seen.view is None:
+            raise UnusableInputError(MIRRORED_REFUSED)
+        turned = self.decisions.display.get(image, Display()).mirrored  # the page's own mirror is none of the file's
+        self.edit(self.decisions.with_mirrored(seen.acquired.number, backwards != turned))
 
     def show(self, image: str, display: Display) -> None:
         """Show an image otherwise."""

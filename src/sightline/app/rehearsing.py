@@ -6,10 +6,9 @@ The twin is imported there alone: the first page does not wait for it.
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
-from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
+from sightline.atomic import scratch_folder
 from sightline.case.views import NAMES
 from sightline.frame import Frame
 from sightline.imaging import Radiograph, write_dicom
@@ -60,6 +59,6 @@ def bone(patient: Patient) -> list[dict[str, Any]]:
 
 
 def _files(radiographs: Mapping[str, Radiograph], patient: Patient) -> dict[str, bytes]:
-    with TemporaryDirectory() as folder:
-        written = {name: write_dicom(radiographs[name], Path(folder) / f"{name}.dcm", patient.side) for name in NAMES}
+    with scratch_folder() as folder:
+        written = {name: write_dicom(radiographs[name], folder / f"{name}.dcm", patient.side) for name in NAMES}
         return {name: file.read_bytes() for name, file in written.items()}

@@ -1,21 +1,21 @@
 """An image of the case on its way from a file to a calibrated view, and the work that takes it there."""
 
 import asyncio
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from datetime import datetime
+from functools import cached_property
 
 from sightline.app.texts import BUG
 from sightline.app.workshop import Workshop
-from sightline.calibration import BeadView, calibrate
+from sightline.calibration import BeadView
 from sightline.case import stages
 from sightline.case.entry import Actor, Entry
 from sightline.case.journal import Case
-from sightline.case.views import CalibratedImage, Seen, tell_apart
-from sightline.detection import Detections, Observations, detect
+from sightline.case.views import CalibratedImage, Seen, calibrated, find_beads, known_arm, tell_apart
+from sightline.detection import Detections, Observations
 from sightline.errors import CaseError, SightlineError
-from sightline.frame import Frame
 from sightline.imaging import Radiograph, taken_at
 
 
@@ -39,9 +39,19 @@ class SeenImage:
         """As reports and exports want it; its source is the image's number in the case, never a file's name."""
         if self.view is None or self.observations is None:
             return None
-        return CalibratedImage(
-            Seen(f"image {self.acquired.number}", self.observations, self.image, self.beads), self.view
-        )
+        return CalibratedImage(self._labelled(self.observations), self.view)
+
+    def _labelled(self, observations: Observations) -> Seen:
+        return Seen(f"image {self.acquired.number}", observations, self.image, self.beads)
+
+    def said_to_be(self, mirrored_display: bool | None) -> "SeenImage":
+        """The same once a person saw whether its display is mirrored; the same object for the same answer."""
+        return self if self.view is None or mirrored_display is None else self._said[mirrored_display]
+
+    @cached_property
+    def _said(self) -> "dict[bool, SeenImage]":
+        assert self.view is not None  # noqa: S101 - nobody is asked before
+        return {answer: replace(self, view=self.view.said_to_be(answer)) for answer in (False, True)}
 
 
 class Lightbox:
@@ -53,9 +63,10 @@ class Lightbox:
         self._frame_ref, self._frame = frame_ref, stages.frame_of(case, frame_ref)
         self._images: dict[int, SeenImage] = {}
 
-    def image(self, number: int | None) -> SeenImage | None:
-        """What is known of an image; None where it is not open."""
-        return None if number is None else self._images.get(number)
+    def image(self, number: int | None, mirrored_display: bool | None = None) -> SeenImage | None:
+        """What is known of an image; None where it is not open. `mirrored_display`: as a person says of it."""
+        known = None if number is None else self._images.get(number)
+        return None if known is None else known.said_to_be(mirrored_display)
 
     async def acquire(self, data: bytes, suffix: str, by: Actor) -> SeenImage:
         """Keep a new image in the case and work on it to the end. Raises ImageError, CaseError."""
@@ -80,15 +91,21 @@ class Lightbox:
         return self._images[entry.number]
 
     async def _work(self, seen: SeenImage) -> None:
-        case, frame, number = self._case, self._frame, seen.acquired.number
+        case, frame = self._case, self._frame
         self._put(replace(seen, doing="finding the beads"))
-        beads = await self._workshop.do(detect, seen.image)
-        self._put(replace(self._images[number], doing="telling the beads apart", beads=beads))
-        observations = await self._workshop.do(tell_apart, seen.image, beads, frame)
-        self._put(replace(self._images[number], doing="calibrating", observations=observations))
-        view = await self._workshop.do(calibrated, observations, frame)
-        done = replace(self._images[number], doing="", view=view)
-        await asyncio.to_thread(_record, case, done, self._frame_ref)
+        image, beads = await self._workshop.do(find_beads, seen.image)
+        seen = replace(seen, doing="telling the beads apart", beads=beads)
+        seen = replace(seen, image=image) if image.is_inverted else seen  # else what is shown of it is drawn already
+        self._put(seen)
+        observations = await self._workshop.do(tell_apart, image, beads, frame)
+        seen = replace(seen, doing="calibrating", observations=observations)
+        self._put(seen)
+        found = await self._workshop.do(calibrated, seen._labelled(observations), frame, "smooth", known_arm(image))
+        number = seen.acquired.number
+        before = {n: one.view for n, one in self._images.items() if n < number and one.view is not None}
+        view = await asyncio.to_thread(found.view.steady_since, list(before.values()))
+        done = replace(seen, doing="", view=view)
+        await asyncio.to_thread(_record, case, done, self._frame_ref, list(before))
         self._put(done)
 
     def _put(self, seen: SeenImage) -> None:
@@ -96,16 +113,25 @@ class Lightbox:
         self._changed()
 
 
-def calibrated(observations: Observations, frame: Frame) -> BeadView:
-    """The view, by the default method."""
-    return calibrate(observations, frame)
+def entry_of(case: Case, seen: SeenImage) -> Entry:
+    """The calibrated entry of an image, recorded anew where a person has said something else of its display since.
+    Raises CaseError."""
+    assert seen.calibrated is not None  # noqa: S101 - it is calibrated
+    entry = stages.calibrated_of(case, seen.acquired.number)
+    if entry.settings.get("mirrored_display") == seen.calibrated.view.mirrored_display:
+        return entry
+    labelled, before = case.entry(entry.rests_on[0]), entry.settings.get("before", ())
+    return stages.record_calibrated(case, labelled, seen.calibrated, by=Actor.APP, before=before)
 
 
-def _record(case: Case, seen: SeenImage, frame_ref: str) -> None:
+def _record(case: Case, seen: SeenImage, frame_ref: str, before: Sequence[int]) -> None:
+    """`before`: numbers of the images that the view was held against."""
     with suppress(CaseError):
         stages.calibrated_of(case, seen.acquired.number)
         return  # the same image, the same results
     assert seen.beads is not None and seen.observations is not None and seen.calibrated is not None  # noqa: S101
-    detected = stages.record_detected(case, seen.acquired, seen.beads, by=Actor.APP)
+    inverted = seen.image.is_inverted
+    detected = stages.record_detected(case, seen.acquired, seen.beads, by=Actor.APP, inverted=inverted)
     labelled = stages.record_labelled(case, detected, seen.observations, frame_ref=frame_ref, by=Actor.APP)
-    stages.record_calibrated(case, labelled, seen.calibrated, by=Actor.APP)
+    held = [stages.calibrated_of(case, acquired).number for acquired in before]
+    stages.record_calibrated(case, labelled, seen.calibrated, by=Actor.APP, before=held)

@@ -54,6 +54,9 @@ def _images(procedure: Procedure) -> _Found:
         return Standing.ATTENTION, texts.CONFIRM_BOTH
     if any(procedure.taken_at(seen) is None for seen in _both(procedure)):
         return Standing.ATTENTION, texts.STATE_WHEN_TAKEN
+    asked = procedure.asks_mirrored
+    if asked and not any(decisions.images[name] in decisions.mirrored for name in asked):
+        return Standing.ATTENTION, texts.STATE_WHETHER_MIRRORED
     return Standing.DONE, texts.IMAGES_DONE
 
 

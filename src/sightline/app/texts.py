@@ -53,6 +53,7 @@ SPACE_GROUPS = {
 DOING = "{doing}."
 DROP_MISSING = "Drop the {images} onto the page."
 CONFIRM_BOTH = "Confirm the patient's side and the frame's serial."
+STATE_WHETHER_MIRRORED = "Say whether writing in the images reads backwards."
 STATE_WHEN_TAKEN = "State when the images were taken that do not say it."
 IMAGES_DONE = "Both images are here; side and frame are confirmed."
 IMAGES_FIRST = "Both images are needed first."
@@ -93,6 +94,15 @@ TAKEN_UNKNOWN = "{image}: unknown. The file does not say it, or says a time afte
 TAKEN_FIELD = "{image}: taken, minutes ago"
 TAKEN_CONFIRM = "Confirm the time"
 TAKEN_REFUSED = "give the minutes since the image was taken, a number from 0 on"
+MIRRORED_HEADING = "Mirrored displays"
+MIRRORED_HINT = (
+    "Both images show the mirror image of the frame file. Either the displays are mirrored, or the file is left-handed "
+    "and every point is wrong. Look at writing in an image, as this page shows it, and answer for one image at least:"
+)
+MIRRORED_FIELD = "{image}: writing reads"
+MIRRORED_ANSWERS = {True: "backwards", False: "forwards"}
+MIRRORED_SAID = {True: "{image}: the file shows it mirrored", False: "{image}: the file shows it unmirrored"}
+MIRRORED_REFUSED = "say it once the image is calibrated"
 DISPLAY_HEADING = "Display"
 DISPLAY_SHOWN = "{image}: {how}"
 DISPLAY_AND = " and "

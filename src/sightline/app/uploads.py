@@ -4,14 +4,13 @@ import secrets
 import unicodedata
 from collections.abc import AsyncIterator, Awaitable, Callable
 from dataclasses import dataclass, field
-from pathlib import Path
-from tempfile import TemporaryDirectory
 from urllib.parse import unquote
 
 from starlette.requests import ClientDisconnect, Request
 from starlette.responses import JSONResponse, Response
 from starlette.routing import Route
 
+from sightline.atomic import scratch_folder
 from sightline.errors import ImageError, SightlineError
 from sightline.imaging import Radiograph, read_image, suffix_of
 from sightline.imaging.limits import MAX_PIXELS
@@ -40,8 +39,8 @@ class Upload:
 
     def read(self, frame_index: int | None = None) -> Radiograph:
         """The image; takes a while, so not on the event loop. Raises ImageError, as `read_image`."""
-        with TemporaryDirectory(prefix="sightline-") as folder:
-            file = Path(folder) / "the image"  # what a refusal calls it
+        with scratch_folder() as folder:
+            file = folder / "the image"  # what a refusal calls it
             file.write_bytes(self.data)
             return read_image(file, frame_index)
 

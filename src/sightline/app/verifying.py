@@ -8,11 +8,11 @@ import numpy as np
 from sightline.app.marks import CHECK_NAMES, names_of
 from sightline.app.planner import PICK_SD_PX, Planned
 from sightline.app.rehearsing import check_images
-from sightline.app.seen import SeenImage
+from sightline.app.seen import SeenImage, entry_of
 from sightline.calibration import BeadView
 from sightline.case.contents import CheckAsked
 from sightline.case.entry import Actor, Kind
-from sightline.case.stages import calibrated_of, record_verified
+from sightline.case.stages import record_verified
 from sightline.case.views import NAMES
 from sightline.errors import RefusedError, SightlineError, UnusableInputError
 from sightline.planning import Plan
@@ -125,7 +125,7 @@ class Verifying:
         told = case.latest(Kind.SENT)
         if told is None or not told.rests_on:
             return  # sent by a version that did not record its plan
-        first, second = (calibrated_of(case, one.acquired.number) for one in asked.seen)
+        first, second = (entry_of(case, one) for one in asked.seen)
         measured = CheckAsked(asked.sent.kind.wire_mm, asked.landmarks)
         record_verified(case, case.entry(told.rests_on[0]), (first, second), measured, found, by=Actor.APP)
 

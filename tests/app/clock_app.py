@@ -1,0 +1,28 @@
+"""The program with a clock that tests can set on: python -m tests.app.clock_app FILE ARGUMENTS...
+
+FILE holds by how many seconds the procedure's clock is ahead.
+"""
+
+import sys
+from datetime import datetime, timedelta
+from pathlib import Path
+from typing import Any
+
+from sightline.app import procedure
+from sightline.cli import main
+
+
+class _Clock(datetime):
+    """`now` is ahead by what the file says."""
+
+    file = Path()
+
+    @classmethod
+    def now(cls, tz: Any = None) -> datetime:
+        return datetime.now(tz) + timedelta(seconds=float(cls.file.read_text()))
+
+
+if __name__ == "__main__":
+    _Clock.file = Path(sys.argv.pop(1))
+    procedure.datetime = _Clock
+    main()

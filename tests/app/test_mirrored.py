@@ -1,0 +1,120 @@
+"""A pair of mirrored displays: a person answers for one image, and the case holds what follows from it."""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from sightline.app.decisions import Decisions, Display
+from sightline.app.procedure import Procedure
+from sightline.app.seen import SeenImage, entry_of
+from sightline.app.steps import Standing, steps
+from sightline.app.workshop import Workshop
+from sightline.case import stages
+from sightline.case.entry import Actor, Kind
+from sightline.case.recompute import Outcome, replay
+from sightline.case.views import NAMES, calibrated, see_pair
+from sightline.checks import failed
+from sightline.detection import Observations
+from sightline.detection.files import write_observations
+from sightline.errors import UnusableInputError
+from sightline.frame import Frame
+from sightline.twin import SetUp, bead_images
+
+WIDTH_PX = 1023.0
+
+
+@pytest.fixture(params=[NAMES, ("lateral",), ()])
+def flipped(request: pytest.FixtureRequest) -> tuple[str, ...]:
+    """The views whose displays are mirrored."""
+    return request.param
+
+
+@pytest.fixture
+def opened(flipped: tuple[str, ...], setup: SetUp, frame: Frame, tmp_path: Path) -> Iterator[Procedure]:
+    """Both images calibrated and recorded, from tables of their beads."""
+    workshop = Workshop()
+    procedure = Procedure.open(tmp_path / "case", "gamma", None, workshop)
+    tables = [_table(setup, name, tmp_path, mirrored=name in flipped) for name in NAMES]
+    for table, seen in zip(tables, see_pair(tables[0], tables[1], frame), strict=True):
+        image = calibrated(seen, frame)
+        made = stages.record_view(procedure.case, table, image, frame_ref="gamma", by=Actor.RECEIVER)
+        acquired, pixels = stages.acquired_of(procedure.case, made), _no_pixels()
+        one = SeenImage(acquired, pixels, observations=seen.observations, view=image.view)
+        procedure.lightbox._images[acquired.number] = one
+        procedure.edit(procedure.decisions.with_image(image.name, acquired.number, same_pixels=False))
+    yield procedure
+    procedure.case.close()
+    workshop.close()
+
+
+def _no_pixels() -> Any:
+    return None
+
+
+def _table(setup: SetUp, name: str, folder: Path, *, mirrored: bool) -> Path:
+    ids, uv = bead_images(setup, name, np.random.default_rng(5), 0.1)
+    if mirrored:
+        uv = uv * (-1.0, 1.0) + (WIDTH_PX, 0.0)
+    return write_observations([Observations(name, tuple(ids), uv)], folder / f"{name}.csv")
+
+
+def _upright(procedure: Procedure) -> list[bool]:
+    views = procedure.views()
+    assert views is not None
+    return [view.mirrored == bool(view.mirrored_display) for view in views]
+
+
+def test_a_person_is_asked_only_where_no_image_shows_the_frame_unmirrored(
+    opened: Procedure, flipped: tuple[str, ...]
+) -> None:
+    assert opened.asks_mirrored == (NAMES if flipped == NAMES else ())
+    asked = flipped == NAMES
+    opened.confirm_side("right")
+    opened.confirm_serial("none")
+    for name in NAMES:
+        opened.edit(opened.decisions.with_taken(opened.decisions.images[name], opened.case.entry(1).at))
+    assert (steps(opened)[0].standing is Standing.ATTENTION) is asked
+    assert any(_upright(opened)) is not asked
+
+
+@pytest.mark.parametrize("flipped", [NAMES], indirect=True)
+@pytest.mark.parametrize("turned", [False, True])
+def test_the_answer_is_of_the_file_and_not_of_how_the_page_shows_it(opened: Procedure, turned: bool) -> None:
+    opened.show("pa", Display(mirrored=turned))
+    opened.state_mirrored("pa", backwards=not turned)
+    assert opened.decisions.mirrored == {opened.decisions.images["pa"]: True}
+    assert _upright(opened) == [True, False]
+    assert Decisions.of(opened.decisions.document()) == opened.decisions
+    seen = opened.seen("pa")
+    assert seen is not None and seen is opened.seen("pa") and not failed(seen.view.checks)  # type: ignore[union-attr]
+    opened.history.undo()
+    assert _upright(opened) == [False, False]
+
+
+@pytest.mark.parametrize("flipped", [NAMES], indirect=True)
+def test_a_display_that_is_said_to_be_right_accuses_the_frame_file(opened: Procedure) -> None:
+    opened.state_mirrored("lateral", backwards=False)
+    seen = opened.seen("lateral")
+    assert seen is not None and seen.view is not None
+    assert [check.name for check in failed(seen.view.checks)] == ["frame handedness"]
+    with pytest.raises(UnusableInputError, match="calibrated"):
+        opened.state_mirrored("check-pa", backwards=True)
+
+
+@pytest.mark.parametrize("flipped", [NAMES], indirect=True)
+def test_the_case_holds_the_view_with_the_answer_and_replays_it(opened: Procedure) -> None:
+    before = opened.seen("pa")
+    assert before is not None
+    first = entry_of(opened.case, before)
+    opened.state_mirrored("pa", backwards=True)
+    after = opened.seen("pa")
+    assert after is not None
+    entry = entry_of(opened.case, after)
+    assert entry.number > first.number and entry.settings["mirrored_display"] is True
+    assert entry_of(opened.case, after).number == entry.number  # once
+    replayed = {one.entry.number: one for one in replay(opened.case) if one.entry.kind is Kind.CALIBRATED}
+    assert {one.outcome for one in replayed.values()} == {Outcome.SAME}
+    assert len(replayed) == 3
