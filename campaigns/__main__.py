@@ -1,6 +1,6 @@
 """Run campaigns: `python -m campaigns [NAME ...] [--tries N] [--seed S]`; the same command goes on where it stopped.
 
-Exit code 1 where a try ended in a defect of a class that is not proved invisible.
+Exit code 1 where a try ended in a defect.
 """
 
 import argparse
@@ -15,7 +15,7 @@ from campaigns.campaign import called
 from sightline.errors import UnusableInputError
 from sightline.studies.run import Run
 
-NAMES = ("points", "images", "files", "robots")
+NAMES = ("points", "images", "files", "robots", "kills", "disks", "pages")
 TRIES = 200  # of each campaign: minutes on two cores
 
 

@@ -15,10 +15,13 @@ from sightline.errors import SightlineError
 from sightline.studies.intervals import share
 from sightline.studies.study import Summary, Table, Values
 
-# How a try may end. "wrong": GO, and an end is off by more than 1.5 times its stated 95 % bound; "lost": something
-# acknowledged is not there; "unsafe": a robot moved, or did not stop, where it must not. The last four are defects.
-ENDINGS = ("refused", "NO-GO", "incomplete", "right", "wrong", "crash", "lost", "unsafe")
-DEFECTS = ENDINGS[4:]
+# How a try may end. "wrong": GO, an end off by more than 1.5 times its stated 95 % bound, though all observations
+# together differ by 5 standard deviations or more from those of the right case; "weak": by 2 to 5; "unseen": by less.
+# "lost": something acknowledged is not there, or half; "unsafe": a robot moved, or did not stop, where it must not, or
+# the app gave away or changed what it must not. The last four are defects.
+ENDINGS = ("refused", "NO-GO", "incomplete", "right", "unseen", "weak", "wrong", "crash", "lost", "unsafe")
+DEFECTS = ENDINGS[6:]
+GOES = ("right", "unseen", "weak", "wrong")
 
 
 @dataclass(frozen=True)
@@ -34,11 +37,10 @@ class Ended:
 @dataclass(frozen=True)
 class Damage:
     """One class. `make` does one try, or raises what the program raises; `cause`: words of which a refusal must hold
-    one to name the true cause; `invisible`: it is proved that the observations cannot show it (docs/safety.md)."""
+    one to name the true cause."""
 
     make: Callable[[np.random.Generator], Ended]
     cause: tuple[str, ...] = ()
-    invisible: bool = False
 
 
 @dataclass(frozen=True)
@@ -69,7 +71,7 @@ class Campaign:
         """The table by class, and what is a defect."""
         rows = [self._row(name, [one for one in trials if one["class"] == name]) for name in self.classes]
         total = self._row("all", list(trials))
-        defects = [one for one in trials if one["how"] in DEFECTS and not self.classes[one["class"]].invisible]
+        defects = [one for one in trials if one["how"] in DEFECTS]
         shares = [share(f"{self.name}: {how}", np.array([one["how"] == how for one in trials])) for how in ENDINGS]
         told = Counter((one["class"], one["how"], one["why"]) for one in defects)
         findings = [f"{name}: {how} {count} times: {why}" for (name, how, why), count in told.most_common()]
@@ -82,12 +84,11 @@ class Campaign:
 
     def _row(self, name: str, tries: list[Values]) -> tuple[str, ...]:
         ends = Counter(one["how"] for one in tries)
-        ratios = [one["ratio"] for one in tries if one["how"] in ("right", "wrong") and one["ratio"] is not None]
+        ratios = [one["ratio"] for one in tries if one["how"] in GOES and one["ratio"] is not None]
         named = [one["named"] for one in tries if one["named"] is not None]
         why = Counter(one["why"] for one in tries if one["how"] in ("refused", "NO-GO", "incomplete"))
-        invisible = name in self.classes and self.classes[name].invisible
         return (
-            f"{name} (invisible)" if invisible else name,
+            name,
             str(len(tries)),
             *(str(ends[how] or "") for how in ENDINGS),
             f"{max(ratios):.2f}" if ratios else "",

@@ -31,7 +31,12 @@ class Clicks:
 
     @staticmethod
     def on(
-        setup: SetUp, hip: HipScene, rng: np.random.Generator, moved: Mapping[str, HipScene] | None = None
+        setup: SetUp,
+        hip: HipScene,
+        rng: np.random.Generator,
+        moved: Mapping[str, HipScene] | None = None,
+        *,
+        noise: bool = True,
     ) -> "Clicks":
         """On what each view truly shows, with a careful click's noise. `moved`: the hip at the moment of a view."""
         at = {name: (moved or {}).get(name, hip) for name in VIEWS}
@@ -43,7 +48,7 @@ class Clicks:
         head = np.stack([_outline(view, at[view.name]) for view in views])
         kept = tuple(name for name, seen in zip(names, shown, strict=True) if seen)
         exact = Clicks(wire, marks[:, shown], kept, head, setup.side)
-        return exact.jittered(rng, PICK_PX)
+        return exact.jittered(rng, PICK_PX if noise else 0.0)
 
     def jittered(self, rng: np.random.Generator, sd_px: float) -> "Clicks":
         """With normal noise on every click, the circle's radius included."""

@@ -1,0 +1,343 @@
+"""Hostile requests to the app: it answers, gives nothing away, and changes nothing for whom it does not know.
+
+The app runs in a process of its own with a token, on a case with a decision in it; the requests come over real
+connections. "Strangers" have no token; "guests" have it, and send what no page sends.
+"""
+
+import atexit
+import json
+import os
+import re
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable
+from contextlib import ExitStack, suppress
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from shutil import rmtree
+from tempfile import mkdtemp
+from urllib.parse import quote
+
+import httpx
+import numpy as np
+from websockets.exceptions import WebSocketException
+from websockets.sync.client import ClientConnection, connect
+
+from campaigns.campaign import Campaign, Damage, Ended
+from campaigns.files import FILES, mutated
+from sightline.case.journal import Actor, Case, Kind
+
+TOKEN = "of-the-campaign-of-pages"  # noqa: S105
+SECRET = "known-to-nobody"  # noqa: S105 - in a file beside the case
+PATIENCE_S = 60.0  # for an answer, on a busy machine
+ENGINE = "/_nicegui_ws/socket.io/?EIO=4&transport="
+METHODS = ("GET", "POST", "HEAD", "PUT", "DELETE", "OPTIONS", "PATCH", "TRACE", "get", "\x00")
+CLIMBS = ("../", "..%2f", "%2e%2e/", "..%5c", "....//", "%252e%252e%252f", "..;/", "//", "/./", "%00", "..%c0%af")
+ODD = (None, True, -1, 1e308, "", "x" * 5000, "\u0000", [], {}, [[[]]], {"a": {"b": None}}, "<script>alert(1)</script>")
+EVENTS = ("event", "handshake", "javascript_response", "ack", "log", "alive", "disconnect", "connect", "no such", "")
+
+
+@dataclass(frozen=True)
+class App:
+    """The running app, and the cookie of a client that has its token."""
+
+    process: "subprocess.Popen[str]"
+    folder: Path
+    port: int
+    cookie: str
+
+    @property
+    def base(self) -> str:
+        """Its address."""
+        return f"http://127.0.0.1:{self.port}"
+
+    @property
+    def headers(self) -> dict[str, str]:
+        """What its own page sends."""
+        return {"host": f"127.0.0.1:{self.port}", "origin": self.base, "cookie": self.cookie}
+
+    def ask(self, path: str, method: str = "GET", **options) -> httpx.Response:
+        """An answer."""
+        return httpx.request(method, self.base + path, timeout=PATIENCE_S, **options)
+
+    def raw(self, data: bytes) -> bytes:
+        """What is answered to bytes, until it closes, or says nothing for a moment."""
+        said = b""
+        with socket.create_connection(("127.0.0.1", self.port), timeout=PATIENCE_S) as link, suppress(OSError):
+            link.sendall(data)
+            link.settimeout(0.2)
+            while piece := link.recv(65536):
+                said += piece
+        return said
+
+    def state(self) -> tuple[int, int]:
+        """What the case holds: entries, and files in its folder and beside it."""
+        with Case.open(self.folder / "case", read_only=True) as case:
+            return case.last, sum(1 for path in self.folder.rglob("*") if path.suffix not in (".txt", ".sqlite-shm"))
+
+    def fault(self) -> str:
+        """What is wrong with it by now; "" if it answers as before."""
+        if self.process.poll() is not None:
+            return "the app has ended"
+        end_s = time.monotonic() + PATIENCE_S
+        while (status := self.ask("/favicon.ico", headers=self.headers).status_code) == 503:
+            if time.monotonic() > end_s:
+                break
+            time.sleep(0.1)
+        if status != 200:
+            return f"its own page is answered with {status}"
+        said = (self.folder / "log.txt").read_text()
+        bugs = re.findall(r'File "[^"]*/(sightline/[^"]*)", line (\d+)[^\n]*\n[^\n]*\n(?! +File)', said)
+        return f"an error in {bugs[-1][0]}:{bugs[-1][1]}" if bugs else ""
+
+
+@cache
+def app() -> App:
+    """The app of this process."""
+    folder = Path(mkdtemp(prefix="sightline-campaign-"))
+    (folder / "secret.txt").write_text(SECRET)
+    with Case.create(folder / "case") as case:
+        case.record(Kind.CHANGED, {"what": "note", "to": SECRET}, by=Actor.SURGEON)
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    with (folder / "log.txt").open("w") as log:
+        process = subprocess.Popen(
+            [sys.executable, "-m", "sightline", "app", "--case", "case", "--port", str(port), "--no-browser"],
+            cwd=folder, env={**os.environ, "SIGHTLINE_TOKEN": TOKEN}, stdout=log, stderr=log, text=True,
+        )  # fmt: skip
+    atexit.register(_end, process, folder)
+    end_s = time.monotonic() + 10 * PATIENCE_S
+    while "open http" not in (folder / "log.txt").read_text():
+        assert process.poll() is None and time.monotonic() < end_s, (folder / "log.txt").read_text()
+        time.sleep(0.1)
+    entered = httpx.get(f"http://127.0.0.1:{port}/?token={TOKEN}", timeout=PATIENCE_S)
+    return App(process, folder, port, entered.headers["set-cookie"].partition(";")[0])
+
+
+def _end(process: "subprocess.Popen[str]", folder: Path) -> None:
+    process.kill()
+    process.wait()
+    rmtree(folder, ignore_errors=True)
+
+
+@cache
+def page() -> str:
+    """A page that a person has open, and that stays open."""
+    text = app().ask("/", headers=app().headers).text
+    told = {"client_id": _client_in(text), "tab_id": "tab", "document_id": "document", "next_message_id": 0}
+    opened = threading.Event()
+    threading.Thread(target=_stay, args=[json.dumps(["handshake", told]), opened], daemon=True).start()
+    assert opened.wait(PATIENCE_S)
+    return text
+
+
+def _stay(handshake: str, opened: threading.Event) -> None:
+    """Answer what the server asks so that the page counts as open."""
+    with suppress(WebSocketException), guest(app()) as link:
+        link.send("40")
+        link.send("42" + handshake)
+        opened.set()
+        for message in link:
+            if message == "2":
+                link.send("3")
+
+
+def _client_in(text: str) -> str:
+    found = re.search(r"client_id\W+([\w-]{36})", text)
+    assert found is not None, text[:500]
+    return found[1]
+
+
+def upload_address() -> str:
+    """Where the page may send an image."""
+    return re.findall(r"/upload/[\w-]+", page())[0]
+
+
+Attack = Callable[[App, np.random.Generator], str]
+
+
+def attack(one: Attack, *, stranger: bool) -> Damage:
+    """One class: "" or what was given away; then the app is as it was. A stranger has changed nothing."""
+
+    def make(rng: np.random.Generator) -> Ended:
+        served = app()
+        page()  # what it writes when it is first opened is written
+        before = served.state()
+        given = one(served, rng)
+        if given:
+            return Ended("unsafe", given)
+        if fault := served.fault():
+            return Ended("crash", fault)
+        if stranger and served.state() != before:
+            return Ended("unsafe", "a stranger has changed the case")
+        return Ended("refused" if stranger else "right")
+
+    return Damage(make)
+
+
+def told(answer: httpx.Response | bytes) -> str:
+    """What an answer should not have said; "" if nothing."""
+    body = answer if isinstance(answer, bytes) else answer.content
+    if SECRET.encode() in body or b"root:x:" in body:
+        return "the content of a file"
+    failed = body.startswith(b"HTTP/1.1 500") if isinstance(answer, bytes) else answer.status_code == 500
+    return "an error 500" if failed else ""
+
+
+def route(served: App, rng: np.random.Generator) -> str:
+    """A path of the app."""
+    paths = ("/", upload_address(), ENGINE + "polling", "/image/x.u16", "/_nicegui/auto/static/nicegui.js", "/nothing")
+    return paths[int(rng.integers(len(paths)))]
+
+
+def foreign(served: App, rng: np.random.Generator) -> str:
+    """The page's own cookie, from a page of somebody else's (DNS rebinding, forged requests)."""
+    port = served.port
+    hosts = ["evil.example", f"evil.example:{port}", f"127.0.0.1.evil.example:{port}", "127.0.0.1", f"0.0.0.0:{port}",
+             f"127.0.0.1:{port}:1", f"127.0.0.1:{port}@evil.example", f"[::1]:{port + 1}", ""]  # fmt: skip
+    origins = ["http://evil.example", "null", "", f"http://127.0.0.1:{port + 1}", f"https://127.0.0.1:{port}",
+               f"http://127.0.0.1:{port}.evil.example", f"http://127.0.0.1:{port}/", "file://"]  # fmt: skip
+    headers = dict(served.headers)
+    if rng.random() < 0.5:
+        headers["host"] = str(rng.choice(hosts))
+    else:
+        headers["origin"] = str(rng.choice(origins))
+    answer = served.ask(route(served, rng), str(rng.choice(["GET", "POST"])), headers=headers, content=b"")
+    return "" if answer.status_code in (400, 403, 421) else f"an answer {answer.status_code} to a foreign page"
+
+
+def unknown(served: App, rng: np.random.Generator) -> str:
+    """No token, a wrong one, or somebody's idea of a cookie."""
+    name = served.cookie.partition("=")[0]
+    cookies = [
+        "",
+        f"{name}=",
+        f"{name}={TOKEN}",
+        f"{name}={rng.bytes(32).hex()}",
+        served.cookie[:-1],
+        f"x{served.cookie}",
+    ]
+    headers = {**served.headers, "cookie": str(rng.choice(cookies))}
+    path = route(served, rng)
+    if rng.random() < 0.3:
+        path += (
+            ("&" if "?" in path else "?") + "token=" + quote(str(rng.choice(["", TOKEN[:-1], TOKEN + "x", "\u00fc"])))
+        )
+    if rng.random() < 0.3:
+        return socket_opened(served, headers)
+    answer = served.ask(path, str(rng.choice(["GET", "POST", "HEAD"])), headers=headers)
+    return "" if answer.status_code == 401 else f"an answer {answer.status_code} to a stranger"
+
+
+def socket_opened(served: App, headers: dict[str, str]) -> str:
+    """Whether a socket is opened to these headers, which should not be."""
+    extra = {"cookie": headers["cookie"]}
+    try:
+        with connect(f"ws://127.0.0.1:{served.port}{ENGINE}websocket", origin=headers["origin"],  # type: ignore[arg-type]
+                     additional_headers=extra, open_timeout=PATIENCE_S):  # fmt: skip
+            return "a socket is opened to a stranger"
+    except WebSocketException:
+        return ""
+
+
+def malformed(served: App, rng: np.random.Generator) -> str:
+    """A request with bytes changed, doubled or missing, and with lengths that are not so."""
+    body = bytes(rng.bytes(int(rng.integers(0, 400))))
+    lengths = (str(len(body)), "-1", "99999999999", "1e9", "0", "", "+5")
+    lines = [f"{rng.choice(METHODS)} {route(served, rng)} HTTP/{rng.choice(['1.1', '1.0', '9.9', '0'])}"]
+    lines += [f"{name}: {value}" for name, value in served.headers.items()]
+    lines += [f"Content-Length: {rng.choice(lengths)}"] * int(rng.integers(0, 3))
+    lines += ["Transfer-Encoding: chunked"] * int(rng.integers(0, 2))
+    data = "\r\n".join([*lines, "", ""]).encode() + body
+    return told(served.raw(mutated(data, rng) if rng.random() < 0.7 else data))
+
+
+def climbing(served: App, rng: np.random.Generator) -> str:
+    """Paths out of the folders that are served, however they are written."""
+    start = str(
+        rng.choice(["/", "/_nicegui/", "/_nicegui/3.0/static/", "/_nicegui/auto/static/", "/image/", "/upload/"])
+    )
+    goal = str(rng.choice(["etc/passwd", "secret.txt", "case/journal.sqlite", str(served.folder / "secret.txt")]))
+    path = start + "".join(rng.choice(CLIMBS, int(rng.integers(1, 12)))) + goal
+    head = "\r\n".join(f"{name}: {value}" for name, value in served.headers.items())
+    return told(served.raw(f"GET {path} HTTP/1.1\r\n{head}\r\nConnection: close\r\n\r\n".encode("latin-1", "replace")))
+
+
+def uploads(served: App, rng: np.random.Generator) -> str:
+    """Any file under any name: an image, a damaged one, one that is none, one that is not sent whole."""
+    name = str(rng.choice(list(FILES)))
+    data = FILES[name][0]()
+    data = mutated(data, rng) if rng.random() < 0.6 else rng.bytes(int(rng.integers(0, 5000))) + data
+    shown = str(
+        rng.choice(["a.png", "../../evil.png", "/etc/passwd", "%2e%2e%2fx", "<b>", "\u202egnp.exe", "x" * 3000, ""])
+    )
+    headers = {**served.headers, "x-file-name": quote(shown)}
+    if rng.random() < 0.2:  # it breaks off
+        head = "\r\n".join(f"{key}: {value}" for key, value in headers.items())
+        sent = f"POST {upload_address()} HTTP/1.1\r\n{head}\r\nContent-Length: {len(data) + 9}\r\n\r\n".encode() + data
+        return told(served.raw(sent))
+    address = upload_address() if rng.random() < 0.8 else "/upload/guessed"
+    return told(served.ask(address, "POST", headers=headers, content=data))
+
+
+def guest(served: App) -> ClientConnection:
+    """A socket that knows the token."""
+    return connect(
+        f"ws://127.0.0.1:{served.port}{ENGINE}websocket",
+        origin=served.base,  # type: ignore[arg-type]
+        additional_headers={"cookie": served.cookie},
+        open_timeout=PATIENCE_S,
+    )
+
+
+def odd(rng: np.random.Generator) -> object:
+    """A value that nobody sends."""
+    return ODD[int(rng.integers(len(ODD)))]
+
+
+def events(served: App, rng: np.random.Generator) -> str:
+    """Events of no page or another's, with values that are not what they must be, in any order."""
+    listeners = re.findall(r"listener_id\W+([\w-]{36})", page())
+    with guest(served) as link, suppress(WebSocketException, TimeoutError):
+        link.send("40" + str(rng.choice(["", "", "", "/evil,", ",", "{}"])))
+        for _ in range(int(rng.integers(1, 15))):
+            name = str(rng.choice(EVENTS))
+            given = {
+                "client_id": _client_in(page()) if rng.random() < 0.7 else odd(rng),
+                "id": int(rng.integers(0, 300)) if rng.random() < 0.8 else odd(rng),
+                "listener_id": str(rng.choice(listeners)) if listeners and rng.random() < 0.8 else odd(rng),
+                "args": [json.dumps(odd(rng)) for _ in range(int(rng.integers(0, 3)))],
+                "tab_id": odd(rng), "document_id": odd(rng), "next_message_id": odd(rng), "level": odd(rng),
+            }  # fmt: skip
+            kept = {key: value for key, value in given.items() if rng.random() < 0.9}
+            text = "42" + json.dumps([name, kept if rng.random() < 0.8 else odd(rng)])
+            data = text.encode() if rng.random() < 0.8 else mutated(text.encode(), rng)
+            link.send(data.decode("utf-8", "replace") if rng.random() < 0.9 else data)
+    return ""
+
+
+def crowds(served: App, rng: np.random.Generator) -> str:
+    """Many connections that say little or nothing, left open for a moment."""
+    with ExitStack() as stack:
+        for _ in range(int(rng.integers(5, 100))):
+            with suppress(OSError):
+                link = stack.enter_context(socket.create_connection(("127.0.0.1", served.port), timeout=PATIENCE_S))
+                link.sendall(b"GET / HTTP/1.1\r\nHost: x"[: int(rng.integers(0, 24))])
+    return ""
+
+
+CLASSES: dict[str, Damage] = {
+    "from a foreign page": attack(foreign, stranger=True),
+    "without the token": attack(unknown, stranger=True),
+    "malformed requests": attack(malformed, stranger=False),
+    "paths out of the folders": attack(climbing, stranger=False),
+    "uploads of anything": attack(uploads, stranger=False),
+    "events of no page": attack(events, stranger=False),
+    "crowds of connections": attack(crowds, stranger=True),
+}
+CAMPAIGN = Campaign("pages", "Hostile requests to the app", CLASSES)

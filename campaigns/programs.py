@@ -1,0 +1,547 @@
+"""Programs that write, for campaigns that cut them short: what was there before, the run, what must be there after.
+
+A run is a process of its own, forked from this one, where everything is imported and what is slow is computed already.
+"""
+
+import atexit
+import os
+import re
+import sqlite3
+import sys
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import closing, contextmanager, redirect_stderr, redirect_stdout
+from dataclasses import dataclass
+from functools import cache, partial
+from io import StringIO
+from pathlib import Path
+from shutil import rmtree
+from tempfile import TemporaryDirectory, mkdtemp
+from typing import Any, Protocol
+from unittest.mock import patch
+
+import numpy as np
+
+from campaigns.person import Clicks
+from campaigns.points import World
+from sightline import atomic, twin
+from sightline.case import acquire_folder, entry
+from sightline.case.journal import JOURNAL, Actor, Case, Kind
+from sightline.cli import commands, demo
+from sightline.cli.output import Output
+from sightline.detection.files import write_observations
+from sightline.errors import SightlineError
+from sightline.frame import Frame
+from sightline.imaging import Radiograph, write_png
+from sightline.studies.record import Record
+from sightline.studies.scenes import VIEWS
+
+Work = Callable[[], int]
+Write = Callable[[Path], int]  # writes a folder, returns the exit code
+Files = Mapping[str, bytes]
+SCHEMA_0 = Path(__file__).parents[1] / "tests/case/journal-schema-0.sql"
+ITS_ORIGINAL = "2b4c342f5433ebe591a1da77e013d1b72475562d48578dca8b84bac6651c3cb9.png"
+CHANGES = ("os.rename", "os.mkdir", "os.remove", "os.rmdir", "os.link", "os.chmod", "os.truncate", "ctypes.dlsym")
+IMAGES, ENTRIES = 3, 6
+
+
+@dataclass(frozen=True)
+class Told:
+    """How a process ended, negative for a signal, and what it said."""
+
+    code: int
+    out: str
+    err: str
+
+
+def in_a_child(work: Work) -> Told:
+    """Run it in a forked process; return when it has ended, and whatever it forked too."""
+    sys.stdout.flush()
+    sys.stderr.flush()
+    pipes = [os.pipe(), os.pipe()]
+    child = os.fork()
+    if child == 0:
+        code = 1
+        try:
+            for number, (reading, writing) in enumerate(pipes, start=1):
+                os.dup2(writing, number)
+                os.close(reading)
+                os.close(writing)
+            sys.stdout, sys.stderr = (open(number, "w", buffering=1, closefd=False) for number in (1, 2))  # noqa: SIM115
+            sys.dont_write_bytecode = True
+            code = work()
+        except BaseException as fault:
+            os.write(2, f"Traceback: {type(fault).__name__}: {fault}\n".encode())
+        finally:
+            os._exit(code)
+    for _, writing in pipes:
+        os.close(writing)
+    with ThreadPoolExecutor(2) as pool:
+        out, err = pool.map(_all_of, [reading for reading, _ in pipes])
+    return Told(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]), out, err)
+
+
+def _all_of(pipe: int) -> str:
+    with open(pipe, "rb") as stream:
+        return stream.read().decode(errors="replace")
+
+
+@dataclass
+class Steps:
+    """Counts what a process does to the disk: `file`, operations on files and folders as Python tells them; `journal`,
+    instructions of SQLite's machine. At the step `at` of one `kind`, `act` is called; `refuse` is asked before each
+    operation on a file, and may raise."""
+
+    kind: str = ""
+    at: int = 0
+    act: Callable[[], None] = lambda: None
+    refuse: Callable[[str, int], None] = lambda event, flags: None
+    file: int = 0
+    journal: int = 0
+
+    def watch(self) -> None:
+        """From here on, for as long as this process lives."""
+        connect, sync = sqlite3.connect, os.fsync
+
+        def watched(*args: Any, **options: Any) -> sqlite3.Connection:
+            db = connect(*args, **options)
+            db.set_progress_handler(partial(self._step, "journal"), 1)
+            return db
+
+        def synced(handle: int) -> None:
+            self._file("os.fsync", 0)
+            sync(handle)
+
+        sqlite3.connect, os.fsync = watched, synced
+        sys.addaudithook(self._audit)
+
+    def _audit(self, event: str, given: tuple[Any, ...]) -> None:
+        if event == "open":
+            flags = given[2]
+            if flags & (os.O_WRONLY | os.O_RDWR | os.O_CREAT) and not str(given[0]).startswith("/dev/"):
+                self._file(event, flags)
+        elif event in CHANGES:
+            self._file(event, 0)
+
+    def _file(self, event: str, flags: int) -> None:
+        self._step("file")
+        self.refuse(event, flags)
+
+    def _step(self, kind: str) -> int:
+        count = getattr(self, kind) + 1
+        setattr(self, kind, count)
+        if (kind, count) == (self.kind, self.at):
+            self.act()
+        return 0
+
+
+class Program(Protocol):
+    """A program that writes into a folder, `place`, which holds nothing else."""
+
+    def prepare(self, place: Path) -> None:
+        """What is there before."""
+        ...
+
+    def run(self, place: Path) -> int:
+        """The program; its exit code."""
+        ...
+
+    def damage(self, place: Path, said: str) -> str:
+        """What is lost or half by now, if the program has said `said`; "" if nothing."""
+        ...
+
+    def missing(self, place: Path) -> str:
+        """What it has not done, if it was not cut short; "" if nothing."""
+        ...
+
+
+def command(*words: object) -> int:
+    """A command of Sightline in this process; its exit code."""
+    try:
+        commands([str(word) for word in words])
+    except SystemExit as end:
+        return int(end.code or 0)
+    return 0
+
+
+def as_command(work: Callable[[], None]) -> int:
+    """Work of the package that no command does alone, with the errors of a command."""
+    from typer import Exit
+
+    try:
+        with Output(json=False, quiet=True):
+            work()
+    except Exit as end:
+        return end.exit_code
+    return 0
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    """All files, by their paths in it; of a case only how many entries it has: its names are new each time."""
+    files = sorted(file for file in folder.rglob("*") if file.is_file() and file.parent.name != "originals")
+    return {
+        str(file.relative_to(folder)): _entries(file) if file.name == JOURNAL else file.read_bytes() for file in files
+    }
+
+
+def _entries(journal: Path) -> bytes:
+    try:
+        with Case.open(journal.parent, read_only=True) as case:
+            return f"{case.last} entries, {len(case.problems)} problems".encode()
+    except SightlineError:
+        return journal.read_bytes()
+
+
+@dataclass(frozen=True)
+class Results:
+    """A program that writes results into the folder `out`; `before`: "nothing", "old" results of the same names, or
+    "shared" with a file of somebody else's beside them."""
+
+    writer: Callable[[], Write]  # computes what is slow, once
+    before: str = "old"
+
+    def prepare(self, place: Path) -> None:
+        """Old results."""
+        for name, data in self._old.items():
+            file = place / "out" / name
+            file.parent.mkdir(parents=True, exist_ok=True)
+            file.write_bytes(data)
+
+    def run(self, place: Path) -> int:
+        """Write new ones."""
+        return self.writer()(place / "out")
+
+    def damage(self, place: Path, said: str) -> str:
+        """Whole or old; in a shared folder a part of one, as `whole_folder` promises. What is told to be written is."""
+        found, old, new = contents(place / "out"), self._old, self._new
+        ours = {name: data for name, data in found.items() if name in new}
+        if self.before == "shared" and found.get("mine.txt") != b"mine":
+            return "somebody else's file is gone"
+        if "written: " in said and ours != new:
+            return "what it said to be written is not there"
+        if ours == {name: data for name, data in old.items() if name in new} or ours == new:
+            return ""
+        if self.before == "shared" and (ours.items() <= old.items() or ours.items() <= new.items()):
+            return ""
+        return "the folder is neither old nor whole"
+
+    def missing(self, place: Path) -> str:
+        """All of it is new."""
+        found = contents(place / "out")
+        return "" if all(found.get(name) == data for name, data in self._new.items()) else "the new results"
+
+    @property
+    def _new(self) -> Files:
+        return _results_of(self.writer)
+
+    @property
+    def _old(self) -> Files:
+        if self.before == "nothing":
+            return {}
+        mine = {"mine.txt": b"mine"} if self.before == "shared" else {}
+        return {name: b"old " + name.encode() for name in self._new} | mine
+
+
+@cache
+def _results_of(writer: Callable[[], Write]) -> Files:
+    """What a run that nothing cuts short leaves."""
+    write = writer()
+    with TemporaryDirectory() as folder:
+        told = in_a_child(lambda: write(Path(folder) / "out"))
+        assert told.code == 0, told
+        return contents(Path(folder) / "out")
+
+
+def computed(*words: str) -> Write:
+    """A command that reads the beads of a procedure and writes a folder; what it writes is computed once, here."""
+    documents: dict[str, bytes] = {}
+
+    def keep(_: Path, given: Files) -> list[Path]:
+        documents.update(given)
+        return []
+
+    with TemporaryDirectory() as folder, patch.object(atomic, "write_folder", keep):
+        world = World.draw(np.random.default_rng(3))
+        beads = write_observations(list(world.observations.values()), Path(folder) / "beads.csv")
+        told = _told(world.clicks) if words[0] == "plan" else ()
+        assert command(*words, beads, beads, *told, "--out", folder, "--quiet") == 0
+
+    def write(out: Path) -> int:
+        def work() -> None:
+            for file in atomic.write_folder(out, documents):
+                print(f"written: {file}", flush=True)
+
+        return as_command(work)
+
+    return write
+
+
+def _told(clicks: Clicks) -> tuple[str, ...]:
+    """The arguments of `sightline plan`."""
+
+    def both(uv: np.ndarray) -> str:
+        rows = zip(VIEWS, uv, strict=True)
+        return " ".join(f"{name}:{','.join(f'{value:.2f}' for value in row)}" for name, row in rows)
+
+    marks = [f"{name} {both(clicks.landmarks[:, k])}" for k, name in enumerate(clicks.names)]
+    told = ("--entry", both(clicks.wire[:, 0]), "--end", both(clicks.wire[:, 1]), "--head", both(clicks.head))
+    return *told, "--side", clicks.side, *(word for mark in marks for word in ("--landmark", mark))
+
+
+@cache
+def plan() -> Write:
+    """`sightline plan --out`."""
+    return computed("plan")
+
+
+@cache
+def views() -> Write:
+    """`sightline export views`."""
+    return computed("export", "views", "--to", "opencv,rtk,xreg")
+
+
+@cache
+def simulated() -> Write:
+    """`sightline simulate`, without the rendering."""
+
+    def write(out: Path) -> int:
+        with patch.object(twin, "render", lambda setup, view, *_: _image(view)):
+            return command("simulate", "object", "--out", out)
+
+    return write
+
+
+@cache
+def _image(seed: str | int) -> Radiograph:
+    rng = np.random.default_rng(list(str(seed).encode()))
+    return Radiograph(rng.integers(0, 65536, (60, 64), dtype=np.uint16), 65535.0)
+
+
+@cache
+def demonstrated() -> Write:
+    """`sightline demo`; what it computes is computed once, here."""
+    computed = Path(mkdtemp(prefix="sightline-campaign-"))
+    atexit.register(rmtree, computed, ignore_errors=True)
+    record, results = demo.record, demo._write_results
+    steps: list[Callable[[Path], None]] = []
+    with (
+        Output(json=False, quiet=True) as output,
+        patch.object(demo, "record", lambda _, what: steps.append(lambda out: record(out / "case", what))),
+        patch.object(demo, "_write_results", lambda _, *what: steps.append(lambda out: results(out, *what))),
+    ):
+        demo._run(output, computed, demo.SEED)
+
+    def run(output: Output, scratch: Path, seed: int) -> dict[str, Any]:
+        for image in sorted(computed.iterdir()):
+            atomic.write_whole(scratch / image.name, image.read_bytes())
+        for step in steps:
+            step(scratch)
+        return {}
+
+    def write(out: Path) -> int:
+        with patch.object(demo, "_run", run):
+            return command("demo", "--out", out)
+
+    return write
+
+
+@cache
+def frame_file() -> Write:
+    """One file."""
+    frame = Frame.load("gamma")
+
+    def write(out: Path) -> int:
+        out.mkdir(exist_ok=True)
+        return as_command(lambda: frame.save(out / "frame.json"))
+
+    return write
+
+
+@dataclass(frozen=True)
+class Journal:
+    """A program that appends to the case in `case`; what it acknowledges is a line "entry N: kept, HASH"."""
+
+    write: Write
+    before: str = "nothing"  # or "case", or one of "schema 0"
+
+    def prepare(self, place: Path) -> None:
+        """A case, and images beside it."""
+        (place / "images").mkdir()
+        for number in range(IMAGES):
+            write_png(_image(number), place / "images" / f"{number}.png")
+        if self.before == "case":
+            with Case.create(place / "case") as case:
+                for number in range(ENTRIES):
+                    case.record(Kind.CHANGED, {"what": "side", "to": number}, by=Actor.SURGEON)
+        elif self.before == "schema 0":
+            (place / "case" / "originals").mkdir(parents=True)
+            (place / "case" / "originals" / ITS_ORIGINAL).write_bytes(b"\t")
+            with closing(sqlite3.connect(place / "case" / "journal.sqlite")) as db:
+                db.executescript(SCHEMA_0.read_text("utf-8"))
+
+    def run(self, place: Path) -> int:
+        """Append."""
+        return self.write(place)
+
+    def damage(self, place: Path, said: str) -> str:
+        """What was there and what was acknowledged is there, and the case is whole."""
+        acknowledged = {int(n): name for n, name in re.findall(r"^entry (\d+): kept, (\w+)$", said, re.MULTILINE)}
+        before = {"nothing": 0, "case": ENTRIES, "schema 0": 3}[self.before]
+        try:
+            if not Case.exists(place / "case"):
+                return "" if not acknowledged and not before else "the case is gone"
+            with Case.open(place / "case") as case:
+                if case.problems:
+                    return f"the case has a problem: {case.problems[0].sentence}"
+                held = {one.number: _shortly(one) for one in case.entries()}
+        except SightlineError as error:
+            return f"the case cannot be opened: {error}"
+        lost = [number for number, name in acknowledged.items() if held.get(number) != name]
+        if lost or len(held) < before:
+            return f"entries {lost or before} of {len(held)} are lost"
+        return ""
+
+    def missing(self, place: Path) -> str:
+        """Each image is there, once."""
+        with Case.open(place / "case") as case:
+            held = [one.content["original"] for one in case.entries(Kind.ACQUIRED) if "pixels_sha256" in one.content]
+            edits = len(case.entries(Kind.CHANGED))
+        if self.write is append:
+            return "" if edits >= 2 * ENTRIES else "entries that were to be appended"
+        return "" if len(held) == len(set(held)) >= IMAGES else f"{len(held)} entries of {IMAGES} images"
+
+
+def _shortly(one: entry.Entry) -> str:
+    return str(one.content.get("original", one.chain))[:12]
+
+
+def acquire(place: Path) -> int:
+    """`sightline acquire folder`."""
+    return command("acquire", "folder", place / "images", "--case", place / "case")
+
+
+def acquire_beside_another(place: Path) -> int:
+    """The same, while another process does the same."""
+    other = os.fork()
+    if other == 0:
+        os._exit(acquire(place))
+    code = acquire(place)
+    return code or os.waitstatus_to_exitcode(os.waitpid(other, 0)[1])
+
+
+def watch(place: Path) -> int:
+    """`sightline acquire folder --watch`, until there has been nothing new three times; one image comes late."""
+    looks = iter(range(3))
+
+    def pause(_: float) -> None:
+        look = next(looks, None)
+        if look is None:
+            raise KeyboardInterrupt
+        if look == 1:
+            write_png(_image("late"), place / "images" / "late.png")
+
+    with patch.object(acquire_folder, "SETTLED_S", 0.0), patch("time.sleep", pause):
+        return command("acquire", "folder", place / "images", "--case", place / "case", "--watch")
+
+
+def append(place: Path) -> int:
+    """Edits, as the app records them."""
+
+    def work() -> None:
+        with Case.create(place / "case", exist_ok=True) as case:
+            for number in range(2 * ENTRIES):
+                made = case.record(Kind.CHANGED, {"what": "side", "to": number}, by=Actor.SURGEON)
+                print(f"entry {made.number}: kept, {made.chain[:12]}", flush=True)
+
+    return as_command(work)
+
+
+@dataclass(frozen=True)
+class Trials:
+    """The finished trials of a study."""
+
+    def prepare(self, place: Path) -> None:
+        """None."""
+
+    def run(self, place: Path) -> int:
+        """Keep what is not kept, one after another."""
+
+        def work() -> None:
+            record = Record.open(place / "study", {"study": "one"})
+            for trial in range(ENTRIES):
+                if trial not in record.finished:
+                    record.add({trial: {"value": trial}})
+                    print(f"trial {trial}", flush=True)
+
+        return as_command(work)
+
+    def damage(self, place: Path, said: str) -> str:
+        """What was acknowledged is there."""
+        try:
+            found = Record.open(place / "study", {"study": "one"}).finished
+        except SightlineError as error:
+            return f"the record cannot be opened: {error}"
+        lost = [n for n in re.findall(r"^trial (\d+)$", said, re.MULTILINE) if int(n) not in found]
+        return f"trials {', '.join(lost)} are lost" if lost else ""
+
+    def missing(self, place: Path) -> str:
+        """All are there."""
+        return "" if len(Record.open(place / "study", {"study": "one"}).finished) == ENTRIES else "trials"
+
+
+PROGRAMS: dict[str, Program] = {
+    "acquire folder, a new case": Journal(acquire),
+    "acquire folder": Journal(acquire, "case"),
+    "acquire folder, case of an older version": Journal(acquire, "schema 0"),
+    "acquire folder --watch": Journal(watch, "case"),
+    "two acquire folder at once": Journal(acquire_beside_another, "case"),
+    "edits of a case": Journal(append, "case"),
+    "plan --out": Results(plan),
+    "plan --out, no folder yet": Results(plan, "nothing"),
+    "plan --out, shared folder": Results(plan, "shared"),
+    "demo": Results(demonstrated),
+    "export views": Results(views),
+    "simulate": Results(simulated),
+    "a frame file": Results(frame_file),
+    "trials of a study": Trials(),
+}
+
+
+@contextmanager
+def place_for(program: Program) -> Iterator[Path]:
+    """A folder in which it is about to run; nobody else's, whoever runs it."""
+    with TemporaryDirectory(prefix="sightline-campaign-") as folder:
+        place = Path(folder)
+        place.chmod(0o755)
+        program.prepare(place)
+        yield place
+
+
+@cache
+def extent(name: str) -> dict[str, int]:
+    """How many steps of each kind a program takes, and the largest file that it leaves, in bytes."""
+    program = PROGRAMS[name]
+    with place_for(program) as place, redirect_stdout(StringIO()), redirect_stderr(StringIO()):
+        program.run(place)  # once here: what it imports is not for each child to import
+    with place_for(program) as place:
+
+        def counted() -> int:
+            steps = Steps()
+            steps.watch()
+            code = program.run(place)
+            os.write(1, f"\nsteps {steps.file} {steps.journal}\n".encode())
+            return code
+
+        told = in_a_child(counted)
+        assert told.code == 0 and not program.missing(place), (name, told)
+        file, journal = map(int, re.findall(r"^steps (\d+) (\d+)$", told.out, re.MULTILINE)[0])
+        largest = max((path.stat().st_size for path in place.rglob("*") if path.is_file()), default=1)
+    return {"file": file, "journal": journal, "byte": largest}
+
+
+def not_finished(program: Program, place: Path) -> str:
+    """Run it once more, to its end: "" or what is wrong then. Whatever cut it short before, it must work now."""
+    told = in_a_child(lambda: program.run(place))
+    if told.code != 0:
+        return f"the next run fails: {(told.err or told.out).strip().splitlines()[-1:]}"
+    return program.damage(place, told.out) or program.missing(place)
