@@ -62,7 +62,8 @@ def _store(folder: Path, images: int) -> list[Row]:
     ]
     with Case.create(folder / "case") as case:
         acquirer = Acquirer(case)
-        with DicomReceiver(acquirer, [Peer.parse("CARM@127.0.0.1")], lambda _: None, port=0) as receiver:
+        receiver = DicomReceiver([Peer.parse("CARM@127.0.0.1")], port=0)
+        with receiver, receiver.receiving(acquirer, lambda _: None):
             answered, peak = 0, _rss_mb()
             for k, file in enumerate(files):
                 _misbehave(k, receiver.port, file)
@@ -148,7 +149,8 @@ def _rate(folder: Path, files: list[Path]) -> tuple[float, float, float]:
     images = [dcmread(file) for file in files]
     with (
         Case.create(folder / "rate") as case,
-        DicomReceiver(Acquirer(case), [Peer.parse("CARM@127.0.0.1")], lambda _: None, port=0) as receiver,
+        DicomReceiver([Peer.parse("CARM@127.0.0.1")], port=0) as receiver,
+        receiver.receiving(Acquirer(case), lambda _: None),
         _association(receiver.port) as association,
     ):
         began, used = time.perf_counter(), time.process_time()

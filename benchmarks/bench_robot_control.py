@@ -22,7 +22,7 @@ from sightline.robot.client import RobotClient
 from sightline.robot.igtl import Message, Status, String, Transform, encode
 from sightline.robot.manipulator import FEED
 from sightline.robot.plant import CYCLE_S
-from sightline.robot.server import LATE_S, PRIORITY, SWITCH_S, RobotServer, _prefer_this_thread
+from sightline.robot.server import LATE_S, PRIORITY, SWITCH_S, RobotServer, prefer_this_thread
 from sightline.robot.states import MOVING, State
 from sightline.robot.transport import BlockingClient
 
@@ -99,7 +99,7 @@ def _empty_loop(seconds: float) -> float:
     late: list[float] = []
 
     def turn() -> None:
-        _prefer_this_thread(PRIORITY)
+        prefer_this_thread(PRIORITY)
         due = time.monotonic()
         for _ in range(round(seconds / CYCLE_S)):
             due += CYCLE_S

@@ -81,7 +81,7 @@ def timed(runs: int) -> None:
     programs: dict[str, Callable[[int], object]] = {
         "tracking": lambda k: follower.take(_shot(stream, k).image, time.time()),
         "cold": lambda k: Follower(frame).take(_shot(stream, k).image, time.time()),
-        "all": lambda k: eye.look(_shot(stream, k), k + 1, 0),
+        "all": lambda k: eye.look(_shot(stream, k), time.monotonic(), k + 1, 0),
         "blobs": lambda k: detector.detect(grey[k % len(grey)]),
     }
     taken: dict[str, list[tuple[float, float]]] = {name: [] for name in programs}
@@ -124,8 +124,8 @@ def _agreement_rows(quick: bool) -> list[Row]:
         eye = Eye(frame, stream.wire, ())
         targets = np.stack([stream.wire.entry_mm, stream.wire.end_mm])
         for k in range(12):
-            tracked = eye.look(_shot(stream, k), k + 1, 0).view
-            cold = Eye(frame, None, ()).look(_shot(stream, k), 1, 0).view
+            tracked = eye.look(_shot(stream, k), time.monotonic(), k + 1, 0).view
+            cold = Eye(frame, None, ()).look(_shot(stream, k), time.monotonic(), 1, 0).view
             assert tracked is not None
             assert cold is not None
             uv = cold.project(targets)
@@ -307,5 +307,5 @@ def _rendered(seed: int) -> bool:
     still, after = (expose(one, hip.scene, DOSES["low"]) for one in (truth, moved))
     eye = Eye(frame, None, ())
     images = [still.read_out(rng) for _ in range(REST_FRAMES + 2)] + [after.read_out(rng) for _ in range(2)]
-    said = [eye.look(Shot(one, k + 1, time.time()), k + 1, 0).moved for k, one in enumerate(images)]
+    said = [eye.look(Shot(one, k + 1, time.time()), time.monotonic(), k + 1, 0).moved for k, one in enumerate(images)]
     return said == [False] * (len(images) - 1) + [True]
