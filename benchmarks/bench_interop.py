@@ -1,9 +1,11 @@
 """Other programs read our files: each is run where it is installed, and said to be missing where it is not.
 
-Peers: `pip install itk-rtk SimpleITK slicerio`, and dcmtk of the system's packages. None is a dependency of Sightline.
+Peers: `pip install itk-rtk SimpleITK slicerio diffdrr`, and dcmtk of the system's packages. None is a dependency of
+Sightline; DiffDRR brings torch, some gigabytes.
 Views are cameras drawn by seed about a hip. What a peer makes of a file is held against the formula of `Pinhole`.
 """
 
+import json
 import shutil
 import subprocess
 import tempfile
@@ -27,6 +29,7 @@ from sightline.imaging import Radiograph, write_dicom
 GROUP = "interop"
 SEED, VIEWS, POINTS = 41, 40, 20
 ASKED = {"px": 1e-6, "mm": 1e-6}  # [ours] far below what any use of the files could notice
+ASKED_32_BIT_PX = 1e-3  # [ours] DiffDRR computes in 32 bits: some 1e-7 of 500 px, a few roundings
 SIDE = "left"
 
 
@@ -37,6 +40,7 @@ def run(quick: bool) -> list[Row]:
         "itk-rtk": _rtk,
         "SimpleITK": _simple_itk,
         "slicerio": _slicerio,
+        "diffdrr": _diffdrr,
     }
     rows = []
     with tempfile.TemporaryDirectory() as folder:
@@ -150,6 +154,32 @@ def _slicerio(views: list[Pinhole], folder: Path) -> list[Row]:
         _row("axes of 3D Slicer's volumes", worst, "mm", "slicerio", f"{len(views)} views"),
         Row(GROUP, "pixels of these volumes", "the same" if same else "others", "the same", "slicerio", same),
     ]
+
+
+def _diffdrr(views: list[Pinhole], _: Path) -> list[Row]:
+    """Where the rays that DiffDRR renders meet the detector, from our parameters: at the pixels' centres."""
+    import torch
+    from diffdrr.detector import Detector
+    from diffdrr.pose import RigidTransform
+
+    worst = 0.0
+    for view in views:
+        stated = json.loads(write_view(view, "diffdrr")["pa.diffdrr.json"])
+        detector = Detector(
+            *(stated[name] for name in ("sdd", "height", "width", "delx", "dely", "x0", "y0")),
+            torch.eye(4)[None],
+            reverse_x_axis=stated["reverse_x_axis"],
+        )
+        source, target = detector(RigidTransform(torch.tensor(stated["pose"])), None)
+        height, width = view.stated_shape()
+        v, u = np.divmod(np.arange(height * width), width)
+        away = _projected(view, target[0].double().numpy()) - np.column_stack([u, v])
+        apart = np.linalg.norm(source[0, 0].double().numpy() - view.focal_point_mm)
+        worst = max(worst, float(np.abs(away).max()))
+        assert apart < 1e-3, "DiffDRR's source is not at the focal point"
+    figure = f"{worst:.1e} px at most, every pixel of {len(views)} views"
+    peer = f"diffdrr {version('diffdrr')}, in 32 bits"
+    return [Row(GROUP, "DiffDRR's rays", figure, f"{ASKED_32_BIT_PX:g} px", peer, worst <= ASKED_32_BIT_PX)]
 
 
 def _dcmtk(view: Pinhole, folder: Path) -> list[Row]:

@@ -5,6 +5,7 @@ from copy import deepcopy
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.spatial.transform import RigidTransform, Rotation
 
 import sightline as sl
 from campaigns.campaign import Campaign, Damage, Ended
@@ -357,12 +358,22 @@ def altered(frame: Frame, place: Callable[[Fiducial], tuple[float, ...]]) -> Fra
 
 def moved_patient(world: World, rng: np.random.Generator) -> None:
     """0.5 to 8 mm between the two images, and up to 3 degrees."""
-    from scipy.spatial.transform import RigidTransform, Rotation
-
     turn = Rotation.from_rotvec(np.deg2rad(rng.uniform(0, 3)) * _unit(rng, 3))
+    _move(world, rng, rng.uniform(0.5, 8.0) * _unit(rng, 3), turn)
+
+
+def moved_in_plane(world: World, rng: np.random.Generator) -> None:
+    """0.5 to 8 mm in the plane of both beams: the lines of sight go on meeting."""
+    pa, lateral = (world.hip.head_mm - world.setup.views[name].focal_point_mm for name in VIEWS)
+    normal = np.cross(pa, lateral)
+    across, angle = np.cross(normal, pa), rng.uniform(0.0, 2 * np.pi)
+    aside = np.cos(angle) * pa / np.linalg.norm(pa) + np.sin(angle) * across / np.linalg.norm(across)
+    _move(world, rng, rng.uniform(0.5, 8.0) * aside, Rotation.identity())
+
+
+def _move(world: World, rng: np.random.Generator, shift_mm: np.ndarray, turn: Rotation) -> None:
     about = world.hip.head_mm
-    shift = rng.uniform(0.5, 8.0) * _unit(rng, 3)
-    motion = RigidTransform.from_components(about - turn.apply(about) + shift, turn)
+    motion = RigidTransform.from_components(about - turn.apply(about) + shift_mm, turn)
     world.moved = replace(world.hip, motions={"lateral": motion}).at("lateral")
     world.reclick(world.hip, rng, lateral=world.moved)
 
@@ -392,5 +403,6 @@ CLASSES: dict[str, Damage] = {
     "frame file of another scale": damage(scaled_frame),
     "plate shifted": damage(shifted_plate),
     "patient moved between the images": damage(moved_patient, "mov"),
+    "patient moved in the plane of both beams": damage(moved_in_plane, "mov"),
 }
 CAMPAIGN = Campaign("points", "Beads, clicks, frames and patients that are not what they are said to be", CLASSES)
