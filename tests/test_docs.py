@@ -1,6 +1,7 @@
 """The pages keep up with the code: every check and error has its heading, links resolve, the README's Python runs."""
 
 import ast
+import functools
 import inspect
 import re
 import shutil
@@ -39,12 +40,13 @@ def names_in(source: Path) -> set[str]:
     return found
 
 
-def check_names() -> set[str]:
+@functools.cache
+def check_names() -> frozenset[str]:
     # The plan's three bounds are made in one loop over their names, the robot's clearances in one over obstacles.
     named_in_a_loop = {"entry error", "end error", "direction error"}
     named_in_a_loop |= {"wire entry error", "wire end error", "wire direction error"}  # those of the robot's target
     named_in_a_loop |= {f"{obstacle} clearance" for obstacle in ("patient", "table", "C-arm")}
-    return named_in_a_loop.union(*(names_in(file) for file in (ROOT / "src" / "sightline").rglob("*.py")))
+    return frozenset(named_in_a_loop).union(*(names_in(file) for file in (ROOT / "src" / "sightline").rglob("*.py")))
 
 
 def test_every_check_has_its_heading() -> None:
