@@ -11,9 +11,9 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from benchmarks.rows import Row
-from sightline.robot.manipulator import FEED, WRIST_MM, Manipulator, nominal_manipulator
+from sightline.robot.kinematics.manipulator import FEED, WRIST_MM, Manipulator, nominal_manipulator
+from sightline.robot.kinematics.reach import check_reach, hip_theatre
 from sightline.robot.plant import CYCLE_S
-from sightline.robot.reach import check_reach, hip_theatre
 from sightline.twin.drilling import Bone
 from sightline.twin.femur import Femur, to_cfcs, voxelise
 from sightline.twin.manipulator import SimulatedPlant

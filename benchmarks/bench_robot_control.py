@@ -18,12 +18,12 @@ from tests.robot.rig import ROBOT, T_MCS_CFCS, metadata, served, wire
 
 from benchmarks.rows import Row
 from sightline.errors import LinkError, RobotRefusedError
-from sightline.robot.client import RobotClient
+from sightline.robot.control.states import MOVING, State
 from sightline.robot.igtl import Message, Status, String, Transform, encode
-from sightline.robot.manipulator import FEED
+from sightline.robot.kinematics.manipulator import FEED
+from sightline.robot.link.client import RobotClient
+from sightline.robot.link.server import LATE_S, PRIORITY, SWITCH_S, RobotServer, prefer_this_thread
 from sightline.robot.plant import CYCLE_S
-from sightline.robot.server import LATE_S, PRIORITY, SWITCH_S, RobotServer, prefer_this_thread
-from sightline.robot.states import MOVING, State
 from sightline.robot.transport import BlockingClient
 
 LOOP_S, STOPS, DRILLING_STOPS, FAULTS = 60.0, 30, 10, 500
@@ -154,7 +154,7 @@ def _stop_time(server: RobotServer, robot: RobotClient, joints: slice) -> tuple[
 
 def _observed(server: RobotServer) -> None:
     """The simulator's own joint speeds, which the loop cannot see."""
-    from sightline.robot.manipulator import JOINTS
+    from sightline.robot.kinematics.manipulator import JOINTS
     from sightline.twin.mjcf import unit
 
     body = server._plant._body

@@ -13,8 +13,8 @@ from scipy.spatial.transform import RigidTransform
 
 from benchmarks.parallel import in_parallel
 from benchmarks.rows import Row
+from sightline.robot.control.motion.supervision import Event, Supervision
 from sightline.robot.plant import CYCLE_S
-from sightline.robot.supervision import Event, Supervision
 from sightline.twin.drilling import AXIAL_N_PER_MM, CORTICAL_G_CM3, Bone, Wire, sensed
 from sightline.twin.femur import draw_femur, voxelise
 

@@ -13,10 +13,10 @@ from tests.robot.igtl_faults import in_pieces
 from tests.robot.rig import CLIENT, ROBOT, T_MCS_CFCS, IdealPlant, Rig, code, metadata, wire
 
 from campaigns.campaign import Campaign, Damage, Ended
+from sightline.robot.control.states import COMMANDS, MOVING, State
 from sightline.robot.igtl import Capability, Message, String, Transform, encode
-from sightline.robot.manipulator import FEED
+from sightline.robot.kinematics.manipulator import FEED
 from sightline.robot.plant import CYCLE_S, PlantFlag, Reading
-from sightline.robot.states import COMMANDS, MOVING, State
 
 STILL = 0.02  # of a joint's full speed: what an arm at rest may show
 STOPS_S = 0.3  # from full speed to rest, by the joints' accelerations, and then some

@@ -21,9 +21,9 @@ from scipy.spatial.transform import RigidTransform
 from campaigns.busy import busy_cores
 from sightline.errors import SightlineError
 from sightline.rehearsal.robots import calibrated_robot
-from sightline.robot.client import RobotClient
-from sightline.robot.conformance import Examination, Verdict
-from sightline.robot.states import State
+from sightline.robot.control.states import State
+from sightline.robot.link.client import RobotClient
+from sightline.robot.link.conformance.examination import Examination, Verdict
 
 DRY_RUNS, DRILLINGS = 500, 100
 AHEAD_MM = 125.0  # the end of a bare target, whose wire is 95 mm: its entry lies 30 mm ahead

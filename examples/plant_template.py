@@ -12,12 +12,12 @@ from threading import Event, Lock, Thread
 
 import numpy as np
 
-from sightline.robot.controller import Controller
-from sightline.robot.insertion import Setup
-from sightline.robot.manipulator import Manipulator
-from sightline.robot.measured import RobotFile
+from sightline.robot.control.controller import Controller
+from sightline.robot.control.insertion import Setup
+from sightline.robot.kinematics.manipulator import Manipulator
+from sightline.robot.kinematics.measured import RobotFile
+from sightline.robot.link.server import PRIORITY, RobotServer, prefer_this_thread
 from sightline.robot.plant import WATCHDOG_S, PlantFlag, Reading
-from sightline.robot.server import PRIORITY, RobotServer, prefer_this_thread
 
 SAMPLE_S = 0.002  # of your motor controller: at least twice for each cycle of 5 ms
 

@@ -9,8 +9,8 @@ from matplotlib.axes import Axes
 from matplotlib.patches import Polygon
 from scipy.spatial import ConvexHull
 
-from sightline.robot.manipulator import LIFT, PITCH, TRAVERSE, WRIST_MM, YAW, nominal_manipulator
-from sightline.robot.reach import MACHINE, PLATES_MM, Obstacle, hip_theatre
+from sightline.robot.kinematics.manipulator import LIFT, PITCH, TRAVERSE, WRIST_MM, YAW, nominal_manipulator
+from sightline.robot.kinematics.reach import MACHINE, PLATES_MM, Obstacle, hip_theatre
 
 # Title, axes shown, limits of the second, and where labels stand beside what they name (points).
 VIEWS = (

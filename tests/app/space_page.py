@@ -23,7 +23,7 @@ from sightline.detection import Observations
 from sightline.frame import Frame
 from sightline.imaging import Radiograph
 from sightline.planning import kind, plan
-from sightline.robot.manipulator import YAW, imaging_yaw, nominal_manipulator
+from sightline.robot.kinematics.manipulator import YAW, imaging_yaw, nominal_manipulator
 from sightline.twin import bead_images
 from sightline.twin.scene import shown_hip_scene
 

@@ -21,7 +21,7 @@ from sightline.case.entry import Actor
 from sightline.case.views import NAMES
 from sightline.errors import UnusableInputError
 from sightline.imaging import Radiograph, taken_at, write_dicom, write_png
-from sightline.robot.target import LIFETIME_S
+from sightline.robot.kinematics.target import LIFETIME_S
 
 NOW = datetime(2026, 3, 4, 12, 0, 0, tzinfo=UTC)
 IMAGE = Radiograph(np.full((32, 32), 9, np.uint16), 4095.0)

@@ -19,9 +19,9 @@ from sightline.case.journal import Case
 from sightline.case.recompute import Outcome, replay
 from sightline.case.views import NAMES
 from sightline.imaging import write_dicom
-from sightline.robot.simulated import SimulatedWire
-from sightline.robot.states import State
-from sightline.robot.target import LIFETIME_S
+from sightline.robot.control.states import State
+from sightline.robot.kinematics.target import LIFETIME_S
+from sightline.robot.link.simulated import SimulatedWire
 from sightline.twin import render
 from sightline.twin.implants import guide_wire
 

@@ -15,14 +15,14 @@ from sightline.app.texts import BY_CONTACT, BY_PLAN, BY_SHOT
 from sightline.errors import LinkError, RobotRefusedError
 from sightline.geometry.covariance import TWO_SIDED_95
 from sightline.rehearsal.operation import Theatre
-from sightline.robot.client import RobotClient
 from sightline.robot.contract import DEPTH
-from sightline.robot.controller import Controller
-from sightline.robot.depth import CONTACT_LEAD_MM, CONTACT_SD_MM, PLAN_SD_MM
-from sightline.robot.insertion import Setup
-from sightline.robot.manipulator import FEED
-from sightline.robot.server import RobotServer
-from sightline.robot.states import State
+from sightline.robot.control.controller import Controller
+from sightline.robot.control.insertion import Setup
+from sightline.robot.control.motion.depth import CONTACT_LEAD_MM, CONTACT_SD_MM, PLAN_SD_MM
+from sightline.robot.control.states import State
+from sightline.robot.kinematics.manipulator import FEED
+from sightline.robot.link.client import RobotClient
+from sightline.robot.link.server import RobotServer
 
 
 @pytest.fixture

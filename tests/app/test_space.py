@@ -22,7 +22,7 @@ from sightline.app.space_document import (
 )
 from sightline.frame import Frame
 from sightline.imaging import Radiograph
-from sightline.robot.manipulator import FEED, PITCH, YAW, nominal_manipulator
+from sightline.robot.kinematics.manipulator import FEED, PITCH, YAW, nominal_manipulator
 from sightline.twin.femur import Femur, voxelise
 from sightline.twin.volumes import Volume
 

@@ -13,7 +13,7 @@ from sightline.case.interop.plan_file import sealed
 from sightline.cli import commands
 from sightline.frame import Frame
 from sightline.rehearsal.procedure import Rehearsal
-from sightline.robot.client import RobotClient
+from sightline.robot.link.client import RobotClient
 
 
 def run(*args: object, say: str = ""):

@@ -13,8 +13,8 @@ from sightline.case.interop.plan_file import PlanFile, sealed
 from sightline.checks import Limits
 from sightline.planning import Plan, kind, plan
 from sightline.rehearsal.operation import target_of
-from sightline.robot.client import plan_metadata
-from sightline.robot.target import PlanIdentity
+from sightline.robot.kinematics.target import PlanIdentity
+from sightline.robot.link.client import plan_metadata
 
 
 def _seen(made: Plan, folder: Path) -> dict[str, dict[str, float]]:

@@ -9,9 +9,9 @@ from tests.robot.rig import END_MM, ENTRY_MM, wait_for
 from sightline.checks import Limits
 from sightline.errors import RobotRefusedError
 from sightline.rehearsal.operation import Outcome, Theatre, registered
-from sightline.robot.client import RobotClient
-from sightline.robot.manipulator import imaging_yaw, nominal_manipulator
-from sightline.robot.target import PlanIdentity, aim
+from sightline.robot.kinematics.manipulator import imaging_yaw, nominal_manipulator
+from sightline.robot.kinematics.target import PlanIdentity, aim
+from sightline.robot.link.client import RobotClient
 from sightline.studies.study_fig15 import Figure15
 
 IDEAL = np.array([[40.0, 30.0, -5.0], [-30.0, -35.0, 7.0]])

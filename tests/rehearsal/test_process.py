@@ -15,7 +15,7 @@ from sightline.errors import LinkError, RobotRefusedError
 from sightline.frame import Frame
 from sightline.rehearsal.procedure import Rehearsal
 from sightline.rehearsal.process import RobotProcess
-from sightline.robot.client import RobotClient
+from sightline.robot.link.client import RobotClient
 
 pytest.importorskip("mujoco")
 SEED = 9

@@ -11,15 +11,15 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from sightline.rehearsal.robots import calibrated_robot
-from sightline.robot.controller import Controller
-from sightline.robot.dialect import SIGHTLINE, Dialect
-from sightline.robot.dialogue import Dialogue
+from sightline.robot.control.controller import Controller
+from sightline.robot.control.insertion import Setup
+from sightline.robot.control.panel import Panel
+from sightline.robot.control.states import State
 from sightline.robot.igtl import Message, Status, String, Transform
-from sightline.robot.insertion import Setup
-from sightline.robot.panel import Panel
+from sightline.robot.link.dialect import SIGHTLINE, Dialect
+from sightline.robot.link.dialogue import Dialogue
+from sightline.robot.link.server import RobotServer
 from sightline.robot.plant import CYCLE_S, PlantFlag, Reading
-from sightline.robot.server import RobotServer
-from sightline.robot.states import State
 from sightline.twin.manipulator import SimulatedPlant
 
 IMAGED = np.array([3.0, -5.0, np.pi / 4, 0.0, 0.5])  # joints at the images
@@ -229,8 +229,8 @@ def served(
         moved.advance(dt_s)
 
     with (
-        patch("sightline.robot.client.ACK_S", BUSY_S, create=True),
-        patch("sightline.robot.client.STATUS_S", BUSY_S, create=True),
+        patch("sightline.robot.link.client.ACK_S", BUSY_S, create=True),
+        patch("sightline.robot.link.client.STATUS_S", BUSY_S, create=True),
         RobotServer(controller, moved, port=port, advance=advance, virtual=virtual) as server,
     ):
         yield server

@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from sightline.robot import contract
+from sightline.robot.control.own_time import OwnTime
 from sightline.robot.igtl import (
     Capability,
     Command,
@@ -29,7 +30,6 @@ from sightline.robot.igtl import (
     Transform,
     encode,
 )
-from sightline.robot.own_time import OwnTime
 
 PHASES = (
     "START_UP", "PLANNING", "CALIBRATION", "TARGETING", "MOVE_TO_TARGET", "MANUAL", "STOP", "EMERGENCY",

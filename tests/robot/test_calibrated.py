@@ -6,8 +6,8 @@ from scipy.spatial.transform import RigidTransform
 
 from sightline.errors import RobotRefusedError, UnusableInputError
 from sightline.rehearsal.robots import calibrated_robot, true_manipulator
-from sightline.robot.calibrated import MACHINED_SD, SOURCES, calibrate_axes
-from sightline.robot.manipulator import Manipulator, nominal_manipulator
+from sightline.robot.kinematics.calibrated import MACHINED_SD, SOURCES, calibrate_axes
+from sightline.robot.kinematics.manipulator import Manipulator, nominal_manipulator
 
 READY = np.array([5.0, -8.0, 0.7, 0.1, 20.0])
 IMAGED = np.array([-12.0, 15.0, 0.75, -0.05, 0.0])

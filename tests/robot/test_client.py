@@ -14,10 +14,10 @@ from tests.robot.scripted_robot import HOME, ScriptedRobot, serving
 
 from sightline.errors import LinkError, RobotRefusedError
 from sightline.robot import contract
-from sightline.robot.client import RobotClient
 from sightline.robot.igtl import Message, String
-from sightline.robot.laid import AXIS_LIMIT_RAD, TIP_LIMIT_MM, Laid, refuse_other_pose
-from sightline.robot.talk import Mail
+from sightline.robot.link.client import RobotClient
+from sightline.robot.link.laid import AXIS_LIMIT_RAD, TIP_LIMIT_MM, Laid, refuse_other_pose
+from sightline.robot.link.talk import Mail
 
 T_MCS_CFCS = RigidTransform.from_components([400.0, 20.0, 290.0], Rotation.from_rotvec([0.0, 0.0, np.pi]))
 TARGET = T_MCS_CFCS.inv() * RigidTransform.from_matrix(HOME) * RigidTransform.from_translation([3.0, -2.0, 120.0])
@@ -138,7 +138,7 @@ def test_answers_are_those_of_their_questions():
 
 
 def test_nor_does_a_late_answer_count_for_the_next_question(monkeypatch):
-    monkeypatch.setattr("sightline.robot.talk.STATUS_S", 0.5)
+    monkeypatch.setattr("sightline.robot.link.talk.STATUS_S", 0.5)
     peer = ScriptedRobot()
     with serving(peer) as port, RobotClient(port=port, streams=False, heartbeat=False) as robot:
         peer.holds = True
@@ -214,7 +214,7 @@ def test_where_no_stop_is_answered_the_connections_are_closed(ours):
 
 
 def test_a_stop_s_connection_that_dies_is_made_anew(monkeypatch):
-    monkeypatch.setattr("sightline.robot.client.PROBE_S", 0.05)
+    monkeypatch.setattr("sightline.robot.link.client.PROBE_S", 0.05)
     peer = ScriptedRobot()
     with serving(peer) as port, RobotClient(port=port) as robot:
         told(robot)
@@ -232,7 +232,7 @@ def test_a_stop_s_connection_that_dies_is_made_anew(monkeypatch):
 def test_a_pause_of_the_client_is_not_the_robot_s_lateness(monkeypatch, pauses, comes):
     """What comes after it comes in time, though its second has long passed on the clock."""
     clock, left = SimpleNamespace(now_s=0.0), pauses
-    monkeypatch.setattr("sightline.robot.talk.time", SimpleNamespace(monotonic=lambda: clock.now_s))
+    monkeypatch.setattr("sightline.robot.link.talk.time", SimpleNamespace(monotonic=lambda: clock.now_s))
     answer = Message(String("START_UP"), "ACK_1")
 
     class Connection:
@@ -248,7 +248,7 @@ def test_a_pause_of_the_client_is_not_the_robot_s_lateness(monkeypatch, pauses, 
 
 
 def test_heartbeats_go_on_while_what_listens_computes(monkeypatch):
-    monkeypatch.setattr("sightline.robot.talk.ALIVE_S", 5.0)
+    monkeypatch.setattr("sightline.robot.link.talk.ALIVE_S", 5.0)
     peer = ScriptedRobot(steps=200)
     with serving(peer) as port, RobotClient(port=port) as robot:
         told(robot)
@@ -259,7 +259,7 @@ def test_heartbeats_go_on_while_what_listens_computes(monkeypatch):
 
 
 def test_a_program_that_hangs_is_silent(monkeypatch):
-    monkeypatch.setattr("sightline.robot.talk.ALIVE_S", 0.1)
+    monkeypatch.setattr("sightline.robot.link.talk.ALIVE_S", 0.1)
     peer = ScriptedRobot(steps=3000)
     with serving(peer) as port, RobotClient(port=port) as robot:
         told(robot)
@@ -312,7 +312,7 @@ def test_what_holds_the_interpreter_delays_no_heartbeat():
     peer = ScriptedRobot(steps=40)
     with serving(peer) as port:
         says = (
-            f"import sightline.robot.talk\nsightline.robot.talk.ALIVE_S = 30.0\n"
+            f"import sightline.robot.link.talk\nsightline.robot.link.talk.ALIVE_S = 30.0\n"
             f"from tests.robot.test_client import *\nrobot = RobotClient(port={port})\ntold(robot)\n"
             "big = np.random.default_rng(1).random(1_000_000).tolist()\n"
             "began = time.monotonic()\nsorted(big[:100_000])\n"

@@ -7,9 +7,9 @@ from tests.robot.rig import END_MM, T_MCS_CFCS, served, wire
 from tests.robot.scripted_robot import ScriptedRobot, old_robot, scripted, serving
 
 from sightline.errors import LinkError, RobotRefusedError
-from sightline.robot.client import RobotClient
-from sightline.robot.conformance import MOTIONS, QUESTIONS, Examination, Verdict
 from sightline.robot.igtl import Message, Status, String, Transform
+from sightline.robot.link.client import RobotClient
+from sightline.robot.link.conformance.examination import MOTIONS, QUESTIONS, Examination, Verdict
 from sightline.robot.transport import BlockingClient
 
 

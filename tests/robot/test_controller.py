@@ -8,12 +8,12 @@ import pytest
 from tests.robot.rig import CLIENT, END_MM, ENTRY_MM, IMAGED, ROBOT, T_MCS_CFCS, Rig, code, metadata, wire
 
 from sightline.robot.contract import HEARTBEAT, Code
+from sightline.robot.control.own_time import OwnTime
+from sightline.robot.control.requests import Reset
+from sightline.robot.control.states import COMMANDS, MOVING, TRANSITIONS, WAITING, Cause, State, phase
 from sightline.robot.igtl import Capability, Command, CommandReply, Status, String, Transform
-from sightline.robot.manipulator import FEED
-from sightline.robot.own_time import OwnTime
+from sightline.robot.kinematics.manipulator import FEED
 from sightline.robot.plant import CYCLE_S, PlantFlag
-from sightline.robot.requests import Reset
-from sightline.robot.states import COMMANDS, MOVING, TRANSITIONS, WAITING, Cause, State, phase
 
 OTHER = 2
 STATES = tuple(State)

@@ -8,12 +8,19 @@ from tests.robot.rig import END_MM, ENTRY_MM, SETUP, IdealPlant, Rig
 
 from sightline.errors import RobotRefusedError
 from sightline.robot.contract import DEPTH, DEPTH_SD
-from sightline.robot.depth import CONTACT_LEAD_MM, CONTACT_SD_MM, LIMIT_MM, PLAN_SD_MM, DepthZero, before_contact
+from sightline.robot.control.motion.depth import (
+    CONTACT_LEAD_MM,
+    CONTACT_SD_MM,
+    LIMIT_MM,
+    PLAN_SD_MM,
+    DepthZero,
+    before_contact,
+)
+from sightline.robot.control.states import State
 from sightline.robot.igtl import MILLIMETRE, NEWTON, Capability, Message, Sensor, Status, String
-from sightline.robot.manipulator import FEED
-from sightline.robot.record import Recorder
-from sightline.robot.server import VIRTUAL_TELEMETRY_S
-from sightline.robot.states import State
+from sightline.robot.kinematics.manipulator import FEED
+from sightline.robot.link.record import Recorder
+from sightline.robot.link.server import VIRTUAL_TELEMETRY_S
 
 LENGTH_MM = float(np.linalg.norm(END_MM - ENTRY_MM))
 WEIGHT = PLAN_SD_MM**2 / (PLAN_SD_MM**2 + CONTACT_SD_MM**2)

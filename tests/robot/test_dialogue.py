@@ -5,10 +5,10 @@ import pytest
 from tests.robot.rig import CLIENT, END_MM, ENTRY_MM, T_MCS_CFCS, Rig, code, metadata, wire
 
 from sightline.robot.contract import Code
+from sightline.robot.control.requests import Answer
+from sightline.robot.control.states import State
 from sightline.robot.igtl import Capability, Message, Status, String, Transform
-from sightline.robot.remembered import KEPT, Remembered
-from sightline.robot.requests import Answer
-from sightline.robot.states import State
+from sightline.robot.link.remembered import KEPT, Remembered
 
 OTHER = 2
 LENGTH_MM = float(np.linalg.norm(END_MM - ENTRY_MM))

@@ -3,7 +3,7 @@
 import pytest
 
 from sightline.robot.igtl import Message, Rejected, Status, Stream, String, encode
-from sightline.robot.inbox import Change, Inbox, stop_of
+from sightline.robot.link.inbox import Change, Inbox, stop_of
 
 ONE, TWO = 1, 2
 

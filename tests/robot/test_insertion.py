@@ -6,8 +6,8 @@ from scipy.spatial.transform import RigidTransform
 from tests.robot.rig import END_MM, ENTRY_MM, ROBOT, SETUP, T_MCS_CFCS, metadata, wire
 
 from sightline.errors import RobotRefusedError
+from sightline.robot.control.insertion import Insertion, LinkRegistration, read_registration, read_target
 from sightline.robot.igtl import Message, Transform
-from sightline.robot.insertion import Insertion, LinkRegistration, read_registration, read_target
 
 ALONG = (END_MM - ENTRY_MM) / np.linalg.norm(END_MM - ENTRY_MM)
 LENGTH_MM = 30.0

@@ -8,12 +8,12 @@ import pytest
 from tests.robot.rig import CLIENT, T_MCS_CFCS, Rig, code, metadata, served, wire
 
 from sightline.errors import RobotRefusedError
-from sightline.robot.client import RobotClient
 from sightline.robot.contract import Code
+from sightline.robot.control.insertion import Insertion
+from sightline.robot.control.look import LONGEST_S
+from sightline.robot.control.states import State
 from sightline.robot.igtl import Message, Status, String, Transform
-from sightline.robot.insertion import Insertion
-from sightline.robot.look import LONGEST_S
-from sightline.robot.states import State
+from sightline.robot.link.client import RobotClient
 
 
 class Survey:

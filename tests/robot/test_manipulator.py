@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from sightline.errors import RobotRefusedError, UnusableInputError
-from sightline.robot.manipulator import FEED, LIFT, PITCH, TRAVERSE, WRIST_MM, YAW, nominal_manipulator
+from sightline.robot.kinematics.manipulator import FEED, LIFT, PITCH, TRAVERSE, WRIST_MM, YAW, nominal_manipulator
 
 NOMINAL = nominal_manipulator()
 TIP_TOLERANCE_MM = 1e-9

@@ -11,8 +11,8 @@ from scipy.spatial.transform import RigidTransform
 
 from sightline.errors import RobotRefusedError, UnusableInputError
 from sightline.rehearsal.robots import calibrated_robot, true_manipulator
-from sightline.robot.manipulator import Manipulator
-from sightline.robot.measured import Measurements, RobotFile
+from sightline.robot.kinematics.manipulator import Manipulator
+from sightline.robot.kinematics.measured import Measurements, RobotFile
 
 SD = 0.03
 IMAGED = np.array([3.0, -5.0, np.pi / 4, 0.0, 0.5])

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from tests.robot.rig import END_MM, IMAGED, ROBOT, T_MCS_CFCS, Rig, code, metadata, wire
 
+from sightline.robot.control.states import State
 from sightline.robot.igtl import Transform
 from sightline.robot.plant import CYCLE_S, WATCHDOG_S, PlantFlag, Reading
-from sightline.robot.states import State
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "plant_template.py"
 LENGTH_MM = 12.0  # its end is 10 mm beyond the pause: a short wire shows both

@@ -10,8 +10,8 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from sightline.checks import failed
 from sightline.errors import UnusableInputError
-from sightline.robot.manipulator import FEED, LIFT, PITCH, TRAVERSE, YAW, nominal_manipulator
-from sightline.robot.reach import (
+from sightline.robot.kinematics.manipulator import FEED, LIFT, PITCH, TRAVERSE, YAW, nominal_manipulator
+from sightline.robot.kinematics.reach import (
     CLEARANCE_MM,
     MACHINE,
     Obstacle,

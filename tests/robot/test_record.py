@@ -5,7 +5,7 @@ import pytest
 
 from sightline.robot import contract
 from sightline.robot.igtl import Message, Sensor, String
-from sightline.robot.record import DrillingEvent, Recorder
+from sightline.robot.link.record import DrillingEvent, Recorder
 
 
 def test_depth_goes_with_the_force_before_it_and_events_keep_their_order():

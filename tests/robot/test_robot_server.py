@@ -28,12 +28,12 @@ from tests.robot.rig import (
 
 from sightline.errors import LinkError, RobotRefusedError
 from sightline.robot import contract
-from sightline.robot.client import RobotClient
-from sightline.robot.controller import Controller
+from sightline.robot.control.controller import Controller
+from sightline.robot.control.own_time import OwnTime
+from sightline.robot.control.states import MOVING, State
 from sightline.robot.igtl import Message, String, Transform, encode
-from sightline.robot.own_time import OwnTime
-from sightline.robot.server import RobotServer
-from sightline.robot.states import MOVING, State
+from sightline.robot.link.client import RobotClient
+from sightline.robot.link.server import RobotServer
 from sightline.robot.transport import BlockingClient
 
 
@@ -380,7 +380,7 @@ def test_a_stranger_s_flood_cuts_off_the_stranger_alone():
 
 def test_a_round_of_the_link_has_read_all_that_had_come(monkeypatch):
     """The robot's program paused, and a message waits in its socket: it is heard before silence is judged."""
-    monkeypatch.setattr("sightline.robot.server.READ_S", 0.0)
+    monkeypatch.setattr("sightline.robot.link.server.READ_S", 0.0)
     moved = IdealPlant()
     server = RobotServer(Controller(ROBOT, moved, SETUP), moved, port=0)
 
@@ -435,10 +435,10 @@ def test_a_simulated_robot_stands_still_while_its_program_does(simulated, monkey
     server.dialogue = rig.dialogue
     began, own = rig.now_s, OwnTime()
     own.now_s = began  # the rig's time goes on in the server's
-    monkeypatch.setattr("sightline.robot.server.OwnTime", lambda: own)
+    monkeypatch.setattr("sightline.robot.link.server.OwnTime", lambda: own)
     pauses_s = [0.0] * 20 + [0.3, 0.0, 5.0] + [0.0] * 20
     clock = Clock(server, began, pauses_s, (lambda _: None) if simulated else rig.plant.advance)
-    monkeypatch.setattr("sightline.robot.server.time", clock)
+    monkeypatch.setattr("sightline.robot.link.server.time", clock)
     monkeypatch.setattr(server, "_event_loop", SimpleNamespace(call_soon_threadsafe=lambda *_: None), raising=False)
     moved = np.abs(rig.plant.q - IMAGED).max()
     server._turn_on_time()
@@ -465,7 +465,7 @@ def test_a_stop_s_place_is_kept_however_many_say_nothing(virtual, robot):
 
 
 def test_a_robot_that_says_nothing_is_noticed(monkeypatch):
-    monkeypatch.setattr("sightline.robot.client.ACK_S", 0.05)
+    monkeypatch.setattr("sightline.robot.link.client.ACK_S", 0.05)
     with socket.create_server(("127.0.0.1", 0)) as silent, RobotClient(port=silent.getsockname()[1]) as robot:
         assert not robot.capabilities
         with pytest.raises(LinkError, match=r"no ACK of START_UP within 0\.05 s"):

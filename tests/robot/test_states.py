@@ -3,7 +3,7 @@
 import re
 from pathlib import Path
 
-from sightline.robot.states import (
+from sightline.robot.control.states import (
     ACTIVITIES,
     COMMANDS,
     MOVING,

@@ -4,7 +4,14 @@ import numpy as np
 import pytest
 
 from sightline.errors import RobotRefusedError, UnusableInputError
-from sightline.robot.supervision import LONGEST_GAP_S, Event, ForceFilter, Noted, Supervision, depth_limit
+from sightline.robot.control.motion.supervision import (
+    LONGEST_GAP_S,
+    Event,
+    ForceFilter,
+    Noted,
+    Supervision,
+    depth_limit,
+)
 
 DT, FEED = 0.005, 1.0  # 200 Hz, 60 mm/min
 # Force against depth: air, a cortex of 4 mm, cancellous bone, a shell of 1 mm, air.

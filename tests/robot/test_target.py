@@ -8,9 +8,9 @@ import pytest
 from sightline.checks import Limits
 from sightline.errors import RobotRefusedError, UnusableInputError
 from sightline.rehearsal.robots import calibrated_robot
-from sightline.robot.client import plan_metadata
-from sightline.robot.registration import PoseAtImage, Registration, register
-from sightline.robot.target import LIFETIME_S, PlanIdentity, RobotTarget, aim
+from sightline.robot.kinematics.registration import PoseAtImage, Registration, register
+from sightline.robot.kinematics.target import LIFETIME_S, PlanIdentity, RobotTarget, aim
+from sightline.robot.link.client import plan_metadata
 
 Q = np.array([3.0, -5.0, np.pi / 4, 0.0, 0.0])
 IDENTITY = PlanIdentity("plan-1", "right", "SN-7", go=True)

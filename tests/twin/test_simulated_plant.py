@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from sightline.errors import SetUpError
-from sightline.robot.manipulator import FEED, LIFT, TRAVERSE, YAW, nominal_manipulator
+from sightline.robot.kinematics.manipulator import FEED, LIFT, TRAVERSE, YAW, nominal_manipulator
 from sightline.robot.plant import CYCLE_S, WATCHDOG_S, Plant, PlantFlag
 from sightline.twin.drilling import Bone
 from sightline.twin.manipulator import SimulatedPlant

@@ -19,12 +19,12 @@ from sightline.case.views import NAMES
 from sightline.errors import RobotRefusedError, UnusableInputError
 from sightline.geometry.covariance import TWO_SIDED_95
 from sightline.planning.figures import Figure
-from sightline.robot.insertion import DEPTH_SLACK_MM
-from sightline.robot.record import DrillingRecord
-from sightline.robot.simulated import SimulatedWire
-from sightline.robot.states import State
-from sightline.robot.supervision import depth_limit
-from sightline.robot.target import PlanIdentity, RobotTarget
+from sightline.robot.control.insertion import DEPTH_SLACK_MM
+from sightline.robot.control.motion.supervision import depth_limit
+from sightline.robot.control.states import State
+from sightline.robot.kinematics.target import PlanIdentity, RobotTarget
+from sightline.robot.link.record import DrillingRecord
+from sightline.robot.link.simulated import SimulatedWire
 
 if TYPE_CHECKING:
     from sightline.app.procedure import Procedure

@@ -26,7 +26,7 @@ from sightline.app.texts import (
 )
 from sightline.case.drilled import force_picture
 from sightline.geometry.covariance import TWO_SIDED_95
-from sightline.robot.states import State
+from sightline.robot.control.states import State
 
 if TYPE_CHECKING:
     from sightline.app.robot_session import RobotNow

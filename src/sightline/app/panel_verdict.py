@@ -12,7 +12,7 @@ from sightline.app.tab import Tab
 from sightline.checks import Check, failed
 from sightline.errors import SightlineError
 from sightline.planning.shares import Share, error_shares, error_shares_of
-from sightline.robot.target import LIFETIME_S, RobotTarget
+from sightline.robot.kinematics.target import LIFETIME_S, RobotTarget
 
 SOURCES = {  # of error, and the colour of each (colours.js)
     "beads": "sky",

@@ -32,7 +32,7 @@ from sightline.checks import Check
 from sightline.errors import SightlineError, UnusableInputError
 from sightline.frame import Frame
 from sightline.planning.results import Verdict
-from sightline.robot.target import LIFETIME_S
+from sightline.robot.kinematics.target import LIFETIME_S
 
 T = TypeVar("T")
 _TAKEN_IN = 8  # images that are looked at when a case has none placed [ours]

@@ -46,7 +46,7 @@ def images(patient: Patient) -> dict[str, bytes]:
 
 def check_images(patient: Patient, wire: str) -> dict[str, bytes]:
     """The check shot's images as DICOM, by view, with the wire (`SimulatedWire.text`) in the bone."""
-    from sightline.robot.simulated import SimulatedWire
+    from sightline.robot.link.simulated import SimulatedWire
 
     return _files(drawn(patient).check_images(SimulatedWire.of(wire)).images, patient)
 

@@ -18,14 +18,14 @@ from sightline.geometry.covariance import TWO_SIDED_95
 from sightline.planning import Plan
 from sightline.rehearsal.operation import target_of
 from sightline.robot import contract
-from sightline.robot.calibrated import CalibratedRobot
-from sightline.robot.client import RobotClient
+from sightline.robot.control.states import State
 from sightline.robot.igtl import Message, NDArray, Sensor
-from sightline.robot.record import DrillingRecord, Recorder
-from sightline.robot.registration import PoseAtImage, register
-from sightline.robot.simulated import SimulatedWire
-from sightline.robot.states import State
-from sightline.robot.target import PlanIdentity, RobotTarget
+from sightline.robot.kinematics.calibrated import CalibratedRobot
+from sightline.robot.kinematics.registration import PoseAtImage, register
+from sightline.robot.kinematics.target import PlanIdentity, RobotTarget
+from sightline.robot.link.client import RobotClient
+from sightline.robot.link.record import DrillingRecord, Recorder
+from sightline.robot.link.simulated import SimulatedWire
 
 T = TypeVar("T")
 _STATUS_EVERY_S = 0.25  # [ours]

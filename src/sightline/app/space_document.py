@@ -20,7 +20,7 @@ from sightline.frame.model import Plate
 from sightline.geometry.covariance import ellipsoid_factor
 from sightline.imaging import Radiograph
 from sightline.planning import Trajectory
-from sightline.robot.manipulator import FEED, Manipulator
+from sightline.robot.kinematics.manipulator import FEED, Manipulator
 
 if TYPE_CHECKING:
     from sightline.twin.volumes import Volume

@@ -10,7 +10,7 @@ from sightline.app.seen import SeenImage
 from sightline.app.texts import IMAGE_LABELS, STEPS
 from sightline.case.views import NAMES
 from sightline.checks import failed
-from sightline.robot.states import State
+from sightline.robot.control.states import State
 
 
 class Standing(StrEnum):

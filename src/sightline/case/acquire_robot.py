@@ -8,10 +8,10 @@ from typing import Any, Self
 
 from sightline.checks import Check
 from sightline.errors import LinkError, RobotRefusedError
-from sightline.robot.client import RobotClient
 from sightline.robot.contract import MEASURED_JS
 from sightline.robot.igtl import NDArray
-from sightline.robot.registration import FRESH_S
+from sightline.robot.kinematics.registration import FRESH_S
+from sightline.robot.link.client import RobotClient
 
 _WAIT_S, _AGAIN_S = 1.0, 0.5
 

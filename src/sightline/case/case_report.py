@@ -8,7 +8,7 @@ from sightline.case.recompute import Recomputed
 from sightline.case.report import Report
 from sightline.case.stages import frame_of
 from sightline.errors import CaseError
-from sightline.robot.record import DrillingRecord
+from sightline.robot.link.record import DrillingRecord
 
 
 def report_of(case: Case) -> Report:

@@ -8,8 +8,8 @@ from markupsafe import Markup
 
 from sightline.case.figure_force import WIDTH, force_trace
 from sightline.planning.check_shot import CheckShot
-from sightline.robot.record import DrillingRecord
-from sightline.robot.target import RobotTarget
+from sightline.robot.kinematics.target import RobotTarget
+from sightline.robot.link.record import DrillingRecord
 
 if TYPE_CHECKING:
     from sightline.checks import Check

@@ -65,9 +65,9 @@ def _drill(output: "Output", planned: Planned, rng: "np.random.Generator") -> "t
     from sightline.planning.check_shot import Landmarks
     from sightline.rehearsal.operation import Outcome, insert, registered, target_of
     from sightline.rehearsal.process import RobotProcess
-    from sightline.robot.client import RobotClient
-    from sightline.robot.supervision import depth_limit
-    from sightline.robot.target import PlanIdentity
+    from sightline.robot.control.motion.supervision import depth_limit
+    from sightline.robot.kinematics.target import PlanIdentity
+    from sightline.robot.link.client import RobotClient
     from sightline.twin.implants import WIRE_MM
 
     rehearsal, plan, sd_px = planned.rehearsal, planned.plan, planned.pick_sd_px

@@ -16,11 +16,11 @@ if TYPE_CHECKING:
 
     from sightline.case.interop.plan_file import PlanFile
     from sightline.rehearsal.operation import Theatre
-    from sightline.robot.client import RobotClient
-    from sightline.robot.measured import RobotFile
-    from sightline.robot.registration import Registration
-    from sightline.robot.server import RobotServer
-    from sightline.robot.target import RobotTarget
+    from sightline.robot.kinematics.measured import RobotFile
+    from sightline.robot.kinematics.registration import Registration
+    from sightline.robot.kinematics.target import RobotTarget
+    from sightline.robot.link.client import RobotClient
+    from sightline.robot.link.server import RobotServer
 
 app = typer.Typer(
     no_args_is_help=True, help="Serve a simulated robot; check, calibrate, register, drive and reset any."
@@ -71,8 +71,8 @@ def serve(
 ) -> None:
     """Serve a simulated robot until Ctrl-C: its wire in air, or in the bone of a rehearsal."""
     with Output(json=json, quiet=quiet) as out:
-        from sightline.robot.dialect import DIALECTS
-        from sightline.robot.server import tune_process
+        from sightline.robot.link.dialect import DIALECTS
+        from sightline.robot.link.server import tune_process
 
         theatre = _theatre(side, frame_serial, rehearse, frame)
         tune_process()
@@ -101,8 +101,8 @@ def check(
     """Ask a robot whether it keeps the contract of docs/robot-link.md; exit code 3 where it does not."""
     wrong: list[str] = []
     with Output(json=json, quiet=quiet) as out:
-        from sightline.robot.conformance import Examination, Verdict
-        from sightline.robot.server import tune_process
+        from sightline.robot.link.conformance.examination import Examination, Verdict
+        from sightline.robot.link.server import tune_process
 
         tune_process()
         with Examination(*parse_address(address)) as robot:
@@ -132,7 +132,7 @@ def calibrate(
 ) -> None:
     """Calibrate a robot from measurements of its axes, its frame and its wire, and write its file."""
     with Output(json=json, quiet=quiet) as out:
-        from sightline.robot.measured import Measurements, RobotFile
+        from sightline.robot.kinematics.measured import Measurements, RobotFile
 
         said = Measurements.read(measurements)
         robot, rms = RobotFile.calibrated(said)
@@ -161,8 +161,8 @@ def register_image(
         from sightline.case.originals import called
         from sightline.errors import RobotRefusedError
         from sightline.imaging import read_image
-        from sightline.robot.client import RobotClient
-        from sightline.robot.measured import RobotFile
+        from sightline.robot.kinematics.measured import RobotFile
+        from sightline.robot.link.client import RobotClient
 
         known = RobotFile.read(robot_file)
         known.refuse_old(time.time())
@@ -199,9 +199,9 @@ def drive(
     goes to the plan without the wire."""
     with Output(json=json, quiet=quiet) as out, ExitStack() as stack:
         from sightline.errors import UnusableInputError
-        from sightline.robot.client import RobotClient
-        from sightline.robot.measured import RobotFile
-        from sightline.robot.server import tune_process
+        from sightline.robot.kinematics.measured import RobotFile
+        from sightline.robot.link.client import RobotClient
+        from sightline.robot.link.server import tune_process
 
         tune_process()
         known = read_plan(plan)
@@ -249,7 +249,7 @@ def reset(address: Address, *, json: Json = False, quiet: Quiet = False) -> None
     """Reset a robot after a fault: shows the fault, asks a person, and sends its number."""
     with Output(json=json, quiet=quiet) as out:
         from sightline.errors import RobotRefusedError
-        from sightline.robot.client import RobotClient
+        from sightline.robot.link.client import RobotClient
 
         with RobotClient(*parse_address(address), heartbeat=False, streams=False) as robot:
             status = robot.status()
@@ -347,7 +347,7 @@ def _send(robot: "RobotClient", plan: "PlanFile", name: str, frame_serial: str) 
 
     from sightline.errors import RobotRefusedError
     from sightline.rehearsal.robots import calibrated_robot
-    from sightline.robot.registration import PoseAtImage, register
+    from sightline.robot.kinematics.registration import PoseAtImage, register
 
     if not robot.simulated:
         raise RobotRefusedError(
@@ -380,7 +380,7 @@ def _send_registered(robot: "RobotClient", plan: "PlanFile", name: str, stood: "
 
 
 def _target(plan: "PlanFile", name: str, frame_serial: str, registration: "Registration") -> "RobotTarget":
-    from sightline.robot.target import PlanIdentity, aim
+    from sightline.robot.kinematics.target import PlanIdentity, aim
 
     budget = None if plan.covariance_mm2 is None else {"planning": plan.covariance_mm2}
     identity = PlanIdentity(name, plan.side or "", frame_serial, plan.go, plan.document.kind or "")
@@ -388,7 +388,7 @@ def _target(plan: "PlanFile", name: str, frame_serial: str, registration: "Regis
 
 
 def _tell(robot: "RobotClient", target: "RobotTarget", now_s: float) -> None:
-    from sightline.robot.insertion import DEPTH_SLACK_MM
+    from sightline.robot.control.insertion import DEPTH_SLACK_MM
 
     robot.calibrate(target.registration.T_mcs_cfcs, target.registration.imaged_s)
     robot.aim_plan(target, now_s, target.depth_mm + DEPTH_SLACK_MM)

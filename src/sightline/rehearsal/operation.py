@@ -12,18 +12,18 @@ from scipy.spatial.transform import RigidTransform
 
 from sightline.planning import Plan
 from sightline.rehearsal.robots import calibrated_robot, drawn_robot
-from sightline.robot.calibrated import CalibratedRobot
-from sightline.robot.client import RobotClient
-from sightline.robot.controller import Controller
-from sightline.robot.dialect import SIGHTLINE, Dialect
-from sightline.robot.insertion import OwnFrames, Setup
-from sightline.robot.manipulator import FEED, YAW, imaging_yaw
-from sightline.robot.record import DrillingRecord, Recorder
-from sightline.robot.registration import PoseAtImage, Registration, register
-from sightline.robot.server import RobotServer
-from sightline.robot.simulated import SimulatedWire
-from sightline.robot.states import State
-from sightline.robot.target import PlanIdentity, RobotTarget, aim
+from sightline.robot.control.controller import Controller
+from sightline.robot.control.insertion import OwnFrames, Setup
+from sightline.robot.control.states import State
+from sightline.robot.kinematics.calibrated import CalibratedRobot
+from sightline.robot.kinematics.manipulator import FEED, YAW, imaging_yaw
+from sightline.robot.kinematics.registration import PoseAtImage, Registration, register
+from sightline.robot.kinematics.target import PlanIdentity, RobotTarget, aim
+from sightline.robot.link.client import RobotClient
+from sightline.robot.link.dialect import SIGHTLINE, Dialect
+from sightline.robot.link.record import DrillingRecord, Recorder
+from sightline.robot.link.server import RobotServer
+from sightline.robot.link.simulated import SimulatedWire
 from sightline.robot.transport import LOOPBACK
 from sightline.twin import HipScene
 from sightline.twin.drilling import Bone

@@ -15,9 +15,9 @@ from sightline.imaging import Radiograph
 from sightline.rehearsal.check_images import CheckImages
 from sightline.rehearsal.operation import Theatre
 from sightline.rehearsal.robots import calibrated_robot, drawn_robot
-from sightline.robot.calibrated import CalibratedRobot
-from sightline.robot.insertion import Setup
-from sightline.robot.simulated import SimulatedWire
+from sightline.robot.control.insertion import Setup
+from sightline.robot.kinematics.calibrated import CalibratedRobot
+from sightline.robot.link.simulated import SimulatedWire
 from sightline.twin import HipScene, SetUp, render, shown_hip_scene
 from sightline.twin.femur import SHORT_MM
 

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from sightline.robot.calibrated import MACHINED_SD, CalibratedAxes, CalibratedRobot
-from sightline.robot.manipulator import ARM_JOINTS, FEED, YAW, Manipulator, imaging_yaw, nominal_manipulator
-from sightline.robot.mounts import Mount
+from sightline.robot.kinematics.calibrated import MACHINED_SD, CalibratedAxes, CalibratedRobot
+from sightline.robot.kinematics.manipulator import ARM_JOINTS, FEED, YAW, Manipulator, imaging_yaw, nominal_manipulator
+from sightline.robot.kinematics.mounts import Mount
 
 # Frame and wire on the flange, 1 s.d. of a twist: 0.1 mm as the accuracy trial fixes it, over a lever of 330 mm.
 MOUNT_SD = np.array([3e-4] * 3 + [0.1] * 3)

@@ -22,7 +22,7 @@ from sightline.frame import Frame
 from sightline.planning import Plan, kind, plan
 from sightline.rehearsal.operation import Outcome, Theatre
 from sightline.rehearsal.robots import calibrated_robot
-from sightline.robot.insertion import Setup
+from sightline.robot.control.insertion import Setup
 from sightline.studies.intervals import quantile, share
 from sightline.studies.phantoms import PHANTOMS, SIDE, image_of, observed
 from sightline.studies.scenes import VIEWS

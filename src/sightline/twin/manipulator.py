@@ -6,7 +6,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from sightline.errors import SetUpError
-from sightline.robot.manipulator import FEED, JOINTS, Manipulator
+from sightline.robot.kinematics.manipulator import FEED, JOINTS, Manipulator
 from sightline.robot.plant import CYCLE_S, WATCHDOG_S, PlantFlag, Reading
 from sightline.twin.drilling import Bone, Wire, sensed
 from sightline.twin.mjcf import STEP_S, Build, M, mjcf, unit

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from sightline.errors import SetUpError
-from sightline.robot.manipulator import ARM_JOINTS, FEED, JOINTS, TURNS, Manipulator
+from sightline.robot.kinematics.manipulator import ARM_JOINTS, FEED, JOINTS, TURNS, Manipulator
 
 M = 1e-3  # a millimetre
 STEP_S = 0.001

@@ -18,8 +18,8 @@ from sightline.case.interop.patient import R_lps_cfcs
 from sightline.case.interop.plan_file import PlanFile, sealed
 from sightline.errors import RefusedError, RobotRefusedError, UnusableInputError
 from sightline.robot import contract
+from sightline.robot.control.insertion import LinkRegistration, Setup, read_target
 from sightline.robot.igtl import Message, Stream, Trajectories, Transform
-from sightline.robot.insertion import LinkRegistration, Setup, read_target
 
 SIDES = ("right", "left")
 IN_FILE = 1e-9  # mm: doubles written with all digits

@@ -12,10 +12,10 @@ from sightline.case.interop.itk import T_cfcs_wire
 from sightline.case.interop.plan_file import PlanFile
 from sightline.case.interop.writing import json_bytes
 from sightline.robot import contract
+from sightline.robot.control.insertion import DEPTH_SLACK_MM
 from sightline.robot.igtl import Message, Trajectories, Transform, encode
 from sightline.robot.igtl.messages_plan import Path
-from sightline.robot.insertion import DEPTH_SLACK_MM
-from sightline.robot.target import PlanIdentity
+from sightline.robot.kinematics.target import PlanIdentity
 
 
 def write(plan: PlanFile, case: str) -> dict[str, bytes]:

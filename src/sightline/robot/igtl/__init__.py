@@ -1,5 +1,6 @@
 """OpenIGTLink, header versions 1 and 2: messages as values, and bytes into messages, without input or output."""
 
+from sightline.geometry.rigid import why_not_rigid
 from sightline.robot.igtl.header import Header, timestamp_of
 from sightline.robot.igtl.kinds import Body
 from sightline.robot.igtl.messages import LONG_NAME, Message, encode
@@ -7,7 +8,7 @@ from sightline.robot.igtl.messages_arrays import MILLIMETRE, NEWTON, Image, NDAr
 from sightline.robot.igtl.messages_bind import Bind
 from sightline.robot.igtl.messages_mesh import Attribute, PolyData
 from sightline.robot.igtl.messages_plan import Path, Point, Points, Trajectories
-from sightline.robot.igtl.messages_pose import Position, Tracked, TrackingData, Transform, why_not_rigid
+from sightline.robot.igtl.messages_pose import Position, Tracked, TrackingData, Transform
 from sightline.robot.igtl.messages_query import Get, Missing, Start, Started, Stop
 from sightline.robot.igtl.messages_text import Capability, Command, CommandReply, Status, String
 from sightline.robot.igtl.stream import MAX_BODY_BYTES, Event, Fault, Rejected, Stream

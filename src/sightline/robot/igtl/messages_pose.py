@@ -7,24 +7,8 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from sightline.errors import MessageError
+from sightline.geometry.rigid import why_not_rigid
 from sightline.robot.igtl.wire import Reader, field, floats, read_only
-
-ROTATION_TOLERANCE = 1e-4  # [ours] 0.025 mm over a wire of 250 mm; 32-bit numbers alone leave 2e-7
-
-
-def why_not_rigid(matrix: np.ndarray) -> str | None:
-    """None for a (4, 4) matrix that turns and moves only; else what is wrong with it."""
-    if not np.isfinite(matrix).all():
-        return "it holds numbers that are not finite"
-    if matrix[3].tolist() != [0, 0, 0, 1]:
-        return "its last row is not 0 0 0 1"
-    rotation = matrix[:3, :3]
-    off = float(np.abs(rotation.T @ rotation - np.eye(3)).max())
-    if off > ROTATION_TOLERANCE:
-        return f"its axes are not of length 1 and square to each other: off by {off:.2g}"
-    if np.linalg.det(rotation) < 0:
-        return "its axes are left-handed"
-    return None
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,12 +14,12 @@ from scipy.spatial.transform import RigidTransform
 from sightline.atomic import write_whole
 from sightline.bounded import read_bounded
 from sightline.errors import RobotRefusedError, UnusableInputError
-from sightline.robot.calibrated import CalibratedAxes, CalibratedRobot, calibrate_axes
-from sightline.robot.igtl import why_not_rigid
-from sightline.robot.manipulator import nominal_manipulator
-from sightline.robot.mounts import Mount, measured_axis, measured_mount
-from sightline.robot.registration import PoseAtImage, Registration, register
-from sightline.robot.target import LIFETIME_S
+from sightline.geometry.rigid import why_not_rigid
+from sightline.robot.kinematics.calibrated import CalibratedAxes, CalibratedRobot, calibrate_axes
+from sightline.robot.kinematics.manipulator import nominal_manipulator
+from sightline.robot.kinematics.mounts import Mount, measured_axis, measured_mount
+from sightline.robot.kinematics.registration import PoseAtImage, Registration, register
+from sightline.robot.kinematics.target import LIFETIME_S
 
 MAX_BYTES = 2**20  # [ours] 36 x 36 numbers take 30 kB; 200 poses of 20 targets 300 kB
 CALIBRATION_DAYS = 90  # a knock on the flange goes unnoticed; so old a calibration must be measured again [ours]

@@ -4,7 +4,7 @@ from collections import OrderedDict
 from dataclasses import dataclass
 
 from sightline.robot.contract import Code
-from sightline.robot.requests import Answer
+from sightline.robot.control.requests import Answer
 
 KEPT = 256  # identifiers of a connection: a repeat comes soon after its first, within a few messages [ours]
 _TEXT = 100  # letters of what was asked: no request that does anything is longer [ours]

@@ -6,8 +6,8 @@ from dataclasses import dataclass, field
 from enum import Enum
 
 from sightline.robot import contract
+from sightline.robot.control.states import Cause
 from sightline.robot.igtl import Event, Message, Rejected, String
-from sightline.robot.states import Cause
 
 STOPPING = (Cause.STOP.value, Cause.EMERGENCY.value)
 

@@ -3,13 +3,13 @@
 import numpy as np
 
 from sightline.errors import RobotRefusedError, UnusableInputError
-from sightline.robot.activities import Course, Leg, Step, feeding
-from sightline.robot.depth import CONTACT_LEAD_MM, CONTACT_SD_MM, LIMIT_MM, DepthZero, before_contact
-from sightline.robot.insertion import STANDOFF_MM, Insertion
-from sightline.robot.manipulator import FEED, JOINTS, Manipulator
+from sightline.robot.control.insertion import STANDOFF_MM, Insertion
+from sightline.robot.control.motion.course import Course, Leg, Step, feeding
+from sightline.robot.control.motion.depth import CONTACT_LEAD_MM, CONTACT_SD_MM, LIMIT_MM, DepthZero, before_contact
+from sightline.robot.control.motion.supervision import Event, Noted, Supervision
+from sightline.robot.control.states import Cause
+from sightline.robot.kinematics.manipulator import FEED, JOINTS, Manipulator
 from sightline.robot.plant import Reading
-from sightline.robot.states import Cause
-from sightline.robot.supervision import Event, Noted, Supervision
 
 APPROACH_MM_S, NEAR_MM = 5.0, 2.0  # towards the entry point, and from where on as in bone: its 95 % error, twice [ours]
 DRILL_MM_S = 1.0  # 60 mm/min [physics.md, Drilling]

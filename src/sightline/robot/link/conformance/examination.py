@@ -15,11 +15,11 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from sightline.closing import Closing
 from sightline.errors import LinkError, RobotRefusedError, SightlineError
 from sightline.robot import contract
-from sightline.robot.client import RobotClient, pose_of
 from sightline.robot.contract import Code
-from sightline.robot.conversation import Answer, Conversation, NotAskedError
 from sightline.robot.igtl import Fault, Message, NDArray, Rejected, String, Transform, encode
-from sightline.robot.laid import Laid, refuse_other_pose
+from sightline.robot.link.client import RobotClient, pose_of
+from sightline.robot.link.conformance.conversation import Answer, Conversation, NotAskedError
+from sightline.robot.link.laid import Laid, refuse_other_pose
 
 # Any registration does for refusals: 500 mm from base to hip, as many robots stand.
 REGISTRATION = RigidTransform.from_translation([500.0, 0.0, 0.0])

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sightline.robot.insertion import Insertion
-from sightline.robot.states import Cause
+from sightline.robot.control.insertion import Insertion
+from sightline.robot.control.states import Cause
 
 Surveyor = Callable[[Callable[[], None]], "Future[None]"]  # starts the work, somewhere
 LONGEST_S = 1.0  # a motion begins so soon after its command, or not at all [ours]

@@ -4,20 +4,20 @@ from dataclasses import replace
 
 import numpy as np
 
-from sightline.robot.activities import Activity, align, retract
-from sightline.robot.calibrated import CalibratedRobot
 from sightline.robot.contract import Code
-from sightline.robot.depth import DepthZero
-from sightline.robot.drilling import Drilling
-from sightline.robot.insertion import Insertion, LinkRegistration, Setup
-from sightline.robot.lease import Lease
-from sightline.robot.manipulator import FEED, JOINTS
-from sightline.robot.own_time import OwnTime
-from sightline.robot.panel import Panel
+from sightline.robot.control.insertion import Insertion, LinkRegistration, Setup
+from sightline.robot.control.lease import Lease
+from sightline.robot.control.motion.course import Activity, align, retract
+from sightline.robot.control.motion.depth import DepthZero
+from sightline.robot.control.motion.drilling import Drilling
+from sightline.robot.control.own_time import OwnTime
+from sightline.robot.control.panel import Panel
+from sightline.robot.control.requests import Answer, Fault, Outcome, RequestRefusedError, Snapshot
+from sightline.robot.control.samples import STALE_S, Samples
+from sightline.robot.control.states import ACTIVITIES, MOVING, TRANSITIONS, Cause, State
+from sightline.robot.kinematics.calibrated import CalibratedRobot
+from sightline.robot.kinematics.manipulator import FEED, JOINTS
 from sightline.robot.plant import Plant, PlantFlag
-from sightline.robot.requests import Answer, Fault, Outcome, RequestRefusedError, Snapshot
-from sightline.robot.samples import STALE_S, Samples
-from sightline.robot.states import ACTIVITIES, MOVING, TRANSITIONS, Cause, State
 
 STOP_S = 1.0  # ten times what a stop takes at most
 

@@ -100,7 +100,7 @@ class ForceFilter:
 
 
 class Supervision:
-    """The watch over one hole. Depths are mm of feed beyond depth zero, which may be set anew (robot/depth.py).
+    """The watch over one hole. Depths are mm of feed beyond depth zero, which may be set anew (depth.py).
     `touched`: the wire is in bone already."""
 
     def __init__(

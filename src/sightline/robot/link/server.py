@@ -18,12 +18,12 @@ from typing import Self
 from sightline.closing import Closing
 from sightline.errors import LinkError, MessageError
 from sightline.robot import contract
-from sightline.robot.controller import Controller
-from sightline.robot.dialect import SIGHTLINE, Dialect
-from sightline.robot.dialogue import Dialogue, Outgoing
+from sightline.robot.control.controller import Controller
+from sightline.robot.control.own_time import OwnTime
 from sightline.robot.igtl import Event, timestamp_of
-from sightline.robot.inbox import Change, Heard, Inbox, stop_of
-from sightline.robot.own_time import OwnTime
+from sightline.robot.link.dialect import SIGHTLINE, Dialect
+from sightline.robot.link.dialogue import Dialogue, Outgoing
+from sightline.robot.link.inbox import Change, Heard, Inbox, stop_of
 from sightline.robot.plant import CYCLE_S, Plant
 from sightline.robot.transport import LOOPBACK, PORT, Connection, serve
 
@@ -49,7 +49,7 @@ class RobotServer(Closing):
     `advance(dt_s)` lets a simulated plant's time pass, which stands still while this program does not run; a real one
     needs none. With `virtual` time runs as fast as it
     can while something moves and stands still otherwise: for trials, with clients that send no heartbeats. `truth`:
-    what a simulator tells simulated imaging devices (robot/simulated.py). `dialect`: robot/dialect.py.
+    what a simulator tells simulated imaging devices (robot/link/simulated.py). `dialect`: robot/link/dialect.py.
     Raises LinkError where the port cannot be had.
     """
 

@@ -7,8 +7,8 @@ import numpy as np
 
 from sightline.errors import RobotRefusedError, UnusableInputError
 from sightline.geometry.rigid import adjoint, displacement
-from sightline.robot.manipulator import ARM_JOINTS, FEED, Manipulator
-from sightline.robot.mounts import Mount, refuse_unlikely
+from sightline.robot.kinematics.manipulator import ARM_JOINTS, FEED, Manipulator
+from sightline.robot.kinematics.mounts import Mount, refuse_unlikely
 
 # How far a machined axis may be from its place, 1 s.d. of its twist: 1 mrad and 0.2 mm [ours].
 MACHINED_SD = np.array([1e-3] * 3 + [0.2] * 3)

@@ -7,7 +7,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from sightline.errors import RobotRefusedError, UnusableInputError
-from sightline.robot.calibrated import CalibratedRobot
+from sightline.robot.kinematics.calibrated import CalibratedRobot
 
 # The patient was located in the frame, so the frame must not move between the images: more than this at the frame's
 # origin or in its direction is a movement, not the encoders' last digit [ours].

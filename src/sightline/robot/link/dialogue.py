@@ -10,9 +10,21 @@ import numpy as np
 
 from sightline.robot import contract
 from sightline.robot.contract import Code
-from sightline.robot.controller import Controller
-from sightline.robot.dialect import SIGHTLINE, Dialect
-from sightline.robot.drilling import Drilling
+from sightline.robot.control.controller import Controller
+from sightline.robot.control.look import TARGET
+from sightline.robot.control.motion.drilling import Drilling
+from sightline.robot.control.requests import (
+    Aim,
+    Answer,
+    Command,
+    Outcome,
+    Register,
+    Request,
+    Reset,
+    ShotDepth,
+    Snapshot,
+)
+from sightline.robot.control.states import COMMANDS, MOVING, Cause, phase
 from sightline.robot.igtl import (
     MILLIMETRE,
     NEWTON,
@@ -30,22 +42,10 @@ from sightline.robot.igtl import (
 )
 from sightline.robot.igtl import Command as CommandMessage
 from sightline.robot.igtl.kinds import Body
-from sightline.robot.inbox import stop_word
-from sightline.robot.look import TARGET
+from sightline.robot.link.dialect import SIGHTLINE, Dialect
+from sightline.robot.link.inbox import stop_word
+from sightline.robot.link.remembered import Remembered
 from sightline.robot.plant import CYCLE_S
-from sightline.robot.remembered import Remembered
-from sightline.robot.requests import (
-    Aim,
-    Answer,
-    Command,
-    Outcome,
-    Register,
-    Request,
-    Reset,
-    ShotDepth,
-    Snapshot,
-)
-from sightline.robot.states import COMMANDS, MOVING, Cause, phase
 
 UNDERSTOOD = (
     "STRING",

@@ -4,10 +4,10 @@ from collections import deque
 
 import numpy as np
 
-from sightline.robot.activities import MOVING_LIMIT, STANDING_LIMIT
-from sightline.robot.manipulator import JOINTS, Manipulator, said_beyond
+from sightline.robot.control.motion.course import MOVING_LIMIT, STANDING_LIMIT
+from sightline.robot.control.states import MOVING, WAITING, State
+from sightline.robot.kinematics.manipulator import JOINTS, Manipulator, said_beyond
 from sightline.robot.plant import Plant, PlantFlag, Reading
-from sightline.robot.states import MOVING, WAITING, State
 
 STALE_S = 0.05  # ten cycles without a sample: the plant is gone [ours]
 WINDOW = 6  # samples in which a joint that stands changes by a count at most: speed below 1 % of full speed

@@ -1,4 +1,4 @@
-"""Which client commands, and whether it has fallen silent. Times are the robot's own (robot/own_time.py)."""
+"""Which client commands, and whether it has fallen silent. Times are the robot's own (robot/control/own_time.py)."""
 
 from sightline.robot.contract import SILENCE_S
 

@@ -5,10 +5,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from sightline.robot.contract import Code
-from sightline.robot.depth import SHOT_SD_MM
+from sightline.robot.control.motion.depth import SHOT_SD_MM
+from sightline.robot.control.states import State
 from sightline.robot.igtl import Message
 from sightline.robot.plant import Reading
-from sightline.robot.states import State
 
 
 @dataclass(frozen=True)

@@ -10,11 +10,11 @@ from scipy.spatial.transform import RigidTransform
 
 from sightline.errors import RobotRefusedError
 from sightline.robot import contract
-from sightline.robot.client import RobotClient, pose_of
 from sightline.robot.contract import HEARTBEAT_S, Code
+from sightline.robot.control.own_time import OwnTime
 from sightline.robot.igtl import Message, Status, String, Transform
-from sightline.robot.own_time import OwnTime
-from sightline.robot.talk import Mail
+from sightline.robot.link.client import RobotClient, pose_of
+from sightline.robot.link.talk import Mail
 
 MOVED_MM = 0.5  # a motion has begun [ours]
 STILL_MM, STILL_RAD = 0.1, float(np.deg2rad(0.1))  # what stands may seem to move by: encoders, and a spring [ours]

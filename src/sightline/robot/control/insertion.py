@@ -10,11 +10,11 @@ from scipy.spatial.transform import RigidTransform
 from sightline.checks import failed
 from sightline.errors import RobotRefusedError, UnusableInputError
 from sightline.robot import contract
-from sightline.robot.calibrated import CalibratedRobot
 from sightline.robot.igtl import Message, Transform
-from sightline.robot.manipulator import FEED, Manipulator
-from sightline.robot.reach import check_reach, hip_theatre
-from sightline.robot.target import LIFETIME_S, PlanIdentity
+from sightline.robot.kinematics.calibrated import CalibratedRobot
+from sightline.robot.kinematics.manipulator import FEED, Manipulator
+from sightline.robot.kinematics.reach import check_reach, hip_theatre
+from sightline.robot.kinematics.target import LIFETIME_S, PlanIdentity
 
 # The wire waits so far before the entry point, outside the skin of most patients, for the confirmation shot [ours].
 STANDOFF_MM = 20.0

@@ -15,8 +15,9 @@ from sightline.closing import Closing
 from sightline.errors import LinkError, RobotRefusedError
 from sightline.robot import contract
 from sightline.robot.contract import ACK_S, STATUS_S, Code
-from sightline.robot.depth import LIMIT_MM as ZERO_LIMIT_MM
-from sightline.robot.depth import SHOT_SD_MM
+from sightline.robot.control.motion.depth import LIMIT_MM as ZERO_LIMIT_MM
+from sightline.robot.control.motion.depth import SHOT_SD_MM
+from sightline.robot.control.states import Cause, State
 from sightline.robot.igtl import (
     Capability,
     Command,
@@ -30,11 +31,10 @@ from sightline.robot.igtl import (
     Transform,
 )
 from sightline.robot.igtl.kinds import Body
-from sightline.robot.laid import Laid, refuse_other_pose
-from sightline.robot.simulated import SimulatedWire
-from sightline.robot.states import Cause, State
-from sightline.robot.talk import LateError, Mail, Talk
-from sightline.robot.target import RobotTarget
+from sightline.robot.kinematics.target import RobotTarget
+from sightline.robot.link.laid import Laid, refuse_other_pose
+from sightline.robot.link.simulated import SimulatedWire
+from sightline.robot.link.talk import LateError, Mail, Talk
 from sightline.robot.transport import LOOPBACK, PORT
 
 MOTION_S = 300.0  # the longest motion: 250 mm at 1 mm/s, and some [calc]

@@ -9,18 +9,14 @@ import numpy as np
 
 from sightline.errors import RobotRefusedError
 from sightline.robot import contract
-from sightline.robot.activities import STANDING_LIMIT
-from sightline.robot.calibrated import CalibratedRobot
 from sightline.robot.contract import Code
-from sightline.robot.igtl import Message
-from sightline.robot.insertion import Insertion, Setup, read_registration, read_target
-from sightline.robot.lifetimes import Lifetimes
-from sightline.robot.look import LONGEST_S, Look, Surveyor, at_once
-from sightline.robot.machine import Machine
-from sightline.robot.manipulator import FEED
-from sightline.robot.panel import Panel
-from sightline.robot.plant import Plant
-from sightline.robot.requests import (
+from sightline.robot.control.insertion import Insertion, Setup, read_registration, read_target
+from sightline.robot.control.lifetimes import Lifetimes
+from sightline.robot.control.look import LONGEST_S, Look, Surveyor, at_once
+from sightline.robot.control.machine import Machine
+from sightline.robot.control.motion.course import STANDING_LIMIT
+from sightline.robot.control.panel import Panel
+from sightline.robot.control.requests import (
     Aim,
     Answer,
     Command,
@@ -31,7 +27,11 @@ from sightline.robot.requests import (
     Reset,
     ShotDepth,
 )
-from sightline.robot.states import COMMANDS, TRANSITIONS, Cause, State
+from sightline.robot.control.states import COMMANDS, TRANSITIONS, Cause, State
+from sightline.robot.igtl import Message
+from sightline.robot.kinematics.calibrated import CalibratedRobot
+from sightline.robot.kinematics.manipulator import FEED
+from sightline.robot.plant import Plant
 
 _MOTION = (Cause.MOVE_TO_TARGET, Cause.DRILL, Cause.GUIDE, Cause.RETRACT)
 

@@ -1,5 +1,5 @@
 """What the robot does below MOVE_TO_TARGET while it moves: courses of its joints, to align and to retract. Drilling is
-in robot/drilling.py. Each is stepped once a cycle."""
+in robot/control/motion/drilling.py. Each is stepped once a cycle."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -7,11 +7,11 @@ from typing import Protocol
 
 import numpy as np
 
-from sightline.robot.insertion import Insertion, retracted
-from sightline.robot.manipulator import FEED, JOINTS, TURNS, Manipulator
-from sightline.robot.motion import Move
+from sightline.robot.control.insertion import Insertion, retracted
+from sightline.robot.control.motion.move import Move
+from sightline.robot.control.states import Cause
+from sightline.robot.kinematics.manipulator import FEED, JOINTS, TURNS, Manipulator
 from sightline.robot.plant import Reading
-from sightline.robot.states import Cause
 
 ACCELERATION_SHARE = 0.5  # of the manipulator's, so that the drives can still correct [ours]
 RETRACT_MM_S = 10.0  # out of bone, the drill off [ours]

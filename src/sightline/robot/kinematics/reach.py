@@ -13,7 +13,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from sightline.checks import Check
 from sightline.errors import UnusableInputError
-from sightline.robot.manipulator import ARM_JOINTS, JOINTS, TURNS, Manipulator, said_beyond
+from sightline.robot.kinematics.manipulator import ARM_JOINTS, JOINTS, TURNS, Manipulator, said_beyond
 
 CLEARANCE_MM = 5.0  # what must be left to everything: drapes, a registration that errs by a millimetre [ours]
 REMOUNT_LIMIT_MM = 0.1  # of a frame taken off and put back: as good as its hand-eye calibration [ours]

@@ -4,8 +4,8 @@ from collections import OrderedDict
 from dataclasses import replace
 
 from sightline.errors import RobotRefusedError
-from sightline.robot.insertion import Insertion
-from sightline.robot.target import LIFETIME_S
+from sightline.robot.control.insertion import Insertion
+from sightline.robot.kinematics.target import LIFETIME_S
 
 KEPT = 256  # plans: a robot sees a few in the ten minutes that one lives [ours]
 

@@ -10,8 +10,8 @@ from scipy.spatial.transform import RigidTransform
 from sightline.checks import Check, Limits
 from sightline.errors import RobotRefusedError, UnusableInputError
 from sightline.geometry.covariance import length_quantile, line_direction
-from sightline.robot.manipulator import FEED
-from sightline.robot.registration import Registration
+from sightline.robot.kinematics.manipulator import FEED
+from sightline.robot.kinematics.registration import Registration
 
 # A plan is as old as its last image; patients breathe, tables sag [issue: 10 minutes].
 LIFETIME_S = 600.0

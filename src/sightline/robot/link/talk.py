@@ -8,9 +8,9 @@ from threading import Lock
 
 from sightline.errors import LinkError
 from sightline.robot.contract import ALIVE_S, HEARTBEAT, HEARTBEAT_S, IDLE_S, STATUS_S
+from sightline.robot.control.own_time import OwnTime
 from sightline.robot.igtl import Capability, Get, Message, Rejected, String, timestamp_of
 from sightline.robot.igtl.kinds import Body
-from sightline.robot.own_time import OwnTime
 from sightline.robot.transport import BlockingClient
 from sightline.robot.transport.heartbeat import Heartbeat, Pace
 
