@@ -192,7 +192,7 @@ def _drilling_stops(times: int) -> list[Row]:
             robot.align()
             motion = threading.Thread(target=lambda: _quietly(robot.drill))
             motion.start()
-            while (server.dialogue.controller.snapshot().depth_mm or -20.0) < 0.5:
+            while (server.dialogue.controller.machine.snapshot().depth_mm or -20.0) < 0.5:
                 time.sleep(0.01)
             seconds, travel = _stop_time(server, robot, slice(FEED, FEED + 1))
             took.append(seconds)
@@ -253,8 +253,8 @@ def _bad_bytes(times: int) -> list[Row]:
                         wrong += not _within(has_moved, 2.0)
                     else:
                         time.sleep(0.002)
-                        wrong += controller.state in MOVING or has_moved()
-                wrong += not _within(lambda: controller.state is State.UNDEFINED and not controller.busy, 2.0)
+                        wrong += controller.machine.state in MOVING or has_moved()
+                wrong += not _within(lambda: controller.machine.state is State.UNDEFINED and not controller.busy, 2.0)
             rows.append(_count("robot link faults", kind, wrong, times))
     return rows
 
@@ -297,7 +297,7 @@ def _two_clients(times: int) -> Row:
                         and event.device_name != "CURRENT_STATUS"
                     ):
                         codes.append(event.body.code)
-                wrong += codes != [5] or server.dialogue.controller.state is not State.START_UP
+                wrong += codes != [5] or server.dialogue.controller.machine.state is not State.START_UP
             wrong += not _within(lambda: server.dialogue.controller.lease is None, 2.0)
     return _count("robot link faults", "two clients commanding", wrong, times)
 
@@ -315,13 +315,13 @@ def _killed_clients(times: int) -> Row:
             if state is not State.TARGETING:
                 raw.send(Message(String("MOVE_TO_TARGET"), "CMD_4"))
             if state in (State.DRILL, State.RETRACT):
-                assert _within(lambda: controller.state is State.ALIGNED, 20.0)
+                assert _within(lambda: controller.machine.state is State.ALIGNED, 20.0)
                 raw.send(Message(String(state.value), "CMD_5"))
-            _within(lambda state=state: controller.state is state, 2.0)
+            _within(lambda state=state: controller.machine.state is state, 2.0)
             raw._socket.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
             began = time.monotonic()
             raw.close()
-            wrong += not _within(lambda: controller.state is State.UNDEFINED and not controller.busy, 2.0)
+            wrong += not _within(lambda: controller.machine.state is State.UNDEFINED and not controller.busy, 2.0)
             worst = max(worst, time.monotonic() - began)
             wrong += bool(np.abs(server._plant.goal).max() != 0)
     row = _count("robot link faults", "client killed in every state", wrong, times)

@@ -71,7 +71,7 @@ class Witness:
             self.say(f"it moves in {self.rig.state.value}")
         if self.stopped_s is not None and moves and now - self.stopped_s > STOPS_S and self.rig.state not in MOVING:
             self.say("it moves after a stop")
-        insertion = self.rig.controller.insertion
+        insertion = self.rig.controller.machine.insertion
         if insertion is not None and self.rig.state is State.DRILL:
             depth = float(plant.q[FEED] - insertion.q[FEED])
             if depth > insertion.depth_limit_mm + BEYOND_MM:

@@ -85,8 +85,8 @@ def paused() -> Iterator[RobotSession]:
         client.start_up()
         client.calibrate(T_MCS_CFCS, 10.0)
         client.aim(wire(), metadata(), 10.0)
-        assert controller.insertion is not None
-        plant.zero_mm = float(controller.insertion.q[FEED])
+        assert controller.machine.insertion is not None
+        plant.zero_mm = float(controller.machine.insertion.q[FEED])
 
     with RobotServer(controller, plant, port=0, advance=plant.advance, virtual=True) as server:
         session = RobotSession(ROBOT, server.port, lambda: None, heartbeat=False)

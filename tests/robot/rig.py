@@ -104,7 +104,7 @@ class Rig:
 
     @property
     def state(self) -> State:
-        return self.controller.state
+        return self.controller.machine.state
 
     def send(self, name: str, body, client: int = CLIENT, **header) -> list[Message]:
         """What comes back at once."""
@@ -132,7 +132,7 @@ class Rig:
         return said
 
     def run_until_depth(self, depth_mm: float) -> None:
-        while self.controller.snapshot().depth_mm < depth_mm:
+        while self.controller.machine.snapshot().depth_mm < depth_mm:
             self.run(CYCLE_S)
 
     @staticmethod
@@ -161,7 +161,7 @@ class Rig:
 
     def speed(self) -> float:
         """Largest joint speed as a share of the joint's full speed, over the last cycles."""
-        return float(np.max(np.abs(self.controller.snapshot().velocity) / ROBOT.manipulator.speed))
+        return float(np.max(np.abs(self.controller.machine.snapshot().velocity) / ROBOT.manipulator.speed))
 
 
 _READY = ("START_UP", "CALIBRATION", "CLB", "TARGETING", "TGT")
@@ -220,7 +220,7 @@ def served(
 
     def advance(dt_s: float) -> None:
         nonlocal cycles
-        cycles = cycles + 1 if controller.state is halted else 0
+        cycles = cycles + 1 if controller.machine.state is halted else 0
         if cycles == _INTO_MOTION:
             _halted.add(server)
             while not (len(server._inbox) or server._end.is_set()):

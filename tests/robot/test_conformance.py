@@ -26,7 +26,7 @@ def test_ours_passes_everything_and_stands_after_the_dry_run():
         findings = robot.examine() + robot.dry_run()
         bad = {f.name: f.seen for f in findings if f.verdict is not Verdict.PASSED}
         assert not bad
-        depth = server.dialogue.controller.snapshot().depth_mm
+        depth = server.dialogue.controller.machine.snapshot().depth_mm
         assert depth is None or depth < -15.0  # it stood at its stand-off
 
 

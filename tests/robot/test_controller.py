@@ -99,11 +99,11 @@ def test_an_insertion_from_beginning_to_end():
     rig.command("DRILL")
     rig.run_until(State.DONE)
     assert np.allclose(tip(), END_MM, atol=0.05)
-    assert rig.controller.snapshot().depth_mm == pytest.approx(np.linalg.norm(END_MM - ENTRY_MM), abs=0.02)
+    assert rig.controller.machine.snapshot().depth_mm == pytest.approx(np.linalg.norm(END_MM - ENTRY_MM), abs=0.02)
     rig.command("RETRACT")
     rig.run_until(State.PLANNING)
     assert rig.plant.read().encoders[FEED] == pytest.approx(0.5, abs=0.02)
-    assert rig.controller.insertion is None
+    assert rig.controller.machine.insertion is None
 
 
 def test_the_arm_turns_only_with_the_wire_in_its_sleeve():
@@ -136,7 +136,7 @@ def test_a_lost_client_stops_the_robot_which_forgets(state):
     assert rig.state is (State.EMERGENCY if state is State.EMERGENCY else State.UNDEFINED)
     rig.run(0.1)
     assert rig.speed() < 0.01
-    assert rig.controller.registration is None
+    assert rig.controller.machine.registration is None
     assert rig.controller.lease is None
 
 
@@ -201,7 +201,7 @@ def test_a_controller_that_slept_does_not_blame_the_drives(state):
     rig.plant.read = lambda: frozen  # but drives that are gone are noticed, and in time
     rig.run(0.06)
     assert rig.state is State.EMERGENCY
-    assert "no sample from the drives" in rig.controller.fault.text
+    assert "no sample from the drives" in rig.controller.machine.fault.text
 
 
 def test_a_controller_that_pauses_does_not_blame_its_client():
@@ -307,7 +307,7 @@ def test_the_second_shot_sets_the_depth_anew():
         assert (reply.body.error == "") is done, reply.body
     assert rig.send("shot", Command(len(bad), "SHOT_DEPTH", good))[0].body == reply.body  # a repeat refines nothing
     # The shot says 1.5 mm more than the encoders, and errs half as much as the plan: four parts of five are taken.
-    now = rig.controller.snapshot()
+    now = rig.controller.machine.snapshot()
     assert now.depth_mm == pytest.approx(length - 10 + 0.8 * 1.5, abs=0.02)
     assert now.depth_sd_mm == pytest.approx(0.5 * np.sqrt(0.2))
     assert rig.send("shot", Command(40, "SHOT_DEPTH", repr(length - 8.5)), client=OTHER)[0].body.error == "refused"
@@ -363,7 +363,7 @@ def test_a_robot_pushed_while_it_waits_is_a_fault(state):
     rig.plant.read = pushed
     rig.run(0.05)
     assert rig.state is State.EMERGENCY
-    assert "traverse was moved" in rig.controller.fault.text
+    assert "traverse was moved" in rig.controller.machine.fault.text
 
 
 @pytest.mark.parametrize("joint", range(5))
@@ -380,7 +380,7 @@ def test_a_joint_that_does_not_follow_is_a_fault(joint):
 
     rig.plant.read = read
     rig.run_until(State.EMERGENCY, 10.0)
-    assert "from where it should be" in rig.controller.fault.text
+    assert "from where it should be" in rig.controller.machine.fault.text
 
 
 @pytest.mark.parametrize(
@@ -410,7 +410,7 @@ def test_what_the_plant_says_wrong_while_drilling_is_a_fault(change, why):
 
     rig.plant.read = read
     rig.run_until(State.EMERGENCY, 0.3)
-    assert why in rig.controller.fault.text
+    assert why in rig.controller.machine.fault.text
     rig.plant.read = real
     rig.run(0.1)
     assert rig.speed() < 0.01
@@ -419,7 +419,7 @@ def test_what_the_plant_says_wrong_while_drilling_is_a_fault(change, why):
 def test_a_wire_that_runs_past_its_depth_limit_is_a_fault():
     """The chuck slips, or a drive runs away: the loop sees the wire beyond the limit, where no command sent it."""
     rig = Rig.at(State.DRILL)
-    insertion = rig.controller.insertion
+    insertion = rig.controller.machine.insertion
     rig.run_until(State.PAUSED)
     rig.command("DRILL")
     rig.run_until_depth(insertion.length_mm - 0.1)
@@ -427,7 +427,7 @@ def test_a_wire_that_runs_past_its_depth_limit_is_a_fault():
     before = rig.plant.read
     rig.plant.read = lambda: replace(before(), encoders=rig.plant.q + np.array([0, 0, 0, 0, 1.2]))
     said = rig.run_until(State.EMERGENCY, 0.1)
-    assert "depth limit" in rig.controller.fault.text
+    assert "depth limit" in rig.controller.machine.fault.text
     assert code(said, "DRILL") == Code.HARDWARE
     rig.plant.read = before
     rig.run(0.1)
@@ -445,8 +445,8 @@ def test_an_overloaded_drive_stops_no_robot_that_stands():
 def test_a_far_break_through_stops_and_a_near_one_does_not():
     for share, ends in ((0.3, State.DRILL), (0.7, State.STOP)):
         rig = Rig.at(State.DRILL)
-        length = rig.controller.insertion.length_mm
-        while rig.controller.snapshot().depth_mm < share * length:
+        length = rig.controller.machine.insertion.length_mm
+        while rig.controller.machine.snapshot().depth_mm < share * length:
             rig.run(0.1)
         real, fell = rig.plant.read, rig.now_s + 1.0
 

@@ -74,7 +74,7 @@ def drilling(bone_mm: float) -> Rig:
     plant = Bone(bone_mm)
     rig = Rig(moved=plant, setup=replace(SETUP, into_bone=True))
     rig.reach(State.ALIGNED)
-    plant.zero_mm = float(rig.controller.insertion.q[FEED])
+    plant.zero_mm = float(rig.controller.machine.insertion.q[FEED])
     rig.command("DRILL")
     return rig
 
@@ -82,18 +82,18 @@ def drilling(bone_mm: float) -> Rig:
 @pytest.mark.parametrize("bone_mm", [-CONTACT_LEAD_MM, 1.1, -2.4])
 def test_contact_sets_the_zero_as_far_as_it_is_to_be_trusted(bone_mm):
     rig = drilling(bone_mm)
-    planned = rig.controller.drilling.zero
+    planned = rig.controller.machine.drilling.zero
     assert planned.sd_mm == PLAN_SD_MM
     rig.run_until(State.PAUSED)
     off = bone_mm + CONTACT_LEAD_MM
-    zero = rig.controller.drilling.zero
+    zero = rig.controller.machine.drilling.zero
     assert zero.feed_mm - planned.feed_mm == pytest.approx(WEIGHT * off, abs=0.05)  # noticed 0.02 mm late
     assert zero.sd_mm == pytest.approx(PLAN_SD_MM * np.sqrt(1 - WEIGHT))
-    assert rig.controller.snapshot().depth_mm == pytest.approx(LENGTH_MM - 10.0, abs=0.02)
+    assert rig.controller.machine.snapshot().depth_mm == pytest.approx(LENGTH_MM - 10.0, abs=0.02)
     assert rig.plant.q[FEED] - planned.feed_mm == pytest.approx(LENGTH_MM - 10.0 + WEIGHT * off, abs=0.05)
     rig.command("DRILL")
     rig.run_until(State.DONE)  # bone was met already: it is not met again
-    assert rig.controller.drilling.zero == zero
+    assert rig.controller.machine.drilling.zero == zero
 
 
 @pytest.mark.parametrize(
@@ -110,12 +110,12 @@ def test_bone_where_none_is_planned_stops_with_the_reason(bone_mm, why):
 
 def test_a_hole_begun_anew_begins_with_the_plan_s_zero():
     rig = drilling(1.1)
-    planned = rig.controller.drilling.zero
+    planned = rig.controller.machine.drilling.zero
     rig.run_until(State.PAUSED)
     rig.command("STOP")
     rig.run(0.5)
     rig.command("MOVE_TO_TARGET")
-    assert rig.controller.drilling.zero == planned
+    assert rig.controller.machine.drilling.zero == planned
 
 
 def test_depth_travels_with_its_error_and_is_recorded_with_it():
@@ -152,7 +152,7 @@ def test_a_record_of_a_robot_that_states_no_error_says_so():
 def test_a_shot_that_leaves_too_little_feed_is_refused():
     rig = drilling(-CONTACT_LEAD_MM)
     rig.run_until(State.PAUSED)
-    manipulator = rig.controller.robot.manipulator
-    rig.controller.drilling._manipulator = replace(manipulator, upper=rig.plant.q + np.array([9, 9, 9, 9, 10.3]))
+    hole, manipulator = rig.controller.machine.drilling, rig.controller.machine.robot.manipulator
+    hole._manipulator = replace(manipulator, upper=rig.plant.q + np.array([9, 9, 9, 9, 10.3]))
     with pytest.raises(RobotRefusedError, match="the feed would end"):
-        rig.controller.drilling.told(float(rig.plant.q[FEED]), LENGTH_MM - 11.0, 0.1)
+        hole.told(float(rig.plant.q[FEED]), LENGTH_MM - 11.0, 0.1)

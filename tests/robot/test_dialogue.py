@@ -181,7 +181,7 @@ def test_a_bare_target_lives_as_long_as_its_registration():
     rig = Rig.at(State.TARGETING)
     rig.now_s += 590.0
     assert code(rig.send("TGT_2", Transform.of(wire())), "TARGET") == 1
-    assert rig.controller.insertion.expires_s - rig.now_s == pytest.approx(10.0, abs=0.01)
+    assert rig.controller.machine.insertion.expires_s - rig.now_s == pytest.approx(10.0, abs=0.01)
     rig.now_s += 11.0
     said = rig.send("TGT_3", Transform.of(wire()))
     assert "register again" in said[1].body.text

@@ -47,13 +47,13 @@ def test_a_target_is_acknowledged_at_once_and_answered_when_it_was_looked_at():
     survey = Survey(rig)
     assert names(target(rig)) == ["ACK_1"]
     assert rig.run(0.5) == []
-    assert rig.controller.insertion is None
+    assert rig.controller.machine.insertion is None
     survey.end()
     said = rig.run(0.01)
     assert names(said) == ["TARGET", "TARGET", "REACHABLE_TARGET"]
     assert code(said, "TARGET") == 1
     assert np.array_equal(said[1].body.matrix, wire().as_matrix())
-    assert rig.controller.insertion is not None
+    assert rig.controller.machine.insertion is not None
 
 
 def test_what_is_in_the_way_is_the_answer():
@@ -63,7 +63,7 @@ def test_what_is_in_the_way_is_the_answer():
     survey.begun[-1][1].set_exception(RobotRefusedError("the table"))
     said = rig.run(0.01)
     assert code(said, "TARGET") == Code.CONFIGURATION
-    assert rig.controller.insertion is None
+    assert rig.controller.machine.insertion is None
 
 
 def test_a_bug_in_the_search_is_no_answer_that_moves_anything():
@@ -73,7 +73,7 @@ def test_a_bug_in_the_search_is_no_answer_that_moves_anything():
     survey.begun[-1][1].set_exception(ZeroDivisionError())
     with pytest.raises(ZeroDivisionError):
         rig.run(0.01)
-    assert rig.controller.insertion is None
+    assert rig.controller.machine.insertion is None
     assert not rig.controller.busy
 
 
@@ -104,7 +104,7 @@ def test_a_stop_makes_what_is_found_afterwards_void(how):
     assert code(said, "TARGET") == {"STOP": Code.NOT_READY, "lost": None}.get(how, Code.EMERGENCY)
     survey.end()
     assert code(rig.run(0.2), "TARGET") is None
-    assert rig.controller.insertion is None
+    assert rig.controller.machine.insertion is None
 
 
 def stopped_on_its_way() -> tuple[Rig, Survey]:

@@ -118,4 +118,4 @@ def test_a_loop_that_hangs_is_noticed(driven):
     driven.turns = False
     rig.run(0.06)
     assert rig.state is State.EMERGENCY
-    assert "no sample from the drives" in rig.controller.fault.text
+    assert "no sample from the drives" in rig.controller.machine.fault.text

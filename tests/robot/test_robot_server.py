@@ -195,7 +195,7 @@ def test_streams_and_what_they_hold():
         ready(robot)
         rows = robot.stream("arm/measured_js").body.values
         assert rows.shape == (6, 5)
-        assert np.allclose(rows[0], server.dialogue.controller.snapshot().reading.encoders, atol=0.02)
+        assert np.allclose(rows[0], server.dialogue.controller.machine.snapshot().reading.encoders, atol=0.02)
         pose = robot.stream("arm/measured_cp")
         assert pose.metadata["coordinates"] == "MCS"
         assert np.allclose(pose.body.matrix, ROBOT.manipulator.T_mcs_tool(rows[0]).as_matrix(), atol=0.02)
@@ -288,15 +288,15 @@ def test_a_client_that_is_killed(state):
             said = metadata() if name.startswith("TGT") else {}
             client.sendall(encode(Message(body, name, version=2, metadata=said)))
         if state in (State.DRILL, State.RETRACT):
-            wait_for(lambda: controller.state is State.ALIGNED)
+            wait_for(lambda: controller.machine.state is State.ALIGNED)
             client.sendall(encode(Message(String(state.value), "CMD_5")))
         if state is State.TARGETING:
-            wait_for(lambda: controller.insertion is not None)
+            wait_for(lambda: controller.machine.insertion is not None)
         else:
             mid_motion(server)
         client.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, b"\1\0\0\0\0\0\0\0")
         client.close()  # with a reset, as the system does for a process that is killed
-        wait_for(lambda: controller.state is State.UNDEFINED)
+        wait_for(lambda: controller.machine.state is State.UNDEFINED)
         assert controller.lease is None
         assert still(server)
 
@@ -358,8 +358,8 @@ class Counted:
 
 
 def test_a_stranger_s_flood_cuts_off_the_stranger_alone():
-    controller = Controller(ROBOT, IdealPlant(), SETUP)
-    server = RobotServer(controller, controller._plant)  # whose loop does not turn: what comes waits
+    plant = IdealPlant()
+    server = RobotServer(Controller(ROBOT, plant, SETUP), plant)  # whose loop does not turn: what comes waits
     holder, strangers = Counted(), [Counted() for _ in range(7)]
     for connection in (holder, *strangers):
         server.opened(connection)
@@ -457,7 +457,7 @@ def test_a_stop_s_place_is_kept_however_many_say_nothing(virtual, robot):
     with BlockingClient(port=virtual.port) as raw:
         raw.send(Message(String("STOP"), "CMD_1"))
         assert raw.receive(BUSY_S).device_name == "ACK_1"
-    wait_for(lambda: virtual.dialogue.controller.state is State.STOP)
+    wait_for(lambda: virtual.dialogue.controller.machine.state is State.STOP)
     assert robot.status().error_name == "STOP"
     for client in mute:
         client.close()

@@ -95,8 +95,8 @@ class Theatre:
         controller = Controller(self.robot, self.plant, setup, first_fault=int(time.time()) % 1_000_000 + 1)
 
         def advance(dt_s: float) -> None:
-            if controller.state is State.ALIGNED and controller.insertion is not None:
-                self.plant.guide_mm = float(controller.insertion.q[FEED]) - SLEEVE_MM
+            if controller.machine.state is State.ALIGNED and controller.machine.insertion is not None:
+                self.plant.guide_mm = float(controller.machine.insertion.q[FEED]) - SLEEVE_MM
             self.plant.advance(dt_s)
 
         return RobotServer(

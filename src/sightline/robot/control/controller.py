@@ -36,18 +36,18 @@ from sightline.robot.plant import Plant
 _MOTION = (Cause.MOVE_TO_TARGET, Cause.DRILL, Cause.GUIDE, Cause.RETRACT)
 
 
-class Controller(Machine):
+class Controller:
     """See the module. `first_fault`: the number of its first fault; one that differs with every start keeps a reset
-    meant for an earlier fault from clearing a later one. `surveyor`: where it looks for collisions; a loop that must
-    keep its time has that done beside it."""
+    meant for an earlier fault from clearing a later one. `machine`: what it commands, for others to read. `surveyor`:
+    where it looks for collisions; a loop that must keep its time has that done beside it."""
 
     def __init__(
         self, robot: CalibratedRobot, plant: Plant, setup: Setup, panel: Panel | None = None, first_fault: int = 1
     ) -> None:
-        super().__init__(robot, plant, setup, panel, first_fault)
+        self.machine = Machine(robot, plant, setup, panel or Panel(), first_fault)
         self.surveyor: Surveyor = at_once
         self._lifetimes = Lifetimes()
-        self._surveyed_from = self._q
+        self._surveyed_from = self.machine.q
         self._look: Look | None = None
 
     # What clients do.
@@ -71,39 +71,35 @@ class Controller(Machine):
 
     def heartbeat(self, client: int) -> None:
         """A sign of life, or the promise of more: from now on this client's silence is noticed."""
-        self._lease.heartbeat(client, self._own.now_s)
+        self.machine.lease.heartbeat(client, self.machine.own_s)
 
     def heard(self, client: int) -> None:
         """Any other message; it counts where the client has promised heartbeats."""
-        self._lease.heard(client, self._own.now_s)
+        self.machine.lease.heard(client, self.machine.own_s)
 
     def lost(self, client: int, now_s: float) -> None:
         """The client is gone for good: if it held the lease, the robot stops and forgets what it was told."""
-        self._stopping = [due for due in self._stopping if due.client != client]
-        if not self._lease.left(client):
-            return
-        self._moving_for = self._look = None
-        self._halt(now_s)
-        self._enter(Cause.LOST)
-        self._forget()
+        self.machine.outcomes.drop_stops(client)
+        if self.machine.lease.left(client):
+            self._look = None
+            self.machine.abandon(now_s)
 
     def cycle(self, now_s: float, unread_s: float = 0.0) -> tuple[Outcome, ...]:
         """Read the plant, watch, decide, command. What has ended since the last cycle. `unread_s`: of its own time for
         how long what clients sent may not have been read yet."""
-        self._turn(now_s, unread_s)
+        self.machine.turn(now_s, unread_s)
         self._see_look(now_s)
-        ended, self._outcomes = tuple(self._outcomes), []
-        return ended
+        return self.machine.outcomes.take()
 
     @property
     def lease(self) -> int | None:
         """The client that commands."""
-        return self._lease.holder
+        return self.machine.lease.holder
 
     @property
     def busy(self) -> bool:
         """Whether something moves, has yet to be seen to stand, or is looked at."""
-        return self._activity is not None or bool(self._stopping) or self._look is not None
+        return self.machine.moves or self._look is not None
 
     @property
     def looking_for(self) -> int | None:
@@ -121,60 +117,60 @@ class Controller(Machine):
         if cause is Cause.STOP:
             return self._stop(client, now_s)
         if cause is Cause.EMERGENCY:
-            self._fail(Code.EMERGENCY, "a client sent EMERGENCY", now_s)
+            self.machine.fail(Code.EMERGENCY, "a client sent EMERGENCY", now_s)
             return Answer(Code.OK, done=False)  # what all are told is its status, too
         self._hold_lease(client)
-        if (self.state, cause) not in TRANSITIONS:
+        if (self.machine.state, cause) not in TRANSITIONS:
             raise self._illegal(cause)
-        if command.by_name and cause is Cause.MOVE_TO_TARGET and TRANSITIONS[self.state, cause] is State.DRILL:
+        if command.by_name and cause is Cause.MOVE_TO_TARGET and TRANSITIONS[self.machine.state, cause] is State.DRILL:
             text = f"this client announced {contract.HAS_DRILLING}: it drills by {Cause.DRILL.value} alone"
             raise _no(Code.NOT_READY, text)
         if command.overtaken and cause in _MOTION:
             raise _no(Code.NOT_READY, "a stop came after this command, which is void")
         self._guard(cause, now_s)
-        if self.insertion is not None and self._must_look(cause):
-            return self._begin_look(client, self.insertion, cause, now_s)
-        return self._start(client, cause)
+        if self.machine.insertion is not None and self._must_look(cause):
+            return self._begin_look(client, self.machine.insertion, cause, now_s)
+        return self.machine.begin(client, cause)
 
     def _guard(self, cause: Cause, now_s: float) -> None:
         """What the table cannot know."""
-        if cause is Cause.START_UP and self._stop_pressed:
+        if cause is Cause.START_UP and self.machine.stop_pressed:
             raise _no(Code.NOT_READY, "the stop button is pressed; release it at the robot")
-        if cause is Cause.TARGETING and self.registration is None:
+        if cause is Cause.TARGETING and self.machine.registration is None:
             raise _no(Code.NOT_READY, "there is no registration; send CALIBRATION and CLB_ first")
         if cause not in _MOTION:
             return
-        if self._stop_pressed or not self._run_held:
+        if self.machine.stop_pressed or not self.machine.run_held:
             raise _no(Code.NOT_READY, "the hold-to-run switch is not held, or the stop button is pressed")
-        if self._stopping:
+        if self.machine.outcomes.stopping:
             raise _no(Code.NOT_READY, "the robot is still stopping")
-        if TRANSITIONS[self.state, cause] is State.RETRACT:
+        if TRANSITIONS[self.machine.state, cause] is State.RETRACT:
             return
-        if self.insertion is None:
+        if self.machine.insertion is None:
             raise _no(Code.NOT_READY, "there is no target; send TARGETING and TGT_ first")
-        if not now_s <= self.insertion.expires_s:
+        if not now_s <= self.machine.insertion.expires_s:
             raise _no(Code.CONFIGURATION, "the plan has expired; take new images and plan again")
 
     def _must_look(self, cause: Cause) -> bool:
         """Whether the arm would turn from elsewhere than where its way was looked at from."""
-        moved = np.abs(self._q - self._surveyed_from) > STANDING_LIMIT
-        return cause in _MOTION and TRANSITIONS[self.state, cause] is State.ALIGN and bool(moved.any())
+        moved = np.abs(self.machine.q - self._surveyed_from) > STANDING_LIMIT
+        return cause in _MOTION and TRANSITIONS[self.machine.state, cause] is State.ALIGN and bool(moved.any())
 
     # The look for collisions.
 
     def _begin_look(self, client: int, insertion: Insertion, cause: Cause | None, now_s: float) -> Answer:
         """From here on. The robot stands until it has ended, and what else its client sends must wait."""
-        start = self._q
-        work = partial(insertion.refuse_collision, self.robot.manipulator, start, self.setup)
+        start = self.machine.q
+        work = partial(insertion.refuse_collision, self.machine.robot.manipulator, start, self.machine.setup)
         self._look = Look(client, cause, insertion, start, now_s, self.surveyor(work))
         return self._looked(now_s) or Answer(Code.OK, done=False)
 
     def _see_look(self, now_s: float) -> None:
-        if self.fault is not None:
-            self._drop_look(self.fault.code, self.fault.text)
+        if self.machine.fault is not None:
+            self._drop_look(self.machine.fault.code, self.machine.fault.text)
         look, answer = self._look, self._looked(now_s)
         if look is not None and answer is not None and answer.done:
-            self._outcomes.append(Outcome(look.client, look.name, answer.code, answer.text))
+            self.machine.outcomes.add(Outcome(look.client, look.name, answer.code, answer.text))
 
     def _looked(self, now_s: float) -> Answer | None:
         """How the look has ended, and the motion begun that waited for it; None while it goes on."""
@@ -184,7 +180,7 @@ class Controller(Machine):
         self._look = None
         try:
             look.result.result()
-            self.insertion, self._surveyed_from = look.insertion, look.start
+            self.machine.insertion, self._surveyed_from = look.insertion, look.start
             return Answer(Code.OK) if look.cause is None else self._go_after_look(look, look.cause, now_s)
         except RobotRefusedError as error:
             return Answer(Code.CONFIGURATION, str(error))
@@ -196,22 +192,23 @@ class Controller(Machine):
             text = f"looking for collisions took {now_s - look.begun_s:.1f} s, or the robot was moved meanwhile"
             raise _no(Code.NOT_READY, f"{text}; command it again")
         self._guard(cause, now_s)
-        return self._start(look.client, cause)
+        return self.machine.begin(look.client, cause)
 
     def _drop_look(self, code: Code, text: str) -> None:
         """Whatever it finds now is void."""
         if self._look is not None:
             self._look.result.cancel()
-            self._conclude(Outcome(self._look.client, self._look.name, code, text))
+            self.machine.outcomes.conclude(Outcome(self._look.client, self._look.name, code, text))
             self._look = None
 
     def _register(self, client: int, message: Message, now_s: float) -> Answer:
         self._hold_lease(client)
-        if self.state is not State.CALIBRATION:
-            raise _no(Code.NOT_READY, f"a registration is taken in CALIBRATION; the robot is in {self.state.value}")
-        self._forget()  # whatever comes, the old one is no longer meant
+        if self.machine.state is not State.CALIBRATION:
+            where = self.machine.state.value
+            raise _no(Code.NOT_READY, f"a registration is taken in CALIBRATION; the robot is in {where}")
+        self.machine.forget()  # whatever comes, the old one is no longer meant
         try:
-            self.registration = read_registration(message, self.setup)
+            self.machine.registration = read_registration(message, self.machine.setup)
         except RobotRefusedError as error:
             raise _no(Code.CONFIGURATION, str(error)) from error
         self._lifetimes.registered(now_s)
@@ -219,13 +216,13 @@ class Controller(Machine):
 
     def _aim(self, client: int, message: Message, now_s: float) -> Answer:
         self._hold_lease(client)
-        if self.registration is None:
+        if self.machine.registration is None:
             raise _no(Code.NOT_READY, "there is no registration; send CALIBRATION and CLB_ first")
-        if self.state is not State.TARGETING:
-            raise _no(Code.NOT_READY, f"a target is taken in TARGETING; the robot is in {self.state.value}")
-        self.insertion = self.drilling = None  # whatever comes, the old one is no longer meant
+        if self.machine.state is not State.TARGETING:
+            raise _no(Code.NOT_READY, f"a target is taken in TARGETING; the robot is in {self.machine.state.value}")
+        self.machine.insertion = self.machine.drilling = None  # whatever comes, the old one is no longer meant
         try:
-            read = read_target(message, self.registration, self.robot, self.setup, now_s)
+            read = read_target(message, self.machine.registration, self.machine.robot, self.machine.setup, now_s)
             insertion = self._lifetimes.limit(read, now_s)
         except RobotRefusedError as error:
             raise _no(Code.CONFIGURATION, str(error)) from error
@@ -233,49 +230,47 @@ class Controller(Machine):
 
     def _shot_depth(self, client: int, depth_mm: float, sd_mm: float) -> Answer:
         self._hold_lease(client)
-        if self.state is not State.PAUSED or self.drilling is None:
-            raise _no(Code.NOT_READY, f"a shot's depth is taken in PAUSED; the robot is in {self.state.value}")
+        if self.machine.state is not State.PAUSED or self.machine.drilling is None:
+            raise _no(Code.NOT_READY, f"a shot's depth is taken in PAUSED; the robot is in {self.machine.state.value}")
         try:
-            self.drilling.told(float(self._q[FEED]), depth_mm, sd_mm)
+            self.machine.drilling.told(float(self.machine.q[FEED]), depth_mm, sd_mm)
         except RobotRefusedError as error:
             raise _no(Code.CONFIGURATION, str(error)) from error
         return Answer(Code.OK)
 
     def _stop(self, client: int, now_s: float) -> Answer:
-        self._halt(now_s)
-        self._stopping.append(Outcome(client, Cause.STOP.value, Code.OK, "stands still"))
+        told = [Outcome(client, Cause.STOP.value, Code.OK, "stands still")]
         if self.lease is not None and client != self.lease:
-            self._stopping.append(Outcome(self.lease, Cause.STOP.value, Code.OK, "stopped by another client"))
+            told.append(Outcome(self.lease, Cause.STOP.value, Code.OK, "stopped by another client"))
+        self.machine.stop(told, now_s)
         self._drop_look(Code.NOT_READY, "stopped by a client's STOP")
-        self._end_motion(Code.NOT_READY, "stopped by a client's STOP")
-        self._enter(Cause.STOP)
         return Answer(Code.OK, done=False)
 
     def _reset_from_afar(self, fault: int) -> Answer:
-        if self.panel.key_switch:
+        if self.machine.panel.key_switch:
             raise _no(Code.DENIED, "this robot is reset with the key at its panel")
-        if self.fault is None:
+        if self.machine.fault is None:
             raise _no(Code.NOT_READY, "there is no fault to reset")
-        if fault != self.fault.number:
-            raise _no(Code.NOT_READY, f"the fault is number {self.fault.number}, not {fault}: read it first")
-        self._reset()
+        if fault != self.machine.fault.number:
+            raise _no(Code.NOT_READY, f"the fault is number {self.machine.fault.number}, not {fault}: read it first")
+        self.machine.reset()
         return Answer(Code.OK)
 
     def _hold_lease(self, client: int) -> None:
         """Take the lease if it is free. Whoever does not hold it may stop the robot and ask, nothing else."""
-        if not self._lease.take(client):
+        if not self.machine.lease.take(client):
             raise _no(Code.DENIED, "another client holds the command lease; it ends with that client's connection")
         if self._look is not None:
             raise _no(Code.NOT_READY, "the way to the target is still looked at; wait for the answer")
 
     def _illegal(self, cause: Cause) -> RequestRefusedError:
-        if self.state is State.MANUAL:
+        if self.machine.state is State.MANUAL:
             return _no(Code.MANUAL, "the robot is in MANUAL; send PLANNING or START_UP first")
-        if self.state is State.EMERGENCY:
-            number = "" if self.fault is None else f" {self.fault.number}: {self.fault.text}"
+        if self.machine.state is State.EMERGENCY:
+            number = "" if self.machine.fault is None else f" {self.machine.fault.number}: {self.machine.fault.text}"
             return _no(Code.EMERGENCY, f"fault{number}; a person must reset the robot")
-        legal = ", ".join(command.value for command in COMMANDS if (self.state, command) in TRANSITIONS)
-        return _no(Code.NOT_READY, f"not {cause.value} in {self.state.value}; possible are {legal}")
+        legal = ", ".join(command.value for command in COMMANDS if (self.machine.state, command) in TRANSITIONS)
+        return _no(Code.NOT_READY, f"not {cause.value} in {self.machine.state.value}; possible are {legal}")
 
 
 def _no(code: Code, text: str) -> RequestRefusedError:

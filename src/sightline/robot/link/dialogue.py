@@ -163,7 +163,7 @@ class Dialogue:
             case Get("TRANSFORM"):
                 said = [self._position()]
             case Get("NDARRAY"):
-                said = [self._joints(self.controller.snapshot())]
+                said = [self._joints(self.controller.machine.snapshot())]
         return said
 
     def _capability(self) -> tuple[str, Body]:
@@ -224,7 +224,7 @@ class Dialogue:
 
     def _target_answer(self, answer: Answer) -> list[tuple[str, Body]]:
         said: list[tuple[str, Body]] = [(TARGET, self._status(answer))]
-        insertion = self.controller.insertion
+        insertion = self.controller.machine.insertion
         if answer.code is Code.OK and insertion is not None:
             said.append((TARGET, insertion.sent))
             if self.dialect.tells_reachable:
@@ -269,36 +269,36 @@ class Dialogue:
         return Status(int(code), "" if code is Code.OK else code.name, answer.text)
 
     def _current(self) -> Status:
-        state, fault = self.controller.state, self.controller.fault
+        state, fault = self.controller.machine.state, self.controller.machine.fault
         text = state.value if fault is None else f"fault {fault.number}: {fault.text}"
         return Status(Code.OK, phase(state), text, subcode=0 if fault is None else fault.number)
 
     def _state_now(self) -> tuple[str, Body]:
         """The answer to a question for the state: named after the phase, with the code of its fault."""
-        status, state = self._current(), self.controller.state
-        fault = self.controller.fault
+        status, state = self._current(), self.controller.machine.state
+        fault = self.controller.machine.fault
         code = Code.OK if fault is None else fault.code
         late = f"; {self.cycles.missed} of {self.cycles.count} cycles were late"
         return phase(state), Status(code, status.error_name, status.text + late, status.subcode)
 
     def _position(self) -> tuple[str, Body]:
         """Pose of the wire, CFCS; before a registration there is no such thing to say."""
-        registration = self.controller.registration
+        registration = self.controller.machine.registration
         if registration is None:
             text = (
                 f"no registration, so no position in {contract.CFCS}; {contract.MEASURED_CP} has it in {contract.MCS}"
             )
             return contract.CURRENT_POSITION, Status(Code.NOT_READY, "UNCALIBRATED", text)
-        q = self.controller.snapshot().reading.encoders
-        tool = self.controller.robot.manipulator.T_mcs_tool(q)
+        q = self.controller.machine.snapshot().reading.encoders
+        tool = self.controller.machine.robot.manipulator.T_mcs_tool(q)
         return contract.CURRENT_POSITION, Transform.of(registration.T_mcs_cfcs.inv() * tool)
 
     # Streams.
 
     def _new_events(self) -> list[Outgoing]:
         """What supervision has noticed since the last cycle, for all who listen; never dropped."""
-        if self.controller.drilling is not self._hole:
-            self._hole, self._events = self.controller.drilling, 0
+        if self.controller.machine.drilling is not self._hole:
+            self._hole, self._events = self.controller.machine.drilling, 0
         noted = [] if self._hole is None else self._hole.noted[self._events :]
         self._events += len(noted)
         said: list[tuple[str, Body]] = [
@@ -309,13 +309,13 @@ class Dialogue:
 
     def _telemetry(self, now_s: float) -> list[Outgoing]:
         due = [client for client, peer in self._peers.items() if now_s - peer.told_s > self.telemetry_s - CYCLE_S / 2]
-        moving = self.controller.state in MOVING
+        moving = self.controller.machine.state in MOVING
         full = [client for client in due if self._peers[client].telemetry]
         plain = [client for client in due if moving and client == self.controller.lease]
         if not full and not plain:
             return []
         out: list[Outgoing] = []
-        streams = self._streams(self.controller.snapshot()) if full else []
+        streams = self._streams(self.controller.machine.snapshot()) if full else []
         position = self._position() if moving else None
         for client in {**dict.fromkeys(full), **dict.fromkeys(plain)}:
             self._peers[client].told_s = now_s
@@ -324,7 +324,7 @@ class Dialogue:
         return out
 
     def _streams(self, now: Snapshot) -> list[tuple[str, Body]]:
-        tool = self.controller.robot.manipulator.T_mcs_tool(now.reading.encoders)
+        tool = self.controller.machine.robot.manipulator.T_mcs_tool(now.reading.encoders)
         said: list[tuple[str, Body]] = [
             (contract.MEASURED_CP, Transform.of(tool)),
             self._joints(now),
@@ -338,7 +338,7 @@ class Dialogue:
         return said
 
     def _joints(self, now: Snapshot) -> tuple[str, Body]:
-        lower, upper = self.controller.robot.manipulator.lower, self.controller.robot.manipulator.upper
+        lower, upper = self.controller.machine.robot.manipulator.lower, self.controller.machine.robot.manipulator.upper
         rows = np.stack([now.reading.encoders, now.velocity, now.wanted, now.commanded, lower, upper])
         return contract.MEASURED_JS, NDArray(rows)
 

@@ -18,6 +18,7 @@ from typing import Self
 from sightline.closing import Closing
 from sightline.errors import LinkError, MessageError
 from sightline.robot import contract
+from sightline.robot.contract import Code
 from sightline.robot.control.controller import Controller
 from sightline.robot.control.own_time import OwnTime
 from sightline.robot.igtl import Event, timestamp_of
@@ -250,7 +251,7 @@ class RobotServer(Closing):
             return what(now_s)
         except Exception as error:
             traceback.print_exc(file=sys.stderr)
-            self._controller.fail(f"a bug in the controller: {type(error).__name__}", now_s)
+            self._controller.machine.fail(Code.HARDWARE, f"a bug in the controller: {type(error).__name__}", now_s)
             return []
 
     def _hear(self, now_s: float) -> list[Outgoing]:
