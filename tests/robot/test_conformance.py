@@ -9,7 +9,9 @@ from tests.robot.scripted_robot import ScriptedRobot, old_robot, scripted, servi
 from sightline.errors import LinkError, RobotRefusedError
 from sightline.robot.igtl import Message, Status, String, Transform
 from sightline.robot.link.client import RobotClient
-from sightline.robot.link.conformance.examination import MOTIONS, QUESTIONS, Examination, Verdict
+from sightline.robot.link.conformance.examination import Examination, Verdict
+from sightline.robot.link.conformance.motions import MOTIONS
+from sightline.robot.link.conformance.questions import QUESTIONS
 from sightline.robot.transport import BlockingClient
 
 
