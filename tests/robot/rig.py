@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from copy import deepcopy
 from functools import cache
 from unittest.mock import patch
@@ -16,6 +16,7 @@ from sightline.robot.control.insertion import Setup
 from sightline.robot.control.panel import Panel
 from sightline.robot.control.states import State
 from sightline.robot.igtl import Message, Status, String, Transform
+from sightline.robot.link import client, exchange, stopping
 from sightline.robot.link.dialect import SIGHTLINE, Dialect
 from sightline.robot.link.dialogue import Dialogue
 from sightline.robot.link.server import RobotServer
@@ -228,11 +229,11 @@ def served(
             _halted.discard(server)
         moved.advance(dt_s)
 
-    with (
-        patch("sightline.robot.link.client.ACK_S", BUSY_S, create=True),
-        patch("sightline.robot.link.client.STATUS_S", BUSY_S, create=True),
-        RobotServer(controller, moved, port=port, advance=advance, virtual=virtual) as server,
-    ):
+    with ExitStack() as stack:
+        for module in (client, exchange, stopping):
+            stack.enter_context(patch.object(module, "ACK_S", BUSY_S))
+            stack.enter_context(patch.object(module, "STATUS_S", BUSY_S))
+        server = stack.enter_context(RobotServer(controller, moved, port=port, advance=advance, virtual=virtual))
         yield server
 
 

@@ -33,6 +33,7 @@ from sightline.robot.control.own_time import OwnTime
 from sightline.robot.control.states import MOVING, State
 from sightline.robot.igtl import Message, String, Transform, encode
 from sightline.robot.link.client import RobotClient
+from sightline.robot.link.exchange import Said
 from sightline.robot.link.server import RobotServer
 from sightline.robot.transport import BlockingClient
 
@@ -95,6 +96,13 @@ def at(translation_mm, matrix=None) -> np.ndarray:
     return out
 
 
+def sent(robot: RobotClient, kind: str, pose: RigidTransform | np.ndarray, name: str, **header) -> Said:
+    """How a registration or a target ended that a client of ours would not send."""
+    matrix = pose.as_matrix() if isinstance(pose, RigidTransform) else pose
+    with robot.talk.mail() as mail:
+        return robot.exchange.transform(mail, kind, matrix, name, **header)[0]
+
+
 @pytest.mark.parametrize(
     ("target", "said", "why"),
     [
@@ -125,7 +133,7 @@ def test_targets_that_must_not_be_drilled_are_refused_with_the_reason(robot, tar
     ready(robot)
     robot.command("TARGETING").refuse_unless_ok()
     with pytest.raises(RobotRefusedError, match=why):
-        robot.send_transform(contract.TARGET, target, "TARGET", metadata(**said), 10.0).refuse_unless_ok()
+        sent(robot, contract.TARGET, target, "TARGET", metadata=metadata(**said), imaged_s=10.0).refuse_unless_ok()
     with pytest.raises(RobotRefusedError, match="no target"):  # the earlier one is no longer meant
         robot.align()
 
@@ -166,7 +174,7 @@ def test_registrations_that_are_none_are_refused(robot):
     ):
         robot.command("CALIBRATION").refuse_unless_ok()
         with pytest.raises(RobotRefusedError, match=why):
-            robot.send_transform("CLB_", bad, "CALIBRATION").refuse_unless_ok()
+            sent(robot, "CLB_", bad, "CALIBRATION").refuse_unless_ok()
         with pytest.raises(RobotRefusedError, match="no registration"):
             robot.aim(wire())
     with pytest.raises(RobotRefusedError, match="no registration"):
@@ -465,7 +473,7 @@ def test_a_stop_s_place_is_kept_however_many_say_nothing(virtual, robot):
 
 
 def test_a_robot_that_says_nothing_is_noticed(monkeypatch):
-    monkeypatch.setattr("sightline.robot.link.client.ACK_S", 0.05)
+    monkeypatch.setattr("sightline.robot.link.exchange.ACK_S", 0.05)
     with socket.create_server(("127.0.0.1", 0)) as silent, RobotClient(port=silent.getsockname()[1]) as robot:
         assert not robot.capabilities
         with pytest.raises(LinkError, match=r"no ACK of START_UP within 0\.05 s"):

@@ -1,12 +1,8 @@
 """Navigation's side of the link, blocking and simple: one call for each step, each answered or an error in time."""
 
 import math
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager, suppress
-from dataclasses import dataclass
-from itertools import count
-from threading import Event, Lock, Thread
-from typing import Self
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
@@ -14,14 +10,11 @@ from scipy.spatial.transform import RigidTransform
 from sightline.closing import Closing
 from sightline.errors import LinkError, RobotRefusedError
 from sightline.robot import contract
-from sightline.robot.contract import ACK_S, STATUS_S, Code
+from sightline.robot.contract import ACK_S, STATUS_S
 from sightline.robot.control.motion.depth import LIMIT_MM as ZERO_LIMIT_MM
 from sightline.robot.control.motion.depth import SHOT_SD_MM
 from sightline.robot.control.states import Cause, State
 from sightline.robot.igtl import (
-    Capability,
-    Command,
-    CommandReply,
     Get,
     Message,
     NDArray,
@@ -30,39 +23,15 @@ from sightline.robot.igtl import (
     String,
     Transform,
 )
-from sightline.robot.igtl.kinds import Body
 from sightline.robot.kinematics.target import RobotTarget
+from sightline.robot.link.exchange import Exchange, Said, matrix_of, pose_of
 from sightline.robot.link.laid import Laid, refuse_other_pose
 from sightline.robot.link.simulated import SimulatedWire
-from sightline.robot.link.talk import LateError, Mail, Talk
+from sightline.robot.link.stopping import Stopping
+from sightline.robot.link.talk import LateError, Talk
 from sightline.robot.transport import LOOPBACK, PORT
 
 MOTION_S = 300.0  # the longest motion: 250 mm at 1 mm/s, and some [calc]
-# Robots of 2013 send no STATUS for these; what they do send says that the phase was entered.
-_ENTERED_IS_DONE = (Cause.PLANNING.value, Cause.CALIBRATION.value)
-_UNDERSTOOD = ("STRING", "STATUS", "TRANSFORM", "CAPABILITY", "RTS_COMMAND", "NDARRAY", "SENSOR")
-# A stop that is not acknowledged on its own connection by then goes over the main one too [ours]: a robot of ours
-# acknowledges in 10 ms.
-STOP_ACK_S = 0.2
-PROBE_S = 1.0  # between two looks whether the stop's connection still answers [ours]
-
-
-@dataclass(frozen=True)
-class Said:
-    """How a request ended: STATUS's code and text."""
-
-    name: str
-    code: int
-    text: str
-
-    def refuse_unless_ok(self) -> Self:
-        """Raise RobotRefusedError for any code but 1."""
-        if self.code != Code.OK:
-            name = Code(self.code).name.lower().replace("_", " ") if self.code in set(Code) else "code"
-            raise RobotRefusedError(
-                f"the robot refused {self.name} ({name}, {self.code}): {self.text or 'no reason given'}"
-            )
-        return self
 
 
 class RobotClient(Closing):
@@ -71,39 +40,37 @@ class RobotClient(Closing):
     Every call raises LinkError where an answer does not come in time or the connection is lost, RobotRefusedError with
     the robot's reason where it refuses. While a call waits, heartbeats go out on a thread of their own; a call that
     hangs for a second sends no more, and the robot stops. `latest` holds the newest message of each device name, and
-    `listeners` are told of every one; `talk` is the connection itself. One thread; `stop` and `emergency` may be called
-    from any other, have a connection of their own, and fall back to the main one.
+    `listeners` are told of every one; `talk` is the connection itself, `exchange` the requests over it. One thread;
+    `stop` and `emergency` may be called from any other, have a connection of their own, and fall back to the main one.
     """
 
     def __init__(self, host: str = LOOPBACK, port: int = PORT, *, heartbeat: bool = True, streams: bool = True) -> None:
-        self.capabilities: frozenset[str] = frozenset()
         self.host, self.port = host, port
-        self._numbers = count(1)
         self._aimed: RigidTransform | None = None
         self._length_mm: float | None = None
         self._doubts: dict[str, str] = {}  # by what was sent: why nothing may move by it
-        self._stopping, self._ended = Lock(), Event()
-        self._stopper: Talk | None = None
         self.talk = Talk(host, port)
         self.latest, self.listeners = self.talk.latest, self.talk.listeners
+        self.exchange = Exchange(self.talk)
+        self._stopping = Stopping(host, port, self.talk, self.exchange)
         try:
-            self._ask_capabilities(heartbeat, streams)
+            self.exchange.introduce(heartbeat, streams)
         except LinkError:
             self.close()
             raise
         if contract.HAS_HEARTBEAT in self.capabilities:
-            self._connect_stopper()
-            Thread(target=self._keep_stopper, name="stop connection", daemon=True).start()
+            self._stopping.keep_connection()
             if heartbeat:
                 self.talk.keep_alive()
 
     def close(self) -> None:
         """End it. A robot of ours that holds this client's lease stops and forgets what it was told."""
-        self._ended.set()
-        self.talk.close()
-        stopper = self._stopper
-        if stopper is not None:
-            stopper.close()
+        self._stopping.close()
+
+    @property
+    def capabilities(self) -> frozenset[str]:
+        """What the robot announced; nothing where it is one of the old convention."""
+        return self.exchange.capabilities
 
     @property
     def simulated(self) -> bool:
@@ -128,10 +95,12 @@ class RobotClient(Closing):
         self.command(Cause.CALIBRATION.value).refuse_unless_ok()
         sent = T_mcs_cfcs.inv()
         with self.talk.mail() as mail:
-            said, echo = self._transform(mail, contract.CALIBRATION, sent.as_matrix(), "CALIBRATION", imaged_s=imaged_s)
+            said, echo = self.exchange.transform(
+                mail, contract.CALIBRATION, sent.as_matrix(), "CALIBRATION", imaged_s=imaged_s
+            )
         said.refuse_unless_ok()
         with self._doubted("registration"):
-            refuse_other_pose(_matrix(echo), sent.as_matrix(), "registration")
+            refuse_other_pose(matrix_of(echo), sent.as_matrix(), "registration")
 
     def aim(
         self,
@@ -147,17 +116,17 @@ class RobotClient(Closing):
         self._aimed = None
         self.command(Cause.TARGETING.value).refuse_unless_ok()
         with self.talk.mail() as mail:
-            said, echo = self._transform(
+            said, echo = self.exchange.transform(
                 mail, contract.TARGET, T_cfcs_wire.as_matrix(), "TARGET", metadata=metadata, imaged_s=imaged_s
             )
             said.refuse_unless_ok()
             reachable = mail.until(
-                lambda m: m.device_name == "REACHABLE_TARGET", STATUS_S if self._knows_ours else ACK_S
+                lambda m: m.device_name == "REACHABLE_TARGET", STATUS_S if self.exchange.knows_ours else ACK_S
             )
-        if reachable is None and self._knows_ours:
+        if reachable is None and self.exchange.knows_ours:
             raise LateError(f"the robot sent no REACHABLE_TARGET within {STATUS_S:g} s; it does not keep the contract")
         with self._doubted("target"):
-            refuse_other_pose(_matrix(echo), T_cfcs_wire.as_matrix(), "target")
+            refuse_other_pose(matrix_of(echo), T_cfcs_wire.as_matrix(), "target")
             reached = pose_of(reachable or echo)
             Laid.of(reached, T_cfcs_wire).refuse_elsewhere("the robot would lay the wire")
         self._aimed = T_cfcs_wire
@@ -203,24 +172,22 @@ class RobotClient(Closing):
 
     def stop(self) -> Said:
         """Stop, whatever goes on; on a connection of its own where the robot takes several. Any thread."""
-        return self._stop(Cause.STOP.value)
+        return self._stopping.send(Cause.STOP.value)
 
     def emergency(self) -> Said:
         """Stop, and wait for a person at the robot. Any thread."""
-        return self._stop(Cause.EMERGENCY.value)
+        return self._stopping.send(Cause.EMERGENCY.value)
 
     # Questions.
 
     def status(self) -> Status:
         """The robot's phase (`error_name`), with activity, fault and late cycles in the text."""
-        body = self._ask(String(contract.CURRENT_STATUS), contract.CURRENT_STATUS, self._answers_status).body
-        assert isinstance(body, Status)  # noqa: S101
-        return body
+        return self.exchange.status()
 
     def position(self) -> RigidTransform:
         """The wire's pose, CFCS. Raises RobotRefusedError where no registration was sent yet, or the robot sends what
         is not a pose."""
-        said = self._ask(
+        said = self.exchange.ask(
             String(contract.CURRENT_POSITION),
             contract.CURRENT_POSITION,
             lambda m: m.device_name == contract.CURRENT_POSITION and isinstance(m.body, (Transform, Status)),
@@ -245,7 +212,7 @@ class RobotClient(Closing):
 
     def joints(self) -> np.ndarray:
         """(6, N): position, velocity, wanted position, commanded velocity, lower and upper limits; mm, rad."""
-        said = self._ask(Get("NDARRAY"), contract.MEASURED_JS, lambda m: m.device_name == contract.MEASURED_JS)
+        said = self.exchange.ask(Get("NDARRAY"), contract.MEASURED_JS, lambda m: m.device_name == contract.MEASURED_JS)
         body = said.body
         if not (isinstance(body, NDArray) and body.values.ndim == 2 and len(body.values) == 6):
             raise LinkError(f"the robot's {contract.MEASURED_JS} is not an array (6, N)")
@@ -258,160 +225,27 @@ class RobotClient(Closing):
 
     def reset(self, fault: int) -> None:
         """Reset the robot after a fault that a person has read and seen to, by its number."""
-        self._order(contract.RESET, str(fault))
+        self.exchange.order(contract.RESET, str(fault))
 
     def shot_depth(self, depth_mm: float, sd_mm: float = SHOT_SD_MM) -> None:
         """Tell the robot, in PAUSED, how far beyond the entry point the second shot shows the tip, give or take."""
-        self._order(contract.SHOT_DEPTH, f"{float(depth_mm)!r} {float(sd_mm)!r}")
+        self.exchange.order(contract.SHOT_DEPTH, f"{float(depth_mm)!r} {float(sd_mm)!r}")
 
     def simulated_wire(self) -> SimulatedWire:
         """Where a simulated robot's wire truly is, for simulated images. Raises RobotRefusedError of a real robot."""
-        return SimulatedWire.of(self._order(contract.SIMULATED_WIRE, ""))
-
-    def _order(self, name: str, text: str) -> str:
-        """A COMMAND and the text of its reply."""
-        number = next(self._numbers)
-        with self.talk.mail() as mail:
-            self.talk.send(Command(number, name, text), name, version=2)
-            said = mail.need(lambda m: isinstance(m.body, CommandReply) and m.body.command_id == number, ACK_S, name)
-        assert isinstance(said.body, CommandReply)  # noqa: S101
-        if said.body.error:
-            raise RobotRefusedError(f"the robot refused {name}: {said.body.text}")
-        return said.body.text
+        return SimulatedWire.of(self.exchange.order(contract.SIMULATED_WIRE, ""))
 
     # How anything is asked.
 
-    def next_number(self) -> str:
-        """An identifier that was not used before."""
-        return str(next(self._numbers))
-
     def command(self, name: str, timeout_s: float = STATUS_S) -> Said:
         """Send a phase or an activity by its name, and wait for its acknowledgement, then for how it ended."""
-        return self._command(self.talk, name, ACK_S, timeout_s)
-
-    def send_transform(
-        self,
-        kind: str,
-        pose: RigidTransform | np.ndarray,
-        name: str,
-        metadata: Mapping[str, str] | None = None,
-        imaged_s: float | None = None,
-    ) -> Said:
-        """Send a registration or a target, a pose or a matrix (4, 4), and wait for its echo and status."""
-        matrix = pose.as_matrix() if isinstance(pose, RigidTransform) else pose
-        with self.talk.mail() as mail:
-            return self._transform(mail, kind, matrix, name, metadata=metadata, imaged_s=imaged_s)[0]
-
-    def _command(self, talk: Talk, name: str, ack_s: float, timeout_s: float) -> Said:
-        number = self.next_number()
-        with talk.mail() as mail:
-            talk.send(String(name), contract.COMMAND + number)
-            mail.need(lambda m: m.device_name == contract.ACKNOWLEDGED + number, ack_s, f"ACK of {name}")
-            return self._outcome(mail, name, timeout_s)
-
-    def _transform(
-        self,
-        mail: Mail,
-        kind: str,
-        matrix: np.ndarray,
-        name: str,
-        *,
-        metadata: Mapping[str, str] | None = None,
-        imaged_s: float | None = None,
-    ) -> tuple[Said, Message]:
-        """How it ended, and its echo."""
-        number = self.next_number()
-        self.talk.send(Transform(matrix), kind + number, metadata=metadata, imaged_s=imaged_s)
-        echo = mail.need(lambda m: m.device_name == contract.ACKNOWLEDGED + number, ACK_S, f"ACK of {name}")
-        return self._outcome(mail, name, STATUS_S), echo
-
-    def _outcome(self, mail: Mail, name: str, timeout_s: float) -> Said:
-        entered = name in _ENTERED_IS_DONE and not self._knows_ours
-
-        def ends(message: Message) -> bool:
-            body = message.body
-            if not isinstance(body, Status):
-                return False
-            return message.device_name == name or (
-                entered and message.device_name == contract.CURRENT_STATUS and body.error_name == name
-            )
-
-        body = mail.need(ends, timeout_s, f"STATUS {name}").body
-        assert isinstance(body, Status)  # noqa: S101
-        return Said(name, body.code, body.text)
+        return self.exchange.command(name, timeout_s)
 
     def _go_on(self, name: str) -> str:
         """The next step by its own name, or as the old convention has it."""
         if contract.HAS_DRILLING not in self.capabilities:
             name = Cause.MOVE_TO_TARGET.value
         return self.command(name, MOTION_S).refuse_unless_ok().text
-
-    def _ask(self, body: Body, name: str, answers: Callable[[Message], bool]) -> Message:
-        return self.talk.ask(body, name, answers, name, marked=self._knows_ours)
-
-    def _answers_status(self, message: Message) -> bool:
-        """Named after the phase; ours says it twice, which tells the answer from how something ended."""
-        body = message.body
-        if not isinstance(body, Status) or message.device_name == contract.CURRENT_STATUS:
-            return False
-        return not self._knows_ours or body.error_name == message.device_name
-
-    @property
-    def _knows_ours(self) -> bool:
-        """Whether the robot knows what we added to the convention of 2013."""
-        return bool(self.capabilities)
-
-    def _ask_capabilities(self, heartbeat: bool, streams: bool) -> None:
-        """A robot of the old convention answers the question for its state, and not the one before it."""
-        with self.talk.mail() as mail:
-            self.talk.send(Get("CAPABILITY"), "")
-            self.talk.send(String(contract.CURRENT_STATUS), contract.CURRENT_STATUS)
-            said = mail.until(lambda m: isinstance(m.body, (Capability, Status)), ACK_S)
-            if said is None or not isinstance(said.body, Capability):
-                return
-            self.capabilities = frozenset(said.body.types)
-            mine = {contract.HAS_TELEMETRY: streams, contract.HAS_HEARTBEAT: heartbeat}
-            # Who announces drilling drills by DRILL alone: a stray MOVE_TO_TARGET at the bone is then refused.
-            announced = (*_UNDERSTOOD, contract.HAS_DRILLING, *(name for name, wanted in mine.items() if wanted))
-            self.talk.send(Capability(announced), "", version=2)
-            mail.until(lambda m: isinstance(m.body, Capability), ACK_S)
-
-    # What stops it.
-
-    def _stop(self, name: str) -> Said:
-        """One after the other: each of several at once is answered."""
-        with self._stopping:
-            for talk, ack_s in ((self._stopper, STOP_ACK_S), (self.talk, ACK_S)):
-                with suppress(LinkError):
-                    if talk is not None:
-                        return self._command(talk, name, ack_s, STATUS_S)
-            self.close()
-        raise LinkError(
-            f"the robot answers no {name} on any connection; all are closed, which stops a robot that keeps the "
-            "contract. Use the red button"
-        )
-
-    def _connect_stopper(self) -> None:
-        """Without one a stop goes over the main connection."""
-        with suppress(LinkError):
-            self._stopper = Talk(self.host, self.port)
-
-    def _keep_stopper(self) -> None:
-        """A connection on which nothing is said may be dead without a sign: it is asked, and made anew."""
-        while not self._ended.wait(PROBE_S):
-            stopper = self._stopper
-            if stopper is None:
-                self._connect_stopper()
-                continue
-            try:
-                stopper.ask(
-                    String(contract.CURRENT_STATUS), contract.CURRENT_STATUS, self._answers_status, "", marked=False
-                )
-            except LinkError:
-                stopper.close()
-                self._stopper = None
-        if self._stopper is not None:
-            self._stopper.close()
 
     # What the robot said and was not meant.
 
@@ -448,18 +282,3 @@ def plan_metadata(target: RobotTarget, now_s: float, depth_limit_mm: float) -> d
         contract.DIRECTION_LIMIT_DEG: repr(math.degrees(limits.direction_rad)),
         contract.BEYOND_MM: repr(limits.beyond_mm),
     }
-
-
-def pose_of(message: Message) -> RigidTransform:
-    """The pose of a TRANSFORM. Raises RobotRefusedError for what is not one."""
-    body = message.body
-    fault = body.fault if isinstance(body, Transform) else f"it is a {message.type_name}"
-    if not isinstance(body, Transform) or fault is not None:
-        raise RobotRefusedError(f"the robot's {message.device_name} is not a pose: {fault}")
-    return body.rigid()
-
-
-def _matrix(message: Message) -> np.ndarray:
-    if not isinstance(message.body, Transform):
-        raise RobotRefusedError(f"the robot acknowledged a TRANSFORM by a {message.type_name}")
-    return message.body.matrix

@@ -9,8 +9,9 @@ from sightline.errors import RobotRefusedError
 from sightline.robot import contract
 from sightline.robot.contract import Code
 from sightline.robot.igtl import Transform
-from sightline.robot.link.client import RobotClient, pose_of
+from sightline.robot.link.client import RobotClient
 from sightline.robot.link.conformance.conversation import Answer, Conversation, NotAskedError
+from sightline.robot.link.exchange import pose_of
 from sightline.robot.link.laid import Laid, refuse_other_pose
 
 # Any registration does for refusals: 500 mm from base to hip, as many robots stand.

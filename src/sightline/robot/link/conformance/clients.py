@@ -7,7 +7,7 @@ import numpy as np
 from sightline.robot import contract
 from sightline.robot.contract import Code
 from sightline.robot.igtl import NDArray
-from sightline.robot.link.client import RobotClient, pose_of
+from sightline.robot.link.client import RobotClient
 from sightline.robot.link.conformance.asking import (
     Question,
     expect,
@@ -17,6 +17,7 @@ from sightline.robot.link.conformance.asking import (
     second_client,
 )
 from sightline.robot.link.conformance.conversation import Conversation
+from sightline.robot.link.exchange import pose_of
 
 
 def _lease(robot: RobotClient) -> str:

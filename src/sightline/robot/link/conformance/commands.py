@@ -74,7 +74,7 @@ def _refused_after(*before: str, command: str, codes: tuple[Code, ...]) -> Quest
 
 def _acts_once(robot: RobotClient) -> str:
     require_identifiers(robot)
-    talk, number = Conversation(robot), robot.next_number()
+    talk, number = Conversation(robot), robot.exchange.next_number()
     first = talk.command("START_UP", number=number)
     talk.at("PLANNING")
     again = talk.command("START_UP", number=number, whole=True)
@@ -87,7 +87,7 @@ def _acts_once(robot: RobotClient) -> str:
 
 def _refuses_a_used_identifier(robot: RobotClient) -> str:
     require_identifiers(robot)
-    talk, number = Conversation(robot), robot.next_number()
+    talk, number = Conversation(robot), robot.exchange.next_number()
     if talk.command("START_UP", number=number).code != Code.OK:
         raise NotAskedError("START_UP was not done")
     before = talk.phase()

@@ -13,7 +13,8 @@ from sightline.robot import contract
 from sightline.robot.contract import HEARTBEAT_S, Code
 from sightline.robot.control.own_time import OwnTime
 from sightline.robot.igtl import Message, Status, String, Transform
-from sightline.robot.link.client import RobotClient, pose_of
+from sightline.robot.link.client import RobotClient
+from sightline.robot.link.exchange import pose_of
 from sightline.robot.link.talk import Mail
 
 MOVED_MM = 0.5  # a motion has begun [ours]
@@ -65,7 +66,7 @@ class Conversation:
     ) -> Answer:
         """`number`: its identifier, else a new one. `whole`: until ACK and STATUS came, in whatever order; else until
         STATUS."""
-        number = number or self._robot.next_number()
+        number = number or self._robot.exchange.next_number()
 
         def send() -> None:
             self._robot.talk.send(String(name), contract.COMMAND + number)
@@ -74,7 +75,7 @@ class Conversation:
 
     def pose(self, kind: str, matrix: np.ndarray, said: Mapping[str, str] | None = None) -> Answer:
         """Send a registration or a target."""
-        number = self._robot.next_number()
+        number = self._robot.exchange.next_number()
         status = "TARGET" if kind == contract.TARGET else "CALIBRATION"
 
         def send() -> None:
@@ -145,7 +146,7 @@ class Conversation:
     def moving(self, number: str | None = None) -> Iterator["Motion"]:
         """A motion to the target that the robot holds, seen to have begun. Raises NotAskedError where it is over."""
         before = self.tip()
-        number = number or self._robot.next_number()
+        number = number or self._robot.exchange.next_number()
         with self._robot.talk.mail() as mail:
             self._robot.talk.send(String("MOVE_TO_TARGET"), contract.COMMAND + number)
             waited = OwnTime(HEARTBEAT_S)

@@ -42,7 +42,7 @@ def _stops_while_moving_from_elsewhere(robot: RobotClient) -> str:
 
 def _moves_once(robot: RobotClient) -> str:
     require_identifiers(robot)
-    talk, number = Conversation(robot), robot.next_number()
+    talk, number = Conversation(robot), robot.exchange.next_number()
     aimed(robot, talk)
     with talk.moving(number) as moving:
         try:

@@ -8,7 +8,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from sightline.errors import RobotRefusedError
 from sightline.robot import contract
 from sightline.robot.contract import Code
-from sightline.robot.link.client import RobotClient, pose_of
+from sightline.robot.link.client import RobotClient
 from sightline.robot.link.conformance.asking import (
     REGISTRATION,
     Question,
@@ -19,6 +19,7 @@ from sightline.robot.link.conformance.asking import (
     target_in_air,
 )
 from sightline.robot.link.conformance.conversation import Conversation, NotAskedError
+from sightline.robot.link.exchange import pose_of
 from sightline.robot.link.laid import Laid
 
 
