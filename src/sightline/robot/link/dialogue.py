@@ -22,28 +22,24 @@ from sightline.robot.control.requests import (
     Request,
     Reset,
     ShotDepth,
-    Snapshot,
 )
-from sightline.robot.control.states import COMMANDS, MOVING, Cause, phase
+from sightline.robot.control.states import COMMANDS, MOVING, Cause
 from sightline.robot.igtl import (
-    MILLIMETRE,
-    NEWTON,
     Capability,
     CommandReply,
     Event,
     Get,
     Message,
-    NDArray,
     Rejected,
-    Sensor,
     Status,
     String,
     Transform,
 )
 from sightline.robot.igtl import Command as CommandMessage
-from sightline.robot.igtl.kinds import Body
 from sightline.robot.link.dialect import SIGHTLINE, Dialect
+from sightline.robot.link.facts import Cycles, Facts
 from sightline.robot.link.inbox import stop_word
+from sightline.robot.link.outgoing import Outgoing, Saying, echo_of, fitting, message_of, with_mirror
 from sightline.robot.link.remembered import Remembered
 from sightline.robot.plant import CYCLE_S
 
@@ -61,25 +57,6 @@ UNDERSTOOD = (
 _ACTIVITIES = (Cause.DRILL, Cause.GUIDE, Cause.RETRACT)
 PHASES = tuple(command.value for command in COMMANDS if command not in _ACTIVITIES)  # of the convention
 OFFERED = (contract.HAS_HEARTBEAT, contract.HAS_TELEMETRY, contract.HAS_DRILLING, contract.HAS_PLAN, contract.HAS_RESET)
-_NAME_BYTES = 20
-
-
-@dataclass(frozen=True)
-class Outgoing:
-    """A message for a client. Telemetry may be dropped where the client reads too slowly; answers never."""
-
-    client: int
-    message: Message
-    telemetry: bool = False
-
-
-@dataclass
-class Cycles:
-    """What the loop knows of its own punctuality."""
-
-    count: int = 0
-    missed: int = 0
-    worst_s: float = 0.0
 
 
 @dataclass
@@ -103,9 +80,11 @@ class Dialogue:
     truth: Callable[[], str] | None = None
     telemetry_s: float = contract.TELEMETRY_S
     dialect: Dialect = SIGHTLINE
-    cycles: Cycles = field(default_factory=Cycles)
+    cycles: Cycles = field(default_factory=Cycles, init=False)
 
     def __post_init__(self) -> None:
+        self._machine = self.controller.machine
+        self._facts = Facts(self._machine, self.cycles)
         self._peers: dict[int, _Peer] = {}
         self._hole: Drilling | None = None
         self._events = 0  # of this hole that were told
@@ -140,9 +119,9 @@ class Dialogue:
 
     # Answers, as (device name, body) in their order.
 
-    def _answer(self, client: int, message: Message, now_s: float, overtaken: bool) -> list[tuple[str, Body]]:
+    def _answer(self, client: int, message: Message, now_s: float, overtaken: bool) -> list[Saying]:
         name = message.device_name
-        said: list[tuple[str, Body]] = []
+        said: list[Saying] = []
         match message.body:
             case String(text):
                 said = self._of_string(client, name, text, now_s, overtaken)
@@ -159,28 +138,28 @@ class Dialogue:
             case Get("CAPABILITY"):
                 said = [self._capability()]
             case Get("STATUS"):
-                said = [self._state_now()]
+                said = [self._facts.state_now()]
             case Get("TRANSFORM"):
-                said = [self._position()]
+                said = [self._facts.position()]
             case Get("NDARRAY"):
-                said = [self._joints(self.controller.machine.snapshot())]
+                said = [self._facts.joints(self._machine.snapshot())]
         return said
 
-    def _capability(self) -> tuple[str, Body]:
+    def _capability(self) -> Saying:
         here = OFFERED + ((contract.IS_SIMULATED,) if self.simulated else ())
         return "", Capability(UNDERSTOOD + here)
 
-    def _of_transform(self, client: int, message: Message, now_s: float) -> list[tuple[str, Body]]:
+    def _of_transform(self, client: int, message: Message, now_s: float) -> list[Saying]:
         name = message.device_name
         if name.startswith(contract.TARGET):
             return self._of_target(client, message, now_s)
         if name.startswith(contract.CALIBRATION):
             answer = self.controller.submit(client, Register(message), now_s)
-            return [_echo(name, message.body), (Cause.CALIBRATION.value, self._status(answer))]
+            return [echo_of(name, message.body), (Cause.CALIBRATION.value, self._status(answer))]
         text = f"a TRANSFORM is named {contract.CALIBRATION}... or {contract.TARGET}..., not {name!r}"
-        return [(_fitting(name), Status(Code.UNKNOWN, Code.UNKNOWN.name, text))]
+        return [(fitting(name), Status(Code.UNKNOWN, Code.UNKNOWN.name, text))]
 
-    def _of_string(self, client: int, name: str, text: str, now_s: float, overtaken: bool) -> list[tuple[str, Body]]:
+    def _of_string(self, client: int, name: str, text: str, now_s: float, overtaken: bool) -> list[Saying]:
         if name.startswith(contract.COMMAND):
             return self._of_phase(client, name, text, now_s, overtaken)
         if name == contract.HEARTBEAT:
@@ -188,15 +167,15 @@ class Dialogue:
             return []
         if name == contract.MIRROR_STATUS:
             self._peers[client].mirrored = True
-            return [self._state_now()]
+            return [self._facts.state_now()]
         if contract.CURRENT_POSITION in (name, text):
-            return [self._position()]
+            return [self._facts.position()]
         if contract.CURRENT_STATUS in (name, text):
-            return [self._state_now()]
+            return [self._facts.state_now()]
         reason = f"a STRING is named {contract.COMMAND}..., {contract.HEARTBEAT}, or asks for {contract.CURRENT_STATUS}"
-        return [(_fitting(name), Status(Code.UNKNOWN, Code.UNKNOWN.name, reason))]
+        return [(fitting(name), Status(Code.UNKNOWN, Code.UNKNOWN.name, reason))]
 
-    def _of_phase(self, client: int, name: str, text: str, now_s: float, overtaken: bool) -> list[tuple[str, Body]]:
+    def _of_phase(self, client: int, name: str, text: str, now_s: float, overtaken: bool) -> list[Saying]:
         """The answers to a CMD_: to stop at once, whatever its identifier; to act, the first time that it comes."""
         peer, stop = self._peers[client], stop_word(text)
         answer = None if stop else peer.asked.earlier(name, text)
@@ -205,26 +184,26 @@ class Dialogue:
             command = Command(stop or text, overtaken, peer.drills_by_name)
             answer = self.controller.submit(client, command, now_s)
             peer.asked.put(name, text, answer)
-        said: list[tuple[str, Body]] = [
+        said: list[Saying] = [
             (contract.ACKNOWLEDGED + name.removeprefix(contract.COMMAND), String(text)),
             (contract.CURRENT_STATUS, self._after_command(stop or text)),
         ]
         entered = answer.code is Code.OK and text in (Cause.PLANNING.value, Cause.CALIBRATION.value)
         if not answer.done or (entered and not self.dialect.tells_entered):
             return said
-        return [*said, (_fitting(stop or text), self._status(answer))]
+        return [*said, (fitting(stop or text), self._status(answer))]
 
     def _after_command(self, text: str) -> Status:
         commanded = self.dialect.names_commanded and text in PHASES
-        return replace(self._current(), error_name=text) if commanded else self._current()
+        return replace(self._facts.current(), error_name=text) if commanded else self._facts.current()
 
-    def _of_target(self, client: int, message: Message, now_s: float) -> list[tuple[str, Body]]:
+    def _of_target(self, client: int, message: Message, now_s: float) -> list[Saying]:
         answer = self.controller.submit(client, Aim(message), now_s)
-        return [_echo(message.device_name, message.body), *(self._target_answer(answer) if answer.done else [])]
+        return [echo_of(message.device_name, message.body), *(self._target_answer(answer) if answer.done else [])]
 
-    def _target_answer(self, answer: Answer) -> list[tuple[str, Body]]:
-        said: list[tuple[str, Body]] = [(TARGET, self._status(answer))]
-        insertion = self.controller.machine.insertion
+    def _target_answer(self, answer: Answer) -> list[Saying]:
+        said: list[Saying] = [(TARGET, self._status(answer))]
+        insertion = self._machine.insertion
         if answer.code is Code.OK and insertion is not None:
             said.append((TARGET, insertion.sent))
             if self.dialect.tells_reachable:
@@ -250,7 +229,7 @@ class Dialogue:
             return []
         return self._all(client, [(contract.CURRENT_STATUS, Status(Code.CONFIGURATION, "UNREADABLE", event.reason))])
 
-    def _of_outcome(self, client: int, outcome: Outcome) -> list[tuple[str, Body]]:
+    def _of_outcome(self, client: int, outcome: Outcome) -> list[Saying]:
         answer = Answer(outcome.code, outcome.text)
         if outcome.name == TARGET:
             return self._target_answer(answer)
@@ -259,49 +238,24 @@ class Dialogue:
             if outcome.code is Code.EMERGENCY and self._peers[client].sent_emergency:
                 self._peers[client].sent_emergency = False
                 answer = Answer(self.dialect.own_emergency, outcome.text)
-        said: list[tuple[str, Body]] = [(_fitting(outcome.name), self._status(answer))]
+        said: list[Saying] = [(fitting(outcome.name), self._status(answer))]
         if outcome.name == Cause.MOVE_TO_TARGET.value:
-            said.append(self._position())
+            said.append(self._facts.position())
         return said
 
     def _status(self, answer: Answer) -> Status:
         code = self.dialect.in_manual if answer.code is Code.MANUAL else answer.code
         return Status(int(code), "" if code is Code.OK else code.name, answer.text)
 
-    def _current(self) -> Status:
-        state, fault = self.controller.machine.state, self.controller.machine.fault
-        text = state.value if fault is None else f"fault {fault.number}: {fault.text}"
-        return Status(Code.OK, phase(state), text, subcode=0 if fault is None else fault.number)
-
-    def _state_now(self) -> tuple[str, Body]:
-        """The answer to a question for the state: named after the phase, with the code of its fault."""
-        status, state = self._current(), self.controller.machine.state
-        fault = self.controller.machine.fault
-        code = Code.OK if fault is None else fault.code
-        late = f"; {self.cycles.missed} of {self.cycles.count} cycles were late"
-        return phase(state), Status(code, status.error_name, status.text + late, status.subcode)
-
-    def _position(self) -> tuple[str, Body]:
-        """Pose of the wire, CFCS; before a registration there is no such thing to say."""
-        registration = self.controller.machine.registration
-        if registration is None:
-            text = (
-                f"no registration, so no position in {contract.CFCS}; {contract.MEASURED_CP} has it in {contract.MCS}"
-            )
-            return contract.CURRENT_POSITION, Status(Code.NOT_READY, "UNCALIBRATED", text)
-        q = self.controller.machine.snapshot().reading.encoders
-        tool = self.controller.machine.robot.manipulator.T_mcs_tool(q)
-        return contract.CURRENT_POSITION, Transform.of(registration.T_mcs_cfcs.inv() * tool)
-
     # Streams.
 
     def _new_events(self) -> list[Outgoing]:
         """What supervision has noticed since the last cycle, for all who listen; never dropped."""
-        if self.controller.machine.drilling is not self._hole:
-            self._hole, self._events = self.controller.machine.drilling, 0
+        if self._machine.drilling is not self._hole:
+            self._hole, self._events = self._machine.drilling, 0
         noted = [] if self._hole is None else self._hole.noted[self._events :]
         self._events += len(noted)
-        said: list[tuple[str, Body]] = [
+        said: list[Saying] = [
             (contract.EVENT, String(f"{n.event.value}; {n.depth_mm:.2f} mm; {n.force_n:.1f} N")) for n in noted
         ]
         listening = [client for client, peer in self._peers.items() if peer.telemetry] if said else []
@@ -309,53 +263,25 @@ class Dialogue:
 
     def _telemetry(self, now_s: float) -> list[Outgoing]:
         due = [client for client, peer in self._peers.items() if now_s - peer.told_s > self.telemetry_s - CYCLE_S / 2]
-        moving = self.controller.machine.state in MOVING
+        moving = self._machine.state in MOVING
         full = [client for client in due if self._peers[client].telemetry]
         plain = [client for client in due if moving and client == self.controller.lease]
         if not full and not plain:
             return []
         out: list[Outgoing] = []
-        streams = self._streams(self.controller.machine.snapshot()) if full else []
-        position = self._position() if moving else None
+        streams = self._facts.streams(self._machine.snapshot()) if full else []
+        position = self._facts.position() if moving else None
         for client in {**dict.fromkeys(full), **dict.fromkeys(plain)}:
             self._peers[client].told_s = now_s
             said = [position] if position is not None and client in plain else []
             out += self._all(client, said + (streams if client in full else []), telemetry=True)
         return out
 
-    def _streams(self, now: Snapshot) -> list[tuple[str, Body]]:
-        tool = self.controller.machine.robot.manipulator.T_mcs_tool(now.reading.encoders)
-        said: list[tuple[str, Body]] = [
-            (contract.MEASURED_CP, Transform.of(tool)),
-            self._joints(now),
-            (contract.FORCE, Sensor(np.array([now.reading.force_n]), NEWTON)),
-            (contract.CYCLES, Sensor(np.array([self.cycles.count, self.cycles.missed, self.cycles.worst_s]))),
-            (contract.CURRENT_STATUS, self._current()),
-        ]
-        for name, value in ((contract.DEPTH_SD, now.depth_sd_mm), (contract.DEPTH, now.depth_mm)):
-            if value is not None:
-                said.append((name, Sensor(np.array([value]), MILLIMETRE)))
-        return said
-
-    def _joints(self, now: Snapshot) -> tuple[str, Body]:
-        lower, upper = self.controller.machine.robot.manipulator.lower, self.controller.machine.robot.manipulator.upper
-        rows = np.stack([now.reading.encoders, now.velocity, now.wanted, now.commanded, lower, upper])
-        return contract.MEASURED_JS, NDArray(rows)
-
-    def _all(self, client: int, said: list[tuple[str, Body]], *, telemetry: bool = False) -> list[Outgoing]:
+    def _all(self, client: int, said: list[Saying], *, telemetry: bool = False) -> list[Outgoing]:
         peer = self._peers.get(client) or _Peer()
         if peer.mirrored:
-            said = [each for name, body in said for each in _with_mirror(name, body)]
-        return [Outgoing(client, _message(name, body, peer.version), telemetry) for name, body in said]
-
-
-def _message(name: str, body: Body, version: int) -> Message:
-    """With header 2 it says which frame and unit its numbers are in."""
-    said: dict[str, str] = {}
-    if version == 2 and isinstance(body, Transform):
-        frame = contract.MCS if name == contract.MEASURED_CP else contract.CFCS
-        said = {contract.UNITS: contract.MM, contract.COORDINATES: frame}
-    return Message(body, name, version=version, metadata=said)
+            said = [each for name, body in said for each in with_mirror(name, body)]
+        return [Outgoing(client, message_of(name, body, peer.version), telemetry) for name, body in said]
 
 
 def _request(command: str, text: str) -> Request | str:
@@ -370,20 +296,3 @@ def _request(command: str, text: str) -> Request | str:
         except (TypeError, ValueError):
             return f"{contract.SHOT_DEPTH} carries a depth in mm, and its standard deviation if known: '79.6 0.15'"
     return f"there is no COMMAND {command[:40]!r}; there are {contract.RESET} and {contract.SHOT_DEPTH}"
-
-
-def _echo(name: str, body: Body) -> tuple[str, Body]:
-    return contract.ACKNOWLEDGED + name.split("_", 1)[1], body
-
-
-def _with_mirror(name: str, body: Body) -> list[tuple[str, Body]]:
-    """What is said, and where it is a STATUS the same in words."""
-    if not isinstance(body, Status):
-        return [(name, body)]
-    return [(name, body), (contract.MIRRORED, String(f"{name}; {body.code}; {body.error_name}; {body.text}"))]
-
-
-def _fitting(name: str) -> str:
-    """A device name made of what a client sent: ASCII, and no longer than the field."""
-    readable = "".join(letter for letter in name if " " < letter < "\x7f")[:_NAME_BYTES]
-    return readable or "UNKNOWN"

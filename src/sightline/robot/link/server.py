@@ -23,8 +23,9 @@ from sightline.robot.control.controller import Controller
 from sightline.robot.control.own_time import OwnTime
 from sightline.robot.igtl import Event, timestamp_of
 from sightline.robot.link.dialect import SIGHTLINE, Dialect
-from sightline.robot.link.dialogue import Dialogue, Outgoing
+from sightline.robot.link.dialogue import Dialogue
 from sightline.robot.link.inbox import Change, Heard, Inbox, stop_of
+from sightline.robot.link.outgoing import Outgoing
 from sightline.robot.plant import CYCLE_S, Plant
 from sightline.robot.transport import LOOPBACK, PORT, Connection, serve
 
