@@ -19,8 +19,8 @@ import numpy as np
 from campaigns.campaign import Campaign, Damage, Ended
 from campaigns.kills import moment
 from campaigns.programs import PROGRAMS, Steps, Told, in_a_child, not_finished, place_for
-from sightline.case import journal
 from sightline.case.journal import Actor, Case, Kind
+from sightline.case.journal import case as journal
 
 NOBODY = 65534  # root may write anywhere
 LEAPS_S = (-86_400.0, -3_600.0, -60.0, -0.001, 0.0, 60.0, 86_400.0)

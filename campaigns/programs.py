@@ -25,8 +25,9 @@ import numpy as np
 from campaigns.person import Clicks
 from campaigns.points import World
 from sightline import atomic, twin
-from sightline.case import acquire_folder, entry
-from sightline.case.journal import JOURNAL, Actor, Case, Kind
+from sightline.case import acquire_folder
+from sightline.case.journal import Actor, Case, Entry, Kind
+from sightline.case.journal.case import JOURNAL
 from sightline.cli import commands, demo
 from sightline.cli.output import Output
 from sightline.detection.files import write_observations
@@ -411,7 +412,7 @@ class Journal:
         return "" if len(held) == len(set(held)) >= IMAGES else f"{len(held)} entries of {IMAGES} images"
 
 
-def _shortly(one: entry.Entry) -> str:
+def _shortly(one: Entry) -> str:
     return str(one.content.get("original", one.chain))[:12]
 
 

@@ -11,7 +11,7 @@ from sightline.bounded import read_bounded, regular_file
 from sightline.case.deidentify import Deidentifier
 from sightline.case.interop.dicom_state import Referred
 from sightline.case.interop.plan_file import PlanFile
-from sightline.case.originals import called
+from sightline.case.journal.originals import called
 from sightline.detection.detections_csv import read_detections
 from sightline.detection.files import read_observations
 from sightline.errors import UnusableInputError

@@ -17,7 +17,7 @@ from sightline.app.decisions import Decisions
 from sightline.app.procedure import Procedure
 from sightline.app.seen import SeenImage
 from sightline.app.workshop import Workshop
-from sightline.case.entry import Actor
+from sightline.case.journal import Actor
 from sightline.case.views import NAMES
 from sightline.errors import UnusableInputError
 from sightline.imaging import Radiograph, taken_at, write_dicom, write_png

@@ -13,7 +13,7 @@ from sightline.app.seen import SeenImage, entry_of
 from sightline.app.steps import Standing, steps
 from sightline.app.workshop import Workshop
 from sightline.case import stages
-from sightline.case.entry import Actor, Kind
+from sightline.case.journal import Actor, Kind
 from sightline.case.recompute import Outcome, replay
 from sightline.case.views import NAMES, calibrated, see_pair
 from sightline.checks import failed

@@ -11,8 +11,9 @@ import sys
 from pathlib import Path
 from random import Random
 
-from sightline.case import entry, journal
 from sightline.case.journal import Actor, Case, Kind
+from sightline.case.journal import case as journal
+from sightline.case.journal.entry import versions
 
 EVENTS = ("open", "os.rename", "os.chmod", "os.remove", "os.mkdir")  # audit events of the operations that matter
 
@@ -40,7 +41,7 @@ def say(*words: object) -> None:
 
 
 def main(folder: Path, seed: int, steps: int | None) -> None:
-    entry.versions()  # slow once, and no part of what is killed
+    versions()  # slow once, and no part of what is killed
     fuse, rng = Fuse(steps), Random(seed)  # noqa: S311 - no secret
     connect = journal.connect
 

@@ -11,8 +11,7 @@ from pydicom import dcmread
 from sightline.case import stages
 from sightline.case.acquire import Acquirer, news_of
 from sightline.case.acquire_robot import PoseNow
-from sightline.case.entry import Kind
-from sightline.case.journal import Actor, Case
+from sightline.case.journal import Actor, Case, Kind
 from sightline.case.recompute import replay
 from sightline.errors import CaseError, ImageError
 from sightline.imaging import Radiograph, write_dicom, write_png
@@ -107,7 +106,7 @@ def test_images_keep_their_order_whatever_the_clock_says(
 ) -> None:
     from datetime import UTC, datetime
 
-    import sightline.case.journal as journal
+    from sightline.case.journal import case as journal
 
     class Clock(datetime):
         hour_now = 12

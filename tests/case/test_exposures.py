@@ -5,8 +5,7 @@ from pathlib import Path
 import pytest
 
 from sightline.case import exposures
-from sightline.case.entry import Entry
-from sightline.case.journal import Actor, Case, Kind
+from sightline.case.journal import Actor, Case, Entry, Kind
 
 
 @pytest.fixture

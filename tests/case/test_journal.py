@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sightline.case import journal
 from sightline.case.canonical import canonical, digest
-from sightline.case.journal import Actor, Case, Kind
+from sightline.case.journal import Actor, Case, Entry, Kind
+from sightline.case.journal import case as journal
 from sightline.errors import CaseError
 
 IMAGE = b"\x00\x01 pixels and a name that stays here"
@@ -24,7 +24,7 @@ def case(tmp_path: Path):
         yield one
 
 
-def note(case: Case, value: object = 1, **more) -> journal.Entry:
+def note(case: Case, value: object = 1, **more) -> Entry:
     return case.record(Kind.CHANGED, {"value": value}, by=Actor.SURGEON, **more)
 
 

@@ -18,8 +18,7 @@ from pathlib import Path
 
 import pytest
 
-from sightline.case import originals
-from sightline.case.journal import Actor, Case, Kind
+from sightline.case.journal import Actor, Case, Kind, originals
 from sightline.errors import CaseError
 
 PROGRAM = Path(__file__).with_name("journal_program.py")

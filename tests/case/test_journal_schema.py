@@ -6,8 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from sightline.case import schema
-from sightline.case.journal import Actor, Case, Kind
+from sightline.case.journal import Actor, Case, Kind, schema
 from sightline.errors import CaseError
 
 GOLDEN = Path(__file__).with_name("journal-schema-0.sql")

@@ -13,8 +13,7 @@ from sightline.app.decisions import Decisions
 from sightline.app.marks import asked_of
 from sightline.case import stages
 from sightline.case.contents import CheckAsked
-from sightline.case.entry import Actor, Kind
-from sightline.case.journal import Case
+from sightline.case.journal import Actor, Case, Kind
 from sightline.case.recompute import Outcome, replay
 from sightline.cli import demo as demo_module
 from sightline.detection.files import read_observations

@@ -16,7 +16,7 @@ from tests.robot.rig import END_MM, IMAGED
 from tests.robot.scripted_robot import ScriptedRobot, serving
 from tests.robot.test_measured import measurements, true_robot
 
-from sightline.case.originals import called
+from sightline.case.journal.originals import called
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "plant_template.py"
 FRAME = {"name": "gamma", "serial": "SN-7", "beads": []}

@@ -13,7 +13,7 @@ from sightline.app.planner import Planned, asked, planned
 from sightline.app.rehearsing import Patient
 from sightline.app.seen import entry_of
 from sightline.app.texts import CHANGED_SINCE_SENT, NO_DEPTH_LIMIT, NO_ROBOT
-from sightline.case.entry import Actor, Kind
+from sightline.case.journal import Actor, Kind
 from sightline.case.stages import record_changed, record_planned
 from sightline.case.views import NAMES
 from sightline.errors import RobotRefusedError, UnusableInputError

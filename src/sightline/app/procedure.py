@@ -25,8 +25,7 @@ from sightline.app.verifying import Verifying
 from sightline.app.workshop import Workshop, warm_up
 from sightline.calibration import BeadView
 from sightline.case import stages
-from sightline.case.entry import Actor, Kind
-from sightline.case.journal import Case
+from sightline.case.journal import Actor, Case, Kind
 from sightline.case.views import NAMES
 from sightline.checks import Check
 from sightline.errors import SightlineError, UnusableInputError

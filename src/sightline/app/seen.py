@@ -11,8 +11,7 @@ from sightline.app.texts import BUG
 from sightline.app.workshop import Workshop
 from sightline.calibration import BeadView
 from sightline.case import stages
-from sightline.case.entry import Actor, Entry
-from sightline.case.journal import Case
+from sightline.case.journal import Actor, Case, Entry
 from sightline.case.views import CalibratedImage, Seen, calibrated, find_beads, known_arm, tell_apart
 from sightline.detection import Detections, Observations
 from sightline.errors import CaseError, SightlineError

@@ -11,7 +11,7 @@ from sightline.app.rehearsing import check_images
 from sightline.app.seen import SeenImage, entry_of
 from sightline.calibration import BeadView
 from sightline.case.contents import CheckAsked
-from sightline.case.entry import Actor, Kind
+from sightline.case.journal import Actor, Kind
 from sightline.case.stages import record_verified
 from sightline.case.views import NAMES
 from sightline.errors import RefusedError, SightlineError, UnusableInputError

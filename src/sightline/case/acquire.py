@@ -6,9 +6,8 @@ from threading import Lock
 from typing import TYPE_CHECKING, Any, Literal
 
 from sightline.atomic import scratch_folder
-from sightline.case import contents, originals
-from sightline.case.entry import Entry, Kind
-from sightline.case.journal import Actor, Case
+from sightline.case import contents
+from sightline.case.journal import Actor, Case, Entry, Kind, originals
 from sightline.errors import CaseError, ImageError, OvertakenError
 from sightline.imaging import frames_in, read_image
 

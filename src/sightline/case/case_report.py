@@ -2,8 +2,7 @@
 
 from sightline.case import exposures
 from sightline.case.drilled import Drilled
-from sightline.case.entry import Entry, Kind
-from sightline.case.journal import Case
+from sightline.case.journal import Case, Entry, Kind
 from sightline.case.recompute import Recomputed
 from sightline.case.report import Report
 from sightline.case.stages import frame_of

@@ -3,9 +3,8 @@
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
-from sightline.case.entry import Entry, Kind
-from sightline.case.journal import Case
-from sightline.case.originals import short
+from sightline.case.journal import Case, Entry, Kind
+from sightline.case.journal.originals import short
 from sightline.case.stages import acquired_of
 from sightline.case.views import CalibratedImage
 

@@ -11,9 +11,9 @@ from sightline.case import contents
 from sightline.case.canonical import canonical, digest, plain
 from sightline.case.compare_json import Difference, differences, largest
 from sightline.case.contents import Asked, CheckAsked, Pair
-from sightline.case.entry import Entry, Kind, versions
-from sightline.case.journal import Case
-from sightline.case.originals import short
+from sightline.case.journal import Case, Entry, Kind
+from sightline.case.journal.entry import versions
+from sightline.case.journal.originals import short
 from sightline.case.stages import TABLE, frame_of, image_of
 from sightline.case.stated_error import beyond_stated
 from sightline.case.views import CalibratedImage, Seen, calibrated, tell_apart

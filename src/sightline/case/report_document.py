@@ -10,8 +10,8 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from sightline.case.canonical import canonical
 from sightline.case.documents import check_document, view_document
-from sightline.case.entry import versions
 from sightline.case.exposures import NOTE
+from sightline.case.journal.entry import versions
 from sightline.case.report import Report
 from sightline.planning.results import State
 

@@ -7,8 +7,7 @@ from typing import Any
 from sightline.bounded import read_bounded
 from sightline.case import contents
 from sightline.case.contents import Asked, CheckAsked
-from sightline.case.entry import Entry, Kind
-from sightline.case.journal import Actor, Case
+from sightline.case.journal import Actor, Case, Entry, Kind
 from sightline.case.views import CalibratedImage
 from sightline.detection import Detections, Observations
 from sightline.errors import CaseError

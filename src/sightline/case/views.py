@@ -9,7 +9,7 @@ import numpy as np
 
 from sightline.calibration import BeadView, CArm, calibrate
 from sightline.calibration.fit import Method
-from sightline.case.originals import called
+from sightline.case.journal.originals import called
 from sightline.detection import Detections, Observations, detect, is_inverted, label, look_again
 from sightline.detection.causes import cause_of
 from sightline.detection.detections_csv import are_detections, label_csv

@@ -119,7 +119,7 @@ def see(
     Raises what reading and labelling raise.
     """
     from sightline.case import views
-    from sightline.case.originals import called
+    from sightline.case.journal.originals import called
     from sightline.detection.detections_csv import are_detections, label_csv
     from sightline.errors import UnusableInputError
 

@@ -9,7 +9,7 @@ from sightline.checks import Check
 from sightline.cli.output import Json, Output, Quiet
 
 if TYPE_CHECKING:
-    from sightline.case.entry import Entry
+    from sightline.case.journal import Entry
     from sightline.case.recompute import Replayed
 
 Folder = Annotated[Path, typer.Argument(metavar="DIR", help="The folder of the case.")]
@@ -107,8 +107,8 @@ def report(
 
 def _checked(folder: Path) -> tuple[dict[str, Any], tuple[Check, ...]]:
     """A file too damaged to be opened is a case that is not whole, not an argument that cannot be used."""
-    from sightline.case.database import is_damage
     from sightline.case.journal import Case
+    from sightline.case.journal.database import is_damage
     from sightline.errors import CaseError
 
     try:

@@ -10,8 +10,7 @@ if TYPE_CHECKING:
 
     from sightline.case.contents import Asked
     from sightline.case.drilled import Drilled
-    from sightline.case.entry import Entry
-    from sightline.case.journal import Case
+    from sightline.case.journal import Case, Entry
     from sightline.case.views import CalibratedImage
     from sightline.cli.demo_robot import Checked
     from sightline.planning import Plan
@@ -36,8 +35,7 @@ class Kept:
 def record(folder: Path, kept: Kept) -> None:
     """Make the case in a folder."""
     from sightline.case import stages
-    from sightline.case.entry import Actor, Kind
-    from sightline.case.journal import Case
+    from sightline.case.journal import Actor, Case, Kind
     from sightline.case.views import NAMES
 
     rehearsal, by = kept.rehearsal, Actor.DEMO
@@ -65,7 +63,7 @@ def _record_check(case: "Case", plan: "Entry", checked: "Checked", frame_ref: st
     """Both images of the check shot and what it says, if they could be calibrated."""
     from sightline.atomic import scratch_folder
     from sightline.case import stages
-    from sightline.case.entry import Actor
+    from sightline.case.journal import Actor
     from sightline.imaging import write_dicom
 
     by, entries = Actor.DEMO, []

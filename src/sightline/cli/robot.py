@@ -158,7 +158,7 @@ def register_image(
     with Output(json=json, quiet=quiet) as out:
         import time
 
-        from sightline.case.originals import called
+        from sightline.case.journal.originals import called
         from sightline.errors import RobotRefusedError
         from sightline.imaging import read_image
         from sightline.robot.kinematics.measured import RobotFile

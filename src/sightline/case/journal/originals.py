@@ -10,7 +10,7 @@ from threading import get_ident
 from sightline.atomic import sync_folder
 from sightline.bounded import regular_file
 from sightline.case.canonical import digest
-from sightline.case.entry import ORIGINAL, SUFFIXES
+from sightline.case.journal.entry import ORIGINAL, SUFFIXES
 from sightline.errors import CaseError
 from sightline.imaging import suffix_of
 

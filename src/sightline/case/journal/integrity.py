@@ -6,9 +6,9 @@ from pathlib import Path
 from typing import Any
 
 from sightline.case.canonical import digest
-from sightline.case.entry import link, originals_in
-from sightline.case.originals import is_whole
-from sightline.case.rows import HEAD, entry_of_row, first_link, head_of_row
+from sightline.case.journal.entry import link, originals_in
+from sightline.case.journal.originals import is_whole
+from sightline.case.journal.rows import HEAD, entry_of_row, first_link, head_of_row
 from sightline.checks import Check
 from sightline.errors import CaseError
 

@@ -6,7 +6,7 @@ from datetime import datetime
 from typing import Any
 
 from sightline.case.canonical import digest
-from sightline.case.entry import Actor, Entry, Kind
+from sightline.case.journal.entry import Actor, Entry, Kind
 from sightline.errors import CaseError
 
 # What the chain holds of an entry, in the order of the table's columns; then come `content` and `chain`.

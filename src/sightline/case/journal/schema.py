@@ -6,9 +6,9 @@ from pathlib import Path
 
 from sightline.atomic import sync_folder
 from sightline.case.canonical import digest
-from sightline.case.database import connect, transaction
-from sightline.case.entry import link
-from sightline.case.rows import HEAD, first_link, head_of_row
+from sightline.case.journal.database import connect, transaction
+from sightline.case.journal.entry import link
+from sightline.case.journal.rows import HEAD, first_link, head_of_row
 from sightline.errors import CaseError
 
 APPLICATION = 0x51674C6E  # "QgLn": tells a case from other SQLite files

@@ -10,12 +10,12 @@ from threading import RLock
 from typing import Any, TypeVar
 
 from sightline.atomic import scratch_folder, sync_folder
-from sightline.case import originals, schema
 from sightline.case.canonical import canonical, digest
-from sightline.case.database import connect, in_memory, log_ahead, said, transaction
-from sightline.case.entry import Actor, Entry, Kind, link, originals_in, versions
-from sightline.case.integrity import check_case
-from sightline.case.rows import HEAD, entry_of_row, first_link, head_of_row
+from sightline.case.journal import originals, schema
+from sightline.case.journal.database import connect, in_memory, log_ahead, said, transaction
+from sightline.case.journal.entry import Actor, Entry, Kind, link, originals_in, versions
+from sightline.case.journal.integrity import check_case
+from sightline.case.journal.rows import HEAD, entry_of_row, first_link, head_of_row
 from sightline.checks import Check, failed
 from sightline.closing import Closing
 from sightline.errors import CaseError, OvertakenError
