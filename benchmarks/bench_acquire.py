@@ -20,7 +20,7 @@ from pynetdicom.association import Association
 
 from benchmarks.rows import Row
 from sightline.case.acquire import Acquirer
-from sightline.case.acquire_dicom import DicomReceiver, Peer
+from sightline.case.acquire.dicom import DicomReceiver, Peer
 from sightline.case.journal import Case
 from sightline.detection import detect
 from sightline.imaging import Radiograph, write_dicom

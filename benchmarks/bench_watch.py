@@ -22,9 +22,10 @@ import sightline as sl
 from benchmarks.parallel import in_parallel
 from benchmarks.rows import Row
 from sightline.calibration.displacement import Rest
-from sightline.case.watch import REST_FRAMES, Eye, Watch
-from sightline.case.watch_alarm import HOUR, PROMISED_MM, Alarm
-from sightline.case.watch_follow import Follower
+from sightline.case.watch.alarm import HOUR, PROMISED_MM, Alarm
+from sightline.case.watch.eye import REST_FRAMES, Eye
+from sightline.case.watch.follow import Follower
+from sightline.case.watch.live import Watch
 from sightline.detection import Observations
 from sightline.planning.residuals import Residuals
 from sightline.rehearsal.stream import Shot, Stream, shifted

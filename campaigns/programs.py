@@ -25,7 +25,7 @@ import numpy as np
 from campaigns.person import Clicks
 from campaigns.points import World
 from sightline import atomic, twin
-from sightline.case import acquire_folder
+from sightline.case.acquire import folder as acquire_folder
 from sightline.case.journal import Actor, Case, Entry, Kind
 from sightline.case.journal.case import JOURNAL
 from sightline.cli import commands, demo

@@ -15,7 +15,7 @@ from sightline.app.decisions import Decisions
 from sightline.app.live import Live
 from sightline.app.planner import planned
 from sightline.app.robot_session import RobotNow, RobotSession
-from sightline.case import watch
+from sightline.case.watch import live as watch
 from sightline.errors import LinkError, SightlineError
 
 VIEWS: Any = (stand_in("pa", 0.4, 0.3), stand_in("lateral", -0.2, 0.3))

@@ -14,7 +14,7 @@ from sightline.app.steps import Standing, steps
 from sightline.app.workshop import Workshop
 from sightline.case import stages
 from sightline.case.journal import Actor, Kind
-from sightline.case.recompute import Outcome, replay
+from sightline.case.replay import Outcome, replay
 from sightline.case.views import NAMES, calibrated, see_pair
 from sightline.checks import failed
 from sightline.detection import Observations

@@ -15,7 +15,7 @@ from tests.app.hands import LANDMARKS, PATIENCE_MS, SEED, Hands, rehearsal, trut
 from sightline.app.decisions import Decisions
 from sightline.app.texts import STEPS, XRAY
 from sightline.case.journal import Case, Kind
-from sightline.case.recompute import Outcome, replay
+from sightline.case.replay import Outcome, replay
 from sightline.case.views import NAMES
 from sightline.imaging import write_dicom
 from sightline.robot.control.states import State

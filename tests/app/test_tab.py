@@ -28,7 +28,7 @@ from sightline.app.texts import STEPS
 from sightline.app.workshop import Workshop
 from sightline.app.xray import Picture, Window, XrayView
 from sightline.case.views import NAMES
-from sightline.case.watch import STALE_S
+from sightline.case.watch.eye import STALE_S
 from sightline.errors import UnusableInputError
 
 SIZE = 4096

@@ -10,9 +10,9 @@ from pydicom import dcmread
 
 from sightline.case import stages
 from sightline.case.acquire import Acquirer, news_of
-from sightline.case.acquire_robot import PoseNow
+from sightline.case.acquire.robot import PoseNow
 from sightline.case.journal import Actor, Case, Kind
-from sightline.case.recompute import replay
+from sightline.case.replay import replay
 from sightline.errors import CaseError, ImageError
 from sightline.imaging import Radiograph, write_dicom, write_png
 
@@ -57,7 +57,7 @@ def test_two_programs_that_take_the_same_images_at_once_enter_each_once(
     case: Case, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The other program takes the image while this one has looked back and not yet recorded: the worst moment."""
-    from sightline.case import acquire
+    from sightline.case.acquire import acquirer as acquire
 
     data = [write_png(image(seed), tmp_path / f"{seed}.png").read_bytes() for seed in range(3)]
     looked_at, others = acquire._looked_at, []

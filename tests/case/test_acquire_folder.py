@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from sightline.case.acquire import Acquirer, News
-from sightline.case.acquire_folder import GIVE_UP_S, SETTLED_S, Folder
+from sightline.case.acquire.folder import GIVE_UP_S, SETTLED_S, Folder
 from sightline.case.journal import Case
 from sightline.errors import CaseError, UnusableInputError
 from sightline.imaging import Radiograph, write_dicom, write_png

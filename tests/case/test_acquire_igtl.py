@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from sightline.case.acquire import Acquirer
-from sightline.case.acquire_frames import take_frames
-from sightline.case.acquire_igtl import ImageLink, radiograph_of
-from sightline.case.acquire_robot import PoseNow, RobotWatch
+from sightline.case.acquire.frames import take_frames
+from sightline.case.acquire.igtl import ImageLink, radiograph_of
+from sightline.case.acquire.robot import PoseNow, RobotWatch
 from sightline.case.journal import Case
 from sightline.case.stages import image_of
 from sightline.errors import ImageError, LinkError, RobotRefusedError, SourceError
@@ -149,8 +149,8 @@ def case(tmp_path) -> Iterator[Case]:
 
 
 def test_the_robots_pose_comes_with_the_image_and_a_stale_one_does_not(case: Case, monkeypatch) -> None:
-    monkeypatch.setattr("sightline.case.acquire_robot.RobotClient", Robot)
-    monkeypatch.setattr("sightline.case.acquire_robot._AGAIN_S", 60.0)
+    monkeypatch.setattr("sightline.case.acquire.robot.RobotClient", Robot)
+    monkeypatch.setattr("sightline.case.acquire.robot._AGAIN_S", 60.0)
     with RobotWatch("127.0.0.1", 1) as watch:
         while (fresh := watch.now()).joints is None:
             time.sleep(0.005)

@@ -6,7 +6,7 @@ import pytest
 
 from sightline.case import case_report
 from sightline.case.journal import Actor, Case, Kind
-from sightline.case.recompute import Recomputed
+from sightline.case.replay import Recomputed
 
 
 def test_a_check_shot_of_an_earlier_version_is_left_out(tmp_path: Path) -> None:

@@ -11,9 +11,10 @@ from tests.detection.track_images import FRAME, SIZE, beads, image
 
 from sightline.calibration import BeadView, calibrate
 from sightline.calibration.displacement import Displacement
-from sightline.case.watch import REST_FRAMES, Eye, Watch, Watched, aged
-from sightline.case.watch_alarm import FOUND, HOUR, PROMISED_MM, Alarm, limit_mm, quantiles
-from sightline.case.watch_follow import State
+from sightline.case.watch.alarm import FOUND, HOUR, PROMISED_MM, Alarm, limit_mm, quantiles
+from sightline.case.watch.eye import REST_FRAMES, Eye, Watched, aged
+from sightline.case.watch.follow import State
+from sightline.case.watch.live import Watch
 from sightline.detection import Observations
 from sightline.errors import SourceError, UnusableInputError
 from sightline.imaging import Radiograph

@@ -154,14 +154,14 @@ def test_one_image_of_an_openigtlink_peer_is_taken_and_a_stale_pose_is_refused(
     import socket
     from threading import Thread
 
-    from sightline.case import acquire_robot
+    from sightline.case.acquire import robot
     from sightline.robot.igtl import Image, Message, encode
 
-    def silent(*_: object, **__: object) -> acquire_robot.PoseNow:
-        return acquire_robot.PoseNow((1.0,) * 5, 9.0)
+    def silent(*_: object, **__: object) -> robot.PoseNow:
+        return robot.PoseNow((1.0,) * 5, 9.0)
 
-    monkeypatch.setattr(acquire_robot.RobotWatch, "__enter__", lambda self: self)
-    monkeypatch.setattr(acquire_robot.RobotWatch, "now", silent)
+    monkeypatch.setattr(robot.RobotWatch, "__enter__", lambda self: self)
+    monkeypatch.setattr(robot.RobotWatch, "now", silent)
     server = socket.create_server(("127.0.0.1", 0))
 
     def serve() -> None:

@@ -9,10 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sightline.case import recompute, stages
+from sightline.case import stages
+from sightline.case.canonical import canonical, digest
 from sightline.case.contents import Asked
 from sightline.case.journal import Actor, Case, Kind
-from sightline.case.recompute import Recomputed
+from sightline.case.replay import Recomputed, replay
 from sightline.case.views import NAMES, calibrate_pair, see_pair
 from sightline.errors import CaseError
 from sightline.estimator import ESTIMATOR
@@ -141,7 +142,7 @@ def test_a_view_held_against_its_c_arm_and_earlier_ones_is_computed_again_so(fra
         later = stages.record_calibrated(case, labelled, again, by=Actor.RECEIVER, before=[first.number])
         names = [check["name"] for check in later.content["checks"]]
         assert names[-2:] == ["source distance", "focal length before"]
-        assert all(one.outcome == "same to the bit" for one in recompute.replay(case))
+        assert all(one.outcome == "same to the bit" for one in replay(case))
 
 
 def test_an_edited_entry_is_refused_with_the_reason(run, copied: Path) -> None:
@@ -174,9 +175,9 @@ def forged(folder: Path, number: int, change, versions: dict[str, str] | None = 
         entry = case.entry(number)
     content = entry.content
     change(content)
-    text = recompute.canonical(content)
-    stated = recompute.canonical(versions or entry.versions)
-    values = (text, recompute.digest(text), stated, number)
+    text = canonical(content)
+    stated = canonical(versions or entry.versions)
+    values = (text, digest(text), stated, number)
     edit(folder, "UPDATE entries SET content = ?, content_sha256 = ?, versions = ? WHERE number = ?", values)
 
 

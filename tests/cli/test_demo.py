@@ -14,7 +14,7 @@ from sightline.app.marks import asked_of
 from sightline.case import stages
 from sightline.case.contents import CheckAsked
 from sightline.case.journal import Actor, Case, Kind
-from sightline.case.recompute import Outcome, replay
+from sightline.case.replay import Outcome, replay
 from sightline.cli import demo as demo_module
 from sightline.detection.files import read_observations
 from sightline.errors import CaseError

@@ -5,8 +5,8 @@ import time
 import numpy as np
 import pytest
 
-from sightline.case.watch import REST_FRAMES, Eye
-from sightline.case.watch_follow import State
+from sightline.case.watch.eye import REST_FRAMES, Eye
+from sightline.case.watch.follow import State
 from sightline.frame import Frame
 from sightline.rehearsal.stream import BUMP_MM, Shot, Stream
 

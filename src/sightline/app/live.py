@@ -10,7 +10,8 @@ from sightline.frame import Frame
 
 if TYPE_CHECKING:
     from sightline.app.procedure import Procedure
-    from sightline.case.watch import Shown, Watch, Watched
+    from sightline.case.watch.eye import Shown, Watched
+    from sightline.case.watch.live import Watch
 
 LATE_S = 0.2  # word of a fresh image is sent every 0.1 s; so much and as much again on the way is not late [ours]
 EVERY = 3  # of 30 images a second one in three is worked on: the page needs the cores too [ours]
@@ -27,7 +28,7 @@ class Live:
     async def start(self, source: str | None) -> None:
         """Watch a source by its name, or without one the rehearsed patient's C-arm: against the plan that was sent and
         the views that it was made in, or the one that is shown. Raises SightlineError."""
-        from sightline.case.watch import Watch
+        from sightline.case.watch.live import Watch
 
         if self._starting:
             raise UnusableInputError("the live image is being started already; wait for it")
@@ -58,7 +59,7 @@ class Live:
 
 def fresh_s(watched: "Watched") -> float:
     """For how long a page may take an image for what is now, without another word of it."""
-    from sightline.case.watch import STALE_S
+    from sightline.case.watch.eye import STALE_S
 
     return 0.0 if watched.stale else STALE_S - watched.age_s + LATE_S
 
@@ -82,7 +83,7 @@ class _Thinned:
 
 
 def _opened(source: str | None, patient: Patient | None) -> "Iterable[Shown]":
-    from sightline.case.watch_sources import open_source
+    from sightline.case.watch.sources import open_source
     from sightline.rehearsal.stream import Stream
 
     if source is not None:

@@ -8,10 +8,10 @@ from sightline.app import texts
 from sightline.app.section import Section, action, heading, note
 from sightline.app.tab import Tab
 from sightline.app.texts import STALE
-from sightline.case.watch_alarm import BLIND_TO
+from sightline.case.watch.alarm import BLIND_TO
 
 if TYPE_CHECKING:
-    from sightline.case.watch import Watched
+    from sightline.case.watch.eye import Watched
 
 _LOOK_S = 0.1  # half of what makes an image old; word of it to the browser each time (live.LATE_S)
 

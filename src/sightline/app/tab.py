@@ -26,7 +26,7 @@ from sightline.errors import SightlineError
 from sightline.planning import MatchingCurve
 
 if TYPE_CHECKING:
-    from sightline.case.watch import Watched
+    from sightline.case.watch.eye import Watched
 
 _STYLES = {"wire": "plan", "landmark": "landmark", "aid": "aid"}
 

@@ -3,7 +3,7 @@
 from sightline.case import exposures
 from sightline.case.drilled import Drilled
 from sightline.case.journal import Case, Entry, Kind
-from sightline.case.recompute import Recomputed
+from sightline.case.replay import Recomputed
 from sightline.case.report import Report
 from sightline.case.stages import frame_of
 from sightline.errors import CaseError

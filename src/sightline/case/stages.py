@@ -1,4 +1,4 @@
-"""The stages of a procedure as entries of a case, each resting on those before: what `recompute` can do again."""
+"""The stages of a procedure as entries of a case, each resting on those before: what `replay` computes again."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path

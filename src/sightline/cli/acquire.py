@@ -13,7 +13,7 @@ from sightline.cli.output import Json, Output, Quiet
 
 if TYPE_CHECKING:
     from sightline.case.acquire import Acquirer, News
-    from sightline.case.acquire_robot import RobotWatch
+    from sightline.case.acquire.robot import RobotWatch
     from sightline.case.journal import Case
     from sightline.imaging import Source
 
@@ -52,7 +52,7 @@ def folder(
     if robot and not watch:
         raise typer.BadParameter("goes with --watch: images that lie there already are older", param_hint="--robot")
     with Output(json=json, quiet=quiet) as out:
-        from sightline.case.acquire_folder import SCAN_S, Folder, check_folder
+        from sightline.case.acquire.folder import SCAN_S, Folder, check_folder
 
         check_folder(source)
         with _into(case, out, robot) as desk:
@@ -80,7 +80,7 @@ def dicom(
 ) -> None:
     """Receive images by DICOM C-STORE into a case until Ctrl-C; each is on the disk before it is answered."""
     with Output(json=json, quiet=quiet) as out:
-        from sightline.case.acquire_dicom import DicomReceiver, Peer
+        from sightline.case.acquire.dicom import DicomReceiver, Peer
 
         peers = [Peer.parse(text) for text in peer]
         # The port first: where it cannot be had, no case is made.
@@ -137,7 +137,7 @@ def igtl(
 ) -> None:
     """Take one image of an OpenIGTLink peer (3D Slicer, PLUS) into a case, or the mean of several."""
     with Output(json=json, quiet=quiet) as out:
-        from sightline.case.acquire_igtl import ImageLink
+        from sightline.case.acquire.igtl import ImageLink
         from sightline.cli.robot import parse_address
 
         host, port = parse_address(address)
@@ -162,7 +162,7 @@ def _take(
     from dataclasses import replace
 
     from sightline.case.acquire import news_of
-    from sightline.case.acquire_frames import take_frames
+    from sightline.case.acquire.frames import take_frames
     from sightline.errors import SourceError
 
     with ExitStack() as stack:
@@ -266,7 +266,7 @@ def _into(folder: Path, out: Output, robot: str | None = None) -> Iterator[_Desk
 
 
 def _robot(address: str) -> "RobotWatch":
-    from sightline.case.acquire_robot import RobotWatch
+    from sightline.case.acquire.robot import RobotWatch
     from sightline.cli.robot import parse_address
 
     return RobotWatch(*parse_address(address))

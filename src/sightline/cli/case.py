@@ -10,7 +10,7 @@ from sightline.cli.output import Json, Output, Quiet
 
 if TYPE_CHECKING:
     from sightline.case.journal import Entry
-    from sightline.case.recompute import Replayed
+    from sightline.case.replay import Replayed
 
 Folder = Annotated[Path, typer.Argument(metavar="DIR", help="The folder of the case.")]
 _SHOWN = 3  # differences of an entry, for people
@@ -38,8 +38,8 @@ def replay(folder: Folder, *, json: Json = False, quiet: Quiet = False) -> None:
     """Compute every entry again from the originals: the same to the bit, or what differs (exit code 3)."""
     with Output(json=json, quiet=quiet) as output:
         from sightline.case.journal import Case
-        from sightline.case.recompute import judge
-        from sightline.case.recompute import replay as computed_again
+        from sightline.case.replay import judge
+        from sightline.case.replay import replay as computed_again
 
         with Case.open(folder, read_only=True) as case:
             found, problems, number = [], case.problems, case.number
@@ -131,7 +131,7 @@ def _row(one: "Replayed") -> tuple[str, str, str]:
 
 
 def _document(one: "Replayed") -> dict[str, Any]:
-    from sightline.case.compare_json import largest
+    from sightline.case.replay import largest
 
     return {
         "entry": one.entry.number,

@@ -11,7 +11,8 @@ from sightline.cli.output import Json, Output, Quiet
 
 if TYPE_CHECKING:
     from sightline.calibration import BeadView
-    from sightline.case.watch import Shown, Watch, Watched
+    from sightline.case.watch.eye import Shown, Watched
+    from sightline.case.watch.live import Watch
     from sightline.frame import Frame
     from sightline.planning import Trajectory
 
@@ -50,8 +51,8 @@ def watch(
     With --json every frame is a line of its own, and the last line says how it went.
     """
     with Output(json=json, quiet=quiet) as out:
-        from sightline.case.watch import Watch
-        from sightline.case.watch_alarm import BLIND_TO
+        from sightline.case.watch.alarm import BLIND_TO
+        from sightline.case.watch.live import Watch
         from sightline.frame import Frame
 
         known = Frame.load(frame)
@@ -69,7 +70,7 @@ def _opened(
     source: str | None, seed: int | None, frame: "Frame", out: Output
 ) -> "tuple[Iterable[Shown], Trajectory | None]":
     """The source, and the wire of a simulated one. Raises UnusableInputError."""
-    from sightline.case.watch_sources import open_source
+    from sightline.case.watch.sources import open_source
     from sightline.errors import UnusableInputError
 
     if (source is None) == (seed is None):
@@ -184,7 +185,7 @@ def _summary(said: "list[Watched]", watching: "Watch") -> dict[str, Any]:
     """How it went. Raises CalibrationRefusedError where no frame gave a view."""
     from statistics import median
 
-    from sightline.case.watch_follow import State
+    from sightline.case.watch.follow import State
     from sightline.errors import CalibrationRefusedError
 
     states = Counter(watched.state for watched in said)

@@ -12,7 +12,7 @@ from sightline.errors import CaseError, ImageError, OvertakenError
 from sightline.imaging import frames_in, read_image
 
 if TYPE_CHECKING:
-    from sightline.case.acquire_robot import PoseNow
+    from sightline.case.acquire.robot import PoseNow
 
 
 @dataclass(frozen=True)

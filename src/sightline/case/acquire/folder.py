@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from sightline.bounded import regular_file
-from sightline.case.acquire import Acquirer, News, Tell, news_of
+from sightline.case.acquire.acquirer import Acquirer, News, Tell, news_of
 from sightline.errors import CaseError, ImageError, UnusableInputError
 from sightline.imaging import suffix_of
 from sightline.imaging.limits import MAX_FILE_BYTES

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 
 from sightline.atomic import scratch_folder
-from sightline.case.acquire import Acquirer, Taken
-from sightline.case.acquire_robot import PoseNow
+from sightline.case.acquire.acquirer import Acquirer, Taken
+from sightline.case.acquire.robot import PoseNow
 from sightline.errors import MovedRefusedError
 from sightline.imaging import Frame, Radiograph, write_png
 from sightline.imaging.average import average

@@ -1,21 +1,19 @@
-"""A live image watched: each frame calibrated, the plan drawn into it, and an alarm where frame or C-arm move."""
+"""One live image after another: calibrated, with the plan drawn into it and movements told."""
 
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from threading import Condition, Thread
-from typing import Protocol, Self
+from typing import Protocol
 
 import numpy as np
 
 from sightline.calibration import BeadView
 from sightline.calibration.displacement import Rest
 from sightline.calibration.joint import JointFit
-from sightline.case.watch_alarm import Alarm, Movement
-from sightline.case.watch_follow import Followed, Follower, State
-from sightline.closing import Closing
+from sightline.case.watch.alarm import Alarm, Movement
+from sightline.case.watch.follow import Followed, Follower, State
 from sightline.detection import Observations
-from sightline.errors import CalibrationRefusedError, OutsideRegionError, SightlineError, UnusableInputError
+from sightline.errors import CalibrationRefusedError, OutsideRegionError, UnusableInputError
 from sightline.frame import Frame
 from sightline.geometry.covariance import ellipsoid_factor
 from sightline.imaging import Radiograph
@@ -25,7 +23,6 @@ from sightline.planning.trajectory import Trajectory
 
 STALE_S = 0.2  # an older image is not what is: nothing is drawn into it
 REST_FRAMES = 16  # half a second: their mean is where the beads are at rest [ours]
-_END_S = 5.0  # what the frame that is being worked on may take, and then some
 _WITHIN_95 = ellipsoid_factor(0.95, 2)  # standard deviations of the worse direction: a bound on the safe side
 _ORIGIN_MM = np.zeros((1, 3))  # where the hip's centre should lie (docs/conventions.md): the target without a plan
 
@@ -172,145 +169,6 @@ class Eye:
             return corridor(view, self._trajectory), error
         except OutsideRegionError:
             return None, error
-
-
-class Watch(Closing):
-    """Two threads while it is entered or started: one takes frames from the source, one works on the newest.
-
-    `plan`: the trajectory to draw. `references`: views calibrated at planning, against which movements are told while
-    the C-arm stands as it stood then; without one of the view that is seen, the first half second is the place of rest.
-    Raises UnusableInputError where a reference is of another frame or not of the smooth method.
-    """
-
-    def __init__(
-        self,
-        frame: Frame,
-        source: Iterable[Shown],
-        plan: Trajectory | None = None,
-        references: Sequence[BeadView] = (),
-    ) -> None:
-        if any(view.frame_key != frame.fingerprint for view in references):
-            raise UnusableInputError(
-                "a view of planning is of another frame; watch with the frame that was planned with"
-            )
-        self._source = source
-        self._eye = Eye(frame, plan, references)
-        self._worker = Thread(target=self._work, name="watch: work", daemon=True)
-        self._changed = Condition()
-        self._waiting: tuple[Shown, float] | None = None  # and when it came
-        self._came = self._taken = 0
-        self._newest: Watched | None = None
-        self._over = self._closing = self._at_rest = self._ended = False
-        self._error: Exception | None = None
-
-    def __enter__(self) -> Self:
-        self.start()
-        return self
-
-    def start(self) -> None:
-        """Begin."""
-        Thread(target=self._read, name="watch: source", daemon=True).start()  # a driver may hang: it is left behind
-        self._worker.start()
-
-    def close(self) -> None:
-        """End, and let go of the source."""
-        with self._changed:
-            self._closing = True
-            self._changed.notify_all()
-        if self._worker.is_alive():
-            self._worker.join(_END_S)
-        close = getattr(self._source, "close", None)
-        if close is not None:
-            close()
-
-    def rest(self) -> None:
-        """A person has looked: where frame and C-arm are now is where they are at rest. The alarm goes off."""
-        with self._changed:
-            self._at_rest = True
-
-    @property
-    def ended(self) -> bool:
-        """Whether no frame will be worked on any more."""
-        with self._changed:
-            return self._ended
-
-    @property
-    def error(self) -> Exception | None:
-        """What ended it before the source did."""
-        with self._changed:
-            return self._error
-
-    @property
-    def fault(self) -> str | None:
-        """The same for people."""
-        error = self.error
-        if error is None:
-            return None
-        return str(error) if isinstance(error, SightlineError) else f"a bug in Sightline ({type(error).__name__})"
-
-    def latest(self) -> Watched | None:
-        """The newest frame that was worked on, and how old it is by now; None before the first."""
-        with self._changed:
-            newest = self._newest
-        return None if newest is None else aged(newest, time.monotonic())
-
-    def next(self, after: int, timeout_s: float) -> Watched | None:
-        """The first that is newer than frame number `after`; None where none came in time."""
-        with self._changed:
-            self._changed.wait_for(lambda: self._is_newer(after) or self._ended, timeout_s)
-            newest = self._newest if self._is_newer(after) else None
-        return None if newest is None else aged(newest, time.monotonic())
-
-    def _is_newer(self, after: int) -> bool:
-        return self._newest is not None and self._newest.number > after
-
-    def _read(self) -> None:
-        try:
-            for shown in self._source:
-                with self._changed:
-                    if self._closing:
-                        return
-                    self._waiting = shown, time.monotonic()  # what waited is dropped: the newest counts
-                    self._came += 1
-                    self._changed.notify_all()
-        except Exception as error:  # a thread's error is told to whoever asks
-            self._fail(error)
-        finally:
-            with self._changed:
-                self._over = True
-                self._changed.notify_all()
-
-    def _work(self) -> None:
-        try:
-            while (job := self._next_job()) is not None:
-                watched = self._eye.look(*job)
-                with self._changed:
-                    self._newest = watched
-                    self._changed.notify_all()
-        except Exception as error:
-            self._fail(error)
-        finally:
-            with self._changed:
-                self._ended = True
-                self._changed.notify_all()
-
-    def _next_job(self) -> tuple[Shown, float, int, int] | None:
-        """The newest frame, when it came, its number, and how many were dropped; None at the end."""
-        with self._changed:
-            self._changed.wait_for(lambda: self._waiting is not None or self._closing or self._over)
-            if self._closing or self._waiting is None:
-                return None
-            (shown, came_s), self._waiting = self._waiting, None
-            self._taken += 1
-            if self._at_rest:
-                self._at_rest = False
-                self._eye.rest()
-            return shown, came_s, self._came, self._came - self._taken
-
-    def _fail(self, error: Exception) -> None:
-        with self._changed:
-            self._error = self._error or error
-            self._changed.notify_all()
 
 
 def aged(watched: Watched, now_s: float) -> Watched:

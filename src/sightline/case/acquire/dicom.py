@@ -35,8 +35,8 @@ from pydicom.uid import (
 from pynetdicom import AE, evt
 from pynetdicom.transport import ThreadedAssociationServer
 
-from sightline.case.acquire import Acquirer, News, Tell, news_of
-from sightline.case.acquire_guard import PDU_BYTES, GuardedSocket, Limits
+from sightline.case.acquire.acquirer import Acquirer, News, Tell, news_of
+from sightline.case.acquire.guard import PDU_BYTES, GuardedSocket, Limits
 from sightline.errors import CaseError, ImageError, LinkError, UnusableInputError
 
 AET = "SIGHTLINE"
