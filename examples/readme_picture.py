@@ -12,8 +12,8 @@ import cv2
 import numpy as np
 
 import sightline as sl
-from sightline.case import figure_image, figure_plan, svg
-from sightline.case.figure_image import Marked
+from sightline.case.report.figures import plan_marks, radiographs, svg
+from sightline.case.report.figures.radiographs import Marked
 from sightline.case.views import NAMES
 from sightline.detection.files import read_observations
 from sightline.planning import Plan, kind, plan
@@ -31,7 +31,7 @@ def picture(folder: Path) -> str:
     ends = [np.array([truth[name][f"{point}_uv_px"] for name in NAMES]) for point in ("entry", "end")]
     made = plan(views, *ends, snapped=True, kind=kind("free-wire"))
     panels = [_panel(folder, k, view, made) for k, view in enumerate(views)]
-    style = (files("sightline.case") / "templates" / "report.css").read_text("utf-8")
+    style = (files("sightline.case.report") / "templates" / "report.css").read_text("utf-8")
     body = svg.element("style", style.replace("</", "<\\/"))
     words = (
         "PA and lateral X-ray image of a femur behind bead plates, with the planned guide wire and its matching curves"
@@ -46,16 +46,16 @@ def _panel(folder: Path, k: int, view: sl.CalibratedView, made: Plan) -> str:
     marks = [Marked(i, (u, v), 10.0, float(size), bool(used)) for i, (u, v), size, used in rows]
     curves = [made.entry_curve, made.end_curve] if k else []
     overlays = [
-        figure_image.beads(marks, float(np.quantile(sizes, 0.95))),
-        *(figure_plan.curve(curve, "PA pick") for curve in curves),
-        figure_plan.wire(view, made.trajectory),
+        radiographs.beads(marks, float(np.quantile(sizes, 0.95))),
+        *(plan_marks.curve(curve, "PA pick") for curve in curves),
+        plan_marks.wire(view, made.trajectory),
     ]
     parts = [_pixels(folder / f"demo_{view.name}.dcm"), *overlays]
     return svg.element("svg", *parts, class_="radiograph", x=k * (SIDE + GAP), width=SIDE, height=SIDE)
 
 
 def _pixels(path: Path) -> str:
-    small = cv2.resize(figure_image.grey(sl.read_image(path)), (SHOWN, SHOWN), interpolation=cv2.INTER_AREA)
+    small = cv2.resize(radiographs.grey(sl.read_image(path)), (SHOWN, SHOWN), interpolation=cv2.INTER_AREA)
     jpeg = cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, 75])[1].tobytes()
     href = "data:image/jpeg;base64," + base64.b64encode(jpeg).decode()
     return svg.element("image", href=href, x=-0.5, y=-0.5, width=SIDE, height=SIDE)

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from sightline.case.comparison import Compared, Truth
-from sightline.case.exposures import PLANNING, of_images
-from sightline.case.report import Report
+from sightline.case.report.comparison import Compared, Truth
+from sightline.case.report.content import Report
+from sightline.case.report.exposures import PLANNING, of_images
 from sightline.case.views import NAMES, Seen, calibrate_pair
 from sightline.detection import Detections, Observations, Rejected
 from sightline.imaging import Radiograph

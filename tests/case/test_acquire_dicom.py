@@ -20,11 +20,11 @@ from pydicom.uid import (
 from pynetdicom import AE
 from pynetdicom.association import Association
 
-from sightline.case import exposures
 from sightline.case.acquire import Acquirer, News
 from sightline.case.acquire.dicom import DicomReceiver, Peer
 from sightline.case.acquire.guard import Limits
 from sightline.case.journal import Actor, Case, Kind
+from sightline.case.report import exposures
 from sightline.errors import CaseError, LinkError, UnusableInputError
 from sightline.imaging import Radiograph, read_image, write_dicom
 

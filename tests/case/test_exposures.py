@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from sightline.case import exposures
 from sightline.case.journal import Actor, Case, Entry, Kind
+from sightline.case.report import exposures
 
 
 @pytest.fixture

@@ -4,7 +4,7 @@ import re
 
 import numpy as np
 
-from sightline.case.figure_force import MOST_POINTS, force_trace
+from sightline.case.report.figures.force import MOST_POINTS, force_trace
 
 
 def points_of(drawing: str) -> np.ndarray:

@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import chi2
 
-from sightline.case import figure_image, figure_plan, figure_space, svg
-from sightline.case.figure_budget import WIDTH, Bar, budget
+from sightline.case.report.figures import plan_marks, radiographs, scene, svg
+from sightline.case.report.figures.budget import WIDTH, Bar, budget
 from sightline.imaging import Radiograph
 
 SPACE = "{http://www.w3.org/2000/svg}"
@@ -33,7 +33,7 @@ def test_grey_spans_the_field_and_is_not_darkened_by_what_is_saturated() -> None
     pixels[16:48, 16:48] = np.linspace(200, 800, 32).astype(np.uint16)
     image = Radiograph(pixels, 4095.0)
     object.__setattr__(image, "field_mask", np.ones((64, 64), bool))
-    shown = figure_image.grey(image)
+    shown = radiographs.grey(image)
     assert shown[0, 0] == 255
     inside = shown[16:48, 16:48]
     assert inside.min() < 10
@@ -42,10 +42,10 @@ def test_grey_spans_the_field_and_is_not_darkened_by_what_is_saturated() -> None
 
 def test_a_bead_that_was_left_out_is_dashed() -> None:
     marks = [
-        figure_image.Marked("a", (1.0, 2.0), 5.0, 0.01, True),
-        figure_image.Marked("b", (3.0, 4.0), 5.0, 0.5, False),
+        radiographs.Marked("a", (1.0, 2.0), 5.0, 0.01, True),
+        radiographs.Marked("b", (3.0, 4.0), 5.0, 0.5, False),
     ]
-    group = ElementTree.fromstring(figure_image.beads(marks, 0.1))  # noqa: S314 - our own markup
+    group = ElementTree.fromstring(radiographs.beads(marks, 0.1))  # noqa: S314 - our own markup
     assert [c.get("stroke-dasharray") for c in group] == [None, "3 3"]
     assert group[0].get("stroke") != group[1].get("stroke")
     assert [c[0].text for c in group] == ["a: residual 0.010 mm", "b: residual 0.500 mm, left out of the fit"]
@@ -62,27 +62,27 @@ def test_the_shares_of_a_budget_fill_the_bar() -> None:
 
 def test_ellipsoids_are_drawn_as_large_as_stated() -> None:
     covariance = np.diag([0.04, 0.09, 0.16])
-    times = figure_space.magnification(covariance[None], 12.0)
+    times = scene.magnification(covariance[None], 12.0)
     reach = np.sqrt(0.16 * chi2.ppf(0.95, 3))
     assert 12.0 / 2.5 < times * reach <= 12.0
     assert times in {1.0, 2.0, 5.0, 10.0, 20.0, 50.0}
-    points = np.vstack([s.xyz_mm for s in figure_space.ellipsoid(np.zeros(3), covariance, times, "")])
+    points = np.vstack([s.xyz_mm for s in scene.ellipsoid(np.zeros(3), covariance, times, "")])
     inside = np.einsum("ij,jk,ik->i", points, np.linalg.inv(covariance), points) / times**2
     np.testing.assert_allclose(inside, chi2.ppf(0.95, 3), rtol=1e-9)
 
 
 def test_what_lies_in_front_is_drawn_inside_the_picture() -> None:
-    shapes = [figure_space.line(np.array([0.0, 0, -600]), np.array([0.0, 0, 300]), "sight")]
-    root = ElementTree.fromstring(figure_space.space(shapes, "a line of sight, and the axes"))  # noqa: S314
+    shapes = [scene.line(np.array([0.0, 0, -600]), np.array([0.0, 0, 300]), "sight")]
+    root = ElementTree.fromstring(scene.space(shapes, "a line of sight, and the axes"))  # noqa: S314
     for line in root.iter(f"{SPACE}polyline"):
         xy = np.array([p.split(",") for p in line.get("points").split()], float)
         assert (xy >= 0).all()
-        assert (xy <= [figure_space.WIDTH, figure_space.HEIGHT]).all()
+        assert (xy <= [scene.WIDTH, scene.HEIGHT]).all()
         assert len(line.get("data-xyz").split(";")) == len(xy)
 
 
 def test_curve_and_wire_pass_the_points_that_they_are_of(report) -> None:
-    curve = ElementTree.fromstring(figure_plan.curve(report.plan.entry_curve, "entry"))  # noqa: S314
+    curve = ElementTree.fromstring(plan_marks.curve(report.plan.entry_curve, "entry"))  # noqa: S314
     line = next(e for e in curve.iter("polyline"))
     xy = np.array([p.split(",") for p in line.get("points").split()], float)
     snapped = report.plan.picks[0][1].uv_px
@@ -90,7 +90,7 @@ def test_curve_and_wire_pass_the_points_that_they_are_of(report) -> None:
     labels = [int(e.text) for e in curve.iter("text")]
     assert labels
     assert all(label % 50 == 0 for label in labels)
-    wire = ElementTree.fromstring(figure_plan.wire(report.images[0].view, report.plan.trajectory))  # noqa: S314
+    wire = ElementTree.fromstring(plan_marks.wire(report.images[0].view, report.plan.trajectory))  # noqa: S314
     ends = np.array([p.split(",") for p in next(wire.iter("polyline")).get("points").split()], float)[[0, -1]]
     picked = np.array([pair[0].uv_px for pair in report.plan.picks])
     np.testing.assert_allclose(ends, picked, atol=3.0)  # the lateral pick draws the point along the PA line, not across

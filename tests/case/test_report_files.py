@@ -7,17 +7,18 @@ from pathlib import Path
 import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
-from sightline.case import report_pdf
-from sightline.case.exposures import NOTE, Exposure
-from sightline.case.report import Report, render
-from sightline.case.report_document import ReportDocument, report_document, schema_text
+from sightline.case.report import pdf
+from sightline.case.report.content import Report
+from sightline.case.report.document import ReportDocument, report_document, schema_text
+from sightline.case.report.exposures import NOTE, Exposure
+from sightline.case.report.page import render
 from sightline.planning.results import Verdict
 
 SCHEMA = Path(__file__).parents[2] / "docs" / "report.schema.json"
 
 
 def test_the_published_schema_is_that_of_the_code() -> None:
-    assert SCHEMA.read_text() == schema_text(), "python -m sightline.case.report_document > docs/report.schema.json"
+    assert SCHEMA.read_text() == schema_text(), "python -m sightline.case.report.document > docs/report.schema.json"
 
 
 def test_what_is_written_is_what_the_plan_states(report: Report) -> None:
@@ -40,7 +41,7 @@ def test_exposures_are_in_page_document_and_pdf(report: Report) -> None:
     many = replace(report, exposures=[Exposure(f"{k:012d}.dcm", f"use {k}", frames=k) for k in range(1, 60)])
     page = render(many)
     document = json.loads(report_document(many).model_dump_json())
-    said = [text.get_text() for sheet in report_pdf.draw(many) for text in sheet.texts]
+    said = [text.get_text() for sheet in pdf.draw(many) for text in sheet.texts]
     for k in (1, 59):
         assert f"{k:012d}.dcm" in page
         assert f"use {k}" in page
@@ -62,7 +63,7 @@ def stands_against(report: Report) -> Report:
 @pytest.mark.parametrize("change", [lambda report: report, stands_against])
 def test_no_word_of_the_pdf_runs_off_its_page(report: Report, change) -> None:
     said = []
-    for page in report_pdf.draw(change(report)):
+    for page in pdf.draw(change(report)):
         renderer = FigureCanvasAgg(page).get_renderer()
         for text in page.texts:
             box = text.get_window_extent(renderer).transformed(page.transFigure.inverted())
@@ -76,7 +77,7 @@ def test_no_word_of_the_pdf_runs_off_its_page(report: Report, change) -> None:
 
 
 def test_the_same_report_gives_the_same_pdf(report: Report) -> None:
-    first, second = (report_pdf.render_pdf(report) for _ in range(2))
+    first, second = (pdf.render_pdf(report) for _ in range(2))
     assert first.startswith(b"%PDF-")
     assert first == second
     for name in (b"CreationDate", b"/Author"):

@@ -7,8 +7,8 @@ import pytest
 
 from sightline.atomic import write_folder
 from sightline.calibration import CArm
-from sightline.case.comparison import Compared
 from sightline.case.documents import view_document
+from sightline.case.report.comparison import Compared
 from sightline.case.views import calibrate_pair, known_arm, see_pair
 from sightline.detection.files import write_observations
 from sightline.errors import ObservationsError, UnusableInputError

@@ -24,7 +24,7 @@ from sightline.app.texts import (
     SHOT_UNMEASURED,
     STOP_IS_NO_EMERGENCY_STOP,
 )
-from sightline.case.drilled import force_picture
+from sightline.case.report.drilled import force_picture
 from sightline.geometry.covariance import TWO_SIDED_95
 from sightline.robot.control.states import State
 

@@ -14,7 +14,7 @@ from scipy.spatial import ConvexHull
 from scipy.spatial.transform import RigidTransform
 
 from sightline.calibration.view import CalibratedView
-from sightline.case.figure_space import NEAR_MM, magnification
+from sightline.case.report.figures.scene import NEAR_MM, magnification
 from sightline.frame import Frame
 from sightline.frame.model import Plate
 from sightline.geometry.covariance import ellipsoid_factor

@@ -22,6 +22,11 @@ NAMES = ("pa", "lateral")  # the order of a pair of views, everywhere
 _SQUARE = 1e-3  # share by which a pixel's sides may differ [ours]
 
 
+def spoken(view: str) -> str:
+    """A view's name as people write it."""
+    return "PA" if view == "pa" else view
+
+
 @dataclass(frozen=True, eq=False)
 class Seen:
     """One view before it is calibrated, and what was found in it. Without an image there are no `beads`.

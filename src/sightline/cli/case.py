@@ -82,11 +82,11 @@ def report(
     """The report of the case's last plan, computed again; it names the case by its number alone."""
     with Output(json=json, quiet=quiet) as output:
         from sightline.atomic import write_folder
-        from sightline.case.case_report import report_of
         from sightline.case.journal import Case
-        from sightline.case.report import render
-        from sightline.case.report_document import report_document
-        from sightline.case.report_pdf import render_pdf
+        from sightline.case.report.document import report_document
+        from sightline.case.report.from_case import report_of
+        from sightline.case.report.page import render
+        from sightline.case.report.pdf import render_pdf
 
         with Case.open(folder, read_only=True) as case:
             with output.step("computing the last plan again"):

@@ -13,9 +13,9 @@ if TYPE_CHECKING:
     import numpy as np
 
     from sightline.calibration.fit import Method
-    from sightline.case.comparison import Compared, Refused, Truth
-    from sightline.case.drilled import Drilled
-    from sightline.case.report import Report
+    from sightline.case.report.comparison import Compared, Refused, Truth
+    from sightline.case.report.content import Report
+    from sightline.case.report.drilled import Drilled
     from sightline.case.views import CalibratedImage
 
 METHODS: "tuple[Method, ...]" = ("smooth", "localized", "polynomial")  # the first is the one that the plan is made with
@@ -55,10 +55,11 @@ def _run(output: Output, folder: Path, seed: int) -> dict[str, Any]:
     """All steps. The images are read back from their files: nothing but the truth passes from the twin to the rest."""
     import numpy as np
 
-    from sightline.case import exposures
-    from sightline.case.comparison import Truth
     from sightline.case.contents import Asked
-    from sightline.case.report import Report, render
+    from sightline.case.report import exposures
+    from sightline.case.report.comparison import Truth
+    from sightline.case.report.content import Report
+    from sightline.case.report.page import render
     from sightline.case.views import NAMES, calibrate_pair, see_pair
     from sightline.frame import Frame
     from sightline.imaging import write_dicom
@@ -145,7 +146,7 @@ def _compare(
     images: "dict[str, tuple[CalibratedImage, CalibratedImage]]", picks: "np.ndarray", truth: "Truth", planned: Any
 ) -> "list[Compared | Refused]":
     """Every method with the picks of a person, and with the true pixels, which show what the calibration is worth."""
-    from sightline.case.comparison import Compared, Refused
+    from sightline.case.report.comparison import Compared, Refused
     from sightline.errors import RefusedError
     from sightline.planning import kind, plan
 
@@ -201,7 +202,7 @@ def _show(output: Output, planned: Any, compared: "list[Compared | Refused]") ->
 
 
 def _show_drilled(output: Output, drilled: "Drilled") -> None:
-    from sightline.case.drilled import section
+    from sightline.case.report.drilled import section
 
     told = section(drilled) or {}
     output.table("The drilled wire", ("", "entry mm", "tip mm", "direction °"), told["rows"])
@@ -209,7 +210,7 @@ def _show_drilled(output: Output, drilled: "Drilled") -> None:
 
 
 def _row(one: "Compared | Refused") -> tuple[str, ...]:
-    from sightline.case.comparison import Refused
+    from sightline.case.report.comparison import Refused
 
     if isinstance(one, Refused):
         return one.method, "refused", "refused", "refused"

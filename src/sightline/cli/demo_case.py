@@ -9,8 +9,8 @@ if TYPE_CHECKING:
     import numpy as np
 
     from sightline.case.contents import Asked
-    from sightline.case.drilled import Drilled
     from sightline.case.journal import Case, Entry
+    from sightline.case.report.drilled import Drilled
     from sightline.case.views import CalibratedImage
     from sightline.cli.demo_robot import Checked
     from sightline.planning import Plan

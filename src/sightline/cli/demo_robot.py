@@ -8,7 +8,7 @@ if TYPE_CHECKING:
     import numpy as np
 
     from sightline.case.contents import CheckAsked, Pair
-    from sightline.case.drilled import Drilled
+    from sightline.case.report.drilled import Drilled
     from sightline.cli.output import Output
     from sightline.frame import Frame
     from sightline.imaging import Radiograph
@@ -60,7 +60,7 @@ def _drill(output: "Output", planned: Planned, rng: "np.random.Generator") -> "t
     import numpy as np
 
     from sightline.case.contents import CheckAsked
-    from sightline.case.drilled import Deviation, Drilled
+    from sightline.case.report.drilled import Deviation, Drilled
     from sightline.errors import RefusedError
     from sightline.planning.check_shot import Landmarks
     from sightline.rehearsal.operation import Outcome, insert, registered, target_of

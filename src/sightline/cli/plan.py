@@ -13,7 +13,7 @@ from sightline.cli.output import Json, Output, Quiet
 
 if TYPE_CHECKING:
     from sightline.calibration import CalibratedView
-    from sightline.case.report import Report
+    from sightline.case.report.content import Report
     from sightline.case.views import CalibratedImage
     from sightline.planning import Plan
 
@@ -119,8 +119,8 @@ def plan(
             )
         document = plan_document(planned, images)
         if out is not None:
-            from sightline.case import exposures
-            from sightline.case.report import Report
+            from sightline.case.report import exposures
+            from sightline.case.report.content import Report
 
             picks = f"entry {entry}; end {end}; {pick_sd:g} px{', snapped' if snapped else ''}"
             picks += "".join(f"; landmark {text}" for text in landmark or [])
@@ -251,7 +251,7 @@ def _write(folder: Path, report: "Report", document: dict[str, Any]) -> list[Pat
     from sightline.atomic import write_folder
     from sightline.case.interop.bundle import bundle
     from sightline.case.interop.plan_file import sealed
-    from sightline.case.report import render
+    from sightline.case.report.page import render
     from sightline.cli.output import as_json
 
     taken, files = bundle(report.plan, report.images, report.frame)

@@ -248,7 +248,7 @@ def pictures(pairs: Sequence[Pair]) -> list[Picture]:
 
 def alone(picture: Picture) -> bytes:
     """The drawing as a file that needs no style sheet but its own."""
-    style = f"<style>{(files('sightline.case') / 'templates' / 'report.css').read_text('utf-8').split('* {')[0]}"
+    style = f"<style>{(files('sightline.case.report') / 'templates' / 'report.css').read_text('utf-8').split('* {')[0]}"
     style += f"{(files('sightline.studies') / 'templates' / 'study.css').read_text('utf-8')}{ALONE}</style>"
     head, rest = picture.svg.split(">", 1)
     return f"{head}>{style}{rest}".encode()

@@ -10,7 +10,7 @@ from jinja2 import Environment, StrictUndefined
 from markupsafe import Markup
 
 from sightline import __version__
-from sightline.case.figure_image import JPEG_QUALITY, grey
+from sightline.case.report.figures.radiographs import JPEG_QUALITY, grey
 from sightline.imaging import Radiograph
 from sightline.studies.compare import Pair, differences, findings, pictures
 
@@ -21,7 +21,7 @@ PAIR_CSS += ".pair img { width: 100%; }\n"
 
 def render(pairs: Sequence[Pair], passed: Sequence[str], folder: str, seed: int) -> str:
     """The page as HTML. It holds the images, at SHOWN_PX."""
-    here, report = files("sightline.studies") / "templates", files("sightline.case") / "templates"
+    here, report = files("sightline.studies") / "templates", files("sightline.case.report") / "templates"
     environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
     css = (report / "report.css").read_text("utf-8") + (here / "study.css").read_text("utf-8") + PAIR_CSS
     page = environment.from_string((here / "compare.html.j2").read_text("utf-8"))

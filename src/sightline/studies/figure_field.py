@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from sightline.case import svg
+from sightline.case.report.figures import svg
 
 SIZE, RIM, HOLE = 560.0, 14.0, 4.0
 

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from math import ceil, floor, log10
 
-from sightline.case import svg
+from sightline.case.report.figures import svg
 
 WIDTH, ROW, LEFT, RIGHT, FOOT, BAR = 760.0, 24.0, 250.0, 30.0, 36.0, 12.0
 

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from math import ceil, floor, log10
 
-from sightline.case import svg
+from sightline.case.report.figures import svg
 
 WIDTH, HEIGHT, LEFT, RIGHT, TOP, FOOT = 760.0, 420.0, 70.0, 190.0, 14.0, 52.0
 COLOURS = ("beads", "frame", "focal", "picks", "map")

@@ -12,7 +12,7 @@ from sightline.studies.run import Result
 
 def render(about: str, result: Result) -> str:
     """The page as HTML, in the report's style."""
-    here, report = files("sightline.studies") / "templates", files("sightline.case") / "templates"
+    here, report = files("sightline.studies") / "templates", files("sightline.case.report") / "templates"
     environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
     css = (report / "report.css").read_text("utf-8") + (here / "study.css").read_text("utf-8")
     page = environment.from_string((here / "study.html.j2").read_text("utf-8"))

@@ -13,7 +13,7 @@ import numpy as np
 
 import sightline as sl
 from sightline.calibration import BeadView
-from sightline.case import figure_image, figure_plan
+from sightline.case.report.figures import plan_marks, radiographs
 from sightline.errors import SightlineError
 from sightline.frame import Frame
 from sightline.planning.curve import MatchingCurve, matching_curve
@@ -114,10 +114,10 @@ class Figure12:
     def _picture(self, draw: int) -> Picture:
         drawn, rng = self.drawn(np.random.default_rng(draw)), np.random.default_rng([draw])
         image = image_of(rng, drawn.setup, PHANTOMS[PHANTOM].build(drawn.setup, rng), VIEWS[1])
-        curves = [figure_plan.curve(curve, end) for curve, end in zip(drawn.curves, ENDS, strict=True)]
+        curves = [plan_marks.curve(curve, end) for curve, end in zip(drawn.curves, ENDS, strict=True)]
         title = "PA lines of sight of entry and end in the lateral view"
-        marks = (*curves, figure_plan.truth(drawn.true_px))
-        drawing = figure_image.sources({VIEWS[1]: image}) + figure_image.radiograph(image, VIEWS[1], marks, title)
+        marks = (*curves, plan_marks.truth(drawn.true_px))
+        drawing = radiographs.sources({VIEWS[1]: image}) + radiographs.radiograph(image, VIEWS[1], marks, title)
         caption = "Blue: the curves with their 95 % bands, a tick every 10 mm. White: the true places."
         return Picture(title, drawing, caption)
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from sightline.case import figure_image
+from sightline.case.report.figures import radiographs
 from sightline.errors import SightlineError
 from sightline.frame import Frame
 from sightline.studies.intervals import rms, share
@@ -83,7 +83,7 @@ class Figure8:
         rng, setup, hip = self.scene(trials[0]["draw"])
         image = image_of(rng, setup, hip, VIEW)
         title = "A registration image: PA view of the plastic femur in the frame"
-        drawing = figure_image.sources({VIEW: image}) + figure_image.radiograph(image, VIEW, (), title)
+        drawing = radiographs.sources({VIEW: image}) + radiographs.radiograph(image, VIEW, (), title)
         return Summary(
             findings=(
                 f"{len(kept)} of {len(trials)} images are told apart; {wrong} of their beads bear a wrong name.",

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from markupsafe import Markup
 
-from sightline.case.figure_force import WIDTH, force_trace
+from sightline.case.report.figures.force import WIDTH, force_trace
 from sightline.planning.check_shot import CheckShot
 from sightline.robot.kinematics.target import RobotTarget
 from sightline.robot.link.record import DrillingRecord

@@ -3,7 +3,7 @@
 import numpy as np
 
 from sightline.calibration import CalibratedView
-from sightline.case import svg
+from sightline.case.report.figures import svg
 from sightline.geometry.covariance import ellipsoid_factor
 from sightline.planning import MatchingCurve, Pick, Trajectory
 

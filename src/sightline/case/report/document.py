@@ -1,4 +1,4 @@
-"""The report as JSON: the schema is docs/report.schema.json. `python -m sightline.case.report_document` prints it.
+"""The report as JSON: the schema is docs/report.schema.json. `python -m sightline.case.report.document` prints it.
 
 Keys that are not named here may follow: readers pass over what they do not know. What is named stays as it is.
 """
@@ -10,9 +10,9 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from sightline.case.canonical import canonical
 from sightline.case.documents import check_document, view_document
-from sightline.case.exposures import NOTE
 from sightline.case.journal.entry import versions
-from sightline.case.report import Report
+from sightline.case.report.content import Report
+from sightline.case.report.exposures import NOTE
 from sightline.planning.results import State
 
 Point = tuple[float, float, float]

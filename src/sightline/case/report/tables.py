@@ -1,18 +1,16 @@
 """The figures of a report as its template wants them: words and rounded numbers."""
 
 from collections.abc import Iterable
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-from sightline.case import drilled, exposures
-from sightline.case.comparison import Compared, Refused
-from sightline.case.figure_budget import Bar
-from sightline.case.views import NAMES
+from sightline.case.report import drilled, exposures
+from sightline.case.report.comparison import Compared, Refused
+from sightline.case.report.content import Report
+from sightline.case.report.figures.budget import Bar
+from sightline.case.views import NAMES, spoken
 from sightline.checks import Check, failed
-
-if TYPE_CHECKING:
-    from sightline.case.report import Report
 
 POINTS = ("entry", "tip")
 COLOURS = {"beads": "beads", "map": "map", "focal_point": "focal", "frame": "frame", "picks": "picks"}
@@ -25,7 +23,7 @@ MEANINGS = {
 }
 
 
-def tables(report: "Report") -> dict[str, Any]:
+def tables(report: Report) -> dict[str, Any]:
     """Everything of the template's context that is not a picture."""
     return {
         "subtitle": _subtitle(report),
@@ -41,19 +39,14 @@ def tables(report: "Report") -> dict[str, Any]:
     }
 
 
-def spoken(view: str) -> str:
-    """A view's name as people write it."""
-    return "PA" if view == "pa" else view
-
-
-def _subtitle(report: "Report") -> str:
+def _subtitle(report: Report) -> str:
     serial = f", serial {report.frame.serial}" if report.frame.serial else ""
     pa, lateral = report.images
     sources = pa.seen.source if pa.seen.source == lateral.seen.source else f"{pa.seen.source} and {lateral.seen.source}"
     return f"Frame {report.frame.name}{serial}; {sources}; calibrated with the method {pa.view.method}"
 
 
-def _verdict(report: "Report") -> dict[str, Any]:
+def _verdict(report: Report) -> dict[str, Any]:
     verdict = report.plan.verdict
     against = failed(verdict.checks)
     count = len(verdict.checks)
@@ -70,13 +63,13 @@ def _verdict(report: "Report") -> dict[str, Any]:
     }
 
 
-def _reason(check: Check, report: "Report") -> dict[str, str]:
+def _reason(check: Check, report: Report) -> dict[str, str]:
     """A failed check, with the view that it is about."""
     about = [spoken(image.name) for image in report.images if any(check is one for one in image.view.checks)]
     return {"name": f"{check.name}{f' ({about[0]} view)' if about else ''}", "sentence": check.sentence}
 
 
-def _tiles(report: "Report") -> list[dict[str, str]]:
+def _tiles(report: Report) -> list[dict[str, str]]:
     path = report.plan.trajectory
     length = {"name": "Wire, entry to tip", "figure": f"{path.length_mm:.1f} mm", "note": "along the planned path"}
     if not path.error_stated:
@@ -105,7 +98,7 @@ UNSEEN = (
 )
 
 
-def _notes(report: "Report") -> Iterable[str]:
+def _notes(report: Report) -> Iterable[str]:
     yield UNSEEN
     yield (
         "All coordinates are in CFCS, those of the calibration frame: no robot is known here, so the error of "
@@ -124,7 +117,7 @@ def _notes(report: "Report") -> Iterable[str]:
             yield f"The {spoken(image.name)} image is a mirror image of the frame; it was used as it is."
 
 
-def _points(report: "Report") -> list[dict[str, Any]]:
+def _points(report: Report) -> list[dict[str, Any]]:
     """Entry, tip and landmarks."""
     space = report.plan.seen
     names = [*POINTS, *(f"landmark {k + 1}" for k in range(len(space.xyz_mm) - len(POINTS)))]
@@ -144,7 +137,7 @@ def _points(report: "Report") -> list[dict[str, Any]]:
     return out
 
 
-def bars(report: "Report") -> list[Bar]:
+def bars(report: Report) -> list[Bar]:
     """The error budget; empty where the error is unknown."""
     if not report.plan.trajectory.error_stated:
         return []
@@ -156,7 +149,7 @@ def bars(report: "Report") -> list[Bar]:
     ]
 
 
-def budget_rows(report: "Report") -> list[dict[str, Any]]:
+def budget_rows(report: Report) -> list[dict[str, Any]]:
     """The same as rows, one for each source."""
     everything = bars(report)
     return [
@@ -170,7 +163,7 @@ def budget_rows(report: "Report") -> list[dict[str, Any]]:
     ]
 
 
-def _comparison(report: "Report") -> dict[str, Any] | None:
+def _comparison(report: Report) -> dict[str, Any] | None:
     if not report.compared:
         return None
     groups = list(dict.fromkeys(one.picks for one in report.compared))
@@ -185,7 +178,7 @@ def _comparison(report: "Report") -> dict[str, Any] | None:
     }
 
 
-def _row(one: Compared | Refused, report: "Report") -> dict[str, Any]:
+def _row(one: Compared | Refused, report: Report) -> dict[str, Any]:
     if isinstance(one, Refused):
         return {"method": one.method, "chosen": False, "refused": one.reason}
     bounds, kept = one.bounds_95, one.kept
@@ -200,7 +193,7 @@ def _row(one: Compared | Refused, report: "Report") -> dict[str, Any]:
     }
 
 
-def _checks(report: "Report") -> list[dict[str, Any]]:
+def _checks(report: Report) -> list[dict[str, Any]]:
     """By what was checked: each view as its calibration left it, then the plan."""
     views = {name: image.view.checks for name, image in zip(NAMES, report.images, strict=True)}
     of_views = [check for checks in views.values() for check in checks]

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from sightline.case import svg
+from sightline.case.report.figures import svg
 
 WIDTH, HEIGHT, LEFT, RIGHT, TOP, FOOT = 760.0, 270.0, 56.0, 20.0, 44.0, 40.0
 NAME_ROWS, NAME_PITCH = 3, 13.0  # of the events' names, so that near ones do not overlap

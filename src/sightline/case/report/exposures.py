@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from sightline.case.journal import Case, Entry, Kind
 from sightline.case.journal.originals import short
 from sightline.case.stages import acquired_of
-from sightline.case.views import CalibratedImage
+from sightline.case.views import CalibratedImage, spoken
 
 NOTE = (
     "Those whose images were kept. What was exposed beside them, to position patient and C-arm or live, is not known "
@@ -28,7 +28,7 @@ class Exposure:
 
 def of_images(images: Iterable[CalibratedImage], used: str) -> tuple[Exposure, ...]:
     """Outside a case: the images themselves."""
-    return tuple(Exposure(image.seen.source, f"{used}, {_spoken(image.name)}") for image in images)
+    return tuple(Exposure(image.seen.source, f"{used}, {spoken(image.name)} view") for image in images)
 
 
 def of_case(case: Case, plan: Entry) -> tuple[Exposure, ...]:
@@ -58,8 +58,4 @@ def _uses(case: Case, plan: Entry) -> Iterator[tuple[int, str]]:
     for what, views in ((CHECK, (number for pair in checks for number in pair)), (PLANNING, plan.rests_on)):
         for number in views:
             view = case.entry(number)
-            yield acquired_of(case, view).number, f"{what}, {_spoken(view.content['view'])}"
-
-
-def _spoken(view: str) -> str:
-    return f"{'PA' if view == 'pa' else view} view"
+            yield acquired_of(case, view).number, f"{what}, {spoken(view.content['view'])} view"

@@ -11,10 +11,10 @@ from matplotlib.backends.backend_pdf import PdfPages
 from matplotlib.figure import Figure
 
 from sightline import __version__
-from sightline.case.figure_image import grey
-from sightline.case.report import Report
-from sightline.case.report_tables import bars, spoken, tables
-from sightline.case.views import NAMES, CalibratedImage
+from sightline.case.report.content import Report
+from sightline.case.report.figures.radiographs import grey
+from sightline.case.report.tables import bars, tables
+from sightline.case.views import NAMES, CalibratedImage, spoken
 
 _A4_IN = (8.27, 11.69)
 _LEFT, _RIGHT, _TOP, _LINE = 0.09, 0.91, 0.95, 0.0165  # of the page

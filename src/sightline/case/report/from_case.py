@@ -1,10 +1,10 @@
 """From a case to the report of its last plan."""
 
-from sightline.case import exposures
-from sightline.case.drilled import Drilled
 from sightline.case.journal import Case, Entry, Kind
 from sightline.case.replay import Recomputed
-from sightline.case.report import Report
+from sightline.case.report import exposures
+from sightline.case.report.content import Report
+from sightline.case.report.drilled import Drilled
 from sightline.case.stages import frame_of
 from sightline.errors import CaseError
 from sightline.robot.link.record import DrillingRecord

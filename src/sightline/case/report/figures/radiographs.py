@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from sightline.case import svg
+from sightline.case.report.figures import svg
 from sightline.detection import Rejected
 from sightline.imaging import Radiograph
 

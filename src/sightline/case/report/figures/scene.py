@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import ConvexHull
 
-from sightline.case import svg
+from sightline.case.report.figures import svg
 from sightline.geometry.covariance import ellipsoid_factor
 from sightline.geometry.planes import Plane
 

@@ -1,20 +1,18 @@
 """The pictures of a report, as its template wants them."""
 
 from collections.abc import Iterable
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from markupsafe import Markup
 
 from sightline.calibration.localized import LocalizedMap
-from sightline.case import figure_image, figure_plan, figure_space
-from sightline.case.figure_budget import budget
-from sightline.case.report_tables import POINTS, bars, budget_rows, spoken
-from sightline.case.views import CalibratedImage
+from sightline.case.report.content import Report
+from sightline.case.report.figures import plan_marks, radiographs, scene
+from sightline.case.report.figures.budget import budget
+from sightline.case.report.tables import POINTS, bars, budget_rows
+from sightline.case.views import CalibratedImage, spoken
 from sightline.detection import Rejected
-
-if TYPE_CHECKING:
-    from sightline.case.report import Report
 
 TICK_MM = 10  # of depth along an image-matching curve, as planning samples it
 BEYOND_MM = 40.0  # lines of sight are drawn this far beyond the wire in the close-up
@@ -25,11 +23,11 @@ def _markup(svg_text: str) -> Markup:
     return Markup(svg_text)  # noqa: S704 - made by svg.py, which escapes
 
 
-def pictures(report: "Report") -> dict[str, Any]:
+def pictures(report: Report) -> dict[str, Any]:
     """Everything of the template's context that is a picture."""
     shown = {image.name: image.seen.image for image in report.images if image.seen.image is not None}
     return {
-        "sources": _markup(figure_image.sources(shown)),
+        "sources": _markup(radiographs.sources(shown)),
         "plan_pictures": _plan_pictures(report),
         "near_pictures": _near_pictures(report),
         "tick_mm": TICK_MM,
@@ -43,7 +41,7 @@ def _figure(drawing: str, caption: str) -> dict[str, Any]:
     return {"svg": _markup(drawing), "caption": caption}
 
 
-def _plan_pictures(report: "Report") -> list[dict[str, Any]]:
+def _plan_pictures(report: Report) -> list[dict[str, Any]]:
     """The wire in both images; the curves in the lateral one."""
     out = []
     for k, image in enumerate(report.images):
@@ -51,22 +49,22 @@ def _plan_pictures(report: "Report") -> list[dict[str, Any]]:
             continue
         words = f"{spoken(image.name)} image with the planned wire and its picks"
         words += ", and the image-matching curves of entry and tip with their uncertainty bands" if k else ""
-        drawing = figure_image.radiograph(image.seen.image, image.name, _plan_marks(report, k), words)
+        drawing = radiographs.radiograph(image.seen.image, image.name, _plan_marks(report, k), words)
         out.append(_figure(drawing, _capital(words) + "."))
     return out
 
 
-def _plan_marks(report: "Report", k: int) -> list[str]:
+def _plan_marks(report: Report, k: int) -> list[str]:
     """What is drawn of the plan in image `k`."""
     curves = (report.plan.entry_curve, report.plan.end_curve)
-    marks = [figure_plan.curve(curve, name) for curve, name in zip(curves, POINTS, strict=True)] if k else []
-    marks.append(figure_plan.wire(report.images[k].view, report.plan.trajectory))
+    marks = [plan_marks.curve(curve, name) for curve, name in zip(curves, POINTS, strict=True)] if k else []
+    marks.append(plan_marks.wire(report.images[k].view, report.plan.trajectory))
     if report.truth is not None:
-        marks.append(figure_plan.truth(report.truth.uv_px[k]))
-    return marks + [figure_plan.pick(pair[k], name) for pair, name in zip(report.plan.picks, POINTS, strict=True)]
+        marks.append(plan_marks.truth(report.truth.uv_px[k]))
+    return marks + [plan_marks.pick(pair[k], name) for pair, name in zip(report.plan.picks, POINTS, strict=True)]
 
 
-def _near_pictures(report: "Report") -> list[dict[str, Any]]:
+def _near_pictures(report: Report) -> list[dict[str, Any]]:
     """Entry and tip from near, in each image."""
     out = []
     for k, image in enumerate(report.images):
@@ -74,12 +72,12 @@ def _near_pictures(report: "Report") -> list[dict[str, Any]]:
             continue
         for pair, name in zip(report.plan.picks, POINTS, strict=True):
             words = f"{spoken(image.name)} image around the {name}"
-            drawing = figure_image.near(image.name, pair[k].uv_px, _plan_marks(report, k), words)
+            drawing = radiographs.near(image.name, pair[k].uv_px, _plan_marks(report, k), words)
             out.append(_figure(drawing, _capital(words) + "."))
     return out
 
 
-def _budget(report: "Report") -> dict[str, Any] | None:
+def _budget(report: Report) -> dict[str, Any] | None:
     rows = bars(report)
     if not rows:
         return None
@@ -91,13 +89,13 @@ def _budget(report: "Report") -> dict[str, Any] | None:
     return {"svg": _markup(budget(rows, f"Error budget. {words}")), "points": headings, "rows": budget_rows(report)}
 
 
-def _marked(image: CalibratedImage) -> list[figure_image.Marked]:
+def _marked(image: CalibratedImage) -> list[radiographs.Marked]:
     """The view's beads with what the calibration left of each."""
     left = image.view.residuals
     sizes = np.linalg.norm(left.residual_mm, axis=1)
     radii = _radii(image, left.uv_px)
     rows = zip(left.ids, left.uv_px, radii, sizes, left.used, strict=True)
-    return [figure_image.Marked(i, (float(u), float(v)), float(r), float(s), bool(k)) for i, (u, v), r, s, k in rows]
+    return [radiographs.Marked(i, (float(u), float(v)), float(r), float(s), bool(k)) for i, (u, v), r, s, k in rows]
 
 
 def _radii(image: CalibratedImage, uv_px: np.ndarray) -> np.ndarray:
@@ -109,7 +107,7 @@ def _radii(image: CalibratedImage, uv_px: np.ndarray) -> np.ndarray:
     return beads.radius_px[distance.argmin(axis=1)]
 
 
-def _bead_pictures(report: "Report") -> dict[str, Any]:
+def _bead_pictures(report: Report) -> dict[str, Any]:
     """Beads by residual, and the triangles of the localized method."""
     shown = [image for image in report.images if image.seen.image is not None]
     if not shown:
@@ -120,12 +118,12 @@ def _bead_pictures(report: "Report") -> dict[str, Any]:
     return {
         "bead_pictures": [_beads_of(image, marked[image.name], top) for image in shown],
         "triangle_pictures": _triangles(report),
-        "ramp": figure_image.heat(np.linspace(0.0, top, RAMP_STEPS), top),
+        "ramp": radiographs.heat(np.linspace(0.0, top, RAMP_STEPS), top),
         "top_mm": top,
     }
 
 
-def _beads_of(image: CalibratedImage, marked: list[figure_image.Marked], top_mm: float) -> dict[str, Any]:
+def _beads_of(image: CalibratedImage, marked: list[radiographs.Marked], top_mm: float) -> dict[str, Any]:
     assert image.seen.image is not None and image.seen.beads is not None  # noqa: S101 - only images are shown
     refused = _elsewhere(image)
     left_out = sum(not bead.used for bead in marked)
@@ -134,8 +132,8 @@ def _beads_of(image: CalibratedImage, marked: list[figure_image.Marked], top_mm:
         f"{spoken(image.name)} image: {len(marked)} beads labelled, residual {size:.3f} mm rms per axis, "
         f"{left_out} left out of the fit, {len(refused)} other candidates rejected"
     )
-    marks = [figure_image.rejected(refused), figure_image.beads(marked, top_mm)]
-    return _figure(figure_image.radiograph(image.seen.image, image.name, marks, words), _capital(words) + ".")
+    marks = [radiographs.rejected(refused), radiographs.beads(marked, top_mm)]
+    return _figure(radiographs.radiograph(image.seen.image, image.name, marks, words), _capital(words) + ".")
 
 
 def _elsewhere(image: CalibratedImage) -> list[Rejected]:
@@ -149,71 +147,69 @@ def _capital(words: str) -> str:
     return words[0].upper() + words[1:]
 
 
-def _space(report: "Report") -> dict[str, Any]:
+def _space(report: Report) -> dict[str, Any]:
     """The whole set-up, and the wire from near."""
     points = report.plan.trajectory.points
     known = report.plan.trajectory.error_stated
     whole, near = list(_whole(report)), list(_near(report))
     note = ""
     if known:
-        times = figure_space.magnification(points.covariance_mm2, figure_space.NEAR_MM)
+        times = scene.magnification(points.covariance_mm2, scene.NEAR_MM)
         ellipsoids = [
-            figure_space.ellipsoid(p, c, times, "95 % ellipsoid")
+            scene.ellipsoid(p, c, times, "95 % ellipsoid")
             for p, c in zip(points.xyz_mm, points.covariance_mm2, strict=True)
         ]
         near += [shape for one in ellipsoids for shape in one]
         note = f"In the close-up the 95 % ellipsoids are drawn {times:g} times as large as they are."
     words = "The calibration plates, both focal points with the lines of sight of entry and tip, and the wire, in space"
     return {
-        "svg": _markup(figure_space.space(whole, words)),
-        "near": _markup(
-            figure_space.space(near, "The wire from near, with the lines of sight and the 95 % ellipsoids")
-        ),
+        "svg": _markup(scene.space(whole, words)),
+        "near": _markup(scene.space(near, "The wire from near, with the lines of sight and the 95 % ellipsoids")),
         "note": note,
         "ellipsoids": known,
     }
 
 
-def _wire(report: "Report") -> figure_space.Shape:
+def _wire(report: Report) -> scene.Shape:
     entry, tip = report.plan.trajectory.points.xyz_mm
-    return figure_space.line(entry, tip, "wire", "planned wire")
+    return scene.line(entry, tip, "wire", "planned wire")
 
 
-def _whole(report: "Report") -> Iterable[figure_space.Shape]:
+def _whole(report: Report) -> Iterable[scene.Shape]:
     for image in report.images:
         plates = report.frame.view(image.name)
-        yield from figure_space.plate(plates.xrii.xyz_mm, "xrii", f"{spoken(image.name)} XRII plate")
-        yield from figure_space.plate(plates.source.xyz_mm, "source", f"{spoken(image.name)} source plate")
+        yield from scene.plate(plates.xrii.xyz_mm, "xrii", f"{spoken(image.name)} XRII plate")
+        yield from scene.plate(plates.source.xyz_mm, "source", f"{spoken(image.name)} source plate")
         focal = image.view.focal_point_mm
-        yield figure_space.dot(focal, "focal", 6.0, f"{spoken(image.name)} focal point")
-        yield figure_space.label(focal, f"{spoken(image.name)} focal point")
+        yield scene.dot(focal, "focal", 6.0, f"{spoken(image.name)} focal point")
+        yield scene.label(focal, f"{spoken(image.name)} focal point")
         for line in _lines(report, image):
-            yield figure_space.line(focal, line, "sight")
+            yield scene.line(focal, line, "sight")
     yield _wire(report)
 
 
-def _near(report: "Report") -> Iterable[figure_space.Shape]:
+def _near(report: Report) -> Iterable[scene.Shape]:
     for image in report.images:
         focal = image.view.focal_point_mm
         for on_plate, point in zip(_lines(report, image), report.plan.trajectory.points.xyz_mm, strict=True):
             along = (on_plate - focal) / np.linalg.norm(on_plate - focal)
             nearest = focal + ((point - focal) @ along) * along
-            yield figure_space.line(
+            yield scene.line(
                 nearest - BEYOND_MM * along, nearest + BEYOND_MM * along, "sight", f"{spoken(image.name)} line of sight"
             )
     yield _wire(report)
     for name, point in zip(POINTS, report.plan.trajectory.points.xyz_mm, strict=True):
-        yield figure_space.label(point, name)
+        yield scene.label(point, name)
 
 
-def _lines(report: "Report", image: CalibratedImage) -> np.ndarray:
+def _lines(report: Report, image: CalibratedImage) -> np.ndarray:
     """(2, 3): where the lines of sight of entry and tip meet the view's reference plane."""
     k = report.images.index(image)
     uv = np.array([pair[k].uv_px for pair in report.plan.picks])
     return image.view.lines_of_sight(uv).points_mm
 
 
-def _triangles(report: "Report") -> list[dict[str, Any]]:
+def _triangles(report: Report) -> list[dict[str, Any]]:
     """Every triangle of the localized method; those that bound the picks are filled."""
     if report.localized is None:
         return []
@@ -225,10 +221,10 @@ def _triangles(report: "Report") -> list[dict[str, Any]]:
         uv = np.array([pair[k].uv_px for pair in report.plan.picks])
         found = net.bounding(uv)
         bounding = net.controls_px[net.triangulation.simplices[found[found >= 0]]]
-        marks = [figure_image.triangles(net.triangles_px, bounding)]
-        marks += [figure_plan.pick(pair[k], name) for pair, name in zip(report.plan.picks, POINTS, strict=True)]
+        marks = [radiographs.triangles(net.triangles_px, bounding)]
+        marks += [plan_marks.pick(pair[k], name) for pair, name in zip(report.plan.picks, POINTS, strict=True)]
         words = (
             f"{spoken(image.name)} image: the triangles of the XRII plate; those that bound entry and tip are filled"
         )
-        out.append(_figure(figure_image.radiograph(image.seen.image, image.name, marks, words), _capital(words) + "."))
+        out.append(_figure(radiographs.radiograph(image.seen.image, image.name, marks, words), _capital(words) + "."))
     return out

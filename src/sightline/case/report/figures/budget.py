@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from sightline.case import svg
+from sightline.case.report.figures import svg
 
 WIDTH, BAR, GAP, LEFT, RIGHT = 760.0, 28.0, 12.0, 84.0, 118.0
 NARROWEST_WITH_WORDS = 40.0

@@ -1,0 +1,4 @@
+"""Figures of plans and radiographs as SVG; each takes values and returns markup.
+
+They import nothing else of `case`.
+"""

@@ -1,0 +1,34 @@
+"""The report of one plan: a single page that needs no other file and asks nothing of a network."""
+
+from importlib.metadata import version
+from importlib.resources import files
+from platform import python_version
+
+from jinja2 import Environment, StrictUndefined
+from markupsafe import Markup
+
+from sightline import __version__
+from sightline.case.report import pictures, tables
+from sightline.case.report.content import Report
+
+
+def render(report: Report) -> str:
+    """The page as HTML."""
+    templates = files("sightline.case.report") / "templates"
+    # Pictures are markup of our own making; everything else is escaped.
+    environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
+    page = environment.from_string((templates / "report.html.j2").read_text("utf-8"))
+    return page.render(
+        version=__version__,
+        css=Markup((templates / "report.css").read_text("utf-8")),  # noqa: S704 - a file of this package
+        script=Markup((templates / "space.js").read_text("utf-8")),  # noqa: S704 - a file of this package
+        title=report.title,
+        provenance={**report.provenance, "software": _versions()}.items(),
+        **tables.tables(report),
+        **pictures.pictures(report),
+    )
+
+
+def _versions() -> str:
+    others = (f"{name} {version(name)}" for name in ("numpy", "scipy", "numba", "opencv-python-headless"))
+    return f"Sightline {__version__}, Python {python_version()}, {', '.join(others)}"
