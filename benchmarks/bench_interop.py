@@ -18,12 +18,12 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from benchmarks.rows import Row
+from sightline.calibration.exchange.formats import write_view
+from sightline.calibration.exchange.pinhole import Pinhole
 from sightline.case.interop.dicom_capture import capture
 from sightline.case.interop.dicom_parts import Filed, file_bytes
-from sightline.case.interop.formats import write_view
 from sightline.case.interop.itk import T_cfcs_wire, T_lps_cfcs, transform_bytes
 from sightline.case.interop.nrrd import nrrd_bytes, plate_corner
-from sightline.case.interop.pinhole import Pinhole
 from sightline.imaging import Radiograph, write_dicom
 
 GROUP = "interop"

@@ -10,8 +10,8 @@ import cv2
 import numpy as np
 
 from campaigns.campaign import Campaign, Damage, Ended
-from sightline.case.interop.formats import FORMATS, read_view, write_view
-from sightline.case.interop.pinhole import Pinhole
+from sightline.calibration.exchange.formats import FORMATS, read_view, write_view
+from sightline.calibration.exchange.pinhole import Pinhole
 from sightline.detection.detections_csv import read_detections
 from sightline.detection.files import read_observations
 from sightline.frame import Frame

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from campaigns.files import FILES, mutated, table_of
 
-from sightline.case.interop.formats import read_view
+from sightline.calibration.exchange.formats import read_view
 from sightline.detection.files import read_observations
 from sightline.errors import ObservationsError, SightlineError, UnusableInputError
 from sightline.imaging import read_image

@@ -9,7 +9,7 @@ if TYPE_CHECKING:
     from sightline.calibration import calibrate as calibrate
     from sightline.calibration import fit_map as fit_map
     from sightline.calibration import view_from_matrix as view_from_matrix
-    from sightline.case.interop.formats import read_view as read_view
+    from sightline.calibration.exchange.formats import read_view as read_view
     from sightline.detection import Detections as Detections
     from sightline.detection import Observations as Observations
     from sightline.detection import detect as detect
@@ -42,7 +42,7 @@ _HOMES = {
     "label": "detection",
     "look_again": "detection",
     "read_image": "imaging",
-    "read_view": "case.interop.formats",
+    "read_view": "calibration.exchange.formats",
     "reconstruct": "planning",
     "view_from_matrix": "calibration",
 }

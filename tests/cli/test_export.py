@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from pydicom import dcmread
 
-from sightline.case.interop.formats import FORMATS, read_view
+from sightline.calibration.exchange.formats import FORMATS, read_view
 from sightline.case.interop.plan_file import sealed
 from sightline.imaging import read_image
 

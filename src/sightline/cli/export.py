@@ -12,7 +12,7 @@ from sightline.cli.output import Json, Output, Quiet
 
 if TYPE_CHECKING:
     from sightline.calibration import BeadView
-    from sightline.case.interop.pinhole import Pinhole
+    from sightline.calibration.exchange.pinhole import Pinhole
     from sightline.case.interop.plate import PlateImage
     from sightline.case.views import Seen
 
@@ -48,7 +48,7 @@ def views(
     """Each view's undistorted image and its exact matrix (exit code 3 where a view's check failed)."""
     with Output(json=json, quiet=quiet) as output:
         from sightline.atomic import write_folder
-        from sightline.case.interop.formats import known, write_view
+        from sightline.calibration.exchange.formats import known, write_view
 
         kinds = [known(kind.strip()) for kind in to.split(",")]
         calibrated = _calibrate(output, [pa, lateral], frame, pixels=raw)
@@ -86,9 +86,9 @@ def undistorted(
     """Each image without distortion, as the X-ray source sees the XRII plate, with its matrix beside it."""
     with Output(json=json, quiet=quiet) as output:
         from sightline.atomic import write_folder
-        from sightline.case.interop import opencv
+        from sightline.calibration.exchange import opencv
+        from sightline.calibration.exchange.writing import json_bytes
         from sightline.case.interop.images import encode
-        from sightline.case.interop.writing import json_bytes
 
         calibrated = _calibrate(output, [pa, lateral], frame, pixels=True)
         files: dict[str, bytes] = {}

@@ -14,8 +14,8 @@ from sightline.bounded import read_bounded, regular_file
 from sightline.errors import ImageError
 from sightline.imaging import dicom, headers
 from sightline.imaging.limits import MAX_FILE_BYTES, check_size
-from sightline.imaging.npy import npy_array
 from sightline.imaging.radiograph import Radiograph
+from sightline.npy import npy_array
 
 _JPEG = b"\xff\xd8\xff"
 _RASTER = {

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from sightline.case.interop.formats import FORMATS, read_view, write_view
-from sightline.case.interop.pinhole import Pinhole
+from sightline.calibration.exchange.formats import FORMATS, read_view, write_view
+from sightline.calibration.exchange.pinhole import Pinhole
 from sightline.case.interop.plan_file import PlanFile
 from sightline.errors import SightlineError
 

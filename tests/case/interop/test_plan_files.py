@@ -12,7 +12,8 @@ import pytest
 from scipy.spatial.transform import RigidTransform
 from tests.robot.rig import ROBOT, T_MCS_CFCS
 
-from sightline.case.interop import itk, robot_files, slicer, tables, xml_safe
+from sightline.calibration.exchange import xml_safe
+from sightline.case.interop import itk, robot_files, slicer, tables
 from sightline.case.interop.nrrd import plate_corner
 from sightline.case.interop.patient import R_lps_cfcs
 from sightline.case.interop.plan_file import PlanFile, sealed

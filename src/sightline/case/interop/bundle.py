@@ -6,7 +6,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from sightline.case.interop import opencv
+from sightline.calibration.exchange import opencv
 from sightline.case.interop.plate import plate_image
 from sightline.case.views import CalibratedImage
 from sightline.errors import OutsideRegionError

@@ -4,8 +4,8 @@ import numpy as np
 from pydicom import Dataset
 from pydicom.uid import SecondaryCaptureImageStorage
 
+from sightline.calibration.exchange.pinhole import Pinhole
 from sightline.case.interop.dicom_parts import Filed, dataset
-from sightline.case.interop.pinhole import Pinhole
 from sightline.errors import UnusableInputError
 
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from sightline.case.interop.pinhole import Pinhole
+from sightline.calibration.exchange.pinhole import Pinhole
 from sightline.case.interop.plan_file import PlanFile
 
 STRETCH = (0.5, 99.5)  # per cent of the pixels that become black and white [ours]

@@ -6,7 +6,7 @@ from datetime import datetime
 import cv2
 import numpy as np
 
-from sightline.case.interop.pinhole import Pinhole
+from sightline.calibration.exchange.pinhole import Pinhole
 from sightline.errors import UnusableInputError
 
 

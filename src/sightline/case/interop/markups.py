@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from sightline.case.interop.writing import json_bytes
+from sightline.calibration.exchange.writing import json_bytes
 
 # An identifier that Slicer compares, not an address that is fetched.
 _SCHEMA = (

@@ -4,7 +4,7 @@ import gzip
 
 import numpy as np
 
-from sightline.case.interop.pinhole import Pinhole
+from sightline.calibration.exchange.pinhole import Pinhole
 
 _TYPES = {"uint8": "unsigned char", "uint16": "unsigned short", "float32": "float"}
 

@@ -10,9 +10,9 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from sightline.calibration.exchange import opencv, reading
+from sightline.calibration.exchange.pinhole import Pinhole
 from sightline.case.canonical import canonical, digest
-from sightline.case.interop import opencv, reading
-from sightline.case.interop.pinhole import Pinhole
 from sightline.checks import Limits
 from sightline.errors import RobotRefusedError, UnusableInputError
 from sightline.geometry.covariance import length_quantile

@@ -6,9 +6,9 @@ import cv2
 import numpy as np
 
 from sightline.calibration import BeadView
+from sightline.calibration.exchange.pinhole import Pinhole
 from sightline.calibration.undistort import PlaneImage, undistort
 from sightline.calibration.view import LinesOfSight
-from sightline.case.interop.pinhole import Pinhole
 from sightline.errors import RefusedError
 
 # The raw image counts as a pinhole's while that errs by no more than a careful click [physics.md, Picks].

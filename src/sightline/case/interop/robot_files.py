@@ -8,9 +8,9 @@ from math import degrees
 
 import numpy as np
 
+from sightline.calibration.exchange.writing import json_bytes
 from sightline.case.interop.itk import T_cfcs_wire
 from sightline.case.interop.plan_file import PlanFile
-from sightline.case.interop.writing import json_bytes
 from sightline.robot import contract
 from sightline.robot.control.insertion import DEPTH_SLACK_MM
 from sightline.robot.igtl import Message, Trajectories, Transform, encode

@@ -7,10 +7,10 @@ from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
 import numpy as np
 
+from sightline.calibration.exchange.pinhole import Pinhole
 from sightline.case.interop.itk import T_cfcs_wire, T_lps_cfcs, transform_bytes
 from sightline.case.interop.markups import BLUE, GREEN, RED, YELLOW, markup_bytes
 from sightline.case.interop.nrrd import nrrd_bytes, plate_corner
-from sightline.case.interop.pinhole import Pinhole
 from sightline.case.interop.plan_file import PlanFile
 
 _RAS_LPS = np.diag([-1.0, -1.0, 1.0, 1.0])

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from sightline.case.interop import reading
-from sightline.case.interop.pinhole import Pinhole
+from sightline.calibration.exchange import reading
+from sightline.calibration.exchange.pinhole import Pinhole
 from sightline.errors import UnusableInputError
 
 _HEADINGS = (("image size", 1, 2), ("camera matrix", 3, 3), ("rotation", 3, 3), ("translation", 3, 1))

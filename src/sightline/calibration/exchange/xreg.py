@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from sightline.case.interop import reading
-from sightline.case.interop.pinhole import Pinhole
+from sightline.calibration.exchange import reading
+from sightline.calibration.exchange.pinhole import Pinhole
 from sightline.errors import UnusableInputError
 
 if TYPE_CHECKING:

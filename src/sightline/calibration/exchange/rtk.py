@@ -9,8 +9,8 @@ from xml.etree.ElementTree import Comment, Element, SubElement, indent, tostring
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from sightline.case.interop import reading, xml_safe
-from sightline.case.interop.pinhole import Pinhole
+from sightline.calibration.exchange import reading, xml_safe
+from sightline.calibration.exchange.pinhole import Pinhole
 from sightline.errors import UnusableInputError
 
 _HEAD = b'<?xml version="1.0"?>\n<!DOCTYPE RTKGEOMETRY>\n'

@@ -6,11 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from hypothesis import given, settings
-from tests.case.interop.cameras import pinholes, points_about_hip, project
+from tests.calibration.exchange.cameras import pinholes, points_about_hip, project
 
-from sightline.case.interop import rtk
-from sightline.case.interop.formats import FORMATS, read_view, write_view
-from sightline.case.interop.pinhole import Pinhole
+from sightline.calibration.exchange import rtk
+from sightline.calibration.exchange.formats import FORMATS, read_view, write_view
+from sightline.calibration.exchange.pinhole import Pinhole
 from sightline.errors import UnusableInputError
 
 POINTS = points_about_hip()

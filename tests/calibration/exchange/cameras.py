@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from sightline.case.interop.pinhole import Pinhole
+from sightline.calibration.exchange.pinhole import Pinhole
 
 
 @st.composite

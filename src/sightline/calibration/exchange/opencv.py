@@ -5,10 +5,11 @@ from typing import Any
 
 import numpy as np
 
-from sightline.case.interop import reading
-from sightline.case.interop.pinhole import Pinhole
+from sightline.calibration.exchange import reading
+from sightline.calibration.exchange.pinhole import Pinhole
+from sightline.calibration.exchange.writing import json_bytes
 from sightline.errors import UnusableInputError
-from sightline.imaging.npy import npy_array
+from sightline.npy import npy_array
 
 CONVENTION = (
     "(u w, v w, w) = camera_matrix (rotation X + translation_mm), X in CFCS mm; pixel (0, 0) is the centre of the "
@@ -75,8 +76,6 @@ def _refuse_two(whole: np.ndarray, parts: np.ndarray) -> None:
 
 def write(pinhole: Pinhole) -> dict[str, bytes]:
     """JSON with everything; the bare matrix as CSV and as .npy."""
-    from sightline.case.interop.writing import json_bytes
-
     rows = "".join(",".join(repr(float(x)) for x in row) + "\n" for row in pinhole.matrix)
     binary = io.BytesIO()
     np.save(binary, pinhole.matrix)

@@ -7,9 +7,9 @@ their meaning changed between its releases.
 
 import numpy as np
 
-from sightline.case.interop import reading
-from sightline.case.interop.pinhole import Pinhole
-from sightline.case.interop.writing import json_bytes
+from sightline.calibration.exchange import reading
+from sightline.calibration.exchange.pinhole import Pinhole
+from sightline.calibration.exchange.writing import json_bytes
 from sightline.errors import UnusableInputError
 
 _TURN = np.diag([-1.0, -1.0, 1.0])

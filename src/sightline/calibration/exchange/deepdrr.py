@@ -5,9 +5,9 @@ Its pixel (0, 0) has its corner, not its centre, at index (0, 0): the optical ce
 
 import numpy as np
 
-from sightline.case.interop import reading
-from sightline.case.interop.pinhole import Pinhole
-from sightline.case.interop.writing import json_bytes
+from sightline.calibration.exchange import reading
+from sightline.calibration.exchange.pinhole import Pinhole
+from sightline.calibration.exchange.writing import json_bytes
 
 _HALF = np.array([[1.0, 0.0, 0.5], [0.0, 1.0, 0.5], [0.0, 0.0, 1.0]])
 
