@@ -14,7 +14,7 @@ from sightline.case.acquire.igtl import ImageLink, radiograph_of
 from sightline.case.acquire.robot import PoseNow, RobotWatch
 from sightline.case.journal import Case
 from sightline.case.stages import image_of
-from sightline.errors import ImageError, LinkError, RobotRefusedError, SourceError
+from sightline.errors import ImageError, LinkError, SourceError
 from sightline.imaging import Frame, Radiograph
 from sightline.robot.igtl import Image, Message, NDArray, String, encode, timestamp_of
 from sightline.robot.kinematics.registration import FRESH_S
@@ -154,13 +154,13 @@ def test_the_robots_pose_comes_with_the_image_and_a_stale_one_does_not(case: Cas
     with RobotWatch("127.0.0.1", 1) as watch:
         while (fresh := watch.now()).joints is None:
             time.sleep(0.005)
-        assert fresh.refuse_stale() == (0.0, 1.0, 2.0, 3.0, 4.0)
+        assert fresh.check.passed and fresh.joints == (0.0, 1.0, 2.0, 3.0, 4.0)
         while (stale := watch.now()).check.passed:
             time.sleep(0.02)
     assert stale.age_s is not None and stale.age_s > FRESH_S
     for pose in (stale, PoseNow(None, None)):
-        with pytest.raises(RobotRefusedError, match="pose stale"):
-            pose.refuse_stale()
+        assert not pose.check.passed and "pose stale" in pose.check.sentence
+        assert pose.document()["joints"] is None
     acquirer = Acquirer(case)
     for seed, pose, joints in ((1, fresh, [0.0, 1.0, 2.0, 3.0, 4.0]), (2, stale, None)):
         frame = Frame(Radiograph(pixels(seed=seed), 65535.0), 1, SENT_S, "openigtlink", SENT_S - 1)

@@ -1,7 +1,6 @@
 """Video sources behind one port: cameras that hang or are unplugged, files, fields, averages, a live view."""
 
 import time
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -14,8 +13,7 @@ from sightline.errors import ImageError, MovedRefusedError, SourceError
 from sightline.imaging import Radiograph, write_dicom
 from sightline.imaging.average import average, movement
 from sightline.imaging.interlace import MOVED, comb, field_of
-from sightline.imaging.live import LiveView
-from sightline.imaging.source import Frame, Run
+from sightline.imaging.source import Run
 from sightline.imaging.video import VideoSource
 from sightline.twin.presets import preset
 from sightline.twin.render import Exposure
@@ -219,40 +217,3 @@ def test_movement_between_the_fields_is_seen_and_one_field_is_free_of_it() -> No
     for which, field in enumerate(fields):
         np.testing.assert_array_equal(field.pixels[which::2], moving.pixels[which::2])
     assert movement(*fields).shift_px == pytest.approx(3.0, abs=0.4)
-
-
-class Scripted:
-    """A fake source: frames, then an end or an error."""
-
-    def __init__(self, images: list[Radiograph], error: SourceError | None = None, pause_s: float = 0.01) -> None:
-        self.images, self.error, self.pause_s, self.closed = images, error, pause_s, False
-
-    def __iter__(self) -> Iterator[Frame]:
-        for number, image in enumerate(self.images, 1):
-            time.sleep(self.pause_s)
-            yield Frame(image, number, 1e9 - number, "fake")  # a clock that goes backwards
-        if self.error is not None:
-            raise self.error
-
-    def close(self) -> None:
-        self.closed = True
-
-
-def test_the_live_view_freezes_averages_and_says_why_it_ended() -> None:
-    rng = np.random.default_rng(7)
-    images = [noisy(scene(), rng) for _ in range(12)]
-    fake = Scripted(images, SourceError("unplugged"))
-    with LiveView(fake) as view:
-        first = view.freeze()
-        assert first.image is images[first.number - 1]
-        assert view.average(4).white == 65535
-        newest = view.newest
-        assert newest is not None and newest.number > first.number
-        with pytest.raises(SourceError, match="unplugged"):
-            for _ in range(20):
-                view.freeze()
-    assert fake.closed
-    with LiveView(Scripted([])) as view, pytest.raises(SourceError, match="has ended"):
-        view.freeze()
-    with LiveView(Scripted(images, pause_s=0.5)) as view, pytest.raises(SourceError, match="no image within"):
-        view.freeze(timeout_s=0.05)

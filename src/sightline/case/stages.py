@@ -28,14 +28,14 @@ def record_changed(case: Case, what: str, to: object, *, by: Actor) -> Entry:
     return case.record(Kind.CHANGED, {"what": what, "from": None, "to": to}, by=by)
 
 
-def record_acquired(case: Case, data: bytes, suffix: str, *, by: Actor, frame_index: int | None = None) -> Entry:
+def record_acquired(case: Case, data: bytes, suffix: str, *, by: Actor) -> Entry:
     """An image, or beads as CSV, as it came. The file's own name is not asked for: it may be a patient's.
 
     Raises CaseError, ImageError.
     """
     name = case.keep(data, suffix)
-    image = None if suffix == TABLE else read_image(case.original(name), frame_index)
-    return case.record(Kind.ACQUIRED, contents.acquired(name, image), by=by, settings={"frame_index": frame_index})
+    image = None if suffix == TABLE else read_image(case.original(name))
+    return case.record(Kind.ACQUIRED, contents.acquired(name, image), by=by, settings={"frame_index": None})
 
 
 def image_of(case: Case, acquired: Entry) -> Radiograph:

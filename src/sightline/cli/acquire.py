@@ -159,8 +159,6 @@ def _take(
     how: Callable[[], dict[str, Any]],
 ) -> None:
     """Frames `first` and following of a source, as one image, with the robot's pose at the last of them."""
-    from dataclasses import replace
-
     from sightline.case.acquire import news_of
     from sightline.case.acquire.frames import take_frames
     from sightline.errors import SourceError
@@ -172,8 +170,7 @@ def _take(
         for frame in source:
             pose = watch.now() if watch else None
             if frame.number >= first:
-                joints = pose.joints if pose and pose.check.passed else None
-                frames.append(replace(frame, robot_pose=joints))
+                frames.append(frame)
             if len(frames) == average:
                 break
         if len(frames) < average:

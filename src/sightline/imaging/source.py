@@ -14,8 +14,8 @@ from sightline.imaging.radiograph import Radiograph
 class Frame:
     """One image of a source. `number` counts arrivals from 1 and orders them whatever clocks say.
 
-    `stamped_s`: when it came, `sender_s`: what the sender says of that, seconds since 1970. `robot_pose`: the robot's
-    joints (mm, rad) then. `pixel_aspect`: width over height of a pixel, as the source states it; nothing is resampled.
+    `stamped_s`: when it came, `sender_s`: what the sender says of that, seconds since 1970. `pixel_aspect`: width
+    over height of a pixel, as the source states it; nothing is resampled.
     """
 
     image: Radiograph
@@ -23,7 +23,6 @@ class Frame:
     stamped_s: float
     source: str
     sender_s: float | None = None
-    robot_pose: tuple[float, ...] | None = None
     pixel_aspect: float | None = None
 
 

@@ -41,34 +41,30 @@ Tell = Callable[[News], None]
 class Acquirer:
     """The one way of images into a case; sources of several threads take turns, so one image is in memory at a time."""
 
-    def __init__(
-        self, case: Case, by: Actor = Actor.RECEIVER, arrival_pose: "Callable[[], PoseNow] | None" = None
-    ) -> None:
+    def __init__(self, case: Case, arrival_pose: "Callable[[], PoseNow] | None" = None) -> None:
         """`arrival_pose` tells the robot's pose of now, for images whose source says none of its own."""
-        self._case, self._by, self._lock, self._arrival_pose = case, by, Lock(), arrival_pose
-        self._held: dict[str, list[Entry]] = {}  # by the original's name; of a run an entry for each frame taken
+        self._case, self._lock, self._arrival_pose = case, Lock(), arrival_pose
+        self._held: dict[str, Entry] = {}  # by the original's name
         self._shown: dict[str, int] = {}  # by the pixels, the number of the first entry
         self._seen = 0
 
-    def take(
-        self, data: bytes, suffix: str, *, frame_index: int | None = None, how: Mapping[str, Any] | None = None
-    ) -> Taken:
+    def take(self, data: bytes, suffix: str, *, how: Mapping[str, Any] | None = None) -> Taken:
         """An image as it came; its entry is on the disk when this returns. The same bytes twice make one entry. Other
         bytes with the same pixels, which an archive makes by changing a header, are kept too, and their entry says
         whose pixels these are.
 
-        A run of several frames is kept whole; its entry is of `frame_index`, or of the last frame, the one that a C-arm
-        goes on showing. `how` is what is known of the acquisition, for the entry's settings. Raises ImageError on what
-        is no image, of which nothing is kept; CaseError where the disk does not take it.
+        A run of several frames is kept whole; its entry is of the last frame, the one that a C-arm goes on showing.
+        `how` is what is known of the acquisition, for the entry's settings. Raises ImageError on what is no image, of
+        which nothing is kept; CaseError where the disk does not take it.
         """
         stamped = dict(how or {})
         if self._arrival_pose is not None and "robot" not in stamped:  # before it waits for others
             stamped["robot"] = {**self._arrival_pose().document(), "moment": "arrival"}
         name = originals.name_of(data, suffix)
         with self._lock:
-            if (held := self._look_back(name, frame_index)) is not None:
+            if (held := self._look_back(name)) is not None:
                 return Taken(held, new=False)
-            content, index, frames = _looked_at(data, name, suffix, frame_index)
+            content, index, frames = _looked_at(data, name, suffix)
             self._case.keep(data, suffix)
             while True:
                 acquisition = {**stamped, **({"frames": frames} if frames > 1 else {})}
@@ -76,26 +72,27 @@ class Acquirer:
                     acquisition["same_pixels_as"] = before
                 settings = {"frame_index": index, "acquisition": acquisition}
                 try:
-                    entry = self._case.record(Kind.ACQUIRED, content, by=self._by, settings=settings, expect=self._seen)
+                    entry = self._case.record(
+                        Kind.ACQUIRED, content, by=Actor.RECEIVER, settings=settings, expect=self._seen
+                    )
                 except OvertakenError:  # another program's entry, perhaps of this very image
-                    if (held := self._look_back(name, frame_index)) is not None:
+                    if (held := self._look_back(name)) is not None:
                         return Taken(held, new=False)
                 else:
                     self._note(entry)
                     return Taken(entry, new=True)
 
-    def _look_back(self, name: str, frame_index: int | None) -> Entry | None:
-        """Read the entries that others made; return that of this original and frame, if there is one."""
+    def _look_back(self, name: str) -> Entry | None:
+        """Read the entries that others made; return that of this original, if there is one."""
         for entry in self._case.entries(after=self._seen):
             self._note(entry)
-        held = self._held.get(name, ())
-        return next((one for one in held if frame_index in (None, one.settings.get("frame_index"))), None)
+        return self._held.get(name)
 
     def _note(self, entry: Entry) -> None:
         self._seen = entry.number
         if entry.kind is not Kind.ACQUIRED:
             return
-        self._held.setdefault(entry.content["original"], []).append(entry)
+        self._held.setdefault(entry.content["original"], entry)
         self._shown.setdefault(entry.content.get("pixels_sha256", ""), entry.number)  # a table of beads has none
 
 
@@ -112,14 +109,14 @@ def news_of(taken: Taken) -> News:
     return News("kept", f"entry {number}: kept, {short}{run}{same}", entry)
 
 
-def _looked_at(data: bytes, name: str, suffix: str, frame_index: int | None) -> tuple[dict[str, Any], int | None, int]:
+def _looked_at(data: bytes, name: str, suffix: str) -> tuple[dict[str, Any], int | None, int]:
     """The entry's content, its frame, and how many there are. Raises ImageError, which calls it "the image"."""
     try:
         with scratch_folder() as folder:
             file = folder / f"image{suffix}"
             file.write_bytes(data)
             frames = frames_in(file)
-            index = frames - 1 if frame_index is None and frames > 1 else frame_index
+            index = frames - 1 if frames > 1 else None
             return contents.acquired(name, read_image(file, index)), index, frames
     except ImageError as error:
         raise ImageError(str(error).replace(f"image{suffix}", "the image")) from None

@@ -7,7 +7,7 @@ from types import TracebackType
 from typing import Any, Self
 
 from sightline.checks import Check
-from sightline.errors import LinkError, RobotRefusedError
+from sightline.errors import LinkError
 from sightline.robot.contract import MEASURED_JS
 from sightline.robot.igtl import NDArray
 from sightline.robot.kinematics.registration import FRESH_S
@@ -36,12 +36,6 @@ class PoseNow:
         """For an entry: a stale pose is not in it."""
         fresh = self.check.passed
         return {"joints": self.joints if fresh else None, "age_s": self.age_s, "fresh": fresh}
-
-    def refuse_stale(self) -> tuple[float, ...]:
-        """The joints. Raises RobotRefusedError on a stale pose."""
-        if not self.check.passed or self.joints is None:
-            raise RobotRefusedError(f"{self.check.sentence} Look at the robot's link, and take the image again")
-        return self.joints
 
 
 class RobotWatch:
