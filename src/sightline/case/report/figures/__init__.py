@@ -1,4 +1,4 @@
-"""Figures of plans and radiographs as SVG; each takes values and returns markup.
+"""Figures of plans and radiographs as SVG: each function takes values and returns markup.
 
-They import nothing else of `case`.
+They import nothing else of `case`; studies and the app use them too.
 """
