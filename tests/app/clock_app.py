@@ -8,7 +8,7 @@ from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any
 
-from sightline.app import procedure
+from sightline.app.work import procedure
 from sightline.cli import main
 
 

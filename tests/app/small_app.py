@@ -11,9 +11,9 @@ import numpy as np
 from nicegui import core, ui
 from starlette.routing import BaseRoute, Mount
 
-from sightline.app.drop import DropZone
-from sightline.app.serve import Site, serve
-from sightline.app.uploads import Upload
+from sightline.app.panels.drop import DropZone
+from sightline.app.web.serve import Site, serve
+from sightline.app.web.uploads import Upload
 from sightline.imaging import Radiograph
 
 PIXELS = np.arange(32 * 16, dtype=np.uint16).reshape(16, 32) * 100

@@ -5,9 +5,7 @@ import sys
 import numpy as np
 from nicegui import ui
 
-from sightline.app.serve import Site, serve
-from sightline.app.space import SpaceView
-from sightline.app.space_document import (
+from sightline.app.drawing.space.document import (
     bone_objects,
     drilled_objects,
     frame_objects,
@@ -18,6 +16,8 @@ from sightline.app.space_document import (
     view_objects,
     wire_objects,
 )
+from sightline.app.drawing.space.view import SpaceView
+from sightline.app.web.serve import Site, serve
 from sightline.calibration import calibrate
 from sightline.detection import Observations
 from sightline.frame import Frame

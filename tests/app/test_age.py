@@ -12,11 +12,11 @@ from pydicom import dcmread
 from pydicom.config import disable_value_validation
 from pydicom.datadict import dictionary_VR
 
-from sightline.app import procedure as module
-from sightline.app.decisions import Decisions
-from sightline.app.procedure import Procedure
-from sightline.app.seen import SeenImage
-from sightline.app.workshop import Workshop
+from sightline.app.work import procedure as module
+from sightline.app.work.decisions import Decisions
+from sightline.app.work.procedure import Procedure
+from sightline.app.work.seen import SeenImage
+from sightline.app.work.workshop import Workshop
 from sightline.case.journal import Actor
 from sightline.case.views import NAMES
 from sightline.errors import UnusableInputError

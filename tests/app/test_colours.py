@@ -8,18 +8,21 @@ import numpy as np
 import pytest
 from tests.app.colour import DICHROMATS, DISTINCT, GRAPHIC, TEXT, contrast, distance, over, parsed
 
-from sightline.app.panel_verdict import SOURCES
+from sightline.app.panels.verdict import SOURCES
 
 APP = files("sightline.app")
 COLOURS: dict[str, str] = dict(
-    re.findall(r'^  "?([\w-]+)"?: "(#[0-9a-f]{6})",', (APP / "colours.js").read_text("utf-8"), re.M)
+    re.findall(r'^  "?([\w-]+)"?: "(#[0-9a-f]{6})",', (APP / "drawing/colours.js").read_text("utf-8"), re.M)
 )
 GROUNDS = ("ground", "panel", "raised", "chosen", "go", "no-go")
 WORDS = ("text", "quiet", "sky", "green", "orange", "vermillion")
 SAME = {("pa", "left"), ("lateral", "right")}  # the first and the second view of a frame
 HUES = ("sky", "green", "orange", "vermillion", "yellow", "purple", "text", "quiet", "edge")
 IMAGES = ("#000000", "#ffffff")  # what lies under a view's panels: an image is anything between
-SHEETS = {name: (APP / name).read_text("utf-8") for name in ("page.css", "xray/xray_chrome.js", "space/space.js")}
+SHEETS = {
+    name: (APP / name).read_text("utf-8")
+    for name in ("page.css", "drawing/xray/xray_chrome.js", "drawing/space/space.js")
+}
 
 
 def rgb(name: str) -> np.ndarray:
@@ -46,7 +49,7 @@ def is_colour(value: str) -> bool:
 def test_every_colour_is_named_once() -> None:
     assert len(COLOURS) > 20 and len(set(COLOURS.values())) == len(COLOURS)
     assert set(WORDS) | set(HUES) | set(GROUNDS) <= set(COLOURS)
-    for path in ("page.css", "drop.js", "xray", "space"):
+    for path in ("page.css", "panels/drop.js", "drawing/xray", "drawing/space"):
         inside = APP / path
         for file in [inside] if inside.is_file() else [f for f in inside.iterdir() if f.name.endswith(".js")]:
             stray = set(re.findall(r"#[0-9a-f]{3,8}\b", file.read_text("utf-8"))) - {"#ffffff"}  # lamps of the scene
@@ -95,9 +98,9 @@ def styles(file: str) -> dict[str, dict[str, str]]:
 
 
 def test_lines_over_an_image_stand_out_from_their_casing() -> None:
-    casing = re.search(r'const CASING = "(.*?)"', (APP / "xray/xray_paint.js").read_text("utf-8"))
+    casing = re.search(r'const CASING = "(.*?)"', (APP / "drawing/xray/xray_paint.js").read_text("utf-8"))
     assert casing
-    for name, look in styles("xray/xray_paint.js").items():
+    for name, look in styles("drawing/xray/xray_paint.js").items():
         for image in IMAGES:
             assert contrast(over(look["colour"]), over(casing[1], image)) >= GRAPHIC, (name, image)
     for image in IMAGES:
@@ -105,7 +108,7 @@ def test_lines_over_an_image_stand_out_from_their_casing() -> None:
 
 
 def test_things_in_space_stand_out_from_the_ground() -> None:
-    for name, look in styles("space/space_objects.js").items():
+    for name, look in styles("drawing/space/space_objects.js").items():
         assert contrast(over(look["colour"]), rgb("ground")) >= GRAPHIC, name
 
 
@@ -113,8 +116,8 @@ def test_things_in_space_stand_out_from_the_ground() -> None:
 def test_what_looks_alike_to_the_colour_blind_has_another_cue(sight: str) -> None:
     """The cue: mark, dashes, filling or opacity. A band, a line and its ticks are told by their shape."""
     for file, cues in (
-        ("xray/xray_paint.js", ("mark", "dash", "fill")),
-        ("space/space_objects.js", ("dash", "opacity")),
+        ("drawing/xray/xray_paint.js", ("mark", "dash", "fill")),
+        ("drawing/space/space_objects.js", ("dash", "opacity")),
     ):
         for (one, look), (other, beside) in combinations(styles(file).items(), 2):
             if (one, other) in SAME:

@@ -9,12 +9,12 @@ from typing import Any
 import pytest
 from tests.planning.standin import stand_in
 
-from sightline.app import live as live_module
-from sightline.app import robot_session
-from sightline.app.decisions import Decisions
-from sightline.app.live import Live
-from sightline.app.planner import planned
-from sightline.app.robot_session import RobotNow, RobotSession
+from sightline.app.work import live as live_module
+from sightline.app.work import robot_session
+from sightline.app.work.decisions import Decisions
+from sightline.app.work.live import Live
+from sightline.app.work.planner import planned
+from sightline.app.work.robot_session import RobotNow, RobotSession
 from sightline.case.watch import live as watch
 from sightline.errors import LinkError, SightlineError
 

@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sightline.app.decisions import Decisions, Display
-from sightline.app.procedure import Procedure
-from sightline.app.seen import SeenImage, entry_of
-from sightline.app.steps import Standing, steps
-from sightline.app.workshop import Workshop
+from sightline.app.panels.steps import Standing, steps
+from sightline.app.work.decisions import Decisions, Display
+from sightline.app.work.procedure import Procedure
+from sightline.app.work.seen import SeenImage, entry_of
+from sightline.app.work.workshop import Workshop
 from sightline.case import stages
 from sightline.case.journal import Actor, Kind
 from sightline.case.replay import Outcome, replay

@@ -6,9 +6,9 @@ from typing import Any
 
 import pytest
 
-from sightline.app import drilling as module
-from sightline.app.drilling import Drilling
-from sightline.app.verifying import Verifying
+from sightline.app.work import drilling as module
+from sightline.app.work.drilling import Drilling
+from sightline.app.work.verifying import Verifying
 from sightline.errors import CaseError, LinkError, RobotRefusedError, WireRefusedError
 
 

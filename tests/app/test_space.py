@@ -11,8 +11,7 @@ from scipy.stats import chi2
 from tests.app.browser import Server
 from tests.app.space_page import GROUPS, HOSTILE
 
-from sightline.app.space.surface import CELL_MM, outer_surface
-from sightline.app.space_document import (
+from sightline.app.drawing.space.document import (
     bone_objects,
     frame_objects,
     robot_objects,
@@ -20,6 +19,7 @@ from sightline.app.space_document import (
     view_objects,
     wire_objects,
 )
+from sightline.app.drawing.space.surface import CELL_MM, outer_surface
 from sightline.frame import Frame
 from sightline.imaging import Radiograph
 from sightline.robot.kinematics.manipulator import FEED, PITCH, YAW, nominal_manipulator

@@ -16,17 +16,18 @@ from nicegui.page import page
 from tests.planning import bone
 from tests.planning.standin import stand_in
 
-from sightline.app import panel_plan, shapes
-from sightline.app.decisions import Mark, Side
-from sightline.app.live import LATE_S
-from sightline.app.marks import CHECK_NAMES
-from sightline.app.procedure import Procedure
-from sightline.app.section import Section, note
-from sightline.app.seen import SeenImage
-from sightline.app.tab import Tab
+from sightline.app.drawing import shapes
+from sightline.app.drawing.xray.view import Picture, Window, XrayView
+from sightline.app.panels import plan
+from sightline.app.panels.section import Section, note
+from sightline.app.tab.tab import Tab
 from sightline.app.texts import STEPS
-from sightline.app.workshop import Workshop
-from sightline.app.xray import Picture, Window, XrayView
+from sightline.app.work.decisions import Mark, Side
+from sightline.app.work.live import LATE_S
+from sightline.app.work.marks import CHECK_NAMES
+from sightline.app.work.procedure import Procedure
+from sightline.app.work.seen import SeenImage
+from sightline.app.work.workshop import Workshop
 from sightline.case.views import NAMES
 from sightline.case.watch.eye import STALE_S
 from sightline.errors import UnusableInputError
@@ -288,7 +289,7 @@ def _places(uv: Any, k: int) -> dict[str, tuple[float, float]]:
 @pytest.mark.parametrize(("side", "refused"), [("right", False), ("left", True)])
 def test_figures_that_are_refused_leave_those_of_the_plan(opened: Page, side: Side, refused: bool) -> None:
     _place_all(opened, side)
-    html = panel_plan.figures_html(opened.tab)
+    html = plan.figures_html(opened.tab)
     assert html.count("the shaft lies above the head") == (1 if refused else 0)
     assert "entry, 95 % error" in html
     assert "tip to bone along wire" in html  # which no side changes

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 APP = Path(str(files("sightline.app")))
-PANELS = [*sorted(path.name for path in APP.glob("panel_*.py")), "page.py", "steps.py", "section.py"]
+PANELS = [*sorted(f"panels/{path.name}" for path in APP.glob("panels/*.py")), "page.py"]
 NOT_READ = ("props", "classes", "style")  # methods that take names of attributes and looks
 
 

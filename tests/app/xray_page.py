@@ -16,7 +16,7 @@ import numpy as np
 from fastapi import Response
 from nicegui import app, ui
 
-from sightline.app.xray import Display, Picture, Shown, Window, XrayEvent, XrayView
+from sightline.app.drawing.xray.view import Display, Picture, Shown, Window, XrayEvent, XrayView
 
 SIDE = 1024
 WINDOW = Window(32768.0, 65536.0)

@@ -9,15 +9,13 @@ from typing import Any
 from markupsafe import Markup
 from nicegui import ui
 
-from sightline.app import panel_calibrate, panel_drill, panel_images, panel_plan, panel_verdict, panel_verify
-from sightline.app.drawn import Pictures
-from sightline.app.panel_space import Space
-from sightline.app.procedure import Procedure
-from sightline.app.section import Following, Lasting, Section, action
-from sightline.app.serve import Site
+from sightline.app.drawing.pictures import Pictures
+from sightline.app.panels import calibrate, drill, images, plan, verdict, verify
+from sightline.app.panels.section import Following, Lasting, Section, action
+from sightline.app.panels.space import Space
+from sightline.app.panels.steps import steps
 from sightline.app.settings import Settings
-from sightline.app.steps import steps
-from sightline.app.tab import Tab
+from sightline.app.tab.tab import Tab
 from sightline.app.texts import (
     DEAD,
     LEAVE,
@@ -29,11 +27,11 @@ from sightline.app.texts import (
     STAY,
     STEPS,
 )
+from sightline.app.web.serve import Site
+from sightline.app.work.procedure import Procedure
 
 _CSS, _SCRIPT = ((files("sightline.app") / name).read_text("utf-8") for name in ("page.css", "page.js"))
-_PANELS: dict[str, Any] = dict(
-    zip(STEPS, (panel_images, panel_calibrate, panel_plan, panel_drill, panel_verify), strict=True)
-)
+_PANELS: dict[str, Any] = dict(zip(STEPS, (images, calibrate, plan, drill, verify), strict=True))
 
 
 def build(site: Site, procedure: Procedure, pictures: Pictures, settings: Settings) -> None:
@@ -58,12 +56,12 @@ def build(site: Site, procedure: Procedure, pictures: Pictures, settings: Settin
                 tab.build_views(first, second)
             space = Space(tab)
         with ui.element("aside").classes("panel"):
-            panel_images.build_drop_zone(tab, site)
-            Following(tab, _beside_key(panel_verdict.key), _html_on(panel_verdict.html, 2, 3))
-            Section(tab, _beside_key(panel_verdict.age_key), _on(panel_verdict.build_age, 2, 3))
+            images.build_drop_zone(tab, site)
+            Following(tab, _beside_key(verdict.key), _html_on(verdict.html, 2, 3))
+            Section(tab, _beside_key(verdict.age_key), _on(verdict.build_age, 2, 3))
             Section(tab, lambda t: t.step, lambda t: _PANELS[t.step].build(t), classes="step-panel")
-            Following(tab, _beside_key(panel_plan.figures_key), _html_on(panel_plan.figures_html, 2), classes="figures")
-            Section(tab, _beside_key(panel_verdict.count), _on(panel_verdict.build_details, 2, 3), classes="details")
+            Following(tab, _beside_key(plan.figures_key), _html_on(plan.figures_html, 2), classes="figures")
+            Section(tab, _beside_key(verdict.count), _on(verdict.build_details, 2, 3), classes="details")
             ui.label(f"{NOT_A_DEVICE} Case {procedure.case.number}").classes("foot")
     with tools:
         action("3-D", space.toggle, testid="space-toggle", kind="plain").move(tools, 0)
@@ -164,7 +162,7 @@ def _say(tab: Tab) -> None:
 
 def _to_do(tab: Tab) -> str:
     """What to do next: place a point, or what the step waits for."""
-    return panel_plan.instruction(tab) or next(s.reason for s in steps(tab.procedure) if s.name == tab.step)
+    return plan.instruction(tab) or next(s.reason for s in steps(tab.procedure) if s.name == tab.step)
 
 
 def _beside_key(key):

@@ -10,7 +10,7 @@ import typer
 from sightline.cli.output import Json, Output, Quiet
 
 if TYPE_CHECKING:
-    from sightline.app.serve import Site
+    from sightline.app.web.serve import Site
 
 DEMO_SEED = 9  # that of `sightline demo`
 
@@ -49,9 +49,9 @@ def app_command(
 
         if find_spec("nicegui") is None:
             raise UnusableInputError("the app needs NiceGUI: pip install 'sightline[app]'")
-        from sightline.app.rehearsing import Patient
         from sightline.app.run import run
         from sightline.app.settings import Settings
+        from sightline.app.work.rehearsing import Patient
 
         folder = Path("out/app") if case is None else case
         seed = DEMO_SEED if case is None and rehearse is None else rehearse

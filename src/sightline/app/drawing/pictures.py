@@ -1,0 +1,77 @@
+"""Pictures for the browser: published once for all pages, by the image's number in the case."""
+
+from collections import deque
+
+import cv2
+import numpy as np
+
+from sightline.app.drawing.xray.view import Picture, Window
+from sightline.app.web.images import Images
+from sightline.app.work.seen import SeenImage
+from sightline.imaging import Radiograph
+
+_MOST = 16  # pictures kept: two planning and two check images, and what undo may bring back [ours]
+_PASSING = 20  # live pictures kept: two seconds of them
+_FIELD_PX = 0.5  # by which corners of the field may cut it off: less than anybody clicks [ours]
+_SHARES = (0.5, 96.0)  # per cent of the field's grey levels: bone, not the open beam, gets the window [ours]
+
+
+class Pictures:
+    """Pictures by the number of their acquisition."""
+
+    def __init__(self, images: Images) -> None:
+        self._images = images
+        self._pictures: dict[tuple[int, bool], Picture] = {}  # by number, and whether it is inverted
+        self._passing: deque[tuple[Radiograph, Picture]] = deque()
+
+    def live(self, image: Radiograph) -> Picture:
+        """The picture of an image that is seen once; a few of them are kept for pages that are late."""
+        known = next((picture for passing, picture in self._passing if passing is image), None)
+        if known is not None:
+            return known
+        self._passing.append((image, self._published(image)))
+        if len(self._passing) > _PASSING:
+            self._images.forget(self._passing.popleft()[1].url)
+        return self._passing[-1][1]
+
+    def _published(self, image: Radiograph) -> Picture:
+        pixels = as_u16(image)
+        inside = image.field_mask[::4, ::4]
+        low, high = np.percentile(pixels[::4, ::4][inside], _SHARES)
+        window = Window(float(low + high) / 2.0, float(max(high - low, 1.0)))
+        height, width = pixels.shape
+        return Picture(self._images.publish(pixels), width, height, window, _field(image))
+
+    def of(self, seen: SeenImage) -> Picture:
+        """The picture of an image."""
+        key = seen.acquired.number, seen.image.is_inverted
+        if key not in self._pictures:
+            self._pictures[key] = self._published(seen.image)
+            while len(self._pictures) > _MOST:
+                self._images.forget(self._pictures.pop(next(iter(self._pictures))).url)
+        return self._pictures[key]
+
+
+def as_u16(radiograph: Radiograph) -> np.ndarray:
+    """Return pixels (H, W) uint16 for the eye; floating-point pixels are scaled to 65535."""
+    pixels = radiograph.pixels
+    if pixels.dtype != np.float32:
+        return pixels.astype(np.uint16)
+    lowest, highest = float(pixels.min()), float(pixels.max())
+    share = (pixels.astype(np.float64) - lowest) / ((highest - lowest) or 1.0)  # an even image is dark
+    return (share * 65535.0).round().astype(np.uint16)
+
+
+def _field(image: Radiograph) -> tuple[tuple[float, float], ...] | None:
+    """Corners (u, v) of the field, clockwise as it is seen; None where X-rays reach the whole image."""
+    mask = image.field_mask
+    if mask.all():
+        return None
+    (whole, *_) = sorted(cv2.findContours(mask.view(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)[0], key=len)[
+        ::-1
+    ]
+    corners = cv2.approxPolyDP(cv2.convexHull(whole), _FIELD_PX, True)[:, 0].astype(np.float64)
+    u, v = corners.T
+    if u @ np.roll(v, -1) < v @ np.roll(u, -1):
+        corners = corners[::-1]
+    return tuple((float(u), float(v)) for u, v in corners)

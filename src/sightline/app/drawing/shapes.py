@@ -1,0 +1,147 @@
+"""What is drawn over an image: beads, curves, wire and corridor, aids; plain shapes in the image's own pixels."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from sightline.app.work.marks import CHECK_NAMES
+from sightline.app.work.planner import Planned, aid_pixels
+from sightline.app.work.procedure import Procedure
+from sightline.app.work.seen import SeenImage
+from sightline.case.views import NAMES
+from sightline.errors import SightlineError
+from sightline.planning import MatchingCurve
+from sightline.planning.corridor import Corridor, corridor
+from sightline.planning.head import outline
+
+Shape = dict[str, Any]
+RESIDUAL_MM = 0.3  # drawn at the end of the colour scale: six times the default tolerance of a plate [ours]
+_AXIS_PX = 4000.0  # an aid's axis runs across the whole image
+_CLICKS = {"neck": 2, "shaft": 2}
+
+
+def beads(seen: SeenImage) -> list[Shape]:
+    """Every bead as it was found, coloured by its residual once the view is calibrated."""
+    if seen.beads is None:
+        return []
+    if seen.view is None:
+        return [
+            {"shape": "circle", "points": [uv.tolist()], "radius": float(radius), "style": "found"}
+            for uv, radius in zip(seen.beads.uv_px, seen.beads.radius_px, strict=True)
+        ]
+    left = seen.view.residuals
+    out = []
+    for name, uv, residual, used in zip(left.ids, left.uv_px, left.residual_mm, left.used, strict=True):
+        size = float(np.linalg.norm(residual))
+        shape: Shape = {"shape": "circle", "points": [uv.tolist()], "radius": _radius(seen, uv), "style": "bead-good"}
+        if used:
+            shape |= {"value": min(size / RESIDUAL_MM, 1.0), "title": f"{name}: residual {size:.3f} mm"}
+        else:
+            shape |= {"style": "bead-bad", "title": f"{name}: left out, it contradicts the others by {size:.2f} mm"}
+        out.append(shape)
+    return out
+
+
+def rejected(seen: SeenImage) -> list[Shape]:
+    """Candidates that are no beads, each with its reason."""
+    if seen.beads is None:
+        return []
+    return [
+        {"shape": "cross", "points": [list(one.uv_px)], "style": "rejected", "title": one.reason}
+        for one in seen.beads.rejected
+    ]
+
+
+def curves(drawn: Mapping[str, MatchingCurve]) -> list[Shape]:
+    """Image-matching curves by the names of their points, with their bands and ticks, for the lateral image."""
+    return [shape for name, curve in drawn.items() for shape in _curve(name, curve)]
+
+
+def _curve(name: str, curve: MatchingCurve) -> list[Shape]:
+    line = curve.uv_px.tolist()
+    ticks = curve.uv_px[curve.is_tick].tolist()
+    depths = [f"{depth:.0f}" if depth % 50 == 0 else "" for depth in curve.depth_mm[curve.is_tick]]
+    out: list[Shape] = []
+    if curve.half_width_px is not None:
+        out.append({"shape": "band", "points": line, "halfWidth": curve.half_width_px.tolist(), "style": "curve-band"})
+    out.append({"shape": "line", "points": line, "style": "curve", "title": f"where the {name} point may lie"})
+    if ticks:
+        out.append({"shape": "ticks", "points": ticks, "style": "tick", "label": depths})
+    return out
+
+
+def wire(planned: Planned, image: str) -> list[Shape]:
+    """The wire at its true width and the corridor it stays in with 95 %, for one view."""
+    if planned.plan is None:
+        return []
+    kind = planned.kind
+    try:
+        found = corridor(
+            planned.views[NAMES.index(image)],
+            planned.plan.trajectory,
+            wire_mm=kind.wire_mm,
+            beyond_mm=kind.limits.beyond_mm,
+        )
+    except SightlineError:
+        return []  # the view sees none of it; the plan's checks say so
+    return band(found)
+
+
+def band(found: Corridor) -> list[Shape]:
+    """A wire and its corridor in an image."""
+    line = found.uv_px.tolist()
+    out: list[Shape] = []
+    if found.half_95_px is not None:
+        half = (found.wire_half_px + found.half_95_px).tolist()
+        out.append({"shape": "band", "points": line, "halfWidth": half, "style": "corridor"})
+    out.append({"shape": "band", "points": line, "halfWidth": found.wire_half_px.tolist(), "style": "wire"})
+    return out
+
+
+def aids(planned: Planned, image: str) -> list[Shape]:
+    """Axes through their clicks and the head's silhouette, for one view."""
+    out: list[Shape] = []
+    for aid, clicks in _CLICKS.items():
+        uv = aid_pixels(planned.decisions, aid, clicks, image)
+        if uv is not None and (length := float(np.linalg.norm(uv[1] - uv[0]))) > 0.0:
+            along = (uv[1] - uv[0]) / length
+            ends = [(uv[0] - _AXIS_PX * along).tolist(), (uv[1] + _AXIS_PX * along).tolist()]
+            out.append({"shape": "line", "points": ends, "style": "aid", "title": f"{aid} axis"})
+    head = planned.anatomy.head
+    if head is not None:
+        seen = outline(planned.views[NAMES.index(image)], head)
+        if len(seen) > 2:
+            out.append({"shape": "polygon", "points": seen.tolist(), "style": "aid", "title": "femoral head"})
+    return out
+
+
+def found(procedure: Procedure, image: str) -> list[Shape]:
+    """The wire as a check image shows it."""
+    wire = procedure.verifying.wires.get(image)
+    if wire is None:
+        return []
+    tip = wire.tip_uv_px.tolist()
+    return [
+        *_planned_there(procedure, image),
+        {"shape": "line", "points": wire.uv_px.tolist(), "style": "found", "title": "the wire as this image shows it"},
+        {"shape": "cross", "points": [tip], "style": "found", "label": "tip"},
+    ]
+
+
+def _planned_there(procedure: Procedure, image: str) -> list[Shape]:
+    """The plan as the check image would show it, the bone's movement since then taken along."""
+    shot, sent, views = procedure.verifying.shot, procedure.drilling.sent, procedure.views(CHECK_NAMES)
+    if shot is None or sent is None or sent.plan is None or views is None:
+        return []
+    path = sent.plan.trajectory
+    along = np.linspace(0.0, 1.0, 40)[:, None]
+    points = shot.movement.apply((1.0 - along) * path.entry_mm + along * path.end_mm)
+    uv, _ = views[CHECK_NAMES.index(image)].project_seen(points)
+    return [{"shape": "line", "points": uv.tolist(), "style": "plan", "title": "the plan"}] if len(uv) > 1 else []
+
+
+def _radius(seen: SeenImage, uv: np.ndarray) -> float:
+    assert seen.beads is not None  # noqa: S101
+    nearest = int(np.argmin(np.linalg.norm(seen.beads.uv_px - uv, axis=1)))
+    return float(seen.beads.radius_px[nearest])

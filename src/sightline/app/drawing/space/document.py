@@ -1,0 +1,262 @@
+"""What the scene in space shows, as plain objects: mm, CFCS. Each function gives the objects of one group or a part.
+
+Kinds: spheres, points, lines, mesh, picture, ellipsoid, cylinder, label, axes, note; `style` names a look of
+space/space_objects.js; `reach` is "hip", "frame" (unless said) or "room": what must be shown for the object to be seen.
+"""
+
+from base64 import b64encode
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import cv2
+import numpy as np
+from scipy.spatial import ConvexHull
+from scipy.spatial.transform import RigidTransform
+
+from sightline.app.work.rehearsing import Patient, drawn
+from sightline.calibration.view import CalibratedView
+from sightline.case.report.figures.scene import NEAR_MM, magnification
+from sightline.frame import Frame
+from sightline.frame.model import Plate
+from sightline.geometry.covariance import ellipsoid_factor
+from sightline.imaging import Radiograph
+from sightline.planning import Trajectory
+from sightline.robot.kinematics.manipulator import FEED, Manipulator
+
+if TYPE_CHECKING:
+    from sightline.twin.volumes import Volume
+
+Object = dict[str, Any]
+
+PICTURE_PX = 256  # [ours] longest side of an image in the scene: it shows where, the X-ray views show what
+PICTURE_CELLS = 16  # [ours] across a plate; a pincushion of 5 % bends 0.05 mm within one
+PICTURE_SHARE = (1.0, 99.0)  # percentiles made black and white
+ROUND_MM = 2  # decimals: 0.01 mm is less than a pixel of the scene
+TOOL_RADIUS_MM = 2.5  # [ours] twice a guide wire's, so that it shows from afar
+WIRE_BEHIND_MM = 200.0  # [ours] of the wire, drawn behind the tip on the robot
+AXIS_MM = 40.0  # [ours] of CFCS, at its origin
+REACH_MM = 130.0  # [ours] the words of the sides stand as far from the hip: beside it, within the frame
+
+SIDES = {
+    "right": {"lateral": (1, 0, 0), "medial": (-1, 0, 0), "caudal": (0, 1, 0), "cranial": (0, -1, 0)},
+    "left": {"lateral": (1, 0, 0), "medial": (-1, 0, 0), "cranial": (0, 1, 0), "caudal": (0, -1, 0)},
+}
+UPRIGHT = {"anterior": (0, 0, 1), "posterior": (0, 0, -1)}
+
+
+def frame_objects(frame: Frame) -> list[Object]:
+    """The plates' outlines, the balls at their true size, datum markers with a ring about them."""
+    made: list[Object] = []
+    for name, view in frame.views.items():
+        for plate in (view.xrii, view.source):
+            outline = _outline(plate)
+            made.append({"kind": "lines", "style": name, "lines": [_list([*outline, outline[0]])]})
+            made.append(_balls(plate, name))
+            rings = [_ring(f.xyz_mm, 1.6 * f.diameter_mm, plate) for f in plate.fiducials if f.datum]
+            made.append({"kind": "lines", "style": "quiet", "lines": rings})
+    return made
+
+
+def view_objects(view: CalibratedView, plate: Plate, image: Radiograph | None = None) -> list[Object]:
+    """The focal point of a view, its rays through the corners of its XRII `plate`, and the image as it falls on it."""
+    focus, outline = view.focal_point_mm, _outline(plate)
+    made: list[Object] = [
+        {"kind": "spheres", "style": view.name, "at": [_list(focus)], "radius": 4.0, "reach": "room"},
+        _label(focus, f"focal point, {view.name}", view.name),
+        {
+            "kind": "lines",
+            "style": "quiet",
+            "lines": [_list([focus, p]) for p in _corners(outline, plate)],
+            "reach": "room",
+        },
+    ]
+    return made if image is None else [*made, *_picture(view, plate, image)]
+
+
+def sight_objects(view: CalibratedView, uv_px: np.ndarray) -> list[Object]:
+    """The lines of sight of picks (N, 2) px, from the focal point to the reference plane. Raises OutsideRegionError."""
+    if not len(uv_px):
+        return []
+    rays = view.lines_of_sight(np.asarray(uv_px, dtype=np.float64))
+    lines = [_list([rays.focal_point_mm, point]) for point in rays.points_mm]
+    return [{"kind": "lines", "style": view.name, "lines": lines, "reach": "room"}]
+
+
+def point_objects(xyz_mm: np.ndarray, words: Sequence[str], style: str = "quiet") -> list[Object]:
+    """Reconstructed points (N, 3) with their names."""
+    labels = [_label(at, text, style) for at, text in zip(xyz_mm, words, strict=True)]
+    return [{"kind": "points", "style": style, "at": _list(xyz_mm)}, *labels] if len(xyz_mm) else []
+
+
+def wire_objects(trajectory: Trajectory, diameter_mm: float) -> list[Object]:
+    """The planned wire at its true width, with the 95 % ellipsoids of entry and tip where the errors are known.
+
+    They are drawn larger than they are by a round number, which a note tells.
+    """
+    ends = (trajectory.entry_mm, trajectory.end_mm)
+    made: list[Object] = [_cylinder(*ends, diameter_mm / 2, "wire")]
+    made += [_label(at, word, "wire") for at, word in zip(ends, ("entry", "tip"), strict=True)]
+    if not trajectory.error_stated:
+        return [*made, {"kind": "note", "text": "the error of the wire's ends is unknown"}]
+    covariances = trajectory.points.covariance_mm2
+    times = magnification(covariances, NEAR_MM)
+    made += [_ellipsoid(at, covariance, times) for at, covariance in zip(ends, covariances, strict=True)]
+    return [
+        *made,
+        {"kind": "note", "text": f"ellipsoids hold 95 % of the error of entry and tip, {times:g} times as large"},
+    ]
+
+
+def drilled_objects(entry_mm: np.ndarray, tip_mm: np.ndarray, diameter_mm: float) -> list[Object]:
+    """A wire that is in the bone, found by a check or known from the robot, between two points (3,)."""
+    middle = (np.asarray(entry_mm) + np.asarray(tip_mm)) / 2  # where the planned wire has no words
+    return [_cylinder(entry_mm, tip_mm, diameter_mm / 2, "drilled"), _label(middle, "drilled", "drilled")]
+
+
+def bone_objects(volume: "Volume") -> list[Object]:
+    """The outer surface of the bone, where it is known: in the twin and from CT. Slow: some tenths of a second."""
+    from sightline.app.drawing.space.surface import (
+        outer_surface,  # with the twin, which the first page does not wait for
+    )
+
+    vertices, triangles = outer_surface(volume)
+    return [
+        {
+            "kind": "mesh",
+            "style": "bone",
+            "reach": "hip",
+            "vertices": _list(vertices, 1),
+            "triangles": triangles.tolist(),
+        }
+    ]
+
+
+def rehearsed_bone(patient: Patient) -> list[Object]:
+    """Return the femur of a rehearsed patient; for the workshop's process, since it takes seconds."""
+    return [one for volume in drawn(patient).hip.bone.volumes for one in bone_objects(volume)]
+
+
+def robot_objects(robot: Manipulator, q: np.ndarray, T_mcs_cfcs: RigidTransform) -> list[Object]:
+    """The manipulator at its joints (5,) as a stick: column, slides, wrist, drill and wire.
+
+    `T_mcs_cfcs`: where CFCS, the frame as it was imaged, lies for the robot (its registration).
+    """
+    stages = RigidTransform.from_matrix(robot.stages(q))
+    home, tool = robot.T_mcs_flange_home.translation, robot.T_mcs_tool(q)
+    lifted, wrist = stages[1].apply(home), robot.T_mcs_flange(q).translation
+    tip, along = tool.translation, tool.rotation.apply([0.0, 0.0, 1.0])
+    guide = tip - q[FEED] * along  # where the tip is at feed 0
+    back = guide - WIRE_BEHIND_MM * along
+    column, slide = np.array([0.0, 0.0, lifted[2]]), np.array([0.0, wrist[1], wrist[2]])
+    arm = wrist + ((guide - wrist) @ along) * along  # beside the guide, along the wire
+    parts = [
+        (np.zeros(3), column, 22.0),
+        (column, slide, 16.0),
+        (slide, wrist, 16.0),
+        (wrist, arm, 9.0),
+        (arm, guide, 6.0),
+    ]
+    to_cfcs = T_mcs_cfcs.inv()
+    made: list[Object] = [
+        {**_cylinder(to_cfcs.apply(a), to_cfcs.apply(b), radius, "robot"), "reach": "room"}
+        for a, b, radius in parts
+        if np.linalg.norm(b - a) > 1e-6
+    ]
+    made.append(
+        {"kind": "spheres", "style": "robot", "at": [_list(to_cfcs.apply(wrist))], "radius": 24.0, "reach": "room"}
+    )
+    made.append({**_cylinder(to_cfcs.apply(back), to_cfcs.apply(tip), TOOL_RADIUS_MM, "tool"), "reach": "room"})
+    return [*made, _label(to_cfcs.apply(column), "robot", "robot")]
+
+
+def side_objects(side: str | None, about_mm: np.ndarray) -> list[Object]:
+    """The axes of CFCS, and the words for the sides of the hip about a point (3,); unknown `side`: what holds for both.
+
+    Anterior is +Z, lateral +X; caudal +Y of a right hip and -Y of a left one.
+    """
+    words = {**UPRIGHT, **SIDES.get(side or "", {"lateral": (1, 0, 0), "medial": (-1, 0, 0)})}
+    labels = [_label(about_mm + REACH_MM * np.array(way), word, "quiet") for word, way in words.items()]
+    axes = {"kind": "axes", "style": "quiet", "at": [0.0, 0.0, 0.0], "axes": _list(AXIS_MM * np.eye(3))}
+    return [{**axes, "labels": ["X", "Y", "Z"]}, *labels]
+
+
+def _balls(plate: Plate, style: str) -> Object:
+    radii = [f.diameter_mm / 2 for f in plate.fiducials]
+    return {"kind": "spheres", "style": style, "at": _list(plate.xyz_mm), "radius": radii}
+
+
+def _ring(xyz_mm: Sequence[float], diameter_mm: float, plate: Plate) -> list[Any]:
+    turn = np.linspace(0.0, 2 * np.pi, 25)
+    circle = np.stack([np.cos(turn), np.sin(turn)], axis=1) * diameter_mm / 2
+    return _list(np.asarray(xyz_mm) + circle @ plate.plane.axes)
+
+
+def _outline(plate: Plate) -> np.ndarray:
+    return plate.xyz_mm[ConvexHull(plate.plane.to_plane(plate.xyz_mm)).vertices]
+
+
+def _corners(outline_mm: np.ndarray, plate: Plate) -> list[np.ndarray]:
+    """The four outermost points of an outline, along the diagonals of its plane."""
+    xy = plate.plane.to_plane(outline_mm)
+    return [outline_mm[np.argmax(xy @ way)] for way in ((1, 1), (1, -1), (-1, -1), (-1, 1))]
+
+
+def _picture(view: CalibratedView, plate: Plate, image: Radiograph) -> list[Object]:
+    """The image on the plate's plane, distortion and all: a grid over the beads, each node where its pixel is."""
+    xy = plate.plane.to_plane(plate.xyz_mm)
+    sides = [
+        np.linspace(low, high, PICTURE_CELLS + 1) for low, high in zip(xy.min(axis=0), xy.max(axis=0), strict=True)
+    ]
+    grid = np.stack(np.meshgrid(*sides, indexing="ij"), axis=-1)
+    nodes = plate.plane.to_space(grid.reshape(-1, 2))
+    uv_px, seen = view.project_seen(nodes)
+    height, width = image.shape
+    uv = np.zeros((len(nodes), 2))
+    uv[seen] = (uv_px + 0.5) / [width, height]
+    inside = seen & (uv >= 0).all(axis=1) & (uv <= 1).all(axis=1)
+    number = np.arange(len(nodes)).reshape(grid.shape[:2])
+    quads = np.stack([number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:]], axis=-1).reshape(-1, 4)
+    quads = quads[inside[quads].all(axis=1)]
+    if plate.plane.height_mm(view.focal_point_mm) < 0:  # it faces the source
+        quads = quads[:, ::-1]
+    triangles = np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
+    if not len(triangles):
+        return []
+    return [
+        {
+            "kind": "picture",
+            "style": view.name,
+            "vertices": _list(nodes),
+            "triangles": triangles.tolist(),
+            "uv": _list(uv, 4),
+            "image": _thumbnail(image),
+        }
+    ]
+
+
+def _thumbnail(image: Radiograph) -> Object:
+    pixels = image.pixels.astype(np.float32)
+    scale = min(PICTURE_PX / max(pixels.shape), 1.0)
+    small = cv2.resize(pixels, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+    black, white = np.percentile(small, PICTURE_SHARE)
+    grey = (np.clip((small - black) / max(white - black, 1e-6), 0, 1) * 255).astype(np.uint8)
+    return {"width": grey.shape[1], "height": grey.shape[0], "grey": b64encode(grey.tobytes()).decode()}
+
+
+def _ellipsoid(at_mm: np.ndarray, covariance_mm2: np.ndarray, times: float) -> Object:
+    values, vectors = np.linalg.eigh(covariance_mm2)
+    half = vectors * np.sqrt(np.clip(values, 0.0, None)) * ellipsoid_factor(0.95, 3) * times
+    return {"kind": "ellipsoid", "style": "ellipsoid", "at": _list(at_mm), "axes": _list(half.T, 4), "reach": "hip"}
+
+
+def _cylinder(start_mm: np.ndarray, end_mm: np.ndarray, radius_mm: float, style: str) -> Object:
+    ends = {"from": _list(start_mm), "to": _list(end_mm)}
+    return {"kind": "cylinder", "style": style, **ends, "radius": radius_mm, "reach": "hip"}
+
+
+def _label(at_mm: np.ndarray, text: str, style: str) -> Object:
+    return {"kind": "label", "style": style, "at": _list(at_mm), "text": text}
+
+
+def _list(values: Any, decimals: int = ROUND_MM) -> list[Any]:
+    return np.round(np.asarray(values, dtype=np.float64), decimals).tolist()

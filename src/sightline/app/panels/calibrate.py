@@ -1,0 +1,41 @@
+"""The second step: what each view's calibration is worth."""
+
+from nicegui import ui
+
+from sightline.app import texts
+from sightline.app.panels.section import Section, checks, heading, note, table
+from sightline.app.tab.tab import Tab
+from sightline.app.texts import IMAGE_LABELS
+from sightline.case.views import NAMES
+
+
+def build(tab: Tab) -> None:
+    """The panel."""
+
+    def show(event) -> None:
+        tab.show_rejected = bool(event.value)
+        tab.refresh()
+
+    ui.checkbox(texts.SHOW_REJECTED, value=tab.show_rejected, on_change=show).props("data-testid=show-rejected")
+    Section(tab, lambda t: tuple(t.procedure.seen(name) for name in NAMES), _views)
+
+
+def _views(tab: Tab) -> None:
+    for name in NAMES:
+        heading(IMAGE_LABELS[name])
+        seen = tab.procedure.seen(name)
+        if seen is None:
+            note(texts.DROP_FIRST, kind="quiet")
+        elif seen.refused:
+            note(seen.refused, kind="bad", testid=f"refused-{name}")
+        elif seen.view is None:
+            note(f"{seen.doing.capitalize()} …", kind="quiet")
+        else:
+            left = seen.view.residuals
+            rows = [
+                (texts.BEADS_USED, f"{int(left.used.sum())} / {len(left.left_out)}"),
+                (texts.RESIDUAL, f"{left.rms_mm:.3f} mm"),
+                (texts.FOCAL_POINT, ", ".join(f"{x:.0f}" for x in seen.view.focal_point_mm) + " mm"),
+            ]
+            table(("", ""), rows, testid=f"calibration-{name}")
+            checks(seen.view.checks, testid=f"checks-{name}")

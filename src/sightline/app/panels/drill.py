@@ -1,0 +1,241 @@
+"""The fourth step: the plan sent, the arm aligned, the wire drilled; a person tells each motion."""
+
+from collections.abc import Awaitable, Callable, Hashable
+from typing import TYPE_CHECKING
+
+from nicegui import ui
+
+from sightline.app import texts
+from sightline.app.panels import live
+from sightline.app.panels.section import Section, action, checks, heading, note, table
+from sightline.app.tab.tab import Tab
+from sightline.app.texts import (
+    ALIGN_QUESTION,
+    BY_SHOT,
+    CHANGED_AFTER_SENDING,
+    DRILL_ON_QUESTION,
+    DRILL_QUESTION,
+    NO_ROBOT,
+    RESET_QUESTION,
+    RETRACT_QUESTION,
+    SEND_QUESTION,
+    SEND_WHAT,
+    SHOT_QUESTION,
+    SHOT_TOLD,
+    SHOT_UNMEASURED,
+    STOP_IS_NO_EMERGENCY_STOP,
+)
+from sightline.case.report.drilled import force_picture
+from sightline.geometry.covariance import TWO_SIDED_95
+from sightline.robot.control.states import State
+
+if TYPE_CHECKING:
+    from sightline.app.work.robot_session import RobotNow
+
+_PICTURE_PX = 400.0  # about the panel's width, so that words in it are as large as those about it [ours]
+_LIVE_S = 0.2  # between two looks at the robot [ours]
+
+
+def _key(tab: Tab) -> Hashable:
+    drilling, now = tab.procedure.drilling, tab.procedure.drilling.now
+    told = () if now is None else (now.state, now.fault, now.doing, now.said, now.lost, now.zero)
+    procedure, decisions = tab.procedure, tab.procedure.decisions
+    plan = (procedure.planned, decisions.side, decisions.serial, procedure.can_send)
+    return (told, drilling.sent, drilling.record, drilling.current, plan, procedure.working)
+
+
+def _shot_key(tab: Tab) -> Hashable:
+    # Of what is typed nothing is lost by a look at the images.
+    drilling, now = tab.procedure.drilling, tab.procedure.drilling.now
+    return None if now is None else (now.state == State.PAUSED.value, now.zero, now.doing, drilling.current)
+
+
+def build(tab: Tab) -> None:
+    """The panel."""
+    Section(tab, _key, _robot)
+    Section(tab, _shot_key, _second_shot)
+    live.build(tab)
+    Section(tab, lambda t: t.procedure.drilling.session, _force)
+
+
+def _robot(tab: Tab) -> None:
+    procedure = tab.procedure
+    drilling, now = procedure.drilling, procedure.drilling.now
+    heading(texts.ROBOT_HEADING)
+    note(STOP_IS_NO_EMERGENCY_STOP, kind="warn")
+    if now is None or now.lost:
+        if now is not None:
+            note(now.said, kind="bad", testid="robot-said")
+        if procedure.patient is None:
+            note(NO_ROBOT, kind="warn", testid="no-robot")
+            return
+
+        def begin() -> Awaitable[None]:
+            return procedure.during(texts.STARTING_ROBOT, lambda: drilling.start_robot(fast=tab.fast_robot))
+
+        busy = bool(procedure.working)
+        action(texts.START_ROBOT, tab.doing(begin), testid="start-robot", kind="primary", enabled=not busy)
+        if busy:
+            note(f"{procedure.working.capitalize()} …")
+        return
+    _state(tab)
+    if drilling.session is not None and drilling.session.target is not None:
+        checks(drilling.session.target.checks, testid="target-checks")
+    _orders(tab)
+
+
+def _state(tab: Tab) -> None:
+    now = tab.procedure.drilling.now
+    assert now is not None  # noqa: S101
+    with ui.element("div").classes("robot-state").props("data-testid=robot-state role=status"):
+        ui.label(now.state).classes("state-word")
+        ui.label(f"{now.doing} …" if now.doing else "").classes("state-doing")
+    if now.said:
+        note(now.said, kind="bad", testid="robot-said")
+    reading = ui.label().classes("live").props("data-testid=robot-live")
+
+    def tell() -> None:
+        at = tab.procedure.drilling.now
+        if at is None:
+            return
+        force = "–" if at.force_n is None else f"{at.force_n:.1f} N"
+        reading.set_text(f"depth {depth_words(at)} · thrust {force}")
+
+    tell()
+    ui.timer(_LIVE_S, tell)
+
+
+def depth_words(now: "RobotNow") -> str:
+    """Depth with its 95 % error, and what tells where it is counted from."""
+    if now.depth_mm is None:
+        return "–"
+    return f"{now.depth_mm:.1f} mm {_error_words(now)} (zero: {_zero_words(now)})"
+
+
+def _error_words(now: "RobotNow") -> str:
+    return "± ?" if now.depth_sd_mm is None else f"± {TWO_SIDED_95 * now.depth_sd_mm:.1f} mm"
+
+
+def _zero_words(now: "RobotNow") -> str:
+    return " and ".join([", ".join(now.zero[:-1]), now.zero[-1]] if now.zero[1:] else now.zero)
+
+
+def _orders(tab: Tab) -> None:
+    """The buttons that lead on from here; a person's confirmation before each motion."""
+    procedure = tab.procedure
+    drilling, now = procedure.drilling, procedure.drilling.now
+    session = drilling.session
+    assert now is not None and session is not None  # noqa: S101
+    idle, state = not now.doing, now.state
+    if now.fault:
+        note(texts.FAULT.format(number=now.fault, what=now.text), kind="bad", testid="fault")
+        _asked(tab, texts.RESET_FAULT, RESET_QUESTION, lambda: session.reset(now.fault), "reset-fault", enabled=idle)
+        return
+    plan = procedure.planned.plan if procedure.planned is not None else None
+    can_send = idle and procedure.can_send and state not in (State.ALIGNED.value, State.PAUSED.value, State.DONE.value)
+    if plan is not None and procedure.can_send and procedure.decisions.side is not None:
+        what = SEND_WHAT.format(
+            robot=texts.ROBOT_NAMES[procedure.patient is not None],
+            length=plan.trajectory.length_mm,
+            side=procedure.decisions.side,
+            serial=procedure.decisions.serial,
+        )
+        known = procedure.planned
+        assert known is not None  # noqa: S101 - its plan is there
+        _asked(tab, texts.SEND, SEND_QUESTION, lambda: drilling.send(known), "send", what=what, enabled=can_send)
+    else:
+        note(texts.ONLY_GO, kind="warn", testid="not-go")
+    ready = idle and session.target is not None and drilling.current
+    if session.target is not None and not drilling.current:
+        note(CHANGED_AFTER_SENDING, kind="bad", testid="changed-after-sending")
+    if state in (State.TARGETING.value, State.STOP.value):
+        _asked(tab, texts.ALIGN, ALIGN_QUESTION, drilling.align, "align", enabled=ready)
+    if state == State.ALIGNED.value:
+        _asked(tab, texts.DRILL, DRILL_QUESTION, lambda: drilling.drill(State.ALIGNED), "drill", enabled=ready)
+    if state == State.PAUSED.value:
+        _asked(tab, texts.DRILL_ON, DRILL_ON_QUESTION, lambda: drilling.drill(State.PAUSED), "drill-on", enabled=ready)
+    if state in (State.DONE.value, State.STOP.value, State.ALIGNED.value, State.PAUSED.value):
+        _asked(tab, texts.DRAW_BACK, RETRACT_QUESTION, session.retract, "retract", enabled=idle, kind="plain")
+    if state == State.DONE.value or drilling.record is not None:
+        note(texts.DRILLED, kind="good", testid="drilled")
+
+
+def _second_shot(tab: Tab) -> None:
+    """At the pause: what a person measured on the second shot, told to the robot."""
+    drilling, now = tab.procedure.drilling, tab.procedure.drilling.now
+    if now is None or now.state != State.PAUSED.value:
+        return
+    enabled = not now.doing and drilling.current
+    known = {"zero": _zero_words(now), "error": _error_words(now)}
+    heading(texts.SHOT_HEADING)
+    if BY_SHOT in now.zero:
+        note(SHOT_TOLD.format(**known), kind="good", testid="shot-told")
+        return
+    note(SHOT_UNMEASURED.format(**known), testid="shot-unmeasured")
+    depth = ui.number(texts.SHOT_DEPTH, format="%.2f").props("outlined dense data-testid=shot-depth")
+    error = ui.number(texts.SHOT_ERROR, format="%.2f").props("outlined dense data-testid=shot-error")
+
+    def tell() -> Awaitable[None]:
+        return drilling.tell_shot(*(float("nan" if one.value is None else one.value) for one in (depth, error)))
+
+    _asked(tab, texts.TELL_ROBOT, SHOT_QUESTION, tell, "tell-shot", enabled=enabled, kind="plain")
+
+
+def _asked(
+    tab: Tab,
+    text: str,
+    question: str,
+    order: Callable[[], Awaitable[object]],
+    testid: str,
+    *,
+    what: str = "",
+    enabled: bool,
+    kind: str = "primary",
+) -> None:
+    """A button that asks once more before it does it."""
+    with ui.dialog() as dialog, ui.card().classes("question"):
+        ui.label(question).classes("question-text")
+        if what:
+            ui.label(what)
+
+        async def agreed() -> None:
+            dialog.close()
+            await tab.act(order)
+
+        with ui.element("div").classes("choice"):
+            action(texts.CANCEL, dialog.close, testid=f"{testid}-cancel", kind="plain")
+            action(text, agreed, testid=f"{testid}-yes", kind="primary")
+    action(text, dialog.open, testid=testid, kind=kind, enabled=enabled)
+
+
+def _force(tab: Tab) -> None:
+    """The thrust over the depth, as it comes."""
+    if tab.procedure.drilling.session is None and tab.procedure.drilling.record is None:
+        return
+    heading(texts.THRUST_HEADING)
+    drawing = ui.html("", sanitize=False).classes("force").props("data-testid=force")
+    events = ui.column().classes("events").props("data-testid=events")
+    shown = -1
+
+    def tell() -> None:
+        nonlocal shown
+        drilling = tab.procedure.drilling
+        session = drilling.session
+        record = drilling.record or (None if session is None else session.record)
+        if record is None or len(record.depth_mm) == shown:
+            return
+        shown = len(record.depth_mm)
+        picture = force_picture(record, _PICTURE_PX)
+        drawing.set_content(picture)
+        events.clear()
+        if not picture:
+            return  # what was drilled before belongs to another plan
+        with events:
+            table(
+                texts.EVENT_COLUMNS,
+                [(one.name, f"{one.depth_mm:.1f} mm", f"{one.force_n:.1f} N") for one in record.events],
+                testid="events-table",
+            )
+
+    tell()
+    ui.timer(_LIVE_S * 2, tell)

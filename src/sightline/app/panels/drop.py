@@ -1,0 +1,32 @@
+"""Where a person drops images: buttons where the element stands, and the whole page while a file is dragged over it."""
+
+from pathlib import Path
+
+from nicegui import ui
+
+from sightline.app.web.uploads import MAX_UPLOAD_BYTES, OnUpload, Upload, Uploads
+
+
+class DropZone(ui.element, component=Path(__file__).parent / "drop.js"):
+    """Takes images for named targets; each goes to its target's `on_upload`, run in this element's place."""
+
+    def __init__(self, uploads: Uploads, targets: dict[str, OnUpload]) -> None:
+        self._uploads = uploads
+        self._addresses = {label: uploads.open(self._here(on_upload)) for label, on_upload in targets.items()}
+        super().__init__()
+        self._props["targets"] = [{"label": label, "address": where} for label, where in self._addresses.items()]
+        self._props["maxBytes"] = MAX_UPLOAD_BYTES
+
+    def _here(self, on_upload: OnUpload) -> OnUpload:
+        async def run(upload: Upload) -> None:
+            with self:  # so that what it adds to the page, a notification say, reaches this page
+                pending = on_upload(upload)
+                if pending is not None:
+                    await pending
+
+        return run
+
+    def _handle_delete(self) -> None:
+        for address in self._addresses.values():
+            self._uploads.close(address)
+        super()._handle_delete()

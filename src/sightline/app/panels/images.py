@@ -1,0 +1,185 @@
+"""The first step: both images, the patient's side, the frame's serial."""
+
+from collections.abc import Hashable
+
+from nicegui import ui
+
+from sightline.app import texts
+from sightline.app.panels.drop import DropZone
+from sightline.app.panels.section import Section, action, heading, note
+from sightline.app.tab.tab import Tab
+from sightline.app.texts import IMAGE_LABELS, ORIENTATION, STEPS, XRAY
+from sightline.app.web.serve import Site
+from sightline.app.web.uploads import Upload
+from sightline.case.views import NAMES
+from sightline.errors import UnusableInputError
+
+_SERIAL_LENGTH = 64  # characters of a serial [ours]
+
+
+def build_drop_zone(tab: Tab, site: Site) -> None:
+    """Where images are dropped; it stays while the panel is built anew. On the last step they are the check shot's."""
+
+    def taker(view: str):
+        async def take(upload: Upload) -> None:
+            image = f"check-{view}" if tab.step == STEPS[-1] else view
+            where = await tab.procedure.take(upload.data, upload.suffix, image=image)
+            if where != image:
+                tab.say(texts.PUT_WHERE_IT_BELONGS.format(image=IMAGE_LABELS[where]))
+
+        return take
+
+    zone = DropZone(site.uploads, {IMAGE_LABELS[name]: taker(name) for name in NAMES})
+
+    def show() -> None:
+        zone.set_visibility(tab.step in (STEPS[0], STEPS[-1]))
+
+    tab.on_refresh.append(show)
+
+
+def build(tab: Tab) -> None:
+    """The panel."""
+    Section(tab, _state, _images)
+    Section(tab, lambda t: t.procedure.decisions.side, _side)
+    Section(tab, lambda t: t.procedure.decisions.serial, _serial)
+    Section(tab, _untimed, _taken)
+    Section(tab, _mirrored_key, _mirrored)
+    Section(tab, lambda t: tuple(t.procedure.decisions.display.items()), _display)
+
+
+def _state(tab: Tab) -> Hashable:
+    procedure = tab.procedure
+    return (*(procedure.seen(name) for name in NAMES), procedure.working, procedure.trouble)
+
+
+def _images(tab: Tab) -> None:
+    procedure = tab.procedure
+    heading(texts.IMAGES_HEADING)
+    for name in NAMES:
+        seen = procedure.seen(name)
+        if seen is None:
+            note(texts.NO_IMAGE.format(image=IMAGE_LABELS[name]), kind="quiet")
+            continue
+        height, width = seen.image.shape
+        said = texts.IMAGE_SIZE if seen.beads is None else texts.IMAGE_BEADS
+        beads = 0 if seen.beads is None else len(seen.beads)
+        told = said.format(image=IMAGE_LABELS[name], width=width, height=height, beads=beads)
+        note(told, kind="bad" if seen.refused else "good")
+        if seen.refused:
+            note(seen.refused, kind="bad")
+    if procedure.working:
+        note(f"{procedure.working.capitalize()} …", testid="working")
+    if procedure.trouble:
+        note(procedure.trouble, kind="bad", testid="trouble")
+    if procedure.patient is not None:
+        note(texts.REHEARSING, kind="quiet")
+        retake = tab.doing(procedure.take_rehearsed)
+        action(texts.TAKE_AGAIN, retake, testid="retake", enabled=not procedure.working)
+
+
+def _side(tab: Tab) -> None:
+    heading(texts.SIDE_HEADING)
+    side = tab.procedure.decisions.side
+    note(texts.SIDE_HINT, kind="quiet")
+    with ui.element("div").classes("choice").props(f'role=radiogroup aria-label="{texts.SIDE_HEADING}"'):
+        for one in ("right", "left"):
+            button = action(
+                texts.SIDES[one],
+                tab.doing(lambda one=one: tab.procedure.confirm_side(one)),
+                testid=f"side-{one}",
+                kind="primary" if side == one else "plain",
+            )
+            button.props(f"role=radio aria-checked={'true' if side == one else 'false'}")
+    if side is not None:
+        note(ORIENTATION[side], testid="orientation")
+
+
+def _serial(tab: Tab) -> None:
+    heading(texts.SERIAL_HEADING)
+    known, confirmed = tab.procedure.frame.serial, tab.procedure.decisions.serial
+    if confirmed is not None:
+        note(texts.SERIAL_CONFIRMED.format(serial=confirmed), kind="good", testid="serial-confirmed")
+    elif known is None:
+        note(texts.SERIAL_UNKNOWN, kind="quiet")
+    else:
+        note(texts.SERIAL_KNOWN, kind="quiet")
+    field = ui.input(texts.SERIAL_FIELD, value=confirmed or "").props(
+        f"dense outlined data-testid=serial maxlength={_SERIAL_LENGTH}"
+    )
+
+    def confirm() -> None:
+        serial = str(field.value or "").strip()
+        if not serial or len(serial) > _SERIAL_LENGTH or not serial.isprintable():
+            raise UnusableInputError(texts.SERIAL_REFUSED)
+        tab.procedure.confirm_serial(serial)
+
+    field.on("keydown.enter", tab.doing(confirm))
+    action(texts.SERIAL_CONFIRM, tab.doing(confirm), testid="confirm-serial", kind="plain" if confirmed else "primary")
+
+
+def _untimed(tab: Tab) -> tuple[str, ...]:
+    """The images that nobody knows the time of."""
+    seen = {name: tab.procedure.seen(name) for name in NAMES}
+    return tuple(name for name, one in seen.items() if one is not None and tab.procedure.taken_at(one) is None)
+
+
+def _taken(tab: Tab) -> None:
+    untimed = _untimed(tab)
+    if untimed:
+        heading(texts.TAKEN_HEADING)
+    for name in untimed:
+        note(texts.TAKEN_UNKNOWN.format(image=IMAGE_LABELS[name]), kind="warn", testid=f"taken-unknown-{name}")
+        said = ui.number(texts.TAKEN_FIELD.format(image=IMAGE_LABELS[name]), format="%.0f", min=0)
+        said.props(f"outlined dense data-testid=taken-{name}")
+
+        def confirm(name: str = name, said: ui.number = said) -> None:
+            tab.procedure.state_taken(name, float("nan") if said.value is None else float(said.value))
+
+        action(texts.TAKEN_CONFIRM, tab.doing(confirm), testid=f"confirm-taken-{name}", kind="primary")
+
+
+def _mirrored_key(tab: Tab) -> Hashable:
+    """The images that are asked about, what was said of each, and how the page shows them."""
+    asked, decisions = tab.procedure.asks_mirrored, tab.procedure.decisions
+    said = (decisions.mirrored.get(decisions.images[name]) for name in asked)
+    return asked, *said, *(_is_turned(tab, name) for name in asked)
+
+
+def _is_turned(tab: Tab, image: str) -> bool:
+    shown = tab.procedure.decisions.display.get(image)
+    return shown is not None and shown.mirrored
+
+
+def _mirrored(tab: Tab) -> None:
+    procedure, asked = tab.procedure, tab.procedure.asks_mirrored
+    if not asked:
+        return
+    heading(texts.MIRRORED_HEADING)
+    note(texts.MIRRORED_HINT, kind="warn", testid="mirrored-question")
+    for name in asked:
+        said = procedure.decisions.mirrored.get(procedure.decisions.images[name])
+        label = texts.MIRRORED_FIELD.format(image=IMAGE_LABELS[name])
+        note(label if said is None else texts.MIRRORED_SAID[said].format(image=IMAGE_LABELS[name]))
+        with ui.element("div").classes("choice").props(f'role=radiogroup aria-label="{label}"'):
+            for answer, word in texts.MIRRORED_ANSWERS.items():
+                chosen = said is not None and answer == (said != _is_turned(tab, name))
+                button = action(
+                    word,
+                    tab.doing(lambda name=name, answer=answer: procedure.state_mirrored(name, answer)),
+                    testid=f"mirrored-{name}-{word}",
+                    kind="primary" if chosen else "plain",
+                )
+                button.props(f"role=radio aria-checked={'true' if chosen else 'false'}")
+
+
+def _display(tab: Tab) -> None:
+    shown = []
+    for image, display in tab.procedure.decisions.display.items():
+        mirrored = [XRAY["mirrored"]] * display.mirrored
+        turned = [XRAY["rotated"].format(degrees=display.rotation)] * bool(display.rotation)
+        if how := texts.DISPLAY_AND.join(mirrored + turned):
+            shown.append(texts.DISPLAY_SHOWN.format(image=IMAGE_LABELS[image], how=how))
+    if shown:
+        heading(texts.DISPLAY_HEADING)
+        for line in shown:
+            note(line, kind="warn")

@@ -1,0 +1,62 @@
+"""The live image on the step Drill: fresh or marked as old, the plan over it only while it is fresh."""
+
+from typing import TYPE_CHECKING
+
+from nicegui import ui
+
+from sightline.app import texts
+from sightline.app.panels.section import Section, action, heading, note
+from sightline.app.tab.tab import Tab
+from sightline.app.texts import STALE
+from sightline.case.watch.alarm import BLIND_TO
+
+if TYPE_CHECKING:
+    from sightline.case.watch.eye import Watched
+
+_LOOK_S = 0.1  # half of what makes an image old; word of it to the browser each time (live.LATE_S)
+
+
+def build(tab: Tab) -> None:
+    """The panel's part."""
+    heading(texts.LIVE_HEADING)
+    Section(tab, lambda t: t.procedure.live.watch is not None, _switch)
+    said = ui.label().classes("note").props("data-testid=live-state role=status")
+    note(texts.LIVE_BLIND.format(what=BLIND_TO), kind="quiet")
+
+    def look() -> None:
+        watched = tab.procedure.live.latest()
+        if watched is None:
+            if tab.live is not None:
+                tab.show_live(None)
+            watch = tab.procedure.live.watch
+            said.set_text("" if watch is None else watch.fault or texts.LIVE_WAITING)
+            return
+        said.set_text(_sentence(watched))
+        said.classes(add="bad" if watched.moved else "", remove="" if watched.moved else "bad")
+        tab.show_live(watched)
+
+    ui.timer(_LOOK_S, look)
+
+
+def _switch(tab: Tab) -> None:
+    live = tab.procedure.live
+    if live.watch is None:
+        start = tab.doing(lambda: live.start(tab.live_source))
+        action(texts.LIVE_SHOW, start, testid="live-start", kind="plain")
+        return
+
+    async def stop() -> None:
+        tab.show_live(None)
+        await live.close()
+
+    with ui.element("div").classes("choice"):
+        action(texts.LIVE_END, tab.doing(stop), testid="live-stop", kind="plain")
+        action(texts.LIVE_AT_REST, tab.doing(live.watch.rest), testid="live-rest", kind="plain")
+
+
+def _sentence(watched: "Watched") -> str:
+    if watched.stale:
+        return STALE.format(age=watched.age_s)
+    movement = watched.movement.text if watched.movement is not None else watched.note
+    reason = f" ({watched.reason})" if watched.reason else ""
+    return f"{watched.state.capitalize()}{reason}, {1000 * watched.latency_s:.0f} ms old. {movement}"

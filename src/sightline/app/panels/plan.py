@@ -1,0 +1,189 @@
+"""The third step: points placed, figures of the implant, and the verdict."""
+
+from collections.abc import Hashable
+from itertools import groupby
+
+import numpy as np
+from markupsafe import Markup
+from nicegui import ui
+
+from sightline.app import texts
+from sightline.app.panels import markup
+from sightline.app.panels.section import Section, action, heading, note
+from sightline.app.tab.tab import Tab
+from sightline.app.texts import IMAGE_LABELS
+from sightline.app.work.marks import END, ENTRY, Asked, asked_of
+from sightline.app.work.planner import Planned
+from sightline.case.views import NAMES
+from sightline.errors import UnusableInputError
+from sightline.geometry.covariance import TWO_SIDED_95
+from sightline.planning.kinds import KINDS
+
+
+def figures_key(tab: Tab) -> Hashable:
+    """What the figures show."""
+    return tab.known
+
+
+def build(tab: Tab) -> None:
+    """Kind, points, aids."""
+    Section(tab, lambda t: t.procedure.decisions.kind, _kind)
+    Section(tab, lambda t: t.procedure.decisions.snapping, _snapping)
+    Section(tab, lambda t: t.procedure.decisions.kind, _points)
+
+
+def _kind(tab: Tab) -> None:
+    procedure = tab.procedure
+    decisions = procedure.decisions
+    kinds = {name: kind.name.capitalize() for name, kind in KINDS.items()}
+
+    async def choose(event) -> None:
+        await tab.act(lambda: procedure.choose_kind(event.value))
+        tab.go_to(tab.step)
+
+    ui.select(kinds, value=decisions.kind, label=texts.KIND_FIELD, on_change=choose).props(
+        "outlined options-dense data-testid=kind"
+    )
+    note(KINDS[decisions.kind].purpose, kind="quiet")
+
+    def show(event) -> None:
+        tab.show_beads = bool(event.value)
+        tab.refresh()
+
+    ui.checkbox(texts.SHOW_BEADS, value=tab.show_beads, on_change=show).props("data-testid=show-beads")
+
+
+def _snapping(tab: Tab) -> None:
+    procedure = tab.procedure
+
+    async def snap(event) -> None:
+        await tab.act(lambda: procedure.choose_snapping(bool(event.value)))
+
+    on = procedure.decisions.snapping
+    ui.checkbox(texts.SNAP, value=on, on_change=snap).props("data-testid=snapping")
+
+
+def _points(tab: Tab) -> None:
+    decisions = tab.procedure.decisions
+    for group, listed in groupby(asked_of(decisions.kind), key=lambda one: one.group):
+        heading(texts.POINT_GROUPS[group])
+        for _, same in groupby(listed, key=lambda one: one.of):
+            _row(tab, tuple(same))
+    if KINDS[decisions.kind].proposal is not None:
+        action(texts.PROPOSE, tab.doing(lambda: _propose(tab)), testid="propose")
+        Section(tab, _missing, lambda t: note(_missing(t), kind="quiet") if _missing(t) else None)
+
+
+def _row(tab: Tab, same: tuple[Asked, ...]) -> None:
+    """One point, or the clicks of one aid. Its buttons stay: one that is built anew under a click loses the click."""
+    first, names = same[0], tuple(one.name for one in same)
+    label = first.label if len(same) == 1 else first.label.rsplit(" ", 1)[0]
+
+    def placed(t: Tab) -> tuple[int, ...]:
+        """How many clicks are there in each image."""
+        marks = [t.procedure.decisions.mark(name) for name in names]
+        return tuple(sum(mark.at(image) is not None for mark in marks) for image in first.images)
+
+    def current(t: Tab) -> bool:
+        return t.goal is not None and t.goal.asked.name in names
+
+    def show(t: Tab) -> None:
+        row.classes(add="current" if current(t) else "", remove="" if current(t) else "current")
+        remove.set_enabled(any(placed(t)))
+        for image, count in zip(first.images, placed(t), strict=True):
+            whole = count == len(same)
+            part = f" {count}/{len(same)}" if 0 < count < len(same) else ""
+            ui.label(f"{'●' if whole else '○'} {texts.IMAGES_SHORT[image]}{part}").classes(
+                "placed" if whole else "missing"
+            )
+
+    with ui.element("div").classes("pick").props(f"data-testid=row-{first.of}") as row:
+        ui.label(label).classes("pick-name").tooltip(first.sentence)
+        status = ui.element("div").classes("pick-status")
+        action(texts.PLACE, lambda: tab.place(same), testid=f"place-{first.of}", kind="small").props(
+            f'aria-label="{texts.PLACE_WHAT.format(what=label)}"'
+        )
+        remove = action("✕", tab.doing(lambda: tab.procedure.remove(names)), testid=f"remove-{first.of}", kind="small")
+        remove.props(f'aria-label="{texts.REMOVE_WHAT.format(what=label)}"')
+    with status:
+        Section(tab, lambda t: (placed(t), current(t)), show, classes="pick-status")
+
+
+def _propose(tab: Tab) -> None:
+    known = tab.procedure.planned
+    if known is None:
+        raise UnusableInputError(texts.PROPOSE_UNCALIBRATED)
+    proposal, decisions = known.proposal(), tab.procedure.decisions
+    for name, uv in ((ENTRY, proposal.entry_uv_px), (END, proposal.end_uv_px)):
+        mark = decisions.mark(name)
+        for image, at in zip(NAMES, uv, strict=True):
+            mark = mark.placed(image, (float(at[0]), float(at[1])), free=False)
+        decisions = decisions.with_mark(name, mark)
+    tab.procedure.edit(decisions)
+    tab.go_to(tab.step)
+
+
+def _missing(tab: Tab) -> str:
+    """What a proposal still needs."""
+    known = tab.procedure.planned
+    absent = {} if known is None else known.anatomy.absent
+    return "; ".join(text for name, text in absent.items() if name in ("head", "shaft", "cortex"))
+
+
+def figures_html(tab: Tab) -> Markup:
+    """Figures of plan and implant; they follow a point that is dragged."""
+    known = tab.known
+    if known is None or (known.plan is None and not known.figures):
+        return Markup()
+    rows = []
+    if known.plan is not None:
+        path = known.plan.trajectory
+        if path.error_stated:
+            rows += [
+                (texts.ENTRY_ERROR, f"{path.entry_error_95_mm:.2f} mm", ""),
+                (texts.TIP_ERROR, f"{path.end_error_95_mm:.2f} mm", ""),
+                (texts.DIRECTION_ERROR, f"{np.rad2deg(path.direction_error_95_rad):.2f}°", ""),
+            ]
+        rows += _gaps(tab)
+    said = [markup.note(why, kind="bad", testid="figures-refused") for why in _refused(known)]
+    if known.plan is not None:
+        said += [markup.note(sentence, kind="quiet", testid="along") for sentence in known.plan.along_sentences()]
+    if tab.procedure.decisions.side is None:
+        said.insert(0, markup.note(texts.SIDE_FOR_FIGURES, kind="warn"))
+    for figure in known.figures:
+        if figure.value is not None:
+            space = "" if figure.unit == "°" else " "
+            sd = "" if figure.sd is None else f" ± {TWO_SIDED_95 * figure.sd:.1f}"
+            mark = {True: "✓", False: "!", None: ""}[figure.within]
+            rows.append((figure.name, f"{figure.value:.1f}{sd}{space}{figure.unit}", mark))
+    table = markup.table(texts.FIGURE_COLUMNS, rows, testid="figures")
+    return markup.joined(markup.heading(texts.FIGURES_HEADING), *said, table)
+
+
+def _refused(known: Planned) -> list[str]:
+    """Why figures are not there though all they need is drawn, each reason once."""
+    missing = {f"Not known: {why}." for why in known.anatomy.absent.values()}
+    absent = dict.fromkeys(figure.sentence for figure in known.figures if figure.value is None)
+    return [sentence for sentence in absent if sentence not in missing]
+
+
+def _gaps(tab: Tab) -> list[tuple[str, str, str]]:
+    known = tab.known
+    assert known is not None and known.plan is not None  # noqa: S101
+    seen, decisions = known.plan.seen, known.decisions
+    landmarks = [a for a in asked_of(decisions.kind) if a.group == "landmark" and decisions.mark(a.name).complete()]
+    names = [*texts.GAP_ENDS, *(a.label[:1].lower() + a.label[1:] for a in landmarks)]
+    out = []
+    for name, gap, tested in zip(names, seen.gap_mm, seen.gap_tested, strict=True):
+        out.append((texts.GAP_OF.format(point=name), f"{gap:.2f} mm" if tested else texts.GAP_NOT_TESTED, ""))
+    return out
+
+
+def instruction(tab: Tab) -> str:
+    """What to do next, in a sentence."""
+    goal = tab.goal
+    if goal is None:
+        return ""
+    return texts.PLACE_WHERE.format(
+        image=IMAGE_LABELS[goal.image], point=goal.asked.label, sentence=goal.asked.sentence
+    )

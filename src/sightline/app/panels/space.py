@@ -1,0 +1,123 @@
+"""The scene in space below the images: each group drawn again only when what it shows is another."""
+
+import asyncio
+from collections.abc import Callable, Hashable
+from typing import Any
+
+import numpy as np
+from nicegui import ui
+
+from sightline.app.drawing.space import document as space
+from sightline.app.drawing.space.view import SpaceView
+from sightline.app.tab.tab import Tab
+from sightline.app.texts import SPACE_GROUPS, SPACE_LABEL
+from sightline.app.work.marks import asked_of
+from sightline.case.views import NAMES
+from sightline.errors import SightlineError
+
+_LIVE_S = 0.2  # between two looks at where the robot is [ours]
+
+
+class Space:
+    """The scene of one page. `open`: whether it is shown; while it is not, nothing is drawn."""
+
+    def __init__(self, tab: Tab) -> None:
+        self._tab, self.open = tab, False
+        self._drawn: dict[str, Hashable] = {}
+        self._bone: list[dict[str, Any]] | None = None
+        self._box = ui.element("div").classes("space-box")
+        self._box.set_visibility(False)
+        with self._box:
+            self._view = SpaceView(label=SPACE_LABEL, groups=SPACE_GROUPS)
+        tab.on_refresh.append(self.refresh)
+        ui.timer(_LIVE_S, self._robot)
+
+    def toggle(self) -> None:
+        """Show or hide it."""
+        self.open = not self.open
+        self._box.set_visibility(self.open)
+        self.refresh()
+
+    def refresh(self) -> None:
+        """Draw the groups that changed."""
+        if not self.open:
+            return
+        tab, procedure = self._tab, self._tab.procedure
+        decisions, known, views = procedure.decisions, tab.known, procedure.views()
+        seen = [procedure.seen(name) for name in NAMES]
+        if self._drawn.get("sides", "never") != decisions.side:
+            self._view.orient(decisions.side)
+        self._group("frame", procedure.frame, lambda: space.frame_objects(procedure.frame))
+        self._group("sides", decisions.side, lambda: space.side_objects(decisions.side, np.zeros(3)))
+        self._group("views", tuple(seen), self._views)
+        self._group("sights", (views, decisions.marks), self._sights)
+        plan = None if known is None else known.plan
+        self._group("points", plan, self._points)
+        self._group("wire", plan, self._wire)
+        self._group("drilled", procedure.verifying.shot, self._drilled)
+        if procedure.patient is not None and self._bone is None:
+            self._bone = []
+            asyncio.get_running_loop().create_task(self._fetch_bone())
+        self._group("bone", None if self._bone is None else len(self._bone), lambda: self._bone or [])
+
+    async def _fetch_bone(self) -> None:
+        patient = self._tab.procedure.patient
+        assert patient is not None  # noqa: S101
+        self._bone = await self._tab.procedure.workshop.do(space.rehearsed_bone, patient)
+        self._tab.later()
+
+    def _group(self, name: str, key: Hashable, objects: Callable[[], list[dict[str, Any]]]) -> None:
+        if self._drawn.get(name, "never") != key:
+            self._drawn[name] = key
+            self._view.draw(name, objects())
+
+    def _views(self) -> list[dict[str, Any]]:
+        procedure, out = self._tab.procedure, []
+        for name in NAMES:
+            seen = procedure.seen(name)
+            if seen is not None and seen.view is not None:
+                out += space.view_objects(seen.view, procedure.frame.views[name].xrii, seen.image)
+        return out
+
+    def _sights(self) -> list[dict[str, Any]]:
+        procedure, out = self._tab.procedure, []
+        for view, name in zip(procedure.views() or (), NAMES, strict=False):
+            placed = [procedure.decisions.mark(asked.name) for asked in asked_of(procedure.decisions.kind)]
+            for mark in placed:
+                at = mark.at(name)
+                if at is not None:
+                    try:
+                        out += space.sight_objects(view, np.array([at]))
+                    except SightlineError:
+                        continue  # where the view is not calibrated there is no line to draw; the plan says so
+        return out
+
+    def _points(self) -> list[dict[str, Any]]:
+        known = self._tab.known
+        if known is None or known.plan is None:
+            return []
+        listed = [a for a in asked_of(known.decisions.kind) if a.group == "landmark"]
+        words = [asked.label for asked in listed if known.decisions.mark(asked.name).complete()]
+        return space.point_objects(known.plan.seen.xyz_mm[2:], words)
+
+    def _wire(self) -> list[dict[str, Any]]:
+        known = self._tab.known
+        if known is None or known.plan is None:
+            return []
+        return space.wire_objects(known.plan.trajectory, known.kind.wire_mm)
+
+    def _drilled(self) -> list[dict[str, Any]]:
+        procedure = self._tab.procedure
+        shot, sent = procedure.verifying.shot, procedure.drilling.sent
+        if shot is None or sent is None:
+            return []
+        return space.drilled_objects(shot.entry_mm, shot.tip_mm, sent.kind.wire_mm)
+
+    def _robot(self) -> None:
+        session = self._tab.procedure.drilling.session
+        now = None if session is None else session.now
+        if not self.open or session is None or now is None or now.joints is None:
+            return
+        joints, robot = np.round(now.joints, 3), session.robot.manipulator
+        where = robot.T_mcs_cfcs(session.imaged_q)
+        self._group("robot", joints.tobytes(), lambda: space.robot_objects(robot, joints[:5], where))

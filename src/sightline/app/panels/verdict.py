@@ -1,0 +1,194 @@
+"""GO or NO-GO, in one place: every check, where the error comes from, how old the plan is, and what to do."""
+
+from collections.abc import Hashable
+
+import numpy as np
+from markupsafe import Markup
+from nicegui import ui
+
+from sightline.app import texts
+from sightline.app.panels import markup
+from sightline.app.panels.section import Following
+from sightline.app.tab.tab import Tab
+from sightline.checks import Check, failed
+from sightline.errors import SightlineError
+from sightline.planning.shares import Share, error_shares, error_shares_of
+from sightline.robot.kinematics.target import LIFETIME_S, RobotTarget
+
+SOURCES = {  # of error, and the colour of each (colours.js)
+    "beads": "sky",
+    "map": "green",
+    "focal_point": "yellow",
+    "frame": "orange",
+    "picks": "purple",
+    "robot": "vermillion",
+}
+
+_VERDICT = Markup(
+    '<div class="verdict {kind}" data-testid="verdict" role="status"><div class="verdict-word">{word}</div>'
+    '<div class="verdict-sentence">{sentence}</div></div>'
+)
+_BARS = Markup('<div aria-hidden="true">{}</div>')
+_PIECE = Markup('<i style="width:{:.2f}%;background:{}"></i>')
+
+
+def key(tab: Tab) -> Hashable:
+    """What the verdict says."""
+    listed = _listed(tab)
+    return len(listed), tuple(check.sentence for check in failed(listed))
+
+
+def age_key(tab: Tab) -> Hashable:
+    """Whether there is a plan, and it is young enough."""
+    return bool(_listed(tab)), tab.procedure.fresh, tab.procedure.drilled_age_s
+
+
+def count(tab: Tab) -> Hashable:
+    """How many checks there are."""
+    return len(_listed(tab))
+
+
+def details_key(tab: Tab) -> Hashable:
+    """What the details show."""
+    procedure, known = tab.procedure, tab.known
+    return (
+        known,
+        procedure.fresh,
+        procedure.decisions.side,
+        procedure.decisions.serial,
+        procedure.go,
+        _target(tab),
+    )
+
+
+def _listed(tab: Tab) -> tuple[Check, ...]:
+    """Every check of the plan that is shown; none where there is no plan."""
+    verdict = tab.procedure.verdict_of(tab.known)
+    return () if verdict is None else verdict.checks
+
+
+def html(tab: Tab) -> Markup:
+    """The verdict, and what to do about each check that failed."""
+    verdict = tab.procedure.verdict_of(tab.known)
+    if verdict is None:
+        return Markup()
+    state, wrong = verdict.state, failed(verdict.checks)
+    word, sentence = texts.VERDICTS[state]
+    told = sentence.format(failed=len(wrong), all=len(verdict.checks))
+    shown = _VERDICT.format(kind=state, word=word, sentence=told)
+    kinds = ["warn" if one in verdict.unmade else "bad" for one in wrong]
+    return markup.joined(
+        shown,
+        *(markup.note(one.sentence, kind=kind, testid="do-about") for one, kind in zip(wrong, kinds, strict=True)),
+    )
+
+
+def build_details(tab: Tab) -> None:
+    """Where the error comes from, and every check with figure and limit."""
+    listed = _listed(tab)
+    if not listed:
+        return
+    Following(tab, details_key, _shares)
+    with ui.element("details").props("data-testid=all-checks"):
+        with ui.element("summary"):
+            ui.label(texts.ALL_CHECKS.format(count=len(listed)))
+        Following(tab, details_key, lambda t: markup.checks(_listed(t), testid="verdict-checks"))
+
+
+def build_age(tab: Tab) -> None:
+    """How old the plan is, and when it expires."""
+    if not _listed(tab):
+        return
+    label = ui.label().classes("age").props("data-testid=age")
+    was_fresh, drilled = tab.procedure.fresh, tab.procedure.drilled_age_s
+    if drilled is not None:
+        label.set_text(texts.SENT_AT.format(age=_minutes(drilled)))
+        return
+
+    def tell() -> None:
+        age = tab.procedure.age_s
+        if age is None:
+            return
+        if tab.procedure.fresh != was_fresh:
+            tab.refresh()  # GO must not stand over a plan that has expired
+            return
+        told = texts.EXPIRES.format(age=_minutes(age), left=_minutes(LIFETIME_S - age))
+        label.set_text(told if was_fresh else texts.EXPIRED)
+
+    tell()
+    ui.timer(1.0, tell)
+
+
+def _minutes(seconds: float) -> str:
+    return texts.MINUTES.format(minutes=int(seconds // 60), seconds=int(seconds % 60))
+
+
+def _shares(tab: Tab) -> Markup:
+    """Where the error comes from: a table, and bars for who sees their colours."""
+    known = tab.known
+    if known is None or known.plan is None:
+        return Markup()
+    try:
+        target = _target(tab)
+        if target is not None:
+            ends = np.stack([target.entry_mm, target.end_mm])
+            shares = error_shares_of(ends, target.budget_mm2)
+        else:
+            shares = error_shares(known.plan.trajectory)
+    except SightlineError:
+        return Markup()
+    together = [_together(share) for share in shares.values()]
+    columns = [f"{texts.SHARES_OF[what]}, {share.unit}" for what, share in shares.items()]
+    rows = [
+        (
+            _named(source),
+            *(_part(share, percent[source]) for share, percent in zip(shares.values(), together, strict=True)),
+        )
+        for source in SOURCES
+    ]
+    whole = (texts.SHARES_WHOLE, *(_part(share, 100.0) for share in shares.values()))
+    return markup.joined(
+        markup.heading(texts.SHARES_HEADING),
+        _BARS.format(markup.joined(*map(_bar, together))),
+        markup.table(
+            (texts.SHARES_SOURCE, *columns),
+            [*rows, whole],
+            testid="shares",
+            classes="shares",
+            label=texts.SHARES_LABEL,
+        ),
+    )
+
+
+def _target(tab: Tab) -> RobotTarget | None:
+    """What the robot made of the plan that is shown; None before it is sent, and of another."""
+    drilling = tab.procedure.drilling
+    shown = drilling.session is not None and drilling.current and tab.known is tab.procedure.planned
+    return drilling.session.target if drilling.session is not None and shown else None
+
+
+def _together(share: Share) -> dict[str, float]:
+    """Percent by source; all that the robot adds is one."""
+    together = dict.fromkeys(SOURCES, 0.0)
+    for source, percent in share.percent.items():
+        together[source if source in SOURCES else "robot"] += percent
+    return together
+
+
+def _bar(percent: dict[str, float]) -> Markup:
+    return Markup('<div class="share">{}</div>').format(
+        markup.joined(*(_PIECE.format(of, _colour(source)) for source, of in percent.items()))
+    )
+
+
+def _named(source: str) -> Markup:
+    return Markup('<i style="background:{}"></i>{}').format(_colour(source), source.replace("_", " "))
+
+
+def _part(share: Share, percent: float) -> Markup:
+    """What a source adds: squares of root mean squares add up."""
+    return Markup("{:.2f}<small>{:.0f} %</small>").format(share.rms * np.sqrt(percent / 100.0), percent)
+
+
+def _colour(source: str) -> str:
+    return f"var(--{SOURCES[source]})"

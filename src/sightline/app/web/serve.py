@@ -1,0 +1,219 @@
+"""Runs the page: NiceGUI behind the guard, on a server of this process, until it is told to stop."""
+
+import asyncio
+import secrets
+import signal
+import socket
+import threading
+import webbrowser
+from collections.abc import Awaitable, Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+
+import uvicorn
+from fastapi import FastAPI
+from nicegui import Client, core, ui
+from uvicorn.protocols.http.h11_impl import H11Protocol
+
+from sightline.app.web.guard import MAX_BODY_BYTES, Guard, is_loopback
+from sightline.app.web.images import IMAGES_PATH, Images
+from sightline.app.web.pages import Pages
+from sightline.app.web.uploads import MAX_UPLOAD_BYTES, UPLOADS_PATH, Uploads
+from sightline.errors import UnusableInputError
+
+MAX_CONNECTIONS = 64  # [ours] a browser opens six, and a socket
+HEADERS_S = 10.0  # [ours] longest time for the headers of a request
+STOP_S = 3  # [ours] how long open connections may take to finish
+RECONNECT_S = 10.0  # [ours] how long a page that lost its connection keeps its place
+_NO_PAGES = ("/_nicegui", "/favicon", IMAGES_PATH, UPLOADS_PATH)
+
+_ICON = (
+    '<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 32 32" fill="none" stroke="#56b4e9" stroke-width="3">'
+    '<circle cx="16" cy="16" r="10"/><path d="M16 1v10M16 21v10M1 16h10M21 16h10"/></svg>'
+)
+
+
+@dataclass
+class Site:
+    """The app as it is served: what a page asks about it, publishes through it and receives by it."""
+
+    host: str
+    port: int
+    token: str | None
+    images: Images = field(default_factory=Images)
+    uploads: Uploads = field(default_factory=Uploads)
+    stop: Callable[[], None] = lambda: None
+
+    @property
+    def url(self) -> str:
+        """What to open in a browser; holds the token where there is one."""
+        address = {"0.0.0.0": "127.0.0.1", "::": "::1"}.get(self.host, self.host)  # noqa: S104
+        name = f"[{address}]" if ":" in address else address
+        return f"http://{name}:{self.port}/" + (f"?token={self.token}" if self.token else "")
+
+    @property
+    def reachable_from_outside(self) -> bool:
+        """Whether another machine could connect."""
+        return not is_loopback(self.host)
+
+
+PageRoot = Callable[[Site], Awaitable[None] | None]
+
+
+def serve(
+    page_root: PageRoot,
+    *,
+    host: str = "127.0.0.1",
+    port: int = 0,
+    token: str | None = None,
+    open_browser: bool = False,
+    on_ready: Callable[[Site], None] = lambda site: None,
+) -> None:
+    """Serve the page that `page_root` builds, until Ctrl-C, SIGTERM or `Site.stop`; once in a process.
+
+    Port 0 takes a free one. Beyond the loopback addresses a token is needed, and made where none is given.
+    Raises UnusableInputError on an address or port that cannot be had, or a short token.
+    """
+    if token is None and not is_loopback(host):
+        token = secrets.token_urlsafe(24)
+    with _listen(host, port) as listener:
+        site = Site(host, listener.getsockname()[1], token)
+        server = _Server(guarded(page_root, site), lambda: _ready(site, open_browser, on_ready))
+        site.stop = server.stop
+        with _sigterm_is_no_error():
+            server.run(sockets=[listener])
+
+
+def guarded(page_root: PageRoot, site: Site) -> Guard:
+    """The whole app behind its guard: page, static files, sockets, images and uploads."""
+    app = FastAPI(docs_url=None, redoc_url=None, openapi_url=None)
+    app.router.routes += [site.images.route, site.uploads.route]
+    ui.run_with(
+        app,
+        root=lambda: page_root(site),
+        title="Sightline",
+        favicon=_ICON,
+        dark=True,
+        reconnect_timeout=RECONNECT_S,
+        gzip_middleware_factory=None,  # slower than the loopback
+        tailwind=False,  # 270 kB of compiler at every start of a page
+        show_welcome_message=False,
+    )
+    core.sio.on("alive", _alive)
+    core.sio.eio.cors_allowed_origins = []  # no header that lets other pages in; the guard checks Origin
+    core.sio.eio.max_http_buffer_size = MAX_BODY_BYTES
+    pages = Pages(app, _NO_PAGES, lambda: len(Client.instances))
+    return Guard(pages, site.host, site.port, site.token, {UPLOADS_PATH: MAX_UPLOAD_BYTES})
+
+
+async def _alive(_: str) -> bool:
+    """A page asks whether anybody answers (page.js)."""
+    return True
+
+
+def _ready(site: Site, open_browser: bool, on_ready: Callable[[Site], None]) -> None:
+    on_ready(site)
+    if open_browser:
+        threading.Thread(target=webbrowser.open, args=[site.url], daemon=True).start()
+
+
+@contextmanager
+def _listen(host: str, port: int) -> Iterator[socket.socket]:
+    if not 0 <= port <= 65535:
+        raise UnusableInputError(f"{port} is no port; give one from 0 to 65535, 0 for any free one")
+    try:
+        family, _, _, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)[0]
+        listener = socket.create_server(address[:2], family=family)
+    except OSError as error:
+        raise UnusableInputError(
+            f"cannot serve at {host} port {port} ({error.strerror}); another program may be using it: "
+            "give another --port, or 0 for any free one"
+        ) from error
+    with listener:
+        yield listener
+
+
+class _Server(uvicorn.Server):
+    """Uvicorn with bounds on what a client may take, telling when it is ready."""
+
+    def __init__(self, app: Guard, on_started: Callable[[], None]) -> None:
+        self._on_started = on_started
+        super().__init__(
+            uvicorn.Config(
+                app,  # pyright: ignore[reportArgumentType]  # its own ASGI types are typed dicts
+                http=_Http,
+                ws="wsproto",
+                ws_max_size=MAX_BODY_BYTES,
+                ws_per_message_deflate=False,
+                limit_concurrency=MAX_CONNECTIONS,
+                timeout_graceful_shutdown=STOP_S,
+                proxy_headers=False,
+                server_header=False,
+                access_log=False,  # no names in logs
+                log_config=None,
+                log_level="warning",
+            )
+        )
+
+    def stop(self) -> None:
+        """End `run`; from any thread."""
+        self.should_exit = True
+
+    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+        """Start, and say so."""
+        await super().startup(sockets)
+        if self.started:
+            self._on_started()
+
+
+class _Http(H11Protocol):
+    """HTTP that does not wait for a request's headers forever. (h11 also bounds them to 64 KiB.)"""
+
+    _deadline: asyncio.TimerHandle | None = None
+
+    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
+        """A client connected."""
+        super().connection_made(transport)
+        self._await_headers()
+
+    def on_response_complete(self) -> None:
+        """An answer is out; the next request may come."""
+        super().on_response_complete()
+        self._await_headers()
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """The client left."""
+        self._forget_deadline()
+        super().connection_lost(exc)
+
+    def handle_websocket_upgrade(self, event) -> None:
+        """The connection becomes a socket, with timeouts of its own."""
+        self._forget_deadline()
+        super().handle_websocket_upgrade(event)
+
+    def _await_headers(self) -> None:
+        self._forget_deadline()
+        self._deadline = self.loop.call_later(HEADERS_S, self._close_if_none_came)
+
+    def _forget_deadline(self) -> None:
+        if self._deadline is not None:
+            self._deadline.cancel()
+
+    def _close_if_none_came(self) -> None:
+        if self.cycle is None or self.cycle.response_complete:
+            self.transport.close()
+
+
+@contextmanager
+def _sigterm_is_no_error() -> Iterator[None]:
+    """Uvicorn shuts down in order and then raises the signal again; that is an end asked for, not an error."""
+    if threading.current_thread() is not threading.main_thread():  # where Python allows no handlers
+        yield
+        return
+    before = signal.signal(signal.SIGTERM, lambda *_: None)
+    try:
+        yield
+    except KeyboardInterrupt:
+        pass
+    finally:
+        signal.signal(signal.SIGTERM, before)

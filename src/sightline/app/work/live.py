@@ -1,0 +1,93 @@
+"""A live image beside the robot: watched, calibrated and overlaid as `sightline watch` does, ten times a second."""
+
+import asyncio
+from collections.abc import Iterable, Iterator
+from typing import TYPE_CHECKING
+
+from sightline.app.work.rehearsing import Patient
+from sightline.errors import UnusableInputError
+from sightline.frame import Frame
+
+if TYPE_CHECKING:
+    from sightline.app.work.procedure import Procedure
+    from sightline.case.watch.eye import Shown, Watched
+    from sightline.case.watch.live import Watch
+
+LATE_S = 0.2  # word of a fresh image is sent every 0.1 s; so much and as much again on the way is not late [ours]
+EVERY = 3  # of 30 images a second one in three is worked on: the page needs the cores too [ours]
+
+
+class Live:
+    """`watch`: while a live image is shown."""
+
+    def __init__(self, procedure: "Procedure") -> None:
+        self._procedure = procedure
+        self.watch: Watch | None = None
+        self._starting = False
+
+    async def start(self, source: str | None) -> None:
+        """Watch a source by its name, or without one the rehearsed patient's C-arm: against the plan that was sent and
+        the views that it was made in, or the one that is shown. Raises SightlineError."""
+        from sightline.case.watch.live import Watch
+
+        if self._starting:
+            raise UnusableInputError("the live image is being started already; wait for it")
+        self._starting = True
+        try:
+            await self.close()
+            images = await asyncio.to_thread(_opened, source, self._procedure.patient)
+            known = self._procedure.drilling.sent or self._procedure.planned
+            views = (self._procedure.views() or ()) if known is None else known.views
+            plan = None if known is None or known.plan is None else known.plan.trajectory
+            self.watch = Watch(self._procedure.frame, _Thinned(images), plan, views)
+            self.watch.start()
+        finally:
+            self._starting = False
+        self._procedure.notify()
+
+    async def close(self) -> None:
+        """No live image any more. A source that hangs is waited for elsewhere: the page goes on, and STOP with it."""
+        watch, self.watch = self.watch, None
+        if watch is not None:
+            self._procedure.notify()
+            await asyncio.to_thread(watch.close)
+
+    def latest(self) -> "Watched | None":
+        """The newest image that was worked on."""
+        return None if self.watch is None else self.watch.latest()
+
+
+def fresh_s(watched: "Watched") -> float:
+    """For how long a page may take an image for what is now, without another word of it."""
+    from sightline.case.watch.eye import STALE_S
+
+    return 0.0 if watched.stale else STALE_S - watched.age_s + LATE_S
+
+
+class _Thinned:
+    """One in EVERY images of a source."""
+
+    def __init__(self, source: "Iterable[Shown]") -> None:
+        self._source = source
+
+    def __iter__(self) -> "Iterator[Shown]":
+        for k, shown in enumerate(self._source):
+            if k % EVERY == 0:
+                yield shown
+
+    def close(self) -> None:
+        """End the source."""
+        close = getattr(self._source, "close", None)
+        if close is not None:
+            close()
+
+
+def _opened(source: str | None, patient: Patient | None) -> "Iterable[Shown]":
+    from sightline.case.watch.sources import open_source
+    from sightline.rehearsal.stream import Stream
+
+    if source is not None:
+        return open_source(source)
+    if patient is None:
+        raise UnusableInputError("no live image is connected; start the app with --live SOURCE")
+    return Stream(patient.seed, Frame.load(patient.frame))

@@ -1,0 +1,198 @@
+"""From decisions and two calibrated views to all that follows: curves, plan, anatomy, figures. Nothing here is kept."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property, lru_cache
+
+import numpy as np
+
+from sightline.app.work.decisions import Decisions, Mark, Pixel
+from sightline.app.work.marks import END, ENTRY, asked_of
+from sightline.calibration import BeadView, CalibratedView
+from sightline.case.contents import Asked
+from sightline.case.views import NAMES
+from sightline.errors import SightlineError
+from sightline.planning import MatchingCurve, Plan, matching_curve, snap
+from sightline.planning.aids import Aids, Circle, Line
+from sightline.planning.anatomy import Anatomy, locate
+from sightline.planning.figures import Figure, figures
+from sightline.planning.kinds import TrajectoryKind
+from sightline.planning.kinds import kind as kind_of
+from sightline.planning.picks import DEFAULT_PICK_SD_PX, Pick
+from sightline.planning.proposal import Proposal, propose
+
+PICK_SD_PX = DEFAULT_PICK_SD_PX
+_RIM_CLICKS = 3
+_PICK_PX2 = PICK_SD_PX**2 * np.eye(2)
+
+
+@dataclass(frozen=True, eq=False)
+class Planned:
+    """What decisions come to. `curves`: by point of the wire, in the lateral image. `refused`: by what was asked for,
+    why it is not there."""
+
+    decisions: Decisions
+    views: tuple[BeadView, BeadView]
+    curves: Mapping[str, MatchingCurve] = field(default_factory=dict)
+    plan: Plan | None = None
+    refused: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def kind(self) -> TrajectoryKind:
+        """The kind of trajectory that is planned."""
+        return kind_of(self.decisions.kind)
+
+    @cached_property
+    def anatomy(self) -> Anatomy:
+        """What the aids are in space."""
+        if self.plan is not None and self.plan.anatomy is not None:
+            return self.plan.anatomy
+        return locate(self.views, _aids(self.decisions))
+
+    @cached_property
+    def figures(self) -> tuple[Figure, ...]:
+        """Figures of the implant; none until the side is confirmed, since signs and names follow it."""
+        side = self.decisions.side
+        return () if side is None else figures(self.anatomy, side)
+
+    def proposal(self) -> Proposal:
+        """A wire by the kind's rule, from head and shaft. Raises SightlineError."""
+        side, rule = self.decisions.side, self.kind.proposal
+        if side is None:
+            raise _NoSideError
+        assert rule is not None  # noqa: S101 - the page offers it only where there is one
+        return propose(self.views, self.anatomy, side, rule=rule)
+
+
+class _NoSideError(SightlineError):
+    """The side of the patient is not confirmed."""
+
+    def __init__(self) -> None:
+        super().__init__("confirm the patient's side first: what is superior and what is anterior follows it")
+
+
+def planned(decisions: Decisions, views: Sequence[BeadView]) -> Planned:
+    """All that follows from decisions on two calibrated views, PA first."""
+    pair = (views[0], views[1])
+    curves, refused = drawn_curves(decisions, pair)
+    found: Plan | None = None
+    if decisions.complete((ENTRY, END)) and not refused:
+        try:
+            found = asked(decisions).plan_on(pair, _curve)
+        except SightlineError as error:
+            refused["plan"] = str(error)
+    return Planned(decisions, pair, curves, found, refused)
+
+
+def drawn_curves(
+    decisions: Decisions, views: Sequence[CalibratedView]
+) -> tuple[dict[str, MatchingCurve], dict[str, str]]:
+    """The curves of the wire's points by their names, in the second view; and why one is not there."""
+    curves: dict[str, MatchingCurve] = {}
+    refused: dict[str, str] = {}
+    for name in (ENTRY, END):
+        at = decisions.mark(name).at(NAMES[0])
+        if at is not None:
+            try:
+                curves[name] = _curve(views[0], np.array(at), views[1])
+            except SightlineError as error:
+                refused[name] = str(error)
+    return curves, refused
+
+
+def _curve(
+    from_view: CalibratedView, uv_px: np.ndarray, to_view: CalibratedView, uv_covariance_px2: np.ndarray = _PICK_PX2
+) -> MatchingCurve:
+    """`matching_curve`, drawn once: moving, planning and drawing a point ask for the same one."""
+    return _remembered(from_view, to_view, uv_px.tobytes(), uv_covariance_px2.tobytes())
+
+
+@lru_cache(maxsize=8)  # the curves of two points, before and after a move, of two pages [ours]
+def _remembered(from_view: CalibratedView, to_view: CalibratedView, uv_px: bytes, covariance_px2: bytes):
+    covariance = np.frombuffer(covariance_px2).reshape(2, 2)
+    return matching_curve(from_view, np.frombuffer(uv_px), to_view, covariance)
+
+
+def asked(decisions: Decisions) -> Asked:
+    """What a plan is made from besides its views; entry and end point are placed."""
+    wire = [decisions.mark(name) for name in (ENTRY, END)]
+    known = {one.name: one.of for one in asked_of(decisions.kind) if one.group == "landmark"}
+    names = tuple(n for n in known if decisions.mark(n).complete())
+    return Asked(
+        *(_pixels(mark) for mark in wire),
+        pick_sd_px=PICK_SD_PX,
+        snapped=[not mark.free for mark in wire],
+        landmarks_uv_px=np.array([_pixels(decisions.mark(n)) for n in names]).reshape(-1, 2, 2).swapaxes(0, 1),
+        landmark_names=tuple(known[n] for n in names),
+        kind=decisions.kind,
+        side=decisions.side,
+        aids=_aids(decisions),
+    )
+
+
+def _pixels(mark: Mark) -> np.ndarray:
+    """(2, 2): of a complete mark, a row for each view."""
+    return np.array([mark.at(name) for name in NAMES], dtype=np.float64)
+
+
+def moved(
+    decisions: Decisions, views: Sequence[CalibratedView], name: str, image: str, uv_px: Pixel, *, anew: bool
+) -> Decisions:
+    """A mark placed (`anew`) or moved, as its kind wants it: a point of the wire is taken to its curve in the lateral
+    image while `decisions.snapping`, and slides along with it when its PA pixel moves. One that was taken there stays
+    so however it is moved: seen beside its curve or not, it tells nothing of a gap. Raises what `snap` raises."""
+    mark = decisions.mark(name)
+    if name not in (ENTRY, END) or len(views) < 2:
+        return decisions.with_mark(name, mark.placed(image, uv_px))
+    if image == NAMES[1]:
+        first, kept = mark.at(NAMES[0]), not anew and mark.at(image) is not None and not mark.free
+        if first is None or not (decisions.snapping or kept):
+            return decisions.with_mark(name, mark.placed(image, uv_px, free=True))
+        curve = _curve(views[0], np.array(first), views[1])
+        return decisions.with_mark(name, mark.placed(image, _pixel(snap(curve, np.array(uv_px)).uv_px), free=False))
+    after = mark.placed(image, uv_px)
+    if image == NAMES[0] and not mark.free and mark.complete():
+        after = after.placed(NAMES[1], _slid(views, mark, uv_px))
+    return decisions.with_mark(name, after)
+
+
+def _slid(views: Sequence[CalibratedView], mark: Mark, uv_px: Pixel) -> Pixel | None:
+    """Where a snapped point lies on the curve of another PA pixel: as deep as before, as far as the curve is seen."""
+    before, after = (_curve(views[0], np.array(uv), views[1]) for uv in (mark.at(NAMES[0]), uv_px))
+    at = np.array(mark.at(NAMES[1]))
+    nearest = int(np.argmin(np.linalg.norm(before.uv_px - at, axis=1)))
+    ahead = float((at - before.uv_px[nearest]) @ before.tangent_px[nearest])
+    pitch = np.gradient(before.depth_mm) / np.maximum(np.linalg.norm(np.gradient(before.uv_px, axis=0), axis=1), 1e-9)
+    depth = before.depth_mm[nearest] + ahead * pitch[nearest]
+    return _pixel(np.array([np.interp(depth, after.depth_mm, after.uv_px[:, k]) for k in range(2)]))
+
+
+def _pixel(uv_px: np.ndarray) -> Pixel:
+    return float(uv_px[0]), float(uv_px[1])
+
+
+def _aids(decisions: Decisions) -> Aids:
+    """The aids that are placed in every image they need."""
+    return Aids(
+        head=_pair(decisions, "head", _RIM_CLICKS, lambda uv: Circle.through(uv, PICK_SD_PX)),
+        neck=_pair(decisions, "neck", 2, lambda uv: Line(uv, PICK_SD_PX)),
+        shaft=_pair(decisions, "shaft", 2, lambda uv: Line(uv, PICK_SD_PX)),
+        calcar=_single(decisions, "calcar-1"),
+        cortex=_single(decisions, "cortex-1"),
+    )
+
+
+def _pair(decisions: Decisions, aid: str, clicks: int, of):
+    made = [of(uv) for uv in (aid_pixels(decisions, aid, clicks, image) for image in NAMES) if uv is not None]
+    return (made[0], made[1]) if len(made) == 2 else None
+
+
+def aid_pixels(decisions: Decisions, aid: str, clicks: int, image: str) -> np.ndarray | None:
+    """(clicks, 2): an aid's clicks in one image; None until all are placed."""
+    at = [decisions.mark(f"{aid}-{k + 1}").at(image) for k in range(clicks)]
+    return None if any(uv is None for uv in at) else np.array(at, dtype=np.float64)
+
+
+def _single(decisions: Decisions, name: str) -> Pick | None:
+    at = decisions.mark(name).at(NAMES[0])
+    return None if at is None else Pick.free(at, PICK_SD_PX)

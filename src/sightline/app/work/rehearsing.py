@@ -1,0 +1,57 @@
+"""Images of a rehearsed patient, made in the workshop's process; nothing but files' bytes comes back.
+
+The twin is imported there alone: the first page does not wait for it.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any
+
+from sightline.atomic import scratch_folder
+from sightline.case.views import NAMES
+from sightline.frame import Frame
+from sightline.imaging import Radiograph, write_dicom
+
+if TYPE_CHECKING:
+    from sightline.rehearsal.procedure import Rehearsal
+
+
+@dataclass(frozen=True)
+class Patient:
+    """Whom to rehearse on: `Rehearsal.draw(seed, Frame.load(frame), side)`."""
+
+    seed: int
+    frame: str = "gamma"
+    side: str = "right"
+
+    @staticmethod
+    def of(document: Mapping[str, Any]) -> "Patient":
+        """From JSON types."""
+        return Patient(int(document["seed"]), str(document["frame"]), str(document["side"]))
+
+
+@lru_cache(maxsize=1)
+def drawn(patient: Patient) -> "Rehearsal":
+    """The patient, drawn once in a process."""
+    from sightline.rehearsal.procedure import Rehearsal
+
+    return Rehearsal.draw(patient.seed, Frame.load(patient.frame), patient.side)
+
+
+def images(patient: Patient) -> dict[str, bytes]:
+    """The planning images as DICOM, by view."""
+    return _files(drawn(patient).images, patient)
+
+
+def check_images(patient: Patient, wire: str) -> dict[str, bytes]:
+    """The check shot's images as DICOM, by view, with the wire (`SimulatedWire.text`) in the bone."""
+    from sightline.robot.link.simulated import SimulatedWire
+
+    return _files(drawn(patient).check_images(SimulatedWire.of(wire)).images, patient)
+
+
+def _files(radiographs: Mapping[str, Radiograph], patient: Patient) -> dict[str, bytes]:
+    with scratch_folder() as folder:
+        written = {name: write_dicom(radiographs[name], folder / f"{name}.dcm", patient.side) for name in NAMES}
+        return {name: file.read_bytes() for name, file in written.items()}

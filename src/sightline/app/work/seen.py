@@ -1,0 +1,136 @@
+"""An image of the case on its way from a file to a calibrated view, and the work that takes it there."""
+
+import asyncio
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from datetime import datetime
+from functools import cached_property
+
+from sightline.app.texts import BUG
+from sightline.app.work.workshop import Workshop
+from sightline.calibration import BeadView
+from sightline.case import stages
+from sightline.case.journal import Actor, Case, Entry
+from sightline.case.views import CalibratedImage, Seen, calibrated, find_beads, known_arm, tell_apart
+from sightline.detection import Detections, Observations
+from sightline.errors import CaseError, SightlineError
+from sightline.imaging import Radiograph, taken_at
+
+
+@dataclass(frozen=True, eq=False)
+class SeenImage:
+    """What is known so far of one acquired image. `doing`: what is being done now, empty at rest. `refused`: why it
+    goes no further. `taken_at`: when the image was taken, as its file says; None where it does not. Each later member
+    is there once the work has come so far."""
+
+    acquired: Entry
+    image: Radiograph
+    doing: str = ""
+    refused: str | None = None
+    taken_at: datetime | None = None
+    beads: Detections | None = None
+    observations: Observations | None = None
+    view: BeadView | None = None
+
+    @property
+    def calibrated(self) -> CalibratedImage | None:
+        """As reports and exports want it; its source is the image's number in the case, never a file's name."""
+        if self.view is None or self.observations is None:
+            return None
+        return CalibratedImage(self._labelled(self.observations), self.view)
+
+    def _labelled(self, observations: Observations) -> Seen:
+        return Seen(f"image {self.acquired.number}", observations, self.image, self.beads)
+
+    def said_to_be(self, mirrored_display: bool | None) -> "SeenImage":
+        """The same once a person saw whether its display is mirrored; the same object for the same answer."""
+        return self if self.view is None or mirrored_display is None else self._said[mirrored_display]
+
+    @cached_property
+    def _said(self) -> "dict[bool, SeenImage]":
+        assert self.view is not None  # noqa: S101 - nobody is asked before
+        return {answer: replace(self, view=self.view.said_to_be(answer)) for answer in (False, True)}
+
+
+class Lightbox:
+    """The images of a case by the number of their entry, worked on one after another; `changed` is called as they
+    get further."""
+
+    def __init__(self, case: Case, frame_ref: str, workshop: Workshop, changed: Callable[[], None]) -> None:
+        self._case, self._workshop, self._changed = case, workshop, changed
+        self._frame_ref, self._frame = frame_ref, stages.frame_of(case, frame_ref)
+        self._images: dict[int, SeenImage] = {}
+
+    def image(self, number: int | None, mirrored_display: bool | None = None) -> SeenImage | None:
+        """What is known of an image; None where it is not open. `mirrored_display`: as a person says of it."""
+        known = None if number is None else self._images.get(number)
+        return None if known is None else known.said_to_be(mirrored_display)
+
+    async def acquire(self, data: bytes, suffix: str, by: Actor) -> SeenImage:
+        """Keep a new image in the case and work on it to the end. Raises ImageError, CaseError."""
+        entry = await asyncio.to_thread(stages.record_acquired, self._case, data, suffix, by=by)
+        return await self.open(entry)
+
+    async def open(self, entry: Entry) -> SeenImage:
+        """Work on an image of the case to the end; the results go into the journal where it does not hold them yet."""
+        known = self._images.get(entry.number)
+        if known is not None and known.refused is None:
+            return known
+        image = await asyncio.to_thread(stages.image_of, self._case, entry)
+        taken = await asyncio.to_thread(taken_at, self._case.original(entry.content["original"]))
+        try:
+            await self._work(SeenImage(entry, image, taken_at=taken))
+        except SightlineError as error:
+            self._put(replace(self._images[entry.number], doing="", refused=str(error)))
+        except Exception as error:
+            refused = BUG.format(kind=type(error).__name__)
+            self._put(replace(self._images[entry.number], doing="", refused=refused))
+            raise
+        return self._images[entry.number]
+
+    async def _work(self, seen: SeenImage) -> None:
+        case, frame = self._case, self._frame
+        self._put(replace(seen, doing="finding the beads"))
+        image, beads = await self._workshop.do(find_beads, seen.image)
+        seen = replace(seen, doing="telling the beads apart", beads=beads)
+        seen = replace(seen, image=image) if image.is_inverted else seen  # else what is shown of it is drawn already
+        self._put(seen)
+        observations = await self._workshop.do(tell_apart, image, beads, frame)
+        seen = replace(seen, doing="calibrating", observations=observations)
+        self._put(seen)
+        found = await self._workshop.do(calibrated, seen._labelled(observations), frame, "smooth", known_arm(image))
+        number = seen.acquired.number
+        before = {n: one.view for n, one in self._images.items() if n < number and one.view is not None}
+        view = await asyncio.to_thread(found.view.steady_since, list(before.values()))
+        done = replace(seen, doing="", view=view)
+        await asyncio.to_thread(_record, case, done, self._frame_ref, list(before))
+        self._put(done)
+
+    def _put(self, seen: SeenImage) -> None:
+        self._images[seen.acquired.number] = seen
+        self._changed()
+
+
+def entry_of(case: Case, seen: SeenImage) -> Entry:
+    """The calibrated entry of an image, recorded anew where a person has said something else of its display since.
+    Raises CaseError."""
+    assert seen.calibrated is not None  # noqa: S101 - it is calibrated
+    entry = stages.calibrated_of(case, seen.acquired.number)
+    if entry.settings.get("mirrored_display") == seen.calibrated.view.mirrored_display:
+        return entry
+    labelled, before = case.entry(entry.rests_on[0]), entry.settings.get("before", ())
+    return stages.record_calibrated(case, labelled, seen.calibrated, by=Actor.APP, before=before)
+
+
+def _record(case: Case, seen: SeenImage, frame_ref: str, before: Sequence[int]) -> None:
+    """`before`: numbers of the images that the view was held against."""
+    with suppress(CaseError):
+        stages.calibrated_of(case, seen.acquired.number)
+        return  # the same image, the same results
+    assert seen.beads is not None and seen.observations is not None and seen.calibrated is not None  # noqa: S101
+    inverted = seen.image.is_inverted
+    detected = stages.record_detected(case, seen.acquired, seen.beads, by=Actor.APP, inverted=inverted)
+    labelled = stages.record_labelled(case, detected, seen.observations, frame_ref=frame_ref, by=Actor.APP)
+    held = [stages.calibrated_of(case, acquired).number for acquired in before]
+    stages.record_calibrated(case, labelled, seen.calibrated, by=Actor.APP, before=held)
