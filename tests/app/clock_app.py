@@ -1,6 +1,6 @@
 """The program with a clock that tests can set on: python -m tests.app.clock_app FILE ARGUMENTS...
 
-FILE holds by how many seconds the procedure's clock is ahead.
+FILE holds by how many seconds the clock is ahead that the age of plans is read from.
 """
 
 import sys
@@ -8,7 +8,7 @@ from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any
 
-from sightline.app.work import procedure
+from sightline.app.work import age
 from sightline.cli import main
 
 
@@ -24,5 +24,5 @@ class _Clock(datetime):
 
 if __name__ == "__main__":
     _Clock.file = Path(sys.argv.pop(1))
-    procedure.datetime = _Clock
+    age.datetime = _Clock
     main()

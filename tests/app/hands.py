@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from playwright.sync_api import Locator, Page, expect
 
-from sightline.app.work.marks import asked_of
+from sightline.app.plan.marks import asked_of
 from sightline.case.views import NAMES
 from sightline.frame import Frame
 from sightline.rehearsal.procedure import Rehearsal

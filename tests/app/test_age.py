@@ -12,10 +12,11 @@ from pydicom import dcmread
 from pydicom.config import disable_value_validation
 from pydicom.datadict import dictionary_VR
 
-from sightline.app.work import procedure as module
-from sightline.app.work.decisions import Decisions
+from sightline.app.plan.decisions import Decisions
+from sightline.app.work import age as module
 from sightline.app.work.procedure import Procedure
 from sightline.app.work.seen import SeenImage
+from sightline.app.work.sent import SentPlan
 from sightline.app.work.workshop import Workshop
 from sightline.case.journal import Actor
 from sightline.case.views import NAMES
@@ -80,7 +81,7 @@ def opened(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Procedur
     for number, name in enumerate(NAMES, 101):
         _came(made, name, number)
     yield made
-    made.case.close()
+    made.planning.case.close()
     workshop.close()
 
 
@@ -88,19 +89,19 @@ def _came(procedure: Procedure, name: str, number: int, said_ago_s: float | None
     acquired: Any = SimpleNamespace(number=number, at=NOW, by=by)
     image: Any = None
     said = None if said_ago_s is None else NOW - timedelta(seconds=said_ago_s)
-    procedure.lightbox._images[number] = SeenImage(acquired, image, taken_at=said)
-    procedure.history.edit(procedure.decisions.with_image(name, number, same_pixels=True))
+    procedure.planning.lightbox._images[number] = SeenImage(acquired, image, taken_at=said)
+    procedure.planning.history.edit(procedure.planning.decisions.with_image(name, number, same_pixels=True))
 
 
 def _age_check(procedure: Procedure):
-    return next(check for check in procedure.confirmations if check.name == "plan age")
+    return next(check for check in procedure.readiness.confirmations if check.name == "plan age")
 
 
 def test_age_counts_from_the_acquisition(opened: Procedure) -> None:
     """A file that lay for an hour is an hour old however lately it came."""
-    assert opened.age_s == 0.0 and opened.fresh
+    assert opened.age.now_s == 0.0 and opened.age.fresh
     _came(opened, "lateral", 103, said_ago_s=3600.0)
-    assert opened.age_s == 3600.0 and not opened.fresh
+    assert opened.age.now_s == 3600.0 and not opened.age.fresh
     assert "too old" in _age_check(opened).sentence
 
 
@@ -108,46 +109,46 @@ def test_age_counts_from_the_acquisition(opened: Procedure) -> None:
 def test_a_time_that_is_not_known_is_asked_for(opened: Procedure, said_ago_s: float | None) -> None:
     """Nor is one known that lies after the file's arrival: that clock is another."""
     _came(opened, "lateral", 103, said_ago_s)
-    assert opened.age_s is None and not opened.fresh
+    assert opened.age.now_s is None and not opened.age.fresh
     assert not _age_check(opened).passed and "not known" in _age_check(opened).sentence
     for minutes in (-1.0, float("nan"), 1e9):
         with pytest.raises(UnusableInputError, match="minutes"):
-            opened.state_taken("lateral", minutes)
-    opened.state_taken("lateral", 4.0)
-    assert opened.age_s == 240.0 and _age_check(opened).passed
-    assert Decisions.of(opened.decisions.document()) == opened.decisions
+            opened.age.state_taken("lateral", minutes)
+    opened.age.state_taken("lateral", 4.0)
+    assert opened.age.now_s == 240.0 and _age_check(opened).passed
+    assert Decisions.of(opened.planning.decisions.document()) == opened.planning.decisions
     _came(opened, "lateral", 104, None)  # what was said was said of another image
-    assert opened.age_s is None
+    assert opened.age.now_s is None
 
 
 def test_a_clock_that_is_set_back_makes_no_plan_younger(opened: Procedure, monkeypatch: pytest.MonkeyPatch) -> None:
     passed_s = [1000.0]
     monkeypatch.setattr(module, "monotonic", lambda: passed_s[0])
     _Clock.at = NOW + timedelta(seconds=60.0)
-    assert opened.age_s == 60.0
+    assert opened.age.now_s == 60.0
     passed_s[0] += LIFETIME_S - 30.0
-    assert opened.age_s == LIFETIME_S + 30.0 and not opened.fresh
+    assert opened.age.now_s == LIFETIME_S + 30.0 and not opened.age.fresh
     _Clock.at = NOW - timedelta(seconds=1.0)
-    assert opened.age_s == -1.0 and not opened.fresh
+    assert opened.age.now_s == -1.0 and not opened.age.fresh
     _came(opened, "pa", 103, said_ago_s=0.0)
     _came(opened, "lateral", 104, said_ago_s=5.0)
     _Clock.at = NOW
-    assert opened.age_s == 5.0  # of another pair
+    assert opened.age.now_s == 5.0  # of another pair
 
 
 def test_the_images_of_a_rehearsal_are_taken_as_they_come(opened: Procedure) -> None:
     for number, name in enumerate(NAMES, 103):
         _came(opened, name, number, None, Actor.DEMO)
-    assert opened.age_s == 0.0
+    assert opened.age.now_s == 0.0
 
 
 def test_what_is_drilled_grows_no_older_but_is_not_sent_again(opened: Procedure) -> None:
-    drilling: Any = opened.drilling
-    drilling.sent = SimpleNamespace(decisions=opened.decisions)
-    drilling.sent_at, drilling.record = NOW + timedelta(seconds=120), SimpleNamespace()
+    planned: Any = SimpleNamespace(decisions=opened.planning.decisions)
+    drilled: Any = SimpleNamespace()
+    opened.planning.sent, opened.planning.drilled = SentPlan(planned, NOW + timedelta(seconds=120)), drilled
     _Clock.at = NOW + timedelta(seconds=LIFETIME_S + 1.0)
     check = _age_check(opened)
     assert check.passed and check.figure == 120.0
-    assert not opened.fresh and not opened.can_send
-    opened.history.edit(opened.decisions.with_image("pa", 105, same_pixels=True))  # another plan
+    assert not opened.age.fresh and not opened.readiness.can_send
+    opened.planning.history.edit(opened.planning.decisions.with_image("pa", 105, same_pixels=True))  # another plan
     assert not _age_check(opened).passed

@@ -25,19 +25,19 @@ def test_snapping_is_a_decision_like_any_other(tmp_path: Path, workshop: Worksho
     async def decide() -> None:
         procedure = Procedure.open(tmp_path, "gamma", None, workshop)
         told: list[bool] = []
-        procedure.listeners.append(lambda: told.append(procedure.decisions.snapping))
-        procedure.choose_snapping(False)
-        procedure.undo()
-        procedure.redo()
+        procedure.jobs.listeners.append(lambda: told.append(procedure.planning.decisions.snapping))
+        procedure.planning.choose_snapping(False)
+        procedure.planning.undo()
+        procedure.planning.redo()
         assert told[:3] == [False, True, False]
         await asyncio.sleep(0)
-        procedure.case.close()
+        procedure.planning.case.close()
 
     asyncio.run(decide())
     again = Procedure.open(tmp_path, None, None, workshop)
-    assert not again.decisions.snapping
-    assert again.history.can_undo
-    again.case.close()
+    assert not again.planning.decisions.snapping
+    assert again.planning.history.can_undo
+    again.planning.case.close()
     with Case.open(tmp_path, read_only=True) as case:
         assert not case.problems
 
@@ -53,10 +53,10 @@ def test_work_that_is_refused_while_other_work_goes_on_is_not_begun(tmp_path: Pa
 
     async def both() -> list[object]:
         procedure = Procedure.open(tmp_path, "gamma", None, workshop)
-        asked = [procedure.during(name, lambda name=name: work(name)) for name in ("first", "second")]
+        asked = [procedure.jobs.during(name, lambda name=name: work(name)) for name in ("first", "second")]
         said = await asyncio.gather(*asked, return_exceptions=True)
-        assert await procedure.during("third", lambda: work("third")) == "third"
-        procedure.case.close()
+        assert await procedure.jobs.during("third", lambda: work("third")) == "third"
+        procedure.planning.case.close()
         return list(said)
 
     first, second = asyncio.run(both())

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sightline.app.work.decisions import MOST_MARKS, Decisions, Display, History, Mark
+from sightline.app.plan.decisions import MOST_MARKS, Decisions, Display, History, Mark
 from sightline.errors import CaseError
 
 PIXELS = st.tuples(*[st.floats(-0.5, 1023.5)] * 2)

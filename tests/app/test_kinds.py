@@ -9,7 +9,7 @@ from playwright.sync_api import Page, expect
 from tests.app.browser import Server
 from tests.app.hands import SEED, Hands, Pixels, by_image, rehearsal, truth
 
-from sightline.app.work.marks import asked_of
+from sightline.app.plan.marks import asked_of
 from sightline.case.views import NAMES
 from sightline.twin.femur import to_cfcs
 

@@ -9,11 +9,12 @@ from typing import Any
 import pytest
 from tests.planning.standin import stand_in
 
+from sightline.app.plan.decisions import Decisions
+from sightline.app.plan.planner import planned
 from sightline.app.work import live as live_module
 from sightline.app.work import robot_session
-from sightline.app.work.decisions import Decisions
+from sightline.app.work.jobs import Jobs
 from sightline.app.work.live import Live
-from sightline.app.work.planner import planned
 from sightline.app.work.robot_session import RobotNow, RobotSession
 from sightline.case.watch import live as watch
 from sightline.errors import LinkError, SightlineError
@@ -81,18 +82,16 @@ class _Watch:
 def _live(monkeypatch: pytest.MonkeyPatch, sent: Any) -> Live:
     monkeypatch.setattr(watch, "Watch", _Watch)
     monkeypatch.setattr(live_module, "_opened", lambda *_: ())
-    procedure: Any = SimpleNamespace(
-        drilling=SimpleNamespace(sent=sent), planned=None, patient=None, frame=None, notify=lambda: None
-    )
-    procedure.views = lambda: VIEWS
-    return Live(procedure)
+    planning: Any = SimpleNamespace(sent=sent, planned=None, patient=None, frame=None, jobs=Jobs())
+    planning.views = lambda: VIEWS
+    return Live(planning)
 
 
 def test_a_plan_that_was_sent_is_watched_with_the_views_it_was_made_in(monkeypatch: pytest.MonkeyPatch) -> None:
     """Not with those of images that came since."""
     before = (object(), object())
-    sent = SimpleNamespace(plan=SimpleNamespace(trajectory="the plan"), views=before)
-    live = _live(monkeypatch, sent)
+    known = SimpleNamespace(plan=SimpleNamespace(trajectory="the plan"), views=before)
+    live = _live(monkeypatch, SimpleNamespace(planned=known))
     asyncio.run(live.start(None))
     assert _Watch.made[2:] == ("the plan", before)
 

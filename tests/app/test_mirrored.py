@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from sightline.app.panels.steps import Standing, steps
-from sightline.app.work.decisions import Decisions, Display
+from sightline.app.plan.decisions import Decisions, Display
 from sightline.app.work.procedure import Procedure
 from sightline.app.work.seen import SeenImage, entry_of
 from sightline.app.work.workshop import Workshop
@@ -40,13 +40,13 @@ def opened(flipped: tuple[str, ...], setup: SetUp, frame: Frame, tmp_path: Path)
     tables = [_table(setup, name, tmp_path, mirrored=name in flipped) for name in NAMES]
     for table, seen in zip(tables, see_pair(tables[0], tables[1], frame), strict=True):
         image = calibrated(seen, frame)
-        made = stages.record_view(procedure.case, table, image, frame_ref="gamma", by=Actor.RECEIVER)
-        acquired, pixels = stages.acquired_of(procedure.case, made), _no_pixels()
+        made = stages.record_view(procedure.planning.case, table, image, frame_ref="gamma", by=Actor.RECEIVER)
+        acquired, pixels = stages.acquired_of(procedure.planning.case, made), _no_pixels()
         one = SeenImage(acquired, pixels, observations=seen.observations, view=image.view)
-        procedure.lightbox._images[acquired.number] = one
-        procedure.edit(procedure.decisions.with_image(image.name, acquired.number, same_pixels=False))
+        procedure.planning.lightbox._images[acquired.number] = one
+        procedure.planning.edit(procedure.planning.decisions.with_image(image.name, acquired.number, same_pixels=False))
     yield procedure
-    procedure.case.close()
+    procedure.planning.case.close()
     workshop.close()
 
 
@@ -62,7 +62,7 @@ def _table(setup: SetUp, name: str, folder: Path, *, mirrored: bool) -> Path:
 
 
 def _upright(procedure: Procedure) -> list[bool]:
-    views = procedure.views()
+    views = procedure.planning.views()
     assert views is not None
     return [view.mirrored == bool(view.mirrored_display) for view in views]
 
@@ -70,12 +70,12 @@ def _upright(procedure: Procedure) -> list[bool]:
 def test_a_person_is_asked_only_where_no_image_shows_the_frame_unmirrored(
     opened: Procedure, flipped: tuple[str, ...]
 ) -> None:
-    assert opened.asks_mirrored == (NAMES if flipped == NAMES else ())
+    assert opened.planning.asks_mirrored == (NAMES if flipped == NAMES else ())
     asked = flipped == NAMES
-    opened.confirm_side("right")
-    opened.confirm_serial("none")
-    for name in NAMES:
-        opened.edit(opened.decisions.with_taken(opened.decisions.images[name], opened.case.entry(1).at))
+    opened.planning.confirm_side("right")
+    opened.planning.confirm_serial("none")
+    for number in opened.planning.decisions.images.values():
+        opened.planning.edit(opened.planning.decisions.with_taken(number, opened.planning.case.entry(1).at))
     assert (steps(opened)[0].standing is Standing.ATTENTION) is asked
     assert any(_upright(opened)) is not asked
 
@@ -83,38 +83,38 @@ def test_a_person_is_asked_only_where_no_image_shows_the_frame_unmirrored(
 @pytest.mark.parametrize("flipped", [NAMES], indirect=True)
 @pytest.mark.parametrize("turned", [False, True])
 def test_the_answer_is_of_the_file_and_not_of_how_the_page_shows_it(opened: Procedure, turned: bool) -> None:
-    opened.show("pa", Display(mirrored=turned))
-    opened.state_mirrored("pa", backwards=not turned)
-    assert opened.decisions.mirrored == {opened.decisions.images["pa"]: True}
+    opened.planning.show("pa", Display(mirrored=turned))
+    opened.planning.state_mirrored("pa", backwards=not turned)
+    assert opened.planning.decisions.mirrored == {opened.planning.decisions.images["pa"]: True}
     assert _upright(opened) == [True, False]
-    assert Decisions.of(opened.decisions.document()) == opened.decisions
-    seen = opened.seen("pa")
-    assert seen is not None and seen is opened.seen("pa") and not failed(seen.view.checks)  # type: ignore[union-attr]
-    opened.history.undo()
+    assert Decisions.of(opened.planning.decisions.document()) == opened.planning.decisions
+    seen = opened.planning.seen("pa")
+    assert seen is not None and seen is opened.planning.seen("pa") and not failed(seen.view.checks)  # type: ignore[union-attr]
+    opened.planning.history.undo()
     assert _upright(opened) == [False, False]
 
 
 @pytest.mark.parametrize("flipped", [NAMES], indirect=True)
 def test_a_display_that_is_said_to_be_right_accuses_the_frame_file(opened: Procedure) -> None:
-    opened.state_mirrored("lateral", backwards=False)
-    seen = opened.seen("lateral")
+    opened.planning.state_mirrored("lateral", backwards=False)
+    seen = opened.planning.seen("lateral")
     assert seen is not None and seen.view is not None
     assert [check.name for check in failed(seen.view.checks)] == ["frame handedness"]
     with pytest.raises(UnusableInputError, match="calibrated"):
-        opened.state_mirrored("check-pa", backwards=True)
+        opened.planning.state_mirrored("check-pa", backwards=True)
 
 
 @pytest.mark.parametrize("flipped", [NAMES], indirect=True)
 def test_the_case_holds_the_view_with_the_answer_and_replays_it(opened: Procedure) -> None:
-    before = opened.seen("pa")
+    before = opened.planning.seen("pa")
     assert before is not None
-    first = entry_of(opened.case, before)
-    opened.state_mirrored("pa", backwards=True)
-    after = opened.seen("pa")
+    first = entry_of(opened.planning.case, before)
+    opened.planning.state_mirrored("pa", backwards=True)
+    after = opened.planning.seen("pa")
     assert after is not None
-    entry = entry_of(opened.case, after)
+    entry = entry_of(opened.planning.case, after)
     assert entry.number > first.number and entry.settings["mirrored_display"] is True
-    assert entry_of(opened.case, after).number == entry.number  # once
-    replayed = {one.entry.number: one for one in replay(opened.case) if one.entry.kind is Kind.CALIBRATED}
+    assert entry_of(opened.planning.case, after).number == entry.number  # once
+    replayed = {one.entry.number: one for one in replay(opened.planning.case) if one.entry.kind is Kind.CALIBRATED}
     assert {one.outcome for one in replayed.values()} == {Outcome.SAME}
     assert len(replayed) == 3

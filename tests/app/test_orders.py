@@ -1,6 +1,7 @@
 """Sending and checking without a robot or a page: what fails leaves nothing that looks like success."""
 
 import asyncio
+from datetime import UTC, datetime
 from types import SimpleNamespace
 from typing import Any
 
@@ -8,34 +9,50 @@ import pytest
 
 from sightline.app.work import drilling as module
 from sightline.app.work.drilling import Drilling
+from sightline.app.work.jobs import Jobs
+from sightline.app.work.planning import Planning
+from sightline.app.work.sent import SentPlan
 from sightline.app.work.verifying import Verifying
 from sightline.errors import CaseError, LinkError, RobotRefusedError, WireRefusedError
 
 
-def _drilling(monkeypatch: pytest.MonkeyPatch, send: Any, record: Any) -> tuple[Drilling, Any]:
-    """Before a plan that was sent, another is confirmed."""
+class _Planning(Planning):
+    """Of a plan that was sent before."""
+
+    def __init__(self, case: Any, known: Any) -> None:
+        self.case, self.jobs, self.known = case, Jobs(), known
+        self.sent, self.drilled = SentPlan(known, datetime.now(UTC)), None
+
+    @property
+    def decisions(self) -> Any:
+        return self.known.decisions
+
+    @property
+    def planned(self) -> Any:
+        return self.known
+
+    def seen(self, image: str) -> Any:
+        return SimpleNamespace()
+
+
+def _drilling(monkeypatch: pytest.MonkeyPatch, send: Any, record: Any) -> tuple[Drilling, _Planning]:
+    """A plan was sent, and another is confirmed."""
     stub = SimpleNamespace(number=1, q=(), entry_error_95_mm=0.5, end_error_95_mm=0.5, document=dict)
     for name in ("entry_of", "record_planned", "_depth_limit", "asked"):
         monkeypatch.setattr(module, name, lambda *_, **__: stub)
     decisions = SimpleNamespace(
         images={"pa": 1, "lateral": 2}, side="right", serial="1", kind="hip-screw", mirrored={}, document=dict
     )
+    decisions.mark = lambda name: None
     known: Any = SimpleNamespace(plan=SimpleNamespace(trajectory=stub), decisions=decisions)
-    case = SimpleNamespace(number="C", last=1, record=record)
-    procedure: Any = SimpleNamespace(
-        planned=known,
-        go=True,
-        can_send=True,
-        age_s=1.0,
-        decisions=decisions,
-        case=case,
-        seen=lambda name: stub,
-        notify=lambda: None,
-    )
-    made = Drilling(procedure)
+    case: Any = SimpleNamespace(number="C", last=1, record=record)
+    planning: Any = _Planning(case, known)
+    age: Any = SimpleNamespace(now_s=1.0)
+    ready: Any = SimpleNamespace(can_send=True)
+    made = Drilling(planning, age, ready)
     session: Any = SimpleNamespace(now=SimpleNamespace(lost=False), aimed=lambda *_: stub, send=send)
-    made.session, made.sent = session, SimpleNamespace(decisions=decisions)  # pyright: ignore[reportAttributeAccessIssue]
-    return made, known
+    made.session = session
+    return made, planning
 
 
 async def _taken(*_: Any) -> None: ...
@@ -53,18 +70,19 @@ def _full(*_: Any, **__: Any) -> None:
 def test_a_plan_that_the_robot_may_hold_gets_no_order_meant_for_the_one_before(
     monkeypatch: pytest.MonkeyPatch, send: Any, record: Any
 ) -> None:
-    drilling, known = _drilling(monkeypatch, send, record)
+    drilling, planning = _drilling(monkeypatch, send, record)
+    assert planning.sent_is_current
     with pytest.raises((LinkError, CaseError)):
-        asyncio.run(drilling.send(known))
-    assert not drilling.current
+        asyncio.run(drilling.send(planning.known))
+    assert not planning.sent_is_current
     with pytest.raises(RobotRefusedError, match="send it again"):
         asyncio.run(drilling.align())
 
 
 def test_a_check_shot_that_is_refused_is_recorded_too(monkeypatch: pytest.MonkeyPatch) -> None:
     """A report repeats the last word; it must not be that of the shot before."""
-    procedure: Any = SimpleNamespace(notify=lambda: None)
-    verifying, recorded = Verifying(procedure), []
+    planning: Any = SimpleNamespace(jobs=Jobs())
+    verifying, recorded = Verifying(planning), []
     asked: Any = SimpleNamespace(key=("new",), seen=[None])
 
     async def not_found(*_: Any) -> None:

@@ -12,8 +12,8 @@ from playwright.sync_api import Page, expect
 from tests.app.browser import Server
 from tests.app.hands import LANDMARKS, PATIENCE_MS, SEED, Hands, rehearsal, truth
 
+from sightline.app.plan.decisions import Decisions
 from sightline.app.texts import STEPS, XRAY
-from sightline.app.work.decisions import Decisions
 from sightline.case.journal import Case, Kind
 from sightline.case.replay import Outcome, replay
 from sightline.case.views import NAMES

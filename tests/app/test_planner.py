@@ -5,8 +5,8 @@ import pytest
 from tests.planning import bone
 from tests.planning.standin import stand_in
 
-from sightline.app.work.decisions import Decisions, Mark, Pixel
-from sightline.app.work.planner import moved, planned
+from sightline.app.plan.decisions import Decisions, Mark, Pixel
+from sightline.app.plan.planner import moved, planned
 
 VIEWS = (stand_in("pa", 0.4, 0.3), stand_in("lateral", -0.2, 0.3))
 WIRE = bone.pixels(list(VIEWS))["wire"]

@@ -20,11 +20,12 @@ from sightline.app.drawing import shapes
 from sightline.app.drawing.xray.view import Picture, Window, XrayView
 from sightline.app.panels import plan
 from sightline.app.panels.section import Section, note
+from sightline.app.plan.decisions import Mark, Side
+from sightline.app.plan.marks import CHECK_NAMES
 from sightline.app.tab.tab import Tab
 from sightline.app.texts import STEPS
-from sightline.app.work.decisions import Mark, Side
 from sightline.app.work.live import LATE_S
-from sightline.app.work.marks import CHECK_NAMES
+from sightline.app.work.planning import Planning
 from sightline.app.work.procedure import Procedure
 from sightline.app.work.seen import SeenImage
 from sightline.app.work.workshop import Workshop
@@ -54,16 +55,16 @@ class Page:
     told: list[tuple[str, str, tuple[Any, ...]]] = field(default_factory=list)
 
     @property
-    def procedure(self) -> Procedure:
-        return self.tab.procedure
+    def planning(self) -> Planning:
+        return self.tab.planning
 
     def add_image(self, name: str, number: int) -> None:
         """An image that is calibrated, under a name."""
         acquired: Any = SimpleNamespace(number=number, at=None)
         image: Any = None
         view: Any = VIEWS[name.removeprefix("check-")]
-        self.procedure.lightbox._images[number] = SeenImage(acquired, image, view=view)
-        self.procedure.edit(self.procedure.decisions.with_image(name, number, same_pixels=False))
+        self.planning.lightbox._images[number] = SeenImage(acquired, image, view=view)
+        self.planning.edit(self.planning.decisions.with_image(name, number, same_pixels=False))
 
     def hear(self, view: str, said: dict[str, Any]) -> None:
         """Of the browser."""
@@ -117,7 +118,7 @@ def opened(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Page]:
             made.add_image(name, number)
         made.tab.go_to(STEPS[2])
         yield made
-    procedure.case.close()
+    procedure.planning.case.close()
     workshop.close()
     loop.close()
 
@@ -137,31 +138,31 @@ def _check_images(opened: Page) -> None:
 def test_a_move_made_on_the_planned_image_is_not_taken_for_the_check_image(opened: Page) -> None:
     _check_images(opened)
     opened.tab.go_to(STEPS[4])
-    before = opened.procedure.decisions
+    before = opened.planning.decisions
     for kind in ("place", "drop", "nudge", "drag"):
         opened.told.clear()
         opened.hear("pa", _move("/image/101", LANDMARK, kind))
-        assert opened.procedure.decisions is before
+        assert opened.planning.decisions is before
         assert opened.of("pa", "acknowledge") == [(7,)]  # those behind it are not held up
         assert opened.of("pa", "sayLost") == ([] if kind == "drag" else [(LANDMARK,)])
     opened.hear("pa", {"type": "remove", "id": LANDMARK, "image": "/image/101"})
     turned = {"rotation": 90, "mirrored": False, "inverted": False, "window": {"centre": 9.0, "width": 9.0}}
     opened.hear("pa", {"type": "display", "image": "/image/101", **turned})
-    assert opened.procedure.decisions is before
+    assert opened.planning.decisions is before
     opened.hear("pa", _move("/image/103", LANDMARK))
-    assert opened.procedure.decisions.mark(LANDMARK).places == {"check-pa": (300.0, 400.0)}
+    assert opened.planning.decisions.mark(LANDMARK).places == {"check-pa": (300.0, 400.0)}
 
 
 def test_nor_before_the_page_has_drawn_what_the_procedure_has_already(opened: Page) -> None:
     opened.tab.go_to(STEPS[4])  # still the images of the plan
     _check_images(opened)
-    before = opened.procedure.decisions
+    before = opened.planning.decisions
     opened.hear("pa", _move("/image/101", LANDMARK))
-    assert opened.procedure.decisions is before
+    assert opened.planning.decisions is before
     assert opened.of("pa", "sayLost") == [(LANDMARK,)]
     opened.tab.refresh()
     opened.hear("pa", _move("/image/103", LANDMARK))
-    assert set(opened.procedure.decisions.mark(LANDMARK).places) == {"check-pa"}
+    assert set(opened.planning.decisions.mark(LANDMARK).places) == {"check-pa"}
 
 
 def _drag_and_meanwhile(opened: Page, deed: Callable[[], object]) -> None:
@@ -180,31 +181,31 @@ def _drag_and_meanwhile(opened: Page, deed: Callable[[], object]) -> None:
 def test_a_drag_is_followed(opened: Page) -> None:
     _drag_and_meanwhile(opened, lambda: None)
     assert opened.tab.preview is not None
-    assert opened.tab.known is opened.tab.preview.known is not opened.procedure.planned
+    assert opened.tab.known is opened.tab.preview.known is not opened.planning.planned
     assert opened.word("lateral")["layers"]["curves"]
     opened.hear("pa", _move("/image/101", "end"))
-    assert opened.tab.known is opened.procedure.planned
+    assert opened.tab.known is opened.planning.planned
 
 
 def test_what_follows_a_drag_late_is_not_shown_where_it_was_dropped_and_undone_meanwhile(opened: Page) -> None:
     """The decisions are the very ones that the drag began with, and yet not what it led to."""
 
     def drop_and_undo() -> None:
-        opened.procedure.edit(opened.procedure.moved("end", "pa", (300.0, 400.0)))
-        opened.procedure.undo()
+        opened.planning.edit(opened.planning.moved("end", "pa", (300.0, 400.0)))
+        opened.planning.undo()
 
     _drag_and_meanwhile(opened, drop_and_undo)
     assert not any("curves" in word["layers"] for view in NAMES for (word,) in opened.of(view, "show"))
-    assert opened.tab.known is opened.procedure.planned
+    assert opened.tab.known is opened.planning.planned
 
 
 def test_nor_where_it_was_dropped_where_it_had_been(opened: Page) -> None:
     opened.hear("pa", _move("/image/101", "end"))
-    revision = opened.procedure.history.revision
+    revision = opened.planning.history.revision
     _drag_and_meanwhile(opened, lambda: asyncio.create_task(opened.heard("pa", _move("/image/101", "end"))))
-    assert opened.procedure.history.revision == revision
+    assert opened.planning.history.revision == revision
     assert not any("curves" in word["layers"] for view in NAMES for (word,) in opened.of(view, "show"))
-    assert opened.tab.known is opened.procedure.planned
+    assert opened.tab.known is opened.planning.planned
 
 
 def _live(number: int, age_s: float = 0.05) -> Any:
@@ -215,12 +216,12 @@ def _live(number: int, age_s: float = 0.05) -> Any:
 
 def test_a_move_on_the_planned_image_is_not_taken_for_the_live_one(opened: Page) -> None:
     opened.tab.show_live(_live(1))
-    before = opened.procedure.decisions
+    before = opened.planning.decisions
     for image in ("/image/101", "/live/1"):
         opened.hear("pa", _move(image, LANDMARK, "place"))
-    assert opened.procedure.decisions is before
+    assert opened.planning.decisions is before
     opened.hear("lateral", _move("/image/102", LANDMARK))  # the other view shows the plan's still
-    assert set(opened.procedure.decisions.mark(LANDMARK).places) == {"lateral"}
+    assert set(opened.planning.decisions.mark(LANDMARK).places) == {"lateral"}
 
 
 def test_the_browser_is_told_at_every_look_how_long_a_live_image_is_what_is_now(opened: Page) -> None:
@@ -272,14 +273,14 @@ def test_a_section_that_fails_says_so_and_holds_no_other_up(opened: Page, error:
 def _place_all(opened: Page, side: Side) -> None:
     """Wire, head and shaft of a right hip, as both images show them."""
     uv = bone.pixels([VIEWS[name] for name in NAMES])
-    decisions = opened.procedure.decisions
+    decisions = opened.planning.decisions
     for name, at in {"entry": 0, "end": 1}.items():
         decisions = decisions.with_mark(name, Mark(_places(uv["wire"], at)))
     for aid, clicks in {"head": 3, "shaft": 2}.items():
         for k in range(clicks):
             decisions = decisions.with_mark(f"{aid}-{k + 1}", Mark(_places(uv[aid], k)))
-    opened.procedure.edit(decisions)
-    opened.procedure.confirm_side(side)
+    opened.planning.edit(decisions)
+    opened.planning.confirm_side(side)
 
 
 def _places(uv: Any, k: int) -> dict[str, tuple[float, float]]:
@@ -308,7 +309,7 @@ def test_a_layer_that_cannot_be_drawn_is_empty_and_the_others_are_there(
 
     monkeypatch.setattr(shapes, "aids", fail)
     opened.told.clear()
-    opened.procedure.edit(opened.procedure.decisions.with_mark(LANDMARK, Mark({"pa": (9.0, 9.0)})))
+    opened.planning.edit(opened.planning.decisions.with_mark(LANDMARK, Mark({"pa": (9.0, 9.0)})))
     opened.tab.refresh()
     assert _last(opened, "aids") == [] and _last(opened, "wire")
     assert opened.word("pa")["notice"] == "no outline can be drawn"
@@ -337,7 +338,7 @@ def test_a_drop_that_is_refused_leaves_both_views_as_they_were(opened: Page, mon
     def refuse(*_: object, **__: object) -> None:
         raise UnusableInputError("outside the calibrated area")
 
-    monkeypatch.setattr(opened.procedure, "moved", refuse)
+    monkeypatch.setattr(opened.planning, "moved", refuse)
     opened.hear("pa", off | {"type": "drag", "seq": 9})
     opened.hear("pa", off)
     for view in NAMES:
@@ -346,7 +347,7 @@ def test_a_drop_that_is_refused_leaves_both_views_as_they_were(opened: Page, mon
         assert {key: now[key] for key in ("layers", "points")} == {key: was[key] for key in ("layers", "points")}
         assert opened.told.index((view, "show", (now,))) < opened.told.index(("pa", "acknowledge", (7,)))
     assert opened.tab.message == "outside the calibrated area"
-    assert opened.tab.known is opened.procedure.planned
+    assert opened.tab.known is opened.planning.planned
 
 
 @pytest.mark.parametrize("wrong", [{"uv": [9e6, 1.0]}, {"image": "/image/99"}])
@@ -376,16 +377,16 @@ def test_the_guide_follows_from_the_decisions(opened: Page) -> None:
     for k, name in enumerate(("entry", "end")):
         opened.hear("pa", _move("/image/101", name, "place") | {"uv": uv[0][k].tolist()})
     assert asked() == ("entry", "lateral")
-    opened.procedure.history.undo()
+    opened.planning.history.undo()
     assert asked() == ("end", "pa")
-    opened.procedure.history.undo()
+    opened.planning.history.undo()
     assert asked() == ("entry", "pa")
-    opened.procedure.history.redo()
-    opened.procedure.history.redo()
+    opened.planning.history.redo()
+    opened.planning.history.redo()
     assert asked() == ("entry", "lateral")
-    opened.procedure.remove(("end",))
+    opened.planning.remove(("end",))
     assert asked() == ("end", "pa")
-    opened.procedure.history.undo()
+    opened.planning.history.undo()
     entry = opened.tab.goal.asked if opened.tab.goal else None
     assert entry is not None
     opened.hear("lateral", {"type": "cancel", "id": "entry", "seq": 11})
@@ -395,5 +396,5 @@ def test_the_guide_follows_from_the_decisions(opened: Page) -> None:
     assert asked() == ("entry", "pa")
     opened.hear("pa", _move("/image/101", "entry", "place") | {"uv": (uv[0][0] + 2.0).tolist()})
     assert asked() is None
-    opened.procedure.history.undo()
+    opened.planning.history.undo()
     assert asked() == ("entry", "pa")

@@ -9,8 +9,8 @@ import numpy as np
 import pydicom
 import pytest
 
-from sightline.app.work.decisions import Decisions
-from sightline.app.work.marks import asked_of
+from sightline.app.plan.decisions import Decisions
+from sightline.app.plan.marks import asked_of
 from sightline.case import stages
 from sightline.case.contents import CheckAsked
 from sightline.case.journal import Actor, Case, Kind

@@ -62,12 +62,12 @@ def build(site: Site, procedure: Procedure, pictures: Pictures, settings: Settin
             Section(tab, lambda t: t.step, lambda t: _PANELS[t.step].build(t), classes="step-panel")
             Following(tab, _beside_key(plan.figures_key), _html_on(plan.figures_html, 2), classes="figures")
             Section(tab, _beside_key(verdict.count), _on(verdict.build_details, 2, 3), classes="details")
-            ui.label(f"{NOT_A_DEVICE} Case {procedure.case.number}").classes("foot")
+            ui.label(f"{NOT_A_DEVICE} Case {procedure.planning.case.number}").classes("foot")
     with tools:
         action("3-D", space.toggle, testid="space-toggle", kind="plain").move(tools, 0)
     ui.keyboard(on_key=lambda event: _key(tab, event), ignore=["input", "select", "textarea"])
-    procedure.listeners.append(tab.later)
-    ui.context.client.on_delete(lambda: procedure.listeners.remove(tab.later))
+    procedure.jobs.listeners.append(tab.later)
+    ui.context.client.on_delete(lambda: procedure.jobs.listeners.remove(tab.later))
     leaving = _leave_question()
     ui.on("leave", leaving.open)
     request = ui.context.client.request
@@ -98,7 +98,7 @@ def _bar(tab: Tab) -> ui.element:
     ui.label("Sightline").classes("brand")
     Lasting(tab, lambda t: (steps(t.procedure), t.step), _steps, classes="steps")
     with ui.element("div").classes("tools") as tools:
-        Lasting(tab, lambda t: (t.procedure.history.can_undo, t.procedure.history.can_redo), _undo, classes="undo")
+        Lasting(tab, lambda t: (t.planning.history.can_undo, t.planning.history.can_redo), _undo, classes="undo")
         Section(tab, lambda t: t.procedure.drilling.now is not None, _stop, classes="stop-box")
     return tools
 
@@ -121,12 +121,12 @@ def _steps(tab: Tab) -> Callable[[], None]:
 
 
 def _undo(tab: Tab) -> Callable[[], None]:
-    undo = action("↶ Undo", tab.doing(tab.procedure.undo), testid="undo", kind="plain")
-    redo = action("↷ Redo", tab.doing(tab.procedure.redo), testid="redo", kind="plain")
+    undo = action("↶ Undo", tab.doing(tab.planning.undo), testid="undo", kind="plain")
+    redo = action("↷ Redo", tab.doing(tab.planning.redo), testid="redo", kind="plain")
 
     def update() -> None:
-        undo.set_enabled(tab.procedure.history.can_undo)
-        redo.set_enabled(tab.procedure.history.can_redo)
+        undo.set_enabled(tab.planning.history.can_undo)
+        redo.set_enabled(tab.planning.history.can_redo)
 
     return update
 
@@ -148,9 +148,9 @@ async def _key(tab: Tab, event) -> None:
         return
     name = str(event.key.name).lower()
     if event.modifiers.ctrl and name == "z":
-        await tab.act(tab.procedure.redo if event.modifiers.shift else tab.procedure.undo)
+        await tab.act(tab.planning.redo if event.modifiers.shift else tab.planning.undo)
     elif event.modifiers.ctrl and name == "y":
-        await tab.act(tab.procedure.redo)
+        await tab.act(tab.planning.redo)
 
 
 def _say(tab: Tab) -> None:

@@ -29,7 +29,8 @@ def run(settings: Settings, on_ready: Callable[[Site], None]) -> None:
 
     def ready(site: Site) -> None:
         pictures.append(Pictures(site.images))
-        started.append(asyncio.get_running_loop().create_task(procedure.start()))  # while the browser still loads
+        loop = asyncio.get_running_loop()
+        started.append(loop.create_task(procedure.planning.start()))  # while the browser still loads
         on_ready(site)
 
     try:
@@ -42,12 +43,6 @@ def run(settings: Settings, on_ready: Callable[[Site], None]) -> None:
             on_ready=ready,
         )
     finally:
-        asyncio.run(_close(procedure))
+        asyncio.run(procedure.close())
         workshop.close()
-        procedure.case.close()
-
-
-async def _close(procedure: Procedure) -> None:
-    procedure.listeners.clear()  # whatever page there was, its loop has ended
-    await procedure.drilling.close()  # the robot before all else
-    await procedure.live.close()
+        procedure.planning.case.close()

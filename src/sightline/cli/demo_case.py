@@ -78,8 +78,8 @@ def _record_check(case: "Case", plan: "Entry", checked: "Checked", frame_ref: st
 
 def _decisions(kept: Kept, acquired: dict[str, int]) -> dict[str, object]:
     """The picks as the app keeps them; side and serial are for a person to confirm."""
-    from sightline.app.work.decisions import Decisions, Mark
-    from sightline.app.work.marks import END, ENTRY
+    from sightline.app.plan.decisions import Decisions, Mark
+    from sightline.app.plan.marks import END, ENTRY
     from sightline.case.views import NAMES
 
     def mark(uv_px, *, free: bool) -> Mark:

@@ -5,8 +5,8 @@ from typing import Any
 
 import numpy as np
 
-from sightline.app.work.marks import CHECK_NAMES
-from sightline.app.work.planner import Planned, aid_pixels
+from sightline.app.plan.marks import CHECK_NAMES
+from sightline.app.plan.planner import Planned, aid_pixels
 from sightline.app.work.procedure import Procedure
 from sightline.app.work.seen import SeenImage
 from sightline.case.views import NAMES
@@ -131,8 +131,8 @@ def found(procedure: Procedure, image: str) -> list[Shape]:
 
 def _planned_there(procedure: Procedure, image: str) -> list[Shape]:
     """The plan as the check image would show it, the bone's movement since then taken along."""
-    shot, sent, views = procedure.verifying.shot, procedure.drilling.sent, procedure.views(CHECK_NAMES)
-    if shot is None or sent is None or sent.plan is None or views is None:
+    shot, sent, views = procedure.verifying.shot, procedure.planning.sent, procedure.planning.views(CHECK_NAMES)
+    if shot is None or sent is None or views is None:
         return []
     path = sent.plan.trajectory
     along = np.linspace(0.0, 1.0, 40)[:, None]

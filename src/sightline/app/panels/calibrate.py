@@ -17,13 +17,13 @@ def build(tab: Tab) -> None:
         tab.refresh()
 
     ui.checkbox(texts.SHOW_REJECTED, value=tab.show_rejected, on_change=show).props("data-testid=show-rejected")
-    Section(tab, lambda t: tuple(t.procedure.seen(name) for name in NAMES), _views)
+    Section(tab, lambda t: tuple(t.planning.seen(name) for name in NAMES), _views)
 
 
 def _views(tab: Tab) -> None:
     for name in NAMES:
         heading(IMAGE_LABELS[name])
-        seen = tab.procedure.seen(name)
+        seen = tab.planning.seen(name)
         if seen is None:
             note(texts.DROP_FIRST, kind="quiet")
         elif seen.refused:

@@ -37,17 +37,19 @@ _LIVE_S = 0.2  # between two looks at the robot [ours]
 
 
 def _key(tab: Tab) -> Hashable:
-    drilling, now = tab.procedure.drilling, tab.procedure.drilling.now
+    now = tab.procedure.drilling.now
     told = () if now is None else (now.state, now.fault, now.doing, now.said, now.lost, now.zero)
-    procedure, decisions = tab.procedure, tab.procedure.decisions
-    plan = (procedure.planned, decisions.side, decisions.serial, procedure.can_send)
-    return (told, drilling.sent, drilling.record, drilling.current, plan, procedure.working)
+    planning, decisions = tab.planning, tab.planning.decisions
+    plan = (planning.planned, decisions.side, decisions.serial, tab.procedure.readiness.can_send)
+    return (told, planning.sent, planning.drilled, planning.sent_is_current, plan, tab.procedure.jobs.working)
 
 
 def _shot_key(tab: Tab) -> Hashable:
     # Of what is typed nothing is lost by a look at the images.
-    drilling, now = tab.procedure.drilling, tab.procedure.drilling.now
-    return None if now is None else (now.state == State.PAUSED.value, now.zero, now.doing, drilling.current)
+    now = tab.procedure.drilling.now
+    if now is None:
+        return None
+    return (now.state == State.PAUSED.value, now.zero, now.doing, tab.planning.sent_is_current)
 
 
 def build(tab: Tab) -> None:
@@ -59,24 +61,24 @@ def build(tab: Tab) -> None:
 
 
 def _robot(tab: Tab) -> None:
-    procedure = tab.procedure
-    drilling, now = procedure.drilling, procedure.drilling.now
+    drilling, jobs = tab.procedure.drilling, tab.procedure.jobs
+    now = drilling.now
     heading(texts.ROBOT_HEADING)
     note(STOP_IS_NO_EMERGENCY_STOP, kind="warn")
     if now is None or now.lost:
         if now is not None:
             note(now.said, kind="bad", testid="robot-said")
-        if procedure.patient is None:
+        if tab.planning.patient is None:
             note(NO_ROBOT, kind="warn", testid="no-robot")
             return
 
         def begin() -> Awaitable[None]:
-            return procedure.during(texts.STARTING_ROBOT, lambda: drilling.start_robot(fast=tab.fast_robot))
+            return jobs.during(texts.STARTING_ROBOT, lambda: drilling.start_robot(fast=tab.fast_robot))
 
-        busy = bool(procedure.working)
+        busy = bool(jobs.working)
         action(texts.START_ROBOT, tab.doing(begin), testid="start-robot", kind="primary", enabled=not busy)
         if busy:
-            note(f"{procedure.working.capitalize()} …")
+            note(f"{jobs.working.capitalize()} …")
         return
     _state(tab)
     if drilling.session is not None and drilling.session.target is not None:
@@ -122,31 +124,29 @@ def _zero_words(now: "RobotNow") -> str:
 
 def _orders(tab: Tab) -> None:
     """The buttons that lead on from here; a person's confirmation before each motion."""
-    procedure = tab.procedure
-    drilling, now = procedure.drilling, procedure.drilling.now
-    session = drilling.session
+    planning, drilling = tab.planning, tab.procedure.drilling
+    session, now = drilling.session, drilling.now
     assert now is not None and session is not None  # noqa: S101
     idle, state = not now.doing, now.state
     if now.fault:
         note(texts.FAULT.format(number=now.fault, what=now.text), kind="bad", testid="fault")
         _asked(tab, texts.RESET_FAULT, RESET_QUESTION, lambda: session.reset(now.fault), "reset-fault", enabled=idle)
         return
-    plan = procedure.planned.plan if procedure.planned is not None else None
-    can_send = idle and procedure.can_send and state not in (State.ALIGNED.value, State.PAUSED.value, State.DONE.value)
-    if plan is not None and procedure.can_send and procedure.decisions.side is not None:
+    known, decisions = planning.planned, planning.decisions
+    can_send = tab.procedure.readiness.can_send
+    if known is not None and known.plan is not None and can_send and decisions.side is not None:
         what = SEND_WHAT.format(
-            robot=texts.ROBOT_NAMES[procedure.patient is not None],
-            length=plan.trajectory.length_mm,
-            side=procedure.decisions.side,
-            serial=procedure.decisions.serial,
+            robot=texts.ROBOT_NAMES[planning.patient is not None],
+            length=known.plan.trajectory.length_mm,
+            side=decisions.side,
+            serial=decisions.serial,
         )
-        known = procedure.planned
-        assert known is not None  # noqa: S101 - its plan is there
-        _asked(tab, texts.SEND, SEND_QUESTION, lambda: drilling.send(known), "send", what=what, enabled=can_send)
+        enabled = idle and state not in (State.ALIGNED.value, State.PAUSED.value, State.DONE.value)
+        _asked(tab, texts.SEND, SEND_QUESTION, lambda: drilling.send(known), "send", what=what, enabled=enabled)
     else:
         note(texts.ONLY_GO, kind="warn", testid="not-go")
-    ready = idle and session.target is not None and drilling.current
-    if session.target is not None and not drilling.current:
+    ready = idle and session.target is not None and planning.sent_is_current
+    if session.target is not None and not planning.sent_is_current:
         note(CHANGED_AFTER_SENDING, kind="bad", testid="changed-after-sending")
     if state in (State.TARGETING.value, State.STOP.value):
         _asked(tab, texts.ALIGN, ALIGN_QUESTION, drilling.align, "align", enabled=ready)
@@ -156,7 +156,7 @@ def _orders(tab: Tab) -> None:
         _asked(tab, texts.DRILL_ON, DRILL_ON_QUESTION, lambda: drilling.drill(State.PAUSED), "drill-on", enabled=ready)
     if state in (State.DONE.value, State.STOP.value, State.ALIGNED.value, State.PAUSED.value):
         _asked(tab, texts.DRAW_BACK, RETRACT_QUESTION, session.retract, "retract", enabled=idle, kind="plain")
-    if state == State.DONE.value or drilling.record is not None:
+    if state == State.DONE.value or planning.drilled is not None:
         note(texts.DRILLED, kind="good", testid="drilled")
 
 
@@ -165,7 +165,7 @@ def _second_shot(tab: Tab) -> None:
     drilling, now = tab.procedure.drilling, tab.procedure.drilling.now
     if now is None or now.state != State.PAUSED.value:
         return
-    enabled = not now.doing and drilling.current
+    enabled = not now.doing and tab.planning.sent_is_current
     known = {"zero": _zero_words(now), "error": _error_words(now)}
     heading(texts.SHOT_HEADING)
     if BY_SHOT in now.zero:
@@ -210,7 +210,7 @@ def _asked(
 
 def _force(tab: Tab) -> None:
     """The thrust over the depth, as it comes."""
-    if tab.procedure.drilling.session is None and tab.procedure.drilling.record is None:
+    if tab.procedure.drilling.session is None and tab.planning.drilled is None:
         return
     heading(texts.THRUST_HEADING)
     drawing = ui.html("", sanitize=False).classes("force").props("data-testid=force")
@@ -219,9 +219,11 @@ def _force(tab: Tab) -> None:
 
     def tell() -> None:
         nonlocal shown
-        drilling = tab.procedure.drilling
-        session = drilling.session
-        record = drilling.record or (None if session is None else session.record)
+        session, drilled = tab.procedure.drilling.session, tab.planning.drilled
+        if drilled is not None:
+            record = drilled.record
+        else:
+            record = None if session is None else session.record
         if record is None or len(record.depth_mm) == shown:
             return
         shown = len(record.depth_mm)

@@ -23,7 +23,7 @@ def build_drop_zone(tab: Tab, site: Site) -> None:
     def taker(view: str):
         async def take(upload: Upload) -> None:
             image = f"check-{view}" if tab.step == STEPS[-1] else view
-            where = await tab.procedure.take(upload.data, upload.suffix, image=image)
+            where = await tab.planning.take(upload.data, upload.suffix, image=image)
             if where != image:
                 tab.say(texts.PUT_WHERE_IT_BELONGS.format(image=IMAGE_LABELS[where]))
 
@@ -40,23 +40,23 @@ def build_drop_zone(tab: Tab, site: Site) -> None:
 def build(tab: Tab) -> None:
     """The panel."""
     Section(tab, _state, _images)
-    Section(tab, lambda t: t.procedure.decisions.side, _side)
-    Section(tab, lambda t: t.procedure.decisions.serial, _serial)
+    Section(tab, lambda t: t.planning.decisions.side, _side)
+    Section(tab, lambda t: t.planning.decisions.serial, _serial)
     Section(tab, _untimed, _taken)
     Section(tab, _mirrored_key, _mirrored)
-    Section(tab, lambda t: tuple(t.procedure.decisions.display.items()), _display)
+    Section(tab, lambda t: tuple(t.planning.decisions.display.items()), _display)
 
 
 def _state(tab: Tab) -> Hashable:
-    procedure = tab.procedure
-    return (*(procedure.seen(name) for name in NAMES), procedure.working, procedure.trouble)
+    jobs = tab.procedure.jobs
+    return (*map(tab.planning.seen, NAMES), jobs.working, jobs.trouble)
 
 
 def _images(tab: Tab) -> None:
-    procedure = tab.procedure
+    planning, jobs = tab.planning, tab.procedure.jobs
     heading(texts.IMAGES_HEADING)
     for name in NAMES:
-        seen = procedure.seen(name)
+        seen = planning.seen(name)
         if seen is None:
             note(texts.NO_IMAGE.format(image=IMAGE_LABELS[name]), kind="quiet")
             continue
@@ -67,25 +67,25 @@ def _images(tab: Tab) -> None:
         note(told, kind="bad" if seen.refused else "good")
         if seen.refused:
             note(seen.refused, kind="bad")
-    if procedure.working:
-        note(f"{procedure.working.capitalize()} …", testid="working")
-    if procedure.trouble:
-        note(procedure.trouble, kind="bad", testid="trouble")
-    if procedure.patient is not None:
+    if jobs.working:
+        note(f"{jobs.working.capitalize()} …", testid="working")
+    if jobs.trouble:
+        note(jobs.trouble, kind="bad", testid="trouble")
+    if planning.patient is not None:
         note(texts.REHEARSING, kind="quiet")
-        retake = tab.doing(procedure.take_rehearsed)
-        action(texts.TAKE_AGAIN, retake, testid="retake", enabled=not procedure.working)
+        retake = tab.doing(planning.take_rehearsed)
+        action(texts.TAKE_AGAIN, retake, testid="retake", enabled=not jobs.working)
 
 
 def _side(tab: Tab) -> None:
     heading(texts.SIDE_HEADING)
-    side = tab.procedure.decisions.side
+    side = tab.planning.decisions.side
     note(texts.SIDE_HINT, kind="quiet")
     with ui.element("div").classes("choice").props(f'role=radiogroup aria-label="{texts.SIDE_HEADING}"'):
         for one in ("right", "left"):
             button = action(
                 texts.SIDES[one],
-                tab.doing(lambda one=one: tab.procedure.confirm_side(one)),
+                tab.doing(lambda one=one: tab.planning.confirm_side(one)),
                 testid=f"side-{one}",
                 kind="primary" if side == one else "plain",
             )
@@ -96,7 +96,7 @@ def _side(tab: Tab) -> None:
 
 def _serial(tab: Tab) -> None:
     heading(texts.SERIAL_HEADING)
-    known, confirmed = tab.procedure.frame.serial, tab.procedure.decisions.serial
+    known, confirmed = tab.planning.frame.serial, tab.planning.decisions.serial
     if confirmed is not None:
         note(texts.SERIAL_CONFIRMED.format(serial=confirmed), kind="good", testid="serial-confirmed")
     elif known is None:
@@ -111,7 +111,7 @@ def _serial(tab: Tab) -> None:
         serial = str(field.value or "").strip()
         if not serial or len(serial) > _SERIAL_LENGTH or not serial.isprintable():
             raise UnusableInputError(texts.SERIAL_REFUSED)
-        tab.procedure.confirm_serial(serial)
+        tab.planning.confirm_serial(serial)
 
     field.on("keydown.enter", tab.doing(confirm))
     action(texts.SERIAL_CONFIRM, tab.doing(confirm), testid="confirm-serial", kind="plain" if confirmed else "primary")
@@ -119,8 +119,8 @@ def _serial(tab: Tab) -> None:
 
 def _untimed(tab: Tab) -> tuple[str, ...]:
     """The images that nobody knows the time of."""
-    seen = {name: tab.procedure.seen(name) for name in NAMES}
-    return tuple(name for name, one in seen.items() if one is not None and tab.procedure.taken_at(one) is None)
+    seen = {name: tab.planning.seen(name) for name in NAMES}
+    return tuple(name for name, one in seen.items() if one is not None and tab.procedure.age.taken_at(one) is None)
 
 
 def _taken(tab: Tab) -> None:
@@ -133,31 +133,31 @@ def _taken(tab: Tab) -> None:
         said.props(f"outlined dense data-testid=taken-{name}")
 
         def confirm(name: str = name, said: ui.number = said) -> None:
-            tab.procedure.state_taken(name, float("nan") if said.value is None else float(said.value))
+            tab.procedure.age.state_taken(name, float("nan") if said.value is None else float(said.value))
 
         action(texts.TAKEN_CONFIRM, tab.doing(confirm), testid=f"confirm-taken-{name}", kind="primary")
 
 
 def _mirrored_key(tab: Tab) -> Hashable:
     """The images that are asked about, what was said of each, and how the page shows them."""
-    asked, decisions = tab.procedure.asks_mirrored, tab.procedure.decisions
+    asked, decisions = tab.planning.asks_mirrored, tab.planning.decisions
     said = (decisions.mirrored.get(decisions.images[name]) for name in asked)
     return asked, *said, *(_is_turned(tab, name) for name in asked)
 
 
 def _is_turned(tab: Tab, image: str) -> bool:
-    shown = tab.procedure.decisions.display.get(image)
+    shown = tab.planning.decisions.display.get(image)
     return shown is not None and shown.mirrored
 
 
 def _mirrored(tab: Tab) -> None:
-    procedure, asked = tab.procedure, tab.procedure.asks_mirrored
+    planning, asked = tab.planning, tab.planning.asks_mirrored
     if not asked:
         return
     heading(texts.MIRRORED_HEADING)
     note(texts.MIRRORED_HINT, kind="warn", testid="mirrored-question")
     for name in asked:
-        said = procedure.decisions.mirrored.get(procedure.decisions.images[name])
+        said = planning.decisions.mirrored.get(planning.decisions.images[name])
         label = texts.MIRRORED_FIELD.format(image=IMAGE_LABELS[name])
         note(label if said is None else texts.MIRRORED_SAID[said].format(image=IMAGE_LABELS[name]))
         with ui.element("div").classes("choice").props(f'role=radiogroup aria-label="{label}"'):
@@ -165,7 +165,7 @@ def _mirrored(tab: Tab) -> None:
                 chosen = said is not None and answer == (said != _is_turned(tab, name))
                 button = action(
                     word,
-                    tab.doing(lambda name=name, answer=answer: procedure.state_mirrored(name, answer)),
+                    tab.doing(lambda name=name, answer=answer: planning.state_mirrored(name, answer)),
                     testid=f"mirrored-{name}-{word}",
                     kind="primary" if chosen else "plain",
                 )
@@ -174,7 +174,7 @@ def _mirrored(tab: Tab) -> None:
 
 def _display(tab: Tab) -> None:
     shown = []
-    for image, display in tab.procedure.decisions.display.items():
+    for image, display in tab.planning.decisions.display.items():
         mirrored = [XRAY["mirrored"]] * display.mirrored
         turned = [XRAY["rotated"].format(degrees=display.rotation)] * bool(display.rotation)
         if how := texts.DISPLAY_AND.join(mirrored + turned):

@@ -10,10 +10,10 @@ from nicegui import ui
 from sightline.app import texts
 from sightline.app.panels import markup
 from sightline.app.panels.section import Section, action, heading, note
+from sightline.app.plan.marks import END, ENTRY, Asked, asked_of
+from sightline.app.plan.planner import Planned
 from sightline.app.tab.tab import Tab
 from sightline.app.texts import IMAGE_LABELS
-from sightline.app.work.marks import END, ENTRY, Asked, asked_of
-from sightline.app.work.planner import Planned
 from sightline.case.views import NAMES
 from sightline.errors import UnusableInputError
 from sightline.geometry.covariance import TWO_SIDED_95
@@ -27,18 +27,17 @@ def figures_key(tab: Tab) -> Hashable:
 
 def build(tab: Tab) -> None:
     """Kind, points, aids."""
-    Section(tab, lambda t: t.procedure.decisions.kind, _kind)
-    Section(tab, lambda t: t.procedure.decisions.snapping, _snapping)
-    Section(tab, lambda t: t.procedure.decisions.kind, _points)
+    Section(tab, lambda t: t.planning.decisions.kind, _kind)
+    Section(tab, lambda t: t.planning.decisions.snapping, _snapping)
+    Section(tab, lambda t: t.planning.decisions.kind, _points)
 
 
 def _kind(tab: Tab) -> None:
-    procedure = tab.procedure
-    decisions = procedure.decisions
+    decisions = tab.planning.decisions
     kinds = {name: kind.name.capitalize() for name, kind in KINDS.items()}
 
     async def choose(event) -> None:
-        await tab.act(lambda: procedure.choose_kind(event.value))
+        await tab.act(lambda: tab.planning.choose_kind(event.value))
         tab.go_to(tab.step)
 
     ui.select(kinds, value=decisions.kind, label=texts.KIND_FIELD, on_change=choose).props(
@@ -54,17 +53,15 @@ def _kind(tab: Tab) -> None:
 
 
 def _snapping(tab: Tab) -> None:
-    procedure = tab.procedure
-
     async def snap(event) -> None:
-        await tab.act(lambda: procedure.choose_snapping(bool(event.value)))
+        await tab.act(lambda: tab.planning.choose_snapping(bool(event.value)))
 
-    on = procedure.decisions.snapping
+    on = tab.planning.decisions.snapping
     ui.checkbox(texts.SNAP, value=on, on_change=snap).props("data-testid=snapping")
 
 
 def _points(tab: Tab) -> None:
-    decisions = tab.procedure.decisions
+    decisions = tab.planning.decisions
     for group, listed in groupby(asked_of(decisions.kind), key=lambda one: one.group):
         heading(texts.POINT_GROUPS[group])
         for _, same in groupby(listed, key=lambda one: one.of):
@@ -81,7 +78,7 @@ def _row(tab: Tab, same: tuple[Asked, ...]) -> None:
 
     def placed(t: Tab) -> tuple[int, ...]:
         """How many clicks are there in each image."""
-        marks = [t.procedure.decisions.mark(name) for name in names]
+        marks = [t.planning.decisions.mark(name) for name in names]
         return tuple(sum(mark.at(image) is not None for mark in marks) for image in first.images)
 
     def current(t: Tab) -> bool:
@@ -103,29 +100,29 @@ def _row(tab: Tab, same: tuple[Asked, ...]) -> None:
         action(texts.PLACE, lambda: tab.place(same), testid=f"place-{first.of}", kind="small").props(
             f'aria-label="{texts.PLACE_WHAT.format(what=label)}"'
         )
-        remove = action("✕", tab.doing(lambda: tab.procedure.remove(names)), testid=f"remove-{first.of}", kind="small")
+        remove = action("✕", tab.doing(lambda: tab.planning.remove(names)), testid=f"remove-{first.of}", kind="small")
         remove.props(f'aria-label="{texts.REMOVE_WHAT.format(what=label)}"')
     with status:
         Section(tab, lambda t: (placed(t), current(t)), show, classes="pick-status")
 
 
 def _propose(tab: Tab) -> None:
-    known = tab.procedure.planned
+    known = tab.planning.planned
     if known is None:
         raise UnusableInputError(texts.PROPOSE_UNCALIBRATED)
-    proposal, decisions = known.proposal(), tab.procedure.decisions
+    proposal, decisions = known.proposal(), tab.planning.decisions
     for name, uv in ((ENTRY, proposal.entry_uv_px), (END, proposal.end_uv_px)):
         mark = decisions.mark(name)
         for image, at in zip(NAMES, uv, strict=True):
             mark = mark.placed(image, (float(at[0]), float(at[1])), free=False)
         decisions = decisions.with_mark(name, mark)
-    tab.procedure.edit(decisions)
+    tab.planning.edit(decisions)
     tab.go_to(tab.step)
 
 
 def _missing(tab: Tab) -> str:
     """What a proposal still needs."""
-    known = tab.procedure.planned
+    known = tab.planning.planned
     absent = {} if known is None else known.anatomy.absent
     return "; ".join(text for name, text in absent.items() if name in ("head", "shaft", "cortex"))
 
@@ -148,7 +145,7 @@ def figures_html(tab: Tab) -> Markup:
     said = [markup.note(why, kind="bad", testid="figures-refused") for why in _refused(known)]
     if known.plan is not None:
         said += [markup.note(sentence, kind="quiet", testid="along") for sentence in known.plan.along_sentences()]
-    if tab.procedure.decisions.side is None:
+    if tab.planning.decisions.side is None:
         said.insert(0, markup.note(texts.SIDE_FOR_FIGURES, kind="warn"))
     for figure in known.figures:
         if figure.value is not None:

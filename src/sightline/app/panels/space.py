@@ -9,9 +9,9 @@ from nicegui import ui
 
 from sightline.app.drawing.space import document as space
 from sightline.app.drawing.space.view import SpaceView
+from sightline.app.plan.marks import asked_of
 from sightline.app.tab.tab import Tab
 from sightline.app.texts import SPACE_GROUPS, SPACE_LABEL
-from sightline.app.work.marks import asked_of
 from sightline.case.views import NAMES
 from sightline.errors import SightlineError
 
@@ -42,28 +42,28 @@ class Space:
         """Draw the groups that changed."""
         if not self.open:
             return
-        tab, procedure = self._tab, self._tab.procedure
-        decisions, known, views = procedure.decisions, tab.known, procedure.views()
-        seen = [procedure.seen(name) for name in NAMES]
+        planning, known = self._tab.planning, self._tab.known
+        decisions, views = planning.decisions, planning.views()
+        seen = [planning.seen(name) for name in NAMES]
         if self._drawn.get("sides", "never") != decisions.side:
             self._view.orient(decisions.side)
-        self._group("frame", procedure.frame, lambda: space.frame_objects(procedure.frame))
+        self._group("frame", planning.frame, lambda: space.frame_objects(planning.frame))
         self._group("sides", decisions.side, lambda: space.side_objects(decisions.side, np.zeros(3)))
         self._group("views", tuple(seen), self._views)
         self._group("sights", (views, decisions.marks), self._sights)
         plan = None if known is None else known.plan
         self._group("points", plan, self._points)
         self._group("wire", plan, self._wire)
-        self._group("drilled", procedure.verifying.shot, self._drilled)
-        if procedure.patient is not None and self._bone is None:
+        self._group("drilled", self._tab.procedure.verifying.shot, self._drilled)
+        if planning.patient is not None and self._bone is None:
             self._bone = []
             asyncio.get_running_loop().create_task(self._fetch_bone())
         self._group("bone", None if self._bone is None else len(self._bone), lambda: self._bone or [])
 
     async def _fetch_bone(self) -> None:
-        patient = self._tab.procedure.patient
+        patient = self._tab.planning.patient
         assert patient is not None  # noqa: S101
-        self._bone = await self._tab.procedure.workshop.do(space.rehearsed_bone, patient)
+        self._bone = await self._tab.planning.workshop.do(space.rehearsed_bone, patient)
         self._tab.later()
 
     def _group(self, name: str, key: Hashable, objects: Callable[[], list[dict[str, Any]]]) -> None:
@@ -72,17 +72,18 @@ class Space:
             self._view.draw(name, objects())
 
     def _views(self) -> list[dict[str, Any]]:
-        procedure, out = self._tab.procedure, []
+        planning, out = self._tab.planning, []
         for name in NAMES:
-            seen = procedure.seen(name)
+            seen = planning.seen(name)
             if seen is not None and seen.view is not None:
-                out += space.view_objects(seen.view, procedure.frame.views[name].xrii, seen.image)
+                out += space.view_objects(seen.view, planning.frame.views[name].xrii, seen.image)
         return out
 
     def _sights(self) -> list[dict[str, Any]]:
-        procedure, out = self._tab.procedure, []
-        for view, name in zip(procedure.views() or (), NAMES, strict=False):
-            placed = [procedure.decisions.mark(asked.name) for asked in asked_of(procedure.decisions.kind)]
+        planning, out = self._tab.planning, []
+        decisions = planning.decisions
+        for view, name in zip(planning.views() or (), NAMES, strict=False):
+            placed = [decisions.mark(asked.name) for asked in asked_of(decisions.kind)]
             for mark in placed:
                 at = mark.at(name)
                 if at is not None:
@@ -107,11 +108,10 @@ class Space:
         return space.wire_objects(known.plan.trajectory, known.kind.wire_mm)
 
     def _drilled(self) -> list[dict[str, Any]]:
-        procedure = self._tab.procedure
-        shot, sent = procedure.verifying.shot, procedure.drilling.sent
+        shot, sent = self._tab.procedure.verifying.shot, self._tab.planning.sent
         if shot is None or sent is None:
             return []
-        return space.drilled_objects(shot.entry_mm, shot.tip_mm, sent.kind.wire_mm)
+        return space.drilled_objects(shot.entry_mm, shot.tip_mm, sent.plan.kind.wire_mm)
 
     def _robot(self) -> None:
         session = self._tab.procedure.drilling.session

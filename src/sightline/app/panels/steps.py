@@ -4,8 +4,9 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 from sightline.app import texts
+from sightline.app.plan.marks import asked_of
 from sightline.app.texts import IMAGE_LABELS, STEPS
-from sightline.app.work.marks import asked_of
+from sightline.app.work.planning import Planning
 from sightline.app.work.procedure import Procedure
 from sightline.app.work.seen import SeenImage
 from sightline.case.views import NAMES
@@ -33,42 +34,50 @@ class Step:
 
 def steps(procedure: Procedure) -> tuple[Step, ...]:
     """All five, in their order."""
-    found = (_images(procedure), _calibrate(procedure), _plan(procedure), _drill(procedure), _verify(procedure))
+    found = (
+        _images(procedure),
+        _calibrate(procedure.planning),
+        _plan(procedure),
+        _drill(procedure),
+        _verify(procedure),
+    )
     return tuple(Step(name, *one) for name, one in zip(STEPS, found, strict=True))
 
 
 _Found = tuple[Standing, str]
 
 
-def _both(procedure: Procedure) -> list[SeenImage]:
-    return [seen for seen in map(procedure.seen, NAMES) if seen is not None]
+def _both(planning: Planning) -> list[SeenImage]:
+    return [seen for seen in map(planning.seen, NAMES) if seen is not None]
 
 
 def _images(procedure: Procedure) -> _Found:
-    decisions, missing = procedure.decisions, [name for name in NAMES if name not in procedure.decisions.images]
-    if procedure.working and missing:
-        return Standing.OPEN, texts.DOING.format(doing=procedure.working.capitalize())
+    planning, working = procedure.planning, procedure.jobs.working
+    decisions = planning.decisions
+    missing = [name for name in NAMES if name not in decisions.images]
+    if working and missing:
+        return Standing.OPEN, texts.DOING.format(doing=working.capitalize())
     if missing:
         return Standing.OPEN, texts.DROP_MISSING.format(images=" and the ".join(IMAGE_LABELS[name] for name in missing))
     if decisions.side is None or decisions.serial is None:
         return Standing.ATTENTION, texts.CONFIRM_BOTH
-    if any(procedure.taken_at(seen) is None for seen in _both(procedure)):
+    if any(procedure.age.taken_at(seen) is None for seen in _both(planning)):
         return Standing.ATTENTION, texts.STATE_WHEN_TAKEN
-    asked = procedure.asks_mirrored
+    asked = planning.asks_mirrored
     if asked and not any(decisions.images[name] in decisions.mirrored for name in asked):
         return Standing.ATTENTION, texts.STATE_WHETHER_MIRRORED
     return Standing.DONE, texts.IMAGES_DONE
 
 
-def _calibrate(procedure: Procedure) -> _Found:
-    seen = _both(procedure)
+def _calibrate(planning: Planning) -> _Found:
+    seen = _both(planning)
     if len(seen) < len(NAMES):
         return Standing.BLOCKED, texts.IMAGES_FIRST
     if busy := next((one.doing for one in seen if one.doing), ""):
         return Standing.OPEN, texts.DOING.format(doing=busy.capitalize())
     if refused := next((one.refused for one in seen if one.refused), ""):
         return Standing.ATTENTION, refused
-    views = procedure.views()
+    views = planning.views()
     if views is None:
         return Standing.ATTENTION, texts.SAME_VIEW
     wrong = failed(check for view in views for check in view.checks)
@@ -78,31 +87,30 @@ def _calibrate(procedure: Procedure) -> _Found:
 
 
 def _plan(procedure: Procedure) -> _Found:
-    known = procedure.planned
+    known, decisions = procedure.planning.planned, procedure.planning.decisions
     if known is None:
         return Standing.BLOCKED, texts.CALIBRATE_FIRST
     if known.plan is None:
         refused = next(iter(known.refused.values()), None)
         if refused is not None:
             return Standing.ATTENTION, refused
-        wire = [asked for asked in asked_of(procedure.decisions.kind) if asked.group == "wire"]
-        left = [asked.label for asked in wire if not procedure.decisions.complete([asked.name])]
+        wire = [asked for asked in asked_of(decisions.kind) if asked.group == "wire"]
+        left = [asked.label for asked in wire if not decisions.complete([asked.name])]
         return Standing.OPEN, texts.PLACE_WIRE.format(points=", ".join(left))
-    verdict = procedure.verdict
+    verdict = procedure.readiness.verdict
     wrong = () if verdict is None else failed(verdict.checks)
     return (Standing.ATTENTION, wrong[0].sentence) if wrong else (Standing.DONE, texts.PLAN_DONE)
 
 
 def _drill(procedure: Procedure) -> _Found:
-    drilling = procedure.drilling
-    if drilling.record is not None:
+    planning, now = procedure.planning, procedure.drilling.now
+    if planning.drilled is not None:
         return Standing.DONE, texts.DRILL_DONE
-    now = drilling.now
     if now is not None and (now.lost or now.fault or now.said):
         return Standing.ATTENTION, now.said or now.text or texts.LINK_LOST
-    if now is not None and drilling.sent is not None and now.state != State.UNDEFINED.value:
+    if now is not None and planning.sent is not None and now.state != State.UNDEFINED.value:
         return Standing.OPEN, texts.ROBOT_IN.format(state=now.state)
-    if not procedure.can_send:
+    if not procedure.readiness.can_send:
         return Standing.BLOCKED, texts.ONLY_GO
     return Standing.OPEN, texts.CAN_SEND
 
@@ -116,6 +124,6 @@ def _verify(procedure: Procedure) -> _Found:
         if wrong:
             return Standing.ATTENTION, wrong[0].sentence
         return Standing.DONE, texts.VERIFIED
-    if procedure.drilling.sent is None:
+    if procedure.planning.sent is None:
         return Standing.BLOCKED, texts.NOT_DRILLED
     return Standing.OPEN, texts.TAKE_TWO_MORE

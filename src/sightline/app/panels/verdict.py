@@ -40,7 +40,7 @@ def key(tab: Tab) -> Hashable:
 
 def age_key(tab: Tab) -> Hashable:
     """Whether there is a plan, and it is young enough."""
-    return bool(_listed(tab)), tab.procedure.fresh, tab.procedure.drilled_age_s
+    return bool(_listed(tab)), tab.procedure.age.fresh, tab.procedure.age.drilled_s
 
 
 def count(tab: Tab) -> Hashable:
@@ -50,26 +50,19 @@ def count(tab: Tab) -> Hashable:
 
 def details_key(tab: Tab) -> Hashable:
     """What the details show."""
-    procedure, known = tab.procedure, tab.known
-    return (
-        known,
-        procedure.fresh,
-        procedure.decisions.side,
-        procedure.decisions.serial,
-        procedure.go,
-        _target(tab),
-    )
+    procedure, decisions = tab.procedure, tab.planning.decisions
+    return (tab.known, procedure.age.fresh, decisions.side, decisions.serial, procedure.readiness.go, _target(tab))
 
 
 def _listed(tab: Tab) -> tuple[Check, ...]:
     """Every check of the plan that is shown; none where there is no plan."""
-    verdict = tab.procedure.verdict_of(tab.known)
+    verdict = tab.procedure.readiness.verdict_of(tab.known)
     return () if verdict is None else verdict.checks
 
 
 def html(tab: Tab) -> Markup:
     """The verdict, and what to do about each check that failed."""
-    verdict = tab.procedure.verdict_of(tab.known)
+    verdict = tab.procedure.readiness.verdict_of(tab.known)
     if verdict is None:
         return Markup()
     state, wrong = verdict.state, failed(verdict.checks)
@@ -100,19 +93,20 @@ def build_age(tab: Tab) -> None:
     if not _listed(tab):
         return
     label = ui.label().classes("age").props("data-testid=age")
-    was_fresh, drilled = tab.procedure.fresh, tab.procedure.drilled_age_s
+    age = tab.procedure.age
+    was_fresh, drilled = age.fresh, age.drilled_s
     if drilled is not None:
         label.set_text(texts.SENT_AT.format(age=_minutes(drilled)))
         return
 
     def tell() -> None:
-        age = tab.procedure.age_s
-        if age is None:
+        age_s = age.now_s
+        if age_s is None:
             return
-        if tab.procedure.fresh != was_fresh:
+        if age.fresh != was_fresh:
             tab.refresh()  # GO must not stand over a plan that has expired
             return
-        told = texts.EXPIRES.format(age=_minutes(age), left=_minutes(LIFETIME_S - age))
+        told = texts.EXPIRES.format(age=_minutes(age_s), left=_minutes(LIFETIME_S - age_s))
         label.set_text(told if was_fresh else texts.EXPIRED)
 
     tell()
@@ -162,9 +156,9 @@ def _shares(tab: Tab) -> Markup:
 
 def _target(tab: Tab) -> RobotTarget | None:
     """What the robot made of the plan that is shown; None before it is sent, and of another."""
-    drilling = tab.procedure.drilling
-    shown = drilling.session is not None and drilling.current and tab.known is tab.procedure.planned
-    return drilling.session.target if drilling.session is not None and shown else None
+    session, planning = tab.procedure.drilling.session, tab.planning
+    shown = planning.sent_is_current and tab.known is planning.planned
+    return session.target if session is not None and shown else None
 
 
 def _together(share: Share) -> dict[str, float]:

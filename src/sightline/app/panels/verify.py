@@ -6,23 +6,22 @@ import numpy as np
 
 from sightline.app import texts
 from sightline.app.panels.section import Section, action, checks, heading, note, table
+from sightline.app.plan.marks import CHECK_NAMES, asked_of
 from sightline.app.tab.tab import Tab
 from sightline.app.texts import IMAGE_LABELS
-from sightline.app.work.marks import CHECK_NAMES, asked_of
 
 
 def _key(tab: Tab) -> Hashable:
-    procedure = tab.procedure
-    verifying = procedure.verifying
+    planning, jobs, verifying = tab.planning, tab.procedure.jobs, tab.procedure.verifying
     return (
-        *(procedure.seen(name) for name in CHECK_NAMES),
+        *(planning.seen(name) for name in CHECK_NAMES),
         verifying.shot,
         verifying.refused,
-        procedure.drilling.wire,
-        procedure.working,
-        procedure.trouble,
+        planning.drilled,
+        jobs.working,
+        jobs.trouble,
         tab.goal,
-        procedure.history.revision,
+        planning.history.revision,
     )
 
 
@@ -32,31 +31,31 @@ def build(tab: Tab) -> None:
 
 
 def _check(tab: Tab) -> None:
-    procedure = tab.procedure
+    planning, jobs, verifying = tab.planning, tab.procedure.jobs, tab.procedure.verifying
     heading(texts.CHECK_HEADING)
-    if procedure.patient is not None:
-        take = tab.doing(procedure.verifying.take_rehearsed)
-        enabled = procedure.drilling.wire is not None and not procedure.working
+    if planning.patient is not None:
+        take = tab.doing(verifying.take_rehearsed)
+        enabled = planning.drilled is not None and not jobs.working
         action(texts.TAKE_CHECK, take, testid="take-check", kind="primary", enabled=enabled)
-        if procedure.drilling.wire is None:
+        if planning.drilled is None:
             note(texts.DRILL_FIRST, kind="quiet")
     else:
         note(texts.DROP_CHECK, kind="quiet")
-    if procedure.working:
-        note(f"{procedure.working.capitalize()} …")
-    if procedure.trouble:
-        note(procedure.trouble, kind="bad")
+    if jobs.working:
+        note(f"{jobs.working.capitalize()} …")
+    if jobs.trouble:
+        note(jobs.trouble, kind="bad")
     for name in CHECK_NAMES:
-        seen = procedure.seen(name)
+        seen = planning.seen(name)
         if seen is not None:
-            wire = name in procedure.verifying.wires
+            wire = name in verifying.wires
             state = seen.refused or (
                 f"{seen.doing} …" if seen.doing else texts.WIRE_FOUND if wire else texts.CALIBRATED_ONLY
             )
             note(
                 texts.CHECK_IMAGE.format(image=IMAGE_LABELS[name], state=state), kind="bad" if seen.refused else "good"
             )
-    if all(procedure.seen(name) for name in CHECK_NAMES):
+    if all(planning.seen(name) for name in CHECK_NAMES):
         _landmarks(tab)
     _result(tab)
 
@@ -64,7 +63,7 @@ def _check(tab: Tab) -> None:
 def _landmarks(tab: Tab) -> None:
     """The same points of the bone, found again: they carry the plan over, should the bone have moved."""
     heading(texts.FOUND_AGAIN_HEADING)
-    decisions = tab.procedure.decisions
+    decisions = tab.planning.decisions
     listed = tuple(asked for asked in asked_of(decisions.kind) if asked.group == "landmark")
     for asked in listed:
         planned = decisions.mark(asked.name).complete()

@@ -13,11 +13,12 @@ from sightline.app.drawing import shapes
 from sightline.app.drawing.pictures import Pictures
 from sightline.app.drawing.xray.view import Display as XrayDisplay
 from sightline.app.drawing.xray.view import Shown, Window, XrayEvent, XrayView
+from sightline.app.plan.decisions import Decisions, Display, Pixel
+from sightline.app.plan.marks import CHECK_NAMES, Asked, asked_of, names_of
+from sightline.app.plan.planner import Planned, drawn_curves, planned
 from sightline.app.texts import BUG, IMAGE_LABELS, LIVE_LABELS, LIVE_UNKNOWN, STALE, STEPS, XRAY
-from sightline.app.work.decisions import Decisions, Display, Pixel
+from sightline.app.work.failures import told, why_not
 from sightline.app.work.live import fresh_s
-from sightline.app.work.marks import CHECK_NAMES, Asked, asked_of, names_of
-from sightline.app.work.planner import Planned, drawn_curves, planned
 from sightline.app.work.procedure import Procedure
 from sightline.app.work.seen import SeenImage
 from sightline.calibration import BeadView
@@ -63,7 +64,7 @@ class Tab:
         self, procedure: Procedure, pictures: Pictures, *, fast_robot: bool = False, live_source: str | None = None
     ) -> None:
         """`fast_robot`: a simulated robot's time runs as fast as it computes. `live_source`: of the live image."""
-        self.procedure, self.pictures = procedure, pictures
+        self.procedure, self.planning, self.pictures = procedure, procedure.planning, pictures
         self.fast_robot, self.live_source = fast_robot, live_source
         self.live: Watched | None = None  # what is shown of it
         self._live_in = NAMES[0]  # the view it is shown in
@@ -84,7 +85,7 @@ class Tab:
     @property
     def images(self) -> tuple[str, str]:
         """Names of the images in the two views."""
-        return CHECK_NAMES if self.step == STEPS[4] and self.procedure.seen(CHECK_NAMES[0]) else NAMES
+        return CHECK_NAMES if self.step == STEPS[4] and self.planning.seen(CHECK_NAMES[0]) else NAMES
 
     def build_views(self, *boxes: ui.element) -> None:
         """The two X-ray views, each in its box."""
@@ -150,7 +151,7 @@ class Tab:
 
     def _shown_live(self, view: XrayView, watched: "Watched") -> Shown:
         picture = self.pictures.live(watched.image)
-        turned = self.procedure.decisions.display.get(view.name, Display())
+        turned = self.planning.decisions.display.get(view.name, Display())
         return Shown(
             LIVE_LABELS[view.name] if watched.view is not None else LIVE_UNKNOWN,
             picture,
@@ -161,7 +162,7 @@ class Tab:
 
     def _shown(self, image: str) -> Shown:
         """What the view of an image shows."""
-        procedure, seen = self.procedure, self.procedure.seen(image)
+        procedure, seen = self.procedure, self.planning.seen(image)
         if seen is None:
             return Shown(IMAGE_LABELS[image])
         layers, undrawn = self._layers(image, seen)
@@ -169,7 +170,7 @@ class Tab:
         if preview is not None:
             layers = {**layers, **preview.layers.get(image, {})}
         hidden = {name for name, on in (("beads", self.show_beads), ("rejected", self.show_rejected)) if not on}
-        picture, display = self.pictures.of(seen), procedure.decisions.display.get(image, Display())
+        picture, display = self.pictures.of(seen), procedure.planning.decisions.display.get(image, Display())
         window = picture.window if display.window is None else Window(*display.window)
         goal = self.goal
         # Case and image are part of the revision: an edit that a killed server lost belongs to no other.
@@ -178,15 +179,15 @@ class Tab:
             picture,
             XrayDisplay(display.rotation, display.mirrored, display.inverted, window),
             {name: drawn for name, drawn in layers.items() if name not in hidden},
-            self._points(image, procedure.decisions if preview is None else preview.decisions),
+            self._points(image, procedure.planning.decisions if preview is None else preview.decisions),
             goal.asked.name if goal is not None and goal.image == image else None,
             (f"{seen.doing.capitalize()} …" if seen.doing else seen.refused) or undrawn or None,
-            f"{procedure.case.number} {image} {seen.acquired.number} {procedure.history.revision}",
+            f"{procedure.planning.case.number} {image} {seen.acquired.number} {procedure.planning.history.revision}",
         )
 
     def _layers(self, image: str, seen: SeenImage) -> "tuple[_Layers, str]":
         """What is drawn over an image by layer, and why one of them is not there. Computed once for the same plan."""
-        verifying, known = self.procedure.verifying, self.procedure.planned
+        verifying, known = self.procedure.verifying, self.planning.planned
         of = (seen, known, verifying.wires.get(image), verifying.shot)
         if image in self._drawn and self._drawn[image][0] == of:
             return self._drawn[image][1:]
@@ -231,19 +232,19 @@ class Tab:
     def goal(self) -> Goal | None:
         """What is to be placed now."""
         wanted = self._asked_by_step() if self._wanted is None else self._wanted
-        return next((one for one in wanted if not one.reached(self.procedure.decisions)), None)
+        return next((one for one in wanted if not one.reached(self.planning.decisions)), None)
 
     def _asked_by_step(self) -> tuple[Goal, ...]:
-        asked, procedure = asked_of(self.procedure.decisions.kind), self.procedure
-        if self.step == STEPS[4] and procedure.views(CHECK_NAMES) is not None:
+        asked, procedure = asked_of(self.planning.decisions.kind), self.procedure
+        if self.step == STEPS[4] and procedure.planning.views(CHECK_NAMES) is not None:
             return _goals([one for one in asked if one.group == "landmark"], CHECK_NAMES)
-        if self.step == STEPS[2] and procedure.planned is not None:
+        if self.step == STEPS[2] and procedure.planning.planned is not None:
             return _goals([one for one in asked if one.group != "aid"], NAMES)
         return ()
 
     def place(self, listed: Sequence[Asked], images: tuple[str, str] = NAMES) -> None:
         """Ask for those of these marks that are not placed; where all are, for the first anew."""
-        goals, decisions = _goals(listed, images), self.procedure.decisions
+        goals, decisions = _goals(listed, images), self.planning.decisions
         if all(one.reached(decisions) for one in goals):
             first = goals[0]
             goals = (replace(first, before=decisions.mark(first.asked.name).at(first.image)),)
@@ -277,17 +278,17 @@ class Tab:
         if event.id is not None and event.uv is not None:
             await self._moved(image, event.type, event.id, event.uv)
         elif event.id is not None:
-            without = self.procedure.decisions.mark(event.id).placed(image, None)
-            await self.act(lambda: self.procedure.edit(self.procedure.decisions.with_mark(event.id or "", without)))
+            without = self.planning.decisions.mark(event.id).placed(image, None)
+            await self.act(lambda: self.planning.edit(self.planning.decisions.with_mark(event.id or "", without)))
         elif event.display is not None:
             shown = event.display
             display = Display(shown.rotation, shown.mirrored, shown.inverted, (shown.window.centre, shown.window.width))
-            await self.act(lambda: self.procedure.show(image, display))
+            await self.act(lambda: self.planning.show(image, display))
 
     def _shown_in(self, view: XrayView) -> str | None:
         """Name of the image that a view shows; None of a live one, and of one in whose place another is by now."""
         image = self.images[self.views.index(view)]
-        seen, shown = self.procedure.seen(image), view.shown.picture
+        seen, shown = self.planning.seen(image), view.shown.picture
         return None if seen is None or shown is None or shown.url != self.pictures.of(seen).url else image
 
     async def _moved(self, image: str, how: str, name: str, uv: Pixel) -> None:
@@ -295,12 +296,12 @@ class Tab:
             await self._follow(name, image, uv)
             return
         self._preview = self._dragged = None
-        await self.act(lambda: self.procedure.edit(self.procedure.moved(name, image, uv, anew=how == "place")))
+        await self.act(lambda: self.planning.edit(self.planning.moved(name, image, uv, anew=how == "place")))
 
     async def _follow(self, name: str, image: str, uv: Pixel) -> None:
         """Curves, wire and figures follow a point that is being dragged: the curves first, they guide the hand."""
         procedure = self.procedure
-        pair, drag = procedure.views(), (object(), procedure.history.revision)
+        pair, drag = procedure.planning.views(), (object(), procedure.planning.history.revision)
         if pair is None:
             return
         self._dragged = drag
@@ -329,13 +330,13 @@ class Tab:
 
     def _goes_on(self, drag: tuple[object, int]) -> bool:
         """False once the point was dropped or dragged on, or anything was decided meanwhile, undone again or not."""
-        return drag is self._dragged and drag[1] == self.procedure.history.revision
+        return drag is self._dragged and drag[1] == self.planning.history.revision
 
     @property
     def preview(self) -> Preview | None:
         """What follows from the point that is being dragged; None of a drag that is over."""
         one = self._preview
-        return one if one is not None and one.revision == self.procedure.history.revision else None
+        return one if one is not None and one.revision == self.planning.history.revision else None
 
     # How anything a person asks for is done.
 
@@ -346,11 +347,8 @@ class Tab:
             self.message = ""
             if pending is not None:
                 await pending
-        except SightlineError as error:
-            self.message = str(error)
         except Exception as error:
-            traceback.print_exc()
-            self.message = BUG.format(kind=type(error).__name__)
+            self.message = told(error)
         self.refresh()
 
     def doing(self, what: Callable[[], Awaitable[Any] | None]) -> Callable[[], Awaitable[None]]:
@@ -365,7 +363,7 @@ class Tab:
     def known(self) -> Planned | None:
         """The plan that figures are shown of: of the point being dragged, or as it is."""
         preview = self.preview
-        return self.procedure.planned if preview is None or preview.known is None else preview.known
+        return self.planning.planned if preview is None or preview.known is None else preview.known
 
 
 _Pair = tuple[BeadView, BeadView]
@@ -384,7 +382,7 @@ def _moved_curves(
     procedure: Procedure, pair: _Pair, name: str, image: str, uv: Pixel
 ) -> tuple[Decisions, dict[str, MatchingCurve]]:
     """What moving a mark would come to, and the curves then; runs beside the page."""
-    decisions = procedure.moved(name, image, uv)
+    decisions = procedure.planning.moved(name, image, uv)
     return decisions, drawn_curves(decisions, pair)[0]
 
 
@@ -398,15 +396,3 @@ def _planned_layers(decisions: Decisions, pair: _Pair, moved: str) -> tuple[Plan
     with suppress(SightlineError):  # whoever shows them says why they are not there
         _ = known.figures
     return known, layers
-
-
-def why_not(work: Callable[[], object]) -> str:
-    """Do it. Empty, or the sentence why it could not be done."""
-    try:
-        work()
-    except SightlineError as error:
-        return str(error)
-    except Exception as error:
-        traceback.print_exc()
-        return BUG.format(kind=type(error).__name__)
-    return ""

@@ -2,17 +2,18 @@
 
 import asyncio
 import time
-from datetime import datetime
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from sightline.app.texts import CHANGED_SINCE_SENT, NO_DEPTH_LIMIT, NO_ROBOT
-from sightline.app.work.decisions import Decisions
-from sightline.app.work.marks import END, ENTRY
-from sightline.app.work.planner import Planned, asked, planned
+from sightline.app.plan.planner import Planned, asked
+from sightline.app.texts import NO_DEPTH_LIMIT, NO_ROBOT
+from sightline.app.work.age import PlanAge
+from sightline.app.work.planning import Planning
+from sightline.app.work.readiness import Readiness
 from sightline.app.work.rehearsing import Patient
 from sightline.app.work.seen import entry_of
+from sightline.app.work.sent import DrilledWire, SentPlan
 from sightline.case.journal import Actor, Kind
 from sightline.case.stages import record_changed, record_planned
 from sightline.case.views import NAMES
@@ -27,63 +28,31 @@ from sightline.robot.link.record import DrillingRecord
 from sightline.robot.link.simulated import SimulatedWire
 
 if TYPE_CHECKING:
-    from sightline.app.work.procedure import Procedure
     from sightline.app.work.robot_session import RobotNow, RobotSession
     from sightline.rehearsal.process import RobotProcess
 
 TO_BONE = "tip to bone along wire"
-_SAME_MM = 1e-6  # of a plan that is computed again
 
 
 class Drilling:
-    """`session` and `now`: once the robot is started. `sent`: what the robot was told, and `sent_at` when. `record`:
-    once it is drilled to the planned depth; `wire`: where a simulator says that it truly is, for simulated check
-    images."""
+    """`session` and `now`: once the robot is started."""
 
-    def __init__(self, procedure: "Procedure") -> None:
-        self._procedure = procedure
+    def __init__(self, planning: Planning, age: PlanAge, readiness: Readiness) -> None:
+        self._planning, self._age, self._readiness = planning, age, readiness
         self._process: RobotProcess | None = None
         self._starting = False
         self.session: RobotSession | None = None
-        self.sent: Planned | None = None
-        self.sent_at: datetime | None = None
-        self.record: DrillingRecord | None = None
-        self.wire: SimulatedWire | None = None
 
     @property
     def now(self) -> "RobotNow | None":
         """What is known of the robot."""
         return None if self.session is None else self.session.now
 
-    def restore(self) -> None:
-        """What was sent and drilled before the program ended; the robot itself knows nothing of it any more."""
-        case, views = self._procedure.case, self._procedure.views()
-        sent = case.latest(Kind.SENT)
-        if sent is None or views is None or self.sent is not None:
-            return
-        decisions = Decisions.of(sent.content["decisions"])
-        if any(decisions.images.get(name) != self._procedure.decisions.images.get(name) for name in NAMES):
-            return  # of images that were since replaced
-        again = planned(decisions, views)
-        if again.plan is None or not np.allclose(
-            [again.plan.trajectory.entry_mm, again.plan.trajectory.end_mm],
-            [sent.content["trajectory"][key] for key in ("entry_mm", "end_mm")],
-            rtol=0.0,
-            atol=_SAME_MM,
-        ):
-            self._procedure.trouble = CHANGED_SINCE_SENT
-            return
-        self.sent, self.sent_at = again, sent.at
-        drilled = case.latest(Kind.DRILLED)
-        if drilled is not None and drilled.number > sent.number and "simulated_wire" in drilled.content:
-            self.record = DrillingRecord.of(drilled.content["record"])
-            self.wire = SimulatedWire.of(drilled.content["simulated_wire"])
-
     async def start_robot(self, *, fast: bool) -> None:
         """The simulated robot of the rehearsed patient, in a process of its own, where it stood at the images.
 
         `fast`: its time runs as fast as it computes. Raises RobotRefusedError, LinkError."""
-        patient = self._procedure.patient
+        patient = self._planning.patient
         if patient is None:
             raise RobotRefusedError(NO_ROBOT)
         if self._starting:
@@ -96,7 +65,7 @@ class Drilling:
 
     async def _start(self, patient: Patient, *, fast: bool) -> None:
         await self.close()
-        loop, notify = asyncio.get_running_loop(), self._procedure.notify
+        loop, notify = asyncio.get_running_loop(), self._planning.jobs.notify
 
         def start(patient: Patient) -> "tuple[RobotProcess, RobotSession]":
             # The first page does not wait for the robot, nor for the twin that stands for it.
@@ -117,7 +86,7 @@ class Drilling:
                 raise
 
         self._process, self.session = await asyncio.to_thread(start, patient)
-        self._procedure.notify()
+        notify()
 
     async def close(self) -> None:
         """End the simulated robot, if it runs."""
@@ -128,49 +97,31 @@ class Drilling:
         if process is not None:
             await asyncio.to_thread(process.close)
 
-    @property
-    def identity(self) -> PlanIdentity:
-        """Of the plan as it is now. Raises UnusableInputError without a confirmed side."""
-        procedure = self._procedure
-        name = f"{procedure.case.number}-{procedure.case.last}"
-        decisions = procedure.decisions
-        return PlanIdentity(name, decisions.side or "", decisions.serial or "", procedure.can_send, decisions.kind)
-
-    @property
-    def current(self) -> bool:
-        """True while the plan that was sent is the one that the page shows."""
-        if self.sent is None:
-            return False
-        then, now = self.sent.decisions, self._procedure.decisions
-        same = ("kind", "side", "serial")
-        return (
-            all(getattr(then, name) == getattr(now, name) for name in same)
-            and all(then.images.get(name) == now.images.get(name) for name in NAMES)
-            and all(
-                then.mirrored.get(at) == now.mirrored.get(at) for at in map(now.images.get, NAMES) if at is not None
-            )
-            and all(then.mark(name) == now.mark(name) for name in (ENTRY, END))
-        )
-
     async def send(self, known: Planned) -> None:
         """Tell the robot of the plan that a person confirmed; nothing moves.
 
         Raises RobotRefusedError where it is another by now, LinkError, CaseError."""
-        procedure, session = self._procedure, self._running()
-        if known is not procedure.planned or known.plan is None or not procedure.can_send:
+        planning, session = self._planning, self._running()
+        if known is not planning.planned or known.plan is None or not self._readiness.can_send:
             raise RobotRefusedError(
                 "the plan is another than the one you confirmed, or is no GO: look at the step Plan, and send again"
             )
-        age = procedure.age_s
-        assert age is not None  # noqa: S101 - it can be sent
-        decisions, identity = known.decisions, self.identity
-        target = session.aimed(known.plan, identity, time.monotonic() - age)
+        age_s = self._age.now_s
+        assert age_s is not None  # noqa: S101 - it can be sent
+        case, decisions = planning.case, known.decisions
+        identity = PlanIdentity(
+            plan=f"{case.number}-{case.last}",
+            side=decisions.side or "",
+            frame_serial=decisions.serial or "",
+            go=self._readiness.can_send,
+            kind=decisions.kind,
+        )
+        target = session.aimed(known.plan, identity, time.monotonic() - age_s)
         limit = _depth_limit(known, target)
-        case = procedure.case
-        views = [entry_of(case, seen) for seen in map(procedure.seen, NAMES) if seen is not None]
+        views = [entry_of(case, seen) for seen in map(planning.seen, NAMES) if seen is not None]
         made = record_planned(case, (views[0], views[1]), asked(decisions), known.plan, by=Actor.SURGEON)
         # Whatever fails from here on, the robot may hold this plan, and is given no order by the one before.
-        self.sent = self.sent_at = self.record = self.wire = None
+        planning.sent = planning.drilled = None
         await session.send(target, limit)
         entry = case.record(
             Kind.SENT,
@@ -185,8 +136,8 @@ class Drilling:
             by=Actor.SURGEON,
             rests_on=[made.number],
         )
-        self.sent, self.sent_at = known, entry.at
-        procedure.notify()
+        planning.sent = SentPlan(known, entry.at)
+        planning.jobs.notify()
 
     async def align(self) -> None:
         """Turn the arm to the plan that was sent. Raises RobotRefusedError, LinkError."""
@@ -200,10 +151,11 @@ class Drilling:
         self._refuse_changed()
         if await session.drill(since) != State.DONE.value:
             return
-        self.record, self.wire = session.record, await session.simulated_wire()
-        content = {"record": self.record.document(), "simulated_wire": self.wire.text()}
-        self._procedure.case.record(Kind.DRILLED, content, by=Actor.ROBOT)
-        self._procedure.notify()
+        planning, record = self._planning, session.record
+        planning.drilled = drilled = DrilledWire(record, await session.simulated_wire())
+        content = {"record": drilled.record.document(), "simulated_wire": drilled.wire.text()}
+        planning.case.record(Kind.DRILLED, content, by=Actor.ROBOT)
+        planning.jobs.notify()
 
     async def tell_shot(self, depth_mm: float, error_95_mm: float) -> None:
         """Where in PAUSED the second shot shows the tip, as a person measured it. Raises RobotRefusedError, LinkError,
@@ -212,10 +164,10 @@ class Drilling:
         self._refuse_changed()
         told = {"depth_mm": depth_mm, "error_95_mm": error_95_mm, "robot_depth_mm": session.now.depth_mm}
         await session.tell_shot(depth_mm, error_95_mm)
-        record_changed(self._procedure.case, "second shot", told, by=Actor.SURGEON)
+        record_changed(self._planning.case, "second shot", told, by=Actor.SURGEON)
 
     def _refuse_changed(self) -> None:
-        if not self.current:
+        if not self._planning.sent_is_current:
             raise RobotRefusedError("the plan was changed after it was sent; send it again, or undo the change")
 
     def _running(self) -> "RobotSession":

@@ -4,12 +4,12 @@ import asyncio
 from collections.abc import Iterable, Iterator
 from typing import TYPE_CHECKING
 
+from sightline.app.work.planning import Planning
 from sightline.app.work.rehearsing import Patient
 from sightline.errors import UnusableInputError
 from sightline.frame import Frame
 
 if TYPE_CHECKING:
-    from sightline.app.work.procedure import Procedure
     from sightline.case.watch.eye import Shown, Watched
     from sightline.case.watch.live import Watch
 
@@ -20,8 +20,8 @@ EVERY = 3  # of 30 images a second one in three is worked on: the page needs the
 class Live:
     """`watch`: while a live image is shown."""
 
-    def __init__(self, procedure: "Procedure") -> None:
-        self._procedure = procedure
+    def __init__(self, planning: Planning) -> None:
+        self._planning = planning
         self.watch: Watch | None = None
         self._starting = False
 
@@ -35,21 +35,22 @@ class Live:
         self._starting = True
         try:
             await self.close()
-            images = await asyncio.to_thread(_opened, source, self._procedure.patient)
-            known = self._procedure.drilling.sent or self._procedure.planned
-            views = (self._procedure.views() or ()) if known is None else known.views
+            planning = self._planning
+            images = await asyncio.to_thread(_opened, source, planning.patient)
+            known = planning.planned if planning.sent is None else planning.sent.planned
+            views = (planning.views() or ()) if known is None else known.views
             plan = None if known is None or known.plan is None else known.plan.trajectory
-            self.watch = Watch(self._procedure.frame, _Thinned(images), plan, views)
+            self.watch = Watch(planning.frame, _Thinned(images), plan, views)
             self.watch.start()
         finally:
             self._starting = False
-        self._procedure.notify()
+        self._planning.jobs.notify()
 
     async def close(self) -> None:
         """No live image any more. A source that hangs is waited for elsewhere: the page goes on, and STOP with it."""
         watch, self.watch = self.watch, None
         if watch is not None:
-            self._procedure.notify()
+            self._planning.jobs.notify()
             await asyncio.to_thread(watch.close)
 
     def latest(self) -> "Watched | None":

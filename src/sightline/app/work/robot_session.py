@@ -12,7 +12,8 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from sightline.app.texts import BUG, BY_CONTACT, BY_PLAN, BY_SHOT
+from sightline.app.texts import BY_CONTACT, BY_PLAN, BY_SHOT
+from sightline.app.work.failures import sentence_of
 from sightline.errors import LinkError, RobotRefusedError, SightlineError
 from sightline.geometry.covariance import TWO_SIDED_95
 from sightline.planning import Plan
@@ -221,11 +222,10 @@ class RobotSession:
                         self._client.stream(contract.MEASURED_JS)  # hears all streams, and sends heartbeats meanwhile
                     else:
                         self._end.wait(_IDLE_S)
-        except LinkError as error:
-            self._put(lost=True, said=str(error), doing="")
         except Exception as error:
-            self._put(lost=True, said=BUG.format(kind=type(error).__name__), doing="")
-            raise
+            self._put(lost=True, said=sentence_of(error), doing="")
+            if not isinstance(error, LinkError):
+                raise
         finally:
             with self._lock:
                 self._over = True  # an order that comes from here on is refused, and none is left in the queue

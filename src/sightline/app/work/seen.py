@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from datetime import datetime
 from functools import cached_property
 
-from sightline.app.texts import BUG
+from sightline.app.work.failures import sentence_of
 from sightline.app.work.workshop import Workshop
 from sightline.calibration import BeadView
 from sightline.case import stages
@@ -81,12 +81,10 @@ class Lightbox:
         taken = await asyncio.to_thread(taken_at, self._case.original(entry.content["original"]))
         try:
             await self._work(SeenImage(entry, image, taken_at=taken))
-        except SightlineError as error:
-            self._put(replace(self._images[entry.number], doing="", refused=str(error)))
         except Exception as error:
-            refused = BUG.format(kind=type(error).__name__)
-            self._put(replace(self._images[entry.number], doing="", refused=refused))
-            raise
+            self._put(replace(self._images[entry.number], doing="", refused=sentence_of(error)))
+            if not isinstance(error, SightlineError):
+                raise
         return self._images[entry.number]
 
     async def _work(self, seen: SeenImage) -> None:

@@ -5,23 +5,23 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from sightline.app.work.marks import CHECK_NAMES, names_of
-from sightline.app.work.planner import PICK_SD_PX, Planned
+from sightline.app.plan.marks import CHECK_NAMES, names_of
+from sightline.app.plan.planner import PICK_SD_PX
+from sightline.app.work.planning import Planning
 from sightline.app.work.rehearsing import check_images
 from sightline.app.work.seen import SeenImage, entry_of
+from sightline.app.work.sent import SentPlan
 from sightline.calibration import BeadView
 from sightline.case.contents import CheckAsked
 from sightline.case.journal import Actor, Kind
 from sightline.case.stages import record_verified
 from sightline.case.views import NAMES
 from sightline.errors import RefusedError, SightlineError, UnusableInputError
-from sightline.planning import Plan
 from sightline.planning.check_result import CheckShot
 from sightline.planning.check_shot import Landmarks, check_shot
 from sightline.planning.expected_wire import expected_wire
 
 if TYPE_CHECKING:
-    from sightline.app.work.procedure import Procedure
     from sightline.detection.wire import WireShadow
 
 
@@ -29,55 +29,57 @@ class Verifying:
     """`shot`: the wire against the plan, once it was measured; `refused`: why it could not be. `wires`: what each check
     image shows, by the image's name."""
 
-    def __init__(self, procedure: "Procedure") -> None:
-        self._procedure = procedure
+    def __init__(self, planning: Planning) -> None:
+        self._planning = planning
         self._measured: tuple[object, ...] = ()
-        self._found_in: dict[tuple[int, Planned], WireShadow] = {}
+        self._found_in: dict[tuple[int, SentPlan], WireShadow] = {}
         self.shot: CheckShot | None = None
         self.refused = ""
         self.wires: dict[str, WireShadow] = {}
 
     async def take_rehearsed(self) -> None:
         """Both check images of the rehearsed patient. Raises SightlineError."""
-        procedure = self._procedure
-        patient, wire = procedure.patient, procedure.drilling.wire
-        if patient is None or wire is None:
+        planning = self._planning
+        patient, drilled = planning.patient, planning.drilled
+        if patient is None or drilled is None:
             raise UnusableInputError("drill the wire first; then two more images show where it lies")
-        text = wire.text()
-        files = await procedure.during(
-            "taking both check images", lambda: procedure.workshop.do(check_images, patient, text)
+        text = drilled.wire.text()
+        files = await planning.jobs.during(
+            "taking both check images", lambda: planning.workshop.do(check_images, patient, text)
         )
         for name, data in files.items():
-            await procedure.take(data, ".dcm", image=f"check-{name}", by=Actor.DEMO)
+            await planning.take(data, ".dcm", image=f"check-{name}", by=Actor.DEMO)
 
-    def look(self) -> bool:
-        """Forget what was measured on images that are not those of now. True if there is something to measure anew."""
+    def follow(self) -> None:
+        """Forget what was measured on images that are not those of now, and begin to measure what is not measured."""
         asked = self._asked()
         if asked is None and self._measured:
             self._forget()
-        return asked is not None and asked.key != self._measured
+        if asked is not None and asked.key != self._measured:
+            self._planning.jobs.soon(self.measure())
 
     def _asked(self) -> "_Asked | None":
         """What there is to measure; None before both check images are calibrated."""
-        procedure, sent = self._procedure, self._procedure.drilling.sent
-        seen = [procedure.seen(name) for name in CHECK_NAMES]
-        views = procedure.views(CHECK_NAMES)
-        if sent is None or sent.plan is None or views is None:
+        planning, sent = self._planning, self._planning.sent
+        seen = [planning.seen(name) for name in CHECK_NAMES]
+        views = planning.views(CHECK_NAMES)
+        if sent is None or views is None:
             return None
-        told = procedure.case.latest(Kind.SENT)
+        then, now = sent.planned.decisions, planning.decisions
+        told = planning.case.latest(Kind.SENT)
         if told is None or any(one is None or one.acquired.number < told.number for one in seen):
             return None  # images of before this plan was sent show another wire, or none
         names = [
             name
-            for name in names_of(sent.decisions.kind, "landmark")
-            if sent.decisions.mark(name).complete() and procedure.decisions.mark(name).complete(CHECK_NAMES)
+            for name in names_of(then.kind, "landmark")
+            if then.mark(name).complete() and now.mark(name).complete(CHECK_NAMES)
         ]
         planned_px, checked_px = (
             np.array([[decisions.mark(name).at(image) for name in names] for image in images]).reshape(2, -1, 2)
-            for decisions, images in ((sent.decisions, NAMES), (procedure.decisions, CHECK_NAMES))
+            for decisions, images in ((then, NAMES), (now, CHECK_NAMES))
         )
         landmarks = Landmarks(planned_px, checked_px, PICK_SD_PX)
-        return _Asked(sent, sent.plan, tuple(one for one in seen if one is not None), views, landmarks)
+        return _Asked(sent, tuple(one for one in seen if one is not None), views, landmarks)
 
     def _forget(self) -> None:
         """What was measured holds no more."""
@@ -95,7 +97,7 @@ class Verifying:
         except SightlineError as error:
             if asked.key == self._measured:
                 self.shot, self.refused = None, str(error)
-        self._procedure.notify()
+        self._planning.jobs.notify()
 
     async def _measure(self, asked: "_Asked") -> None:
         """Measured or refused, the case tells it: the last word is what a report repeats. Raises SightlineError."""
@@ -104,7 +106,7 @@ class Verifying:
             if asked.key != self._measured:
                 return  # another was asked for meanwhile
             self.wires = dict(zip(CHECK_NAMES, wires, strict=True))
-            plan, before = asked.plan, asked.sent.views
+            plan, before = asked.sent.plan, asked.sent.planned.views
             self.shot = check_shot(
                 plan.trajectory,
                 plan.picks,
@@ -121,12 +123,12 @@ class Verifying:
         self._record(asked, self.shot)
 
     def _record(self, asked: "_Asked", found: CheckShot | str) -> None:
-        case = self._procedure.case
+        case = self._planning.case
         told = case.latest(Kind.SENT)
         if told is None or not told.rests_on:
             return  # sent by a version that did not record its plan
         first, second = (entry_of(case, one) for one in asked.seen)
-        measured = CheckAsked(asked.sent.kind.wire_mm, asked.landmarks)
+        measured = CheckAsked(asked.sent.plan.kind.wire_mm, asked.landmarks)
         record_verified(case, case.entry(told.rests_on[0]), (first, second), measured, found, by=Actor.APP)
 
     async def _found(self, asked: "_Asked", seen: SeenImage) -> "WireShadow":
@@ -136,9 +138,10 @@ class Verifying:
         key = (seen.acquired.number, asked.sent)
         if key not in self._found_in:
             assert seen.view is not None and seen.beads is not None  # noqa: S101 - it is calibrated
-            expected = expected_wire(seen.view, asked.plan.trajectory, asked.plan.kind.limits.beyond_mm)
-            beads, width = seen.beads, asked.sent.kind.wire_mm
-            self._found_in[key] = await self._procedure.workshop.do(
+            kind = asked.sent.plan.kind
+            expected = expected_wire(seen.view, asked.sent.plan.trajectory, kind.limits.beyond_mm)
+            beads, width = seen.beads, kind.wire_mm
+            self._found_in[key] = await self._planning.workshop.do(
                 find_wire, seen.image, expected, width, beads.uv_px, beads.radius_px
             )
         return self._found_in[key]
@@ -148,8 +151,7 @@ class Verifying:
 class _Asked:
     """All that a check shot is measured from."""
 
-    sent: Planned
-    plan: Plan
+    sent: SentPlan
     seen: tuple[SeenImage, ...]
     views: tuple[BeadView, BeadView]
     landmarks: Landmarks

@@ -6,8 +6,8 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 
-from sightline.app.work.decisions import Decisions, Mark, Pixel
-from sightline.app.work.marks import END, ENTRY, asked_of
+from sightline.app.plan.decisions import Decisions, Mark, Pixel
+from sightline.app.plan.marks import END, ENTRY, asked_of
 from sightline.calibration import BeadView, CalibratedView
 from sightline.case.contents import Asked
 from sightline.case.views import NAMES

@@ -1,0 +1,91 @@
+"""Whether a plan may be sent: planning's checks, then what a person must confirm, and the age of its images."""
+
+from sightline.app.plan.planner import Planned
+from sightline.app.work.age import PlanAge, is_fresh
+from sightline.app.work.planning import Planning
+from sightline.checks import Check
+from sightline.planning.results import Verdict
+from sightline.robot.target import LIFETIME_S
+
+
+class Readiness:
+    """The verdict on the plan of a case."""
+
+    def __init__(self, planning: Planning, age: PlanAge) -> None:
+        self._planning, self._age = planning, age
+
+    def verdict_of(self, known: Planned | None) -> Verdict | None:
+        """Return all that stands for or against sending a plan; None without one."""
+        if known is None or known.plan is None:
+            return None
+        decisions = self._planning.decisions
+        side, serial, _ = confirmations = self.confirmations
+        given = ((side, decisions.side), (serial, decisions.serial))
+        return known.plan.verdict.joined(
+            Verdict(tuple(confirmations), tuple(check for check, value in given if value is None))
+        )
+
+    @property
+    def verdict(self) -> Verdict | None:
+        """Of the plan as it is now; None without one."""
+        return self.verdict_of(self._planning.planned)
+
+    @property
+    def go(self) -> bool:
+        """True if there is a plan and every check passed."""
+        verdict = self.verdict
+        return verdict is not None and verdict.go
+
+    @property
+    def can_send(self) -> bool:
+        """True if the plan is GO and its images are recent enough to act on, now."""
+        return self.go and self._age.fresh
+
+    @property
+    def confirmations(self) -> list[Check]:
+        """What a person must confirm before anything is sent, and the plan's age."""
+        side, serial = self._planning.decisions.side, self._planning.decisions.serial
+        known = self._planning.frame.serial
+        drilled_s = self._age.drilled_s  # what is drilled grows no older
+        age_s = self._age.now_s if drilled_s is None else drilled_s
+        fresh = is_fresh(age_s)
+        return [
+            Check(
+                "side confirmed",
+                side is not None,
+                None,
+                None,
+                "",
+                f"A person confirmed on the images that this is a {side} hip."
+                if side
+                else "Look at both images and confirm the patient's side, on the step Images.",
+            ),
+            Check(
+                "frame confirmed",
+                serial is not None and (known is None or serial == known),
+                None,
+                None,
+                "",
+                f"A person read the serial {serial} on the frame."
+                if serial
+                else "Read the serial on the frame that the robot holds and confirm it, on the step Images.",
+            ),
+            Check(
+                "plan age",
+                fresh,
+                age_s,
+                LIFETIME_S,
+                "s",
+                _age_sentence(age_s, fresh=fresh, drilled=drilled_s is not None),
+            ),
+        ]
+
+
+def _age_sentence(age_s: float | None, *, fresh: bool, drilled: bool) -> str:
+    if age_s is None:
+        return "It is not known when the images were taken: state it on the step Images, or take both again."
+    if not fresh:
+        return "The images are too old, or the clock was set back: the patient may have moved; take both again."
+    if drilled:
+        return "The images were recent enough when the plan was sent; the wire is drilled."
+    return "The images are recent enough: the patient has not had long to move."

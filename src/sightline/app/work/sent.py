@@ -1,0 +1,85 @@
+"""What became of a plan: sent to the robot, then drilled. The journal keeps both, and gives them back
+after a restart."""
+
+from dataclasses import dataclass
+from datetime import datetime
+
+import numpy as np
+
+from sightline.app.plan.decisions import Decisions
+from sightline.app.plan.marks import END, ENTRY
+from sightline.app.plan.planner import Planned, planned
+from sightline.app.texts import CHANGED_SINCE_SENT
+from sightline.calibration import BeadView
+from sightline.case.entry import Kind
+from sightline.case.journal import Case
+from sightline.case.views import NAMES
+from sightline.errors import UnusableInputError
+from sightline.planning import Plan
+from sightline.robot.record import DrillingRecord
+from sightline.robot.simulated import SimulatedWire
+
+_SAME_MM = 1e-6  # of a plan that is computed again
+
+
+@dataclass(frozen=True, eq=False)
+class SentPlan:
+    """A plan as the robot was told of it. `at`: when."""
+
+    planned: Planned
+    at: datetime
+
+    @property
+    def plan(self) -> Plan:
+        """The plan itself."""
+        assert self.planned.plan is not None  # noqa: S101 - nothing else is sent
+        return self.planned.plan
+
+    def holds_for(self, decisions: Decisions) -> bool:
+        """Return True if decisions come to the very plan that was sent."""
+        then = self.planned.decisions
+        same = ("kind", "side", "serial")
+        return (
+            all(getattr(then, name) == getattr(decisions, name) for name in same)
+            and all(then.images.get(name) == decisions.images.get(name) for name in NAMES)
+            and all(
+                then.mirrored.get(at) == decisions.mirrored.get(at)
+                for at in map(decisions.images.get, NAMES)
+                if at is not None
+            )
+            and all(then.mark(name) == decisions.mark(name) for name in (ENTRY, END))
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class DrilledWire:
+    """What drilling to the planned depth left: its record, and where a simulator says that the wire truly is."""
+
+    record: DrillingRecord
+    wire: SimulatedWire
+
+
+def restored(
+    case: Case, decisions: Decisions, views: tuple[BeadView, BeadView]
+) -> tuple[SentPlan, DrilledWire | None] | None:
+    """Return what was sent and drilled before the program ended, as the journal tells; None where nothing was sent, or
+    a plan of images that were since replaced. Raises UnusableInputError where the plan comes out otherwise now."""
+    sent = case.latest(Kind.SENT)
+    if sent is None:
+        return None
+    then = Decisions.of(sent.content["decisions"])
+    if any(then.images.get(name) != decisions.images.get(name) for name in NAMES):
+        return None
+    again = planned(then, views)
+    if again.plan is None or not np.allclose(
+        [again.plan.trajectory.entry_mm, again.plan.trajectory.end_mm],
+        [sent.content["trajectory"][key] for key in ("entry_mm", "end_mm")],
+        rtol=0.0,
+        atol=_SAME_MM,
+    ):
+        raise UnusableInputError(CHANGED_SINCE_SENT)
+    drilled = case.latest(Kind.DRILLED)
+    if drilled is None or drilled.number < sent.number or "simulated_wire" not in drilled.content:
+        return SentPlan(again, sent.at), None
+    record, wire = drilled.content["record"], drilled.content["simulated_wire"]
+    return SentPlan(again, sent.at), DrilledWire(DrillingRecord.of(record), SimulatedWire.of(wire))
