@@ -72,7 +72,7 @@ class Page:
 
     async def heard(self, view: str, said: dict[str, Any]) -> None:
         """Within the loop."""
-        xray = self.tab.views[NAMES.index(view)]
+        xray = self.tab.views.pair[NAMES.index(view)]
         await xray._hear(GenericEventArguments(sender=xray, client=xray.client, args=said))
 
     def of(self, view: str, method: str) -> list[tuple[Any, ...]]:
@@ -83,7 +83,7 @@ class Page:
         return self.of(view, "show")[-1][0]
 
     def elements(self) -> list[ui.element]:
-        return list(self.tab.views[0].client.elements.values())
+        return list(self.tab.views.pair[0].client.elements.values())
 
     def sentences(self) -> list[str]:
         """What labels say, and elements of HTML."""
@@ -180,8 +180,8 @@ def _drag_and_meanwhile(opened: Page, deed: Callable[[], object]) -> None:
 
 def test_a_drag_is_followed(opened: Page) -> None:
     _drag_and_meanwhile(opened, lambda: None)
-    assert opened.tab.preview is not None
-    assert opened.tab.known is opened.tab.preview.known is not opened.planning.planned
+    assert opened.tab.dragging.preview is not None
+    assert opened.tab.known is opened.tab.dragging.preview.known is not opened.planning.planned
     assert opened.word("lateral")["layers"]["curves"]
     opened.hear("pa", _move("/image/101", "end"))
     assert opened.tab.known is opened.planning.planned

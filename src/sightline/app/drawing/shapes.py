@@ -16,6 +16,7 @@ from sightline.planning.corridor import Corridor, corridor
 from sightline.planning.head import outline
 
 Shape = dict[str, Any]
+Layers = dict[str, list[Shape]]
 RESIDUAL_MM = 0.3  # drawn at the end of the colour scale: six times the default tolerance of a plate [ours]
 _AXIS_PX = 4000.0  # an aid's axis runs across the whole image
 _CLICKS = {"neck": 2, "shaft": 2}

@@ -13,10 +13,10 @@ def build(tab: Tab) -> None:
     """The panel."""
 
     def show(event) -> None:
-        tab.show_rejected = bool(event.value)
+        tab.views.show_rejected = bool(event.value)
         tab.refresh()
 
-    ui.checkbox(texts.SHOW_REJECTED, value=tab.show_rejected, on_change=show).props("data-testid=show-rejected")
+    ui.checkbox(texts.SHOW_REJECTED, value=tab.views.show_rejected, on_change=show).props("data-testid=show-rejected")
     Section(tab, lambda t: tuple(t.planning.seen(name) for name in NAMES), _views)
 
 

@@ -26,7 +26,7 @@ def build(tab: Tab) -> None:
     def look() -> None:
         watched = tab.procedure.live.latest()
         if watched is None:
-            if tab.live is not None:
+            if tab.views.watched is not None:
                 tab.show_live(None)
             watch = tab.procedure.live.watch
             said.set_text("" if watch is None else watch.fault or texts.LIVE_WAITING)

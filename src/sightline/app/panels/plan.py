@@ -46,10 +46,10 @@ def _kind(tab: Tab) -> None:
     note(KINDS[decisions.kind].purpose, kind="quiet")
 
     def show(event) -> None:
-        tab.show_beads = bool(event.value)
+        tab.views.show_beads = bool(event.value)
         tab.refresh()
 
-    ui.checkbox(texts.SHOW_BEADS, value=tab.show_beads, on_change=show).props("data-testid=show-beads")
+    ui.checkbox(texts.SHOW_BEADS, value=tab.views.show_beads, on_change=show).props("data-testid=show-beads")
 
 
 def _snapping(tab: Tab) -> None:
