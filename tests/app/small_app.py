@@ -6,6 +6,8 @@ python -m tests.app.small_app PORT [TOKEN]
 import asyncio
 import json
 import sys
+from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 from nicegui import core, ui
@@ -14,20 +16,27 @@ from starlette.routing import BaseRoute, Mount
 from sightline.app.panels.drop import DropZone
 from sightline.app.web.serve import Site, serve
 from sightline.app.web.uploads import Upload
-from sightline.imaging import Radiograph
+from sightline.imaging import Radiograph, read_image
 
 PIXELS = np.arange(32 * 16, dtype=np.uint16).reshape(16, 32) * 100
 
 
 def page(site: Site) -> None:
     async def on_upload(upload: Upload) -> None:
-        radiograph: Radiograph = await asyncio.to_thread(upload.read)
-        said.set_text(f"{upload.name}|{upload.kind}|{radiograph.shape}")
+        radiograph = await asyncio.to_thread(image_of, upload)
+        said.set_text(f"{upload.suffix}|{radiograph.shape}")
 
     DropZone(site.uploads, {"PA image": on_upload, "Lateral image": on_upload})
     said = ui.label("nothing yet").props("data-testid=said")
     ui.label("<img src=x onerror='window.hacked=1'>").props("data-testid=hostile")
     ui.button("again", on_click=lambda: said.set_text("clicked"))
+
+
+def image_of(upload: Upload) -> Radiograph:
+    with TemporaryDirectory() as folder:
+        file = Path(folder) / f"image{upload.suffix}"
+        file.write_bytes(upload.data)
+        return read_image(file)
 
 
 def echo(upload: Upload) -> None:

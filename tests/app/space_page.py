@@ -1,6 +1,7 @@
 """A page with the scene alone, drawn from the twin, for tests. python -m tests.app.space_page PORT"""
 
 import sys
+from typing import Any
 
 import numpy as np
 from nicegui import ui
@@ -62,14 +63,20 @@ def scene() -> tuple[dict, list]:
     return groups, moved
 
 
+def show(space: SpaceView, groups: dict[str, Any]) -> None:
+    for name, objects in groups.items():
+        space.draw(name, objects)
+
+
 def page(site: Site) -> None:
     with ui.element("div").style("position: absolute; inset: 0 0 60px 0"):
         space = SpaceView(label="The set-up in space", groups=GROUPS)
     space.orient("right")
-    space.set(FIRST)
+    show(space, FIRST)
     with ui.element("div").style("position: absolute; bottom: 0"):
         ui.button("one pick", on_click=lambda: space.draw("rays", MOVED)).props("data-testid=one-pick")
-        ui.button("fewer", on_click=lambda: space.set({"frame": FIRST["frame"]})).props("data-testid=fewer")
+        fewer = {name: objects if name == "frame" else [] for name, objects in FIRST.items()}
+        ui.button("fewer", on_click=lambda: show(space, fewer)).props("data-testid=fewer")
 
 
 if __name__ == "__main__":

@@ -251,7 +251,7 @@ def test_without_webgl_it_says_so(page: Page) -> None:
             const { SpaceCore } = await import("space");
             const box = document.createElement("div");
             const core = new SpaceCore(box, { label: "x", groups: {}, texts });
-            core.set({ frame: [{ kind: "label", at: [0, 0, 0], text: "x" }] });
+            core.update("frame", [{ kind: "label", at: [0, 0, 0], text: "x" }]);
             core.orient("right"); core.look("side"); core.fit("hip"); core.show("frame", false);
             const words = box.textContent;
             core.destroy();

@@ -5,13 +5,10 @@ const PAGE = "position:fixed;inset:0;z-index:7000;display:flex;gap:16px;padding:
 const PANEL =
   "flex:1;display:flex;align-items:center;justify-content:center;border:2px dashed;border-radius:16px;font-size:1.6rem";
 
-const wellFormed = (name) => name.slice(-200).replace(/\p{Surrogate}/gu, "\uFFFD"); // half a pair cannot be encoded
-
 function send(file, address, onProgress) {
   return new Promise((resolve) => {
     const request = new XMLHttpRequest(); // fetch tells no progress
     request.open("POST", address);
-    request.setRequestHeader("X-File-Name", encodeURIComponent(wellFormed(file.name)));
     request.upload.onprogress = (event) => event.total && onProgress(event.loaded / event.total);
     request.onload = () => resolve(request.status === 200 ? null : sentence(request));
     request.onerror = () => resolve("the image did not reach the app; is it still running?");

@@ -83,10 +83,9 @@ class Decisions:
         """The mark of a name; an empty one where it is not placed."""
         return self.marks.get(name, Mark())
 
-    def complete(self, names: Iterable[str], images: Iterable[str] = NAMES) -> bool:
-        """True if all of these marks are placed in all of these images."""
-        images = tuple(images)
-        return all(self.mark(name).complete(images) for name in names)
+    def complete(self, names: Iterable[str]) -> bool:
+        """True if all of these marks are placed in both planning images."""
+        return all(self.mark(name).complete() for name in names)
 
     def with_mark(self, name: str, mark: Mark | None) -> "Decisions":
         """One mark set; with None, or without a place, removed. Raises CaseError where there are too many."""

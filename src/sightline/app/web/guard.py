@@ -47,15 +47,10 @@ class Guard:
     _sockets: int = field(default=0, init=False)
 
     def __post_init__(self) -> None:
-        if self.token is None and self.reachable_from_outside:
+        if self.token is None and not is_loopback(self.host):
             raise UnusableInputError(f"{self.host} can be reached by others, so a token is needed; give one")
         if self.token is not None and len(self.token) < MIN_TOKEN_CHARACTERS:
             raise UnusableInputError(f"the token has fewer than {MIN_TOKEN_CHARACTERS} characters; give a longer one")
-
-    @property
-    def reachable_from_outside(self) -> bool:
-        """Whether another machine could connect: any address but the loopback ones."""
-        return not is_loopback(self.host)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """One connection: passed on with limits, or refused."""

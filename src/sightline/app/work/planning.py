@@ -127,14 +127,14 @@ class Planning:
         """Take lateral points of the wire to their curves from now on, or leave them where they are placed."""
         self.edit(replace(self.decisions, snapping=on))
 
-    def confirm_side(self, side: Side | None) -> None:
+    def confirm_side(self, side: Side) -> None:
         """A person saw on the images which side it is."""
         self.edit(replace(self.decisions, side=side))
 
-    def confirm_serial(self, serial: str | None) -> None:
+    def confirm_serial(self, serial: str) -> None:
         """A person read the frame's serial. Raises UnusableInputError where it is another than the frame file's."""
         known = self.frame.serial
-        if serial is not None and known is not None and serial != known:
+        if known is not None and serial != known:
             raise UnusableInputError(
                 f"this case was calibrated with the frame {known}; if the robot holds another, open a case with that"
             )

@@ -57,7 +57,7 @@ def frame_objects(frame: Frame) -> list[Object]:
     return made
 
 
-def view_objects(view: CalibratedView, plate: Plate, image: Radiograph | None = None) -> list[Object]:
+def view_objects(view: CalibratedView, plate: Plate, image: Radiograph) -> list[Object]:
     """The focal point of a view, its rays through the corners of its XRII `plate`, and the image as it falls on it."""
     focus, outline = view.focal_point_mm, _outline(plate)
     made: list[Object] = [
@@ -70,7 +70,7 @@ def view_objects(view: CalibratedView, plate: Plate, image: Radiograph | None = 
             "reach": "room",
         },
     ]
-    return made if image is None else [*made, *_picture(view, plate, image)]
+    return [*made, *_picture(view, plate, image)]
 
 
 def sight_objects(view: CalibratedView, uv_px: np.ndarray) -> list[Object]:
@@ -82,10 +82,10 @@ def sight_objects(view: CalibratedView, uv_px: np.ndarray) -> list[Object]:
     return [{"kind": "lines", "style": view.name, "lines": lines, "reach": "room"}]
 
 
-def point_objects(xyz_mm: np.ndarray, words: Sequence[str], style: str = "quiet") -> list[Object]:
+def point_objects(xyz_mm: np.ndarray, words: Sequence[str]) -> list[Object]:
     """Reconstructed points (N, 3) with their names."""
-    labels = [_label(at, text, style) for at, text in zip(xyz_mm, words, strict=True)]
-    return [{"kind": "points", "style": style, "at": _list(xyz_mm)}, *labels] if len(xyz_mm) else []
+    labels = [_label(at, text, "quiet") for at, text in zip(xyz_mm, words, strict=True)]
+    return [{"kind": "points", "style": "quiet", "at": _list(xyz_mm)}, *labels] if len(xyz_mm) else []
 
 
 def wire_objects(trajectory: Trajectory, diameter_mm: float) -> list[Object]:

@@ -135,12 +135,6 @@ export class SpaceCore {
 
   // ------------------------------------------------------------------------------------------------------ what is shown
 
-  // Replaces everything: group name -> list of plain objects.
-  set(document) {
-    for (const name of Object.keys(this.objects)) if (!(name in document)) this.update(name, []);
-    for (const [name, objects] of Object.entries(document)) this.update(name, objects);
-  }
-
   // Replaces one group. Its notes are words below the picture; all else is in it.
   update(name, objects) {
     this.objects[name] = objects;

@@ -14,20 +14,11 @@ export default {
     this.core.destroy();
   },
   methods: {
-    set(objects) {
-      this.core.set(objects);
-    },
     draw(name, objects) {
       this.core.update(name, objects);
     },
-    look(from) {
-      this.core.look(from);
-    },
     orient(side) {
       this.core.orient(side);
-    },
-    show(name, on) {
-      this.core.show(name, on);
     },
   },
 };

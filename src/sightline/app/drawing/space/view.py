@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import nicegui.elements.scene  # noqa: F401 - makes its three.js known to the page; ours is no copy of it
 from nicegui.element import Element
@@ -20,23 +20,18 @@ TEXTS = {
 }
 
 Objects = Sequence[Mapping[str, Any]]
-From = Literal["feet", "side", "above", "aslant"]
 
 
 class SpaceView(Element, component="space_view.js", dependencies=["space*.js", _COLOURS]):
     """The set-up in space. Objects are those of `space_document`, in named groups that a person can hide."""
 
-    def __init__(self, *, label: str, groups: Mapping[str, str], texts: Mapping[str, str] = TEXTS) -> None:
+    def __init__(self, *, label: str, groups: Mapping[str, str]) -> None:
         """`label` says what is shown to who cannot see it; `groups` are the groups' words, in the legend's order."""
         super().__init__()
         self._props["label"] = label
         self._props["groups"] = dict(groups)
-        self._props["texts"] = {key: texts[key] for key in TEXTS}
+        self._props["texts"] = TEXTS
         self._props["data-testid"] = "space"
-
-    def set(self, document: Mapping[str, Objects]) -> None:
-        """Show these groups and nothing else."""
-        self.run_method("set", {name: list(objects) for name, objects in document.items()})
 
     def draw(self, group: str, objects: Objects) -> None:
         """Replace one group; an empty one goes."""
@@ -45,11 +40,3 @@ class SpaceView(Element, component="space_view.js", dependencies=["space*.js", _
     def orient(self, side: str | None) -> None:
         """Say which hip it is, "right" or "left": the feet are then towards the viewer; from above, the head is up."""
         self.run_method("orient", side)
-
-    def look(self, where: From) -> None:
-        """Look from a side, as far away as now."""
-        self.run_method("look", where)
-
-    def show(self, group: str, on: bool) -> None:
-        """Show or hide a group."""
-        self.run_method("show", group, on)
