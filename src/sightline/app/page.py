@@ -9,6 +9,7 @@ from typing import Any
 from markupsafe import Markup
 from nicegui import ui
 
+from sightline.app import texts
 from sightline.app.drawing.pictures import Pictures
 from sightline.app.panels import calibrate, drill, images, plan, verdict, verify
 from sightline.app.panels.section import Following, Lasting, Section, action
@@ -16,22 +17,11 @@ from sightline.app.panels.space import Space
 from sightline.app.panels.steps import steps
 from sightline.app.settings import Settings
 from sightline.app.tab.tab import Tab
-from sightline.app.texts import (
-    DEAD,
-    LEAVE,
-    LEAVE_QUESTION,
-    NOT_A_DEVICE,
-    REACHABLE,
-    RED_BUTTON,
-    STANDING,
-    STAY,
-    STEPS,
-)
 from sightline.app.web.serve import Site
 from sightline.app.work.procedure import Procedure
 
 _CSS, _SCRIPT = ((files("sightline.app") / name).read_text("utf-8") for name in ("page.css", "page.js"))
-_PANELS: dict[str, Any] = dict(zip(STEPS, (images, calibrate, plan, drill, verify), strict=True))
+_PANELS: dict[str, Any] = dict(zip(texts.STEPS, (images, calibrate, plan, drill, verify), strict=True))
 
 
 def build(site: Site, procedure: Procedure, pictures: Pictures, settings: Settings) -> None:
@@ -41,9 +31,9 @@ def build(site: Site, procedure: Procedure, pictures: Pictures, settings: Settin
     tab = Tab(procedure, pictures, fast_robot=settings.fast_robot, live_source=settings.live)
     with ui.element("header").classes("bar"):
         tools = _bar(tab)
-    ui.label(DEAD).classes("dead-banner").props("role=alert data-testid=dead")
+    ui.label(texts.DEAD).classes("dead-banner").props("role=alert data-testid=dead")
     if site.reachable_from_outside:
-        ui.label(REACHABLE).classes("outside").props("role=alert data-testid=reachable")
+        ui.label(texts.REACHABLE).classes("outside").props("role=alert data-testid=reachable")
     with ui.element("main").classes("work"):
         with ui.element("div").classes("sight"):
             Section(tab, lambda t: (t.message, _to_do(t)), _say, classes="say")
@@ -62,7 +52,7 @@ def build(site: Site, procedure: Procedure, pictures: Pictures, settings: Settin
             Section(tab, lambda t: t.step, lambda t: _PANELS[t.step].build(t), classes="step-panel")
             Following(tab, _beside_key(plan.figures_key), _html_on(plan.figures_html, 2), classes="figures")
             Section(tab, _beside_key(verdict.count), _on(verdict.build_details, 2, 3), classes="details")
-            ui.label(f"{NOT_A_DEVICE} Case {procedure.planning.case.number}").classes("foot")
+            ui.label(f"{texts.NOT_A_DEVICE} Case {procedure.planning.case.number}").classes("foot")
     with tools:
         action("3-D", space.toggle, testid="space-toggle", kind="plain").move(tools, 0)
     ui.keyboard(on_key=lambda event: _key(tab, event), ignore=["input", "select", "textarea"])
@@ -72,7 +62,7 @@ def build(site: Site, procedure: Procedure, pictures: Pictures, settings: Settin
     ui.on("leave", leaving.open)
     request = ui.context.client.request
     asked = None if request is None else request.query_params.get("step")
-    first = asked if asked in STEPS else _first_open(procedure)
+    first = asked if asked in texts.STEPS else _first_open(procedure)
     tab.go_to(first)
     ui.run_javascript(f"sightlineStep(null, {json.dumps(first)})")
     tab.on_step = lambda *steps: ui.run_javascript(f"sightlineStep(...{json.dumps(steps)})") and None
@@ -81,16 +71,18 @@ def build(site: Site, procedure: Procedure, pictures: Pictures, settings: Settin
 def _leave_question() -> ui.dialog:
     """Asked of who goes back beyond the first step."""
     with ui.dialog() as dialog, ui.card().classes("question"):
-        ui.label(LEAVE_QUESTION).classes("question-text").props("data-testid=leave-question")
+        ui.label(texts.LEAVE_QUESTION).classes("question-text").props("data-testid=leave-question")
         with ui.element("div").classes("choice"):
-            action(STAY, dialog.close, testid="leave-no", kind="primary")
-            action(LEAVE, lambda: ui.run_javascript("sightlineLeave()") and None, testid="leave-yes", kind="plain")
+            action(texts.STAY, dialog.close, testid="leave-no", kind="primary")
+            action(
+                texts.LEAVE, lambda: ui.run_javascript("sightlineLeave()") and None, testid="leave-yes", kind="plain"
+            )
     return dialog
 
 
 def _first_open(procedure: Procedure) -> str:
     """The step to begin with: the first that is not done."""
-    return next((step.name for step in steps(procedure) if step.standing != "done"), STEPS[-1])
+    return next((step.name for step in steps(procedure) if step.standing != "done"), texts.STEPS[-1])
 
 
 def _bar(tab: Tab) -> ui.element:
@@ -105,16 +97,16 @@ def _bar(tab: Tab) -> ui.element:
 
 def _steps(tab: Tab) -> Callable[[], None]:
     made: list[tuple[ui.button, ui.label, ui.tooltip]] = []
-    for number, name in enumerate(STEPS, 1):
+    for number, name in enumerate(texts.STEPS, 1):
         with action(f"{number} {name}", partial(tab.go_to, name), testid=f"step-{name}").classes("step") as button:
             made.append((button, ui.label().classes("standing"), ui.tooltip("").classes("step-reason")))
 
     def update() -> None:
         for step, (button, standing, tip) in zip(steps(tab.procedure), made, strict=True):
             here = step.name == tab.step
-            button.classes(f"{step.standing} {'here' if here else ''}", remove=" ".join((*STANDING, "here")))
+            button.classes(f"{step.standing} {'here' if here else ''}", remove=" ".join((*texts.STANDING, "here")))
             button.props(f"aria-current={'step' if here else 'false'}")
-            standing.set_text(STANDING[step.standing])
+            standing.set_text(texts.STANDING[step.standing])
             tip.set_text(step.reason)
 
     return update
@@ -134,7 +126,7 @@ def _undo(tab: Tab) -> Callable[[], None]:
 def _stop(tab: Tab) -> None:
     if tab.procedure.drilling.session is not None:
         action("STOP", tab.doing(lambda: _stop_robot(tab)), testid="stop", kind="danger")
-        ui.label(RED_BUTTON).classes("red-button").props("data-testid=red-button")
+        ui.label(texts.RED_BUTTON).classes("red-button").props("data-testid=red-button")
 
 
 async def _stop_robot(tab: Tab) -> None:
@@ -173,7 +165,7 @@ def _on(build: Callable[[Tab], None], *numbers: int) -> Callable[[Tab], None]:
     """Builds on some of the steps only."""
 
     def build_there(tab: Tab) -> None:
-        if STEPS.index(tab.step) in numbers:
+        if texts.STEPS.index(tab.step) in numbers:
             build(tab)
 
     return build_there
@@ -181,4 +173,4 @@ def _on(build: Callable[[Tab], None], *numbers: int) -> Callable[[Tab], None]:
 
 def _html_on(html: Callable[[Tab], Markup], *numbers: int) -> Callable[[Tab], Markup]:
     """HTML on some of the steps only."""
-    return lambda tab: html(tab) if STEPS.index(tab.step) in numbers else Markup()
+    return lambda tab: html(tab) if texts.STEPS.index(tab.step) in numbers else Markup()

@@ -5,7 +5,6 @@ from nicegui import ui
 from sightline.app import texts
 from sightline.app.panels.section import Section, checks, heading, note, table
 from sightline.app.tab.tab import Tab
-from sightline.app.texts import IMAGE_LABELS
 from sightline.case.views import NAMES
 
 
@@ -22,7 +21,7 @@ def build(tab: Tab) -> None:
 
 def _views(tab: Tab) -> None:
     for name in NAMES:
-        heading(IMAGE_LABELS[name])
+        heading(texts.IMAGE_LABELS[name])
         seen = tab.planning.seen(name)
         if seen is None:
             note(texts.DROP_FIRST, kind="quiet")

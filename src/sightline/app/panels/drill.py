@@ -9,7 +9,6 @@ from sightline.app import texts
 from sightline.app.panels import live
 from sightline.app.panels.section import Section, action, checks, heading, note, table
 from sightline.app.tab.tab import Tab
-from sightline.app.texts import (
     ALIGN_QUESTION,
     BY_SHOT,
     CHANGED_AFTER_SENDING,
@@ -64,12 +63,12 @@ def _robot(tab: Tab) -> None:
     drilling, jobs = tab.procedure.drilling, tab.procedure.jobs
     now = drilling.now
     heading(texts.ROBOT_HEADING)
-    note(STOP_IS_NO_EMERGENCY_STOP, kind="warn")
+    note(texts.STOP_IS_NO_EMERGENCY_STOP, kind="warn")
     if now is None or now.lost:
         if now is not None:
             note(now.said, kind="bad", testid="robot-said")
         if tab.planning.patient is None:
-            note(NO_ROBOT, kind="warn", testid="no-robot")
+            note(texts.NO_ROBOT, kind="warn", testid="no-robot")
             return
 
         def begin() -> Awaitable[None]:
@@ -130,32 +129,41 @@ def _orders(tab: Tab) -> None:
     idle, state = not now.doing, now.state
     if now.fault:
         note(texts.FAULT.format(number=now.fault, what=now.text), kind="bad", testid="fault")
-        _asked(tab, texts.RESET_FAULT, RESET_QUESTION, lambda: session.reset(now.fault), "reset-fault", enabled=idle)
+        _asked(
+            tab, texts.RESET_FAULT, texts.RESET_QUESTION, lambda: session.reset(now.fault), "reset-fault", enabled=idle
+        )
         return
     known, decisions = planning.planned, planning.decisions
     can_send = tab.procedure.readiness.can_send
     if known is not None and known.plan is not None and can_send and decisions.side is not None:
-        what = SEND_WHAT.format(
+        what = texts.SEND_WHAT.format(
             robot=texts.ROBOT_NAMES[planning.patient is not None],
             length=known.plan.trajectory.length_mm,
             side=decisions.side,
             serial=decisions.serial,
         )
         enabled = idle and state not in (State.ALIGNED.value, State.PAUSED.value, State.DONE.value)
-        _asked(tab, texts.SEND, SEND_QUESTION, lambda: drilling.send(known), "send", what=what, enabled=enabled)
+        _asked(tab, texts.SEND, texts.SEND_QUESTION, lambda: drilling.send(known), "send", what=what, enabled=enabled)
     else:
         note(texts.ONLY_GO, kind="warn", testid="not-go")
     ready = idle and session.target is not None and planning.sent_is_current
     if session.target is not None and not planning.sent_is_current:
-        note(CHANGED_AFTER_SENDING, kind="bad", testid="changed-after-sending")
+        note(texts.CHANGED_AFTER_SENDING, kind="bad", testid="changed-after-sending")
     if state in (State.TARGETING.value, State.STOP.value):
-        _asked(tab, texts.ALIGN, ALIGN_QUESTION, drilling.align, "align", enabled=ready)
+        _asked(tab, texts.ALIGN, texts.ALIGN_QUESTION, drilling.align, "align", enabled=ready)
     if state == State.ALIGNED.value:
-        _asked(tab, texts.DRILL, DRILL_QUESTION, lambda: drilling.drill(State.ALIGNED), "drill", enabled=ready)
+        _asked(tab, texts.DRILL, texts.DRILL_QUESTION, lambda: drilling.drill(State.ALIGNED), "drill", enabled=ready)
     if state == State.PAUSED.value:
-        _asked(tab, texts.DRILL_ON, DRILL_ON_QUESTION, lambda: drilling.drill(State.PAUSED), "drill-on", enabled=ready)
+        _asked(
+            tab,
+            texts.DRILL_ON,
+            texts.DRILL_ON_QUESTION,
+            lambda: drilling.drill(State.PAUSED),
+            "drill-on",
+            enabled=ready,
+        )
     if state in (State.DONE.value, State.STOP.value, State.ALIGNED.value, State.PAUSED.value):
-        _asked(tab, texts.DRAW_BACK, RETRACT_QUESTION, session.retract, "retract", enabled=idle, kind="plain")
+        _asked(tab, texts.DRAW_BACK, texts.RETRACT_QUESTION, session.retract, "retract", enabled=idle, kind="plain")
     if state == State.DONE.value or planning.drilled is not None:
         note(texts.DRILLED, kind="good", testid="drilled")
 
@@ -168,17 +176,17 @@ def _second_shot(tab: Tab) -> None:
     enabled = not now.doing and tab.planning.sent_is_current
     known = {"zero": _zero_words(now), "error": _error_words(now)}
     heading(texts.SHOT_HEADING)
-    if BY_SHOT in now.zero:
-        note(SHOT_TOLD.format(**known), kind="good", testid="shot-told")
+    if texts.BY_SHOT in now.zero:
+        note(texts.SHOT_TOLD.format(**known), kind="good", testid="shot-told")
         return
-    note(SHOT_UNMEASURED.format(**known), testid="shot-unmeasured")
+    note(texts.SHOT_UNMEASURED.format(**known), testid="shot-unmeasured")
     depth = ui.number(texts.SHOT_DEPTH, format="%.2f").props("outlined dense data-testid=shot-depth")
     error = ui.number(texts.SHOT_ERROR, format="%.2f").props("outlined dense data-testid=shot-error")
 
     def tell() -> Awaitable[None]:
         return drilling.tell_shot(*(float("nan" if one.value is None else one.value) for one in (depth, error)))
 
-    _asked(tab, texts.TELL_ROBOT, SHOT_QUESTION, tell, "tell-shot", enabled=enabled, kind="plain")
+    _asked(tab, texts.TELL_ROBOT, texts.SHOT_QUESTION, tell, "tell-shot", enabled=enabled, kind="plain")
 
 
 def _asked(

@@ -8,7 +8,6 @@ from sightline.app import texts
 from sightline.app.panels.drop import DropZone
 from sightline.app.panels.section import Section, action, heading, note
 from sightline.app.tab.tab import Tab
-from sightline.app.texts import IMAGE_LABELS, ORIENTATION, STEPS, XRAY
 from sightline.app.web.serve import Site
 from sightline.app.web.uploads import Upload
 from sightline.case.views import NAMES
@@ -22,17 +21,17 @@ def build_drop_zone(tab: Tab, site: Site) -> None:
 
     def taker(view: str):
         async def take(upload: Upload) -> None:
-            image = f"check-{view}" if tab.step == STEPS[-1] else view
+            image = f"check-{view}" if tab.step == texts.STEPS[-1] else view
             where = await tab.planning.take(upload.data, upload.suffix, image=image)
             if where != image:
-                tab.say(texts.PUT_WHERE_IT_BELONGS.format(image=IMAGE_LABELS[where]))
+                tab.say(texts.PUT_WHERE_IT_BELONGS.format(image=texts.IMAGE_LABELS[where]))
 
         return take
 
-    zone = DropZone(site.uploads, {IMAGE_LABELS[name]: taker(name) for name in NAMES})
+    zone = DropZone(site.uploads, {texts.IMAGE_LABELS[name]: taker(name) for name in NAMES})
 
     def show() -> None:
-        zone.set_visibility(tab.step in (STEPS[0], STEPS[-1]))
+        zone.set_visibility(tab.step in (texts.STEPS[0], texts.STEPS[-1]))
 
     tab.on_refresh.append(show)
 
@@ -58,12 +57,12 @@ def _images(tab: Tab) -> None:
     for name in NAMES:
         seen = planning.seen(name)
         if seen is None:
-            note(texts.NO_IMAGE.format(image=IMAGE_LABELS[name]), kind="quiet")
+            note(texts.NO_IMAGE.format(image=texts.IMAGE_LABELS[name]), kind="quiet")
             continue
         height, width = seen.image.shape
         said = texts.IMAGE_SIZE if seen.beads is None else texts.IMAGE_BEADS
         beads = 0 if seen.beads is None else len(seen.beads)
-        told = said.format(image=IMAGE_LABELS[name], width=width, height=height, beads=beads)
+        told = said.format(image=texts.IMAGE_LABELS[name], width=width, height=height, beads=beads)
         note(told, kind="bad" if seen.refused else "good")
         if seen.refused:
             note(seen.refused, kind="bad")
@@ -91,7 +90,7 @@ def _side(tab: Tab) -> None:
             )
             button.props(f"role=radio aria-checked={'true' if side == one else 'false'}")
     if side is not None:
-        note(ORIENTATION[side], testid="orientation")
+        note(texts.ORIENTATION[side], testid="orientation")
 
 
 def _serial(tab: Tab) -> None:
@@ -128,8 +127,8 @@ def _taken(tab: Tab) -> None:
     if untimed:
         heading(texts.TAKEN_HEADING)
     for name in untimed:
-        note(texts.TAKEN_UNKNOWN.format(image=IMAGE_LABELS[name]), kind="warn", testid=f"taken-unknown-{name}")
-        said = ui.number(texts.TAKEN_FIELD.format(image=IMAGE_LABELS[name]), format="%.0f", min=0)
+        note(texts.TAKEN_UNKNOWN.format(image=texts.IMAGE_LABELS[name]), kind="warn", testid=f"taken-unknown-{name}")
+        said = ui.number(texts.TAKEN_FIELD.format(image=texts.IMAGE_LABELS[name]), format="%.0f", min=0)
         said.props(f"outlined dense data-testid=taken-{name}")
 
         def confirm(name: str = name, said: ui.number = said) -> None:
@@ -158,8 +157,8 @@ def _mirrored(tab: Tab) -> None:
     note(texts.MIRRORED_HINT, kind="warn", testid="mirrored-question")
     for name in asked:
         said = planning.decisions.mirrored.get(planning.decisions.images[name])
-        label = texts.MIRRORED_FIELD.format(image=IMAGE_LABELS[name])
-        note(label if said is None else texts.MIRRORED_SAID[said].format(image=IMAGE_LABELS[name]))
+        label = texts.MIRRORED_FIELD.format(image=texts.IMAGE_LABELS[name])
+        note(label if said is None else texts.MIRRORED_SAID[said].format(image=texts.IMAGE_LABELS[name]))
         with ui.element("div").classes("choice").props(f'role=radiogroup aria-label="{label}"'):
             for answer, word in texts.MIRRORED_ANSWERS.items():
                 chosen = said is not None and answer == (said != _is_turned(tab, name))
@@ -175,10 +174,10 @@ def _mirrored(tab: Tab) -> None:
 def _display(tab: Tab) -> None:
     shown = []
     for image, display in tab.planning.decisions.display.items():
-        mirrored = [XRAY["mirrored"]] * display.mirrored
-        turned = [XRAY["rotated"].format(degrees=display.rotation)] * bool(display.rotation)
+        mirrored = [texts.XRAY["mirrored"]] * display.mirrored
+        turned = [texts.XRAY["rotated"].format(degrees=display.rotation)] * bool(display.rotation)
         if how := texts.DISPLAY_AND.join(mirrored + turned):
-            shown.append(texts.DISPLAY_SHOWN.format(image=IMAGE_LABELS[image], how=how))
+            shown.append(texts.DISPLAY_SHOWN.format(image=texts.IMAGE_LABELS[image], how=how))
     if shown:
         heading(texts.DISPLAY_HEADING)
         for line in shown:

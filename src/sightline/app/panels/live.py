@@ -7,7 +7,6 @@ from nicegui import ui
 from sightline.app import texts
 from sightline.app.panels.section import Section, action, heading, note
 from sightline.app.tab.tab import Tab
-from sightline.app.texts import STALE
 from sightline.case.watch.alarm import BLIND_TO
 
 if TYPE_CHECKING:
@@ -56,7 +55,7 @@ def _switch(tab: Tab) -> None:
 
 def _sentence(watched: "Watched") -> str:
     if watched.stale:
-        return STALE.format(age=watched.age_s)
+        return texts.STALE.format(age=watched.age_s)
     movement = watched.movement.text if watched.movement is not None else watched.note
     reason = f" ({watched.reason})" if watched.reason else ""
     return f"{watched.state.capitalize()}{reason}, {1000 * watched.latency_s:.0f} ms old. {movement}"

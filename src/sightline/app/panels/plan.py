@@ -13,7 +13,6 @@ from sightline.app.panels.section import Section, action, heading, note
 from sightline.app.plan.marks import END, ENTRY, Asked, asked_of
 from sightline.app.plan.planner import Planned
 from sightline.app.tab.tab import Tab
-from sightline.app.texts import IMAGE_LABELS
 from sightline.case.views import NAMES
 from sightline.errors import UnusableInputError
 from sightline.geometry.covariance import TWO_SIDED_95
@@ -182,5 +181,5 @@ def instruction(tab: Tab) -> str:
     if goal is None:
         return ""
     return texts.PLACE_WHERE.format(
-        image=IMAGE_LABELS[goal.image], point=goal.asked.label, sentence=goal.asked.sentence
+        image=texts.IMAGE_LABELS[goal.image], point=goal.asked.label, sentence=goal.asked.sentence
     )

@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 from nicegui import ui
 
+from sightline.app import texts
 from sightline.app.drawing.space import document as space
 from sightline.app.drawing.space.view import SpaceView
 from sightline.app.plan.marks import asked_of
 from sightline.app.tab.tab import Tab
-from sightline.app.texts import SPACE_GROUPS, SPACE_LABEL
 from sightline.case.views import NAMES
 from sightline.errors import SightlineError
 
@@ -28,7 +28,7 @@ class Space:
         self._box = ui.element("div").classes("space-box")
         self._box.set_visibility(False)
         with self._box:
-            self._view = SpaceView(label=SPACE_LABEL, groups=SPACE_GROUPS)
+            self._view = SpaceView(label=texts.SPACE_LABEL, groups=texts.SPACE_GROUPS)
         tab.on_refresh.append(self.refresh)
         ui.timer(_LIVE_S, self._robot)
 

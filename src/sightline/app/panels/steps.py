@@ -5,7 +5,6 @@ from enum import StrEnum
 
 from sightline.app import texts
 from sightline.app.plan.marks import asked_of
-from sightline.app.texts import IMAGE_LABELS, STEPS
 from sightline.app.work.planning import Planning
 from sightline.app.work.procedure import Procedure
 from sightline.app.work.seen import SeenImage
@@ -41,7 +40,7 @@ def steps(procedure: Procedure) -> tuple[Step, ...]:
         _drill(procedure),
         _verify(procedure),
     )
-    return tuple(Step(name, *one) for name, one in zip(STEPS, found, strict=True))
+    return tuple(Step(name, *one) for name, one in zip(texts.STEPS, found, strict=True))
 
 
 _Found = tuple[Standing, str]
@@ -58,7 +57,9 @@ def _images(procedure: Procedure) -> _Found:
     if working and missing:
         return Standing.OPEN, texts.DOING.format(doing=working.capitalize())
     if missing:
-        return Standing.OPEN, texts.DROP_MISSING.format(images=" and the ".join(IMAGE_LABELS[name] for name in missing))
+        return Standing.OPEN, texts.DROP_MISSING.format(
+            images=" and the ".join(texts.IMAGE_LABELS[name] for name in missing)
+        )
     if decisions.side is None or decisions.serial is None:
         return Standing.ATTENTION, texts.CONFIRM_BOTH
     if any(procedure.age.taken_at(seen) is None for seen in _both(planning)):

@@ -8,7 +8,6 @@ from sightline.app import texts
 from sightline.app.panels.section import Section, action, checks, heading, note, table
 from sightline.app.plan.marks import CHECK_NAMES, asked_of
 from sightline.app.tab.tab import Tab
-from sightline.app.texts import IMAGE_LABELS
 
 
 def _key(tab: Tab) -> Hashable:
@@ -53,7 +52,8 @@ def _check(tab: Tab) -> None:
                 f"{seen.doing} …" if seen.doing else texts.WIRE_FOUND if wire else texts.CALIBRATED_ONLY
             )
             note(
-                texts.CHECK_IMAGE.format(image=IMAGE_LABELS[name], state=state), kind="bad" if seen.refused else "good"
+                texts.CHECK_IMAGE.format(image=texts.IMAGE_LABELS[name], state=state),
+                kind="bad" if seen.refused else "good",
             )
     if all(planning.seen(name) for name in CHECK_NAMES):
         _landmarks(tab)
