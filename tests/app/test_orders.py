@@ -1,19 +1,29 @@
 """Sending and checking without a robot or a page: what fails leaves nothing that looks like success."""
 
 import asyncio
+from collections.abc import Iterator
 from datetime import UTC, datetime
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
+from tests.planning import bone
+from tests.planning.standin import stand_in
 
+from sightline.app.plan.decisions import Decisions, Mark
+from sightline.app.plan.marks import END, ENTRY
+from sightline.app.plan.planner import planned
 from sightline.app.work import drilling as module
 from sightline.app.work.drilling import Drilling
 from sightline.app.work.jobs import Jobs
 from sightline.app.work.planning import Planning
-from sightline.app.work.sent import SentPlan
+from sightline.app.work.sent import SentPlan, restored
 from sightline.app.work.verifying import Verifying
-from sightline.errors import CaseError, LinkError, RobotRefusedError, WireRefusedError
+from sightline.case.entry import Actor, Kind
+from sightline.case.journal import Case
+from sightline.case.views import NAMES
+from sightline.errors import CaseError, LinkError, RobotRefusedError, UnusableInputError, WireRefusedError
 
 
 class _Planning(Planning):
@@ -94,3 +104,41 @@ def test_a_check_shot_that_is_refused_is_recorded_too(monkeypatch: pytest.Monkey
     asyncio.run(verifying.measure())
     assert recorded == [verifying.refused]
     assert "no wire is seen" in verifying.refused
+
+
+VIEWS = (stand_in("pa", 0.4, 0.3), stand_in("lateral", -0.2, 0.3))
+
+
+@pytest.fixture
+def sent_case(tmp_path: Path) -> Iterator[tuple[Case, Decisions]]:
+    """A case whose plan was sent before the program ended."""
+    wire = bone.pixels(list(VIEWS))["wire"]
+    decisions = Decisions(images={"pa": 1, "lateral": 2})
+    for k, name in enumerate((ENTRY, END)):
+        places = {view: (float(uv[k][0]), float(uv[k][1])) for view, uv in zip(NAMES, wire, strict=True)}
+        decisions = decisions.with_mark(name, Mark(places))
+    plan = planned(decisions, VIEWS).plan
+    assert plan is not None
+    case = Case.create(tmp_path)
+    case.record(
+        Kind.SENT, {"decisions": decisions.document(), "trajectory": plan.trajectory.document()}, by=Actor.SURGEON
+    )
+    yield case, decisions
+    case.close()
+
+
+def test_a_plan_that_was_sent_is_taken_up_again_after_a_restart(sent_case: tuple[Case, Decisions]) -> None:
+    case, decisions = sent_case
+    before = restored(case, decisions, VIEWS)
+    assert before is not None
+    sent, drilled = before
+    assert sent.holds_for(decisions) and drilled is None
+    assert not sent.holds_for(decisions.with_mark(END, None))
+    assert restored(case, decisions.with_image("pa", 3, same_pixels=True), VIEWS) is None
+
+
+def test_a_plan_that_comes_out_otherwise_is_not(sent_case: tuple[Case, Decisions]) -> None:
+    case, decisions = sent_case
+    moved = (stand_in("pa", 0.41, 0.3), VIEWS[1])
+    with pytest.raises(UnusableInputError, match="Send the plan anew"):
+        restored(case, decisions, moved)

@@ -15,7 +15,7 @@ from sightline.app.tab.dragging import Dragging
 from sightline.app.tab.placing import Goal, Placing
 from sightline.app.tab.views import Views
 from sightline.app.texts import STEPS, XRAY
-from sightline.app.work.failures import told, why_not
+from sightline.app.work.failures import report, why_not
 from sightline.app.work.procedure import Procedure
 from sightline.case.views import NAMES
 
@@ -118,7 +118,7 @@ class Tab:
             if pending is not None:
                 await pending
         except Exception as error:
-            self.message = told(error)
+            self.message = report(error)
         self.refresh()
 
     def doing(self, what: Callable[[], Awaitable[Any] | None]) -> Callable[[], Awaitable[None]]:
@@ -169,6 +169,6 @@ class Tab:
         try:
             changed = await self.dragging.follow(name, image, uv)
         except Exception as error:
-            self.message, changed = told(error), True
+            self.message, changed = report(error), True
         if changed:
             self.refresh()

@@ -27,7 +27,7 @@ _STYLES = {"wire": "plan", "landmark": "landmark", "aid": "aid"}
 
 
 class Views:
-    """The views of one page. `pair`: both, once they are built. `watched`: the live image that one of them shows."""
+    """The views of one page. `pair`: both, once they are built. `watched`: the live image in one of them, if any."""
 
     pair: tuple[XrayView, XrayView]
 

@@ -12,8 +12,8 @@ def sentence_of(error: Exception) -> str:
     return str(error) if isinstance(error, SightlineError) else BUG.format(kind=type(error).__name__)
 
 
-def told(error: Exception) -> str:
-    """Return the sentence of an error; one that is a defect of Sightline is also printed, with its traceback."""
+def report(error: Exception) -> str:
+    """Return the sentence of an error. A defect of Sightline is also printed, with its traceback."""
     if not isinstance(error, SightlineError):
         traceback.print_exception(error)
     return sentence_of(error)
@@ -24,5 +24,5 @@ def why_not(work: Callable[[], object]) -> str:
     try:
         work()
     except Exception as error:
-        return told(error)
+        return report(error)
     return ""

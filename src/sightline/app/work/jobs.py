@@ -4,7 +4,7 @@ import asyncio
 from collections.abc import Awaitable, Callable, Coroutine
 from typing import Any, TypeVar
 
-from sightline.app.work.failures import sentence_of, told
+from sightline.app.work.failures import report, sentence_of
 from sightline.errors import UnusableInputError
 
 T = TypeVar("T")
@@ -26,8 +26,8 @@ class Jobs:
             listener()
 
     async def during(self, what: str, work: Callable[[], Awaitable[T]]) -> T:
-        """Begin some work and await it while pages say what it is; its error is shown and raised. Raises
-        UnusableInputError while other work goes on, and begins nothing."""
+        """Start work and await it while pages say what it is; return its result. Pages show an error that it raises.
+        Raises UnusableInputError while other work goes on, and then starts nothing."""
         if self.working:
             raise UnusableInputError(f"{self.working} is not done yet; wait for it")
         self.working, self.trouble = what, ""
@@ -41,8 +41,8 @@ class Jobs:
             self.working = ""
             self.notify()
 
-    def soon(self, work: Coroutine[Any, Any, None]) -> None:
-        """Begin some work that nobody awaits; an error that it raises is shown."""
+    def start(self, work: Coroutine[Any, Any, None]) -> None:
+        """Start work that nobody awaits; pages show an error that it raises."""
         task = asyncio.get_running_loop().create_task(work)
         self._tasks.add(task)  # the loop itself holds it weakly
         task.add_done_callback(self._ended)
@@ -51,5 +51,5 @@ class Jobs:
         self._tasks.discard(task)
         error = None if task.cancelled() else task.exception()
         if isinstance(error, Exception):
-            self.trouble = told(error)
+            self.trouble = report(error)
             self.notify()

@@ -202,7 +202,7 @@ class Planning:
 
     def _reopen(self) -> None:
         self.jobs.notify()
-        self.jobs.soon(self._open_named())
+        self.jobs.start(self._open_named())
 
     async def _open_named(self) -> None:
         for number in self.decisions.images.values():

@@ -1,4 +1,4 @@
-"""A procedure from its first image to its check shot: what each part of it needs, put together."""
+"""A procedure from its first image to its check shot, put together from its parts."""
 
 from pathlib import Path
 
@@ -38,7 +38,7 @@ class Procedure:
         self.drilling = Drilling(self.planning, self.age, self.readiness)
         self.live = Live(self.planning)
         self.verifying = Verifying(self.planning)
-        self.jobs.listeners.append(self.verifying.follow)
+        self.jobs.listeners.append(self.verifying.update)
 
     @staticmethod
     def open(folder: Path, frame_name: str | None, patient: Patient | None, workshop: Workshop) -> "Procedure":
@@ -61,7 +61,7 @@ class Procedure:
         return Procedure(case, kept, workshop)
 
     async def close(self) -> None:
-        """Let go of the robot before all else, then of the live image; no page is told, since its loop has ended."""
+        """End the link to the robot first, then the live image. No page is told, since its event loop has ended."""
         self.jobs.listeners.clear()
         await self.drilling.close()
         await self.live.close()

@@ -1,5 +1,4 @@
-"""What became of a plan: sent to the robot, then drilled. The journal keeps both, and gives them back
-after a restart."""
+"""The plan that was sent to the robot and the wire that was drilled, also after a restart, from the journal."""
 
 from dataclasses import dataclass
 from datetime import datetime
@@ -36,7 +35,7 @@ class SentPlan:
         return self.planned.plan
 
     def holds_for(self, decisions: Decisions) -> bool:
-        """Return True if decisions come to the very plan that was sent."""
+        """Return True if decisions give the plan that was sent."""
         then = self.planned.decisions
         same = ("kind", "side", "serial")
         return (
@@ -53,7 +52,7 @@ class SentPlan:
 
 @dataclass(frozen=True, eq=False)
 class DrilledWire:
-    """What drilling to the planned depth left: its record, and where a simulator says that the wire truly is."""
+    """A wire drilled to its planned depth: the record, and where a simulator says that the wire truly is."""
 
     record: DrillingRecord
     wire: SimulatedWire
@@ -62,8 +61,8 @@ class DrilledWire:
 def restored(
     case: Case, decisions: Decisions, views: tuple[BeadView, BeadView]
 ) -> tuple[SentPlan, DrilledWire | None] | None:
-    """Return what was sent and drilled before the program ended, as the journal tells; None where nothing was sent, or
-    a plan of images that were since replaced. Raises UnusableInputError where the plan comes out otherwise now."""
+    """Return what was sent and drilled before the program ended, from the journal; None where nothing was sent, or
+    images were replaced since. Raises UnusableInputError where the same decisions give another plan now."""
     sent = case.latest(Kind.SENT)
     if sent is None:
         return None

@@ -50,13 +50,13 @@ class Verifying:
         for name, data in files.items():
             await planning.take(data, ".dcm", image=f"check-{name}", by=Actor.DEMO)
 
-    def follow(self) -> None:
-        """Forget what was measured on images that are not those of now, and begin to measure what is not measured."""
+    def update(self) -> None:
+        """Forget a result of images that were replaced, and start to measure where images or landmarks are new."""
         asked = self._asked()
         if asked is None and self._measured:
             self._forget()
         if asked is not None and asked.key != self._measured:
-            self._planning.jobs.soon(self.measure())
+            self._planning.jobs.start(self.measure())
 
     def _asked(self) -> "_Asked | None":
         """What there is to measure; None before both check images are calibrated."""
