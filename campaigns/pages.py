@@ -269,7 +269,7 @@ def climbing(served: App, rng: np.random.Generator) -> str:
 
 
 def uploads(served: App, rng: np.random.Generator) -> str:
-    """Any file under any name: an image, a damaged one, one that is none, one that is not sent whole."""
+    """Any file: an image, a damaged one, one that is none, one that is not sent whole; with a header not asked for."""
     name = str(rng.choice(list(FILES)))
     data = FILES[name][0]()
     data = mutated(data, rng) if rng.random() < 0.6 else rng.bytes(int(rng.integers(0, 5000))) + data
