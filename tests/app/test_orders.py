@@ -20,8 +20,7 @@ from sightline.app.work.jobs import Jobs
 from sightline.app.work.planning import Planning
 from sightline.app.work.sent import SentPlan, restored
 from sightline.app.work.verifying import Verifying
-from sightline.case.entry import Actor, Kind
-from sightline.case.journal import Case
+from sightline.case.journal import Actor, Case, Kind
 from sightline.case.views import NAMES
 from sightline.errors import CaseError, LinkError, RobotRefusedError, UnusableInputError, WireRefusedError
 

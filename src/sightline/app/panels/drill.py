@@ -9,21 +9,6 @@ from sightline.app import texts
 from sightline.app.panels import live
 from sightline.app.panels.section import Section, action, checks, heading, note, table
 from sightline.app.tab.tab import Tab
-    ALIGN_QUESTION,
-    BY_SHOT,
-    CHANGED_AFTER_SENDING,
-    DRILL_ON_QUESTION,
-    DRILL_QUESTION,
-    NO_ROBOT,
-    RESET_QUESTION,
-    RETRACT_QUESTION,
-    SEND_QUESTION,
-    SEND_WHAT,
-    SHOT_QUESTION,
-    SHOT_TOLD,
-    SHOT_UNMEASURED,
-    STOP_IS_NO_EMERGENCY_STOP,
-)
 from sightline.case.report.drilled import force_picture
 from sightline.geometry.covariance import TWO_SIDED_95
 from sightline.robot.control.states import State

@@ -21,7 +21,7 @@ from sightline.app.work.seen import SeenImage
 from sightline.case.views import NAMES
 
 if TYPE_CHECKING:
-    from sightline.case.watch import Watched
+    from sightline.case.watch.eye import Watched
 
 _STYLES = {"wire": "plan", "landmark": "landmark", "aid": "aid"}
 

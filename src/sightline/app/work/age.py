@@ -7,10 +7,10 @@ from time import monotonic
 from sightline.app.texts import TAKEN_REFUSED
 from sightline.app.work.planning import Planning
 from sightline.app.work.seen import SeenImage
-from sightline.case.entry import Actor
+from sightline.case.journal import Actor
 from sightline.case.views import NAMES
 from sightline.errors import UnusableInputError
-from sightline.robot.target import LIFETIME_S
+from sightline.robot.kinematics.target import LIFETIME_S
 
 _CLOCKS_APART = timedelta(seconds=5)  # of C-arm and this machine, both set by the same time server [ours]
 _LONGEST_AGO_MIN = 1e6  # two years [ours]

@@ -24,8 +24,6 @@ from sightline.robot.control.insertion import DEPTH_SLACK_MM
 from sightline.robot.control.motion.supervision import depth_limit
 from sightline.robot.control.states import State
 from sightline.robot.kinematics.target import PlanIdentity, RobotTarget
-from sightline.robot.link.record import DrillingRecord
-from sightline.robot.link.simulated import SimulatedWire
 
 if TYPE_CHECKING:
     from sightline.app.work.robot_session import RobotNow, RobotSession

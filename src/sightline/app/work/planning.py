@@ -17,8 +17,7 @@ from sightline.app.work.sent import DrilledWire, SentPlan, restored
 from sightline.app.work.workshop import Workshop, warm_up
 from sightline.calibration import BeadView
 from sightline.case import stages
-from sightline.case.entry import Actor, Kind
-from sightline.case.journal import Case
+from sightline.case.journal import Actor, Case, Kind
 from sightline.case.views import NAMES
 from sightline.errors import SightlineError, UnusableInputError
 

@@ -13,18 +13,8 @@ from sightline.app.work.verifying import Verifying
 from sightline.app.work.workshop import Workshop
 from sightline.case import stages
 from sightline.case.journal import Actor, Case, Kind
-from sightline.case.views import NAMES
-from sightline.checks import Check
-from sightline.errors import SightlineError, UnusableInputError
+from sightline.errors import UnusableInputError
 from sightline.frame import Frame
-from sightline.planning.results import Verdict
-from sightline.robot.kinematics.target import LIFETIME_S
-
-T = TypeVar("T")
-_TAKEN_IN = 8  # images that are looked at when a case has none placed [ours]
-_CLOCKS_APART = timedelta(seconds=5)  # of C-arm and this machine, both set by the same time server [ours]
-_LONGEST_AGO_MIN = 1e6  # two years [ours]
-_EDITS = ("edit", "undo", "redo")
 
 
 class Procedure:

@@ -5,7 +5,7 @@ from sightline.app.work.age import PlanAge, is_fresh
 from sightline.app.work.planning import Planning
 from sightline.checks import Check
 from sightline.planning.results import Verdict
-from sightline.robot.target import LIFETIME_S
+from sightline.robot.kinematics.target import LIFETIME_S
 
 
 class Readiness:

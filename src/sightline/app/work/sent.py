@@ -10,13 +10,12 @@ from sightline.app.plan.marks import END, ENTRY
 from sightline.app.plan.planner import Planned, planned
 from sightline.app.texts import CHANGED_SINCE_SENT
 from sightline.calibration import BeadView
-from sightline.case.entry import Kind
-from sightline.case.journal import Case
+from sightline.case.journal import Case, Kind
 from sightline.case.views import NAMES
 from sightline.errors import UnusableInputError
 from sightline.planning import Plan
-from sightline.robot.record import DrillingRecord
-from sightline.robot.simulated import SimulatedWire
+from sightline.robot.link.record import DrillingRecord
+from sightline.robot.link.simulated import SimulatedWire
 
 _SAME_MM = 1e-6  # of a plan that is computed again
 
