@@ -138,9 +138,6 @@ class Missing:
         return b""
 
 
-Query = Get | Start | Stop | Started
-
-
 def query_of(type_name: str) -> tuple[type[Get] | type[Start] | type[Stop] | type[Started], str] | None:
     """(class, type asked about) of a query's type on the wire; None if it is none."""
     return _QUERIES.get(type_name)

@@ -90,9 +90,9 @@ def floats(values: np.ndarray) -> bytes:
         raise MessageError("a number is too large for the 32 bits of the wire") from error
 
 
-def read_only(values: Any, what: str, shape: tuple[int | None, ...], dtype: Any = np.float64) -> np.ndarray:
+def read_only(values: Any, what: str, shape: tuple[int | None, ...]) -> np.ndarray:
     """A copy that cannot be written to. Raises MessageError where its shape, None for any, is another."""
-    array = np.array(values, dtype=dtype)
+    array = np.array(values, dtype=np.float64)
     if array.shape != shape and (
         array.ndim != len(shape) or any(n not in (None, m) for n, m in zip(shape, array.shape, strict=True))
     ):

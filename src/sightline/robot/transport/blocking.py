@@ -9,7 +9,7 @@ from threading import Lock
 
 from sightline.closing import Closing
 from sightline.errors import LinkError
-from sightline.robot.igtl import MAX_BODY_BYTES, Event, Message, Rejected, Stream, encode
+from sightline.robot.igtl import Event, Message, Rejected, Stream, encode
 from sightline.robot.transport.client import CONNECT_S
 from sightline.robot.transport.heartbeat import Heartbeat, Pace
 from sightline.robot.transport.server import LOOPBACK, PORT
@@ -28,18 +28,11 @@ class BlockingClient(Closing):
     It does not connect again by itself, and it hears nothing between two calls.
     """
 
-    def __init__(
-        self,
-        host: str = LOOPBACK,
-        port: int = PORT,
-        *,
-        connect_s: float = CONNECT_S,
-        max_body_bytes: int = MAX_BODY_BYTES,
-    ):
-        self._stream = Stream(max_body_bytes)
+    def __init__(self, host: str = LOOPBACK, port: int = PORT):
+        self._stream = Stream()
         self._events: deque[Event] = deque()
         try:
-            self._socket = socket.create_connection((host, port), timeout=connect_s)
+            self._socket = socket.create_connection((host, port), timeout=CONNECT_S)
         except OSError as error:
             raise LinkError(f"cannot connect to {host}:{port}: {error.strerror or error}") from error
         prepare(self._socket)

@@ -6,7 +6,6 @@ from types import TracebackType
 from typing import Self
 
 from sightline.errors import LinkError
-from sightline.robot.igtl import MAX_BODY_BYTES
 from sightline.robot.transport.connection import Connection, Handler
 from sightline.robot.transport.server import LOOPBACK, PORT
 
@@ -21,19 +20,9 @@ class Client:
     its state first. `connection` is None while there is none.
     """
 
-    def __init__(
-        self,
-        handler: Handler,
-        host: str = LOOPBACK,
-        port: int = PORT,
-        *,
-        connect_s: float = CONNECT_S,
-        silence_s: float | None = None,
-        max_body_bytes: int = MAX_BODY_BYTES,
-    ):
+    def __init__(self, handler: Handler, host: str = LOOPBACK, port: int = PORT):
         self.connection: Connection | None = None
         self._handler, self._host, self._port = handler, host, port
-        self._connect_s, self._silence_s, self._max_body_bytes = connect_s, silence_s, max_body_bytes
         self._keeper: asyncio.Task[None]
 
     async def __aenter__(self) -> Self:
@@ -56,12 +45,10 @@ class Client:
         loop = asyncio.get_running_loop()
         address = f"{self._host}:{self._port}"
         try:
-            async with asyncio.timeout(self._connect_s):
-                _, connection = await loop.create_connection(
-                    lambda: Connection(self._handler, self._silence_s, self._max_body_bytes), self._host, self._port
-                )
+            async with asyncio.timeout(CONNECT_S):
+                _, connection = await loop.create_connection(lambda: Connection(self._handler), self._host, self._port)
         except TimeoutError as error:
-            raise LinkError(f"{address} did not answer within {self._connect_s:g} s") from error
+            raise LinkError(f"{address} did not answer within {CONNECT_S:g} s") from error
         except OSError as error:
             raise LinkError(f"cannot connect to {address}: {error.strerror or error}") from error
         return connection

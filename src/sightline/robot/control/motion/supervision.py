@@ -103,15 +103,13 @@ class Supervision:
     """The watch over one hole. Depths are mm of feed beyond depth zero, which may be set anew (depth.py).
     `touched`: the wire is in bone already."""
 
-    def __init__(
-        self, planned_mm: float, limit_mm: float, force_limit_n: float = FORCE_LIMIT_N, *, touched: bool = False
-    ) -> None:
+    def __init__(self, planned_mm: float, limit_mm: float, *, touched: bool = False) -> None:
         if not 0 < planned_mm <= limit_mm:
             raise RobotRefusedError(
                 f"the planned depth of {planned_mm:.1f} mm lies beyond the depth limit of {limit_mm:.1f} mm; plan a "
                 "shorter wire, or take a check shot to fix the zero of depth"
             )
-        self._planned_mm, self._limit_mm, self._force_limit_n = planned_mm, limit_mm, force_limit_n
+        self._planned_mm, self._limit_mm = planned_mm, limit_mm
         self._filter = ForceFilter()
         self._cortex_n = 0.0  # the most force of late while in a cortex, otherwise 0
         self._left = False  # a cortex, while its force still falls
@@ -138,7 +136,7 @@ class Supervision:
 
     def _limits(self, depth_mm: float) -> list[Event]:
         out = []
-        if self.force_n > self._force_limit_n:
+        if self.force_n > FORCE_LIMIT_N:
             out.append(Event.FORCE_LIMIT)
         if depth_mm >= self._limit_mm:
             out.append(Event.DEPTH_LIMIT)
