@@ -44,9 +44,7 @@ def rows(header: str, row: Callable[[int], str], count: int = 8) -> bytes:
 
 
 def gamma() -> bytes:
-    from sightline.frame.files import frame_to_json
-
-    return frame_to_json(Frame.load("gamma"))
+    return Frame.load("gamma").to_json()
 
 
 def table_of(path: Path) -> Frame:

@@ -6,7 +6,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from sightline.frame import Frame
 from sightline.frame.deviations import fiducials
-from sightline.frame.identify import rigid_fit
+from sightline.geometry.rigid import rigid_fit
 from sightline.twin.carm import with_errors
 
 GAMMA = Frame.load("gamma")

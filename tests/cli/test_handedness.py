@@ -132,8 +132,8 @@ def test_a_file_is_compared_with_the_one_before_it(run, frame, tmp_path: Path, a
     measured = dataclasses.replace(before, views=views)
     for name, one in (("before", before), ("left", left), ("measured", measured)):
         one.save(tmp_path / f"{name}.json")
-    assert is_mirror_image(left, before)
-    assert not is_mirror_image(measured, before)
+    assert is_mirror_image(left.xyz_mm_by_id, before.xyz_mm_by_id)
+    assert not is_mirror_image(measured.xyz_mm_by_id, before.xyz_mm_by_id)
     with pytest.raises(FrameError, match="mirror image"):
         Frame.load(tmp_path / "left.json", before=[before])
     for allowed in (measured, dataclasses.replace(left, serial="04")):
@@ -151,7 +151,7 @@ def test_a_file_is_compared_with_the_one_before_it(run, frame, tmp_path: Path, a
 def test_beads_in_one_plane_are_their_own_mirror_image(frame) -> None:
     plate = frame.view("pa").xrii
     flat = dataclasses.replace(frame, views={"pa": FrameView(plate, plate)})
-    assert not is_mirror_image(mirrored(flat, 0), flat)
+    assert not is_mirror_image(mirrored(flat, 0).xyz_mm_by_id, flat.xyz_mm_by_id)
 
 
 def test_a_case_refuses_the_mirror_image_of_its_frame(frame, tmp_path: Path) -> None:

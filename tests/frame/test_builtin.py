@@ -6,7 +6,6 @@ from sightline.errors import FrameError
 from sightline.frame import Frame, nominal
 from sightline.frame.builtin import BUILTIN, builtin_design, patterns_for
 from sightline.frame.check import check_frame
-from sightline.frame.design import make_frame
 
 
 @pytest.mark.parametrize("name", BUILTIN)
@@ -70,7 +69,7 @@ def test_wherever_the_source_stands_few_balls_of_a_view_hide_each_other(name):
 def test_other_figures_give_other_frames_with_patterns_of_their_own():
     design = builtin_design("gamma")
     other = type(design)("nine", design.beams, patterns_for(design.beams, rows=9), rows=9, pitch_mm=17.0)
-    frame = make_frame(other)
+    frame = Frame.from_design(other)
     assert len(frame.view("pa").xrii.ids) == 81
     assert failed(check_frame(frame)) == ()
 
@@ -87,7 +86,7 @@ def test_other_figures_give_other_frames_with_patterns_of_their_own():
 def test_figures_that_make_no_frame_are_refused(change, words):
     design = builtin_design("gamma")
     with pytest.raises(FrameError, match=words):
-        make_frame(type(design)(**{"name": "x", "beams": design.beams, "patterns": design.patterns} | change))
+        Frame.from_design(type(design)(**{"name": "x", "beams": design.beams, "patterns": design.patterns} | change))
 
 
 def test_no_pattern_where_none_lasts():

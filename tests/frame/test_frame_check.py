@@ -12,7 +12,7 @@ from sightline.checks import failed
 from sightline.frame import Fiducial, Frame, FrameView, Plate
 from sightline.frame.builtin import builtin_design
 from sightline.frame.check import check_frame, reach_mm
-from sightline.frame.design import Beam, make_frame
+from sightline.frame.design import Beam
 
 GAMMA = Frame.load("gamma")
 Change = Callable[[Fiducial], Fiducial | None]
@@ -79,7 +79,7 @@ def with_pattern(view: str, plate: int, pattern: tuple[tuple[int, int], ...]) ->
     design = builtin_design("gamma")
     patterns = {name: list(pair) for name, pair in design.patterns.items()}
     patterns[view][plate] = pattern
-    return make_frame(dataclasses.replace(design, patterns=patterns))
+    return Frame.from_design(dataclasses.replace(design, patterns=patterns))
 
 
 def symmetric() -> Frame:
@@ -97,21 +97,21 @@ def shifted_copy_on_the_other_plate() -> Frame:
 
 
 def too_close() -> Frame:
-    return make_frame(dataclasses.replace(builtin_design("gamma"), source_mm=260.0))
+    return Frame.from_design(dataclasses.replace(builtin_design("gamma"), source_mm=260.0))
 
 
 def leaning() -> Frame:
     design = builtin_design("gamma")
     leaning = Beam((0.0, 0.0, 1.0), (np.sin(np.radians(25)), 0.0, np.cos(np.radians(25))))
-    return make_frame(dataclasses.replace(design, pitch_mm=26.0, beams={**design.beams, "pa": leaning}))
+    return Frame.from_design(dataclasses.replace(design, pitch_mm=26.0, beams={**design.beams, "pa": leaning}))
 
 
 def out_of_the_field() -> Frame:
-    return make_frame(dataclasses.replace(builtin_design("gamma"), pitch_mm=40.0))
+    return Frame.from_design(dataclasses.replace(builtin_design("gamma"), pitch_mm=40.0))
 
 
 def short_reach() -> Frame:
-    return make_frame(dataclasses.replace(builtin_design("gamma"), pitch_mm=20.0))
+    return Frame.from_design(dataclasses.replace(builtin_design("gamma"), pitch_mm=20.0))
 
 
 @pytest.mark.parametrize(
@@ -169,7 +169,7 @@ def test_washers_are_told_by_their_shape_not_their_size():
     ("pitch_mm", "expected"), [(22.0, 66 * 620 / 920 - 95 / np.sqrt(8)), (25.0, 75 * 620 / 920 - 95 / np.sqrt(8))]
 )
 def test_reach_of_a_square_plate_by_hand(pitch_mm, expected):
-    view = make_frame(dataclasses.replace(builtin_design("gamma"), pitch_mm=pitch_mm)).view("pa")
+    view = Frame.from_design(dataclasses.replace(builtin_design("gamma"), pitch_mm=pitch_mm)).view("pa")
     assert reach_mm(view, view.xrii) == pytest.approx(expected, abs=1e-9)
 
 

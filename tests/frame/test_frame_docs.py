@@ -9,13 +9,12 @@ from sightline.checks import failed
 from sightline.frame import Frame, Tolerances
 from sightline.frame.builtin import BUILTIN
 from sightline.frame.check import check_frame
-from sightline.frame.files import frame_from_json
 
 PAGE = (Path(__file__).parents[2] / "docs" / "frame-file.md").read_text(encoding="utf-8")
 
 
 def test_the_example_is_a_frame():
-    frame = frame_from_json(re.search(r"```json\n(.*?)```", PAGE, re.DOTALL)[1].encode())
+    frame = Frame.from_json(re.search(r"```json\n(.*?)```", PAGE, re.DOTALL)[1].encode())
     assert frame.key == "bench-frame/03"
     assert frame.tolerances == Tolerances()
     assert {f.shape for f in frame.view("pa").source.fiducials} == {"ball", "washer"}

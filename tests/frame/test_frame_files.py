@@ -8,7 +8,6 @@ from hypothesis import strategies as st
 
 from sightline.errors import FrameError, UnusableInputError
 from sightline.frame import Fiducial, Frame, FrameView, Plate, Tolerances
-from sightline.frame.files import frame_from_json, frame_to_json
 
 number = st.floats(-1e4, 1e4)
 name = st.text("abcXYZ019_.:+/-", min_size=1, max_size=12)
@@ -47,7 +46,7 @@ def frames(draw) -> Frame:
 @settings(deadline=None, max_examples=60)
 @given(frames())
 def test_a_frame_survives_its_file(frame):
-    again = frame_from_json(frame_to_json(frame))
+    again = Frame.from_json(frame.to_json())
     for field in dataclasses.fields(Frame):
         if field.name != "covariance_mm2":
             assert getattr(again, field.name) == getattr(frame, field.name)
@@ -103,7 +102,7 @@ NEGATIVE = np.diag(np.r_[-1.0, np.ones(71)]).tolist()
 
 
 def test_the_small_frame_is_good(document):
-    frame = frame_from_json(edited(document, ["serial"], "7"))
+    frame = Frame.from_json(edited(document, ["serial"], "7"))
     assert frame.key == "small/7"
     assert frame.tolerances is None
     assert frame.effective_tolerances == Tolerances()
@@ -144,13 +143,13 @@ def test_the_small_frame_is_good(document):
 )
 def test_bad_frames_are_refused_with_what_to_do(document, path, value, words):
     with pytest.raises(FrameError, match=words):
-        frame_from_json(edited(document, path, value))
+        Frame.from_json(edited(document, path, value))
 
 
 def test_tolerances_or_a_covariance_but_not_both(document):
     both = document | {"sd_mm": SD, "sd_rad": {"plate": 1e-4, "arm": 1e-4}, "covariance_mm2": np.eye(72).tolist()}
     with pytest.raises(FrameError, match="replaces the tolerances"):
-        frame_from_json(json.dumps(both).encode())
+        Frame.from_json(json.dumps(both).encode())
 
 
 @pytest.mark.parametrize(

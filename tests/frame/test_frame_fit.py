@@ -8,8 +8,8 @@ from scipy.stats import chi2
 from sightline.errors import FrameError
 from sightline.frame.deviations import fiducials
 from sightline.frame.fit import Circumstances, FittedFrame, fit_frame
-from sightline.frame.identify import rigid_fit
 from sightline.frame.measurements import Series
+from sightline.geometry.rigid import rigid_fit
 
 STILL = Circumstances(drift_mm=0.0)
 

@@ -5,7 +5,7 @@ import pytest
 
 from sightline.errors import FrameError
 from sightline.frame import Frame, Tolerances
-from sightline.frame.model import ROLES
+from sightline.frame.plate import ROLES
 from sightline.frame.table import frame_from_csv
 
 GAMMA = Frame.load("gamma")

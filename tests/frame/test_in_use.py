@@ -7,7 +7,6 @@ from fit_scenes import FRAME, measured
 from sightline.errors import FrameError
 from sightline.frame import Frame, InUse, Tolerances
 from sightline.frame.deviations import fiducials
-from sightline.frame.files import frame_from_json, frame_to_json
 from sightline.frame.fit import Circumstances, fit_frame
 from sightline.twin.carm import with_errors
 from sightline.twin.handling import Handling, in_use
@@ -61,8 +60,8 @@ def test_it_adds_to_tolerances_and_to_a_stated_covariance_alike():
 
 def test_the_file_keeps_it():
     frame = replace(Frame.load("gamma"), in_use=InUse(4.0, 0.001, 12.5))
-    assert frame_from_json(frame_to_json(frame)).in_use == InUse(4.0, 0.001, 12.5)
-    assert frame_from_json(frame_to_json(Frame.load("gamma"))).in_use is None
+    assert Frame.from_json(frame.to_json()).in_use == InUse(4.0, 0.001, 12.5)
+    assert Frame.from_json(Frame.load("gamma").to_json()).in_use is None
 
 
 @pytest.mark.parametrize(
@@ -76,9 +75,9 @@ def test_the_file_keeps_it():
     ],
 )
 def test_what_no_frame_bears_is_refused(text):
-    whole = frame_to_json(Frame.load("gamma")).decode().replace('"units"', f'"in_use": {text}, "units"', 1)
+    whole = Frame.load("gamma").to_json().decode().replace('"units"', f'"in_use": {text}, "units"', 1)
     with pytest.raises(FrameError, match=r"in_use|finite"):
-        frame_from_json(whole.encode())
+        Frame.from_json(whole.encode())
 
 
 def test_a_measured_frame_keeps_what_use_adds_and_counts_it_once():

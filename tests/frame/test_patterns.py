@@ -8,8 +8,8 @@ import pytest
 from sightline.frame import Frame
 from sightline.frame.builtin import BUILTIN, builtin_design, patterns_for
 from sightline.frame.design import grid_places
-from sightline.frame.model import ROLES
 from sightline.frame.patterns import Triples, hidden_blocks, in_steps, nearest_likeness, resemblance, search
+from sightline.frame.plate import ROLES
 
 TURNS = [np.array(m).reshape(2, 2) for m in ((1, 0, 0, 1), (0, -1, 1, 0), (-1, 0, 0, -1), (0, 1, -1, 0))]
 PLACINGS = [turn @ np.diag([1, flip]) for flip in (1, -1) for turn in TURNS]

@@ -13,8 +13,6 @@ from sightline.detection import Detections, Observations
 from sightline.errors import CaseError
 from sightline.frame import Frame
 from sightline.frame.builtin import BUILTIN
-from sightline.frame.files import frame_to_json
-from sightline.frame.handed import refuse_mirror_image
 from sightline.imaging import Radiograph, read_image
 from sightline.imaging.limits import MAX_FILE_BYTES
 from sightline.planning import Plan
@@ -54,10 +52,10 @@ def keep_frame(case: Case, frame: Frame) -> str:
 
     Raises FrameError for the mirror image of a frame of the same name and serial that the case has.
     """
-    text = frame_to_json(frame)
-    if frame.name in BUILTIN and frame_to_json(Frame.load(frame.name)) == text:
+    text = frame.to_json()
+    if frame.name in BUILTIN and Frame.load(frame.name).to_json() == text:
         return frame.name
-    refuse_mirror_image(frame, _frames_before(case))
+    frame.refuse_mirror_image(_frames_before(case))
     return case.keep(text, ".json")
 
 

@@ -10,7 +10,8 @@ from sightline.cli.output import Json, Output, Quiet
 
 if TYPE_CHECKING:
     from sightline.frame.design import FrameDesign
-    from sightline.frame.model import Frame, FrameView, Plate
+    from sightline.frame.model import Frame
+    from sightline.frame.plate import FrameView, Plate
 
 app = typer.Typer(no_args_is_help=True, help="Make, show and check calibration frames.")
 
@@ -42,7 +43,7 @@ def new(
     with Output(json=json, quiet=quiet) as out:
         from sightline.errors import FrameError
         from sightline.frame.check import check_frame
-        from sightline.frame.design import make_frame
+        from sightline.frame.model import Frame
         from sightline.frame.table import frame_from_csv
 
         figures = {"rows": rows, "pitch_mm": pitch_mm, "xrii_mm": xrii_mm, "source_mm": source_mm}
@@ -55,7 +56,7 @@ def new(
             if csv is not None:
                 frame = frame_from_csv(csv, file.stem)
             else:
-                frame = make_frame(_design(file.stem, like, stated, datums))
+                frame = Frame.from_design(_design(file.stem, like, stated, datums))
         frame.save(file)
         out.say(f"wrote {file}")
         out.result({"file": file, **_document(frame)}, check_frame(frame))
@@ -98,7 +99,7 @@ def check(
     with Output(json=json, quiet=quiet) as out:
         from sightline.frame import Frame
         from sightline.frame.check import check_frame
-        from sightline.frame.handed import before_check
+        from sightline.frame.compare import before_check
 
         loaded = Frame.load(frame)
         checks = check_frame(loaded)
@@ -117,7 +118,7 @@ def _design(name: str, like: str, stated: dict[str, Any], datums: int | None) ->
 
 
 def _document(frame: "Frame") -> dict[str, Any]:
-    from sightline.frame.model import ROLES
+    from sightline.frame.plate import ROLES
 
     return {
         "name": frame.name,

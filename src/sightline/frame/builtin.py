@@ -1,4 +1,4 @@
-"""The built-in frames: made by the function that `sightline frame new` uses, from figures of their own."""
+"""The designs of the built-in frames, and the datum patterns of any frame."""
 
 from collections.abc import Callable, Mapping
 from math import cos, radians, sin
@@ -6,8 +6,7 @@ from math import cos, radians, sin
 import numpy as np
 
 from sightline.errors import FrameError
-from sightline.frame.design import Balls, Beam, FrameDesign, Pattern, grid_places, make_frame
-from sightline.frame.model import Frame
+from sightline.frame.design import Balls, Beam, FrameDesign, Pattern, grid_places
 from sightline.frame.patterns import search
 
 # From search(grids, 6, np.random.default_rng(seed), moves) of patterns.py for grids of 7 and of 8 rows: gamma seed 13,
@@ -122,8 +121,3 @@ def builtin_design(name: str) -> FrameDesign:
     if name not in BUILTIN:
         raise FrameError(f"there is no built-in frame {name!r}; there are: {', '.join(BUILTIN)}")
     return BUILTIN[name]()
-
-
-def builtin_frame(name: str) -> Frame:
-    """A frame by name. Raises FrameError, naming those there are."""
-    return make_frame(builtin_design(name))

@@ -9,8 +9,9 @@ from scipy.spatial.distance import pdist
 
 from sightline.checks import Check, failed
 from sightline.frame import nominal
-from sightline.frame.model import ROLES, Frame, FrameView, Plate
+from sightline.frame.model import Frame
 from sightline.frame.patterns import Triples, in_steps, nearest_likeness
+from sightline.frame.plate import ROLES, FrameView, Plate
 
 WIRE_END_MM = 95 / np.sqrt(8)  # half a 95 mm wire at 45° (physics.md, Frame), along each axis of the view
 

@@ -7,8 +7,8 @@ from math import ceil
 import numpy as np
 
 from sightline.errors import FrameError
-from sightline.frame.model import Fiducial, Frame, FrameView, Plate
 from sightline.frame.nominal import SOURCE_TO_HIP_MM
+from sightline.frame.plate import Fiducial, FrameView, Plate
 from sightline.geometry.planes import Plane
 
 Pattern = tuple[tuple[int, int], ...]  # (row, column) of each datum, counted from 1 as in the ids
@@ -66,14 +66,14 @@ def source_pitch_mm(design: FrameDesign, beam: Beam) -> float:
     return ceil(2 * design.pitch_mm * source / xrii * (design.rows - 1) / design.rows) / 2
 
 
-def make_frame(design: FrameDesign) -> Frame:
-    """The frame of a design; ids read view-plate-row-column, such as "pa-x-3-4". Raises FrameError."""
+def views_of(design: FrameDesign) -> dict[str, FrameView]:
+    """The views of a design; ids read view-plate-row-column, such as "pa-x-3-4". Raises FrameError."""
     if design.rows < 3 or design.pitch_mm <= 0 or design.source_mm >= design.xrii_mm:
         raise FrameError(
             "give at least 3 rows, a pitch above zero, and an XRII plate further towards the intensifier "
             "than the source plate"
         )
-    return Frame(design.name, {view: _view(design, view) for view in design.beams})
+    return {view: _view(design, view) for view in design.beams}
 
 
 def _view(design: FrameDesign, name: str) -> FrameView:

@@ -4,7 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sightline.frame.model import ROLES, Fiducial, Frame, Plate
+from sightline.frame.model import Frame
+from sightline.frame.plate import ROLES, Fiducial, Plate
 from sightline.geometry.planes import Plane
 from sightline.geometry.rigid import displacement
 

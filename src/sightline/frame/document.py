@@ -1,13 +1,12 @@
-"""The schema of a frame file, and the way between it and a `Frame`."""
+"""The schema of a frame file."""
 
-from dataclasses import asdict
 from datetime import date
 from typing import Annotated, Any, Self
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
-from sightline.frame.model import Fiducial, Frame, FrameView, InUse, Plate, Shape, Tolerances
+from sightline.frame.plate import Fiducial, Plate, Shape
 
 MIN_BEADS = 4  # a plate seen in perspective has eight unknowns: four balls
 
@@ -127,49 +126,13 @@ def _check_covariance(rows: list[list[float]], size: int) -> None:
         )
 
 
-def frame_of(document: FrameDocument) -> Frame:
-    """The frame that a valid document describes."""
-    mm, rad = document.sd_mm, document.sd_rad
-    covariance = None
-    if document.covariance_mm2 is not None:
-        covariance = np.array(document.covariance_mm2)
-        covariance.flags.writeable = False
-    return Frame(
-        name=document.name,
-        views={name: FrameView(_plate(view.xrii), _plate(view.source)) for name, view in document.views.items()},
-        serial=document.serial,
-        measured_on=document.measured_on.isoformat() if document.measured_on else None,
-        temperature_c=document.temperature_c,
-        tolerances=Tolerances(mm.bead, mm.plate, rad.plate, mm.arm, rad.arm) if mm and rad else None,
-        covariance_mm2=covariance,
-        in_use=InUse(**document.in_use.model_dump()) if document.in_use else None,
-    )
-
-
-def _plate(fiducials: tuple[FiducialDocument, ...]) -> Plate:
+def plate_of(fiducials: tuple[FiducialDocument, ...]) -> Plate:
+    """The plate that a valid document describes."""
     return Plate(tuple(Fiducial(f.id, f.xyz, f.diameter, f.datum, f.shape) for f in fiducials))
 
 
-def document_of(frame: Frame) -> dict[str, Any]:
-    """The document of a frame as plain values, what is unknown left out; not yet checked."""
-    out: dict[str, Any] = {"name": frame.name, "units": "mm"}
-    for key in ("serial", "measured_on", "temperature_c"):
-        if (value := getattr(frame, key)) is not None:
-            out[key] = value
-    if (sd := frame.tolerances) is not None:
-        out["sd_mm"] = {"bead": sd.bead_mm, "plate": sd.plate_mm, "arm": sd.arm_mm}
-        out["sd_rad"] = {"plate": sd.plate_rad, "arm": sd.arm_rad}
-    if frame.in_use is not None:
-        out["in_use"] = asdict(frame.in_use)
-    out["views"] = {
-        name: {"xrii": _fiducials(view.xrii), "source": _fiducials(view.source)} for name, view in frame.views.items()
-    }
-    if frame.covariance_mm2 is not None:
-        out["covariance_mm2"] = frame.covariance_mm2.tolist()
-    return out
-
-
-def _fiducials(plate: Plate) -> list[dict[str, Any]]:
+def plate_document(plate: Plate) -> list[dict[str, Any]]:
+    """The document of a plate as plain values; not yet checked."""
     out: list[dict[str, Any]] = []
     for f in plate.fiducials:
         one: dict[str, Any] = {"id": f.id, "xyz": list(f.xyz_mm), "diameter": f.diameter_mm, "datum": f.datum}

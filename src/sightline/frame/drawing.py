@@ -10,7 +10,8 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
 from sightline.atomic import write_whole
-from sightline.frame.model import ROLES, Frame, Plate
+from sightline.frame.model import Frame
+from sightline.frame.plate import ROLES, Plate
 
 _ORDINARY, _DATUM = "#4c78a8", "#d62728"
 _PANEL_INCHES = 5.5

@@ -1,17 +1,16 @@
-"""Frame files (docs/frame-file.md): read, checked to the last key, and written whole or not at all."""
+"""The text of frame files (docs/frame-file.md): read and checked to the last key, and laid out for reading."""
 
 import json
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from pydantic import ValidationError
 
-from sightline.atomic import write_whole
 from sightline.bounded import read_bounded
 from sightline.errors import FrameError
-from sightline.frame.builtin import BUILTIN, builtin_frame
-from sightline.frame.document import FrameDocument, document_of, frame_of
-from sightline.frame.model import Frame
+from sightline.frame.builtin import BUILTIN
+from sightline.frame.document import FrameDocument
 
 SIZE_LIMIT_BYTES = 64 * 2**20  # [ours] six times the full covariance of the built-in frames
 _ERRORS_SHOWN = 3
@@ -26,49 +25,38 @@ _ADVICE = {
 }
 
 
-def load_frame(source: str | Path) -> Frame:
-    """See `Frame.load`."""
-    if isinstance(source, str) and source in BUILTIN:
-        return builtin_frame(source)
-    path = Path(source)
+def read_document(path: Path) -> FrameDocument:
+    """The document in a frame file. Raises FrameError."""
     if not path.is_file():
         raise FrameError(
             f"there is no frame file {path.name!r}; name a file, or one of the built-in frames: {', '.join(BUILTIN)}"
         )
     data = read_bounded(path, SIZE_LIMIT_BYTES, FrameError, "that is no frame file")
     try:
-        return frame_from_json(data)
+        return document_from_json(data)
     except FrameError as error:
         raise FrameError(f"{path.name}: {error}") from None
 
 
-def save_frame(frame: Frame, path: str | Path) -> None:
-    """See `Frame.save`. Raises FrameError for a frame that could not be loaded again; then nothing is written."""
-    text = frame_to_json(frame)
-    frame_from_json(text)
-    write_whole(path, text)
-
-
-def frame_from_json(text: bytes) -> Frame:
-    """A frame from the text of a frame file. Raises FrameError."""
+def document_from_json(text: bytes) -> FrameDocument:
+    """The document in the text of a frame file. Raises FrameError."""
     try:
         json.loads(text, object_pairs_hook=_without_repeats, parse_constant=_no_constant)
-        return frame_of(FrameDocument.model_validate_json(text))
+        return FrameDocument.model_validate_json(text)
     except ValidationError as error:
         raise FrameError(explain(error)) from None
     except (json.JSONDecodeError, UnicodeDecodeError, RecursionError) as error:
         raise FrameError(f"this is not a JSON file: {error}") from None
 
 
-def frame_to_json(frame: Frame) -> bytes:
+def json_of(document: Mapping[str, Any]) -> bytes:
     """The text of a frame file: one fiducial, or one row of the covariance, a line."""
-    document = document_of(frame)
-    views = document.pop("views")
-    covariance = document.pop("covariance_mm2", None)
-    parts = [f" {json.dumps(key)}: {json.dumps(value)}" for key, value in document.items()]
-    parts.append(' "views": {\n' + ",\n".join(_view_text(name, view) for name, view in views.items()) + "\n }")
-    if covariance is not None:
-        parts.append(' "covariance_mm2": ' + _lines(covariance, "  "))
+    blocks = ("views", "covariance_mm2")
+    parts = [f" {json.dumps(key)}: {json.dumps(value)}" for key, value in document.items() if key not in blocks]
+    views = [_view_text(name, view) for name, view in document["views"].items()]
+    parts.append(' "views": {\n' + ",\n".join(views) + "\n }")
+    if "covariance_mm2" in document:
+        parts.append(' "covariance_mm2": ' + _lines(document["covariance_mm2"], "  "))
     return ("{\n" + ",\n".join(parts) + "\n}\n").encode()
 
 

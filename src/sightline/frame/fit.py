@@ -12,8 +12,9 @@ from sightline.frame.adjust import FALSE_ALARM, Adjusted, adjust
 from sightline.frame.deviations import Completed, PlateDeviation, complete, fiducials, plate_deviations, plates
 from sightline.frame.identify import Identified, identify
 from sightline.frame.measurements import Series
-from sightline.frame.model import Frame, FrameView, Plate, Tolerances
-from sightline.frame.tolerances import EXPANSION_PER_K, error_factor
+from sightline.frame.model import Frame
+from sightline.frame.plate import FrameView, Plate
+from sightline.frame.tolerances import EXPANSION_PER_K, Tolerances, error_factor
 
 DRIFT_MM = 0.05  # physics.md, Frame [ours]: plate
 DRIFT_RAD_PER_MM = 0.2e-3 / 0.05  # physics.md, Frame [ours]: plate
@@ -107,7 +108,7 @@ def _measured(frame: Frame, whole: Completed, told: Circumstances) -> Frame:
         return Plate(tuple(replace(ball, xyz_mm=tuple(at)) for ball, at in balls))
 
     drift = Tolerances(0.0, told.drift_mm, told.drift_mm * DRIFT_RAD_PER_MM, 0.0, 0.0)
-    factor = error_factor(replace(frame, tolerances=drift, covariance_mm2=None, in_use=None))
+    factor = error_factor(frame.views, drift)
     covariance = whole.covariance_mm2 + factor @ factor.T
     covariance.flags.writeable = False
     return replace(

@@ -10,11 +10,12 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial import KDTree
 from scipy.spatial.distance import cdist
-from scipy.spatial.transform import RigidTransform, Rotation
+from scipy.spatial.transform import RigidTransform
 
 from sightline.errors import FrameError
 from sightline.frame.measurements import Series
 from sightline.frame.model import Frame
+from sightline.geometry.rigid import rigid_fit, rigid_fits
 
 TRIPLES = 400  # [calc] with half of the ids right, 50 of them are
 AGREE = 1 / 3  # [ours] of the smallest distance between two balls: nearer to their own place than to any other
@@ -42,7 +43,7 @@ class Identified:
 
 def identify(series: Series, frame: Frame) -> Identified:
     """The pose of a series and its wrong ids. Raises FrameError where balls are unknown or determine no pose."""
-    place = {f.id: np.array(f.xyz_mm) for view in frame.views.values() for f in view.fiducials}
+    place = {ball: np.array(xyz) for ball, xyz in frame.xyz_mm_by_id.items()}
     if unknown := [i for i in series.ids if i not in place]:
         raise FrameError(
             f"series {series.name!r}: frame {frame.name!r} has no ball {', '.join(map(repr, unknown[:5]))}; "
@@ -64,12 +65,6 @@ def identify(series: Series, frame: Frame) -> Identified:
     at = pose.apply(series.xyz_mm * (-1.0 if mirrored else 1.0))
     renamed, astray = _strays(series.ids, at, place, agrees, limit)
     return Identified(series.name, pose, renamed, astray, mirrored)
-
-
-def rigid_fit(from_mm: np.ndarray, to_mm: np.ndarray) -> RigidTransform:
-    """The least-squares pose: to_mm = pose.apply(from_mm), (N, 3) each."""
-    rotation, translation = _rigid(from_mm[None], to_mm[None])
-    return RigidTransform.from_components(translation[0], Rotation.from_matrix(rotation[0]))
 
 
 def _triples(nominal: np.ndarray, name: str) -> np.ndarray:
@@ -106,7 +101,7 @@ def _consensus(
     nominal: np.ndarray, measured: np.ndarray, triples: np.ndarray, limit: float
 ) -> tuple[RigidTransform, np.ndarray]:
     """The pose that most balls agree on, and which do."""
-    rotation, translation = _rigid(measured[triples], nominal[triples])
+    rotation, translation = rigid_fits(measured[triples], nominal[triples])
     at = np.einsum("tij,nj->tni", rotation, measured) + translation[:, None]
     count = ((at - nominal) ** 2).sum(axis=2) < limit**2
     agrees = count[np.argmax(count.sum(axis=1))]
@@ -117,15 +112,6 @@ def _consensus(
             break
         pose = rigid_fit(measured[agrees], nominal[agrees])
     return pose, agrees
-
-
-def _rigid(from_mm: np.ndarray, to_mm: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Rotations (T, 3, 3) and translations (T, 3) of many sets (T, N, 3), by Kabsch's method."""
-    p, q = from_mm.mean(axis=1), to_mm.mean(axis=1)
-    u, _, vt = np.linalg.svd(np.einsum("tni,tnj->tij", to_mm - q[:, None], from_mm - p[:, None]))
-    u[:, :, 2] *= np.sign(np.linalg.det(u @ vt))[:, None]
-    rotation = u @ vt
-    return rotation, q - np.einsum("tij,tj->ti", rotation, p)
 
 
 def _strays(

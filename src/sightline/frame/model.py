@@ -1,101 +1,23 @@
-"""A calibration frame as data: views, plates, fiducials, tolerances. All coordinates are CFCS, mm."""
+"""A calibration frame as data: its views, and how well their beads' coordinates are known. CFCS, mm."""
 
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from hashlib import sha256
 from pathlib import Path
-from typing import Literal
+from typing import Any
 
 import numpy as np
 
+from sightline.atomic import write_whole
 from sightline.errors import FrameError
-from sightline.geometry.planes import Plane
-
-Shape = Literal["ball", "washer"]
-ROLES = ("xrii", "source")
-
-
-@dataclass(frozen=True)
-class Fiducial:
-    """One bead: `xyz_mm` in CFCS; a `datum` is a marker that tells the plate and its orientation."""
-
-    id: str
-    xyz_mm: tuple[float, float, float]
-    diameter_mm: float
-    datum: bool = False
-    shape: Shape = "ball"
-
-
-@dataclass(frozen=True)
-class Tolerances:
-    """Standard deviations of a frame's errors: bead (independent), plate (its beads share it), arm (a view shares it).
-
-    Defaults: physics.md, section Frame [ours].
-    """
-
-    bead_mm: float = 0.02
-    plate_mm: float = 0.05
-    plate_rad: float = 0.2e-3
-    arm_mm: float = 0.1
-    arm_rad: float = 0.3e-3
-
-
-@dataclass(frozen=True)
-class InUse:
-    """What befalls a frame between its measurement and its use, one s.d. each: kelvin that the plates (PMMA) are warmer
-    or colder, share of their mass taken up or given off as water, newtons of drapes on an arm."""
-
-    warmer_k: float = 0.0
-    water_share: float = 0.0
-    drape_n: float = 0.0
-
-
-@dataclass(frozen=True)
-class Plate:
-    """One calibration plate: its fiducials, in the order of the frame file."""
-
-    fiducials: tuple[Fiducial, ...]
-
-    @cached_property
-    def ids(self) -> tuple[str, ...]:
-        """The ids of the fiducials."""
-        return tuple(f.id for f in self.fiducials)
-
-    @cached_property
-    def xyz_mm(self) -> np.ndarray:
-        """(N, 3), CFCS."""
-        out = np.array([f.xyz_mm for f in self.fiducials], dtype=np.float64).reshape(-1, 3)
-        out.flags.writeable = False
-        return out
-
-    @cached_property
-    def is_datum(self) -> np.ndarray:
-        """(N,) bool."""
-        return np.array([f.datum for f in self.fiducials], dtype=bool)
-
-    @cached_property
-    def plane(self) -> Plane:
-        """The least-squares plane of the beads."""
-        return Plane.fit(self.xyz_mm)
-
-
-@dataclass(frozen=True)
-class FrameView:
-    """The two plates of one view: `xrii` nearer to the intensifier, `source` nearer to the X-ray source."""
-
-    xrii: Plate
-    source: Plate
-
-    @cached_property
-    def fiducials(self) -> tuple[Fiducial, ...]:
-        """All fiducials, XRII plate first. This order is the order of every covariance of a view."""
-        return self.xrii.fiducials + self.source.fiducials
-
-    @cached_property
-    def by_id(self) -> dict[str, Fiducial]:
-        """Fiducials by id."""
-        return {f.id: f for f in self.fiducials}
+from sightline.frame.builtin import BUILTIN, builtin_design
+from sightline.frame.design import FrameDesign, views_of
+from sightline.frame.document import FrameDocument, plate_document, plate_of
+from sightline.frame.files import document_from_json, json_of, read_document
+from sightline.frame.handed import is_mirror_image
+from sightline.frame.plate import FrameView
+from sightline.frame.tolerances import InUse, Tolerances, error_factor
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,6 +51,11 @@ class Frame:
             known = ", ".join(self.views)
             raise FrameError(f"frame {self.name!r} has no view {name!r}; it has: {known}") from None
 
+    @cached_property
+    def xyz_mm_by_id(self) -> dict[str, tuple[float, float, float]]:
+        """The coordinates of every bead by its id, CFCS."""
+        return {f.id: f.xyz_mm for view in self.views.values() for f in view.fiducials}
+
     def rows(self, view: str) -> slice:
         """Which rows of `error_factor` and `covariance_mm2` are the bead coordinates of one view."""
         start = 0
@@ -146,9 +73,8 @@ class Frame:
         rotation (about the centroid of its beads) are shared by its beads; an arm's (about the centroid of the
         view's beads) by the view. With `covariance_mm2`, a factor of that; with `in_use`, columns more. mm.
         """
-        from sightline.frame.tolerances import error_factor
-
-        return error_factor(self)
+        stated = self.effective_tolerances if self.covariance_mm2 is None else self.covariance_mm2
+        return error_factor(self.views, stated, self.in_use)
 
     @property
     def key(self) -> str:
@@ -161,9 +87,7 @@ class Frame:
 
         One frame measured twice has one key and two fingerprints: its coordinates differ.
         """
-        from sightline.frame.files import frame_to_json
-
-        return f"{self.key}#{sha256(frame_to_json(self)).hexdigest()[:16]}"
+        return f"{self.key}#{sha256(self.to_json()).hexdigest()[:16]}"
 
     @staticmethod
     def load(source: str | Path, before: "Iterable[Frame]" = ()) -> "Frame":
@@ -172,15 +96,76 @@ class Frame:
         `before`: frames that were used earlier; the mirror image of one with the same name and serial is refused, since
         it would calibrate as well and mirror every point. Raises FrameError.
         """
-        from sightline.frame.files import load_frame
-        from sightline.frame.handed import refuse_mirror_image
-
-        frame = load_frame(source)
-        refuse_mirror_image(frame, before)
+        if isinstance(source, str) and source in BUILTIN:
+            frame = Frame.from_design(builtin_design(source))
+        else:
+            frame = Frame.from_document(read_document(Path(source)))
+        frame.refuse_mirror_image(before)
         return frame
 
     def save(self, path: str | Path) -> None:
-        """Write the frame file of docs/frame-file.md."""
-        from sightline.frame.files import save_frame
+        """Write the frame file of docs/frame-file.md, whole or not at all.
 
-        save_frame(self, path)
+        Raises FrameError for a frame that could not be loaded again; then nothing is written.
+        """
+        text = self.to_json()
+        document_from_json(text)
+        write_whole(path, text)
+
+    def refuse_mirror_image(self, before: "Iterable[Frame]") -> None:
+        """Raise FrameError where one of the frames `before`, of the same name and serial, is mirrored by this one."""
+        if any(other.key == self.key and is_mirror_image(self.xyz_mm_by_id, other.xyz_mm_by_id) for other in before):
+            raise FrameError(
+                f"frame {self.key.rstrip('/')} is the mirror image of the file of the same frame before it; one of "
+                "them is left-handed: correct it, and see that 'sightline frame check FILE --before FILE' passes"
+            )
+
+    @staticmethod
+    def from_design(design: FrameDesign) -> "Frame":
+        """The frame of a design, of unstated tolerances. Raises FrameError where the design is impossible."""
+        return Frame(design.name, views_of(design))
+
+    @staticmethod
+    def from_document(document: FrameDocument) -> "Frame":
+        """The frame that a valid document describes."""
+        mm, rad = document.sd_mm, document.sd_rad
+        covariance = None
+        if document.covariance_mm2 is not None:
+            covariance = np.array(document.covariance_mm2)
+            covariance.flags.writeable = False
+        return Frame(
+            name=document.name,
+            views={
+                name: FrameView(plate_of(view.xrii), plate_of(view.source)) for name, view in document.views.items()
+            },
+            serial=document.serial,
+            measured_on=document.measured_on.isoformat() if document.measured_on else None,
+            temperature_c=document.temperature_c,
+            tolerances=Tolerances(mm.bead, mm.plate, rad.plate, mm.arm, rad.arm) if mm and rad else None,
+            covariance_mm2=covariance,
+            in_use=InUse(**document.in_use.model_dump()) if document.in_use else None,
+        )
+
+    @staticmethod
+    def from_json(text: bytes) -> "Frame":
+        """The frame of the text of a frame file. Raises FrameError."""
+        return Frame.from_document(document_from_json(text))
+
+    def to_json(self) -> bytes:
+        """The text of the frame file; not yet checked."""
+        out: dict[str, Any] = {"name": self.name, "units": "mm"}
+        for key in ("serial", "measured_on", "temperature_c"):
+            if (value := getattr(self, key)) is not None:
+                out[key] = value
+        if (sd := self.tolerances) is not None:
+            out["sd_mm"] = {"bead": sd.bead_mm, "plate": sd.plate_mm, "arm": sd.arm_mm}
+            out["sd_rad"] = {"plate": sd.plate_rad, "arm": sd.arm_rad}
+        if self.in_use is not None:
+            out["in_use"] = asdict(self.in_use)
+        out["views"] = {
+            name: {"xrii": plate_document(view.xrii), "source": plate_document(view.source)}
+            for name, view in self.views.items()
+        }
+        if self.covariance_mm2 is not None:
+            out["covariance_mm2"] = self.covariance_mm2.tolist()
+        return json_of(out)

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from sightline.frame.model import FrameView
+from sightline.frame.plate import FrameView
 from sightline.geometry.planes import Plane
 
 SOURCE_TO_HIP_MM = 620.0  # physics.md, C-arm and image chain [ours]

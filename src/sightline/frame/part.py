@@ -6,7 +6,8 @@ import numpy as np
 
 from sightline.errors import FrameError
 from sightline.frame.deviations import plates
-from sightline.frame.model import Fiducial, Frame, Plate
+from sightline.frame.model import Frame
+from sightline.frame.plate import Fiducial, Plate
 
 THICKNESS_MM = 8.0  # [ours] as in the twin
 FLOOR_MM = 1.5  # [ours] least material before and behind a ball

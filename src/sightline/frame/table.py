@@ -12,10 +12,11 @@ from pydantic import ValidationError
 
 from sightline.bounded import read_text
 from sightline.errors import FrameError
-from sightline.frame.document import FrameDocument, frame_of
+from sightline.frame.document import FrameDocument
 from sightline.frame.files import SIZE_LIMIT_BYTES, explain
-from sightline.frame.model import ROLES, Frame, Tolerances
-from sightline.frame.tolerances import error_factor
+from sightline.frame.model import Frame
+from sightline.frame.plate import ROLES
+from sightline.frame.tolerances import Tolerances, error_factor
 
 _NEEDED = ("view", "plate", "id", "x_mm", "y_mm", "z_mm", "diameter_mm")
 _COVARIANCE = ("xx_mm2", "xy_mm2", "xz_mm2", "yy_mm2", "yz_mm2", "zz_mm2")
@@ -45,7 +46,7 @@ def frame_from_csv(path: str | Path, name: str) -> Frame:
         },
     }
     try:
-        frame = frame_of(FrameDocument.model_validate(document))
+        frame = Frame.from_document(FrameDocument.model_validate(document))
     except ValidationError as error:
         raise FrameError(f"{Path(path).name}: {explain(error)}") from None
     in_order = [entry for plates in views.values() for role in ROLES for entry in plates[role]]
@@ -128,7 +129,7 @@ def _whole_covariance(frame: Frame, blocks: np.ndarray) -> np.ndarray:
     least = np.linalg.eigvalsh(blocks)[:, 0] if np.isfinite(blocks).all() else np.array([-np.inf])
     if (least < -1e-9 * np.abs(blocks).max(axis=(1, 2))).any():
         raise FrameError("a ball's covariance is not finite or not positive semi-definite; correct its row")
-    shared = error_factor(replace(frame, tolerances=replace(Tolerances(), bead_mm=0.0)))
+    shared = error_factor(frame.views, replace(Tolerances(), bead_mm=0.0))
     out = shared @ shared.T
     for ball, block in enumerate(blocks):
         rows = slice(3 * ball, 3 * ball + 3)

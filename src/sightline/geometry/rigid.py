@@ -1,10 +1,27 @@
-"""Small rigid motions. A twist is (rotation vector rad, translation mm), the order of `RigidTransform.from_exp_coords`.
+"""Rigid motions: the best fit of two sets of points, and small motions.
+
+A twist is (rotation vector rad, translation mm), the order of `RigidTransform.from_exp_coords`.
 
 Spatial twists are expressed in the coordinates that a pose maps to: a pose T moved by the twist x is exp(x) T.
 """
 
 import numpy as np
-from scipy.spatial.transform import RigidTransform
+from scipy.spatial.transform import RigidTransform, Rotation
+
+
+def rigid_fit(from_mm: np.ndarray, to_mm: np.ndarray) -> RigidTransform:
+    """The least-squares pose: to_mm = pose.apply(from_mm), (N, 3) each."""
+    rotation, translation = rigid_fits(from_mm[None], to_mm[None])
+    return RigidTransform.from_components(translation[0], Rotation.from_matrix(rotation[0]))
+
+
+def rigid_fits(from_mm: np.ndarray, to_mm: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Rotations (T, 3, 3) and translations (T, 3) that fit many sets (T, N, 3) by least squares: Kabsch's method."""
+    p, q = from_mm.mean(axis=1), to_mm.mean(axis=1)
+    u, _, vt = np.linalg.svd(np.einsum("tni,tnj->tij", to_mm - q[:, None], from_mm - p[:, None]))
+    u[:, :, 2] *= np.sign(np.linalg.det(u @ vt))[:, None]
+    rotation = u @ vt
+    return rotation, q - np.einsum("tij,tj->ti", rotation, p)
 
 ROTATION_TOLERANCE = 1e-4  # [ours] 0.025 mm over a wire of 250 mm; 32-bit numbers alone leave 2e-7
 

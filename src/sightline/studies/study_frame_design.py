@@ -20,7 +20,7 @@ from sightline.errors import SightlineError
 from sightline.frame import Frame, Tolerances
 from sightline.frame.builtin import GAMMA_BEAMS
 from sightline.frame.check import reach_mm
-from sightline.frame.design import Balls, FrameDesign, make_frame
+from sightline.frame.design import Balls, FrameDesign
 from sightline.frame.nominal import SOURCE_TO_DETECTOR_MM, SOURCE_TO_HIP_MM, in_field
 from sightline.studies.figure_spans import Span, spans
 from sightline.studies.intervals import rms, share
@@ -64,7 +64,7 @@ class Design:
         balls, none = Balls(self.ball_mm, self.ball_mm), dict.fromkeys(GAMMA_BEAMS, ((), ()))
         plates = {"rows": self.rows, "pitch_mm": self.pitch_mm, "xrii_mm": self.xrii_mm, "source_mm": self.source_mm}
         design = FrameDesign("gamma", GAMMA_BEAMS, none, **plates, xrii_balls=balls, source_balls=balls)
-        return replace(make_frame(design), tolerances=tolerances)
+        return replace(Frame.from_design(design), tolerances=tolerances)
 
 
 DEFAULT = Design()

@@ -13,7 +13,6 @@ import numpy as np
 
 from sightline.frame import Frame
 from sightline.frame.builtin import builtin_design
-from sightline.frame.design import make_frame
 from sightline.studies.figure_spans import Span, spans
 from sightline.studies.intervals import quantile, share
 from sightline.studies.methods import errors
@@ -144,7 +143,7 @@ class Table1:
 def frame_with(plates: str) -> Frame:
     """The frame of an entry of PLATES, with the default tolerances of balls, plates and arms."""
     name, source, xrii = PLATES[plates]
-    return replace(make_frame(replace(builtin_design(name), source_mm=source, xrii_mm=xrii)), tolerances=WHOLE)
+    return replace(Frame.from_design(replace(builtin_design(name), source_mm=source, xrii_mm=xrii)), tolerances=WHOLE)
 
 
 def key(plates: str, method: str, pick_px: float) -> str:

@@ -17,7 +17,7 @@ from sightline.app.work.rehearsing import Patient, drawn
 from sightline.calibration.view import CalibratedView
 from sightline.case.report.figures.scene import NEAR_MM, magnification
 from sightline.frame import Frame
-from sightline.frame.model import Plate
+from sightline.frame.plate import Plate
 from sightline.geometry.covariance import ellipsoid_factor
 from sightline.imaging import Radiograph
 from sightline.planning import Trajectory
