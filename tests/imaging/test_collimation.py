@@ -5,7 +5,6 @@ import numpy as np
 import pytest
 
 from sightline.imaging import Radiograph
-from sightline.imaging.collimation import field_mask
 
 H, W = 480, 512
 CENTRE, RADIUS = np.array([261.3, 237.8]), 221.7
@@ -80,32 +79,32 @@ def assert_edge_within(mask: np.ndarray, truth: np.ndarray, tolerance_px: int) -
 @pytest.mark.parametrize("field", FIELDS)
 def test_every_shape_is_found_to_a_hundredth_of_its_radius(field) -> None:
     truth = field()
-    mask = field_mask(Radiograph(exposed(truth), 4095.0))
+    mask = Radiograph(exposed(truth), 4095.0).field_mask
     assert mask.dtype == bool
     assert not mask.flags.writeable
     assert_edge_within(mask, truth, 3)
 
 
 def test_an_image_without_collimation_is_field_to_its_last_pixel() -> None:
-    assert field_mask(Radiograph(exposed(whole_field()), 4095.0)).all()
+    assert Radiograph(exposed(whole_field()), 4095.0).field_mask.all()
 
 
 @pytest.mark.parametrize("field", FIELDS)
 def test_a_wide_dark_thing_across_the_rim_is_bridged(field) -> None:
     """A bolster of metal from outside the rim to the middle; in a round field the circle closes the gap."""
     bolster = (np.abs(V - CENTRE[1] - 20) < 45) & (U > 300)
-    mask = field_mask(Radiograph(exposed(field(), dark=bolster), 4095.0))
+    mask = Radiograph(exposed(field(), dark=bolster), 4095.0).field_mask
     assert_edge_within(mask, field(), 8 if field in (octagonal_field, bladed_field) else 4)
 
 
 def test_a_bar_that_cuts_the_field_in_two_does_not_halve_it() -> None:
     bar = np.abs(U - CENTRE[0] + 0.2 * V) < 30
-    assert_edge_within(field_mask(Radiograph(exposed(round_field(), dark=bar), 4095.0)), round_field(), 4)
+    assert_edge_within(Radiograph(exposed(round_field(), dark=bar), 4095.0).field_mask, round_field(), 4)
 
 
 def test_one_dark_corner_is_anatomy_not_collimation() -> None:
     corner = U + V < 150
-    assert field_mask(Radiograph(exposed(whole_field(), dark=corner), 4095.0)).all()
+    assert Radiograph(exposed(whole_field(), dark=corner), 4095.0).field_mask.all()
 
 
 def test_writing_outside_the_field_and_a_line_along_the_border_are_not_field() -> None:
@@ -114,7 +113,7 @@ def test_writing_outside_the_field_and_a_line_along_the_border_are_not_field() -
     cv2.putText(writing, "70 kV", (430, 470), cv2.FONT_HERSHEY_SIMPLEX, 0.7, 255, 2)
     pixels = np.where(writing > 0, 4095, exposed(round_field())).astype(np.uint16)
     pixels[0] = np.linspace(0, 4091, W)
-    assert_edge_within(field_mask(Radiograph(pixels, 4095.0)), round_field(), 3)
+    assert_edge_within(Radiograph(pixels, 4095.0).field_mask, round_field(), 3)
 
 
 @pytest.mark.parametrize(
@@ -128,10 +127,10 @@ def test_writing_outside_the_field_and_a_line_along_the_border_are_not_field() -
     ],
 )
 def test_a_degenerate_image_gives_a_mask_of_its_shape(pixels: np.ndarray) -> None:
-    assert field_mask(Radiograph(pixels, 65535.0)).shape == pixels.shape
+    assert Radiograph(pixels, 65535.0).field_mask.shape == pixels.shape
 
 
 @pytest.mark.parametrize("kind", [np.uint8, np.float32])
 def test_the_pixel_type_does_not_matter(kind: type) -> None:
     pixels = (exposed(octagonal_field()) / 16.0).astype(kind)
-    assert_edge_within(field_mask(Radiograph(pixels, 255.0)), octagonal_field(), 3)
+    assert_edge_within(Radiograph(pixels, 255.0).field_mask, octagonal_field(), 3)

@@ -8,8 +8,6 @@ opaque ball.
 import cv2
 import numpy as np
 
-from sightline.imaging.radiograph import Radiograph
-
 # All [ours], tried on the twin's images with and without marks and on those of a mobile C-arm.
 _STEP = 0.04  # of the values' range: a fainter mark moves no bead's rim
 _NOISE_STEP = 4.0  # times the 90 % quantile of differences between neighbours, 6.6 standard deviations of noise
@@ -24,19 +22,21 @@ _AROUND = 5  # px, width of the square by which marks are widened: their edges m
 _SAMPLE = 16  # every so many rows and columns tell how much neighbours differ
 
 
-def burnt_in(radiograph: Radiograph) -> np.ndarray | None:
+def burnt_in(pixels: np.ndarray, white: float, field: np.ndarray) -> np.ndarray | None:
     """(H, W) bool, read-only, True on marks and two pixels around them; None where there is none, as in most images.
 
+    `pixels` (H, W) and `white`: of a `Radiograph`; `field` (H, W) bool: True inside the collimation.
     Found are marks of one exact value that lie in the field, at least in part: what lies outside it is no part of the
     field mask. Not found are half-transparent marks, and those that a lossy compression or a video chain blurred.
     """
-    pixels, least = radiograph.pixels, _least_step(radiograph)
-    seeds = _seeds(radiograph, least)
+    least = _least_step(pixels, white)
+    seeds = _seeds(pixels, field, least)
     values, counts = np.unique(pixels[seeds[:, 0], seeds[:, 1]], return_counts=True)
     commonest = np.argsort(-counts, kind="stable")[:_VALUES]
     marks = np.zeros(pixels.shape, bool)
     for value in values[commonest][counts[commonest] >= _SEEDS]:
-        marks |= _marks_of(radiograph, float(value), seeds, least)
+        clipped = value >= white or value == pixels[field].min()
+        marks |= _marks_of(pixels, field, float(value), seeds, least, clipped=bool(clipped))
     if not marks.any():
         return None
     mask = cv2.dilate(marks.view(np.uint8), np.ones((_AROUND, _AROUND), np.uint8)).view(bool)
@@ -44,21 +44,20 @@ def burnt_in(radiograph: Radiograph) -> np.ndarray | None:
     return mask
 
 
-def _least_step(radiograph: Radiograph) -> float:
+def _least_step(pixels: np.ndarray, white: float) -> float:
     """How much neighbours must differ to be a step."""
-    pixels = radiograph.pixels
-    span = radiograph.white if pixels.dtype != np.float32 else float(pixels.max()) - float(pixels.min())
+    span = white if pixels.dtype != np.float32 else float(pixels.max()) - float(pixels.min())
     here, beside = (pixels[::_SAMPLE, column::_SAMPLE].astype(np.float32) for column in (0, 1))
     differences = np.sort(np.abs(here[:, : beside.shape[1]] - beside), axis=None)
     return max(_STEP * span, _NOISE_STEP * float(differences[int(0.9 * (len(differences) - 1))]))
 
 
-def _seeds(radiograph: Radiograph, least: float) -> np.ndarray:
+def _seeds(pixels: np.ndarray, field: np.ndarray, least: float) -> np.ndarray:
     """(N, 2) row and column where a run of one value, two pixels or more, begins and ends with the same step.
 
     Every second row is looked at, well inside the field: letters are higher than two rows.
     """
-    pixels, rows = radiograph.pixels, radiograph.pixels[::2]
+    rows = pixels[::2]
     steps = np.flatnonzero(cv2.absdiff(rows[:, 1:], rows[:, :-1]) > least)  # few; along one axis they are found sooner
     row, before = np.divmod(steps, pixels.shape[1] - 1)
     first, last = before[:-1] + 1, before[1:]  # of the run between one step and the next
@@ -67,27 +66,30 @@ def _seeds(radiograph: Radiograph, least: float) -> np.ndarray:
     value = pixels[v, first]
     alike = (pixels[v, last] == value) & (pixels[v, (first + last) // 2] == value)
     ends = (pixels[v, first - 1] > value) == (pixels[v, last + 1] > value)
-    return np.stack([v, first], axis=1)[alike & ends & _well_inside(radiograph, v, first)]
+    return np.stack([v, first], axis=1)[alike & ends & _well_inside(field, v, first)]
 
 
-def _well_inside(radiograph: Radiograph, v: np.ndarray, u: np.ndarray) -> np.ndarray:
+def _well_inside(field: np.ndarray, v: np.ndarray, u: np.ndarray) -> np.ndarray:
     """(N,) bool: whether these pixels lie in the field and not on its rim."""
-    field, (height, width) = radiograph.field_mask, radiograph.shape
+    height, width = field.shape
     rim = 1 + int(_RIM * min(height, width))
     inside = (v >= rim) & (v < height - rim) & (u >= rim) & (u < width - rim)
     near = [field[(v + y * rim) % height, (u + x * rim) % width] for y, x in ((-1, 0), (1, 0), (0, -1), (0, 1))]
     return inside & np.all(near, axis=0)
 
 
-def _marks_of(radiograph: Radiograph, value: float, seeds: np.ndarray, least: float) -> np.ndarray:
-    """(H, W) bool: connected pixels of one value in the field that are marks; none unless one of them holds a seed."""
-    pixels, field = radiograph.pixels, radiograph.field_mask
+def _marks_of(
+    pixels: np.ndarray, field: np.ndarray, value: float, seeds: np.ndarray, least: float, *, clipped: bool
+) -> np.ndarray:
+    """(H, W) bool: connected pixels of one value in the field that are marks; none unless one of them holds a seed.
+
+    `clipped`: the value is the image's largest or smallest; then only strokes are marks.
+    """
     alike = (pixels == value).view(np.uint8)
     count, part, stats, _ = cv2.connectedComponentsWithStats(alike, connectivity=8)
     size, inside = stats[:, cv2.CC_STAT_AREA], np.bincount(part[field], minlength=count)
     keep = (size >= _SMALLEST) & (2 * inside > size)
     keep[0] = False  # what is not alike
-    clipped = value >= radiograph.white or value == pixels[field].min()
     seeded = np.unique(part[seeds[:, 0], seeds[:, 1]])
 
     def is_mark(i: np.intp) -> bool:

@@ -3,8 +3,6 @@
 import cv2
 import numpy as np
 
-from sightline.imaging.radiograph import Radiograph
-
 # All [ours], tried on a mobile C-arm's round and octagonal images and on coronary angiograms.
 _SMALL_SIDE = 256  # the outline is found on an image reduced to about this
 _DARK_CORNER = 0.1  # of the median of what X-rays reach: with brighter corners an image is not collimated
@@ -18,21 +16,21 @@ _BLUR_PX = 4  # a wider slope at the edge is a half-shadow, which belongs to the
 _ARCS = 0.3  # of the outline must lie on a circle before the field counts as round
 
 
-def field_mask(radiograph: Radiograph) -> np.ndarray:
+def field_mask(pixels: np.ndarray) -> np.ndarray:
     """(H, W) bool, read-only, True inside the collimation; all True where there is none.
 
-    Every collimation (round, octagonal, rectangular, blades within a round field) is convex, so the field is the
-    convex hull of what is bright: dark anatomy and metal at its rim are bridged, in a round field by the circle. The
-    edge is good to a hundredth of the field's radius, to a twentieth where it is bridged; half-shadowed rims belong to
-    the field.
+    `pixels` (H, W): of a `Radiograph`. Every collimation (round, octagonal, rectangular, blades within a round field)
+    is convex, so the field is the convex hull of what is bright: dark anatomy and metal at its rim are bridged, in a
+    round field by the circle. The edge is good to a hundredth of the field's radius, to a twentieth where it is
+    bridged; half-shadowed rims belong to the field.
     """
-    outline = _outline(radiograph.pixels)
-    mask = np.ones(radiograph.shape, dtype=bool) if outline is None else _drawn(*outline, radiograph.shape)
+    outline = _outline(pixels)
+    mask = np.ones(pixels.shape, dtype=bool) if outline is None else _drawn(*outline, pixels.shape)
     mask.flags.writeable = False
     return mask
 
 
-def _drawn(corners_px: np.ndarray, depth_px: float, shape: tuple[int, int]) -> np.ndarray:
+def _drawn(corners_px: np.ndarray, depth_px: float, shape: tuple[int, ...]) -> np.ndarray:
     """(H, W) bool: the polygon of (N, 2) corners without a seam of `depth_px`; the image's border has none."""
     mask = np.zeros(shape, dtype=np.uint8)
     corners = np.round(corners_px * 16).astype(np.int32)

@@ -6,6 +6,8 @@ from functools import cached_property
 import numpy as np
 
 from sightline.errors import ImageError
+from sightline.imaging.burnt_in import burnt_in
+from sightline.imaging.collimation import field_mask
 
 
 @dataclass(frozen=True)
@@ -77,13 +79,9 @@ class Radiograph:
     @cached_property
     def field_mask(self) -> np.ndarray:
         """(H, W) bool, True inside the round or octagonal collimation."""
-        from sightline.imaging.collimation import field_mask
-
-        return field_mask(self)
+        return field_mask(self.pixels)
 
     @cached_property
     def burnt_in(self) -> np.ndarray | None:
         """(H, W) bool, True on what was written into the image; None where nothing was."""
-        from sightline.imaging.burnt_in import burnt_in
-
-        return burnt_in(self)
+        return burnt_in(self.pixels, self.white, self.field_mask)
