@@ -10,6 +10,7 @@ import numpy as np
 from sightline.calibration.focal_length import pixel_solid_angle
 from sightline.calibration.joint import JointFit
 from sightline.checks import Check
+from sightline.fitting.robust import MAD_TO_SD
 from sightline.geometry.covariance import TWO_SIDED_999
 
 # By so much, in log radius, the fitted radius may be wrong where blur or hardening are not what the fit takes them for
@@ -17,7 +18,6 @@ from sightline.geometry.covariance import TWO_SIDED_999
 # too large, those of 5 mm 0.9 to 2.6 %; a machine that nobody measured may be three times as far off.
 SYSTEMATIC = 0.06
 _FEWEST = 8  # balls [ours]
-_MAD = 1.4826  # s.d. of a normal distribution over its median absolute deviation
 _MEDIAN = 1.2533  # s.d. of the median over that of the mean (normal distribution)
 
 
@@ -33,7 +33,7 @@ def ball_size_check(fit: JointFit) -> list[Check]:
     stated_mm = np.array([f.diameter_mm for f in fiducials]) / 2
     larger = np.log(beads.radius_px * _mm_per_px(fit) / stated_mm)[balls]
     figure = float(np.median(larger))
-    sd = _MEDIAN * _MAD * float(np.median(np.abs(larger - figure))) / np.sqrt(len(larger))
+    sd = _MEDIAN * MAD_TO_SD * float(np.median(np.abs(larger - figure))) / np.sqrt(len(larger))
     limit = float(SYSTEMATIC + TWO_SIDED_999 * sd)
     passed = abs(figure) <= limit
     sentence = (

@@ -16,6 +16,7 @@ from sightline.calibration.beads import match
 from sightline.calibration.joint import JointFit
 from sightline.detection.results import Observations
 from sightline.errors import CalibrationRefusedError, UnusableInputError
+from sightline.fitting.robust import variance_ratio
 from sightline.frame import Frame
 
 FEWEST_BEADS = 12  # of 11 numbers, two equations each, and some to spare [ours]
@@ -23,7 +24,6 @@ _NUMBERS = 11
 _UNIT_MM = 100.0  # of the plane's coordinates in the homography, so that its numbers are alike [calc]
 _WRONG_M2 = 13.8  # chi-square, two degrees of freedom, once in 1,000: an instrument in front of a bead
 _ROUNDS = 3  # of leaving out wrong beads
-_MEDIAN_M2 = 1.386  # of chi-square with two degrees of freedom
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,7 +146,7 @@ def _agreed(design: np.ndarray, gap_mm: np.ndarray, weight: np.ndarray) -> tuple
                 f"{used.sum()} beads are in both images; {FEWEST_BEADS} are needed to tell a movement"
             )
         gain, square = _solved(design, gap_mm, weight, used)
-        scale = max(1.0, float(np.median(square[used])) / _MEDIAN_M2)
+        scale = max(1.0, variance_ratio(square[used]))
         wrong = used & (square > _WRONG_M2 * scale)
         rounds += 1
         if rounds > _ROUNDS or not wrong.any():

@@ -13,13 +13,15 @@ from functools import cached_property
 import numpy as np
 
 from sightline.calibration.beads import Beads
-from sightline.calibration.gaussian import Solution, least_squares, solve_lower
 from sightline.calibration.polynomial import Affine, monomial_gradients, monomials, terms
 from sightline.calibration.posterior import LineErrors
 from sightline.calibration.prior import NOISE_SCALES_PX, Learned, Problem, learn
 from sightline.calibration.projection import Pencil, refuse_misplaced
 from sightline.calibration.smooth import DEGREE, SmoothMap
+from sightline.calibration.well_conditioned import well_conditioned
 from sightline.errors import CalibrationRefusedError
+from sightline.fitting.kriging import Kriging, PlanarKriging
+from sightline.fitting.triangular import least_squares, solve_lower
 
 # 20 numbers of the cubic and 3 of F are 23; with fewer beads than this nothing is left to test them by [ours].
 FEWEST_BEADS = 16
@@ -38,7 +40,7 @@ class JointFit:
     pencil: Pencil
     map: SmoothMap
     learned: Learned
-    solution: Solution
+    solution: Kriging
     data_mm: np.ndarray
     noise: np.ndarray
     jacobian: np.ndarray
@@ -82,6 +84,7 @@ class JointFit:
         return np.sqrt(np.einsum("ia,ia->i", gap, np.linalg.solve(own, gap[..., None])[..., 0]))
 
 
+@well_conditioned()
 def fit_jointly(beads: Beads) -> JointFit:
     """Plane map and focal point of the beads. Raises CalibrationRefusedError."""
     if len(beads) < FEWEST_BEADS:
@@ -97,6 +100,7 @@ def fit_jointly(beads: Beads) -> JointFit:
     return _weighted(beads, start.unit, learned, kernel, pencil, plane_map.jacobian(beads.uv_px))
 
 
+@well_conditioned()
 def fit_jointly_from(last: JointFit, beads: Beads) -> JointFit:
     """The same with the prior, and from the focal point and the slopes, of the fit of another image of one sequence.
 
@@ -113,14 +117,10 @@ def _roughly(
 ) -> tuple[Pencil, SmoothMap]:
     """One Gauss-Newton step with noise of one number per bead: both coordinates alike, so a quarter of the size."""
     covariance = kernel + np.diag(learned.noise_scale**2 * problem.noise_mm2 + problem.frame_mm2)
-    by_q = problem.shared[:, :, 0]
-    solution = Solution.of(problem.design, covariance, np.hstack([problem.data_mm, by_q]))
-    (theta, theta_q), (dual, dual_q) = np.hsplit(solution.theta, 2), np.hsplit(solution.dual, 2)
-    q = np.sum(by_q * dual) / np.sum(by_q * dual_q)
-    theta, dual = theta - q * theta_q, dual - q * dual_q
-    moved = Pencil(beads.plane, start.pencil.pq - np.append(theta[-1], q))
+    solution = PlanarKriging.of(covariance, problem.data_mm, design=problem.design, columns=problem.shared)
+    moved = Pencil(beads.plane, start.pencil.pq - np.append(solution.theta[-1], solution.shared))
     refuse_misplaced(moved, beads.xyz_mm)
-    return moved, SmoothMap(start.unit, learned.kernel, theta[:-1], dual, beads.uv_px)
+    return moved, SmoothMap(start.unit, learned.kernel, solution.theta[:-1], solution.dual, beads.uv_px)
 
 
 def _weighted(  # noqa: PLR0917
@@ -133,7 +133,7 @@ def _weighted(  # noqa: PLR0917
     covariance = twice(kernel) + noise + _carried(jacobian, beads.frame_covariance)
     basis = monomials(unit(beads.uv_px), DEGREE)
     design = np.concatenate([twice(basis), -by_pq.reshape(-1, 3)], axis=1)
-    solution = Solution.of(design, covariance, y.reshape(-1, 1))
+    solution = Kriging.of(design, covariance, y.reshape(-1, 1))
     theta = solution.theta[:, 0]
     moved = Pencil(beads.plane, pencil.pq + theta[-3:])
     refuse_misplaced(moved, beads.xyz_mm)

@@ -8,6 +8,8 @@ from sightline.calibration.beads import Beads
 from sightline.calibration.joint import JointFit, fit_jointly
 from sightline.calibration.residuals import Residuals
 from sightline.errors import CalibrationRefusedError
+from sightline.fitting.kriging import LeftOut
+from sightline.fitting.robust import variance_ratio
 
 # A right bead goes beyond this once in 10,000 views: chi-square of two degrees of freedom, over all its beads [ours].
 FALSE_ALARM = 1e-4
@@ -22,12 +24,13 @@ def fit_robustly(beads: Beads, fit_to: Callable[[Beads], JointFit] = fit_jointly
     most = max(1, min(MOST_WRONG, int(MOST_WRONG_SHARE * len(beads))))
     while True:
         fit = fit_to(beads.where(used))
-        error, square = leave_one_out(fit)
+        others = fit.solution.left_out()
+        square = others.m2
         # Where all residuals are too large the noise stated is too small: that is the chi-square check's to say.
-        common = max(1.0, float(np.median(square)) / (2 * np.log(2)))
+        common = max(1.0, variance_ratio(square))
         worst = int(np.argmax(square))
         if square[worst] <= -2 * np.log(FALSE_ALARM / len(square)) * common:
-            return fit, _residuals(fit, beads, used, error, square)
+            return fit, _residuals(fit, beads, used, others)
         if (~used).sum() == most:
             wrong = [i for i, u in zip(beads.ids, used, strict=True) if not u]
             raise CalibrationRefusedError(
@@ -37,20 +40,11 @@ def fit_robustly(beads: Beads, fit_to: Callable[[Beads], JointFit] = fit_jointly
         used[np.flatnonzero(used)[worst]] = False
 
 
-def leave_one_out(fit: JointFit) -> tuple[np.ndarray, np.ndarray]:
-    """(N, 2) mm: the prediction of each bead by the others less its own place; (N,) its squared Mahalanobis length."""
-    n = len(fit.beads)
-    precision = fit.solution.residual_precision(2)
-    dual = fit.solution.dual.reshape(n, 2)
-    error = -np.linalg.solve(precision, dual[..., None])[..., 0]
-    return error, -(dual * error).sum(axis=1)
-
-
-def _residuals(fit: JointFit, beads: Beads, used: np.ndarray, error: np.ndarray, square: np.ndarray) -> Residuals:
+def _residuals(fit: JointFit, beads: Beads, used: np.ndarray, others: LeftOut) -> Residuals:
     """Of every bead given. One that was left out is predicted by all that were used."""
     residual = fit.map.to_plane(beads.uv_px) - fit.pencil.project(beads.xyz_mm)
     loo, sigma = residual.copy(), np.zeros(len(beads))
-    loo[used], sigma[used] = error, np.sqrt(np.maximum(square, 0.0))
+    loo[used], sigma[used] = -others.residual, np.sqrt(np.maximum(others.m2, 0.0))
     if not used.all():
         sigma[~used] = fit.prediction_sigma(beads.where(~used))
     return Residuals(beads.ids, beads.uv_px, residual, loo, np.ones(len(beads), dtype=bool), sigma, used)

@@ -14,8 +14,9 @@ from heapq import heappop, heappush
 
 import numpy as np
 
-from sightline.calibration.gaussian import cholesky, solve_lower
 from sightline.calibration.polynomial import monomials
+from sightline.fitting.kernels import squared_distances, squared_exponential
+from sightline.fitting.triangular import cholesky, solve_lower
 
 # Grid and hyper-prior [ours]: chosen on real plates and the twin together, where results depend little on them
 # (docs/choosing-a-method.md). Amplitude: expected rms of what a cubic leaves, in radii of the region.
@@ -53,7 +54,7 @@ class Kernel:
         d2 = squared_distances(a, b)
         out = self.quintic_mm2 * (monomials(a, QUINTIC) @ _quintics()) @ (monomials(b, QUINTIC) @ _quintics()).T
         for variance, length in zip(self.variances_mm2, self.lengths, strict=True):
-            out += variance * np.exp(d2 * (-0.5 / length**2))
+            out += variance * squared_exponential(d2, length)
         return out
 
     def quintic_of(self, b: np.ndarray, weights: np.ndarray) -> np.ndarray:
@@ -81,16 +82,8 @@ def _quintics() -> np.ndarray:
 def _beyond_cubic(length: float) -> float:
     """Expected mean square over the unit disc that a cubic leaves of a unit-variance process of this length."""
     q = np.linalg.qr(monomials(_disc(), 3))[0]
-    k = np.exp(squared_distances(_disc(), _disc()) * (-0.5 / length**2))
+    k = squared_exponential(squared_distances(_disc(), _disc()), length)
     return float(1 - np.einsum("ia,ij,ja->", q, k, q, optimize=True) / len(_disc()))
-
-
-def squared_distances(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """(N, M) between points (N, 2) and (M, 2)."""
-    out = a @ (-2.0 * b.T)
-    out += np.einsum("ik,ik->i", a, a)[:, None]
-    out += np.einsum("ik,ik->i", b, b)
-    return out
 
 
 @dataclass(frozen=True, eq=False)
@@ -171,7 +164,7 @@ def _shapes(unit_xy: np.ndarray) -> list[np.ndarray]:
     features = monomials(unit_xy, QUINTIC) @ _quintics()
     quintic = QUINTIC_SHARE * features @ features.T
     return [
-        quintic + (1 - QUINTIC_SHARE) / _beyond_cubic(length) * np.exp(d2 * (-0.5 / length**2)) for length in LENGTHS
+        quintic + (1 - QUINTIC_SHARE) / _beyond_cubic(length) * squared_exponential(d2, length) for length in LENGTHS
     ]
 
 

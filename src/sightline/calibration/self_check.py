@@ -17,16 +17,17 @@ import numpy as np
 from scipy.special import chdtri
 
 from sightline.calibration.beads import Beads, match
-from sightline.calibration.gaussian import cholesky, solve_lower
 from sightline.calibration.joint import JointFit, pixel_noise_mm2, twice
 from sightline.calibration.outliers import FALSE_ALARM, fit_robustly
 from sightline.calibration.plate_motion import Errors, InPlate, PlatePair, in_plate, plate_pairs
 from sightline.calibration.polynomial import monomials
 from sightline.calibration.projection import Pencil
 from sightline.calibration.smooth import DEGREE
+from sightline.calibration.well_conditioned import well_conditioned
 from sightline.checks import Check
 from sightline.detection.results import Observations
 from sightline.errors import CalibrationRefusedError, ObservationsError
+from sightline.fitting.triangular import cholesky, solve_lower
 from sightline.frame import Frame, FrameView, Plate
 from sightline.frame.deviations import fiducials
 
@@ -63,6 +64,7 @@ class SelfCheck:
     checks: tuple[Check, ...]
 
 
+@well_conditioned()
 def self_check(observations: Sequence[Observations], frame: Frame) -> SelfCheck:
     """The errors of a frame, from 4 images or more. Raises ObservationsError, FrameError, CalibrationRefusedError."""
     if len(observations) < FEWEST_IMAGES:

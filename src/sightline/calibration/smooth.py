@@ -5,11 +5,12 @@ from functools import cached_property
 
 import numpy as np
 
-from sightline.calibration.gaussian import Solution
 from sightline.calibration.inverse import Inverse
 from sightline.calibration.polynomial import Affine, derivatives, monomial_gradients, monomials, terms
 from sightline.calibration.prior import NOISE_SCALES_PX, QUINTIC, Kernel, Problem, learn
+from sightline.calibration.well_conditioned import well_conditioned
 from sightline.errors import CalibrationRefusedError
+from sightline.fitting.kriging import Kriging
 
 DEGREE = 3
 # Beyond this many controls a fit takes seconds and gigabytes: V is dense [ours].
@@ -107,9 +108,10 @@ class SmoothMap:
 class FittedSmoothMap(SmoothMap):
     """A smooth map of controls that are all of one plane, with its posterior covariance."""
 
-    solution: Solution
+    solution: Kriging
 
     @staticmethod
+    @well_conditioned()
     def fit(uv_px: np.ndarray, xy_mm: np.ndarray, noise_px: float | None) -> "FittedSmoothMap":
         """Through controls (N, 2) whose pixels err by `noise_px` per axis (None: estimated).
 
@@ -132,7 +134,7 @@ class FittedSmoothMap(SmoothMap):
         problem = Problem(at[some], design[some], np.zeros((len(some), 2, 0)), xy_mm[some], noise[some], 0.0, radius)
         learned = learn(problem, NOISE_SCALES_PX if noise_px is None else None)
         covariance = learned.kernel(at, at) + np.diag(learned.noise_scale**2 * noise)
-        solution = Solution.of(design, covariance, xy_mm)
+        solution = Kriging.of(design, covariance, xy_mm)
         return FittedSmoothMap(unit, learned.kernel, solution.theta, solution.dual, uv_px, solution)
 
     def covariance_mm2(self, uv_px: np.ndarray) -> np.ndarray:

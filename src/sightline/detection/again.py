@@ -8,19 +8,20 @@ import numpy as np
 
 from sightline.detection import columns, refine, window
 from sightline.detection.detector import fine_reasons, fit_of
-from sightline.detection.labelling.growth import Field, features
-from sightline.detection.labelling.joint import CENTRE_PX, REMAINDER_LENGTH, REMAINDER_SD
-from sightline.detection.labelling.patterns import Pattern, median, patterns
+from sightline.detection.labelling.growth import Field
+from sightline.detection.labelling.map_prior import CENTRE_PX, REMAINDER_SD, features, map_covariance
+from sightline.detection.labelling.patterns import Pattern, patterns
 from sightline.detection.labelling.seeds import best_similarity
 from sightline.detection.labelling.solve import LEAST_BEADS
 from sightline.detection.results import Detections, Observations, Rejected
 from sightline.detection.scale import FACTOR, coarser, coarser_observations, finer_observations, is_fine
 from sightline.errors import ObservationsError
+from sightline.fitting.kriging import PlanarKriging
+from sightline.fitting.robust import variance_ratio
 from sightline.frame import Frame
 from sightline.imaging import Radiograph
 
 _NEIGHBOURS = 6  # beads of its plate that say how large and how dark a bead is [ours]
-_MEDIAN_M2 = 1.386  # of chi-squared with 2 degrees of freedom
 _VAGUEST_PX = 2.0  # s.d. of a prediction beyond which a fit may find something else [ours]
 # Of the smaller radius: two shadows that overlap by more are one to detection, or pull at each other: chi-square
 # / 2 of labelled beads is 1.2-4.4 there, 0.8-1.4 where they overlap less [twin].
@@ -148,18 +149,20 @@ def _on_plate(pattern: Pattern, beads: Detections, row: np.ndarray) -> tuple[np.
     laid, measured = (similarity.to_image(pattern.xy_mm) - middle) / half, (uv - middle) / half
     phi = features(laid)[0]
     gap2 = ((laid[:, None] - laid[seen]) ** 2).sum(axis=2)
-    kernel = phi @ phi[seen].T + REMAINDER_SD**2 * np.exp(gap2 / (-2 * REMAINDER_LENGTH**2))
+    kernel = map_covariance(phi, phi[seen], gap2)
     own = (CENTRE_PX**2 + (pattern.bead_sd_mm * similarity.scale) ** 2) / half**2
     noise = np.trace(covariance, axis1=1, axis2=2) / 2 / half**2 + own
-    off, inner = measured - laid[seen], kernel[seen]
-    inverse = np.linalg.inv(inner + np.diag(noise))
-    factor = max(1.0, median(((inverse @ off) ** 2).sum(axis=1) / inverse.diagonal()) / _MEDIAN_M2)
-    inverse = np.linalg.inv(inner + np.diag(factor * noise))
-    weights, alone = inverse @ off, inverse.diagonal()
-    place = laid + kernel @ weights
-    place[seen] = measured - weights / alone[:, None]
-    variance = (phi**2).sum(axis=1) + REMAINDER_SD**2 - ((kernel @ inverse) * kernel).sum(axis=1)
-    variance[seen] = 1 / alone - factor * noise
+
+    def fitted(factor: float) -> PlanarKriging:
+        return PlanarKriging.of(kernel[seen] + np.diag(factor * noise), measured - laid[seen])
+
+    factor = max(1.0, variance_ratio(fitted(1.0).left_out().m2))
+    solution = fitted(factor)
+    others = solution.left_out()
+    place = laid + kernel @ solution.dual
+    place[seen] = measured - others.residual
+    variance = solution.variances(kernel, (phi**2).sum(axis=1) + REMAINDER_SD**2)
+    variance[seen] = others.variance - factor * noise
     gap2[seen, np.arange(len(seen))] = np.inf
     near = np.argsort(gap2, axis=1)[:, :_NEIGHBOURS]
     size = np.median(np.log(beads.radius_px[row[seen]] / pattern.diameter_mm[seen])[near], axis=1)

@@ -6,14 +6,11 @@ import cv2
 import numpy as np
 from numba import njit
 
+from sightline.detection.labelling.map_prior import features
 from sightline.detection.labelling.patterns import Pattern
 from sightline.detection.labelling.seeds import Seed, Similarity
 from sightline.detection.results import Detections
 
-DEGREE = 5
-# What a map adds to a similarity, per degree, as a share of the field's radius: position, tilt and scale, perspective
-# of a 20° tilt, 9 % pincushion with a 4° S, and what both leave at higher degrees (physics.md, Distortion) [ours].
-PRIOR = np.array([0.3, 0.15, 0.06, 0.10, 0.03, 0.03])
 REMAINDER = 0.003  # smooth rest beyond degree 5, same share: 0.3 mm of 107 (physics.md: 0.11-0.13 mm rms) [ours]
 GATE = 3.5  # standard deviations [ours]
 CERTAIN = 0.3  # of the pitch: where the gate is wider a bead is not yet taken [ours]
@@ -21,26 +18,6 @@ LOG_RADIUS = 0.15  # a bead's log radius against its plate's: below half the ste
 AGREES = 0.15  # of the pitch: detections as near to a place by the seed's similarity are beads to begin with [ours]
 LOOSE = 0.1  # of the pitch: how far the first of all maps may miss them, s.d. [ours]
 MOST_ROUNDS = 15
-
-_POWERS = np.array([(d - k, k) for d in range(DEGREE + 1) for k in range(d + 1)])
-_SD = PRIOR[_POWERS.sum(axis=1)]
-
-
-@njit(cache=True, error_model="numpy")
-def features(w):
-    """(3, N, 21): monomials to degree 5 of (N, 2), times their prior standard deviations, and their derivatives."""
-    out = np.empty((3, len(w), len(_POWERS)))
-    x, y = np.empty(DEGREE + 1), np.empty(DEGREE + 1)
-    x[0] = y[0] = 1.0
-    for n in range(len(w)):
-        for d in range(DEGREE):
-            x[d + 1], y[d + 1] = x[d] * w[n, 0], y[d] * w[n, 1]
-        for k in range(len(_POWERS)):
-            i, j = _POWERS[k, 0], _POWERS[k, 1]
-            out[0, n, k] = x[i] * y[j] * _SD[k]
-            out[1, n, k] = i * x[i - 1] * y[j] * _SD[k] if i else 0.0
-            out[2, n, k] = j * x[i] * y[j - 1] * _SD[k] if j else 0.0
-    return out
 
 
 @njit(cache=True, error_model="numpy")

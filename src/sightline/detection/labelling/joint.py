@@ -4,19 +4,16 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from scipy.linalg.lapack import dpotrf, dtrtri  # pyright: ignore[reportAttributeAccessIssue]
 
-from sightline.detection.labelling.growth import Grown, features
+from sightline.detection.labelling.growth import Grown
+from sightline.detection.labelling.map_prior import CENTRE_PX, features, map_covariance
 from sightline.detection.labelling.patterns import Pattern
 from sightline.detection.results import Detections
+from sightline.fitting.kernels import squared_distances
+from sightline.fitting.kriging import PlanarKriging
 from sightline.geometry.lines import meeting_point
 
-# What is left beyond degree 5, as shares of the field's radius: 0.11-0.13 mm rms and 30-60 mm of 107 (physics.md).
-REMAINDER_SD, REMAINDER_LENGTH = 0.0013, 0.4
 LEAST_BEYOND = 0.1  # of the distance between the plates: nearer to them no shadows are cast [ours]
-# What a centre may be off besides its stated noise: uneven background, overlap [ours]. In 78 rendered images the noise
-# estimated beside it is 1.7 times the stated variance at high dose, 2.1 times without it.
-CENTRE_PX = 0.05
 FOCAL_STEP_MM = 500.0  # prior on the first guess of the focal point: wide [ours]
 
 
@@ -96,9 +93,7 @@ class Model:
         bead_mm = np.hypot(max(g.pattern.bead_sd_mm for g in pair), CENTRE_PX / self.sheet.similarity.scale)
         self.noise = self.sheet.noise(detections.covariance_px2) + (bead_mm / self.sheet.unit_mm) ** 2
         self.phi = features(self.w)[0]
-        square = (self.w**2).sum(axis=1)
-        gap = square[:, None] + square - 2 * self.w @ self.w.T
-        self.kernel = self.phi @ self.phi.T + REMAINDER_SD**2 * np.exp(gap / (-2 * REMAINDER_LENGTH**2))
+        self.kernel = map_covariance(self.phi, self.phi, squared_distances(self.w, self.w))
 
     def first_focal_point(self, xrii: Grown, source: Grown) -> np.ndarray:
         """(3,) where the lines meet from the source beads through their images on the XRII plate.
@@ -114,41 +109,28 @@ class Model:
         count, unit = len(self.xrii.ids), self.sheet.unit_mm
         of_source = np.flatnonzero(places >= count)
         y = (self._targets(focal_mm)[places] - self.sheet.centre_mm) / unit - self.w[rows]
-        slope = np.zeros((len(rows), 2, 3))
-        slope[of_source] = self.shadows.by_focal(focal_mm)[places[of_source] - count] * (FOCAL_STEP_MM / unit)
-        slope = slope.reshape(-1, 6)
+        by_focal = np.zeros((len(rows), 2, 3))
+        by_focal[of_source] = self.shadows.by_focal(focal_mm)[places[of_source] - count] * (FOCAL_STEP_MM / unit)
         noise = factor * self.noise
-        inner = self.kernel[rows][:, rows]
-        inner.flat[:: len(rows) + 1] += noise[rows]
-        root = dtrtri(dpotrf(inner.T, lower=1, overwrite_a=1)[0], lower=1, overwrite_c=1)[0]  # symmetric: .T is free
-
-        solved = root.T @ (root @ np.concatenate([slope, y], axis=1))  # the inverse covariance times slope and y
-        gram = slope.T @ solved
-        small = np.linalg.inv(np.eye(3) + gram[:3, :3] + gram[3:, 3:6])
-        step = small @ (gram[:3, 6] + gram[3:, 7])
-        weights = solved[:, 6:] - solved[:, :6].reshape(-1, 2, 3) @ step
-        focal = focal_mm - FOCAL_STEP_MM * step
-
-        # Each bead's own block of the inverse covariance, [[a, b], [b, c]], gives its error and variance left out.
-        pull = solved[:, :6].reshape(-1, 2, 3) @ np.linalg.cholesky(small)
-        own = (root**2).sum(axis=0)
-        a, c = own - np.einsum("nik,nik->in", pull, pull)
-        b = -np.einsum("nk,nk->n", pull[:, 0], pull[:, 1])
-        u, v = weights.T
-        left_out = np.stack([c * u - b * v, a * v - b * u], axis=1) / (a * c - b * b)[:, None]
+        covariance = self.kernel[rows][:, rows]
+        covariance.flat[:: len(rows) + 1] += noise[rows]
+        solution = PlanarKriging.of(covariance, y, columns=by_focal, precision=np.eye(3))
+        focal = focal_mm - FOCAL_STEP_MM * solution.shared
         target_mm = self._targets(focal)
         xy_mm, variance = np.empty((len(self.w), 2)), np.empty(len(self.w))
-        xy_mm[rows] = target_mm[places] - left_out * unit
-        variance[rows] = (a + c) / (2 * (a * c - b * b))
 
-        other = np.ones(len(self.w), dtype=bool)
-        other[rows] = False
-        kernel = self.kernel[other][:, rows]
-        xy_mm[other] = (self.w[other] + kernel @ weights) * unit + self.sheet.centre_mm
-        variance[other] = self.kernel.diagonal()[other] + noise[other] - ((kernel @ root.T) ** 2).sum(axis=1)
-        variance[other] += ((kernel @ pull.reshape(-1, 6)) ** 2).sum(axis=1) / 2
-        bend = float(np.abs(self.phi[rows].T @ weights).max())
-        return Joint(focal, xy_mm, variance * unit**2, target_mm, (left_out * weights).sum(axis=1), bend)
+        others = solution.left_out()
+        xy_mm[rows] = target_mm[places] - others.residual * unit
+        variance[rows] = others.variance
+
+        loose = np.ones(len(self.w), dtype=bool)
+        loose[rows] = False
+        kernel = self.kernel[loose][:, rows]
+        prior = self.kernel.diagonal()[loose] + noise[loose]
+        xy_mm[loose] = (self.w[loose] + kernel @ solution.dual) * unit + self.sheet.centre_mm
+        variance[loose] = solution.variances(kernel, prior)
+        bend = float(np.abs(self.phi[rows].T @ solution.dual).max())
+        return Joint(focal, xy_mm, variance * unit**2, target_mm, others.m2, bend)
 
     def _targets(self, focal_mm: np.ndarray) -> np.ndarray:
         """(P, 2) mm: where the places lie on the XRII plate, source ones seen from a focal point."""

@@ -8,7 +8,8 @@ import numpy as np
 from numba import njit
 
 from sightline.detection.labelling.growth import Grown
-from sightline.detection.labelling.patterns import Pattern, median
+from sightline.detection.labelling.patterns import Pattern
+from sightline.fitting.robust import median
 
 # A bead costs half its squared log-radius error over RADIUS_SD, at most CONTRADICTION: the log odds against a
 # misjudged size, or against a bead where the plate has none (2 % each) [ours].

@@ -12,12 +12,6 @@ from sightline.geometry.planes import Plane
 NEIGHBOUR = 1.2  # fiducials nearer than this many pitches are neighbours: not the diagonal of a square [ours]
 
 
-def median(values: np.ndarray) -> float:
-    """Of (N,), as np.median, which takes ten times as long on a hundred."""
-    ordered, n = np.sort(values), len(values)
-    return float(ordered[(n - 1) // 2] + ordered[n // 2]) / 2
-
-
 @dataclass(frozen=True, eq=False)
 class Pattern:
     """One plate of one view: `xy_mm` (N, 2) in `plane`'s axes, with the plate's centre as the origin.

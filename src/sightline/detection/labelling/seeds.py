@@ -6,8 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
-from sightline.detection.labelling.patterns import Pattern, median
+from sightline.detection.labelling.patterns import Pattern
 from sightline.detection.results import Detections
+from sightline.fitting.robust import median
 
 MOST_LARGE = 32  # detections that may be datum markers [ours: 12 datums, 10 false ones, and room]
 LARGER = 1.12  # than the median detection: half the step from 3 to 5 mm, less 15 % for the plates' scales [ours]

@@ -10,17 +10,17 @@ from sightline.detection.labelling.checks import FINAL, Stop, check
 from sightline.detection.labelling.growth import LOG_RADIUS, Grown, grow
 from sightline.detection.labelling.joint import Joint, Model
 from sightline.detection.labelling.naming import Naming, name
-from sightline.detection.labelling.patterns import Pattern, median
+from sightline.detection.labelling.patterns import Pattern
 from sightline.detection.labelling.seeds import Seed, best_similarity
 from sightline.detection.results import Detections
 from sightline.errors import ReconstructionRefusedError
+from sightline.fitting.robust import MAD_TO_SD, median, variance_ratio
 
 LEAST_BEADS = 8  # of each plate [ours]
 MOST_NAMINGS = 4
 MARGIN = 6.0  # log odds by which any other reading must cost more: one and a half misjudged sizes [ours]
 GATE_M2 = 11.3  # squared distance of a bead from its place and its radius: 99 %, 3 degrees of freedom [ours]
 NEAR_M2 = 24.0  # two detections or places as near as this are mistaken for each other [ours]
-MEDIAN_M2 = 1.386  # of chi-squared with 2 degrees of freedom
 LOG_RADIUS_SD = (0.01, 0.07)  # of a plate's beads, from their scatter, within these limits [ours]
 FALSE_ODDS = 7e-6  # most odds that a bead is a false candidate in the place of a hidden one [ours]
 FALSE_PER_LOG_RADIUS = 2.0  # share of false candidates per unit of log radius, at that of the balls [ours]
@@ -118,7 +118,7 @@ def _sizes(pair: tuple[Grown, Grown]) -> _Sizes:
         log_half = g.pattern.log_half
         own = g.log_ratio[g.rows] - log_half[g.places]
         middle = median(own)
-        sd = np.clip(1.4826 * median(np.abs(own - middle)), *LOG_RADIUS_SD)
+        sd = np.clip(MAD_TO_SD * median(np.abs(own - middle)), *LOG_RADIUS_SD)
         misfits.append(g.log_ratio[:, None] - log_half - middle)
         sds.append(np.full(len(log_half), sd))
     return _Sizes(np.concatenate(misfits, axis=1), np.concatenate(sds))
@@ -191,7 +191,7 @@ def _fitted(problem: Problem, model: Model, pair: tuple[Grown, Grown], sizes: _S
     for turn in range(MOST_FITS):
         before = factor
         if turn < SETTLED:  # later the gates have cut the tails off, and the noise would seem to shrink
-            factor = float(np.clip(factor * median(fit.m2) / MEDIAN_M2, 1.0, MOST_NOISE))
+            factor = float(np.clip(factor * variance_ratio(fit.m2), 1.0, MOST_NOISE))
         variance_mm2 = fit.variance_mm2 * (factor / before)
         new = _alone(fit.xy_mm, variance_mm2, fit.target_mm, size_m2, problem.usable)
         if turn >= SETTLED:  # from here on only fewer, so that it ends

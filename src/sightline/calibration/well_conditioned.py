@@ -1,0 +1,19 @@
+"""Ill-conditioned calibrations are refused in words."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import numpy as np
+
+from sightline.errors import CalibrationRefusedError
+
+
+@contextmanager
+def well_conditioned() -> Iterator[None]:
+    """Raise CalibrationRefusedError where a factorisation within finds a matrix that is not positive definite."""
+    try:
+        yield
+    except np.linalg.LinAlgError:
+        raise CalibrationRefusedError(
+            "the beads' covariances make the calibration ill-conditioned; check the noise stated and double beads"
+        ) from None

@@ -1,0 +1,1 @@
+"""What detection and calibration estimate alike: Gaussian processes and robust statistics."""

@@ -1,0 +1,175 @@
+"""Linear models with a Gaussian-process part: z = X theta + g + noise, theta unknown, g and the noise Gaussian."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from sightline.fitting.triangular import cholesky, inverse_lower, solve_lower, solve_lower_transposed
+
+
+@dataclass(frozen=True, eq=False)
+class LeftOut:
+    """What all other data say of each of N pairs of numbers, such as the coordinates of a point.
+
+    `residual` (N, 2): the pair less its prediction by the others; `variance` (N,): of that, the mean of both numbers;
+    `m2` (N,): squared Mahalanobis length of the residual.
+    """
+
+    residual: np.ndarray
+    variance: np.ndarray
+    m2: np.ndarray
+
+    @staticmethod
+    def of(precision: np.ndarray, dual: np.ndarray) -> "LeftOut":
+        """From P, the inverse covariance of the data z once the unknowns are fitted.
+
+        `precision` (3, N): entries xx, xy and yy of its diagonal blocks; `dual` (N, 2): the pairs of P z.
+        """
+        (a, b, c), (u, v) = precision, dual.T
+        determinant = a * c - b * b
+        residual = np.stack([c * u - b * v, a * v - b * u], axis=1) / determinant[:, None]
+        return LeftOut(residual, (a + c) / (2 * determinant), (dual * residual).sum(axis=1))
+
+
+@dataclass(frozen=True, eq=False)
+class Kriging:
+    """Generalised least squares with universal kriging.
+
+    `covariance` is cov(g) + cov(noise) (n, n) = factor factor^T; `theta` (m, c) for data (n, c);
+    `dual` (n, c) = V^-1 (z - X theta); `white` (n, m) = factor^-1 X = q r.
+    """
+
+    factor: np.ndarray
+    white: np.ndarray
+    r: np.ndarray
+    theta: np.ndarray
+    dual: np.ndarray
+
+    @staticmethod
+    def of(design: np.ndarray, covariance: np.ndarray, data: np.ndarray) -> "Kriging":
+        """Data (n, c), design (n, m), m from 0, covariance (n, n). Raises np.linalg.LinAlgError where the covariance is
+        not positive definite or the design is of less than full rank."""
+        factor = cholesky(covariance)
+        both = solve_lower(factor, np.concatenate([design, data], axis=1))
+        white, z = both[:, : design.shape[1]], both[:, design.shape[1] :]
+        r = cholesky(white.T @ white)
+        theta = solve_lower_transposed(r, solve_lower(r, white.T @ z))
+        return Kriging(factor, white, r, theta, solve_lower_transposed(factor, z - white @ theta))
+
+    @cached_property
+    def _inverse(self) -> np.ndarray:
+        """factor^-1."""
+        return inverse_lower(self.factor)
+
+    @cached_property
+    def _fixed(self) -> np.ndarray:
+        """(m, n): r^-1 white^T."""
+        return solve_lower(self.r, self.white.T)
+
+    def predict(self, design: np.ndarray, cross: np.ndarray, prior: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Of design theta + g: the weights (k, n), by which it is the data's, and its covariance (k, k).
+
+        `cross` = cov(g there, data), `prior` = cov(g there).
+        """
+        back, slope = self._halves(design, cross)
+        weights = (back + slope @ self._fixed) @ self._inverse
+        return weights, prior - back @ back.T + slope @ slope.T
+
+    def variances(self, cross: np.ndarray, prior: np.ndarray, design: np.ndarray) -> np.ndarray:
+        """(k,): the diagonal of `predict`'s covariance, from the variances `prior` (k,)."""
+        back, slope = self._halves(design, cross)
+        return prior - (back**2).sum(axis=1) + (slope**2).sum(axis=1)
+
+    def _halves(self, design: np.ndarray, cross: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(k, n) and (k, m): what the data take off the variance there, and what not knowing theta adds, as factors."""
+        back = cross @ self._inverse.T
+        return back, solve_lower(self.r, (design - back @ self.white).T).T
+
+    def score(self, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """How much of each direction (n, k) is in the data beside the model: amounts (k,), and their s.d. (k,).
+
+        Each by itself, by generalised least squares: theta and g are fitted with it.
+        """
+        white = solve_lower(self.factor, directions)
+        fixed = solve_lower(self.r, self.white.T @ white)
+        precision = (white**2).sum(axis=0) - (fixed**2).sum(axis=0)
+        return directions.T @ self.dual[:, 0] / precision, 1.0 / np.sqrt(precision)
+
+    def left_out(self) -> LeftOut:
+        """Each pair of the data (2N, 1), predicted by all others.
+
+        What counts are blocks of P = V^-1 - V^-1 X (X^T V^-1 X)^-1 X^T V^-1.
+        """
+        pairs = (part.T.reshape(len(self.dual) // 2, 2, -1) for part in (self._inverse, self._fixed @ self._inverse))
+        whole, taken = (_products(pair) for pair in pairs)
+        return LeftOut.of(whole - taken, self.dual.reshape(-1, 2))
+
+    def precision(self) -> np.ndarray:
+        """(n,): the diagonal of P, the inverse variances of each number's residual, predicted by all others."""
+        fixed = self._fixed @ self._inverse
+        return (self._inverse**2).sum(axis=0) - (fixed**2).sum(axis=0)
+
+
+@dataclass(frozen=True, eq=False)
+class PlanarKriging:
+    """Kriging of two coordinates, alike but for s unknowns that act on both: z = X theta + C shared + g + noise.
+
+    `each`: both coordinates and the columns of C as data, without the shared unknowns. `shared` (s,); `theta` (m, 2),
+    `dual` (n, 2): as of `Kriging`, the shared unknowns taken out. `spread` (s, s): a factor of their covariance.
+    `pull` (n, 2, s): what they take off the inverse covariance of all data is `pull` times its transpose.
+    """
+
+    each: Kriging
+    shared: np.ndarray
+    spread: np.ndarray
+    theta: np.ndarray
+    dual: np.ndarray
+    pull: np.ndarray
+
+    @staticmethod
+    def of(
+        covariance: np.ndarray,
+        data: np.ndarray,
+        *,
+        design: np.ndarray | None = None,
+        columns: np.ndarray | None = None,
+        precision: np.ndarray | None = None,
+    ) -> "PlanarKriging":
+        """Data (n, 2), of each coordinate the covariance (n, n) and the design (n, m), and `columns` C (n, 2, s).
+
+        `precision` (s, s): inverse prior covariance of the shared unknowns, about zero; without it nothing is known of
+        them. Raises np.linalg.LinAlgError.
+        """
+        n = len(data)
+        design = np.zeros((n, 0)) if design is None else design
+        columns = np.zeros((n, 2, 0)) if columns is None else columns
+        s = columns.shape[2]
+        precision = np.zeros((s, s)) if precision is None else precision
+        each = Kriging.of(design, covariance, np.concatenate([data, columns.reshape(n, 2 * s)], axis=1))
+        rows, by_shared = columns.reshape(2 * n, s), each.dual[:, 2:].reshape(2 * n, s)
+        covariance_of_shared = np.linalg.inv(precision + rows.T @ by_shared)
+        shared = covariance_of_shared @ (by_shared.T @ data.reshape(2 * n))
+        spread = np.linalg.cholesky(covariance_of_shared)
+        theta = each.theta[:, :2] - (each.theta[:, 2:].reshape(2 * design.shape[1], s) @ shared).reshape(-1, 2)
+        dual = each.dual[:, :2] - (by_shared @ shared).reshape(n, 2)
+        pull = (by_shared @ spread).reshape(n, 2, s)
+        return PlanarKriging(each, shared, spread, theta, dual, pull)
+
+    def variances(self, cross: np.ndarray, prior: np.ndarray, design: np.ndarray | None = None) -> np.ndarray:
+        """(k,): as `Kriging.variances`, the mean of both coordinates, with the shared unknowns' part."""
+        design = np.zeros((len(cross), 0)) if design is None else design
+        by_shared = cross @ self.each.dual[:, 2:] + design @ self.each.theta[:, 2:]
+        added = by_shared.reshape(len(cross), 2, len(self.shared)) @ self.spread
+        return self.each.variances(cross, prior, design) + (added**2).sum(axis=(1, 2)) / 2
+
+    def left_out(self) -> LeftOut:
+        """Each row of the data, both coordinates, predicted by all others."""
+        own = self.each.precision()
+        return LeftOut.of(np.stack([own, np.zeros_like(own), own]) - _products(self.pull), self.dual)
+
+
+def _products(pairs: np.ndarray) -> np.ndarray:
+    """(3, N): inner products xx, xy and yy of pairs of vectors (N, 2, k)."""
+    x, y = pairs[:, 0], pairs[:, 1]
+    return np.stack([np.einsum("nk,nk->n", a, b) for a, b in ((x, x), (x, y), (y, y))])
