@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
@@ -58,6 +59,66 @@ class Seed:
     score: float
 
 
+class _Beads(NamedTuple):
+    """The detections of an image for kernels: `w` (N,) places u + iv, px; `log_radius` (N,).
+
+    `nearest` (CELLS, CELLS): the detection nearest to the middle of each cell of the image, -1 if none is near;
+    `rows`, `columns`: cells per pixel.
+    """
+
+    w: np.ndarray
+    log_radius: np.ndarray
+    nearest: np.ndarray
+    rows: float
+    columns: float
+
+
+class _Plate(NamedTuple):
+    """A pattern for kernels: `z` (P,) places x + iy, mm; `log_half` (P,) log radii; `datums` (D,): places of datums."""
+
+    z: np.ndarray
+    log_half: np.ndarray
+    datums: np.ndarray
+    pitch: float
+
+
+class _Pair(NamedTuple):
+    """Detections `i` and `j` taken for the datums number `a` and `b` of a plate: the log scale that this gives, px/mm,
+    and the log radii of both, in mm, over those of the datums."""
+
+    i: int
+    j: int
+    a: int
+    b: int
+    log_scale: float
+    ratio_i: float
+    ratio_j: float
+
+
+class _Triple(NamedTuple):
+    """Three detections `rows` taken for three `places`: the similarity that fits them best, and `level`, the mean log
+    of how much larger they look than it makes them."""
+
+    rows: tuple[int, int, int]
+    places: tuple[int, int, int]
+    turn: complex
+    shift: complex
+    mirror: bool
+    level: float
+
+
+class _Best(NamedTuple):
+    """The best triples so far, best first, and how many: `filled` (1,).
+
+    `scores` (K,); `what` (K, 7): three detections, their places, whether mirrored; `found` (K, 2): turn and shift.
+    """
+
+    filled: np.ndarray
+    scores: np.ndarray
+    what: np.ndarray
+    found: np.ndarray
+
+
 @njit(cache=True, error_model="numpy")
 def _nearest_table(w, usable, width, height):
     """Which detection is nearest to the middle of each of CELLS x CELLS cells of the image, -1 if none is near."""
@@ -75,149 +136,146 @@ def _nearest_table(w, usable, width, height):
     return table
 
 
-@njit(cache=True, error_model="numpy")
-def _score(a, b, mirror, log_scale, z, log_half, pitch, w, log_r, table, width, height, least):  # noqa: PLR0917 - a kernel
+@njit(cache=True, error_model="numpy", inline="always")
+def _square(z):
+    """The squared length of a complex number."""
+    return z.real**2 + z.imag**2
+
+
+@njit(cache=True, error_model="numpy", inline="always")
+def _laid(z, mirror):
+    """A place of the plate as the image shows it: mirrored or not."""
+    return z.conjugate() if mirror else z
+
+
+@njit(cache=True, error_model="numpy", forceinline=True)
+def _score(triple, plate, beads, least):
     """Beads of the right size in place, less half of those of a wrong size, less a third of the missing.
 
     Minus infinity where it cannot be more than `least`.
     """
-    score = 0.0
-    reach2 = (REACH * pitch) ** 2 * (a.real**2 + a.imag**2)
-    rows, columns = CELLS / height, CELLS / width
+    score, z, log_half = 0.0, plate.z, plate.log_half
+    w, log_radius, nearest = beads.w, beads.log_radius, beads.nearest
+    reach2 = (REACH * plate.pitch) ** 2 * _square(triple.turn)
     for p in range(len(z)):
         if score + (len(z) - p) <= least:
             return -np.inf
-        at = a * (z[p].conjugate() if mirror else z[p]) + b
-        i, j = int(at.imag * rows), int(at.real * columns)
+        at = triple.turn * _laid(z[p], triple.mirror) + triple.shift
+        i, j = int(at.imag * beads.rows), int(at.real * beads.columns)
         if i < 0 or j < 0 or i >= CELLS or j >= CELLS:
             continue
-        k = table[i, j]
-        d = w[k] - at
-        if k >= 0 and d.real**2 + d.imag**2 < reach2:
-            score += 1.0 if abs(log_r[k] - log_half[p] - log_scale) < RADIUS_SPREAD else -0.5
+        k = nearest[i, j]
+        if k >= 0 and _square(w[k] - at) < reach2:
+            score += 1.0 if abs(log_radius[k] - log_half[p] - triple.level) < RADIUS_SPREAD else -0.5
         else:
             score -= 0.33
     return score
 
 
 @njit(cache=True, error_model="numpy")
-def _search(w, log_r, large, z, log_half, datums, pitch, table, width, height, scores, what, found):  # noqa: PLR0912, PLR0915, PLR0917 - a kernel
-    """Fill in the best similarities that put three datum markers on three large detections, best first.
+def _log_sides(plate):
+    """(D, D) log distances, mm, between each datum and those after it."""
+    z, datums = plate.z, plate.datums
+    out = np.empty((len(datums), len(datums)))
+    for a in range(len(datums)):
+        for b in range(a + 1, len(datums)):
+            out[a, b] = np.log(abs(z[datums[b]] - z[datums[a]]))
+    return out
 
-    `scores` (K,); `what` (K, 7): three detections, their places, whether mirrored; `found` (K, 2): turn and shift.
-    Returns how many there are.
-    """
-    count, most = 0, len(scores)
-    log_least = np.log(SMALLEST_PX / pitch)
-    log_side = np.empty((len(datums), len(datums)))
-    for na in range(len(datums)):
-        for nb in range(na + 1, len(datums)):
-            log_side[na, nb] = np.log(abs(z[datums[nb]] - z[datums[na]]))
+
+@njit(cache=True, error_model="numpy", forceinline=True)
+def _fitted(beads, plate, rows, places, mirror, ratios):  # noqa: PLR0917 - a kernel
+    """The triple of detections `rows` and `places`, by least squares. `ratios`: their log radii, in mm by the scale of
+    the pair, over those of the places."""
+    (i, j, k), (pa, pb, pc), w = rows, places, beads.w
+    za, zb, zc = _laid(plate.z[pa], mirror), _laid(plate.z[pb], mirror), _laid(plate.z[pc], mirror)
+    zm, wm = (za + zb + zc) / 3, (w[i] + w[j] + w[k]) / 3
+    da, db, dc = za - zm, zb - zm, zc - zm
+    top = w[i] * da.conjugate() + w[j] * db.conjugate() + w[k] * dc.conjugate()
+    turn = top / (da * da.conjugate() + db * db.conjugate() + dc * dc.conjugate()).real
+    level = (ratios[0] + ratios[1] + ratios[2]) / 3 + 0.5 * np.log(_square(turn))
+    return _Triple(rows, places, turn, wm - turn * zm, mirror, level)
+
+
+@njit(cache=True, error_model="numpy", forceinline=True)
+def _offer(triple, plate, beads, best):
+    """Put a triple in its place among the best, if it is one of them; the worst falls out where there are too many."""
+    scores, what, found = best.scores, best.what, best.found
+    full = best.filled[0] == len(scores)
+    score = _score(triple, plate, beads, scores[-1] if full else -np.inf)
+    if score == -np.inf:
+        return
+    if not full:
+        best.filled[0] += 1
+    at = best.filled[0] - 1
+    while at > 0 and scores[at - 1] < score:
+        scores[at], found[at, 0], found[at, 1] = scores[at - 1], found[at - 1, 0], found[at - 1, 1]
+        for c in range(7):
+            what[at, c] = what[at - 1, c]
+        at -= 1
+    scores[at], found[at, 0], found[at, 1] = score, triple.turn, triple.shift
+    for c in range(3):
+        what[at, c], what[at, 3 + c] = triple.rows[c], triple.places[c]
+    what[at, 6] = triple.mirror
+
+
+@njit(cache=True, error_model="numpy", forceinline=True)
+def _add_third(beads, plate, large, pair, best):
+    """Offer all triples that a third datum, and a third detection near its place, make of a pair."""
+    w, z, datums, log_half, log_radius = beads.w, plate.z, plate.datums, plate.log_half, beads.log_radius
+    pa, pb = datums[pair.a], datums[pair.b]
+    gap, side = w[pair.j] - w[pair.i], z[pb] - z[pa]
+    span2, side2 = _square(gap), _square(side)
+    for mirror in (False, True):
+        turn = gap * (side if mirror else side.conjugate()) / side2
+        for c in range(pair.b + 1, len(datums)):
+            pc = datums[c]
+            step = turn * _laid(z[pc] - z[pa], mirror)
+            want = w[pair.i] + step
+            reach2 = THIRD**2 * max(span2, _square(step), _square(step - gap))
+            for k in large:
+                if _square(w[k] - want) > reach2 or k in (pair.i, pair.j):
+                    continue
+                ratio = log_radius[k] - log_half[pc] - pair.log_scale
+                if abs(ratio - (pair.ratio_i + pair.ratio_j) / 2) <= RADIUS_SPREAD:
+                    rows, ratios = (pair.i, pair.j, k), (pair.ratio_i, pair.ratio_j, ratio)
+                    _offer(_fitted(beads, plate, rows, (pa, pb, pc), mirror, ratios), plate, beads, best)
+
+
+@njit(cache=True, error_model="numpy")
+def _search(beads, plate, large, best):
+    """Fill in the best similarities that put three datum markers on three `large` detections."""
+    w, log_r, datums, log_half = beads.w, beads.log_radius, plate.datums, plate.log_half
+    log_least, log_side = np.log(SMALLEST_PX / plate.pitch), _log_sides(plate)
     for i in large:
         for j in large:
             if i == j:
                 continue
-            gap = w[j] - w[i]
-            span2 = gap.real**2 + gap.imag**2
-            log_gap = 0.5 * np.log(span2)
-            for na in range(len(datums)):
-                for nb in range(na + 1, len(datums)):
-                    pa, pb = datums[na], datums[nb]
-                    log_scale = log_gap - log_side[na, nb]
-                    ratio_i = log_r[i] - log_half[pa] - log_scale
-                    ratio_j = log_r[j] - log_half[pb] - log_scale
-                    if abs(ratio_i - ratio_j) > RADIUS_SPREAD or abs(ratio_i + ratio_j) > 2 * RADIUS_RATIO:
-                        continue
-                    if log_scale < log_least:
-                        continue
-                    side = z[pb] - z[pa]
-                    side2 = side.real**2 + side.imag**2
-                    for mirror in range(2):
-                        a = gap * (side if mirror else side.conjugate()) / side2
-                        for nc in range(nb + 1, len(datums)):
-                            pc = datums[nc]
-                            dz = z[pc] - z[pa]
-                            step = a * (dz.conjugate() if mirror else dz)
-                            want, rest = w[i] + step, step - gap
-                            reach2 = THIRD**2 * max(span2, step.real**2 + step.imag**2, rest.real**2 + rest.imag**2)
-                            for k in large:
-                                off = w[k] - want
-                                off2 = off.real**2 + off.imag**2
-                                if off2 > reach2 or k == i or k == j:  # noqa: PLR1714, SIM109
-                                    continue
-                                ratio = log_r[k] - log_half[pc] - log_scale
-                                if abs(ratio - (ratio_i + ratio_j) / 2) > RADIUS_SPREAD:
-                                    continue
-                                za, zb, zc = z[pa], z[pb], z[pc]
-                                if mirror:
-                                    za, zb, zc = za.conjugate(), zb.conjugate(), zc.conjugate()
-                                zm, wm = (za + zb + zc) / 3, (w[i] + w[j] + w[k]) / 3
-                                da, db, dc = za - zm, zb - zm, zc - zm
-                                top = w[i] * da.conjugate() + w[j] * db.conjugate() + w[k] * dc.conjugate()
-                                turn = top / (da * da.conjugate() + db * db.conjugate() + dc * dc.conjugate()).real
-                                shift = wm - turn * zm
-                                level = (ratio_i + ratio_j + ratio) / 3 + 0.5 * np.log(turn.real**2 + turn.imag**2)
-                                least = scores[most - 1] if count == most else -np.inf
-                                score = _score(
-                                    turn,
-                                    shift,
-                                    mirror == 1,
-                                    level,
-                                    z,
-                                    log_half,
-                                    pitch,
-                                    w,
-                                    log_r,
-                                    table,
-                                    width,
-                                    height,
-                                    least,
-                                )
-                                if score == -np.inf:
-                                    continue
-                                count = min(count + 1, most)
-                                at = count - 1
-                                while at > 0 and scores[at - 1] < score:
-                                    scores[at], found[at, 0], found[at, 1] = (
-                                        scores[at - 1],
-                                        found[at - 1, 0],
-                                        found[at - 1, 1],
-                                    )
-                                    for c in range(7):
-                                        what[at, c] = what[at - 1, c]
-                                    at -= 1
-                                scores[at], found[at, 0], found[at, 1] = score, turn, shift
-                                what[at, 0], what[at, 1], what[at, 2] = i, j, k
-                                what[at, 3], what[at, 4], what[at, 5], what[at, 6] = pa, pb, pc, mirror
-    return count
+            log_gap = 0.5 * np.log(_square(w[j] - w[i]))
+            for a in range(len(datums)):
+                for b in range(a + 1, len(datums)):
+                    log_scale = log_gap - log_side[a, b]
+                    ratio_i = log_r[i] - log_half[datums[a]] - log_scale
+                    ratio_j = log_r[j] - log_half[datums[b]] - log_scale
+                    alike = abs(ratio_i - ratio_j) <= RADIUS_SPREAD and abs(ratio_i + ratio_j) <= 2 * RADIUS_RATIO
+                    if alike and log_scale >= log_least:
+                        _add_third(beads, plate, large, _Pair(i, j, a, b, log_scale, ratio_i, ratio_j), best)
 
 
 def find_seeds(detections: Detections, patterns: list[Pattern], usable: np.ndarray, most: int) -> Iterator[Seed]:
     """The `most` best guesses for each plate among the `usable` (N,) detections, best first."""
     height, width = detections.image_shape
-    w, log_r = detections.uv_px @ np.array([1.0, 1j]), np.log(detections.radius_px)
+    w = detections.uv_px @ np.array([1.0, 1j])
     table = _nearest_table(w, usable, width, height)
+    beads = _Beads(w, np.log(detections.radius_px), table, CELLS / height, CELLS / width)
     may_be = {kind: _may_be_datums(detections, kind, usable) for kind in {pattern.datum_kind for pattern in patterns}}
-    scores = np.empty((len(patterns), most))
+    counts, scores = np.zeros((len(patterns), 1), np.int64), np.empty((len(patterns), most))
     what, found = np.empty((len(patterns), most, 7), np.int64), np.empty((len(patterns), most, 2), np.complex128)
     guesses = []
     for k, pattern in enumerate(patterns):
-        count = _search(
-            w,
-            log_r,
-            may_be[pattern.datum_kind],
-            pattern.z,
-            pattern.log_half,
-            pattern.datums,
-            pattern.pitch_mm,
-            table,
-            width,
-            height,
-            scores[k],
-            what[k],
-            found[k],
-        )
-        guesses += [(score, k, i) for i, score in enumerate(scores[k, :count].tolist())]
+        plate = _Plate(pattern.z, pattern.log_half, pattern.datums, pattern.pitch_mm)
+        _search(beads, plate, may_be[pattern.datum_kind], _Best(counts[k], scores[k], what[k], found[k]))
+        guesses += [(score, k, i) for i, score in enumerate(scores[k, : counts[k, 0]].tolist())]
     for score, k, i in sorted(guesses, key=lambda guess: -guess[0]):
         turn, shift = found[k, i].tolist()
         if turn == 0:  # so far from the image that its pixels are rounded away
