@@ -1,11 +1,12 @@
 """Whether labels can be true: the fit must be one that this frame, a C-arm and an intensifier can give."""
 
+from enum import IntEnum
+
 import numpy as np
 
 from sightline.detection.labelling.growth import Grown
 from sightline.detection.labelling.joint import Joint, Model
 
-FINAL = 6
 WORST_SD = 0.02  # of the pitch: the scatter of the beads about their places; 2 px at the design distance [ours]
 BEND = 4.5  # most standard deviations of the prior that a map may need [ours]
 # By which balls may look larger or smaller: -0.02 to 0.03 in 108 images of the twin; on a machine of another blur the
@@ -20,13 +21,22 @@ FOCAL_SLOPE = (
 )
 
 
+class Stage(IntEnum):
+    """What an attempt to label an image was at when it stopped, in the order of the steps."""
+
+    SEEDS = 0  # finding three datum markers
+    LATTICES = 1  # finding a second lattice of beads
+    NAMES = 2  # naming the plates of the lattices
+    UNIQUENESS = 3  # excluding every other naming
+    PROJECTION = 4  # fitting one central projection to both plates
+    CHECKS = 5  # checking the fit
+    FINAL = 6  # the beads are explained and the geometry contradicts them: no other attempt is made
+
+
 class Stop(Exception):  # noqa: N818 - the attempt stops, labelling may go on
-    """Why an attempt ended, and how far it had come: the refusal of the furthest attempt is the one reported.
+    """Why an attempt ended, and at what stage: the refusal of the furthest attempt is the one reported."""
 
-    At FINAL the beads are explained and the geometry contradicts them: no other attempt is made.
-    """
-
-    def __init__(self, stage: int, message: str) -> None:
+    def __init__(self, stage: Stage, message: str) -> None:
         super().__init__(message)
         self.stage = stage
 
@@ -51,16 +61,20 @@ def _check_map(model: Model, fit: Joint, beads: np.ndarray) -> None:
     off = fit.xy_mm[beads[:, 0]] - fit.target_mm[beads[:, 1]]
     scatter = float(np.sqrt((off**2).mean()))
     if scatter > WORST_SD * model.xrii.pitch_mm:
-        raise Stop(5, f"the beads miss their places on the XRII plate by {scatter:.2f} mm; check the frame file")
+        raise Stop(
+            Stage.CHECKS, f"the beads miss their places on the XRII plate by {scatter:.2f} mm; check the frame file"
+        )
     if fit.bend > BEND:
-        raise Stop(5, "the labels would need a distortion that no intensifier has; is this the frame in the image?")
+        raise Stop(
+            Stage.CHECKS, "the labels would need a distortion that no intensifier has; is this the frame in the image?"
+        )
 
 
 def _check_explained(beads: np.ndarray, ball_like: int) -> None:
     """Are most detections that look like beads explained?"""
     if len(beads) < EXPLAINED * ball_like:
         raise Stop(
-            5,
+            Stage.CHECKS,
             f"only {100 * len(beads) / ball_like:.0f} % of what looks like the frame's beads is on one of its places; "
             "check the frame file, or give the datum markers' pixels",
         )
@@ -74,7 +88,7 @@ def _check_edge(model: Model, fit: Joint, pair: tuple[Grown, Grown], left: np.nd
         seen = int((off2 < BEYOND_M2).any(axis=1).sum())
         if seen > MOST_BEYOND:
             raise Stop(
-                5,
+                Stage.CHECKS,
                 f"{seen} balls are seen beyond the edge of the {plate.pattern.role_name} plate, where its grid would "
                 "go on: the labels may be shifted; show more of its datum markers, or give their pixels",
             )
@@ -91,7 +105,7 @@ def _check_pattern(pair: tuple[Grown, Grown]) -> None:
         contradict = int((seen != said).sum())
         if contradict > max(SIZES_WRONG, agree):
             raise Stop(
-                FINAL,
+                Stage.FINAL,
                 f"the sizes of {contradict} balls contradict the pattern of datum markers of the {pattern.role_name} "
                 f"plate and those of {agree} agree; this is another frame than the file describes",
             )
@@ -110,7 +124,7 @@ def _check_ball_size(fit: Joint, pair: tuple[Grown, Grown]) -> None:
         if abs(larger) > BALL_LOG_SIZE:
             says = float(np.median(pattern.diameter_mm))
             raise Stop(
-                FINAL,
+                Stage.FINAL,
                 f"the balls of the {pattern.role_name} plate look {says * np.exp(larger):.2f} mm and the "
                 f"frame says {says:.2f} mm; is this the frame in the image?",
             )
@@ -125,7 +139,7 @@ def _check_focal_point(model: Model, fit: Joint, beads: np.ndarray) -> None:
     aside = float(np.linalg.norm(ray - far * away))
     if not FOCAL_MM[0] < far < FOCAL_MM[1] or aside > FOCAL_SLOPE * far:
         raise Stop(
-            FINAL,
+            Stage.FINAL,
             f"the labels put the focal point {far:.0f} mm from the XRII plate and {aside:.0f} mm aside, where no C-arm "
             "has it; check that the frame file describes the frame in the image",
         )

@@ -4,7 +4,7 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 
-from sightline.detection.labelling.checks import FINAL, Stop
+from sightline.detection.labelling.checks import Stage, Stop
 from sightline.detection.labelling.growth import Grown, grow
 from sightline.detection.labelling.naming import most_like
 from sightline.detection.labelling.patterns import Pattern, patterns
@@ -104,7 +104,7 @@ def _found(problem: Problem) -> Solution:
             try:
                 return solve(problem, (first, second))
             except Stop as stop:
-                if stop.stage == FINAL:
+                if stop.stage == Stage.FINAL:
                     raise
                 stops.append(stop)
     largest = max(lone, key=len, default=None)
@@ -112,7 +112,7 @@ def _found(problem: Problem) -> Solution:
         raise _one_plate(problem, largest)
     if not stops:
         raise Stop(
-            0,
+            Stage.SEEDS,
             f"no three of the {problem.usable.sum()} beads found are datum markers of this frame; check that it is the "
             "frame in the image, show more of its datum markers, or give their pixels",
         )
@@ -123,7 +123,7 @@ def _one_plate(problem: Problem, lattice: Grown) -> Stop:
     """What to say where no second plate is found."""
     best = most_like(lattice, [pattern for couple in problem.couples for pattern in couple])
     return Stop(
-        1,
+        Stage.LATTICES,
         f"only one plate was found: {len(lattice)} beads that look most like the {best.role_name} plate of the "
         f"{best.view} view; move the C-arm or the frame until both plates are in the field",
     )
@@ -184,7 +184,9 @@ def _told_plate(problem: Problem, pattern: Pattern, datums: Mapping[str, tuple[f
         distance = np.where(problem.usable, np.linalg.norm(detections.uv_px - datums[name], axis=1), np.inf)
         row = int(distance.argmin())
         if not distance[row] < CLICK * detections.radius_px[row]:
-            raise Stop(0, f"no bead was found at the pixel given for {name}; give another datum marker instead")
+            raise Stop(
+                Stage.SEEDS, f"no bead was found at the pixel given for {name}; give another datum marker instead"
+            )
         rows.append(row)
         places.append(place)
     off = pattern.xy_mm[places] - pattern.xy_mm[places].mean(axis=0) if places else np.zeros((0, 2))
@@ -196,7 +198,7 @@ def _told_plate(problem: Problem, pattern: Pattern, datums: Mapping[str, tuple[f
     grown = grow(Seed(pattern, similarity, np.array(rows), np.array(places), 0.0), detections, problem.usable)
     if len(grown) < LEAST_BEADS:
         raise Stop(
-            1,
+            Stage.LATTICES,
             f"only {len(grown)} beads of the {pattern.role_name} plate lie where the datum markers given put them; "
             "check them",
         )

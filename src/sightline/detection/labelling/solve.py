@@ -6,7 +6,7 @@ import numpy as np
 from numba import njit
 from scipy.spatial import KDTree
 
-from sightline.detection.labelling.checks import FINAL, Stop, check
+from sightline.detection.labelling.checks import Stage, Stop, check
 from sightline.detection.labelling.growth import LOG_RADIUS, Grown, grow
 from sightline.detection.labelling.joint import Joint, Model
 from sightline.detection.labelling.naming import Naming, name
@@ -72,17 +72,21 @@ def named(problem: Problem, pair: tuple[Grown, Grown]) -> tuple[Grown, Grown]:
     for _ in range(MOST_NAMINGS):
         naming = name(pair, problem.couples)
         if naming is None:
-            raise Stop(2, "too few neighbouring beads were found to tell the plates apart; show more of both plates")
+            raise Stop(
+                Stage.NAMES, "too few neighbouring beads were found to tell the plates apart; show more of both plates"
+            )
         if naming.unchanged:
             _check_certain(problem, naming)
             return pair if pair[0].pattern.role == "xrii" else (pair[1], pair[0])
         if problem.told:
-            raise Stop(FINAL, "the pixels given for the datum markers contradict the beads' sizes; check their order")
+            raise Stop(
+                Stage.FINAL, "the pixels given for the datum markers contradict the beads' sizes; check their order"
+            )
         first, second = (
             _again(problem, g, p, at) for g, p, at in zip(pair, naming.patterns, naming.places, strict=True)
         )
         pair = (first, second)
-    raise Stop(2, "the beads found fit no one reading of the frame's plates; is this the frame in the image?")
+    raise Stop(Stage.NAMES, "the beads found fit no one reading of the frame's plates; is this the frame in the image?")
 
 
 def _check_certain(problem: Problem, naming: Naming) -> None:
@@ -91,12 +95,12 @@ def _check_certain(problem: Problem, naming: Naming) -> None:
     margin = naming.margin if problem.view is None else naming.margin_in_view
     if margin < MARGIN and not problem.told:
         raise Stop(
-            3,
+            Stage.UNIQUENESS,
             "the datum markers that can be seen fit more than one way to label the beads; show more of them, "
             "or give the datum markers' pixels",
         )
     if problem.view not in (None, found):
-        raise Stop(FINAL, f"the image shows the {found} view, not {problem.view}; are the two images exchanged?")
+        raise Stop(Stage.FINAL, f"the image shows the {found} view, not {problem.view}; are the two images exchanged?")
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,9 +187,9 @@ def _fitted(problem: Problem, model: Model, pair: tuple[Grown, Grown], sizes: _S
     try:
         focal_mm = model.first_focal_point(*pair)
     except ReconstructionRefusedError:
-        raise Stop(4, NOT_CENTRAL) from None
+        raise Stop(Stage.PROJECTION, NOT_CENTRAL) from None
     if not model.shadows.sees(focal_mm):
-        raise Stop(4, NOT_CENTRAL)
+        raise Stop(Stage.PROJECTION, NOT_CENTRAL)
     beads = _beads(on)
     fit, factor = model.fit(beads, focal_mm, 1.0), 1.0
     for turn in range(MOST_FITS):
@@ -203,7 +207,7 @@ def _fitted(problem: Problem, model: Model, pair: tuple[Grown, Grown], sizes: _S
         if min(of_xrii, len(beads) - of_xrii) < LEAST_BEADS or not model.shadows.sees(fit.focal_point_mm):
             break
         fit = model.fit(beads, fit.focal_point_mm, factor)
-    raise Stop(4, NOT_CENTRAL)
+    raise Stop(Stage.PROJECTION, NOT_CENTRAL)
 
 
 def solve(problem: Problem, pair: tuple[Grown, Grown]) -> Solution:
@@ -216,7 +220,10 @@ def solve(problem: Problem, pair: tuple[Grown, Grown]) -> Solution:
     xrii, source = pair[0].pattern, pair[1].pattern
     of_xrii = int((beads[:, 1] < len(xrii.ids)).sum())
     if min(of_xrii, len(beads) - of_xrii) < LEAST_BEADS:
-        raise Stop(4, "too few beads can be told from false candidates; show more of both plates, or expose longer")
+        raise Stop(
+            Stage.PROJECTION,
+            "too few beads can be told from false candidates; show more of both plates, or expose longer",
+        )
     misfit = np.split(np.abs(sizes.misfit), [len(xrii.ids)], axis=1)
     ball_like = np.stack([problem.usable & (one.min(axis=1) < LOG_RADIUS) for one in misfit], axis=1)
     check(model, fit, beads, pair, ball_like)
