@@ -3,6 +3,7 @@
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
@@ -36,9 +37,8 @@ class Readings:
     index: np.ndarray
 
 
-@dataclass(frozen=True, eq=False)
-class _Map:
-    """A pattern made ready for being laid on lattices.
+class _Map(NamedTuple):
+    """A pattern made ready for being laid on lattices, for kernels.
 
     `table`: which place is within reach of each of CELLS x CELLS cells, or -1, from the corner `low`, `cell` mm each.
     Its pairs of neighbours as places `start` and steps `step`, of directions `step_rad`; `larger`: log sizes over the
@@ -53,72 +53,101 @@ class _Map:
     step_rad: np.ndarray
     larger: np.ndarray
 
-    @staticmethod
-    @lru_cache(maxsize=32)
-    def of(pattern: Pattern) -> "_Map":
-        low = pattern.xy_mm.min(axis=0) - pattern.pitch_mm
-        cell = float((pattern.xy_mm.max(axis=0) + pattern.pitch_mm - low).max() / CELLS)
-        middle = low + (np.indices((CELLS, CELLS)).reshape(2, -1).T + 0.5) * cell
-        distance = np.linalg.norm(middle[:, None] - pattern.xy_mm[None], axis=2)
-        table = np.where(distance.min(axis=1) < ON_PLACE * pattern.pitch_mm, distance.argmin(axis=1), -1)
-        start, end = pattern.z[pattern.neighbours].T
-        step = end - start
-        larger = pattern.log_half - median(pattern.log_half)
-        return _Map(table.reshape(CELLS, CELLS), low, cell, np.ascontiguousarray(start), step, np.angle(step), larger)
+
+@lru_cache(maxsize=32)
+def _map_of(pattern: Pattern) -> _Map:
+    low = pattern.xy_mm.min(axis=0) - pattern.pitch_mm
+    cell = float((pattern.xy_mm.max(axis=0) + pattern.pitch_mm - low).max() / CELLS)
+    middle = low + (np.indices((CELLS, CELLS)).reshape(2, -1).T + 0.5) * cell
+    distance = np.linalg.norm(middle[:, None] - pattern.xy_mm[None], axis=2)
+    table = np.where(distance.min(axis=1) < ON_PLACE * pattern.pitch_mm, distance.argmin(axis=1), -1)
+    start, end = pattern.z[pattern.neighbours].T
+    step = end - start
+    larger = pattern.log_half - median(pattern.log_half)
+    return _Map(table.reshape(CELLS, CELLS), low, cell, np.ascontiguousarray(start), step, np.angle(step), larger)
+
+
+class _Beads(NamedTuple):
+    """A lattice for kernels: its beads as z = x + iy, mm, `larger` than their median, log; two of them, neighbours, at
+    `origin` and `away` from it. `tilt_rad`: how its plate is turned in the image, and whether it is a `mirror` image.
+    """
+
+    z: np.ndarray
+    larger: np.ndarray
+    origin: complex
+    away: complex
+    away_rad: float
+    tilt_rad: float
+    mirror: bool
+
+
+class _Costs(NamedTuple):
+    """Of each class of readings (24,): the two least costs, and which reading is the cheapest."""
+
+    first: np.ndarray
+    second: np.ndarray
+    cheapest: np.ndarray
+
+
+@njit(cache=True, error_model="numpy", forceinline=True)
+def _reading(t, pattern, origin, away):
+    """Turn and shift of z = x + iy, mm, of reading `t`, and whether z is conjugated first.
+
+    It lays the beads at `origin` and `away` from it on a pair of neighbours of the pattern.
+    """
+    flip = t >= len(pattern.step)
+    k = t - len(pattern.step) if flip else t
+    turn = pattern.step[k] * (away if flip else away.conjugate()) / (away.real**2 + away.imag**2)
+    return turn, pattern.start[k] - turn * (origin.conjugate() if flip else origin), flip
 
 
 @njit(cache=True, error_model="numpy")
-def _reading(t, start, step, origin, away):
-    """Turn and shift of z = x + iy, mm, of reading `t`, and whether z is conjugated first."""
-    flip = t >= len(step)
-    k = t - len(step) if flip else t
-    turn = step[k] * (away if flip else away.conjugate()) / (away.real**2 + away.imag**2)
-    return turn, start[k] - turn * (origin.conjugate() if flip else origin), flip
-
-
-@njit(cache=True, error_model="numpy")
-def _cheapest(  # noqa: PLR0917 - a kernel
-    z,
-    larger,
-    origin,
-    away,
-    away_rad,
-    tilt_rad,
-    mirror,
-    table,
-    low,
-    cell,
-    start,
-    step,
-    step_rad,
-    sizes,
-    least,
-    first,
-    second,
-    index,
-):
-    """Fill in the two least costs of each class and the cheapest reading. Returns the least of all and of `least`."""
-    of_place = np.empty((len(z), len(sizes) + 1))
-    for n in range(len(z)):
+def _cost_on_place(larger, sizes):
+    """(N, P + 1): what each bead costs on each place, by its size, and where there is none."""
+    out = np.empty((len(larger), len(sizes) + 1))
+    for n in range(len(larger)):
         for p in range(len(sizes)):
-            of_place[n, p] = min(CONTRADICTION, 0.5 * ((larger[n] - sizes[p]) / RADIUS_SD) ** 2)
-        of_place[n, len(sizes)] = CONTRADICTION  # no place
-    per_mm = 1.0 / cell
-    for t in range(2 * len(step)):
-        turn, shift, flip = _reading(t, start, step, origin, away)
-        cost, n = 0.0, 0
-        while n < len(z) and cost <= least + HOPELESS:
-            at = turn * (z[n].conjugate() if flip else z[n]) + shift
-            x, y = (at.real - low[0]) * per_mm, (at.imag - low[1]) * per_mm
-            p = table[int(x), int(y)] if 0.0 <= x < CELLS and 0.0 <= y < CELLS else -1
-            cost += of_place[n, p if p >= 0 else len(sizes)]
-            n += 1
+            out[n, p] = min(CONTRADICTION, 0.5 * ((larger[n] - sizes[p]) / RADIUS_SD) ** 2)
+        out[n, len(sizes)] = CONTRADICTION
+    return out
+
+
+@njit(cache=True, error_model="numpy", forceinline=True)
+def _cost(reading, z, pattern, of_place, limit):
+    """What the beads cost under a reading; no more are counted once that is beyond `limit`."""
+    turn, shift, flip = reading
+    table, low, per_mm, nowhere = pattern.table, pattern.low, 1.0 / pattern.cell, of_place.shape[1] - 1
+    cost, n = 0.0, 0
+    while n < len(z) and cost <= limit:
+        at = turn * (z[n].conjugate() if flip else z[n]) + shift
+        x, y = (at.real - low[0]) * per_mm, (at.imag - low[1]) * per_mm
+        p = table[int(x), int(y)] if 0.0 <= x < CELLS and 0.0 <= y < CELLS else -1
+        cost += of_place[n, p if p >= 0 else nowhere]
+        n += 1
+    return cost
+
+
+@njit(cache=True, error_model="numpy", forceinline=True)
+def _class_of(step_rad, flip, beads):
+    """Which class a reading belongs to: handedness and sector against the image."""
+    mirrored = flip != beads.mirror
+    turn_rad = step_rad + (beads.away_rad if flip else -beads.away_rad)
+    sector = int(np.floor((turn_rad + (beads.tilt_rad if mirrored else -beads.tilt_rad)) / SECTOR + 0.5))
+    return sector % 12 + 12 * mirrored
+
+
+@njit(cache=True, error_model="numpy")
+def _cheapest(beads, pattern, least, costs):
+    """Fill in the two least costs of each class and the cheapest reading. Returns the least of all and of `least`."""
+    of_place = _cost_on_place(beads.larger, pattern.larger)
+    first, second, index = costs
+    z, step_rad = beads.z, pattern.step_rad
+    for t in range(2 * len(step_rad)):
+        reading = _reading(t, pattern, beads.origin, beads.away)
+        cost = _cost(reading, z, pattern, of_place, least + HOPELESS)
         hopeless = cost > least + HOPELESS
         least = min(least, cost)
-        mirrored = flip != mirror
-        turn_rad = step_rad[t % len(step)] + (away_rad if flip else -away_rad)
-        sector = int(np.floor((turn_rad + (tilt_rad if mirrored else -tilt_rad)) / SECTOR + 0.5))
-        c = sector % 12 + 12 * mirrored
+        c = _class_of(step_rad[t % len(step_rad)], reading[2], beads)
         if cost < first[c]:
             first[c], second[c], index[c] = cost, first[c], -1 if hopeless else t
         else:
@@ -159,30 +188,19 @@ class _Lattice:
         """The cheapest ways to lay each pattern on the lattice. The classes count turns from `reference_rad`."""
         out, least = {}, np.inf
         similarity = self.grown.sheet.similarity
+        beads = _Beads(
+            self.z,
+            self.larger,
+            self.origin,
+            self.away,
+            float(np.angle(self.away)),
+            float(np.angle(similarity.turn)) - reference_rad,
+            similarity.mirror,
+        )
         for pattern in sorted(patterns, key=lambda one: one is not self.grown.pattern):  # its own is cheap, most often
-            m = _Map.of(pattern)
-            first, second, index = np.full(24, np.inf), np.full(24, np.inf), np.full(24, -1)
-            least = _cheapest(
-                self.z,
-                self.larger,
-                self.origin,
-                self.away,
-                np.angle(self.away),
-                np.angle(similarity.turn) - reference_rad,
-                similarity.mirror,
-                m.table,
-                m.low,
-                m.cell,
-                m.start,
-                m.step,
-                m.step_rad,
-                m.larger,
-                least,
-                first,
-                second,
-                index,
-            )
-            out[pattern] = Readings(pattern, first, second, index)
+            costs = _Costs(np.full(24, np.inf), np.full(24, np.inf), np.full(24, -1))
+            least = _cheapest(beads, _map_of(pattern), least, costs)
+            out[pattern] = Readings(pattern, costs.first, costs.second, costs.cheapest)
         return out
 
     def places(self, pattern: Pattern, index: int) -> tuple[np.ndarray, bool]:
@@ -190,8 +208,7 @@ class _Lattice:
 
         And whether that is the reading with which the lattice came.
         """
-        m = _Map.of(pattern)
-        turn, shift, flip = _reading(index, m.start, m.step, self.origin, self.away)
+        turn, shift, flip = _reading(index, _map_of(pattern), self.origin, self.away)
         z = self.grown.xy_mm[self.grown.all_rows] @ np.array([1.0, -1j if flip else 1j])
         d = np.abs((turn * z + shift)[:, None] - pattern.z)
         own = pattern is self.grown.pattern and not flip and abs(turn - 1) < 1e-9 and abs(shift) < 1e-6
