@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from tests.detection.wire_images import PX_PER_MM, SIZE, Drawn, Expected, expected, image_of
 
-from sightline.detection.wire import WireShadow, find_wire
+from sightline.detection.wire import WireShadow, _off_the_others, _Piece, find_wire
+from sightline.detection.wire_model import BEND, Fit
 from sightline.errors import UnusableInputError, WireRefusedError
 from sightline.imaging import Radiograph
 
@@ -79,6 +80,15 @@ def test_beads_over_the_wire_are_left_out():
     seen = find_wire(image, expected(WIRE), 2.5, beads, radius)
     assert np.sqrt((off_line(seen, WIRE) ** 2).mean()) < 0.15
     assert (np.hypot(*(seen.uv_px[:, None] - beads).T) > 5.0).all()
+
+
+def test_a_piece_is_held_against_the_others_not_against_itself():
+    s, x = 30.0 * np.arange(9.0), np.random.default_rng(11).standard_normal(9)
+    fits = [Fit(np.array([offset]), np.zeros(0), np.zeros(0), 1.0, 1.0, True) for offset in x]
+    pieces = [_Piece(float(place), np.zeros(0), fit) for place, fit in zip(s, fits, strict=True)]
+    for k, off in enumerate(_off_the_others(pieces)):
+        others = np.polynomial.Polynomial.fit(np.delete(s, k), np.delete(x, k), BEND)
+        assert off == pytest.approx(x[k] - others(s[k]), abs=1e-9)
 
 
 def test_no_wire_is_refused():

@@ -9,7 +9,7 @@ from scipy.ndimage import binary_dilation, gaussian_filter
 
 from sightline.detection.log_image import field_inset, log_image
 from sightline.detection.noise import NoiseModel, estimate_noise
-from sightline.detection.wire_model import Fit, Path, Wire, fit_across, fit_tip
+from sightline.detection.wire_model import BEND, Fit, Path, Wire, fit_across, fit_tip
 from sightline.detection.wire_search import search
 from sightline.errors import UnusableInputError, WireRefusedError
 from sightline.imaging import Radiograph
@@ -19,13 +19,14 @@ _PIECE = 3.5  # radii of wire that one point of the centre line is fitted to [ou
 _BESIDE_PX = 14.0  # of background to either side [ours]
 _BLUR_PX = 1.2  # where fits start: detector 1.0, focal spot and pixel [physics.md]
 _ROUND_BEAD_PX = 2.5  # about a bead: its rim and the blur of that
-_BEND = 3  # degree of the curve through the pieces, on the path that is expected
 _LAGS = 14  # px; what lies further apart is not correlated: trabeculae are 8 px wide [twin]
 _ODD = 4.5  # s.d. of smoothed residuals: what the wire and its background do not explain [ours]
 _SEEN = 0.6  # share of a piece, and of each of its rims, that nothing may cover [ours]
 _RIM_PX = 3.0  # to either side of a rim, where a centre is told from
 _MODEL_LIGHT = 0.01  # of the light: what the model leaves where there is no noise [ours]
-_FAR_OFF = 5.0  # s.d. from the curve through the others: something else overlies the piece [ours]
+# Standard deviations from the curve through the others: something else overlies the piece. As for an observation of
+# the check shot, which such a piece would fail as a whole [ours].
+_FAR_OFF = 4.0
 _NOISIEST_PX = 1.0  # a piece less certain than this says nothing [ours]
 # What the noise does not tell: backgrounds that bend, glare; s.d. without any noise, px [twin].
 _MODEL_ACROSS_PX, _MODEL_TIP_PX = 0.05, 0.4
@@ -274,10 +275,10 @@ def _products_by_lag(values: np.ndarray) -> np.ndarray:
 
 
 def _on_a_curve(pieces: list[_Piece]) -> list[_Piece]:
-    """The pieces that lie on one curve of degree _BEND, by their own scatter."""
+    """The pieces that lie on one curve of degree BEND, by their own scatter."""
     kept = pieces
     while len(kept) > _FEWEST_PIECES:
-        off = np.array([piece.fit.values[0] for piece in kept]) - _curve(kept)(np.array([p.s_px for p in kept]))
+        off = _off_the_others(kept)
         spread = max(1.4826 * float(np.median(np.abs(off))), _MODEL_ACROSS_PX)
         worst = int(np.abs(off).argmax())
         if abs(off[worst]) < _FAR_OFF * spread:
@@ -286,10 +287,18 @@ def _on_a_curve(pieces: list[_Piece]) -> list[_Piece]:
     return kept
 
 
+def _off_the_others(pieces: list[_Piece]) -> np.ndarray:
+    """(N,) px: each piece from the curve through all others (residuals over one less their leverage)."""
+    s, x = np.array([(piece.s_px, piece.fit.values[0]) for piece in pieces]).T
+    design = np.polynomial.polynomial.polyvander((s - s.mean()) / np.ptp(s), BEND)
+    hat = design @ np.linalg.pinv(design)
+    return (x - hat @ x) / (1.0 - np.diag(hat))
+
+
 def _curve(pieces: list[_Piece]) -> np.polynomial.Polynomial:
     """Offset over s."""
     s, x = np.array([(piece.s_px, piece.fit.values[0]) for piece in pieces]).T
-    return np.polynomial.Polynomial.fit(s, x, _BEND)
+    return np.polynomial.Polynomial.fit(s, x, BEND)
 
 
 def _through(path: Path, pieces: list[_Piece]) -> Path:

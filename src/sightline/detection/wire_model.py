@@ -22,6 +22,7 @@ _RAY_MM = 0.05  # steps along a ray through it
 _STEPS = 12
 _SETTLED = 0.005  # px
 _LEAST_BLUR, _LARGEST_BLUR = 0.3, 0.7  # px; radii
+BEND = 3  # degree of a wire's curve on the path that is expected: check_shot's wire is a cubic too
 _WIDEST = 1.7  # times the radius that is expected, either way: beyond, a fit has lost the wire
 
 

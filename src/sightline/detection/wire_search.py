@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from scipy.ndimage import gaussian_filter, uniform_filter1d
 
-from sightline.detection.wire_model import Path
+from sightline.detection.wire_model import BEND, Path
 from sightline.errors import WireRefusedError
 
 CORRIDOR_MM = 8.0  # to either side of where the wire is expected [ours]
@@ -17,6 +17,7 @@ _SIDE = 1.7  # radii from the middle, where the sides are looked at
 _FAINTEST = 0.2  # log light: cortices seen along their length reach 0.1-0.15, wires 0.4 and more [twin]
 _SHORTEST = 6.0  # radii of wire that must be seen [ours]
 _RIVAL = 0.6  # of the best line's darkness summed up: another line that reaches it competes [ours]
+_REWEIGHTED, _LEAST_OFF_PX = 10, 0.5  # fits of the line; less off than this counts alike [ours]
 _BRIDGED = 0.3  # of the wire's usual darkness: less, on the whole, is no wire; dense bone over a part leaves 0.5 [twin]
 
 
@@ -55,8 +56,7 @@ def search(logs: np.ndarray, usable: np.ndarray, path: Path, radius_px: np.ndarr
     across = _followed(dark, known, at, reach, radius)
     tip = _end(dark, known, across, reach, radius)
     kept = slice(None, min(int(tip + 12 * radius), len(s)))
-    centre = gaussian_filter(across, 2 * radius, mode="nearest")
-    centre = np.where(s < tip, centre, np.polyval(_line(s, centre, tip, radius), s))
+    centre = _smooth(s, across, tip, radius)
     on, _, normal = path.at(s)
     found = Path.through((on + centre[:, None] * normal)[kept])
     return Line(found, float(found.s_px[int(tip)]), tip)
@@ -136,7 +136,14 @@ def _end(dark: np.ndarray, known: np.ndarray, across: np.ndarray, reach: int, ra
     return float(tip)
 
 
-def _line(s: np.ndarray, centre: np.ndarray, tip: float, radius: float) -> np.ndarray:
-    """The straight line through the last part of the wire."""
-    last = (s < tip - radius) & (s > tip - 20 * radius)
-    return np.polyfit(s[last], centre[last], 1)
+def _smooth(s: np.ndarray, across: np.ndarray, tip: float, radius: float) -> np.ndarray:
+    """(S,) the cubic of least absolute deviations through the line up to its tip; beyond it straight on.
+
+    What lies beside the wire pulls the line aside for a piece. A path with such a bump would hide from `find_wire` that
+    the piece there is off."""
+    inside = s < tip - radius
+    weight = np.ones(np.count_nonzero(inside))
+    for _ in range(_REWEIGHTED):
+        curve = np.polynomial.Polynomial.fit(s[inside], across[inside], BEND, w=np.sqrt(weight))
+        weight = 1.0 / np.maximum(np.abs(across[inside] - curve(s[inside])), _LEAST_OFF_PX)
+    return curve(np.minimum(s, tip)) + curve.deriv()(tip) * np.maximum(s - tip, 0.0)

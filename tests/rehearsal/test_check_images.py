@@ -1,0 +1,41 @@
+"""Check shots of a rehearsal: what a right wire looks like at any depth."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import RigidTransform
+
+import sightline as sl
+from sightline.case.views import tell_apart
+from sightline.checks import failed
+from sightline.frame import Frame
+from sightline.planning import plan
+from sightline.planning.check_shot import Landmarks
+from sightline.rehearsal.procedure import VIEWS, Rehearsal
+from sightline.robot.link.simulated import SimulatedWire
+
+SEED = 9  # in its lateral image the femur's outline crosses the wire and pulls a piece of it aside by half a pixel
+
+
+@pytest.fixture(scope="module")
+def rehearsal() -> Rehearsal:
+    return Rehearsal.draw(SEED, Frame.load("gamma"))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("short_mm", [0.0, 0.2, 0.4, 0.6])
+def test_a_wire_where_it_was_planned_passes_at_any_depth(rehearsal: Rehearsal, short_mm: float) -> None:
+    """Where the pieces of its centre line begin and end follows from the tip."""
+    frame, wire = rehearsal.setup.frame, rehearsal.hip.wire_mm
+    views = []
+    for name in VIEWS:
+        image = rehearsal.images[name]
+        views.append(sl.calibrate(tell_apart(image, sl.detect(image), frame, name), frame))
+    uv, names = rehearsal.pixels(wire), list(rehearsal.landmarks)
+    marks = np.stack([rehearsal.landmarks[name] for name in names], axis=1)
+    made = plan(views, uv[:, 0], uv[:, 1], landmarks_uv_px=marks)
+    along = (wire[1] - wire[0]) / np.linalg.norm(wire[1] - wire[0])
+    drilled = np.stack([wire[0], wire.mean(axis=0), wire[1] - short_mm * along])
+    taken = rehearsal.check_images(SimulatedWire(drilled, RigidTransform.identity(), np.zeros(5)))
+    found = taken.compare(made, views, Landmarks(marks, taken.landmarks_px(names, 0.0, np.random.default_rng(0)), 0.5))
+    assert not failed(found.checks), [check.sentence for check in failed(found.checks)]
+    assert found.deviation_mm[4] == pytest.approx(-short_mm, abs=3 * np.sqrt(found.covariance_mm2[4, 4]))
