@@ -142,8 +142,8 @@ def _smooth(s: np.ndarray, across: np.ndarray, tip: float, radius: float) -> np.
     What lies beside the wire pulls the line aside for a piece. A path with such a bump would hide from `find_wire` that
     the piece there is off."""
     inside = s < tip - radius
-    weight = np.ones(np.count_nonzero(inside))
+    curve = np.polynomial.Polynomial.fit(s[inside], across[inside], BEND)
     for _ in range(_REWEIGHTED):
-        curve = np.polynomial.Polynomial.fit(s[inside], across[inside], BEND, w=np.sqrt(weight))
-        weight = 1.0 / np.maximum(np.abs(across[inside] - curve(s[inside])), _LEAST_OFF_PX)
+        off = np.maximum(np.abs(across[inside] - curve(s[inside])), _LEAST_OFF_PX)
+        curve = np.polynomial.Polynomial.fit(s[inside], across[inside], BEND, w=off**-0.5)
     return curve(np.minimum(s, tip)) + curve.deriv()(tip) * np.maximum(s - tip, 0.0)
