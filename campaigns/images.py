@@ -43,12 +43,12 @@ def read(pixels: np.ndarray, white: int = 65535) -> Radiograph:
 
 def whole_way(images: dict[str, Radiograph], frame: Frame, clicks: Clicks, wire_mm: np.ndarray) -> Ended:
     """From two images to a verdict, as `sightline plan` goes it."""
-    from sightline.case.views import tell_apart
+    from sightline.pipeline import label_beads
 
     views = []
     for name in VIEWS:
         beads = sl.detect(images[name])
-        views.append(sl.calibrate(tell_apart(images[name], beads, frame, name), frame, view=name))
+        views.append(sl.calibrate(label_beads(images[name], beads, frame, name), frame, view=name))
     return judged(clicks.plan(views), wire_mm)
 
 

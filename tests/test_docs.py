@@ -3,10 +3,12 @@
 import ast
 import functools
 import inspect
+import json
 import re
-import shutil
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 
 from sightline import errors
@@ -96,15 +98,18 @@ def python_blocks(page: Path) -> list[str]:
     return re.findall(r"^```python\n(.*?)^```", page.read_text(), flags=re.MULTILINE | re.DOTALL)
 
 
-def test_the_python_of_the_readme_runs(demo_folder: Path, tmp_path: Path, monkeypatch, capsys) -> None:
-    for name in ("pa", "lateral"):
-        shutil.copy(demo_folder / f"demo_{name}.dcm", tmp_path / f"{name}.dcm")
+def test_the_python_of_the_readme_runs_on_the_demo(demo_folder: Path, tmp_path: Path, monkeypatch, capsys) -> None:
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "demo").symlink_to(demo_folder)
     monkeypatch.chdir(tmp_path)
-    blocks = python_blocks(ROOT / "README.md")
-    assert blocks
-    for block in blocks:
-        exec(compile(block, "README.md", "exec"), {})  # noqa: S102 - our own page
-    assert re.search(r"-?\d+\.\d", capsys.readouterr().out)
+    (block,) = python_blocks(ROOT / "README.md")
+    known: dict[str, Any] = {}
+    exec(compile(block, "README.md", "exec"), known)  # noqa: S102 - our own page
+    assert capsys.readouterr().out.startswith("go [")
+    truth = json.loads((demo_folder / "truth.json").read_text())
+    path = known["plan"].trajectory
+    assert np.linalg.norm(path.entry_mm - truth["entry_mm"]) < path.entry_error_95_mm
+    assert np.linalg.norm(path.end_mm - truth["end_mm"]) < path.end_error_95_mm
 
 
 def test_the_tests_that_the_page_on_safety_names_exist() -> None:

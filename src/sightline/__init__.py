@@ -19,9 +19,18 @@ if TYPE_CHECKING:
     from sightline.frame import Frame as Frame
     from sightline.imaging import Radiograph as Radiograph
     from sightline.imaging import read_image as read_image
+    from sightline.pipeline import calibrate_image as calibrate_image
+    from sightline.pipeline import check_shot as check_shot
+    from sightline.planning import Aids as Aids
+    from sightline.planning import Circle as Circle
+    from sightline.planning import Line as Line
+    from sightline.planning import Plan as Plan
     from sightline.planning import SpacePoints as SpacePoints
     from sightline.planning import Trajectory as Trajectory
+    from sightline.planning import plan as plan
     from sightline.planning import reconstruct as reconstruct
+    from sightline.planning.check_result import CheckShot as CheckShot
+    from sightline.planning.check_shot import Landmarks as Landmarks
 
 __version__ = "0.1.0"
 
@@ -36,13 +45,22 @@ _HOMES = {
     "SightlineError": "errors",
     "SpacePoints": "planning",
     "Trajectory": "planning",
+    "Aids": "planning",
+    "Circle": "planning",
+    "Line": "planning",
+    "Plan": "planning",
     "calibrate": "calibration",
+    "CheckShot": "planning.check_result",
+    "Landmarks": "planning.check_shot",
+    "calibrate_image": "pipeline",
+    "check_shot": "pipeline",
     "detect": "detection",
     "fit_map": "calibration",
     "label": "detection",
     "look_again": "detection",
     "read_image": "imaging",
     "read_view": "calibration.exchange.formats",
+    "plan": "planning",
     "reconstruct": "planning",
     "view_from_matrix": "calibration",
 }
@@ -53,7 +71,10 @@ __all__ = [  # noqa: RUF022 - the order a reader meets them in
     "label",
     "look_again",
     "calibrate",
+    "calibrate_image",
     "reconstruct",
+    "plan",
+    "check_shot",
     "fit_map",
     "view_from_matrix",
     "read_view",
@@ -64,6 +85,12 @@ __all__ = [  # noqa: RUF022 - the order a reader meets them in
     "CArm",
     "SpacePoints",
     "Trajectory",
+    "Plan",
+    "CheckShot",
+    "Landmarks",
+    "Aids",
+    "Circle",
+    "Line",
     "SightlineError",
     "__version__",
 ]

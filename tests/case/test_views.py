@@ -9,10 +9,11 @@ from sightline.atomic import write_folder
 from sightline.calibration import CArm
 from sightline.case.documents import view_document
 from sightline.case.report.comparison import Compared
-from sightline.case.views import calibrate_pair, known_arm, see_pair
+from sightline.case.views import calibrate_pair, see_pair
 from sightline.detection.files import write_observations
 from sightline.errors import ObservationsError, UnusableInputError
 from sightline.imaging import GeometryTags, Radiograph
+from sightline.pipeline import known_arm
 
 
 @pytest.fixture

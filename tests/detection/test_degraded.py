@@ -9,7 +9,6 @@ import pytest
 from degraded_images import banded, blocks, in_8_bits, interlaced, jpeg, levels, torn
 from track_images import FRAME, beads, image
 
-from sightline.case.views import find_beads, tell_apart
 from sightline.detection import Observations, detect, label, look_again
 from sightline.detection.causes import cause_of
 from sightline.detection.noise import LAGS, NoiseModel
@@ -18,6 +17,7 @@ from sightline.imaging import Radiograph, image_checks
 from sightline.imaging.defects import Tear
 from sightline.imaging.defects import interlaced as interlaced_image
 from sightline.imaging.defects import torn as tear_of
+from sightline.pipeline import find_beads, label_beads
 
 TRUTH = beads()
 CLEAN = in_8_bits(image(TRUTH, 5))
@@ -108,7 +108,7 @@ def test_whole_images_have_no_line_defect() -> None:
 def refusal(pixels: np.ndarray) -> str:
     one = Radiograph(pixels, 255.0)
     with pytest.raises((DetectionRefusedError, LabellingRefusedError)) as refused:
-        tell_apart(one, detect(one), FRAME)
+        label_beads(one, detect(one), FRAME)
     return str(refused.value)
 
 

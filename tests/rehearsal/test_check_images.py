@@ -5,9 +5,9 @@ import pytest
 from scipy.spatial.transform import RigidTransform
 
 import sightline as sl
-from sightline.case.views import tell_apart
 from sightline.checks import failed
 from sightline.frame import Frame
+from sightline.pipeline import label_beads
 from sightline.planning import plan
 from sightline.planning.check_shot import Landmarks
 from sightline.rehearsal.procedure import VIEWS, Rehearsal
@@ -29,7 +29,7 @@ def test_a_wire_where_it_was_planned_passes_at_any_depth(rehearsal: Rehearsal, s
     views = []
     for name in VIEWS:
         image = rehearsal.images[name]
-        views.append(sl.calibrate(tell_apart(image, sl.detect(image), frame, name), frame))
+        views.append(sl.calibrate(label_beads(image, sl.detect(image), frame, name), frame))
     uv, names = rehearsal.pixels(wire), list(rehearsal.landmarks)
     marks = np.stack([rehearsal.landmarks[name] for name in names], axis=1)
     made = plan(views, uv[:, 0], uv[:, 1], landmarks_uv_px=marks)

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
@@ -28,7 +29,7 @@ UNKNOWN_NOISE_PX = 0.5
 
 def calibrate(
     observations: Observations,
-    frame: Frame,
+    frame: Frame | str | Path,
     view: str | None = None,
     method: Method = "smooth",
     *,
@@ -39,7 +40,8 @@ def calibrate(
 ) -> BeadView:
     """The view that the beads of one image determine.
 
-    `view`: must be that of the observations, where given. `degree` (1 to 7) of "polynomial"; `plate`: which plate the
+    `frame`: a Frame, a frame file or the name of a built-in frame. `view`: must be that of the observations, where
+    given. `degree` (1 to 7) of "polynomial"; `plate`: which plate the
     lines of "localized" and "polynomial" go through (the paper's PA/X and PA/S). Beads that contradict the others are
     left out and named. `mirrored_display`: whether the display mirrors the image, by what a person sees of writing in
     it; None where nobody looked. Beads that contradict it mean that the frame file is the mirror image of the frame.
@@ -49,7 +51,12 @@ def calibrate(
     refuse_unknown_method(method)
     if plate not in ("xrii", "source"):
         raise UnusableInputError(f"there is no plate {plate!r}; choose 'xrii' or 'source'")
-    beads = match(observations, frame, view)
+    if not isinstance(observations, Observations):
+        raise UnusableInputError(
+            f"give the Observations of `label` or of a CSV file, not {type(observations).__name__}; "
+            "`calibrate_image` takes an image"
+        )
+    beads = match(observations, Frame.of(frame), view)
     if method == "smooth":
         fitted = smooth_view(beads)
     elif method == "localized":

@@ -1,25 +1,21 @@
 """From two files to two calibrated views: images as a C-arm writes them, or observations in CSV."""
 
 from collections.abc import Collection, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-
-from sightline.calibration import BeadView, CArm, calibrate
+from sightline.calibration import BeadView, CArm
 from sightline.calibration.fit import Method
 from sightline.case.journal.originals import called
-from sightline.detection import Detections, Observations, detect, is_inverted, label, look_again
-from sightline.detection.causes import cause_of
+from sightline.detection import Detections, Observations
 from sightline.detection.detections_csv import are_detections, label_csv
 from sightline.detection.files import read_observations
-from sightline.errors import DetectionRefusedError, LabellingRefusedError, ObservationsError, UnusableInputError
+from sightline.errors import ObservationsError, UnusableInputError
 from sightline.frame import Frame
-from sightline.imaging import GeometryTags, Radiograph, image_checks, read_image
+from sightline.imaging import Radiograph, read_image
+from sightline.pipeline import find_beads, known_arm, label_beads, view_of
 
 NAMES = ("pa", "lateral")  # the order of a pair of views, everywhere
-_SQUARE = 1e-3  # share by which a pixel's sides may differ [ours]
 
 
 def spoken(view: str) -> str:
@@ -63,47 +59,13 @@ def see(
     *,
     invert: bool = False,
 ) -> Seen:
-    """Beads of one image, found, told apart (`label`) and looked at again (`look_again`).
+    """Beads of one image, found, labelled (`label`) and looked at again (`look_again`).
 
     Without `view`, the datum markers tell which it is. An image that shows the balls bright is inverted, and a check
     says so; `invert`, as of `read_image`, is for one whose bright balls are not found.
     """
     image, beads = find_beads(read_image(path, frame_index, invert=invert))
-    return Seen(called(path), tell_apart(image, beads, frame, view, datums), image, beads)
-
-
-def find_beads(image: Radiograph) -> tuple[Radiograph, Detections]:
-    """The beads of an image of a frame, and the image that they were found in: inverted where it shows balls bright.
-
-    Raises what `detect` raises.
-    """
-    beads = detect(image)
-    if is_inverted(beads):
-        with suppress(DetectionRefusedError):
-            other = image.inverted()
-            found = detect(other)
-            if not is_inverted(found):
-                return other, found
-    return image, beads
-
-
-def tell_apart(
-    image: Radiograph,
-    beads: Detections,
-    frame: Frame,
-    view: str | None = None,
-    datums: dict[str, tuple[float, float]] | None = None,
-) -> Observations:
-    """The beads of an image by their names, half-hidden ones looked at again; see `see`.
-
-    Raises LabellingRefusedError, which names what is wrong with the image where its pixels tell.
-    """
-    try:
-        observations = label(beads, frame, view, datums)
-    except LabellingRefusedError as refused:
-        why = cause_of(image, np.column_stack([beads.uv_px, beads.radius_px]), beads.rejected)
-        raise LabellingRefusedError(f"{why} ({refused})" if why else str(refused)) from None
-    return look_again(image, beads, observations, frame)
+    return Seen(called(path), label_beads(image, beads, frame, view, datums), image, beads)
 
 
 def _from_csv(path: Path, name: str, frame: Frame) -> Seen:
@@ -140,18 +102,6 @@ def see_pair(pa: Path, lateral: Path, frame: Frame, *, invert: bool = False) -> 
     )
 
 
-def known_arm(
-    image: Radiograph | None, source_detector_mm: float | None = None, pixel_mm: float | None = None
-) -> CArm | None:
-    """What is known of the C-arm of an image: as given, else as its file states it; None without a distance."""
-    tags = GeometryTags() if image is None else image.tags
-    distance = source_detector_mm or tags.source_detector_mm
-    if pixel_mm is None and tags.imager_pixel_spacing_mm is not None:
-        along, across = tags.imager_pixel_spacing_mm
-        pixel_mm = along if abs(along - across) <= _SQUARE * along else None
-    return None if distance is None else CArm(distance, pixel_mm)
-
-
 def calibrated(
     seen: Seen,
     frame: Frame,
@@ -161,9 +111,8 @@ def calibrated(
     mirrored_display: bool | None = None,
 ) -> CalibratedImage:
     """One view, calibrated from its own beads, with the checks of its image; see `calibrate`."""
-    view = calibrate(seen.observations, frame, method=method, c_arm=c_arm)
-    view = view if seen.image is None else view.checked(image_checks(seen.image))
-    return CalibratedImage(seen, view.said_to_be(mirrored_display))
+    view = view_of(seen.observations, seen.image, frame, method, c_arm, mirrored_display=mirrored_display)
+    return CalibratedImage(seen, view)
 
 
 def calibrate_pair(

@@ -78,9 +78,9 @@ def calibrate(
     with Output(json=json, quiet=quiet) as out:
         from sightline.case.documents import view_document
         from sightline.case.views import calibrated as calibrated_image
-        from sightline.case.views import known_arm
         from sightline.detection.files import write_observations
         from sightline.frame import Frame
+        from sightline.pipeline import known_arm
 
         known_frame = Frame.load(frame)
         with out.step("finding and telling apart the beads"):

@@ -1,5 +1,7 @@
 """Automatic detection: candidates, fits, and the reasons for which a candidate is no bead."""
 
+from pathlib import Path
+
 import cv2
 import numpy as np
 
@@ -11,7 +13,7 @@ from sightline.detection.noise import MIN_FIELD_PX, NoiseModel, estimate_noise
 from sightline.detection.results import Detections, Rejected
 from sightline.detection.scale import FACTOR, finer, is_fine
 from sightline.errors import DetectionRefusedError
-from sightline.imaging import Radiograph
+from sightline.imaging import Radiograph, as_radiograph
 from sightline.imaging.defects import interlaced
 
 _SMALLEST_PX, _LARGEST_PX = 1.7, 27.0  # what is promised, 2-25 px, and a margin for the fit
@@ -44,14 +46,18 @@ _FIT_REASONS = {
 }
 
 
-def detect(image: Radiograph) -> Detections:
+def detect(image: Radiograph | np.ndarray | str | Path, white: float | None = None) -> Detections:
     """Beads (dark balls and washers, bright holes; radius 2-25 px) of one image, with their covariances.
 
+    `image`: a Radiograph, a file, or an array (H, W), brighter where more X-rays came; `white`: the largest value that
+    an array's source can store, its type's unless given (see `as_radiograph`).
     `rejected` holds what came near to being a bead; places without any rim are passed over in silence.
     Raises DetectionRefusedError where nothing in the image looks like a bead, and where something moved between the two
-    fields of an interlaced image, which no centre shows. Where most beads have a radius above 15 px they are measured
-    in pixels of twice the side, as often as it takes; the answer is in the image's own pixels.
+    fields of an interlaced image, which no centre shows; and what `as_radiograph` raises. Where most beads have a
+    radius above 15 px they are measured in pixels of twice the side, as often as it takes; the answer is in the image's
+    own pixels.
     """
+    image = as_radiograph(image, white)
     defect = interlaced(image)
     if defect is not None:
         raise DetectionRefusedError(defect)

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from sightline.atomic import write_whole
-from sightline.errors import FrameError
+from sightline.errors import FrameError, UnusableInputError
 from sightline.frame.builtin import BUILTIN, builtin_design
 from sightline.frame.design import FrameDesign, views_of
 from sightline.frame.document import FrameDocument, plate_document, plate_of
@@ -102,6 +102,17 @@ class Frame:
             frame = Frame.from_document(read_document(Path(source)))
         frame.refuse_mirror_image(before)
         return frame
+
+    @staticmethod
+    def of(frame: "Frame | str | Path") -> "Frame":
+        """Return a frame as it is, or load it (`load`). Raises FrameError, UnusableInputError."""
+        if isinstance(frame, Frame):
+            return frame
+        if isinstance(frame, str | Path):
+            return Frame.load(frame)
+        raise UnusableInputError(
+            f"a frame is a Frame, the path of a frame file or one of {', '.join(BUILTIN)}, not {type(frame).__name__}"
+        )
 
     def save(self, path: str | Path) -> None:
         """Write the frame file of docs/frame-file.md, whole or not at all.

@@ -2,7 +2,7 @@
 
 from sightline.imaging.defects import image_checks
 from sightline.imaging.dicom import write as write_dicom
-from sightline.imaging.files import frames_in, read_image, suffix_of, taken_at, write_png
+from sightline.imaging.files import as_radiograph, frames_in, read_image, suffix_of, taken_at, write_png
 from sightline.imaging.radiograph import GeometryTags, Radiograph
 from sightline.imaging.source import Frame, Source
 
@@ -11,6 +11,7 @@ __all__ = [
     "GeometryTags",
     "Radiograph",
     "Source",
+    "as_radiograph",
     "frames_in",
     "image_checks",
     "read_image",

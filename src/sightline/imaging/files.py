@@ -11,7 +11,7 @@ import numpy as np
 
 from sightline.atomic import write_whole
 from sightline.bounded import read_bounded, regular_file
-from sightline.errors import ImageError
+from sightline.errors import ImageError, UnusableInputError
 from sightline.imaging import dicom, headers
 from sightline.imaging.limits import MAX_FILE_BYTES, check_size
 from sightline.imaging.radiograph import Radiograph
@@ -47,6 +47,33 @@ def read_image(path: str | Path, frame_index: int | None = None, *, invert: bool
     """
     image = _read(Path(path), frame_index)
     return image.inverted() if invert else image
+
+
+def as_radiograph(image: Radiograph | np.ndarray | str | Path, white: float | None = None) -> Radiograph:
+    """Return a Radiograph as it is, an array (H, W) with its largest possible value `white`, or the image of a file.
+
+    Without `white` an array of integers has its type's largest value; values of a camera with fewer bits need theirs
+    (4095 for 12), so that saturated pixels are known. Raises ImageError, UnusableInputError.
+    """
+    if isinstance(image, np.ndarray):
+        return Radiograph(image, _full_scale(image) if white is None else float(white))
+    if white is not None:
+        raise UnusableInputError("white= belongs to an array; a Radiograph and a file state theirs")
+    if isinstance(image, Radiograph):
+        return image
+    if isinstance(image, str | Path):
+        return read_image(image)
+    raise UnusableInputError(
+        f"an image is a Radiograph, an array (H, W) or the path of a file, not {type(image).__name__}"
+    )
+
+
+def _full_scale(pixels: np.ndarray) -> float:
+    if pixels.dtype.kind not in "iu":
+        raise UnusableInputError(
+            f"give white=, the largest value that the detector can store: an array of {pixels.dtype} does not tell it"
+        )
+    return float(np.iinfo(pixels.dtype).max)
 
 
 def _read(file: Path, frame_index: int | None) -> Radiograph:

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from sightline.errors import UnusableInputError
 from sightline.planning.picks import DEFAULT_PICK_SD_PX, Pick
@@ -26,7 +27,7 @@ class Circle:
     summary: np.ndarray
 
     @staticmethod
-    def through(rim_uv_px: np.ndarray, sd_px: float = DEFAULT_PICK_SD_PX) -> "Circle":
+    def through(rim_uv_px: ArrayLike, sd_px: float = DEFAULT_PICK_SD_PX) -> "Circle":
         """Three or more clicks (M, 2) on the rim. Raises UnusableInputError."""
         rim = np.asarray(rim_uv_px, dtype=np.float64)
         if rim.ndim != 2 or rim.shape[1] != 2 or len(rim) < FEWEST_RIM_CLICKS or not np.isfinite(rim).all():
@@ -37,7 +38,7 @@ class Circle:
         return Circle(rim, sd_px**2 * np.eye(2 * len(rim)), np.eye(len(rim)))
 
     @staticmethod
-    def of(centre_uv_px: np.ndarray, radius_px: float, sd_px: float = DEFAULT_PICK_SD_PX) -> "Circle":
+    def of(centre_uv_px: ArrayLike, radius_px: float, sd_px: float = DEFAULT_PICK_SD_PX) -> "Circle":
         """A circle drawn over the outline; centre, per axis, and radius err by `sd_px`. Raises UnusableInputError."""
         centre = np.asarray(centre_uv_px, dtype=np.float64)
         if centre.shape != (2,) or not np.isfinite(centre).all() or not 0.0 < radius_px < np.inf:

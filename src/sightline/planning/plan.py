@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from sightline.calibration.view import CalibratedView
 from sightline.errors import UnusableInputError
@@ -88,12 +89,12 @@ class Plan:
 
 def plan(
     views: Sequence[CalibratedView],
-    entry_uv_px: np.ndarray,
-    end_uv_px: np.ndarray,
+    entry_uv_px: ArrayLike,
+    end_uv_px: ArrayLike,
     *,
     pick_sd_px: float = DEFAULT_PICK_SD_PX,
     snapped: bool | Sequence[bool] = False,
-    landmarks_uv_px: np.ndarray | None = None,
+    landmarks_uv_px: ArrayLike | None = None,
     landmark_names: Sequence[str] = (),
     kind: TrajectoryKind | str = "hip-screw",
     side: str | None = None,
@@ -150,7 +151,7 @@ def _reconstructed(views: Sequence[CalibratedView], picks: Sequence[tuple[Pick, 
     return reconstruct(views, uv, covariance, method, across)
 
 
-def _landmarks(uv_px: np.ndarray | None, sd_px: float) -> list[tuple[Pick, Pick]]:
+def _landmarks(uv_px: ArrayLike | None, sd_px: float) -> list[tuple[Pick, Pick]]:
     """Free picks of (2, L, 2) pixels. Raises UnusableInputError."""
     uv = np.zeros((2, 0, 2)) if uv_px is None else np.asarray(uv_px, dtype=np.float64)
     if uv.ndim != 3 or uv.shape[0] != 2 or uv.shape[2] != 2 or not np.isfinite(uv).all():
@@ -162,7 +163,7 @@ def _landmarks(uv_px: np.ndarray | None, sd_px: float) -> list[tuple[Pick, Pick]
 
 def _picks(
     views: Sequence[CalibratedView],
-    uv_px: np.ndarray,
+    uv_px: ArrayLike,
     sd_px: float,
     snapped: bool,
     draw: Callable[..., MatchingCurve],

@@ -6,18 +6,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-import sightline as sl
 from sightline.calibration import BeadView
 from sightline.case.views import NAMES as VIEWS
-from sightline.case.views import tell_apart
-from sightline.detection.wire import WireShadow, find_wire
 from sightline.errors import SetUpError
 from sightline.imaging import Radiograph
+from sightline.pipeline import check_shot
 from sightline.planning import Plan
-from sightline.planning.check_shot import CheckShot, Landmarks, check_shot
-from sightline.planning.expected_wire import expected_wire
+from sightline.planning.check_shot import CheckShot, Landmarks
 from sightline.twin import HipScene, SetUp, Variation, draw_setup, render
-from sightline.twin.implants import WIRE_MM, guide_wire
+from sightline.twin.implants import guide_wire
 
 ATTEMPTS = 200
 MARGIN_PX = 20.0  # of wire and landmarks from the field's edge
@@ -55,21 +52,5 @@ class CheckImages:
 
     def compare(self, plan: Plan, views: Sequence[BeadView], landmarks: Landmarks) -> CheckShot:
         """The wire found in both against a plan made on `views`. Raises SightlineError."""
-        seen = [self._found(name, plan) for name in VIEWS]
-        return check_shot(
-            plan.trajectory,
-            plan.picks,
-            views,
-            [view for view, _ in seen],
-            [wire for _, wire in seen],
-            landmarks=landmarks,
-            limits=plan.kind.limits,
-        )
-
-    def _found(self, name: str, plan: Plan) -> tuple[BeadView, WireShadow]:
-        image = self.images[name]
-        beads = sl.detect(image)
-        seen = tell_apart(image, beads, self.setup.frame, name)
-        view = sl.calibrate(seen, self.setup.frame, view=name)
-        expected = expected_wire(view, plan.trajectory, plan.kind.limits.beyond_mm)
-        return view, find_wire(image, expected, WIRE_MM, beads.uv_px, beads.radius_px)
+        images = [self.images[name] for name in VIEWS]
+        return check_shot(plan, views, images, self.setup.frame, landmarks=landmarks)

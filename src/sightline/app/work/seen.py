@@ -12,10 +12,11 @@ from sightline.app.work.workshop import Workshop
 from sightline.calibration import BeadView
 from sightline.case import stages
 from sightline.case.journal import Actor, Case, Entry
-from sightline.case.views import CalibratedImage, Seen, calibrated, find_beads, known_arm, tell_apart
+from sightline.case.views import CalibratedImage, Seen, calibrated
 from sightline.detection import Detections, Observations
 from sightline.errors import CaseError, SightlineError
 from sightline.imaging import Radiograph, taken_at
+from sightline.pipeline import find_beads, known_arm, label_beads
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,7 +95,7 @@ class Lightbox:
         seen = replace(seen, doing="telling the beads apart", beads=beads)
         seen = replace(seen, image=image) if image.is_inverted else seen  # else what is shown of it is drawn already
         self._put(seen)
-        observations = await self._workshop.do(tell_apart, image, beads, frame)
+        observations = await self._workshop.do(label_beads, image, beads, frame)
         seen = replace(seen, doing="calibrating", observations=observations)
         self._put(seen)
         found = await self._workshop.do(calibrated, seen._labelled(observations), frame, "smooth", known_arm(image))

@@ -11,12 +11,13 @@ from sightline.case.contents import Asked, CheckAsked, Pair
 from sightline.case.journal import Case, Entry, Kind
 from sightline.case.journal.originals import short
 from sightline.case.stages import TABLE, frame_of, image_of
-from sightline.case.views import CalibratedImage, Seen, calibrated, tell_apart
+from sightline.case.views import CalibratedImage, Seen, calibrated
 from sightline.detection import Detections, detect
 from sightline.detection.files import read_observations
 from sightline.errors import CaseError, ObservationsError, RefusedError
 from sightline.frame import Frame
 from sightline.imaging import Radiograph
+from sightline.pipeline import label_beads
 from sightline.planning import Plan
 from sightline.planning.check_result import CheckShot
 
@@ -109,7 +110,7 @@ class Recomputed:
             return _from_table(self._case.original(source.content["original"]), entry.content["view"])
         beads, acquired = self.beads(source), self._under(source)
         image = self._searched(source)
-        observations = tell_apart(image, beads, frame, view, entry.settings["datums"])
+        observations = label_beads(image, beads, frame, view, entry.settings["datums"])
         return Seen(short(acquired.content["original"]), observations, image, beads)
 
     def _searched(self, detected: Entry) -> Radiograph:

@@ -5,13 +5,13 @@ from enum import StrEnum
 
 from sightline.calibration import BeadView, calibrate
 from sightline.calibration.retrack import recalibrate
-from sightline.case.views import find_beads, tell_apart
 from sightline.checks import failed
 from sightline.detection import Observations
 from sightline.detection.track import Track, TrackLost
 from sightline.errors import RefusedError
 from sightline.frame import Frame
 from sightline.imaging import Radiograph
+from sightline.pipeline import find_beads, label_beads
 
 LOOK_EVERY = 15  # images, half a second: field, noise, and beads that came into sight [ours]
 SEARCH_S = 3.0  # after which the prior of the map is learnt anew [ours]
@@ -80,7 +80,7 @@ class Follower:
         """As if it were the first image. Raises RefusedError."""
         image, beads = find_beads(image)
         self._inverted = image.is_inverted
-        seen = tell_apart(image, beads, self._frame)
+        seen = label_beads(image, beads, self._frame)
         view = calibrate(seen, self._frame)
         self._track, self._view = Track.begin(image, beads, seen, self._frame), view
         self._since_look, self._searched_s = 0, at_s

@@ -1,6 +1,7 @@
 """`label`: which fiducial of which plate each detection is, or a refusal."""
 
 from collections.abc import Iterator, Mapping
+from pathlib import Path
 
 import numpy as np
 
@@ -11,7 +12,7 @@ from sightline.detection.labelling.patterns import Pattern, patterns
 from sightline.detection.labelling.seeds import Seed, best_similarity, find_seeds
 from sightline.detection.labelling.solve import LEAST_BEADS, Problem, Solution, solve
 from sightline.detection.results import Detections, Observations, Rejected
-from sightline.errors import LabellingRefusedError, ObservationsError
+from sightline.errors import LabellingRefusedError, ObservationsError, UnusableInputError
 from sightline.frame import Frame
 
 SEEDS = 12  # of each plate [ours]
@@ -25,12 +26,13 @@ LEAST_SPREAD = 0.25  # rms distance of a plate's given datums from one line, in 
 
 def label(
     detections: Detections,
-    frame: Frame,
+    frame: Frame | str | Path,
     view: str | None = None,
     datums: Mapping[str, tuple[float, float]] | None = None,
 ) -> Observations:
-    """Tell the beads of one image apart: which fiducial of `frame` is seen where.
+    """Label the beads of one image: which fiducial of `frame` is seen where.
 
+    `frame`: a Frame, a frame file or the name of a built-in frame.
     The pattern of datum markers tells view, plate and orientation; a `view` that contradicts it is refused. Detections
     that are not a bead of the frame, or might be two, are in `rejected`. `mirrored` is False where the image shows the
     frame as the X-ray source sees it. `datums`, fiducial id to pixel (u, v), is the paper's semi-automatic way (section
@@ -38,6 +40,9 @@ def label(
     Raises LabellingRefusedError where the labels are not certain; FrameError for a view that the frame
     does not have; ObservationsError for `datums` that are not three fiducials of each plate of one view.
     """
+    if not isinstance(detections, Detections):
+        raise UnusableInputError(f"give the Detections of `detect`, not {type(detections).__name__}")
+    frame = Frame.of(frame)
     if view is not None:
         frame.view(view)
     every = patterns(frame)

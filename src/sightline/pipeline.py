@@ -1,0 +1,146 @@
+"""From images to results in one call: a calibrated view of one image, and a check shot of two."""
+
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from pathlib import Path
+
+import numpy as np
+
+from sightline.calibration import BeadView, CalibratedView, CArm, calibrate
+from sightline.calibration.fit import Method
+from sightline.detection import Detections, Observations, detect, is_inverted, label, look_again
+from sightline.detection.causes import cause_of
+from sightline.detection.wire import find_wire
+from sightline.errors import DetectionRefusedError, LabellingRefusedError
+from sightline.frame import Frame
+from sightline.imaging import GeometryTags, Radiograph, as_radiograph, image_checks
+from sightline.planning import Plan
+from sightline.planning.check_result import CheckShot
+from sightline.planning.check_shot import Landmarks
+from sightline.planning.check_shot import check_shot as adjusted
+from sightline.planning.expected_wire import expected_wire
+
+_SQUARE = 1e-3  # share by which a pixel's sides may differ [ours]
+
+
+def calibrate_image(
+    image: Radiograph | np.ndarray | str | Path,
+    frame: Frame | str | Path,
+    view: str | None = None,
+    method: Method = "smooth",
+    *,
+    white: float | None = None,
+    datums: Mapping[str, tuple[float, float]] | None = None,
+    mirrored_display: bool | None = None,
+    c_arm: CArm | None = None,
+) -> BeadView:
+    """Return the calibrated view of one image: `detect`, `label`, `look_again` and `calibrate` in one step.
+
+    `image`, `white`: as of `detect`; an image that shows the balls bright is inverted, and a check says so. `frame`: a
+    Frame, a frame file or the name of a built-in frame. `view`: what the image must show; without it the datum markers
+    tell. `datums`: as of `label`. `mirrored_display`, `c_arm`: as of `calibrate`; without `c_arm` the distances that
+    the image's file states are used.
+    Raises ImageError, DetectionRefusedError, LabellingRefusedError, FrameError, UnusableInputError,
+    CalibrationRefusedError.
+
+    >>> view = sl.calibrate_image("out/demo/pa.dcm", "gamma")
+    """
+    frame = Frame.of(frame)
+    image, beads = find_beads(as_radiograph(image, white))
+    observations = label_beads(image, beads, frame, view, datums)
+    return view_of(observations, image, frame, method, c_arm or known_arm(image), mirrored_display=mirrored_display)
+
+
+def check_shot(
+    plan: Plan,
+    planned: Sequence[CalibratedView],
+    images: Sequence[Radiograph | np.ndarray | str | Path],
+    frame: Frame | str | Path,
+    *,
+    landmarks: Landmarks | None = None,
+    white: float | None = None,
+) -> CheckShot:
+    """Return where two more images show the inserted wire, against its plan.
+
+    `planned`: the two views of the plan; `images`: of the same two views, in their order, with the wire in the bone;
+    `frame`, `white`: as of `calibrate_image`. `landmarks`: three points of the bone picked in all four images, which
+    tell how the bone moved since.
+    Raises what `calibrate_image` raises, WireRefusedError, UnusableInputError, ReconstructionRefusedError,
+    OutsideRegionError, ErrorUnknownError.
+
+    >>> shot = sl.check_shot(plan, [pa, lateral], ["check-pa.dcm", "check-lateral.dcm"], "gamma")
+    """
+    frame = Frame.of(frame)
+    views, wires = [], []
+    for before, given in zip(planned, images, strict=True):
+        image, beads = find_beads(as_radiograph(given, white))
+        observations = label_beads(image, beads, frame, before.name)
+        view = view_of(observations, image, frame, c_arm=known_arm(image))
+        expected = expected_wire(view, plan.trajectory, plan.kind.limits.beyond_mm)
+        wires.append(find_wire(image, expected, plan.kind.wire_mm, beads.uv_px, beads.radius_px))
+        views.append(view)
+    return adjusted(plan.trajectory, plan.picks, planned, views, wires, landmarks=landmarks, limits=plan.kind.limits)
+
+
+def find_beads(image: Radiograph) -> tuple[Radiograph, Detections]:
+    """Return the image and its beads; the image is inverted where it shows the balls bright.
+
+    Raises what `detect` raises.
+    """
+    beads = detect(image)
+    if is_inverted(beads):
+        with suppress(DetectionRefusedError):
+            other = image.inverted()
+            found = detect(other)
+            if not is_inverted(found):
+                return other, found
+    return image, beads
+
+
+def label_beads(
+    image: Radiograph,
+    beads: Detections,
+    frame: Frame,
+    view: str | None = None,
+    datums: Mapping[str, tuple[float, float]] | None = None,
+) -> Observations:
+    """Return the labelled beads of an image (`label`), partly hidden ones fitted again (`look_again`).
+
+    Raises LabellingRefusedError, which names what is wrong with the image where its pixels tell.
+    """
+    try:
+        observations = label(beads, frame, view, datums)
+    except LabellingRefusedError as refused:
+        why = cause_of(image, np.column_stack([beads.uv_px, beads.radius_px]), beads.rejected)
+        raise LabellingRefusedError(f"{why} ({refused})" if why else str(refused)) from None
+    return look_again(image, beads, observations, frame)
+
+
+def known_arm(
+    image: Radiograph | None, source_detector_mm: float | None = None, pixel_mm: float | None = None
+) -> CArm | None:
+    """Return what is known of an image's C-arm: as given, else as the file states it; None without a distance."""
+    tags = GeometryTags() if image is None else image.tags
+    distance = source_detector_mm or tags.source_detector_mm
+    if pixel_mm is None and tags.imager_pixel_spacing_mm is not None:
+        along, across = tags.imager_pixel_spacing_mm
+        pixel_mm = along if abs(along - across) <= _SQUARE * along else None
+    return None if distance is None else CArm(distance, pixel_mm)
+
+
+def view_of(
+    observations: Observations,
+    image: Radiograph | None,
+    frame: Frame,
+    method: Method = "smooth",
+    c_arm: CArm | None = None,
+    *,
+    mirrored_display: bool | None = None,
+) -> BeadView:
+    """Return the view that labelled beads determine, with the checks of their image where there is one.
+
+    Raises what `calibrate` raises.
+    """
+    view = calibrate(observations, frame, method=method, c_arm=c_arm)
+    view = view if image is None else view.checked(image_checks(image))
+    return view.said_to_be(mirrored_display)
