@@ -116,3 +116,20 @@ def test_the_tests_that_the_page_on_safety_names_exist() -> None:
     named = re.findall(r"(tests/[\w/]+\.py)::(\w+)", (ROOT / "docs" / "safety.md").read_text())
     assert len(named) > 20
     assert [f"{file}::{name}" for file, name in named if f"def {name}(" not in (ROOT / file).read_text()] == []
+
+
+def test_every_page_and_section_that_the_sources_cite_exists() -> None:
+    """Of the page on physics its sections too."""
+    sections = headings(ROOT / "docs" / "physics.md")
+    for file in (ROOT / "src").rglob("*.py"):
+        text = re.sub(r"\n\s*#? *", " ", file.read_text())
+        for page in re.findall(r"(?<![\w/])docs/([\w-]+\.md)", text):
+            assert (ROOT / "docs" / page).exists(), f"{file.name} cites {page}"
+        for section in re.findall(r"physics\.md, \"?(?:section )?([A-Z][\w-]+)", text):
+            assert any(known.startswith(section) for known in sections), f"{file.name} cites {section} of physics.md"
+
+
+def test_no_source_cites_what_is_not_in_the_repository() -> None:
+    for folder in ("src", "tests", "benchmarks", "campaigns"):
+        for file in (ROOT / folder).rglob("*.py"):
+            assert "[is" + "sue]" not in file.read_text(), file

@@ -20,9 +20,9 @@ from sightline.errors import UnusableInputError
 from sightline.geometry.covariance import TWO_SIDED_999, response
 from sightline.geometry.planes import Plane
 
-# As a C-arm orbits, source and detector part by 6 to 8 mm of 1000 (physics.md, Daly 2008): the most that is allowed.
+# As a C-arm orbits, source and detector part by 6 to 8 mm of 1000 (physics.md, C-arm): the most that is allowed.
 FLEX = 0.008
-# What one image's distance differs by from the next, s.d.: 3 of 1000 mm (physics.md, Daly 2008).
+# What one image's distance differs by from the next, s.d.: 3 of 1000 mm (physics.md, C-arm).
 _FLEX_SD = 0.003
 # An image whose pixels differ by more in size is an intensifier's, whose own magnification changes from image to image
 # by 0.8 %, s.d. [measured on the twin; flat panels differ by 0.6 % at most, intensifiers by 6 to 19 %].

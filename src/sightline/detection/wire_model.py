@@ -11,7 +11,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter, gaussian_filter1d, map_coordinates
 from scipy.spatial import KDTree
 
-# What steel takes of 40, 50 and 60 keV, 1/mm [physics.md, 316L], and their shares behind 20 cm of a hip, of a beam of
+# What steel takes of 40, 50 and 60 keV, 1/mm [physics.md, C-arm], and their shares behind 20 cm of a hip, of a beam of
 # 70 kVp that has 45, 35 and 20 % before it [calc].
 _PER_MM, _SHARE = np.array([3.03, 1.60, 1.01]), np.array([0.22, 0.39, 0.39])
 # Of the straight light: 0.93-0.97 for 2.5 mm of steel; less lets scatter have a slope of its own [twin, as for beads].

@@ -240,7 +240,7 @@ _VIEWS = (
         advice="the datums of one plate are a copy or a mirror image of the other's; move the datums of one",
     ),
     Rule(
-        "plate-tilt", _tilt, at_least=False, limit=20.0, unit="°",  # what the labelling bears (design.md)
+        "plate-tilt", _tilt, at_least=False, limit=20.0, unit="°",  # what the labelling tolerates [ours]
         meaning="the plates lie across the beam",
         advice="the plate leans too far to the line from plate to plate; turn it across the beam",
     ),

@@ -16,7 +16,7 @@ from sightline.errors import FrameError
 
 STRETCH = 1.10  # [ours] ratio of the singular values of that affine map
 SCALE = 1.10  # [ours] its mean scale, once the step of the grid is known from the ordinary balls
-HIDDEN = 0.4  # the labelling is to bear this share of a plate hidden, as one block (design.md)
+HIDDEN = 0.4  # the labelling is to bear this share of a plate hidden, as one block [ours]
 SLENDER_STEPS = 0.9  # [ours] triples lower than this are called collinear: a bead's own noise may flip them
 MOVES = 6000  # [ours] one or two seconds
 _ORDERS = np.array(list(permutations(range(3))))

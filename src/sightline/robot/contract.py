@@ -3,7 +3,7 @@
 from enum import IntEnum
 
 ACK_S, STATUS_S = 1.0, 5.0  # an answer's acknowledgement and status come within [what testers of other robots expect]
-SILENCE_S = 0.2  # of the leaseholder, before motion stops [issue]
+SILENCE_S = 0.2  # of the leaseholder, before motion stops [physics.md, Drilling]
 HEARTBEAT_S = 0.05  # between a client's heartbeats: three may be late [ours]
 IDLE_S = 1.0  # between the heartbeats of a client that waits for nothing: silence, if anything moves [ours]
 ALIVE_S = 1.0  # a call of our client that has not gone on for so long hangs, and sends no more heartbeats [ours]

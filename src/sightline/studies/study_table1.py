@@ -23,7 +23,7 @@ from sightline.twin.scene import TEST_BALLS_MM
 
 BIPLANE = "biplane ±150"
 GAMMA = "gamma 150/300"
-# (frame, source plate, XRII plate), mm from the hip: the built-in frames, and two more that physics.md and the design
+# (frame, source plate, XRII plate), mm from the hip: the built-in frames, and two more of the first design
 # name for the Γ frame.
 PLATES = {
     BIPLANE: ("biplane", -150.0, 150.0),

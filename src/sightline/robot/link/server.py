@@ -29,7 +29,7 @@ from sightline.robot.link.outgoing import Outgoing
 from sightline.robot.plant import CYCLE_S, Plant
 from sightline.robot.transport import LOOPBACK, PORT, Connection, serve
 
-LATE_S = 0.001  # a cycle that begins later than this has missed its time [issue]
+LATE_S = 0.001  # a cycle that begins later than this has missed its time [ours]
 SWITCH_S = 0.0005  # Python's threads take turns so often: a tenth of a cycle [ours]
 PRIORITY = 10  # of the loop's thread among real-time threads, where the system allows it [ours]
 DEAF_S = 3 * CYCLE_S  # a loop that has not turned for so long cannot stop the drives

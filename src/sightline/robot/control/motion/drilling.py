@@ -13,7 +13,7 @@ from sightline.robot.plant import Reading
 
 APPROACH_MM_S, NEAR_MM = 5.0, 2.0  # towards the entry point, and from where on as in bone: its 95 % error, twice [ours]
 DRILL_MM_S = 1.0  # 60 mm/min [physics.md, Drilling]
-PAUSE_MM = 10.0  # short of the tip, for the second shot [issue]
+PAUSE_MM = 10.0  # short of the tip, for the second shot [physics.md, Drilling]
 # A wire that leaves bone beyond this share of its path has gone through the far side, not the near one [ours].
 FAR_SHARE = 0.5
 
