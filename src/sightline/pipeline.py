@@ -43,7 +43,7 @@ def calibrate_image(
     Raises ImageError, DetectionRefusedError, LabellingRefusedError, FrameError, UnusableInputError,
     CalibrationRefusedError.
 
-    >>> view = sl.calibrate_image("out/demo/pa.dcm", "gamma")
+    >>> view = sl.calibrate_image("out/demo/demo_pa.dcm", "gamma")
     """
     frame = Frame.of(frame)
     image, beads = find_beads(as_radiograph(image, white))
