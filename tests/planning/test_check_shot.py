@@ -138,6 +138,21 @@ def test_the_stated_covariance_is_that_of_the_errors():
     assert np.median(ends, axis=0)[1] < 0.12
 
 
+def test_residuals_are_one_where_the_errors_are_those_stated():
+    squares = [case(200 + seed, WIRE).result().residual_rms ** 2 for seed in range(4)]
+    assert 0.7 < np.mean(squares) < 1.4  # some 60 degrees of freedom each: 1 ± 0.09
+
+
+def test_the_tips_error_along_the_wire_is_what_both_images_say_of_it(one):
+    """Where the tips are known to 5 px only, nothing else tells of the depth."""
+    sd_px = 5.0
+    shot = one.result(wires=[replace(wire, tip_variance_px2=sd_px**2) for wire in one.wires])
+    along = one.made.trajectory.direction
+    ends = shot.movement.apply(shot.tip_mm + np.array([[-0.5], [0.5]]) * along)
+    px_per_mm = [np.linalg.norm(np.diff(view.project(ends), axis=0)) for view in one.after]
+    assert np.sqrt(shot.covariance_mm2[4, 4]) == pytest.approx(sd_px / np.hypot(*px_per_mm), rel=0.03)
+
+
 def test_a_wire_within_its_limits_passes_and_says_what_it_is(one):
     shot = one.result()
     assert shot.passed
