@@ -206,6 +206,27 @@ def test_fewer_landmarks_say_so_and_know_less(one):
     assert {"bone landmarks", "check shot error"} <= {check.name for check in failed(none.checks)}
 
 
+def test_pieces_that_something_pulls_aside_are_left_out(one):
+    pulled = one.wires[0].uv_px.copy()
+    pulled[[2, 7]] += [[0.5, -0.5], [-0.6, 0.6]]
+    shot, right = one.result(wires=[replace(one.wires[0], uv_px=pulled), one.wires[1]]), one.result()
+    assert shot.passed
+    assert shot.deviation_mm == pytest.approx(right.deviation_mm, abs=0.02)
+
+
+def test_a_line_that_is_wrong_over_its_length_is_not_mended(one):
+    pulled = one.wires[0].uv_px + np.where(np.arange(len(one.wires[0].uv_px)) % 2, 1.0, -1.0)[:, None] * [0.5, -0.5]
+    shot = one.result(wires=[replace(one.wires[0], uv_px=pulled), one.wires[1]])
+    assert "check shot residuals" in {check.name for check in failed(shot.checks)}
+
+
+def test_a_tip_that_is_wrong_in_one_image_shows(one):
+    wire = one.wires[0]
+    way = (wire.uv_px[-1] - wire.uv_px[-2]) / np.linalg.norm(wire.uv_px[-1] - wire.uv_px[-2])
+    shot = one.result(wires=[replace(wire, tip_uv_px=wire.tip_uv_px + 6.0 * way), one.wires[1]])
+    assert "check shot outlier" in {check.name for check in failed(shot.checks)}
+
+
 def test_a_landmark_that_is_another_shows(one):
     wrong = one.landmarks.checked_uv_px.copy()
     wrong[0, 1] += [6.0, -5.0]

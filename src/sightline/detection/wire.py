@@ -24,9 +24,9 @@ _ODD = 4.5  # s.d. of smoothed residuals: what the wire and its background do no
 _SEEN = 0.6  # share of a piece, and of each of its rims, that nothing may cover [ours]
 _RIM_PX = 3.0  # to either side of a rim, where a centre is told from
 _MODEL_LIGHT = 0.01  # of the light: what the model leaves where there is no noise [ours]
-# Standard deviations from the curve through the others: something else overlies the piece. As for an observation of
-# the check shot, which such a piece would fail as a whole [ours].
-_FAR_OFF = 4.0
+# Standard deviations from the line, and then from the curve, through the others: something else overlies the piece. The
+# line is coarse, for a wire may bend; the curve is stricter than the check shot, which a wrong piece fails at 4 [ours].
+_FAR_OFF_LINE, _FAR_OFF = 4.0, 3.5
 _NOISIEST_PX = 1.0  # a piece less certain than this says nothing [ours]
 # What the noise does not tell: backgrounds that bend, glare; s.d. without any noise, px [twin].
 _MODEL_ACROSS_PX, _MODEL_TIP_PX = 0.05, 0.4
@@ -276,7 +276,7 @@ def _products_by_lag(values: np.ndarray) -> np.ndarray:
 
 def _on_a_curve(pieces: list[_Piece]) -> list[_Piece]:
     """The pieces that lie on one curve of degree BEND, by their own scatter."""
-    kept = pieces
+    kept = _near_one_line(pieces)
     while len(kept) > _FEWEST_PIECES:
         off = _off_the_others(kept)
         spread = max(1.4826 * float(np.median(np.abs(off))), _MODEL_ACROSS_PX)
@@ -285,6 +285,21 @@ def _on_a_curve(pieces: list[_Piece]) -> list[_Piece]:
             break
         kept = kept[:worst] + kept[worst + 1 :]
     return kept
+
+
+def _near_one_line(pieces: list[_Piece]) -> list[_Piece]:
+    """The pieces near the line through two of them that leaves the least median: several wrong pieces at one end would
+    bend a curve fitted to all of them, and hide there. A bend of the whole wire widens the median too."""
+    if len(pieces) <= _FEWEST_PIECES:
+        return pieces
+    s, x = np.array([(piece.s_px, piece.fit.values[0]) for piece in pieces]).T
+    first, second = np.triu_indices(len(pieces), 1)
+    slope = (x[second] - x[first]) / (s[second] - s[first])
+    off = np.abs(x - x[first, None] - slope[:, None] * (s - s[first, None]))
+    median = np.median(off, axis=1)
+    best = int(median.argmin())
+    near = off[best] < _FAR_OFF_LINE * max(1.4826 * float(median[best]), _MODEL_ACROSS_PX)
+    return [piece for piece, kept in zip(pieces, near, strict=True) if kept]
 
 
 def _off_the_others(pieces: list[_Piece]) -> np.ndarray:

@@ -10,7 +10,7 @@ from sightline.calibration.view import CalibratedView, LinesOfSight
 from sightline.checks import Limits
 from sightline.errors import ReconstructionRefusedError
 from sightline.geometry.lines import nearest_approach
-from sightline.planning.check_result import FEWEST_LANDMARKS, CheckShot, checks
+from sightline.planning.check_result import FEWEST_LANDMARKS, LARGEST_OUTLIER, CheckShot, checks
 from sightline.planning.check_rows import Rows, along_and_across, joint_covariance
 from sightline.planning.check_start import (
     CURVE,
@@ -60,6 +60,7 @@ class Adjustment:
         wires = [seen(view, wire) for view, wire in zip(views[1], wires, strict=True)]
         self._curve, self._tip_mm = start_wire(trajectory, self._axes, self.movement, views[1], wires)
         wires = [self._near_the_bone(view, wire) for view, wire in zip(views[1], wires, strict=True)]
+        self.wires = wires
         self._wire_px2 = [np.append(wire.variance_px2, wire.tip_variance_px2) for wire in wires]
         self._after = [
             view.lines_of_sight(np.concatenate([marks, wire.uv_px, wire.tip_uv_px[None]]))
@@ -78,6 +79,21 @@ class Adjustment:
         self.movement = move * self.movement
         self._curve = self._curve + curve.reshape(CURVE, 2)
         self._tip_mm += float(tip[0])
+
+    def contradicted_piece(self) -> tuple[int, int] | None:
+        """Image and number of the centre line's point (`wires`) that all other observations contradict most; None where
+        another observation is contradicted more, or none by more than is allowed."""
+        residual, design, _, covariance = self._linearised()
+        sigma = _contradictions(residual, design, covariance)
+        worst, first = int(sigma.argmax()), 2 * 2 * len(self._points_mm)
+        if sigma[worst] <= LARGEST_OUTLIER:
+            return None
+        for view, wire in enumerate(self.wires):
+            first += 2 * self._n
+            if first <= worst < first + len(wire.uv_px):
+                return view, worst - first
+            first += len(wire.uv_px) + 1
+        return None
 
     def result(self, limits: Limits) -> CheckShot:
         """What has come out, with its errors and its checks."""
@@ -107,7 +123,7 @@ class Adjustment:
             bow_mm=float(np.linalg.norm(self._wire(along) - chord, axis=1).max()),
             bow_sigma=float(np.sqrt(bends @ np.linalg.solve(known, bends) / len(bends))),
             residual_rms=float(np.sqrt(square)),
-            outlier_sigma=_largest_outlier(residual, design, covariance),
+            outlier_sigma=float(_contradictions(residual, design, covariance).max()),
         )
         return replace(shot, checks=checks(shot, limits, self._views[1]))
 
@@ -233,9 +249,10 @@ class Adjustment:
         return replace(wire, uv_px=wire.uv_px[kept], variance_px2=wire.variance_px2[kept])
 
 
-def _largest_outlier(residual: np.ndarray, design: np.ndarray, covariance: np.ndarray) -> float:
-    """The residual that all others contradict most, over its standard deviation (Baarda's data snooping)."""
+def _contradictions(residual: np.ndarray, design: np.ndarray, covariance: np.ndarray) -> np.ndarray:
+    """(R,) how far all others contradict each residual, in its standard deviations (Baarda's data snooping); 0 where
+    they say too little of it."""
     weight = np.linalg.inv(covariance)
     weight -= weight @ design @ np.linalg.solve(design.T @ weight @ design, design.T @ weight)
     tested = np.diag(weight) > LEAST_TESTED * np.diag(covariance) ** -1
-    return float(np.max(np.abs(weight @ residual)[tested] / np.sqrt(np.diag(weight)[tested]), initial=0.0))
+    return np.where(tested, np.abs(weight @ residual) / np.sqrt(np.where(tested, np.diag(weight), 1.0)), 0.0)
