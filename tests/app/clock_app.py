@@ -8,7 +8,7 @@ from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any
 
-from sightline.app.work import age
+from sightline.app.session import age
 from sightline.cli import main
 
 

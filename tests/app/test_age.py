@@ -13,11 +13,11 @@ from pydicom.config import disable_value_validation
 from pydicom.datadict import dictionary_VR
 
 from sightline.app.plan.decisions import Decisions
-from sightline.app.work import age as module
-from sightline.app.work.procedure import Procedure
-from sightline.app.work.seen import SeenImage
-from sightline.app.work.sent import SentPlan
-from sightline.app.work.workshop import Workshop
+from sightline.app.session import age as module
+from sightline.app.session.procedure import Procedure
+from sightline.app.session.seen import SeenImage
+from sightline.app.session.sent import SentPlan
+from sightline.app.session.workshop import Workshop
 from sightline.case.journal import Actor
 from sightline.case.views import NAMES
 from sightline.errors import UnusableInputError

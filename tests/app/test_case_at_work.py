@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from sightline.app.work.procedure import Procedure
-from sightline.app.work.workshop import Workshop
+from sightline.app.session.procedure import Procedure
+from sightline.app.session.workshop import Workshop
 from sightline.case.journal import Case
 from sightline.errors import UnusableInputError
 

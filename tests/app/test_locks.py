@@ -11,11 +11,11 @@ from tests.planning.standin import stand_in
 
 from sightline.app.plan.decisions import Decisions
 from sightline.app.plan.planner import planned
-from sightline.app.work import live as live_module
-from sightline.app.work import robot_session
-from sightline.app.work.jobs import Jobs
-from sightline.app.work.live import Live
-from sightline.app.work.robot_session import RobotNow, RobotSession
+from sightline.app.session import live as live_module
+from sightline.app.session import robot_session
+from sightline.app.session.jobs import Jobs
+from sightline.app.session.live import Live
+from sightline.app.session.robot_session import RobotNow, RobotSession
 from sightline.case.watch import live as watch
 from sightline.errors import LinkError, SightlineError
 

@@ -9,9 +9,9 @@ import pytest
 
 from sightline.app.panels.steps import Standing, steps
 from sightline.app.plan.decisions import Decisions, Display
-from sightline.app.work.procedure import Procedure
-from sightline.app.work.seen import SeenImage, entry_of
-from sightline.app.work.workshop import Workshop
+from sightline.app.session.procedure import Procedure
+from sightline.app.session.seen import SeenImage, entry_of
+from sightline.app.session.workshop import Workshop
 from sightline.case import stages
 from sightline.case.journal import Actor, Kind
 from sightline.case.replay import Outcome, replay

@@ -14,12 +14,12 @@ from tests.planning.standin import stand_in
 from sightline.app.plan.decisions import Decisions, Mark
 from sightline.app.plan.marks import END, ENTRY
 from sightline.app.plan.planner import planned
-from sightline.app.work import drilling as module
-from sightline.app.work.drilling import Drilling
-from sightline.app.work.jobs import Jobs
-from sightline.app.work.planning import Planning
-from sightline.app.work.sent import SentPlan, restored
-from sightline.app.work.verifying import Verifying
+from sightline.app.session import drilling as module
+from sightline.app.session.drilling import Drilling
+from sightline.app.session.jobs import Jobs
+from sightline.app.session.planning import Planning
+from sightline.app.session.sent import SentPlan, restored
+from sightline.app.session.verifying import Verifying
 from sightline.case.journal import Actor, Case, Kind
 from sightline.case.views import NAMES
 from sightline.errors import CaseError, LinkError, RobotRefusedError, UnusableInputError, WireRefusedError

@@ -10,8 +10,8 @@ from tests.robot.rig import ROBOT, SETUP, T_MCS_CFCS, metadata, wire
 from tests.robot.test_depth import Bone
 
 from sightline.app.panels.drill import depth_words
+from sightline.app.session.robot_session import RobotNow, RobotSession
 from sightline.app.texts import BY_CONTACT, BY_PLAN, BY_SHOT
-from sightline.app.work.robot_session import RobotNow, RobotSession
 from sightline.errors import LinkError, RobotRefusedError
 from sightline.geometry.covariance import TWO_SIDED_95
 from sightline.rehearsal.operation import Theatre

@@ -22,13 +22,13 @@ from sightline.app.panels import plan
 from sightline.app.panels.section import Section, note
 from sightline.app.plan.decisions import Mark, Side
 from sightline.app.plan.marks import CHECK_NAMES
+from sightline.app.session.live import LATE_S
+from sightline.app.session.planning import Planning
+from sightline.app.session.procedure import Procedure
+from sightline.app.session.seen import SeenImage
+from sightline.app.session.workshop import Workshop
 from sightline.app.tab.tab import Tab
 from sightline.app.texts import STEPS
-from sightline.app.work.live import LATE_S
-from sightline.app.work.planning import Planning
-from sightline.app.work.procedure import Procedure
-from sightline.app.work.seen import SeenImage
-from sightline.app.work.workshop import Workshop
 from sightline.case.views import NAMES
 from sightline.case.watch.eye import STALE_S
 from sightline.errors import UnusableInputError

@@ -15,10 +15,10 @@ from sightline.app.panels import calibrate, drill, images, plan, verdict, verify
 from sightline.app.panels.section import Following, Lasting, Section, action
 from sightline.app.panels.space import Space
 from sightline.app.panels.steps import steps
+from sightline.app.session.procedure import Procedure
 from sightline.app.settings import Settings
 from sightline.app.tab.tab import Tab
 from sightline.app.web.serve import Site
-from sightline.app.work.procedure import Procedure
 
 _CSS, _SCRIPT = ((files("sightline.app") / name).read_text("utf-8") for name in ("page.css", "page.js"))
 _PANELS: dict[str, Any] = dict(zip(texts.STEPS, (images, calibrate, plan, drill, verify), strict=True))

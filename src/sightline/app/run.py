@@ -6,10 +6,10 @@ from collections.abc import Callable
 
 from sightline.app.drawing.pictures import Pictures
 from sightline.app.page import build
+from sightline.app.session.procedure import Procedure
+from sightline.app.session.workshop import Workshop
 from sightline.app.settings import Settings
 from sightline.app.web.serve import Site, serve
-from sightline.app.work.procedure import Procedure
-from sightline.app.work.workshop import Workshop
 
 # How soon a thread that computes lets the page's own go on. At Python's 5 ms a curve waits for the plan behind it:
 # figures follow a drag 11 ms later [measured].

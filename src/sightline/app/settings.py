@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from pathlib import Path
 
-from sightline.app.work.rehearsing import Patient
+from sightline.app.session.rehearsing import Patient
 
 
 @dataclass(frozen=True)

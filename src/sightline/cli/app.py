@@ -50,8 +50,8 @@ def app_command(
         if find_spec("nicegui") is None:
             raise UnusableInputError("the app needs NiceGUI: pip install 'sightline[app]'")
         from sightline.app.run import run
+        from sightline.app.session.rehearsing import Patient
         from sightline.app.settings import Settings
-        from sightline.app.work.rehearsing import Patient
 
         folder = Path("out/app") if case is None else case
         seed = DEMO_SEED if case is None and rehearse is None else rehearse

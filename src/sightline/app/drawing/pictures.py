@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 
 from sightline.app.drawing.xray.view import Picture, Window
+from sightline.app.session.seen import SeenImage
 from sightline.app.web.images import Images
-from sightline.app.work.seen import SeenImage
 from sightline.imaging import Radiograph
 
 _MOST = 16  # pictures kept: two planning and two check images, and what undo may bring back [ours]

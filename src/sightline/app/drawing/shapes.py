@@ -7,8 +7,8 @@ import numpy as np
 
 from sightline.app.plan.marks import CHECK_NAMES
 from sightline.app.plan.planner import Planned, aid_pixels
-from sightline.app.work.procedure import Procedure
-from sightline.app.work.seen import SeenImage
+from sightline.app.session.procedure import Procedure
+from sightline.app.session.seen import SeenImage
 from sightline.case.views import NAMES
 from sightline.errors import SightlineError
 from sightline.planning import MatchingCurve

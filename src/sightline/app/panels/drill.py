@@ -14,7 +14,7 @@ from sightline.geometry.covariance import TWO_SIDED_95
 from sightline.robot.control.states import State
 
 if TYPE_CHECKING:
-    from sightline.app.work.robot_session import RobotNow
+    from sightline.app.session.robot_session import RobotNow
 
 _PICTURE_PX = 400.0  # about the panel's width, so that words in it are as large as those about it [ours]
 _LIVE_S = 0.2  # between two looks at the robot [ours]

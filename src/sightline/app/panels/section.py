@@ -8,8 +8,8 @@ from markupsafe import Markup
 from nicegui import ui
 
 from sightline.app.panels import markup
+from sightline.app.session.failures import why_not
 from sightline.app.tab.tab import Tab
-from sightline.app.work.failures import why_not
 from sightline.checks import Check
 
 Key = Callable[[Tab], Hashable]

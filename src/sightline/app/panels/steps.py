@@ -5,9 +5,9 @@ from enum import StrEnum
 
 from sightline.app import texts
 from sightline.app.plan.marks import asked_of
-from sightline.app.work.planning import Planning
-from sightline.app.work.procedure import Procedure
-from sightline.app.work.seen import SeenImage
+from sightline.app.session.planning import Planning
+from sightline.app.session.procedure import Procedure
+from sightline.app.session.seen import SeenImage
 from sightline.case.views import NAMES
 from sightline.checks import failed
 from sightline.robot.control.states import State

@@ -1,2 +1,2 @@
 """One open page: what its two views show, what its person wants to place, what follows a point that is dragged. May
-import `drawing`, `work`, `plan` and the page's texts; no panel."""
+import `drawing`, `session`, `plan` and the page's texts; no panel."""

@@ -9,7 +9,7 @@ from sightline.app.drawing import shapes
 from sightline.app.plan.decisions import Decisions, Pixel
 from sightline.app.plan.marks import names_of
 from sightline.app.plan.planner import Planned, drawn_curves, planned
-from sightline.app.work.planning import Planning
+from sightline.app.session.planning import Planning
 from sightline.calibration import BeadView
 from sightline.case.views import NAMES
 from sightline.errors import SightlineError

@@ -5,8 +5,8 @@ from dataclasses import dataclass, replace
 
 from sightline.app.plan.decisions import Decisions, Pixel
 from sightline.app.plan.marks import CHECK_NAMES, Asked, asked_of
+from sightline.app.session.planning import Planning
 from sightline.app.texts import STEPS
-from sightline.app.work.planning import Planning
 from sightline.case.views import NAMES
 
 

@@ -11,12 +11,12 @@ from sightline.app.drawing.xray.view import XrayEvent, XrayView
 from sightline.app.plan.decisions import Display
 from sightline.app.plan.marks import Asked
 from sightline.app.plan.planner import Planned
+from sightline.app.session.failures import report, why_not
+from sightline.app.session.procedure import Procedure
 from sightline.app.tab.dragging import Dragging
 from sightline.app.tab.placing import Goal, Placing
 from sightline.app.tab.views import Views
 from sightline.app.texts import STEPS, XRAY
-from sightline.app.work.failures import report, why_not
-from sightline.app.work.procedure import Procedure
 from sightline.case.views import NAMES
 
 if TYPE_CHECKING:

@@ -11,13 +11,13 @@ from sightline.app.drawing.xray.view import Display as XrayDisplay
 from sightline.app.drawing.xray.view import Shown, Window, XrayEvent, XrayView
 from sightline.app.plan.decisions import Decisions, Display
 from sightline.app.plan.marks import CHECK_NAMES, asked_of
+from sightline.app.session.failures import why_not
+from sightline.app.session.live import fresh_s
+from sightline.app.session.procedure import Procedure
+from sightline.app.session.seen import SeenImage
 from sightline.app.tab.dragging import Preview
 from sightline.app.tab.placing import Goal
 from sightline.app.texts import IMAGE_LABELS, LIVE_LABELS, LIVE_UNKNOWN, STALE, STEPS, XRAY
-from sightline.app.work.failures import why_not
-from sightline.app.work.live import fresh_s
-from sightline.app.work.procedure import Procedure
-from sightline.app.work.seen import SeenImage
 from sightline.case.views import NAMES
 
 if TYPE_CHECKING:

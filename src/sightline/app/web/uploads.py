@@ -75,7 +75,7 @@ async def receive(chunks: AsyncIterator[bytes]) -> Upload:
     """
     data, suffix = bytearray(), None
     async for chunk in chunks:
-        if suffix is not None or len(data) < _MARKED_BYTES:  # of what is no image, nothing more is kept
+        if suffix is not None or len(data) < _MARKED_BYTES:  # keep only the first bytes of what is not an image
             data += chunk
             suffix = suffix or suffix_of(bytes(data[:_MARKED_BYTES]))
     if not data:

@@ -54,8 +54,8 @@ class Acquirer:
         whose pixels these are.
 
         A run of several frames is kept whole; its entry is of the last frame, the one that a C-arm goes on showing.
-        `how` is what is known of the acquisition, for the entry's settings. Raises ImageError on what is no image, of
-        which nothing is kept; CaseError where the disk does not take it.
+        `how` is what is known of the acquisition, for the entry's settings. Raises ImageError if it is not an image:
+        nothing of it is kept; CaseError on a disk write error.
         """
         stamped = dict(how or {})
         if self._arrival_pose is not None and "robot" not in stamped:  # before it waits for others

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import RigidTransform
 
-from sightline.app.work.rehearsing import Patient, drawn
+from sightline.app.session.rehearsing import Patient, drawn
 from sightline.calibration.view import CalibratedView
 from sightline.case.report.figures.scene import NEAR_MM, magnification
 from sightline.frame import Frame

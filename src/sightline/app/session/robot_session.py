@@ -12,8 +12,8 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from sightline.app.session.failures import sentence_of
 from sightline.app.texts import BY_CONTACT, BY_PLAN, BY_SHOT
-from sightline.app.work.failures import sentence_of
 from sightline.errors import LinkError, RobotRefusedError, SightlineError
 from sightline.geometry.covariance import TWO_SIDED_95
 from sightline.planning import Plan

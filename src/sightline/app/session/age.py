@@ -4,9 +4,9 @@ from datetime import UTC, datetime, timedelta
 from math import isfinite
 from time import monotonic
 
+from sightline.app.session.planning import Planning
+from sightline.app.session.seen import SeenImage
 from sightline.app.texts import TAKEN_REFUSED
-from sightline.app.work.planning import Planning
-from sightline.app.work.seen import SeenImage
 from sightline.case.journal import Actor
 from sightline.case.views import NAMES
 from sightline.errors import UnusableInputError

@@ -4,8 +4,8 @@ import asyncio
 from collections.abc import Iterable, Iterator
 from typing import TYPE_CHECKING
 
-from sightline.app.work.planning import Planning
-from sightline.app.work.rehearsing import Patient
+from sightline.app.session.planning import Planning
+from sightline.app.session.rehearsing import Patient
 from sightline.errors import UnusableInputError
 from sightline.frame import Frame
 

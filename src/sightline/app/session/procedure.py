@@ -2,15 +2,15 @@
 
 from pathlib import Path
 
-from sightline.app.work.age import PlanAge
-from sightline.app.work.drilling import Drilling
-from sightline.app.work.jobs import Jobs
-from sightline.app.work.live import Live
-from sightline.app.work.planning import Planning
-from sightline.app.work.readiness import Readiness
-from sightline.app.work.rehearsing import Patient
-from sightline.app.work.verifying import Verifying
-from sightline.app.work.workshop import Workshop
+from sightline.app.session.age import PlanAge
+from sightline.app.session.drilling import Drilling
+from sightline.app.session.jobs import Jobs
+from sightline.app.session.live import Live
+from sightline.app.session.planning import Planning
+from sightline.app.session.readiness import Readiness
+from sightline.app.session.rehearsing import Patient
+from sightline.app.session.verifying import Verifying
+from sightline.app.session.workshop import Workshop
 from sightline.case import stages
 from sightline.case.journal import Actor, Case, Kind
 from sightline.errors import UnusableInputError

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 from datetime import datetime
 from functools import cached_property
 
-from sightline.app.work.failures import sentence_of
-from sightline.app.work.workshop import Workshop
+from sightline.app.session.failures import sentence_of
+from sightline.app.session.workshop import Workshop
 from sightline.calibration import BeadView
 from sightline.case import stages
 from sightline.case.journal import Actor, Case, Entry

@@ -4,7 +4,7 @@ import asyncio
 from collections.abc import Awaitable, Callable, Coroutine
 from typing import Any, TypeVar
 
-from sightline.app.work.failures import report, sentence_of
+from sightline.app.session.failures import report, sentence_of
 from sightline.errors import UnusableInputError
 
 T = TypeVar("T")

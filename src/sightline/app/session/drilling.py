@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from sightline.app.plan.planner import Planned, asked
+from sightline.app.session.age import PlanAge
+from sightline.app.session.planning import Planning
+from sightline.app.session.readiness import Readiness
+from sightline.app.session.rehearsing import Patient
+from sightline.app.session.seen import entry_of
+from sightline.app.session.sent import DrilledWire, SentPlan
 from sightline.app.texts import NO_DEPTH_LIMIT, NO_ROBOT
-from sightline.app.work.age import PlanAge
-from sightline.app.work.planning import Planning
-from sightline.app.work.readiness import Readiness
-from sightline.app.work.rehearsing import Patient
-from sightline.app.work.seen import entry_of
-from sightline.app.work.sent import DrilledWire, SentPlan
 from sightline.case.journal import Actor, Kind
 from sightline.case.stages import record_changed, record_planned
 from sightline.case.views import NAMES
@@ -26,7 +26,7 @@ from sightline.robot.control.states import State
 from sightline.robot.kinematics.target import PlanIdentity, RobotTarget
 
 if TYPE_CHECKING:
-    from sightline.app.work.robot_session import RobotNow, RobotSession
+    from sightline.app.session.robot_session import RobotNow, RobotSession
     from sightline.rehearsal.process import RobotProcess
 
 TO_BONE = "tip to bone along wire"
@@ -67,7 +67,7 @@ class Drilling:
 
         def start(patient: Patient) -> "tuple[RobotProcess, RobotSession]":
             # The first page does not wait for the robot, nor for the twin that stands for it.
-            from sightline.app.work.robot_session import RobotSession
+            from sightline.app.session.robot_session import RobotSession
             from sightline.rehearsal.process import RobotProcess
             from sightline.rehearsal.robots import calibrated_robot
 

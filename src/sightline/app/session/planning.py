@@ -8,13 +8,13 @@ from functools import cached_property
 from sightline.app.plan.decisions import Decisions, Display, History, Pixel, Side
 from sightline.app.plan.marks import CHECK_NAMES
 from sightline.app.plan.planner import Planned, moved, planned
+from sightline.app.session import rehearsing
+from sightline.app.session.jobs import Jobs
+from sightline.app.session.rehearsing import Patient
+from sightline.app.session.seen import Lightbox, SeenImage
+from sightline.app.session.sent import DrilledWire, SentPlan, restored
+from sightline.app.session.workshop import Workshop, warm_up
 from sightline.app.texts import MIRRORED_REFUSED
-from sightline.app.work import rehearsing
-from sightline.app.work.jobs import Jobs
-from sightline.app.work.rehearsing import Patient
-from sightline.app.work.seen import Lightbox, SeenImage
-from sightline.app.work.sent import DrilledWire, SentPlan, restored
-from sightline.app.work.workshop import Workshop, warm_up
 from sightline.calibration import BeadView
 from sightline.case import stages
 from sightline.case.journal import Actor, Case, Kind
@@ -131,7 +131,7 @@ class Planning:
         self.edit(replace(self.decisions, side=side))
 
     def confirm_serial(self, serial: str) -> None:
-        """A person read the frame's serial. Raises UnusableInputError where it is another than the frame file's."""
+        """Confirm the serial read on the frame. Raises UnusableInputError if the frame file has another."""
         known = self.frame.serial
         if known is not None and serial != known:
             raise UnusableInputError(
@@ -183,7 +183,7 @@ class Planning:
     async def _take_in(self) -> None:
         """The newest images that were acquired into this case otherwise, each placed by what its markers tell."""
         for entry in self.case.entries(Kind.ACQUIRED)[-_TAKEN_IN:]:
-            with suppress(SightlineError):  # what is no image that can be calibrated is left to a person
+            with suppress(SightlineError):  # leave an image that cannot be calibrated to a person
                 seen = await self.lightbox.open(entry)
                 if seen.view is not None:
                     self.edit(self.decisions.with_image(seen.view.name, entry.number, same_pixels=False))

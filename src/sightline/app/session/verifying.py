@@ -7,10 +7,10 @@ import numpy as np
 
 from sightline.app.plan.marks import CHECK_NAMES, names_of
 from sightline.app.plan.planner import PICK_SD_PX
-from sightline.app.work.planning import Planning
-from sightline.app.work.rehearsing import check_images
-from sightline.app.work.seen import SeenImage, entry_of
-from sightline.app.work.sent import SentPlan
+from sightline.app.session.planning import Planning
+from sightline.app.session.rehearsing import check_images
+from sightline.app.session.seen import SeenImage, entry_of
+from sightline.app.session.sent import SentPlan
 from sightline.calibration import BeadView
 from sightline.case.contents import CheckAsked
 from sightline.case.journal import Actor, Kind

@@ -1,8 +1,8 @@
 """Whether a plan may be sent: planning's checks, then what a person must confirm, and the age of its images."""
 
 from sightline.app.plan.planner import Planned
-from sightline.app.work.age import PlanAge, is_fresh
-from sightline.app.work.planning import Planning
+from sightline.app.session.age import PlanAge, is_fresh
+from sightline.app.session.planning import Planning
 from sightline.checks import Check
 from sightline.planning.results import Verdict
 from sightline.robot.kinematics.target import LIFETIME_S
