@@ -27,7 +27,7 @@ from sightline.case.watch.eye import REST_FRAMES, Eye
 from sightline.case.watch.follow import Follower
 from sightline.case.watch.live import Watch
 from sightline.detection import Observations
-from sightline.planning.residuals import Residuals
+from sightline.planning.line_residuals import LineResiduals
 from sightline.rehearsal.stream import Shot, Stream, shifted
 from sightline.twin import DOSES, ViewTruth, bead_images, draw_setup, shown_hip_scene
 from sightline.twin.render import expose
@@ -157,7 +157,7 @@ def _agreement_rows(quick: bool) -> list[Row]:
 def _at_targets(view: sl.CalibratedView, uv_px: np.ndarray, targets_mm: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Where lines of sight pass, (N, 2) mm, and their covariance there."""
     lines = view.lines_of_sight(uv_px)
-    at = Residuals.at(lines, targets_mm)
+    at = LineResiduals.at(lines, targets_mm)
     whole = np.sum(list((lines.covariance or {}).values()), axis=0)
     return at.reach[:, None] * at.xy_mm, at.to_line @ whole @ at.to_line.T
 

@@ -8,7 +8,7 @@ import pytest
 from sightline.errors import ReconstructionRefusedError
 from sightline.planning import KINDS, Circle, Line, Pick, ProposalRule, kind, locate, plan, propose
 from sightline.planning.aids import Aids
-from sightline.planning.kinds import Asked
+from sightline.planning.kinds import PlanInput
 
 from . import bone
 from .standin import StandInView, stand_in
@@ -102,7 +102,7 @@ def test_kinds_are_complete():
     for key, one in KINDS.items():
         assert one.key == key
         asked = [*one.points, *one.landmarks, *one.aids]
-        assert all(isinstance(each, Asked) and each.name and each.sentence for each in asked)
+        assert all(isinstance(each, PlanInput) and each.name and each.sentence for each in asked)
         assert [each.key for each in one.points] == ["entry", "end"]
         assert len(one.landmarks) >= 2  # a plan needs them (judge)
         assert {each.key for each in one.aids} <= fields

@@ -15,7 +15,7 @@ import numpy as np
 from sightline.calibration.beads import Beads
 from sightline.calibration.polynomial import Affine, monomial_gradients, monomials, terms
 from sightline.calibration.posterior import LineErrors
-from sightline.calibration.prior import NOISE_SCALES_PX, Learned, Problem, learn
+from sightline.calibration.prior import NOISE_SCALES_PX, Learned, PriorData, learn
 from sightline.calibration.projection import Pencil, refuse_misplaced
 from sightline.calibration.smooth import DEGREE, SmoothMap
 from sightline.calibration.well_conditioned import well_conditioned
@@ -113,7 +113,7 @@ def fit_jointly_from(last: JointFit, beads: Beads) -> JointFit:
 
 
 def _roughly(
-    beads: Beads, start: "_Start", problem: Problem, learned: Learned, kernel: np.ndarray
+    beads: Beads, start: "_Start", problem: PriorData, learned: Learned, kernel: np.ndarray
 ) -> tuple[Pencil, SmoothMap]:
     """One Gauss-Newton step with noise of one number per bead: both coordinates alike, so a quarter of the size."""
     covariance = kernel + np.diag(learned.noise_scale**2 * problem.noise_mm2 + problem.frame_mm2)
@@ -185,13 +185,13 @@ def _first_pencil(beads: Beads) -> Pencil:
     return Pencil(plane, np.linalg.lstsq(design.reshape(-1, 3), (y - x).reshape(-1), rcond=None)[0])
 
 
-def _problem(beads: Beads, start: _Start) -> Problem:
+def _problem(beads: Beads, start: _Start) -> PriorData:
     """What kernel and noise scale are learnt from: noise of one number per bead."""
     y, by_pq = start.pencil.linearised(beads.xyz_mm)
     own = np.einsum("iab,ibc,iac->i", start.slopes, _noise_px2(beads), start.slopes) / 2
     frame_mm2 = _frame_variance(beads, start.pencil.by_point(beads.xyz_mm), start.fixed)
     common = np.column_stack([start.basis, by_pq[:, 0, 0]])
-    return Problem(start.at, common, by_pq[:, :, 2:], y, own, frame_mm2, start.radius_mm)
+    return PriorData(start.at, common, by_pq[:, :, 2:], y, own, frame_mm2, start.radius_mm)
 
 
 def _frame_variance(beads: Beads, jacobian: np.ndarray, fixed: np.ndarray) -> float:

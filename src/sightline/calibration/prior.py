@@ -87,7 +87,7 @@ def _beyond_cubic(length: float) -> float:
 
 
 @dataclass(frozen=True, eq=False)
-class Problem:
+class PriorData:
     """What the search sees: both coordinates alike, noise of one number per bead.
 
     `unit_xy` (N, 2); `design` (N, a), the same columns for x and y; `shared` (N, 2, s): columns of parameters that
@@ -112,7 +112,7 @@ class Learned:
     noise_scale: float
 
 
-def learn(problem: Problem, noise_scales: np.ndarray | None = None) -> Learned:
+def learn(problem: PriorData, noise_scales: np.ndarray | None = None) -> Learned:
     """The posterior average of the prior. `noise_scales` of the standard deviations, where the noise is unknown.
 
     Then `noise_mm2` is what 1 px of noise would be.

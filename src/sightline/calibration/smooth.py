@@ -7,7 +7,7 @@ import numpy as np
 
 from sightline.calibration.inverse import Inverse
 from sightline.calibration.polynomial import Affine, derivatives, monomial_gradients, monomials, terms
-from sightline.calibration.prior import NOISE_SCALES_PX, QUINTIC, Kernel, Problem, learn
+from sightline.calibration.prior import NOISE_SCALES_PX, QUINTIC, Kernel, PriorData, learn
 from sightline.calibration.well_conditioned import well_conditioned
 from sightline.errors import CalibrationRefusedError
 from sightline.fitting.kriging import Kriging
@@ -131,7 +131,7 @@ class FittedSmoothMap(SmoothMap):
         per_px2 = 0.5 * (slopes**2).sum(axis=(1, 2))
         some = np.arange(n) if n <= LEARN_FROM else np.random.default_rng(0).permutation(n)[:LEARN_FROM]
         noise = per_px2 if noise_px is None else per_px2 * noise_px**2
-        problem = Problem(at[some], design[some], np.zeros((len(some), 2, 0)), xy_mm[some], noise[some], 0.0, radius)
+        problem = PriorData(at[some], design[some], np.zeros((len(some), 2, 0)), xy_mm[some], noise[some], 0.0, radius)
         learned = learn(problem, NOISE_SCALES_PX if noise_px is None else None)
         covariance = learned.kernel(at, at) + np.diag(learned.noise_scale**2 * noise)
         solution = Kriging.of(design, covariance, xy_mm)

@@ -1,4 +1,4 @@
-"""Reconstruction, image-matching curves, trajectories, go and no-go; aids and figures of hip implants."""
+"""Reconstruction, image-matching curves, trajectories and verdicts; drawn aids and metrics of hip implants."""
 
 from sightline.checks import Limits
 from sightline.planning.aids import Aids, Circle, Line
@@ -7,9 +7,9 @@ from sightline.planning.axis import Axis
 from sightline.planning.bone_checks import BoneRule
 from sightline.planning.corridor import Corridor, corridor
 from sightline.planning.curve import MatchingCurve, matching_curve, snap
-from sightline.planning.figures import Figure, figures
 from sightline.planning.head import Sphere, outline
-from sightline.planning.kinds import KINDS, Asked, TrajectoryKind, kind
+from sightline.planning.kinds import KINDS, PlanInput, TrajectoryKind, kind
+from sightline.planning.metrics import Metric, figures
 from sightline.planning.picks import Pick
 from sightline.planning.plan import Plan, plan
 from sightline.planning.proposal import Proposal, ProposalRule, propose
@@ -23,17 +23,17 @@ __all__ = [
     "KINDS",
     "Aids",
     "Anatomy",
-    "Asked",
     "Axis",
     "BoneRule",
     "Circle",
     "Corridor",
-    "Figure",
     "Limits",
     "Line",
     "MatchingCurve",
+    "Metric",
     "Pick",
     "Plan",
+    "PlanInput",
     "Proposal",
     "ProposalRule",
     "Share",

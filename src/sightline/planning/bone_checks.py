@@ -9,7 +9,7 @@ from sightline.checks import Check
 from sightline.geometry.covariance import TWO_SIDED_95
 from sightline.planning.anatomy import NOT_PLACED, Anatomy
 from sightline.planning.directions import ANTERIOR, MEDIAL, caudal
-from sightline.planning.figures import tip_depth
+from sightline.planning.metrics import tip_depth
 from sightline.planning.results import Verdict
 
 HEAD_CENTRE, LESSER = "head-centre", "lesser-trochanter"

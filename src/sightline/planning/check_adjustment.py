@@ -22,8 +22,8 @@ from sightline.planning.check_start import (
     start_wire,
     terms,
 )
+from sightline.planning.line_residuals import refuse_two_frames
 from sightline.planning.picks import Pick, stack
-from sightline.planning.residuals import refuse_two_frames
 from sightline.planning.trajectory import Trajectory
 
 # What is taken of a movement that landmarks do not show, s.d. per axis: a leg that is thought still [twin, BoneMotion].

@@ -11,7 +11,7 @@ import numpy as np
 
 from sightline.calibration.projection import Pencil
 from sightline.calibration.view import SOURCES, LinesOfSight
-from sightline.planning.residuals import Residuals, pick_covariance_mm2
+from sightline.planning.line_residuals import LineResiduals, pick_covariance_mm2
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,7 +32,7 @@ class Rows:
     def of(lines: LinesOfSight, xyz_mm: np.ndarray, noise_px2: np.ndarray, select: np.ndarray) -> "Rows":
         """Of points (N, 3), each the one seen on its line, whose pixels err by (N, 2, 2) px²."""
         assert lines.covariance is not None  # noqa: S101 - asked only where the errors are known
-        at, n = Residuals.at(lines, xyz_mm), len(xyz_mm)
+        at, n = LineResiduals.at(lines, xyz_mm), len(xyz_mm)
         picks = np.zeros((n, 2, n, 2))
         picks[np.arange(n), :, np.arange(n), :] = pick_covariance_mm2(lines, noise_px2)
         to_line = select @ at.to_line

@@ -7,8 +7,8 @@ import numpy as np
 from sightline.calibration.view import CalibratedView, LinesOfSight
 from sightline.errors import OutsideRegionError, UnusableInputError
 from sightline.geometry.covariance import TWO_SIDED_95
+from sightline.planning.line_residuals import LineResiduals, pick_covariance_mm2, refuse_two_frames
 from sightline.planning.picks import DEFAULT_PICK_SD_PX, Pick
-from sightline.planning.residuals import Residuals, pick_covariance_mm2, refuse_two_frames
 
 STEP_MM = 2.0  # about 10 px: the chord of a distorted line is then off by less than 0.01 px [ours]
 TICK_MM = 10.0  # [ours]
@@ -71,7 +71,7 @@ def matching_curve(
     tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
     pick = DEFAULT_PICK_SD_PX**2 * np.eye(2) if uv_covariance_px2 is None else np.asarray(uv_covariance_px2)
     some = np.unique(np.r_[0 : len(depth) : _BAND_EVERY, len(depth) - 1])
-    there = Residuals.at(to_view.lines_of_sight(curve_px[some]), xyz[some])
+    there = LineResiduals.at(to_view.lines_of_sight(curve_px[some]), xyz[some])
     refuse_two_frames((line, there.lines))
     sd = _sd_across_px(line, pick, 1.0 - depth[some] / length, there, _turned(tangent[some]))
     return MatchingCurve(
@@ -132,7 +132,7 @@ def _turned(tangent_px: np.ndarray) -> np.ndarray:
 
 
 def _sd_across_px(
-    line: LinesOfSight, pick_px2: np.ndarray, reach: np.ndarray, samples: Residuals, across_px: np.ndarray
+    line: LinesOfSight, pick_px2: np.ndarray, reach: np.ndarray, samples: LineResiduals, across_px: np.ndarray
 ) -> np.ndarray | None:
     """(S,) standard deviation of the true line's distance across the curve.
 

@@ -11,7 +11,7 @@ from sightline.planning.proposal import ProposalRule
 
 
 @dataclass(frozen=True)
-class Asked:
+class PlanInput:
     """One thing that a person is asked for: `key` in data, `name` and `sentence` to be read."""
 
     key: str
@@ -28,9 +28,9 @@ class TrajectoryKind:
     key: str
     name: str
     purpose: str
-    points: tuple[Asked, Asked]
-    landmarks: tuple[Asked, ...]
-    aids: tuple[Asked, ...]
+    points: tuple[PlanInput, PlanInput]
+    landmarks: tuple[PlanInput, ...]
+    aids: tuple[PlanInput, ...]
     wire_mm: float
     limits: Limits
     limits_source: str
@@ -39,17 +39,17 @@ class TrajectoryKind:
 
 
 _HIP_LANDMARKS = (
-    Asked(HEAD_CENTRE, "centre of the head", "A sharp point at the head, the same in both images."),
-    Asked(LESSER, "lesser trochanter", "The tip of the lesser trochanter."),
+    PlanInput(HEAD_CENTRE, "centre of the head", "A sharp point at the head, the same in both images."),
+    PlanInput(LESSER, "lesser trochanter", "The tip of the lesser trochanter."),
     # Two show a shift between the views; a check shot needs a third, which shows a turn as well.
-    Asked("greater-trochanter", "greater trochanter", "The tip of the greater trochanter."),
+    PlanInput("greater-trochanter", "greater trochanter", "The tip of the greater trochanter."),
 )
 _HIP_AIDS = (
-    Asked("head", "femoral head", "A circle over the head, or clicks on its rim, in both images."),
-    Asked("shaft", "shaft axis", "A line along the middle of the shaft in both images."),
-    Asked("neck", "neck axis", "A line along the middle of the neck in both images."),
-    Asked("cortex", "lateral cortex", "One click on the lateral edge of the shaft in the PA image."),
-    Asked("calcar", "calcar", "One click on the medial cortex of the neck in the PA image."),
+    PlanInput("head", "femoral head", "A circle over the head, or clicks on its rim, in both images."),
+    PlanInput("shaft", "shaft axis", "A line along the middle of the shaft in both images."),
+    PlanInput("neck", "neck axis", "A line along the middle of the neck in both images."),
+    PlanInput("cortex", "lateral cortex", "One click on the lateral edge of the shaft in the PA image."),
+    PlanInput("calcar", "calcar", "One click on the medial cortex of the neck in the PA image."),
 )
 # Holes of a nail: 5 mm, the drill 4 mm: half a millimetre to each side, at two holes about 11 mm apart [ours].
 _HOLE_PLAY_MM, _HOLES_APART_MM = 0.5, 11.0
@@ -62,8 +62,8 @@ KINDS: dict[str, TrajectoryKind] = {
             "hip screw",
             "The guide wire of a dynamic hip screw, from the lateral cortex through the neck into the head.",
             (
-                Asked("entry", "entry point", "Where the wire enters the lateral cortex."),
-                Asked(
+                PlanInput("entry", "entry point", "Where the wire enters the lateral cortex."),
+                PlanInput(
                     "end", "end point", "Where its tip shall lie in the head, 5 to 10 mm under the subchondral bone."
                 ),
             ),
@@ -80,12 +80,12 @@ KINDS: dict[str, TrajectoryKind] = {
             "interlocking holes",
             "A drill through a pair of holes of a nail, along their common axis.",
             (
-                Asked("entry", "near hole", "The centre of the hole on the side where the drill enters."),
-                Asked("end", "far hole", "The centre of the hole on the other side of the nail."),
+                PlanInput("entry", "near hole", "The centre of the hole on the side where the drill enters."),
+                PlanInput("end", "far hole", "The centre of the hole on the other side of the nail."),
             ),
             (
-                Asked("nail-tip", "tip of the nail", "The end of the nail."),
-                Asked("other-hole", "centre of another hole", "A hole that is not drilled now, or a sharp edge."),
+                PlanInput("nail-tip", "tip of the nail", "The end of the nail."),
+                PlanInput("other-hole", "centre of another hole", "A hole that is not drilled now, or a sharp edge."),
             ),
             (),
             wire_mm=4.0,
@@ -103,12 +103,12 @@ KINDS: dict[str, TrajectoryKind] = {
             "free wire",
             "Any straight wire from one point to another.",
             (
-                Asked("entry", "entry point", "Where the wire enters the bone."),
-                Asked("end", "end point", "Where its tip shall lie."),
+                PlanInput("entry", "entry point", "Where the wire enters the bone."),
+                PlanInput("end", "end point", "Where its tip shall lie."),
             ),
             (
-                Asked("landmark-1", "first landmark", "A sharp point of the bone that both images show."),
-                Asked("landmark-2", "second landmark", "Another, away from the first."),
+                PlanInput("landmark-1", "first landmark", "A sharp point of the bone that both images show."),
+                PlanInput("landmark-2", "second landmark", "Another, away from the first."),
             ),
             (),
             wire_mm=2.5,

@@ -8,8 +8,13 @@ import numpy as np
 from sightline.calibration.view import CalibratedView, LinesOfSight
 from sightline.errors import ReconstructionRefusedError, UnusableInputError
 from sightline.geometry.lines import NearestApproach, nearest_approach
+from sightline.planning.line_residuals import (
+    LineResiduals,
+    covariance_by_source,
+    pick_covariance_mm2,
+    refuse_two_frames,
+)
 from sightline.planning.picks import DEFAULT_PICK_SD_PX
-from sightline.planning.residuals import Residuals, covariance_by_source, pick_covariance_mm2, refuse_two_frames
 from sightline.planning.results import SpacePoints
 
 Method = Literal["weighted", "nearest"]
@@ -107,7 +112,7 @@ class Solution:
     ) -> None:
         covariance_px2, across_px = picks
         self.xyz_mm, self.method = xyz_mm, method
-        self.residuals = Residuals.at(lines[0], xyz_mm), Residuals.at(lines[1], xyz_mm)
+        self.residuals = LineResiduals.at(lines[0], xyz_mm), LineResiduals.at(lines[1], xyz_mm)
         self.covariances = _covariances(self.residuals, covariance_px2)
         if method == "weighted" and self.covariances is not None:
             information = _inverse(_own(self.covariances))
@@ -173,7 +178,7 @@ def _all_gaps(
 
 
 def _covariances(
-    residuals: tuple[Residuals, Residuals], pick_covariance_px2: np.ndarray
+    residuals: tuple[LineResiduals, LineResiduals], pick_covariance_px2: np.ndarray
 ) -> dict[str, np.ndarray] | None:
     """For each of BUDGET, (N, 4, N, 4): the residuals of a point are those of the first view, then of the second."""
     by_source = covariance_by_source(*residuals)
@@ -206,7 +211,7 @@ def _inverse(covariance: np.ndarray) -> np.ndarray:
         ) from None
 
 
-def _nearness(residuals: tuple[Residuals, Residuals]) -> np.ndarray:
+def _nearness(residuals: tuple[LineResiduals, LineResiduals]) -> np.ndarray:
     """(N, 4, 4): the quadratic form of residuals that is the summed squared distance of X from both lines."""
     out = np.zeros((len(residuals[0].reach), 4, 4))
     for k, r in enumerate(residuals):

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sightline.calibration.view import CalibratedView, LinesOfSight
-from sightline.planning.residuals import refuse_two_frames
+from sightline.planning.line_residuals import refuse_two_frames
 
 # Of one drawing in one view: pixels (M, 2) and their covariance (2M, 2M).
 Drawn = tuple[np.ndarray, np.ndarray]

@@ -15,9 +15,9 @@ from sightline.errors import SightlineError
 from sightline.planning import MatchingCurve, Plan, matching_curve, snap
 from sightline.planning.aids import Aids, Circle, Line
 from sightline.planning.anatomy import Anatomy, locate
-from sightline.planning.figures import Figure, figures
 from sightline.planning.kinds import TrajectoryKind
 from sightline.planning.kinds import kind as kind_of
+from sightline.planning.metrics import Metric, figures
 from sightline.planning.picks import DEFAULT_PICK_SD_PX, Pick
 from sightline.planning.proposal import Proposal, propose
 
@@ -50,7 +50,7 @@ class Planned:
         return locate(self.views, _aids(self.decisions))
 
     @cached_property
-    def figures(self) -> tuple[Figure, ...]:
+    def figures(self) -> tuple[Metric, ...]:
         """Figures of the implant; none until the side is confirmed, since signs and names follow it."""
         side = self.decisions.side
         return () if side is None else figures(self.anatomy, side)

@@ -19,7 +19,7 @@ from sightline.case.stages import record_changed, record_planned
 from sightline.case.views import NAMES
 from sightline.errors import RobotRefusedError, UnusableInputError
 from sightline.geometry.covariance import TWO_SIDED_95
-from sightline.planning.figures import Figure
+from sightline.planning.metrics import Metric
 from sightline.robot.control.insertion import DEPTH_SLACK_MM
 from sightline.robot.control.motion.supervision import depth_limit
 from sightline.robot.control.states import State
@@ -179,7 +179,7 @@ def _depth_limit(known: Planned, target: RobotTarget) -> float:
     by the 95 % error of both. Raises UnusableInputError where the surface is not known."""
     if known.kind.bone is None:
         return target.depth_mm + DEPTH_SLACK_MM
-    left: Figure | None = next((one for one in known.figures if one.name == TO_BONE), None)
+    left: Metric | None = next((one for one in known.figures if one.name == TO_BONE), None)
     if left is None or left.value is None or left.sd is None:
         raise UnusableInputError(NO_DEPTH_LIMIT)
     error = float(np.hypot(TWO_SIDED_95 * left.sd, target.end_error_95_mm))

@@ -18,7 +18,7 @@ from sightline.frame import Frame
 from sightline.geometry.covariance import ellipsoid_factor
 from sightline.imaging import Radiograph
 from sightline.planning.corridor import Corridor, corridor
-from sightline.planning.residuals import Residuals
+from sightline.planning.line_residuals import LineResiduals
 from sightline.planning.trajectory import Trajectory
 
 STALE_S = 0.2  # an older image is not what is: nothing is drawn into it
@@ -159,7 +159,7 @@ class Eye:
             lines = view.lines_of_sight(view.project(self._targets))
         except OutsideRegionError:
             return None, None
-        at = Residuals.at(lines, self._targets)
+        at = LineResiduals.at(lines, self._targets)
         whole = np.sum(list((lines.covariance or {}).values()), axis=0)
         own = np.einsum("iaib->iab", (at.to_line @ whole @ at.to_line.T).reshape(len(at.reach), 2, -1, 2))
         error = _WITHIN_95 * float((at.reach * np.sqrt(np.linalg.eigvalsh(own)[:, -1])).max())

@@ -5,7 +5,7 @@ import pytest
 
 from sightline.calibration.view import LinesOfSight
 from sightline.geometry.planes import Plane
-from sightline.planning.residuals import Residuals
+from sightline.planning.line_residuals import LineResiduals
 
 POINTS_MM = np.array([[3.7, -11.2, 18.3], [-24.1, 27.9, -46.6], [5.2, 8.9, 131.4]])
 FOCAL_MM = np.array([22.4, -15.9, -611.3])
@@ -24,8 +24,8 @@ def lines(focal_mm: np.ndarray, xy_mm: np.ndarray) -> LinesOfSight:
 XY_MM = PLANE.central_projection(FOCAL_MM, POINTS_MM) + np.array([[0.3, -0.2], [-0.1, 0.4], [0.2, 0.1]])
 
 
-def at(focal_mm: np.ndarray = FOCAL_MM, xy_mm: np.ndarray = XY_MM, xyz_mm: np.ndarray = POINTS_MM) -> Residuals:
-    return Residuals.at(lines(focal_mm, xy_mm), xyz_mm)
+def at(focal_mm: np.ndarray = FOCAL_MM, xy_mm: np.ndarray = XY_MM, xyz_mm: np.ndarray = POINTS_MM) -> LineResiduals:
+    return LineResiduals.at(lines(focal_mm, xy_mm), xyz_mm)
 
 
 def test_a_line_through_its_point_leaves_nothing():

@@ -16,7 +16,7 @@ from sightline.errors import ReconstructionRefusedError
 
 
 @dataclass(frozen=True, eq=False)
-class Residuals:
+class LineResiduals:
     """Residuals of N points in one view.
 
     `xy_mm` (N, 2); `to_point` (N, 2, 3): d projection / d X; `to_line` (2N, 3 + 2N): d residual / d (F, every xy).
@@ -31,7 +31,7 @@ class Residuals:
     reach: np.ndarray
 
     @staticmethod
-    def at(lines: LinesOfSight, xyz_mm: np.ndarray) -> "Residuals":
+    def at(lines: LinesOfSight, xyz_mm: np.ndarray) -> "LineResiduals":
         """Of points (N, 3), one for each line."""
         plane, focal = lines.plane, lines.focal_point_mm
         reach = 1.0 - plane.height_mm(xyz_mm) / plane.height_mm(focal)
@@ -41,10 +41,10 @@ class Residuals:
         ] * to_point  # moving F by r is moving X by (reach - 1) r, seen on the plane
         to_line = np.hstack([-to_focal.reshape(-1, 3), np.eye(2 * len(xyz_mm))])
         residual = lines.xy_mm - plane.central_projection(focal, xyz_mm)
-        return Residuals(lines, residual, to_point, to_line, reach)
+        return LineResiduals(lines, residual, to_point, to_line, reach)
 
 
-def covariance_by_source(first: Residuals, second: Residuals) -> dict[str, np.ndarray] | None:
+def covariance_by_source(first: LineResiduals, second: LineResiduals) -> dict[str, np.ndarray] | None:
     """(4N, 4N) covariance of the residuals of both views (view, point, axis) for each of SOURCES; None where unknown.
 
     Only the frame's error is shared by two views; a view from a matrix has none.

@@ -23,7 +23,7 @@ _BY_DEFINITION = "by definition"
 
 
 @dataclass(frozen=True)
-class Figure:
+class Metric:
     """One figure: `value` and its standard deviation `sd`, in `unit`; `low`, `high`: where it is recommended to lie.
 
     `value` is None where it cannot be known; `sentence` then says why. `sd` is None where a view's error is unknown.
@@ -62,7 +62,7 @@ class _Kind:
     high: float | None = None
 
 
-def figures(found: Anatomy, side: str) -> tuple[Figure, ...]:
+def figures(found: Anatomy, side: str) -> tuple[Metric, ...]:
     """All figures, in a fixed order, for a hip of one side, "right" or "left"; what is not known is absent with the
     reason. Raises UnusableInputError."""
     caudal(side)
@@ -70,18 +70,18 @@ def figures(found: Anatomy, side: str) -> tuple[Figure, ...]:
     return (*made, *(_position(found, name, side) for name in ("AP", "lateral")))
 
 
-def _figure(found: Anatomy, kind: _Kind, side: str) -> Figure:
+def _figure(found: Anatomy, kind: _Kind, side: str) -> Metric:
     missing = next((part for part in kind.needs if part not in found.at), None)
     if missing is not None:
         why = f"Not known: {found.absent[missing]}."
-        return Figure(kind.name, None, None, kind.unit, why, kind.source, kind.low, kind.high)
+        return Metric(kind.name, None, None, kind.unit, why, kind.source, kind.low, kind.high)
     try:
         value, sd = _valued(found, kind.value, side)
     except ReconstructionRefusedError as refusal:
-        return Figure(kind.name, None, None, kind.unit, f"Not known: {refusal}.", kind.source, kind.low, kind.high)
+        return Metric(kind.name, None, None, kind.unit, f"Not known: {refusal}.", kind.source, kind.low, kind.high)
     spread = "" if sd is None else f" ± {sd:.1f}"
     sentence = kind.sentence.format(f"{value:.1f}{spread} {kind.unit}")
-    return Figure(kind.name, value, sd, kind.unit, sentence, kind.source, kind.low, kind.high)
+    return Metric(kind.name, value, sd, kind.unit, sentence, kind.source, kind.low, kind.high)
 
 
 def _valued(found: Anatomy, function: Callable[["_Parts"], np.ndarray], side: str) -> tuple[float, float | None]:
@@ -267,12 +267,12 @@ _KINDS = (
 )
 
 
-def _position(found: Anatomy, view: str, side: str) -> Figure:
+def _position(found: Anatomy, view: str, side: str) -> Metric:
     """How far beside the head's centre the wire passes, as one view shows it, and in which third of the head."""
     name, source = f"position {view}", _CLEVELAND
     missing = next((part for part in ("wire", "head") if part not in found.at), None)
     if missing is not None:
-        return Figure(name, None, None, "mm", f"Not known: {found.absent[missing]}.", source)
+        return Metric(name, None, None, "mm", f"Not known: {found.absent[missing]}.", source)
     number, goal, words = (
         (0, -caudal(side), ("superior", "inferior")) if view == "AP" else (1, ANTERIOR, ("anterior", "posterior"))
     )
@@ -286,13 +286,13 @@ def _position(found: Anatomy, view: str, side: str) -> Figure:
     try:
         value, sd = _valued(found, offset, side)
     except ReconstructionRefusedError as refusal:
-        return Figure(name, None, None, "mm", f"Not known: {refusal}.", source)
+        return Metric(name, None, None, "mm", f"Not known: {refusal}.", source)
     third = float(found.part("head")[3]) / 3
     zone = "centre" if abs(value) <= third else words[0] if value > 0 else words[1]
     spread = "" if sd is None else f" ± {sd:.1f}"
     sentence = f"The wire passes {abs(value):.1f}{spread} mm {words[0] if value > 0 else words[1]} of the head's centre"
     sentence += f" in the {view} view: {zone} third."
-    return Figure(name, value, sd, "mm", sentence, source, -third, third, zone)
+    return Metric(name, value, sd, "mm", sentence, source, -third, third, zone)
 
 
 def _apex(parts: _Parts) -> np.ndarray:
