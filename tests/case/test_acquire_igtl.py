@@ -15,7 +15,7 @@ from sightline.case.acquire.robot import PoseNow, RobotWatch
 from sightline.case.journal import Case
 from sightline.case.stages import image_of
 from sightline.errors import ImageError, LinkError, SourceError
-from sightline.imaging import Frame, Radiograph
+from sightline.imaging import Radiograph, SourceFrame
 from sightline.robot.igtl import Image, Message, NDArray, String, encode, timestamp_of
 from sightline.robot.kinematics.registration import FRESH_S
 
@@ -163,7 +163,7 @@ def test_the_robots_pose_comes_with_the_image_and_a_stale_one_does_not(case: Cas
         assert pose.document()["joints"] is None
     acquirer = Acquirer(case)
     for seed, pose, joints in ((1, fresh, [0.0, 1.0, 2.0, 3.0, 4.0]), (2, stale, None)):
-        frame = Frame(Radiograph(pixels(seed=seed), 65535.0), 1, SENT_S, "openigtlink", SENT_S - 1)
+        frame = SourceFrame(Radiograph(pixels(seed=seed), 65535.0), 1, SENT_S, "openigtlink", SENT_S - 1)
         entry = take_frames(acquirer, [frame], pose=pose, how={"stated_matrix": np.eye(4)}).entry
         acquisition = entry.settings["acquisition"]
         assert acquisition["robot"]["joints"] == joints
@@ -174,7 +174,7 @@ def test_the_robots_pose_comes_with_the_image_and_a_stale_one_does_not(case: Cas
 
 def test_floats_are_kept_as_they_are(case: Case) -> None:
     values = pixels(np.float32) + np.float32(0.25)
-    frame = Frame(radiograph_of(Image(values[None], np.eye(4))), 1, SENT_S, "openigtlink")
+    frame = SourceFrame(radiograph_of(Image(values[None], np.eye(4))), 1, SENT_S, "openigtlink")
     entry = take_frames(Acquirer(case), [frame]).entry
     assert entry.content["original"].endswith(".npy")
     np.testing.assert_array_equal(image_of(case, entry).pixels, values)

@@ -27,7 +27,7 @@ def answers(
     truth = np.array([(b.u, b.v) for b in beads])
     radius = np.array([b.radius * rng.uniform(0.95, 1.05) for b in beads])
     rows = refine.start(truth + rng.uniform(-0.3, 0.3, truth.shape), radius, np.full(len(beads), -0.9))
-    out = refine.Fit(light, usable if hidden is None else ~hidden, noise)(rows)
+    out = refine.BeadFitter(light, usable if hidden is None else ~hidden, noise)(rows)
     assert (out[:, columns.STATUS] == columns.FITTED).all()
     return out
 

@@ -29,7 +29,7 @@ class Drawn:
 
 @dataclass(frozen=True, eq=False)
 class Expected:
-    """See `ExpectedWire`."""
+    """See `ProjectedWire`."""
 
     uv_px: np.ndarray
     along_mm: np.ndarray

@@ -69,7 +69,7 @@ def look_again(image: Radiograph, beads: Detections, observations: Observations,
 
 
 def look_again_with(
-    fit_of_image: Callable[[], refine.Fit],
+    fit_of_image: Callable[[], refine.BeadFitter],
     image: Radiograph,
     beads: Detections,
     observations: Observations,
@@ -204,7 +204,7 @@ def _start(beads: Detections, expected: _Expected, which: np.ndarray) -> np.ndar
     )
 
 
-def _fitted(fit: refine.Fit, image: Radiograph, rows: np.ndarray, which: np.ndarray) -> np.ndarray:
+def _fitted(fit: refine.BeadFitter, image: Radiograph, rows: np.ndarray, which: np.ndarray) -> np.ndarray:
     """The rows `which` fitted to what metal and overlapping shadows leave of them; TOO_FEW_PIXELS if that is little."""
     usable, enough = without_overlaps(image, fit, rows, which)
     out = rows[which]
@@ -214,7 +214,7 @@ def _fitted(fit: refine.Fit, image: Radiograph, rows: np.ndarray, which: np.ndar
 
 
 def without_overlaps(
-    image: Radiograph, fit: refine.Fit, rows: np.ndarray, which: np.ndarray
+    image: Radiograph, fit: refine.BeadFitter, rows: np.ndarray, which: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """(H, W) bool: the pixels that count where the beads `which` (M,) of `rows` are not under metal and under each
     other; and (M,) bool: of which beads enough is left."""
@@ -222,7 +222,7 @@ def without_overlaps(
     return usable, np.array([_hide(image, fit, rows, i, usable) for i in which], dtype=bool)
 
 
-def _hide(image: Radiograph, fit: refine.Fit, rows: np.ndarray, i: int, usable: np.ndarray) -> bool:
+def _hide(image: Radiograph, fit: refine.BeadFitter, rows: np.ndarray, i: int, usable: np.ndarray) -> bool:
     """Take metal about bead `i`, and where others overlap it, from `usable`; whether enough is left of it."""
     u, v, radius = rows[i, :3]
     reach = radius + window.BEYOND

@@ -71,7 +71,7 @@ def _detected(image: Radiograph) -> Detections:
     rows = refine.start(spots.uv_px, spots.radius_px, spots.response)
     rejected = _rejected(rows[~spots.round], np.full(len(rows), _NOT_ROUND))
     usable = without_middles(mask, spots.uv_px[spots.washer], spots.radius_px[spots.washer])
-    fit = refine.Fit(logs, usable, noise)
+    fit = refine.BeadFitter(logs, usable, noise)
     beads, unfit = _fitted(rows[spots.round], fit)
     rejected += unfit
     middles = mask & ~usable
@@ -91,11 +91,11 @@ def _detected(image: Radiograph) -> Detections:
     return _detections(beads, middles, image, rejected)
 
 
-def fit_of(image: Radiograph, beads: Detections) -> refine.Fit:
+def fit_of(image: Radiograph, beads: Detections) -> refine.BeadFitter:
     """The fit to measure more beads of an image with. Raises DetectionRefusedError."""
     mask, logs, noise = _looked_at(image)
     washer = np.array([kind == "washer" for kind in beads.kind], dtype=bool)
-    return refine.Fit(logs, without_middles(mask, beads.uv_px[washer], beads.radius_px[washer]), noise)
+    return refine.BeadFitter(logs, without_middles(mask, beads.uv_px[washer], beads.radius_px[washer]), noise)
 
 
 def _looked_at(image: Radiograph) -> tuple[np.ndarray, np.ndarray, NoiseModel]:
@@ -122,7 +122,7 @@ def _no_noise(image: Radiograph, mask: np.ndarray) -> str:
     )
 
 
-def _fitted(rows: np.ndarray, fit: refine.Fit) -> tuple[np.ndarray, tuple[Rejected, ...]]:
+def _fitted(rows: np.ndarray, fit: refine.BeadFitter) -> tuple[np.ndarray, tuple[Rejected, ...]]:
     """Beads among the spots `rows`; those whose fit had to do with a spot that is none are fitted again."""
     first = fit(rows)
     reason = _shape_reasons(first, _LOOSE)

@@ -22,7 +22,7 @@ def start(uv_px: np.ndarray, radius_px: np.ndarray, response: np.ndarray) -> np.
     return rows
 
 
-class Fit:
+class BeadFitter:
     """The fit of beads in one image: least squares, weighted for the image's own correlated noise.
 
     `log_image` (H, W) float32; `usable` (H, W) bool.
@@ -47,13 +47,13 @@ class Fit:
         """(H, W) bool: which pixels may count."""
         return self._usable
 
-    def within(self, usable: np.ndarray) -> "Fit":
+    def within(self, usable: np.ndarray) -> "BeadFitter":
         """The same, where only the pixels `usable` (H, W) may count."""
         other = copy(self)
         other._usable = usable
         return other
 
-    def on(self, log_image: np.ndarray) -> "Fit":
+    def on(self, log_image: np.ndarray) -> "BeadFitter":
         """The same in the next image of a sequence: noise and sharpening are taken to have stayed."""
         other = copy(self)
         other._image = log_image

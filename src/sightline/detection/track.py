@@ -55,7 +55,7 @@ class Track:
     crowded: np.ndarray
     radius_px: np.ndarray
     washer: np.ndarray
-    fit: refine.Fit
+    fit: refine.BeadFitter
     mask: np.ndarray
     written: np.ndarray | None
     free: np.ndarray
@@ -80,7 +80,7 @@ class Track:
 
     @staticmethod
     def _begun(
-        fit: refine.Fit, image: Radiograph, beads: Detections, observations: Observations, frame: Frame
+        fit: refine.BeadFitter, image: Radiograph, beads: Detections, observations: Observations, frame: Frame
     ) -> "Track":
         """`begin` with the fit of an image that needs no halving."""
         row_of = {place: row for row, place in enumerate(map(tuple, beads.uv_px.tolist()))}
@@ -136,7 +136,7 @@ class Track:
         noise = estimate_noise(logs, mask)
         if noise is None:
             raise TrackLost("no part of the image is left to measure its noise in")
-        fit = refine.Fit(logs, self._usable(mask), noise)
+        fit = refine.BeadFitter(logs, self._usable(mask), noise)
         track = self._fitted(image, fit)
         beads, alone = track._alone(image)
         try:
@@ -181,7 +181,7 @@ class Track:
             raise TrackLost("the images changed their size")
         return image.binned(FACTOR**self.halved) if self.halved else image
 
-    def _fitted(self, image: Radiograph, fit: refine.Fit) -> "Track":
+    def _fitted(self, image: Radiograph, fit: refine.BeadFitter) -> "Track":
         """Every bead where this image has it. Raises TrackLost."""
         rows, count = self._expected(), len(self.ids)
         free, free_for, free_at = self._free(image, fit, rows)
@@ -228,7 +228,9 @@ class Track:
         washer = self._expected()[self.washer]
         return without_middles(mask, washer[:, :2], washer[:, columns.RADIUS])
 
-    def _free(self, image: Radiograph, fit: refine.Fit, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def _free(
+        self, image: Radiograph, fit: refine.BeadFitter, rows: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """`free`, `free_for` and `free_at_px`, looked at anew where other pixels count than before."""
         if fit.usable is self.fit.usable:
             return self.free, self.free_for, self.free_at_px

@@ -9,7 +9,7 @@ from scipy.ndimage import binary_dilation, gaussian_filter
 
 from sightline.detection.log_image import field_inset, log_image
 from sightline.detection.noise import NoiseModel, estimate_noise
-from sightline.detection.wire_model import BEND, Fit, Path, Wire, fit_across, fit_tip
+from sightline.detection.wire_model import BEND, ImagePath, SteelWire, WireFit, fit_across, fit_tip
 from sightline.detection.wire_search import search
 from sightline.errors import UnusableInputError, WireRefusedError
 from sightline.imaging import Radiograph
@@ -39,7 +39,7 @@ _TIP_BEHIND, _TIP_BEYOND = 5.0, 3.0  # radii about the tip that are fitted [ours
 _OTHER_WIDTH = 0.25  # share by which the width may differ: 3.2 mm for 2.5 mm would pass no more [ours]
 
 
-class ExpectedWire(Protocol):
+class ProjectedWire(Protocol):
     """Where a wire should be: points (M, 2) px in order, from outside to beyond the planned tip."""
 
     @property
@@ -88,7 +88,7 @@ class WireShadow:
 
 def find_wire(  # noqa: PLR0917
     image: Radiograph,
-    expected: ExpectedWire,
+    expected: ProjectedWire,
     diameter_mm: float,
     bead_uv_px: np.ndarray,
     bead_radius_px: np.ndarray,
@@ -110,13 +110,13 @@ def find_wire(  # noqa: PLR0917
     usable = _without(mask, bead_uv_px, bead_radius_px + _ROUND_BEAD_PX)
     usable &= image.pixels < image.white
     shown = _shown(path, mask)
-    path, scale, stretch, sine = Path.through(path.uv_px[shown]), scale[shown], stretch[shown], sine[shown]
+    path, scale, stretch, sine = ImagePath.through(path.uv_px[shown]), scale[shown], stretch[shown], sine[shown]
     found = search(logs, usable, path, scale * diameter_mm / 2, scale)
     radius = float(np.median(scale)) * diameter_mm / 2
     here = int(np.clip(found.expected_tip_s_px, 0, len(scale) - 1))
     point_px = point * float(stretch[here])
     end = found.tip_s_px - point_px - radius
-    wire = Wire(diameter_mm, point, float(sine[here]), float(stretch[here]))
+    wire = SteelWire(diameter_mm, point, float(sine[here]), float(stretch[here]))
     strip = _Strip.about(logs, usable, noise, found.path, (wire, radius))
     pieces = strip.pieces(end)
     strip = _Strip.about(logs, usable & ~strip.odd(pieces), noise, _through(found.path, pieces), (wire, radius))
@@ -158,7 +158,7 @@ class _Piece:
 
     s_px: float
     pixels: np.ndarray
-    fit: Fit
+    fit: WireFit
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,8 +167,8 @@ class _Strip:
 
     `radius_px`: of the wire, as expected."""
 
-    path: Path
-    wire: Wire
+    path: ImagePath
+    wire: SteelWire
     radius_px: float
     usable: np.ndarray
     row: np.ndarray
@@ -180,7 +180,7 @@ class _Strip:
 
     @staticmethod
     def about(
-        logs: np.ndarray, usable: np.ndarray, noise: NoiseModel, path: Path, wire: tuple[Wire, float]
+        logs: np.ndarray, usable: np.ndarray, noise: NoiseModel, path: ImagePath, wire: tuple[SteelWire, float]
     ) -> "_Strip":
         """As wide as the wire, of a radius in px, and its background."""
         radius = wire[1]
@@ -316,7 +316,7 @@ def _curve(pieces: list[_Piece]) -> np.polynomial.Polynomial:
     return np.polynomial.Polynomial.fit(s, x, BEND)
 
 
-def _through(path: Path, pieces: list[_Piece]) -> Path:
+def _through(path: ImagePath, pieces: list[_Piece]) -> ImagePath:
     """The path, moved onto the pieces; beyond them straight on."""
     if len(pieces) < _FEWEST_PIECES:
         raise WireRefusedError(
@@ -350,7 +350,9 @@ def _tip(
     )
 
 
-def _prepared(expected: ExpectedWire, diameter_mm: float, point_mm: float) -> tuple[Path, *tuple[np.ndarray, ...]]:
+def _prepared(
+    expected: ProjectedWire, diameter_mm: float, point_mm: float
+) -> tuple[ImagePath, *tuple[np.ndarray, ...]]:
     """The expected path in steps of a pixel; on it the scale across and along the wire, px/mm, and the sine."""
     uv = np.asarray(expected.uv_px, dtype=np.float64)
     along, scale, sine = (
@@ -366,10 +368,10 @@ def _prepared(expected: ExpectedWire, diameter_mm: float, point_mm: float) -> tu
         raise UnusableInputError("a wire's diameter must be positive, and the length of its point not negative")
     if sine.min() < _MOST_OBLIQUE:
         raise WireRefusedError("the wire would be seen nearly end on; take the image from another direction")
-    rough = Path.through(uv)
+    rough = ImagePath.through(uv)
     s = np.arange(0.0, rough.s_px[-1])
     stretch = np.gradient(rough.s_px) / np.gradient(along)
-    fine = Path.through(np.stack([np.interp(s, rough.s_px, column) for column in uv.T], axis=-1))
+    fine = ImagePath.through(np.stack([np.interp(s, rough.s_px, column) for column in uv.T], axis=-1))
     return fine, *(np.interp(s, rough.s_px, a) for a in (scale, stretch, sine))
 
 
@@ -381,7 +383,7 @@ def _without(mask: np.ndarray, uv_px: np.ndarray, radius_px: np.ndarray) -> np.n
     return mask & (covered == 0)
 
 
-def _shown(path: Path, mask: np.ndarray) -> slice:
+def _shown(path: ImagePath, mask: np.ndarray) -> slice:
     """The part of a path within the mask. Raises WireRefusedError where there is none to speak of."""
     at = np.rint(path.uv_px).astype(int)
     inside = np.all((at >= 0) & (at < np.array(mask.shape[::-1])), axis=-1)

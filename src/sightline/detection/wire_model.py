@@ -27,17 +27,17 @@ _WIDEST = 1.7  # times the radius that is expected, either way: beyond, a fit ha
 
 
 @dataclass(frozen=True, eq=False)
-class Path:
+class ImagePath:
     """A smooth line through an image in steps of about a pixel: `uv_px` (M, 2) and `s_px` (M,), its length so far."""
 
     uv_px: np.ndarray
     s_px: np.ndarray
 
     @staticmethod
-    def through(uv_px: np.ndarray) -> "Path":
+    def through(uv_px: np.ndarray) -> "ImagePath":
         """Through points (M, 2)."""
         steps = np.hypot(*np.diff(uv_px, axis=0).T)
-        return Path(uv_px, np.append(0.0, np.cumsum(steps)))
+        return ImagePath(uv_px, np.append(0.0, np.cumsum(steps)))
 
     @property
     def tangents(self) -> np.ndarray:
@@ -55,10 +55,10 @@ class Path:
         on = np.stack([u, v], axis=-1) + (s_px - inside)[..., None] * along
         return on, along, np.stack([-along[..., 1], along[..., 0]], axis=-1)
 
-    def moved(self, across_px: np.ndarray) -> "Path":
+    def moved(self, across_px: np.ndarray) -> "ImagePath":
         """The path (M,) px further along its normals."""
         along = self.tangents
-        return Path.through(self.uv_px + across_px[:, None] * np.stack([-along[:, 1], along[:, 0]], axis=-1))
+        return ImagePath.through(self.uv_px + across_px[:, None] * np.stack([-along[:, 1], along[:, 0]], axis=-1))
 
     def places(self, uv_px: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """s and x (N,) of pixels (N, 2)."""
@@ -68,7 +68,7 @@ class Path:
 
 
 @dataclass(frozen=True, eq=False)
-class Fit:
+class WireFit:
     """Numbers of a fit, first those sought; `influence` (P, N) of each pixel's light, in units of its noise, on them;
     `model` (N,) light; `shadow`, `beside`: fitted light in the shadow and beside it."""
 
@@ -86,7 +86,7 @@ class Fit:
 
 
 @dataclass(frozen=True)
-class Wire:
+class SteelWire:
     """A steel wire: diameter, length of its conical point (0: plain), the sine of its angle to the rays, and how long
     a millimetre of it is in the image."""
 
@@ -101,7 +101,7 @@ class Wire:
         return self.diameter_mm / self.sine
 
 
-def profile(x_px: np.ndarray, wire: Wire, radius_px: float, blur_px: float) -> np.ndarray:
+def profile(x_px: np.ndarray, wire: SteelWire, radius_px: float, blur_px: float) -> np.ndarray:
     """(N,) shadow of a wire at x: 1 where it is deepest, were it not blurred."""
     reach = 1.0 + 5.0 * blur_px / radius_px
     rho = np.arange(-reach, reach + _FINE, _FINE)
@@ -111,7 +111,7 @@ def profile(x_px: np.ndarray, wire: Wire, radius_px: float, blur_px: float) -> n
     return np.interp(x_px / radius_px, rho, blurred / _taken(wire, np.array(wire.depth_mm)))
 
 
-def _taken(wire: Wire, chord_mm: np.ndarray) -> np.ndarray:
+def _taken(wire: SteelWire, chord_mm: np.ndarray) -> np.ndarray:
     """Share of the straight light that steel takes."""
     out = np.zeros(chord_mm.shape)
     for mu, share in zip(_PER_MM, _SHARE, strict=True):
@@ -125,8 +125,8 @@ def fit_across(  # noqa: PLR0917
     light: np.ndarray,
     noise: np.ndarray,
     start: tuple[float, float, float],
-    wire: Wire,
-) -> Fit:
+    wire: SteelWire,
+) -> WireFit:
     """Offset, radius and blur, px, of a piece of wire, from the light (N,) of pixels and its s.d. `noise` (N,)."""
     reach, half = float(np.abs(x_px).max()), float(np.ptp(s_px)) / 2
     along, across = (s_px - s_px.mean()) / max(half, 1.0), x_px / reach
@@ -149,9 +149,9 @@ def fit_tip(  # noqa: PLR0917
     light: np.ndarray,
     noise: np.ndarray,
     start: tuple[float, float],
-    wire: Wire,
+    wire: SteelWire,
     look: tuple[float, float],
-) -> Fit:
+) -> WireFit:
     """Where a wire ends along the path, and its offset there, px; `look`: its radius and blur, px."""
     reach, half = float(np.abs(x_px).max()), float(np.ptp(s_px)) / 2
     along, across = (s_px - s_px.mean()) / half, x_px / reach
@@ -169,7 +169,7 @@ def fit_tip(  # noqa: PLR0917
     return _fitted(shape, keep, np.array(start), ground, light, noise)
 
 
-def _tip_template(wire: Wire, radius: float, blur: float, reach: float) -> tuple[np.ndarray, np.ndarray]:
+def _tip_template(wire: SteelWire, radius: float, blur: float, reach: float) -> tuple[np.ndarray, np.ndarray]:
     """The shadow of a wire's end over s and x in cells, the tip at s = 0; and the cell of its corner (2,)."""
     behind = 4 * radius + wire.point_mm * wire.px_per_mm + 5 * blur + reach
     corner = np.round(np.array([-behind, -reach - 5 * blur - 4.0]) / _CELL)
@@ -180,7 +180,7 @@ def _tip_template(wire: Wire, radius: float, blur: float, reach: float) -> tuple
     return gaussian_filter(share, blur / _CELL, mode="nearest"), corner
 
 
-def _chord_mm(wire: Wire, s_mm: np.ndarray, x_mm: np.ndarray) -> np.ndarray:
+def _chord_mm(wire: SteelWire, s_mm: np.ndarray, x_mm: np.ndarray) -> np.ndarray:
     """(S, X) length in the wire of rays at s and x, seen across the rays, the tip at 0; rays taken to be parallel."""
     cosine = np.sqrt(1 - wire.sine**2)
     half = wire.diameter_mm / wire.sine
@@ -201,7 +201,7 @@ def _fitted(  # noqa: PLR0917
     ground: np.ndarray,
     light: np.ndarray,
     noise: np.ndarray,
-) -> Fit:
+) -> WireFit:
     """Least squares of the numbers that `shape` depends on, jointly with background and scatter, which are linear."""
     p, settled = start, False
     for _ in range(_STEPS):
@@ -215,7 +215,7 @@ def _fitted(  # noqa: PLR0917
     model, linear, columns = _linearised(shape, p, ground, light, noise)
     influence = np.linalg.pinv(columns)[: len(p)]
     beside = float(linear[0])
-    return Fit(p, influence, model, (1 - _TAKEN) * beside + float(linear[-1]), beside, settled)
+    return WireFit(p, influence, model, (1 - _TAKEN) * beside + float(linear[-1]), beside, settled)
 
 
 def _linearised(

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from scipy.ndimage import gaussian_filter, uniform_filter1d
 
-from sightline.detection.wire_model import BEND, Path
+from sightline.detection.wire_model import BEND, ImagePath
 from sightline.errors import WireRefusedError
 
 CORRIDOR_MM = 8.0  # to either side of where the wire is expected [ours]
@@ -22,15 +22,17 @@ _BRIDGED = 0.3  # of the wire's usual darkness: less, on the whole, is no wire; 
 
 
 @dataclass(frozen=True, eq=False)
-class Line:
+class CoarseWire:
     """A wire found roughly: its path to some way beyond the tip; the tip's s on it and on the path expected, px."""
 
-    path: Path
+    path: ImagePath
     tip_s_px: float
     expected_tip_s_px: float
 
 
-def search(logs: np.ndarray, usable: np.ndarray, path: Path, radius_px: np.ndarray, px_per_mm: np.ndarray) -> Line:
+def search(
+    logs: np.ndarray, usable: np.ndarray, path: ImagePath, radius_px: np.ndarray, px_per_mm: np.ndarray
+) -> CoarseWire:
     """The one dark line of about the radius (M,) within the corridor about `path`. Raises WireRefusedError."""
     corridor = CORRIDOR_MM * float(np.median(px_per_mm))
     radius = float(np.median(radius_px))
@@ -58,12 +60,12 @@ def search(logs: np.ndarray, usable: np.ndarray, path: Path, radius_px: np.ndarr
     kept = slice(None, min(int(tip + 12 * radius), len(s)))
     centre = _smooth(s, across, tip, radius)
     on, _, normal = path.at(s)
-    found = Path.through((on + centre[:, None] * normal)[kept])
-    return Line(found, float(found.s_px[int(tip)]), tip)
+    found = ImagePath.through((on + centre[:, None] * normal)[kept])
+    return CoarseWire(found, float(found.s_px[int(tip)]), tip)
 
 
 def _darkness(  # noqa: PLR0917
-    logs: np.ndarray, usable: np.ndarray, path: Path, s: np.ndarray, x: np.ndarray, radius: float
+    logs: np.ndarray, usable: np.ndarray, path: ImagePath, s: np.ndarray, x: np.ndarray, radius: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """(X, S) by how much the log image is darker than on its darker side, and where that is known."""
     on, _, normal = path.at(s)

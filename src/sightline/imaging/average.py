@@ -20,7 +20,7 @@ _FOUND = 0.5  # correlation below which it was not found again
 
 
 @dataclass(frozen=True)
-class Movement:
+class ImageMovement:
     """The largest movement found: `shift_px` at the middle `uv_px` of a place, or of the whole image (None).
 
     `shift_px` is None where something changed and is not found again within 24 px.
@@ -39,7 +39,7 @@ class Movement:
         return by if self.uv_px is None else f"{by} about u {self.uv_px[0]:.0f}, v {self.uv_px[1]:.0f} px"
 
 
-def movement(first: Radiograph, second: Radiograph) -> Movement:
+def movement(first: Radiograph, second: Radiograph) -> ImageMovement:
     """How far the second image moved against the first: as a whole, else at one place. Raises ImageError."""
     if first.shape != second.shape:
         raise ImageError(f"images of {first.shape} and {second.shape} pixels cannot be compared; take both alike")
@@ -54,7 +54,7 @@ def movement(first: Radiograph, second: Radiograph) -> Movement:
     sums = np.stack([_sums(np.where(inside, product, 0)) for product in products])
     blocks = np.argwhere(sums[6] > 0.5 * _BLOCK**2)
     if not len(blocks):
-        return Movement(0.0)
+        return ImageMovement(0.0)
     sums = sums[:, *blocks.T]
     squares = sums[5] / sums[6]
     usual = float(np.median(squares))
@@ -63,10 +63,10 @@ def movement(first: Radiograph, second: Radiograph) -> Movement:
         return _found_again(a, b, blocks[changed][np.argsort(-squares[changed])])
     (whole,) = _shifts(sums.sum(axis=1, keepdims=True), usual)
     if whole > STILL_PX:
-        return Movement(float(whole))
+        return ImageMovement(float(whole))
     each = _shifts(sums, usual)
     worst = int(np.argmax(each))
-    return Movement(float(each[worst]), _middle(blocks[worst]))
+    return ImageMovement(float(each[worst]), _middle(blocks[worst]))
 
 
 def _shifts(sums: np.ndarray, square: float) -> np.ndarray:
@@ -78,9 +78,9 @@ def _shifts(sums: np.ndarray, square: float) -> np.ndarray:
     return np.where(shift > _CERTAIN * sd, shift, 0.0)
 
 
-def _found_again(a: np.ndarray, b: np.ndarray, blocks: np.ndarray) -> Movement:
+def _found_again(a: np.ndarray, b: np.ndarray, blocks: np.ndarray) -> ImageMovement:
     """Where the most changed blocks of the first image lie in the second."""
-    best = Movement(None, _middle(blocks[0]))
+    best = ImageMovement(None, _middle(blocks[0]))
     for block in blocks[:12]:
         top, left = (int(n) * _BLOCK for n in block)
         y, x = max(top - _SEARCH, 0), max(left - _SEARCH, 0)
@@ -90,8 +90,8 @@ def _found_again(a: np.ndarray, b: np.ndarray, blocks: np.ndarray) -> Movement:
         if score > _FOUND:
             shift = float(np.hypot(u + _within(match[v], u) + x - left, v + _within(match[:, u], v) + y - top))
             if best.shift_px is None or shift > best.shift_px:
-                best = Movement(shift, _middle(block))
-    return best if best.shift_px is None or best.shift_px > STILL_PX else Movement(None, best.uv_px)
+                best = ImageMovement(shift, _middle(block))
+    return best if best.shift_px is None or best.shift_px > STILL_PX else ImageMovement(None, best.uv_px)
 
 
 def _within(values: np.ndarray, at: int) -> float:
@@ -122,7 +122,7 @@ def average(images: Sequence[Radiograph]) -> Radiograph:
     for k, image in enumerate(images):
         if image.white != first.white or image.pixels.dtype != first.pixels.dtype:
             raise ImageError("images of different depth cannot be averaged; take all of them the same way")
-        moved = movement(first, image) if k else Movement(0.0)
+        moved = movement(first, image) if k else ImageMovement(0.0)
         if not moved.still:
             raise MovedRefusedError(
                 f"image {k + 1} {moved} against the first (at most {STILL_PX:g} px); hold still and take them again, "

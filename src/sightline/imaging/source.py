@@ -11,7 +11,7 @@ from sightline.imaging.radiograph import Radiograph
 
 
 @dataclass(frozen=True, eq=False)
-class Frame:
+class SourceFrame:
     """One image of a source. `number` counts arrivals from 1 and orders them whatever clocks say.
 
     `stamped_s`: when it came, `sender_s`: what the sender says of that, seconds since 1970. `pixel_aspect`: width
@@ -29,7 +29,7 @@ class Frame:
 class Source(Protocol):
     """`for frame in source:` until it ends. Raises SourceError where it stops giving images; it never hangs."""
 
-    def __iter__(self) -> Iterator[Frame]:
+    def __iter__(self) -> Iterator[SourceFrame]:
         """Its frames, as they come."""
         ...
 
@@ -44,10 +44,10 @@ class Run:
     def __init__(self, file: Path) -> None:
         self._file, self._frames = file, frames_in(file)
 
-    def __iter__(self) -> Iterator[Frame]:
+    def __iter__(self) -> Iterator[SourceFrame]:
         for index in range(self._frames):
             image = read_image(self._file, index if self._frames > 1 else None)
-            yield Frame(image, index + 1, time.time(), "run")
+            yield SourceFrame(image, index + 1, time.time(), "run")
 
     def close(self) -> None:
         """Nothing is held."""

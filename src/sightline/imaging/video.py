@@ -13,7 +13,7 @@ import numpy as np
 
 from sightline.errors import ImageError, SourceError
 from sightline.imaging.radiograph import Radiograph
-from sightline.imaging.source import Frame
+from sightline.imaging.source import SourceFrame
 
 DEADLINE_S = 2.0  # [ours] without an image, fifty frame times: the device hangs or is gone
 RETRY_S = 20.0  # [ours] for a cable to be put back
@@ -53,7 +53,7 @@ class VideoSource:
         self._number = 0
         self._reader = self._opened()
 
-    def __iter__(self) -> Iterator[Frame]:
+    def __iter__(self) -> Iterator[SourceFrame]:
         while True:
             got = self._reader.next(self._deadline_s)
             if got is None and self._reader.ended and not self._live:
@@ -64,7 +64,7 @@ class VideoSource:
             pixels, stamped_s = got
             self._number += 1
             image = Radiograph(self._cropped(luma(pixels)), 255.0 if pixels.dtype == np.uint8 else 65535.0)
-            yield Frame(image, self._number, stamped_s, "video", pixel_aspect=self._reader.pixel_aspect)
+            yield SourceFrame(image, self._number, stamped_s, "video", pixel_aspect=self._reader.pixel_aspect)
 
     def close(self) -> None:
         """Let go of it."""

@@ -10,7 +10,7 @@ from sightline.atomic import scratch_folder
 from sightline.case.acquire.acquirer import Acquirer, Taken
 from sightline.case.acquire.robot import PoseNow
 from sightline.errors import MovedRefusedError
-from sightline.imaging import Frame, Radiograph, write_png
+from sightline.imaging import Radiograph, SourceFrame, write_png
 from sightline.imaging.average import average
 from sightline.imaging.interlace import MOVED, comb, field_of
 
@@ -19,7 +19,7 @@ FIELDS = ("first", "second")
 
 def take_frames(
     acquirer: Acquirer,
-    frames: Sequence[Frame],
+    frames: Sequence[SourceFrame],
     *,
     field: str | None = None,
     interlaced: bool = False,

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from sightline.errors import ImageError, LinkError, SourceError
-from sightline.imaging import Frame, Radiograph
+from sightline.imaging import Radiograph, SourceFrame
 from sightline.imaging.files import grey
 from sightline.imaging.limits import check_size
 from sightline.robot.igtl import Image, Message, Rejected, Stream
@@ -54,7 +54,7 @@ class ImageLink:
         """What the last image said of its own place in space: for the record, never used."""
         return self._stated
 
-    def __iter__(self) -> Iterator[Frame]:
+    def __iter__(self) -> Iterator[SourceFrame]:
         number = 0
         while not self._closed:
             for message in self._messages(self._connected()):
@@ -70,7 +70,7 @@ class ImageLink:
                     "stated_matrix": matrix if known else None,
                     "stated_coordinates": message.body.coordinates,
                 }
-                yield Frame(image, number, time.time(), "openigtlink", message.message.time_s)
+                yield SourceFrame(image, number, time.time(), "openigtlink", message.message.time_s)
 
     def close(self) -> None:
         """End the link."""

@@ -8,7 +8,7 @@ from pathlib import Path
 from sightline.bounded import regular_file
 from sightline.errors import UnusableInputError
 from sightline.imaging import suffix_of
-from sightline.imaging.source import Frame, Run, Source
+from sightline.imaging.source import Run, Source, SourceFrame
 from sightline.imaging.video import VideoSource
 
 PER_S = 30.0  # images of files: what a C-arm's video gives
@@ -36,7 +36,7 @@ class Paced:
     def __init__(self, source: Source) -> None:
         self._source = source
 
-    def __iter__(self) -> Iterator[Frame]:
+    def __iter__(self) -> Iterator[SourceFrame]:
         start = time.monotonic()
         for k, frame in enumerate(self._source):
             time.sleep(max(0.0, start + k / PER_S - time.monotonic()))
@@ -56,7 +56,7 @@ class _Folder:
         if not self._files:
             raise UnusableInputError("the folder holds no image; name the folder of the frames")
 
-    def __iter__(self) -> Iterator[Frame]:
+    def __iter__(self) -> Iterator[SourceFrame]:
         frames = (frame for path in self._files for frame in Run(path))
         for number, frame in enumerate(frames, 1):
             yield replace(frame, number=number)

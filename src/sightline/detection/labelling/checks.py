@@ -33,7 +33,7 @@ class Stage(IntEnum):
     FINAL = 6  # the beads are explained and the geometry contradicts them: no other attempt is made
 
 
-class Stop(Exception):  # noqa: N818 - the attempt stops, labelling may go on
+class AttemptError(Exception):
     """Why an attempt ended, and at what stage: the refusal of the furthest attempt is the one reported."""
 
     def __init__(self, stage: Stage, message: str) -> None:
@@ -42,7 +42,7 @@ class Stop(Exception):  # noqa: N818 - the attempt stops, labelling may go on
 
 
 def check(model: Model, fit: Joint, beads: np.ndarray, pair: tuple[Grown, Grown], ball_like: np.ndarray) -> None:
-    """Can beads (B, 2) of detection and place be labelled so? Raises Stop.
+    """Can beads (B, 2) of detection and place be labelled so? Raises AttemptError.
 
     `ball_like` (N, 2): which detections look like beads of the XRII plate, and of the source plate.
     """
@@ -61,11 +61,11 @@ def _check_map(model: Model, fit: Joint, beads: np.ndarray) -> None:
     off = fit.xy_mm[beads[:, 0]] - fit.target_mm[beads[:, 1]]
     scatter = float(np.sqrt((off**2).mean()))
     if scatter > WORST_SD * model.xrii.pitch_mm:
-        raise Stop(
+        raise AttemptError(
             Stage.CHECKS, f"the beads miss their places on the XRII plate by {scatter:.2f} mm; check the frame file"
         )
     if fit.bend > BEND:
-        raise Stop(
+        raise AttemptError(
             Stage.CHECKS, "the labels would need a distortion that no intensifier has; is this the frame in the image?"
         )
 
@@ -73,7 +73,7 @@ def _check_map(model: Model, fit: Joint, beads: np.ndarray) -> None:
 def _check_explained(beads: np.ndarray, ball_like: int) -> None:
     """Are most detections that look like beads explained?"""
     if len(beads) < EXPLAINED * ball_like:
-        raise Stop(
+        raise AttemptError(
             Stage.CHECKS,
             f"only {100 * len(beads) / ball_like:.0f} % of what looks like the frame's beads is on one of its places; "
             "check the frame file, or give the datum markers' pixels",
@@ -87,7 +87,7 @@ def _check_edge(model: Model, fit: Joint, pair: tuple[Grown, Grown], left: np.nd
         off2 = ((fit.xy_mm[own][:, None] - beyond) ** 2).sum(axis=2) / fit.variance_mm2[own][:, None]
         seen = int((off2 < BEYOND_M2).any(axis=1).sum())
         if seen > MOST_BEYOND:
-            raise Stop(
+            raise AttemptError(
                 Stage.CHECKS,
                 f"{seen} balls are seen beyond the edge of the {plate.pattern.role_name} plate, where its grid would "
                 "go on: the labels may be shifted; show more of its datum markers, or give their pixels",
@@ -104,7 +104,7 @@ def _check_pattern(pair: tuple[Grown, Grown]) -> None:
         agree = int((pattern.datum[plate.all_places] & (seen == said)).sum())
         contradict = int((seen != said).sum())
         if contradict > max(SIZES_WRONG, agree):
-            raise Stop(
+            raise AttemptError(
                 Stage.FINAL,
                 f"the sizes of {contradict} balls contradict the pattern of datum markers of the {pattern.role_name} "
                 f"plate and those of {agree} agree; this is another frame than the file describes",
@@ -123,7 +123,7 @@ def _check_ball_size(fit: Joint, pair: tuple[Grown, Grown]) -> None:
         larger = plate.level + np.log(cosine) / 2
         if abs(larger) > BALL_LOG_SIZE:
             says = float(np.median(pattern.diameter_mm))
-            raise Stop(
+            raise AttemptError(
                 Stage.FINAL,
                 f"the balls of the {pattern.role_name} plate look {says * np.exp(larger):.2f} mm and the "
                 f"frame says {says:.2f} mm; is this the frame in the image?",
@@ -138,7 +138,7 @@ def _check_focal_point(model: Model, fit: Joint, beads: np.ndarray) -> None:
     far = float(ray @ away)
     aside = float(np.linalg.norm(ray - far * away))
     if not FOCAL_MM[0] < far < FOCAL_MM[1] or aside > FOCAL_SLOPE * far:
-        raise Stop(
+        raise AttemptError(
             Stage.FINAL,
             f"the labels put the focal point {far:.0f} mm from the XRII plate and {aside:.0f} mm aside, where no C-arm "
             "has it; check that the frame file describes the frame in the image",

@@ -5,12 +5,12 @@ from pathlib import Path
 
 import numpy as np
 
-from sightline.detection.labelling.checks import Stage, Stop
+from sightline.detection.labelling.checks import AttemptError, Stage
 from sightline.detection.labelling.growth import Grown, grow
 from sightline.detection.labelling.naming import most_like
 from sightline.detection.labelling.patterns import Pattern, patterns
 from sightline.detection.labelling.seeds import Seed, best_similarity, find_seeds
-from sightline.detection.labelling.solve import LEAST_BEADS, Problem, Solution, solve
+from sightline.detection.labelling.solve import LEAST_BEADS, LabellingProblem, LabellingSolution, solve
 from sightline.detection.results import Detections, Observations, Rejected
 from sightline.errors import LabellingRefusedError, ObservationsError, UnusableInputError
 from sightline.frame import Frame
@@ -60,11 +60,11 @@ def label(
         )
     try:
         if datums is not None:
-            problem = Problem(detections, usable, couples, view or _view_of(datums, frame), told=True)
+            problem = LabellingProblem(detections, usable, couples, view or _view_of(datums, frame), told=True)
             solution = solve(problem, _told(problem, datums))
         else:
-            solution = _found(Problem(detections, usable, couples, view))
-    except Stop as stop:
+            solution = _found(LabellingProblem(detections, usable, couples, view))
+    except AttemptError as stop:
         raise LabellingRefusedError(str(stop)) from None
     return Observations(
         view=solution.view,
@@ -78,7 +78,7 @@ def label(
     )
 
 
-def _rejected(detections: Detections, usable: np.ndarray, solution: Solution) -> tuple[Rejected, ...]:
+def _rejected(detections: Detections, usable: np.ndarray, solution: LabellingSolution) -> tuple[Rejected, ...]:
     """The dark detections that are not labelled: bright ones are holes, which no frame has."""
     left = usable.copy()
     left[solution.rows] = False
@@ -97,9 +97,9 @@ def is_inverted(detections: Detections) -> bool:
     return len(detections) - bright < 2 * LEAST_BEADS <= bright
 
 
-def _found(problem: Problem) -> Solution:
-    """The first solution that stands; else the refusal of the attempt that came furthest. Raises Stop."""
-    stops: list[Stop] = []
+def _found(problem: LabellingProblem) -> LabellingSolution:
+    """The first solution that stands; else the refusal of the attempt that came furthest. Raises AttemptError."""
+    stops: list[AttemptError] = []
     lone: list[Grown] = []
     for first in _lattices(problem, problem.usable, MOST_FIRST):
         rest = problem.usable.copy()
@@ -108,7 +108,7 @@ def _found(problem: Problem) -> Solution:
         for second in _lattices(problem, rest, MOST_SECOND):
             try:
                 return solve(problem, (first, second))
-            except Stop as stop:
+            except AttemptError as stop:
                 if stop.stage == Stage.FINAL:
                     raise
                 stops.append(stop)
@@ -116,7 +116,7 @@ def _found(problem: Problem) -> Solution:
     if largest is not None and (not stops or problem.usable.sum() < (1 + LEFT_OVER) * len(largest)):
         raise _one_plate(problem, largest)
     if not stops:
-        raise Stop(
+        raise AttemptError(
             Stage.SEEDS,
             f"no three of the {problem.usable.sum()} beads found are datum markers of this frame; check that it is the "
             "frame in the image, show more of its datum markers, or give their pixels",
@@ -124,17 +124,17 @@ def _found(problem: Problem) -> Solution:
     raise max(stops, key=lambda stop: stop.stage)
 
 
-def _one_plate(problem: Problem, lattice: Grown) -> Stop:
+def _one_plate(problem: LabellingProblem, lattice: Grown) -> AttemptError:
     """What to say where no second plate is found."""
     best = most_like(lattice, [pattern for couple in problem.couples for pattern in couple])
-    return Stop(
+    return AttemptError(
         Stage.LATTICES,
         f"only one plate was found: {len(lattice)} beads that look most like the {best.role_name} plate of the "
         f"{best.view} view; move the C-arm or the frame until both plates are in the field",
     )
 
 
-def _lattices(problem: Problem, usable: np.ndarray, most: int) -> Iterator[Grown]:
+def _lattices(problem: LabellingProblem, usable: np.ndarray, most: int) -> Iterator[Grown]:
     """Lattices of beads among the usable detections, the most promising first, each only once."""
     every = [pattern for couple in problem.couples for pattern in couple]
     known: list[Grown] = []
@@ -169,18 +169,18 @@ def _view_of(datums: Mapping[str, tuple[float, float]], frame: Frame) -> str:
     raise ObservationsError("the datum markers given are not fiducials of one view of the frame; check their names")
 
 
-def _told(problem: Problem, datums: Mapping[str, tuple[float, float]]) -> tuple[Grown, Grown]:
-    """The lattices of both plates, from the pixels that a person gave. Raises ObservationsError and Stop."""
+def _told(problem: LabellingProblem, datums: Mapping[str, tuple[float, float]]) -> tuple[Grown, Grown]:
+    """The lattices of both plates, from the pixels that a person gave. Raises ObservationsError and AttemptError."""
     couple = problem.couples[0] if problem.view is None else _couple(problem)
     first, second = (_told_plate(problem, pattern, datums) for pattern in couple)
     return first, second
 
 
-def _couple(problem: Problem) -> tuple[Pattern, Pattern]:
+def _couple(problem: LabellingProblem) -> tuple[Pattern, Pattern]:
     return next(couple for couple in problem.couples if couple[0].view == problem.view)
 
 
-def _told_plate(problem: Problem, pattern: Pattern, datums: Mapping[str, tuple[float, float]]) -> Grown:
+def _told_plate(problem: LabellingProblem, pattern: Pattern, datums: Mapping[str, tuple[float, float]]) -> Grown:
     detections = problem.detections
     rows, places = [], []
     for place, name in enumerate(pattern.ids):
@@ -189,7 +189,7 @@ def _told_plate(problem: Problem, pattern: Pattern, datums: Mapping[str, tuple[f
         distance = np.where(problem.usable, np.linalg.norm(detections.uv_px - datums[name], axis=1), np.inf)
         row = int(distance.argmin())
         if not distance[row] < CLICK * detections.radius_px[row]:
-            raise Stop(
+            raise AttemptError(
                 Stage.SEEDS, f"no bead was found at the pixel given for {name}; give another datum marker instead"
             )
         rows.append(row)
@@ -202,7 +202,7 @@ def _told_plate(problem: Problem, pattern: Pattern, datums: Mapping[str, tuple[f
     similarity = best_similarity(pattern.xy_mm[places], detections.uv_px[rows])
     grown = grow(Seed(pattern, similarity, np.array(rows), np.array(places), 0.0), detections, problem.usable)
     if len(grown) < LEAST_BEADS:
-        raise Stop(
+        raise AttemptError(
             Stage.LATTICES,
             f"only {len(grown)} beads of the {pattern.role_name} plate lie where the datum markers given put them; "
             "check them",

@@ -6,7 +6,7 @@ import numpy as np
 from numba import njit
 from scipy.spatial import KDTree
 
-from sightline.detection.labelling.checks import Stage, Stop, check
+from sightline.detection.labelling.checks import AttemptError, Stage, check
 from sightline.detection.labelling.growth import LOG_RADIUS, Grown, grow
 from sightline.detection.labelling.joint import Joint, Model
 from sightline.detection.labelling.naming import Naming, name
@@ -35,7 +35,7 @@ NOT_CENTRAL = (
 
 
 @dataclass(frozen=True, eq=False)
-class Problem:
+class LabellingProblem:
     """One image to label: which detections are `usable`, the plates of each view, and what the person said.
 
     `view`: the view as given, or None; its plates stand first in `couples`. `told`: the person named the lattices.
@@ -49,7 +49,7 @@ class Problem:
 
 
 @dataclass(frozen=True, eq=False)
-class Solution:
+class LabellingSolution:
     """A labelled view: detections `rows` are fiducials `ids`. `on_place` (N,) bool: which detections lie where a
     fiducial is expected."""
 
@@ -60,47 +60,51 @@ class Solution:
     on_place: np.ndarray
 
 
-def _again(problem: Problem, grown: Grown, pattern: Pattern, places: np.ndarray) -> Grown:
+def _again(problem: LabellingProblem, grown: Grown, pattern: Pattern, places: np.ndarray) -> Grown:
     """The lattice grown once more under the name that was found for it."""
     rows, places = grown.all_rows[places >= 0], places[places >= 0]
     similarity = best_similarity(pattern.xy_mm[places], problem.detections.uv_px[rows])
     return grow(Seed(pattern, similarity, rows, places, 0.0), problem.detections, problem.usable)
 
 
-def named(problem: Problem, pair: tuple[Grown, Grown]) -> tuple[Grown, Grown]:
-    """The two lattices under the one name they can have, XRII first. Raises Stop."""
+def named(problem: LabellingProblem, pair: tuple[Grown, Grown]) -> tuple[Grown, Grown]:
+    """The two lattices under the one name they can have, XRII first. Raises AttemptError."""
     for _ in range(MOST_NAMINGS):
         naming = name(pair, problem.couples)
         if naming is None:
-            raise Stop(
+            raise AttemptError(
                 Stage.NAMES, "too few neighbouring beads were found to tell the plates apart; show more of both plates"
             )
         if naming.unchanged:
             _check_certain(problem, naming)
             return pair if pair[0].pattern.role == "xrii" else (pair[1], pair[0])
         if problem.told:
-            raise Stop(
+            raise AttemptError(
                 Stage.FINAL, "the pixels given for the datum markers contradict the beads' sizes; check their order"
             )
         first, second = (
             _again(problem, g, p, at) for g, p, at in zip(pair, naming.patterns, naming.places, strict=True)
         )
         pair = (first, second)
-    raise Stop(Stage.NAMES, "the beads found fit no one reading of the frame's plates; is this the frame in the image?")
+    raise AttemptError(
+        Stage.NAMES, "the beads found fit no one reading of the frame's plates; is this the frame in the image?"
+    )
 
 
-def _check_certain(problem: Problem, naming: Naming) -> None:
-    """Is any other reading clearly worse? A person's word for datums or view decides a tie. Raises Stop."""
+def _check_certain(problem: LabellingProblem, naming: Naming) -> None:
+    """Is any other reading clearly worse? A person's word for datums or view decides a tie. Raises AttemptError."""
     found = naming.patterns[0].view
     margin = naming.margin if problem.view is None else naming.margin_in_view
     if margin < MARGIN and not problem.told:
-        raise Stop(
+        raise AttemptError(
             Stage.UNIQUENESS,
             "the datum markers that can be seen fit more than one way to label the beads; show more of them, "
             "or give the datum markers' pixels",
         )
     if problem.view not in (None, found):
-        raise Stop(Stage.FINAL, f"the image shows the {found} view, not {problem.view}; are the two images exchanged?")
+        raise AttemptError(
+            Stage.FINAL, f"the image shows the {found} view, not {problem.view}; are the two images exchanged?"
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,7 +161,7 @@ def _beads(on: np.ndarray) -> np.ndarray:
     return np.stack([rows, on[rows]], axis=1)
 
 
-def _certain(problem: Problem, fit: Joint, sizes: _Sizes, beads: np.ndarray, px_per_mm: float) -> np.ndarray:
+def _certain(problem: LabellingProblem, fit: Joint, sizes: _Sizes, beads: np.ndarray, px_per_mm: float) -> np.ndarray:
     """(B,) bool: the beads that are hardly false candidates in the places of hidden beads.
 
     Such a candidate cannot be told from the bead, only be unlikely. Its odds: those that the place is empty, by how
@@ -177,8 +181,10 @@ def _certain(problem: Problem, fit: Joint, sizes: _Sizes, beads: np.ndarray, px_
     return hidden / (1 - hidden) * false_per_px2 * volume_px2 * np.exp(m2 / 2) < FALSE_ODDS
 
 
-def _fitted(problem: Problem, model: Model, pair: tuple[Grown, Grown], sizes: _Sizes) -> tuple[np.ndarray, Joint]:
-    """The beads that fit one central projection, and the fit. Raises Stop."""
+def _fitted(
+    problem: LabellingProblem, model: Model, pair: tuple[Grown, Grown], sizes: _Sizes
+) -> tuple[np.ndarray, Joint]:
+    """The beads that fit one central projection, and the fit. Raises AttemptError."""
     size_m2 = sizes.m2
     count = len(pair[0].pattern.ids)
     on = np.full(len(problem.detections), -1)
@@ -187,9 +193,9 @@ def _fitted(problem: Problem, model: Model, pair: tuple[Grown, Grown], sizes: _S
     try:
         focal_mm = model.first_focal_point(*pair)
     except ReconstructionRefusedError:
-        raise Stop(Stage.PROJECTION, NOT_CENTRAL) from None
+        raise AttemptError(Stage.PROJECTION, NOT_CENTRAL) from None
     if not model.shadows.sees(focal_mm):
-        raise Stop(Stage.PROJECTION, NOT_CENTRAL)
+        raise AttemptError(Stage.PROJECTION, NOT_CENTRAL)
     beads = _beads(on)
     fit, factor = model.fit(beads, focal_mm, 1.0), 1.0
     for turn in range(MOST_FITS):
@@ -207,11 +213,11 @@ def _fitted(problem: Problem, model: Model, pair: tuple[Grown, Grown], sizes: _S
         if min(of_xrii, len(beads) - of_xrii) < LEAST_BEADS or not model.shadows.sees(fit.focal_point_mm):
             break
         fit = model.fit(beads, fit.focal_point_mm, factor)
-    raise Stop(Stage.PROJECTION, NOT_CENTRAL)
+    raise AttemptError(Stage.PROJECTION, NOT_CENTRAL)
 
 
-def solve(problem: Problem, pair: tuple[Grown, Grown]) -> Solution:
-    """Label two lattices. Raises Stop."""
+def solve(problem: LabellingProblem, pair: tuple[Grown, Grown]) -> LabellingSolution:
+    """Label two lattices. Raises AttemptError."""
     pair = named(problem, pair)
     sizes = _sizes(pair)
     model = Model(pair, problem.detections)
@@ -220,7 +226,7 @@ def solve(problem: Problem, pair: tuple[Grown, Grown]) -> Solution:
     xrii, source = pair[0].pattern, pair[1].pattern
     of_xrii = int((beads[:, 1] < len(xrii.ids)).sum())
     if min(of_xrii, len(beads) - of_xrii) < LEAST_BEADS:
-        raise Stop(
+        raise AttemptError(
             Stage.PROJECTION,
             "too few beads can be told from false candidates; show more of both plates, or expose longer",
         )
@@ -232,4 +238,4 @@ def solve(problem: Problem, pair: tuple[Grown, Grown]) -> Solution:
     mirrored = pair[0].sheet.similarity.mirror == normal_along_beam
     off2 = ((fit.xy_mm[:, None] - fit.target_mm) ** 2).sum(axis=2)
     on_place = off2.min(axis=1) / fit.variance_mm2 < NEAR_M2
-    return Solution(xrii.view, tuple(ids[p] for p in beads[:, 1]), beads[:, 0], bool(mirrored), on_place)
+    return LabellingSolution(xrii.view, tuple(ids[p] for p in beads[:, 1]), beads[:, 0], bool(mirrored), on_place)
