@@ -1,8 +1,9 @@
 """What several rooms' tests share: a set-up, and one run of the demo."""
 
-import fcntl
 import json
 import os
+import sqlite3
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -56,8 +57,8 @@ def demo_run(tmp_path_factory: pytest.TempPathFactory) -> tuple[Ran, Path]:
     shared = (base.parent if os.environ.get("PYTEST_XDIST_WORKER") else base) / "demo-run"
     shared.mkdir(exist_ok=True)
     out, said = shared / "deep" / "demo", shared / "said.json"
-    with (shared / "lock").open("w") as lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)  # until another process is done with it
+    with closing(sqlite3.connect(shared / "lock", timeout=900)) as lock:
+        lock.execute("BEGIN EXCLUSIVE")  # a lock between processes that every system has
         if not said.exists():
             result = CliRunner().invoke(commands, ["demo", "--out", str(out)])
             said.write_text(json.dumps([result.exit_code, result.stdout, result.stderr]))

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 from tests.folder_program import NEW, OLD, read
+from tests.systems import needs_posix
 
 from sightline import atomic
 from sightline.atomic import whole_folder, write_folder, write_whole
@@ -38,6 +39,7 @@ def test_killed_at_any_step_a_folder_is_whole_or_as_it_was(tmp_path: Path, kind:
     assert len(found) > 20
 
 
+@needs_posix
 def test_killed_at_any_step_other_files_stay_and_two_results_are_never_mixed(tmp_path: Path) -> None:
     found = killed(tmp_path, "shared")
     for one in found:
@@ -159,6 +161,7 @@ def test_what_the_body_raises_is_passed_on_and_nothing_is_written(tmp_path: Path
     assert list(tmp_path.iterdir()) == []
 
 
+@needs_posix
 def test_what_is_not_a_regular_file_is_not_replaced(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe")
     (tmp_path / "folder").mkdir()
@@ -175,6 +178,7 @@ def test_what_is_not_a_regular_file_is_not_replaced(tmp_path: Path) -> None:
     assert sorted(path.name for path in tmp_path.iterdir()) == ["folder", "link", "pipe", "socket"]
 
 
+@needs_posix
 @pytest.mark.parametrize("write", ["before", "after"])
 def test_a_disk_that_becomes_read_only_is_a_refusal(write: str) -> None:
     """While the folder is written: what lies beside it cannot be removed either, which must not matter."""

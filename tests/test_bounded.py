@@ -5,6 +5,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from tests.systems import needs_posix
 
 import sightline as sl
 from sightline.bounded import read_bounded, regular_file
@@ -54,6 +55,7 @@ def test_a_device_is_no_file_of_any_kind(tmp_path: Path, name: str) -> None:
         READERS[name](place)
 
 
+@needs_posix
 def test_a_pipe_is_not_waited_for(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "beads.csv")
     with pytest.raises(OSError, match="a pipe, not a file"), regular_file(tmp_path / "beads.csv"):

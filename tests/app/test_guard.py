@@ -16,6 +16,7 @@ import httpx
 import numpy as np
 import pytest
 from tests.app.browser import ROOT, Server
+from tests.systems import needs_posix
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 
@@ -222,6 +223,7 @@ def test_pixels_arrive_as_they_are(open_app: App) -> None:
     assert ask(open_app, "/image/guessed.u16").status_code == 404
 
 
+@needs_posix
 @pytest.mark.parametrize("sign", [signal.SIGTERM, signal.SIGINT])
 def test_it_ends_in_order_and_leaves_nothing(tmp_path: Path, sign: signal.Signals) -> None:
     command = [sys.executable, "-m", "tests.app.small_app", "0"]

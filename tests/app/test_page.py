@@ -11,6 +11,7 @@ import pytest
 from playwright.sync_api import Page, expect
 from tests.app.browser import Server
 from tests.app.hands import LANDMARKS, PATIENCE_MS, SEED, Hands, rehearsal, truth
+from tests.systems import needs_posix
 
 from sightline.app.plan.decisions import Decisions
 from sightline.app.texts import STEPS, XRAY
@@ -167,6 +168,7 @@ def _find_landmarks_again(hands: Hands, folder: Path) -> None:
             hands.place(name, view, (float(at[0]), float(at[1])))
 
 
+@needs_posix
 def test_the_live_image_is_calibrated_overlaid_and_watched(hands: Hands, server: Server, shoot) -> None:
     """And marked as old by the browser itself where the server says nothing more."""
     _planned(hands)
@@ -346,6 +348,7 @@ def test_an_enlarged_image_lies_over_all_but_the_bar(hands: Hands, shoot) -> Non
         hands.see("xray-pa").get_by_role("button", name=XRAY["restore"]).click()
 
 
+@needs_posix
 def test_a_server_that_does_not_answer_is_said_over_the_whole_page(hands: Hands, server: Server, shoot) -> None:
     """Within a second: a verdict and a STOP that nobody stands behind must not look alive."""
     _planned(hands)

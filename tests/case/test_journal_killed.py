@@ -3,7 +3,6 @@
 import errno
 import os
 import random
-import resource
 import shutil
 import signal
 import stat
@@ -20,6 +19,8 @@ import pytest
 
 from sightline.case.journal import Actor, Case, Kind, originals
 from sightline.errors import CaseError
+
+resource = pytest.importorskip("resource", reason="kills, forks and full disks of POSIX")
 
 PROGRAM = Path(__file__).with_name("journal_program.py")
 RECORD_STEPS = 65  # about as many as keeping and recording once takes

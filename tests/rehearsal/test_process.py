@@ -10,6 +10,7 @@ from threading import Timer
 import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
+from tests.systems import needs_posix
 
 from sightline.errors import LinkError, RobotRefusedError
 from sightline.frame import Frame
@@ -48,6 +49,7 @@ def test_it_is_the_robot_of_the_rehearsal_and_ends_with_its_block():
     process.close()
 
 
+@needs_posix
 @pytest.mark.slow
 def test_a_controller_that_is_killed_while_it_moves():
     """Its client notices; another start knows nothing, says so, and moves nothing. (Drives stop by their watchdog:

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 from tests.robot.scripted_robot import HOME, ScriptedRobot, serving
+from tests.systems import needs_posix
 
 from sightline.errors import LinkError, RobotRefusedError
 from sightline.robot import contract
@@ -290,6 +291,7 @@ def test_between_two_calls_nobody_moves_anything():
         assert peer.phase == "STOP"
 
 
+@needs_posix
 @pytest.mark.parametrize(("signal", "ends"), [(9, "UNDEFINED"), (19, "STOP")], ids=["killed", "stopped"])
 def test_a_client_that_is_gone_is_not_outlived_by_its_heartbeats(signal, ends):
     """They are a process of its own: it ends with the client, and sends none for one that hangs."""

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from tests.studies.small_study import SmallStudy
+from tests.systems import needs_posix
 
 from sightline.errors import RefusedError, UnusableInputError
 from sightline.studies import record as record_module
@@ -160,7 +161,7 @@ def finished_in(folder: Path) -> int:
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(os.name != "posix", reason="the keyboard's signal goes to a process group")
+@needs_posix
 def test_the_keyboard_stops_it_and_the_same_command_goes_on(tmp_path):
     script = tmp_path / "command.py"
     script.write_text(COMMAND)
