@@ -4,7 +4,7 @@ VENV   := .venv
 BIN    := $(VENV)/bin
 READY  := $(VENV)/.ready
 
-.PHONY: demo test slow bench campaign mutants busy lint lock wheel clean
+.PHONY: demo test slow bench campaign mutants busy docs lint lock wheel clean
 .DEFAULT_GOAL := demo
 
 $(READY): requirements.lock pyproject.toml
@@ -47,12 +47,22 @@ lint: $(READY)
 	$(BIN)/basedpyright
 	$(BIN)/lint-imports
 
+docs: $(VENV)/.docs  ## the site: out/docs/index.html; three notebooks are executed
+	OPENBLAS_NUM_THREADS=1 $(BIN)/sphinx-build --fail-on-warning --jobs auto --quiet -d out/doctrees docs out/docs
+
+$(VENV)/.docs: $(READY) requirements-docs.lock
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements-docs.lock
+	@touch $@
+
 wheel: $(READY)
 	$(BIN)/python -m build --no-isolation --wheel --outdir dist
 
-lock:  ## compile requirements.lock again (needs uv)
-	uv pip compile --quiet --universal --python-version 3.11 --generate-hashes --no-emit-index-url --no-annotate \
-	  --custom-compile-command 'make lock' --all-extras --group dev --group bench pyproject.toml -o requirements.lock
+COMPILE = uv pip compile --quiet --universal --python-version 3.11 --generate-hashes --no-emit-index-url --no-annotate \
+  --custom-compile-command 'make lock'
+
+lock:  ## compile both locks again (needs uv)
+	$(COMPILE) --all-extras --group dev --group bench pyproject.toml -o requirements.lock
+	$(COMPILE) --group docs -c requirements.lock -o requirements-docs.lock
 
 clean:
 	rm -rf out dist build .pytest_cache .ruff_cache

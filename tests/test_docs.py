@@ -88,6 +88,23 @@ def test_links_lead_somewhere(page: Path) -> None:
             assert part in {anchor(h) for h in headings(file)}, f"{page.name} links to {target}"
 
 
+def toctrees(page: Path) -> set[Path]:
+    """Pages in the toctrees of a page."""
+    blocks = re.findall(r"^```{toctree}\n(.*?)^```", page.read_text(), flags=re.MULTILINE | re.DOTALL)
+    names = [line for block in blocks for line in block.splitlines() if line and not line.startswith(":")]
+    return {(page.parent / f"{name}.md").resolve() for name in names}
+
+
+def test_every_page_is_in_a_toctree_of_the_site() -> None:
+    pages = set((ROOT / "docs").rglob("*.md")) - {ROOT / "docs" / "index.md", ROOT / "docs" / "README.md"}
+    assert set().union(*map(toctrees, (ROOT / "docs").rglob("*.md"))) == pages
+
+
+def test_every_page_that_a_reader_starts_from_is_listed() -> None:
+    listed = set(re.findall(r"\]\(([\w/-]+\.md)\)", (ROOT / "docs" / "README.md").read_text()))
+    assert {ROOT / "docs" / name for name in listed} == toctrees(ROOT / "docs" / "index.md")
+
+
 def test_pictures_of_the_readme_are_small() -> None:
     pictures = list((ROOT / "docs" / "pictures").iterdir())
     assert pictures

@@ -16,7 +16,7 @@ _FREE = ("sentence", "rejected")
 
 @dataclass(frozen=True)
 class Difference:
-    """`where`: the place, as in `beads[3].uv_px[0]`; `by`: |now - then| of numbers, else None."""
+    """`where`: the place, as in `beads[3].uv_px[0]`; `by`: `|now - then|` of numbers, else None."""
 
     where: str
     then: Any
