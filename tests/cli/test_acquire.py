@@ -15,6 +15,7 @@ from pynetdicom import AE
 from tests.systems import needs_posix
 
 from sightline.case.journal import Case
+from sightline.case.stages import image_of
 from sightline.imaging import Radiograph, write_dicom
 
 
@@ -55,6 +56,20 @@ def test_a_folder_goes_into_a_new_case_and_again_into_the_same(run, tmp_path: Pa
     with Case.open(tmp_path / "case") as case:
         assert len(case.entries()) == 3
         assert case.problems == ()
+
+
+def test_images_with_bright_balls_are_kept_as_they_came_and_read_inverted(run, tmp_path: Path) -> None:
+    (tmp_path / "in").mkdir()
+    file = write_dicom(image(1), tmp_path / "in" / "a.dcm")
+    ran = run("acquire", "folder", tmp_path / "in", "--case", tmp_path / "case", "--invert", "--json")
+    assert ran.code == 0, ran.err
+    with Case.open(tmp_path / "case", read_only=True) as case:
+        entry = case.entry(1)
+        assert case.original(entry.content["original"]).read_bytes() == file.read_bytes()
+        read = image_of(case, entry)
+    assert read.is_inverted
+    np.testing.assert_array_equal(read.pixels, 4095 - image(1).pixels)
+    assert run("case", "replay", tmp_path / "case", "--json").document["entries"][0]["outcome"] == "same to the bit"
 
 
 def test_what_cannot_be_used_is_said(run, tmp_path: Path) -> None:

@@ -42,8 +42,8 @@ def test_people_are_told_that_burnt_in_text_stays(run, pair, tmp_path: Path) -> 
     ran = run("export", "deidentify", *pair, "--out", tmp_path / "clean")
     assert ran.code == 0
     said = " ".join(ran.err.split())
-    assert "burnt into the pixels is not removed" in said
-    assert "there is some in image-002.dcm" in said
+    assert "burnt-in annotation is not removed" in said
+    assert "annotation found in image-002.dcm" in said
 
 
 def test_one_file_that_cannot_be_read_and_none_is_written(run, pair, tmp_path: Path) -> None:

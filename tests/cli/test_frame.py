@@ -41,10 +41,13 @@ def test_new_takes_another_number_of_rows_and_datums(tmp_path):
     assert (len(plate.ids), plate.is_datum.sum()) == (64, 7)
 
 
-def test_a_frame_that_will_not_do_is_written_and_refused(tmp_path):
-    assert "wire-reach" in run("new", str(tmp_path / "f.json"), "--pitch-mm", "20", code=3)
-    document = json.loads(run("check", str(tmp_path / "f.json"), "--json", code=3))
+def test_a_frame_that_fails_a_check_is_refused_and_not_written(tmp_path):
+    told = run("new", str(tmp_path / "f.json"), "--pitch-mm", "20", code=3)
+    assert "wire-reach" in told and "was not written" in told
+    document = json.loads(run("new", str(tmp_path / "f.json"), "--pitch-mm", "20", "--json", code=3))
+    assert document["file"] is None
     assert [check["name"] for check in document["checks"] if not check["passed"]] == ["wire-reach"]
+    assert not list(tmp_path.iterdir())
 
 
 def test_new_takes_measured_balls(tmp_path):
@@ -65,7 +68,7 @@ def test_new_takes_measured_balls(tmp_path):
     ("arguments", "words"),
     [
         (("--csv", "no.csv"), "cannot read no.csv"),
-        (("--csv", "no.csv", "--rows", "9"), "leave out the other figures"),
+        (("--csv", "no.csv", "--rows", "9"), "leave out the other values"),
         (("--like", "delta"), "no built-in frame 'delta'"),
         (("--rows", "2"), "4 to 20 rows"),
         (("--pitch-mm", "-1"), "pitch above zero"),

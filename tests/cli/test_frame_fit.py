@@ -53,8 +53,8 @@ def test_a_measured_frame_is_written_and_passes_its_checks(run, table, tmp_path)
 
 def test_what_a_person_reads(run, table, tmp_path):
     ran = run("frame", "fit", table(), "--frame", "gamma", "--out", tmp_path / "m.json")
-    assert "FLE: balls lie" in ran.out
-    assert "the repeats show an instrument of 0.0" in ran.out
+    assert "FLE: the balls are" in ran.out
+    assert "the repeated measurements show an instrument error of 0.0" in ran.out
     assert run("frame", "fit", table(), "--frame", "gamma", "--out", tmp_path / "q.json", "--quiet").out == ""
 
 

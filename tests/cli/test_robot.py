@@ -100,10 +100,10 @@ def test_a_real_robot_takes_no_yes_and_no_saved_plan(plan):
     with old_robot() as port:
         done = run("drive", plan, f"127.0.0.1:{port}", "--yes")
         assert done.exit_code == 3
-        assert "simulators alone" in done.stderr
+        assert "simulators only" in done.stderr
         done = run("drive", plan, f"127.0.0.1:{port}")
         assert done.exit_code == 3
-        assert "where a real robot stood" in done.stderr
+        assert "where a real robot was" in done.stderr
 
 
 def test_nor_does_its_check_take_a_yes():
@@ -191,7 +191,7 @@ def test_a_bad_robot_s_findings_are_printed_for_people_and_for_machines():
         with scripted(flaw) as port:
             done = run("check", f"127.0.0.1:{port}", "--no-dry-run")
             assert done.exit_code == 3
-            assert f"does not keep the contract: {name}" in done.stderr
+            assert f"does not follow docs/robot-link.md: {name}" in done.stderr
             assert "FAIL" in done.stdout
             done = run("check", f"127.0.0.1:{port}", "--no-dry-run", "--json")
             assert done.exit_code == 3

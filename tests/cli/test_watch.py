@@ -8,6 +8,7 @@ import pytest
 from tests.detection.track_images import SIZE, beads, image
 
 from sightline.case.watch.alarm import BLIND_TO
+from sightline.case.watch.sources import open_source
 from sightline.imaging import Radiograph, write_png
 
 
@@ -34,6 +35,12 @@ def test_every_frame_is_a_line_and_the_last_line_says_how_it_went(run, frames: P
     assert whole["blind_to"] == BLIND_TO
 
 
+def test_a_source_can_be_inverted(frames: Path) -> None:
+    plain, inverted = (next(iter(open_source(str(frames), invert=invert))).image for invert in (False, True))
+    assert inverted.is_inverted
+    np.testing.assert_array_equal(inverted.pixels, plain.white - plain.pixels)
+
+
 def test_a_person_is_told_what_the_alarm_cannot_see(run, frames: Path) -> None:
     ran = run("watch", frames, "--planned", frames / "0.png")
     assert ran.code == 0
@@ -50,8 +57,8 @@ def test_images_without_beads_are_refused(run, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
-        ((), "name one source"),
-        (("somewhere", "--rehearse", "1"), "name one source"),
+        ((), "give one source"),
+        (("somewhere", "--rehearse", "1"), "give one source"),
         (("nowhere.mp4",), "no file or folder"),
     ],
 )

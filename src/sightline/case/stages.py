@@ -38,7 +38,8 @@ def record_acquired(case: Case, data: bytes, suffix: str, *, by: Actor) -> Entry
 
 def image_of(case: Case, acquired: Entry) -> Radiograph:
     """The image of an entry of `record_acquired`, from its original. Raises CaseError, ImageError."""
-    return read_image(case.original(acquired.content["original"]), acquired.settings["frame_index"])
+    original, settings = case.original(acquired.content["original"]), acquired.settings
+    return read_image(original, settings["frame_index"], invert=settings.get("inverted", False))
 
 
 def record_detected(case: Case, acquired: Entry, beads: Detections, *, by: Actor, inverted: bool = False) -> Entry:

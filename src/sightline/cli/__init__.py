@@ -3,13 +3,13 @@
 A command lives in `cli/<name>.py`, stands in `_COMMANDS` below and has a function
 
     def register(app: typer.Typer) -> None:
-        app.command("plan")(plan)                    # or, for a command with sub-commands:
+        app.command("plan", epilog=example("sightline plan ..."))(plan)    # or, for a command with sub-commands:
         app.add_typer(frame_app, name="frame")
 
-Its body does all its work inside one `Output` (cli/output.py), which prints, encodes and turns errors into exit codes:
+The body runs inside one `Output` (cli/output.py), which prints, encodes and turns errors into exit codes:
 
     def plan(pa: Path, ..., json: Json = False, quiet: Quiet = False) -> None:
-        "First line of the docstring: what `sightline --help` shows."
+        "First line of the docstring: what `sightline --help` lists, at most 60 characters."
         with Output(json=json, quiet=quiet) as out:
             from sightline.planning import ...       # heavy imports here: `sightline --help` stays below 0.5 s
             with out.step("finding beads"):
@@ -17,7 +17,8 @@ Its body does all its work inside one `Output` (cli/output.py), which prints, en
             out.table("Points", ("point", "x mm"), rows)
             out.result({"points": points, ...}, checks=verdict.checks)   # exit code 3 where a check failed
 
-At its top a command file imports the standard library, typer, `sightline.cli.output`, and nothing that is slow.
+At its top a command file imports the standard library, typer and `sightline.cli`, and nothing that is slow. Help is
+plain text: Rich would take `[...]` for markup.
 """
 
 import os
@@ -53,7 +54,7 @@ _COMMANDS = (
 commands = typer.Typer(
     name="sightline",
     no_args_is_help=True,
-    add_completion=False,
+    rich_markup_mode=None,
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
@@ -83,8 +84,8 @@ for _name in _COMMANDS:
         import_module(f"sightline.cli.{_name}").register(commands)
 
 
-# Matrices here are small: threads of the linear algebra cost more than they save, and spin while others compute.
-# Twice the time of a detection [measured on two cores]. A person's own setting stands.
+# Matrices here are small: threads of the linear algebra cost more than they save. With them a detection takes twice
+# as long [measured on two cores]. The user's own setting takes precedence.
 _BLAS_THREADS = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
@@ -92,12 +93,12 @@ def main() -> None:
     """Entry point of `sightline`."""
     for name in _BLAS_THREADS:
         os.environ.setdefault(name, "1")  # read when numpy is first imported, which no command file does at its top
-    # A shell without job control starts what runs in the background with SIGINT ignored, and Python would leave it so.
+    # A shell without job control starts background jobs with SIGINT ignored, and Python would leave it ignored.
     signal.signal(signal.SIGINT, signal.default_int_handler)
     signal.signal(signal.SIGTERM, _terminate)
     commands()
 
 
 def _terminate(*_: object) -> None:
-    """SIGTERM, from a service manager or at a shutdown, ends a command as Ctrl-C does."""
+    """End a command on SIGTERM, from a service manager or at a shutdown, as Ctrl-C does."""
     raise Terminated

@@ -1,4 +1,4 @@
-"""`sightline acquire folder | dicom | video | igtl`: images from real sources into a case."""
+"""`sightline acquire folder | dicom | video | igtl`: acquire images into a case."""
 
 import time
 from collections import deque
@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from sightline.cli.output import Json, Output, Quiet
+from sightline.cli.detect import Invert
+from sightline.cli.output import Json, Output, Quiet, example
 
 if TYPE_CHECKING:
     from sightline.case.acquire import Acquirer, News
@@ -17,17 +18,16 @@ if TYPE_CHECKING:
     from sightline.case.journal import Case
     from sightline.imaging import Source
 
-_REMEMBERED = 1000  # refusals, for the result: who sends rubbish for days fills no memory
+_REMEMBERED = 1000  # refusals kept for the result, so that a faulty sender does not fill the memory
 
-app = typer.Typer(
-    no_args_is_help=True, help="Take images into a case: from a folder, a DICOM sender, video, OpenIGTLink."
-)
+app = typer.Typer(no_args_is_help=True, help="Acquire images into a case.")
 
-CaseFolder = Annotated[Path, typer.Option("--case", help="Folder of the case; a new one is made where there is none.")]
+CaseFolder = Annotated[Path, typer.Option("--case", help="Folder of the case; created if it does not exist.")]
 
-Average = Annotated[int, typer.Option(min=1, max=64, help="How many frames to average, if nothing moves.")]
+Average = Annotated[int, typer.Option(min=1, max=64, help="Number of frames to average; refused if something moves.")]
 Robot = Annotated[
-    str | None, typer.Option(metavar="HOST:PORT", help="Write the robot's pose of that moment too.", show_default=False)
+    str | None,
+    typer.Option(metavar="HOST:PORT", help="Robot whose pose is recorded with each image.", show_default=False),
 ]
 
 
@@ -36,26 +36,33 @@ def register(parent: typer.Typer) -> None:
     parent.add_typer(app, name="acquire")
 
 
-@app.command("folder")
+@app.command("folder", epilog=example("sightline acquire folder images --case out/case"))
 def folder(
     source: Annotated[Path, typer.Argument(metavar="DIR", help="Folder with images: DICOM, PNG, TIFF, BMP, NumPy.")],
     *,
     case: CaseFolder,
     watch: Annotated[
-        bool, typer.Option("--watch", help="Go on until Ctrl-C: take images as they are written.")
+        bool, typer.Option("--watch", help="Keep running until Ctrl-C and take each image as it is written.")
     ] = False,
     robot: Robot = None,
+    invert: Invert = False,
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Take the images of a folder into a case, each once; with --watch those that come later too."""
+    """Acquire the images of a folder.
+
+    Each image is taken once; with --watch also images that are written later.
+    """
     if robot and not watch:
-        raise typer.BadParameter("goes with --watch: images that lie there already are older", param_hint="--robot")
+        raise typer.BadParameter(
+            "needs --watch: nobody knows when a file was taken that exists already",
+            param_hint="--robot",
+        )
     with Output(json=json, quiet=quiet) as out:
         from sightline.case.acquire.folder import SCAN_S, Folder, check_folder
 
         check_folder(source)
-        with _into(case, out, robot) as desk:
+        with _into(case, out, robot, invert=invert) as desk:
             files = Folder(source, desk.acquirer, desk.tell)
             if watch:
                 out.note("watching the folder; stop with Ctrl-C")
@@ -66,47 +73,62 @@ def folder(
             desk.end()
 
 
-@app.command("dicom")
+@app.command("dicom", epilog=example("sightline acquire dicom --peer CARM@192.168.1.20 --case out/case"))
 def dicom(
     *,
-    peer: Annotated[list[str], typer.Option("--peer", metavar="AET@HOST", help="Who may send; give it for each.")],
+    peer: Annotated[
+        list[str], typer.Option("--peer", metavar="AET@HOST", help="A sender that is allowed; repeat it for several.")
+    ],
     case: CaseFolder,
-    port: Annotated[int, typer.Option(min=0, max=65535, help="0 takes a free one.")] = 11112,
-    aet: Annotated[str, typer.Option(help="Our AE title.")] = "SIGHTLINE",
-    host: Annotated[str, typer.Option(help="Address to listen at; 0.0.0.0 for the network.")] = "127.0.0.1",
+    port: Annotated[int, typer.Option(min=0, max=65535, help="Port to listen at; 0 takes a free one.")] = 11112,
+    aet: Annotated[str, typer.Option(help="AE title of this receiver.")] = "SIGHTLINE",
+    host: Annotated[str, typer.Option(help="Address to listen at; 0.0.0.0 for all networks.")] = "127.0.0.1",
     robot: Robot = None,
+    invert: Invert = False,
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Receive images by DICOM C-STORE into a case until Ctrl-C; each is on the disk before it is answered."""
+    """Receive images by DICOM C-STORE.
+
+    Runs until Ctrl-C. Each image is on the disk before the sender gets its answer.
+    """
     with Output(json=json, quiet=quiet) as out:
         from sightline.case.acquire.dicom import DicomReceiver, Peer
 
         peers = [Peer.parse(text) for text in peer]
-        # The port first: where it cannot be had, no case is made.
-        with DicomReceiver(peers, aet=aet, host=host, port=port) as receiver, _into(case, out, robot) as desk:
+        # The port first: without it no case is created.
+        with (
+            DicomReceiver(peers, aet=aet, host=host, port=port) as receiver,
+            _into(case, out, robot, invert=invert) as desk,
+        ):
             with receiver.receiving(desk.acquirer, desk.tell):
                 out.note(f"listening at port {receiver.port} as {aet}; stop with Ctrl-C")
                 desk.until_interrupted(lambda: None, 0.5)
             out.result({"port": receiver.port, **desk.document()})
 
 
-@app.command("video")
+@app.command("video", epilog=example("sightline acquire video 0 --average 8 --case out/case"))
 def video(
-    place: Annotated[str, typer.Argument(help="Number of a device, a video file, a stream's address, a DICOM run.")],
+    place: Annotated[str, typer.Argument(help="Device number, video file, stream address or multi-frame DICOM file.")],
     *,
     case: CaseFolder,
     average: Average = 1,
-    skip: Annotated[int, typer.Option(min=0, help="Frames to pass over first.")] = 0,
+    skip: Annotated[int, typer.Option(min=0, help="Number of frames to skip first.")] = 0,
     field: Annotated[
-        Literal["first", "second"] | None, typer.Option(help="Of interlaced video one field alone.", show_default=False)
+        Literal["first", "second"] | None, typer.Option(help="Use one field of interlaced video.", show_default=False)
     ] = None,
-    crop: Annotated[str | None, typer.Option(metavar="LEFT,TOP,WIDTH,HEIGHT", help="Part of the picture, px.")] = None,
+    crop: Annotated[
+        str | None, typer.Option(metavar="LEFT,TOP,WIDTH,HEIGHT", help="Part of the image to keep, px.")
+    ] = None,
     robot: Robot = None,
+    invert: Invert = False,
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Take one image of a video source into a case, or the mean of several if nothing moved."""
+    """Acquire one image from video.
+
+    With --average the mean of several frames, if nothing moved.
+    """
     with Output(json=json, quiet=quiet) as out:
         from sightline.imaging.source import Run
         from sightline.imaging.video import VideoSource
@@ -114,28 +136,42 @@ def video(
         part = _crop(crop)
         is_run = not place.isdigit() and _is_image(Path(place))
         if is_run and part is not None:
-            raise typer.BadParameter("a run is taken whole", param_hint="--crop")
+            raise typer.BadParameter("a multi-frame file cannot be cropped; leave it out", param_hint="--crop")
         at = int(place) if place.isdigit() else place
         source = Run(Path(place)) if is_run else VideoSource(at, crop=part, tell=out.note)
         how = {"crop": part} if part else {}
         options = {"field": field, "interlaced": not is_run}
-        _take(out, case, source, first=skip + 1, average=average, robot=robot, options=options, how=lambda: how)
+        _take(
+            out,
+            case,
+            source,
+            first=skip + 1,
+            average=average,
+            robot=robot,
+            invert=invert,
+            options=options,
+            how=lambda: how,
+        )
 
 
-@app.command("igtl")
+@app.command("igtl", epilog=example("sightline acquire igtl 127.0.0.1:18944 --case out/case"))
 def igtl(
     address: Annotated[
-        str, typer.Argument(metavar="HOST:PORT", help="The peer; with --listen where it is waited for.")
+        str, typer.Argument(metavar="HOST:PORT", help="Address of the peer; with --listen, the address to listen at.")
     ],
     *,
     case: CaseFolder,
-    listen: Annotated[bool, typer.Option("--listen", help="Wait for the peer instead of calling it.")] = False,
+    listen: Annotated[bool, typer.Option("--listen", help="Wait for the peer to connect.")] = False,
     average: Average = 1,
     robot: Robot = None,
+    invert: Invert = False,
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Take one image of an OpenIGTLink peer (3D Slicer, PLUS) into a case, or the mean of several."""
+    """Acquire one image by OpenIGTLink.
+
+    The peer may be 3D Slicer or PLUS. With --average the mean of several frames, if nothing moved.
+    """
     with Output(json=json, quiet=quiet) as out:
         from sightline.case.acquire.igtl import ImageLink
         from sightline.cli.robot import parse_address
@@ -144,7 +180,7 @@ def igtl(
         link = ImageLink(host, port, listen=listen, tell=out.note)
         if listen:
             out.note(f"waiting at port {link.port}")
-        _take(out, case, link, first=1, average=average, robot=robot, options={}, how=link.stated)
+        _take(out, case, link, first=1, average=average, robot=robot, invert=invert, options={}, how=link.stated)
 
 
 def _take(
@@ -155,10 +191,11 @@ def _take(
     first: int,
     average: int,
     robot: str | None,
+    invert: bool,
     options: dict[str, Any],
     how: Callable[[], dict[str, Any]],
 ) -> None:
-    """Frames `first` and following of a source, as one image, with the robot's pose at the last of them."""
+    """Acquire frames `first` and following of a source as one image, with the robot's pose at the last of them."""
     from sightline.case.acquire import news_of
     from sightline.case.acquire.frames import take_frames
     from sightline.errors import SourceError
@@ -175,7 +212,7 @@ def _take(
                 break
         if len(frames) < average:
             raise SourceError(f"the source ended after {len(frames)} of {average} images; ask for fewer")
-        desk = stack.enter_context(_into(case, out))  # now that there is something to take
+        desk = stack.enter_context(_into(case, out, invert=invert))  # only now, so that a failure creates no case
         desk.tell(news_of(take_frames(desk.acquirer, frames, pose=pose, how=how(), **options)))
         out.result(desk.document(), checks=[pose.check] if pose else [])
 
@@ -186,7 +223,7 @@ def _crop(text: str | None) -> tuple[int, int, int, int] | None:
     try:
         left, top, width, height = (int(part) for part in text.split(","))
     except ValueError:
-        raise typer.BadParameter("four whole numbers: LEFT,TOP,WIDTH,HEIGHT", param_hint="--crop") from None
+        raise typer.BadParameter("give four whole numbers: LEFT,TOP,WIDTH,HEIGHT", param_hint="--crop") from None
     return left, top, width, height
 
 
@@ -201,7 +238,7 @@ def _is_image(file: Path) -> bool:
 
 
 class _Desk:
-    """Where images of a command arrive: they are counted, and told of line by line."""
+    """Counts the images that a command acquires and reports each on a line."""
 
     def __init__(self, case: "Case", acquirer: "Acquirer", out: Output) -> None:
         self.acquirer = acquirer
@@ -211,12 +248,14 @@ class _Desk:
         self._refused: deque[str] = deque(maxlen=_REMEMBERED)
 
     def tell(self, news: "News") -> None:
-        """Sources call it, from any thread."""
+        """Report one piece of news; sources call it from any thread."""
         if news.kind == "kept" and news.entry is not None:
             content, settings = news.entry.content, news.entry.settings
             self._entries.append({"number": news.entry.number, "original": content["original"], "settings": settings})
             if not settings["acquisition"].get("robot", {}).get("fresh", True):
-                self._out.note(f"entry {news.entry.number}: pose stale, none is written; look at the robot's link")
+                self._out.note(
+                    f"entry {news.entry.number}: the robot's pose is stale and was not recorded; check the robot's link"
+                )
         elif news.kind == "already":
             self._already += 1
         elif news.kind == "refused":
@@ -224,7 +263,7 @@ class _Desk:
         (self._out.say if news.kind in ("kept", "already") else self._out.note)(news.text)
 
     def until_interrupted(self, step: Any, pause_s: float) -> None:
-        """Do a step again and again; Ctrl-C is how it ends."""
+        """Repeat a step until Ctrl-C."""
         try:
             while True:
                 step()
@@ -233,7 +272,7 @@ class _Desk:
             self._out.note("stopping")
 
     def document(self) -> dict[str, Any]:
-        """The result: the case, its new entries, what was refused and why."""
+        """Return the result: the case, its new entries, and the refusals with their reasons."""
         return {
             "case": self._case.number,
             "entries": self._entries,
@@ -242,14 +281,14 @@ class _Desk:
         }
 
     def end(self) -> None:
-        """Exit code 2 where nothing could be taken and something was refused."""
+        """End with exit code 2 if something was refused and nothing was acquired."""
         if self._refused and not self._entries and not self._already:
             raise typer.Exit(2)
 
 
 @contextmanager
-def _into(folder: Path, out: Output, robot: str | None = None) -> Iterator[_Desk]:
-    """A case that is there, or a new one; `robot`: whose pose is written when an image arrives."""
+def _into(folder: Path, out: Output, robot: str | None = None, *, invert: bool) -> Iterator[_Desk]:
+    """Open or create a case; `robot`: address of the robot whose pose is recorded when an image arrives."""
     from sightline.case.acquire import Acquirer
     from sightline.case.journal import Case
 
@@ -259,7 +298,7 @@ def _into(folder: Path, out: Output, robot: str | None = None) -> Iterator[_Desk
         for problem in case.problems:
             out.note(f"the case has a problem: {problem.sentence}")
         out.note(f"case {case.number}")
-        yield _Desk(case, Acquirer(case, arrival_pose=pose), out)
+        yield _Desk(case, Acquirer(case, arrival_pose=pose, invert=invert), out)
 
 
 def _robot(address: str) -> "RobotWatch":

@@ -1,4 +1,4 @@
-"""`sightline app`: the planning app in the browser, on this machine."""
+"""`sightline app`: the planning app in the browser, served on this machine."""
 
 from importlib.util import find_spec
 from os import environ
@@ -7,43 +7,47 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from sightline.cli.output import Json, Output, Quiet
+from sightline.cli.output import Json, Output, Quiet, example
 
 if TYPE_CHECKING:
     from sightline.app.web.serve import Site
 
-DEMO_SEED = 9  # that of `sightline demo`
+DEMO_SEED = 9  # as of `sightline demo`
 
 
 def register(app: typer.Typer) -> None:
     """Add the command."""
-    app.command("app")(app_command)
+    epilog = example("sightline app", "sightline app --case out/case --frame gamma")
+    app.command("app", epilog=epilog)(app_command)
 
 
 def app_command(
     *,
     case: Annotated[
-        Path | None, typer.Option(help="Folder of the case, made where there is none.", show_default="the demo's")
+        Path | None, typer.Option(help="Folder of the case; created if it does not exist.", show_default="the demo's")
     ] = None,
-    frame: Annotated[str | None, typer.Option(help="For a new case: a frame file, or gamma, biplane, stereo.")] = None,
+    frame: Annotated[str | None, typer.Option(help="For a new case: a frame file, gamma, biplane or stereo.")] = None,
     rehearse: Annotated[
-        int | None, typer.Option(min=0, help="For a new case: a simulated patient and robot, drawn from this seed.")
+        int | None, typer.Option(min=0, help="For a new case: a simulated patient and robot drawn from this seed.")
     ] = None,
-    port: Annotated[int, typer.Option(min=0, max=65535, help="0 takes a free one.")] = 8765,
+    port: Annotated[int, typer.Option(min=0, max=65535, help="Port to listen at; 0 takes a free one.")] = 8765,
     host: Annotated[
-        str, typer.Option(help="Address to listen at; beyond this machine a token is needed, and printed.")
+        str, typer.Option(help="Address to listen at. Other machines need the token that is printed.")
     ] = "127.0.0.1",
-    browser: Annotated[bool, typer.Option(help="Open the page.")] = True,
+    browser: Annotated[bool, typer.Option(help="Open the page in the browser.")] = True,
     live: Annotated[
-        str | None, typer.Option(help="Source of a live image on the step Drill, as `sightline watch` names it.")
+        str | None, typer.Option(help="Live image for the step Drill: a source as of `sightline watch`.")
     ] = None,
     fast_robot: Annotated[
-        bool, typer.Option("--fast-robot", help="The simulated robot's time runs as fast as it computes.")
+        bool, typer.Option("--fast-robot", help="Run the simulated robot as fast as the machine computes.")
     ] = False,
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Plan, drill and check a wire in the browser, step by step; without --case on a simulated patient."""
+    """Plan, drill and check a wire in the browser.
+
+    Without --case, on a simulated patient.
+    """
     with Output(json=json, quiet=quiet) as output:
         from sightline.errors import UnusableInputError
 
@@ -56,7 +60,7 @@ def app_command(
         folder = Path("out/app") if case is None else case
         seed = DEMO_SEED if case is None and rehearse is None else rehearse
         patient = None if seed is None else Patient(seed, frame or "gamma")
-        token = environ.get("SIGHTLINE_TOKEN") or None  # not an option: others can read command lines
+        token = environ.get("SIGHTLINE_TOKEN") or None  # not an option: other users can read command lines
         settings = Settings(folder, frame, patient, live, host, port, token, browser, fast_robot)
 
         def ready(site: "Site") -> None:

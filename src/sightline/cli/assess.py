@@ -1,4 +1,4 @@
-"""`sightline assess`: the paper's Table 1 on a machine of one's own."""
+"""`sightline assess`: the paper's Table 1 measured on your own C-arm."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from sightline.cli.detect import Invert
-from sightline.cli.output import Json, Output, Quiet
+from sightline.cli.output import Json, Output, Quiet, example
 from sightline.cli.plan import MethodName, Mirrored
 
 if TYPE_CHECKING:
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 def register(app: typer.Typer) -> None:
     """Add the command."""
-    app.command("assess")(assess)
+    app.command("assess", epilog=example("sightline assess pa.dcm lateral.dcm --truth points.csv"))(assess)
 
 
 def assess(
@@ -25,17 +25,21 @@ def assess(
     lateral: Annotated[Path, typer.Argument(help="The lateral image, or observations as CSV (may be the same file).")],
     *,
     truth: Annotated[
-        Path, typer.Option(help="CSV of measured test points: name,x_mm,y_mm,z_mm and, if picked, their four pixels.")
+        Path,
+        typer.Option(help="CSV of measured test points: name,x_mm,y_mm,z_mm and, if picked, four pixel coordinates."),
     ],
-    frame: Annotated[str, typer.Option(help="A frame file, or gamma, biplane, stereo.")] = "gamma",
-    method: Annotated[MethodName, typer.Option(help="localized is the paper's.")] = "smooth",
-    pick_sd: Annotated[float, typer.Option(help="Standard deviation of pixels given in the table, px.")] = 0.5,
+    frame: Annotated[str, typer.Option(help="A frame file, gamma, biplane or stereo.")] = "gamma",
+    method: Annotated[MethodName, typer.Option(help="Calibration method; localized is the paper's.")] = "smooth",
+    pick_sd: Annotated[float, typer.Option(help="Standard deviation of the pixels in the table, px.")] = 0.5,
     mirrored: Mirrored = None,
     invert: Invert = False,
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Reconstruct test points and compare with where they were measured (exit code 3: not as predicted)."""
+    """Reconstruct test points and compare them with measured ones.
+
+    Exit code 3: the errors are larger than predicted.
+    """
     with Output(json=json, quiet=quiet) as output:
         from sightline.case.documents import view_document
         from sightline.case.views import calibrate_pair, see_pair
@@ -44,7 +48,7 @@ def assess(
         from sightline.studies.points import read_points
 
         known_frame, points = Frame.load(frame), read_points(truth)
-        with output.step("finding and telling apart the beads"):
+        with output.step("finding and labelling the beads"):
             seen = see_pair(pa, lateral, known_frame, invert=invert)
         with output.step(f"calibrating both views ({method})"):
             images = calibrate_pair(seen, known_frame, method, mirrored or ())
@@ -60,7 +64,7 @@ def assess(
 
 
 def _pixels(points: "MeasuredPoints", images: "tuple[CalibratedImage, CalibratedImage]", pick_sd: float) -> Any:
-    """(2, N, 2) pixels and (2, N, 2, 2) covariances: those of the table, else the test balls found in the images."""
+    """Return pixels (2, N, 2) and covariances (2, N, 2, 2): of the table, else of the test balls in the images."""
     import numpy as np
 
     from sightline.errors import UnusableInputError
@@ -74,8 +78,8 @@ def _pixels(points: "MeasuredPoints", images: "tuple[CalibratedImage, Calibrated
     for image in images:
         if image.seen.beads is None:
             raise UnusableInputError(
-                f"the table of the {image.name} view holds the frame's beads, not the test points: "
-                "give the test points' pixels in the table, or the images themselves"
+                f"the CSV file of the {image.name} view holds the frame's beads, not the test points; "
+                "give the test points' pixels in --truth, or give the images themselves"
             )
         found.append(find_balls(image.view, image.seen.beads, image.seen.observations, points))
     uv_px, covariance_px2 = zip(*found, strict=True)

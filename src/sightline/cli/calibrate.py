@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from sightline.cli.detect import FrameIndex, Invert
-from sightline.cli.output import Json, Output, Quiet
+from sightline.cli.output import Json, Output, Quiet, example
 
 if TYPE_CHECKING:
     from sightline.calibration import BeadView
@@ -50,7 +50,7 @@ PixelSize = Annotated[
 
 def register(app: typer.Typer) -> None:
     """Add the command."""
-    app.command("calibrate")(calibrate)
+    app.command("calibrate", epilog=example("sightline calibrate out/demo/demo_pa.dcm --frame gamma"))(calibrate)
 
 
 def calibrate(
@@ -74,7 +74,10 @@ def calibrate(
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Calibrate one view: its focal point, what is left of each bead, and its checks (exit code 3 if one fails)."""
+    """Calibrate one view from its own beads.
+
+    Gives the focal point, the residual of each bead and the checks of the view. Exit code 3 if a check fails.
+    """
     with Output(json=json, quiet=quiet) as out:
         from sightline.case.documents import view_document
         from sightline.case.views import calibrated as calibrated_image
@@ -83,7 +86,7 @@ def calibrate(
         from sightline.pipeline import known_arm
 
         known_frame = Frame.load(frame)
-        with out.step("finding and telling apart the beads"):
+        with out.step("finding and labelling the beads"):
             seen = see(image, known_frame, view, datum, frame_index, invert=invert)
         if csv is not None:
             write_observations([seen.observations], csv)

@@ -1,4 +1,4 @@
-"""`sightline case`: is a case whole, does it come out the same again, and what is in it."""
+"""`sightline case`: check a case, compute it again, list its entries, write its report."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -6,16 +6,16 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from sightline.checks import Check
-from sightline.cli.output import Json, Output, Quiet
+from sightline.cli.output import Json, Output, Quiet, example
 
 if TYPE_CHECKING:
     from sightline.case.journal import Entry
     from sightline.case.replay import Replayed
 
-Folder = Annotated[Path, typer.Argument(metavar="DIR", help="The folder of the case.")]
-_SHOWN = 3  # differences of an entry, for people
+Folder = Annotated[Path, typer.Argument(metavar="DIR", help="Folder of the case.")]
+_SHOWN = 3  # differences of an entry shown to people
 
-case_app = typer.Typer(help="A case: everything that was done, kept in one folder.", no_args_is_help=True)
+case_app = typer.Typer(help="Check, replay, list or report a case.", no_args_is_help=True)
 
 
 def register(app: typer.Typer) -> None:
@@ -23,9 +23,12 @@ def register(app: typer.Typer) -> None:
     app.add_typer(case_app, name="case")
 
 
-@case_app.command("check")
+@case_app.command("check", epilog=example("sightline case check out/demo/case"))
 def check(folder: Folder, *, json: Json = False, quiet: Quiet = False) -> None:
-    """Is the case whole: database, chain of entries, originals? Exit code 3 and the reasons where it is not."""
+    """Check that a case is complete and unchanged.
+
+    Checks the database, the chain of entries and the original files. Exit code 3 if a check fails.
+    """
     with Output(json=json, quiet=quiet) as output:
         document, checks = _checked(folder)
         if document:
@@ -33,9 +36,12 @@ def check(folder: Folder, *, json: Json = False, quiet: Quiet = False) -> None:
         output.result(document, checks)
 
 
-@case_app.command("replay")
+@case_app.command("replay", epilog=example("sightline case replay out/demo/case"))
 def replay(folder: Folder, *, json: Json = False, quiet: Quiet = False) -> None:
-    """Compute every entry again from the originals: the same to the bit, or what differs (exit code 3)."""
+    """Compute every entry again from the original files.
+
+    Says which entries are bit-identical and which differ. Exit code 3 if one differs.
+    """
     with Output(json=json, quiet=quiet) as output:
         from sightline.case.journal import Case
         from sightline.case.replay import judge
@@ -54,9 +60,12 @@ def replay(folder: Folder, *, json: Json = False, quiet: Quiet = False) -> None:
         output.result(document, (*problems, judge(found)))
 
 
-@case_app.command("show")
+@case_app.command("show", epilog=example("sightline case show out/demo/case"))
 def show(folder: Folder, *, json: Json = False, quiet: Quiet = False) -> None:
-    """List the entries of a case: when, what, by whom, on what it rests."""
+    """List the entries of a case.
+
+    For each entry: when, what, by whom, and the entries it was made from.
+    """
     with Output(json=json, quiet=quiet) as output:
         from sightline.case.journal import Case
 
@@ -71,7 +80,7 @@ def show(folder: Folder, *, json: Json = False, quiet: Quiet = False) -> None:
         output.result({"case": number, "entries": document}, problems)
 
 
-@case_app.command("report")
+@case_app.command("report", epilog=example("sightline case report out/demo/case --out out/report"))
 def report(
     folder: Folder,
     *,
@@ -79,7 +88,10 @@ def report(
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """The report of the case's last plan, computed again; it names the case by its number alone."""
+    """Write the report of the last plan in a case.
+
+    The plan is computed again from the originals. The report names the case by its number alone.
+    """
     with Output(json=json, quiet=quiet) as output:
         from sightline.atomic import write_folder
         from sightline.case.journal import Case
@@ -106,7 +118,7 @@ def report(
 
 
 def _checked(folder: Path) -> tuple[dict[str, Any], tuple[Check, ...]]:
-    """A file too damaged to be opened is a case that is not whole, not an argument that cannot be used."""
+    """Return the document of a case and its checks; a database too damaged to open is a failed check, not an error."""
     from sightline.case.journal import Case
     from sightline.case.journal.database import is_damage
     from sightline.errors import CaseError
@@ -149,7 +161,7 @@ def _listed(numbers: tuple[int, ...]) -> str:
 
 
 def _gist(entry: "Entry") -> str:
-    """What a person wants to see of an entry's content at a glance."""
+    """Return an entry's content in a few words."""
     content = entry.content
     words = [str(content[key]) for key in ("view", "method", "what") if isinstance(content.get(key), str)]
     if "uv_px" in content:

@@ -1,27 +1,32 @@
-"""`sightline compare`: the twin beside real images, measured alike."""
+"""`sightline compare`: real images and the twin's, measured in the same way."""
 
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from sightline.cli.output import Json, Output, Quiet, as_json
+from sightline.cli.detect import Invert
+from sightline.cli.output import Json, Output, Quiet, as_json, example
 
 
 def register(app: typer.Typer) -> None:
     """Add the command."""
-    app.command("compare")(compare)
+    app.command("compare", epilog=example("sightline compare images --out out/compare"))(compare)
 
 
 def compare(
-    folder: Annotated[Path, typer.Argument(help="Folder of images of a C-arm: plates, beads, open beam, anatomy.")],
+    folder: Annotated[Path, typer.Argument(help="Folder of images of one C-arm: plates, beads, open beam, anatomy.")],
     *,
     seed: Annotated[int, typer.Option(min=0, help="The twin of image k draws from the generator of [seed, k].")] = 1,
-    out: Annotated[Path, typer.Option(help="Folder of page and figures.")] = Path("out/compare"),
+    out: Annotated[Path, typer.Option(help="Folder for the page and the plots.")] = Path("out/compare"),
+    invert: Invert = False,
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Measure real images and the twin's of the same kind alike; say by how much they differ."""
+    """Compare real images with the digital twin's.
+
+    Both are measured in the same way; the page says by how much they differ.
+    """
     with Output(json=json, quiet=quiet) as output:
         import numpy as np
 
@@ -30,9 +35,9 @@ def compare(
         from sightline.studies.compare import compare as one_pair
         from sightline.studies.compare_page import render
 
-        images, passed = read_folder(folder)
+        images, passed = read_folder(folder, invert=invert)
         for reason in passed:
-            output.note(f"passed over: {reason}")
+            output.note(f"skipped: {reason}")
         pairs = []
         with output.progress("images and their twins", len(images)) as advance:
             for k, (name, image) in enumerate(images):
@@ -44,5 +49,5 @@ def compare(
         files = write_folder(out, {"compare.html": page.encode(), "compare.json": as_json(figures).encode(), **curves})
         for finding in findings(pairs):
             output.say(f"- {finding}")
-        output.say(f"page: {files[0]}; all figures: {files[1]}")
+        output.say(f"page: {files[0]}; all values: {files[1]}")
         output.result({**figures, "files": files})

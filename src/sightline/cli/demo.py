@@ -1,4 +1,4 @@
-"""`sightline demo`: the whole way on images of the twin, from two DICOM files to a report held against the truth."""
+"""`sightline demo`: two simulated images, planned, drilled, and compared with the truth in a report."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -7,7 +7,7 @@ import typer
 
 from sightline.cli.demo_case import Kept, record
 from sightline.cli.demo_robot import Planned, drill
-from sightline.cli.output import Json, Output, Quiet
+from sightline.cli.output import Json, Output, Quiet, example
 
 if TYPE_CHECKING:
     import numpy as np
@@ -18,8 +18,8 @@ if TYPE_CHECKING:
     from sightline.case.report.drilled import Drilled
     from sightline.case.views import CalibratedImage
 
-METHODS: "tuple[Method, ...]" = ("smooth", "localized", "polynomial")  # the first is the one that the plan is made with
-# The first seed whose beads surround the whole wire in both images: elsewhere `localized` has no answer to compare.
+METHODS: "tuple[Method, ...]" = ("smooth", "localized", "polynomial")  # the plan is made with the first
+# The first seed whose beads surround the whole wire in both images; otherwise `localized` gives no result to compare.
 SEED = 9
 PICK_SD_PX = 0.5  # a careful click (physics.md, Picks) [ours]
 BY_HAND = f"picked by hand: {PICK_SD_PX:g} px of noise, lateral picks snapped to their curves"
@@ -28,21 +28,25 @@ EXACT = "located exactly: no noise, 0.1 px assumed"
 
 def register(app: typer.Typer) -> None:
     """Add the command."""
-    app.command("demo")(demo)
+    app.command("demo", epilog=example("sightline demo --out out/demo"))(demo)
 
 
 def demo(
     *,
     out: Annotated[Path, typer.Option(help="Folder for the report, the images and the results.")] = Path("out/demo"),
-    seed: Annotated[int, typer.Option(min=0, help="Another seed is another patient, C-arm and frame.")] = SEED,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of patient, C-arm and frame.")] = SEED,
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Make two images with the digital twin, plan a wire on them, and compare with the truth."""
+    """Simulate, plan and drill one case.
+
+    Makes two images with the digital twin, plans a wire on them, drills it with the simulated robot, and compares the
+    result with the truth.
+    """
     with Output(json=json, quiet=quiet) as output:
         from sightline.atomic import whole_folder
 
-        output.note(f"Sightline demo, seed {seed}: about half a minute; the first run compiles and takes one or two")
+        output.note(f"Sightline demo, seed {seed}: about half a minute; the first run compiles and takes a minute more")
         with whole_folder(out, units=("case",)) as scratch:
             document = _run(output, scratch, seed)
             files = [out / file.name for file in sorted(scratch.iterdir())]
@@ -52,7 +56,7 @@ def demo(
 
 
 def _run(output: Output, folder: Path, seed: int) -> dict[str, Any]:
-    """All steps. The images are read back from their files: nothing but the truth passes from the twin to the rest."""
+    """Do all steps and return the result. The images are read back from their files, as a user's images are."""
     import numpy as np
 
     from sightline.case.contents import Asked
@@ -75,7 +79,7 @@ def _run(output: Output, folder: Path, seed: int) -> dict[str, Any]:
         pa, lateral = (
             write_dicom(rehearsal.images[name], folder / f"demo_{name}.dcm", rehearsal.side) for name in NAMES
         )
-    with output.step("2/8 reading the images, finding and telling apart the beads"):
+    with output.step("2/8 reading the images, finding and labelling the beads"):
         seen = see_pair(pa, lateral, frame)
     images: dict[str, tuple[CalibratedImage, CalibratedImage]] = {}
     with output.step(f"3/8 calibrating both views: {', '.join(METHODS)}"):
@@ -145,7 +149,7 @@ def _run(output: Output, folder: Path, seed: int) -> dict[str, Any]:
 def _compare(
     images: "dict[str, tuple[CalibratedImage, CalibratedImage]]", picks: "np.ndarray", truth: "Truth", planned: Any
 ) -> "list[Compared | Refused]":
-    """Every method with the picks of a person, and with the true pixels, which show what the calibration is worth."""
+    """Return every method's error, with a person's picks and with the true pixels."""
     from sightline.case.report.comparison import Compared, Refused
     from sightline.errors import RefusedError
     from sightline.planning import kind, plan

@@ -1,4 +1,4 @@
-"""The demo's case: what `sightline case` checks and computes again, and `sightline app --case` opens."""
+"""The demo as a case, which `sightline case` checks and replays and `sightline app --case` opens."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,8 +19,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Kept:
-    """What the demo keeps: `files` as they were read, the views made of them, what the plan was asked from; `rim_px`
-    (2, N, 2): the clicks on the head's rim."""
+    """All that the demo records: the image `files`, their views, the plan and its inputs, the check shot.
+
+    `rim_px` (2, N, 2): the clicks on the head's rim.
+    """
 
     rehearsal: "Rehearsal"
     files: tuple[Path, Path]
@@ -33,7 +35,7 @@ class Kept:
 
 
 def record(folder: Path, kept: Kept) -> None:
-    """Make the case in a folder."""
+    """Create the case in a folder."""
     from sightline.case import stages
     from sightline.case.journal import Actor, Case, Kind
     from sightline.case.views import NAMES
@@ -60,7 +62,7 @@ def record(folder: Path, kept: Kept) -> None:
 
 
 def _record_check(case: "Case", plan: "Entry", checked: "Checked", frame_ref: str) -> None:
-    """Both images of the check shot and what it says, if they could be calibrated."""
+    """Record both images of the check shot and its result, if they could be calibrated."""
     from sightline.atomic import scratch_folder
     from sightline.case import stages
     from sightline.case.journal import Actor
@@ -77,7 +79,7 @@ def _record_check(case: "Case", plan: "Entry", checked: "Checked", frame_ref: st
 
 
 def _decisions(kept: Kept, acquired: dict[str, int]) -> dict[str, object]:
-    """The picks as the app keeps them; side and serial are for a person to confirm."""
+    """Return the picks as the app keeps them; side and serial are left for a person to confirm."""
     from sightline.app.plan.decisions import Decisions, Mark
     from sightline.app.plan.marks import END, ENTRY
     from sightline.case.views import NAMES
@@ -85,7 +87,7 @@ def _decisions(kept: Kept, acquired: dict[str, int]) -> dict[str, object]:
     def mark(uv_px, *, free: bool) -> Mark:
         return Mark({name: (float(u), float(v)) for name, (u, v) in zip(NAMES, uv_px, strict=True)}, free)
 
-    # As they were used: lateral picks on their curves.
+    # Lateral picks as they were used: on their curves.
     marks = {
         name: mark([pick.uv_px for pick in picks], free=False)
         for name, picks in zip((ENTRY, END), kept.plan.picks, strict=True)

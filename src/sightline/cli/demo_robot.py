@@ -1,4 +1,4 @@
-"""The demo's second half: the planned wire drilled by the rehearsal's robot over its link, and a check shot."""
+"""Second half of the demo: the simulated robot drills the planned wire, and a check shot measures it."""
 
 from dataclasses import dataclass
 from importlib.util import find_spec
@@ -19,8 +19,8 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Planned:
-    """A plan for a rehearsal and what it was made on; `landmarks_px` (2, L, 2): the bone's by `landmarks`, their names,
-    as picked with `pick_sd_px`."""
+    """A plan for a rehearsal and its inputs; `landmarks_px` (2, L, 2): the landmarks named `landmarks`, as picked with
+    `pick_sd_px`."""
 
     rehearsal: "Rehearsal"
     plan: "Plan"
@@ -32,8 +32,10 @@ class Planned:
 
 @dataclass(frozen=True, eq=False)
 class Checked:
-    """The check shot: what was asked, its images, and what came of it or why it was refused. `images` is None where one
-    of them could not be calibrated."""
+    """A check shot: its inputs, its images, and its result or the reason for a refusal.
+
+    `images` is None where one of them could not be calibrated.
+    """
 
     asked: "CheckAsked"
     images: "Pair | None"
@@ -41,11 +43,11 @@ class Checked:
 
 
 def drill(output: "Output", planned: Planned, rng: "np.random.Generator") -> "tuple[Drilled, Checked] | None":
-    """What robot and check shot come to; None, with the reason said, where there is no robot or it refuses."""
+    """Return what robot and check shot gave; None, with a message, where there is no robot or it refuses."""
     from sightline.errors import RefusedError
 
     if find_spec("mujoco") is None:
-        output.note("the robot's part is left out: it needs MuJoCo, pip install 'sightline[robot]'")
+        output.note("the robot is left out: it needs MuJoCo (pip install 'sightline[robot]')")
         return None
     try:
         return _drill(output, planned, rng)
@@ -71,7 +73,7 @@ def _drill(output: "Output", planned: Planned, rng: "np.random.Generator") -> "t
     from sightline.twin.implants import WIRE_MM
 
     rehearsal, plan, sd_px = planned.rehearsal, planned.plan, planned.pick_sd_px
-    with output.step("6/8 the robot: carrying the plan over, aligning, drilling under force supervision"):
+    with output.step("6/8 the robot: registering, aligning, drilling under force supervision"):
         identity = PlanIdentity("demo", rehearsal.side, rehearsal.serial, plan.verdict.go, plan.kind.key)
         with (
             RobotProcess(rehearsal.seed, side=rehearsal.side, virtual=True) as process,
@@ -80,7 +82,7 @@ def _drill(output: "Output", planned: Planned, rng: "np.random.Generator") -> "t
             target = target_of(plan, identity, registered(rehearsal.robot, robot.joints()[0], monotonic()))
             record = insert(robot, target, depth_limit(_surface_mm(planned, rng), target.end_error_95_mm))
             wire = robot.simulated_wire()
-    with output.step("7/8 the check shot: two more images, the wire found in both"):
+    with output.step("7/8 the check shot: two more images, finding the wire in both"):
         taken = rehearsal.check_images(wire)
         found = taken.landmarks_px(planned.landmarks, sd_px, rng)
         asked, images = CheckAsked(WIRE_MM, Landmarks(planned.landmarks_px, found, sd_px)), None
@@ -97,7 +99,7 @@ def _drill(output: "Output", planned: Planned, rng: "np.random.Generator") -> "t
 
 
 def _read_back(images: "dict[str, Radiograph]", frame: "Frame") -> "Pair":
-    """Both images from their files, like the first two, calibrated."""
+    """Return both images read back from files, as the planning images are, and calibrated."""
     from sightline.atomic import scratch_folder
     from sightline.case.views import NAMES, calibrate_pair, see_pair
     from sightline.imaging import write_dicom
@@ -108,7 +110,7 @@ def _read_back(images: "dict[str, Radiograph]", frame: "Frame") -> "Pair":
 
 
 def _surface_mm(planned: Planned, rng: "np.random.Generator") -> float:
-    """How far the head's surface lies beyond the planned entry, along the wire: picked in both views like the rest."""
+    """Return the distance along the wire from the planned entry to the head's surface, picked in both views."""
     import numpy as np
 
     from sightline.planning import reconstruct

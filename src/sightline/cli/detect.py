@@ -1,31 +1,33 @@
-"""`sightline detect`: the beads of one image."""
+"""`sightline detect`: find the beads of one image."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from sightline.cli.output import Json, Output, Quiet
+from sightline.cli.output import Json, Output, Quiet, example
 
 if TYPE_CHECKING:
     from sightline.detection import Detections
     from sightline.imaging import Radiograph
 
-# Colours (blue, green, red) of what is drawn over the image.
+# Colours (blue, green, red) of the marks drawn over the image.
 _BEAD, _REJECTED = (80, 220, 80), (60, 60, 255)
 _SCALE = 2  # of the picture, so that rings do not hide small beads
 
 FrameIndex = Annotated[
-    int | None, typer.Option("--frame-index", help="Which frame of a run of images, from 0.", show_default=False)
+    int | None, typer.Option("--frame-index", help="Which image of a multi-frame file, from 0.", show_default=False)
 ]
 Invert = Annotated[
-    bool, typer.Option("--invert", help="Invert the image: it shows bright balls, against what its header says.")
+    bool,
+    typer.Option("--invert", help="Invert the image first: the file shows the balls bright, whatever its header says."),
 ]
 
 
 def register(app: typer.Typer) -> None:
     """Add the command."""
-    app.command("detect")(detect)
+    epilog = example("sightline detect out/demo/demo_pa.dcm --picture out/beads.png")
+    app.command("detect", epilog=epilog)(detect)
 
 
 def detect(
@@ -33,12 +35,17 @@ def detect(
     *,
     frame_index: FrameIndex = None,
     invert: Invert = False,
-    csv: Annotated[Path | None, typer.Option(help="Write the beads as CSV.")] = None,
-    picture: Annotated[Path | None, typer.Option(help="Write a PNG with beads and rejected candidates marked.")] = None,
+    csv: Annotated[Path | None, typer.Option(help="Write the beads to this CSV file.")] = None,
+    picture: Annotated[
+        Path | None, typer.Option(help="Write a PNG of the image with beads and rejected candidates marked.")
+    ] = None,
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Find the beads of one image: centres with covariance, radii, and why candidates were rejected."""
+    """Find the beads of one image.
+
+    Gives centres with covariance, radii, and why candidates were rejected.
+    """
     with Output(json=json, quiet=quiet) as out:
         from sightline.detection import detect as find
         from sightline.imaging import image_checks, read_image

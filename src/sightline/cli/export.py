@@ -1,4 +1,4 @@
-"""`sightline export`: views, undistorted images and plans in the files of other programs (docs/interop.md)."""
+"""`sightline export`: views, undistorted images and plans in the formats of other programs (docs/interop.md)."""
 
 from importlib import import_module
 from importlib.util import find_spec
@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from sightline.cli.calibrate import FrameName, see
-from sightline.cli.output import Json, Output, Quiet
+from sightline.cli.detect import Invert
+from sightline.cli.output import Json, Output, Quiet, example
 
 if TYPE_CHECKING:
     from sightline.calibration import BeadView
@@ -19,19 +20,21 @@ if TYPE_CHECKING:
 export_app = typer.Typer(no_args_is_help=True)
 
 Out = Annotated[Path, typer.Option(help="Folder for the files.")]
-Image = Annotated[Path, typer.Argument(help="The image of one view, or observations as CSV.")]
-Second = Annotated[Path | None, typer.Argument(help="The image of the other view.", show_default=False)]
+Image = Annotated[Path, typer.Argument(help="Image of one view, or observations as CSV.")]
+Second = Annotated[Path | None, typer.Argument(help="Image of the other view.", show_default=False)]
 
 
 def register(app: typer.Typer) -> None:
-    """Add the group, and what other files add to it."""
-    app.add_typer(export_app, name="export", help="Views, images and plans in other programs' files.")
+    """Add the group and its commands."""
+    app.add_typer(export_app, name="export", help="Write files for other programs.")
     for name in ("export_plan", "deidentify"):
         if find_spec(f"sightline.cli.{name}"):
             import_module(f"sightline.cli.{name}").register(export_app)
 
 
-@export_app.command("views")
+@export_app.command(
+    "views", epilog=example("sightline export views pa.dcm lateral.dcm --to opencv,rtk --out out/views")
+)
 def views(
     pa: Image,
     lateral: Second = None,
@@ -40,18 +43,23 @@ def views(
     to: Annotated[str, typer.Option(help="Formats: opencv,rtk,mayacam2,diffdrr,deepdrr,xreg.")] = "opencv",
     frame: FrameName = "gamma",
     raw: Annotated[
-        bool, typer.Option("--raw", help="The raw image's nearest pinhole; refused where the image is distorted.")
+        bool,
+        typer.Option("--raw", help="Export the raw image with its nearest pinhole; refused if the image is distorted."),
     ] = False,
+    invert: Invert = False,
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Each view's undistorted image and its exact matrix (exit code 3 where a view's check failed)."""
+    """Export each view's matrix and undistorted image.
+
+    Exit code 3 if a check of a view fails.
+    """
     with Output(json=json, quiet=quiet) as output:
         from sightline.atomic import write_folder
         from sightline.calibration.exchange.formats import known, write_view
 
         kinds = [known(kind.strip()) for kind in to.split(",")]
-        calibrated = _calibrate(output, [pa, lateral], frame, pixels=raw)
+        calibrated = _calibrate(output, [pa, lateral], frame, pixels=raw, invert=invert)
         files: dict[str, bytes] = {}
         documents = []
         for view, seen in calibrated:
@@ -68,29 +76,35 @@ def views(
         )
 
 
-@export_app.command("undistorted")
+@export_app.command("undistorted", epilog=example("sightline export undistorted pa.dcm lateral.dcm --out out/plates"))
 def undistorted(
     pa: Image,
     lateral: Second = None,
     *,
     out: Out,
-    to: Annotated[str, typer.Option(help="png, npy, dicom; png and npy as the original's 8 or 16 bits.")] = "png",
+    to: Annotated[
+        str, typer.Option(help="Formats: png,npy,dicom; png and npy keep the original's 8 or 16 bits.")
+    ] = "png",
     frame: FrameName = "gamma",
     spacing: Annotated[
         float | None,
-        typer.Option(help="Pixel size on the plate, mm; by default that of the image.", show_default=False),
+        typer.Option(help="Pixel size on the plate, mm; by default as in the image.", show_default=False),
     ] = None,
+    invert: Invert = False,
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Each image without distortion, as the X-ray source sees the XRII plate, with its matrix beside it."""
+    """Export each image without distortion.
+
+    The image is as the X-ray source sees the XRII plate; its matrix is written beside it.
+    """
     with Output(json=json, quiet=quiet) as output:
         from sightline.atomic import write_folder
         from sightline.calibration.exchange import opencv
         from sightline.calibration.exchange.writing import json_bytes
         from sightline.case.interop.images import encode
 
-        calibrated = _calibrate(output, [pa, lateral], frame, pixels=True)
+        calibrated = _calibrate(output, [pa, lateral], frame, pixels=True, invert=invert)
         files: dict[str, bytes] = {}
         documents = []
         for view, seen in calibrated:
@@ -107,9 +121,9 @@ def undistorted(
 
 
 def _calibrate(
-    output: Output, paths: list[Path | None], frame_name: str, *, pixels: bool
+    output: Output, paths: list[Path | None], frame_name: str, *, pixels: bool, invert: bool
 ) -> "list[tuple[BeadView, Seen]]":
-    """Each view with what it was calibrated from; with `pixels` none of them may be observations alone."""
+    """Return each calibrated view with its image and beads; with `pixels` each must have an image."""
     from sightline.calibration import calibrate
     from sightline.case.views import see_pair
     from sightline.errors import UnusableInputError
@@ -118,19 +132,20 @@ def _calibrate(
     known: Frame = Frame.load(frame_name)
     first, second = paths
     assert first is not None  # noqa: S101 - typer requires it
-    with output.step("finding and telling apart the beads"):
-        seen = [see(first, known, None, None, None)] if second is None else list(see_pair(first, second, known))
+    with output.step("finding and labelling the beads"):
+        if second is None:
+            seen = [see(first, known, None, None, None, invert=invert)]
+        else:
+            seen = list(see_pair(first, second, known, invert=invert))
     for one in seen:
         if pixels and one.image is None:
-            raise UnusableInputError(
-                f"beads alone have no pixels; give the image of the {one.observations.view} view itself"
-            )
+            raise UnusableInputError(f"a CSV file has no pixels; give the image of the {one.observations.view} view")
     with output.step("calibrating (smooth)"):
         return [(calibrate(one.observations, known), one) for one in seen]
 
 
 def _plate(view: "BeadView", seen: "Seen", spacing: float | None = None) -> Any:
-    """Pinhole, pixels or None, and what is said of them."""
+    """Return the pinhole and the pixels, or None, of the undistorted image, and their document."""
     from sightline.case.interop.plate import plate_image
 
     plate: PlateImage = plate_image(view, None if seen.image is None else seen.image.pixels, spacing)
@@ -140,7 +155,7 @@ def _plate(view: "BeadView", seen: "Seen", spacing: float | None = None) -> Any:
 
 
 def _raw(view: "BeadView", seen: "Seen") -> Any:
-    """The same of the raw image."""
+    """Return the same as `_plate`, of the raw image."""
     from sightline.case.interop.plate import raw_pinhole
 
     assert seen.image is not None  # noqa: S101 - `_calibrate` refused
@@ -151,7 +166,7 @@ def _raw(view: "BeadView", seen: "Seen") -> Any:
 
 
 def _with_checks(pinhole: "Pinhole", view: "BeadView") -> "Pinhole":
-    """The note says which checks failed, so that the file does."""
+    """Return the pinhole with the failed checks in its note, which is written into the file."""
     from dataclasses import replace
 
     from sightline.checks import failed

@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 import typer
 
 from sightline.cli.export import Out
-from sightline.cli.output import Json, Output, Quiet
+from sightline.cli.output import Json, Output, Quiet, example
 
 Side = Literal["right", "left"]
 KINDS = ("slicer", "itk", "dicom", "csv", "igtl")
@@ -14,7 +14,7 @@ KINDS = ("slicer", "itk", "dicom", "csv", "igtl")
 
 def register(export_app: typer.Typer) -> None:
     """Add the command to the group."""
-    export_app.command("plan")(plan)
+    export_app.command("plan", epilog=example("sightline export plan out/plan --to csv,slicer --out out/export"))(plan)
 
 
 def plan(
@@ -33,7 +33,10 @@ def plan(
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """A plan in other programs' files; one that is not GO says so in each, and no robot's message is made of it."""
+    """Export a plan.
+
+    A plan that is not GO says so in every file, and is not exported as a robot's message.
+    """
     with Output(json=json, quiet=quiet) as output:
         from datetime import datetime
 

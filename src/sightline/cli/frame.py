@@ -1,21 +1,22 @@
-"""`sightline frame new | show | check`, and the group of all `frame` commands: calibration frames as files."""
+"""`sightline frame new | show | check`, and the group of all `frame` commands."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from sightline.checks import failed
 from sightline.cli import frame_draw, frame_fit, frame_self_check
-from sightline.cli.output import Json, Output, Quiet
+from sightline.cli.output import Json, Output, Quiet, example
 
 if TYPE_CHECKING:
     from sightline.frame.design import FrameDesign
     from sightline.frame.model import Frame
     from sightline.frame.plate import FrameView, Plate
 
-app = typer.Typer(no_args_is_help=True, help="Make, show and check calibration frames.")
+app = typer.Typer(no_args_is_help=True, help="Make, measure, draw and check frames.")
 
-FrameSource = Annotated[str, typer.Argument(metavar="FRAME", help='Frame file, or "gamma", "biplane", "stereo".')]
+FrameSource = Annotated[str, typer.Argument(metavar="FRAME", help="A frame file, gamma, biplane or stereo.")]
 
 
 def register(parent: typer.Typer) -> None:
@@ -25,31 +26,47 @@ def register(parent: typer.Typer) -> None:
     parent.add_typer(app, name="frame")
 
 
-@app.command("new")
+@app.command("new", epilog=example("sightline frame new mine.json --like gamma --rows 7 --pitch-mm 22"))
 def new(
     file: Annotated[Path, typer.Argument(help="The frame file to write.")],
     *,
-    like: Annotated[str, typer.Option(help="Built-in frame that gives the beams and what is not stated.")] = "gamma",
-    rows: Annotated[int | None, typer.Option(help="Rows of the XRII plate; the source plate has one more.")] = None,
-    pitch_mm: Annotated[float | None, typer.Option(help="Pitch of the XRII plate.")] = None,
-    xrii_mm: Annotated[float | None, typer.Option(help="XRII plate, from the hip towards the intensifier.")] = None,
-    source_mm: Annotated[float | None, typer.Option(help="Source plate, from the hip; negative before it.")] = None,
-    datums: Annotated[int | None, typer.Option(help="Datums of each plate.")] = None,
-    csv: Annotated[Path | None, typer.Option(help="Table of measured balls instead (docs/frame-file.md).")] = None,
+    like: Annotated[
+        str, typer.Option(help="Built-in frame that gives the beams and every value not stated here.")
+    ] = "gamma",
+    rows: Annotated[
+        int | None, typer.Option(help="Rows of balls on the XRII plate; the source plate has one more.")
+    ] = None,
+    pitch_mm: Annotated[
+        float | None, typer.Option(help="Distance between neighbouring balls on the XRII plate, mm.")
+    ] = None,
+    xrii_mm: Annotated[
+        float | None, typer.Option(help="Distance of the XRII plate from the hip, towards the intensifier, mm.")
+    ] = None,
+    source_mm: Annotated[
+        float | None, typer.Option(help="Distance of the source plate from the hip, mm; negative on the source side.")
+    ] = None,
+    datums: Annotated[int | None, typer.Option(help="Number of datum markers on each plate.")] = None,
+    csv: Annotated[
+        Path | None, typer.Option(help="Table of measured balls, instead of the values above (docs/frame-file.md).")
+    ] = None,
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Write a frame file, from a few figures or from a table of measured balls, and check the frame."""
+    """Write a frame file.
+
+    The frame is made from a few values or from a table of measured balls. It is checked first: where a check fails,
+    nothing is written (exit code 3).
+    """
     with Output(json=json, quiet=quiet) as out:
         from sightline.errors import FrameError
         from sightline.frame.check import check_frame
         from sightline.frame.model import Frame
         from sightline.frame.table import frame_from_csv
 
-        figures = {"rows": rows, "pitch_mm": pitch_mm, "xrii_mm": xrii_mm, "source_mm": source_mm}
-        stated = {key: value for key, value in figures.items() if value is not None}
+        values = {"rows": rows, "pitch_mm": pitch_mm, "xrii_mm": xrii_mm, "source_mm": source_mm}
+        stated = {key: value for key, value in values.items() if value is not None}
         if csv is not None and (stated or datums is not None):
-            raise FrameError("a table of measured balls states the whole frame; leave out the other figures")
+            raise FrameError("--csv states the whole frame; leave out the other values")
         if file.exists():
             raise FrameError(f"{file.name} exists; remove it, or name another file")
         with out.step("making the frame"):
@@ -57,20 +74,23 @@ def new(
                 frame = frame_from_csv(csv, file.stem)
             else:
                 frame = Frame.from_design(_design(file.stem, like, stated, datums))
-        frame.save(file)
-        out.say(f"wrote {file}")
-        out.result({"file": file, **_document(frame)}, check_frame(frame))
+        checks = check_frame(frame)
+        sound = not failed(checks)
+        if sound:
+            frame.save(file)
+        out.say(f"written: {file}" if sound else f"{file} was not written: a check failed")
+        out.result({"file": file if sound else None, **_document(frame)}, checks)
 
 
-@app.command("show")
+@app.command("show", epilog=example("sightline frame show gamma --picture out/plates.png"))
 def show(
     frame: FrameSource,
     *,
-    picture: Annotated[Path | None, typer.Option(help="Write a PNG of the plates.")] = None,
+    picture: Annotated[Path | None, typer.Option(help="Write a PNG of the plates to this file.")] = None,
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Show the plates, datums, tolerances and reach of a frame."""
+    """Show plates, datums, tolerances and reach of a frame."""
     with Output(json=json, quiet=quiet) as out:
         from sightline.frame import Frame
 
@@ -81,21 +101,24 @@ def show(
             from sightline.frame.drawing import draw_frame
 
             draw_frame(loaded, picture)
-            out.say(f"wrote {picture}")
+            out.say(f"written: {picture}")
         out.result(document)
 
 
-@app.command("check")
+@app.command("check", epilog=example("sightline frame check gamma"))
 def check(
     frame: FrameSource,
     *,
     before: Annotated[
-        str | None, typer.Option(help="The file of the same frame before this one: a mirror image of it is told.")
+        str | None, typer.Option(help="Earlier file of the same frame: fail if the new one is its mirror image.")
     ] = None,
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Say what is wrong with a frame; exit code 3 where anything is."""
+    """Check a frame.
+
+    Exit code 3 if a check fails.
+    """
     with Output(json=json, quiet=quiet) as out:
         from sightline.frame import Frame
         from sightline.frame.check import check_frame
@@ -148,7 +171,7 @@ def _plate_document(name: str, role: str, view: "FrameView", plate: "Plate") -> 
 
     try:
         normal, reach = plate.plane.normal, reach_mm(view, plate)
-    except UnusableInputError:  # beads on a line: `frame check` says so
+    except UnusableInputError:  # the beads are on one line; `frame check` reports it
         normal = reach = None
     return {
         "view": name,
@@ -177,17 +200,17 @@ def _show(out: Output, frame: "Frame", document: dict[str, Any]) -> None:
             for plate in document["plates"]
         ],
     )
-    out.say("reach: how far the ends of a 95 mm wire at 45° at the hip may stray inside the beads' hull")
-    out.say(f"tolerances (1 s.d.) from {document['tolerances_from']}")
+    out.say("reach: how far the ends of a 95 mm wire at 45° may move at the hip inside the beads' convex hull")
+    out.say(f"tolerances (1 s.d.): from {document['tolerances_from']}")
     if (use := frame.in_use) is not None:
         out.say(
-            f"use adds (1 s.d.): {use.warmer_k:g} K of heat, {100 * use.water_share:g} % of water, "
+            f"handling adds (1 s.d.): {use.warmer_k:g} K of heat, {100 * use.water_share:g} % of water, "
             f"{use.drape_n:g} N of drapes"
         )
     if (sd := document["tolerances"]) is not None:
         out.table(
             "Tolerances",
-            ("of", "shift mm", "turn mrad"),
+            ("of", "shift mm", "rotation mrad"),
             [
                 ("bead", sd.bead_mm, None),
                 ("plate", sd.plate_mm, 1e3 * sd.plate_rad),

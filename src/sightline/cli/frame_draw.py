@@ -1,26 +1,29 @@
-"""`sightline frame draw`: drawings, bill and inspection sheet for the workshop that makes a frame."""
+"""`sightline frame draw`: drawings, bill of material and inspection sheet for the workshop."""
 
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from sightline.cli.output import Json, Output, Quiet
+from sightline.cli.output import Json, Output, Quiet, example
 
 
 def register(app: typer.Typer) -> None:
     """Add the command to `sightline frame`."""
-    app.command("draw")(draw)
+    app.command("draw", epilog=example("sightline frame draw gamma --out out/drawings"))(draw)
 
 
 def draw(
-    frame: Annotated[str, typer.Argument(metavar="FRAME", help='Frame file, or "gamma", "biplane", "stereo".')],
+    frame: Annotated[str, typer.Argument(metavar="FRAME", help="A frame file, gamma, biplane or stereo.")],
     *,
-    out: Annotated[Path, typer.Option(help="Folder to write into.")],
+    out: Annotated[Path, typer.Option(help="Folder for the files.")],
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Write what a workshop needs to make a frame: SVG, DXF, STL of each plate, bill of material, inspection sheet."""
+    """Write the drawings that a workshop needs.
+
+    SVG, DXF and STL of each plate, a bill of material and an inspection sheet.
+    """
     with Output(json=json, quiet=quiet) as output:
         from sightline.frame import Frame
         from sightline.frame.bill import bill_rows
@@ -32,7 +35,7 @@ def draw(
             files = write_workshop(loaded, out)
         parts = parts_of(loaded)
         output.table("Bill of material", ("item", "number", "material", "remark"), bill_rows(parts))
-        output.say(f"wrote {len(files)} files into {out}")
+        output.say(f"written: {len(files)} files in {out}")
         document = [
             {
                 "plate": part.name,

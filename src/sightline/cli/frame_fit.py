@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from sightline.cli.output import Json, Output, Quiet
+from sightline.cli.output import Json, Output, Quiet, example
 
 if TYPE_CHECKING:
     from sightline.frame.fit import FittedFrame
@@ -16,26 +16,36 @@ _SHOWN = 8  # balls in the table; --json has them all
 
 def register(app: typer.Typer) -> None:
     """Add the command to `sightline frame`."""
-    app.command("fit")(fit)
+    epilog = example("sightline frame fit measured.csv --frame gamma --out gamma-07.json --serial 07")
+    app.command("fit", epilog=epilog)(fit)
 
 
 def fit(
-    measurements: Annotated[Path, typer.Argument(help="Measured balls, CSV (docs/own-frame.md).")],
+    measurements: Annotated[Path, typer.Argument(help="CSV of measured balls (docs/own-frame.md).")],
     *,
-    frame: Annotated[str, typer.Option(help="The frame as it was to be: a file, or gamma, biplane, stereo.")],
-    out: Annotated[Path, typer.Option(help="The frame file to write.")],
-    covariance: Annotated[Path | None, typer.Option(help="Full covariance of all coordinates, CSV, mm².")] = None,
-    serial: Annotated[str | None, typer.Option(help="Which frame of this kind it is.")] = None,
-    measured_on: Annotated[datetime | None, typer.Option(formats=["%Y-%m-%d"], help="Day of the measurement.")] = None,
-    temperature_c: Annotated[float | None, typer.Option(help="How warm the frame was.")] = None,
-    use_temperature_c: Annotated[float | None, typer.Option(help="How warm it will be: the plates grow to it.")] = None,
+    frame: Annotated[str, typer.Option(help="The frame as designed: a frame file, gamma, biplane or stereo.")],
+    out: Annotated[Path, typer.Option(help="Frame file to write.")],
+    covariance: Annotated[
+        Path | None, typer.Option(help="CSV with the full covariance of all coordinates, mm².")
+    ] = None,
+    serial: Annotated[str | None, typer.Option(help="Serial number of the frame.")] = None,
+    measured_on: Annotated[datetime | None, typer.Option(formats=["%Y-%m-%d"], help="Date of the measurement.")] = None,
+    temperature_c: Annotated[
+        float | None, typer.Option(help="Temperature of the frame when it was measured, °C.")
+    ] = None,
+    use_temperature_c: Annotated[
+        float | None, typer.Option(help="Temperature in use, °C; the plates are scaled to it.")
+    ] = None,
     drift_mm: Annotated[
-        float, typer.Option(help="How far a plate may move until it is used, 1 s.d. per axis: heat, water, drapes.")
+        float, typer.Option(help="Movement of a plate until it is used, 1 s.d. per axis, mm: heat, moisture, drapes.")
     ] = 0.05,
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Adjust a frame to measurements of its balls, find what is wrong with them, and write the measured frame."""
+    """Make a frame file from measured balls.
+
+    The frame is adjusted to the measurements. Where a check fails, nothing is written (exit code 3).
+    """
     with Output(json=json, quiet=quiet) as output:
         from sightline.errors import FrameError
         from sightline.frame import Frame
@@ -58,7 +68,7 @@ def fit(
                 output.say(
                     f"plates grown by {1e6 * told.growth:.0f} ppm, from {temperature_c:g} to {use_temperature_c:g} °C"
                 )
-            output.say(f"wrote {out}")
+            output.say(f"written: {out}")
         output.result({"file": out if fitted.frame else None, "growth": told.growth, **document}, fitted.checks)
 
 
@@ -117,8 +127,8 @@ def _show(output: Output, document: dict[str, Any]) -> None:
     if "plates" not in document:
         return
     output.table(
-        "Plates, measured less frame file",
-        ("view", "plate", "balls", "shift mm", "turn mrad", "growth ppm", "drilling mm", "across mm"),
+        "Plates, measured minus frame file",
+        ("view", "plate", "balls", "shift mm", "rotation mrad", "growth ppm", "drilling mm", "across mm"),
         [
             (
                 p["view"],
@@ -135,7 +145,7 @@ def _show(output: Output, document: dict[str, Any]) -> None:
     )
     output.table(
         f"Balls furthest from where the others put them (of {len(document['balls'])})",
-        ("ball", "measured less file mm", "sd mm", "s.d. off"),
+        ("ball", "measured minus file mm", "sd mm", "off by s.d."),
         [
             (
                 ball["id"],
@@ -148,10 +158,10 @@ def _show(output: Output, document: dict[str, Any]) -> None:
     )
     fle = document["fle_mm"]
     output.say(
-        f"FLE: balls lie {fle['from_nominal_rms']:.3f} mm rms from the frame file and are now known to "
+        f"FLE: the balls are {fle['from_nominal_rms']:.3f} mm rms from the frame file and are now known to "
         f"{fle['measured_rms']:.4f} mm rms; drilling {fle['manufacturing_per_axis']:.4f} mm per axis"
     )
     if (instrument := fle["instrument_per_axis"]) is not None:
-        output.say(f"the repeats show an instrument of {instrument:.4f} mm per axis")
+        output.say(f"the repeated measurements show an instrument error of {instrument:.4f} mm per axis")
     if missing := document["missing"]:
-        output.say(f"not measured, placed by the others: {', '.join(missing)}")
+        output.say(f"not measured, positions computed from the other balls: {', '.join(missing)}")

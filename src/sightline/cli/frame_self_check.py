@@ -1,11 +1,12 @@
-"""`sightline frame self-check`: what several images of one frame say of it."""
+"""`sightline frame self-check`: check a frame by several images of itself."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from sightline.cli.output import Json, Output, Quiet
+from sightline.cli.detect import Invert
+from sightline.cli.output import Json, Output, Quiet, example
 
 if TYPE_CHECKING:
     from sightline.calibration.self_check import SelfCheck
@@ -13,23 +14,32 @@ if TYPE_CHECKING:
     from sightline.frame import Frame
 
 _SHOWN = 8  # balls in the table; --json has them all
-_UNSEEN = 0.9  # [ours] share of an error's s.d. left by the images above which they say nothing of it
+_UNSEEN = 0.9  # an error whose s.d. the images leave above this share of its prior is not determined by them [ours]
 
 
 def register(app: typer.Typer) -> None:
     """Add the command to `sightline frame`."""
-    app.command("self-check")(self_check)
+    epilog = example("sightline frame self-check 1.dcm 2.dcm 3.dcm 4.dcm --frame gamma")
+    app.command("self-check", epilog=epilog)(self_check)
 
 
 def self_check(
-    images: Annotated[list[Path], typer.Argument(help="4 images or more, or observations as CSV; the C-arm moved.")],
+    images: Annotated[
+        list[Path], typer.Argument(help="4 or more images, or observations as CSV, with the C-arm moved between them.")
+    ],
     *,
-    frame: Annotated[str, typer.Option(help="The frame in them: a file, or gamma, biplane, stereo.")] = "gamma",
-    out: Annotated[Path | None, typer.Option(help="Write the frame as the images have it.")] = None,
+    frame: Annotated[
+        str, typer.Option(help="The frame in the images: a frame file, gamma, biplane or stereo.")
+    ] = "gamma",
+    out: Annotated[Path | None, typer.Option(help="Write the frame as the images show it to this file.")] = None,
+    invert: Invert = False,
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Measure a frame by its own images: balls beyond their tolerance, plates that are turned, what cannot be seen."""
+    """Check a frame by several images of itself.
+
+    Finds balls beyond their tolerance and rotated plates, and says which errors images cannot show.
+    """
     with Output(json=json, quiet=quiet) as output:
         from sightline.calibration.self_check import self_check as adjust
         from sightline.errors import FrameError
@@ -39,9 +49,9 @@ def self_check(
             raise FrameError(f"{out.name} exists; remove it, or name another file")
         known = Frame.load(frame)
         seen: list[Observations] = []
-        with output.progress("finding and telling apart the beads", len(images)) as advance:
+        with output.progress("finding and labelling the beads", len(images)) as advance:
             for path in images:
-                seen += _see(path, known)
+                seen += _see(path, known, invert=invert)
                 advance()
         with output.step("adjusting all images together"):
             found = adjust(seen, known)
@@ -50,26 +60,26 @@ def self_check(
         written = out if out is not None and all(check.passed for check in found.checks) else None
         if written is not None:
             found.frame.save(written)
-            output.say(f"wrote {written}")
+            output.say(f"written: {written}")
         output.result({"file": written, "images": len(seen), **document}, found.checks)
 
 
-def _see(path: Path, frame: "Frame") -> "list[Observations]":
-    """One view of an image; of observations in CSV all that the file holds."""
+def _see(path: Path, frame: "Frame", *, invert: bool) -> "list[Observations]":
+    """Return the labelled beads of an image, or all views of a CSV file."""
     if path.suffix.lower() == ".csv":
         from sightline.detection.files import read_observations
 
         return list(read_observations(path).values())
     from sightline.case.views import see
 
-    return [see(path, frame).observations]
+    return [see(path, frame, invert=invert).observations]
 
 
 def _document(found: "SelfCheck") -> dict[str, Any]:
     from sightline.calibration.plate_motion import MOTIONS
     from sightline.frame.deviations import fiducials
 
-    beside = found.in_plate
+    in_plate = found.in_plate
     return {
         "misplaced": found.misplaced,
         "focal_points_mm": found.focal_points_mm,
@@ -96,9 +106,9 @@ def _document(found: "SelfCheck") -> dict[str, Any]:
                 fiducials(found.frame),
                 found.images,
                 found.moved_mm,
-                beside.moved_mm,
-                beside.prior_sd_mm,
-                beside.sd_mm,
+                in_plate.moved_mm,
+                in_plate.prior_sd_mm,
+                in_plate.sd_mm,
                 found.sigma,
                 strict=True,
             )
@@ -125,7 +135,7 @@ def _show(output: Output, document: dict[str, Any]) -> None:
     )
     output.table(
         f"Balls furthest from where the others put them (of {len(document['balls'])}), against their plate",
-        ("ball", "images", "moved mm", "sd mm", "s.d. off"),
+        ("ball", "images", "moved mm", "sd mm", "off by s.d."),
         [
             (
                 ball["id"],

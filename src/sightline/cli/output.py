@@ -1,4 +1,4 @@
-"""What commands print, in one place: tables for people, one JSON document for machines, errors as exit codes."""
+"""What commands print: tables for people, one JSON document for machines, errors as exit codes."""
 
 import os
 import sys
@@ -29,12 +29,17 @@ _REFUSED, _BUG = 3, 1
 _INTERRUPTED, _TERMINATED = 130, 143  # 128 + SIGINT, 128 + SIGTERM, as shells expect
 
 
+def example(*lines: str) -> str:
+    """Return the end of a command's help: command lines that a person can copy, not wrapped."""
+    return "\b\n" + "\n".join(["Example:", *lines])
+
+
 class Terminated(KeyboardInterrupt):
-    """SIGTERM came; handled wherever Ctrl-C is."""
+    """SIGTERM, handled wherever Ctrl-C is."""
 
 
 class Output:
-    """The outside of one command: results go to stdout, progress and errors to stderr.
+    """The output of one command: results go to stdout, progress and errors to stderr.
 
     With `json`, stdout holds exactly one JSON document: the result, or {"error": {"type", "message"}}. Leaving the
     `with` block turns a SightlineError into its message and exit code, and anything unexpected into one line that
@@ -50,12 +55,12 @@ class Output:
         return self
 
     def step(self, text: str) -> "_Step":
-        """`with out.step("finding beads"):` says what is being done, and afterwards how long it took."""
+        """`with out.step("finding beads"):` shows the step while it runs, and its time afterwards."""
         return _Step(None if self._silent else _console(stderr=True), text)
 
     @contextmanager
     def progress(self, text: str, total: int) -> Iterator[Callable[[], None]]:
-        """`with out.progress("trials", 200) as advance:` shows a bar; call `advance()` after each of `total` pieces."""
+        """`with out.progress("trials", 200) as advance:` shows a bar; call `advance()` after each item."""
         from rich.progress import Progress
 
         with Progress(console=_console(stderr=True), transient=True, disable=self._silent) as bar:
@@ -63,23 +68,23 @@ class Output:
             yield lambda: bar.advance(task)
 
     def note(self, text: str) -> None:
-        """A line on stderr, for people."""
+        """Print a line on stderr, for people."""
         if not self._silent:
             _console(stderr=True).print(text, markup=False, highlight=False)
 
     def say(self, text: str) -> None:
-        """A line of the result, for people; the terminal wraps it, so that a path stays one word."""
+        """Print a line of the result, for people; the terminal wraps it, so that a path stays one word."""
         if not self._silent:
             _console().print(text, markup=False, highlight=False, soft_wrap=True)
 
     def table(self, title: str, columns: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
-        """A table of the result, for people; None is shown as a dash."""
+        """Print a table of the result, for people; None is shown as a dash."""
         if not self._silent:
             _console().print(_table(title, columns, rows))
 
     @contextmanager
     def live(self, title: str, columns: Sequence[str]) -> Iterator[Callable[[Iterable[Sequence[object]]], None]]:
-        """`with out.live("Watching", ("", "")) as show:` a table, for people, that each `show(rows)` replaces."""
+        """`with out.live("Watching", ("", "")) as show:` shows a table, for people, that each `show(rows)` replaces."""
         from rich.live import Live
 
         if self._silent:
@@ -89,7 +94,7 @@ class Output:
             yield lambda rows: shown.update(_table(title, columns, rows))
 
     def line(self, document: dict[str, Any]) -> None:
-        """One of many results, as it comes: with --json, a line of its own before the document."""
+        """Print one of many results at once: with --json, a line of its own before the document."""
         if self._json:
             typer.echo(as_json(document))
 
@@ -119,8 +124,8 @@ class Output:
             self._fail("Interrupted", "stopped by the keyboard", _INTERRUPTED)
         elif isinstance(error, SightlineError):
             self._fail(type(error).__name__, str(error), error.exit_code)
-        elif isinstance(error, OSError) and (said := _said_of_a_disk(error)):
-            self._fail("UnusableInputError", said, UnusableInputError.exit_code)
+        elif isinstance(error, OSError) and (message := _disk_error(error)):
+            self._fail("UnusableInputError", message, UnusableInputError.exit_code)
         elif isinstance(error, Exception) and not isinstance(error, _PASSED_ON):
             if os.environ.get("SIGHTLINE_DEBUG"):
                 traceback.print_exception(error, file=sys.stderr)
@@ -140,22 +145,25 @@ class Output:
 
 
 def as_json(value: Any) -> str:
-    """JSON of plain values, arrays, dataclasses and paths. None is null; a value that is not finite is a bug."""
+    """Return JSON of plain values, arrays, dataclasses and paths.
+
+    None is null. Raises ValueError for a number that is not finite, which is a bug.
+    """
     from sightline.case.canonical import plain
 
     return dumps(plain(value), allow_nan=False, default=_path)
 
 
-def _said_of_a_disk(error: OSError) -> str:
-    """What a disk refuses, without the file's name, which may be a patient's; "" where no disk is to blame."""
+def _disk_error(error: OSError) -> str:
+    """Return the message of a disk error without the file's name, which may be a patient's; "" for other errors."""
     from sightline.atomic import advice, is_of_a_disk
 
-    return f"the disk refuses: {error.strerror}; {advice(error)}" if is_of_a_disk(error) else ""
+    return f"disk error: {error.strerror}; {advice(error)}" if is_of_a_disk(error) else ""
 
 
 def _path(value: Any) -> str:
     if not isinstance(value, Path):
-        raise TypeError(f"{type(value).__name__} is no JSON")
+        raise TypeError(f"{type(value).__name__} cannot be written as JSON")
     return str(value)
 
 
@@ -173,7 +181,7 @@ def _table(title: str, columns: Sequence[str], rows: Iterable[Sequence[object]])
 
 
 class _Step:
-    """A piece of work with its name and, afterwards, its time."""
+    """A step of work: its name while it runs, its time afterwards."""
 
     def __init__(self, console: "Console | None", text: str) -> None:
         self._console, self._text = console, text
@@ -195,7 +203,7 @@ class _Step:
 
 
 def _console(*, stderr: bool = False) -> "Console":
-    """Made anew each time, so that it writes to the stream that is in place now."""
+    """Return a console on the current stream; tests replace the streams."""
     from rich.console import Console
 
     return Console(stderr=stderr)

@@ -9,7 +9,7 @@ import typer
 
 from sightline.cli.calibrate import PixelSize, Sid
 from sightline.cli.detect import Invert
-from sightline.cli.output import Json, Output, Quiet
+from sightline.cli.output import Json, Output, Quiet, example
 
 if TYPE_CHECKING:
     from sightline.calibration import CalibratedView
@@ -37,7 +37,12 @@ PICK_HELP = (
 
 def register(app: typer.Typer) -> None:
     """Add the command."""
-    app.command("plan")(plan)
+    epilog = example(
+        "sightline plan demo_pa.dcm demo_lateral.dcm --kind free-wire --snap \\",
+        "  --entry 'pa:161.8,689.3 lateral:683.9,692.2' \\",
+        "  --end 'pa:818.0,366.3 lateral:377.8,275.7' --out out/plan",
+    )
+    app.command("plan", epilog=epilog)(plan)
 
 
 def plan(
@@ -82,7 +87,10 @@ def plan(
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Plan a wire on two images: trajectory, 95 % error bounds, GO; NO-GO or INCOMPLETE (exit code 3)."""
+    """Plan a wire on two images.
+
+    Gives the trajectory, its 95 % error bounds and the verdict: GO, or NO-GO or INCOMPLETE (exit code 3).
+    """
     with Output(json=json, quiet=quiet) as output:
         points = [parse_point(entry, "--entry"), parse_point(end, "--end")]
         names, landmarks = zip(*map(parse_landmark, landmark or []), strict=True) if landmark else ((), ())
@@ -97,7 +105,7 @@ def plan(
         from sightline.planning import plan as make_plan
 
         known_frame = Frame.load(frame)
-        with output.step("finding and telling apart the beads"):
+        with output.step("finding and labelling the beads"):
             seen = see_pair(pa, lateral, known_frame, invert=invert)
         with output.step(f"calibrating both views ({method})"):
             images = calibrate_pair(seen, known_frame, method, mirrored or (), source_detector_mm=sid, pixel_mm=pixel)

@@ -1,5 +1,4 @@
-"""`sightline robot serve | check | calibrate | register | drive | reset`: the simulated robot, and any robot behind an
-address."""
+"""`sightline robot serve | check | calibrate | register | drive | reset`: a simulated robot, or one at an address."""
 
 import os
 from contextlib import ExitStack
@@ -9,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from sightline.cli.output import Json, Output, Quiet, as_json
+from sightline.cli.output import Json, Output, Quiet, as_json, example
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -22,21 +21,19 @@ if TYPE_CHECKING:
     from sightline.robot.link.client import RobotClient
     from sightline.robot.link.server import RobotServer
 
-app = typer.Typer(
-    no_args_is_help=True, help="Serve a simulated robot; check, calibrate, register, drive and reset any."
-)
+app = typer.Typer(no_args_is_help=True, help="Simulate, check, calibrate or drive a robot.")
 
 SERIAL = "simulated"
-Address = Annotated[str, typer.Argument(metavar="HOST:PORT", help="Where the robot listens.")]
+Address = Annotated[str, typer.Argument(metavar="HOST:PORT", help="Address of the robot.")]
 Side = Annotated[Literal["right", "left"], typer.Option(help="The patient's side.")]
 Serial = Annotated[
-    str | None, typer.Option(help=f"Serial of the frame on the flange, {SERIAL!r} unless told.", show_default=False)
+    str | None, typer.Option(help=f"Serial of the frame on the flange; by default {SERIAL!r}.", show_default=False)
 ]
 Seed = Annotated[
-    int | None, typer.Option(min=0, help="Rehearse the patient of this seed, whose images `sightline demo` writes.")
+    int | None, typer.Option(min=0, help="Rehearse on the patient of this seed, whose images `sightline demo` writes.")
 ]
-FrameName = Annotated[str, typer.Option(help="The rehearsal's frame: a file, or gamma, biplane, stereo.")]
-Yes = Annotated[bool, typer.Option("--yes", help="Ask nothing. Simulators only.")]
+FrameName = Annotated[str, typer.Option(help="Frame of the rehearsal: a frame file, gamma, biplane or stereo.")]
+Yes = Annotated[bool, typer.Option("--yes", help="Answer yes to every question; simulators only.")]
 
 
 def register(parent: typer.Typer) -> None:
@@ -44,32 +41,38 @@ def register(parent: typer.Typer) -> None:
     parent.add_typer(app, name="robot")
 
 
-@app.command("serve")
+@app.command("serve", epilog=example("sightline robot serve --rehearse 9 --side right"))
 def serve(
     *,
-    port: Annotated[int, typer.Option(help="0 takes a free one.")] = 18936,
-    host: Annotated[str, typer.Option(help="Address to listen at: who reaches it can move it.")] = "127.0.0.1",
+    port: Annotated[int, typer.Option(help="Port to listen at; 0 takes a free one.")] = 18936,
+    host: Annotated[
+        str, typer.Option(help="Address to listen at. Anyone who can reach it can move the robot.")
+    ] = "127.0.0.1",
     side: Side = "right",
     frame_serial: Serial = None,
     rehearse: Seed = None,
     frame: FrameName = "gamma",
     dialect: Annotated[
-        Literal["sightline", "brp2013"], typer.Option(help="brp2013: for clients of the convention of 2013 alone.")
+        Literal["sightline", "brp2013"],
+        typer.Option(help="brp2013: for clients that know only the convention of 2013."),
     ] = "sightline",
     virtual: Annotated[
-        bool, typer.Option("--virtual", help="As fast as it computes, for clients without heartbeats.")
+        bool, typer.Option("--virtual", help="Run as fast as the machine computes, for clients without heartbeats.")
     ] = False,
     attached: Annotated[
         bool,
         typer.Option(
             "--attached",
-            help='For programs: first line {"port": N}; ends when standard input does, as with its parent.',
+            help='For programs: print {"port": N} first; end when standard input ends.',
         ),
     ] = False,
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Serve a simulated robot until Ctrl-C: its wire in air, or in the bone of a rehearsal."""
+    """Run a simulated robot until Ctrl-C.
+
+    Its wire moves in air, or with --rehearse in a simulated bone.
+    """
     with Output(json=json, quiet=quiet) as out:
         from sightline.robot.link.dialect import DIALECTS
         from sightline.robot.link.server import tune_process
@@ -77,7 +80,7 @@ def serve(
         theatre = _theatre(side, frame_serial, rehearse, frame)
         tune_process()
         with theatre.server(host=host, port=port, virtual=virtual, dialect=DIALECTS[dialect]) as server:
-            out.say(f"a simulated robot listens at {host}:{server.port}; stop it with Ctrl-C")
+            out.say(f"the simulated robot listens at {host}:{server.port}; stop with Ctrl-C")
             if attached:
                 typer.echo(as_json({"port": server.port}))
                 Thread(target=_close_with_stdin, args=(server,), name="stdin", daemon=True).start()
@@ -89,16 +92,19 @@ def serve(
         out.result({"port": server.port, "cycles": cycles.count, "late": cycles.missed, "worst_s": cycles.worst_s})
 
 
-@app.command("check")
+@app.command("check", epilog=example("sightline robot check 127.0.0.1:18936"))
 def check(
     address: Address,
     *,
-    dry_run: Annotated[bool, typer.Option(help="Also align in air, without drilling; asks first.")] = True,
+    dry_run: Annotated[bool, typer.Option(help="Also align in air, without drilling; a person confirms first.")] = True,
     yes: Yes = False,
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Ask a robot whether it keeps the contract of docs/robot-link.md; exit code 3 where it does not."""
+    """Check that a robot follows docs/robot-link.md.
+
+    Exit code 3 if it does not.
+    """
     wrong: list[str] = []
     with Output(json=json, quiet=quiet) as out:
         from sightline.robot.link.conformance.examination import Examination, Verdict
@@ -106,7 +112,7 @@ def check(
 
         tune_process()
         with Examination(*parse_address(address)) as robot:
-            with out.step("asking"):
+            with out.step("asking the robot"):
                 findings = robot.examine()
             if dry_run and _agreed(robot.simulated, yes, "The robot will move: it aligns in air. Is it clear?"):
                 with out.step("dry run"):
@@ -115,22 +121,25 @@ def check(
         out.table(f"Robot at {address}", ("question", "", "seen"), rows)
         wrong = [finding.name for finding in findings if finding.verdict is Verdict.FAILED]
         if wrong:
-            out.note(f"the robot does not keep the contract: {'; '.join(wrong)}")
+            out.note(f"the robot does not follow docs/robot-link.md: {'; '.join(wrong)}")
         named = ("name", "verdict", "seen")
         out.result({"conforms": not wrong, "findings": [dict(zip(named, row, strict=True)) for row in rows]})
     if wrong:
         raise typer.Exit(3)
 
 
-@app.command("calibrate")
+@app.command("calibrate", epilog=example("sightline robot calibrate measured.json --out robot.json"))
 def calibrate(
-    measurements: Annotated[Path, typer.Argument(help="What was measured on the robot, JSON: docs/real-robot.md.")],
+    measurements: Annotated[Path, typer.Argument(help="JSON of measurements on the robot (docs/real-robot.md).")],
     *,
-    out_file: Annotated[Path, typer.Option("--out", help="The robot's file.")] = Path("robot.json"),
+    out_file: Annotated[Path, typer.Option("--out", help="Robot file to write.")] = Path("robot.json"),
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Calibrate a robot from measurements of its axes, its frame and its wire, and write its file."""
+    """Calibrate a robot from measurements.
+
+    Axes, frame and wire are measured; the result is the robot file that register and drive need.
+    """
     with Output(json=json, quiet=quiet) as out:
         from sightline.robot.kinematics.measured import Measurements, RobotFile
 
@@ -144,17 +153,23 @@ def calibrate(
         out.result({"file": str(out_file), "residual_rms_mm": rms, "robot_serial": robot.robot_serial})
 
 
-@app.command("register")
+_REGISTER = "sightline robot register robot.json 127.0.0.1:18936 --view pa --image pa.dcm"
+
+
+@app.command("register", epilog=example(_REGISTER))
 def register_image(
-    robot_file: Annotated[Path, typer.Argument(help="The robot's file, of `sightline robot calibrate`.")],
+    robot_file: Annotated[Path, typer.Argument(help="Robot file of `sightline robot calibrate`.")],
     address: Address,
     *,
-    view: Annotated[Literal["pa", "lateral"], typer.Option(help="Which image is taken.")],
-    image: Annotated[Path, typer.Option(help="Its file, once it is taken: the one that the plan is made on.")],
+    view: Annotated[Literal["pa", "lateral"], typer.Option(help="View of the image.")],
+    image: Annotated[Path, typer.Option(help="File of the image, once it is taken; the plan must be made on it.")],
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Read the robot's joints at the moment of an image, and keep them in its file: once for each view."""
+    """Record the robot's joints at an image.
+
+    Once for each view. The joints are kept in the robot file.
+    """
     with Output(json=json, quiet=quiet) as out:
         import time
 
@@ -168,25 +183,29 @@ def register_image(
         known.refuse_old(time.time())
         with RobotClient(*parse_address(address), heartbeat=False, streams=False) as robot:
             before = robot.joints()[0]
-            question = f"Robot {known.robot_serial} stands still. Take the {view} image now; is it in {image.name}?"
+            question = (
+                f"Take the {view} image now; robot {known.robot_serial} must not move. Is the image in {image.name}?"
+            )
             if not _said_yes(question):
-                raise RobotRefusedError("no image was taken; nothing was registered")
+                raise RobotRefusedError("no image was taken, so nothing was registered; run the command again")
             q, now = robot.joints()[0], time.time()
         known.refuse_moved(before, q)
-        read_image(image, 0)  # or what is registered is not an image
+        read_image(image, 0)  # raises if it is not an image
         source = called(image)
         known.at_image(view, q, now, source).write(robot_file)
-        out.say(f"the {view} image: joints {', '.join(f'{one:.3f}' for one in q)} (mm, rad)")
+        out.say(f"joints at the {view} image: {', '.join(f'{one:.3f}' for one in q)} (mm, rad)")
         out.result({"file": str(robot_file), "view": view, "joints": q, "read_s": now, "source": source})
 
 
-@app.command("drive")
+@app.command("drive", epilog=example("sightline robot drive out/plan/plan.json --rehearse 9"))
 def drive(
-    plan: Annotated[Path, typer.Argument(help="plan.json, as `sightline plan --out` writes it.")],
-    address: Annotated[str | None, typer.Argument(metavar="[HOST:PORT]", help="A simulator starts by itself.")] = None,
+    plan: Annotated[Path, typer.Argument(help="plan.json of `sightline plan --out`, or its folder.")],
+    address: Annotated[
+        str | None, typer.Argument(metavar="HOST:PORT", help="Address of the robot; without it a simulator is started.")
+    ] = None,
     *,
     registration: Annotated[
-        Path | None, typer.Option(help="The robot's file with its poses at the images: a real robot needs it.")
+        Path | None, typer.Option(help="Robot file with the joints at both images; a real robot needs it.")
     ] = None,
     frame_serial: Serial = None,
     rehearse: Seed = None,
@@ -195,8 +214,11 @@ def drive(
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Drive a planned wire: align, confirm, drill, pause, confirm, drill. Asks before each motion; a real robot first
-    goes to the plan without the wire."""
+    """Drive a planned wire into the bone.
+
+    Align, confirm, drill, pause, confirm, drill. A person confirms each motion. A real robot first makes a dry run
+    without the wire.
+    """
     with Output(json=json, quiet=quiet) as out, ExitStack() as stack:
         from sightline.errors import UnusableInputError
         from sightline.robot.kinematics.measured import RobotFile
@@ -208,7 +230,7 @@ def drive(
         stood = None if registration is None else RobotFile.read(registration)
         if address is None:
             if stood is not None:
-                raise UnusableInputError("--registration is of a robot that stands somewhere: give its HOST:PORT")
+                raise UnusableInputError("--registration belongs to a robot at an address; give its HOST:PORT")
             with out.step("starting a simulator"):
                 theatre = _theatre(known.side or "", frame_serial, rehearse, frame)
             frame_serial = theatre.setup.frame_serial
@@ -216,10 +238,10 @@ def drive(
             robot = stack.enter_context(RobotClient(port=server.port, heartbeat=False))
         elif rehearse is not None:
             raise UnusableInputError(
-                "--rehearse starts a simulator by itself; leave it or the address out, and state --frame-serial"
+                "--rehearse starts a simulator and takes no address; leave out one of them, and state --frame-serial"
             )
         elif stood is not None and frame_serial is not None:
-            raise UnusableInputError("the robot's file names its frame; leave out --frame-serial")
+            raise UnusableInputError("the robot file states the frame's serial; leave out --frame-serial")
         else:
             robot = stack.enter_context(RobotClient(*parse_address(address)))
         _refuse_yes(robot.simulated, yes)
@@ -237,16 +259,19 @@ def drive(
             with out.step(name):
                 go()
         state, tip_mm = robot.status().text.split(";")[0], robot.position().translation
-        out.say(f"the robot is in {state}")
+        out.say(f"state of the robot: {state}")
         told = {"state": state, "tip_mm": tip_mm, "end_mm": known.points_mm[1]}
         if rehearse is not None:
             told["true_wire_mm"] = robot.simulated_wire().axis_mm
         out.result(told)
 
 
-@app.command("reset")
+@app.command("reset", epilog=example("sightline robot reset 127.0.0.1:18936"))
 def reset(address: Address, *, json: Json = False, quiet: Quiet = False) -> None:
-    """Reset a robot after a fault: shows the fault, asks a person, and sends its number."""
+    """Reset a robot after a fault.
+
+    Shows the fault and asks a person to confirm before it is reset.
+    """
     with Output(json=json, quiet=quiet) as out:
         from sightline.errors import RobotRefusedError
         from sightline.robot.link.client import RobotClient
@@ -254,26 +279,26 @@ def reset(address: Address, *, json: Json = False, quiet: Quiet = False) -> None
         with RobotClient(*parse_address(address), heartbeat=False, streams=False) as robot:
             status = robot.status()
             if not status.subcode:
-                raise RobotRefusedError(f"there is no fault to reset; the robot is in {status.error_name}")
+                raise RobotRefusedError(f"there is no fault to reset; state of the robot: {status.error_name}")
             typer.echo(f"{status.text}", err=True)
-            typer.confirm("Have you seen to it, at the robot?", abort=True, err=True)
+            typer.confirm("Have you removed the cause at the robot?", abort=True, err=True)
             robot.reset(status.subcode)
-            out.say(f"fault {status.subcode} is reset; the robot is in {robot.status().error_name}")
+            out.say(f"fault {status.subcode} is reset; state of the robot: {robot.status().error_name}")
         out.result({"fault": status.subcode, "text": status.text})
 
 
 def parse_address(text: str) -> tuple[str, int]:
-    """'host:port'. Raises UnusableInputError."""
+    """Return host and port of 'HOST:PORT'. Raises UnusableInputError."""
     from sightline.errors import UnusableInputError
 
     host, _, port = text.rpartition(":")
     if not host or not (port.isascii() and port.isdigit() and 0 < int(port) < 65536):
-        raise UnusableInputError(f"{text!r} is no address; write HOST:PORT, for example 127.0.0.1:18936")
+        raise UnusableInputError(f"{text!r} is not an address; write HOST:PORT, for example 127.0.0.1:18936")
     return host, int(port)
 
 
 def read_plan(file: Path) -> "PlanFile":
-    """A plan that a robot may be sent. Raises UnusableInputError, RobotRefusedError."""
+    """Return a plan that may be sent to a robot. Raises UnusableInputError, RobotRefusedError."""
     from sightline.case.interop.plan_file import PlanFile
 
     plan = PlanFile.read(file)
@@ -282,14 +307,14 @@ def read_plan(file: Path) -> "PlanFile":
 
 
 def _theatre(side: str, frame_serial: str | None, rehearse: int | None, frame: str) -> "Theatre":
-    """A robot in air, or before the bone of a rehearsal. Raises UnusableInputError, SetUpError."""
+    """Return a robot in air, or at the bone of a rehearsal. Raises UnusableInputError, SetUpError."""
     from sightline.errors import UnusableInputError
     from sightline.rehearsal.operation import Theatre
 
     if rehearse is None:
         return Theatre.in_air(side, frame_serial or SERIAL)
     if frame_serial is not None:
-        raise UnusableInputError("a rehearsal takes the serial of its frame; leave out --frame-serial")
+        raise UnusableInputError("--rehearse uses the serial of its own frame; leave out --frame-serial")
     from sightline.frame import Frame
     from sightline.rehearsal.procedure import Rehearsal
 
@@ -297,7 +322,10 @@ def _theatre(side: str, frame_serial: str | None, rehearse: int | None, frame: s
 
 
 def _close_with_stdin(server: "RobotServer") -> None:
-    """By the file's number: a thread that waits in a Python file keeps the process from ending."""
+    """Close the server when standard input ends.
+
+    Reads the file descriptor: a thread that waits in a Python file object would keep the process from ending.
+    """
     while os.read(0, 1024):
         pass
     server.close()
@@ -307,7 +335,7 @@ _Step = tuple[str, str, "Callable[[], object]"]
 
 
 def _steps(robot: "RobotClient", target: "RobotTarget", *, known_way: bool) -> "list[_Step]":
-    """Each motion, what a person must have seen before it, and how it is told."""
+    """Return each motion: its name, the question a person must answer first, and the call that starts it."""
     import time
 
     from sightline.robot import contract
@@ -320,29 +348,36 @@ def _steps(robot: "RobotClient", target: "RobotTarget", *, known_way: bool) -> "
         return [
             (
                 "go to the target",
-                "This robot knows the convention of 2013 alone: it moves the wire to the end point at once, and no dry "
-                "run shows the way. Is it clear, and do both images show the plan as it should be?",
+                "This robot knows only the convention of 2013: it moves the wire straight to the end point, without "
+                "a dry run. Is the way clear, and is the plan right in both images?",
                 robot.align,
             )
         ]
     dry: list[_Step] = [
         (
             "dry run",
-            "Dry run: take the wire out. The arm turns to the plan, in air. Is the way clear?",
+            "Dry run: take the wire out. The arm moves to the plan in air. Is the way clear?",
             robot.align,
         ),
-        ("draw back", "Did the arm go where it should? It draws back; then put the wire in.", again),
+        ("draw back", "Did the arm reach the planned position? It will draw back; then put the wire in.", again),
     ]
     return [
         *([] if known_way else dry),
-        ("align", "The wire goes back, the arm turns, the wire stops 20 mm before bone. Is it clear?", robot.align),
+        (
+            "align",
+            "The wire draws back, the arm turns, the wire stops 20 mm before the bone. Is the way clear?",
+            robot.align,
+        ),
         ("drill", "Does the confirmation shot show the guide on the plan? The robot will drill.", robot.drill),
         ("drill on", "Does the second shot, 10 mm short of the tip, show the wire on the plan?", robot.drill),
     ]
 
 
 def _send(robot: "RobotClient", plan: "PlanFile", name: str, frame_serial: str) -> "RobotTarget":
-    """Register, aim and send. The frame is where a simulator's encoders say; a real one's images are long taken."""
+    """Register a simulator by its encoders at the images, and send it the plan.
+
+    Raises RobotRefusedError for a real robot, whose position at the images the plan does not hold.
+    """
     import time
 
     from sightline.errors import RobotRefusedError
@@ -351,21 +386,21 @@ def _send(robot: "RobotClient", plan: "PlanFile", name: str, frame_serial: str) 
 
     if not robot.simulated:
         raise RobotRefusedError(
-            "a saved plan does not say where a real robot stood at its images: give --registration, the file of "
-            "`sightline robot calibrate` and `register`"
+            "give --registration, the robot file of `sightline robot calibrate` and `register`: a plan does not say "
+            "where a real robot was at its images"
         )
     now = time.time()
     robot.start_up()
     q = robot.simulated_wire().imaged  # where it stood at the images, not where an earlier drive left it
     poses = {view: PoseAtImage(q, now, now) for view in ("pa", "lateral")}
-    # A plan for a simulator, whose images were never taken, is a new one each time.
+    # A new name each time: a robot refuses a plan that it has drilled.
     target = _target(plan, f"{name}-{now:.0f}", frame_serial, register(calibrated_robot(plan.side or ""), poses))
     _tell(robot, target, now)
     return target
 
 
 def _send_registered(robot: "RobotClient", plan: "PlanFile", name: str, stood: "RobotFile") -> "RobotTarget":
-    """The same, of a robot whose file says where it stood. Raises RobotRefusedError for another plan's."""
+    """Send the plan to a robot registered by its file. Raises RobotRefusedError where they do not belong together."""
     import time
 
     frame = plan.document.frame
@@ -409,7 +444,7 @@ def _refuse_yes(simulated: bool, yes: bool) -> None:
     from sightline.errors import RobotRefusedError
 
     if yes and not simulated:
-        raise RobotRefusedError("--yes works with simulators alone; a person must confirm each motion of a real robot")
+        raise RobotRefusedError("--yes works with simulators only; a person must confirm each motion of a real robot")
 
 
 def _agreed(simulated: bool, yes: bool, question: str) -> bool:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from sightline.cli.output import Json, Output, Quiet, as_json
+from sightline.cli.output import Json, Output, Quiet, as_json, example
 
 if TYPE_CHECKING:
     from sightline.imaging import Radiograph
@@ -18,7 +18,7 @@ SideName = Literal["right", "left"]
 
 def register(app: typer.Typer) -> None:
     """Add the command."""
-    app.command("simulate")(simulate)
+    app.command("simulate", epilog=example("sightline simulate hip --seed 3 --out out/hip"))(simulate)
 
 
 def simulate(
@@ -50,7 +50,10 @@ def simulate(
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Make the X-ray images of a frame before a simulated C-arm, and a file with their truth."""
+    """Make simulated X-ray images and their truth.
+
+    One image for each view of the frame, and truth.json beside them.
+    """
     with Output(json=json, quiet=quiet) as output:
         import numpy as np
 

@@ -1,37 +1,40 @@
-"""`sightline study`: one question asked of the twin, by many trials."""
+"""`sightline study`: measure accuracy on the twin by many trials."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from sightline.cli.output import Json, Output, Quiet, as_json
+from sightline.cli.output import Json, Output, Quiet, as_json, example
 
 if TYPE_CHECKING:
     from sightline.studies.run import Result, Run
     from sightline.studies.study import Study
 
-PRINTED = 2  # tables; all stand on the page
+PRINTED = 2  # tables on the terminal; the page has all of them
 
 
 def register(app: typer.Typer) -> None:
     """Add the command."""
-    app.command("study")(study)
+    app.command("study", epilog=example("sightline study table1 --trials 50"))(study)
 
 
 def study(
-    name: Annotated[str, typer.Argument(help="Which study; a wrong name prints them all.")],
+    name: Annotated[str, typer.Argument(help="Name of the study; a wrong name lists them all.")],
     *,
-    trials: Annotated[int, typer.Option(min=1, help="How many; more can be added later.")] = 200,
-    seed: Annotated[int, typer.Option(min=0, help="Trial k draws from the generator of [seed, k].")] = 1,
+    trials: Annotated[int, typer.Option(min=1, help="Number of trials; more can be added later.")] = 200,
+    seed: Annotated[int, typer.Option(min=0, help="Trial k draws from default_rng([seed, k]).")] = 1,
     scheduler: Annotated[
-        str | None, typer.Option(help="Address of a Dask scheduler; without it, the cores of this machine.")
+        str | None, typer.Option(help="Address of a Dask scheduler; by default the cores of this machine.")
     ] = None,
-    out: Annotated[Path | None, typer.Option(help="Folder of trials and results; out/study/NAME unless told.")] = None,
+    out: Annotated[Path | None, typer.Option(help="Folder for trials and results; by default out/study/NAME.")] = None,
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Measure accuracy on the twin; an interrupted run goes on where it stopped."""
+    """Measure accuracy on the digital twin.
+
+    An interrupted run continues where it stopped.
+    """
     with Output(json=json, quiet=quiet) as output:
         from sightline.studies.catalogue import study_called
         from sightline.studies.run import Run
@@ -44,19 +47,19 @@ def study(
             output.say(f"- {finding}")
         for table in result.summary.tables[:PRINTED]:
             output.table(table.title, table.columns, table.rows)
-        output.say(f"page: {files[0]}; figures with their intervals: {files[1]}")
+        output.say(f"page: {files[0]}; values with their intervals: {files[1]}")
         output.result({**result.document(), "files": files})
 
 
 def _do(output: Output, run: "Run", scheduler: str | None) -> "Result":
     left = len(run.missing)
     if 0 < left < run.trials:
-        output.note(f"{run.trials - left} trials were finished before; {left} are left")
+        output.note(f"{run.trials - left} trials were finished earlier; {left} remain")
     try:
         with output.progress(f"study {run.study.name}", left) as advance:
             run.do(scheduler, advance=advance)
     except KeyboardInterrupt:
-        output.note(f"{len(run.record.finished)} finished trials are kept; the same command goes on from there")
+        output.note(f"{len(run.record.finished)} finished trials are kept; run the same command to continue")
         raise
     return run.result()
 

@@ -1,4 +1,4 @@
-"""`sightline undistort`: an image as its XRII plate would be seen without distortion, and the map as a file."""
+"""`sightline undistort`: an image resampled to the plane of its XRII plate, and the map that did it."""
 
 from io import BytesIO
 from pathlib import Path
@@ -8,7 +8,7 @@ import typer
 
 from sightline.cli.calibrate import Datums, FrameName, ViewName, see
 from sightline.cli.detect import FrameIndex, Invert
-from sightline.cli.output import Json, Output, Quiet, as_json
+from sightline.cli.output import Json, Output, Quiet, as_json, example
 
 if TYPE_CHECKING:
     from sightline.calibration import BeadView
@@ -17,7 +17,9 @@ if TYPE_CHECKING:
 
 def register(app: typer.Typer) -> None:
     """Add the command."""
-    app.command("undistort")(undistort)
+    app.command("undistort", epilog=example("sightline undistort out/demo/demo_pa.dcm --out out/undistorted"))(
+        undistort
+    )
 
 
 def undistort(
@@ -31,12 +33,15 @@ def undistort(
     invert: Invert = False,
     spacing: Annotated[
         float | None,
-        typer.Option(help="Pixel size on the plate, mm; by default that of the image.", show_default=False),
+        typer.Option(help="Pixel size on the plate, mm; by default as in the image.", show_default=False),
     ] = None,
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Resample an image to the plane of its XRII plate; write the image and the map (docs/undistort.md)."""
+    """Remove the distortion from an image.
+
+    The image is resampled to the plane of its XRII plate; image and map are written (docs/undistort.md).
+    """
     with Output(json=json, quiet=quiet) as output:
         from sightline.calibration import calibrate
         from sightline.calibration.undistort import undistort as resample
@@ -44,9 +49,9 @@ def undistort(
         from sightline.frame import Frame
 
         if image.suffix.lower() == ".csv":
-            raise UnusableInputError("observations in CSV have no pixels to resample; give the image")
+            raise UnusableInputError("a CSV file has no pixels to resample; give the image")
         known_frame = Frame.load(frame)
-        with output.step("finding and telling apart the beads"):
+        with output.step("finding and labelling the beads"):
             seen = see(image, known_frame, view, datum, frame_index, invert=invert)
         with output.step("calibrating (smooth)"):
             calibrated = calibrate(seen.observations, known_frame, view)
@@ -65,7 +70,7 @@ def undistort(
 
 
 def _document(source: str, view: "BeadView", image: "PlaneImage") -> dict[str, Any]:
-    """What map.json holds: docs/undistort.md."""
+    """Return the content of map.json (docs/undistort.md)."""
     return {
         "source": source,
         "view": view.name,

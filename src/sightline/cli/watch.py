@@ -1,4 +1,4 @@
-"""`sightline watch`: a live image, each frame calibrated, the plan in it, and an alarm where frame or C-arm move."""
+"""`sightline watch`: calibrate each frame of a live image, draw the plan, raise an alarm when frame or C-arm move."""
 
 from collections import Counter
 from collections.abc import Iterable
@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from sightline.cli.output import Json, Output, Quiet
+from sightline.cli.detect import Invert
+from sightline.cli.output import Json, Output, Quiet, example
 
 if TYPE_CHECKING:
     from sightline.calibration import BeadView
@@ -16,39 +17,43 @@ if TYPE_CHECKING:
     from sightline.frame import Frame
     from sightline.planning import Trajectory
 
-_WAIT_S = 0.5  # between two looks whether it has ended
+_WAIT_S = 0.5  # timeout of one wait for a frame
 
 
 def register(app: typer.Typer) -> None:
     """Add the command."""
-    app.command("watch")(watch)
+    epilog = example("sightline watch 0 --plan out/plan", "sightline watch --rehearse 1 --seconds 10")
+    app.command("watch", epilog=epilog)(watch)
 
 
 def watch(
     source: Annotated[
         str | None,
-        typer.Argument(help="A device's number, a stream's address, a video, a run of frames, or a folder of images."),
+        typer.Argument(help="Device number, stream address, video file, multi-frame DICOM file or folder of images."),
     ] = None,
     *,
     rehearse: Annotated[
-        int | None, typer.Option(metavar="SEED", help="Watch a simulated C-arm, which is bumped after 6 s.")
+        int | None,
+        typer.Option(metavar="SEED", help="Watch a simulated C-arm drawn from this seed; it is bumped after 6 s."),
     ] = None,
-    frame: Annotated[str, typer.Option(help="Frame file, or gamma, biplane, stereo.")] = "gamma",
-    plan: Annotated[Path | None, typer.Option(help="plan.json of `sightline plan --out`: drawn into the view.")] = None,
+    frame: Annotated[str, typer.Option(help="A frame file, gamma, biplane or stereo.")] = "gamma",
+    plan: Annotated[Path | None, typer.Option(help="Plan to draw: plan.json of `sightline plan --out`.")] = None,
     planned: Annotated[
         list[Path] | None,
         typer.Option(
-            help="Image of the planning, taken with the C-arm as it stands now: movements are told against it. Without "
-            "one, against the first half second. May be given for each view."
+            help="Planning image taken with the C-arm in its present position: the reference for movements. Default: "
+            "the first half second. May be given for each view."
         ),
     ] = None,
-    seconds: Annotated[float | None, typer.Option(min=0.0, help="End after this time.", show_default=False)] = None,
+    seconds: Annotated[float | None, typer.Option(min=0.0, help="Stop after this time.", show_default=False)] = None,
+    invert: Invert = False,
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Watch a live image: calibrate every frame, draw the plan, tell when frame or C-arm moved.
+    """Watch a live image and report movements.
 
-    With --json every frame is a line of its own, and the last line says how it went.
+    Every frame is calibrated, the plan is drawn into it, and an alarm is given when frame or C-arm move. With --json
+    every frame is one line, and the last line is the summary.
     """
     with Output(json=json, quiet=quiet) as out:
         from sightline.case.watch.alarm import BLIND_TO
@@ -56,27 +61,27 @@ def watch(
         from sightline.frame import Frame
 
         known = Frame.load(frame)
-        images, wire = _opened(source, rehearse, known, out)
+        images, wire = _opened(source, rehearse, known, out, invert=invert)
         wire = wire if plan is None else _planned(plan, known, out)
         with out.step("planning images"):
-            references = [_reference(path, known) for path in planned or ()]
-        out.note(f"what an alarm cannot tell: {BLIND_TO}")
+            references = [_reference(path, known, invert=invert) for path in planned or ()]
+        out.note(f"no alarm is given for: {BLIND_TO}")
         with Watch(known, images, wire, references) as watching:
             tally = _follow(watching, out, seconds)
         out.result(_summary(tally, watching) | {"blind_to": BLIND_TO})
 
 
 def _opened(
-    source: str | None, seed: int | None, frame: "Frame", out: Output
+    source: str | None, seed: int | None, frame: "Frame", out: Output, *, invert: bool
 ) -> "tuple[Iterable[Shown], Trajectory | None]":
-    """The source, and the wire of a simulated one. Raises UnusableInputError."""
+    """Return the images of the source, and the wire of a simulated one. Raises UnusableInputError."""
     from sightline.case.watch.sources import open_source
     from sightline.errors import UnusableInputError
 
     if (source is None) == (seed is None):
-        raise UnusableInputError("name one source, or --rehearse SEED for a simulated one")
+        raise UnusableInputError("give one source, or --rehearse SEED for a simulated one")
     if source is not None:
-        return open_source(source), None
+        return open_source(source, invert=invert), None
     from sightline.rehearsal.stream import Stream
 
     with out.step("taking the C-arm's images"):
@@ -92,27 +97,29 @@ def _planned(path: Path, frame: "Frame", out: Output) -> "Trajectory":
     plan = PlanFile.read(path)
     made_with = plan.document.frame
     if made_with is not None and made_with.name != frame.name:
-        raise UnusableInputError(f"the plan was made with frame {made_with.name!r}, not {frame.name!r}; give --frame")
+        raise UnusableInputError(
+            f"the plan was made with frame {made_with.name!r}, not {frame.name!r}; give that frame with --frame"
+        )
     if not plan.go:
-        out.note(f"the plan that is drawn is {plan.verdict}")
+        out.note(f"the plan drawn is {plan.verdict}")
     return plan.trajectory
 
 
-def _reference(path: Path, frame: "Frame") -> "BeadView":
+def _reference(path: Path, frame: "Frame", *, invert: bool) -> "BeadView":
     from sightline.calibration import calibrate
     from sightline.case.views import see
 
-    return calibrate(see(path, frame).observations, frame)
+    return calibrate(see(path, frame, invert=invert).observations, frame)
 
 
 def _follow(watching: "Watch", out: Output, seconds: float | None) -> "list[Watched]":
-    """What was said of each frame that was worked on, without the images."""
+    """Return the result of each processed frame, without its image."""
     from dataclasses import replace
     from time import monotonic
 
     end = None if seconds is None else monotonic() + seconds
     said: list[Watched] = []
-    with out.live("Watching; Ctrl-C ends it", ("", "")) as show:
+    with out.live("Watching; stop with Ctrl-C", ("", "")) as show:
         number = 0
         while end is None or monotonic() < end:
             watched = watching.next(number, _WAIT_S)
@@ -131,7 +138,7 @@ def _follow(watching: "Watch", out: Output, seconds: float | None) -> "list[Watc
 
 
 def _rows(watched: "Watched", said: "list[Watched]") -> list[tuple[str, str]]:
-    """For a person."""
+    """Return the rows that a person sees of a frame."""
     movement = watched.movement
     view = watched.view
     error = "unknown" if watched.error_95_mm is None else f"{watched.error_95_mm:.2f} mm"
@@ -140,15 +147,15 @@ def _rows(watched: "Watched", said: "list[Watched]") -> list[tuple[str, str]]:
         ("latency", f"{1e3 * watched.latency_s:.0f} ms" + (" STALE" if watched.stale else "")),
         ("state", f"{watched.state} {watched.reason}"),
         ("view", "none" if view is None else f"{view.name}, {len(view.residuals.ids)} beads"),
-        ("residual", "-" if view is None else f"{view.residuals.leave_one_out_rms_mm:.3f} mm, each bead by the others"),
+        ("residual", "-" if view is None else f"{view.residuals.leave_one_out_rms_mm:.3f} mm, leave-one-out"),
         ("error at the target", f"{error} (95 %)"),
         ("movement", watched.note if movement is None else f"{movement.shift_mm:.3f} mm: {movement.text}"),
-        ("plan", "not drawn" if watched.corridor is None else f"drawn, {len(watched.corridor.uv_px)} stations"),
+        ("plan", "not drawn" if watched.corridor is None else f"drawn at {len(watched.corridor.uv_px)} points"),
     ]
 
 
 def _rate(said: "list[Watched]") -> float:
-    """Of the last half second, frames a second."""
+    """Return the frames per second of the last half second."""
     last = said[-16:]
     gone = last[-1].stamped_s - last[0].stamped_s
     return (len(last) - 1) / gone if gone > 0 else 0.0
@@ -182,7 +189,7 @@ def _document(watched: "Watched") -> dict[str, Any]:
 
 
 def _summary(said: "list[Watched]", watching: "Watch") -> dict[str, Any]:
-    """How it went. Raises CalibrationRefusedError where no frame gave a view."""
+    """Return the summary. Raises CalibrationRefusedError where no frame gave a view."""
     from statistics import median
 
     from sightline.case.watch.follow import State

@@ -67,10 +67,11 @@ class Pair:
     ranges: dict[str, tuple[float, float]]
 
 
-def read_folder(folder: Path) -> tuple[list[tuple[str, Radiograph]], list[str]]:
-    """The images of a folder in the order of their names, and why each other file was passed over.
+def read_folder(folder: Path, *, invert: bool = False) -> tuple[list[tuple[str, Radiograph]], list[str]]:
+    """Return the images of a folder in the order of their names, and why each other file was skipped.
 
-    Raises UnusableInputError where there is no folder, no image in it, or more than IMAGE_COUNT files.
+    `invert`: as of `read_image`. Raises UnusableInputError where there is no folder, no image in it, or more than
+    IMAGE_COUNT files.
     """
     if not folder.is_dir():
         raise UnusableInputError(f"{folder} is not a folder; name one that holds images of a C-arm")
@@ -80,7 +81,7 @@ def read_folder(folder: Path) -> tuple[list[tuple[str, Radiograph]], list[str]]:
     images, passed = [], []
     for file in files:
         try:
-            images.append((file.name, read_image(file)))
+            images.append((file.name, read_image(file, invert=invert)))
         except SightlineError as error:
             passed.append(str(error))
     if not images:

@@ -41,9 +41,12 @@ Tell = Callable[[News], None]
 class Acquirer:
     """The one way of images into a case; sources of several threads take turns, so one image is in memory at a time."""
 
-    def __init__(self, case: Case, arrival_pose: "Callable[[], PoseNow] | None" = None) -> None:
-        """`arrival_pose` tells the robot's pose of now, for images whose source says none of its own."""
-        self._case, self._lock, self._arrival_pose = case, Lock(), arrival_pose
+    def __init__(
+        self, case: Case, arrival_pose: "Callable[[], PoseNow] | None" = None, *, invert: bool = False
+    ) -> None:
+        """`arrival_pose` tells the robot's pose of now, for images whose source says none of its own. `invert`: the
+        files show the balls bright; their entries say so, and whoever reads them inverts them."""
+        self._case, self._lock, self._arrival_pose, self._invert = case, Lock(), arrival_pose, invert
         self._held: dict[str, Entry] = {}  # by the original's name
         self._shown: dict[str, int] = {}  # by the pixels, the number of the first entry
         self._seen = 0
@@ -64,13 +67,15 @@ class Acquirer:
         with self._lock:
             if (held := self._look_back(name)) is not None:
                 return Taken(held, new=False)
-            content, index, frames = _looked_at(data, name, suffix)
+            content, index, frames = _looked_at(data, name, suffix, invert=self._invert)
             self._case.keep(data, suffix)
             while True:
                 acquisition = {**stamped, **({"frames": frames} if frames > 1 else {})}
                 if (before := self._shown.get(content["pixels_sha256"])) is not None:
                     acquisition["same_pixels_as"] = before
                 settings = {"frame_index": index, "acquisition": acquisition}
+                if self._invert:
+                    settings["inverted"] = True
                 try:
                     entry = self._case.record(
                         Kind.ACQUIRED, content, by=Actor.RECEIVER, settings=settings, expect=self._seen
@@ -109,7 +114,7 @@ def news_of(taken: Taken) -> News:
     return News("kept", f"entry {number}: kept, {short}{run}{same}", entry)
 
 
-def _looked_at(data: bytes, name: str, suffix: str) -> tuple[dict[str, Any], int | None, int]:
+def _looked_at(data: bytes, name: str, suffix: str, *, invert: bool) -> tuple[dict[str, Any], int | None, int]:
     """The entry's content, its frame, and how many there are. Raises ImageError, which calls it "the image"."""
     try:
         with scratch_folder() as folder:
@@ -117,7 +122,7 @@ def _looked_at(data: bytes, name: str, suffix: str) -> tuple[dict[str, Any], int
             file.write_bytes(data)
             frames = frames_in(file)
             index = frames - 1 if frames > 1 else None
-            return contents.acquired(name, read_image(file, index)), index, frames
+            return contents.acquired(name, read_image(file, index, invert=invert)), index, frames
     except ImageError as error:
         raise ImageError(str(error).replace(f"image{suffix}", "the image")) from None
     except OSError as error:

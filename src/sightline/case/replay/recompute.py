@@ -116,7 +116,7 @@ class Recomputed:
     def _searched(self, detected: Entry) -> Radiograph:
         """The image that a detected entry is of: inverted where its beads were found so."""
         image = self._present(self.image(self._under(detected)))
-        return image.inverted() if detected.settings.get("inverted") else image
+        return image if image.is_inverted == detected.settings.get("inverted", False) else image.inverted()
 
     def _frame(self, entry: Entry) -> Frame:
         return frame_of(self._case, entry.settings["frame"])

@@ -15,9 +15,16 @@ PER_S = 30.0  # images of files: what a C-arm's video gives
 _START = 132  # bytes that tell what a file is
 
 
-def open_source(name: str) -> Source:
-    """The source called `name`. Files are played at 30 images a second. Raises UnusableInputError, ImageError,
-    SourceError."""
+def open_source(name: str, *, invert: bool = False) -> Source:
+    """Return the source called `name`; files are played at 30 images a second.
+
+    `invert`: each image is inverted, as of `read_image`. Raises UnusableInputError, ImageError, SourceError.
+    """
+    source = _source(name)
+    return Inverted(source) if invert else source
+
+
+def _source(name: str) -> Source:
     if name.isdecimal() or "://" in name:
         return VideoSource(int(name) if name.isdecimal() else name)
     path = Path(name)
@@ -44,6 +51,21 @@ class Paced:
 
     def close(self) -> None:
         """Let go of the source."""
+        self._source.close()
+
+
+class Inverted:
+    """A source whose images are inverted."""
+
+    def __init__(self, source: Source) -> None:
+        self._source = source
+
+    def __iter__(self) -> Iterator[Frame]:
+        for frame in self._source:
+            yield replace(frame, image=frame.image.inverted())
+
+    def close(self) -> None:
+        """Close the source."""
         self._source.close()
 
 
