@@ -60,7 +60,7 @@ class Inverted:
     def __init__(self, source: Source) -> None:
         self._source = source
 
-    def __iter__(self) -> Iterator[Frame]:
+    def __iter__(self) -> Iterator[SourceFrame]:
         for frame in self._source:
             yield replace(frame, image=frame.image.inverted())
 
