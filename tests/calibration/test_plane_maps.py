@@ -10,7 +10,7 @@ from sightline.calibration import fit_map
 from sightline.calibration.localized import LocalizedMap
 from sightline.calibration.polynomial import monomials, terms
 from sightline.calibration.prior import Kernel
-from sightline.calibration.smooth import MOST_CONTROLS, FittedSmoothMap
+from sightline.calibration.smooth import MAX_CONTROLS, FittedSmoothMap
 from sightline.errors import CalibrationRefusedError, OutsideRegionError, UnusableInputError
 
 SPACING_PX = 90.0
@@ -199,8 +199,8 @@ def test_smooth_finds_out_the_noise_where_none_is_stated():
         ({"uv_px": grid() * [1, 0], "method": "polynomial"}, CalibrationRefusedError, "one line"),
         (
             {
-                "uv_px": np.random.default_rng(0).uniform(size=(MOST_CONTROLS + 1, 2)),
-                "xy_mm": np.random.default_rng(1).uniform(size=(MOST_CONTROLS + 1, 2)),
+                "uv_px": np.random.default_rng(0).uniform(size=(MAX_CONTROLS + 1, 2)),
+                "xy_mm": np.random.default_rng(1).uniform(size=(MAX_CONTROLS + 1, 2)),
             },
             CalibrationRefusedError,
             "thin them out",

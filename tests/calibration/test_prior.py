@@ -19,7 +19,7 @@ def test_what_is_left_out_of_the_grid_has_no_weight(monkeypatch, seed: int, nois
     noise = np.repeat(0.01 * np.eye(2)[None], len(ids), axis=0) if noise_known else None
     beads = match(Observations("lateral", ids, uv_px, noise), GAMMA, "lateral")
     part = fit_jointly(beads).learned
-    monkeypatch.setattr(prior, "WEIGHTLESS", np.inf)
+    monkeypatch.setattr(prior, "MAX_LOG_RATIO", np.inf)
     whole = fit_jointly(beads).learned
     assert part.noise_scale == pytest.approx(whole.noise_scale, rel=1e-6)  # a weight of exp(-15) is 3e-7
     at = np.random.default_rng(9).uniform(-1, 1, (20, 2))

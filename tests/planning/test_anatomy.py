@@ -120,7 +120,7 @@ def test_outlines_of_two_different_heads_disagree():
     uv["head"][1] = uv["head"][1].mean(axis=0) + 1.08 * (uv["head"][1] - uv["head"][1].mean(axis=0))
     head = locate(views, bone.aids(uv)).head
     assert not head.agreement.passed
-    assert "draw them again" in head.agreement.sentence
+    assert "Draw them again" in head.agreement.sentence
 
 
 def test_an_axis_in_the_plane_of_both_beams_is_refused_and_nothing_else_is():
@@ -138,9 +138,9 @@ def test_an_axis_in_the_plane_of_both_beams_is_refused_and_nothing_else_is():
 @pytest.mark.parametrize(
     ("change", "name", "why"),
     [
-        ({"neck": [np.array([[500.0, 500.0], [502.0, 501.0]])] * 2}, "neck", "too near"),
+        ({"neck": [np.array([[500.0, 500.0], [502.0, 501.0]])] * 2}, "neck", "too close together"),
         ({"shaft": [np.array([[20.0, 20.0], [500.0, 400.0]])] * 2}, "shaft", "outside the calibrated region"),
-        ({"head": [500.0 + 20.0 * np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0]])] * 2}, "head", "no sphere"),
+        ({"head": [500.0 + 20.0 * np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0]])] * 2}, "head", "do not fit a sphere"),
     ],
 )
 def test_bad_drawings_are_absent_with_the_reason(change, name, why):

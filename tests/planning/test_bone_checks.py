@@ -172,7 +172,7 @@ def test_a_head_that_is_none_is_no_go_and_not_merely_missing():
     verdict = _planned(wire, radius_mm=37.0).verdict
     assert verdict.state == "no-go"
     (check,) = (check for check in failed(verdict.checks) if check.name == "head")
-    assert "no sphere" in check.sentence
+    assert "do not fit a sphere" in check.sentence
 
 
 def test_outlines_of_two_spheres_are_no_go():
@@ -244,4 +244,4 @@ def test_how_far_a_point_may_be_wrong_along_its_line_of_sight_is_what_the_checks
     uv = np.array([view.project(wire) for view in views])
     free = plan(views, uv[:, 0], uv[:, 1], kind="free-wire", curve=_one_curve)
     assert free.noticed_mm == (None, None)
-    assert all(sentence.startswith("Nothing checks") for sentence in free.along_sentences())
+    assert all(sentence.startswith("No check covers") for sentence in free.along_sentences())

@@ -125,7 +125,7 @@ def test_clicks_beside_the_curve_are_refused():
 def test_lines_the_other_view_does_not_see_are_refused():
     pa, lateral, uv = _drawn()
     aside = replace(lateral, focal_point_mm=lateral.focal_point_mm + np.array([0.0, 3000.0, 0.0]))
-    with pytest.raises(OutsideRegionError, match="sees no part"):
+    with pytest.raises(OutsideRegionError, match="no part of the line of sight"):
         matching_curve(pa, uv, aside)
     with pytest.raises(UnusableInputError, match="finite"):
         matching_curve(pa, np.array([np.nan, 1.0]), lateral)

@@ -9,7 +9,7 @@ from sightline.calibration import view_from_matrix
 from sightline.checks import failed
 from sightline.errors import ErrorUnknownError, UnusableInputError
 from sightline.planning import Trajectory, corridor, error_shares, plan, reconstruct
-from sightline.planning.results import LARGEST_GAP_SIGMA
+from sightline.planning.results import MAX_GAP_SIGMA
 
 from .standin import StandInView, stand_in
 
@@ -80,12 +80,12 @@ def test_one_failed_gap_speaks_for_both_points_of_a_plan_and_no_error_check_stan
     checks = {check.name: check for check in made.verdict.checks}
     assert not {"entry error", "end error", "direction error"} & set(checks)
     assert "gap" in {check.name for check in failed(made.verdict.checks)}
-    assert checks["gap"].limit == LARGEST_GAP_SIGMA
+    assert checks["gap"].limit == MAX_GAP_SIGMA
 
 
 def test_the_limit_is_where_a_gap_begins_to_fail():
     points = reconstruct(_views(), _pixels(_views()))
-    for sigma, fails in ((LARGEST_GAP_SIGMA, False), (np.nextafter(LARGEST_GAP_SIGMA, 4.0), True), (np.nan, True)):
+    for sigma, fails in ((MAX_GAP_SIGMA, False), (np.nextafter(MAX_GAP_SIGMA, 4.0), True), (np.nan, True)):
         at = replace(points, gap_sigma=np.ma.masked_array([0.1, sigma]))
         assert at.gap_failed.tolist() == [False, fails]
         assert bool(failed(at.checks)) == fails

@@ -131,7 +131,7 @@ def test_a_wire_beside_the_head_has_no_bone_ahead():
     ahead = found["tip to bone along wire"]
     assert ahead.value is None
     assert ahead.within is None
-    assert "beside the head" in ahead.sentence
+    assert "outside the head" in ahead.sentence
     assert found["tip to bone nearest"].value < 0  # the tip is out
 
 

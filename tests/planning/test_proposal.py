@@ -59,10 +59,10 @@ def _pixel(xyz_mm: np.ndarray) -> Pick:
         ({"head": None}, "the head is not drawn"),
         ({"shaft": None}, "the shaft axis is not drawn"),
         ({"cortex": None}, "the lateral cortex is not clicked"),
-        ({"cortex": "medial"}, "on the side of the head"),
-        ({"cortex": "near"}, "3 mm away"),
+        ({"cortex": "medial"}, "on the head's side"),
+        ({"cortex": "near"}, "lies 3 mm from"),
         ({"shaft": "through the head"}, "from the shaft's axis"),
-        ({"neck": "backwards"}, "beside the head's centre"),
+        ({"neck": "backwards"}, "away from the head's centre"),
     ],
 )
 def test_impossible_proposals_are_refused_with_the_reason(change, why):
@@ -93,7 +93,7 @@ def test_the_wrong_side_is_refused():
 
 
 def test_a_head_too_small_for_the_tip_is_refused():
-    with pytest.raises(ReconstructionRefusedError, match="no place"):
+    with pytest.raises(ReconstructionRefusedError, match="too small for a tip"):
         _proposed(rule=ProposalRule(under_surface_mm=25.0))
 
 

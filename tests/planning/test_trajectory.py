@@ -11,7 +11,7 @@ from sightline.errors import ErrorUnknownError, UnusableInputError
 from sightline.planning import Limits, SpacePoints, Trajectory, judge, kind, plan, reconstruct
 from sightline.planning.picks import Pick, stack
 from sightline.planning.results import BUDGET
-from sightline.planning.verdict import LARGEST_GAP_SIGMA
+from sightline.planning.verdict import MAX_GAP_SIGMA
 
 from .standin import StandInView, stand_in
 
@@ -129,7 +129,7 @@ def test_limits_decide(limits, names):
     verdict = judge(_trajectory(views), views, limits)
     assert not verdict.go
     assert _names(verdict.checks) == names
-    assert "largest share" in failed(verdict.checks)[0].sentence
+    assert "largest source" in failed(verdict.checks)[0].sentence
 
 
 def test_a_significant_gap_is_no_go_and_a_snapped_point_has_none():
@@ -221,8 +221,8 @@ def test_the_mean_of_many_points_sees_less_movement_than_a_gap():
     moved = np.array([0.0, 0.27, 0.0])
     marks = np.array([views[0].project(xyz), views[1].project(xyz + moved)])
     points = reconstruct(views, marks)
-    assert points.gap_sigma.max() < LARGEST_GAP_SIGMA
-    assert abs(points.shift_mm) > LARGEST_GAP_SIGMA * points.shift_sd_mm
+    assert points.gap_sigma.max() < MAX_GAP_SIGMA
+    assert abs(points.shift_mm) > MAX_GAP_SIGMA * points.shift_sd_mm
 
 
 def test_landmarks_need_finite_pixels_in_both_views_and_a_known_error():
@@ -282,8 +282,8 @@ def test_the_gaps_chi_square_is_one_and_its_limit_is_passed_once_in_a_thousand()
 
 
 @pytest.mark.parametrize(("sd_px", "snapped", "least"), [(2.0, False, 38), (3.0, False, 40), (3.0, True, 34)])
-def test_picks_that_are_less_sure_than_said_are_no_go(sd_px: float, snapped: bool, least: int):
+def test_picks_that_are_less_accurate_than_stated_are_no_go(sd_px: float, snapped: bool, least: int):
     rng = np.random.default_rng(32)
     found = [_spread_of(rng, sd_px, snapped) for _ in range(40)]
     assert sum(not check.passed for check in found) >= least
-    assert "less sure than" in next(check for check in found if not check.passed).sentence
+    assert "less accurate than stated" in next(check for check in found if not check.passed).sentence

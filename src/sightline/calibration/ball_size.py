@@ -17,7 +17,7 @@ from sightline.geometry.covariance import TWO_SIDED_999
 # [twin, ours]: in 17 images of four image chains, three doses and twice the blur the balls of 3 mm looked 0.4 to 1.8 %
 # too large, those of 5 mm 0.9 to 2.6 %; a machine that nobody measured may be three times as far off.
 SYSTEMATIC = 0.06
-_FEWEST = 8  # balls [ours]
+_MIN_BALLS = 8  # balls [ours]
 _MEDIAN = 1.2533  # s.d. of the median over that of the mean (normal distribution)
 
 
@@ -28,7 +28,7 @@ def ball_size_check(fit: JointFit) -> list[Check]:
         return []
     fiducials = [beads.frame.view(beads.view).fiducials[row] for row in beads.rows]
     balls = np.array([f.shape == "ball" for f in fiducials])
-    if balls.sum() < _FEWEST:
+    if balls.sum() < _MIN_BALLS:
         return []
     stated_mm = np.array([f.diameter_mm for f in fiducials]) / 2
     larger = np.log(beads.radius_px * _mm_per_px(fit) / stated_mm)[balls]

@@ -14,7 +14,7 @@ from sightline.calibration.classical import Fitter, PlateName, classical_residua
 from sightline.calibration.fit import Method, refuse_unknown_method
 from sightline.calibration.focal_length import CArm
 from sightline.calibration.hull import Hull
-from sightline.calibration.joint import FEWEST_BEADS, JointFit, fit_jointly
+from sightline.calibration.joint import MIN_BEADS, JointFit, fit_jointly
 from sightline.calibration.localized import LocalizedMap
 from sightline.calibration.outliers import fit_robustly
 from sightline.calibration.polynomial import Affine, PolynomialMap
@@ -92,7 +92,7 @@ def smooth_view(beads: Beads, fit_to: Callable[[Beads], JointFit] = fit_jointly)
 
 def _classical(beads: Beads, method: Method, fitter: Fitter, plate: PlateName) -> BeadView:
     """Wrong beads are found by the smooth method, where there are enough for it: it sees both plates at once."""
-    joint, screened = fit_robustly(beads) if len(beads) >= FEWEST_BEADS else (None, None)
+    joint, screened = fit_robustly(beads) if len(beads) >= MIN_BEADS else (None, None)
     used = np.ones(len(beads), dtype=bool) if screened is None else screened.used
     noise_px = None
     if beads.covariance_px2 is None:

@@ -17,12 +17,12 @@ from sightline.checks import Check
 from sightline.frame import Frame
 from sightline.geometry.planes import Plane
 
-GOOD_COUNT = 24  # [ours] one more than the 23 numbers of a cubic and F
-GOOD_COVERAGE = 0.45  # [ours] share of each plate's area, within the hull of its beads used
-GOOD_LEAVE_ONE_OUT_MM = 0.5  # [ours] half of the 1 mm the paper reaches at the entry point
-GOOD_NOISE_PX = 2.0  # [ours] twice an ordinary click (physics.md, Picks)
+MIN_COUNT = 24  # [ours] one more than the 23 numbers of a cubic and F
+MIN_COVERAGE = 0.45  # [ours] share of each plate's area, within the hull of its beads used
+MAX_LEAVE_ONE_OUT_MM = 0.5  # [ours] half of the 1 mm the paper reaches at the entry point
+MAX_NOISE_PX = 2.0  # [ours] twice an ordinary click (physics.md, Picks)
 CHI_SQUARE_FALSE_ALARM = 1e-4  # [ours]
-FEWEST_BESIDE = 6  # [ours] beads on either side of a row at which an image may be torn
+MIN_BESIDE_ROW = 6  # [ours] beads on either side of a row at which an image may be torn
 
 
 def view_checks(beads: Beads, residuals: Residuals) -> list[Check]:
@@ -47,7 +47,7 @@ def noise_checks(fit: JointFit) -> list[Check]:
         sentence = (
             f"No covariance of the beads was given; their noise is estimated from the residuals: {figure:.2f} px."
         )
-        return [Check("measurement noise", figure <= GOOD_NOISE_PX, figure, GOOD_NOISE_PX, "px", sentence)]
+        return [Check("measurement noise", figure <= MAX_NOISE_PX, figure, MAX_NOISE_PX, "px", sentence)]
     free = len(fit.data_mm) - fit.solution.theta.shape[0]
     figure = float(fit.data_mm @ fit.solution.dual[:, 0]) / free
     limit = float(chdtri(free, CHI_SQUARE_FALSE_ALARM)) / free
@@ -95,7 +95,7 @@ def row_check(fit: JointFit) -> Check:
     """
     uv, slopes = fit.beads.uv_px, fit.map.jacobian(fit.beads.uv_px)
     order = np.sort(uv[:, 1])
-    rows = (order[FEWEST_BESIDE - 1 : -FEWEST_BESIDE] + order[FEWEST_BESIDE : len(order) - FEWEST_BESIDE + 1]) / 2
+    rows = (order[MIN_BESIDE_ROW - 1 : -MIN_BESIDE_ROW] + order[MIN_BESIDE_ROW : len(order) - MIN_BESIDE_ROW + 1]) / 2
     below = uv[:, 1, None] > rows
     directions = np.concatenate([-slopes[:, :, k, None] * below[:, None] for k in range(2)], axis=2)
     shifts_px, sds_px = fit.solution.score(directions.reshape(2 * len(uv), -1))
@@ -114,8 +114,8 @@ def row_check(fit: JointFit) -> Check:
 
 
 def _count(count: int) -> Check:
-    sentence = f"{count} beads are used; {GOOD_COUNT} are needed for a residual to tell anything, 60 or more are good."
-    return Check("bead count", count >= GOOD_COUNT, float(count), float(GOOD_COUNT), "beads", sentence)
+    sentence = f"{count} beads are used; {MIN_COUNT} are needed for a residual to tell anything, 60 or more are good."
+    return Check("bead count", count >= MIN_COUNT, float(count), float(MIN_COUNT), "beads", sentence)
 
 
 def _coverage(used: Beads) -> Check:
@@ -126,9 +126,9 @@ def _coverage(used: Beads) -> Check:
     least = min(figures, key=lambda name: figures[name])
     figure = float(figures[least])
     sentence = f"The beads used span {figure:.0%} of the {least} plate" + (
-        "." if figure >= GOOD_COVERAGE else ": move the frame so that more of this plate lies in the field."
+        "." if figure >= MIN_COVERAGE else ": move the frame so that more of this plate lies in the field."
     )
-    return Check("bead coverage", figure >= GOOD_COVERAGE, figure, GOOD_COVERAGE, "", sentence)
+    return Check("bead coverage", figure >= MIN_COVERAGE, figure, MIN_COVERAGE, "", sentence)
 
 
 def _area_mm2(plane: Plane, xyz_mm: np.ndarray) -> float:
@@ -143,7 +143,7 @@ def _plate_areas_mm2(frame: Frame, view: str) -> dict[str, float]:
 
 
 def _leave_one_out(residuals: Residuals) -> Check:
-    limit = GOOD_LEAVE_ONE_OUT_MM
+    limit = MAX_LEAVE_ONE_OUT_MM
     if not (residuals.used & residuals.predicted).any():
         sentence = "No bead can be predicted from the others: too few are seen. More beads are needed."
         return Check("leave-one-out error", False, None, limit, "mm", sentence)

@@ -19,7 +19,7 @@ from sightline.errors import CalibrationRefusedError, UnusableInputError
 from sightline.fitting.robust import variance_ratio
 from sightline.frame import Frame
 
-FEWEST_BEADS = 12  # of 11 numbers, two equations each, and some to spare [ours]
+MIN_BEADS = 12  # of 11 numbers, two equations each, and some to spare [ours]
 _NUMBERS = 11
 _UNIT_MM = 100.0  # of the plane's coordinates in the homography, so that its numbers are alike [calc]
 _WRONG_M2 = 13.8  # chi-square, two degrees of freedom, once in 1,000: an instrument in front of a bead
@@ -141,9 +141,9 @@ def _agreed(design: np.ndarray, gap_mm: np.ndarray, weight: np.ndarray) -> tuple
     gaps' variance exceeds what is stated. Raises CalibrationRefusedError."""
     used, rounds = np.ones(len(design), dtype=bool), 0
     while True:
-        if used.sum() < FEWEST_BEADS:
+        if used.sum() < MIN_BEADS:
             raise CalibrationRefusedError(
-                f"{used.sum()} beads are in both images; {FEWEST_BEADS} are needed to tell a movement"
+                f"{used.sum()} beads are in both images; {MIN_BEADS} are needed to tell a movement"
             )
         gain, square = _solved(design, gap_mm, weight, used)
         scale = max(1.0, variance_ratio(square[used]))

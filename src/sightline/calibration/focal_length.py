@@ -21,15 +21,15 @@ from sightline.geometry.covariance import TWO_SIDED_999, response
 from sightline.geometry.planes import Plane
 
 # As a C-arm orbits, source and detector part by 6 to 8 mm of 1000 (physics.md, C-arm): the most that is allowed.
-FLEX = 0.008
+MAX_FLEX = 0.008
 # What one image's distance differs by from the next, s.d.: 3 of 1000 mm (physics.md, C-arm).
 _FLEX_SD = 0.003
 # An image whose pixels differ by more in size is an intensifier's, whose own magnification changes from image to image
 # by 0.8 %, s.d. [measured on the twin; flat panels differ by 0.6 % at most, intensifiers by 6 to 19 %].
-_EVEN = 0.02
+_MAX_PANEL_SPREAD = 0.02
 # From the focal spot to the hip, and so to any plate behind it: 300 mm to the skin of a patient of a mobile C-arm
 # (21 CFR 1020.32(g)), and half of a slim hip's depth [ours].
-NEAREST_MM = 400.0
+MIN_SOURCE_PLATE_MM = 400.0
 # Half the side of the square of pixels whose solid angle is taken, in radii of the beads' hull [ours].
 _REACH = 0.5
 
@@ -89,7 +89,7 @@ class FocalLength:
     @property
     def is_of_a_panel(self) -> bool:
         """Whether all pixels are of one size, as etched ones are."""
-        return bool(np.log(self.high_px / self.low_px) < _EVEN)
+        return bool(np.log(self.high_px / self.low_px) < _MAX_PANEL_SPREAD)
 
     @property
     def sd(self) -> float:
@@ -122,7 +122,7 @@ class CArm:
 
     def _plate(self, found: FocalLength) -> Check:
         sid, spare = self.source_detector_mm, TWO_SIDED_999 * found.plate_sd_mm
-        high, low = (1 + FLEX) * sid + spare, NEAREST_MM - spare
+        high, low = (1 + MAX_FLEX) * sid + spare, MIN_SOURCE_PLATE_MM - spare
         figure = found.plate_mm
         passed = low <= figure <= high
         sentence = (
@@ -134,8 +134,8 @@ class CArm:
             else ": the plate cannot lie behind the detector. The file is of a larger scale than the frame, or the "
             "source-detector distance is not this one: measure the frame, or give the distance with --sid."
             if figure > high
-            else f": no hip has room between them below {NEAREST_MM:.0f} mm. The file is of a smaller scale than the "
-            "frame: measure the frame."
+            else f": below {MIN_SOURCE_PLATE_MM:.0f} mm no hip fits between them. The file's scale is smaller than the "
+            "frame's: measure the frame."
         )
         return Check("source distance", bool(passed), figure, float(high if figure >= low else low), "mm", sentence)
 
@@ -143,7 +143,7 @@ class CArm:
         sid = self.source_detector_mm
         low, value, high = (pixel_mm * px for px in (found.low_px, found.value_px, found.high_px))
         beyond = float(max(np.log(sid / max(high, value)), np.log(min(low, value) / sid), 0.0))
-        limit = FLEX + TWO_SIDED_999 * found.sd
+        limit = MAX_FLEX + TWO_SIDED_999 * found.sd
         passed = beyond <= limit
         sentence = (
             f"Focal length times pixel size is {value:.0f} mm ({low:.0f} to {high:.0f} over the image), the "

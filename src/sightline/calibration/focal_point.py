@@ -6,7 +6,7 @@ from sightline.errors import CalibrationRefusedError, ReconstructionRefusedError
 from sightline.geometry.lines import meeting_point
 
 # The paper used 16 to 25 lines. Four leave five numbers to test three by [ours].
-FEWEST_LINES = 4
+MIN_LINES = 4
 
 
 def focal_point(from_mm: np.ndarray, to_mm: np.ndarray) -> np.ndarray:
@@ -14,10 +14,10 @@ def focal_point(from_mm: np.ndarray, to_mm: np.ndarray) -> np.ndarray:
 
     Raises CalibrationRefusedError on too few lines or parallel ones.
     """
-    if len(from_mm) < FEWEST_LINES:
+    if len(from_mm) < MIN_LINES:
         raise CalibrationRefusedError(
             f"only {len(from_mm)} lines of sight can be made through the beads of both plates; at least "
-            f"{FEWEST_LINES} are needed, 16 or more are good: see that the plates' images overlap"
+            f"{MIN_LINES} are needed, 16 or more are good: see that the plates' images overlap"
         )
     try:
         return meeting_point(from_mm, to_mm - from_mm).point_mm

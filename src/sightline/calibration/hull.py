@@ -11,14 +11,14 @@ from sightline.errors import CalibrationRefusedError, OutsideRegionError
 # How far outside the hull a map may still be asked, in radii of the hull [ours]: farther out no bead says anything.
 REACH = 0.5
 # Points nearer to one line than this share of their length are collinear [ours].
-COLLINEAR = 0.02
+MAX_COLLINEAR_RATIO = 0.02
 
 
 def refuse_collinear(points: np.ndarray, what: str) -> None:
     """Raises CalibrationRefusedError where points (N, 2) or (N, 3) lie on one line; `what` they are, in words."""
     apart = points - points.mean(axis=0)
     along, across = np.linalg.eigvalsh(apart.T @ apart)[[-1, -2]]
-    if across <= COLLINEAR**2 * along:
+    if across <= MAX_COLLINEAR_RATIO**2 * along:
         raise CalibrationRefusedError(f"{what} lie on one line; more of them, beside that line, are needed")
 
 

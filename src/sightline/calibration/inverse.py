@@ -11,7 +11,7 @@ from sightline.errors import OutsideRegionError
 ITERATIONS = 10  # four are enough wherever a view is calibrated [calc]
 # The step after which one stops: the next would be its square times the map's curvature, 1e-3 per px, and less than the
 # rounding of a pixel [calc].
-LAST_STEP_PX = 1e-5
+CONVERGED_PX = 1e-5
 # How far beyond the controls' box a pixel may lie, in sizes of that box [ours]: a polynomial says nothing there.
 REACH = 0.5
 
@@ -75,7 +75,7 @@ class Inverse:
             leads = length < 0.5 * before[at]  # Newton's steps shrink fast, or lead nowhere
             at, step, length = at[leads], step[leads], length[leads]
             uv[at] += step * np.minimum(1.0, 0.25 * size / np.maximum(length, 1e-300))[:, None]
-            before[at], found[at] = length, length < LAST_STEP_PX
+            before[at], found[at] = length, length < CONVERGED_PX
             at = at[~found[at] & _within(uv[at], low, high, 1.25 * REACH * size)]  # others do not come back
         found &= _within(uv, low, high, REACH * size)
         return uv[found], found

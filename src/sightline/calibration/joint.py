@@ -24,7 +24,7 @@ from sightline.fitting.kriging import Kriging, PlanarKriging
 from sightline.fitting.triangular import least_squares, solve_lower
 
 # 20 numbers of the cubic and 3 of F are 23; with fewer beads than this nothing is left to test them by [ours].
-FEWEST_BEADS = 16
+MIN_BEADS = 16
 _CUBIC = terms(DEGREE)
 
 
@@ -87,9 +87,9 @@ class JointFit:
 @well_conditioned()
 def fit_jointly(beads: Beads) -> JointFit:
     """Plane map and focal point of the beads. Raises CalibrationRefusedError."""
-    if len(beads) < FEWEST_BEADS:
+    if len(beads) < MIN_BEADS:
         raise CalibrationRefusedError(
-            f"{len(beads)} beads are seen; the smooth method needs at least {FEWEST_BEADS} on both plates together, "
+            f"{len(beads)} beads are seen; the smooth method needs at least {MIN_BEADS} on both plates together, "
             "60 or more are good: move the frame into the field, or use the localized method"
         )
     start = _Start.of(beads, _Start.of(beads, _first_pencil(beads)).pencil)

@@ -13,7 +13,7 @@ from scipy.spatial import Delaunay, QhullError
 from sightline.errors import CalibrationRefusedError, OutsideRegionError
 
 # A triangle whose height is less than this share of its longest side is a sliver [ours]; half a square has 0.5.
-SLIVER = 0.1
+MIN_FLATNESS = 0.1
 _EDGE = 1e-9  # barycentric: a point on an edge belongs to the triangle
 
 
@@ -35,8 +35,8 @@ class LocalizedMap:
             raise CalibrationRefusedError(
                 f"{len(uv_px)} controls span no triangle; at least three that do not lie on one line are needed"
             ) from None
-        sound = (_flatness(uv_px[triangulation.simplices]) > SLIVER) & (
-            _flatness(xy_mm[triangulation.simplices]) > SLIVER
+        sound = (_flatness(uv_px[triangulation.simplices]) > MIN_FLATNESS) & (
+            _flatness(xy_mm[triangulation.simplices]) > MIN_FLATNESS
         )
         if not sound.any():
             raise CalibrationRefusedError("every triangle of the controls is a sliver; more controls are needed")

@@ -11,9 +11,9 @@ from sightline.errors import OutsideRegionError, UnusableInputError
 from sightline.geometry.planes import Plane
 
 # Rows of the left 3x3 block, scaled to unit length, span less volume than this for a source at infinity [ours].
-SMALLEST_VOLUME = 1e-9
+MIN_VOLUME = 1e-9
 # The reference plane passes through the origin, but stays at least this far from the source [ours].
-SMALLEST_DISTANCE_MM = 1.0
+MIN_DISTANCE_MM = 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,13 +140,13 @@ def view_from_matrix(P: np.ndarray, covariance: np.ndarray | None = None, name: 
     if matrix.shape != (3, 4) or not np.isfinite(matrix).all():
         raise UnusableInputError(f"a projection matrix is finite and of the shape (3, 4); got the shape {matrix.shape}")
     lengths = np.linalg.norm(matrix[:, :3], axis=1)
-    if not lengths.all() or abs(np.linalg.det(matrix[:, :3] / lengths[:, None])) < SMALLEST_VOLUME:
+    if not lengths.all() or abs(np.linalg.det(matrix[:, :3] / lengths[:, None])) < MIN_VOLUME:
         raise UnusableInputError(
             "the matrix has no focal point: its left 3x3 block is singular; give a perspective projection, mm to px"
         )
     focal = -np.linalg.solve(matrix[:, :3], matrix[:, 3])
     axis = matrix[2, :3] / lengths[2]
-    if abs(axis @ focal) < SMALLEST_DISTANCE_MM:
+    if abs(axis @ focal) < MIN_DISTANCE_MM:
         raise UnusableInputError(
             "the matrix puts the X-ray source at the depth of the CFCS origin; check its frame and units"
         )

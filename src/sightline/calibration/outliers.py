@@ -14,14 +14,14 @@ from sightline.fitting.robust import variance_ratio
 # A right bead goes beyond this once in 10,000 views: chi-square of two degrees of freedom, over all its beads [ours].
 FALSE_ALARM = 1e-4
 # More wrong beads than this, or than this share, is not a slip but a wrong frame, image or labelling [ours].
-MOST_WRONG = 6
-MOST_WRONG_SHARE = 0.1
+MAX_WRONG = 6
+MAX_WRONG_SHARE = 0.1
 
 
 def fit_robustly(beads: Beads, fit_to: Callable[[Beads], JointFit] = fit_jointly) -> tuple[JointFit, Residuals]:
     """The joint fit without the beads that contradict the others. Raises CalibrationRefusedError."""
     used = np.ones(len(beads), dtype=bool)
-    most = max(1, min(MOST_WRONG, int(MOST_WRONG_SHARE * len(beads))))
+    most = max(1, min(MAX_WRONG, int(MAX_WRONG_SHARE * len(beads))))
     while True:
         fit = fit_to(beads.where(used))
         others = fit.solution.left_out()

@@ -27,7 +27,7 @@ AMPLITUDE_MEDIAN, AMPLITUDE_SPREAD = 1.5e-3, 1.3  # log-normal
 QUINTIC = 5
 QUINTIC_SHARE = 0.75  # of that mean square, what is of degree 4 and 5
 NEGLIGIBLE = 1e-6  # of the largest mean square
-WEIGHTLESS = 15.0  # logarithm of a weight, against the largest, that changes no digit that is shown [calc]
+MAX_LOG_RATIO = 15.0  # logarithm of a weight, against the largest, that changes no digit that is shown [calc]
 # Where no noise is stated: a hand-made centre errs by 0.1 to 1 px [ours]; log-normal.
 NOISE_SCALES_PX = np.geomspace(0.03, 3.0, 9)
 NOISE_MEDIAN_PX, NOISE_SPREAD = 0.3, 0.8
@@ -146,7 +146,7 @@ def _weights(score: Callable[[tuple[int, ...]], float], hyper: np.ndarray) -> np
     first = tuple(int(k) for k in np.unravel_index(np.argmax(hyper), hyper.shape))
     scores[first] = score(first)
     queue = [(-scores[first], first)]
-    while queue and -queue[0][0] > scores.max() - WEIGHTLESS:
+    while queue and -queue[0][0] > scores.max() - MAX_LOG_RATIO:
         at = heappop(queue)[1]
         for axis, size in enumerate(hyper.shape):
             for k in range(max(at[axis] - 1, 0), min(at[axis] + 2, size)):

@@ -8,8 +8,8 @@ from sightline.errors import CalibrationRefusedError
 from sightline.geometry.planes import Plane
 
 # Limits of (distance of a bead from the reference plane) / (that of F) [ours]. The source plate of a Γ frame has 0.16.
-CLOSEST = 0.05  # of 1 - it
-FARTHEST = 0.01
+MIN_SOURCE_DISTANCE = 0.05  # of 1 - it
+MIN_PARALLAX = 0.01
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,12 +71,12 @@ class Pencil:
 def refuse_misplaced(pencil: Pencil, xyz_mm: np.ndarray) -> None:
     """Refuse a focal point between the planes of the beads (N, 3), or at infinity; either side of both will do."""
     lift = pencil.plane.height_mm(xyz_mm) * pencil.pq[2]
-    if not (1 - lift > CLOSEST).all():
+    if not (1 - lift > MIN_SOURCE_DISTANCE).all():
         raise CalibrationRefusedError(
             "the beads put the X-ray source between the plates; check that the labels of the two plates are not "
             "exchanged, and that frame and view are those in the image"
         )
-    if not np.abs(lift).max() > FARTHEST:
+    if not np.abs(lift).max() > MIN_PARALLAX:
         raise CalibrationRefusedError(
             "the beads put the X-ray source at infinity: the plates' images show no parallax; check that both plates "
             "are in the image and that their distance in the frame file is right"

@@ -11,7 +11,7 @@ from sightline.detection.results import Observations
 from sightline.errors import UnusableInputError
 from sightline.frame import Frame
 
-OTHER_BEADS = 0.1  # share of its beads in which an image may differ before the prior is learnt anew [ours]
+MAX_CHANGED_SHARE = 0.1  # share of its beads in which an image may differ before the prior is learnt anew [ours]
 
 
 def recalibrate(observations: Observations, frame: Frame, last: BeadView) -> BeadView:
@@ -25,7 +25,7 @@ def recalibrate(observations: Observations, frame: Frame, last: BeadView) -> Bea
     if not isinstance(before, JointFit):
         raise UnusableInputError("only the smooth method goes on from a view before; calibrate each image by itself")
     both = set(observations.ids) & set(last.residuals.ids)
-    if len(both) < (1 - OTHER_BEADS) * max(len(observations.ids), len(last.residuals.ids)):
+    if len(both) < (1 - MAX_CHANGED_SHARE) * max(len(observations.ids), len(last.residuals.ids)):
         return calibrate(observations, frame, last.name)
     view = smooth_view(match(observations, frame, last.name), partial(fit_jointly_from, before))
     suspicious = failed(view.checks) and not failed(last.checks)

@@ -31,16 +31,16 @@ from sightline.fitting.triangular import cholesky, solve_lower
 from sightline.frame import Frame, FrameView, Plate
 from sightline.frame.deviations import fiducials
 
-FEWEST_IMAGES = 4  # [ours] two of each of two views: one image cannot be told from its own map
+MIN_IMAGES = 4  # [ours] two of each of two views: one image cannot be told from its own map
 # [ours] half the shortest correlation length of what a cubic leaves of a real tube (physics.md, Distortion): images
 # nearer to each other share the errors of their maps, and would be counted as if they did not.
-LEAST_MOVEMENT_MM = 15.0
+MIN_MOVEMENT_MM = 15.0
 MOVED_FREELY_MM = 3.0  # [ours] s.d. of a ball that contradicts its tolerance: a third of the densest pitch
 # Beads found in images state a covariance that is too small by 1.09 to 1.39 (docs/benchmarks.md, detection); one image
 # does not show it, many together do.
-NOISE_SLACK = 1.25
+NOISE_MARGIN = 1.25
 PASSES = 3  # the second changes 1e-3 of a step, the third nothing (tests)
-MOST_MOVED = 12  # [ours] more is no damaged ball but a wrong frame
+MAX_MOVED = 12  # [ours] more is no damaged ball but a wrong frame
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,9 +67,9 @@ class SelfCheck:
 @well_conditioned()
 def self_check(observations: Sequence[Observations], frame: Frame) -> SelfCheck:
     """The errors of a frame, from 4 images or more. Raises ObservationsError, FrameError, CalibrationRefusedError."""
-    if len(observations) < FEWEST_IMAGES:
+    if len(observations) < MIN_IMAGES:
         raise CalibrationRefusedError(
-            f"{len(observations)} images were given; a self-check needs {FEWEST_IMAGES} or more, the C-arm moved "
+            f"{len(observations)} images were given; a self-check needs {MIN_IMAGES} or more, the C-arm moved "
             "between them"
         )
     _refuse_repeats(observations)
@@ -88,10 +88,10 @@ def self_check(observations: Sequence[Observations], frame: Frame) -> SelfCheck:
             break
         sigma[worst] = np.sqrt(square[worst])
         free.append(worst)
-        if len(free) > MOST_MOVED:
+        if len(free) > MAX_MOVED:
             names = ", ".join(fiducials(frame)[ball].id for ball in free[:5])
             raise CalibrationRefusedError(
-                f"more than {MOST_MOVED} balls lie beyond their tolerance ({names} first); check that the images show "
+                f"more than {MAX_MOVED} balls lie beyond their tolerance ({names} first); check that the images show "
                 "this frame, and that its tolerances are true"
             )
     return _result(frame, images, normal, free, sigma)
@@ -272,7 +272,7 @@ def _movement(images: Sequence[_Image]) -> Check:
         min(_apart(one, other) for other in mine if other is not one) for mine in views if len(mine) > 1 for one in mine
     ]
     figure = float(np.quantile(nearest, 0.25)) if nearest else None
-    passed = figure is not None and figure >= LEAST_MOVEMENT_MM
+    passed = figure is not None and figure >= MIN_MOVEMENT_MM
     sentence = (
         "The frame lies elsewhere in every image, so that each has errors of its own."
         if passed
@@ -281,7 +281,7 @@ def _movement(images: Sequence[_Image]) -> Check:
     )
     if lone:
         sentence += f" There is one image alone of view {', '.join(lone)}."
-    return Check("image movement", passed, figure, LEAST_MOVEMENT_MM, "mm", sentence)
+    return Check("image movement", passed, figure, MIN_MOVEMENT_MM, "mm", sentence)
 
 
 def _apart(first: _Image, second: _Image) -> float:
@@ -297,7 +297,7 @@ def _apart(first: _Image, second: _Image) -> float:
 def _chi_square(normal: _Normal) -> Check:
     square = normal.square - float(normal.pull @ normal.errors)
     figure = square / normal.freedom
-    limit = NOISE_SLACK * float(chdtri(normal.freedom, FALSE_ALARM)) / normal.freedom
+    limit = NOISE_MARGIN * float(chdtri(normal.freedom, FALSE_ALARM)) / normal.freedom
     sentence = (
         "All images together agree with the noise and the tolerances stated."
         if figure <= limit

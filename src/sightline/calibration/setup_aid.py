@@ -13,9 +13,9 @@ from sightline.detection.results import Observations
 from sightline.errors import CalibrationRefusedError, UnusableInputError
 from sightline.frame import Frame, FrameView
 
-FEWEST_BEADS = 8  # [ours] 11 numbers of a projection need six beads; two more for good measure
+MIN_BEADS = 8  # [ours] 11 numbers of a projection need six beads; two more for good measure
 STEP_MM = 5.0  # [ours] as exactly as a frame is moved by hand
-FARTHEST_MM = 100.0  # [ours]
+MAX_MOVE_MM = 100.0  # [ours]
 # A bead counts as seen when its centre lies this far inside the image [ours].
 MARGIN_PX = 10.0
 # What moving the frame along a CFCS axis means (docs/conventions.md); caudal and cranial depend on the side.
@@ -69,8 +69,8 @@ def _mask(observations: Observations, field_mask: np.ndarray | None) -> np.ndarr
 
 def _projection(beads: Beads) -> np.ndarray:
     """(3, 4) direct linear transformation in normalised coordinates (Hartley 1997)."""
-    if len(beads) < FEWEST_BEADS:
-        raise CalibrationRefusedError(f"{len(beads)} beads are seen; advice on the set-up needs {FEWEST_BEADS}")
+    if len(beads) < MIN_BEADS:
+        raise CalibrationRefusedError(f"{len(beads)} beads are seen; advice on the set-up needs {MIN_BEADS}")
     to_unit2, to_unit3 = _normaliser(beads.uv_px), _normaliser(beads.xyz_mm)
     u = np.column_stack([beads.uv_px, np.ones(len(beads))]) @ to_unit2.T
     x = np.column_stack([beads.xyz_mm, np.ones(len(beads))]) @ to_unit3.T
@@ -92,7 +92,7 @@ def _normaliser(points: np.ndarray) -> np.ndarray:
 
 def _moves(view: FrameView) -> np.ndarray:
     """(M, 3) shifts of the frame in the plane of its XRII plate, along CFCS axes where the plate does."""
-    steps = np.arange(-FARTHEST_MM, FARTHEST_MM + STEP_MM / 2, STEP_MM)
+    steps = np.arange(-MAX_MOVE_MM, MAX_MOVE_MM + STEP_MM / 2, STEP_MM)
     a, b = np.meshgrid(steps, steps)
     return np.stack([a.ravel(), b.ravel()], axis=1) @ view.xrii.plane.axes
 

@@ -14,7 +14,7 @@ from sightline.fitting.kriging import Kriging
 
 DEGREE = 3
 # Beyond this many controls a fit takes seconds and gigabytes: V is dense [ours].
-MOST_CONTROLS = 4000
+MAX_CONTROLS = 4000
 # The hyper-parameters of many controls are learnt from this many of them, evenly drawn [ours].
 LEARN_FROM = 250
 BLOCK = 2**20  # numbers of a kernel held at once: 8 MB [ours]
@@ -118,10 +118,10 @@ class FittedSmoothMap(SmoothMap):
         Raises CalibrationRefusedError.
         """
         n = len(uv_px)
-        if not terms(DEGREE) + 2 <= n <= MOST_CONTROLS:
+        if not terms(DEGREE) + 2 <= n <= MAX_CONTROLS:
             raise CalibrationRefusedError(
-                f"{n} controls given; the smooth method takes {terms(DEGREE) + 2} to {MOST_CONTROLS}: "
-                + ("give more controls" if n < MOST_CONTROLS else "thin them out evenly, or use a polynomial")
+                f"{n} controls given; the smooth method takes {terms(DEGREE) + 2} to {MAX_CONTROLS}: "
+                + ("give more controls" if n < MAX_CONTROLS else "thin them out evenly, or use a polynomial")
             )
         unit, radius = Affine.fit(uv_px, xy_mm)
         at = unit(uv_px)

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 from scipy.spatial.distance import cdist
 
-NEAREST = 8  # [ours] beads about a pixel, of both plates: within 1.1 pitches of 7 x 7 and 8 x 8 beads
+NEIGHBOURS = 8  # [ours] beads about a pixel, of both plates: within 1.1 pitches of 7 x 7 and 8 x 8 beads
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,7 +41,7 @@ class Support:
         return Support(places_px[alone], radii_px[alone], used[alone], stray_px)
 
     def near(self, uv_px: np.ndarray) -> np.ndarray:
-        """(N, 3) int: used, hidden and expected ones of the NEAREST beads to each pixel (N, 2) that lie in the field.
+        """Return (N, 3) int: how many of the NEIGHBOURS beads nearest to each pixel (N, 2) are used, hidden, expected.
 
         The field of view is convex and holds the beads used and the pixel: what lies between them is in it.
         """
@@ -53,7 +53,7 @@ class Support:
             seen = within if _inside(known, uv[None]).all() else _inside(beyond, self.places_px, self.radii_px)
             rows = np.flatnonzero(seen | self.used)
             distance = np.linalg.norm(self.places_px[rows] - uv, axis=1)
-            order = np.argsort(distance)[:NEAREST]
+            order = np.argsort(distance)[:NEIGHBOURS]
             used = int(self.used[rows[order]].sum())
             out[k] = used, self._hidden(uv, len(order) - used, distance[order].max(initial=0.0)), len(order)
         return out

@@ -13,7 +13,7 @@ from sightline.errors import UnusableInputError
 # The map is inverted at nodes this far apart and splined between them; a plane map bends over 30 mm and more
 # (physics.md, Distortion), so a cubic spline is within 0.01 px of it [calc, in its test].
 _NODES_MM = 2.0
-_MOST_PIXELS = 2**25  # [ours]
+_MAX_PIXELS = 2**25  # [ours]
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,7 +43,7 @@ def undistort(pixels: np.ndarray, plane_map: PlaneMap, hull: Hull, spacing_mm: f
         spacing_mm = float(np.sqrt(abs(np.linalg.det(plane_map.jacobian(middle)[0]))))
     corners_mm = plane_map.to_plane(hull.corners_px)
     origin, extent = corners_mm.min(axis=0), np.ptp(corners_mm, axis=0)
-    if not (np.isfinite(spacing_mm) and spacing_mm > 0) or np.prod(extent / spacing_mm) > _MOST_PIXELS:
+    if not (np.isfinite(spacing_mm) and spacing_mm > 0) or np.prod(extent / spacing_mm) > _MAX_PIXELS:
         raise UnusableInputError(f"a spacing of {spacing_mm} mm gives no image of a usable size; try 0.2")
     uv_px = _sources(plane_map, origin, extent, spacing_mm)
     return PlaneImage(

@@ -18,8 +18,8 @@ from sightline.frame.measurements import Series
 from sightline.geometry.rigid import displacement
 
 FALSE_ALARM = 1e-4  # [ours] per frame, as for beads in images (calibration/outliers.py)
-SETTLED_MM = 1e-9
-STEPS = 20
+CONVERGED_MM = 1e-9
+MAX_STEPS = 20
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,7 +118,7 @@ def _solve(system: _System, poses: Sequence[RigidTransform]) -> _Solution:
     n, s = len(system.ids), len(system.series)
     poses, moved = list(poses), np.zeros(3 * n)
     middle = system.nominal.mean(axis=0)
-    for _ in range(STEPS):
+    for _ in range(MAX_STEPS):
         at = [pose.apply(one.xyz_mm) for pose, one in zip(poses, system.series, strict=True)]
         motions = system.motions(system.nominal + moved.reshape(-1, 3))
         design = np.zeros((3 * sum(map(len, at)), 3 * n + 6 * s))
@@ -135,7 +135,7 @@ def _solve(system: _System, poses: Sequence[RigidTransform]) -> _Solution:
         cofactor = _bordered(white[:, :-1], system.motions(system.nominal), motions)
         unknown = cofactor @ (white[:, :-1].T @ white[:, -1])
         moved, twists = unknown[: 3 * n], unknown[3 * n :].reshape(s, 6)
-        if np.abs(motions @ twists.T).max() < SETTLED_MM:
+        if np.abs(motions @ twists.T).max() < CONVERGED_MM:
             return _Solution(moved, tuple(poses), design, factor, cofactor, data - design @ unknown)
         poses = [_turned(pose, twist, middle) for pose, twist in zip(poses, twists, strict=True)]
     raise FrameError("the series' poses do not settle; check the coordinates for wrong numbers")

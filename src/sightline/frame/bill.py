@@ -10,7 +10,7 @@ import numpy as np
 from sightline.frame.deviations import plates
 from sightline.frame.model import Frame
 from sightline.frame.part import SIGMAS, Part
-from sightline.frame.tolerances import EXPANSION_PER_K, SWELLING_PER_WATER
+from sightline.frame.tolerances import EXPANSION_PER_K, MOISTURE_EXPANSION
 
 DRAPE_CLEARANCE_MM = 30.0  # [ours] all round, so that nothing pulls on a plate
 SHEET_COLUMNS = (
@@ -86,7 +86,7 @@ def bill_page(frame: Frame, parts: Sequence[Part]) -> str:
         ppm=1e6 * EXPANSION_PER_K,
         widest=widest,
         per_10_k=10 * EXPANSION_PER_K * widest,
-        per_water=0.01 * SWELLING_PER_WATER * widest,
+        per_water=0.01 * MOISTURE_EXPANSION * widest,
         bead=sd.bead_mm,
         plate=sd.plate_mm,
         plate_mrad=1e3 * sd.plate_rad,

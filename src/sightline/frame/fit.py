@@ -18,10 +18,10 @@ from sightline.frame.tolerances import EXPANSION_PER_K, Tolerances, error_factor
 
 DRIFT_MM = 0.05  # physics.md, Frame [ours]: plate
 DRIFT_RAD_PER_MM = 0.2e-3 / 0.05  # physics.md, Frame [ours]: plate
-FEWEST_OF_A_PLATE = 4  # as in a frame file
-DIAMETER_SLIP_MM = 0.3  # [ours] a ball of another size differs by more, a probe's fit by less
-DEVIATION_LIMIT = float(np.sqrt(chdtri(3, FALSE_ALARM / 226)))  # once in 10,000 frames of the built-in kind
-CONFIRMED = 2  # series in which a ball that is far off must have been measured
+MIN_PER_PLATE = 4  # as in a frame file
+MAX_DIAMETER_ERROR_MM = 0.3  # [ours] a ball of another size differs by more, a probe's fit by less
+MAX_DEVIATION_SIGMA = float(np.sqrt(chdtri(3, FALSE_ALARM / 226)))  # once in 10,000 frames of the built-in kind
+MIN_SERIES = 2  # series in which a ball that is far off must have been measured
 
 
 @dataclass(frozen=True)
@@ -172,15 +172,15 @@ def _diameters(frame: Frame, series: Sequence[Series]) -> list[Check]:
     if not found:
         return []
     worst, ball, diameter = max(found)
-    passed = bool(worst <= DIAMETER_SLIP_MM)
-    wrong = [name for slip, name, _ in found if slip > DIAMETER_SLIP_MM]
+    passed = bool(worst <= MAX_DIAMETER_ERROR_MM)
+    wrong = [name for slip, name, _ in found if slip > MAX_DIAMETER_ERROR_MM]
     sentence = (
         "Every ball that was measured has its own diameter."
         if passed
         else f"{_some(wrong)}: not the balls of the frame file ({ball} is {diameter:.2f} mm, not "
         f"{nominal[ball]:g} mm). Wrong balls were set in, or the whole series is numbered from another corner."
     )
-    return [Check("measured diameters", passed, float(worst), DIAMETER_SLIP_MM, "mm", sentence)]
+    return [Check("measured diameters", passed, float(worst), MAX_DIAMETER_ERROR_MM, "mm", sentence)]
 
 
 def _refuse_thin_plates(frame: Frame, series: Sequence[Series]) -> None:
@@ -188,10 +188,10 @@ def _refuse_thin_plates(frame: Frame, series: Sequence[Series]) -> None:
     for view, role, plate in plates(frame):
         mine = np.array([ball in measured for ball in plate.ids])
         points = plate.xyz_mm[mine]
-        broad = len(points) >= FEWEST_OF_A_PLATE and np.linalg.svd(points - points.mean(axis=0))[1][1] > 1.0
+        broad = len(points) >= MIN_PER_PLATE and np.linalg.svd(points - points.mean(axis=0))[1][1] > 1.0
         if not broad:
             raise FrameError(
-                f"{mine.sum()} balls of the {view} {role} plate were measured; {FEWEST_OF_A_PLATE} that are not on a "
+                f"{mine.sum()} balls of the {view} {role} plate were measured; {MIN_PER_PLATE} that are not on a "
                 "line are needed of every plate, or nothing tells where it stands"
             )
 
@@ -226,8 +226,8 @@ def _deviation(adjusted: Adjusted, series: Sequence[Series], sigma: np.ndarray) 
     """Whether a ball lies where no tolerance puts it, and nobody measured it twice."""
     left_out = set(adjusted.left_out)
     seen = {b: sum(b in one.ids and (one.name, b) not in left_out for one in series) for b in adjusted.ids}
-    far = [k for k in np.argsort(-sigma) if sigma[k] > DEVIATION_LIMIT]
-    doubtful = [k for k in far if seen[adjusted.ids[k]] < CONFIRMED]
+    far = [k for k in np.argsort(-sigma) if sigma[k] > MAX_DEVIATION_SIGMA]
+    doubtful = [k for k in far if seen[adjusted.ids[k]] < MIN_SERIES]
     worst = doubtful[0] if doubtful else int(np.argmax(sigma))
     names = _some([f"{adjusted.ids[k]} ({sigma[k]:.1f})" for k in (doubtful or far)])
     if doubtful:
@@ -241,4 +241,4 @@ def _deviation(adjusted: Adjusted, series: Sequence[Series], sigma: np.ndarray) 
         )
     else:
         sentence = "Every ball lies within the tolerances of the frame file."
-    return Check("measured deviation", not doubtful, float(sigma[worst]), DEVIATION_LIMIT, "s.d.", sentence)
+    return Check("measured deviation", not doubtful, float(sigma[worst]), MAX_DEVIATION_SIGMA, "s.d.", sentence)

@@ -10,7 +10,7 @@ import numpy as np
 from sightline.geometry.rigid import rigid_fit
 
 MIN_COMMON = 4  # beads: three always lie in a plane
-CLEARLY = 2.0  # [ours] times better must the mirror image fit: beads in one plane are their own mirror image
+MIRRORED_RATIO = 2.0  # [ours] times better must the mirror image fit: beads in one plane are their own mirror image
 
 Places = Mapping[str, tuple[float, float, float]]  # of beads by id, mm
 
@@ -22,7 +22,7 @@ def is_mirror_image(places: Places, before: Places) -> bool:
 
 def fits_mirrored(upright_mm: float, mirrored_mm: float) -> bool:
     """Return whether of two misfits the mirrored one is clearly smaller."""
-    return CLEARLY * mirrored_mm < upright_mm
+    return MIRRORED_RATIO * mirrored_mm < upright_mm
 
 
 def common_ids(places: Places, before: Places) -> list[str]:

@@ -18,12 +18,12 @@ from sightline.frame.model import Frame
 from sightline.geometry.rigid import rigid_fit, rigid_fits
 
 TRIPLES = 400  # [calc] with half of the ids right, 50 of them are
-AGREE = 1 / 3  # [ours] of the smallest distance between two balls: nearer to their own place than to any other
-FLATTEST = 0.05  # [ours] least height of a triple over its longest side
-MOST_WRONG = 0.5  # [ours] share of wrong ids beyond which no pose can be trusted
+MAX_MISFIT = 1 / 3  # [ours] of the smallest distance between two balls: nearer to their own place than to any other
+MIN_FLATNESS = 0.05  # [ours] least height of a triple over its longest side
+MAX_WRONG_SHARE = 0.5  # [ours] share of wrong ids beyond which no pose can be trusted
 UNITS = {"metres": 1e-3, "centimetres": 0.1, "inches": 1 / 25.4, "micrometres": 1e3}
-UNIT_SLIP = 0.1  # [ours] how near a ratio of distances must come to a unit's to be taken for it
-CLEARLY = 1.2  # [ours] times as many balls: a single plate fits its mirror image as well
+UNIT_TOLERANCE = 0.1  # [ours] how near a ratio of distances must come to a unit's to be taken for it
+MIRRORED_RATIO = 1.2  # [ours] times as many balls: a single plate fits its mirror image as well
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,11 +53,11 @@ def identify(series: Series, frame: Frame) -> Identified:
     triples = _triples(nominal, series.name)
     _refuse_units(nominal, series, triples)
     everywhere = np.array(list(place.values()))
-    limit = AGREE * float(KDTree(everywhere).query(everywhere, k=2)[0][:, 1].min())
+    limit = MAX_MISFIT * float(KDTree(everywhere).query(everywhere, k=2)[0][:, 1].min())
     upright, reflected = (_consensus(nominal, series.xyz_mm * sign, triples, limit) for sign in (1.0, -1.0))
-    mirrored = bool(reflected[1].sum() > CLEARLY * upright[1].sum())
+    mirrored = bool(reflected[1].sum() > MIRRORED_RATIO * upright[1].sum())
     pose, agrees = reflected if mirrored else upright
-    if agrees.mean() < 1 - MOST_WRONG:
+    if agrees.mean() < 1 - MAX_WRONG_SHARE:
         raise FrameError(
             f"series {series.name!r}: only {agrees.sum()} of {len(agrees)} balls fit frame {frame.name!r} together; "
             "the ids are not those of this frame, or its plates do not stand as the frame file says"
@@ -77,7 +77,7 @@ def _triples(nominal: np.ndarray, name: str) -> np.ndarray:
     a, b, c = nominal[rows].swapaxes(0, 1)
     sides = np.stack([np.linalg.norm(side, axis=1) for side in (b - a, c - b, a - c)])
     height = np.linalg.norm(np.cross(b - a, c - a), axis=1) / sides.max(axis=0)
-    broad = height > FLATTEST * sides.max(axis=0)
+    broad = height > MIN_FLATNESS * sides.max(axis=0)
     if not broad.any():
         raise FrameError(f"the balls of series {name!r} lie on a line; a pose needs three that do not")
     return rows[broad]
@@ -89,7 +89,7 @@ def _refuse_units(nominal: np.ndarray, series: Series, triples: np.ndarray) -> N
     theirs = np.linalg.norm(series.xyz_mm[first] - series.xyz_mm[second], axis=1)
     ratio = float(np.median(theirs / np.linalg.norm(nominal[first] - nominal[second], axis=1)))
     for unit, scale in UNITS.items():
-        if abs(ratio / scale - 1) < UNIT_SLIP:
+        if abs(ratio / scale - 1) < UNIT_TOLERANCE:
             raise FrameError(f"series {series.name!r} is in {unit}; convert it, with its errors, to millimetres")
     if not 1 / 2 < ratio < 2:
         raise FrameError(

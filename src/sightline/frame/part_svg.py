@@ -6,10 +6,10 @@ from html import escape
 from sightline.frame.part import CHAMFER_MM, SCREW_INSET_MM, SCREW_MM, WASHER_MM, Bore, Part
 
 SHEET_MM = (420.0, 297.0)  # A3, ISO 216
-_ROOM_MM = (185.0, 178.0)  # of the view
+_VIEW_AREA_MM = (185.0, 178.0)  # of the view
 _ROWS, _ROW_MM = 50, 3.3  # of the table's columns
 _COLUMNS = 2
-_MOST_ORDINATES = 24  # [ours] more do not stand beside one another
+_MAX_ORDINATES = 24  # [ours] more do not stand beside one another
 _THIN, _THICK = 0.18, 0.5  # ISO 128 line widths
 # ISO 5455 reductions.
 _SCALES = (1.0, 0.5, 0.2, 0.1, 0.05)
@@ -29,7 +29,7 @@ def plate_svg(part: Part, frame: str) -> str:
 
 
 def _fits(part: Part, scale: float) -> bool:
-    return part.width_mm * scale <= _ROOM_MM[0] and part.height_mm * scale <= _ROOM_MM[1]
+    return part.width_mm * scale <= _VIEW_AREA_MM[0] and part.height_mm * scale <= _VIEW_AREA_MM[1]
 
 
 class _Sheet:
@@ -144,7 +144,7 @@ def _view(sheet: _Sheet, part: Part, scale: float) -> None:
 def _ordinates(values: Sequence[float]) -> list[float]:
     """The rows that bores stand in; none where they stand in no rows."""
     found = sorted({round(value, 2) for value in values})
-    return found if len(found) <= _MOST_ORDINATES else []
+    return found if len(found) <= _MAX_ORDINATES else []
 
 
 def _hole(sheet: _Sheet, x: float, y: float, radius: float, *, filled: bool) -> None:

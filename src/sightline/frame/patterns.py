@@ -20,7 +20,7 @@ HIDDEN = 0.4  # the labelling is to bear this share of a plate hidden, as one bl
 SLENDER_STEPS = 0.9  # [ours] triples lower than this are called collinear: a bead's own noise may flip them
 MOVES = 6000  # [ours] one or two seconds
 _ORDERS = np.array(list(permutations(range(3))))
-_SAME = 1e-6  # resemblance of triples that are congruent on the grid
+_CONGRUENT = 1e-6  # resemblance of triples that are congruent on the grid
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,4 +151,4 @@ def _energy(mine: Triples, others: Sequence[Triples]) -> float:
 
 
 def _weight(near: np.ndarray) -> float:
-    return float((2.0 - 1.5 * near + 8.0 * (near < _SAME)).sum())
+    return float((2.0 - 1.5 * near + 8.0 * (near < _CONGRUENT)).sum())

@@ -8,7 +8,7 @@ import numpy as np
 from sightline.frame.plate import FrameView
 
 EXPANSION_PER_K = 70e-6  # PMMA [mem, physics.md]
-SWELLING_PER_WATER = 0.2  # growth in length per share of mass taken up as water: 1 % of water, 0.2 % [mem]
+MOISTURE_EXPANSION = 0.2  # growth in length per share of mass taken up as water: 1 % of water, 0.2 % [mem]
 DRAPE_N = 10.0  # a wet drape: moves an arm by one plate tolerance [ours]
 
 
@@ -97,6 +97,6 @@ def _in_use(views: Mapping[str, FrameView], handled: InUse) -> list[np.ndarray]:
     sag = Tolerances(0.0, 0.0, 0.0, load * Tolerances.plate_mm, load * Tolerances.plate_rad)
     return [
         EXPANSION_PER_K * handled.warmer_k * growth,
-        SWELLING_PER_WATER * handled.water_share * growth,
+        MOISTURE_EXPANSION * handled.water_share * growth,
         *_shared(views, sag),
     ]

@@ -1,4 +1,4 @@
-"""Where the drawn parts of the bone lie in space: a sphere for the head, axes of neck and shaft."""
+"""The drawn parts of the bone in space: a sphere for the head, axes of neck and shaft."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -31,12 +31,12 @@ NOT_PLACED = {
 
 @dataclass(frozen=True, eq=False)
 class Anatomy:
-    """What was found, and `absent`: what was not, with the reason.
+    """The located parts of the bone, and `absent`: the reason for each part that could not be located.
 
-    `values` (n,), `covariance` (n, n) or None: all numbers of it, mm, errors shared by its parts included; `at`: where
-    each part stands there: "focal" (6: F of the PA view, of the lateral one), "wire" (6: entry, end), "head" (4),
-    "neck", "shaft" (6: both ends), "calcar" (3: where that line of sight passes the head nearest), "cortex" (3: the
-    shaft).
+    `values` (n,), CFCS mm: the numbers of all parts; `covariance` (n, n), mm²: their joint covariance, None where a
+    view's error is unknown. `at`: each part's place in `values`: "focal" (6: focal points of PA and lateral view),
+    "wire" (6: entry, end), "head" (4: centre, radius), "neck", "shaft" (6: both ends), "calcar", "cortex" (3: the
+    point of the click's line of sight nearest to the head and to the shaft).
     """
 
     values: np.ndarray
@@ -47,7 +47,7 @@ class Anatomy:
 
     @cached_property
     def head(self) -> Sphere | None:
-        """The femoral head."""
+        """The femoral head, None where it is absent."""
         if "head" not in self.at:
             return None
         values = self.part("head")
@@ -55,20 +55,20 @@ class Anatomy:
 
     @cached_property
     def neck(self) -> Axis | None:
-        """Axis of the neck."""
+        """Axis of the neck, None where it is absent."""
         return self._axis("neck")
 
     @cached_property
     def shaft(self) -> Axis | None:
-        """Axis of the shaft."""
+        """Axis of the shaft, None where it is absent."""
         return self._axis("shaft")
 
     def part(self, name: str) -> np.ndarray:
-        """The numbers of one part."""
+        """Return the numbers of one part."""
         return self.values[self.at[name]]
 
     def refuse_side(self, side: str) -> None:
-        """Raises ReconstructionRefusedError where the shaft lies above the head if the hip is of this side."""
+        """Raise ReconstructionRefusedError where the shaft lies above the head of a hip of this side."""
         if self.head is None or self.shaft is None:
             return
         if (self.shaft.ends_mm.mean(axis=0) - self.head.centre_mm) @ caudal(side) <= 0.0:
@@ -92,12 +92,13 @@ def locate(
     picks: Sequence[tuple[Pick, Pick]] | None = None,
     method: Method = "weighted",
 ) -> Anatomy:
-    """Find what is drawn on the PA and the lateral view, with the wire of `picks` (`Plan.picks`: entry, end) if given.
+    """Locate what is drawn on the PA and the lateral view; with `picks` (`Plan.picks`: entry, end) also the wire.
 
-    What cannot be found is absent with the reason, and holds nothing else up. Raises UnusableInputError.
+    A part that cannot be located is listed in `absent` with the reason; the others are located all the same.
+    Raises UnusableInputError.
     """
     if [view.name for view in views] != ["pa", "lateral"]:
-        raise UnusableInputError("anatomy is found on two views, 'pa' and 'lateral', in this order")
+        raise UnusableInputError("give two views, 'pa' and 'lateral', in this order, to locate the anatomy")
     absent: dict[str, str] = {}
     sights = _sights(views, _drawn(aids, picks), absent)
     found = _Finder(sights, absent)
@@ -108,12 +109,12 @@ def locate(
     if aids.head is not None:
         found.add_head(aids.head)
     found.add("calcar", lambda: _level(sights, "calcar", found.part("head")[:3]))
-    found.add("cortex", lambda: _level(sights, "cortex", _passed(sights, "cortex", found.part("shaft"))))
+    found.add("cortex", lambda: _level(sights, "cortex", _nearest_to_axis(sights, "cortex", found.part("shaft"))))
     return found.anatomy()
 
 
 class _Finder:
-    """Gathers parts: their numbers, and how these follow z."""
+    """Collects the located parts: their numbers, and the derivatives of these by z (`Sights`)."""
 
     def __init__(self, sights: Sights, absent: dict[str, str]) -> None:
         self.sights, self.absent = sights, absent
@@ -124,7 +125,7 @@ class _Finder:
         self.parts = {"focal": (sights.values[focal], np.eye(size)[focal])}
 
     def add(self, name: str, find: Callable[[], tuple[np.ndarray, np.ndarray]]) -> None:
-        """`find` gives values (m,) and response (m, numbers of the drawing)."""
+        """Add a part: `find` returns values (m,) and their derivatives by the drawing's numbers (m, n)."""
         if not any(name in rows for rows in self.sights.rows):
             self.absent.setdefault(name, NOT_PLACED[name])
             return
@@ -138,7 +139,7 @@ class _Finder:
         self.parts[name] = values, whole
 
     def add_head(self, circles: tuple[Circle, Circle]) -> None:
-        """The head, and whether its outlines agree."""
+        """Add the head, and the check that its two outlines agree."""
 
         def find() -> tuple[np.ndarray, np.ndarray]:
             values, own, self.agreement = find_head(self.sights, circles, self.covariance)
@@ -147,13 +148,13 @@ class _Finder:
         self.add("head", find)
 
     def part(self, name: str) -> np.ndarray:
-        """Raises ReconstructionRefusedError with the reason why there is none."""
+        """Return the numbers of a part. Raises ReconstructionRefusedError with the reason where it is absent."""
         if name not in self.parts:
             raise ReconstructionRefusedError(self.absent.get(name, NOT_PLACED[name]))
         return self.parts[name][0]
 
     def anatomy(self) -> Anatomy:
-        """All that was found, with its joint covariance."""
+        """Return all located parts with their joint covariance."""
         counts = np.cumsum([0, *(len(values) for values, _ in self.parts.values())])
         at = {name: slice(int(a), int(b)) for name, a, b in zip(self.parts, counts, counts[1:], strict=False)}
         by_z = np.concatenate([own for _, own in self.parts.values()])
@@ -163,7 +164,7 @@ class _Finder:
 
 
 def _drawn(aids: Aids, picks: Sequence[tuple[Pick, Pick]] | None) -> list[dict[str, Drawn]]:
-    """What is drawn in each view."""
+    """Return the drawings of each view by name."""
     out: list[dict[str, Drawn]] = [{}, {}]
     for k, drawn in enumerate(out):
         if picks is not None:
@@ -190,7 +191,7 @@ def _blocks(covariances: list[np.ndarray]) -> np.ndarray:
 
 
 def _sights(views: Sequence[CalibratedView], drawn: list[dict[str, Drawn]], absent: dict[str, str]) -> Sights:
-    """Of all drawings; one that lies outside a view's calibrated region is left out, and `absent` says so."""
+    """Return the lines of sight of all drawings. A drawing outside a view's calibrated region goes into `absent`."""
     try:
         return Sights.of(views, drawn)
     except OutsideRegionError:
@@ -204,7 +205,7 @@ def _sights(views: Sequence[CalibratedView], drawn: list[dict[str, Drawn]], abse
 
 
 def _wire(sights: Sights, picks: Sequence[tuple[Pick, Pick]], method: Method) -> tuple[np.ndarray, np.ndarray]:
-    """Entry and end point, as `reconstruct` has them."""
+    """Return entry and end point (6,) as computed by `reconstruct`, and their derivatives by the drawing's numbers."""
     lines = sights.lines[0].only(sights.rows[0]["wire"]), sights.lines[1].only(sights.rows[1]["wire"])
     _, covariance, across = stack(picks)
     size = np.trace(covariance, axis1=-2, axis2=-1)[..., None, None]
@@ -212,17 +213,17 @@ def _wire(sights: Sights, picks: Sequence[tuple[Pick, Pick]], method: Method) ->
     return solution.xyz_mm.ravel(), np.hstack(solution.response)
 
 
-def _passed(sights: Sights, name: str, ends: np.ndarray) -> np.ndarray:
-    """(3,): where the only line of sight of a drawing passes an axis (6,: both ends) nearest."""
+def _nearest_to_axis(sights: Sights, name: str, ends: np.ndarray) -> np.ndarray:
+    """Return the point (3,) of a single click's line of sight nearest to an axis (6,: both ends)."""
     ((focal, points),) = sights.rays(name, sights.values[sights.index(name)][None])
     along = (ends[3:] - ends[:3])[None]
     return nearest_approach(focal[0], (points - focal)[0], ends[None, :3], along).first_mm[0]
 
 
 def _level(sights: Sights, name: str, with_mm: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Where the only line of sight of a drawing is level with a point (3,), (3,); how that follows its numbers, (3, n).
+    """Return the point (3,) of a single click's line of sight at the depth of `with_mm` (3,), its derivatives (3, n).
 
-    Along the line of sight it says nothing, so that the point's own error does not matter.
+    The click measures nothing along its line of sight, so the error of `with_mm` does not matter.
     """
     at = sights.values[sights.index(name)]
 

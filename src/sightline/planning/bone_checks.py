@@ -1,4 +1,4 @@
-"""Checks of a planned wire against the bone it is for: side, which end is which, the tip under the head's surface."""
+"""Checks of a planned wire against the bone: side, order of entry and end, depth of the tip below the surface."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -14,36 +14,37 @@ from sightline.planning.results import Verdict
 
 HEAD_CENTRE, LESSER = "head-centre", "lesser-trochanter"
 _LATERAL = -MEDIAL
-# Along a line of sight a point is tried so far, in such steps [ours].
-FARTHEST_MM, _STEP_MM = 60.0, 0.5
+# Range and step of the trial shifts of a point along a line of sight [ours].
+MAX_SHIFT_MM, _STEP_MM = 60.0, 0.5
 
 
 @dataclass(frozen=True)
 class BoneRule:
-    """Where the wire of a hip screw usually lies. A wire outside of these ranges is not this procedure's.
+    """Plausible ranges for the wire of a hip screw; a wire outside them does not belong to this procedure.
 
-    `length_mm`: in which hip screws are made. `head_to_entry_mm`: at least from the head's centre to the entry.
+    `length_mm`: lengths of hip screws. `head_to_entry_mm`: minimum distance from the head's centre to the entry.
     `lateral_of_lesser_mm`, `before_lesser_mm`: how far the entry lies lateral and anterior of the tip of the lesser
-    trochanter. `cortex_mm`: at most
-    from the entry to the lateral cortex, inward from it. `to_shaft_deg`: between wire and shaft.
+    trochanter. `cortex_mm`: maximum depth of the entry below the lateral cortex. `to_shaft_deg`: angle between wire
+    and shaft.
     """
 
     length_mm: tuple[float, float] = (50.0, 145.0)  # screws are made in 50 to 145 mm [mem]
-    # In adults 70 to 90 mm; the smallest necks have 55 [mem], so an entry nearer lies in the neck [ours].
+    # 70 to 90 mm in adults, 55 mm in the smallest [mem]; an entry nearer to the centre lies in the neck [ours].
     head_to_entry_mm: float = 50.0
     # In the twin 35 mm; the femur is 40 mm wide there [mem]; 10 mm for the frame's tilt against the bone [ours].
     lateral_of_lesser_mm: tuple[float, float] = (25.0, 60.0)
-    # In the twin 18 mm; a thigh that is turned by 45° carries the trochanter to the front [ours].
+    # In the twin 18 mm; a thigh rotated by 45° carries the trochanter to the front [ours].
     before_lesser_mm: tuple[float, float] = (-15.0, 50.0)
     cortex_mm: float = 8.0  # the cortex is 5 mm thick (physics.md, Femur), the bone flares by 3 [ours]
-    to_shaft_deg: tuple[float, float] = (120.0, 155.0)  # plates have 130° to 150° [mem], and 5° to 10° for the hand
+    to_shaft_deg: tuple[float, float] = (120.0, 155.0)  # plates have 130° to 150° [mem]; 5° to 10° freehand error
 
 
 @dataclass(frozen=True)
 class Measure:
-    """A value of the wire that must lie between `low` and `high`: `value` takes entry and end (K, 3) to (K,).
+    """A measure of the wire that must lie between `low` and `high`: `value` maps entry and end (K, 3) to (K,).
 
-    `sentence` says the value, `otherwise` what a wrong one means and what to do."""
+    `sentence` states the value; `otherwise` says what a value out of range means and what to do.
+    """
 
     name: str
     value: Callable[[np.ndarray, np.ndarray], np.ndarray]
@@ -54,12 +55,12 @@ class Measure:
     otherwise: str
 
     def passes(self, entry_mm: np.ndarray, end_mm: np.ndarray) -> np.ndarray:
-        """(K,) bool, of entries and ends (K, 3)."""
+        """Return (K,) bool for entries and ends (K, 3)."""
         values = self.value(entry_mm, end_mm)
         return (values >= self.low) & (values <= self.high)
 
     def check(self, entry_mm: np.ndarray, end_mm: np.ndarray) -> Check:
-        """Of one wire: entry and end (3,)."""
+        """Return the check of one wire: entry and end (3,)."""
         value = float(self.value(entry_mm[None], end_mm[None])[0])
         limit = self.high if value > self.high or not np.isfinite(self.low) else self.low
         passed = self.low <= value <= self.high
@@ -69,9 +70,10 @@ class Measure:
 
 
 def judge_in_bone(found: Anatomy, rule: BoneRule, side: str | None, landmarks_mm: Mapping[str, np.ndarray]) -> Verdict:
-    """What the bone says of the wire in `found`: the checks, and those that something is missing for.
+    """Return the checks of the wire in `found` against the bone, and those that lack an input.
 
-    `landmarks_mm`: (3,) by their keys in the kind of trajectory. Raises UnusableInputError for a side that is none."""
+    `landmarks_mm`: (3,) by their keys in the kind of trajectory. Raises UnusableInputError for an unknown side.
+    """
     missing = _missing(found, side, landmarks_mm)
     checks = list(missing)
     if found.head_agreement is not None:
@@ -87,14 +89,14 @@ def judge_in_bone(found: Anatomy, rule: BoneRule, side: str | None, landmarks_mm
 def measures(
     found: Anatomy, rule: BoneRule, side: str | None, landmarks_mm: Mapping[str, np.ndarray]
 ) -> tuple[Measure, ...]:
-    """Everything that can be measured of the wire with what is known of the bone."""
+    """Return all measures of the wire for which the bone is known well enough."""
     entry, end = found.part("wire").reshape(1, 2, 3).swapaxes(0, 1)
     out: list[Measure] = []
     centre = landmarks_mm.get(HEAD_CENTRE) if found.head is None else found.head.centre_mm
     if centre is not None:
         order = _order(centre)
         out.append(order)
-        if not order.passes(entry, end)[0]:  # then nothing else of the wire means anything
+        if not order.passes(entry, end)[0]:  # with the ends exchanged no other measure is meaningful
             return (*out, *_sides(found, side, landmarks_mm, centre, by_wire=False))
         out += _sides(found, side, landmarks_mm, centre, by_wire=True)
         out.append(_from_head(centre, rule))
@@ -111,13 +113,14 @@ def measures(
 
 
 def noticed_beyond_mm(checked: Sequence[Measure], found: Anatomy) -> tuple[float | None, float | None]:
-    """How far entry and end could be wrong along a line of sight before one of the measures fails; None where none does
-    within FARTHEST_MM.
+    """Return how far entry and end can be wrong along a line of sight before a measure fails; None where none does
+    within MAX_SHIFT_MM.
 
-    A pick that is wrong along its image-matching curve moves its point along the other view's line of sight, and no gap
-    shows it."""
+    A pick that is wrong along its image-matching curve moves its point along the other view's line of sight, which no
+    gap shows.
+    """
     wire, focal = found.part("wire").reshape(2, 3), found.part("focal").reshape(2, 3)
-    steps = np.arange(_STEP_MM, FARTHEST_MM + _STEP_MM, _STEP_MM)
+    steps = np.arange(_STEP_MM, MAX_SHIFT_MM + _STEP_MM, _STEP_MM)
     out: list[float | None] = []
     for point in range(2):
         reach: float | None = 0.0
@@ -133,21 +136,19 @@ def noticed_beyond_mm(checked: Sequence[Measure], found: Anatomy) -> tuple[float
 
 
 def _missing(found: Anatomy, side: str | None, landmarks_mm: Mapping[str, np.ndarray]) -> tuple[Check, ...]:
-    """Checks that cannot be made, with what they need."""
+    """Return the checks that lack an input, with what they need."""
     wanted = {}
     if side is None:
-        wanted["side"] = (
-            "The side is not given: say whether it is the right or the left hip, after a look at both images."
-        )
+        wanted["side"] = "The side is not given: look at both images and state whether it is the right or the left hip."
     if found.absent.get("head") == NOT_PLACED["head"]:
         wanted["head"] = (
-            "The head is not drawn: draw its outline in both images; nothing tells which end of the wire lies in it, "
-            "nor whether the tip stays in the bone."
+            "The head is not drawn: draw its outline in both images. Without it neither the order of the wire's ends "
+            "nor the tip's depth in the bone can be checked."
         )
     if LESSER not in landmarks_mm and not {"shaft", "cortex"} <= found.at.keys():
         wanted["entry at cortex"] = (
-            "Nothing tells whether the entry lies at the lateral cortex or inside the neck: pick the tip of the lesser "
-            "trochanter in both images, or draw the shaft axis and click on the lateral cortex."
+            "The entry cannot be checked: it may lie at the lateral cortex or inside the neck. Pick the tip of the "
+            "lesser trochanter in both images, or draw the shaft axis and click on the lateral cortex."
         )
     return tuple(Check(name, False, None, None, "", sentence) for name, sentence in wanted.items())
 
@@ -163,14 +164,14 @@ def _order(centre: np.ndarray) -> Measure:
         np.inf,
         "mm",
         "The end point lies nearer to the head's centre than the entry point, by {}",
-        "entry and end are exchanged, or the head is drawn at the wrong place: exchange them, or draw it again",
+        "entry and end are exchanged, or the head is drawn in the wrong place: exchange them, or draw the head again",
     )
 
 
 def _sides(
     found: Anatomy, side: str | None, landmarks_mm: Mapping[str, np.ndarray], centre: np.ndarray, *, by_wire: bool
 ) -> list[Measure]:
-    """What must lie below the head of a hip of this side."""
+    """Return the measures of what must lie below the head of a hip of this side."""
     if side is None:
         return []
     down = caudal(side)
@@ -180,8 +181,8 @@ def _sides(
     if found.shaft is not None:
         still["shaft"] = found.shaft.ends_mm.mean(axis=0)
     otherwise = (
-        f"this is no {side} hip as the frame stands, or two points are exchanged: look at both images, and give the "
-        "other side or pick again"
+        f"with the frame placed like this it is not a {side} hip, or two points are exchanged: look at both images, "
+        "then give the other side or pick again"
     )
     said = f"For a {side} hip {{}} must lie below the centre of the head: it lies {{}} below"
     out = [
@@ -203,8 +204,8 @@ def _sides(
 
 
 def _tip(found: Anatomy) -> Measure:
-    """The tip stays under the head's surface, by more than its own error."""
-    assert found.head is not None  # noqa: S101 - asked for by measures
+    """The tip must lie below the head's surface by more than its own error."""
+    assert found.head is not None  # noqa: S101 - checked by the caller
     depth_sd = tip_depth(found)[1]
     error = 0.0 if depth_sd is None else TWO_SIDED_95 * depth_sd
     head = found.head
@@ -215,8 +216,8 @@ def _tip(found: Anatomy) -> Measure:
         np.inf,
         "mm",
         f"The tip lies {{}} under the nearest surface of the head (95 % error {error:.1f} mm)",
-        f"it must be more than its error, {error:.1f} mm: through the surface lies the joint, or the tip is not in the "
-        "head: move the end point, or draw the head again",
+        f"the depth must exceed its error of {error:.1f} mm, since the joint lies beyond the surface: move the end "
+        "point, or draw the head again",
     )
 
 
@@ -228,7 +229,7 @@ def _from_head(centre: np.ndarray, rule: BoneRule) -> Measure:
         np.inf,
         "mm",
         "The entry lies {} from the head's centre",
-        f"at less than {rule.head_to_entry_mm:.0f} mm it lies in the neck, not at the lateral cortex: pick it again",
+        f"below {rule.head_to_entry_mm:.0f} mm it lies in the neck, not at the lateral cortex: pick it again",
     )
 
 
@@ -245,15 +246,15 @@ def _from_lesser(lesser: np.ndarray, rule: BoneRule) -> list[Measure]:
             high,
             "mm",
             f"The entry lies {{}} {name} of the lesser trochanter's tip",
-            f"at less than {low:.0f} mm it lies {where}, at more than {high:.0f} mm beside it: pick one of them "
-            "again; it may be wrong along its line of sight",
+            f"below {low:.0f} mm it lies {where}, above {high:.0f} mm off the bone: pick the entry or the trochanter "
+            "again; one may be wrong along its line of sight",
         )
         for name, way, (low, high), where in ways
     ]
 
 
 def _from_cortex(found: Anatomy, centre: np.ndarray, rule: BoneRule) -> Measure:
-    assert found.shaft is not None  # noqa: S101 - asked for by measures
+    assert found.shaft is not None  # noqa: S101 - checked by the caller
     on, along = found.shaft.ends_mm[0], found.shaft.direction
 
     def across(xyz: np.ndarray) -> np.ndarray:
@@ -270,7 +271,8 @@ def _from_cortex(found: Anatomy, centre: np.ndarray, rule: BoneRule) -> Measure:
         rule.cortex_mm,
         "mm",
         "The entry lies {} inside the lateral cortex that was clicked",
-        f"more than {rule.cortex_mm:.0f} mm inside it lies in the bone: pick it at the cortex, or click on that again",
+        f"more than {rule.cortex_mm:.0f} mm inside, it lies in the bone: pick it at the cortex, or click on the cortex "
+        "again",
     )
 
 
@@ -278,7 +280,7 @@ def _to_shaft(shaft: np.ndarray, rule: BoneRule) -> Measure:
     low, high = rule.to_shaft_deg
 
     def value(entry: np.ndarray, end: np.ndarray) -> np.ndarray:
-        """An axis drawn either way: the obtuse angle is that of the neck with the shaft."""
+        """Return the obtuse angle: the shaft axis may be drawn in either direction."""
         cosine = np.abs((end - entry) @ shaft) / _distance(entry, end)
         return np.rad2deg(np.pi - np.arccos(np.clip(cosine, 0.0, 1.0)))
 
@@ -288,8 +290,9 @@ def _to_shaft(shaft: np.ndarray, rule: BoneRule) -> Measure:
         low,
         high,
         "°",
-        "The wire stands at {} to the shaft",
-        f"plates need {low:.0f}° to {high:.0f}°: a point is wrong along its line of sight, or the shaft: pick again",
+        "The wire makes an angle of {} with the shaft",
+        f"plates need {low:.0f}° to {high:.0f}°: a point is wrong along its line of sight, or the shaft is drawn "
+        "wrongly: pick again",
     )
 
 
@@ -302,7 +305,8 @@ def _length(rule: BoneRule) -> Measure:
         high,
         "mm",
         "From entry to end the wire runs {}",
-        f"hip screws have {low:.0f} to {high:.0f} mm: an end is wrong, perhaps along its line of sight: pick again",
+        f"hip screws have {low:.0f} to {high:.0f} mm: entry or end is wrong, perhaps along its line of sight: pick "
+        "it again",
     )
 
 

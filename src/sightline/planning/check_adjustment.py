@@ -1,4 +1,4 @@
-"""The adjustment of a check shot, in the coordinates of the planning images, which the bone carries."""
+"""The least-squares adjustment of a check shot, in the CFCS of the planning images, in which the bone is at rest."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -10,34 +10,37 @@ from sightline.calibration.view import CalibratedView, LinesOfSight
 from sightline.checks import Limits
 from sightline.errors import ReconstructionRefusedError
 from sightline.geometry.lines import nearest_approach
-from sightline.planning.check_result import FEWEST_LANDMARKS, LARGEST_OUTLIER, CheckShot, checks
+from sightline.planning.check_result import MAX_OUTLIER, MIN_LANDMARKS, CheckShot, checks
 from sightline.planning.check_rows import Rows, along_and_across, joint_covariance
 from sightline.planning.check_start import (
     CURVE,
     KnownWire,
     Landmarks,
     WireSeen,
-    seen,
     start_movement,
     start_wire,
     terms,
+    within_region,
 )
 from sightline.planning.line_residuals import refuse_two_frames
 from sightline.planning.picks import Pick, stack
 from sightline.planning.trajectory import Trajectory
 
-# What is taken of a movement that landmarks do not show, s.d. per axis: a leg that is thought still [twin, BoneMotion].
+# Prior s.d. per axis of a movement that no landmark shows: a leg assumed to be still [twin, BoneMotion].
 STILL_MM, STILL_RAD = 1.0, float(np.deg2rad(0.5))
 _FREE_MM, _FREE_RAD = 100.0, 1.0
-LEAST_TESTED = 1e-3  # share of an observation that others check; one with less contradicts nothing [ours]
-_FREE_PX = 1e3  # across a snapped pick's curve, where it says nothing
-_OUTSIDE_MM = 15.0  # of wire before the entry point that still counts: further out it may be bent [ours]
+MIN_REDUNDANCY = 1e-3  # redundancy number below which an observation cannot be tested by the others [ours]
+_FREE_PX = 1e3  # s.d. across a snapped pick's curve, where it measures nothing
+_OUTSIDE_MM = 15.0  # length of wire outside the entry point that is used: further out it may be bent [ours]
 
 
 class Adjustment:
-    """The adjustment. Its numbers are the landmarks and the plan's two points (3N + 6), a small movement (6: turn about
-    the plan's middle, shift), the wire's curve (8) and the place of its tip along the plan (1). Its rows are those of
-    four views. The plan's points are in it, since the landmarks tell how the views err that show both."""
+    """Gauss-Newton adjustment of the observations (`Rows`) in four views.
+
+    Unknowns: the landmarks and the plan's two points (3N + 6), a small movement (6: rotation about the plan's middle,
+    shift), the wire's curve (8) and its tip's place along the plan (1). The plan's points are unknowns because the
+    landmarks constrain the errors of the views that show both.
+    """
 
     def __init__(
         self,
@@ -57,7 +60,7 @@ class Adjustment:
         ]
         marks_mm, self.movement = start_movement(views, landmarks)
         self._points_mm = np.concatenate([marks_mm, [trajectory.entry_mm, trajectory.end_mm]])
-        wires = [seen(view, wire) for view, wire in zip(views[1], wires, strict=True)]
+        wires = [within_region(view, wire) for view, wire in zip(views[1], wires, strict=True)]
         self._curve, self._tip_mm = start_wire(trajectory, self._axes, self.movement, views[1], wires)
         wires = [self._near_the_bone(view, wire) for view, wire in zip(views[1], wires, strict=True)]
         self.wires = wires
@@ -69,24 +72,26 @@ class Adjustment:
         refuse_two_frames([*self._before, *self._after])
 
     def step(self) -> None:
-        """Gauss and Newton's."""
+        """Make one Gauss-Newton step."""
         residual, _, gain, _ = self._linearised()
         sizes = [self._points_mm.size, 3, 3, 2 * CURVE]
-        points, turn, shift, curve, tip = np.split(gain @ residual, np.cumsum(sizes))
+        points, rotvec, shift, curve, tip = np.split(gain @ residual, np.cumsum(sizes))
         self._points_mm = self._points_mm + points.reshape(-1, 3)
-        rotation, middle = Rotation.from_rotvec(turn), self._middle
+        rotation, middle = Rotation.from_rotvec(rotvec), self._middle
         move = RigidTransform.from_components(middle + shift - rotation.apply(middle), rotation)
         self.movement = move * self.movement
         self._curve = self._curve + curve.reshape(CURVE, 2)
         self._tip_mm += float(tip[0])
 
-    def contradicted_piece(self) -> tuple[int, int] | None:
-        """Image and number of the centre line's point (`wires`) that all other observations contradict most; None where
-        another observation is contradicted more, or none by more than is allowed."""
+    def outlying_point(self) -> tuple[int, int] | None:
+        """Return image and index of the centre-line point (`wires`) that is the worst outlier of all observations.
+
+        None where another observation is the worst, or the worst is within MAX_OUTLIER.
+        """
         residual, design, _, covariance = self._linearised()
-        sigma = _contradictions(residual, design, covariance)
+        sigma = _standardised_residuals(residual, design, covariance)
         worst, first = int(sigma.argmax()), 2 * 2 * len(self._points_mm)
-        if sigma[worst] <= LARGEST_OUTLIER:
+        if sigma[worst] <= MAX_OUTLIER:
             return None
         for view, wire in enumerate(self.wires):
             first += 2 * self._n
@@ -96,13 +101,14 @@ class Adjustment:
         return None
 
     def result(self, limits: Limits) -> CheckShot:
-        """What has come out, with its errors and its checks."""
+        """Return the check shot with its errors and its checks."""
         residual, design, gain, covariance = self._linearised()
-        # A prior that leaves all free is no observation.
-        free = 6 if self._n >= FEWEST_LANDMARKS else 3 if self._n else 0
+        # An uninformative prior does not count as an observation.
+        free = 6 if self._n >= MIN_LANDMARKS else 3 if self._n else 0
         square = residual @ np.linalg.solve(covariance, residual) / (len(residual) - free - design.shape[1])
         to_deviation = self._to_deviation(limits.beyond_mm) @ gain
-        spread = to_deviation @ (covariance - self._plan_picks_mm2(len(covariance))) @ to_deviation.T
+        # The plan's picks define the plan: their error is not an error of the deviation from it.
+        deviation_mm2 = to_deviation @ (covariance - self._plan_picks_mm2(len(covariance))) @ to_deviation.T
         bending = slice(self._points_mm.size + 10, -1)
         bends = self._curve[2:].ravel()
         known = (gain @ covariance @ gain.T)[bending, bending]
@@ -115,7 +121,7 @@ class Adjustment:
             entry_mm=entry,
             tip_mm=tip,
             deviation_mm=np.concatenate([self._axes[:2] @ (entry - planned[0]), self._axes @ (tip - planned_tip)]),
-            covariance_mm2=spread,
+            covariance_mm2=deviation_mm2,
             across=self._axes[:2],
             length_mm=self._trajectory.length_mm + limits.beyond_mm,
             movement=self.movement,
@@ -123,41 +129,41 @@ class Adjustment:
             bow_mm=float(np.linalg.norm(self._wire(along) - chord, axis=1).max()),
             bow_sigma=float(np.sqrt(bends @ np.linalg.solve(known, bends) / len(bends))),
             residual_rms=float(np.sqrt(square)),
-            outlier_sigma=float(_contradictions(residual, design, covariance).max()),
+            outlier_sigma=float(_standardised_residuals(residual, design, covariance).max()),
         )
         return replace(shot, checks=checks(shot, limits, self._views[1]))
 
     @property
     def _middle(self) -> np.ndarray:
-        """(3,) where the middle of the plan is in the check's images."""
+        """(3,) the middle of the plan in the CFCS of the check images."""
         return self.movement.apply((self._trajectory.entry_mm + self._trajectory.end_mm) / 2)
 
     @property
     def _prior_sd(self) -> np.ndarray:
-        """(6,) of turn and shift."""
-        turn = _FREE_RAD if self._n >= FEWEST_LANDMARKS else STILL_RAD
-        return np.repeat([turn, _FREE_MM if self._n else STILL_MM], 3)
+        """(6,) of rotation and shift."""
+        rotation = _FREE_RAD if self._n >= MIN_LANDMARKS else STILL_RAD
+        return np.repeat([rotation, _FREE_MM if self._n else STILL_MM], 3)
 
     def _offset(self, along_mm: np.ndarray | float) -> np.ndarray:
-        """(..., 2) of the wire from the planned axis."""
+        """(..., 2) offset of the wire from the planned axis, mm."""
         return terms(np.asarray(along_mm) / self._trajectory.length_mm) @ self._curve
 
     def _wire(self, along_mm: np.ndarray) -> np.ndarray:
-        """(N, 3) its points, in the bone."""
+        """(N, 3) points of the wire, CFCS of the planning images."""
         return self._trajectory.entry_mm + along_mm[:, None] * self._axes[2] + self._offset(along_mm) @ self._axes[:2]
 
     def _tangent(self, along_mm: np.ndarray) -> np.ndarray:
-        """(N, 3) d wire / d along."""
+        """(N, 3) derivative of `_wire` by `along_mm`."""
         return (self._wire(along_mm + 0.5) - self._wire(along_mm - 0.5)) / 1.0
 
     def _places(self, focal_mm: np.ndarray, directions: np.ndarray) -> np.ndarray:
-        """(N,) where along the plan lines of sight pass the wire."""
+        """(N,) places along the plan, mm, at which lines of sight pass the wire."""
         line = self.movement.apply(self._wire(np.array([0.0, self._trajectory.length_mm])))
         on = nearest_approach(focal_mm, directions, line[0], line[1] - line[0]).second_mm
         return (self.movement.inv().apply(on) - self._trajectory.entry_mm) @ self._axes[2]
 
     def _linearised(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Residuals of all rows and of the prior, their derivatives, the gain from the former to the numbers sought,
+        """Return the residuals of all rows and of the prior, the design matrix, the gain from residuals to unknowns,
         and the residuals' covariance."""
         marks_px2 = np.broadcast_to(self._landmarks.sd_px**2 * np.eye(2), (self._n, 2, 2))
         rows, designs = [], []
@@ -179,11 +185,11 @@ class Adjustment:
         covariance = np.zeros((len(residual), len(residual)))
         covariance[:-6, :-6] = joint_covariance(rows)
         covariance[-6:, -6:] = np.diag(self._prior_sd**2)
-        weighed = np.linalg.solve(covariance, design).T
-        return residual, design, np.linalg.solve(weighed @ design, weighed), covariance
+        weighted = np.linalg.solve(covariance, design).T
+        return residual, design, np.linalg.solve(weighted @ design, weighted), covariance
 
     def _plan_picks_mm2(self, size: int) -> np.ndarray:
-        """(R, R): what the scatter of the plan's picks, which defines the plan, adds to the rows' covariance."""
+        """(R, R) part of the rows' covariance that comes from the plan's picks."""
         out = np.zeros((size, size))
         for view, lines in enumerate(self._before):
             for k in range(2):
@@ -193,21 +199,21 @@ class Adjustment:
         return out
 
     def _after_rows(self, lines: LinesOfSight, wire_px2: np.ndarray, marks_px2: np.ndarray) -> tuple[Rows, np.ndarray]:
-        """Of a check image: its rows, and their derivatives by all numbers sought."""
+        """Return the rows of a check image and their derivatives by all unknowns."""
         n, count, moving = self._n, len(wire_px2) - 1, self._points_mm.size
         along = np.append(self._places(lines.focal_point_mm, lines.directions[n:-1]), self._tip_mm)
         tangent = self._tangent(along)
         xyz = self.movement.apply(np.concatenate([self._points_mm[:n], self._wire(along)]))
-        turned = self.movement.rotation.as_matrix()
-        way, across = along_and_across(lines, xyz[n:], tangent @ turned.T)
+        rotation = self.movement.rotation.as_matrix()
+        along_image, across_image = along_and_across(lines, xyz[n:], tangent @ rotation.T)
         select = np.zeros((2 * n + count + 1, len(xyz), 2))
         select[np.arange(2 * n), np.arange(2 * n) // 2, np.arange(2 * n) % 2] = 1.0
-        select[2 * n + np.arange(count), n + np.arange(count)] = across[:-1]
-        select[-1, -1] = way[-1]
+        select[2 * n + np.arange(count), n + np.arange(count)] = across_image[:-1]
+        select[-1, -1] = along_image[-1]
         noise = np.concatenate([marks_px2, wire_px2[:, None, None] * np.eye(2)])
         rows = Rows.of(lines, xyz, noise, select.reshape(len(select), -1))
         design = np.zeros((len(select), moving + 7 + 2 * CURVE))
-        in_bone = rows.to_point @ turned
+        in_bone = rows.to_point @ rotation
         design[:, : 3 * n] = in_bone[:, :n].reshape(len(select), -1)
         design[:, moving : moving + 3] = np.cross(xyz - self._middle, rows.to_point).sum(axis=1)
         design[:, moving + 3 : moving + 6] = rows.to_point.sum(axis=1)
@@ -218,12 +224,12 @@ class Adjustment:
         return rows, design
 
     def _prior_residual(self) -> np.ndarray:
-        """(6,) from what has moved to nothing moved."""
+        """(6,) prior mean (no movement) minus the current movement."""
         middle = (self._trajectory.entry_mm + self._trajectory.end_mm) / 2
         return -np.concatenate([self.movement.rotation.as_rotvec(), self.movement.apply(middle) - middle])
 
     def _to_deviation(self, beyond_mm: float) -> np.ndarray:
-        """(5, all numbers): derivative of the deviation by what is sought; the tip is planned past the end point."""
+        """(5, unknowns) derivative of the deviation; the planned tip lies `beyond_mm` past the end point."""
         first = self._points_mm.size + 6
         out = np.zeros((5, first + 2 * CURVE + 1))
         ends = terms(np.array([0.0, self._tip_mm]) / self._trajectory.length_mm)
@@ -237,22 +243,21 @@ class Adjustment:
         return out
 
     def _near_the_bone(self, view: CalibratedView, wire: KnownWire) -> KnownWire:
-        """Without what lies far outside the entry."""
+        """Return the wire without its points far outside the entry."""
         lines = view.lines_of_sight(wire.uv_px)
         along = self._places(lines.focal_point_mm, lines.directions)
         kept = (along > -_OUTSIDE_MM) & (along < self._tip_mm)
         if np.count_nonzero(kept) < CURVE:
             raise ReconstructionRefusedError(
-                f"view {view.name!r} shows less of the wire within the bone than its line needs; check that the images "
-                "belong to this plan"
+                f"view {view.name!r} shows {np.count_nonzero(kept)} points of the wire within the bone (at least "
+                f"{CURVE} are needed); check that the images belong to this plan"
             )
         return replace(wire, uv_px=wire.uv_px[kept], variance_px2=wire.variance_px2[kept])
 
 
-def _contradictions(residual: np.ndarray, design: np.ndarray, covariance: np.ndarray) -> np.ndarray:
-    """(R,) how far all others contradict each residual, in its standard deviations (Baarda's data snooping); 0 where
-    they say too little of it."""
+def _standardised_residuals(residual: np.ndarray, design: np.ndarray, covariance: np.ndarray) -> np.ndarray:
+    """(R,) |residual| over its own standard deviation (Baarda's data snooping); 0 below MIN_REDUNDANCY."""
     weight = np.linalg.inv(covariance)
     weight -= weight @ design @ np.linalg.solve(design.T @ weight @ design, design.T @ weight)
-    tested = np.diag(weight) > LEAST_TESTED * np.diag(covariance) ** -1
+    tested = np.diag(weight) > MIN_REDUNDANCY * np.diag(covariance) ** -1
     return np.where(tested, np.abs(weight @ residual) / np.sqrt(np.where(tested, np.diag(weight), 1.0)), 0.0)

@@ -1,4 +1,4 @@
-"""What a check shot found, and what speaks for or against the wire."""
+"""The result of a check shot: the drilled wire against the plan, and its checks."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -11,21 +11,22 @@ from sightline.calibration.view import CalibratedView
 from sightline.checks import Check, Limits, failed
 from sightline.geometry.covariance import length_quantile
 
-FEWEST_LANDMARKS = 3  # that tell of a rotation
-LARGEST_OUTLIER = 4.0  # standard deviations; eight honest shots had 3.2 at most, one with a tip 1 mm off 4.8 [calc]
-LARGEST_RESIDUAL = 2.0  # rms of residuals over what is stated [ours]
+MIN_LANDMARKS = 3  # fewer do not determine a rotation
+MAX_OUTLIER = 4.0  # standard deviations; eight good shots had 3.2 at most, one with a tip 1 mm off 4.8 [calc]
+MAX_RESIDUAL = 2.0  # rms of the residuals over their stated standard deviations [ours]
 
 
 @dataclass(frozen=True, eq=False)
 class CheckShot:
-    """The wire against the plan, in the bone: CFCS of the planning images.
+    """The drilled wire against the plan, in the CFCS of the planning images, in which the bone is at rest.
 
-    `entry_mm` (3,): where the wire passes the planned entry, across the planned axis; `tip_mm` (3,). `deviation_mm`
-    (5,): of the entry across (2), of the tip across (2) and along (1, positive: too deep), across along the rows of
-    `across` (2, 3); `covariance_mm2` (5, 5). `length_mm`: planned, from the entry to where the tip ends. `movement`: of
-    the bone against the frame, from planning CFCS to check CFCS. `bow_mm`: largest distance of the centre line from the
-    chord; `bow_sigma`: of its terms together, over their standard deviations. `residual_rms`: over what is stated.
-    `outlier_sigma`: of the observation that all others contradict most.
+    `entry_mm` (3,): the wire at the planned entry's depth; `tip_mm` (3,). `deviation_mm` (5,): of the entry
+    perpendicular to the planned axis (2), of the tip perpendicular to it (2) and along it (1, positive: too deep);
+    the perpendicular axes are the rows of `across` (2, 3). `covariance_mm2` (5, 5): of the deviation. `length_mm`:
+    planned, from the entry to the tip. `movement`: of the bone against the frame, from planning CFCS to check CFCS.
+    `landmarks`: how many were found again. `bow_mm`: largest distance of the centre line from its chord; `bow_sigma`:
+    rms of its bending terms over their standard deviations. `residual_rms`: rms of the residuals over their stated
+    standard deviations. `outlier_sigma`: the largest single residual, in its standard deviations.
     """
 
     entry_mm: np.ndarray
@@ -44,32 +45,32 @@ class CheckShot:
 
     @property
     def entry_deviation_mm(self) -> float:
-        """Across the planned axis."""
+        """Distance of the wire from the planned entry, perpendicular to the planned axis."""
         return float(np.linalg.norm(self.deviation_mm[:2]))
 
     @property
     def tip_deviation_mm(self) -> float:
-        """In all directions."""
+        """Distance of the tip from the planned one."""
         return float(np.linalg.norm(self.deviation_mm[2:]))
 
     @property
     def angle_rad(self) -> float:
-        """Between chord (entry to tip) and planned axis."""
+        """Angle between the chord (entry to tip) and the planned axis."""
         return float(np.arctan(np.linalg.norm(self._to_direction @ self.deviation_mm)))
 
     @property
     def entry_error_95_mm(self) -> float:
-        """With a probability of 95 % the deviation's vector errs by less."""
+        """95 % bound of the error of the entry's deviation."""
         return float(length_quantile(self.covariance_mm2[:2, :2]))
 
     @property
     def tip_error_95_mm(self) -> float:
-        """The same of the tip."""
+        """95 % bound of the error of the tip's deviation."""
         return float(length_quantile(self.covariance_mm2[2:, 2:]))
 
     @property
     def direction_error_95_rad(self) -> float:
-        """The same of the chord's direction."""
+        """95 % bound of the error of the chord's direction."""
         return float(length_quantile(self._to_direction @ self.covariance_mm2 @ self._to_direction.T))
 
     @property
@@ -82,7 +83,7 @@ class CheckShot:
         return not failed(self.checks)
 
     def document(self) -> dict[str, Any]:
-        """Everything as JSON types; mm, and degrees where a person reads."""
+        """Return everything as JSON types: mm, angles in degrees."""
         return {
             "coordinates": "CFCS of the planning images",
             "entry_mm": self.entry_mm.tolist(),
@@ -110,7 +111,7 @@ class CheckShot:
 
 
 def checks(shot: CheckShot, limits: Limits, views: Sequence[CalibratedView]) -> tuple[Check, ...]:
-    """What speaks for or against the wire, the check images' own checks first."""
+    """Return the checks of the drilled wire, the check images' own checks first."""
     return (
         *(replace(check, sentence=f"{view.name}: {check.sentence}") for view in views for check in view.checks),
         *_deviations(shot, limits),
@@ -128,7 +129,7 @@ def _deviations(shot: CheckShot, limits: Limits) -> tuple[Check, ...]:
         float(np.rad2deg(a)) for a in (shot.angle_rad, limits.direction_rad, shot.direction_error_95_rad)
     )
     at_entry = (
-        f"At the entry the wire lies {entry:.2f} mm beside the plan (known to {shot.entry_error_95_mm:.2f} mm, 95 %)."
+        f"At the entry the wire lies {entry:.2f} mm from the plan (known to {shot.entry_error_95_mm:.2f} mm, 95 %)."
     )
     at_tip = (
         f"The tip lies {tip:.2f} mm from the planned one, {shot.deviation_mm[4]:+.2f} mm of it along the plan "
@@ -143,14 +144,14 @@ def _deviations(shot: CheckShot, limits: Limits) -> tuple[Check, ...]:
 
 
 def _error(shot: CheckShot, limits: Limits) -> Check:
-    """A deviation within its limit says little where it is not known to that."""
+    """Return the check that the deviations are known to within their limits; otherwise passing them means little."""
     position = max(shot.entry_error_95_mm, shot.tip_error_95_mm) / limits.position_mm
     share = max(position, shot.direction_error_95_rad / limits.direction_rad)
     sentence = (
         "Entry, tip and direction are known to within their limits."
         if share <= 1.0
-        else "Entry, tip or direction is not known to within its limit: find more landmarks again, or bring more beads "
-        "into the field."
+        else "The error of entry, tip or direction is larger than its limit: find more landmarks again, or bring more "
+        "beads into the field."
     )
     return Check("check shot error", share <= 1.0, share, 1.0, "of the limit", sentence)
 
@@ -160,38 +161,41 @@ def _landmarks(shot: CheckShot) -> Check:
     sentence = f"{n} landmarks of the bone were found again: "
     if n == 0:
         sentence += (
-            "nothing tells whether it moved, and it is taken to be nearly still; find three or more in all images."
+            "a movement of the bone cannot be seen, and it is assumed to be nearly still; find three or more in all "
+            "images."
         )
-    elif n < FEWEST_LANDMARKS:
-        sentence += "they tell how it was shifted, not whether it turned; find three or more in all four images."
+    elif n < MIN_LANDMARKS:
+        sentence += "they show a shift of the bone but no rotation; find three or more in all four images."
     else:
         sentence += "its movement against the frame is known."
-    passed = n >= FEWEST_LANDMARKS
-    return Check("bone landmarks", passed, float(n), float(FEWEST_LANDMARKS), "landmarks", sentence)
+    passed = n >= MIN_LANDMARKS
+    return Check("bone landmarks", passed, float(n), float(MIN_LANDMARKS), "landmarks", sentence)
 
 
 def _residuals(shot: CheckShot) -> Check:
-    figure, limit = shot.residual_rms, LARGEST_RESIDUAL
-    sentence = f"Wire and landmarks fit the four images to {figure:.1f} of what is stated"
-    sentence += "." if figure <= limit else ": a landmark, a wire or an image is not what it is taken for."
-    return Check("check shot residuals", figure <= limit, figure, limit, "σ", sentence)
+    value, limit = shot.residual_rms, MAX_RESIDUAL
+    sentence = f"The residuals of wire and landmarks in the four images are {value:.1f} times what is stated"
+    sentence += (
+        "." if value <= limit else ": look for a wrong landmark, another wire, or an image that is not of this plan."
+    )
+    return Check("check shot residuals", value <= limit, value, limit, "σ", sentence)
 
 
 def _outlier(shot: CheckShot) -> Check:
-    figure, limit = shot.outlier_sigma, LARGEST_OUTLIER
-    sentence = f"The observation that all others contradict most is off by {figure:.1f} standard deviations"
+    value, limit = shot.outlier_sigma, MAX_OUTLIER
+    sentence = f"The largest single residual is {value:.1f} standard deviations"
     sentence += (
         "."
-        if figure <= limit
+        if value <= limit
         else ": a tip, a piece of the wire or a landmark is wrong in one image; look at both, and take the shot again."
     )
-    return Check("check shot outlier", figure <= limit, figure, limit, "σ", sentence)
+    return Check("check shot outlier", value <= limit, value, limit, "σ", sentence)
 
 
 def _bow(shot: CheckShot) -> Check:
-    """For information: a bent wire may end where it should."""
+    """Return the bow, for information only: a bent wire may still end at the right place."""
     sentence = (
-        f"Between entry and tip the wire is bent by up to {shot.bow_mm:.2f} mm, {shot.bow_sigma:.1f} times what "
-        "straight ones seem to be."
+        f"Between entry and tip the wire is bent by up to {shot.bow_mm:.2f} mm, {shot.bow_sigma:.1f} times the "
+        "measurement error of a straight wire."
     )
     return Check("wire bow", True, shot.bow_mm, None, "mm", sentence)

@@ -1,7 +1,7 @@
-"""What the images of a check shot say: residuals, how they follow from what is sought, and how they err.
+"""The observation rows of a check shot: residuals, their derivatives by the unknowns, and their covariance.
 
-A row is a number observed in one view. Landmarks give two rows each; a point of the wire's centre line gives one,
-across the line, its tip one, along it.
+A row is one number observed in one view: two for each landmark; one for each point of the wire's centre line, across
+the line; one for its tip, along the line.
 """
 
 from collections.abc import Sequence
@@ -16,10 +16,10 @@ from sightline.planning.line_residuals import LineResiduals, pick_covariance_mm2
 
 @dataclass(frozen=True, eq=False)
 class Rows:
-    """R rows of one view, mm on its reference plane, of the points (N, 3) of its lines of sight.
+    """R rows of one view, mm on its reference plane, for N points.
 
-    `select` (R, 2N): rows from the points' residuals. `residual` (R,); `to_point` (R, N, 3): their derivative by the
-    points where they are thought to be; `covariance` (R, R) without the frame's error; `frame` (R, K): response to it.
+    `residual` (R,); `to_point` (R, N, 3): derivative of the projections by the points; `covariance` (R, R): without
+    the frame's error; `frame` (R, K): response to the K unit-variance errors of the frame `frame_key`.
     """
 
     residual: np.ndarray
@@ -30,8 +30,11 @@ class Rows:
 
     @staticmethod
     def of(lines: LinesOfSight, xyz_mm: np.ndarray, noise_px2: np.ndarray, select: np.ndarray) -> "Rows":
-        """Of points (N, 3), each the one seen on its line, whose pixels err by (N, 2, 2) px²."""
-        assert lines.covariance is not None  # noqa: S101 - asked only where the errors are known
+        """Return the rows of points (N, 3), each seen on its line with the pixel covariance `noise_px2` (N, 2, 2).
+
+        `select` (R, 2N): takes the points' residuals to rows.
+        """
+        assert lines.covariance is not None  # noqa: S101 - called only where the errors are known
         at, n = LineResiduals.at(lines, xyz_mm), len(xyz_mm)
         picks = np.zeros((n, 2, n, 2))
         picks[np.arange(n), :, np.arange(n), :] = pick_covariance_mm2(lines, noise_px2)
@@ -47,16 +50,16 @@ class Rows:
 
 
 def along_and_across(lines: LinesOfSight, xyz_mm: np.ndarray, tangent: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(N, 2) each: unit vectors on the plane along the image of a curve through points (N, 3) with tangents (N, 3), and
-    across it."""
+    """Return unit vectors (N, 2) along and across the image, on the plane, of a curve through points (N, 3) with
+    tangents (N, 3)."""
     pencil = Pencil.through(lines.plane, lines.focal_point_mm)
-    way = np.einsum("nca,na->nc", pencil.by_point(xyz_mm), tangent)
-    way /= np.linalg.norm(way, axis=1, keepdims=True)
-    return way, np.stack([-way[:, 1], way[:, 0]], axis=-1)
+    along = np.einsum("nca,na->nc", pencil.by_point(xyz_mm), tangent)
+    along /= np.linalg.norm(along, axis=1, keepdims=True)
+    return along, np.stack([-along[:, 1], along[:, 0]], axis=-1)
 
 
 def joint_covariance(rows: Sequence[Rows]) -> np.ndarray:
-    """(R, R) of the rows of several views, one after the other: all views of the frame share its errors."""
+    """Return the covariance (R, R) of the concatenated rows of several views; views of a frame share its errors."""
     ends = np.cumsum([0, *(len(one.residual) for one in rows)])
     out = np.zeros((ends[-1], ends[-1]))
     for i, a in enumerate(rows):

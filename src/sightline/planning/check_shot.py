@@ -1,8 +1,9 @@
-"""The check shot: the wire seen in two more images, in space, against the plan.
+"""The check shot: the drilled wire, reconstructed from two more images, against the plan.
 
-Everything is one adjustment in the coordinates of the planning images, which the bone carries: landmarks, the movement
-of the bone against the frame until the check, and the wire as a cubic along the planned axis. Observed are landmarks in
-four images, centre line and tip in two. Views err as they state, the frame's errors are those of all four.
+One least-squares adjustment in the CFCS of the planning images, in which the bone is at rest. Unknowns: landmarks, the
+movement of the bone against the frame until the check, and the wire as a cubic along the planned axis. Observations:
+landmarks in four images, centre line and tip in two. Each view has its stated covariance; all four share the frame's
+errors.
 """
 
 from collections.abc import Sequence
@@ -22,7 +23,7 @@ from sightline.planning.trajectory import Trajectory
 __all__ = ["CheckShot", "Landmarks", "check_shot"]
 
 _ITERATIONS = 5
-_OVERLAID = 0.2  # share of the centre lines' points that may be left out: bone's edges pull some of them aside [ours]
+_MAX_LEFT_OUT = 0.2  # share of the centre-line points that may be left out: bone edges displace some of them [ours]
 
 
 def check_shot(
@@ -35,23 +36,24 @@ def check_shot(
     landmarks: Landmarks | None = None,
     limits: Limits | None = None,
 ) -> CheckShot:
-    """The wire that two check images show, against the plan made on two others.
+    """Return the wire that two check images show, against the plan made on two others.
 
-    `trajectory`, `picks` (entry, end) of a `Plan` made on the views `planned`; `wires`: what the images of the views
-    `checked` show, in their order. The picks define the plan: that they may miss what the surgeon meant is no error
-    here. Points of the centre lines that all else contradicts are left out, the worst first, a fifth at most; a tip or
-    a landmark never is.
+    `trajectory`, `picks` (entry, end): of a `Plan` made on the views `planned`; `wires`: found in the images of the
+    views `checked`, in the same order. The picks define the plan, so their errors are not counted. Outlying points of
+    the centre lines are left out, the worst first, a fifth at most; a tip or a landmark is never left out.
     Raises UnusableInputError, ReconstructionRefusedError, OutsideRegionError, ErrorUnknownError.
     """
     landmarks = landmarks or Landmarks()
     if len(planned) != 2 or len(checked) != 2 or len(wires) != 2 or len(picks) != 2:
-        raise UnusableInputError("a check shot needs two views of the plan, two of the check, a wire in each of these")
+        raise UnusableInputError(
+            "give two views of the plan with two picks, and two views of the check with a wire in each"
+        )
     shot = _adjusted(trajectory, picks, (planned, checked), wires, landmarks)
-    for _ in range(int(_OVERLAID * sum(len(wire.uv_px) for wire in shot.wires))):
-        piece = shot.contradicted_piece()
-        if piece is None:
+    for _ in range(int(_MAX_LEFT_OUT * sum(len(wire.uv_px) for wire in shot.wires))):
+        outlier = shot.outlying_point()
+        if outlier is None:
             break
-        wires = [_without(wire, piece[1]) if k == piece[0] else wire for k, wire in enumerate(shot.wires)]
+        wires = [_without(wire, outlier[1]) if k == outlier[0] else wire for k, wire in enumerate(shot.wires)]
         shot = _adjusted(trajectory, picks, (planned, checked), wires, landmarks)
     return shot.result(limits or Limits())
 
@@ -69,5 +71,5 @@ def _adjusted(
     return shot
 
 
-def _without(wire: KnownWire, piece: int) -> KnownWire:
-    return replace(wire, uv_px=np.delete(wire.uv_px, piece, axis=0), variance_px2=np.delete(wire.variance_px2, piece))
+def _without(wire: KnownWire, point: int) -> KnownWire:
+    return replace(wire, uv_px=np.delete(wire.uv_px, point, axis=0), variance_px2=np.delete(wire.variance_px2, point))

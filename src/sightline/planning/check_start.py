@@ -1,4 +1,4 @@
-"""What a check shot's adjustment begins with: what was picked and seen, and first values of what is sought."""
+"""Inputs of a check shot's adjustment (landmarks, wires found in the images) and starting values of its unknowns."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -10,18 +10,18 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from sightline.calibration.view import CalibratedView
 from sightline.errors import OutsideRegionError, ReconstructionRefusedError, UnusableInputError
 from sightline.geometry.lines import nearest_approach
-from sightline.planning.check_result import FEWEST_LANDMARKS
+from sightline.planning.check_result import MIN_LANDMARKS
 from sightline.planning.picks import DEFAULT_PICK_SD_PX
-from sightline.planning.reconstruct import SMALLEST_ANGLE_RAD, reconstruct
+from sightline.planning.reconstruct import MIN_ANGLE_RAD, reconstruct
 from sightline.planning.trajectory import Trajectory
 
-CURVE = 4  # terms of the wire's curve along either axis across it: its place, its direction, two of bending
-_LEAST_COSINE = 0.8  # of wire and plan: beyond 37° it is another wire [ours]
-_TIPS_APART_MM = 5.0  # seen in both views, a tip errs by 0.2 mm [ours]
+CURVE = 4  # terms of the wire's curve along each perpendicular axis: offset, direction, two of bending
+_MIN_COSINE = 0.8  # of the angle between wire and plan: beyond 37° it is another wire [ours]
+_MAX_TIP_GAP_MM = 5.0  # along the wire, between the tips of the two views; the error of a tip is 0.2 mm [ours]
 
 
 class WireSeen(Protocol):
-    """A wire found in one image, px; along the tangent a point of the centre line says nothing."""
+    """A wire found in one image, px; a point of the centre line measures nothing along the tangent."""
 
     @property
     def uv_px(self) -> np.ndarray:
@@ -30,25 +30,25 @@ class WireSeen(Protocol):
 
     @property
     def variance_px2(self) -> np.ndarray:
-        """(N,) across it."""
+        """(N,) variance of each point across the line."""
         ...
 
     @property
     def tip_uv_px(self) -> np.ndarray:
-        """(2,)."""
+        """(2,) the tip."""
         ...
 
     @property
     def tip_variance_px2(self) -> float:
-        """Along it."""
+        """Variance of the tip along the line."""
         ...
 
 
 @dataclass(frozen=True, eq=False)
 class Landmarks:
-    """Points of the bone picked in the planning images and found again in the check's, (2, N, 2) px each, N from 0.
+    """Points of the bone picked in the planning images and found again in the check images, (2, N, 2) px each, N >= 0.
 
-    `sd_px`: of a pick, per axis. Raises UnusableInputError.
+    `sd_px`: standard deviation of a pick, per axis. Raises UnusableInputError.
     """
 
     planned_uv_px: np.ndarray = field(default_factory=lambda: np.zeros((2, 0, 2)))
@@ -59,13 +59,15 @@ class Landmarks:
         planned, checked = (np.asarray(uv, dtype=np.float64) for uv in (self.planned_uv_px, self.checked_uv_px))
         if planned.shape != checked.shape or planned.ndim != 3 or planned.shape[::2] != (2, 2):
             raise UnusableInputError(
-                f"landmarks have the shapes {planned.shape} and {checked.shape}; (2, N, 2) was expected of both: the "
-                "same points in both pairs of images"
+                f"landmarks have the shapes {planned.shape} and {checked.shape}; give (2, N, 2) for both: the same "
+                "points in both pairs of images"
             )
         if not (
             np.isfinite(planned).all() and np.isfinite(checked).all() and np.isfinite(self.sd_px) and self.sd_px > 0
         ):
-            raise UnusableInputError("landmarks must be finite pixels, and their standard deviation positive")
+            raise UnusableInputError(
+                f"give landmarks as finite pixels, and a positive standard deviation; got {self.sd_px} px"
+            )
 
     def __len__(self) -> int:
         return np.shape(self.planned_uv_px)[1]
@@ -73,7 +75,7 @@ class Landmarks:
 
 @dataclass(frozen=True, eq=False)
 class KnownWire:
-    """A `WireSeen` where its view can say something."""
+    """A `WireSeen` restricted to the region in which its view is calibrated."""
 
     uv_px: np.ndarray
     variance_px2: np.ndarray
@@ -81,8 +83,8 @@ class KnownWire:
     tip_variance_px2: float
 
 
-def seen(view: CalibratedView, wire: WireSeen) -> KnownWire:
-    """Without the points outside the view's calibrated region."""
+def within_region(view: CalibratedView, wire: WireSeen) -> KnownWire:
+    """Return the wire without its points outside the view's calibrated region. Raises ReconstructionRefusedError."""
     kept = np.array([_in_region(view, uv) for uv in wire.uv_px], dtype=bool)
     if np.count_nonzero(kept) < CURVE:
         raise ReconstructionRefusedError(
@@ -102,7 +104,7 @@ def start_movement(
     before = reconstruct(views[0], landmarks.planned_uv_px, spread).xyz_mm
     after = reconstruct(views[1], landmarks.checked_uv_px, spread).xyz_mm
     rotation = Rotation.identity()
-    if len(landmarks) >= FEWEST_LANDMARKS:
+    if len(landmarks) >= MIN_LANDMARKS:
         rotation = Rotation.align_vectors(after - after.mean(axis=0), before - before.mean(axis=0))[0]
     return before, RigidTransform.from_components(after.mean(axis=0) - rotation.apply(before.mean(axis=0)), rotation)
 
@@ -114,52 +116,59 @@ def start_wire(
     views: Sequence[CalibratedView],
     wires: Sequence[WireSeen],
 ) -> tuple[np.ndarray, float]:
-    """Curve (CURVE, 2) and tip, mm along the plan: where the planes of both views' lines of sight meet.
+    """Return curve (CURVE, 2) and tip (mm along the plan) of the line in which the planes of both views' lines of sight
+    intersect.
 
-    `axes` (3, 3): rows across the plan, twice, and along it. Raises ReconstructionRefusedError.
+    `axes` (3, 3): two rows perpendicular to the plan, one along it. Raises ReconstructionRefusedError.
     """
     normals, through = [], []
     for view, wire in zip(views, wires, strict=True):
         lines = view.lines_of_sight(np.concatenate([wire.uv_px, wire.tip_uv_px[None]]))
         normals.append(np.linalg.svd(lines.directions)[2][2])
         through.append(lines)
-    way = np.cross(*normals)
-    if np.linalg.norm(way) < np.sin(SMALLEST_ANGLE_RAD):
+    direction = np.cross(*normals)
+    if np.linalg.norm(direction) < np.sin(MIN_ANGLE_RAD):
         raise ReconstructionRefusedError(
-            "both views see the wire in one plane, so its place in space does not follow; take one of them from "
-            "another direction"
+            "both views see the wire in one plane, which does not determine its place in space; take one of the images "
+            "from another direction"
         )
-    way /= np.linalg.norm(way)
+    direction /= np.linalg.norm(direction)
     middle = movement.apply((trajectory.entry_mm + trajectory.end_mm) / 2)
     focal = [lines.focal_point_mm for lines in through]
-    on = np.linalg.solve(np.stack([*normals, way]), [normals[0] @ focal[0], normals[1] @ focal[1], way @ middle])
+    on = np.linalg.solve(
+        np.stack([*normals, direction]), [normals[0] @ focal[0], normals[1] @ focal[1], direction @ middle]
+    )
     back = movement.inv()
-    origin, way = back.apply(on), back.rotation.apply(way)
-    way = way if way @ axes[2] > 0 else -way
-    if way @ axes[2] < _LEAST_COSINE:
-        angle = np.rad2deg(np.arccos(way @ axes[2]))
+    origin, direction = back.apply(on), back.rotation.apply(direction)
+    direction = direction if direction @ axes[2] > 0 else -direction
+    if direction @ axes[2] < _MIN_COSINE:
+        angle, limit = np.rad2deg(np.arccos([direction @ axes[2], _MIN_COSINE]))
         raise ReconstructionRefusedError(
-            f"the line seen lies at {angle:.0f}° to the plan: the images show another wire, or are of another plan"
+            f"the wire lies at {angle:.0f}° to the plan (at most {limit:.0f}°): check that the images show this wire "
+            "and belong to this plan"
         )
     off = (origin - trajectory.entry_mm) @ axes.T
-    slope = axes[:2] @ way / (axes[2] @ way)
+    slope = axes[:2] @ direction / (axes[2] @ direction)
     curve = np.zeros((CURVE, 2))
     curve[0], curve[1] = off[:2] - slope * off[2], slope * trajectory.length_mm
     ends = [
-        nearest_approach(lines.focal_point_mm, lines.directions[-1], on, movement.rotation.apply(way)).second_mm
+        nearest_approach(lines.focal_point_mm, lines.directions[-1], on, movement.rotation.apply(direction)).second_mm
         for lines in through
     ]
     along = (back.apply(np.array(ends)) - trajectory.entry_mm) @ axes[2]
-    if (apart := float(np.ptp(along))) > _TIPS_APART_MM:
+    if (apart := float(np.ptp(along))) > _MAX_TIP_GAP_MM:
         raise ReconstructionRefusedError(
-            f"the tips seen in the two images lie {apart:.0f} mm apart along the wire: the images are exchanged, "
-            "or one does not show this wire's tip"
+            f"the tips seen in the two images lie {apart:.0f} mm apart along the wire (at most {_MAX_TIP_GAP_MM:.0f} "
+            "mm): the images are exchanged, or one does not show this wire's tip"
         )
     return curve, float(along.mean())
 
 
 def terms(share: np.ndarray) -> np.ndarray:
-    """(..., CURVE) of the wire's curve at shares of the planned length; those of bending vanish at entry and end."""
+    """Return the terms (..., CURVE) of the wire's curve at fractions `share` of the planned length.
+
+    The bending terms vanish at entry and end.
+    """
     bend = share * (share - 1)
     return np.stack([np.ones_like(share), share, bend, bend * (2 * share - 1)], axis=-1)
 

@@ -1,4 +1,4 @@
-"""Where in an image the drilled wire will run: its outline, and how far from the line that was meant it may be."""
+"""The planned wire in an image: its outline, and the 95 % band in which the drilled wire runs."""
 
 from dataclasses import dataclass
 
@@ -9,17 +9,17 @@ from sightline.errors import OutsideRegionError
 from sightline.geometry.covariance import TWO_SIDED_95
 from sightline.planning.trajectory import Trajectory
 
-WIRE_MM = 2.5  # diameter (physics.md, Planning figures) [paper]
-_STEP_MM = 5.0  # about 25 px: the chord of a distorted line is then off by less than 0.06 px [ours]
+WIRE_DIAMETER_MM = 2.5  # physics.md, Planning figures [paper]
+_STEP_MM = 5.0  # about 25 px: the chord of a distorted line then deviates from it by less than 0.06 px [ours]
 
 
 @dataclass(frozen=True, eq=False)
 class Corridor:
-    """The planned wire in one view, S stations along it, as far as the view sees it.
+    """The planned wire in one view at S stations along it, as far as the view is calibrated.
 
-    `along_mm` (S,) from the entry point; `uv_px` (S, 2) its middle, `across_px` (S, 2) unit vectors across, IDCS;
-    `wire_half_px` (S,): half its width; `half_95_px` (S,): at each station the drilled wire runs within this of the
-    line that was meant, seen in this image, with a probability of 95 %; None where `trajectory.error_stated` is False.
+    `along_mm` (S,): distance from the entry point; `uv_px` (S, 2): centre line and `across_px` (S, 2): unit vectors
+    across it, IDCS; `wire_half_px` (S,): half the wire's width. `half_95_px` (S,): half width of the band that holds
+    the drilled wire with a probability of 95 %; None where `trajectory.error_stated` is False.
     """
 
     along_mm: np.ndarray
@@ -32,14 +32,15 @@ class Corridor:
 def corridor(
     view: CalibratedView,
     trajectory: Trajectory,
-    wire_mm: float = WIRE_MM,
+    wire_mm: float = WIRE_DIAMETER_MM,
     beyond_mm: float = 0.0,
     robot_mm2: np.ndarray | None = None,
 ) -> Corridor:
-    """The corridor of a trajectory, to `beyond_mm` past its end point; `wire_mm` is a diameter.
+    """Return the corridor of a trajectory, to `beyond_mm` past its end point; `wire_mm`: diameter of the wire.
 
-    `robot_mm2` (6, 6), CFCS, of (entry, end): added to the plan's own covariance. The point at s of the way errs by
-    (1 - s) times the entry's error and s times the end's. Raises OutsideRegionError where the view sees none of it.
+    `robot_mm2` (6, 6), CFCS, of (entry, end): added to the plan's own covariance. The error of the point at fraction s
+    of the length is (1 - s) times the entry's error plus s times the end's. Raises OutsideRegionError where no part of
+    the wire lies in the view's calibrated region.
     """
     length = trajectory.length_mm
     along = np.linspace(0.0, length + beyond_mm, 2 + int((length + beyond_mm) / _STEP_MM))
@@ -53,7 +54,8 @@ def corridor(
     middle, left, right = pixels.reshape(3, -1, 2)[:, whole]
     if len(middle) < 2:
         raise OutsideRegionError(
-            f"view {view.name!r} is calibrated nowhere along the plan; move the frame so that its beads surround it"
+            f"no part of the plan lies in the calibrated region of view {view.name!r}; move the frame so that its "
+            "beads surround it"
         )
     tangent = np.gradient(middle, along[whole], axis=0)
     across = np.stack([-tangent[:, 1], tangent[:, 0]], axis=1) / np.linalg.norm(tangent, axis=1, keepdims=True)
@@ -62,6 +64,6 @@ def corridor(
     if trajectory.error_stated:
         covariance = trajectory.covariance_mm2 if robot_mm2 is None else trajectory.covariance_mm2 + robot_mm2
         share = (along / length)[whole, None]
-        errs = np.hstack([(1.0 - share) * sideways[whole], share * sideways[whole]])
-        half_95 = TWO_SIDED_95 * px_per_mm * np.sqrt(np.einsum("ip,pq,iq->i", errs, covariance, errs))
+        response = np.hstack([(1.0 - share) * sideways[whole], share * sideways[whole]])
+        half_95 = TWO_SIDED_95 * px_per_mm * np.sqrt(np.einsum("ip,pq,iq->i", response, covariance, response))
     return Corridor(along[whole], middle, across, px_per_mm * wire_mm / 2, half_95)

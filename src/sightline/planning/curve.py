@@ -10,22 +10,22 @@ from sightline.geometry.covariance import TWO_SIDED_95
 from sightline.planning.line_residuals import LineResiduals, pick_covariance_mm2, refuse_two_frames
 from sightline.planning.picks import DEFAULT_PICK_SD_PX, Pick
 
-STEP_MM = 2.0  # about 10 px: the chord of a distorted line is then off by less than 0.01 px [ours]
+STEP_MM = 2.0  # about 10 px: the chord of a distorted line then deviates from it by less than 0.01 px [ours]
 TICK_MM = 10.0  # [ours]
-_BAND_EVERY = 5  # samples: the band is as smooth as the map's covariance, which follows the beads' pitch
-# A click farther than this from the curve is not a click on the curve: about 8 mm at the hip [ours].
-FARTHEST_SNAP_PX = 25.0
+_BAND_EVERY = 5  # samples: the band varies as slowly as the map's covariance, over the beads' pitch
+# A click farther than this from the curve was not meant for it: about 8 mm at the hip [ours].
+MAX_SNAP_PX = 25.0
 
 
 @dataclass(frozen=True, eq=False)
 class MatchingCurve:
-    """A line of sight of `from_view` as `to_view` sees it, sampled every 2 mm where `to_view` is calibrated.
+    """A line of sight of `from_view` as `to_view` shows it, S samples every 2 mm where `to_view` is calibrated.
 
-    `depth_mm` (S,): along the line of sight from the reference plane of `from_view` (for views of a frame its XRII
-    plate), towards the X-ray source.
-    `uv_px` (S, 2) and the unit `tangent_px` (S, 2), IDCS of `to_view`, follow the view's own map, so the curve bends
-    with its distortion and may run in any direction. `xyz_mm` (S, 3) CFCS. `is_tick` (S,) bool: every 10 mm.
-    `half_width_px` (S,): the true line lies within this across the curve with a probability of 95 %, the pick's own
+    `depth_mm` (S,): distance along the line of sight from the reference plane of `from_view` (for views of a frame its
+    XRII plate), positive towards the X-ray source.
+    `uv_px` (S, 2) and unit vectors `tangent_px` (S, 2), IDCS of `to_view`: they follow the view's own map, so the curve
+    bends with its distortion and may run in any direction. `xyz_mm` (S, 3), CFCS. `is_tick` (S,) bool: every 10 mm.
+    `half_width_px` (S,): half width of the band that holds the true line with a probability of 95 %, the pick's own
     error included; None where a view's error is unknown.
     """
 
@@ -41,20 +41,20 @@ class MatchingCurve:
     @property
     def across_px(self) -> np.ndarray:
         """(S, 2) unit vectors across the curve."""
-        return _turned(self.tangent_px)
+        return _perpendicular(self.tangent_px)
 
 
 def matching_curve(
     from_view: CalibratedView, uv_px: np.ndarray, to_view: CalibratedView, uv_covariance_px2: np.ndarray | None = None
 ) -> MatchingCurve:
-    """Draw the line of sight of pixel `uv_px` (2,) of one view in another (the paper, section 4.3 and Fig. 12).
+    """Return the line of sight of pixel `uv_px` (2,) of one view, drawn in another (the paper, section 4.3, Fig. 12).
 
-    `uv_covariance_px2` (2, 2): of the pick; 0.5 px where not given. Raises OutsideRegionError where the other view
-    sees none of the line, ReconstructionRefusedError for views of two frames.
+    `uv_covariance_px2` (2, 2): of the pick; 0.5 px per axis where not given. Raises OutsideRegionError where no part
+    of the line lies in the other view's calibrated region, ReconstructionRefusedError for views of two frames.
     """
     uv = np.asarray(uv_px, dtype=np.float64)
     if uv.shape != (2,) or not np.isfinite(uv).all():
-        raise UnusableInputError(f"a curve is drawn for one finite pixel (u, v), not for {uv_px!r}")
+        raise UnusableInputError(f"give one finite pixel (u, v) for an image-matching curve, not {uv_px!r}")
     line = from_view.lines_of_sight(uv[None])
     towards = -line.directions[0]
     length = float(np.linalg.norm(line.points_mm[0] - line.focal_point_mm))
@@ -63,8 +63,9 @@ def matching_curve(
     curve_px, seen = _seen(to_view, xyz)
     if len(curve_px) < 3:
         raise OutsideRegionError(
-            f"view {to_view.name!r} sees no part of the line of sight picked in view {from_view.name!r}; "
-            "pick a point that both images show, or take the images again with the target nearer to their middle"
+            f"no part of the line of sight picked in view {from_view.name!r} lies in the calibrated region of view "
+            f"{to_view.name!r}; pick a point that both images show, or acquire the images again with the target nearer "
+            "to their middle"
         )
     depth, xyz = depth[seen], xyz[seen]
     tangent = np.gradient(curve_px, depth, axis=0, edge_order=2)
@@ -73,7 +74,7 @@ def matching_curve(
     some = np.unique(np.r_[0 : len(depth) : _BAND_EVERY, len(depth) - 1])
     there = LineResiduals.at(to_view.lines_of_sight(curve_px[some]), xyz[some])
     refuse_two_frames((line, there.lines))
-    sd = _sd_across_px(line, pick, 1.0 - depth[some] / length, there, _turned(tangent[some]))
+    sd = _sd_across_px(line, pick, 1.0 - depth[some] / length, there, _perpendicular(tangent[some]))
     return MatchingCurve(
         from_view=from_view.name,
         to_view=to_view.name,
@@ -87,9 +88,10 @@ def matching_curve(
 
 
 def snap(curve: MatchingCurve, uv_px: np.ndarray, sd_px: float = DEFAULT_PICK_SD_PX) -> Pick:
-    """The point of the curve nearest to a click `uv_px` (2,), as one number along it with `sd_px`.
+    """Return the point of the curve nearest to a click `uv_px` (2,), a one-dimensional pick along the curve.
 
-    Raises UnusableInputError where the click is far beside the curve, OutsideRegionError where it is beyond its ends.
+    `sd_px`: its standard deviation along the curve. Raises UnusableInputError where the click is too far from the
+    curve, OutsideRegionError where it is beyond its ends.
     """
     click = Pick.free(uv_px, sd_px).uv_px
     start, chord = curve.uv_px[:-1], np.diff(curve.uv_px, axis=0)
@@ -102,19 +104,21 @@ def snap(curve: MatchingCurve, uv_px: np.ndarray, sd_px: float = DEFAULT_PICK_SD
             f"the click is {distance[best]:.0f} px beyond the end of the matching curve, where view "
             f"{curve.to_view!r} is not calibrated; pick nearer to the beads, or move the frame"
         )
-    if not distance[best] <= FARTHEST_SNAP_PX:
+    if not distance[best] <= MAX_SNAP_PX:
         raise UnusableInputError(
             f"the click is {distance[best]:.0f} px from the matching curve in view {curve.to_view!r} (at most "
-            f"{FARTHEST_SNAP_PX:.0f} px); click on the curve, or pick the point freely"
+            f"{MAX_SNAP_PX:.0f} px); click on the curve, or pick the point freely"
         )
     tangent = (1.0 - share[best]) * curve.tangent_px[best] + share[best] * curve.tangent_px[best + 1]
     tangent /= np.linalg.norm(tangent)
-    return Pick(nearest[best], sd_px**2 * np.outer(tangent, tangent), _turned(tangent))
+    return Pick(nearest[best], sd_px**2 * np.outer(tangent, tangent), _perpendicular(tangent))
 
 
 def _seen(view: CalibratedView, xyz_mm: np.ndarray) -> tuple[np.ndarray, slice]:
-    """Pixels (M, 2) of those of the points (S, 3) of a line that the view can project, and which these are: one
-    stretch, the nearest to the foot of the line, the point nearest to the view's focal point."""
+    """Return the pixels (M, 2) of the points (S, 3) of a line that the view can project, and their slice of the points.
+
+    Of several stretches the one nearest to the foot of the line is returned (its point nearest to the focal point).
+    """
     uv, seen = view.project_seen(xyz_mm)
     edges = np.flatnonzero(np.diff(np.concatenate([[False], seen, [False]]).astype(np.int8))).reshape(-1, 2)
     if not len(edges):
@@ -126,33 +130,33 @@ def _seen(view: CalibratedView, xyz_mm: np.ndarray) -> tuple[np.ndarray, slice]:
     return uv[before : before + last - first], slice(first, last)
 
 
-def _turned(tangent_px: np.ndarray) -> np.ndarray:
-    """(..., 2) turned by a quarter."""
+def _perpendicular(tangent_px: np.ndarray) -> np.ndarray:
+    """Return the vectors (..., 2) rotated by 90°."""
     return np.stack([-tangent_px[..., 1], tangent_px[..., 0]], axis=-1)
 
 
 def _sd_across_px(
     line: LinesOfSight, pick_px2: np.ndarray, reach: np.ndarray, samples: LineResiduals, across_px: np.ndarray
 ) -> np.ndarray | None:
-    """(S,) standard deviation of the true line's distance across the curve.
+    """Return (S,) the standard deviation of the true line's distance across the curve; None where an error is unknown.
 
-    `reach` (S,): place of each sample from the focal point (0) to the plane (1); `across_px` (S, 2): unit vectors.
-    None where a view's error is unknown.
+    `reach` (S,): place of each sample on the line, 0 at the focal point, 1 at the plane; `across_px` (S, 2): unit
+    vectors across the curve.
     """
     if line.covariance is None or samples.lines.covariance is None:
         return None
     n = len(samples.xy_mm)
     across = np.einsum("ij,ijk->ik", across_px, np.linalg.inv(samples.lines.jacobian))  # px per mm on the plane
-    # What an error of the picked line (F, xy) does across the curve, and what one of the other view does.
-    of_point = np.einsum("ij,ijb->ib", across, samples.to_point)
-    by_line = np.hstack([(1.0 - reach)[:, None] * of_point, reach[:, None] * (of_point @ line.plane.axes.T)])
+    # Derivatives of the distance across the curve by the picked line (F, xy) and by the other view's line.
+    by_point = np.einsum("ij,ijb->ib", across, samples.to_point)
+    by_line = np.hstack([(1.0 - reach)[:, None] * by_point, reach[:, None] * (by_point @ line.plane.axes.T)])
     by_view = np.einsum("ij,ijk->ik", across, samples.to_line.reshape(n, 2, -1))
     line_covariance = np.sum(list(line.covariance.values()), axis=0)
     line_covariance[3:, 3:] += pick_covariance_mm2(line, pick_px2[None])[0]
     view_covariance = np.sum(list(samples.lines.covariance.values()), axis=0)
     variance = np.einsum("ip,pq,iq->i", by_line, line_covariance, by_line)
     variance += np.einsum("ip,pq,iq->i", by_view, view_covariance, by_view)
-    mine, theirs = line.frame_factor, samples.lines.frame_factor
-    if mine is not None and theirs is not None:
-        variance -= 2.0 * np.einsum("ik,ik->i", by_line @ mine, by_view @ theirs)
+    first, second = line.frame_factor, samples.lines.frame_factor
+    if first is not None and second is not None:
+        variance -= 2.0 * np.einsum("ik,ik->i", by_line @ first, by_view @ second)
     return np.sqrt(variance)

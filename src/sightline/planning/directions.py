@@ -6,22 +6,25 @@ from sightline.errors import ReconstructionRefusedError, UnusableInputError
 
 ANTERIOR = np.array([0.0, 0.0, 1.0])
 MEDIAL = np.array([-1.0, 0.0, 0.0])
-# An axis that runs less than this along a direction does not tell which of its ends points there [ours]: cosine of 73°.
-_LEAST_ALONG = 0.3
+# Cosine of 73°: an axis at a larger angle to a direction does not show which of its ends points there [ours].
+_MIN_COSINE = 0.3
 
 
 def caudal(side: str) -> np.ndarray:
-    """(3,): +Y for a right hip, -Y for a left one. Raises UnusableInputError."""
+    """Return the caudal direction (3,): +Y for a right hip, -Y for a left one. Raises UnusableInputError."""
     if side not in ("right", "left"):
-        raise UnusableInputError(f"the side is {side!r}; it is 'right' or 'left'")
+        raise UnusableInputError(f"the side is {side!r}; give 'right' or 'left'")
     return np.array([0.0, 1.0 if side == "right" else -1.0, 0.0])
 
 
 def towards(direction: np.ndarray, goal: np.ndarray, what: str) -> np.ndarray:
-    """A direction (3,), or its opposite, whichever points to `goal`. Raises ReconstructionRefusedError."""
+    """Return `direction` (3,) or its opposite, whichever points to `goal`. Raises ReconstructionRefusedError.
+
+    `what`: the axis's name in the message.
+    """
     along = float(direction @ goal)
-    if abs(along) < _LEAST_ALONG:
+    if abs(along) < _MIN_COSINE:
         raise ReconstructionRefusedError(
-            f"{what} runs across the direction in which it is expected; check the side and which lines were drawn"
+            f"{what} is nearly perpendicular to its expected direction; check the side and which lines were drawn"
         )
     return direction * np.sign(along)

@@ -1,4 +1,4 @@
-"""Where in a check image the planned wire should be seen."""
+"""The planned wire as a check image should show it."""
 
 from dataclasses import dataclass
 
@@ -8,16 +8,16 @@ from sightline.calibration.view import CalibratedView
 from sightline.errors import OutsideRegionError
 from sightline.planning.trajectory import Trajectory
 
-BEFORE_MM, BEYOND_MM = 25.0, 15.0  # of the wire outside the entry, and beyond the planned depth [ours]
+BEFORE_MM, BEYOND_MM = 25.0, 15.0  # lengths added outside the entry and beyond the planned depth [ours]
 _STEP_MM = 1.0
 
 
 @dataclass(frozen=True, eq=False)
 class ExpectedWire:
-    """Points of the planned axis in an image, from outside to beyond the tip.
+    """M points of the planned axis in an image, from outside the entry to beyond the tip.
 
-    `uv_px` (M, 2), IDCS; `along_mm` (M,) from the entry; `px_per_mm` (M,): scale across the wire at its depth; `sine`
-    (M,) of the angle between wire and rays.
+    `uv_px` (M, 2), IDCS; `along_mm` (M,): distance from the entry; `px_per_mm` (M,): scale across the wire at its
+    depth; `sine` (M,): sine of the angle between wire and rays.
     """
 
     uv_px: np.ndarray
@@ -27,9 +27,10 @@ class ExpectedWire:
 
 
 def expected_wire(view: CalibratedView, trajectory: Trajectory, drilled_beyond_mm: float = 0.0) -> ExpectedWire:
-    """The planned wire in a view, drilled so far past its end point, as far as the view is calibrated.
+    """Return the planned wire in a view, `drilled_beyond_mm` past its end point, as far as the view is calibrated.
 
-    Raises OutsideRegionError where that is nowhere."""
+    Raises OutsideRegionError where no part of it lies in the calibrated region.
+    """
     along = np.arange(-BEFORE_MM, trajectory.length_mm + drilled_beyond_mm + BEYOND_MM, _STEP_MM)
     xyz = trajectory.entry_mm + along[:, None] * trajectory.direction
     rays = xyz - view.focal_point_mm
@@ -44,7 +45,8 @@ def expected_wire(view: CalibratedView, trajectory: Trajectory, drilled_beyond_m
     inside = visible.reshape(-1, 3).all(axis=1)
     if np.count_nonzero(inside) < 2:
         raise OutsideRegionError(
-            f"view {view.name!r} is calibrated nowhere along the plan; move the frame so that its beads surround it"
+            f"no part of the plan lies in the calibrated region of view {view.name!r}; move the frame so that its "
+            "beads surround it"
         )
     edges = np.flatnonzero(np.diff(np.concatenate([[False], inside, [False]]).astype(int))).reshape(-1, 2)
     first, last = edges[np.argmax(np.diff(edges, axis=1))]

@@ -1,4 +1,4 @@
-"""Kinds of trajectory, as data: what to pick, which aids help, which limits hold."""
+"""Kinds of trajectory as data: the points to pick, the aids to draw, the limits."""
 
 from dataclasses import dataclass
 
@@ -12,7 +12,7 @@ from sightline.planning.proposal import ProposalRule
 
 @dataclass(frozen=True)
 class PlanInput:
-    """One thing that a person is asked for: `key` in data, `name` and `sentence` to be read."""
+    """One input of a plan that a person gives: `key` for files and options, `name` and `sentence` for display."""
 
     key: str
     name: str
@@ -21,9 +21,13 @@ class PlanInput:
 
 @dataclass(frozen=True)
 class TrajectoryKind:
-    """`points`: entry and end, in this order; `landmarks`: picked freely in both views; `aids`: fields of `Aids` that
-    help; `wire_mm`: diameter of what is drilled; `limits`, and their `limits_source`; `bone`: where the wire must lie
-    in the bone, which asks for the side and for some of landmarks and aids; `proposal` where one can be made."""
+    """A kind of trajectory.
+
+    `points`: entry and end, in this order; `landmarks`: picked freely in both views; `aids`: useful fields of `Aids`;
+    `wire_mm`: diameter of the wire or drill; `limits` and their `limits_source`; `bone`: the rule for the wire's place
+    in the bone, which needs the side and some of landmarks and aids, or None; `proposal`: the rule for proposing a
+    wire, or None.
+    """
 
     key: str
     name: str
@@ -39,9 +43,9 @@ class TrajectoryKind:
 
 
 _HIP_LANDMARKS = (
-    PlanInput(HEAD_CENTRE, "centre of the head", "A sharp point at the head, the same in both images."),
+    PlanInput(HEAD_CENTRE, "centre of the head", "A sharp point of the head, the same in both images."),
     PlanInput(LESSER, "lesser trochanter", "The tip of the lesser trochanter."),
-    # Two show a shift between the views; a check shot needs a third, which shows a turn as well.
+    # Two show a shift between the views; a check shot needs a third to show a rotation as well.
     PlanInput("greater-trochanter", "greater trochanter", "The tip of the greater trochanter."),
 )
 _HIP_AIDS = (
@@ -51,7 +55,7 @@ _HIP_AIDS = (
     PlanInput("cortex", "lateral cortex", "One click on the lateral edge of the shaft in the PA image."),
     PlanInput("calcar", "calcar", "One click on the medial cortex of the neck in the PA image."),
 )
-# Holes of a nail: 5 mm, the drill 4 mm: half a millimetre to each side, at two holes about 11 mm apart [ours].
+# Nail holes of 5 mm and a 4 mm drill leave 0.5 mm to each side, at two holes about 11 mm apart [ours].
 _HOLE_PLAY_MM, _HOLES_APART_MM = 0.5, 11.0
 
 KINDS: dict[str, TrajectoryKind] = {
@@ -63,9 +67,7 @@ KINDS: dict[str, TrajectoryKind] = {
             "The guide wire of a dynamic hip screw, from the lateral cortex through the neck into the head.",
             (
                 PlanInput("entry", "entry point", "Where the wire enters the lateral cortex."),
-                PlanInput(
-                    "end", "end point", "Where its tip shall lie in the head, 5 to 10 mm under the subchondral bone."
-                ),
+                PlanInput("end", "end point", "Where its tip ends in the head, 5 to 10 mm under the subchondral bone."),
             ),
             _HIP_LANDMARKS,
             _HIP_AIDS,
@@ -104,7 +106,7 @@ KINDS: dict[str, TrajectoryKind] = {
             "Any straight wire from one point to another.",
             (
                 PlanInput("entry", "entry point", "Where the wire enters the bone."),
-                PlanInput("end", "end point", "Where its tip shall lie."),
+                PlanInput("end", "end point", "Where its tip ends."),
             ),
             (
                 PlanInput("landmark-1", "first landmark", "A sharp point of the bone that both images show."),
@@ -122,7 +124,7 @@ KINDS: dict[str, TrajectoryKind] = {
 
 
 def kind(key: str) -> TrajectoryKind:
-    """The kind of this key. Raises UnusableInputError."""
+    """Return the kind of trajectory of this key. Raises UnusableInputError."""
     if key not in KINDS:
         raise UnusableInputError(f"unknown kind of trajectory {key!r}; choose one of {', '.join(KINDS)}")
     return KINDS[key]

@@ -1,7 +1,7 @@
-"""How lines of sight err: residuals of points on the reference planes, and their covariance per source.
+"""Residuals of points against their lines of sight, on the reference planes, and their covariance per source.
 
-The residual of a point X in a view is `xy - projection(F, X)`, mm on the view's reference plane: what the map says less
-where the focal point throws X. Its error is that of xy less what the error of F does to the projection.
+The residual of a point X in a view is `xy - projection(F, X)`, mm on the view's reference plane: the line's xy by the
+plane map minus the central projection of X from the focal point F. Its error follows from those of xy and F.
 """
 
 from collections.abc import Sequence
@@ -20,8 +20,8 @@ class LineResiduals:
     """Residuals of N points in one view.
 
     `xy_mm` (N, 2); `to_point` (N, 2, 3): d projection / d X; `to_line` (2N, 3 + 2N): d residual / d (F, every xy).
-    `reach` (N,): distance of X from the focal point over that of the point on the plane, so that a line displaced by
-    r on the plane is displaced by reach * r (seen along itself) at X; negative behind the X-ray source.
+    `reach` (N,): distance of X from the focal point over that of the line's point on the plane: a line displaced by
+    r on the plane is displaced by reach * r (perpendicular to itself) at X; negative behind the X-ray source.
     """
 
     lines: LinesOfSight
@@ -32,22 +32,21 @@ class LineResiduals:
 
     @staticmethod
     def at(lines: LinesOfSight, xyz_mm: np.ndarray) -> "LineResiduals":
-        """Of points (N, 3), one for each line."""
+        """Return the residuals of points (N, 3), one for each line."""
         plane, focal = lines.plane, lines.focal_point_mm
         reach = 1.0 - plane.height_mm(xyz_mm) / plane.height_mm(focal)
         to_point = Pencil.through(plane, focal).by_point(xyz_mm)
-        to_focal = (reach - 1.0)[
-            :, None, None
-        ] * to_point  # moving F by r is moving X by (reach - 1) r, seen on the plane
+        # On the plane, a shift of F by r has the effect of a shift of X by (reach - 1) r.
+        to_focal = (reach - 1.0)[:, None, None] * to_point
         to_line = np.hstack([-to_focal.reshape(-1, 3), np.eye(2 * len(xyz_mm))])
         residual = lines.xy_mm - plane.central_projection(focal, xyz_mm)
         return LineResiduals(lines, residual, to_point, to_line, reach)
 
 
 def covariance_by_source(first: LineResiduals, second: LineResiduals) -> dict[str, np.ndarray] | None:
-    """(4N, 4N) covariance of the residuals of both views (view, point, axis) for each of SOURCES; None where unknown.
+    """Return the covariance (4N, 4N) of the residuals of both views (view, point, axis) for each of SOURCES.
 
-    Only the frame's error is shared by two views; a view from a matrix has none.
+    None where a view's error is unknown. Two views share only the frame's error; a view from a matrix has none.
     """
     a, b = first.lines, second.lines
     if a.covariance is None or b.covariance is None:
@@ -66,9 +65,9 @@ def covariance_by_source(first: LineResiduals, second: LineResiduals) -> dict[st
 
 
 def refuse_two_frames(lines: Sequence[LinesOfSight]) -> None:
-    """Refuse views of two frames: their coordinates have nothing in common. A view from a matrix knows no frame.
+    """Raise ReconstructionRefusedError for views of two frames, whose coordinates are unrelated.
 
-    Raises ReconstructionRefusedError.
+    A view from a matrix has no frame and is accepted with any.
     """
     known = [(one.view, one.frame_key) for one in lines if one.frame_key is not None]
     for (first, frame), (second, other) in pairwise(known):
@@ -80,10 +79,10 @@ def refuse_two_frames(lines: Sequence[LinesOfSight]) -> None:
         )
         raise ReconstructionRefusedError(
             f"the views {first!r} and {second!r} were calibrated with {which}, whose coordinates differ; "
-            "calibrate all views with one file, that of the frame in the images"
+            "calibrate all views with the one file of the frame in the images"
         )
 
 
 def pick_covariance_mm2(lines: LinesOfSight, covariance_px2: np.ndarray) -> np.ndarray:
-    """Picks' covariances (N, 2, 2) px² carried onto the plane, mm²."""
+    """Return the picks' covariances (N, 2, 2), px², propagated to the plane, mm²."""
     return lines.jacobian @ covariance_px2 @ np.swapaxes(lines.jacobian, -1, -2)

@@ -1,7 +1,7 @@
-"""The figures of a plan that a surgeon judges an implant's place by, each with its standard deviation.
+"""Metrics of a planned hip implant's position, each with its standard deviation.
 
-All are functions of one vector (`Anatomy.values`), differentiated numerically, so that errors which its parts and the
-wire share count as they should.
+Each metric is a function of one vector (`Anatomy.values`), differentiated numerically, so that errors shared by the
+bone's parts and the wire are propagated correctly.
 """
 
 from collections.abc import Callable
@@ -14,8 +14,8 @@ from sightline.geometry.covariance import response
 from sightline.planning.anatomy import Anatomy
 from sightline.planning.directions import ANTERIOR, MEDIAL, caudal, towards
 
-# A wire that passes the head's centre by more of the radius leaves it at a glance [ours].
-_GRAZES = 0.95
+# Beyond this distance from the head's centre, as a share of its radius, a line only grazes the head [ours].
+_MAX_OFFSET = 0.95
 _CLEVELAND = "thirds of the head: Cleveland et al., J Bone Joint Surg Am 41-A:1399 (1959)"
 _BAUMGAERTNER = "Baumgaertner et al., J Bone Joint Surg Am 77:1058 (1995)"
 _KUZYK = "Kuzyk et al., J Orthop Trauma 26:414 (2012)"
@@ -24,10 +24,10 @@ _BY_DEFINITION = "by definition"
 
 @dataclass(frozen=True)
 class Metric:
-    """One figure: `value` and its standard deviation `sd`, in `unit`; `low`, `high`: where it is recommended to lie.
+    """One metric: `value` and its standard deviation `sd`, in `unit`; `low`, `high`: its recommended range.
 
-    `value` is None where it cannot be known; `sentence` then says why. `sd` is None where a view's error is unknown.
-    `zone`: which third of the head, where the figure tells that. `source`: of definition and recommendation.
+    `value` is None where it cannot be computed; `sentence` then says why. `sd` is None where a view's error is unknown.
+    `zone`: the third of the head, for positions in the head. `source`: of the definition and the recommendation.
     """
 
     name: str
@@ -42,15 +42,15 @@ class Metric:
 
     @property
     def within(self) -> bool | None:
-        """Does it lie where it is recommended? None where that is not known, or nothing is recommended."""
+        """Whether the value lies in the recommended range; None without a value or without a range."""
         if self.value is None or (self.low is None and self.high is None):
             return None
         return (self.low is None or self.value >= self.low) and (self.high is None or self.value <= self.high)
 
 
 @dataclass(frozen=True)
-class _Kind:
-    """What a figure needs, how it is computed from all numbers (K, n), and what is said of it."""
+class _Definition:
+    """The parts that a metric needs, its function of K sets of numbers, and its sentence."""
 
     name: str
     needs: tuple[str, ...]
@@ -63,43 +63,42 @@ class _Kind:
 
 
 def figures(found: Anatomy, side: str) -> tuple[Metric, ...]:
-    """All figures, in a fixed order, for a hip of one side, "right" or "left"; what is not known is absent with the
-    reason. Raises UnusableInputError."""
+    """Return all metrics, in a fixed order, for a hip of one side, "right" or "left".
+
+    A metric that cannot be computed has no value and says why. Raises UnusableInputError.
+    """
     caudal(side)
-    made = [_figure(found, kind, side) for kind in _KINDS]
+    made = [_metric(found, definition, side) for definition in _DEFINITIONS]
     return (*made, *(_position(found, name, side) for name in ("AP", "lateral")))
 
 
-def _figure(found: Anatomy, kind: _Kind, side: str) -> Metric:
-    missing = next((part for part in kind.needs if part not in found.at), None)
+def _metric(found: Anatomy, definition: _Definition, side: str) -> Metric:
+    unit, end = definition.unit, (definition.source, definition.low, definition.high)
+    missing = next((part for part in definition.needs if part not in found.at), None)
     if missing is not None:
-        why = f"Not known: {found.absent[missing]}."
-        return Metric(kind.name, None, None, kind.unit, why, kind.source, kind.low, kind.high)
+        return Metric(definition.name, None, None, unit, f"Not known: {found.absent[missing]}.", *end)
     try:
-        value, sd = _valued(found, kind.value, side)
+        value, sd = _evaluated(found, definition.value, side)
     except ReconstructionRefusedError as refusal:
-        return Metric(kind.name, None, None, kind.unit, f"Not known: {refusal}.", kind.source, kind.low, kind.high)
+        return Metric(definition.name, None, None, unit, f"Not known: {refusal}.", *end)
     spread = "" if sd is None else f" ± {sd:.1f}"
-    sentence = kind.sentence.format(f"{value:.1f}{spread} {kind.unit}")
-    return Metric(kind.name, value, sd, kind.unit, sentence, kind.source, kind.low, kind.high)
+    return Metric(definition.name, value, sd, unit, definition.sentence.format(f"{value:.1f}{spread} {unit}"), *end)
 
 
-def _valued(found: Anatomy, function: Callable[["_Parts"], np.ndarray], side: str) -> tuple[float, float | None]:
-    """A figure and its standard deviation."""
+def _evaluated(found: Anatomy, function: Callable[["_Parts"], np.ndarray], side: str) -> tuple[float, float | None]:
+    """Return a metric's value and its standard deviation."""
     value, own = response(lambda values: function(_Parts(found, values, side))[:, None], found.values)
     sd = None if found.covariance is None else float(np.sqrt(own[0] @ found.covariance @ own[0]))
     return float(value[0]), sd
 
 
 def tip_depth(found: Anatomy) -> tuple[float, float | None]:
-    """How far the tip lies under the head's surface, mm, at its nearest; and its standard deviation.
-
-    Wire and head are known."""
-    return _valued(found, _nearest_bone, "right")  # of either side alike
+    """Return the tip's depth below the head's nearest surface, mm, and its standard deviation; needs wire and head."""
+    return _evaluated(found, _nearest_bone, "right")  # the same for both sides
 
 
 class _Parts:
-    """The parts of the bone for K sets of all numbers, (K, n)."""
+    """Parts of the bone for K sets of `Anatomy.values`, (K, n); directions are unit vectors (K, 3)."""
 
     def __init__(self, found: Anatomy, values: np.ndarray, side: str) -> None:
         self._found, self._values, self.side = found, values, side
@@ -147,8 +146,8 @@ class _Parts:
         """The ray of a view (0: PA, 1: lateral) through the head's centre."""
         return _unit(self.centre - self._of("focal", 3 * view))
 
-    def beside(self) -> np.ndarray:
-        """From the head's centre straight to the wire."""
+    def offset(self) -> np.ndarray:
+        """The perpendicular from the head's centre to the wire."""
         return _across(self.entry - self.centre, self.wire)
 
     def _axis(self, name: str, goal: np.ndarray) -> np.ndarray:
@@ -169,7 +168,7 @@ def _neck_shaft(parts: _Parts) -> np.ndarray:
 
 
 def _version(parts: _Parts) -> np.ndarray:
-    """Seen along the shaft, from the frame's frontal plane (X and the shaft)."""
+    """Angle of the neck to the frame's frontal plane (X and the shaft), seen along the shaft."""
     forward = _unit(_across(ANTERIOR, parts.shaft))
     inward = np.cross(parts.shaft, forward)
     inward *= np.sign(inward[:, :1] * MEDIAL[0])
@@ -181,15 +180,15 @@ def _tip_apex(parts: _Parts) -> np.ndarray:
 
 
 def _calcar_tip_apex(parts: _Parts) -> np.ndarray:
-    """In the PA view to where the line along the calcar, parallel to the neck's axis, leaves the head."""
+    """As the tip-apex distance, but in the PA view to the apex on the line along the calcar, parallel to the neck."""
     beam = parts.beam(0)
     along = _unit(_across(parts.neck, beam))
     from_centre = _across(parts.calcar - parts.centre, beam)
-    beside = _across(from_centre, along)
-    rest = parts.radius**2 - (beside**2).sum(axis=-1)
-    if rest[0] <= (1 - _GRAZES**2) * parts.radius[0] ** 2:
-        raise ReconstructionRefusedError("the line along the calcar passes beside the head; click on the calcar again")
-    apex = parts.centre + beside + np.sqrt(rest)[:, None] * along
+    offset = _across(from_centre, along)
+    rest = parts.radius**2 - (offset**2).sum(axis=-1)
+    if rest[0] <= (1 - _MAX_OFFSET**2) * parts.radius[0] ** 2:
+        raise ReconstructionRefusedError("the line along the calcar misses the head; click on the calcar again")
+    apex = parts.centre + offset + np.sqrt(rest)[:, None] * along
     return _seen(parts.tip - apex, beam) + _seen(parts.tip - _apex(parts), parts.beam(1))
 
 
@@ -198,68 +197,68 @@ def _nearest_bone(parts: _Parts) -> np.ndarray:
 
 
 def _bone_ahead(parts: _Parts) -> np.ndarray:
-    beside2 = (parts.beside() ** 2).sum(axis=-1)
-    if beside2[0] >= (_GRAZES * parts.radius[0]) ** 2:
+    offset2 = (parts.offset() ** 2).sum(axis=-1)
+    if offset2[0] >= (_MAX_OFFSET * parts.radius[0]) ** 2:
         raise ReconstructionRefusedError(
-            f"the wire passes the head's centre at {np.sqrt(beside2[0]):.1f} mm, beside the head or at its rim"
+            f"the wire passes the head's centre at {np.sqrt(offset2[0]):.1f} mm, outside the head or at its rim"
         )
     reached = ((parts.tip - parts.centre) * parts.wire).sum(axis=-1)
-    return np.sqrt(parts.radius**2 - beside2) - reached
+    return np.sqrt(parts.radius**2 - offset2) - reached
 
 
-_KINDS = (
-    _Kind("wire length", ("wire",), _length, "mm", "From entry to end the wire runs {}.", _BY_DEFINITION),
-    _Kind(
+_DEFINITIONS = (
+    _Definition("wire length", ("wire",), _length, "mm", "From entry to end the wire runs {}.", _BY_DEFINITION),
+    _Definition(
         "wire to shaft",
         ("wire", "shaft"),
         _to_shaft,
         "°",
-        "The wire stands at {} to the shaft (as the neck-shaft angle is counted).",
+        "The wire makes an angle of {} with the shaft (measured like the neck-shaft angle).",
         _BY_DEFINITION,
     ),
-    _Kind("neck-shaft angle", ("neck", "shaft"), _neck_shaft, "°", "Neck and shaft enclose {}.", _BY_DEFINITION),
-    _Kind(
+    _Definition("neck-shaft angle", ("neck", "shaft"), _neck_shaft, "°", "Neck and shaft enclose {}.", _BY_DEFINITION),
+    _Definition(
         "neck version",
         ("neck", "shaft"),
         _version,
         "°",
-        "Seen along the shaft the neck points {} forward of the frame's frontal plane; how the knee lies is not known.",
+        "Seen along the shaft, the neck points {} forward of the frame's frontal plane; the knee is not seen.",
         _BY_DEFINITION,
     ),
-    _Kind(
+    _Definition(
         "tip-apex distance",
         ("wire", "head", "neck"),
         _tip_apex,
         "mm",
-        "Tip to apex of the head, both views together, is {}; cut-out is rare below 25 mm.",
+        "The tip-apex distance, the sum of both views, is {}; cut-out is rare below 25 mm.",
         _BAUMGAERTNER,
         10.0,
         25.0,
     ),
-    _Kind(
+    _Definition(
         "calcar tip-apex distance",
         ("wire", "head", "neck", "calcar"),
         _calcar_tip_apex,
         "mm",
-        "With the PA view referred to the calcar it is {}.",
+        "With the calcar as reference in the PA view, the tip-apex distance is {}.",
         _KUZYK,
     ),
-    _Kind(
+    _Definition(
         "tip to bone along wire",
         ("wire", "head"),
         _bone_ahead,
         "mm",
-        "Ahead of the tip lie {} to the head's surface.",
+        "From the tip to the head's surface, along the wire, it is {}.",
         "5 to 10 mm under the subchondral bone (physics.md)",
         5.0,
         10.0,
     ),
-    _Kind(
+    _Definition(
         "tip to bone nearest",
         ("wire", "head"),
         _nearest_bone,
         "mm",
-        "The head's surface is nearest to the tip at {}.",
+        "The head's nearest surface is {} from the tip.",
         "5 to 10 mm under the subchondral bone (physics.md)",
         5.0,
         10.0,
@@ -268,7 +267,7 @@ _KINDS = (
 
 
 def _position(found: Anatomy, view: str, side: str) -> Metric:
-    """How far beside the head's centre the wire passes, as one view shows it, and in which third of the head."""
+    """Return how far from the head's centre the wire passes in one view, and in which third of the head."""
     name, source = f"position {view}", _CLEVELAND
     missing = next((part for part in ("wire", "head") if part not in found.at), None)
     if missing is not None:
@@ -281,10 +280,10 @@ def _position(found: Anatomy, view: str, side: str) -> Metric:
         found.refuse_side(side)
         upward = _unit(np.cross(parts.beam(number), parts.wire))
         upward = upward * np.sign(upward[0] @ towards(upward[0], goal, f"the wire's normal in the {view} view"))
-        return (parts.beside() * upward).sum(axis=-1)
+        return (parts.offset() * upward).sum(axis=-1)
 
     try:
-        value, sd = _valued(found, offset, side)
+        value, sd = _evaluated(found, offset, side)
     except ReconstructionRefusedError as refusal:
         return Metric(name, None, None, "mm", f"Not known: {refusal}.", source)
     third = float(found.part("head")[3]) / 3
@@ -296,17 +295,17 @@ def _position(found: Anatomy, view: str, side: str) -> Metric:
 
 
 def _apex(parts: _Parts) -> np.ndarray:
-    """Where the line through the head's centre along the neck leaves it."""
+    """Return where the neck's direction through the head's centre meets its surface."""
     return parts.centre + parts.radius[:, None] * parts.neck
 
 
-def _seen(way: np.ndarray, beam: np.ndarray) -> np.ndarray:
-    """Length of a way as a view shows it, magnification corrected."""
-    return np.linalg.norm(_across(way, beam), axis=-1)
+def _seen(vector: np.ndarray, beam: np.ndarray) -> np.ndarray:
+    """Return the length of a vector as a view shows it, corrected for magnification."""
+    return np.linalg.norm(_across(vector, beam), axis=-1)
 
 
 def _across(vector: np.ndarray, along: np.ndarray) -> np.ndarray:
-    """What of vectors is across unit vectors."""
+    """Return the component of `vector` perpendicular to the unit vector `along`."""
     return vector - (vector * along).sum(axis=-1, keepdims=True) * along
 
 

@@ -24,12 +24,12 @@ from sightline.planning.verdict import judge
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """A trajectory, the curves of its two points in the second view, and what stands for or against it.
+    """A trajectory, the image-matching curves of its two points in the second view, and the verdict with its checks.
 
-    `picks`: for entry and end, the pick in each view as it was used: snapped ones lie on their curve. `seen`: entry,
-    end and landmarks, in this order; `landmark_names`: of these, "" without one. `anatomy`: what was drawn.
-    `noticed_mm`: how far entry and end could be wrong along a line of sight before a check of the bone fails; None
-    where nothing would notice.
+    `picks`: for entry and end, the pick in each view as it was used; snapped ones lie on their curve. `seen`: entry,
+    end and landmarks, in this order; `landmark_names`: names of the landmarks, "" where none was given. `anatomy`: the
+    located parts of the bone. `noticed_mm`: how far entry and end can be wrong along a line of sight before a check of
+    the bone fails; None where no check would fail.
     """
 
     trajectory: Trajectory
@@ -45,18 +45,18 @@ class Plan:
     noticed_mm: tuple[float | None, float | None]
 
     def along_sentences(self) -> list[str]:
-        """Of entry and end: what would notice that it is wrong along its line of sight."""
+        """Return for entry and end a sentence on errors along their lines of sight that no check would show."""
         return [
-            f"Nothing checks the {name} point along its lines of sight: a pick that is wrong along its image-matching "
+            f"No check covers the {name} point along its lines of sight: a pick that is wrong along its image-matching "
             "curve does not show."
             if reach is None
-            else f"Along its lines of sight the {name} point is checked by the bone alone: an error of up to "
+            else f"Along its lines of sight the {name} point is checked against the bone only: an error of up to "
             f"{reach:.1f} mm there would not be noticed."
             for name, reach in zip(("entry", "end"), self.noticed_mm, strict=True)
         ]
 
     def verdict_document(self) -> dict[str, Any]:
-        """The verdict as JSON types, and by which limits it was reached; without the checks."""
+        """Return the verdict and its limits as JSON types, without the checks."""
         limits = self.kind.limits
         return {
             "go": self.verdict.go,
@@ -73,7 +73,7 @@ class Plan:
         }
 
     def landmarks_document(self) -> list[dict[str, Any]]:
-        """The landmarks as JSON types: place, CFCS mm, and gap; `gap_sigma` is null where a view's error is unknown."""
+        """Return the landmarks as JSON types: place (CFCS, mm), gap; `gap_sigma` is null where an error is unknown."""
         seen = self.seen
         sigma = None if seen.gap_sigma is None else seen.gap_sigma.tolist()
         return [
@@ -102,19 +102,19 @@ def plan(
     method: Method = "weighted",
     curve: Callable[..., MatchingCurve] = matching_curve,
 ) -> Plan:
-    """Plan from the pixels of entry and end point, each (2, 2): a row for each view, IDCS.
+    """Return the plan of entry and end point, given their pixels (2, 2) each: a row for each view, IDCS.
 
-    `pick_sd_px`: how well a person picks. `snapped`: the second view's picks are taken to the curves of the first's,
-    both, or (entry, end) as each says. `landmarks_uv_px` (2, L, 2): points of the bone picked freely in both views,
-    which show whether it moved between them; they change neither entry nor end. A plan whose picks are snapped is no GO
-    without two of them (`judge`). `landmark_names`: their keys in the kind of trajectory, "" for one without. `kind`,
-    or its key, says which limits hold and what is asked for; `side` ("right", "left") and `aids` are held against the
-    wire where it names a bone: without them the plan is incomplete. `curve`: `matching_curve`, or one that remembers
-    what it drew.
+    `pick_sd_px`: standard deviation of a pick, per axis. `snapped`: whether the second view's picks are snapped to the
+    image-matching curves of the first view's: one flag, or (entry, end). `landmarks_uv_px` (2, L, 2): points of the
+    bone picked freely in both views, which show whether it moved between them; they change neither entry nor end. A
+    plan with snapped picks needs two of them for a GO (`judge`). `landmark_names`: their keys in the kind of
+    trajectory, "" for none. `kind`: a kind of trajectory or its key; sets the limits and the inputs asked for. `side`
+    ("right", "left") and `aids`: the wire is checked against them where the kind has a bone; without them the plan is
+    incomplete. `curve`: `matching_curve`, or a replacement that caches its curves.
     Raises UnusableInputError, and what `reconstruct`, `matching_curve` and `snap` raise.
     """
     if len(views) != 2:
-        raise UnusableInputError(f"{len(views)} views given; a plan is made on exactly two")
+        raise UnusableInputError(f"{len(views)} views given; give exactly two to plan on")
     each = (snapped, snapped) if isinstance(snapped, bool) else tuple(snapped)
     picked = [
         _picks(views, uv, pick_sd_px, taken, curve) for uv, taken in zip((entry_uv_px, end_uv_px), each, strict=True)
@@ -135,13 +135,13 @@ def plan(
 
 
 def _names(kind: TrajectoryKind, landmark_names: Sequence[str], count: int) -> tuple[str, ...]:
-    """Raises UnusableInputError where a landmark is none of the kind's, or named twice."""
+    """Return the landmarks' names. Raises UnusableInputError for an unknown or repeated name."""
     names = tuple("-".join(name.split()) for name in landmark_names)
     known, given = [landmark.key for landmark in kind.landmarks], [name for name in names if name]
     if not set(given) <= set(known) or len(set(given)) < len(given) or len(names) not in (0, count):
         raise UnusableInputError(
-            f"{count} landmarks have the names {', '.join(map(repr, names))}; a {kind.name} knows {', '.join(known)}: "
-            "give each name once at most, and '' to a landmark without a name"
+            f"{count} landmarks have the names {', '.join(map(repr, names))}; the landmarks of a {kind.name} are "
+            f"{', '.join(known)}: give each name at most once, and '' to a landmark without a name"
         )
     return names or ("",) * count
 
@@ -152,11 +152,11 @@ def _reconstructed(views: Sequence[CalibratedView], picks: Sequence[tuple[Pick, 
 
 
 def _landmarks(uv_px: ArrayLike | None, sd_px: float) -> list[tuple[Pick, Pick]]:
-    """Free picks of (2, L, 2) pixels. Raises UnusableInputError."""
+    """Return free picks at (2, L, 2) pixels. Raises UnusableInputError."""
     uv = np.zeros((2, 0, 2)) if uv_px is None else np.asarray(uv_px, dtype=np.float64)
     if uv.ndim != 3 or uv.shape[0] != 2 or uv.shape[2] != 2 or not np.isfinite(uv).all():
         raise UnusableInputError(
-            f"landmarks have the shape {uv.shape}; (2, L, 2) of finite pixels was expected: two views, L points, (u, v)"
+            f"landmarks have the shape {uv.shape}; give finite pixels (2, L, 2): two views, L points, (u, v)"
         )
     return [(Pick.free(first, sd_px), Pick.free(second, sd_px)) for first, second in zip(*uv, strict=True)]
 
@@ -170,7 +170,9 @@ def _picks(
 ) -> tuple[tuple[Pick, Pick], MatchingCurve]:
     uv = np.asarray(uv_px, dtype=np.float64)
     if uv.shape != (2, 2) or not np.isfinite(uv).all():
-        raise UnusableInputError("a plan point needs one finite pixel (u, v) in each of the two images")
+        raise UnusableInputError(
+            f"give one finite pixel (u, v) in each of the two images for a plan point; got the shape {uv.shape}"
+        )
     first = Pick.free(uv[0], sd_px)
     curve = draw(views[0], first.uv_px, views[1], first.covariance_px2)
     second = snap(curve, uv[1], sd_px) if snapped else Pick.free(uv[1], sd_px)

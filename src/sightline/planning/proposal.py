@@ -1,4 +1,4 @@
-"""A wire proposed from head, shaft and lateral cortex, for a person to change."""
+"""A wire proposed from head, shaft and lateral cortex, for a person to adjust."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -10,20 +10,20 @@ from sightline.errors import ReconstructionRefusedError
 from sightline.planning.anatomy import Anatomy
 from sightline.planning.directions import MEDIAL, caudal, towards
 
-# Between these a distance may be that of the lateral cortex from the shaft's axis: outer diameter 30 mm (physics.md,
-# Femur), the trochanter wider [ours].
-CORTEX_MM = (5.0, 40.0)
-# A head's centre nearer to the shaft's axis shows no neck; in adults it is 30 to 50 mm [ours].
-LEAST_OFFSET_MM = 15.0
-# Lengths of a wire in the bone; hip screws have 70 to 120 mm [ours].
+# Accepted distances of the lateral cortex from the shaft's axis: the shaft's outer diameter is 30 mm (physics.md,
+# Femur), the trochanter is wider [ours].
+CORTEX_RADII_MM = (5.0, 40.0)
+# Minimum distance of the head's centre from the shaft's axis; in adults it is 30 to 50 mm [ours].
+MIN_OFFSET_MM = 15.0
+# Accepted lengths of a wire in the bone; hip screws have 70 to 120 mm [ours].
 LENGTHS_MM = (40.0, 150.0)
-_LARGEST_TURN_RAD = np.deg2rad(45.0)  # of the neck's axis about the shaft, against the head's centre [ours]
+_MAX_ROTATION_RAD = np.deg2rad(45.0)  # about the shaft, between the neck's axis and the head's centre [ours]
 
 
 @dataclass(frozen=True)
 class ProposalRule:
-    """`angle_rad` between the wire and the shaft, as the neck-shaft angle is counted; `under_surface_mm`: how far under
-    the head's surface the tip ends."""
+    """`angle_rad`: between wire and shaft, measured like the neck-shaft angle; `under_surface_mm`: depth of the tip
+    below the head's surface."""
 
     angle_rad: float = float(np.deg2rad(135.0))  # of the usual plate (physics.md, Planning figures)
     under_surface_mm: float = 8.0  # 5 to 10 mm under the subchondral bone (physics.md)
@@ -41,26 +41,27 @@ class Proposal:
 
 
 def propose(views: Sequence[CalibratedView], found: Anatomy, side: str, rule: ProposalRule | None = None) -> Proposal:
-    """The wire through the head's centre at the rule's angle to the shaft, in the plane of both; where the neck's axis
-    is drawn, turned about the shaft as that is. It enters where it meets the lateral cortex, taken to run round the
-    shaft's axis at the distance of the click.
+    """Return the wire through the head's centre at the rule's angle to the shaft, in the plane of both.
 
-    Raises ReconstructionRefusedError with the reason where there is none, OutsideRegionError where a view does not see
-    it, UnusableInputError for a side that is none.
+    Where the neck's axis is drawn, the wire is rotated about the shaft to lie along it. It enters at the lateral
+    cortex, modelled as a cylinder about the shaft's axis through the click.
+
+    Raises ReconstructionRefusedError with the reason where no wire can be proposed, OutsideRegionError where it lies
+    outside a view's calibrated region, UnusableInputError for an unknown side.
     """
     rule = rule or ProposalRule()
     for name in ("head", "shaft", "cortex"):
         if name not in found.at:
             raise ReconstructionRefusedError(f"no wire can be proposed: {found.absent[name]}")
     head, shaft = found.head, found.shaft
-    assert head is not None and shaft is not None  # noqa: S101 - looked at above
+    assert head is not None and shaft is not None  # noqa: S101 - checked above
     found.refuse_side(side)
     along = towards(shaft.direction, caudal(side), "the shaft axis")
     to_head = _across(head.centre_mm - shaft.ends_mm[0], along)
-    if np.linalg.norm(to_head) < LEAST_OFFSET_MM:
+    if np.linalg.norm(to_head) < MIN_OFFSET_MM:
         raise ReconstructionRefusedError(
             f"the head's centre lies {np.linalg.norm(to_head):.0f} mm from the shaft's axis (at least "
-            f"{LEAST_OFFSET_MM:.0f} mm are expected); draw head and shaft again"
+            f"{MIN_OFFSET_MM:.0f} mm expected); draw head and shaft again"
         )
     inward = _inward(found, to_head, along)
     wire = np.cos(rule.angle_rad) * along + np.sin(rule.angle_rad) * inward
@@ -70,27 +71,27 @@ def propose(views: Sequence[CalibratedView], found: Anatomy, side: str, rule: Pr
     length = float(np.linalg.norm(end - entry))
     if not LENGTHS_MM[0] <= length <= LENGTHS_MM[1]:
         raise ReconstructionRefusedError(
-            f"the wire would be {length:.0f} mm long ({LENGTHS_MM[0]:.0f} to {LENGTHS_MM[1]:.0f} mm are expected); "
+            f"the wire would be {length:.0f} mm long ({LENGTHS_MM[0]:.0f} to {LENGTHS_MM[1]:.0f} mm expected); "
             "check head, shaft and lateral cortex"
         )
     pixels = np.array([view.project(np.stack([entry, end])) for view in views])
     sentence = (
-        f"At {np.rad2deg(rule.angle_rad):.0f}° to the shaft through the head's centre, {length:.0f} mm long, the tip "
-        f"{rule.under_surface_mm:.0f} mm under the head's surface. It is a proposal: change it as the images show."
+        f"Proposed: through the head's centre at {np.rad2deg(rule.angle_rad):.0f}° to the shaft, {length:.0f} mm long, "
+        f"the tip {rule.under_surface_mm:.0f} mm below the head's surface. Adjust it to the images."
     )
     return Proposal(entry, end, pixels[:, 0], pixels[:, 1], sentence)
 
 
 def _inward(found: Anatomy, to_head: np.ndarray, along: np.ndarray) -> np.ndarray:
-    """Across the shaft, the way the wire leans: to the head's centre, or as the neck's axis does."""
+    """Return the unit vector perpendicular to the shaft in the wire's plane: to the head's centre or along the neck."""
     if found.neck is None:
         return _unit(to_head)
     inward = _unit(_across(towards(found.neck.direction, MEDIAL, "the neck axis"), along))
-    turn = np.arccos(np.clip(inward @ _unit(to_head), -1.0, 1.0))
-    if turn > _LARGEST_TURN_RAD:
+    angle = np.arccos(np.clip(inward @ _unit(to_head), -1.0, 1.0))
+    if angle > _MAX_ROTATION_RAD:
         raise ReconstructionRefusedError(
-            f"seen along the shaft the neck's axis points {np.rad2deg(turn):.0f}° beside the head's centre; draw neck "
-            "and head again"
+            f"seen along the shaft, the neck's axis points {np.rad2deg(angle):.0f}° away from the head's centre (at "
+            f"most {np.rad2deg(_MAX_ROTATION_RAD):.0f}°); draw neck and head again"
         )
     return inward
 
@@ -99,27 +100,30 @@ def _beyond_centre(radius_mm: float, rule: ProposalRule) -> float:
     beyond = radius_mm - rule.under_surface_mm
     if beyond <= 0.0:
         raise ReconstructionRefusedError(
-            f"a head of {radius_mm:.0f} mm radius has no place {rule.under_surface_mm:.0f} mm under its surface"
+            f"a head of {radius_mm:.0f} mm radius is too small for a tip {rule.under_surface_mm:.0f} mm below its "
+            "surface; draw the head again"
         )
     return beyond
 
 
 def _to_cortex(cortex: np.ndarray, to_head: np.ndarray, inward: np.ndarray, sine: float) -> float:
-    """How far along the wire from the head's centre (negative) the cortex's cylinder about the shaft is left.
+    """Return where the wire leaves the cortex's cylinder about the shaft, mm along it from the head's centre (< 0).
 
-    `cortex`, `to_head` (3,): across the shaft, from its axis to the click's line of sight and to the head's centre.
+    `cortex`, `to_head` (3,): perpendicular to the shaft, from its axis to the click's line of sight and to the head's
+    centre.
     """
     radius = float(np.linalg.norm(cortex))
-    if not CORTEX_MM[0] <= radius <= CORTEX_MM[1] or cortex @ to_head > 0:
-        where = "on the side of the head" if cortex @ to_head > 0 else f"{radius:.0f} mm away"
+    if not CORTEX_RADII_MM[0] <= radius <= CORTEX_RADII_MM[1] or cortex @ to_head > 0:
+        where = f"{radius:.0f} mm on the head's side" if cortex @ to_head > 0 else f"{radius:.0f} mm"
         raise ReconstructionRefusedError(
-            f"the click on the lateral cortex lies {where} from the shaft's axis; click on its lateral edge"
+            f"the click on the lateral cortex lies {where} from the shaft's axis ({CORTEX_RADII_MM[0]:.0f} to "
+            f"{CORTEX_RADII_MM[1]:.0f} mm expected, away from the head); click on the shaft's lateral edge"
         )
     middle = float(to_head @ inward)
     rest = radius**2 - float(to_head @ to_head) + middle**2
     if rest <= 0.0:
         raise ReconstructionRefusedError(
-            f"the wire would pass the shaft's axis at {np.sqrt(to_head @ to_head - middle**2):.0f} mm, beside the "
+            f"the wire would pass the shaft's axis at {np.sqrt(to_head @ to_head - middle**2):.0f} mm, outside the "
             "bone; draw the neck again"
         )
     return float(-(middle + np.sqrt(rest)) / sine)

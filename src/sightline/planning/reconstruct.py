@@ -1,4 +1,4 @@
-"""From picks in two views to points in space: nearest approach (the paper) or covariance-weighted."""
+"""Reconstruction of points from picks in two views: closest approach (the paper) or covariance-weighted."""
 
 from collections.abc import Mapping, Sequence
 from typing import Literal
@@ -19,11 +19,11 @@ from sightline.planning.results import SpacePoints
 
 Method = Literal["weighted", "nearest"]
 
-# Below this the error along the lines is more than ten times that across them [ours].
-SMALLEST_ANGLE_RAD = np.deg2rad(5.0)
-# Two X-ray sources nearer than this are one exposure seen twice [ours].
-SMALLEST_BASELINE_MM = 1.0
-_ITERATIONS = 2  # the model is linear but for the small change of its weights with X
+# Below this angle the error along the lines of sight is more than ten times that across them [ours].
+MIN_ANGLE_RAD = np.deg2rad(5.0)
+# Two X-ray sources nearer than this belong to one exposure given twice [ours].
+MIN_BASELINE_MM = 1.0
+_ITERATIONS = 2  # enough: only the weights change with the points, and only a little
 
 
 def reconstruct(
@@ -33,18 +33,19 @@ def reconstruct(
     method: Method = "weighted",
     across_px: np.ndarray | None = None,
 ) -> SpacePoints:
-    """Points seen at pixels `uv_px` (2, N, 2) of two views, with their joint covariance, CFCS.
+    """Return the points seen at pixels `uv_px` (2, N, 2) of two views, with their joint covariance, CFCS.
 
-    The axes of `uv_px` are view, point and (u, v). Of two points, (point, view, (u, v)) has the same shape: pass
-    `{"pa": (N, 2), "lateral": (N, 2)}`, the pixels by the views' names, which cannot be confused. Look at the result's
-    `checks`. `uv_covariance_px2` (2, N, 2, 2), or by the views' names: of the picks; without it 0.5 px, a careful
-    click. `across_px` (2, N, 2): where a pick was snapped to an image-matching curve, the direction across the curve,
-    in which it says nothing; zero for a free pick (see `Pick`). "nearest" is the point of nearest approach (the paper,
-    eqs 1 and 2); "weighted" is the maximum-likelihood point given the covariance of both lines of sight and the picks.
-    Each point is computed from its own picks alone, so a bad pick moves no other point; their errors are correlated all
-    the same.
-    A view of unknown error leaves nothing to weigh by: then the method is "nearest" and the result says so.
-    Raises UnusableInputError, ReconstructionRefusedError, OutsideRegionError.
+    The axes of `uv_px` are view, point and (u, v). For two points, (point, view, (u, v)) has the same shape: to rule
+    out confusion pass the pixels by the views' names, `{"pa": (N, 2), "lateral": (N, 2)}`. `uv_covariance_px2`
+    (2, N, 2, 2), or by the views' names: of the picks; by default 0.5 px per axis, a careful click. `across_px`
+    (2, N, 2): for a pick snapped to an image-matching curve the direction across the curve, in which it measures
+    nothing; zero for a free pick (see `Pick`).
+
+    `method`: "nearest", the middle of the closest approach of both lines of sight (the paper, eqs 1 and 2), or
+    "weighted", the maximum-likelihood point given the covariance of both lines of sight and the picks. Where a view's
+    error is unknown there are no weights: "nearest" is used, and the result's `method` says so. Each point is computed
+    from its own picks only, so a bad pick moves no other point; the points' errors are still correlated. Look at the
+    result's `checks`. Raises UnusableInputError, ReconstructionRefusedError, OutsideRegionError.
     """
     if method not in ("weighted", "nearest"):
         raise UnusableInputError(f"unknown method {method!r}; choose 'weighted' or 'nearest'")
@@ -77,7 +78,7 @@ def reconstruct(
 def solve(
     lines: tuple[LinesOfSight, LinesOfSight], covariance_px2: np.ndarray, across_px: np.ndarray, method: Method
 ) -> "Solution":
-    """The points of N pairs of lines of sight; arguments and refusals are those of `reconstruct`."""
+    """Return the points of N pairs of lines of sight; arguments and errors are those of `reconstruct`."""
     refuse_two_frames(lines)
     _refuse_parallel(*lines)
     xyz = _approach(lines).middle_mm
@@ -91,8 +92,8 @@ def solve(
 
 
 def _upright(lines: tuple[LinesOfSight, LinesOfSight]) -> bool | None:
-    said = [one.upright for one in lines if one.upright is not None]
-    return any(said) if said else None
+    known = [one.upright for one in lines if one.upright is not None]
+    return any(known) if known else None
 
 
 def _approach(lines: tuple[LinesOfSight, LinesOfSight]) -> NearestApproach:
@@ -101,7 +102,7 @@ def _approach(lines: tuple[LinesOfSight, LinesOfSight]) -> NearestApproach:
 
 
 class Solution:
-    """Linearised at given points: residuals of both views, their covariance, the weights that solve for X."""
+    """The problem linearised at given points: residuals of both views, their covariance, and the weights for X."""
 
     def __init__(
         self,
@@ -117,11 +118,11 @@ class Solution:
         if method == "weighted" and self.covariances is not None:
             information = _inverse(_own(self.covariances))
         else:
-            information = _nearness(self.residuals)
-        information = _forget(information, lines, across_px)
+            information = _distance_form(self.residuals)
+        information = _without_direction(information, lines, across_px)
         to_point = np.concatenate([r.to_point for r in self.residuals], axis=1)
         normal = np.swapaxes(to_point, 1, 2) @ information
-        self.weights = np.linalg.solve(normal @ to_point, normal)  # (N, 3, 4): X moves by weights @ residuals
+        self.weights = np.linalg.solve(normal @ to_point, normal)  # (N, 3, 4): step of X = weights @ residuals
 
     def step_mm(self) -> np.ndarray:
         """(N, 3): the Gauss-Newton step."""
@@ -129,7 +130,7 @@ class Solution:
 
     @property
     def response(self) -> tuple[np.ndarray, np.ndarray]:
-        """For each view (3N, 3 + 2N): how the points move with its focal point and the xy of its lines."""
+        """For each view (3N, 3 + 2N): derivative of the points by its focal point and the xy of its lines."""
         n = len(self.weights)
         first, second = (
             np.einsum("iap,ipz->iaz", self.weights[:, :, 2 * k : 2 * k + 2], r.to_line.reshape(n, 2, -1))
@@ -138,7 +139,7 @@ class Solution:
         return first.reshape(3 * n, -1), second.reshape(3 * n, -1)
 
     def budget_mm2(self) -> dict[str, np.ndarray] | None:
-        """(3N, 3N) covariance of the points for each source of BUDGET; None where a view's error is unknown."""
+        """Return the covariance (3N, 3N) of the points for each source of BUDGET; None where an error is unknown."""
         if self.covariances is None:
             return None
         n = len(self.weights)
@@ -149,7 +150,7 @@ class Solution:
         return out
 
     def gap_covariance_mm2(self) -> np.ndarray | None:
-        """(N, N) covariance of the signed gaps between the lines; None where a view's error is unknown."""
+        """Return the covariance (N, N) of the signed distances between the lines; None where an error is unknown."""
         if self.covariances is None:
             return None
         common = _common_normals(self.residuals[0].lines, self.residuals[1].lines)
@@ -159,7 +160,7 @@ class Solution:
 
 
 def _common_normals(first: LinesOfSight, second: LinesOfSight) -> np.ndarray:
-    """(N, 3): unit vectors across both lines of sight of each point."""
+    """Return (N, 3): unit vectors perpendicular to both lines of sight of each point."""
     common = np.cross(first.directions, second.directions)
     return common / np.linalg.norm(common, axis=1, keepdims=True)
 
@@ -167,8 +168,10 @@ def _common_normals(first: LinesOfSight, second: LinesOfSight) -> np.ndarray:
 def _all_gaps(
     lines: tuple[LinesOfSight, LinesOfSight], covariance_mm2: np.ndarray, tested: np.ndarray
 ) -> tuple[float, float, float]:
-    """The best mean of the tested points' signed gaps, mm, its standard deviation, and the gaps' chi-square. Raises
-    ReconstructionRefusedError where something is stated to have no error at all."""
+    """Return the weighted mean of the tested points' signed gaps, mm, its standard deviation, and their chi-square.
+
+    Raises ReconstructionRefusedError for a singular covariance.
+    """
     normals = _common_normals(*lines)[tested]
     signed = normals @ (lines[1].focal_point_mm - lines[0].focal_point_mm)
     information = _inverse(covariance_mm2[np.ix_(tested, tested)])
@@ -180,7 +183,7 @@ def _all_gaps(
 def _covariances(
     residuals: tuple[LineResiduals, LineResiduals], pick_covariance_px2: np.ndarray
 ) -> dict[str, np.ndarray] | None:
-    """For each of BUDGET, (N, 4, N, 4): the residuals of a point are those of the first view, then of the second."""
+    """Return (N, 4, N, 4) for each source of BUDGET: a point's two residuals in the first view, then in the second."""
     by_source = covariance_by_source(*residuals)
     if by_source is None:
         return None
@@ -196,23 +199,23 @@ def _covariances(
 
 
 def _own(covariances: dict[str, np.ndarray]) -> np.ndarray:
-    """(N, 4, 4): the total covariance of each point's own residuals."""
+    """Return (N, 4, 4): the total covariance of each point's own residuals."""
     return np.einsum("ipiq->ipq", np.sum(list(covariances.values()), axis=0))
 
 
 def _inverse(covariance: np.ndarray) -> np.ndarray:
-    """(N, 4, 4). Raises ReconstructionRefusedError where something is stated to have no error at all."""
+    """Return the inverse of covariances. Raises ReconstructionRefusedError where they are singular."""
     try:
         return np.linalg.inv(covariance)
     except np.linalg.LinAlgError:
         raise ReconstructionRefusedError(
-            "the covariances of picks and views together are singular: something is stated to have no error at all; "
-            "give every pick a covariance above zero"
+            "give every pick a covariance above zero: the joint covariance of picks and views is singular, so some "
+            "input is stated without error"
         ) from None
 
 
-def _nearness(residuals: tuple[LineResiduals, LineResiduals]) -> np.ndarray:
-    """(N, 4, 4): the quadratic form of residuals that is the summed squared distance of X from both lines."""
+def _distance_form(residuals: tuple[LineResiduals, LineResiduals]) -> np.ndarray:
+    """Return (N, 4, 4): the quadratic form of the residuals equal to X's summed squared distance from both lines."""
     out = np.zeros((len(residuals[0].reach), 4, 4))
     for k, r in enumerate(residuals):
         axes, along = r.lines.plane.axes, r.lines.directions @ r.lines.plane.axes.T
@@ -221,8 +224,10 @@ def _nearness(residuals: tuple[LineResiduals, LineResiduals]) -> np.ndarray:
     return out
 
 
-def _forget(information: np.ndarray, lines: tuple[LinesOfSight, LinesOfSight], across_px: np.ndarray) -> np.ndarray:
-    """Information (N, 4, 4) in the exact limit of infinite variance along the directions `across_px` (2, N, 2)."""
+def _without_direction(
+    information: np.ndarray, lines: tuple[LinesOfSight, LinesOfSight], across_px: np.ndarray
+) -> np.ndarray:
+    """Return the information (N, 4, 4) in the limit of infinite variance along the directions `across_px` (2, N, 2)."""
     for k, (one, across) in enumerate(zip(lines, across_px, strict=True)):
         direction = np.zeros((len(information), 4))
         direction[:, 2 * k : 2 * k + 2] = np.einsum("ijk,ik->ij", one.jacobian, across)
@@ -234,12 +239,12 @@ def _forget(information: np.ndarray, lines: tuple[LinesOfSight, LinesOfSight], a
 
 
 def _two_views(views: Sequence[CalibratedView]) -> tuple[CalibratedView, CalibratedView]:
-    """The two views, refused if they are one."""
+    """Return the two views. Raises ReconstructionRefusedError where both are the same exposure."""
     if len(views) != 2:
-        raise UnusableInputError(f"{len(views)} views given; a point is reconstructed from exactly two")
+        raise UnusableInputError(f"{len(views)} views given; give exactly two to reconstruct a point")
     first, second = views
     baseline = float(np.linalg.norm(first.focal_point_mm - second.focal_point_mm))
-    if first is second or baseline < SMALLEST_BASELINE_MM:
+    if first is second or baseline < MIN_BASELINE_MM:
         raise ReconstructionRefusedError(
             f"one view is given twice ({first.name!r} and {second.name!r}, X-ray sources {baseline:.1f} mm apart); "
             "give two images taken from different directions"
@@ -248,7 +253,10 @@ def _two_views(views: Sequence[CalibratedView]) -> tuple[CalibratedView, Calibra
 
 
 def _by_view(views: Sequence[CalibratedView], given: np.ndarray | Mapping[str, np.ndarray], what: str) -> np.ndarray:
-    """What is given by the views' names, in their order; arrays as they are. Raises UnusableInputError."""
+    """Return values given by the views' names as an array in the views' order; arrays unchanged.
+
+    Raises UnusableInputError.
+    """
     if not isinstance(given, Mapping):
         return given
     names = [view.name for view in views]
@@ -266,12 +274,10 @@ def _by_view(views: Sequence[CalibratedView], given: np.ndarray | Mapping[str, n
 def _picks(
     uv_px: np.ndarray, covariance_px2: np.ndarray | None, across_px: np.ndarray | None
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Picks, their covariances and free directions as finite arrays of the promised shapes."""
+    """Return picks, their covariances and unmeasured directions as checked arrays. Raises UnusableInputError."""
     uv = np.asarray(uv_px, dtype=np.float64)
     if uv.ndim != 3 or uv.shape[0] != 2 or uv.shape[2] != 2 or uv.shape[1] == 0:
-        raise UnusableInputError(
-            f"picks have the shape {uv.shape}; (2, N, 2) was expected: two views, N points, (u, v)"
-        )
+        raise UnusableInputError(f"picks have the shape {uv.shape}; give (2, N, 2): two views, N points, (u, v)")
     n = uv.shape[1]
     if covariance_px2 is None:
         covariance_px2 = np.broadcast_to(DEFAULT_PICK_SD_PX**2 * np.eye(2), (2, n, 2, 2))
@@ -279,42 +285,44 @@ def _picks(
     across = np.zeros((2, n, 2)) if across_px is None else np.asarray(across_px, dtype=np.float64)
     for name, array, shape in (("covariances", covariance, (2, n, 2, 2)), ("free directions", across, (2, n, 2))):
         if array.shape != shape:
-            raise UnusableInputError(f"the picks' {name} have the shape {array.shape}; {shape} was expected")
+            raise UnusableInputError(f"the picks' {name} have the shape {array.shape}; give {shape}")
     if not all(np.isfinite(a).all() for a in (uv, covariance, across)):
         raise UnusableInputError("picks or their covariances are not finite; give each pick a pixel in both images")
     if not np.allclose(covariance, np.swapaxes(covariance, -1, -2)) or not _positive(covariance):
-        raise UnusableInputError("a pick's covariance is not symmetric and positive; give a 2x2 covariance in px²")
+        raise UnusableInputError(
+            "a pick's covariance is not symmetric and positive semi-definite; give a 2x2 covariance in px²"
+        )
     if np.any(np.any(across[0] != 0.0, axis=1) & np.any(across[1] != 0.0, axis=1)):
         raise UnusableInputError(
-            "a point is snapped in both views; one of its picks must be free, the other snapped to its curve"
+            "a point is snapped in both views; pick it freely in one view and snap it to that pick's curve in the other"
         )
-    # What is stated across a snapped pick's curve is not used; something above zero keeps the matrices regular.
+    # The variance across a snapped pick's curve is not used; a value above zero keeps the matrices regular.
     size = np.trace(covariance, axis1=-2, axis2=-1)[..., None, None]
     return uv, covariance + size * across[..., :, None] * across[..., None, :], across
 
 
 def _positive(covariance: np.ndarray) -> bool:
-    """No variance below zero, but for rounding (a snapped pick's covariance is singular)."""
+    """Whether no variance is below zero, up to rounding (a snapped pick's covariance is singular)."""
     values = np.linalg.eigvalsh(covariance)
     return bool((values[..., 0] >= -1e-9 * np.abs(values[..., 1])).all())
 
 
 def _refuse_parallel(first: LinesOfSight, second: LinesOfSight) -> None:
-    """Refuse lines of sight that do not determine a point."""
+    """Raise ReconstructionRefusedError for lines of sight too nearly parallel to determine a point."""
     sine = np.linalg.norm(np.cross(first.directions, second.directions), axis=1).min()
-    if sine < np.sin(SMALLEST_ANGLE_RAD):
+    if sine < np.sin(MIN_ANGLE_RAD):
         raise ReconstructionRefusedError(
             f"two lines of sight are nearly parallel ({np.rad2deg(np.arcsin(sine)):.1f}°; at least "
-            f"{np.rad2deg(SMALLEST_ANGLE_RAD):.0f}° is needed); take the second image from another direction"
+            f"{np.rad2deg(MIN_ANGLE_RAD):.0f}° is needed); acquire the second image from another direction"
         )
 
 
 def _refuse_behind(lines: tuple[LinesOfSight, LinesOfSight], xyz_mm: np.ndarray) -> None:
-    """Refuse points that would lie behind an X-ray source: no ray reaches them."""
+    """Raise ReconstructionRefusedError for points behind an X-ray source, which no ray reaches."""
     for one in lines:
         along = np.einsum("ia,ia->i", xyz_mm - one.focal_point_mm, one.directions)
         if along.min() <= 0.0:
             raise ReconstructionRefusedError(
-                f"the lines of sight meet behind the X-ray source of view {one.view!r}; check that the picks of both "
-                "images show the same points, and that the images belong to these views"
+                f"the lines of sight intersect behind the X-ray source of view {one.view!r}; check that the picks of "
+                "both images show the same points, and that the images belong to these views"
             )

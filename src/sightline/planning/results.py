@@ -1,4 +1,4 @@
-"""What planning hands on: points in space, and a verdict."""
+"""Results of planning: points in space, and a verdict."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -12,18 +12,18 @@ from sightline.errors import ErrorUnknownError
 from sightline.geometry.covariance import TWO_SIDED_999
 
 State = Literal["go", "no-go", "incomplete"]
-# Where the error of a point comes from; their covariances add up to the whole.
+# The sources of a point's error; their covariances add up to the total.
 BUDGET = ("beads", "map", "focal_point", "frame", "picks")
-# A gap of this many standard deviations happens once in a thousand honest pairs of picks [ours].
-LARGEST_GAP_SIGMA = TWO_SIDED_999
-# Share of the eight beads about a point that its view must rest on: in 20 whole images of the twin 0.88 or more, in the
-# middle of a strip of 16 dropped beads 0.62 or less [twin]. A hidden bead counts half: nothing contradicts the map
-# there, and nothing confirms it; so three of eight must be used [ours].
-LEAST_BEADS_NEAR = 0.7
+# Correct pairs of picks exceed this many standard deviations once in a thousand [ours].
+MAX_GAP_SIGMA = TWO_SIDED_999
+# Minimum share of used beads among the eight nearest to a point: 0.88 or more in 20 undisturbed images of the twin,
+# 0.62 or less in the middle of a strip of 16 dropped beads [twin]. A hidden bead counts half, since it neither confirms
+# nor contradicts the map; so at least three of eight must be used [ours].
+MIN_BEADS_NEAR = 0.7
 
 
 def error_unknown() -> ErrorUnknownError:
-    """What is raised where an error is asked for that nobody knows."""
+    """Return the exception for an error that is not known."""
     return ErrorUnknownError(
         "a view has no covariance, so the error of its points is unknown; "
         "calibrate both views from their beads, or give the matrix of a view with its covariance"
@@ -34,18 +34,22 @@ def error_unknown() -> ErrorUnknownError:
 class SpacePoints:
     """N points reconstructed from two views, CFCS. Look at `checks` before you use them.
 
-    `xyz_mm` (N, 3). `method`: "weighted" or "nearest"; always "nearest" where a view's error is unknown. `gap_mm` (N,):
-    nearest approach of the two lines of sight. `gap_tested` (N,) bool: False where a pick was snapped to an
-    image-matching curve, so that the gap says nothing. `gap_sigma` (N,), masked where not tested: gap over its own
-    standard deviation; None where a view's error is unknown. `shift_mm`, `shift_sd_mm`: how far the second view's lines
-    of sight pass beside the first's along their common normal, in the best mean of all tested points, and its standard
-    deviation: what a patient who moves between the views opens. `gap_chi2`: of the gaps of all tested points together,
-    with as many degrees of freedom. These three are None where no point is tested or a view's error is unknown.
+    `xyz_mm` (N, 3). `method`: "weighted" or "nearest"; always "nearest" where a view's error is unknown.
     `joint_covariance_mm2` (3N, 3N), or None where a view's error is unknown: the points share focal points, maps and
-    frame, so their errors are correlated. `budget_mm2`: the same, for each of BUDGET. `inside_hull` (N,): within the
-    beads' hull in both views. `upright`: whether a view shows the frame file's beads not mirrored
-    (`LinesOfSight.upright`); None where no view says so. `beads_near`: for each view of the frame
-    `LinesOfSight.beads_near` of the points, (N, 3).
+    frame, so their errors are correlated. `budget_mm2`: the same for each source of BUDGET.
+
+    `gap_mm` (N,): distance between the two lines of sight at their closest approach. `gap_tested` (N,) bool: False
+    where a pick was snapped to an image-matching curve, so that the gap has no meaning. `gap_sigma` (N,), masked where
+    not tested: gap over its own standard deviation; None where a view's error is unknown.
+
+    `shift_mm`, `shift_sd_mm`: weighted mean of the tested points' signed gaps along the common normal of their lines of
+    sight, and its standard deviation; a patient who moves between the views causes such a shift. `gap_chi2`: chi-square
+    of all tested gaps, with as many degrees of freedom as points. All three are None where no point is tested or a
+    view's error is unknown.
+
+    `inside_hull` (N,) bool: within the convex hull of the beads in both views. `upright`: whether a view shows the
+    frame file's beads not mirrored (`LinesOfSight.upright`); None where no view tells. `beads_near`: for each view of
+    the frame the points' `LinesOfSight.beads_near`, (N, 3).
     """
 
     xyz_mm: np.ndarray
@@ -70,7 +74,7 @@ class SpacePoints:
                 array.flags.writeable = False
 
     def first(self, count: int) -> "SpacePoints":
-        """So many of the points, with their covariance; shift and chi-square stay those of all."""
+        """Return the first `count` points with their covariance; shift and chi-square stay those of all points."""
         joint, budget, sigma = self.joint_covariance_mm2, self.budget_mm2, self.gap_sigma
         at = slice(3 * count)
         return replace(
@@ -87,10 +91,10 @@ class SpacePoints:
 
     @property
     def gap_failed(self) -> np.ndarray:
-        """(N,) bool: the gap was tested and is larger than picks and views explain."""
+        """(N,) bool: the gap was tested and is larger than the errors of picks and views explain."""
         if self.gap_sigma is None:
             return np.zeros(len(self.xyz_mm), dtype=bool)
-        return self.gap_tested & ~(np.ma.getdata(self.gap_sigma) <= LARGEST_GAP_SIGMA)
+        return self.gap_tested & ~(np.ma.getdata(self.gap_sigma) <= MAX_GAP_SIGMA)
 
     @property
     def error_stated(self) -> np.ndarray:
@@ -99,12 +103,15 @@ class SpacePoints:
 
     @property
     def checks(self) -> tuple[Check, ...]:
-        """Is the error known, and does the gap of each point agree with it? A gap that was not tested has no check."""
+        """The checks that the error is known, and that each tested gap agrees with it."""
         names = [f"point {k + 1}" for k in range(len(self.xyz_mm))]
         return (error_known(self), *self.frame_checks(), *self.bead_checks(names), *self.gap_checks(names))
 
     def bead_checks(self, names: Sequence[str]) -> tuple[Check, ...]:
-        """Whether the views rest on the beads near the points, called by these names; none without a frame."""
+        """Return the check that the beads near the points were used; none without a frame.
+
+        `names`: of the points, for the sentence.
+        """
         if not self.beads_near:
             return ()
         shares = {
@@ -115,11 +122,11 @@ class SpacePoints:
         return (_beads_near(shares),)
 
     def frame_checks(self) -> tuple[Check, ...]:
-        """Is the frame file the frame, and not its mirror image? One upright image shows it."""
+        """Return the check that the frame file is not the frame's mirror image: one upright image suffices."""
         return () if self.upright is None else (handedness_check(self.upright, None),)
 
     def gap_checks(self, names: Sequence[str]) -> tuple[Check, ...]:
-        """One for each of the points, called by these names, whose gap was tested."""
+        """Return a check for each point whose gap was tested; `names`: of the points, for the sentences."""
         if self.gap_sigma is None:
             return ()
         columns = names, self.gap_tested, self.gap_failed, np.ma.getdata(self.gap_sigma), self.gap_mm
@@ -131,7 +138,7 @@ class SpacePoints:
 
     @property
     def covariance_mm2(self) -> np.ndarray:
-        """(N, 3, 3). Raises ErrorUnknownError where a view has no covariance."""
+        """(N, 3, 3) covariance of each point, mm². Raises ErrorUnknownError where a view has no covariance."""
         if self.joint_covariance_mm2 is None:
             raise error_unknown()
         n = len(self.xyz_mm)
@@ -139,50 +146,51 @@ class SpacePoints:
 
 
 def error_known(points: SpacePoints) -> Check:
-    """Do both views state their error?"""
+    """Return the check that both views state their error."""
     known = points.joint_covariance_mm2 is not None
     sentence = (
         "Both views state their error."
         if known
-        else "Error unknown: a view states no covariance, so nothing can be said of the error of any point; "
-        "calibrate both views from their beads, or give the matrix of a view with its covariance."
+        else "Error unknown: a view states no covariance, so no point has a known error; calibrate both views from "
+        "their beads, or give the matrix of a view with its covariance."
     )
     return Check("error known", known, None, None, "", sentence)
 
 
 def _beads_near(counts: dict[tuple[str, str], tuple[int, int, int]]) -> Check:
-    """`counts`: by view and point, how many beads are used, and how many hidden, of those that should be seen."""
+    """`counts`: by view and point, how many of the expected beads are used, hidden, and expected."""
     shares = {place: (used + hidden / 2) / max(shown, 1) for place, (used, hidden, shown) in counts.items()}
     view, name = min(shares, key=lambda place: shares[place])
-    (used, hidden, shown), figure = counts[view, name], shares[view, name]
-    passed = figure >= LEAST_BEADS_NEAR
+    (used, hidden, shown), share = counts[view, name], shares[view, name]
+    passed = share >= MIN_BEADS_NEAR
     sentence = f"Of the {shown} beads that the {view} image should show nearest to {name}, {used} are used"
     sentence += f" and {hidden} hidden" if hidden else ""
     sentence += (
         "."
         if passed
-        else ": what the image does there is a guess from elsewhere. Look for torn rows, movement, or metal over the "
-        "beads, and take the image again."
+        else ": the calibration there is extrapolated from other beads. Look for torn rows, movement, or metal over "
+        "the beads, and acquire the image again."
     )
-    return Check("beads near", passed, figure, LEAST_BEADS_NEAR, "", sentence)
+    return Check("beads near", passed, share, MIN_BEADS_NEAR, "", sentence)
 
 
 def _gap_check(name: str, failed: bool, sigma: float, gap_mm: float) -> Check:
     sentence = f"The two lines of sight of {name} pass {gap_mm:.2f} mm apart, {sigma:.1f} standard deviations"
     sentence += (
-        "; the picks of the two images are not the same point, the patient moved between the views, or a view is "
+        "; the picks in the two images show different points, the patient moved between the views, or a view is "
         "wrong: pick again. Arrays of picks must be (view, point, (u, v)), in the order of the views."
         if failed
         else "."
     )
-    return Check("gap", not failed, sigma, LARGEST_GAP_SIGMA, "σ", sentence)
+    return Check("gap", not failed, sigma, MAX_GAP_SIGMA, "σ", sentence)
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """GO only if every check passed; a person decides, this says what stands against it.
+    """GO only if every check passed; the decision is a person's.
 
-    `unmade`: those of the checks that could not be made, since something they need is missing; they failed."""
+    `unmade`: the failed checks that could not be made because an input is missing.
+    """
 
     checks: tuple[Check, ...]
     unmade: tuple[Check, ...] = ()
@@ -194,16 +202,16 @@ class Verdict:
 
     @property
     def state(self) -> State:
-        """ "incomplete" where nothing stands against the plan but what is missing."""
+        """ "go", "no-go", or "incomplete" where only checks with a missing input failed."""
         if self.go:
             return "go"
         return "incomplete" if all(check in self.unmade for check in failed(self.checks)) else "no-go"
 
     def joined(self, other: "Verdict") -> "Verdict":
-        """With another's checks."""
+        """Return the verdict with another's checks added."""
         return Verdict(self.checks + other.checks, self.unmade + other.unmade)
 
     @property
     def missing(self) -> tuple[str, ...]:
-        """What is missing, each in a sentence that says what to do."""
+        """The missing inputs, each as a sentence that says what to do."""
         return tuple(check.sentence for check in self.unmade)

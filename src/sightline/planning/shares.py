@@ -1,4 +1,4 @@
-"""Which source makes how much of an error: the budget in percent."""
+"""The error budget in percent: each source's share of an error."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -12,7 +12,7 @@ from sightline.planning.trajectory import Trajectory
 
 @dataclass(frozen=True)
 class Share:
-    """Of one error: root mean square `rms` in `unit`, "mm" or "°", and each source's `percent` of the mean square."""
+    """Shares of one error: its rms in `unit`, "mm" or "°", and each source's `percent` of the mean square."""
 
     rms: float
     unit: str
@@ -22,9 +22,9 @@ class Share:
 def error_shares(
     trajectory: Trajectory, robot_mm2: np.ndarray | Mapping[str, np.ndarray] | None = None
 ) -> dict[str, Share]:
-    """For "entry", "end" and "direction" of a plan.
+    """Return the shares for "entry", "end" and "direction" of a plan.
 
-    `robot_mm2`: what the robot adds, (6, 6) of (entry, end) in CFCS: as one source, "robot", or several by name.
+    `robot_mm2`: the robot's covariance, (6, 6) of (entry, end), CFCS: one source, "robot", or several by name.
     Raises ErrorUnknownError.
     """
     if not trajectory.error_stated or trajectory.points.budget_mm2 is None:
@@ -35,7 +35,7 @@ def error_shares(
 
 
 def error_shares_of(ends_mm: np.ndarray, budget_mm2: Mapping[str, np.ndarray]) -> dict[str, Share]:
-    """The same for entry and end (2, 3) and a budget of (6, 6) covariances, all in the same coordinates."""
+    """Return the same for entry and end (2, 3), mm, and a budget of (6, 6) covariances in the same coordinates."""
     to_direction = np.rad2deg(line_direction(*np.asarray(ends_mm, dtype=np.float64)))
     parts = {
         "entry": ("mm", np.eye(6)[:3]),
@@ -45,8 +45,8 @@ def error_shares_of(ends_mm: np.ndarray, budget_mm2: Mapping[str, np.ndarray]) -
     out = {}
     for name, (unit, rows) in parts.items():
         squares = {source: float(np.trace(rows @ c @ rows.T)) for source, c in budget_mm2.items()}
-        whole = sum(squares.values())
+        total = sum(squares.values())
         out[name] = Share(
-            float(np.sqrt(whole)), unit, {source: 100.0 * square / whole for source, square in squares.items()}
+            float(np.sqrt(total)), unit, {source: 100.0 * square / total for source, square in squares.items()}
         )
     return out

@@ -1,7 +1,6 @@
-"""Lines of sight of everything picked in two views, as one vector of numbers with one covariance.
+"""Lines of sight of everything picked in two views, as one vector of numbers with one joint covariance.
 
-What two drawings have in common, the focal points, the maps, the frame, is so counted once, whatever is computed from
-them together.
+Errors that drawings share (focal points, maps, frame) are thereby counted once in any quantity computed from them.
 """
 
 from collections.abc import Mapping, Sequence
@@ -12,15 +11,16 @@ import numpy as np
 from sightline.calibration.view import CalibratedView, LinesOfSight
 from sightline.planning.line_residuals import refuse_two_frames
 
-# Of one drawing in one view: pixels (M, 2) and their covariance (2M, 2M).
+# One drawing in one view: pixels (M, 2) and their covariance (2M, 2M).
 Drawn = tuple[np.ndarray, np.ndarray]
 
 
 @dataclass(frozen=True, eq=False)
 class Sights:
-    """z = (F, xy, xy ... of the first view, then of the second), mm; `rows` says which lines a drawing has in a view.
+    """The vector z = (F, xy, xy ... of the first view, then of the second), mm.
 
-    `picks_px2`: for each view, the covariance of all its pixels (2N, 2N), u v by turns.
+    `rows`: the lines of each drawing in a view; `picks_px2`: for each view the covariance (2N, 2N) of all its pixels,
+    u and v interleaved.
     """
 
     lines: tuple[LinesOfSight, LinesOfSight]
@@ -29,7 +29,10 @@ class Sights:
 
     @staticmethod
     def of(views: Sequence[CalibratedView], drawn: Sequence[Mapping[str, Drawn]]) -> "Sights":
-        """Of the named drawings of two views. Raises OutsideRegionError, ReconstructionRefusedError."""
+        """Return the lines of sight of the drawings of two views, by name.
+
+        Raises OutsideRegionError, ReconstructionRefusedError.
+        """
         lines, rows, picks = [], [], []
         for view, named in zip(views, drawn, strict=True):
             counts = np.cumsum([0, *(len(uv) for uv, _ in named.values())])
@@ -44,19 +47,19 @@ class Sights:
 
     @property
     def values(self) -> np.ndarray:
-        """z."""
+        """The vector z."""
         return np.concatenate([part for one in self.lines for part in (one.focal_point_mm, one.xy_mm.ravel())])
 
     @property
     def covariance(self) -> np.ndarray | None:
-        """Of z; None where a view's error is unknown. Only the frame's error is shared by two views."""
+        """The covariance of z; None where a view's error is unknown. Two views share only the frame's error."""
         first, second = self.lines
         if first.covariance is None or second.covariance is None:
             return None
         size = 3 + 2 * len(first.xy_mm)
         whole = np.zeros((size + 3 + 2 * len(second.xy_mm),) * 2)
         for at, one, picks_px2 in ((0, first, self.picks_px2[0]), (size, second, self.picks_px2[1])):
-            assert one.covariance is not None  # noqa: S101 - looked at above
+            assert one.covariance is not None  # noqa: S101 - checked above
             own = np.sum(list(one.covariance.values()), axis=0)
             count = len(one.xy_mm)
             on_plane = np.zeros((count, 2, count, 2))
@@ -70,7 +73,7 @@ class Sights:
         return whole
 
     def index(self, name: str) -> np.ndarray:
-        """Which numbers of z belong to a drawing: of each view that has it the focal point, then its xy."""
+        """Return the indices in z of a drawing's numbers: for each view that has it the focal point, then its xy."""
         out, start = [], 0
         for one, rows in zip(self.lines, self.rows, strict=True):
             if name in rows:
@@ -80,7 +83,7 @@ class Sights:
         return np.concatenate(out)
 
     def rays(self, name: str, z: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
-        """For each view that has a drawing, from its numbers (K, n): focal point (K, 1, 3) and points (K, M, 3)."""
+        """Return, for each view with the drawing, focal point (K, 1, 3) and points (K, M, 3) of its numbers (K, n)."""
         out, start = [], 0
         for one, rows in zip(self.lines, self.rows, strict=True):
             if name in rows:

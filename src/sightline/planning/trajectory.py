@@ -1,4 +1,4 @@
-"""The planned trajectory of the guide wire, and how far it may be off."""
+"""The planned trajectory of the guide wire, and its error."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -10,16 +10,17 @@ from sightline.errors import ErrorUnknownError, UnusableInputError
 from sightline.geometry.covariance import length_quantile, line_direction
 from sightline.planning.results import SpacePoints, error_unknown
 
-# Two picks nearer than this give no direction [ours].
-SHORTEST_MM = 5.0
+# Two points nearer than this do not give a direction [ours].
+MIN_LENGTH_MM = 5.0
 
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
-    """A straight path from the entry point to the end point (the tip of the wire), CFCS: no robot is known here.
+    """A straight path from the entry point to the end point (the tip of the wire), CFCS; independent of any robot.
 
-    `points`: the two reconstructed points, with their joint covariance, budget and gaps. What depends on their errors
-    raises ErrorUnknownError where `error_stated` is False. Raises UnusableInputError for points without a direction.
+    `points`: the two reconstructed points, with their joint covariance, budget and gaps. Properties that depend on
+    their errors raise ErrorUnknownError where `error_stated` is False. Raises UnusableInputError for points that are
+    too close to give a direction.
     """
 
     points: SpacePoints
@@ -27,27 +28,27 @@ class Trajectory:
     def __post_init__(self) -> None:
         if len(self.points.xyz_mm) != 2:
             raise UnusableInputError(
-                f"a trajectory has an entry and an end point; {len(self.points.xyz_mm)} points given"
+                f"{len(self.points.xyz_mm)} points given; give two for a trajectory, entry and end"
             )
-        if self.length_mm < SHORTEST_MM:
+        if self.length_mm < MIN_LENGTH_MM:
             raise UnusableInputError(
-                f"entry and end point are {self.length_mm:.1f} mm apart; "
-                f"a direction needs at least {SHORTEST_MM:.0f} mm"
+                f"entry and end point are {self.length_mm:.1f} mm apart (at least {MIN_LENGTH_MM:.0f} mm is needed for "
+                "a direction); pick them further apart"
             )
 
     @property
     def entry_mm(self) -> np.ndarray:
-        """(3,) CFCS."""
+        """(3,) entry point, CFCS."""
         return self.points.xyz_mm[0]
 
     @property
     def end_mm(self) -> np.ndarray:
-        """(3,) CFCS."""
+        """(3,) end point, CFCS."""
         return self.points.xyz_mm[1]
 
     @property
     def length_mm(self) -> float:
-        """From entry to end."""
+        """Distance from entry to end."""
         return float(np.linalg.norm(self.end_mm - self.entry_mm))
 
     @property
@@ -57,7 +58,7 @@ class Trajectory:
 
     @property
     def error_stated(self) -> bool:
-        """Is the error known, and contradicted by no gap? One gap speaks for both points: they share the views."""
+        """Whether the error is known and no gap contradicts it. One bad gap rules out both points: they share views."""
         return bool(self.points.error_stated.all())
 
     @property
@@ -73,14 +74,14 @@ class Trajectory:
             point = ("entry", "end")[int(failed.argmax())]
             raise ErrorUnknownError(
                 f"the two lines of sight of the {point} point pass {self.points.gap_mm[failed.argmax()]:.2f} mm apart, "
-                "more than any stated error explains, so the error is unknown; pick the point again in both images"
+                "more than the stated errors explain, so the error is unknown; pick the point again in both images"
             )
         if self.points.joint_covariance_mm2 is None:
             raise error_unknown()
 
     @property
     def direction_covariance_rad2(self) -> np.ndarray:
-        """(2, 2) covariance of the direction, along two axes across it."""
+        """(2, 2) covariance of the direction along two axes perpendicular to it."""
         return self._to_direction @ self.covariance_mm2 @ self._to_direction.T
 
     @cached_property
@@ -89,21 +90,24 @@ class Trajectory:
 
     @cached_property
     def entry_error_95_mm(self) -> float:
-        """With a probability of 95 % the entry point errs by less."""
+        """95 % bound of the entry point's error. Raises ErrorUnknownError."""
         return float(length_quantile(self.covariance_mm2[:3, :3]))
 
     @cached_property
     def end_error_95_mm(self) -> float:
-        """With a probability of 95 % the end point errs by less."""
+        """95 % bound of the end point's error. Raises ErrorUnknownError."""
         return float(length_quantile(self.covariance_mm2[3:, 3:]))
 
     @cached_property
     def direction_error_95_rad(self) -> float:
-        """With a probability of 95 % the direction errs by less."""
+        """95 % bound of the direction's error. Raises ErrorUnknownError."""
         return float(length_quantile(self.direction_covariance_rad2))
 
     def budget_rms(self) -> dict[str, dict[str, float]]:
-        """For each of BUDGET the rms error it causes: "entry_mm", "end_mm", "direction_rad". Their squares add up."""
+        """Return for each source of BUDGET its rms error: "entry_mm", "end_mm", "direction_rad"; the squares add up.
+
+        Raises ErrorUnknownError.
+        """
         self._refuse_unstated()
         if self.points.budget_mm2 is None:
             raise error_unknown()
@@ -117,9 +121,9 @@ class Trajectory:
         }
 
     def document(self) -> dict[str, Any]:
-        """Everything as JSON types; mm, and degrees where a person reads.
+        """Return everything as JSON types: mm, angles in degrees.
 
-        Errors are null where `error_stated` is False, a `gap_sigma` where its gap was not tested.
+        Errors are null where `error_stated` is False; a `gap_sigma` is null where its gap was not tested.
         """
         known = self.error_stated
         return {

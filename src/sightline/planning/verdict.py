@@ -1,4 +1,4 @@
-"""Go or no-go: the planned trajectory held against limits."""
+"""Go or no-go: the checks of a planned trajectory against limits."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -8,15 +8,15 @@ import numpy as np
 from sightline.calibration.view import CalibratedView
 from sightline.checks import Check, Limits
 from sightline.geometry.covariance import ellipsoid_factor
-from sightline.planning.results import LARGEST_GAP_SIGMA, SpacePoints, Verdict, error_known
+from sightline.planning.results import MAX_GAP_SIGMA, SpacePoints, Verdict, error_known
 from sightline.planning.trajectory import Trajectory
 
-# With this many standard deviations beyond LARGEST_GAP_SIGMA a movement is noticed 95 times in 100 (normal quantile).
-_NOTICED_SIGMA = 1.645
-# One point shows a shift of the bone; it takes another to show that it turned [ours].
-LEAST_FREE_POINTS = 2
-# Gaps of all free points together are larger once in a thousand honest plans [ours].
-_SPREAD = 0.999
+# A movement this many standard deviations beyond MAX_GAP_SIGMA is detected with 95 % probability (normal quantile).
+_POWER_SIGMA = 1.645
+# One point shows a shift of the bone; a second is needed to show a rotation [ours].
+MIN_FREE_POINTS = 2
+# Correct plans exceed the limit of all gaps together once in a thousand [ours].
+_CONFIDENCE = 0.999
 _POINTS = ("entry", "end")
 
 
@@ -26,9 +26,10 @@ def judge(
     limits: Limits | None = None,
     seen: SpacePoints | None = None,
 ) -> Verdict:
-    """All that speaks for or against drilling along a trajectory: the views' own checks, then the plan's.
+    """Return the verdict on drilling along a trajectory: the views' own checks, then the plan's.
 
-    `seen`: entry, end and landmarks, in this order; without it there are no landmarks."""
+    `seen`: entry, end and landmarks, in this order; without it there are no landmarks.
+    """
     limits, seen = limits or Limits(), seen or trajectory.points
     checks = [replace(check, sentence=f"{view.name}: {check.sentence}") for view in views for check in view.checks]
     named = [f"the {name} point" for name in _POINTS]
@@ -38,99 +39,103 @@ def judge(
     if trajectory.points.joint_covariance_mm2 is not None:
         checks += [*_gaps(seen), *_spread(seen), _movement(seen)]
     checks.append(_inside_hull(trajectory, views))
-    # A movement that was not looked for is not one that was found.
+    # An untested movement makes the plan incomplete, not refused.
     return Verdict(tuple(checks), tuple(c for c in checks if c.name == "movement" and c.figure is None))
 
 
 def _errors(trajectory: Trajectory, limits: Limits) -> list[Check]:
     direction_deg = float(np.rad2deg(trajectory.direction_error_95_rad))
-    figures = (
+    errors = (
         ("entry error", "entry point", trajectory.entry_error_95_mm, limits.position_mm, "mm"),
         ("end error", "end point", trajectory.end_error_95_mm, limits.position_mm, "mm"),
         ("direction error", "direction", direction_deg, float(np.rad2deg(limits.direction_rad)), "°"),
     )
     out = []
-    for name, what, figure, limit, unit in figures:
-        passed = figure <= limit
-        sentence = f"With 95 % probability the {what} errs by less than {figure:.2f} {unit} (limit {limit:.2f} {unit})"
-        sentence += (
-            "." if passed else f"; the largest share is that of the {_largest(trajectory, name)}: reduce that first."
+    for name, what, error_95, limit, unit in errors:
+        passed = error_95 <= limit
+        sentence = (
+            f"With 95 % probability the error of the {what} is less than {error_95:.2f} {unit} (limit {limit:.2f} "
+            f"{unit})"
         )
-        out.append(Check(name, passed, figure, limit, unit, sentence))
+        sentence += "." if passed else f"; the largest source is {_largest_source(trajectory, name)}: reduce it first."
+        out.append(Check(name, passed, error_95, limit, unit, sentence))
     return out
 
 
-def _largest(trajectory: Trajectory, check: str) -> str:
-    """The source with the largest share, in words."""
+def _largest_source(trajectory: Trajectory, check: str) -> str:
+    """Return the source with the largest share of an error, in words."""
     key = {"entry error": "entry_mm", "end error": "end_mm", "direction error": "direction_rad"}[check]
     budget = trajectory.budget_rms()
     return max(budget, key=lambda source: budget[source][key]).replace("_", " ")
 
 
 def _gaps(points: SpacePoints) -> tuple[Check, ...]:
-    """One check for each point whose gap can be tested: a pick snapped to a curve has none."""
+    """Return a check for each point whose gap can be tested; a pick snapped to a curve has none."""
     names = [f"the {name} point" for name in _POINTS]
     names += [f"landmark {k + 1}" for k in range(len(points.xyz_mm) - len(names))]
     return points.gap_checks(names)
 
 
 def _spread(points: SpacePoints) -> list[Check]:
-    """Are the picks as sure as they are said to be? All free points together tell more than the gap of each."""
+    """Return the check that the picks are as accurate as stated, from the gaps of all free points together."""
     count = int(points.gap_tested.sum())
-    if points.gap_chi2 is None or count < LEAST_FREE_POINTS:
+    if points.gap_chi2 is None or count < MIN_FREE_POINTS:
         return []
-    limit = ellipsoid_factor(_SPREAD, count) ** 2
+    limit = ellipsoid_factor(_CONFIDENCE, count) ** 2
     passed = points.gap_chi2 <= limit
     times = float(np.sqrt(points.gap_chi2 / count))
     sentence = f"The gaps of {count} free points together are {times:.1f} times what picks and views explain"
     sentence += (
         "."
         if passed
-        else "; the picks are less sure than they are said to be, or the patient moved: pick all points again, or "
-        "state a larger error of the picks, with which the plan's own error grows."
+        else "; the picks are less accurate than stated, or the patient moved: pick all points again, or state a "
+        "larger error of the picks, which increases the plan's own error."
     )
     return [Check("pick spread", passed, points.gap_chi2, limit, "χ²", sentence)]
 
 
 def _movement(points: SpacePoints) -> Check:
-    """Did the bone move between the views? Free points tell, as far as their lines of sight then miss each other."""
+    """Return the check that the bone did not move between the views, from the mean gap of the free points."""
     free = int(points.gap_tested.sum())
-    if free < LEAST_FREE_POINTS or points.shift_mm is None or points.shift_sd_mm is None:
+    if free < MIN_FREE_POINTS or points.shift_mm is None or points.shift_sd_mm is None:
         sentence = (
-            f"Whether the patient moved between the views is not tested: {free} points are picked freely in both views "
-            f"(a snapped pick has no gap); pick {LEAST_FREE_POINTS} landmarks freely in both, such as the centre of "
+            f"A movement of the patient between the views is not tested: {free} points are picked freely in both views "
+            f"(a snapped pick has no gap); pick {MIN_FREE_POINTS} landmarks freely in both, such as the centre of "
             "the femoral head and the lesser trochanter."
         )
-        return Check("movement", False, None, LARGEST_GAP_SIGMA, "σ", sentence)
+        return Check("movement", False, None, MAX_GAP_SIGMA, "σ", sentence)
     shift, sd = abs(points.shift_mm), points.shift_sd_mm
-    passed = shift <= LARGEST_GAP_SIGMA * sd
+    passed = shift <= MAX_GAP_SIGMA * sd
     if passed:
-        noticed = (LARGEST_GAP_SIGMA + _NOTICED_SIGMA) * sd
+        noticed = (MAX_GAP_SIGMA + _POWER_SIGMA) * sd
         sentence = (
-            f"The lines of sight of {free} free points pass {shift:.2f} mm apart in the mean; a movement of "
-            f"{noticed:.1f} mm along the common normal of the beams would show, one in their plane would not."
+            f"The lines of sight of {free} free points pass {shift:.2f} mm apart on average; a movement of "
+            f"{noticed:.1f} mm along the common normal of the beams would be detected, one in their plane would not."
         )
     else:
         sentence = (
             f"The bone seems to have moved by {shift:.2f} mm along the common normal of the beams between the views; "
-            "take one of the images again, with the patient fixed to the frame, or pick again."
+            "acquire one of the images again, with the patient fixed to the frame, or pick again."
         )
-    return Check("movement", bool(passed), shift / sd, LARGEST_GAP_SIGMA, "σ", sentence)
+    return Check("movement", bool(passed), shift / sd, MAX_GAP_SIGMA, "σ", sentence)
 
 
 def _inside_hull(trajectory: Trajectory, views: Sequence[CalibratedView]) -> Check:
-    """Outside the beads' hull only `smooth` knows how its error grows; there the figure is for information."""
+    """Return the check that entry and end lie within the beads' convex hull.
+
+    For information only with `smooth`, whose stated error grows outside the convex hull.
+    """
     outside = [name for name, inside in zip(_POINTS, trajectory.points.inside_hull, strict=True) if not inside]
     extrapolates = all(view.method == "smooth" for view in views)
     limit = len(_POINTS) if extrapolates else 0
     if not outside:
-        sentence = "Entry and end point lie within the beads' hull in both images."
+        sentence = "Entry and end point lie within the beads' convex hull in both images."
     else:
-        sentence = f"Outside the beads' hull in an image: {' and '.join(outside)} point; "
+        sentence = f"Outside the beads' convex hull in an image: {' and '.join(outside)} point; "
         sentence += (
             "the stated error allows for it."
             if extrapolates
-            else "this method states no honest error there: use the method 'smooth', or place the frame so that its "
-            "beads surround the target."
+            else "this method's stated error is too small there: use the method 'smooth', or place the frame so that "
+            "its beads surround the target."
         )
     return Check("plan inside hull", len(outside) <= limit, float(len(outside)), float(limit), "points", sentence)

@@ -25,7 +25,7 @@ _READ: dict[str, Callable[[bytes, str], Pinhole]] = {  # RTK's takes the head of
     "deepdrr": deepdrr.read,
     "xreg": xreg.read,
 }
-_MOST_BYTES = {"xreg": xreg.MAX_BYTES}  # its images are in the same file
+_MAX_BYTES = {"xreg": xreg.MAX_BYTES}  # its images are in the same file
 FORMATS = (*_WRITE, *_WRITE_WITH_IMAGE)
 
 
@@ -46,7 +46,7 @@ def read_view(path: str | Path, kind: str | None = None, name: str | None = None
     words = file.name.lower().split(".")
     kind = known(kind or next((word for word in words[1:] if word in FORMATS), "opencv"))
     view = name or re.sub(r"[^\w-]", "_", words[0])[:32]
-    data = reading.read_bytes(file, _MOST_BYTES.get(kind, reading.MAX_BYTES))
+    data = reading.read_bytes(file, _MAX_BYTES.get(kind, reading.MAX_BYTES))
     try:
         if kind == "rtk":
             image = file.with_suffix(".mha")

@@ -11,7 +11,7 @@ from sightline.bounded import read_bounded
 from sightline.errors import UnusableInputError
 
 MAX_BYTES = 2**20  # [ours] a matrix with its covariance takes 5 kB
-LARGEST = 1e12  # [ours] focal lengths of 1e5 px times distances of 1e4 mm, and a scale of 1000
+MAX_NUMBER = 1e12  # [ours] focal lengths of 1e5 px times distances of 1e4 mm, and a scale of 1000
 _BRACKETS = re.compile(r"[\[{\]}]")
 _MAX_DEPTH = 8  # [ours] of brackets in JSON; ours have 3
 
@@ -72,12 +72,12 @@ def entry(document: dict[str, Any], key: str) -> Any:
 
 
 def array(value: Any, shape: tuple[int, ...], what: str) -> np.ndarray:
-    """Finite numbers of a shape, none beyond LARGEST, at which arithmetic on them would end."""
+    """Finite numbers of a shape, none beyond MAX_NUMBER, at which arithmetic on them would end."""
     try:
         out = np.array(value, dtype=np.float64)
     except (TypeError, ValueError, OverflowError):
         out = None
-    if out is None or out.shape != shape or not (np.abs(out) <= LARGEST).all():
+    if out is None or out.shape != shape or not (np.abs(out) <= MAX_NUMBER).all():
         wanted = " x ".join(map(str, shape)) or "one"
         raise UnusableInputError(f"{what} must be {wanted} finite numbers; export it again")
     return out
@@ -93,7 +93,7 @@ def number(value: Any, what: str) -> float:
 def positive(value: Any, what: str) -> float:
     """A finite number above zero."""
     out = number(value, what)
-    if out < 1 / LARGEST:
+    if out < 1 / MAX_NUMBER:
         raise UnusableInputError(f"{what} is {out:g}; it must be above zero")
     return out
 

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 MAX_BYTES = 2**28  # [ours] two dozen projections of 1536 x 1536 floats
 _WRITTEN = "origin-at-focal-pt-det-pos-z"
 _FRAMES = (_WRITTEN, "origin-at-focal-pt-det-neg-z", "origin-on-det")
-_MOST_PROJECTIONS = 1000  # their names have three digits
+_MAX_PROJECTIONS = 1000  # their names have three digits
 _STATED = (
     "num-projs",
     "num-rows",
@@ -32,7 +32,7 @@ _STATED = (
     "intrinsic",
     "extrinsic",
 )
-_MOST_ENTRIES, _MOST_BYTES = 16, 64  # of what is stated: a matrix, and each of its numbers or a word
+_MAX_ENTRIES, _MAX_BYTES = 16, 64  # of what is stated: a matrix, and each of its numbers or a word
 
 
 def write(pinhole: Pinhole, pixels: np.ndarray | None = None) -> dict[str, bytes]:
@@ -103,7 +103,7 @@ def _camera(file: "h5py.File", name: str) -> dict[str, Any]:
     if _has(file, "num-rows"):
         return _values(file)
     count = reading.number(_values(file).get("num-projs", 0), "num-projs")
-    names = [one for one in (f"proj-{k:03d}" for k in range(min(int(count), _MOST_PROJECTIONS))) if _has(file, one)]
+    names = [one for one in (f"proj-{k:03d}" for k in range(min(int(count), _MAX_PROJECTIONS))) if _has(file, one)]
     if name not in names and (len(names) != 1 or name.startswith("proj-")):
         there = ", ".join(names[:3]) or "none"
         raise UnusableInputError(f"of the file's {len(names)} projections none is called {name!r}; there are: {there}")
@@ -129,7 +129,7 @@ def _values(group: "h5py.Group") -> dict[str, Any]:
         if not isinstance(held, _library().Dataset) or held.size is None:
             continue
         here = held.chunks is None and held.external is None and not held.is_virtual
-        small = held.size <= _MOST_ENTRIES and held.dtype.itemsize <= _MOST_BYTES
+        small = held.size <= _MAX_ENTRIES and held.dtype.itemsize <= _MAX_BYTES
         if here and small and held.dtype.kind in "iufSO":
             value = held[()]
             out[key] = value.decode("ascii", "replace") if isinstance(value, bytes) else value

@@ -10,8 +10,8 @@ from typing import Any, TypeGuard
 # allow, twice it for mm, since here a view follows from its image [ours].
 TOLERANCES = {"uv_px": 2e-3, "radius_px": 5e-3, "_mm": 2e-3}
 RELATIVE, ABSOLUTE = 1e-2, 1e-4  # of every other number [ours]
-# Words that repeat rounded numbers, and candidates that were no beads: one at a limit may come or go.
-_FREE = ("sentence", "rejected")
+# Sentences for people, which versions word differently, and rejected candidates: one at a limit may come or go.
+_FREE = ("sentence", "missing", "refused", "rejected")
 
 
 @dataclass(frozen=True)
