@@ -4,7 +4,7 @@ import ctypes
 import os
 import shutil
 import sys
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Generator, Mapping
 from contextlib import contextmanager, suppress
 from errno import EACCES, EDQUOT, EFBIG, EIO, EISDIR, ENOENT, ENOSPC, EPERM, EROFS
 from pathlib import Path
@@ -56,7 +56,7 @@ def write_folder(folder: Path, documents: Mapping[str, bytes]) -> list[Path]:
 
 
 @contextmanager
-def whole_folder(path: str | Path, units: Collection[str] = ()) -> Iterator[Path]:
+def whole_folder(path: str | Path, units: Collection[str] = ()) -> Generator[Path]:
     """`with whole_folder(out) as scratch:` what is written into the scratch folder beside `out` is put there at the
     end; after an error or an interruption nothing is.
 
@@ -93,7 +93,7 @@ def whole_folder(path: str | Path, units: Collection[str] = ()) -> Iterator[Path
 
 
 @contextmanager
-def scratch_folder() -> Iterator[Path]:
+def scratch_folder() -> Generator[Path]:
     """A folder for files on their way, removed afterwards as far as the disk lets it. Raises OSError.
 
     Not `TemporaryDirectory`: on a disk that can no longer be written its removal recurses without end (Python 3.11)."""
@@ -125,7 +125,7 @@ def advice(error: OSError) -> str:
 
 
 @contextmanager
-def _placing(what: str) -> Iterator[None]:
+def _placing(what: str) -> Generator[None]:
     try:
         yield
     except OSError as error:

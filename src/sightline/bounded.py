@@ -1,6 +1,6 @@
 """Files of other people: regular files alone are opened, and read whole but never beyond a limit."""
 
-from collections.abc import Iterator
+from collections.abc import Generator
 from contextlib import contextmanager
 from errno import EISDIR
 from io import BufferedReader
@@ -10,7 +10,7 @@ from sightline.errors import UnusableInputError
 
 
 @contextmanager
-def regular_file(file: Path) -> Iterator[BufferedReader]:
+def regular_file(file: Path) -> Generator[BufferedReader]:
     """Open a regular file for reading. Raises OSError, also on a folder, a device or a pipe.
 
     A pipe would be waited for without end, and a device may have no end.

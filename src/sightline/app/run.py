@@ -22,7 +22,7 @@ def run(settings: Settings, on_ready: Callable[[Site], None]) -> None:
     workshop = Workshop()
     procedure = Procedure.open(settings.folder, settings.frame, settings.patient, workshop)
     pictures: list[Pictures] = []
-    started: list[asyncio.Task] = []
+    started: list[asyncio.Task[None]] = []
 
     def page(site: Site) -> None:
         build(site, procedure, pictures[0], settings)

@@ -1,6 +1,6 @@
 """Ill-conditioned calibrations are refused in words."""
 
-from collections.abc import Iterator
+from collections.abc import Generator
 from contextlib import contextmanager
 
 import numpy as np
@@ -9,7 +9,7 @@ from sightline.errors import CalibrationRefusedError
 
 
 @contextmanager
-def well_conditioned() -> Iterator[None]:
+def well_conditioned() -> Generator[None]:
     """Raise CalibrationRefusedError where a factorisation within finds a matrix that is not positive definite."""
     try:
         yield

@@ -45,7 +45,8 @@ class Asked:
         """From the JSON of one. Before sides and aids were asked for, a plan was judged as any wire is, by the limits
         of its kind."""
         limits = document["limits"]
-        made = Asked(**{**document, "limits": None if limits is None else Limits(**limits)})
+        fields: dict[str, Any] = {**document, "limits": None if limits is None else Limits(**limits)}
+        made = Asked(**fields)
         if "side" not in document:
             return replace(made, kind=None, landmark_names=())
         return made if made.aids is None else replace(made, aids=Aids.of(document["aids"]))

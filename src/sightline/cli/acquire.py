@@ -2,7 +2,7 @@
 
 import time
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -287,7 +287,7 @@ class _Desk:
 
 
 @contextmanager
-def _into(folder: Path, out: Output, robot: str | None = None, *, invert: bool) -> Iterator[_Desk]:
+def _into(folder: Path, out: Output, robot: str | None = None, *, invert: bool) -> Generator[_Desk]:
     """Open or create a case; `robot`: address of the robot whose pose is recorded when an image arrives."""
     from sightline.case.acquire import Acquirer
     from sightline.case.journal import Case

@@ -3,7 +3,7 @@
 import os
 import sys
 import traceback
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterable, Sequence
 from contextlib import contextmanager
 from json import dumps
 from pathlib import Path
@@ -59,7 +59,7 @@ class Output:
         return _Step(None if self._silent else _console(stderr=True), text)
 
     @contextmanager
-    def progress(self, text: str, total: int) -> Iterator[Callable[[], None]]:
+    def progress(self, text: str, total: int) -> Generator[Callable[[], None]]:
         """`with out.progress("trials", 200) as advance:` shows a bar; call `advance()` after each item."""
         from rich.progress import Progress
 
@@ -83,7 +83,7 @@ class Output:
             _console().print(_table(title, columns, rows))
 
     @contextmanager
-    def live(self, title: str, columns: Sequence[str]) -> Iterator[Callable[[Iterable[Sequence[object]]], None]]:
+    def live(self, title: str, columns: Sequence[str]) -> Generator[Callable[[Iterable[Sequence[object]]], None]]:
         """`with out.live("Watching", ("", "")) as show:` shows a table, for people, that each `show(rows)` replaces."""
         from rich.live import Live
 

@@ -2,7 +2,7 @@
 
 import re
 import warnings
-from collections.abc import Iterator
+from collections.abc import Generator
 from contextlib import contextmanager, suppress
 from datetime import UTC, datetime
 from hashlib import sha256
@@ -191,7 +191,7 @@ _decoder = Decoder()
 
 
 @contextmanager
-def quiet() -> Iterator[None]:
+def quiet() -> Generator[None]:
     """Nothing of a header reaches a log: pydicom's messages quote values."""
     log = getLogger("pydicom")
     before, log.propagate, log.disabled = (log.propagate, log.disabled), False, True

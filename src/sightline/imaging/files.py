@@ -1,6 +1,6 @@
 """Image files in and out: DICOM, PNG, TIFF, BMP, JPEG, NumPy. The first bytes tell the format, not the name."""
 
-from collections.abc import Iterator
+from collections.abc import Generator
 from contextlib import contextmanager
 from dataclasses import replace
 from datetime import datetime
@@ -148,7 +148,7 @@ def _read_raster(file: Path, read_header: headers.HeaderReader) -> Radiograph:
 
 
 @contextmanager
-def _quiet() -> Iterator[None]:
+def _quiet() -> Generator[None]:
     """What OpenCV's decoders find is said once, by us."""
     log = cv2.utils.logging
     before = log.setLogLevel(log.LOG_LEVEL_SILENT)

@@ -27,8 +27,9 @@ IMAGE_COUNT = 40  # of a folder, at most: each costs up to half a minute [ours]
 
 LEGEND = 4  # images in one picture: eight curves can be told apart [ours]
 
-ALONE = "svg { background: var(--card); } text { font: 13px sans-serif; fill: var(--ink); } "
-ALONE += "".join(f".source-{c} {{ fill: var(--{c}); }} " for c in ("beads", "frame", "focal", "picks", "map"))
+ALONE = "svg { background: var(--card); } text { font: 13px sans-serif; fill: var(--ink); } " + "".join(
+    f".source-{c} {{ fill: var(--{c}); }} " for c in ("beads", "frame", "focal", "picks", "map")
+)
 
 Curve = list[tuple[float, float]]
 

@@ -15,8 +15,10 @@ from sightline.imaging import Radiograph
 from sightline.studies.compare import Pair, differences, findings, pictures
 
 SHOWN_PX = 512  # side of a picture on the page [ours]
-PAIR_CSS = ".pair { display: flex; gap: 1rem; flex-wrap: wrap; } .pair figure { flex: 1 1 18rem; margin: 0; } "
-PAIR_CSS += ".pair img { width: 100%; }\n"
+PAIR_CSS = (
+    ".pair { display: flex; gap: 1rem; flex-wrap: wrap; } .pair figure { flex: 1 1 18rem; margin: 0; } "
+    ".pair img { width: 100%; }\n"
+)
 
 
 def render(pairs: Sequence[Pair], passed: Sequence[str], folder: str, seed: int) -> str:

@@ -62,7 +62,12 @@ class Design:
     def frame(self, tolerances: Tolerances) -> Frame:
         """Without datums: labels are known here."""
         balls, none = Balls(self.ball_mm, self.ball_mm), dict.fromkeys(GAMMA_BEAMS, ((), ()))
-        plates = {"rows": self.rows, "pitch_mm": self.pitch_mm, "xrii_mm": self.xrii_mm, "source_mm": self.source_mm}
+        plates: dict[str, Any] = {
+            "rows": self.rows,
+            "pitch_mm": self.pitch_mm,
+            "xrii_mm": self.xrii_mm,
+            "source_mm": self.source_mm,
+        }
         design = FrameDesign("gamma", GAMMA_BEAMS, none, **plates, xrii_balls=balls, source_balls=balls)
         return replace(Frame.from_design(design), tolerances=tolerances)
 

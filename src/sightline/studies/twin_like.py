@@ -1,6 +1,7 @@
 """The twin's image of the same kind as a given one: a like plate, like balls in the same places, a like patient."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -84,7 +85,7 @@ def _grid(view: ViewTruth, beads: Detections, lattice: Lattice, scale: float) ->
         return Scene(solids=tuple(Ball((x, y, z), radius, within=None) for x, y, z in centre.tolist()))
     a, b, c = view.detector.normal.tolist()
     # The twin has no air to displace: a hole is filled with polyethylene, which takes 2 % in 1 mm.
-    filled = {"hole_mm": 0.0, "within": "steel", "material": "polyethylene"}
+    filled: dict[str, Any] = {"hole_mm": 0.0, "within": "steel", "material": "polyethylene"}
     rods = tuple(Rod((x, y, z), (a, b, c), radius, PLATE_MM / 2, **filled) for x, y, z in centre.tolist())
     half = np.array([view.chain.field_mm, view.chain.field_mm, PLATE_MM / 2])
     middle = view.detector.to_space(np.zeros(2)) - PLATE_HEIGHT_MM * view.detector.normal

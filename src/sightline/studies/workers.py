@@ -4,7 +4,7 @@ import logging
 import os
 import signal
 import threading
-from collections.abc import Iterator
+from collections.abc import Generator
 from concurrent.futures import Executor, ProcessPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -30,7 +30,7 @@ class Workers:
 
 
 @contextmanager
-def local_workers(number: int | None = None) -> Iterator[Workers]:
+def local_workers(number: int | None = None) -> Generator[Workers]:
     """Processes of this machine, one thread each; as many as it has cores unless told."""
     from concurrent.futures.process import BrokenProcessPool
 
@@ -44,7 +44,7 @@ def local_workers(number: int | None = None) -> Iterator[Workers]:
 
 
 @contextmanager
-def cluster_workers(address: str) -> Iterator[Workers]:
+def cluster_workers(address: str) -> Generator[Workers]:
     """The workers of a Dask scheduler, which must have this very Sightline. Raises UnusableInputError."""
     try:
         from distributed import Client
@@ -117,7 +117,7 @@ def _end_with(sentinel: int) -> None:
 
 
 @contextmanager
-def _one_thread() -> Iterator[None]:
+def _one_thread() -> Generator[None]:
     before = {name: os.environ.get(name) for name in _THREADS}
     os.environ.update(dict.fromkeys(before, "1"))
     try:

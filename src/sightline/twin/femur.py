@@ -79,7 +79,7 @@ class Femur:
         """
         turn, across = radians(self.anteversion_deg), sin(radians(angle_deg))
         along = np.array([-across * cos(turn), cos(radians(angle_deg)), across * sin(turn)])
-        numbers = self._numbers()
+        numbers = self.numbers()
 
         def height(back_mm: float) -> float:
             return float(_femur_distance(-back_mm * along, numbers)[0])
@@ -90,7 +90,7 @@ class Femur:
         entry = root_scalar(height, bracket=(inside, inside + 1.0), xtol=1e-9).root
         return -entry * along, (self.head_radius_mm - short_mm) * along
 
-    def _numbers(self) -> np.ndarray:
+    def numbers(self) -> np.ndarray:
         """What the compiled kernel takes."""
         sizes = [self.head_radius_mm, self.neck_radius_mm, self.shaft_radius_mm, self.canal_radius_mm]
         hu = self.cancellous_hu * BONE_PER_HU
@@ -119,7 +119,7 @@ def voxelise(femur: Femur, side: str, head_mm: np.ndarray, rng: np.random.Genera
     nx, ny, nz = (int(n) for n in np.ceil((BOX_HIGH_MM - BOX_LOW_MM) / VOXEL_MM))
     tile = np.zeros((1, 1, 1), dtype=np.float32) if rng is None else _texture(rng)
     values = np.zeros((nx, ny, nz), dtype=np.float32)
-    in_parts(_fill, BOX_LOW_MM, femur._numbers(), tile, values)
+    in_parts(_fill, BOX_LOW_MM, femur.numbers(), tile, values)
     low = BOX_LOW_MM
     if side == "left":
         values = np.ascontiguousarray(values[:, ::-1])

@@ -17,7 +17,7 @@ Points = Mapping[str, np.ndarray]
 def truth_document(setup: SetUp, hip: HipScene) -> dict[str, Any]:
     """What a person may ask of the images of a hip: wire, landmarks, views, beads. CFCS in mm, pixels as the images
     have them."""
-    document = {
+    document: dict[str, Any] = {
         **points_document(setup, hip.landmarks_mm, {name: hip.at(name).landmarks_mm for name in setup.views}),
         "head_mm": hip.head_mm.tolist(),
         "head_radius_mm": hip.femur.head_radius_mm,

@@ -55,6 +55,9 @@ class RobotNow:
     lost: bool = False
 
 
+_Order = tuple[Callable[[RobotClient], Any], Future[Any]]  # what to do, and where its result goes
+
+
 class RobotSession:
     """A robot behind a port of this machine. `changed` is called, from any thread, when state, fault or orders change.
 
@@ -69,7 +72,7 @@ class RobotSession:
         self._changed, self._heartbeat = changed, heartbeat
         self._recorder = Recorder()
         self._telling = False
-        self._orders: SimpleQueue[tuple[Callable[[RobotClient], Any], Future]] = SimpleQueue()
+        self._orders: SimpleQueue[_Order] = SimpleQueue()
         self._end = threading.Event()
         self._lock = threading.Lock()  # for `now` and `_over`, which this thread and the link's replace
         self._over = False  # no order is carried out any more
@@ -178,7 +181,7 @@ class RobotSession:
         await asyncio.wrap_future(stopping)
 
     async def _do(self, doing: str, order: Callable[[RobotClient], T], since: State | None = None) -> T:
-        future: Future = Future()
+        future: Future[Any] = Future()
         self._begin(doing, since, (order, future))
         try:
             return await asyncio.wrap_future(future)
@@ -188,7 +191,7 @@ class RobotSession:
         finally:
             self._put(doing="")
 
-    def _begin(self, doing: str, since: State | None, ordered: tuple[Callable[[RobotClient], Any], Future]) -> None:
+    def _begin(self, doing: str, since: State | None, ordered: _Order) -> None:
         # One order at a time: a second confirmation, of another page say, was of what is no longer so.
         with self._lock:
             now = self.now
@@ -238,7 +241,7 @@ class RobotSession:
             while True:
                 self._orders.get_nowait()[1].set_exception(LinkError(why))
 
-    def _carry_out(self, order: Callable[[RobotClient], Any], future: Future) -> None:
+    def _carry_out(self, order: Callable[[RobotClient], Any], future: Future[Any]) -> None:
         try:
             result = order(self._client)
         except BaseException as error:

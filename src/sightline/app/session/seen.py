@@ -39,9 +39,10 @@ class SeenImage:
         """As reports and exports want it; its source is the image's number in the case, never a file's name."""
         if self.view is None or self.observations is None:
             return None
-        return CalibratedImage(self._labelled(self.observations), self.view)
+        return CalibratedImage(self.labelled_as(self.observations), self.view)
 
-    def _labelled(self, observations: Observations) -> Seen:
+    def labelled_as(self, observations: Observations) -> Seen:
+        """Return this image with observations that may be others than its own."""
         return Seen(f"image {self.acquired.number}", observations, self.image, self.beads)
 
     def said_to_be(self, mirrored_display: bool | None) -> "SeenImage":
@@ -98,7 +99,7 @@ class Lightbox:
         observations = await self._workshop.do(label_beads, image, beads, frame)
         seen = replace(seen, doing="calibrating", observations=observations)
         self._put(seen)
-        found = await self._workshop.do(calibrated, seen._labelled(observations), frame, "smooth", known_arm(image))
+        found = await self._workshop.do(calibrated, seen.labelled_as(observations), frame, "smooth", known_arm(image))
         number = seen.acquired.number
         before = {n: one.view for n, one in self._images.items() if n < number and one.view is not None}
         view = await asyncio.to_thread(found.view.steady_since, list(before.values()))

@@ -7,6 +7,7 @@ import threading
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
+from importlib import import_module
 from multiprocessing.connection import wait
 from typing import Any, TypeVar
 
@@ -58,6 +59,5 @@ def _wait_for(sentinel: int) -> None:
 
 def warm_up() -> None:
     """Import what the first image would wait for."""
-    import sightline.calibration
-    import sightline.case.views
-    import sightline.detection.wire  # noqa: F401
+    for name in ("calibration", "case.views", "detection.wire"):
+        import_module(f"sightline.{name}")

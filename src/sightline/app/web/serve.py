@@ -6,7 +6,7 @@ import signal
 import socket
 import threading
 import webbrowser
-from collections.abc import Awaitable, Callable, Iterator
+from collections.abc import Awaitable, Callable, Generator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 
@@ -118,7 +118,7 @@ def _ready(site: Site, open_browser: bool, on_ready: Callable[[Site], None]) -> 
 
 
 @contextmanager
-def _listen(host: str, port: int) -> Iterator[socket.socket]:
+def _listen(host: str, port: int) -> Generator[socket.socket]:
     if not 0 <= port <= 65535:
         raise UnusableInputError(f"{port} is no port; give one from 0 to 65535, 0 for any free one")
     try:
@@ -205,7 +205,7 @@ class _Http(H11Protocol):
 
 
 @contextmanager
-def _sigterm_is_no_error() -> Iterator[None]:
+def _sigterm_is_no_error() -> Generator[None]:
     """Uvicorn shuts down in order and then raises the signal again; that is an end asked for, not an error."""
     if threading.current_thread() is not threading.main_thread():  # where Python allows no handlers
         yield

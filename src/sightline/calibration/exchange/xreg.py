@@ -5,7 +5,7 @@ frames, and a file that is a camera alone. xReg: lib/file_formats/xregH5ProjData
 """
 
 import io
-from collections.abc import Iterator
+from collections.abc import Generator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
@@ -86,7 +86,7 @@ def _library() -> Any:
 
 
 @contextmanager
-def _opened(data: bytes) -> "Iterator[h5py.File]":
+def _opened(data: bytes) -> "Generator[h5py.File]":
     """A file from its bytes. Whatever the library says of a spoilt one is one sentence."""
     library = _library()
     try:

@@ -3,7 +3,7 @@
 import logging
 import socket
 import warnings
-from collections.abc import Iterable, Iterator
+from collections.abc import Generator, Iterable
 from contextlib import contextmanager
 from dataclasses import dataclass
 from socketserver import TCPServer
@@ -151,7 +151,7 @@ class DicomReceiver:
         return self
 
     @contextmanager
-    def receiving(self, acquirer: Acquirer, tell: Tell) -> Iterator[None]:
+    def receiving(self, acquirer: Acquirer, tell: Tell) -> Generator[None]:
         """Answer whoever has called since the port was had: images go to `acquirer`, news to `tell`."""
         assert self._server is not None  # noqa: S101 - it is entered
         self._acquirer, self._tell, self._server.tell = acquirer, tell, tell

@@ -1,7 +1,7 @@
 """A case: all that was done for one patient, in one folder, in order, never lost and never changed (docs/case.md)."""
 
 import sqlite3
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Generator, Mapping, Sequence
 from contextlib import contextmanager
 from datetime import UTC, datetime
 from enum import StrEnum
@@ -195,7 +195,7 @@ class Case(Closing):
         return [entry_of_row(row) for row in rows]
 
     @contextmanager
-    def _reading(self) -> Iterator[None]:
+    def _reading(self) -> Generator[None]:
         with self._lock, said(self.folder / JOURNAL):
             yield
 

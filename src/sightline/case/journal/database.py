@@ -2,7 +2,7 @@
 
 import os
 import sqlite3
-from collections.abc import Iterator
+from collections.abc import Generator
 from contextlib import contextmanager
 from pathlib import Path
 from urllib.parse import quote
@@ -68,7 +68,7 @@ def is_damage(error: BaseException | None) -> bool:
 
 
 @contextmanager
-def transaction(db: sqlite3.Connection) -> Iterator[None]:
+def transaction(db: sqlite3.Connection) -> Generator[None]:
     """`with transaction(db):` all of it is written, and on the disk, or none of it is."""
     db.execute("BEGIN IMMEDIATE")
     try:
@@ -81,7 +81,7 @@ def transaction(db: sqlite3.Connection) -> Iterator[None]:
 
 
 @contextmanager
-def said(file: Path) -> Iterator[None]:
+def said(file: Path) -> Generator[None]:
     """Turns what SQLite and the disk raise into a CaseError that says what to do."""
     try:
         yield

@@ -1,7 +1,7 @@
 """Navigation's side of the link, blocking and simple: one call for each step, each answered or an error in time."""
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Generator, Mapping
 from contextlib import contextmanager
 
 import numpy as np
@@ -250,7 +250,7 @@ class RobotClient(Closing):
     # What the robot said and was not meant.
 
     @contextmanager
-    def _doubted(self, what: str) -> Iterator[None]:
+    def _doubted(self, what: str) -> Generator[None]:
         self._doubts.pop(what, None)
         try:
             yield

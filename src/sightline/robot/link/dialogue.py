@@ -143,6 +143,8 @@ class Dialogue:
                 said = [self._facts.position()]
             case Get("NDARRAY"):
                 said = [self._facts.joints(self._machine.snapshot())]
+            case _:
+                pass  # what is not understood gets no answer
         return said
 
     def _capability(self) -> Saying:

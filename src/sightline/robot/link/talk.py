@@ -2,7 +2,7 @@
 
 import time
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Generator, Mapping
 from contextlib import contextmanager
 from threading import Lock
 
@@ -120,7 +120,7 @@ class Talk:
         self._link.send(Message(body, name, timestamp, version, metadata=metadata or {}))
 
     @contextmanager
-    def mail(self) -> Iterator[Mail]:
+    def mail(self) -> Generator[Mail]:
         """Open it before a question is sent: what answers cannot then be read by another thread alone."""
         mail = Mail(self)
         self._mails.append(mail)

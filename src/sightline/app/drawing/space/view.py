@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import nicegui.elements.scene  # noqa: F401 - makes its three.js known to the page; ours is no copy of it
+import nicegui.elements.scene  # noqa: F401 # pyright: ignore[reportUnusedImport] - makes its three.js known to the page; ours is no copy of it
 from nicegui.element import Element
 
 _COLOURS = Path(__file__).parents[1] / "colours.js"

@@ -1,6 +1,6 @@
 """What the conformance test says to a robot and hears: everything is taken as it comes, and nothing judged."""
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Generator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from time import monotonic, sleep
@@ -143,7 +143,7 @@ class Conversation:
         return self._robot.position()
 
     @contextmanager
-    def moving(self, number: str | None = None) -> Iterator["Motion"]:
+    def moving(self, number: str | None = None) -> Generator["Motion"]:
         """A motion to the target that the robot holds, seen to have begun. Raises NotAskedError where it is over."""
         before = self.tip()
         number = number or self._robot.exchange.next_number()
