@@ -27,6 +27,7 @@ extensions = [
     "rooms",
 ]
 exclude_patterns = ["README.md"]  # the index includes it
+smartquotes = False  # they would turn "--json" into a dash
 nitpicky = True
 # Types of other packages: their pages are not fetched, so nothing can be linked to.
 nitpick_ignore_regex = [(r"py:.*", r"(?!sightline).*")]

@@ -12,7 +12,9 @@ from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
 from sphinx.util.fileutil import copy_asset
 
-START = 'import {{ mermaid }} from "./{path}"; mermaid.initialize({{ startOnLoad: true, theme: "neutral" }});'
+START = """import {{ mermaid }} from "./{path}";
+const wide = {{ useMaxWidth: false }};  // a diagram keeps the size of its text, and scrolls
+mermaid.initialize({{ startOnLoad: true, theme: "neutral", flowchart: wide, state: wide }});"""
 
 
 class Mermaid(SphinxDirective):
