@@ -14,27 +14,31 @@ def described(command, parent=None) -> nodes.section:
     section = nodes.section(ids=[nodes.make_id(context.command_path)], names=[context.command_path])
     section += nodes.title(text=context.command_path)
     usage = command.get_usage(context).removeprefix("Usage: ")
-    section += [paragraph(text) for text in (command.help or "").split("\n\n")]
+    section += paragraphs(command.help)
     section += nodes.literal_block(usage, usage, language="text")
     records = [record for parameter in command.params if (record := parameter.get_help_record(context))]
     section += nodes.definition_list("", *(item(*record) for record in records))
-    section += [paragraph(text) for text in (command.epilog or "").split("\n\n")]
+    section += paragraphs(command.epilog)
     section += [described(sub, context) for sub in getattr(command, "commands", {}).values()]
     return section
 
 
 def item(name: str, text: str) -> nodes.definition_list_item:
-    """Return an argument and what it says."""
+    """Return an argument and its help."""
     term = nodes.term("", "", nodes.literal(text=name))
     return nodes.definition_list_item("", term, nodes.definition("", nodes.paragraph(text=text)))
 
 
-def paragraph(text: str) -> nodes.Element:
-    """Return a paragraph as prose, or as it stands where it is indented: an example."""
-    lines = text.replace("\b", "").strip("\n")
-    if lines.startswith("  "):
-        return nodes.literal_block(lines, lines, language="text")
-    return nodes.paragraph(text=" ".join(lines.split()))
+def paragraphs(text: str | None) -> list[nodes.Element]:
+    """Return a help text: paragraphs, and where one begins with the sign for "as it stands" a title and an example."""
+    out: list[nodes.Element] = []
+    for part in (text or "").split("\n\n"):
+        if part.startswith("\b\n"):
+            title, _, example = part.removeprefix("\b\n").partition("\n")
+            out += [nodes.paragraph(text=title), nodes.literal_block(example, example, language="sh")]
+        elif part:
+            out.append(nodes.paragraph(text=" ".join(part.split())))
+    return out
 
 
 class Commands(SphinxDirective):
@@ -42,6 +46,7 @@ class Commands(SphinxDirective):
 
     def run(self) -> list[nodes.Node]:
         """Return a section for each command."""
+        self.env.note_reread()  # the program may have changed where this page has not
         program = typer.main.get_command(commands)
         program.name = "sightline"
         context = program.context_class(program, info_name="sightline")
