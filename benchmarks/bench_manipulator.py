@@ -12,7 +12,7 @@ from scipy.spatial.transform import RigidTransform
 
 from benchmarks.rows import Row
 from sightline.robot.kinematics.manipulator import FEED, WRIST_MM, Manipulator, nominal_manipulator
-from sightline.robot.kinematics.reach import check_reach, hip_theatre
+from sightline.robot.kinematics.reach import check_reach, hip_surroundings
 from sightline.robot.plant import CYCLE_S
 from sightline.twin.drilling import Bone
 from sightline.twin.femur import Femur, to_cfcs, voxelise
@@ -29,7 +29,7 @@ def run(quick: bool) -> list[Row]:
     robot = nominal_manipulator()
     entry, end = _wire(robot)
     waypoints = np.stack([IMAGING, *(robot.inverse(entry, end, depth) for depth in (-STANDOFF_MM, 80.0))])
-    theatre = hip_theatre(robot.T_mcs_cfcs(IMAGING))
+    theatre = hip_surroundings(robot.T_mcs_cfcs(IMAGING))
     runs = 20 if quick else 200
     factor = _factor(robot, seconds=5.0 if quick else 100.0)
     name, asked = "times real time, drilling a femur", f"{ASKED_FACTOR:.0f}"

@@ -13,7 +13,7 @@ from scipy.spatial.transform import RigidTransform
 
 from benchmarks.parallel import in_parallel
 from benchmarks.rows import Row
-from sightline.robot.control.motion.supervision import Event, Supervision
+from sightline.robot.control.motion.supervision import EventKind, Supervision
 from sightline.robot.plant import CYCLE_S
 from sightline.twin.drilling import AXIAL_N_PER_MM, CORTICAL_G_CM3, Bone, Wire, sensed
 from sightline.twin.femur import draw_femur, voxelise
@@ -80,9 +80,9 @@ def _hole(bone: Bone, line_mm: np.ndarray, rng: np.random.Generator) -> dict[str
         thrust = wire.step(line_mm[0] + depth * along, axes, 5.0, turning=True, dt_s=CYCLE_S)
         tip = float((wire.tip_mm - line_mm[0]) @ along)
         for one in watch.step(step * CYCLE_S, depth, sensed(thrust, rng)):
-            if one.event is Event.BREAK_THROUGH:
+            if one.kind is EventKind.BREAK_THROUGH:
                 noted.append((tip, tip + thrust / AXIAL_N_PER_MM))  # the feed stops, the spring in the wire does not
-            elif one.event is Event.CONTACT:
+            elif one.kind is EventKind.CONTACT:
                 touched = depth
     met = bone.first_met_mm(line_mm[0] - BEFORE_MM * along, line_mm[1], CORTICAL_G_CM3 / 2) - BEFORE_MM
     return {"contact": met - touched, **_judged(_cortex_ends(bone, line_mm[0], along, tip), noted)}

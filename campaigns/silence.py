@@ -23,7 +23,7 @@ from sightline.errors import SightlineError
 from sightline.rehearsal.robots import calibrated_robot
 from sightline.robot.control.states import State
 from sightline.robot.link.client import RobotClient
-from sightline.robot.link.conformance.examination import Examination, Verdict
+from sightline.robot.link.conformance.examination import ConformanceVerdict, Examination
 
 DRY_RUNS, DRILLINGS = 500, 100
 AHEAD_MM = 125.0  # the end of a bare target, whose wire is 95 mm: its entry lies 30 mm ahead
@@ -42,7 +42,7 @@ def robot_in_air() -> Iterator[int]:
 def dry_run(port: int) -> str:
     """'' or what went wrong."""
     with Examination("127.0.0.1", port) as robot:
-        bad = [f"{one.name}: {one.seen}" for one in robot.dry_run() if one.verdict is not Verdict.PASSED]
+        bad = [f"{one.name}: {one.seen}" for one in robot.dry_run() if one.verdict is not ConformanceVerdict.PASSED]
     return "; ".join(bad)
 
 

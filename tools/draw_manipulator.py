@@ -10,7 +10,7 @@ from matplotlib.patches import Polygon
 from scipy.spatial import ConvexHull
 
 from sightline.robot.kinematics.manipulator import LIFT, PITCH, TRAVERSE, WRIST_MM, YAW, nominal_manipulator
-from sightline.robot.kinematics.reach import MACHINE, PLATES_MM, Obstacle, hip_theatre
+from sightline.robot.kinematics.reach import MACHINE, PLATES_MM, Obstacle, hip_surroundings
 
 # Title, axes shown, limits of the second, and where labels stand beside what they name (points).
 VIEWS = (
@@ -53,7 +53,7 @@ def draw(axes: Axes, show: Place, q: np.ndarray) -> None:
     """Robot, wire, frame and what stands around them at q (5,)."""
     robot = nominal_manipulator()
     frame = robot.T_mcs_cfcs(q)
-    theatre = hip_theatre(frame)
+    theatre = hip_surroundings(frame)
     for obstacle in theatre.obstacles:
         swing = obstacle.name == "C-arm"
         outline(axes, box(obstacle), show, facecolor="none" if swing else "#efe9e1", edgecolor="#cfc6ba", lw=0.6)

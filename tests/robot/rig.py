@@ -16,7 +16,7 @@ from sightline.robot.control.insertion import Setup
 from sightline.robot.control.panel import Panel
 from sightline.robot.control.states import State
 from sightline.robot.igtl import Message, Status, String, Transform
-from sightline.robot.link import client, exchange, stopping
+from sightline.robot.link import client, exchange, stop_channel
 from sightline.robot.link.dialect import SIGHTLINE, Dialect
 from sightline.robot.link.dialogue import Dialogue
 from sightline.robot.link.server import RobotServer
@@ -230,7 +230,7 @@ def served(
         moved.advance(dt_s)
 
     with ExitStack() as stack:
-        for module in (client, exchange, stopping):
+        for module in (client, exchange, stop_channel):
             stack.enter_context(patch.object(module, "ACK_S", BUSY_S))
             stack.enter_context(patch.object(module, "STATUS_S", BUSY_S))
         server = stack.enter_context(RobotServer(controller, moved, port=port, advance=advance, virtual=virtual))

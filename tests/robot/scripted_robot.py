@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from sightline.robot import contract
-from sightline.robot.control.own_time import OwnTime
+from sightline.robot.control.loop_clock import LoopClock
 from sightline.robot.igtl import (
     Capability,
     Command,
@@ -117,7 +117,7 @@ class ScriptedRobot:
         self.registration: np.ndarray | None = None  # maps MCS to CFCS
         self.target: np.ndarray | None = None  # the wire, MCS
         self.tip, self.moving, self.mover = HOME.copy(), None, None
-        self.own = OwnTime()
+        self.own = LoopClock()
         self.holds, self.held = False, []  # what it does not answer for the moment
         self.late: np.ndarray | None = None  # where it is once it has answered that
         self.joints_at: np.ndarray | None = None
@@ -345,7 +345,7 @@ class ScriptedRobot:
         start = self.tip[:3, 3].copy()
         for step in range(1, self.steps + 1):
             await asyncio.sleep(STEP_S)
-            self.own.turn(time.monotonic())
+            self.own.tick(time.monotonic())
             if self.unwatched(peer):
                 self.moving, self.phase = None, "STOP"
                 peer.send(text, Status(13))

@@ -17,8 +17,8 @@ from sightline.errors import LinkError, RobotRefusedError
 from sightline.robot import contract
 from sightline.robot.igtl import Message, String
 from sightline.robot.link.client import RobotClient
-from sightline.robot.link.laid import AXIS_LIMIT_RAD, TIP_LIMIT_MM, Laid, refuse_other_pose
-from sightline.robot.link.talk import Mail
+from sightline.robot.link.shared_connection import Mailbox
+from sightline.robot.link.wire_deviation import AXIS_LIMIT_RAD, TIP_LIMIT_MM, WireDeviation, refuse_other_pose
 
 T_MCS_CFCS = RigidTransform.from_components([400.0, 20.0, 290.0], Rotation.from_rotvec([0.0, 0.0, np.pi]))
 TARGET = T_MCS_CFCS.inv() * RigidTransform.from_matrix(HOME) * RigidTransform.from_translation([3.0, -2.0, 120.0])
@@ -39,13 +39,13 @@ def wait_for(condition, within_s: float = 30.0) -> None:
 
 def test_a_wire_is_laid_where_its_axis_and_tip_are():
     turned = TARGET * RigidTransform.from_components([0.0, 0.0, 0.0], Rotation.from_rotvec([0.0, 0.0, 2.1]))
-    laid = Laid.of(turned, TARGET)
-    assert max(laid.aside_mm, abs(laid.along_mm), laid.angle_rad) < 1e-9
-    laid.refuse_elsewhere("the wire lies")
+    deviation = WireDeviation.of(turned, TARGET)
+    assert max(deviation.aside_mm, abs(deviation.along_mm), deviation.angle_rad) < 1e-9
+    deviation.refuse_large("the wire lies")
     shift = RigidTransform.from_translation([0.3, -0.4, 0.7])
     tilt = RigidTransform.from_components([0.0, 0.0, 0.0], Rotation.from_rotvec([0.0, 0.01, 0.0]))
-    laid = Laid.of(TARGET * shift * tilt, TARGET)
-    assert (laid.aside_mm, laid.along_mm, laid.angle_rad) == pytest.approx((0.5, 0.7, 0.01), abs=1e-9)
+    deviation = WireDeviation.of(TARGET * shift * tilt, TARGET)
+    assert (deviation.aside_mm, deviation.along_mm, deviation.angle_rad) == pytest.approx((0.5, 0.7, 0.01), abs=1e-9)
 
 
 @pytest.mark.parametrize(
@@ -64,12 +64,12 @@ def test_a_wire_is_laid_where_its_axis_and_tip_are():
     ],
 )
 def test_beyond_its_limits_it_is_refused(aside, along, angle, depth_off, good):
-    laid = Laid(aside, along, angle)
+    deviation = WireDeviation(aside, along, angle)
     if good:
-        laid.refuse_elsewhere("the wire lies", depth_off, 3.0 if depth_off is not None else 0.0)
+        deviation.refuse_large("the wire lies", depth_off, 3.0 if depth_off is not None else 0.0)
     else:
         with pytest.raises(RobotRefusedError, match="elsewhere than planned"):
-            laid.refuse_elsewhere("the wire lies", depth_off, 3.0 if depth_off is not None else 0.0)
+            deviation.refuse_large("the wire lies", depth_off, 3.0 if depth_off is not None else 0.0)
     assert TIP_LIMIT_MM == 0.5
 
 
@@ -120,7 +120,7 @@ def test_a_good_robot_passes(how):
         robot.align()
         if how == {}:
             assert robot.drill() == "DONE"
-        assert robot.laid().aside_mm < 1e-4
+        assert robot.wire_deviation().aside_mm < 1e-4
 
 
 def test_answers_are_those_of_their_questions():
@@ -139,7 +139,7 @@ def test_answers_are_those_of_their_questions():
 
 
 def test_nor_does_a_late_answer_count_for_the_next_question(monkeypatch):
-    monkeypatch.setattr("sightline.robot.link.talk.STATUS_S", 0.5)
+    monkeypatch.setattr("sightline.robot.link.shared_connection.STATUS_S", 0.5)
     peer = ScriptedRobot()
     with serving(peer) as port, RobotClient(port=port, streams=False, heartbeat=False) as robot:
         peer.holds = True
@@ -215,7 +215,7 @@ def test_where_no_stop_is_answered_the_connections_are_closed(ours):
 
 
 def test_a_stop_s_connection_that_dies_is_made_anew(monkeypatch):
-    monkeypatch.setattr("sightline.robot.link.stopping.PROBE_S", 0.05)
+    monkeypatch.setattr("sightline.robot.link.stop_channel.PROBE_S", 0.05)
     peer = ScriptedRobot()
     with serving(peer) as port, RobotClient(port=port) as robot:
         told(robot)
@@ -233,23 +233,23 @@ def test_a_stop_s_connection_that_dies_is_made_anew(monkeypatch):
 def test_a_pause_of_the_client_is_not_the_robot_s_lateness(monkeypatch, pauses, comes):
     """What comes after it comes in time, though its second has long passed on the clock."""
     clock, left = SimpleNamespace(now_s=0.0), pauses
-    monkeypatch.setattr("sightline.robot.link.talk.time", SimpleNamespace(monotonic=lambda: clock.now_s))
+    monkeypatch.setattr("sightline.robot.link.shared_connection.time", SimpleNamespace(monotonic=lambda: clock.now_s))
     answer = Message(String("START_UP"), "ACK_1")
 
     class Connection:
-        def hear(self, mail: Mail, timeout_s: float) -> None:
+        def hear(self, mail: Mailbox, timeout_s: float) -> None:
             nonlocal left
             left -= 1
             clock.now_s += 5.0 if left >= 0 else timeout_s
             if comes and left == -5:
                 mail.came.append(answer)
 
-    assert Mail(Connection()).until(lambda _: True, contract.ACK_S) is (answer if comes else None)
+    assert Mailbox(Connection()).until(lambda _: True, contract.ACK_S) is (answer if comes else None)
     assert clock.now_s == pytest.approx(15.2 if comes else contract.ACK_S, abs=0.06)
 
 
 def test_heartbeats_go_on_while_what_listens_computes(monkeypatch):
-    monkeypatch.setattr("sightline.robot.link.talk.ALIVE_S", 5.0)
+    monkeypatch.setattr("sightline.robot.link.shared_connection.ALIVE_S", 5.0)
     peer = ScriptedRobot(steps=200)
     with serving(peer) as port, RobotClient(port=port) as robot:
         told(robot)
@@ -260,7 +260,7 @@ def test_heartbeats_go_on_while_what_listens_computes(monkeypatch):
 
 
 def test_a_program_that_hangs_is_silent(monkeypatch):
-    monkeypatch.setattr("sightline.robot.link.talk.ALIVE_S", 0.1)
+    monkeypatch.setattr("sightline.robot.link.shared_connection.ALIVE_S", 0.1)
     peer = ScriptedRobot(steps=3000)
     with serving(peer) as port, RobotClient(port=port) as robot:
         told(robot)
@@ -314,7 +314,7 @@ def test_what_holds_the_interpreter_delays_no_heartbeat():
     peer = ScriptedRobot(steps=40)
     with serving(peer) as port:
         says = (
-            f"import sightline.robot.link.talk\nsightline.robot.link.talk.ALIVE_S = 30.0\n"
+            f"import sightline.robot.link.shared_connection\nsightline.robot.link.shared_connection.ALIVE_S = 30.0\n"
             f"from tests.robot.test_client import *\nrobot = RobotClient(port={port})\ntold(robot)\n"
             "big = np.random.default_rng(1).random(1_000_000).tolist()\n"
             "began = time.monotonic()\nsorted(big[:100_000])\n"

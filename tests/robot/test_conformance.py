@@ -9,24 +9,28 @@ from tests.robot.scripted_robot import ScriptedRobot, old_robot, scripted, servi
 from sightline.errors import LinkError, RobotRefusedError
 from sightline.robot.igtl import Message, Status, String, Transform
 from sightline.robot.link.client import RobotClient
-from sightline.robot.link.conformance.examination import Examination, Verdict
+from sightline.robot.link.conformance.examination import ConformanceVerdict, Examination
 from sightline.robot.link.conformance.motions import MOTIONS
 from sightline.robot.link.conformance.questions import QUESTIONS
 from sightline.robot.transport import BlockingClient
 
 
 def failed(findings) -> set[str]:
-    return {finding.name for finding in findings if finding.verdict is Verdict.FAILED}
+    return {finding.name for finding in findings if finding.verdict is ConformanceVerdict.FAILED}
 
 
 def unjudged(findings) -> set[str]:
-    return {finding.name for finding in findings if finding.verdict not in (Verdict.PASSED, Verdict.FAILED)}
+    return {
+        finding.name
+        for finding in findings
+        if finding.verdict not in (ConformanceVerdict.PASSED, ConformanceVerdict.FAILED)
+    }
 
 
 def test_ours_passes_everything_and_stands_after_the_dry_run():
     with served(ideal=True) as server, Examination("127.0.0.1", server.port) as robot:
         findings = robot.examine() + robot.dry_run()
-        bad = {f.name: f.seen for f in findings if f.verdict is not Verdict.PASSED}
+        bad = {f.name: f.seen for f in findings if f.verdict is not ConformanceVerdict.PASSED}
         assert not bad
         depth = server.dialogue.controller.machine.snapshot().depth_mm
         assert depth is None or depth < -15.0  # it stood at its stand-off
@@ -35,7 +39,7 @@ def test_ours_passes_everything_and_stands_after_the_dry_run():
 def test_a_good_robot_passes_everything():
     with scripted() as port, Examination("127.0.0.1", port) as robot:
         findings = robot.examine() + robot.dry_run()
-        assert {f.name: f.seen for f in findings if f.verdict is not Verdict.PASSED} == {}
+        assert {f.name: f.seen for f in findings if f.verdict is not ConformanceVerdict.PASSED} == {}
         assert {f.name for f in findings} == {"every message can be read", *QUESTIONS, *MOTIONS}
 
 

@@ -8,9 +8,9 @@ import pytest
 from tests.robot.rig import CLIENT, END_MM, ENTRY_MM, IMAGED, ROBOT, T_MCS_CFCS, Rig, code, metadata, wire
 
 from sightline.robot.contract import HEARTBEAT, Code
-from sightline.robot.control.own_time import OwnTime
+from sightline.robot.control.loop_clock import LoopClock
 from sightline.robot.control.requests import Reset
-from sightline.robot.control.states import COMMANDS, MOVING, TRANSITIONS, WAITING, Cause, State, phase
+from sightline.robot.control.states import COMMANDS, MOVING, TRANSITIONS, WAITING, State, Trigger, phase
 from sightline.robot.igtl import Capability, Command, CommandReply, Status, String, Transform
 from sightline.robot.kinematics.manipulator import FEED
 from sightline.robot.plant import CYCLE_S, PlantFlag
@@ -21,7 +21,7 @@ STATES = tuple(State)
 
 @pytest.mark.parametrize("state", STATES, ids=lambda state: state.value)
 def test_every_command_in_every_state_gets_its_three_answers(state):
-    for text in (*(cause.value for cause in COMMANDS), "DANCE", "", "start_up", "X" * 300, "\u00fc\n"):
+    for text in (*(trigger.value for trigger in COMMANDS), "DANCE", "", "start_up", "X" * 300, "\u00fc\n"):
         rig = Rig.at(state)
         said = rig.command(text)
         assert [type(message.body) for message in said[:2]] == [String, Status]
@@ -29,30 +29,30 @@ def test_every_command_in_every_state_gets_its_three_answers(state):
         assert said[0].body.text == text
         assert said[1].device_name == "CURRENT_STATUS"
         assert said[1].body.error_name == phase(rig.state)
-        cause = next((cause for cause in COMMANDS if cause.value == text), None)
-        if cause is None:
+        trigger = next((trigger for trigger in COMMANDS if trigger.value == text), None)
+        if trigger is None:
             assert said[2].body.code == Code.UNKNOWN
             assert rig.state is state
             continue
-        wanted = (state, cause) in TRANSITIONS and not _wants_something(state, cause)
+        wanted = (state, trigger) in TRANSITIONS and not _wants_something(state, trigger)
         if len(said) == 2:
             assert wanted
-            assert rig.state is TRANSITIONS[state, cause]
-            if cause not in (Cause.STOP, Cause.EMERGENCY):  # it moves: how that ends is said, too
+            assert rig.state is TRANSITIONS[state, trigger]
+            if trigger not in (Trigger.STOP, Trigger.EMERGENCY):  # it moves: how that ends is said, too
                 rig.command("STOP")
             said += [message for message in rig.run(0.3) if message.device_name == text]
             assert len(said) == 3
-            assert said[2].body.code == {Cause.STOP: 1, Cause.EMERGENCY: 3}.get(cause, Code.NOT_READY)
+            assert said[2].body.code == {Trigger.STOP: 1, Trigger.EMERGENCY: 3}.get(trigger, Code.NOT_READY)
         else:
             assert (said[2].body.code == 1) is wanted, (text, said[2].body)
         assert said[2].device_name == text
         assert said[2].body.text or said[2].body.code == 1
 
 
-def _wants_something(state: State, cause: Cause) -> bool:
+def _wants_something(state: State, trigger: Trigger) -> bool:
     """Legal, but the way there has left something out."""
     unregistered = state in (State.START_UP, State.PLANNING, State.CALIBRATION, State.MANUAL)
-    return unregistered and cause is Cause.TARGETING
+    return unregistered and trigger is Trigger.TARGETING
 
 
 @pytest.mark.parametrize("state", STATES, ids=lambda state: state.value)
@@ -178,8 +178,8 @@ def test_a_loop_that_is_late_while_it_moves_stops():
 
 
 def test_own_time_goes_on_by_little_and_never_back():
-    own = OwnTime()
-    assert [own.turn(now_s) for now_s in (5.0, 5.005, 9.0, 3.0, 3.01)] == pytest.approx([0.0, 0.005, 0.02, 0.0, 0.01])
+    own = LoopClock()
+    assert [own.tick(now_s) for now_s in (5.0, 5.005, 9.0, 3.0, 3.01)] == pytest.approx([0.0, 0.005, 0.02, 0.0, 0.01])
     assert own.now_s == pytest.approx(0.035)
 
 

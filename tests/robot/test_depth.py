@@ -11,7 +11,7 @@ from sightline.robot.contract import DEPTH, DEPTH_SD
 from sightline.robot.control.motion.depth import (
     CONTACT_LEAD_MM,
     CONTACT_SD_MM,
-    LIMIT_MM,
+    MAX_ZERO_SHIFT_MM,
     PLAN_SD_MM,
     DepthZero,
     before_contact,
@@ -33,28 +33,28 @@ def test_what_is_told_is_weighed_by_its_error():
     for _ in range(4000):
         planned = DepthZero(true + rng.normal(0.0, PLAN_SD_MM))
         feed = true + 40.0
-        told = planned.told(feed, 40.0 + rng.normal(0.0, 0.3), 0.3)
+        told = planned.corrected(feed, 40.0 + rng.normal(0.0, 0.3), 0.3)
         zeros.append(told.feed_mm - true)
     assert np.std(zeros) == pytest.approx(told.sd_mm, rel=0.04)
     assert np.mean(zeros) == pytest.approx(0.0, abs=4 * told.sd_mm / np.sqrt(4000))
     assert told.sd_mm < 0.3
 
 
-@pytest.mark.parametrize("off", [LIMIT_MM + 0.01, -LIMIT_MM - 0.01, np.nan, np.inf])
+@pytest.mark.parametrize("off", [MAX_ZERO_SHIFT_MM + 0.01, -MAX_ZERO_SHIFT_MM - 0.01, np.nan, np.inf])
 def test_what_cannot_be_is_refused(off):
     with pytest.raises(RobotRefusedError, match="something has moved"):
-        DepthZero(100.0).told(140.0, 40.0 + off, 0.2)
+        DepthZero(100.0).corrected(140.0, 40.0 + off, 0.2)
 
 
 @pytest.mark.parametrize("sd", [0.0, -0.1, np.nan, np.inf])
 def test_an_error_that_is_none_is_refused(sd):
     with pytest.raises(RobotRefusedError):
-        DepthZero(100.0).told(140.0, 40.0, sd)
+        DepthZero(100.0).corrected(140.0, 40.0, sd)
 
 
 def test_bone_may_be_met_until_its_contact_could_no_longer_be_taken():
-    assert before_contact(LIMIT_MM - CONTACT_LEAD_MM - 0.01)
-    assert not before_contact(LIMIT_MM - CONTACT_LEAD_MM + 0.01)
+    assert before_contact(MAX_ZERO_SHIFT_MM - CONTACT_LEAD_MM - 0.01)
+    assert not before_contact(MAX_ZERO_SHIFT_MM - CONTACT_LEAD_MM + 0.01)
 
 
 class Bone(IdealPlant):
@@ -105,7 +105,7 @@ def test_bone_where_none_is_planned_stops_with_the_reason(bone_mm, why):
     assert any(why in message.body.text for message in said if isinstance(message.body, Status))
     assert rig.run(0.2) == []
     assert rig.speed() < 0.01
-    assert rig.plant.q[FEED] - rig.plant.zero_mm < LIMIT_MM
+    assert rig.plant.q[FEED] - rig.plant.zero_mm < MAX_ZERO_SHIFT_MM
 
 
 def test_a_hole_begun_anew_begins_with_the_plan_s_zero():
@@ -155,4 +155,4 @@ def test_a_shot_that_leaves_too_little_feed_is_refused():
     hole, manipulator = rig.controller.machine.drilling, rig.controller.machine.robot.manipulator
     hole._manipulator = replace(manipulator, upper=rig.plant.q + np.array([9, 9, 9, 9, 10.3]))
     with pytest.raises(RobotRefusedError, match="the feed would end"):
-        hole.told(float(rig.plant.q[FEED]), LENGTH_MM - 11.0, 0.1)
+        hole.correct_depth(float(rig.plant.q[FEED]), LENGTH_MM - 11.0, 0.1)

@@ -8,7 +8,7 @@ from sightline.robot.contract import Code
 from sightline.robot.control.requests import Answer
 from sightline.robot.control.states import State
 from sightline.robot.igtl import Capability, Message, Status, String, Transform
-from sightline.robot.link.remembered import KEPT, Remembered
+from sightline.robot.link.answer_cache import MAX_ANSWERS, AnswerCache
 
 OTHER = 2
 LENGTH_MM = float(np.linalg.norm(END_MM - ENTRY_MM))
@@ -83,12 +83,12 @@ def test_a_stop_acts_whatever_its_identifier_and_its_spelling(word):
 
 
 def test_what_a_connection_asked_is_kept_within_bounds():
-    asked = Remembered()
-    for number in range(10 * KEPT):
+    asked = AnswerCache()
+    for number in range(10 * MAX_ANSWERS):
         asked.put(f"CMD_{number}", "X" * 10_000, Answer(Code.UNKNOWN))
-    assert len(asked._entries) == KEPT
+    assert len(asked._entries) == MAX_ANSWERS
     assert max(len(entry.text) for entry in asked._entries.values()) <= 100
-    assert asked.earlier(f"CMD_{10 * KEPT - 1}", "X" * 10_000).code is Code.UNKNOWN
+    assert asked.earlier(f"CMD_{10 * MAX_ANSWERS - 1}", "X" * 10_000).code is Code.UNKNOWN
     assert asked.earlier("CMD_0", "X") is None
 
 
@@ -140,7 +140,7 @@ def test_a_look_that_a_stop_ended_is_told_after_it():
     from concurrent.futures import Future
 
     rig = Rig.at(State.TARGETING)
-    rig.controller.surveyor = lambda work: Future()
+    rig.controller.check_executor = lambda work: Future()
     target(rig)
     rig.command("STOP")
     assert named(rig.run(0.2)) == ["STOP", "TARGET"]
@@ -150,7 +150,7 @@ def test_a_target_of_a_client_without_the_lease_is_not_echoed_as_accepted():
     from concurrent.futures import Future
 
     rig, looks = Rig.at(State.TARGETING), []
-    rig.controller.surveyor = lambda work: looks.append(Future()) or looks[-1]
+    rig.controller.check_executor = lambda work: looks.append(Future()) or looks[-1]
     target(rig)
     other = Transform(np.diag([1.0, 1.0, 1.0, 1.0]) + np.pad([[99.0]], ((0, 3), (3, 0))))
     assert code(rig.send("TGT_X", other, OTHER), "TARGET") == Code.DENIED

@@ -24,7 +24,7 @@ def altered(message: Message, at: int = -1) -> Rejected:
 def taken(inbox: Inbox, waits: int | None = None, most: int = 100) -> list:
     return [
         (heard.client, heard.what.body.text if isinstance(heard.what, Message) else heard.what)
-        for heard in inbox.turn(most, lambda: waits)
+        for heard in inbox.batch(most, lambda: waits)
     ]
 
 
@@ -44,7 +44,7 @@ def test_a_stop_is_heard_first_and_says_what_it_overtook(text):
     inbox.put(TWO, command(text))
     inbox.put(ONE, command("RETRACT"))
     assert inbox.stop_waits
-    stop, before, after = inbox.turn(100)
+    stop, before, after = inbox.batch(100)
     assert (stop.client, stop.what.body.text) == (TWO, text)
     assert (before.what.body.text, before.overtaken) == ("MOVE_TO_TARGET", True)
     assert (after.what.body.text, after.overtaken) == ("RETRACT", False)
@@ -59,7 +59,7 @@ def test_a_client_that_waits_is_heard_afterwards_in_order_and_others_meanwhile()
     assert len(inbox) == 2
     inbox.put(TWO, command("STOP"))
     inbox.put(ONE, command("D"))
-    stop, first, *others = inbox.turn(100)
+    stop, first, *others = inbox.batch(100)
     assert stop.client == TWO
     assert (first.what.body.text, first.overtaken) == ("A", True)
     assert [(other.what.body.text, other.overtaken) for other in others] == [("C", True), ("D", False)]
@@ -70,7 +70,7 @@ def test_a_client_that_begins_to_wait_is_not_heard_further():
     for client, text in ((ONE, "A"), (ONE, "B"), (TWO, "C")):
         inbox.put(client, command(text))
     heard = []
-    for one in inbox.turn(100, lambda: waits[0] if waits else None):
+    for one in inbox.batch(100, lambda: waits[0] if waits else None):
         heard.append(one.what.body.text)
         waits.append(ONE)
     assert heard == ["A", "C"]
@@ -100,7 +100,7 @@ def test_who_sends_much_delays_nobody_else():
 def test_what_comes_during_a_turn_waits_for_the_next():
     inbox = Inbox()
     inbox.put(ONE, command("A"))
-    for heard in inbox.turn(100):
+    for heard in inbox.batch(100):
         inbox.put(ONE, heard.what)
         inbox.put(TWO, Change.LEFT)
     assert len(inbox) == 2

@@ -15,11 +15,11 @@ from sightline.robot.kinematics.reach import (
     CLEARANCE_MM,
     MACHINE,
     Obstacle,
-    Theatre,
+    Surroundings,
     between,
     check_reach,
-    frame_parts,
-    hip_theatre,
+    frame_capsules,
+    hip_surroundings,
     segment_to_box_mm,
 )
 
@@ -38,7 +38,7 @@ def approach(side="right", tilt=0.0, lift=0.0):
     entry, end = T_mcs_cfcs.apply(wire)
     length = np.linalg.norm(end - entry)
     path = np.stack([imaging, robot.inverse(entry, end, -STANDOFF_MM), robot.inverse(entry, end, float(length))])
-    return robot, path, hip_theatre(T_mcs_cfcs)
+    return robot, path, hip_surroundings(T_mcs_cfcs)
 
 
 def names(checks):
@@ -66,7 +66,7 @@ def test_the_nearest_line_is_found_among_all():
         whole = []
         for obstacle in theatre.obstacles:
             inside = obstacle.T_mcs_box.inv()
-            for part in (*MACHINE, *frame_parts(robot)):
+            for part in (*MACHINE, *frame_capsules(robot)):
                 stages = robot.stages(between(way))[:, part.joints]
                 ends = robot.T_mcs_flange_home.apply(part.ends_mm)
                 lines = np.einsum("nab,kb->nka", stages[:, :3, :3], ends) + stages[:, None, :3, 3]
@@ -121,7 +121,7 @@ def test_a_wire_too_square_to_the_patient_stands_in_the_swing_of_the_c_arm():
     square = path[0].copy()
     square[YAW] = np.deg2rad(10.0)
     reached = RigidTransform.from_components(robot.T_mcs_cfcs(square).translation, Rotation.from_euler("z", np.pi))
-    checks = check_reach(robot, square[None], hip_theatre(reached, frame_mounted=False))
+    checks = check_reach(robot, square[None], hip_surroundings(reached, frame_mounted=False))
     assert "C-arm clearance" in names(checks)
 
 
@@ -147,7 +147,7 @@ def test_what_stands_between_two_free_places_is_met_on_the_way():
     path[:, TRAVERSE] = [-100.0, 100.0]
     chuck_mm = robot.T_mcs_tool(np.zeros(5)).translation - [140.0, 0.0, 0.0]
     thin = Obstacle("post", RigidTransform.from_translation(chuck_mm), np.array([1.0, 1.0, 400.0]))
-    theatre = Theatre((thin,), frame_mounted=False)
+    theatre = Surroundings((thin,), frame_mounted=False)
     for end in path:
         assert not failed(check_reach(robot, end[None], theatre))
     checks = check_reach(robot, path, theatre)
@@ -163,18 +163,18 @@ def test_the_clearance_stated_is_the_distance_less_half_a_step():
     wall = Obstacle(
         "wall", RigidTransform.from_translation([250.0 + 200.0, 0.0, tip[2]]), np.array([10.0, 500.0, 10.0])
     )
-    checks = check_reach(robot, np.zeros((1, 5)), Theatre((wall,), frame_mounted=False))
+    checks = check_reach(robot, np.zeros((1, 5)), Surroundings((wall,), frame_mounted=False))
     to_slide = 190.0 - 120.0 - 45.0  # the slide reaches further forward than the retracted chuck
     assert checks[1].figure == pytest.approx(to_slide - 1.0, abs=1e-6)
     assert checks[1].limit == CLEARANCE_MM
 
 
 def test_without_obstacles_only_the_robot_itself_is_judged():
-    checks = check_reach(nominal_manipulator(), np.zeros((1, 5)), Theatre(()))
+    checks = check_reach(nominal_manipulator(), np.zeros((1, 5)), Surroundings(()))
     assert [check.name for check in checks] == ["joint limits", "frame remount"]
 
 
 @pytest.mark.parametrize("bad", [np.zeros(5), np.zeros((2, 4)), np.full((1, 5), np.nan)])
 def test_a_path_that_is_none_is_refused(bad):
     with pytest.raises(UnusableInputError, match="finite joints"):
-        check_reach(nominal_manipulator(), bad, Theatre(()))
+        check_reach(nominal_manipulator(), bad, Surroundings(()))

@@ -29,11 +29,11 @@ from tests.robot.rig import (
 from sightline.errors import LinkError, RobotRefusedError
 from sightline.robot import contract
 from sightline.robot.control.controller import Controller
-from sightline.robot.control.own_time import OwnTime
+from sightline.robot.control.loop_clock import LoopClock
 from sightline.robot.control.states import MOVING, State
 from sightline.robot.igtl import Message, String, Transform, encode
 from sightline.robot.link.client import RobotClient
-from sightline.robot.link.exchange import Said
+from sightline.robot.link.exchange import RequestResult
 from sightline.robot.link.server import RobotServer
 from sightline.robot.transport import BlockingClient
 
@@ -96,10 +96,10 @@ def at(translation_mm, matrix=None) -> np.ndarray:
     return out
 
 
-def sent(robot: RobotClient, kind: str, pose: RigidTransform | np.ndarray, name: str, **header) -> Said:
+def sent(robot: RobotClient, kind: str, pose: RigidTransform | np.ndarray, name: str, **header) -> RequestResult:
     """How a registration or a target ended that a client of ours would not send."""
     matrix = pose.as_matrix() if isinstance(pose, RigidTransform) else pose
-    with robot.talk.mail() as mail:
+    with robot.connection.mailbox() as mail:
         return robot.exchange.transform(mail, kind, matrix, name, **header)[0]
 
 
@@ -381,7 +381,7 @@ def test_a_stranger_s_flood_cuts_off_the_stranger_alone():
     assert not holder.closed
     heard = []
     for _ in range(100):
-        heard += [one.client for one in server._inbox.turn(32)]
+        heard += [one.client for one in server._inbox.batch(32)]
     assert heard.count(1) >= 100  # the leaseholder, in few turns
     assert len(server._inbox) < 7 * 300
 
@@ -441,9 +441,9 @@ def test_a_simulated_robot_stands_still_while_its_program_does(simulated, monkey
     rig = Rig.at(State.ALIGN)
     server = RobotServer(rig.controller, rig.plant, advance=rig.plant.advance if simulated else None)
     server.dialogue = rig.dialogue
-    began, own = rig.now_s, OwnTime()
+    began, own = rig.now_s, LoopClock()
     own.now_s = began  # the rig's time goes on in the server's
-    monkeypatch.setattr("sightline.robot.link.server.OwnTime", lambda: own)
+    monkeypatch.setattr("sightline.robot.link.server.LoopClock", lambda: own)
     pauses_s = [0.0] * 20 + [0.3, 0.0, 5.0] + [0.0] * 20
     clock = Clock(server, began, pauses_s, (lambda _: None) if simulated else rig.plant.advance)
     monkeypatch.setattr("sightline.robot.link.server.time", clock)

@@ -10,8 +10,8 @@ from sightline.robot.control.states import (
     READY,
     TRANSITIONS,
     WAITING,
-    Cause,
     State,
+    Trigger,
     diagram,
     phase,
 )
@@ -21,34 +21,36 @@ PAGE = Path(__file__).parents[2] / "docs" / "robot-link.md"
 
 def test_stop_and_emergency_are_legal_everywhere():
     for state in State:
-        assert TRANSITIONS[state, Cause.EMERGENCY] is State.EMERGENCY
-        stopped = TRANSITIONS[state, Cause.STOP]
+        assert TRANSITIONS[state, Trigger.EMERGENCY] is State.EMERGENCY
+        stopped = TRANSITIONS[state, Trigger.STOP]
         assert stopped is (state if state in (State.UNDEFINED, State.EMERGENCY) else State.STOP)
 
 
 def test_a_fault_is_left_by_a_reset_alone():
-    left = {cause for (state, cause), to in TRANSITIONS.items() if state is State.EMERGENCY and to is not state}
-    assert left == {Cause.RESET}
-    assert TRANSITIONS[State.EMERGENCY, Cause.RESET] is State.UNDEFINED
-    assert not any(cause is Cause.RESET for state, cause in TRANSITIONS if state is not State.EMERGENCY)
+    left = {trigger for (state, trigger), to in TRANSITIONS.items() if state is State.EMERGENCY and to is not state}
+    assert left == {Trigger.RESET}
+    assert TRANSITIONS[State.EMERGENCY, Trigger.RESET] is State.UNDEFINED
+    assert not any(trigger is Trigger.RESET for state, trigger in TRANSITIONS if state is not State.EMERGENCY)
 
 
 def test_nothing_drills_that_was_not_aligned_and_confirmed():
-    into = {(state, cause) for (state, cause), to in TRANSITIONS.items() if to is State.DRILL}
+    into = {(state, trigger) for (state, trigger), to in TRANSITIONS.items() if to is State.DRILL}
     assert into == {
-        (state, cause) for state in (State.ALIGNED, State.PAUSED) for cause in (Cause.DRILL, Cause.MOVE_TO_TARGET)
+        (state, trigger)
+        for state in (State.ALIGNED, State.PAUSED)
+        for trigger in (Trigger.DRILL, Trigger.MOVE_TO_TARGET)
     }
 
 
 def test_a_robot_in_motion_obeys_no_command_but_stop():
     for state in MOVING:
-        legal = {cause for cause in COMMANDS if (state, cause) in TRANSITIONS}
-        assert legal == {Cause.STOP, Cause.EMERGENCY}
+        legal = {trigger for trigger in COMMANDS if (state, trigger) in TRANSITIONS}
+        assert legal == {Trigger.STOP, Trigger.EMERGENCY}
 
 
 def test_a_lost_client_leaves_no_state_but_undefined_and_emergency():
     for state in State:
-        assert TRANSITIONS[state, Cause.LOST] is (State.EMERGENCY if state is State.EMERGENCY else State.UNDEFINED)
+        assert TRANSITIONS[state, Trigger.LOST] is (State.EMERGENCY if state is State.EMERGENCY else State.UNDEFINED)
 
 
 def test_every_state_is_reached_and_left():
@@ -74,9 +76,9 @@ def test_the_diagram_of_the_page_is_that_of_the_table():
 def test_the_diagram_shows_every_transition_that_changes_something():
     boxes = {"READY": READY, "WAITING": WAITING, "MOVING": MOVING, "MOVE_TO_TARGET": ACTIVITIES}
     shown = set()
-    for source, to, causes in re.findall(r"^    (\w+) --> (\w+): (.+)$", diagram(), flags=re.MULTILINE):
+    for source, to, triggers in re.findall(r"^    (\w+) --> (\w+): (.+)$", diagram(), flags=re.MULTILINE):
         for state in boxes.get(source) or (State(source),):
-            shown |= {(state, Cause(cause), State(to)) for cause in causes.split(", ")}
-    table = {(state, cause, to) for (state, cause), to in TRANSITIONS.items()}
+            shown |= {(state, Trigger(trigger), State(to)) for trigger in triggers.split(", ")}
+    table = {(state, trigger, to) for (state, trigger), to in TRANSITIONS.items()}
     changing = {one for one in table if one[0] is not one[2]}
     assert changing <= shown <= table

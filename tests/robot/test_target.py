@@ -98,11 +98,11 @@ def test_a_target_is_refused_by_its_errors_its_plan_and_its_age():
     with pytest.raises(RobotRefusedError, match="expired"):
         good.refuse_unfit(np.nan)
     good.refuse_unfit(39.95)
-    with pytest.raises(RobotRefusedError, match=r"60 s from now: the clock was set back"):
+    with pytest.raises(RobotRefusedError, match=r"dated 60 s in the future: the clock was set back"):
         good.refuse_unfit(39.95 - 60.0)
     with pytest.raises(RobotRefusedError, match="NO-GO"):
         aimed(replace(IDENTITY, go=False)).refuse_unfit(40.0)
-    with pytest.raises(RobotRefusedError, match=r"drilled tip errs by less than .*largest share: picks"):
+    with pytest.raises(RobotRefusedError, match=r"the error of the drilled tip is less than .*largest share: picks"):
         aimed(scale=20.0).refuse_unfit(40.0)
 
 

@@ -107,7 +107,7 @@ def check(
     """
     wrong: list[str] = []
     with Output(json=json, quiet=quiet) as out:
-        from sightline.robot.link.conformance.examination import Examination, Verdict
+        from sightline.robot.link.conformance.examination import ConformanceVerdict, Examination
         from sightline.robot.link.server import tune_process
 
         tune_process()
@@ -119,7 +119,7 @@ def check(
                     findings += robot.dry_run()
         rows = [(finding.name, finding.verdict.value, finding.seen) for finding in findings]
         out.table(f"Robot at {address}", ("question", "", "seen"), rows)
-        wrong = [finding.name for finding in findings if finding.verdict is Verdict.FAILED]
+        wrong = [finding.name for finding in findings if finding.verdict is ConformanceVerdict.FAILED]
         if wrong:
             out.note(f"the robot does not follow docs/robot-link.md: {'; '.join(wrong)}")
         named = ("name", "verdict", "seen")

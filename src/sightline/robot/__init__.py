@@ -1,3 +1,9 @@
-"""The robot. `kinematics`: where its wire and frame are. `control`: its states, its machine and the supervision of
-drilling. `link`: both ends of the link to navigation, and the conformance test. Below them `igtl` (OpenIGTLink
-messages), `transport` (these over TCP), `contract` (words and times of the link) and `plant` (what moves)."""
+"""The robot: its kinematics, its controller, and the OpenIGTLink connection to navigation.
+
+- `kinematics`: poses of the wire and the frame, and their errors.
+- `control`: states, controller, and supervision of drilling.
+- `link`: both ends of the link to navigation, and the conformance test.
+- `igtl`, `transport`: OpenIGTLink messages, and their transport over TCP.
+- `contract`: names and time limits of the link.
+- `plant`: interface to the drives, the drill and the sensors.
+"""

@@ -1,46 +1,48 @@
-"""The words and times of the link's contract, docs/robot-link.md. Both ends take them from here."""
+"""Names and time limits of the link's contract (docs/robot-link.md), shared by both ends."""
 
 from enum import IntEnum
 
-ACK_S, STATUS_S = 1.0, 5.0  # an answer's acknowledgement and status come within [what testers of other robots expect]
-SILENCE_S = 0.2  # of the leaseholder, before motion stops [physics.md, Drilling]
+ACK_S, STATUS_S = 1.0, 5.0  # time limits for acknowledgement and STATUS [what testers of other robots expect]
+SILENCE_S = 0.2  # silence of the lease holder after which motion stops [physics.md, Drilling]
 HEARTBEAT_S = 0.05  # between a client's heartbeats: three may be late [ours]
-IDLE_S = 1.0  # between the heartbeats of a client that waits for nothing: silence, if anything moves [ours]
-ALIVE_S = 1.0  # a call of our client that has not gone on for so long hangs, and sends no more heartbeats [ours]
-MUTE_S = 10.0  # a client that has said nothing by then is cut off [ours]
-TELEMETRY_S = 0.02  # between two of a stream [ours]: a display shows no more
-ARM = "arm"  # how names of telemetry begin
+IDLE_S = 1.0  # between heartbeats of a client with no pending call; counts as silence during motion [ours]
+ALIVE_S = 1.0  # a call of our client without progress for this long has hung: its heartbeats end [ours]
+MUTE_S = 10.0  # a client that has sent nothing by then is disconnected [ours]
+TELEMETRY_S = 0.02  # between two messages of a stream; displays refresh no faster [ours]
+ARM = "arm"  # prefix of telemetry names
 
-# Device names. A command's is its kind, "_" and an identifier that its acknowledgement carries too.
+# Device names. A command is named by its kind, "_" and an identifier; its acknowledgement repeats the identifier.
 COMMAND, CALIBRATION, TARGET, ACKNOWLEDGED = "CMD_", "CLB_", "TGT_", "ACK_"
 HEARTBEAT = "HEARTBEAT"
-# A client that cannot read STATUS asks by a STRING of the first name for each as a STRING of the second.
+# A client that cannot read STATUS sends a STRING named MIRROR_STATUS; each STATUS then also goes out as a STRING named
+# MIRRORED.
 MIRROR_STATUS, MIRRORED = "MIRROR_STATUS", "STATUS"
 CURRENT_STATUS, CURRENT_POSITION = "CURRENT_STATUS", "CURRENT_POSITION"
 MEASURED_CP, MEASURED_JS = f"{ARM}/measured_cp", f"{ARM}/measured_js"
 FORCE, DEPTH, CYCLES = f"{ARM}/force", f"{ARM}/depth", f"{ARM}/cycles"
-DEPTH_SD = f"{ARM}/depth_sd"  # error of depth, 1 s.d.
-EVENT = f"{ARM}/event"  # what supervision noticed: "break-through; 5.31 mm; 12.4 N"
+DEPTH_SD = f"{ARM}/depth_sd"  # standard deviation of the depth
+EVENT = f"{ARM}/event"  # event from drilling supervision: "break-through; 5.31 mm; 12.4 N"
 
-# What a peer may announce in its CAPABILITY beside types of messages, in their twelve characters.
-HAS_HEARTBEAT = "X_HEARTBEAT"  # client: I send heartbeats, stop when they end; robot: I watch them
-HAS_TELEMETRY = "X_TELEMETRY"  # client: send me the streams; robot: I have them
-HAS_DRILLING = "X_DRILLING"  # robot: DRILL, GUIDE and RETRACT are commands; client: I drill by DRILL alone
+# Capabilities that a peer may announce in CAPABILITY beside message types, at most twelve characters each.
+HAS_HEARTBEAT = "X_HEARTBEAT"  # client: sends heartbeats, stop when they end; robot: watches heartbeats
+HAS_TELEMETRY = "X_TELEMETRY"  # client: wants the streams; robot: sends streams
+HAS_DRILLING = "X_DRILLING"  # robot: knows DRILL, GUIDE and RETRACT; client: drills by DRILL only
 HAS_PLAN = "X_PLAN"  # robot: a target may carry a plan's identity
-IS_SIMULATED = "X_SIMULATOR"  # robot: nothing real moves
+IS_SIMULATED = "X_SIMULATOR"  # robot: a simulator, nothing real moves
 HAS_RESET = "X_RESET"  # robot: a person may reset it over the link
 
-RESET = "RESET"  # name of the COMMAND that does, its text the number of the fault that the person has read
-SHOT_DEPTH = "SHOT_DEPTH"  # another: how far beyond the entry point the check shot shows the tip, mm, and its s.d.
-SIMULATED_WIRE = "SIMULATED_WIRE"  # a third, of simulators alone: where the wire truly is, for simulated images
+# Names of COMMAND messages.
+RESET = "RESET"  # resets after a fault; text: the number of the fault that the person has read
+SHOT_DEPTH = "SHOT_DEPTH"  # text: depth of the tip beyond the entry point in the check shot, mm, and its s.d.
+SIMULATED_WIRE = "SIMULATED_WIRE"  # simulators only: the true pose of the wire, for simulated images
 
-# Metadata of a target. Where PLAN stands all others must.
+# Metadata keys of a target. A target with PLAN must carry all of PLAN_KEYS.
 UNITS, COORDINATES, PLAN = "units", "coordinates", "plan"
 SIDE, FRAME_SERIAL, GO = "side", "frame_serial", "go"
 LENGTH_MM, DEPTH_LIMIT_MM, VALID_S = "length_mm", "depth_limit_mm", "valid_s"
 PLAN_KEYS = (PLAN, SIDE, FRAME_SERIAL, GO, UNITS, COORDINATES, LENGTH_MM, DEPTH_LIMIT_MM, VALID_S)
-# And what a target may say besides: the kind of trajectory, the limits that the plan was judged by, and how much of
-# LENGTH_MM lies past the planned end point.
+# Optional metadata: the kind of trajectory, the plan's accuracy limits, and how much of LENGTH_MM lies past the planned
+# end point.
 KIND, POSITION_LIMIT_MM, DIRECTION_LIMIT_DEG, BEYOND_MM = (
     "kind",
     "position_limit_mm",
@@ -52,13 +54,13 @@ MM, CFCS, MCS = "mm", "CFCS", "MCS"
 
 
 class Code(IntEnum):
-    """Codes of STATUS that are used, of those that OpenIGTLink lists."""
+    """STATUS codes of OpenIGTLink that this link uses."""
 
     OK = 1
     EMERGENCY = 3
     DENIED = 5  # another client holds the command lease
-    CONFIGURATION = 10  # a registration or target that cannot be used
+    CONFIGURATION = 10  # the registration or target is not usable
     UNKNOWN = 12  # no such command
-    NOT_READY = 13  # not in this state
+    NOT_READY = 13  # not possible in this state
     MANUAL = 14
     HARDWARE = 18

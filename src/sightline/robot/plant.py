@@ -1,4 +1,4 @@
-"""What the controller commands and reads: a manipulator with its drives, drill and sensors, real or simulated."""
+"""Interface between the controller and the plant: a manipulator with drives, drill and sensors, real or simulated."""
 
 from dataclasses import dataclass
 from enum import Flag, auto
@@ -6,25 +6,25 @@ from typing import Protocol
 
 import numpy as np
 
-CYCLE_S = 0.005  # of reading and commanding: 200 Hz [ours]
-WATCHDOG_S = 0.05  # without a command after which the drives stop by themselves: ten cycles [ours]
+CYCLE_S = 0.005  # period of the control loop: 200 Hz [ours]
+WATCHDOG_S = 0.05  # the drives stop by themselves after this time without a command: ten cycles [ours]
 
 
 class PlantFlag(Flag):
-    """What a plant says of itself, beside its figures."""
+    """State flags that a plant reports with each reading."""
 
     NONE = 0
     DRILL_ON = auto()
-    STOP_PRESSED = auto()  # the hardware stop input: the drives stop by themselves and obey no command
-    RUN_HELD = auto()  # the hold-to-run switch is held; without it the drives stop and obey no command
-    AT_LIMIT = auto()  # a joint is at a limit, and moves no further that way
-    OVERLOAD = auto()  # a drive cannot follow: its force is at its limit
+    STOP_PRESSED = auto()  # hardware stop input: the drives stop by themselves and ignore commands
+    RUN_HELD = auto()  # the hold-to-run switch is held; otherwise the drives stop and ignore commands
+    AT_LIMIT = auto()  # a joint is at a limit and moves no further in that direction
+    OVERLOAD = auto()  # a drive is at its force limit and cannot follow
 
 
 @dataclass(frozen=True, eq=False)
 class Reading:
-    """One sample of a plant. `time_s` since its start, `encoders` (5,) mm and rad, `force_n` along the wire, positive
-    where bone pushes it back."""
+    """One sample of a plant: `time_s` since its start, `encoders` (5,) in mm and rad, and `force_n` along the wire,
+    positive when bone pushes back."""
 
     time_s: float
     encoders: np.ndarray
@@ -33,17 +33,17 @@ class Reading:
 
 
 class Plant(Protocol):
-    """What moves. A command holds until the next one, but no longer than WATCHDOG_S: then whoever gave it is gone, and
-    the drives stop by themselves, the drill off, as after `hold`."""
+    """Drives, drill and sensors. A command holds until the next one, at most WATCHDOG_S. After that the controller is
+    presumed dead: the drives stop by themselves and the drill goes off, as after `hold`."""
 
     def read(self) -> Reading:
-        """The latest sample."""
+        """Return the latest sample."""
         ...
 
     def command(self, joint_velocity: np.ndarray, drill_on: bool) -> None:
-        """Joint velocities (5,), mm/s and rad/s, cut to the plant's speeds and reached by its accelerations."""
+        """Set joint velocities (5,), mm/s and rad/s; the plant limits them to its speeds and accelerations."""
         ...
 
     def hold(self) -> None:
-        """Stop with the plant's accelerations, drill off, and stay there."""
+        """Stop the joints with the plant's accelerations, switch the drill off, and hold the position."""
         ...

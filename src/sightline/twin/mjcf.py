@@ -6,7 +6,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from sightline.errors import SetUpError
-from sightline.robot.kinematics.manipulator import ARM_JOINTS, FEED, JOINTS, TURNS, Manipulator
+from sightline.robot.kinematics.manipulator import ARM_JOINTS, FEED, JOINTS, ROTARY, Manipulator
 
 M = 1e-3  # a millimetre
 STEP_S = 0.001
@@ -82,7 +82,7 @@ def mjcf(robot: Manipulator, build: Build) -> str:
 
 def unit(joint: int) -> float:
     """SI units per unit of a joint."""
-    return 1.0 if TURNS[joint] else M
+    return 1.0 if ROTARY[joint] else M
 
 
 def _check_stiffness(robot: Manipulator, build: Build, inertia: list[float]) -> None:
@@ -98,7 +98,7 @@ def _check_stiffness(robot: Manipulator, build: Build, inertia: list[float]) -> 
 
 def _spring(robot: Manipulator, joint: int) -> float:
     """N/m, or N m/rad from N mm/rad."""
-    return float(robot.stiffness[joint]) * (M if TURNS[joint] else 1 / M)
+    return float(robot.stiffness[joint]) * (M if ROTARY[joint] else 1 / M)
 
 
 def _carried(robot: Manipulator, build: Build) -> list[float]:
@@ -106,7 +106,7 @@ def _carried(robot: Manipulator, build: Build) -> list[float]:
     out = []
     for joint in range(len(JOINTS)):
         loads = [*build.weights[joint:], *([build.frame] if joint < ARM_JOINTS else [])]
-        if not TURNS[joint]:
+        if not ROTARY[joint]:
             out.append(sum(load.kg for load in loads))
             continue
         turn, moment = robot.axes[joint, :3], robot.axes[joint, 3:]
@@ -117,7 +117,7 @@ def _carried(robot: Manipulator, build: Build) -> list[float]:
 
 def _joint(robot: Manipulator, build: Build, joint: int, inertia: float) -> str:
     axis = robot.axes[joint]
-    turning = bool(TURNS[joint])
+    turning = bool(ROTARY[joint])
     direction = axis[:3] if turning else axis[3:]
     place = np.cross(axis[:3], axis[3:]) * M
     form = f'type="{"hinge" if turning else "slide"}" axis="{_row(direction)}" pos="{_row(place)}"'

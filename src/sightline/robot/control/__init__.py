@@ -1,4 +1,6 @@
-"""The robot's controller: the table of states, the machine that reads and commands the plant, the requests of clients,
-and the look for collisions. `motion` below it holds the courses of the joints and the drilling with its supervision. No
-input or output, no clock: time is an argument. It may import `kinematics`, `igtl`, `contract` and `plant`, and knows
-nothing of sockets and connections."""
+"""The robot's controller: the state table, the machine that reads and commands the plant, the clients' requests, and
+the collision check. `motion` below it holds joint motion and supervised drilling.
+
+No input, output or clock: time is an argument. It may import `kinematics`, `igtl`, `contract` and `plant`; it knows
+nothing of sockets or connections.
+"""

@@ -1,4 +1,4 @@
-"""The robot's controller: the machine, and what clients ask of it. No input or output, no clock.
+"""The robot's controller: it carries out clients' requests on the machine. No input, output or clock.
 
 One thread calls it: `submit` for each request, `cycle` every `CYCLE_S`.
 """
@@ -10,58 +10,61 @@ import numpy as np
 from sightline.errors import RobotRefusedError
 from sightline.robot import contract
 from sightline.robot.contract import Code
+from sightline.robot.control.collision_check import MAX_CHECK_S, CheckExecutor, CollisionCheck, run_at_once
 from sightline.robot.control.insertion import Insertion, Setup, read_registration, read_target
 from sightline.robot.control.lifetimes import Lifetimes
-from sightline.robot.control.look import LONGEST_S, Look, Surveyor, at_once
 from sightline.robot.control.machine import Machine
 from sightline.robot.control.motion.course import STANDING_LIMIT
 from sightline.robot.control.panel import Panel
 from sightline.robot.control.requests import (
-    Aim,
     Answer,
-    Command,
+    CommandRequest,
     Outcome,
     Register,
     Request,
     RequestRefusedError,
     Reset,
+    SetTarget,
     ShotDepth,
 )
-from sightline.robot.control.states import COMMANDS, TRANSITIONS, Cause, State
+from sightline.robot.control.states import COMMANDS, TRANSITIONS, State, Trigger
 from sightline.robot.igtl import Message
 from sightline.robot.kinematics.calibrated import CalibratedRobot
 from sightline.robot.kinematics.manipulator import FEED
 from sightline.robot.plant import Plant
 
-_MOTION = (Cause.MOVE_TO_TARGET, Cause.DRILL, Cause.GUIDE, Cause.RETRACT)
+_MOTION = (Trigger.MOVE_TO_TARGET, Trigger.DRILL, Trigger.GUIDE, Trigger.RETRACT)
 
 
 class Controller:
-    """See the module. `first_fault`: the number of its first fault; one that differs with every start keeps a reset
-    meant for an earlier fault from clearing a later one. `machine`: what it commands, for others to read. `surveyor`:
-    where it looks for collisions; a loop that must keep its time has that done beside it."""
+    """Controller of one calibrated robot.
+
+    `first_fault`: the number of its first fault. If it differs with every start, a reset meant for an earlier fault
+    cannot clear a later one. `machine`: the controlled machine, for others to read. `check_executor`: runs collision
+    checks; a real-time loop sets one that runs them on another thread.
+    """
 
     def __init__(
         self, robot: CalibratedRobot, plant: Plant, setup: Setup, panel: Panel | None = None, first_fault: int = 1
     ) -> None:
         self.machine = Machine(robot, plant, setup, panel or Panel(), first_fault)
-        self.surveyor: Surveyor = at_once
+        self.check_executor: CheckExecutor = run_at_once
         self._lifetimes = Lifetimes()
-        self._surveyed_from = self.machine.q
-        self._look: Look | None = None
+        self._checked_from = self.machine.q
+        self._check: CollisionCheck | None = None
 
-    # What clients do.
+    # Calls on behalf of clients.
 
     def submit(self, client: int, request: Request, now_s: float) -> Answer:
-        """An answer to every request in every state."""
+        """Carry out or refuse a request. Returns an answer in every state."""
         try:
             match request:
-                case Command():
+                case CommandRequest():
                     return self._command(client, request, now_s)
                 case Register(message):
                     return self._register(client, message, now_s)
-                case Aim(message):
-                    return self._aim(client, message, now_s)
+                case SetTarget(message):
+                    return self._set_target(client, message, now_s)
                 case Reset(fault):
                     return self._reset_from_afar(fault)
                 case ShotDepth(depth_mm, sd_mm):
@@ -70,143 +73,148 @@ class Controller:
             return refused.answer
 
     def heartbeat(self, client: int) -> None:
-        """A sign of life, or the promise of more: from now on this client's silence is noticed."""
-        self.machine.lease.heartbeat(client, self.machine.own_s)
+        """Record a heartbeat, or its announcement: from now on this client is watched for silence."""
+        self.machine.lease.heartbeat(client, self.machine.clock_s)
 
     def heard(self, client: int) -> None:
-        """Any other message; it counts where the client has promised heartbeats."""
-        self.machine.lease.heard(client, self.machine.own_s)
+        """Record any other message; it counts only for clients that announced heartbeats."""
+        self.machine.lease.heard(client, self.machine.clock_s)
 
     def lost(self, client: int, now_s: float) -> None:
-        """The client is gone for good: if it held the lease, the robot stops and forgets what it was told."""
+        """Remove a client that is gone. If it held the lease, the robot stops and clears registration and target."""
         self.machine.outcomes.drop_stops(client)
         if self.machine.lease.left(client):
-            self._look = None
+            self._check = None
             self.machine.abandon(now_s)
 
     def cycle(self, now_s: float, unread_s: float = 0.0) -> tuple[Outcome, ...]:
-        """Read the plant, watch, decide, command. What has ended since the last cycle. `unread_s`: of its own time for
-        how long what clients sent may not have been read yet."""
-        self.machine.turn(now_s, unread_s)
-        self._see_look(now_s)
+        """Run one cycle: read the plant, supervise, command. Returns what has ended since the last cycle.
+
+        `unread_s`: for how long, by the LoopClock, clients' messages may have been waiting unread."""
+        self.machine.cycle(now_s, unread_s)
+        self._report_check(now_s)
         return self.machine.outcomes.take()
 
     @property
     def lease(self) -> int | None:
-        """The client that commands."""
+        """The client that holds the command lease; None if it is free."""
         return self.machine.lease.holder
 
     @property
     def busy(self) -> bool:
-        """Whether something moves, has yet to be seen to stand, or is looked at."""
-        return self.machine.moves or self._look is not None
+        """Whether something moves, has not yet come to rest, or a collision check is running."""
+        return self.machine.moves or self._check is not None
 
     @property
-    def looking_for(self) -> int | None:
-        """The client whose target is looked at; it waits for the answer."""
-        return None if self._look is None else self._look.client
+    def checking_for(self) -> int | None:
+        """The client that waits for a collision check; None if none is running."""
+        return None if self._check is None else self._check.client
 
     # Requests.
 
-    def _command(self, client: int, command: Command, now_s: float) -> Answer:
+    def _command(self, client: int, command: CommandRequest, now_s: float) -> Answer:
         name = command.name
-        cause = next((cause for cause in COMMANDS if cause.value == name), None)
-        if cause is None:
+        trigger = next((trigger for trigger in COMMANDS if trigger.value == name), None)
+        if trigger is None:
             known = ", ".join(command.value for command in COMMANDS)
             raise _no(Code.UNKNOWN, f"there is no command {name[:40]!r}; there are {known}")
-        if cause is Cause.STOP:
+        if trigger is Trigger.STOP:
             return self._stop(client, now_s)
-        if cause is Cause.EMERGENCY:
+        if trigger is Trigger.EMERGENCY:
             self.machine.fail(Code.EMERGENCY, "a client sent EMERGENCY", now_s)
-            return Answer(Code.OK, done=False)  # what all are told is its status, too
+            return Answer(Code.OK, done=False)  # the outcome for all clients is also this client's STATUS
         self._hold_lease(client)
-        if (self.machine.state, cause) not in TRANSITIONS:
-            raise self._illegal(cause)
-        if command.by_name and cause is Cause.MOVE_TO_TARGET and TRANSITIONS[self.machine.state, cause] is State.DRILL:
-            text = f"this client announced {contract.HAS_DRILLING}: it drills by {Cause.DRILL.value} alone"
+        if (self.machine.state, trigger) not in TRANSITIONS:
+            raise self._illegal(trigger)
+        if (
+            command.by_name
+            and trigger is Trigger.MOVE_TO_TARGET
+            and TRANSITIONS[self.machine.state, trigger] is State.DRILL
+        ):
+            text = f"this client announced {contract.HAS_DRILLING}: it drills by {Trigger.DRILL.value} alone"
             raise _no(Code.NOT_READY, text)
-        if command.overtaken and cause in _MOTION:
+        if command.overtaken and trigger in _MOTION:
             raise _no(Code.NOT_READY, "a stop came after this command, which is void")
-        self._guard(cause, now_s)
-        if self.machine.insertion is not None and self._must_look(cause):
-            return self._begin_look(client, self.machine.insertion, cause, now_s)
-        return self.machine.begin(client, cause)
+        self._guard(trigger, now_s)
+        if self.machine.insertion is not None and self._needs_check(trigger):
+            return self._begin_check(client, self.machine.insertion, trigger, now_s)
+        return self.machine.begin(client, trigger)
 
-    def _guard(self, cause: Cause, now_s: float) -> None:
-        """What the table cannot know."""
-        if cause is Cause.START_UP and self.machine.stop_pressed:
+    def _guard(self, trigger: Trigger, now_s: float) -> None:
+        """Refuse triggers by conditions that are not in the state table."""
+        if trigger is Trigger.START_UP and self.machine.stop_pressed:
             raise _no(Code.NOT_READY, "the stop button is pressed; release it at the robot")
-        if cause is Cause.TARGETING and self.machine.registration is None:
+        if trigger is Trigger.TARGETING and self.machine.registration is None:
             raise _no(Code.NOT_READY, "there is no registration; send CALIBRATION and CLB_ first")
-        if cause not in _MOTION:
+        if trigger not in _MOTION:
             return
         if self.machine.stop_pressed or not self.machine.run_held:
             raise _no(Code.NOT_READY, "the hold-to-run switch is not held, or the stop button is pressed")
         if self.machine.outcomes.stopping:
             raise _no(Code.NOT_READY, "the robot is still stopping")
-        if TRANSITIONS[self.machine.state, cause] is State.RETRACT:
+        if TRANSITIONS[self.machine.state, trigger] is State.RETRACT:
             return
         if self.machine.insertion is None:
             raise _no(Code.NOT_READY, "there is no target; send TARGETING and TGT_ first")
         if not now_s <= self.machine.insertion.expires_s:
             raise _no(Code.CONFIGURATION, "the plan has expired; take new images and plan again")
 
-    def _must_look(self, cause: Cause) -> bool:
-        """Whether the arm would turn from elsewhere than where its way was looked at from."""
-        moved = np.abs(self.machine.q - self._surveyed_from) > STANDING_LIMIT
-        return cause in _MOTION and TRANSITIONS[self.machine.state, cause] is State.ALIGN and bool(moved.any())
+    def _needs_check(self, trigger: Trigger) -> bool:
+        """Return whether the arm would swing from another place than where its path was checked from."""
+        moved = np.abs(self.machine.q - self._checked_from) > STANDING_LIMIT
+        return trigger in _MOTION and TRANSITIONS[self.machine.state, trigger] is State.ALIGN and bool(moved.any())
 
-    # The look for collisions.
+    # Collision check.
 
-    def _begin_look(self, client: int, insertion: Insertion, cause: Cause | None, now_s: float) -> Answer:
-        """From here on. The robot stands until it has ended, and what else its client sends must wait."""
+    def _begin_check(self, client: int, insertion: Insertion, trigger: Trigger | None, now_s: float) -> Answer:
+        """Check the path from here. The robot stands still and its client's other requests wait until it has ended."""
         start = self.machine.q
         work = partial(insertion.refuse_collision, self.machine.robot.manipulator, start, self.machine.setup)
-        self._look = Look(client, cause, insertion, start, now_s, self.surveyor(work))
-        return self._looked(now_s) or Answer(Code.OK, done=False)
+        self._check = CollisionCheck(client, trigger, insertion, start, now_s, self.check_executor(work))
+        return self._finish_check(now_s) or Answer(Code.OK, done=False)
 
-    def _see_look(self, now_s: float) -> None:
+    def _report_check(self, now_s: float) -> None:
         if self.machine.fault is not None:
-            self._drop_look(self.machine.fault.code, self.machine.fault.text)
-        look, answer = self._look, self._looked(now_s)
+            self._cancel_check(self.machine.fault.code, self.machine.fault.text)
+        look, answer = self._check, self._finish_check(now_s)
         if look is not None and answer is not None and answer.done:
             self.machine.outcomes.add(Outcome(look.client, look.name, answer.code, answer.text))
 
-    def _looked(self, now_s: float) -> Answer | None:
-        """How the look has ended, and the motion begun that waited for it; None while it goes on."""
-        look = self._look
+    def _finish_check(self, now_s: float) -> Answer | None:
+        """Return how the check ended, after beginning the motion that waited for it; None while it is running."""
+        look = self._check
         if look is None or not look.result.done():
             return None
-        self._look = None
+        self._check = None
         try:
             look.result.result()
-            self.machine.insertion, self._surveyed_from = look.insertion, look.start
-            return Answer(Code.OK) if look.cause is None else self._go_after_look(look, look.cause, now_s)
+            self.machine.insertion, self._checked_from = look.insertion, look.start
+            return Answer(Code.OK) if look.trigger is None else self._begin_checked_motion(look, look.trigger, now_s)
         except RobotRefusedError as error:
             return Answer(Code.CONFIGURATION, str(error))
         except RequestRefusedError as refused:
             return refused.answer
 
-    def _go_after_look(self, look: Look, cause: Cause, now_s: float) -> Answer:
-        if now_s - look.begun_s > LONGEST_S or self._must_look(cause):
+    def _begin_checked_motion(self, look: CollisionCheck, trigger: Trigger, now_s: float) -> Answer:
+        if now_s - look.begun_s > MAX_CHECK_S or self._needs_check(trigger):
             text = f"looking for collisions took {now_s - look.begun_s:.1f} s, or the robot was moved meanwhile"
             raise _no(Code.NOT_READY, f"{text}; command it again")
-        self._guard(cause, now_s)
-        return self.machine.begin(look.client, cause)
+        self._guard(trigger, now_s)
+        return self.machine.begin(look.client, trigger)
 
-    def _drop_look(self, code: Code, text: str) -> None:
-        """Whatever it finds now is void."""
-        if self._look is not None:
-            self._look.result.cancel()
-            self.machine.outcomes.conclude(Outcome(self._look.client, self._look.name, code, text))
-            self._look = None
+    def _cancel_check(self, code: Code, text: str) -> None:
+        """Cancel the running check and ignore its result."""
+        if self._check is not None:
+            self._check.result.cancel()
+            self.machine.outcomes.conclude(Outcome(self._check.client, self._check.name, code, text))
+            self._check = None
 
     def _register(self, client: int, message: Message, now_s: float) -> Answer:
         self._hold_lease(client)
         if self.machine.state is not State.CALIBRATION:
             where = self.machine.state.value
             raise _no(Code.NOT_READY, f"a registration is taken in CALIBRATION; the robot is in {where}")
-        self.machine.forget()  # whatever comes, the old one is no longer meant
+        self.machine.forget()  # the old registration is void even if the new one is refused
         try:
             self.machine.registration = read_registration(message, self.machine.setup)
         except RobotRefusedError as error:
@@ -214,36 +222,36 @@ class Controller:
         self._lifetimes.registered(now_s)
         return Answer(Code.OK)
 
-    def _aim(self, client: int, message: Message, now_s: float) -> Answer:
+    def _set_target(self, client: int, message: Message, now_s: float) -> Answer:
         self._hold_lease(client)
         if self.machine.registration is None:
             raise _no(Code.NOT_READY, "there is no registration; send CALIBRATION and CLB_ first")
         if self.machine.state is not State.TARGETING:
             raise _no(Code.NOT_READY, f"a target is taken in TARGETING; the robot is in {self.machine.state.value}")
-        self.machine.insertion = self.machine.drilling = None  # whatever comes, the old one is no longer meant
+        self.machine.insertion = self.machine.drilling = None  # the old target is void even if the new one is refused
         try:
             read = read_target(message, self.machine.registration, self.machine.robot, self.machine.setup, now_s)
             insertion = self._lifetimes.limit(read, now_s)
         except RobotRefusedError as error:
             raise _no(Code.CONFIGURATION, str(error)) from error
-        return self._begin_look(client, insertion, None, now_s)
+        return self._begin_check(client, insertion, None, now_s)
 
     def _shot_depth(self, client: int, depth_mm: float, sd_mm: float) -> Answer:
         self._hold_lease(client)
         if self.machine.state is not State.PAUSED or self.machine.drilling is None:
             raise _no(Code.NOT_READY, f"a shot's depth is taken in PAUSED; the robot is in {self.machine.state.value}")
         try:
-            self.machine.drilling.told(float(self.machine.q[FEED]), depth_mm, sd_mm)
+            self.machine.drilling.correct_depth(float(self.machine.q[FEED]), depth_mm, sd_mm)
         except RobotRefusedError as error:
             raise _no(Code.CONFIGURATION, str(error)) from error
         return Answer(Code.OK)
 
     def _stop(self, client: int, now_s: float) -> Answer:
-        told = [Outcome(client, Cause.STOP.value, Code.OK, "stands still")]
+        told = [Outcome(client, Trigger.STOP.value, Code.OK, "stands still")]
         if self.lease is not None and client != self.lease:
-            told.append(Outcome(self.lease, Cause.STOP.value, Code.OK, "stopped by another client"))
+            told.append(Outcome(self.lease, Trigger.STOP.value, Code.OK, "stopped by another client"))
         self.machine.stop(told, now_s)
-        self._drop_look(Code.NOT_READY, "stopped by a client's STOP")
+        self._cancel_check(Code.NOT_READY, "stopped by a client's STOP")
         return Answer(Code.OK, done=False)
 
     def _reset_from_afar(self, fault: int) -> Answer:
@@ -257,20 +265,20 @@ class Controller:
         return Answer(Code.OK)
 
     def _hold_lease(self, client: int) -> None:
-        """Take the lease if it is free. Whoever does not hold it may stop the robot and ask, nothing else."""
+        """Acquire the lease if it is free, else refuse. Other clients may only query and stop the robot."""
         if not self.machine.lease.take(client):
             raise _no(Code.DENIED, "another client holds the command lease; it ends with that client's connection")
-        if self._look is not None:
+        if self._check is not None:
             raise _no(Code.NOT_READY, "the way to the target is still looked at; wait for the answer")
 
-    def _illegal(self, cause: Cause) -> RequestRefusedError:
+    def _illegal(self, trigger: Trigger) -> RequestRefusedError:
         if self.machine.state is State.MANUAL:
             return _no(Code.MANUAL, "the robot is in MANUAL; send PLANNING or START_UP first")
         if self.machine.state is State.EMERGENCY:
             number = "" if self.machine.fault is None else f" {self.machine.fault.number}: {self.machine.fault.text}"
             return _no(Code.EMERGENCY, f"fault{number}; a person must reset the robot")
         legal = ", ".join(command.value for command in COMMANDS if (self.machine.state, command) in TRANSITIONS)
-        return _no(Code.NOT_READY, f"not {cause.value} in {self.machine.state.value}; possible are {legal}")
+        return _no(Code.NOT_READY, f"not {trigger.value} in {self.machine.state.value}; possible are {legal}")
 
 
 def _no(code: Code, text: str) -> RequestRefusedError:

@@ -1,4 +1,4 @@
-"""What the robot is told to drill: read from a registration and a target as they come over the link, or refused."""
+"""Registration and insertion, read from the messages that arrive over the link, or refused."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -13,26 +13,26 @@ from sightline.robot import contract
 from sightline.robot.igtl import Message, Transform
 from sightline.robot.kinematics.calibrated import CalibratedRobot
 from sightline.robot.kinematics.manipulator import FEED, Manipulator
-from sightline.robot.kinematics.reach import check_reach, hip_theatre
+from sightline.robot.kinematics.reach import check_reach, hip_surroundings
 from sightline.robot.kinematics.target import LIFETIME_S, PlanIdentity
 
-# The wire waits so far before the entry point, outside the skin of most patients, for the confirmation shot [ours].
+# For the confirmation shot the wire waits this far before the entry point, outside the skin of most patients [ours].
 STANDOFF_MM = 20.0
-BARE_LENGTH_MM = 95.0  # from entry to tip, where a target states no entry point: the wire of the paper's hip [paper]
-SHORTEST_MM = 5.0  # as planning has it: less gives no direction
-# Past the planned depth, where a target states no limit: what the paper allows the tip to err [paper, Fig. 15].
+BARE_LENGTH_MM = 95.0  # entry to tip for a target without entry point: the wire of the paper's hip [paper]
+MIN_LENGTH_MM = 5.0  # as in planning: a shorter distance gives no direction
+# Depth limit past the planned depth for a target that states none: the paper's limit for the tip [paper, Fig. 15].
 DEPTH_SLACK_MM = 1.0
-LEAST_SLACK_MM = 0.2  # between planned depth and its limit: feed error at rest, and then some [ours]
-# The bone's far surface lies no further beyond a planned tip: the head of a femur has a radius of 20 to 30 mm [ours].
-MOST_SLACK_MM = 30.0
-# No robot stands so near the hip, and no plan ends so near the frame's origin, unless its numbers are metres [ours].
+MIN_SLACK_MM = 0.2  # between planned depth and depth limit: the feed error at rest with a margin [ours]
+# Largest distance from a planned tip to the bone's far surface: a femoral head has a radius of 20 to 30 mm [ours].
+MAX_SLACK_MM = 30.0
+# A base this near the hip, or a target this near the frame's origin, mm, must have been sent in metres [ours].
 BASE_IN_METRES, TARGET_IN_METRES = 10.0, 1.0
 
 
 @dataclass(frozen=True, eq=False)
 class OwnFrames:
-    """For clients of 2013, whose registration leads from a base frame of the robot's own (`T_mcs_base`) to a frame of
-    the patient that says nothing of the hip, which is where it was set up (`T_mcs_hip`, axes of CFCS)."""
+    """Frames for clients of the 2013 convention. Their registration maps a base frame of the robot (`T_mcs_base`) to a
+    patient frame that does not locate the hip; the hip is where it was set up (`T_mcs_hip`, axes of CFCS)."""
 
     T_mcs_base: RigidTransform
     T_mcs_hip: RigidTransform
@@ -40,10 +40,12 @@ class OwnFrames:
 
 @dataclass(frozen=True)
 class Setup:
-    """What a person has confirmed at the robot: the patient's side, the serial of the frame, whether it is still on the
-    flange, and if it was taken off since its calibration how well it repeats its place; whether bone is to be met at
-    the entry point, which it is not in a dry run and in a bore. `frames`: None where registrations are those of
-    docs/robot-link.md."""
+    """Settings that a person has confirmed at the robot.
+
+    `side`: of the patient; `frame_serial`; `frame_mounted`: the frame is still on the flange; `remount_mm`: its
+    repeatability if it was removed since its calibration; `into_bone`: bone is expected at the entry point, which is
+    false in a dry run and in a bore. `frames`: None for registrations as in docs/robot-link.md.
+    """
 
     side: str
     frame_serial: str
@@ -55,7 +57,7 @@ class Setup:
 
 @dataclass(frozen=True, eq=False)
 class LinkRegistration:
-    """Where the frame stood, as navigation says. `timestamp` of its message, 0 where it stated none."""
+    """Pose of the frame at the images, from navigation. `timestamp`: that of the message, 0 if not stated."""
 
     T_mcs_cfcs: RigidTransform
     timestamp: int
@@ -63,9 +65,11 @@ class LinkRegistration:
 
 @dataclass(frozen=True, eq=False)
 class Insertion:
-    """A wire to be drilled. `entry_mm`, `end_mm` (3,) MCS; `q` (5,): the joints with the tip at the entry point;
-    `sent`: the pose at the end point as it came, `T_cfcs_wire`: as the robot will lay it; depths from the entry point.
-    `identity` is None where a bare transform came."""
+    """A wire to be drilled. `entry_mm`, `end_mm` (3,) MCS; `q` (5,): the joints with the tip at the entry point.
+
+    `sent`: the pose at the end point as received; `T_cfcs_wire`: the pose that the robot will reach. Depths count from
+    the entry point. `identity` is None for a bare transform.
+    """
 
     identity: PlanIdentity | None
     T_mcs_cfcs: RigidTransform
@@ -79,41 +83,41 @@ class Insertion:
 
     @property
     def length_mm(self) -> float:
-        """From entry to end."""
+        """Distance from entry to end point, mm."""
         return float(np.linalg.norm(self.end_mm - self.entry_mm))
 
     def at_depth(self, depth_mm: float) -> np.ndarray:
-        """Joints (5,) with the tip so far beyond the entry point."""
+        """Return the joints (5,) with the tip at this depth beyond the entry point."""
         q = self.q.copy()
         q[FEED] += depth_mm
         return q
 
-    def course(self, manipulator: Manipulator, q: np.ndarray) -> np.ndarray:
-        """Joints (4, 5) on the way from `q` (5,) to the stand-off: the wire back, the arm turned, the wire forward."""
+    def waypoints(self, manipulator: Manipulator, q: np.ndarray) -> np.ndarray:
+        """Return the joints (4, 5) from `q` (5,) to the stand-off: wire back, arm to its line, wire forward."""
         back = retracted(manipulator, q)
-        turned = self.q.copy()
-        turned[FEED] = back[FEED]
-        return np.stack([q, back, turned, self.at_depth(-STANDOFF_MM)])
+        on_line = self.q.copy()
+        on_line[FEED] = back[FEED]
+        return np.stack([q, back, on_line, self.at_depth(-STANDOFF_MM)])
 
     def refuse_collision(self, manipulator: Manipulator, q: np.ndarray, setup: Setup) -> None:
-        """Raise RobotRefusedError where the way from the joints `q` (5,) to the end point touches something."""
-        way = np.vstack([self.course(manipulator, q), self.at_depth(self.length_mm)])
+        """Raise RobotRefusedError if the path from the joints `q` (5,) to the end point comes too near an obstacle."""
+        way = np.vstack([self.waypoints(manipulator, q), self.at_depth(self.length_mm)])
         T_mcs_hip = self.T_mcs_cfcs if setup.frames is None else setup.frames.T_mcs_hip
-        theatre = hip_theatre(T_mcs_hip, setup.frame_mounted, setup.remount_mm)
+        theatre = hip_surroundings(T_mcs_hip, setup.frame_mounted, setup.remount_mm)
         bad = failed(check_reach(manipulator, way, theatre))
         if bad:
             raise RobotRefusedError(" ".join(check.sentence for check in bad))
 
 
 def retracted(manipulator: Manipulator, q: np.ndarray) -> np.ndarray:
-    """Joints (5,) with the wire in its sleeve; half a millimetre before the limit, where drives still obey [ours]."""
+    """Return the joints (5,) with the wire in its sleeve, 0.5 mm before the limit, where drives still obey [ours]."""
     back = np.array(q, dtype=np.float64)
     back[FEED] = manipulator.lower[FEED] + 0.5
     return back
 
 
 def read_registration(message: Message, setup: Setup) -> LinkRegistration:
-    """From a transform that maps MCS, or the base frame of 2013, to CFCS. Raises RobotRefusedError."""
+    """Return the registration in a transform from MCS, or the base frame of 2013, to CFCS. Raises RobotRefusedError."""
     T_cfcs_mcs = _rigid(message, "registration").rigid()
     if setup.frames is not None:
         return LinkRegistration(setup.frames.T_mcs_base * T_cfcs_mcs.inv(), message.timestamp)
@@ -128,10 +132,11 @@ def read_registration(message: Message, setup: Setup) -> LinkRegistration:
 def read_target(
     message: Message, registration: LinkRegistration, robot: CalibratedRobot, setup: Setup, now_s: float
 ) -> Insertion:
-    """From a transform: the wire's pose at the end point, CFCS, +z towards the tip, and the plan's metadata if any.
+    """Return the insertion in a transform: the wire's pose at the end point, CFCS, +z towards the tip, with the plan's
+    metadata if any.
 
-    The way there from where the robot stands is checked later: `Insertion.refuse_collision`. Raises RobotRefusedError
-    with the reason.
+    `Insertion.refuse_collision` checks the path from the robot's position later. Raises RobotRefusedError with the
+    reason.
     """
     sent = _rigid(message, "target")
     T_cfcs_wire = sent.rigid()
@@ -156,7 +161,7 @@ def read_target(
 
 
 def refuse_feed(manipulator: Manipulator, q: np.ndarray, length_mm: float) -> None:
-    """Raise RobotRefusedError where the feed cannot go from before the entry point to the end point."""
+    """Raise RobotRefusedError if the feed cannot go from the stand-off to the end point."""
     before, beyond = q[FEED] - STANDOFF_MM - manipulator.lower[FEED], q[FEED] + length_mm - manipulator.upper[FEED]
     if before < 0:
         raise RobotRefusedError(
@@ -196,7 +201,7 @@ def _refuse_metres(T_cfcs_wire: RigidTransform) -> None:
 
 
 def _plan(said: Mapping[str, str], setup: Setup) -> tuple[PlanIdentity, float, float, float]:
-    """(identity, length mm, depth limit mm, seconds it is valid)."""
+    """Return (identity, length mm, depth limit mm, remaining validity s)."""
     missing = [key for key in contract.PLAN_KEYS if key not in said]
     if missing:
         raise RobotRefusedError(f"the plan {said[contract.PLAN]!r} does not state {', '.join(missing)}")
@@ -227,20 +232,20 @@ def _plan(said: Mapping[str, str], setup: Setup) -> tuple[PlanIdentity, float, f
     length, limit, valid = (
         _number(said, key) for key in (contract.LENGTH_MM, contract.DEPTH_LIMIT_MM, contract.VALID_S)
     )
-    if length < SHORTEST_MM:
+    if length < MIN_LENGTH_MM:
         raise RobotRefusedError(
-            f"entry and end point are {length:.1f} mm apart and give no direction (at least {SHORTEST_MM:g} mm); plan "
-            "again"
+            f"entry and end point are {length:.1f} mm apart and give no direction (at least {MIN_LENGTH_MM:g} mm); "
+            "plan again"
         )
-    if limit < length + LEAST_SLACK_MM:
+    if limit < length + MIN_SLACK_MM:
         raise RobotRefusedError(
-            f"the planned depth of {length:.1f} mm comes within {LEAST_SLACK_MM:g} mm of its limit of {limit:.1f} mm "
+            f"the planned depth of {length:.1f} mm comes within {MIN_SLACK_MM:g} mm of its limit of {limit:.1f} mm "
             "or passes it; plan a shorter wire"
         )
-    if limit > length + MOST_SLACK_MM:
+    if limit > length + MAX_SLACK_MM:
         raise RobotRefusedError(
             f"the depth limit of {limit:.4g} mm lies {limit - length:.4g} mm beyond the planned depth of {length:.1f} "
-            f"mm, where no bone is (at most {MOST_SLACK_MM:g} mm); state the distance to the bone's far surface"
+            f"mm, where no bone is (at most {MAX_SLACK_MM:g} mm); state the distance to the bone's far surface"
         )
     if not 0 < valid <= LIFETIME_S:
         raise RobotRefusedError(

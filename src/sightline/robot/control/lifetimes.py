@@ -1,4 +1,4 @@
-"""Until when targets may be drilled: a target that is sent again is as old as it was."""
+"""Expiry of targets: sending a target again does not extend its life."""
 
 from collections import OrderedDict
 from dataclasses import replace
@@ -7,22 +7,23 @@ from sightline.errors import RobotRefusedError
 from sightline.robot.control.insertion import Insertion
 from sightline.robot.kinematics.target import LIFETIME_S
 
-KEPT = 256  # plans: a robot sees a few in the ten minutes that one lives [ours]
+MAX_PLANS = 256  # remembered; a robot sees a few in the ten minutes that one is valid [ours]
 
 
 class Lifetimes:
-    """A plan lives as long as was said when its identifier first came; a bare target as long as its registration."""
+    """Expiry times. A plan's runs from the first message with its identifier; a bare target expires with its
+    registration."""
 
     def __init__(self) -> None:
         self._plans: OrderedDict[str, float] = OrderedDict()
         self._registration_s = 0.0
 
     def registered(self, now_s: float) -> None:
-        """A registration came: its images were taken before."""
+        """Start the lifetime of a registration just received: its images were taken before."""
         self._registration_s = now_s + LIFETIME_S
 
     def limit(self, insertion: Insertion, now_s: float) -> Insertion:
-        """The insertion with the time that it has left. Raises RobotRefusedError where that has passed."""
+        """Return the insertion with its remaining lifetime. Raises RobotRefusedError if it has expired."""
         if insertion.identity is None:
             expires, what, new = self._registration_s, "the registration of this target", "register again"
         else:
@@ -36,6 +37,6 @@ class Lifetimes:
     def _remembered(self, plan: str, expires_s: float) -> float:
         self._plans[plan] = min(self._plans.get(plan, expires_s), expires_s)
         self._plans.move_to_end(plan)
-        if len(self._plans) > KEPT:
+        if len(self._plans) > MAX_PLANS:
             self._plans.popitem(last=False)
         return self._plans[plan]

@@ -1,4 +1,4 @@
-"""What clients ask of the controller, and what it says: data alone."""
+"""Requests of clients to the controller, and its answers: plain data."""
 
 from dataclasses import dataclass
 
@@ -12,9 +12,9 @@ from sightline.robot.plant import Reading
 
 
 @dataclass(frozen=True)
-class Command:
-    """A command by its name, known or not. `overtaken`: a stop that was sent later has been heard before it.
-    `by_name`: its client drills by DRILL, and never by a further MOVE_TO_TARGET."""
+class CommandRequest:
+    """A command by its name, known or not. `overtaken`: a stop that was sent later was handled before it.
+    `by_name`: its client drills by DRILL only, never by a further MOVE_TO_TARGET."""
 
     name: str
     overtaken: bool = False
@@ -23,39 +23,39 @@ class Command:
 
 @dataclass(frozen=True)
 class Register:
-    """A registration, as it came."""
+    """A registration as received."""
 
     message: Message
 
 
 @dataclass(frozen=True)
-class Aim:
-    """A target, as it came."""
+class SetTarget:
+    """A target as received."""
 
     message: Message
 
 
 @dataclass(frozen=True)
 class Reset:
-    """A person's reset from afar, after they read this fault."""
+    """A remote reset by a person who has read the fault of this number."""
 
     fault: int
 
 
 @dataclass(frozen=True)
 class ShotDepth:
-    """How far beyond the entry point the second shot shows the tip, and its error, 1 s.d.; mm."""
+    """Depth of the tip beyond the entry point in the check shot, and its standard deviation; mm."""
 
     depth_mm: float
     sd_mm: float = SHOT_SD_MM
 
 
-Request = Command | Register | Aim | Reset | ShotDepth
+Request = CommandRequest | Register | SetTarget | Reset | ShotDepth
 
 
 @dataclass(frozen=True)
 class Answer:
-    """To a request, at once. Where it is not yet `done`, an Outcome follows."""
+    """The immediate answer to a request. If not `done`, an Outcome follows."""
 
     code: Code
     text: str = ""
@@ -63,7 +63,7 @@ class Answer:
 
 
 class RequestRefusedError(Exception):
-    """Becomes the answer to a request."""
+    """A refused request; `answer` goes to the client."""
 
     def __init__(self, code: Code, text: str) -> None:
         super().__init__(text)
@@ -72,7 +72,7 @@ class RequestRefusedError(Exception):
 
 @dataclass(frozen=True)
 class Outcome:
-    """How a command, or the look at a target, ended, for the client that sent it; None: something all must know."""
+    """How a command or a target's collision check ended, for the client that sent it; `client` None: for all."""
 
     client: int | None
     name: str
@@ -81,7 +81,7 @@ class Outcome:
 
 
 @dataclass(frozen=True)
-class Fault:
+class RobotFault:
     """Why the robot is in EMERGENCY."""
 
     number: int
@@ -91,8 +91,8 @@ class Fault:
 
 @dataclass(frozen=True, eq=False)
 class Snapshot:
-    """What there is to know now. `depth_mm` beyond the entry point, and its error, 1 s.d., None without a target;
-    `wanted` (5,): where the joints should be."""
+    """The controller's state at one time. `depth_mm`: of the tip beyond the entry point, `depth_sd_mm`: its standard
+    deviation, both None without a target; `wanted` (5,): the commanded position of the joints."""
 
     state: State
     reading: Reading
@@ -101,4 +101,4 @@ class Snapshot:
     commanded: np.ndarray
     depth_mm: float | None
     depth_sd_mm: float | None
-    fault: Fault | None
+    fault: RobotFault | None

@@ -1,4 +1,4 @@
-"""OpenIGTLink, header versions 1 and 2: messages as values, and bytes into messages, without input or output."""
+"""OpenIGTLink, header versions 1 and 2: messages as values, encoded and decoded without input or output."""
 
 from sightline.geometry.rigid import why_not_rigid
 from sightline.robot.igtl.header import Header, timestamp_of

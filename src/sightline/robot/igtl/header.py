@@ -1,7 +1,7 @@
-"""What stands before every message: the header of 58 bytes and, from version 2, the extended header and metadata.
+"""The header of a message, 58 bytes, and from version 2 the extended header and metadata.
 
-Source: the protocol's pages (header, version 1 and 2; timestamp). The CRC covers what follows the header and not the
-header itself: that a name or a type arrives unaltered rests on TCP's own checksum.
+Source: the protocol's pages (header, version 1 and 2; timestamp). The CRC covers the body but not the header: names and
+types are protected by TCP's checksum only.
 """
 
 import re
@@ -21,12 +21,13 @@ VERSIONS = (1, 2)
 _HEADER = struct.Struct(">H12s20sQQQ")
 _EXTENDED = struct.Struct(">HHII")
 _ENTRY = struct.Struct(">HHI")
-_TYPE = re.compile(rb"([!-~]{1,12})\0*")  # printable ASCII, then zeros: what tells a header from other bytes
+_TYPE = re.compile(rb"([!-~]{1,12})\0*")  # printable ASCII, then zeros: distinguishes a header from other bytes
 
 
 @dataclass(frozen=True)
 class Header:
-    """`body_bytes` follow, whose CRC is `crc`. `timestamp`: seconds since 1970 UTC times 2^32; 0 says nothing."""
+    """A header. `body_bytes`, `crc`: size and CRC of the body. `timestamp`: seconds since 1970 UTC times 2^32; 0 if not
+    stated."""
 
     version: int
     type_name: str
@@ -36,7 +37,7 @@ class Header:
     crc: int
 
     def encode(self) -> bytes:
-        """58 bytes. Raises MessageError where a name does not fit its field."""
+        """Return the header in 58 bytes. Raises MessageError if a name does not fit its field."""
         if not self.device_name.isascii():
             raise MessageError(f"device name {self.device_name!r} is not ASCII")
         if not 0 <= self.timestamp < 1 << 64:
@@ -52,9 +53,9 @@ class Header:
 
 
 def read_header(data: bytes) -> Header:
-    """The header in 58 bytes. Raises MessageError where they are none: the stream is lost then.
+    """Return the header in 58 bytes. Raises MessageError if they are not a header; the stream is then lost.
 
-    A device name that is not ASCII, as the protocol asks, is no reason to lose the stream: each foreign byte reads �.
+    The protocol requires ASCII device names. Another name does not lose the stream: each such byte is read as �.
     """
     version, kind, name, timestamp, size, crc = _HEADER.unpack(data)
     if version not in VERSIONS:
@@ -68,19 +69,19 @@ def read_header(data: bytes) -> Header:
 
 
 def timestamp_of(time_s: float) -> int:
-    """64-bit timestamp of seconds since 1970 UTC. Raises MessageError outside 1970 to 2106."""
+    """Return the 64-bit timestamp of a time in seconds since 1970 UTC. Raises MessageError outside 1970 to 2106."""
     if not 0 <= time_s < 1 << 32:
         raise MessageError(f"a time of {time_s} s cannot be written: only 1970 to 2106")
     return round(time_s * (1 << 32))
 
 
 def time_of(timestamp: int) -> float | None:
-    """Seconds since 1970 UTC; None where the sender gave no time."""
+    """Return seconds since 1970 UTC; None if the sender gave no time."""
     return timestamp / (1 << 32) if timestamp else None
 
 
 def wrap(content: bytes, message_id: int, metadata: Mapping[str, str]) -> bytes:
-    """The body of a version 2 message: extended header, content, metadata."""
+    """Return the body of a version 2 message: extended header, content, metadata."""
     entries, texts = [], []
     for key, value in metadata.items():
         name, (encoding, data) = key.encode("utf-8"), encoded(value)
@@ -91,12 +92,12 @@ def wrap(content: bytes, message_id: int, metadata: Mapping[str, str]) -> bytes:
 
 
 def unwrap(body: bytes) -> tuple[bytes, int, Mapping[str, str]]:
-    """(content, message id, metadata) of a version 2 body. Raises MessageError where its sizes do not agree."""
+    """Return (content, message id, metadata) of a version 2 body. Raises MessageError if its sizes do not agree."""
     reader = Reader(body)
     size, index_bytes, text_bytes, message_id = reader.unpack("HHII")
     if size < _EXTENDED.size:
         raise MessageError(f"its extended header claims {size} bytes; it has {_EXTENDED.size} at least")
-    reader.take(size - _EXTENDED.size)  # room for later versions
+    reader.take(size - _EXTENDED.size)  # skip fields of later versions
     content = reader.take(max(0, reader.left - index_bytes - text_bytes))
     index, text = Reader(reader.take(index_bytes)), Reader(reader.take(text_bytes))
     metadata: dict[str, str] = {}

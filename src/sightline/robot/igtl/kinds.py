@@ -1,4 +1,4 @@
-"""The table of types: which class reads the content of which message."""
+"""The table of message types and the classes that read their content."""
 
 from collections.abc import Callable
 from typing import Protocol
@@ -12,15 +12,16 @@ from sightline.robot.igtl.messages_text import Capability, Command, CommandReply
 
 
 class Body(Protocol):
-    """What a message says: a frozen value with its type on the wire and its bytes."""
+    """The body of a message: a frozen value with its type name and its encoding."""
 
     @property
     def type_name(self) -> str:
-        """At most twelve characters."""
+        """Its type on the wire, at most twelve characters."""
         ...
 
     def content(self) -> bytes:
-        """Without headers and metadata. Raises MessageError, ValueError or struct.error where it cannot be written."""
+        """Return its bytes without headers and metadata. Raises MessageError, ValueError or struct.error if it cannot
+        be encoded."""
         ...
 
 
@@ -31,16 +32,16 @@ READERS: dict[str, Callable[[bytes], Body]] = {
         Sensor, NDArray, Image, PolyData,
     )
 }  # fmt: skip
-_LISTS = ("TDATA", "POINT", "TRAJ", "CAPABILITY")  # without content they are empty lists, and not missing
+_LISTS = ("TDATA", "POINT", "TRAJ", "CAPABILITY")  # without content these are empty lists, not missing data
 
 
 def is_plain(type_name: str) -> bool:
-    """Whether a type is read here: all but BIND, which holds the others."""
+    """Return whether a type is read here: all but BIND, which contains the others."""
     return type_name in READERS or query_of(type_name) is not None
 
 
 def read_plain(type_name: str, content: bytes) -> Body:
-    """The body of a message of any type but BIND. Raises MessageError where the content is malformed."""
+    """Return the body of a message of any type but BIND. Raises MessageError if the content is malformed."""
     query = query_of(type_name)
     if query is not None:
         kind, of = query

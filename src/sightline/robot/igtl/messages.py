@@ -1,4 +1,4 @@
-"""A message whole: who sends what and when, made from bytes and into bytes here and nowhere else."""
+"""Complete messages: body, device name, time and metadata; encoding and decoding."""
 
 import struct
 from collections.abc import Mapping
@@ -12,7 +12,7 @@ from sightline.robot.igtl.kinds import Body, is_plain, read_plain
 from sightline.robot.igtl.messages_bind import Bind
 from sightline.robot.igtl.messages_text import String
 
-LONG_NAME = "IGTL_DEVICE_NAME"  # metadata in which PLUS gives a name that it cut to the header's 20 bytes
+LONG_NAME = "IGTL_DEVICE_NAME"  # metadata key in which PLUS gives the full name cut to 20 bytes in the header
 
 
 @dataclass(frozen=True)
@@ -39,18 +39,18 @@ class Message:
 
     @property
     def name(self) -> str:
-        """The device name, in full where the metadata give it and the header's is its beginning."""
+        """The device name, in full if the metadata give it and the header's name is its beginning."""
         full = self.metadata.get(LONG_NAME, "")
         return full if full.startswith(self.device_name) and full else self.device_name
 
     @property
     def time_s(self) -> float | None:
-        """Seconds since 1970 UTC; None where not stated."""
+        """Seconds since 1970 UTC; None if not stated."""
         return time_of(self.timestamp)
 
 
 def encode(message: Message) -> bytes:
-    """A message as it travels. Raises MessageError where it cannot: nothing is cut, dropped or rounded to infinity."""
+    """Return the bytes of a message. Raises MessageError rather than cut, drop or round a value to infinity."""
     if message.version not in VERSIONS:
         raise MessageError(f"header version {message.version}; only 1 and 2 are written")
     if message.version == 1 and (message.metadata or message.message_id):
@@ -70,14 +70,14 @@ def encode(message: Message) -> bytes:
 
 
 def is_known(type_name: str) -> bool:
-    """Whether messages of a type are read here."""
+    """Return whether messages of a type are read here."""
     return type_name == Bind.type_name or is_plain(type_name)
 
 
 def decode(header: Header, body: bytes) -> Message:
-    """A message from its header and body, whose CRC was compared and whose type is known.
+    """Return the message from its header and body, whose CRC was checked and whose type is known.
 
-    Raises MessageError, which says what is wrong with the body, or with a device name that is not ASCII.
+    Raises MessageError for a malformed body or a device name that is not ASCII.
     """
     if not header.device_name.isascii():
         raise MessageError(f"has a device name that is not ASCII: {header.device_name!r}")
@@ -94,7 +94,7 @@ def decode(header: Header, body: bytes) -> Message:
 
 
 def seeming_text(header: Header, body: bytes) -> str:
-    """The text of a STRING that cannot be read as one, after its encoding and length; "" of any other type."""
+    """Return the apparent text of a malformed STRING, after its encoding and length; "" for other types."""
     if header.type_name != String.type_name:
         return ""
     try:

@@ -1,4 +1,4 @@
-"""SENSOR, NDARRAY and IMAGE: numbers in bulk."""
+"""SENSOR, NDARRAY and IMAGE: arrays of numbers."""
 
 import math
 import struct
@@ -13,13 +13,13 @@ from sightline.robot.igtl.wire import Reader, floats, read_only
 
 _SCALARS = {2: "i1", 3: "u1", 4: "i2", 5: "u2", 6: "i4", 7: "u4", 10: "f4", 11: "f8", 13: "c16"}
 _CODES = {name: code for code, name in _SCALARS.items()}
-_COMPLEX = 13  # in arrays, not in images
+_COMPLEX = 13  # allowed in arrays, not in images
 _MAX_DIMENSIONS = 32  # what every version of numpy can hold
 
 
 def unit(prefix: int, *factors: tuple[int, int]) -> int:
-    """Code of a physical unit: SI prefix (4 bits), then up to six (unit, exponent) of 6 and 4 bits, as listed by the
-    protocol's page on units."""
+    """Return the code of a physical unit: SI prefix (4 bits), then up to six (unit, exponent) of 6 and 4 bits, as
+    listed on the protocol's page on units."""
     code = prefix << 60
     for place, (base, exponent) in enumerate(factors):
         code |= (base << 4 | exponent & 0xF) << 50 - 10 * place
@@ -44,7 +44,7 @@ class Sensor:
 
     @classmethod
     def read(cls, content: bytes) -> Self:
-        """From 10 bytes and the numbers."""
+        """Read 10 bytes and the numbers."""
         reader = Reader(content)
         count, status, unit_code = reader.unpack("BBQ")
         values = reader.doubles(count)
@@ -52,13 +52,13 @@ class Sensor:
         return cls(values, unit_code, status)
 
     def content(self) -> bytes:
-        """10 bytes and the numbers."""
+        """Return 10 bytes and the numbers."""
         return struct.pack(">BBQ", len(self.values), self.status, self.unit) + self.values.astype(">f8").tobytes()
 
 
 @dataclass(frozen=True, eq=False)
 class NDArray:
-    """`values`, of any shape: integers of 8, 16 or 32 bits, floats of 32 or 64, complex of 128; its type is kept."""
+    """`values` of any shape: integers of 8, 16 or 32 bits, floats of 32 or 64, complex of 128; the type is kept."""
 
     type_name = "NDARRAY"
     values: np.ndarray
@@ -68,7 +68,7 @@ class NDArray:
 
     @classmethod
     def read(cls, content: bytes) -> Self:
-        """From type, shape, numbers."""
+        """Read type, shape, numbers."""
         reader = Reader(content)
         code, dimensions = reader.unpack("BB")
         if not 0 < dimensions <= _MAX_DIMENSIONS:
@@ -79,7 +79,7 @@ class NDArray:
         return cls(values)
 
     def content(self) -> bytes:
-        """Type, shape, numbers."""
+        """Return type, shape, numbers."""
         shape = self.values.shape
         start = struct.pack(f">BB{len(shape)}H", _code(self.values), len(shape), *shape)
         return start + self.values.astype(self.values.dtype.newbyteorder(">")).tobytes()
@@ -87,10 +87,10 @@ class NDArray:
 
 @dataclass(frozen=True, eq=False)
 class Image:
-    """`pixels` (K, J, I) or (K, J, I, components), of the types of an array but complex.
+    """`pixels` (K, J, I) or (K, J, I, components), of any type of an array except complex.
 
     `matrix` (4, 4), mm: its columns are the steps along i, j, k and the centre of the whole image, in `coordinates`
-    "RAS" or "LPS". A part of an image says where it begins, `offset` (i, j, k), and how large the whole is, `size`.
+    "RAS" or "LPS". For a part of an image, `offset` (i, j, k) is its first pixel and `size` the size of the whole.
     """
 
     type_name = "IMAGE"
@@ -116,7 +116,7 @@ class Image:
 
     @classmethod
     def read(cls, content: bytes) -> Self:
-        """From 72 bytes and the pixels, in the byte order that they state."""
+        """Read 72 bytes and the pixels, in the byte order stated."""
         reader = Reader(content)
         version, components, code, order, coordinates = reader.unpack("HBBBB")
         size = reader.unpack("HHH")
@@ -134,7 +134,7 @@ class Image:
         return cls(pixels, matrix, _COORDINATES[coordinates], size, offset)
 
     def content(self) -> bytes:
-        """72 bytes and the pixels, lowest byte first."""
+        """Return 72 bytes and the pixels, lowest byte first."""
         components = self.pixels.shape[3] if self.pixels.ndim == 4 else 1
         coordinates = next(code for code, name in _COORDINATES.items() if name == self.coordinates)
         return (
@@ -157,7 +157,7 @@ def _numbers(reader: Reader, code: int, order: str, shape: tuple[int, ...]) -> n
 
 
 def _plain(values: np.ndarray) -> np.ndarray:
-    """Read-only, in the machine's byte order. Raises MessageError for types that the protocol does not have."""
+    """Return a read-only copy in native byte order. Raises MessageError for types that the protocol does not have."""
     array = np.asarray(values)
     _code(array)
     array = np.array(array, dtype=array.dtype.newbyteorder("="), order="C")

@@ -1,4 +1,4 @@
-"""BIND: several messages sent as one, because they belong together."""
+"""BIND: several messages sent as one."""
 
 import struct
 from dataclasses import dataclass
@@ -12,14 +12,14 @@ from sightline.robot.igtl.wire import Reader, field, text_of
 
 @dataclass(frozen=True)
 class Bind:
-    """`children`: (name, body) each, none of them a BIND: nesting would let a few bytes ask for any depth."""
+    """`children`: (name, body) each; none may be a BIND, since nesting would let a few bytes demand any depth."""
 
     type_name = "BIND"
     children: tuple[tuple[str, Body], ...]
 
     @classmethod
     def read(cls, content: bytes) -> Self:
-        """From types and sizes, names, contents. A child of an unknown type refuses the whole."""
+        """Read types and sizes, names, contents. Raises MessageError if a child has an unknown type."""
         reader = Reader(content)
         (count,) = reader.unpack("H")
         heads = [(reader.text(TYPE_BYTES), *reader.unpack("Q")) for _ in range(count)]
@@ -34,7 +34,7 @@ class Bind:
         return cls(tuple(children))
 
     def content(self) -> bytes:
-        """Types and sizes, names, contents; names and contents end at even places."""
+        """Return types and sizes, names, contents; names and contents are padded to even sizes."""
         heads, contents, names = struct.pack(">H", len(self.children)), b"", []
         for name, body in self.children:
             if not is_plain(body.type_name):
@@ -55,6 +55,6 @@ def _names(table: bytes, count: int) -> list[str]:
 
 
 def _name_table(names: list[bytes]) -> bytes:
-    """Each name ended by a zero, and one zero more where that makes the size even."""
+    """Return the names, each followed by a zero, padded with a zero to an even size."""
     table = b"".join(name + b"\0" for name in names)
     return table + bytes(len(table) % 2)

@@ -1,4 +1,4 @@
-"""POLYDATA: points in mm, what joins them, and values on them."""
+"""POLYDATA: points in mm, cells that join them, and attributes."""
 
 import struct
 from dataclasses import dataclass
@@ -16,7 +16,7 @@ _MAX_NAME = 255  # protocol
 
 @dataclass(frozen=True, eq=False)
 class Attribute:
-    """`values` (N, components) on points or cells; `kind` as the protocol's page numbers them, 0 scalars of points."""
+    """`values` (N, components) on points or cells; `kind` as numbered on the protocol's page, 0: scalars of points."""
 
     name: str
     values: np.ndarray
@@ -28,7 +28,7 @@ class Attribute:
 
 @dataclass(frozen=True, eq=False)
 class PolyData:
-    """`points_mm` (N, 3); each cell lists the numbers of its points."""
+    """`points_mm` (N, 3); each cell lists the indices of its points."""
 
     type_name = "POLYDATA"
     points_mm: np.ndarray
@@ -47,7 +47,7 @@ class PolyData:
 
     @classmethod
     def read(cls, content: bytes) -> Self:
-        """From ten counts, points, four lists of cells, attributes."""
+        """Read ten counts, points, four lists of cells, attributes."""
         reader = Reader(content)
         count, *sizes, attribute_count = reader.unpack("10I")
         points = reader.floats(count, 3)
@@ -57,7 +57,7 @@ class PolyData:
         return cls(points, *cells, attributes=attributes)
 
     def content(self) -> bytes:
-        """Ten counts, points, four lists of cells, attributes."""
+        """Return ten counts, points, four lists of cells, attributes."""
         lists = (self.vertices, self.lines, self.polygons, self.triangle_strips)
         packed = [_cell_bytes(cells) for cells in lists]
         sizes = [n for cells, data in zip(lists, packed, strict=True) for n in (len(cells), len(data))]

@@ -13,7 +13,7 @@ WHITE: Colour = (255, 255, 255, 255)
 
 @dataclass(frozen=True, eq=False)
 class Point:
-    """`position_mm` (3,); `diameter_mm` 0 where it has none; `owner`: the image that it was set in."""
+    """`position_mm` (3,); `diameter_mm`: 0 if not stated; `owner`: the image that it belongs to."""
 
     name: str
     position_mm: np.ndarray
@@ -35,7 +35,7 @@ class Points:
 
     @classmethod
     def read(cls, content: bytes) -> Self:
-        """From 136 bytes per point."""
+        """Read 136 bytes per point."""
         reader, points = Reader(content), []
         while reader.left:
             name, group, rgba = reader.text(64), reader.text(32), reader.unpack("4B")
@@ -44,7 +44,7 @@ class Points:
         return cls(tuple(points))
 
     def content(self) -> bytes:
-        """136 bytes per point."""
+        """Return 136 bytes per point."""
         return b"".join(
             field(point.name, 64, "point")
             + field(point.group, 32, "group")
@@ -57,7 +57,7 @@ class Points:
 
 @dataclass(frozen=True, eq=False)
 class Path:
-    """A straight path, `entry_mm` and `target_mm` (3,) each. `kind` says which count: 1 entry, 2 target, 3 both."""
+    """A straight path, `entry_mm` and `target_mm` (3,). `kind`: which of them are given, 1 entry, 2 target, 3 both."""
 
     name: str
     entry_mm: np.ndarray
@@ -82,7 +82,7 @@ class Trajectories:
 
     @classmethod
     def read(cls, content: bytes) -> Self:
-        """From 150 bytes per path."""
+        """Read 150 bytes per path."""
         reader, paths = Reader(content), []
         while reader.left:
             name, group, (kind, _reserved) = reader.text(64), reader.text(32), reader.unpack("BB")
@@ -92,7 +92,7 @@ class Trajectories:
         return cls(tuple(paths))
 
     def content(self) -> bytes:
-        """150 bytes per path."""
+        """Return 150 bytes per path."""
         return b"".join(
             field(path.name, 64, "path")
             + field(path.group, 32, "group")

@@ -1,4 +1,4 @@
-"""TRANSFORM, POSITION and TDATA: where something is and how it is turned. Lengths in mm."""
+"""TRANSFORM, POSITION and TDATA: poses. Lengths in mm."""
 
 from dataclasses import dataclass
 from typing import Self
@@ -13,7 +13,7 @@ from sightline.robot.igtl.wire import Reader, field, floats, read_only
 
 @dataclass(frozen=True, eq=False)
 class Transform:
-    """`matrix` (4, 4), in mm, of which the upper three rows travel, with 32 bits: 0.00003 mm at 400 mm."""
+    """`matrix` (4, 4), mm. The upper three rows are sent as 32-bit floats, which resolve 0.00003 mm at 400 mm."""
 
     type_name = "TRANSFORM"
     matrix: np.ndarray
@@ -23,36 +23,36 @@ class Transform:
 
     @classmethod
     def of(cls, pose: RigidTransform) -> Self:
-        """That of a pose in mm."""
+        """Return the transform of a pose in mm."""
         return cls(pose.as_matrix())
 
     @property
     def fault(self) -> str | None:
-        """Why it is no rigid motion; None if it is one."""
+        """Why it is not a rigid motion; None if it is one."""
         return why_not_rigid(self.matrix)
 
     def rigid(self) -> RigidTransform:
-        """The pose, its rotation made exact. Raises MessageError where it is none."""
+        """Return the pose, with its rotation orthonormalised. Raises MessageError if it is not a rigid motion."""
         if self.fault is not None:
-            raise MessageError(f"the transform is no rigid motion: {self.fault}")
+            raise MessageError(f"the transform is not a rigid motion: {self.fault}")
         return RigidTransform.from_matrix(self.matrix)
 
     @classmethod
     def read(cls, content: bytes) -> Self:
-        """From 48 bytes."""
+        """Read 48 bytes."""
         reader = Reader(content)
         matrix = read_matrix(reader)
         reader.finish()
         return cls(matrix)
 
     def content(self) -> bytes:
-        """48 bytes: column by column."""
+        """Return 48 bytes: column by column."""
         return _matrix_bytes(self.matrix)
 
 
 @dataclass(frozen=True, eq=False)
 class Position:
-    """`position_mm` (3,) and `quaternion` (4,), x y z w, as it came: its length need not be 1."""
+    """`position_mm` (3,) and `quaternion` (4,), x y z w, as received: its norm need not be 1."""
 
     type_name = "POSITION"
     position_mm: np.ndarray
@@ -64,20 +64,21 @@ class Position:
 
     @classmethod
     def read(cls, content: bytes) -> Self:
-        """From 28 bytes."""
+        """Read 28 bytes."""
         reader = Reader(content)
         position, quaternion = reader.floats(3), reader.floats(4)
         reader.finish()
         return cls(position, quaternion)
 
     def content(self) -> bytes:
-        """28 bytes."""
+        """Return 28 bytes."""
         return floats(self.position_mm) + floats(self.quaternion)
 
 
 @dataclass(frozen=True, eq=False)
 class Tracked:
-    """A tool of TDATA, `matrix` (4, 4) in mm. `kind`: 1 tracker, 2 tool with all six degrees, 3 tip, 4 tip and axis."""
+    """A tool of TDATA, `matrix` (4, 4) in mm. `kind`: 1 tracker, 2 tool with 6 degrees of freedom, 3 tip, 4 tip and
+    axis."""
 
     name: str
     matrix: np.ndarray
@@ -89,14 +90,14 @@ class Tracked:
 
 @dataclass(frozen=True)
 class TrackingData:
-    """Tools seen at one time."""
+    """Tools tracked at one time."""
 
     type_name = "TDATA"
     tools: tuple[Tracked, ...]
 
     @classmethod
     def read(cls, content: bytes) -> Self:
-        """From 70 bytes per tool."""
+        """Read 70 bytes per tool."""
         reader, tools = Reader(content), []
         while reader.left:
             name, (kind, _reserved) = reader.text(20), reader.unpack("BB")
@@ -104,7 +105,7 @@ class TrackingData:
         return cls(tuple(tools))
 
     def content(self) -> bytes:
-        """70 bytes per tool."""
+        """Return 70 bytes per tool."""
         return b"".join(
             field(tool.name, 20, "tool") + bytes((tool.kind, 0)) + _matrix_bytes(tool.matrix) for tool in self.tools
         )
@@ -118,7 +119,7 @@ def _matrix(values: np.ndarray) -> np.ndarray:
 
 
 def read_matrix(reader: Reader) -> np.ndarray:
-    """(4, 4) from the twelve numbers of its upper rows, column by column."""
+    """Return a matrix (4, 4) from the twelve numbers of its upper rows, column by column."""
     matrix = np.zeros((4, 4))
     matrix[:3], matrix[3, 3] = reader.floats(4, 3).T, 1
     return matrix

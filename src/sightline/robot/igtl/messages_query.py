@@ -1,6 +1,6 @@
-"""GET_, STT_, STP_ and RTS_: to ask for a message, to start and stop a flow of them, and whether that was done.
+"""GET_, STT_, STP_ and RTS_: query a message, start and stop a stream of messages, and the reply to these.
 
-The type field holds twelve characters, so that two types are cut in queries: GET_TRANS, GET_CAPABIL.
+The type field holds twelve characters, so two types are cut in queries: GET_TRANS, GET_CAPABIL.
 """
 
 import struct
@@ -21,7 +21,7 @@ _WITH_INTERVAL = ("SENSOR", "POLYDATA", "BIND")
 
 @dataclass(frozen=True)
 class _Bare:
-    """A query that is its type and nothing else."""
+    """A query without content."""
 
     PREFIX: ClassVar[str]
     TYPES: ClassVar[tuple[str, ...]]
@@ -34,18 +34,18 @@ class _Bare:
 
     @classmethod
     def read(cls, of: str, content: bytes) -> Self:
-        """From nothing."""
+        """Read empty content."""
         Reader(content).finish()
         return cls(of)
 
     def content(self) -> bytes:
-        """Nothing."""
+        """Return empty content."""
         return b""
 
 
 @dataclass(frozen=True)
 class Get(_Bare):
-    """Asks for one message of a type; the header's device name says of which device, an empty one of any."""
+    """Query for one message of a type; the header's device name selects the device, an empty one any device."""
 
     PREFIX = "GET_"
     TYPES = ASKED_FOR
@@ -53,10 +53,8 @@ class Get(_Bare):
 
 @dataclass(frozen=True)
 class Start:
-    """Asks for a flow of messages, at least an interval apart; None leaves it to the sender.
-
-    `interval` is in ms for TDATA, else in seconds times 2^32. `coordinates`: for TDATA, the frame asked for.
-    """
+    """Request for a stream of messages. `interval`: least time between them, in ms for TDATA, else in seconds times
+    2^32; None leaves it to the sender. `coordinates`: for TDATA, the requested frame."""
 
     PREFIX: ClassVar[str] = "STT_"
     of: str
@@ -70,7 +68,7 @@ class Start:
 
     @classmethod
     def read(cls, of: str, content: bytes) -> Self:
-        """From nothing, or the interval, for TDATA with the coordinates' name in 32 bytes."""
+        """Read empty content or the interval, for TDATA with the coordinates' name in 32 bytes."""
         reader, interval, coordinates = Reader(content), None, ""
         if of == "TDATA":
             (interval,), coordinates = reader.unpack("I"), reader.text(32)
@@ -80,7 +78,7 @@ class Start:
         return cls(of, interval, coordinates)
 
     def content(self) -> bytes:
-        """Nothing, or the interval, for TDATA with the coordinates' name in 32 bytes."""
+        """Return empty content or the interval, for TDATA with the coordinates' name in 32 bytes."""
         if self.of == "TDATA":
             return struct.pack(">I", self.interval or 0) + field(self.coordinates, 32, "coordinates")
         if self.coordinates or (self.interval is not None and self.of not in _WITH_INTERVAL):
@@ -90,7 +88,7 @@ class Start:
 
 @dataclass(frozen=True)
 class Stop(_Bare):
-    """Ends a flow of messages."""
+    """Request to end a stream of messages."""
 
     PREFIX = "STP_"
     TYPES = FLOWING
@@ -98,7 +96,7 @@ class Stop(_Bare):
 
 @dataclass(frozen=True)
 class Started:
-    """Whether a flow was started or stopped as asked; `code` 0 is success, 1 an error."""
+    """Reply whether a stream was started or stopped as requested; `code` 0 is success, 1 an error."""
 
     PREFIX: ClassVar[str] = "RTS_"
     of: str
@@ -111,20 +109,20 @@ class Started:
 
     @classmethod
     def read(cls, of: str, content: bytes) -> Self:
-        """From one byte."""
+        """Read one byte."""
         reader = Reader(content)
         (code,) = reader.unpack("B")
         reader.finish()
         return cls(of, code)
 
     def content(self) -> bytes:
-        """One byte."""
+        """Return one byte."""
         return struct.pack(">B", self.code)
 
 
 @dataclass(frozen=True)
 class Missing:
-    """The answer to a query where there are no data: a message of the type asked for, without content."""
+    """The answer to a query if there are no data: a message of the requested type without content."""
 
     of: str
 
@@ -134,12 +132,12 @@ class Missing:
         return self.of
 
     def content(self) -> bytes:
-        """Nothing."""
+        """Return empty content."""
         return b""
 
 
 def query_of(type_name: str) -> tuple[type[Get] | type[Start] | type[Stop] | type[Started], str] | None:
-    """(class, type asked about) of a query's type on the wire; None if it is none."""
+    """Return (class, requested type) for a query's type on the wire; None if it is not a query."""
     return _QUERIES.get(type_name)
 
 

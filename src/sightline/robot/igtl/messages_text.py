@@ -1,4 +1,4 @@
-"""STATUS, STRING, COMMAND with its reply, and CAPABILITY: what is said in words."""
+"""STATUS, STRING, COMMAND with its reply, and CAPABILITY: text messages."""
 
 import struct
 from dataclasses import dataclass
@@ -21,7 +21,7 @@ class Status:
 
     @classmethod
     def read(cls, content: bytes) -> Self:
-        """From 30 bytes and the text, which may end with zeros and holds none."""
+        """Read 30 bytes and the text, which may end with zeros but contains none."""
         reader = Reader(content)
         code, subcode = reader.unpack("Hq")
         error_name, text = reader.text(20), reader.take(reader.left).rstrip(b"\0")
@@ -30,7 +30,7 @@ class Status:
         return cls(code, error_name, text_of(text), subcode)
 
     def content(self) -> bytes:
-        """30 bytes, the text, a zero."""
+        """Return 30 bytes, the text, a zero."""
         data = self.text.encode("utf-8")
         numbers = struct.pack(">Hq", self.code, self.subcode)
         return numbers + field(self.error_name, 20, "error name") + field(self.text, len(data), "text") + b"\0"
@@ -45,7 +45,7 @@ class String:
 
     @classmethod
     def read(cls, content: bytes) -> Self:
-        """From encoding, length, bytes."""
+        """Read encoding, length, bytes."""
         reader = Reader(content)
         encoding, length = reader.unpack("HH")
         text = reader.encoded_text(length, encoding)
@@ -53,14 +53,14 @@ class String:
         return cls(text)
 
     def content(self) -> bytes:
-        """Encoding, length, bytes."""
+        """Return encoding, length, bytes."""
         encoding, data = encoded(self.text)
         return struct.pack(">HH", encoding, len(data)) + data
 
 
 @dataclass(frozen=True)
 class Command:
-    """Something to do, `text` mostly XML; the reply carries the same `command_id`."""
+    """A command; `text` is mostly XML, and the reply carries the same `command_id`."""
 
     type_name = "COMMAND"
     command_id: int
@@ -69,17 +69,17 @@ class Command:
 
     @classmethod
     def read(cls, content: bytes) -> Self:
-        """From number, name, encoding, length, bytes."""
+        """Read number, name, encoding, length, bytes."""
         return cls(*_read_command(content))
 
     def content(self) -> bytes:
-        """Number, name, encoding, length, bytes."""
+        """Return number, name, encoding, length, bytes."""
         return _command_bytes(self.command_id, self.name, self.text)
 
 
 @dataclass(frozen=True)
 class CommandReply:
-    """The answer to a command. It has the layout of one, with `error` where a command has its name."""
+    """The reply to a command. It has the layout of a command, with `error` in place of the name."""
 
     type_name = "RTS_COMMAND"
     command_id: int
@@ -88,11 +88,11 @@ class CommandReply:
 
     @classmethod
     def read(cls, content: bytes) -> Self:
-        """As a command."""
+        """Read the layout of a command."""
         return cls(*_read_command(content))
 
     def content(self) -> bytes:
-        """As a command."""
+        """Return the layout of a command."""
         return _command_bytes(self.command_id, self.error, self.text)
 
 
@@ -105,14 +105,14 @@ class Capability:
 
     @classmethod
     def read(cls, content: bytes) -> Self:
-        """From 12 bytes per type."""
+        """Read 12 bytes per type."""
         reader, types = Reader(content), []
         while reader.left:
             types.append(reader.text(TYPE_BYTES))
         return cls(tuple(types))
 
     def content(self) -> bytes:
-        """12 bytes per type."""
+        """Return 12 bytes per type."""
         return b"".join(field(name, TYPE_BYTES, "type") for name in self.types)
 
 

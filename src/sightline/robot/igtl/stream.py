@@ -1,4 +1,4 @@
-"""Bytes in, messages out: OpenIGTLink without sockets or clocks."""
+"""Decoder of an OpenIGTLink byte stream, without sockets or clocks."""
 
 from dataclasses import dataclass
 from enum import Enum
@@ -12,7 +12,7 @@ MAX_BODY_BYTES = 16 << 20  # [ours] twice an image of 2048 x 2048 with 16 bits, 
 
 
 class Fault(Enum):
-    """What was wrong with bytes that came."""
+    """Reasons to reject received bytes."""
 
     NO_HEADER = "no header"
     TOO_LARGE = "too large"
@@ -23,8 +23,8 @@ class Fault(Enum):
 
 @dataclass(frozen=True)
 class Rejected:
-    """Bytes that are no message, and why. `header` is None where not even that could be read. `text`: what a STRING
-    seems to say all the same; to be trusted in nothing but a request to stop."""
+    """Received bytes that are not a valid message, with the reason. `header` is None if it could not be read. `text`:
+    the apparent text of a STRING; act on it only if it asks to stop."""
 
     fault: Fault
     reason: str
@@ -33,7 +33,7 @@ class Rejected:
 
     @property
     def fatal(self) -> bool:
-        """Whether nothing that follows can be read: the connection must be closed."""
+        """Whether nothing after it can be read, so that the connection must be closed."""
         return self.fault in (Fault.NO_HEADER, Fault.TOO_LARGE)
 
 
@@ -41,16 +41,16 @@ Event = Message | Rejected
 
 
 class Stream:
-    """The receiving end of one connection. Feed it what came, in pieces of any size.
+    """The decoder of one connection. Feed it the received bytes, in pieces of any size.
 
-    OpenIGTLink marks no beginning of a message: only its header's size tells where the next one starts. After a wrong
-    CRC, an unknown type or a bad body the next message is read where the header said, because that is mostly true.
-    Where it is not, what stands there is no header. Then, and where a size is above the limit, the place of the next
-    message is lost for good: the last event is fatal, nothing more is read, and the connection must be closed. To
-    search for something that looks like a header would be to obey messages that stand inside the text of others.
+    OpenIGTLink does not mark the beginning of a message: only the size in a header tells where the next one starts.
+    After a wrong CRC, an unknown type or a bad body, the next message is read where the header says, which is usually
+    right. If no header is found there, or if a size is above the limit, the place of the next message is lost: the last
+    event is fatal, nothing more is read, and the connection must be closed. Searching for bytes that look like a header
+    would obey messages inside the text of others.
 
-    A size that is wrong but allowed makes the stream wait for bytes which may never come, or which belong to later
-    messages. The stream has no clock: whoever owns the connection must close it where `partial` lasts too long.
+    A wrong size within the limit makes the stream wait for bytes that never come or belong to later messages. The
+    stream has no clock: the owner of the connection must close it if `partial` lasts too long.
     """
 
     def __init__(self, max_body_bytes: int = MAX_BODY_BYTES):
@@ -61,11 +61,11 @@ class Stream:
 
     @property
     def partial(self) -> bool:
-        """Whether a message has begun and is not complete."""
+        """Whether a message has begun but is not complete."""
         return bool(self._buffer) or self._header is not None
 
     def feed(self, data: bytes) -> list[Event]:
-        """What `data` completed, in order. Raises MessageError after a fatal event."""
+        """Add bytes and return the completed events in order. Raises MessageError after a fatal event."""
         if self._lost:
             raise MessageError("the place of the next message is lost; close the connection")
         self._buffer += data

@@ -1,4 +1,4 @@
-"""Text and numbers as OpenIGTLink writes them: big-endian, names in fields of fixed size filled up with zeros."""
+"""Encoding of text and numbers in OpenIGTLink: big-endian, names in fields of fixed size padded with zeros."""
 
 import math
 import struct
@@ -8,58 +8,58 @@ import numpy as np
 
 from sightline.errors import MessageError
 
-ASCII, UTF8 = 3, 106  # MIBenum of IANA: the two ways of writing text that are read here
+ASCII, UTF8 = 3, 106  # MIBenum of IANA: the two text encodings that are read here
 
 
 class Reader:
-    """Walks over a content once. Raises MessageError where it ends too early, or where something is left over."""
+    """Reads a message's content once. Raises MessageError if it ends too early, or if bytes are left over."""
 
     def __init__(self, content: bytes):
         self._content, self._at = content, 0
 
     @property
     def left(self) -> int:
-        """Bytes not yet taken."""
+        """Number of bytes not yet read."""
         return len(self._content) - self._at
 
     def take(self, count: int) -> bytes:
-        """The next `count` bytes."""
+        """Return the next `count` bytes."""
         if count > self.left:
             raise MessageError(f"ends {count - self.left} bytes too early")
         self._at += count
         return self._content[self._at - count : self._at]
 
     def unpack(self, layout: str) -> tuple[Any, ...]:
-        """Numbers, big-endian, in the letters of `struct`."""
+        """Return big-endian numbers, with a layout in `struct`'s format characters."""
         return struct.unpack(">" + layout, self.take(struct.calcsize(">" + layout)))
 
     def text(self, size: int) -> str:
-        """Text in a field of `size` bytes: what stands before the first zero."""
+        """Return the text in a field of `size` bytes, up to the first zero."""
         return text_of(self.take(size).split(b"\0", 1)[0])
 
     def encoded_text(self, length: int, encoding: int) -> str:
-        """Text of `length` bytes in a stated encoding."""
+        """Return a text of `length` bytes in a stated encoding."""
         if encoding not in (ASCII, UTF8):
             raise MessageError(f"its text has encoding {encoding}; only US-ASCII (3) and UTF-8 (106) are read")
-        return text_of(self.take(length))  # peers send UTF-8 and call it ASCII, of which it is an extension
+        return text_of(self.take(length))  # as UTF-8 in both cases: some peers send it and call it ASCII
 
     def floats(self, *shape: int) -> np.ndarray:
-        """Numbers of 32 bits, as float64."""
+        """Return 32-bit floats as float64."""
         with np.errstate(invalid="ignore"):  # a signalling NaN is a NaN
             return np.frombuffer(self.take(4 * math.prod(shape)), dtype=">f4").astype(np.float64).reshape(shape)
 
     def doubles(self, *shape: int) -> np.ndarray:
-        """Numbers of 64 bits."""
+        """Return 64-bit floats."""
         return np.frombuffer(self.take(8 * math.prod(shape)), dtype=">f8").astype(np.float64).reshape(shape)
 
     def finish(self) -> None:
-        """Say that all was read."""
+        """Check that everything was read."""
         if self.left:
             raise MessageError(f"is {self.left} bytes too long")
 
 
 def text_of(data: bytes) -> str:
-    """UTF-8, or a MessageError."""
+    """Return bytes decoded as UTF-8. Raises MessageError."""
     try:
         return data.decode("utf-8")
     except UnicodeDecodeError as error:
@@ -67,7 +67,7 @@ def text_of(data: bytes) -> str:
 
 
 def field(text: str, size: int, what: str) -> bytes:
-    """Text in a field of `size` bytes. Raises MessageError where it does not fit: a name cut short is another name."""
+    """Return a text in a field of `size` bytes. Raises MessageError if it does not fit, rather than cut a name."""
     data = text.encode("utf-8")
     if len(data) > size:
         raise MessageError(f"{what} {text!r} has {len(data)} bytes; at most {size} fit")
@@ -77,12 +77,12 @@ def field(text: str, size: int, what: str) -> bytes:
 
 
 def encoded(text: str) -> tuple[int, bytes]:
-    """(encoding, bytes): US-ASCII where that is enough."""
+    """Return (encoding, bytes): US-ASCII if that is enough, else UTF-8."""
     return (ASCII if text.isascii() else UTF8), text.encode("utf-8")
 
 
 def floats(values: np.ndarray) -> bytes:
-    """Numbers of 32 bits. Raises MessageError for a finite number that they cannot hold."""
+    """Return 32-bit floats as bytes. Raises MessageError for a finite number that is too large."""
     try:
         with np.errstate(over="raise", invalid="ignore"):
             return np.asarray(values, dtype=np.float64).astype(">f4").tobytes()
@@ -91,7 +91,7 @@ def floats(values: np.ndarray) -> bytes:
 
 
 def read_only(values: Any, what: str, shape: tuple[int | None, ...]) -> np.ndarray:
-    """A copy that cannot be written to. Raises MessageError where its shape, None for any, is another."""
+    """Return a read-only copy as float64. Raises MessageError for another shape; None in `shape` allows any size."""
     array = np.array(values, dtype=np.float64)
     if array.shape != shape and (
         array.ndim != len(shape) or any(n not in (None, m) for n, m in zip(shape, array.shape, strict=True))

@@ -1,4 +1,4 @@
-"""A manipulator as it was measured, and how well: its axes, the frame and the wire on its flange."""
+"""A calibrated manipulator with its covariance: the axes, and the frame and the wire on the flange."""
 
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -10,21 +10,21 @@ from sightline.geometry.rigid import adjoint, displacement
 from sightline.robot.kinematics.manipulator import ARM_JOINTS, FEED, Manipulator
 from sightline.robot.kinematics.mounts import Mount, refuse_unlikely
 
-# How far a machined axis may be from its place, 1 s.d. of its twist: 1 mrad and 0.2 mm [ours].
+# Machining tolerance of an axis, 1 s.d. of its twist: 1 mrad and 0.2 mm [ours].
 MACHINED_SD = np.array([1e-3] * 3 + [0.2] * 3)
-# What loads do behind the encoders between imaging and drilling, 1 s.d. of the flange's twist: weight of frame and
-# drilling unit, a thrust of 35 N against 1000 N/mm [ours, physics.md "Drilling"].
+# Deflection under load between imaging and drilling that the encoders cannot see, 1 s.d. of the flange's twist: weight
+# of frame and drilling unit, a thrust of 35 N against 1000 N/mm [ours, physics.md "Drilling"].
 COMPLIANCE_SD = np.array([1e-4] * 3 + [0.03] * 3)
-# The sources of error that a robot adds to a trajectory; their covariances add up.
+# The robot's sources of error in a trajectory; their covariances add up.
 SOURCES = ("kinematics", "hand_eye", "drill_axis", "encoders", "compliance")
 _AXES, _FRAME, _WIRE = slice(0, 24), slice(24, 30), slice(30, 36)
-_ROUNDS, _SETTLED = 30, 1e-9
+_MAX_ITERATIONS, _TOLERANCE = 30, 1e-9
 
 
 @dataclass(frozen=True, eq=False)
 class CalibratedAxes:
-    """`manipulator` with its four arm axes where measurements put them; `covariance` (24, 24) of their twists;
-    `residual_mm` (N, M) of the measured targets."""
+    """`manipulator` with its four arm axes as measured; `covariance` (24, 24) of their twists; `residual_mm` (N, M) of
+    the measured targets."""
 
     manipulator: Manipulator
     covariance: np.ndarray
@@ -33,9 +33,11 @@ class CalibratedAxes:
 
 @dataclass(frozen=True, eq=False)
 class CalibratedRobot:
-    """`manipulator`: its best known state. `covariance` (36, 36): of the twists of the four arm axes (MCS, at q = 0),
-    of the frame and of the wire on the flange (flange coordinates). They are the same in every pose: one shared block.
-    `compliance_sd` (6,): of the flange's twist that encoders cannot see, anew in every pose, flange coordinates.
+    """A calibrated robot. `manipulator`: with all calibrations applied.
+
+    `covariance` (36, 36): of the twists of the four arm axes (MCS, at q = 0), of the frame and of the wire on the
+    flange (flange coordinates). These errors are common to all poses. `compliance_sd` (6,): of the flange's twist that
+    the encoders cannot see, independent in every pose, flange coordinates.
     """
 
     manipulator: Manipulator
@@ -50,7 +52,7 @@ class CalibratedRobot:
     def of(
         axes: CalibratedAxes, frame: Mount, wire: Mount, compliance_sd: np.ndarray = COMPLIANCE_SD
     ) -> "CalibratedRobot":
-        """From its three calibrations, measured each by itself. The wire is fed along its mount's +z."""
+        """Return the robot from its three independent calibrations. The wire is fed along its mount's +z."""
         home = axes.manipulator.T_mcs_flange_home
         screws = axes.manipulator.axes.copy()
         screws[FEED] = 0.0
@@ -62,10 +64,10 @@ class CalibratedRobot:
         return CalibratedRobot(manipulator, covariance, np.asarray(compliance_sd, dtype=np.float64))
 
     def wire_against_frame(self, imaged: np.ndarray, drilling: np.ndarray, xyz_mm: np.ndarray) -> dict[str, np.ndarray]:
-        """For each of SOURCES, covariance (3N, 3N) mm² of points (N, 3) MCS of the wire at the joints `drilling` (5,),
-        against a patient who was located in the frame at the joints `imaged` (5,).
+        """Return for each of SOURCES the covariance (3N, 3N) mm² of points (N, 3) MCS of the wire at the joints
+        `drilling` (5,), relative to a patient located in the frame at the joints `imaged` (5,).
 
-        Only what the two poses do not share counts: with the robot where it was, axes cancel and mounts remain.
+        Errors common to both poses cancel: at the same joints the axes cancel and the mounts remain.
         """
         move = displacement(xyz_mm).reshape(-1, 6)
         wire, frame = self._to_flange(drilling), self._to_flange(imaged)
@@ -82,11 +84,12 @@ class CalibratedRobot:
 
     @cached_property
     def joint_sd(self) -> np.ndarray:
-        """(5,): error of a joint's position, from its encoder's resolution and the play behind it, both uniform."""
+        """(5,): standard deviation of a joint's position from encoder resolution and backlash, both uniform; mm,
+        rad."""
         return np.hypot(self.manipulator.resolution, self.manipulator.backlash) / np.sqrt(12)
 
     def _to_flange(self, q: np.ndarray) -> np.ndarray:
-        """(6, 6): a twist of the flange in its own coordinates, as one in MCS."""
+        """Return the matrix (6, 6) that maps a twist in flange coordinates to MCS."""
         return adjoint(self.manipulator.T_mcs_flange(q))
 
     def _axes_jacobian(self, q: np.ndarray) -> np.ndarray:
@@ -98,11 +101,12 @@ class CalibratedRobot:
 
 
 def calibrate_axes(manipulator: Manipulator, q: np.ndarray, targets_mm: np.ndarray, sd_mm: float) -> CalibratedAxes:
-    """The four arm axes from M targets on the flange, measured at N joint positions `q` (N, 5): (N, M, 3) mm, MCS.
+    """Return the four arm axes from M targets on the flange, measured at N joint positions `q` (N, 5): (N, M, 3) mm,
+    MCS.
 
-    `sd_mm`: error of a measured target, per axis. Where the targets sit on the flange is found with the axes; these
-    are held by how they were machined, so that what the measurements leave open stays as uncertain as it was. Raises
-    UnusableInputError, and RobotRefusedError for measurements that no such manipulator can have made.
+    `sd_mm`: standard deviation of a measured target, per axis. The positions of the targets on the flange are estimated
+    too. The machining tolerances are the prior of the axes, so that directions without measurements keep their
+    uncertainty. Raises UnusableInputError, and RobotRefusedError for measurements that do not fit such a manipulator.
     """
     q, measured = np.asarray(q, dtype=np.float64), np.asarray(targets_mm, dtype=np.float64)
     if measured.ndim != 3 or measured.shape[::2] != (len(q), 3) or not np.isfinite(measured).all() or sd_mm <= 0:
@@ -112,7 +116,7 @@ def calibrate_axes(manipulator: Manipulator, q: np.ndarray, targets_mm: np.ndarr
     if 3 * n * m <= 3 * m + len(known):
         raise UnusableInputError(f"{n} poses of {m} targets do not determine four axes; measure more poses")
     twists, places = np.zeros(len(known)), manipulator.T_mcs_flange(q[0]).inv().apply(measured[0])
-    for _ in range(_ROUNDS):
+    for _ in range(_MAX_ITERATIONS):
         now = _displaced(manipulator, twists)
         pose = now.T_mcs_flange(q)
         expected = np.stack([pose.apply(place) for place in places], axis=1)
@@ -120,9 +124,9 @@ def calibrate_axes(manipulator: Manipulator, q: np.ndarray, targets_mm: np.ndarr
         design = _target_design(now, q, expected) / sd_mm
         whole = np.vstack([design, np.hstack([np.diag(known), np.zeros((len(known), 3 * m))])])
         step, *_ = np.linalg.lstsq(whole, np.concatenate([residual.ravel(), -known * twists]), rcond=None)
-        # Twists of one axis in a row add up to first order; the step is nothing once they have settled.
+        # Successive twists of one axis add up to first order only; the step vanishes at convergence.
         twists, places = twists + step[: len(known)], places + step[len(known) :].reshape(m, 3)
-        if np.abs(step).max() < _SETTLED:
+        if np.abs(step).max() < _TOLERANCE:
             break
     else:
         raise RobotRefusedError("the calibration of the axes does not settle; check the units and the order of poses")
@@ -136,13 +140,14 @@ def _displaced(manipulator: Manipulator, twists: np.ndarray) -> Manipulator:
 
 
 def _target_design(manipulator: Manipulator, q: np.ndarray, expected_mm: np.ndarray) -> np.ndarray:
-    """(3NM, 24 + 3M): how the targets move with the axes, and with their places on the flange."""
+    """Return the design matrix (3NM, 24 + 3M): derivatives of the targets by the axes and by their places on the
+    flange."""
     n, m = expected_mm.shape[:2]
     of_axes = np.einsum(
         "nmai,nij->nmaj", displacement(expected_mm), manipulator.flange_parameter_jacobian(q)[..., _AXES]
     )
     of_places = np.zeros((n, m, 3, m, 3))
-    turn = manipulator.T_mcs_flange(q).rotation.as_matrix()
+    rotation = manipulator.T_mcs_flange(q).rotation.as_matrix()
     for target in range(m):
-        of_places[:, target, :, target] = turn
+        of_places[:, target, :, target] = rotation
     return np.concatenate([of_axes.reshape(3 * n * m, -1), of_places.reshape(3 * n * m, -1)], axis=1)

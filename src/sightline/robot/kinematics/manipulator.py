@@ -1,8 +1,9 @@
-"""The manipulator's joints as data, and where they put flange, wire and frame. docs/robot.md has the drawing.
+"""The manipulator's joints, and forward and inverse kinematics of flange, wire and frame. docs/robot.md has the
+drawing.
 
 q (..., 5): lift, traverse (mm), yaw, pitch (rad), feed (mm). A pose is the product of exponentials of the screw axes,
-so an axis that a calibration has displaced is data like any other. Poses and twists are those of geometry/rigid.py:
-(rotation rad, translation mm), spatial, in MCS.
+so axes displaced by a calibration need no special case. Poses and twists as in geometry/rigid.py: (rotation rad,
+translation mm), spatial, in MCS.
 """
 
 from dataclasses import dataclass, replace
@@ -17,27 +18,28 @@ from sightline.geometry.rigid import adjoint, cross_matrix, displacement
 
 JOINTS = ("lift", "traverse", "yaw", "pitch", "feed")
 LIFT, TRAVERSE, YAW, PITCH, FEED = range(5)
-TURNS = np.array([False, False, True, True, False])
-ARM_JOINTS = 4  # that move the flange; the feed moves the wire on it
-WRIST_MM = (250.0, 0.0, 300.0)  # where yaw and pitch meet at q = 0, MCS [ours]
+ROTARY = np.array([False, False, True, True, False])
+ARM_JOINTS = 4  # joints that move the flange; the feed moves the wire on it
+WRIST_MM = (250.0, 0.0, 300.0)  # intersection of the yaw and pitch axes at q = 0, MCS [ours]
 TIP_MM = (0.0, -40.0, 250.0)  # the wire's tip at q = 0, flange coordinates: ahead of the wrist and below it [ours]
 HIP_MM = (0.0, -40.0, 400.0)  # origin of CFCS: on the wire's axis, 150 mm ahead of the retracted tip [ours]
 WIRE_YAW_RAD = float(np.deg2rad(45.0))  # a wire of 135° to the shaft, seen from the robot beside the patient [paper]
-# Newton stops here, on the tip (mm) and the direction (rad): rounding at 1 m is 1e-13.
-_SETTLED, _ROUNDS = 1e-11, 20
-_SLACK = 1e-9  # of a limit: what rounding may exceed it by
-_NONE = 1e-6  # a component this small gives no direction
+# Newton's stopping tolerance for the tip (mm) and the direction (rad): rounding at 1 m is 1e-13.
+_TOLERANCE, _MAX_ITERATIONS = 1e-11, 20
+_SLACK = 1e-9  # rounding allowed beyond a joint limit, mm or rad
+_MIN_COMPONENT = 1e-6  # a component smaller than this gives no direction
 
 
 @dataclass(frozen=True, eq=False)
 class Manipulator:
     """A manipulator of five joints, MCS. Arrays (5,) are in the joints' units: mm or rad, s; forces in N and N mm.
 
-    `axes` (5, 6): each joint's unit twist at q = 0; a rotation without pitch, or a translation. `T_mcs_flange_home`,
-    the flange at q = 0; `T_flange_tool`, on it the wire at feed 0: origin at the tip, +z along the wire towards it;
-    `T_flange_cfcs`, on it the frame. `backlash` is the whole play of a joint, behind its encoder, `stiffness` its
-    spring there, N/mm and N mm/rad; `column_stiffness` N/mm along X, where no joint moves. Defaults [ours]: a bench of
-    ball screws and geared rotations; yaw and pitch backlash of 0.05° as the accuracy trial fixes it.
+    `axes` (5, 6): each joint's unit twist at q = 0; a rotation without pitch, or a translation. `T_mcs_flange_home`:
+    the flange at q = 0. `T_flange_tool`: the wire on the flange at feed 0, origin at the tip, +z along the wire towards
+    it. `T_flange_cfcs`: the frame on the flange. `backlash`: total play of a joint, not seen by its encoder;
+    `stiffness`: of the joint behind its encoder, N/mm and N mm/rad; `column_stiffness`: N/mm along X, where no joint
+    moves. Defaults [ours]: a bench of ball screws and geared rotations; yaw and pitch backlash of 0.05° as in the
+    accuracy trial.
     """
 
     axes: np.ndarray
@@ -54,11 +56,11 @@ class Manipulator:
     column_stiffness: float
 
     def __post_init__(self) -> None:
-        turning = np.linalg.norm(self.axes[:, :3], axis=1)
-        moving = np.linalg.norm(self.axes[:, 3:], axis=1)
+        rotation = np.linalg.norm(self.axes[:, :3], axis=1)
+        translation = np.linalg.norm(self.axes[:, 3:], axis=1)
         pitch = np.einsum("ij,ij->i", self.axes[:, :3], self.axes[:, 3:])
-        if not np.allclose(np.where(TURNS, turning, moving), 1.0, atol=1e-9) or not np.allclose(
-            np.where(TURNS, pitch, turning), 0.0, atol=1e-9
+        if not np.allclose(np.where(ROTARY, rotation, translation), 1.0, atol=1e-9) or not np.allclose(
+            np.where(ROTARY, pitch, rotation), 0.0, atol=1e-9
         ):
             raise UnusableInputError(f"the axes of {', '.join(JOINTS)} must be unit twists without pitch")
         for array in (self.axes, self.lower, self.upper, self.speed, self.acceleration, self.resolution):
@@ -67,42 +69,43 @@ class Manipulator:
             array.flags.writeable = False
 
     def T_mcs_flange(self, q: np.ndarray) -> RigidTransform:
-        """Pose of the flange at q (5,) or (N, 5)."""
+        """Return the pose of the flange at q (5,) or (N, 5)."""
         return RigidTransform.from_matrix(self.stages(q)[..., ARM_JOINTS, :, :] @ self._flange)
 
     def T_mcs_tool(self, q: np.ndarray) -> RigidTransform:
-        """Pose of the wire's tip at q (5,) or (N, 5): +z along the wire, towards the tip."""
+        """Return the pose of the wire's tip at q (5,) or (N, 5): +z along the wire, towards the tip."""
         return RigidTransform.from_matrix(self.stages(q)[..., -1, :, :] @ self._tool)
 
     def T_mcs_cfcs(self, q: np.ndarray) -> RigidTransform:
-        """Pose of the frame at q (5,) or (N, 5)."""
+        """Return the pose of the frame at q (5,) or (N, 5)."""
         return self.T_mcs_flange(q) * self.T_flange_cfcs
 
     def flange_jacobian(self, q: np.ndarray) -> np.ndarray:
-        """(..., 6, 5): spatial twist of the flange per joint; the feed's column is zero."""
+        """Return the flange's spatial Jacobian (..., 6, 5), a twist per joint; the feed's column is zero."""
         out = self.tool_jacobian(q)
         out[..., FEED] = 0.0
         return out
 
     def tool_jacobian(self, q: np.ndarray) -> np.ndarray:
-        """(..., 6, 5): spatial twist of the tool per joint."""
+        """Return the tool's spatial Jacobian (..., 6, 5), a twist per joint."""
         before = self.stages(q)[..., :-1, :, :]
-        turn, shift = before[..., :3, :3], before[..., :3, 3]
-        rotation = np.einsum("...jab,jb->...ja", turn, self.axes[:, :3])
-        translation = np.einsum("...jab,jb->...ja", turn, self.axes[:, 3:]) + np.cross(shift, rotation)
+        rotated, shift = before[..., :3, :3], before[..., :3, 3]
+        rotation = np.einsum("...jab,jb->...ja", rotated, self.axes[:, :3])
+        translation = np.einsum("...jab,jb->...ja", rotated, self.axes[:, 3:]) + np.cross(shift, rotation)
         return np.swapaxes(np.concatenate([rotation, translation], axis=-1), -1, -2)
 
     def flange_parameter_jacobian(self, q: np.ndarray) -> np.ndarray:
-        """(..., 6, 36): spatial twist of the flange per entry of `displaced`'s twists; the feed's columns are zero."""
+        """Return the flange's spatial twist per entry of `displaced`'s twists, (..., 6, 36); the feed's columns are
+        zero."""
         return self._parameter_jacobian(q, ARM_JOINTS)
 
     def tool_parameter_jacobian(self, q: np.ndarray) -> np.ndarray:
-        """(..., 6, 36): spatial twist of the tool per entry of `displaced`'s twists."""
+        """Return the tool's spatial twist per entry of `displaced`'s twists, (..., 6, 36)."""
         return self._parameter_jacobian(q, len(JOINTS))
 
     def displaced(self, twists: np.ndarray) -> "Manipulator":
-        """The manipulator with its five axes, and the flange with all that is on it, each moved as a rigid body by a
-        twist (6, 6), spatial, at q = 0."""
+        """Return the manipulator with its five axes, and the flange with all that is on it, each displaced by a spatial
+        twist at q = 0, `twists` (6, 6)."""
         moves = RigidTransform.from_exp_coords(np.asarray(twists, dtype=np.float64).reshape(len(JOINTS) + 1, 6))
         return replace(
             self,
@@ -111,19 +114,19 @@ class Manipulator:
         )
 
     def inverse(self, entry_mm: np.ndarray, end_mm: np.ndarray, depth_mm: float = 0.0) -> np.ndarray:
-        """q (5,) that lays the wire on the line from entry to end (3,) MCS, its tip `depth_mm` beyond the entry.
+        """Return q (5,) that puts the wire on the line from entry to end (3,) MCS, its tip `depth_mm` beyond the entry.
 
-        Closed form for the nominal axes, any tool; then Newton's method, which moves only where axes are displaced.
-        Raises RobotRefusedError for a line out of reach, naming joints and by how much.
+        Closed form for the nominal axes and any tool, then Newton's method for displaced axes. Raises RobotRefusedError
+        for a line out of reach, naming the joints and by how much.
         """
         direction = _direction(entry_mm, end_mm)
         tip = np.asarray(entry_mm, dtype=np.float64) + depth_mm * direction
         if not np.isfinite(tip).all():
             raise UnusableInputError("a depth is a finite number")
         q = self._nominal_inverse(tip, direction)
-        for _ in range(_ROUNDS):
-            q, moved = self._newton(q, tip, direction)
-            if moved < _SETTLED:
+        for _ in range(_MAX_ITERATIONS):
+            q, off = self._newton(q, tip, direction)
+            if off < _TOLERANCE:
                 break
         else:
             raise RobotRefusedError(
@@ -134,13 +137,13 @@ class Manipulator:
         return q
 
     def beyond_limits(self, q: np.ndarray) -> np.ndarray:
-        """(..., 5): by how much each joint exceeds its limits, signed; 0 within them, NaN for what is no number."""
+        """Return by how much each joint exceeds its limits, signed, (..., 5); 0 within them, NaN for NaN."""
         q = np.asarray(q, dtype=np.float64)
         beyond = q - np.clip(q, self.lower, self.upper)
         return np.where(np.abs(beyond) <= _SLACK, 0.0, beyond)
 
     def stages(self, q: np.ndarray) -> np.ndarray:
-        """(..., 6, 4, 4): how what 0 to 5 joints carry has moved from where it is at q = 0, MCS."""
+        """Return the displacement from q = 0, MCS, of bodies carried by the first 0 to 5 joints, (..., 6, 4, 4)."""
         q = np.asarray(q, dtype=np.float64)
         if q.shape[-1:] != (len(JOINTS),):
             raise UnusableInputError(f"joint positions are (..., {len(JOINTS)}), not {q.shape}")
@@ -161,10 +164,10 @@ class Manipulator:
 
     @cached_property
     def _wrist(self) -> np.ndarray:
-        """(3,): where the axes of yaw and pitch meet, or are nearest, at q = 0."""
-        turn, moment = self.axes[[YAW, PITCH], :3], self.axes[[YAW, PITCH], 3:]
-        point = np.cross(turn, moment)
-        return nearest_approach(point[0], turn[0], point[1], turn[1]).middle_mm
+        """(3,): intersection, or point of nearest approach, of the yaw and pitch axes at q = 0, mm."""
+        axis, moment = self.axes[[YAW, PITCH], :3], self.axes[[YAW, PITCH], 3:]
+        point = np.cross(axis, moment)
+        return nearest_approach(point[0], axis[0], point[1], axis[1]).middle_mm
 
     @cached_property
     def _screws(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -173,7 +176,7 @@ class Manipulator:
         return cross, cross @ cross, self.axes[:, 3:]
 
     def _exponentials(self, q: np.ndarray) -> np.ndarray:
-        """(..., 5, 4, 4): each joint's own motion; Rodrigues, which for a translation leaves q v."""
+        """Return each joint's own motion, (..., 5, 4, 4): Rodrigues' formula, which for a translation gives q v."""
         cross, square, velocity = self._screws
         at = q[..., None, None]
         sine, versine = np.sin(at), 1 - np.cos(at)
@@ -185,7 +188,11 @@ class Manipulator:
         return out
 
     def _parameter_jacobian(self, q: np.ndarray, joints: int) -> np.ndarray:
-        """Moving an axis by x makes its motion exp(x) exp(axis q) exp(-x): x carried to before it less x after it."""
+        """Return the spatial twist per entry of `displaced`'s twists, (..., 6, 36).
+
+        Displacing an axis by x turns its motion into exp(x) exp(axis q) exp(-x). To first order that is x transformed
+        by the joints before it, less x transformed by these and the joint itself.
+        """
         stages = self.stages(q)
         carried = adjoint(RigidTransform.from_matrix(stages.reshape(-1, 4, 4))).reshape(*stages.shape[:-2], 6, 6)
         out = np.zeros((*stages.shape[:-3], 6, len(JOINTS) + 1, 6))
@@ -195,14 +202,15 @@ class Manipulator:
         return out.reshape(*out.shape[:-2], -1)
 
     def _nominal_inverse(self, tip: np.ndarray, direction: np.ndarray) -> np.ndarray:
-        """Closed form for vertical yaw, level pitch (positive lifts the tip), lift along Z and traverse along Y."""
+        """Return q (5,) in closed form for vertical yaw, level pitch (positive lifts the tip), lift along Z and
+        traverse along Y."""
         q = np.zeros(len(JOINTS))
         q[PITCH] = self._pitch(direction)
         wire, feed = _lifted(self._tool[:3, 2], q[PITCH]), _lifted(self.axes[FEED, 3:], q[PITCH])
-        q[YAW] = _between_turns(np.arctan2(direction[1], direction[0]) - np.arctan2(wire[1], wire[0]))
-        turn = Rotation.from_rotvec([0.0, 0.0, q[YAW]]).as_matrix()
-        reach, along = turn @ _lifted(self._tool[:3, 3] - self._wrist, q[PITCH]), turn @ feed
-        if np.hypot(*direction[:2]) < _NONE or abs(along[0]) < _NONE:
+        q[YAW] = _wrapped(np.arctan2(direction[1], direction[0]) - np.arctan2(wire[1], wire[0]))
+        yawed = Rotation.from_rotvec([0.0, 0.0, q[YAW]]).as_matrix()
+        reach, along = yawed @ _lifted(self._tool[:3, 3] - self._wrist, q[PITCH]), yawed @ feed
+        if np.hypot(*direction[:2]) < _MIN_COMPONENT or abs(along[0]) < _MIN_COMPONENT:
             raise RobotRefusedError(
                 "the line runs straight up or across the robot's front, where no joint reaches along it; move the base"
             )
@@ -211,7 +219,7 @@ class Manipulator:
         return q
 
     def _pitch(self, direction: np.ndarray) -> float:
-        """rad: pitch that gives the wire the height of a direction."""
+        """Return the pitch, rad, at which the wire has the elevation of a direction."""
         x, _, z = self._tool[:3, 2]
         radius = np.hypot(x, z)
         if abs(direction[2]) > radius:
@@ -219,11 +227,11 @@ class Manipulator:
         return float(np.arcsin(direction[2] / radius) - np.arctan2(z, x))
 
     def _newton(self, q: np.ndarray, tip: np.ndarray, direction: np.ndarray) -> tuple[np.ndarray, float]:
-        """One step, and how far off the wire was before it: mm and rad, the larger."""
+        """Return q after one Newton step, and the wire's largest error before it, in mm or rad."""
         tool = self.stages(q)[-1] @ self._tool
         off = np.concatenate([tip - tool[:3, 3], direction - tool[:3, 2]])
         size = float(np.abs(off).max())
-        if size < _SETTLED:
+        if size < _TOLERANCE:
             return q, size
         twist = self.tool_jacobian(q)
         design = np.concatenate([displacement(tool[:3, 3]) @ twist, -cross_matrix(tool[:3, 2]) @ twist[:3]])
@@ -231,21 +239,21 @@ class Manipulator:
 
     def _refuse_beyond(self, q: np.ndarray) -> None:
         beyond = self.beyond_limits(q)
-        said = [said_beyond(joint, q[joint], beyond[joint]) for joint in np.flatnonzero(beyond).tolist()]
+        said = [describe_excess(joint, q[joint], beyond[joint]) for joint in np.flatnonzero(beyond).tolist()]
         if said:
             raise RobotRefusedError(f"the line is out of reach: {'; '.join(said)}; move the robot's base or the line")
 
 
 def imaging_yaw(side: str) -> float:
-    """rad: at which the frame on its nominal mount stands level and square to the patient."""
+    """Return the yaw, rad, at which the frame on its nominal mount is level and square to the patient."""
     return WIRE_YAW_RAD if side == "right" else -WIRE_YAW_RAD
 
 
 def nominal_manipulator(side: str = "right") -> Manipulator:
-    """The manipulator as designed, with the Γ frame mounted for a hip of the patient's `side`.
+    """Return the manipulator as designed, with the Γ frame mounted for a hip of the patient's `side`.
 
-    The robot stands beside the patient: +X medial, +Z anterior. The mount turns the frame against the wire so that
-    its beams are level and upright at the yaw of a typical wire.
+    The robot stands beside the patient: +X medial, +Z anterior. The mount rotates the frame relative to the wire, so
+    that its beams are level and upright at the yaw of a typical wire.
     """
     if side not in ("right", "left"):
         raise UnusableInputError(f"a hip's side is 'right' or 'left', not {side!r}")
@@ -277,7 +285,7 @@ def nominal_manipulator(side: str = "right") -> Manipulator:
 
 
 def _per_joint(slide: float, yaw_deg: float, pitch_deg: float, feed: float) -> np.ndarray:
-    """(5,): lift and traverse alike; degrees made rad."""
+    """Return values per joint (5,): lift and traverse alike; degrees converted to rad."""
     return np.array([slide, slide, np.deg2rad(yaw_deg), np.deg2rad(pitch_deg), feed])
 
 
@@ -292,18 +300,18 @@ def _direction(entry_mm: np.ndarray, end_mm: np.ndarray) -> np.ndarray:
 
 
 def _lifted(vector: np.ndarray, pitch: float) -> np.ndarray:
-    """(3,): turned by a positive pitch at yaw 0: X towards Z."""
+    """Return a vector (3,) rotated by a positive pitch at yaw 0: X towards Z."""
     x, y, z = vector
     return np.array([np.cos(pitch) * x - np.sin(pitch) * z, y, np.sin(pitch) * x + np.cos(pitch) * z])
 
 
-def _between_turns(angle: float) -> float:
-    """rad: within ±π."""
+def _wrapped(angle: float) -> float:
+    """Return an angle, rad, wrapped to ±π."""
     return float((angle + np.pi) % (2 * np.pi) - np.pi)
 
 
-def said_beyond(joint: int, q: float, beyond: float) -> str:
-    """A joint that would have to leave its limits, for a person to read."""
-    scale, unit = (float(np.rad2deg(1.0)), "°") if TURNS[joint] else (1.0, " mm")
+def describe_excess(joint: int, q: float, beyond: float) -> str:
+    """Return the text that says by how much a joint would exceed its limit."""
+    scale, unit = (float(np.rad2deg(1.0)), "°") if ROTARY[joint] else (1.0, " mm")
     at, by, limit = (f"{scale * value:.1f}{unit}" for value in (q, abs(beyond), q - beyond))
     return f"{JOINTS[joint]} would go to {at}, {by} beyond its limit of {limit}"

@@ -1,4 +1,4 @@
-"""A robot as it was measured, in one file: its calibration, whose it is, and where it stood at the images."""
+"""The robot's file: its calibration, its identity, and its pose at the images."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
@@ -22,14 +22,14 @@ from sightline.robot.kinematics.registration import PoseAtImage, Registration, r
 from sightline.robot.kinematics.target import LIFETIME_S
 
 MAX_BYTES = 2**20  # [ours] 36 x 36 numbers take 30 kB; 200 poses of 20 targets 300 kB
-CALIBRATION_DAYS = 90  # a knock on the flange goes unnoticed; so old a calibration must be measured again [ours]
+CALIBRATION_DAYS = 90  # validity of a calibration: a knock on the flange goes unnoticed [ours]
 VIEWS = ("pa", "lateral")
 
 Number = Annotated[float, Field(allow_inf_nan=False, ge=-1e5, le=1e5)]
 Positive = Annotated[float, Field(allow_inf_nan=False, gt=0, le=10)]
 Serial = Annotated[str, Field(min_length=1, max_length=80)]
 Side = Literal["right", "left"]
-Point = tuple[Number, Number, Number]
+Coordinates = tuple[Number, Number, Number]
 Joints = tuple[Number, Number, Number, Number, Number]
 Row4 = tuple[Number, Number, Number, Number]
 Pose = tuple[Row4, Row4, Row4, Row4]
@@ -41,31 +41,31 @@ class _Part(BaseModel):
 
 
 class AxesPart(_Part):
-    """Targets on the flange, measured at several joint positions: (N, 5) and (N, M, 3) mm, MCS."""
+    """Targets on the flange, measured at several joint positions: `q` (N, 5) and `targets_mm` (N, M, 3), MCS."""
 
     sd_mm: Positive
     q: Annotated[list[Joints], Field(max_length=500)]
-    targets_mm: Annotated[list[Annotated[list[Point], Field(max_length=50)]], Field(max_length=500)]
+    targets_mm: Annotated[list[Annotated[list[Coordinates], Field(max_length=50)]], Field(max_length=500)]
 
 
 class FramePart(_Part):
-    """Points of the frame, in its own coordinates (CFCS) and measured in the flange's, mm."""
+    """Points of the frame, in CFCS and as measured in flange coordinates, mm."""
 
     sd_mm: Positive
-    own_mm: Annotated[list[Point], Field(max_length=500)]
-    flange_mm: Annotated[list[Point], Field(max_length=500)]
+    own_mm: Annotated[list[Coordinates], Field(max_length=500)]
+    flange_mm: Annotated[list[Coordinates], Field(max_length=500)]
 
 
 class WirePart(_Part):
-    """The wire's tip at several feeds, mm, in the flange's coordinates."""
+    """The wire's tip at several feeds, flange coordinates, mm."""
 
     sd_mm: Positive
     feed_mm: Annotated[list[Number], Field(max_length=500)]
-    tip_flange_mm: Annotated[list[Point], Field(max_length=500)]
+    tip_flange_mm: Annotated[list[Coordinates], Field(max_length=500)]
 
 
 class Measurements(_Part):
-    """What a person measured on a robot, and on what."""
+    """Measurements of one robot, the input of its calibration."""
 
     schema_: Annotated[Literal["sightline-robot-measurements/1"], Field(alias="schema")]
     robot_serial: Serial
@@ -78,7 +78,7 @@ class Measurements(_Part):
 
     @staticmethod
     def read(file: Path) -> "Measurements":
-        """From its file. Raises UnusableInputError."""
+        """Return the measurements in a file. Raises UnusableInputError."""
         return _read(file, Measurements)
 
 
@@ -92,7 +92,7 @@ class ManipulatorPart(_Part):
 
 
 class ImagePart(_Part):
-    """Joints at an image, when they were read, s since 1970, and the image's file, named by its bytes."""
+    """Joints at an image, the time of their reading in s since 1970, and the hash of the image's file."""
 
     q: Joints
     read_s: Annotated[float, Field(allow_inf_nan=False, ge=0, le=1e11)]
@@ -100,7 +100,7 @@ class ImagePart(_Part):
 
 
 class RobotFile(_Part):
-    """A measured robot. `covariance` (36, 36) as in `CalibratedRobot`; `images`: where it stood, by view."""
+    """A calibrated robot as stored. `covariance` (36, 36) as in `CalibratedRobot`; `images`: its joints, by view."""
 
     schema_: Annotated[Literal["sightline-robot/1"], Field(alias="schema")] = "sightline-robot/1"
     robot_serial: Serial
@@ -116,9 +116,9 @@ class RobotFile(_Part):
 
     @staticmethod
     def calibrated(said: Measurements) -> "tuple[RobotFile, dict[str, float]]":
-        """The robot that was measured, and the rms of each measurement's residuals, mm.
+        """Return the robot from its measurements, and the rms residual of each calibration, mm.
 
-        Raises UnusableInputError, RobotRefusedError for measurements that contradict each other."""
+        Raises UnusableInputError, and RobotRefusedError for measurements that contradict each other."""
         axes = calibrate_axes(
             nominal_manipulator(said.side), np.array(said.axes.q), _even(said.axes.targets_mm), said.axes.sd_mm
         )
@@ -151,7 +151,7 @@ class RobotFile(_Part):
 
     @staticmethod
     def read(file: Path) -> "RobotFile":
-        """From its file. Raises UnusableInputError for what is not a robot, wherever it is not one."""
+        """Return the robot in a file. Raises UnusableInputError for a file that is not a valid robot."""
         out = _read(file, RobotFile)
         try:
             out.robot()
@@ -160,11 +160,11 @@ class RobotFile(_Part):
         return out
 
     def write(self, file: Path) -> None:
-        """Whole or not at all."""
+        """Write the file atomically."""
         write_whole(file, self.model_dump_json(by_alias=True, indent=1).encode())
 
     def robot(self) -> CalibratedRobot:
-        """As calibrated. Raises UnusableInputError."""
+        """Return the calibrated robot. Raises UnusableInputError."""
         part, nominal = self.manipulator, nominal_manipulator(self.side)
         manipulator = replace(
             nominal,
@@ -179,25 +179,26 @@ class RobotFile(_Part):
         return CalibratedRobot(manipulator, covariance, np.array(self.compliance_sd))
 
     def refuse_old(self, now_s: float) -> None:
-        """Raise RobotRefusedError where the calibration is too old, or is of a time to come."""
+        """Raise RobotRefusedError if the calibration is too old, or dated in the future."""
         now = datetime.fromtimestamp(now_s, UTC)
         age = now - _aware(self.measured_on)
         if not timedelta(0) <= age <= timedelta(days=CALIBRATION_DAYS):
             raise RobotRefusedError(
                 f"the robot was calibrated on {self.measured_on:%Y-%m-%d}: {age.days} days ago (0 to "
-                f"{CALIBRATION_DAYS} are taken); look at the clock, or calibrate it again"
+                f"{CALIBRATION_DAYS} are accepted); check the clock, or calibrate it again"
             )
 
     def refuse_moved(self, before: np.ndarray, after: np.ndarray) -> None:
-        """Raise RobotRefusedError where the robot did not stand still between two readings of its joints."""
+        """Raise RobotRefusedError if the robot moved between two readings of its joints."""
         register(self.robot(), {"one": PoseAtImage(before, 0.0, 0.0), "other": PoseAtImage(after, 0.0, 0.0)})
 
     def at_image(self, view: Literal["pa", "lateral"], q: np.ndarray, now_s: float, source: str) -> "RobotFile":
-        """With the joints at an image taken just now. An image so old that a plan on it has expired is dropped, and so
-        is one of a time to come: the clock was set back since, and its age is not known.
-        `source`: the image's file by its bytes, as the plan on it will name it.
+        """Return the file with the joints at an image taken just now. `source`: hash of the image's file, as the plan
+        will name it.
 
-        Raises RobotRefusedError for joints that cannot be, and for a robot that moved since the other image."""
+        Images on which a plan would have expired are dropped. So are images dated in the future: the clock was set back
+        since, so their age is unknown. Raises RobotRefusedError for impossible joints, and for a robot that moved since
+        the other image."""
         if q.shape != (5,) or not np.isfinite(q).all():
             raise UnusableInputError("the robot's pose at an image needs five finite joint positions: docs/robot.md")
         joints: Any = tuple(float(one) for one in q)
@@ -209,7 +210,7 @@ class RobotFile(_Part):
         return out
 
     def registration(self) -> Registration:
-        """Where the frame stood at both images. Raises RobotRefusedError."""
+        """Return the frame's registration at both images. Raises RobotRefusedError."""
         missing = [view for view in VIEWS if view not in self.images]
         if missing:
             raise RobotRefusedError(
@@ -218,13 +219,13 @@ class RobotFile(_Part):
         return self._registration()
 
     def _registration(self) -> Registration:
-        """Of the images that there are."""
+        """Return the registration from the images present."""
         poses = {str(view): PoseAtImage(np.array(one.q), one.read_s, one.read_s) for view, one in self.images.items()}
         return register(self.robot(), poses)
 
     def refuse_other_images(self, images: Mapping[str, str]) -> None:
-        """Raise RobotRefusedError unless a plan was made on the very images that were registered; `images`: the file of
-        each of its views, named by its bytes."""
+        """Raise RobotRefusedError unless a plan was made on the registered images. `images`: hash of the image file, by
+        view."""
         for view, registered in self.images.items():
             if not registered.source or images.get(view) != registered.source:
                 raise RobotRefusedError(
@@ -234,7 +235,8 @@ class RobotFile(_Part):
                 )
 
     def refuse_other(self, side: str | None, frame_serial: str | None, now_s: float) -> None:
-        """Raise RobotRefusedError where a plan is of another side or frame than this robot's, or it is too old."""
+        """Raise RobotRefusedError if a plan's side or frame differs from this robot's, or its calibration is too
+        old."""
         self.refuse_old(now_s)
         for what, planned, here in (("side", side, self.side), ("frame serial", frame_serial, self.frame_serial)):
             if planned != here:
@@ -255,7 +257,7 @@ def _read(file: Path, kind: type[Any]) -> Any:
         raise UnusableInputError(f"{file.name} is not JSON: {str(error)[:200]}") from None
 
 
-def _even(rows: list[list[Point]]) -> np.ndarray:
+def _even(rows: list[list[Coordinates]]) -> np.ndarray:
     if len({len(row) for row in rows}) != 1:
         raise UnusableInputError("the same targets must be measured at every position of the joints")
     return np.array(rows)
@@ -270,7 +272,7 @@ def _rigid(name: str, rows: Iterable[Iterable[float]]) -> RigidTransform:
 
 
 def _aware(when: datetime) -> datetime:
-    """A date without a zone is of this computer's."""
+    """Return a date in UTC; without a zone it is taken as this computer's local time."""
     return when.astimezone(UTC)
 
 

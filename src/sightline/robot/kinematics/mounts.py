@@ -1,4 +1,4 @@
-"""Where frame and wire sit on the flange: measured directly, or found from the poses of frame and flange."""
+"""Mounts: poses of frame and wire on the flange, measured directly or by hand-eye calibration."""
 
 from dataclasses import dataclass
 
@@ -9,17 +9,17 @@ from scipy.special import chdtrc  # not scipy.stats, which takes half a second t
 from sightline.errors import RobotRefusedError, UnusableInputError
 from sightline.geometry.rigid import adjoint, displacement
 
-# A fit this unlikely means points that are swapped, or a stated accuracy that is none [ours].
-LEAST_PROBABILITY = 1e-4
-# Rotations between the poses of a hand-eye calibration: less leaves the lever arm undetermined [ours].
-LEAST_TURN_RAD = float(np.deg2rad(10.0))
-_ROUNDS, _SETTLED = 50, 1e-10
+# A fit less probable than this means swapped points or a wrong stated accuracy [ours].
+MIN_PROBABILITY = 1e-4
+# Least rotation between the poses of a hand-eye calibration: less leaves the lever arm undetermined [ours].
+MIN_ROTATION_RAD = float(np.deg2rad(10.0))
+_MAX_ITERATIONS, _TOLERANCE = 50, 1e-10
 
 
 @dataclass(frozen=True, eq=False)
 class Mount:
-    """A pose on the flange: `pose` maps its coordinates to the flange's; `covariance` (6, 6) of its error as a
-    spatial twist in flange coordinates (rad, mm); `residual_mm` (N,) of the points it was measured by."""
+    """A pose on the flange: `pose` maps mount coordinates to flange coordinates; `covariance` (6, 6): of its error as a
+    spatial twist in flange coordinates (rad, mm); `residual_mm` (N,): of the measured points."""
 
     pose: RigidTransform
     covariance: np.ndarray
@@ -27,10 +27,10 @@ class Mount:
 
 
 def measured_mount(own_mm: np.ndarray, flange_mm: np.ndarray, sd_mm: float) -> Mount:
-    """A mount from N >= 3 points known in its own coordinates and measured in the flange's, both (N, 3).
+    """Return a mount from N >= 3 points known in its own coordinates and measured in the flange's, both (N, 3).
 
-    `sd_mm`: error of a measured point, per axis. Raises UnusableInputError for points that determine no pose,
-    RobotRefusedError for points that contradict each other.
+    `sd_mm`: standard deviation of a measured point, per axis. Raises UnusableInputError for points that determine no
+    pose, RobotRefusedError for points that contradict each other.
     """
     own, flange = (np.asarray(points, dtype=np.float64) for points in (own_mm, flange_mm))
     _need(own.shape == flange.shape and own.ndim == 2 and len(own) >= 3, "a mount needs three points or more, twice")
@@ -46,10 +46,10 @@ def measured_mount(own_mm: np.ndarray, flange_mm: np.ndarray, sd_mm: float) -> M
 
 
 def measured_axis(feed_mm: np.ndarray, tip_flange_mm: np.ndarray, sd_mm: float) -> Mount:
-    """The wire on the flange from its tip measured at N >= 2 feeds (N,), in flange coordinates (N, 3).
+    """Return the wire's mount from its tip measured at N >= 2 feeds (N,), in flange coordinates (N, 3).
 
-    The pose's origin is the tip at feed 0 and its +z the direction of feed; the turn about it has no meaning and no
-    error. Raises UnusableInputError, and RobotRefusedError where tips leave the line or move otherwise than fed.
+    The pose's origin is the tip at feed 0 and its +z the direction of feed; the rotation about +z is arbitrary and has
+    no error. Raises UnusableInputError, and RobotRefusedError for tips off the line or not moved as fed.
     """
     feed, tip = np.asarray(feed_mm, dtype=np.float64), np.asarray(tip_flange_mm, dtype=np.float64)
     _need(tip.shape == (len(feed), 3) and len(feed) >= 2, "a wire's axis needs its tip at two feeds or more")
@@ -66,30 +66,31 @@ def measured_axis(feed_mm: np.ndarray, tip_flange_mm: np.ndarray, sd_mm: float) 
     across = np.linalg.svd(z[None])[2][1:]
     x, y = across if np.linalg.det(np.vstack([across, z])) > 0 else across[::-1]
     pose = RigidTransform.from_components(origin, Rotation.from_matrix(np.stack([x, y, z], axis=1)))
-    # Of (origin, slope), per axis; a slope's error dz across z is the rotation z x dz, about the origin.
+    # Covariance of (origin, slope), per axis; a slope error dz across z is the rotation z x dz about the origin.
     normal = sd_mm**2 * np.linalg.inv(design.T @ design)
     joint = np.kron(normal, np.eye(3))
-    turn = np.cross(z, np.eye(3)).T
+    to_rotation = np.cross(z, np.eye(3)).T
     to_twist = np.zeros((6, 6))
-    to_twist[:3, 3:] = turn
+    to_twist[:3, 3:] = to_rotation
     to_twist[3:, :3] = np.eye(3)
-    to_twist[3:, 3:] = -displacement(origin)[:, :3] @ turn  # the twist turns about the flange's origin
+    to_twist[3:, 3:] = -displacement(origin)[:, :3] @ to_rotation  # the twist rotates about the flange's origin
     return Mount(pose, to_twist @ joint @ to_twist.T, np.linalg.norm(residual, axis=1))
 
 
 def hand_eye(T_mcs_flange: RigidTransform, T_world_mount: RigidTransform, covariance: np.ndarray) -> Mount:
-    """A mount from N >= 3 poses of flange and mount; the latter in a tracker's coordinates, fixed in the room.
+    """Return a mount from N >= 3 poses of flange and mount; the latter in the coordinates of a tracker fixed in the
+    theatre.
 
-    `covariance` (6, 6): of each measured pose of the mount, as a twist in the mount's own coordinates. Where the world
-    stands is found with it. Raises UnusableInputError, and RobotRefusedError for too little rotation between the
-    poses or for poses that contradict each other.
+    `covariance` (6, 6): of each measured pose of the mount, as a twist in the mount's own coordinates. The tracker's
+    pose is estimated too. Raises UnusableInputError, and RobotRefusedError for too little rotation between the poses or
+    for poses that contradict each other.
     """
     n = len(T_mcs_flange)
     _need(len(T_world_mount) == n and n >= 3, "a hand-eye calibration needs three poses or more, of both")
-    _enough_turns(T_mcs_flange.rotation)
+    _refuse_small_rotations(T_mcs_flange.rotation)
     mount, world = _hand_eye_start(T_mcs_flange, T_world_mount)
     root = np.linalg.inv(np.linalg.cholesky(covariance))
-    for _ in range(_ROUNDS):
+    for _ in range(_MAX_ITERATIONS):
         expected = world * T_mcs_flange * mount
         error = (expected.inv() * T_world_mount).as_exp_coords() @ root.T
         back = adjoint((T_mcs_flange * mount).inv())
@@ -98,7 +99,7 @@ def hand_eye(T_mcs_flange: RigidTransform, T_world_mount: RigidTransform, covari
         step, *_ = np.linalg.lstsq(design, error.ravel(), rcond=None)
         mount = RigidTransform.from_exp_coords(step[:6]) * mount
         world = world * RigidTransform.from_exp_coords(step[6:])
-        if np.abs(step).max() < _SETTLED:
+        if np.abs(step).max() < _TOLERANCE:
             break
     else:
         raise RobotRefusedError("the hand-eye calibration does not settle; the poses of frame and flange do not match")
@@ -109,38 +110,39 @@ def hand_eye(T_mcs_flange: RigidTransform, T_world_mount: RigidTransform, covari
 
 
 def _hand_eye_start(flange: RigidTransform, seen: RigidTransform) -> tuple[RigidTransform, RigidTransform]:
-    """Mount and world, least squares in closed form: rotations from those between the poses, then translations."""
+    """Return (mount, world) by least squares in closed form: rotations from relative rotations, then translations."""
     pairs = [(i, j) for i in range(len(flange)) for j in range(i)]
     i, j = np.array(pairs).T
     moved = (flange[j].inv() * flange[i]).rotation.as_rotvec()
     shown = (seen[j].inv() * seen[i]).rotation.as_rotvec()
-    rotation, *_ = Rotation.align_vectors(moved, shown)  # of the mount: the same turn about axes seen from both
-    turn = (seen.rotation * rotation.inv() * flange.rotation.inv()).mean()
-    # seen = turn (R_flange m + t_flange) + w, linear in m and w
-    lever = (turn * flange.rotation).as_matrix()
+    # The mount's rotation maps one set of relative rotation vectors to the other.
+    rotation, *_ = Rotation.align_vectors(moved, shown)
+    to_world = (seen.rotation * rotation.inv() * flange.rotation.inv()).mean()
+    # seen = to_world (R_flange m + t_flange) + w, linear in m and w
+    lever = (to_world * flange.rotation).as_matrix()
     design = np.concatenate([lever, np.broadcast_to(np.eye(3), lever.shape)], axis=-1).reshape(-1, 6)
-    rest = seen.translation - turn.apply(flange.translation)
+    rest = seen.translation - to_world.apply(flange.translation)
     (*solution,) = np.linalg.lstsq(design, rest.ravel(), rcond=None)[0]
     return (
         RigidTransform.from_components(np.array(solution[:3]), rotation),
-        RigidTransform.from_components(np.array(solution[3:]), turn),
+        RigidTransform.from_components(np.array(solution[3:]), to_world),
     )
 
 
-def _enough_turns(rotation: Rotation) -> None:
-    """Rotations about one axis alone leave the place along it open."""
-    turns = (rotation[0].inv() * rotation).as_rotvec()
-    second = np.linalg.svd(turns, compute_uv=False)[1]
-    if second < LEAST_TURN_RAD:
+def _refuse_small_rotations(rotation: Rotation) -> None:
+    """Raise RobotRefusedError unless the poses rotate about two axes: one axis leaves the position along it open."""
+    rotations = (rotation[0].inv() * rotation).as_rotvec()
+    second = np.linalg.svd(rotations, compute_uv=False)[1]
+    if second < MIN_ROTATION_RAD:
         raise RobotRefusedError(
-            f"the poses turn by {np.rad2deg(second):.1f}° about a second axis, at least "
-            f"{np.rad2deg(LEAST_TURN_RAD):.0f}° are needed; turn the wrist about both of its axes"
+            f"the poses rotate by {np.rad2deg(second):.1f}° about a second axis, at least "
+            f"{np.rad2deg(MIN_ROTATION_RAD):.0f}° are needed; rotate the wrist about both of its axes"
         )
 
 
 def refuse_unlikely(squares: float, freedom: int, what: str) -> None:
-    """Raise RobotRefusedError where a sum of squares of so many degrees of freedom shows that something is wrong."""
-    if freedom > 0 and chdtrc(freedom, squares) < LEAST_PROBABILITY:
+    """Raise RobotRefusedError if a normalised sum of squares is improbable for its degrees of freedom."""
+    if freedom > 0 and chdtrc(freedom, squares) < MIN_PROBABILITY:
         raise RobotRefusedError(
             f"{what} are {np.sqrt(squares / freedom):.1f} times further off than their stated accuracy allows: two are "
             "swapped, something moved, or the accuracy stated is too good; measure again"

@@ -1,7 +1,7 @@
-"""May the robot go there? Joint limits and clearances along the whole path, before anything moves.
+"""Collision check of a path before motion: joint limits and clearances along straight lines in joint space.
 
-The robot is capsules, what stands around it is boxes and exact distances between them, along straight lines in joint
-space. The wire, its guide and what they touch are left out: they are meant to touch the patient.
+The robot is modelled by capsules, its surroundings by boxes; distances between them are exact. Wire and guide are left
+out: they are meant to touch the patient.
 """
 
 from collections.abc import Iterable
@@ -13,18 +13,18 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from sightline.checks import Check
 from sightline.errors import UnusableInputError
-from sightline.robot.kinematics.manipulator import ARM_JOINTS, JOINTS, TURNS, Manipulator, said_beyond
+from sightline.robot.kinematics.manipulator import ARM_JOINTS, JOINTS, ROTARY, Manipulator, describe_excess
 
-CLEARANCE_MM = 5.0  # what must be left to everything: drapes, a registration that errs by a millimetre [ours]
-REMOUNT_LIMIT_MM = 0.1  # of a frame taken off and put back: as good as its hand-eye calibration [ours]
-STEP_MM = 2.0  # no point of the robot moves further between two positions that are looked at
-_LEVER_MM = 700.0  # from the wrist to the frame's furthest corner, and more
+CLEARANCE_MM = 5.0  # least clearance: allows for drapes and a registration error of a millimetre [ours]
+REMOUNT_LIMIT_MM = 0.1  # repeatability of a remounted frame: as good as its hand-eye calibration [ours]
+STEP_MM = 2.0  # largest movement of any point of the robot between two checked positions
+_LEVER_MM = 700.0  # more than the distance from the wrist to the frame's furthest corner
 
 
 @dataclass(frozen=True, eq=False)
-class Part:
-    """A capsule of the robot: all points within `radius_mm` of a line `ends_mm` (2, 3), flange coordinates at q = 0;
-    the first `joints` of the joints carry it."""
+class Capsule:
+    """A part of the robot as a capsule: all points within `radius_mm` of a segment `ends_mm` (2, 3), flange coordinates
+    at q = 0. The first `joints` joints move it."""
 
     name: str
     joints: int
@@ -34,7 +34,7 @@ class Part:
 
 @dataclass(frozen=True, eq=False)
 class Obstacle:
-    """A box: `T_mcs_box` puts its middle and its axes, `half_mm` (3,) are half its edges. Several may have one name."""
+    """A box: `T_mcs_box` is the pose of its centre, `half_mm` (3,) are half its edges. Boxes may share a name."""
 
     name: str
     T_mcs_box: RigidTransform
@@ -42,28 +42,28 @@ class Obstacle:
 
 
 @dataclass(frozen=True, eq=False)
-class Theatre:
-    """What stands around the robot, and what it holds. `frame_mounted`: the frame is still on the flange.
-    `remount_mm`: how well a frame that was taken off since its calibration repeats its place; None: it never was."""
+class Surroundings:
+    """The obstacles around the robot, and the frame it holds. `frame_mounted`: the frame is still on the flange.
+    `remount_mm`: repeatability of a frame removed since its calibration; None: it was not removed."""
 
     obstacles: tuple[Obstacle, ...]
     frame_mounted: bool = True
     remount_mm: float | None = None
 
 
-# Of the machine as drawn in docs/robot.md, flange coordinates: z along the wire, y up [ours]. The drill's body ends
-# 200 mm behind the tip, as long as the wire [paper].
+# The machine as drawn in docs/robot.md, flange coordinates: z along the wire, y up [ours]. The drill's body ends 200 mm
+# behind the tip, the length of the wire [paper].
 MACHINE = (
-    Part("column", 0, np.array([[0.0, -600.0, -220.0], [0.0, 200.0, -220.0]]), 80.0),
-    Part("arm", 2, np.array([[0.0, 0.0, -200.0], [0.0, 0.0, 0.0]]), 60.0),
-    Part("slide", ARM_JOINTS, np.array([[0.0, -40.0, -120.0], [0.0, -40.0, 120.0]]), 45.0),
-    Part("drill", len(JOINTS), np.array([[0.0, -40.0, -110.0], [0.0, -40.0, -40.0]]), 35.0),
-    Part("chuck", len(JOINTS), np.array([[0.0, -40.0, -40.0], [0.0, -40.0, 55.0]]), 15.0),
+    Capsule("column", 0, np.array([[0.0, -600.0, -220.0], [0.0, 200.0, -220.0]]), 80.0),
+    Capsule("arm", 2, np.array([[0.0, 0.0, -200.0], [0.0, 0.0, 0.0]]), 60.0),
+    Capsule("slide", ARM_JOINTS, np.array([[0.0, -40.0, -120.0], [0.0, -40.0, 120.0]]), 45.0),
+    Capsule("drill", len(JOINTS), np.array([[0.0, -40.0, -110.0], [0.0, -40.0, -40.0]]), 35.0),
+    Capsule("chuck", len(JOINTS), np.array([[0.0, -40.0, -40.0], [0.0, -40.0, 55.0]]), 15.0),
 )
 # Rims of the Γ frame's plates, CFCS: distance from the hip, half-edge; half their thickness (docs/frame-file.md).
 PLATES_MM = ((150.0, 64.0), (300.0, 74.0))
 PLATE_RADIUS_MM = 4.0
-# About the hip's centre, CFCS (lateral, caudal or cranial, anterior): low and high corner.
+# Corners of boxes about the hip's centre, CFCS (lateral, caudal or cranial, anterior): low and high.
 PATIENT_MM = (
     (-300.0, -900.0, -115.0),
     (70.0, 900.0, 100.0),
@@ -74,12 +74,14 @@ DETECTOR_FACE_MM, DETECTOR_HALF_MM = 380.0, (150.0, 150.0, 175.0)
 SWING_RAD = np.deg2rad(np.arange(0.0, 90.1, 7.5))  # from the PA to the lateral view
 
 
-def hip_theatre(T_mcs_cfcs: RigidTransform, frame_mounted: bool = True, remount_mm: float | None = None) -> Theatre:
-    """A supine patient on a table, hip at the frame's origin, and the C-arm that swings between its two views."""
-    swung = [Rotation.from_euler("y", angle) for angle in SWING_RAD]  # +Z towards +X: anterior towards lateral
+def hip_surroundings(
+    T_mcs_cfcs: RigidTransform, frame_mounted: bool = True, remount_mm: float | None = None
+) -> Surroundings:
+    """Return a supine patient on a table, hip at the frame's origin, and the C-arm as it swings between its views."""
+    swings = [Rotation.from_euler("y", angle) for angle in SWING_RAD]  # +Z towards +X: anterior towards lateral
     out = (DETECTOR_FACE_MM + DETECTOR_HALF_MM[2]) * np.array([0.0, 0.0, 1.0])
-    poses = [RigidTransform.from_components(turn.apply(out), turn) for turn in swung]
-    return Theatre(
+    poses = [RigidTransform.from_components(swing.apply(out), swing) for swing in swings]
+    return Surroundings(
         (
             _box("patient", T_mcs_cfcs, *PATIENT_MM),
             _box("table", T_mcs_cfcs, *TABLE_MM),
@@ -90,26 +92,26 @@ def hip_theatre(T_mcs_cfcs: RigidTransform, frame_mounted: bool = True, remount_
     )
 
 
-def check_reach(robot: Manipulator, waypoints: np.ndarray, theatre: Theatre) -> tuple[Check, ...]:
-    """Of a path through joint positions (K, 5), straight between them, all joints together: joint limits, what is left
-    to each obstacle, and whether the frame is where its calibration says. Raises UnusableInputError."""
+def check_reach(robot: Manipulator, waypoints: np.ndarray, surroundings: Surroundings) -> tuple[Check, ...]:
+    """Return the checks of a path through joint positions (K, 5), straight between them: joint limits, clearance to
+    each obstacle, and whether a remounted frame repeats its place. Raises UnusableInputError."""
     waypoints = np.asarray(waypoints, dtype=np.float64)
     if waypoints.ndim != 2 or waypoints.shape[1] != len(JOINTS) or not np.isfinite(waypoints).all():
         raise UnusableInputError(f"a path is one or more positions of {len(JOINTS)} finite joints")
     path = between(waypoints)
-    parts = [*MACHINE, *(frame_parts(robot) if theatre.frame_mounted else ())]
-    names = dict.fromkeys(obstacle.name for obstacle in theatre.obstacles)
-    lines = _lines(robot, path, parts)
+    capsules = [*MACHINE, *(frame_capsules(robot) if surroundings.frame_mounted else ())]
+    names = dict.fromkeys(obstacle.name for obstacle in surroundings.obstacles)
+    axes = _axes(robot, path, capsules)
     return (
         _limits(robot, path),
-        *(_clearance(name, [o for o in theatre.obstacles if o.name == name], parts, lines) for name in names),
-        _remount(theatre),
+        *(_clearance(name, [o for o in surroundings.obstacles if o.name == name], capsules, axes) for name in names),
+        _remount(surroundings),
     )
 
 
 def segment_to_box_mm(ends_mm: np.ndarray, half_mm: np.ndarray) -> np.ndarray:
-    """(...): distance of lines (..., 2, 3) from a box about the origin; 0 inside. The squared distance is convex along
-    a line, so its slope is bisected."""
+    """Return the distance (...) of segments (..., 2, 3) from a box centred on the origin; 0 inside. The squared
+    distance is convex along a segment, so its slope is bisected."""
     start, way = ends_mm[..., 0, :], ends_mm[..., 1, :] - ends_mm[..., 0, :]
     low, high = np.zeros(start.shape[:-1]), np.ones(start.shape[:-1])
     for _ in range(50):
@@ -122,47 +124,49 @@ def segment_to_box_mm(ends_mm: np.ndarray, half_mm: np.ndarray) -> np.ndarray:
 
 
 def between(waypoints: np.ndarray) -> np.ndarray:
-    """(N, 5): the waypoints, and as many positions between them as STEP_MM asks."""
+    """Return the path (N, 5): the waypoints, with positions between them at most STEP_MM apart."""
     path = [waypoints[:1]]
     for start, end in pairwise(waypoints):
-        far = np.abs(end - start) @ np.where(TURNS, _LEVER_MM, 1.0)
+        far = np.abs(end - start) @ np.where(ROTARY, _LEVER_MM, 1.0)
         steps = int(np.ceil(far / STEP_MM)) or 1
         path.append(start + np.arange(1, steps + 1)[:, None] / steps * (end - start))
     return np.concatenate(path)
 
 
-def _lines(robot: Manipulator, path: np.ndarray, parts: list[Part]) -> np.ndarray:
-    """(N, P, 2, 3) MCS: the parts' middle lines at every position."""
+def _axes(robot: Manipulator, path: np.ndarray, capsules: list[Capsule]) -> np.ndarray:
+    """Return the capsules' axes (N, P, 2, 3), MCS, at every position."""
     stages = robot.stages(path)
     home = robot.T_mcs_flange_home
-    out = np.empty((len(path), len(parts), 2, 3))
-    for index, part in enumerate(parts):
-        moved = stages[:, part.joints]
-        out[:, index] = home.apply(part.ends_mm) @ np.swapaxes(moved[:, :3, :3], 1, 2) + moved[:, None, :3, 3]
+    out = np.empty((len(path), len(capsules), 2, 3))
+    for index, capsule in enumerate(capsules):
+        moved = stages[:, capsule.joints]
+        out[:, index] = home.apply(capsule.ends_mm) @ np.swapaxes(moved[:, :3, :3], 1, 2) + moved[:, None, :3, 3]
     return out
 
 
-def frame_parts(robot: Manipulator) -> Iterable[Part]:
-    """Rims and diagonals of the Γ frame's plates, as they are mounted."""
+def frame_capsules(robot: Manipulator) -> Iterable[Capsule]:
+    """Yield capsules for the rims and diagonals of the Γ frame's plates, as mounted."""
     for distance, half in PLATES_MM:
         corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * half
         pa = np.column_stack([corners, np.full(4, distance)])
         for plate in (pa, pa[:, [2, 0, 1]]):  # across Z, across X
             on_flange = robot.T_flange_cfcs.apply(plate)
             for one, other in ((0, 1), (1, 2), (2, 3), (3, 0), (0, 2), (1, 3)):
-                yield Part("frame", ARM_JOINTS, on_flange[[one, other]], PLATE_RADIUS_MM)
+                yield Capsule("frame", ARM_JOINTS, on_flange[[one, other]], PLATE_RADIUS_MM)
 
 
 def _limits(robot: Manipulator, path: np.ndarray) -> Check:
     beyond = robot.beyond_limits(path)
     worst = [int(np.argmax(np.abs(column))) for column in beyond.T]
-    said = [said_beyond(j, path[worst[j], j], beyond[worst[j], j]) for j in range(len(JOINTS)) if beyond[worst[j], j]]
+    said = [
+        describe_excess(j, path[worst[j], j], beyond[worst[j], j]) for j in range(len(JOINTS)) if beyond[worst[j], j]
+    ]
     if said:
         return Check("joint limits", False, None, None, "", f"On its way {'; '.join(said)}: move the robot's base.")
     return Check("joint limits", True, None, None, "", "All joints stay within their limits.")
 
 
-def _clearance(obstacle: str, boxes: list[Obstacle], parts: list[Part], lines: np.ndarray) -> Check:
+def _clearance(obstacle: str, boxes: list[Obstacle], parts: list[Capsule], lines: np.ndarray) -> Check:
     radius = np.array([part.radius_mm for part in parts])
     left = np.full(lines.shape[:2], np.inf)
     for box in boxes:
@@ -170,10 +174,10 @@ def _clearance(obstacle: str, boxes: list[Obstacle], parts: list[Part], lines: n
         middle = inside.mean(axis=2)
         most = np.linalg.norm(middle - np.clip(middle, -box.half_mm, box.half_mm), axis=-1) - radius
         least = most - np.linalg.norm(inside[:, :, 1] - inside[:, :, 0], axis=-1) / 2
-        near = least <= min(most.min(), left.min())  # no other line can be the nearest
+        near = least <= min(most.min(), left.min())  # no other segment can be the nearest
         exact = segment_to_box_mm(inside[near], box.half_mm) - np.broadcast_to(radius, near.shape)[near]
         left[near] = np.minimum(left[near], exact)
-    left -= STEP_MM / 2  # half a step lies between a position that is looked at and the nearest
+    left -= STEP_MM / 2  # any position is at most half a step from a checked one
     at, part = np.unravel_index(np.argmin(left), left.shape)
     nearest, share, name = float(left[at, part]), at / max(len(left) - 1, 1), f"{obstacle} clearance"
     passed = nearest >= CLEARANCE_MM
@@ -182,8 +186,8 @@ def _clearance(obstacle: str, boxes: list[Obstacle], parts: list[Part], lines: n
     return Check(name, passed, nearest, CLEARANCE_MM, "mm", sentence)
 
 
-def _remount(theatre: Theatre) -> Check:
-    repeat = theatre.remount_mm
+def _remount(surroundings: Surroundings) -> Check:
+    repeat = surroundings.remount_mm
     if repeat is None:
         return Check("frame remount", True, None, None, "", "The frame was not taken off since its calibration.")
     passed = repeat <= REMOUNT_LIMIT_MM

@@ -1,4 +1,4 @@
-"""CFCS to MCS: where the frame was when each image was taken, known through the robot that holds it."""
+"""Registration of CFCS to MCS: the frame's pose at each image, from the robot that holds it."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -9,18 +9,18 @@ from scipy.spatial.transform import RigidTransform
 from sightline.errors import RobotRefusedError, UnusableInputError
 from sightline.robot.kinematics.calibrated import CalibratedRobot
 
-# The patient was located in the frame, so the frame must not move between the images: more than this at the frame's
-# origin or in its direction is a movement, not the encoders' last digit [ours].
+# The frame must not move between the images. A larger difference in its origin or direction than this is a movement,
+# not the encoders' resolution [ours].
 STILL_MM = 0.05
 STILL_RAD = float(np.deg2rad(0.02))
-# A pose read longer than this before or after its image may be that of another moment [ours].
+# Largest time between an image and the reading of its pose [ours].
 FRESH_S = 0.2
 
 
 @dataclass(frozen=True, eq=False)
 class PoseAtImage:
-    """What the encoders said for one image: joints `q` (5,), read at `read_s`, the image taken at `imaged_s`; both in
-    seconds of one clock."""
+    """Encoder readings for one image: joints `q` (5,) read at `read_s`, image acquired at `imaged_s`, in seconds of the
+    same clock."""
 
     q: np.ndarray
     read_s: float
@@ -29,8 +29,8 @@ class PoseAtImage:
 
 @dataclass(frozen=True, eq=False)
 class Registration:
-    """Where the frame stood. `T_mcs_cfcs`: from the mean of the joints `q` (5,) of all images, which hardly differ;
-    `of_view`: the same from each view's own; `imaged_s`: of the last image."""
+    """Pose of the frame at the images. `T_mcs_cfcs`: from the mean joints `q` (5,) of all images, which hardly differ;
+    `of_view`: from each view's own joints; `imaged_s`: time of the last image."""
 
     robot: CalibratedRobot
     q: np.ndarray
@@ -40,10 +40,10 @@ class Registration:
 
 
 def register(robot: CalibratedRobot, poses: Mapping[str, PoseAtImage]) -> Registration:
-    """From the pose at each image, by the name of its view.
+    """Return the registration from the pose at each image, by view.
 
-    Raises UnusableInputError for poses that are no numbers; RobotRefusedError for one that is stale or beyond the
-    joints' limits, and for a robot that moved between the images.
+    Raises UnusableInputError for poses that are not finite; RobotRefusedError for a pose that is stale or beyond the
+    joint limits, and for a robot that moved between the images.
     """
     if not poses:
         raise UnusableInputError("a registration needs the robot's pose at each image")
@@ -77,10 +77,10 @@ def _refuse_unusable(robot: CalibratedRobot, view: str, pose: PoseAtImage) -> No
 
 
 def _refuse_moved(view: str, moved: RigidTransform) -> None:
-    shift, turn = np.linalg.norm(moved.translation), moved.rotation.magnitude()
-    if shift > STILL_MM or turn > STILL_RAD:
+    shift, rotation = np.linalg.norm(moved.translation), moved.rotation.magnitude()
+    if shift > STILL_MM or rotation > STILL_RAD:
         raise RobotRefusedError(
             f"the robot moved between the images: at the {view} image the frame stood {shift:.2f} mm and "
-            f"{np.rad2deg(turn):.3f}° from its mean place (at most {STILL_MM:g} mm and {np.rad2deg(STILL_RAD):.2f}°); "
-            "hold it still and take both images again"
+            f"{np.rad2deg(rotation):.3f}° from its mean place (at most {STILL_MM:g} mm and "
+            f"{np.rad2deg(STILL_RAD):.2f}°); hold it still and take both images again"
         )

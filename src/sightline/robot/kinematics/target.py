@@ -1,4 +1,4 @@
-"""What the robot is sent: the trajectory in MCS, with everything that may be wrong with it."""
+"""The robot's target: a planned trajectory in MCS with its errors and checks."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -13,19 +13,19 @@ from sightline.geometry.covariance import length_quantile, line_direction
 from sightline.robot.kinematics.manipulator import FEED
 from sightline.robot.kinematics.registration import Registration
 
-# A plan is as old as its last image; patients breathe, tables sag [issue: 10 minutes].
+# Validity of a plan from its last image: patients breathe, tables sag [ours].
 LIFETIME_S = 600.0
-_CLOCK_S = 1.0  # [ours] by how much two readings of one clock may disagree
-# What an oblique cortex bends a wire whose sleeve stands at the bone, 1 s.d. per axis: 60 holes of 130° to 138° drilled
-# in the twin, the sleeve 5 mm before the bone, gave 0.9 mrad, at most 3.5 [calc]. Four times that at 10 mm.
+_CLOCK_S = 1.0  # tolerated disagreement of two readings of one clock [ours]
+# Deflection of a wire by an oblique cortex with its sleeve at the bone, 1 s.d. per axis: 60 holes of 130° to 138°
+# drilled in the twin, the sleeve 5 mm before the bone, gave 0.9 mrad, at most 3.5 [calc]. Four times that at 10 mm.
 SKIVING_RAD = 1e-3
 SIDES = ("right", "left")
 
 
 @dataclass(frozen=True)
 class PlanIdentity:
-    """Which plan it is: its identifier, the patient's side, the frame's serial, whether planning says GO, and the kind
-    of trajectory, "" where a peer does not say it."""
+    """Identity of a plan: its identifier, the patient's side, the frame's serial, whether planning says GO, and the
+    kind of trajectory, "" if a peer does not state it."""
 
     plan: str
     side: str
@@ -40,9 +40,9 @@ class PlanIdentity:
 
 @dataclass(frozen=True, eq=False)
 class RobotTarget:
-    """A trajectory in MCS: `entry_mm`, `end_mm` (3,), the joints `q` (5,) with the tip at the entry point, and when it
-    expires. `covariance_mm2` (6, 6) of (entry, end): where the wire will be in the bone, not where the encoders say.
-    `budget_mm2`: the same for each source, those of planning and of the robot. `limits`: the plan's."""
+    """A trajectory in MCS: `entry_mm`, `end_mm` (3,), the joints `q` (5,) with the tip at the entry point, and its
+    expiry time. `covariance_mm2` (6, 6): of (entry, end) of the wire in the bone, which includes errors that the
+    encoders cannot see. `budget_mm2`: the share of each source, of planning and of the robot. `limits`: the plan's."""
 
     identity: PlanIdentity
     registration: Registration
@@ -56,17 +56,17 @@ class RobotTarget:
 
     @property
     def length_mm(self) -> float:
-        """From entry to end."""
+        """Distance from entry to end point, mm."""
         return float(np.linalg.norm(self.end_mm - self.entry_mm))
 
     @property
     def depth_mm(self) -> float:
-        """From the entry to where the tip ends: past the end point, where the plan says so."""
+        """Depth of the tip beyond the entry point when drilled, mm: past the end point if the plan says so."""
         return self.length_mm + self.limits.beyond_mm
 
     @property
     def T_cfcs_wire(self) -> RigidTransform:
-        """Pose of the wire when it is drilled, CFCS: +z towards the tip; the robot's own, so its turn is reachable."""
+        """Pose of the wire when it is drilled, CFCS, +z towards the tip; its rotation about +z is the robot's own."""
         manipulator = self.registration.robot.manipulator
         q = self.q + np.array([0.0, 0.0, 0.0, 0.0, self.depth_mm])
         return self.registration.T_mcs_cfcs.inv() * manipulator.T_mcs_tool(q)
@@ -89,19 +89,19 @@ class RobotTarget:
 
     @property
     def checks(self) -> tuple[Check, ...]:
-        """What stands for or against drilling it, the robot's errors included."""
+        """Checks of the target, including the robot's errors."""
         degrees = (float(np.rad2deg(self.direction_error_95_rad)), float(np.rad2deg(self.limits.direction_rad)))
-        figures = (
+        values = (
             ("wire entry error", "entry point", self.entry_error_95_mm, self.limits.position_mm, "mm"),
             ("wire end error", "tip", self.end_error_95_mm, self.limits.position_mm, "mm"),
             ("wire direction error", "direction", *degrees, "°"),
         )
         go = self.identity.go
         said = "Planning says GO." if go else "Planning says NO-GO: see its checks, and plan again."
-        return (Check("plan go", go, None, None, "", said), *(self._check(*figure) for figure in figures))
+        return (Check("plan go", go, None, None, "", said), *(self._check(*value) for value in values))
 
     def refuse_unfit(self, now_s: float) -> None:
-        """Raise RobotRefusedError where a check failed, the target has expired, or its images are of a time to come."""
+        """Raise RobotRefusedError if a check failed, the target has expired, or its images are dated in the future."""
         failed = [check.sentence for check in self.checks if not check.passed]
         if failed:
             raise RobotRefusedError(f"the plan must not be drilled: {' '.join(failed)}")
@@ -112,15 +112,15 @@ class RobotTarget:
             )
         if (ahead_s := self.expires_s - LIFETIME_S - now_s) > _CLOCK_S:
             raise RobotRefusedError(
-                f"the plan's images were taken {ahead_s:.0f} s from now: the clock was set back "
-                "since, and nobody knows how old they are; take new images and plan again"
+                f"the plan's images are dated {ahead_s:.0f} s in the future: the clock was set back since, so their "
+                "age is unknown; take new images and plan again"
             )
 
-    def _check(self, name: str, what: str, figure: float, limit: float, unit: str) -> Check:
-        passed = figure <= limit
-        sentence = f"With 95 % probability the drilled {what} errs by less than {figure:.2f} {unit} "
+    def _check(self, name: str, what: str, value: float, limit: float, unit: str) -> Check:
+        passed = value <= limit
+        sentence = f"With 95 % probability the error of the drilled {what} is less than {value:.2f} {unit} "
         sentence += f"(limit {limit:.2f} {unit})" + ("." if passed else f"; largest share: {self._largest()}.")
-        return Check(name, passed, figure, limit, unit, sentence)
+        return Check(name, passed, value, limit, unit, sentence)
 
     def _largest(self) -> str:
         return max(self.budget_mm2, key=lambda source: np.trace(self.budget_mm2[source])).replace("_", " ")
@@ -133,10 +133,11 @@ def aim(
     registration: Registration,
     limits: Limits,
 ) -> RobotTarget:
-    """The target of a planned trajectory: entry and end point (2, 3) CFCS, the covariances (6, 6) of each source of
-    planning's error (`SpacePoints.budget_mm2`; None where a view states no error), and the plan's limits.
+    """Return the robot's target for a planned trajectory.
 
-    Raises RobotRefusedError where the error is unknown, entry and end are one point, or the line is out of reach.
+    `points_mm` (2, 3): entry and end point, CFCS. `budget_mm2`: covariance (6, 6) of each source of planning's error
+    (`SpacePoints.budget_mm2`); None if a view states no error. `limits`: the plan's. Raises RobotRefusedError if the
+    error is unknown, entry and end coincide, or the line is out of reach.
     """
     points = np.asarray(points_mm, dtype=np.float64)
     if points.shape != (2, 3) or not np.isfinite(points).all():
@@ -153,8 +154,8 @@ def aim(
             f"the feed ends {short:.1f} mm before the planned depth; bring the robot's base nearer, or plan a shorter "
             "wire"
         )
-    turn = np.kron(np.eye(2), registration.T_mcs_cfcs.rotation.as_matrix())
-    budget = {source: turn @ covariance @ turn.T for source, covariance in budget_mm2.items()}
+    to_mcs = np.kron(np.eye(2), registration.T_mcs_cfcs.rotation.as_matrix())
+    budget = {source: to_mcs @ covariance @ to_mcs.T for source, covariance in budget_mm2.items()}
     budget |= robot.wire_against_frame(registration.q, q, np.stack([entry, end]))
     budget["skiving"] = _skiving(entry, end)
     covariance = np.sum(list(budget.values()), axis=0)
@@ -163,7 +164,7 @@ def aim(
 
 
 def _skiving(entry_mm: np.ndarray, end_mm: np.ndarray) -> np.ndarray:
-    """(6, 6) mm² of (entry, end): the wire turns about its entry point."""
+    """Return the covariance (6, 6) mm² of (entry, end) from skiving: the wire rotates about its entry point."""
     along = end_mm - entry_mm
     out = np.zeros((6, 6))
     out[3:, 3:] = SKIVING_RAD**2 * ((along @ along) * np.eye(3) - np.outer(along, along))

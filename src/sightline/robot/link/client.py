@@ -1,4 +1,4 @@
-"""Navigation's side of the link, blocking and simple: one call for each step, each answered or an error in time."""
+"""Navigation's end of the link: a blocking client with one call per step; each call returns or raises in time."""
 
 import math
 from collections.abc import Generator, Mapping
@@ -11,9 +11,8 @@ from sightline.closing import Closing
 from sightline.errors import LinkError, RobotRefusedError
 from sightline.robot import contract
 from sightline.robot.contract import ACK_S, STATUS_S
-from sightline.robot.control.motion.depth import LIMIT_MM as ZERO_LIMIT_MM
-from sightline.robot.control.motion.depth import SHOT_SD_MM
-from sightline.robot.control.states import Cause, State
+from sightline.robot.control.motion.depth import MAX_ZERO_SHIFT_MM, SHOT_SD_MM
+from sightline.robot.control.states import State, Trigger
 from sightline.robot.igtl import (
     Get,
     Message,
@@ -24,35 +23,35 @@ from sightline.robot.igtl import (
     Transform,
 )
 from sightline.robot.kinematics.target import RobotTarget
-from sightline.robot.link.exchange import Exchange, Said, matrix_of, pose_of
-from sightline.robot.link.laid import Laid, refuse_other_pose
+from sightline.robot.link.exchange import Exchange, RequestResult, matrix_of, pose_of
+from sightline.robot.link.shared_connection import LateError, SharedConnection
 from sightline.robot.link.simulated import SimulatedWire
-from sightline.robot.link.stopping import Stopping
-from sightline.robot.link.talk import LateError, Talk
+from sightline.robot.link.stop_channel import StopChannel
+from sightline.robot.link.wire_deviation import WireDeviation, refuse_other_pose
 from sightline.robot.transport import LOOPBACK, PORT
 
-MOTION_S = 300.0  # the longest motion: 250 mm at 1 mm/s, and some [calc]
+MOTION_S = 300.0  # time limit of the longest motion, 250 mm at 1 mm/s, with a margin [calc]
 
 
 class RobotClient(Closing):
-    """A robot behind `host`:`port`: ours, or one of the old convention, which is told apart by its CAPABILITY.
+    """Client of the robot at `host`:`port`: ours, or one of the 2013 convention, distinguished by its CAPABILITY.
 
-    Every call raises LinkError where an answer does not come in time or the connection is lost, RobotRefusedError with
-    the robot's reason where it refuses. While a call waits, heartbeats go out on a thread of their own; a call that
-    hangs for a second sends no more, and the robot stops. `latest` holds the newest message of each device name, and
-    `listeners` are told of every one; `talk` is the connection itself, `exchange` the requests over it. One thread;
-    `stop` and `emergency` may be called from any other, have a connection of their own, and fall back to the main one.
+    Every call raises LinkError if no answer comes in time or the connection is lost, and RobotRefusedError with the
+    robot's reason if it refuses. While a call waits, a separate process sends heartbeats; if a call hangs for a second
+    they end, and the robot stops. `latest` holds the newest message of each device name; `listeners` are called with
+    every message. `connection` is the connection, `exchange` the requests over it. Use one thread; only `stop` and
+    `emergency` may be called from others. They have a connection of their own and fall back to the main one.
     """
 
     def __init__(self, host: str = LOOPBACK, port: int = PORT, *, heartbeat: bool = True, streams: bool = True) -> None:
         self.host, self.port = host, port
-        self._aimed: RigidTransform | None = None
+        self._target: RigidTransform | None = None
         self._length_mm: float | None = None
-        self._doubts: dict[str, str] = {}  # by what was sent: why nothing may move by it
-        self.talk = Talk(host, port)
-        self.latest, self.listeners = self.talk.latest, self.talk.listeners
-        self.exchange = Exchange(self.talk)
-        self._stopping = Stopping(host, port, self.talk, self.exchange)
+        self._doubts: dict[str, str] = {}  # "registration" or "target": why the robot may not move by it
+        self.connection = SharedConnection(host, port)
+        self.latest, self.listeners = self.connection.latest, self.connection.listeners
+        self.exchange = Exchange(self.connection)
+        self._stopping = StopChannel(host, port, self.connection, self.exchange)
         try:
             self.exchange.introduce(heartbeat, streams)
         except LinkError:
@@ -61,45 +60,46 @@ class RobotClient(Closing):
         if contract.HAS_HEARTBEAT in self.capabilities:
             self._stopping.keep_connection()
             if heartbeat:
-                self.talk.keep_alive()
+                self.connection.keep_alive()
 
     def close(self) -> None:
-        """End it. A robot of ours that holds this client's lease stops and forgets what it was told."""
+        """Close all connections. A robot of ours whose lease this client holds stops and clears its registration and
+        target."""
         self._stopping.close()
 
     @property
     def capabilities(self) -> frozenset[str]:
-        """What the robot announced; nothing where it is one of the old convention."""
+        """The robot's announced capabilities; empty for a robot of the 2013 convention."""
         return self.exchange.capabilities
 
     @property
     def simulated(self) -> bool:
-        """Whether the robot says that it is a simulator."""
+        """Whether the robot announces that it is a simulator."""
         return contract.IS_SIMULATED in self.capabilities
 
     # The steps of an insertion.
 
     def start_up(self) -> None:
-        """Begin; what the robot knew before is forgotten."""
-        self.command(Cause.START_UP.value).refuse_unless_ok()
+        """Start up; the robot clears its registration and target."""
+        self.command(Trigger.START_UP.value).refuse_unless_ok()
 
     def plan(self) -> None:
-        """Say that a plan is being made."""
-        self.command(Cause.PLANNING.value).refuse_unless_ok()
+        """Tell the robot that a plan is being made."""
+        self.command(Trigger.PLANNING.value).refuse_unless_ok()
 
     def calibrate(self, T_mcs_cfcs: RigidTransform, imaged_s: float | None = None) -> None:
-        """Send the registration. `imaged_s`: when its last image was taken, by the clock that targets are timed by.
+        """Send the registration. `imaged_s`: time of its last image, on the same clock as targets.
 
-        Raises RobotRefusedError also where the robot acknowledges another than was sent: then it is not told to
-        move."""
-        self.command(Cause.CALIBRATION.value).refuse_unless_ok()
+        Raises RobotRefusedError also if the robot acknowledges another registration than was sent; motion commands are
+        then refused here."""
+        self.command(Trigger.CALIBRATION.value).refuse_unless_ok()
         sent = T_mcs_cfcs.inv()
-        with self.talk.mail() as mail:
+        with self.connection.mailbox() as mail:
             said, echo = self.exchange.transform(
                 mail, contract.CALIBRATION, sent.as_matrix(), "CALIBRATION", imaged_s=imaged_s
             )
         said.refuse_unless_ok()
-        with self._doubted("registration"):
+        with self._verified("registration"):
             refuse_other_pose(matrix_of(echo), sent.as_matrix(), "registration")
 
     def aim(
@@ -108,14 +108,14 @@ class RobotClient(Closing):
         metadata: Mapping[str, str] | None = None,
         imaged_s: float | None = None,
     ) -> RigidTransform:
-        """Send a target: the wire's pose at the end point. What the robot can reach of it, CFCS; where a robot of the
-        old convention does not say, the target as it acknowledged it.
+        """Send a target, the wire's pose at the end point. Returns the pose that the robot will reach, CFCS; for a
+        robot of the 2013 convention that does not report it, the acknowledged target.
 
-        Raises RobotRefusedError also where the robot acknowledges another target, or would lay the wire elsewhere: then
-        it is not told to move."""
-        self._aimed = None
-        self.command(Cause.TARGETING.value).refuse_unless_ok()
-        with self.talk.mail() as mail:
+        Raises RobotRefusedError also if the robot acknowledges another target, or would put the wire elsewhere; motion
+        commands are then refused here."""
+        self._target = None
+        self.command(Trigger.TARGETING.value).refuse_unless_ok()
+        with self.connection.mailbox() as mail:
             said, echo = self.exchange.transform(
                 mail, contract.TARGET, T_cfcs_wire.as_matrix(), "TARGET", metadata=metadata, imaged_s=imaged_s
             )
@@ -125,17 +125,18 @@ class RobotClient(Closing):
             )
         if reachable is None and self.exchange.knows_ours:
             raise LateError(f"the robot sent no REACHABLE_TARGET within {STATUS_S:g} s; it does not keep the contract")
-        with self._doubted("target"):
+        with self._verified("target"):
             refuse_other_pose(matrix_of(echo), T_cfcs_wire.as_matrix(), "target")
             reached = pose_of(reachable or echo)
-            Laid.of(reached, T_cfcs_wire).refuse_elsewhere("the robot would lay the wire")
-        self._aimed = T_cfcs_wire
+            WireDeviation.of(reached, T_cfcs_wire).refuse_large("the robot would lay the wire")
+        self._target = T_cfcs_wire
         self._length_mm = float(metadata[contract.LENGTH_MM]) if metadata and contract.LENGTH_MM in metadata else None
         return reached
 
     def aim_plan(self, target: RobotTarget, now_s: float, depth_limit_mm: float) -> RigidTransform:
-        """Send a planned target with its identity; refused here already where its checks failed or it has expired.
-        Robots of the old convention get the bare pose."""
+        """Send a planned target with its identity, and return the pose that the robot will reach, CFCS. Raises
+        RobotRefusedError before sending if its checks failed or it has expired. Robots of the 2013 convention get the
+        bare pose."""
         target.refuse_unfit(now_s)
         imaged_s = target.registration.imaged_s
         if contract.HAS_PLAN not in self.capabilities:
@@ -143,75 +144,76 @@ class RobotClient(Closing):
         return self.aim(target.T_cfcs_wire, plan_metadata(target, now_s, depth_limit_mm), imaged_s)
 
     def align(self) -> None:
-        """Move to the aligned pose and wait there for the confirmation shot. A robot of the old convention goes to the
-        target itself; then its own position is compared with the plan, as after `drill`."""
+        """Move to the aligned pose and wait there for the confirmation shot. A robot of the 2013 convention goes to the
+        target itself; its position is then compared with the plan, as after `drill`."""
         self._refuse_doubted()
-        self.command(Cause.MOVE_TO_TARGET.value, MOTION_S).refuse_unless_ok()
+        self.command(Trigger.MOVE_TO_TARGET.value, MOTION_S).refuse_unless_ok()
         if contract.HAS_DRILLING not in self.capabilities:
-            self.laid()
+            self.wire_deviation()
 
     def drill(self) -> str:
-        """Confirm, and drill: up to the pause before the tip, the next time to the tip. Where it ended: PAUSED or
-        DONE; a robot of the old convention may say nothing of it.
+        """Confirm and drill: first to the pause before the end point, then to the end point. Returns the state at the
+        end, PAUSED or DONE; a robot of the 2013 convention may return nothing.
 
-        Raises RobotRefusedError also where the wire ends elsewhere than planned by the robot's own position."""
+        Raises RobotRefusedError also if the wire, by the robot's own position, does not end where planned."""
         self._refuse_doubted()
-        where = self._go_on(Cause.DRILL.value)
+        where = self._go_on(Trigger.DRILL.value)
         if where == State.DONE.value or contract.HAS_DRILLING not in self.capabilities:
-            self.laid()
+            self.wire_deviation()
         return where
 
     def guide(self) -> None:
-        """Hold the guide stiff; a person drills."""
+        """Hold the guide in place while a person drills."""
         self._refuse_doubted()
-        self.command(Cause.GUIDE.value).refuse_unless_ok()
+        self.command(Trigger.GUIDE.value).refuse_unless_ok()
 
     def retract(self) -> None:
-        """Draw the wire, or the open chuck, back into its sleeve."""
-        self._go_on(Cause.RETRACT.value)
+        """Retract the wire, or the open chuck, into its sleeve."""
+        self._go_on(Trigger.RETRACT.value)
 
-    def stop(self) -> Said:
-        """Stop, whatever goes on; on a connection of its own where the robot takes several. Any thread."""
-        return self._stopping.send(Cause.STOP.value)
+    def stop(self) -> RequestResult:
+        """Stop any motion, over a separate connection if the robot accepts several. Any thread."""
+        return self._stopping.send(Trigger.STOP.value)
 
-    def emergency(self) -> Said:
-        """Stop, and wait for a person at the robot. Any thread."""
-        return self._stopping.send(Cause.EMERGENCY.value)
+    def emergency(self) -> RequestResult:
+        """Stop and enter EMERGENCY until a person resets the robot. Any thread."""
+        return self._stopping.send(Trigger.EMERGENCY.value)
 
-    # Questions.
+    # Queries.
 
     def status(self) -> Status:
-        """The robot's phase (`error_name`), with activity, fault and late cycles in the text."""
+        """Return the robot's phase (`error_name`), with activity, fault and late cycles in the text."""
         return self.exchange.status()
 
     def position(self) -> RigidTransform:
-        """The wire's pose, CFCS. Raises RobotRefusedError where no registration was sent yet, or the robot sends what
-        is not a pose."""
+        """Return the wire's pose, CFCS. Raises RobotRefusedError if no registration was sent yet, or if the robot's
+        answer is not a pose."""
         said = self.exchange.ask(
             String(contract.CURRENT_POSITION),
             contract.CURRENT_POSITION,
             lambda m: m.device_name == contract.CURRENT_POSITION and isinstance(m.body, (Transform, Status)),
         )
         if isinstance(said.body, Status):
-            Said(contract.CURRENT_POSITION, said.body.code, said.body.text).refuse_unless_ok()
+            RequestResult(contract.CURRENT_POSITION, said.body.code, said.body.text).refuse_unless_ok()
         return pose_of(said)
 
-    def laid(self) -> Laid:
-        """How the wire lies against the target, by the robot's own position. Raises RobotRefusedError where it is
-        beyond 0.5 mm or 0.2°. Along the wire the robot's depth counts where it states one: contact and the second shot
+    def wire_deviation(self) -> WireDeviation:
+        """Return the wire's deviation from the target, by the robot's own position. Raises RobotRefusedError if it
+        exceeds 0.5 mm or 0.2°. Along the wire the robot's stated depth counts, if any, because contact and check shot
         move its zero."""
-        if self._aimed is None:
+        if self._target is None:
             raise RobotRefusedError("this client has sent no target to compare the wire with")
-        laid = Laid.of(self.position(), self._aimed)
+        deviation = WireDeviation.of(self.position(), self._target)
         depth = self.latest.get(contract.DEPTH)
         if self._length_mm is None or depth is None or not isinstance(depth.body, Sensor):
-            laid.refuse_elsewhere("the wire lies")
+            deviation.refuse_large("the wire lies")
         else:
-            laid.refuse_elsewhere("the wire lies", float(depth.body.values[0]) - self._length_mm, ZERO_LIMIT_MM)
-        return laid
+            depth_off_mm = float(depth.body.values[0]) - self._length_mm
+            deviation.refuse_large("the wire lies", depth_off_mm, MAX_ZERO_SHIFT_MM)
+        return deviation
 
     def joints(self) -> np.ndarray:
-        """(6, N): position, velocity, wanted position, commanded velocity, lower and upper limits; mm, rad."""
+        """Return (6, N): position, velocity, commanded position, commanded velocity, lower and upper limit; mm, rad."""
         said = self.exchange.ask(Get("NDARRAY"), contract.MEASURED_JS, lambda m: m.device_name == contract.MEASURED_JS)
         body = said.body
         if not (isinstance(body, NDArray) and body.values.ndim == 2 and len(body.values) == 6):
@@ -219,38 +221,42 @@ class RobotClient(Closing):
         return body.values
 
     def stream(self, name: str, timeout_s: float = STATUS_S) -> Message:
-        """The next message of a stream."""
-        with self.talk.mail() as mail:
+        """Return the next message of a stream."""
+        with self.connection.mailbox() as mail:
             return mail.need(lambda message: message.device_name == name, timeout_s, name)
 
     def reset(self, fault: int) -> None:
-        """Reset the robot after a fault that a person has read and seen to, by its number."""
+        """Reset the robot after the fault of this number, which a person has read and dealt with."""
         self.exchange.order(contract.RESET, str(fault))
 
     def shot_depth(self, depth_mm: float, sd_mm: float = SHOT_SD_MM) -> None:
-        """Tell the robot, in PAUSED, how far beyond the entry point the second shot shows the tip, give or take."""
+        """Send, in PAUSED, the depth of the tip beyond the entry point in the check shot, and its standard
+        deviation."""
         self.exchange.order(contract.SHOT_DEPTH, f"{float(depth_mm)!r} {float(sd_mm)!r}")
 
     def simulated_wire(self) -> SimulatedWire:
-        """Where a simulated robot's wire truly is, for simulated images. Raises RobotRefusedError of a real robot."""
+        """Return the true pose of a simulated robot's wire, for simulated images. Raises RobotRefusedError from a real
+        robot."""
         return SimulatedWire.of(self.exchange.order(contract.SIMULATED_WIRE, ""))
 
-    # How anything is asked.
+    # Commands.
 
-    def command(self, name: str, timeout_s: float = STATUS_S) -> Said:
-        """Send a phase or an activity by its name, and wait for its acknowledgement, then for how it ended."""
+    def command(self, name: str, timeout_s: float = STATUS_S) -> RequestResult:
+        """Send a phase or an activity by its name, wait for its acknowledgement, and return how it ended."""
         return self.exchange.command(name, timeout_s)
 
     def _go_on(self, name: str) -> str:
-        """The next step by its own name, or as the old convention has it."""
+        """Send the next step by its own name, or as MOVE_TO_TARGET of the 2013 convention. Returns the text at its
+        end."""
         if contract.HAS_DRILLING not in self.capabilities:
-            name = Cause.MOVE_TO_TARGET.value
+            name = Trigger.MOVE_TO_TARGET.value
         return self.command(name, MOTION_S).refuse_unless_ok().text
 
-    # What the robot said and was not meant.
+    # Verification of what the robot acknowledges.
 
     @contextmanager
-    def _doubted(self, what: str) -> Generator[None]:
+    def _verified(self, what: str) -> Generator[None]:
+        """Remember a refusal that the block raises, so that nothing moves until `what` was sent again."""
         self._doubts.pop(what, None)
         try:
             yield
@@ -264,8 +270,8 @@ class RobotClient(Closing):
 
 
 def plan_metadata(target: RobotTarget, now_s: float, depth_limit_mm: float) -> dict[str, str]:
-    """What a target of ours says beside its pose. `now_s` by the clock of `target.expires_s`: what travels is the time
-    left, so that two clocks need not agree."""
+    """Return the metadata of a target. `now_s` is on the clock of `target.expires_s`: the remaining time is sent, so
+    that the two clocks need not agree."""
     identity, limits = target.identity, target.limits
     return {
         contract.PLAN: identity.plan,

@@ -1,4 +1,4 @@
-"""Where the robot's answers differ for clients that know the convention of 2013 alone, as one table."""
+"""Dialects: how the robot's answers differ for clients that know only the convention of 2013."""
 
 from dataclasses import dataclass
 
@@ -7,11 +7,13 @@ from sightline.robot.contract import Code
 
 @dataclass(frozen=True)
 class Dialect:
-    """What the robot says, and what it leaves out. `tells_entered`: a STATUS on entering PLANNING and CALIBRATION.
-    `tells_reachable`: REACHABLE_TARGET. `names_commanded`: CURRENT_STATUS names the phase of a refused command instead
-    of the robot's. `in_manual`: code for a motion refused in MANUAL. `own_emergency`: code of STATUS EMERGENCY for the
-    client that sent it. `own_frames`: registrations are stated from a base frame of the robot's own to a frame of the
-    patient that is not CFCS (`Setup.frames`)."""
+    """The variable parts of the robot's answers.
+
+    `tells_entered`: a STATUS is sent on entering PLANNING and CALIBRATION. `tells_reachable`: REACHABLE_TARGET is sent.
+    `names_commanded`: CURRENT_STATUS names the phase of a refused command instead of the robot's. `in_manual`: code for
+    a motion refused in MANUAL. `own_emergency`: code of STATUS EMERGENCY for the client that sent it. `own_frames`:
+    registrations map a base frame of the robot to a patient frame other than CFCS (`Setup.frames`).
+    """
 
     tells_entered: bool = True
     tells_reachable: bool = True

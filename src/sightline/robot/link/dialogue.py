@@ -1,6 +1,6 @@
-"""The robot's side of the talk: messages of clients become requests, answers and outcomes become messages.
+"""The robot's dialogue with clients: converts messages to requests, and answers and outcomes to messages.
 
-Nothing is read or sent here: `receive` and `cycle` return what is to be sent to whom, in order.
+It does no input or output: `receive` and `cycle` return the messages to be sent, in order.
 """
 
 from collections.abc import Callable
@@ -10,22 +10,23 @@ import numpy as np
 
 from sightline.robot import contract
 from sightline.robot.contract import Code
+from sightline.robot.control.collision_check import TARGET
 from sightline.robot.control.controller import Controller
-from sightline.robot.control.look import TARGET
 from sightline.robot.control.motion.drilling import Drilling
 from sightline.robot.control.requests import (
-    Aim,
     Answer,
-    Command,
+    CommandRequest,
     Outcome,
     Register,
     Request,
     Reset,
+    SetTarget,
     ShotDepth,
 )
-from sightline.robot.control.states import COMMANDS, MOVING, Cause
+from sightline.robot.control.states import COMMANDS, MOVING, Trigger
 from sightline.robot.igtl import (
     Capability,
+    Command,
     CommandReply,
     Event,
     Get,
@@ -35,12 +36,11 @@ from sightline.robot.igtl import (
     String,
     Transform,
 )
-from sightline.robot.igtl import Command as CommandMessage
+from sightline.robot.link.answer_cache import AnswerCache
 from sightline.robot.link.dialect import SIGHTLINE, Dialect
-from sightline.robot.link.facts import Cycles, Facts
 from sightline.robot.link.inbox import stop_word
-from sightline.robot.link.outgoing import Outgoing, Saying, echo_of, fitting, message_of, with_mirror
-from sightline.robot.link.remembered import Remembered
+from sightline.robot.link.outgoing import NamedBody, Outgoing, echo_of, fitting, message_of, with_mirror
+from sightline.robot.link.telemetry import Cycles, Telemetry
 from sightline.robot.plant import CYCLE_S
 
 UNDERSTOOD = (
@@ -54,8 +54,8 @@ UNDERSTOOD = (
     "GET_NDARRAY",
     "GET_CAPABIL",
 )
-_ACTIVITIES = (Cause.DRILL, Cause.GUIDE, Cause.RETRACT)
-PHASES = tuple(command.value for command in COMMANDS if command not in _ACTIVITIES)  # of the convention
+_ACTIVITIES = (Trigger.DRILL, Trigger.GUIDE, Trigger.RETRACT)
+PHASES = tuple(command.value for command in COMMANDS if command not in _ACTIVITIES)  # of the 2013 convention
 OFFERED = (contract.HAS_HEARTBEAT, contract.HAS_TELEMETRY, contract.HAS_DRILLING, contract.HAS_PLAN, contract.HAS_RESET)
 
 
@@ -64,16 +64,19 @@ class _Peer:
     version: int = 1  # of headers: 1 until the client sends 2
     telemetry: bool = False
     drills_by_name: bool = False
-    mirrored: bool = False  # each STATUS goes out as a STRING too
-    sent_emergency: bool = False  # and was not answered yet
+    mirrored: bool = False  # each STATUS also goes out as a STRING
+    sent_emergency: bool = False  # sent EMERGENCY and has not been answered yet
     told_s: float = -np.inf
-    asked: Remembered = field(default_factory=Remembered)
+    asked: AnswerCache = field(default_factory=AnswerCache)
 
 
 @dataclass
 class Dialogue:
-    """Speaks for one controller with all its clients, known by a number; `telemetry_s` between two of a stream.
-    `truth`: what a simulator answers to SIMULATED_WIRE, if it does; `dialect`: what its clients understand."""
+    """The dialogue of one controller with all its clients, which are identified by a number.
+
+    `telemetry_s`: period of the streams. `truth`: a simulator's answer to SIMULATED_WIRE; None if there is none.
+    `dialect`: for the clients.
+    """
 
     controller: Controller
     simulated: bool = False
@@ -84,23 +87,23 @@ class Dialogue:
 
     def __post_init__(self) -> None:
         self._machine = self.controller.machine
-        self._facts = Facts(self._machine, self.cycles)
+        self._facts = Telemetry(self._machine, self.cycles)
         self._peers: dict[int, _Peer] = {}
         self._hole: Drilling | None = None
-        self._events = 0  # of this hole that were told
+        self._events = 0  # events of this hole that were already sent
 
     def joined(self, client: int) -> None:
-        """A client is there; its stop may have been heard already."""
+        """Add a client; its stop may have been handled already."""
         self._peers.setdefault(client, _Peer())
 
     def left(self, client: int, now_s: float) -> None:
-        """It is gone."""
+        """Remove a client that is gone."""
         self._peers.pop(client, None)
         self.controller.lost(client, now_s)
 
     def receive(self, client: int, event: Event, now_s: float, overtaken: bool = False) -> list[Outgoing]:
-        """What a client sent. Every command is answered; what is no command and no question is not. `overtaken`: a
-        stop that came later has been heard."""
+        """Handle a client's message and return the answers. Every command and query is answered, nothing else is.
+        `overtaken`: a stop that was sent later has been handled."""
         if isinstance(event, Rejected):
             return self._rejected(client, event)
         self.joined(client)
@@ -110,24 +113,24 @@ class Dialogue:
         return self._all(client, self._answer(client, event, now_s, overtaken))
 
     def cycle(self, now_s: float, unread_s: float = 0.0) -> list[Outgoing]:
-        """One cycle of the controller, and what it gives to say. `unread_s`: see `Controller.cycle`."""
+        """Run one cycle of the controller and return the messages to send. `unread_s`: see `Controller.cycle`."""
         out = []
         for outcome in self.controller.cycle(now_s, unread_s):
             for client in [outcome.client] if outcome.client is not None else list(self._peers):
                 out += self._all(client, self._of_outcome(client, outcome))
         return out + self._new_events() + self._telemetry(now_s)
 
-    # Answers, as (device name, body) in their order.
+    # Answers, as (device name, body) in order.
 
-    def _answer(self, client: int, message: Message, now_s: float, overtaken: bool) -> list[Saying]:
+    def _answer(self, client: int, message: Message, now_s: float, overtaken: bool) -> list[NamedBody]:
         name = message.device_name
-        said: list[Saying] = []
+        said: list[NamedBody] = []
         match message.body:
             case String(text):
                 said = self._of_string(client, name, text, now_s, overtaken)
             case Transform():
                 said = self._of_transform(client, message, now_s)
-            case CommandMessage(number, command, text):
+            case Command(number, command, text):
                 said = [(name, self._of_command(client, number, command, text, now_s))]
             case Capability(types):
                 self._peers[client].telemetry = contract.HAS_TELEMETRY in types
@@ -147,21 +150,21 @@ class Dialogue:
                 pass  # what is not understood gets no answer
         return said
 
-    def _capability(self) -> Saying:
+    def _capability(self) -> NamedBody:
         here = OFFERED + ((contract.IS_SIMULATED,) if self.simulated else ())
         return "", Capability(UNDERSTOOD + here)
 
-    def _of_transform(self, client: int, message: Message, now_s: float) -> list[Saying]:
+    def _of_transform(self, client: int, message: Message, now_s: float) -> list[NamedBody]:
         name = message.device_name
         if name.startswith(contract.TARGET):
             return self._of_target(client, message, now_s)
         if name.startswith(contract.CALIBRATION):
             answer = self.controller.submit(client, Register(message), now_s)
-            return [echo_of(name, message.body), (Cause.CALIBRATION.value, self._status(answer))]
+            return [echo_of(name, message.body), (Trigger.CALIBRATION.value, self._status(answer))]
         text = f"a TRANSFORM is named {contract.CALIBRATION}... or {contract.TARGET}..., not {name!r}"
         return [(fitting(name), Status(Code.UNKNOWN, Code.UNKNOWN.name, text))]
 
-    def _of_string(self, client: int, name: str, text: str, now_s: float, overtaken: bool) -> list[Saying]:
+    def _of_string(self, client: int, name: str, text: str, now_s: float, overtaken: bool) -> list[NamedBody]:
         if name.startswith(contract.COMMAND):
             return self._of_phase(client, name, text, now_s, overtaken)
         if name == contract.HEARTBEAT:
@@ -177,20 +180,20 @@ class Dialogue:
         reason = f"a STRING is named {contract.COMMAND}..., {contract.HEARTBEAT}, or asks for {contract.CURRENT_STATUS}"
         return [(fitting(name), Status(Code.UNKNOWN, Code.UNKNOWN.name, reason))]
 
-    def _of_phase(self, client: int, name: str, text: str, now_s: float, overtaken: bool) -> list[Saying]:
-        """The answers to a CMD_: to stop at once, whatever its identifier; to act, the first time that it comes."""
+    def _of_phase(self, client: int, name: str, text: str, now_s: float, overtaken: bool) -> list[NamedBody]:
+        """Answer a CMD_. A stop acts whatever its identifier; other commands act only the first time they come."""
         peer, stop = self._peers[client], stop_word(text)
         answer = None if stop else peer.asked.earlier(name, text)
         if answer is None:
-            peer.sent_emergency |= stop == Cause.EMERGENCY.value
-            command = Command(stop or text, overtaken, peer.drills_by_name)
+            peer.sent_emergency |= stop == Trigger.EMERGENCY.value
+            command = CommandRequest(stop or text, overtaken, peer.drills_by_name)
             answer = self.controller.submit(client, command, now_s)
             peer.asked.put(name, text, answer)
-        said: list[Saying] = [
+        said: list[NamedBody] = [
             (contract.ACKNOWLEDGED + name.removeprefix(contract.COMMAND), String(text)),
             (contract.CURRENT_STATUS, self._after_command(stop or text)),
         ]
-        entered = answer.code is Code.OK and text in (Cause.PLANNING.value, Cause.CALIBRATION.value)
+        entered = answer.code is Code.OK and text in (Trigger.PLANNING.value, Trigger.CALIBRATION.value)
         if not answer.done or (entered and not self.dialect.tells_entered):
             return said
         return [*said, (fitting(stop or text), self._status(answer))]
@@ -199,12 +202,12 @@ class Dialogue:
         commanded = self.dialect.names_commanded and text in PHASES
         return replace(self._facts.current(), error_name=text) if commanded else self._facts.current()
 
-    def _of_target(self, client: int, message: Message, now_s: float) -> list[Saying]:
-        answer = self.controller.submit(client, Aim(message), now_s)
+    def _of_target(self, client: int, message: Message, now_s: float) -> list[NamedBody]:
+        answer = self.controller.submit(client, SetTarget(message), now_s)
         return [echo_of(message.device_name, message.body), *(self._target_answer(answer) if answer.done else [])]
 
-    def _target_answer(self, answer: Answer) -> list[Saying]:
-        said: list[Saying] = [(TARGET, self._status(answer))]
+    def _target_answer(self, answer: Answer) -> list[NamedBody]:
+        said: list[NamedBody] = [(TARGET, self._status(answer))]
         insertion = self._machine.insertion
         if answer.code is Code.OK and insertion is not None:
             said.append((TARGET, insertion.sent))
@@ -226,12 +229,12 @@ class Dialogue:
         return CommandReply(number, "" if answer.code is Code.OK else "refused", answer.text)
 
     def _rejected(self, client: int, event: Rejected) -> list[Outgoing]:
-        """What could not be read was perhaps a command, so its sender must know. Unknown types are no commands."""
+        """Answer an unreadable message, which may have been a command; unknown types are not commands."""
         if event.fatal or event.header is None or event.header.type_name not in UNDERSTOOD:
             return []
         return self._all(client, [(contract.CURRENT_STATUS, Status(Code.CONFIGURATION, "UNREADABLE", event.reason))])
 
-    def _of_outcome(self, client: int, outcome: Outcome) -> list[Saying]:
+    def _of_outcome(self, client: int, outcome: Outcome) -> list[NamedBody]:
         answer = Answer(outcome.code, outcome.text)
         if outcome.name == TARGET:
             return self._target_answer(answer)
@@ -240,8 +243,8 @@ class Dialogue:
             if outcome.code is Code.EMERGENCY and self._peers[client].sent_emergency:
                 self._peers[client].sent_emergency = False
                 answer = Answer(self.dialect.own_emergency, outcome.text)
-        said: list[Saying] = [(fitting(outcome.name), self._status(answer))]
-        if outcome.name == Cause.MOVE_TO_TARGET.value:
+        said: list[NamedBody] = [(fitting(outcome.name), self._status(answer))]
+        if outcome.name == Trigger.MOVE_TO_TARGET.value:
             said.append(self._facts.position())
         return said
 
@@ -252,13 +255,13 @@ class Dialogue:
     # Streams.
 
     def _new_events(self) -> list[Outgoing]:
-        """What supervision has noticed since the last cycle, for all who listen; never dropped."""
+        """Return the supervision events since the last cycle for all clients with telemetry; they are never dropped."""
         if self._machine.drilling is not self._hole:
             self._hole, self._events = self._machine.drilling, 0
         noted = [] if self._hole is None else self._hole.noted[self._events :]
         self._events += len(noted)
-        said: list[Saying] = [
-            (contract.EVENT, String(f"{n.event.value}; {n.depth_mm:.2f} mm; {n.force_n:.1f} N")) for n in noted
+        said: list[NamedBody] = [
+            (contract.EVENT, String(f"{n.kind.value}; {n.depth_mm:.2f} mm; {n.force_n:.1f} N")) for n in noted
         ]
         listening = [client for client, peer in self._peers.items() if peer.telemetry] if said else []
         return [outgoing for client in listening for outgoing in self._all(client, said)]
@@ -279,7 +282,7 @@ class Dialogue:
             out += self._all(client, said + (streams if client in full else []), telemetry=True)
         return out
 
-    def _all(self, client: int, said: list[Saying], *, telemetry: bool = False) -> list[Outgoing]:
+    def _all(self, client: int, said: list[NamedBody], *, telemetry: bool = False) -> list[Outgoing]:
         peer = self._peers.get(client) or _Peer()
         if peer.mirrored:
             said = [each for name, body in said for each in with_mirror(name, body)]
@@ -287,7 +290,7 @@ class Dialogue:
 
 
 def _request(command: str, text: str) -> Request | str:
-    """What a COMMAND asks for, or what is wrong with it."""
+    """Return the request in a COMMAND, or a text that says what is wrong with it."""
     if command == contract.RESET:
         digits = text.isascii() and text.isdigit() and len(text) < 10
         return Reset(int(text)) if digits else f"{contract.RESET} carries the number of the fault"

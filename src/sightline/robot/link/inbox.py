@@ -1,4 +1,4 @@
-"""What clients sent, in the order in which it is heard: stops first, and nothing moves that a stop came after."""
+"""Queue of clients' messages: stops come first, and a motion command sent before a stop is cancelled."""
 
 from collections import Counter, deque
 from collections.abc import Callable, Iterator
@@ -6,22 +6,22 @@ from dataclasses import dataclass, field
 from enum import Enum
 
 from sightline.robot import contract
-from sightline.robot.control.states import Cause
+from sightline.robot.control.states import Trigger
 from sightline.robot.igtl import Event, Message, Rejected, String
 
-STOPPING = (Cause.STOP.value, Cause.EMERGENCY.value)
+STOPPING = (Trigger.STOP.value, Trigger.EMERGENCY.value)
 
 
 class Change(Enum):
-    """Of who is there."""
+    """Arrival or departure of a client."""
 
     JOINED = "joined"
     LEFT = "left"
 
 
 @dataclass(frozen=True, eq=False)
-class Heard:
-    """What a client sent or did. `overtaken`: a stop that came later was heard before it."""
+class InboxItem:
+    """A client's message, arrival or departure. `overtaken`: a stop that was sent later is handled before it."""
 
     client: int
     what: Event | Change
@@ -29,79 +29,80 @@ class Heard:
 
 
 @dataclass(eq=False)
-class _Line:
-    """Of one client: what waits, oldest first, each with its number; and the number of its end."""
+class _Queue:
+    """One client's queue: waiting items, oldest first, with their numbers; and the number of its departure."""
 
-    waiting: deque[tuple[int, Heard]] = field(default_factory=deque)
+    waiting: deque[tuple[int, InboxItem]] = field(default_factory=deque)
     left: int | None = None
 
 
 class Inbox:
-    """One thread puts, another takes. Each client has a line of its own, and the lines take turns: who sends much
-    delays nobody else."""
+    """Messages from one thread to another. Each client has its own queue and the queues are served in turn, so that a
+    client that sends much delays no other."""
 
     def __init__(self) -> None:
-        self._next = 0  # numbers count what came; a thread may read this, and the other alone writes it
-        self._stops: deque[tuple[int, Heard]] = deque()
-        self._lines: dict[int, _Line] = {}
-        self._stopped = -1  # number of the last stop that was heard
+        self._next = 0  # number of the next item; written only by the thread that puts
+        self._stops: deque[tuple[int, InboxItem]] = deque()
+        self._queues: dict[int, _Queue] = {}
+        self._stopped = -1  # number of the last stop that was handled
 
     def put(self, client: int, what: Event | Change) -> None:
-        """Something that came."""
+        """Add a message, or the arrival or departure of a client."""
         stop = stop_of(what)
         if stop is not None:
-            self._stops.append((self._next, Heard(client, stop)))
+            self._stops.append((self._next, InboxItem(client, stop)))
         else:
-            line = self._lines.setdefault(client, _Line())
+            queue = self._queues.setdefault(client, _Queue())
             if what is Change.LEFT:
-                line.left = self._next
+                queue.left = self._next
             else:
-                line.waiting.append((self._next, Heard(client, what)))
+                queue.waiting.append((self._next, InboxItem(client, what)))
         self._next += 1
 
     def __len__(self) -> int:
-        lines = list(self._lines.values())
-        return len(self._stops) + sum(len(line.waiting) + (line.left is not None) for line in lines)
+        queues = list(self._queues.values())
+        return len(self._stops) + sum(len(queue.waiting) + (queue.left is not None) for queue in queues)
 
     def waiting(self, client: int) -> int:
-        """Messages of this client that were not heard yet, stops aside."""
-        line = self._lines.get(client)
-        return 0 if line is None else len(line.waiting)
+        """Return the number of this client's waiting messages, without stops."""
+        queue = self._queues.get(client)
+        return 0 if queue is None else len(queue.waiting)
 
     @property
     def stop_waits(self) -> bool:
-        """Whether one is there."""
+        """Whether a stop is waiting."""
         return bool(self._stops)
 
-    def turn(self, most: int, waits: Callable[[], int | None] = lambda: None) -> Iterator[Heard]:
-        """What is heard in one turn: all stops, then who left, then at most so many of what else came before the turn
-        began. A client that `waits` for an answer is heard when it has it; one that left is not heard after that."""
+    def batch(self, most: int, waits: Callable[[], int | None] = lambda: None) -> Iterator[InboxItem]:
+        """Yield the items of one cycle: all stops, then departures, then at most `most` of the other items that came
+        before the cycle began. The client that `waits` for an answer is served once it has it; a client that left is
+        not served any more."""
         end = self._next
         for _ in range(len(self._stops)):
             self._stopped, heard = self._stops.popleft()
             yield heard
-        for client, line in list(self._lines.items()):
-            if line.left is not None and line.left < end:
-                del self._lines[client]
-                yield Heard(client, Change.LEFT)
-        turns: Counter[int] = Counter()
+        for client, queue in list(self._queues.items()):
+            if queue.left is not None and queue.left < end:
+                del self._queues[client]
+                yield InboxItem(client, Change.LEFT)
+        served: Counter[int] = Counter()
         for _ in range(most):
             waiting = waits()
             heads = [
-                (turns[client], line.waiting[0][0], client)
-                for client, line in list(self._lines.items())
-                if line.waiting and line.waiting[0][0] < end and client != waiting
+                (served[client], queue.waiting[0][0], client)
+                for client, queue in list(self._queues.items())
+                if queue.waiting and queue.waiting[0][0] < end and client != waiting
             ]
             if not heads:
                 return
             *_, client = min(heads)
-            turns[client] += 1
-            number, heard = self._lines[client].waiting.popleft()
-            yield Heard(client, heard.what, number < self._stopped)
+            served[client] += 1
+            number, heard = self._queues[client].waiting.popleft()
+            yield InboxItem(client, heard.what, number < self._stopped)
 
 
 def stop_of(what: Event | Change) -> Message | None:
-    """The command to stop that this is, if it is one: also where its CRC is wrong."""
+    """Return the stop command in an event, also if its CRC is wrong; None if it is not one."""
     if isinstance(what, Rejected) and what.header is not None and what.header.device_name.isascii():
         what = Message(String(what.text), what.header.device_name, version=what.header.version)
     if not (isinstance(what, Message) and isinstance(what.body, String)):
@@ -111,6 +112,7 @@ def stop_of(what: Event | Change) -> Message | None:
 
 
 def stop_word(text: str) -> str | None:
-    """STOP or EMERGENCY where a text reads so, whatever its case, the space around it or what follows a zero."""
+    """Return STOP or EMERGENCY if the text is one, ignoring case, surrounding space and all after a zero byte; else
+    None."""
     word = text.split("\0", maxsplit=1)[0].strip().upper()
     return word if word in STOPPING else None

@@ -1,4 +1,4 @@
-"""Messages for clients, made of what is to be said to them."""
+"""Outgoing messages for clients, built from a device name and a body."""
 
 from dataclasses import dataclass
 
@@ -6,13 +6,13 @@ from sightline.robot import contract
 from sightline.robot.igtl import Message, Status, String, Transform
 from sightline.robot.igtl.kinds import Body
 
-Saying = tuple[str, Body]  # device name and body of a message
+NamedBody = tuple[str, Body]  # device name and body of a message
 _NAME_BYTES = 20
 
 
 @dataclass(frozen=True)
 class Outgoing:
-    """A message for a client. Telemetry may be dropped where the client reads too slowly; answers never."""
+    """A message for a client. Telemetry may be dropped if the client reads too slowly; answers never are."""
 
     client: int
     message: Message
@@ -20,7 +20,7 @@ class Outgoing:
 
 
 def message_of(name: str, body: Body, version: int) -> Message:
-    """A message; with header 2 it says which frame and unit its numbers are in."""
+    """Return a message; with header version 2 a pose carries its frame and unit as metadata."""
     said: dict[str, str] = {}
     if version == 2 and isinstance(body, Transform):
         frame = contract.MCS if name == contract.MEASURED_CP else contract.CFCS
@@ -28,19 +28,19 @@ def message_of(name: str, body: Body, version: int) -> Message:
     return Message(body, name, version=version, metadata=said)
 
 
-def with_mirror(name: str, body: Body) -> list[Saying]:
-    """What is said, and where it is a STATUS the same in words."""
+def with_mirror(name: str, body: Body) -> list[NamedBody]:
+    """Return the message, followed by its text as a STRING if it is a STATUS."""
     if not isinstance(body, Status):
         return [(name, body)]
     return [(name, body), (contract.MIRRORED, String(f"{name}; {body.code}; {body.error_name}; {body.text}"))]
 
 
-def echo_of(name: str, body: Body) -> Saying:
-    """The acknowledgement of a message named KIND_identifier, by its body."""
+def echo_of(name: str, body: Body) -> NamedBody:
+    """Return the acknowledgement of a message named KIND_identifier: its body under the ACK_ name."""
     return contract.ACKNOWLEDGED + name.split("_", 1)[1], body
 
 
 def fitting(name: str) -> str:
-    """A device name made of what a client sent: ASCII, and no longer than the field."""
+    """Return a valid device name made from a client's text: ASCII, cut to the field's length."""
     readable = "".join(letter for letter in name if " " < letter < "\x7f")[:_NAME_BYTES]
     return readable or "UNKNOWN"

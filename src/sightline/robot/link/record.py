@@ -1,4 +1,4 @@
-"""What the robot said while it drilled: depth and force over the link, and the events that its supervision noticed."""
+"""Record of drilling: depth and force as sent over the link, and the events from the robot's supervision."""
 
 import re
 from collections.abc import Mapping
@@ -15,7 +15,7 @@ _EVENT = re.compile(r"([a-z -]{1,40}); (-?\d{1,6}\.\d\d) mm; (-?\d{1,6}\.\d) N")
 
 @dataclass(frozen=True)
 class DrillingEvent:
-    """`name` as supervision calls it, noticed `depth_mm` beyond the entry point at a filtered force of `force_n`."""
+    """An event of supervision, at `depth_mm` beyond the entry point and a filtered force of `force_n`."""
 
     name: str
     depth_mm: float
@@ -24,8 +24,8 @@ class DrillingEvent:
 
 @dataclass(frozen=True, eq=False)
 class DrillingRecord:
-    """`depth_mm` beyond the entry point and `force_n`, (N,) in the order they came; `events` likewise. `depth_sd_mm`
-    (N,): the depth's error, 1 s.d.; None of a robot that states none."""
+    """`depth_mm` beyond the entry point and `force_n`, (N,) in order of arrival; `events` likewise. `depth_sd_mm` (N,):
+    standard deviation of the depth; None from a robot that states none."""
 
     depth_mm: np.ndarray
     force_n: np.ndarray
@@ -33,7 +33,7 @@ class DrillingRecord:
     depth_sd_mm: np.ndarray | None = None
 
     def document(self) -> dict[str, Any]:
-        """As JSON types."""
+        """Return the record as JSON types."""
         events = [vars(event) for event in self.events]
         sd = None if self.depth_sd_mm is None else self.depth_sd_mm.tolist()
         return {
@@ -45,7 +45,7 @@ class DrillingRecord:
 
     @staticmethod
     def of(document: Mapping[str, Any]) -> "DrillingRecord":
-        """From JSON types."""
+        """Return the record from JSON types."""
         sd = document.get("depth_sd_mm")
         return DrillingRecord(
             np.array(document["depth_mm"]),
@@ -56,7 +56,7 @@ class DrillingRecord:
 
 
 class Recorder:
-    """Give `heard` to a client's `listeners`; `record` is what was heard so far. Messages it does not know pass by."""
+    """Collects a record: add `heard` to a client's `listeners`, and read `record`. Other messages are ignored."""
 
     def __init__(self) -> None:
         self._force_n = self._sd_mm = np.nan
@@ -64,7 +64,7 @@ class Recorder:
         self._events: list[DrillingEvent] = []
 
     def heard(self, message: Message) -> None:
-        """A message of the robot's."""
+        """Add a message from the robot."""
         body = message.body
         if isinstance(body, Sensor) and len(body.values) == 1:
             value = float(body.values[0])
@@ -81,6 +81,6 @@ class Recorder:
 
     @property
     def record(self) -> DrillingRecord:
-        """Up to now."""
+        """The record so far."""
         depth, force, sd = np.array(self._samples).reshape(-1, 3).T
         return DrillingRecord(depth, force, tuple(self._events), sd if np.isfinite(sd).all() else None)

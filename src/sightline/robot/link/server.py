@@ -1,5 +1,5 @@
-"""The robot as a server: the control loop in one thread, the link in another, a stop heard by both; a third looks for
-collisions."""
+"""The robot as a server: the control loop in one thread, the link in another, and collision checks in a third. Both the
+loop and the link act on a stop."""
 
 import asyncio
 import gc
@@ -20,39 +20,37 @@ from sightline.errors import LinkError, MessageError
 from sightline.robot import contract
 from sightline.robot.contract import Code
 from sightline.robot.control.controller import Controller
-from sightline.robot.control.own_time import OwnTime
+from sightline.robot.control.loop_clock import LoopClock
 from sightline.robot.igtl import Event, timestamp_of
 from sightline.robot.link.dialect import SIGHTLINE, Dialect
 from sightline.robot.link.dialogue import Dialogue
-from sightline.robot.link.inbox import Change, Heard, Inbox, stop_of
+from sightline.robot.link.inbox import Change, Inbox, InboxItem, stop_of
 from sightline.robot.link.outgoing import Outgoing
 from sightline.robot.plant import CYCLE_S, Plant
 from sightline.robot.transport import LOOPBACK, PORT, Connection, serve
 
-LATE_S = 0.001  # a cycle that begins later than this has missed its time [ours]
-SWITCH_S = 0.0005  # Python's threads take turns so often: a tenth of a cycle [ours]
-PRIORITY = 10  # of the loop's thread among real-time threads, where the system allows it [ours]
-DEAF_S = 3 * CYCLE_S  # a loop that has not turned for so long cannot stop the drives
-READ_S = CYCLE_S  # between the rounds in which the link reads its sockets, at most
-REQUESTS_PER_CYCLE = 32  # the others wait, so that no flood of requests makes a cycle late [ours]
-WAITING_REQUESTS = 256  # of one client: that which has more waiting is cut off [ours]
-WAITING_BATCHES = 64  # of telemetry, when the link cannot follow; what is newer is dropped [ours]
-VIRTUAL_TELEMETRY_S = (
-    0.1  # of virtual time: a tenth of a millimetre drilled; sending more takes half of all time [ours]
-)
+LATE_S = 0.001  # a cycle that begins later than this counts as missed [ours]
+SWITCH_S = 0.0005  # Python's thread switch interval: a tenth of a cycle [ours]
+PRIORITY = 10  # real-time priority of the loop's thread, if the system allows it [ours]
+STALLED_S = 3 * CYCLE_S  # after this time without a cycle the link itself stops the drives
+READ_S = CYCLE_S  # longest time between rounds in which the link reads its sockets
+REQUESTS_PER_CYCLE = 32  # the others wait, so that a flood of requests makes no cycle late [ours]
+WAITING_REQUESTS = 256  # a client with more waiting requests is disconnected [ours]
+WAITING_BATCHES = 64  # of telemetry that the link has not sent; newer telemetry is dropped [ours]
+# Period of telemetry in virtual time: a tenth of a millimetre drilled; a shorter one takes half of all time [ours].
+VIRTUAL_TELEMETRY_S = 0.1
 START_S = 5.0
-MAX_BODY_BYTES = 1 << 20  # no message of the contract needs a hundredth
-_AFTER_REQUEST = 20  # cycles that virtual time goes on for after a request
+MAX_BODY_BYTES = 1 << 20  # a hundred times the largest message of the contract
+_AFTER_REQUEST = 20  # cycles that virtual time runs on after a request
 
 
 class RobotServer(Closing):
     """`with RobotServer(controller, plant):` listens at `port` until the block ends.
 
-    `advance(dt_s)` lets a simulated plant's time pass, which stands still while this program does not run; a real one
-    needs none. With `virtual` time runs as fast as it
-    can while something moves and stands still otherwise: for trials, with clients that send no heartbeats. `truth`:
-    what a simulator tells simulated imaging devices (robot/link/simulated.py). `dialect`: robot/link/dialect.py.
-    Raises LinkError where the port cannot be had.
+    `advance(dt_s)` advances a simulated plant's time, which stands still while this program does not run; a real plant
+    needs none. With `virtual`, time runs as fast as possible while something moves and stands still otherwise: for
+    trials, with clients that send no heartbeats. `truth`: text for simulated imaging devices (robot/link/simulated.py).
+    `dialect`: see robot/link/dialect.py. Raises LinkError if the port cannot be opened.
     """
 
     def __init__(
@@ -76,9 +74,10 @@ class RobotServer(Closing):
         self._connections: dict[int, Connection] = {}
         self._numbers: dict[Connection, int] = {}
         self._next = 1
-        self._handed = self._delivered = 0  # batches: the first counted by the loop's thread, the second by the link's
-        self._turned_s = time.monotonic()
-        self._rounds = 0  # of the link's thread: how often it has read all its sockets
+        # Batches of messages: the first is counted by the loop's thread, the second by the link's.
+        self._handed = self._delivered = 0
+        self._cycled_s = time.monotonic()
+        self._rounds = 0  # how often the link's thread has read all its sockets
         self._end = threading.Event()
         self._listening: threading.Event = threading.Event()
         self._failed: LinkError | None = None
@@ -86,10 +85,10 @@ class RobotServer(Closing):
         self._closing: asyncio.Event
         self._link = threading.Thread(target=self._run_link, name="link", daemon=True)
         self._control = threading.Thread(target=self._run_control, name="control", daemon=True)
-        # A thread that holds the global interpreter lock must not be preempted while the control loop waits for it.
+        # Real-time priority avoids priority inversion: this thread holds the interpreter lock that the loop waits for.
         prefer = None if virtual else lambda: prefer_this_thread(PRIORITY - 2)
-        self._survey = ThreadPoolExecutor(1, "survey", prefer)
-        controller.surveyor = self._survey.submit
+        self._checker = ThreadPoolExecutor(1, "collision check", prefer)
+        controller.check_executor = self._checker.submit
 
     def __enter__(self) -> Self:
         self._link.start()
@@ -99,7 +98,7 @@ class RobotServer(Closing):
         return self
 
     def close(self) -> None:
-        """Stop the robot, say goodbye, and end."""
+        """Stop the robot, close all connections, and end the threads."""
         self._end.set()
         if self._control.is_alive():
             self._control.join()
@@ -107,12 +106,12 @@ class RobotServer(Closing):
         if self._link.is_alive():
             self._close_link()
             self._link.join()
-        self._survey.shutdown(wait=False, cancel_futures=True)
+        self._checker.shutdown(wait=False, cancel_futures=True)
 
     def wait(self) -> None:
-        """Until the link ends, or a KeyboardInterrupt."""
+        """Wait until the link ends, or for a KeyboardInterrupt."""
         if not self._virtual:
-            prefer_this_thread(PRIORITY - 1)  # it wakes now and then, and holds Python's lock for a moment
+            prefer_this_thread(PRIORITY - 1)  # against priority inversion: it holds the interpreter lock when it wakes
         while self._link.is_alive():
             self._link.join(1.0)
 
@@ -120,7 +119,7 @@ class RobotServer(Closing):
 
     def _run_link(self) -> None:
         if not self._virtual:
-            prefer_this_thread(PRIORITY - 1)  # its decoding holds that lock, too
+            prefer_this_thread(PRIORITY - 1)  # against priority inversion: decoding holds the interpreter lock
         try:
             asyncio.run(self._listen())
         except LinkError as error:
@@ -140,7 +139,8 @@ class RobotServer(Closing):
             await self._closing.wait()
 
     def _count_round(self) -> None:
-        """The event loop calls this after it has read all sockets: what had come at the last round is in the inbox."""
+        """Count a round. The event loop calls this after reading all sockets: all that had arrived by the round before
+        is then in the inbox."""
         self._rounds += 1
         self._event_loop.call_later(READ_S, self._count_round)
 
@@ -151,18 +151,19 @@ class RobotServer(Closing):
         self._next += 1
 
     def received(self, connection: Connection, event: Event) -> None:
-        """See transport.Handler. A stop overtakes whatever waits; where the loop does not turn, it acts from here."""
+        """See transport.Handler. A stop overtakes all that waits; if the loop is stalled, it stops the plant
+        directly."""
         client = self._numbers[connection]
         stops = _stops(event)
         if self._inbox.waiting(client) >= WAITING_REQUESTS and not stops:
             connection.close("too many requests at once")
             return
         self._inbox.put(client, event)
-        if stops and time.monotonic() - self._turned_s > DEAF_S and not self._virtual:
+        if stops and time.monotonic() - self._cycled_s > STALLED_S and not self._virtual:
             self._plant.hold()
 
     def silent(self, connection: Connection) -> None:
-        """See transport.Handler. Silence is judged by the loop, which knows who must not be silent."""
+        """See transport.Handler. Ignored: the loop judges silence, by the command lease."""
 
     def lost(self, connection: Connection, reason: str) -> None:
         """See transport.Handler."""
@@ -202,7 +203,7 @@ class RobotServer(Closing):
             self._event_loop.call_soon_threadsafe(self._closing.set)
 
     def _turn_on_time(self) -> None:
-        cycles, own = self.dialogue.cycles, OwnTime()
+        cycles, own = self.dialogue.cycles, LoopClock()
         read_s, asked_s, asked = 0.0, 0.0, self._rounds
         due = time.monotonic()
         while not self._end.is_set():
@@ -212,23 +213,23 @@ class RobotServer(Closing):
             cycles.count += 1
             cycles.missed += late > LATE_S
             cycles.worst_s = max(cycles.worst_s, late)
-            if self._rounds >= asked + 2:  # the second has begun after it was asked for
+            if self._rounds >= asked + 2:  # the second round has begun after the time noted
                 read_s, asked_s, asked = asked_s, own.now_s, self._rounds
             said = self._guarded(self._hear, own.now_s if self._advance else due)
-            # What was never begun is not made up for: requests may take long where the robot stands.
+            # Skipped cycles are not made up for: requests may take long while the robot stands still.
             skipped = int((time.monotonic() - due) / CYCLE_S)
             cycles.count += skipped
             cycles.missed += skipped
             due += CYCLE_S * skipped
-            passed = own.turn(due)
+            passed = own.tick(due)
             self._turn(own.now_s if self._advance else due, passed, said, own.now_s - read_s)
-            self._turned_s = time.monotonic()
+            self._cycled_s = time.monotonic()
 
     def _turn_virtually(self) -> None:
         now, idle = 0.0, 0
         while not self._end.is_set():
-            if self._controller.looking_for is not None:
-                time.sleep(CYCLE_S)  # what is looked at beside the loop takes its time
+            if self._controller.checking_for is not None:
+                time.sleep(CYCLE_S)  # the collision check on another thread takes real time
             idle = 0 if self._controller.busy or len(self._inbox) else idle + 1
             if idle > _AFTER_REQUEST:
                 time.sleep(0.0005)  # time stands still
@@ -237,14 +238,14 @@ class RobotServer(Closing):
             self._turn(now, CYCLE_S, self._guarded(self._hear, now))
 
     def _turn(self, now_s: float, elapsed_s: float, said: list[Outgoing], unread_s: float = 0.0) -> None:
-        """Let time pass, one cycle of the controller, and hand over what there is to say."""
+        """Advance the plant's time, run one cycle of the controller, and hand the messages to the link."""
         if self._advance is not None:
             self._advance(elapsed_s)
         said = said + self._guarded(partial(self.dialogue.cycle, unread_s=unread_s), now_s)
         waiting = self._handed - self._delivered
         if said and (waiting < WAITING_BATCHES or not all(outgoing.telemetry for outgoing in said)):
             self._handed += 1
-            with suppress(RuntimeError):  # the link has ended, and the loop will
+            with suppress(RuntimeError):  # the link has ended; the loop will end too
                 self._event_loop.call_soon_threadsafe(self._deliver, said)
 
     def _guarded(self, what: Callable[[float], list[Outgoing]], now_s: float) -> list[Outgoing]:
@@ -256,15 +257,15 @@ class RobotServer(Closing):
             return []
 
     def _hear(self, now_s: float) -> list[Outgoing]:
-        """What clients sent, their stops before all else."""
+        """Handle the clients' messages, stops first, and return the answers."""
         if self._inbox.stop_waits:
             self._plant.hold()
         said: list[Outgoing] = []
-        for heard in self._inbox.turn(REQUESTS_PER_CYCLE, lambda: self._controller.looking_for):
+        for heard in self._inbox.batch(REQUESTS_PER_CYCLE, lambda: self._controller.checking_for):
             said += self._heard(heard, now_s)
         return said
 
-    def _heard(self, heard: Heard, now_s: float) -> list[Outgoing]:
+    def _heard(self, heard: InboxItem, now_s: float) -> list[Outgoing]:
         if heard.what is Change.JOINED:
             self.dialogue.joined(heard.client)
         elif heard.what is Change.LEFT:
@@ -279,15 +280,15 @@ def _stops(event: Event) -> bool:
 
 
 def tune_process() -> None:
-    """For a process that is a robot or drives one: short turns of threads, and no long search for garbage."""
+    """Tune a process that runs a control loop: short thread switch interval, no long garbage collections."""
     sys.setswitchinterval(SWITCH_S)
     gc.collect()
-    gc.freeze()  # what is there now stays, and is not looked through again
+    gc.freeze()  # exclude the objects that exist now from later collections
     gc.set_threshold(10_000, 50, 1000)
 
 
 def prefer_this_thread(priority: int) -> None:
-    """Run the calling thread before all that is not real-time, where the system allows it."""
+    """Give the calling thread real-time priority, if the system allows it."""
     if hasattr(os, "sched_setscheduler"):
         with suppress(OSError):
             os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))

@@ -1,4 +1,4 @@
-"""What a simulator tells simulated imaging devices and no robot knows: where wire and frame truly are."""
+"""True poses of wire and frame, which a simulator sends to simulated imaging devices and no real robot knows."""
 
 from dataclasses import dataclass
 from json import JSONDecodeError, dumps, loads
@@ -11,8 +11,8 @@ from sightline.errors import UnusableInputError
 
 @dataclass(frozen=True, eq=False)
 class SimulatedWire:
-    """`wire_mm` (3, 3) MCS: the wire's axis at its guide's mouth, where bone holds it (else halfway), and its tip, as
-    they are now. `T_mcs_cfcs`: the frame as it stood when the images were taken, `imaged` (5,): the encoders then."""
+    """`wire_mm` (3, 3) MCS: current points of the wire's axis at the guide's mouth, at the bone (else halfway), and at
+    the tip. `T_mcs_cfcs`: true pose of the frame at the images; `imaged` (5,): the encoders then."""
 
     wire_mm: np.ndarray
     T_mcs_cfcs: RigidTransform
@@ -20,17 +20,17 @@ class SimulatedWire:
 
     @property
     def axis_mm(self) -> np.ndarray:
-        """(2, 3): where it leaves its guide and its tip, CFCS of the images."""
+        """(2, 3): where the wire leaves its guide, and its tip, CFCS of the images, mm."""
         return self.T_mcs_cfcs.inv().apply(self.wire_mm[[0, 2]])
 
     def text(self) -> str:
-        """As the link carries it."""
+        """Return the text that the link carries."""
         values = {"wire_mm": self.wire_mm, "T_mcs_cfcs": self.T_mcs_cfcs.as_matrix(), "imaged": self.imaged}
         return dumps({name: value.tolist() for name, value in values.items()})
 
     @staticmethod
     def of(text: str) -> "SimulatedWire":
-        """From such a text. Raises UnusableInputError."""
+        """Return the wire from such a text. Raises UnusableInputError."""
         try:
             said = loads(text)
             names = ("wire_mm", "T_mcs_cfcs", "imaged")

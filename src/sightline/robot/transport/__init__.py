@@ -1,4 +1,4 @@
-"""OpenIGTLink over TCP: several clients, bounded queues, disconnects noticed. What messages mean lives elsewhere."""
+"""OpenIGTLink over TCP: several clients, bounded queues, detection of lost peers. It does not interpret messages."""
 
 from sightline.robot.transport.blocking import BlockingClient
 from sightline.robot.transport.client import Client

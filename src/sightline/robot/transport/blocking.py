@@ -1,4 +1,4 @@
-"""The calling side without an event loop: send, and wait for what comes."""
+"""A blocking client without an event loop."""
 
 import select
 import socket
@@ -15,17 +15,17 @@ from sightline.robot.transport.heartbeat import Heartbeat, Pace
 from sightline.robot.transport.server import LOOPBACK, PORT
 from sightline.robot.transport.sockets import prepare
 
-# Bytes read at once, some twenty messages: a call shows after each piece that it goes on. A client that lags decodes
-# 64 KiB in 25 ms, which takes it 0.5 s where nine others want its processor [measured].
+# Bytes read at once, some twenty messages: a call shows progress after each piece. A client with a backlog decodes
+# 64 KiB in 25 ms, or in 0.5 s when nine others compete for its processor [measured].
 _PIECE = 1 << 12
-_SEND_S = 5.0  # [ours] a peer that reads nothing for so long is given up
+_SEND_S = 5.0  # [ours] a peer that reads nothing for this long is given up
 
 
 class BlockingClient(Closing):
-    """A connection: any thread may send and close, one at a time receive. Raises LinkError where it cannot be made in
-    time.
+    """A connection. Any thread may send and close; one thread at a time may receive. Raises LinkError if it cannot
+    connect in time.
 
-    It does not connect again by itself, and it hears nothing between two calls.
+    It does not reconnect by itself, and it reads nothing between calls.
     """
 
     def __init__(self, host: str = LOOPBACK, port: int = PORT):
@@ -36,27 +36,27 @@ class BlockingClient(Closing):
         except OSError as error:
             raise LinkError(f"cannot connect to {host}:{port}: {error.strerror or error}") from error
         prepare(self._socket)
-        self._writer = self._socket.dup()  # a socket's time limit is its own: receiving must not shorten sending
+        self._writer = self._socket.dup()  # has its own timeout, which receiving must not shorten
         self._writer.settimeout(_SEND_S)
         self._writing = Lock()
 
     def send(self, message: Message) -> None:
-        """Send it. Raises LinkError where the connection is gone, MessageError as `encode` does."""
+        """Send a message. Raises LinkError if the connection is lost, MessageError as `encode` does."""
         self.send_bytes(encode(message))
 
     def heartbeat(self, message: Message, pace: Pace) -> Heartbeat:
-        """Heartbeats on this connection from a process of their own. Raises LinkError where it does not start."""
+        """Start heartbeats on this connection from a separate process. Raises LinkError if it does not start."""
         try:
             return Heartbeat(self._writer, encode(message), pace)
         except OSError as error:
             raise LinkError(f"heartbeats cannot be sent: {error}") from error
 
     def send_bytes(self, *pieces: bytes) -> None:
-        """The same, of what may be no message and in several pieces: a test of the peer."""
+        """Send raw bytes, possibly in several pieces, to test the peer. Raises LinkError."""
         try:
             with self._writing:
                 for piece in pieces:
-                    # What is writable takes a message of the contract whole: no heartbeat comes within a piece.
+                    # A writable socket accepts any message of the contract at once: no heartbeat comes within a piece.
                     if not select.select([], [self._writer], [], _SEND_S)[1]:
                         raise TimeoutError("the peer does not read")
                     self._writer.sendall(piece)
@@ -65,8 +65,8 @@ class BlockingClient(Closing):
             raise LinkError(f"the connection was lost: {error}") from error
 
     def receive(self, timeout_s: float) -> Event | None:
-        """What came next, in order; None where nothing was complete in time. With a time of 0, what is there already.
-        Raises LinkError after the end."""
+        """Return the next event in order, or None if none was complete in time; with a timeout of 0, one that is
+        already there. Raises LinkError once the connection has ended."""
         end = time.monotonic() + timeout_s
         while not self._events:
             left = end - time.monotonic()
@@ -80,11 +80,11 @@ class BlockingClient(Closing):
 
     @property
     def closed(self) -> bool:
-        """Whether it has ended."""
+        """Whether the connection has ended."""
         return self._socket.fileno() < 0
 
     def close(self) -> None:
-        """End it; the peer and a thread that receives notice at once."""
+        """Close the connection; the peer and a receiving thread notice at once."""
         with suppress(OSError):
             self._socket.shutdown(socket.SHUT_RDWR)
         self._socket.close()

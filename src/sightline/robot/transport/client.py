@@ -1,4 +1,4 @@
-"""The calling side, in an event loop: a connection that is made anew when it is lost."""
+"""A client in an event loop that reconnects when its connection is lost."""
 
 import asyncio
 from contextlib import suppress
@@ -14,10 +14,10 @@ _FIRST_RETRY_S, _LAST_RETRY_S = 0.1, 2.0  # [ours] doubled from one to the other
 
 
 class Client:
-    """`async with Client(handler)` connects, or raises LinkError; from then on a lost connection is made anew.
+    """`async with Client(handler)` connects, or raises LinkError; later it reconnects when the connection is lost.
 
-    The handler is told of every new connection by `opened`: a robot may have stopped or restarted meanwhile, so ask for
-    its state first. `connection` is None while there is none.
+    `opened` of the handler is called for every new connection. A robot may have stopped or restarted meanwhile, so
+    query its state first. `connection` is None while there is none.
     """
 
     def __init__(self, handler: Handler, host: str = LOOPBACK, port: int = PORT):

@@ -1,4 +1,4 @@
-"""One peer, on either side: its messages in order, its silence and its end noticed."""
+"""A connection to one peer, for server and client: messages in order, detection of silence and disconnection."""
 
 import asyncio
 from collections.abc import Callable
@@ -11,35 +11,35 @@ from sightline.robot.transport.sockets import prepare
 
 P = ParamSpec("P")
 
-MESSAGE_S = 5.0  # [ours] for a message to be complete: 16 MiB at 30 Mbit/s; then its size is taken to be wrong
+MESSAGE_S = 5.0  # [ours] time limit to complete a message: 16 MiB at 30 Mbit/s; after that its size must be wrong
 _PIECE = 1 << 15  # bytes: some hundred messages, which take ten milliseconds [ours]
-GOODBYE_S = 1.0  # [ours] for what waits to go out at the end
+GOODBYE_S = 1.0  # [ours] time limit to send what waits when closing
 
 
 class Handler(Protocol):
-    """Who is told what happens. All are called in the event loop's thread and must return at once.
+    """Callbacks of a connection, called in the event loop's thread; they must return at once.
 
-    An exception that one of them raises ends that connection, and `lost` is called; the others go on.
+    An exception in one of them ends that connection, and `lost` is called; other connections continue.
     """
 
     def opened(self, connection: "Connection") -> None:
-        """A peer is there."""
+        """A peer has connected."""
 
     def received(self, connection: "Connection", event: Event) -> None:
-        """A message came, or something that is none. After a fatal one the connection closes by itself."""
+        """A message, or a rejected one, has arrived. After a fatal rejection the connection closes by itself."""
 
     def silent(self, connection: "Connection") -> None:
-        """No message came for the time set; called once until the next one comes."""
+        """No message came for `silence_s`; called once until the next one comes."""
 
     def lost(self, connection: "Connection", reason: str) -> None:
-        """The connection is gone, once and for good."""
+        """The connection has ended; called once."""
 
 
 class Connection(asyncio.Protocol):
-    """A connection of the event loop, whose thread alone may use it: others go through `loop.call_soon_threadsafe`.
+    """A connection of the event loop. Only the loop's thread may use it; others use `loop.call_soon_threadsafe`.
 
-    `peer`: address and port. `heard_at`: time of the event loop when the last message came. What is sent after the
-    end goes nowhere; `Handler.lost` tells of the end.
+    `peer`: address and port. `heard_at`: event loop time of the last message. Messages sent after the end are
+    discarded; `Handler.lost` reports the end.
     """
 
     def __init__(self, handler: Handler, silence_s: float | None = None, max_body_bytes: int = MAX_BODY_BYTES):
@@ -65,11 +65,11 @@ class Connection(asyncio.Protocol):
 
     @property
     def dropped(self) -> int:
-        """Telemetry that was not sent because the peer read too slowly."""
+        """Number of telemetry messages dropped because the peer read too slowly."""
         return self._outbox.dropped
 
     def send(self, message: Message) -> None:
-        """Send an answer: it arrives in its order, or the connection ends. Raises MessageError as `encode` does."""
+        """Send an answer: it arrives in order, or the connection ends. Raises MessageError as `encode` does."""
         data = encode(message)
         if self._written_at_once(data):
             return
@@ -79,13 +79,13 @@ class Connection(asyncio.Protocol):
             self._abort(str(error))
 
     def stream(self, message: Message) -> None:
-        """Send telemetry: in its order, but where the peer reads too slowly the oldest is dropped, and counted."""
+        """Send telemetry in order; if the peer reads too slowly, the oldest is dropped and counted."""
         data = encode(message)
         if not self._written_at_once(data):
             self._outbox.put_telemetry(data)
 
     def close(self, reason: str) -> None:
-        """End it, after what waits has gone out; that may take a second."""
+        """Close the connection after sending what waits; that may take a second."""
         if self._transport is None or not self.is_open:
             return
         self._reason = reason
@@ -95,27 +95,27 @@ class Connection(asyncio.Protocol):
         self._goodbye = self._loop.call_later(GOODBYE_S, self._transport.abort)
 
     async def wait_closed(self) -> None:
-        """Until it is gone."""
+        """Wait until the connection has ended."""
         await asyncio.shield(self._ended)
 
     def _abort(self, reason: str) -> None:
-        """End it now, whatever waits."""
+        """Close the connection now; discard what waits."""
         if self._transport is not None:
             self._reason = self._reason or reason
             self._transport.abort()
 
     def _written_at_once(self, data: bytes) -> bool:
         if self._transport is None or self._transport.is_closing():
-            return True  # nobody is there: it goes nowhere
+            return True  # no peer: discard it
         if self._paused:
             return False
         self._transport.write(data)
         return True
 
-    # What asyncio calls.
+    # Callbacks of asyncio.
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        """There is a peer."""
+        """A peer has connected."""
         self._transport = cast(asyncio.Transport, transport)
         self.peer = "{}:{}".format(*transport.get_extra_info("peername")[:2])
         prepare(transport.get_extra_info("socket"))
@@ -123,7 +123,8 @@ class Connection(asyncio.Protocol):
         self._tell(self._handler.opened)
 
     def data_received(self, data: bytes) -> None:
-        """Bytes came. They are read in pieces, so that whoever is cut off at once was not read to the end before."""
+        """Bytes have arrived. They are decoded in pieces, so that a disconnected peer's data are not all decoded
+        first."""
         heard = False
         for start in range(0, len(data), _PIECE):
             if not self.is_open:
@@ -145,13 +146,13 @@ class Connection(asyncio.Protocol):
         self._paused = True
 
     def resume_writing(self) -> None:
-        """It reads again."""
+        """The peer reads again."""
         self._paused = False
         while self._outbox and not self._paused and self.is_open:
             self._written_at_once(self._outbox.take())
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """It is over."""
+        """The connection has ended."""
         for timer in (self._silence, self._completion, self._goodbye):
             if timer is not None:
                 timer.cancel()
@@ -165,7 +166,7 @@ class Connection(asyncio.Protocol):
             self._silence = self._loop.call_later(self._silence_s, self._listen, self._silence_s)
 
     def _listen(self, silence_s: float) -> None:
-        # One timer, moved when it fires, instead of a new one for each message.
+        # One timer, rescheduled when it fires, is cheaper than a new one for each message.
         due = self.heard_at + silence_s
         if self._loop.time() < due:
             self._silence = self._loop.call_at(due, self._listen, silence_s)

@@ -1,8 +1,8 @@
-"""Heartbeats from a process of their own: what the client computes cannot delay them, and what hangs it ends them.
+"""Heartbeats from a separate process: the client's computation cannot delay them, and they end if the client hangs.
 
 Run as a program, this file imports nothing of the package, so that it starts in 30 ms. It sends on the client's own
-connection. The client says over a socket pair what it does: WAITING, again and again, while a call waits for the robot,
-IDLE when none does. It ends when the client has ended, however that went, because the pair then has no other end.
+connection. Over a socket pair the client repeats WAITING while a call waits for the robot, and sends IDLE when none
+does. The process ends when the client ends for any reason, because that closes the pair.
 """
 
 import os
@@ -17,14 +17,14 @@ from contextlib import suppress
 from typing import NamedTuple
 
 WAITING, IDLE = b"w", b"i"
-START_S = 10.0  # a busy machine takes a second [measured]
-TICK_S = 0.02  # between two signs of a client that waits [ours]
-_PRIORITY = 1  # of all real-time threads the least, where the system allows it: it works for 50 µs
+START_S = 10.0  # time limit to start; a busy machine takes a second [measured]
+TICK_S = 0.02  # period of WAITING from a client that waits [ours]
+_PRIORITY = 1  # lowest real-time priority, if the system allows it: each heartbeat takes 50 µs
 
 
 class Pace(NamedTuple):
-    """Seconds between heartbeats while a call waits; after which a call that shows no sign is taken to hang; between
-    heartbeats where no call waits."""
+    """Timing, s: period of heartbeats while a call waits; time without progress after which a call counts as hung;
+    period of heartbeats while no call waits."""
 
     every_s: float
     alive_s: float
@@ -36,7 +36,7 @@ def beat(link: socket.socket, told: socket.socket, message: bytes, pace: Pace) -
     waiting, quiet_s, sent_s, turned_s = False, 0.0, -pace.idle_s, time.monotonic()
     while True:
         now = time.monotonic()
-        # Of a pause of this process no more counts: the client, on the same machine, may have paused too.
+        # At most this much of a pause of this process counts: the client, on the same machine, may have paused too.
         quiet_s += min(now - turned_s, 2 * pace.every_s)
         turned_s = now
         due = quiet_s < pace.alive_s if waiting else now - sent_s >= pace.idle_s
@@ -53,7 +53,8 @@ def beat(link: socket.socket, told: socket.socket, message: bytes, pace: Pace) -
 
 
 def _sent(link: socket.socket, message: bytes) -> bool:
-    """A peer that reads nothing gets no heartbeat: half of one would spoil what follows."""
+    """Send a heartbeat unless the peer reads nothing: half a message would corrupt what follows. Returns whether the
+    connection stands."""
     try:
         return not select.select([], [link], [], 0.0)[1] or link.send(message) == len(message)
     except OSError:
@@ -61,7 +62,7 @@ def _sent(link: socket.socket, message: bytes) -> bool:
 
 
 class Heartbeat:
-    """Heartbeats on `link` from now on, whose every message must be written whole and only when it is writable."""
+    """Sends heartbeats on `link` from now on. Others must write to `link` whole messages only, when it is writable."""
 
     def __init__(self, link: socket.socket, message: bytes, pace: Pace) -> None:
         self._own, told = socket.socketpair()
@@ -73,7 +74,7 @@ class Heartbeat:
             command = [sys.executable, "-I", "-S", __file__, *map(str, numbers), message.hex(), *map(str, pace)]
             self._process = subprocess.Popen(command, pass_fds=numbers, stdin=subprocess.DEVNULL)  # noqa: S603
             told.close()
-        else:  # sockets are not inherited there; a thread waits for what else holds the interpreter
+        else:  # Windows does not inherit sockets; a thread can be delayed by the interpreter lock
             threading.Thread(target=beat, args=(link, told, message, pace), name="heartbeat", daemon=True).start()
             return
         if not select.select([self._own], [], [], START_S)[0] or not self._own.recv(1):
@@ -81,31 +82,31 @@ class Heartbeat:
             raise OSError("heartbeats did not start")
 
     def waits(self) -> None:
-        """A call waits for the robot, and goes on."""
+        """Report that a call is waiting for the robot and makes progress."""
         now = time.monotonic()
         if now - self._ticked_s >= TICK_S:
             self._ticked_s = now
             self._say(WAITING)
 
     def idles(self) -> None:
-        """No call waits."""
+        """Report that no call is waiting."""
         self._ticked_s = 0.0
         self._say(IDLE)
 
     def close(self) -> None:
-        """Send no more."""
+        """Stop sending heartbeats."""
         self._own.close()
         if self._process is not None:
             with suppress(subprocess.TimeoutExpired):
                 self._process.wait(START_S)
 
     def _say(self, what: bytes) -> None:
-        with suppress(OSError):  # who does not read it has ended, or is told enough already
+        with suppress(OSError):  # the process has ended, or has unread reports already
             self._own.send(what)
 
 
 def _main(link: str, told: str, message: str, *pace: str) -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # a Ctrl-C is the client's affair, which ends this
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the client handles Ctrl-C and ends this process
     with suppress(OSError, AttributeError):
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(_PRIORITY))
     pair = socket.socket(fileno=int(told))

@@ -1,4 +1,4 @@
-"""The listening side: several clients at one port."""
+"""The server: several clients on one port."""
 
 import asyncio
 from collections.abc import Callable
@@ -10,14 +10,14 @@ from sightline.robot.igtl import MAX_BODY_BYTES, Event
 from sightline.robot.transport.connection import Connection, Handler
 
 LOOPBACK = "127.0.0.1"
-PORT = 18936  # that of the needle robots' convention
-MAX_CLIENTS = 8  # [ours] navigation, a stop on its own connection, displays; more is a fault or an attack
+PORT = 18936  # of the needle robots' convention
+MAX_CLIENTS = 8  # [ours] navigation, its stop connection, displays; more is a fault or an attack
 
-Urgent = Callable[[Event], bool]  # whether it must be heard however many clients there are
+Urgent = Callable[[Event], bool]  # whether an event must be handled however many clients there are
 
 
 class Server:
-    """Clients of a port; `serve` makes one. `async with` closes it."""
+    """A server on one port, made by `serve`; `async with` closes it."""
 
     def __init__(
         self,
@@ -31,23 +31,23 @@ class Server:
         self._handler = handler
         self._silence_s, self._max_body_bytes = silence_s, max_body_bytes
         self._mute_s, self._kept_for = mute_s, kept_for
-        self._connections: dict[Connection, None] = {}  # those that the handler knows
+        self._connections: dict[Connection, None] = {}  # connections that the handler knows
         self._kept: Connection | None = None  # the connection in the reserved place
         self._mute: dict[Connection, asyncio.TimerHandle] = {}
         self._server: asyncio.Server
 
     @property
     def port(self) -> int:
-        """Where it listens."""
+        """The port that it listens on."""
         return self._server.sockets[0].getsockname()[1]
 
     @property
     def connections(self) -> tuple[Connection, ...]:
-        """Clients that are there, the first come first."""
+        """The connected clients, oldest first."""
         return tuple(self._connections)
 
     async def listen(self, host: str, port: int) -> None:
-        """Begin. Raises LinkError where the port cannot be had."""
+        """Start listening. Raises LinkError if the port cannot be opened."""
         loop = asyncio.get_running_loop()
         try:
             self._server = await loop.create_server(
@@ -57,7 +57,7 @@ class Server:
             raise LinkError(f"cannot listen at {host}:{port}: {error.strerror}; choose another port") from error
 
     async def close(self) -> None:
-        """Say goodbye to all, and listen no more."""
+        """Close all connections and stop listening."""
         self._server.close()
         connections = list(self._connections)
         if self._kept is not None and self._kept not in self._connections:
@@ -76,10 +76,10 @@ class Server:
     ) -> None:
         await self.close()
 
-    # It stands between its connections and the handler, to know who is there.
+    # The server is the handler of its connections, so that it can count them, and forwards to its own handler.
 
     def opened(self, connection: Connection) -> None:
-        """Take it, give it the place kept for what is urgent, or turn it away."""
+        """Accept a connection, give it the place reserved for urgent messages, or refuse it."""
         if len(self._connections.keys() - {self._kept}) < MAX_CLIENTS:
             self._welcome(connection)
         elif self._kept_for is None:
@@ -94,7 +94,7 @@ class Server:
             self._mute[connection] = asyncio.get_running_loop().call_later(self._mute_s, connection.close, text)
 
     def received(self, connection: Connection, event: Event) -> None:
-        """Pass it on. In the kept place the first message is urgent, or the last."""
+        """Forward an event. In the reserved place, a first message that is not urgent ends the connection."""
         self._speaks(connection)
         if connection is self._kept and self._kept_for is not None:
             urgent, known = self._kept_for(event), connection in self._connections
@@ -108,12 +108,12 @@ class Server:
             self._handler.received(connection, event)
 
     def silent(self, connection: Connection) -> None:
-        """Pass it on."""
+        """Forward the silence of a client."""
         if connection in self._connections:
             self._handler.silent(connection)
 
     def lost(self, connection: Connection, reason: str) -> None:
-        """Pass it on."""
+        """Forward the loss of a client."""
         self._speaks(connection)
         if connection is self._kept:
             self._kept = None
@@ -145,11 +145,12 @@ async def serve(
     mute_s: float | None = None,
     kept_for: Urgent | None = None,
 ) -> Server:
-    """A server that listens; port 0 takes a free one. After `silence_s` without a message a client is `silent`; one
-    that has never said anything is cut off after `mute_s`. Beyond the last place one is kept for clients that send
-    nothing but what `kept_for` calls urgent; the next who comes takes it over.
+    """Return a listening server; port 0 chooses a free one.
 
-    Whoever reaches the port can send: the protocol knows no password. Raises LinkError where the port cannot be had.
+    After `silence_s` without a message, `silent` is called for a client; a client that has sent nothing at all is
+    disconnected after `mute_s`. Beyond the last place one is reserved for a client that sends only messages that
+    `kept_for` calls urgent; the next client takes that place over. Anyone who reaches the port can send: the protocol
+    has no password. Raises LinkError if the port cannot be opened.
     """
     server = Server(handler, silence_s, max_body_bytes, mute_s, kept_for)
     await server.listen(host, port)

@@ -1,3 +1,2 @@
-"""What the robot does while it moves: courses of its joints, and one hole from approach to tip with its depth and its
-supervision. Each activity is stepped once a cycle. It may import `kinematics`, `plant`, and of `control` the states and
-the insertion."""
+"""The robot's motion: courses of the joints, and drilling of one hole with depth reference and supervision. Each
+activity is stepped once a cycle. It may import `kinematics`, `plant`, and of `control` the states and the insertion."""

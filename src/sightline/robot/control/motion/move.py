@@ -1,4 +1,4 @@
-"""Smooth motion of the joints: all start and stop together, on a straight path between two positions."""
+"""Synchronised point-to-point motion: all joints start and stop together, on a straight path in joint space."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -10,8 +10,8 @@ from sightline.errors import UnusableInputError
 
 @dataclass(frozen=True, eq=False)
 class Move:
-    """From `start` to `end` (5,), joints' units, beginning at `begun_s`: speed rises, holds and falls evenly (a
-    trapezoid), so that no joint exceeds `speed` or `acceleration` (5,) and the slowest sets the pace."""
+    """Motion from `start` to `end` (5,), mm and rad, beginning at `begun_s`, with a trapezoidal velocity profile. No
+    joint exceeds `speed` or `acceleration` (5,); the slowest joint sets the duration."""
 
     start: np.ndarray
     end: np.ndarray
@@ -25,11 +25,11 @@ class Move:
 
     @property
     def duration_s(self) -> float:
-        """From rest to rest."""
+        """Duration from rest to rest."""
         return 2 * self._rise_s + self._level_s
 
     def at(self, time_s: float) -> tuple[np.ndarray, np.ndarray]:
-        """Joints (5,) and their velocities (5,); at rest before the beginning and after the end."""
+        """Return joint positions (5,) and velocities (5,); at rest before the beginning and after the end."""
         if self._rise_s == 0:
             return self.end, np.zeros_like(self.end)
         t = min(max(time_s - self.begun_s, 0.0), self.duration_s)
@@ -49,7 +49,7 @@ class Move:
 
     @cached_property
     def _share_acceleration(self) -> float:
-        """Of the path's whole, 1/s²."""
+        """Acceleration as a share of the whole path, 1/s²."""
         moving = self._path != 0
         return float(np.min((self.acceleration / np.abs(np.where(moving, self._path, 1.0)))[moving], initial=np.inf))
 

@@ -1,7 +1,7 @@
-"""Watching a wire being drilled: contact, cortex, break-through, depth and force, told from depth and force alone.
+"""Supervision of drilling: contact, cortex, break-through, depth and force limits, from depth and force alone.
 
-Forces are noisy and bone is uneven, so events come from a filtered force and its filtered rate: a Kalman filter whose
-state is both, as the group of the paper used it for break-through [Mechatronics 9:565 1999].
+Forces are noisy and bone is uneven, so events are detected in filtered values: a Kalman filter estimates the force and
+its rate, as the paper's group did for break-through [Mechatronics 9:565 1999].
 """
 
 from dataclasses import dataclass
@@ -10,25 +10,25 @@ from math import exp, isfinite, sqrt
 
 from sightline.errors import RobotRefusedError, UnusableInputError
 
-# Noise of a force sample, 1 s.d.: a share of the force and a floor, N [physics.md, Drilling].
+# Noise of a force sample, 1 s.d.: proportional to the force, with a floor in N [physics.md, Drilling].
 NOISE_SHARE, NOISE_FLOOR_N = 0.1, 0.3
 FORCE_LIMIT_N = 80.0  # [physics.md, Drilling]
-# How fast the rate of the force wanders, N/s per root second: a wire of 2.5 mm fed at 1 mm/s leaves a cortex in about
-# a second, 30 N/s [ours].
-RATE_WANDER = 25.0
-# A wire that touches something: cancellous bone gives 1 to 1.5 N, skin and muscle less [physics.md, Drilling].
+# Process noise of the force rate (random walk), N/s per root second: a 2.5 mm wire fed at 1 mm/s leaves a cortex in
+# about a second, 30 N/s [ours].
+RATE_WALK = 25.0
+# Contact threshold: cancellous bone gives 1 to 1.5 N, skin and muscle less [physics.md, Drilling].
 CONTACT_N = 1.0
-CORTEX_N = 6.0  # more than cancellous bone of any density gives, a sixth of a common cortex [ours]
-# Break-through: the force has fallen to this share of the cortex's, and its rate is below zero by so many standard
-# deviations [ours; benchmarks/bench_supervision.py has delay and false alarms over 1,000 holes].
-LEFT_SHARE, FALLING_SIGMA = 0.6, 2.0
-# The cortex's force is forgotten over this path, so that a ramp at an oblique entry is no summit for ever [ours].
+CORTEX_N = 6.0  # above cancellous bone of any density, a sixth of a common cortex [ours]
+# Break-through: the force has fallen to this share of its peak in the cortex, and its rate is this many standard
+# deviations below zero [ours; benchmarks/bench_supervision.py has delay and false alarms over 1,000 holes].
+FALLEN_SHARE, FALLING_SIGMA = 0.6, 2.0
+# Decay length of the stored peak force, so that the ramp of an oblique entry does not stay the peak for ever [ours].
 MEMORY_MM = 1.0
-LONGEST_GAP_S = 0.05  # between samples: ten of 200 Hz; after more nothing is known of what happened meanwhile
+MAX_GAP_S = 0.05  # between samples: ten at 200 Hz; a longer gap was not supervised
 
 
-class Event(Enum):
-    """What is noticed while drilling."""
+class EventKind(Enum):
+    """Kinds of events in drilling."""
 
     CONTACT = "contact"
     CORTEX = "cortex"
@@ -39,20 +39,20 @@ class Event(Enum):
 
 
 @dataclass(frozen=True)
-class Noted:
-    """An event, and when and where it was noticed: seconds, mm beyond depth zero, and the filtered force."""
+class SupervisionEvent:
+    """An event with its time, its depth beyond the zero of depth, and the filtered force."""
 
-    event: Event
+    kind: EventKind
     time_s: float
     depth_mm: float
     force_n: float
 
 
 def depth_limit(distance_mm: float, depth_error_95_mm: float) -> float:
-    """mm: how deep the wire may go at most, with a bone's surface `distance_mm` beyond depth zero along the wire.
+    """Return the depth limit, mm, for a bone surface `distance_mm` beyond the zero of depth along the wire.
 
-    Less by the 95 % error of depth, so that the surface is kept in 97.5 % of the cases. Raises RobotRefusedError
-    where nothing is left to drill.
+    It is the distance less the 95 % error of depth, so that the surface stays intact in 97.5 % of the cases. Raises
+    RobotRefusedError if nothing is left to drill.
     """
     limit = distance_mm - depth_error_95_mm
     if not (isfinite(limit) and depth_error_95_mm >= 0 and limit > 0):
@@ -64,15 +64,15 @@ def depth_limit(distance_mm: float, depth_error_95_mm: float) -> float:
 
 
 class ForceFilter:
-    """Kalman filter of a force and its rate, from samples at times that may vary."""
+    """Kalman filter of a force and its rate, for samples at irregular times."""
 
     def __init__(self) -> None:
         self.force_n = self.rate_n_s = 0.0
-        self._var = (NOISE_FLOOR_N**2, 0.0, RATE_WANDER**2)  # force, both, rate
+        self._var = (NOISE_FLOOR_N**2, 0.0, RATE_WALK**2)  # force, both, rate
         self._time_s: float | None = None
 
     def add(self, time_s: float, force_n: float) -> None:
-        """Take a sample. Raises UnusableInputError for one that is no number, or not later than the last."""
+        """Add a sample. Raises UnusableInputError if it is not finite, or not later than the last."""
         if not (isfinite(time_s) and isfinite(force_n)):
             raise UnusableInputError("a force sample must be finite: the sensor or its link has failed")
         dt = 0.0 if self._time_s is None else time_s - self._time_s
@@ -80,12 +80,12 @@ class ForceFilter:
             raise UnusableInputError("force samples must follow each other in time: the sensor's clock has failed")
         self._time_s = time_s
         ff, fr, rr = self._var
-        wander = RATE_WANDER**2
+        walk = RATE_WALK**2
         force = self.force_n + dt * self.rate_n_s
         ff, fr, rr = (
-            ff + 2 * dt * fr + dt**2 * rr + wander * dt**3 / 3,
-            fr + dt * rr + wander * dt**2 / 2,
-            rr + wander * dt,
+            ff + 2 * dt * fr + dt**2 * rr + walk * dt**3 / 3,
+            fr + dt * rr + walk * dt**2 / 2,
+            rr + walk * dt,
         )
         noise = (NOISE_SHARE * force) ** 2 + NOISE_FLOOR_N**2
         gain_f, gain_r = ff / (ff + noise), fr / (ff + noise)
@@ -95,13 +95,13 @@ class ForceFilter:
 
     @property
     def rate_sigma(self) -> float:
-        """The rate over its own standard deviation."""
+        """The rate divided by its standard deviation."""
         return self.rate_n_s / sqrt(self._var[2])
 
 
 class Supervision:
-    """The watch over one hole. Depths are mm of feed beyond depth zero, which may be set anew (depth.py).
-    `touched`: the wire is in bone already."""
+    """Supervision of one hole. Depths are mm of feed beyond the zero of depth, which may be corrected (depth.py).
+    `touched`: the wire is already in bone."""
 
     def __init__(self, planned_mm: float, limit_mm: float, *, touched: bool = False) -> None:
         if not 0 < planned_mm <= limit_mm:
@@ -111,8 +111,8 @@ class Supervision:
             )
         self._planned_mm, self._limit_mm = planned_mm, limit_mm
         self._filter = ForceFilter()
-        self._cortex_n = 0.0  # the most force of late while in a cortex, otherwise 0
-        self._left = False  # a cortex, while its force still falls
+        self._cortex_n = 0.0  # decaying peak force while in a cortex, otherwise 0
+        self._left = False  # a cortex was left and its force is still falling
         self._touched, self._arrived = touched, False
         self._last: tuple[float, float] | None = None
 
@@ -121,43 +121,43 @@ class Supervision:
         """The filtered force."""
         return self._filter.force_n
 
-    def step(self, time_s: float, depth_mm: float, force_n: float) -> tuple[Noted, ...]:
-        """What is new with this sample. Raises UnusableInputError for samples that are no numbers or came too late:
-        drilling must stop, since it was not watched."""
+    def step(self, time_s: float, depth_mm: float, force_n: float) -> tuple[SupervisionEvent, ...]:
+        """Return the events of this sample. Raises UnusableInputError if the sample is not finite or came too late:
+        drilling was then unsupervised and must stop."""
         if not isfinite(depth_mm):
             raise UnusableInputError("the depth must be a finite number: an encoder or its link has failed")
-        if self._last is not None and time_s - self._last[0] > LONGEST_GAP_S:
+        if self._last is not None and time_s - self._last[0] > MAX_GAP_S:
             raise UnusableInputError(f"no force for {time_s - self._last[0]:.2f} s: nothing was watched meanwhile")
         fed = 0.0 if self._last is None else max(depth_mm - self._last[1], 0.0)
         self._filter.add(time_s, force_n)
         self._last = (time_s, depth_mm)
         found = [*self._limits(depth_mm), *self._bone(fed)]
-        return tuple(Noted(event, time_s, depth_mm, self.force_n) for event in found)
+        return tuple(SupervisionEvent(event, time_s, depth_mm, self.force_n) for event in found)
 
-    def _limits(self, depth_mm: float) -> list[Event]:
+    def _limits(self, depth_mm: float) -> list[EventKind]:
         out = []
         if self.force_n > FORCE_LIMIT_N:
-            out.append(Event.FORCE_LIMIT)
+            out.append(EventKind.FORCE_LIMIT)
         if depth_mm >= self._limit_mm:
-            out.append(Event.DEPTH_LIMIT)
+            out.append(EventKind.DEPTH_LIMIT)
         if depth_mm >= self._planned_mm and not self._arrived:
             self._arrived = True
-            out.append(Event.DEPTH)
+            out.append(EventKind.DEPTH)
         return out
 
-    def _bone(self, fed_mm: float) -> list[Event]:
+    def _bone(self, fed_mm: float) -> list[EventKind]:
         out = []
         if not self._touched and self.force_n > CONTACT_N:
             self._touched = True
-            out.append(Event.CONTACT)
+            out.append(EventKind.CONTACT)
         if self.force_n < CORTEX_N / 2:
             self._left = False
         elif self.force_n > CORTEX_N and self._cortex_n == 0.0 and not self._left:
             self._cortex_n = self.force_n
-            out.append(Event.CORTEX)
+            out.append(EventKind.CORTEX)
         if self._cortex_n > 0.0:
             self._cortex_n = max(self.force_n, self._cortex_n * exp(-fed_mm / MEMORY_MM))
-            if self.force_n < LEFT_SHARE * self._cortex_n and self._filter.rate_sigma < -FALLING_SIGMA:
+            if self.force_n < FALLEN_SHARE * self._cortex_n and self._filter.rate_sigma < -FALLING_SIGMA:
                 self._cortex_n, self._left = 0.0, True
-                out.append(Event.BREAK_THROUGH)
+                out.append(EventKind.BREAK_THROUGH)
         return out

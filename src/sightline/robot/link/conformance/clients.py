@@ -1,4 +1,4 @@
-"""Does one client command, is a lost one forgotten, and do the streams come?"""
+"""Questions about clients: command lease, lost clients, and streams."""
 
 from time import monotonic
 
@@ -40,12 +40,12 @@ def _forgets_a_lost_client(robot: RobotClient) -> str:
 
 def _streams(robot: RobotClient) -> str:
     require(robot, contract.HAS_TELEMETRY)
-    rows = robot.talk.fresh(contract.MEASURED_JS).body
+    rows = robot.connection.fresh(contract.MEASURED_JS).body
     array = isinstance(rows, NDArray) and rows.values.ndim == 2 and len(rows.values) == 6
     expect(array, f"{contract.MEASURED_JS} is not an array (6, N)")
     assert isinstance(rows, NDArray)  # noqa: S101
     expect(bool(np.isfinite(rows.values).all()), f"{contract.MEASURED_JS} holds numbers that are not finite")
-    pose_of(robot.talk.fresh(contract.MEASURED_CP))
+    pose_of(robot.connection.fresh(contract.MEASURED_CP))
     return f"{contract.MEASURED_CP}, {contract.MEASURED_JS} of {rows.values.shape[1]} joints"
 
 

@@ -1,4 +1,4 @@
-"""Are commands acknowledged, answered in order, refused with the right code, and obeyed once?"""
+"""Questions about commands: acknowledgement, order of answers, refusals and their codes, repeated commands."""
 
 from sightline.robot import contract
 from sightline.robot.contract import Code

@@ -1,4 +1,4 @@
-"""What the conformance test says to a robot and hears: everything is taken as it comes, and nothing judged."""
+"""The conformance test's conversation with a robot: it sends and records without judging."""
 
 from collections.abc import Callable, Generator, Mapping
 from contextlib import contextmanager
@@ -11,26 +11,27 @@ from scipy.spatial.transform import RigidTransform
 from sightline.errors import RobotRefusedError
 from sightline.robot import contract
 from sightline.robot.contract import HEARTBEAT_S, Code
-from sightline.robot.control.own_time import OwnTime
+from sightline.robot.control.loop_clock import LoopClock
 from sightline.robot.igtl import Message, Status, String, Transform
 from sightline.robot.link.client import RobotClient
 from sightline.robot.link.exchange import pose_of
-from sightline.robot.link.talk import Mail
+from sightline.robot.link.shared_connection import Mailbox
 
-MOVED_MM = 0.5  # a motion has begun [ours]
-STILL_MM, STILL_RAD = 0.1, float(np.deg2rad(0.1))  # what stands may seem to move by: encoders, and a spring [ours]
-STILL_S, STILL_POSES = 0.3, 10  # for so long, and so often seen [ours]
-_ENTERED_IS_DONE = ("PLANNING", "CALIBRATION")  # to a robot of 2013
+MOVED_MM = 0.5  # movement that shows that a motion has begun [ours]
+# Apparent movement of a robot at rest, from encoders and compliance [ours].
+STILL_MM, STILL_RAD = 0.1, float(np.deg2rad(0.1))
+STILL_S, STILL_POSES = 0.3, 10  # time and number of poses needed to see that it stands still [ours]
+_ENTERED_IS_DONE = ("PLANNING", "CALIBRATION")  # phases that robots of 2013 confirm by CURRENT_STATUS only
 
 
 class NotAskedError(Exception):
-    """What leads to a question did not lead there."""
+    """The precondition of a question could not be reached."""
 
 
 @dataclass
-class Answer:
-    """To a command or a pose: when its ACK and its STATUS came, seconds, None where they did not; `order`: the names
-    that came, "ACK" for the acknowledgement."""
+class Response:
+    """The response to a command or a pose: times of its ACK and its STATUS, s, None if they did not come; `order`:
+    names of the messages in order of arrival, "ACK" for the acknowledgement."""
 
     ack: Message | None = None
     ack_s: float | None = None
@@ -41,14 +42,14 @@ class Answer:
 
 
 class Conversation:
-    """With the robot of a client."""
+    """A conversation with the robot of a client."""
 
     def __init__(self, robot: RobotClient) -> None:
         self._robot = robot
         self._streams = contract.HAS_TELEMETRY in robot.capabilities
 
     def bring(self, *commands: str) -> None:
-        """Send them one after the other. Raises NotAskedError where one is not done."""
+        """Send commands in sequence. Raises NotAskedError if one is not done."""
         for name in commands:
             answer = self.command(name)
             if answer.code != Code.OK:
@@ -56,30 +57,30 @@ class Conversation:
                 raise NotAskedError(f"{name} was not done: {why}")
 
     def at(self, *commands: str) -> None:
-        """The same, and the robot says that it is in the phase of the last. Raises NotAskedError."""
+        """Send commands in sequence and check that the robot reports the last one's phase. Raises NotAskedError."""
         self.bring(*commands)
         if (phase := self.phase()) != commands[-1]:
             raise NotAskedError(f"after {commands[-1]} it says that its phase is {phase}")
 
     def command(
         self, name: str, *, number: str | None = None, whole: bool = False, within_s: float = contract.STATUS_S
-    ) -> Answer:
-        """`number`: its identifier, else a new one. `whole`: until ACK and STATUS came, in whatever order; else until
-        STATUS."""
+    ) -> Response:
+        """Send a command and return its response. `number`: its identifier, by default a new one. `whole`: wait for
+        both ACK and STATUS, in any order; else for STATUS only."""
         number = number or self._robot.exchange.next_number()
 
         def send() -> None:
-            self._robot.talk.send(String(name), contract.COMMAND + number)
+            self._robot.connection.send(String(name), contract.COMMAND + number)
 
         return self.exchange(send, number, name, whole=whole, within_s=within_s)
 
-    def pose(self, kind: str, matrix: np.ndarray, said: Mapping[str, str] | None = None) -> Answer:
-        """Send a registration or a target."""
+    def pose(self, kind: str, matrix: np.ndarray, said: Mapping[str, str] | None = None) -> Response:
+        """Send a registration or a target and return its response."""
         number = self._robot.exchange.next_number()
         status = "TARGET" if kind == contract.TARGET else "CALIBRATION"
 
         def send() -> None:
-            self._robot.talk.send(Transform(matrix), kind + number, metadata=said)
+            self._robot.connection.send(Transform(matrix), kind + number, metadata=said)
 
         return self.exchange(send, number, status, within_s=contract.STATUS_S)
 
@@ -91,29 +92,29 @@ class Conversation:
         *,
         whole: bool = False,
         within_s: float = contract.STATUS_S,
-    ) -> Answer:
-        """What came until the STATUS of that name."""
-        answer = Answer()
+    ) -> Response:
+        """Send, and return what came until the STATUS of that name."""
+        answer = Response()
         entered = status in _ENTERED_IS_DONE and not self._robot.capabilities
 
         def ends(message: Message) -> bool:
-            self._note(answer, message, number, status, mail.own.now_s)
+            self._note(answer, message, number, status, mail.clock.now_s)
             if entered and answer.order and answer.order[-1] == contract.CURRENT_STATUS and answer.code is None:
-                answer.code, answer.status_s = int(Code.OK), mail.own.now_s
+                answer.code, answer.status_s = int(Code.OK), mail.clock.now_s
             return answer.code is not None and (answer.ack is not None or not whole)
 
-        with self._robot.talk.mail() as mail:
+        with self._robot.connection.mailbox() as mail:
             send()
             mail.until(ends, within_s)
         return answer
 
-    def _note(self, answer: Answer, message: Message, number: str, status: str, at_s: float) -> None:
+    def _note(self, answer: Response, message: Message, number: str, status: str, at_s: float) -> None:
         body = message.body
         if message.device_name == contract.ACKNOWLEDGED + number:
             answer.order.append("ACK")
             answer.ack, answer.ack_s = message, at_s
         elif message.device_name == contract.CURRENT_STATUS and isinstance(body, Status):
-            # It is streamed as well: what came before the ACK is no answer.
+            # It is also streamed: one that came before the ACK is not the answer.
             if contract.CURRENT_STATUS not in answer.order and (answer.ack is not None or not self._streams):
                 answer.order.append(contract.CURRENT_STATUS)
         elif message.device_name == status and isinstance(body, Status) and answer.code is None:
@@ -121,13 +122,13 @@ class Conversation:
             answer.code, answer.text, answer.status_s = body.code, body.text, at_s
 
     def next(self, name: str, within_s: float) -> Message | None:
-        """The next message of that name."""
-        with self._robot.talk.mail() as mail:
+        """Return the next message of that name, or None if none came in time."""
+        with self._robot.connection.mailbox() as mail:
             return mail.until(lambda m: m.device_name == name, within_s)
 
     def phase(self) -> str:
-        """What a question for the state is answered by: the STATUS's name. Raises LateError."""
-        said = self._robot.talk.ask(
+        """Query the state and return the name of the STATUS that answers. Raises LateError."""
+        said = self._robot.connection.ask(
             String(contract.CURRENT_STATUS),
             contract.CURRENT_STATUS,
             lambda m: isinstance(m.body, Status) and m.device_name != contract.CURRENT_STATUS,
@@ -137,36 +138,38 @@ class Conversation:
         return said.device_name
 
     def tip(self) -> RigidTransform:
-        """Where the wire is now: from the stream, which asks nothing, where there is one."""
+        """Return the wire's current pose, from the stream if there is one, else by a query."""
         if self._streams:
-            return pose_of(self._robot.talk.fresh(contract.MEASURED_CP))
+            return pose_of(self._robot.connection.fresh(contract.MEASURED_CP))
         return self._robot.position()
 
     @contextmanager
     def moving(self, number: str | None = None) -> Generator["Motion"]:
-        """A motion to the target that the robot holds, seen to have begun. Raises NotAskedError where it is over."""
+        """Start a motion to the robot's target and wait until it has begun. Raises NotAskedError if it does not
+        begin."""
         before = self.tip()
         number = number or self._robot.exchange.next_number()
-        with self._robot.talk.mail() as mail:
-            self._robot.talk.send(String("MOVE_TO_TARGET"), contract.COMMAND + number)
-            waited = OwnTime(HEARTBEAT_S)
+        with self._robot.connection.mailbox() as mail:
+            self._robot.connection.send(String("MOVE_TO_TARGET"), contract.COMMAND + number)
+            waited = LoopClock(HEARTBEAT_S)
             while _apart(before, self.tip())[0] < MOVED_MM:
-                waited.turn(monotonic())
+                waited.tick(monotonic())
                 if waited.now_s > contract.STATUS_S:
                     raise NotAskedError("it acknowledged a motion, and does not move")
             yield Motion(self, mail)
 
 
 class Motion:
-    """One that goes on. `watch`: who sees where the wire is; `mail`: what its commander hears."""
+    """A motion in progress. `watch`: the conversation that observes the wire; `mail`: of the client that commands
+    it."""
 
-    def __init__(self, watch: Conversation, mail: Mail) -> None:
+    def __init__(self, watch: Conversation, mail: Mailbox) -> None:
         self.watch = watch
         self._mail = mail
-        self._own = OwnTime(HEARTBEAT_S)
+        self._clock = LoopClock(HEARTBEAT_S)
 
-    def must_stand_after(self, stop: Callable[[], Answer]) -> str:
-        """Raise RobotRefusedError where the wire goes on after a stop was answered."""
+    def must_stand_after(self, stop: Callable[[], Response]) -> str:
+        """Stop; raise RobotRefusedError if the wire moves on after the stop was answered."""
         before = self.watch.tip()
         answer = stop()
         if answer.code != Code.OK:
@@ -180,8 +183,8 @@ class Motion:
         took = f"answered in {1e3 * (answer.status_s or 0.0):.0f} ms"
         return f"{took}, {_apart(before, at_once)[0]:.1f} mm after it was sent"
 
-    def must_not_begin_again(self, answer: Answer) -> str:
-        """Raise RobotRefusedError where the wire, which stood, moves after what was answered so."""
+    def must_not_begin_again(self, answer: Response) -> str:
+        """Raise RobotRefusedError if the wire, which stood still, moves again after this response."""
         off = self._moves(self.watch.tip())
         if off:
             raise RobotRefusedError(f"the repeated MOVE_TO_TARGET moved the wire again, by {off}")
@@ -190,10 +193,10 @@ class Motion:
         return f"the first answer again: {answer.code} {answer.text}"
 
     def must_stand_by_itself(self, within_s: float) -> str:
-        """Raise RobotRefusedError where the wire still moves after this time."""
-        self._own.turn(monotonic())
-        began_s, off = self._own.now_s, "nothing"
-        while (seen_s := self._own.now_s - began_s) < within_s:
+        """Raise RobotRefusedError if the wire still moves after this time."""
+        self._clock.tick(monotonic())
+        began_s, off = self._clock.now_s, "nothing"
+        while (seen_s := self._clock.now_s - began_s) < within_s:
             off = self._moves(self.watch.tip())
             if self._mail.holds(_arrived):
                 raise NotAskedError("the motion had ended by itself before it could be judged")
@@ -202,10 +205,10 @@ class Motion:
         raise RobotRefusedError(f"after {within_s:g} s the wire still moves, by {off}")
 
     def _moves(self, first: RigidTransform) -> str:
-        """By how much it moves from there in the time that it takes to see; '' where it stands."""
+        """Return the movement from `first` within the observation time as text; '' if it stands still."""
         began, seen = monotonic(), 0
         while monotonic() - began < STILL_S or seen < STILL_POSES:
-            self._own.turn(monotonic())
+            self._clock.tick(monotonic())
             mm, rad = _apart(first, self.watch.tip())
             if mm > STILL_MM or rad > STILL_RAD:
                 return f"{mm:.2f} mm, {np.rad2deg(rad):.2f}°"

@@ -1,7 +1,7 @@
-"""Does a robot keep the contract of docs/robot-link.md? Asked over the link, of any robot; the answer is a table.
+"""The conformance test of a robot against the contract of docs/robot-link.md, over the link.
 
-Nothing moves but in the dry run, which aligns in air and drills nothing. A question judges one thing: what leads to it
-is taken as it comes, and where it does not lead there the question is not asked.
+Nothing moves except in the dry run, which aligns in air and drills nothing. A question judges one thing; if its
+precondition cannot be reached, the question is not asked.
 """
 
 from dataclasses import dataclass
@@ -17,8 +17,8 @@ from sightline.robot.link.conformance.motions import MOTIONS
 from sightline.robot.link.conformance.questions import QUESTIONS
 
 
-class Verdict(Enum):
-    """Of one question."""
+class ConformanceVerdict(Enum):
+    """The verdict on one question."""
 
     PASSED = "pass"
     FAILED = "FAIL"
@@ -28,16 +28,16 @@ class Verdict(Enum):
 
 @dataclass(frozen=True)
 class Finding:
-    """One question, its answer, and what was seen."""
+    """One question with its verdict and what was observed."""
 
     name: str
-    verdict: Verdict
+    verdict: ConformanceVerdict
     seen: str
 
 
 class Examination(Closing):
-    """A robot's examination, over one connection; robots that take several, by their CAPABILITY, are asked over a
-    second one too. Raises LinkError where nobody listens."""
+    """The test of one robot over one connection, and a second one if its CAPABILITY allows several clients. Raises
+    LinkError if no robot listens."""
 
     def __init__(self, host: str, port: int) -> None:
         self._host, self._port = host, port
@@ -46,35 +46,36 @@ class Examination(Closing):
         self.simulated = self._robot.simulated
 
     def close(self) -> None:
-        """End it."""
+        """Close the connection."""
         if self._robot is not None:
             self._robot.close()
             self._robot = None
 
     def examine(self) -> list[Finding]:
-        """All questions that move nothing."""
+        """Ask all questions that move nothing, and return the findings."""
         found = [self._ask(name, question) for name, question in QUESTIONS.items()]
         return [*found, self._read_all()]
 
     def dry_run(self) -> list[Finding]:
-        """Motions to a target in air ahead of the wire, most of them stopped; nothing is drilled. On robots of the old
-        convention a MOVE_TO_TARGET may insert: the caller must have a person's word that nobody is in the way."""
+        """Run motions to a target in air ahead of the wire, most of them stopped, and return the findings. Nothing is
+        drilled. On robots of the 2013 convention a MOVE_TO_TARGET may insert the wire: a person must have confirmed to
+        the caller that the way is clear."""
         return [self._ask(name, question) for name, question in MOTIONS.items()]
 
     def _ask(self, name: str, question: Question) -> Finding:
         try:
             robot = self._connected()
-            said = Finding(name, Verdict.PASSED, question(robot))
+            said = Finding(name, ConformanceVerdict.PASSED, question(robot))
         except UnsupportedError as why:
-            return Finding(name, Verdict.UNSUPPORTED, str(why))
+            return Finding(name, ConformanceVerdict.UNSUPPORTED, str(why))
         except NotAskedError as why:
-            said = Finding(name, Verdict.NOT_ASKED, str(why))
+            said = Finding(name, ConformanceVerdict.NOT_ASKED, str(why))
         except SightlineError as error:
-            said = Finding(name, Verdict.FAILED, str(error))
+            said = Finding(name, ConformanceVerdict.FAILED, str(error))
         if self._robot is not None:
-            self._unreadable += self._robot.talk.unreadable
-            self._robot.talk.unreadable.clear()
-            if self._robot.talk.closed:
+            self._unreadable += self._robot.connection.unreadable
+            self._robot.connection.unreadable.clear()
+            if self._robot.connection.closed:
                 self.close()
         return said
 
@@ -85,8 +86,8 @@ class Examination(Closing):
 
     def _read_all(self) -> Finding:
         name = "every message can be read"
-        # What is fatal has failed its question already; other types are the robot's own affair.
+        # Fatal errors have already failed their question; other message types are allowed.
         bad = [e.reason for e in self._unreadable if not e.fatal and e.fault is not Fault.UNKNOWN_TYPE]
         if bad:
-            return Finding(name, Verdict.FAILED, f"{len(bad)} could not, the first: {bad[0]}")
-        return Finding(name, Verdict.PASSED, "CRC and content of all that came")
+            return Finding(name, ConformanceVerdict.FAILED, f"{len(bad)} could not, the first: {bad[0]}")
+        return Finding(name, ConformanceVerdict.PASSED, "CRC and content of all that came")

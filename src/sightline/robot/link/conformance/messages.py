@@ -1,4 +1,4 @@
-"""Are messages read as OpenIGTLink has them: CRC, unknown types, pieces, header version 2?"""
+"""Questions about the OpenIGTLink protocol: CRC, unknown types, fragmented messages, header version 2."""
 
 from sightline.errors import LinkError
 from sightline.robot import contract
@@ -13,7 +13,7 @@ def _obeys_no_wrong_crc(robot: RobotClient) -> str:
     talk = Conversation(robot)
     talk.at("START_UP")
     for name in ("PLANNING", "CALIBRATION", "MANUAL"):
-        robot.talk.send_bytes(_altered(encode(Message(String(name), f"{contract.COMMAND}X{name[:3]}"))))
+        robot.connection.send_bytes(_altered(encode(Message(String(name), f"{contract.COMMAND}X{name[:3]}"))))
         try:
             phase = talk.phase()
         except LinkError as error:
@@ -26,7 +26,7 @@ def _survives(data: bytes) -> Question:
     def question(robot: RobotClient) -> str:
         talk = Conversation(robot)
         talk.bring("START_UP")
-        robot.talk.send_bytes(data)
+        robot.connection.send_bytes(data)
         expect(talk.command("PLANNING").status_s is not None, "no answer afterwards")
         return "answers afterwards"
 
@@ -34,20 +34,20 @@ def _survives(data: bytes) -> Question:
 
 
 def _reads(message: bytes, piece: int = 1000) -> Question:
-    """START_UP, in another form, in pieces of so many bytes."""
+    """Return the question whether START_UP is read in another form, in pieces of `piece` bytes."""
 
     def question(robot: RobotClient) -> str:
         talk = Conversation(robot)
         talk.bring("START_UP", "PLANNING")
         pieces = [message[k : k + piece] for k in range(0, len(message), piece)]
-        answer = talk.exchange(lambda: robot.talk.send_bytes(*pieces), "77", "START_UP")
+        answer = talk.exchange(lambda: robot.connection.send_bytes(*pieces), "77", "START_UP")
         return expect_code(answer, Code.OK)
 
     return question
 
 
 def _reads_pieces(message: bytes) -> Question:
-    """The same byte by byte, over a connection on which no heartbeat comes between two of them."""
+    """Return the same question byte by byte, over a connection without heartbeats between the bytes."""
     reads = _reads(message, piece=1)
 
     def question(robot: RobotClient) -> str:

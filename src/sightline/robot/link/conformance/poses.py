@@ -1,4 +1,4 @@
-"""Are registrations and targets taken, echoed, and refused where they cannot be meant?"""
+"""Questions about registrations and targets: accepted, echoed, and refused if they cannot be valid."""
 
 from collections.abc import Callable
 
@@ -20,7 +20,7 @@ from sightline.robot.link.conformance.asking import (
 )
 from sightline.robot.link.conformance.conversation import Conversation, NotAskedError
 from sightline.robot.link.exchange import pose_of
-from sightline.robot.link.laid import Laid
+from sightline.robot.link.wire_deviation import WireDeviation
 
 
 def _takes_a_registration(robot: RobotClient) -> str:
@@ -46,7 +46,7 @@ def _no_registration(matrix: np.ndarray) -> Question:
 
 
 def _no_target(change: Callable[[np.ndarray], np.ndarray]) -> Question:
-    """A target that is wrong in one thing: without it, it was taken."""
+    """Return the question whether a target with one fault is refused; without the fault it was accepted."""
 
     def question(robot: RobotClient) -> str:
         talk = Conversation(robot)
@@ -58,7 +58,7 @@ def _no_target(change: Callable[[np.ndarray], np.ndarray]) -> Question:
 
 
 def _no_plan(**said: str) -> Question:
-    """Metadata that must be refused, of a pose that was taken without."""
+    """Return the question whether metadata are refused, for a pose that was accepted without them."""
 
     def question(robot: RobotClient) -> str:
         require(robot, contract.HAS_PLAN)
@@ -71,7 +71,7 @@ def _no_plan(**said: str) -> Question:
 
 
 def _in_metres(robot: RobotClient) -> str:
-    """Not of the old convention, whose robots cannot tell."""
+    """Ask whether a target in metres is refused; robots of the 2013 convention cannot detect it."""
     require(robot, contract.HAS_PLAN)
     return _no_target(lambda good: _moved(good, 1e-3 * good[:3, 3]))(robot)
 
@@ -95,9 +95,9 @@ def _reaches_what_it_takes(robot: RobotClient) -> str:
         raise UnsupportedError("of the old convention, it does not say what it reaches")
     if reachable is None:
         raise RobotRefusedError("a target was taken, and no REACHABLE_TARGET came")
-    laid = Laid.of(pose_of(reachable), RigidTransform.from_matrix(good))
-    laid.refuse_elsewhere("the robot would lay the wire")
-    return f"{laid.aside_mm:.2f} mm beside its line"
+    off = WireDeviation.of(pose_of(reachable), RigidTransform.from_matrix(good))
+    off.refuse_large("the robot would lay the wire")
+    return f"{off.aside_mm:.2f} mm beside its line"
 
 
 def _moved(pose: np.ndarray, to_mm: np.ndarray) -> np.ndarray:

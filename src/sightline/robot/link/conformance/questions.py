@@ -1,4 +1,4 @@
-"""The table of all questions that move nothing, in the order in which they are asked."""
+"""The table of all questions that move nothing, in the order of the test."""
 
 from sightline.robot.link.conformance import clients, commands, messages, poses, stops
 from sightline.robot.link.conformance.asking import Question

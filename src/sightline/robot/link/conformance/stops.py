@@ -1,4 +1,4 @@
-"""Is STOP obeyed while the robot stands, and does EMERGENCY wait for a reset that names its fault?"""
+"""Questions about STOP while the robot stands still, and about EMERGENCY and its reset."""
 
 from sightline.errors import RobotRefusedError
 from sightline.robot import contract
@@ -40,8 +40,8 @@ def _stops_from_elsewhere(robot: RobotClient) -> str:
 
 
 def _in_emergency(robot: RobotClient) -> tuple[Conversation, int]:
-    """A simulator, brought there, and the fault to reset."""
-    _simulator(robot)
+    """Bring a simulator into EMERGENCY; return the conversation and the fault to reset."""
+    _require_simulator(robot)
     talk = Conversation(robot)
     talk.bring("START_UP")
     talk.command("EMERGENCY")
@@ -66,7 +66,7 @@ def _reset_names_its_fault(robot: RobotClient) -> str:
     raise RobotRefusedError("a reset of another fault was obeyed")
 
 
-def _simulator(robot: RobotClient) -> None:
+def _require_simulator(robot: RobotClient) -> None:
     if contract.HAS_RESET not in robot.capabilities or not robot.simulated:
         raise UnsupportedError("a person would have to reset the robot afterwards; asked of simulators only")
 

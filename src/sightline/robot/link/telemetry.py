@@ -1,4 +1,4 @@
-"""What the robot says of itself: its state, its pose, its joints and its streams, as (device name, body)."""
+"""The robot's reports on itself: state, pose, joints and streams, as (device name, body)."""
 
 from dataclasses import dataclass, field
 
@@ -10,12 +10,12 @@ from sightline.robot.control.machine import Machine
 from sightline.robot.control.requests import Snapshot
 from sightline.robot.control.states import phase
 from sightline.robot.igtl import MILLIMETRE, NEWTON, NDArray, Sensor, Status, Transform
-from sightline.robot.link.outgoing import Saying
+from sightline.robot.link.outgoing import NamedBody
 
 
 @dataclass
 class Cycles:
-    """What the loop knows of its own punctuality."""
+    """Statistics of the control loop: cycles, cycles that were late, and the largest delay, s."""
 
     count: int = 0
     missed: int = 0
@@ -23,27 +23,27 @@ class Cycles:
 
 
 @dataclass(frozen=True)
-class Facts:
-    """Of one machine, and of the punctuality of the loop that turns it."""
+class Telemetry:
+    """Reports on one machine and the timing of its control loop."""
 
     machine: Machine
     cycles: Cycles = field(default_factory=Cycles)
 
     def current(self) -> Status:
-        """CURRENT_STATUS: the phase, with state or fault in the text; always code 1."""
+        """Return CURRENT_STATUS: the phase, with state or fault in the text; always code 1."""
         state, fault = self.machine.state, self.machine.fault
         text = state.value if fault is None else f"fault {fault.number}: {fault.text}"
         return Status(Code.OK, phase(state), text, subcode=0 if fault is None else fault.number)
 
-    def state_now(self) -> Saying:
-        """The answer to a question for the state: named after the phase, with the code of its fault."""
+    def state_now(self) -> NamedBody:
+        """Return the answer to a status query: named after the phase, with the code of its fault."""
         status, fault = self.current(), self.machine.fault
         code = Code.OK if fault is None else fault.code
         late = f"; {self.cycles.missed} of {self.cycles.count} cycles were late"
         return phase(self.machine.state), Status(code, status.error_name, status.text + late, status.subcode)
 
-    def position(self) -> Saying:
-        """Pose of the wire, CFCS; before a registration there is no such thing to say."""
+    def position(self) -> NamedBody:
+        """Return the wire's pose, CFCS; before a registration, a STATUS that refuses."""
         registration = self.machine.registration
         if registration is None:
             text = (
@@ -53,16 +53,16 @@ class Facts:
         tool = self.machine.robot.manipulator.T_mcs_tool(self.machine.q)
         return contract.CURRENT_POSITION, Transform.of(registration.T_mcs_cfcs.inv() * tool)
 
-    def joints(self, now: Snapshot) -> Saying:
-        """(6, 5): position, velocity, wanted position, commanded velocity, lower and upper limits; mm, rad."""
+    def joints(self, now: Snapshot) -> NamedBody:
+        """Return (6, 5): position, velocity, commanded position, commanded velocity, lower and upper limit; mm, rad."""
         lower, upper = self.machine.robot.manipulator.lower, self.machine.robot.manipulator.upper
         rows = np.stack([now.reading.encoders, now.velocity, now.wanted, now.commanded, lower, upper])
         return contract.MEASURED_JS, NDArray(rows)
 
-    def streams(self, now: Snapshot) -> list[Saying]:
-        """All of telemetry but the pose in CFCS."""
+    def streams(self, now: Snapshot) -> list[NamedBody]:
+        """Return all streams except the pose in CFCS."""
         tool = self.machine.robot.manipulator.T_mcs_tool(now.reading.encoders)
-        said: list[Saying] = [
+        said: list[NamedBody] = [
             (contract.MEASURED_CP, Transform.of(tool)),
             self.joints(now),
             (contract.FORCE, Sensor(np.array([now.reading.force_n]), NEWTON)),

@@ -1,4 +1,4 @@
-"""What one connection has asked by identifiers, and how each was answered: asked again, nothing acts again."""
+"""Answers to one connection's requests by identifier, so that a repeated request does not act again."""
 
 from collections import OrderedDict
 from dataclasses import dataclass
@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from sightline.robot.contract import Code
 from sightline.robot.control.requests import Answer
 
-KEPT = 256  # identifiers of a connection: a repeat comes soon after its first, within a few messages [ours]
-_TEXT = 100  # letters of what was asked: no request that does anything is longer [ours]
+MAX_ANSWERS = 256  # identifiers kept per connection: a repeat comes within a few messages of the first [ours]
+_TEXT = 100  # characters of a request that are compared: no valid request is longer [ours]
 
 
 @dataclass
@@ -16,15 +16,15 @@ class _Entry:
     answer: Answer
 
 
-class Remembered:
-    """The newest requests of one connection, by identifier."""
+class AnswerCache:
+    """The newest requests of one connection with their answers, by identifier."""
 
     def __init__(self) -> None:
         self._entries: OrderedDict[str, _Entry] = OrderedDict()
 
     def earlier(self, identifier: str, text: str) -> Answer | None:
-        """The answer to a request that was made before, None where it is new; a refusal where the identifier was that
-        of another."""
+        """Return the answer to a repeated request, a refusal if the identifier belongs to another request, or None if
+        it is new."""
         entry = self._entries.get(identifier)
         if entry is None:
             return None
@@ -34,14 +34,14 @@ class Remembered:
         return Answer(Code.CONFIGURATION, reason)
 
     def put(self, identifier: str, text: str, answer: Answer) -> None:
-        """A request and its answer."""
+        """Store a request with its answer."""
         self._entries[identifier] = _Entry(text[:_TEXT], answer)
         self._entries.move_to_end(identifier)
-        if len(self._entries) > KEPT:
+        if len(self._entries) > MAX_ANSWERS:
             self._entries.popitem(last=False)
 
     def ended(self, text: str, answer: Answer) -> None:
-        """How the newest request of this text ended that was not done yet."""
+        """Replace the answer of the newest unfinished request of this text."""
         for entry in reversed(self._entries.values()):
             if entry.text == text and not entry.answer.done:
                 entry.answer = answer

@@ -9,19 +9,19 @@ from tests.robot.rig import CLIENT, T_MCS_CFCS, Rig, code, metadata, served, wir
 
 from sightline.errors import RobotRefusedError
 from sightline.robot.contract import Code
+from sightline.robot.control.collision_check import MAX_CHECK_S
 from sightline.robot.control.insertion import Insertion
-from sightline.robot.control.look import LONGEST_S
 from sightline.robot.control.states import State
 from sightline.robot.igtl import Message, Status, String, Transform
 from sightline.robot.link.client import RobotClient
 
 
 class Survey:
-    """A surveyor whose searches end when the test says so."""
+    """A check_executor whose searches end when the test says so."""
 
     def __init__(self, rig: Rig) -> None:
         self.begun: list[tuple] = []
-        rig.controller.surveyor = self
+        rig.controller.check_executor = self
 
     def __call__(self, work):
         result: Future[None] = Future()
@@ -137,7 +137,7 @@ def test_a_late_answer_moves_nothing(how):
     if how == "STOP":
         said += rig.command("STOP", client=2)
     elif how == "late":
-        said += rig.run(LONGEST_S + 0.01)
+        said += rig.run(MAX_CHECK_S + 0.01)
     elif how == "hold-to-run":
         rig.plant.run_held = False
     elif how == "button":
@@ -179,9 +179,9 @@ def test_behind_its_port_the_robot_goes_on_while_it_looks(monkeypatch):
         robot.start_up()
         robot.calibrate(T_MCS_CFCS, 10.0)
         robot.command("TARGETING").refuse_unless_ok()
-        with robot.talk.mail() as mail:
-            robot.talk.send(Transform.of(wire()), "TGT_9", metadata=metadata(), imaged_s=10.0)
-            robot.talk.send(String("MOVE_TO_TARGET"), "CMD_10")
+        with robot.connection.mailbox() as mail:
+            robot.connection.send(Transform.of(wire()), "TGT_9", metadata=metadata(), imaged_s=10.0)
+            robot.connection.send(String("MOVE_TO_TARGET"), "CMD_10")
             assert looks.wait(10.0)
             before = server.dialogue.cycles.count
             while server.dialogue.cycles.count < before + 10:

@@ -1,4 +1,4 @@
-"""Where a robot says that the wire lies, or will lie, against where it was told to lay it."""
+"""Deviation of the wire, by the robot's own report, from its target."""
 
 from dataclasses import dataclass
 
@@ -7,36 +7,37 @@ from scipy.spatial.transform import RigidTransform
 
 from sightline.errors import RobotRefusedError
 
-# Half of what the paper allows the tip, and a third of its direction, to err [paper, Fig. 15; ours]: what a robot says
-# of itself is its encoders' word, and these resolve a hundredth of it.
+# Half of the paper's limit for the tip, and a third of that for the direction [paper, Fig. 15; ours]. A robot's report
+# comes from its encoders, which resolve a hundredth of these.
 TIP_LIMIT_MM = 0.5
 AXIS_LIMIT_RAD = float(np.deg2rad(0.2))
-# An echo is what was sent, as 32-bit numbers; a robot that turns it into a quaternion and back loses digits [ours].
+# Tolerance of an echo, which is in 32-bit numbers; a robot that converts it to a quaternion and back loses digits
+# [ours].
 _ECHO_DIGITS = 16 * np.finfo(np.float32).eps
 
 
 @dataclass(frozen=True)
-class Laid:
-    """A wire against its target: the tip `aside_mm` of the planned axis and `along_mm` beyond the planned tip, its axis
-    `angle_rad` from the planned one. Rotation about the wire does not count."""
+class WireDeviation:
+    """Deviation of a wire from its target: the tip `aside_mm` from the planned axis and `along_mm` beyond the planned
+    tip, its axis `angle_rad` from the planned one. Rotation about the wire does not count."""
 
     aside_mm: float
     along_mm: float
     angle_rad: float
 
     @staticmethod
-    def of(wire: RigidTransform, target: RigidTransform) -> "Laid":
-        """Of two poses of the wire's tip, +z along the wire, in one frame."""
+    def of(wire: RigidTransform, target: RigidTransform) -> "WireDeviation":
+        """Return the deviation between two poses of the wire's tip, +z along the wire, in one frame."""
         between = target.inv() * wire
         x, y, z = between.rotation.apply([0.0, 0.0, 1.0])
         tip = between.translation
-        return Laid(float(np.hypot(tip[0], tip[1])), float(tip[2]), float(np.arctan2(np.hypot(x, y), z)))
+        return WireDeviation(float(np.hypot(tip[0], tip[1])), float(tip[2]), float(np.arctan2(np.hypot(x, y), z)))
 
-    def refuse_elsewhere(self, what: str, depth_off_mm: float | None = None, zero_limit_mm: float = 0.0) -> None:
-        """Raise RobotRefusedError where tip or axis are beyond their limits.
+    def refuse_large(self, what: str, depth_off_mm: float | None = None, zero_limit_mm: float = 0.0) -> None:
+        """Raise RobotRefusedError if tip or axis exceed their limits.
 
-        `depth_off_mm`: by how much the robot's own depth passes the planned one, where it counts depth from a zero that
-        contact or a shot has moved, by no more than `zero_limit_mm`."""
+        `depth_off_mm`: the robot's own depth less the planned depth, for a robot whose zero of depth was corrected by
+        contact or a shot, by at most `zero_limit_mm`."""
         deep = self.along_mm if depth_off_mm is None else depth_off_mm
         moved = abs(self.along_mm - deep)
         if (
@@ -53,7 +54,7 @@ class Laid:
 
 
 def refuse_other_pose(echo: np.ndarray, sent: np.ndarray, what: str) -> None:
-    """Raise RobotRefusedError where an acknowledged matrix (4, 4) is not the one that was sent."""
+    """Raise RobotRefusedError if an acknowledged matrix (4, 4) differs from the one that was sent."""
     sent = np.asarray(sent, dtype=np.float32).astype(np.float64)
     size = np.maximum(np.abs(sent), 1.0)
     same = (np.abs(echo - sent) <= _ECHO_DIGITS * size) | (np.isnan(echo) & np.isnan(sent)) | (echo == sent)
