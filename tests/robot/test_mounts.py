@@ -114,7 +114,7 @@ def test_hand_eye_without_enough_turns_or_with_a_wrong_pose_is_refused():
     rng = np.random.default_rng(7)
     world, covariance = RigidTransform.identity(), np.diag([1e-6] * 3 + [0.01] * 3)
     still = poses(rng, 5, spread_rad=0.01)
-    with pytest.raises(RobotRefusedError, match="turn the wrist"):
+    with pytest.raises(RobotRefusedError, match="rotate the wrist"):
         hand_eye(still, still * TRUE, covariance)
     flange = poses(rng, 6)
     seen = flange[[1, 0, 2, 3, 4, 5]] * TRUE
