@@ -8,7 +8,7 @@ from xml.etree import ElementTree
 EXAMPLES = Path(__file__).parents[1] / "examples"
 
 
-def run(name: str, *arguments: Path) -> str:
+def run(name: str, *arguments: Path | str) -> str:
     command = [sys.executable, str(EXAMPLES / name), *map(str, arguments)]
     done = subprocess.run(command, capture_output=True, text=True, check=False)  # noqa: S603 - our own files
     assert done.returncode == 0, done.stderr
@@ -17,6 +17,7 @@ def run(name: str, *arguments: Path) -> str:
 
 def test_every_example_is_run_here() -> None:
     assert {file.name for file in EXAMPLES.glob("*.py")} == {
+        "frame_accuracy.py",
         "plan_from_csv.py",
         "plant_template.py",  # tests/cli/test_real_robot.py
         "readme_picture.py",
@@ -35,3 +36,9 @@ def test_the_picture_of_the_readme_is_whole_and_small(demo_folder: Path, tmp_pat
     assert drawn.stat().st_size < 300_000
     root = ElementTree.parse(drawn).getroot()  # noqa: S314 - our own markup
     assert len(list(root.iter("{http://www.w3.org/2000/svg}image"))) == 2
+
+
+def test_the_accuracy_of_a_frame() -> None:
+    said = run("frame_accuracy.py", "gamma", "3")
+    assert "careful clicks" in said
+    assert "refused 0" in said

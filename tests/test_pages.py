@@ -1,0 +1,113 @@
+"""The snippets of the pages run as written, where `sightline demo` was run; every command that a page names exists."""
+
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+import typer
+from typer.testing import CliRunner
+
+from sightline.cli import commands
+
+ROOT = Path(__file__).parents[1]
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
+# Run whole: their Python reads what their commands write.
+WALKED = (
+    "tour.md",
+    "your-first-frame.md",
+    "interop.md",
+    "answers.md",
+)
+LONG = {"robot-link.md", "twin.md"}  # seconds of physics or of X-ray projection
+COMMAND: Any = typer.main.get_command(commands)
+
+
+def blocks(page: Path, *languages: str) -> list[str]:
+    """The code blocks of a page in one of the languages."""
+    found = re.findall(r"^```(\w*)\n(.*?)^```", page.read_text(), flags=re.MULTILINE | re.DOTALL)
+    return [text for language, text in found if language in languages]
+
+
+def commands_in(text: str) -> list[list[str]]:
+    """The words after `sightline` of each of its commands in shell text; the demo has been run."""
+    lines = [shlex.split(line, comments=True) for line in text.replace("\\\n", " ").splitlines()]
+    return [words[1:] for words in lines if words[:1] == ["sightline"] and words != ["sightline", "demo"]]
+
+
+def named_commands(page: Path) -> list[list[str]]:
+    """The words of each `sightline ...` that stands in a sentence or a table."""
+    text = re.sub(r"^```.*?^```", "", page.read_text(), flags=re.MULTILINE | re.DOTALL)
+    return [words.split()[1:] for words in re.findall(r"`(sightline [^`]+)`", text)]
+
+
+def told(words: list[str]) -> tuple[Any, list[str]]:
+    """The command that the words name, and the words after its name."""
+    command = COMMAND
+    while hasattr(command, "commands") and words and not words[0].startswith("-"):
+        assert words[0] in command.commands, f"no command {words[0]} in {command.name}"
+        command, words = command.commands[words[0]], words[1:]
+    return command, words
+
+
+def options_of(command: Any) -> set[str]:
+    """Every spelling of every option."""
+    return {"--help", "-h"}.union(*(set(one.opts) | set(one.secondary_opts) for one in command.params))
+
+
+@pytest.fixture
+def place(demo_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The folder that the pages stand in: `sightline demo` was run there."""
+    shutil.copytree(demo_folder, tmp_path / "out" / "demo")
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.mark.parametrize(
+    "page",
+    [
+        pytest.param(page, marks=[pytest.mark.slow] if page.name in LONG else [], id=page.name)
+        for page in PAGES
+        if blocks(page, "python") and page.name not in WALKED
+    ],
+)
+def test_the_python_of_a_page_runs_in_a_fresh_process(page: Path, place: Path) -> None:
+    script = place / "page.py"
+    script.write_text("\n".join(blocks(page, "python")))
+    done = subprocess.run([sys.executable, script], capture_output=True, text=True, check=False)  # noqa: S603 - ours
+    assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_every_command_of_a_page_exists_and_takes_its_options(page: Path) -> None:
+    for words in commands_in("\n".join(blocks(page, "sh"))):
+        command, rest = told(words)
+        if "..." in rest:
+            assert {word for word in rest if word.startswith("--")} <= options_of(command), words
+        else:
+            command.make_context("sightline", rest)
+    for words in named_commands(page):
+        command, rest = told([word for word in words if word not in ("...", "|")] if "|" not in words else words[:1])
+        options = {word.rstrip(".,;:").split("=")[0] for word in rest if word.startswith("--")}
+        assert options <= options_of(command), f"`sightline {' '.join(words)}`"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", WALKED)
+def test_a_walk_runs_from_top_to_bottom(name: str, place: Path) -> None:
+    """Commands and Python in the order of the page; a table that the page shows, `NAME.csv`, is written first."""
+    page = ROOT / "docs" / name
+    shown = r"`([\w.-]+\.csv)`:\n\n```csv\n(.*?)^```"
+    for file, table in re.findall(shown, page.read_text(), re.MULTILINE | re.DOTALL):
+        (place / file).write_text(table)
+    known: dict[str, Any] = {}
+    for language, text in re.findall(r"^```(\w*)\n(.*?)^```", page.read_text(), re.MULTILINE | re.DOTALL):
+        if language == "python":
+            exec(compile(text, name, "exec"), known)  # noqa: S102 - our own page
+        for words in commands_in(text) if language == "sh" else ():
+            done = CliRunner().invoke(commands, words)
+            assert done.exit_code == 0, f"sightline {' '.join(words)}: {done.stderr}"
