@@ -42,7 +42,8 @@ def commands_in(text: str) -> list[list[str]]:
 def named_commands(page: Path) -> list[list[str]]:
     """The words of each `sightline ...` that stands in a sentence or a table."""
     text = re.sub(r"^```.*?^```", "", page.read_text(), flags=re.MULTILINE | re.DOTALL)
-    return [words.split()[1:] for words in re.findall(r"`(sightline [^`]+)`", text)]
+    named = re.findall(r"`(sightline [^`]+)`", text)
+    return [words.split()[1:] for words in named if "COMMAND" not in words]
 
 
 def told(words: list[str]) -> tuple[Any, list[str]]:
