@@ -16,7 +16,7 @@ from sightline.frame.check import check_frame
 from sightline.frame.model import Frame
 
 ROOT = Path(__file__).parents[1]
-PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", ROOT / "CHANGELOG.md", *sorted((ROOT / "docs").glob("*.md"))]
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", ROOT / "CHANGELOG.md", *sorted((ROOT / "docs").rglob("*.md"))]
 # Checks whose name is not written where they are made: it comes from a table beside it.
 NAMED_ELSEWHERE = {"rule.name", "self.name", "name"}
 
@@ -98,6 +98,15 @@ def toctrees(page: Path) -> set[Path]:
 def test_every_page_is_in_a_toctree_of_the_site() -> None:
     pages = set((ROOT / "docs").rglob("*.md")) - {ROOT / "docs" / "index.md", ROOT / "docs" / "README.md"}
     assert set().union(*map(toctrees, (ROOT / "docs").rglob("*.md"))) == pages
+
+
+@pytest.mark.parametrize("page", sorted((ROOT / "docs" / "notebooks").glob("*.md")), ids=lambda p: p.name)
+def test_the_code_of_a_notebook_parses(page: Path) -> None:
+    """`make docs` executes it."""
+    cells = re.findall(r"^```{code-cell}\n(.*?)^```", page.read_text(), flags=re.MULTILINE | re.DOTALL)
+    assert cells
+    assert page.read_text().count("{code-cell}") == len(cells)
+    ast.parse("\n".join(cells))
 
 
 def test_every_page_that_a_reader_starts_from_is_listed() -> None:
