@@ -5,6 +5,7 @@ import functools
 import inspect
 import json
 import re
+import tomllib
 from pathlib import Path
 from typing import Any
 
@@ -159,3 +160,15 @@ def test_no_source_cites_what_is_not_in_the_repository() -> None:
     for folder in ("src", "tests", "benchmarks", "campaigns"):
         for file in (ROOT / folder).rglob("*.py"):
             assert "[is" + "sue]" not in file.read_text(), file
+
+
+def test_the_paper_cites_what_its_references_hold() -> None:
+    cited = set(re.findall(r"@(\w+\d{4})", (ROOT / "paper.md").read_text()))
+    assert cited == set(re.findall(r"^@\w+\{(\w+),", (ROOT / "paper.bib").read_text(), flags=re.MULTILINE))
+
+
+def test_one_licence_holds_for_every_file() -> None:
+    stated = tomllib.loads((ROOT / "REUSE.toml").read_text())["annotations"]
+    assert [one["path"] for one in stated] == ["**"]
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    assert {stated[0]["SPDX-License-Identifier"], project["license"]} == {"Apache-2.0"}
