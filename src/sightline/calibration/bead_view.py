@@ -3,11 +3,12 @@
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Self
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
 from sightline.calibration.checks import handedness_check
+from sightline.calibration.classical import PlateName
 from sightline.calibration.focal_length import CArm, FocalLength, steady_check
 from sightline.calibration.hull import Hull
 from sightline.calibration.joint import JointFit
@@ -16,13 +17,31 @@ from sightline.calibration.residuals import Residuals
 from sightline.calibration.support import Support
 from sightline.calibration.view import LinesOfSight, PlaneMap
 from sightline.checks import Check
+from sightline.detection.results import Observations
 from sightline.errors import UnusableInputError
-from sightline.frame import FrameView
+from sightline.frame import Frame, FrameView
 from sightline.geometry.planes import Plane
+from sightline.show import Plotted, dataframe
+from sightline.show.words import checks_lines, counted, numbers
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
+
+_MAX_FAILED = 3  # checks that a summary names
 
 
 @dataclass(frozen=True, eq=False)
-class BeadView:
+class CalibrationInputs:
+    """What `calibrate` was given besides what the view itself states: `degree`, `plate` as there."""
+
+    observations: Observations
+    frame: Frame
+    degree: int
+    plate: PlateName
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class BeadView(Plotted):
     """A `CalibratedView`: `plane_map` takes pixels to the reference plane `plane`.
 
     `residuals`: of every bead given; `hull`: of the beads used, in the image; `frame_key`: `Frame.fingerprint`;
@@ -31,7 +50,7 @@ class BeadView:
     `image_shape` (H, W) where it is known. `rejected_px` (M, 2): what was detected in the image and not labelled; None
     where nobody knows. `c_arm`: what was said of the C-arm.
     `mirrored`: the image shows the frame file's beads as their mirror image; `mirrored_display`: what a person said of
-    the display, None where nobody was asked.
+    the display, None where nobody was asked. `inputs`: what it was calibrated from; None where it was made otherwise.
     """
 
     name: str
@@ -51,9 +70,68 @@ class BeadView:
     rejected_px: np.ndarray | None = None
     mirrored_display: bool | None = None
     c_arm: CArm | None = None
+    inputs: CalibrationInputs | None = None
 
     def __post_init__(self) -> None:
         self.focal_point_mm.flags.writeable = False
+
+    def summary(self) -> str:
+        """Return the focal point with its error, the residuals, and the checks that failed."""
+        left, out = self.residuals, self.residuals.left_out
+        focal = f"{numbers(self.focal_point_mm, 1)} mm, s.d. {numbers(self.focal_point_sd_mm, 1)} mm"
+        named = f" ({', '.join(out[:4])}{', ...' if len(out) > 4 else ''})" if out else ""
+        return "\n".join(
+            [
+                f"View {self.name} of frame {self.frame_key.partition('#')[0].rstrip('/')}, method {self.method}",
+                f"  focal point {focal}, CFCS",
+                f"  {counted(int(left.used.sum()), 'bead')} used, {len(out)} left out{named}",
+                f"  residual {left.rms_mm:.3f} mm rms per axis, leave-one-out {left.leave_one_out_rms_mm:.3f} mm",
+                *(["  the image is a mirror image of the frame"] if self.mirrored else []),
+                *checks_lines(self.checks, _MAX_FAILED),
+            ]
+        )
+
+    def to_dataframe(self) -> "DataFrame":
+        """Return a row for each bead: id, u_px, v_px, residual and leave-one-out error in mm, used. Needs pandas."""
+        left = self.residuals
+        predicted = np.where(left.predicted[:, None], left.leave_one_out_mm, np.nan)
+        return dataframe(
+            {
+                "id": left.ids,
+                **{name: left.uv_px[:, k] for k, name in enumerate(("u_px", "v_px"))},
+                **{name: left.residual_mm[:, k] for k, name in enumerate(("residual_x_mm", "residual_y_mm"))},
+                **{name: predicted[:, k] for k, name in enumerate(("leave_one_out_x_mm", "leave_one_out_y_mm"))},
+                "used": left.used,
+            }
+        )
+
+    def _draw(self, ax: Any) -> None:
+        """Draw the residuals, carried into the image by the map, as arrows."""
+        from sightline.show import draw
+
+        left = self.residuals
+        by_px = self.plane_map.jacobian(left.uv_px)
+        moved_px = np.linalg.solve(by_px, left.residual_mm[:, :, None])[:, :, 0]
+        mm_px = float(np.sqrt(np.median(np.abs(np.linalg.det(by_px)))))
+        draw.image(ax, self.pixels, self.image_shape, left.uv_px, "")
+        draw.marks(ax, left.uv_px[left.used], ".", draw.ORANGE, f"used ({left.used.sum()})")
+        draw.marks(ax, left.uv_px[~left.used], "x", draw.RED, f"left out ({(~left.used).sum()})")
+        times = draw.arrows(ax, left.uv_px[left.used], moved_px[left.used], mm_px, draw.BLUE)
+        ax.set_title(f"view {self.name}: residuals, {times:g} times as large", loc="left", fontsize="medium")
+        draw.legend(ax)
+
+    @property
+    def pixels(self) -> np.ndarray | None:
+        """(H, W) the image; None where it is not known."""
+        return None if self.inputs is None else self.inputs.observations.pixels
+
+    @property
+    def focal_point_sd_mm(self) -> np.ndarray:
+        """(3,) standard deviations of the focal point's coordinates."""
+        middle = self.residuals.uv_px[self.residuals.used].mean(axis=0)
+        errors = self.posterior.line_errors(middle[None])
+        variance = np.diag(errors.noise + errors.misfit)[:3] + (errors.frame_factor[:3] ** 2).sum(axis=1)
+        return np.sqrt(variance)
 
     @property
     def upright(self) -> bool:

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from sightline.calibration.ball_size import ball_size_check
-from sightline.calibration.bead_view import BeadView
+from sightline.calibration.bead_view import BeadView, CalibrationInputs
 from sightline.calibration.beads import Beads, match
 from sightline.calibration.checks import noise_checks, row_check, view_checks
 from sightline.calibration.classical import Fitter, PlateName, classical_residuals, fit_plates
@@ -56,7 +56,8 @@ def calibrate(
             f"give the Observations of `label` or of a CSV file, not {type(observations).__name__}; "
             "`calibrate_image` takes an image"
         )
-    beads = match(observations, Frame.of(frame), view)
+    frame = Frame.of(frame)
+    beads = match(observations, frame, view)
     if method == "smooth":
         fitted = smooth_view(beads)
     elif method == "localized":
@@ -65,7 +66,8 @@ def calibrate(
         fitted = _classical(beads, method, lambda uv, xy: PolynomialMap.fit(uv, xy, degree), plate)
     rejected = None if observations.rejected is None else [one.uv_px for one in observations.rejected]
     rejected_px = None if rejected is None else np.reshape(np.array(rejected, dtype=np.float64), (-1, 2))
-    fitted = replace(fitted, image_shape=observations.image_shape, rejected_px=rejected_px)
+    inputs = CalibrationInputs(observations, frame, degree, plate)
+    fitted = replace(fitted, image_shape=observations.image_shape, rejected_px=rejected_px, inputs=inputs)
     fitted = fitted.said_to_be(mirrored_display)
     return fitted if c_arm is None else fitted.taken_by(c_arm)
 

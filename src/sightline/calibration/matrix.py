@@ -9,6 +9,8 @@ from sightline.calibration.view import LinesOfSight
 from sightline.checks import Check
 from sightline.errors import OutsideRegionError, UnusableInputError
 from sightline.geometry.planes import Plane
+from sightline.show import Shown
+from sightline.show.words import checks_lines, numbers
 
 # Rows of the left 3x3 block, scaled to unit length, span less volume than this for a source at infinity [ours].
 MIN_VOLUME = 1e-9
@@ -60,8 +62,8 @@ def _apply(matrix: np.ndarray, points: np.ndarray) -> np.ndarray:
     return homogeneous[:, :2] / homogeneous[:, 2:]
 
 
-@dataclass(frozen=True, eq=False)
-class MatrixView:
+@dataclass(frozen=True, eq=False, repr=False)
+class MatrixView(Shown):
     """A `CalibratedView` without beads: `matrix` (3, 4) takes CFCS mm to pixels, `covariance` (12, 12) or None is that
     of its entries, row by row. A matrix holds for the whole image: every pixel counts as inside."""
 
@@ -76,6 +78,12 @@ class MatrixView:
     def __post_init__(self) -> None:
         for array in (self.matrix, self.focal_point_mm):
             array.flags.writeable = False
+
+    def summary(self) -> str:
+        """Return the focal point, and whether the error is known."""
+        known = "unknown: every verdict on it is NO-GO" if self.covariance is None else "known, from the matrix's"
+        focal = f"  focal point {numbers(self.focal_point_mm, 1)} mm, CFCS"
+        return "\n".join([f"View {self.name} of a matrix", focal, f"  error {known}", *checks_lines(self.checks, 3)])
 
     @property
     def plane_map(self) -> HomographyMap:

@@ -27,7 +27,8 @@ def digest(data: str | bytes) -> str:
 def plain(value: Any) -> Any:
     """Dataclasses, arrays and tuples as dicts and lists; what else there is stays."""
     if is_dataclass(value) and not isinstance(value, type):
-        return {field.name: plain(getattr(value, field.name)) for field in fields(value)}
+        written = (field for field in fields(value) if field.metadata.get("written", True))
+        return {field.name: plain(getattr(value, field.name)) for field in written}
     if isinstance(value, dict):
         return {str(key): plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from sightline.calibration.view import CalibratedView
-from sightline.case.canonical import digest
+from sightline.case.canonical import digest, plain
 from sightline.case.documents import check_document, view_document
 from sightline.case.views import CalibratedImage
 from sightline.checks import Limits
@@ -128,12 +128,12 @@ def acquired(original: str, image: Radiograph | None) -> dict[str, Any]:
 
 def detected(beads: Detections) -> dict[str, Any]:
     """Beads, and candidates that are none."""
-    return dict(vars(beads))
+    return plain(beads)
 
 
 def labelled(observations: Observations, frame_key: str) -> dict[str, Any]:
     """`frame_key`: of the frame whose fiducials these are."""
-    return {**vars(observations), "frame_key": frame_key}
+    return {**plain(observations), "frame_key": frame_key}
 
 
 def calibrated(image: CalibratedImage) -> dict[str, Any]:

@@ -1,5 +1,6 @@
 """Automatic detection: candidates, fits, and the reasons for which a candidate is no bead."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -61,7 +62,7 @@ def detect(image: Radiograph | np.ndarray | str | Path, white: float | None = No
     defect = interlaced(image)
     if defect is not None:
         raise DetectionRefusedError(defect)
-    return _detected(image)
+    return replace(_detected(image), pixels=image.pixels)
 
 
 def _detected(image: Radiograph) -> Detections:

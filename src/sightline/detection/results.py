@@ -1,10 +1,20 @@
 """What detection hands on: beads found in an image, and beads that have been told apart."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from sightline.errors import ObservationsError
+from sightline.show import Plotted, dataframe
+from sightline.show.table import covariance_columns
+from sightline.show.words import centre_sd, counted, image_size
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
+
+# Of a field that no file and no case holds: the image that a result was found in, to be drawn behind it.
+_NOT_WRITTEN = {"written": False}
 
 
 def _frozen(array: np.ndarray, shape: tuple[int, ...], what: str) -> np.ndarray:
@@ -27,13 +37,13 @@ class Rejected:
     reason: str
 
 
-@dataclass(frozen=True, eq=False)
-class Detections:
+@dataclass(frozen=True, eq=False, repr=False)
+class Detections(Plotted):
     """Beads found in one image, in IDCS.
 
     `uv_px` (N, 2), `radius_px` (N,) (the outer radius of a washer), `covariance_px2` (N, 2, 2),
     `kind` (N,) of "ball", "washer" or "hole", `contrast` (N,) (signed change of log intensity at the centre),
-    `rejected` with reasons, `image_shape` (H, W).
+    `rejected` with reasons, `image_shape` (H, W). `pixels` (H, W): the image itself where it is known, for plots.
     """
 
     uv_px: np.ndarray
@@ -43,6 +53,7 @@ class Detections:
     contrast: np.ndarray
     image_shape: tuple[int, int]
     rejected: tuple[Rejected, ...] = ()
+    pixels: np.ndarray | None = field(default=None, metadata=_NOT_WRITTEN)
 
     def __post_init__(self) -> None:
         n = len(np.atleast_2d(self.uv_px)) if np.size(self.uv_px) else 0
@@ -57,15 +68,41 @@ class Detections:
     def __len__(self) -> int:
         return len(self.uv_px)
 
+    def summary(self) -> str:
+        """Return how many beads were found, how large they are and how well their centres are known."""
+        kinds = ", ".join(counted(self.kind.count(k), k) for k in ("ball", "washer", "hole") if k in self.kind)
+        lines = [f"Detections: {counted(len(self), 'bead')} in {image_size(self.image_shape)}"]
+        if len(self):
+            sizes = f"radius {self.radius_px.min():.1f} to {self.radius_px.max():.1f} px"
+            lines.append(f"  {kinds}; {sizes}; {centre_sd(self.covariance_px2)}")
+        return "\n".join([*lines, f"  {counted(len(self.rejected), 'candidate')} rejected"])
 
-@dataclass(frozen=True, eq=False)
-class Observations:
+    def to_dataframe(self) -> "DataFrame":
+        """Return a row for each bead: u_px, v_px, radius_px, kind, contrast and covariance. Needs pandas."""
+        place = {"u_px": self.uv_px[:, 0], "v_px": self.uv_px[:, 1], "radius_px": self.radius_px}
+        rest = {"kind": self.kind, "contrast": self.contrast, **covariance_columns(self.covariance_px2, "px")}
+        return dataframe(place | rest)
+
+    def _draw(self, ax: Any) -> None:
+        from sightline.show import draw
+
+        draw.image(ax, self.pixels, self.image_shape, self.uv_px, f"{counted(len(self), 'bead')} detected")
+        for kind, colour in (("ball", draw.ORANGE), ("washer", draw.BLUE), ("hole", draw.GREEN)):
+            mine = np.array([k == kind for k in self.kind], dtype=bool)
+            draw.circles(ax, self.uv_px[mine], self.radius_px[mine], colour, kind)
+        draw.marks(ax, _places(self.rejected), "x", draw.RED, f"rejected ({len(self.rejected)})")
+        draw.legend(ax)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Observations(Plotted):
     """Beads of one view that have been labelled: fiducial `ids[i]` is seen at `uv_px[i]`, in IDCS.
 
     `covariance_px2` (N, 2, 2), or None where nothing is known of the measurement noise. `mirrored` says
     that the image is a mirror image of the frame. `image_shape` (H, W) where the image is known. `radius_px` (N,): as
     in `Detections`, or None where it is not known. `rejected`: detections that were not labelled, with
-    reasons; None where the beads come without the others of their image.
+    reasons; None where the beads come without the others of their image. `pixels` (H, W): the image itself where it is
+    known, for plots.
     Raises ObservationsError on wrong shapes, values that are not finite, and an id that stands twice.
     """
 
@@ -77,6 +114,7 @@ class Observations:
     image_shape: tuple[int, int] | None = None
     radius_px: np.ndarray | None = None
     rejected: tuple[Rejected, ...] | None = None
+    pixels: np.ndarray | None = field(default=None, metadata=_NOT_WRITTEN)
 
     def __post_init__(self) -> None:
         n = len(self.ids)
@@ -92,3 +130,35 @@ class Observations:
 
     def __len__(self) -> int:
         return len(self.ids)
+
+    def summary(self) -> str:
+        """Return which view was seen, how many beads are labelled and how well their centres are known."""
+        lines = [f"Observations of view {self.view}: {counted(len(self), 'bead')} labelled"]
+        lines[0] += f" in {image_size(self.image_shape)}"
+        lines.append(f"  {centre_sd(self.covariance_px2)}")
+        if self.mirrored:
+            lines.append("  the image is a mirror image of the frame")
+        if self.rejected is not None:
+            lines.append(f"  {counted(len(self.rejected), 'detection')} not labelled")
+        return "\n".join(lines)
+
+    def to_dataframe(self) -> "DataFrame":
+        """Return a row for each bead: view, id, u_px, v_px, covariance where it is known. Needs pandas."""
+        columns = {"view": [self.view] * len(self), "id": self.ids, "u_px": self.uv_px[:, 0], "v_px": self.uv_px[:, 1]}
+        known = {} if self.covariance_px2 is None else covariance_columns(self.covariance_px2, "px")
+        return dataframe(columns | known)
+
+    def _draw(self, ax: Any) -> None:
+        from sightline.show import draw
+
+        title = f"view {self.view}: {counted(len(self), 'bead')} labelled"
+        draw.image(ax, self.pixels, self.image_shape, self.uv_px, title)
+        radius = np.full(len(self), np.nan) if self.radius_px is None else self.radius_px
+        draw.labels(ax, self.uv_px, radius, self.ids, draw.ORANGE)
+        draw.marks(ax, _places(self.rejected or ()), "x", draw.RED, f"not labelled ({len(self.rejected or ())})")
+        draw.legend(ax)
+
+
+def _places(rejected: tuple[Rejected, ...]) -> np.ndarray:
+    """(N, 2) px."""
+    return np.array([one.uv_px for one in rejected]).reshape(-1, 2)

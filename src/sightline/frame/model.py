@@ -1,7 +1,7 @@
 """A calibration frame as data: its views, and how well their beads' coordinates are known. CFCS, mm."""
 
 from collections.abc import Iterable
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from functools import cached_property
 from hashlib import sha256
 from pathlib import Path
@@ -18,10 +18,13 @@ from sightline.frame.files import document_from_json, json_of, read_document
 from sightline.frame.handed import is_mirror_image
 from sightline.frame.plate import FrameView
 from sightline.frame.tolerances import InUse, Tolerances, error_factor
+from sightline.show import Plotted
+
+_MAX_VIEWS = 6  # of a summary
 
 
-@dataclass(frozen=True, eq=False)
-class Frame:
+@dataclass(frozen=True, eq=False, repr=False)
+class Frame(Plotted):
     """A calibration frame.
 
     `tolerances` is None where the file states none: then `effective_tolerances` are the defaults, and reports say so.
@@ -35,8 +38,36 @@ class Frame:
     measured_on: str | None = None
     temperature_c: float | None = None
     tolerances: Tolerances | None = None
-    covariance_mm2: np.ndarray | None = field(default=None, repr=False)
+    covariance_mm2: np.ndarray | None = None
     in_use: InUse | None = None
+
+    def summary(self) -> str:
+        """Return name, serial, the beads of each plate, and how well they are known."""
+        lines = [f"Frame {self.name}" + ("" if self.serial is None else f", serial {self.serial}")]
+        for name, view in list(self.views.items())[:_MAX_VIEWS]:
+            xrii, source = len(view.xrii.fiducials), len(view.source.fiducials)
+            lines.append(f"  view {name}: {xrii} beads on the XRII plate, {source} on the source plate")
+        lines += [f"  ... and {len(self.views) - _MAX_VIEWS} views more"] if len(self.views) > _MAX_VIEWS else []
+        sd = self.effective_tolerances
+        known = f"s.d. of a bead {sd.bead_mm:g} mm on its plate, of a plate {sd.plate_mm:g} mm and {sd.plate_rad:g} rad"
+        if self.covariance_mm2 is not None:
+            known = "measured, with the full covariance of the coordinates"
+        elif self.tolerances is None:
+            known += " (defaults: the file states none)"
+        when = "" if self.measured_on is None else f", measured on {self.measured_on}"
+        return "\n".join([*lines, f"  {known}{when}"])
+
+    def _new_axes(self, figure: Any) -> Any:
+        return figure.add_subplot(projection="3d")
+
+    def _draw(self, ax: Any) -> None:
+        from sightline.show import draw
+
+        for name, view in self.views.items():
+            for role, plate in (("XRII", view.xrii), ("source", view.source)):
+                ax.scatter(*plate.xyz_mm.T, s=4, label=f"{name}, {role} plate")
+        draw.box(ax, np.array(list(self.xyz_mm_by_id.values())), f"frame {self.name}, CFCS")
+        ax.legend(fontsize="small")
 
     @property
     def effective_tolerances(self) -> Tolerances:

@@ -2,12 +2,14 @@
 
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
 from sightline.errors import ImageError
 from sightline.imaging.burnt_in import burnt_in
 from sightline.imaging.collimation import field_mask
+from sightline.show import Plotted
 
 
 @dataclass(frozen=True)
@@ -25,8 +27,8 @@ class GeometryTags:
     secondary_angle_deg: float | None = None
 
 
-@dataclass(frozen=True, eq=False)
-class Radiograph:
+@dataclass(frozen=True, eq=False, repr=False)
+class Radiograph(Plotted):
     """One X-ray image.
 
     `pixels` (H, W), uint8, uint16 or float32, read-only; more is brighter is more X-rays reaching the
@@ -57,6 +59,23 @@ class Radiograph:
     def shape(self) -> tuple[int, int]:
         """Height and width in pixels."""
         return self.pixels.shape[0], self.pixels.shape[1]
+
+    def summary(self) -> str:
+        """Return size, type and range of the pixels, and the geometry that the file states."""
+        pixels = self.pixels
+        lines = [
+            f"Radiograph: {self.shape[1]} x {self.shape[0]} px, {pixels.dtype}",
+            f"  values {pixels.min():g} to {pixels.max():g}, white {self.white:g}",
+        ]
+        known = [f"{name} {value}" for name, value in vars(self.tags).items() if value is not None]
+        lines += [f"  the file states {', '.join(known)}"] if known else []
+        lines += ["  compressed with loss"] if self.lossy else []
+        return "\n".join([*lines, "  inverted, white for black"] if self.is_inverted else lines)
+
+    def _draw(self, ax: Any) -> None:
+        from sightline.show import draw
+
+        draw.image(ax, self.pixels, self.shape, np.zeros((0, 2)), f"{self.shape[1]} x {self.shape[0]} px")
 
     def inverted(self) -> "Radiograph":
         """The same image, white for black."""

@@ -10,14 +10,16 @@ from scipy.spatial.transform import RigidTransform
 from sightline.calibration.view import CalibratedView
 from sightline.checks import Check, Limits, failed
 from sightline.geometry.covariance import length_quantile
+from sightline.show import Shown
+from sightline.show.words import checks_lines, numbers
 
 MIN_LANDMARKS = 3  # fewer do not determine a rotation
 MAX_OUTLIER = 4.0  # standard deviations; eight good shots had 3.2 at most, one with a tip 1 mm off 4.8 [calc]
 MAX_RESIDUAL = 2.0  # rms of the residuals over their stated standard deviations [ours]
 
 
-@dataclass(frozen=True, eq=False)
-class CheckShot:
+@dataclass(frozen=True, eq=False, repr=False)
+class CheckShot(Shown):
     """The drilled wire against the plan, in the CFCS of the planning images, in which the bone is at rest.
 
     `entry_mm` (3,): the wire at the planned entry's depth; `tip_mm` (3,). `deviation_mm` (5,): of the entry
@@ -42,6 +44,22 @@ class CheckShot:
     residual_rms: float
     outlier_sigma: float
     checks: tuple[Check, ...] = ()
+
+    def summary(self) -> str:
+        """Return how far the wire lies from its plan, how well that is known, and the checks that failed."""
+        angles = np.rad2deg([self.angle_rad, self.direction_error_95_rad])
+        known = "known to {:.2f} mm (95 %)".format
+        return "\n".join(
+            [
+                f"Check shot: {'passed' if self.passed else 'FAILED'}; CFCS of the planning images",
+                f"  entry {numbers(self.entry_mm, 2)} mm, {self.entry_deviation_mm:.2f} mm beside the plan, "
+                + known(self.entry_error_95_mm),
+                f"  tip   {numbers(self.tip_mm, 2)} mm, {self.tip_deviation_mm:.2f} mm from the plan, "
+                + known(self.tip_error_95_mm),
+                f"  direction {angles[0]:.2f}° from the plan, known to {angles[1]:.2f}° (95 %)",
+                *checks_lines(self.checks, 4),
+            ]
+        )
 
     @property
     def entry_deviation_mm(self) -> float:

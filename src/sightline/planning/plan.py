@@ -1,14 +1,15 @@
 """From picks in two views to a plan: trajectory, image-matching curves, verdict."""
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from sightline.calibration.view import CalibratedView
-from sightline.errors import UnusableInputError
+from sightline.errors import OutsideRegionError, UnusableInputError
 from sightline.planning.aids import Aids
 from sightline.planning.anatomy import Anatomy, locate
 from sightline.planning.bone_checks import judge_in_bone, measures, noticed_beyond_mm
@@ -20,16 +21,23 @@ from sightline.planning.reconstruct import Method, reconstruct
 from sightline.planning.results import SpacePoints, Verdict
 from sightline.planning.trajectory import Trajectory
 from sightline.planning.verdict import judge
+from sightline.show import Plotted, dataframe
+from sightline.show.words import checks_lines
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
+
+_DRAWN_POINTS = 21  # [ours] along the wire: it bends with the image's distortion
 
 
-@dataclass(frozen=True, eq=False)
-class Plan:
+@dataclass(frozen=True, eq=False, repr=False)
+class Plan(Plotted):
     """A trajectory, the image-matching curves of its two points in the second view, and the verdict with its checks.
 
     `picks`: for entry and end, the pick in each view as it was used; snapped ones lie on their curve. `seen`: entry,
     end and landmarks, in this order; `landmark_names`: names of the landmarks, "" where none was given. `anatomy`: the
     located parts of the bone. `noticed_mm`: how far entry and end can be wrong along a line of sight before a check of
-    the bone fails; None where no check would fail.
+    the bone fails; None where no check would fail. `views`: the two views that the plan was made on.
     """
 
     trajectory: Trajectory
@@ -43,6 +51,45 @@ class Plan:
     anatomy: Anatomy | None
     landmark_names: tuple[str, ...]
     noticed_mm: tuple[float | None, float | None]
+    views: tuple[CalibratedView, CalibratedView]
+
+    def summary(self) -> str:
+        """Return the verdict, entry and end point with their error bounds, and the checks that failed."""
+        side = "" if self.side is None else f", {self.side} side"
+        first = f"Plan of a {self.kind.name}{side}: {self.verdict.state.upper()}"
+        return "\n".join([first, *self.trajectory.summary().splitlines()[1:], *checks_lines(self.verdict.checks, 3)])
+
+    def to_dataframe(self) -> "DataFrame":
+        """Return a row for each check of the verdict: name, passed, figure, limit, unit, sentence. Needs pandas."""
+        rows = [vars(check) for check in self.verdict.checks]
+        return dataframe({name: [row[name] for row in rows] for name in rows[0]})
+
+    def _new_axes(self, figure: Any) -> Any:
+        return figure.subplots(1, 2)
+
+    def _size_in(self) -> tuple[float, float]:
+        return 12.0, 6.0
+
+    def _draw(self, ax: Any) -> None:
+        """Draw each view's picks and the wire as it sees it, in the second also the curves of the first's picks."""
+        from sightline.show import draw
+
+        for k, (panel, view) in enumerate(zip(ax, self.views, strict=True)):
+            picks = np.array([pair[k].uv_px for pair in self.picks])
+            pixels, shape = getattr(view, "pixels", None), getattr(view, "image_shape", None)
+            draw.image(panel, pixels, shape, picks, f"view {view.name}: {self.verdict.state.upper()}")
+            if k:
+                for curve in (self.entry_curve, self.end_curve):
+                    panel.plot(*curve.uv_px.T, color=draw.BLUE, linewidth=0.8)
+                panel.plot([], [], color=draw.BLUE, label=f"lines of sight of view {self.views[0].name}")
+            along = np.linspace(self.trajectory.entry_mm, self.trajectory.end_mm, _DRAWN_POINTS)
+            with suppress(OutsideRegionError):
+                panel.plot(*view.project(along).T, color=draw.ORANGE, label="planned wire")
+            draw.marks(panel, picks[:1], "o", draw.GREEN, "entry")
+            draw.marks(panel, picks[1:], "s", draw.GREEN, "end")
+            with suppress(OutsideRegionError):
+                draw.marks(panel, view.project(self.seen.xyz_mm[2:]), "+", draw.RED, "landmarks")
+            draw.legend(panel)
 
     def along_sentences(self) -> list[str]:
         """Return for entry and end a sentence on errors along their lines of sight that no check would show."""
@@ -131,7 +178,20 @@ def plan(
         known = dict(zip(names, seen.xyz_mm[2:], strict=False))
         verdict = verdict.joined(judge_in_bone(anatomy, kind.bone, side, known))
         noticed = noticed_beyond_mm(measures(anatomy, kind.bone, side, known), anatomy)
-    return Plan(trajectory, (entry, end), seen, entry_curve, end_curve, verdict, kind, side, anatomy, names, noticed)
+    return Plan(
+        trajectory=trajectory,
+        picks=(entry, end),
+        seen=seen,
+        entry_curve=entry_curve,
+        end_curve=end_curve,
+        verdict=verdict,
+        kind=kind,
+        side=side,
+        anatomy=anatomy,
+        landmark_names=names,
+        noticed_mm=noticed,
+        views=(views[0], views[1]),
+    )
 
 
 def _names(kind: TrajectoryKind, landmark_names: Sequence[str], count: int) -> tuple[str, ...]:

@@ -2,14 +2,19 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
 from sightline.calibration.checks import handedness_check
 from sightline.checks import Check, failed
 from sightline.errors import ErrorUnknownError
-from sightline.geometry.covariance import TWO_SIDED_999
+from sightline.geometry.covariance import TWO_SIDED_999, ellipsoid_factor, length_quantile
+from sightline.show import Plotted, Shown, dataframe
+from sightline.show.words import checks_lines, counted, numbers
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
 
 State = Literal["go", "no-go", "incomplete"]
 # The sources of a point's error; their covariances add up to the total.
@@ -20,6 +25,7 @@ MAX_GAP_SIGMA = TWO_SIDED_999
 # 0.62 or less in the middle of a strip of 16 dropped beads [twin]. A hidden bead counts half, since it neither confirms
 # nor contradicts the map; so at least three of eight must be used [ours].
 MIN_BEADS_NEAR = 0.7
+_MAX_POINTS = 6  # of a summary
 
 
 def error_unknown() -> ErrorUnknownError:
@@ -30,8 +36,8 @@ def error_unknown() -> ErrorUnknownError:
     )
 
 
-@dataclass(frozen=True, eq=False)
-class SpacePoints:
+@dataclass(frozen=True, eq=False, repr=False)
+class SpacePoints(Plotted):
     """N points reconstructed from two views, CFCS. Look at `checks` before you use them.
 
     `xyz_mm` (N, 3). `method`: "weighted" or "nearest"; always "nearest" where a view's error is unknown.
@@ -72,6 +78,55 @@ class SpacePoints:
         for array in arrays:
             if array is not None:
                 array.flags.writeable = False
+
+    def summary(self) -> str:
+        """Return place, error bound and gap of each point, of the first six where there are more."""
+        said = [f"{counted(len(self.xyz_mm), 'point')} in CFCS, method {self.method}"]
+        errors, sigma = self.error_95_mm, self.gap_sigma
+        for k, (point, gap_mm) in enumerate(zip(self.xyz_mm[:_MAX_POINTS], self.gap_mm, strict=False)):
+            error = f"95 % error {errors[k]:.2f} mm" if np.isfinite(errors[k]) else "error unknown"
+            apart = f", gap {gap_mm:.2f} mm" if self.gap_tested[k] else ", gap not tested"
+            apart += f" ({np.ma.getdata(sigma)[k]:.1f} s.d.)" if sigma is not None and self.gap_tested[k] else ""
+            said.append(f"  {k + 1}: {numbers(point, 2)} mm, {error}{apart}")
+        said += [f"  ... and {len(self.xyz_mm) - _MAX_POINTS} more"] if len(self.xyz_mm) > _MAX_POINTS else []
+        passed = not failed(self.checks)
+        return "\n".join([*said, f"  checks: {'all passed' if passed else 'some failed, see .checks'}"])
+
+    @property
+    def error_95_mm(self) -> np.ndarray:
+        """(N,) with a probability of 95 % the point's error is smaller; NaN where `error_stated` is False."""
+        out = np.full(len(self.xyz_mm), np.nan)
+        if self.error_stated.any():
+            out[self.error_stated] = length_quantile(self.covariance_mm2[self.error_stated])
+        return out
+
+    def to_dataframe(self) -> "DataFrame":
+        """Return a row for each point: x_mm, y_mm, z_mm, error_95_mm, gap_mm, gap_sigma and inside_hull, with NaN where
+        a number is not known. Needs pandas."""
+        unknown = np.full(len(self.xyz_mm), np.nan)
+        return dataframe(
+            {
+                **{f"{axis}_mm": self.xyz_mm[:, k] for k, axis in enumerate("xyz")},
+                "error_95_mm": self.error_95_mm,
+                "gap_mm": self.gap_mm,
+                "gap_sigma": unknown if self.gap_sigma is None else np.ma.filled(self.gap_sigma, np.nan),
+                "inside_hull": self.inside_hull,
+            }
+        )
+
+    def _new_axes(self, figure: Any) -> Any:
+        return figure.add_subplot(projection="3d")
+
+    def _draw(self, ax: Any) -> None:
+        self.draw_named(ax, [str(k + 1) for k in range(len(self.xyz_mm))], counted(len(self.xyz_mm), "point"))
+
+    def draw_named(self, ax: Any, names: Sequence[str], title: str) -> None:
+        """Draw the points on axes of three dimensions, each with its name and its error where all are stated."""
+        from sightline.show import draw
+
+        known = bool(self.error_stated.all()) and len(self.xyz_mm) > 0
+        bounds = ellipsoid_factor(0.95, 3) ** 2 * self.covariance_mm2 if known else None
+        draw.space(ax, self.xyz_mm, bounds, names, f"{title}, CFCS")
 
     def first(self, count: int) -> "SpacePoints":
         """Return the first `count` points with their covariance; shift and chi-square stay those of all points."""
@@ -185,8 +240,8 @@ def _gap_check(name: str, failed: bool, sigma: float, gap_mm: float) -> Check:
     return Check("gap", not failed, sigma, MAX_GAP_SIGMA, "σ", sentence)
 
 
-@dataclass(frozen=True)
-class Verdict:
+@dataclass(frozen=True, repr=False)
+class Verdict(Shown):
     """GO only if every check passed; the decision is a person's.
 
     `unmade`: the failed checks that could not be made because an input is missing.
@@ -194,6 +249,10 @@ class Verdict:
 
     checks: tuple[Check, ...]
     unmade: tuple[Check, ...] = ()
+
+    def summary(self) -> str:
+        """Return GO, NO-GO or INCOMPLETE, and the checks that failed."""
+        return "\n".join([f"Verdict: {self.state.upper()}", *checks_lines(self.checks, 6)])
 
     @property
     def go(self) -> bool:

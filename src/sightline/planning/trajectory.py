@@ -9,13 +9,15 @@ import numpy as np
 from sightline.errors import ErrorUnknownError, UnusableInputError
 from sightline.geometry.covariance import length_quantile, line_direction
 from sightline.planning.results import SpacePoints, error_unknown
+from sightline.show import Plotted
+from sightline.show.words import numbers
 
 # Two points nearer than this do not give a direction [ours].
 MIN_LENGTH_MM = 5.0
 
 
-@dataclass(frozen=True, eq=False)
-class Trajectory:
+@dataclass(frozen=True, eq=False, repr=False)
+class Trajectory(Plotted):
     """A straight path from the entry point to the end point (the tip of the wire), CFCS; independent of any robot.
 
     `points`: the two reconstructed points, with their joint covariance, budget and gaps. Properties that depend on
@@ -35,6 +37,29 @@ class Trajectory:
                 f"entry and end point are {self.length_mm:.1f} mm apart (at least {MIN_LENGTH_MM:.0f} mm is needed for "
                 "a direction); pick them further apart"
             )
+
+    def summary(self) -> str:
+        """Return entry and end point with their error bounds, and the length."""
+        bounds = ["error unknown"] * 3
+        if self.error_stated:
+            errors = self.entry_error_95_mm, self.end_error_95_mm
+            bounds = [f"95 % error {e:.2f} mm" for e in errors]
+            bounds.append(f"95 % error of the direction {np.rad2deg(self.direction_error_95_rad):.2f}°")
+        return "\n".join(
+            [
+                f"Trajectory of {self.length_mm:.1f} mm in CFCS",
+                f"  entry {numbers(self.entry_mm, 2)} mm, {bounds[0]}",
+                f"  end   {numbers(self.end_mm, 2)} mm, {bounds[1]}",
+                f"  direction {numbers(self.direction, 4)}, {bounds[2]}",
+            ]
+        )
+
+    def _new_axes(self, figure: Any) -> Any:
+        return figure.add_subplot(projection="3d")
+
+    def _draw(self, ax: Any) -> None:
+        ax.plot(*self.points.xyz_mm.T, color="#0072b2")
+        self.points.draw_named(ax, ("entry", "end"), f"wire of {self.length_mm:.1f} mm")
 
     @property
     def entry_mm(self) -> np.ndarray:

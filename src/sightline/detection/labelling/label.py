@@ -73,6 +73,7 @@ def label(
         covariance_px2=detections.covariance_px2[solution.rows],
         mirrored=solution.mirrored,
         image_shape=detections.image_shape,
+        pixels=detections.pixels,
         radius_px=detections.radius_px[solution.rows],
         rejected=_rejected(detections, usable, solution),
     )
