@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from tests.app import NO_BROWSER
+from tests.worked import Worked
 from typer.testing import CliRunner
 
 from sightline.cli import commands
@@ -70,3 +71,9 @@ def demo_folder(demo_run: tuple[Ran, Path]) -> Path:
     ran, out = demo_run
     assert ran.exit_code == 0, ran.stderr
     return out
+
+
+@pytest.fixture(scope="session")
+def worked(tmp_path_factory: pytest.TempPathFactory) -> Worked:
+    """Two images, a plan on them and two check images, made in seconds."""
+    return Worked(tmp_path_factory.mktemp("worked")).write()

@@ -12,6 +12,7 @@ from sightline.calibration.classical import PlateName
 from sightline.calibration.focal_length import CArm, FocalLength, steady_check
 from sightline.calibration.hull import Hull
 from sightline.calibration.joint import JointFit
+from sightline.calibration.polynomial import Affine
 from sightline.calibration.posterior import Posterior
 from sightline.calibration.residuals import Residuals
 from sightline.calibration.support import Support
@@ -106,19 +107,27 @@ class BeadView(Plotted):
         )
 
     def _draw(self, ax: Any) -> None:
-        """Draw the residuals, carried into the image by the map, as arrows."""
+        """Draw the residuals as arrows, carried into the image by the affine map that is nearest to the view's own."""
         from sightline.show import draw
 
         left = self.residuals
-        by_px = self.plane_map.jacobian(left.uv_px)
-        moved_px = np.linalg.solve(by_px, left.residual_mm[:, :, None])[:, :, 0]
-        mm_px = float(np.sqrt(np.median(np.abs(np.linalg.det(by_px)))))
+        by_px = self._mm_per_px()
+        moved_px = np.linalg.solve(by_px, left.residual_mm.T).T
+        mm_px = float(np.sqrt(np.abs(np.linalg.det(by_px))))
         draw.image(ax, self.pixels, self.image_shape, left.uv_px, "")
         draw.marks(ax, left.uv_px[left.used], ".", draw.ORANGE, f"used ({left.used.sum()})")
         draw.marks(ax, left.uv_px[~left.used], "x", draw.RED, f"left out ({(~left.used).sum()})")
         times = draw.arrows(ax, left.uv_px[left.used], moved_px[left.used], mm_px, draw.BLUE)
         ax.set_title(f"view {self.name}: residuals, {times:g} times as large", loc="left", fontsize="medium")
         draw.legend(ax)
+
+    def _mm_per_px(self) -> np.ndarray:
+        """(2, 2) pixels to plane, by the nearest affine map; the localized method's own is not defined at each bead."""
+        left, plate = self.residuals, self.frame_view.xrii
+        mine = [i for i, name in enumerate(left.ids) if name in plate.ids]
+        xyz = np.array([self.frame_view.by_id[left.ids[i]].xyz_mm for i in mine])
+        affine, radius_mm = Affine.fit(left.uv_px[mine], self.plane.to_plane(xyz))
+        return radius_mm * affine.matrix
 
     @property
     def pixels(self) -> np.ndarray | None:

@@ -1,0 +1,94 @@
+"""A worked procedure without the demo's robot: two images, a plan on them, two check images of a wire as planned."""
+
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+import sightline as sl
+from sightline.cli.demo import SEED
+from sightline.imaging import write_dicom
+from sightline.rehearsal.check_images import CheckImages
+from sightline.rehearsal.procedure import Rehearsal
+from sightline.robot.link.simulated import SimulatedWire
+
+VIEWS = ("pa", "lateral")
+
+
+@dataclass(frozen=True, eq=False)
+class Worked:
+    """`folder`: holds out/demo with the images of `sightline demo`, and two check images."""
+
+    folder: Path
+
+    @property
+    def demo(self) -> Path:
+        return self.folder / "out" / "demo"
+
+    @cached_property
+    def rehearsal(self) -> Rehearsal:
+        return Rehearsal.draw(SEED, sl.Frame.load("gamma"))
+
+    @cached_property
+    def check_images(self) -> CheckImages:
+        wire = self.rehearsal.hip.wire_mm
+        drilled = np.stack([wire[0], wire.mean(axis=0), wire[1]])
+        return self.rehearsal.check_images(SimulatedWire(drilled, RigidTransform.identity(), np.zeros(5)))
+
+    def write(self) -> "Worked":
+        self.demo.mkdir(parents=True)
+        for start, images in (("demo", self.rehearsal.images), ("check", self.check_images.images)):
+            for name in VIEWS:
+                write_dicom(images[name], self.demo / f"{start}_{name}.dcm", self.rehearsal.side)
+        return self
+
+    @cached_property
+    def image(self) -> sl.Radiograph:
+        return sl.read_image(self.demo / "demo_pa.dcm")
+
+    @cached_property
+    def beads(self) -> sl.Detections:
+        return sl.detect(self.image)
+
+    @cached_property
+    def observations(self) -> sl.Observations:
+        return sl.label(self.beads, "gamma")
+
+    @cached_property
+    def views(self) -> list[sl.CalibratedView]:
+        return [sl.calibrate_image(self.demo / f"demo_{name}.dcm", "gamma", name) for name in VIEWS]
+
+    @cached_property
+    def wire_px(self) -> np.ndarray:
+        """(2, 2, 2): view, entry and end, (u, v)."""
+        return self.rehearsal.pixels(self.rehearsal.hip.wire_mm)
+
+    @cached_property
+    def landmarks_px(self) -> np.ndarray:
+        return np.stack(list(self.rehearsal.landmarks.values()), axis=1)
+
+    @cached_property
+    def points(self) -> sl.SpacePoints:
+        return sl.reconstruct(self.views, self.wire_px, np.broadcast_to(0.25 * np.eye(2), (2, 2, 2, 2)))
+
+    @cached_property
+    def plan(self) -> sl.Plan:
+        first, second = (sl.Circle.through(rim) for rim in self.rehearsal.head_rim)
+        return sl.plan(
+            self.views,
+            self.wire_px[:, 0],
+            self.wire_px[:, 1],
+            landmarks_uv_px=self.landmarks_px,
+            landmark_names=["-".join(name.split()) for name in self.rehearsal.landmarks],
+            side=self.rehearsal.side,
+            aids=sl.Aids(head=(first, second)),
+        )
+
+    @cached_property
+    def shot(self) -> sl.CheckShot:
+        images = [self.demo / f"check_{name}.dcm" for name in VIEWS]
+        found = self.check_images.landmarks_px(list(self.rehearsal.landmarks), 0.0, np.random.default_rng(0))
+        marks = sl.Landmarks(self.landmarks_px, found)
+        return sl.check_shot(self.plan, self.views, images, "gamma", landmarks=marks)
