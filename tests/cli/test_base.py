@@ -37,7 +37,7 @@ def invoke(body, *arguments: str):
 
 def test_help_lists_every_command_and_each_takes_json_and_quiet(run) -> None:
     listed = run("--help").out
-    for name in _COMMANDS:
+    for name in (module.replace("_", "-") for module in _COMMANDS):
         assert re.search(rf"^\W*{name} ", listed, re.MULTILINE), name
         told = run(name, "--help")
         assert told.code == 0

@@ -125,6 +125,30 @@ def test_a_no_go_plan_is_no_robots_and_then_nothing_else_is_written_either(run, 
     assert not (tmp_path / "out").exists()
 
 
+def resealed(planned: Path, folder: Path, **changed: object) -> Path:
+    document = json.loads((planned / "plan.json").read_text()) | changed
+    (folder / "plan.json").write_text(json.dumps(sealed(document)))
+    return folder / "plan.json"
+
+
+@pytest.mark.parametrize("arguments", [("--side", "left"), ()])
+def test_the_wire_of_a_hip_screw_tells_its_side(run, planned: Path, tmp_path: Path, arguments: tuple[str, ...]) -> None:
+    """The entry lies caudal of the tip: +Y in a right hip. A plan that states the wrong side is refused as well."""
+    stated = None if arguments else "left"
+    plan = resealed(planned, tmp_path, kind="hip-screw", side=stated, go=False, verdict="incomplete")
+    ran = run("export", "plan", plan, "--to", "csv", "--out", tmp_path / "out", *arguments)
+    assert ran.code == 2
+    assert "given as left, but the wire is that of a right hip" in ran.err
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_side_that_nothing_confirms_is_said(run, planned: Path, tmp_path: Path) -> None:
+    plan = resealed(planned, tmp_path, side=None)
+    ran = run("export", "plan", plan, "--to", "csv", "--side", "left", "--out", tmp_path / "out")
+    assert ran.code == 0, ran.err
+    assert "does not state its side" in ran.err and "--side left alone" in ran.err
+
+
 def test_an_edited_plan_is_exported_to_nothing(run, planned: Path, tmp_path: Path) -> None:
     document = json.loads((planned / "plan.json").read_text())
     document["trajectory"]["entry_mm"][0] += 1.0
@@ -142,10 +166,10 @@ def test_an_edited_plan_is_exported_to_nothing(run, planned: Path, tmp_path: Pat
         (["views", "CSV", "CSV", "--raw"], "no pixels"),
         (["undistorted", "CSV", "CSV"], "no pixels"),
         (["undistorted", "PA", "--to", "gif"], "no format of an image"),
-        (["plan", "PLAN", "--to", "word"], "no format of a plan"),
-        (["plan", "PLAN", "--to", "slicer", "--side", "right"], "the plan's side left"),
+        (["plan", "PLAN", "--to", "word"], "not a format of a plan"),
+        (["plan", "PLAN", "--to", "slicer", "--side", "right"], "the plan is of the left side"),
         (["plan", "PLAN", "--original", "pa.dcm"], "VIEW:FILE"),
-        (["plan", "PLAN", "--to", "csv", "--original", "pa:x.dcm"], "for --to dicom alone"),
+        (["plan", "PLAN", "--to", "csv", "--original", "pa:x.dcm"], "for --to dicom only"),
         (["plan", "PLAN", "--case", "Jane Doe"], "no case number"),
         (["plan", "nowhere"], "cannot read"),
     ],

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sightline.cli.plan import parse_point
+from sightline.cli.points import parse_point
 from sightline.detection.files import write_observations
 from sightline.detection.results import Observations
 from sightline.errors import UnusableInputError
@@ -116,6 +116,24 @@ def test_a_depth_is_a_place_on_the_curve(run, beads_csv: Path, wire_px) -> None:
     # Depth runs from the plate at z = +300 towards the source, nearly along -Z: less than 10 % longer than in z.
     for z, depth in ((path["entry_mm"][2], 300.0), (path["end_mm"][2], 310.0)):
         assert 0.9 * depth < 300.0 - z <= depth + 0.5
+
+
+def test_on_no_go_the_failures_come_first_and_no_error_stands_beside_the_points(run, beads_csv: Path, wire_px) -> None:
+    said = run("plan", beads_csv, beads_csv, *picks(wire_px, shift=np.array([25.0, 25.0]))).out
+    lines = said.splitlines()
+    count = sum(line.startswith("FAIL ") for line in lines)
+    assert lines[0].startswith(f"NO-GO: {count} checks failed")
+    assert all(line.startswith("FAIL ") for line in lines[1 : count + 1])
+    assert "the entry point pass" in lines[1] and "pick again" in lines[1]
+    rows = {line.split()[0]: line.split()[1:] for line in lines if line.startswith(("  entry  ", "  end  "))}
+    assert rows.keys() == {"entry", "end"}
+    assert all(row[3] == "-" for row in rows.values())
+    assert "No error is stated: the gap of a point contradicts it." in said
+
+
+def test_points_are_called_what_the_kind_of_trajectory_calls_them(run, beads_csv: Path, wire_px) -> None:
+    said = run("plan", beads_csv, beads_csv, *picks(wire_px)[:4], "--kind", "interlocking").out
+    assert "entry (near hole)" in said and "end (far hole)" in said
 
 
 def test_picks_of_different_points_are_a_no_go_with_the_gap_as_reason(run, beads_csv: Path, wire_px) -> None:
@@ -237,14 +255,14 @@ def test_half_the_beads_in_the_wrong_place_is_refused_or_a_no_go(run, observatio
     ],
 )
 def test_a_point_that_cannot_be_read_is_refused_with_an_example(text: str) -> None:
-    with pytest.raises(UnusableInputError, match=r"--entry .* is no point; write 'pa:U,V lateral:U,V'"):
+    with pytest.raises(UnusableInputError, match=r"--entry .* is not a point; write 'pa:U,V lateral:U,V'"):
         parse_point(text, "--entry")
 
 
 @pytest.mark.parametrize(
     ("entry", "end", "words"),
     [
-        ("pa:512,512 lateral:nan,512", "pa:400,400 lateral:400,400", "is no point"),
+        ("pa:512,512 lateral:nan,512", "pa:400,400 lateral:400,400", "is not a point"),
         ("pa:512,512 depth:300", "pa:400,400 lateral:400,400", "both in one way"),
         ("pa:512,512 depth:9000", "pa:400,400 depth:300", "not at 9000 mm"),
         ("pa:5,5 lateral:512,512", "pa:512,512 lateral:512,512", "hull"),

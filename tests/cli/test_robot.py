@@ -12,6 +12,7 @@ from typer.testing import CliRunner
 from sightline.case.interop.plan_file import sealed
 from sightline.cli import commands
 from sightline.frame import Frame
+from sightline.rehearsal.operation import Theatre
 from sightline.rehearsal.procedure import Rehearsal
 from sightline.robot.link.client import RobotClient
 
@@ -104,6 +105,13 @@ def test_a_real_robot_takes_no_yes_and_no_saved_plan(plan):
         done = run("drive", plan, f"127.0.0.1:{port}")
         assert done.exit_code == 3
         assert "where a real robot was" in done.stderr
+
+
+def test_a_robot_set_up_for_the_other_side_refuses_with_both_named(plan):
+    with Theatre.in_air("left", "simulated").server(virtual=True) as server:
+        done = run("drive", plan, f"127.0.0.1:{server.port}", "--frame-serial", "simulated", "--yes")
+    assert done.exit_code == 3
+    assert "the plan's side is 'right', the robot is set up for 'left'" in done.stderr
 
 
 def test_nor_does_its_check_take_a_yes():

@@ -2,6 +2,7 @@
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pydicom
@@ -10,9 +11,11 @@ import trimesh
 from nibabel.nifti1 import Nifti1Header, Nifti1Image
 
 from sightline.detection import detect
+from sightline.frame import Frame
 from sightline.imaging import read_image
 from sightline.twin.presets import PRESETS
 
+GAMMA = Frame.load("gamma")
 FILES = ["lateral.dcm", "pa.dcm", "truth.json"]
 
 
@@ -192,7 +195,7 @@ BAD = {
     "a folder that cannot be made": (below_a_file, "cannot write"),
     "nothing of that name": (lambda _: ["knee"], "there is no 'knee'"),
     "no such preset": (lambda _: ["--preset", "8in"], "9in-pal"),
-    "a place that is none": (lambda _: ["hip", "--at", "1,2"], "is no place"),
+    "a place that is none": (lambda _: ["hip", "--at", "1,2"], "is not a point"),
     "a place for what has one": (lambda _: ["hip", "--at", "1,2,3"], "lies where"),
     "tags in a PNG": (lambda _: ["--png", "--tags"], "no geometry tags"),
     "a file of another kind": (lambda folder: [wrong_kind(folder)], "NIfTI"),
@@ -233,3 +236,47 @@ def test_a_full_disk_leaves_the_former_images(run, simulated: Path, tmp_path: Pa
     assert "cannot write pa.dcm" in ran.document["error"]["message"]
     assert [file.name for file in tmp_path.rglob("*")] == ["kept", "pa.dcm"]
     assert (out / "pa.dcm").read_bytes() == (simulated / "pa.dcm").read_bytes()
+
+
+def test_accessories_lie_in_the_beam_and_the_set_up_is_the_same(run, simulated: Path, tmp_path: Path) -> None:
+    ran = run("simulate", "object", "--seed", 5, "--with", "drape", "--with", "table-rail", "--out", tmp_path, "--json")
+    assert ran.code == 0, ran.out
+    truth, before = (json.loads((folder / "truth.json").read_text()) for folder in (tmp_path, simulated))
+    assert truth.pop("with") == ["drape", "table-rail"]
+    assert truth == before
+    dark, bright = (read_image(folder / "lateral.dcm").pixels.astype(float) for folder in (tmp_path, simulated))
+    assert (dark < 0.6 * bright).mean() > 0.02  # behind the rail
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [(("hip", "--with", "cast"), "guide-wire, lag-screw, angled-plate"), (("object", "--with", "lag-screw"), "a hip")],
+)
+def test_accessories_that_cannot_be_had_are_refused(
+    run, tmp_path: Path, arguments: tuple[str, ...], words: str
+) -> None:
+    ran = run("simulate", *arguments, "--out", tmp_path / "out")
+    assert ran.code == 2
+    assert words in " ".join(ran.err.split())
+    assert not (tmp_path / "out").exists()
+
+
+def test_one_manufactured_frame_is_kept_over_many_images(run, tmp_path: Path) -> None:
+    def truth_of(seed: int, errors: int) -> dict[str, Any]:
+        out = tmp_path / f"{seed}-{errors}"
+        ran = run(
+            "simulate", "object", "--seed", seed, "--frame-errors", errors, "--dose", "low", "--out", out, "--json"
+        )
+        assert ran.code == 0, ran.out
+        truth = json.loads((out / "truth.json").read_text())
+        assert truth["frame_errors"] == errors
+        made = Frame.load(out / "frame-as-made.json")
+        assert truth["beads_mm"] == {b.id: list(b.xyz_mm) for v in made.views.values() for b in v.fiducials}
+        return truth
+
+    first, second, other = truth_of(5, 7), truth_of(6, 7), truth_of(5, 8)
+    assert first["beads_mm"] == second["beads_mm"] != other["beads_mm"]
+    assert first["views"]["pa"]["focal_point_mm"] != second["views"]["pa"]["focal_point_mm"]
+    assert first["frame"] == Frame.load("gamma").key
+    off = [np.subtract(first["beads_mm"][b.id], b.xyz_mm) for v in GAMMA.views.values() for b in v.fiducials]
+    assert 0.01 < np.sqrt(np.mean(np.square(off))) < 0.3  # made to the tolerances

@@ -110,9 +110,14 @@ def record_calibrated(
 
 def record_view(case: Case, file: Path, image: CalibratedImage, *, frame_ref: str, by: Actor) -> Entry:
     """Everything of one view, from its file to its geometry, as `case.views` makes it; the entry of the latter."""
-    seen = image.seen
     data = read_bounded(file, MAX_FILE_BYTES, CaseError, "export single images")
-    source = record_acquired(case, data, file.suffix.lower(), by=by)
+    acquired = record_acquired(case, data, file.suffix.lower(), by=by)
+    return record_seen(case, acquired, image, frame_ref=frame_ref, by=by)
+
+
+def record_seen(case: Case, acquired: Entry, image: CalibratedImage, *, frame_ref: str, by: Actor) -> Entry:
+    """Record beads, labels and geometry of an acquired image, or table of beads; return the entry of the geometry."""
+    seen, source = image.seen, acquired
     if seen.beads is not None:
         inverted = seen.image is not None and seen.image.is_inverted
         source = record_detected(case, source, seen.beads, by=by, inverted=inverted)

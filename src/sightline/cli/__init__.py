@@ -38,6 +38,7 @@ _COMMANDS = (
     "calibrate",
     "undistort",
     "plan",
+    "check_shot",
     "assess",
     "simulate",
     "study",

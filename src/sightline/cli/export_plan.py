@@ -1,4 +1,4 @@
-"""`sightline export plan`: a plan for 3D Slicer, ITK, DICOM, tables and robots."""
+"""`sightline export plan`: a plan in the formats of 3D Slicer, ITK, DICOM, tables and robots."""
 
 from pathlib import Path
 from typing import Annotated, Literal
@@ -23,12 +23,15 @@ def plan(
     out: Out,
     to: Annotated[str, typer.Option(help=f"Formats: {','.join(KINDS)}. Each goes to a folder of its name.")] = "csv",
     side: Annotated[
-        Side | None, typer.Option(help="Of the hip, where the plan does not say: patient axes depend on it.")
+        Side | None,
+        typer.Option(
+            help="Side of the patient, which patient axes depend on; needed where the plan does not state it."
+        ),
     ] = None,
-    case: Annotated[str, typer.Option(help="Case number; nothing else names the patient.")] = "plan",
+    case: Annotated[str, typer.Option(help="Case number: the only identification in the files.")] = "plan",
     original: Annotated[
         list[str] | None,
-        typer.Option(help="A raw DICOM image to draw over, 'pa:FILE'; its UIDs are written.", show_default=False),
+        typer.Option(help="Raw DICOM image to draw on, 'pa:FILE'; its UIDs are written.", show_default=False),
     ] = None,
     json: Json = False,
     quiet: Quiet = False,
@@ -49,14 +52,16 @@ def plan(
         kinds = [kind.strip() for kind in to.split(",")]
         unknown = [kind for kind in kinds if kind not in KINDS]
         if unknown:
-            raise UnusableInputError(f"{unknown[0]!r} is no format of a plan; choose of {', '.join(KINDS)}")
+            raise UnusableInputError(f"{unknown[0]!r} is not a format of a plan; choose from {', '.join(KINDS)}")
         known, originals = PlanFile.read(path), _originals(original)
-        if None not in (side, known.side) and side != known.side:
-            raise UnusableInputError(f"--side is {side}, the plan's side {known.side}; find out which it is")
+        if side is not None and known.side is None:
+            output.note(f"the plan does not state its side: the patient axes rest on --side {side} alone")
         side = side or known.side
+        if side is not None:
+            known.refuse_other_side(side)
         filed = Filed(case, datetime.now().replace(microsecond=0), side)
         if originals and "dicom" not in kinds:
-            raise UnusableInputError("--original is for --to dicom alone")
+            raise UnusableInputError("--original is for --to dicom only; leave it out")
         writers = {
             "slicer": lambda: slicer.write(known, side),
             "itk": lambda: itk.write(known, side),
@@ -65,7 +70,7 @@ def plan(
             "igtl": lambda: robot_files.write(known, case),
         }
         with output.step("making the files"):
-            made = {kind: writers[kind]() for kind in kinds}  # all of them, before any is written
+            made = {kind: writers[kind]() for kind in kinds}  # all of them before any is written
         documents = {f"{kind}/{name}": data for kind, files in made.items() for name, data in files.items()}
         written = write_folder(out, documents)
         output.say(known.statement)

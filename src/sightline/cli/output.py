@@ -82,6 +82,11 @@ class Output:
         if not self._silent:
             _console().print(_table(title, columns, rows))
 
+    def failures(self, checks: Iterable[Check]) -> None:
+        """Print the failed checks, for people, before any table: each with what it means and what to do."""
+        for check in failed(checks):
+            self.say(f"FAIL {check.name}: {check.sentence}")
+
     @contextmanager
     def live(self, title: str, columns: Sequence[str]) -> Generator[Callable[[Iterable[Sequence[object]]], None]]:
         """`with out.live("Watching", ("", "")) as show:` shows a table, for people, that each `show(rows)` replaces."""
@@ -106,7 +111,7 @@ class Output:
             self.table(
                 "Checks",
                 ("check", "", "figure", "limit", "what it means"),
-                [(c.name, "pass" if c.passed else "FAIL", *_figures(c), c.sentence) for c in checks],
+                [_row(check) for check in sorted(checks, key=lambda check: check.passed)],  # failed ones first
             )
         self._document = as_json({**document, "checks": checks} if checks else document)
 
@@ -209,6 +214,6 @@ def _console(*, stderr: bool = False) -> "Console":
     return Console(stderr=stderr)
 
 
-def _figures(check: Check) -> tuple[str, str]:
-    show = ["not measured" if v is None else f"{v:.4g} {check.unit}".strip() for v in (check.figure, check.limit)]
-    return show[0], show[1] if check.limit is not None else ""
+def _row(check: Check) -> tuple[str, ...]:
+    value, limit = ("" if v is None else f"{v:.4g} {check.unit}".strip() for v in (check.figure, check.limit))
+    return check.name, "pass" if check.passed else "FAIL", value or "not measured", limit, check.sentence

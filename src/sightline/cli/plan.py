@@ -1,20 +1,23 @@
-"""`sightline plan`: two images and four picks to a trajectory, its error, and GO or NO-GO."""
+"""`sightline plan`: from two images and four picks to a trajectory, its error, and GO or NO-GO."""
 
-from collections.abc import Sequence
-from math import isfinite
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
+from sightline.checks import failed
 from sightline.cli.calibrate import PixelSize, Sid
 from sightline.cli.detect import Invert
 from sightline.cli.output import Json, Output, Quiet, example
+from sightline.cli.points import VIEWS, all_depths, parse_head, parse_landmark, parse_point, pixels
 
 if TYPE_CHECKING:
-    from sightline.calibration import CalibratedView
+    from sightline.case.journal import Case
+    from sightline.case.pairs import SeenPair
     from sightline.case.report.content import Report
     from sightline.case.views import CalibratedImage
+    from sightline.frame import Frame
     from sightline.planning import Plan
 
 Side = Literal["right", "left"]
@@ -22,16 +25,16 @@ KindName = Literal["hip-screw", "interlocking", "free-wire"]
 MethodName = Literal["smooth", "localized", "polynomial"]
 Mirrored = Annotated[
     list[str] | None,
-    typer.Option(help="A view, pa or lateral, whose display you saw to be mirrored (writing in it reads backwards)."),
+    typer.Option(help="View, pa or lateral, whose image is shown mirrored: writing in it reads backwards."),
 ]
 SAID = {
     "go": "GO: every check passed; a person decides",
-    "no-go": "NO-GO: see the checks that failed",
-    "incomplete": "INCOMPLETE: see the checks that something is missing for",
+    "no-go": "NO-GO: {} checks failed. Do what they say, then plan again:",
+    "incomplete": "INCOMPLETE: {} checks could not be made. Give what they ask for:",
 }
 PICK_HELP = (
-    "Where the point is, in pixels: 'pa:U,V lateral:U,V'. Instead of the lateral pixel, 'depth:MM' is a place on the "
-    "image-matching curve, in mm from the PA plate towards the X-ray source."
+    "In pixels: 'pa:U,V lateral:U,V'. Instead of the lateral pixel, 'depth:MM' is a point on the image-matching "
+    "curve, in mm from the PA plate towards the X-ray source."
 )
 
 
@@ -46,22 +49,34 @@ def register(app: typer.Typer) -> None:
 
 
 def plan(
-    pa: Annotated[Path, typer.Argument(help="The PA image, or observations as CSV.")],
-    lateral: Annotated[Path, typer.Argument(help="The lateral image, or observations as CSV (may be the same file).")],
+    pa: Annotated[
+        Path | None, typer.Argument(help="PA image, or observations as CSV. May be left out with --case.")
+    ] = None,
+    lateral: Annotated[
+        Path | None, typer.Argument(help="Lateral image, or observations as CSV (may be the same file).")
+    ] = None,
     *,
     entry: Annotated[str, typer.Option(help=f"Entry point. {PICK_HELP}")],
     end: Annotated[str, typer.Option(help="End point, the tip of the wire; written like the entry point.")],
+    case: Annotated[
+        Path | None,
+        typer.Option(
+            help="Folder of a case: record images and plan in it. Without images, plan on its newest PA and lateral "
+            "image.",
+            show_default=False,
+        ),
+    ] = None,
     landmark: Annotated[
         list[str] | None,
         typer.Option(
-            help="A point of the bone that both views show, picked freely: 'NAME pa:U,V lateral:U,V'. Two or more tell "
-            "whether the patient moved; snapped picks do not. Names of a hip screw: head-centre, lesser-trochanter, "
-            "greater-trochanter; without a name it tells of movement alone.",
+            help="A point of the bone picked freely in both views: 'NAME pa:U,V lateral:U,V'. Two or more show whether "
+            "the patient moved; snapped picks do not. Names for a hip screw: head-centre, lesser-trochanter, "
+            "greater-trochanter; a landmark without a name shows movement only.",
             show_default=False,
         ),
     ] = None,
     side: Annotated[
-        Side | None, typer.Option(help="Of the patient, as a look at both images shows it.", show_default=False)
+        Side | None, typer.Option(help="Side of the patient, as both images show it.", show_default=False)
     ] = None,
     head: Annotated[
         str | None,
@@ -70,19 +85,22 @@ def plan(
             show_default=False,
         ),
     ] = None,
-    kind: Annotated[KindName, typer.Option(help="Of trajectory: what is asked for, and which limits hold.")] = (
+    kind: Annotated[KindName, typer.Option(help="Kind of trajectory: sets what is needed and the limits.")] = (
         "hip-screw"
     ),
-    frame: Annotated[str, typer.Option(help="A frame file, or gamma, biplane, stereo.")] = "gamma",
-    method: Annotated[MethodName, typer.Option(help="localized is the paper's.")] = "smooth",
-    pick_sd: Annotated[float, typer.Option(help="Standard deviation of a pick, px: 0.5 is a careful click.")] = 0.5,
+    frame: Annotated[
+        str | None,
+        typer.Option(help="A frame file, gamma, biplane or stereo.", show_default="gamma, or that of the case"),
+    ] = None,
+    method: Annotated[MethodName, typer.Option(help="Calibration method; localized is the paper's.")] = "smooth",
+    pick_sd: Annotated[float, typer.Option(help="Standard deviation of a pick, px; 0.5 is a careful click.")] = 0.5,
     mirrored: Mirrored = None,
     sid: Sid = None,
     pixel: PixelSize = None,
     snap: Annotated[
-        bool, typer.Option("--snap", help="Take the lateral picks to their image-matching curves.")
+        bool, typer.Option("--snap", help="Move the lateral picks to their image-matching curves.")
     ] = False,
-    out: Annotated[Path | None, typer.Option(help="Folder for report, plan.json, undistorted images.")] = None,
+    out: Annotated[Path | None, typer.Option(help="Folder for report, plan.json and undistorted images.")] = None,
     invert: Invert = False,
     json: Json = False,
     quiet: Quiet = False,
@@ -91,144 +109,101 @@ def plan(
 
     Gives the trajectory, its 95 % error bounds and the verdict: GO, or NO-GO or INCOMPLETE (exit code 3).
     """
-    with Output(json=json, quiet=quiet) as output:
+    with Output(json=json, quiet=quiet) as output, ExitStack() as stack:
         points = [parse_point(entry, "--entry"), parse_point(end, "--end")]
         names, landmarks = zip(*map(parse_landmark, landmark or []), strict=True) if landmark else ((), ())
         circles = None if head is None else parse_head(head)
-        snapped = snap or _all_depths(points)
+        snapped = snap or all_depths(points)
+        files = both_or_none(pa, lateral)
+        if files is None and case is None:
+            raise typer.BadParameter("give the PA and the lateral image, or --case", param_hint="PA LATERAL")
         import numpy as np
 
+        from sightline.case.contents import Asked
+        from sightline.case.journal import Actor, Case
+        from sightline.case.pairs import acquire_pair, frame_in_use, record_pair
+        from sightline.case.stages import record_planned
         from sightline.case.views import calibrate_pair, see_pair
         from sightline.frame import Frame
         from sightline.planning import Aids, Circle
-        from sightline.planning import kind as kind_of
-        from sightline.planning import plan as make_plan
 
-        known_frame = Frame.load(frame)
+        opened = None if case is None else case_of(stack, case, files)
+        in_use = None if opened is None or frame is not None else frame_in_use(opened)
+        known_frame = in_use or Frame.load(frame or "gamma")
         with output.step("finding and labelling the beads"):
-            seen = see_pair(pa, lateral, known_frame, invert=invert)
+            newest = None if files or opened is None else newest_of(output, opened, known_frame, invert=invert)
+            seen = newest.seen if newest else see_pair(*files, known_frame, invert=invert)  # pyright: ignore[reportGeneralTypeIssues]
         with output.step(f"calibrating both views ({method})"):
             images = calibrate_pair(seen, known_frame, method, mirrored or (), source_detector_mm=sid, pixel_mm=pixel)
         with output.step("planning"):
             views = [image.view for image in images]
-            entry_px, end_px = (_pixels(point, views, pick_sd) for point in points)
+            entry_px, end_px = (pixels(point, views, pick_sd) for point in points)
             drawn = None if circles is None else [Circle.of(np.array(c[:2]), c[2], pick_sd) for c in circles]
-            planned = make_plan(
-                views,
+            asked = Asked(
                 entry_px,
                 end_px,
-                pick_sd_px=pick_sd,
-                snapped=snapped,
+                pick_sd,
+                snapped,
                 landmarks_uv_px=np.reshape(landmarks, (-1, 2, 2)).swapaxes(0, 1),
                 landmark_names=names,
-                kind=kind_of(kind),
+                kind=kind,
                 side=side,
                 aids=None if drawn is None else Aids(head=(drawn[0], drawn[1])),
             )
+            planned = asked.plan(images)
         document = plan_document(planned, images)
+        if case is not None:
+            opened = opened or stack.enter_context(Case.create(case, exist_ok=True))  # now that there is a plan
+            acquired = newest.acquired if newest else acquire_pair(opened, files)  # pyright: ignore[reportArgumentType]
+            entries = record_pair(opened, acquired, images, known_frame, by=Actor.COMMAND)
+            kept = record_planned(opened, entries, asked, planned, by=Actor.COMMAND)
+            numbers = {name: one.number for name, one in zip(VIEWS, acquired, strict=True)}
+            document["case"] = {"number": opened.number, "entry": kept.number, "images": numbers}
         if out is not None:
-            from sightline.case.report import exposures
-            from sightline.case.report.content import Report
-
             picks = f"entry {entry}; end {end}; {pick_sd:g} px{', snapped' if snapped else ''}"
             picks += "".join(f"; landmark {text}" for text in landmark or [])
             picks += "" if head is None else f"; head {head}"
-            exposed = exposures.of_images(images, exposures.PLANNING)
-            report = Report("Planned guide wire", known_frame, images, planned, exposed, {"picks": picks})
             with output.step("writing the report"):
-                document["files"] = _write(out, report, document)
+                document["files"] = _write(out, _report(planned, images, known_frame, picks), document)
         show(output, planned)
+        if case is not None:
+            output.say("case {number}: the plan is entry {entry}".format(**document["case"]))
         for file in document.get("files", ()):
             output.say(f"written: {file}")
         output.result(document, planned.verdict.checks)
 
 
-def parse_point(text: str, option: str) -> dict[str, tuple[float, ...]]:
-    """'pa:U,V lateral:U,V' or 'pa:U,V depth:MM' as numbers. Raises UnusableInputError."""
-    from sightline.errors import UnusableInputError
-
-    out = _numbers(text)
-    lengths = {name: len(numbers) for name, numbers in out.items()}
-    if lengths not in ({"pa": 2, "lateral": 2}, {"pa": 2, "depth": 1}):
-        raise UnusableInputError(
-            f"{option} {text!r} is no point; write 'pa:U,V lateral:U,V' in pixels (for example "
-            "'pa:512.3,401.8 lateral:498.0,377.2'), or 'pa:U,V depth:MM'"
-        )
-    return out
+def both_or_none(pa: Path | None, lateral: Path | None) -> tuple[Path, Path] | None:
+    """Return the files of both views, or None where neither is given. Raises BadParameter where one is missing."""
+    if pa is not None and lateral is not None:
+        return pa, lateral
+    if pa is not None:
+        raise typer.BadParameter("the lateral image is missing; give both images", param_hint="LATERAL")
+    return None
 
 
-def parse_head(text: str) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """'pa:U,V,R lateral:U,V,R' as numbers, a circle (3,) for each view. Raises UnusableInputError."""
-    from sightline.errors import UnusableInputError
+def case_of(stack: ExitStack, folder: Path, files: tuple[Path, Path] | None) -> "Case | None":
+    """Return the case in a folder, open until the stack ends; None where files are given and there is none yet.
 
-    found = _numbers(text)
-    if {name: len(numbers) for name, numbers in found.items()} != {"pa": 3, "lateral": 3}:
-        raise UnusableInputError(
-            f"--head {text!r} is not two circles; write centre and radius in pixels, 'pa:U,V,R lateral:U,V,R'"
-        )
-    return found["pa"], found["lateral"]
+    Raises CaseError.
+    """
+    from sightline.case.journal import Case
+
+    return stack.enter_context(Case.open(folder)) if files is None or Case.exists(folder) else None
 
 
-def _numbers(text: str) -> dict[str, tuple[float, ...]]:
-    """'name:1,2 other:3' as finite numbers by name; empty where it is written otherwise."""
-    out: dict[str, tuple[float, ...]] = {}
-    try:
-        for part in text.split():
-            name, numbers = part.split(":")
-            if name in out:
-                return {}
-            out[name] = tuple(float(number) for number in numbers.split(","))
-    except ValueError:
-        return {}
-    return out if all(isfinite(number) for numbers in out.values() for number in numbers) else {}
+def newest_of(output: Output, case: "Case", frame: "Frame", *, invert: bool, after: int = 0) -> "SeenPair":
+    """Return the newest image of each view in a case, and say which newer ones were skipped. Raises CaseError."""
+    from sightline.case.pairs import newest_pair
 
-
-def parse_landmark(text: str) -> tuple[str, list[tuple[float, ...]]]:
-    """'NAME pa:U,V lateral:U,V': the name, "" without one, and the pixels in both views. Raises UnusableInputError."""
-    from sightline.errors import UnusableInputError
-
-    words = text.split()
-    name = "-".join(word for word in words if ":" not in word)
-    point = parse_point(" ".join(word for word in words if ":" in word), "--landmark")
-    if "depth" in point:
-        raise UnusableInputError(
-            f"--landmark {text!r} states a depth; a landmark is picked freely in both views: 'pa:U,V lateral:U,V'"
-        )
-    return name, [point["pa"], point["lateral"]]
-
-
-def _all_depths(points: list[dict[str, tuple[float, ...]]]) -> bool:
-    """True if both points state a depth, False if none does. Raises UnusableInputError on one of each."""
-    from sightline.errors import UnusableInputError
-
-    depths = {"depth" in point for point in points}
-    if len(depths) == 2:
-        raise UnusableInputError("one point states a depth and the other a lateral pixel; write both in one way")
-    return depths == {True}
-
-
-def _pixels(point: dict[str, tuple[float, ...]], views: "Sequence[CalibratedView]", pick_sd: float) -> Any:
-    """(2, 2): the picks of one point in both views. A depth becomes the pixel of the curve there."""
-    import numpy as np
-
-    from sightline.errors import UnusableInputError
-    from sightline.planning import Pick, matching_curve
-
-    first = np.array(point["pa"])
-    if "lateral" in point:
-        return np.array([first, point["lateral"]])
-    pick = Pick.free(first, pick_sd)
-    curve = matching_curve(views[0], pick.uv_px, views[1], pick.covariance_px2)
-    depth, (low, high) = point["depth"][0], (curve.depth_mm[0], curve.depth_mm[-1])
-    if not low <= depth <= high:
-        raise UnusableInputError(
-            f"the lateral view sees the line of sight from {low:.0f} to {high:.0f} mm of depth, not at {depth:g} mm"
-        )
-    return np.array([first, [np.interp(depth, curve.depth_mm, curve.uv_px[:, k]) for k in range(2)]])
+    pair = newest_pair(case, frame, after=after, invert=invert)
+    for line in pair.skipped:
+        output.note(line)
+    return pair
 
 
 def plan_document(planned: "Plan", images: "tuple[CalibratedImage, CalibratedImage]") -> dict[str, Any]:
-    """The plan as JSON types."""
+    """Return the plan as JSON types."""
     from sightline.case.documents import view_document
 
     return {
@@ -240,19 +215,39 @@ def plan_document(planned: "Plan", images: "tuple[CalibratedImage, CalibratedIma
 
 
 def show(output: Output, planned: "Plan") -> None:
-    """The plan for a person."""
-    path = planned.trajectory
+    """Print the plan for people: the verdict and what failed first, then the trajectory.
+
+    Where a gap contradicts the stated error, no error is shown beside the coordinates.
+    """
+    path, verdict = planned.trajectory, planned.verdict
+    output.say(SAID[verdict.state].format(len(failed(verdict.checks))))
+    output.failures(verdict.checks)
     errors = path.document()["error_95"] or {}
     rows = [
-        (name, *(f"{v:.2f}" for v in xyz), f"{errors[key]:.2f}" if errors else "unknown")
-        for name, key, xyz in (("entry", "entry_mm", path.entry_mm), ("end", "end_mm", path.end_mm))
+        (_called(key, point.name), *(f"{v:.2f}" for v in xyz), f"{errors[f'{key}_mm']:.2f}" if errors else None)
+        for key, point, xyz in zip(("entry", "end"), planned.kind.points, path.points.xyz_mm, strict=True)
     ]
     output.table("Trajectory in CFCS, mm (no robot is known)", ("point", "x", "y", "z", "95 % error"), rows)
-    direction = f"{errors['direction_deg']:.2f}°" if errors else "unknown"
-    output.say(f"wire {path.length_mm:.1f} mm, 95 % error of its direction {direction}")
+    direction = f"{errors['direction_deg']:.2f}°" if errors else "not stated"
+    output.say(f"wire from entry to end {path.length_mm:.1f} mm, 95 % error of its direction {direction}")
+    if not errors:
+        contradicted = "the gap of a point contradicts it" if path.points.gap_failed.any() else "a view's is unknown"
+        output.say(f"No error is stated: {contradicted}.")
     for sentence in planned.along_sentences():
         output.say(sentence)
-    output.say(SAID[planned.verdict.state])
+
+
+def _called(key: str, name: str) -> str:
+    """Return "entry" or "end", with the name that the kind of trajectory gives the point, if it has one."""
+    return key if name == f"{key} point" else f"{key} ({name})"
+
+
+def _report(planned: "Plan", images: "tuple[CalibratedImage, CalibratedImage]", frame: "Frame", picks: str) -> "Report":
+    from sightline.case.report import exposures
+    from sightline.case.report.content import Report
+
+    exposed = exposures.of_images(images, exposures.PLANNING)
+    return Report("Planned guide wire", frame, images, planned, exposed, {"picks": picks})
 
 
 def _write(folder: Path, report: "Report", document: dict[str, Any]) -> list[Path]:

@@ -1,4 +1,4 @@
-"""`sightline simulate`: images of the digital twin as a C-arm would store them, and the truth beside them."""
+"""`sightline simulate`: images of the digital twin as a C-arm would store them, with their truth."""
 
 from math import isfinite
 from pathlib import Path
@@ -12,13 +12,21 @@ if TYPE_CHECKING:
     from sightline.imaging import Radiograph
     from sightline.twin.specimens import Specimen
 
+AS_MADE = "frame-as-made.json"
+_ACCESSORIES = 1  # stream of the accessories, beside that of set-up and noise
 DoseName = Literal["low", "medium", "high"]
 SideName = Literal["right", "left"]
 
 
+_EXAMPLES = (
+    "sightline simulate hip --seed 3 --with lag-screw --with drape --out out/hip",
+    "sightline simulate object --seed 4 --frame-errors 7 --out out/frame-7",
+)
+
+
 def register(app: typer.Typer) -> None:
     """Add the command."""
-    app.command("simulate", epilog=example("sightline simulate hip --seed 3 --out out/hip"))(simulate)
+    app.command("simulate", epilog=example(*_EXAMPLES))(simulate)
 
 
 def simulate(
@@ -26,26 +34,45 @@ def simulate(
         str,
         typer.Argument(
             help="What lies in the beam: hip, object (the paper's four balls in Perspex), plastic (its bored femur), "
-            "porcine; or the path of a closed mesh in mm (STL, PLY, OBJ) or of a CT scan (NIfTI, folder of slices)."
+            "porcine; or a file: a closed mesh in mm (STL, PLY, OBJ) or a CT scan (NIfTI, folder of slices)."
         ),
     ] = "hip",
     *,
-    preset: Annotated[str, typer.Option(help="Image chain; a wrong name prints them all.")] = "9in-1k",
+    preset: Annotated[str, typer.Option(help="Image chain; a wrong name lists them all.")] = "9in-1k",
     seed: Annotated[int, typer.Option(min=0, help="The same seed gives the same files.")] = 1,
-    frame: Annotated[str, typer.Option(help="A frame file, or gamma, biplane, stereo.")] = "gamma",
-    side: Annotated[SideName, typer.Option(help="Of the hip.")] = "right",
+    frame: Annotated[str, typer.Option(help="A frame file, gamma, biplane or stereo.")] = "gamma",
+    side: Annotated[SideName, typer.Option(help="Side of the hip.")] = "right",
     dose: Annotated[DoseName, typer.Option(help="1, 8 or 32 frames of fluoroscopy.")] = "medium",
     at: Annotated[
         str | None,
         typer.Option(
             metavar="X,Y,Z",
-            help="The point of a mesh or scan, mm in its own coordinates, that comes to the frame's origin; "
-            "its middle unless told.",
+            help="Point of a mesh or scan, mm in its own coordinates, to put at the frame's origin; by default its "
+            "middle.",
+            show_default=False,
+        ),
+    ] = None,
+    accessory: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--with",
+            help="Add to the beam; may be given several times: guide-wire, lag-screw, angled-plate, drill-guide, "
+            "drape, table-rail.",
+            show_default=False,
+        ),
+    ] = None,
+    frame_errors: Annotated[
+        int | None,
+        typer.Option(
+            min=0,
+            metavar="SEED",
+            help="Keep one manufactured frame over all images: its errors are drawn from this seed instead of --seed. "
+            "The frame as made is written beside the images.",
             show_default=False,
         ),
     ] = None,
     png: Annotated[bool, typer.Option("--png", help="PNG instead of DICOM.")] = False,
-    tags: Annotated[bool, typer.Option("--tags", help="State the nominal geometry in the DICOM files.")] = False,
+    tags: Annotated[bool, typer.Option("--tags", help="Write the nominal geometry into the DICOM files.")] = False,
     out: Annotated[Path, typer.Option(help="Folder for the images and truth.json.")] = Path("out/simulate"),
     json: Json = False,
     quiet: Quiet = False,
@@ -61,26 +88,37 @@ def simulate(
         from sightline.errors import UnusableInputError
         from sightline.frame import Frame
         from sightline.twin import DOSES, render
+        from sightline.twin.accessories import with_accessories
+        from sightline.twin.carm import with_errors
         from sightline.twin.presets import preset as chain_called
         from sightline.twin.specimens import Machine, specimen
 
         if png and tags:
             raise UnusableInputError("a PNG holds no geometry tags; leave out --png or --tags")
         chain = chain_called(preset)
-        machine = Machine(Frame.load(frame), side, chain.name)
+        designed = Frame.load(frame)
+        as_made = None if frame_errors is None else with_errors(designed, np.random.default_rng(frame_errors))
+        machine = Machine(designed, side, chain.name, as_made)
         place = None if at is None else np.array(_place(at))
         rng = np.random.default_rng(seed)
         with output.step("drawing the set-up"):
             made = specimen(what, rng, machine, place)
+            if accessory:  # from their own generator, so that the set-up is the same with and without them
+                made = with_accessories(made, accessory, np.random.default_rng([seed, _ACCESSORIES]))
         images = {}
         for view in made.setup.views:
             with output.step(f"exposing {view}"):
                 images[view] = render(made.setup, view, made.scene, rng, DOSES[dose])
         told = {"what": Path(what).name, "preset": preset, "seed": seed, "dose": dose, "whole_shown": made.shown}
+        if frame_errors is not None:
+            told["frame_errors"] = frame_errors
         with whole_folder(out) as scratch:
             files = _write(scratch, images, made, {**told, **made.truth}, png=png, tags=tags)
+            if as_made is not None:
+                as_made.save(scratch / AS_MADE)
+                files.append(scratch / AS_MADE)
         if not made.shown:
-            output.note(f"the field of {preset} does not show all of it: see the pixels in truth.json")
+            output.note(f"the field of {preset} does not show everything; see the pixels in truth.json")
         written = [out / file.name for file in files]
         for file in written:
             output.say(f"written: {file}")
@@ -88,7 +126,7 @@ def simulate(
 
 
 def _place(text: str) -> list[float]:
-    """'X,Y,Z' as numbers. Raises UnusableInputError."""
+    """Return the numbers of 'X,Y,Z'. Raises UnusableInputError."""
     from sightline.errors import UnusableInputError
 
     try:
@@ -96,7 +134,7 @@ def _place(text: str) -> list[float]:
     except ValueError:
         numbers = []
     if len(numbers) != 3 or not all(isfinite(number) for number in numbers):
-        raise UnusableInputError(f"--at {text!r} is no place; write X,Y,Z in mm, for example '12.5,-40,310'")
+        raise UnusableInputError(f"--at {text!r} is not a point; write X,Y,Z in mm, for example '12.5,-40,310'")
     return numbers
 
 

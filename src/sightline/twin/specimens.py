@@ -1,7 +1,7 @@
 """What `sightline simulate` puts before the C-arm: a hip, the paper's objects, a pig's femur, a mesh or CT scan."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -28,21 +28,27 @@ MARGIN_PX = 30.0  # points of interest lie at least this far inside both fields,
 @dataclass(frozen=True, eq=False)
 class Specimen:
     """A set-up, all that lies in its beams, and the truth (JSON types). `shown`: every view shows every point that
-    matters; a small field does not show a whole wire."""
+    matters; a small field does not show a whole wire. `wire_mm` (2, 3): ideal entry and end in a hip, CFCS; None
+    without a hip."""
 
     setup: SetUp
     scene: Scene
     truth: dict[str, Any]
     shown: bool
+    wire_mm: np.ndarray | None = None
 
 
 @dataclass(frozen=True)
 class Machine:
-    """What a specimen stands before: `frame`, `side` of the hip, name of the image chain."""
+    """What a specimen stands before: `frame`, `side` of the hip, name of the image chain.
+
+    `made`: the frame as it was made, whose beads lie beside those of `frame`; None: drawn for each set-up.
+    """
 
     frame: Frame
     side: str = "right"
     chain: str = "9in-1k"
+    made: Frame | None = None
 
     def draw(self, rng: np.random.Generator, points_mm: np.ndarray) -> tuple[SetUp, bool]:
         """The first set-up of ATTEMPTS that shows all points (N, 3) in all views, and True; else the last, and False.
@@ -52,10 +58,16 @@ class Machine:
         left = ATTEMPTS
         while True:
             left -= 1
-            setup = draw_setup(rng, self.frame, side=self.side, chain=self.chain)
+            setup = self._drawn(rng)
             shown = all(view.in_field(view.project(points_mm), MARGIN_PX).all() for view in setup.views.values())
             if shown or not left:
                 return setup, shown
+
+    def _drawn(self, rng: np.random.Generator) -> SetUp:
+        if self.made is None:
+            return draw_setup(rng, self.frame, side=self.side, chain=self.chain)
+        setup = draw_setup(rng, self.made, side=self.side, chain=self.chain, frame_errors=False)
+        return replace(setup, frame=self.frame)
 
 
 def specimen(what: str, rng: np.random.Generator, machine: Machine, at_mm: np.ndarray | None = None) -> Specimen:
@@ -129,7 +141,7 @@ def _of_hip(
     wire = to_cfcs(np.stack(femur.wire_mm()), machine.side, np.zeros(3))
     setup, shown = machine.draw(rng, wire - wire.mean(axis=0) if head_mm is None else wire + head_mm)
     hip = build(setup)
-    return Specimen(setup, hip.scene, truth_document(setup, hip), shown)
+    return Specimen(setup, hip.scene, truth_document(setup, hip), shown, hip.wire_mm)
 
 
 def _mesh(file: Path, _: str, at_mm: np.ndarray | None) -> tuple[Scene, np.ndarray]:

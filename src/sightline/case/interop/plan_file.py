@@ -19,6 +19,7 @@ from sightline.errors import RobotRefusedError, UnusableInputError
 from sightline.geometry.covariance import length_quantile
 from sightline.imaging import read_image
 from sightline.planning import Trajectory
+from sightline.planning.directions import caudal
 from sightline.planning.results import SpacePoints
 
 _DIGEST = "digest"
@@ -86,6 +87,25 @@ class PlanFile:
             raise RobotRefusedError("the plan does not say which side of the patient it is for: plan again with --side")
         if self.covariance_mm2 is None:
             raise RobotRefusedError("the plan's error is unknown; calibrate both views from beads")
+
+    def refuse_other_side(self, side: str) -> None:
+        """Raise UnusableInputError where the plan is of the other side: by its own word, or by its wire.
+
+        The wire of a hip screw runs from the lateral cortex up into the head, so that its entry lies caudal of its end.
+        """
+        if self.side is not None and self.side != side:
+            raise UnusableInputError(
+                f"--side is {side}, but the plan is of the {self.side} side; find out which it is, and plan again if "
+                "the plan is wrong"
+            )
+        entry, end = self.points_mm
+        down_mm = float((entry - end) @ caudal(side))
+        if self.document.kind == "hip-screw" and down_mm < 0.0:
+            other = "left" if side == "right" else "right"
+            raise UnusableInputError(
+                f"the side is given as {side}, but the wire is that of a {other} hip: in a {side} one its entry would "
+                f"lie {-down_mm:.0f} mm above its end; find out which it is, and plan again with that --side"
+            )
 
     @property
     def go(self) -> bool:

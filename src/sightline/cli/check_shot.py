@@ -1,0 +1,142 @@
+"""`sightline check-shot`: two more images, with the wire in the bone, against the plan of a case."""
+
+from contextlib import ExitStack
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from sightline.checks import failed
+from sightline.cli.calibrate import PixelSize, Sid
+from sightline.cli.detect import Invert
+from sightline.cli.output import Json, Output, Quiet, example
+from sightline.cli.plan import Mirrored, both_or_none, newest_of
+from sightline.cli.points import CHECK_VIEWS, FoundAgain, parse_found_again
+
+if TYPE_CHECKING:
+    from sightline.planning.check_result import CheckShot
+    from sightline.planning.check_start import Landmarks
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command."""
+    epilog = example(
+        "sightline check-shot check_pa.dcm check_lateral.dcm --case out/case \\",
+        "  --landmark 'head-centre check-pa:703.2,425.4 check-lateral:438.9,358.1'",
+    )
+    app.command("check-shot", epilog=epilog)(check_shot)
+
+
+def check_shot(
+    pa: Annotated[
+        Path | None, typer.Argument(help="PA image with the wire. Default: the newest of the case since the plan.")
+    ] = None,
+    lateral: Annotated[Path | None, typer.Argument(help="Lateral image with the wire.")] = None,
+    *,
+    case: Annotated[Path, typer.Option(help="Folder of the case with the plan, made by `plan --case` or the app.")],
+    landmark: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="A landmark found again: 'NAME check-pa:U,V check-lateral:U,V' for one of the plan; for another point "
+            "add where it lies in the planning images, pa:U,V lateral:U,V. Three show how the bone moved.",
+            show_default=False,
+        ),
+    ] = None,
+    pick_sd: Annotated[float, typer.Option(help="Standard deviation of a pick, px; 0.5 is a careful click.")] = 0.5,
+    mirrored: Mirrored = None,
+    sid: Sid = None,
+    pixel: PixelSize = None,
+    invert: Invert = False,
+    json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Measure the inserted wire against its plan.
+
+    The wire is found in two more images of the same views and compared with the last plan of the case, in which the
+    result is recorded. Exit code 3 if a check fails or the wire is not found.
+    """
+    with Output(json=json, quiet=quiet) as output, ExitStack() as stack:
+        files = both_or_none(pa, lateral)
+        points = [parse_found_again(text) for text in landmark or ()]
+        from sightline.case.contents import CheckAsked
+        from sightline.case.journal import Actor, Case, Kind
+        from sightline.case.pairs import acquire_pair, record_pair
+        from sightline.case.replay import Recomputed
+        from sightline.case.stages import frame_of, record_verified
+        from sightline.case.views import calibrate_pair, see_pair
+        from sightline.errors import CaseError, RefusedError
+
+        opened = stack.enter_context(Case.open(case))
+        entry = opened.latest(Kind.PLANNED)
+        if entry is None:
+            raise CaseError("the case holds no plan; make one with `sightline plan --case`")
+        asked = entry.content["asked"]
+        landmarks = _landmarks(points, asked["landmark_names"], asked["landmarks_uv_px"], pick_sd)
+        frame = frame_of(opened, opened.entry(entry.rests_on[0]).settings["frame"])
+        with output.step("computing the plan again"):
+            again = Recomputed(opened)
+            made, planned = again.plan(entry), again.images(entry)
+        with output.step("finding and labelling the beads"):
+            newest = None if files else newest_of(output, opened, frame, invert=invert, after=entry.number)
+            seen = newest.seen if newest else see_pair(*files, frame, invert=invert)  # pyright: ignore[reportGeneralTypeIssues]
+        with output.step("calibrating both views (smooth)"):
+            images = calibrate_pair(seen, frame, "smooth", mirrored or (), source_detector_mm=sid, pixel_mm=pixel)
+        acquired = newest.acquired if newest else acquire_pair(opened, files)  # pyright: ignore[reportArgumentType]
+        views = record_pair(opened, acquired, images, frame, by=Actor.COMMAND)
+        check = CheckAsked(made.kind.wire_mm, landmarks)
+        try:
+            with output.step("finding the wire"):
+                shot = check.shot(made, planned, images)
+        except RefusedError as refusal:
+            record_verified(opened, entry, views, check, str(refusal), by=Actor.COMMAND)
+            raise
+        kept = record_verified(opened, entry, views, check, shot, by=Actor.COMMAND)
+        _show(output, shot)
+        output.say(
+            f"case {opened.number}: the check shot is entry {kept.number}, against the plan of entry {entry.number}"
+        )
+        numbers = {name: one.number for name, one in zip(CHECK_VIEWS, acquired, strict=True)}
+        told = {"number": opened.number, "plan": entry.number, "entry": kept.number, "images": numbers}
+        document = {key: value for key, value in shot.document().items() if key != "checks"}
+        output.result({**document, "case": told}, shot.checks)
+
+
+def _landmarks(points: list[FoundAgain], names: list[str], picked: Any, sd_px: float) -> "Landmarks":
+    """Return landmarks found again; `names`, `picked` (2, L, 2): those of the plan. Raises UnusableInputError."""
+    import numpy as np
+
+    from sightline.errors import UnusableInputError
+    from sightline.planning.check_start import Landmarks
+
+    before = np.reshape(picked if picked is not None else [], (2, -1, 2))
+    known = {name: before[:, k] for k, name in enumerate(names) if name}
+    for point in points:
+        if point.planned is None and point.name not in known:
+            raise UnusableInputError(
+                f"the plan has no landmark {point.name!r}; it has {', '.join(known) or 'none with a name'}. Add where "
+                "the point lies in the planning images: pa:U,V lateral:U,V"
+            )
+    planned = [known[point.name] if point.planned is None else np.array(point.planned) for point in points]
+    checked = [np.array(point.checked) for point in points]
+    given, found = (np.reshape(px, (-1, 2, 2)).swapaxes(0, 1) for px in (planned, checked))
+    return Landmarks(given, found, sd_px)
+
+
+def _show(output: Output, shot: "CheckShot") -> None:
+    """Print the check shot for people: the verdict and what failed first, then where the wire is."""
+    bad = failed(shot.checks)
+    output.say(
+        f"NOT CONFIRMED: {len(bad)} checks of the wire failed:"
+        if bad
+        else "CONFIRMED: the wire is where it was planned, within the limits; a person decides"
+    )
+    output.failures(shot.checks)
+    document = shot.document()
+    off, error = document["deviation"], document["error_95"]
+    rows = [
+        ("entry, across the plan", f"{off['entry_mm']:.2f} mm", f"{error['entry_mm']:.2f} mm"),
+        ("tip, in all directions", f"{off['tip_mm']:.2f} mm", f"{error['tip_mm']:.2f} mm"),
+        ("tip, along the plan (+ too deep)", f"{off['tip_along_mm']:+.2f} mm", None),
+        ("direction", f"{off['direction_deg']:.2f}°", f"{error['direction_deg']:.2f}°"),
+    ]
+    output.table("Wire against the plan", ("of", "deviation", "95 % error"), rows)

@@ -1,0 +1,136 @@
+"""Points and circles as people write them on the command line: 'pa:U,V lateral:U,V'."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import isfinite
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from sightline.calibration import CalibratedView
+
+Point = dict[str, tuple[float, ...]]
+VIEWS, CHECK_VIEWS = ("pa", "lateral"), ("check-pa", "check-lateral")
+
+
+def parse_point(text: str, option: str) -> Point:
+    """Return the numbers of 'pa:U,V lateral:U,V' or 'pa:U,V depth:MM' by name. Raises UnusableInputError."""
+    from sightline.errors import UnusableInputError
+
+    out = _numbers(text)
+    if _lengths(out) not in ({"pa": 2, "lateral": 2}, {"pa": 2, "depth": 1}):
+        raise UnusableInputError(
+            f"{option} {text!r} is not a point; write 'pa:U,V lateral:U,V' in pixels (for example "
+            "'pa:512.3,401.8 lateral:498.0,377.2'), or 'pa:U,V depth:MM'"
+        )
+    return out
+
+
+def parse_head(text: str) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Return the circle (u, v, radius) of each view in 'pa:U,V,R lateral:U,V,R'. Raises UnusableInputError."""
+    from sightline.errors import UnusableInputError
+
+    found = _numbers(text)
+    if _lengths(found) != {"pa": 3, "lateral": 3}:
+        raise UnusableInputError(
+            f"--head {text!r} is not two circles; write centre and radius in pixels, 'pa:U,V,R lateral:U,V,R'"
+        )
+    return found["pa"], found["lateral"]
+
+
+def parse_landmark(text: str) -> tuple[str, list[tuple[float, ...]]]:
+    """Return the name of 'NAME pa:U,V lateral:U,V', "" without one, and both pixels. Raises UnusableInputError."""
+    from sightline.errors import UnusableInputError
+
+    name, rest = _named(text)
+    point = parse_point(rest, "--landmark")
+    if "depth" in point:
+        raise UnusableInputError(
+            f"--landmark {text!r} states a depth; a landmark is picked freely in both views: 'pa:U,V lateral:U,V'"
+        )
+    return name, [point["pa"], point["lateral"]]
+
+
+@dataclass(frozen=True)
+class FoundAgain:
+    """A landmark found again in the check images, px.
+
+    `checked`: a pixel for each view; `planned`: the same in the planning images, None where the plan knows its `name`.
+    """
+
+    name: str
+    checked: list[tuple[float, ...]]
+    planned: list[tuple[float, ...]] | None
+
+
+def parse_found_again(text: str) -> FoundAgain:
+    """Return a landmark of 'NAME check-pa:U,V check-lateral:U,V', or with pa and lateral too. Raises
+    UnusableInputError."""
+    from sightline.errors import UnusableInputError
+
+    name, rest = _named(text)
+    point = _numbers(rest)
+    known = dict.fromkeys(VIEWS, 2) if "pa" in point or "lateral" in point else {}
+    if _lengths(point) != dict.fromkeys(CHECK_VIEWS, 2) | known or not (name or known):
+        raise UnusableInputError(
+            f"--landmark {text!r} is not a landmark; write 'NAME check-pa:U,V check-lateral:U,V' for a landmark of the "
+            "plan, or 'pa:U,V lateral:U,V check-pa:U,V check-lateral:U,V' for another"
+        )
+    planned = [point[view] for view in VIEWS] if known else None
+    return FoundAgain(name, [point[view] for view in CHECK_VIEWS], planned)
+
+
+def all_depths(points: Sequence[Point]) -> bool:
+    """Return True if all points state a depth, False if none does. Raises UnusableInputError for a mixture."""
+    from sightline.errors import UnusableInputError
+
+    depths = {"depth" in point for point in points}
+    if len(depths) == 2:
+        raise UnusableInputError("one point states a depth and the other a lateral pixel; write both in one way")
+    return depths == {True}
+
+
+def pixels(point: Point, views: "Sequence[CalibratedView]", pick_sd_px: float) -> Any:
+    """Return the pixels (2, 2) of a point, a row for each view; a depth becomes the pixel of the curve there.
+
+    Raises UnusableInputError for a depth outside the curve, and what `matching_curve` raises.
+    """
+    import numpy as np
+
+    from sightline.errors import UnusableInputError
+    from sightline.planning import Pick, matching_curve
+
+    first = np.array(point["pa"])
+    if "lateral" in point:
+        return np.array([first, point["lateral"]])
+    pick = Pick.free(first, pick_sd_px)
+    curve = matching_curve(views[0], pick.uv_px, views[1], pick.covariance_px2)
+    depth, (low, high) = point["depth"][0], (curve.depth_mm[0], curve.depth_mm[-1])
+    if not low <= depth <= high:
+        raise UnusableInputError(
+            f"the lateral view shows the line of sight from {low:.0f} to {high:.0f} mm of depth, not at {depth:g} mm"
+        )
+    return np.array([first, [np.interp(depth, curve.depth_mm, curve.uv_px[:, k]) for k in range(2)]])
+
+
+def _named(text: str) -> tuple[str, str]:
+    """Return the words of a text without a colon as one name, and the others."""
+    words = text.split()
+    return "-".join(word for word in words if ":" not in word), " ".join(word for word in words if ":" in word)
+
+
+def _numbers(text: str) -> Point:
+    """Return the finite numbers of 'name:1,2 other:3' by name; nothing where it is written otherwise."""
+    out: Point = {}
+    try:
+        for part in text.split():
+            name, numbers = part.split(":")
+            if name in out:
+                return {}
+            out[name] = tuple(float(number) for number in numbers.split(","))
+    except ValueError:
+        return {}
+    return out if all(isfinite(number) for numbers in out.values() for number in numbers) else {}
+
+
+def _lengths(point: Point) -> dict[str, int]:
+    return {name: len(numbers) for name, numbers in point.items()}

@@ -1,0 +1,155 @@
+"""`sightline plan --case` and `check-shot`: images, plan and inserted wire in the journal of a case."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from sightline.case.journal import Case, Kind
+from sightline.imaging import write_dicom
+from sightline.twin import hip_scene, render
+from sightline.twin.implants import guide_wire
+
+VIEWS = ("pa", "lateral")
+WIRE_MM = np.array([[31.3, 28.9, -9.7], [-30.1, -27.7, 8.3]])
+OFF_MM = 0.6  # how far beside its plan the wire is drilled in these images
+
+
+def text(setup, xyz_mm: np.ndarray, prefix: str = "") -> str:
+    pixels = {name: setup.views[name].project(xyz_mm) for name in VIEWS}
+    return " ".join(f"{prefix}{name}:{u:.3f},{v:.3f}" for name, (u, v) in pixels.items())
+
+
+def picks(setup, wire_mm: np.ndarray) -> list[str]:
+    return ["--entry", text(setup, wire_mm[0]), "--end", text(setup, wire_mm[1]), "--pick-sd", "0.1"]
+
+
+def kinds(folder: Path) -> list[str]:
+    with Case.open(folder, read_only=True) as case:
+        return [entry.kind.value for entry in case.entries()]
+
+
+def test_a_plan_is_recorded_in_a_case_and_comes_out_the_same(run, beads_csv: Path, setup, tmp_path: Path) -> None:
+    plan = ["plan", beads_csv, beads_csv, *picks(setup, WIRE_MM), "--kind", "free-wire", "--case", tmp_path / "case"]
+    first, second = run(*plan, "--json"), run(*plan, "--side", "right")
+    assert (first.code, second.code) == (0, 0), second.err
+    assert first.document["case"]["images"] == {"pa": 1, "lateral": 1}
+    assert first.document["case"]["entry"] == 6
+    assert "the plan is entry 7" in second.out  # on the views that the case holds already
+    assert kinds(tmp_path / "case") == ["acquired", *2 * ["labelled", "calibrated"], "planned", "planned"]
+    outcomes = run("case", "replay", tmp_path / "case", "--json").document["entries"]
+    assert {one["outcome"] for one in outcomes} == {"same to the bit"}
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ((), "give the PA and the lateral image, or --case"),
+        (("CSV",), "the lateral image is missing"),
+        (("--case", "nowhere"), "no case"),
+        (("--case", "EMPTY"), "no usable PA and no lateral image"),
+        (("none.csv", "none.csv", "--case", "NEW"), "none.csv"),
+    ],
+)
+def test_what_gives_no_plan_is_said_and_makes_no_case(
+    run, beads_csv: Path, tmp_path: Path, arguments: tuple[str, ...], words: str
+) -> None:
+    Case.create(tmp_path / "empty").close()
+    given = {"CSV": beads_csv, "EMPTY": tmp_path / "empty", "NEW": tmp_path / "new"}
+    point = "pa:512,512 lateral:512,512"
+    ran = run("plan", *(given.get(word, word) for word in arguments), "--entry", point, "--end", point)
+    assert ran.code == 2
+    assert words in " ".join(ran.err.split())
+    assert not (tmp_path / "new").exists()
+
+
+@pytest.fixture(scope="module")
+def planned(run: Callable[..., Any], pair, setup, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A case of two acquired images and a third without beads, planned on its newest pair."""
+    folder = tmp_path_factory.mktemp("planned")
+    (folder / "in").mkdir()
+    for name in VIEWS:
+        (folder / "in" / f"{name}.dcm").write_bytes(pair[name].read_bytes())
+    np.save(folder / "in" / "z.npy", np.full((64, 64), 900, np.uint16))
+    assert run("acquire", "folder", folder / "in", "--case", folder / "case").code == 0
+    hip = hip_scene(setup, np.random.default_rng(8))
+    marks = [
+        word for name, xyz_mm in hip.landmarks_mm.items() for word in ("--landmark", f"{name} {text(setup, xyz_mm)}")
+    ]
+    ran = run("plan", "--case", folder / "case", *picks(setup, hip.wire_mm), *marks, "--side", "right")
+    assert "INCOMPLETE: 1 checks" in ran.out, ran.err  # the head is not drawn
+    assert "image of entry 3 skipped" in ran.err
+    return folder / "case"
+
+
+def test_the_newest_images_of_a_case_are_planned_on(run, planned: Path) -> None:
+    view = ["detected", "labelled", "calibrated"]
+    assert kinds(planned)[:10] == [*3 * ["acquired"], *view, *view, "planned"]
+    with Case.open(planned, read_only=True) as case:
+        entry = case.latest(Kind.PLANNED)
+        assert entry is not None
+        assert entry.content["side"] == "right"
+    outcomes = run("case", "replay", planned, "--json").document["entries"]
+    assert {one["outcome"] for one in outcomes[:10]} == {"same to the bit"}
+
+
+def test_a_check_shot_finds_the_wire_where_it_is(run, planned: Path, setup, tmp_path: Path) -> None:
+    rng = np.random.default_rng(8)
+    hip = hip_scene(setup, rng)
+    along = (hip.wire_mm[1] - hip.wire_mm[0]) / np.linalg.norm(hip.wire_mm[1] - hip.wire_mm[0])
+    aside = np.linalg.svd(along[None])[2][1]
+    scene = hip.scene + guide_wire(hip.wire_mm + OFF_MM * aside)
+    files = [write_dicom(render(setup, view, scene, rng), tmp_path / f"{view}.dcm") for view in VIEWS]
+    marks = [
+        word
+        for name, xyz_mm in hip.landmarks_mm.items()
+        for word in ("--landmark", f"{name} {text(setup, xyz_mm, 'check-')}")
+    ]
+    shot = ["check-shot", *files, "--case", planned, "--pick-sd", "0.1"]
+    measured = run(*shot, *marks, "--json")
+    assert measured.code in (0, 3), measured.out
+    found, error = measured.document["deviation"], measured.document["error_95"]
+    assert abs(found["entry_mm"] - OFF_MM) < error["entry_mm"] + 0.1
+    assert abs(found["tip_mm"] - OFF_MM) < error["tip_mm"] + 0.1
+    assert measured.document["landmarks"] == 3
+    without = run(*shot)
+    assert without.code == 3
+    verdict, first = without.out.splitlines()[:2]
+    assert verdict.startswith("NOT CONFIRMED: ")
+    assert first.startswith("FAIL ")
+    assert without.out.index("FAIL bone landmarks") < without.out.index("Wire against the plan")
+    with Case.open(planned, read_only=True) as case:
+        shots = case.entries(Kind.VERIFIED)
+        assert len(shots) == 2
+        assert case.entry(shots[0].rests_on[0]).kind is Kind.PLANNED
+        assert shots[0].rests_on == shots[1].rests_on  # the same views, recorded once
+    again = run("check-shot", "--case", planned, "--pick-sd", "0.1", *marks, "--json")  # the newest images, now in it
+    assert again.document["deviation"] == found
+    newest = run("check-shot", "--case", planned, "--landmark", "patella check-pa:1,2 check-lateral:3,4")
+    assert newest.code == 2
+    assert "no landmark 'patella'; it has head-centre, lesser-trochanter, greater-trochanter" in newest.err
+
+
+def test_a_check_shot_without_the_wire_is_refused_and_recorded(run, planned: Path, pair) -> None:
+    ran = run("check-shot", pair["pa"], pair["lateral"], "--case", planned)
+    assert ran.code == 3
+    with Case.open(planned, read_only=True) as case:
+        assert "refused" in case.entries(Kind.VERIFIED)[-1].content
+
+
+@pytest.mark.parametrize(
+    "mark", ["head-centre", "head-centre check-pa:1,2", "check-pa:1,2 check-lateral:3,4", "pa:1,2 check-pa:1,2"]
+)
+def test_landmarks_that_cannot_be_read_are_refused(run, planned: Path, mark: str) -> None:
+    ran = run("check-shot", "--case", planned, "--landmark", mark)
+    assert ran.code == 2
+    assert "is not a landmark; write" in ran.err
+
+
+def test_a_case_without_a_plan_has_no_check_shot(run, tmp_path: Path) -> None:
+    Case.create(tmp_path).close()
+    ran = run("check-shot", "--case", tmp_path)
+    assert ran.code == 2
+    assert "plan --case" in ran.err
