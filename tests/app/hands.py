@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from playwright.sync_api import Locator, Page, expect
 
-from sightline.app.plan.marks import asked_of
+from sightline.app.plan.marks import marks_of
 from sightline.case.views import NAMES
 from sightline.frame import Frame
 from sightline.rehearsal.procedure import Rehearsal
@@ -28,7 +28,7 @@ def truth() -> dict[str, Pixels]:
     """Where each mark of the kind belongs, by image."""
     patient = rehearsal()
     found = {name: patient.pixels(patient.hip.wire_mm)[:, k] for k, name in enumerate(("entry", "end"))}
-    asked = [one.name for one in asked_of(KIND) if one.group == "landmark"]
+    asked = [one.name for one in marks_of(KIND) if one.group == "landmark"]
     found |= {name: patient.landmarks[known] for name, known in zip(asked, LANDMARKS, strict=True)}
     return by_image(found | _rim(patient))
 
@@ -124,7 +124,7 @@ class Hands:
         for view in NAMES:
             for name in ("entry", "end"):
                 self.place(name, view, known[name][view])
-        for name in (one.name for one in asked_of(KIND) if one.group == "landmark"):
+        for name in (one.name for one in marks_of(KIND) if one.group == "landmark"):
             for view in NAMES:
                 self.place(name, view, known[name][view])
         expect(self.see("row-greater-trochanter")).to_contain_text("● lat")

@@ -14,14 +14,14 @@ from nicegui import core, ui
 from starlette.routing import BaseRoute, Mount
 
 from sightline.app.panels.drop import DropZone
-from sightline.app.web.serve import Site, serve
+from sightline.app.web.serve import ServedApp, serve
 from sightline.app.web.uploads import Upload
 from sightline.imaging import Radiograph, read_image
 
 PIXELS = np.arange(32 * 16, dtype=np.uint16).reshape(16, 32) * 100
 
 
-def page(site: Site) -> None:
+def page(site: ServedApp) -> None:
     async def on_upload(upload: Upload) -> None:
         radiograph = await asyncio.to_thread(image_of, upload)
         said.set_text(f"{upload.suffix}|{radiograph.shape}")
@@ -51,7 +51,7 @@ def paths(routes: list[BaseRoute], before: str = "") -> list[str]:
     return found
 
 
-def ready(site: Site) -> None:
+def ready(site: ServedApp) -> None:
     told = {
         "url": site.url,
         "port": site.port,

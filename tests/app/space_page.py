@@ -18,7 +18,7 @@ from sightline.app.drawing.space.document import (
     wire_objects,
 )
 from sightline.app.drawing.space.view import SpaceView
-from sightline.app.web.serve import Site, serve
+from sightline.app.web.serve import ServedApp, serve
 from sightline.calibration import calibrate
 from sightline.detection import Observations
 from sightline.frame import Frame
@@ -68,7 +68,7 @@ def show(space: SpaceView, groups: dict[str, Any]) -> None:
         space.draw(name, objects)
 
 
-def page(site: Site) -> None:
+def page(site: ServedApp) -> None:
     with ui.element("div").style("position: absolute; inset: 0 0 60px 0"):
         space = SpaceView(label="The set-up in space", groups=GROUPS)
     space.orient("right")

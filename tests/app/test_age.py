@@ -17,7 +17,7 @@ from sightline.app.session import age as module
 from sightline.app.session.procedure import Procedure
 from sightline.app.session.seen import SeenImage
 from sightline.app.session.sent import SentPlan
-from sightline.app.session.workshop import Workshop
+from sightline.app.session.worker import WorkerProcess
 from sightline.case.journal import Actor
 from sightline.case.views import NAMES
 from sightline.errors import UnusableInputError
@@ -76,13 +76,13 @@ def opened(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Procedur
     monkeypatch.setattr(module, "datetime", _Clock)
     monkeypatch.setattr(module, "monotonic", lambda: 0.0)
     _Clock.at = NOW
-    workshop = Workshop()
-    made = Procedure.open(tmp_path, "gamma", None, workshop)
+    worker = WorkerProcess()
+    made = Procedure.open(tmp_path, "gamma", None, worker)
     for number, name in enumerate(NAMES, 101):
         _came(made, name, number)
     yield made
     made.planning.case.close()
-    workshop.close()
+    worker.close()
 
 
 def _came(procedure: Procedure, name: str, number: int, said_ago_s: float | None = 0.0, by: Actor = Actor.APP) -> None:

@@ -7,23 +7,23 @@ from pathlib import Path
 import pytest
 
 from sightline.app.session.procedure import Procedure
-from sightline.app.session.workshop import Workshop
+from sightline.app.session.worker import WorkerProcess
 from sightline.case.journal import Case
 from sightline.errors import UnusableInputError
 
 
 @pytest.fixture
-def workshop() -> Iterator[Workshop]:
-    made = Workshop()
+def worker() -> Iterator[WorkerProcess]:
+    made = WorkerProcess()
     yield made
     made.close()
 
 
-def test_snapping_is_a_decision_like_any_other(tmp_path: Path, workshop: Workshop) -> None:
+def test_snapping_is_a_decision_like_any_other(tmp_path: Path, worker: WorkerProcess) -> None:
     """For every page, undone with the others, and there again when the case is opened again."""
 
     async def decide() -> None:
-        procedure = Procedure.open(tmp_path, "gamma", None, workshop)
+        procedure = Procedure.open(tmp_path, "gamma", None, worker)
         told: list[bool] = []
         procedure.jobs.listeners.append(lambda: told.append(procedure.planning.decisions.snapping))
         procedure.planning.choose_snapping(False)
@@ -34,7 +34,7 @@ def test_snapping_is_a_decision_like_any_other(tmp_path: Path, workshop: Worksho
         procedure.planning.case.close()
 
     asyncio.run(decide())
-    again = Procedure.open(tmp_path, None, None, workshop)
+    again = Procedure.open(tmp_path, None, None, worker)
     assert not again.planning.decisions.snapping
     assert again.planning.history.can_undo
     again.planning.case.close()
@@ -42,7 +42,7 @@ def test_snapping_is_a_decision_like_any_other(tmp_path: Path, workshop: Worksho
         assert not case.problems
 
 
-def test_work_that_is_refused_while_other_work_goes_on_is_not_begun(tmp_path: Path, workshop: Workshop) -> None:
+def test_work_that_is_refused_while_other_work_goes_on_is_not_begun(tmp_path: Path, worker: WorkerProcess) -> None:
     """A coroutine made for it would be left behind, of which Python warns."""
     begun: list[str] = []
 
@@ -52,7 +52,7 @@ def test_work_that_is_refused_while_other_work_goes_on_is_not_begun(tmp_path: Pa
         return name
 
     async def both() -> list[object]:
-        procedure = Procedure.open(tmp_path, "gamma", None, workshop)
+        procedure = Procedure.open(tmp_path, "gamma", None, worker)
         asked = [procedure.jobs.during(name, lambda name=name: work(name)) for name in ("first", "second")]
         said = await asyncio.gather(*asked, return_exceptions=True)
         assert await procedure.jobs.during("third", lambda: work("third")) == "third"

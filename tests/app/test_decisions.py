@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sightline.app.plan.decisions import MOST_MARKS, Decisions, Display, History, Mark
+from sightline.app.plan.decisions import MAX_MARKS, Decisions, Display, History, Mark
 from sightline.errors import CaseError
 
 PIXELS = st.tuples(*[st.floats(-0.5, 1023.5)] * 2)
@@ -92,7 +92,7 @@ def test_a_mark_without_a_place_is_no_mark():
 
 def test_too_many_marks_are_refused():
     decisions = Decisions()
-    for number in range(MOST_MARKS):
+    for number in range(MAX_MARKS):
         decisions = decisions.with_mark(str(number), Mark().placed("pa", (0.0, 0.0)))
     with pytest.raises(CaseError, match="at most"):
         decisions.with_mark("one more", Mark().placed("pa", (0.0, 0.0)))

@@ -9,7 +9,7 @@ from playwright.sync_api import Page, expect
 from tests.app.browser import Server
 from tests.app.hands import SEED, Hands, Pixels, by_image, rehearsal, truth
 
-from sightline.app.plan.marks import asked_of
+from sightline.app.plan.marks import marks_of
 from sightline.case.views import NAMES
 from sightline.twin.femur import to_cfcs
 
@@ -57,7 +57,7 @@ def _holes() -> dict[str, Pixels]:
 def test_a_pair_of_holes_is_planned_beside_a_hip_screw(hands: Hands, shoot) -> None:
     _choose(hands, "Interlocking holes")
     known = _holes()
-    assert set(known) == {one.name for one in asked_of("interlocking")}
+    assert set(known) == {one.name for one in marks_of("interlocking")}
     for view in NAMES:
         for name in ("entry", "end"):
             hands.place(name, view, known[name][view])

@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sightline.app.panels.steps import Standing, steps
+from sightline.app.panels.steps import StepStatus, steps
 from sightline.app.plan.decisions import Decisions, Display
 from sightline.app.session.procedure import Procedure
 from sightline.app.session.seen import SeenImage, entry_of
-from sightline.app.session.workshop import Workshop
+from sightline.app.session.worker import WorkerProcess
 from sightline.case import stages
 from sightline.case.journal import Actor, Kind
 from sightline.case.replay import Outcome, replay
@@ -35,8 +35,8 @@ def flipped(request: pytest.FixtureRequest) -> tuple[str, ...]:
 @pytest.fixture
 def opened(flipped: tuple[str, ...], setup: SetUp, frame: Frame, tmp_path: Path) -> Iterator[Procedure]:
     """Both images calibrated and recorded, from tables of their beads."""
-    workshop = Workshop()
-    procedure = Procedure.open(tmp_path / "case", "gamma", None, workshop)
+    worker = WorkerProcess()
+    procedure = Procedure.open(tmp_path / "case", "gamma", None, worker)
     tables = [_table(setup, name, tmp_path, mirrored=name in flipped) for name in NAMES]
     for table, seen in zip(tables, see_pair(tables[0], tables[1], frame), strict=True):
         image = calibrated(seen, frame)
@@ -47,7 +47,7 @@ def opened(flipped: tuple[str, ...], setup: SetUp, frame: Frame, tmp_path: Path)
         procedure.planning.edit(procedure.planning.decisions.with_image(image.name, acquired.number, same_pixels=False))
     yield procedure
     procedure.planning.case.close()
-    workshop.close()
+    worker.close()
 
 
 def _no_pixels() -> Any:
@@ -76,7 +76,7 @@ def test_a_person_is_asked_only_where_no_image_shows_the_frame_unmirrored(
     opened.planning.confirm_serial("none")
     for number in opened.planning.decisions.images.values():
         opened.planning.edit(opened.planning.decisions.with_taken(number, opened.planning.case.entry(1).at))
-    assert (steps(opened)[0].standing is Standing.ATTENTION) is asked
+    assert (steps(opened)[0].status is StepStatus.ATTENTION) is asked
     assert any(_upright(opened)) is not asked
 
 

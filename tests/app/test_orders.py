@@ -14,8 +14,8 @@ from tests.planning.standin import stand_in
 from sightline.app.plan.decisions import Decisions, Mark
 from sightline.app.plan.marks import END, ENTRY
 from sightline.app.plan.planner import planned
-from sightline.app.session import drilling as module
-from sightline.app.session.drilling import Drilling
+from sightline.app.session import drilling_workflow as module
+from sightline.app.session.drilling_workflow import DrillingWorkflow
 from sightline.app.session.jobs import Jobs
 from sightline.app.session.planning import Planning
 from sightline.app.session.sent import SentPlan, restored
@@ -44,10 +44,10 @@ class _Planning(Planning):
         return SimpleNamespace()
 
 
-def _drilling(monkeypatch: pytest.MonkeyPatch, send: Any, record: Any) -> tuple[Drilling, _Planning]:
+def _drilling(monkeypatch: pytest.MonkeyPatch, send: Any, record: Any) -> tuple[DrillingWorkflow, _Planning]:
     """A plan was sent, and another is confirmed."""
     stub = SimpleNamespace(number=1, q=(), entry_error_95_mm=0.5, end_error_95_mm=0.5, document=dict)
-    for name in ("entry_of", "record_planned", "_depth_limit", "asked"):
+    for name in ("entry_of", "record_planned", "_depth_limit", "plan_input"):
         monkeypatch.setattr(module, name, lambda *_, **__: stub)
     decisions = SimpleNamespace(
         images={"pa": 1, "lateral": 2}, side="right", serial="1", kind="hip-screw", mirrored={}, document=dict
@@ -58,8 +58,8 @@ def _drilling(monkeypatch: pytest.MonkeyPatch, send: Any, record: Any) -> tuple[
     planning: Any = _Planning(case, known)
     age: Any = SimpleNamespace(now_s=1.0)
     ready: Any = SimpleNamespace(can_send=True)
-    made = Drilling(planning, age, ready)
-    session: Any = SimpleNamespace(now=SimpleNamespace(lost=False), aimed=lambda *_: stub, send=send)
+    made = DrillingWorkflow(planning, age, ready)
+    session: Any = SimpleNamespace(now=SimpleNamespace(lost=False), target_for=lambda *_: stub, send=send)
     made.session = session
     return made, planning
 
@@ -84,7 +84,7 @@ def test_a_plan_that_the_robot_may_hold_gets_no_order_meant_for_the_one_before(
     with pytest.raises((LinkError, CaseError)):
         asyncio.run(drilling.send(planning.known))
     assert not planning.sent_is_current
-    with pytest.raises(RobotRefusedError, match="send it again"):
+    with pytest.raises(RobotRefusedError, match="Send the plan again"):
         asyncio.run(drilling.align())
 
 
@@ -97,7 +97,7 @@ def test_a_check_shot_that_is_refused_is_recorded_too(monkeypatch: pytest.Monkey
     async def not_found(*_: Any) -> None:
         raise WireRefusedError("no wire is seen")
 
-    monkeypatch.setattr(verifying, "_asked", lambda: asked)
+    monkeypatch.setattr(verifying, "_request", lambda: asked)
     monkeypatch.setattr(verifying, "_found", not_found)
     monkeypatch.setattr(verifying, "_record", lambda _, found: recorded.append(found))
     asyncio.run(verifying.measure())
@@ -139,5 +139,5 @@ def test_a_plan_that_was_sent_is_taken_up_again_after_a_restart(sent_case: tuple
 def test_a_plan_that_comes_out_otherwise_is_not(sent_case: tuple[Case, Decisions]) -> None:
     case, decisions = sent_case
     moved = (stand_in("pa", 0.41, 0.3), VIEWS[1])
-    with pytest.raises(UnusableInputError, match="Send the plan anew"):
+    with pytest.raises(UnusableInputError, match="Send the plan again"):
         restored(case, decisions, moved)

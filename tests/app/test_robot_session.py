@@ -161,7 +161,8 @@ def test_a_second_shot_whose_answer_came_too_late_counts_once_too(
         asyncio.run(paused.tell_shot(before, 0.5))
 
 
-IMPOSSIBLE = [(1.6, 0.5, "1.4 mm apart"), (-1.6, 0.5, "1.4 mm apart"), (0.0, 0.0, "95 %"), (0.0, -0.1, "95 %")]
+APART = "at most 1.4 mm apart"
+IMPOSSIBLE = [(1.6, 0.5, APART), (-1.6, 0.5, APART), (0.0, 0.0, "95 %"), (0.0, -0.1, "95 %")]
 NOT_FINITE = [(np.nan, 0.5, "the depth"), (0.0, np.nan, "95 %"), (np.inf, 0.5, "the depth")]
 
 

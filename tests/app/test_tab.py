@@ -17,7 +17,7 @@ from tests.planning import bone
 from tests.planning.standin import stand_in
 
 from sightline.app.drawing import shapes
-from sightline.app.drawing.xray.view import Picture, Window, XrayView
+from sightline.app.drawing.xray.view import Window, XrayPicture, XrayView
 from sightline.app.panels import plan
 from sightline.app.panels.section import Section, note
 from sightline.app.plan.decisions import Mark, Side
@@ -26,7 +26,7 @@ from sightline.app.session.live import LATE_S
 from sightline.app.session.planning import Planning
 from sightline.app.session.procedure import Procedure
 from sightline.app.session.seen import SeenImage
-from sightline.app.session.workshop import Workshop
+from sightline.app.session.worker import WorkerProcess
 from sightline.app.tab.tab import Tab
 from sightline.app.texts import STEPS
 from sightline.case.views import NAMES
@@ -40,11 +40,11 @@ VIEWS = dict(zip(NAMES, (stand_in("pa", 0.4, 0.3), stand_in("lateral", -0.2, 0.3
 class Drawn:
     """In place of published pictures: an address for each image."""
 
-    def of(self, seen: SeenImage) -> Picture:
-        return Picture(f"/image/{seen.acquired.number}", SIZE, SIZE, Window(1.0, 2.0))
+    def of(self, seen: SeenImage) -> XrayPicture:
+        return XrayPicture(f"/image/{seen.acquired.number}", SIZE, SIZE, Window(1.0, 2.0))
 
-    def live(self, image: object) -> Picture:
-        return Picture(f"/live/{image}", SIZE, SIZE, Window(1.0, 2.0))
+    def live(self, image: object) -> XrayPicture:
+        return XrayPicture(f"/live/{image}", SIZE, SIZE, Window(1.0, 2.0))
 
 
 @dataclass
@@ -97,8 +97,8 @@ def opened(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Page]:
     """On the step Plan, both images of planning calibrated; their numbers are 101 and 102."""
     loop = asyncio.new_event_loop()
     asyncio.set_event_loop(loop)
-    workshop = Workshop()
-    procedure = Procedure.open(tmp_path, "gamma", None, workshop)
+    worker = WorkerProcess()
+    procedure = Procedure.open(tmp_path, "gamma", None, worker)
     drawn: Any = Drawn()
     made = Page(Tab(procedure, drawn))
 
@@ -119,7 +119,7 @@ def opened(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Page]:
         made.tab.go_to(STEPS[2])
         yield made
     procedure.planning.case.close()
-    workshop.close()
+    worker.close()
     loop.close()
 
 
@@ -369,8 +369,8 @@ def test_the_guide_follows_from_the_decisions(opened: Page) -> None:
         opened.tab.refresh()
         goal = opened.tab.goal
         shown = [(view, opened.word(view)["placing"]) for view in NAMES]
-        assert shown == [(view, goal.asked.name if goal and goal.image == view else None) for view in NAMES]
-        return goal and (goal.asked.name, goal.image)
+        assert shown == [(view, goal.spec.name if goal and goal.image == view else None) for view in NAMES]
+        return goal and (goal.spec.name, goal.image)
 
     assert asked() == ("entry", "pa")
     uv = bone.pixels([VIEWS[name] for name in NAMES])["wire"]
@@ -387,7 +387,7 @@ def test_the_guide_follows_from_the_decisions(opened: Page) -> None:
     opened.planning.remove(("end",))
     assert asked() == ("end", "pa")
     opened.planning.history.undo()
-    entry = opened.tab.goal.asked if opened.tab.goal else None
+    entry = opened.tab.goal.spec if opened.tab.goal else None
     assert entry is not None
     opened.hear("lateral", {"type": "cancel", "id": "entry", "seq": 11})
     assert asked() is None

@@ -12,7 +12,7 @@ from playwright.sync_api import Browser, Locator, Page, expect
 from tests.app.browser import PATIENCE_MS, Server, Tab
 from tests.app.xray_page import FIELD_PX, HOSTILE, POINTS, SIDE, SPOTS, TEXTS, picture
 
-from sightline.app.drawing.xray.view import TEXT_KEYS, Picture, Shown, Window, XrayEvent, XrayView, checked
+from sightline.app.drawing.xray.view import TEXT_KEYS, Window, XrayContent, XrayEvent, XrayPicture, XrayView, checked
 
 PLACE_PX = 0.05  # image pixels: what a place on the screen may be off by
 MARKS = itertools.count(1)
@@ -818,8 +818,8 @@ def test_no_point_is_moved_before_its_image_is_there(view: View) -> None:
 
 
 FIELD = ((10.0, -0.5), (99.5, -0.5), (99.5, 49.5), (-0.5, 49.5), (-0.5, 10.0))  # a corner is cut off
-ON = Shown("one", Picture("/one", 100, 50, Window(5.0, 9.0)), points=[{"id": "a"}])
-IN_FIELD = Shown("one", Picture("/one", 100, 50, Window(5.0, 9.0), FIELD), points=[{"id": "a"}])
+ON = XrayContent("one", XrayPicture("/one", 100, 50, Window(5.0, 9.0)), points=[{"id": "a"}])
+IN_FIELD = XrayContent("one", XrayPicture("/one", 100, 50, Window(5.0, 9.0), FIELD), points=[{"id": "a"}])
 MOVE = {"type": "drop", "id": "a", "uv": [1, 2.5], "seq": 3, "image": "/one"}
 REMOVE = {"type": "remove", "id": "a", "uv": "x", "image": "/one"}
 SHOWN = {
@@ -903,7 +903,7 @@ def test_the_field_decides_what_is_on_the_image(uv: tuple[float, float], taken: 
 
 
 def test_nothing_can_be_placed_before_there_is_an_image() -> None:
-    assert checked(MOVE, Shown("one", points=[{"id": "a"}])) is None
+    assert checked(MOVE, XrayContent("one", points=[{"id": "a"}])) is None
 
 
 def test_a_missing_text_is_named() -> None:

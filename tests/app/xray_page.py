@@ -16,15 +16,15 @@ import numpy as np
 from fastapi import Response
 from nicegui import app, ui
 
-from sightline.app.drawing.xray.view import Display, Picture, Shown, Window, XrayEvent, XrayView
+from sightline.app.drawing.xray.view import Window, XrayContent, XrayDisplay, XrayEvent, XrayPicture, XrayView
 
 SIDE = 1024
 WINDOW = Window(32768.0, 65536.0)
 FIELD_PX = 0.49 * SIDE  # radius of the round field
 _TURNS = np.arange(64) * 2 * np.pi / 64
 FIELD = tuple((SIDE / 2 + FIELD_PX * float(np.cos(t)), SIDE / 2 + FIELD_PX * float(np.sin(t))) for t in _TURNS)
-PICTURE = Picture("/picture", SIDE, SIDE, WINDOW, FIELD)
-DISPLAY = Display(0, False, False, WINDOW)
+PICTURE = XrayPicture("/picture", SIDE, SIDE, WINDOW, FIELD)
+DISPLAY = XrayDisplay(0, False, False, WINDOW)
 SPOTS = [(200.3, 300.7), (511.5, 512.25), (800.6, 150.4), (350.2, 850.9)]
 """Bright spots, off the grid: what a place on the screen is measured by."""
 POINTS: list[dict[str, Any]] = [
@@ -163,7 +163,7 @@ def page(seconds: float) -> None:
             with ui.element("div").style("flex: 1; min-width: 0").classes(f"box-{name}"):
                 views[name] = view = View(name, label=label, texts=TEXTS)
             view.on_event(hear)
-            view.show(Shown(label, PICTURE, DISPLAY, points=POINTS, revision=str(state["revision"])))
+            view.show(XrayContent(label, PICTURE, DISPLAY, points=POINTS, revision=str(state["revision"])))
 
 
 def beside(view: XrayView) -> dict[str, XrayView]:
@@ -229,9 +229,9 @@ COMMANDS: dict[str, Callable[[XrayView], None]] = {
     "other": lambda view: show_as(view, "/picture?other"),
     "notice": lambda view: change(view, notice="The image is 0.4 s old"),
     "no-notice": lambda view: change(view, notice=None),
-    "turn": lambda view: change(view, display=Display(90, True, False, WINDOW)),
+    "turn": lambda view: change(view, display=XrayDisplay(90, True, False, WINDOW)),
     "show-again": lambda view: show_as(
-        view, "/picture?again", display=Display(0, False, True, Window(20000.0, 30000.0))
+        view, "/picture?again", display=XrayDisplay(0, False, True, Window(20000.0, 30000.0))
     ),
     "move": lambda view: change(view, points=[{**POINTS[0], "uv": (100.0, 500.0)}, *POINTS[1:]]),
     "short": lambda view: change(view, picture=replace(PICTURE, height=SIDE - 1)),

@@ -10,7 +10,7 @@ import pydicom
 import pytest
 
 from sightline.app.plan.decisions import Decisions
-from sightline.app.plan.marks import asked_of
+from sightline.app.plan.marks import marks_of
 from sightline.case import stages
 from sightline.case.contents import CheckAsked
 from sightline.case.journal import Actor, Case, Kind
@@ -76,7 +76,7 @@ def test_the_app_finds_the_plan_in_its_case(demo_folder) -> None:
         edit = case.latest(Kind.CHANGED, where={"what": "edit"})
     assert edit is not None
     decided = Decisions.of(edit.content["to"])
-    asked = [one.name for one in asked_of(decided.kind) if one.group != "aid"]
+    asked = [one.name for one in marks_of(decided.kind) if one.group != "aid"]
     assert decided.complete(asked)  # every name is one that the app asks for
 
 

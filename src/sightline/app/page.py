@@ -1,4 +1,4 @@
-"""The page: steps along the top, two X-ray views, the panel of the step beside them."""
+"""The page: steps along the top, two X-ray views, and the panel of the current step beside them."""
 
 import json
 from collections.abc import Callable
@@ -12,20 +12,20 @@ from nicegui import ui
 from sightline.app import texts
 from sightline.app.drawing.pictures import Pictures
 from sightline.app.panels import calibrate, drill, images, plan, verdict, verify
-from sightline.app.panels.section import Following, Lasting, Section, action
+from sightline.app.panels.section import HtmlSection, PersistentSection, Section, action
 from sightline.app.panels.space import Space
 from sightline.app.panels.steps import steps
 from sightline.app.session.procedure import Procedure
 from sightline.app.settings import Settings
 from sightline.app.tab.tab import Tab
-from sightline.app.web.serve import Site
+from sightline.app.web.serve import ServedApp
 
 _CSS, _SCRIPT = ((files("sightline.app") / name).read_text("utf-8") for name in ("page.css", "page.js"))
 _PANELS: dict[str, Any] = dict(zip(texts.STEPS, (images, calibrate, plan, drill, verify), strict=True))
 
 
-def build(site: Site, procedure: Procedure, pictures: Pictures, settings: Settings) -> None:
-    """One page, for one tab of a browser."""
+def build(site: ServedApp, procedure: Procedure, pictures: Pictures, settings: Settings) -> None:
+    """Build the page for one browser tab."""
     ui.add_css(_CSS)
     ui.add_head_html(f"<script>{_SCRIPT}</script>")
     tab = Tab(procedure, pictures, fast_robot=settings.fast_robot, live_source=settings.live)
@@ -47,10 +47,10 @@ def build(site: Site, procedure: Procedure, pictures: Pictures, settings: Settin
             space = Space(tab)
         with ui.element("aside").classes("panel"):
             images.build_drop_zone(tab, site)
-            Following(tab, _beside_key(verdict.key), _html_on(verdict.html, 2, 3))
+            HtmlSection(tab, _beside_key(verdict.key), _html_on(verdict.html, 2, 3))
             Section(tab, _beside_key(verdict.age_key), _on(verdict.build_age, 2, 3))
             Section(tab, lambda t: t.step, lambda t: _PANELS[t.step].build(t), classes="step-panel")
-            Following(tab, _beside_key(plan.figures_key), _html_on(plan.figures_html, 2), classes="figures")
+            HtmlSection(tab, _beside_key(plan.figures_key), _html_on(plan.figures_html, 2), classes="figures")
             Section(tab, _beside_key(verdict.count), _on(verdict.build_details, 2, 3), classes="details")
             ui.label(f"{texts.NOT_A_DEVICE} Case {procedure.planning.case.number}").classes("foot")
     with tools:
@@ -69,7 +69,7 @@ def build(site: Site, procedure: Procedure, pictures: Pictures, settings: Settin
 
 
 def _leave_question() -> ui.dialog:
-    """Asked of who goes back beyond the first step."""
+    """Return the dialog that asks for confirmation before a person leaves the page with the browser's back button."""
     with ui.dialog() as dialog, ui.card().classes("question"):
         ui.label(texts.LEAVE_QUESTION).classes("question-text").props("data-testid=leave-question")
         with ui.element("div").classes("choice"):
@@ -81,16 +81,18 @@ def _leave_question() -> ui.dialog:
 
 
 def _first_open(procedure: Procedure) -> str:
-    """The step to begin with: the first that is not done."""
-    return next((step.name for step in steps(procedure) if step.standing != "done"), texts.STEPS[-1])
+    """Return the step to begin with: the first that is not done."""
+    return next((step.name for step in steps(procedure) if step.status != "done"), texts.STEPS[-1])
 
 
 def _bar(tab: Tab) -> ui.element:
-    """Brand, steps and tools; the box of the tools."""
+    """Build brand, steps and tools; return the box of the tools."""
     ui.label("Sightline").classes("brand")
-    Lasting(tab, lambda t: (steps(t.procedure), t.step), _steps, classes="steps")
+    PersistentSection(tab, lambda t: (steps(t.procedure), t.step), _steps, classes="steps")
     with ui.element("div").classes("tools") as tools:
-        Lasting(tab, lambda t: (t.planning.history.can_undo, t.planning.history.can_redo), _undo, classes="undo")
+        PersistentSection(
+            tab, lambda t: (t.planning.history.can_undo, t.planning.history.can_redo), _undo, classes="undo"
+        )
         Section(tab, lambda t: t.procedure.drilling.now is not None, _stop, classes="stop-box")
     return tools
 
@@ -102,11 +104,11 @@ def _steps(tab: Tab) -> Callable[[], None]:
             made.append((button, ui.label().classes("standing"), ui.tooltip("").classes("step-reason")))
 
     def update() -> None:
-        for step, (button, standing, tip) in zip(steps(tab.procedure), made, strict=True):
+        for step, (button, status, tip) in zip(steps(tab.procedure), made, strict=True):
             here = step.name == tab.step
-            button.classes(f"{step.standing} {'here' if here else ''}", remove=" ".join((*texts.STANDING, "here")))
+            button.classes(f"{step.status} {'here' if here else ''}", remove=" ".join((*texts.STEP_STATUS, "here")))
             button.props(f"aria-current={'step' if here else 'false'}")
-            standing.set_text(texts.STANDING[step.standing])
+            status.set_text(texts.STEP_STATUS[step.status])
             tip.set_text(step.reason)
 
     return update
@@ -153,7 +155,7 @@ def _say(tab: Tab) -> None:
 
 
 def _to_do(tab: Tab) -> str:
-    """What to do next: place a point, or what the step waits for."""
+    """Return the next instruction: to place a point, or what the step waits for."""
     return plan.instruction(tab) or next(s.reason for s in steps(tab.procedure) if s.name == tab.step)
 
 
@@ -162,7 +164,7 @@ def _beside_key(key):
 
 
 def _on(build: Callable[[Tab], None], *numbers: int) -> Callable[[Tab], None]:
-    """Builds on some of the steps only."""
+    """Return a builder that builds only on the steps with these numbers."""
 
     def build_there(tab: Tab) -> None:
         if texts.STEPS.index(tab.step) in numbers:
@@ -172,5 +174,5 @@ def _on(build: Callable[[Tab], None], *numbers: int) -> Callable[[Tab], None]:
 
 
 def _html_on(html: Callable[[Tab], Markup], *numbers: int) -> Callable[[Tab], Markup]:
-    """HTML on some of the steps only."""
+    """Return the HTML on the steps with these numbers, else none."""
     return lambda tab: html(tab) if texts.STEPS.index(tab.step) in numbers else Markup()

@@ -1,4 +1,4 @@
-"""Runs the app on one case: workshop, procedure, server, in this order, and ends them in the other."""
+"""Runs the app on one case: starts worker, procedure and server in this order, and ends them in reverse order."""
 
 import asyncio
 import sys
@@ -7,27 +7,27 @@ from collections.abc import Callable
 from sightline.app.drawing.pictures import Pictures
 from sightline.app.page import build
 from sightline.app.session.procedure import Procedure
-from sightline.app.session.workshop import Workshop
+from sightline.app.session.worker import WorkerProcess
 from sightline.app.settings import Settings
-from sightline.app.web.serve import Site, serve
+from sightline.app.web.serve import ServedApp, serve
 
-# How soon a thread that computes lets the page's own go on. At Python's 5 ms a curve waits for the plan behind it:
-# figures follow a drag 11 ms later [measured].
+# Thread switch interval, so that computing threads do not delay the page's thread. At Python's default of 5 ms a curve
+# waits for the plan behind it: figures follow a drag 11 ms later [measured].
 _SWITCH_S = 0.0005
 
 
-def run(settings: Settings, on_ready: Callable[[Site], None]) -> None:
+def run(settings: Settings, on_ready: Callable[[ServedApp], None]) -> None:
     """Serve until Ctrl-C. Raises CaseError, FrameError, UnusableInputError."""
     sys.setswitchinterval(_SWITCH_S)
-    workshop = Workshop()
-    procedure = Procedure.open(settings.folder, settings.frame, settings.patient, workshop)
+    worker = WorkerProcess()
+    procedure = Procedure.open(settings.folder, settings.frame, settings.patient, worker)
     pictures: list[Pictures] = []
     started: list[asyncio.Task[None]] = []
 
-    def page(site: Site) -> None:
+    def page(site: ServedApp) -> None:
         build(site, procedure, pictures[0], settings)
 
-    def ready(site: Site) -> None:
+    def ready(site: ServedApp) -> None:
         pictures.append(Pictures(site.images))
         loop = asyncio.get_running_loop()
         started.append(loop.create_task(procedure.planning.start()))  # while the browser still loads
@@ -44,5 +44,5 @@ def run(settings: Settings, on_ready: Callable[[Site], None]) -> None:
         )
     finally:
         asyncio.run(procedure.close())
-        workshop.close()
+        worker.close()
         procedure.planning.case.close()

@@ -1,4 +1,4 @@
-"""How the app is run."""
+"""Settings of one run of the app."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -8,9 +8,12 @@ from sightline.app.session.rehearsing import Patient
 
 @dataclass(frozen=True)
 class Settings:
-    """`folder`: of the case; `frame`: None for that of the case; `patient`: for a new case that rehearses; `live`: the
-    source of a live image, as `sightline watch` names it; `fast_robot`: a simulated robot's time runs as fast as it
-    computes. `token`: asked of every browser; made for addresses beyond this machine where none is given."""
+    """Settings of one run.
+
+    `folder`: of the case. `frame`: None for the case's own. `patient`: for a new case that rehearses. `live`: source of
+    a live image, as named for `sightline watch`. `fast_robot`: run a simulated robot's time as fast as possible.
+    `token`: required of every browser; if None, one is made for addresses beyond this machine.
+    """
 
     folder: Path
     frame: str | None

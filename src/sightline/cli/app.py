@@ -10,7 +10,7 @@ import typer
 from sightline.cli.output import Json, Output, Quiet, example
 
 if TYPE_CHECKING:
-    from sightline.app.web.serve import Site
+    from sightline.app.web.serve import ServedApp
 
 DEMO_SEED = 9  # as of `sightline demo`
 
@@ -63,7 +63,7 @@ def app_command(
         token = environ.get("SIGHTLINE_TOKEN") or None  # not an option: other users can read command lines
         settings = Settings(folder, frame, patient, live, host, port, token, browser, fast_robot)
 
-        def ready(site: "Site") -> None:
+        def ready(site: "ServedApp") -> None:
             output.say(f"open {site.url} in a browser; stop with Ctrl-C")
 
         run(settings, ready)

@@ -1,53 +1,53 @@
-"""Pictures for the browser: published once for all pages, by the image's number in the case."""
+"""Image data for the browser: published once for all pages, by the image's number in the case."""
 
 from collections import deque
 
 import cv2
 import numpy as np
 
-from sightline.app.drawing.xray.view import Picture, Window
+from sightline.app.drawing.xray.view import Window, XrayPicture
 from sightline.app.session.seen import SeenImage
 from sightline.app.web.images import Images
 from sightline.imaging import Radiograph
 
-_MOST = 16  # pictures kept: two planning and two check images, and what undo may bring back [ours]
-_PASSING = 20  # live pictures kept: two seconds of them
-_FIELD_PX = 0.5  # by which corners of the field may cut it off: less than anybody clicks [ours]
-_SHARES = (0.5, 96.0)  # per cent of the field's grey levels: bone, not the open beam, gets the window [ours]
+_MAX_PICTURES = 16  # pictures kept: two planning and two check images, and those that undo may need [ours]
+_MAX_LIVE = 20  # live pictures kept: two seconds of them
+_FIELD_PX = 0.5  # tolerance of the field's polygon: less than a click's precision [ours]
+_WINDOW_PERCENTILES = (0.5, 96.0)  # of the field's grey levels: the window fits bone, not the open beam [ours]
 
 
 class Pictures:
-    """Pictures by the number of their acquisition."""
+    """Published pictures, by the number of their acquisition."""
 
     def __init__(self, images: Images) -> None:
         self._images = images
-        self._pictures: dict[tuple[int, bool], Picture] = {}  # by number, and whether it is inverted
-        self._passing: deque[tuple[Radiograph, Picture]] = deque()
+        self._pictures: dict[tuple[int, bool], XrayPicture] = {}  # by number, and whether it is inverted
+        self._live: deque[tuple[Radiograph, XrayPicture]] = deque()
 
-    def live(self, image: Radiograph) -> Picture:
-        """The picture of an image that is seen once; a few of them are kept for pages that are late."""
-        known = next((picture for passing, picture in self._passing if passing is image), None)
+    def live(self, image: Radiograph) -> XrayPicture:
+        """Return the picture of a live image; a few are kept for pages that are late."""
+        known = next((picture for passing, picture in self._live if passing is image), None)
         if known is not None:
             return known
-        self._passing.append((image, self._published(image)))
-        if len(self._passing) > _PASSING:
-            self._images.forget(self._passing.popleft()[1].url)
-        return self._passing[-1][1]
+        self._live.append((image, self._published(image)))
+        if len(self._live) > _MAX_LIVE:
+            self._images.forget(self._live.popleft()[1].url)
+        return self._live[-1][1]
 
-    def _published(self, image: Radiograph) -> Picture:
+    def _published(self, image: Radiograph) -> XrayPicture:
         pixels = as_u16(image)
         inside = image.field_mask[::4, ::4]
-        low, high = np.percentile(pixels[::4, ::4][inside], _SHARES)
+        low, high = np.percentile(pixels[::4, ::4][inside], _WINDOW_PERCENTILES)
         window = Window(float(low + high) / 2.0, float(max(high - low, 1.0)))
         height, width = pixels.shape
-        return Picture(self._images.publish(pixels), width, height, window, _field(image))
+        return XrayPicture(self._images.publish(pixels), width, height, window, _field(image))
 
-    def of(self, seen: SeenImage) -> Picture:
-        """The picture of an image."""
+    def of(self, seen: SeenImage) -> XrayPicture:
+        """Return the picture of an image of the case."""
         key = seen.acquired.number, seen.image.is_inverted
         if key not in self._pictures:
             self._pictures[key] = self._published(seen.image)
-            while len(self._pictures) > _MOST:
+            while len(self._pictures) > _MAX_PICTURES:
                 self._images.forget(self._pictures.pop(next(iter(self._pictures))).url)
         return self._pictures[key]
 
@@ -58,12 +58,12 @@ def as_u16(radiograph: Radiograph) -> np.ndarray:
     if pixels.dtype != np.float32:
         return pixels.astype(np.uint16)
     lowest, highest = float(pixels.min()), float(pixels.max())
-    share = (pixels.astype(np.float64) - lowest) / ((highest - lowest) or 1.0)  # an even image is dark
+    share = (pixels.astype(np.float64) - lowest) / ((highest - lowest) or 1.0)  # a uniform image becomes black
     return (share * 65535.0).round().astype(np.uint16)
 
 
 def _field(image: Radiograph) -> tuple[tuple[float, float], ...] | None:
-    """Corners (u, v) of the field, clockwise as it is seen; None where X-rays reach the whole image."""
+    """Return the corners (u, v) of the field, clockwise on screen; None if X-rays reach the whole image."""
     mask = image.field_mask
     if mask.all():
         return None

@@ -1,4 +1,4 @@
-"""What is drawn over an image: beads, curves, wire and corridor, aids; plain shapes in the image's own pixels."""
+"""Overlays of an image: beads, curves, wire and corridor, aids; plain shapes in image pixels."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -17,13 +17,13 @@ from sightline.planning.head import outline
 
 Shape = dict[str, Any]
 Layers = dict[str, list[Shape]]
-RESIDUAL_MM = 0.3  # drawn at the end of the colour scale: six times the default tolerance of a plate [ours]
-_AXIS_PX = 4000.0  # an aid's axis runs across the whole image
+RESIDUAL_MM = 0.3  # end of the colour scale: six times the default tolerance of a plate [ours]
+_AXIS_PX = 4000.0  # extends an aid's axis across the whole image
 _CLICKS = {"neck": 2, "shaft": 2}
 
 
 def beads(seen: SeenImage) -> list[Shape]:
-    """Every bead as it was found, coloured by its residual once the view is calibrated."""
+    """Return all beads found, coloured by their residuals once the view is calibrated."""
     if seen.beads is None:
         return []
     if seen.view is None:
@@ -45,7 +45,7 @@ def beads(seen: SeenImage) -> list[Shape]:
 
 
 def rejected(seen: SeenImage) -> list[Shape]:
-    """Candidates that are no beads, each with its reason."""
+    """Return the candidates that are not beads, each with its reason."""
     if seen.beads is None:
         return []
     return [
@@ -55,7 +55,7 @@ def rejected(seen: SeenImage) -> list[Shape]:
 
 
 def curves(drawn: Mapping[str, MatchingCurve]) -> list[Shape]:
-    """Image-matching curves by the names of their points, with their bands and ticks, for the lateral image."""
+    """Return image-matching curves with their bands and depth ticks, for the lateral image."""
     return [shape for name, curve in drawn.items() for shape in _curve(name, curve)]
 
 
@@ -73,7 +73,7 @@ def _curve(name: str, curve: MatchingCurve) -> list[Shape]:
 
 
 def wire(planned: Planned, image: str) -> list[Shape]:
-    """The wire at its true width and the corridor it stays in with 95 %, for one view."""
+    """Return the wire at its true width with its 95 % corridor, for one view."""
     if planned.plan is None:
         return []
     kind = planned.kind
@@ -85,12 +85,12 @@ def wire(planned: Planned, image: str) -> list[Shape]:
             beyond_mm=kind.limits.beyond_mm,
         )
     except SightlineError:
-        return []  # the view sees none of it; the plan's checks say so
+        return []  # it is outside the view; the plan's checks say so
     return band(found)
 
 
 def band(found: Corridor) -> list[Shape]:
-    """A wire and its corridor in an image."""
+    """Return a wire and its corridor in an image."""
     line = found.uv_px.tolist()
     out: list[Shape] = []
     if found.half_95_px is not None:
@@ -101,7 +101,7 @@ def band(found: Corridor) -> list[Shape]:
 
 
 def aids(planned: Planned, image: str) -> list[Shape]:
-    """Axes through their clicks and the head's silhouette, for one view."""
+    """Return the aids' axes and the outline of the head, for one view."""
     out: list[Shape] = []
     for aid, clicks in _CLICKS.items():
         uv = aid_pixels(planned.decisions, aid, clicks, image)
@@ -118,7 +118,7 @@ def aids(planned: Planned, image: str) -> list[Shape]:
 
 
 def found(procedure: Procedure, image: str) -> list[Shape]:
-    """The wire as a check image shows it."""
+    """Return the wire measured in a check image, and the plan."""
     wire = procedure.verifying.wires.get(image)
     if wire is None:
         return []
@@ -131,7 +131,7 @@ def found(procedure: Procedure, image: str) -> list[Shape]:
 
 
 def _planned_there(procedure: Procedure, image: str) -> list[Shape]:
-    """The plan as the check image would show it, the bone's movement since then taken along."""
+    """Return the plan projected into a check image, with the bone's movement applied."""
     shot, sent, views = procedure.verifying.shot, procedure.planning.sent, procedure.planning.views(CHECK_NAMES)
     if shot is None or sent is None or views is None:
         return []

@@ -1,4 +1,4 @@
-"""The second step: what each view's calibration is worth."""
+"""Step 2, Calibrate: the quality of each view's calibration."""
 
 from nicegui import ui
 
@@ -9,7 +9,7 @@ from sightline.case.views import NAMES
 
 
 def build(tab: Tab) -> None:
-    """The panel."""
+    """Build the panel."""
 
     def show(event) -> None:
         tab.views.show_rejected = bool(event.value)

@@ -1,4 +1,4 @@
-"""The fourth step: the plan sent, the arm aligned, the wire drilled; a person tells each motion."""
+"""Step 4, Drill: send the plan, align the arm, drill the wire; a person confirms each motion."""
 
 from collections.abc import Awaitable, Callable, Hashable
 from typing import TYPE_CHECKING
@@ -16,8 +16,8 @@ from sightline.robot.control.states import State
 if TYPE_CHECKING:
     from sightline.app.session.robot_session import RobotNow
 
-_PICTURE_PX = 400.0  # about the panel's width, so that words in it are as large as those about it [ours]
-_LIVE_S = 0.2  # between two looks at the robot [ours]
+_PLOT_PX = 400.0  # about the panel's width, so that its text is as large as the panel's [ours]
+_LIVE_S = 0.2  # update period of the robot's readings [ours]
 
 
 def _key(tab: Tab) -> Hashable:
@@ -29,7 +29,7 @@ def _key(tab: Tab) -> Hashable:
 
 
 def _shot_key(tab: Tab) -> Hashable:
-    # Of what is typed nothing is lost by a look at the images.
+    # Without the plan in the key, typed values survive a change of step.
     now = tab.procedure.drilling.now
     if now is None:
         return None
@@ -37,7 +37,7 @@ def _shot_key(tab: Tab) -> Hashable:
 
 
 def build(tab: Tab) -> None:
-    """The panel."""
+    """Build the panel."""
     Section(tab, _key, _robot)
     Section(tab, _shot_key, _second_shot)
     live.build(tab)
@@ -92,7 +92,7 @@ def _state(tab: Tab) -> None:
 
 
 def depth_words(now: "RobotNow") -> str:
-    """Depth with its 95 % error, and what tells where it is counted from."""
+    """Return the depth with its 95 % error and the source of its zero, as text."""
     if now.depth_mm is None:
         return "–"
     return f"{now.depth_mm:.1f} mm {_error_words(now)} (zero: {_zero_words(now)})"
@@ -107,14 +107,14 @@ def _zero_words(now: "RobotNow") -> str:
 
 
 def _orders(tab: Tab) -> None:
-    """The buttons that lead on from here; a person's confirmation before each motion."""
+    """Build the buttons for the possible commands; each motion needs a person's confirmation."""
     planning, drilling = tab.planning, tab.procedure.drilling
     session, now = drilling.session, drilling.now
     assert now is not None and session is not None  # noqa: S101
     idle, state = not now.doing, now.state
     if now.fault:
         note(texts.FAULT.format(number=now.fault, what=now.text), kind="bad", testid="fault")
-        _asked(
+        _confirmed_action(
             tab, texts.RESET_FAULT, texts.RESET_QUESTION, lambda: session.reset(now.fault), "reset-fault", enabled=idle
         )
         return
@@ -128,18 +128,22 @@ def _orders(tab: Tab) -> None:
             serial=decisions.serial,
         )
         enabled = idle and state not in (State.ALIGNED.value, State.PAUSED.value, State.DONE.value)
-        _asked(tab, texts.SEND, texts.SEND_QUESTION, lambda: drilling.send(known), "send", what=what, enabled=enabled)
+        _confirmed_action(
+            tab, texts.SEND, texts.SEND_QUESTION, lambda: drilling.send(known), "send", what=what, enabled=enabled
+        )
     else:
         note(texts.ONLY_GO, kind="warn", testid="not-go")
     ready = idle and session.target is not None and planning.sent_is_current
     if session.target is not None and not planning.sent_is_current:
         note(texts.CHANGED_AFTER_SENDING, kind="bad", testid="changed-after-sending")
     if state in (State.TARGETING.value, State.STOP.value):
-        _asked(tab, texts.ALIGN, texts.ALIGN_QUESTION, drilling.align, "align", enabled=ready)
+        _confirmed_action(tab, texts.ALIGN, texts.ALIGN_QUESTION, drilling.align, "align", enabled=ready)
     if state == State.ALIGNED.value:
-        _asked(tab, texts.DRILL, texts.DRILL_QUESTION, lambda: drilling.drill(State.ALIGNED), "drill", enabled=ready)
+        _confirmed_action(
+            tab, texts.DRILL, texts.DRILL_QUESTION, lambda: drilling.drill(State.ALIGNED), "drill", enabled=ready
+        )
     if state == State.PAUSED.value:
-        _asked(
+        _confirmed_action(
             tab,
             texts.DRILL_ON,
             texts.DRILL_ON_QUESTION,
@@ -148,13 +152,15 @@ def _orders(tab: Tab) -> None:
             enabled=ready,
         )
     if state in (State.DONE.value, State.STOP.value, State.ALIGNED.value, State.PAUSED.value):
-        _asked(tab, texts.DRAW_BACK, texts.RETRACT_QUESTION, session.retract, "retract", enabled=idle, kind="plain")
+        _confirmed_action(
+            tab, texts.RETRACT, texts.RETRACT_QUESTION, session.retract, "retract", enabled=idle, kind="plain"
+        )
     if state == State.DONE.value or planning.drilled is not None:
         note(texts.DRILLED, kind="good", testid="drilled")
 
 
 def _second_shot(tab: Tab) -> None:
-    """At the pause: what a person measured on the second shot, told to the robot."""
+    """Build the form for the depth measured in the second shot, during the pause."""
     drilling, now = tab.procedure.drilling, tab.procedure.drilling.now
     if now is None or now.state != State.PAUSED.value:
         return
@@ -171,10 +177,10 @@ def _second_shot(tab: Tab) -> None:
     def tell() -> Awaitable[None]:
         return drilling.tell_shot(*(float("nan" if one.value is None else one.value) for one in (depth, error)))
 
-    _asked(tab, texts.TELL_ROBOT, texts.SHOT_QUESTION, tell, "tell-shot", enabled=enabled, kind="plain")
+    _confirmed_action(tab, texts.SEND_DEPTH, texts.SHOT_QUESTION, tell, "tell-shot", enabled=enabled, kind="plain")
 
 
-def _asked(
+def _confirmed_action(
     tab: Tab,
     text: str,
     question: str,
@@ -185,7 +191,7 @@ def _asked(
     enabled: bool,
     kind: str = "primary",
 ) -> None:
-    """A button that asks once more before it does it."""
+    """Build a button that asks for confirmation before it acts."""
     with ui.dialog() as dialog, ui.card().classes("question"):
         ui.label(question).classes("question-text")
         if what:
@@ -202,7 +208,7 @@ def _asked(
 
 
 def _force(tab: Tab) -> None:
-    """The thrust over the depth, as it comes."""
+    """Build the live plot of thrust over depth."""
     if tab.procedure.drilling.session is None and tab.planning.drilled is None:
         return
     heading(texts.THRUST_HEADING)
@@ -220,11 +226,11 @@ def _force(tab: Tab) -> None:
         if record is None or len(record.depth_mm) == shown:
             return
         shown = len(record.depth_mm)
-        picture = force_picture(record, _PICTURE_PX)
+        picture = force_picture(record, _PLOT_PX)
         drawing.set_content(picture)
         events.clear()
         if not picture:
-            return  # what was drilled before belongs to another plan
+            return  # no samples of this plan yet
         with events:
             table(
                 texts.EVENT_COLUMNS,

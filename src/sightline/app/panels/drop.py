@@ -1,4 +1,4 @@
-"""Where a person drops images: buttons where the element stands, and the whole page while a file is dragged over it."""
+"""Drop zone for images: buttons in place, and the whole page while a file is dragged over it."""
 
 from pathlib import Path
 
@@ -8,7 +8,7 @@ from sightline.app.web.uploads import MAX_UPLOAD_BYTES, OnUpload, Upload, Upload
 
 
 class DropZone(ui.element, component=Path(__file__).parent / "drop.js"):
-    """Takes images for named targets; each goes to its target's `on_upload`, run in this element's place."""
+    """Accepts images for named targets; each goes to its target's `on_upload`, run in this element's slot."""
 
     def __init__(self, uploads: Uploads, targets: dict[str, OnUpload]) -> None:
         self._uploads = uploads
@@ -19,7 +19,7 @@ class DropZone(ui.element, component=Path(__file__).parent / "drop.js"):
 
     def _here(self, on_upload: OnUpload) -> OnUpload:
         async def run(upload: Upload) -> None:
-            with self:  # so that what it adds to the page, a notification say, reaches this page
+            with self:  # so that elements it adds, such as a notification, go to this page
                 pending = on_upload(upload)
                 if pending is not None:
                     await pending

@@ -1,4 +1,4 @@
-"""The first step: both images, the patient's side, the frame's serial."""
+"""Step 1, Images: both images, the patient's side, the frame's serial."""
 
 from collections.abc import Hashable
 
@@ -8,7 +8,7 @@ from sightline.app import texts
 from sightline.app.panels.drop import DropZone
 from sightline.app.panels.section import Section, action, heading, note
 from sightline.app.tab.tab import Tab
-from sightline.app.web.serve import Site
+from sightline.app.web.serve import ServedApp
 from sightline.app.web.uploads import Upload
 from sightline.case.views import NAMES
 from sightline.errors import UnusableInputError
@@ -16,8 +16,8 @@ from sightline.errors import UnusableInputError
 _SERIAL_LENGTH = 64  # characters of a serial [ours]
 
 
-def build_drop_zone(tab: Tab, site: Site) -> None:
-    """Where images are dropped; it stays while the panel is built anew. On the last step they are the check shot's."""
+def build_drop_zone(tab: Tab, site: ServedApp) -> None:
+    """Build the drop zone, which persists while panels are rebuilt. On the last step it takes the check images."""
 
     def taker(view: str):
         async def take(upload: Upload) -> None:
@@ -37,7 +37,7 @@ def build_drop_zone(tab: Tab, site: Site) -> None:
 
 
 def build(tab: Tab) -> None:
-    """The panel."""
+    """Build the panel."""
     Section(tab, _state, _images)
     Section(tab, lambda t: t.planning.decisions.side, _side)
     Section(tab, lambda t: t.planning.decisions.serial, _serial)
@@ -117,7 +117,7 @@ def _serial(tab: Tab) -> None:
 
 
 def _untimed(tab: Tab) -> tuple[str, ...]:
-    """The images that nobody knows the time of."""
+    """Return the names of the images whose time is unknown."""
     seen = {name: tab.planning.seen(name) for name in NAMES}
     return tuple(name for name, one in seen.items() if one is not None and tab.procedure.age.taken_at(one) is None)
 
@@ -138,7 +138,7 @@ def _taken(tab: Tab) -> None:
 
 
 def _mirrored_key(tab: Tab) -> Hashable:
-    """The images that are asked about, what was said of each, and how the page shows them."""
+    """Key of the question about mirrored displays: its images, the answers, and how the page shows the images."""
     asked, decisions = tab.planning.asks_mirrored, tab.planning.decisions
     said = (decisions.mirrored.get(decisions.images[name]) for name in asked)
     return asked, *said, *(_is_turned(tab, name) for name in asked)

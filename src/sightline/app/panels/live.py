@@ -1,4 +1,4 @@
-"""The live image on the step Drill: fresh or marked as old, the plan over it only while it is fresh."""
+"""The live image on the step Drill: the plan is drawn over it only while the image is fresh; a stale one is marked."""
 
 from typing import TYPE_CHECKING
 
@@ -12,17 +12,17 @@ from sightline.case.watch.alarm import BLIND_TO
 if TYPE_CHECKING:
     from sightline.case.watch.eye import Watched
 
-_LOOK_S = 0.1  # half of what makes an image old; word of it to the browser each time (live.LATE_S)
+_UPDATE_S = 0.1  # half the age at which an image is stale; the browser is told each time (live.LATE_S)
 
 
 def build(tab: Tab) -> None:
-    """The panel's part."""
+    """Build this part of the panel."""
     heading(texts.LIVE_HEADING)
     Section(tab, lambda t: t.procedure.live.watch is not None, _switch)
     said = ui.label().classes("note").props("data-testid=live-state role=status")
     note(texts.LIVE_BLIND.format(what=BLIND_TO), kind="quiet")
 
-    def look() -> None:
+    def update() -> None:
         watched = tab.procedure.live.latest()
         if watched is None:
             if tab.views.watched is not None:
@@ -34,7 +34,7 @@ def build(tab: Tab) -> None:
         said.classes(add="bad" if watched.moved else "", remove="" if watched.moved else "bad")
         tab.show_live(watched)
 
-    ui.timer(_LOOK_S, look)
+    ui.timer(_UPDATE_S, update)
 
 
 def _switch(tab: Tab) -> None:

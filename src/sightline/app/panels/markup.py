@@ -1,4 +1,4 @@
-"""Pieces of the page as HTML. Text that is no `Markup` is escaped."""
+"""Parts of the page as HTML. Text that is not `Markup` is escaped."""
 
 from collections.abc import Sequence
 
@@ -14,22 +14,22 @@ _CHECK = Markup(
 
 
 def joined(*pieces: Markup) -> Markup:
-    """One after the other."""
+    """Return the pieces concatenated."""
     return Markup().join(pieces)
 
 
 def heading(text: str) -> Markup:
-    """Of a part of a panel."""
+    """Return a heading within a panel."""
     return Markup("<h2>{}</h2>").format(text)
 
 
 def note(text: str, *, kind: str = "", testid: str = "") -> Markup:
-    """A sentence; `kind`: good, warn, bad or quiet."""
+    """Return a sentence; `kind`: good, warn, bad or quiet."""
     return Markup('<div class="note {}"{}>{}</div>').format(kind, _testid(testid), text)
 
 
 def checks(listed: Sequence[Check], *, testid: str) -> Markup:
-    """Checks with figure, limit and sentence, the failed ones first."""
+    """Return checks with value, limit and sentence, the failed ones first."""
     items = map(_check, sorted(listed, key=lambda one: one.passed))
     return Markup('<ul class="checks"{}>{}</ul>').format(_testid(testid), joined(*items))
 
@@ -37,7 +37,7 @@ def checks(listed: Sequence[Check], *, testid: str) -> Markup:
 def table(
     columns: Sequence[str], rows: Sequence[Sequence[str]], *, testid: str, classes: str = "", label: str = ""
 ) -> Markup:
-    """A small table; the first cell of a row names it."""
+    """Return a small table; the first cell of a row is its header."""
     names = joined(*map(Markup('<th scope="col">{}</th>').format, columns)) if any(columns) else Markup()
     named = Markup(' class="{}" aria-label="{}"').format(classes, label) if label else Markup()
     return Markup("<table{}{}>{}{}</table>").format(

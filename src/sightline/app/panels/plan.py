@@ -1,4 +1,4 @@
-"""The third step: points placed, figures of the implant, and the verdict."""
+"""Step 3, Plan: placing points, metrics of plan and implant, proposal."""
 
 from collections.abc import Hashable
 from itertools import groupby
@@ -10,7 +10,7 @@ from nicegui import ui
 from sightline.app import texts
 from sightline.app.panels import markup
 from sightline.app.panels.section import Section, action, heading, note
-from sightline.app.plan.marks import END, ENTRY, Asked, asked_of
+from sightline.app.plan.marks import END, ENTRY, MarkSpec, marks_of
 from sightline.app.plan.planner import Planned
 from sightline.app.tab.tab import Tab
 from sightline.case.views import NAMES
@@ -20,12 +20,12 @@ from sightline.planning.kinds import KINDS
 
 
 def figures_key(tab: Tab) -> Hashable:
-    """What the figures show."""
+    """Key of the metrics: the plan that they are of."""
     return tab.known
 
 
 def build(tab: Tab) -> None:
-    """Kind, points, aids."""
+    """Build the panel: kind, points, aids."""
     Section(tab, lambda t: t.planning.decisions.kind, _kind)
     Section(tab, lambda t: t.planning.decisions.snapping, _snapping)
     Section(tab, lambda t: t.planning.decisions.kind, _points)
@@ -61,7 +61,7 @@ def _snapping(tab: Tab) -> None:
 
 def _points(tab: Tab) -> None:
     decisions = tab.planning.decisions
-    for group, listed in groupby(asked_of(decisions.kind), key=lambda one: one.group):
+    for group, listed in groupby(marks_of(decisions.kind), key=lambda one: one.group):
         heading(texts.POINT_GROUPS[group])
         for _, same in groupby(listed, key=lambda one: one.of):
             _row(tab, tuple(same))
@@ -70,18 +70,19 @@ def _points(tab: Tab) -> None:
         Section(tab, _missing, lambda t: note(_missing(t), kind="quiet") if _missing(t) else None)
 
 
-def _row(tab: Tab, same: tuple[Asked, ...]) -> None:
-    """One point, or the clicks of one aid. Its buttons stay: one that is built anew under a click loses the click."""
+def _row(tab: Tab, same: tuple[MarkSpec, ...]) -> None:
+    """Build the row of one point, or of one aid's clicks. Its buttons persist, so that a refresh does not lose
+    clicks."""
     first, names = same[0], tuple(one.name for one in same)
     label = first.label if len(same) == 1 else first.label.rsplit(" ", 1)[0]
 
     def placed(t: Tab) -> tuple[int, ...]:
-        """How many clicks are there in each image."""
+        """Return the number of clicks in each image."""
         marks = [t.planning.decisions.mark(name) for name in names]
         return tuple(sum(mark.at(image) is not None for mark in marks) for image in first.images)
 
     def current(t: Tab) -> bool:
-        return t.goal is not None and t.goal.asked.name in names
+        return t.goal is not None and t.goal.spec.name in names
 
     def show(t: Tab) -> None:
         row.classes(add="current" if current(t) else "", remove="" if current(t) else "current")
@@ -120,14 +121,14 @@ def _propose(tab: Tab) -> None:
 
 
 def _missing(tab: Tab) -> str:
-    """What a proposal still needs."""
+    """Return what a proposal still needs, as text."""
     known = tab.planning.planned
     absent = {} if known is None else known.anatomy.absent
     return "; ".join(text for name, text in absent.items() if name in ("head", "shaft", "cortex"))
 
 
 def figures_html(tab: Tab) -> Markup:
-    """Figures of plan and implant; they follow a point that is dragged."""
+    """Return the metrics of plan and implant as HTML; they follow a dragged point."""
     known = tab.known
     if known is None or (known.plan is None and not known.figures):
         return Markup()
@@ -157,7 +158,7 @@ def figures_html(tab: Tab) -> Markup:
 
 
 def _refused(known: Planned) -> list[str]:
-    """Why figures are not there though all they need is drawn, each reason once."""
+    """Return the reasons for missing metrics whose aids are all drawn, each reason once."""
     missing = {f"Not known: {why}." for why in known.anatomy.absent.values()}
     absent = dict.fromkeys(figure.sentence for figure in known.figures if figure.value is None)
     return [sentence for sentence in absent if sentence not in missing]
@@ -167,7 +168,7 @@ def _gaps(tab: Tab) -> list[tuple[str, str, str]]:
     known = tab.known
     assert known is not None and known.plan is not None  # noqa: S101
     seen, decisions = known.plan.seen, known.decisions
-    landmarks = [a for a in asked_of(decisions.kind) if a.group == "landmark" and decisions.mark(a.name).complete()]
+    landmarks = [a for a in marks_of(decisions.kind) if a.group == "landmark" and decisions.mark(a.name).complete()]
     names = [*texts.GAP_ENDS, *(a.label[:1].lower() + a.label[1:] for a in landmarks)]
     out = []
     for name, gap, tested in zip(names, seen.gap_mm, seen.gap_tested, strict=True):
@@ -176,10 +177,10 @@ def _gaps(tab: Tab) -> list[tuple[str, str, str]]:
 
 
 def instruction(tab: Tab) -> str:
-    """What to do next, in a sentence."""
+    """Return the instruction for the next point, as a sentence."""
     goal = tab.goal
     if goal is None:
         return ""
     return texts.PLACE_WHERE.format(
-        image=texts.IMAGE_LABELS[goal.image], point=goal.asked.label, sentence=goal.asked.sentence
+        image=texts.IMAGE_LABELS[goal.image], point=goal.spec.label, sentence=goal.spec.sentence
     )

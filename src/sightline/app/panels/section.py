@@ -1,4 +1,4 @@
-"""A part of the page that is made anew when what it shows is another, and left alone otherwise."""
+"""Parts of the page that are redrawn only when their content changes."""
 
 from collections.abc import Callable, Hashable, Sequence
 from pathlib import Path
@@ -8,7 +8,7 @@ from markupsafe import Markup
 from nicegui import ui
 
 from sightline.app.panels import markup
-from sightline.app.session.failures import why_not
+from sightline.app.session.failures import failure_of
 from sightline.app.tab.tab import Tab
 from sightline.checks import Check
 
@@ -16,8 +16,8 @@ Key = Callable[[Tab], Hashable]
 
 
 class _Part:
-    """Filled, and again whenever `key(tab)` has changed. Where it fails a sentence stands in its place, and the other
-    parts of the page go on."""
+    """A part of the page that is filled, and filled again whenever `key(tab)` changes. If that fails, it shows the
+    error and the other parts of the page continue."""
 
     def __init__(self, tab: Tab, key: Key, box: ui.element) -> None:
         self._tab, self._key, self._box = tab, key, box
@@ -26,12 +26,12 @@ class _Part:
         self.refresh()
 
     def refresh(self) -> None:
-        """Fill it if it is to show something else."""
+        """Fill it if its key has changed."""
         if self._box.is_deleted:
             self._tab.on_refresh.remove(self.refresh)
             return
         found: list[Hashable] = []
-        refused = why_not(lambda: found.append(self._key(self._tab)))
+        refused = failure_of(lambda: found.append(self._key(self._tab)))
         key = (refused, *found)
         if key != self._shown:
             self._shown = key
@@ -42,8 +42,8 @@ class _Part:
 
 
 class Section(_Part):
-    """`build(tab)` fills it with elements. Sections may hold others: what is typed into one is not lost because
-    another is built anew."""
+    """A part that `build(tab)` fills with elements. Sections may contain sections, so that rebuilding one does not lose
+    text typed into another."""
 
     def __init__(self, tab: Tab, key: Key, build: Callable[[Tab], None], *, classes: str = "") -> None:
         self._build = build
@@ -52,14 +52,15 @@ class Section(_Part):
     def _fill(self, refused: str) -> None:
         self._box.clear()
         with self._box:
-            refused = refused or why_not(lambda: self._build(self._tab))
+            refused = refused or failure_of(lambda: self._build(self._tab))
             if refused:
-                self._box.clear()  # half a section may say something else than the whole
+                self._box.clear()  # half a section could mislead
                 note(refused, kind="bad", testid="section-refused")
 
 
-class Lasting(_Part):
-    """`build(tab)` fills it once and gives what brings it up to date: a click on its way meets its button."""
+class PersistentSection(_Part):
+    """A part that `build(tab)` fills once; it returns the function that updates it. Its buttons persist during a
+    refresh, so that clicks are not lost."""
 
     def __init__(self, tab: Tab, key: Key, build: Callable[[Tab], Callable[[], None]], *, classes: str = "") -> None:
         with ui.element("section").classes(classes) as box:
@@ -67,11 +68,11 @@ class Lasting(_Part):
         super().__init__(tab, key, box)
 
     def _fill(self, refused: str) -> None:
-        self._tab.message = refused or why_not(self._update) or self._tab.message
+        self._tab.message = refused or failure_of(self._update) or self._tab.message
 
 
-class Following(_Part):
-    """`html(tab)` fills it. A change is one message, and the page around it is left alone: it follows a drag."""
+class HtmlSection(_Part):
+    """A part that `html(tab)` fills with HTML. A change is one message to the browser, fast enough to follow a drag."""
 
     def __init__(self, tab: Tab, key: Key, html: Callable[[Tab], Markup], *, classes: str = "") -> None:
         self._html, self._element = html, _Html()
@@ -79,11 +80,11 @@ class Following(_Part):
 
     def _fill(self, refused: str) -> None:
         made: list[Markup] = []
-        refused = refused or why_not(lambda: made.append(self._html(self._tab)))
+        refused = refused or failure_of(lambda: made.append(self._html(self._tab)))
         self._element.show(markup.note(refused, kind="bad", testid="section-refused") if refused else made[0])
 
 
-class _Html(ui.element, component=Path(__file__).parent / "following.js"):
+class _Html(ui.element, component=Path(__file__).parent / "html_section.js"):
     def __init__(self) -> None:
         super().__init__()
         self.html = Markup()
@@ -95,32 +96,32 @@ class _Html(ui.element, component=Path(__file__).parent / "following.js"):
 
 
 def put(html: Markup) -> ui.html:
-    """HTML among the elements of a section."""
+    """Add HTML to the current section."""
     return ui.html(html, sanitize=False).classes("put")
 
 
 def heading(text: str) -> None:
-    """`markup.heading` among the elements of a section."""
+    """Add `markup.heading` to the current section."""
     put(markup.heading(text))
 
 
 def note(text: str, *, kind: str = "", testid: str = "") -> None:
-    """`markup.note` among the elements of a section."""
+    """Add `markup.note` to the current section."""
     put(markup.note(text, kind=kind, testid=testid))
 
 
 def checks(listed: Sequence[Check], *, testid: str) -> None:
-    """`markup.checks` among the elements of a section."""
+    """Add `markup.checks` to the current section."""
     put(markup.checks(listed, testid=testid))
 
 
 def table(columns: Sequence[str], rows: Sequence[Sequence[str]], *, testid: str) -> None:
-    """`markup.table` among the elements of a section."""
+    """Add `markup.table` to the current section."""
     put(markup.table(columns, rows, testid=testid))
 
 
 def action(text: str, handler: Any, *, testid: str, kind: str = "", enabled: bool = True) -> ui.button:
-    """A button; `kind`: primary, danger or plain."""
+    """Add a button and return it; `kind`: primary, danger or plain."""
     button = ui.button(text, on_click=handler, color=None).classes(f"action {kind}".strip())
     button.props(f"no-caps unelevated data-testid={testid}")
     button.set_enabled(enabled)

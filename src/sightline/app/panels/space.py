@@ -1,4 +1,4 @@
-"""The scene in space below the images: each group drawn again only when what it shows is another."""
+"""The 3-D scene below the images: each group of objects is redrawn only when it changes."""
 
 import asyncio
 from collections.abc import Callable, Hashable
@@ -10,16 +10,16 @@ from nicegui import ui
 from sightline.app import texts
 from sightline.app.drawing.space import document as space
 from sightline.app.drawing.space.view import SpaceView
-from sightline.app.plan.marks import asked_of
+from sightline.app.plan.marks import marks_of
 from sightline.app.tab.tab import Tab
 from sightline.case.views import NAMES
 from sightline.errors import SightlineError
 
-_LIVE_S = 0.2  # between two looks at where the robot is [ours]
+_LIVE_S = 0.2  # update period of the robot's pose [ours]
 
 
 class Space:
-    """The scene of one page. `open`: whether it is shown; while it is not, nothing is drawn."""
+    """The 3-D scene of one page. `open`: whether it is shown; nothing is drawn while it is not."""
 
     def __init__(self, tab: Tab) -> None:
         self._tab, self.open = tab, False
@@ -63,7 +63,7 @@ class Space:
     async def _fetch_bone(self) -> None:
         patient = self._tab.planning.patient
         assert patient is not None  # noqa: S101
-        self._bone = await self._tab.planning.workshop.do(space.rehearsed_bone, patient)
+        self._bone = await self._tab.planning.worker.do(space.rehearsed_bone, patient)
         self._tab.later()
 
     def _group(self, name: str, key: Hashable, objects: Callable[[], list[dict[str, Any]]]) -> None:
@@ -83,22 +83,22 @@ class Space:
         planning, out = self._tab.planning, []
         decisions = planning.decisions
         for view, name in zip(planning.views() or (), NAMES, strict=False):
-            placed = [decisions.mark(asked.name) for asked in asked_of(decisions.kind)]
+            placed = [decisions.mark(spec.name) for spec in marks_of(decisions.kind)]
             for mark in placed:
                 at = mark.at(name)
                 if at is not None:
                     try:
                         out += space.sight_objects(view, np.array([at]))
                     except SightlineError:
-                        continue  # where the view is not calibrated there is no line to draw; the plan says so
+                        continue  # outside the calibrated region there is no line of sight; the plan says so
         return out
 
     def _points(self) -> list[dict[str, Any]]:
         known = self._tab.known
         if known is None or known.plan is None:
             return []
-        listed = [a for a in asked_of(known.decisions.kind) if a.group == "landmark"]
-        words = [asked.label for asked in listed if known.decisions.mark(asked.name).complete()]
+        listed = [a for a in marks_of(known.decisions.kind) if a.group == "landmark"]
+        words = [spec.label for spec in listed if known.decisions.mark(spec.name).complete()]
         return space.point_objects(known.plan.seen.xyz_mm[2:], words)
 
     def _wire(self) -> list[dict[str, Any]]:

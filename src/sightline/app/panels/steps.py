@@ -1,10 +1,10 @@
-"""The five steps of a procedure, and how far each is: done, to do, to be seen to, or blocked, with the reason."""
+"""The five steps of a procedure with their status, done, open, attention or blocked, and the reason for it."""
 
 from dataclasses import dataclass
 from enum import StrEnum
 
 from sightline.app import texts
-from sightline.app.plan.marks import asked_of
+from sightline.app.plan.marks import marks_of
 from sightline.app.session.planning import Planning
 from sightline.app.session.procedure import Procedure
 from sightline.app.session.seen import SeenImage
@@ -13,8 +13,8 @@ from sightline.checks import failed
 from sightline.robot.control.states import State
 
 
-class Standing(StrEnum):
-    """How far a step is."""
+class StepStatus(StrEnum):
+    """Status of a step."""
 
     DONE = "done"
     OPEN = "open"
@@ -23,16 +23,16 @@ class Standing(StrEnum):
 
 
 @dataclass(frozen=True)
-class Step:
-    """One step: its name, how far it is, and why, in a sentence."""
+class WorkflowStep:
+    """One step: its name, its status, and the reason for it as a sentence."""
 
     name: str
-    standing: Standing
+    status: StepStatus
     reason: str
 
 
-def steps(procedure: Procedure) -> tuple[Step, ...]:
-    """All five, in their order."""
+def steps(procedure: Procedure) -> tuple[WorkflowStep, ...]:
+    """Return all five steps in order."""
     found = (
         _images(procedure),
         _calibrate(procedure.planning),
@@ -40,10 +40,10 @@ def steps(procedure: Procedure) -> tuple[Step, ...]:
         _drill(procedure),
         _verify(procedure),
     )
-    return tuple(Step(name, *one) for name, one in zip(texts.STEPS, found, strict=True))
+    return tuple(WorkflowStep(name, *one) for name, one in zip(texts.STEPS, found, strict=True))
 
 
-_Found = tuple[Standing, str]
+_Found = tuple[StepStatus, str]
 
 
 def _both(planning: Planning) -> list[SeenImage]:
@@ -55,76 +55,76 @@ def _images(procedure: Procedure) -> _Found:
     decisions = planning.decisions
     missing = [name for name in NAMES if name not in decisions.images]
     if working and missing:
-        return Standing.OPEN, texts.DOING.format(doing=working.capitalize())
+        return StepStatus.OPEN, texts.DOING.format(doing=working.capitalize())
     if missing:
-        return Standing.OPEN, texts.DROP_MISSING.format(
+        return StepStatus.OPEN, texts.DROP_MISSING.format(
             images=" and the ".join(texts.IMAGE_LABELS[name] for name in missing)
         )
     if decisions.side is None or decisions.serial is None:
-        return Standing.ATTENTION, texts.CONFIRM_BOTH
+        return StepStatus.ATTENTION, texts.CONFIRM_BOTH
     if any(procedure.age.taken_at(seen) is None for seen in _both(planning)):
-        return Standing.ATTENTION, texts.STATE_WHEN_TAKEN
+        return StepStatus.ATTENTION, texts.STATE_WHEN_TAKEN
     asked = planning.asks_mirrored
     if asked and not any(decisions.images[name] in decisions.mirrored for name in asked):
-        return Standing.ATTENTION, texts.STATE_WHETHER_MIRRORED
-    return Standing.DONE, texts.IMAGES_DONE
+        return StepStatus.ATTENTION, texts.STATE_WHETHER_MIRRORED
+    return StepStatus.DONE, texts.IMAGES_DONE
 
 
 def _calibrate(planning: Planning) -> _Found:
     seen = _both(planning)
     if len(seen) < len(NAMES):
-        return Standing.BLOCKED, texts.IMAGES_FIRST
+        return StepStatus.BLOCKED, texts.IMAGES_FIRST
     if busy := next((one.doing for one in seen if one.doing), ""):
-        return Standing.OPEN, texts.DOING.format(doing=busy.capitalize())
+        return StepStatus.OPEN, texts.DOING.format(doing=busy.capitalize())
     if refused := next((one.refused for one in seen if one.refused), ""):
-        return Standing.ATTENTION, refused
+        return StepStatus.ATTENTION, refused
     views = planning.views()
     if views is None:
-        return Standing.ATTENTION, texts.SAME_VIEW
+        return StepStatus.ATTENTION, texts.SAME_VIEW
     wrong = failed(check for view in views for check in view.checks)
     if wrong:
-        return Standing.ATTENTION, wrong[0].sentence
-    return Standing.DONE, texts.CALIBRATED
+        return StepStatus.ATTENTION, wrong[0].sentence
+    return StepStatus.DONE, texts.CALIBRATED
 
 
 def _plan(procedure: Procedure) -> _Found:
     known, decisions = procedure.planning.planned, procedure.planning.decisions
     if known is None:
-        return Standing.BLOCKED, texts.CALIBRATE_FIRST
+        return StepStatus.BLOCKED, texts.CALIBRATE_FIRST
     if known.plan is None:
         refused = next(iter(known.refused.values()), None)
         if refused is not None:
-            return Standing.ATTENTION, refused
-        wire = [asked for asked in asked_of(decisions.kind) if asked.group == "wire"]
-        left = [asked.label for asked in wire if not decisions.complete([asked.name])]
-        return Standing.OPEN, texts.PLACE_WIRE.format(points=", ".join(left))
+            return StepStatus.ATTENTION, refused
+        wire = [spec for spec in marks_of(decisions.kind) if spec.group == "wire"]
+        left = [spec.label for spec in wire if not decisions.complete([spec.name])]
+        return StepStatus.OPEN, texts.PLACE_WIRE.format(points=", ".join(left))
     verdict = procedure.readiness.verdict
     wrong = () if verdict is None else failed(verdict.checks)
-    return (Standing.ATTENTION, wrong[0].sentence) if wrong else (Standing.DONE, texts.PLAN_DONE)
+    return (StepStatus.ATTENTION, wrong[0].sentence) if wrong else (StepStatus.DONE, texts.PLAN_DONE)
 
 
 def _drill(procedure: Procedure) -> _Found:
     planning, now = procedure.planning, procedure.drilling.now
     if planning.drilled is not None:
-        return Standing.DONE, texts.DRILL_DONE
+        return StepStatus.DONE, texts.DRILL_DONE
     if now is not None and (now.lost or now.fault or now.said):
-        return Standing.ATTENTION, now.said or now.text or texts.LINK_LOST
+        return StepStatus.ATTENTION, now.said or now.text or texts.LINK_LOST
     if now is not None and planning.sent is not None and now.state != State.UNDEFINED.value:
-        return Standing.OPEN, texts.ROBOT_IN.format(state=now.state)
+        return StepStatus.OPEN, texts.ROBOT_IN.format(state=now.state)
     if not procedure.readiness.can_send:
-        return Standing.BLOCKED, texts.ONLY_GO
-    return Standing.OPEN, texts.CAN_SEND
+        return StepStatus.BLOCKED, texts.ONLY_GO
+    return StepStatus.OPEN, texts.CAN_SEND
 
 
 def _verify(procedure: Procedure) -> _Found:
     verifying = procedure.verifying
     if verifying.refused:
-        return Standing.ATTENTION, verifying.refused
+        return StepStatus.ATTENTION, verifying.refused
     if verifying.shot is not None:
         wrong = failed(verifying.shot.checks)
         if wrong:
-            return Standing.ATTENTION, wrong[0].sentence
-        return Standing.DONE, texts.VERIFIED
+            return StepStatus.ATTENTION, wrong[0].sentence
+        return StepStatus.DONE, texts.VERIFIED
     if procedure.planning.sent is None:
-        return Standing.BLOCKED, texts.NOT_DRILLED
-    return Standing.OPEN, texts.TAKE_TWO_MORE
+        return StepStatus.BLOCKED, texts.NOT_DRILLED
+    return StepStatus.OPEN, texts.TAKE_TWO_MORE

@@ -1,4 +1,4 @@
-"""GO or NO-GO, in one place: every check, where the error comes from, how old the plan is, and what to do."""
+"""The verdict, GO or NO-GO: all checks, the error budget, the plan's age, and what to do."""
 
 from collections.abc import Hashable
 
@@ -8,14 +8,14 @@ from nicegui import ui
 
 from sightline.app import texts
 from sightline.app.panels import markup
-from sightline.app.panels.section import Following
+from sightline.app.panels.section import HtmlSection
 from sightline.app.tab.tab import Tab
 from sightline.checks import Check, failed
 from sightline.errors import SightlineError
 from sightline.planning.shares import Share, error_shares, error_shares_of
 from sightline.robot.kinematics.target import LIFETIME_S, RobotTarget
 
-SOURCES = {  # of error, and the colour of each (colours.js)
+SOURCES = {  # sources of error, with their colours (colours.js)
     "beads": "sky",
     "map": "green",
     "focal_point": "yellow",
@@ -33,35 +33,35 @@ _PIECE = Markup('<i style="width:{:.2f}%;background:{}"></i>')
 
 
 def key(tab: Tab) -> Hashable:
-    """What the verdict says."""
+    """Key of the verdict."""
     listed = _listed(tab)
     return len(listed), tuple(check.sentence for check in failed(listed))
 
 
 def age_key(tab: Tab) -> Hashable:
-    """Whether there is a plan, and it is young enough."""
+    """Key of the plan's age: whether there is a plan, and whether it is fresh."""
     return bool(_listed(tab)), tab.procedure.age.fresh, tab.procedure.age.drilled_s
 
 
 def count(tab: Tab) -> Hashable:
-    """How many checks there are."""
+    """Key of the list of checks: their number."""
     return len(_listed(tab))
 
 
 def details_key(tab: Tab) -> Hashable:
-    """What the details show."""
+    """Key of the details."""
     procedure, decisions = tab.procedure, tab.planning.decisions
     return (tab.known, procedure.age.fresh, decisions.side, decisions.serial, procedure.readiness.go, _target(tab))
 
 
 def _listed(tab: Tab) -> tuple[Check, ...]:
-    """Every check of the plan that is shown; none where there is no plan."""
+    """Return all checks of the plan shown; none without a plan."""
     verdict = tab.procedure.readiness.verdict_of(tab.known)
     return () if verdict is None else verdict.checks
 
 
 def html(tab: Tab) -> Markup:
-    """The verdict, and what to do about each check that failed."""
+    """Return the verdict as HTML, with what to do about each failed check."""
     verdict = tab.procedure.readiness.verdict_of(tab.known)
     if verdict is None:
         return Markup()
@@ -77,19 +77,19 @@ def html(tab: Tab) -> Markup:
 
 
 def build_details(tab: Tab) -> None:
-    """Where the error comes from, and every check with figure and limit."""
+    """Build the error budget and the list of all checks with value and limit."""
     listed = _listed(tab)
     if not listed:
         return
-    Following(tab, details_key, _shares)
+    HtmlSection(tab, details_key, _shares)
     with ui.element("details").props("data-testid=all-checks"):
         with ui.element("summary"):
             ui.label(texts.ALL_CHECKS.format(count=len(listed)))
-        Following(tab, details_key, lambda t: markup.checks(_listed(t), testid="verdict-checks"))
+        HtmlSection(tab, details_key, lambda t: markup.checks(_listed(t), testid="verdict-checks"))
 
 
 def build_age(tab: Tab) -> None:
-    """How old the plan is, and when it expires."""
+    """Build the text with the plan's age and expiry."""
     if not _listed(tab):
         return
     label = ui.label().classes("age").props("data-testid=age")
@@ -104,7 +104,7 @@ def build_age(tab: Tab) -> None:
         if age_s is None:
             return
         if age.fresh != was_fresh:
-            tab.refresh()  # GO must not stand over a plan that has expired
+            tab.refresh()  # GO must not be shown for a plan that has expired
             return
         told = texts.EXPIRES.format(age=_minutes(age_s), left=_minutes(LIFETIME_S - age_s))
         label.set_text(told if was_fresh else texts.EXPIRED)
@@ -118,7 +118,7 @@ def _minutes(seconds: float) -> str:
 
 
 def _shares(tab: Tab) -> Markup:
-    """Where the error comes from: a table, and bars for who sees their colours."""
+    """Return the error budget as a table with coloured bars."""
     known = tab.known
     if known is None or known.plan is None:
         return Markup()
@@ -155,14 +155,14 @@ def _shares(tab: Tab) -> Markup:
 
 
 def _target(tab: Tab) -> RobotTarget | None:
-    """What the robot made of the plan that is shown; None before it is sent, and of another."""
+    """Return the robot's target for the plan shown; None before it is sent, and for another plan."""
     session, planning = tab.procedure.drilling.session, tab.planning
     shown = planning.sent_is_current and tab.known is planning.planned
     return session.target if session is not None and shown else None
 
 
 def _together(share: Share) -> dict[str, float]:
-    """Percent by source; all that the robot adds is one."""
+    """Return percentages by source; the robot's sources are combined."""
     together = dict.fromkeys(SOURCES, 0.0)
     for source, percent in share.percent.items():
         together[source if source in SOURCES else "robot"] += percent
@@ -180,7 +180,7 @@ def _named(source: str) -> Markup:
 
 
 def _part(share: Share, percent: float) -> Markup:
-    """What a source adds: squares of root mean squares add up."""
+    """Return a source's contribution; squares of root mean squares add up."""
     return Markup("{:.2f}<small>{:.0f} %</small>").format(share.rms * np.sqrt(percent / 100.0), percent)
 
 

@@ -1,4 +1,4 @@
-"""The last step: the wire measured in two more images, beside its plan."""
+"""Step 5, Verify: the wire measured in two check images and compared with its plan."""
 
 from collections.abc import Hashable
 
@@ -6,7 +6,7 @@ import numpy as np
 
 from sightline.app import texts
 from sightline.app.panels.section import Section, action, checks, heading, note, table
-from sightline.app.plan.marks import CHECK_NAMES, asked_of
+from sightline.app.plan.marks import CHECK_NAMES, marks_of
 from sightline.app.tab.tab import Tab
 
 
@@ -25,7 +25,7 @@ def _key(tab: Tab) -> Hashable:
 
 
 def build(tab: Tab) -> None:
-    """The panel."""
+    """Build the panel."""
     Section(tab, _key, _check)
 
 
@@ -61,14 +61,14 @@ def _check(tab: Tab) -> None:
 
 
 def _landmarks(tab: Tab) -> None:
-    """The same points of the bone, found again: they carry the plan over, should the bone have moved."""
+    """Build the list of landmarks found again: they transfer the plan if the bone has moved."""
     heading(texts.FOUND_AGAIN_HEADING)
     decisions = tab.planning.decisions
-    listed = tuple(asked for asked in asked_of(decisions.kind) if asked.group == "landmark")
-    for asked in listed:
-        planned = decisions.mark(asked.name).complete()
-        point = asked.label if planned else texts.NOT_IN_PLAN.format(point=asked.label)
-        placed = decisions.mark(asked.name).complete(CHECK_NAMES)
+    listed = tuple(spec for spec in marks_of(decisions.kind) if spec.group == "landmark")
+    for spec in listed:
+        planned = decisions.mark(spec.name).complete()
+        point = spec.label if planned else texts.NOT_IN_PLAN.format(point=spec.label)
+        placed = decisions.mark(spec.name).complete(CHECK_NAMES)
         note(f"{'●' if placed else '○'} {point}", kind="good" if placed else "quiet")
 
     action(texts.PLACE_LANDMARKS, lambda: tab.place(listed, CHECK_NAMES), testid="place-check")

@@ -1,2 +1,2 @@
-"""What people decide on a case and the plan that follows: values that can be undone, and functions without state.
-Imports no other part of the app."""
+"""Decisions on a case and the plan computed from them: values with undo, and functions without state. Imports no other
+part of the app."""

@@ -1,6 +1,6 @@
-"""What people decide on a case: marks placed in the two images and what is confirmed of them. All of it can be undone.
+"""Decisions on a case: marks placed in the images, and confirmations. All can be undone.
 
-Nothing here is computed; everything that is computed follows from these decisions and the two images.
+Nothing here is computed; all results follow from these decisions and the images.
 """
 
 from collections.abc import Iterable, Mapping
@@ -14,27 +14,28 @@ from sightline.errors import CaseError
 
 Side = Literal["right", "left"]
 Pixel = tuple[float, float]
-MOST_MARKS = 64  # no procedure needs as many; a page that sends more is broken [ours]
-MOST_UNDONE = 500  # changes that are remembered; the journal has them all [ours]
+MAX_MARKS = 64  # more than any procedure needs; a page that sends more is defective [ours]
+MAX_UNDO = 500  # changes that can be undone; the journal has all of them [ours]
 
 
 @dataclass(frozen=True)
 class Mark:
-    """A point that a person placed: IDCS px by the name of the image, "pa", "lateral" or one of the check shot.
+    """A point that a person placed: IDCS px by image name, "pa", "lateral" or a check image.
 
-    `free`: placed in the lateral image wherever the person saw it. Otherwise it was taken to the image-matching curve
-    of its PA pixel, and says one number, not two.
+    `free`: its lateral pixel was placed freely. Otherwise it was snapped to the image-matching curve of its PA pixel,
+    which makes it a one-dimensional measurement.
     """
 
     places: Mapping[str, Pixel] = field(default_factory=lambda: MappingProxyType({}))
     free: bool = True
 
     def at(self, image: str) -> Pixel | None:
-        """Its pixel in an image; None where it is not placed."""
+        """Return its pixel in an image; None if it is not placed there."""
         return self.places.get(image)
 
     def placed(self, image: str, uv_px: Pixel | None, *, free: bool | None = None) -> "Mark":
-        """Moved in one image, or with None taken away from it: a place on the curve of a PA pixel goes with that."""
+        """Return the mark moved in one image, or with None removed from it. Removing the PA pixel of a snapped mark
+        also removes its lateral one."""
         gone = {image, NAMES[1]} if uv_px is None and image == NAMES[0] and not self.free else {image}
         places = {name: uv for name, uv in self.places.items() if name not in gone}
         if uv_px is not None:
@@ -42,31 +43,33 @@ class Mark:
         return Mark(MappingProxyType(places), self.free if free is None else free)
 
     def complete(self, images: Iterable[str] = NAMES) -> bool:
-        """True if it is placed in all of these images."""
+        """Return True if it is placed in all of these images."""
         return all(image in self.places for image in images)
 
     def document(self) -> dict[str, Any]:
-        """As JSON types."""
+        """Return the mark as JSON types."""
         return {"places": {image: list(uv) for image, uv in self.places.items()}, "free": self.free}
 
 
 @dataclass(frozen=True)
 class Display:
-    """How an image is shown: mirrored left to right, then turned clockwise; coordinates never follow."""
+    """How an image is shown: mirrored left to right, then rotated clockwise, degrees. Coordinates do not change."""
 
     rotation: int = 0
     mirrored: bool = False
     inverted: bool = False
-    window: tuple[float, float] | None = None  # centre and width; None: what the image holds
+    window: tuple[float, float] | None = None  # centre and width in grey levels; None: the default for the image
 
 
 @dataclass(frozen=True)
 class Decisions:
-    """All that people decided, at one moment. `images`: by name, the journal's entry that acquired it. `serial`: of the
-    frame, as a person read it. `snapping`: lateral points of the wire are taken to their curves when they are placed.
-    `taken`: by the image's entry, when a person says that it was taken; asked for where the file does not say it.
-    `mirrored`: by the image's entry, whether a person saw that the file shows it mirrored, by writing in it; asked for
-    where no image shows the frame unmirrored.
+    """All decisions at one moment.
+
+    `images`: number of the journal entry that acquired each image, by image name. `serial`: of the frame, as read by a
+    person. `snapping`: lateral points of the wire are snapped to their curves when placed. `taken`: time of acquisition
+    stated by a person, by entry number, for images whose file does not state it. `mirrored`: whether a person saw, by
+    writing in it, that the file shows the image mirrored, by entry number; needed if no image shows the frame
+    unmirrored.
     """
 
     images: Mapping[str, int] = field(default_factory=lambda: MappingProxyType({}))
@@ -80,25 +83,26 @@ class Decisions:
     mirrored: Mapping[int, bool] = field(default_factory=lambda: MappingProxyType({}))
 
     def mark(self, name: str) -> Mark:
-        """The mark of a name; an empty one where it is not placed."""
+        """Return the mark of a name; an empty one if it is not placed."""
         return self.marks.get(name, Mark())
 
     def complete(self, names: Iterable[str]) -> bool:
-        """True if all of these marks are placed in both planning images."""
+        """Return True if all of these marks are placed in both planning images."""
         return all(self.mark(name).complete() for name in names)
 
     def with_mark(self, name: str, mark: Mark | None) -> "Decisions":
-        """One mark set; with None, or without a place, removed. Raises CaseError where there are too many."""
+        """Return the decisions with one mark set, or removed if it is None or empty. Raises CaseError if there are too
+        many."""
         marks = {key: value for key, value in self.marks.items() if key != name}
         if mark is not None and mark.places:
             marks[name] = mark
-        if len(marks) > MOST_MARKS:
-            raise CaseError(f"a case holds at most {MOST_MARKS} marks; remove some that are not needed")
+        if len(marks) > MAX_MARKS:
+            raise CaseError(f"a case holds at most {MAX_MARKS} marks; remove some that are not needed")
         return replace(self, marks=MappingProxyType(marks))
 
     def with_image(self, name: str, acquired: int, *, same_pixels: bool) -> "Decisions":
-        """Another image under a name; what was decided on the one before, marks placed in it and in a planning image
-        the patient's side, stays only where the pixels are the same."""
+        """Return the decisions with another image under a name. Unless the pixels are the same, the marks in it are
+        removed, and for a planning image also the patient's side."""
         images = MappingProxyType({**self.images, name: acquired})
         if same_pixels:
             return replace(self, images=images)
@@ -107,19 +111,19 @@ class Decisions:
         return replace(self, images=images, marks=marks, side=None if name in NAMES else self.side)
 
     def with_display(self, view: str, display: Display) -> "Decisions":
-        """One view shown otherwise."""
+        """Return the decisions with another display of one view."""
         return replace(self, display=MappingProxyType({**self.display, view: display}))
 
     def with_taken(self, acquired: int, at: datetime) -> "Decisions":
-        """When the image of an entry was taken."""
+        """Return the decisions with the time of acquisition of an entry's image."""
         return replace(self, taken=MappingProxyType({**self.taken, acquired: at}))
 
     def with_mirrored(self, acquired: int, mirrored: bool) -> "Decisions":
-        """Whether the file shows the image of an entry mirrored."""
+        """Return the decisions with the statement whether the file shows an entry's image mirrored."""
         return replace(self, mirrored=MappingProxyType({**self.mirrored, acquired: mirrored}))
 
     def document(self) -> dict[str, Any]:
-        """As JSON types."""
+        """Return the decisions as JSON types."""
         return {
             "images": dict(self.images),
             "kind": self.kind,
@@ -134,7 +138,7 @@ class Decisions:
 
     @staticmethod
     def of(document: Mapping[str, Any]) -> "Decisions":
-        """From JSON types. Raises CaseError."""
+        """Return the decisions from JSON types. Raises CaseError."""
         try:
             marks = {str(name): _mark(mark) for name, mark in document["marks"].items()}
             display = {str(name): _display(shown) for name, shown in document["display"].items()}
@@ -148,7 +152,7 @@ class Decisions:
                 document["serial"],
                 MappingProxyType(marks),
                 MappingProxyType(display),
-                bool(document.get("snapping", True)),  # before it was decided, every page began with it
+                bool(document.get("snapping", True)),  # older cases have no entry: snapping was always on
                 MappingProxyType({int(number): _instant(at) for number, at in document.get("taken", {}).items()}),
                 MappingProxyType({int(number): _truth(said) for number, said in document.get("mirrored", {}).items()}),
             )
@@ -159,10 +163,10 @@ class Decisions:
 
 
 class History:
-    """Decisions over time: `now`, what can be undone, and a revision that grows with every change of any kind."""
+    """History of decisions with undo and redo. `revision` grows with every change."""
 
     def __init__(self, past: Iterable[tuple[str, Decisions | None]] = ()) -> None:
-        """From what was recorded, in its order: ("edit", decisions), ("undo", None), ("redo", None)."""
+        """`past`: recorded changes in order, ("edit", decisions), ("undo", None) or ("redo", None)."""
         self._all = [Decisions()]
         self._at = 0
         self.revision = 0
@@ -176,7 +180,7 @@ class History:
 
     @property
     def now(self) -> Decisions:
-        """The decisions that hold."""
+        """The current decisions."""
         return self._all[self._at]
 
     @property
@@ -186,23 +190,23 @@ class History:
 
     @property
     def can_redo(self) -> bool:
-        """True if something was undone and nothing changed since."""
+        """True if something was undone and nothing was changed since."""
         return self._at + 1 < len(self._all)
 
     def edit(self, decisions: Decisions) -> None:
-        """Change; what was undone before is gone."""
-        self._all = [*self._all[: self._at + 1], decisions][-MOST_UNDONE:]
+        """Add a change; undone changes can no longer be redone."""
+        self._all = [*self._all[: self._at + 1], decisions][-MAX_UNDO:]
         self._at = len(self._all) - 1
         self.revision += 1
 
     def undo(self) -> None:
-        """One change back; nothing where there is none."""
+        """Go one change back, if there is one."""
         if self.can_undo:
             self._at -= 1
             self.revision += 1
 
     def redo(self) -> None:
-        """One change forth again; nothing where there is none."""
+        """Go one change forward again, if there is one."""
         if self.can_redo:
             self._at += 1
             self.revision += 1

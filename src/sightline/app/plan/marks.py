@@ -1,4 +1,4 @@
-"""Which points a person may place for a kind of trajectory, in the order that the page asks for them."""
+"""The marks that a person may place for a kind of trajectory, in the order in which the page asks for them."""
 
 from dataclasses import dataclass
 from functools import cache
@@ -10,7 +10,7 @@ from sightline.planning.kinds import kind as kind_of
 Group = Literal["wire", "landmark", "aid"]
 CHECK_NAMES = (f"check-{NAMES[0]}", f"check-{NAMES[1]}")
 ENTRY, END = "entry", "end"
-# What an aid is drawn with: how many clicks in each image, and in which images.
+# Clicks that define an aid: their number in each image, and the images.
 _CLICKS = {
     "head": (3, NAMES),
     "neck": (2, NAMES),
@@ -21,8 +21,9 @@ _CLICKS = {
 
 
 @dataclass(frozen=True)
-class Asked:
-    """One point to place. `of`: the point of the wire, the landmark or the aid that it belongs to; `images`: where."""
+class MarkSpec:
+    """Specification of one mark. `of`: the wire point, landmark or aid that it belongs to; `images`: those it is placed
+    in."""
 
     name: str
     label: str
@@ -33,20 +34,21 @@ class Asked:
 
 
 @cache
-def asked_of(kind: str) -> tuple[Asked, ...]:
-    """All points of a kind of trajectory, in the order they are asked for. Raises UnusableInputError."""
+def marks_of(kind: str) -> tuple[MarkSpec, ...]:
+    """Return all marks of a kind of trajectory, in the order in which the page asks for them. Raises
+    UnusableInputError."""
     known = kind_of(kind)
     wire = [
-        Asked(name, _titled(point.name), point.sentence, "wire", name)
+        MarkSpec(name, _titled(point.name), point.sentence, "wire", name)
         for name, point in zip((ENTRY, END), known.points, strict=True)
     ]
-    landmarks = [Asked(f"landmark-{p.key}", _titled(p.name), p.sentence, "landmark", p.key) for p in known.landmarks]
+    landmarks = [MarkSpec(f"landmark-{p.key}", _titled(p.name), p.sentence, "landmark", p.key) for p in known.landmarks]
     aids = []
     for aid in known.aids:
         clicks, images = _CLICKS[aid.key]
         for k in range(clicks):
             label = f"{_titled(aid.name)} {k + 1}" if clicks > 1 else _titled(aid.name)
-            aids.append(Asked(f"{aid.key}-{k + 1}", label, aid.sentence, "aid", aid.key, images))
+            aids.append(MarkSpec(f"{aid.key}-{k + 1}", label, aid.sentence, "aid", aid.key, images))
     return (*wire, *landmarks, *aids)
 
 
@@ -55,5 +57,5 @@ def _titled(name: str) -> str:
 
 
 def names_of(kind: str, group: Group) -> tuple[str, ...]:
-    """The names of one group's points."""
-    return tuple(asked.name for asked in asked_of(kind) if asked.group == group)
+    """Return the names of one group's marks."""
+    return tuple(spec.name for spec in marks_of(kind) if spec.group == group)

@@ -1,4 +1,4 @@
-"""From decisions and two calibrated views to all that follows: curves, plan, anatomy, figures. Nothing here is kept."""
+"""Computes curves, plan, anatomy and metrics from decisions and two calibrated views, without state."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -7,7 +7,7 @@ from functools import cached_property, lru_cache
 import numpy as np
 
 from sightline.app.plan.decisions import Decisions, Mark, Pixel
-from sightline.app.plan.marks import END, ENTRY, asked_of
+from sightline.app.plan.marks import END, ENTRY, marks_of
 from sightline.calibration import BeadView, CalibratedView
 from sightline.case.contents import Asked
 from sightline.case.views import NAMES
@@ -28,8 +28,8 @@ _PICK_PX2 = PICK_SD_PX**2 * np.eye(2)
 
 @dataclass(frozen=True, eq=False)
 class Planned:
-    """What decisions come to. `curves`: by point of the wire, in the lateral image. `refused`: by what was asked for,
-    why it is not there."""
+    """The results of decisions. `curves`: image-matching curves in the lateral image, by point of the wire. `refused`:
+    reasons for missing results, by their names."""
 
     decisions: Decisions
     views: tuple[BeadView, BeadView]
@@ -39,24 +39,24 @@ class Planned:
 
     @property
     def kind(self) -> TrajectoryKind:
-        """The kind of trajectory that is planned."""
+        """The kind of trajectory."""
         return kind_of(self.decisions.kind)
 
     @cached_property
     def anatomy(self) -> Anatomy:
-        """What the aids are in space."""
+        """The aids located in space."""
         if self.plan is not None and self.plan.anatomy is not None:
             return self.plan.anatomy
         return locate(self.views, _aids(self.decisions))
 
     @cached_property
     def figures(self) -> tuple[Metric, ...]:
-        """Figures of the implant; none until the side is confirmed, since signs and names follow it."""
+        """Metrics of the implant; none until the side is confirmed, because signs and names depend on it."""
         side = self.decisions.side
         return () if side is None else figures(self.anatomy, side)
 
     def proposal(self) -> Proposal:
-        """A wire by the kind's rule, from head and shaft. Raises SightlineError."""
+        """Return a wire proposed from head and shaft by the kind's rule. Raises SightlineError."""
         side, rule = self.decisions.side, self.kind.proposal
         if side is None:
             raise _NoSideError
@@ -68,17 +68,17 @@ class _NoSideError(SightlineError):
     """The side of the patient is not confirmed."""
 
     def __init__(self) -> None:
-        super().__init__("confirm the patient's side first: what is superior and what is anterior follows it")
+        super().__init__("confirm the patient's side first: superior and anterior depend on it")
 
 
 def planned(decisions: Decisions, views: Sequence[BeadView]) -> Planned:
-    """All that follows from decisions on two calibrated views, PA first."""
+    """Return the results of decisions on two calibrated views, PA first."""
     pair = (views[0], views[1])
     curves, refused = drawn_curves(decisions, pair)
     found: Plan | None = None
     if decisions.complete((ENTRY, END)) and not refused:
         try:
-            found = asked(decisions).plan_on(pair, _curve)
+            found = plan_input(decisions).plan_on(pair, _curve)
         except SightlineError as error:
             refused["plan"] = str(error)
     return Planned(decisions, pair, curves, found, refused)
@@ -87,7 +87,7 @@ def planned(decisions: Decisions, views: Sequence[BeadView]) -> Planned:
 def drawn_curves(
     decisions: Decisions, views: Sequence[CalibratedView]
 ) -> tuple[dict[str, MatchingCurve], dict[str, str]]:
-    """The curves of the wire's points by their names, in the second view; and why one is not there."""
+    """Return the curves of the wire's points in the second view, by name, and the reasons for missing ones."""
     curves: dict[str, MatchingCurve] = {}
     refused: dict[str, str] = {}
     for name in (ENTRY, END):
@@ -103,20 +103,20 @@ def drawn_curves(
 def _curve(
     from_view: CalibratedView, uv_px: np.ndarray, to_view: CalibratedView, uv_covariance_px2: np.ndarray = _PICK_PX2
 ) -> MatchingCurve:
-    """`matching_curve`, drawn once: moving, planning and drawing a point ask for the same one."""
+    """Return `matching_curve`, cached: moving, planning and drawing a point need the same one."""
     return _remembered(from_view, to_view, uv_px.tobytes(), uv_covariance_px2.tobytes())
 
 
-@lru_cache(maxsize=8)  # the curves of two points, before and after a move, of two pages [ours]
+@lru_cache(maxsize=8)  # the curves of two points, before and after a move, for two pages [ours]
 def _remembered(from_view: CalibratedView, to_view: CalibratedView, uv_px: bytes, covariance_px2: bytes):
     covariance = np.frombuffer(covariance_px2).reshape(2, 2)
     return matching_curve(from_view, np.frombuffer(uv_px), to_view, covariance)
 
 
-def asked(decisions: Decisions) -> Asked:
-    """What a plan is made from besides its views; entry and end point are placed."""
+def plan_input(decisions: Decisions) -> Asked:
+    """Return a plan's input besides its views; entry and end point must be placed."""
     wire = [decisions.mark(name) for name in (ENTRY, END)]
-    known = {one.name: one.of for one in asked_of(decisions.kind) if one.group == "landmark"}
+    known = {one.name: one.of for one in marks_of(decisions.kind) if one.group == "landmark"}
     names = tuple(n for n in known if decisions.mark(n).complete())
     return Asked(
         *(_pixels(mark) for mark in wire),
@@ -131,16 +131,19 @@ def asked(decisions: Decisions) -> Asked:
 
 
 def _pixels(mark: Mark) -> np.ndarray:
-    """(2, 2): of a complete mark, a row for each view."""
+    """Return the pixels (2, 2) of a complete mark, a row for each view."""
     return np.array([mark.at(name) for name in NAMES], dtype=np.float64)
 
 
 def moved(
     decisions: Decisions, views: Sequence[CalibratedView], name: str, image: str, uv_px: Pixel, *, anew: bool
 ) -> Decisions:
-    """A mark placed (`anew`) or moved, as its kind wants it: a point of the wire is taken to its curve in the lateral
-    image while `decisions.snapping`, and slides along with it when its PA pixel moves. One that was taken there stays
-    so however it is moved: seen beside its curve or not, it tells nothing of a gap. Raises what `snap` raises."""
+    """Return the decisions with a mark placed (`anew`) or moved.
+
+    With `decisions.snapping`, a point of the wire is snapped to its curve in the lateral image, and slides along the
+    curve when its PA pixel moves. A snapped point stays snapped when it is moved, because it gives no evidence of a gap
+    between the lines of sight. Raises what `snap` raises.
+    """
     mark = decisions.mark(name)
     if name not in (ENTRY, END) or len(views) < 2:
         return decisions.with_mark(name, mark.placed(image, uv_px))
@@ -157,7 +160,8 @@ def moved(
 
 
 def _slid(views: Sequence[CalibratedView], mark: Mark, uv_px: Pixel) -> Pixel | None:
-    """Where a snapped point lies on the curve of another PA pixel: as deep as before, as far as the curve is seen."""
+    """Return a snapped point's pixel on the curve of another PA pixel: at the same depth, limited to the visible
+    curve."""
     before, after = (_curve(views[0], np.array(uv), views[1]) for uv in (mark.at(NAMES[0]), uv_px))
     at = np.array(mark.at(NAMES[1]))
     nearest = int(np.argmin(np.linalg.norm(before.uv_px - at, axis=1)))
@@ -172,7 +176,7 @@ def _pixel(uv_px: np.ndarray) -> Pixel:
 
 
 def _aids(decisions: Decisions) -> Aids:
-    """The aids that are placed in every image they need."""
+    """Return the aids whose clicks are all placed."""
     return Aids(
         head=_pair(decisions, "head", _RIM_CLICKS, lambda uv: Circle.through(uv, PICK_SD_PX)),
         neck=_pair(decisions, "neck", 2, lambda uv: Line(uv, PICK_SD_PX)),
@@ -188,7 +192,7 @@ def _pair(decisions: Decisions, aid: str, clicks: int, of):
 
 
 def aid_pixels(decisions: Decisions, aid: str, clicks: int, image: str) -> np.ndarray | None:
-    """(clicks, 2): an aid's clicks in one image; None until all are placed."""
+    """Return an aid's clicks in one image, (clicks, 2); None until all are placed."""
     at = [decisions.mark(f"{aid}-{k + 1}").at(image) for k in range(clicks)]
     return None if any(uv is None for uv in at) else np.array(at, dtype=np.float64)
 

@@ -1,4 +1,4 @@
-"""How old the images are that a plan rests on: since they were taken, not since their files came."""
+"""Age of a plan's images, counted from their acquisition, not from the arrival of their files."""
 
 from datetime import UTC, datetime, timedelta
 from math import isfinite
@@ -12,41 +12,40 @@ from sightline.case.views import NAMES
 from sightline.errors import UnusableInputError
 from sightline.robot.kinematics.target import LIFETIME_S
 
-_CLOCKS_APART = timedelta(seconds=5)  # of C-arm and this machine, both set by the same time server [ours]
-_LONGEST_AGO_MIN = 1e6  # two years [ours]
+_CLOCKS_APART = timedelta(seconds=5)  # tolerated between C-arm and this machine, both set by one time server [ours]
+_MAX_AGO_MIN = 1e6  # two years [ours]
 
 
 class PlanAge:
-    """The age of the plan that people decided on."""
+    """The age of the current plan."""
 
     def __init__(self, planning: Planning) -> None:
         self._planning = planning
-        self._first: dict[datetime, tuple[float, float]] = {}  # by a plan's time: its age when first asked, and when
+        self._first: dict[datetime, tuple[float, float]] = {}  # by image time: age at the first query, and its time
 
     def taken_at(self, seen: SeenImage) -> datetime | None:
-        """When an image was taken: as its file says, else as a person says; None where neither does. A file that says a
-        time after its arrival was written by a clock that is not this machine's, and says nothing."""
+        """Return when an image was taken: from its file, else as stated by a person; None if unknown. A file's time
+        after its arrival is from a wrong clock and is ignored."""
         arrived, said = seen.acquired.at, seen.taken_at
         if seen.acquired.by is Actor.DEMO:
-            return arrived  # it was made for this
+            return arrived  # it was simulated just then
         if said is not None and said <= arrived + _CLOCKS_APART:
             return min(said, arrived)
         return self._planning.decisions.taken.get(seen.acquired.number)
 
     def state_taken(self, image: str, minutes_ago: float) -> None:
-        """A person says when an image was taken. Raises UnusableInputError."""
+        """Record a person's statement when an image was taken. Raises UnusableInputError."""
         planning = self._planning
         seen = planning.seen(image)
-        if seen is None or not (isfinite(minutes_ago) and 0.0 <= minutes_ago <= _LONGEST_AGO_MIN):
+        if seen is None or not (isfinite(minutes_ago) and 0.0 <= minutes_ago <= _MAX_AGO_MIN):
             raise UnusableInputError(TAKEN_REFUSED)
         at = datetime.now(UTC) - timedelta(minutes=minutes_ago)
         planning.edit(planning.decisions.with_taken(seen.acquired.number, at))
 
     @property
     def now_s(self) -> float | None:
-        """Seconds since the older of the two planning images was taken. None where that is not known; negative where
-        the clock was set back to before that. It grows with the time that passes here, even if the clock is set back
-        meanwhile."""
+        """Seconds since the older of the two planning images was taken. None if unknown; negative if the clock was set
+        back to before that. It keeps growing even if the clock is set back meanwhile."""
         at = self._imaged_at()
         if at is None:
             return None
@@ -58,7 +57,7 @@ class PlanAge:
 
     @property
     def drilled_s(self) -> float | None:
-        """How old the images were when the plan was sent that is drilled by now; None of another plan."""
+        """Age of the images when the drilled plan was sent, s; None if the current plan was not drilled."""
         planning, at = self._planning, self._imaged_at()
         if planning.drilled is None or planning.sent is None or not planning.sent_is_current or at is None:
             return None
@@ -66,16 +65,16 @@ class PlanAge:
 
     @property
     def fresh(self) -> bool:
-        """True while the images are young enough to act on."""
+        """True while the images are recent enough to act on."""
         return is_fresh(self.now_s)
 
     def _imaged_at(self) -> datetime | None:
-        """When the older planning image was taken; None where one is missing, or its time is not known."""
+        """Return when the older planning image was taken; None if one is missing or its time is unknown."""
         at = [None if seen is None else self.taken_at(seen) for seen in map(self._planning.seen, NAMES)]
         known = [one for one in at if one is not None]
         return min(known) if len(known) == len(NAMES) else None
 
 
 def is_fresh(age_s: float | None) -> bool:
-    """Return True if images of an age are young enough to act on; None stands for an age that is not known."""
+    """Return True if images of this age are recent enough to act on; None: unknown age."""
     return age_s is not None and 0.0 <= age_s <= LIFETIME_S

@@ -1,4 +1,4 @@
-"""What a page says of work that failed."""
+"""Messages for errors on a page."""
 
 import traceback
 from collections.abc import Callable
@@ -8,19 +8,19 @@ from sightline.errors import SightlineError
 
 
 def sentence_of(error: Exception) -> str:
-    """Return what a page says of an error: its own sentence, or that something in Sightline failed."""
+    """Return the message for an error: its own sentence, or for a defect that something in Sightline failed."""
     return str(error) if isinstance(error, SightlineError) else BUG.format(kind=type(error).__name__)
 
 
 def report(error: Exception) -> str:
-    """Return the sentence of an error. A defect of Sightline is also printed, with its traceback."""
+    """Return the message for an error. A defect of Sightline is also printed with its traceback."""
     if not isinstance(error, SightlineError):
         traceback.print_exception(error)
     return sentence_of(error)
 
 
-def why_not(work: Callable[[], object]) -> str:
-    """Do the work, and return why it could not be done; an empty string where it was."""
+def failure_of(work: Callable[[], object]) -> str:
+    """Run `work` and return the message of its error; empty if there was none."""
     try:
         work()
     except Exception as error:

@@ -1,4 +1,4 @@
-"""Work that takes longer than a click, and the pages that are told of it."""
+"""Long-running work, and notification of the pages."""
 
 import asyncio
 from collections.abc import Awaitable, Callable, Coroutine
@@ -11,8 +11,8 @@ T = TypeVar("T")
 
 
 class Jobs:
-    """`working`: what is being done that belongs to no single image, empty at rest; `trouble`: why the last of it
-    failed. `listeners` are called on the event loop whenever something that a page shows has changed."""
+    """`working`: the current work that belongs to no single image, empty if none; `trouble`: the error of the last one.
+    `listeners` are called on the event loop whenever something that a page shows has changed."""
 
     def __init__(self) -> None:
         self.listeners: list[Callable[[], None]] = []
@@ -21,15 +21,15 @@ class Jobs:
         self._tasks: set[asyncio.Task[None]] = set()
 
     def notify(self) -> None:
-        """Tell every listener that something has changed. Called on the event loop."""
+        """Call all listeners. Must run on the event loop."""
         for listener in list(self.listeners):
             listener()
 
     async def during(self, what: str, work: Callable[[], Awaitable[T]]) -> T:
-        """Start work and await it while pages say what it is; return its result. Pages show an error that it raises.
-        Raises UnusableInputError while other work goes on, and then starts nothing."""
+        """Run work while pages show `what`, and return its result. Pages also show its error. Raises
+        UnusableInputError, without starting it, while other work is running."""
         if self.working:
-            raise UnusableInputError(f"{self.working} is not done yet; wait for it")
+            raise UnusableInputError(f"wait: {self.working} is not done yet")
         self.working, self.trouble = what, ""
         self.notify()
         try:
@@ -42,9 +42,9 @@ class Jobs:
             self.notify()
 
     def start(self, work: Coroutine[Any, Any, None]) -> None:
-        """Start work that nobody awaits; pages show an error that it raises."""
+        """Start work in the background; pages show its error."""
         task = asyncio.get_running_loop().create_task(work)
-        self._tasks.add(task)  # the loop itself holds it weakly
+        self._tasks.add(task)  # the loop holds only a weak reference
         task.add_done_callback(self._ended)
 
     def _ended(self, task: asyncio.Task[None]) -> None:

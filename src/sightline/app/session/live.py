@@ -1,4 +1,4 @@
-"""A live image beside the robot: watched, calibrated and overlaid as `sightline watch` does, ten times a second."""
+"""Live image during drilling: watched, calibrated and overlaid as by `sightline watch`, ten times a second."""
 
 import asyncio
 from collections.abc import Iterable, Iterator
@@ -13,12 +13,12 @@ if TYPE_CHECKING:
     from sightline.case.watch.eye import Shown, Watched
     from sightline.case.watch.live import Watch
 
-LATE_S = 0.2  # word of a fresh image is sent every 0.1 s; so much and as much again on the way is not late [ours]
-EVERY = 3  # of 30 images a second one in three is worked on: the page needs the cores too [ours]
+LATE_S = 0.2  # freshness is reported every 0.1 s; allow one period and 0.1 s of latency [ours]
+EVERY = 3  # of 30 images a second every third is processed, to leave processor time for the page [ours]
 
 
 class Live:
-    """`watch`: while a live image is shown."""
+    """The live image. `watch`: None while none is shown."""
 
     def __init__(self, planning: Planning) -> None:
         self._planning = planning
@@ -26,12 +26,12 @@ class Live:
         self._starting = False
 
     async def start(self, source: str | None) -> None:
-        """Watch a source by its name, or without one the rehearsed patient's C-arm: against the plan that was sent and
-        the views that it was made in, or the one that is shown. Raises SightlineError."""
+        """Watch a source by its name, or the rehearsed patient's C-arm if None. The overlay is the plan that was sent
+        with its views, else the current plan. Raises SightlineError."""
         from sightline.case.watch.live import Watch
 
         if self._starting:
-            raise UnusableInputError("the live image is being started already; wait for it")
+            raise UnusableInputError("wait: the live image is already being started")
         self._starting = True
         try:
             await self.close()
@@ -47,26 +47,26 @@ class Live:
         self._planning.jobs.notify()
 
     async def close(self) -> None:
-        """No live image any more. A source that hangs is waited for elsewhere: the page goes on, and STOP with it."""
+        """End the live image. A hanging source is awaited on another thread, so that the page and STOP keep working."""
         watch, self.watch = self.watch, None
         if watch is not None:
             self._planning.jobs.notify()
             await asyncio.to_thread(watch.close)
 
     def latest(self) -> "Watched | None":
-        """The newest image that was worked on."""
+        """Return the newest processed image."""
         return None if self.watch is None else self.watch.latest()
 
 
 def fresh_s(watched: "Watched") -> float:
-    """For how long a page may take an image for what is now, without another word of it."""
+    """Return for how long, s, a page may show an image as current without another report."""
     from sightline.case.watch.eye import STALE_S
 
     return 0.0 if watched.stale else STALE_S - watched.age_s + LATE_S
 
 
 class _Thinned:
-    """One in EVERY images of a source."""
+    """Every EVERY-th image of a source."""
 
     def __init__(self, source: "Iterable[Shown]") -> None:
         self._source = source
@@ -77,7 +77,7 @@ class _Thinned:
                 yield shown
 
     def close(self) -> None:
-        """End the source."""
+        """Close the source."""
         close = getattr(self._source, "close", None)
         if close is not None:
             close()

@@ -1,5 +1,5 @@
-"""A case at work: its images, what people decided on them, and the plan that follows. The journal has every decision
-before a page shows it."""
+"""Planning on a case: its images, the decisions, and the resulting plan. Every decision is in the journal before a page
+shows it."""
 
 from contextlib import suppress
 from dataclasses import replace
@@ -13,7 +13,7 @@ from sightline.app.session.jobs import Jobs
 from sightline.app.session.rehearsing import Patient
 from sightline.app.session.seen import Lightbox, SeenImage
 from sightline.app.session.sent import DrilledWire, SentPlan, restored
-from sightline.app.session.workshop import Workshop, warm_up
+from sightline.app.session.worker import WorkerProcess, warm_up
 from sightline.app.texts import MIRRORED_REFUSED
 from sightline.calibration import BeadView
 from sightline.case import stages
@@ -21,56 +21,56 @@ from sightline.case.journal import Actor, Case, Kind
 from sightline.case.views import NAMES
 from sightline.errors import SightlineError, UnusableInputError
 
-_TAKEN_IN = 8  # images that are looked at when a case has none placed [ours]
+_MAX_TAKEN_IN = 8  # newest images that are tried when a case has none assigned to views [ours]
 _EDITS = ("edit", "undo", "redo")
 
 
 class Planning:
-    """What is known of one case, and what people decide on it. `sent`: the plan that the robot was told; `drilled`:
-    once that is drilled to its depth. The listeners of `jobs` are told of every change."""
+    """Images, decisions and plan of one case. `sent`: the plan that was sent to the robot; `drilled`: set once it is
+    drilled to its depth. The listeners of `jobs` are called on every change."""
 
-    def __init__(self, case: Case, frame_ref: str, workshop: Workshop, jobs: Jobs) -> None:
-        self.case, self.frame, self.workshop, self.jobs = case, stages.frame_of(case, frame_ref), workshop, jobs
-        self.lightbox = Lightbox(case, frame_ref, workshop, jobs.notify)
+    def __init__(self, case: Case, frame_ref: str, worker: WorkerProcess, jobs: Jobs) -> None:
+        self.case, self.frame, self.worker, self.jobs = case, stages.frame_of(case, frame_ref), worker, jobs
+        self.lightbox = Lightbox(case, frame_ref, worker, jobs.notify)
         changes = [entry.content for entry in case.entries(Kind.CHANGED) if entry.content["what"] in _EDITS]
         self.history = History((one["what"], None if one["to"] is None else Decisions.of(one["to"])) for one in changes)
         self.sent: SentPlan | None = None
         self.drilled: DrilledWire | None = None
         self._planned: Planned | None = None
 
-    # What is known.
+    # State.
 
     @property
     def decisions(self) -> Decisions:
-        """What people decided, now."""
+        """The current decisions."""
         return self.history.now
 
     @cached_property
     def patient(self) -> Patient | None:
-        """Whom this case rehearses; None where its images are somebody's own."""
+        """The rehearsed patient; None if the images come from a C-arm."""
         entry = self.case.latest(Kind.CHANGED, where={"what": "rehearsal"})
         return None if entry is None else Patient.of(entry.content["to"])
 
     def seen(self, image: str) -> SeenImage | None:
-        """What is known of an image, by its name; None where there is none."""
+        """Return the state of an image, by its name; None if there is none."""
         number = self.decisions.images.get(image)
         return self.lightbox.image(number, None if number is None else self.decisions.mirrored.get(number))
 
     def views(self, names: tuple[str, str] = NAMES) -> tuple[BeadView, BeadView] | None:
-        """Both views of a pair, once both are calibrated."""
+        """Return both views of a pair; None until both are calibrated."""
         first, second = (None if seen is None else seen.view for seen in map(self.seen, names))
         return None if first is None or second is None else (first, second)
 
     @property
     def asks_mirrored(self) -> tuple[str, ...]:
-        """Names of the planning images that show the frame mirrored where none shows it unmirrored: a person must say
-        whether the display or the frame file is the cause; one answer is enough."""
+        """Names of the planning images if all show the frame mirrored, else empty. A person must then say whether the
+        display or the frame file is the cause; one answer is enough."""
         views = self.views()
         return NAMES if views is not None and all(view.mirrored for view in views) else ()
 
     @property
     def planned(self) -> Planned | None:
-        """All that follows from the decisions; None until both views are calibrated."""
+        """The results of the decisions; None until both views are calibrated."""
         views = self.views()
         if views is None:
             return None
@@ -81,81 +81,82 @@ class Planning:
 
     @property
     def sent_is_current(self) -> bool:
-        """True while the plan that was sent is the one that the page shows."""
+        """True while the plan that was sent is the current one."""
         return self.sent is not None and self.sent.holds_for(self.decisions)
 
-    # What people do.
+    # Actions of people.
 
     def edit(self, decisions: Decisions) -> None:
-        """Decide otherwise; in the journal when this returns. Raises CaseError."""
+        """Change the decisions; the change is in the journal when this returns. Raises CaseError."""
         if decisions != self.decisions:
             self._record("edit", decisions)
             self.history.edit(decisions)
             self.jobs.notify()
 
     def undo(self) -> None:
-        """One change back."""
+        """Undo one change."""
         if self.history.can_undo:
             self._record("undo", None)
             self.history.undo()
             self._reopen()
 
     def redo(self) -> None:
-        """And forth again."""
+        """Redo one change."""
         if self.history.can_redo:
             self._record("redo", None)
             self.history.redo()
             self._reopen()
 
     def moved(self, name: str, image: str, uv_px: Pixel, *, anew: bool = False) -> Decisions:
-        """What moving a mark, or placing it `anew`, would come to. Raises what `snap` raises."""
+        """Return the decisions after moving a mark, or placing it `anew`. Raises what `snap` raises."""
         return moved(self.decisions, self.views() or (), name, image, uv_px, anew=anew)
 
     def remove(self, names: tuple[str, ...]) -> None:
-        """Take marks away."""
+        """Remove marks."""
         decisions = self.decisions
         for name in names:
             decisions = decisions.with_mark(name, None)
         self.edit(decisions)
 
     def choose_kind(self, kind: str) -> None:
-        """Plan another kind of trajectory; marks that both kinds ask for stay."""
+        """Plan another kind of trajectory; marks common to both kinds stay."""
         self.edit(replace(self.decisions, kind=kind))
 
     def choose_snapping(self, on: bool) -> None:
-        """Take lateral points of the wire to their curves from now on, or leave them where they are placed."""
+        """Switch snapping of lateral points of the wire to their curves on or off."""
         self.edit(replace(self.decisions, snapping=on))
 
     def confirm_side(self, side: Side) -> None:
-        """A person saw on the images which side it is."""
+        """Confirm the patient's side as seen in the images."""
         self.edit(replace(self.decisions, side=side))
 
     def confirm_serial(self, serial: str) -> None:
-        """Confirm the serial read on the frame. Raises UnusableInputError if the frame file has another."""
+        """Confirm the serial read on the frame. Raises UnusableInputError if the frame file states another."""
         known = self.frame.serial
         if known is not None and serial != known:
             raise UnusableInputError(
-                f"this case was calibrated with the frame {known}; if the robot holds another, open a case with that"
+                f"check the frame: this case was calibrated with {known}; if the robot holds another one, open a case "
+                f"for that frame"
             )
         self.edit(replace(self.decisions, serial=serial))
 
     def state_mirrored(self, image: str, backwards: bool) -> None:
-        """A person says whether writing in an image reads backwards, as the page shows it.
+        """Record a person's statement whether writing in an image, as the page shows it, reads backwards.
 
         Raises UnusableInputError."""
         seen = self.seen(image)
         if seen is None or seen.view is None:
             raise UnusableInputError(MIRRORED_REFUSED)
-        turned = self.decisions.display.get(image, Display()).mirrored  # the page's own mirror is none of the file's
-        self.edit(self.decisions.with_mirrored(seen.acquired.number, backwards != turned))
+        flipped = self.decisions.display.get(image, Display()).mirrored  # by the page, not in the file
+        self.edit(self.decisions.with_mirrored(seen.acquired.number, backwards != flipped))
 
     def show(self, image: str, display: Display) -> None:
-        """Show an image otherwise."""
+        """Change an image's display."""
         self.edit(self.decisions.with_display(image, display))
 
     async def take(self, data: bytes, suffix: str, *, image: str, by: Actor = Actor.RADIOGRAPHER) -> str:
-        """A new image; its datum markers tell which view it is, `image` only where they cannot be read. The name it was
-        put under. Raises ImageError, CaseError."""
+        """Add a new image and return the name it was assigned to. Its datum markers determine the view; `image` is used
+        only if they cannot be read. Raises ImageError, CaseError."""
         check = image in CHECK_NAMES
         seen = await self.lightbox.acquire(data, suffix, by)
         name = image
@@ -164,16 +165,16 @@ class Planning:
         before = self.seen(name)
         same = before is not None and before.acquired.content["original"] == seen.acquired.content["original"]
         if same and by is not Actor.DEMO:
-            return name  # the same file again is no new exposure: it is as old as it was
+            return name  # the same file again is not a new exposure, so it keeps its age
         self.edit(self.decisions.with_image(name, seen.acquired.number, same_pixels=same))
         return name
 
-    # How the case is brought back.
+    # Opening of a case.
 
     async def start(self) -> None:
-        """Open the images that the decisions name; a rehearsal without images takes its first."""
-        with suppress(SightlineError):  # pages show it as trouble
-            await self.jobs.during("starting", lambda: self.workshop.do(warm_up))
+        """Open the images named in the decisions; a rehearsal without images acquires them."""
+        with suppress(SightlineError):  # pages show it as `jobs.trouble`
+            await self.jobs.during("starting", lambda: self.worker.do(warm_up))
             if self.patient is not None and not self.decisions.images:
                 await self.take_rehearsed()
             if not self.decisions.images:
@@ -181,20 +182,20 @@ class Planning:
         await self._open_named()
 
     async def _take_in(self) -> None:
-        """The newest images that were acquired into this case otherwise, each placed by what its markers tell."""
-        for entry in self.case.entries(Kind.ACQUIRED)[-_TAKEN_IN:]:
+        """Assign the newest images that were acquired into this case by other programs, each by its datum markers."""
+        for entry in self.case.entries(Kind.ACQUIRED)[-_MAX_TAKEN_IN:]:
             with suppress(SightlineError):  # leave an image that cannot be calibrated to a person
                 seen = await self.lightbox.open(entry)
                 if seen.view is not None:
                     self.edit(self.decisions.with_image(seen.view.name, entry.number, same_pixels=False))
 
     async def take_rehearsed(self) -> None:
-        """Both planning images of the rehearsed patient, anew."""
+        """Acquire both planning images of the rehearsed patient."""
         patient = self.patient
         if patient is None:
-            raise UnusableInputError("this case is no rehearsal: its images come from a C-arm")
+            raise UnusableInputError("take the images with the C-arm: this case is not a rehearsal")
         files = await self.jobs.during(
-            "taking both images of the simulated patient", lambda: self.workshop.do(rehearsing.images, patient)
+            "taking both images of the simulated patient", lambda: self.worker.do(rehearsing.images, patient)
         )
         for name, data in files.items():
             await self.take(data, ".dcm", image=name, by=Actor.DEMO)

@@ -1,4 +1,4 @@
-"""Whether a plan may be sent: planning's checks, then what a person must confirm, and the age of its images."""
+"""Whether a plan may be sent: planning's checks, the confirmations by a person, and the age of the images."""
 
 from sightline.app.plan.planner import Planned
 from sightline.app.session.age import PlanAge, is_fresh
@@ -15,7 +15,7 @@ class Readiness:
         self._planning, self._age = planning, age
 
     def verdict_of(self, known: Planned | None) -> Verdict | None:
-        """Return all that stands for or against sending a plan; None without one."""
+        """Return the verdict on sending a plan; None without one."""
         if known is None or known.plan is None:
             return None
         decisions = self._planning.decisions
@@ -27,7 +27,7 @@ class Readiness:
 
     @property
     def verdict(self) -> Verdict | None:
-        """Of the plan as it is now; None without one."""
+        """The verdict on the current plan; None without one."""
         return self.verdict_of(self._planning.planned)
 
     @property
@@ -43,10 +43,10 @@ class Readiness:
 
     @property
     def confirmations(self) -> list[Check]:
-        """What a person must confirm before anything is sent, and the plan's age."""
+        """Checks of the confirmations by a person, and of the plan's age."""
         side, serial = self._planning.decisions.side, self._planning.decisions.serial
         known = self._planning.frame.serial
-        drilled_s = self._age.drilled_s  # what is drilled grows no older
+        drilled_s = self._age.drilled_s  # the age of a drilled plan no longer matters
         age_s = self._age.now_s if drilled_s is None else drilled_s
         fresh = is_fresh(age_s)
         return [

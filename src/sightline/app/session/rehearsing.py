@@ -1,6 +1,6 @@
-"""Images of a rehearsed patient, made in the workshop's process; nothing but files' bytes comes back.
+"""Images of a rehearsed patient, made in the worker process and returned as file bytes.
 
-The twin is imported there alone: the first page does not wait for it.
+Only that process imports the twin, so that the first page does not wait for it.
 """
 
 from collections.abc import Mapping
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Patient:
-    """Whom to rehearse on: `Rehearsal.draw(seed, Frame.load(frame), side)`."""
+    """The simulated patient of a rehearsal: `Rehearsal.draw(seed, Frame.load(frame), side)`."""
 
     seed: int
     frame: str = "gamma"
@@ -27,28 +27,28 @@ class Patient:
 
     @staticmethod
     def of(document: Mapping[str, Any]) -> "Patient":
-        """From JSON types."""
+        """Return the patient from JSON types."""
         return Patient(int(document["seed"]), str(document["frame"]), str(document["side"]))
 
 
 @lru_cache(maxsize=1)
-def drawn(patient: Patient) -> "Rehearsal":
-    """The patient, drawn once in a process."""
+def rehearsal_of(patient: Patient) -> "Rehearsal":
+    """Return the patient's rehearsal, drawn once in a process."""
     from sightline.rehearsal.procedure import Rehearsal
 
     return Rehearsal.draw(patient.seed, Frame.load(patient.frame), patient.side)
 
 
 def images(patient: Patient) -> dict[str, bytes]:
-    """The planning images as DICOM, by view."""
-    return _files(drawn(patient).images, patient)
+    """Return the planning images as DICOM, by view."""
+    return _files(rehearsal_of(patient).images, patient)
 
 
 def check_images(patient: Patient, wire: str) -> dict[str, bytes]:
-    """The check shot's images as DICOM, by view, with the wire (`SimulatedWire.text`) in the bone."""
+    """Return the check images as DICOM, by view, with the wire (`SimulatedWire.text`) in the bone."""
     from sightline.robot.link.simulated import SimulatedWire
 
-    return _files(drawn(patient).check_images(SimulatedWire.of(wire)).images, patient)
+    return _files(rehearsal_of(patient).check_images(SimulatedWire.of(wire)).images, patient)
 
 
 def _files(radiographs: Mapping[str, Radiograph], patient: Patient) -> dict[str, bytes]:

@@ -1,4 +1,4 @@
-"""The robot as the page has it: a link on a thread of its own, what it streams, and what people tell it to do."""
+"""The app's session with the robot: the link on its own thread, the robot's streams, and people's orders."""
 
 import asyncio
 import threading
@@ -30,17 +30,17 @@ from sightline.robot.link.simulated import SimulatedWire
 
 T = TypeVar("T")
 _STATUS_EVERY_S = 0.25  # [ours]
-_STOPS = 4  # STOPs that may be on their way at once; a press more waits for one of them [ours]
-_IDLE_S = 0.02  # between two looks for something to do
-_TOLD = ("state", "fault", "doing", "said", "lost", "zero")  # news that pages are told of; the rest they look up
-_CONTRADICTS = 3.0  # standard deviations of both together; chance alone comes to it in three of a thousand shots [ours]
+_STOPS = 4  # STOPs that may be in progress at once; a further press waits for one of them [ours]
+_IDLE_S = 0.02  # polling period of the order queue
+_NOTIFIED = ("state", "fault", "doing", "said", "lost", "zero")  # changes that notify pages; they poll the rest
+_MAX_SIGMA = 3.0  # largest difference in combined standard deviations; three in a thousand shots exceed it [ours]
 
 
 @dataclass(frozen=True, eq=False)
 class RobotNow:
-    """What is known of the robot at this moment. `state`: of its contract; `fault`: its number, 0 for none; `doing`:
-    what a person told it and it has not ended yet; `said`: why the last thing it was told failed. `depth_sd_mm`: of
-    depth, None of a robot that states none; `zero`: what tells where depth is counted from."""
+    """The robot's state at one moment. `state`: as in the link's contract; `fault`: its number, 0 for none; `doing`:
+    the current order; `said`: the error of the last order. `depth_sd_mm`: standard deviation of the depth, None if not
+    stated; `zero`: what the zero of depth is based on."""
 
     state: str = "UNDEFINED"
     text: str = ""
@@ -59,15 +59,16 @@ _Order = tuple[Callable[[RobotClient], Any], Future[Any]]  # what to do, and whe
 
 
 class RobotSession:
-    """A robot behind a port of this machine. `changed` is called, from any thread, when state, fault or orders change.
+    """Session with a robot at a port of this machine. `changed` is called, from any thread, when state, fault or orders
+    change.
 
-    Orders are carried out in their turn, one at a time; `stop` goes at once, on a connection of its own.
+    Orders are carried out one at a time; `stop` is sent at once, on a separate connection.
     """
 
     def __init__(
         self, robot: CalibratedRobot, port: int, changed: Callable[[], None], *, heartbeat: bool = True
     ) -> None:
-        """Blocks until the link stands. Raises LinkError."""
+        """Block until the link is open. Raises LinkError."""
         self.robot, self.now, self.target = robot, RobotNow(), None
         self._changed, self._heartbeat = changed, heartbeat
         self._recorder = Recorder()
@@ -75,8 +76,8 @@ class RobotSession:
         self._orders: SimpleQueue[_Order] = SimpleQueue()
         self._end = threading.Event()
         self._lock = threading.Lock()  # for `now` and `_over`, which this thread and the link's replace
-        self._over = False  # no order is carried out any more
-        self._stops = ThreadPoolExecutor(_STOPS, "stop")  # STOP waits for no other work of the page
+        self._over = False  # orders are no longer carried out
+        self._stops = ThreadPoolExecutor(_STOPS, "stop")  # threads of its own, so that STOP waits for no other work
         self._client = RobotClient(port=port, heartbeat=heartbeat)
         self._client.listeners.append(self._heard)
         self.imaged_q = self._client.joints()[0]
@@ -91,12 +92,12 @@ class RobotSession:
         return self._recorder.record
 
     def close(self) -> None:
-        """Let the robot go: it stops and forgets what it was told."""
+        """Close the link; the robot stops and clears its target."""
         self._end.set()
         self._thread.join(5.0)
 
-    def aimed(self, plan: Plan, identity: PlanIdentity, imaged_s: float) -> RobotTarget:
-        """What the robot would be told of a plan. `imaged_s`: of the images, time.monotonic.
+    def target_for(self, plan: Plan, identity: PlanIdentity, imaged_s: float) -> RobotTarget:
+        """Return the robot's target for a plan. `imaged_s`: time of the images, time.monotonic.
 
         Raises RobotRefusedError."""
         pose = PoseAtImage(self.imaged_q, imaged_s, imaged_s)
@@ -112,71 +113,69 @@ class RobotSession:
             client.aim_plan(target, time.monotonic(), depth_limit_mm)
 
         self._recorder, self.target = Recorder(), None
-        await self._do("taking over the plan", order)
+        await self._do("receiving the plan", order)
         self.target = target
 
     async def align(self) -> None:
-        """Turn the arm to the plan, and wait there. Raises RobotRefusedError, LinkError."""
+        """Align the arm with the plan, and wait there. Raises RobotRefusedError, LinkError."""
         await self._do("aligning", lambda client: client.align())
 
     async def drill(self, since: State) -> str:
-        """From ALIGNED to the pause, or from PAUSED to the tip: where it ended.
+        """Drill from ALIGNED to the pause, or from PAUSED to the end; return the state at the end.
 
-        Raises RobotRefusedError where the robot is no longer in the state that the person confirmed, LinkError."""
+        Raises RobotRefusedError if the robot has left the state that the person confirmed, LinkError."""
         return await self._do("drilling", lambda client: client.drill(), since)
 
     def refuse_shot(self, depth_mm: float, error_95_mm: float) -> None:
-        """Raise RobotRefusedError where a second shot cannot show the tip at this depth, give or take, or was told of
-        already: one shot counts once."""
+        """Raise RobotRefusedError if a depth measured in the second shot contradicts the robot's depth, or was already
+        sent: one shot counts once."""
         now, sd = self.now, error_95_mm / TWO_SIDED_95
         if BY_SHOT in now.zero or self._telling:
-            raise RobotRefusedError("the robot was told of the second shot already, and one shot counts once")
+            raise RobotRefusedError("the depth of the second shot was already sent, and one shot counts once")
         if not (np.isfinite([depth_mm, sd]).all() and sd > 0.0):
-            raise RobotRefusedError("give the depth that the second shot shows and its 95 % error, both in mm")
+            raise RobotRefusedError("enter the depth of the tip in the second shot and its 95 % error, both in mm")
         if now.depth_mm is None or now.depth_sd_mm is None:
-            raise RobotRefusedError(
-                "the robot states no depth with its error: what a shot shows cannot be weighed by it"
-            )
+            raise RobotRefusedError("the robot states no depth with an error: the shot cannot be combined with it")
         apart, together = abs(depth_mm - now.depth_mm), float(np.hypot(sd, now.depth_sd_mm))
-        if apart > _CONTRADICTS * together:
+        if apart > _MAX_SIGMA * together:
             raise RobotRefusedError(
-                f"the shot shows the tip at {depth_mm:.1f} mm, the robot has it at {now.depth_mm:.1f} mm: with the "
-                f"errors of both they may be {_CONTRADICTS * together:.1f} mm apart; measure the shot again, and if it "
-                "stays so stop, and plan on new images"
+                f"measure the shot again: it shows the tip at {depth_mm:.1f} mm, the robot states "
+                f"{now.depth_mm:.1f} mm, but by their errors they are at most {_MAX_SIGMA * together:.1f} mm apart. "
+                "If the difference remains, stop and plan on new images"
             )
 
     async def tell_shot(self, depth_mm: float, error_95_mm: float) -> None:
-        """Where in PAUSED the second shot shows the tip, give or take. Raises RobotRefusedError, LinkError."""
+        """Send the tip's depth measured in the second shot, in PAUSED. Raises RobotRefusedError, LinkError."""
         self.refuse_shot(depth_mm, error_95_mm)
 
         def order(client: RobotClient) -> None:
-            self._telling = True  # the next smaller error is the shot's
+            self._telling = True  # the next decrease of the depth's error is due to the shot
             try:
                 client.shot_depth(depth_mm, error_95_mm / TWO_SIDED_95)
-            except RobotRefusedError:  # after anything else it may have been taken
+            except RobotRefusedError:  # after any other error the robot may have accepted it
                 self._telling = False
                 raise
 
-        await self._do("taking the second shot over", order, State.PAUSED)
+        await self._do("receiving the depth of the shot", order, State.PAUSED)
 
     async def retract(self) -> None:
-        """Draw the wire, or the open chuck, back. Raises RobotRefusedError, LinkError."""
-        await self._do("drawing back", lambda client: client.retract())
+        """Retract the wire, or the open chuck. Raises RobotRefusedError, LinkError."""
+        await self._do("retracting", lambda client: client.retract())
 
     async def reset(self, fault: int) -> None:
-        """After a fault that a person has seen to. Raises RobotRefusedError, LinkError."""
+        """Reset the robot after a fault that a person has dealt with. Raises RobotRefusedError, LinkError."""
         await self._do("resetting", lambda client: client.reset(fault))
 
     async def simulated_wire(self) -> SimulatedWire:
-        """Where a simulated robot's wire truly is. Raises RobotRefusedError of a real one."""
-        return await self._do("telling where the wire is", lambda client: client.simulated_wire())
+        """Return the true pose of a simulated robot's wire. Raises RobotRefusedError from a real one."""
+        return await self._do("reporting where the wire is", lambda client: client.simulated_wire())
 
     async def stop(self) -> None:
-        """At once, whatever goes on; what waits is not begun. Raises LinkError."""
+        """Stop at once; waiting orders are dropped. Raises LinkError."""
         self._drop_orders("the robot was told to stop")
         with self._lock:
             if self._over:
-                raise LinkError("the link to the robot is lost, and STOP with it; use the red button")
+                raise LinkError("use the red button: the link to the robot is lost, so STOP does not reach it")
             stopping = self._stops.submit(self._client.stop)
         await asyncio.wrap_future(stopping)
 
@@ -192,16 +191,16 @@ class RobotSession:
             self._put(doing="")
 
     def _begin(self, doing: str, since: State | None, ordered: _Order) -> None:
-        # One order at a time: a second confirmation, of another page say, was of what is no longer so.
+        # One order at a time: a second confirmation, for example on another page, was made for an earlier state.
         with self._lock:
             now = self.now
             if now.lost or self._over:
-                raise LinkError("the link to the robot is lost; start it again")
+                raise LinkError("start the robot again: the link to it is lost")
             if now.doing:
-                raise RobotRefusedError(f"the robot is still {now.doing}; wait until it has ended, or stop it")
+                raise RobotRefusedError(f"wait, or stop the robot: it is still {now.doing}")
             if since is not None and now.state != since.value:
                 raise RobotRefusedError(
-                    f"the robot is in {now.state} by now, not in {since.value}: look, and confirm again"
+                    f"check the robot and confirm again: it is now in {now.state}, no longer in {since.value}"
                 )
             self.now = replace(now, doing=doing, said="")
             self._orders.put(ordered)
@@ -231,7 +230,7 @@ class RobotSession:
                 raise
         finally:
             with self._lock:
-                self._over = True  # an order that comes from here on is refused, and none is left in the queue
+                self._over = True  # later orders are refused; those in the queue are dropped below
             self._put(lost=True, doing="")
             self._drop_orders("the link to the robot was closed")
             self._stops.shutdown(wait=False)
@@ -272,7 +271,8 @@ class RobotSession:
             self._put(joints=np.array(body.values[0]))
 
     def _heard_error(self, sd_mm: float | None) -> None:
-        """Of depth. It falls where something tells more of the zero, and rises where a target is new."""
+        """Record the depth's standard deviation. It decreases with new information on the zero, and increases with a
+        new target."""
         before, zero = self.now.depth_sd_mm, self.now.zero
         if sd_mm is None or before is None or sd_mm > before:
             zero, self._telling = (BY_PLAN,), False
@@ -283,9 +283,9 @@ class RobotSession:
     def _put(self, **news: Any) -> None:
         with self._lock:
             before, self.now = self.now, replace(self.now, **news)
-        if any(getattr(before, name) != news[name] for name in _TOLD if name in news):
+        if any(getattr(before, name) != news[name] for name in _NOTIFIED if name in news):
             self._tell()
 
     def _tell(self) -> None:
-        if not self._end.is_set():  # who ends it knows, and may have ended what would hear of it
+        if not self._end.is_set():  # when closing, the listeners may no longer exist
             self._changed()

@@ -1,4 +1,4 @@
-"""An image of the case on its way from a file to a calibrated view, and the work that takes it there."""
+"""Processing of an image of the case, from its file to a calibrated view."""
 
 import asyncio
 from collections.abc import Callable, Sequence
@@ -8,7 +8,7 @@ from datetime import datetime
 from functools import cached_property
 
 from sightline.app.session.failures import sentence_of
-from sightline.app.session.workshop import Workshop
+from sightline.app.session.worker import WorkerProcess
 from sightline.calibration import BeadView
 from sightline.case import stages
 from sightline.case.journal import Actor, Case, Entry
@@ -21,9 +21,8 @@ from sightline.pipeline import find_beads, known_arm, label_beads
 
 @dataclass(frozen=True, eq=False)
 class SeenImage:
-    """What is known so far of one acquired image. `doing`: what is being done now, empty at rest. `refused`: why it
-    goes no further. `taken_at`: when the image was taken, as its file says; None where it does not. Each later member
-    is there once the work has come so far."""
+    """State of one acquired image. `doing`: the current stage, empty if none. `refused`: why processing ended early.
+    `taken_at`: time of acquisition from the file; None if not stated. The later members are set stage by stage."""
 
     acquired: Entry
     image: Radiograph
@@ -36,7 +35,7 @@ class SeenImage:
 
     @property
     def calibrated(self) -> CalibratedImage | None:
-        """As reports and exports want it; its source is the image's number in the case, never a file's name."""
+        """The result for reports and exports; its source is the image's number in the case, never a file name."""
         if self.view is None or self.observations is None:
             return None
         return CalibratedImage(self.labelled_as(self.observations), self.view)
@@ -46,36 +45,37 @@ class SeenImage:
         return Seen(f"image {self.acquired.number}", observations, self.image, self.beads)
 
     def said_to_be(self, mirrored_display: bool | None) -> "SeenImage":
-        """The same once a person saw whether its display is mirrored; the same object for the same answer."""
+        """Return the image with a person's statement whether its display is mirrored; the same object for the same
+        answer."""
         return self if self.view is None or mirrored_display is None else self._said[mirrored_display]
 
     @cached_property
     def _said(self) -> "dict[bool, SeenImage]":
-        assert self.view is not None  # noqa: S101 - nobody is asked before
+        assert self.view is not None  # noqa: S101 - the question is asked only then
         return {answer: replace(self, view=self.view.said_to_be(answer)) for answer in (False, True)}
 
 
 class Lightbox:
-    """The images of a case by the number of their entry, worked on one after another; `changed` is called as they
-    get further."""
+    """The images of a case, by the number of their entry, processed one after another; `changed` is called after each
+    stage."""
 
-    def __init__(self, case: Case, frame_ref: str, workshop: Workshop, changed: Callable[[], None]) -> None:
-        self._case, self._workshop, self._changed = case, workshop, changed
+    def __init__(self, case: Case, frame_ref: str, worker: WorkerProcess, changed: Callable[[], None]) -> None:
+        self._case, self._workshop, self._changed = case, worker, changed
         self._frame_ref, self._frame = frame_ref, stages.frame_of(case, frame_ref)
         self._images: dict[int, SeenImage] = {}
 
     def image(self, number: int | None, mirrored_display: bool | None = None) -> SeenImage | None:
-        """What is known of an image; None where it is not open. `mirrored_display`: as a person says of it."""
+        """Return the state of an image; None if it is not open. `mirrored_display`: a person's statement."""
         known = None if number is None else self._images.get(number)
         return None if known is None else known.said_to_be(mirrored_display)
 
     async def acquire(self, data: bytes, suffix: str, by: Actor) -> SeenImage:
-        """Keep a new image in the case and work on it to the end. Raises ImageError, CaseError."""
+        """Store a new image in the case and process it. Raises ImageError, CaseError."""
         entry = await asyncio.to_thread(stages.record_acquired, self._case, data, suffix, by=by)
         return await self.open(entry)
 
     async def open(self, entry: Entry) -> SeenImage:
-        """Work on an image of the case to the end; the results go into the journal where it does not hold them yet."""
+        """Process an image of the case; results that the journal lacks are recorded."""
         known = self._images.get(entry.number)
         if known is not None and known.refused is None:
             return known
@@ -93,8 +93,8 @@ class Lightbox:
         case, frame = self._case, self._frame
         self._put(replace(seen, doing="finding the beads"))
         image, beads = await self._workshop.do(find_beads, seen.image)
-        seen = replace(seen, doing="telling the beads apart", beads=beads)
-        seen = replace(seen, image=image) if image.is_inverted else seen  # else what is shown of it is drawn already
+        seen = replace(seen, doing="labelling the beads", beads=beads)
+        seen = replace(seen, image=image) if image.is_inverted else seen  # otherwise its picture is already shown
         self._put(seen)
         observations = await self._workshop.do(label_beads, image, beads, frame)
         seen = replace(seen, doing="calibrating", observations=observations)
@@ -113,8 +113,8 @@ class Lightbox:
 
 
 def entry_of(case: Case, seen: SeenImage) -> Entry:
-    """The calibrated entry of an image, recorded anew where a person has said something else of its display since.
-    Raises CaseError."""
+    """Return the calibrated entry of an image, recorded anew if a person's statement on its display has changed. Raises
+    CaseError."""
     assert seen.calibrated is not None  # noqa: S101 - it is calibrated
     entry = stages.calibrated_of(case, seen.acquired.number)
     if entry.settings.get("mirrored_display") == seen.calibrated.view.mirrored_display:
@@ -124,10 +124,10 @@ def entry_of(case: Case, seen: SeenImage) -> Entry:
 
 
 def _record(case: Case, seen: SeenImage, frame_ref: str, before: Sequence[int]) -> None:
-    """`before`: numbers of the images that the view was held against."""
+    """Record the results. `before`: numbers of the images that the view was compared with."""
     with suppress(CaseError):
         stages.calibrated_of(case, seen.acquired.number)
-        return  # the same image, the same results
+        return  # already recorded
     assert seen.beads is not None and seen.observations is not None and seen.calibrated is not None  # noqa: S101
     inverted = seen.image.is_inverted
     detected = stages.record_detected(case, seen.acquired, seen.beads, by=Actor.APP, inverted=inverted)

@@ -1,4 +1,4 @@
-"""The plan that was sent to the robot and the wire that was drilled, also after a restart, from the journal."""
+"""The plan that was sent to the robot and the drilled wire; both are restored from the journal after a restart."""
 
 from dataclasses import dataclass
 from datetime import datetime
@@ -17,19 +17,19 @@ from sightline.planning import Plan
 from sightline.robot.link.record import DrillingRecord
 from sightline.robot.link.simulated import SimulatedWire
 
-_SAME_MM = 1e-6  # of a plan that is computed again
+_SAME_MM = 1e-6  # tolerance for a plan that is computed again
 
 
 @dataclass(frozen=True, eq=False)
 class SentPlan:
-    """A plan as the robot was told of it. `at`: when."""
+    """A plan as sent to the robot, at the time `at`."""
 
     planned: Planned
     at: datetime
 
     @property
     def plan(self) -> Plan:
-        """The plan itself."""
+        """The plan."""
         assert self.planned.plan is not None  # noqa: S101 - nothing else is sent
         return self.planned.plan
 
@@ -51,7 +51,7 @@ class SentPlan:
 
 @dataclass(frozen=True, eq=False)
 class DrilledWire:
-    """A wire drilled to its planned depth: the record, and where a simulator says that the wire truly is."""
+    """A wire drilled to its planned depth: its record, and the true pose from the simulator."""
 
     record: DrillingRecord
     wire: SimulatedWire
@@ -60,8 +60,8 @@ class DrilledWire:
 def restored(
     case: Case, decisions: Decisions, views: tuple[BeadView, BeadView]
 ) -> tuple[SentPlan, DrilledWire | None] | None:
-    """Return what was sent and drilled before the program ended, from the journal; None where nothing was sent, or
-    images were replaced since. Raises UnusableInputError where the same decisions give another plan now."""
+    """Return what was sent and drilled before the program ended, from the journal; None if nothing was sent, or if
+    images were replaced since. Raises UnusableInputError if the same decisions now give another plan."""
     sent = case.latest(Kind.SENT)
     if sent is None:
         return None

@@ -1,4 +1,4 @@
-"""The fifth step: two more images with the wire in the bone, and where it lies against the plan."""
+"""Step 5, Verify: two check images with the wire in the bone, compared with the plan."""
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -26,8 +26,8 @@ if TYPE_CHECKING:
 
 
 class Verifying:
-    """`shot`: the wire against the plan, once it was measured; `refused`: why it could not be. `wires`: what each check
-    image shows, by the image's name."""
+    """Verification of the drilled wire. `shot`: the comparison with the plan, once measured; `refused`: why it could
+    not be measured. `wires`: the wire found in each check image, by image name."""
 
     def __init__(self, planning: Planning) -> None:
         self._planning = planning
@@ -38,28 +38,28 @@ class Verifying:
         self.wires: dict[str, WireShadow] = {}
 
     async def take_rehearsed(self) -> None:
-        """Both check images of the rehearsed patient. Raises SightlineError."""
+        """Acquire both check images of the rehearsed patient. Raises SightlineError."""
         planning = self._planning
         patient, drilled = planning.patient, planning.drilled
         if patient is None or drilled is None:
-            raise UnusableInputError("drill the wire first; then two more images show where it lies")
+            raise UnusableInputError("drill the wire first; then take the check images")
         text = drilled.wire.text()
         files = await planning.jobs.during(
-            "taking both check images", lambda: planning.workshop.do(check_images, patient, text)
+            "taking both check images", lambda: planning.worker.do(check_images, patient, text)
         )
         for name, data in files.items():
             await planning.take(data, ".dcm", image=f"check-{name}", by=Actor.DEMO)
 
     def update(self) -> None:
-        """Forget a result of images that were replaced, and start to measure where images or landmarks are new."""
-        asked = self._asked()
-        if asked is None and self._measured:
+        """Discard a result whose images were replaced, and start measuring if images or landmarks are new."""
+        request = self._request()
+        if request is None and self._measured:
             self._forget()
-        if asked is not None and asked.key != self._measured:
+        if request is not None and request.key != self._measured:
             self._planning.jobs.start(self.measure())
 
-    def _asked(self) -> "_Asked | None":
-        """What there is to measure; None before both check images are calibrated."""
+    def _request(self) -> "_CheckRequest | None":
+        """Return the input of the measurement; None before both check images are calibrated."""
         planning, sent = self._planning, self._planning.sent
         seen = [planning.seen(name) for name in CHECK_NAMES]
         views = planning.views(CHECK_NAMES)
@@ -68,7 +68,7 @@ class Verifying:
         then, now = sent.planned.decisions, planning.decisions
         told = planning.case.latest(Kind.SENT)
         if told is None or any(one is None or one.acquired.number < told.number for one in seen):
-            return None  # images of before this plan was sent show another wire, or none
+            return None  # images acquired before this plan was sent show another wire, or none
         names = [
             name
             for name in names_of(then.kind, "landmark")
@@ -79,77 +79,78 @@ class Verifying:
             for decisions, images in ((then, NAMES), (now, CHECK_NAMES))
         )
         landmarks = Landmarks(planned_px, checked_px, PICK_SD_PX)
-        return _Asked(sent, tuple(one for one in seen if one is not None), views, landmarks)
+        return _CheckRequest(sent, tuple(one for one in seen if one is not None), views, landmarks)
 
     def _forget(self) -> None:
-        """What was measured holds no more."""
+        """Discard the result."""
         self._measured, self.shot, self.refused, self.wires = (), None, "", {}
 
     async def measure(self) -> None:
         """Find the wire in both check images and compare."""
-        asked = self._asked()
-        if asked is None:
+        request = self._request()
+        if request is None:
             return
         self._forget()
-        self._measured = asked.key
+        self._measured = request.key
         try:
-            await self._measure(asked)
+            await self._measure(request)
         except SightlineError as error:
-            if asked.key == self._measured:
+            if request.key == self._measured:
                 self.shot, self.refused = None, str(error)
         self._planning.jobs.notify()
 
-    async def _measure(self, asked: "_Asked") -> None:
-        """Measured or refused, the case tells it: the last word is what a report repeats. Raises SightlineError."""
+    async def _measure(self, request: "_CheckRequest") -> None:
+        """Measure, and record the result or the refusal in the case, from which reports are made. Raises
+        SightlineError."""
         try:
-            wires = [await self._found(asked, one) for one in asked.seen]
-            if asked.key != self._measured:
-                return  # another was asked for meanwhile
+            wires = [await self._found(request, one) for one in request.seen]
+            if request.key != self._measured:
+                return  # the input has changed meanwhile
             self.wires = dict(zip(CHECK_NAMES, wires, strict=True))
-            plan, before = asked.sent.plan, asked.sent.planned.views
+            plan, before = request.sent.plan, request.sent.planned.views
             self.shot = check_shot(
                 plan.trajectory,
                 plan.picks,
                 before,
-                asked.views,
+                request.views,
                 wires,
-                landmarks=asked.landmarks,
+                landmarks=request.landmarks,
                 limits=plan.kind.limits,
             )
         except RefusedError as error:
-            if asked.key == self._measured:
-                self._record(asked, str(error))
+            if request.key == self._measured:
+                self._record(request, str(error))
             raise
-        self._record(asked, self.shot)
+        self._record(request, self.shot)
 
-    def _record(self, asked: "_Asked", found: CheckShot | str) -> None:
+    def _record(self, request: "_CheckRequest", found: CheckShot | str) -> None:
         case = self._planning.case
         told = case.latest(Kind.SENT)
         if told is None or not told.rests_on:
-            return  # sent by a version that did not record its plan
-        first, second = (entry_of(case, one) for one in asked.seen)
-        measured = CheckAsked(asked.sent.plan.kind.wire_mm, asked.landmarks)
+            return  # sent by a version that did not record the plan
+        first, second = (entry_of(case, one) for one in request.seen)
+        measured = CheckAsked(request.sent.plan.kind.wire_mm, request.landmarks)
         record_verified(case, case.entry(told.rests_on[0]), (first, second), measured, found, by=Actor.APP)
 
-    async def _found(self, asked: "_Asked", seen: SeenImage) -> "WireShadow":
-        """The wire in one image, looked for once."""
+    async def _found(self, request: "_CheckRequest", seen: SeenImage) -> "WireShadow":
+        """Return the wire in one image, cached."""
         from sightline.detection.wire import find_wire
 
-        key = (seen.acquired.number, asked.sent)
+        key = (seen.acquired.number, request.sent)
         if key not in self._found_in:
             assert seen.view is not None and seen.beads is not None  # noqa: S101 - it is calibrated
-            kind = asked.sent.plan.kind
-            expected = expected_wire(seen.view, asked.sent.plan.trajectory, kind.limits.beyond_mm)
+            kind = request.sent.plan.kind
+            expected = expected_wire(seen.view, request.sent.plan.trajectory, kind.limits.beyond_mm)
             beads, width = seen.beads, kind.wire_mm
-            self._found_in[key] = await self._planning.workshop.do(
+            self._found_in[key] = await self._planning.worker.do(
                 find_wire, seen.image, expected, width, beads.uv_px, beads.radius_px
             )
         return self._found_in[key]
 
 
 @dataclass(frozen=True, eq=False)
-class _Asked:
-    """All that a check shot is measured from."""
+class _CheckRequest:
+    """The input of a check shot's measurement."""
 
     sent: SentPlan
     seen: tuple[SeenImage, ...]
@@ -158,6 +159,6 @@ class _Asked:
 
     @property
     def key(self) -> tuple[object, ...]:
-        """Equal for two that come to the same."""
+        """Key that is equal for equal inputs."""
         numbers = (one.acquired.number for one in self.seen)
         return (self.sent, *numbers, self.landmarks.checked_uv_px.tobytes())

@@ -1,4 +1,4 @@
-"""What follows from a point while it is dragged: the curves first, since they guide the hand, then the plan."""
+"""Preview while a point is dragged: the curves first, because they guide the hand, then the plan."""
 
 import asyncio
 from collections.abc import Callable, Mapping
@@ -20,8 +20,8 @@ _Pair = tuple[BeadView, BeadView]
 
 @dataclass(frozen=True, eq=False)
 class Preview:
-    """What follows from a point on its way, as far as it is computed. `revision`: of the decisions that it left.
-    `layers`: by image, those that are drawn otherwise. `known`: the plan, once it is there."""
+    """Preview of a dragged point, as far as computed. `revision`: of the decisions it started from. `layers`: changed
+    layers, by image. `known`: the plan, once computed."""
 
     revision: int
     decisions: Decisions
@@ -30,26 +30,26 @@ class Preview:
 
 
 class Dragging:
-    """The point that is dragged on one page. `show` draws the two views, with the preview as it is then."""
+    """The drag on one page. `show` redraws the two views with the current preview."""
 
     def __init__(self, planning: Planning, show: Callable[[], None]) -> None:
         self._planning, self._show = planning, show
         self._preview: Preview | None = None
-        self._dragged: tuple[object, int] | None = None  # the last drag that is not over, and the revision it is of
+        self._dragged: tuple[object, int] | None = None  # the latest unfinished drag, and its revision
 
     @property
     def preview(self) -> Preview | None:
-        """What follows from the point that is being dragged; None of a drag that is over."""
+        """The preview of the current drag; None if it is over."""
         one = self._preview
         return one if one is not None and one.revision == self._planning.history.revision else None
 
     def end(self) -> None:
-        """Nothing is dragged any more: what followed from it is not so."""
+        """End the drag and discard its preview."""
         self._preview = self._dragged = None
 
     async def follow(self, name: str, image: str, uv: Pixel) -> bool:
-        """Compute what follows from a point on its way. Return True where the page shows something else now, False
-        where the point went on meanwhile, or nothing can follow it."""
+        """Compute the preview of a dragged point. Returns True if the page must be refreshed, False if the point has
+        moved on meanwhile or there is no preview."""
         planning = self._planning
         pair, drag = planning.views(), (object(), planning.history.revision)
         if pair is None:
@@ -60,7 +60,7 @@ class Dragging:
             if not self._goes_on(drag):
                 return False
             before, drawn = self.preview, {NAMES[1]: {"curves": shapes.curves(curves)}}
-            if before is not None:  # the wire waits for its plan
+            if before is not None:  # keep the old wire until its plan is computed
                 drawn = {of: {**before.layers.get(of, {}), **drawn.get(of, {})} for of in NAMES}
             self._preview = Preview(drag[1], decisions, drawn, None if before is None else before.known)
             self._show()
@@ -69,7 +69,7 @@ class Dragging:
                 return False
             layers[NAMES[1]]["curves"] = drawn[NAMES[1]]["curves"]
             self._preview = Preview(drag[1], decisions, layers, known)
-        except SightlineError:  # told where it is dropped; nothing follows from here
+        except SightlineError:  # the drop reports it; there is no preview here
             if not self._goes_on(drag):
                 return False
             self._preview = None
@@ -79,25 +79,25 @@ class Dragging:
         return True
 
     def _goes_on(self, drag: tuple[object, int]) -> bool:
-        """False once the point was dropped or dragged on, or anything was decided meanwhile, undone again or not."""
+        """Return False once the point was dropped or dragged on, or any decision was made meanwhile, even if undone."""
         return drag is self._dragged and drag[1] == self._planning.history.revision
 
 
 def _moved_curves(
     planning: Planning, pair: _Pair, name: str, image: str, uv: Pixel
 ) -> tuple[Decisions, dict[str, MatchingCurve]]:
-    """What moving a mark would come to, and the curves then; runs beside the page."""
+    """Return the decisions and curves after moving a mark; runs on another thread."""
     decisions = planning.moved(name, image, uv)
     return decisions, drawn_curves(decisions, pair)[0]
 
 
 def _planned_layers(decisions: Decisions, pair: _Pair, moved: str) -> tuple[Planned, dict[str, shapes.Layers]]:
-    """All that follows from decisions, its figures too, and by image what is drawn otherwise; runs beside the page."""
+    """Return the plan with its metrics, and the changed layers by image; runs on another thread."""
     known = planned(decisions, pair)
     layers = {image: {"wire": shapes.wire(known, image)} for image in NAMES}
     if moved in names_of(decisions.kind, "aid"):
         for image, drawn in layers.items():
             drawn["aids"] = shapes.aids(known, image)
-    with suppress(SightlineError):  # whoever shows them says why they are not there
+    with suppress(SightlineError):  # compute them here; the panel reports errors
         _ = known.figures
     return known, layers

@@ -1,10 +1,10 @@
-"""What a person wants to place next. It follows from the decisions, so that undo steps back in it too."""
+"""The next mark to place. It is derived from the decisions, so that undo also goes back to it."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 from sightline.app.plan.decisions import Decisions, Pixel
-from sightline.app.plan.marks import CHECK_NAMES, Asked, asked_of
+from sightline.app.plan.marks import CHECK_NAMES, MarkSpec, marks_of
 from sightline.app.session.planning import Planning
 from sightline.app.texts import STEPS
 from sightline.case.views import NAMES
@@ -12,35 +12,35 @@ from sightline.case.views import NAMES
 
 @dataclass(frozen=True)
 class Goal:
-    """A mark to be placed in an image: reached once it is elsewhere than `before`, None for not placed at all."""
+    """A mark to place in an image: reached once it differs from `before`; None: not placed."""
 
-    asked: Asked
+    spec: MarkSpec
     image: str
     before: Pixel | None = None
 
     def reached(self, decisions: Decisions) -> bool:
         """Return True once it is placed."""
-        return decisions.mark(self.asked.name).at(self.image) != self.before
+        return decisions.mark(self.spec.name).at(self.image) != self.before
 
 
 class Placing:
-    """The goals of one page: those that its person chose, or else those that its step asks for."""
+    """The goals of one page: those that the person chose, or else those of the step."""
 
     def __init__(self, planning: Planning) -> None:
         self._planning = planning
-        self._chosen: tuple[Goal, ...] | None = None  # None: what the step asks for
+        self._chosen: tuple[Goal, ...] | None = None  # None: the goals of the step
 
     def goal(self, step: str) -> Goal | None:
-        """Return what is to be placed now; None where nothing is."""
-        wanted = self._asked_by(step) if self._chosen is None else self._chosen
+        """Return the next goal; None if there is none."""
+        wanted = self._requested_by(step) if self._chosen is None else self._chosen
         return next((one for one in wanted if not one.reached(self._planning.decisions)), None)
 
-    def choose(self, listed: Sequence[Asked], images: tuple[str, str]) -> None:
-        """Ask for those of these marks that are not placed; where all are, for the first anew."""
+    def choose(self, listed: Sequence[MarkSpec], images: tuple[str, str]) -> None:
+        """Ask for these marks that are not placed; if all are, ask for the first one again."""
         goals, decisions = _goals(listed, images), self._planning.decisions
         if all(one.reached(decisions) for one in goals):
             first = goals[0]
-            goals = (replace(first, before=decisions.mark(first.asked.name).at(first.image)),)
+            goals = (replace(first, before=decisions.mark(first.spec.name).at(first.image)),)
         self._chosen = goals
 
     def cancel(self) -> None:
@@ -48,22 +48,21 @@ class Placing:
         self._chosen = ()
 
     def begin_step(self) -> None:
-        """Ask for what the step asks for."""
+        """Return to the goals of the step."""
         self._chosen = None
 
-    def _asked_by(self, step: str) -> tuple[Goal, ...]:
+    def _requested_by(self, step: str) -> tuple[Goal, ...]:
         planning = self._planning
-        asked = asked_of(planning.decisions.kind)
+        specs = marks_of(planning.decisions.kind)
         if step == STEPS[4] and planning.views(CHECK_NAMES) is not None:
-            return _goals([one for one in asked if one.group == "landmark"], CHECK_NAMES)
+            return _goals([one for one in specs if one.group == "landmark"], CHECK_NAMES)
         if step == STEPS[2] and planning.planned is not None:
-            return _goals([one for one in asked if one.group != "aid"], NAMES)
+            return _goals([one for one in specs if one.group != "aid"], NAMES)
         return ()
 
 
-def _goals(listed: Iterable[Asked], images: tuple[str, str]) -> tuple[Goal, ...]:
-    """Wire and aids image by image, entry and end in the PA image, then both in the lateral one; landmarks one by one
-    in both."""
+def _goals(listed: Iterable[MarkSpec], images: tuple[str, str]) -> tuple[Goal, ...]:
+    """Return the goals in order: wire and aids image by image, first PA, then lateral; then each landmark in both."""
     listed = tuple(listed)
     wire = [Goal(a, image) for image in images for a in listed if a.group != "landmark" and image in a.images]
     return (*wire, *(Goal(a, image) for a in listed if a.group == "landmark" for image in images))

@@ -1,4 +1,4 @@
-"""One open page: its step, what was said to its person, and what they do. Several may show the same procedure."""
+"""One open page: its step, its message and the person's actions. Several pages may show the same procedure."""
 
 import asyncio
 from collections.abc import Awaitable, Callable, Sequence
@@ -9,9 +9,9 @@ from nicegui import ui
 from sightline.app.drawing.pictures import Pictures
 from sightline.app.drawing.xray.view import XrayEvent, XrayView
 from sightline.app.plan.decisions import Display
-from sightline.app.plan.marks import Asked
+from sightline.app.plan.marks import MarkSpec
 from sightline.app.plan.planner import Planned
-from sightline.app.session.failures import report, why_not
+from sightline.app.session.failures import failure_of, report
 from sightline.app.session.procedure import Procedure
 from sightline.app.tab.dragging import Dragging
 from sightline.app.tab.placing import Goal, Placing
@@ -24,14 +24,14 @@ if TYPE_CHECKING:
 
 
 class Tab:
-    """State of one page that is nobody else's. `message`: a sentence for its person, empty for none. `on_refresh`: what
-    stands beside the views and is brought up to date with them; `on_step`: is told of the step before and the new one.
+    """State of one page. `message`: a sentence for the person, empty for none. `on_refresh`: called to update the parts
+    beside the views. `on_step`: called with the step before and the new one.
     """
 
     def __init__(
         self, procedure: Procedure, pictures: Pictures, *, fast_robot: bool = False, live_source: str | None = None
     ) -> None:
-        """`fast_robot`: a simulated robot's time runs as fast as it computes. `live_source`: of the live image."""
+        """`fast_robot`: run a simulated robot's time as fast as possible. `live_source`: source of the live image."""
         self.procedure, self.planning = procedure, procedure.planning
         self.fast_robot, self.live_source = fast_robot, live_source
         self.views = Views(procedure, pictures)
@@ -42,16 +42,16 @@ class Tab:
         self.on_step: Callable[[str, str], None] = lambda before, step: None
         self._waiting = False
 
-    # What is shown.
+    # Display.
 
     @property
     def goal(self) -> Goal | None:
-        """What is to be placed now."""
+        """The next mark to place; None if there is none."""
         return self._placing.goal(self.step)
 
     @property
     def known(self) -> Planned | None:
-        """The plan that figures are shown of: of the point being dragged, or as it is."""
+        """The plan shown: the preview of a dragged point, else the current plan."""
         preview = self.dragging.preview
         return self.planning.planned if preview is None or preview.known is None else preview.known
 
@@ -60,10 +60,10 @@ class Tab:
         self.views.build(self._heard, *boxes)
 
     def go_to(self, step: str) -> None:
-        """Go to another step; nothing is lost by it."""
+        """Go to another step; nothing is lost."""
         before, self.step, self.message = self.step, step, ""
         self.views.watched = None
-        self.views.show_beads = step in STEPS[:2]  # where bone is looked at they are in the way
+        self.views.show_beads = step in STEPS[:2]  # on later steps they would hide the bone
         self._placing.begin_step()
         self.on_step(before, step)
         self.refresh()
@@ -78,12 +78,12 @@ class Tab:
             self.refresh()
 
     def say(self, text: str) -> None:
-        """Say a sentence; an empty one takes away what was said."""
+        """Show a message; an empty one removes it."""
         self.message = text
         self.refresh()
 
     def later(self) -> None:
-        """Refresh soon, once however often this is called until then."""
+        """Schedule one refresh, however often this is called until then."""
         if not self._waiting:
             self._waiting = True
             asyncio.get_running_loop().call_soon(self._refresh_now)
@@ -93,9 +93,9 @@ class Tab:
         self.refresh()
 
     def refresh(self) -> None:
-        """Show what is so now, in the views and beside them; no part holds another up."""
+        """Update the views and the parts beside them; an error in one part does not stop the others."""
         self._show_views()
-        refused = [why for why in map(why_not, list(self.on_refresh)) if why]
+        refused = [why for why in map(failure_of, list(self.on_refresh)) if why]
         if refused and not self.message:
             self.message = refused[0]
             self.later()
@@ -103,15 +103,15 @@ class Tab:
     def _show_views(self) -> None:
         self.views.show(self.step, self.goal, self.dragging.preview)
 
-    # What a person does.
+    # Actions of the person.
 
-    def place(self, listed: Sequence[Asked], images: tuple[str, str] = NAMES) -> None:
+    def place(self, listed: Sequence[MarkSpec], images: tuple[str, str] = NAMES) -> None:
         """Ask for those of these marks that are not placed; where all are, for the first anew."""
         self._placing.choose(listed, images)
         self.refresh()
 
     async def act(self, what: Callable[[], Awaitable[Any] | None]) -> None:
-        """Do it; what goes wrong ends in a sentence on the page."""
+        """Run an action; an error becomes a message on the page."""
         try:
             pending = what()
             self.message = ""
@@ -122,7 +122,7 @@ class Tab:
         self.refresh()
 
     def doing(self, what: Callable[[], Awaitable[Any] | None]) -> Callable[[], Awaitable[None]]:
-        """A handler for a button."""
+        """Return a button's handler that runs an action."""
 
         async def handler() -> None:
             await self.act(what)

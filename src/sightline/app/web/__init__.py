@@ -1,2 +1,2 @@
-"""The server: the guard in front of it, how many pages are built at once, where pixels are fetched and images are sent.
-It knows nothing of cases and plans, and imports no other part of the app."""
+"""The web server: its guard, the limit on pages built at once, download of pixels and upload of images. It knows
+nothing of cases and plans, and imports no other part of the app."""

@@ -1,6 +1,6 @@
-"""The one gate in front of the app: who may speak to it, from which page, and how much at once.
+"""The guard in front of the app: access control by host, origin and token, and limits on size and number of requests.
 
-Pure ASGI, because Starlette's own middleware classes do not see WebSockets. What it keeps out: docs/app-security.md.
+Pure ASGI, because Starlette's middleware classes do not see WebSockets. Threats: docs/app-security.md.
 """
 
 import asyncio
@@ -22,9 +22,9 @@ Receive = Callable[[], Awaitable[Message]]
 Send = Callable[[Message], Awaitable[None]]
 App = Callable[[Scope, Receive, Send], Awaitable[None]]
 
-MIN_TOKEN_CHARACTERS = 16  # [ours] 96 bits and more when generated
+MIN_TOKEN_CHARACTERS = 16  # [ours] 96 bits or more when generated
 MAX_BODY_BYTES = 1_000_000  # Socket.IO's own limit on a message; no other body is expected
-MAX_SOCKETS = 32  # [ours] a page holds one, and one more while it reconnects
+MAX_SOCKETS = 32  # [ours] a page holds one, and a second one while it reconnects
 BODY_PAUSE_S = 30.0  # [ours] longest silence within a body
 
 _LOOPBACK_NAMES = {"localhost", "127.0.0.1", "::1"}
@@ -33,10 +33,10 @@ _HOST = re.compile(r"(\[[0-9a-fA-F:.]+\]|[A-Za-z0-9._-]+)(?::(\d{1,5}))?")
 
 @dataclass
 class Guard:
-    """An ASGI app in front of `app`, served at `host`:`port`; `token` None asks for none.
+    """An ASGI app in front of `app`, served at `host`:`port`. `token`: None requires none.
 
-    `body_limits` maps the start of a path to the bytes a body there may have; elsewhere MAX_BODY_BYTES.
-    Raises UnusableInputError on a short token, or on none where others can reach the app.
+    `body_limits` maps a path prefix to its largest body in bytes; elsewhere MAX_BODY_BYTES holds. Raises
+    UnusableInputError for a short token, or without one if other machines can reach the app.
     """
 
     app: App
@@ -53,7 +53,7 @@ class Guard:
             raise UnusableInputError(f"the token has fewer than {MIN_TOKEN_CHARACTERS} characters; give a longer one")
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """One connection: passed on with limits, or refused."""
+        """Handle one connection: forward it with limits, or refuse it."""
         if scope["type"] == "lifespan":
             await self.app(scope, receive, send)
         elif scope["type"] == "websocket":
@@ -67,7 +67,7 @@ class Guard:
         send = _Secured(send, nonce, headers.get("host"))
         refusal = self._refusal(scope, headers)
         if refusal is None and scope["method"] not in ("GET", "HEAD", "POST"):
-            refusal = _Answer(405, "this app takes GET, HEAD and POST alone")
+            refusal = _OwnResponse(405, "this app takes GET, HEAD and POST alone")
         if refusal is None and self.token is not None:
             if scope["method"] == "GET" and _query_token(scope) is not None:
                 await self._enter(scope, send)
@@ -106,17 +106,18 @@ class Guard:
         finally:
             self._sockets -= 1
 
-    def _refusal(self, scope: Scope, headers: "_Headers") -> "_Answer | None":
-        """Host must be where the connection arrived, Origin our own: neither can be set by a foreign page."""
+    def _refusal(self, scope: Scope, headers: "_Headers") -> "_OwnResponse | None":
+        """Return a refusal unless Host is where the connection arrived and Origin is our own; a foreign page can set
+        neither."""
         if not self._is_our_host(headers.get("host"), scope.get("server")):
-            return _Answer(421, "this app is not served under that name; open the address that the terminal shows")
+            return _OwnResponse(421, "this app is not served under that name; open the address that the terminal shows")
         origins = headers.all("origin")
         must_have_one = scope["type"] == "websocket" or scope["method"] not in ("GET", "HEAD")
         if (must_have_one and not origins) or any(o != f"http://{headers.get('host')}" for o in origins):
-            return _Answer(403, "the request does not come from this app's own page; reload the page")
-        # A foreign page can still ask for a picture or a script without an Origin; browsers then tell it here.
+            return _OwnResponse(403, "the request does not come from this app's own page; reload the page")
+        # A foreign page can still request a picture or a script without an Origin; browsers then state this header.
         if headers.get("sec-fetch-site") in ("cross-site", "same-site") and headers.get("sec-fetch-mode") != "navigate":
-            return _Answer(403, "the request comes from another page; open this app's own page")
+            return _OwnResponse(403, "the request comes from another page; open this app's own page")
         return None
 
     def _is_our_host(self, host: str | None, arrived_at: Any) -> bool:
@@ -128,32 +129,32 @@ class Guard:
             return is_loopback(address)
         return name == address or (name == self.host.lower() and not _is_wildcard(name))
 
-    def _token_refusal(self, headers: "_Headers") -> "_Answer | None":
+    def _token_refusal(self, headers: "_Headers") -> "_OwnResponse | None":
         if _same(headers.cookie(self._cookie_name), self._cookie):
             return None
-        return _Answer(
+        return _OwnResponse(
             401, "a token is needed: open the address that the terminal shows (if you just followed it, reload)"
         )
 
     async def _enter(self, scope: Scope, send: Send) -> None:
-        """A token in the address becomes a cookie, and the address is left without it."""
-        answer = _Answer(401, "the token in the address is wrong; open the address that the terminal shows")
+        """Exchange the token in the address for a cookie, and redirect to the address without it."""
+        answer = _OwnResponse(401, "the token in the address is wrong; open the address that the terminal shows")
         if _same(_query_token(scope), self.token):
             cookie = f"{self._cookie_name}={self._cookie}; Path=/; HttpOnly; SameSite=Strict"
-            answer = _Answer(303, "", [(b"location", b"/"), (b"set-cookie", cookie.encode())])
+            answer = _OwnResponse(303, "", [(b"location", b"/"), (b"set-cookie", cookie.encode())])
         await answer.send(send)
 
     @property
     def _cookie_name(self) -> str:
-        return f"sightline-{self.port}"  # cookies do not tell ports apart
+        return f"sightline-{self.port}"  # cookies do not distinguish ports
 
     @property
     def _cookie(self) -> str:
-        return hashlib.sha256((self.token or "").encode()).hexdigest()  # fit for a cookie whatever the token holds
+        return hashlib.sha256((self.token or "").encode()).hexdigest()  # valid in a cookie for any token
 
 
 def is_loopback(host: str) -> bool:
-    """Whether only this machine can connect to the address or name `host`."""
+    """Return whether only this machine can connect to the address or name `host`."""
     try:
         return ipaddress.ip_address(host).is_loopback
     except ValueError:
@@ -168,7 +169,7 @@ def _is_wildcard(host: str) -> bool:
 
 
 def _same(given: str | None, expected: str | None) -> bool:
-    """Equal, in a time that does not tell how much of it is."""
+    """Return whether two texts are equal and not empty, in constant time."""
     return hmac.compare_digest((given or "").encode(), (expected or "").encode()) and bool(expected)
 
 
@@ -178,12 +179,12 @@ def _query_token(scope: Scope) -> str | None:
 
 
 def _without_proxy_headers(scope: Scope) -> Scope:
-    """NiceGUI writes X-Forwarded-Prefix into its page; no proxy is expected in front, so none is believed."""
+    """Return the scope without X-Forwarded headers: NiceGUI writes them into its page, and no proxy is expected."""
     return {**scope, "headers": [(k, v) for k, v in scope["headers"] if not k.startswith(b"x-forwarded-")]}
 
 
 class _Headers:
-    """Request headers as text; a header that must be single and is not, is as good as absent."""
+    """Request headers as text; `get` treats a repeated header as absent."""
 
     def __init__(self, scope: Scope) -> None:
         self._pairs = [(k.decode("latin-1").lower(), v.decode("latin-1")) for k, v in scope["headers"]]
@@ -205,8 +206,8 @@ class _Headers:
 
 
 @dataclass(frozen=True)
-class _Answer:
-    """An answer of the guard's own, mostly a refusal."""
+class _OwnResponse:
+    """A response by the guard itself, mostly a refusal."""
 
     status: int
     sentence: str
@@ -224,25 +225,25 @@ class _Answer:
         await send({"type": "http.response.body", "body": body})
 
 
-def _too_large(limit: int) -> _Answer:
-    return _Answer(413, f"more than {limit / 1e6:.0f} MB; send less at once")
+def _too_large(limit: int) -> _OwnResponse:
+    return _OwnResponse(413, f"more than {limit / 1e6:.0f} MB; send less at once")
 
 
 class _Body:
-    """A request's body: counted as it arrives, whatever its Content-Length says, and not waited for forever."""
+    """A request's body with limits: on its size as it arrives, whatever its Content-Length says, and on pauses."""
 
     def __init__(self, receive: Receive, limit: int) -> None:
         self._receive, self._limit = receive, limit
         self._left, self._whole = limit, False
-        self.refusal: _Answer | None = None
+        self.refusal: _OwnResponse | None = None
 
     async def receive(self) -> Message:
         if self._whole:
-            return await self._receive()  # waits for the client to leave, as long as the answer takes
+            return await self._receive()  # waits for a disconnect while the app answers
         try:
             message = await asyncio.wait_for(self._receive(), BODY_PAUSE_S)
         except TimeoutError:
-            self.refusal = _Answer(408, "the rest of the request did not arrive; send it again")
+            self.refusal = _OwnResponse(408, "the rest of the request did not arrive; send it again")
             return {"type": "http.disconnect"}
         if message["type"] == "http.request":
             self._left -= len(message.get("body", b""))
@@ -254,7 +255,7 @@ class _Body:
 
 
 class _Held:
-    """The app's answer, held back once the guard has an answer of its own."""
+    """The app's response, suppressed once the guard sends its own."""
 
     def __init__(self, send: Send, body: _Body) -> None:
         self._send, self._body = send, body
@@ -267,11 +268,11 @@ class _Held:
 
 
 class _Secured:
-    """Adds the security headers to an answer, and to a page's own scripts the nonce that lets them run."""
+    """Adds the security headers to a response, and to a page's own scripts the nonce that allows them to run."""
 
     def __init__(self, send: Send, nonce: str, host: str | None) -> None:
         self._send, self._nonce, self._host = send, nonce, host
-        self._page: Message | None = None  # the start of an HTML answer, until its length is known
+        self._page: Message | None = None  # the start of an HTML response, until its length is known
         self._html = bytearray()
 
     async def __call__(self, message: Message) -> None:
@@ -290,7 +291,7 @@ class _Secured:
         await self._send(message)
 
     async def _send_page(self, start: Message, html: bytes) -> None:
-        # Everything that comes from elsewhere is escaped in the page, so each "<script" here is the page's own.
+        # All external text is escaped in the page, so each "<script" here is the page's own.
         html = html.replace(b"<script", f'<script nonce="{self._nonce}"'.encode())
         headers = [(k, v) for k, v in start["headers"] if k.lower() != b"content-length"]
         await self._send({**start, "headers": [*headers, (b"content-length", str(len(html)).encode())]})

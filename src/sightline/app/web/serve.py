@@ -1,4 +1,4 @@
-"""Runs the page: NiceGUI behind the guard, on a server of this process, until it is told to stop."""
+"""Serves the page: NiceGUI behind the guard, on a server in this process, until it is stopped."""
 
 import asyncio
 import secrets
@@ -21,10 +21,10 @@ from sightline.app.web.pages import Pages
 from sightline.app.web.uploads import MAX_UPLOAD_BYTES, UPLOADS_PATH, Uploads
 from sightline.errors import UnusableInputError
 
-MAX_CONNECTIONS = 64  # [ours] a browser opens six, and a socket
-HEADERS_S = 10.0  # [ours] longest time for the headers of a request
-STOP_S = 3  # [ours] how long open connections may take to finish
-RECONNECT_S = 10.0  # [ours] how long a page that lost its connection keeps its place
+MAX_CONNECTIONS = 64  # [ours] a browser opens six and a socket
+HEADERS_S = 10.0  # [ours] time limit for the headers of a request
+STOP_S = 3  # [ours] time limit for open connections to finish
+RECONNECT_S = 10.0  # [ours] time for which a page that lost its connection is kept
 _NO_PAGES = ("/_nicegui", "/favicon", IMAGES_PATH, UPLOADS_PATH)
 
 _ICON = (
@@ -34,8 +34,8 @@ _ICON = (
 
 
 @dataclass
-class Site:
-    """The app as it is served: what a page asks about it, publishes through it and receives by it."""
+class ServedApp:
+    """The running app: its address, and the images and uploads that pages use."""
 
     host: str
     port: int
@@ -46,18 +46,18 @@ class Site:
 
     @property
     def url(self) -> str:
-        """What to open in a browser; holds the token where there is one."""
+        """The address to open in a browser, with the token if there is one."""
         address = {"0.0.0.0": "127.0.0.1", "::": "::1"}.get(self.host, self.host)  # noqa: S104
         name = f"[{address}]" if ":" in address else address
         return f"http://{name}:{self.port}/" + (f"?token={self.token}" if self.token else "")
 
     @property
     def reachable_from_outside(self) -> bool:
-        """Whether another machine could connect."""
+        """Whether other machines can connect."""
         return not is_loopback(self.host)
 
 
-PageRoot = Callable[[Site], Awaitable[None] | None]
+PageRoot = Callable[[ServedApp], Awaitable[None] | None]
 
 
 def serve(
@@ -67,25 +67,25 @@ def serve(
     port: int = 0,
     token: str | None = None,
     open_browser: bool = False,
-    on_ready: Callable[[Site], None] = lambda site: None,
+    on_ready: Callable[[ServedApp], None] = lambda site: None,
 ) -> None:
-    """Serve the page that `page_root` builds, until Ctrl-C, SIGTERM or `Site.stop`; once in a process.
+    """Serve the page that `page_root` builds, until Ctrl-C, SIGTERM or `ServedApp.stop`; once per process.
 
-    Port 0 takes a free one. Beyond the loopback addresses a token is needed, and made where none is given.
-    Raises UnusableInputError on an address or port that cannot be had, or a short token.
+    Port 0 chooses a free one. Beyond the loopback addresses a token is required; one is made if none is given. Raises
+    UnusableInputError for an address or port that cannot be opened, or a short token.
     """
     if token is None and not is_loopback(host):
         token = secrets.token_urlsafe(24)
     with _listen(host, port) as listener:
-        site = Site(host, listener.getsockname()[1], token)
+        site = ServedApp(host, listener.getsockname()[1], token)
         server = _Server(guarded(page_root, site), lambda: _ready(site, open_browser, on_ready))
         site.stop = server.stop
         with _sigterm_is_no_error():
             server.run(sockets=[listener])
 
 
-def guarded(page_root: PageRoot, site: Site) -> Guard:
-    """The whole app behind its guard: page, static files, sockets, images and uploads."""
+def guarded(page_root: PageRoot, site: ServedApp) -> Guard:
+    """Return the whole app behind its guard: page, static files, sockets, images and uploads."""
     app = FastAPI(docs_url=None, redoc_url=None, openapi_url=None)
     app.router.routes += [site.images.route, site.uploads.route]
     ui.run_with(
@@ -95,23 +95,23 @@ def guarded(page_root: PageRoot, site: Site) -> Guard:
         favicon=_ICON,
         dark=True,
         reconnect_timeout=RECONNECT_S,
-        gzip_middleware_factory=None,  # slower than the loopback
-        tailwind=False,  # 270 kB of compiler at every start of a page
+        gzip_middleware_factory=None,  # compression is slower than the loopback
+        tailwind=False,  # saves 270 kB of compiler per page
         show_welcome_message=False,
     )
     core.sio.on("alive", _alive)
-    core.sio.eio.cors_allowed_origins = []  # no header that lets other pages in; the guard checks Origin
+    core.sio.eio.cors_allowed_origins = []  # send no header that admits other pages; the guard checks Origin
     core.sio.eio.max_http_buffer_size = MAX_BODY_BYTES
     pages = Pages(app, _NO_PAGES, lambda: len(Client.instances))
     return Guard(pages, site.host, site.port, site.token, {UPLOADS_PATH: MAX_UPLOAD_BYTES})
 
 
 async def _alive(_: str) -> bool:
-    """A page asks whether anybody answers (page.js)."""
+    """Answer a page's probe whether the program is alive (page.js)."""
     return True
 
 
-def _ready(site: Site, open_browser: bool, on_ready: Callable[[Site], None]) -> None:
+def _ready(site: ServedApp, open_browser: bool, on_ready: Callable[[ServedApp], None]) -> None:
     on_ready(site)
     if open_browser:
         threading.Thread(target=webbrowser.open, args=[site.url], daemon=True).start()
@@ -120,7 +120,7 @@ def _ready(site: Site, open_browser: bool, on_ready: Callable[[Site], None]) -> 
 @contextmanager
 def _listen(host: str, port: int) -> Generator[socket.socket]:
     if not 0 <= port <= 65535:
-        raise UnusableInputError(f"{port} is no port; give one from 0 to 65535, 0 for any free one")
+        raise UnusableInputError(f"{port} is not a port; give one from 0 to 65535, 0 for any free one")
     try:
         family, _, _, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)[0]
         listener = socket.create_server(address[:2], family=family)
@@ -134,7 +134,7 @@ def _listen(host: str, port: int) -> Generator[socket.socket]:
 
 
 class _Server(uvicorn.Server):
-    """Uvicorn with bounds on what a client may take, telling when it is ready."""
+    """Uvicorn with limits per client, and a callback when it has started."""
 
     def __init__(self, app: Guard, on_started: Callable[[], None]) -> None:
         self._on_started = on_started
@@ -156,38 +156,38 @@ class _Server(uvicorn.Server):
         )
 
     def stop(self) -> None:
-        """End `run`; from any thread."""
+        """End `run`. Any thread may call it."""
         self.should_exit = True
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
-        """Start, and say so."""
+        """Start, and call `on_started`."""
         await super().startup(sockets)
         if self.started:
             self._on_started()
 
 
 class _Http(H11Protocol):
-    """HTTP that does not wait for a request's headers forever. (h11 also bounds them to 64 KiB.)"""
+    """HTTP with a time limit on a request's headers. (h11 also limits them to 64 KiB.)"""
 
     _deadline: asyncio.TimerHandle | None = None
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
-        """A client connected."""
+        """A client has connected."""
         super().connection_made(transport)
         self._await_headers()
 
     def on_response_complete(self) -> None:
-        """An answer is out; the next request may come."""
+        """A response was sent; the next request may come."""
         super().on_response_complete()
         self._await_headers()
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """The client left."""
+        """The client has disconnected."""
         self._forget_deadline()
         super().connection_lost(exc)
 
     def handle_websocket_upgrade(self, event) -> None:
-        """The connection becomes a socket, with timeouts of its own."""
+        """The connection becomes a WebSocket, which has its own timeouts."""
         self._forget_deadline()
         super().handle_websocket_upgrade(event)
 
@@ -206,8 +206,8 @@ class _Http(H11Protocol):
 
 @contextmanager
 def _sigterm_is_no_error() -> Generator[None]:
-    """Uvicorn shuts down in order and then raises the signal again; that is an end asked for, not an error."""
-    if threading.current_thread() is not threading.main_thread():  # where Python allows no handlers
+    """Ignore the signal that Uvicorn raises again after an orderly shutdown: it is not an error."""
+    if threading.current_thread() is not threading.main_thread():  # Python allows signal handlers only there
         yield
         return
     before = signal.signal(signal.SIGTERM, lambda *_: None)

@@ -1,4 +1,4 @@
-"""Images that the browser sends: bounded on the way in, and known by their content."""
+"""Images uploaded by the browser: limited in size, and recognised by their content."""
 
 import secrets
 from collections.abc import AsyncIterator, Awaitable, Callable
@@ -12,16 +12,16 @@ from sightline.errors import ImageError, SightlineError
 from sightline.imaging import suffix_of
 from sightline.imaging.limits import MAX_PIXELS
 
-MAX_UPLOAD_BYTES = 4 * MAX_PIXELS + 2**20  # [calc] the largest image as float32, and a header
-MAX_AT_ONCE = 2  # [ours] two views; bounds what uploads hold in memory
+MAX_UPLOAD_BYTES = 4 * MAX_PIXELS + 2**20  # [calc] the largest image as float32, with a header
+MAX_AT_ONCE = 2  # [ours] two views; limits the memory that uploads use
 UPLOADS_PATH = "/upload/"
 
-_MARKED_BYTES = 132  # that tell what a file is
+_MARKED_BYTES = 132  # first bytes, which identify a file's type
 
 
 @dataclass(frozen=True)
 class Upload:
-    """An image file as it arrived. `suffix`: how files of its kind end, ".dcm" say, as its content tells."""
+    """An uploaded image file. `suffix`: the file type by its content, for example ".dcm"."""
 
     suffix: str
     data: bytes = field(repr=False)
@@ -31,7 +31,7 @@ OnUpload = Callable[[Upload], Awaitable[None] | None]
 
 
 class Uploads:
-    """Where the browser may send an image: `open` gives an address for one purpose, `close` ends it."""
+    """Upload addresses: `open` returns an address for one purpose, `close` removes it."""
 
     def __init__(self) -> None:
         self._receivers: dict[str, OnUpload] = {}
@@ -39,13 +39,14 @@ class Uploads:
         self.route = Route(UPLOADS_PATH + "{key}", self._answer, methods=["POST"])
 
     def open(self, on_upload: OnUpload) -> str:
-        """The address whose images go to `on_upload`; a SightlineError raised there is shown as its sentence."""
+        """Return a new address whose images go to `on_upload`; a SightlineError raised there is shown in the
+        browser."""
         address = UPLOADS_PATH + secrets.token_urlsafe(18)
         self._receivers[address] = on_upload
         return address
 
     def close(self, address: str) -> None:
-        """Nothing is taken at `address` any more."""
+        """Stop accepting images at `address`."""
         self._receivers.pop(address, None)
 
     async def _answer(self, request: Request) -> Response:
@@ -69,13 +70,13 @@ class Uploads:
 
 
 async def receive(chunks: AsyncIterator[bytes]) -> Upload:
-    """The upload that `chunks` make up; the guard bounds their size. Raises ImageError on what is empty or no image.
+    """Return the upload in `chunks`, whose size the guard limits. Raises ImageError if it is empty or not an image.
 
-    A file that is no image is still read to its end, because a browser shows no answer before it has sent all.
+    A file that is not an image is still read to its end, because a browser shows no response before it has sent all.
     """
     data, suffix = bytearray(), None
     async for chunk in chunks:
-        if suffix is not None or len(data) < _MARKED_BYTES:  # keep only the first bytes of what is not an image
+        if suffix is not None or len(data) < _MARKED_BYTES:  # of a file that is not an image keep only the first bytes
             data += chunk
             suffix = suffix or suffix_of(bytes(data[:_MARKED_BYTES]))
     if not data:

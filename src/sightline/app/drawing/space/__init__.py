@@ -1,2 +1,2 @@
-"""The set-up in space: the scene in the browser, drawn when something changes and not otherwise, and the plain objects
-that it shows. May import `work.rehearsing`, for the bone of a simulated patient."""
+"""The 3-D scene: the element in the browser, redrawn only on changes, and the plain objects that it shows. May import
+`session.rehearsing`, for the bone of a simulated patient."""

@@ -1,7 +1,7 @@
-"""What the scene in space shows, as plain objects: mm, CFCS. Each function gives the objects of one group or a part.
+"""Objects of the 3-D scene as plain data: mm, CFCS. Each function returns the objects of a group or a part of one.
 
-Kinds: spheres, points, lines, mesh, picture, ellipsoid, cylinder, label, axes, note; `style` names a look of
-space/space_objects.js; `reach` is "hip", "frame" (unless said) or "room": what must be shown for the object to be seen.
+Kinds: spheres, points, lines, mesh, picture, ellipsoid, cylinder, label, axes, note. `style` names a style in
+space/space_objects.js. `reach` is "hip", "frame" (the default) or "room": the smallest view that includes the object.
 """
 
 from base64 import b64encode
@@ -13,7 +13,7 @@ import numpy as np
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import RigidTransform
 
-from sightline.app.session.rehearsing import Patient, drawn
+from sightline.app.session.rehearsing import Patient, rehearsal_of
 from sightline.calibration.view import CalibratedView
 from sightline.case.report.figures.scene import NEAR_MM, magnification
 from sightline.frame import Frame
@@ -28,14 +28,14 @@ if TYPE_CHECKING:
 
 Object = dict[str, Any]
 
-PICTURE_PX = 256  # [ours] longest side of an image in the scene: it shows where, the X-ray views show what
-PICTURE_CELLS = 16  # [ours] across a plate; a pincushion of 5 % bends 0.05 mm within one
-PICTURE_SHARE = (1.0, 99.0)  # percentiles made black and white
-ROUND_MM = 2  # decimals: 0.01 mm is less than a pixel of the scene
-TOOL_RADIUS_MM = 2.5  # [ours] twice a guide wire's, so that it shows from afar
-WIRE_BEHIND_MM = 200.0  # [ours] of the wire, drawn behind the tip on the robot
-AXIS_MM = 40.0  # [ours] of CFCS, at its origin
-REACH_MM = 130.0  # [ours] the words of the sides stand as far from the hip: beside it, within the frame
+PICTURE_PX = 256  # [ours] longest side of an image in the scene; the X-ray views show the detail
+PICTURE_CELLS = 16  # [ours] across a plate; a pincushion distortion of 5 % deviates 0.05 mm within one cell
+PICTURE_PERCENTILES = (1.0, 99.0)  # shown as black and white
+ROUND_DECIMALS = 2  # 0.01 mm is less than a pixel of the scene
+TOOL_RADIUS_MM = 2.5  # [ours] twice a guide wire's, for visibility
+WIRE_BEHIND_MM = 200.0  # [ours] length of the wire drawn behind the tip on the robot
+AXIS_MM = 40.0  # [ours] length of the drawn axes of CFCS
+SIDE_LABELS_MM = 130.0  # [ours] distance of the side labels from the hip: beside it, within the frame
 
 SIDES = {
     "right": {"lateral": (1, 0, 0), "medial": (-1, 0, 0), "caudal": (0, 1, 0), "cranial": (0, -1, 0)},
@@ -45,7 +45,7 @@ UPRIGHT = {"anterior": (0, 0, 1), "posterior": (0, 0, -1)}
 
 
 def frame_objects(frame: Frame) -> list[Object]:
-    """The plates' outlines, the balls at their true size, datum markers with a ring about them."""
+    """Return the plates' outlines, the balls at their true size, and rings around the datum markers."""
     made: list[Object] = []
     for name, view in frame.views.items():
         for plate in (view.xrii, view.source):
@@ -58,7 +58,8 @@ def frame_objects(frame: Frame) -> list[Object]:
 
 
 def view_objects(view: CalibratedView, plate: Plate, image: Radiograph) -> list[Object]:
-    """The focal point of a view, its rays through the corners of its XRII `plate`, and the image as it falls on it."""
+    """Return the focal point of a view, its rays through the corners of its XRII `plate`, and the image on that
+    plate."""
     focus, outline = view.focal_point_mm, _outline(plate)
     made: list[Object] = [
         {"kind": "spheres", "style": view.name, "at": [_list(focus)], "radius": 4.0, "reach": "room"},
@@ -74,7 +75,8 @@ def view_objects(view: CalibratedView, plate: Plate, image: Radiograph) -> list[
 
 
 def sight_objects(view: CalibratedView, uv_px: np.ndarray) -> list[Object]:
-    """The lines of sight of picks (N, 2) px, from the focal point to the reference plane. Raises OutsideRegionError."""
+    """Return the lines of sight of picks (N, 2) px, from the focal point to the reference plane. Raises
+    OutsideRegionError."""
     if not len(uv_px):
         return []
     rays = view.lines_of_sight(np.asarray(uv_px, dtype=np.float64))
@@ -83,15 +85,15 @@ def sight_objects(view: CalibratedView, uv_px: np.ndarray) -> list[Object]:
 
 
 def point_objects(xyz_mm: np.ndarray, words: Sequence[str]) -> list[Object]:
-    """Reconstructed points (N, 3) with their names."""
+    """Return reconstructed points (N, 3) with their names."""
     labels = [_label(at, text, "quiet") for at, text in zip(xyz_mm, words, strict=True)]
     return [{"kind": "points", "style": "quiet", "at": _list(xyz_mm)}, *labels] if len(xyz_mm) else []
 
 
 def wire_objects(trajectory: Trajectory, diameter_mm: float) -> list[Object]:
-    """The planned wire at its true width, with the 95 % ellipsoids of entry and tip where the errors are known.
+    """Return the planned wire at its true width, with the 95 % ellipsoids of entry and tip if the errors are known.
 
-    They are drawn larger than they are by a round number, which a note tells.
+    The ellipsoids are magnified by a round factor, which a note states.
     """
     ends = (trajectory.entry_mm, trajectory.end_mm)
     made: list[Object] = [_cylinder(*ends, diameter_mm / 2, "wire")]
@@ -108,13 +110,13 @@ def wire_objects(trajectory: Trajectory, diameter_mm: float) -> list[Object]:
 
 
 def drilled_objects(entry_mm: np.ndarray, tip_mm: np.ndarray, diameter_mm: float) -> list[Object]:
-    """A wire that is in the bone, found by a check or known from the robot, between two points (3,)."""
-    middle = (np.asarray(entry_mm) + np.asarray(tip_mm)) / 2  # where the planned wire has no words
+    """Return a drilled wire, found by a check or known from the robot, between two points (3,)."""
+    middle = (np.asarray(entry_mm) + np.asarray(tip_mm)) / 2  # where the planned wire has no label
     return [_cylinder(entry_mm, tip_mm, diameter_mm / 2, "drilled"), _label(middle, "drilled", "drilled")]
 
 
 def bone_objects(volume: "Volume") -> list[Object]:
-    """The outer surface of the bone, where it is known: in the twin and from CT. Slow: some tenths of a second."""
+    """Return the outer surface of a bone volume, from the twin or from CT. Takes some tenths of a second."""
     from sightline.app.drawing.space.surface import (
         outer_surface,  # with the twin, which the first page does not wait for
     )
@@ -132,20 +134,20 @@ def bone_objects(volume: "Volume") -> list[Object]:
 
 
 def rehearsed_bone(patient: Patient) -> list[Object]:
-    """Return the femur of a rehearsed patient; for the workshop's process, since it takes seconds."""
-    return [one for volume in drawn(patient).hip.bone.volumes for one in bone_objects(volume)]
+    """Return the femur of a rehearsed patient; takes seconds, so run it in the worker process."""
+    return [one for volume in rehearsal_of(patient).hip.bone.volumes for one in bone_objects(volume)]
 
 
 def robot_objects(robot: Manipulator, q: np.ndarray, T_mcs_cfcs: RigidTransform) -> list[Object]:
-    """The manipulator at its joints (5,) as a stick: column, slides, wrist, drill and wire.
+    """Return the manipulator at its joints (5,) as a stick figure: column, slides, wrist, drill and wire.
 
-    `T_mcs_cfcs`: where CFCS, the frame as it was imaged, lies for the robot (its registration).
+    `T_mcs_cfcs`: the registration, pose of CFCS (the frame as imaged) in MCS.
     """
     stages = RigidTransform.from_matrix(robot.stages(q))
     home, tool = robot.T_mcs_flange_home.translation, robot.T_mcs_tool(q)
     lifted, wrist = stages[1].apply(home), robot.T_mcs_flange(q).translation
     tip, along = tool.translation, tool.rotation.apply([0.0, 0.0, 1.0])
-    guide = tip - q[FEED] * along  # where the tip is at feed 0
+    guide = tip - q[FEED] * along  # position of the tip at feed 0
     back = guide - WIRE_BEHIND_MM * along
     column, slide = np.array([0.0, 0.0, lifted[2]]), np.array([0.0, wrist[1], wrist[2]])
     arm = wrist + ((guide - wrist) @ along) * along  # beside the guide, along the wire
@@ -170,12 +172,13 @@ def robot_objects(robot: Manipulator, q: np.ndarray, T_mcs_cfcs: RigidTransform)
 
 
 def side_objects(side: str | None, about_mm: np.ndarray) -> list[Object]:
-    """The axes of CFCS, and the words for the sides of the hip about a point (3,); unknown `side`: what holds for both.
+    """Return the axes of CFCS, and labels for the sides of the hip around a point (3,); for an unknown `side` only
+    those common to both.
 
-    Anterior is +Z, lateral +X; caudal +Y of a right hip and -Y of a left one.
+    Anterior is +Z, lateral +X; caudal is +Y for a right hip and -Y for a left one.
     """
     words = {**UPRIGHT, **SIDES.get(side or "", {"lateral": (1, 0, 0), "medial": (-1, 0, 0)})}
-    labels = [_label(about_mm + REACH_MM * np.array(way), word, "quiet") for word, way in words.items()]
+    labels = [_label(about_mm + SIDE_LABELS_MM * np.array(way), word, "quiet") for word, way in words.items()]
     axes = {"kind": "axes", "style": "quiet", "at": [0.0, 0.0, 0.0], "axes": _list(AXIS_MM * np.eye(3))}
     return [{**axes, "labels": ["X", "Y", "Z"]}, *labels]
 
@@ -186,8 +189,8 @@ def _balls(plate: Plate, style: str) -> Object:
 
 
 def _ring(xyz_mm: Sequence[float], diameter_mm: float, plate: Plate) -> list[Any]:
-    turn = np.linspace(0.0, 2 * np.pi, 25)
-    circle = np.stack([np.cos(turn), np.sin(turn)], axis=1) * diameter_mm / 2
+    angle = np.linspace(0.0, 2 * np.pi, 25)
+    circle = np.stack([np.cos(angle), np.sin(angle)], axis=1) * diameter_mm / 2
     return _list(np.asarray(xyz_mm) + circle @ plate.plane.axes)
 
 
@@ -196,13 +199,14 @@ def _outline(plate: Plate) -> np.ndarray:
 
 
 def _corners(outline_mm: np.ndarray, plate: Plate) -> list[np.ndarray]:
-    """The four outermost points of an outline, along the diagonals of its plane."""
+    """Return the four outermost points of an outline, along the diagonals of its plane."""
     xy = plate.plane.to_plane(outline_mm)
     return [outline_mm[np.argmax(xy @ way)] for way in ((1, 1), (1, -1), (-1, -1), (-1, 1))]
 
 
 def _picture(view: CalibratedView, plate: Plate, image: Radiograph) -> list[Object]:
-    """The image on the plate's plane, distortion and all: a grid over the beads, each node where its pixel is."""
+    """Return the image on the plate's plane, with distortion corrected: a grid over the beads, textured at each node by
+    its pixel."""
     xy = plate.plane.to_plane(plate.xyz_mm)
     sides = [
         np.linspace(low, high, PICTURE_CELLS + 1) for low, high in zip(xy.min(axis=0), xy.max(axis=0), strict=True)
@@ -238,7 +242,7 @@ def _thumbnail(image: Radiograph) -> Object:
     pixels = image.pixels.astype(np.float32)
     scale = min(PICTURE_PX / max(pixels.shape), 1.0)
     small = cv2.resize(pixels, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
-    black, white = np.percentile(small, PICTURE_SHARE)
+    black, white = np.percentile(small, PICTURE_PERCENTILES)
     grey = (np.clip((small - black) / max(white - black, 1e-6), 0, 1) * 255).astype(np.uint8)
     return {"width": grey.shape[1], "height": grey.shape[0], "grey": b64encode(grey.tobytes()).decode()}
 
@@ -258,5 +262,5 @@ def _label(at_mm: np.ndarray, text: str, style: str) -> Object:
     return {"kind": "label", "style": style, "at": _list(at_mm), "text": text}
 
 
-def _list(values: Any, decimals: int = ROUND_MM) -> list[Any]:
+def _list(values: Any, decimals: int = ROUND_DECIMALS) -> list[Any]:
     return np.round(np.asarray(values, dtype=np.float64), decimals).tolist()

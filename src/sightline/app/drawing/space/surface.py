@@ -1,4 +1,4 @@
-"""The outer surface of a bone in a volume, as triangles few enough for a browser: to see by, not to measure by."""
+"""The outer surface of a bone in a volume, with few enough triangles for a browser; for display, not measurement."""
 
 import numpy as np
 from scipy.ndimage import binary_fill_holes, gaussian_filter
@@ -6,14 +6,15 @@ from scipy.ndimage import binary_fill_holes, gaussian_filter
 from sightline.twin.volumes import Volume
 
 CELL_MM = 3.0  # [ours] some 10,000 triangles of a proximal femur
-BONE_SHARE = 0.03  # [calc] under the 0.041 of osteoporotic spongiosa: 99 HU less noise, beside nothing around
-SMOOTHING_CELLS = 0.7  # [ours] takes the steps off
-# [calc] a cell that bone touches counts whole, half a cell too far out on average: where a smoothed step is 0.76.
+BONE_SHARE = 0.03  # [calc] below the 0.041 of osteoporotic spongiosa: 99 HU less noise, with nothing around it
+SMOOTHING_CELLS = 0.7  # [ours] smooths the steps between cells
+# [calc] a cell touched by bone counts as bone, on average half a cell too far out; there a smoothed step is 0.76.
 LEVEL = 0.76
 
 
 def outer_surface(volume: Volume) -> tuple[np.ndarray, np.ndarray]:
-    """Vertices (V, 3) mm, CFCS, and triangles (T, 3) seen counter-clockwise from outside. Empty without bone."""
+    """Return vertices (V, 3) mm, CFCS, and triangles (T, 3), counter-clockwise seen from outside. Empty without
+    bone."""
     step = max(round(CELL_MM / float(volume.voxel_mm.mean())), 1)
     shape = [n // step for n in volume.values.shape]
     blocks = volume.values[tuple(slice(n * step) for n in shape)]
@@ -29,10 +30,11 @@ def outer_surface(volume: Volume) -> tuple[np.ndarray, np.ndarray]:
 
 
 def surface_net(field: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Where a field (nx, ny, nz) crosses zero: vertices (V, 3) in cells, triangles (T, 3) facing where it is below.
+    """Return the zero surface of a field (nx, ny, nz): vertices (V, 3) in cells, triangles (T, 3) facing the negative
+    side.
 
-    A vertex in each cell that is crossed, at the mean of the crossings of its edges; a quadrilateral for each edge
-    that is crossed (Gibson, Constrained Elastic Surface Nets, 1998). The field must be below zero at its rim.
+    Each crossed cell has a vertex at the mean of the crossings of its edges; each crossed edge has a quadrilateral
+    (Gibson, Constrained Elastic Surface Nets, 1998). The field must be negative at its border.
     """
     inside = field > 0
     cells = tuple(n - 1 for n in field.shape)
@@ -57,7 +59,8 @@ def surface_net(field: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _crossings(field: np.ndarray, inside: np.ndarray, axis: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Edges along an axis that are crossed: their first nodes (E, 3), where (E, 3), and whether the field rises."""
+    """Return the crossed edges along an axis: first nodes (E, 3), crossing points (E, 3), and whether the field
+    rises."""
     first, second = (np.take(inside, range(s, s + inside.shape[axis] - 1), axis) for s in (0, 1))
     at = np.argwhere(first != second)
     ahead = at + np.eye(3, dtype=np.int64)[axis]
@@ -67,7 +70,7 @@ def _crossings(field: np.ndarray, inside: np.ndarray, axis: int) -> tuple[np.nda
 
 
 def _around(axis: int) -> list[list[int]]:
-    """The four cells around an edge, in order about the axis, as steps back from its first node."""
+    """Return the four cells around an edge, in order about the axis, as offsets back from its first node."""
     b, c = (axis + 1) % 3, (axis + 2) % 3
     ring = []
     for step_b, step_c in ((0, 0), (1, 0), (1, 1), (0, 1)):

@@ -1,4 +1,4 @@
-"""The scene as an element of NiceGUI. It holds nothing: every change is a call of a method in the browser."""
+"""The 3-D scene as a NiceGUI element. It has no state: every change calls a method in the browser."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -15,18 +15,18 @@ TEXTS = {
     "hip": "Hip",
     "frame": "Frame",
     "room": "Room",
-    "keys": "Arrow keys turn it, with shift they move it, plus and minus come nearer.",
-    "none": "This browser shows no 3-D graphics (WebGL). Planning needs none: all else on this page works.",
+    "keys": "Arrow keys rotate the scene, with Shift they move it; plus and minus zoom.",
+    "none": "This browser does not support 3-D graphics (WebGL). Planning works without it.",
 }
 
 Objects = Sequence[Mapping[str, Any]]
 
 
 class SpaceView(Element, component="space_view.js", dependencies=["space*.js", _COLOURS]):
-    """The set-up in space. Objects are those of `space_document`, in named groups that a person can hide."""
+    """The 3-D scene. Its objects are those of `document`, in named groups that a person can hide."""
 
     def __init__(self, *, label: str, groups: Mapping[str, str]) -> None:
-        """`label` says what is shown to who cannot see it; `groups` are the groups' words, in the legend's order."""
+        """`label`: accessible description of the scene; `groups`: names of the groups, in the legend's order."""
         super().__init__()
         self._props["label"] = label
         self._props["groups"] = dict(groups)
@@ -34,9 +34,10 @@ class SpaceView(Element, component="space_view.js", dependencies=["space*.js", _
         self._props["data-testid"] = "space"
 
     def draw(self, group: str, objects: Objects) -> None:
-        """Replace one group; an empty one goes."""
+        """Replace one group; an empty one is removed."""
         self.run_method("draw", group, list(objects))
 
     def orient(self, side: str | None) -> None:
-        """Say which hip it is, "right" or "left": the feet are then towards the viewer; from above, the head is up."""
+        """Set the side of the hip, "right" or "left", which orients the view: feet towards the viewer; from above, head
+        up."""
         self.run_method("orient", side)

@@ -1,2 +1,2 @@
-"""The X-ray view of the planning app: an image with layers and points in the browser, driven from Python. May import
-nothing of the app."""
+"""The X-ray view: an image with layers and points in the browser, controlled from Python. Imports nothing of the
+app."""

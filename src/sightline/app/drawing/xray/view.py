@@ -1,8 +1,8 @@
-"""The X-ray view as an element of NiceGUI; what its browser says is checked before anybody hears of it.
+"""The X-ray view as a NiceGUI element; events from the browser are validated before they are handled.
 
-Coordinates are image pixels, (0, 0) the centre of the top-left pixel. Every change is one message that holds all that
-the view shows. What a person does in the browser is shown there at once, and given up as soon as it is acknowledged:
-from then on the newest message holds.
+Coordinates are image pixels, (0, 0) the centre of the top-left pixel. Every change is one message with the complete
+content of the view. The browser shows a person's action at once; when the action is acknowledged, the newest message
+replaces it.
 """
 
 import inspect
@@ -21,7 +21,7 @@ TEXT_KEYS = (
     *("point", "snapped", "placing", "mirrored", "rotated", "stale", "readout", "outside", "edit_lost", "load_failed"),
     "off_field",
 )
-"""Texts that a view needs. Fields in braces: point {name} {u} {v}, placing {name}, rotated {degrees}, readout {u} {v}
+"""Texts that a view needs. Their fields: point {name} {u} {v}, placing {name}, rotated {degrees}, readout {u} {v}
 {value}, edit_lost {name}."""
 
 EventType = Literal[
@@ -32,25 +32,25 @@ _MOVES = frozenset({"place", "drag", "drop", "nudge"})
 _EDITS = _MOVES - {"drag"}
 _OF_A_POINT = _MOVES | {"select", "remove", "cancel"}
 _ANSWERED = _MOVES | {"cancel", "display"}  # each has a number; the browser waits for its acknowledgement
-_ON_AN_IMAGE = _MOVES | {"remove", "display"}  # what says nothing of another image than the one it was made on
-_MARGIN_PX = 1.0  # the browser keeps points in the field; this much is rounding [ours]
-_LONGEST_MESSAGE = 300  # characters of an error that are kept [ours]
-_LARGEST = 2**31  # of any number: moves of one page would take 68 years at one a second [calc]
+_ON_AN_IMAGE = _MOVES | {"remove", "display"}  # valid only for the image on which they were made
+_MARGIN_PX = 1.0  # tolerance for rounding; the browser keeps points in the field [ours]
+_MAX_MESSAGE = 300  # characters of an error that are kept [ours]
+_MAX_NUMBER = 2**31  # largest number: moves of one page at one a second would take 68 years [calc]
 _GREY_LEVELS = 65536
 _ROTATIONS = (0, 90, 180, 270)
 
 
 @dataclass(frozen=True)
 class Window:
-    """Grey levels that are shown: black at centre - width / 2, white at centre + width / 2, in stored values."""
+    """Grey-level window: black at centre - width / 2, white at centre + width / 2, in stored values."""
 
     centre: float
     width: float
 
 
 @dataclass(frozen=True)
-class Display:
-    """How the image is drawn: mirrored left to right first, then turned clockwise by `rotation` degrees."""
+class XrayDisplay:
+    """How the image is drawn: mirrored left to right first, then rotated clockwise by `rotation` degrees."""
 
     rotation: int
     mirrored: bool
@@ -59,9 +59,9 @@ class Display:
 
 
 @dataclass(frozen=True)
-class Picture:
-    """Where the browser gets an image's raw little-endian uint16 pixels, `height` rows of `width`. `window`: what a
-    reset gives. `field`: corners (u, v) of the convex field that X-rays reach; None: the whole image."""
+class XrayPicture:
+    """Address of an image's raw little-endian uint16 pixels, `height` rows of `width`. `window`: the default, which a
+    reset restores. `field`: corners (u, v) of the convex field that X-rays reach; None: the whole image."""
 
     url: str
     width: int
@@ -70,7 +70,7 @@ class Picture:
     field: tuple[tuple[float, float], ...] | None = None
 
     def contains(self, uv: tuple[float, float], margin_px: float = 0.0) -> bool:
-        """True if X-rays reach a pixel, or one within `margin_px` of it."""
+        """Return True if X-rays reach a pixel, or one within `margin_px` of it."""
         low, (u, v) = -0.5 - margin_px, uv
         if not (low <= u < self.width - low - 1 and low <= v < self.height - low - 1):
             return False
@@ -86,15 +86,18 @@ class Picture:
 
 
 @dataclass(frozen=True)
-class Shown:
-    """All that a view shows. `layers`: shapes by layer, drawn in this order (image pixels; styles are names of the
-    table in xray_paint.js). `points`: id, label, uv (None: not placed), style, movable, snapped; only these may be
-    named by the browser. `placing`: the point that the next click places. `notice`: a text over the image.
-    `revision`: the state of the plan; an edit that was not acknowledged is sent again only under the same one."""
+class XrayContent:
+    """The complete content of a view.
+
+    `layers`: shapes by layer, drawn in this order (image pixels; styles as in the table in xray_paint.js). `points`:
+    id, label, uv (None: not placed), style, movable, snapped; events may name only these. `placing`: the point that the
+    next click places. `notice`: a text over the image. `revision`: of the plan; an edit that was not acknowledged is
+    sent again only for the same revision.
+    """
 
     label: str
-    picture: Picture | None = None
-    display: Display | None = None
+    picture: XrayPicture | None = None
+    display: XrayDisplay | None = None
     layers: Mapping[str, Sequence[Mapping[str, Any]]] = field(default_factory=dict)
     points: Sequence[Mapping[str, Any]] = ()
     placing: str | None = None
@@ -102,7 +105,7 @@ class Shown:
     revision: str = ""
 
     def document(self) -> dict[str, Any]:
-        """As JSON types."""
+        """Return the content as JSON types."""
         of = {name: getattr(self, name) for name in ("label", "placing", "notice", "revision")}
         return {
             **of,
@@ -115,14 +118,14 @@ class Shown:
 
 @dataclass(frozen=True)
 class XrayEvent:
-    """What a person did in the view, checked; "refused" stands for what was not what it must be. `uv` (u, v) px; `seq`
-    numbers what the view acknowledges."""
+    """A validated action of a person; "refused" stands for an invalid event. `uv` (u, v) px; `seq`: number for the
+    acknowledgement."""
 
     type: EventType
     id: str | None = None
     uv: tuple[float, float] | None = None
     seq: int | None = None
-    display: Display | None = None
+    display: XrayDisplay | None = None
     message: str | None = None
 
 
@@ -133,7 +136,7 @@ class XrayView(Element, component="xray_view.js", dependencies=["xray*.js", _COL
     """An X-ray image in the browser, with layers of shapes and points to place and move."""
 
     def __init__(self, name: str, *, label: str, texts: Mapping[str, str]) -> None:
-        """`name` is the view's key in the page, `label` what people call it. Raises KeyError if a text is missing."""
+        """`name`: the view's key in the page; `label`: its title. Raises KeyError if a text is missing."""
         said = {key: texts[key] for key in TEXT_KEYS}
         super().__init__()
         self.name = name
@@ -142,21 +145,21 @@ class XrayView(Element, component="xray_view.js", dependencies=["xray*.js", _COL
         self._props["texts"] = said
         self._props["data-testid"] = f"xray-{name}"
         self.refused = 0
-        """Events of the browser that were dropped because they were not what they must be."""
-        self.shown = Shown(label)
-        """What the newest message says."""
+        """Number of invalid events from the browser."""
+        self.shown = XrayContent(label)
+        """The content of the newest message."""
         self._version = 0
         self._handler: Handler | None = None
         self.on("xray", self._hear)
 
     def on_event(self, handler: Handler) -> None:
-        """`handler(view, event)`, plain or async, hears every event; there is one. What is shown once it has ended is
-        the answer to the event."""
+        """Set the handler, `handler(view, event)`, plain or async, for all events. The content once it has ended is the
+        answer to the event."""
         self._handler = handler
 
-    def show(self, shown: Shown, *, fresh_s: float | None = None) -> None:
-        """Show exactly this. `fresh_s`: of a live image, for how long from here on it is what is now; unless that is
-        said again, the browser then hides what belongs to the plan, and says so."""
+    def show(self, shown: XrayContent, *, fresh_s: float | None = None) -> None:
+        """Show this content. `fresh_s`: for a live image, how long from now it counts as current; unless extended by
+        another call, the browser then hides the plan and says so."""
         if shown != self.shown or self._version == 0:
             self.shown, self._version = shown, self._version + 1
             fresh_ms = None if fresh_s is None else 1000.0 * fresh_s
@@ -165,11 +168,11 @@ class XrayView(Element, component="xray_view.js", dependencies=["xray*.js", _COL
             self.run_method("setFresh", shown.picture.url, 1000.0 * fresh_s)
 
     def acknowledge(self, seq: int) -> None:
-        """What was done under this number is answered: the newest message holds, and the next move may come."""
+        """Acknowledge the action of this number: the newest message holds, and the next move may come."""
         self.run_method("acknowledge", seq)
 
     def drop(self, event: XrayEvent) -> None:
-        """What was done is not taken, since another image is to be shown: the person is told."""
+        """Reject an action because the view now shows another image, and tell the person."""
         self._say_lost(event.type, event.id)
 
     async def _hear(self, arguments: GenericEventArguments) -> None:
@@ -182,7 +185,7 @@ class XrayView(Element, component="xray_view.js", dependencies=["xray*.js", _COL
                 answer = self._handler(self, event or XrayEvent("refused"))
                 if inspect.isawaitable(answer):
                     await answer
-        finally:  # what is refused must not hold up what comes behind it
+        finally:  # a refused event must not block later ones
             kind, name, seq = (said.get(key) if isinstance(said, dict) else None for key in ("type", "id", "seq"))
             if isinstance(kind, str) and kind in _ANSWERED and _is_seq(seq):
                 self.acknowledge(seq)
@@ -194,9 +197,9 @@ class XrayView(Element, component="xray_view.js", dependencies=["xray*.js", _COL
             self.run_method("sayLost", name)
 
 
-def checked(said: object, shown: Shown) -> XrayEvent | None:
-    """The event in what a browser said; None if it is not one, names an unknown point, lies off the field or was made
-    on another image than the one that is shown."""
+def checked(said: object, shown: XrayContent) -> XrayEvent | None:
+    """Return the event in a browser's message; None if it is invalid, names an unknown point, lies outside the field or
+    was made on another image than the one shown."""
     kind = said.get("type") if isinstance(said, dict) else None
     if not isinstance(said, dict) or not isinstance(kind, str) or kind not in _TYPES:
         return None
@@ -214,7 +217,7 @@ def checked(said: object, shown: Shown) -> XrayEvent | None:
     return XrayEvent("ready")
 
 
-def _of_a_point(kind: Any, said: dict[str, Any], shown: Shown) -> XrayEvent | None:
+def _of_a_point(kind: Any, said: dict[str, Any], shown: XrayContent) -> XrayEvent | None:
     name, seq = said.get("id"), said.get("seq") if kind in _ANSWERED else None
     if kind == "select" and name is None:
         return XrayEvent("select")  # nothing is selected any more
@@ -226,7 +229,7 @@ def _of_a_point(kind: Any, said: dict[str, Any], shown: Shown) -> XrayEvent | No
     return None if uv is None else XrayEvent(kind, name, uv, seq)
 
 
-def _place(uv: object, picture: Picture | None) -> tuple[float, float] | None:
+def _place(uv: object, picture: XrayPicture | None) -> tuple[float, float] | None:
     if not isinstance(uv, list) or len(uv) != 2 or picture is None:
         return None
     u, v = (_number(value) for value in uv)
@@ -235,7 +238,7 @@ def _place(uv: object, picture: Picture | None) -> tuple[float, float] | None:
     return u, v
 
 
-def _display(said: dict[str, Any]) -> Display | None:
+def _display(said: dict[str, Any]) -> XrayDisplay | None:
     rotation, mirrored, inverted, window = (said.get(key) for key in ("rotation", "mirrored", "inverted", "window"))
     if type(rotation) is not int or rotation not in _ROTATIONS:
         return None
@@ -244,18 +247,18 @@ def _display(said: dict[str, Any]) -> Display | None:
     centre, width = _number(window.get("centre")), _number(window.get("width"))
     if centre is None or width is None or not (0 <= centre <= _GREY_LEVELS and 0 < width <= _GREY_LEVELS):
         return None
-    return Display(rotation, mirrored, inverted, Window(centre, width))
+    return XrayDisplay(rotation, mirrored, inverted, Window(centre, width))
 
 
 def _number(value: object) -> float | None:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < _LARGEST:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < _MAX_NUMBER:
         return None  # not a number, infinite, or larger than anything here
     return float(value)
 
 
 def _is_seq(value: object) -> TypeGuard[int]:
-    return type(value) is int and 0 < value < _LARGEST
+    return type(value) is int and 0 < value < _MAX_NUMBER
 
 
 def _one_line(text: str) -> str:
-    return "".join(character if character.isprintable() else " " for character in text[:_LONGEST_MESSAGE])
+    return "".join(character if character.isprintable() else " " for character in text[:_MAX_MESSAGE])

@@ -1,4 +1,4 @@
-"""The heavy work in a process of its own, so that the page stays alive while beads are found and views calibrated."""
+"""A worker process for detection and calibration, so that the page stays responsive."""
 
 import asyncio
 import multiprocessing
@@ -16,27 +16,26 @@ from sightline.errors import RefusedError
 T = TypeVar("T")
 
 
-class Workshop:
-    """`await workshop.do(function, *arguments)`: one thing at a time, in the order asked. Functions and arguments are
-    passed by name and value; close it at the end."""
+class WorkerProcess:
+    """`await worker.do(function, *arguments)` runs one function at a time, in order. Functions and arguments are
+    pickled; close the worker at the end."""
 
     def __init__(self) -> None:
         self._pool = self._start()
 
     async def do(self, function: Callable[..., T], *arguments: Any) -> T:
-        """What the function returns; raises what it raises, and RefusedError where its process died."""
+        """Return what the function returns. Raises what it raises, and RefusedError if its process died."""
         loop = asyncio.get_running_loop()
         try:
             return await loop.run_in_executor(self._pool, function, *arguments)
         except BrokenProcessPool as error:
             self._pool = self._start()
             raise RefusedError(
-                "the process that reads images ended before it was done (too little memory?); it was started anew: "
-                "open the image again"
+                "open the image again: the process that reads images ended early (too little memory?) and was restarted"
             ) from error
 
     def close(self) -> None:
-        """End the process; what was asked and not begun is dropped."""
+        """End the process; waiting work is dropped."""
         self._pool.shutdown(wait=False, cancel_futures=True)
 
     @staticmethod
@@ -46,7 +45,7 @@ class Workshop:
 
 
 def _end_with_parent() -> None:
-    """A page that is killed takes its workshop along."""
+    """End this process when its parent is killed."""
     parent = multiprocessing.parent_process()
     if parent is not None:
         threading.Thread(target=_wait_for, args=[parent.sentinel], name="parent", daemon=True).start()
@@ -58,6 +57,6 @@ def _wait_for(sentinel: int) -> None:
 
 
 def warm_up() -> None:
-    """Import what the first image would wait for."""
+    """Import in advance what the first image needs."""
     for name in ("calibration", "case.views", "detection.wire"):
         import_module(f"sightline.{name}")

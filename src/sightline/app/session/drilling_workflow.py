@@ -1,4 +1,4 @@
-"""The fourth step: a plan sent to the robot and drilled, each motion told by a person."""
+"""Step 4, Drill: a plan is sent to the robot and drilled; a person confirms each motion."""
 
 import asyncio
 import time
@@ -6,14 +6,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from sightline.app.plan.planner import Planned, asked
+from sightline.app.plan.planner import Planned, plan_input
 from sightline.app.session.age import PlanAge
 from sightline.app.session.planning import Planning
 from sightline.app.session.readiness import Readiness
 from sightline.app.session.rehearsing import Patient
 from sightline.app.session.seen import entry_of
 from sightline.app.session.sent import DrilledWire, SentPlan
-from sightline.app.texts import NO_DEPTH_LIMIT, NO_ROBOT
+from sightline.app.texts import CHANGED_AFTER_SENDING, NO_DEPTH_LIMIT, NO_ROBOT
 from sightline.case.journal import Actor, Kind
 from sightline.case.stages import record_changed, record_planned
 from sightline.case.views import NAMES
@@ -32,8 +32,8 @@ if TYPE_CHECKING:
 TO_BONE = "tip to bone along wire"
 
 
-class Drilling:
-    """`session` and `now`: once the robot is started."""
+class DrillingWorkflow:
+    """Sending and drilling of the current plan. `session` and `now`: None until the robot is started."""
 
     def __init__(self, planning: Planning, age: PlanAge, readiness: Readiness) -> None:
         self._planning, self._age, self._readiness = planning, age, readiness
@@ -43,18 +43,18 @@ class Drilling:
 
     @property
     def now(self) -> "RobotNow | None":
-        """What is known of the robot."""
+        """The robot's current state."""
         return None if self.session is None else self.session.now
 
     async def start_robot(self, *, fast: bool) -> None:
-        """The simulated robot of the rehearsed patient, in a process of its own, where it stood at the images.
+        """Start the simulated robot of the rehearsed patient in a separate process, posed as at the images.
 
-        `fast`: its time runs as fast as it computes. Raises RobotRefusedError, LinkError."""
+        `fast`: run its time as fast as possible. Raises RobotRefusedError, LinkError."""
         patient = self._planning.patient
         if patient is None:
             raise RobotRefusedError(NO_ROBOT)
         if self._starting:
-            raise RobotRefusedError("the robot is being started already; wait for it")
+            raise RobotRefusedError("wait: the robot is already being started")
         self._starting = True
         try:
             await self._start(patient, fast=fast)
@@ -66,7 +66,7 @@ class Drilling:
         loop, notify = asyncio.get_running_loop(), self._planning.jobs.notify
 
         def start(patient: Patient) -> "tuple[RobotProcess, RobotSession]":
-            # The first page does not wait for the robot, nor for the twin that stands for it.
+            # Imported here so that the first page does not wait for robot and twin.
             from sightline.app.session.robot_session import RobotSession
             from sightline.rehearsal.process import RobotProcess
             from sightline.rehearsal.robots import calibrated_robot
@@ -87,7 +87,7 @@ class Drilling:
         notify()
 
     async def close(self) -> None:
-        """End the simulated robot, if it runs."""
+        """Close the link and end the simulated robot, if it runs."""
         session, process = self.session, self._process
         self.session = self._process = None
         if session is not None:
@@ -96,13 +96,13 @@ class Drilling:
             await asyncio.to_thread(process.close)
 
     async def send(self, known: Planned) -> None:
-        """Tell the robot of the plan that a person confirmed; nothing moves.
+        """Send the plan that a person confirmed to the robot; nothing moves.
 
-        Raises RobotRefusedError where it is another by now, LinkError, CaseError."""
+        Raises RobotRefusedError if the plan has changed since, LinkError, CaseError."""
         planning, session = self._planning, self._running()
         if known is not planning.planned or known.plan is None or not self._readiness.can_send:
             raise RobotRefusedError(
-                "the plan is another than the one you confirmed, or is no GO: look at the step Plan, and send again"
+                "check the step Plan and send again: the plan changed after you confirmed it, or it is not GO"
             )
         age_s = self._age.now_s
         assert age_s is not None  # noqa: S101 - it can be sent
@@ -114,11 +114,11 @@ class Drilling:
             go=self._readiness.can_send,
             kind=decisions.kind,
         )
-        target = session.aimed(known.plan, identity, time.monotonic() - age_s)
+        target = session.target_for(known.plan, identity, time.monotonic() - age_s)
         limit = _depth_limit(known, target)
         views = [entry_of(case, seen) for seen in map(planning.seen, NAMES) if seen is not None]
-        made = record_planned(case, (views[0], views[1]), asked(decisions), known.plan, by=Actor.SURGEON)
-        # Whatever fails from here on, the robot may hold this plan, and is given no order by the one before.
+        made = record_planned(case, (views[0], views[1]), plan_input(decisions), known.plan, by=Actor.SURGEON)
+        # From here on the robot may hold this plan, even after an error; the earlier one must not be drilled.
         planning.sent = planning.drilled = None
         await session.send(target, limit)
         entry = case.record(
@@ -138,13 +138,14 @@ class Drilling:
         planning.jobs.notify()
 
     async def align(self) -> None:
-        """Turn the arm to the plan that was sent. Raises RobotRefusedError, LinkError."""
+        """Align the arm with the plan that was sent. Raises RobotRefusedError, LinkError."""
         session = self._running()
         self._refuse_changed()
         await session.align()
 
     async def drill(self, since: State) -> None:
-        """From ALIGNED to the pause, or from PAUSED to the tip. Raises RobotRefusedError, LinkError, CaseError."""
+        """Drill from ALIGNED to the pause, or from PAUSED to the end. Raises RobotRefusedError, LinkError,
+        CaseError."""
         session = self._running()
         self._refuse_changed()
         if await session.drill(since) != State.DONE.value:
@@ -156,8 +157,8 @@ class Drilling:
         planning.jobs.notify()
 
     async def tell_shot(self, depth_mm: float, error_95_mm: float) -> None:
-        """Where in PAUSED the second shot shows the tip, as a person measured it. Raises RobotRefusedError, LinkError,
-        CaseError."""
+        """Send the robot, in PAUSED, the tip's depth that a person measured in the second shot. Raises
+        RobotRefusedError, LinkError, CaseError."""
         session = self._running()
         self._refuse_changed()
         told = {"depth_mm": depth_mm, "error_95_mm": error_95_mm, "robot_depth_mm": session.now.depth_mm}
@@ -166,17 +167,17 @@ class Drilling:
 
     def _refuse_changed(self) -> None:
         if not self._planning.sent_is_current:
-            raise RobotRefusedError("the plan was changed after it was sent; send it again, or undo the change")
+            raise RobotRefusedError(CHANGED_AFTER_SENDING)
 
     def _running(self) -> "RobotSession":
         if self.session is None or self.session.now.lost:
-            raise RobotRefusedError("there is no link to a robot; start it first")
+            raise RobotRefusedError("start the robot first: there is no link to it")
         return self.session
 
 
 def _depth_limit(known: Planned, target: RobotTarget) -> float:
-    """How far beyond the entry point the wire may go, mm: for kinds that end before a joint less than to its surface,
-    by the 95 % error of both. Raises UnusableInputError where the surface is not known."""
+    """Return the depth limit beyond the entry point, mm. For kinds of trajectory that end before a joint, it is the
+    distance to the joint surface less the 95 % error of both. Raises UnusableInputError if the surface is unknown."""
     if known.kind.bone is None:
         return target.depth_mm + DEPTH_SLACK_MM
     left: Metric | None = next((one for one in known.figures if one.name == TO_BONE), None)
