@@ -36,7 +36,7 @@ class Room(SphinxDirective):
         text = PAGE.format(name=name, elsewhere=", ".join(public), classes=classes)
         if public and room is not sightline:
             links = ", ".join(f"{{py:obj}}`~sightline.{n}`" for n in public)
-            text = f"Described with the [public face](sightline.md): {links}.\n\n{text}"
+            text = f"Also exported here, and described with the [public face](sightline.md): {links}.\n\n{text}"
         return self.parse_text_to_nodes(text)
 
 
