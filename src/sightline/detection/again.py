@@ -231,8 +231,10 @@ def _hide(image: Radiograph, fit: refine.BeadFitter, rows: np.ndarray, i: int, u
     near = near[np.argsort(apart[near])]  # itself first
     half = int(reach) + 1
     left, top = int(u + 0.5) - half, int(v + 0.5) - half
-    light = window.look(fit.log_image, left, top, half, window.level(fit.log_image, fit.usable, rows[i], reach))
-    state = window.mark(fit.log_image, fit.usable, rows, near, left, top, 2 * half + 1, np.inf)
+    light = window.window_light(
+        fit.log_image, left, top, half, window.log_level(fit.log_image, fit.usable, rows[i], reach)
+    )
+    state = window.pixel_states(fit.log_image, fit.usable, rows, near, left, top, 2 * half + 1, np.inf)
     outside = state == window.HIDDEN
     window.hide_metal(state, rows, near, left, top, light)
     state[_under((state == window.HIDDEN) & ~outside)] = window.HIDDEN
@@ -251,7 +253,7 @@ def _hide(image: Radiograph, fit: refine.BeadFitter, rows: np.ndarray, i: int, u
     around = (from_centre > radius + _AROUND_PX[0]) & (from_centre < radius + _AROUND_PX[1])
     visible = around[seen] & usable[there]
     clipped = visible & (image.pixels[there] >= image.white)
-    rim = window.rim_seen(state, rows, near, left, top)
+    rim = window.visible_rim(state, rows, near, left, top)
     foot = np.count_nonzero(clipped) < _CLIPPED * np.count_nonzero(visible)
     return bool(rim > _RIM_SEEN and foot and overlap.max(initial=0.0) < _ONE)
 

@@ -1,23 +1,30 @@
-"""The model of a window: shadows of one to three beads on a cubic background, and its least squares."""
+"""Model of a window (shadows of one to three beads on a cubic background) and its linear algebra."""
 
 import numpy as np
 
 from sightline.detection.compiled import exact, fast, part_of_caller
 from sightline.detection.profile import Q_COUNT, Q_STEP, T_COUNT, T_FIRST, T_STEP
 
-# Per bead: u, v, radius, blur, ellipticity along the axes and along the diagonals. Then the light behind the beads that
-# they do not take away (scatter), or that bright holes add: level and slopes, the same for all beads of a window; and
-# the background, of which the last four are cubic.
-BEAD, SCATTER, GROUND, CUBIC = 6, 3, 10, 4
-# Of the light behind a dark bead the share that it takes away: 0.93-0.97 for 3 mm of steel [calc], and of the veiling
-# glare that follows the background as closely less. With more than 0.87 the light in a bead's middle says too little of
-# a background that is clipped around it [twin].
-TAKEN_BY_BALL, TAKEN_BY_HOLE = np.float32(0.87), np.float32(0.0)
+# Parameters of a bead's shadow: centre about the first guess and radius, px; blur, px; ellipticity along the axes and
+# along the diagonals.
+BEAD_X, BEAD_Y, BEAD_RADIUS, BEAD_BLUR, BEAD_AXIAL, BEAD_DIAGONAL = range(6)
+# Numbers of parameters: of a bead; of the scatter (light behind the beads that they do not stop, or that bright holes
+# add: level and slopes, shared by all beads of a window); of the background, of which the last four are cubic terms.
+BEAD_TERMS, SCATTER_TERMS, BACKGROUND_TERMS, CUBIC_TERMS = 6, 3, 10, 4
+# After the derivatives, `columns` holds the residual, the model's light and the background.
+RESIDUAL, LIGHT, BACKGROUND = -3, -2, -1
+# Rows of `behind`: shares that the beads leave of the background and of light that they stop completely, and the
+# slopes of the first.
+LEFT, CLEAR, LEFT_X, LEFT_Y = range(4)
+# Share of the background's light that a bead stops: 0.93-0.97 for 3 mm of steel [calc], less for the veiling glare that
+# follows the background as closely. Above 0.87, the light in a bead's middle says too little of a background that is
+# clipped around it [twin].
+STOPPED_BY_BALL, STOPPED_BY_HOLE = np.float32(0.87), np.float32(0.0)
 
 
 @part_of_caller
 def _profile_row(table, radius, blur, row):
-    """Of the profile of this radius and blur, by its column: value, and derivative by blur over radius."""
+    """Fill `row` (2, T_COUNT) with the profile of this radius and blur, and its derivative by blur over radius."""
     y = min(max(blur / radius / Q_STEP - 1.0, 0.0), Q_COUNT - 1.001)
     i = int(y)
     b = y - i
@@ -28,12 +35,18 @@ def _profile_row(table, radius, blur, row):
 
 @part_of_caller
 def _shadow(row, at, bead, out, slopes):
-    """Derivatives of one bead's share by its six parameters into `out`; the share and its slopes into `slopes`.
+    """Fill `out` (BEAD_TERMS, N) with the derivatives of a bead's share by its parameters, `slopes` (3, N) with the
+    share and its slopes.
 
-    In several short loops, each of which the compiler vectorises.
+    Several short loops, because the compiler vectorises each of them.
     """
-    u, v, radius, blur = np.float32(bead[0]), np.float32(bead[1]), np.float32(bead[2]), np.float32(bead[3])
-    e_axes, e_diagonals = np.float32(bead[4]), np.float32(2.0 * bead[5])
+    u, v, radius, blur = (
+        np.float32(bead[BEAD_X]),
+        np.float32(bead[BEAD_Y]),
+        np.float32(bead[BEAD_RADIUS]),
+        np.float32(bead[BEAD_BLUR]),
+    )
+    e_axes, e_diagonals = np.float32(bead[BEAD_AXIAL]), np.float32(2.0 * bead[BEAD_DIAGONAL])
     one, two, first = np.float32(1.0), np.float32(2.0), np.float32(T_FIRST)
     per_step, last = np.float32(1.0 / T_STEP), np.float32(T_COUNT - 1.001)
     per_blur, per_radius, pixels = one / blur, one / radius, at.shape[1]
@@ -64,49 +77,57 @@ def _shadow(row, at, bead, out, slopes):
 
 
 @fast
-def fill_light(table, at, beads, scatter, ground, optics, behind, effect, columns):  # noqa: PLR0917
-    """The last three of `columns`: what the model's light leaves of the values seen, that light, and the background.
+def fill_light(table, at, beads, scatter, background, optics, behind, effect, columns):  # noqa: PLR0917
+    """Fill `columns` with the residual, the model's light and the background, and with what `fill_slopes` needs.
 
-    `at` (3, N): x, y, value seen; `scatter` (3,): its level and slopes; `optics`: one over the window's reach, the
-    share that a bead takes away, and the squared blur that background and shadow went through together; `columns`
-    (6K + SCATTER + GROUND + 3, N). For `fill_slopes` are kept: in the first 6K columns derivatives of each bead's
-    share, in `effect` (K, N) those of the light by the share, in `behind` (4, N) what the beads leave of the background
-    and of light that they stop altogether, and the first one's slopes. Sharp, the light is G W + s (1 - V), W and V
-    are what the beads leave of either; blur over a slope of G moves the rim, to first order by blur² grad G grad W.
+    `at` (3, N): x, y, measured value; `scatter` (3,): level and slopes; `optics`: one over the window's reach, the
+    share that a bead stops, and the squared blur that background and shadow went through together.
+
+    Filled are: `columns` (BEAD_TERMS K + SCATTER_TERMS + BACKGROUND_TERMS + 3, N), of which the first BEAD_TERMS K
+    rows receive the derivatives of each bead's share; `effect` (K, N): derivative of the light by each share;
+    `behind` (4, N): see LEFT.
+
+    Without blur, the light is G W + s (1 - V): background G, scatter s, shares W and V that the beads leave of each.
+    Blur over a slope of G moves the rim: to first order by blur² grad G grad W.
     """
     count, pixels = len(beads), at.shape[1]
-    scale, taken, blur2, one = optics[0], optics[1], optics[2] * optics[0], np.float32(1.0)
+    scale, stopped, blur2, one = optics[0], optics[1], optics[2] * optics[0], np.float32(1.0)
     three, s0, s1, s2 = np.float32(3.0), np.float32(scatter[0]), np.float32(scatter[1]), np.float32(scatter[2])
     row, slopes = np.empty((2, T_COUNT), np.float32), np.empty((count, 3, pixels), np.float32)
     others_left, others_clear = np.empty(pixels, np.float32), np.empty(pixels, np.float32)
-    left, clear, left_x, left_y = behind[0], behind[1], behind[2], behind[3]
-    rest, light, bright = columns[-3], columns[-2], columns[-1]
-    g0, g1, g2 = np.float32(ground[0]), np.float32(ground[1]), np.float32(ground[2])
-    g3, g4, g5 = np.float32(ground[3]), np.float32(ground[4]), np.float32(ground[5])
-    g6, g7, g8, g9 = np.float32(ground[6]), np.float32(ground[7]), np.float32(ground[8]), np.float32(ground[9])
+    left, clear, left_x, left_y = behind[LEFT], behind[CLEAR], behind[LEFT_X], behind[LEFT_Y]
+    rest, light, bright = columns[RESIDUAL], columns[LIGHT], columns[BACKGROUND]
+    g0, g1, g2 = np.float32(background[0]), np.float32(background[1]), np.float32(background[2])
+    g3, g4, g5 = np.float32(background[3]), np.float32(background[4]), np.float32(background[5])
+    g6, g7, g8, g9 = (
+        np.float32(background[6]),
+        np.float32(background[7]),
+        np.float32(background[8]),
+        np.float32(background[9]),
+    )
     for n in range(pixels):
         a, b = at[0, n] * scale, at[1, n] * scale
         low = g0 + a * (g1 + a * (g3 + a * g6)) + b * (g2 + b * (g5 + b * g9))
         bright[n] = low + a * b * (g4 + a * g7 + b * g8)
     left[:], clear[:], left_x[:], left_y[:] = one, one, 0.0, 0.0
     for k in range(count):
-        _profile_row(table, beads[k, 2], beads[k, 3], row)
-        _shadow(row, at, beads[k], columns[BEAD * k : BEAD * k + BEAD], slopes[k])
+        _profile_row(table, beads[k, BEAD_RADIUS], beads[k, BEAD_BLUR], row)
+        _shadow(row, at, beads[k], columns[BEAD_TERMS * k : BEAD_TERMS * k + BEAD_TERMS], slopes[k])
         for n in range(pixels):
-            left[n] *= one - taken * slopes[k, 0, n]
+            left[n] *= one - stopped * slopes[k, 0, n]
             clear[n] *= one - slopes[k, 0, n]
     for k in range(count):
         others_left[:], others_clear[:] = one, one
         for m in range(count):
             if m != k:
                 for n in range(pixels):
-                    others_left[n] *= one - taken * slopes[m, 0, n]
+                    others_left[n] *= one - stopped * slopes[m, 0, n]
                     others_clear[n] *= one - slopes[m, 0, n]
         for n in range(pixels):
-            left_x[n] -= blur2 * taken * slopes[k, 1, n] * others_left[n]
-            left_y[n] -= blur2 * taken * slopes[k, 2, n] * others_left[n]
+            left_x[n] -= blur2 * stopped * slopes[k, 1, n] * others_left[n]
+            left_y[n] -= blur2 * stopped * slopes[k, 2, n] * others_left[n]
             behind_it = s0 + scale * (s1 * at[0, n] + s2 * at[1, n])
-            effect[k, n] = behind_it * others_clear[n] - taken * bright[n] * others_left[n]
+            effect[k, n] = behind_it * others_clear[n] - stopped * bright[n] * others_left[n]
     for n in range(pixels):
         a, b = at[0, n] * scale, at[1, n] * scale
         by_a = g1 + a * (g3 + g3 + three * a * g6) + b * (g4 + a * (g7 + g7) + b * g8)
@@ -116,45 +137,54 @@ def fill_light(table, at, beads, scatter, ground, optics, behind, effect, column
 
 
 @part_of_caller
-def fill_slopes(at, scale, root, behind, effect, columns):  # noqa: PLR0917
-    """Derivatives of the light that `fill_light` found, by all parameters, and the residual after them, each times
-    `root` (N,)."""
-    first, pixels = BEAD * len(effect), at.shape[1]
+def fill_slopes(at, scale, inverse_sd, behind, effect, columns):  # noqa: PLR0917
+    """Fill `columns` with the derivatives of the light by all parameters and the residual, times `inverse_sd` (N,).
+
+    `behind`, `effect` and `columns` come from `fill_light`.
+    """
+    first, pixels = BEAD_TERMS * len(effect), at.shape[1]
     one, two, three = np.float32(1.0), np.float32(2.0), np.float32(3.0)
     for k in range(len(effect)):
         for n in range(pixels):
-            effect[k, n] *= root[n]
-        for m in range(BEAD * k, BEAD * k + BEAD):
+            effect[k, n] *= inverse_sd[n]
+        for m in range(BEAD_TERMS * k, BEAD_TERMS * k + BEAD_TERMS):
             for n in range(pixels):
                 columns[m, n] *= effect[k, n]
-    scatter, rest = columns[first : first + SCATTER], columns[-3]
+    scatter, rest = columns[first : first + SCATTER_TERMS], columns[RESIDUAL]
     for n in range(pixels):
-        stopped = root[n] * (one - behind[1, n])
+        stopped = inverse_sd[n] * (one - behind[CLEAR, n])
         scatter[0, n] = stopped
         scatter[1, n], scatter[2, n] = stopped * at[0, n] * scale, stopped * at[1, n] * scale
-        rest[n] *= root[n]
-    ground = columns[first + SCATTER :]
+        rest[n] *= inverse_sd[n]
+    background = columns[first + SCATTER_TERMS :]
     for n in range(pixels):
         a, b = at[0, n] * scale, at[1, n] * scale
-        w, x, y = root[n] * behind[0, n], root[n] * behind[2, n], root[n] * behind[3, n]
+        w, x, y = inverse_sd[n] * behind[LEFT, n], inverse_sd[n] * behind[LEFT_X, n], inverse_sd[n] * behind[LEFT_Y, n]
         aa, ab, bb = a * a, a * b, b * b
-        ground[0, n], ground[1, n], ground[2, n] = w, w * a + x, w * b + y
-        ground[3, n], ground[4, n], ground[5, n] = w * aa + two * a * x, w * ab + b * x + a * y, w * bb + two * b * y
-        ground[6, n], ground[7, n] = w * aa * a + three * aa * x, w * aa * b + two * ab * x + aa * y
-        ground[8, n], ground[9, n] = w * ab * b + bb * x + two * ab * y, w * bb * b + three * bb * y
+        background[0, n], background[1, n], background[2, n] = w, w * a + x, w * b + y
+        background[3, n], background[4, n], background[5, n] = (
+            w * aa + two * a * x,
+            w * ab + b * x + a * y,
+            w * bb + two * b * y,
+        )
+        background[6, n], background[7, n] = w * aa * a + three * aa * x, w * aa * b + two * ab * x + aa * y
+        background[8, n], background[9, n] = w * ab * b + bb * x + two * ab * y, w * bb * b + three * bb * y
 
 
 @part_of_caller
 def normal_equations(columns, A, b):
-    """A = J'J on its diagonal and below, b = J'r of the first len(b) columns and the one after them, a multiple of
-    three, for which A has room; the sum of r²."""
+    """Fill the lower half of A = J'J and b = J'r; return the sum of r².
+
+    J: the first len(b) rows of `columns`, r: the one after them. A has two rows and columns more than J'J: it is
+    computed in blocks of 3 x 3.
+    """
     n = len(b)
     for i in range(0, n + 1, 3):
         first, second, third = columns[i], columns[i + 1], columns[i + 2]
         for j in range(0, i + 1, 3):
             x, y, z = columns[j], columns[j + 1], columns[j + 2]
             fx = fy = fz = gx = gy = gz = hx = hy = hz = np.float32(0.0)
-            for p in range(columns.shape[1]):  # nine sums at once: a third of the loads
+            for p in range(columns.shape[1]):  # nine sums at once need a third of the memory loads
                 f, g, h = first[p], second[p], third[p]
                 fx, fy, fz = fx + f * x[p], fy + f * y[p], fz + f * z[p]
                 gx, gy, gz = gx + g * x[p], gy + g * y[p], gz + g * z[p]
@@ -169,7 +199,7 @@ def normal_equations(columns, A, b):
 
 @exact
 def solve(A, b, L, x):
-    """Solve A x = b for symmetric A by Cholesky (`L` is room for it); False if A is not positive."""
+    """Solve A x = b for symmetric A by Cholesky into `L`; return False where A is not positive definite."""
     n = len(b)
     for i in range(n):
         for j in range(i + 1):
@@ -187,7 +217,7 @@ def solve(A, b, L, x):
 
 @exact
 def substitute(L, b, x):
-    """Solve L L' x = b."""
+    """Solve L L' x = b; return True."""
     n = len(b)
     for i in range(n):
         s = b[i]

@@ -1,25 +1,28 @@
-"""The window of a bead: its light, which of its pixels tell of the bead, and the filter along both axes."""
+"""The window of a bead: its light, the state of each pixel, and the separable filter."""
 
 import numpy as np
 
 from sightline.detection.columns import CONTRAST, RADIUS, U, V
 from sightline.detection.compiled import exact, fast, part_of_caller
 
-BEYOND = 5.0  # px of background about the rim, and as many blurs as fit [ours]
-MARGIN = 6  # px about the window that the filter may need
-_SPREAD = 3  # px about a pixel that is not usable, into which the filter carries it
-# Of the step from the bead's light to the background's: below it lies metal; dense bone reaches 0.4 [twin].
-_AS_DARK = 0.3
-METAL = 4  # px about metal: its rim and the blur of that
-_FEWEST_METAL = 6  # px [ours]
-_RIM = 2.5  # px to either side of the rim, where a centre is told from
-_VECTOR = 32  # pixels that a loop takes at once: a remainder takes as long as all the rest
-SEEN, CLIPPED, HIDDEN = 0, 1, 2
+BEYOND = 5.0  # px of background around the rim, enough for five blurs [ours]
+MARGIN = 6  # px around the window that the filter may need
+_FILTER_REACH = 3  # px to which the filter carries an unusable pixel
+# Metal is darker than this, as a share of the step from the bead's light to the background's; dense bone reaches 0.4
+# [twin].
+_METAL_SHARE = 0.3
+METAL = 4  # px around metal: its rim and the blur of that
+_MIN_METAL = 6  # px [ours]
+_RIM = 2.5  # px to either side of the rim, the zone that determines a centre
+_VECTOR = 32  # SIMD width; a scalar tail loop doubles the time
+# States of a pixel, the most usable first: visible, but within the filter's reach of an unusable one (set by
+# `mark_near_unusable`); clipped; hidden, or outside the field.
+SEEN, NEAR_UNUSABLE, CLIPPED, HIDDEN = range(4)
 
 
 @exact
-def level(image, usable, bead, reach):
-    """Mean log light about the bead; 0 where nothing about it is usable."""
+def log_level(image, usable, bead, reach):
+    """Return the mean log light around the bead; 0 where no pixel there is usable."""
     height, width = image.shape
     total, outside = 0.0, 0
     inner2, outer2 = (bead[RADIUS] + 1.5) ** 2, reach**2
@@ -33,8 +36,8 @@ def level(image, usable, bead, reach):
 
 
 @exact
-def look(image, left, top, half, zero):
-    """The light exp(image - zero) of the window and MARGIN pixels about it; the image's border repeats."""
+def window_light(image, left, top, half, zero):
+    """Return the light exp(image - zero) of the window and MARGIN pixels around it; the image's border is repeated."""
     height, width = image.shape
     n = 2 * (half + MARGIN) + 1
     light = np.empty((n, n), np.float32)
@@ -54,8 +57,10 @@ def look(image, left, top, half, zero):
 
 @part_of_caller
 def _exponentiate(values):
-    """exp of values, those beyond 8 in size taken for 8, to 1e-6: a polynomial of x / 16, squared four times, which is
-    vectorised."""
+    """Replace values, limited to ±8, by their exponentials, to 1e-6.
+
+    A polynomial of x / 16, squared four times: the compiler vectorises it, unlike np.exp.
+    """
     one = np.float32(1.0)
     for k in range(len(values)):
         x = min(max(values[k], np.float32(-8.0)), np.float32(8.0)) * np.float32(1 / 16)
@@ -69,8 +74,8 @@ def _exponentiate(values):
 
 
 @exact
-def mark(image, usable, spots, rows, left, top, n, ceiling):  # noqa: PLR0917
-    """(n, n) whether each pixel is seen, clipped, or hidden: outside the field, or on something else."""
+def pixel_states(image, usable, spots, rows, left, top, n, ceiling):  # noqa: PLR0917
+    """Return the state (n, n) of each pixel; hidden ones lie outside the field or on another spot."""
     height, width = usable.shape
     state = np.zeros((n, n), np.uint8)
     for i in range(n):
@@ -107,7 +112,7 @@ def _hide(state, y, x, reach):
 
 @exact
 def hide_metal(state, spots, rows, left, top, light) -> bool:  # noqa: PLR0917
-    """Hide what stands about the beads and is nearly as dark as the first one; whether there is any."""
+    """Hide pixels around the beads that are nearly as dark as the first bead; return whether there are any."""
     n = len(state)
     mean, free, dark = _about_beads(state, spots, rows, left, top, light)
     limit, found = _metal_limit(mean, free, dark), 0
@@ -115,7 +120,7 @@ def hide_metal(state, spots, rows, left, top, light) -> bool:  # noqa: PLR0917
         for j in range(n):
             free[i, j] &= mean[i, j] < limit
             found += free[i, j]
-    if found < _FEWEST_METAL:
+    if found < _MIN_METAL:
         return False
     for i in range(n):
         for j in range(n):
@@ -126,13 +131,13 @@ def hide_metal(state, spots, rows, left, top, light) -> bool:  # noqa: PLR0917
 
 @part_of_caller
 def _about_beads(state, spots, rows, left, top, light):  # noqa: PLR0917
-    """Means over 3x3 pixels, which of them are on no bead, and the first bead's own light in its middle."""
+    """Return means over 3x3 pixels, whether each is free of beads, and the first bead's light in its middle."""
     n = len(state)
     mean, free = np.zeros((n, n), np.float32), np.zeros((n, n), np.bool_)
     inside, core = 0.0, 0
     for i in range(n):
         for j in range(n):
-            if state[i, j] & 3 == HIDDEN:
+            if state[i, j] == HIDDEN:
                 continue
             for y in range(i + MARGIN - 1, i + MARGIN + 2):
                 for x in range(j + MARGIN - 1, j + MARGIN + 2):
@@ -149,7 +154,7 @@ def _about_beads(state, spots, rows, left, top, light):  # noqa: PLR0917
 
 @exact
 def _metal_limit(mean, free, dark):
-    """What is darker than this is metal: between the bead's light and that of the background, which is free of it."""
+    """Return the light below which a pixel is metal, between the bead's light and that of the metal-free background."""
     limit = 0.0
     for _ in range(4):
         bright, count = 0.0, 0
@@ -158,20 +163,20 @@ def _metal_limit(mean, free, dark):
                 if free[i, j] and mean[i, j] > limit:
                     bright += mean[i, j]
                     count += 1
-        limit = dark + _AS_DARK * (bright / max(count, 1) - dark)
+        limit = dark + _METAL_SHARE * (bright / max(count, 1) - dark)
     return limit
 
 
 @exact
-def rim_seen(state, spots, rows, left, top):
-    """Share of the first bead's rim that is neither hidden nor on another bead."""
+def visible_rim(state, spots, rows, left, top):
+    """Return the share of the first bead's rim that is neither hidden nor on another bead."""
     rim, seen = 0, 0
     for i in range(len(state)):
         for j in range(len(state)):
             x, y = left + j, top + i
             if abs(np.hypot(x - spots[rows[0], U], y - spots[rows[0], V]) - spots[rows[0], RADIUS]) < _RIM:
                 rim += 1
-                free = state[i, j] & 3 != HIDDEN
+                free = state[i, j] != HIDDEN
                 for k in range(1, len(rows)):
                     free &= np.hypot(x - spots[rows[k], U], y - spots[rows[k], V]) > spots[rows[k], RADIUS]
                 seen += free
@@ -179,39 +184,40 @@ def rim_seen(state, spots, rows, left, top):
 
 
 @part_of_caller
-def spread(state, x, y, radius):
-    """Carry what is not seen on by the filter's reach in the high bits of `state`; share of the rim that this costs."""
+def mark_near_unusable(state, x, y, radius):
+    """Mark visible pixels within the filter's reach of unusable ones; return the share of the visible rim lost."""
     n = len(state)
-    any_hidden = False
+    any_unusable = False
     for i in range(n):
         for j in range(n):
-            if state[i, j] & 3:
-                any_hidden = True
-                for a in range(max(i - _SPREAD, 0), min(i + _SPREAD + 1, n)):
-                    for b in range(max(j - _SPREAD, 0), min(j + _SPREAD + 1, n)):
-                        state[a, b] |= 4
-    if not any_hidden:
+            if state[i, j] >= CLIPPED:
+                any_unusable = True
+                for a in range(max(i - _FILTER_REACH, 0), min(i + _FILTER_REACH + 1, n)):
+                    for b in range(max(j - _FILTER_REACH, 0), min(j + _FILTER_REACH + 1, n)):
+                        state[a, b] = max(state[a, b], NEAR_UNUSABLE)
+    if not any_unusable:
         return 0.0
     rim, lost = 0, 0
     for i in range(n):
         for j in range(n):
-            if abs(np.hypot(j - x, i - y) - radius) < _RIM and state[i, j] & 3 != HIDDEN:
+            if abs(np.hypot(j - x, i - y) - radius) < _RIM and state[i, j] != HIDDEN:
                 rim += 1
-                lost += state[i, j] > 3
+                lost += state[i, j] != SEEN
     return lost / max(rim, 1)
 
 
 @part_of_caller
-def gather(state, filtered, values, x0, y0, reach):  # noqa: PLR0917
-    """x, y from the first guess of the centre and value of each pixel that counts; its place; how many they are.
+def gather_pixels(state, filtered, values, x0, y0, reach):  # noqa: PLR0917
+    """Return the counting pixels' x, y from (`x0`, `y0`) and values (3, N), rows and columns (2, N), and their number.
 
-    As many more stand after them, all at (0, 0), as make up whole steps of the vectorised loops.
+    Where the values are filtered, only pixels count that no unusable one reaches. N is padded to a multiple of _VECTOR
+    with pixels at (0, 0).
     """
     n = len(state)
     margin = (len(values) - n) // 2
-    room = n * n + _VECTOR
-    at, where = np.empty((3, room), np.float32), np.empty((2, room), np.uint32)
-    worst, reach2 = np.uint8(3 if filtered else 255), np.float32(reach * reach)
+    capacity = n * n + _VECTOR
+    at, where = np.empty((3, capacity), np.float32), np.empty((2, capacity), np.uint32)
+    worst, reach2 = np.uint8(SEEN if filtered else CLIPPED), np.float32(reach * reach)
     pixels = np.uint32(0)
     for i in range(n):
         y, row, seen = np.float32(i - y0), state[i], values[i + margin, margin:]
@@ -219,8 +225,8 @@ def gather(state, filtered, values, x0, y0, reach):  # noqa: PLR0917
             x = np.float32(j) - np.float32(x0)
             at[0, pixels], at[1, pixels], at[2, pixels] = x, y, seen[j]
             where[0, pixels], where[1, pixels] = np.uint32(i), np.uint32(j)
-            counts = (x * x + y * y < reach2) & (row[j] & 3 != HIDDEN) & (row[j] <= worst)
-            pixels += np.uint32(counts)  # without a branch: what does not count is written over
+            counts = (x * x + y * y < reach2) & (row[j] <= worst)
+            pixels += np.uint32(counts)  # branch-free: a pixel that does not count is overwritten
     count = int(pixels)
     whole = (count + _VECTOR - 1) // _VECTOR * _VECTOR
     at[:, count:whole], where[:, count:whole] = 0.0, 0
@@ -229,7 +235,7 @@ def gather(state, filtered, values, x0, y0, reach):  # noqa: PLR0917
 
 @fast
 def along_both_axes(field, taps):
-    """`field` convolved along both axes with the symmetric `taps`, without its margin of as many pixels."""
+    """Return `field` convolved along both axes with the symmetric `taps`, cropped by len(taps) - 1 on each side."""
     t, width = len(taps) - 1, field.shape[1]
     out = in_one_row(field.reshape(-1), taps, width)
     return out.reshape(len(out) // width, width)[:, : width - 2 * t]
@@ -237,8 +243,7 @@ def along_both_axes(field, taps):
 
 @fast
 def in_one_row(field, taps, width):
-    """The same of a field whose rows of `width` stand one after the other; of each row of the answer what lies in the
-    margin means nothing."""
+    """`along_both_axes` of a flattened field with rows of `width`; in the result, each row's margin is undefined."""
     t = len(taps) - 1
     size = len(field) - 2 * t * width
     once, twice = np.empty(size, np.float32), np.empty(size, np.float32)
@@ -250,7 +255,7 @@ def in_one_row(field, taps, width):
 
 @fast
 def _along(values, taps, step, out):
-    """`values` convolved with `taps` that are `step` apart: long loops over neighbours, which are vectorised."""
+    """Convolve `values` with `taps` that are `step` apart, in long loops that the compiler vectorises."""
     middle = (len(taps) - 1) * step
     before, at, after = values[middle - step :], values[middle:], values[middle + step :]
     for p in range(len(out)):
