@@ -10,7 +10,7 @@ from bead_images import Bead, radiograph, transmission
 
 from sightline.detection import Observations, detect, label, look_again, refine
 from sightline.detection.again import without_overlaps
-from sightline.detection.detector import fit_of
+from sightline.detection.detector import bead_fitter
 from sightline.errors import ObservationsError
 from sightline.frame import Frame, FrameView, Plate
 from sightline.imaging import Radiograph
@@ -144,7 +144,7 @@ def test_metal_beside_a_bead_is_hidden_under_it_too() -> None:
     beads = detect(seen_image)
     (u, v), radius, (normal, place) = one.at(large[0]), one.radius_px[one.ids.index(large[0])], bars[0]
     rows = refine.start(np.array([[u, v]]), np.array([radius]), np.array([-0.9]))
-    usable, enough = without_overlaps(seen_image, fit_of(seen_image, beads), rows, np.array([0]))
+    usable, enough = without_overlaps(seen_image, bead_fitter(seen_image, beads), rows, np.array([0]))
     y, x = np.mgrid[: SHAPE[0], : SHAPE[1]]
     in_disc = np.hypot(x - u, y - v) < radius
     under = normal[0] * (x - place[0]) + normal[1] * (y - place[1]) > 0
@@ -155,7 +155,7 @@ def test_metal_beside_a_bead_is_hidden_under_it_too() -> None:
     pixels = seen_image.pixels.copy()
     pixels[(np.hypot(x - u, y - v) > radius + 1.5) & ~under] = np.uint16(seen_image.white)
     clipped = replace(seen_image, pixels=pixels)
-    _, enough = without_overlaps(clipped, fit_of(clipped, beads), rows, np.array([0]))
+    _, enough = without_overlaps(clipped, bead_fitter(clipped, beads), rows, np.array([0]))
     assert not enough.any()
 
 

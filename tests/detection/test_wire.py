@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from tests.detection.wire_images import PX_PER_MM, SIZE, Drawn, Expected, expected, image_of
 
-from sightline.detection.wire import WireShadow, _off_the_others, _Piece, find_wire
+from sightline.detection.wire import WireShadow, _left_out_residuals, _Piece, find_wire
 from sightline.detection.wire_model import BEND, WireFit
 from sightline.errors import UnusableInputError, WireRefusedError
 from sightline.imaging import Radiograph
@@ -86,7 +86,7 @@ def test_a_piece_is_held_against_the_others_not_against_itself():
     s, x = 30.0 * np.arange(9.0), np.random.default_rng(11).standard_normal(9)
     fits = [WireFit(np.array([offset]), np.zeros(0), np.zeros(0), 1.0, 1.0, True) for offset in x]
     pieces = [_Piece(float(place), np.zeros(0), fit) for place, fit in zip(s, fits, strict=True)]
-    for k, off in enumerate(_off_the_others(pieces)):
+    for k, off in enumerate(_left_out_residuals(pieces)):
         others = np.polynomial.Polynomial.fit(np.delete(s, k), np.delete(x, k), BEND)
         assert off == pytest.approx(x[k] - others(s[k]), abs=1e-9)
 

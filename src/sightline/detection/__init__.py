@@ -1,4 +1,4 @@
-"""Beads: found, measured, told apart."""
+"""Detection, measurement and labelling of beads."""
 
 from sightline.detection.again import look_again
 from sightline.detection.detector import detect

@@ -1,4 +1,4 @@
-"""Why an image shows too few beads, as far as its own pixels tell."""
+"""Find why an image shows too few beads, from its pixels."""
 
 from collections.abc import Sequence
 
@@ -9,12 +9,12 @@ from sightline.detection.results import Rejected
 from sightline.imaging import Radiograph
 from sightline.imaging.defects import MOST_CLIPPED, clipped_share, torn
 
-NO_RIM = "no rim"  # how this reason begins
-_FEWEST = 5  # spots that tell anything of an image [ours]
+NO_RIM = "no rim"  # start of this reason
+_MIN_SPOTS = 5  # for a statement about the image [ours]
 
 
 def cause_of(image: Radiograph, beads: np.ndarray, rejected: Sequence[Rejected]) -> str | None:
-    """What is wrong with an image in which so few beads were found, and what to do; None where it does not tell.
+    """Return what is wrong with an image in which few beads were found, and what to do; None where it is not clear.
 
     `beads` (N, 3): u, v and radius, px.
     """
@@ -30,12 +30,12 @@ def cause_of(image: Radiograph, beads: np.ndarray, rejected: Sequence[Rejected])
             f"the image is smeared by movement at about {moved.angle_deg:.0f}° to its rows: rims are softer there than "
             f"across ({moved.directed:.2f}, at most {DIRECTED:g}); hold still, and take it again in a single exposure"
         )
-    # Here alone: it takes as long as half of detection, and beads show a tear in a view's checks. After movement, since
-    # smeared lines resemble each other once shifted.
+    # Only here, because it takes half as long as detection, and beads reveal a tear in the view's checks. After the
+    # check for movement, since smeared lines match each other once shifted.
     tear = torn(image)
     if tear is not None:
         return tear.sentence
     soft = sum(one.reason.startswith(NO_RIM) for one in rejected)
-    if soft >= max(_FEWEST, len(beads) / 2):
+    if soft >= max(_MIN_SPOTS, len(beads) / 2):
         return f"the image is blurred: {soft} spots fade out without a rim, {len(beads)} have one; focus, or hold still"
     return None

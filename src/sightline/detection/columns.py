@@ -1,8 +1,8 @@
-"""Columns of a fit's answer, and how a fit can end."""
+"""Columns of a bead fit's result, and the values of its status."""
 
-# Centre, px; radius, px; contrast of log light; blur in the image, px (these five are also where a fit starts);
-# covariance of the centre, px²; variance of the contrast; chi-square per pixel; residual beyond noise over contrast;
-# weakest sector's contrast in units of the whole's; how it ended.
+# Centre, px; radius, px; contrast of log light; blur in the image, px (these five are also the initial values of a
+# fit); covariance of the centre, px²; variance of the contrast; chi-square per pixel; residual beyond noise over
+# contrast; the weakest sector's contrast over the whole bead's; status.
 U, V, RADIUS, CONTRAST, BLUR, CUU, CUV, CVV, CCC, CHI2, EXCESS, WEAKEST, STATUS = range(13)
 COUNT = 13
 FITTED, TOO_FEW_PIXELS, WANDERED, SINGULAR = 0, 1, 2, 3

@@ -1,4 +1,4 @@
-"""Detections as CSV: beads that other software, or `sightline detect --csv`, found but did not tell apart."""
+"""Detections as CSV: beads from other software or `sightline detect --csv`, found but not labelled."""
 
 import csv
 import io
@@ -19,17 +19,17 @@ _COVARIANCE = ("suu_px2", "suv_px2", "svv_px2")
 _OPTIONAL = ("sd_px", *_COVARIANCE, "kind", "contrast")
 _KINDS = ("ball", "washer", "hole")
 _MAX_BYTES = 2**22  # [ours] forty thousand beads
-# What labelling takes for the error of a centre where the file states none [physics.md, Picks: a centred ball].
+# Error of a centre where the file states none [physics.md, Picks: a centred ball].
 _USUAL_SD_PX = 0.1
 
 
 def are_detections(path: Path) -> bool:
-    """Whether a CSV file holds beads without names: its header has no `id`."""
+    """Return whether a CSV file holds unlabelled beads: its header has `u_px` and no `id`."""
     try:
         with regular_file(path) as stream:
             header = stream.readline(4096).decode("utf-8-sig", "replace")
     except OSError:
-        return False  # whoever reads it says why it cannot
+        return False  # reading the file reports the error
     columns = [cell.strip() for cell in header.split(",")]
     return "u_px" in columns and "id" not in columns
 
@@ -37,18 +37,18 @@ def are_detections(path: Path) -> bool:
 def label_csv(
     path: Path, frame: Frame, view: str | None = None, datums: dict[str, tuple[float, float]] | None = None
 ) -> Observations:
-    """The beads of a file, labelled by `label`. Without errors in the file the observations have none.
+    """Return the beads of a file, labelled by `label`. They have a covariance only if the file states errors.
 
-    Raises ObservationsError, which names the line, and what `label` raises.
+    Raises ObservationsError, which names the line, and the errors of `label`.
     """
     detections, known = read_detections(path)
     found = label(detections, frame, view, datums)
-    # The size of the image is not known: what labelling took for it must not pass for a fact.
+    # The image's size is unknown; the value made up for labelling must not be passed on.
     return replace(found, covariance_px2=found.covariance_px2 if known else None, image_shape=None)
 
 
 def read_detections(path: Path) -> tuple[Detections, bool]:
-    """Detections, and whether the file states the errors of their centres. Raises ObservationsError."""
+    """Return the detections of a file, and whether it states the errors of their centres. Raises ObservationsError."""
     text = read_text(path, _MAX_BYTES, ObservationsError, "give one image's beads as CSV")
     try:
         if not text:
@@ -93,7 +93,7 @@ def _columns(reader: "csv.DictReader[str]", name: str) -> list[str]:
 
 
 def _row(row: dict[str, str], columns: list[str], where: str) -> tuple[dict[str, float], str]:
-    """The numbers of a line, and the kind."""
+    """Return the numbers and the kind of a line."""
     kind = (row.get("kind") or "ball").strip()
     try:
         numbers = {column: float(row[column]) for column in columns if column != "kind"}

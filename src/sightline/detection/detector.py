@@ -1,4 +1,4 @@
-"""Automatic detection: candidates, fits, and the reasons for which a candidate is no bead."""
+"""Automatic detection: candidates, fits, and the reasons to reject a candidate."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -17,26 +17,26 @@ from sightline.errors import DetectionRefusedError
 from sightline.imaging import Radiograph, as_radiograph
 from sightline.imaging.defects import interlaced
 
-_SMALLEST_PX, _LARGEST_PX = 1.7, 27.0  # what is promised, 2-25 px, and a margin for the fit
-_NOISIEST_PX = 1.0  # a centre less certain than this is of no use; promised is recall below 0.5 px [ours]
-_FAINTEST_SD = 3.5  # contrast over its standard deviation; a candidate has a step of 4.5 already [ours]
-# Residual beyond noise over contrast (beads 0.05, rarely 0.11, also on bone edges; anatomy and metal more), and
-# contrast of the weakest eighth over that of the whole (beads 0.8 and more, 0.63 at low dose) [twin, ARCADIS]:
-# once spots that are no beads have no part in a fit any more, and before.
+_MIN_RADIUS_PX, _MAX_RADIUS_PX = 1.7, 27.0  # the promised 2-25 px, and a margin for the fit
+_MAX_SD_PX = 1.0  # a less certain centre is of no use; recall is promised below 0.5 px [ours]
+_MIN_CONTRAST_SD = 3.5  # contrast over its s.d.; candidates already have a step of 4.5 [ours]
+# Largest residual beyond noise over contrast (beads 0.05, rarely 0.11, also on bone edges; anatomy and metal more), and
+# smallest contrast of the weakest eighth over that of the whole (beads 0.8 and more, 0.63 at low dose) [twin, ARCADIS].
+# _LOOSE holds while spots that are not beads still take part in the fits, _STRICT afterwards.
 _STRICT = 0.12, 0.6
 _LOOSE = 0.25, 0.2
-_WINDOW_PX = 8.0  # beyond both radii: a spot that far away has no part in a bead's fit
-_SOFTEST = 0.45  # blur over radius of a shape with a rim [ARCADIS: 0.1-0.3; anatomy 0.5-1]
-# Against the other beads of the image, where there are enough of them to tell what is usual.
+_WINDOW_PX = 8.0  # beyond both radii: a spot farther away does not influence a bead's fit
+_MAX_BLUR = 0.45  # over the radius, of a shape with a rim [ARCADIS: 0.1-0.3; anatomy 0.5-1]
+# Limits relative to the other beads of the image, used where there are enough to define what is usual.
 _ENOUGH_TO_COMPARE = 8
 _BLURRED = 1.5  # times the usual blur: one detector, one blur; beads up to 1.33 at low dose, 1.14 else [twin]
 _SMALL = 0.55  # of the usual radius: beads 0.62 and more, grains beside the beads 0.45 and less [twin, ARCADIS]
-# Of the usual contrast: one in a thousand beads has less, on dense bone at low dose [twin]; textures of bone that pass
-# for round have 0.14 and more [twin], 0.08 in images of hips [measured].
+# Of the usual contrast: one bead in a thousand has less, on dense bone at low dose [twin]. Round textures of bone have
+# 0.14 and more [twin], 0.08 in images of hips [measured].
 _FAINT = 0.25
 _MINORITY = 0.33  # of the beads: no frame has both balls and holes
-_COVERED = 0.35  # of a bead's disc under writing; what is left of its rim no longer holds centre and radius [twin]
-_WASHER_RIM = 0.68  # of a washer's radius: what is further in is left out; its hole reaches to 0.45-0.55 [DIN 125]
+_COVERED = 0.35  # share of a bead under a burnt-in annotation; more leaves too little rim for a fit [twin]
+_WASHER_RIM = 0.68  # of a washer's radius: pixels further in are left out; its hole reaches 0.45-0.55 [DIN 125]
 
 _NOT_ROUND = "not round: some side does not differ from the middle, as on an edge, a wire or a bone contour"
 _TOO_LARGE = "its radius is above 25 px"
@@ -48,15 +48,15 @@ _FIT_REASONS = {
 
 
 def detect(image: Radiograph | np.ndarray | str | Path, white: float | None = None) -> Detections:
-    """Beads (dark balls and washers, bright holes; radius 2-25 px) of one image, with their covariances.
+    """Return the beads of one image (dark balls and washers, bright holes; radius 2-25 px) with their covariances.
 
-    `image`: a Radiograph, a file, or an array (H, W), brighter where more X-rays came; `white`: the largest value that
-    an array's source can store, its type's unless given (see `as_radiograph`).
-    `rejected` holds what came near to being a bead; places without any rim are passed over in silence.
-    Raises DetectionRefusedError where nothing in the image looks like a bead, and where something moved between the two
-    fields of an interlaced image, which no centre shows; and what `as_radiograph` raises. Where most beads have a
-    radius above 15 px they are measured in pixels of twice the side, as often as it takes; the answer is in the image's
-    own pixels.
+    `image`: a Radiograph, a file, or an array (H, W), brighter where more X-rays arrived. `white`: the largest value
+    that an array's source can store; by default its type's (see `as_radiograph`).
+    `rejected` holds candidates that resemble beads; extrema without a rim are dropped without a report.
+    Where most beads have a radius above 15 px, the image is binned 2 x 2 until they have not; the result is in the
+    image's own pixels.
+    Raises DetectionRefusedError where nothing looks like a bead, and where something moved between the two fields of an
+    interlaced image; and the errors of `as_radiograph`.
     """
     image = as_radiograph(image, white)
     defect = interlaced(image)
@@ -66,8 +66,8 @@ def detect(image: Radiograph | np.ndarray | str | Path, white: float | None = No
 
 
 def _detected(image: Radiograph) -> Detections:
-    """`detect` without the look at its two fields."""
-    mask, logs, noise = _looked_at(image)
+    """`detect` without the check for interlacing."""
+    mask, logs, noise = _prepared(image)
     spots = find_candidates(logs, mask, noise)
     rows = refine.start(spots.uv_px, spots.radius_px, spots.response)
     rejected = _rejected(rows[~spots.round], np.full(len(rows), _NOT_ROUND))
@@ -76,7 +76,7 @@ def _detected(image: Radiograph) -> Detections:
     beads, unfit = _fitted(rows[spots.round], fit)
     rejected += unfit
     middles = mask & ~usable
-    reason = _odd_ones(beads, _on(middles, beads))
+    reason = _outlier_reasons(beads, _at_centres(middles, beads))
     if image.burnt_in is not None:
         reason[_covered(beads, image.burnt_in) > _COVERED] = "covered by writing in the image"
     rejected += _rejected(beads[reason != ""], reason[reason != ""])
@@ -92,15 +92,15 @@ def _detected(image: Radiograph) -> Detections:
     return _detections(beads, middles, image, rejected)
 
 
-def fit_of(image: Radiograph, beads: Detections) -> refine.BeadFitter:
-    """The fit to measure more beads of an image with. Raises DetectionRefusedError."""
-    mask, logs, noise = _looked_at(image)
+def bead_fitter(image: Radiograph, beads: Detections) -> refine.BeadFitter:
+    """Return the fitter for more beads of an image. Raises DetectionRefusedError."""
+    mask, logs, noise = _prepared(image)
     washer = np.array([kind == "washer" for kind in beads.kind], dtype=bool)
     return refine.BeadFitter(logs, without_middles(mask, beads.uv_px[washer], beads.radius_px[washer]), noise)
 
 
-def _looked_at(image: Radiograph) -> tuple[np.ndarray, np.ndarray, NoiseModel]:
-    """Which pixels are in the field, their log intensity, its noise. Raises DetectionRefusedError."""
+def _prepared(image: Radiograph) -> tuple[np.ndarray, np.ndarray, NoiseModel]:
+    """Return the mask of the field, the log image and its noise. Raises DetectionRefusedError."""
     mask = field_inset(image)
     logs = log_image(image, mask)
     noise = estimate_noise(logs, mask)
@@ -110,7 +110,7 @@ def _looked_at(image: Radiograph) -> tuple[np.ndarray, np.ndarray, NoiseModel]:
 
 
 def _no_noise(image: Radiograph, mask: np.ndarray) -> str:
-    """Why there is no noise to measure: too small a field, or too little of it that is not constant."""
+    """Return why no noise can be measured: the field is too small, or too much of it is constant."""
     if np.count_nonzero(mask) < MIN_FIELD_PX:
         return f"the field of view has fewer than {MIN_FIELD_PX} px, too few to measure its noise; give a larger image"
     why = cause_of(image, np.zeros((0, 3)), ())
@@ -124,11 +124,11 @@ def _no_noise(image: Radiograph, mask: np.ndarray) -> str:
 
 
 def _fitted(rows: np.ndarray, fit: refine.BeadFitter) -> tuple[np.ndarray, tuple[Rejected, ...]]:
-    """Beads among the spots `rows`; those whose fit had to do with a spot that is none are fitted again."""
+    """Return the beads among the spots `rows` and the rejected ones; beads near rejected spots are fitted again."""
     first = fit(rows)
     reason = _shape_reasons(first, _LOOSE)
     likely = np.flatnonzero(reason == "")
-    reason[likely[_repeats(first[likely])]] = "lies on a stronger bead"
+    reason[likely[_duplicates(first[likely])]] = "lies on a stronger bead"
     rejected = _rejected(first[reason != ""], reason[reason != ""])
     beads, gone = first[reason == ""], rows[reason != ""]
     apart = np.hypot(*(beads[:, None, c] - gone[None, :, c] for c in (columns.U, columns.V)))
@@ -140,7 +140,7 @@ def _fitted(rows: np.ndarray, fit: refine.BeadFitter) -> tuple[np.ndarray, tuple
 
 
 def without_middles(mask: np.ndarray, uv_px: np.ndarray, radius_px: np.ndarray) -> np.ndarray:
-    """The mask without the middles of washers: of those the outer rim is fitted, as if they were balls."""
+    """Return the mask without the middles of washers, whose outer rims are fitted as if they were balls."""
     middles = np.zeros(mask.shape, np.uint8)
     for (u, v), radius in zip(uv_px, radius_px, strict=True):
         cv2.circle(middles, (round(16 * u), round(16 * v)), round(16 * _WASHER_RIM * radius), 1, -1, cv2.LINE_8, 4)
@@ -148,33 +148,35 @@ def without_middles(mask: np.ndarray, uv_px: np.ndarray, radius_px: np.ndarray) 
 
 
 def _shape_reasons(fit: np.ndarray, limits: tuple[float, float]) -> np.ndarray:
-    """Why each fit is no bead by itself; empty where it may be one."""
+    """Return why each fit is not a bead, judged on its own; empty where it may be one."""
     reason = np.full(len(fit), "", dtype=object)
     size = fit[:, columns.RADIUS]
     excess, weakest = limits
     reason[fit[:, columns.EXCESS] > excess] = "not a disc: what remains after the fit is too large beside its contrast"
     reason[fit[:, columns.WEAKEST] < weakest] = _NOT_ROUND
-    reason[fit[:, columns.BLUR] > _SOFTEST * size + 0.1] = f"{NO_RIM}: it fades out like anatomy, not like a bead"
-    reason[size < _SMALLEST_PX] = "its radius is below 2 px"
-    reason[size > _LARGEST_PX] = _TOO_LARGE
+    reason[fit[:, columns.BLUR] > _MAX_BLUR * size + 0.1] = f"{NO_RIM}: it fades out like anatomy, not like a bead"
+    reason[size < _MIN_RADIUS_PX] = "its radius is below 2 px"
+    reason[size > _MAX_RADIUS_PX] = _TOO_LARGE
     for status, why in _FIT_REASONS.items():
         reason[fit[:, columns.STATUS] == status] = why
     return reason
 
 
 def fine_reasons(fit: np.ndarray) -> np.ndarray:
-    """`_shape_reasons` and those that need the covariance."""
+    """Return `_shape_reasons` and the reasons that need the covariance."""
     reason = _shape_reasons(fit, _STRICT)
-    reason[np.maximum(fit[:, columns.CUU], fit[:, columns.CVV]) > _NOISIEST_PX**2] = "its centre is too uncertain"
-    reason[np.abs(fit[:, columns.CONTRAST]) < _FAINTEST_SD * np.sqrt(np.abs(fit[:, columns.CCC]))] = "lost in noise"
+    reason[np.maximum(fit[:, columns.CUU], fit[:, columns.CVV]) > _MAX_SD_PX**2] = "its centre is too uncertain"
+    reason[np.abs(fit[:, columns.CONTRAST]) < _MIN_CONTRAST_SD * np.sqrt(np.abs(fit[:, columns.CCC]))] = "lost in noise"
     for status, why in _FIT_REASONS.items():
         reason[fit[:, columns.STATUS] == status] = why
     return reason
 
 
-def _odd_ones(beads: np.ndarray, washer: np.ndarray) -> np.ndarray:
-    """Why a bead does not belong to the others of its image; empty where it does. `washer` (N,) bool: thin, and
-    therefore fainter than balls."""
+def _outlier_reasons(beads: np.ndarray, washer: np.ndarray) -> np.ndarray:
+    """Return why a bead differs from the others of its image; empty where it does not.
+
+    `washer` (N,) bool: washers are thin, and therefore fainter than balls.
+    """
     reason = np.full(len(beads), "", dtype=object)
     dark = beads[:, columns.CONTRAST] < 0
     strength = np.abs(beads[:, columns.CONTRAST]) * beads[:, columns.RADIUS]
@@ -195,14 +197,14 @@ def _odd_ones(beads: np.ndarray, washer: np.ndarray) -> np.ndarray:
     return reason
 
 
-def _on(mask: np.ndarray, beads: np.ndarray) -> np.ndarray:
-    """(N,) bool: whether a mask (H, W) is true at each bead's centre."""
+def _at_centres(mask: np.ndarray, beads: np.ndarray) -> np.ndarray:
+    """Return (N,) bool: whether a mask (H, W) is true at each bead's centre."""
     u, v = np.clip(np.rint(beads[:, :2]).astype(int), 0, np.array(mask.shape[::-1]) - 1).T
     return mask[v, u]
 
 
 def _covered(beads: np.ndarray, written: np.ndarray) -> np.ndarray:
-    """(N,) how much of each bead's disc, with its rim, lies under `written` (H, W)."""
+    """Return the share (N,) of each bead's disc, with its rim, that lies under the mask `written` (H, W)."""
     shares = np.zeros(len(beads))
     for i, (u, v, radius) in enumerate(beads[:, :3]):
         disc = np.zeros(written.shape, np.uint8)
@@ -211,8 +213,8 @@ def _covered(beads: np.ndarray, written: np.ndarray) -> np.ndarray:
     return shares
 
 
-def _repeats(fit: np.ndarray) -> np.ndarray:
-    """Of fits that share a place all but the one that explains most of the image."""
+def _duplicates(fit: np.ndarray) -> np.ndarray:
+    """Return (N,) bool: fits that share a place with a fit that explains more of the image."""
     strength = np.abs(fit[:, columns.CONTRAST]) * fit[:, columns.RADIUS] / (0.05 + fit[:, columns.EXCESS])
     order = np.argsort(-strength, kind="stable")
     repeated = np.empty(len(fit), bool)
@@ -221,21 +223,23 @@ def _repeats(fit: np.ndarray) -> np.ndarray:
 
 
 def _rejected(rows: np.ndarray, reasons: np.ndarray) -> tuple[Rejected, ...]:
-    """What stands in the first three columns, u, v and radius, each with its reason."""
+    """Return rows (u, v and radius in the first three columns) with their reasons."""
     return tuple(Rejected((u, v), r, str(why)) for (u, v, r), why in zip(rows[:, :3].tolist(), reasons, strict=False))
 
 
 def _detections(
     beads: np.ndarray, middles: np.ndarray, image: Radiograph, rejected: tuple[Rejected, ...]
 ) -> Detections:
-    """`middles` (H, W): where there are middles of washers."""
+    """Return rows of `columns` as Detections. `middles` (H, W): True in the middles of washers."""
     cuu, cuv, cvv = (beads[:, c] for c in (columns.CUU, columns.CUV, columns.CVV))
     return Detections(
         uv_px=beads[:, :2],
         radius_px=beads[:, columns.RADIUS],
         covariance_px2=np.stack([cuu, cuv, cuv, cvv], axis=-1).reshape(-1, 2, 2),
         kind=tuple(
-            np.where(_on(middles, beads), "washer", np.where(beads[:, columns.CONTRAST] < 0, "ball", "hole")).tolist()
+            np.where(
+                _at_centres(middles, beads), "washer", np.where(beads[:, columns.CONTRAST] < 0, "ball", "hole")
+            ).tolist()
         ),
         contrast=beads[:, columns.CONTRAST],
         image_shape=image.shape,

@@ -20,7 +20,7 @@ _MAX_TEXT = 64  # [ours] characters in the name of a view or fiducial
 
 
 def read_observations(path: str | Path) -> dict[str, Observations]:
-    """The observations in a CSV file, by view. Raises ObservationsError, which names the line."""
+    """Return the observations in a CSV file, by view. Raises ObservationsError, which names the line."""
     name = Path(path).name
     reader = csv.reader(
         io.StringIO(
@@ -46,7 +46,7 @@ def read_observations(path: str | Path) -> dict[str, Observations]:
 
 
 def write_observations(observations: Iterable[Observations], path: str | Path) -> Path:
-    """Write the views' observations as one CSV file; covariances only where every view has them."""
+    """Write the views' observations to one CSV file, with covariances only if every view has them; return its path."""
     views = list(observations)
     known = all(view.covariance_px2 is not None for view in views)
     text = io.StringIO()

@@ -1,4 +1,4 @@
-"""Candidates: places that differ from their surroundings, held to have a rim that lies on a circle."""
+"""Candidates: band-pass extrema whose rim lies on a circle."""
 
 from dataclasses import dataclass
 
@@ -10,28 +10,29 @@ from sightline.detection.compiled import exact
 from sightline.detection.noise import NoiseModel
 from sightline.detection.rim import FAINTEST, HOLLOW, RADIUS, RESPONSE, SCORE, U, V, broad_noise, judged
 
-# Extrema are looked for at half resolution, where a disc of 2 px under the usual blur is still well sampled. The bands
-# answer most to discs of 2.2, 3.8, 7.6, 15 and 30 px radius: none of 2-25 px is further than sqrt 2 from one [calc].
+# Extrema are searched for at half resolution, where a disc of 2 px with the usual blur is still well sampled. The bands
+# respond most to discs of 2.2, 3.8, 7.6, 15 and 30 px radius: each of 2-25 px is within a factor of sqrt 2 [calc].
 _OCTAVES = 4
 _HALF = 2
-_BAND_RADIUS = 1.9  # disc that a band of two Gaussians of sigma 1 and 2 answers most to [calc]
+_BAND_RADIUS = 1.9  # disc to which a band of two Gaussians of sigma 1 and 2 responds most [calc]
 _FINEST_RADIUS = 1.1  # the same for sigma 0.5 and 1, on the half-size image with its own blur [calc]
-_LOUDEST = 4.0  # a spot starts at this many noise deviations of its band [ours]
-_BAND_NOISE = 0.2  # of a band's answer, over the noise of a broad mean and the band's radius [calc]
-_BAND_GAIN = 0.2  # least answer of a band to a disc of contrast 1 between two bands [calc: 0.25 at its own radius]
-_RIM_OF_A_BALL = 0.7  # px between a ball's rim and its steepest place: it thins out there [twin: 0.5-0.8]
-# Share of the step that a washer lacks in its middle: 0.77-1.06 [twin]; balls 0.1 or less, a hole among holes more.
+_MIN_SNR = 4.0  # smallest response of a spot over the s.d. of the band's noise [ours]
+_BAND_NOISE = 0.2  # s.d. of a band's response, over the noise of a broad mean and the band's radius [calc]
+_BAND_GAIN = 0.2  # smallest response to a disc of contrast 1 between two bands [calc: 0.25 at a band's own radius]
+_BALL_RIM_PX = 0.7  # from a ball's steepest slope to its rim, where it is thin [twin: 0.5-0.8]
+# Limits of how much a washer lacks in its middle, over its step: 0.77-1.06 [twin]; balls have 0.1 or less, a hole among
+# holes more.
 _HOLLOW = 0.6, 1.25
-_CELL = 32.0  # px; repetitions are looked for in the cells around, which reach further than half a radius
-_MOST = 2**16  # extrema of a band: room for them, of which only what is filled in takes memory
+_CELL = 32.0  # px; duplicates are searched for in adjacent cells, which reach further than half a radius
+_MAX_EXTREMA = 2**16  # of a band; only the part of the buffer that is filled takes memory
 
 
 @dataclass(frozen=True, eq=False)
 class Candidates:
-    """What may be beads, best first: `uv_px` (N, 2), good to some 0.3 px; `radius_px` (N,), to some 5 %.
+    """Bead candidates, best first: `uv_px` (N, 2), to about 0.3 px; `radius_px` (N,), to about 5 %.
 
     `response` (N,): signed step of log intensity at the rim; `washer` (N,) bool: dark, with a bright middle;
-    `round` (N,) bool: False for what is too much like a disc to be passed over in silence, but is none.
+    `round` (N,) bool: False for a spot with a rim that is not round; it is reported as rejected.
     """
 
     uv_px: np.ndarray
@@ -45,9 +46,10 @@ class Candidates:
 
 
 def find_candidates(log_image: np.ndarray, mask: np.ndarray, noise: NoiseModel) -> Candidates:
-    """Round spots inside `mask` of a log image (H, W) float32 that is filled outside it, one per place and sign.
+    """Return round spots inside `mask` of a log image (H, W) float32, one per place and sign.
 
-    Extrema around which there is no rim at all, hundreds in any image, are passed over in silence.
+    The log image is filled outside the mask. Extrema without a rim, hundreds in any image, are dropped without a
+    report.
     """
     base = cv2.GaussianBlur(log_image, (5, 5), 0.8)
     half = cv2.resize(log_image, None, fx=1 / _HALF, fy=1 / _HALF, interpolation=cv2.INTER_AREA)
@@ -59,29 +61,29 @@ def find_candidates(log_image: np.ndarray, mask: np.ndarray, noise: NoiseModel) 
         extrema += _extrema(first, second, mask, _HALF << octave, _BAND_RADIUS, line)
         first = np.ascontiguousarray(second[::2, ::2])
     spots = judged(base, np.concatenate(extrema), line)
-    spots = np.concatenate([spots, judged(base, _about_holes(spots), line)])
+    spots = np.concatenate([spots, judged(base, _washers_around(spots), line)])
     spots = spots[spots[:, RADIUS] > 0]
     spots = spots[np.argsort(-spots[:, SCORE], kind="stable")]
     spots = spots[distinct(spots)]
     dark = spots[:, RESPONSE] < 0
     washer = dark & (spots[:, HOLLOW] > _HOLLOW[0]) & (spots[:, HOLLOW] < _HOLLOW[1]) & (spots[:, SCORE] > 0)
-    radius = spots[:, RADIUS] + np.where(dark & ~washer, _RIM_OF_A_BALL, 0.0)
+    radius = spots[:, RADIUS] + np.where(dark & ~washer, _BALL_RIM_PX, 0.0)
     keep = ~_middles(spots, washer)
     columns = spots[:, :2], radius, spots[:, RESPONSE], washer, spots[:, SCORE] > 0
     return Candidates(*(column[keep] for column in columns))
 
 
-def _about_holes(spots: np.ndarray) -> np.ndarray:
-    """Where to look for washers: about every round bright spot, whose own answer may hide the washer's.
+def _washers_around(spots: np.ndarray) -> np.ndarray:
+    """Return extrema for washers around every round bright spot, whose own response may hide the washer's.
 
-    The start is so wide that the middle of the washer, half as wide as the washer, does not count as its inside.
+    The initial radius is large enough that the middle of the washer, half as wide, is not taken for its inside.
     """
     holes = spots[(spots[:, SCORE] > 0) & (spots[:, RESPONSE] > 0)]
     return holes[:, : RESPONSE + 1] * [1.0, 1.0, 2.8, -1.0]
 
 
 def _middles(spots: np.ndarray, washer: np.ndarray) -> np.ndarray:
-    """Which spots are the bright middles of washers."""
+    """Return (N,) bool: which spots are the bright middles of washers."""
     inside = np.zeros(len(spots), bool)
     for u, v, radius in spots[washer][:, [U, V, RADIUS]]:
         near = np.hypot(spots[:, U] - u, spots[:, V] - v) < 0.4 * radius
@@ -90,19 +92,19 @@ def _middles(spots: np.ndarray, washer: np.ndarray) -> np.ndarray:
 
 
 def _extrema(fine, coarse, mask, step: int, radius: float, line) -> list[np.ndarray]:  # noqa: PLR0917
-    """Local extrema of a band of the pyramid, `step` image px per pixel, that answers most to discs of `radius` px.
+    """Return the local extrema of a pyramid band with `step` image px per pixel.
 
-    `fine` is overwritten.
+    The band responds most to discs of `radius` of its pixels. `fine` is overwritten.
     """
     if min(fine.shape) < 5:
         return []
-    rows = np.empty((_MOST, 4))
+    rows = np.empty((_MAX_EXTREMA, 4))
     return [rows[: _band(np.subtract(fine, coarse, out=fine), coarse, mask, step, radius * step, line, rows)]]
 
 
 @nb.njit(cache=True, fastmath=True)
 def _band(difference, coarse, mask, step, radius, line, rows) -> int:  # noqa: PLR0917
-    """Fill in the extrema of a band; how many there are."""
+    """Fill `rows` with the extrema of a band; return their number."""
     height, width = difference.shape
     faintest = np.float32(_BAND_GAIN * FAINTEST)
     extremal = np.empty(width, np.bool_)
@@ -113,7 +115,7 @@ def _band(difference, coarse, mask, step, radius, line, rows) -> int:  # noqa: P
             if not extremal[x] or not mask[y * step, x * step]:
                 continue
             value = difference[y, x]
-            if abs(value) < _LOUDEST * _BAND_NOISE * broad_noise(coarse[y, x], line) / radius or n == _MOST:
+            if abs(value) < _MIN_SNR * _BAND_NOISE * broad_noise(coarse[y, x], line) / radius or n == _MAX_EXTREMA:
                 continue
             left, right = difference[y, x - 1], difference[y, x + 1]
             above, below = difference[y - 1, x], difference[y + 1, x]
@@ -129,7 +131,7 @@ def _band(difference, coarse, mask, step, radius, line, rows) -> int:  # noqa: P
 
 @exact
 def _mark_extremal(d, y, least, extremal):
-    """Where in a row a value is `least` or more from zero, and no neighbour further on the same side: no branches."""
+    """Mark the extrema of row `y` that are `least` or more from zero, without branches."""
     for x in range(1, d.shape[1] - 1):
         above = max(d[y - 1, x - 1], d[y - 1, x], d[y - 1, x + 1], d[y, x - 1])
         above = max(above, d[y, x + 1], d[y + 1, x - 1], d[y + 1, x], d[y + 1, x + 1])
@@ -139,20 +141,20 @@ def _mark_extremal(d, y, least, extremal):
 
 
 def distinct(spots: np.ndarray) -> np.ndarray:
-    """Which rows of u, v, radius and contrast, best first, do not repeat a better one.
+    """Return (N,) bool: rows of u, v, radius and contrast, best first, that do not duplicate a better one.
 
-    A repetition has the same sign, and its middle lies within half the larger radius of the other's.
+    A duplicate has the same sign, and its centre lies within half the larger radius of the other's.
     """
     keep = np.ones(len(spots), bool)
     if len(spots):
         columns, lines = (np.maximum(spots[:, :2].max(axis=0), 0) / _CELL).astype(int) + 2
-        _mark_repeated(np.ascontiguousarray(spots), keep, np.full((lines, columns), -1), np.full(len(spots), -1))
+        _mark_duplicates(np.ascontiguousarray(spots), keep, np.full((lines, columns), -1), np.full(len(spots), -1))
     return keep
 
 
 @nb.njit(cache=True)
-def _mark_repeated(spots, keep, head, following):
-    """`head` of each cell and `following` of each row link the rows of a cell that are kept."""
+def _mark_duplicates(spots, keep, head, following):
+    """Clear `keep` of duplicates. `head` of each cell and `following` of each row link the kept rows of a cell."""
     lines, columns = head.shape
     for i in range(len(spots)):
         u, v, radius = spots[i, U], spots[i, V], spots[i, RADIUS]

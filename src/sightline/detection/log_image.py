@@ -1,4 +1,4 @@
-"""The image as detection sees it: log intensity, continued beyond the field's edge."""
+"""The log intensity of an image, extrapolated beyond the field's edge, as detection uses it."""
 
 from functools import cache
 
@@ -8,26 +8,30 @@ import numpy as np
 from sightline.detection.compiled import exact
 from sightline.imaging import Radiograph
 
-_COARSE = 4  # px; what lies outside the field is filled at this coarseness
-_KNOWN = 0.01  # share of a place of the pyramid that must lie in the field
-_EDGE = 5  # px, width of the square that takes the field's outermost two pixels away
+_COARSE = 4  # px; outside the field, pixels are filled at this resolution
+_KNOWN = 0.01  # smallest share of a pyramid's pixel inside the field
+_EDGE = 5  # px, side of the square that erodes two pixels of the field
 
 
 def field_inset(image: Radiograph) -> np.ndarray:
-    """(H, W) bool: the field without what was written into it, and without its outermost pixels, which may be mixed
-    with what lies outside."""
+    """Return the field (H, W) bool without burnt-in annotations and without its outermost two pixels.
+
+    The outermost pixels may be mixed with the outside.
+    """
     inset = cv2.erode(image.field_mask.view(np.uint8), np.ones((_EDGE, _EDGE), np.uint8)).view(bool)
     return inset if image.burnt_in is None else inset & ~image.burnt_in
 
 
 def log_image(image: Radiograph, mask: np.ndarray) -> np.ndarray:
-    """(H, W) float32: natural logarithm of the pixels, a zero taken for half a grey level; outside `mask` what a
-    coarse pyramid of the inside holds nearest, under what was written into the image what a fine one holds."""
+    """Return the natural logarithm (H, W) float32 of the pixels; zero counts as half a grey level.
+
+    Pixels outside `mask` are filled from a coarse pyramid of the inside, burnt-in annotations from a fine one.
+    """
     return logs_of(image, mask, image.burnt_in)
 
 
 def logs_of(image: Radiograph, mask: np.ndarray, written: np.ndarray | None) -> np.ndarray:
-    """`log_image`, where what is `written` into the image (H, W) is known from an image before."""
+    """`log_image` with the burnt-in annotations `written` (H, W) known from a previous image."""
     pixels = image.pixels
     if pixels.dtype == np.float32:
         logs = np.log(np.maximum(pixels, np.float32(max(float(image.white) * 2.0**-16, 1e-30))))
@@ -48,7 +52,7 @@ def _logarithms(count: int) -> np.ndarray:
 
 
 def _filled(total: np.ndarray, weight: np.ndarray) -> np.ndarray:
-    """`total` over `weight` where that is known; elsewhere what the half-size image, filled likewise, holds there."""
+    """Return `total` over `weight` where that is known, elsewhere the half-size image, filled in the same way."""
     if max(total.shape) <= 2:
         return total / np.maximum(weight, np.float32(1e-6))
     half = (total.shape[1] + 1) // 2, (total.shape[0] + 1) // 2
@@ -68,7 +72,7 @@ def _looked_up(pixels, table):
 
 @exact
 def _fill(values, mask, coarse):
-    """The field is convex: in every row it is one run, and what lies beside it is filled from both ends."""
+    """Fill `values` outside `mask` from both ends of each row: the field is convex, so it is one run per row."""
     height, width = values.shape
     for i in range(height):
         first, last = 0, width

@@ -1,4 +1,4 @@
-"""Motion within an exposure: it softens the rims of all spots along one direction, and of none across it."""
+"""Motion during an exposure: it blurs the rims of all spots along one direction only."""
 
 from dataclasses import dataclass
 
@@ -7,36 +7,38 @@ import numpy as np
 
 from sightline.imaging import Radiograph
 
-_FEWEST = 5  # spots that tell a direction [ours]
-_MOST = 400  # spots that are looked at [ours]
-_INSIDE, _RIM_PX = 1.6, 4.0  # times the radius, and beyond: a smeared rim lies within [ours]
-_RING = 1.5  # times that: what lies in between is background
-_OWN = 0.5  # of the squared gradients inside must be the spot's own [ours]
-# Refused images with motion of 2-12 px, or of two exposures, have 0.09 and more; those refused for another reason 0.06
-# and less [twin: `campaigns/images.py`, two seeds].
+_MIN_SPOTS = 5  # for a direction [ours]
+_MAX_SPOTS = 400  # evaluated [ours]
+_INSIDE, _RIM_PX = 1.6, 4.0  # a smeared rim lies within so many radii plus so many px [ours]
+_RING = 1.5  # outer over inner radius of the background ring
+_OWN = 0.5  # smallest share of the squared gradients that does not come from the background [ours]
+# Refused images with motion of 2-12 px, or with two exposures, have 0.09 and more; images refused for another reason
+# have 0.06 and less [twin: `campaigns/images.py`, two seeds].
 DIRECTED = 0.075
 
 
 @dataclass(frozen=True)
 class Smear:
-    """`directed`: how much of the squared gradients about the spots has one direction in common, 0 to 1; `angle_deg`:
-    of the motion, clockwise from the rows, 0 to 180."""
+    """Motion blur of an image.
+
+    `directed`: share of the squared gradients around the spots that has one common direction, 0 to 1. `angle_deg`:
+    direction of the motion, clockwise from the rows, 0 to 180.
+    """
 
     directed: float
     angle_deg: float
 
 
 def smear(image: Radiograph, beads: np.ndarray, others: np.ndarray) -> Smear | None:
-    """Whether an image is smeared by motion, from its beads and its other spots, (N, 3): u, v and radius, px.
+    """Return the motion blur of an image, from its beads and other spots (N, 3): u, v and radius, px; None without any.
 
-    Beads, where there are enough, must show it as well as all spots together do: stripes and edges that are taken for
-    spots have directions too.
+    Where there are enough beads, they must show it too: stripes and edges among the other spots also have directions.
     """
     gradients = _gradients(image)
     of_beads, of_others = (_directions(gradients, spots) for spots in (beads, others))
     every = np.concatenate([of_beads, of_others])
-    sets = [every, of_beads] if len(of_beads) >= _FEWEST else [every]
-    if len(every) < _FEWEST:
+    sets = [every, of_beads] if len(of_beads) >= _MIN_SPOTS else [every]
+    if len(every) < _MIN_SPOTS:
         return None
     common = [np.median(one, axis=0) for one in sets]
     weakest = min(common, key=lambda one: float(np.hypot(*one)))
@@ -48,7 +50,7 @@ def smear(image: Radiograph, beads: np.ndarray, others: np.ndarray) -> Smear | N
 
 
 def _gradients(image: Radiograph) -> np.ndarray:
-    """(3, H, W): gu² - gv², 2 gu gv and gu² + gv² of the log intensity, of which scatter and exposure are no part."""
+    """Return gu² - gv², 2 gu gv and gu² + gv² (3, H, W) of the log intensity, so that the exposure cancels."""
     logs = np.log(np.maximum(image.pixels.astype(np.float32) / np.float32(image.white), 1e-4))
     logs = cv2.GaussianBlur(logs, (0, 0), 1.0)
     gu, gv = (cv2.Sobel(logs, cv2.CV_32F, du, 1 - du, ksize=3) for du in (1, 0))
@@ -56,11 +58,13 @@ def _gradients(image: Radiograph) -> np.ndarray:
 
 
 def _directions(gradients: np.ndarray, spots: np.ndarray) -> np.ndarray:
-    """(M, 2): of the spots well inside the image, the direction of their gradients at twice its angle, as a vector of
-    length 0 (none) to 1 (all); without what the background about each has."""
+    """Return the common gradient direction (M, 2) of each spot well inside the image, without its background's.
+
+    Vectors at twice the angle; their length is 0 (no common direction) to 1 (all gradients).
+    """
     height, width = gradients.shape[1:]
     out = []
-    for u, v, radius in spots[:: 1 + len(spots) // _MOST]:
+    for u, v, radius in spots[:: 1 + len(spots) // _MAX_SPOTS]:
         inner = _INSIDE * radius + _RIM_PX
         reach = int(np.ceil(_RING * inner))
         u0, v0 = round(u), round(v)

@@ -1,4 +1,4 @@
-"""The image's own noise: how strong it is at each grey level, and how far it is correlated."""
+"""The noise of an image: its variance at each grey level, and its correlation."""
 
 from dataclasses import dataclass
 
@@ -8,24 +8,24 @@ import numpy as np
 
 from sightline.detection.compiled import exact, fast
 
-BLOCK = 16  # px; small enough that anatomy is a plane over most blocks [ours]
-LAGS = 4  # px; a detector blur of 0.7-1.2 px leaves a correlation below 3 % beyond [calc]
-_SILL = 6  # px; lag at which noise counts as uncorrelated
-_NO_FLAT_AREA = 0.3  # correlation at the last lag above which the blocks hold structure, not noise [ours]
+BLOCK = 16  # px; small enough that most blocks of anatomy are nearly planes [ours]
+LAGS = 4  # px; beyond, a detector blur of 0.7-1.2 px leaves a correlation below 3 % [calc]
+_SILL = 6  # px; lag at which noise is taken as uncorrelated
+_MAX_LAST_CORRELATION = 0.3  # at the last lag; above, the blocks show structure, not noise [ours]
 _USUAL_BLUR = 0.9  # px; sigma of an intensifier's blur: 0.22 mm at 0.21-0.3 mm/px [physics.md]
-_QUIET = 0.3  # the quietest share of the blocks is taken as free of structure [ours]
-_FEWEST_BLOCKS = 8
-_MIN_BROAD = 0.1  # variance of a broad mean along one axis; negative correlations add up to less than noise has [ours]
-MIN_FIELD_PX = _FEWEST_BLOCKS * (2 * BLOCK) ** 2  # every second block along either axis counts
-_ENOUGH_BLOCKS = 24  # without clipped ones [ours]
+_QUIET = 0.3  # this share of the blocks, the quietest, is taken as free of structure [ours]
+_MIN_BLOCKS = 8
+_MIN_BROAD = 0.1  # lower limit of `broad`: the sum of estimated correlations may even be negative [ours]
+MIN_FIELD_PX = _MIN_BLOCKS * (2 * BLOCK) ** 2  # every second block along either axis counts
+_ENOUGH_BLOCKS = 24  # with fewer unclipped blocks, clipped ones are used too [ours]
 
 
 @dataclass(frozen=True, eq=False)
 class NoiseModel:
-    """Noise of the log intensity L: variance exp(`offset` - `slope` L), correlation the product of both axes'.
+    """Noise of the log intensity L: variance exp(`offset` - `slope` L); its correlation is separable.
 
-    `slope` is 1 for quanta, 2 for noise added after a linear detector, 0 for a logarithmic one.
-    `correlation` (LAGS + 1,) along either axis, lag 0 first.
+    `slope` is 1 for quantum noise, 2 for noise added after a linear detector, 0 after a logarithmic one.
+    `correlation` (LAGS + 1,) along either axis, from lag 0.
     """
 
     offset: float
@@ -34,29 +34,29 @@ class NoiseModel:
 
     @property
     def broad(self) -> float:
-        """Variance of a mean over many pixels along one axis, times their number, over that of one pixel."""
+        """Variance of a mean over many pixels along one axis, times their number, over one pixel's variance."""
         return max(float(1 + 2 * self.correlation[1:].sum()), _MIN_BROAD)
 
     def variance(self, log_intensity: np.ndarray | float) -> np.ndarray:
-        """Variance of the log intensity where its mean is `log_intensity`."""
+        """Return the variance of the log intensity where its mean is `log_intensity`."""
         return np.exp(self.offset - self.slope * np.asarray(log_intensity))
 
 
 def estimate_noise(log_image: np.ndarray, mask: np.ndarray) -> NoiseModel | None:
-    """Noise of `log_image` (H, W) float32 from its quiet blocks inside `mask`; None if too few blocks have any.
+    """Return the noise of `log_image` (H, W) float32 from quiet blocks inside `mask`; None with too few blocks.
 
-    Constant blocks do not count: clipping, compression or too few grey levels took their noise away.
+    Constant blocks do not count: clipping, compression or too few grey levels have removed their noise.
     """
     level, gamma = _clean_variograms(log_image, mask)
-    if len(level) < _FEWEST_BLOCKS:
+    if len(level) < _MIN_BLOCKS:
         return None
     offset, slope = _quiet_line(level, np.log(gamma[:, -1]))
     ratio = np.log(gamma[:, -1]) - (offset - slope * level)
     quiet = gamma[np.abs(ratio) < 0.35]
     mean = (quiet / quiet[:, -1:]).mean(axis=0) if len(quiet) else np.ones(gamma.shape[1])
-    if 1 - mean[-2] / mean[-1] > _NO_FLAT_AREA:
+    if 1 - mean[-2] / mean[-1] > _MAX_LAST_CORRELATION:
         return _noise_of_a_pattern(log_image, mask)
-    # What grows beyond the last lag is structure, smooth and therefore quadratic in the lag: it is taken off.
+    # Growth beyond the last lag comes from smooth structure, quadratic in the lag; it is subtracted.
     growth = max(mean[-1] - mean[-2], 0.0) / (_SILL**2 - LAGS**2)
     mean = mean - growth * np.append(np.arange(1, LAGS + 1), _SILL) ** 2
     offset += float(np.log(max(mean[-1], 0.3)))
@@ -65,7 +65,7 @@ def estimate_noise(log_image: np.ndarray, mask: np.ndarray) -> NoiseModel | None
 
 
 def _clean_variograms(log_image: np.ndarray, mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """`_variograms` of the blocks that have noise; with those where some pixels are clipped only if all are."""
+    """Return `_variograms` of blocks with noise; blocks with clipped pixels are left out if enough others remain."""
     level, brightest, gamma = _variograms(log_image, mask)
     noisy = (gamma[:, 0] > 0) & (gamma[:, -1] > 0)
     clean = noisy & (brightest < brightest.max(initial=-np.inf))
@@ -74,12 +74,12 @@ def _clean_variograms(log_image: np.ndarray, mask: np.ndarray) -> tuple[np.ndarr
 
 
 def _noise_of_a_pattern(log_image: np.ndarray, mask: np.ndarray) -> NoiseModel | None:
-    """Noise where no block is flat (a perforated plate): from mixed fourth differences and the usual blur."""
+    """Return the noise where no block is flat (a perforated plate): from fourth differences and the usual blur."""
     correlation = np.exp(-((np.arange(LAGS + 1) / _USUAL_BLUR) ** 2) / 4)
     kernel = np.outer([1.0, -2.0, 1.0], [1.0, -2.0, 1.0])
     rough = np.abs(cv2.filter2D(log_image, -1, kernel)[mask])
-    gain = 6 - 8 * correlation[1] + 2 * correlation[2]  # variance that (1, -2, 1) leaves, per axis
-    rough = rough[rough > 0]  # compression leaves flat areas, which hold no noise
+    gain = 6 - 8 * correlation[1] + 2 * correlation[2]  # of the variance by (1, -2, 1), per axis
+    rough = rough[rough > 0]  # compression leaves flat areas without noise
     if not rough.size:
         return None
     sd = float(np.median(rough)) / 0.6745 / gain
@@ -88,12 +88,12 @@ def _noise_of_a_pattern(log_image: np.ndarray, mask: np.ndarray) -> NoiseModel |
 
 
 def _quiet_line(level: np.ndarray, log_variance: np.ndarray) -> tuple[float, float]:
-    """Lower envelope log variance = offset - slope level, a line through the quiet quantile of ten grey classes."""
+    """Return offset and slope of log variance = offset - slope level through the quiet quantile of ten grey classes."""
     order = np.argsort(level)
     classes = np.array_split(order, min(10, max(1, len(order) // 8)))
     x = np.array([level[c].mean() for c in classes])
     y = np.array([np.interp(_QUIET * (len(c) - 1), np.arange(len(c)), np.sort(log_variance[c])) for c in classes])
-    y += 0.1  # the quantile of pure noise lies this far under its mean [calc: 16 px blocks, correlated noise]
+    y += 0.1  # the quantile of pure noise lies this far below its mean [calc: 16 px blocks, correlated noise]
     apart = x - x.mean()
     slope = float(np.clip(-(apart @ y) / (apart @ apart), 0.0, 2.0)) if np.ptp(x) > 0.3 else 1.0
     return float(np.median(y + slope * x)), slope
@@ -101,24 +101,25 @@ def _quiet_line(level: np.ndarray, log_variance: np.ndarray) -> tuple[float, flo
 
 @nb.njit(cache=True, fastmath=True)
 def _variograms(image: np.ndarray, mask: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Per block inside the mask: mean level, largest value, half mean squared difference at lags 1..LAGS and the sill.
+    """Return each block's mean level, largest value, and half mean squared difference at lags 1..LAGS and the sill.
 
-    A plane is taken off for the differences. Every second block along either axis counts.
+    A plane is subtracted from each block before differences are taken. Every second block along either axis counts,
+    if it lies inside the mask.
     """
     step = 2 * BLOCK
     rows, columns = (image.shape[0] + BLOCK) // step, (image.shape[1] + BLOCK) // step
     level, brightest = np.empty(rows * columns), np.empty(rows * columns)
     gamma = np.empty((rows * columns, LAGS + 1))
-    block, turned = np.empty(BLOCK * BLOCK, np.float32), np.empty(BLOCK * BLOCK, np.float32)
+    block, transposed = np.empty(BLOCK * BLOCK, np.float32), np.empty(BLOCK * BLOCK, np.float32)
     n = 0
     for b in range(rows * columns):
         top, left = (b // columns) * step, (b % columns) * step
         if not _copied(image, mask, top, left, block):
             continue
-        level[n], brightest[n] = _flatten(block, turned)
+        level[n], brightest[n] = _flatten(block, transposed)
         for k in range(LAGS + 1):
             lag = k + 1 if k < LAGS else _SILL
-            gamma[n, k] = _squares(block, BLOCK * lag) + _squares(turned, BLOCK * lag)
+            gamma[n, k] = _squares(block, BLOCK * lag) + _squares(transposed, BLOCK * lag)
             gamma[n, k] /= 4.0 * BLOCK * (BLOCK - lag)
         n += 1
     return level[:n], brightest[:n], gamma[:n]
@@ -126,7 +127,7 @@ def _variograms(image: np.ndarray, mask: np.ndarray) -> tuple[np.ndarray, np.nda
 
 @exact
 def _copied(image, mask, top, left, block) -> bool:
-    """Whether the block there lies inside the mask; its pixels go to `block`."""
+    """Copy the pixels at (`top`, `left`) to `block`; return whether all lie inside the mask."""
     inside = True
     for i in range(BLOCK):
         values, known = image[top + i, left : left + BLOCK], mask[top + i, left : left + BLOCK]
@@ -138,8 +139,8 @@ def _copied(image, mask, top, left, block) -> bool:
 
 
 @exact
-def _flatten(block, turned) -> tuple[float, float]:
-    """Take a plane off the pixels of a block; its mean and largest value. `turned`: the same, columns for rows."""
+def _flatten(block, transposed) -> tuple[float, float]:
+    """Subtract a plane from `block` and write its transpose to `transposed`; return its mean and largest value."""
     mean, su, sv, largest = 0.0, 0.0, 0.0, block[0]
     half, norm = (BLOCK - 1) / 2, BLOCK * BLOCK * (BLOCK * BLOCK - 1) / 12.0
     for k in range(BLOCK * BLOCK):
@@ -151,13 +152,13 @@ def _flatten(block, turned) -> tuple[float, float]:
     for k in range(BLOCK * BLOCK):
         block[k] -= mean + su * (k % BLOCK - half) + sv * (k // BLOCK - half)
     for k in range(BLOCK * BLOCK):
-        turned[BLOCK * (k % BLOCK) + k // BLOCK] = block[k]
+        transposed[BLOCK * (k % BLOCK) + k // BLOCK] = block[k]
     return mean, largest
 
 
 @fast
 def _squares(values, lag):
-    """Sum of squared differences of what lies `lag` apart: one loop over neighbours, which the compiler vectorises."""
+    """Return the sum of squared differences of values `lag` apart, in one loop that the compiler vectorises."""
     later, total = values[lag:], np.float32(0)
     for k in range(len(later)):
         total += (later[k] - values[k]) ** 2

@@ -1,4 +1,4 @@
-"""Radial profiles of a blurred bead: 1 in the middle of the sharp shape, 0 far outside, as tables for the fit."""
+"""Tables of the radial profile of a blurred bead: 1 in the middle of the sharp shape, 0 far outside."""
 
 from functools import cache
 
@@ -7,12 +7,12 @@ from scipy.special import j0
 
 # The shadow of a ball is 1 - exp(-a sqrt(1 - rho^2)): a = mu d = 10.1/cm x 3 mm, 316L steel at 60 keV [physics.md].
 _BALL_DEPTH = 3.0
-# Distance from the rim in blur sigmas, and blur in radii: the table is smooth in both. Further in than the first
-# column, where the shadow of the largest balls still deepens by 2 %, it is taken to be flat.
+# The table's axes are the distance from the rim in blur sigmas and the blur in radii; it is smooth in both. Further in
+# than the first column it is taken as flat, although the shadow of the largest balls still deepens by 2 %.
 T_FIRST, T_STEP, T_COUNT = -30.0, 0.125, 289
 Q_STEP, Q_COUNT = 0.0125, 96  # sigma / radius 0.0125 ... 1.2
 _NODES = 600  # of the quadratures: eight per period of the fastest wave
-_RADII = 1200  # at which the transform is made: 1.3 % apart, as seen from the rim
+_RADII = 1200  # of the transform: 1.3 % apart in their distance from the rim
 
 
 def _sharp(rho: np.ndarray, ball: bool) -> np.ndarray:
@@ -25,9 +25,9 @@ def _sharp(rho: np.ndarray, ball: bool) -> np.ndarray:
 
 @cache
 def profile_table(ball: bool) -> np.ndarray:
-    """(Q_COUNT, T_COUNT) profile of a disc (or a ball) of radius 1 blurred by a Gaussian of sigma q.
+    """Return the profile (Q_COUNT, T_COUNT) of a ball, or a disc, of radius 1 blurred by a Gaussian of sigma q.
 
-    Column t is at radius 1 + t q; radii below 0 hold the value at 0. Computed through the Hankel transform.
+    Column t is at radius 1 + t q; radii below 0 have the value at 0. Computed by a Hankel transform. Read-only.
     """
     q = Q_STEP * (1 + np.arange(Q_COUNT))
     t = T_FIRST + T_STEP * np.arange(T_COUNT)

@@ -1,4 +1,4 @@
-"""Sub-pixel beads: a blurred ball or disc on a smooth background, fitted to the pixels about it."""
+"""Sub-pixel fits of beads: a blurred ball or disc on a smooth background."""
 
 from copy import copy
 
@@ -11,11 +11,11 @@ from sightline.detection.profile import profile_table
 from sightline.detection.sharpen import Sharpening, design, noise_blur_px
 from sightline.threads import in_parts
 
-_BLUR_PX = 1.0  # where fits start: detector 0.9, focal spot and pixel [physics.md]
+_BLUR_PX = 1.0  # initial value: detector 0.9, focal spot and pixel [physics.md]
 
 
 def start(uv_px: np.ndarray, radius_px: np.ndarray, response: np.ndarray) -> np.ndarray:
-    """(N, COUNT) rows of `columns` with which a fit can start; `response`: signed step of log intensity."""
+    """Return initial rows (N, COUNT) of `columns` for a fit; `response`: signed step of log intensity."""
     rows = np.zeros((len(uv_px), COUNT))
     rows[:, :2], rows[:, RADIUS], rows[:, CONTRAST] = uv_px, radius_px, response
     rows[:, BLUR] = np.minimum(_BLUR_PX, 0.4 * radius_px)
@@ -23,7 +23,7 @@ def start(uv_px: np.ndarray, radius_px: np.ndarray, response: np.ndarray) -> np.
 
 
 class BeadFitter:
-    """The fit of beads in one image: least squares, weighted for the image's own correlated noise.
+    """Fits beads in one image by least squares, with weights and covariances from the image's correlated noise.
 
     `log_image` (H, W) float32; `usable` (H, W) bool.
     """
@@ -44,26 +44,26 @@ class BeadFitter:
 
     @property
     def usable(self) -> np.ndarray:
-        """(H, W) bool: which pixels may count."""
+        """(H, W) bool: the pixels that a fit may use."""
         return self._usable
 
     def within(self, usable: np.ndarray) -> "BeadFitter":
-        """The same, where only the pixels `usable` (H, W) may count."""
+        """Return a fitter that uses only the pixels `usable` (H, W)."""
         other = copy(self)
         other._usable = usable
         return other
 
     def on(self, log_image: np.ndarray) -> "BeadFitter":
-        """The same in the next image of a sequence: noise and sharpening are taken to have stayed."""
+        """Return a fitter for the next image of a sequence, with the same noise and sharpening."""
         other = copy(self)
         other._image = log_image
         other._line = np.array([*self._line[:2], float(log_image.max())])
         return other
 
     def __call__(self, rows: np.ndarray, which: np.ndarray | None = None) -> np.ndarray:
-        """`rows` (N, COUNT), or those of them that are named (M,), fitted anew from where they stand.
+        """Fit `rows` (N, COUNT) of `columns` from their values, or only rows `which` (M,); return (N or M, COUNT).
 
-        Dark ones that reach into each other's windows are fitted together; where others stand, no pixel counts.
+        Dark spots that reach into each other's windows are fitted jointly; pixels of other spots are left out.
         """
         which = np.arange(len(rows)) if which is None else which
         out = np.empty((len(which), COUNT))
@@ -83,6 +83,6 @@ class BeadFitter:
 
 
 def _plain_numbers(sharp: Sharpening, blur2: float) -> tuple[np.ndarray, float, float, float, np.ndarray]:
-    """Taps, gain, change of the squared blur, squared blur that background and shadow keep together, correlation."""
+    """Return taps, gain, change of the squared blur, squared blur common to background and shadow, correlation."""
     taps, correlation = sharp.taps.astype(np.float32), sharp.correlation.astype(np.float32)
     return taps, float(sharp.gain), float(sharp.blur2_px2), float(blur2 + sharp.blur2_px2), correlation

@@ -1,4 +1,4 @@
-"""What detection hands on: beads found in an image, and beads that have been told apart."""
+"""Results of detection: beads found in an image, and labelled beads."""
 
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
@@ -18,7 +18,7 @@ _NOT_WRITTEN = {"written": False}
 
 
 def _frozen(array: np.ndarray, shape: tuple[int, ...], what: str) -> np.ndarray:
-    """A read-only float64 copy of the given shape. Raises ObservationsError otherwise."""
+    """Return a read-only float64 copy. Raises ObservationsError on another shape and on values that are not finite."""
     out = np.array(array, dtype=np.float64)
     if out.shape != shape:
         raise ObservationsError(f"{what} has the shape {out.shape}; {shape} was expected")
@@ -96,14 +96,13 @@ class Detections(Plotted):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Observations(Plotted):
-    """Beads of one view that have been labelled: fiducial `ids[i]` is seen at `uv_px[i]`, in IDCS.
+    """Labelled beads of one view: fiducial `ids[i]` is seen at `uv_px[i]`, in IDCS.
 
-    `covariance_px2` (N, 2, 2), or None where nothing is known of the measurement noise. `mirrored` says
-    that the image is a mirror image of the frame. `image_shape` (H, W) where the image is known. `radius_px` (N,): as
-    in `Detections`, or None where it is not known. `rejected`: detections that were not labelled, with
-    reasons; None where the beads come without the others of their image. `pixels` (H, W): the image itself where it is
-    known, for plots.
-    Raises ObservationsError on wrong shapes, values that are not finite, and an id that stands twice.
+    `covariance_px2` (N, 2, 2), or None where the measurement noise is unknown. `mirrored`: the image is a mirror image
+    of the frame. `image_shape` (H, W), or None. `radius_px` (N,) as in `Detections`, or None. `rejected`: detections
+    that were not labelled, with reasons; None where only labelled beads are known. `pixels` (H, W): the image for
+    plots, or None.
+    Raises ObservationsError on wrong shapes, values that are not finite, and duplicate ids.
     """
 
     view: str

@@ -1,4 +1,4 @@
-"""Whether there is a rim around a place, and whether it lies on a circle: where it is steepest along sixteen rays."""
+"""Test candidates for a rim that lies on a circle, from the steepest point along sixteen rays."""
 
 import numba as nb
 import numpy as np
@@ -10,30 +10,30 @@ from sightline.threads import in_parts
 U, V, RADIUS, RESPONSE, SCORE, HOLLOW = range(6)
 FAINTEST = 0.08  # step of log intensity; a 3 mm steel ball under much scatter still makes 0.3 [ours]
 _RAYS = 16
-_BESIDE = 3  # rays are averaged by so many in large discs
-_TURN = 2 * np.pi * (np.arange(_RAYS) + np.array([[0], [1], [-1]]) / _BESIDE) / _RAYS  # the rays, and those beside
-_COS, _SIN = np.cos(_TURN).astype(np.float32), np.sin(_TURN).astype(np.float32)
+_BESIDE = 3  # adjacent rays averaged in large discs
+_ANGLE = 2 * np.pi * (np.arange(_RAYS) + np.array([[0], [1], [-1]]) / _BESIDE) / _RAYS  # the rays, and those beside
+_COS, _SIN = np.cos(_ANGLE).astype(np.float32), np.sin(_ANGLE).astype(np.float32)
 _PLACES = 13  # samples along a ray
-_LARGE = 10.0  # px; of larger discs rays are averaged
-_SPACING = 0.12, 0.5  # between them: in radii, and the least, px
-_SOUND = 0.4  # step of a ray beside the median of all, for the ray to count [ours]
-# Circle and rim are found in turns: how far from the circle a rim point may lie, in radii, and how many must not lie
-# further; a bead that a neighbour covers by a quarter of its rim keeps 12 [calc]. And the least such distance, px.
-_TURNS = 3
+_LARGE = 10.0  # px; rays are averaged in larger discs
+_SPACING = 0.12, 0.5  # of the samples: in radii, and at least, px
+_SOUND = 0.4  # smallest step of a ray over the median of all, for the ray to count [ours]
+# Circle and rim are found in three iterations: largest distance of a rim point from the circle, in radii (at least
+# _MIN_SLACK_PX), and smallest number of rim points within it. A bead with a quarter of its rim covered keeps 12 [calc].
+_ITERATIONS = 3
 _OFF_CIRCLE = 0.5, 0.2, 0.12
-_LEAST_RAYS = 9, 10, 11
-_LEAST_OFF = 0.8
-_LEAST_SNR = 4.5  # step times root of the disc's area over the noise of a broad mean [ours]
+_MIN_RAYS = 9, 10, 11
+_MIN_SLACK_PX = 0.8
+_MIN_SNR = 4.5  # step times root of the disc's area over the noise of a broad mean [ours]
 
 
 @exact
 def broad_noise(level, line) -> float:
-    """Noise of a mean over many pixels, times the root of their number, where the log intensity is `level`."""
+    """Return the noise of a mean over many pixels, times the root of their number, at the log intensity `level`."""
     return np.exp(np.float32(0.5) * (line[0] - line[1] * level))
 
 
 def judged(base: np.ndarray, extrema: np.ndarray, line: np.ndarray) -> np.ndarray:
-    """A candidate for each extremum: radius 0 where nothing like a disc is, score 0 where its rim is not round."""
+    """Return a candidate for each extremum: radius 0 where there is no disc, score 0 where its rim is not round."""
     out = np.zeros((len(extrema), HOLLOW + 1))
     in_parts(_judge_part, base, extrema, line, out)
     return out
@@ -50,30 +50,30 @@ def _judge_part(part, parts, base, extrema, line, out):  # noqa: PLR0917
 
 @exact
 def _judge(base, start, line, seen, rim, step, ordered, out):  # noqa: PLR0917
-    """From an extremum to the circle through its rim points, and how many of them lie on it."""
+    """Fit a circle to the rim points around an extremum and write the candidate into `out`."""
     u, v, radius, sign = start[U], start[V], start[RADIUS], 1.0 if start[RESPONSE] > 0 else -1.0
     noise = broad_noise(_at(base, v, u), line)
     if not _has_all_sides(base, u, v, radius, sign, noise, step):
         return
     sound, middle = 0, 0.0
-    for turn in range(_TURNS):
+    for iteration in range(_ITERATIONS):
         spacing = max(_SPACING[0] * radius, _SPACING[1])
         first = max(radius - (_PLACES // 2) * spacing, 0.3)
-        _cast(base, u, v, first, spacing, sign, turn == _TURNS - 1 and radius > _LARGE, seen)
+        _cast(base, u, v, first, spacing, sign, iteration == _ITERATIONS - 1 and radius > _LARGE, seen)
         _steepest(seen, first, spacing, rim, step)
         middle = _median(step, ordered)
-        if middle < max(FAINTEST, _LEAST_SNR * 0.56 * noise / radius):
+        if middle < max(FAINTEST, _MIN_SNR * 0.56 * noise / radius):
             return
-        slack = max(_OFF_CIRCLE[turn] * radius, _LEAST_OFF)
+        slack = max(_OFF_CIRCLE[iteration] * radius, _MIN_SLACK_PX)
         sound, du, dv, radius = _circle(rim, step, _SOUND * middle, slack, radius, ordered)
         u, v = u + du, v + dv
-        if turn == _TURNS - 1:
+        if iteration == _ITERATIONS - 1:
             out[U], out[V], out[RADIUS], out[RESPONSE] = u, v, radius, sign * middle
         far = (u - start[U]) ** 2 + (v - start[V]) ** 2 > (0.8 * start[RADIUS] + 1) ** 2
-        if sound < _LEAST_RAYS[turn] or far or not 0.5 * start[RADIUS] < radius < 2.0 * start[RADIUS]:
+        if sound < _MIN_RAYS[iteration] or far or not 0.5 * start[RADIUS] < radius < 2.0 * start[RADIUS]:
             return
     step_all = _step_at(base, u, v, radius, sign)
-    if step_all < max(FAINTEST, _LEAST_SNR * 0.56 * noise / radius):
+    if step_all < max(FAINTEST, _MIN_SNR * 0.56 * noise / radius):
         return
     out[SCORE] = middle * np.sqrt(radius) * sound**2
     out[HOLLOW] = _hollow(base, u, v, radius, sign) / middle
@@ -81,7 +81,7 @@ def _judge(base, start, line, seen, rim, step, ordered, out):  # noqa: PLR0917
 
 @exact
 def _has_all_sides(base, u, v, radius, sign, noise, falls) -> bool:  # noqa: PLR0917
-    """Whether it goes down from within the disc to without in 5 of 8 directions at least; `falls` is overwritten."""
+    """Return whether values fall from inside the disc to outside in at least 5 of 8 directions; overwrites `falls`."""
     whole = 0.0
     for k in range(8):
         c, s = _COS[0, 2 * k], _SIN[0, 2 * k]
@@ -89,7 +89,7 @@ def _has_all_sides(base, u, v, radius, sign, noise, falls) -> bool:  # noqa: PLR
         outer = _at(base, v + 1.7 * radius * s, u + 1.7 * radius * c)
         falls[k] = sign * (inner - outer)
         whole += falls[k] / 8
-    if whole < max(0.8 * FAINTEST, 0.8 * _LEAST_SNR * 0.56 * noise / radius):
+    if whole < max(0.8 * FAINTEST, 0.8 * _MIN_SNR * 0.56 * noise / radius):
         return False
     down = 0
     for k in range(8):
@@ -99,7 +99,7 @@ def _has_all_sides(base, u, v, radius, sign, noise, falls) -> bool:  # noqa: PLR
 
 @exact
 def _cast(base, u, v, first, spacing, sign, averaged, seen):  # noqa: PLR0917
-    """Signed values along rays from (u, v), or their means with the rays beside, (_PLACES, _RAYS)."""
+    """Fill `seen` (_PLACES, _RAYS) with signed values along rays from (u, v), or their means over adjacent rays."""
     count = _BESIDE if averaged else 1
     part = np.float32(sign / count)
     u, v = np.float32(u), np.float32(v)
@@ -113,8 +113,8 @@ def _cast(base, u, v, first, spacing, sign, averaged, seen):  # noqa: PLR0917
 
 @exact
 def _steepest(seen, first, spacing, rim, step):
-    """Per ray where it falls most, and by how much it falls about there."""
-    for k in range(_RAYS):  # without branches, for all rays at once
+    """Fill `rim` and `step` with the place where each ray falls most steeply, and by how much it falls there."""
+    for k in range(_RAYS):  # branch-free, so that it is vectorised over the rays
         most, at = seen[0, k] - seen[2, k], 1
         for j in range(2, _PLACES - 1):
             fall = seen[j - 1, k] - seen[j + 1, k]
@@ -132,7 +132,7 @@ def _steepest(seen, first, spacing, rim, step):
 
 @exact
 def _median(values, ordered) -> float:
-    """Median of the rays' values; `ordered` is overwritten."""
+    """Return the median of the rays' values; overwrites `ordered`."""
     for k in range(_RAYS):
         j = k
         while j > 0 and ordered[j - 1] > values[k]:
@@ -144,7 +144,7 @@ def _median(values, ordered) -> float:
 
 @exact
 def _circle(rim, step, least, slack, radius, ordered):  # noqa: PLR0917
-    """How many rim points lie within `slack` of a circle, its middle from here, its radius: r = R + a cos + b sin."""
+    """Fit r = R + a cos + b sin to the rim points; return how many lie within `slack`, the centre (a, b), and R."""
     a = b = 0.0
     size = _median(rim, ordered)
     sound = 0
@@ -172,7 +172,7 @@ def _circle(rim, step, least, slack, radius, ordered):  # noqa: PLR0917
 
 @exact
 def _step_at(base, u, v, radius, sign) -> float:
-    """Mean within a circle less mean around it: linear in the image, so that noise does not add to it."""
+    """Return the mean within a circle minus the mean around it: linear in the image, so noise causes no bias."""
     step = 0.0
     within, around = max(0.7 * radius, radius - 2.0), max(1.3 * radius, radius + 1.5)
     for k in range(_RAYS):
@@ -184,7 +184,7 @@ def _step_at(base, u, v, radius, sign) -> float:
 
 @exact
 def _hollow(base, u, v, radius, sign) -> float:
-    """By how much the middle of a disc falls short of a ring at three quarters of its radius."""
+    """Return the mean of a ring at three quarters of the radius minus that of the disc's middle."""
     middle, ring = _at(base, v, u), 0.0
     for k in range(8):
         c, s = _COS[0, 2 * k], _SIN[0, 2 * k]
@@ -195,7 +195,7 @@ def _hollow(base, u, v, radius, sign) -> float:
 
 @exact
 def _at(image, v, u):
-    """Bilinear value; the border repeats. In single precision and with unsigned indices, which takes half the time."""
+    """Return the bilinear value; the border repeats. Single precision and unsigned indices halve the time."""
     v = min(max(np.float32(v), np.float32(0)), np.float32(image.shape[0] - 1.01))
     u = min(max(np.float32(u), np.float32(0)), np.float32(image.shape[1] - 1.01))
     row, column = np.int32(v), np.int32(u)

@@ -1,4 +1,4 @@
-"""Images with pixels finer than detection is made for: beads are measured in pixels of twice the side."""
+"""Conversions for images with very fine pixels, whose beads are measured in the 2 x 2 binned image."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -8,17 +8,17 @@ import numpy as np
 from sightline.detection.results import Detections, Observations, Rejected
 
 FACTOR = 2
-MAX_USUAL_RADIUS_PX = 15.0  # of most beads; datum balls, 5/3 as large, reach 25 px then [ours]
-_EXACT = 2.0**32  # per px: so rounded, a pixel is the same in both scales, to the last bit
+MAX_USUAL_RADIUS_PX = 15.0  # median of the beads; datum balls, 5/3 as large, then have 25 px [ours]
+_EXACT = 2.0**32  # steps per px: with this rounding, coordinates are bit-identical in both scales
 
 
 def is_fine(radius_px: np.ndarray) -> bool:
-    """Whether most beads of these radii (N,) are larger than they need to be."""
+    """Return whether the median of these radii (N,) is so large that the image should be binned."""
     return len(radius_px) > 0 and float(np.median(radius_px)) > MAX_USUAL_RADIUS_PX
 
 
 def finer(beads: Detections, image_shape: tuple[int, int]) -> Detections:
-    """Beads of the binned image as those of the image itself."""
+    """Convert beads of the binned image to the image itself."""
     return replace(
         beads,
         uv_px=_finer_uv(beads.uv_px),
@@ -30,7 +30,7 @@ def finer(beads: Detections, image_shape: tuple[int, int]) -> Detections:
 
 
 def coarser(beads: Detections) -> Detections:
-    """Beads of an image as those of the binned image."""
+    """Convert beads of an image to the binned image."""
     return replace(
         beads,
         uv_px=_coarser_uv(beads.uv_px),
@@ -41,7 +41,7 @@ def coarser(beads: Detections) -> Detections:
 
 
 def finer_observations(seen: Observations, image_shape: tuple[int, int] | None) -> Observations:
-    """Observations in the binned image as those in the image itself."""
+    """Convert observations in the binned image to the image itself."""
     covariance = None if seen.covariance_px2 is None else seen.covariance_px2 * FACTOR**2
     return replace(
         seen,
@@ -54,7 +54,7 @@ def finer_observations(seen: Observations, image_shape: tuple[int, int] | None) 
 
 
 def coarser_observations(seen: Observations) -> Observations:
-    """Observations in an image as those in the binned image."""
+    """Convert observations in an image to the binned image."""
     covariance = None if seen.covariance_px2 is None else seen.covariance_px2 / FACTOR**2
     return replace(
         seen,
@@ -75,7 +75,7 @@ def _scaled(
 
 
 def _finer_uv(uv_px: np.ndarray) -> np.ndarray:
-    """Pixel (0, 0) of the binned image is centred between pixels 0 and 1 of the image."""
+    """Convert coordinates: pixel (0, 0) of the binned image is centred between pixels 0 and 1 of the image."""
     return (np.rint(uv_px * _EXACT) / _EXACT + 0.5) * FACTOR - 0.5
 
 

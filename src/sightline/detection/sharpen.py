@@ -1,4 +1,4 @@
-"""Undo most of the detector's blur: quanta are counted before it, so noise is nearly white without it."""
+"""Sharpening that undoes most of the detector's blur. Quantum noise arises before the blur, so it becomes white."""
 
 from dataclasses import dataclass
 
@@ -11,19 +11,21 @@ from sightline.detection.window import along_both_axes
 from sightline.threads import in_parts
 
 TAPS = 6  # px to either side
-_WIDE, _STEP = BLOCK + 2 * TAPS, 4 * BLOCK  # px: a block with the filter's margin, and from block to block
-AFTER_LAGS = 3  # px; correlation of the noise that is left after sharpening
-_LEFT_PX = 0.5  # sigma of the blur that is left: smaller ones lift electronic and rounding noise [calc]
-_WHITE = 0.004  # share of white noise along one axis for which sharpening stops paying [calc]
-_FEWEST_BLOCKS = 16
-_LARGEST_BLUR_PX = 1.6  # more correlation than that is structure, or a filter that nothing undoes [ours]
+_WIDE, _STEP = BLOCK + 2 * TAPS, 4 * BLOCK  # px: side of a block with the filter's margin; distance of blocks
+AFTER_LAGS = 3  # px, of the noise correlation after sharpening
+_LEFT_PX = 0.5  # sigma of the remaining blur: less would amplify electronic and rounding noise [calc]
+_WHITE = 0.004  # assumed share of white noise along one axis, the regularisation of the filter [calc]
+_MIN_BLOCKS = 16
+_MAX_BLUR_PX = 1.6  # more correlation comes from structure, or from a filter that cannot be undone [ours]
 
 
 @dataclass(frozen=True, eq=False)
 class Sharpening:
-    """`taps` (TAPS + 1,) of a symmetric filter, along both axes. It turns a blur of sigma s into one of
-    sqrt(s² + `blur2_px2`) (negative), the noise's variance into `gain` times that, and its correlation along
-    either axis into `correlation` (AFTER_LAGS + 1,)."""
+    """A symmetric filter with `taps` (TAPS + 1,) along both axes.
+
+    It changes a blur of sigma s to sqrt(s² + `blur2_px2`) (negative), multiplies the noise's variance by `gain`, and
+    leaves noise with `correlation` (AFTER_LAGS + 1,) along either axis.
+    """
 
     taps: np.ndarray
     blur2_px2: float
@@ -32,24 +34,24 @@ class Sharpening:
 
 
 def design(log_image: np.ndarray, mask: np.ndarray, noise: NoiseModel) -> Sharpening:
-    """The sharpening that suits the image's noise, and what it does to that noise in the image's quiet blocks."""
+    """Return the sharpening for the image's noise; gain and correlation are measured in the image's quiet blocks."""
     blur = noise_blur_px(noise)
     if blur <= _LEFT_PX:
         taps, left = np.eye(TAPS + 1)[0], blur
     else:
         taps, left = _taps(blur), _LEFT_PX
-    gamma = _after(log_image, mask, noise, taps)
+    gamma = _correlations_after(log_image, mask, noise, taps)
     gamma = gamma[gamma[:, 0] > 0]
-    if len(gamma) < _FEWEST_BLOCKS:
+    if len(gamma) < _MIN_BLOCKS:
         return Sharpening(taps, left**2 - blur**2, *_of_gaussian_noise(taps, blur))
-    # Of noise alone these blocks have 8 % less than all; structure, which all have left, makes up for it [twin].
+    # Selecting the quiet blocks lowers the estimate by 8 %; residual structure makes up for it [twin].
     low, high = np.quantile(gamma[:, 0], [0.1, 0.5])
     mean = _with_planes(gamma[(gamma[:, 0] >= low) & (gamma[:, 0] <= high)].mean(axis=0))
     return Sharpening(taps, left**2 - blur**2, float(mean[0]), np.clip(mean / mean[0], -0.5, 1.0))
 
 
 def _with_planes(covariance: np.ndarray) -> np.ndarray:
-    """Covariances by lag with what the planes taken off the blocks took of them: three terms' worth of slow noise."""
+    """Return covariances by lag, corrected for the planes subtracted from the blocks: three terms of slow noise."""
     whole = covariance
     for _ in range(4):
         slow = max(float(whole[0] + 2 * whole[1:].sum()), 0.0) ** 2 / float(whole[0])
@@ -58,13 +60,13 @@ def _with_planes(covariance: np.ndarray) -> np.ndarray:
 
 
 def noise_blur_px(noise: NoiseModel) -> float:
-    """S.d. of the Gaussian blur that noise went through, white before it: its correlation is exp(-d² / 4 sigma²)."""
-    first = float(np.clip(noise.correlation[1], 1e-3, np.exp(-0.25 / _LARGEST_BLUR_PX**2)))
+    """Return the sigma, px, of the Gaussian blur of formerly white noise, whose correlation is exp(-d² / 4 sigma²)."""
+    first = float(np.clip(noise.correlation[1], 1e-3, np.exp(-0.25 / _MAX_BLUR_PX**2)))
     return 0.5 / float(np.sqrt(-np.log(first)))
 
 
 def _of_gaussian_noise(taps: np.ndarray, blur: float) -> tuple[float, np.ndarray]:
-    """Gain and correlation for white noise blurred by `blur`, where no block is quiet."""
+    """Return gain and correlation for white noise blurred by `blur`, used where no block is quiet."""
     whole = np.concatenate([taps[:0:-1], taps])
     both = np.convolve(whole, whole)
     at = np.arange(len(both)) - len(both) // 2
@@ -73,7 +75,7 @@ def _of_gaussian_noise(taps: np.ndarray, blur: float) -> tuple[float, np.ndarray
 
 
 def _taps(blur: float) -> np.ndarray:
-    """Taps that turn a Gaussian of sigma `blur` into one of _LEFT_PX, least squares with white noise; they sum to 1."""
+    """Return least-squares taps, with sum 1, that change a Gaussian of sigma `blur` to one of _LEFT_PX."""
     k = np.linspace(0, np.pi, 200)
     waves = np.cos(np.outer(k, np.arange(TAPS + 1))) * np.append(1.0, np.full(TAPS, 2.0))
     have, want = np.exp(-0.5 * (k * blur) ** 2), np.exp(-0.5 * (k * _LEFT_PX) ** 2)
@@ -81,18 +83,20 @@ def _taps(blur: float) -> np.ndarray:
     return np.linalg.solve(A, waves.T @ (have * want) + 1e4 * waves[0])
 
 
-def _after(image: np.ndarray, mask: np.ndarray, noise: NoiseModel, taps: np.ndarray) -> np.ndarray:
-    """Per block (every fourth along either axis) covariances at lags 0..AFTER_LAGS along the axes after sharpening, in
-    units of the noise's variance; 0 where a pixel is not usable."""
+def _correlations_after(image: np.ndarray, mask: np.ndarray, noise: NoiseModel, taps: np.ndarray) -> np.ndarray:
+    """Return covariances (N, AFTER_LAGS + 1) by lag after sharpening, for every fourth block along either axis.
+
+    In units of the noise's variance; 0 for blocks with an unusable pixel.
+    """
     rows, columns = (max((side - _WIDE) // _STEP + 1, 0) for side in image.shape)
     out = np.zeros((rows * columns, AFTER_LAGS + 1))
     line = np.array([noise.offset, noise.slope])
-    in_parts(_after_part, image, mask, line, taps.astype(np.float32), float(image.max()), columns, out)
+    in_parts(_correlations_part, image, mask, line, taps.astype(np.float32), float(image.max()), columns, out)
     return out
 
 
 @nb.njit(cache=True, fastmath=True, nogil=True)
-def _after_part(part, parts, image, mask, line, taps, ceiling, columns, out):  # noqa: PLR0917
+def _correlations_part(part, parts, image, mask, line, taps, ceiling, columns, out):  # noqa: PLR0917
     for b in range(part, len(out), parts):
         top, left = (b // columns) * _STEP, (b % columns) * _STEP
         if not _usable(image, mask, top, left, ceiling):
@@ -109,7 +113,7 @@ def _after_part(part, parts, image, mask, line, taps, ceiling, columns, out):  #
 
 @exact
 def _usable(image, mask, top, left, ceiling) -> bool:
-    """Whether the pixels of a block and its margin are all in the field, and none clipped."""
+    """Return whether the pixels of a block and its margin are all in the field and none is clipped."""
     for i in range(top, top + _WIDE):
         for j in range(left, left + _WIDE):
             if not mask[i, j] or image[i, j] >= ceiling:
@@ -119,7 +123,7 @@ def _usable(image, mask, top, left, ceiling) -> bool:
 
 @exact
 def _flatten(block: np.ndarray) -> float:
-    """Take a plane off `block`; its mean."""
+    """Subtract a plane from `block`; return its mean."""
     n = block.shape[0]
     mean = 0.0
     for i in range(n):

@@ -1,7 +1,7 @@
-"""Beads of a sequence of images: where they were in the last image says where they are in the next one.
+"""Track labelled beads through a sequence of images.
 
-No candidate is looked for and nothing is labelled anew: each bead is fitted from its last centre, radius and contrast,
-with the noise of the last whole look. What a label rests on, the sizes of the balls, is compared all the time.
+Candidates and labels are not searched for again: each bead is fitted from its last centre, radius and contrast, with
+the noise of the last full detection. The sizes of the balls, on which labels rest, are compared in every image.
 """
 
 from dataclasses import dataclass, replace
@@ -10,7 +10,7 @@ import numpy as np
 
 from sightline.detection import columns, refine
 from sightline.detection.again import look_again_with, without_overlaps
-from sightline.detection.detector import fine_reasons, fit_of, without_middles
+from sightline.detection.detector import bead_fitter, fine_reasons, without_middles
 from sightline.detection.log_image import field_inset, log_image, logs_of
 from sightline.detection.noise import estimate_noise
 from sightline.detection.results import Detections, Observations
@@ -19,31 +19,31 @@ from sightline.errors import ObservationsError
 from sightline.frame import Frame
 from sightline.imaging import Radiograph
 
-MOST_LOST = 0.25  # share of the beads of the last whole look; more is no instrument in the beam [ours]
-SIZES_WRONG = 3  # balls whose size is nearer to that of the frame's other balls; labelling allows two [ours]
+MAX_LOST = 0.25  # share of the tracked beads; an instrument in the beam hides fewer [ours]
+SIZES_WRONG = 3  # balls with the size of the frame's other balls; labelling allows two [ours]
 _HALF_WAY = 0.5  # of the step of log radius between two sizes of ball
-_OTHER_SIZE = 0.15  # log radius; a right bead's changes by 0.03 from image to image [twin], the datum's step is 0.51
-_FROM_OTHERS_PX = 3.0  # from where the others' movement puts it; a bead that went elsewhere is none [ours]
-_AT_REST_PX = 0.3  # movement of a plate's beads below which the next image is not expected to move on [ours]
-_STALE_PX = 0.5  # movement after which overlaps and middles are looked at anew; they have margins of 2 px and more
+_MAX_LOG_SIZE = 0.15  # change of log radius; a correct bead's is 0.03 [twin], the step to a datum ball 0.51
+_FROM_OTHERS_PX = 3.0  # largest distance from the place predicted by the other beads' movement [ours]
+_AT_REST_PX = 0.3  # smaller movements of a plate are not extrapolated to the next image [ours]
+_STALE_PX = 0.5  # movement after which overlap and washer masks, with margins of 2 px and more, are renewed
 
 
-class TrackLost(Exception):  # noqa: N818 - the sequence is lost, the image may be a good one
-    """Why beads cannot be followed into an image: it must be looked at as if it were the first."""
+class TrackLost(Exception):  # noqa: N818 - the track is lost, the image may be a good one
+    """Beads cannot be tracked into an image; detect and label it like a first image."""
 
 
 @dataclass(frozen=True, eq=False)
 class Track:
-    """What an image of a sequence leaves for the next.
+    """State of the tracked beads after one image of a sequence.
 
-    `ids` (L,): the labelled beads, the first L of `rows` (N, COUNT) of `columns`; after them spots that are no bead of
-    the frame. `seen` (L,) bool: in this image. `crowded` (L,) bool: fitted only where others and metal leave it free.
-    `radius_px` (L,) at the last whole look. `mask` (H, W): the field; `written` (H, W) or None: letters. `washer` (N,)
-    bool. `fit`: to what counts of the field, `free` (H, W): what of that counts for crowded beads, since the labelled
-    ones were at `free_at_px` (L, 2).
-    `step_px` (N, 2): how the beads of each plate moved last: the source plate's move twice as far as the other's.
-    `image_shape`: of the images. Fine ones are `halved` so many times before beads are followed, as `detect` does: all
-    else here is in pixels of the halved image.
+    `ids` (L,): the labelled beads, the first L of `rows` (N, COUNT) of `columns`; after them, spots that are not beads
+    of the frame. `seen` (L,) bool: visible in this image. `crowded` (L,) bool: fitted only outside overlaps and metal.
+    `radius_px` (L,) at the last full detection. `washer` (N,) bool. `fit`: fitter for the usable pixels. `mask` (H, W):
+    the field. `written` (H, W) or None: burnt-in annotations. `free` (H, W): pixels usable for crowded beads, of which
+    `free_for` have enough, computed when the labelled beads were at `free_at_px` (L, 2).
+    `step_px` (N, 2): last movement of each plate's beads; those of the source plate move twice as far.
+    `image_shape`: of the images, which are binned `halved` times before tracking, as `detect` does. Everything else is
+    in pixels of the binned image.
     """
 
     frame: Frame
@@ -67,7 +67,7 @@ class Track:
 
     @staticmethod
     def begin(image: Radiograph, beads: Detections, observations: Observations, frame: Frame) -> "Track":
-        """From an image that was looked at whole: `observations` are what `label` or `look_again` made of `beads`.
+        """Start from a fully detected image; `observations` are the result of `label` or `look_again` for `beads`.
 
         Raises DetectionRefusedError.
         """
@@ -75,14 +75,14 @@ class Track:
         while is_fine(beads.radius_px):
             image, beads, observations = image.binned(FACTOR), coarser(beads), coarser_observations(observations)
             halved += 1
-        track = Track._begun(fit_of(image, beads), image, beads, observations, frame)
+        track = Track._begun(bead_fitter(image, beads), image, beads, observations, frame)
         return replace(track, image_shape=shape, halved=halved)
 
     @staticmethod
     def _begun(
         fit: refine.BeadFitter, image: Radiograph, beads: Detections, observations: Observations, frame: Frame
     ) -> "Track":
-        """`begin` with the fit of an image that needs no halving."""
+        """`begin` with the fitter of an image that needs no binning."""
         row_of = {place: row for row, place in enumerate(map(tuple, beads.uv_px.tolist()))}
         row = np.array([row_of.get(tuple(uv), -1) for uv in observations.uv_px.tolist()], dtype=int)
         radius, contrast = _sizes(beads, observations, row, frame)
@@ -119,7 +119,7 @@ class Track:
         )
 
     def follow(self, image: Radiograph) -> tuple["Track", Observations]:
-        """The beads of the next image, each fitted from where it was. Raises TrackLost."""
+        """Return the next state and observations, each bead fitted from its predicted place. Raises TrackLost."""
         image = self._halved(image)
         fit = self.fit.on(logs_of(image, self.mask, self.written))
         moved = np.hypot(*(self._expected()[: len(self.ids), :2] - self.free_at_px).T)
@@ -129,7 +129,7 @@ class Track:
         return track, track.observations
 
     def look(self, image: Radiograph) -> tuple["Track", Observations]:
-        """`follow`, with field and noise measured anew, and beads looked for that came into sight. Raises TrackLost."""
+        """`follow` with field and noise measured again, and with a search for beads that appeared. Raises TrackLost."""
         image = self._halved(image)
         mask = field_inset(image)
         logs = log_image(image, mask)
@@ -152,7 +152,7 @@ class Track:
 
     @property
     def observations(self) -> Observations:
-        """The beads that are seen."""
+        """The visible beads."""
         rows = self.rows[: len(self.ids)][self.seen]
         seen = Observations(
             view=self.view,
@@ -165,7 +165,7 @@ class Track:
         return self._in_image(seen)
 
     def _in_image(self, seen: Observations) -> Observations:
-        """Observations in the halved image as those in the image itself."""
+        """Convert observations in the binned image to the image itself."""
         for _ in range(self.halved):
             seen = finer_observations(seen, self.image_shape)
         return seen
@@ -176,13 +176,13 @@ class Track:
         return out
 
     def _halved(self, image: Radiograph) -> Radiograph:
-        """The next image as beads are followed in it. Raises TrackLost."""
+        """Return the next image, binned for tracking. Raises TrackLost."""
         if image.shape != self.image_shape:
             raise TrackLost("the images changed their size")
         return image.binned(FACTOR**self.halved) if self.halved else image
 
     def _fitted(self, image: Radiograph, fit: refine.BeadFitter) -> "Track":
-        """Every bead where this image has it. Raises TrackLost."""
+        """Return the state after fitting all beads to an image. Raises TrackLost."""
         rows, count = self._expected(), len(self.ids)
         free, free_for, free_at = self._free(image, fit, rows)
         crowded = np.flatnonzero(self.crowded)
@@ -196,7 +196,7 @@ class Track:
         self._refuse_few(good[:count])
         self._refuse_other_sizes(out[:count], good[:count])
         step = self._steps(moved[:count], good[:count])
-        off_size = np.abs(np.log(out[:count, columns.RADIUS].clip(1e-3) / self.radius_px)) > _OTHER_SIZE
+        off_size = np.abs(np.log(out[:count, columns.RADIUS].clip(1e-3) / self.radius_px)) > _MAX_LOG_SIZE
         good[:count] &= ~off_size & (np.hypot(*(moved - step)[:count].T) < _FROM_OTHERS_PX)
         self._refuse_few(good[:count])
         out[~good] = self.rows[~good]
@@ -214,7 +214,7 @@ class Track:
         )
 
     def _steps(self, moved_px: np.ndarray, good: np.ndarray) -> np.ndarray:
-        """(N, 2): the median movement of each plate's beads; none of what is no bead of the frame."""
+        """Return the median movement (N, 2) of each plate's beads; zero for spots that are not beads of the frame."""
         xrii = set(self.frame.view(self.view).xrii.ids)
         near = np.array([name in xrii for name in self.ids])
         out = np.zeros((len(self.rows), 2))
@@ -224,14 +224,14 @@ class Track:
         return out
 
     def _usable(self, mask: np.ndarray) -> np.ndarray:
-        """`mask` (H, W) without the middles of washers, where these are expected."""
+        """Return `mask` (H, W) without the middles of washers at their predicted places."""
         washer = self._expected()[self.washer]
         return without_middles(mask, washer[:, :2], washer[:, columns.RADIUS])
 
     def _free(
         self, image: Radiograph, fit: refine.BeadFitter, rows: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """`free`, `free_for` and `free_at_px`, looked at anew where other pixels count than before."""
+        """Return `free`, `free_for` and `free_at_px`, computed again where the usable pixels have changed."""
         if fit.usable is self.fit.usable:
             return self.free, self.free_for, self.free_at_px
         places = rows[: len(self.ids), :2]
@@ -240,11 +240,11 @@ class Track:
     def _refuse_few(self, good: np.ndarray) -> None:
         """Raises TrackLost."""
         lost = len(good) - int(good.sum())
-        if lost > MOST_LOST * len(good):
+        if lost > MAX_LOST * len(good):
             raise TrackLost(f"{lost} of {len(good)} beads are not where they were")
 
     def _refuse_other_sizes(self, rows: np.ndarray, good: np.ndarray) -> None:
-        """Raises TrackLost: beads that moved by a step of their grid lie where others were, and have their sizes."""
+        """Raises TrackLost where balls have other sizes than their labels: they have moved by a step of the grid."""
         by_id = self.frame.view(self.view).by_id
         log_mm = np.log([by_id[name].diameter_mm for name in self.ids])
         sizes = np.unique(log_mm.round(6))
@@ -256,7 +256,7 @@ class Track:
             raise TrackLost(f"{wrong.sum()} balls have another size than their labels say")
 
     def _alone(self, image: Radiograph) -> tuple[Detections, Observations]:
-        """What was fitted by itself in this image, as detection and labelling would hand it on."""
+        """Return the beads fitted without masks of overlaps, as the results of `detect` and `label`."""
         count = len(self.ids)
         labelled = np.flatnonzero(self.seen & ~self.crowded)
         others = np.arange(count, len(self.rows))
@@ -282,7 +282,7 @@ class Track:
 def _sizes(
     beads: Detections, observations: Observations, row: np.ndarray, frame: Frame
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(L,) radii and contrasts of labelled beads; what `look_again` found has those of its plate's balls."""
+    """Return radii and contrasts (L,) of labelled beads; those found by `look_again` take their plate's medians."""
     by_id, xrii = frame.view(observations.view).by_id, set(frame.view(observations.view).xrii.ids)
     diameter = np.array([by_id[name].diameter_mm for name in observations.ids])
     plate = np.array([name in xrii for name in observations.ids])
@@ -296,5 +296,5 @@ def _sizes(
 
 
 def _covariance(rows: np.ndarray) -> np.ndarray:
-    """(N, 2, 2) px²."""
+    """Return the covariances (N, 2, 2) of the centres, px²."""
     return rows[:, [columns.CUU, columns.CUV, columns.CUV, columns.CVV]].reshape(-1, 2, 2)

@@ -1,7 +1,7 @@
-"""The shadow of a steel wire on a background, fitted to pixels beside a path: across it in pieces, along it at its tip.
+"""Model of a steel wire's shadow on a background, fitted to pixels near a path: piecewise across it, and at its tip.
 
-A pixel lies at s along the path and x across it, px. Sharp, the light is B (1 - T S) + c S: B the background, S the
-share of the chord's shadow, T what steel takes of the light that comes straight, c scatter in the shadow.
+A pixel lies at s along the path and x across it, px. Without blur, the light is B (1 - T S) + c S: background B, shadow
+S of the chord (0 to 1), share T of the primary radiation that steel absorbs, scatter c in the shadow.
 """
 
 from collections.abc import Callable
@@ -11,31 +11,31 @@ import numpy as np
 from scipy.ndimage import gaussian_filter, gaussian_filter1d, map_coordinates
 from scipy.spatial import KDTree
 
-# What steel takes of 40, 50 and 60 keV, 1/mm [physics.md, C-arm], and their shares behind 20 cm of a hip, of a beam of
-# 70 kVp that has 45, 35 and 20 % before it [calc].
+# Attenuation of steel at 40, 50 and 60 keV, 1/mm [physics.md, C-arm], and the energies' shares behind 20 cm of hip,
+# for a beam of 70 kVp with 45, 35 and 20 % before it [calc].
 _PER_MM, _SHARE = np.array([3.03, 1.60, 1.01]), np.array([0.22, 0.39, 0.39])
-# Of the straight light: 0.93-0.97 for 2.5 mm of steel; less lets scatter have a slope of its own [twin, as for beads].
-_TAKEN = 0.9
+# Of the primary radiation: 0.93-0.97 for 2.5 mm of steel; less gives scatter its own slope [twin, as for beads].
+_ABSORBED = 0.9
 _FINE = 0.05  # radii; step of the sharp profile
 _CELL = 0.25  # px; step of the template of a tip
 _RAY_MM = 0.05  # steps along a ray through it
-_STEPS = 12
-_SETTLED = 0.005  # px
-_LEAST_BLUR, _LARGEST_BLUR = 0.3, 0.7  # px; radii
-BEND = 3  # degree of a wire's curve on the path that is expected: check_shot's wire is a cubic too
-_WIDEST = 1.7  # times the radius that is expected, either way: beyond, a fit has lost the wire
+_MAX_ITERATIONS = 12
+_CONVERGED = 0.005  # px
+_MIN_BLUR, _MAX_BLUR = 0.3, 0.7  # px; radii
+BEND = 3  # degree of a wire's curve about the expected path, as in check_shot
+_MAX_WIDTH_RATIO = 1.7  # limit of the fitted over the expected radius, either way; beyond, the fit has lost the wire
 
 
 @dataclass(frozen=True, eq=False)
 class ImagePath:
-    """A smooth line through an image in steps of about a pixel: `uv_px` (M, 2) and `s_px` (M,), its length so far."""
+    """A smooth line through an image in steps of about a pixel: points `uv_px` (M, 2), arc lengths `s_px` (M,)."""
 
     uv_px: np.ndarray
     s_px: np.ndarray
 
     @staticmethod
     def through(uv_px: np.ndarray) -> "ImagePath":
-        """Through points (M, 2)."""
+        """Return the path through points (M, 2)."""
         steps = np.hypot(*np.diff(uv_px, axis=0).T)
         return ImagePath(uv_px, np.append(0.0, np.cumsum(steps)))
 
@@ -46,7 +46,7 @@ class ImagePath:
         return way / np.linalg.norm(way, axis=1, keepdims=True)
 
     def at(self, s_px: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Points, unit tangents and unit normals (N, 2) at s (N,); beyond the ends, straight on."""
+        """Return points, unit tangents and unit normals (N, 2) at s (N,), extrapolated straight beyond the ends."""
         inside = np.clip(s_px, self.s_px[0], self.s_px[-1])
         both = np.hstack([self.uv_px, self.tangents])
         u, v, a, b = (np.interp(inside, self.s_px, column) for column in both.T)
@@ -56,12 +56,12 @@ class ImagePath:
         return on, along, np.stack([-along[..., 1], along[..., 0]], axis=-1)
 
     def moved(self, across_px: np.ndarray) -> "ImagePath":
-        """The path (M,) px further along its normals."""
+        """Return the path with its points moved by (M,) px along their normals."""
         along = self.tangents
         return ImagePath.through(self.uv_px + across_px[:, None] * np.stack([-along[:, 1], along[:, 0]], axis=-1))
 
     def places(self, uv_px: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """s and x (N,) of pixels (N, 2)."""
+        """Return s and x (N,) of pixels (N, 2)."""
         nearest = np.asarray(KDTree(self.uv_px).query(uv_px)[1])
         off, along = uv_px - self.uv_px[nearest], self.tangents[nearest]
         return self.s_px[nearest] + (off * along).sum(1), off[:, 1] * along[:, 0] - off[:, 0] * along[:, 1]
@@ -69,15 +69,18 @@ class ImagePath:
 
 @dataclass(frozen=True, eq=False)
 class WireFit:
-    """Numbers of a fit, first those sought; `influence` (P, N) of each pixel's light, in units of its noise, on them;
-    `model` (N,) light; `shadow`, `beside`: fitted light in the shadow and beside it."""
+    """A least-squares fit of a wire's shadow.
+
+    `values` (P,): the parameters; `influence` (P, N): their derivatives by each pixel's light, in units of its noise;
+    `model` (N,): fitted light; `shadow`, `beside`: fitted light in the shadow and beside it.
+    """
 
     values: np.ndarray
     influence: np.ndarray
     model: np.ndarray
     shadow: float
     beside: float
-    settled: bool
+    converged: bool
 
     @property
     def contrast(self) -> float:
@@ -87,8 +90,7 @@ class WireFit:
 
 @dataclass(frozen=True)
 class SteelWire:
-    """A steel wire: diameter, length of its conical point (0: plain), the sine of its angle to the rays, and how long
-    a millimetre of it is in the image."""
+    """A steel wire: diameter, length of its conical point (0: plain), sine of its angle to the rays, scale along it."""
 
     diameter_mm: float
     point_mm: float
@@ -97,22 +99,22 @@ class SteelWire:
 
     @property
     def depth_mm(self) -> float:
-        """Steel on the way through its axis."""
+        """Path length in steel of a ray through the axis."""
         return self.diameter_mm / self.sine
 
 
 def profile(x_px: np.ndarray, wire: SteelWire, radius_px: float, blur_px: float) -> np.ndarray:
-    """(N,) shadow of a wire at x: 1 where it is deepest, were it not blurred."""
+    """Return the blurred shadow (N,) of a wire at x; 1 is the middle of the sharp shadow."""
     reach = 1.0 + 5.0 * blur_px / radius_px
     rho = np.arange(-reach, reach + _FINE, _FINE)
-    fine = rho[:, None] + _FINE * (np.arange(8) - 3.5) / 8  # averaged over cells at its steep rim
-    sharp = _taken(wire, wire.depth_mm * np.sqrt(np.clip(1 - fine**2, 0.0, None))).mean(axis=1)
+    fine = rho[:, None] + _FINE * (np.arange(8) - 3.5) / 8  # averaged over cells, because the rim is steep
+    sharp = _absorbed(wire, wire.depth_mm * np.sqrt(np.clip(1 - fine**2, 0.0, None))).mean(axis=1)
     blurred = gaussian_filter1d(sharp, blur_px / radius_px / _FINE, mode="constant")
-    return np.interp(x_px / radius_px, rho, blurred / _taken(wire, np.array(wire.depth_mm)))
+    return np.interp(x_px / radius_px, rho, blurred / _absorbed(wire, np.array(wire.depth_mm)))
 
 
-def _taken(wire: SteelWire, chord_mm: np.ndarray) -> np.ndarray:
-    """Share of the straight light that steel takes."""
+def _absorbed(wire: SteelWire, chord_mm: np.ndarray) -> np.ndarray:
+    """Return the share of the primary radiation that steel absorbs."""
     out = np.zeros(chord_mm.shape)
     for mu, share in zip(_PER_MM, _SHARE, strict=True):
         out += share * (1 - np.exp(-mu * chord_mm))
@@ -127,20 +129,20 @@ def fit_across(  # noqa: PLR0917
     start: tuple[float, float, float],
     wire: SteelWire,
 ) -> WireFit:
-    """Offset, radius and blur, px, of a piece of wire, from the light (N,) of pixels and its s.d. `noise` (N,)."""
+    """Fit offset, radius and blur, px, of a piece of wire to the light (N,) of pixels with s.d. `noise` (N,)."""
     reach, half = float(np.abs(x_px).max()), float(np.ptp(s_px)) / 2
     along, across = (s_px - s_px.mean()) / max(half, 1.0), x_px / reach
-    ground = np.stack([*(across**k for k in range(4)), *(along * across**k for k in range(3)), along**2], axis=-1)
+    background = np.stack([*(across**k for k in range(4)), *(along * across**k for k in range(3)), along**2], axis=-1)
 
     def shape(p: np.ndarray) -> np.ndarray:
         return profile(x_px - p[0], wire, p[1], p[2])
 
     def keep(p: np.ndarray, step: np.ndarray) -> np.ndarray:
         out = p + np.clip(step, [-2.0, -0.2 * p[1], -0.3 * p[2]], [2.0, 0.2 * p[1], 0.3 * p[2]])
-        out[2] = np.clip(out[2], _LEAST_BLUR, _LARGEST_BLUR * start[1])
-        return np.append(out[0], [np.clip(out[1], start[1] / _WIDEST, start[1] * _WIDEST), out[2]])
+        out[2] = np.clip(out[2], _MIN_BLUR, _MAX_BLUR * start[1])
+        return np.append(out[0], [np.clip(out[1], start[1] / _MAX_WIDTH_RATIO, start[1] * _MAX_WIDTH_RATIO), out[2]])
 
-    return _fitted(shape, keep, np.array(start), ground, light, noise)
+    return _fitted(shape, keep, np.array(start), background, light, noise)
 
 
 def fit_tip(  # noqa: PLR0917
@@ -150,14 +152,14 @@ def fit_tip(  # noqa: PLR0917
     noise: np.ndarray,
     start: tuple[float, float],
     wire: SteelWire,
-    look: tuple[float, float],
+    appearance: tuple[float, float],
 ) -> WireFit:
-    """Where a wire ends along the path, and its offset there, px; `look`: its radius and blur, px."""
+    """Fit where a wire ends along the path, and its offset there, px; `appearance`: its radius and blur, px."""
     reach, half = float(np.abs(x_px).max()), float(np.ptp(s_px)) / 2
     along, across = (s_px - s_px.mean()) / half, x_px / reach
     powers = [(a, b) for a in range(4) for b in range(4 - a)]
-    ground = np.stack([across**a * along**b for a, b in powers], axis=-1)
-    template, corner = _tip_template(wire, *look, reach)
+    background = np.stack([across**a * along**b for a, b in powers], axis=-1)
+    template, corner = _tip_template(wire, *appearance, reach)
 
     def shape(p: np.ndarray) -> np.ndarray:
         at = np.stack([s_px - p[0], x_px - p[1]]) / _CELL - corner[:, None]
@@ -166,27 +168,27 @@ def fit_tip(  # noqa: PLR0917
     def keep(p: np.ndarray, step: np.ndarray) -> np.ndarray:
         return p + np.clip(step, -3.0, 3.0)
 
-    return _fitted(shape, keep, np.array(start), ground, light, noise)
+    return _fitted(shape, keep, np.array(start), background, light, noise)
 
 
 def _tip_template(wire: SteelWire, radius: float, blur: float, reach: float) -> tuple[np.ndarray, np.ndarray]:
-    """The shadow of a wire's end over s and x in cells, the tip at s = 0; and the cell of its corner (2,)."""
+    """Return the shadow of a wire's end, sampled over s and x with the tip at s = 0, and its first cell (2,)."""
     behind = 4 * radius + wire.point_mm * wire.px_per_mm + 5 * blur + reach
     corner = np.round(np.array([-behind, -reach - 5 * blur - 4.0]) / _CELL)
     s = _CELL * (corner[0] + np.arange(round((behind + radius + 5 * blur + 4.0) / _CELL)))
     x = _CELL * (corner[1] + np.arange(1 - 2 * round(corner[1])))
     chord = _chord_mm(wire, s * wire.sine / wire.px_per_mm, x * wire.diameter_mm / 2 / radius)
-    share = _taken(wire, chord) / _taken(wire, np.array(wire.depth_mm))
+    share = _absorbed(wire, chord) / _absorbed(wire, np.array(wire.depth_mm))
     return gaussian_filter(share, blur / _CELL, mode="nearest"), corner
 
 
 def _chord_mm(wire: SteelWire, s_mm: np.ndarray, x_mm: np.ndarray) -> np.ndarray:
-    """(S, X) length in the wire of rays at s and x, seen across the rays, the tip at 0; rays taken to be parallel."""
+    """Return the chord (S, X) of parallel rays at s and x (across the rays) in a wire with its tip at 0."""
     cosine = np.sqrt(1 - wire.sine**2)
     half = wire.diameter_mm / wire.sine
     out = np.zeros((len(s_mm), len(x_mm)))
     for depth in np.arange(-half, half, _RAY_MM) + _RAY_MM / 2:
-        # Along the ray the middle of the range lies on the wire's axis, where that is beside the tip.
+        # The range of depths is centred on the wire's axis.
         t = depth + s_mm * cosine / wire.sine
         behind, off = -(s_mm * wire.sine + t * cosine), s_mm * cosine - t * wire.sine
         radius = wire.diameter_mm / 2 * (np.clip(behind / wire.point_mm, 0, 1) if wire.point_mm > 0 else behind > 0)
@@ -198,34 +200,38 @@ def _fitted(  # noqa: PLR0917
     shape: Callable[[np.ndarray], np.ndarray],
     keep: Callable[[np.ndarray, np.ndarray], np.ndarray],
     start: np.ndarray,
-    ground: np.ndarray,
+    background: np.ndarray,
     light: np.ndarray,
     noise: np.ndarray,
 ) -> WireFit:
-    """Least squares of the numbers that `shape` depends on, jointly with background and scatter, which are linear."""
-    p, settled = start, False
-    for _ in range(_STEPS):
-        model, linear, columns = _linearised(shape, p, ground, light, noise)
+    """Fit the parameters of `shape` by Gauss-Newton, jointly with background and scatter, which are linear."""
+    p, converged = start, False
+    for _ in range(_MAX_ITERATIONS):
+        model, linear, columns = _linearised(shape, p, background, light, noise)
         step = np.linalg.lstsq(columns, (light - model) / noise)[0][: len(p)]
         moved = keep(p, step)
-        settled = bool(np.abs(moved - p)[0] < _SETTLED)
+        converged = bool(np.abs(moved - p)[0] < _CONVERGED)
         p = moved
-        if settled:
+        if converged:
             break
-    model, linear, columns = _linearised(shape, p, ground, light, noise)
+    model, linear, columns = _linearised(shape, p, background, light, noise)
     influence = np.linalg.pinv(columns)[: len(p)]
     beside = float(linear[0])
-    return WireFit(p, influence, model, (1 - _TAKEN) * beside + float(linear[-1]), beside, settled)
+    return WireFit(p, influence, model, (1 - _ABSORBED) * beside + float(linear[-1]), beside, converged)
 
 
 def _linearised(
-    shape: Callable[[np.ndarray], np.ndarray], p: np.ndarray, ground: np.ndarray, light: np.ndarray, noise: np.ndarray
+    shape: Callable[[np.ndarray], np.ndarray],
+    p: np.ndarray,
+    background: np.ndarray,
+    light: np.ndarray,
+    noise: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Model, its linear numbers, and its derivatives by all numbers over the noise."""
+    """Return the model, its linear coefficients, and its derivatives by all parameters over the noise."""
     share = shape(p)
-    basis = np.column_stack([ground * (1 - _TAKEN * share)[:, None], share])
+    basis = np.column_stack([background * (1 - _ABSORBED * share)[:, None], share])
     linear = np.linalg.lstsq(basis / noise[:, None], light / noise)[0]
-    by_share = linear[-1] - _TAKEN * ground @ linear[:-1]
+    by_share = linear[-1] - _ABSORBED * background @ linear[:-1]
     h = 0.02
     slopes = [(shape(p + h * e) - shape(p - h * e)) / (2 * h) * by_share for e in np.eye(len(p))]
     return basis @ linear, linear, np.column_stack([*slopes, basis]) / noise[:, None]

@@ -1,4 +1,4 @@
-"""Where about a wire lies: a dark line with lighter sides, looked for along a path in an image pulled straight."""
+"""Coarse search for a wire: a dark line with lighter sides, in an image resampled along a path."""
 
 from dataclasses import dataclass
 
@@ -10,20 +10,20 @@ from sightline.detection.wire_model import BEND, ImagePath
 from sightline.errors import WireRefusedError
 
 CORRIDOR_MM = 8.0  # to either side of where the wire is expected [ours]
-CORRIDOR_RAD = np.radians(5.0)  # and turned against it [ours]
-_TURNS = 21  # within the corridor
-_ALONG = 9  # px; means along the path before sides are compared
-_SIDE = 1.7  # radii from the middle, where the sides are looked at
-_FAINTEST = 0.2  # log light: cortices seen along their length reach 0.1-0.15, wires 0.4 and more [twin]
-_SHORTEST = 6.0  # radii of wire that must be seen [ours]
-_RIVAL = 0.6  # of the best line's darkness summed up: another line that reaches it competes [ours]
-_REWEIGHTED, _LEAST_OFF_PX = 10, 0.5  # fits of the line; less off than this counts alike [ours]
-_BRIDGED = 0.3  # of the wire's usual darkness: less, on the whole, is no wire; dense bone over a part leaves 0.5 [twin]
+CORRIDOR_RAD = np.radians(5.0)  # largest rotation against it [ours]
+_ROTATIONS = 21  # tried within the corridor
+_ALONG = 9  # px averaged along the path before sides are compared
+_SIDE = 1.7  # radii from the middle to where the sides are sampled
+_MIN_CONTRAST = 0.2  # log light: cortices seen along their length have 0.1-0.15, wires 0.4 and more [twin]
+_MIN_LENGTH = 6.0  # visible length, in radii [ours]
+_RIVAL = 0.6  # share of the best line's summed darkness at which another line is a rival [ours]
+_REWEIGHTED, _MIN_RESIDUAL_PX = 10, 0.5  # reweighted fits; smaller residuals get the same weight [ours]
+_BRIDGED = 0.3  # share of the usual darkness that marks the end of a wire; under dense bone it is 0.5 [twin]
 
 
 @dataclass(frozen=True, eq=False)
 class CoarseWire:
-    """A wire found roughly: its path to some way beyond the tip; the tip's s on it and on the path expected, px."""
+    """A coarse wire: its path to beyond the tip, and the tip's s on it and on the expected path, px."""
 
     path: ImagePath
     tip_s_px: float
@@ -40,15 +40,15 @@ def search(
     reach = int(corridor + 0.5 * length * np.tan(CORRIDOR_RAD) + 3 * radius)
     s, x = np.arange(int(length) + 1.0), np.arange(-reach, reach + 1.0)
     dark, known = _darkness(logs, usable, path, s, x, radius)
-    offsets, slopes = np.arange(-corridor, corridor + 1.0), np.tan(CORRIDOR_RAD) * np.linspace(-1, 1, _TURNS)
+    offsets, slopes = np.arange(-corridor, corridor + 1.0), np.tan(CORRIDOR_RAD) * np.linspace(-1, 1, _ROTATIONS)
     lever = s - length / 2
     sums = np.empty((len(slopes), len(offsets)))
-    capped = np.where(known, np.clip(dark, 0.0, 2 * _FAINTEST), 0.0)
+    capped = np.where(known, np.clip(dark, 0.0, 2 * _MIN_CONTRAST), 0.0)
     for k, slope in enumerate(slopes):
         rows = np.rint(offsets[:, None] + slope * lever + reach).astype(int)
         sums[k] = capped[rows, np.arange(len(s))].sum(axis=1)
     best = np.unravel_index(int(sums.argmax()), sums.shape)
-    if sums[best] < _FAINTEST * _SHORTEST * radius:
+    if sums[best] < _MIN_CONTRAST * _MIN_LENGTH * radius:
         raise WireRefusedError(
             f"no wire is seen within {CORRIDOR_MM:.0f} mm and {np.degrees(CORRIDOR_RAD):.0f}° of where it is planned; "
             "check that the image belongs to this plan, that the wire is in, and the exposure"
@@ -67,7 +67,7 @@ def search(
 def _darkness(  # noqa: PLR0917
     logs: np.ndarray, usable: np.ndarray, path: ImagePath, s: np.ndarray, x: np.ndarray, radius: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(X, S) by how much the log image is darker than on its darker side, and where that is known."""
+    """Return how much darker (X, S) the log image is than its darker side, and where that is known."""
     on, _, normal = path.at(s)
     where = (on[None] + x[:, None, None] * normal[None]).astype(np.float32)
     straight = cv2.remap(logs, where[..., 0], where[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
@@ -81,7 +81,7 @@ def _darkness(  # noqa: PLR0917
 
 
 def _mean(values: np.ndarray, weight: np.ndarray, across: int) -> tuple[np.ndarray, np.ndarray]:
-    """Means over `across` by _ALONG pixels of what is seen, and the share that is."""
+    """Return weighted means over `across` x _ALONG pixels, and the mean weights."""
     size = max(across, 1), _ALONG
     share, total = (
         uniform_filter1d(uniform_filter1d(a, size[0], axis=0), size[1], axis=1) for a in (weight, values * weight)
@@ -96,7 +96,7 @@ def _refuse_rival(
     slopes: np.ndarray,
     rest: tuple[np.ndarray, float],
 ) -> None:
-    """Refuse where a line that lies beside the best one over most of its length is nearly as dark."""
+    """Raise WireRefusedError where a line beside the best one, over most of its length, is nearly as dark."""
     lever, radius = rest
     apart = (offsets[None] - offsets[best[1]])[..., None] + (slopes - slopes[best[0]])[:, None, None] * lever[::20]
     elsewhere = np.median(np.abs(apart), axis=-1) > 3 * radius
@@ -109,7 +109,7 @@ def _refuse_rival(
 
 
 def _followed(dark: np.ndarray, known: np.ndarray, at: np.ndarray, reach: int, radius: float) -> np.ndarray:
-    """(S,) x of the darkest line near a straight one, smoothed along by its darkness."""
+    """Return x (S,) of the darkest line near a straight one, smoothed with its darkness as weight."""
     x = np.arange(-round(radius), round(radius) + 1)
     rows = np.clip(np.rint(at + reach).astype(int) + x[:, None], 0, len(dark) - 1)
     columns = np.arange(dark.shape[1])
@@ -119,13 +119,13 @@ def _followed(dark: np.ndarray, known: np.ndarray, at: np.ndarray, reach: int, r
 
 
 def _end(dark: np.ndarray, known: np.ndarray, across: np.ndarray, reach: int, radius: float) -> float:
-    """s of the tip: up to there the line is dark, from there on it is not."""
+    """Return s of the tip, up to which the line is dark. Raises WireRefusedError."""
     rows, columns = np.rint(across + reach).astype(int), np.arange(len(across))
     value, seen = np.clip(dark[rows, columns], 0.0, None), known[rows, columns]
     usual = float(np.quantile(value[seen], 0.75)) if seen.any() else 0.0
     gain = np.cumsum(np.where(seen, np.minimum(value, usual) - _BRIDGED * usual, 0.0))
     tip = int(gain.argmax())
-    if usual < _FAINTEST or gain[tip] < 0.2 * _BRIDGED * usual * tip or tip < _SHORTEST * radius:
+    if usual < _MIN_CONTRAST or gain[tip] < 0.2 * _BRIDGED * usual * tip or tip < _MIN_LENGTH * radius:
         raise WireRefusedError(
             "the wire is too faint or hidden by other metal over most of its length; "
             "take other metal out of the beam, or expose more"
@@ -139,13 +139,14 @@ def _end(dark: np.ndarray, known: np.ndarray, across: np.ndarray, reach: int, ra
 
 
 def _smooth(s: np.ndarray, across: np.ndarray, tip: float, radius: float) -> np.ndarray:
-    """(S,) the cubic of least absolute deviations through the line up to its tip; beyond it straight on.
+    """Return the cubic (S,) of least absolute deviations through the line up to its tip, extrapolated straight beyond.
 
-    What lies beside the wire pulls the line aside for a piece. A path with such a bump would hide from `find_wire` that
-    the piece there is off."""
+    Structures beside the wire pull the line aside locally. A path with such a bump would hide the deviation from
+    `find_wire`.
+    """
     inside = s < tip - radius
     curve = np.polynomial.Polynomial.fit(s[inside], across[inside], BEND)
     for _ in range(_REWEIGHTED):
-        off = np.maximum(np.abs(across[inside] - curve(s[inside])), _LEAST_OFF_PX)
+        off = np.maximum(np.abs(across[inside] - curve(s[inside])), _MIN_RESIDUAL_PX)
         curve = np.polynomial.Polynomial.fit(s[inside], across[inside], BEND, w=off**-0.5)
     return curve(np.minimum(s, tip)) + curve.deriv()(tip) * np.maximum(s - tip, 0.0)

@@ -1,4 +1,4 @@
-"""Which fiducial of which plate each bead is."""
+"""Labelling: assign each bead to a fiducial of a plate."""
 
 from sightline.detection.labelling.label import is_inverted, label
 

@@ -1,4 +1,4 @@
-"""Whether labels can be true: the fit must be one that this frame, a C-arm and an intensifier can give."""
+"""Plausibility checks of labels: the fit must be possible for this frame, a C-arm and an intensifier."""
 
 from enum import IntEnum
 
@@ -7,34 +7,32 @@ import numpy as np
 from sightline.detection.labelling.growth import Grown
 from sightline.detection.labelling.joint import Joint, Model
 
-WORST_SD = 0.02  # of the pitch: the scatter of the beads about their places; 2 px at the design distance [ours]
-BEND = 4.5  # most standard deviations of the prior that a map may need [ours]
-# By which balls may look larger or smaller: -0.02 to 0.03 in 108 images of the twin; on a machine of another blur the
-# fitted radius errs more, and 3 mm and 1/8 inch balls are mixed up without harm (0.06) [ours]
+MAX_SCATTER = 0.02  # of the pitch, rms of the beads about their places; 2 px at the design distance [ours]
+MAX_BEND = 4.5  # s.d. of the prior that a map may need [ours]
+# Largest log ratio of apparent and stated ball size: -0.02 to 0.03 in 108 images of the twin. Another machine's blur
+# gives larger errors, and confusing 3 mm with 1/8 inch balls does no harm (0.06) [ours]
 BALL_LOG_SIZE = 0.15
-SIZES_WRONG = 2  # wrong sizes of a plate that say nothing yet: 2 % are misjudged, touching pairs look large [ours]
-BEYOND_M2, MOST_BEYOND = 9.2, 1  # 99 % of chi-squared; balls there by chance: one in 1 of 90 scenes, never two [ours]
-EXPLAINED = 0.6  # least share of the ball-like detections that must be beads of the frame [ours]
-FOCAL_MM = (300.0, 2000.0)  # of the focal point from the XRII plate; 920 mm at the design distance [ours]
-FOCAL_SLOPE = (
-    0.45  # tangent of the beam's angle to the plates: a tilt of 20° and a field that is off centre [issue, ours]
-)
+SIZES_WRONG = 2  # tolerated wrong sizes per plate: 2 % are misjudged, touching pairs look large [ours]
+BEYOND_M2, MAX_BEYOND = 9.2, 1  # 99 % of chi-squared; by chance, 1 of 90 scenes has one ball there, none has two [ours]
+MIN_EXPLAINED = 0.6  # share of the ball-like detections that must be beads of the frame [ours]
+FOCAL_MM = (300.0, 2000.0)  # distance of the focal point from the XRII plate; 920 mm at the design distance [ours]
+FOCAL_SLOPE = 0.45  # tangent of the beam's angle to the plates' normal: a tilt of 20° and an off-centre field [ours]
 
 
 class Stage(IntEnum):
-    """What an attempt to label an image was at when it stopped, in the order of the steps."""
+    """The stage at which an attempt to label an image failed, in the order of the steps."""
 
     SEEDS = 0  # finding three datum markers
     LATTICES = 1  # finding a second lattice of beads
     NAMES = 2  # naming the plates of the lattices
-    UNIQUENESS = 3  # excluding every other naming
+    UNIQUENESS = 3  # excluding every other labelling
     PROJECTION = 4  # fitting one central projection to both plates
     CHECKS = 5  # checking the fit
-    FINAL = 6  # the beads are explained and the geometry contradicts them: no other attempt is made
+    FINAL = 6  # the beads are explained but contradict the geometry: no other attempt is made
 
 
 class AttemptError(Exception):
-    """Why an attempt ended, and at what stage: the refusal of the furthest attempt is the one reported."""
+    """An attempt to label an image failed, with its stage; the message of the furthest attempt is reported."""
 
     def __init__(self, stage: Stage, message: str) -> None:
         super().__init__(message)
@@ -42,9 +40,9 @@ class AttemptError(Exception):
 
 
 def check(model: Model, fit: Joint, beads: np.ndarray, pair: tuple[Grown, Grown], ball_like: np.ndarray) -> None:
-    """Can beads (B, 2) of detection and place be labelled so? Raises AttemptError.
+    """Check the labels of `beads` (B, 2): detection and place. Raises AttemptError.
 
-    `ball_like` (N, 2): which detections look like beads of the XRII plate, and of the source plate.
+    `ball_like` (N, 2): whether each detection looks like a bead of the XRII plate, and of the source plate.
     """
     left = ball_like.copy()
     left[beads[:, 0]] = False
@@ -57,22 +55,22 @@ def check(model: Model, fit: Joint, beads: np.ndarray, pair: tuple[Grown, Grown]
 
 
 def _check_map(model: Model, fit: Joint, beads: np.ndarray) -> None:
-    """Do the beads lie in their places, by a map that an intensifier has?"""
+    """Check that the beads lie at their places, by a map that an intensifier can have."""
     off = fit.xy_mm[beads[:, 0]] - fit.target_mm[beads[:, 1]]
     scatter = float(np.sqrt((off**2).mean()))
-    if scatter > WORST_SD * model.xrii.pitch_mm:
+    if scatter > MAX_SCATTER * model.xrii.pitch_mm:
         raise AttemptError(
             Stage.CHECKS, f"the beads miss their places on the XRII plate by {scatter:.2f} mm; check the frame file"
         )
-    if fit.bend > BEND:
+    if fit.bend > MAX_BEND:
         raise AttemptError(
             Stage.CHECKS, "the labels would need a distortion that no intensifier has; is this the frame in the image?"
         )
 
 
 def _check_explained(beads: np.ndarray, ball_like: int) -> None:
-    """Are most detections that look like beads explained?"""
-    if len(beads) < EXPLAINED * ball_like:
+    """Check that most detections that look like beads are explained."""
+    if len(beads) < MIN_EXPLAINED * ball_like:
         raise AttemptError(
             Stage.CHECKS,
             f"only {100 * len(beads) / ball_like:.0f} % of what looks like the frame's beads is on one of its places; "
@@ -81,12 +79,12 @@ def _check_explained(beads: np.ndarray, ball_like: int) -> None:
 
 
 def _check_edge(model: Model, fit: Joint, pair: tuple[Grown, Grown], left: np.ndarray) -> None:
-    """Are there no beads where a plate's grid would go on beyond its edge, as if all were shifted by one step?"""
+    """Check for beads beyond a plate's edge, which show that all labels are shifted by one step of the grid."""
     for plate, own in zip(pair, left.T, strict=True):
         beyond = model.shadows.of_points(plate.pattern.beyond_mm, fit.focal_point_mm)
         off2 = ((fit.xy_mm[own][:, None] - beyond) ** 2).sum(axis=2) / fit.variance_mm2[own][:, None]
         seen = int((off2 < BEYOND_M2).any(axis=1).sum())
-        if seen > MOST_BEYOND:
+        if seen > MAX_BEYOND:
             raise AttemptError(
                 Stage.CHECKS,
                 f"{seen} balls are seen beyond the edge of the {plate.pattern.role_name} plate, where its grid would "
@@ -95,7 +93,7 @@ def _check_edge(model: Model, fit: Joint, pair: tuple[Grown, Grown], left: np.nd
 
 
 def _check_pattern(pair: tuple[Grown, Grown]) -> None:
-    """Are the datum markers of each plate where this frame has them? A grid fits when shifted, its pattern does not."""
+    """Check the datum markers of each plate: a shifted grid still fits, its pattern of datum markers does not."""
     for plate in pair:
         pattern = plate.pattern
         sizes = np.unique(pattern.diameter_mm)
@@ -112,9 +110,9 @@ def _check_pattern(pair: tuple[Grown, Grown]) -> None:
 
 
 def _check_ball_size(fit: Joint, pair: tuple[Grown, Grown]) -> None:
-    """Have the balls of each plate their size, measured by the plate's own grid?
+    """Check the size of each plate's balls against the plate's own grid.
 
-    A tilted plate's grid looks narrower by the cosine of the tilt in one direction, its balls do not.
+    A tilt shortens the grid by its cosine in one direction, but not the balls.
     """
     for plate in pair:
         pattern = plate.pattern
@@ -131,7 +129,7 @@ def _check_ball_size(fit: Joint, pair: tuple[Grown, Grown]) -> None:
 
 
 def _check_focal_point(model: Model, fit: Joint, beads: np.ndarray) -> None:
-    """Is the focal point where a C-arm can have it, beyond the source plate?"""
+    """Check that a C-arm can have the focal point there, beyond the source plate."""
     shadows = model.shadows
     away = shadows.normal * np.sign(shadows.height_mm.mean())
     ray = fit.focal_point_mm - model.xrii.plane.to_space(fit.target_mm[beads[:, 1]].mean(axis=0))

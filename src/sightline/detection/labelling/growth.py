@@ -1,4 +1,4 @@
-"""From three beads to all beads of a plate: predict, take what fits, fit again, outward from the seed."""
+"""Grow a seed of three beads to all beads of a plate: predict, match, fit again, outward from the seed."""
 
 from dataclasses import dataclass
 
@@ -11,18 +11,18 @@ from sightline.detection.labelling.patterns import Pattern
 from sightline.detection.labelling.seeds import Seed, Similarity
 from sightline.detection.results import Detections
 
-REMAINDER = 0.003  # smooth rest beyond degree 5, same share: 0.3 mm of 107 (physics.md: 0.11-0.13 mm rms) [ours]
+REMAINDER = 0.003  # s.d. beyond degree 5, share of the radius: 0.3 mm of 107 (physics.md: 0.11-0.13 mm rms) [ours]
 GATE = 3.5  # standard deviations [ours]
-CERTAIN = 0.3  # of the pitch: where the gate is wider a bead is not yet taken [ours]
-LOG_RADIUS = 0.15  # a bead's log radius against its plate's: below half the step from 3 to 5 mm [ours]
-AGREES = 0.15  # of the pitch: detections as near to a place by the seed's similarity are beads to begin with [ours]
-LOOSE = 0.1  # of the pitch: how far the first of all maps may miss them, s.d. [ours]
-MOST_ROUNDS = 15
+CERTAIN = 0.3  # of the pitch: where the gate is wider, beads are not matched yet [ours]
+LOG_RADIUS = 0.15  # largest error of a bead's log radius: below half the step from 3 to 5 mm [ours]
+AGREES = 0.15  # of the pitch: gate of the first matches by the seed's similarity [ours]
+LOOSE = 0.1  # of the pitch: s.d. added in the first fit of the map [ours]
+MAX_ROUNDS = 15
 
 
 @njit(cache=True, error_model="numpy")
 def _fit(phi, noise, place_of, target, w, upper, beta):  # noqa: PLR0912, PLR0917 - a kernel
-    """Fill `beta` (21, 2), the coefficients, and `upper`, the Cholesky factor of their information, for unit priors."""
+    """Fill `beta` (21, 2), the coefficients, and `upper`, the Cholesky factor of their information; unit priors."""
     size = len(beta)
     for i in range(size):
         beta[i, 0] = beta[i, 1] = 0.0
@@ -60,7 +60,7 @@ def _fit(phi, noise, place_of, target, w, upper, beta):  # noqa: PLR0912, PLR091
 
 @njit(cache=True, error_model="numpy")
 def _predict(phi, noise, w, log_r, upper, beta, at, ratio, reach):  # noqa: PLR0917 - a kernel
-    """Fill in where the map puts each detection, its log radius there, and GATE standard deviations of the place."""
+    """Fill each detection's mapped place `at`, log radius `ratio`, and `reach`: GATE standard deviations."""
     size = len(beta)
     z = np.empty(size)
     for n in range(len(w)):
@@ -85,10 +85,11 @@ def _predict(phi, noise, w, log_r, upper, beta, at, ratio, reach):  # noqa: PLR0
 
 
 @njit(cache=True, error_model="numpy")
-def _take(at, reach, target, ratio, log_half, sized, usable, place_of):  # noqa: PLR0917 - a kernel
-    """Fill in the place of each detection, or -1: the nearest place, if the detection is also the nearest to it.
+def _match(at, reach, target, ratio, log_half, sized, usable, place_of):  # noqa: PLR0917 - a kernel
+    """Fill `place_of` (N,) with mutual nearest neighbours of detections and places, or -1; return (changed, matched).
 
-    Within `reach` only, and where the log radius is right within `sized`. How many have changed, how many have one.
+    Only within `reach`, and where the log radius agrees to within `sized`. Returns the number of changed entries and
+    the number of matched detections.
     """
     owner, near = np.empty(len(target), np.int64), np.empty(len(target))
     for p in range(len(target)):
@@ -115,7 +116,7 @@ def _take(at, reach, target, ratio, log_half, sized, usable, place_of):  # noqa:
 
 @njit(cache=True, error_model="numpy")
 def _level(ratio, log_half, place_of):
-    """The median log radius of the beads against that of their places."""
+    """Return the median log ratio of the beads' radii to those of their places."""
     off, count = np.empty(len(ratio)), 0
     for n in range(len(ratio)):
         if place_of[n] >= 0:
@@ -130,60 +131,60 @@ def _level(ratio, log_half, place_of):
 
 @njit(cache=True, error_model="numpy")
 def _grow(w, log_r, noise, target, log_half, pitch, seed, usable):  # noqa: PLR0917 - a kernel
-    """The rounds of `grow`, in units of the field's radius. `seed` (N,): the place of each detection, or -1."""
+    """Iterate `grow` in units of the field's radius. `seed` (N,): the place of each detection, or -1."""
     phi = features(w)
     upper, beta = np.empty((phi.shape[2], phi.shape[2])), np.empty((phi.shape[2], 2))
     at, ratio, reach = w.copy(), log_r.copy(), np.empty(len(w))
     loose = noise.copy()
-    place_of, taken, all_of = seed.copy(), seed.copy(), seed.copy()
+    place_of, matched, all_of = seed.copy(), seed.copy(), seed.copy()
     level = _level(ratio, log_half, seed)
     for n in range(len(w)):
         ratio[n] -= level
         reach[n] = AGREES * pitch
         loose[n] += (LOOSE * pitch) ** 2
-    _take(at, reach, target, ratio, log_half, LOG_RADIUS, usable, place_of)
-    for n in range(len(w)):  # the seed's own beads have the word
+    _match(at, reach, target, ratio, log_half, LOG_RADIUS, usable, place_of)
+    for n in range(len(w)):  # seed assignments take precedence
         for m in range(len(w)):
             if seed[n] >= 0 and place_of[m] == seed[n]:
                 place_of[m] = -1
     for n in range(len(w)):
         if seed[n] >= 0:
             place_of[n] = seed[n]
-    for turn in range(MOST_ROUNDS):
-        _fit(phi[0], noise if turn else loose, place_of, target, w, upper, beta)
+    for iteration in range(MAX_ROUNDS):
+        _fit(phi[0], noise if iteration else loose, place_of, target, w, upper, beta)
         _predict(phi, noise, w, log_r, upper, beta, at, ratio, reach)
         level = _level(ratio, log_half, place_of)
         for n in range(len(w)):
             ratio[n] -= level
-            taken[n] = place_of[n]
+            matched[n] = place_of[n]
             if reach[n] > CERTAIN * pitch:
                 reach[n] = 0.0
-        changed, count = _take(at, reach, target, ratio, log_half, LOG_RADIUS, usable, taken)
-        if count < 3 or (changed == 0 and turn > 0):
+        changed, count = _match(at, reach, target, ratio, log_half, LOG_RADIUS, usable, matched)
+        if count < 3 or (changed == 0 and iteration > 0):
             break
         for n in range(len(w)):
-            place_of[n] = taken[n]
-    _take(at, reach, target, ratio, log_half, np.inf, usable, all_of)
+            place_of[n] = matched[n]
+    _match(at, reach, target, ratio, log_half, np.inf, usable, all_of)
     return place_of, all_of, at, ratio, level
 
 
 @dataclass(frozen=True, eq=False)
 class Field:
-    """The circle in which an image's beads lie: what the distortion is a function of, however the image is cropped."""
+    """The circle that contains an image's beads: distortion is a function of the position in it, not of the crop."""
 
     centre_px: np.ndarray
     radius_px: float
 
     @staticmethod
     def of(uv_px: np.ndarray) -> "Field":
-        """The smallest circle about detections (N, 2)."""
+        """Return the smallest circle around detections (N, 2)."""
         (u, v), radius = cv2.minEnclosingCircle(uv_px.astype(np.float32))
         return Field(np.array([u, v]), radius)
 
 
 @dataclass(frozen=True, eq=False)
 class Sheet:
-    """Image coordinates laid out on a plate by a similarity: w = mm / `unit_mm` from the field's centre."""
+    """Image coordinates mapped to a plate by a similarity: w, from the field's centre in units of `unit_mm`."""
 
     similarity: Similarity
     centre_mm: np.ndarray
@@ -191,26 +192,25 @@ class Sheet:
 
     @staticmethod
     def of(similarity: Similarity, field: "Field") -> "Sheet":
-        """The unit is the field's radius."""
+        """Return the sheet whose unit is the field's radius."""
         centre = similarity.to_plate(field.centre_px[None])[0]
         return Sheet(similarity, centre, field.radius_px / similarity.scale)
 
     def w(self, uv_px: np.ndarray) -> np.ndarray:
-        """(N, 2), within about ±1."""
+        """Return sheet coordinates (N, 2), within about ±1, of pixels (N, 2)."""
         return (self.similarity.to_plate(uv_px) - self.centre_mm) / self.unit_mm
 
     def noise(self, covariance_px2: np.ndarray) -> np.ndarray:
-        """(N,) variance per axis of the detections, in units²."""
+        """Return the variance (N,) per axis of the detections, in units²."""
         return np.trace(covariance_px2, axis1=1, axis2=2) / 2 / (self.similarity.scale * self.unit_mm) ** 2
 
 
 @dataclass(frozen=True, eq=False)
 class Grown:
-    """One plate's beads: detections `rows` are its fiducials `places`; whatever their size: `all_rows`, `all_places`.
+    """One plate's beads: detections `rows` are its fiducials `places`; `all_rows`, `all_places`: regardless of size.
 
-    For all detections: `xy_mm` (N, 2) where the plate's map puts them; `log_ratio` (N,), the log of the radius in mm
-    there, in the plate's own measure (an ordinary bead's is the log of its radius). `level`:
-    by how much the detected radii of this plate's beads exceed the true ones, log.
+    For all detections: `xy_mm` (N, 2), mapped to the plate; `log_ratio` (N,), log radius in mm on the plate, scaled
+    so that the median bead of the plate has its true radius. `level`: log of that scale, detected over true radius.
     """
 
     pattern: Pattern
@@ -228,7 +228,7 @@ class Grown:
 
 
 def grow(seed: Seed, detections: Detections, usable: np.ndarray) -> Grown:
-    """The beads of the seed's plate, as far as one smooth map reaches them."""
+    """Return the beads of the seed's plate that one smooth map explains. `usable` (N,): detections to match."""
     pattern = seed.pattern
     sheet = Sheet.of(seed.similarity, Field.of(detections.uv_px))
     place_of = np.full(len(detections), -1)

@@ -1,4 +1,4 @@
-"""Both plates of a view at once: one smooth map, one focal point, and each bead predicted by all the others."""
+"""Joint fit of both plates of a view: one smooth map, one focal point, and leave-one-out predictions."""
 
 from dataclasses import dataclass
 from functools import lru_cache
@@ -13,13 +13,13 @@ from sightline.fitting.kernels import squared_distances
 from sightline.fitting.kriging import PlanarKriging
 from sightline.geometry.lines import meeting_point
 
-LEAST_BEYOND = 0.1  # of the distance between the plates: nearer to them no shadows are cast [ours]
-FOCAL_STEP_MM = 500.0  # prior on the first guess of the focal point: wide [ours]
+MIN_BEYOND = 0.1  # smallest distance of the focal point beyond the source plate, over that between the plates [ours]
+FOCAL_STEP_MM = 500.0  # wide prior s.d. of the focal point's step [ours]
 
 
 @dataclass(frozen=True, eq=False)
 class Shadows:
-    """Where the source plate's fiducials are seen on the XRII plate: `flat_mm` (S, 2), `height_mm` (S,) over it."""
+    """The source plate's fiducials, `height_mm` (S,) above `flat_mm` (S, 2) on the XRII plate, projected onto it."""
 
     pattern: Pattern
     normal: np.ndarray
@@ -29,33 +29,33 @@ class Shadows:
     @staticmethod
     @lru_cache(maxsize=16)
     def of(xrii: Pattern, source: Pattern) -> "Shadows":
-        """The shadows of one plate on the other."""
+        """Return the shadows of the source plate on the XRII plate."""
         plane = xrii.plane
         return Shadows(xrii, plane.normal, plane.to_plane(source.xyz_mm), plane.height_mm(source.xyz_mm))
 
     def height_of(self, xyz_mm: np.ndarray) -> float:
-        """Signed distance of a point (3,) from the XRII plate."""
+        """Return the signed distance of a point (3,) from the XRII plate."""
         return float((xyz_mm - self.pattern.plane.origin_mm) @ self.normal)
 
     def sees(self, focal_mm: np.ndarray) -> bool:
-        """Whether a focal point (3,) lies beyond the source plate, seen from the XRII plate."""
-        return bool((self.height_of(focal_mm) / self.height_mm > 1.0 + LEAST_BEYOND).all())
+        """Return whether a focal point (3,) lies beyond the source plate, seen from the XRII plate."""
+        return bool((self.height_of(focal_mm) / self.height_mm > 1.0 + MIN_BEYOND).all())
 
     def seen_from(self, focal_mm: np.ndarray) -> np.ndarray:
-        """(S, 2) the shadows (central projection)."""
+        """Return the shadows (S, 2), mm, by central projection."""
         return self._central(self.flat_mm, self.height_mm, focal_mm)
 
     def of_points(self, xyz_mm: np.ndarray, focal_mm: np.ndarray) -> np.ndarray:
-        """(K, 2) the shadows of other points (K, 3)."""
+        """Return the shadows (K, 2), mm, of other points (K, 3)."""
         plane = self.pattern.plane
         return self._central(plane.to_plane(xyz_mm), plane.height_mm(xyz_mm), focal_mm)
 
     def _central(self, flat_mm: np.ndarray, height_mm: np.ndarray, focal_mm: np.ndarray) -> np.ndarray:
-        share = (height_mm / (height_mm - self.height_of(focal_mm)))[:, None]  # of the focal point in the shadow
+        share = (height_mm / (height_mm - self.height_of(focal_mm)))[:, None]  # weight of the focal point in the shadow
         return flat_mm + share * (self.pattern.plane.to_plane(focal_mm) - flat_mm)
 
     def by_focal(self, focal_mm: np.ndarray) -> np.ndarray:
-        """(S, 2, 3) the derivative of the shadows by the focal point."""
+        """Return the derivative (S, 2, 3) of the shadows by the focal point."""
         f, y = self.height_of(focal_mm), self.height_mm
         by_height = (y / (y - f) ** 2)[:, None] * (self.pattern.plane.to_plane(focal_mm) - self.flat_mm)
         return (y / (y - f))[:, None, None] * self.pattern.plane.axes + by_height[:, :, None] * self.normal
@@ -65,10 +65,10 @@ class Shadows:
 class Joint:
     """A fit of both plates to beads (B, 2) of detection and place; source places follow the XRII ones.
 
-    For all detections: `xy_mm` (N, 2) on the XRII plate, predicted without the detection itself; `variance_mm2` (N,)
-    of that, with its own noise. `target_mm` (P, 2): where the places lie, source ones seen from `focal_point_mm`.
-    `m2` (B,): squared distance of each bead from its place in standard deviations, by all others. `bend`: the
-    largest coefficient of the map, in standard deviations of its prior: how unlike an image intensifier's it is.
+    For all N detections: `xy_mm` (N, 2) on the XRII plate, predicted without the detection itself, and its variance
+    `variance_mm2` (N,), with the detection's noise. `target_mm` (P, 2): the places on the XRII plate, source ones
+    projected from `focal_point_mm`. `m2` (B,): squared leave-one-out Mahalanobis distance of each bead from its place.
+    `bend`: largest coefficient of the map in s.d. of its prior, a measure of implausible distortion.
     """
 
     focal_point_mm: np.ndarray
@@ -80,10 +80,10 @@ class Joint:
 
 
 class Model:
-    """The map from the image to the XRII plate as a Gaussian process, for the detections of one image.
+    """The Gaussian-process map from the image to the XRII plate, for the detections of one image.
 
-    Per axis a polynomial to degree 5 and a smooth remainder; the focal point couples the axes by three numbers, so
-    that its part of the inverse covariance is of rank three. `pair`: the XRII and the source plate's lattices.
+    Each axis has a polynomial of degree 5 and a smooth remainder. The focal point's three coordinates couple the axes,
+    so its part of the inverse covariance has rank three. `pair`: the XRII and the source plate's lattices.
     """
 
     def __init__(self, pair: tuple[Grown, Grown], detections: Detections) -> None:
@@ -96,7 +96,7 @@ class Model:
         self.kernel = map_covariance(self.phi, self.phi, squared_distances(self.w, self.w))
 
     def first_focal_point(self, xrii: Grown, source: Grown) -> np.ndarray:
-        """(3,) where the lines meet from the source beads through their images on the XRII plate.
+        """Return the intersection (3,) of the lines from the source beads through their images on the XRII plate.
 
         Raises ReconstructionRefusedError where they are parallel.
         """
@@ -104,7 +104,7 @@ class Model:
         return meeting_point(through, through - self.xrii.plane.to_space(xrii.xy_mm[source.rows])).point_mm
 
     def fit(self, beads: np.ndarray, focal_mm: np.ndarray, factor: float) -> Joint:
-        """One Gauss-Newton step from `focal_mm`; `factor` scales the variance of the noise."""
+        """Return the fit after one Gauss-Newton step from `focal_mm`; `factor` scales the variance of the noise."""
         rows, places = beads[:, 0], beads[:, 1]
         count, unit = len(self.xrii.ids), self.sheet.unit_mm
         of_source = np.flatnonzero(places >= count)
@@ -133,5 +133,5 @@ class Model:
         return Joint(focal, xy_mm, variance * unit**2, target_mm, others.m2, bend)
 
     def _targets(self, focal_mm: np.ndarray) -> np.ndarray:
-        """(P, 2) mm: where the places lie on the XRII plate, source ones seen from a focal point."""
+        """Return the places (P, 2), mm, on the XRII plate, source ones projected from a focal point."""
         return np.concatenate([self.xrii.xy_mm, self.shadows.seen_from(focal_mm)])

@@ -1,4 +1,4 @@
-"""What is known of the map between an image and a plate beforehand: a polynomial to degree 5 and a smooth remainder."""
+"""Prior of the map between an image and a plate: a polynomial of degree 5 and a smooth remainder."""
 
 import numpy as np
 from numba import njit
@@ -6,13 +6,13 @@ from numba import njit
 from sightline.fitting.kernels import squared_exponential
 
 DEGREE = 5
-# What a map adds to a similarity, per degree, as a share of the field's radius: position, tilt and scale, perspective
-# of a 20° tilt, 9 % pincushion with a 4° S, and what both leave at higher degrees (physics.md, Distortion) [ours].
+# Prior s.d. of what a map adds to a similarity, per degree, as a share of the field's radius: position, tilt and scale,
+# perspective of a 20° tilt, 9 % pincushion with 4° S-shape, and their higher terms (physics.md, Distortion) [ours].
 PRIOR = np.array([0.3, 0.15, 0.06, 0.10, 0.03, 0.03])
-# What is left beyond degree 5, as shares of the field's radius: 0.11-0.13 mm rms and 30-60 mm of 107 (physics.md).
+# The remainder beyond degree 5, in shares of the field's radius: 0.11-0.13 mm rms and 30-60 mm of 107 (physics.md).
 REMAINDER_SD, REMAINDER_LENGTH = 0.0013, 0.4
-# What a centre may be off besides its stated noise: uneven background, overlap [ours]. In 78 rendered images the noise
-# estimated beside it is 1.7 times the stated variance at high dose, 2.1 times without it.
+# S.d. of a centre's error in addition to its stated noise, from uneven background and overlap [ours]. In 78 rendered
+# images at high dose, the estimated noise is 1.7 times the stated variance with it, 2.1 times without it.
 CENTRE_PX = 0.05
 
 _POWERS = np.array([(d - k, k) for d in range(DEGREE + 1) for k in range(d + 1)])
@@ -21,7 +21,7 @@ _SD = PRIOR[_POWERS.sum(axis=1)]
 
 @njit(cache=True, error_model="numpy")
 def features(w):
-    """(3, N, 21): monomials to degree 5 of (N, 2), times their prior standard deviations, and their derivatives."""
+    """Return monomials to degree 5 of (N, 2) times their prior s.d., and their two derivatives (3, N, 21)."""
     out = np.empty((3, len(w), len(_POWERS)))
     x, y = np.empty(DEGREE + 1), np.empty(DEGREE + 1)
     x[0] = y[0] = 1.0
@@ -37,7 +37,7 @@ def features(w):
 
 
 def map_covariance(phi_a: np.ndarray, phi_b: np.ndarray, squares: np.ndarray) -> np.ndarray:
-    """(N, M): covariance of one coordinate of the map between points a and b, in units of the field's radius.
+    """Return the prior covariance (N, M) of a map's coordinate between points a and b, in units of the field's radius.
 
     `phi_a` (N, 21), `phi_b` (M, 21): their `features`; `squares` (N, M): their squared distances.
     """

@@ -1,4 +1,4 @@
-"""Which plate a grown lattice is, and which way round: every other way of laying a plate on it is held against it."""
+"""Identify the plate and orientation of grown lattices by comparing all ways to place a plate on them."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -12,23 +12,23 @@ from sightline.detection.labelling.growth import Grown
 from sightline.detection.labelling.patterns import Pattern
 from sightline.fitting.robust import median
 
-# A bead costs half its squared log-radius error over RADIUS_SD, at most CONTRADICTION: the log odds against a
-# misjudged size, or against a bead where the plate has none (2 % each) [ours].
+# Cost of a bead: half the square of its log-radius error over RADIUS_SD, at most CONTRADICTION. That is the log odds
+# against a misjudged size, or against a bead where the plate has none (2 % each) [ours].
 RADIUS_SD = 0.1
 CONTRADICTION = 4.0
-HOPELESS = 24.0  # a reading that costs as much more than another is not followed further: six contradictions [ours]
+HOPELESS = 24.0  # excess cost at which a reading is abandoned: six contradictions [ours]
 ON_PLACE = 0.25  # of the pitch [ours]
 CELLS = 96
-SECTOR = np.pi / 6  # two plates of one view are turned alike within half of this [ours]
+SECTOR = np.pi / 6  # rotations of the plates of one view agree to within half of this [ours]
 
 
 @dataclass(frozen=True, eq=False)
 class Readings:
-    """The cheapest of all ways to lay one pattern on one lattice, neighbours on neighbours.
+    """The cheapest of all ways (readings) to place one pattern on one lattice, neighbours on neighbours.
 
-    Per class (24,), handedness and sector against the image, in which plates of one view must agree: the least `cost`,
-    the `second`, and the number `index` of the cheapest reading; -1 where there is none or it is hopeless, its cost
-    then being too low.
+    Per class (24,), the handedness and rotation sector in the image, which both plates of a view share: the lowest
+    `cost`, the `second` lowest, and the `index` of the cheapest reading. `index` is -1 where there is no reading, or an
+    abandoned one, whose cost is too low.
     """
 
     pattern: Pattern
@@ -38,11 +38,10 @@ class Readings:
 
 
 class _Map(NamedTuple):
-    """A pattern made ready for being laid on lattices, for kernels.
+    """A pattern in the form that kernels need.
 
-    `table`: which place is within reach of each of CELLS x CELLS cells, or -1, from the corner `low`, `cell` mm each.
-    Its pairs of neighbours as places `start` and steps `step`, of directions `step_rad`; `larger`: log sizes over the
-    median.
+    `table`: the place within reach of each of CELLS x CELLS cells of `cell` mm from the corner `low`, or -1. Pairs of
+    neighbours are places `start` with steps `step` in directions `step_rad`; `larger`: log sizes over the median.
     """
 
     table: np.ndarray
@@ -68,8 +67,10 @@ def _map_of(pattern: Pattern) -> _Map:
 
 
 class _Beads(NamedTuple):
-    """A lattice for kernels: its beads as z = x + iy, mm, `larger` than their median, log; two of them, neighbours, at
-    `origin` and `away` from it. `tilt_rad`: how its plate is turned in the image, and whether it is a `mirror` image.
+    """A lattice in the form that kernels need.
+
+    Beads `z` = x + iy, mm; `larger`: log sizes over the median; two neighbours at `origin` and at `away` from it.
+    `tilt_rad`: rotation of the plate in the image; `mirror`: whether it is a mirror image.
     """
 
     z: np.ndarray
@@ -82,7 +83,7 @@ class _Beads(NamedTuple):
 
 
 class _Costs(NamedTuple):
-    """Of each class of readings (24,): the two least costs, and which reading is the cheapest."""
+    """The two lowest costs of each class of readings (24,), and the index of the cheapest reading."""
 
     first: np.ndarray
     second: np.ndarray
@@ -91,19 +92,19 @@ class _Costs(NamedTuple):
 
 @njit(cache=True, error_model="numpy", forceinline=True)
 def _reading(t, pattern, origin, away):
-    """Turn and shift of z = x + iy, mm, of reading `t`, and whether z is conjugated first.
+    """Return rotation and shift of z = x + iy, mm, for reading `t`, and whether z is conjugated first.
 
-    It lays the beads at `origin` and `away` from it on a pair of neighbours of the pattern.
+    It places the beads at `origin` and `away` from it on a pair of neighbours of the pattern.
     """
     flip = t >= len(pattern.step)
     k = t - len(pattern.step) if flip else t
-    turn = pattern.step[k] * (away if flip else away.conjugate()) / (away.real**2 + away.imag**2)
-    return turn, pattern.start[k] - turn * (origin.conjugate() if flip else origin), flip
+    rotation = pattern.step[k] * (away if flip else away.conjugate()) / (away.real**2 + away.imag**2)
+    return rotation, pattern.start[k] - rotation * (origin.conjugate() if flip else origin), flip
 
 
 @njit(cache=True, error_model="numpy")
 def _cost_on_place(larger, sizes):
-    """(N, P + 1): what each bead costs on each place, by its size, and where there is none."""
+    """Return the cost (N, P + 1) of each bead on each place, by its size, and off all places."""
     out = np.empty((len(larger), len(sizes) + 1))
     for n in range(len(larger)):
         for p in range(len(sizes)):
@@ -114,12 +115,12 @@ def _cost_on_place(larger, sizes):
 
 @njit(cache=True, error_model="numpy", forceinline=True)
 def _cost(reading, z, pattern, of_place, limit):
-    """What the beads cost under a reading; no more are counted once that is beyond `limit`."""
-    turn, shift, flip = reading
+    """Return the cost of the beads under a reading; stops counting beyond `limit`."""
+    rotation, shift, flip = reading
     table, low, per_mm, nowhere = pattern.table, pattern.low, 1.0 / pattern.cell, of_place.shape[1] - 1
     cost, n = 0.0, 0
     while n < len(z) and cost <= limit:
-        at = turn * (z[n].conjugate() if flip else z[n]) + shift
+        at = rotation * (z[n].conjugate() if flip else z[n]) + shift
         x, y = (at.real - low[0]) * per_mm, (at.imag - low[1]) * per_mm
         p = table[int(x), int(y)] if 0.0 <= x < CELLS and 0.0 <= y < CELLS else -1
         cost += of_place[n, p if p >= 0 else nowhere]
@@ -129,16 +130,16 @@ def _cost(reading, z, pattern, of_place, limit):
 
 @njit(cache=True, error_model="numpy", forceinline=True)
 def _class_of(step_rad, flip, beads):
-    """Which class a reading belongs to: handedness and sector against the image."""
+    """Return the class of a reading: handedness and rotation sector in the image."""
     mirrored = flip != beads.mirror
-    turn_rad = step_rad + (beads.away_rad if flip else -beads.away_rad)
-    sector = int(np.floor((turn_rad + (beads.tilt_rad if mirrored else -beads.tilt_rad)) / SECTOR + 0.5))
+    rotation_rad = step_rad + (beads.away_rad if flip else -beads.away_rad)
+    sector = int(np.floor((rotation_rad + (beads.tilt_rad if mirrored else -beads.tilt_rad)) / SECTOR + 0.5))
     return sector % 12 + 12 * mirrored
 
 
 @njit(cache=True, error_model="numpy")
 def _cheapest(beads, pattern, least, costs):
-    """Fill in the two least costs of each class and the cheapest reading. Returns the least of all and of `least`."""
+    """Fill `costs`; return the lowest cost of all and of `least`."""
     of_place = _cost_on_place(beads.larger, pattern.larger)
     first, second, index = costs
     z, step_rad = beads.z, pattern.step_rad
@@ -157,9 +158,9 @@ def _cheapest(beads, pattern, least, costs):
 
 @dataclass(frozen=True, eq=False)
 class _Lattice:
-    """A lattice to be named: its beads as z = x + iy and how much larger than the median they are, log.
+    """A lattice to identify: beads `z` = x + iy, mm, and `larger`, log sizes over the median, largest beads first.
 
-    First the beads that few readings explain. Two beads on neighbouring places lie at `origin` and `away` from it.
+    Large beads are the most informative. Two beads on neighbouring places lie at `origin` and at `away` from it.
     """
 
     grown: Grown
@@ -170,7 +171,7 @@ class _Lattice:
 
     @staticmethod
     def of(grown: Grown) -> "_Lattice | None":
-        """None where no two beads are neighbours."""
+        """Return the lattice of `grown`; None where no two beads are neighbours."""
         pattern, rows = grown.pattern, grown.all_rows
         seen = np.zeros(len(pattern.ids), dtype=bool)
         seen[grown.all_places] = True
@@ -185,7 +186,7 @@ class _Lattice:
         return _Lattice(grown, z[telling], larger[telling], origin, other - origin)
 
     def readings(self, patterns: Iterable[Pattern], reference_rad: float) -> dict[Pattern, Readings]:
-        """The cheapest ways to lay each pattern on the lattice. The classes count turns from `reference_rad`."""
+        """Return the cheapest readings for each pattern; sectors are counted from `reference_rad`."""
         out, least = {}, np.inf
         similarity = self.grown.sheet.similarity
         beads = _Beads(
@@ -194,29 +195,29 @@ class _Lattice:
             self.origin,
             self.away,
             float(np.angle(self.away)),
-            float(np.angle(similarity.turn)) - reference_rad,
+            float(np.angle(similarity.rotation)) - reference_rad,
             similarity.mirror,
         )
-        for pattern in sorted(patterns, key=lambda one: one is not self.grown.pattern):  # its own is cheap, most often
+        for pattern in sorted(patterns, key=lambda one: one is not self.grown.pattern):  # its own is usually cheap
             costs = _Costs(np.full(24, np.inf), np.full(24, np.inf), np.full(24, -1))
             least = _cheapest(beads, _map_of(pattern), least, costs)
             out[pattern] = Readings(pattern, costs.first, costs.second, costs.cheapest)
         return out
 
     def places(self, pattern: Pattern, index: int) -> tuple[np.ndarray, bool]:
-        """(rows,) the place of each of the lattice's beads under a reading, -1 where there is none.
+        """Return the place of each of the lattice's `all_rows` under a reading, or -1.
 
-        And whether that is the reading with which the lattice came.
+        And whether the reading is the one with which the lattice was grown.
         """
-        turn, shift, flip = _reading(index, _map_of(pattern), self.origin, self.away)
+        rotation, shift, flip = _reading(index, _map_of(pattern), self.origin, self.away)
         z = self.grown.xy_mm[self.grown.all_rows] @ np.array([1.0, -1j if flip else 1j])
-        d = np.abs((turn * z + shift)[:, None] - pattern.z)
-        own = pattern is self.grown.pattern and not flip and abs(turn - 1) < 1e-9 and abs(shift) < 1e-6
+        d = np.abs((rotation * z + shift)[:, None] - pattern.z)
+        own = pattern is self.grown.pattern and not flip and abs(rotation - 1) < 1e-9 and abs(shift) < 1e-6
         return np.where(d.min(axis=1) < ON_PLACE * pattern.pitch_mm, d.argmin(axis=1), -1), own
 
 
 def most_like(grown: Grown, patterns: Iterable[Pattern]) -> Pattern:
-    """The pattern that a lattice looks most like."""
+    """Return the pattern that is most like a lattice."""
     lattice = _Lattice.of(grown)
     if lattice is None:
         return grown.pattern
@@ -225,10 +226,10 @@ def most_like(grown: Grown, patterns: Iterable[Pattern]) -> Pattern:
 
 @dataclass(frozen=True, eq=False)
 class Naming:
-    """The cheapest reading of two lattices together: the pattern of each, and the places of its `all_rows`.
+    """The cheapest joint reading of two lattices: the pattern of each, and the places of its `all_rows`.
 
-    `margin`: by how much any other reading costs more; `margin_in_view`: any other one of the same view.
-    `unchanged`: the reading is the one with which the lattices came.
+    `margin`: excess cost of the next best reading; `margin_in_view`: of the next best one in the same view.
+    `unchanged`: the reading is the one with which the lattices were grown.
     """
 
     patterns: tuple[Pattern, Pattern]
@@ -240,14 +241,14 @@ class Naming:
 
 
 def name(pair: tuple[Grown, Grown], couples: list[tuple[Pattern, Pattern]]) -> Naming | None:
-    """The best reading of two lattices as XRII and source plate, either way round, of one of `couples`.
+    """Return the best reading of two lattices as the plates, in either order, of one of `couples`.
 
-    The first of `couples` wins a tie. None where a lattice has no two neighbouring beads or fits nothing.
+    The first of `couples` wins a tie. None where a lattice has no two neighbouring beads or fits no pattern.
     """
     lattices = [_Lattice.of(grown) for grown in pair]
     if lattices[0] is None or lattices[1] is None:
         return None
-    reference = float(np.angle(pair[0].sheet.similarity.turn))
+    reference = float(np.angle(pair[0].sheet.similarity.rotation))
     every = [pattern for couple in couples for pattern in couple]
     read = [lattice.readings(every, reference) for lattice in lattices if lattice]
     ways = [(read[0][a], read[1][b]) for couple in couples for a, b in (couple, couple[::-1])]

@@ -1,4 +1,4 @@
-"""What labelling needs of a frame: each plate as a flat pattern of large and small fiducials."""
+"""The plates of a frame as planar patterns of large and small fiducials, as labelling needs them."""
 
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
@@ -9,7 +9,7 @@ from scipy.spatial import KDTree
 from sightline.frame import Frame, Plate
 from sightline.geometry.planes import Plane
 
-NEIGHBOUR = 1.2  # fiducials nearer than this many pitches are neighbours: not the diagonal of a square [ours]
+NEIGHBOUR = 1.2  # pitches between neighbours at most, which excludes the diagonal of a square [ours]
 
 
 @dataclass(frozen=True, eq=False)
@@ -17,7 +17,7 @@ class Pattern:
     """One plate of one view: `xy_mm` (N, 2) in `plane`'s axes, with the plate's centre as the origin.
 
     `neighbours` (M, 2): ordered pairs of neighbours; `pitch_mm`: their median distance.
-    `bead_sd_mm`: how far each fiducial by itself may be from where the frame file has it, per axis.
+    `bead_sd_mm`: s.d. per axis of each fiducial's own position error, relative to the frame file.
     """
 
     view: str
@@ -40,17 +40,17 @@ class Pattern:
 
     @cached_property
     def log_half(self) -> np.ndarray:
-        """(N,) log of the radius, mm."""
+        """Log radii (N,), mm."""
         return np.log(self.diameter_mm / 2)
 
     @cached_property
     def z(self) -> np.ndarray:
-        """(N,) `xy_mm` as x + iy."""
+        """`xy_mm` as complex numbers x + iy (N,)."""
         return self.xy_mm @ np.array([1.0, 1j])
 
     @cached_property
     def beyond_mm(self) -> np.ndarray:
-        """(K, 3) where fiducials would be if the grid went on by one step beyond the plate's edge."""
+        """Points (K, 3) of the grid one step beyond the plate's edge, mm."""
         steps = self.xy_mm[self.neighbours[:, 1]] - self.xy_mm[self.neighbours[:, 0]]
         steps = np.unique(np.round(steps / self.pitch_mm, 1), axis=0) * self.pitch_mm
         at = (self.xy_mm[:, None] + steps).reshape(-1, 2)
@@ -59,7 +59,7 @@ class Pattern:
 
     @property
     def datum_kind(self) -> str:
-        """What its datum markers are detected as: "washer" or "ball"."""
+        """The kind as which its datum markers are detected: "washer" or "ball"."""
         return "washer" if self.washer[self.datums].all() else "ball"
 
     @cached_property
@@ -90,7 +90,7 @@ def _pattern(view: str, role: str, plate: Plate, factor: np.ndarray) -> Pattern:
 
 
 def _bead_sd_mm(xy_mm: np.ndarray, plane: Plane, factor: np.ndarray) -> float:
-    """What is left of a plate's errors (3N, K) in its plane when the plate may shift, turn and stretch as a whole."""
+    """Return the rms of a plate's errors (factor (3N, K)) in its plane, after removing an affine motion."""
     errors = np.einsum("ai,nik->ank", plane.axes, factor.reshape(len(xy_mm), 3, -1))
     whole = np.linalg.qr(np.column_stack([np.ones(len(xy_mm)), xy_mm]))[0]
     rest = errors - whole @ (whole.T @ errors)
@@ -99,7 +99,7 @@ def _bead_sd_mm(xy_mm: np.ndarray, plane: Plane, factor: np.ndarray) -> float:
 
 @lru_cache(maxsize=8)
 def patterns(frame: Frame) -> tuple[Pattern, ...]:
-    """The plates of all views, in each view XRII before source."""
+    """Return the patterns of all views, in each view XRII before source."""
     out = []
     for name, view in frame.views.items():
         factor = frame.error_factor[frame.rows(name)]

@@ -1,4 +1,4 @@
-"""First guesses: three detections taken for three datum markers of a plate give a similarity of plate and image."""
+"""Seeds: similarities between plate and image from three detections matched to three datum markers."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -11,46 +11,46 @@ from sightline.detection.labelling.patterns import Pattern
 from sightline.detection.results import Detections
 from sightline.fitting.robust import median
 
-MOST_LARGE = 32  # detections that may be datum markers [ours: 12 datums, 10 false ones, and room]
+MAX_LARGE = 32  # detections tried as datum markers [ours: 12 datums, 10 false ones, and a margin]
 LARGER = 1.12  # than the median detection: half the step from 3 to 5 mm, less 15 % for the plates' scales [ours]
-SMALLEST_PX = 10.0  # pitch in the image [ours: beads of 2 px radius and as much between them]
-RADIUS_RATIO = 0.25  # log of detected over expected radius: blur, local magnification, tilt together [ours]
-RADIUS_SPREAD = 0.2  # log radius between fiducials of one plate; half the step from 3 to 5 mm [ours]
-THIRD = 0.14  # how far the third datum may miss its place, of the span: tilt 20°, 9 % pincushion [ours]
-REACH = 0.3  # how far other beads may miss theirs, of the pitch: nearer to it than to the next bead's [ours]
+MIN_PITCH_PX = 10.0  # in the image [ours: beads of 2 px radius and gaps of their size]
+RADIUS_RATIO = 0.25  # largest log ratio of detected and expected radius: blur, local magnification, tilt [ours]
+RADIUS_SPREAD = 0.2  # of that log ratio among the fiducials of a plate; half the step from 3 to 5 mm [ours]
+THIRD = 0.14  # gate of the third datum over the span: tilt 20°, 9 % pincushion [ours]
+REACH = 0.3  # gate of the other beads over the pitch: nearer to their place than to the next [ours]
 CELLS = 48
-NEAR = 5  # cells: REACH of a pitch of a third of the image, no plate being so coarse [calc]
+NEAR = 5  # cells: REACH times a pitch of a third of the image; plates are finer [calc]
 
 
 @dataclass(frozen=True)
 class Similarity:
-    """Plate to image: u + iv = turn · z + shift with z = x + iy, or its conjugate where `mirror`. px/mm and px."""
+    """Map from plate to image: u + iv = `rotation` z + `shift` (px/mm, px), z = x + iy or its conjugate if `mirror`."""
 
-    turn: complex
+    rotation: complex
     shift: complex
     mirror: bool
 
     @property
     def scale(self) -> float:
         """Pixels per mm."""
-        return abs(self.turn)
+        return abs(self.rotation)
 
     def to_image(self, xy_mm: np.ndarray) -> np.ndarray:
-        """(N, 2) mm to (N, 2) px."""
+        """Return pixels (N, 2) of plate points (N, 2), mm."""
         z = xy_mm[:, 0] + 1j * xy_mm[:, 1]
-        w = self.turn * (z.conj() if self.mirror else z) + self.shift
+        w = self.rotation * (z.conj() if self.mirror else z) + self.shift
         return np.stack([w.real, w.imag], axis=1)
 
     def to_plate(self, uv_px: np.ndarray) -> np.ndarray:
-        """(N, 2) px to (N, 2) mm."""
-        z = (uv_px[:, 0] + 1j * uv_px[:, 1] - self.shift) / self.turn
+        """Return plate points (N, 2), mm, of pixels (N, 2)."""
+        z = (uv_px[:, 0] + 1j * uv_px[:, 1] - self.shift) / self.rotation
         z = z.conj() if self.mirror else z
         return np.stack([z.real, z.imag], axis=1)
 
 
 @dataclass(frozen=True, eq=False)
 class Seed:
-    """A guess for one plate: detections `rows` (3,) are its fiducials `places` (3,); `score` counts agreeing beads."""
+    """A hypothesis for one plate: detections `rows` are its fiducials `places`; `score` counts agreeing beads."""
 
     pattern: Pattern
     similarity: Similarity
@@ -60,10 +60,10 @@ class Seed:
 
 
 class _Beads(NamedTuple):
-    """The detections of an image for kernels: `w` (N,) places u + iv, px; `log_radius` (N,).
+    """The detections of an image in the form that kernels need: `w` (N,) centres u + iv, px; `log_radius` (N,).
 
-    `nearest` (CELLS, CELLS): the detection nearest to the middle of each cell of the image, -1 if none is near;
-    `rows`, `columns`: cells per pixel.
+    `nearest` (CELLS, CELLS): the detection nearest to the middle of each cell of the image, or -1; `rows`, `columns`:
+    cells per pixel.
     """
 
     w: np.ndarray
@@ -74,7 +74,7 @@ class _Beads(NamedTuple):
 
 
 class _Plate(NamedTuple):
-    """A pattern for kernels: `z` (P,) places x + iy, mm; `log_half` (P,) log radii; `datums` (D,): places of datums."""
+    """A pattern for kernels: `z` (P,) places x + iy, mm; `log_half` (P,) log radii; `datums` (D,) indices of datums."""
 
     z: np.ndarray
     log_half: np.ndarray
@@ -83,8 +83,10 @@ class _Plate(NamedTuple):
 
 
 class _Pair(NamedTuple):
-    """Detections `i` and `j` taken for the datums number `a` and `b` of a plate: the log scale that this gives, px/mm,
-    and the log radii of both, in mm, over those of the datums."""
+    """Detections `i` and `j` matched to datums number `a` and `b` of a plate.
+
+    `log_scale`, px/mm, follows from them; `ratio_i`, `ratio_j`: log ratio of their radii, in mm, to the datums'.
+    """
 
     i: int
     j: int
@@ -96,21 +98,23 @@ class _Pair(NamedTuple):
 
 
 class _Triple(NamedTuple):
-    """Three detections `rows` taken for three `places`: the similarity that fits them best, and `level`, the mean log
-    of how much larger they look than it makes them."""
+    """Three detections `rows` matched to three `places`, with the similarity that fits them best.
+
+    `level`: mean log ratio of their radii to those that the similarity predicts.
+    """
 
     rows: tuple[int, int, int]
     places: tuple[int, int, int]
-    turn: complex
+    rotation: complex
     shift: complex
     mirror: bool
     level: float
 
 
 class _Best(NamedTuple):
-    """The best triples so far, best first, and how many: `filled` (1,).
+    """The best triples so far, best first, and their number `filled` (1,).
 
-    `scores` (K,); `what` (K, 7): three detections, their places, whether mirrored; `found` (K, 2): turn and shift.
+    `scores` (K,); `what` (K, 7): three detections, their places, whether mirrored; `found` (K, 2): rotation and shift.
     """
 
     filled: np.ndarray
@@ -121,7 +125,7 @@ class _Best(NamedTuple):
 
 @njit(cache=True, error_model="numpy")
 def _nearest_table(w, usable, width, height):
-    """Which detection is nearest to the middle of each of CELLS x CELLS cells of the image, -1 if none is near."""
+    """Return the detection nearest to the middle of each of CELLS x CELLS cells of the image, or -1."""
     table, nearest = np.empty((CELLS, CELLS), np.int64), np.empty((CELLS, CELLS))
     for i in range(CELLS):
         for j in range(CELLS):
@@ -138,29 +142,29 @@ def _nearest_table(w, usable, width, height):
 
 @njit(cache=True, error_model="numpy", inline="always")
 def _square(z):
-    """The squared length of a complex number."""
+    """Return the squared modulus of a complex number."""
     return z.real**2 + z.imag**2
 
 
 @njit(cache=True, error_model="numpy", inline="always")
 def _laid(z, mirror):
-    """A place of the plate as the image shows it: mirrored or not."""
+    """Return a place of the plate, conjugated if mirrored."""
     return z.conjugate() if mirror else z
 
 
 @njit(cache=True, error_model="numpy", forceinline=True)
 def _score(triple, plate, beads, least):
-    """Beads of the right size in place, less half of those of a wrong size, less a third of the missing.
+    """Return the number of beads in place, less half of those with a wrong size and a third of the missing ones.
 
-    Minus infinity where it cannot be more than `least`.
+    Minus infinity where the score cannot exceed `least`.
     """
     score, z, log_half = 0.0, plate.z, plate.log_half
     w, log_radius, nearest = beads.w, beads.log_radius, beads.nearest
-    reach2 = (REACH * plate.pitch) ** 2 * _square(triple.turn)
+    reach2 = (REACH * plate.pitch) ** 2 * _square(triple.rotation)
     for p in range(len(z)):
         if score + (len(z) - p) <= least:
             return -np.inf
-        at = triple.turn * _laid(z[p], triple.mirror) + triple.shift
+        at = triple.rotation * _laid(z[p], triple.mirror) + triple.shift
         i, j = int(at.imag * beads.rows), int(at.real * beads.columns)
         if i < 0 or j < 0 or i >= CELLS or j >= CELLS:
             continue
@@ -174,7 +178,7 @@ def _score(triple, plate, beads, least):
 
 @njit(cache=True, error_model="numpy")
 def _log_sides(plate):
-    """(D, D) log distances, mm, between each datum and those after it."""
+    """Return the log distances (D, D), mm, between each datum and those after it."""
     z, datums = plate.z, plate.datums
     out = np.empty((len(datums), len(datums)))
     for a in range(len(datums)):
@@ -185,21 +189,23 @@ def _log_sides(plate):
 
 @njit(cache=True, error_model="numpy", forceinline=True)
 def _fitted(beads, plate, rows, places, mirror, ratios):  # noqa: PLR0917 - a kernel
-    """The triple of detections `rows` and `places`, by least squares. `ratios`: their log radii, in mm by the scale of
-    the pair, over those of the places."""
+    """Return the least-squares triple of detections `rows` and `places`.
+
+    `ratios`: log ratios of their radii, in mm by the pair's scale, to those of the places.
+    """
     (i, j, k), (pa, pb, pc), w = rows, places, beads.w
     za, zb, zc = _laid(plate.z[pa], mirror), _laid(plate.z[pb], mirror), _laid(plate.z[pc], mirror)
     zm, wm = (za + zb + zc) / 3, (w[i] + w[j] + w[k]) / 3
     da, db, dc = za - zm, zb - zm, zc - zm
     top = w[i] * da.conjugate() + w[j] * db.conjugate() + w[k] * dc.conjugate()
-    turn = top / (da * da.conjugate() + db * db.conjugate() + dc * dc.conjugate()).real
-    level = (ratios[0] + ratios[1] + ratios[2]) / 3 + 0.5 * np.log(_square(turn))
-    return _Triple(rows, places, turn, wm - turn * zm, mirror, level)
+    rotation = top / (da * da.conjugate() + db * db.conjugate() + dc * dc.conjugate()).real
+    level = (ratios[0] + ratios[1] + ratios[2]) / 3 + 0.5 * np.log(_square(rotation))
+    return _Triple(rows, places, rotation, wm - rotation * zm, mirror, level)
 
 
 @njit(cache=True, error_model="numpy", forceinline=True)
 def _offer(triple, plate, beads, best):
-    """Put a triple in its place among the best, if it is one of them; the worst falls out where there are too many."""
+    """Insert a triple into the sorted best ones, if it is one of them; the worst is dropped when they are full."""
     scores, what, found = best.scores, best.what, best.found
     full = best.filled[0] == len(scores)
     score = _score(triple, plate, beads, scores[-1] if full else -np.inf)
@@ -213,7 +219,7 @@ def _offer(triple, plate, beads, best):
         for c in range(7):
             what[at, c] = what[at - 1, c]
         at -= 1
-    scores[at], found[at, 0], found[at, 1] = score, triple.turn, triple.shift
+    scores[at], found[at, 0], found[at, 1] = score, triple.rotation, triple.shift
     for c in range(3):
         what[at, c], what[at, 3 + c] = triple.rows[c], triple.places[c]
     what[at, 6] = triple.mirror
@@ -221,16 +227,16 @@ def _offer(triple, plate, beads, best):
 
 @njit(cache=True, error_model="numpy", forceinline=True)
 def _add_third(beads, plate, large, pair, best):
-    """Offer all triples that a third datum, and a third detection near its place, make of a pair."""
+    """Offer all triples that extend a pair by a third datum and a detection near its place."""
     w, z, datums, log_half, log_radius = beads.w, plate.z, plate.datums, plate.log_half, beads.log_radius
     pa, pb = datums[pair.a], datums[pair.b]
     gap, side = w[pair.j] - w[pair.i], z[pb] - z[pa]
     span2, side2 = _square(gap), _square(side)
     for mirror in (False, True):
-        turn = gap * (side if mirror else side.conjugate()) / side2
+        rotation = gap * (side if mirror else side.conjugate()) / side2
         for c in range(pair.b + 1, len(datums)):
             pc = datums[c]
-            step = turn * _laid(z[pc] - z[pa], mirror)
+            step = rotation * _laid(z[pc] - z[pa], mirror)
             want = w[pair.i] + step
             reach2 = THIRD**2 * max(span2, _square(step), _square(step - gap))
             for k in large:
@@ -244,9 +250,9 @@ def _add_third(beads, plate, large, pair, best):
 
 @njit(cache=True, error_model="numpy")
 def _search(beads, plate, large, best):
-    """Fill in the best similarities that put three datum markers on three `large` detections."""
+    """Fill `best` with the similarities that map three datum markers to three `large` detections."""
     w, log_r, datums, log_half = beads.w, beads.log_radius, plate.datums, plate.log_half
-    log_least, log_side = np.log(SMALLEST_PX / plate.pitch), _log_sides(plate)
+    log_least, log_side = np.log(MIN_PITCH_PX / plate.pitch), _log_sides(plate)
     for i in large:
         for j in large:
             if i == j:
@@ -263,7 +269,7 @@ def _search(beads, plate, large, best):
 
 
 def find_seeds(detections: Detections, patterns: list[Pattern], usable: np.ndarray, most: int) -> Iterator[Seed]:
-    """The `most` best guesses for each plate among the `usable` (N,) detections, best first."""
+    """Yield the `most` best seeds of each plate among the `usable` (N,) detections, best first."""
     height, width = detections.image_shape
     w = detections.uv_px @ np.array([1.0, 1j])
     table = _nearest_table(w, usable, width, height)
@@ -277,15 +283,15 @@ def find_seeds(detections: Detections, patterns: list[Pattern], usable: np.ndarr
         _search(beads, plate, may_be[pattern.datum_kind], _Best(counts[k], scores[k], what[k], found[k]))
         guesses += [(score, k, i) for i, score in enumerate(scores[k, : counts[k, 0]].tolist())]
     for score, k, i in sorted(guesses, key=lambda guess: -guess[0]):
-        turn, shift = found[k, i].tolist()
-        if turn == 0:  # so far from the image that its pixels are rounded away
+        rotation, shift = found[k, i].tolist()
+        if rotation == 0:  # so far from the image that rounding removes its pixels
             continue
-        similarity = Similarity(turn, shift, bool(what[k, i, 6]))
+        similarity = Similarity(rotation, shift, bool(what[k, i, 6]))
         yield Seed(patterns[k], similarity, what[k, i, :3], what[k, i, 3:6], score)
 
 
 def _may_be_datums(detections: Detections, kind: str, usable: np.ndarray) -> np.ndarray:
-    """Rows of the detections that may be datum markers of a kind: washers, or the largest balls."""
+    """Return the rows of detections that may be datum markers of a kind: washers, or the largest balls."""
     washer = np.array([one == "washer" for one in detections.kind], dtype=bool)
     radius = detections.radius_px
     if kind == "washer":
@@ -294,17 +300,17 @@ def _may_be_datums(detections: Detections, kind: str, usable: np.ndarray) -> np.
         may_be = usable & ~washer & (radius > LARGER * median(radius[usable]))
     else:
         may_be = usable
-    return np.flatnonzero(may_be)[np.argsort(-radius[may_be], kind="stable")[:MOST_LARGE]]
+    return np.flatnonzero(may_be)[np.argsort(-radius[may_be], kind="stable")[:MAX_LARGE]]
 
 
 def best_similarity(xy_mm: np.ndarray, uv_px: np.ndarray) -> Similarity:
-    """The least-squares similarity of points (N, 2) of a plate and the image, of the handedness that fits better."""
+    """Return the least-squares similarity from plate points (N, 2) to pixels (N, 2), with the better handedness."""
     w = uv_px @ np.array([1.0, 1j])
     found: list[tuple[float, Similarity]] = []
     for mirror in (False, True):
         z = xy_mm @ np.array([1.0, -1j if mirror else 1j])
         dz, dw = z - z.mean(), w - w.mean()
-        turn = complex(np.vdot(dz, dw) / np.vdot(dz, dz))
-        miss = float((np.abs(dw - turn * dz) ** 2).sum())
-        found.append((miss, Similarity(turn, complex(w.mean() - turn * z.mean()), mirror)))
+        rotation = complex(np.vdot(dz, dw) / np.vdot(dz, dz))
+        miss = float((np.abs(dw - rotation * dz) ** 2).sum())
+        found.append((miss, Similarity(rotation, complex(w.mean() - rotation * z.mean()), mirror)))
     return min(found, key=lambda one: one[0])[1]

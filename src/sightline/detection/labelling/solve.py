@@ -1,4 +1,4 @@
-"""From two lattices to labelled beads: name them, fit both plates as one central projection, check, or refuse."""
+"""Label two lattices: identify their plates, fit one central projection to both, check, or refuse."""
 
 from dataclasses import dataclass
 
@@ -16,18 +16,18 @@ from sightline.detection.results import Detections
 from sightline.errors import ReconstructionRefusedError
 from sightline.fitting.robust import MAD_TO_SD, median, variance_ratio
 
-LEAST_BEADS = 8  # of each plate [ours]
-MOST_NAMINGS = 4
-MARGIN = 6.0  # log odds by which any other reading must cost more: one and a half misjudged sizes [ours]
-GATE_M2 = 11.3  # squared distance of a bead from its place and its radius: 99 %, 3 degrees of freedom [ours]
-NEAR_M2 = 24.0  # two detections or places as near as this are mistaken for each other [ours]
-LOG_RADIUS_SD = (0.01, 0.07)  # of a plate's beads, from their scatter, within these limits [ours]
-FALSE_ODDS = 7e-6  # most odds that a bead is a false candidate in the place of a hidden one [ours]
-FALSE_PER_LOG_RADIUS = 2.0  # share of false candidates per unit of log radius, at that of the balls [ours]
+MIN_BEADS = 8  # of each plate [ours]
+MAX_NAMINGS = 4
+MARGIN = 6.0  # smallest log odds against any other reading: one and a half misjudged sizes [ours]
+GATE_M2 = 11.3  # squared Mahalanobis distance in place and radius: 99 %, 3 degrees of freedom [ours]
+NEAR_M2 = 24.0  # detections or places as near as this can be confused with each other [ours]
+LOG_RADIUS_SD = (0.01, 0.07)  # limits of the s.d. of a plate's log radii, estimated from their scatter [ours]
+MAX_FALSE_ODDS = 7e-6  # that a bead is a false candidate in the place of a hidden one [ours]
+FALSE_PER_LOG_RADIUS = 2.0  # density of false candidates over log radius, at the balls' size [ours]
 NEIGHBOURS = 8
-MOST_FITS, SETTLED = 10, 3  # rounds, and rounds after which the noise is no longer estimated
-SAME_NOISE = 0.1  # share of a change that calls for no other fit [ours]
-MOST_NOISE = 100.0  # times the stated variance [ours]; up to 3.5 in rendered images, where 1 loses 7 % of the beads
+MAX_FITS, NOISE_FITS = 10, 3  # iterations, and those in which the noise is estimated
+SAME_NOISE = 0.1  # relative change of the noise that needs no further fit [ours]
+MAX_NOISE = 100.0  # times the stated variance [ours]; rendered images have up to 3.5; 1 would lose 7 % of the beads
 NOT_CENTRAL = (
     "the beads found are not two plates seen from one focal point; is this the frame in the image, "
     "and did it keep still during the exposure?"
@@ -36,22 +36,25 @@ NOT_CENTRAL = (
 
 @dataclass(frozen=True, eq=False)
 class LabellingProblem:
-    """One image to label: which detections are `usable`, the plates of each view, and what the person said.
+    """One image to label: its detections, which of them are `usable`, and the plates of each view, `couples`.
 
-    `view`: the view as given, or None; its plates stand first in `couples`. `told`: the person named the lattices.
+    `view`: the view that the caller gave, or None; its plates stand first in `couples`. `given`: the caller gave datum
+    markers.
     """
 
     detections: Detections
     usable: np.ndarray
     couples: list[tuple[Pattern, Pattern]]
     view: str | None
-    told: bool = False
+    given: bool = False
 
 
 @dataclass(frozen=True, eq=False)
 class LabellingSolution:
-    """A labelled view: detections `rows` are fiducials `ids`. `on_place` (N,) bool: which detections lie where a
-    fiducial is expected."""
+    """A labelled view: detections `rows` are fiducials `ids`.
+
+    `on_place` (N,) bool: detections that lie where a fiducial is expected.
+    """
 
     view: str
     ids: tuple[str, ...]
@@ -61,15 +64,15 @@ class LabellingSolution:
 
 
 def _again(problem: LabellingProblem, grown: Grown, pattern: Pattern, places: np.ndarray) -> Grown:
-    """The lattice grown once more under the name that was found for it."""
+    """Return the lattice grown again as the plate that was identified."""
     rows, places = grown.all_rows[places >= 0], places[places >= 0]
     similarity = best_similarity(pattern.xy_mm[places], problem.detections.uv_px[rows])
     return grow(Seed(pattern, similarity, rows, places, 0.0), problem.detections, problem.usable)
 
 
-def named(problem: LabellingProblem, pair: tuple[Grown, Grown]) -> tuple[Grown, Grown]:
-    """The two lattices under the one name they can have, XRII first. Raises AttemptError."""
-    for _ in range(MOST_NAMINGS):
+def identified(problem: LabellingProblem, pair: tuple[Grown, Grown]) -> tuple[Grown, Grown]:
+    """Return the two lattices with their plates identified, XRII first. Raises AttemptError."""
+    for _ in range(MAX_NAMINGS):
         naming = name(pair, problem.couples)
         if naming is None:
             raise AttemptError(
@@ -78,7 +81,7 @@ def named(problem: LabellingProblem, pair: tuple[Grown, Grown]) -> tuple[Grown, 
         if naming.unchanged:
             _check_certain(problem, naming)
             return pair if pair[0].pattern.role == "xrii" else (pair[1], pair[0])
-        if problem.told:
+        if problem.given:
             raise AttemptError(
                 Stage.FINAL, "the pixels given for the datum markers contradict the beads' sizes; check their order"
             )
@@ -92,10 +95,10 @@ def named(problem: LabellingProblem, pair: tuple[Grown, Grown]) -> tuple[Grown, 
 
 
 def _check_certain(problem: LabellingProblem, naming: Naming) -> None:
-    """Is any other reading clearly worse? A person's word for datums or view decides a tie. Raises AttemptError."""
+    """Check that every other reading is clearly worse; given datums or view decide a tie. Raises AttemptError."""
     found = naming.patterns[0].view
     margin = naming.margin if problem.view is None else naming.margin_in_view
-    if margin < MARGIN and not problem.told:
+    if margin < MARGIN and not problem.given:
         raise AttemptError(
             Stage.UNIQUENESS,
             "the datum markers that can be seen fit more than one way to label the beads; show more of them, "
@@ -109,14 +112,14 @@ def _check_certain(problem: LabellingProblem, naming: Naming) -> None:
 
 @dataclass(frozen=True, eq=False)
 class _Sizes:
-    """How the radii fit the places: `misfit` (N, P) of the log radius; `sd` (P,) of a bead's."""
+    """Agreement of radii and places: `misfit` (N, P) of the log radius, `sd` (P,) of a bead's log radius."""
 
     misfit: np.ndarray
     sd: np.ndarray
 
     @property
     def m2(self) -> np.ndarray:
-        """(N, P): squared, in standard deviations."""
+        """Squared misfit (N, P) in standard deviations."""
         return (self.misfit / self.sd) ** 2
 
 
@@ -133,8 +136,8 @@ def _sizes(pair: tuple[Grown, Grown]) -> _Sizes:
 
 
 @njit(cache=True, error_model="numpy")
-def _alone(xy, variance, target, size_m2, usable):
-    """(N,) the place that each usable detection is on, or -1: within the gate; where two might be meant, none is."""
+def _match(xy, variance, target, size_m2, usable):
+    """Return the place (N,) of each usable detection within the gate, or -1 where there is none or several."""
     on, rivals = np.empty(len(xy), np.int64), np.empty(len(target), np.int64)
     for p in range(len(target)):
         rivals[p] = 0
@@ -156,17 +159,17 @@ def _alone(xy, variance, target, size_m2, usable):
 
 
 def _beads(on: np.ndarray) -> np.ndarray:
-    """(B, 2) detections and places of (N,) the place of each detection, or -1."""
+    """Return pairs (B, 2) of detection and place from the place (N,) of each detection, or -1."""
     rows = np.flatnonzero(on >= 0)
     return np.stack([rows, on[rows]], axis=1)
 
 
 def _certain(problem: LabellingProblem, fit: Joint, sizes: _Sizes, beads: np.ndarray, px_per_mm: float) -> np.ndarray:
-    """(B,) bool: the beads that are hardly false candidates in the places of hidden beads.
+    """Return (B,) bool: beads that are very unlikely to be false candidates in the places of hidden beads.
 
-    Such a candidate cannot be told from the bead, only be unlikely. Its odds: those that the place is empty, by how
-    many of the NEIGHBOURS nearest places are, times the density of false candidates in position and log radius, over
-    the density of the bead's own image as far from where the others put it.
+    Such a candidate looks like the bead, so only its odds can be limited. They are the odds that the place is empty
+    (from the empty ones among the NEIGHBOURS nearest places), times the density of false candidates in position and log
+    radius, over the density of the bead's own image at this distance from its prediction.
     """
     rows, places = beads.T
     empty = np.ones(len(fit.target_mm))
@@ -178,13 +181,13 @@ def _certain(problem: LabellingProblem, fit: Joint, sizes: _Sizes, beads: np.nda
     volume_px2 = (2 * np.pi) ** 1.5 * fit.variance_mm2[rows] * px_per_mm**2 * sizes.sd[places]
     off2 = ((fit.xy_mm[rows] - fit.target_mm[places]) ** 2).sum(axis=1)
     m2 = off2 / fit.variance_mm2[rows] + sizes.m2[rows, places]
-    return hidden / (1 - hidden) * false_per_px2 * volume_px2 * np.exp(m2 / 2) < FALSE_ODDS
+    return hidden / (1 - hidden) * false_per_px2 * volume_px2 * np.exp(m2 / 2) < MAX_FALSE_ODDS
 
 
 def _fitted(
     problem: LabellingProblem, model: Model, pair: tuple[Grown, Grown], sizes: _Sizes
 ) -> tuple[np.ndarray, Joint]:
-    """The beads that fit one central projection, and the fit. Raises AttemptError."""
+    """Return the beads that fit one central projection, and the fit. Raises AttemptError."""
     size_m2 = sizes.m2
     count = len(pair[0].pattern.ids)
     on = np.full(len(problem.detections), -1)
@@ -198,37 +201,37 @@ def _fitted(
         raise AttemptError(Stage.PROJECTION, NOT_CENTRAL)
     beads = _beads(on)
     fit, factor = model.fit(beads, focal_mm, 1.0), 1.0
-    for turn in range(MOST_FITS):
+    for iteration in range(MAX_FITS):
         before = factor
-        if turn < SETTLED:  # later the gates have cut the tails off, and the noise would seem to shrink
-            factor = float(np.clip(factor * variance_ratio(fit.m2), 1.0, MOST_NOISE))
+        if iteration < NOISE_FITS:  # later, gating has cut off the tails, and the noise would be underestimated
+            factor = float(np.clip(factor * variance_ratio(fit.m2), 1.0, MAX_NOISE))
         variance_mm2 = fit.variance_mm2 * (factor / before)
-        new = _alone(fit.xy_mm, variance_mm2, fit.target_mm, size_m2, problem.usable)
-        if turn >= SETTLED:  # from here on only fewer, so that it ends
+        new = _match(fit.xy_mm, variance_mm2, fit.target_mm, size_m2, problem.usable)
+        if iteration >= NOISE_FITS:  # from here beads are only removed, so the loop terminates
             new[new != on] = -1
-        if turn and (new == on).all() and abs(factor - before) < SAME_NOISE * before:
+        if iteration and (new == on).all() and abs(factor - before) < SAME_NOISE * before:
             return beads, fit
         beads, on = _beads(new), new
         of_xrii = int((beads[:, 1] < count).sum())
-        if min(of_xrii, len(beads) - of_xrii) < LEAST_BEADS or not model.shadows.sees(fit.focal_point_mm):
+        if min(of_xrii, len(beads) - of_xrii) < MIN_BEADS or not model.shadows.sees(fit.focal_point_mm):
             break
         fit = model.fit(beads, fit.focal_point_mm, factor)
     raise AttemptError(Stage.PROJECTION, NOT_CENTRAL)
 
 
 def solve(problem: LabellingProblem, pair: tuple[Grown, Grown]) -> LabellingSolution:
-    """Label two lattices. Raises AttemptError."""
-    pair = named(problem, pair)
+    """Return the labels of two lattices. Raises AttemptError."""
+    pair = identified(problem, pair)
     sizes = _sizes(pair)
     model = Model(pair, problem.detections)
     beads, fit = _fitted(problem, model, pair, sizes)
     beads = beads[_certain(problem, fit, sizes, beads, pair[0].sheet.similarity.scale)]
     xrii, source = pair[0].pattern, pair[1].pattern
     of_xrii = int((beads[:, 1] < len(xrii.ids)).sum())
-    if min(of_xrii, len(beads) - of_xrii) < LEAST_BEADS:
+    if min(of_xrii, len(beads) - of_xrii) < MIN_BEADS:
         raise AttemptError(
             Stage.PROJECTION,
-            "too few beads can be told from false candidates; show more of both plates, or expose longer",
+            "too few beads can be given from false candidates; show more of both plates, or expose longer",
         )
     misfit = np.split(np.abs(sizes.misfit), [len(xrii.ids)], axis=1)
     ball_like = np.stack([problem.usable & (one.min(axis=1) < LOG_RADIUS) for one in misfit], axis=1)
