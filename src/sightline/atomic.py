@@ -1,4 +1,4 @@
-"""Files and folders that are written whole or not at all: nothing half-written is ever left under their names."""
+"""Atomic writes of files and folders: a name never refers to a partly written one."""
 
 import ctypes
 import os
@@ -13,7 +13,7 @@ from threading import get_ident
 
 from sightline.errors import UnusableInputError
 
-_BEFORE = "before"  # of a scratch folder: old files, until the new ones are in their places
+_BEFORE = "before"  # sub-folder of a scratch folder: old files until the new ones are in place
 _ADVICE = {
     ENOENT: "name a folder that exists",
     **dict.fromkeys((ENOSPC, EDQUOT, EFBIG), "free some space, or name a place on another disk"),
@@ -21,16 +21,16 @@ _ADVICE = {
 
 
 def write_whole(path: str | Path, data: bytes) -> Path:
-    """Write a file beside its target and move it there in one step; an old file stays whole until then.
+    """Write a file next to its target and rename it in one step; return the path. An old file stays until then.
 
-    Raises UnusableInputError where the place cannot be written, or holds anything but a regular file: a device, a pipe
-    or a folder is not replaced.
+    Raises UnusableInputError where the target cannot be written, or exists and is not a regular file: devices, pipes
+    and folders are not replaced.
     """
     target = Path(path)
     scratch = target.with_name(f".{target.name}.{os.getpid()}.{get_ident()}.part")
-    with _placing(f"write {target.name}"):
+    with _refusing_os_errors(f"write {target.name}"):
         try:
-            _refuse_odd(target)
+            _refuse_special(target)
             with scratch.open("wb") as file:
                 file.write(data)
                 file.flush()
@@ -43,13 +43,13 @@ def write_whole(path: str | Path, data: bytes) -> Path:
 
 
 def write_folder(folder: Path, documents: Mapping[str, bytes]) -> list[Path]:
-    """Write files into a folder, made where it is missing, as `whole_folder` does. A name may begin with a sub-folder.
+    """Write files into a folder as `whole_folder` does; return their paths. Names may begin with a sub-folder.
 
     Raises UnusableInputError.
     """
     with whole_folder(folder) as scratch:
         for name, data in documents.items():
-            with _placing(f"write {name}"):
+            with _refusing_os_errors(f"write {name}"):
                 (scratch / name).parent.mkdir(parents=True, exist_ok=True)
             write_whole(scratch / name, data)
     return [folder / name for name in documents]
@@ -57,46 +57,47 @@ def write_folder(folder: Path, documents: Mapping[str, bytes]) -> list[Path]:
 
 @contextmanager
 def whole_folder(path: str | Path, units: Collection[str] = ()) -> Generator[Path]:
-    """`with whole_folder(out) as scratch:` what is written into the scratch folder beside `out` is put there at the
-    end; after an error or an interruption nothing is.
+    """Yield a scratch folder next to `out`; at the end of the `with` block its files are moved into `out`.
 
-    Other files that `out` holds stay and are never moved. A sub-folder is merged likewise, unless it is one of `units`,
-    which are replaced as a whole. A process killed at any moment leaves `out` old or new:
+    After an error or an interruption nothing is moved. Other files in `out` stay and are never moved. Sub-folders are
+    merged, except those named in `units`, which are replaced as a whole. A process killed at any moment leaves `out`
+    old or new:
 
     - where `out` is missing, the scratch folder is renamed;
-    - where all that it holds is replaced, both folders change places in one step (Linux, renameat2);
-    - otherwise (other files are there, `out` is the working directory or a mount point, another system) all old files
-      are taken out before the first new one is put in. A kill in between leaves a part of one result, never parts of
-      two; the rest lies in the scratch folder, whose name begins with a dot.
+    - where all its files are replaced, both folders are exchanged in one step (Linux, renameat2);
+    - otherwise (it has other files, is the working directory or a mount point, or on another system) all old files are
+      moved out before the first new one is moved in. A kill in between leaves a part of one result, never parts of two;
+      the rest is in the scratch folder, whose name begins with a dot.
 
-    Raises UnusableInputError where the place cannot be written. What the body raises is passed on as it is.
+    Raises UnusableInputError where `out` cannot be written. Exceptions of the body are passed on.
     """
     target = Path(os.path.realpath(path))
     said = f"write into {target.name}"
     if target.exists() and not target.is_dir():
         raise UnusableInputError(f"{target.name} is a file; name a folder")
-    with _placing(said):
+    with _refusing_os_errors(said):
         target.parent.mkdir(parents=True, exist_ok=True)
         place = Path(mkdtemp(dir=target.parent, prefix=f".{target.name}-"))
     try:
-        scratch = place / target.name  # with the usual permissions; those of `place` are for its owner alone
-        with _placing(said):
+        scratch = place / target.name  # with the usual permissions; `place` is accessible to its owner only
+        with _refusing_os_errors(said):
             scratch.mkdir()
         yield scratch
-        with _placing(said):
+        with _refusing_os_errors(said):
             _sync(scratch)
             _put(scratch, target, units)
             sync_folder(target.parent)
     finally:
-        if not (place / _BEFORE).exists():  # else it holds old files that could not be put back
+        if not (place / _BEFORE).exists():  # else it holds old files that could not be moved back
             shutil.rmtree(place, ignore_errors=True)
 
 
 @contextmanager
 def scratch_folder() -> Generator[Path]:
-    """A folder for files on their way, removed afterwards as far as the disk lets it. Raises OSError.
+    """Yield a temporary folder, removed afterwards as far as possible. Raises OSError.
 
-    Not `TemporaryDirectory`: on a disk that can no longer be written its removal recurses without end (Python 3.11)."""
+    Not `TemporaryDirectory`: its removal recurses endlessly on a disk that has become read-only (Python 3.11).
+    """
     place = Path(mkdtemp(prefix="sightline-"))
     try:
         yield place
@@ -105,7 +106,7 @@ def scratch_folder() -> Generator[Path]:
 
 
 def sync_folder(folder: Path) -> None:
-    """Fsync a folder to make renames in it durable; Windows has no such thing."""
+    """Fsync a folder to make renames in it durable; does nothing on Windows, which has no such call."""
     if os.name == "posix":
         handle = os.open(folder, os.O_RDONLY)
         try:
@@ -115,25 +116,25 @@ def sync_folder(folder: Path) -> None:
 
 
 def is_of_a_disk(error: OSError) -> bool:
-    """Whether a disk is full, read-only or fails, and no program is to blame."""
+    """Return whether an error comes from a full, read-only or failing disk, or from missing permissions."""
     return error.errno in (ENOSPC, EDQUOT, EFBIG, EROFS, EACCES, EPERM, EIO)
 
 
 def advice(error: OSError) -> str:
-    """What to do about a place that cannot be written."""
+    """Return what to do about a place that cannot be written."""
     return _ADVICE.get(error.errno or 0, "name another place")
 
 
 @contextmanager
-def _placing(what: str) -> Generator[None]:
+def _refusing_os_errors(what: str) -> Generator[None]:
     try:
         yield
     except OSError as error:
         raise UnusableInputError(f"cannot {what}: {error.strerror}; {advice(error)}") from error
 
 
-def _refuse_odd(place: Path) -> None:
-    """Raises OSError where there is anything but a regular file."""
+def _refuse_special(place: Path) -> None:
+    """Raise OSError where `place` exists and is not a regular file."""
     if place.exists() and not place.is_file():
         raise OSError(EISDIR, "there is a folder, a device or a pipe of this name")
 
@@ -142,8 +143,8 @@ def _put(new: Path, target: Path, units: Collection[str]) -> None:
     items = _items(new, units)
     if not target.exists():
         new.rename(target)
-    elif _items(target, units) <= items and _may_change_places(new, target) and _exchange(new, target):
-        for appeared in _items(new, units) - items:  # between the look and the exchange
+    elif _items(target, units) <= items and _may_exchange(new, target) and _exchange(new, target):
+        for appeared in _items(new, units) - items:  # appeared after the check and before the exchange
             (target / appeared).parent.mkdir(parents=True, exist_ok=True)
             (new / appeared).rename(target / appeared)
     else:
@@ -151,7 +152,7 @@ def _put(new: Path, target: Path, units: Collection[str]) -> None:
 
 
 def _items(folder: Path, units: Collection[str]) -> set[Path]:
-    """Relative paths of all files, units and empty folders."""
+    """Return the relative paths of all files, units and empty folders."""
     found: set[Path] = set()
     for here, folders, files in os.walk(folder):
         place = Path(here).relative_to(folder)
@@ -165,8 +166,8 @@ def _items(folder: Path, units: Collection[str]) -> set[Path]:
     return found
 
 
-def _may_change_places(new: Path, target: Path) -> bool:
-    """Whether nobody would notice: not of a shell that stands in the folder, nor where the owner would change."""
+def _may_exchange(new: Path, target: Path) -> bool:
+    """Return whether exchanging is safe: no working directory lies in `target`, and its owner stays the same."""
     here, old, made = Path.cwd(), target.stat(), new.stat()
     if target in (here, *here.parents) or (old.st_uid, old.st_gid) != (made.st_uid, made.st_gid):
         return False
@@ -175,7 +176,7 @@ def _may_change_places(new: Path, target: Path) -> bool:
 
 
 def _exchange(one: Path, other: Path) -> bool:
-    """Let two folders change places in one step; return False where the system cannot."""
+    """Exchange two folders in one step; return False where the system cannot."""
     if sys.platform != "linux" or not hasattr(libc := ctypes.CDLL(None), "renameat2"):
         return False
     here, exchange = -100, 2  # AT_FDCWD, RENAME_EXCHANGE (linux/fcntl.h, linux/fs.h)
@@ -183,8 +184,10 @@ def _exchange(one: Path, other: Path) -> bool:
 
 
 def _put_each(new: Path, target: Path, items: Collection[Path], units: Collection[str]) -> None:
-    """Every old item out, then every new one in; all is taken back where one cannot be moved. What the disk does not
-    let be taken back stays in the scratch folder."""
+    """Move every old item out, then every new one in; undo all where one cannot be moved.
+
+    Items that cannot be moved back stay in the scratch folder.
+    """
     before = new.parent / _BEFORE
     moved: list[tuple[Path, Path]] = []
 
@@ -196,7 +199,7 @@ def _put_each(new: Path, target: Path, items: Collection[Path], units: Collectio
     try:
         for item in sorted(items):
             if str(item) not in units:
-                _refuse_odd(target / item)
+                _refuse_special(target / item)
             if os.path.lexists(target / item):
                 move(target / item, before / item)
         for item in sorted(items):
@@ -206,17 +209,20 @@ def _put_each(new: Path, target: Path, items: Collection[Path], units: Collectio
             for source, place in reversed(moved):
                 place.rename(source)
         except OSError as error:
-            lies = f"what was there could not be put back: it lies beside it, in {before.parent.name}"
-            raise OSError(error.errno, f"{error.strerror}, and {lies}") from error
+            where = f"the old files could not be moved back: find them next to it, in {before.parent.name}"
+            raise OSError(error.errno, f"{error.strerror}, and {where}") from error
         shutil.rmtree(before, ignore_errors=True)
         raise
     shutil.rmtree(before, ignore_errors=True)
 
 
 def _sync(folder: Path) -> None:
-    """Fsync all that is in a folder."""
+    """Fsync all files and folders in a folder."""
     for here, _, files in os.walk(folder):
         for name in files:
-            with (Path(here) / name).open("rb") as file, suppress(OSError):  # Windows syncs what is written alone
+            with (
+                (Path(here) / name).open("rb") as file,
+                suppress(OSError),
+            ):  # Windows can only sync files open for writing
                 os.fsync(file.fileno())
         sync_folder(Path(here))

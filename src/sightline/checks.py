@@ -1,4 +1,4 @@
-"""A check: a figure held against its limit, with a sentence for the person who must act on it."""
+"""Checks: a value against its limit, with a sentence for the user."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -9,8 +9,8 @@ from math import radians
 class Check:
     """One named check.
 
-    `name` is a key of docs/refusals.md; `figure` and `limit` are in `unit`. `figure` is None where the check is no
-    measurement, or where it could not be measured, and then the check fails.
+    `name` is a key of docs/refusals.md; `figure` (the value) and `limit` are in `unit`. `figure` is None where the
+    check is not a measurement, or the value could not be measured; in the latter case the check fails.
     """
 
     name: str
@@ -23,8 +23,11 @@ class Check:
 
 @dataclass(frozen=True)
 class Limits:
-    """What a kind of trajectory allows: limits of the predicted 95 % errors, and `beyond_mm`, how far the drill goes
-    past the end point. Defaults: what the paper reached with its robot [paper]."""
+    """Limits of a kind of trajectory: of the predicted 95 % errors of position and direction.
+
+    `beyond_mm`: how far the drill goes past the end point. The defaults are what the paper reached with its robot
+    [paper].
+    """
 
     position_mm: float = 1.0
     direction_rad: float = radians(0.6)
@@ -32,5 +35,5 @@ class Limits:
 
 
 def failed(checks: Iterable[Check]) -> tuple[Check, ...]:
-    """The checks that did not pass, in their order."""
+    """Return the failed checks, in order."""
     return tuple(check for check in checks if not check.passed)

@@ -1,15 +1,15 @@
-"""What a `with` block closes at its end."""
+"""Base class of objects that a `with` block closes."""
 
 from abc import ABC, abstractmethod
 from typing import Self
 
 
 class Closing(ABC):
-    """Something that is closed once; `with` does it."""
+    """An object with `close`, called at the end of a `with` block."""
 
     @abstractmethod
     def close(self) -> None:
-        """End it."""
+        """Release what the object holds."""
 
     def __enter__(self) -> Self:
         return self

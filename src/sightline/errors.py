@@ -1,8 +1,8 @@
-"""What Sightline raises: every message says what is wrong and what to do."""
+"""Exceptions of Sightline: every message says what is wrong and what to do."""
 
 
 class SightlineError(Exception):
-    """Base of all errors raised on purpose; `exit_code` is what the command line returns."""
+    """Base of all errors that Sightline raises; `exit_code` is the command line's exit code."""
 
     exit_code = 2
 
@@ -16,7 +16,7 @@ class ImageError(UnusableInputError):
 
 
 class SourceError(SightlineError):
-    """A source of images cannot be opened, or has stopped giving them."""
+    """A source of images cannot be opened, or has stopped giving images."""
 
 
 class FrameError(UnusableInputError):
@@ -28,11 +28,11 @@ class ObservationsError(UnusableInputError):
 
 
 class SetUpError(UnusableInputError):
-    """A simulated set-up or scene cannot be drawn as asked."""
+    """A simulated set-up or scene cannot be generated as requested."""
 
 
 class MessageError(UnusableInputError):
-    """An OpenIGTLink message is malformed, or cannot be written as asked."""
+    """An OpenIGTLink message is malformed, or cannot be written as requested."""
 
 
 class LinkError(SightlineError):
@@ -40,7 +40,7 @@ class LinkError(SightlineError):
 
 
 class CaseError(UnusableInputError):
-    """A case cannot be opened, read or written, or is asked to hold what no case may."""
+    """A case cannot be opened, read or written, or may not hold the given data."""
 
 
 class OvertakenError(CaseError):
@@ -54,15 +54,15 @@ class RefusedError(SightlineError):
 
 
 class DetectionRefusedError(RefusedError):
-    """An image shows no beads that can be told from its background."""
+    """An image shows no beads that can be distinguished from its background."""
 
 
 class MovedRefusedError(RefusedError):
-    """Images that should show the same have moved against each other."""
+    """Something moved between images of the same scene."""
 
 
 class LabellingRefusedError(RefusedError):
-    """The beads found cannot be told apart with certainty."""
+    """The beads found cannot be labelled with certainty."""
 
 
 class WireRefusedError(RefusedError):
@@ -70,11 +70,11 @@ class WireRefusedError(RefusedError):
 
 
 class CalibrationRefusedError(RefusedError):
-    """A view cannot be calibrated from the beads given."""
+    """A view cannot be calibrated from the given beads."""
 
 
 class OutsideRegionError(RefusedError):
-    """A point lies where the view's map is not defined."""
+    """A point lies outside the region in which a view's map is defined."""
 
 
 class ReconstructionRefusedError(RefusedError):
@@ -82,8 +82,8 @@ class ReconstructionRefusedError(RefusedError):
 
 
 class ErrorUnknownError(RefusedError):
-    """An uncertainty is asked of a view that has none."""
+    """A view has no error model, but its uncertainty is needed."""
 
 
 class RobotRefusedError(RefusedError):
-    """The robot cannot, or must not, do what is asked of it."""
+    """The robot cannot, or must not, do what was requested."""

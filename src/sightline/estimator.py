@@ -1,7 +1,7 @@
-"""The version of what is estimated: one number for detection, calibration and planning together."""
+"""The version of the estimator: detection, calibration and planning together."""
 
-# Raise it whenever the same images and picks give other numbers than before, beyond rounding, and say what changed.
-# A case records it with each entry; entries without one are of version 1.
+# Add an entry whenever the same images and picks give different results, beyond rounding.
+# A case records the version with each entry; entries without one have version 1.
 CHANGES = {
     2: "the scatter under a ball follows the background's slope; a plan can be incomplete, and says what is missing",
     3: "labelling lists what it rejects; a view is checked by its balls' sizes and by the C-arm's distance",

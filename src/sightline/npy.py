@@ -1,4 +1,4 @@
-"""NumPy files of other people: nothing is made of a size that the file does not have."""
+"""Safe reading of untrusted NumPy files: no array larger than the file is allocated."""
 
 import io
 from collections.abc import Callable
@@ -6,22 +6,22 @@ from math import prod
 
 import numpy as np
 
-Look = Callable[[tuple[int, ...], np.dtype], None]
+CheckArray = Callable[[tuple[int, ...], np.dtype], None]
 
 
-def npy_array(data: bytes, look: Look) -> np.ndarray:
-    """The array of a `.npy` file. `look` is shown its shape and type first, and raises on what is not wanted.
+def npy_array(data: bytes, check: CheckArray) -> np.ndarray:
+    """Return the array of a `.npy` file. `check` is called with its shape and type first, and may raise.
 
-    Raises what `look` raises, and ValueError on what is no whole file.
+    Raises the errors of `check`, and ValueError on a damaged file.
     """
     stream = io.BytesIO(data)
     try:
         first = np.lib.format.read_magic(stream) == (1, 0)
         header = np.lib.format.read_array_header_1_0 if first else np.lib.format.read_array_header_2_0
         shape, _, dtype = header(stream)
-    except Exception:  # the header is parsed as Python, and raises whatever that parser raises
+    except Exception:  # the header is parsed as Python, which may raise any exception
         raise ValueError("the header is damaged") from None
-    look(shape, dtype)
+    check(shape, dtype)
     if dtype.hasobject or min(shape, default=0) < 0 or stream.tell() + prod(shape) * dtype.itemsize != len(data):
         raise ValueError("the file does not hold what its header states")
     return np.load(io.BytesIO(data), allow_pickle=False)

@@ -1,4 +1,4 @@
-"""Work on several threads: kernels that need no interpreter, each call doing a part of the whole."""
+"""Run kernels that release the GIL on several threads, each call for a part of the work."""
 
 import os
 from collections.abc import Callable
@@ -8,14 +8,13 @@ from functools import cache
 from numba import config
 
 THREADS: int = config.NUMBA_NUM_THREADS  # pyright: ignore[reportAttributeAccessIssue]
-_SHARES = 4  # parts per thread, so that none waits long for another [ours]
+_SHARES = 4  # parts per thread, to balance the load [ours]
 
 
 def in_parts(kernel: Callable[..., object], *arguments: object) -> None:
-    """Call kernel(part, parts, *arguments) for every part; it must release the interpreter (nogil).
+    """Call kernel(part, parts, *arguments) for every part; the kernel must release the GIL (nogil).
 
-    Not numba's own parallel loops: they compile for twice as long, and wait by spinning, which is slow where other
-    programs run.
+    Not numba's parallel loops: they take twice as long to compile, and busy waiting is slow next to other programs.
     """
     if THREADS == 1:
         kernel(0, 1, *arguments)
@@ -26,5 +25,5 @@ def in_parts(kernel: Callable[..., object], *arguments: object) -> None:
 
 
 @cache
-def _pool(process: int) -> ThreadPoolExecutor:  # one for each: threads do not outlive a fork
+def _pool(process: int) -> ThreadPoolExecutor:  # one per process: threads do not survive a fork
     return ThreadPoolExecutor(THREADS, "sightline")

@@ -243,7 +243,7 @@ def test_observations_of_something_else_are_refused() -> None:
     one = image(seen(0), rng)
     beads = detect(one)
     told = label(beads, GAMMA)
-    with pytest.raises(ObservationsError, match="are not what `label` made"):
+    with pytest.raises(ObservationsError, match="are not what `label` returned"):
         look_again(one, beads, replace(told, uv_px=told.uv_px + 0.01), GAMMA)
     few = [i for i, name in enumerate(told.ids) if "-s-" not in name]
     with pytest.raises(ObservationsError, match="fewer than 8 beads of the source plate"):

@@ -7,7 +7,7 @@ import numpy as np
 from sightline.detection.motion import DIRECTED, smear
 from sightline.detection.results import Rejected
 from sightline.imaging import Radiograph
-from sightline.imaging.defects import MOST_CLIPPED, clipped_share, torn
+from sightline.imaging.defects import MAX_CLIPPED, clipped_share, torn
 
 NO_RIM = "no rim"  # start of this reason
 _MIN_SPOTS = 5  # for a statement about the image [ours]
@@ -19,7 +19,7 @@ def cause_of(image: Radiograph, beads: np.ndarray, rejected: Sequence[Rejected])
     `beads` (N, 3): u, v and radius, px.
     """
     share = 100 * clipped_share(image)
-    if share > MOST_CLIPPED:
+    if share > MAX_CLIPPED:
         return (
             f"the image is saturated: {share:.0f} % of its field is clipped; expose less, or export it without a window"
         )

@@ -1,1 +1,1 @@
-"""What detection and calibration estimate alike: Gaussian processes and robust statistics."""
+"""Estimation shared by detection and calibration: Gaussian processes and robust statistics."""

@@ -1,4 +1,4 @@
-"""Linear models with a Gaussian-process part: z = X theta + g + noise, theta unknown, g and the noise Gaussian."""
+"""Linear models with a Gaussian process: z = X theta + g + noise, with unknown theta and Gaussian g and noise."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -10,10 +10,10 @@ from sightline.fitting.triangular import cholesky, inverse_lower, solve_lower, s
 
 @dataclass(frozen=True, eq=False)
 class LeftOut:
-    """What all other data say of each of N pairs of numbers, such as the coordinates of a point.
+    """Leave-one-out residuals of N pairs of numbers, such as the coordinates of points.
 
-    `residual` (N, 2): the pair less its prediction by the others; `variance` (N,): of that, the mean of both numbers;
-    `m2` (N,): squared Mahalanobis length of the residual.
+    `residual` (N, 2): each pair minus its prediction from all others; `variance` (N,): the mean variance of both
+    residuals; `m2` (N,): squared Mahalanobis length of the residual.
     """
 
     residual: np.ndarray
@@ -22,7 +22,7 @@ class LeftOut:
 
     @staticmethod
     def of(precision: np.ndarray, dual: np.ndarray) -> "LeftOut":
-        """From P, the inverse covariance of the data z once the unknowns are fitted.
+        """Return the residuals from P, the inverse covariance of the data z after fitting the unknowns.
 
         `precision` (3, N): entries xx, xy and yy of its diagonal blocks; `dual` (N, 2): the pairs of P z.
         """
@@ -48,8 +48,10 @@ class Kriging:
 
     @staticmethod
     def of(design: np.ndarray, covariance: np.ndarray, data: np.ndarray) -> "Kriging":
-        """Data (n, c), design (n, m), m from 0, covariance (n, n). Raises np.linalg.LinAlgError where the covariance is
-        not positive definite or the design is of less than full rank."""
+        """Return the fit of data (n, c) with design (n, m), m from 0, and covariance (n, n).
+
+        Raises np.linalg.LinAlgError where the covariance is not positive definite or the design is rank-deficient.
+        """
         factor = cholesky(covariance)
         both = solve_lower(factor, np.concatenate([design, data], axis=1))
         white, z = both[:, : design.shape[1]], both[:, design.shape[1] :]
@@ -68,28 +70,28 @@ class Kriging:
         return solve_lower(self.r, self.white.T)
 
     def predict(self, design: np.ndarray, cross: np.ndarray, prior: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Of design theta + g: the weights (k, n), by which it is the data's, and its covariance (k, k).
+        """Return the weights (k, n) of the data in the prediction of design theta + g, and its covariance (k, k).
 
-        `cross` = cov(g there, data), `prior` = cov(g there).
+        `design` (k, m), `cross` (k, n) = cov(g, data) and `prior` (k, k) = cov(g), with g at the predicted points.
         """
         back, slope = self._halves(design, cross)
         weights = (back + slope @ self._fixed) @ self._inverse
         return weights, prior - back @ back.T + slope @ slope.T
 
     def variances(self, cross: np.ndarray, prior: np.ndarray, design: np.ndarray) -> np.ndarray:
-        """(k,): the diagonal of `predict`'s covariance, from the variances `prior` (k,)."""
+        """Return the diagonal (k,) of `predict`'s covariance, from the prior variances `prior` (k,)."""
         back, slope = self._halves(design, cross)
         return prior - (back**2).sum(axis=1) + (slope**2).sum(axis=1)
 
     def _halves(self, design: np.ndarray, cross: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """(k, n) and (k, m): what the data take off the variance there, and what not knowing theta adds, as factors."""
+        """Return factors (k, n) of the variance removed by the data, (k, m) of the variance added by unknown theta."""
         back = cross @ self._inverse.T
         return back, solve_lower(self.r, (design - back @ self.white).T).T
 
     def score(self, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """How much of each direction (n, k) is in the data beside the model: amounts (k,), and their s.d. (k,).
+        """Return the least-squares coefficient (k,) of each direction (n, k) in the data, and its s.d. (k,).
 
-        Each by itself, by generalised least squares: theta and g are fitted with it.
+        Each direction is fitted on its own, together with theta and g.
         """
         white = solve_lower(self.factor, directions)
         fixed = solve_lower(self.r, self.white.T @ white)
@@ -97,27 +99,27 @@ class Kriging:
         return directions.T @ self.dual[:, 0] / precision, 1.0 / np.sqrt(precision)
 
     def left_out(self) -> LeftOut:
-        """Each pair of the data (2N, 1), predicted by all others.
+        """Return the leave-one-out residuals of each pair of the data (2N, 1).
 
-        What counts are blocks of P = V^-1 - V^-1 X (X^T V^-1 X)^-1 X^T V^-1.
+        They follow from the diagonal blocks of P = V^-1 - V^-1 X (X^T V^-1 X)^-1 X^T V^-1.
         """
         pairs = (part.T.reshape(len(self.dual) // 2, 2, -1) for part in (self._inverse, self._fixed @ self._inverse))
         whole, taken = (_products(pair) for pair in pairs)
         return LeftOut.of(whole - taken, self.dual.reshape(-1, 2))
 
     def precision(self) -> np.ndarray:
-        """(n,): the diagonal of P, the inverse variances of each number's residual, predicted by all others."""
+        """Return the diagonal (n,) of P: the inverse variances of the leave-one-out residuals of single numbers."""
         fixed = self._fixed @ self._inverse
         return (self._inverse**2).sum(axis=0) - (fixed**2).sum(axis=0)
 
 
 @dataclass(frozen=True, eq=False)
 class PlanarKriging:
-    """Kriging of two coordinates, alike but for s unknowns that act on both: z = X theta + C shared + g + noise.
+    """Kriging of two coordinates with the same model and s shared unknowns: z = X theta + C shared + g + noise.
 
-    `each`: both coordinates and the columns of C as data, without the shared unknowns. `shared` (s,); `theta` (m, 2),
-    `dual` (n, 2): as of `Kriging`, the shared unknowns taken out. `spread` (s, s): a factor of their covariance.
-    `pull` (n, 2, s): what they take off the inverse covariance of all data is `pull` times its transpose.
+    `each`: the fit of both coordinates and the columns of C, without the shared unknowns. `shared` (s,); `theta` (m, 2)
+    and `dual` (n, 2) as in `Kriging`, after fitting the shared unknowns. `spread` (s, s): a factor of their covariance.
+    `pull` (n, 2, s): they reduce the inverse covariance of all data by `pull` times its transpose.
     """
 
     each: Kriging
@@ -136,10 +138,10 @@ class PlanarKriging:
         columns: np.ndarray | None = None,
         precision: np.ndarray | None = None,
     ) -> "PlanarKriging":
-        """Data (n, 2), of each coordinate the covariance (n, n) and the design (n, m), and `columns` C (n, 2, s).
+        """Return the fit of data (n, 2); each coordinate has `covariance` (n, n) and `design` (n, m), C is `columns`.
 
-        `precision` (s, s): inverse prior covariance of the shared unknowns, about zero; without it nothing is known of
-        them. Raises np.linalg.LinAlgError.
+        `precision` (s, s): inverse prior covariance of the shared unknowns about zero; by default they have no prior.
+        Raises np.linalg.LinAlgError.
         """
         n = len(data)
         design = np.zeros((n, 0)) if design is None else design
@@ -157,19 +159,19 @@ class PlanarKriging:
         return PlanarKriging(each, shared, spread, theta, dual, pull)
 
     def variances(self, cross: np.ndarray, prior: np.ndarray, design: np.ndarray | None = None) -> np.ndarray:
-        """(k,): as `Kriging.variances`, the mean of both coordinates, with the shared unknowns' part."""
+        """Return the mean variance (k,) of both coordinates, as `Kriging.variances`, with the shared unknowns' part."""
         design = np.zeros((len(cross), 0)) if design is None else design
         by_shared = cross @ self.each.dual[:, 2:] + design @ self.each.theta[:, 2:]
         added = by_shared.reshape(len(cross), 2, len(self.shared)) @ self.spread
         return self.each.variances(cross, prior, design) + (added**2).sum(axis=(1, 2)) / 2
 
     def left_out(self) -> LeftOut:
-        """Each row of the data, both coordinates, predicted by all others."""
+        """Return the leave-one-out residuals of each row of the data, both coordinates."""
         own = self.each.precision()
         return LeftOut.of(np.stack([own, np.zeros_like(own), own]) - _products(self.pull), self.dual)
 
 
 def _products(pairs: np.ndarray) -> np.ndarray:
-    """(3, N): inner products xx, xy and yy of pairs of vectors (N, 2, k)."""
+    """Return the inner products xx, xy and yy (3, N) of pairs of vectors (N, 2, k)."""
     x, y = pairs[:, 0], pairs[:, 1]
     return np.stack([np.einsum("nk,nk->n", a, b) for a, b in ((x, x), (x, y), (y, y))])

@@ -1,14 +1,14 @@
-"""Cholesky factors and triangular systems, from LAPACK directly: for a hundred rows a wrapper takes as long as it."""
+"""Cholesky factors and triangular systems by direct LAPACK calls: for a hundred rows, wrappers double the time."""
 
 import numpy as np
 from scipy.linalg import get_lapack_funcs
 
-_UNDIVIDED = 64
+_UNDIVIDED = 64  # largest block that is not divided
 _potrf, _trtri, _trtrs = get_lapack_funcs(("potrf", "trtri", "trtrs"), dtype=np.float64)
 
 
 def cholesky(matrix: np.ndarray) -> np.ndarray:
-    """Lower factor (n, n), zeros above. Raises np.linalg.LinAlgError where the matrix is not positive definite."""
+    """Return the lower factor (n, n), zero above. Raises np.linalg.LinAlgError if `matrix` is not positive definite."""
     if not len(matrix):
         return matrix
     factor, info = _potrf(matrix.T, lower=1)  # the transpose of a C array needs no reordering
@@ -18,17 +18,17 @@ def cholesky(matrix: np.ndarray) -> np.ndarray:
 
 
 def solve_lower(factor: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """factor^-1 @ right for a lower triangular factor."""
+    """Return factor^-1 @ right for a lower triangular factor."""
     return _trtrs(factor, right, lower=1)[0] if right.size else right
 
 
 def solve_lower_transposed(factor: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """factor^-T @ right for a lower triangular factor."""
+    """Return factor^-T @ right for a lower triangular factor."""
     return _trtrs(factor, right, lower=1, trans=1)[0] if right.size else right
 
 
 def inverse_lower(factor: np.ndarray) -> np.ndarray:
-    """Inverse of a lower triangular factor, by halves: for some hundred rows in half the time of LAPACK's trtri."""
+    """Return the inverse of a lower triangular factor, by halving: twice as fast as trtri for hundreds of rows."""
     n = len(factor)
     if n <= _UNDIVIDED:
         return _trtri(factor, lower=1)[0]
@@ -40,6 +40,9 @@ def inverse_lower(factor: np.ndarray) -> np.ndarray:
 
 
 def least_squares(design: np.ndarray, data: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Coefficients (m,) for data (n,), and r (m, m) lower: design^T design = r r^T. Raises np.linalg.LinAlgError."""
+    """Return coefficients (m,) for data (n,), and the lower factor r (m, m) of design^T design = r r^T.
+
+    Raises np.linalg.LinAlgError.
+    """
     r = cholesky(design.T @ design)
     return solve_lower_transposed(r, solve_lower(r, design.T @ data)), r

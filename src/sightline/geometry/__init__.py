@@ -1,1 +1,1 @@
-"""Rays, planes, meeting points of lines, covariance propagation."""
+"""Rays, planes, intersections of lines, covariance propagation."""

@@ -1,28 +1,28 @@
-"""Errors of points and directions, and the lengths that they stay below with a given probability."""
+"""Covariances of points and directions, and quantiles of error lengths."""
 
 from collections.abc import Callable
 
 import numpy as np
 from scipy.special import erf, gammaincinv, ndtri
 
-TWO_SIDED_95 = 1.959964  # standard deviations that hold 95 % of a normal distribution
-# Nodes over one octant of directions: the probability is right to 1e-6 (tests/geometry/test_covariance.py).
-TWO_SIDED_999 = 3.29  # the same for 99.9 %: more happens once in a thousand honest cases
+TWO_SIDED_95 = 1.959964  # s.d.; ± this holds 95 % of a normal distribution
+TWO_SIDED_999 = 3.29  # the same for 99.9 %: exceeded once in a thousand valid cases
+# Nodes over one octant of directions: the probability is accurate to 1e-6 (tests/geometry/test_covariance.py).
 _COSINES, _COSINE_WEIGHTS = np.polynomial.legendre.leggauss(24)
 _HEIGHTS = (_COSINES + 1) / 2
 _ITERATIONS, _PRECISION = 60, 1e-10  # bisection alone would need 35
-_STEP_MM = 1e-3  # of a central difference: its error is that of the third derivative, below 1e-9 here [calc]
-_TURNS = (np.arange(12) + 0.5) * np.pi / 24
+_STEP_MM = 1e-3  # of a central difference: the error, from the third derivative, is below 1e-9 here [calc]
+_AZIMUTHS = (np.arange(12) + 0.5) * np.pi / 24
 
 
 def ellipsoid_factor(probability: float, dimension: int) -> float:
-    """How many standard deviations the ellipsoid reaches that holds a Gaussian of `dimension` with `probability`."""
-    # The quantile of chi-square, without scipy.stats, which takes half a second to import.
+    """Return the semi-axes, in s.d., of the ellipsoid that contains a Gaussian of `dimension` with `probability`."""
+    # The chi-square quantile without scipy.stats, whose import takes half a second.
     return float(np.sqrt(2.0 * gammaincinv(dimension / 2.0, probability)))
 
 
 def length_quantile(covariance: np.ndarray, probability: float = 0.95) -> np.ndarray:
-    """(...): the length that a Gaussian error of covariance (..., d, d), d = 1 to 3, stays below with `probability`.
+    """Return the quantile (...) of the length of a Gaussian error with covariance (..., d, d), d = 1 to 3.
 
     The length's distribution is a generalised chi: given its direction u, a Gaussian's length is chi with 3
     degrees of freedom times |root(covariance) u|, and the directions are uniform; they are integrated numerically.
@@ -42,8 +42,10 @@ def length_quantile(covariance: np.ndarray, probability: float = 0.95) -> np.nda
 
 
 def line_direction(start_mm: np.ndarray, end_mm: np.ndarray) -> np.ndarray:
-    """(2, 6): how the direction of the line from `start_mm` to `end_mm` (3,) turns, in rad about two axes across it, as
-    the two points move."""
+    """Return the derivative (2, 6), rad/mm, of a line's direction by its points `start_mm` and `end_mm` (3,).
+
+    The direction's rotations are about two axes perpendicular to the line.
+    """
     along = end_mm - start_mm
     length = np.linalg.norm(along)
     across = np.linalg.svd(along[None] / length)[2][1:]
@@ -51,7 +53,7 @@ def line_direction(start_mm: np.ndarray, end_mm: np.ndarray) -> np.ndarray:
 
 
 def response(function: Callable[[np.ndarray], np.ndarray], at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Value (m,) and derivative (m, n) at n numbers of a function that takes (K, n) to (K, m)."""
+    """Return value (m,) and derivative (m, n), at the point `at` (n,), of a function that maps (K, n) to (K, m)."""
     steps = _STEP_MM * np.eye(len(at))
     values = function(np.concatenate([at[None], at + steps, at - steps]))
     up, down = values[1 : len(at) + 1], values[len(at) + 1 :]
@@ -59,7 +61,7 @@ def response(function: Callable[[np.ndarray], np.ndarray], at: np.ndarray) -> tu
 
 
 def _radius(probability: float, b: np.ndarray, c: np.ndarray, low: float, high: float) -> np.ndarray:
-    """The radius, between `low` and `high`, that lengths stay below with `probability`: Newton's method, bracketed."""
+    """Return the quantile of the length between `low` and `high`, by bracketed Newton iterations."""
     below, above = np.full(b.shape, low), np.full(b.shape, high)
     radius = below
     for _ in range(_ITERATIONS):
@@ -74,13 +76,13 @@ def _radius(probability: float, b: np.ndarray, c: np.ndarray, low: float, high: 
 
 
 def _within(radius: np.ndarray, b: np.ndarray, c: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """P(length < radius) of a Gaussian with the variances 1, b, c; and its derivative by the radius."""
+    """Return P(length < radius) of a Gaussian with variances 1, b, c, and its derivative by the radius."""
     ring = 1 - _HEIGHTS[:, None] ** 2
     stretch2 = _HEIGHTS[:, None] ** 2 + ring * (
-        b[..., None, None] * np.cos(_TURNS) ** 2 + c[..., None, None] * np.sin(_TURNS) ** 2
+        b[..., None, None] * np.cos(_AZIMUTHS) ** 2 + c[..., None, None] * np.sin(_AZIMUTHS) ** 2
     )
     reach = radius[..., None, None] / np.sqrt(stretch2)
     tail = np.sqrt(2 / np.pi) * reach * np.exp(-(reach**2) / 2)
-    weights = _COSINE_WEIGHTS[:, None] / (2 * len(_TURNS))
+    weights = _COSINE_WEIGHTS[:, None] / (2 * len(_AZIMUTHS))
     within = ((erf(reach / np.sqrt(2)) - tail) * weights).sum(axis=(-1, -2))
     return within, (tail * reach**2 * weights).sum(axis=(-1, -2)) / radius

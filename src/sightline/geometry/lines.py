@@ -1,4 +1,4 @@
-"""Where lines meet, or nearly do."""
+"""Intersections and closest approaches of lines."""
 
 from dataclasses import dataclass
 
@@ -6,13 +6,13 @@ import numpy as np
 
 from sightline.errors import ReconstructionRefusedError
 
-PARALLEL_RAD = np.radians(1.0)  # [ours] at 1° a gap of 0.1 mm moves the point along the lines by 6 mm
+PARALLEL_RAD = np.radians(1.0)  # [ours] at 1°, a distance of 0.1 mm shifts the point along the lines by 6 mm
 SPREAD_RAD = 1e-3  # [ours] rms spread of a bundle; the lines through two plates spread by 50 mrad and more
 
 
 @dataclass(frozen=True, eq=False)
 class MeetingPoint:
-    """`point_mm` (3,), its `covariance_mm2` (3, 3), and the distance of each line from it, `distance_mm` (N,)."""
+    """Intersection of lines: `point_mm` (3,), its `covariance_mm2` (3, 3), each line's `distance_mm` (N,) to it."""
 
     point_mm: np.ndarray
     covariance_mm2: np.ndarray
@@ -21,7 +21,7 @@ class MeetingPoint:
 
 @dataclass(frozen=True, eq=False)
 class NearestApproach:
-    """Where two lines are nearest to each other: `first_mm`, `second_mm` (..., 3) on them, and `gap_mm` (...)."""
+    """Closest approach of two lines: points `first_mm` and `second_mm` (..., 3), and their distance `gap_mm` (...)."""
 
     first_mm: np.ndarray
     second_mm: np.ndarray
@@ -29,18 +29,18 @@ class NearestApproach:
 
     @property
     def middle_mm(self) -> np.ndarray:
-        """(..., 3): halfway between them."""
+        """Midpoint (..., 3) of the two points."""
         return (self.first_mm + self.second_mm) / 2
 
 
 def meeting_point(
     origin_mm: np.ndarray, direction: np.ndarray, sd_mm: float | np.ndarray | None = None
 ) -> MeetingPoint:
-    """The point with the least sum of squared distances from N lines through (N, 3) along (N, 3).
+    """Return the point with the smallest sum of squared distances from N lines through (N, 3) along (N, 3).
 
-    `sd_mm`, () or (N,): each line's standard deviation across itself, per axis; it weighs the lines and gives
-    the covariance. Without it lines weigh alike and the covariance comes from their scatter, 2N - 3 degrees of freedom.
-    Raises ReconstructionRefusedError for fewer than two lines and for lines that are nearly parallel.
+    `sd_mm`, () or (N,): each line's s.d. perpendicular to it, per axis; it determines weights and covariance. Without
+    it, weights are equal and the covariance comes from the residuals, with 2N - 3 degrees of freedom.
+    Raises ReconstructionRefusedError for fewer than two lines and for nearly parallel lines.
     """
     origin = np.asarray(origin_mm, dtype=np.float64)
     if len(origin) < 2:
@@ -61,7 +61,7 @@ def meeting_point(
 def nearest_approach(
     origin1_mm: np.ndarray, direction1: np.ndarray, origin2_mm: np.ndarray, direction2: np.ndarray
 ) -> NearestApproach:
-    """Nearest approach of lines through (..., 3) along (..., 3), pair by pair (the paper's reconstruction, Fig. 9).
+    """Return the closest approach of lines through (..., 3) along (..., 3), pair by pair (the paper's Fig. 9).
 
     Raises ReconstructionRefusedError where two lines are nearly parallel.
     """
@@ -89,5 +89,5 @@ def _unit(direction: np.ndarray) -> np.ndarray:
 
 
 def _across(unit: np.ndarray) -> np.ndarray:
-    """(N, 3, 3): projections onto the planes across the lines."""
+    """Return projections (N, 3, 3) onto the planes perpendicular to the lines."""
     return np.eye(3) - unit[:, :, None] * unit[:, None, :]

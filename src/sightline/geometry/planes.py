@@ -1,4 +1,4 @@
-"""A plane with two axes: the reference plane of a view."""
+"""Planes with two axes, such as the reference plane of a view."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -7,9 +7,9 @@ import numpy as np
 
 from sightline.errors import OutsideRegionError, UnusableInputError
 
-_LEVEL = 0.1  # [ours] sine of 6°: no plate is tilted so in use
+_LEVEL = 0.1  # [ours] sine of 6°: closer to parallel, the sign of the normal is taken from another axis
 _ALONG_X = 0.9  # [ours] cosine of 26°
-_COLLINEAR = 1e-9  # spread across over spread along, at which rounding alone decides the plane
+_COLLINEAR = 1e-9  # ratio of spreads across and along a line, below which rounding determines the plane
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,11 +27,11 @@ class Plane:
 
     @staticmethod
     def fit(xyz_mm: np.ndarray) -> "Plane":
-        """The least-squares plane of points (N, 3).
+        """Return the least-squares plane of points (N, 3).
 
         The normal points to +Z; where it lies within 6° of the XY plane, to +X; where that is level too, to +Y.
-        Axis 0 is +X laid into the plane, or +Y where the normal runs along X to within 26°. So nothing small, neither
-        the order of the points nor the tilt of a measured plate, turns the axes.
+        Axis 0 is +X projected onto the plane, or +Y where the normal is within 26° of X. So the axes do not depend on
+        the order of the points, and change little with the tilt of a measured plate.
         Raises UnusableInputError for points on one line.
         """
         points = np.asarray(xyz_mm, dtype=np.float64).reshape(-1, 3)
@@ -45,7 +45,7 @@ class Plane:
 
     @staticmethod
     def across(normal: np.ndarray, origin_mm: np.ndarray) -> "Plane":
-        """The plane through `origin_mm` across a normal (3,) of either sign; the axes as `fit` chooses them."""
+        """Return the plane through `origin_mm` with a normal (3,) of either sign and the axes that `fit` chooses."""
         normal = np.asarray(normal, dtype=np.float64)
         normal = normal / np.linalg.norm(normal)
         leading = next((normal[axis] for axis in (2, 0) if abs(normal[axis]) > _LEVEL), normal[1])
@@ -57,25 +57,25 @@ class Plane:
 
     @cached_property
     def normal(self) -> np.ndarray:
-        """(3,) unit normal."""
+        """Unit normal (3,)."""
         out = np.cross(self.axes[0], self.axes[1])
         out.flags.writeable = False
         return out
 
     def to_space(self, xy_mm: np.ndarray) -> np.ndarray:
-        """Plane coordinates (..., 2) to space (..., 3)."""
+        """Return points (..., 3) in space of plane coordinates (..., 2)."""
         return self.origin_mm + np.asarray(xy_mm) @ self.axes
 
     def to_plane(self, xyz_mm: np.ndarray) -> np.ndarray:
-        """Orthogonal projection of points (..., 3), in plane coordinates (..., 2)."""
+        """Return the orthogonal projection of points (..., 3) in plane coordinates (..., 2)."""
         return (np.asarray(xyz_mm) - self.origin_mm) @ self.axes.T
 
     def height_mm(self, xyz_mm: np.ndarray) -> np.ndarray:
-        """Signed distance of points (..., 3) from the plane, along its normal."""
+        """Return the signed distance (...) of points (..., 3) from the plane, along its normal."""
         return (np.asarray(xyz_mm) - self.origin_mm) @ self.normal
 
     def central_projection(self, focal_point_mm: np.ndarray, xyz_mm: np.ndarray) -> np.ndarray:
-        """Points (..., 3) projected from a focal point (3,) onto the plane, in plane coordinates (..., 2).
+        """Return points (..., 3) projected from a focal point (3,) onto the plane, in plane coordinates (..., 2).
 
         Raises OutsideRegionError for a point level with the focal point or behind it: it casts no shadow on the plane.
         """
@@ -89,12 +89,12 @@ class Plane:
         return self.to_plane(focal + (np.asarray(xyz_mm) - focal) / np.asarray(ahead)[..., None])
 
     def shadows(self, focal_point_mm: np.ndarray, xyz_mm: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """`central_projection` (M, 2) of those points (N, 3) that cast a shadow, and which do, (N,) bool."""
+        """Return `central_projection` (M, 2) of the points (N, 3) that cast a shadow, and (N,) bool: which do."""
         xyz, ahead = np.asarray(xyz_mm), self._ahead(focal_point_mm, xyz_mm)
         casts = ahead > 0
         return self.to_plane(focal_point_mm + (xyz[casts] - focal_point_mm) / ahead[casts, None]), casts
 
     def _ahead(self, focal_point_mm: np.ndarray, xyz_mm: np.ndarray) -> np.ndarray:
-        """(...): distance of points (..., 3) before the focal point, over that of the plane; zero if F is in it."""
+        """Return the depth (...) of points from the focal point, over that of the plane; 0 if F is in the plane."""
         h = self.height_mm(focal_point_mm)
         return 1 - self.height_mm(xyz_mm) / h if h else np.zeros(np.shape(xyz_mm)[:-1])

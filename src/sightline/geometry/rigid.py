@@ -1,22 +1,23 @@
-"""Rigid motions: the best fit of two sets of points, and small motions.
+"""Rigid motions: least-squares fits of point sets, and small motions (twists).
 
-A twist is (rotation vector rad, translation mm), the order of `RigidTransform.from_exp_coords`.
-
-Spatial twists are expressed in the coordinates that a pose maps to: a pose T moved by the twist x is exp(x) T.
+A twist is (rotation vector rad, translation mm), the order of `RigidTransform.from_exp_coords`. Spatial twists are
+expressed in the coordinates that a pose maps to: a pose T moved by the twist x is exp(x) T.
 """
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
+ROTATION_TOLERANCE = 1e-4  # [ours] 0.025 mm over a wire of 250 mm; rounding to 32 bits gives 2e-7
+
 
 def rigid_fit(from_mm: np.ndarray, to_mm: np.ndarray) -> RigidTransform:
-    """The least-squares pose: to_mm = pose.apply(from_mm), (N, 3) each."""
+    """Return the least-squares pose: to_mm = pose.apply(from_mm), (N, 3) each."""
     rotation, translation = rigid_fits(from_mm[None], to_mm[None])
     return RigidTransform.from_components(translation[0], Rotation.from_matrix(rotation[0]))
 
 
 def rigid_fits(from_mm: np.ndarray, to_mm: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Rotations (T, 3, 3) and translations (T, 3) that fit many sets (T, N, 3) by least squares: Kabsch's method."""
+    """Return least-squares rotations (T, 3, 3) and translations (T, 3) of T point sets (T, N, 3): Kabsch's method."""
     p, q = from_mm.mean(axis=1), to_mm.mean(axis=1)
     u, _, vt = np.linalg.svd(np.einsum("tni,tnj->tij", to_mm - q[:, None], from_mm - p[:, None]))
     u[:, :, 2] *= np.sign(np.linalg.det(u @ vt))[:, None]
@@ -24,18 +25,15 @@ def rigid_fits(from_mm: np.ndarray, to_mm: np.ndarray) -> tuple[np.ndarray, np.n
     return rotation, q - np.einsum("tij,tj->ti", rotation, p)
 
 
-ROTATION_TOLERANCE = 1e-4  # [ours] 0.025 mm over a wire of 250 mm; 32-bit numbers alone leave 2e-7
-
-
 def cross_matrix(vector: np.ndarray) -> np.ndarray:
-    """(..., 3, 3): the matrix whose product with w is `vector` x w."""
+    """Return the matrix (..., 3, 3) whose product with w is `vector` x w."""
     x, y, z = np.moveaxis(np.asarray(vector, dtype=np.float64), -1, 0)
     zero = np.zeros_like(x)
     return np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=-1).reshape(*x.shape, 3, 3)
 
 
 def adjoint(pose: RigidTransform) -> np.ndarray:
-    """(..., 6, 6): takes twists to the coordinates that `pose` maps to; exp(adjoint(T) x) = T exp(x) T⁻¹."""
+    """Return the adjoint (..., 6, 6) of `pose`, which transforms twists: exp(adjoint(T) x) = T exp(x) T⁻¹."""
     rotation = pose.rotation.as_matrix()
     out = np.zeros((*rotation.shape[:-2], 6, 6))
     out[..., :3, :3] = out[..., 3:, 3:] = rotation
@@ -44,13 +42,13 @@ def adjoint(pose: RigidTransform) -> np.ndarray:
 
 
 def displacement(xyz_mm: np.ndarray) -> np.ndarray:
-    """(..., 3, 6): how points (..., 3) move under a small spatial twist."""
+    """Return the derivative (..., 3, 6) of points (..., 3) by a small spatial twist."""
     xyz = np.asarray(xyz_mm, dtype=np.float64)
     return np.concatenate([-cross_matrix(xyz), np.broadcast_to(np.eye(3), (*xyz.shape, 3))], axis=-1)
 
 
 def why_not_rigid(matrix: np.ndarray) -> str | None:
-    """None for a (4, 4) matrix that turns and moves only; else what is wrong with it."""
+    """Return None for a rigid (4, 4) matrix, else what is wrong with it."""
     if not np.isfinite(matrix).all():
         return "it holds numbers that are not finite"
     if matrix[3].tolist() != [0, 0, 0, 1]:

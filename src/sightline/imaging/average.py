@@ -1,4 +1,4 @@
-"""Several images of one scene as one with less noise, if nothing moved between them."""
+"""Average several images of one scene, if nothing moved between them."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -9,19 +9,19 @@ import numpy as np
 from sightline.errors import ImageError, MovedRefusedError
 from sightline.imaging.radiograph import Radiograph
 
-STILL_PX = 0.1  # [ours] a bead's centre is known to about that
-_BLOCK = 64  # px, the side of the places that are looked at one by one: a leg may move where the frame does not
-_SMOOTH = 1.5  # px, before gradients are taken, which noise would make too large
-_CERTAIN = 5.0  # standard deviations that a movement must have to be one
-_CORRELATED = 28.0  # the noise of smoothed pixels in a sum, over that of independent ones: 4 pi 1.5² [calc]
-_CHANGED = 2.0  # times the usual mean square of a block's difference: 1 + 9 of its standard deviations [calc]
-_SEARCH = 24  # px that a changed block is looked for around its place
-_FOUND = 0.5  # correlation below which it was not found again
+STILL_PX = 0.1  # [ours] about the error of a bead's centre
+_BLOCK = 64  # px, side of the blocks compared one by one: a leg may move while the frame does not
+_SMOOTH = 1.5  # px, sigma of the filter before gradients, which noise would increase
+_CERTAIN = 5.0  # s.d.; a smaller movement is not significant
+_CORRELATED = 28.0  # variance of a sum of smoothed pixels, over that of independent ones: 4 pi 1.5² [calc]
+_CHANGED = 2.0  # times the usual mean square difference of a block: 9 s.d. above it [calc]
+_SEARCH = 24  # px around a changed block's place in which it is searched for
+_FOUND = 0.5  # smallest correlation of a block found again
 
 
 @dataclass(frozen=True)
 class ImageMovement:
-    """The largest movement found: `shift_px` at the middle `uv_px` of a place, or of the whole image (None).
+    """The largest movement between two images: `shift_px` of the block at `uv_px`, or of the whole image (None).
 
     `shift_px` is None where something changed and is not found again within 24 px.
     """
@@ -31,7 +31,7 @@ class ImageMovement:
 
     @property
     def still(self) -> bool:
-        """Whether that is nothing."""
+        """Whether the movement is at most STILL_PX."""
         return self.shift_px is not None and self.shift_px <= STILL_PX
 
     def __str__(self) -> str:
@@ -40,11 +40,11 @@ class ImageMovement:
 
 
 def movement(first: Radiograph, second: Radiograph) -> ImageMovement:
-    """How far the second image moved against the first: as a whole, else at one place. Raises ImageError."""
+    """Return the movement of the second image against the first, as a whole or at one block. Raises ImageError."""
     if first.shape != second.shape:
         raise ImageError(f"images of {first.shape} and {second.shape} pixels cannot be compared; take both alike")
     inside = cv2.erode((first.field_mask & second.field_mask).view(np.uint8), np.ones((9, 9), np.uint8)).view(bool)
-    # Quantum noise is the same everywhere in the square root of the pixels.
+    # The square root makes the variance of quantum noise the same everywhere.
     a, b = (cv2.GaussianBlur(np.sqrt(i.pixels).astype(np.float32), (0, 0), _SMOOTH) for i in (first, second))
     if inside.any():
         b *= np.float32(np.median(a[inside]) / max(float(np.median(b[inside])), 1e-6))  # exposures may differ
@@ -70,7 +70,7 @@ def movement(first: Radiograph, second: Radiograph) -> ImageMovement:
 
 
 def _shifts(sums: np.ndarray, square: float) -> np.ndarray:
-    """(N,) px: least-squares shifts of places with these sums (7, N), b(x) = a(x - s); 0 where none is certain."""
+    """Return the least-squares shifts (N,), px, of blocks with these sums (7, N); 0 where not significant."""
     uu, uv, vv, du, dv, _, _ = sums
     determinant = np.maximum(uu * vv - uv * uv, 1e-12)
     shift = np.hypot(vv * du - uv * dv, uu * dv - uv * du) / determinant
@@ -79,7 +79,7 @@ def _shifts(sums: np.ndarray, square: float) -> np.ndarray:
 
 
 def _found_again(a: np.ndarray, b: np.ndarray, blocks: np.ndarray) -> ImageMovement:
-    """Where the most changed blocks of the first image lie in the second."""
+    """Return the largest shift of the most changed blocks, found by correlation."""
     best = ImageMovement(None, _middle(blocks[0]))
     for block in blocks[:12]:
         top, left = (int(n) * _BLOCK for n in block)
@@ -88,14 +88,14 @@ def _found_again(a: np.ndarray, b: np.ndarray, blocks: np.ndarray) -> ImageMovem
         match = cv2.matchTemplate(around, a[top : top + _BLOCK, left : left + _BLOCK], cv2.TM_CCOEFF_NORMED)
         _, score, _, (u, v) = cv2.minMaxLoc(match)
         if score > _FOUND:
-            shift = float(np.hypot(u + _within(match[v], u) + x - left, v + _within(match[:, u], v) + y - top))
+            shift = float(np.hypot(u + _subpixel(match[v], u) + x - left, v + _subpixel(match[:, u], v) + y - top))
             if best.shift_px is None or shift > best.shift_px:
                 best = ImageMovement(shift, _middle(block))
     return best if best.shift_px is None or best.shift_px > STILL_PX else ImageMovement(None, best.uv_px)
 
 
-def _within(values: np.ndarray, at: int) -> float:
-    """Where between the places of three values the largest would be."""
+def _subpixel(values: np.ndarray, at: int) -> float:
+    """Return the sub-pixel offset of a maximum, from a parabola through three values."""
     if not 0 < at < len(values) - 1:
         return 0.0
     before, middle, after = (float(x) for x in values[at - 1 : at + 2])
@@ -108,13 +108,13 @@ def _middle(block: np.ndarray) -> tuple[float, float]:
 
 
 def _sums(values: np.ndarray) -> np.ndarray:
-    """Over blocks; what is left over at the right and the bottom counts nowhere."""
+    """Return sums over blocks; incomplete blocks at the right and the bottom are left out."""
     rows, columns = (side // _BLOCK for side in values.shape)
     return values[: rows * _BLOCK, : columns * _BLOCK].reshape(rows, _BLOCK, columns, _BLOCK).sum(axis=(1, 3))
 
 
 def average(images: Sequence[Radiograph]) -> Radiograph:
-    """Their mean, in 16 bits whose white is theirs. Raises MovedRefusedError, which says by how much; ImageError."""
+    """Return the mean image, scaled to 16 bits. Raises MovedRefusedError, which says by how much; ImageError."""
     if not images:
         raise ImageError("there is no image to average")
     first = images[0]

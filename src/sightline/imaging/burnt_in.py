@@ -1,7 +1,7 @@
-"""What a C-arm writes into its images (letters, logos, arrows, lines): pixels that no X-ray made.
+"""Find burnt-in annotations: letters, logos, arrows and lines that a C-arm writes into its images.
 
-A mark has one exact value and ends from one pixel to the next. X-ray images do neither: quanta make equal neighbours
-rare, and the detector's blur spreads every edge over two pixels and more, be it that of a saturated place or of an
+A mark has one exact value and ends from one pixel to the next. X-ray images do neither: quantum noise makes equal
+neighbours rare, and the detector's blur spreads every edge over two or more pixels, even that of a saturated area or an
 opaque ball.
 """
 
@@ -9,25 +9,25 @@ import cv2
 import numpy as np
 
 # All [ours], tried on the twin's images with and without marks and on those of a mobile C-arm.
-_STEP = 0.04  # of the values' range: a fainter mark moves no bead's rim
-_NOISE_STEP = 4.0  # times the 90 % quantile of differences between neighbours, 6.6 standard deviations of noise
-_SHARP = 0.35  # of the pixels beside a mark differ from it by such a step
+_STEP = 0.04  # of the values' range: a fainter mark does not shift a bead's rim
+_NOISE_STEP = 4.0  # times the 90 % quantile of differences between neighbours: 6.6 s.d. of noise
+_SHARP = 0.35  # smallest share of the pixels beside a mark that differ by such a step
 _WIDEST = 6.0  # px, half the width of a stroke
-_SLENDER = 10.0  # times its squared half width is what a stroke covers, three times as long as wide; a disc's is 3.1
+_SLENDER = 10.0  # area of a stroke over its squared half width: three times as long as wide; a disc has 3.1
 _SMALLEST = 12  # px; saturated specks and dead pixels are smaller, letters larger
-_SEEDS = 4  # rows in which a run of one value begins and ends with a step; fewer are no writing
-_VALUES = 6  # that marks of one image may have
-_RIM = 0.03  # of the image's side inside the field's edge, where blanking ends as sharply as letters do
-_AROUND = 5  # px, width of the square by which marks are widened: their edges may be smoothed
-_SAMPLE = 16  # every so many rows and columns tell how much neighbours differ
+_SEEDS = 4  # smallest number of rows with a run of one value that begins and ends with a step
+_VALUES = 6  # most values of an image's marks
+_RIM = 0.03  # of the image's side, inside the field's edge: blanking ends as sharply as letters do
+_AROUND = 5  # px, side of the square that dilates marks, whose edges may be smoothed
+_SAMPLE = 16  # sampling step, in rows and columns, of the differences between neighbours
 
 
 def burnt_in(pixels: np.ndarray, white: float, field: np.ndarray) -> np.ndarray | None:
-    """(H, W) bool, read-only, True on marks and two pixels around them; None where there is none, as in most images.
+    """Return (H, W) bool, read-only, True on marks and two pixels around them; None where there are none.
 
     `pixels` (H, W) and `white`: of a `Radiograph`; `field` (H, W) bool: True inside the collimation.
-    Found are marks of one exact value that lie in the field, at least in part: what lies outside it is no part of the
-    field mask. Not found are half-transparent marks, and those that a lossy compression or a video chain blurred.
+    Finds marks of one exact value that lie in the field, at least in part. Does not find half-transparent marks, and
+    marks blurred by lossy compression or a video chain.
     """
     least = _least_step(pixels, white)
     seeds = _seeds(pixels, field, least)
@@ -45,7 +45,7 @@ def burnt_in(pixels: np.ndarray, white: float, field: np.ndarray) -> np.ndarray 
 
 
 def _least_step(pixels: np.ndarray, white: float) -> float:
-    """How much neighbours must differ to be a step."""
+    """Return the difference between neighbours that counts as a step."""
     span = white if pixels.dtype != np.float32 else float(pixels.max()) - float(pixels.min())
     here, beside = (pixels[::_SAMPLE, column::_SAMPLE].astype(np.float32) for column in (0, 1))
     differences = np.sort(np.abs(here[:, : beside.shape[1]] - beside), axis=None)
@@ -53,12 +53,12 @@ def _least_step(pixels: np.ndarray, white: float) -> float:
 
 
 def _seeds(pixels: np.ndarray, field: np.ndarray, least: float) -> np.ndarray:
-    """(N, 2) row and column where a run of one value, two pixels or more, begins and ends with the same step.
+    """Return (N, 2) row and column of runs of one value, two pixels or more, that begin and end with the same step.
 
-    Every second row is looked at, well inside the field: letters are higher than two rows.
+    Every second row is searched, well inside the field: letters are higher than two rows.
     """
     rows = pixels[::2]
-    steps = np.flatnonzero(cv2.absdiff(rows[:, 1:], rows[:, :-1]) > least)  # few; along one axis they are found sooner
+    steps = np.flatnonzero(cv2.absdiff(rows[:, 1:], rows[:, :-1]) > least)  # few; searching along one axis is faster
     row, before = np.divmod(steps, pixels.shape[1] - 1)
     first, last = before[:-1] + 1, before[1:]  # of the run between one step and the next
     run = (row[:-1] == row[1:]) & (last > first)
@@ -70,7 +70,7 @@ def _seeds(pixels: np.ndarray, field: np.ndarray, least: float) -> np.ndarray:
 
 
 def _well_inside(field: np.ndarray, v: np.ndarray, u: np.ndarray) -> np.ndarray:
-    """(N,) bool: whether these pixels lie in the field and not on its rim."""
+    """Return (N,) bool: whether these pixels lie in the field and not on its rim."""
     height, width = field.shape
     rim = 1 + int(_RIM * min(height, width))
     inside = (v >= rim) & (v < height - rim) & (u >= rim) & (u < width - rim)
@@ -81,7 +81,7 @@ def _well_inside(field: np.ndarray, v: np.ndarray, u: np.ndarray) -> np.ndarray:
 def _marks_of(
     pixels: np.ndarray, field: np.ndarray, value: float, seeds: np.ndarray, least: float, *, clipped: bool
 ) -> np.ndarray:
-    """(H, W) bool: connected pixels of one value in the field that are marks; none unless one of them holds a seed.
+    """Return (H, W) bool: connected pixels of one value in the field that are marks; none without a seed in a mark.
 
     `clipped`: the value is the image's largest or smallest; then only strokes are marks.
     """
@@ -89,7 +89,7 @@ def _marks_of(
     count, part, stats, _ = cv2.connectedComponentsWithStats(alike, connectivity=8)
     size, inside = stats[:, cv2.CC_STAT_AREA], np.bincount(part[field], minlength=count)
     keep = (size >= _SMALLEST) & (2 * inside > size)
-    keep[0] = False  # what is not alike
+    keep[0] = False  # the pixels with other values
     seeded = np.unique(part[seeds[:, 0], seeds[:, 1]])
 
     def is_mark(i: np.intp) -> bool:
@@ -105,12 +105,12 @@ def _marks_of(
 
 
 def _is_sharp(mark: np.ndarray, pixels: np.ndarray, value: float, least: float) -> bool:
-    """Whether most pixels beside it differ by a step: on all its sides, where a patch at an edge does so on one."""
+    """Return whether enough pixels beside a mark differ by a step; a patch at an edge has a step on one side only."""
     beside = cv2.dilate(mark, cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))) > mark
     return float(np.mean(np.abs(pixels[beside].astype(np.float32) - value) > least)) > _SHARP
 
 
 def _is_stroke(mark: np.ndarray) -> bool:
-    """Whether it is thin and long: clipped holes, balls and open beam may end as sharply, but are wide."""
+    """Return whether a mark is thin and long; clipped holes, balls and open beam may be as sharp, but are wide."""
     half = float(cv2.distanceTransform(np.pad(mark, 1), cv2.DIST_L2, 3).max())
     return half <= _WIDEST and int(np.count_nonzero(mark)) > _SLENDER * half**2

@@ -1,17 +1,17 @@
-"""How large a compressed frame of a DICOM file is once unpacked, read from its own bytes before a decoder is."""
+"""Size of a compressed DICOM frame once decoded, read from its header before a decoder runs."""
 
 import struct
 
 from pydicom.uid import JPEG2000TransferSyntaxes, JPEGLSTransferSyntaxes, JPEGTransferSyntaxes, RLELossless
 
 _J2K_SIZE = b"\xff\x4f\xff\x51"  # start of a codestream and its SIZ segment (ISO/IEC 15444-1, A.4 and A.5)
-_JP2 = b"\x00\x00\x00\x0cjP  "  # a JP2 file about the codestream, which the standard forbids and some write
+_JP2 = b"\x00\x00\x00\x0cjP  "  # a JP2 file around the codestream; the standard forbids it, some devices write it
 _FRAME_HEADERS = {*range(0xC0, 0xD0), 0xF7} - {0xC4, 0xC8, 0xCC}  # SOF of JPEG; F7: of JPEG-LS
 _RLE_SEGMENTS = 15  # PS3.5, annex G
 
 
 def unpacks_to(coded: bytes, syntax: str, shape: tuple[int, int]) -> bool:
-    """Whether a frame's bytes say that they hold (H, W) pixels, of three components and two bytes at most."""
+    """Return whether a frame's header states `shape` (H, W), with three components and two bytes at most."""
     if syntax == RLELossless:
         return _rle_fits(coded, shape[0] * shape[1])
     if syntax in JPEGTransferSyntaxes or syntax in JPEGLSTransferSyntaxes:
@@ -20,7 +20,7 @@ def unpacks_to(coded: bytes, syntax: str, shape: tuple[int, int]) -> bool:
 
 
 def jpeg_shape(coded: bytes) -> tuple[int, int] | None:
-    """Height and width of the first frame header (ITU-T T.81, B.2.2); None where there is none."""
+    """Return height and width of the first frame header (ITU-T T.81, B.2.2); None where there is none."""
     at = 2
     while at + 9 <= len(coded) and coded[at] == 0xFF:
         if coded[at + 1] == 0xFF:  # a fill byte
@@ -34,7 +34,7 @@ def jpeg_shape(coded: bytes) -> tuple[int, int] | None:
 
 
 def _j2k_shape(coded: bytes) -> tuple[int, int] | None:
-    """Height and width of the image area; None for what is no codestream, or has more than three components."""
+    """Return height and width of the image area; None for other data and for more than three components."""
     at = coded.find(_J2K_SIZE, 0, 1024) if coded.startswith(_JP2) else 0
     if at < 0 or coded[at : at + 4] != _J2K_SIZE or len(coded) < at + 42:
         return None
@@ -44,7 +44,7 @@ def _j2k_shape(coded: bytes) -> tuple[int, int] | None:
 
 
 def _rle_fits(coded: bytes, pixels: int) -> bool:
-    """Whether no segment unpacks to more than a byte for each pixel, and one to pad it (PS3.5, G.3)."""
+    """Return whether no segment unpacks to more than a byte for each pixel, and one for padding (PS3.5, G.3)."""
     if len(coded) < 64:
         return False
     count, *starts = struct.unpack_from("<16I", coded)
@@ -56,12 +56,12 @@ def _rle_fits(coded: bytes, pixels: int) -> bool:
 
 
 def packbits_size(coded: bytes, most: int) -> int:
-    """How many bytes runs and literals unpack to, counted to little more than `most` (PS3.5, G.3; TIFF 6.0, 9)."""
+    """Return the unpacked size of runs and literals; counting stops beyond `most` (PS3.5, G.3; TIFF 6.0, 9)."""
     size = at = 0
     while at < len(coded) and size <= most:
         code = coded[at]
         if code < 128:
             size, at = size + code + 1, at + code + 2
         else:
-            size, at = size + (257 - code) % 129, at + 2  # 128 stands for nothing
+            size, at = size + (257 - code) % 129, at + 2  # 128 is a no-operation
     return size

@@ -1,6 +1,6 @@
-"""Compressed frames are unpacked in a process of their own: decoders end a program on bytes that they do not expect.
+"""Decode compressed frames in a separate process, because decoders can crash on damaged data.
 
-gdcm, given a damaged JPEG, may call `terminate`, and no `except` sees that. Here it ends the helper alone.
+gdcm may call `terminate` on a damaged JPEG, which no `except` catches. Here, that ends only the helper process.
 """
 
 import atexit
@@ -16,15 +16,15 @@ from typing import IO
 import numpy as np
 
 DEADLINE_S = 30.0  # [ours] a frame of 2^25 pixels takes 2 s; includes the helper's start
-MEMORY_BYTES = 4 << 30  # [ours] of addresses: the largest file, its largest frame twice, libraries
+MEMORY_BYTES = 4 << 30  # [ours] address space: the largest file, its largest frame twice, libraries
 
 
 class UndecodableError(Exception):
-    """Damaged, or compressed in a way that the libraries do not know."""
+    """The frame is damaged, or compressed in a way that the libraries do not support."""
 
 
 class Decoder:
-    """One helper, started when first needed and again after it died; threads take turns."""
+    """A helper process, started at first use and again after it died; one thread uses it at a time."""
 
     def __init__(self) -> None:
         self._lock = Lock()
@@ -33,7 +33,7 @@ class Decoder:
         atexit.register(self.close)
 
     def decode(self, file: Path, index: int) -> np.ndarray:
-        """Stored values of one frame, (H, W) or (H, W, 3). Raises UndecodableError."""
+        """Return the stored values of one frame, (H, W) or (H, W, 3). Raises UndecodableError."""
         with self._lock:
             helper = self._running()
             assert helper.stdin is not None  # noqa: S101
@@ -44,14 +44,14 @@ class Decoder:
                 helper.stdin.write(json.dumps([str(file.absolute()), index]).encode() + b"\n")
                 helper.stdin.flush()
                 return _read_answer(helper.stdout)
-            except (OSError, ValueError):  # it died, or wrote half an answer and died
+            except (OSError, ValueError):  # it died, perhaps within its answer
                 self._end()
                 raise UndecodableError from None
             finally:
                 timer.cancel()
 
     def close(self) -> None:
-        """End the helper."""
+        """End the helper process."""
         with self._lock:
             self._end()
 
@@ -64,7 +64,7 @@ class Decoder:
                 [sys.executable, "-m", "sightline.imaging.decoder"],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
-                stderr=subprocess.DEVNULL,  # what decoders say quotes the file
+                stderr=subprocess.DEVNULL,  # decoders' messages quote the file
                 env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},
                 start_new_session=True,  # Ctrl-C is for the parent
             )
@@ -83,7 +83,7 @@ class Decoder:
 
 
 def _read_answer(stream: IO[bytes]) -> np.ndarray:
-    """Raises UndecodableError where the helper says so, ValueError where it ended within its answer."""
+    """Return the helper's answer. Raises UndecodableError if it refuses, ValueError if it ended within its answer."""
     head = json.loads(stream.readline())
     if head is None:
         raise UndecodableError
@@ -93,7 +93,7 @@ def _read_answer(stream: IO[bytes]) -> np.ndarray:
 
 
 def main() -> None:
-    """The helper: a line `[file, frame]` in, a line `{shape, dtype}` and the values, or `null`, out."""
+    """Run the helper: for each line `[file, frame]`, write a line `{shape, dtype}` and the values, or `null`."""
     import gdcm
     from pydicom.pixels.utils import pixel_array
 
@@ -108,7 +108,7 @@ def main() -> None:
         file, index = json.loads(line)
         try:
             values = np.ascontiguousarray(pixel_array(file, index=index))
-        except Exception:  # pydicom raises what the broken bytes make it raise
+        except Exception:  # pydicom raises any exception on damaged data
             out.write(b"null\n")
         else:
             out.write(json.dumps({"shape": values.shape, "dtype": values.dtype.str}).encode() + b"\n")

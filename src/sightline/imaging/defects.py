@@ -1,4 +1,4 @@
-"""Defects that an image's own pixels show: lines that do not belong together, clipped pixels, compression."""
+"""Defects visible in an image's pixels: tears, interlacing, clipped pixels, compression."""
 
 from dataclasses import dataclass
 
@@ -10,19 +10,21 @@ from sightline.checks import Check
 from sightline.imaging.interlace import MOVED, comb
 from sightline.imaging.radiograph import Radiograph
 
-_RIM_PX = 12  # from the field's edge, where lines differ by nature [ours]
-_AROUND = 24  # lines to either side that say how far lines usually differ [ours]
-_STEP = 2.5  # times as much that a line must differ from the next: blurred noise alone makes 3.7 at a tear [calc]
-_SHARE = 0.5  # of an image's width that a line must have in the field [ours]
-_FARTHEST_PX, _NEAREST_PX = 64, 2  # shifts that are looked for; smaller ones are within a bead's blur [ours]
-_EXPLAINED = 2.0  # times less that lines differ once shifted: below 1.3 in 28 whole images [twin, ARCADIS, XA]
-_LINES = 5  # that are looked at
-MOST_CLIPPED = 50.0  # % of the field; air beside the patient clips up to 32 % in images of the twin [ours]
+_RIM_PX = 12  # left out at the field's edge, where lines always differ [ours]
+_AROUND = 24  # lines to either side that define the usual difference between lines [ours]
+_STEP = 2.5  # times the usual difference, at a tear; there, blurred noise alone gives 3.7 [calc]
+_SHARE = 0.5  # of the image's width that must lie in the field [ours]
+_MAX_SHIFT_PX, _MIN_SHIFT_PX = 64, 2  # range of the search; smaller shifts are within a bead's blur [ours]
+_EXPLAINED = (
+    2.0  # smallest ratio of differences before and after the shift; 28 intact images have up to 1.3 [twin, ARCADIS, XA]
+)
+_LINES = 5  # candidates examined
+MAX_CLIPPED = 50.0  # % of the field; air beside the patient clips up to 32 % in images of the twin [ours]
 
 
 @dataclass(frozen=True)
 class Tear:
-    """From line `at` on the image is shifted by `shift_px` along its lines; `rows`: these are rows, not columns."""
+    """A shift by `shift_px` along the image's lines, from line `at` on; `rows`: the lines are rows, not columns."""
 
     at: int
     shift_px: int
@@ -39,9 +41,9 @@ class Tear:
 
 
 def interlaced(image: Radiograph) -> str | None:
-    """What is wrong with an image between whose two fields something moved, and what to do; None where nothing did."""
-    if 100 * clipped_share(image) > MOST_CLIPPED:
-        return None  # lines that are clipped have nothing to compare
+    """Return what is wrong with an interlaced image with movement between its fields, and what to do; else None."""
+    if 100 * clipped_share(image) > MAX_CLIPPED:
+        return None  # clipped lines cannot be compared
     moved = comb(image)
     if moved <= MOVED:
         return None
@@ -52,8 +54,8 @@ def interlaced(image: Radiograph) -> str | None:
 
 
 def torn(image: Radiograph) -> Tear | None:
-    """The tear whose two sides match best once shifted back; None where none does."""
-    # Quantum noise is the same everywhere in the square root of the pixels.
+    """Return the tear whose two sides match best after shifting back, or None."""
+    # The square root makes the variance of quantum noise the same everywhere.
     pixels = np.sqrt(np.maximum(image.pixels, 0), dtype=np.float32)
     field = np.pad(image.field_mask.view(np.uint8), 1)  # the image's border is an edge too
     inside = cv2.erode(field, np.ones((2 * _RIM_PX + 1,) * 2, np.uint8))[1:-1, 1:-1]
@@ -79,20 +81,22 @@ def _torn(pixels: np.ndarray, inside: np.ndarray, *, rows: bool) -> Tear | None:
         at = enough[k]
         if ratio[k] > _STEP and 1 <= at < len(pixels) - 2:
             shift, explained = _shift(pixels[at - 1 : at + 1], pixels[at + 1 : at + 3], both[at])
-            if abs(shift) >= _NEAREST_PX and explained > _EXPLAINED:
+            if abs(shift) >= _MIN_SHIFT_PX and explained > _EXPLAINED:
                 found.append((explained, Tear(int(at) + 1, shift, rows)))
     return max(found, key=lambda one: one[0])[1] if found else None
 
 
 def _shift(above: np.ndarray, below: np.ndarray, inside: np.ndarray) -> tuple[int, float]:
-    """By how many pixels the lines below lie further on than those above, and how much less they then differ: in each
-    half of the line, since a tear shifts all of it and an edge of metal only looks so in places."""
+    """Return the shift, px, of the lines below against those above, and by what factor it reduces their difference.
+
+    The factor is the smaller one of the line's halves: a tear shifts the whole line, an edge of metal only a part.
+    """
     first, second, width = above.mean(axis=0), below.mean(axis=0), above.shape[1]
     level, known = float(first.mean()), inside.astype(np.float64)
     x, y = (first - level) * known, (second - level) * known
-    shifts = np.arange(-_FARTHEST_PX, _FARTHEST_PX + 1)
+    shifts = np.arange(-_MAX_SHIFT_PX, _MAX_SHIFT_PX + 1)
     count, xx, yy, xy = (
-        np.correlate(np.pad(later, _FARTHEST_PX), earlier, "valid")
+        np.correlate(np.pad(later, _MAX_SHIFT_PX), earlier, "valid")
         for later, earlier in ((known, known), (known, x * x), (y * y, known), (y, x))
     )
     square = np.where(count > _SHARE * width, (xx + yy - 2 * xy) / np.maximum(count, 1), np.inf)
@@ -104,22 +108,22 @@ def _shift(above: np.ndarray, below: np.ndarray, inside: np.ndarray) -> tuple[in
 
 
 def _halves(values: np.ndarray, counting: np.ndarray) -> np.ndarray:
-    """(2,) means over the first and the second half of the values that count."""
+    """Return the means (2,) over the first and the second half of the counting values."""
     return np.array([half.mean() for half in np.array_split(values[counting], 2)])
 
 
 def clipped_share(image: Radiograph) -> float:
-    """Share of the field's pixels that are as bright or as dark as can be stored."""
+    """Return the share of the field's pixels that are as bright or as dark as can be stored."""
     size = np.count_nonzero(image.field_mask)
     clipped = ((image.pixels >= image.white) | (image.pixels <= 0)) & image.field_mask
     return float(np.count_nonzero(clipped) / size) if size else 0.0
 
 
 def image_checks(image: Radiograph) -> tuple[Check, ...]:
-    """Checks of what limits every result from an image: clipped pixels; lossy compression and inversion if any."""
+    """Return the checks of an image: clipped pixels; also lossy compression and inversion, where they apply."""
     share = 100 * clipped_share(image)
     sentence = f"{share:.1f} % of the field's pixels are as bright or as dark as can be stored: nothing is known there."
-    checks = [Check("clipped pixels", share <= MOST_CLIPPED, share, MOST_CLIPPED, "%", sentence)]
+    checks = [Check("clipped pixels", share <= MAX_CLIPPED, share, MAX_CLIPPED, "%", sentence)]
     if image.lossy:
         sentence = "The image was compressed with loss, which moves edges: export it uncompressed if you can."
         checks.append(Check("compression", True, None, None, "", sentence))

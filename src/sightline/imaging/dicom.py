@@ -1,4 +1,4 @@
-"""DICOM in and out. No element that tells who the patient is, is ever read."""
+"""Read and write DICOM. No element that identifies the patient is ever read."""
 
 import re
 import warnings
@@ -42,7 +42,7 @@ from sightline.imaging.headers import damaged, refuse_longer
 from sightline.imaging.limits import check_size
 from sightline.imaging.radiograph import GeometryTags, Radiograph
 
-_LOSSY = {JPEGBaseline8Bit, JPEGExtended12Bit, JPEGLSNearLossless, JPEG2000}  # of the last, what may be
+_LOSSY = {JPEGBaseline8Bit, JPEGExtended12Bit, JPEGLSNearLossless, JPEG2000}  # JPEG 2000 may be lossless
 
 # Everything that is read besides the pixels.
 _READ = [
@@ -65,12 +65,12 @@ _READ = [
 ]
 
 _PIXEL_DATA = 0x7FE00010
-# Where a file may say when its image was acquired, the nearest to the exposure first.
+# Elements with the time of acquisition, the nearest to the exposure first.
 _TIMES = (("AcquisitionDateTime",), ("AcquisitionDate", "AcquisitionTime"), ("ContentDate", "ContentTime"))
 _ZONE = "TimezoneOffsetFromUTC"
 _STAMP = re.compile(r"(\d{14})(?:\.\d*)?([+-]\d{4})?")
 
-# Elements the standard wants present and a mobile C-arm without a worklist leaves empty.
+# Elements that the standard requires and a mobile C-arm without a worklist leaves empty.
 _EMPTY = [
     "StudyDate",
     "StudyTime",
@@ -88,14 +88,14 @@ _EMPTY = [
 
 
 def read(file: Path, frame_index: int | None) -> Radiograph:
-    """One frame of a DICOM file: XA, RF, CR, DX, secondary capture; native, RLE, JPEG, JPEG-LS or JPEG 2000.
+    """Return one frame of a DICOM file: XA, RF, CR, DX, secondary capture; native, RLE, JPEG, JPEG-LS or JPEG 2000.
 
-    A compressed frame is decoded only where its own header is that of the file: what
-    unpacks to more than the file says is refused before it does.
+    A compressed frame is decoded only if its own header agrees with the file's: a frame that would unpack to more is
+    refused before decoding.
 
-    Stored values are kept. They are inverted where fewer X-rays give larger ones: where Pixel Intensity Relationship
-    Sign (0028,1041) says -1; where that is absent, for MONOCHROME1 (taken with the sign of Rescale Slope), since
-    C-arms show bone dark. Negative stored values are shifted up by the smallest that can be stored.
+    Stored values are kept. They are inverted where fewer X-rays give larger values: where Pixel Intensity Relationship
+    Sign (0028,1041) is -1; where that is absent, for MONOCHROME1 (times the sign of Rescale Slope), since C-arms show
+    bone dark. Negative stored values are shifted up by the smallest value that can be stored.
     Raises ImageError.
     """
     with quiet():
@@ -115,7 +115,7 @@ def read(file: Path, frame_index: int | None) -> Radiograph:
 
 
 def taken_at(file: Path) -> datetime | None:
-    """When the image of a DICOM file was acquired, by the clock of the device; None where the file does not say it.
+    """Return when the image of a DICOM file was acquired, by the device's clock; None where the file does not state it.
 
     Acquisition Date Time (0008,002A), else acquisition date and time, else content date and time; without Timezone
     Offset From UTC (0008,0201) in this machine's zone. Raises ImageError.
@@ -138,17 +138,17 @@ def taken_at(file: Path) -> datetime | None:
 
 
 def frames_in(file: Path) -> int:
-    """How many frames a file says that it holds. Raises ImageError."""
+    """Return the number of frames that a file states. Raises ImageError."""
     with quiet():
         return _frames(_header(file), file.name)
 
 
 def write(radiograph: Radiograph, path: str | Path, side: str | None = None) -> Path:
-    """Write an X-ray angiographic image as a mobile C-arm does: of the geometry only what `tags` holds, mostly nothing.
+    """Write an X-ray angiographic image as a mobile C-arm does, with the geometry in `tags` only; return its path.
 
-    `side`: of the patient, left or right, for Laterality (0020,0060), which is empty where it is not known.
-    8 bits in 8, 10 to 16 bits in 16, MONOCHROME2, explicit little endian, a neutral patient. UIDs are made from the
-    pixels, so the same image gives the same file. Raises ImageError on pixels that are not whole numbers up to `white`.
+    `side`: of the patient, left or right, for Laterality (0020,0060); empty where it is None. 8 bits are stored in 8,
+    10 to 16 bits in 16; MONOCHROME2, explicit little endian, a neutral patient. UIDs are derived from the pixels, so
+    the same image gives the same file. Raises ImageError on pixels that are not whole numbers up to `white`.
     """
     pixels, bits = radiograph.pixels, int(radiograph.white + 1).bit_length() - 1 if isfinite(radiograph.white) else 0
     if pixels.dtype not in (np.uint8, np.uint16) or radiograph.white != 2**bits - 1 or pixels.max() > radiograph.white:
@@ -192,7 +192,7 @@ _decoder = Decoder()
 
 @contextmanager
 def quiet() -> Generator[None]:
-    """Nothing of a header reaches a log: pydicom's messages quote values."""
+    """Silence pydicom, whose messages quote values of the header."""
     log = getLogger("pydicom")
     before, log.propagate, log.disabled = (log.propagate, log.disabled), False, True
     try:
@@ -204,20 +204,20 @@ def quiet() -> Generator[None]:
 
 
 def _header(file: Path) -> dict[str, Any]:
-    """The elements of `_READ`, converted here, where a malformed one is caught."""
+    """Return the elements of `_READ`, converted, so that malformed ones are refused. Raises ImageError."""
     try:
-        if read_file_meta_info(file).TransferSyntaxUID == DeflatedExplicitVRLittleEndian:  # could unpack to any size
+        if read_file_meta_info(file).TransferSyntaxUID == DeflatedExplicitVRLittleEndian:  # it could unpack to any size
             raise _undecodable(file.name)
         elements = dcmread(file, stop_before_pixels=True, specific_tags=_READ)
         return {keyword: elements.get(keyword) for keyword in _READ}
     except ImageError:
         raise
-    except Exception:  # pydicom raises what the broken bytes make it raise; its messages may quote the patient
+    except Exception:  # pydicom raises any exception on damaged data; its messages may quote the patient
         raise damaged(file.name) from None
 
 
 def _whole(header: dict[str, Any], keyword: str, name: str) -> int:
-    """A whole number; 0 where the element is absent or empty."""
+    """Return a whole number; 0 where the element is absent or empty. Raises ImageError."""
     try:
         return int(header[keyword] or 0)
     except (TypeError, ValueError):
@@ -272,7 +272,7 @@ def _syntax(file: Path) -> UID:
 
 
 def _refuse_longer(file: Path, shape: tuple[int, int]) -> None:
-    """Raises ImageError where the uncompressed pixels are more than the header states."""
+    """Raise ImageError where there are more uncompressed pixels than the header states."""
     found: list[int] = []
 
     def at_pixels(tag: BaseTag, _: str | None, length: int) -> bool:
@@ -282,7 +282,9 @@ def _refuse_longer(file: Path, shape: tuple[int, int]) -> None:
 
     with regular_file(file) as stream:
         elements = read_partial(stream, at_pixels)
-    if str(elements.PhotometricInterpretation).endswith("_422"):  # colours, two bytes a pixel of three
+    if str(elements.PhotometricInterpretation).endswith(
+        "_422"
+    ):  # subsampled colours: two bytes per pixel instead of three
         return
     frames, samples = int(elements.get("NumberOfFrames") or 1), int(elements.get("SamplesPerPixel") or 1)
     row_bytes = shape[1] * samples * (int(elements.BitsAllocated) // 8)
@@ -290,7 +292,7 @@ def _refuse_longer(file: Path, shape: tuple[int, int]) -> None:
 
 
 def _coded(file: Path, index: int) -> bytes:
-    """One compressed frame."""
+    """Return the bytes of one compressed frame."""
     elements = dcmread(file, specific_tags=["NumberOfFrames", "PixelData"])
     return get_frame(elements.PixelData, index, number_of_frames=int(elements.get("NumberOfFrames") or 1))
 
@@ -300,7 +302,7 @@ def _undecodable(name: str) -> ImageError:
 
 
 def _as_x_rays(stored: np.ndarray, header: dict[str, Any], bits: int) -> tuple[np.ndarray, float]:
-    """Pixels that grow with the X-rays, uint8 or uint16, and their white."""
+    """Return pixels that increase with the X-rays, uint8 or uint16, and their white."""
     white = 2**bits - 1
     values = stored.astype(np.int32)
     if header["PixelRepresentation"] == 1:
@@ -318,7 +320,7 @@ def _as_x_rays(stored: np.ndarray, header: dict[str, Any], bits: int) -> tuple[n
 
 
 def _number(value: Any) -> float | None:
-    """A finite number, or None where the element is absent, empty or malformed."""
+    """Return a finite number, or None where the element is absent, empty or malformed."""
     try:
         number = float(value)
     except (TypeError, ValueError):
@@ -327,7 +329,7 @@ def _number(value: Any) -> float | None:
 
 
 def _length_mm(value: Any) -> float | None:
-    """Zero stands for "unknown" in many headers."""
+    """Return a positive number or None; in many headers zero means unknown."""
     number = _number(value)
     return number if number is not None and number > 0 else None
 

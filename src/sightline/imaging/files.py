@@ -1,4 +1,4 @@
-"""Image files in and out: DICOM, PNG, TIFF, BMP, JPEG, NumPy. The first bytes tell the format, not the name."""
+"""Read and write image files: DICOM, PNG, TIFF, BMP, JPEG, NumPy. The first bytes identify the format."""
 
 from collections.abc import Generator
 from contextlib import contextmanager
@@ -37,22 +37,21 @@ _SUFFIXES = {
 
 
 def read_image(path: str | Path, frame_index: int | None = None, *, invert: bool = False) -> Radiograph:
-    """Read one X-ray image: DICOM, PNG, TIFF, BMP, JPEG or `.npy`, 8 to 16 bit (TIFF and `.npy` also floating point).
+    """Return one X-ray image: DICOM, PNG, TIFF, BMP, JPEG or `.npy`, 8 to 16 bit (TIFF and `.npy` also floating point).
 
-    The stored values are kept: no window, look-up table or rescaling is applied, because those are made for the eye
-    and may clip; only their direction is read, so that brighter is more X-rays (see `dicom.read`). A colour image
-    whose channels are equal is a grey one. `frame_index` (from 0) picks a frame of a multi-frame run; without it
-    a run of several frames is refused, since no frame of it is "the" image. `invert`: the file shows dark what X-rays
-    reach, against what its header says. Raises ImageError.
+    Stored values are kept: no window, look-up table or rescaling is applied, because those may clip; only their
+    direction is used, so that brighter means more X-rays (see `dicom.read`). A colour image with equal channels is
+    accepted as grey. `frame_index` (from 0) selects a frame of a multi-frame run; without it, a run of several frames
+    is refused. `invert`: the file shows areas reached by X-rays dark, contrary to its header. Raises ImageError.
     """
     image = _read(Path(path), frame_index)
     return image.inverted() if invert else image
 
 
 def as_radiograph(image: Radiograph | np.ndarray | str | Path, white: float | None = None) -> Radiograph:
-    """Return a Radiograph as it is, an array (H, W) with its largest possible value `white`, or the image of a file.
+    """Return the Radiograph of a Radiograph, of an array (H, W) with its largest possible value `white`, or of a file.
 
-    Without `white` an array of integers has its type's largest value; values of a camera with fewer bits need theirs
+    The default of `white` for integers is the largest value of their type. A camera with fewer bits needs its own value
     (4095 for 12), so that saturated pixels are known. Raises ImageError, UnusableInputError.
     """
     if isinstance(image, np.ndarray):
@@ -91,27 +90,29 @@ def _read(file: Path, frame_index: int | None) -> Radiograph:
 
 
 def frames_in(path: str | Path) -> int:
-    """How many frames a file holds; 1 for all but runs in DICOM. Raises ImageError."""
+    """Return the number of frames of a file; 1 for all but DICOM runs. Raises ImageError."""
     file = Path(path)
     return dicom.frames_in(file) if _first_bytes(file)[128:132] == b"DICM" else 1
 
 
 def taken_at(path: str | Path) -> datetime | None:
-    """When the image of a file was acquired, by the clock of the device; None where the file does not say it, as only
-    DICOM does. Raises ImageError."""
+    """Return when the image of a file was acquired, by the device's clock; None where it is not stated.
+
+    Only DICOM states it. Raises ImageError.
+    """
     file = Path(path)
     return dicom.taken_at(file) if _first_bytes(file)[128:132] == b"DICM" else None
 
 
 def suffix_of(start: bytes) -> str | None:
-    """By what name an image that begins with these 132 bytes ends; None for what cannot be read."""
+    """Return the file name suffix of an image that begins with these 132 bytes; None for unreadable formats."""
     if start[128:132] == b"DICM":
         return ".dcm"
     return next((suffix for magic, suffix in _SUFFIXES.items() if start.startswith(magic)), None)
 
 
 def write_png(radiograph: Radiograph, path: str | Path) -> Path:
-    """Write the pixels as an 8- or 16-bit grey PNG. Raises ImageError on floating-point pixels."""
+    """Write the pixels as an 8- or 16-bit grey PNG; return its path. Raises ImageError on floating-point pixels."""
     if radiograph.pixels.dtype not in (np.uint8, np.uint16):
         raise ImageError("a PNG holds whole numbers of 8 or 16 bits; convert the pixels before writing them")
     return write_whole(path, cv2.imencode(".png", radiograph.pixels)[1].tobytes())
@@ -149,7 +150,7 @@ def _read_raster(file: Path, read_header: headers.HeaderReader) -> Radiograph:
 
 @contextmanager
 def _quiet() -> Generator[None]:
-    """What OpenCV's decoders find is said once, by us."""
+    """Silence OpenCV's decoders: their findings are reported by ImageError."""
     log = cv2.utils.logging
     before = log.setLogLevel(log.LOG_LEVEL_SILENT)
     try:
@@ -174,7 +175,7 @@ def _read_npy(file: Path) -> Radiograph:
 
 
 def grey(pixels: np.ndarray, name: str) -> np.ndarray:
-    """(H, W) of an array (H, W) or (H, W, channels) with equal colours. Raises ImageError on true colour."""
+    """Return (H, W) of an array (H, W) or (H, W, channels) with equal colours. Raises ImageError on true colour."""
     if pixels.ndim == 2:
         return pixels
     colours = pixels[..., : 3 if pixels.shape[-1] >= 3 else 1]
@@ -187,8 +188,8 @@ def _radiograph(pixels: np.ndarray, name: str) -> Radiograph:
     if pixels.dtype in (np.uint8, np.uint16):
         return Radiograph(pixels, float(np.iinfo(pixels.dtype).max))
     if pixels.dtype.kind == "f":
-        with np.errstate(over="ignore"):  # what float32 cannot hold is refused as not finite
+        with np.errstate(over="ignore"):  # values too large for float32 are refused as not finite
             pixels = pixels.astype(np.float32)
-        largest = pixels.max()  # nothing says where such an image saturates: above all that occurs
+        largest = pixels.max()  # the saturation value is unknown: above the largest value
         return Radiograph(pixels, float(np.nextafter(largest, np.float32(np.inf))))
     raise ImageError(f"{name} holds {pixels.dtype} pixels; save them as uint8, uint16 or float32")

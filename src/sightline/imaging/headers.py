@@ -1,6 +1,6 @@
-"""Size and wholeness of PNG, BMP, TIFF and JPEG files, read before a decoder touches them.
+"""Size and completeness of PNG, BMP, TIFF and JPEG files, checked before a decoder reads them.
 
-Decoders fill what is missing of a truncated file with grey and reserve whatever memory a header asks for.
+Decoders fill the missing part of a truncated file with grey, and allocate whatever memory a header asks for.
 """
 
 import struct
@@ -15,14 +15,14 @@ _ADAM7 = ((0, 0, 8, 8), (4, 0, 8, 8), (0, 4, 4, 8), (2, 0, 4, 4), (0, 2, 2, 4), 
 # Of TIFF: compression (259), planar configuration (284).
 _STORED, _LZW, _DEFLATE, _PACKBITS = 1, 5, (8, 32946), 32773
 _PLANES_APART = 2
-_MOST_PARTS = 2**20  # strips of the tallest image, in four planes [ours]
+_MAX_PARTS = 2**20  # strips of the tallest image, in four planes [ours]
 
 # (bytes of the file, its name) -> (height, width). Raises ImageError.
 HeaderReader = Callable[[bytes, str], tuple[int, int]]
 
 
 def png(data: bytes, name: str) -> tuple[int, int]:
-    """Height and width; every chunk is there and its checksum right (ISO/IEC 15948, 5.3)."""
+    """Return height and width; checks that all chunks are present with valid checksums (ISO/IEC 15948, 5.3)."""
     at, header, ended, packed = 8, None, False, []
     while at + 12 <= len(data) and not ended:
         length, kind = struct.unpack_from(">I4s", data, at)
@@ -48,7 +48,7 @@ def png(data: bytes, name: str) -> tuple[int, int]:
 
 
 def _png_layout(width: int, height: int, depth: int, colour: int, *, interlaced: bool) -> tuple[int, int]:
-    """Rows and bytes of a row, a filter's byte among them; of an interlaced image all bytes as one row."""
+    """Return rows and bytes per row, with the filter byte; all bytes as one row for an interlaced image."""
     bits = depth * {2: 3, 4: 2, 6: 4}.get(colour, 1)
     if not interlaced:
         return height, 1 + (width * bits + 7) // 8
@@ -60,7 +60,7 @@ def _png_layout(width: int, height: int, depth: int, colour: int, *, interlaced:
 
 
 def _inflated(packed: bytes, most: int, name: str) -> int:
-    """How many bytes a zlib stream unpacks to, counted up to `most`."""
+    """Return the unpacked size of a zlib stream, at most `most`. Raises ImageError."""
     try:
         return len(zlib.decompressobj().decompress(packed, max(most, 1)))
     except zlib.error:
@@ -68,7 +68,7 @@ def _inflated(packed: bytes, most: int, name: str) -> int:
 
 
 def bmp(data: bytes, name: str) -> tuple[int, int]:
-    """Height and width; an uncompressed bitmap's rows are all there (BITMAPINFOHEADER)."""
+    """Return height and width; checks that all rows of an uncompressed bitmap are present (BITMAPINFOHEADER)."""
     if len(data) < 54:
         raise damaged(name)
     start, _, width, height, _, bits, compression = struct.unpack_from("<IIiiHHI", data, 10)
@@ -83,7 +83,7 @@ def bmp(data: bytes, name: str) -> tuple[int, int]:
 
 
 def tiff(data: bytes, name: str) -> tuple[int, int]:
-    """Height and width of the only page; its strips or tiles lie within the file (TIFF 6.0, 2)."""
+    """Return height and width of the only page; checks that strips or tiles lie within the file (TIFF 6.0, 2)."""
     order = "<" if data[:2] == b"II" else ">"
     try:
         (at,) = struct.unpack_from(order + "I", data, 4)
@@ -107,8 +107,10 @@ def tiff(data: bytes, name: str) -> tuple[int, int]:
 
 
 def _check_parts(parts: list[bytes], tags: dict[int, tuple[int, ...]], name: str) -> None:
-    """Raises ImageError where strips or tiles hold more pixels than the header states, or are not as many; the last
-    strip may be filled up."""
+    """Raise ImageError where strips or tiles hold more pixels than the header states, or their number differs.
+
+    The last strip may be padded.
+    """
     stated, row_bytes = _tiff_layout(tags, name)
     if len(parts) != len(stated):
         raise damaged(name)
@@ -119,7 +121,7 @@ def _check_parts(parts: list[bytes], tags: dict[int, tuple[int, ...]], name: str
 
 
 def _tiff_layout(tags: dict[int, tuple[int, ...]], name: str) -> tuple[list[int], int]:
-    """The bytes of each strip or tile, and of a row of pixels (TIFF 6.0, 8 and 15). Raises ImageError."""
+    """Return the size of each strip or tile, and of a row of pixels, bytes (TIFF 6.0, 8 and 15). Raises ImageError."""
     height, width = tags[257][0], tags[256][0]
     channels = tags.get(277, (1,))[0]
     bits = tags.get(258, (1,))
@@ -137,13 +139,13 @@ def _tiff_layout(tags: dict[int, tuple[int, ...]], name: str) -> tuple[list[int]
         across, down = tags.get(322, (0,))[0], tags.get(323, (0,))[0]
         count = -(-width // across) * -(-height // down) if across and down else 0
         sizes = [down * bytes_of(across)] * count
-    if not 0 < count * planes <= _MOST_PARTS or pixel_bits <= 0:
+    if not 0 < count * planes <= _MAX_PARTS or pixel_bits <= 0:
         raise damaged(name)
     return sizes * planes, planes * bytes_of(width)
 
 
 def _part_size(part: bytes, packing: int, most: int, name: str) -> int:
-    """How many bytes a strip or tile unpacks to, counted up to a little more than `most`. Raises ImageError."""
+    """Return the unpacked size of a strip or tile; counting stops beyond `most`. Raises ImageError."""
     if packing == _STORED:
         return len(part)
     if packing in _DEFLATE:
@@ -164,7 +166,7 @@ def _part_size(part: bytes, packing: int, most: int, name: str) -> int:
 
 
 def refuse_longer(stated: int, held: int, rows: int, row_bytes: int, name: str) -> None:
-    """Raises ImageError where a file holds a row or a column more than it states: its rows would be sheared.
+    """Raise ImageError where a file holds at least a row or a column more than it states: the image would be sheared.
 
     Less than that is padding.
     """
@@ -176,7 +178,7 @@ def refuse_longer(stated: int, held: int, rows: int, row_bytes: int, name: str) 
 
 
 def jpeg(data: bytes, name: str) -> tuple[int, int]:
-    """Height and width of the first frame header; the end marker is there (ITU-T T.81, B.2.2)."""
+    """Return height and width of the first frame header; checks for the end marker (ITU-T T.81, B.2.2)."""
     shape = jpeg_shape(data)
     if shape is None or b"\xff\xd9" not in data[-64:]:
         raise damaged(name)
@@ -184,12 +186,12 @@ def jpeg(data: bytes, name: str) -> tuple[int, int]:
 
 
 def damaged(name: str) -> ImageError:
-    """The error of a file that breaks off or contradicts itself."""
+    """Return the error for a truncated or inconsistent file."""
     return ImageError(f"{name} is truncated or damaged; copy or export it again")
 
 
 def _tiff_entry(data: bytes, order: str, at: int) -> tuple[int, tuple[int, ...]]:
-    """One directory entry: its tag and its whole numbers (none for other types)."""
+    """Return the tag and the whole numbers (none for other types) of a directory entry."""
     tag, kind, count = struct.unpack_from(order + "HHI", data, at)
     code, size = {3: ("H", 2), 4: ("I", 4)}.get(kind, ("", 0))
     if not size:

@@ -1,4 +1,4 @@
-"""Interlaced video: two fields, one after the other, woven into one image."""
+"""Interlaced video: two fields, recorded one after the other, in one image."""
 
 from dataclasses import replace
 
@@ -6,17 +6,17 @@ import numpy as np
 
 from sightline.imaging.radiograph import Radiograph
 
-# A line of a whole frame lies as near to the mean of its neighbours as to that of the lines two away, or nearer: in
-# structure, and in noise where that is blurred; white noise alone gives 1. Fields between which something moved do not.
-# [twin, of every eighth column: PAL at rest 1.025-1.045 with 120 quanta a pixel and 1.042-1.054 with 15; moved by 1 px
-# 1.066-1.086 with 120, lost in noise with 15; whole frames, spoilt in 13 ways, 0.994 at most]
+# In a progressive frame, a line differs from the mean of its neighbours by no more than from the mean of the lines two
+# away; white noise gives a ratio of 1. Movement between two fields gives a larger ratio.
+# [twin, every eighth column: PAL at rest 1.025-1.045 with 120 quanta per pixel and 1.042-1.054 with 15; moved by 1 px
+# 1.066-1.086 with 120, lost in noise with 15; progressive frames, degraded in 13 ways, 0.994 at most]
 MOVED = 1.06
 
 
 def comb(image: Radiograph) -> float:
-    """How far lines lie from the mean of their neighbours, over how far from that of the lines two away; see MOVED.
+    """Return the rms difference of lines from the mean of their neighbours, over that of the lines two away; see MOVED.
 
-    Lines that an enlargement repeats are left out: between them structure makes the same steps.
+    Lines repeated by an enlargement are left out: structure makes the same steps between them.
     """
     pixels, field = image.pixels[:, ::8].astype(np.float32), image.field_mask[:, ::8]
     repeated = (pixels[1:] == pixels[:-1]).all(axis=1)
@@ -30,9 +30,9 @@ def comb(image: Radiograph) -> float:
 
 
 def field_of(image: Radiograph, which: int) -> Radiograph:
-    """The image as its first (0, the even lines) or second (1) field shows it: the other's lines are interpolated.
+    """Return the image of the first (0, even lines) or second (1) field, with the other field's lines interpolated.
 
-    No line moves, so that a bead's centre is where it was; across the lines the image is half as sharp.
+    Lines keep their places, so beads keep their centres; the resolution across the lines is halved.
     """
     pixels = image.pixels.astype(np.float32)
     lines = np.arange(image.shape[0])

@@ -1,4 +1,4 @@
-"""Limits on what is read from outside."""
+"""Limits on image files."""
 
 from sightline.errors import ImageError
 
@@ -8,7 +8,7 @@ MIN_SIDE = 16  # as `Radiograph`
 
 
 def check_size(height: int, width: int, name: str) -> None:
-    """Raises ImageError on an image too small or too large to be one."""
+    """Raise ImageError where an image is too small or too large."""
     if min(height, width) < MIN_SIDE:
         raise ImageError(f"{name} has {width} x {height} pixels; an X-ray image has at least {MIN_SIDE} a side")
     if height * width > MAX_PIXELS:

@@ -1,15 +1,15 @@
-"""How much an LZW stream holds, without unpacking it."""
+"""Size of an LZW stream, without unpacking it."""
 
 import numpy as np
 from numba import njit
 
 _CLEAR, _END = 256, 257
-_MOST_CODES = 4096
+_MAX_CODES = 4096
 
 
 @njit(cache=True)
 def _size(data: np.ndarray, most: int) -> int:
-    lengths = np.ones(_MOST_CODES + 1, np.int64)
+    lengths = np.ones(_MAX_CODES + 1, np.int64)
     known, width, before = _END + 1, 9, _CLEAR
     held = bits = total = at = 0
     while total <= most:
@@ -29,7 +29,7 @@ def _size(data: np.ndarray, most: int) -> int:
             if code > 255:
                 return -1
         else:
-            if code > known or known >= _MOST_CODES:
+            if code > known or known >= _MAX_CODES:
                 return -1
             lengths[known] = lengths[before] + 1
             known += 1
@@ -41,11 +41,11 @@ def _size(data: np.ndarray, most: int) -> int:
 
 
 def lzw_size(data: bytes, most: int) -> int:
-    """How many bytes the LZW stream of a TIFF strip unpacks to, counted to little more than `most` (TIFF 6.0, 13).
+    """Return the unpacked size of the LZW stream of a TIFF strip; counting stops beyond `most` (TIFF 6.0, 13).
 
-    Raises ValueError on what is not such a stream.
+    Raises ValueError on an invalid stream.
     """
     size = int(_size(np.frombuffer(data, np.uint8), most))
     if size < 0:
-        raise ValueError("an LZW code that nothing stands for")
+        raise ValueError("the LZW stream holds an undefined code")
     return size

@@ -1,4 +1,4 @@
-"""A radiograph: pixels, and what is known of them."""
+"""A radiograph: pixels and metadata."""
 
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -14,7 +14,7 @@ from sightline.show import Plotted
 
 @dataclass(frozen=True)
 class GeometryTags:
-    """Geometry a file happens to state; None where it does not. Never required, never trusted.
+    """Geometry stated by a file; None where it is not. Never required, never trusted.
 
     DICOM (0018,1110) mm, (0018,1164) mm at the detector (row, column), (0018,1162) mm,
     (0018,1510) and (0018,1511) degrees.
@@ -31,10 +31,10 @@ class GeometryTags:
 class Radiograph(Plotted):
     """One X-ray image.
 
-    `pixels` (H, W), uint8, uint16 or float32, read-only; more is brighter is more X-rays reaching the
-    detector (MONOCHROME1 has been inverted). `white` is the largest value the source can store, so
-    `pixels >= white` is saturated. `lossy`: it was compressed with loss before it came here. `is_inverted`: white for
-    black, against the file. Raises ImageError on anything but a finite two-dimensional array.
+    `pixels` (H, W): uint8, uint16 or float32, read-only; larger values are brighter and mean more X-rays at the
+    detector (MONOCHROME1 has been inverted). `white`: the largest value that the source can store, so
+    `pixels >= white` are saturated. `lossy`: the file was compressed with loss. `is_inverted`: the pixels are the
+    negative of the file's. Raises ImageError on anything but a finite two-dimensional array.
     """
 
     pixels: np.ndarray
@@ -78,7 +78,7 @@ class Radiograph(Plotted):
         draw.image(ax, self.pixels, self.shape, np.zeros((0, 2)), f"{self.shape[1]} x {self.shape[0]} px")
 
     def inverted(self) -> "Radiograph":
-        """The same image, white for black."""
+        """Return the negative of the image."""
         now = not self.is_inverted
         if self.pixels.dtype != np.float32:
             return replace(self, pixels=(self.white - self.pixels).astype(self.pixels.dtype), is_inverted=now)
@@ -87,7 +87,7 @@ class Radiograph(Plotted):
         return replace(self, pixels=pixels, white=white, is_inverted=now)
 
     def binned(self, factor: int) -> "Radiograph":
-        """The sums of `factor` x `factor` pixels, float32; rows and columns that are left over are dropped."""
+        """Return the sums of `factor` x `factor` pixels, float32; incomplete rows and columns are dropped."""
         height, width = (side // factor for side in self.shape)
         whole = self.pixels[: height * factor, : width * factor].astype(np.float32)
         sums = whole.reshape(height, factor, width, factor).sum(axis=(1, 3))
@@ -102,5 +102,5 @@ class Radiograph(Plotted):
 
     @cached_property
     def burnt_in(self) -> np.ndarray | None:
-        """(H, W) bool, True on what was written into the image; None where nothing was."""
+        """(H, W) bool, True on burnt-in annotations; None where there are none."""
         return burnt_in(self.pixels, self.white, self.field_mask)

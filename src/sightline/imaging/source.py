@@ -1,4 +1,4 @@
-"""The port of every source that gives image after image: a camera, a video, a run of frames, a link."""
+"""The interface of sources of images: a camera, a video, a run of frames, a network link."""
 
 import time
 from collections.abc import Iterator
@@ -12,9 +12,9 @@ from sightline.imaging.radiograph import Radiograph
 
 @dataclass(frozen=True, eq=False)
 class SourceFrame:
-    """One image of a source. `number` counts arrivals from 1 and orders them whatever clocks say.
+    """One image of a source. `number` counts arrivals from 1, independently of clocks.
 
-    `stamped_s`: when it came, `sender_s`: what the sender says of that, seconds since 1970. `pixel_aspect`: width
+    `stamped_s`: time of arrival; `sender_s`: the sender's time stamp; both in seconds since 1970. `pixel_aspect`: width
     over height of a pixel, as the source states it; nothing is resampled.
     """
 
@@ -27,14 +27,14 @@ class SourceFrame:
 
 
 class Source(Protocol):
-    """`for frame in source:` until it ends. Raises SourceError where it stops giving images; it never hangs."""
+    """A source: `for frame in source:` until it ends. Raises SourceError where it stops giving images; never hangs."""
 
     def __iter__(self) -> Iterator[SourceFrame]:
-        """Its frames, as they come."""
+        """Yield frames as they arrive."""
         ...
 
     def close(self) -> None:
-        """Let go of the device or the link."""
+        """Release the device or the link."""
         ...
 
 
@@ -50,4 +50,4 @@ class Run:
             yield SourceFrame(image, index + 1, time.time(), "run")
 
     def close(self) -> None:
-        """Nothing is held."""
+        """Do nothing: no file is kept open."""

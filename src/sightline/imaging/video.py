@@ -1,4 +1,4 @@
-"""Video: a frame grabber, a capture card, a file or a stream, read through OpenCV in a thread that may hang."""
+"""Video sources (frame grabber, capture card, file, stream), read by OpenCV in a thread that may hang."""
 
 import time
 from collections.abc import Callable, Iterator
@@ -15,14 +15,14 @@ from sightline.errors import ImageError, SourceError
 from sightline.imaging.radiograph import Radiograph
 from sightline.imaging.source import SourceFrame
 
-DEADLINE_S = 2.0  # [ours] without an image, fifty frame times: the device hangs or is gone
-RETRY_S = 20.0  # [ours] for a cable to be put back
-_AGAIN_S = 0.5  # between two tries
-_WAITING = 2  # frames: of a live source only the newest counts, and a file waits
-_COLOUR = 24  # of 255: a grey image through a colour encoder differs less between channels [ours]
-_COLOURED = 0.02  # of the pixels may differ more: coloured writing [ours]
+DEADLINE_S = 2.0  # [ours] fifty frame times without an image: the device hangs or is gone
+RETRY_S = 20.0  # [ours] time to reconnect a cable
+_AGAIN_S = 0.5  # between attempts
+_WAITING = 2  # frames in the queue: a live source drops the oldest, a file waits
+_COLOUR = 24  # of 255: largest difference between the channels of a grey image after a colour encoder [ours]
+_COLOURED = 0.02  # share of the pixels that may differ more: coloured writing [ours]
 
-Opener = Callable[[int | str], Any]  # of what has isOpened, read, get and release
+Opener = Callable[[int | str], Any]  # returns an object with isOpened, read, get and release
 
 
 def _capture(place: int | str) -> cv2.VideoCapture:
@@ -32,9 +32,9 @@ def _capture(place: int | str) -> cv2.VideoCapture:
 class VideoSource:
     """Frames of `place`: a device's number, a file, or a stream's address. A live source gives its newest frame.
 
-    A device that gives nothing within `deadline_s` is opened again, for `retry_s`; `tell` is told. Reading happens in a
-    thread that is left behind where the driver hangs. Raises SourceError where it cannot be opened or does not come
-    back, ImageError on a picture in colour. `crop`: left, top, width, height, px.
+    A device that gives no image within `deadline_s` is opened again, for up to `retry_s`; `tell` receives a message.
+    A thread reads the images; it is abandoned if the driver hangs. `crop`: left, top, width, height, px. Raises
+    SourceError where the source cannot be opened or reopened, ImageError on a picture in colour.
     """
 
     def __init__(
@@ -67,18 +67,18 @@ class VideoSource:
             yield SourceFrame(image, self._number, stamped_s, "video", pixel_aspect=self._reader.pixel_aspect)
 
     def close(self) -> None:
-        """Let go of it."""
+        """Release the source."""
         self._reader.stop()
 
     def _opened(self) -> "_Reader":
         reader = _Reader(self._opener, self._place, self._live)
         if not reader.opened(self._deadline_s):
             reader.stop()
-            raise SourceError("the video source cannot be opened; look at its cable, its number and who else uses it")
+            raise SourceError("the video source cannot be opened; check its cable, its number and who else uses it")
         return reader
 
     def _come_back(self, why: str) -> None:
-        """Open it again. Raises SourceError where that fails for too long."""
+        """Reopen the source. Raises SourceError after `retry_s`."""
         self._tell(f"the video source {why}; opening it again")
         self._reader.stop()
         end = time.monotonic() + self._retry_s
@@ -89,7 +89,7 @@ class VideoSource:
             except SourceError:
                 if time.monotonic() >= end:
                     raise SourceError(
-                        f"the video source {why} and did not come back within {self._retry_s:g} s; look at its cable"
+                        f"the video source {why} and did not come back within {self._retry_s:g} s; check its cable"
                     ) from None
             else:
                 self._tell("the video source is back")
@@ -105,7 +105,7 @@ class VideoSource:
 
 
 def luma(pixels: np.ndarray) -> np.ndarray:
-    """(H, W) grey of a picture (H, W), (H, W, 1) or (H, W, 3), whose channels may differ by what an encoder does.
+    """Return the grey picture (H, W) of (H, W), (H, W, 1) or (H, W, 3); channels may differ by an encoder's error.
 
     Raises ImageError on a picture in colour.
     """
@@ -118,7 +118,7 @@ def luma(pixels: np.ndarray) -> np.ndarray:
 
 
 class _Reader:
-    """A thread that opens and reads a capture; `stop` leaves it to itself."""
+    """A thread that opens and reads a capture; `stop` does not wait for it."""
 
     def __init__(self, opener: Opener, place: int | str, live: bool) -> None:
         self.pixel_aspect: float | None = None
@@ -129,18 +129,18 @@ class _Reader:
 
     @property
     def ended(self) -> bool:
-        """Whether no more will come."""
+        """Whether no more pictures will come."""
         return self._over.is_set() and self._frames.empty()
 
     def opened(self, timeout_s: float) -> bool:
-        """Whether it is open, at the latest after `timeout_s`."""
+        """Wait until the capture is open, for at most `timeout_s`; return whether it is."""
         end = time.monotonic() + timeout_s
         while not self._is_open.wait(0.01) and not self._over.is_set() and time.monotonic() < end:
             pass
         return self._is_open.is_set()
 
     def next(self, timeout_s: float) -> tuple[np.ndarray, float] | None:
-        """The next picture and when it came; None where none came in time, or none will."""
+        """Return the next picture and its time of arrival; None where none came in time, or none will."""
         end = time.monotonic() + timeout_s
         while not self.ended:
             try:
@@ -151,7 +151,7 @@ class _Reader:
         return None
 
     def stop(self) -> None:
-        """The thread ends with its next picture, if there is one."""
+        """Ask the thread to end; it does so after its next picture."""
         self._stop.set()
 
     def _run(self, opener: Opener, place: int | str) -> None:
@@ -167,7 +167,7 @@ class _Reader:
                 if not good or pixels is None:
                     return
                 self._put((pixels, time.time()))
-        except cv2.error:  # the driver's words help nobody
+        except cv2.error:  # the driver's message does not help the user
             return
         finally:
             self._over.set()
@@ -175,7 +175,7 @@ class _Reader:
                 capture.release()
 
     def _put(self, picture: tuple[np.ndarray, float]) -> None:
-        """Of a live source the oldest makes room; a file waits."""
+        """Queue a picture: a live source drops the oldest one, a file waits."""
         while not self._stop.is_set():
             with suppress(Full):
                 self._frames.put(picture, timeout=0.0 if self._live else 0.05)
