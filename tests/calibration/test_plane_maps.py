@@ -87,7 +87,7 @@ def test_localized_takes_the_bounding_triangle_not_the_nearest_three():
 
 def test_localized_does_not_extrapolate():
     plane_map = fit_map(grid(), bent(grid()), "localized")
-    with pytest.raises(OutsideRegionError, match="no bounding triangle"):
+    with pytest.raises(OutsideRegionError, match="in no triangle"):
         plane_map.to_plane(np.array([[20.0, 20.0]]))
     with pytest.raises(OutsideRegionError, match="in no triangle"):
         plane_map.to_image(np.array([[500.0, 500.0]]))

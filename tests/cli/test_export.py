@@ -162,7 +162,7 @@ def test_an_edited_plan_is_exported_to_nothing(run, planned: Path, tmp_path: Pat
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["views", "PA", "--to", "maya"], "no format of a view"),
+        (["views", "PA", "--to", "maya"], "unknown format of a view"),
         (["views", "CSV", "CSV", "--raw"], "no pixels"),
         (["undistorted", "CSV", "CSV"], "no pixels"),
         (["undistorted", "PA", "--to", "gif"], "no format of an image"),

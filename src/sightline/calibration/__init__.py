@@ -1,4 +1,4 @@
-"""Plane maps, the focal point, calibrated views."""
+"""Calibration of a view: plane maps, focal point, calibrated views and their checks."""
 
 from sightline.calibration.bead_view import BeadView
 from sightline.calibration.calibrate import calibrate

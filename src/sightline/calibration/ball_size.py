@@ -1,8 +1,8 @@
-"""Whether the balls have the size that the frame file says: the one length of it that an image shows by itself.
+"""Check of the ball diameters against the frame file: the only length of the file that a single image can measure.
 
-Coordinates of one wrong scale give images that no residual contradicts: the focal point is then as much too far or too
-near. The shadow of a ball does not take part in that: seen from the focal point, a ball of radius r at the distance L
-fills the solid angle pi (r / L)^2, which its shadow's pixels count.
+A wrong scale of the file's coordinates shows in no residual, since it scales the focal point's distance as well. The
+shadow of a ball does not scale with it: seen from the focal point, a ball of radius r at the distance L fills the solid
+angle pi (r / L)^2, which the area of its shadow in pixels measures.
 """
 
 import numpy as np
@@ -13,16 +13,16 @@ from sightline.checks import Check
 from sightline.fitting.robust import MAD_TO_SD
 from sightline.geometry.covariance import TWO_SIDED_999
 
-# By so much, in log radius, the fitted radius may be wrong where blur or hardening are not what the fit takes them for
-# [twin, ours]: in 17 images of four image chains, three doses and twice the blur the balls of 3 mm looked 0.4 to 1.8 %
-# too large, those of 5 mm 0.9 to 2.6 %; a machine that nobody measured may be three times as far off.
+# Systematic error of the fitted log radius where blur or beam hardening differ from the fit's model [twin, ours]: in 17
+# images of four image chains, three doses and twice the blur, balls of 3 mm looked 0.4 to 1.8 % too large, those of
+# 5 mm 0.9 to 2.6 %; on an unmeasured machine the error may be three times as large.
 SYSTEMATIC = 0.06
 _MIN_BALLS = 8  # balls [ours]
 _MEDIAN = 1.2533  # s.d. of the median over that of the mean (normal distribution)
 
 
 def ball_size_check(fit: JointFit) -> list[Check]:
-    """Of the beads used; none where their radii were not measured, or too few are balls."""
+    """Return the check for the beads used; none where their radii were not measured or too few are balls."""
     beads = fit.beads
     if beads.radius_px is None:
         return []
@@ -32,25 +32,25 @@ def ball_size_check(fit: JointFit) -> list[Check]:
         return []
     stated_mm = np.array([f.diameter_mm for f in fiducials]) / 2
     larger = np.log(beads.radius_px * _mm_per_px(fit) / stated_mm)[balls]
-    figure = float(np.median(larger))
-    sd = _MEDIAN * MAD_TO_SD * float(np.median(np.abs(larger - figure))) / np.sqrt(len(larger))
+    median = float(np.median(larger))
+    sd = _MEDIAN * MAD_TO_SD * float(np.median(np.abs(larger - median))) / np.sqrt(len(larger))
     limit = float(SYSTEMATIC + TWO_SIDED_999 * sd)
-    passed = abs(figure) <= limit
+    passed = abs(median) <= limit
     sentence = (
-        f"The balls look {abs(100 * np.expm1(figure)):.1f} % {'larger' if figure > 0 else 'smaller'} than the frame "
+        f"The balls look {abs(100 * np.expm1(median)):.1f} % {'larger' if median > 0 else 'smaller'} than the frame "
         f"file says; up to {100 * np.expm1(limit):.0f} % may be blur"
     )
     sentence += (
-        ", so a scale of the file that is wrong by less does not show here."
+        ", so a smaller error of the file's scale does not show here."
         if passed
-        else ". The file's coordinates are of another scale, and every length is wrong by as much, or its diameters "
-        "are wrong: measure both, and correct the file."
+        else ". The scale of the file's coordinates is wrong, and with it every length, or its diameters are wrong: "
+        "measure both, and correct the file."
     )
-    return [Check("ball size", passed, 100 * figure, 100 * limit, "%", sentence)]
+    return [Check("ball size", passed, 100 * median, 100 * limit, "%", sentence)]
 
 
 def _mm_per_px(fit: JointFit) -> np.ndarray:
-    """(N,) size of a pixel at each bead, across its ray: the root of the pixel's solid angle, times the distance."""
+    """Return (N,) the size of a pixel at each bead, perpendicular to its ray: sqrt(solid angle) times distance."""
     plane, focal = fit.beads.plane, fit.pencil.focal_point_mm
     distance = np.linalg.norm(fit.beads.xyz_mm - focal, axis=1)
     return np.sqrt(pixel_solid_angle(fit.map, plane, focal, fit.beads.uv_px)) * distance

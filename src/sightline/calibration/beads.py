@@ -1,4 +1,4 @@
-"""The beads of one view: what was seen of each, where it is, and how the frame may err there."""
+"""The beads of one view: image centres, coordinates in the frame, and the frame's errors there."""
 
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
@@ -11,16 +11,16 @@ from sightline.errors import CalibrationRefusedError, ObservationsError
 from sightline.frame import Frame, Plate
 from sightline.geometry.planes import Plane
 
-MIN_SD_PX, MAX_SD_PX = 1e-6, 1e3  # of a bead's centre: rounding at 1e4 px, a whole image [ours]
+MIN_SD_PX, MAX_SD_PX = 1e-6, 1e3  # of a bead's centre: rounding at 1e4 px, size of an image [ours]
 
 
 @dataclass(frozen=True, eq=False)
 class Beads:
     """N beads of one view, in the order of the frame: XRII plate first.
 
-    `uv_px` (N, 2); `covariance_px2` (N, 2, 2) or None where nothing is known of the noise; `xyz_mm` (N, 3) CFCS;
-    `on_xrii` (N,) bool; `rows` (N,): their places among the fiducials of the view; `radius_px` (N,) of their shadows,
-    or None where these were not measured.
+    `uv_px` (N, 2); `covariance_px2` (N, 2, 2), None where the noise is unknown; `xyz_mm` (N, 3), CFCS; `on_xrii` (N,)
+    bool; `rows` (N,): their indices among the fiducials of the view; `radius_px` (N,) of their shadows, None where not
+    measured.
     """
 
     frame: Frame
@@ -38,11 +38,11 @@ class Beads:
 
     @property
     def plane(self) -> Plane:
-        """The reference plane: that of the whole XRII plate, whichever of its beads are seen."""
+        """The reference plane: that of the whole XRII plate, whichever of its beads were detected."""
         return self.frame.view(self.view).xrii.plane
 
     def where(self, keep: np.ndarray) -> "Beads":
-        """The beads for which `keep` (N,) is true."""
+        """Return the beads for which `keep` (N,) is true."""
         if keep.all():
             return self
         noise = None if self.covariance_px2 is None else self.covariance_px2[keep]
@@ -59,26 +59,29 @@ class Beads:
         )
 
     def frame_factor(self) -> np.ndarray:
-        """(3N, K): their rows of `Frame.error_factor`."""
+        """Return the beads' rows (3N, K) of `Frame.error_factor`, mm."""
         whole = self.frame.error_factor[self.frame.rows(self.view)]
         return whole.reshape(-1, 3, whole.shape[1])[self.rows].reshape(-1, whole.shape[1])
 
     @cached_property
     def frame_covariance(self) -> np.ndarray:
-        """(N, 3, N, 3) covariance of their coordinates, mm²."""
+        """(N, 3, N, 3) covariance of the beads' coordinates, mm²."""
         return _view_covariance(self.frame, self.view).take(self.rows, 0).take(self.rows, 2)
 
 
 @lru_cache(maxsize=16)
 def _view_covariance(frame: Frame, view: str) -> np.ndarray:
-    """(M, 3, M, 3) of all beads of a view; the same for every image taken with the frame."""
+    """Return the covariance (M, 3, M, 3) of all beads of a view, the same for every image of the frame."""
     factor = frame.error_factor[frame.rows(view)]
     n = len(factor) // 3
     return (factor @ factor.T).reshape(n, 3, n, 3)
 
 
 def match(observations: Observations, frame: Frame, view: str | None) -> Beads:
-    """Observations brought together with their frame. Raises ObservationsError, FrameError, CalibrationRefusedError."""
+    """Return the observations joined with their frame.
+
+    Raises ObservationsError, FrameError, CalibrationRefusedError.
+    """
     if view is not None and view != observations.view:
         raise ObservationsError(
             f"the observations are of view {observations.view!r}, not {view!r}; "
@@ -110,10 +113,12 @@ def match(observations: Observations, frame: Frame, view: str | None) -> Beads:
 
 
 def _refuse_stated(covariance_px2: np.ndarray) -> None:
-    """Refuse stated errors (N, 2, 2) that no measurement has, and with which no weights can be computed."""
+    """Raise ObservationsError for covariances (N, 2, 2) that no measurement has and that give no usable weights."""
     variances = np.linalg.eigvalsh(covariance_px2)
     if (variances <= 0).any():
-        raise ObservationsError("a bead's covariance is not positive definite; give variances above zero, in px²")
+        raise ObservationsError(
+            "a bead's covariance is not positive definite; give a covariance with variances above zero, in px²"
+        )
     if ((variances < MIN_SD_PX**2) | (variances > MAX_SD_PX**2)).any():
         raise ObservationsError(
             f"a bead's stated error is not between {MIN_SD_PX:g} and {MAX_SD_PX:g} px in every direction; "
@@ -122,13 +127,16 @@ def _refuse_stated(covariance_px2: np.ndarray) -> None:
 
 
 def _refuse_unusable(uv_px: np.ndarray, xyz_mm: np.ndarray, plate: Plate, name: str) -> None:
-    """Refuse a plate of which too little is seen for any method."""
+    """Raise CalibrationRefusedError for a plate with too few beads detected for any method."""
     of = f"of the {len(plate.fiducials)} beads of the {name} plate"
     if len(xyz_mm) == 0:
         raise CalibrationRefusedError(
             f"none {of} is seen; both plates are needed: move the frame so that both lie in the field"
         )
     if len(xyz_mm) < 4:
-        raise CalibrationRefusedError(f"only {len(xyz_mm)} {of} are seen; at least 4 are needed, 20 or more are good")
+        raise CalibrationRefusedError(
+            f"only {len(xyz_mm)} {of} are seen (at least 4 are needed, 20 or more are good): move the frame so that "
+            "more of the plate lies in the field"
+        )
     for points, where in ((xyz_mm, "in the frame,"), (uv_px, "in the image,")):
         refuse_collinear(points, f"{where} the {len(points)} beads seen of the {name} plate")

@@ -1,4 +1,4 @@
-"""From labelled beads to a calibrated view."""
+"""Calibration of a view from its labelled beads."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -23,7 +23,7 @@ from sightline.detection.results import Observations
 from sightline.errors import UnusableInputError
 from sightline.frame import Frame
 
-# Where nothing is known of the beads' noise and they are too few to tell it: a careful click (physics.md, Picks).
+# Noise assumed where none is stated and the beads are too few to estimate it: a careful click (physics.md, Picks).
 UNKNOWN_NOISE_PX = 0.5
 
 
@@ -38,19 +38,19 @@ def calibrate(
     mirrored_display: bool | None = None,
     c_arm: CArm | None = None,
 ) -> BeadView:
-    """The view that the beads of one image determine.
+    """Return the view calibrated from the beads of one image.
 
-    `frame`: a Frame, a frame file or the name of a built-in frame. `view`: must be that of the observations, where
-    given. `degree` (1 to 7) of "polynomial"; `plate`: which plate the
-    lines of "localized" and "polynomial" go through (the paper's PA/X and PA/S). Beads that contradict the others are
-    left out and named. `mirrored_display`: whether the display mirrors the image, by what a person sees of writing in
-    it; None where nobody looked. Beads that contradict it mean that the frame file is the mirror image of the frame.
-    `c_arm`: what is known of the C-arm, which the calibration is then held against.
+    `frame`: a Frame, a frame file or the name of a built-in frame. `view`: where given, must be that of the
+    observations. `degree` (1 to 7): of "polynomial". `plate`: the plate that the lines of sight of "localized" and
+    "polynomial" go through (the paper's PA/X and PA/S). Beads that contradict the others are left out and named.
+    `mirrored_display`: whether the display mirrors the image, judged by a person from writing in it; None where nobody
+    looked. Beads that contradict it mean that the frame file describes the mirror image of the frame. `c_arm`: known
+    dimensions of the C-arm, against which the calibration is then checked.
     Raises ObservationsError, FrameError, UnusableInputError, CalibrationRefusedError.
     """
     refuse_unknown_method(method)
     if plate not in ("xrii", "source"):
-        raise UnusableInputError(f"there is no plate {plate!r}; choose 'xrii' or 'source'")
+        raise UnusableInputError(f"unknown plate {plate!r}; choose 'xrii' or 'source'")
     if not isinstance(observations, Observations):
         raise UnusableInputError(
             f"give the Observations of `label` or of a CSV file, not {type(observations).__name__}; "
@@ -73,7 +73,7 @@ def calibrate(
 
 
 def smooth_view(beads: Beads, fit_to: Callable[[Beads], JointFit] = fit_jointly) -> BeadView:
-    """The view of the smooth method. Raises CalibrationRefusedError."""
+    """Return the view calibrated by the smooth method. Raises CalibrationRefusedError."""
     fit, residuals = fit_robustly(beads, fit_to)
     return BeadView(
         name=beads.view,
@@ -93,7 +93,10 @@ def smooth_view(beads: Beads, fit_to: Callable[[Beads], JointFit] = fit_jointly)
 
 
 def _classical(beads: Beads, method: Method, fitter: Fitter, plate: PlateName) -> BeadView:
-    """Wrong beads are found by the smooth method, where there are enough for it: it sees both plates at once."""
+    """Return the view calibrated by a classical method.
+
+    The smooth method finds the wrong beads, where there are enough for it, since it fits both plates at once.
+    """
     joint, screened = fit_robustly(beads) if len(beads) >= MIN_BEADS else (None, None)
     used = np.ones(len(beads), dtype=bool) if screened is None else screened.used
     noise_px = None
@@ -110,7 +113,7 @@ def _classical(beads: Beads, method: Method, fitter: Fitter, plate: PlateName) -
         residuals=residuals,
         mirrored=_mirrored(beads, fit.focal_point_mm),
         hull=fit.plate.hull,
-        checks=tuple(view_checks(beads, residuals) + _approximate(fit.plate.misfit_mm2, joint, noise_px)),
+        checks=tuple(view_checks(beads, residuals) + _classical_checks(fit.plate.misfit_mm2, joint, noise_px)),
         frame_key=beads.frame.fingerprint,
         frame_view=beads.frame.view(beads.view),
         posterior=fit,
@@ -119,9 +122,9 @@ def _classical(beads: Beads, method: Method, fitter: Fitter, plate: PlateName) -
 
 
 def _mirrored(beads: Beads, focal_point_mm: np.ndarray) -> bool:
-    """Does the image show the frame as its mirror image? Right-handed are u, v and the beam (docs/conventions.md)."""
-    plane, mine = beads.plane, beads.on_xrii
-    to_plane, _ = Affine.fit(beads.uv_px[mine], plane.to_plane(beads.xyz_mm[mine]))
+    """Whether the image shows the frame mirrored: u, v and the beam are right-handed (docs/conventions.md)."""
+    plane, xrii = beads.plane, beads.on_xrii
+    to_plane, _ = Affine.fit(beads.uv_px[xrii], plane.to_plane(beads.xyz_mm[xrii]))
     return bool(np.linalg.det(to_plane.matrix) * plane.height_mm(focal_point_mm) > 0)
 
 
@@ -129,19 +132,20 @@ def _joint_checks(fit: JointFit) -> list[Check]:
     return [*noise_checks(fit), row_check(fit), *ball_size_check(fit)]
 
 
-def _approximate(misfit_mm2: float, joint: JointFit | None, noise_px: float | None) -> list[Check]:
-    figure = float(np.sqrt(misfit_mm2))
-    sentence = f"This method's own misfit, {figure:.3f} mm in the mean over the plate, is "
+def _classical_checks(misfit_mm2: float, joint: JointFit | None, noise_px: float | None) -> list[Check]:
+    misfit = float(np.sqrt(misfit_mm2))
+    sentence = f"This method's own misfit is {misfit:.3f} mm on average over the plate, estimated from "
     sentence += (
-        "judged from leave-one-out residuals. Without a bead the gap is twice as wide as between beads, so the stated "
-        "bounds are too wide, 1.2 to 2 times in the twin."
+        "leave-one-out residuals. Leaving a bead out doubles the spacing there, so the stated bounds are too wide, 1.2 "
+        "to 2 times in the twin."
         if joint is None
-        else "where its map differs from the smooth method's by more than the beads' noise. It is in the stated bounds."
+        else "the difference between its map and the smooth method's beyond the beads' noise. The stated bounds "
+        "include it."
     )
-    out = [Check("map misfit", True, figure, None, "mm", sentence)]
+    out = [Check("map misfit", True, misfit, None, "mm", sentence)]
     if joint is not None:
         return [*out, *_joint_checks(joint)]
     if noise_px is not None:
-        sentence = f"Nothing is known of the beads' noise and they are too few to tell it; {noise_px} px is assumed."
+        sentence = f"The beads' noise is not stated, and they are too few to estimate it; {noise_px} px is assumed."
         out.append(Check("measurement noise", True, noise_px, None, "px", sentence))
     return out

@@ -1,6 +1,6 @@
-"""What is checked of a calibrated view; what a plan asks of it at its target, planning checks.
+"""Checks of a calibrated view. Its error at a target is checked in planning.
 
-A view is never judged by its focal point alone: an error of F along the beam of 100 mm can mean less than 0.2 mm at
+No check judges a view by its focal point alone: an error of F of 100 mm along the beam can cause less than 0.2 mm at
 the target.
 """
 
@@ -18,15 +18,15 @@ from sightline.frame import Frame
 from sightline.geometry.planes import Plane
 
 MIN_COUNT = 24  # [ours] one more than the 23 numbers of a cubic and F
-MIN_COVERAGE = 0.45  # [ours] share of each plate's area, within the hull of its beads used
+MIN_COVERAGE = 0.45  # [ours] share of each plate's area within the convex hull of its used beads
 MAX_LEAVE_ONE_OUT_MM = 0.5  # [ours] half of the 1 mm the paper reaches at the entry point
 MAX_NOISE_PX = 2.0  # [ours] twice an ordinary click (physics.md, Picks)
 CHI_SQUARE_FALSE_ALARM = 1e-4  # [ours]
-MIN_BESIDE_ROW = 6  # [ours] beads on either side of a row at which an image may be torn
+MIN_BESIDE_ROW = 6  # [ours] beads on either side of a row that is tested for a tear
 
 
 def view_checks(beads: Beads, residuals: Residuals) -> list[Check]:
-    """The checks of every method: count, coverage, wrong beads, leave-one-out, tolerances."""
+    """Return the checks common to all methods: count, coverage, leave-one-out, wrong beads, tolerances."""
     used = beads.where(residuals.used)
     out = [_count(len(used)), _coverage(used), _leave_one_out(residuals)]
     if residuals.left_out:
@@ -41,29 +41,29 @@ def view_checks(beads: Beads, residuals: Residuals) -> list[Check]:
 
 
 def noise_checks(fit: JointFit) -> list[Check]:
-    """Whether the residuals agree with the noise stated, or what the noise was estimated to be."""
+    """Return the check that the residuals agree with the stated noise, or of the estimated noise."""
     if fit.beads.covariance_px2 is None:
-        figure = fit.learned.noise_scale
+        noise_px = fit.learned.noise_scale
         sentence = (
-            f"No covariance of the beads was given; their noise is estimated from the residuals: {figure:.2f} px."
+            f"No covariance of the beads was given; their noise, estimated from the residuals, is {noise_px:.2f} px."
         )
-        return [Check("measurement noise", figure <= MAX_NOISE_PX, figure, MAX_NOISE_PX, "px", sentence)]
-    free = len(fit.data_mm) - fit.solution.theta.shape[0]
-    figure = float(fit.data_mm @ fit.solution.dual[:, 0]) / free
-    limit = float(chdtri(free, CHI_SQUARE_FALSE_ALARM)) / free
+        return [Check("measurement noise", noise_px <= MAX_NOISE_PX, noise_px, MAX_NOISE_PX, "px", sentence)]
+    freedom = len(fit.data_mm) - fit.solution.theta.shape[0]
+    reduced = float(fit.data_mm @ fit.solution.dual[:, 0]) / freedom
+    limit = float(chdtri(freedom, CHI_SQUARE_FALSE_ALARM)) / freedom
     sentence = (
-        "The residuals agree with the noise and the tolerances stated."
-        if figure <= limit
-        else "The residuals are larger than the noise and tolerances stated explain: check labels and frame."
+        "The residuals agree with the stated noise and tolerances."
+        if reduced <= limit
+        else "The residuals are larger than the stated noise and tolerances explain: check labels and frame."
     )
-    return [Check("chi-square", figure <= limit, figure, limit, "", sentence)]
+    return [Check("chi-square", reduced <= limit, reduced, limit, "", sentence)]
 
 
 def handedness_check(upright: bool, mirrored_display: bool | None) -> Check:
-    """Whether the frame file describes the frame, and not its mirror image.
+    """Return the check that the frame file describes the frame, not its mirror image.
 
-    `upright`: an image shows the beads as the file has them, once a mirrored display is allowed for;
-    `mirrored_display`: what a person said of it, None where nobody was asked.
+    `upright`: whether an image shows the beads as the file has them, with a mirrored display allowed for;
+    `mirrored_display`: whether a person saw that the display is mirrored, None where nobody was asked.
     """
     if mirrored_display is None:
         sentence = (
@@ -71,27 +71,27 @@ def handedness_check(upright: bool, mirrored_display: bool | None) -> Check:
             if upright
             else "Every image shows the mirror image of the frame file: either the displays are mirrored, or the file "
             "is left-handed and every point is wrong. Look at writing in the images. If it is mirrored, confirm that: "
-            "mirrored_display=True of calibrate, --mirrored on the command line, in the app on the step Images. If "
+            "calibrate(..., mirrored_display=True), --mirrored on the command line, or the step Images of the app. If "
             "not, correct the frame file."
         )
     else:
         display = "mirrored" if mirrored_display else "not mirrored"
-        sentence = f"The display is {display}, as was said, and the image of the beads agrees"
+        sentence = f"The display is stated to be {display}, and the image of the beads agrees"
         if not upright:
             sentence = (
-                f"The display is {display}, as was said, and the image of the beads contradicts it: the frame file "
+                f"The display is stated to be {display}, but the image of the beads contradicts it: the frame file "
                 "describes the mirror image of the frame. Correct its axes to a right-handed system, and run "
-                "'sightline frame check --before' with the file before it"
+                "'sightline frame check --before' with the previous file"
             )
         sentence += "."
     return Check("frame handedness", upright, None, None, "", sentence)
 
 
 def row_check(fit: JointFit) -> Check:
-    """Whether the rows above some row are shifted against those below, in the direction that shows it best.
+    """Return the check that the image is not torn: that no part below a row is shifted against the part above.
 
-    A shift of the pixels of one side, along the rows or across, is one number more in the model of the image; every row
-    between two beads is tried.
+    A shift of the lower part, along or across the rows, is one more parameter of the image model; every row between two
+    beads is tested.
     """
     uv, slopes = fit.beads.uv_px, fit.map.jacobian(fit.beads.uv_px)
     order = np.sort(uv[:, 1])
@@ -101,43 +101,44 @@ def row_check(fit: JointFit) -> Check:
     shifts_px, sds_px = fit.solution.score(directions.reshape(2 * len(uv), -1))
     sigma = np.abs(shifts_px) / sds_px
     worst = int(sigma.argmax())
-    figure, limit = float(sigma[worst]), float(np.sqrt(chdtri(1, CHI_SQUARE_FALSE_ALARM / len(sigma))))
-    if passed := figure <= limit:
-        sentence = "No row is found at which the image is torn."
+    largest, limit = float(sigma[worst]), float(np.sqrt(chdtri(1, CHI_SQUARE_FALSE_ALARM / len(sigma))))
+    if passed := largest <= limit:
+        sentence = "The image is not torn at any row."
     else:
-        way = ("along", "across")[worst // len(rows)]
+        direction = ("along", "across")[worst // len(rows)]
         sentence = (
-            f"The image seems torn at row {rows[worst % len(rows)]:.0f}: what lies below is shifted by "
-            f"{abs(shifts_px[worst]):.1f} px {way} the rows. Take another image, or check how it was transferred."
+            f"The image seems torn at row {rows[worst % len(rows)]:.0f}: the part below is shifted by "
+            f"{abs(shifts_px[worst]):.1f} px {direction} the rows. Acquire another image, or check how it was "
+            "transferred."
         )
-    return Check("image rows", passed, figure, limit, "σ", sentence)
+    return Check("image rows", passed, largest, limit, "σ", sentence)
 
 
 def _count(count: int) -> Check:
-    sentence = f"{count} beads are used; {MIN_COUNT} are needed for a residual to tell anything, 60 or more are good."
+    sentence = f"{count} beads are used; {MIN_COUNT} are needed for meaningful residuals, 60 or more are good."
     return Check("bead count", count >= MIN_COUNT, float(count), float(MIN_COUNT), "beads", sentence)
 
 
 def _coverage(used: Beads) -> Check:
     view, areas = used.frame.view(used.view), _plate_areas_mm2(used.frame, used.view)
-    figures = {}
-    for name, plate, mine in (("XRII", view.xrii, used.on_xrii), ("source", view.source, ~used.on_xrii)):
-        figures[name] = _area_mm2(plate.plane, used.xyz_mm[mine]) / areas[name]
-    least = min(figures, key=lambda name: figures[name])
-    figure = float(figures[least])
-    sentence = f"The beads used span {figure:.0%} of the {least} plate" + (
-        "." if figure >= MIN_COVERAGE else ": move the frame so that more of this plate lies in the field."
+    shares = {}
+    for name, plate, on_plate in (("XRII", view.xrii, used.on_xrii), ("source", view.source, ~used.on_xrii)):
+        shares[name] = _area_mm2(plate.plane, used.xyz_mm[on_plate]) / areas[name]
+    smallest = min(shares, key=lambda name: shares[name])
+    share = float(shares[smallest])
+    sentence = f"The beads used span {share:.0%} of the {smallest} plate" + (
+        "." if share >= MIN_COVERAGE else ": move the frame so that more of this plate lies in the field."
     )
-    return Check("bead coverage", figure >= MIN_COVERAGE, figure, MIN_COVERAGE, "", sentence)
+    return Check("bead coverage", share >= MIN_COVERAGE, share, MIN_COVERAGE, "", sentence)
 
 
 def _area_mm2(plane: Plane, xyz_mm: np.ndarray) -> float:
-    return float(ConvexHull(plane.to_plane(xyz_mm)).volume)  # of a hull in two dimensions: its area
+    return float(ConvexHull(plane.to_plane(xyz_mm)).volume)  # in two dimensions scipy's volume is the area
 
 
 @lru_cache(maxsize=16)
 def _plate_areas_mm2(frame: Frame, view: str) -> dict[str, float]:
-    """The same for every image taken with the frame."""
+    """Return the areas of a view's plates, the same for every image of the frame."""
     plates = {"XRII": frame.view(view).xrii, "source": frame.view(view).source}
     return {name: _area_mm2(plate.plane, plate.xyz_mm) for name, plate in plates.items()}
 
@@ -145,11 +146,11 @@ def _plate_areas_mm2(frame: Frame, view: str) -> dict[str, float]:
 def _leave_one_out(residuals: Residuals) -> Check:
     limit = MAX_LEAVE_ONE_OUT_MM
     if not (residuals.used & residuals.predicted).any():
-        sentence = "No bead can be predicted from the others: too few are seen. More beads are needed."
+        sentence = "Bring more beads into the field: too few are seen to predict any of them from the others."
         return Check("leave-one-out error", False, None, limit, "mm", sentence)
-    figure = residuals.leave_one_out_rms_mm
-    sentence = f"Each bead is predicted by the others to {figure:.3f} mm rms per axis on its plate."
-    return Check("leave-one-out error", figure <= limit, figure, limit, "mm", sentence)
+    rms = residuals.leave_one_out_rms_mm
+    sentence = f"The others predict each bead to {rms:.3f} mm rms per axis on its plate."
+    return Check("leave-one-out error", rms <= limit, rms, limit, "mm", sentence)
 
 
 def _wrong(residuals: Residuals) -> Check:

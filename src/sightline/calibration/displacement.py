@@ -1,9 +1,9 @@
-"""How far a target's lines of sight have moved, against the frame, between two images taken with it.
+"""Displacement of a target's lines of sight against the frame between two images.
 
-The frame's errors and those of the map are the same in both images and cancel; what is left is the noise of the beads'
-centres. Distortion is taken to have stayed: then a new place of the C-arm is, on the reference plane, a homography of
-where pixels were (8 numbers) and another focal point (3), whatever moved: frame, C-arm, source against detector. These
-11 numbers, and by them the movement of the lines at a target, follow from the beads by weighted least squares.
+The errors of frame and map are the same in both images and cancel; only the noise of the beads' centres remains.
+Distortion is assumed constant. Any movement (of the frame, the C-arm, or the source against the detector) is then a
+homography of the reference plane (8 parameters) and a new focal point (3). These 11 parameters, and from them the
+displacement of the lines of sight at a target, follow from the beads by weighted least squares.
 """
 
 from collections.abc import Sequence
@@ -19,19 +19,19 @@ from sightline.errors import CalibrationRefusedError, UnusableInputError
 from sightline.fitting.robust import variance_ratio
 from sightline.frame import Frame
 
-MIN_BEADS = 12  # of 11 numbers, two equations each, and some to spare [ours]
-_NUMBERS = 11
-_UNIT_MM = 100.0  # of the plane's coordinates in the homography, so that its numbers are alike [calc]
+MIN_BEADS = 12  # two equations each for 11 parameters, with redundancy to find wrong beads [ours]
+_PARAMETERS = 11
+_UNIT_MM = 100.0  # unit of the plane's coordinates in the homography, so that its parameters are of similar size [calc]
 _WRONG_M2 = 13.8  # chi-square, two degrees of freedom, once in 1,000: an instrument in front of a bead
 _ROUNDS = 3  # of leaving out wrong beads
 
 
 @dataclass(frozen=True, eq=False)
 class Displacement:
-    """Of the lines of sight of T targets, at the targets, across the beam, mm.
+    """Displacement of the lines of sight of T targets, at the targets, perpendicular to the lines, mm.
 
-    `shift_mm` (T, 2): along two axes across the line; `covariance_mm2` (T, 2, 2): of this image's beads; `rest_mm2`
-    (T, 2, 2): of the image at rest, the same for every image compared with it. `beads`: how many it rests on.
+    `shift_mm` (T, 2): along two axes perpendicular to the line; `covariance_mm2` (T, 2, 2): from this image's beads;
+    `rest_mm2` (T, 2, 2): from the beads at rest, the same for every image compared with them. `beads`: number used.
     """
 
     shift_mm: np.ndarray
@@ -41,26 +41,26 @@ class Displacement:
 
     @property
     def length_mm(self) -> float:
-        """The largest of the targets."""
+        """Largest displacement of all targets."""
         return float(np.hypot(*self.shift_mm.T).max())
 
     @property
     def sd_mm(self) -> float:
-        """The largest of this image, over targets and directions."""
+        """Largest standard deviation from this image's beads, over targets and directions."""
         return _largest_sd(self.covariance_mm2)
 
     @property
     def rest_sd_mm(self) -> float:
-        """The largest of the image at rest."""
+        """Largest standard deviation from the beads at rest, over targets and directions."""
         return _largest_sd(self.rest_mm2)
 
 
 @dataclass(frozen=True, eq=False)
 class Rest:
-    """Where the beads are while nothing moves, as one calibrated view of the smooth method has them.
+    """The beads at rest, mapped to the reference plane by one view calibrated with the smooth method.
 
-    `place_mm` (M, 2) and `covariance_mm2` (M, 2, 2), for every fiducial of the view in the frame's order: on the
-    reference plane; not finite where the fiducial was not seen. `targets_mm` (T, 3) CFCS.
+    `place_mm` (M, 2) and `covariance_mm2` (M, 2, 2) on the reference plane, for every fiducial of the view in the
+    frame's order; NaN where the fiducial was not seen. `targets_mm` (T, 3), CFCS.
     """
 
     frame: Frame
@@ -72,9 +72,9 @@ class Rest:
 
     @staticmethod
     def of(view: BeadView, frame: Frame, seen: Sequence[Observations], targets_mm: np.ndarray) -> "Rest":
-        """The mean of one or more images' beads. Raises UnusableInputError, and as `match` does."""
+        """Return the mean of one or more images' beads. Raises UnusableInputError, and the errors of `match`."""
         if not isinstance(view.posterior, JointFit):
-            raise UnusableInputError("movements are told by the smooth method's views only; calibrate with 'smooth'")
+            raise UnusableInputError("calibrate with 'smooth' to measure movements; other methods do not support it")
         each = np.full((2, len(seen), len(frame.view(view.name).fiducials), 2, 2), np.nan)
         for k, one in enumerate(seen):
             rows, place, covariance = _on_plane(view, frame, one)
@@ -89,28 +89,31 @@ class Rest:
         return Rest(frame, view, view.posterior, place, covariance, targets)
 
     def displacement(self, seen: Observations) -> Displacement:
-        """Of an image's beads against these. Raises CalibrationRefusedError where too few beads are in both."""
+        """Return the displacement of an image's beads against these.
+
+        Raises CalibrationRefusedError where both have too few beads in common.
+        """
         rows, place, covariance = _on_plane(self.view, self.frame, seen)
         both = np.isfinite(self.place_mm[rows, 0])
         rows, place, covariance = rows[both], place[both], covariance[both]
         fiducials = self.frame.view(self.view.name)
         xyz = np.concatenate([fiducials.xrii.xyz_mm, fiducials.source.xyz_mm])[rows]
-        gap, at_rest = place - self.place_mm[rows], self.covariance_mm2[rows]
+        moved, at_rest = place - self.place_mm[rows], self.covariance_mm2[rows]
         design, to_target = self._design(xyz, self.place_mm[rows]), self._at_targets()
-        gain, used, scale = _agreed(design, gap, np.linalg.inv(covariance + at_rest))
+        gain, used, scale = _fitted(design, moved, np.linalg.inv(covariance + at_rest))
         response = np.einsum("tak,knb->tanb", to_target, gain)
-        numbers = np.einsum("tanb,nb->ta", response, gap[used])
+        shift = np.einsum("tanb,nb->ta", response, moved[used])
         own, rest = (
             scale * np.einsum("tanb,nbc,tdnc->tad", response, c[used], response) for c in (covariance, at_rest)
         )
-        return Displacement(numbers, own, rest, int(used.sum()))
+        return Displacement(shift, own, rest, int(used.sum()))
 
     def _design(self, xyz_mm: np.ndarray, place_mm: np.ndarray) -> np.ndarray:
-        """(N, 2, 11): how a bead's place moves with the homography and with the focal point."""
+        """Return (N, 2, 11): derivatives of the beads' places by homography and focal point."""
         return np.concatenate([-_homography(place_mm), self.fit.pencil.by_pq(xyz_mm)], axis=2)
 
     def _at_targets(self) -> np.ndarray:
-        """(T, 2, 11): how the line of sight of a target moves there, across itself."""
+        """Return (T, 2, 11): derivatives of the lines of sight at the targets, perpendicular to the lines."""
         pencil, plane = self.fit.pencil, self.fit.pencil.plane
         place, by_pq = pencil.linearised(self.targets_mm)
         reach = 1.0 - plane.height_mm(self.targets_mm) * pencil.pq[2]
@@ -120,32 +123,34 @@ class Rest:
 
 
 def _on_plane(view: BeadView, frame: Frame, seen: Observations) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Rows among the view's fiducials, places and covariances on the reference plane, of an image's beads."""
+    """Return the beads' rows among the view's fiducials, their places and covariances on the reference plane."""
     beads = match(seen, frame, view.name)
     if beads.covariance_px2 is None:
-        raise UnusableInputError("a movement is told from beads with covariances; these have none")
+        raise UnusableInputError("give beads with covariances to measure a movement; these have none")
     place, slope = view.plane_map.linearised(beads.uv_px)
     return beads.rows, place, slope @ beads.covariance_px2 @ np.swapaxes(slope, 1, 2)
 
 
 def _homography(place_mm: np.ndarray) -> np.ndarray:
-    """(N, 2, 8): how places (N, 2) on a plane move with the numbers of a homography near identity, mm."""
+    """Return (N, 2, 8), mm: derivatives of places (N, 2) by the parameters of a homography near identity."""
     x, y = (place_mm / _UNIT_MM).T
-    one, none = np.ones_like(x), np.zeros_like(x)
-    rows = [[one, x, y, none, none, none, x * x, x * y], [none, none, none, one, x, y, x * y, y * y]]
+    one, zero = np.ones_like(x), np.zeros_like(x)
+    rows = [[one, x, y, zero, zero, zero, x * x, x * y], [zero, zero, zero, one, x, y, x * y, y * y]]
     return np.moveaxis(np.array(rows), 2, 0)
 
 
-def _agreed(design: np.ndarray, gap_mm: np.ndarray, weight: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
-    """The gain, (11, used, 2), of the beads that agree on the 11 numbers; which these are, (N,) bool; by what their
-    gaps' variance exceeds what is stated. Raises CalibrationRefusedError."""
+def _fitted(design: np.ndarray, moved_mm: np.ndarray, weight: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
+    """Return the robust fit: gain (11, used, 2), beads used (N,) bool, and variance factor (1 or more).
+
+    Raises CalibrationRefusedError.
+    """
     used, rounds = np.ones(len(design), dtype=bool), 0
     while True:
         if used.sum() < MIN_BEADS:
             raise CalibrationRefusedError(
-                f"{used.sum()} beads are in both images; {MIN_BEADS} are needed to tell a movement"
+                f"{used.sum()} usable beads are in both images; {MIN_BEADS} are needed to measure a movement"
             )
-        gain, square = _solved(design, gap_mm, weight, used)
+        gain, square = _solved(design, moved_mm, weight, used)
         scale = max(1.0, variance_ratio(square[used]))
         wrong = used & (square > _WRONG_M2 * scale)
         rounds += 1
@@ -155,20 +160,20 @@ def _agreed(design: np.ndarray, gap_mm: np.ndarray, weight: np.ndarray) -> tuple
 
 
 def _solved(
-    design: np.ndarray, gap_mm: np.ndarray, weight: np.ndarray, used: np.ndarray
+    design: np.ndarray, moved_mm: np.ndarray, weight: np.ndarray, used: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(11, used, 2): by which the numbers follow from the gaps; (N,): what is left of each, squared, in variances."""
+    """Return the gain (11, used, 2) from movements to parameters, and the squared Mahalanobis residuals (N,)."""
     a, w = design[used], weight[used]
     half = np.swapaxes(a, 1, 2) @ w  # (used, 11, 2)
     normal = np.einsum("nka,nal->kl", half, a)
-    gain = np.linalg.solve(normal, np.moveaxis(half, 0, 1).reshape(_NUMBERS, -1)).reshape(_NUMBERS, -1, 2)
-    numbers = np.einsum("knb,nb->k", gain, gap_mm[used])
-    left = gap_mm - design @ numbers
-    return gain, np.einsum("na,nab,nb->n", left, weight, left)
+    gain = np.linalg.solve(normal, np.moveaxis(half, 0, 1).reshape(_PARAMETERS, -1)).reshape(_PARAMETERS, -1, 2)
+    parameters = np.einsum("knb,nb->k", gain, moved_mm[used])
+    residual = moved_mm - design @ parameters
+    return gain, np.einsum("na,nab,nb->n", residual, weight, residual)
 
 
 def _across(direction: np.ndarray) -> np.ndarray:
-    """(2, 3): unit vectors across a direction (3,)."""
+    """Return (2, 3): two unit vectors perpendicular to a direction (3,)."""
     return np.linalg.svd(direction[None])[2][1:]
 
 

@@ -1,4 +1,4 @@
-"""A plane map through controls of one plane, without a frame: distortion grids and perforated plates."""
+"""Fit of a plane map to controls in one plane, without a frame: distortion grids and perforated plates."""
 
 from typing import Literal
 
@@ -18,20 +18,20 @@ METHODS: tuple[Method, ...] = ("smooth", "polynomial", "localized")
 def fit_map(
     uv_px: np.ndarray, xy_mm: np.ndarray, method: Method = "smooth", noise_px: float | None = None, degree: int = 3
 ) -> PlaneMap:
-    """The map between an image and a plane through controls: pixels (N, 2), plane coordinates (N, 2), mm.
+    """Return the map between an image and a plane, fitted to controls: pixels (N, 2), plane coordinates (N, 2), mm.
 
-    `noise_px`: standard deviation of the controls' pixels per axis ("smooth" weighs by it); None: it is estimated from
-    the residuals [ours], since a wrong one costs more: 0.1 px stated of 0.3 px overfits. `degree` of "polynomial".
+    `noise_px`: standard deviation of the controls' pixels per axis, used by "smooth". None: estimated from the
+    residuals [ours]; a wrong value costs more: 0.1 px stated for a noise of 0.3 px overfits. `degree`: of "polynomial".
     Raises UnusableInputError, CalibrationRefusedError.
     """
     refuse_unknown_method(method)
     uv, xy = (np.asarray(a, dtype=np.float64) for a in (uv_px, xy_mm))
     if uv.ndim != 2 or uv.shape[1] != 2 or uv.shape != xy.shape:
-        raise UnusableInputError(f"controls have the shapes {uv.shape} and {xy.shape}; (N, 2) twice was expected")
+        raise UnusableInputError(f"controls have the shapes {uv.shape} and {xy.shape}; give (N, 2) for both")
     if not (np.isfinite(uv).all() and np.isfinite(xy).all()):
-        raise UnusableInputError("controls hold values that are not finite; leave out what was not measured")
+        raise UnusableInputError("some controls are not finite; leave out what was not measured")
     if len(uv) < 3:
-        raise CalibrationRefusedError(f"{len(uv)} controls given; every method needs at least three")
+        raise CalibrationRefusedError(f"{len(uv)} controls given; give at least three, which every method needs")
     if noise_px is not None and not noise_px > 0:
         raise UnusableInputError(f"noise_px is {noise_px}; give a standard deviation above zero, or None if unknown")
     refuse_collinear(uv, "in the image, the controls")
@@ -44,6 +44,6 @@ def fit_map(
 
 
 def refuse_unknown_method(method: str) -> None:
-    """Raises UnusableInputError, naming the valid choices."""
+    """Raise UnusableInputError, with the valid choices, for an unknown method."""
     if method not in METHODS:
-        raise UnusableInputError(f"there is no method {method!r}; choose one of: {', '.join(METHODS)}")
+        raise UnusableInputError(f"unknown method {method!r}; choose one of: {', '.join(METHODS)}")

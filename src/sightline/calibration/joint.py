@@ -1,10 +1,10 @@
-"""The smooth method: plane map and focal point together, from the beads of both plates.
+"""The smooth method: plane map and focal point fitted jointly to the beads of both plates.
 
 Every bead i is projected from F onto the reference plane; there y_i(F) = cubic(u_i) + g(u_i) + noise. Given F and the
-weights that is linear in everything else (variable projection); F enters through `Pencil`, in which it is nearly linear
-too, so two or three Gauss-Newton steps suffice. Noise: each bead's own covariance carried by dh/du, plus the frame's
-errors carried by dy/dX. The frame's shared errors are noise with a prior: weighed for and carried to the target, never
-estimated.
+weights this is linear in everything else (variable projection); F enters through `Pencil`, in which it is nearly linear
+too, so two or three Gauss-Newton steps suffice. Noise: each bead's own covariance propagated by dh/du, plus the frame's
+errors propagated by dy/dX. The frame's shared errors are noise with a prior: they enter the weights and the covariance
+at the target, and are never estimated.
 """
 
 from dataclasses import dataclass
@@ -23,17 +23,17 @@ from sightline.errors import CalibrationRefusedError
 from sightline.fitting.kriging import Kriging, PlanarKriging
 from sightline.fitting.triangular import least_squares, solve_lower
 
-# 20 numbers of the cubic and 3 of F are 23; with fewer beads than this nothing is left to test them by [ours].
+# The cubic has 20 parameters and F 3; with fewer beads too few degrees of freedom are left to test them [ours].
 MIN_BEADS = 16
 _CUBIC = terms(DEGREE)
 
 
 @dataclass(frozen=True, eq=False)
 class JointFit:
-    """The smooth method's result: map and pencil, with all that is needed for their joint covariance.
+    """The smooth method's result: map and pencil, with what their joint covariance needs.
 
-    `data_mm` (2N,): the beads projected onto the plane from where F was before the last step; `noise` (2N, 2N):
-    covariance of their measurement there; `jacobian` (N, 2, 3): of that projection by the beads.
+    `data_mm` (2N,): the beads projected onto the plane from F before the last step; `noise` (2N, 2N): covariance of
+    their measurement there; `jacobian` (N, 2, 3): derivative of that projection by the beads.
     """
 
     beads: Beads
@@ -46,7 +46,7 @@ class JointFit:
     jacobian: np.ndarray
 
     def line_errors(self, uv_px: np.ndarray) -> LineErrors:
-        """Errors of focal point and lines of sight of pixels (N, 2)."""
+        """Return the errors of focal point and lines of sight of pixels (N, 2)."""
         at = self.map.unit(uv_px)
         n, k = len(at), 2 * len(self.beads)
         design = np.zeros((3 + 2 * n, 2 * _CUBIC + 3))
@@ -69,68 +69,68 @@ class JointFit:
         return (self.jacobian @ factor.reshape(len(self.beads), 3, -1)).reshape(-1, factor.shape[1])
 
     def prediction_sigma(self, others: Beads) -> np.ndarray:
-        """(M,) how far other beads lie from where this fit predicts them, in standard deviations."""
+        """Return (M,): distance of other beads from where this fit predicts them, in standard deviations."""
         xy = self.map.to_plane(others.uv_px)
         errors = self.line_errors(others.uv_px)
         total = errors.noise + errors.misfit + errors.frame_factor @ errors.frame_factor.T
         by_focal = self.pencil.by_pq(others.xyz_mm) @ np.linalg.inv(self.pencil.focal_point_by_pq)
-        to_gap = np.concatenate([-by_focal.reshape(-1, 3), np.eye(2 * len(others))], axis=1)
-        spread = to_gap @ total @ to_gap.T + pixel_noise_mm2(
+        to_residual = np.concatenate([-by_focal.reshape(-1, 3), np.eye(2 * len(others))], axis=1)
+        covariance = to_residual @ total @ to_residual.T + pixel_noise_mm2(
             others, self.map.jacobian(others.uv_px), self.learned.noise_scale
         )
-        spread += _carried(self.pencil.by_point(others.xyz_mm), others.frame_covariance)
-        own = np.einsum("iaib->iab", spread.reshape(len(xy), 2, len(xy), 2))
-        gap = xy - self.pencil.project(others.xyz_mm)
-        return np.sqrt(np.einsum("ia,ia->i", gap, np.linalg.solve(own, gap[..., None])[..., 0]))
+        covariance += _propagated(self.pencil.by_point(others.xyz_mm), others.frame_covariance)
+        own = np.einsum("iaib->iab", covariance.reshape(len(xy), 2, len(xy), 2))
+        residual = xy - self.pencil.project(others.xyz_mm)
+        return np.sqrt(np.einsum("ia,ia->i", residual, np.linalg.solve(own, residual[..., None])[..., 0]))
 
 
 @well_conditioned()
 def fit_jointly(beads: Beads) -> JointFit:
-    """Plane map and focal point of the beads. Raises CalibrationRefusedError."""
+    """Return plane map and focal point of the beads. Raises CalibrationRefusedError."""
     if len(beads) < MIN_BEADS:
         raise CalibrationRefusedError(
             f"{len(beads)} beads are seen; the smooth method needs at least {MIN_BEADS} on both plates together, "
             "60 or more are good: move the frame into the field, or use the localized method"
         )
     start = _Start.of(beads, _Start.of(beads, _first_pencil(beads)).pencil)
-    problem = _problem(beads, start)
-    learned = learn(problem, NOISE_SCALES_PX if beads.covariance_px2 is None else None)
+    data = _prior_data(beads, start)
+    learned = learn(data, NOISE_SCALES_PX if beads.covariance_px2 is None else None)
     kernel = learned.kernel(start.at, start.at)
-    pencil, plane_map = _roughly(beads, start, problem, learned, kernel)
-    return _weighted(beads, start.unit, learned, kernel, pencil, plane_map.jacobian(beads.uv_px))
+    pencil, plane_map = _isotropic_step(beads, start, data, learned, kernel)
+    return _weighted_step(beads, start.unit, learned, kernel, pencil, plane_map.jacobian(beads.uv_px))
 
 
 @well_conditioned()
 def fit_jointly_from(last: JointFit, beads: Beads) -> JointFit:
-    """The same with the prior, and from the focal point and the slopes, of the fit of another image of one sequence.
+    """Return the fit of an image with prior, focal point and Jacobians taken from `last`, of the same sequence.
 
     Raises CalibrationRefusedError.
     """
     unit, _ = Affine.fit(beads.uv_px, last.pencil.project(beads.xyz_mm))
     at = unit(beads.uv_px)
     kernel = last.learned.kernel(at, at)
-    return _weighted(beads, unit, last.learned, kernel, last.pencil, last.map.jacobian(beads.uv_px))
+    return _weighted_step(beads, unit, last.learned, kernel, last.pencil, last.map.jacobian(beads.uv_px))
 
 
-def _roughly(
-    beads: Beads, start: "_Start", problem: PriorData, learned: Learned, kernel: np.ndarray
+def _isotropic_step(
+    beads: Beads, start: "_Start", data: PriorData, learned: Learned, kernel: np.ndarray
 ) -> tuple[Pencil, SmoothMap]:
-    """One Gauss-Newton step with noise of one number per bead: both coordinates alike, so a quarter of the size."""
-    covariance = kernel + np.diag(learned.noise_scale**2 * problem.noise_mm2 + problem.frame_mm2)
-    solution = PlanarKriging.of(covariance, problem.data_mm, design=problem.design, columns=problem.shared)
+    """Make one Gauss-Newton step with isotropic noise: x and y share one matrix, of a quarter of the size."""
+    covariance = kernel + np.diag(learned.noise_scale**2 * data.noise_mm2 + data.frame_mm2)
+    solution = PlanarKriging.of(covariance, data.data_mm, design=data.design, columns=data.shared)
     moved = Pencil(beads.plane, start.pencil.pq - np.append(solution.theta[-1], solution.shared))
     refuse_misplaced(moved, beads.xyz_mm)
     return moved, SmoothMap(start.unit, learned.kernel, solution.theta[:-1], solution.dual, beads.uv_px)
 
 
-def _weighted(  # noqa: PLR0917
+def _weighted_step(  # noqa: PLR0917
     beads: Beads, unit: Affine, learned: Learned, kernel: np.ndarray, pencil: Pencil, slopes: np.ndarray
 ) -> JointFit:
-    """One Gauss-Newton step with full weights; a second changes nothing that matters (tests)."""
+    """Make one Gauss-Newton step with full weights; a second changes the result negligibly (tests)."""
     y, by_pq = pencil.linearised(beads.xyz_mm)
     noise = pixel_noise_mm2(beads, slopes, learned.noise_scale)
     jacobian = pencil.by_point(beads.xyz_mm)
-    covariance = twice(kernel) + noise + _carried(jacobian, beads.frame_covariance)
+    covariance = twice(kernel) + noise + _propagated(jacobian, beads.frame_covariance)
     basis = monomials(unit(beads.uv_px), DEGREE)
     design = np.concatenate([twice(basis), -by_pq.reshape(-1, 3)], axis=1)
     solution = Kriging.of(design, covariance, y.reshape(-1, 1))
@@ -145,7 +145,7 @@ def _weighted(  # noqa: PLR0917
 
 @dataclass(frozen=True, eq=False)
 class _Start:
-    """A cubic and F by plain least squares; `fixed` (23, 2N), orthonormal: what of the data they take up."""
+    """A cubic and F by ordinary least squares; `fixed` (23, 2N): orthonormal rows of the subspace that they span."""
 
     unit: Affine
     radius_mm: float
@@ -157,7 +157,7 @@ class _Start:
 
     @staticmethod
     def of(beads: Beads, pencil: Pencil) -> "_Start":
-        """One Gauss-Newton step from `pencil`."""
+        """Return the result of one Gauss-Newton step from `pencil`."""
         y, by_pq = pencil.linearised(beads.xyz_mm)
         unit, radius = Affine.fit(beads.uv_px, y)
         at = unit(beads.uv_px)
@@ -172,21 +172,21 @@ class _Start:
 
 
 def _first_pencil(beads: Beads) -> Pencil:
-    """F from where an affine map of the XRII beads puts the source beads: there y (1 - h q) = x - h p is linear."""
-    near, far = beads.on_xrii, ~beads.on_xrii
+    """Return a first F: with an affine map fitted to the XRII beads, y (1 - h q) = x - h p is linear at the others."""
+    xrii, source = beads.on_xrii, ~beads.on_xrii
     plane = beads.plane
     ones = np.ones((len(beads), 1))
-    affine = np.linalg.lstsq(np.hstack([beads.uv_px, ones])[near], plane.to_plane(beads.xyz_mm[near]), rcond=None)[0]
-    y = (np.hstack([beads.uv_px, ones]) @ affine)[far]
-    x, h = plane.to_plane(beads.xyz_mm[far]), plane.height_mm(beads.xyz_mm[far])
+    affine = np.linalg.lstsq(np.hstack([beads.uv_px, ones])[xrii], plane.to_plane(beads.xyz_mm[xrii]), rcond=None)[0]
+    y = (np.hstack([beads.uv_px, ones]) @ affine)[source]
+    x, h = plane.to_plane(beads.xyz_mm[source]), plane.height_mm(beads.xyz_mm[source])
     design = np.zeros((len(y), 2, 3))
     design[:, 0, 0] = design[:, 1, 1] = -h
     design[:, :, 2] = h[:, None] * y
     return Pencil(plane, np.linalg.lstsq(design.reshape(-1, 3), (y - x).reshape(-1), rcond=None)[0])
 
 
-def _problem(beads: Beads, start: _Start) -> PriorData:
-    """What kernel and noise scale are learnt from: noise of one number per bead."""
+def _prior_data(beads: Beads, start: _Start) -> PriorData:
+    """Return the data from which kernel and noise scale are learned, with isotropic noise for each bead."""
     y, by_pq = start.pencil.linearised(beads.xyz_mm)
     own = np.einsum("iab,ibc,iac->i", start.slopes, _noise_px2(beads), start.slopes) / 2
     frame_mm2 = _frame_variance(beads, start.pencil.by_point(beads.xyz_mm), start.fixed)
@@ -195,24 +195,26 @@ def _problem(beads: Beads, start: _Start) -> PriorData:
 
 
 def _frame_variance(beads: Beads, jacobian: np.ndarray, fixed: np.ndarray) -> float:
-    """Mean variance that the frame's errors add to a coordinate, in the residuals that `fixed` (m, 2N), orthonormal,
-    leaves: what of them a cubic or F takes up tells nothing of the kernel."""
+    """Return the mean variance that the frame's errors add to a coordinate, outside the subspace `fixed` (m, 2N).
+
+    Errors within that subspace are absorbed by the cubic and F, and do not affect the estimate of the kernel.
+    """
     n = len(beads)
-    own = np.einsum("iab,ibic,iac->", jacobian, beads.frame_covariance, jacobian)
-    carried = (np.swapaxes(jacobian, 1, 2) @ fixed.T.reshape(n, 2, -1)).reshape(3 * n, -1)
-    taken = np.sum((beads.frame_covariance.reshape(3 * n, 3 * n) @ carried) * carried)
-    return max(float(own - taken), 0.0) / max(fixed.shape[1] - fixed.shape[0], 1)
+    total = np.einsum("iab,ibic,iac->", jacobian, beads.frame_covariance, jacobian)
+    projected = (np.swapaxes(jacobian, 1, 2) @ fixed.T.reshape(n, 2, -1)).reshape(3 * n, -1)
+    absorbed = np.sum((beads.frame_covariance.reshape(3 * n, 3 * n) @ projected) * projected)
+    return max(float(total - absorbed), 0.0) / max(fixed.shape[1] - fixed.shape[0], 1)
 
 
 def _noise_px2(beads: Beads) -> np.ndarray:
-    """(N, 2, 2): the beads' covariance, or that of 1 px where none is known."""
+    """Return (N, 2, 2): the beads' covariance, or the identity (1 px) where it is unknown."""
     if beads.covariance_px2 is not None:
         return beads.covariance_px2
     return np.broadcast_to(np.eye(2), (len(beads), 2, 2))
 
 
 def pixel_noise_mm2(beads: Beads, slopes: np.ndarray, scale: float) -> np.ndarray:
-    """(2N, 2N) covariance of the beads' pixels carried onto the plane."""
+    """Return the covariance (2N, 2N), mm², of the beads' pixels propagated to the plane by `slopes` (N, 2, 2)."""
     n = len(beads)
     blocks = slopes @ (scale**2 * _noise_px2(beads)) @ np.swapaxes(slopes, 1, 2)
     out = np.zeros((n, 2, n, 2))
@@ -220,15 +222,15 @@ def pixel_noise_mm2(beads: Beads, slopes: np.ndarray, scale: float) -> np.ndarra
     return out.reshape(2 * n, 2 * n)
 
 
-def _carried(jacobian: np.ndarray, covariance: np.ndarray) -> np.ndarray:
-    """(2N, 2N): J cov J^T for J of (N, 2, 3) and cov of (N, 3, N, 3)."""
+def _propagated(jacobian: np.ndarray, covariance: np.ndarray) -> np.ndarray:
+    """Return (2N, 2N): J cov J^T for J (N, 2, 3) and cov (N, 3, N, 3)."""
     n = len(jacobian)
     half = (jacobian @ covariance.reshape(n, 3, 3 * n)).reshape(2 * n, 3 * n)
     return (jacobian @ np.ascontiguousarray(half.T).reshape(n, 3, 2 * n)).reshape(2 * n, 2 * n)
 
 
 def twice(matrix: np.ndarray) -> np.ndarray:
-    """(2N, 2M): the same for x and y, interleaved."""
+    """Return (2N, 2M): `matrix` (N, M) for x and for y, interleaved."""
     n, m = matrix.shape
     out = np.zeros((n, 2, m, 2))
     out[:, 0, :, 0] = out[:, 1, :, 1] = matrix
@@ -236,6 +238,6 @@ def twice(matrix: np.ndarray) -> np.ndarray:
 
 
 def _without_negative(matrix: np.ndarray) -> np.ndarray:
-    """The nearest covariance: differences of nearly equal matrices leave eigenvalues of -1e-16."""
+    """Return the nearest positive semi-definite matrix: rounding of a difference can give eigenvalues of -1e-16."""
     values, vectors = np.linalg.eigh(0.5 * (matrix + matrix.T))
     return (vectors * np.maximum(values, 0.0)) @ vectors.T

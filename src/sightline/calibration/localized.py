@@ -1,7 +1,7 @@
-"""Plane map of the paper (section 4.4, eqs 3-6): linear inside the triangle of fiducials that bounds the point.
+"""Plane map of the paper (section 4.4, eqs 3-6): linear inside the triangle of fiducials that contains the point.
 
-"The three closest fiducials" of the paper can lie on one line where fiducials form a square grid, and [P] of eq. 4 is
-then singular; the bounding triangle of the Delaunay triangulation of the image points is taken instead.
+The paper's "three closest fiducials" can be collinear on a square grid, and [P] of eq. 4 is then singular; the
+containing triangle of the Delaunay triangulation of the image points is used instead.
 """
 
 from dataclasses import dataclass
@@ -12,14 +12,17 @@ from scipy.spatial import Delaunay, QhullError
 
 from sightline.errors import CalibrationRefusedError, OutsideRegionError
 
-# A triangle whose height is less than this share of its longest side is a sliver [ours]; half a square has 0.5.
+# A triangle whose height is below this share of its longest side is a sliver [ours]; half a square has 0.5.
 MIN_FLATNESS = 0.1
 _EDGE = 1e-9  # barycentric: a point on an edge belongs to the triangle
 
 
 @dataclass(frozen=True, eq=False)
 class LocalizedMap:
-    """Piecewise linear map through controls `controls_px` (N, 2), `controls_mm` (N, 2)."""
+    """Piecewise linear map through controls `controls_px` (N, 2), `controls_mm` (N, 2).
+
+    `sound` (T,) bool: the triangles that are not slivers and are used.
+    """
 
     controls_px: np.ndarray
     controls_mm: np.ndarray
@@ -28,23 +31,23 @@ class LocalizedMap:
 
     @staticmethod
     def fit(uv_px: np.ndarray, xy_mm: np.ndarray) -> "LocalizedMap":
-        """The map through controls (N, 2). Raises CalibrationRefusedError where no triangle is fit for use."""
+        """Return the map through controls (N, 2). Raises CalibrationRefusedError where every triangle is a sliver."""
         try:
             triangulation = Delaunay(uv_px)
         except (QhullError, ValueError):
             raise CalibrationRefusedError(
-                f"{len(uv_px)} controls span no triangle; at least three that do not lie on one line are needed"
+                f"{len(uv_px)} controls do not span a triangle; give at least three that do not lie on one line"
             ) from None
         sound = (_flatness(uv_px[triangulation.simplices]) > MIN_FLATNESS) & (
             _flatness(xy_mm[triangulation.simplices]) > MIN_FLATNESS
         )
         if not sound.any():
-            raise CalibrationRefusedError("every triangle of the controls is a sliver; more controls are needed")
+            raise CalibrationRefusedError("every triangle of the controls is a sliver; give more controls")
         return LocalizedMap(uv_px, xy_mm, triangulation, sound)
 
     @property
     def triangles_px(self) -> np.ndarray:
-        """(T, 3, 2) the triangles that are used, in the image."""
+        """(T, 3, 2) corners of the triangles that are used, in the image."""
         return self.controls_px[self.triangulation.simplices[self.sound]]
 
     @cached_property
@@ -57,7 +60,7 @@ class LocalizedMap:
         return w @ np.linalg.inv(p)
 
     def bounding(self, uv_px: np.ndarray) -> np.ndarray:
-        """(N,) index of the triangle that bounds each pixel, -1 where none does or it is a sliver."""
+        """Return (N,) the index of the triangle that contains each pixel, -1 where none does or it is a sliver."""
         found = self.triangulation.find_simplex(uv_px, tol=_EDGE)
         return np.where((found >= 0) & self.sound[found], found, -1)
 
@@ -66,13 +69,13 @@ class LocalizedMap:
         if (found < 0).any():
             where = ", ".join(f"({u:.1f}, {v:.1f})" for u, v in uv_px[found < 0][:3])
             raise OutsideRegionError(
-                f"{(found < 0).sum()} pixels have no bounding triangle of fiducials ({where}); "
-                "the localized method does not extrapolate: choose points inside the beads' hull, or the smooth method"
+                f"{(found < 0).sum()} pixels lie in no triangle of fiducials ({where}); the localized method does not "
+                "extrapolate: choose points inside the beads' convex hull, or the smooth method"
             )
         return found
 
     def weights(self, uv_px: np.ndarray) -> np.ndarray:
-        """(N, controls): to_plane(uv) = weights @ the controls' coordinates. Raises OutsideRegionError."""
+        """Return (N, controls): to_plane(uv) = weights @ the controls' plane coordinates. Raises OutsideRegionError."""
         found = self._inside(uv_px)
         transform = self.triangulation.transform[found]
         first = np.einsum("nij,nj->ni", transform[:, :2], uv_px - transform[:, 2])
@@ -82,20 +85,20 @@ class LocalizedMap:
         return out
 
     def to_plane(self, uv_px: np.ndarray) -> np.ndarray:
-        """Pixels (N, 2) to plane coordinates (N, 2), mm. Raises OutsideRegionError."""
+        """Return the plane coordinates (N, 2), mm, of pixels (N, 2). Raises OutsideRegionError."""
         return self.linearised(uv_px)[0]
 
     def jacobian(self, uv_px: np.ndarray) -> np.ndarray:
-        """(N, 2, 2) d xy / d uv, mm/px: constant in a triangle. Raises OutsideRegionError."""
+        """Return (N, 2, 2) d xy / d uv, mm/px, constant in a triangle. Raises OutsideRegionError."""
         return self.linearised(uv_px)[1]
 
     def linearised(self, uv_px: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """`to_plane` and `jacobian`. Raises OutsideRegionError."""
+        """Return `to_plane` and `jacobian`. Raises OutsideRegionError."""
         a = self._affine[self._inside(uv_px)]
         return np.einsum("nij,nj->ni", a[:, :, :2], uv_px) + a[:, :, 2], a[:, :, :2]
 
     def find_image(self, xy_mm: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Pixels (M, 2) of those plane coordinates (N, 2) that lie in a triangle, and which do, (N,) bool."""
+        """Return the pixels (M, 2) of the plane coordinates (N, 2) that lie in a triangle, and which do, (N,) bool."""
         shares = np.einsum("tij,nj->nti", self._barycentric, np.column_stack([xy_mm, np.ones(len(xy_mm))]))
         inside = (shares >= -_EDGE).all(axis=2)
         found, first = inside.any(axis=1), inside.argmax(axis=1)
@@ -104,25 +107,25 @@ class LocalizedMap:
 
     @cached_property
     def _barycentric(self) -> np.ndarray:
-        """(T, 3, 3): the shares of a used triangle's corners in (x, y, 1) of the plane."""
+        """(T, 3, 3): takes (x, y, 1) of the plane to barycentric coordinates in each used triangle."""
         corners = self.controls_mm[self.triangulation.simplices[self.sound]]
         return np.linalg.inv(np.concatenate([np.swapaxes(corners, 1, 2), np.ones((len(corners), 1, 3))], axis=1))
 
     def to_image(self, xy_mm: np.ndarray) -> np.ndarray:
-        """Plane coordinates (N, 2) to pixels (N, 2), through the same triangles. Raises OutsideRegionError."""
+        """Return the pixels (N, 2) of plane coordinates (N, 2), by the same triangles. Raises OutsideRegionError."""
         target = np.asarray(xy_mm, dtype=np.float64)
         uv, found = self.find_image(target)
         if not found.all():
             point = target[~found][0]
             raise OutsideRegionError(
                 f"the point ({point[0]:.1f}, {point[1]:.1f}) mm of the plate lies in no triangle of fiducials; "
-                "the localized method does not extrapolate: choose points inside the hull, or the smooth method"
+                "the localized method does not extrapolate: choose points inside the convex hull, or the smooth method"
             )
         return uv
 
 
 def _flatness(triangles: np.ndarray) -> np.ndarray:
-    """(T,) height over longest side of triangles (T, 3, 2)."""
+    """Return (T,) height over longest side of triangles (T, 3, 2)."""
     a, b = triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]
     twice_area = np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])
     longest2 = np.max([(a**2).sum(1), (b**2).sum(1), ((a - b) ** 2).sum(1)], axis=0)

@@ -12,7 +12,7 @@ from sightline.geometry.planes import Plane
 from sightline.show import Shown
 from sightline.show.words import checks_lines, numbers
 
-# Rows of the left 3x3 block, scaled to unit length, span less volume than this for a source at infinity [ours].
+# For a source at infinity the unit rows of the left 3x3 block span less volume than this [ours].
 MIN_VOLUME = 1e-9
 # The reference plane passes through the origin, but stays at least this far from the source [ours].
 MIN_DISTANCE_MM = 1.0
@@ -20,36 +20,36 @@ MIN_DISTANCE_MM = 1.0
 
 @dataclass(frozen=True, eq=False)
 class HomographyMap:
-    """`homography` (3, 3) takes (x, y, 1) of the plane to pixels."""
+    """A `PlaneMap` without distortion: `homography` (3, 3) takes (x, y, 1) of the plane to pixels."""
 
     homography: np.ndarray
 
     def to_plane(self, uv_px: np.ndarray) -> np.ndarray:
-        """Pixels (N, 2) to plane coordinates (N, 2), mm. Raises OutsideRegionError for pixels of the horizon."""
+        """Return the plane coordinates (N, 2), mm, of pixels (N, 2). Raises OutsideRegionError on the horizon."""
         return _apply(np.linalg.inv(self.homography), uv_px)
 
     def to_image(self, xy_mm: np.ndarray) -> np.ndarray:
-        """Plane coordinates (N, 2) to pixels (N, 2)."""
+        """Return the pixels (N, 2) of plane coordinates (N, 2). Raises OutsideRegionError on the horizon."""
         return _apply(self.homography, xy_mm)
 
     def find_image(self, xy_mm: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Pixels (M, 2) of those plane coordinates (N, 2) off the horizon, and which these are, (N,) bool."""
+        """Return the pixels (M, 2) of the plane coordinates (N, 2) off the horizon, and which these are, (N,) bool."""
         homogeneous, regular = _homogeneous(self.homography, xy_mm)
         return homogeneous[regular, :2] / homogeneous[regular, 2:], regular
 
     def jacobian(self, uv_px: np.ndarray) -> np.ndarray:
-        """(N, 2, 2) d xy / d uv, mm/px."""
+        """Return (N, 2, 2) d xy / d uv, mm/px."""
         return self.linearised(uv_px)[1]
 
     def linearised(self, uv_px: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """`to_plane` and `jacobian`."""
+        """Return `to_plane` and `jacobian`."""
         inverse = np.linalg.inv(self.homography)
         xy, depth = self.to_plane(uv_px), np.column_stack([uv_px, np.ones(len(uv_px))]) @ inverse[2]
         return xy, (inverse[:2, :2] - xy[:, :, None] * inverse[2, :2]) / depth[:, None, None]
 
 
 def _homogeneous(matrix: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(N, 3) what a matrix makes of points (N, 2), and which lie off its horizon, (N,) bool."""
+    """Return the homogeneous images (N, 3) of points (N, 2), and which lie off the matrix's horizon, (N,) bool."""
     out = np.column_stack([points, np.ones(len(points))]) @ matrix.T
     size = np.abs(matrix[2]) @ np.array([*np.abs(points).max(axis=0, initial=0.0), 1.0])
     return out, np.abs(out[:, 2]) >= 1e-12 * size
@@ -58,14 +58,17 @@ def _homogeneous(matrix: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np
 def _apply(matrix: np.ndarray, points: np.ndarray) -> np.ndarray:
     homogeneous, regular = _homogeneous(matrix, points)
     if not regular.all():
-        raise OutsideRegionError("a point has no image: its ray runs parallel to the plane; check the matrix")
+        raise OutsideRegionError("a point cannot be mapped: its ray is parallel to the plane; check the matrix")
     return homogeneous[:, :2] / homogeneous[:, 2:]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class MatrixView(Shown):
-    """A `CalibratedView` without beads: `matrix` (3, 4) takes CFCS mm to pixels, `covariance` (12, 12) or None is that
-    of its entries, row by row. A matrix holds for the whole image: every pixel counts as inside."""
+    """A `CalibratedView` without beads.
+
+    `matrix` (3, 4) takes CFCS, mm, to pixels; `covariance` (12, 12), or None: of its entries, row by row. A matrix
+    holds for the whole image, so every pixel counts as inside the calibrated region.
+    """
 
     name: str
     matrix: np.ndarray
@@ -92,22 +95,25 @@ class MatrixView(Shown):
         return HomographyMap(self.matrix @ onto)
 
     def project(self, xyz_mm: np.ndarray) -> np.ndarray:
-        """Points (N, 3) CFCS to pixels (N, 2). Raises OutsideRegionError."""
+        """Return the pixels (N, 2) of points (N, 3), CFCS. Raises OutsideRegionError."""
         xyz = np.asarray(xyz_mm, dtype=np.float64)
         return self.plane_map.to_image(self.plane.central_projection(self.focal_point_mm, xyz))
 
     def project_seen(self, xyz_mm: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Pixels (M, 2) of those of the points (N, 3) CFCS that `project` takes, and which these are, (N,) bool."""
+        """Return the pixels (M, 2) of the points (N, 3), CFCS, that `project` accepts, and which, (N,) bool."""
         xy, seen = self.plane.shadows(self.focal_point_mm, xyz_mm)
         uv, found = self.plane_map.find_image(xy)
         seen[seen] = found
         return uv, seen
 
     def lines_of_sight(self, uv_px: np.ndarray) -> LinesOfSight:
-        """Lines of sight of pixels (N, 2); of unknown error where the matrix has no covariance."""
+        """Return the lines of sight of pixels (N, 2); their error is unknown where the matrix has no covariance.
+
+        Raises UnusableInputError, OutsideRegionError.
+        """
         uv = np.asarray(uv_px, dtype=np.float64)
         if uv.ndim != 2 or uv.shape[1] != 2 or not np.isfinite(uv).all():
-            raise UnusableInputError(f"pixels must be finite and of the shape (N, 2); got the shape {uv.shape}")
+            raise UnusableInputError(f"give finite pixels of the shape (N, 2); got the shape {uv.shape}")
         xy = self.plane_map.to_plane(uv)
         return LinesOfSight(
             view=self.name,
@@ -122,7 +128,10 @@ class MatrixView(Shown):
         )
 
     def _covariance(self, uv_px: np.ndarray, xy_mm: np.ndarray) -> dict[str, np.ndarray] | None:
-        """From P (F, 1) = 0 and, for x in the plane, (row 0 - u row 2) (X, 1) = 0 = (row 1 - v row 2) (X, 1)."""
+        """Return the covariance for each of SOURCES, None where the matrix has none.
+
+        From P (F, 1) = 0 and, for X in the plane, (row 0 - u row 2) (X, 1) = 0 = (row 1 - v row 2) (X, 1).
+        """
         if self.covariance is None:
             return None
         size = 3 + 2 * len(uv_px)
@@ -138,15 +147,15 @@ class MatrixView(Shown):
 
 
 def view_from_matrix(P: np.ndarray, covariance: np.ndarray | None = None, name: str = "matrix") -> MatrixView:
-    """The view of a 3x4 matrix that takes CFCS points (x, y, z, 1), mm, to pixels (u w, v w, w), as in OpenCV.
+    """Return the view of a 3x4 matrix that takes CFCS points (x, y, z, 1), mm, to pixels (u w, v w, w), as in OpenCV.
 
     `covariance` (12, 12): of the entries of P, row by row, at the scale of P as given; it may be singular along P,
-    whose scale means nothing. None: the error is unknown, and every verdict on it NO-GO. The reference plane is
+    whose scale is arbitrary. None: the error is unknown, and every verdict based on it is NO-GO. The reference plane is
     normal to the view's axis and passes through the CFCS origin. Raises UnusableInputError.
     """
     matrix = np.array(P, dtype=np.float64)
     if matrix.shape != (3, 4) or not np.isfinite(matrix).all():
-        raise UnusableInputError(f"a projection matrix is finite and of the shape (3, 4); got the shape {matrix.shape}")
+        raise UnusableInputError(f"give a finite projection matrix of the shape (3, 4); got the shape {matrix.shape}")
     lengths = np.linalg.norm(matrix[:, :3], axis=1)
     if not lengths.all() or abs(np.linalg.det(matrix[:, :3] / lengths[:, None])) < MIN_VOLUME:
         raise UnusableInputError(
@@ -156,14 +165,14 @@ def view_from_matrix(P: np.ndarray, covariance: np.ndarray | None = None, name: 
     axis = matrix[2, :3] / lengths[2]
     if abs(axis @ focal) < MIN_DISTANCE_MM:
         raise UnusableInputError(
-            "the matrix puts the X-ray source at the depth of the CFCS origin; check its frame and units"
+            "the matrix puts the X-ray source at the depth of the CFCS origin; check its coordinate system and units"
         )
-    plane = Plane.fit(_cross_of_points(axis))
+    plane = Plane.fit(_spanning_points(axis))
     return MatrixView(name, matrix, _checked(covariance), plane, focal)
 
 
-def _cross_of_points(normal: np.ndarray) -> np.ndarray:
-    """(4, 3) points about the origin that span the plane with this normal."""
+def _spanning_points(normal: np.ndarray) -> np.ndarray:
+    """Return four points (4, 3) about the origin that span the plane with this normal."""
     across = np.linalg.svd(normal[None])[2][1:]
     return np.concatenate([across, -across])
 
@@ -175,5 +184,7 @@ def _checked(covariance: np.ndarray | None) -> np.ndarray | None:
     if out.shape != (12, 12) or not np.isfinite(out).all():
         raise UnusableInputError(f"the matrix's covariance must be finite and of the shape (12, 12); got {out.shape}")
     if not np.allclose(out, out.T) or np.linalg.eigvalsh(out).min() < -1e-9 * np.abs(out).max():
-        raise UnusableInputError("the matrix's covariance is not symmetric and positive; give that of its 12 entries")
+        raise UnusableInputError(
+            "the matrix's covariance is not symmetric and positive semi-definite; give that of its 12 entries"
+        )
     return out

@@ -1,4 +1,4 @@
-"""Wrong beads: found by what the others say of each, left out one at a time, reported."""
+"""Outlying beads: each is tested against the prediction of the others; the worst are left out one at a time."""
 
 from collections.abc import Callable
 
@@ -11,37 +11,38 @@ from sightline.errors import CalibrationRefusedError
 from sightline.fitting.kriging import LeftOut
 from sightline.fitting.robust import variance_ratio
 
-# A right bead goes beyond this once in 10,000 views: chi-square of two degrees of freedom, over all its beads [ours].
+# Once in 10,000 views a correct bead is rejected: chi-square, two degrees of freedom, over all beads of a view [ours].
 FALSE_ALARM = 1e-4
-# More wrong beads than this, or than this share, is not a slip but a wrong frame, image or labelling [ours].
+# More outliers than this, or than this share, mean a wrong frame, image or labelling [ours].
 MAX_WRONG = 6
 MAX_WRONG_SHARE = 0.1
 
 
 def fit_robustly(beads: Beads, fit_to: Callable[[Beads], JointFit] = fit_jointly) -> tuple[JointFit, Residuals]:
-    """The joint fit without the beads that contradict the others. Raises CalibrationRefusedError."""
+    """Return the joint fit without outlying beads, and the residuals of all. Raises CalibrationRefusedError."""
     used = np.ones(len(beads), dtype=bool)
-    most = max(1, min(MAX_WRONG, int(MAX_WRONG_SHARE * len(beads))))
+    limit = max(1, min(MAX_WRONG, int(MAX_WRONG_SHARE * len(beads))))
     while True:
         fit = fit_to(beads.where(used))
         others = fit.solution.left_out()
         square = others.m2
-        # Where all residuals are too large the noise stated is too small: that is the chi-square check's to say.
+        # If all residuals are too large, the stated noise is too small: the chi-square check reports that.
         common = max(1.0, variance_ratio(square))
         worst = int(np.argmax(square))
         if square[worst] <= -2 * np.log(FALSE_ALARM / len(square)) * common:
             return fit, _residuals(fit, beads, used, others)
-        if (~used).sum() == most:
+        if (~used).sum() == limit:
             wrong = [i for i, u in zip(beads.ids, used, strict=True) if not u]
             raise CalibrationRefusedError(
-                f"more than {most} beads contradict the others ({', '.join(wrong)} and {fit.beads.ids[worst]} first); "
-                "check that frame, view and labels are right and that the frame is undamaged, then take another image"
+                f"more than {limit} beads contradict the others ({', '.join(wrong)} and {fit.beads.ids[worst]} first); "
+                "check that frame, view and labels are right and that the frame is undamaged, then acquire another "
+                "image"
             )
         used[np.flatnonzero(used)[worst]] = False
 
 
 def _residuals(fit: JointFit, beads: Beads, used: np.ndarray, others: LeftOut) -> Residuals:
-    """Of every bead given. One that was left out is predicted by all that were used."""
+    """Return the residuals of every bead given; a bead that was left out is predicted by all that were used."""
     residual = fit.map.to_plane(beads.uv_px) - fit.pencil.project(beads.xyz_mm)
     loo, sigma = residual.copy(), np.zeros(len(beads))
     loo[used], sigma[used] = -others.residual, np.sqrt(np.maximum(others.m2, 0.0))

@@ -1,4 +1,4 @@
-"""A frame's errors told apart: balls in their plate, and the two plates of a view against each other."""
+"""A frame's errors split into ball errors within each plate and motions of a view's plates against each other."""
 
 from dataclasses import dataclass
 
@@ -13,9 +13,9 @@ MOTIONS = ("shift 1", "shift 2", "along the beam", "tilt 1", "tilt 2", "twist")
 
 @dataclass(frozen=True, eq=False)
 class PlatePair:
-    """The XRII plate of a view against its source plate: MOTIONS, along and about the XRII plate's two axes and normal.
+    """Motion of a view's source plate against its XRII plate: MOTIONS along and about the XRII plate's axes and normal.
 
-    `moved` (6,): mm and rad; `prior_sd`, `sd` (6,): before and after the images.
+    `moved` (6,): mm and rad; `prior_sd`, `sd` (6,): standard deviations before and after the images.
     """
 
     view: str
@@ -26,7 +26,7 @@ class PlatePair:
 
 @dataclass(frozen=True, eq=False)
 class InPlate:
-    """Of M balls, against the rigid plate that fits their plate's balls best, (M, 3) CFCS, mm."""
+    """Displacements of M balls against the best-fitting rigid motion of their plate, (M, 3), CFCS, mm."""
 
     moved_mm: np.ndarray
     prior_sd_mm: np.ndarray
@@ -37,7 +37,7 @@ class InPlate:
 class Errors:
     """Errors of a frame's M balls (M, 3), mm, with their covariances (3M, 3M) before (`prior`) and after the images.
 
-    `sound` (M,) bool: balls that tell where their plate is.
+    `sound` (M,) bool: balls that are used to determine their plate's motion.
     """
 
     moved_mm: np.ndarray
@@ -47,30 +47,30 @@ class Errors:
 
 
 def plate_pairs(frame: Frame, errors: Errors) -> tuple[PlatePair, ...]:
-    """Of every view."""
+    """Return the relative motion of the two plates of every view."""
     out = []
     for name, view in frame.views.items():
         to_pair = np.zeros((6, errors.moved_mm.size))
         start = frame.rows(name).start
         for sign, plate in ((-1, view.xrii), (1, view.source)):
-            mine = slice(start, start + 3 * len(plate.ids))
-            to_pair[:, mine] = sign * _motion(plate, view.xrii, errors.sound[mine.start // 3 : mine.stop // 3])
-            start = mine.stop
+            rows = slice(start, start + 3 * len(plate.ids))
+            to_pair[:, rows] = sign * _motion(plate, view.xrii, errors.sound[rows.start // 3 : rows.stop // 3])
+            start = rows.stop
         sds = (_sd(to_pair, covariance) for covariance in (errors.prior, errors.covariance))
         out.append(PlatePair(name, to_pair @ errors.moved_mm.ravel(), *sds))
     return tuple(out)
 
 
 def in_plate(frame: Frame, errors: Errors) -> InPlate:
-    """Of every ball."""
+    """Return the displacement of every ball within its plate."""
     rest, start = np.eye(errors.moved_mm.size), 0
     for _, _, plate in plates(frame):
-        mine = slice(start, start + 3 * len(plate.ids))
+        rows = slice(start, start + 3 * len(plate.ids))
         rigid = _rigid(plate, plate)
-        rest[mine, mine] -= rigid @ _motion(plate, plate, errors.sound[mine.start // 3 : mine.stop // 3])
-        start = mine.stop
-    left = (rest @ errors.moved_mm.ravel()).reshape(-1, 3)
-    return InPlate(left, *(_sd(rest, covariance).reshape(-1, 3) for covariance in (errors.prior, errors.covariance)))
+        rest[rows, rows] -= rigid @ _motion(plate, plate, errors.sound[rows.start // 3 : rows.stop // 3])
+        start = rows.stop
+    moved = (rest @ errors.moved_mm.ravel()).reshape(-1, 3)
+    return InPlate(moved, *(_sd(rest, covariance).reshape(-1, 3) for covariance in (errors.prior, errors.covariance)))
 
 
 def _sd(rows: np.ndarray, covariance: np.ndarray) -> np.ndarray:
@@ -78,7 +78,7 @@ def _sd(rows: np.ndarray, covariance: np.ndarray) -> np.ndarray:
 
 
 def _motion(plate: Plate, axes_of: Plate, sound: np.ndarray) -> np.ndarray:
-    """(6, 3N): the rigid motion of a plate that its sound balls' errors make."""
+    """Return (6, 3N): takes the errors of a plate's balls to its rigid motion, using the sound ones."""
     rows = np.repeat(sound, 3)
     out = np.zeros((6, len(rows)))
     out[:, rows] = np.linalg.pinv(_rigid(plate, axes_of)[rows])
@@ -86,7 +86,7 @@ def _motion(plate: Plate, axes_of: Plate, sound: np.ndarray) -> np.ndarray:
 
 
 def _rigid(plate: Plate, axes_of: Plate) -> np.ndarray:
-    """(3N, 6): how a plate's balls move with MOTIONS, about their middle."""
-    turned = np.vstack([axes_of.plane.axes, axes_of.plane.normal]).T
+    """Return (3N, 6): displacements of a plate's balls by MOTIONS about their mean, along the axes of `axes_of`."""
+    axes = np.vstack([axes_of.plane.axes, axes_of.plane.normal]).T
     twists = displacement(plate.xyz_mm - plate.xyz_mm.mean(axis=0)).reshape(-1, 6)
-    return np.hstack([twists[:, 3:] @ turned, twists[:, :3] @ turned])
+    return np.hstack([twists[:, 3:] @ axes, twists[:, :3] @ axes])

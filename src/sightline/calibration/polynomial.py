@@ -13,14 +13,14 @@ DEGREES = range(1, 8)
 
 @dataclass(frozen=True, eq=False)
 class Affine:
-    """Pixels to centred coordinates of about unit size: `(uv - centre_px) @ matrix.T`."""
+    """Affine normalisation of pixels to coordinates of about unit size: `(uv - centre_px) @ matrix.T`."""
 
     centre_px: np.ndarray
     matrix: np.ndarray
 
     @staticmethod
     def fit(uv_px: np.ndarray, xy_mm: np.ndarray) -> tuple["Affine", float]:
-        """The least-squares affine map of controls (N, 2), scaled to the unit disc; and that disc's radius in mm."""
+        """Return the least-squares affine map of controls (N, 2), scaled to the unit disc, and its radius, mm."""
         centre = uv_px.mean(axis=0)
         matrix = np.linalg.lstsq(uv_px - centre, xy_mm - xy_mm.mean(axis=0), rcond=None)[0].T
         mapped = (uv_px - centre) @ matrix.T
@@ -28,33 +28,29 @@ class Affine:
         return Affine(centre, matrix / radius), radius
 
     def __call__(self, uv_px: np.ndarray) -> np.ndarray:
-        """Pixels (N, 2) to unit coordinates (N, 2)."""
+        """Return the unit coordinates (N, 2) of pixels (N, 2)."""
         return (uv_px - self.centre_px) @ self.matrix.T
-
-    def back(self, unit_xy: np.ndarray) -> np.ndarray:
-        """Unit coordinates (N, 2) to pixels."""
-        return unit_xy @ np.linalg.inv(self.matrix).T + self.centre_px
 
 
 def terms(degree: int) -> int:
-    """How many monomials of two variables have at most this degree."""
+    """Return the number of monomials of two variables up to a degree."""
     return (degree + 1) * (degree + 2) // 2
 
 
 def monomials(xy: np.ndarray, degree: int) -> np.ndarray:
-    """(N, terms) x^i y^j with i + j <= degree, by rising degree."""
+    """Return (N, terms): x^i y^j with i + j <= degree, by increasing degree."""
     (x, y), (i, j) = _powers(xy, degree), _exponents(degree)
     return x[:, i] * y[:, j]
 
 
 def monomial_gradients(xy: np.ndarray, degree: int) -> np.ndarray:
-    """(N, terms, 2) derivatives of `monomials` by x and y."""
+    """Return (N, terms, 2): derivatives of `monomials` by x and y."""
     return np.stack([monomials(xy, degree) @ by for by in derivatives(degree)], axis=-1)
 
 
 @cache
 def derivatives(degree: int) -> tuple[np.ndarray, np.ndarray]:
-    """Two (terms, terms): they take a polynomial's coefficients to those of its derivative by x, and by y."""
+    """Return two matrices (terms, terms) from a polynomial's coefficients to those of its derivatives by x and y."""
     powers = [tuple(p) for p in _exponents(degree).T.tolist()]
     out = np.zeros((2, len(powers), len(powers)))
     for column, (i, j) in enumerate(powers):
@@ -67,12 +63,12 @@ def derivatives(degree: int) -> tuple[np.ndarray, np.ndarray]:
 
 @cache
 def _exponents(degree: int) -> np.ndarray:
-    """(2, terms) i and j of `monomials`."""
+    """Return (2, terms): i and j of `monomials`."""
     return np.array([(d - j, j) for d in range(degree + 1) for j in range(d + 1)]).T
 
 
 def _powers(xy: np.ndarray, degree: int) -> np.ndarray:
-    """(2, N, degree + 1) powers of x and of y from 0."""
+    """Return (2, N, degree + 1): powers of x and of y from 0."""
     out = np.ones((2, len(xy), degree + 1))
     for k in range(degree):
         np.multiply(out[:, :, k], xy.T, out=out[:, :, k + 1])
@@ -94,48 +90,51 @@ class PolynomialMap:
 
     @staticmethod
     def fit(uv_px: np.ndarray, xy_mm: np.ndarray, degree: int) -> "PolynomialMap":
-        """Least squares through controls (N, 2). Raises CalibrationRefusedError on too few, UnusableInputError."""
+        """Return the least-squares map of controls (N, 2).
+
+        Raises CalibrationRefusedError where they do not determine it, UnusableInputError for an unknown degree.
+        """
         if degree not in DEGREES:
-            raise UnusableInputError(f"degree {degree} is not offered; choose 1 to 7")
+            raise UnusableInputError(f"degree {degree} is not available; choose 1 to 7")
         if len(uv_px) < terms(degree):
             raise CalibrationRefusedError(
-                f"{len(uv_px)} controls do not determine a polynomial of degree {degree}; at least {terms(degree)} are "
-                "needed: choose a lower degree, or use the smooth method"
+                f"{len(uv_px)} controls do not determine a polynomial of degree {degree} (at least {terms(degree)} are "
+                "needed); choose a lower degree, or use the smooth method"
             )
         unit = Affine.fit(uv_px, xy_mm)[0]
         design = monomials(unit(uv_px), degree)
         inverse = np.linalg.pinv(design, rcond=1e-10)
         if np.linalg.matrix_rank(design, tol=1e-8 * np.sqrt(len(design))) < terms(degree):
             raise CalibrationRefusedError(
-                f"the controls lie so that they do not determine a polynomial of degree {degree}; "
-                "choose a lower degree, or use the smooth method"
+                f"the positions of the controls do not determine a polynomial of degree {degree}; choose a lower "
+                "degree, or use the smooth method"
             )
         return PolynomialMap(degree, unit, inverse @ xy_mm, inverse, uv_px)
 
     def weights(self, uv_px: np.ndarray) -> np.ndarray:
-        """(N, controls): to_plane(uv) = weights @ the controls' coordinates."""
+        """Return (N, controls): to_plane(uv) = weights @ the controls' plane coordinates."""
         return monomials(self.unit(uv_px), self.degree) @ self.inverse_design
 
     def to_plane(self, uv_px: np.ndarray) -> np.ndarray:
-        """Pixels (N, 2) to plane coordinates (N, 2), mm."""
+        """Return the plane coordinates (N, 2), mm, of pixels (N, 2)."""
         return monomials(self.unit(uv_px), self.degree) @ self.coefficients
 
     def jacobian(self, uv_px: np.ndarray) -> np.ndarray:
-        """(N, 2, 2) d xy / d uv, mm/px."""
+        """Return (N, 2, 2) d xy / d uv, mm/px."""
         return self.linearised(uv_px)[1]
 
     def linearised(self, uv_px: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """`to_plane` and `jacobian`."""
+        """Return `to_plane` and `jacobian`."""
         basis = monomials(self.unit(uv_px), self.degree)
         by_unit = np.stack([basis @ (by @ self.coefficients) for by in derivatives(self.degree)], axis=-1)
         return basis @ self.coefficients, by_unit @ self.unit.matrix
 
     def find_image(self, xy_mm: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Pixels (M, 2) of those plane coordinates (N, 2) that have any, and which do, (N,) bool."""
+        """Return the pixels (M, 2) of the plane coordinates (N, 2) that have one, and which do, (N,) bool."""
         return self._inverse.find(xy_mm)
 
     def to_image(self, xy_mm: np.ndarray) -> np.ndarray:
-        """Plane coordinates (N, 2) to pixels (N, 2). Raises OutsideRegionError."""
+        """Return the pixels (N, 2) of plane coordinates (N, 2). Raises OutsideRegionError."""
         return self._inverse(xy_mm)
 
     @cached_property

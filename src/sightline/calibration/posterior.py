@@ -1,4 +1,4 @@
-"""How the errors of a calibration reach its lines of sight."""
+"""The errors of a calibration's lines of sight."""
 
 from dataclasses import dataclass
 from typing import Protocol
@@ -10,8 +10,8 @@ import numpy as np
 class LineErrors:
     """Errors of (focal point, xy of line 1, ..., xy of line N), 3 + 2N numbers, mm.
 
-    `noise`, `misfit` (3 + 2N, 3 + 2N): covariances that the beads' measurement and the map's own inexactness
-    leave. `frame_factor` (3 + 2N, K): response to the unit-variance errors of `Frame.error_factor`.
+    `noise`, `misfit` (3 + 2N, 3 + 2N): covariances from the beads' measurement and from the map's own misfit.
+    `frame_factor` (3 + 2N, K): response to the unit-variance errors of `Frame.error_factor`.
     """
 
     noise: np.ndarray
@@ -19,10 +19,9 @@ class LineErrors:
     frame_factor: np.ndarray
 
     def by_source(self) -> dict[str, np.ndarray]:
-        """The covariance for each of `view.SOURCES`; they add up to the whole, and none has a negative variance.
+        """Return the covariance for each of `view.SOURCES`; they add up to the total, and none has negative variances.
 
-        "beads" and "map" are what is left with the focal point known (conditioned on), "focal_point" is what not
-        knowing it adds.
+        "beads" and "map" are conditional on the focal point; "focal_point" is what its uncertainty adds.
         """
         own = self.noise + self.misfit
         gain = own[:, :3] @ _pseudo_inverse(own[:3, :3])  # (3 + 2N, 3): regression on the focal point
@@ -37,7 +36,7 @@ class LineErrors:
 
 
 def _pseudo_inverse(covariance: np.ndarray) -> np.ndarray:
-    """Of a covariance that may be singular, even zero."""
+    """Return the pseudo-inverse of a covariance that may be singular or zero."""
     values, vectors = np.linalg.eigh(covariance)
     kept = values > 1e-15 * values[-1]
     return (vectors[:, kept] / values[kept]) @ vectors[:, kept].T
@@ -48,8 +47,8 @@ def _symmetric(matrix: np.ndarray) -> np.ndarray:
 
 
 class Posterior(Protocol):
-    """What a method knows of the errors of its lines of sight."""
+    """A method's fit, which states the errors of its lines of sight."""
 
     def line_errors(self, uv_px: np.ndarray) -> LineErrors:
-        """For pixels (N, 2)."""
+        """Return the errors of focal point and lines of sight of pixels (N, 2)."""
         ...

@@ -1,4 +1,4 @@
-"""Central projection onto the reference plane, in numbers in which it is nearly linear."""
+"""Central projection onto the reference plane, in parameters in which it is nearly linear."""
 
 from dataclasses import dataclass
 
@@ -7,17 +7,18 @@ import numpy as np
 from sightline.errors import CalibrationRefusedError
 from sightline.geometry.planes import Plane
 
-# Limits of (distance of a bead from the reference plane) / (that of F) [ours]. The source plate of a Γ frame has 0.16.
-MIN_SOURCE_DISTANCE = 0.05  # of 1 - it
-MIN_PARALLAX = 0.01
+# Limits for the ratio of a bead's height above the reference plane to that of F [ours]; 0.16 on a Γ frame's source
+# plate.
+MIN_SOURCE_DISTANCE = 0.05  # of 1 - ratio
+MIN_PARALLAX = 0.01  # of |ratio|
 
 
 @dataclass(frozen=True, eq=False)
 class Pencil:
     """The pencil of lines through F = plane.origin + (p / q) @ axes + normal / q, as `pq` = (p_x, p_y, q).
 
-    A point at x in the plane's axes and height h is thrown to y = (x - h p) / (1 - h q): linear in p, nearly so in q,
-    and regular for a focal point at infinity (q = 0), where F itself is not.
+    A point at x in the plane's axes and height h is projected to y = (x - h p) / (1 - h q): linear in p, nearly so in
+    q, and regular for a focal point at infinity (q = 0), where F itself is not.
     """
 
     plane: Plane
@@ -25,34 +26,34 @@ class Pencil:
 
     @staticmethod
     def through(plane: Plane, focal_point_mm: np.ndarray) -> "Pencil":
-        """The pencil of a focal point (3,), CFCS."""
+        """Return the pencil of a focal point (3,), CFCS."""
         q = 1 / plane.height_mm(focal_point_mm)
         return Pencil(plane, np.append(q * plane.to_plane(focal_point_mm), q))
 
     @property
     def focal_point_mm(self) -> np.ndarray:
-        """(3,) CFCS."""
+        """(3,) F, CFCS."""
         p, q = self.pq[:2], self.pq[2]
         return self.plane.origin_mm + (p / q) @ self.plane.axes + self.plane.normal / q
 
     @property
     def focal_point_by_pq(self) -> np.ndarray:
-        """(3, 3) derivative of F by pq."""
+        """(3, 3): derivative of F by pq."""
         p, q = self.pq[:2], self.pq[2]
         by_q = -(p @ self.plane.axes + self.plane.normal) / q**2
         return np.column_stack([self.plane.axes.T / q, by_q])
 
     def project(self, xyz_mm: np.ndarray) -> np.ndarray:
-        """Points (N, 3) to plane coordinates (N, 2)."""
+        """Return the plane coordinates (N, 2), mm, of points (N, 3), CFCS."""
         h = self.plane.height_mm(xyz_mm)[:, None]
         return (self.plane.to_plane(xyz_mm) - h * self.pq[:2]) / (1 - h * self.pq[2])
 
     def by_pq(self, xyz_mm: np.ndarray) -> np.ndarray:
-        """(N, 2, 3) derivative of `project` by pq."""
+        """Return (N, 2, 3): the derivative of `project` by pq."""
         return self.linearised(xyz_mm)[1]
 
     def linearised(self, xyz_mm: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """`project` and `by_pq`."""
+        """Return `project` and `by_pq`."""
         y, h = self.project(xyz_mm), self.plane.height_mm(xyz_mm)
         reach = h / (1 - h * self.pq[2])
         out = np.zeros((len(h), 2, 3))
@@ -61,7 +62,7 @@ class Pencil:
         return y, out
 
     def by_point(self, xyz_mm: np.ndarray) -> np.ndarray:
-        """(N, 2, 3) derivative of `project` by the points."""
+        """Return (N, 2, 3): the derivative of `project` by the points."""
         h = self.plane.height_mm(xyz_mm)
         lift = self.pq[2] * self.project(xyz_mm) - self.pq[:2]
         in_space = self.plane.axes + lift[:, :, None] * self.plane.normal
@@ -69,15 +70,18 @@ class Pencil:
 
 
 def refuse_misplaced(pencil: Pencil, xyz_mm: np.ndarray) -> None:
-    """Refuse a focal point between the planes of the beads (N, 3), or at infinity; either side of both will do."""
-    lift = pencil.plane.height_mm(xyz_mm) * pencil.pq[2]
-    if not (1 - lift > MIN_SOURCE_DISTANCE).all():
+    """Raise CalibrationRefusedError for a focal point between the planes of the beads (N, 3) or at infinity.
+
+    It may lie on either side of both planes.
+    """
+    ratio = pencil.plane.height_mm(xyz_mm) * pencil.pq[2]
+    if not (1 - ratio > MIN_SOURCE_DISTANCE).all():
         raise CalibrationRefusedError(
             "the beads put the X-ray source between the plates; check that the labels of the two plates are not "
             "exchanged, and that frame and view are those in the image"
         )
-    if not np.abs(lift).max() > MIN_PARALLAX:
+    if not np.abs(ratio).max() > MIN_PARALLAX:
         raise CalibrationRefusedError(
             "the beads put the X-ray source at infinity: the plates' images show no parallax; check that both plates "
-            "are in the image and that their distance in the frame file is right"
+            "are in the image and that their distance in the frame file is correct"
         )

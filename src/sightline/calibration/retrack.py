@@ -1,4 +1,4 @@
-"""Calibration of a sequence of images: each starts from what the last one left."""
+"""Calibration of a sequence of images: each starts from the result of the previous one."""
 
 from functools import partial
 
@@ -11,19 +11,21 @@ from sightline.detection.results import Observations
 from sightline.errors import UnusableInputError
 from sightline.frame import Frame
 
-MAX_CHANGED_SHARE = 0.1  # share of its beads in which an image may differ before the prior is learnt anew [ours]
+MAX_CHANGED_SHARE = 0.1  # share of its beads in which an image may differ before the prior is learned again [ours]
 
 
 def recalibrate(observations: Observations, frame: Frame, last: BeadView) -> BeadView:
-    """The view that the beads of one image determine, by the smooth method, from that of an image shortly before.
+    """Return the view calibrated from one image's beads by the smooth method, starting from the previous image's view.
 
-    The prior of the map stays as it was learnt then, and one step leads from its focal point. Where the beads are not
-    nearly the same ones, or contradict each other or their noise so, the whole of `calibrate` is done.
-    Raises what `calibrate` raises, UnusableInputError where `last` is of another method.
+    The map's prior is that of `last`, and one Gauss-Newton step starts at its focal point. Where the beads are not
+    nearly the same, or a check fails that passed before, the full `calibrate` is run instead.
+    Raises the errors of `calibrate`, and UnusableInputError where `last` is of another method.
     """
     before = last.posterior
     if not isinstance(before, JointFit):
-        raise UnusableInputError("only the smooth method goes on from a view before; calibrate each image by itself")
+        raise UnusableInputError(
+            "give a previous view of the smooth method; with other methods calibrate each image by itself"
+        )
     both = set(observations.ids) & set(last.residuals.ids)
     if len(both) < (1 - MAX_CHANGED_SHARE) * max(len(observations.ids), len(last.residuals.ids)):
         return calibrate(observations, frame, last.name)

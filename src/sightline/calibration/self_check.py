@@ -1,13 +1,13 @@
-"""A frame measured by its own images: several images of one frame, the C-arm standing elsewhere in each.
+"""Self-calibration of a frame: its errors, estimated from several images taken with the C-arm in different places.
 
-Every image has a map and a focal point of its own; the errors of the frame are the same in all. With the map and the
-focal point eliminated, an image leaves a quadratic form in the errors of its view's balls; the forms add up, and the
-frame's tolerances are the prior. All is linear but for products of small numbers, which a second pass takes in.
+Every image has its own map and focal point; the errors of the frame are the same in all. With map and focal point
+eliminated, each image gives a quadratic form in the errors of its view's balls; the forms add up, and the frame's
+tolerances are the prior. The problem is linear but for products of small numbers, which a second pass includes.
 
-What no number of images shows: they all stay as they are where space is sheared, stretched or bent along the beam with
-the XRII plate held fast, (x, h) -> (x + a h, c h) / (1 + d h). The focal points move along, and they and the maps are
-free. So shifts of a plate against its sister, along itself and along the beam, keep the error that the tolerances
-state. So do the two views against each other, and the scale of the frame.
+Some errors are unobservable with any number of images (gauge freedom): every image is unchanged where space is sheared,
+stretched or bent along the beam with the XRII plate fixed, (x, h) -> (x + a h, c h) / (1 + d h), because the focal
+points follow, and they and the maps are free. So shifts of a view's plates against each other, in their plane and along
+the beam, keep the errors of the tolerances; so do the two views against each other, and the scale of the frame.
 """
 
 from collections.abc import Sequence
@@ -31,26 +31,27 @@ from sightline.fitting.triangular import cholesky, solve_lower
 from sightline.frame import Frame, FrameView, Plate
 from sightline.frame.deviations import fiducials
 
-MIN_IMAGES = 4  # [ours] two of each of two views: one image cannot be told from its own map
-# [ours] half the shortest correlation length of what a cubic leaves of a real tube (physics.md, Distortion): images
-# nearer to each other share the errors of their maps, and would be counted as if they did not.
+MIN_IMAGES = 4  # [ours] two of each of two views: in one image the map absorbs the frame's errors
+# [ours] half the shortest correlation length beyond a cubic of a real tube's map (physics.md, Distortion): images
+# nearer to each other share the errors of their maps, which are treated as independent.
 MIN_MOVEMENT_MM = 15.0
-MOVED_FREELY_MM = 3.0  # [ours] s.d. of a ball that contradicts its tolerance: a third of the densest pitch
-# Beads found in images state a covariance that is too small by 1.09 to 1.39 (docs/benchmarks.md, detection); one image
+FREE_SD_MM = 3.0  # [ours] prior s.d. of a ball that contradicts its tolerance: a third of the densest pitch
+# The covariance of detected beads is too small by a factor of 1.09 to 1.39 (docs/benchmarks.md, detection); one image
 # does not show it, many together do.
 NOISE_MARGIN = 1.25
 PASSES = 3  # the second changes 1e-3 of a step, the third nothing (tests)
-MAX_MOVED = 12  # [ours] more is no damaged ball but a wrong frame
+MAX_MOVED = 12  # [ours] more misplaced balls mean a wrong frame
 
 
 @dataclass(frozen=True, eq=False)
 class SelfCheck:
-    """What images say of a frame. M balls in the order of `Frame.error_factor`.
+    """A frame estimated from its own images; M balls in the order of `Frame.error_factor`.
 
-    `frame`: the frame as estimated, with its covariance. `moved_mm` (M, 3): from the frame file; `in_plate`: the same
-    against each ball's own plate; `pairs`: the plates of each view against each other. `sigma` (M,): how far each ball
-    lies from where all others and the tolerances put it; `misplaced`: those beyond their tolerance. `images` (M,): in
-    how many images each was used; `focal_points_mm`: (K, 3) of each view's images.
+    `frame`: the estimated frame with its covariance. `moved_mm` (M, 3): displacements from the frame file; `in_plate`:
+    displacements within each ball's own plate; `pairs`: motions of each view's plates against each other. `sigma` (M,):
+    distance of each ball from its prediction by all others and the tolerances, in standard deviations; `misplaced`: ids
+    of the balls beyond their tolerance. `images` (M,): number of images in which each ball was used; `focal_points_mm`:
+    (K, 3) for the K images of each view.
     """
 
     frame: Frame
@@ -66,10 +67,13 @@ class SelfCheck:
 
 @well_conditioned()
 def self_check(observations: Sequence[Observations], frame: Frame) -> SelfCheck:
-    """The errors of a frame, from 4 images or more. Raises ObservationsError, FrameError, CalibrationRefusedError."""
+    """Return the errors of a frame, estimated from 4 images or more.
+
+    Raises ObservationsError, FrameError, CalibrationRefusedError.
+    """
     if len(observations) < MIN_IMAGES:
         raise CalibrationRefusedError(
-            f"{len(observations)} images were given; a self-check needs {MIN_IMAGES} or more, the C-arm moved "
+            f"{len(observations)} images were given; give {MIN_IMAGES} or more for a self-check, with the C-arm moved "
             "between them"
         )
     _refuse_repeats(observations)
@@ -79,7 +83,7 @@ def self_check(observations: Sequence[Observations], frame: Frame) -> SelfCheck:
     sigma = np.zeros(len(prior) // 3)
     while True:
         factor = np.hstack([prior, *(_freed(ball, len(prior)) for ball in free)])
-        normal = _settled(images, factor)
+        normal = _estimate(images, factor)
         square = _score(normal)
         square[free] = 0.0
         sigma = np.where(np.isin(np.arange(len(square)), free), sigma, np.sqrt(square))
@@ -92,7 +96,7 @@ def self_check(observations: Sequence[Observations], frame: Frame) -> SelfCheck:
             names = ", ".join(fiducials(frame)[ball].id for ball in free[:5])
             raise CalibrationRefusedError(
                 f"more than {MAX_MOVED} balls lie beyond their tolerance ({names} first); check that the images show "
-                "this frame, and that its tolerances are true"
+                "this frame, and that its stated tolerances are realistic"
             )
     return _result(frame, images, normal, free, sigma)
 
@@ -101,7 +105,8 @@ def self_check(observations: Sequence[Observations], frame: Frame) -> SelfCheck:
 class _Image:
     """One image: its beads, the `fit` that gives map and noise, `rows` (N,) of its beads among all of the frame.
 
-    `factor`, lower: of the covariance of map beyond the cubic, and pixels, (2N, 2N).
+    `basis` (2N, 20): of the cubic; `factor` (2N, 2N): lower Cholesky factor of the covariance of the map beyond the
+    cubic plus that of the pixels.
     """
 
     beads: Beads
@@ -122,8 +127,12 @@ class _Image:
 
 @dataclass(frozen=True, eq=False)
 class _Normal:
-    """Summed over images: `precision` (3M, 3M) of the frame's errors as the images alone see them, `pull` (3M,), and
-    the `square` of the data; `freedom`: data less maps and focal points. `errors` (3M,): estimated so far."""
+    """Normal equations summed over the images, and their solution.
+
+    `precision` (3M, 3M) of the frame's errors by the images alone; `pull` (3M,): right-hand side; `square`: of the
+    whitened data; `freedom`: number of data minus the parameters of maps and focal points. `errors` (3M,) and
+    `covariance` (3M, 3M): the solution with the prior.
+    """
 
     precision: np.ndarray
     pull: np.ndarray
@@ -134,8 +143,10 @@ class _Normal:
 
 
 def _images(observations: Sequence[Observations], frame: Frame) -> list[_Image]:
-    """Beads that one image alone contradicts are left out of it; those that most images contradict have moved, and
-    stay."""
+    """Return the images with their beads.
+
+    A bead that is an outlier in one image only is left out of it; an outlier in most images has moved, and stays.
+    """
     matched = [match(one, frame, None) for one in observations]
     fits = [fit_robustly(beads) for beads in matched]
     seen: dict[str, int] = {}
@@ -152,19 +163,19 @@ def _images(observations: Sequence[Observations], frame: Frame) -> list[_Image]:
     return out
 
 
-def _settled(images: Sequence[_Image], factor: np.ndarray) -> _Normal:
-    """Errors with a prior of factor @ factor.T, their products with the focal points taken in."""
+def _estimate(images: Sequence[_Image], factor: np.ndarray) -> _Normal:
+    """Return the errors with the prior covariance factor @ factor.T, after PASSES Gauss-Newton steps."""
     pencils = [image.fit.pencil for image in images]
-    normal, pencils = _summed(images, pencils, factor, np.zeros(len(factor)))
+    normal, pencils = _step(images, pencils, factor, np.zeros(len(factor)))
     for _ in range(PASSES - 1):
-        normal, pencils = _summed(images, pencils, factor, normal.errors)
+        normal, pencils = _step(images, pencils, factor, normal.errors)
     return normal
 
 
-def _summed(
+def _step(
     images: Sequence[_Image], pencils: Sequence[Pencil], factor: np.ndarray, errors: np.ndarray
 ) -> tuple[_Normal, list[Pencil]]:
-    """One Gauss-Newton step from the errors (3M,) and focal points that are known so far."""
+    """Make one Gauss-Newton step from the current errors (3M,) and focal points."""
     precision, pull, square, freedom = np.zeros((len(factor), len(factor))), np.zeros(len(factor)), 0.0, 0
     kept = []
     for image, pencil in zip(images, pencils, strict=True):
@@ -185,8 +196,8 @@ def _summed(
 
 
 def _eliminated(image: _Image, pencil: Pencil, errors: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Whitened data (2N,) and its response (2N, 3N) to the beads' errors, cubic and focal point taken out; and (23,
-    1 + 3N): cubic and focal point by (1, errors)."""
+    """Return whitened data (2N,) and response (2N, 3N) to the beads' errors with cubic and focal point eliminated, and
+    the back-substitution (23, 1 + 3N) from (1, errors) to cubic and focal point."""
     xyz = image.beads.xyz_mm + errors.reshape(-1, 3)
     y, by_pq = pencil.linearised(xyz)
     by_point = pencil.by_point(xyz)
@@ -206,20 +217,19 @@ def _eliminated(image: _Image, pencil: Pencil, errors: np.ndarray) -> tuple[np.n
 
 
 def _score(normal: _Normal) -> np.ndarray:
-    """(M,): for each ball the score test of a shift of its own, beside all that its prior lets it do; chi-square of
-    three degrees of freedom."""
+    """Return (M,): each ball's score test for a shift beyond its prior; chi-square with three degrees of freedom."""
     score = normal.pull - normal.precision @ normal.errors
-    spread = normal.precision - normal.precision @ normal.covariance @ normal.precision
+    covariance = normal.precision - normal.precision @ normal.covariance @ normal.precision
     m = len(score) // 3
-    blocks = spread.reshape(m, 3, m, 3)[range(m), :, range(m), :]
+    blocks = covariance.reshape(m, 3, m, 3)[range(m), :, range(m), :]
     inverse = np.linalg.pinv((blocks + np.swapaxes(blocks, 1, 2)) / 2, rcond=1e-9, hermitian=True)
     return np.maximum(np.einsum("na,nab,nb->n", score.reshape(m, 3), inverse, score.reshape(m, 3)), 0.0)
 
 
 def _freed(ball: int, size: int) -> np.ndarray:
-    """(size, 3): prior columns of a ball that may lie anywhere near."""
+    """Return (size, 3): additional prior columns of a ball with a free position."""
     out = np.zeros((size, 3))
-    out[3 * ball : 3 * ball + 3] = MOVED_FREELY_MM * np.eye(3)
+    out[3 * ball : 3 * ball + 3] = FREE_SD_MM * np.eye(3)
     return out
 
 
@@ -230,7 +240,7 @@ def _result(
     moved = normal.errors.reshape(-1, 3)
     sound = ~np.isin(np.arange(len(balls)), free)
     errors = Errors(moved, frame.error_factor @ frame.error_factor.T, normal.covariance, sound)
-    beside = in_plate(frame, errors)
+    within = in_plate(frame, errors)
     count = np.zeros(len(balls), dtype=int)
     for image in images:
         count[image.rows] += 1
@@ -241,13 +251,13 @@ def _result(
     return SelfCheck(
         frame=_estimated(frame, moved, normal.covariance),
         moved_mm=moved,
-        in_plate=beside,
+        in_plate=within,
         pairs=plate_pairs(frame, errors),
         sigma=sigma,
         misplaced=tuple(balls[ball].id for ball in free),
         images=count,
         focal_points_mm=focal,
-        checks=(_movement(images), _chi_square(normal), _misplaced([balls[b].id for b in free], free, beside, count)),
+        checks=(_movement(images), _chi_square(normal), _misplaced([balls[b].id for b in free], free, within, count)),
     )
 
 
@@ -265,27 +275,30 @@ def _estimated(frame: Frame, moved_mm: np.ndarray, covariance: np.ndarray) -> Fr
 
 
 def _movement(images: Sequence[_Image]) -> Check:
-    """How far each image lies from the nearest other of its view; of these the lower quartile."""
+    """Return the check of the distances between each image and its nearest other of the view: their lower quartile."""
     views = [[image for image in images if image.beads.view == name] for name in images[0].beads.frame.views]
-    lone = [mine[0].beads.view for mine in views if len(mine) == 1]
+    single = [own[0].beads.view for own in views if len(own) == 1]
     nearest = [
-        min(_apart(one, other) for other in mine if other is not one) for mine in views if len(mine) > 1 for one in mine
+        min(_distance_mm(one, other) for other in own if other is not one)
+        for own in views
+        if len(own) > 1
+        for one in own
     ]
-    figure = float(np.quantile(nearest, 0.25)) if nearest else None
-    passed = figure is not None and figure >= MIN_MOVEMENT_MM
+    quartile = float(np.quantile(nearest, 0.25)) if nearest else None
+    passed = quartile is not None and quartile >= MIN_MOVEMENT_MM
     sentence = (
-        "The frame lies elsewhere in every image, so that each has errors of its own."
+        "The frame lies in a different place in every image, so their errors are independent."
         if passed
-        else "Some images are nearly the same: they share the errors of their distortion and count as one. Move or "
-        "turn the C-arm between images; leave out what is double."
+        else "Some images are nearly the same, so they share the errors of their distortion. Move or rotate the C-arm "
+        "between images; leave out duplicates."
     )
-    if lone:
-        sentence += f" There is one image alone of view {', '.join(lone)}."
-    return Check("image movement", passed, figure, MIN_MOVEMENT_MM, "mm", sentence)
+    if single:
+        sentence += f" There is only one image of view {', '.join(single)}."
+    return Check("image movement", passed, quartile, MIN_MOVEMENT_MM, "mm", sentence)
 
 
-def _apart(first: _Image, second: _Image) -> float:
-    """Rms distance between the places of the balls in two images, in mm of the reference plane."""
+def _distance_mm(first: _Image, second: _Image) -> float:
+    """Return the rms distance between the common balls of two images, in mm on the reference plane."""
     ids = sorted(set(first.beads.ids) & set(second.beads.ids))
     if not ids:
         return float("inf")
@@ -296,28 +309,30 @@ def _apart(first: _Image, second: _Image) -> float:
 
 def _chi_square(normal: _Normal) -> Check:
     square = normal.square - float(normal.pull @ normal.errors)
-    figure = square / normal.freedom
+    reduced = square / normal.freedom
     limit = NOISE_MARGIN * float(chdtri(normal.freedom, FALSE_ALARM)) / normal.freedom
     sentence = (
-        "All images together agree with the noise and the tolerances stated."
-        if figure <= limit
-        else "The images disagree by more than noise and tolerances explain: a frame that changed between them, wrong "
-        "labels, or tolerances that are too small."
+        "All images together agree with the stated noise and tolerances."
+        if reduced <= limit
+        else "The images disagree by more than noise and tolerances explain: look for a frame that changed between "
+        "them, wrong labels, or tolerances that are too small."
     )
-    return Check("self-check chi-square", figure <= limit, figure, limit, "", sentence)
+    return Check("self-check chi-square", reduced <= limit, reduced, limit, "", sentence)
 
 
-def _misplaced(names: Sequence[str], free: Sequence[int], beside: InPlate, count: np.ndarray) -> Check:
+def _misplaced(names: Sequence[str], free: Sequence[int], within: InPlate, count: np.ndarray) -> Check:
     once = [name for name, ball in zip(names, free, strict=True) if count[ball] < 2]
-    said = [
-        f"{name} by {np.linalg.norm(beside.moved_mm[ball]):.2f} mm (±{beside.sd_mm[ball].max():.2f})"
+    misplaced = [
+        f"{name} by {np.linalg.norm(within.moved_mm[ball]):.2f} mm (±{within.sd_mm[ball].max():.2f})"
         for name, ball in zip(names, free, strict=True)
     ]
     sentence = (
-        f"Beyond their tolerance: {', '.join(said)}. Look at them." if said else "All are within their tolerance."
+        f"Beyond their tolerance: {', '.join(misplaced)}. Inspect these balls."
+        if misplaced
+        else "All balls are within their tolerance."
     )
     if once:
-        sentence += f" {', '.join(once)}: seen in one image only; take another."
+        sentence += f" Acquire another image of {', '.join(once)}: seen in one image only."
     return Check("misplaced balls", not once, float(len(names)), None, "balls", sentence)
 
 
@@ -329,4 +344,6 @@ def _refuse_repeats(observations: Sequence[Observations]) -> None:
                 continue
             at = [np.array([o.uv_px[o.ids.index(i)] for i in sorted(shared)]) for o in (one, other)]
             if np.mean(np.all(at[0] == at[1], axis=1)) > 0.5:
-                raise ObservationsError("one image was given twice; it says nothing new the second time: leave it out")
+                raise ObservationsError(
+                    "one image was given twice; leave out the repetition, which adds no information"
+                )

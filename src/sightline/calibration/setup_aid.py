@@ -1,7 +1,7 @@
-"""What to move before the next exposure, from the labelled beads of one image.
+"""Advice on how to move the frame before the next exposure, from the labelled beads of one image.
 
-All beads of the view are thrown into the image by a perspective projection fitted to those seen (direct linear
-transformation); distortion is left out, so figures are good to some millimetres, as one moves a frame by hand.
+A perspective projection (direct linear transformation) fitted to the detected beads projects all beads of the view into
+the image. Distortion is neglected, so results are good to some millimetres, as exact as a frame is moved by hand.
 """
 
 from dataclasses import dataclass
@@ -13,12 +13,12 @@ from sightline.detection.results import Observations
 from sightline.errors import CalibrationRefusedError, UnusableInputError
 from sightline.frame import Frame, FrameView
 
-MIN_BEADS = 8  # [ours] 11 numbers of a projection need six beads; two more for good measure
-STEP_MM = 5.0  # [ours] as exactly as a frame is moved by hand
+MIN_BEADS = 8  # [ours] the 11 parameters of a projection need six beads; two more for redundancy
+STEP_MM = 5.0  # [ours] precision with which a frame is moved by hand
 MAX_MOVE_MM = 100.0  # [ours]
-# A bead counts as seen when its centre lies this far inside the image [ours].
+# A bead counts as visible when its centre lies this far inside the image [ours].
 MARGIN_PX = 10.0
-# What moving the frame along a CFCS axis means (docs/conventions.md); caudal and cranial depend on the side.
+# Directions along the CFCS axes in words (docs/conventions.md); caudal and cranial depend on the side.
 WORDS = {
     (0, 1): "outwards, away from the body (+X)",
     (0, -1): "inwards, towards the body (-X)",
@@ -31,8 +31,11 @@ WORDS = {
 
 @dataclass(frozen=True, eq=False)
 class SetupAdvice:
-    """`outside` and `outside_after`: share of each plate's beads outside the field, now and after the frame is moved by
-    `move_mm` (3,), CFCS; zero where nothing is to be moved. `sentences` say it."""
+    """Advice for one view.
+
+    `outside`, `outside_after`: share of each plate's beads outside the field, now and after moving the frame by
+    `move_mm` (3,), CFCS, which is zero where no move helps or is needed. `sentences`: the advice in words.
+    """
 
     outside: dict[str, float]
     outside_after: dict[str, float]
@@ -41,9 +44,9 @@ class SetupAdvice:
 
 
 def advise(observations: Observations, frame: Frame, field_mask: np.ndarray | None = None) -> SetupAdvice:
-    """Advice for one view. `field_mask` (H, W) bool: where the image shows anything; else its whole rectangle.
+    """Return the advice for one view. `field_mask` (H, W) bool: the exposed field; by default the whole image.
 
-    Raises UnusableInputError without mask and image shape, CalibrationRefusedError with too few beads.
+    Raises UnusableInputError without both mask and image shape, CalibrationRefusedError with too few beads.
     """
     mask = _mask(observations, field_mask)
     beads = match(observations, frame, None)
@@ -52,7 +55,7 @@ def advise(observations: Observations, frame: Frame, field_mask: np.ndarray | No
     names = {"XRII": view.xrii.xyz_mm, "source": view.source.xyz_mm}
     moves = _moves(view)
     shares = np.stack([_outside(projection, xyz + moves[:, None], mask) for xyz in names.values()], axis=1)
-    # Beads first, then the way: a millimetre of moving weighs as little as can be.
+    # Fewest beads outside first; among equals the shortest move.
     best = int(np.argmin(np.round(shares.sum(axis=1), 3) + 1e-6 * np.linalg.norm(moves, axis=1)))
     here = int(np.argmin(np.linalg.norm(moves, axis=1)))
     before, after = (dict(zip(names, map(float, shares[k]), strict=True)) for k in (here, best))
@@ -63,14 +66,16 @@ def _mask(observations: Observations, field_mask: np.ndarray | None) -> np.ndarr
     if field_mask is not None:
         return np.asarray(field_mask, dtype=bool)
     if observations.image_shape is None:
-        raise UnusableInputError("the size of the image is not known; give the field's mask or the image's shape")
+        raise UnusableInputError("the size of the image is unknown; give the field's mask or the image's shape")
     return np.ones(observations.image_shape, dtype=bool)
 
 
 def _projection(beads: Beads) -> np.ndarray:
-    """(3, 4) direct linear transformation in normalised coordinates (Hartley 1997)."""
+    """Return the projection (3, 4) by direct linear transformation in normalised coordinates (Hartley 1997)."""
     if len(beads) < MIN_BEADS:
-        raise CalibrationRefusedError(f"{len(beads)} beads are seen; advice on the set-up needs {MIN_BEADS}")
+        raise CalibrationRefusedError(
+            f"{len(beads)} beads are seen; advice on the set-up needs {MIN_BEADS}: move the frame into the field"
+        )
     to_unit2, to_unit3 = _normaliser(beads.uv_px), _normaliser(beads.xyz_mm)
     u = np.column_stack([beads.uv_px, np.ones(len(beads))]) @ to_unit2.T
     x = np.column_stack([beads.xyz_mm, np.ones(len(beads))]) @ to_unit3.T
@@ -82,7 +87,7 @@ def _projection(beads: Beads) -> np.ndarray:
 
 
 def _normaliser(points: np.ndarray) -> np.ndarray:
-    """Homogeneous matrix that moves points to their middle and scales them to unit size."""
+    """Return the homogeneous matrix that moves points to their mean and scales them to unit size."""
     d = points.shape[1]
     out = np.eye(d + 1)
     out[:d, :d] /= points.std()
@@ -91,14 +96,14 @@ def _normaliser(points: np.ndarray) -> np.ndarray:
 
 
 def _moves(view: FrameView) -> np.ndarray:
-    """(M, 3) shifts of the frame in the plane of its XRII plate, along CFCS axes where the plate does."""
+    """Return (M, 3) shifts of the frame in its XRII plate's plane, along CFCS axes where the plate is aligned."""
     steps = np.arange(-MAX_MOVE_MM, MAX_MOVE_MM + STEP_MM / 2, STEP_MM)
     a, b = np.meshgrid(steps, steps)
     return np.stack([a.ravel(), b.ravel()], axis=1) @ view.xrii.plane.axes
 
 
 def _outside(projection: np.ndarray, xyz_mm: np.ndarray, mask: np.ndarray) -> np.ndarray:
-    """(M,) share of points (M, N, 3) whose image lies outside the mask or within MARGIN_PX of the image's edge."""
+    """Return (M,): share of points (M, N, 3) imaged outside the mask or within MARGIN_PX of the image's edge."""
     image = xyz_mm @ projection[:, :3].T + projection[:, 3]
     uv = image[..., :2] / image[..., 2:]
     height, width = mask.shape
@@ -109,7 +114,7 @@ def _outside(projection: np.ndarray, xyz_mm: np.ndarray, mask: np.ndarray) -> np
 
 def _sentences(view: str, before: dict[str, float], after: dict[str, float], move_mm: np.ndarray) -> tuple[str, ...]:
     if not any(before.values()):
-        return (f"{view}: both plates lie wholly in the field; nothing is to be moved.",)
+        return (f"{view}: both plates lie entirely in the field; do not move anything.",)
     lost = " and ".join(f"{share:.0%} of the {name} plate" for name, share in before.items() if share)
     verb = "lies" if "and" not in lost else "lie"
     if not move_mm.any():

@@ -1,4 +1,4 @@
-"""Plane map: a cubic plus a Gaussian process."""
+"""Plane map of the smooth method: a cubic plus a Gaussian process."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -13,11 +13,11 @@ from sightline.errors import CalibrationRefusedError
 from sightline.fitting.kriging import Kriging
 
 DEGREE = 3
-# Beyond this many controls a fit takes seconds and gigabytes: V is dense [ours].
+# With more controls a fit takes seconds and gigabytes: their covariance is dense [ours].
 MAX_CONTROLS = 4000
-# The hyper-parameters of many controls are learnt from this many of them, evenly drawn [ours].
+# The hyper-parameters are learned from at most this many controls, drawn at random [ours].
 LEARN_FROM = 250
-BLOCK = 2**20  # numbers of a kernel held at once: 8 MB [ours]
+BLOCK = 2**20  # kernel values held at once: 8 MB [ours]
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,28 +32,29 @@ class SmoothMap:
 
     @cached_property
     def controls_unit(self) -> np.ndarray:
-        """(N, 2) the controls in unit coordinates."""
+        """(N, 2): the controls in unit coordinates."""
         return self.unit(self.controls_px)
 
     def to_plane(self, uv_px: np.ndarray) -> np.ndarray:
-        """Pixels (N, 2) to plane coordinates (N, 2), mm: the posterior mean."""
+        """Return the plane coordinates (N, 2), mm, of pixels (N, 2): the posterior mean."""
         return np.concatenate([self._terms(at)[:, :2] for at in self._blocks(uv_px)])
 
     def jacobian(self, uv_px: np.ndarray) -> np.ndarray:
-        """(N, 2, 2) d xy / d uv, mm/px."""
+        """Return (N, 2, 2) d xy / d uv, mm/px."""
         return self.linearised(uv_px)[1]
 
     def linearised(self, uv_px: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """`to_plane` and `jacobian`."""
+        """Return `to_plane` and `jacobian`."""
         blocks = self._blocks(uv_px)
         terms, at = np.concatenate([self._terms(at) for at in blocks]), np.concatenate(blocks)
         by_unit = terms[:, 2:6].reshape(-1, 2, 2) - terms[:, 6:, None] * at[:, None, :]
         return terms[:, :2], by_unit @ self.unit.matrix
 
     def _terms(self, at: np.ndarray) -> np.ndarray:
-        """(N, 8) at unit coordinates (N, 2): xy; its derivatives by them but for at * what the last two columns hold.
+        """Return (N, 8) at unit coordinates `at` (N, 2): xy (2), terms of its derivatives (4), and factors (2).
 
-        The derivative of exp(-|a - b|² / 2 l²) by a is that times (b - a) / l².
+        The derivatives by the unit coordinates are the terms minus factor times `at`, since the derivative of
+        exp(-|a - b|² / 2 l²) by a is that times (b - a) / l².
         """
         square = (at**2).sum(axis=1, keepdims=True)
         rough = np.exp(np.hstack([at, square, np.ones_like(square)]) @ self._exponents)
@@ -68,7 +69,7 @@ class SmoothMap:
 
     @cached_property
     def _rough(self) -> np.ndarray:
-        """(lengths * N, 8): what the process's exponentials count for in `_terms`."""
+        """(lengths * N, 8): coefficients of the process's exponentials in `_terms`."""
         moments = (self.controls_unit[:, None, :] * self.dual[:, :, None]).reshape(-1, 4)
         return np.vstack(
             [
@@ -79,24 +80,24 @@ class SmoothMap:
 
     @cached_property
     def _polynomial(self) -> np.ndarray:
-        """(21, 8): what monomials count for in `_terms`: the cubic, and the process's part of degree 4 and 5."""
+        """(21, 8): coefficients of the monomials in `_terms`: the cubic and the process's degrees 4 and 5."""
         whole = self.kernel.quintic_of(self.controls_unit, self.dual)
         whole[: len(self.cubic)] += self.cubic
         slopes = np.stack([by @ whole for by in derivatives(QUINTIC)], axis=-1)
         return np.hstack([whole, slopes.reshape(-1, 4), np.zeros_like(whole)])
 
     def _blocks(self, uv_px: np.ndarray) -> list[np.ndarray]:
-        """Unit coordinates in parts, so that the exponentials of millions of pixels are never held at once."""
+        """Return the unit coordinates in blocks, so that the kernel of millions of pixels is never held at once."""
         rows = max(1, BLOCK // self._exponents.shape[1])
         at = self.unit(uv_px)
         return [at[k : k + rows] for k in range(0, max(len(at), 1), rows)]
 
     def find_image(self, xy_mm: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Pixels (M, 2) of those plane coordinates (N, 2) that have any, and which do, (N,) bool."""
+        """Return the pixels (M, 2) of the plane coordinates (N, 2) that have one, and which do, (N,) bool."""
         return self._inverse.find(xy_mm)
 
     def to_image(self, xy_mm: np.ndarray) -> np.ndarray:
-        """Plane coordinates (N, 2) to pixels (N, 2). Raises OutsideRegionError."""
+        """Return the pixels (N, 2) of plane coordinates (N, 2). Raises OutsideRegionError."""
         return self._inverse(xy_mm)
 
     @cached_property
@@ -106,14 +107,14 @@ class SmoothMap:
 
 @dataclass(frozen=True, eq=False)
 class FittedSmoothMap(SmoothMap):
-    """A smooth map of controls that are all of one plane, with its posterior covariance."""
+    """A smooth map fitted to controls in one plane, with its posterior covariance."""
 
     solution: Kriging
 
     @staticmethod
     @well_conditioned()
     def fit(uv_px: np.ndarray, xy_mm: np.ndarray, noise_px: float | None) -> "FittedSmoothMap":
-        """Through controls (N, 2) whose pixels err by `noise_px` per axis (None: estimated).
+        """Return the map fitted to controls (N, 2); `noise_px`: s.d. of their pixels per axis (None: estimated).
 
         Raises CalibrationRefusedError.
         """
@@ -131,14 +132,17 @@ class FittedSmoothMap(SmoothMap):
         per_px2 = 0.5 * (slopes**2).sum(axis=(1, 2))
         some = np.arange(n) if n <= LEARN_FROM else np.random.default_rng(0).permutation(n)[:LEARN_FROM]
         noise = per_px2 if noise_px is None else per_px2 * noise_px**2
-        problem = PriorData(at[some], design[some], np.zeros((len(some), 2, 0)), xy_mm[some], noise[some], 0.0, radius)
-        learned = learn(problem, NOISE_SCALES_PX if noise_px is None else None)
+        data = PriorData(at[some], design[some], np.zeros((len(some), 2, 0)), xy_mm[some], noise[some], 0.0, radius)
+        learned = learn(data, NOISE_SCALES_PX if noise_px is None else None)
         covariance = learned.kernel(at, at) + np.diag(learned.noise_scale**2 * noise)
         solution = Kriging.of(design, covariance, xy_mm)
         return FittedSmoothMap(unit, learned.kernel, solution.theta, solution.dual, uv_px, solution)
 
     def covariance_mm2(self, uv_px: np.ndarray) -> np.ndarray:
-        """(N, N) posterior covariance of one plane coordinate at pixels (N, 2); x and y are independent and alike."""
+        """Return the posterior covariance (N, N), mm², of one plane coordinate at pixels (N, 2).
+
+        x and y are independent and have the same covariance.
+        """
         at = self.unit(uv_px)
         cross, prior = self.kernel(at, self.controls_unit), self.kernel(at, at)
         return self.solution.predict(monomials(at, DEGREE), cross, prior)[1]

@@ -1,9 +1,9 @@
-"""Which of the frame's beads should be seen near a pixel, and how many of them the calibration rests on.
+"""The frame's beads that should be visible near a pixel, and how many of them the calibration uses.
 
-Labelling drops what does not fit the rest, such as the beads of a strip of torn rows. The map there is then a guess
-from elsewhere, and no residual says so. A bead that something hides leaves nothing behind, and contradicts nothing: the
-map's own covariance allows for it. So each detection near by that was not labelled stands for a missing bead; what is
-missing beyond these is taken to be hidden.
+Labelling drops beads that do not fit the rest, such as those of a strip of torn rows. The map there is then
+extrapolated, and no residual shows it. A hidden bead contradicts nothing, and the map's own covariance allows for it.
+Each unlabelled detection nearby therefore counts as one missing bead that is not hidden; all other missing beads count
+as hidden.
 """
 
 from dataclasses import dataclass
@@ -12,15 +12,14 @@ import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 from scipy.spatial.distance import cdist
 
-NEIGHBOURS = 8  # [ours] beads about a pixel, of both plates: within 1.1 pitches of 7 x 7 and 8 x 8 beads
+NEIGHBOURS = 8  # [ours] beads about a pixel, of both plates: within 1.1 pitches with 7 x 7 and 8 x 8 beads
 
 
 @dataclass(frozen=True, eq=False)
 class Support:
-    """E beads that the view shows apart from each other: `places_px` (E, 2), `radii_px` (E,), `used` (E,) bool.
+    """E isolated beads of the view: `places_px` (E, 2), `radii_px` (E,), `used` (E,) bool.
 
-    `stray_px` (M, 2): what was detected and is none of the beads used; None where nobody knows, and then no bead counts
-    as hidden.
+    `stray_px` (M, 2): detections that are not used beads; None where unknown, and then no bead counts as hidden.
     """
 
     places_px: np.ndarray
@@ -30,20 +29,23 @@ class Support:
 
     @staticmethod
     def of(places_px: np.ndarray, radii_px: np.ndarray, used: np.ndarray, stray_px: np.ndarray | None) -> "Support":
-        """Of all beads that the view projects (M, 2); of two that touch or overlap detection may find none, or one that
-        is neither."""
-        apart = cdist(places_px, places_px) - radii_px[:, None] - radii_px
-        np.fill_diagonal(apart, np.inf)
-        alone = apart.min(axis=1, initial=np.inf) > 0.0
+        """Return the support of all beads that the view projects (M, 2), without those whose shadows touch.
+
+        Of two that touch, detection may find none, or a single one that is neither.
+        """
+        clearance = cdist(places_px, places_px) - radii_px[:, None] - radii_px
+        np.fill_diagonal(clearance, np.inf)
+        isolated = clearance.min(axis=1, initial=np.inf) > 0.0
         if stray_px is not None:
-            on_pair = (cdist(stray_px, places_px[~alone]) < radii_px[~alone]).any(axis=1)
+            on_pair = (cdist(stray_px, places_px[~isolated]) < radii_px[~isolated]).any(axis=1)
             stray_px = stray_px[~on_pair]
-        return Support(places_px[alone], radii_px[alone], used[alone], stray_px)
+        return Support(places_px[isolated], radii_px[isolated], used[isolated], stray_px)
 
     def near(self, uv_px: np.ndarray) -> np.ndarray:
         """Return (N, 3) int: how many of the NEIGHBOURS beads nearest to each pixel (N, 2) are used, hidden, expected.
 
-        The field of view is convex and holds the beads used and the pixel: what lies between them is in it.
+        Expected are beads in the convex hull of the used beads and the pixel: the field of view is convex and contains
+        these.
         """
         out = np.zeros((len(uv_px), 3), dtype=int)
         known = self.places_px[self.used]
@@ -66,9 +68,9 @@ class Support:
 
 
 def _inside(corners_px: np.ndarray, uv_px: np.ndarray, margin_px: np.ndarray | float = 0.0) -> np.ndarray:
-    """(N,) bool: pixels (N, 2) within the convex hull of others, by at least a margin.
+    """Return (N,) bool: whether pixels (N, 2) lie within the convex hull of others, by at least a margin.
 
-    All are where the others span none: then no bead is excused.
+    All True where the others do not span a convex hull: then every bead is expected.
     """
     try:
         sides = ConvexHull(corners_px).equations

@@ -1,4 +1,4 @@
-"""An image resampled to the reference plane of its view: distortion and perspective of that plane are gone."""
+"""Resampling of an image to its view's reference plane, which removes distortion and that plane's perspective."""
 
 from dataclasses import dataclass
 
@@ -10,8 +10,8 @@ from sightline.calibration.hull import Hull
 from sightline.calibration.view import PlaneMap
 from sightline.errors import UnusableInputError
 
-# The map is inverted at nodes this far apart and splined between them; a plane map bends over 30 mm and more
-# (physics.md, Distortion), so a cubic spline is within 0.01 px of it [calc, in its test].
+# The map is inverted at nodes this far apart, with a cubic spline between them; a plane map varies over 30 mm and more
+# (physics.md, Distortion), so the spline is within 0.01 px of it [calc, in its test].
 _NODES_MM = 2.0
 _MAX_PIXELS = 2**25  # [ours]
 
@@ -20,9 +20,9 @@ _MAX_PIXELS = 2**25  # [ours]
 class PlaneImage:
     """An image on the reference plane: pixel (column j, row i) lies at `origin_mm` + `spacing_mm` (j, i).
 
-    `pixels` (h, w), 0 where the image does not reach; `uv_px` (h, w, 2): where in the image each comes from;
-    `inside_hull` (h, w) bool: within the beads' hull, where the map does not extrapolate. Plane coordinates; a row
-    runs along axis 0 of the plane, a column along axis 1.
+    `pixels` (h, w), 0 outside the original image; `uv_px` (h, w, 2): each pixel's place in the original image;
+    `inside_hull` (h, w) bool: within the beads' convex hull, where the map does not extrapolate. A row runs along axis
+    0 of the plane, a column along axis 1.
     """
 
     pixels: np.ndarray
@@ -33,10 +33,10 @@ class PlaneImage:
 
 
 def undistort(pixels: np.ndarray, plane_map: PlaneMap, hull: Hull, spacing_mm: float | None = None) -> PlaneImage:
-    """Resample an image (H, W) to the plane, over the rectangle that the beads' hull spans there.
+    """Return an image (H, W) resampled to the plane, over the bounding box of the beads' convex hull there.
 
-    `spacing_mm` of the new pixels; by default one old pixel's size in the middle. Raises UnusableInputError on a
-    spacing that gives no image or a huge one, OutsideRegionError.
+    `spacing_mm`: of the new pixels; by default the size of an original pixel in the middle. Raises UnusableInputError
+    for a spacing that gives no image or a huge one, OutsideRegionError.
     """
     if spacing_mm is None:
         middle = hull.corners_px.mean(axis=0, keepdims=True)
@@ -44,7 +44,7 @@ def undistort(pixels: np.ndarray, plane_map: PlaneMap, hull: Hull, spacing_mm: f
     corners_mm = plane_map.to_plane(hull.corners_px)
     origin, extent = corners_mm.min(axis=0), np.ptp(corners_mm, axis=0)
     if not (np.isfinite(spacing_mm) and spacing_mm > 0) or np.prod(extent / spacing_mm) > _MAX_PIXELS:
-        raise UnusableInputError(f"a spacing of {spacing_mm} mm gives no image of a usable size; try 0.2")
+        raise UnusableInputError(f"a spacing of {spacing_mm} mm does not give an image of a usable size; try 0.2")
     uv_px = _sources(plane_map, origin, extent, spacing_mm)
     return PlaneImage(
         pixels=cv2.remap(pixels, uv_px[..., 0].astype(np.float32), uv_px[..., 1].astype(np.float32), cv2.INTER_CUBIC),
@@ -56,7 +56,7 @@ def undistort(pixels: np.ndarray, plane_map: PlaneMap, hull: Hull, spacing_mm: f
 
 
 def _sources(plane_map: PlaneMap, origin: np.ndarray, extent: np.ndarray, spacing_mm: float) -> np.ndarray:
-    """(h, w, 2) pixels that the grid on the plane comes from."""
+    """Return (h, w, 2): the original pixels of the grid on the plane."""
     x, y = (origin[k] + spacing_mm * np.arange(int(extent[k] / spacing_mm) + 1) for k in (0, 1))
     node_x, node_y = (np.linspace(a[0], a[-1], max(5, 1 + int(np.ptp(a) / _NODES_MM))) for a in (x, y))
     nodes = np.stack(np.meshgrid(node_x, node_y, indexing="ij"), axis=-1)

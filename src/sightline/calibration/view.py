@@ -1,4 +1,4 @@
-"""A calibrated view: a plane map and a focal point with their joint covariance; and what it gives, lines of sight."""
+"""The interface of a calibrated view (plane map and focal point with their joint covariance), and lines of sight."""
 
 from dataclasses import dataclass, replace
 from typing import Protocol
@@ -8,7 +8,7 @@ import numpy as np
 from sightline.checks import Check
 from sightline.geometry.planes import Plane
 
-# Where the error of a line of sight comes from. Their covariances add up to the whole.
+# The sources of a line of sight's error; their covariances add up to the total.
 SOURCES = ("beads", "map", "focal_point", "frame")
 
 
@@ -16,23 +16,23 @@ class PlaneMap(Protocol):
     """A smooth map between an image (IDCS, px) and a plane (mm)."""
 
     def to_plane(self, uv_px: np.ndarray) -> np.ndarray:
-        """Pixels (N, 2) to plane coordinates (N, 2)."""
+        """Return the plane coordinates (N, 2), mm, of pixels (N, 2). Raises OutsideRegionError."""
         ...
 
     def to_image(self, xy_mm: np.ndarray) -> np.ndarray:
-        """Plane coordinates (N, 2) to pixels (N, 2)."""
+        """Return the pixels (N, 2) of plane coordinates (N, 2). Raises OutsideRegionError."""
         ...
 
     def find_image(self, xy_mm: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Pixels (M, 2) of those plane coordinates (N, 2) that have any, and which do, (N,) bool."""
+        """Return the pixels (M, 2) of the plane coordinates (N, 2) that have one, and which do, (N,) bool."""
         ...
 
     def jacobian(self, uv_px: np.ndarray) -> np.ndarray:
-        """d(to_plane)/d(uv) at pixels (N, 2): (N, 2, 2), mm/px."""
+        """Return (N, 2, 2) d(to_plane) / d(uv), mm/px, at pixels (N, 2)."""
         ...
 
     def linearised(self, uv_px: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """`to_plane` and `jacobian` at pixels (N, 2)."""
+        """Return `to_plane` and `jacobian` at pixels (N, 2)."""
         ...
 
 
@@ -41,17 +41,17 @@ class LinesOfSight:
     """The lines of sight of N pixels of one view, CFCS.
 
     Line i runs from `focal_point_mm` (3,) through `points_mm` (N, 3), which lie in `plane` at `xy_mm` (N, 2).
-    `jacobian` (N, 2, 2) is d xy / d uv, mm/px: it carries a pick's covariance onto the plane.
-    `covariance` is None where the error is unknown; else, for each of SOURCES, the (3 + 2N, 3 + 2N) covariance of
-    (focal point, xy of line 1, ..., xy of line N). The picks' own noise is not in it.
-    `frame_factor` (3 + 2N, K) or None: the same numbers' response to the K independent unit-variance errors of the
-    frame (`Frame.error_factor`), so covariance["frame"] = frame_factor @ frame_factor.T, and the shared error of two
-    views a and b of the frame is a.frame_factor @ b.frame_factor.T. `frame_key`: `Frame.fingerprint`, None for a view
-    that knows no frame; views with different keys are not combined.
-    `inside_hull` (N,) bool: within the hull of the beads. `upright`: whether the image shows the frame file's beads as
-    the X-ray source sees them, or as a display does that a person said is mirrored; None without a frame.
-    `beads_near` (N, 3) int: of the frame's beads nearest to each pixel, how many the view rests on, how many something
-    seems to hide, and how many the image should show (`Support`); None without a frame.
+    `jacobian` (N, 2, 2) is d xy / d uv, mm/px: it propagates a pick's covariance to the plane.
+    `covariance`: for each of SOURCES the (3 + 2N, 3 + 2N) covariance, mm², of (focal point, xy of line 1, ..., xy of
+    line N), without the picks' own noise; None where the error is unknown.
+    `frame_factor` (3 + 2N, K): the response of the same numbers to the K independent unit-variance errors of the frame
+    (`Frame.error_factor`), so covariance["frame"] = frame_factor @ frame_factor.T, and the cross-covariance of two
+    views a and b of the frame is a.frame_factor @ b.frame_factor.T; None without a frame. `frame_key`:
+    `Frame.fingerprint`, None for a view without a frame; views with different keys are not combined.
+    `inside_hull` (N,) bool: within the convex hull of the beads. `upright`: whether the image shows the frame file's
+    beads not mirrored, with a display allowed for that a person stated to be mirrored; None without a frame.
+    `beads_near` (N, 3) int: of the frame's beads nearest to each pixel, how many the calibration uses, how many seem to
+    be hidden, and how many the image should show (`Support`); None without a frame.
     """
 
     view: str
@@ -78,7 +78,7 @@ class LinesOfSight:
         return d / np.linalg.norm(d, axis=-1, keepdims=True)
 
     def only(self, rows: slice) -> "LinesOfSight":
-        """Some of the lines, with their share of the covariance."""
+        """Return the lines in `rows` with their part of the covariance."""
         numbers = np.arange(3 + 2 * len(self.xy_mm))
         kept = np.concatenate([numbers[:3], numbers[3:].reshape(-1, 2)[rows].ravel()])
         each = self.covariance
@@ -94,7 +94,7 @@ class LinesOfSight:
 
 
 class CalibratedView(Protocol):
-    """One image with its geometry. Planning and everything after it know a view by this face alone."""
+    """One image with its geometry: the only interface of a view that planning and later stages use."""
 
     @property
     def name(self) -> str:
@@ -113,17 +113,17 @@ class CalibratedView(Protocol):
 
     @property
     def checks(self) -> tuple[Check, ...]:
-        """What was checked of the calibration."""
+        """The checks of the calibration."""
         ...
 
     def project(self, xyz_mm: np.ndarray) -> np.ndarray:
-        """Points (N, 3) CFCS to pixels (N, 2). Raises OutsideRegionError."""
+        """Return the pixels (N, 2) of points (N, 3), CFCS. Raises OutsideRegionError."""
         ...
 
     def project_seen(self, xyz_mm: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Pixels (M, 2) of those of the points (N, 3) CFCS that `project` takes, and which these are, (N,) bool."""
+        """Return the pixels (M, 2) of the points (N, 3), CFCS, that `project` accepts, and which, (N,) bool."""
         ...
 
     def lines_of_sight(self, uv_px: np.ndarray) -> LinesOfSight:
-        """Lines of sight of pixels (N, 2). Raises OutsideRegionError."""
+        """Return the lines of sight of pixels (N, 2). Raises OutsideRegionError."""
         ...

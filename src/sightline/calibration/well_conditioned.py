@@ -1,4 +1,4 @@
-"""Ill-conditioned calibrations are refused in words."""
+"""Refusal of ill-conditioned calibrations."""
 
 from collections.abc import Generator
 from contextlib import contextmanager
@@ -15,5 +15,6 @@ def well_conditioned() -> Generator[None]:
         yield
     except np.linalg.LinAlgError:
         raise CalibrationRefusedError(
-            "the beads' covariances make the calibration ill-conditioned; check the noise stated and double beads"
+            "the beads' covariances make the calibration ill-conditioned; check the stated noise, and that no bead is "
+            "given twice"
         ) from None

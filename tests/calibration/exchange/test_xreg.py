@@ -55,9 +55,7 @@ def test_projections_of_xregs_own_writer_are_read_by_name(tmp_path_factory, firs
             image = held.create_group(f"proj-{k:03d}/img")
             image.create_dataset("pixels", data=np.zeros(pinhole.shape or (), np.float32), compression=9)
             held[f"proj-{k:03d}/landmarks/FH-l"] = np.zeros((2, 1), np.float32)
-    with pytest.raises(
-        UnusableInputError, match="2 projections none is called 'fluoro'; there are: proj-000, proj-001"
-    ):
+    with pytest.raises(UnusableInputError, match="no projection 'fluoro'; its 2 projections are: proj-000, proj-001"):
         read_view(file)
     for k, pinhole in enumerate((first, second)):
         back = read_view(file, name=f"proj-{k:03d}")
@@ -68,7 +66,7 @@ def test_projections_of_xregs_own_writer_are_read_by_name(tmp_path_factory, firs
 def test_the_only_projection_is_not_taken_for_another_one(tmp_path: Path) -> None:
     put(tmp_path / "a.xreg.h5", example())
     assert read_view(tmp_path / "a.xreg.h5", name="proj-000").name == "proj-000"
-    with pytest.raises(UnusableInputError, match="none is called 'proj-001'; there are: proj-000"):
+    with pytest.raises(UnusableInputError, match="no projection 'proj-001'; its 1 projections are: proj-000"):
         read_view(tmp_path / "a.xreg.h5", name="proj-001")
 
 
@@ -132,13 +130,13 @@ def test_xregs_other_two_frames_give_the_same_pixels(tmp_path_factory, frame: st
 @pytest.mark.parametrize(
     ("changed", "words"),
     [
-        ({"extrinsic": np.diag([1.0, 1.0, 1.1, 1.0])}, "no rotation"),
-        ({"extrinsic": np.diag([1.0, 1.0, -1.0, 1.0])}, "mirror image"),
+        ({"extrinsic": np.diag([1.0, 1.0, 1.1, 1.0])}, "not a rotation"),
+        ({"extrinsic": np.diag([1.0, 1.0, -1.0, 1.0])}, "reflection"),
         ({"extrinsic": np.eye(3)}, "4 x 4"),
         ({"extrinsic": np.eye(40)}, "'extrinsic' is missing"),
         ({"intrinsic": np.full((3, 3), np.nan)}, "finite"),
         ({"intrinsic": None}, "'intrinsic' is missing"),
-        ({"num_rows": np.float64(-4.0)}, "image of"),
+        ({"num_rows": np.float64(-4.0)}, "image size"),
         ({"row_spacing": np.float64(0.0)}, "above zero"),
         ({"row_spacing": np.bytes_("wide")}, "col-spacing|row-spacing"),
         ({"cam_coord_frame_type": np.bytes_("up")}, "cam-coord-frame-type is 'up'"),
@@ -184,8 +182,8 @@ def test_numbers_are_taken_from_the_file_itself_alone(tmp_path: Path) -> None:
 def test_files_without_a_projection_are_refused(tmp_path: Path) -> None:
     file = tmp_path / "a.xreg.h5"
     for fill, words in (
-        ({}, "0 projections none is called"),
-        ({"num-projs": np.uint64(9)}, "0 projections none is called"),
+        ({}, "its 0 projections are: none"),
+        ({"num-projs": np.uint64(9)}, "its 0 projections are: none"),
         ({"num-projs": np.uint64(2**63)}, "num-projs must be"),
         ({"num-projs": np.uint64(1), "proj-000": 5.0}, "a group was expected"),
         ({"num-projs": np.uint64(1), "proj-000/x": 5.0}, "no group 'cam'"),

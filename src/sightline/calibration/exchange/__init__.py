@@ -1,5 +1,5 @@
-"""Views in the files of other programs: docs/interop.md has every convention and sign.
+"""Views in the file formats of other programs; docs/interop.md states every convention and sign.
 
-Each format is one module; `formats` reads and writes them by name. A format knows pinholes and nothing of plans. It may
-import `calibration.matrix`, and nothing else of `calibration`.
+Each format is one module; `formats` reads and writes them by name. A format handles pinholes, not plans. It may import
+`calibration.matrix`, and nothing else of `calibration`.
 """

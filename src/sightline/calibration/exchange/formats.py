@@ -1,4 +1,4 @@
-"""The formats of a view, by name."""
+"""Reading and writing a view in a format given by name."""
 
 import re
 from collections.abc import Callable
@@ -18,29 +18,30 @@ _WRITE: dict[str, Callable[[Pinhole], dict[str, bytes]]] = {
     "deepdrr": deepdrr.write,
 }
 _WRITE_WITH_IMAGE = {"rtk": rtk.write, "xreg": xreg.write}
-_READ: dict[str, Callable[[bytes, str], Pinhole]] = {  # RTK's takes the head of its image too
+_READ: dict[str, Callable[[bytes, str], Pinhole]] = {  # RTK's reader needs its image's header too
     "opencv": opencv.read,
     "mayacam2": mayacam2.read,
     "diffdrr": diffdrr.read,
     "deepdrr": deepdrr.read,
     "xreg": xreg.read,
 }
-_MAX_BYTES = {"xreg": xreg.MAX_BYTES}  # its images are in the same file
+_MAX_BYTES = {"xreg": xreg.MAX_BYTES}  # its file contains the images
 FORMATS = (*_WRITE, *_WRITE_WITH_IMAGE)
 
 
 def write_view(pinhole: Pinhole, kind: str, pixels: np.ndarray | None = None) -> dict[str, bytes]:
-    """Files of one view by name; RTK's and xReg's hold the image too. Raises UnusableInputError."""
+    """Return the files of one view by their names; RTK's and xReg's include the image. Raises UnusableInputError."""
     if known(kind) in _WRITE_WITH_IMAGE:
         return _WRITE_WITH_IMAGE[kind](pinhole, pixels)
     return _WRITE[kind](pinhole)
 
 
 def read_view(path: str | Path, kind: str | None = None, name: str | None = None) -> Pinhole:
-    """A view from a file of another program; without `kind`, the file's name tells (`pa.xreg.h5`).
+    """Return a view from a file of another program.
 
-    `name`: of the view, "pa" or "lateral", or of one of several in a file of xReg's, "proj-001"; by default the first
-    word of the file's name. Raises UnusableInputError.
+    `kind`: the format; by default from the file's name (`pa.xreg.h5`). `name`: of the view, "pa" or "lateral", or of
+    one of several projections in an xReg file, "proj-001"; by default the first word of the file's name.
+    Raises UnusableInputError.
     """
     file = Path(path)
     words = file.name.lower().split(".")
@@ -62,7 +63,7 @@ def _head(image: Path) -> bytes:
 
 
 def known(kind: str) -> str:
-    """The name of a format. Raises UnusableInputError."""
+    """Return the name of a format. Raises UnusableInputError for an unknown one."""
     if kind not in FORMATS:
-        raise UnusableInputError(f"{kind!r} is no format of a view; choose of {', '.join(FORMATS)}")
+        raise UnusableInputError(f"unknown format of a view {kind!r}; choose one of {', '.join(FORMATS)}")
     return kind

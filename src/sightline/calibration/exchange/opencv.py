@@ -1,4 +1,4 @@
-"""Matrices as OpenCV has them: JSON (ours, or any with "matrix"), CSV of 3 x 4 numbers, NumPy's `.npy`."""
+"""Projection matrices by OpenCV's convention: JSON (ours, or any with "matrix"), CSV of 3 x 4 numbers, or `.npy`."""
 
 import io
 from typing import Any
@@ -16,11 +16,11 @@ CONVENTION = (
     "top-left pixel, u to the right, v down; z from the X-ray source to the detector; no distortion"
 )
 
-_AGREE = 1e-6  # [ours] of a matrix's norm: files written with seven digits agree to that
+_MAX_DIFFERENCE = 1e-6  # [ours] of a matrix's norm: files written with seven digits agree to that
 
 
 def document(pinhole: Pinhole) -> dict[str, Any]:
-    """A pinhole as JSON types."""
+    """Return a pinhole as JSON types."""
     return {
         "view": pinhole.name,
         "coordinates": "CFCS",
@@ -39,12 +39,14 @@ def document(pinhole: Pinhole) -> dict[str, Any]:
 
 
 def of_document(given: dict[str, Any], name: str) -> Pinhole:
-    """A pinhole of JSON types: of "matrix", or "camera_matrix", "rotation", "translation_mm".
+    """Return the pinhole of JSON types: "matrix", or "camera_matrix", "rotation" and "translation_mm".
 
     Raises UnusableInputError; also where lens distortion is stated, or the matrix and its parts disagree.
     """
     if np.any(given.get("distortion") or 0):
-        raise UnusableInputError("the file states a lens distortion; undistort the image, and give the matrix of that")
+        raise UnusableInputError(
+            "undistort the image and give the matrix of the result: the file states a lens distortion"
+        )
     whole = reading.array(given["matrix"], (3, 4), "the matrix") if "matrix" in given else None
     parts = _of_parts(given) if whole is None or "camera_matrix" in given else None
     if whole is not None and parts is not None:
@@ -61,21 +63,23 @@ def of_document(given: dict[str, Any], name: str) -> Pinhole:
 
 
 def _of_parts(given: dict[str, Any]) -> np.ndarray:
-    turn = reading.rotation(reading.entry(given, "rotation"))
-    move = reading.array(reading.entry(given, "translation_mm"), (3,), "the translation")
+    rotation = reading.rotation(reading.entry(given, "rotation"))
+    translation = reading.array(reading.entry(given, "translation_mm"), (3,), "the translation")
     camera = reading.array(reading.entry(given, "camera_matrix"), (3, 3), "the camera matrix")
-    return camera @ np.column_stack([turn, move])
+    return camera @ np.column_stack([rotation, translation])
 
 
 def _refuse_two(whole: np.ndarray, parts: np.ndarray) -> None:
-    """Raises UnusableInputError where a matrix and its parts are not one, up to scale."""
+    """Raise UnusableInputError where a matrix and its parts differ by more than scale."""
     one, other = whole / np.linalg.norm(whole), parts / np.linalg.norm(parts)
-    if min(np.abs(one - other).max(), np.abs(one + other).max()) > _AGREE:
-        raise UnusableInputError("the matrix and its camera matrix, rotation and translation state two geometries")
+    if min(np.abs(one - other).max(), np.abs(one + other).max()) > _MAX_DIFFERENCE:
+        raise UnusableInputError(
+            "export the file again: its matrix disagrees with its camera matrix, rotation and translation"
+        )
 
 
 def write(pinhole: Pinhole) -> dict[str, bytes]:
-    """JSON with everything; the bare matrix as CSV and as .npy."""
+    """Return the files of a view by their names: JSON with everything, the matrix alone as CSV and .npy."""
     rows = "".join(",".join(repr(float(x)) for x in row) + "\n" for row in pinhole.matrix)
     binary = io.BytesIO()
     np.save(binary, pinhole.matrix)
@@ -88,7 +92,7 @@ def write(pinhole: Pinhole) -> dict[str, bytes]:
 
 
 def read(data: bytes, name: str) -> Pinhole:
-    """From any of the three; its first bytes tell which. Raises UnusableInputError."""
+    """Return the view in any of the three files, told by its first bytes. Raises UnusableInputError."""
     if data.startswith(b"\x93NUMPY"):
         return Pinhole.of_matrix(_npy(data), name)
     if data.lstrip()[:1] in (b"{", b"["):
@@ -99,14 +103,14 @@ def read(data: bytes, name: str) -> Pinhole:
 
 
 def _npy(data: bytes) -> np.ndarray:
-    """(3, 4) of a NumPy file."""
+    """Return the matrix (3, 4) of a NumPy file. Raises UnusableInputError."""
 
-    def look(shape: tuple[int, ...], dtype: np.dtype) -> None:
+    def refuse_other(shape: tuple[int, ...], dtype: np.dtype) -> None:
         if shape != (3, 4) or dtype.kind not in "fiu":
             raise ValueError("another array")
 
     try:
-        matrix = npy_array(data, look)
+        matrix = npy_array(data, refuse_other)
     except ValueError:
-        raise UnusableInputError("this is not a whole NumPy file of 3 x 4 numbers; save the matrix again") from None
+        raise UnusableInputError("save the matrix again: this is not a complete NumPy file of 3 x 4 numbers") from None
     return reading.array(matrix, (3, 4), "the matrix")

@@ -1,4 +1,4 @@
-"""What all readers share: size limits, text, strict JSON, arrays of finite numbers. Raises UnusableInputError."""
+"""Parts common to all readers: size limits, text, strict JSON, finite numbers. All raise UnusableInputError."""
 
 import json
 import re
@@ -13,16 +13,16 @@ from sightline.errors import UnusableInputError
 MAX_BYTES = 2**20  # [ours] a matrix with its covariance takes 5 kB
 MAX_NUMBER = 1e12  # [ours] focal lengths of 1e5 px times distances of 1e4 mm, and a scale of 1000
 _BRACKETS = re.compile(r"[\[{\]}]")
-_MAX_DEPTH = 8  # [ours] of brackets in JSON; ours have 3
+_MAX_DEPTH = 8  # [ours] of nested brackets in JSON; our files have 3
 
 
 def read_bytes(path: Path, limit: int = MAX_BYTES) -> bytes:
-    """A whole file of at most `limit` bytes."""
+    """Return the content of a file of at most `limit` bytes."""
     return read_bounded(path, limit, UnusableInputError, "give the file of one view or plan")
 
 
 def text(data: bytes) -> str:
-    """UTF-8."""
+    """Return the text of UTF-8 bytes."""
     try:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError:
@@ -30,7 +30,7 @@ def text(data: bytes) -> str:
 
 
 def json_object(data: bytes, depth: int = _MAX_DEPTH) -> dict[str, Any]:
-    """A JSON object: no key twice, no NaN, nested no deeper than `depth`."""
+    """Return a JSON object without repeated keys or NaN, nested no deeper than `depth`."""
     out = json_value(data, depth)
     if not isinstance(out, dict):
         raise UnusableInputError("the file must hold one JSON object, { ... }")
@@ -38,10 +38,10 @@ def json_object(data: bytes, depth: int = _MAX_DEPTH) -> dict[str, Any]:
 
 
 def json_value(data: bytes, depth: int = _MAX_DEPTH) -> Any:
-    """Any JSON value, as strictly."""
+    """Return any JSON value, with the same restrictions."""
     written = text(data)
     level = 0
-    for bracket in _BRACKETS.findall(written):  # a deep nest would exhaust the stack; brackets in strings count too
+    for bracket in _BRACKETS.findall(written):  # deep nesting would exhaust the stack; brackets in strings count too
         level += 1 if bracket in "[{" else -1
         if level > depth:
             raise UnusableInputError("the JSON is nested too deeply to be a view or a plan")
@@ -54,25 +54,25 @@ def json_value(data: bytes, depth: int = _MAX_DEPTH) -> Any:
 def _without_repeats(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     out = dict(pairs)
     if len(out) != len(pairs):
-        raise UnusableInputError("the JSON names a key twice; write each once")
+        raise UnusableInputError("the JSON has a key twice; write each key once")
     return out
 
 
 def _no_constant(name: str) -> float:
-    raise UnusableInputError(f"{name} is not a number that a geometry can have; export it again")
+    raise UnusableInputError(f"the file contains {name}, which is not a valid number; export it again")
 
 
 def entry(document: dict[str, Any], key: str) -> Any:
-    """A key that must be there."""
+    """Return the value of a required key."""
     if key not in document:
         raise UnusableInputError(
-            f"{key!r} is missing; it has: {', '.join(map(repr, list(document)[:12])) or 'nothing'}"
+            f"{key!r} is missing; the file has: {', '.join(map(repr, list(document)[:12])) or 'nothing'}"
         )
     return document[key]
 
 
 def array(value: Any, shape: tuple[int, ...], what: str) -> np.ndarray:
-    """Finite numbers of a shape, none beyond MAX_NUMBER, at which arithmetic on them would end."""
+    """Return finite numbers of a shape, none beyond MAX_NUMBER, so that arithmetic does not overflow."""
     try:
         out = np.array(value, dtype=np.float64)
     except (TypeError, ValueError, OverflowError):
@@ -84,14 +84,14 @@ def array(value: Any, shape: tuple[int, ...], what: str) -> np.ndarray:
 
 
 def number(value: Any, what: str) -> float:
-    """A finite number."""
+    """Return a finite number."""
     if isinstance(value, bool):
         raise UnusableInputError(f"{what} must be a number")
     return float(array(value, (), what))
 
 
 def positive(value: Any, what: str) -> float:
-    """A finite number above zero."""
+    """Return a finite number above zero."""
     out = number(value, what)
     if out < 1 / MAX_NUMBER:
         raise UnusableInputError(f"{what} is {out:g}; it must be above zero")
@@ -99,19 +99,23 @@ def positive(value: Any, what: str) -> float:
 
 
 def image_shape(height: Any, width: Any) -> tuple[int, int]:
-    """Height and width in pixels: whole numbers from 1 to 65536."""
+    """Return height and width in pixels: integers from 1 to 65536."""
     sides = [number(side, "the image size") for side in (height, width)]
     if any(side != int(side) or not 1 <= side <= 2**16 for side in sides):
-        raise UnusableInputError(f"an image of {sides[1]:g} x {sides[0]:g} pixels cannot be; check the image size")
+        raise UnusableInputError(
+            f"check the image size of {sides[1]:g} x {sides[0]:g} pixels: each must be an integer from 1 to {2**16}"
+        )
     return int(sides[0]), int(sides[1])
 
 
 def rotation(value: Any, what: str = "the rotation") -> np.ndarray:
-    """(3, 3) proper rotation, to 1e-4 (0.06 mm at 600 mm); made exact."""
+    """Return a proper rotation (3, 3), orthogonal to 1e-4 (0.06 mm at 600 mm) in the file, orthonormalised."""
     out = array(value, (3, 3), what)
     if np.abs(out @ out.T - np.eye(3)).max() > 1e-4:
-        raise UnusableInputError(f"{what} is no rotation: its rows are not of length 1 and square to each other")
+        raise UnusableInputError(f"{what} is not a rotation: its rows are not orthonormal; export it again")
     if np.linalg.det(out) < 0:
-        raise UnusableInputError(f"{what} is a mirror image; flip the image's columns and give the geometry of that")
+        raise UnusableInputError(
+            f"{what} contains a reflection; flip the image's columns and give the geometry of the flipped image"
+        )
     left, _, right = np.linalg.svd(out)
     return left @ right

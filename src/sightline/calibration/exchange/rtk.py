@@ -1,7 +1,7 @@
-"""RTK's `ThreeDCircularProjectionGeometry` (XML, version 3) with the projection as MetaImage, which fixes its pixels.
+"""RTK's `ThreeDCircularProjectionGeometry` (XML, version 3) with the projection as MetaImage, which defines its pixels.
 
-RTK's detector axes and the direction from detector to source are right-handed, so its second axis runs against v: the
-image is written bottom row first. RTK: documentation/docs/Geometry.md of its repository.
+RTK's detector axes and the direction from detector to source are right-handed, so its second axis runs against v, and
+the image is written bottom row first. See documentation/docs/Geometry.md in RTK's repository.
 """
 
 from xml.etree.ElementTree import Comment, Element, SubElement, indent, tostring
@@ -28,19 +28,21 @@ _NAMES = (
     "ProjectionOffsetY",
 )
 _NEEDED = _NAMES[:3]
-# RTK compares the matrix of a file with its parameters; so do we [ours]: 0.001 px at 0.2 mm.
-_AGREE_MM = 2e-4
+# A file's matrix must agree with its parameters, as in RTK [ours]: 0.001 px at 0.2 mm.
+_MAX_DIFFERENCE_MM = 2e-4
 
 
 def parameters(pinhole: Pinhole) -> dict[str, float]:
-    """RTK's nine, degrees and mm; the isocentre is the CFCS origin. The image's first written pixel is at 0, 0 mm.
+    """Return RTK's nine parameters, degrees and mm.
 
-    Raises UnusableInputError.
+    The isocentre is the CFCS origin; the image's first written pixel is at (0, 0) mm. Raises UnusableInputError.
     """
     sdd, across, down = pinhole.detector_mm()
     height, _ = pinhole.stated_shape()
     if pinhole.mirrored:
-        raise UnusableInputError("RTK has no mirrored image: flip the image's columns, and give the geometry of that")
+        raise UnusableInputError(
+            "flip the image's columns and give the geometry of the flipped image: RTK cannot state a mirrored one"
+        )
     axes = _TO_RTK @ pinhole.rotation
     in_plane, out_of_plane, gantry = Rotation.from_matrix(axes).as_euler("ZXY", degrees=True, suppress_warnings=True)
     source = axes @ pinhole.focal_point_mm
@@ -51,20 +53,23 @@ def parameters(pinhole: Pinhole) -> dict[str, float]:
 
 
 def matrix_mm(given: dict[str, float]) -> np.ndarray:
-    """(3, 4) RTK's matrix: isocentre mm to detector mm, for its nine parameters."""
+    """Return RTK's matrix (3, 4) for its nine parameters: isocentre mm to detector mm."""
     sid, sdd, gantry, out_of_plane, in_plane, sx, sy, px, py = (given.get(name, 0.0) for name in _NAMES)
-    turn = Rotation.from_euler("ZXY", [-in_plane, -out_of_plane, -gantry], degrees=True).as_matrix()
+    rotation = Rotation.from_euler("ZXY", [-in_plane, -out_of_plane, -gantry], degrees=True).as_matrix()
     shift = np.array([[1.0, 0.0, sx - px], [0.0, 1.0, sy - py], [0.0, 0.0, 1.0]])
     magnify = np.array([[-sdd, 0.0, 0.0, 0.0], [0.0, -sdd, 0.0, 0.0], [0.0, 0.0, 1.0, -sid]])
     move = np.eye(4)
     move[:2, 3] = -sx, -sy
     rotate = np.eye(4)
-    rotate[:3, :3] = turn
+    rotate[:3, :3] = rotation
     return shift @ magnify @ move @ rotate
 
 
 def write(pinhole: Pinhole, pixels: np.ndarray | None = None) -> dict[str, bytes]:
-    """The geometry, and the image (H, W) where there is one. Raises UnusableInputError."""
+    """Return the files of a view by their names: the geometry, and the image (H, W), zeros without one.
+
+    Raises UnusableInputError.
+    """
     given = parameters(pinhole)
     root = Element(_ROOT, version="3")
     root.append(Comment(f"view {pinhole.name}, mm, isocentre and axes: CFCS; {pinhole.note}".replace("--", "-")))
@@ -81,7 +86,7 @@ def write(pinhole: Pinhole, pixels: np.ndarray | None = None) -> dict[str, bytes
 
 
 def _image(pinhole: Pinhole, pixels: np.ndarray | None) -> tuple[bytes, bytes]:
-    """Header and pixels, bottom row first; zeros where there is no image."""
+    """Return header and pixels of the MetaImage, bottom row first; zeros without an image."""
     height, width = pinhole.stated_shape()
     stored = pinhole.own_image(np.zeros((height, width), np.uint8) if pixels is None else np.asarray(pixels))
     kinds = {"uint8": "MET_UCHAR", "uint16": "MET_USHORT", "float32": "MET_FLOAT"}
@@ -104,26 +109,26 @@ def _image(pinhole: Pinhole, pixels: np.ndarray | None) -> tuple[bytes, bytes]:
 
 
 def read(data: bytes, name: str, image_header: bytes | None = None) -> Pinhole:
-    """From the XML of one projection and the first bytes of its MetaImage. Raises UnusableInputError.
+    """Return the view of one projection's XML and the first bytes of its MetaImage. Raises UnusableInputError.
 
-    RTK's geometry is in mm on the detector: without the image no pixel is known.
+    RTK's geometry is in mm on the detector; the pixels are defined by the image.
     """
     root = xml_safe.parse(data)
     projections = root.findall("Projection")
     if root.tag != _ROOT or len(projections) != 1:
-        raise UnusableInputError(f"the file must be RTK's geometry of one projection; it has {len(projections)}")
+        raise UnusableInputError(f"give RTK's geometry of one projection; this file has {len(projections)}")
     if image_header is None:
         raise UnusableInputError(
-            "RTK's geometry says nothing of pixels; put the projection's .mha beside it, same name"
+            "put the projection's .mha beside the XML, with the same name: RTK's geometry does not state the pixels"
         )
     stated = {**_values(root), **_values(projections[0])}
     missing = [n for n in _NEEDED if n not in stated]
     if missing or stated.get("RadiusCylindricalDetector") or not stated["SourceToDetectorDistance"]:
         raise UnusableInputError(
-            f"a flat detector and a point source are needed; missing: {', '.join(missing) or 'none'}"
+            f"give the geometry of a flat detector and a point source; missing: {', '.join(missing) or 'none'}"
         )
     mm = matrix_mm(stated)
-    _agree(projections[0].findtext("Matrix"), mm)
+    _refuse_other_matrix(projections[0].findtext("Matrix"), mm)
     (width, height), spacing, offset = _geometry(image_header)
     to_px = np.array(
         [
@@ -147,29 +152,29 @@ def _float(written: str | None, what: str) -> float:
         raise UnusableInputError(f"{what} is not a number") from None
 
 
-def _agree(written: str | None, computed: np.ndarray) -> None:
+def _refuse_other_matrix(written: str | None, computed: np.ndarray) -> None:
     if written is None:
         return
     values = [_float(word, "an entry of the matrix") for word in written.split()[:13]]
     stated = reading.array(values, (12,), "the matrix").reshape(3, 4)
     scale = np.abs(computed[2]).max()
-    if np.abs(stated / np.abs(stated[2]).max() - computed / scale).max() > _AGREE_MM:
-        raise UnusableInputError("the file's matrix and its parameters state two geometries; export it again")
+    if np.abs(stated / np.abs(stated[2]).max() - computed / scale).max() > _MAX_DIFFERENCE_MM:
+        raise UnusableInputError("export the file again: its matrix disagrees with its parameters")
 
 
 def _geometry(header: bytes) -> tuple[tuple[int, int], tuple[float, float], tuple[float, float]]:
-    """(width, height), spacing and offset mm, of a MetaImage's header."""
+    """Return (width, height), spacing and offset, mm, of a MetaImage's header. Raises UnusableInputError."""
     lines = header.split(b"ElementDataFile")[0][:4096].decode("ascii", "replace").splitlines()
     stated = {key.strip(): value.split() for key, _, value in (line.partition("=") for line in lines)}
 
     def pair(key: str) -> list[float]:
         words = stated.get(key, [])
         if len(words) < 2:
-            raise UnusableInputError(f"the image's header does not state {key}; write it as MetaImage (.mha)")
+            raise UnusableInputError(f"write the image as MetaImage (.mha): its header does not state {key}")
         return [_float(word, key) for word in words[:2]]
 
     if stated.get("TransformMatrix", [])[:5] not in ([], ["1", "0", "0", "0", "1"], ["1", "0", "0", "1"]):
-        raise UnusableInputError("the image's axes are turned (TransformMatrix); write it with the identity")
+        raise UnusableInputError("write the image with the identity as TransformMatrix: its axes are rotated")
     width, height = pair("DimSize")
     u, v = (reading.positive(s, "ElementSpacing") for s in pair("ElementSpacing"))
     rows, columns = reading.image_shape(height, width)

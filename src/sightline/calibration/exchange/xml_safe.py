@@ -1,15 +1,15 @@
-"""XML from strangers: no document type with a content, hence no entities: nothing expands and nothing is fetched."""
+"""XML from untrusted sources: declarations in the document type are refused, so no entity is expanded or fetched."""
 
 from xml.etree.ElementTree import Element, TreeBuilder
 from xml.parsers import expat
 
 from sightline.errors import UnusableInputError
 
-_MAX_DEPTH = 16  # [ours] RTK's files have 3
+_MAX_DEPTH = 16  # [ours] of nested elements; RTK's files have 3
 
 
 def parse(data: bytes) -> Element:
-    """The root of an XML text. A bare `<!DOCTYPE NAME>`, as RTK writes, is passed over. Raises UnusableInputError."""
+    """Return the root of an XML text; a bare `<!DOCTYPE NAME>`, as in RTK, is ignored. Raises UnusableInputError."""
     builder, depth = TreeBuilder(), 0
     parser = expat.ParserCreate()
 
@@ -28,7 +28,7 @@ def parse(data: bytes) -> Element:
     def document_type(_name: str, system: str | None, public: str | None, internal: bool) -> None:
         if system or public or internal:
             raise UnusableInputError(
-                "the XML declares a document type of its own; remove everything of it but its name"
+                "remove everything but the name from the XML's document type: declarations in it are not accepted"
             )
 
     parser.StartElementHandler, parser.EndElementHandler = start, end

@@ -1,7 +1,7 @@
 """xReg's projection data, HDF5: `num-projs`, and in each `proj-000` a group `cam` (camera, sizes) and a group `img`.
 
-Written is one projection in `origin-at-focal-pt-det-pos-z`, which is OpenCV's; read are all three of xReg's coordinate
-frames, and a file that is a camera alone. xReg: lib/file_formats/xregH5ProjDataIO.cpp, xregH5CamModelIO.cpp.
+The writer writes one projection in `origin-at-focal-pt-det-pos-z`, which is OpenCV's; the reader accepts all three of
+xReg's coordinate frames, and a file of a camera alone. See lib/file_formats/xregH5ProjDataIO.cpp, xregH5CamModelIO.cpp.
 """
 
 import io
@@ -32,12 +32,14 @@ _STATED = (
     "intrinsic",
     "extrinsic",
 )
-_MAX_ENTRIES, _MAX_BYTES = 16, 64  # of what is stated: a matrix, and each of its numbers or a word
+_MAX_ENTRIES, _MAX_BYTES = 16, 64  # of a dataset that is read: a matrix, with each number or word of this size
 
 
 def write(pinhole: Pinhole, pixels: np.ndarray | None = None) -> dict[str, bytes]:
-    """One projection, with its image (H, W) where there is one. Raises UnusableInputError where pixel size or image
-    size are unknown."""
+    """Return the file of one projection by its name, with its image (H, W) where there is one.
+
+    Raises UnusableInputError where pixel size or image size are unknown.
+    """
     _, across, down = pinhole.detector_mm()
     height, width = pinhole.stated_shape()
     buffer = io.BytesIO()
@@ -60,18 +62,21 @@ def write(pinhole: Pinhole, pixels: np.ndarray | None = None) -> dict[str, bytes
 
 
 def read(data: bytes, name: str) -> Pinhole:
-    """The one projection of a file, or of several the one of this name ("proj-001"). Raises UnusableInputError."""
+    """Return the only projection of a file, or of several the one called `name` ("proj-001").
+
+    Raises UnusableInputError.
+    """
     with _opened(data) as file:
         given = _camera(file, name)
     frame = reading.entry(given, "cam-coord-frame-type")
     if frame not in _FRAMES:
-        raise UnusableInputError(f"cam-coord-frame-type is {str(frame)[:40]!r}; one of {', '.join(_FRAMES)}")
+        raise UnusableInputError(f"cam-coord-frame-type is {str(frame)[:40]!r}; write one of {', '.join(_FRAMES)}")
     shape = reading.image_shape(reading.entry(given, "num-rows"), reading.entry(given, "num-cols"))
     across, down = (reading.positive(reading.entry(given, key), key) for key in ("col-spacing", "row-spacing"))
     camera = reading.array(reading.entry(given, "intrinsic"), (3, 3), "the intrinsic matrix")
     extrinsic = reading.array(reading.entry(given, "extrinsic"), (4, 4), "the extrinsic matrix")
     placed = np.column_stack([reading.rotation(extrinsic[:3, :3], "the extrinsic's rotation"), extrinsic[:3, 3]])
-    if frame == "origin-on-det":  # its z runs from the detector to the source, at z = focal length
+    if frame == "origin-on-det":  # z runs from the detector to the source, which is at z = focal length
         focal = 0.5 * (abs(camera[0, 0] * across) + abs(camera[1, 1] * down))
         placed = np.diag([1.0, 1.0, -1.0]) @ placed + np.array([[0, 0, 0, 0], [0, 0, 0, 0], [0, 0, 0, focal]])
     return Pinhole.of_matrix(camera @ placed, name, shape, (across, down))
@@ -81,13 +86,13 @@ def _library() -> Any:
     try:
         import h5py
     except ModuleNotFoundError:
-        raise UnusableInputError("xReg's files are HDF5, which needs h5py; install sightline[xreg]") from None
+        raise UnusableInputError("install sightline[xreg]: xReg's files are HDF5, which needs h5py") from None
     return h5py
 
 
 @contextmanager
 def _opened(data: bytes) -> "Generator[h5py.File]":
-    """A file from its bytes. Whatever the library says of a spoilt one is one sentence."""
+    """Open a file from its bytes; any error of the library about a damaged file becomes one UnusableInputError."""
     library = _library()
     try:
         with library.File(io.BytesIO(data), "r") as file:
@@ -95,34 +100,34 @@ def _opened(data: bytes) -> "Generator[h5py.File]":
     except UnusableInputError:
         raise
     except Exception as error:
-        raise UnusableInputError(f"it is no HDF5 file that can be read ({type(error).__name__})") from None
+        raise UnusableInputError(f"the file is not readable HDF5 ({type(error).__name__}); write it again") from None
 
 
 def _camera(file: "h5py.File", name: str) -> dict[str, Any]:
-    """The camera of a projection: small numbers and one word, by xReg's names."""
+    """Return the camera of a projection, by xReg's names: small numbers and one word."""
     if _has(file, "num-rows"):
         return _values(file)
     count = reading.number(_values(file).get("num-projs", 0), "num-projs")
     names = [one for one in (f"proj-{k:03d}" for k in range(min(int(count), _MAX_PROJECTIONS))) if _has(file, one)]
     if name not in names and (len(names) != 1 or name.startswith("proj-")):
-        there = ", ".join(names[:3]) or "none"
-        raise UnusableInputError(f"of the file's {len(names)} projections none is called {name!r}; there are: {there}")
+        known = ", ".join(names[:3]) or "none"
+        raise UnusableInputError(f"the file has no projection {name!r}; its {len(names)} projections are: {known}")
     projection: Any = file[name if name in names else names[0]]
     if not _has(projection, "cam"):
-        raise UnusableInputError("the projection has no group 'cam'; write it with xReg again")
+        raise UnusableInputError("write the file with xReg again: the projection has no group 'cam'")
     return _values(projection["cam"])
 
 
 def _has(group: Any, name: str) -> bool:
-    """Whether something lies in the file itself under a name: a link could lead to any other file."""
+    """Whether the file itself has something of this name: a soft or external link could lead to any other file."""
     library = _library()
     if not isinstance(group, library.Group):
-        raise UnusableInputError("a group was expected where the file has numbers; write it with xReg again")
+        raise UnusableInputError("write the file with xReg again: it has numbers where a group was expected")
     return isinstance(group.get(name, getlink=True), library.HardLink)
 
 
 def _values(group: "h5py.Group") -> dict[str, Any]:
-    """What is stated in the group itself: small, of a known kind, and stored in the file, uncompressed."""
+    """Return the values of the group: small datasets of a known type, stored uncompressed in the file itself."""
     out: dict[str, Any] = {}
     for key in (key for key in _STATED if _has(group, key)):
         held: Any = group[key]
