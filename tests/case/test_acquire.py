@@ -62,12 +62,12 @@ def test_two_programs_that_take_the_same_images_at_once_enter_each_once(
     data = [write_png(image(seed), tmp_path / f"{seed}.png").read_bytes() for seed in range(3)]
     looked_at, others = acquire._looked_at, []
 
-    def meanwhile(*arguments):
+    def meanwhile(*arguments, **options):
         if not others or others[-1] is not None:
             others.append(None)  # the other one's own look
             with Case.open(case.folder) as same:
                 others[-1] = Acquirer(same).take(data[1], ".png")
-        return looked_at(*arguments)
+        return looked_at(*arguments, **options)
 
     monkeypatch.setattr(acquire, "_looked_at", meanwhile)
     acquirer = Acquirer(case)

@@ -66,7 +66,7 @@ def test_without_pixels_the_images_are_needed(run, beads_csv: Path, tmp_path: Pa
     truth.write_text("name,x_mm,y_mm,z_mm\nball0,1,2,3\n")
     ran = run("assess", beads_csv, beads_csv, "--truth", truth)
     assert ran.code == 2
-    assert "give the test points' pixels in the table, or the images themselves" in ran.err
+    assert "give the test points' pixels in --truth, or give the images themselves" in ran.err
 
 
 def test_a_table_that_cannot_be_read_is_named_with_its_line(run, beads_csv: Path, tmp_path: Path) -> None:

@@ -8,7 +8,7 @@ import pytest
 from sightline.case.watch.eye import REST_FRAMES, Eye
 from sightline.case.watch.follow import State
 from sightline.frame import Frame
-from sightline.rehearsal.stream import BUMP_MM, Shot, Stream
+from sightline.rehearsal.stream import BUMP_MM, PER_S, Shot, Stream
 
 
 @pytest.mark.slow
@@ -29,13 +29,19 @@ def test_the_bump_is_told_with_its_second_image_and_the_wire_is_drawn() -> None:
     assert said[0].corridor.half_95_px is None  # nobody planned it
 
 
-def test_stored_images_come_when_their_time_has_come() -> None:
+def test_stored_images_come_when_their_time_has_come(monkeypatch) -> None:
+    now_s = [100.0]
+    monkeypatch.setattr(time, "monotonic", lambda: now_s[0])
+    monkeypatch.setattr(time, "time", lambda: 1e9 + now_s[0])
+    monkeypatch.setattr(time, "sleep", lambda for_s: now_s.append(now_s.pop() + for_s))
     stream = object.__new__(Stream)
     stream.still, stream.moved, stream._closed = ("a", "b"), ("c",), False
     shots = iter(stream)
     first, second, third = next(shots), next(shots), next(shots)
     assert (first.image, second.image, third.image) == ("a", "b", "a")
     assert first.number == 1
-    assert third.stamped_s - first.stamped_s >= 0.06
+    assert third.stamped_s - first.stamped_s == pytest.approx(2 / PER_S)
+    now_s[0] += 0.05  # whoever watches was late: the next image comes at once, the one after it in its own time
+    assert [next(shots).stamped_s, next(shots).stamped_s] == pytest.approx([1e9 + now_s[0] - 1 / 60, 1e9 + now_s[0]])
     stream.close()
     assert next(shots, None) is None
