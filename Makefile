@@ -1,19 +1,25 @@
-# Everything runs from .venv, made once from requirements.lock.
+# Everything runs from .venv: made from requirements.lock, for tests added to from requirements-dev.lock.
 PYTHON ?= python3
 VENV   := .venv
 BIN    := $(VENV)/bin
 READY  := $(VENV)/.ready
+TOOLS  := $(VENV)/.tools
+PIP    := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 
-.PHONY: demo test slow bench campaign mutants busy docs lint lock wheel clean
+.PHONY: demo test slow bench campaign mutants busy coverage docs lint lock wheel clean
 .DEFAULT_GOAL := demo
 
 $(READY): requirements.lock pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "Sightline needs Python 3.11 or newer; try: make PYTHON=python3.12")'
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements.lock
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .
+	$(PIP) --require-hashes -r requirements.lock
+	$(PIP) --no-deps --no-build-isolation -e .
 	@echo "compiling the kernels, once: one to two minutes"
 	-@$(BIN)/sightline demo --quiet --out $(VENV)/first-run
+	@touch $@
+
+$(TOOLS): $(READY) requirements-dev.lock
+	$(PIP) --require-hashes -r requirements-dev.lock
 	@touch $@
 
 demo: $(READY)  ## two images of a twin, calibrated, planned, reported: out/demo/report.html
@@ -21,27 +27,31 @@ demo: $(READY)  ## two images of a twin, calibrated, planned, reported: out/demo
 
 # A process for each core, a file of tests on one of them: files share fixtures; in their order, that the longest (app) do
 # not come last. Matrices are small: a thread each will do.
-test: $(READY)  ## the whole suite: about ten minutes on two cores
+test: $(TOOLS)  ## the whole suite: about ten minutes on two cores
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist loadfile --no-loadscope-reorder
 
-slow: $(READY)  ## what is too slow for `make test`
+slow: $(TOOLS)  ## what is too slow for `make test`
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -m slow -n auto --dist loadfile --no-loadscope-reorder
 
-bench: $(READY)  ## the figures of docs/benchmarks.md, each beside its peer
+coverage: $(TOOLS)  ## the suite, and which lines of the source it runs
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist loadfile --no-loadscope-reorder \
+	  --cov=sightline --cov-report=term:skip-covered
+
+bench: $(TOOLS)  ## the figures of docs/benchmarks.md, each beside its peer
 	$(BIN)/python -m benchmarks
 
 TRIES ?= 200
-campaign: $(READY)  ## inputs spoilt by seeds: refused, NO-GO, right, wrong, crash; TRIES=10000 takes hours
+campaign: $(TOOLS)  ## inputs spoilt by seeds: refused, NO-GO, right, wrong, crash; TRIES=10000 takes hours
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m campaigns --tries $(TRIES)
 
 CHANGES ?= 300
-mutants: $(READY)  ## one-token changes of the source, and whether a test notices: hours
+mutants: $(TOOLS)  ## one-token changes of the source, and whether a test notices: hours
 	$(BIN)/python -m campaigns.mutants --changes $(CHANGES)
 
-busy: $(READY)  ## the tests, again and again, while all cores are busy: hours
+busy: $(TOOLS)  ## the tests, again and again, while all cores are busy: hours
 	$(BIN)/python -m campaigns.busy
 
-lint: $(READY)
+lint: $(TOOLS)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/basedpyright
@@ -51,18 +61,19 @@ docs: $(VENV)/.docs  ## the site: out/docs/index.html; three notebooks are execu
 	OPENBLAS_NUM_THREADS=1 $(BIN)/sphinx-build --fail-on-warning --jobs auto --quiet -d out/doctrees docs out/docs
 
 $(VENV)/.docs: $(READY) requirements-docs.lock
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements-docs.lock
+	$(PIP) --require-hashes -r requirements-docs.lock
 	@touch $@
 
-wheel: $(READY)
+wheel: $(TOOLS)
 	$(BIN)/python -m build --no-isolation --wheel --outdir dist
 
 COMPILE = uv pip compile --quiet --universal --python-version 3.11 --generate-hashes --no-emit-index-url --no-annotate \
   --custom-compile-command 'make lock'
 
-lock:  ## compile both locks again (needs uv)
-	$(COMPILE) --all-extras --group dev --group bench pyproject.toml -o requirements.lock
-	$(COMPILE) --group docs -c requirements.lock -o requirements-docs.lock
+lock:  ## compile the locks again (needs uv)
+	$(COMPILE) --all-extras --group build pyproject.toml -o requirements.lock
+	$(COMPILE) --group dev --group bench -c requirements.lock -o requirements-dev.lock
+	$(COMPILE) --group docs -c requirements.lock -c requirements-dev.lock -o requirements-docs.lock
 
 clean:
-	rm -rf out dist build .pytest_cache .ruff_cache
+	rm -rf out dist build .pytest_cache .ruff_cache .coverage
