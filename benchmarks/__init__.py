@@ -1,1 +1,1 @@
-"""Figures of Sightline beside its peers'. `make bench` prints them; `docs/benchmarks.md` explains them."""
+"""Benchmarks of Sightline and its peers. `make bench` prints them; `docs/benchmarks.md` explains them."""

@@ -19,20 +19,22 @@ def _names() -> list[str]:
 
 def _table(rows: list[Row]) -> Table:
     table = Table(show_lines=False)
-    for column in ("group", "figure of", "measured", "asked", "peer", "met"):
+    for column in ("group", "metric", "measured", "required", "peer", "met"):
         table.add_column(column)
     for row in rows:
         met = {True: "yes", False: "NO", None: ""}[row.met]
-        table.add_row(row.group, row.name, row.figure, row.asked, row.peer, met)
+        table.add_row(row.group, row.name, row.value, row.required, row.peer, met)
     return table
 
 
 def main() -> int:
-    """Print the table; 1 if a figure asked for is not met."""
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the command line does; numpy is not yet imported
+    """Print the table; return 1 if a required value is not met."""
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the command line does, before numpy is imported
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("names", nargs="*", choices=[[], *_names()])
-    parser.add_argument("--quick", action="store_true", help="a tenth of the trials: for a look, not for figures")
+    parser.add_argument(
+        "--quick", action="store_true", help="a tenth of the trials: a quick check, not for publication"
+    )
     options = parser.parse_args()
     console = Console(width=160)
     everything: list[Row] = []
@@ -43,7 +45,7 @@ def main() -> int:
         console.print(_table(rows))
         console.print(f"{name}: {time.perf_counter() - started:.0f} s")
     missed = [row for row in everything if row.met is False]
-    console.print(f"{len(everything)} figures, {len(missed)} not met")
+    console.print(f"{len(everything)} values, {len(missed)} not met")
     return 1 if missed else 0
 
 

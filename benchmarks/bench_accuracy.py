@@ -1,11 +1,11 @@
-"""Γ frame, image to 3-D: `smooth` beside `localized`, polynomials, OpenCV and the bound, on random set-ups.
+"""Γ frame, image to 3-D: `smooth` against `localized`, polynomials, OpenCV and the bound, on random set-ups.
 
-200 set-ups, four targets each, surrounded by the beads of both plates. Beads and targets are measured to 0.1 px.
-A figure of a method is the largest error of the four targets; it is compared over the set-ups in which both methods
-answer (`localized` refuses a target whose bounding triangle is a sliver).
+200 set-ups with four targets each, surrounded by the beads of both plates. Beads and targets are measured to 0.1 px.
+The metric of a method is the largest error of the four targets, compared over the set-ups in which both methods give a
+result (`localized` refuses targets whose bounding triangle is a sliver).
 
-`localized` is the paper's throughout: its point is that of nearest approach. A smaller sample begins with images: the
-paper's object of four balls in the frame, rendered, detected, labelled.
+`localized` is the paper's method, which reconstructs the point of closest approach. A smaller sample starts from
+images: the paper's object of four balls in the frame, rendered, detected and labelled.
 """
 
 from contextlib import suppress
@@ -38,7 +38,7 @@ OPENCV = "OpenCV 14"
 
 
 def run(quick: bool) -> list[Row]:
-    """The rows of this benchmark."""
+    """Return the rows of this benchmark."""
     seeds = range(SETUPS // 10 if quick else SETUPS)
     rows: list[Row] = []
     for name in FRAMES:
@@ -54,7 +54,7 @@ def run(quick: bool) -> list[Row]:
 
 
 def _trial(seed: int, frame: str, pick_px: float, methods: tuple[str, ...]) -> dict[str, np.ndarray]:
-    """Error of each method at the four targets, mm; infinite where it refuses; and the bounds."""
+    """Return each method's errors at the four targets, mm, infinite where it refuses; and the bounds."""
     told = replace(Frame.load("gamma"), tolerances=FRAMES[frame])
     scene = draw_scene(np.random.default_rng(seed), told, BEAD_PX, targets=4)
     noise = np.random.default_rng([seed, 1]).standard_normal(scene.target_px.shape)
@@ -71,7 +71,7 @@ def _trial(seed: int, frame: str, pick_px: float, methods: tuple[str, ...]) -> d
 
 
 def _image_trial(seed: int) -> dict[str, Assessment] | str:
-    """The paper's Table 1 from rendered images, by two methods; or why it was refused."""
+    """Return the paper's Table 1 from rendered images, by two methods; or the reason of a refusal."""
     rng = np.random.default_rng([seed, 2])
     frame = replace(Frame.load("gamma"), tolerances=BEADS_20UM)
     setup = draw_setup(rng, frame)
@@ -93,7 +93,7 @@ def _image_trial(seed: int) -> dict[str, Assessment] | str:
 def _balls_alone(
     views: list[BeadView], found: list[Detections], seen: list[Observations], balls_mm: np.ndarray
 ) -> tuple[MeasuredPoints, np.ndarray, np.ndarray]:
-    """Those balls that no bead hides in either view, with their pixels (2, N, 2) and covariances (2, N, 2, 2)."""
+    """Return the balls that no bead hides in any view, their pixels (2, N, 2) and covariances (2, N, 2, 2)."""
     kept, picks = [], []
     for i, ball in enumerate(balls_mm):
         point = MeasuredPoints((str(i + 1),), ball[None])
@@ -120,8 +120,8 @@ def _rows_of_images(trials: list[dict[str, Assessment] | str]) -> list[Row]:
         largest = np.array([trial[method].absolute_mm.max() for trial in done if method in trial])
         rows.append(Row(group, f"{method}: median / 95 % of the largest in a set-up", _spread(largest)))
     normalised = np.concatenate([trial["smooth"].normalised for trial in done])
-    figure = f"{np.sqrt(np.mean(normalised**2) / 3):.2f} of {len(normalised)} balls"
-    return [*rows, Row(group, "smooth: rms normalised error per axis (1 is right)", figure)]
+    value = f"{np.sqrt(np.mean(normalised**2) / 3):.2f} of {len(normalised)} balls"
+    return [*rows, Row(group, "smooth: rms normalised error per axis (1 is right)", value)]
 
 
 def _largest(trials: list[dict[str, np.ndarray]], name: str) -> np.ndarray:
@@ -129,14 +129,14 @@ def _largest(trials: list[dict[str, np.ndarray]], name: str) -> np.ndarray:
 
 
 def _ratio(trials: list[dict[str, np.ndarray]], peer: str) -> tuple[float, int]:
-    """Median of a peer's largest errors over that of `smooth`, and in how many set-ups the peer refuses."""
+    """Return the median of a peer's largest errors over that of `smooth`, and the number of the peer's refusals."""
     ours, theirs = _largest(trials, "smooth"), _largest(trials, peer)
     both = np.isfinite(ours) & np.isfinite(theirs)
     return float(np.median(theirs[both]) / np.median(ours[both])), int((~np.isfinite(theirs)).sum())
 
 
 def _to_bound(trials: list[dict[str, np.ndarray]]) -> float:
-    """rms (error / bound) of `smooth` over all set-ups and targets."""
+    """Return the rms of error / bound of `smooth` over all set-ups and targets."""
     return float(np.sqrt(np.mean([(trial["smooth"] / trial["bound"]) ** 2 for trial in trials])))
 
 
@@ -151,12 +151,13 @@ def _rows_of_frame(name: str, trials: list[dict[str, np.ndarray]]) -> list[Row]:
         Row(group, f"{column}: median / 95 % of the largest of four", _spread(_largest(trials, column)))
         for column in trials[0]
     ]
-    asked = {"no frame errors": {"localized": 8.0, OPENCV: 3.0}, "beads 0.02 mm": {"localized": 4.0, OPENCV: 3.0}}.get(
-        name, {}
-    )
+    required = {
+        "no frame errors": {"localized": 8.0, OPENCV: 3.0},
+        "beads 0.02 mm": {"localized": 4.0, OPENCV: 3.0},
+    }.get(name, {})
     for peer in (*[m for m in METHODS if m != "smooth"], OPENCV):
         ratio, refused = _ratio(trials, peer)
-        limit = asked.get(peer)
+        limit = required.get(peer)
         rows.append(
             Row(
                 group,
@@ -167,16 +168,16 @@ def _rows_of_frame(name: str, trials: list[dict[str, np.ndarray]]) -> list[Row]:
                 ratio >= limit if limit else None,
             )
         )
-    figure = _to_bound(trials)
-    rows.append(Row(group, "smooth: rms (error / bound)", f"{figure:.3f}", "<= 1.25", "", figure <= 1.25))
+    value = _to_bound(trials)
+    rows.append(Row(group, "smooth: rms (error / bound)", f"{value:.3f}", "<= 1.25", "", value <= 1.25))
     return rows
 
 
 def _rows_of_picks(pick_px: float, trials: list[dict[str, np.ndarray]]) -> list[Row]:
     group = f"Γ, picks {pick_px} px, beads 0.02 mm"
-    figure, (ratio, _) = _to_bound(trials), _ratio(trials, "localized")
+    value, (ratio, _) = _to_bound(trials), _ratio(trials, "localized")
     return [
         *[Row(group, f"{c}: median / 95 % of the largest of four", _spread(_largest(trials, c))) for c in trials[0]],
         Row(group, "smooth more accurate than localized by", f"{ratio:.1f} times"),
-        Row(group, "smooth: rms (error / bound)", f"{figure:.3f}", "<= 1.25", "", figure <= 1.25),
+        Row(group, "smooth: rms (error / bound)", f"{value:.3f}", "<= 1.25", "", value <= 1.25),
     ]

@@ -1,4 +1,4 @@
-"""Acquisition: a hundred images by C-STORE from a sender that misbehaves, images a second, video, marks."""
+"""Acquisition: C-STORE of a hundred images from a faulty sender, images per second, video, burnt-in annotations."""
 
 import os
 import signal
@@ -30,9 +30,9 @@ IMAGES, SIDE = 100, 1024
 XA = "1.2.840.10008.5.1.4.1.1.12.1"
 GROUP = "acquisition"
 FPS, SECONDS = 30, 6
-ASKED_SHARE = 0.5  # of one core
+REQUIRED_SHARE = 0.5  # of one core
 
-# A sender that is killed in the middle of an image.
+# A sender that is killed while it sends an image.
 _KILLED = """
 import sys
 from pydicom import dcmread
@@ -48,7 +48,7 @@ while True:
 
 
 def run(quick: bool) -> list[Row]:
-    """The rows of this benchmark."""
+    """Return the rows of this benchmark."""
     images = IMAGES // 10 if quick else IMAGES
     with tempfile.TemporaryDirectory() as folder:
         return [*_store(Path(folder), images), *_video(Path(folder), 2 if quick else SECONDS), *_marks()]
@@ -72,13 +72,13 @@ def _store(folder: Path, images: int) -> list[Row]:
             held = {entry.content["pixels_sha256"] for entry in case.entries()}
             whole = all(check.passed for check in case.check())
     rate, cpu, floor = _rate(folder, files[: min(50, images)])
-    asked = f"{images} of {images}, the case whole"
+    required = f"{images} of {images}, the case whole"
     return [
         Row(
             GROUP,
             "C-STORE, the sender aborts, reconnects, sends garbage, is killed between images",
             f"{len(held)} of {images} kept, {answered} answered with success",
-            asked,
+            required,
             met=len(held) == images and answered == images and whole,
         ),
         Row(GROUP, "memory of receiver and sender meanwhile, most", f"{peak:.0f} MB" if peak else "not measured"),
@@ -92,7 +92,7 @@ def _store(folder: Path, images: int) -> list[Row]:
 
 
 def _misbehave(k: int, port: int, file: Path) -> None:
-    """What the sender does before image k: one thing after the other."""
+    """Do what a faulty sender does before image k: five kinds of fault in turn."""
     match k % 5:
         case 0:
             with _association(port) as association:
@@ -135,7 +135,7 @@ def _association(port: int) -> Iterator[Association]:
 
 
 def _sent(port: int, image: Dataset) -> int:
-    """1 where the image is answered with success; a sender tries again."""
+    """Return 1 if the image is answered with success, within five attempts, else 0."""
     for _ in range(5):
         with suppress(Exception), _association(port) as association:
             if association.is_established and association.send_c_store(image).get("Status") == 0:
@@ -145,7 +145,7 @@ def _sent(port: int, image: Dataset) -> int:
 
 
 def _rate(folder: Path, files: list[Path]) -> tuple[float, float, float]:
-    """Images a second, s of CPU an image, and how many a second the disk alone takes."""
+    """Return images per second, CPU time per image, s, and the images per second of the disk alone."""
     images = [dcmread(file) for file in files]
     with (
         Case.create(folder / "rate") as case,
@@ -167,7 +167,7 @@ def _rate(folder: Path, files: list[Path]) -> tuple[float, float, float]:
 
 
 def _video(folder: Path, seconds: int) -> list[Row]:
-    """Share of a core that 30 frames a second of 1024² take, from a file at its own pace."""
+    """Measure the share of a core for 30 frames per second of 1024², read from a file as fast as possible."""
     rng = np.random.default_rng(2)
     file = folder / "run.avi"
     writer = cv2.VideoWriter(str(file), cv2.VideoWriter.fourcc(*"MJPG"), FPS, (SIDE, SIDE))
@@ -192,15 +192,15 @@ def _video(folder: Path, seconds: int) -> list[Row]:
             GROUP,
             f"video {SIDE}², MJPEG, at {FPS} frames a second",
             f"{100 * share:.0f} % of a core, {came} of {FPS * seconds} frames",
-            f"every frame, {100 * ASKED_SHARE:.0f} %",
+            f"every frame, {100 * REQUIRED_SHARE:.0f} %",
             f"OpenCV's decoding alone {100 * bare / came * FPS:.0f} %",
-            share < ASKED_SHARE and came == FPS * seconds,
+            share < REQUIRED_SHARE and came == FPS * seconds,
         )
     ]
 
 
 def _marks() -> list[Row]:
-    """What looking for writing adds to a detection."""
+    """Measure what the search for burnt-in annotations adds to a detection."""
     from sightline.frame import Frame
     from sightline.twin import draw_setup, hip_scene, render
 
@@ -228,7 +228,7 @@ def _marks() -> list[Row]:
 
 
 def _rss_mb() -> float:
-    """What this process holds now."""
+    """Return the resident memory of this process, MB; 0 where unknown."""
     with suppress(OSError, StopIteration, ValueError):
         lines = Path("/proc/self/status").read_text().splitlines()
         return int(next(line for line in lines if line.startswith("VmRSS")).split()[1]) / 1024

@@ -1,9 +1,8 @@
-"""Does the check shot agree with the physics? Wires in rendered images, found, reconstructed, compared with the plan.
+"""Accuracy of the check shot: wires in rendered images are found, reconstructed and compared with the plan.
 
-Each trial has its own femur, frame errors, poses, and movement of the bone between planning and check; a wire off its
-plan by 0.5 mm per axis at either end; landmarks of the bone picked in all four images with the noise stated. Beads of
-the planning images are drawn with 0.05 px, those of the check images are found in the images. The plan's picks are
-exact: they define the plan.
+Each trial has its own femur, frame errors, poses, and movement of the bone between planning and check. Either end of
+the wire is off its plan by 0.5 mm per axis (s.d.). Landmarks are picked in all four images with the stated noise. Beads
+of the planning images have a noise of 0.05 px, those of the check images are detected. The plan's picks are exact.
 """
 
 from dataclasses import dataclass, replace
@@ -34,14 +33,14 @@ BEAD_PX = 0.05
 DIAMETERS_MM = (2.5, 2.8, 3.2)
 MARGIN_PX = 20.0
 ATTEMPTS = 200
-ASKED_MM, ASKED_DEG = 0.2, 0.1
+REQUIRED_MM, REQUIRED_DEG = 0.2, 0.1
 
 
 @dataclass(frozen=True, eq=False)
 class Shot:
-    """A plan, the set-up of the check, the hip as it then is with the wire in it, and where wire and landmarks are.
+    """A planning set-up, a check set-up, and the hip at the check with the wire in it.
 
-    `wire_mm` (2, 3) and `marks_mm` (N, 3) in the bone as it was planned on.
+    `wire_mm` (2, 3) and `marks_mm` (N, 3): wire and landmarks in the bone's planning position.
     """
 
     planned: SetUp
@@ -53,7 +52,7 @@ class Shot:
 
 
 def run(quick: bool) -> list[Row]:
-    """The rows of this benchmark."""
+    """Return the rows of this benchmark."""
     number = SETUPS // 10 if quick else SETUPS
     trials = in_parallel(trial, range(number))
     rows = [Row("check shot", "trials refused", f"{sum(isinstance(t, str) for t in trials)} of {number}")]
@@ -61,11 +60,11 @@ def run(quick: bool) -> list[Row]:
     for name in SD_PX:
         errors = np.array([one[name][:3] for one in done])
         entry, tip, angle = np.quantile(errors, 0.95, axis=0)
-        asked = name == next(iter(SD_PX))
+        required = name == next(iter(SD_PX))
         group = f"check shot, {name}"
-        for what, figure, limit, unit in (("tip", tip, ASKED_MM, "mm"), ("chord", angle, ASKED_DEG, "°")):
-            met = bool(figure <= limit) if asked else None
-            rows.append(Row(group, f"{what}: error, 95 %", f"{figure:.3f} {unit}", f"<= {limit} {unit}", "", met))
+        for what, value, limit, unit in (("tip", tip, REQUIRED_MM, "mm"), ("chord", angle, REQUIRED_DEG, "°")):
+            met = bool(value <= limit) if required else None
+            rows.append(Row(group, f"{what}: error, 95 %", f"{value:.3f} {unit}", f"<= {limit} {unit}", "", met))
         rows.append(Row(group, "entry: error, 95 %", f"{entry:.3f} mm"))
         square = float(np.mean([one[name][3] for one in done])) / 5
         rows.append(Row(group, "mean chi-square / 5", f"{square:.2f}", "0.85-1.2", "", bool(0.85 <= square <= 1.2)))
@@ -73,7 +72,7 @@ def run(quick: bool) -> list[Row]:
 
 
 def trial(seed: int) -> dict[str, tuple[float, float, float, float]] | str:
-    """For each kind of landmark the errors of entry and tip, mm, of the chord, °, and chi-square; or why none came."""
+    """Return for each kind of landmark the errors of entry and tip, mm, and chord, °, and chi-square; or a refusal."""
     rng = np.random.default_rng([seed, 4])
     shot = draw_shot(rng, DIAMETERS_MM[seed % len(DIAMETERS_MM)])
     try:
@@ -96,7 +95,7 @@ def trial(seed: int) -> dict[str, tuple[float, float, float, float]] | str:
 
 
 def draw_shot(rng: np.random.Generator, diameter_mm: float) -> Shot:
-    """A plan's and a check's set-up that both show the whole wire. Raises SetUpError."""
+    """Return set-ups of a plan and a check that both show the whole wire. Raises SetUpError."""
     frame = Frame.load("gamma")
     for _ in range(ATTEMPTS):
         setup, hip = shown_hip_scene(rng, frame)
@@ -113,7 +112,7 @@ def draw_shot(rng: np.random.Generator, diameter_mm: float) -> Shot:
 
 
 def planned(rng: np.random.Generator, shot: Shot) -> tuple[list[BeadView], Plan]:
-    """The plan's views and the plan: the ideal wire, exactly picked."""
+    """Return the plan's views, and the plan of the ideal wire with exact picks."""
     seen = measure(rng, shot.planned, BEAD_PX)
     views = [sl.calibrate(seen[name], shot.planned.frame, view=name) for name in VIEWS]
     ends = np.array([shot.planned.views[name].project(shot.hip.wire_mm) for name in VIEWS])
@@ -121,7 +120,7 @@ def planned(rng: np.random.Generator, shot: Shot) -> tuple[list[BeadView], Plan]
 
 
 def in_image(rng: np.random.Generator, shot: Shot, name: str, made: Plan) -> tuple[BeadView, WireShadow]:
-    """A check image's view and the wire found in it."""
+    """Return the view of a check image and the wire found in it."""
     image = expose(shot.checked.views[name], shot.hip.at("check").scene).read_out(rng)
     beads = sl.detect(image)
     view = sl.calibrate(sl.label(beads, shot.checked.frame, name), shot.checked.frame, view=name)
@@ -130,7 +129,7 @@ def in_image(rng: np.random.Generator, shot: Shot, name: str, made: Plan) -> tup
 
 
 def found_again(rng: np.random.Generator, shot: Shot, sd_px: float) -> Landmarks:
-    """The landmarks as they are picked in all four images."""
+    """Return the landmarks as picked in all four images."""
     moved = shot.hip.motions["check"].apply(shot.marks_mm)
     before = np.array([shot.planned.views[name].project(shot.marks_mm) for name in VIEWS])
     after = np.array([shot.checked.views[name].project(moved) for name in VIEWS])
@@ -138,7 +137,7 @@ def found_again(rng: np.random.Generator, shot: Shot, sd_px: float) -> Landmarks
 
 
 def compared(result: CheckShot, shot: Shot, made: Plan) -> tuple[float, float, float, float]:
-    """Errors of entry and tip, mm, and chord, °; chi-square of the five numbers."""
+    """Return the errors of entry and tip, mm, and chord, °, and the chi-square of the five components."""
     along = made.trajectory.direction
     axes = np.vstack([result.across, along])
     way = (shot.wire_mm[1] - shot.wire_mm[0]) / np.linalg.norm(shot.wire_mm[1] - shot.wire_mm[0])

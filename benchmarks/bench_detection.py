@@ -49,9 +49,9 @@ def _arcadis() -> list[Row]:
         found = detect(read_image(_DATA / f"{name}.dcm"))
         size = found.radius_px / np.median(found.radius_px)
         small, large = int((abs(size - 1) < 0.15).sum()), int(((size > 1.4) & (size < 2)).sum())
-        figure = f"{small} small + {large} large + {len(found) - small - large} of no ball's size"
+        value = f"{small} small + {large} large + {len(found) - small - large} of no ball's size"
         met = (small, large, len(found)) == (16, 2, 18)
-        rows.append(Row("detection", name, figure, "16 small + 2 large, no other", met=met))
+        rows.append(Row("detection", name, value, "16 small + 2 large, no other", met=met))
     for name in _PLATES:
         found = detect(read_image(_DATA / f"{name}.dcm"))
         holes = found.kind.count("hole")

@@ -1,4 +1,4 @@
-"""Bead centres in hard images of the twin against the Cramér-Rao bound; finders of OpenCV and trackpy beside them."""
+"""Bead centres in hard images of the twin against the Cramér-Rao bound, and against OpenCV and trackpy."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -14,20 +14,20 @@ from sightline.frame import Frame
 from sightline.imaging import Radiograph
 from sightline.twin.hard import BeadTruth, hard_scene
 
-_FINDABLE_PX = 0.5  # a bead counts where the image determines its centre at least this well
+_FINDABLE_PX = 0.5  # a bead counts if the image determines its centre to within this
 _FOUND_PX = 2.0
 _PEERS: dict[str, Callable[[Radiograph], np.ndarray]] = {"opencv": blobs_of_opencv, "trackpy": blobs_of_trackpy}
 
 
 def run(quick: bool) -> list[Row]:
-    """Rows of the table; `quick` takes 2 hard images per dose class instead of 67."""
+    """Return the rows; `quick` uses 2 hard images per dose class instead of 67."""
     return [row for dose in ("low", "medium", "high") for row in _dose(dose, 2 if quick else 67)]
 
 
 def _dose(dose: str, images: int) -> list[Row]:
     counts = dict.fromkeys(("all", "ours", "either", "images", *_PEERS), 0)
     errors, stated = [np.empty(0)], [np.empty(0)]
-    told = _Told(), _Told()  # by `label`, and after the second look
+    stages = _Labelled(), _Labelled()  # by `label`, and after the second look
     for seed in range(images):
         image, truth = hard_scene(np.random.default_rng([20, seed]), dose)
         bounds = centroid_bounds(truth)
@@ -40,9 +40,9 @@ def _dose(dose: str, images: int) -> list[Row]:
             errors.append(_squares(error, bounds[row[0]]))
             stated.append(_squares(error, beads.covariance_px2[row[1]]))
             found = set(row[0].tolist())
-            seen = _told_apart(image, beads)
+            seen = _labelled(image, beads)
             counts["images"] += len(seen) > 0
-            for one, observations in zip(told, seen, strict=False):
+            for one, observations in zip(stages, seen, strict=False):
                 found |= one.add(observations, truth, bounds, findable)
             counts["either"] += len(found)
         for name, peer in _PEERS.items():
@@ -72,13 +72,13 @@ def _dose(dose: str, images: int) -> list[Row]:
             "0.85-1.2",
             met=0.85 <= honest <= 1.2,
         ),
-        *_rows_of_told(told, dose, counts["images"], images),
+        *_rows_of_labelled(stages, dose, counts["images"], images),
     ]
 
 
 @dataclass
-class _Told:
-    """What became of the beads that were told apart in all images."""
+class _Labelled:
+    """Statistics of the labelled beads of all images."""
 
     false: int = 0
     of_view: int = 0
@@ -87,7 +87,7 @@ class _Told:
     errors: list[np.ndarray] = field(default_factory=lambda: [np.empty(0)])
 
     def add(self, seen: Observations, truth: BeadTruth, bounds: np.ndarray, findable: np.ndarray) -> set[int]:
-        """Count one image's; the rows of the truth that are findable and among them."""
+        """Add one image's beads; return the rows of the findable true beads among them."""
         assert seen.covariance_px2 is not None
         row = {name: i for i, name in enumerate(truth.ids)}
         theirs = np.array([row.get(name, -1) for name in seen.ids])
@@ -103,12 +103,12 @@ class _Told:
         return set(theirs[within].tolist())
 
 
-def _rows_of_told(told: tuple[_Told, _Told], dose: str, labelled: int, images: int) -> list[Row]:
-    """Of the beads that were told apart, each before and after the second look."""
-    recall = ", ".join(f"{one.found / max(one.of_view, 1):.3f}" for one in told)
-    ratios = ", ".join(f"{np.sqrt(np.concatenate(one.errors).mean()):.2f}" for one in told)
-    honest = [float(np.concatenate(one.stated).mean()) for one in told]
-    beads = " and ".join(f"{len(np.concatenate(one.stated)):,}" for one in told)
+def _rows_of_labelled(stages: tuple[_Labelled, _Labelled], dose: str, labelled: int, images: int) -> list[Row]:
+    """Return the rows of the labelled beads, before and after the second look."""
+    recall = ", ".join(f"{one.found / max(one.of_view, 1):.3f}" for one in stages)
+    ratios = ", ".join(f"{np.sqrt(np.concatenate(one.errors).mean()):.2f}" for one in stages)
+    honest = [float(np.concatenate(one.stated).mean()) for one in stages]
+    beads = " and ".join(f"{len(np.concatenate(one.stated)):,}" for one in stages)
     return [
         Row("detection", f"labelled of these in their view, {dose}: before, after the second look", recall),
         Row("detection", f"rms (error / bound) of those labelled, {dose}: before, after", ratios),
@@ -122,9 +122,9 @@ def _rows_of_told(told: tuple[_Told, _Told], dose: str, labelled: int, images: i
         Row(
             "detection",
             f"false beads, {labelled} of {images} images labelled, {dose}: before, after",
-            ", ".join(f"{one.false}" for one in told),
+            ", ".join(f"{one.false}" for one in stages),
             "0",
-            met=told[1].false == 0,
+            met=stages[1].false == 0,
         ),
     ]
 
@@ -136,8 +136,8 @@ def _detected(image: Radiograph) -> Detections | None:
         return None
 
 
-def _told_apart(image: Radiograph, beads: Detections) -> tuple[Observations, ...]:
-    """What `label` makes of them and then the second look; nothing where they cannot be told apart."""
+def _labelled(image: Radiograph, beads: Detections) -> tuple[Observations, ...]:
+    """Return the results of `label` and of the second look; nothing where labelling is refused."""
     frame = Frame.load("gamma")
     try:
         seen = label(beads, frame)
@@ -147,7 +147,7 @@ def _told_apart(image: Radiograph, beads: Detections) -> tuple[Observations, ...
 
 
 def _errors(beads: Detections, truth: BeadTruth, findable: np.ndarray) -> tuple[np.ndarray, tuple[np.ndarray, ...]]:
-    """Errors (M, 2) of the findable beads that were found; rows of the truth and of the detections."""
+    """Return the errors (M, 2) of the findable beads that were found, and their rows in truth and detections."""
     apart = np.linalg.norm(truth.shadow_px[:, None] - beads.uv_px[None], axis=-1)
     nearest = apart.argmin(axis=1)
     seen = np.flatnonzero(findable & (apart.min(axis=1) < _FOUND_PX))
@@ -155,5 +155,5 @@ def _errors(beads: Detections, truth: BeadTruth, findable: np.ndarray) -> tuple[
 
 
 def _squares(error: np.ndarray, covariance: np.ndarray) -> np.ndarray:
-    """Squared error in units of its covariance, per axis."""
+    """Return the squared errors in units of their covariances, per axis."""
     return np.einsum("ni,nij,nj->n", error, np.linalg.inv(covariance), error) / 2

@@ -1,8 +1,8 @@
-"""Error over stated s.d. of bead centres where scatter follows the object, at several widths of its kernel.
+"""Error over stated s.d. of bead centres for scatter that depends on the object, at several kernel widths.
 
-The scenes are those of `hard_scene` but for their scatter, and other draws than those of bench_detection_bound. The
-same draws are rendered at each width and dose, so that these alone differ between rows. What is asked holds for each
-kind of bead, dose and width.
+The scenes are those of `hard_scene` except for their scatter, with other seeds than bench_detection_bound. The same
+scenes are rendered at each width and dose, so that only these differ between rows. The requirement holds for each kind
+of bead, dose and width.
 """
 
 from collections import defaultdict
@@ -79,14 +79,14 @@ def by_kind(image: Radiograph, truth: BeadTruth) -> dict[str, list[float]]:
 
 
 def kinds(truth: BeadTruth) -> np.ndarray:
-    """(N,) "isolated", "bone edge", "touching", or "" for a bead under something else, deep under another, or cut."""
+    """Return the kind (N,) of each bead: "isolated", "bone edge", "touching", or "" for covered and cut ones."""
     apart = np.linalg.norm(truth.shadow_px[:, None] - truth.shadow_px[None], axis=-1)
     smaller = np.minimum(truth.radius_px[:, None], truth.radius_px)
     gap = (apart - truth.radius_px[:, None] - truth.radius_px) / smaller
     np.fill_diagonal(gap, np.inf)
     whole = (truth.rim_px > _ISOLATED_PX) & (truth.saturated == 0)
     alone = whole & (truth.gap_px > _ISOLATED_PX)
-    # Where the nearest sharp thing is the nearest bead, no metal lies nearer.
+    # Where the nearest sharp object is the nearest bead, no metal is nearer.
     of_beads = (
         abs(
             (apart - truth.radius_px[:, None] - truth.radius_px + np.diag(np.full(len(apart), np.inf))).min(axis=1)
@@ -100,7 +100,7 @@ def kinds(truth: BeadTruth) -> np.ndarray:
 
 
 def _bends(truth: BeadTruth) -> np.ndarray:
-    """(N,) range of the light about each bead, were it not there, less the plane through it, over its mean."""
+    """Return the range (N,) of the background around each bead, after subtracting a plane, over its mean."""
     light = truth.exposure.open_pixels() - truth.exposure.black
     out = np.zeros(len(truth))
     for i, ((u, v), radius) in enumerate(zip(truth.shadow_px, truth.radius_px, strict=True)):
@@ -115,7 +115,7 @@ def _bends(truth: BeadTruth) -> np.ndarray:
 
 
 def _matched(uv_px: np.ndarray, truth: BeadTruth) -> list[tuple[int, int]]:
-    """Rows of the truth and of the detections that are the same bead: each the other's nearest."""
+    """Return pairs of truth and detection rows that are mutual nearest neighbours."""
     apart = np.linalg.norm(truth.shadow_px[:, None] - uv_px[None], axis=-1)
     nearest, back = apart.argmin(axis=1), apart.argmin(axis=0)
     return [(i, int(j)) for i, j in enumerate(nearest) if back[j] == i and apart[i, j] < _FOUND_PX]
@@ -130,5 +130,5 @@ def _second_look(image: Radiograph, beads: Detections) -> Observations | None:
 
 
 def _square(error: np.ndarray, covariance: np.ndarray) -> float:
-    """Squared error in units of its covariance, per axis."""
+    """Return the squared error in units of its covariance, per axis."""
     return float(error @ np.linalg.solve(covariance, error)) / 2

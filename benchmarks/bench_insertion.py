@@ -1,4 +1,4 @@
-"""The integration trial: 300 wires inserted by the robot into the bore of a plastic femur, as the paper's figure 15.
+"""Integration trial: the robot inserts 300 wires into the bore of a plastic femur, as in the paper's figure 15.
 
 Each trial is one of the study `fig15`: two radiographs, beads, calibration, picks of 0.5 px, target, the real link, the
 physics. Both methods get the same images, picks and robot.
@@ -17,23 +17,23 @@ MEDIAN_MM, MEDIAN_DEG = 0.3, 0.2
 
 
 def run(quick: bool) -> list[Row]:
-    """The rows of this benchmark; `quick` inserts 12 wires."""
+    """Return the rows of this benchmark; `quick` inserts 12 wires."""
     trials = in_parallel(_trial, range(12 if quick else TRIALS))
     n = len(trials)
     ours, theirs = (_drilled(trials, method) for method in ("smooth", "localized"))
     good, beside = (
         sum(one["entry"] <= LIMIT_MM and one["angle"] <= LIMIT_DEG for one in some) for some in (ours, theirs)
     )
-    asked = f"within {LIMIT_MM:g} mm of the entry and {LIMIT_DEG}° of the bore"
-    rows = [Row("insertion", asked, f"{good} of {n}", f"{n} of {n}", f"localized {beside} of {n}", good == n)]
+    required = f"within {LIMIT_MM:g} mm of the entry and {LIMIT_DEG}° of the bore"
+    rows = [Row("insertion", required, f"{good} of {n}", f"{n} of {n}", f"localized {beside} of {n}", good == n)]
     for of, unit, limit in (("entry", "mm", MEDIAN_MM), ("angle", "°", MEDIAN_DEG)):
         middle, most = _quantiles(ours, of)
         met = middle <= limit
         rows.append(Row("insertion", f"{of}: error, median", f"{middle:.3f} {unit}", f"<= {limit} {unit}", "", met))
         rows.append(Row("insertion", f"{of}: error, 95 %", f"{most:.3f} {unit}"))
         plans = [_quantiles(_planned(trials, method), f"plan_{of}")[0] for method in ("smooth", "localized")]
-        figure, peer = (f"{value:.3f} {unit}" for value in plans)
-        rows.append(Row("insertion", f"{of}: error of the plan alone, median", figure, "", f"localized {peer}"))
+        value, peer = (f"{value:.3f} {unit}" for value in plans)
+        rows.append(Row("insertion", f"{of}: error of the plan alone, median", value, "", f"localized {peer}"))
     middle, most = _quantiles(ours, "end")
     rows.append(Row("insertion", "end: error, median / 95 %", f"{middle:.3f} / {most:.3f} mm"))
     hits = [one[of] <= one[f"stated_{of}"] for one in ours for of in ("entry", "end")]
@@ -55,6 +55,6 @@ def _drilled(trials: list[dict[str, Any]], method: str) -> list[dict[str, Any]]:
 
 
 def _quantiles(of_trials: list[dict[str, Any]], of: str) -> tuple[float, float]:
-    """Median and 95 %; NaN where there are none."""
+    """Return the median and the 95 % quantile; NaN without trials."""
     values = [one[of] for one in of_trials] or [np.nan]
     return float(np.median(values)), float(np.quantile(values, 0.95))

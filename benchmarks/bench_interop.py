@@ -1,8 +1,8 @@
-"""Other programs read our files: each is run where it is installed, and said to be missing where it is not.
+"""Other programs read our files: each is run if installed, else reported as missing.
 
-Peers: `pip install itk-rtk SimpleITK slicerio diffdrr`, and dcmtk of the system's packages. None is a dependency of
-Sightline; DiffDRR brings torch, some gigabytes.
-Views are cameras drawn by seed about a hip. What a peer makes of a file is held against the formula of `Pinhole`.
+Peers: `pip install itk-rtk SimpleITK slicerio diffdrr`, and dcmtk from the system's packages. None is a dependency of
+Sightline; DiffDRR needs torch, several gigabytes. Views are random cameras around a hip. Each peer's result is compared
+with the formula of `Pinhole`.
 """
 
 import json
@@ -28,13 +28,13 @@ from sightline.imaging import Radiograph, write_dicom
 
 GROUP = "interop"
 SEED, VIEWS, POINTS = 41, 40, 20
-ASKED = {"px": 1e-6, "mm": 1e-6}  # [ours] far below what any use of the files could notice
-ASKED_32_BIT_PX = 1e-3  # [ours] DiffDRR computes in 32 bits: some 1e-7 of 500 px, a few roundings
+REQUIRED = {"px": 1e-6, "mm": 1e-6}  # [ours] far below what matters in any use of the files
+REQUIRED_32_BIT_PX = 1e-3  # [ours] DiffDRR computes in 32 bits: about 1e-7 of 500 px, a few roundings
 SIDE = "left"
 
 
 def run(quick: bool) -> list[Row]:
-    """The rows of this benchmark."""
+    """Return the rows of this benchmark."""
     views = [_drawn(np.random.default_rng([SEED, k])) for k in range(VIEWS // 10 if quick else VIEWS)]
     peers: dict[str, Callable[[list[Pinhole], Path], list[Row]]] = {
         "itk-rtk": _rtk,
@@ -55,7 +55,7 @@ def run(quick: bool) -> list[Row]:
 
 
 def _drawn(rng: np.random.Generator) -> Pinhole:
-    """A C-arm's camera: any direction of the beam, the hip 300 to 900 mm from the source, its image off the middle."""
+    """Return a C-arm's camera: any beam direction, the hip 300 to 900 mm from the source, its image off-centre."""
     height, width = (int(n) for n in rng.integers(64, 512, 2))
     across, down = (float(s) for s in rng.uniform(0.1, 0.5, 2))
     distance = rng.uniform(950.0, 1300.0)
@@ -70,19 +70,19 @@ def _pixels(view: Pinhole) -> np.ndarray:
 
 
 def _projected(view: Pinhole, xyz_mm: np.ndarray) -> np.ndarray:
-    """(N, 2) px, by the definition in `Pinhole`."""
+    """Return the projections (N, 2), px, by the definition of `Pinhole`."""
     w = (xyz_mm @ view.rotation.T + view.translation_mm) @ view.camera_matrix.T
     return w[:, :2] / w[:, 2:]
 
 
 def _row(name: str, worst: float, unit: str, package: str, trials: str) -> Row:
-    asked = ASKED[unit]
-    figure = f"{worst:.1e} {unit} at most, {trials}"
-    return Row(GROUP, name, figure, f"{asked:g} {unit}", f"{package} {version(package)}", worst <= asked)
+    required = REQUIRED[unit]
+    value = f"{worst:.1e} {unit} at most, {trials}"
+    return Row(GROUP, name, value, f"{required:g} {unit}", f"{package} {version(package)}", worst <= required)
 
 
 def _rtk(views: list[Pinhole], folder: Path) -> list[Row]:
-    """RTK's matrix for each of our geometry files takes points to the detector; its image says which pixel is there."""
+    """Compare projections by RTK's matrix of each of our geometry files, as pixels of its image."""
     from itk import RTK
 
     worst = 0.0
@@ -103,7 +103,7 @@ def _rtk(views: list[Pinhole], folder: Path) -> list[Row]:
 
 
 def _simple_itk(views: list[Pinhole], folder: Path) -> list[Row]:
-    """Transforms applied to points; images by their values and the places of their pixels."""
+    """Compare transformed points, and values and positions of images' pixels."""
     import SimpleITK
 
     rng = np.random.default_rng(SEED)
@@ -137,7 +137,7 @@ def _simple_itk(views: list[Pinhole], folder: Path) -> list[Row]:
 
 
 def _slicerio(views: list[Pinhole], folder: Path) -> list[Row]:
-    """The reader of 3D Slicer's volumes outside of Slicer: the plate's image, and where its pixels are in LPS."""
+    """Compare pixels and LPS positions of the plate's image, read by 3D Slicer's stand-alone reader."""
     import slicerio
 
     worst, same = 0.0, True
@@ -157,7 +157,7 @@ def _slicerio(views: list[Pinhole], folder: Path) -> list[Row]:
 
 
 def _diffdrr(views: list[Pinhole], _: Path) -> list[Row]:
-    """Where the rays that DiffDRR renders meet the detector, from our parameters: at the pixels' centres."""
+    """Check that the rays that DiffDRR renders from our parameters meet the detector at the pixels' centres."""
     import torch
     from diffdrr.detector import Detector
     from diffdrr.pose import RigidTransform
@@ -177,13 +177,13 @@ def _diffdrr(views: list[Pinhole], _: Path) -> list[Row]:
         apart = np.linalg.norm(source[0, 0].double().numpy() - view.focal_point_mm)
         worst = max(worst, float(np.abs(away).max()))
         assert apart < 1e-3, "DiffDRR's source is not at the focal point"
-    figure = f"{worst:.1e} px at most, every pixel of {len(views)} views"
+    value = f"{worst:.1e} px at most, every pixel of {len(views)} views"
     peer = f"diffdrr {version('diffdrr')}, in 32 bits"
-    return [Row(GROUP, "DiffDRR's rays", figure, f"{ASKED_32_BIT_PX:g} px", peer, worst <= ASKED_32_BIT_PX)]
+    return [Row(GROUP, "DiffDRR's rays", value, f"{REQUIRED_32_BIT_PX:g} px", peer, worst <= REQUIRED_32_BIT_PX)]
 
 
 def _dcmtk(view: Pinhole, folder: Path) -> list[Row]:
-    """Whether dcmtk's reader finds every DICOM file sound, and the side in it."""
+    """Check that dcmtk reads every DICOM file without complaint, and finds the side in it."""
     program = shutil.which("dcmdump")
     if program is None:
         return [Row(GROUP, "dcmtk", "not installed", "", "apt-get install dcmtk")]
@@ -203,5 +203,5 @@ def _dcmtk(view: Pinhole, folder: Path) -> list[Row]:
 
 
 def _identity(name: str) -> tuple[str, str]:
-    """Study ID and series number."""
+    """Return study ID and series number."""
     return ("bench-1", "1") if name == "capture.dcm" else ("1", "1")

@@ -1,6 +1,6 @@
-"""Labelling: random scenes at point level; how many are labelled or refused, and what was labelled wrongly.
+"""Labelling of random scenes of points: shares labelled, refused and labelled wrongly.
 
-`python -m benchmarks.bench_labelling SEED COUNT` prints the scenes that were not labelled rightly.
+`python -m benchmarks.bench_labelling SEED COUNT` prints the scenes that were not labelled correctly.
 """
 
 import multiprocessing
@@ -25,7 +25,7 @@ SEED = 2
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of one scene. `wrong`: beads with another bead's id; `false`: false candidates with an id."""
+    """Result of one scene. `wrong`: beads with another bead's id; `false`: false candidates with an id."""
 
     number: int
     solvable: bool
@@ -38,7 +38,7 @@ class Outcome:
 
 
 def _judged(observations: Observations, scene: Scene) -> tuple[int, int, float]:
-    """Beads wrong, false candidates taken, and the share of the beads seen that were labelled rightly."""
+    """Return the numbers of wrong labels and labelled false candidates, and the share of beads labelled correctly."""
     at = {tuple(uv): truth for uv, truth in zip(scene.detections.uv_px, scene.truth, strict=True)}
     found = [(one, at[tuple(uv)]) for one, uv in zip(observations.ids, observations.uv_px, strict=True)]
     wrong = sum(bool(truth) and one not in truth for one, truth in found)
@@ -47,7 +47,7 @@ def _judged(observations: Observations, scene: Scene) -> tuple[int, int, float]:
 
 
 def outcome(frame: Frame, number: int, seed: int = SEED) -> Outcome:
-    """Scene `number` of the benchmark, labelled and judged."""
+    """Return the result of scene `number` of the benchmark."""
     scene = draw_scene(np.random.default_rng([seed, number]), frame)
     started = time.process_time()
     try:
@@ -65,7 +65,7 @@ def _block(start: int) -> list[Outcome]:
 
 
 def outcomes(count: int) -> list[Outcome]:
-    """The first `count` scenes, on all cores."""
+    """Return the results of the first `count` scenes, computed on all cores."""
     for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
         os.environ.setdefault(name, "1")
     with multiprocessing.get_context("spawn").Pool() as pool:
@@ -73,7 +73,7 @@ def outcomes(count: int) -> list[Outcome]:
 
 
 def _refused_clean(chain: str, cropped: bool, count: int) -> tuple[int, int]:
-    """Of `count` views that the twin's image chain shows clean: refused or labelled wrongly, and labelled rightly."""
+    """Return how many of `count` clean views are refused or labelled wrongly, and how many correctly."""
     frame, wrong, right, seed = Frame.load("gamma"), 0, 0, 0
     while wrong + right < count:
         for scene in clean_views(np.random.default_rng([9, seed]), frame, chain, cropped=cropped):
@@ -98,7 +98,7 @@ def _clean_rows(count: int) -> list[Row]:
 
 
 def run(quick: bool = False) -> list[Row]:
-    """The figures of the issue's labelling line."""
+    """Return the rows of this benchmark."""
     every = outcomes(SCENES // 10 if quick else SCENES)
     solvable = [one for one in every if one.solvable]
     labelled = [one for one in every if one.refusal is None]

@@ -1,6 +1,6 @@
-"""The manipulator's own arithmetic: how often real time the simulated plant passes it, and what kinematics cost.
+"""Speed of the manipulator's arithmetic: the simulated plant against real time, and kinematics.
 
-Processor time of one thread, the least of many runs.
+Processor time of one thread, the smallest of many runs.
 """
 
 import time
@@ -18,22 +18,22 @@ from sightline.twin.drilling import Bone
 from sightline.twin.femur import Femur, to_cfcs, voxelise
 from sightline.twin.manipulator import SimulatedPlant
 
-ASKED_FACTOR = 50.0  # 300 insertions of two minutes in ten
+REQUIRED_FACTOR = 50.0  # 300 insertions of two minutes in ten
 GUIDE_GAP_MM, STANDOFF_MM = 10.0, 20.0
 IMAGING = np.array([0.0, 0.0, np.pi / 4, 0.0, 0.0])
 TILT_RAD = 1e-3  # of the displaced axes
 
 
 def run(quick: bool) -> list[Row]:
-    """The rows of this benchmark."""
+    """Return the rows of this benchmark."""
     robot = nominal_manipulator()
     entry, end = _wire(robot)
     waypoints = np.stack([IMAGING, *(robot.inverse(entry, end, depth) for depth in (-STANDOFF_MM, 80.0))])
     theatre = hip_surroundings(robot.T_mcs_cfcs(IMAGING))
     runs = 20 if quick else 200
     factor = _factor(robot, seconds=5.0 if quick else 100.0)
-    name, asked = "times real time, drilling a femur", f"{ASKED_FACTOR:.0f}"
-    rows = [Row("manipulator", name, f"{factor:.0f}", asked, met=factor >= ASKED_FACTOR)]
+    name, required = "times real time, drilling a femur", f"{REQUIRED_FACTOR:.0f}"
+    rows = [Row("manipulator", name, f"{factor:.0f}", required, met=factor >= REQUIRED_FACTOR)]
     for name, one in (("nominal", robot), ("displaced", _displaced(robot))):
         inverse = 1e6 * _least(partial(one.inverse, entry, end), runs)
         pose = 1e6 * _least(partial(one.T_mcs_tool, IMAGING), runs)
@@ -43,7 +43,7 @@ def run(quick: bool) -> list[Row]:
 
 
 def _wire(robot: Manipulator) -> np.ndarray:
-    """(2, 3) MCS: entry and end of a femur's ideal wire, its middle at the frame's origin."""
+    """Return entry and end (2, 3), MCS, of a femur's ideal wire with its middle at the frame's origin."""
     wire = to_cfcs(np.stack(Femur().wire_mm()), "right", np.zeros(3))
     return robot.T_mcs_cfcs(IMAGING).apply(wire - wire.mean(axis=0))
 
@@ -56,7 +56,7 @@ def _displaced(robot: Manipulator) -> Manipulator:
 
 
 def _factor(robot: Manipulator, seconds: float) -> float:
-    """Simulated over processor time, in the fastest tenth of a drilling from stand-off to the end of the wire."""
+    """Return simulated over processor time in the fastest tenth of a drilling from stand-off to the wire's end."""
     femur = Femur()
     middle = to_cfcs(np.mean(femur.wire_mm(), axis=0), "right", np.zeros(3))
     place = robot.T_mcs_cfcs(IMAGING) * RigidTransform.from_translation(-middle)
@@ -75,7 +75,7 @@ def _factor(robot: Manipulator, seconds: float) -> float:
 
 
 def _least(work: Callable[[], object], runs: int) -> float:
-    """s."""
+    """Return the smallest processor time of the runs, s."""
     spent = []
     for _ in range(runs):
         begun = time.thread_time()

@@ -1,8 +1,8 @@
-"""What a dragged point costs: its curve in the other view, and the whole plan anew; processor time of one thread.
+"""Processor time for a dragged point: its curve in the other view, and the whole plan; one thread.
 
 The views are calibrated by `smooth` from the beads of one random set-up. The app must draw the curve within 50 ms of
-the pointer, the browser's share included. No peer does this; the figures before, of the same views on the same machine
-in turns, were taken when the visible stretch of a curve was found by bisection.
+the pointer event, including the browser's share. No peer does this. The previous values come from the same views on the
+same machine, when the visible part of a curve was found by bisection.
 """
 
 import time
@@ -26,7 +26,7 @@ LANDMARKS_MM = np.array([[-21.3, -17.9, 4.4], [12.2, 30.1, -16.8]])
 
 
 def run(quick: bool) -> list[Row]:
-    """The rows of this benchmark."""
+    """Return the rows of this benchmark."""
     told = replace(Frame.load("gamma"), tolerances=WHOLE)
     scene = draw_scene(np.random.default_rng(3), told, BEAD_PX, targets=4)
     views = [sl.calibrate(one, told) for one in scene.observations.values()]
@@ -43,12 +43,12 @@ def run(quick: bool) -> list[Row]:
 
     made = plan(views, uv[:, 0], uv[:, 1], kind=kind("free-wire"))
     runs = RUNS // 10 if quick else RUNS
-    asked = (
+    cases = (
         ("curve of a dragged point", lambda: matching_curve(views[0], dragged()[0, 0], views[1]), CURVE_MS, "curve"),
         ("plan of two snapped points and two landmarks", planned, PLAN_MS, "plan"),
         ("corridor of the wire in a view", lambda: corridor(views[0], made.trajectory), CORRIDOR_MS, ""),
     )
-    return [_row(name, _times(call, runs), limit, BEFORE.get(key, "")) for name, call, limit, key in asked]
+    return [_row(name, _times(call, runs), limit, BEFORE.get(key, "")) for name, call, limit, key in cases]
 
 
 def _row(name: str, ms: np.ndarray, limit: float, before: str) -> Row:
@@ -64,7 +64,7 @@ def _row(name: str, ms: np.ndarray, limit: float, before: str) -> Row:
 
 
 def _times(call: Callable[[], object], runs: int) -> np.ndarray:
-    """Processor time of this thread, ms, of each of so many runs; two go before."""
+    """Return the processor time of this thread, ms, of each run, after two warm-up runs."""
     out = []
     for _ in range(runs + 2):
         started = time.thread_time()

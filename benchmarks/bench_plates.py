@@ -1,7 +1,7 @@
-"""Plane maps on perforated plates: a coarse lattice of holes is known, the others are to be predicted.
+"""Plane maps on perforated plates: a coarse lattice of holes is known, the others are predicted.
 
-Real images of an ARCADIS mobile C-arm, `../shared/data/arcadis` beside the repository. The plate's pitch is not
-published: a nominal one gives the size of a pixel, and figures are in pixels.
+Real images of an ARCADIS mobile C-arm, in `../shared/data/arcadis` next to the repository. The plate's pitch is not
+published: a nominal one gives the size of a pixel, and results are in pixels.
 """
 
 from dataclasses import dataclass
@@ -25,25 +25,25 @@ WITHIN = 1.04
 
 @dataclass(frozen=True, eq=False)
 class Plate:
-    """Holes of one image: pixels (N, 2), lattice indices (N, 2), and where the ideal plate has them (N, 2), mm."""
+    """Holes of one image: pixels (N, 2), lattice indices (N, 2), and their ideal places on the plate (N, 2), mm."""
 
     uv_px: np.ndarray
     index: np.ndarray
 
     @property
     def xy_mm(self) -> np.ndarray:
-        """Lattice axes 60 degrees apart."""
+        """Ideal places (N, 2), mm; the lattice axes are 60 degrees apart."""
         return PITCH_MM * self.index @ np.array([[1.0, 0.0], [0.5, np.sqrt(0.75)]])
 
     @staticmethod
     def read(name: str) -> "Plate":
-        """Holes found by `sl.detect`, numbered by growing a lattice from the middle."""
+        """Return holes found by `sl.detect`, indexed by growing a lattice from the middle."""
         found = sl.detect(sl.read_image(FOLDER / f"{name}.dcm"))
         return grow(found.uv_px[np.array(found.kind) == "hole"])
 
 
 def grow(uv_px: np.ndarray) -> Plate:
-    """A hexagonal lattice through points, from neighbour to neighbour; points that fit nowhere are left out."""
+    """Return a hexagonal lattice grown from neighbour to neighbour; points off the lattice are left out."""
     tree = KDTree(uv_px)
     start = int(tree.query(np.median(uv_px, axis=0))[1])
     around = uv_px[np.asarray(tree.query(uv_px[start], k=7)[1])[1:]] - uv_px[start]
@@ -54,12 +54,12 @@ def grow(uv_px: np.ndarray) -> Plate:
 
 
 def smooth(uv: np.ndarray, xy: np.ndarray) -> Predict:
-    """Ours; the noise of the holes is not told, but estimated."""
+    """Fit ours; the noise of the holes is estimated."""
     return sl.fit_map(uv, xy, "smooth", noise_px=None).to_plane
 
 
 def polynomial(degree: int) -> Fit:
-    """Ours, by least squares."""
+    """Return a least-squares fit of ours."""
 
     def fit(uv: np.ndarray, xy: np.ndarray) -> Predict:
         try:
@@ -71,7 +71,7 @@ def polynomial(degree: int) -> Fit:
 
 
 def triangles(uv: np.ndarray, xy: np.ndarray) -> Predict:
-    """Ours, the paper's."""
+    """Fit the paper's method, as we implement it."""
     return sl.fit_map(uv, xy, "localized").to_plane
 
 
@@ -87,7 +87,7 @@ METHODS: dict[str, Fit] = {
 
 
 def errors_px(plate: Plate, step: int, offset: tuple[int, int], noise_px: np.ndarray) -> tuple[int, dict[str, float]]:
-    """Number of controls, and rms error (px, per point) of each method at all other holes that triangles bound."""
+    """Return the number of controls, and each method's rms error (px, per point) at all other enclosed holes."""
     control = ((plate.index - np.array(offset)) % step == 0).all(axis=1)
     uv, xy = plate.uv_px[control] + noise_px[control], plate.xy_mm[control]
     inside = sl.fit_map(uv, xy, "localized").bounding(plate.uv_px) >= 0  # type: ignore[attr-defined]
@@ -101,7 +101,7 @@ def errors_px(plate: Plate, step: int, offset: tuple[int, int], noise_px: np.nda
 
 
 def run(quick: bool) -> list[Row]:
-    """A column for each spacing and noise: smooth beside the best of the others."""
+    """Return a row for each spacing and noise: smooth against the best of the others."""
     if not FOLDER.exists():
         return [
             Row("plates", "all", "skipped: the ARCADIS images are not beside the repository (../shared/data/arcadis)")

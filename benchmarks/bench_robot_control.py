@@ -1,6 +1,6 @@
-"""The robot's controller: the loop's punctuality, how soon a stop has stopped, and what bad bytes and lost peers do.
+"""The robot's controller: timing of the loop, stopping time, and the effect of damaged bytes and lost peers.
 
-Times are wall time. For its punctuality the robot is a process of its own; else robot and client share one.
+Times are wall time. For the loop's timing the robot is a separate process; otherwise robot and client share one.
 """
 
 import socket
@@ -52,7 +52,7 @@ def _ready(robot: RobotClient) -> None:
 
 
 def _punctuality(seconds: float) -> list[Row]:
-    """While it moves and drills, a client streaming."""
+    """Measure the loop while the robot moves and drills and a client streams."""
     with _process() as port, RobotClient(port=port) as robot:
         _ready(robot)
         first, began = robot.stream("arm/cycles").body.values, time.monotonic()
@@ -95,7 +95,7 @@ def _punctuality_while_looking(seconds: float) -> Row:
 
 
 def _empty_loop(seconds: float) -> float:
-    """What the machine itself leaves of punctuality: a loop that does nothing, at the same priority."""
+    """Return the share of punctual cycles of an empty loop at the same priority, the machine's limit."""
     late: list[float] = []
 
     def turn() -> None:
@@ -115,7 +115,7 @@ def _empty_loop(seconds: float) -> float:
 
 @contextmanager
 def _process() -> Iterator[int]:
-    """The port of `sightline robot serve`, a process of its own."""
+    """Yield the port of `sightline robot serve` in a separate process."""
     with socket.create_server(("127.0.0.1", 0)) as free:
         port = free.getsockname()[1]
     sightline = str(Path(sys.executable).with_name("sightline"))
@@ -137,7 +137,7 @@ def _answers(port: int) -> bool:
 
 
 def _stop_time(server: RobotServer, robot: RobotClient, joints: slice) -> tuple[float, float]:
-    """Wall time in s from the last byte to less than 1 % of full speed, and the tip's travel meanwhile, mm."""
+    """Return the wall time, s, from the last byte to below 1 % of full speed, and the tip's travel meanwhile, mm."""
     moved = server._plant
     with BlockingClient(port=server.port) as own:
         data = encode(Message(String("STOP"), "CMD_STOP"))
@@ -153,7 +153,7 @@ def _stop_time(server: RobotServer, robot: RobotClient, joints: slice) -> tuple[
 
 
 def _observed(server: RobotServer) -> None:
-    """The simulator's own joint speeds, which the loop cannot see."""
+    """Give access to the simulator's true joint speeds, which the loop cannot see."""
     from sightline.robot.kinematics.manipulator import JOINTS
     from sightline.twin.mjcf import unit
 
@@ -163,7 +163,7 @@ def _observed(server: RobotServer) -> None:
 
 
 def _stops(times: int) -> list[Row]:
-    """At full alignment speed."""
+    """Measure stops at full alignment speed."""
     took = []
     rng = np.random.default_rng(1)
     for _ in range(times):
@@ -179,8 +179,8 @@ def _stops(times: int) -> list[Row]:
             took.append(_stop_time(server, robot, slice(None))[0])
             motion.join()
     worst, median = max(took), float(np.median(took))
-    figure = f"{1e3 * median:.0f} ms median, {1e3 * worst:.0f} ms worst of {times}"
-    return [Row("robot stop", "last byte to 1 % speed, at full alignment speed", figure, "50 ms", "", worst <= 0.05)]
+    value = f"{1e3 * median:.0f} ms median, {1e3 * worst:.0f} ms worst of {times}"
+    return [Row("robot stop", "last byte to 1 % speed, at full alignment speed", value, "50 ms", "", worst <= 0.05)]
 
 
 def _drilling_stops(times: int) -> list[Row]:
@@ -198,9 +198,9 @@ def _drilling_stops(times: int) -> list[Row]:
             took.append(seconds)
             travelled.append(travel)
             motion.join()
-    figure = f"{max(travelled):.3f} mm worst of {times}, {1e3 * max(took):.0f} ms"
+    value = f"{max(travelled):.3f} mm worst of {times}, {1e3 * max(took):.0f} ms"
     return [
-        Row("robot stop", "tip travel after the last byte, while drilling", figure, "0.1 mm", "", max(travelled) <= 0.1)
+        Row("robot stop", "tip travel after the last byte, while drilling", value, "0.1 mm", "", max(travelled) <= 0.1)
     ]
 
 
@@ -210,7 +210,7 @@ def _quietly(action) -> None:
 
 
 def _bad(kind: str, rng: np.random.Generator) -> list[bytes]:
-    """A command that would move the robot, spoilt."""
+    """Return a damaged command that would move the robot."""
     data = bytearray(encode(Message(String("RETRACT"), "CMD_1")))
     if kind == "byte flipped":
         data[rng.integers(58, len(data))] ^= int(rng.integers(1, 256))
@@ -231,7 +231,7 @@ def _bad(kind: str, rng: np.random.Generator) -> list[bytes]:
 
 
 def _bad_bytes(times: int) -> list[Row]:
-    """A robot with its wire out, that RETRACT would move: it must not, except for whole messages in two pieces."""
+    """Send damaged RETRACT commands: the robot must move only for complete messages, even in two pieces."""
     rows, rng = [], np.random.default_rng(2)
     with served(virtual=True) as server:
         controller, moved = server.dialogue.controller, server._plant
@@ -303,7 +303,7 @@ def _two_clients(times: int) -> Row:
 
 
 def _killed_clients(times: int) -> Row:
-    """In turn while it rests, aligns, drills, retracts."""
+    """Kill clients in turn while the robot rests, aligns, drills and retracts."""
     wrong, worst = 0, 0.0
     states = (State.TARGETING, *MOVING)
     with served(virtual=True) as server:
@@ -325,7 +325,7 @@ def _killed_clients(times: int) -> Row:
             worst = max(worst, time.monotonic() - began)
             wrong += bool(np.abs(server._plant.goal).max() != 0)
     row = _count("robot link faults", "client killed in every state", wrong, times)
-    return Row(row.group, row.name, row.figure, row.asked, f"noticed in {1e3 * worst:.0f} ms at worst", row.met)
+    return Row(row.group, row.name, row.value, row.required, f"noticed in {1e3 * worst:.0f} ms at worst", row.met)
 
 
 def _restarts(times: int) -> Row:

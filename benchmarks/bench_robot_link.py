@@ -1,7 +1,7 @@
-"""The link to a robot: round trip on loopback, a burst, an image, and 500 of each fault.
+"""The link to a robot: round trips on loopback, a burst, an image, and 500 of each fault.
 
-Servers run in processes of their own. pyigtl stands beside us, as it is meant to be used: its own client with its own
-server. A round trip is one TRANSFORM there and back.
+Servers run in separate processes. The peer is pyigtl, its client with its own server. A round trip is one TRANSFORM
+there and back.
 """
 
 import asyncio
@@ -20,7 +20,7 @@ from benchmarks.rows import Row
 from sightline.robot.igtl import Event, Image, Message, Stream, Transform, encode
 from sightline.robot.transport import BlockingClient, Client, Connection
 
-ASKED_MS = 0.3
+REQUIRED_MS = 0.3
 BURST = 1000
 OF_EACH_FAULT = 500
 PATIENCE_S = 20.0
@@ -42,7 +42,7 @@ asyncio.run(main())
 
 
 def run(quick: bool) -> list[Row]:
-    """The rows of this benchmark."""
+    """Return the rows of this benchmark."""
     trips = 300 if quick else 3000
     with _server("-c", _ECHO) as port:
         blocking = _blocking_trips(port, trips)
@@ -58,9 +58,9 @@ def run(quick: bool) -> list[Row]:
             group,
             "TRANSFORM there and back, median",
             _spread(blocking),
-            f"<= {ASKED_MS} ms",
+            f"<= {REQUIRED_MS} ms",
             f"pyigtl {np.median(peer):.1f} ms",
-            median <= ASKED_MS,
+            median <= REQUIRED_MS,
         ),
         Row(group, "the same from an event loop", _spread(looped)),
         Row(
@@ -84,7 +84,7 @@ def _spread(times_ms: list[float]) -> str:
 
 @contextmanager
 def _server(*arguments: str) -> Iterator[int]:
-    """The port of a program that prints it."""
+    """Yield the port that a program prints."""
     with subprocess.Popen([sys.executable, *arguments], stdout=subprocess.PIPE, text=True) as process:
         try:
             assert process.stdout is not None
@@ -152,7 +152,7 @@ def _burst(port: int) -> tuple[int, bool]:
 
 
 def _pyigtl_trips(port: int, count: int) -> tuple[list[float], int]:
-    """Times of round trips, and how many different messages of a burst come back."""
+    """Return the times of round trips, and how many different messages of a burst come back."""
     client: Any = pyigtl.OpenIGTLinkClient(host="127.0.0.1", port=port)
     while not client.is_connected():
         time.sleep(0.01)

@@ -1,9 +1,9 @@
-"""What do images of a frame tell of it? Its errors after a self-check, beside those before, by the number of images.
+"""Errors of a frame before and after a self-check, by the number of images.
 
-Each trial draws a frame of the default tolerances and takes images of it, half PA and half lateral, the C-arm elsewhere
-and its distortion anew in each; beads at 0.1 px. Then one more pair is taken, and targets located to 0.1 px in it are
-reconstructed with the frame as its file has it and as the self-check found it. The last column of a motion is its rms
-before any image: what no image shows stays there.
+Each trial draws a frame with the default tolerances and simulates images of it, half PA and half lateral, each with its
+own C-arm pose and distortion; beads at 0.1 px. In one more pair, targets located to 0.1 px are reconstructed with the
+frame's file and with the result of the self-check. The last column of a motion is its rms before any image; motions
+that no image shows keep it.
 """
 
 import numpy as np
@@ -25,13 +25,13 @@ TRIALS = 40
 IMAGES = (4, 8, 16, 32)
 BEAD_PX = PICK_PX = 0.1
 TARGETS, REACH_MM = 4, 25.0
-FIRST_SEED = 40_000  # other frames than those of the other benchmarks
+FIRST_SEED = 40_000  # different from the other benchmarks'
 
 Figures = dict[str, float]
 
 
 def run(quick: bool) -> list[Row]:
-    """The rows of this benchmark."""
+    """Return the rows of this benchmark."""
     number = TRIALS // 10 if quick else TRIALS
     trials = in_parallel(trial, range(FIRST_SEED, FIRST_SEED + number))
     rows = []
@@ -51,15 +51,15 @@ def run(quick: bool) -> list[Row]:
             ("plate tilt", "mrad", 1e3), ("plate twist", "mrad", 1e3),
             ("ball in its plate", "mm", 1), ("ball across its plate", "mm", 1), ("target", "mm", 1),
         ):  # fmt: skip
-            figure, before = (f"{scale * rms(key):.4f} {unit}" for key in (name, f"{name}, before"))
-            rows.append(Row(group, name, figure, "", f"before {before}"))
+            value, before = (f"{scale * rms(key):.4f} {unit}" for key in (name, f"{name}, before"))
+            rows.append(Row(group, name, value, "", f"before {before}"))
         square = float(np.mean([one["chi-square"] for one in done]))
         rows.append(Row(group, "mean chi-square / 678", f"{square:.3f}", "0.95-1.05", "", bool(0.95 <= square <= 1.05)))
     return rows
 
 
 def trial(seed: int) -> dict[int, Figures]:
-    """Mean squares by number of images."""
+    """Return the mean squares of one trial, by number of images."""
     rng = np.random.default_rng([seed, 6])
     frame = Frame.load("gamma")
     true = with_errors(frame, rng)
@@ -89,7 +89,7 @@ def trial(seed: int) -> dict[int, Figures]:
 
 
 def image(rng: np.random.Generator, setup: SetUp, view: str) -> Observations:
-    """The beads of one view."""
+    """Return the beads of one view."""
     ids, uv = bead_images(setup, view, rng, BEAD_PX)
     return Observations(view, ids, uv, np.broadcast_to(BEAD_PX**2 * np.eye(2), (len(ids), 2, 2)))
 
@@ -99,7 +99,7 @@ def _places(frame: Frame) -> np.ndarray:
 
 
 def _motions(frame: Frame, errors_mm: np.ndarray) -> Figures:
-    """Mean squares of errors (M, 3): plates of a view against each other, balls against their plate."""
+    """Return mean squares of errors (M, 3): of a view's plates against each other, of balls against their plate."""
     nothing = np.zeros((errors_mm.size, errors_mm.size))
     told = Errors(errors_mm, nothing, nothing, np.ones(len(errors_mm), dtype=bool))
     moved = np.mean([pair.moved**2 for pair in plate_pairs(frame, told)], axis=0)

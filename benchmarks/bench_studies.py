@@ -1,10 +1,10 @@
-"""How fast trials are done: each study's on one core, and what a second worker process adds.
+"""Speed of trials: of each study on one core, and with a second worker process.
 
-Trials of some studies are points with noise, those of others render images and find the beads in them.
+Trials of some studies are points with noise, those of others render images and detect the beads in them.
 
-Trials per second count the processor time of one thread, so that other work on the machine matters little. Parallel
-efficiency is the wall time of the same trials with one worker over twice that with two, workers warm; the best of
-three, since other work can only lower it.
+Trials per second refer to the processor time of one thread, so that other load matters little. Parallel efficiency is
+the wall time of the same trials with one worker over twice that with two warm workers; the best of three, because other
+load can only lower it.
 """
 
 import time
@@ -21,7 +21,7 @@ SHARED = {"points": 60, "images": 12}
 
 
 def run(quick: bool) -> list[Row]:
-    """The rows of this benchmark."""
+    """Return the rows of this benchmark."""
     return [row for kind in PARALLEL for row in _rows(kind, quick)]
 
 
@@ -53,8 +53,8 @@ def _efficiency(name: str, number: int) -> float:
 
 
 def _seconds(name: str, workers: Workers, number: int) -> float:
-    """Wall time of trials that are handed out one by one, as a study does."""
-    _all(name, workers, range(1000, 1000 + 4 * workers.number))  # every worker has begun
+    """Return the wall time, s, of trials submitted one by one, as a study does."""
+    _all(name, workers, range(1000, 1000 + 4 * workers.number))  # until every worker is running
     started = time.perf_counter()
     _all(name, workers, range(number))
     return time.perf_counter() - started

@@ -1,8 +1,8 @@
-"""Contact and break-through noticed while a wire is drilled: where, and false alarms, over 1,000 simulated holes.
+"""Detection of contact and break-through while drilling a wire, and false alarms, over 1,000 simulated holes.
 
-Two cortices of each hole: the lateral one that the wire enters by, and the shell of the femoral head, which a wire that
-is fed too far would leave by. A third each of the femurs is healthy, osteopenic and osteoporotic (physics.md, Femur).
-The wire is rigid here (a guide at the bone) and is fed at 60 mm/min; the sensor is read at 200 Hz.
+Each hole has two cortices: the lateral one where the wire enters, and the shell of the femoral head, where a wire fed
+too far would leave. A third each of the femurs is healthy, osteopenic and osteoporotic (physics.md, Femur). The wire is
+rigid (a guide at the bone) and is fed at 60 mm/min; the sensor is read at 200 Hz.
 """
 
 from dataclasses import replace
@@ -22,12 +22,12 @@ FEED_MM_S = 1.0  # 60 mm/min: physics.md, Drilling
 HOLES_A_FEMUR = 20
 CORTICES = ("lateral cortex", "shell of the head")
 BONES = {"healthy": 132.0, "osteopenic": 99.0, "osteoporotic": 41.0}  # HU: physics.md, Femur
-BEFORE_MM, BEYOND_MM = 4.0, 12.0  # of the entry point; of the surface of the head: where a hole is simulated
-_NEAR_MM = 3.0  # a break-through noticed this near to a true one is that one
+BEFORE_MM, BEYOND_MM = 4.0, 12.0  # simulated range: before the entry point, beyond the surface of the head
+_NEAR_MM = 3.0  # largest distance of a detected break-through from the true one
 
 
 def run(quick: bool) -> list[Row]:
-    """The rows of this benchmark; `quick` drills 60 holes."""
+    """Return the rows of this benchmark; `quick` drills 60 holes."""
     jobs = [(name, seed) for seed in range(1 if quick else 17) for name in BONES]
     holes = [hole for some in in_parallel(_femur, jobs) for hole in some]
     return [row for name in BONES for row in _rows(name, [hole for hole in holes if hole["bone"] == name])]
@@ -38,8 +38,8 @@ def _rows(name: str, holes: list[dict[str, Any]]) -> list[Row]:
     for cortex in CORTICES:
         ends = np.array([hole[cortex] for hole in holes if hole[cortex] is not None])
         for what, off in zip(("noticed", "the tip rests"), ends.T, strict=True):
-            figure = f"{np.median(off):.2f} / {np.quantile(off, 0.95):.2f} / {off.max():.2f} mm"
-            rows.append(Row("supervision", f"{what} beyond the {cortex}, {name}: median / 95 % / most", figure))
+            value = f"{np.median(off):.2f} / {np.quantile(off, 0.95):.2f} / {off.max():.2f} mm"
+            rows.append(Row("supervision", f"{what} beyond the {cortex}, {name}: median / 95 % / most", value))
         missed = f"{len(holes) - len(ends)} of {len(holes)}"
         rows.append(Row("supervision", f"break-throughs of the {cortex} missed, {name}", missed))
     before = np.array([hole["contact"] for hole in holes])
@@ -58,7 +58,7 @@ def _femur(job: tuple[str, int]) -> list[dict[str, Any]]:
 
 
 def _wire(femur, rng: np.random.Generator) -> np.ndarray:
-    """(2, 3): entry and where the wire would leave the head; planned as a person does, within 5 mm and 5°."""
+    """Return the entry and the point (2, 3) where the wire would leave the head, within 5 mm and 5° of the ideal."""
     entry, end = (np.asarray(point) for point in femur.wire_mm(angle_deg=rng.uniform(130, 138)))
     along = (end - entry) / np.linalg.norm(end - entry)
     shift = rng.uniform(-4, 4, 3)
@@ -67,7 +67,7 @@ def _wire(femur, rng: np.random.Generator) -> np.ndarray:
 
 
 def _hole(bone: Bone, line_mm: np.ndarray, rng: np.random.Generator) -> dict[str, Any]:
-    """One hole, drilled until the wire stands BEYOND_MM outside the head."""
+    """Return the events of one hole, drilled until the wire is BEYOND_MM outside the head."""
     along = line_mm[1] - line_mm[0]
     length = float(np.linalg.norm(along))
     along = along / length
@@ -81,7 +81,7 @@ def _hole(bone: Bone, line_mm: np.ndarray, rng: np.random.Generator) -> dict[str
         tip = float((wire.tip_mm - line_mm[0]) @ along)
         for one in watch.step(step * CYCLE_S, depth, sensed(thrust, rng)):
             if one.kind is EventKind.BREAK_THROUGH:
-                noted.append((tip, tip + thrust / AXIAL_N_PER_MM))  # the feed stops, the spring in the wire does not
+                noted.append((tip, tip + thrust / AXIAL_N_PER_MM))  # the feed stops, the wire expands
             elif one.kind is EventKind.CONTACT:
                 touched = depth
     met = bone.first_met_mm(line_mm[0] - BEFORE_MM * along, line_mm[1], CORTICAL_G_CM3 / 2) - BEFORE_MM
@@ -89,7 +89,7 @@ def _hole(bone: Bone, line_mm: np.ndarray, rng: np.random.Generator) -> dict[str
 
 
 def _judged(ends_mm: tuple[float, float], noted: list[tuple[float, float]]) -> dict[str, Any]:
-    """How far beyond each cortex its break-through was noticed, and the tip comes to rest, mm; None: not noticed."""
+    """Return how far beyond each cortex its break-through was detected and the tip stops, mm; None: not detected."""
     out: dict[str, Any] = {}
     left = list(noted)
     for name, end in zip(CORTICES, ends_mm, strict=True):
@@ -100,7 +100,7 @@ def _judged(ends_mm: tuple[float, float], noted: list[tuple[float, float]]) -> d
 
 
 def _cortex_ends(bone: Bone, start: np.ndarray, along: np.ndarray, last_mm: float) -> tuple[float, float]:
-    """Where the density on the wire's axis falls to half of that of the first and of the last cortex."""
+    """Return where the density on the wire's axis falls to half of that of the first and of the last cortex."""
     at = np.arange(-BEFORE_MM, last_mm, 0.02)
     density = bone.density(start + at[:, None] * along)
     first = slice(0, int(np.searchsorted(at, 25.0)))

@@ -1,7 +1,7 @@
-"""The X-ray view in an installed Chromium: frames while a point is dragged, repaints of the window, the way to a curve.
+"""The X-ray view in an installed Chromium: frames while dragging a point, repaints of the window, time to a curve.
 
-Two views of 1024 x 1024, 120 beads; the hand moves at 60 Hz; the server computes for 15 ms on each move. Times are read
-in the page, from the pointer's own time stamp to the end of the frame that draws.
+Two views of 1024 x 1024 with 120 beads; the pointer moves at 60 Hz; the server computes for 15 ms on each move. Times
+are measured in the page, from the pointer event's time stamp to the end of the frame that draws it.
 """
 
 import asyncio
@@ -19,10 +19,10 @@ from benchmarks.rows import Row
 
 COMPUTING_S = 0.015
 FRAME_MS = 1000 / 60
-ASKED_FRAME_MS = 1.05 * FRAME_MS  # a frame that was not missed, and 5 % for the clock
-ASKED_CURVE_MS = 50.0
+REQUIRED_FRAME_MS = 1.05 * FRAME_MS  # a frame that was not missed, and 5 % for the clock
+REQUIRED_CURVE_MS = 50.0
 
-# How long each frame's own code runs, when each move of the pointer is drawn, and when its curve is in the other view.
+# Records the run time of each frame's code, when each pointer move is drawn, and when its curve is in the other view.
 _WATCH = """() => {
   const watch = (window.watch = { frame: [], point: [], curve: [] });
   const { pa, lateral } = window.sightlineXray;
@@ -58,7 +58,7 @@ _REPAINT = """async (times) => {
 
 
 def run(quick: bool) -> list[Row]:
-    """The rows of this benchmark."""
+    """Return the rows of this benchmark."""
     group = "X-ray view"
     path = find_chromium()
     if path is None:
@@ -100,7 +100,7 @@ async def _measure(path: str, url: str, times: int) -> tuple[dict[str, list[floa
 
 
 async def drag(page: Page, uv: Sequence[float], moves: int, reach: float = 60.0) -> list[float]:
-    """The point at `uv` of the PA view in the hand for `moves` of 1/60 s; ms between the frames meanwhile."""
+    """Drag the point at `uv` of the PA view for `moves` of 1/60 s; return the intervals of the frames, ms."""
     x, y = await page.evaluate("uv => window.sightlineXray.pa.toScreen(uv)", list(uv))
     hand = await page.context.new_cdp_session(page)
 
@@ -113,7 +113,7 @@ async def drag(page: Page, uv: Sequence[float], moves: int, reach: float = 60.0)
     clock = asyncio.get_running_loop()
     started = clock.time()
     under_way = []
-    for index in range(moves):  # not waiting for one before the next: a hand does not
+    for index in range(moves):  # without waiting for the previous one, as a hand does
         under_way.append(do("mouseMoved", reach * np.sin(index / 15), reach * np.sin(index / 23)))
         await asyncio.sleep(max(started + (index + 1) / 60 - clock.time(), 0.0))
     await asyncio.gather(*under_way)
@@ -123,21 +123,21 @@ async def drag(page: Page, uv: Sequence[float], moves: int, reach: float = 60.0)
 
 
 def high(values: list[float]) -> float:
-    """The 95th percentile."""
+    """Return the 95th percentile."""
     return float(np.percentile(values, 95))
 
 
 def frame_row(group: str, frames: list[float]) -> Row:
-    """Whether a drag is drawn in every frame."""
-    asked, met = f"{FRAME_MS:.1f} ms at 95 %", high(frames) <= ASKED_FRAME_MS
-    return Row(group, "interval of frames in a drag", spread(frames), asked, met=met)
+    """Return the row of the frame intervals of a drag."""
+    required, met = f"{FRAME_MS:.1f} ms at 95 %", high(frames) <= REQUIRED_FRAME_MS
+    return Row(group, "interval of frames in a drag", spread(frames), required, met=met)
 
 
 def following_row(group: str, what: str, times: list[float]) -> Row:
-    """Whether something follows the pointer soon enough."""
-    return Row(group, what, spread(times), f"{ASKED_CURVE_MS:.0f} ms at 95 %", met=high(times) <= ASKED_CURVE_MS)
+    """Return the row of the delay of something that follows the pointer."""
+    return Row(group, what, spread(times), f"{REQUIRED_CURVE_MS:.0f} ms at 95 %", met=high(times) <= REQUIRED_CURVE_MS)
 
 
 def spread(values: list[float]) -> str:
-    """Median and 95th percentile of times, ms."""
+    """Return median and 95th percentile of times, ms, as text."""
     return f"{np.median(values):.1f} ms, 95 % {high(values):.1f} ms"

@@ -1,9 +1,8 @@
-"""The least covariance of a bead's centre in one image of the twin: no unbiased estimate from that image does better.
+"""Cramér-Rao bound of a bead's centre in one image of the twin, from the Fisher information of the true image.
 
-Inverse Fisher information of the true image. The data are quanta counted (Poisson), blurred, with white electronic and
-rounding noise added: covariance G Q G' + e². Unknown of a bead: centre, radius, contrast, blur; of every other bead
-within its window the same five; and a quadratic background. Pixels that another sharp thing changes, that saturate or
-that lie outside the field tell nothing.
+The data are counted quanta (Poisson), blurred, with white electronic and rounding noise: covariance G Q G' + e². The
+unknowns are centre, radius, contrast and blur of each bead in the window, and a quadratic background. Pixels changed by
+another sharp object, saturated pixels and pixels outside the field carry no information.
 """
 
 from dataclasses import dataclass
@@ -16,23 +15,23 @@ from sightline.twin.hard import BeadTruth
 from sightline.twin.render import ELECTRONIC_SD
 
 _BEYOND_PX = 6.0  # of the window beyond the rim
-_MARGIN = 8  # px about the window, whose quanta reach into it
-_STRANGE = 0.08  # share of the light by which a pixel differs from the beads' own shadows: something else lies there
-_ALIKE = 0.05  # of the radius: beads pooled for one profile
+_MARGIN = 8  # px around the window: quanta there are blurred into it
+_STRANGE = 0.08  # difference from the beads' shadows, share of the light, that indicates another object
+_ALIKE = 0.05  # relative difference in radius of beads pooled for one profile
 _STEPS = 40
 _PRECISION = 1e-4
 
 
 @dataclass(frozen=True, eq=False)
 class _Profile:
-    """Shadow of beads of one size: `share` of the whole contrast at r / radius; contrast of a bead that stands free."""
+    """Shadow of beads of one size: `share` of the full contrast at r / radius; contrast of an isolated bead."""
 
     share: LSQUnivariateSpline
     contrast: float
 
 
 def centroid_bounds(truth: BeadTruth) -> np.ndarray:
-    """(N, 2, 2) px²; infinite where the image does not determine a centre."""
+    """Return the bounds (N, 2, 2), px²; infinite where the image does not determine a centre."""
     exposure = truth.exposure
     ratio = np.where(exposure.field, exposure.quanta / np.maximum(exposure.open_quanta, 1e-9), 1.0)
     mean, white = exposure.mean_pixels(), exposure.chain.white
@@ -43,7 +42,7 @@ def centroid_bounds(truth: BeadTruth) -> np.ndarray:
 
 
 def _profile(truth: BeadTruth, ratio: np.ndarray, i: int) -> _Profile | None:
-    """Pooled from the beads of this size that stand free; None where there is none."""
+    """Return the profile pooled from isolated beads of this size; None where there is none."""
     free = (truth.gap_px > 4) & (truth.rim_px > 4) & (abs(truth.radius_px / truth.radius_px[i] - 1) < _ALIKE)
     at, share, contrasts = [], [], []
     for j in np.flatnonzero(free):
@@ -112,7 +111,7 @@ def _bound(truth: BeadTruth, ratio: np.ndarray, clear: np.ndarray, profiles: lis
 
 
 def _shadow(profile: _Profile, x: np.ndarray, y: np.ndarray, radius: float) -> tuple[np.ndarray, list[np.ndarray]]:
-    """Share of the contrast; derivatives of minus it by u, v, radius, contrast (of 1) and blur²/2."""
+    """Return the share of the contrast, and the derivatives of its negative by u, v, radius, contrast and blur²/2."""
     r = np.hypot(x, y) + 1e-9
     inside = r < radius + 2.5
     at = np.minimum(r / radius, 1 + 2.5 / radius)
@@ -123,7 +122,7 @@ def _shadow(profile: _Profile, x: np.ndarray, y: np.ndarray, radius: float) -> t
 
 
 def _information(design: np.ndarray, told: np.ndarray, quanta: np.ndarray, core_px: float, electronic: float):
-    """D' C^-1 D by conjugate gradients, preconditioned with the spectrum of the mean quanta; `design` is sharp."""
+    """Return D' C^-1 D of a sharp `design` by conjugate gradients, preconditioned with the spectrum of the quanta."""
 
     def blurred(fields: np.ndarray) -> np.ndarray:
         return np.stack([cv2.GaussianBlur(f, (0, 0), core_px, borderType=cv2.BORDER_CONSTANT) for f in fields])

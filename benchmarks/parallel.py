@@ -7,6 +7,6 @@ from sightline.studies.workers import local_workers
 
 
 def in_parallel(function: Callable[[Any], Any], arguments: Iterable[Any]) -> list[Any]:
-    """`function` of each argument on all cores, one thread each, in order."""
+    """Return `function` of each argument, in order, computed on all cores with one thread each."""
     with local_workers() as workers:
         return list(workers.executor.map(function, arguments, chunksize=4))

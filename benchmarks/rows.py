@@ -5,14 +5,14 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Row:
-    """A measured figure beside what is asked of it and what a peer reaches in the same run.
+    """A measured value next to the required one and to that of a peer in the same run.
 
-    `met` is None where nothing is asked: the figure is printed for the reader.
+    `met` is None where nothing is required: the value is for information.
     """
 
     group: str
     name: str
-    figure: str
-    asked: str = ""
+    value: str
+    required: str = ""
     peer: str = ""
     met: bool | None = None

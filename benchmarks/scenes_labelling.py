@@ -1,7 +1,7 @@
 """Random scenes for `label`: the beads of one view of a frame as detection would report them, with the truth.
 
-The distribution stands here, committed before `label` was tuned; only the noise of centres and radii was set later,
-by what `detect` reports in rendered images. Point level: nothing is rendered.
+The distribution was committed before `label` was tuned; only the noise of centres and radii was set later, from what
+`detect` reports in rendered images. Scenes consist of points; nothing is rendered.
 """
 
 from dataclasses import dataclass
@@ -16,19 +16,19 @@ from sightline.twin.carm import shadow_radius_px
 SOURCE_HIP_MM = 620.0  # physics.md, C-arm and image chain [ours]
 SOURCE_DETECTOR_MM = 1000.0  # [src ARCADIS manual]
 FIELD_RADIUS_MM = 107.5  # 9 in intensifier, useful field [mem]
-AIM_MM = 15.0  # how far the beam misses the middle between the plates, uniform per axis [ours]
+AIM_MM = 15.0  # largest offset of the beam from the middle between the plates, uniform per axis [ours]
 SIDES_PX = (1024, 576)  # modern CCD; PAL frame grabber [mem]
 # Of `detect` in 108 rendered images of the built-in frames [twin]: scatter of centres 0.03-0.06 px at high dose,
 # 0.05-0.09 at medium, 0.12-0.18 at low; radii of a plate 0.98-1.03 of the truth, their scatter 0.3-3.6 %.
 CENTRE_NOISE_PX = (0.03, 0.2)
 RADIUS_FACTOR, RADIUS_NOISE = (0.98, 1.04), (0.005, 0.035)
 MISJUDGED = 0.02  # share of beads whose radius is far off [ours]
-RADIUS_RANGE_PX = (2.0, 25.0)  # what detection looks for (issue)
+RADIUS_RANGE_PX = (2.0, 25.0)  # the range of `detect`
 
 
 @dataclass(frozen=True)
 class Hiding:
-    """How beads go missing: the share of a view's beads hidden or outside the field, at random or as one block."""
+    """How beads are hidden: the largest share hidden or outside the field, at random or as one block."""
 
     most: float = 0.4
     block: bool | None = None  # None: either, by chance
@@ -54,14 +54,14 @@ def _unit(vector: np.ndarray) -> np.ndarray:
 
 
 def _across(direction: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """(2, 3): two random unit vectors across a direction; (first, second, direction) is right-handed."""
+    """Return two random unit vectors (2, 3) perpendicular to a direction; right-handed with it."""
     first = _unit(np.cross(direction, rng.standard_normal(3)))
     return np.stack([first, np.cross(direction, first)])
 
 
 @dataclass(frozen=True, eq=False)
 class Camera:
-    """A C-arm with an intensifier, seen along the beam; `project` gives pixels and the field."""
+    """A C-arm with an intensifier, seen along the beam."""
 
     focal_point_mm: np.ndarray
     axes: np.ndarray  # (3, 3): across, across, along the beam
@@ -73,7 +73,7 @@ class Camera:
     mirrored: bool
 
     def project(self, xyz_mm: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Pixels (N, 2) of points (N, 3), and which of them lie in the field."""
+        """Return pixels (N, 2) of points (N, 3), and whether they lie in the field."""
         local = (xyz_mm - self.focal_point_mm) @ self.axes.T
         q = SOURCE_DETECTOR_MM * local[:, :2] / local[:, 2:]
         inside = np.hypot(*q.T) <= FIELD_RADIUS_MM
@@ -83,7 +83,7 @@ class Camera:
         return uv + (self.side_px - 1) / 2, inside
 
     def _distorted(self, q: np.ndarray) -> np.ndarray:
-        """Pincushion, S-shaped rotation and shift (physics.md, Distortion), and a smooth random remainder."""
+        """Apply pincushion, S-shaped rotation and shift (physics.md, Distortion), and a smooth random remainder."""
         u2 = np.minimum((q**2).sum(axis=1, keepdims=True) / FIELD_RADIUS_MM**2, 1.0)
         phi = self.rotation_rad * (1.0 - 0.79 * u2 + 0.23 * u2**2)
         turned = q * np.cos(phi) + np.stack([-q[:, 1], q[:, 0]], axis=1) * np.sin(phi)
@@ -94,7 +94,7 @@ class Camera:
 
 
 def draw_camera(rng: np.random.Generator, view: FrameView) -> Camera:
-    """A C-arm set up on one view of a frame: tilt up to 20°, any rotation, an intensifier's distortion."""
+    """Return a C-arm for one view of a frame: tilt up to 20°, any rotation, an intensifier's distortion."""
     xrii, source = view.xrii.xyz_mm.mean(axis=0), view.source.xyz_mm.mean(axis=0)
     beam = _unit(xrii - source)
     tilt = np.radians(rng.uniform(0.0, 20.0))
@@ -125,7 +125,7 @@ def draw_camera(rng: np.random.Generator, view: FrameView) -> Camera:
 
 
 def _radii_px(camera: Camera, view: FrameView, uv: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Radii as detection reports them: the local scale, a factor of the image's own, a few per cent of noise."""
+    """Return radii as detection reports them: the local scale, a common factor, and a few per cent of noise."""
     xyz = np.array([f.xyz_mm for f in view.fiducials])
     half = np.array([f.diameter_mm for f in view.fiducials]) / 2
     steps = [np.linalg.norm(camera.project(xyz + camera.axes[k] * half[:, None])[0] - uv, axis=1) for k in (0, 1)]
@@ -143,7 +143,7 @@ def _normal(rng: np.random.Generator, like: np.ndarray) -> np.ndarray:
 
 
 def _hidden(rng: np.random.Generator, uv: np.ndarray, inside: np.ndarray, hiding: Hiding) -> np.ndarray:
-    """(N,) bool: beads outside the field, and more hidden ones up to a share drawn from 0 to `most`."""
+    """Return (N,) bool: beads outside the field, and further hidden ones up to a share drawn from 0 to `most`."""
     out = ~inside
     number = round(rng.uniform(0.0, hiding.most) * len(uv)) - int(out.sum())
     if number <= 0:
@@ -172,7 +172,7 @@ class _Seen:
 
 
 def _merged(ids: list[str], uv: np.ndarray, radius: np.ndarray, rng: np.random.Generator) -> _Seen:
-    """Overlapping pairs as detection reports them: one blob, one of the two, none, or both."""
+    """Return beads as detection reports them: an overlapping pair becomes one blob, one of the two, none, or both."""
     seen = _Seen([], [], [])
     gone: set[int] = set()
     distance = np.linalg.norm(uv[:, None] - uv[None], axis=2)
@@ -203,7 +203,7 @@ def _merged(ids: list[str], uv: np.ndarray, radius: np.ndarray, rng: np.random.G
 def _add_false(
     rng: np.random.Generator, seen: _Seen, radii: tuple[np.ndarray, np.ndarray], number: int, side: int
 ) -> None:
-    """False candidates anywhere in the field: most of any size, a fifth like ordinary beads, a fifth like datums."""
+    """Add false candidates in the field: most of any size, a fifth like ordinary beads, a fifth like datums."""
     while number > 0:
         uv = (side - 1) / 2 + rng.uniform(-0.49, 0.49, 2) * side
         size = rng.random()
@@ -218,7 +218,7 @@ def _add_false(
 
 
 def _spread_mm(xyz_mm: np.ndarray) -> float:
-    """How far points are from lying on one line: their rms distance from the best line."""
+    """Return the rms distance of points from the best line."""
     if len(xyz_mm) < 3:
         return 0.0
     return float(np.linalg.svd(xyz_mm - xyz_mm.mean(axis=0))[1][1] / np.sqrt(len(xyz_mm)))
@@ -227,7 +227,7 @@ def _spread_mm(xyz_mm: np.ndarray) -> float:
 def draw_scene(
     rng: np.random.Generator, frame: Frame, view: str | None = None, hiding: Hiding | None = None, false: int = 10
 ) -> Scene:
-    """A random scene of one view of `frame` (any view by default). At most `hiding.most` of its beads are missing."""
+    """Return a random scene of one view of `frame` (any by default); at most `hiding.most` of its beads are missing."""
     hiding = hiding or Hiding()
     name = view or str(rng.choice(list(frame.views)))
     fiducials = frame.view(name).fiducials
@@ -264,7 +264,7 @@ def draw_scene(
 
 
 def _solvable(view: FrameView, single: set[str]) -> bool:
-    """Whether the fiducials that are seen by themselves hold three datum markers of each plate, not on one line."""
+    """Return whether the isolated fiducials include three datum markers of each plate, not on one line."""
     left = [[f.xyz_mm for f in plate.fiducials if f.datum and f.id in single] for plate in (view.xrii, view.source)]
     return all(_spread_mm(np.array(p).reshape(-1, 3)) > 5.0 for p in left)
 
@@ -274,9 +274,9 @@ CROPS = (0.6, 1.0)  # share of each side that a crop leaves, uniform [ours]
 
 
 def clean_views(rng: np.random.Generator, frame: Frame, chain: str, *, cropped: bool = False) -> list[Scene]:
-    """Both views of a set-up of the twin's image chain: every bead that the field shows whole, nothing else.
+    """Return both views of a set-up with the twin's image chain: all beads completely in the field, nothing else.
 
-    `cropped`: to a rectangle anywhere in the image, beads at its border left out.
+    `cropped`: to a random rectangle of the image, without the beads at its border.
     """
     setup = draw_setup(rng, frame, chain=chain)
     out = []
