@@ -66,7 +66,6 @@ html_title = f"Sightline {release}"
 html_math_renderer = "mathml"
 html_static_path = ["site/style.css"]
 html_css_files = ["style.css"]
-html_extra_path = ["report.schema.json"]
 templates_path = ["site/templates"]
 html_sidebars = {"**": ["all-pages.html"]}
 html_show_sourcelink = False
