@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
@@ -28,12 +29,16 @@ def test_observations_give_the_view_with_its_residuals_and_checks(run, beads_csv
 
 
 def test_an_image_gives_the_same_view_as_its_observations_written_as_csv(run, pair, tmp_path: Path) -> None:
-    image = run("calibrate", pair["pa"], "--frame", "gamma", "--view", "pa", "--csv", tmp_path / "pa.csv", "--json")
+    files = ("--csv", tmp_path / "pa.csv", "--picture", tmp_path / "pa.png")
+    image = run("calibrate", pair["pa"], "--frame", "gamma", "--view", "pa", *files, "--json")
     assert image.code in (0, 3), image.out
     again = run("calibrate", tmp_path / "pa.csv", "--json")
     assert again.code == image.code
     np.testing.assert_allclose(again.document["focal_point_mm"], image.document["focal_point_mm"], rtol=1e-9)
     assert again.document["set_up"] is None  # a table does not say where its image ended
+    picture = cv2.imread(str(tmp_path / "pa.png"))
+    assert min(picture.shape[:2]) > 500
+    assert (np.ptp(picture, axis=2) > 60).mean() > 0.001  # arrows in colour over a grey image
 
 
 def test_an_image_that_cuts_the_plates_says_what_to_move(run, pair, tmp_path: Path) -> None:
@@ -94,7 +99,7 @@ def test_observations_of_two_views_need_the_view(run, beads_csv: Path) -> None:
         (["x=1,2,3"], "not ID=U,V"),
         (["1,2"], "not ID=U,V"),
         (["x=nan,2"], "not finite"),
-        (["x=1,2", "x=3,4"], "stands twice"),
+        (["x=1,2", "x=3,4"], "given twice"),
     ],
 )
 def test_a_malformed_datum_is_refused(run, pair, datums: list[str], says: str) -> None:

@@ -54,12 +54,13 @@ def assess(
             images = calibrate_pair(seen, known_frame, method, mirrored or ())
         uv_px, covariance_px2 = _pixels(points, images, pick_sd)
         result = compare([image.view for image in images], points, uv_px, covariance_px2)
-        _show(output, result)
         checks = (
             [check for image in images for check in image.view.checks]
             + list(result.checks)
             + list(result.points.frame_checks())
         )
+        output.failures(checks)
+        _show(output, result)
         output.result({**result.document(), "views": [view_document(image) for image in images]}, checks)
 
 

@@ -1,4 +1,4 @@
-"""`sightline calibrate`: the geometry of one view, from its own beads."""
+"""`sightline calibrate`: calibrate one view from its own beads."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -15,16 +15,16 @@ if TYPE_CHECKING:
 
 _SHOWN = 10  # beads in the table; --json has them all
 
-FrameName = Annotated[str, typer.Option("--frame", help="A frame file, or gamma, biplane, stereo.")]
+FrameName = Annotated[str, typer.Option("--frame", help="A frame file, gamma, biplane or stereo.")]
 ViewName = Annotated[
     str | None,
-    typer.Option("--view", help="pa or lateral; without it the datum markers tell.", show_default=False),
+    typer.Option(
+        "--view", help="View of the image, pa or lateral; by default as the datum markers show.", show_default=False
+    ),
 ]
 Datums = Annotated[
     list[str] | None,
-    typer.Option(
-        "--datum", help="Pixel of a datum marker, 'ID=U,V'; give it for each, where they are not found by themselves."
-    ),
+    typer.Option("--datum", help="Pixel of a datum marker, 'ID=U,V', where it is not found; give one for each marker."),
 ]
 
 
@@ -33,7 +33,7 @@ Sid = Annotated[
     typer.Option(
         "--sid",
         min=1.0,
-        help="From X-ray source to detector, mm, of this C-arm; without it as DICOM states it, if it does.",
+        help="Distance from X-ray source to detector, mm; by default as DICOM states it, if it does.",
         show_default=False,
     ),
 ]
@@ -42,7 +42,7 @@ PixelSize = Annotated[
     typer.Option(
         "--pixel",
         min=1e-4,
-        help="Side of a pixel on the detector, mm; without it as DICOM states it, if it does.",
+        help="Size of a pixel on the detector, mm; by default as DICOM states it, if it does.",
         show_default=False,
     ),
 ]
@@ -50,27 +50,32 @@ PixelSize = Annotated[
 
 def register(app: typer.Typer) -> None:
     """Add the command."""
-    app.command("calibrate", epilog=example("sightline calibrate out/demo/demo_pa.dcm --frame gamma"))(calibrate)
+    app.command("calibrate", epilog=example("sightline calibrate out/demo/demo_pa.dcm --picture out/residuals.png"))(
+        calibrate
+    )
 
 
 def calibrate(
-    image: Annotated[Path, typer.Argument(help="An image, or its beads as CSV: told apart (observations) or not.")],
+    image: Annotated[Path, typer.Argument(help="An image, or its beads as CSV, labelled (observations) or not.")],
     *,
     frame: FrameName = "gamma",
     view: ViewName = None,
-    method: Annotated[str, typer.Option(help="smooth, localized (the paper's) or polynomial.")] = "smooth",
+    method: Annotated[
+        str, typer.Option(help="Calibration method: smooth, localized (the paper's) or polynomial.")
+    ] = "smooth",
     datum: Datums = None,
     frame_index: FrameIndex = None,
     mirrored: Annotated[
         bool | None,
-        typer.Option(
-            help="Whether you saw the display to be mirrored (writing in it reads backwards).", show_default=False
-        ),
+        typer.Option(help="Whether the image is shown mirrored: writing in it reads backwards.", show_default=False),
     ] = None,
     sid: Sid = None,
     pixel: PixelSize = None,
     invert: Invert = False,
-    csv: Annotated[Path | None, typer.Option(help="Write the beads that were told apart as CSV.")] = None,
+    csv: Annotated[Path | None, typer.Option(help="Write the labelled beads to this CSV file.")] = None,
+    picture: Annotated[
+        Path | None, typer.Option(help="Write a PNG of the image with each bead's residual as an arrow.")
+    ] = None,
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:
@@ -104,6 +109,11 @@ def calibrate(
             )
         document = view_document(calibrated) | {"set_up": advice}
         _add_leave_one_out(document, calibrated.view)
+        if picture is not None:
+            from sightline.atomic import write_whole
+
+            write_whole(picture, calibrated.view.png())
+        out.failures(calibrated.view.checks)
         _show(out, document)
         out.result(document, calibrated.view.checks)
 
@@ -117,7 +127,7 @@ def see(
     *,
     invert: bool = False,
 ) -> "Seen":
-    """The beads of one view, told apart: of an image, or of a CSV file, with or without the beads' names.
+    """Return the labelled beads of one view: of an image, or of a CSV file with or without the beads' ids.
 
     Raises what reading and labelling raise.
     """
@@ -133,14 +143,14 @@ def see(
             return views.Seen(called(path), label_csv(path, frame, view, _datums(datum)))
         if datum or frame_index is not None:
             raise UnusableInputError(
-                "--datum and --frame-index are of images; observations in CSV are told apart already"
+                "--datum and --frame-index are for images; the beads of this CSV file are labelled already"
             )
         return views.Seen(called(path), _observed(path, view))
     return views.see(path, frame, view, _datums(datum), frame_index, invert=invert)
 
 
 def _advise(seen: "Seen", frame: "Frame") -> dict[str, Any] | None:
-    """What to move before the next exposure; None for observations, which do not say where their field ended."""
+    """Return what to move before the next exposure; None for observations, which do not say where their field ends."""
     from sightline.calibration import advise
 
     if seen.image is None:
@@ -163,12 +173,12 @@ def _observed(path: Path, view: str | None) -> Any:
         return next(iter(views.values()))
     if view not in views:
         known = ", ".join(views)
-        raise ObservationsError(f"{path.name} holds observations of {known}; say with --view which of them is meant")
+        raise ObservationsError(f"{path.name} holds observations of {known}; choose one with --view")
     return views[view]
 
 
 def _datums(texts: list[str] | None) -> dict[str, tuple[float, float]] | None:
-    """'ID=U,V' texts by fiducial. Raises UnusableInputError."""
+    """Return the pixels of 'ID=U,V' texts by fiducial. Raises UnusableInputError."""
     from math import isfinite
 
     from sightline.errors import UnusableInputError
@@ -181,7 +191,9 @@ def _datums(texts: list[str] | None) -> dict[str, tuple[float, float]] | None:
         except ValueError:
             raise UnusableInputError(f"--datum {text!r} is not ID=U,V; write for example pa-x-d1=512.0,388.5") from None
         if name in out or not (isfinite(u) and isfinite(v)):
-            raise UnusableInputError(f"--datum {text!r} stands twice or is not finite; give one pixel for each marker")
+            raise UnusableInputError(
+                f"--datum {text!r} is given twice or is not finite; give one pixel for each marker"
+            )
         out[name] = (u, v)
     return out or None
 

@@ -61,6 +61,7 @@ def fit(
         with output.step("adjusting the frame"):
             fitted = fit_frame(nominal, series, told)
         document = _document(fitted)
+        output.failures(fitted.checks)
         _show(output, document)
         if fitted.frame is not None:
             fitted.frame.save(out)

@@ -56,6 +56,7 @@ def self_check(
         with output.step("adjusting all images together"):
             found = adjust(seen, known)
         document = _document(found)
+        output.failures(found.checks)
         _show(output, document)
         written = out if out is not None and all(check.passed for check in found.checks) else None
         if written is not None:

@@ -39,6 +39,10 @@ class Plotted(Shown):
         self._draw(ax)
         return ax
 
+    def png(self, dpi: int = 2 * _DPI) -> bytes:
+        """Return the picture that `plot` draws, as the bytes of a PNG file."""
+        return _png(self._figure(), dpi)
+
     def _draw(self, ax: Any) -> None:
         raise NotImplementedError
 
@@ -49,11 +53,15 @@ class Plotted(Shown):
         return _SIDE_IN, _SIDE_IN
 
     def _repr_html_(self) -> str:
+        return super()._repr_html_() + _picture(self._figure())
+
+    def _figure(self) -> "Figure":
+        """Return a figure that pyplot does not keep."""
         from matplotlib.figure import Figure
 
         figure = Figure(figsize=self._size_in(), layout="constrained")
         self._draw(self._new_axes(figure))
-        return super()._repr_html_() + _picture(figure)
+        return figure
 
 
 def _picture(figure: "Figure") -> str:
@@ -61,7 +69,11 @@ def _picture(figure: "Figure") -> str:
     dpi, png = 2 * _DPI, b""
     while not png or (len(png) > _MAX_PICTURE_BYTES and dpi > 10):
         dpi //= 2
-        buffer = io.BytesIO()
-        figure.savefig(buffer, format="png", dpi=dpi)
-        png = buffer.getvalue()
+        png = _png(figure, dpi)
     return f'<img alt="" src="data:image/png;base64,{base64.b64encode(png).decode()}">'
+
+
+def _png(figure: "Figure", dpi: int) -> bytes:
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", dpi=dpi)
+    return buffer.getvalue()

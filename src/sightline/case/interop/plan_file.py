@@ -23,6 +23,7 @@ from sightline.planning.directions import caudal
 from sightline.planning.results import SpacePoints
 
 _DIGEST = "digest"
+_TELLS_SIDE_MM = 10.0  # [ours] of height from entry to end; a hip screw at 135° has 60 mm
 _MAX_BYTES = 2**24  # [ours] a hundred times a plan with its beads
 
 
@@ -100,7 +101,7 @@ class PlanFile:
             )
         entry, end = self.points_mm
         down_mm = float((entry - end) @ caudal(side))
-        if self.document.kind == "hip-screw" and down_mm < 0.0:
+        if self.document.kind == "hip-screw" and down_mm < -_TELLS_SIDE_MM:
             other = "left" if side == "right" else "right"
             raise UnusableInputError(
                 f"the side is given as {side}, but the wire is that of a {other} hip: in a {side} one its entry would "
