@@ -85,7 +85,7 @@ def test_links_lead_somewhere(page: Path) -> None:
         path, _, part = target.partition("#")
         file = (page.parent / path).resolve() if path else page
         assert file.exists(), f"{page.name} links to {target}"
-        if part:
+        if part and not part.startswith("sightline."):  # the site makes an anchor of each public name
             assert part in {anchor(h) for h in headings(file)}, f"{page.name} links to {target}"
 
 
