@@ -1,4 +1,4 @@
-// The space bar stops the robot wherever the focus is, but in a field where people type; it presses nothing else.
+// The space bar stops the robot wherever the focus is, except in a text field; it presses no other control.
 const typing = (target) => target.closest && target.closest("input, textarea, select, [contenteditable=true]");
 for (const kind of ["keydown", "keyup"]) {
   window.addEventListener(
@@ -14,16 +14,16 @@ for (const kind of ["keydown", "keyup"]) {
   );
 }
 
-// The page asks five times a second whether the program answers. Where it does not, what is shown may be of before, and
-// STOP goes nowhere: body.dead says so (page.css). Nothing is said before the first connection, while the page is built.
+// The page probes the program five times a second. Without an answer the page may be out of date and STOP does not
+// reach the robot: body.dead shows that (page.css). Nothing is shown before the first connection, while the page is built.
 const ASK_MS = 200; // [ours]
-const DEAD_MS = 600; // [ours] without an answer; with what comes before and after it less than a second
-let asked = null; // when, of a question that is not answered
+const DEAD_MS = 600; // [ours] without an answer; detection takes less than a second in all
+let asked = null; // time of an unanswered probe
 let looked = performance.now();
 let known = false;
 setInterval(() => {
   const now = performance.now();
-  if (now - looked > 2 * ASK_MS) asked = null; // it was the page that slept
+  if (now - looked > 2 * ASK_MS) asked = null; // the page itself was suspended
   looked = now;
   const { socket } = window;
   if (!socket || !(known ||= socket.connected)) return;
@@ -35,10 +35,10 @@ setInterval(() => {
   document.body.classList.toggle("dead", !socket.connected || (asked !== null && now - asked > DEAD_MS));
 }, ASK_MS);
 
-// Each step is an entry of the browser's history: Back goes to the step before, a reload stays where it was. Before the
-// first there is an entry that is never shown: who goes back to it is asked whether to leave.
+// Each step is an entry of the browser's history: Back goes to the step before, a reload keeps the step. An entry
+// before the first is never shown: going back to it opens the question whether to leave.
 const LEAVE = "leave";
-// Word of a step comes late: a Back that overtook it counts. `before`: the step that was left, null where the page opens.
+// A step's message comes late: a Back that overtook it counts. `before`: the step left, null when the page opens.
 window.sightlineStep = (before, step) => {
   const at = history.state && history.state.sightline;
   if (at === step || (at && at !== before)) return;
@@ -57,7 +57,7 @@ window.addEventListener("popstate", ({ state }) => {
   }
 });
 
-// An enlarged image leaves the bar with STOP in sight.
+// An enlarged image leaves the bar with STOP visible.
 window.addEventListener("DOMContentLoaded", () => {
   const measure = () => {
     const work = document.querySelector(".work");

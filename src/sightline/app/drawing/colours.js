@@ -1,24 +1,24 @@
-// Every colour of the page, in one place: named here for what is painted, and as variables of the page for its sheets.
+// All colours of the page: names for painting, and CSS variables for style sheets.
 //
 // Hues of Okabe and Ito, Color Universal Design (2008), without blue and black, too dark on a dark page; green and
-// vermillion are lighter than theirs, to be read as words. tests/app/test_colours.py computes the contrasts.
+// vermillion are lighter than theirs, to be legible as text. tests/app/test_colours.py computes the contrasts.
 
 export const COLOURS = {
-  // Hues that mean something; what could be confused has a sign, a shape or dashes too.
+// Hues with a meaning; a sign, a shape or dashes carry it too.
   sky: "#56b4e9", // the accent
   green: "#2fc79a", // good
-  orange: "#e69f00", // look out
+  orange: "#e69f00", // warning
   vermillion: "#ff8a5c", // bad
   yellow: "#f0e442",
   purple: "#cc79a7",
   bone: "#eadbb8",
   steel: "#8fa3b8",
-  // Words and lines.
+// Text and lines.
   text: "#eef2f6",
   quiet: "#a9b6c3",
   edge: "#7d8b99", // of a control
-  line: "#36424f", // between things; it says nothing
-  // Grounds of words.
+  line: "#36424f", // separators, without meaning
+// Backgrounds of text.
   stage: "#07090b",
   ground: "#0e1217",
   panel: "#171d24",

@@ -1,4 +1,4 @@
-// Sends image files, one after another, to the address of the target they are meant for.
+// Sends image files, one after another, to the address of their target.
 // File names and the server's sentences are only ever shown as text.
 
 const PAGE = "position:fixed;inset:0;z-index:7000;display:flex;gap:16px;padding:24px;background:rgba(8,12,18,.86)";
@@ -7,7 +7,7 @@ const PANEL =
 
 function send(file, address, onProgress) {
   return new Promise((resolve) => {
-    const request = new XMLHttpRequest(); // fetch tells no progress
+    const request = new XMLHttpRequest(); // fetch reports no progress
     request.open("POST", address);
     request.upload.onprogress = (event) => event.total && onProgress(event.loaded / event.total);
     request.onload = () => resolve(request.status === 200 ? null : sentence(request));
@@ -77,7 +77,7 @@ export default {
     dropped(event, target) {
       this.take([...event.dataTransfer.files], target);
     },
-    // Several files at once go to this target and to those after it; each waits for the one before.
+    // Several files dropped at once go to this target and the following ones, one after another.
     async take(files, target) {
       if (files.length > this.targets.length) return this.say(`at most ${this.targets.length} images at a time`, true);
       files.forEach((file, n) => this.waiting.push([file, (target + n) % this.targets.length]));

@@ -1,5 +1,5 @@
-// HTML that comes as a message: the element is filled anew, and the page around it is left alone. (A property that
-// changes makes Vue go through every element there is.)
+// HTML that comes as a message: only this element is updated. (A changed property makes Vue visit every element of the
+// page.)
 
 export default {
   template: "<section></section>",

@@ -1,7 +1,7 @@
-// A scene of named groups in a box, drawn when something has changed and not otherwise. Knows no framework.
+// A 3-D scene of named groups in a box, redrawn only on changes. Uses no framework.
 //
-// Mouse: left turns, right or shift moves, wheel comes nearer. Touch: one finger turns, two move and come nearer.
-// Keys: arrows turn, with shift they move, + and - come nearer. Up is always +Z.
+// Mouse: left rotates, right or shift moves, wheel zooms. Touch: one finger rotates, two move and zoom.
+// Keys: arrows rotate, with shift they move, + and - zoom. Up is always +Z.
 
 import { COLOURS } from "colours";
 import { CSS2DRenderer, OrbitControls, THREE } from "nicegui-scene";
@@ -10,9 +10,9 @@ import { dispose, make } from "space_objects";
 const FIELD_DEG = 30;
 const TURN = Math.PI / 36; // of an arrow key
 const NEARER = 1.15;
-const FARTHEST_LINES = 4; // of text, between a label and its place
-const REACHES = ["hip", "frame", "room"]; // each holds those before it
-// Where one looks from, for a hip whose feet are towards -Y (a left one); of a right one they are towards +Y.
+const MAX_LINES = 4; // largest distance of a label from its place, in lines of text
+const REACHES = ["hip", "frame", "room"]; // each includes those before it
+// Viewing directions for a left hip, with the feet towards -Y; for a right one they are towards +Y.
 const FROM = { feet: [0, -1, 0], side: [1, 0, 0], above: [0, -0.001, 1], aslant: [0.441, -0.83, 0.342] };
 
 const CSS = `
@@ -38,11 +38,11 @@ export class SpaceCore {
     this.texts = texts;
     this.groups = new Map(); // name -> THREE.Group
     this.objects = {}; // name -> the plain objects it was made from
-    this.names = groups; // name -> words in the legend
+    this.names = groups; // name -> text in the legend
     this.renders = 0;
     this.asked = 0;
     this.feet = 1; // -1: towards +Y
-    this.touched = false; // the person has chosen a view: do not take it away
+    this.touched = false; // the person has chosen a view: keep it
     this.root = document.createElement("div");
     this.root.className = "space";
     box.append(this.root);
@@ -133,9 +133,9 @@ export class SpaceCore {
     change();
   }
 
-  // ------------------------------------------------------------------------------------------------------ what is shown
+  // -------------------------------------------------------------------------------------------------------- content
 
-  // Replaces one group. Its notes are words below the picture; all else is in it.
+  // Replaces one group. Notes are shown as text below the scene.
   update(name, objects) {
     this.objects[name] = objects;
     if (!this.renderer) return;
@@ -167,7 +167,7 @@ export class SpaceCore {
   drawLegend() {
     const shown = Object.keys(this.names).filter((name) => this.groups.get(name)?.children.length);
     const state = JSON.stringify(shown.map((name) => [name, this.groups.get(name).visible]));
-    if (state === this.legendState) return; // so that an update does not take the focus away
+    if (state === this.legendState) return; // an unnecessary update would take the focus away
     this.legendState = state;
     const focused = this.legend.contains(document.activeElement) ? document.activeElement.dataset.testid : null;
     this.legend.replaceChildren();
@@ -187,13 +187,13 @@ export class SpaceCore {
 
   // ---------------------------------------------------------------------------------------------------------- the camera
 
-  // Says which hip it is, "right" or another word: the patient's feet are then towards the viewer, the head up.
+  // Sets the side of the hip, "right" or other: the patient's feet are then towards the viewer, the head up.
   orient(side) {
     this.feet = side === "right" ? -1 : 1;
     if (!this.touched) this.look("aslant");
   }
 
-  // Looks from a side at what it looks at, from as far away as now.
+  // Sets the viewing direction; target and distance stay.
   look(from) {
     if (!this.renderer) return;
     const distance = this.camera.position.distanceTo(this.controls.target) || 1000;
@@ -203,7 +203,7 @@ export class SpaceCore {
     this.draw();
   }
 
-  // Brings into the picture what is shown of the hip, the frame or the whole room.
+  // Fits the view to the objects of the hip, the frame or the whole room.
   fit(reach) {
     if (!this.renderer) return;
     const within = REACHES.slice(0, REACHES.indexOf(reach) + 1);
@@ -268,7 +268,7 @@ export class SpaceCore {
     this.draw();
   }
 
-  // Draws once, with the next frame of the page, however often it is asked.
+  // Draws once in the next animation frame, however often it is called.
   draw() {
     this.asked ||= requestAnimationFrame(() => {
       this.asked = 0;
@@ -280,7 +280,7 @@ export class SpaceCore {
     });
   }
 
-  // Moves labels up until none covers another, the nearest to the viewer first; what would end far away is left out.
+  // Moves labels up until none overlaps another, the nearest to the viewer first; hides those that would end far away.
   spreadLabels() {
     const placed = [];
     const shown = [];
@@ -289,18 +289,18 @@ export class SpaceCore {
     shown.sort((a, b) => depth(a) - depth(b));
     for (const made of shown) {
       const [x, y] = this.toScreen(made.position.toArray());
-      const size = (made.userData.size ??= [made.element.offsetWidth, made.element.offsetHeight]); // asked once: it is slow
+      const size = (made.userData.size ??= [made.element.offsetWidth, made.element.offsetHeight]); // cached: reading it is slow
       let top = y - size[1] - 4;
       const covered = () => placed.find((o) => Math.abs(o.x - x) < (o.width + size[0]) / 2 && Math.abs(o.top - top) < size[1]);
       for (let other = covered(); other; other = covered()) top = other.top - size[1] - 1;
-      const near = y - top < FARTHEST_LINES * size[1];
+      const near = y - top < MAX_LINES * size[1];
       if (near) placed.push({ x, top, width: size[0] });
       made.element.style.visibility = near ? "visible" : "hidden";
       made.element.style.marginTop = `${top - y + size[1] / 2}px`;
     }
   }
 
-  // Where a place in space is in the box, CSS pixels.
+  // The position of a point in the box, CSS pixels.
   toScreen(xyz) {
     const { x, y } = new THREE.Vector3(...xyz).project(this.camera);
     return [((x + 1) / 2) * this.root.clientWidth, ((1 - y) / 2) * this.root.clientHeight];
@@ -312,7 +312,7 @@ export class SpaceCore {
     this.controls?.dispose();
     for (const group of this.groups.values()) dispose(group);
     this.renderer?.dispose();
-    this.renderer?.forceContextLoss(); // browsers allow few at a time
+    this.renderer?.forceContextLoss(); // browsers allow only a few contexts
     this.root.remove();
   }
 }

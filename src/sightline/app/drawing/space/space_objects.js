@@ -1,6 +1,6 @@
-// Plain objects (mm, CFCS) to three.js: one table of named styles, one maker for each kind.
+// Converts plain objects (mm, CFCS) to three.js: a table of named styles, and a maker for each kind.
 //
-// No meaning rests on colour alone: what could be confused has a label, another shape or dashes.
+// No meaning depends on colour alone: labels, shapes or dashes carry it too.
 
 import { COLOURS } from "colours";
 import { CSS2DObject, THREE } from "nicegui-scene";
@@ -22,7 +22,7 @@ export const STYLES = {
 
 const FACETS = 16;
 const DOT_PX = 9;
-const SEEN_FROM_BEHIND = 0.25; // an image on a plate must not hide the hip from who looks over the plate
+const SEEN_FROM_BEHIND = 0.25; // opacity of an image seen from behind, so that it does not hide the hip
 const styleOf = (object) => ({ opacity: 1, dash: null, ...(STYLES[object.style] ?? STYLES.quiet) });
 const vector = (xyz) => new THREE.Vector3(...xyz);
 
@@ -50,7 +50,7 @@ function disc() {
   return new THREE.CanvasTexture(canvas);
 }
 
-// Dots that keep their size on the screen.
+// Dots of constant size on the screen.
 function points(object) {
   const { colour } = styleOf(object);
   const geometry = new THREE.BufferGeometry().setFromPoints(object.at.map(vector));
@@ -80,7 +80,7 @@ function mesh(object) {
   const geometry = surface(object);
   geometry.computeVertexNormals();
   const made = new THREE.Mesh(geometry, solid(object));
-  made.renderOrder = 1; // after what lies inside it
+  made.renderOrder = 1; // after the objects inside it
   return made;
 }
 
@@ -101,7 +101,7 @@ function picture(object) {
   for (const [side, opacity] of [[THREE.FrontSide, 0.92], [THREE.BackSide, SEEN_FROM_BEHIND]]) {
     const look = { map: texture, side, opacity, transparent: true, depthWrite: false };
     const face = new THREE.Mesh(geometry, new THREE.MeshBasicMaterial(look));
-    face.renderOrder = -1; // before all else that is see-through
+    face.renderOrder = -1; // before all other transparent objects
     made.add(face);
   }
   return made;
@@ -159,7 +159,7 @@ export function make(object) {
   return made;
 }
 
-// Frees what the graphics card and the page hold of an object.
+// Frees an object's resources on the graphics card and in the page.
 export function dispose(made) {
   made.traverse((part) => {
     part.geometry?.dispose();

@@ -1,4 +1,4 @@
-// The shell of the scene for NiceGUI: forwards calls. Tests find the core as window.sightlineSpace.
+// The NiceGUI component of the scene: forwards calls. Tests access the core as window.sightlineSpace.
 
 import { SpaceCore } from "space";
 

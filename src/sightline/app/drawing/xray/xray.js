@@ -1,11 +1,11 @@
-// The X-ray view: an image, layers of shapes and points that a person places and moves. Knows no framework.
+// The X-ray view: an image with layers of shapes, and points that a person places and moves. Uses no framework.
 //
-// One canvas on the page, since each of them costs the browser a millisecond in every frame; the image without marks is
-// kept on another. Each is drawn in an animation frame, and only when something on it changed.
-// Coordinates out and in are image pixels (see xray_display.js); what the person does goes out through `emit`.
+// There is one canvas on the page, because each costs the browser a millisecond per frame; the image without marks is
+// on another, off the page. Each is redrawn in an animation frame, and only on changes.
+// Coordinates are image pixels (see xray_display.js); the person's actions go out through `emit`.
 //
-// `word` is the server's newest message: all that the view shows. What the person does is drawn over it at once, and
-// given up when the server acknowledges it: from then on the word holds, whatever was done.
+// `word` is the server's newest message, the complete content of the view. A person's action is drawn over it at once;
+// when the server acknowledges it, `word` replaces it.
 
 import { COLOURS } from "colours";
 import { Chrome } from "./xray_chrome.js";
@@ -15,13 +15,13 @@ import { Moves } from "./xray_moves.js";
 import { paintCrosshair, paintNames, paintPoint, paintShape, shapeDistance, shapeFault, STYLES } from "./xray_paint.js";
 import { fetchPixels, heldWindow, Picture } from "./xray_picture.js";
 
-const ZOOM_STEP = 1.25; // of a key
+const ZOOM_STEP = 1.25; // per key press
 const LENS_TIMES = 4;
-const LENS_ZOOM_MAX = 32; // [ours] CSS pixels per image pixel: enough to point at a 1/32 of a pixel
+const LENS_ZOOM_MAX = 32; // [ours] CSS pixels per image pixel: enough to point at 1/32 of a pixel
 const LENS_RADIUS = 84; // CSS pixels
 const TIP_REACH = 8; // CSS pixels
 const FRAMES_KEPT = 2000;
-const BREAK_MS = 250; // a longer pause between two frames is a pause of the person
+const BREAK_MS = 250; // a longer gap between frames means that the person paused
 
 export class XrayCore {
   // `emit(event)` gets every event, `keep(move | null)` the newest edit that the server has not acknowledged.
@@ -46,8 +46,8 @@ export class XrayCore {
       layers: new Map(),
     };
     this.word = { version: 0, picture: null, display: null, points: [], placing: null };
-    this.undone = { points: new Map(), placing: null, display: null }; // numbers of what is not acknowledged
-    this.place = document.createComment("enlarged"); // stands where the view belongs
+    this.undone = { points: new Map(), placing: null, display: null }; // numbers of unacknowledged actions
+    this.place = document.createComment("enlarged"); // marks the view's place in the page
     this.chrome = new Chrome(root, label, texts, this.#actions());
     this.stage = this.chrome.stage;
     this.contexts = {
@@ -55,22 +55,22 @@ export class XrayCore {
       shown: this.chrome.canvas.getContext("2d", { alpha: false }),
     };
     this.picture = new Picture();
-    this.lens = null; // {uv, at}: what the magnifier shows, and beside which place of the view
-    this.pointer = null; // where the pointer is, CSS pixels in the view; null outside
+    this.lens = null; // {uv, at}: the pixel in the magnifier, and its position in the view
+    this.pointer = null; // position of the pointer, CSS pixels in the view; null outside
     this.dirty = { table: false, image: true, overlay: true, readout: true };
     this.draws = { table: 0, image: 0, overlay: 0 };
-    this.frames = []; // ms between frames drawn one after the other
+    this.frames = []; // ms between consecutive frames
     this.lastFrame = 0;
     this.request = null;
     this.loading = null;
-    this.asked = null; // the picture that was asked for last; its pixels may be on their way
-    this.freshUntil = Infinity; // of the image on the screen: when it is no longer what is now, by performance.now()
-    this.coming = null; // {url, freshUntil} of an image that is not on the screen yet
+    this.asked = null; // the picture requested last; its pixels may not have arrived
+    this.freshUntil = Infinity; // time, by performance.now(), until which the image on the screen is current
+    this.coming = null; // {url, freshUntil} of an image that is not yet on the screen
     this.aging = null;
     this.gestures = new Gestures(this);
     this.observer = new ResizeObserver(() => this.#resize());
     this.observer.observe(this.stage);
-    this.resized = () => this.#resize(); // another screen with other pixels leaves the size in CSS pixels as it is
+    this.resized = () => this.#resize(); // on another screen the size in CSS pixels may stay the same
     window.addEventListener("resize", this.resized);
     this.#resize();
     this.#showState();
@@ -90,9 +90,9 @@ export class XrayCore {
     if (window.sightlineXray[this.name] === this) delete window.sightlineXray[this.name];
   }
 
-  // ---------------------------------------------------------------------------------------------- what the server says
+  // ------------------------------------------------------------------------------------------------ server messages
 
-  // Show exactly this; false where a newer message is known.
+  // Show this content; returns false if a newer message is known.
   show({ freshMs, ...word }) {
     if (word.version <= this.word.version) return false;
     this.word = word;
@@ -106,7 +106,7 @@ export class XrayCore {
     return true;
   }
 
-  // What was done under this number is answered: the word holds.
+  // The action of this number is acknowledged: `word` replaces it.
   acknowledge(seq) {
     const { undone } = this;
     for (const [id, number] of [...undone.points]) if (number === seq) undone.points.delete(id);
@@ -117,7 +117,7 @@ export class XrayCore {
     this.#showPlacing();
   }
 
-  // What was done and not acknowledged is not done.
+  // Discard unacknowledged actions.
   giveUp() {
     this.undone = { points: new Map(), placing: null, display: null };
     this.release();
@@ -142,13 +142,13 @@ export class XrayCore {
     } catch (error) {
       if (loading.signal.aborted) return;
       if (this.loading === loading) this.loading = null;
-      this.#takeImage(null); // an old image under a new plan would look right and be wrong
+      this.#takeImage(null); // an old image under a new plan would mislead
       this.chrome.showLine(this.chrome.fault, this.texts.load_failed);
       this.#report(String(error.message || error));
     }
   }
 
-  // By name, drawn in this order.
+  // Layers by name, drawn in this order.
   #showLayers(layers) {
     this.state.layers.clear();
     for (const [name, shapes] of Object.entries(layers)) {
@@ -159,7 +159,7 @@ export class XrayCore {
     this.invalidate("overlay");
   }
 
-  // The points of the word; one in the person's hand, or moved and not acknowledged, stays where they have it.
+  // The points of `word`; a point being dragged, or moved and not acknowledged, keeps its position.
   #mergePoints() {
     const before = this.state.points;
     this.state.points = new Map(this.word.points.map((point) => [point.id, this.#point(point, before.get(point.id))]));
@@ -179,7 +179,7 @@ export class XrayCore {
     this.invalidate("overlay");
   }
 
-  // How the image is drawn; grey levels wait for the pixels that they are of.
+  // How the image is drawn; the window waits for the pixels it belongs to.
   #showDisplay() {
     const { display } = this.word;
     if (display === null || this.undone.display !== null || this.gestures.changesWindow) return;
@@ -194,23 +194,23 @@ export class XrayCore {
     if (inverted !== this.state.inverted) this.#setInverted(inverted);
   }
 
-  // The image at `url` is what is now for so many ms, unless this is said again; null: it does not grow old.
+  // The image at `url` is current for `ms`, unless extended; null: it does not expire.
   setFresh(url, ms) {
     const freshUntil = ms === null ? Infinity : performance.now() + ms;
     const shown = this.shownUrl === url;
     this.coming = shown ? null : { url, freshUntil };
-    this.freshUntil = shown ? freshUntil : Math.min(this.freshUntil, freshUntil); // on the screen is an older one
+    this.freshUntil = shown ? freshUntil : Math.min(this.freshUntil, freshUntil); // the screen still shows an older one
     this.#age();
   }
 
-  // Nothing more is heard of what is now.
+  // Freshness is no longer reported.
   loseTouch() {
     if (this.freshUntil !== Infinity) this.freshUntil = 0;
     if (this.coming && this.coming.freshUntil !== Infinity) this.coming.freshUntil = 0;
     this.#age();
   }
 
-  // ---------------------------------------------------------------------------------------------- what the person does
+  // ------------------------------------------------------------------------------------------------ person's actions
 
   setWindow(shown) {
     this.state.window = heldWindow(shown);
@@ -243,7 +243,7 @@ export class XrayCore {
     this.invalidate("overlay");
   }
 
-  // Draws the point at once; `type` says to the server what the person did: place, drag, drop or nudge.
+  // Draws the point at once; `type` tells the server the action: place, drag, drop or nudge.
   move(type, id, uv) {
     if (!this.#onItsImage) return this.release();
     const point = this.state.points.get(id);
@@ -253,7 +253,7 @@ export class XrayCore {
     this.invalidate("overlay");
   }
 
-  // Nothing is in the hand any more, and nothing of it is told to the server.
+  // Ends the current gesture without a message to the server.
   release() {
     this.#showDisplay();
     this.#mergePoints();
@@ -263,22 +263,22 @@ export class XrayCore {
     this.emit({ type: "remove", id, image: this.shownUrl });
   }
 
-  // The address of the image that the person sees; null: none.
+  // The address of the image on the screen; null: none.
   get shownUrl() {
     return this.state.image && this.state.image.url;
   }
 
-  // Of the one that was asked for last.
+  // Size of the picture requested last.
   get url() {
     return this.asked && this.asked.url;
   }
 
-  // No point is placed or moved over another image than the one that the server last said it is on.
+  // Points can be placed and moved only over the image of the newest message.
   get #onItsImage() {
     return this.state.image !== null && this.shownUrl === this.url;
   }
 
-  // The click that was waited for.
+  // The click that places a point.
   placeAt(uv) {
     const id = this.state.placing;
     if (id === null || !this.#onItsImage) return;
@@ -299,7 +299,7 @@ export class XrayCore {
     this.emit({ type: "cancel", id, seq });
   }
 
-  // An edit that was made before the connection broke; false where its point is gone.
+  // Repeats an edit made before the connection broke; returns false if its point is gone.
   resend({ type, id, uv }) {
     if (!this.state.points.has(id)) return false;
     this.state.points.get(id).uv = uv;
@@ -313,7 +313,7 @@ export class XrayCore {
     this.chrome.showLine(this.chrome.lost, this.texts.edit_lost.replace("{name}", this.#nameOf(id)));
   }
 
-  // ------------------------------------------------------------------------------------------------ what stands where
+  // -------------------------------------------------------------------------------------------------- positions
 
   toScreen(uv) {
     const box = this.stage.getBoundingClientRect();
@@ -326,7 +326,7 @@ export class XrayCore {
     return this.display.toImage([x - box.left, y - box.top]);
   }
 
-  // The placed point within `reach` CSS pixels of a place in the view, the nearest of several.
+  // The nearest placed point within `reach` CSS pixels of a position in the view.
   pointAt(at, reach) {
     let best = null;
     let least = reach;
@@ -339,7 +339,7 @@ export class XrayCore {
     return best;
   }
 
-  // The title of the shape under a place in the view.
+  // The title of the shape at a position in the view.
   titleAt(at) {
     let title = "";
     let least = TIP_REACH * this.unit;
@@ -351,7 +351,7 @@ export class XrayCore {
     return title;
   }
 
-  // Grey value of the pixel that holds (u, v); null off the image.
+  // Grey value of the pixel at (u, v); null outside the image.
   valueAt([u, v]) {
     const { image } = this.state;
     const [column, row] = [Math.round(u), Math.round(v)];
@@ -403,7 +403,7 @@ export class XrayCore {
     this.#paintBitmap(context, this.display.centre, middle, 1);
   }
 
-  // The image with `uv` at the place `at` of the view (CSS pixels), `times` larger than the display's zoom.
+  // Draws the image with `uv` at position `at` of the view (CSS pixels), magnified `times` over the display's zoom.
   #paintBitmap(context, uv, at, times) {
     if (!this.state.image) return;
     const linear = this.display.linear().map((number) => number * times);
@@ -419,8 +419,8 @@ export class XrayCore {
     const toUnits = (uv) => this.display.toView(uv).map((value) => value / this.unit);
     this.#paintMarks(context, toUnits, this.display.zoom / this.unit, null);
     if (this.lens) this.#drawLens(context);
-    this.stage.classList.toggle("xray-lens", this.lens !== null); // the ring of the focus would lie on the glass
-    if (!this.lens) this.#placeButtons(); // under the glass they are hidden
+    this.stage.classList.toggle("xray-lens", this.lens !== null); // the focus ring would cover the magnifier
+    if (!this.lens) this.#placeButtons(); // the magnifier hides them
   }
 
   #toUnits(context) {
@@ -437,7 +437,7 @@ export class XrayCore {
     paintNames(context, points, places, this.state.selected, size);
   }
 
-  // A round glass above the hand (below it at the upper edge), the place itself in the middle under a cross-hair.
+  // A round magnifier above the pointer (below it at the upper edge), with a cross-hair at its position.
   #drawLens(context) {
     const { uv, at } = this.lens;
     const radius = LENS_RADIUS * this.unit;
@@ -490,7 +490,7 @@ export class XrayCore {
     };
   }
 
-  // Over the whole page: within its own box it would lie under what comes after that.
+  // Moved to the top level of the page: within its own box, later elements would cover it.
   maximise(on) {
     if (on === this.state.maximised) return;
     const focused = document.activeElement;
@@ -500,7 +500,7 @@ export class XrayCore {
     } else {
       this.place.replaceWith(this.root);
     }
-    if (this.root.contains(focused)) focused.focus({ preventScroll: true }); // an element that is moved loses it
+    if (this.root.contains(focused)) focused.focus({ preventScroll: true }); // a moved element loses the focus
     this.state.maximised = on;
     this.root.classList.toggle("xray-maximised", on);
     this.chrome.relabel("maximise", on ? "restore" : "maximise");
@@ -542,7 +542,7 @@ export class XrayCore {
     this.gestures.showCursor();
   }
 
-  // Null: there is none.
+  // The window; null: none.
   #takeImage(image) {
     this.state.image = image;
     if (image !== null) {
@@ -558,7 +558,7 @@ export class XrayCore {
     this.invalidate("table", "image", "overlay", "readout");
   }
 
-  // What belongs to the plan hides as soon as the image is no longer what is now.
+  // Hides the plan as soon as the image is out of date.
   #age() {
     clearTimeout(this.aging);
     const left = this.freshUntil - performance.now();
@@ -571,14 +571,14 @@ export class XrayCore {
     if (!stale && left !== Infinity) this.aging = setTimeout(() => this.#age(), left);
   }
 
-  // Another image: what the person was doing on the one before ends, and is not carried over.
+  // Another image ends the gesture on the one before.
   #letGo() {
     const [held, waiting] = [this.gestures.leaveImage(), this.moves.abandon()];
     this.undone = { points: new Map(), placing: null, display: null };
     if (held !== null || waiting !== null) this.sayLost(held ?? waiting);
   }
 
-  // A move came to its end: the screen reader hears where, and an old loss is made good.
+  // A move has ended: announce its position to screen readers, and clear the notice of an earlier loss.
   #settled(point) {
     this.#showPoints();
     this.chrome.say(this.describe(point));
@@ -613,7 +613,7 @@ export class XrayCore {
     return point ? point.label : id;
   }
 
-  // A button for each placed point: what the tab key reaches and what a screen reader reads.
+  // A button for each placed point, for the tab key and screen readers.
   #showPoints() {
     const placed = [...this.state.points.values()].filter((point) => point.uv);
     const holder = this.chrome.points;
@@ -685,7 +685,7 @@ export class XrayCore {
       canvas.height = high;
     }
     this.density = [wide / Math.max(clientWidth, 1), high / Math.max(clientHeight, 1)];
-    this.unit = parseFloat(getComputedStyle(this.root).fontSize) / 15; // marks grow with the text, and it with the screen
+    this.unit = parseFloat(getComputedStyle(this.root).fontSize) / 15; // marks scale with the text size
     this.display.setView(clientWidth, clientHeight);
     this.gestures.viewChanged();
     this.movedView();

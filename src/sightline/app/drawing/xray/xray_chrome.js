@@ -1,6 +1,6 @@
-// What stands around the image: the elements of the view, its buttons and its style sheet.
+// Elements around the image: the view's box, its buttons and its style sheet.
 //
-// Texts come from outside and go in as text nodes, never as HTML.
+// Texts come from outside and are inserted as text nodes, never as HTML.
 
 const SVG = "http://www.w3.org/2000/svg";
 const ICONS = {
@@ -56,11 +56,11 @@ const SHEET = `
 @container (max-width: 28em) { .xray-tools button { width: 2.1em; height: 2.5em; } .xray-name { padding-inline: 0.55em; } }
 `;
 
-let sheet = null; // one for all views of the page
+let sheet = null; // shared by all views of the page
 
 function useSheet() {
   if (sheet) return;
-  sheet = new CSSStyleSheet(); // constructed, so that a content policy without inline styles lets it through
+  sheet = new CSSStyleSheet(); // constructed, because a content policy may forbid inline styles
   sheet.replaceSync(SHEET);
   document.adoptedStyleSheets = [...document.adoptedStyleSheets, sheet];
 }
@@ -83,7 +83,7 @@ function icon(name) {
 }
 
 export class Chrome {
-  // `actions` maps each button's name to what it does.
+  // `actions` maps each button's name to its action.
   constructor(root, label, texts, actions) {
     useSheet();
     this.texts = texts;
@@ -111,13 +111,13 @@ export class Chrome {
     this.setLabel(label);
   }
 
-  // What people call the image.
+  // The image's title.
   setLabel(label) {
     this.name.textContent = label;
     for (const named of [this.root, this.stage, this.tools]) named.setAttribute("aria-label", label);
   }
 
-  // A line of text over the image, hidden while there is nothing to say.
+  // A line of text over the image, hidden while empty.
   #line(name) {
     const line = element("div", "xray-panel xray-notice", { role: "status", "data-testid": name, hidden: "" });
     line.classList.toggle("xray-hint", name === "hint");
@@ -174,7 +174,7 @@ export class Chrome {
     this.showText(this.turned, turned);
   }
 
-  // A text that is set is laid out anew, also where it is the same.
+  // Set a text only if it differs: setting it causes a new layout.
   showText(where, text) {
     if (where.textContent !== text) where.textContent = text;
   }

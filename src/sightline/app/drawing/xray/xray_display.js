@@ -1,29 +1,29 @@
-// The mapping between image pixels and the view: zoom, place, quarter turns and mirroring.
+// The mapping between image pixels and the view: zoom, position, rotation by multiples of 90° and mirroring.
 //
 // Image: (u, v) in pixels, (0, 0) the centre of the top-left pixel, u right, v down.
 // View:  (x, y) in CSS pixels from the top-left corner of the view, x right, y down.
-// The image is mirrored first (u -> -u), then turned clockwise. Only the drawing turns: coordinates never do.
+// The image is mirrored first (u -> -u), then rotated clockwise. Only the drawing is rotated, not the coordinates.
 
-const TURNS = { 0: [1, 0], 90: [0, 1], 180: [-1, 0], 270: [0, -1] }; // cos, sin, exact
-const ZOOM_MAX = 64; // [ours] CSS pixels per image pixel: 1/64 px is finer than anybody points
-const ZOOM_MIN_OF_FIT = 0.5; // [ours] half of the whole image in the view is as small as helps
+const ROTATIONS = { 0: [1, 0], 90: [0, 1], 180: [-1, 0], 270: [0, -1] }; // cos, sin, exact
+const ZOOM_MAX = 64; // [ours] CSS pixels per image pixel: 1/64 px is finer than anyone can point
+const ZOOM_MIN_OF_FIT = 0.5; // [ours] smallest zoom, as a share of the fitted zoom
 
 export class Display {
   constructor() {
-    this.width = 1; // of the image, pixels
+    this.width = 1; // image size, pixels
     this.height = 1;
     this.field = [];
-    this.viewWidth = 1; // of the view, CSS pixels
+    this.viewWidth = 1; // view size, CSS pixels
     this.viewHeight = 1;
     this.rotation = 0;
     this.mirrored = false;
-    this.fitted = true; // stays fitted while the view changes its size
+    this.fitted = true; // keep the image fitted when the view's size changes
     this.fit();
   }
 
-  // The four numbers of the linear part: view = [a c; b d] image.
+  // The linear part: view = [a c; b d] image.
   linear() {
-    const [cos, sin] = TURNS[this.rotation];
+    const [cos, sin] = ROTATIONS[this.rotation];
     const m = this.mirrored ? -this.zoom : this.zoom;
     return [cos * m, sin * m, -sin * this.zoom, cos * this.zoom];
   }
@@ -40,7 +40,7 @@ export class Display {
     return [this.centre[0] + du, this.centre[1] + dv];
   }
 
-  // A step in the view (CSS pixels) as a step in the image (pixels).
+  // Converts a displacement in the view (CSS pixels) to image pixels.
   toImageStep([dx, dy]) {
     const [a, b, c, d] = this.linear();
     const determinant = a * d - b * c;
@@ -75,7 +75,7 @@ export class Display {
     this.zoom = this.fitZoom();
   }
 
-  // Zoom by a factor; what lies at `at` (CSS pixels) stays there.
+  // Zoom by a factor about the position `at` (CSS pixels).
   zoomAt(factor, at) {
     const held = this.toImage(at);
     const least = this.fitZoom() * ZOOM_MIN_OF_FIT;
@@ -89,7 +89,7 @@ export class Display {
     this.moveCentre(-du, -dv);
   }
 
-  // The middle of the view stays on the image: it cannot be lost.
+  // Keeps the centre of the view on the image, so that the image stays visible.
   moveCentre(du, dv) {
     this.fitted = false;
     this.centre = [
@@ -108,12 +108,12 @@ export class Display {
     this.orient((this.rotation + 90) % 360, this.mirrored);
   }
 
-  // Left to right as the person sees it: what was turned is turned the other way after it.
+  // Mirror left to right as seen on screen; an existing rotation therefore changes its sign.
   flip() {
     this.orient((360 - this.rotation) % 360, !this.mirrored);
   }
 
-  // The place itself, or the nearest in the field.
+  // The position itself, or the nearest one in the field.
   clamp(uv) {
     if (this.contains(uv)) return uv;
     let best = uv;
@@ -129,7 +129,7 @@ export class Display {
     return best;
   }
 
-  // Whether X-rays reach the place.
+  // Whether X-rays reach a position.
   contains(uv) {
     return this.field.every(([u, v], index) => {
       const [du, dv] = this.#side(index);

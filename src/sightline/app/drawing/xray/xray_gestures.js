@@ -1,20 +1,20 @@
-// Mouse, pen, touch and keys on the view, turned into calls of the core.
+// Converts mouse, pen, touch and key events on the view to calls of the core.
 //
-// One gesture at a time: pan, window, drag (of a point), place, pinch. A finger covers what it points at: it may miss a
-// point by more, and must move further before a touch counts as a drag.
+// One gesture at a time: pan, window, drag (of a point), place, pinch. A finger covers its target, so touch has a
+// larger reach, and must move further before it counts as a drag.
 
 const REACH = { mouse: 12, pen: 16, touch: 30 }; // CSS pixels around a point
 const SLOP = { mouse: 0, pen: 2, touch: 6 }; // CSS pixels before a press becomes a drag
-const WHEEL_ZOOM = 0.0015; // per CSS pixel of wheel: a notch of 100 is 16 %
-const PINCH_WHEEL_ZOOM = 0.01; // a trackpad's pinch comes as a wheel with ctrl and small steps
-const LINE_PX = 16; // of a wheel that counts lines
+const WHEEL_ZOOM = 0.0015; // per CSS pixel of wheel: 16 % for a notch of 100
+const PINCH_WHEEL_ZOOM = 0.01; // a trackpad's pinch arrives as wheel events with ctrl and small steps
+const LINE_PX = 16; // for a wheel that counts lines
 const WINDOW_PER_PX = 1 / 300; // [ours] a drag of 300 CSS pixels is one width of the window
 const PAN_KEY = 40; // CSS pixels
 const STEP = 1; // image pixels an arrow key moves a point
 const FINE_STEP = 0.1; // with shift
 const ARROWS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };
 
-const OVER_THE_PAGE = "[role=dialog], [role=listbox], [role=menu]"; // what is open takes the Escape key itself
+const OVER_THE_PAGE = "[role=dialog], [role=listbox], [role=menu]"; // open dialogs and lists handle the Escape key themselves
 const gestures = new Set(); // of all views of the page
 
 export class Gestures {
@@ -22,8 +22,8 @@ export class Gestures {
     this.core = core;
     this.stage = core.stage;
     this.now = null; // {kind, ...}
-    this.box = null; // of the stage on the page, when the gesture began
-    this.pointers = new Map(); // id -> place in the view
+    this.box = null; // the stage's rectangle when the gesture began
+    this.pointers = new Map(); // id -> position in the view
     this.end = new AbortController();
     const listen = (target, type, handler, options = {}) =>
       target.addEventListener(type, handler, { signal: this.end.signal, ...options });
@@ -38,7 +38,7 @@ export class Gestures {
     listen(this.stage, "keydown", (event) => this.#key(event));
     listen(window, "keydown", (event) => this.#escape(event));
     gestures.add(this);
-    // Anywhere on the page, and before whatever it is meant for.
+    // Capture the event anywhere on the page, before its target gets it.
     for (const deed of ["pointerdown", "keydown", "click"]) {
       listen(window, deed, (event) => this.#somethingElse(event), { capture: true });
     }
@@ -49,12 +49,12 @@ export class Gestures {
     this.end.abort();
   }
 
-  // The window is in the hand.
+  // Whether the person is adjusting the window.
   get changesWindow() {
     return this.now !== null && this.now.kind === "window";
   }
 
-  // The view has another size or another place: what is in the hand goes on from where it is.
+  // The view was resized or moved: the gesture continues from its current position.
   viewChanged() {
     if (!this.now || !this.box) return;
     const { left, top } = this.box;
@@ -65,7 +65,7 @@ export class Gestures {
     if (this.now.kind === "drag") this.#grip(this.now, this.core.state.points.get(this.now.id).uv);
   }
 
-  // The point in hand is gone.
+  // The dragged point was removed.
   letGo() {
     this.now = null;
     this.core.state.dragging = null;
@@ -73,7 +73,7 @@ export class Gestures {
     this.showCursor();
   }
 
-  // The image is another: what was pressed on the one before is not released on this. The point in hand, if any.
+  // The image has changed: end the gesture. Returns the dragged point, if any.
   leaveImage() {
     const held = this.core.state.dragging;
     if (this.now && (this.now.kind === "drag" || this.now.kind === "place")) this.letGo();
@@ -94,7 +94,7 @@ export class Gestures {
   // ----------------------------------------------------------------------------------------------------------- pointers
 
   #at(event) {
-    // Asked once a gesture: the answer may take a layout of the page.
+    // Once per gesture, because it may force a layout of the page.
     if (!this.now || !this.box) this.box = this.stage.getBoundingClientRect();
     return [event.clientX - this.box.left, event.clientY - this.box.top];
   }
@@ -104,9 +104,9 @@ export class Gestures {
     this.pointers.set(event.pointerId, at);
     this.stage.setPointerCapture(event.pointerId);
     this.core.chrome.showTip("", at);
-    if (this.now && this.now.kind === "drag") return; // a second finger does not shake a point out of the hand
+    if (this.now && this.now.kind === "drag") return; // a second finger does not end a drag
     this.now = this.pointers.size >= 2 ? this.#startPinch() : this.#start(event, at);
-    event.preventDefault(); // no focus and no selection but ours
+    event.preventDefault(); // the view manages focus and selection itself
     if (this.now.kind !== "drag") this.stage.focus({ preventScroll: true });
     this.#draw(at);
   }
@@ -147,7 +147,7 @@ export class Gestures {
     this.#draw(at);
   }
 
-  // A point in hand goes to the server at once: the browser keeps "pointermove" back until its next frame.
+  // Send a dragged point at once: the browser delays "pointermove" until its next frame.
   #hurry(event) {
     const { now } = this;
     if (now && now.kind === "drag" && now.pointer === event.pointerId) this.#continue(this.#at(event));
@@ -167,7 +167,7 @@ export class Gestures {
       const slop = SLOP[gesture.type] || 0;
       if (Math.hypot(at[0] - gesture.from[0], at[1] - gesture.from[1]) < slop) return;
       gesture.moved = true;
-      if (slop > 0) this.#startFrom(gesture, at); // no jump over the slop
+      if (slop > 0) this.#startFrom(gesture, at); // so that the point does not jump by the slop
     }
     const [dx, dy] = [at[0] - gesture.last[0], at[1] - gesture.last[1]];
     gesture.last = at;
@@ -194,7 +194,7 @@ export class Gestures {
     return this.core.display.toImage([at[0] + this.now.grip[0], at[1] + this.now.grip[1]]);
   }
 
-  // To the right more grey levels, upwards brighter.
+  // Right: wider window; up: brighter.
   #window(dx, dy) {
     const { window: shown, inverted } = this.core.state;
     const width = shown.width * Math.exp(dx * WINDOW_PER_PX);
@@ -217,7 +217,7 @@ export class Gestures {
     const gesture = this.now;
     if (!gesture) return;
     if (gesture.kind === "pinch") {
-      if (this.pointers.size === 0) this.now = null; // the finger that stays does nothing more
+      if (this.pointers.size === 0) this.now = null; // a remaining finger has no effect
     } else if (gesture.pointer === event.pointerId) {
       this.now = null;
       this.#finish(gesture, at);
@@ -252,7 +252,7 @@ export class Gestures {
     this.#draw(null);
   }
 
-  // The drag ends where it began.
+  // Cancel the drag: the point returns to its start.
   #takeBack() {
     const gesture = this.now;
     this.now = null;
@@ -267,7 +267,7 @@ export class Gestures {
     this.#draw(null);
   }
 
-  // The magnifier, the pixel under the pointer and the cursor follow.
+  // Update the magnifier, the readout and the cursor.
   #draw(at) {
     const { core } = this;
     const { dragging, placing, points } = core.state;
@@ -297,7 +297,7 @@ export class Gestures {
   // --------------------------------------------------------------------------------------------------------------- keys
 
   #key(event) {
-    if (event.ctrlKey || event.metaKey || event.altKey) return; // the browser's own
+    if (event.ctrlKey || event.metaKey || event.altKey) return; // shortcuts of the browser
     const point = this.core.state.points.get(event.target.dataset.id);
     const handled = this.#arrow(event, point) || this.#otherKey(event, point);
     if (handled) event.preventDefault();
@@ -312,7 +312,7 @@ export class Gestures {
       core.movedView();
     } else if (point.movable) {
       const { zoom } = core.display;
-      const size = (event.shiftKey ? FINE_STEP : STEP) * zoom; // one image pixel in the direction that the eye sees
+      const size = (event.shiftKey ? FINE_STEP : STEP) * zoom; // one image pixel in the direction on screen
       const [du, dv] = core.display.toImageStep([direction[0] * size, direction[1] * size]);
       core.move("nudge", point.id, [point.uv[0] + du, point.uv[1] + dv]);
     }
@@ -329,14 +329,14 @@ export class Gestures {
     return true;
   }
 
-  // Arrows on a point are more of the same: held down, they come faster than they are answered.
+  // Held arrow keys repeat faster than the server answers.
   #somethingElse(event) {
     if (ARROWS[event.key] && this.stage.contains(event.target)) return;
     this.core.moves.flush();
   }
 
-  // From anywhere on the page: the button that began the placing may still have the focus. One key does one thing, in
-  // whichever view there is something to end: what is in the hand first.
+  // Escape works anywhere on the page, because the button that began the placing may still have the focus. One press
+  // ends one thing in any view, a current gesture first.
   #escape(event) {
     if (event.key !== "Escape" || event.defaultPrevented) return;
     if ([...document.querySelectorAll(OVER_THE_PAGE)].some((element) => element.checkVisibility())) return;
@@ -344,7 +344,7 @@ export class Gestures {
     if (ends("endDrag") || ends("endPlacing") || ends("endEnlarged")) event.preventDefault();
   }
 
-  // True where there was something to end.
+  // Returns true if there was something to end.
   endDrag() {
     if (!this.now || this.now.kind !== "drag") return false;
     this.#takeBack();

@@ -1,14 +1,14 @@
-// Moves of points to the server: drags and nudges one in flight, the newest of each point wins.
+// Sends moves of points to the server: one drag or nudge in flight, and the newest of each point wins.
 //
-// Unlimited sends queue behind a slow computation and the curve lags behind the hand; one in flight never does.
-// What comes once, at the end of a gesture, waits for nothing: an undo that overtook it would undo something else.
+// Unlimited messages would queue behind a slow computation, and the curve would lag behind the hand.
+// The last message of a gesture does not wait: an undo that overtook it would undo something else.
 
-const PATIENCE_MS = 2000; // [ours] an answer that takes longer is lost: far above a computation, short for a person
-const EDITS = new Set(["place", "drop", "nudge"]); // what a person did and meant; a drag is on its way still
+const PATIENCE_MS = 2000; // [ours] a later answer counts as lost: much longer than a computation, short for a person
+const EDITS = new Set(["place", "drop", "nudge"]); // completed actions; a drag is still in progress
 const ONCE = new Set(["place", "drop"]);
 
 export class Moves {
-  // `send(move)` tells the server; `keep(move | null)` holds the newest edit that the server has not acknowledged.
+  // `send(move)` sends to the server; `keep(move | null)` stores the newest unacknowledged edit.
   constructor(send, keep) {
     this.send = send;
     this.keep = keep;
@@ -19,15 +19,15 @@ export class Moves {
     this.timer = null;
   }
 
-  // A number that the server has not seen.
+  // An unused number.
   number() {
     return ++this.seq;
   }
 
-  // `image`: the address of the one that it was made on; the server takes no move for another. The move's number.
+  // Returns the move's number. `image`: address of its image; the server refuses moves for another image.
   push(type, id, uv, image) {
     const move = { type, id, uv: [...uv], image, seq: this.number() };
-    this.waiting.delete(id); // the newest goes to the end of the line
+    this.waiting.delete(id); // the newest goes to the end of the queue
     this.waiting.set(id, move);
     if (EDITS.has(type)) this.#hold(move);
     if (ONCE.has(type)) this.#send(move);
@@ -35,7 +35,7 @@ export class Moves {
     return move.seq;
   }
 
-  // The person is about to do something else, which must not come before what they did already.
+  // Send what waits before the person's next action.
   flush() {
     for (const move of this.waiting.values()) if (EDITS.has(move.type)) this.#send(move);
   }
@@ -45,13 +45,13 @@ export class Moves {
     if (this.inFlight && this.inFlight.seq === seq) this.#release();
   }
 
-  // The point is gone, and its moves with it.
+  // The point is gone: drop its moves.
   forget(id) {
     this.waiting.delete(id);
     if (this.kept && this.kept.id === id) this.#hold(null);
   }
 
-  // What waits was made on an image that is gone. The point of the last edit among it, null where there is none.
+  // Drop waiting moves of a replaced image. Returns the point of the last edit among them, or null.
   abandon() {
     const lost = [...this.waiting.values()].findLast((move) => EDITS.has(move.type));
     this.waiting.clear();

@@ -1,11 +1,11 @@
-// How shapes and points look: one table of named styles, and a painter for each shape.
+// Painting of shapes and points: a table of named styles, and a painter for each shape.
 //
 // Everything is painted in CSS pixels of the view, with `toView` mapping image pixels to them: lines and marks keep
-// their size on screen at every zoom. No meaning rests on colour alone: beads differ in their mark, lines in their dashes.
+// their size on screen at every zoom. No meaning depends on colour alone: beads differ by marks, lines by dashes.
 
 import { COLOURS } from "colours";
 
-const CASING = "rgba(5, 8, 11, 0.86)"; // under every line: X-ray images are white as well as black
+const CASING = "rgba(5, 8, 11, 0.86)"; // under every line, because X-ray images may be white or black
 
 const FONT = '600 14px system-ui, "Segoe UI", Roboto, "DejaVu Sans", sans-serif';
 
@@ -30,7 +30,7 @@ export const STYLES = {
 
 const ENDS = [COLOURS.sky, COLOURS.yellow, COLOURS.vermillion];
 const SCALE = ENDS.map((hex) => [1, 3, 5].map((at) => parseInt(hex.slice(at, at + 2), 16)));
-const MARK_RADIUS = 7; // CSS pixels, of marks that have no size in the image
+const MARK_RADIUS = 7; // CSS pixels, for marks without a size in the image
 const POINT_RADIUS = 11;
 
 // The colour of a residual: 0 sky blue, 0.5 yellow, 1 vermillion; blue to yellow survives every colour blindness.
@@ -50,7 +50,7 @@ function path(context, places, closed) {
   if (closed) context.closePath();
 }
 
-// The path twice: dark and wider below, coloured above.
+// Strokes the path twice: dark and wider below, coloured above.
 function strokeCased(context, look) {
   context.setLineDash([]);
   context.lineWidth = look.width + 2.5;
@@ -159,7 +159,7 @@ const PAINTERS = {
     const [left, right] = bandEdges(places, shape, zoom);
     path(context, [...left, ...right.reverse()], true);
     fillArea(context, look);
-    strokeCased(context, { ...look, width: 1.25 }); // the edge of a band says less than a line
+    strokeCased(context, { ...look, width: 1.25 }); // thinner than a line, because it matters less
   },
   text(context, places, shape) {
     places.forEach((place) => paintText(context, String(shape.label), place));
@@ -181,7 +181,7 @@ const PAINTERS = {
   },
 };
 
-// What is wrong with a shape, in words; null where it can be painted.
+// The error in a shape as text; null if it can be painted.
 export function shapeFault(shape) {
   if (!shape || !PAINTERS[shape.shape]) return `unknown shape ${JSON.stringify(shape && shape.shape)}`;
   if (!STYLES[shape.style]) return `unknown style ${JSON.stringify(shape.style)}`;
@@ -204,7 +204,7 @@ export function paintShape(context, shape, toView, zoom, staleImage) {
   }
 }
 
-// Distance in CSS pixels from `at` to the shape: what the tooltip goes by.
+// Distance in CSS pixels from `at` to the shape, for the tooltip.
 export function shapeDistance(shape, toView, zoom, at) {
   const places = shape.points.map(toView);
   const distances = places.map(([x, y], index) => {
@@ -226,7 +226,7 @@ function distanceToSegment([x, y], [x0, y0], [x1, y1]) {
   return Math.hypot(x - x0 - t * dx, y - y0 - t * dy);
 }
 
-// A pick: an open cross-hair in a ring, so that the place itself stays visible; a diamond where it sits on a curve.
+// A pick: an open cross-hair in a ring, so that its pixel stays visible; a diamond if it is snapped to a curve.
 export function paintPoint(context, point, [x, y], selected) {
   const look = STYLES[point.style];
   const radius = selected ? POINT_RADIUS + 2 : POINT_RADIUS;
@@ -246,8 +246,8 @@ export function paintPoint(context, point, [x, y], selected) {
   context.fillRect(x - 0.75, y - 0.75, 1.5, 1.5);
 }
 
-// Names of points at `places`, within a view of this size: each right of its point where there is room, else left of it,
-// above or below. Aids are many and near each other: their names show once they are selected.
+// Names of points at `places`, within a view of this size: right of the point if there is space, else left, above or
+// below. Aids are many and close together, so their names show only when selected.
 export function paintNames(context, points, places, selected, size) {
   context.font = FONT;
   const r = POINT_RADIUS;

@@ -1,9 +1,9 @@
-// The pixels of an image, and the bitmap that they give through a window.
+// The pixels of an image, and its bitmap through a grey-level window.
 
 const GREY_LEVELS = 65536;
-const CRISP_ZOOM = 3; // device pixels a pixel; from here on pixels are squares: what is measured is seen as it is
+const CRISP_ZOOM = 3; // device pixels per image pixel from which pixels are drawn as squares, without interpolation
 
-// Raw little-endian uint16 from `url`, by rows. Throws where it is not `width * height` of them.
+// Raw little-endian uint16 from `url`, by rows. Throws unless there are `width * height` of them.
 export async function fetchPixels(url, width, height, signal) {
   const answer = await fetch(url, { signal });
   if (!answer.ok) throw new Error(`image: HTTP ${answer.status}`);
@@ -14,7 +14,7 @@ export async function fetchPixels(url, width, height, signal) {
   return new Uint16Array(bytes);
 }
 
-// A window that can be shown: at least two grey levels, at most all.
+// A valid window: at least two grey levels, at most all.
 export function heldWindow({ centre, width }) {
   const held = (value, low) => Math.min(Math.max(value, low), GREY_LEVELS);
   return { centre: held(centre, 0), width: held(width, 2) };
@@ -22,11 +22,11 @@ export function heldWindow({ centre, width }) {
 
 export class Picture {
   constructor() {
-    this.bitmap = document.createElement("canvas"); // a pixel a pixel
+    this.bitmap = document.createElement("canvas"); // one bitmap pixel per image pixel
     this.shown = null;
   }
 
-  // grey = (value - centre) / width + 1/2, between black and white, by a table of all values.
+  // grey = (value - centre) / width + 1/2, clipped to black and white, by a look-up table.
   draw({ width, height, pixels }, window, inverted) {
     if (!this.shown || this.shown.width !== width || this.shown.height !== height) {
       Object.assign(this.bitmap, { width, height });
@@ -38,7 +38,7 @@ export class Picture {
     this.bitmap.getContext("2d", { alpha: false }).putImageData(this.shown, 0, 0);
   }
 
-  // The bitmap with the image's `uv` at `at` (CSS pixels), through the linear part [a, b, c, d] of a display.
+  // Draws the bitmap with `uv` at `at` (CSS pixels), by the linear part [a, b, c, d] of a display.
   paint(context, [a, b, c, d], uv, at, [sx, sy]) {
     context.setTransform(a * sx, b * sy, c * sx, d * sy, at[0] * sx, at[1] * sy);
     context.imageSmoothingEnabled = Math.hypot(a, b) * sx < CRISP_ZOOM;

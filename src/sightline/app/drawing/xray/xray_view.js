@@ -1,8 +1,8 @@
-// The shell of the X-ray view for NiceGUI: forwards calls and events, and keeps an edit while the server is away.
+// The NiceGUI component of the X-ray view: forwards calls and events, and keeps an edit while the server is away.
 
 import { XrayCore } from "xray";
 
-const REPLAY_MS = 1000; // after a reconnection the server's missed messages come first, acknowledgements among them
+const REPLAY_MS = 1000; // after a reconnection the missed messages come first, including acknowledgements
 
 export default {
   template: "<div></div>",
@@ -19,7 +19,7 @@ export default {
     });
     this.disconnected = () => this.core.loseTouch();
     this.reconnected = () => setTimeout(() => this.settle(), REPLAY_MS);
-    // The page makes its socket after us.
+    // The page opens its socket after this component.
     setTimeout(() => {
       if (!window.socket) return;
       window.socket.on("disconnect", this.disconnected);
@@ -34,7 +34,7 @@ export default {
     this.core.destroy();
   },
   methods: {
-    // The first message after the page was built settles what a lost connection left behind.
+    // The first message after the page was built settles an edit left by a lost connection.
     show(message) {
       const first = !this.revision;
       if (!this.core.show(message)) return;
@@ -57,7 +57,7 @@ export default {
       if (move) sessionStorage.setItem(this.stashName(), JSON.stringify({ move, revision: this.revision }));
       else sessionStorage.removeItem(this.stashName());
     },
-    // Sends the edit that was never acknowledged once more, if the plan is still the one it was made on.
+    // Sends an unacknowledged edit again if the plan has not changed since.
     settle() {
       const stash = sessionStorage.getItem(this.stashName());
       if (stash === null) return;
