@@ -1,4 +1,4 @@
-"""Campaigns: one input spoilt in many ways, drawn by seeds, and how each try ended.
+"""Campaigns: inputs damaged in many random ways, and how each try ended.
 
-`python -m campaigns` runs them. Finished tries are kept: a run goes on where it stopped. Truth comes from the twin.
+`python -m campaigns` runs them. Finished tries are kept, so a run resumes where it stopped. Truth comes from the twin.
 """

@@ -1,4 +1,4 @@
-"""Run campaigns: `python -m campaigns [NAME ...] [--tries N] [--seed S]`; the same command goes on where it stopped.
+"""Run campaigns: `python -m campaigns [NAME ...] [--tries N] [--seed S]`; the same command resumes a stopped run.
 
 Exit code 1 where a try ended in a defect.
 """
@@ -20,9 +20,9 @@ TRIES = 200  # of each campaign: minutes on two cores
 
 
 def main() -> int:
-    """Print a table for each campaign."""
+    """Print a table for each campaign; return 1 if a try ended in a defect."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("names", nargs="*", metavar="NAME", help=f"of {', '.join(NAMES)}; all unless told")
+    parser.add_argument("names", nargs="*", metavar="NAME", help=f"of {', '.join(NAMES)}; default: all")
     parser.add_argument("--tries", type=int, default=TRIES, help="of each; more can be added later")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--out", type=Path, default=Path("out/campaign"), help="folder of finished tries")

@@ -1,7 +1,7 @@
-"""The tests on a machine whose cores are all busy with other work: `python -m campaigns.busy`. All must pass.
+"""The tests on a machine with all cores busy: `python -m campaigns.busy`. All must pass.
 
-Twenty runs of the tests of robot, app and acquisition, three of all tests, and one of the first with SIGINT ignored, as
-a shell does for what it starts in the background. Finished runs are kept; the same command goes on where it stopped.
+Twenty runs of the tests of robot, app and acquisition, three of all tests, and one of the first set with SIGINT
+ignored, as a shell does for background processes. Finished runs are kept; the same command resumes a stopped run.
 """
 
 import argparse
@@ -41,7 +41,7 @@ def burn() -> None:
 
 @contextmanager
 def busy_cores() -> Iterator[None]:
-    """As many processes that never rest as there are cores."""
+    """Run one busy process per core."""
     burning = [get_context("spawn").Process(target=burn, daemon=True) for _ in range(os.cpu_count() or 1)]
     for one in burning:
         one.start()
@@ -53,7 +53,7 @@ def busy_cores() -> Iterator[None]:
 
 
 def run(where: list[str], ignoring_interrupts: bool) -> dict[str, object]:
-    """One run: seconds, exit code, what failed."""
+    """Return duration, exit code and failed tests of one run."""
     started = time.monotonic()
     made = subprocess.run(
         [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", *where],
@@ -66,7 +66,7 @@ def run(where: list[str], ignoring_interrupts: bool) -> dict[str, object]:
 
 
 def main() -> int:
-    """Run what is not finished; 1 if a test failed in any run."""
+    """Run what is not finished; return 1 if a test failed in any run."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--out", type=Path, default=Path("out/busy.jsonl"), help="finished runs")
     options = parser.parse_args()

@@ -1,4 +1,4 @@
-"""What a campaign is: classes of damage, one try of each, and the table of how tries ended."""
+"""Campaigns: classes of damage, single tries, and the table of how tries ended."""
 
 import hashlib
 import importlib
@@ -15,10 +15,10 @@ from sightline.errors import SightlineError
 from sightline.studies.intervals import share
 from sightline.studies.study import Summary, Table, Values
 
-# How a try may end. "wrong": GO, an end off by more than 1.5 times its stated 95 % bound, though all observations
-# together differ by 5 standard deviations or more from those of the right case; "weak": by 2 to 5; "unseen": by less.
-# "lost": something acknowledged is not there, or half; "unsafe": a robot moved, or did not stop, where it must not, or
-# the app gave away or changed what it must not. The last four are defects.
+# How a try may end. "wrong": GO, with an error above 1.5 times the stated 95 % bound, although all observations
+# together differ by 5 standard deviations or more from those of the undamaged case; "weak": by 2 to 5; "unseen": less.
+# "lost": acknowledged data is missing or incomplete. "unsafe": a robot moved or did not stop when it must not, or the
+# app disclosed or changed what it must not. The last four are defects.
 ENDINGS = ("refused", "NO-GO", "incomplete", "right", "unseen", "weak", "wrong", "crash", "lost", "unsafe")
 DEFECTS = ENDINGS[6:]
 GOES = ("right", "unseen", "weak", "wrong")
@@ -26,18 +26,20 @@ GOES = ("right", "unseen", "weak", "wrong")
 
 @dataclass(frozen=True)
 class Ended:
-    """How one try ended, why, and for a plan the larger of its ends' errors over their 95 % bounds."""
+    """How one try ended, why, and for a plan the larger error of its end points over its 95 % bound."""
 
     how: str
     why: str = ""
     ratio: float | None = None
-    said: str = ""  # the whole sentence of a refusal
+    said: str = ""  # the full message of a refusal
 
 
 @dataclass(frozen=True)
 class Damage:
-    """One class. `make` does one try, or raises what the program raises; `cause`: words of which a refusal must hold
-    one to name the true cause."""
+    """One class of damage. `make` does one try, or raises what the program raises.
+
+    `cause`: words of which a refusal must contain one to name the true cause.
+    """
 
     make: Callable[[np.random.Generator], Ended]
     cause: tuple[str, ...] = ()
@@ -45,7 +47,7 @@ class Damage:
 
 @dataclass(frozen=True)
 class Campaign:
-    """A study (`sightline.studies`) whose trials are tries of classes drawn at random."""
+    """A study (`sightline.studies`) whose trials are tries of random classes."""
 
     name: str
     about: str
@@ -53,22 +55,22 @@ class Campaign:
 
     @property
     def configuration(self) -> dict[str, Any]:
-        """The classes, and the code of the campaigns themselves."""
+        """The classes, and a hash of the campaigns' code."""
         code = b"".join(file.read_bytes() for file in sorted(Path(__file__).parent.glob("*.py")))
         return {"classes": list(self.classes), "campaigns": hashlib.sha256(code).hexdigest()[:16]}
 
     def __reduce__(self) -> tuple[Callable[[str], "Campaign"], tuple[str]]:
-        """Travels to a worker by its name: functions made by functions cannot."""
+        """Pickle by name, because closures cannot be pickled."""
         return called, (self.name,)
 
     def trial(self, rng: np.random.Generator) -> Values:
-        """One try of one class."""
+        """Return the result of one try of a random class."""
         name = str(rng.choice(list(self.classes)))
         ended = attempt(self.classes[name].make, rng)
         return {"class": name, **vars(ended), "named": _names_cause(self.classes[name], ended)}
 
     def summary(self, trials: Sequence[Values]) -> Summary:
-        """The table by class, and what is a defect."""
+        """Return the table by class, and the defects."""
         rows = [self._row(name, [one for one in trials if one["class"] == name]) for name in self.classes]
         total = self._row("all", list(trials))
         defects = [one for one in trials if one["how"] in DEFECTS]
@@ -98,12 +100,12 @@ class Campaign:
 
 
 def called(name: str) -> Campaign:
-    """The campaign of a file here."""
+    """Return the campaign of a module in this folder."""
     return importlib.import_module(f"campaigns.{name}").CAMPAIGN
 
 
 def attempt(make: Callable[[np.random.Generator], Ended], rng: np.random.Generator) -> Ended:
-    """One try; what is raised is a refusal if it is ours, and a crash if it is not."""
+    """Return how one try ended; an exception is a refusal if it is a SightlineError, else a crash."""
     try:
         return make(rng)
     except SightlineError as refusal:
@@ -116,7 +118,7 @@ def attempt(make: Callable[[np.random.Generator], Ended], rng: np.random.Generat
 
 
 def _names_cause(damage: Damage, ended: Ended) -> bool | None:
-    """Whether a refusal says what is wrong; None where nothing was refused, or no cause is asked for."""
+    """Return whether a refusal names the cause; None without a refusal or an expected cause."""
     if not damage.cause or ended.how not in ("refused", "NO-GO"):
         return None
     return any(word in f"{ended.why} {ended.said}".lower() for word in damage.cause)

@@ -1,6 +1,6 @@
-"""Disks that refuse, and clocks that leap, while a program writes: a refusal in one sentence, and nothing half.
+"""Failing disks and jumping clocks while a program writes: it must refuse in one sentence and leave nothing incomplete.
 
-From a drawn moment on the disk is full, may only be read, or is gone. Then it is as before, and the next run works.
+From a random moment on the disk is full, read-only, or gone. Then it works again, and the next run must succeed.
 """
 
 import os
@@ -28,23 +28,23 @@ LEAPS_S = (-86_400.0, -3_600.0, -60.0, -0.001, 0.0, 60.0, 86_400.0)
 
 @dataclass
 class Disk:
-    """A disk that refuses from some moment on. `errno`: of what a folder or file is made or, if `gone`, of anything."""
+    """A disk that fails from some moment on, with `errno`: on creating files and folders or, if `gone`, on anything."""
 
     errno: int = 0
     gone: bool = False
 
     def fill(self) -> None:
-        """No file grows and none is made any more."""
+        """Make creating and growing files fail."""
         self.errno = ENOSPC
         _let_no_file_grow()
 
     def vanish(self) -> None:
-        """Every operation fails."""
+        """Make every operation fail."""
         self.errno, self.gone = EIO, True
         _let_no_file_grow()
 
     def refuse(self, event: str, flags: int) -> None:
-        """Raises OSError, as the system would."""
+        """Raise OSError, as the system would."""
         makes = event in ("os.mkdir", "os.link") or (event == "open" and flags & os.O_CREAT)
         if self.errno and (makes or self.gone):
             raise OSError(self.errno, os.strerror(self.errno))
@@ -55,19 +55,19 @@ def _let_no_file_grow() -> None:
 
 
 def all_of(place: Path) -> list[Path]:
-    """A folder and what is in it, itself last."""
+    """Return a folder and its content, the folder last."""
     return [*place.rglob("*"), place]
 
 
 def may_be_written(place: Path, *, written: bool) -> None:
-    """Whether anybody may write into a folder, or nobody."""
+    """Set whether a folder may be written."""
     for path in all_of(place):
         with suppress(FileNotFoundError):
             path.chmod((0o755 if written else 0o555) if path.is_dir() else (0o644 if written else 0o444))
 
 
 def refusing(name: str, how: str) -> Damage:
-    """One class: one program on a disk that from a moment on is "full", "read-only" or "gone"."""
+    """Return the class of a program on a disk that becomes "full", "read-only" or "gone"."""
     program = PROGRAMS[name]
 
     def make(rng: np.random.Generator) -> Ended:
@@ -97,7 +97,7 @@ def refusing(name: str, how: str) -> Damage:
 
 
 def judged(told: Told, look: Callable[[], str], when: str) -> Ended:
-    """A refusal is one sentence and exit code 2 or 3; what it leaves is whole."""
+    """Return how a run ended: a refusal is one sentence with exit code 2 or 3, and leaves complete data."""
     last = (told.err.strip().splitlines() or [""])[-1]
     refused = told.code in (2, 3) and last.startswith("sightline: ")
     if (told.code != 0 and not refused) or "a bug in Sightline" in told.err:
@@ -109,20 +109,20 @@ def judged(told: Told, look: Callable[[], str], when: str) -> Ended:
 
 
 class Leaping(datetime):
-    """A clock that somebody sets, on and back."""
+    """A clock that is set forward and back."""
 
     leap = timedelta()
     rng = np.random.default_rng()
 
     @classmethod
     def now(cls, tz: tzinfo | None = None) -> datetime:
-        """What it shows."""
+        """Return the time that the clock shows."""
         cls.leap += timedelta(seconds=float(cls.rng.choice(LEAPS_S)))
         return datetime.now(tz) + cls.leap
 
 
 def leaping(rng: np.random.Generator) -> Ended:
-    """Entries of a case whose clock is set again and again: all there, in their order, and the case is whole."""
+    """Record entries while the clock jumps: all must be there, in order, and the case must be intact."""
     Leaping.leap, Leaping.rng = timedelta(), rng
     with TemporaryDirectory() as folder, patch.object(journal, "datetime", Leaping):
         made: list[str] = []

@@ -1,4 +1,4 @@
-"""Files of other people, damaged byte by byte: each is read or refused by name; nothing else is ever raised."""
+"""Files with damaged bytes: each must be read, or refused with its name; no other exception may be raised."""
 
 import io
 import tempfile
@@ -22,7 +22,7 @@ from sightline.imaging import Radiograph, read_image, write_dicom
 RNG = np.random.default_rng(3)
 GREY8 = RNG.integers(0, 256, (40, 44), dtype=np.uint8)
 GREY16 = RNG.integers(0, 65536, (40, 44), dtype=np.uint16)
-# What numbers, names and brackets should not be.
+# Invalid replacements for numbers, names and brackets.
 NASTY = [
     b"", b"nan", b"-1", b"0", b"1e308", b"1e999", b"9" * 400, b"null", b"[]", b"{", b"(", b"<", b"\0", b"\xff", b"'",
     b'"', b"\n", b"\r", b",", b"1_0",
@@ -85,7 +85,7 @@ FILES: dict[str, tuple[Callable[[], bytes], Callable[[Path], object]]] = {
 
 
 def mutated(data: bytes, rng: np.random.Generator) -> bytes:
-    """Bytes changed in the head or anywhere; the end cut off; a piece replaced, or doubled."""
+    """Return bytes with changes in the head or anywhere, a missing end, or a replaced or doubled piece."""
     out, how = bytearray(data), rng.integers(6)
     head = min(len(out), 200)
     if how < 2:
@@ -103,7 +103,7 @@ def mutated(data: bytes, rng: np.random.Generator) -> bytes:
 
 
 def dicom() -> bytes:
-    """As the twin's C-arm stores it."""
+    """Return a DICOM image as the twin's C-arm stores it."""
     with tempfile.TemporaryDirectory() as folder:
         return write_dicom(Radiograph(GREY16, 65535.0), Path(folder) / "image.dcm").read_bytes()
 
@@ -114,12 +114,12 @@ CAMERA = np.array([[5000.0, 0, 500, 310000], [0, 5000, 480, 290000], [0, 0, 1, 6
 
 @lru_cache
 def view_files(kind: str) -> dict[str, bytes]:
-    """A view as another program keeps it, by the names of its files."""
+    """Return a view's files in another program's format, by name."""
     return write_view(Pinhole.of_matrix(CAMERA, "pa", (64, 80), (0.2, 0.2)), kind)
 
 
 def of_file(name: str) -> Damage:
-    """One class: a file of one kind."""
+    """Return the class of one kind of file."""
     make, read = FILES[name]
     whole = lru_cache(make)
 
@@ -134,7 +134,7 @@ def of_file(name: str) -> Damage:
 
 
 def of_view(kind: str) -> Damage:
-    """One class: a view's files in another program's format, one of them damaged."""
+    """Return the class of a view in another program's format, with one damaged file."""
 
     def go(rng: np.random.Generator) -> Ended:
         files = view_files(kind)

@@ -1,7 +1,7 @@
-"""Images spoilt on their way from the C-arm: nothing that looks right may be wrong.
+"""Images damaged on their way from the C-arm: no plan with GO may be wrong.
 
-Each base is a rehearsed patient, rendered once a process. A damage changes one image or both, and tells where the
-damaged image shows a point: the person clicks on what is seen.
+Each base is a simulated patient, rendered once per process. A damage changes one image or both, and states where the
+damaged image shows a point, because the user clicks on what is visible.
 """
 
 from collections.abc import Callable
@@ -20,29 +20,29 @@ from sightline.rehearsal.procedure import Rehearsal
 from sightline.studies.scenes import VIEWS
 
 BASES = 12  # rendered patients; the same for every seed
-Picture = tuple[np.ndarray, Shown]  # pixels, 0 to 1, and where it shows what was at a pixel
+Picture = tuple[np.ndarray, Shown]  # pixels, 0 to 1, and the map from original to shown pixel coordinates
 Spoil = Callable[[np.ndarray, np.random.Generator], Picture]
 
 
 def same(uv: np.ndarray) -> np.ndarray:
-    """Nothing has moved."""
+    """Return the coordinates unchanged."""
     return uv
 
 
 @lru_cache(maxsize=BASES)
 def base(number: int) -> Rehearsal:
-    """A patient with rendered images, right and left by turns."""
+    """Return a patient with rendered images; right and left hips alternate."""
     return Rehearsal.draw(1000 + number, Frame.load("gamma"), ("right", "left")[number % 2])
 
 
 def read(pixels: np.ndarray, white: int = 65535) -> Radiograph:
-    """As a file would hold them: integers up to white."""
+    """Return a Radiograph with integers up to white, as a file stores them."""
     kind = np.uint8 if white == 255 else np.uint16
     return Radiograph(np.clip(np.rint(pixels * white), 0, white).astype(kind), float(white))
 
 
 def whole_way(images: dict[str, Radiograph], frame: Frame, clicks: Clicks, wire_mm: np.ndarray) -> Ended:
-    """From two images to a verdict, as `sightline plan` goes it."""
+    """Return the verdict on two images, as from `sightline plan`."""
     from sightline.pipeline import label_beads
 
     views = []
@@ -53,7 +53,7 @@ def whole_way(images: dict[str, Radiograph], frame: Frame, clicks: Clicks, wire_
 
 
 def damage(spoil: Spoil, *cause: str, both: bool = False, white: int = 65535) -> Damage:
-    """One class: `spoil` changes one image, drawn at random, or both in the same way."""
+    """Return the class of `spoil`, which changes one random image, or both."""
 
     def make(rng: np.random.Generator) -> Ended:
         rehearsal = base(int(rng.integers(BASES)))
@@ -70,7 +70,7 @@ def damage(spoil: Spoil, *cause: str, both: bool = False, white: int = 65535) ->
 
 
 def rows_shifted(rows: Callable[[int, np.random.Generator], np.ndarray], least: float, most: float) -> Spoil:
-    """Rows (H,) bool, moved sideways by so many pixels."""
+    """Return a damage that shifts the rows (H,) bool sideways by `least` to `most` px."""
 
     def spoil(pixels: np.ndarray, rng: np.random.Generator) -> Picture:
         shift = float(rng.choice([-1, 1])) * float(np.exp(rng.uniform(np.log(least), np.log(most))))
@@ -89,28 +89,28 @@ def rows_shifted(rows: Callable[[int, np.random.Generator], np.ndarray], least: 
 
 
 def lower_part(height: int, rng: np.random.Generator) -> np.ndarray:
-    """All below a line in the middle half."""
+    """Select all rows below a line in the middle half."""
     return np.arange(height) > rng.uniform(0.25, 0.75) * height
 
 
 def band(height: int, rng: np.random.Generator) -> np.ndarray:
-    """A strip of a tenth to a third."""
+    """Select a strip of a tenth to a third of the rows."""
     start, size = rng.uniform(0.1, 0.6) * height, rng.uniform(0.1, 0.33) * height
     return (np.arange(height) > start) & (np.arange(height) < start + size)
 
 
 def odd(height: int, _: np.random.Generator) -> np.ndarray:
-    """Every second row: two fields of a moving patient."""
+    """Select every second row: two fields of a moving patient."""
     return np.arange(height) % 2 == 1
 
 
 def plain(change: Callable[[np.ndarray, np.random.Generator], np.ndarray]) -> Spoil:
-    """What changes brightness alone."""
+    """Return a damage that changes brightness only."""
     return lambda pixels, rng: (change(pixels, rng), same)
 
 
 def turned(pixels: np.ndarray, rng: np.random.Generator) -> Picture:
-    """By a quarter, a half or three quarters: displays may."""
+    """Rotate by 90°, 180° or 270°, as a display may."""
     times, size = int(rng.integers(1, 4)), len(pixels) - 1
 
     def shown(uv: np.ndarray) -> np.ndarray:
@@ -122,27 +122,27 @@ def turned(pixels: np.ndarray, rng: np.random.Generator) -> Picture:
 
 
 def mirrored(pixels: np.ndarray, _: np.random.Generator) -> Picture:
-    """Left and right exchanged, as a display may."""
+    """Exchange left and right, as a display may."""
     width = pixels.shape[1] - 1
     return np.ascontiguousarray(pixels[:, ::-1]), lambda uv: np.stack([width - uv[:, 0], uv[:, 1]], axis=1)
 
 
 def resized(pixels: np.ndarray, rng: np.random.Generator) -> Picture:
-    """Exported at another size."""
+    """Resize, as an export may."""
     factor = float(rng.choice([0.5, 0.75, 1.5]))
     out = cv2.resize(pixels, None, fx=factor, fy=factor, interpolation=cv2.INTER_AREA)
     return out, lambda uv: (uv + 0.5) * factor - 0.5
 
 
 def stretched(pixels: np.ndarray, rng: np.random.Generator) -> Picture:
-    """Pixels that are not square."""
+    """Make pixels that are not square."""
     factor = float(rng.uniform(0.85, 1.18))
     out = cv2.resize(pixels, None, fx=factor, fy=1.0, interpolation=cv2.INTER_LINEAR)
     return out, lambda uv: np.stack([(uv[:, 0] + 0.5) * factor - 0.5, uv[:, 1]], axis=1)
 
 
 def bulged(pixels: np.ndarray, rng: np.random.Generator) -> Picture:
-    """A local warp of 1 to 6 px over 40 to 150 px, as a magnet near the tube makes."""
+    """Warp locally by 1 to 6 px over 40 to 150 px, like a magnet near the intensifier."""
     height, width = pixels.shape
     middle, reach = rng.uniform(0.25, 0.75, 2) * [width, height], rng.uniform(40, 150)
     push = rng.uniform(1, 6) * (direction := rng.standard_normal(2)) / np.linalg.norm(direction)
@@ -166,7 +166,7 @@ def bulged(pixels: np.ndarray, rng: np.random.Generator) -> Picture:
 
 
 def ghosted(pixels: np.ndarray, rng: np.random.Generator) -> Picture:
-    """Two exposures averaged, the C-arm moved between them."""
+    """Average two exposures between which the C-arm moved."""
     shift = rng.uniform(-6, 6, 2)
     other = cv2.warpAffine(
         pixels, np.array([[1, 0, shift[0]], [0, 1, shift[1]]]), pixels.shape[::-1], borderMode=cv2.BORDER_REPLICATE
@@ -175,7 +175,7 @@ def ghosted(pixels: np.ndarray, rng: np.random.Generator) -> Picture:
 
 
 def smeared(pixels: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Motion within an exposure."""
+    """Blur by motion during the exposure."""
     steps, way = (
         np.linspace(-0.5, 0.5, 9),
         rng.uniform(2, 12) * np.array([np.cos(a := rng.uniform(0, np.pi)), np.sin(a)]),
@@ -193,25 +193,25 @@ def smeared(pixels: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 
 
 def jpeg(pixels: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Of quality 15 to 95."""
+    """Compress as JPEG of quality 15 to 95."""
     byte = np.clip(np.rint(pixels * 255), 0, 255).astype(np.uint8)
     packed = cv2.imencode(".jpg", byte, (cv2.IMWRITE_JPEG_QUALITY, int(rng.integers(15, 96))))[1]
     return cv2.imdecode(packed, cv2.IMREAD_GRAYSCALE) / 255
 
 
 def windowed(pixels: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Dark and bright cut off, as a screen shot does."""
+    """Clip dark and bright, as a screen shot does."""
     low, high = np.quantile(pixels, [rng.uniform(0.0, 0.15), rng.uniform(0.7, 1.0)])
     return np.clip((pixels - low) / max(high - low, 1e-6), 0, 1)
 
 
 def saturated(pixels: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Too bright."""
+    """Overexpose."""
     return np.clip(pixels * rng.uniform(1.3, 6.0), 0, 1)
 
 
 def flat(pixels: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """A rectangle of one value: a mark, a shutter, lost packets."""
+    """Fill a rectangle with one value: a mark, a shutter, lost packets."""
     out = pixels.copy()
     height, width = (rng.uniform(0.05, 0.5, 2) * pixels.shape).astype(int)
     top, left = (rng.uniform(0, 0.8, 2) * pixels.shape).astype(int)
@@ -220,7 +220,7 @@ def flat(pixels: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 
 
 def forged(pixels: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Dark discs like balls, 1 to 12 of them."""
+    """Add 1 to 12 dark discs like balls."""
     out = pixels.copy()
     yy, xx = np.mgrid[: pixels.shape[0], : pixels.shape[1]]
     for _ in range(int(rng.integers(1, 13))):
@@ -231,7 +231,7 @@ def forged(pixels: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 
 
 def moved_balls(pixels: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Squares of the image, each with whatever it shows, put down some pixels aside."""
+    """Copy squares of the image some pixels aside."""
     out = pixels.copy()
     for _ in range(int(rng.integers(1, 9))):
         v, u = (rng.uniform(0.2, 0.8, 2) * pixels.shape).astype(int)
@@ -241,7 +241,7 @@ def moved_balls(pixels: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 
 
 def wiped(pixels: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """A strip of 4 to 15 % of the image painted over from its sides: what stood there is gone without a trace."""
+    """Inpaint a strip of 4 to 15 % of the image, which removes its content without a trace."""
     mask = np.zeros(pixels.shape, np.uint8)
     start, size = rng.uniform(0.2, 0.7), rng.uniform(0.04, 0.15)
     a, b = int(start * len(pixels)), int((start + size) * len(pixels))
@@ -254,18 +254,18 @@ def wiped(pixels: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 
 
 def noisy(pixels: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Grain of 1 to 10 % of white."""
+    """Add noise of 1 to 10 % of white."""
     return pixels + rng.uniform(0.01, 0.1) * rng.standard_normal(pixels.shape)
 
 
 def striped(pixels: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Rows or columns brighter and darker by turns, as interference makes them."""
+    """Add periodic stripes, as from interference."""
     at = np.arange(pixels.shape[0])[:, None] if rng.random() < 0.5 else np.arange(pixels.shape[1])[None]
     return pixels * (1 + rng.uniform(0.02, 0.2) * np.sin(2 * np.pi * at / rng.uniform(3, 60)))
 
 
 def dead(pixels: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Pixels and lines stuck at black or white."""
+    """Set pixels and lines to black or white."""
     out = pixels.copy()
     hit = rng.random(pixels.shape) < rng.uniform(1e-4, 1e-2)
     out[hit] = rng.choice([0.0, 1.0], hit.sum())
@@ -274,35 +274,35 @@ def dead(pixels: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 
 
 def blurred(pixels: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Out of focus by 1 to 6 px."""
+    """Defocus by 1 to 6 px."""
     return cv2.GaussianBlur(pixels, (0, 0), rng.uniform(1.0, 6.0))
 
 
 def inverted(pixels: np.ndarray, _: np.random.Generator) -> np.ndarray:
-    """Balls bright."""
+    """Invert, so that balls are bright."""
     return pixels.max() - pixels
 
 
 def gamma(pixels: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Another tone curve."""
+    """Apply another tone curve."""
     return np.clip(pixels, 0, 1) ** rng.uniform(0.35, 2.5)
 
 
 def coarse(pixels: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Few grey levels."""
+    """Reduce to few grey levels."""
     levels = int(rng.integers(6, 48))
     return np.rint(pixels / pixels.max() * levels) / levels
 
 
 def sharpened(pixels: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """A vendor's edge enhancement."""
+    """Sharpen, like a vendor's edge enhancement."""
     return np.clip(
         pixels + rng.uniform(0.5, 4.0) * (pixels - cv2.GaussianBlur(pixels, (0, 0), rng.uniform(1, 4))), 0, 1
     )
 
 
 def bent(pixels: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Brightness that slopes across the image."""
+    """Multiply by a brightness slope across the image."""
     vv, uu = np.mgrid[-1 : 1 : pixels.shape[0] * 1j, -1 : 1 : pixels.shape[1] * 1j]
     slope = rng.uniform(-0.6, 0.6, 2)
     return np.clip(pixels * np.exp(slope[0] * uu + slope[1] * vv) * 0.6, 0, 1)
@@ -311,7 +311,7 @@ def bent(pixels: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 def unlike(
     make: Callable[[dict[str, Radiograph], int, np.random.Generator], dict[str, Radiograph]], *cause: str
 ) -> Damage:
-    """The pair itself is wrong: `make` gets the images and the number of their base."""
+    """Return a class in which the pair itself is wrong; `make` gets the images and the number of their base."""
 
     def go(rng: np.random.Generator) -> Ended:
         number = int(rng.integers(BASES))
@@ -324,7 +324,7 @@ def unlike(
 
 
 def of_another(images: dict[str, Radiograph], number: int, rng: np.random.Generator) -> dict[str, Radiograph]:
-    """One of the images is another patient's."""
+    """Replace one of the images by another patient's."""
     other = base((number + int(rng.integers(1, BASES))) % BASES)
     name = str(rng.choice(VIEWS))
     return {**images, name: other.images[name]}

@@ -1,7 +1,6 @@
-"""Programs that are killed while they write: nothing acknowledged is lost, each folder is whole or old, and the next
-run works.
+"""Programs killed while they write: acknowledged data stays, each folder is complete or old, and the next run works.
 
-The moment is drawn: an operation on a file or folder, an instruction of SQLite's machine, or a byte that is written.
+The moment is random: an operation on a file or folder, an instruction of SQLite's virtual machine, or a written byte.
 """
 
 import os
@@ -15,8 +14,8 @@ from campaigns.programs import PROGRAMS, Steps, extent, in_a_child, not_finished
 
 
 def doomed(kind: str, at: int) -> None:
-    """Let this process be killed at a moment to come."""
-    if kind == "byte":  # the kernel kills who writes a longer file, in the middle of it
+    """Arrange that this process is killed at step `at` of a kind."""
+    if kind == "byte":  # the kernel kills the process while it writes a longer file
         resource.setrlimit(resource.RLIMIT_FSIZE, (at, at))
         signal.signal(signal.SIGXFSZ, signal.SIG_DFL)
     else:
@@ -26,7 +25,7 @@ def doomed(kind: str, at: int) -> None:
 def moment(
     name: str, rng: np.random.Generator, kinds: tuple[str, ...] = ("file", "journal", "byte")
 ) -> tuple[str, int]:
-    """A kind of step and its number, among those that a program takes."""
+    """Return a random kind of step of a program, and its number."""
     all_of = {kind: last for kind, last in extent(name).items() if last and kind in kinds}
     kind = str(rng.choice(list(all_of)))
     if kind == "byte":
@@ -35,7 +34,7 @@ def moment(
 
 
 def killed(name: str) -> Damage:
-    """One class: one program."""
+    """Return the class of one program."""
     program = PROGRAMS[name]
 
     def make(rng: np.random.Generator) -> Ended:

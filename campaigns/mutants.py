@@ -1,11 +1,10 @@
-"""Do the tests notice? One-token changes drawn by seed, each with the tests run against it.
+"""Mutation testing: random one-token changes, each with the tests run against it.
 
-`python -m campaigns.mutants [--changes N] [--seed S]`. A change that no test notices is printed with its line: it is
-shown to change nothing, or gets a test. Finished changes are kept; the same command goes on where it stopped. Every
+`python -m campaigns.mutants [--changes N] [--seed S]`. A change that no test detects is printed with its line: it must
+be shown to be equivalent, or get a test. Finished changes are kept; the same command resumes a stopped run. Every
 change is made in a copy of the checkout, which is deleted at the end.
 
-The tests of the change's own room are run first, for all changes; the other tests only against what these did not
-notice.
+The tests of the change's own room run first, for all changes; the other tests only for undetected ones.
 """
 
 import argparse
@@ -36,12 +35,12 @@ TOKENS = {
     ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/", ast.Lt: "<", ast.LtE: "<=", ast.Gt: ">", ast.GtE: ">=",
     ast.Eq: "==", ast.NotEq: "!=", ast.And: "and", ast.Or: "or",
 }  # fmt: skip
-LIMIT_S = 900  # a change that makes the tests run this long is noticed: something waits for ever
+LIMIT_S = 900  # a change that makes the tests run this long is detected: something waits forever
 
 
 @dataclass(frozen=True)
 class Change:
-    """One token of a file, at byte offsets of its UTF-8 text, and what stands there instead."""
+    """One token of a file, at byte offsets of its UTF-8 text, and its replacement."""
 
     file: str
     line: int
@@ -52,18 +51,20 @@ class Change:
 
     @property
     def key(self) -> str:
-        """Names it in the record."""
+        """Its name in the record."""
         return f"{self.file}:{self.line}: {self.token} -> {self.instead} @{self.start}"
 
     def applied(self, text: bytes) -> bytes:
-        """The file's text with the change."""
+        """Return the file's text with the change."""
         assert text[self.start : self.end] == self.token.encode()
         return text[: self.start] + self.instead.encode() + text[self.end :]
 
 
 def changes_of(file: Path) -> Iterator[Change]:
-    """All of a file: numbers, operators, comparisons, truth values, indices 0 and 1. None in docstrings, nor zip's
-    `strict`, which changes nothing where lengths agree."""
+    """Yield all changes of a file: numbers, operators, comparisons, Booleans, indices 0 and 1.
+
+    Not in docstrings, nor of zip's `strict`, which has no effect for equal lengths.
+    """
     text = file.read_bytes()
     tree = ast.parse(text)
     starts = np.cumsum([0, *(len(line) for line in text.splitlines(keepends=True))])
@@ -101,7 +102,7 @@ def _other(value: float | bool) -> str:
 
 
 def drawn(number: int, seed: int) -> list[Change]:
-    """The first of a shuffle of all changes of the rooms: more can be added later."""
+    """Return the first of a random permutation of all changes, so that more can be added later."""
     files = sorted(f for room in ROOMS for f in (ROOT / "src/sightline" / room).rglob("*.py"))
     every = [change for file in files for change in changes_of(file)]
     order = np.random.default_rng(seed).permutation(len(every))
@@ -109,7 +110,7 @@ def drawn(number: int, seed: int) -> list[Change]:
 
 
 def copy_of_checkout(folder: Path) -> Path:
-    """What git tracks, with the compiled kernels, whose stamps are the files' times."""
+    """Copy the files that git tracks and the compiled kernels, with their time stamps; return the folder."""
     tree = folder / "tree"
     listed = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, check=True, capture_output=True).stdout  # noqa: S607
     for name in filter(None, listed.decode().split("\0")):
@@ -121,22 +122,22 @@ def copy_of_checkout(folder: Path) -> Path:
 
 
 def room_of(change: Change) -> str:
-    """The room whose source it changes."""
+    """Return the room whose source is changed."""
     return Path(change.file).parts[2]
 
 
 def own_tests(change: Change) -> list[str]:
-    """Files of tests of its room, those that import the changed module first."""
+    """Return the test files of the change's room, those that import the changed module first."""
     module = ".".join(Path(change.file).with_suffix("").parts[1:])
     files = sorted((ROOT / "tests" / room_of(change)).rglob("test_*.py"))
     return [str(file.relative_to(ROOT)) for file in sorted(files, key=lambda file: module not in file.read_text())]
 
 
 def noticed(change: Change, tests: list[str], tree: Path) -> str:
-    """The first of the tests that fails with the change, or nothing."""
+    """Return the first test that fails with the change, or ""."""
     file = tree / change.file
     before, stamp = file.read_bytes(), file.stat()
-    # A kernel holds what it calls and the constants it reads, in the other files of its room too.
+    # Compiled kernels contain functions and constants of other files.
     kept = _set_aside(tree) if room_of(change) == "detection" or b"njit" in before else None
     try:
         file.write_bytes(change.applied(before))
@@ -149,7 +150,7 @@ def noticed(change: Change, tests: list[str], tree: Path) -> str:
 
 
 def _set_aside(tree: Path) -> Path:
-    """Compiled kernels hold copies of what they call, in other files too: none may be left from before the change."""
+    """Move all compiled kernels away, because they contain copies of functions in changed files; return the folder."""
     kept = tree.parent / "kept"
     shutil.rmtree(kept, ignore_errors=True)
     for cache in list((tree / "src").rglob("__pycache__")):
@@ -183,7 +184,7 @@ def _fails(where: list[str], tree: Path) -> str:
 
 
 class Record:
-    """What is finished, a line of JSON each: a change, the tests it was put to, and the one that noticed it."""
+    """Finished changes, a line of JSON each: the change, the tests run, and the one that detected it."""
 
     def __init__(self, file: Path) -> None:
         self._file = file
@@ -191,22 +192,22 @@ class Record:
         self._by = {(line["change"], line["tests"]): str(line["noticed"]) for line in map(json.loads, lines)}
 
     def holds(self, change: Change, tests: str) -> bool:
-        """Whether it was put to them."""
+        """Return whether these tests were run against a change."""
         return (change.key, tests) in self._by
 
     def noticed(self, change: Change) -> str:
-        """The test that noticed it, or nothing."""
+        """Return the test that detected a change, or ""."""
         return next((by for (key, _), by in self._by.items() if key == change.key and by), "")
 
     def add(self, change: Change, tests: str, by: str) -> None:
-        """Keep one more."""
+        """Record a result."""
         self._by[change.key, tests] = by
         with self._file.open("a") as out:
             out.write(json.dumps({"change": change.key, "tests": tests, "noticed": by}) + "\n")
 
 
 def main() -> int:
-    """Print the changes that no test noticed."""
+    """Print the changes that no test detected; return 1 if there are any."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--changes", type=int, default=300)
     parser.add_argument("--seed", type=int, default=1)

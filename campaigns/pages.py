@@ -1,7 +1,7 @@
-"""Hostile requests to the app: it answers, gives nothing away, and changes nothing for whom it does not know.
+"""Hostile requests to the app: it must answer, disclose nothing, and change nothing for clients without the token.
 
-The app runs in a process of its own with a token, on a case with a decision in it; the requests come over real
-connections. "Strangers" have no token; "guests" have it, and send what no page sends.
+The app runs in a separate process with a token, on a case with a decision; the requests use real connections.
+"Strangers" have no token; "guests" have it and send what no page sends.
 """
 
 import atexit
@@ -32,7 +32,7 @@ from campaigns.files import FILES, mutated
 from sightline.case.journal import Actor, Case, Kind
 
 TOKEN = "of-the-campaign-of-pages"  # noqa: S105
-SECRET = "known-to-nobody"  # noqa: S105 - in a file beside the case
+SECRET = "known-to-nobody"  # noqa: S105 - in a file next to the case
 PATIENCE_S = 60.0  # for an answer, on a busy machine
 ENGINE = "/_nicegui_ws/socket.io/?EIO=4&transport="
 METHODS = ("GET", "POST", "HEAD", "PUT", "DELETE", "OPTIONS", "PATCH", "TRACE", "get", "\x00")
@@ -43,7 +43,7 @@ EVENTS = ("event", "handshake", "javascript_response", "ack", "log", "alive", "d
 
 @dataclass(frozen=True)
 class App:
-    """The running app, and the cookie of a client that has its token."""
+    """The running app, and the cookie of a client with its token."""
 
     process: "subprocess.Popen[str]"
     folder: Path
@@ -57,15 +57,15 @@ class App:
 
     @property
     def headers(self) -> dict[str, str]:
-        """What its own page sends."""
+        """The headers that its own page sends."""
         return {"host": f"127.0.0.1:{self.port}", "origin": self.base, "cookie": self.cookie}
 
     def ask(self, path: str, method: str = "GET", **options) -> httpx.Response:
-        """An answer."""
+        """Return the response to a request."""
         return httpx.request(method, self.base + path, timeout=PATIENCE_S, **options)
 
     def raw(self, data: bytes) -> bytes:
-        """What is answered to bytes, until it closes, or says nothing for a moment."""
+        """Return the response to raw bytes, until the connection closes or is silent for 0.2 s."""
         said = b""
         with socket.create_connection(("127.0.0.1", self.port), timeout=PATIENCE_S) as link, suppress(OSError):
             link.sendall(data)
@@ -75,12 +75,12 @@ class App:
         return said
 
     def state(self) -> tuple[int, int]:
-        """What the case holds: entries, and files in its folder and beside it."""
+        """Return the numbers of the case's entries, and of files in its folder and next to it."""
         with Case.open(self.folder / "case", read_only=True) as case:
             return case.last, sum(1 for path in self.folder.rglob("*") if path.suffix not in (".txt", ".sqlite-shm"))
 
     def fault(self) -> str:
-        """What is wrong with it by now; "" if it answers as before."""
+        """Return what is wrong with the app; "" if it still answers."""
         if self.process.poll() is not None:
             return "the app has ended"
         end_s = time.monotonic() + PATIENCE_S
@@ -97,7 +97,7 @@ class App:
 
 @cache
 def app() -> App:
-    """The app of this process."""
+    """Return the app of this process, started at first use."""
     folder = Path(mkdtemp(prefix="sightline-campaign-"))
     (folder / "secret.txt").write_text(SECRET)
     with Case.create(folder / "case") as case:
@@ -127,7 +127,7 @@ def _end(process: "subprocess.Popen[str]", folder: Path) -> None:
 
 @cache
 def page() -> str:
-    """A page that a person has open, and that stays open."""
+    """Return the text of a page that stays open."""
     text = app().ask("/", headers=app().headers).text
     told = {"client_id": _client_in(text), "tab_id": "tab", "document_id": "document", "next_message_id": 0}
     opened = threading.Event()
@@ -137,7 +137,7 @@ def page() -> str:
 
 
 def _stay(handshake: str, opened: threading.Event) -> None:
-    """Answer what the server asks so that the page counts as open."""
+    """Answer the server's pings, so that the page counts as open."""
     with suppress(WebSocketException), guest(app()) as link:
         link.send("40")
         link.send("42" + handshake)
@@ -154,7 +154,7 @@ def _client_in(text: str) -> str:
 
 
 def upload_address() -> str:
-    """Where the page may send an image."""
+    """Return the path to which the page uploads images."""
     return re.findall(r"/upload/[\w-]+", page())[0]
 
 
@@ -162,11 +162,11 @@ Attack = Callable[[App, np.random.Generator], str]
 
 
 def attack(one: Attack, *, stranger: bool) -> Damage:
-    """One class: "" or what was given away; then the app is as it was. A stranger has changed nothing."""
+    """Return the class of one attack, which returns what was disclosed; a stranger must change nothing."""
 
     def make(rng: np.random.Generator) -> Ended:
         served = app()
-        page()  # what it writes when it is first opened is written
+        page()  # so that what it writes when first opened is written before
         before = served.state()
         given = one(served, rng)
         if given:
@@ -181,7 +181,7 @@ def attack(one: Attack, *, stranger: bool) -> Damage:
 
 
 def told(answer: httpx.Response | bytes) -> str:
-    """What an answer should not have said; "" if nothing."""
+    """Return what a response must not contain; "" if nothing."""
     body = answer if isinstance(answer, bytes) else answer.content
     if SECRET.encode() in body or b"root:x:" in body:
         return "the content of a file"
@@ -190,13 +190,13 @@ def told(answer: httpx.Response | bytes) -> str:
 
 
 def route(served: App, rng: np.random.Generator) -> str:
-    """A path of the app."""
+    """Return a random path of the app."""
     paths = ("/", upload_address(), ENGINE + "polling", "/image/x.u16", "/_nicegui/auto/static/nicegui.js", "/nothing")
     return paths[int(rng.integers(len(paths)))]
 
 
 def foreign(served: App, rng: np.random.Generator) -> str:
-    """The page's own cookie, from a page of somebody else's (DNS rebinding, forged requests)."""
+    """Send the page's cookie from another site's page (DNS rebinding, forged requests)."""
     port = served.port
     hosts = ["evil.example", f"evil.example:{port}", f"127.0.0.1.evil.example:{port}", "127.0.0.1", f"0.0.0.0:{port}",
              f"127.0.0.1:{port}:1", f"127.0.0.1:{port}@evil.example", f"[::1]:{port + 1}", ""]  # fmt: skip
@@ -212,7 +212,7 @@ def foreign(served: App, rng: np.random.Generator) -> str:
 
 
 def unknown(served: App, rng: np.random.Generator) -> str:
-    """No token, a wrong one, or somebody's idea of a cookie."""
+    """Send no token, a wrong one, or an invented cookie."""
     name = served.cookie.partition("=")[0]
     cookies = [
         "",
@@ -235,7 +235,7 @@ def unknown(served: App, rng: np.random.Generator) -> str:
 
 
 def socket_opened(served: App, headers: dict[str, str]) -> str:
-    """Whether a socket is opened to these headers, which should not be."""
+    """Return what is wrong if a socket is opened for these headers; ""  if it is refused."""
     extra = {"cookie": headers["cookie"]}
     try:
         with connect(f"ws://127.0.0.1:{served.port}{ENGINE}websocket", origin=headers["origin"],  # type: ignore[arg-type]
@@ -246,7 +246,7 @@ def socket_opened(served: App, headers: dict[str, str]) -> str:
 
 
 def malformed(served: App, rng: np.random.Generator) -> str:
-    """A request with bytes changed, doubled or missing, and with lengths that are not so."""
+    """Send a request with changed, doubled or missing bytes, and with wrong lengths."""
     body = bytes(rng.bytes(int(rng.integers(0, 400))))
     lengths = (str(len(body)), "-1", "99999999999", "1e9", "0", "", "+5")
     lines = [f"{rng.choice(METHODS)} {route(served, rng)} HTTP/{rng.choice(['1.1', '1.0', '9.9', '0'])}"]
@@ -258,7 +258,7 @@ def malformed(served: App, rng: np.random.Generator) -> str:
 
 
 def climbing(served: App, rng: np.random.Generator) -> str:
-    """Paths out of the folders that are served, however they are written."""
+    """Request paths outside the served folders, in many encodings."""
     start = str(
         rng.choice(["/", "/_nicegui/", "/_nicegui/3.0/static/", "/_nicegui/auto/static/", "/image/", "/upload/"])
     )
@@ -269,7 +269,7 @@ def climbing(served: App, rng: np.random.Generator) -> str:
 
 
 def uploads(served: App, rng: np.random.Generator) -> str:
-    """Any file: an image, a damaged one, one that is none, one that is not sent whole; with a header not asked for."""
+    """Upload any file: an image, a damaged one, no image, an incomplete one; with hostile file names."""
     name = str(rng.choice(list(FILES)))
     data = FILES[name][0]()
     data = mutated(data, rng) if rng.random() < 0.6 else rng.bytes(int(rng.integers(0, 5000))) + data
@@ -277,7 +277,7 @@ def uploads(served: App, rng: np.random.Generator) -> str:
         rng.choice(["a.png", "../../evil.png", "/etc/passwd", "%2e%2e%2fx", "<b>", "\u202egnp.exe", "x" * 3000, ""])
     )
     headers = {**served.headers, "x-file-name": quote(shown)}
-    if rng.random() < 0.2:  # it breaks off
+    if rng.random() < 0.2:  # the upload breaks off
         head = "\r\n".join(f"{key}: {value}" for key, value in headers.items())
         sent = f"POST {upload_address()} HTTP/1.1\r\n{head}\r\nContent-Length: {len(data) + 9}\r\n\r\n".encode() + data
         return told(served.raw(sent))
@@ -286,7 +286,7 @@ def uploads(served: App, rng: np.random.Generator) -> str:
 
 
 def guest(served: App) -> ClientConnection:
-    """A socket that knows the token."""
+    """Open a socket with the token."""
     return connect(
         f"ws://127.0.0.1:{served.port}{ENGINE}websocket",
         origin=served.base,  # type: ignore[arg-type]
@@ -296,12 +296,12 @@ def guest(served: App) -> ClientConnection:
 
 
 def odd(rng: np.random.Generator) -> object:
-    """A value that nobody sends."""
+    """Return a value that no page sends."""
     return ODD[int(rng.integers(len(ODD)))]
 
 
 def events(served: App, rng: np.random.Generator) -> str:
-    """Events of no page or another's, with values that are not what they must be, in any order."""
+    """Send events of no page or another's, with invalid values, in any order."""
     listeners = re.findall(r"listener_id\W+([\w-]{36})", page())
     with guest(served) as link, suppress(WebSocketException, TimeoutError):
         link.send("40" + str(rng.choice(["", "", "", "/evil,", ",", "{}"])))
@@ -322,7 +322,7 @@ def events(served: App, rng: np.random.Generator) -> str:
 
 
 def crowds(served: App, rng: np.random.Generator) -> str:
-    """Many connections that say little or nothing, left open for a moment."""
+    """Open many connections that send little or nothing."""
     with ExitStack() as stack:
         for _ in range(int(rng.integers(5, 100))):
             with suppress(OSError):

@@ -1,4 +1,4 @@
-"""The person of a campaign: who clicks on what the images show, plans, and is judged by the twin's truth."""
+"""The simulated user of a campaign, who clicks in the images and plans; the twin's truth judges the plan."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -20,8 +20,11 @@ Shown = Callable[[np.ndarray], np.ndarray]
 
 @dataclass(frozen=True, eq=False)
 class Clicks:
-    """What a person clicks, px: `wire` (2, 2, 2) view, entry or end, (u, v); `landmarks` (2, L, 2) by `names`; `head`
-    (2, 3): circle (u, v, radius) in each view; `side` as the person believes it to be."""
+    """The user's clicks, px.
+
+    `wire` (2, 2, 2): view, entry or end, (u, v); `landmarks` (2, L, 2) by `names`; `head` (2, 3): circle (u, v, radius)
+    in each view; `side`: as the user believes it to be.
+    """
 
     wire: np.ndarray
     landmarks: np.ndarray
@@ -38,11 +41,11 @@ class Clicks:
         *,
         noise: bool = True,
     ) -> "Clicks":
-        """On what each view truly shows, with a careful click's noise. `moved`: the hip at the moment of a view."""
+        """Return clicks on the true points, with a careful click's noise. `moved`: the hip at the time of a view."""
         at = {name: (moved or {}).get(name, hip) for name in VIEWS}
         views = [setup.views[name] for name in VIEWS]
         wire = np.stack([view.project(at[view.name].wire_mm) for view in views])
-        names = tuple(name.replace(" ", "-") for name in hip.landmarks_mm)  # as the kind of trajectory has them
+        names = tuple(name.replace(" ", "-") for name in hip.landmarks_mm)  # as the kind of trajectory names them
         marks = np.stack([view.project(np.stack(list(at[view.name].landmarks_mm.values()))) for view in views])
         shown = np.all([view.in_field(marks[k], 5.0) for k, view in enumerate(views)], axis=0)
         head = np.stack([_outline(view, at[view.name]) for view in views])
@@ -51,7 +54,7 @@ class Clicks:
         return exact.jittered(rng, PICK_PX if noise else 0.0)
 
     def jittered(self, rng: np.random.Generator, sd_px: float) -> "Clicks":
-        """With normal noise on every click, the circle's radius included."""
+        """Return the clicks with normal noise, also on the circle's radius."""
         return replace(
             self,
             wire=self.wire + sd_px * rng.standard_normal(self.wire.shape),
@@ -60,7 +63,7 @@ class Clicks:
         )
 
     def as_shown(self, shown: Mapping[str, Shown]) -> "Clicks":
-        """Where a damaged image shows the same points."""
+        """Return the clicks at the places where damaged images show the same points."""
 
         def at(points: np.ndarray) -> np.ndarray:
             return np.stack([shown.get(name, lambda uv: uv)(points[k]) for k, name in enumerate(VIEWS)])
@@ -69,7 +72,7 @@ class Clicks:
         return replace(self, wire=at(self.wire), landmarks=at(self.landmarks), head=head)
 
     def plan(self, views: Sequence[CalibratedView], pick_sd_px: float = PICK_PX) -> Plan:
-        """Raises SightlineError."""
+        """Return the plan from these clicks. Raises SightlineError."""
         aids = Aids(head=tuple(Circle.of(row[:2], float(row[2]), pick_sd_px) for row in self.head))
         return plan(
             views,
@@ -84,7 +87,7 @@ class Clicks:
 
 
 def judged(made: Plan, wire_mm: np.ndarray) -> Ended:
-    """A plan against the true entry and end point (2, 3), CFCS."""
+    """Return how a plan compares with the true entry and end point (2, 3), CFCS."""
     why = ", ".join(sorted({check.name for check in failed(made.verdict.checks)}))
     said = " ".join(check.sentence for check in failed(made.verdict.checks))
     path = made.trajectory
@@ -102,7 +105,7 @@ def judged(made: Plan, wire_mm: np.ndarray) -> Ended:
 
 
 def _outline(view, hip: HipScene) -> np.ndarray:
-    """(3,) px: centre and mean radius of the head's outline in one view."""
+    """Return centre and mean radius (3,), px, of the head's outline in one view."""
     towards = hip.head_mm - view.focal_point_mm
     across = np.linalg.svd(towards[None])[2][1:]
     angle = np.arange(12) * np.pi / 6

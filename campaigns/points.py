@@ -1,4 +1,4 @@
-"""Beads, clicks, frames and patients that are not what they are said to be: measured points, nothing rendered."""
+"""Wrong beads, clicks, frames and patients, as measured points; nothing is rendered."""
 
 from collections.abc import Callable
 from copy import deepcopy
@@ -19,13 +19,13 @@ from sightline.twin.scene import shown_setup
 from sightline.twin.things import Scene
 
 BEAD_PX = 0.1  # physics.md, Centroid limit
-UNSEEN = 2.0  # standard deviations: less is not evidence
-WEAK = 5.0  # more is refused: checks fail at 3.3, one false alarm in a thousand, and share what there is between them
+UNSEEN = 2.0  # s.d.: a smaller difference is not evidence
+WEAK = 5.0  # s.d.: more must be refused; checks fail at 3.3, one false alarm in a thousand, and share the evidence
 
 
 @dataclass
 class World:
-    """One procedure as it is told to the program; a damage changes it. `hip` at rest, `moved` at the lateral image."""
+    """One procedure as given to the program; a damage changes it. `hip` at rest, `moved` at the lateral image."""
 
     setup: SetUp
     hip: HipScene
@@ -34,12 +34,12 @@ class World:
     clicks: Clicks
     moved: HipScene
     pick_sd_px: float = PICK_PX
-    never_go: bool = False  # the plan that was meant is itself wrong
+    never_go: bool = False  # the intended plan itself is wrong
     noise: bool = True
 
     @staticmethod
     def draw(rng: np.random.Generator, *, noise: bool = True) -> "World":
-        """Without any damage; without `noise` the same, all measured exactly, the frame too. Raises SetUpError."""
+        """Return a procedure without damage; without `noise`, everything is measured exactly. Raises SetUpError."""
         frame = Frame.load("gamma")
         side = str(rng.choice(["right", "left"]))
         femur = draw_femur(rng)
@@ -53,7 +53,7 @@ class World:
         return World(setup, hip, told, seen, Clicks.on(setup, hip, rng, noise=noise), hip, noise=noise)
 
     def end(self) -> Ended:
-        """From observations to a verdict."""
+        """Return the verdict on the observations."""
         views = [sl.calibrate(self.observations[name], self.told, view=name) for name in VIEWS]
         ended = judged(self.clicks.plan(views, self.pick_sd_px), self.moved.wire_mm)
         if self.never_go and ended.how == "right":
@@ -61,8 +61,10 @@ class World:
         return ended
 
     def evidence(self) -> tuple[dict[str, np.ndarray], float]:
-        """In standard deviations: each bead against the others, by name, and the head's radius in one view against the
-        other ("radius"); the chi-square of the gaps of all clicked points together."""
+        """Return residuals in standard deviations, and the chi-square of the gaps of all clicked points together.
+
+        Residuals of each bead against the others, by name, and of the head's radius between the views ("radius").
+        """
         views = [sl.calibrate(self.observations[name], self.told, view=name) for name in VIEWS]
         uv = np.concatenate([self.clicks.wire, self.clicks.landmarks, self.clicks.head[:, None, :2]], axis=1)
         points = sl.reconstruct(views, uv, np.broadcast_to(self.pick_sd_px**2 * np.eye(2), (*uv.shape, 2)))
@@ -78,27 +80,27 @@ class World:
         return said, points.gap_chi2
 
     def change_beads(self, name: str, uv_px: np.ndarray | None = None, ids: tuple[str, ...] | None = None) -> None:
-        """Other pixels or other names for what one view shows."""
+        """Replace pixels or names of one view's beads."""
         seen = self.observations[name]
         self.observations[name] = Observations(
             name, ids or seen.ids, seen.uv_px if uv_px is None else uv_px, seen.covariance_px2
         )
 
     def keep_beads(self, name: str, kept: np.ndarray) -> None:
-        """Only some (N,) bool."""
+        """Keep only some beads (N,) bool."""
         seen = self.observations[name]
         assert seen.covariance_px2 is not None
         ids = tuple(i for i, keep in zip(seen.ids, kept, strict=True) if keep)
         self.observations[name] = Observations(name, ids, seen.uv_px[kept], seen.covariance_px2[kept])
 
     def move_wire(self, view: int, point: int, by_px: np.ndarray) -> None:
-        """One click elsewhere. `point`: 0 entry, 1 end."""
+        """Move one click. `point`: 0 entry, 1 end."""
         wire = self.clicks.wire.copy()
         wire[view, point] += by_px
         self.clicks = replace(self.clicks, wire=wire)
 
     def reclick(self, hip: HipScene, rng: np.random.Generator, **at: HipScene) -> None:
-        """The person clicks on another hip, or on one that moved at the image of a view."""
+        """Click on another hip, or on one that moved at the image of a view."""
         self.clicks = Clicks.on(self.setup, hip, rng, at, noise=self.noise)
 
 
@@ -106,7 +108,7 @@ Change = Callable[[World, np.random.Generator], None]
 
 
 def damage(change: Change, *cause: str) -> Damage:
-    """One class."""
+    """Return the class of one change."""
 
     def make(rng: np.random.Generator) -> Ended:
         again = deepcopy(rng)
@@ -122,10 +124,11 @@ def damage(change: Change, *cause: str) -> Damage:
 
 
 def apart(change: Change, rng: np.random.Generator) -> float:
-    """By how many standard deviations all observations of a damaged world differ together from those of the right one.
+    """Return the difference of all observations of a damaged and the undamaged world, in standard deviations.
 
-    Of worlds without noise: what the best explanation by a sound frame, free focal points and maps, and free points
-    leaves of beads, clicks and circles."""
+    Without noise: the residuals of beads, clicks and circles after fitting focal points, maps and points with a correct
+    frame.
+    """
     again = deepcopy(rng)
     right, wrong = World.draw(rng, noise=False), World.draw(again, noise=False)
     change(wrong, again)
@@ -137,7 +140,7 @@ def apart(change: Change, rng: np.random.Generator) -> float:
 
 
 def nothing(world: World, rng: np.random.Generator) -> None:
-    """As it should be."""
+    """Change nothing."""
 
 
 def _view(rng: np.random.Generator) -> int:
@@ -150,7 +153,7 @@ def _unit(rng: np.random.Generator, size: int) -> np.ndarray:
 
 
 def exchanged_ids(world: World, rng: np.random.Generator) -> None:
-    """One to four pairs of neighbouring beads with each other's names."""
+    """Exchange the names of one to four pairs of neighbouring beads."""
     name = VIEWS[_view(rng)]
     seen = world.observations[name]
     ids = list(seen.ids)
@@ -163,7 +166,7 @@ def exchanged_ids(world: World, rng: np.random.Generator) -> None:
 
 
 def displaced_beads(world: World, rng: np.random.Generator) -> None:
-    """One to ten beads 0.3 to 20 px aside."""
+    """Displace one to ten beads by 0.3 to 20 px."""
     name = VIEWS[_view(rng)]
     uv = world.observations[name].uv_px.copy()
     hit = rng.choice(len(uv), int(rng.integers(1, 11)), replace=False)
@@ -172,7 +175,7 @@ def displaced_beads(world: World, rng: np.random.Generator) -> None:
 
 
 def understated_noise(world: World, rng: np.random.Generator) -> None:
-    """Beads 2 to 8 times noisier than stated, in both views."""
+    """Make beads 2 to 8 times noisier than stated, in both views."""
     factor = rng.uniform(2.0, 8.0) * BEAD_PX
     for name in VIEWS:
         uv = world.observations[name].uv_px
@@ -180,7 +183,7 @@ def understated_noise(world: World, rng: np.random.Generator) -> None:
 
 
 def missing_beads(world: World, rng: np.random.Generator) -> None:
-    """Up to three quarters, at random or all on one side."""
+    """Remove up to three quarters of the beads, at random or on one side."""
     name = VIEWS[_view(rng)]
     uv = world.observations[name].uv_px
     order = rng.random(len(uv)) if rng.random() < 0.5 else uv @ _unit(rng, 2)
@@ -192,12 +195,12 @@ def _lower(uv: np.ndarray, row: float) -> np.ndarray:
 
 
 def torn(world: World, rng: np.random.Generator) -> None:
-    """All below a row through the wire, beads and clicks, 1 to 40 px aside."""
+    """Shift all beads and clicks below a row through the wire by 1 to 40 px."""
     _torn(world, rng, keep=True)
 
 
 def torn_and_dropped(world: World, rng: np.random.Generator) -> None:
-    """The same, and labelling has dropped the beads below."""
+    """Shift like `torn`, and remove the beads below."""
     _torn(world, rng, keep=False)
 
 
@@ -218,7 +221,7 @@ def _torn(world: World, rng: np.random.Generator, *, keep: bool) -> None:
 
 
 def warped(world: World, rng: np.random.Generator) -> None:
-    """One image sheared, stretched and turned as a whole: the map takes it up."""
+    """Shear, stretch and rotate one image, which the map absorbs."""
     name = VIEWS[_view(rng)]
     matrix = np.eye(2) + rng.uniform(-0.08, 0.08, (2, 2))
 
@@ -230,32 +233,32 @@ def warped(world: World, rng: np.random.Generator) -> None:
 
 
 def entry_for_end(world: World, _: np.random.Generator) -> None:
-    """Entry and end exchanged."""
+    """Exchange entry and end."""
     world.clicks = replace(world.clicks, wire=world.clicks.wire[:, ::-1])
     world.never_go = True
 
 
 def views_exchanged(world: World, _: np.random.Generator) -> None:
-    """The clicks of one image given for the other."""
+    """Exchange the clicks of the images."""
     c = world.clicks
     world.clicks = replace(c, wire=c.wire[::-1], landmarks=c.landmarks[::-1], head=c.head[::-1])
     world.never_go = True
 
 
 def row_column(world: World, _: np.random.Generator) -> None:
-    """(v, u) for (u, v)."""
+    """Give (v, u) instead of (u, v)."""
     c = world.clicks
     head = np.concatenate([c.head[:, 1::-1], c.head[:, 2:]], axis=1)
     world.clicks = replace(c, wire=c.wire[..., ::-1], landmarks=c.landmarks[..., ::-1], head=head)
 
 
 def points_for_views(world: World, _: np.random.Generator) -> None:
-    """(point, view) for (view, point): the shape is the same."""
+    """Give (point, view) instead of (view, point), which has the same shape."""
     world.clicks = replace(world.clicks, wire=world.clicks.wire.swapaxes(0, 1))
 
 
 def _along_curve(world: World, view: int, point: int) -> np.ndarray:
-    """(2,) unit: where the other view's line of sight of entry or end runs in this one."""
+    """Return the unit vector (2,) along the matching curve of entry or end in this view."""
     this, other = (world.setup.views[VIEWS[k]] for k in (view, 1 - view))
     at = world.hip.wire_mm[point]
     ray = (at - other.focal_point_mm) / np.linalg.norm(at - other.focal_point_mm)
@@ -264,7 +267,7 @@ def _along_curve(world: World, view: int, point: int) -> np.ndarray:
 
 
 def one_pick_off(world: World, rng: np.random.Generator) -> None:
-    """5 to 20 px across its curve, and as much at most along it."""
+    """Move one click 5 to 20 px across its matching curve, and at most as much along it."""
     view, point = _view(rng), _view(rng)
     along = _along_curve(world, view, point)
     across = np.array([-along[1], along[0]])
@@ -273,25 +276,25 @@ def one_pick_off(world: World, rng: np.random.Generator) -> None:
 
 
 def one_pick_along(world: World, rng: np.random.Generator) -> None:
-    """5 to 20 px along its curve: no gap shows it."""
+    """Move one click 5 to 20 px along its matching curve, which changes no gap."""
     view, point = _view(rng), _view(rng)
     world.move_wire(view, point, rng.choice([-1, 1]) * rng.uniform(5, 20) * _along_curve(world, view, point))
 
 
 def careless(world: World, rng: np.random.Generator) -> None:
-    """All clicks with 2 to 4 px, 0.5 px stated."""
+    """Give all clicks a noise of 2 to 4 px, with 0.5 px stated."""
     world.clicks = world.clicks.jittered(rng, rng.uniform(2.0, 4.0))
 
 
 def landmark_off(world: World, rng: np.random.Generator) -> None:
-    """A landmark is another point in one image, 8 to 60 px away."""
+    """Move a landmark in one image to another point, 8 to 60 px away."""
     marks = world.clicks.landmarks.copy()
     marks[_view(rng), int(rng.integers(marks.shape[1]))] += rng.uniform(8, 60) * _unit(rng, 2)
     world.clicks = replace(world.clicks, landmarks=marks)
 
 
 def head_off(world: World, rng: np.random.Generator) -> None:
-    """The head's circle 20 to 60 px off or 0.6 to 1.5 times as large in one image: the wire itself stays right."""
+    """Move the head's circle by 20 to 60 px or scale it by 0.6 to 1.5 in one image; the wire stays correct."""
     head = world.clicks.head.copy()
     view = _view(rng)
     if rng.random() < 0.5:
@@ -302,7 +305,7 @@ def head_off(world: World, rng: np.random.Generator) -> None:
 
 
 def wrong_side(world: World, _: np.random.Generator) -> None:
-    """The other hip's side stated."""
+    """State the other hip's side."""
     world.clicks = replace(world.clicks, side="left" if world.clicks.side == "right" else "right")
     world.never_go = True
 
@@ -315,7 +318,7 @@ def _rewired(world: World, rng: np.random.Generator, wire_mm: np.ndarray) -> Non
 
 
 def through_the_joint(world: World, rng: np.random.Generator) -> None:
-    """The tip 3 to 20 mm beyond the head's surface."""
+    """Plan the tip 3 to 20 mm beyond the head's surface."""
     entry, end = world.hip.wire_mm
     along = (end - entry) / np.linalg.norm(end - entry)
     surface = world.hip.head_mm + world.hip.femur.head_radius_mm * along
@@ -323,31 +326,31 @@ def through_the_joint(world: World, rng: np.random.Generator) -> None:
 
 
 def entry_in_the_neck(world: World, rng: np.random.Generator) -> None:
-    """The entry half to three quarters along the wire."""
+    """Plan the entry half to three quarters along the wire."""
     entry, end = world.hip.wire_mm
     _rewired(world, rng, np.stack([entry + rng.uniform(0.5, 0.75) * (end - entry), end]))
 
 
 def mirrored_frame(world: World, _: np.random.Generator) -> None:
-    """The frame's file is left-handed: y has the other sign; the images are then told the same names."""
+    """Make the frame file left-handed: y changes its sign, names stay."""
     world.told = altered(world.told, lambda bead: (bead.xyz_mm[0], -bead.xyz_mm[1], bead.xyz_mm[2]))
 
 
 def scaled_frame(world: World, rng: np.random.Generator) -> None:
-    """The frame's file is wrong by 0.2 to 3 %."""
+    """Scale the frame file by 0.2 to 3 %."""
     factor = 1 + rng.choice([-1, 1]) * rng.uniform(0.002, 0.03)
     world.told = altered(world.told, lambda bead: tuple(factor * c for c in bead.xyz_mm))
 
 
 def shifted_plate(world: World, rng: np.random.Generator) -> None:
-    """One plate 0.2 to 2 mm from where its file says."""
+    """Shift one plate in the frame file by 0.2 to 2 mm."""
     name, plate, by = VIEWS[_view(rng)], str(rng.choice(["xrii", "source"])), rng.uniform(0.2, 2.0) * _unit(rng, 3)
     ids = set(getattr(world.told.view(name), plate).ids)
     world.told = altered(world.told, lambda bead: tuple(np.array(bead.xyz_mm) + (by if bead.id in ids else 0.0)))
 
 
 def altered(frame: Frame, place: Callable[[Fiducial], tuple[float, ...]]) -> Frame:
-    """A frame whose balls are told to be elsewhere."""
+    """Return a frame with its balls moved to `place`."""
 
     def moved(plate):
         return replace(plate, fiducials=tuple(replace(b, xyz_mm=tuple(map(float, place(b)))) for b in plate.fiducials))
@@ -357,13 +360,13 @@ def altered(frame: Frame, place: Callable[[Fiducial], tuple[float, ...]]) -> Fra
 
 
 def moved_patient(world: World, rng: np.random.Generator) -> None:
-    """0.5 to 8 mm between the two images, and up to 3 degrees."""
+    """Move the patient by 0.5 to 8 mm and up to 3° between the two images."""
     turn = Rotation.from_rotvec(np.deg2rad(rng.uniform(0, 3)) * _unit(rng, 3))
     _move(world, rng, rng.uniform(0.5, 8.0) * _unit(rng, 3), turn)
 
 
 def moved_in_plane(world: World, rng: np.random.Generator) -> None:
-    """0.5 to 8 mm in the plane of both beams: the lines of sight go on meeting."""
+    """Move the patient by 0.5 to 8 mm in the plane of both beams, where the lines of sight still intersect."""
     pa, lateral = (world.hip.head_mm - world.setup.views[name].focal_point_mm for name in VIEWS)
     normal = np.cross(pa, lateral)
     across, angle = np.cross(normal, pa), rng.uniform(0.0, 2 * np.pi)

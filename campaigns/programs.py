@@ -1,6 +1,6 @@
-"""Programs that write, for campaigns that cut them short: what was there before, the run, what must be there after.
+"""Programs that write, for campaigns that interrupt them: the state before, the run, and the required state after.
 
-A run is a process of its own, forked from this one, where everything is imported and what is slow is computed already.
+A run is a process forked from this one, in which everything is imported and slow results are already computed.
 """
 
 import atexit
@@ -48,7 +48,7 @@ IMAGES, ENTRIES = 3, 6
 
 @dataclass(frozen=True)
 class Told:
-    """How a process ended, negative for a signal, and what it said."""
+    """Exit code of a process, negative for a signal, and its output."""
 
     code: int
     out: str
@@ -56,7 +56,7 @@ class Told:
 
 
 def in_a_child(work: Work) -> Told:
-    """Run it in a forked process; return when it has ended, and whatever it forked too."""
+    """Run `work` in a forked process; return when it and its children have ended."""
     sys.stdout.flush()
     sys.stderr.flush()
     pipes = [os.pipe(), os.pipe()]
@@ -89,9 +89,11 @@ def _all_of(pipe: int) -> str:
 
 @dataclass
 class Steps:
-    """Counts what a process does to the disk: `file`, operations on files and folders as Python tells them; `journal`,
-    instructions of SQLite's machine. At the step `at` of one `kind`, `act` is called; `refuse` is asked before each
-    operation on a file, and may raise."""
+    """Counts a process's disk operations: `file`, Python's operations on files and folders; `journal`, instructions of
+    SQLite's virtual machine.
+
+    `act` is called at step `at` of one `kind`; `refuse` is called before each operation on a file, and may raise.
+    """
 
     kind: str = ""
     at: int = 0
@@ -101,7 +103,7 @@ class Steps:
     journal: int = 0
 
     def watch(self) -> None:
-        """From here on, for as long as this process lives."""
+        """Start counting, until this process ends."""
         connect, sync = sqlite3.connect, os.fsync
 
         def watched(*args: Any, **options: Any) -> sqlite3.Connection:
@@ -137,27 +139,27 @@ class Steps:
 
 
 class Program(Protocol):
-    """A program that writes into a folder, `place`, which holds nothing else."""
+    """A program that writes into an otherwise empty folder `place`."""
 
     def prepare(self, place: Path) -> None:
-        """What is there before."""
+        """Create the state before the run."""
         ...
 
     def run(self, place: Path) -> int:
-        """The program; its exit code."""
+        """Run the program; return its exit code."""
         ...
 
     def damage(self, place: Path, said: str) -> str:
-        """What is lost or half by now, if the program has said `said`; "" if nothing."""
+        """Return what is lost or incomplete after the program printed `said`; "" if nothing."""
         ...
 
     def missing(self, place: Path) -> str:
-        """What it has not done, if it was not cut short; "" if nothing."""
+        """Return what an uninterrupted run has not done; "" if nothing."""
         ...
 
 
 def command(*words: object) -> int:
-    """A command of Sightline in this process; its exit code."""
+    """Run a command of Sightline in this process; return its exit code."""
     try:
         commands([str(word) for word in words])
     except SystemExit as end:
@@ -166,7 +168,7 @@ def command(*words: object) -> int:
 
 
 def as_command(work: Callable[[], None]) -> int:
-    """Work of the package that no command does alone, with the errors of a command."""
+    """Run a function of the package with a command's error handling; return the exit code."""
     from typer import Exit
 
     try:
@@ -178,7 +180,7 @@ def as_command(work: Callable[[], None]) -> int:
 
 
 def contents(folder: Path) -> dict[str, bytes]:
-    """All files, by their paths in it; of a case only how many entries it has: its names are new each time."""
+    """Return all files by their paths in a folder; of a case only its number of entries, because its names vary."""
     files = sorted(file for file in folder.rglob("*") if file.is_file() and file.parent.name != "originals")
     return {
         str(file.relative_to(folder)): _entries(file) if file.name == JOURNAL else file.read_bytes() for file in files
@@ -195,25 +197,27 @@ def _entries(journal: Path) -> bytes:
 
 @dataclass(frozen=True)
 class Results:
-    """A program that writes results into the folder `out`; `before`: "nothing", "old" results of the same names, or
-    "shared" with a file of somebody else's beside them."""
+    """A program that writes results into the folder `out`.
+
+    `before`: "nothing", "old" results with the same names, or "shared" with another program's file next to them.
+    """
 
     writer: Callable[[], Write]  # computes what is slow, once
     before: str = "old"
 
     def prepare(self, place: Path) -> None:
-        """Old results."""
+        """Write old results."""
         for name, data in self._old.items():
             file = place / "out" / name
             file.parent.mkdir(parents=True, exist_ok=True)
             file.write_bytes(data)
 
     def run(self, place: Path) -> int:
-        """Write new ones."""
+        """Write new results."""
         return self.writer()(place / "out")
 
     def damage(self, place: Path, said: str) -> str:
-        """Whole or old; in a shared folder a part of one, as `whole_folder` promises. What is told to be written is."""
+        """Check for old or complete results (in a shared folder a part of one is allowed), and for reported files."""
         found, old, new = contents(place / "out"), self._old, self._new
         ours = {name: data for name, data in found.items() if name in new}
         if self.before == "shared" and found.get("mine.txt") != b"mine":
@@ -227,7 +231,7 @@ class Results:
         return "the folder is neither old nor whole"
 
     def missing(self, place: Path) -> str:
-        """All of it is new."""
+        """Check that all results are new."""
         found = contents(place / "out")
         return "" if all(found.get(name) == data for name, data in self._new.items()) else "the new results"
 
@@ -245,7 +249,7 @@ class Results:
 
 @cache
 def _results_of(writer: Callable[[], Write]) -> Files:
-    """What a run that nothing cuts short leaves."""
+    """Return the results of an uninterrupted run."""
     write = writer()
     with TemporaryDirectory() as folder:
         told = in_a_child(lambda: write(Path(folder) / "out"))
@@ -254,7 +258,7 @@ def _results_of(writer: Callable[[], Write]) -> Files:
 
 
 def computed(*words: str) -> Write:
-    """A command that reads the beads of a procedure and writes a folder; what it writes is computed once, here."""
+    """Return a writer of the results of a command on a procedure's beads, which are computed once, here."""
     documents: dict[str, bytes] = {}
 
     def keep(_: Path, given: Files) -> list[Path]:
@@ -278,7 +282,7 @@ def computed(*words: str) -> Write:
 
 
 def _told(clicks: Clicks) -> tuple[str, ...]:
-    """The arguments of `sightline plan`."""
+    """Return the arguments of `sightline plan`."""
 
     def both(uv: np.ndarray) -> str:
         rows = zip(VIEWS, uv, strict=True)
@@ -291,19 +295,19 @@ def _told(clicks: Clicks) -> tuple[str, ...]:
 
 @cache
 def plan() -> Write:
-    """`sightline plan --out`."""
+    """Return the writer of `sightline plan --out`."""
     return computed("plan")
 
 
 @cache
 def views() -> Write:
-    """`sightline export views`."""
+    """Return the writer of `sightline export views`."""
     return computed("export", "views", "--to", "opencv,rtk,xreg")
 
 
 @cache
 def simulated() -> Write:
-    """`sightline simulate`, without the rendering."""
+    """Return the writer of `sightline simulate`, without rendering."""
 
     def write(out: Path) -> int:
         with patch.object(twin, "render", lambda setup, view, *_: _image(view)):
@@ -320,7 +324,7 @@ def _image(seed: str | int) -> Radiograph:
 
 @cache
 def demonstrated() -> Write:
-    """`sightline demo`; what it computes is computed once, here."""
+    """Return the writer of `sightline demo`, whose results are computed once, here."""
     computed = Path(mkdtemp(prefix="sightline-campaign-"))
     atexit.register(rmtree, computed, ignore_errors=True)
     record, results = demo.record, demo._write_results
@@ -348,7 +352,7 @@ def demonstrated() -> Write:
 
 @cache
 def frame_file() -> Write:
-    """One file."""
+    """Return the writer of a single file."""
     frame = Frame.load("gamma")
 
     def write(out: Path) -> int:
@@ -360,13 +364,13 @@ def frame_file() -> Write:
 
 @dataclass(frozen=True)
 class Journal:
-    """A program that appends to the case in `case`; what it acknowledges is a line "entry N: kept, HASH"."""
+    """A program that appends to the case in `case`, and acknowledges by lines "entry N: kept, HASH"."""
 
     write: Write
     before: str = "nothing"  # or "case", or one of "schema 0"
 
     def prepare(self, place: Path) -> None:
-        """A case, and images beside it."""
+        """Create a case, and images next to it."""
         (place / "images").mkdir()
         for number in range(IMAGES):
             write_png(_image(number), place / "images" / f"{number}.png")
@@ -381,11 +385,11 @@ class Journal:
                 db.executescript(SCHEMA_0.read_text("utf-8"))
 
     def run(self, place: Path) -> int:
-        """Append."""
+        """Append to the case."""
         return self.write(place)
 
     def damage(self, place: Path, said: str) -> str:
-        """What was there and what was acknowledged is there, and the case is whole."""
+        """Check that earlier and acknowledged entries are there, and that the case is intact."""
         acknowledged = {int(n): name for n, name in re.findall(r"^entry (\d+): kept, (\w+)$", said, re.MULTILINE)}
         before = {"nothing": 0, "case": ENTRIES, "schema 0": 3}[self.before]
         try:
@@ -403,7 +407,7 @@ class Journal:
         return ""
 
     def missing(self, place: Path) -> str:
-        """Each image is there, once."""
+        """Check that each image is there, once."""
         with Case.open(place / "case") as case:
             held = [one.content["original"] for one in case.entries(Kind.ACQUIRED) if "pixels_sha256" in one.content]
             edits = len(case.entries(Kind.CHANGED))
@@ -417,12 +421,12 @@ def _shortly(one: Entry) -> str:
 
 
 def acquire(place: Path) -> int:
-    """`sightline acquire folder`."""
+    """Run `sightline acquire folder`."""
     return command("acquire", "folder", place / "images", "--case", place / "case")
 
 
 def acquire_beside_another(place: Path) -> int:
-    """The same, while another process does the same."""
+    """Run `acquire` while another process does the same."""
     other = os.fork()
     if other == 0:
         os._exit(acquire(place))
@@ -431,7 +435,7 @@ def acquire_beside_another(place: Path) -> int:
 
 
 def watch(place: Path) -> int:
-    """`sightline acquire folder --watch`, until there has been nothing new three times; one image comes late."""
+    """Run `sightline acquire folder --watch` for three polls without news; one image arrives late."""
     looks = iter(range(3))
 
     def pause(_: float) -> None:
@@ -446,7 +450,7 @@ def watch(place: Path) -> int:
 
 
 def append(place: Path) -> int:
-    """Edits, as the app records them."""
+    """Record edits, as the app does."""
 
     def work() -> None:
         with Case.create(place / "case", exist_ok=True) as case:
@@ -459,13 +463,13 @@ def append(place: Path) -> int:
 
 @dataclass(frozen=True)
 class Trials:
-    """The finished trials of a study."""
+    """A study that records finished trials."""
 
     def prepare(self, place: Path) -> None:
-        """None."""
+        """Nothing is there before."""
 
     def run(self, place: Path) -> int:
-        """Keep what is not kept, one after another."""
+        """Record the missing trials one by one."""
 
         def work() -> None:
             record = Record.open(place / "study", {"study": "one"})
@@ -477,7 +481,7 @@ class Trials:
         return as_command(work)
 
     def damage(self, place: Path, said: str) -> str:
-        """What was acknowledged is there."""
+        """Check that acknowledged trials are there."""
         try:
             found = Record.open(place / "study", {"study": "one"}).finished
         except SightlineError as error:
@@ -486,7 +490,7 @@ class Trials:
         return f"trials {', '.join(lost)} are lost" if lost else ""
 
     def missing(self, place: Path) -> str:
-        """All are there."""
+        """Check that all trials are there."""
         return "" if len(Record.open(place / "study", {"study": "one"}).finished) == ENTRIES else "trials"
 
 
@@ -510,7 +514,7 @@ PROGRAMS: dict[str, Program] = {
 
 @contextmanager
 def place_for(program: Program) -> Iterator[Path]:
-    """A folder in which it is about to run; nobody else's, whoever runs it."""
+    """Yield a private folder, prepared for a run."""
     with TemporaryDirectory(prefix="sightline-campaign-") as folder:
         place = Path(folder)
         place.chmod(0o755)
@@ -520,10 +524,10 @@ def place_for(program: Program) -> Iterator[Path]:
 
 @cache
 def extent(name: str) -> dict[str, int]:
-    """How many steps of each kind a program takes, and the largest file that it leaves, in bytes."""
+    """Return the number of a program's steps of each kind, and the size of its largest file, bytes."""
     program = PROGRAMS[name]
     with place_for(program) as place, redirect_stdout(StringIO()), redirect_stderr(StringIO()):
-        program.run(place)  # once here: what it imports is not for each child to import
+        program.run(place)  # once in this process, so that children need not import again
     with place_for(program) as place:
 
         def counted() -> int:
@@ -541,7 +545,7 @@ def extent(name: str) -> dict[str, int]:
 
 
 def not_finished(program: Program, place: Path) -> str:
-    """Run it once more, to its end: "" or what is wrong then. Whatever cut it short before, it must work now."""
+    """Run the program again without interruption; return what is wrong, or ""."""
     told = in_a_child(lambda: program.run(place))
     if told.code != 0:
         return f"the next run fails: {(told.err or told.out).strip().splitlines()[-1:]}"

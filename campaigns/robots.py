@@ -1,7 +1,7 @@
-"""Clients and hardware that do not behave: the arm moves only where it may, stops when it is told, and always answers.
+"""Faulty clients and hardware: the arm must move only where it may, stop when told, and always answer.
 
-The robot's controller and its side of the talk, without a link: time is simulated, so that nothing depends on the
-machine. What a robot may do wrong to our client is in the tests of the conformance test.
+The robot's controller and its dialogue, without a link; time is simulated, so that nothing depends on the machine.
+Faults of a robot towards our client are covered by the tests of the conformance test.
 """
 
 from collections.abc import Callable
@@ -18,16 +18,16 @@ from sightline.robot.igtl import Capability, Message, String, Transform, encode
 from sightline.robot.kinematics.manipulator import FEED
 from sightline.robot.plant import CYCLE_S, PlantFlag, Reading
 
-STILL = 0.02  # of a joint's full speed: what an arm at rest may show
-STOPS_S = 0.3  # from full speed to rest, by the joints' accelerations, and then some
-BEYOND_MM = 0.3  # what feed error and braking may add to a depth limit
+STILL = 0.02  # of a joint's full speed: limit of an arm at rest
+STOPS_S = 0.3  # from full speed to rest at the joints' accelerations, with a margin
+BEYOND_MM = 0.3  # allowed beyond a depth limit for feed error and braking
 STATES = tuple(State)
 TEXTS = (*(cause.value for cause in COMMANDS), "stop", "STOP ", "DANCE", "", "DRILL" * 40)
 NUMBERS = ("nan", "inf", "-1", "0", "1e9", "1e308", "0.035", "", "sixty")
 
 
 class Faulty(IdealPlant):
-    """A plant whose readings go wrong from some moment on."""
+    """A plant whose readings are wrong from some moment on."""
 
     def __init__(self, spoil: Callable[[Reading, Reading], Reading], after_s: float) -> None:
         super().__init__()
@@ -35,7 +35,7 @@ class Faulty(IdealPlant):
         self.last: Reading | None = None
 
     def read(self) -> Reading:
-        """As it is, until it is spoilt."""
+        """Return the true reading, from `after_s` on a damaged one."""
         now = super().read()
         if self.last is None or now.time_s < self.after_s:
             self.last = now
@@ -45,7 +45,7 @@ class Faulty(IdealPlant):
 
 @dataclass
 class Witness:
-    """Watches a rig while time passes: `unsafe` tells what it saw first."""
+    """Watches a rig while time passes; `unsafe` is the first violation seen."""
 
     rig: Rig
     unsafe: str = ""
@@ -56,13 +56,13 @@ class Witness:
         self.still_since_s = self.rig.now_s
 
     def run(self, seconds: float) -> None:
-        """Let time pass, a cycle at a time."""
+        """Advance the time cycle by cycle, checking in each."""
         for _ in range(max(1, round(seconds / CYCLE_S))):
             self.rig.run(CYCLE_S)
             self.look()
 
     def look(self) -> None:
-        """Does it move where it may not? The truth is the plant's, not what its readings say."""
+        """Check for forbidden motion, from the plant's true state rather than its readings."""
         now, plant = self.rig.now_s, self.rig.plant
         moves = float(np.max(np.abs(plant.velocity) / ROBOT.manipulator.speed)) > STILL
         if self.rig.state in MOVING:
@@ -83,11 +83,11 @@ class Witness:
                 self.say("it drills aside of its line")
 
     def say(self, what: str) -> None:
-        """The first counts."""
+        """Record a violation; the first is kept."""
         self.unsafe = self.unsafe or what
 
     def send(self, name: str, body, client: int = CLIENT, **header) -> list[Message]:
-        """A message, which must be answered if it is a command."""
+        """Send a message and return the answers; a command must be answered."""
         said = self.rig.send(name, body, client, **header)
         if name.startswith("CMD_") and not any(one.device_name.startswith("ACK_") for one in said):
             self.say("a command without an answer")
@@ -99,7 +99,7 @@ class Witness:
 
     @property
     def ended(self) -> Ended:
-        """Whether all was well."""
+        """How the try ended."""
         return Ended("unsafe", self.unsafe) if self.unsafe else Ended("right")
 
 
@@ -107,7 +107,7 @@ Play = Callable[[Witness, np.random.Generator], None]
 
 
 def play(one: Play) -> Damage:
-    """One class: a robot in any state, and then."""
+    """Return the class of one scenario, played from any state of the robot."""
 
     def make(rng: np.random.Generator) -> Ended:
         witness = Witness(Rig.at(STATES[int(rng.integers(len(STATES)))]))
@@ -131,7 +131,7 @@ def _pose(rng: np.random.Generator) -> RigidTransform:
 
 
 def commands(witness: Witness, rng: np.random.Generator, clients: tuple[int, ...] = (CLIENT,)) -> None:
-    """Any commands, targets and registrations in any order, at any pace."""
+    """Send any commands, targets and registrations in any order, at any pace."""
     for _ in range(25):
         client = int(rng.choice(clients))
         kind = rng.random()
@@ -148,12 +148,12 @@ def commands(witness: Witness, rng: np.random.Generator, clients: tuple[int, ...
 
 
 def several_clients(witness: Witness, rng: np.random.Generator) -> None:
-    """The same by four clients at once."""
+    """Send `commands` from four clients at once."""
     commands(witness, rng, (CLIENT, 2, 3, 4))
 
 
 def spoilt_bytes(witness: Witness, rng: np.random.Generator) -> None:
-    """Whole messages with bytes changed, in pieces."""
+    """Send messages with changed bytes, in pieces."""
     for _ in range(15):
         name, body = _command(rng)
         data = bytearray(encode(Message(body, name)) + encode(Message(Transform.of(_pose(rng)), "TGT_1")))
@@ -165,7 +165,7 @@ def spoilt_bytes(witness: Witness, rng: np.random.Generator) -> None:
 
 
 def numbers_in_transforms(witness: Witness, rng: np.random.Generator) -> None:
-    """Matrices with numbers that no pose has."""
+    """Send matrices with numbers that no pose has."""
     for _ in range(15):
         matrix = wire().as_matrix()
         matrix[rng.integers(3), rng.integers(4)] = rng.choice([np.nan, np.inf, -np.inf, 1e30, 0.0, -1.0])
@@ -177,7 +177,7 @@ def numbers_in_transforms(witness: Witness, rng: np.random.Generator) -> None:
 
 
 def stops(witness: Witness, rng: np.random.Generator) -> None:
-    """A stop at any moment, by anybody, with more commands right after it."""
+    """Send a stop at any moment, from any client, followed by more commands."""
     witness.run(float(rng.uniform(0.0, 3.0)))
     witness.send(
         f"CMD_{rng.integers(9)}", String(str(rng.choice(["STOP", "EMERGENCY"]))), client=int(rng.integers(1, 5))
@@ -188,7 +188,7 @@ def stops(witness: Witness, rng: np.random.Generator) -> None:
 
 
 def lost_client(witness: Witness, rng: np.random.Generator) -> None:
-    """The client promises heartbeats and falls silent, or its connection ends."""
+    """Promise heartbeats, then fall silent or disconnect."""
     witness.send("caps", Capability(("X_HEARTBEAT",)))
     witness.run(float(rng.uniform(0.0, 1.0)))
     if rng.random() < 0.5:
@@ -200,7 +200,7 @@ def lost_client(witness: Witness, rng: np.random.Generator) -> None:
 
 
 def clock(witness: Witness, rng: np.random.Generator) -> None:
-    """The clock leaps by minutes or days, or back."""
+    """Let the clock jump by minutes or days, forward or back."""
     for _ in range(6):
         witness.rig.now_s += float(rng.choice([-86_400.0, -60.0, -1.0, 30.0, 900.0, 86_400.0]))
         witness.still_since_s = witness.rig.now_s
@@ -223,7 +223,7 @@ SPOILT: dict[str, Callable[[Reading, Reading], Reading]] = {
 
 
 def hardware(spoil: Callable[[Reading, Reading], Reading]) -> Damage:
-    """One class: sensors that fail while the arm moves: within a second it must stand."""
+    """Return the class of sensors that fail while the arm moves: it must stand within a second."""
 
     def make(rng: np.random.Generator) -> Ended:
         state = MOVING[int(rng.integers(len(MOVING)))]

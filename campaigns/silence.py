@@ -1,9 +1,8 @@
-"""Dry runs and drillings while all cores are busy with other work: `python -m campaigns.silence`. None may be ended by
-the client's silence.
+"""Dry runs and drillings with all cores busy: `python -m campaigns.silence`. None may end because of a silent client.
 
-Each dry run is that of `sightline robot check`, which also asks that true silence stops the wire; each drilling goes
-through air to the tip. The robot is a process of its own. Finished runs are kept; the same command goes on where it
-stopped.
+Each dry run is that of `sightline robot check`, which also requires that real silence stops the wire; each drilling
+goes through air to the tip. The robot is a separate process. Finished runs are kept; the same command resumes a stopped
+run.
 """
 
 import argparse
@@ -26,12 +25,12 @@ from sightline.robot.link.client import RobotClient
 from sightline.robot.link.conformance.examination import ConformanceVerdict, Examination
 
 DRY_RUNS, DRILLINGS = 500, 100
-AHEAD_MM = 125.0  # the end of a bare target, whose wire is 95 mm: its entry lies 30 mm ahead
+AHEAD_MM = 125.0  # to the end of a bare target, whose wire is 95 mm: its entry is 30 mm ahead
 
 
 @contextmanager
 def robot_in_air() -> Iterator[int]:
-    """The port of a simulated robot, a process of its own."""
+    """Yield the port of a simulated robot in a separate process."""
     command = [sys.executable, "-m", "sightline", "robot", "serve", "--attached", "--port", "0", "--quiet"]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as process:
         assert process.stdin is not None and process.stdout is not None
@@ -40,14 +39,14 @@ def robot_in_air() -> Iterator[int]:
 
 
 def dry_run(port: int) -> str:
-    """'' or what went wrong."""
+    """Return what went wrong, or ''."""
     with Examination("127.0.0.1", port) as robot:
         bad = [f"{one.name}: {one.seen}" for one in robot.dry_run() if one.verdict is not ConformanceVerdict.PASSED]
     return "; ".join(bad)
 
 
 def drilling(port: int) -> str:
-    """'' or what went wrong."""
+    """Return what went wrong, or ''."""
     with RobotClient(port=port) as robot:
         robot.start_up()
         q = robot.joints()[0]
@@ -64,7 +63,7 @@ def drilling(port: int) -> str:
 
 
 def ended(what: str, port: int) -> str:
-    """How a run ended: "done", "silence", or the reason."""
+    """Return how a run ended: "done", "silence", or the reason."""
     try:
         wrong = dry_run(port) if what == "dry run" else drilling(port)
     except SightlineError as error:
@@ -73,7 +72,7 @@ def ended(what: str, port: int) -> str:
 
 
 def main() -> int:
-    """Run what is not finished; 1 if silence ended one that was not silent."""
+    """Run what is not finished; return 1 if a run ended by a false silence."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--dry-runs", type=int, default=DRY_RUNS)
     parser.add_argument("--drillings", type=int, default=DRILLINGS)
@@ -86,7 +85,7 @@ def main() -> int:
     with busy_cores():
         for what, number in asked.items():
             for _ in range(number - sum(one["what"] == what for one in told)):
-                with robot_in_air() as port:  # anew: each run leaves the arm elsewhere
+                with robot_in_air() as port:  # a new one, because each run leaves the arm elsewhere
                     told.append({"what": what, "ended": ended(what, port)})
                 with options.out.open("a") as out:
                     out.write(json.dumps(told[-1]) + "\n")

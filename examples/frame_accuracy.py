@@ -1,8 +1,8 @@
-"""How accurate a wire is with your frame: `python frame_accuracy.py FRAME [SET_UPS]`; without a frame a table.
+"""Estimate the accuracy of a wire with your frame: `python frame_accuracy.py [FRAME [SET_UPS]]`.
 
-For each frame it draws set-ups of the digital twin: another C-arm pose, distortion and frame of these tolerances each
-time. Both ends of a 97 mm wire are then picked, and their errors are compared with the stated 95 % bound. With a frame
-file the tolerances of the file are used; without, those of docs/your-first-frame.md.
+For each frame it draws set-ups of the digital twin, each with its own C-arm pose, distortion and frame errors. Both
+ends of a 97 mm wire are picked, and their errors are compared with the stated 95 % bound. With a frame file, its
+tolerances are used; without one, a table for those of docs/your-first-frame.md is printed.
 """
 
 import sys
@@ -51,7 +51,7 @@ def main(named: str = "", set_ups: str = "200") -> None:
 
 
 def ends_of(frame: Frame, rng: np.random.Generator) -> dict[str, list[tuple[float, float]]]:
-    """Error and stated 95 % bound of entry and end, mm, for each kind of pick that was not refused."""
+    """Return error and stated 95 % bound of entry and end, mm, for each kind of pick that was not refused."""
     setup = draw_showing(rng, frame, WIRE_MM)
     views = [sl.calibrate(seen(setup, name, rng), frame) for name in VIEWS]
     pixels = np.array([setup.views[name].project(WIRE_MM) for name in VIEWS])
@@ -61,13 +61,13 @@ def ends_of(frame: Frame, rng: np.random.Generator) -> dict[str, list[tuple[floa
         picks = pixels + sd_px * noise
         wire = sl.plan(views, picks[:, 0], picks[:, 1], pick_sd_px=sd_px, kind="free-wire").trajectory
         errors = np.linalg.norm([wire.entry_mm - WIRE_MM[0], wire.end_mm - WIRE_MM[1]], axis=1)
-        with suppress(sl.SightlineError):  # no error is stated where the lines of sight do not meet
+        with suppress(sl.SightlineError):  # no error is stated where the lines of sight do not intersect
             found[what] = list(zip(errors.tolist(), (wire.entry_error_95_mm, wire.end_error_95_mm), strict=True))
     return found
 
 
 def seen(setup: SetUp, view: str, rng: np.random.Generator) -> Observations:
-    """Beads of a view as they would be measured: labelled, each with its covariance."""
+    """Return the beads of a view as measured: labelled, each with its covariance."""
     ids, uv_px = bead_images(setup, view, rng, BEAD_PX)
     return Observations(view, ids, uv_px, np.broadcast_to(BEAD_PX**2 * np.eye(2), (len(ids), 2, 2)))
 

@@ -1,4 +1,4 @@
-"""Plan a wire from beads that were found and told apart elsewhere: `python plan_from_csv.py observations.csv`.
+"""Plan a wire from beads labelled by other software: `python plan_from_csv.py observations.csv`.
 
 The schema is in docs/observations-csv.md; `sightline demo` writes such a file to out/demo/.
 """
@@ -22,7 +22,7 @@ def main(path: str) -> None:
     made = plan(views, entry_px, end_px, snapped=True, kind=kind("free-wire"))
     wire = made.trajectory
     print("GO" if made.verdict.go else "NO-GO")
-    for check in failed(made.verdict.checks):  # snapped picks alone do not tell whether the patient moved
+    for check in failed(made.verdict.checks):  # snapped picks alone do not show whether the patient moved
         print(f"  {check.name}: {check.sentence}")
     print("entry, mm:", wire.entry_mm.round(2), "within", round(wire.entry_error_95_mm, 2), "(95 %)")
     print("tip, mm:  ", wire.end_mm.round(2), "within", round(wire.end_error_95_mm, 2), "(95 %)")
@@ -31,7 +31,7 @@ def main(path: str) -> None:
 
 
 def pair_of_picks(views: list[sl.CalibratedView], pa_px: list[float]) -> np.ndarray:
-    """A PA pick, and 300 mm along its line of sight the point that a person would click in the lateral image."""
+    """Return a PA pick and its point in the lateral image, 300 mm along the line of sight."""
     curve = matching_curve(views[0], np.array(pa_px), views[1])
     return np.array([pa_px, curve.uv_px[np.argmin(np.abs(curve.depth_mm - 300.0))]])
 

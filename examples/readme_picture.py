@@ -1,5 +1,6 @@
-"""Draw the picture of the README from what `sightline demo` made:
-`python examples/readme_picture.py out/demo docs/pictures/plan.svg`.
+"""Draw the picture of the README from the results of `sightline demo`.
+
+`python examples/readme_picture.py out/demo docs/pictures/plan.svg`
 """
 
 import base64
@@ -19,11 +20,11 @@ from sightline.detection.files import read_observations
 from sightline.planning import Plan, kind, plan
 
 SIDE, GAP = 1024, 24
-SHOWN = 560  # pixels of the embedded image: sharp at half size, and small
+SHOWN = 560  # px of the embedded image: a small file, sharp at half size
 
 
 def picture(folder: Path) -> str:
-    """Both images side by side with beads by residual, matching curves, and the wire between the true points."""
+    """Return both images side by side with beads by residual, matching curves, and the wire between the true points."""
     frame = sl.Frame.load("gamma")
     seen = read_observations(folder / "observations.csv")
     truth = json.loads((folder / "truth.json").read_text())["views"]

@@ -1,7 +1,7 @@
-"""Draws docs/pictures/frame-assembly.svg, the Γ frame put together: python tools/draw_frame_assembly.py FILE.
+"""Draw docs/pictures/frame-assembly.svg, the assembled Γ frame: `python tools/draw_frame_assembly.py FILE`.
 
-Places of plates and balls come from the built-in frame, the plate from its workshop drawing; arms and clearances are
-our own choice (docs/your-first-frame.md).
+Positions of plates and balls come from the built-in frame, the plate from its workshop drawing; arms and clearances are
+our choice (docs/your-first-frame.md).
 """
 
 import sys
@@ -30,7 +30,7 @@ def main(file: str) -> None:
 
 
 def assembly(axes: Axes) -> None:
-    """The frame seen along Y, from the feet of a right hip's patient."""
+    """Draw the frame along Y, seen from the feet of a patient with a right hip."""
     axes.set_title("Γ frame, seen along the patient (mm)")
     axes.add_patch(Circle((0, 0), THIGH_MM, facecolor="#f4e3d7", edgecolor="#d9b89f"))
     axes.plot(0, 0, "+", color="black")
@@ -73,7 +73,7 @@ def assembly(axes: Axes) -> None:
 
 
 def section(axes: Axes) -> None:
-    """A bore of a plate with its ball, ten times as large."""
+    """Draw a section of a plate's bore with its ball."""
     axes.set_title("a bore for a 3 mm ball, section (mm)")
     axes.add_patch(Rectangle((-9, 0), 18, PLATE_MM, facecolor="#cfe0f3", edgecolor=BLUE))
     axes.add_patch(Rectangle((-1.5, 2.5), 3, 5.6, facecolor="white", edgecolor="white"))
@@ -99,7 +99,7 @@ def section(axes: Axes) -> None:
 
 
 def arrow(colour: str) -> dict[str, object]:
-    """A thin arrow."""
+    """Return the style of a thin arrow."""
     return {"arrowstyle": "-", "color": colour, "lw": 0.7}
 
 

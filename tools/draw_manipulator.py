@@ -1,4 +1,4 @@
-"""Draws docs/pictures/manipulator.svg from the manipulator's own data: python tools/draw_manipulator.py FILE."""
+"""Draw docs/pictures/manipulator.svg from the manipulator's data: `python tools/draw_manipulator.py FILE`."""
 
 import sys
 
@@ -12,7 +12,7 @@ from scipy.spatial import ConvexHull
 from sightline.robot.kinematics.manipulator import LIFT, PITCH, TRAVERSE, WRIST_MM, YAW, nominal_manipulator
 from sightline.robot.kinematics.reach import MACHINE, PLATES_MM, Obstacle, hip_surroundings
 
-# Title, axes shown, limits of the second, and where labels stand beside what they name (points).
+# Title, axes shown, limits of the second one, and offsets of the joints' labels (points).
 VIEWS = (
     ("from above", (0, 1), (-260, 560), {LIFT: (-30, -58), TRAVERSE: (4, 2), YAW: (24, -4), PITCH: (4, -4)}),
     ("from the side", (0, 2), (-150, 670), {LIFT: (3, 2), TRAVERSE: (-40, -42), YAW: (3, 10), PITCH: (4, 4)}),
@@ -31,26 +31,26 @@ Place = tuple[int, int]
 
 
 def outline(axes: Axes, xyz: np.ndarray, show: Place, **style) -> None:
-    """The convex hull of points (N, 3), projected."""
+    """Draw the convex hull of points (N, 3), projected."""
     flat = xyz[:, show]
     axes.add_patch(Polygon(flat[ConvexHull(flat).vertices], closed=True, **style))
 
 
 def sphere(radius: float) -> np.ndarray:
-    """(N, 3): three great circles."""
+    """Return points (N, 3) on three great circles."""
     angle = np.linspace(0, 2 * np.pi, 48)
     ring = radius * np.stack([np.cos(angle), np.sin(angle), np.zeros(48)], axis=1)
     return np.concatenate([ring, ring[:, [0, 2, 1]], ring[:, [2, 0, 1]]])
 
 
 def box(obstacle: Obstacle) -> np.ndarray:
-    """(8, 3) MCS: its corners."""
+    """Return the corners (8, 3) of an obstacle, MCS."""
     corners = np.stack(np.meshgrid(*[[-1.0, 1.0]] * 3), axis=-1).reshape(-1, 3)
     return obstacle.T_mcs_box.apply(corners * obstacle.half_mm)
 
 
 def draw(axes: Axes, show: Place, q: np.ndarray) -> None:
-    """Robot, wire, frame and what stands around them at q (5,)."""
+    """Draw robot, wire, frame and surroundings at joint values q (5,)."""
     robot = nominal_manipulator()
     frame = robot.T_mcs_cfcs(q)
     theatre = hip_surroundings(frame)
@@ -77,7 +77,7 @@ def draw(axes: Axes, show: Place, q: np.ndarray) -> None:
 
 
 def joints(axes: Axes, show: Place, q: np.ndarray, offsets: dict[int, Place]) -> None:
-    """The axes of the joints, with their names and limits, and those of MCS."""
+    """Draw the axes of the joints, with names and limits, and those of MCS."""
     robot = nominal_manipulator()
     wrist = np.array(WRIST_MM)
     names = {LIFT: "q1 lift ±100 mm", TRAVERSE: "q2 traverse ±100 mm", YAW: "q3 yaw ±60°", PITCH: "q4 pitch ±45°"}
@@ -90,7 +90,7 @@ def joints(axes: Axes, show: Place, q: np.ndarray, offsets: dict[int, Place]) ->
         reach = 0 if np.hypot(*flat) < 0.1 else 130
         if reach:
             axes.annotate("", at + reach * flat, at - reach * flat, arrowprops=style)
-        else:  # towards the reader
+        else:  # towards the viewer
             axes.plot(*at, "o", color=BLUE, ms=6, mfc="white")
             axes.plot(*at, ".", color=BLUE, ms=3)
         axes.annotate(name, at + reach * flat, offsets[joint], textcoords="offset points", color=BLUE, fontsize=8)
@@ -108,7 +108,7 @@ def joints(axes: Axes, show: Place, q: np.ndarray, offsets: dict[int, Place]) ->
 
 
 def main() -> None:
-    """Both views beside each other, the wire at the end of its feed."""
+    """Draw both views side by side, with the wire advanced to 198 mm."""
     mpl.rcParams["svg.hashsalt"] = "manipulator"
     figure, both = plt.subplots(1, 2, figsize=(11.5, 5.0), layout="constrained")
     q = np.array([0.0, 0.0, np.deg2rad(45.0), 0.0, 198.0])

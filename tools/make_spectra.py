@@ -1,8 +1,8 @@
-"""Compute src/sightline/twin/spectra.json: tungsten spectra, and what materials attenuate of them.
+"""Compute src/sightline/twin/spectra.json: tungsten spectra and the attenuation of materials.
 
-Needs spekpy 2.5 (MIT, 208 MB of tables) and xraydb 4.5 (MIT), which the package itself does not:
-`pip install --group tables`, then `python tools/make_spectra.py`. Bins of 5 keV; within each, energy and attenuation
-are means over its photons.
+Needs spekpy 2.5 (MIT, 208 MB of tables) and xraydb 4.5 (MIT), which the package does not need:
+`pip install --group tables`, then `python tools/make_spectra.py`. Bins of 5 keV; energy and attenuation of each are
+means over its photons.
 """
 
 import json
@@ -16,10 +16,10 @@ OUT = Path(__file__).parents[1] / "src" / "sightline" / "twin" / "spectra.json"
 BIN_KEV = 5.0
 ANODE_DEG = 12.0  # [mem]
 SPECTRA = {  # kVp, filters in mm
-    "70kVp-3Al": (70.0, {"Al": 3.0}),  # [mem] the least that a C-arm has
+    "70kVp-3Al": (70.0, {"Al": 3.0}),  # [mem] the minimum filtration of a C-arm
     "70kVp-3Al-0.1Cu": (70.0, {"Al": 3.0, "Cu": 0.1}),  # [mem] a modern C-arm
 }
-# Shares by mass and g/cm³; the same that the table of beam.py was computed from: bone and tissue of ICRU [mem].
+# Shares by mass and g/cm³, as for the table in beam.py: bone and tissue of ICRU [mem].
 MATERIALS = {
     "steel": ({"Fe": 0.655, "Cr": 0.17, "Ni": 0.12, "Mo": 0.025, "Mn": 0.02, "Si": 0.01}, 8.0),
     "bone": (
@@ -59,21 +59,21 @@ MATERIALS = {
 
 
 def per_cm(material: str, kev: np.ndarray) -> np.ndarray:
-    """(N,) 1/cm at energies (N,)."""
+    """Return the attenuation (N,), 1/cm, at energies (N,), keV."""
     shares, density = MATERIALS[material]
     formula = "".join(f"{element}{share / xraydb.atomic_mass(element):.6f}" for element, share in shares.items())
     return xraydb.material_mu(formula, 1000 * kev, density=density)
 
 
 def binned(kvp: float, filters: dict[str, float]) -> dict:
-    """One spectrum: mean energies, shares of the photons, 1/cm of every material."""
+    """Return one spectrum: mean energies, shares of the photons, 1/cm of every material."""
     beam = spekpy.Spek(kvp=kvp, th=ANODE_DEG, dk=0.5)
     for element, mm in filters.items():
         beam.filter(element, mm)
     kev, photons = beam.get_spectrum(edges=False)
     which = np.floor(kev / BIN_KEV).astype(int)
     share = np.bincount(which, photons)
-    kept = share > 1e-3 * share.sum()  # the rest is a thousandth each
+    kept = share > 1e-3 * share.sum()  # each other bin has less than a thousandth
 
     def mean(values: np.ndarray) -> list[float]:
         return [round(float(x), 5) for x in (np.bincount(which, photons * values)[kept] / share[kept])]

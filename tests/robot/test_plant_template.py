@@ -29,7 +29,7 @@ class Driven:
     def advance(self, dt_s: float) -> None:
         self.clock_s += dt_s
         if self.turns:
-            self.plant.turn()
+            self.plant.cycle()
 
     def read(self) -> Reading:
         return self.plant.read()
