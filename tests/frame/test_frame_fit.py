@@ -161,7 +161,7 @@ def test_other_units_are_told(scale, unit):
 def test_another_frame_is_refused():
     rng = np.random.default_rng(11)
     shuffled = exchanged(measured(made(rng), rng), dict(zip(IDS, rng.permutation(IDS).tolist(), strict=True)))
-    with pytest.raises(FrameError, match="not those of this frame"):
+    with pytest.raises(FrameError, match="are those of this frame"):
         fit_frame(FRAME, [shuffled], STILL)
 
 
@@ -191,7 +191,7 @@ def test_of_three_series_the_one_that_errs_is_left_out_and_of_two_neither_is_bel
     assert fitted.adjusted is not None
     assert fitted.adjusted.left_out == (("b", "lx2"),)
     np.testing.assert_allclose(positions(fitted), in_gauge(true), atol=5 * SD_MM)
-    assert "see lx2 at different places" in failing(fit_frame(FRAME, series[:2], STILL))["measured series"]
+    assert "Measure lx2 once more" in failing(fit_frame(FRAME, series[:2], STILL))["measured series"]
 
 
 def test_repeats_show_the_instrument_whether_it_is_stated_or_not():
@@ -297,7 +297,7 @@ def test_what_may_move_before_use_is_added():
 @pytest.mark.parametrize(
     ("told", "words"),
     [
-        ({"use_temperature_c": 20.0}, "give both"),
+        ({"use_temperature_c": 20.0}, "together with"),
         ({"temperature_c": 293.0}, "293 °C"),
         ({"drift_mm": -0.1}, "drift"),
         ({"drift_mm": float("nan")}, "drift"),

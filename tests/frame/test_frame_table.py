@@ -76,7 +76,7 @@ def test_a_table_with_errors_survives_as_a_frame_file(table, tmp_path):
         ({"x_mm": "1,5"}, "line 2: x_mm is '1,5', not a number"),
         ({"x_mm": ""}, "line 2: x_mm is '', not a number"),
         ({"x_mm": "nan"}, r"xyz\[0\] is not a finite number"),
-        ({"id": "pa-x-1-2"}, "'pa-x-1-2' stands twice"),
+        ({"id": "pa-x-1-2"}, "'pa-x-1-2' occurs twice"),
         ({"diameter_mm": "-1"}, "above zero"),
         ({"datum": "perhaps"}, "line 2: datum is 'perhaps'"),
     ],
@@ -91,10 +91,10 @@ def test_bad_rows_are_refused(table, change, words):
 @pytest.mark.parametrize(
     ("columns", "first", "words"),
     [
-        ({"sd_mm": 0.01}, {"sd_mm": ""}, "some balls have an error stated and some have none"),
+        ({"sd_mm": 0.01}, {"sd_mm": ""}, "some balls state an error and some do not"),
         ({"sd_mm": 0.01}, {"sd_mm": -0.01}, "line 2: sd_mm is -0.01"),
         ({"sd_mm": 0.01} | COVARIANCE, {}, "line 2: state sd_mm or the covariance"),
-        (COVARIANCE, {"zz_mm2": ""}, "line 2: a covariance needs all of"),
+        (COVARIANCE, {"zz_mm2": ""}, "line 2: give all of"),
         (COVARIANCE, {"zz_mm2": -1}, "not positive semi-definite"),
         (COVARIANCE, {"zz_mm2": "inf"}, "not finite"),
         ({"weight": 1}, {}, "unknown column 'weight'"),
@@ -110,7 +110,7 @@ def test_bad_errors_are_refused(table, columns, first, words):
 def test_missing_columns_and_a_missing_plate_are_named(table):
     with pytest.raises(FrameError, match="lacks the columns diameter_mm"):
         frame_from_csv(table([{k: v for k, v in row.items() if k != "diameter_mm"} for row in rows_of_gamma()]), "mine")
-    with pytest.raises(FrameError, match=r"views\.pa\.source holds too few entries"):
+    with pytest.raises(FrameError, match=r"views\.pa\.source has too few entries"):
         frame_from_csv(table([r for r in rows_of_gamma() if (r["view"], r["plate"]) != ("pa", "source")]), "mine")
 
 
@@ -125,7 +125,7 @@ def test_a_row_with_too_few_or_too_many_cells(tmp_path, table):
     text = table(rows_of_gamma()).read_text().splitlines()
     for broken in (text[1] + ",1", text[1].rsplit(",", 1)[0]):
         (tmp_path / "broken.csv").write_text("\n".join([text[0], broken, *text[2:]]))
-        with pytest.raises(FrameError, match="line 2: not as many cells as columns"):
+        with pytest.raises(FrameError, match="line 2: the number of cells differs"):
             frame_from_csv(tmp_path / "broken.csv", "mine")
 
 

@@ -62,18 +62,18 @@ def test_a_covariance_file_joins_the_balls(table, tmp_path):
         ("id,x,y,sd_mm", "a,1,2,1", "lacks the columns z_mm"),
         ("id,x,y,z,z_mm", "a,1,2,3,3", "a column twice"),
         ("id,x,y,z,weight", "a,1,2,3,1", "unknown column 'weight'"),
-        ("id,x,y,z,sd_mm", "a,1,2,3", "line 2: not as many cells"),
-        ("id,x,y,z,sd_mm", "a,1,2,,0.1", "not all filled in"),
+        ("id,x,y,z,sd_mm", "a,1,2,3", "line 2: the number of cells differs"),
+        ("id,x,y,z,sd_mm", "a,1,2,,0.1", "fill in all of x, y and z"),
         ("id,x,y,z,sd_mm", "a,1,2,3;5,0.1", "'3;5', not a number"),
         ("id,x,y,z,sd_mm", "a,1,2,inf,0.1", "not finite"),
         ("id,x,y,z,sd_mm", "a,1,2,nan,0.1", "not finite"),
-        ("id,x,y,z,sd_mm", "a,1,2,3,0", "not above zero"),
-        ("id,x,y,z,sd_mm", "a,1,2,3,-1", "not above zero"),
+        ("id,x,y,z,sd_mm", "a,1,2,3,0", "an error above zero"),
+        ("id,x,y,z,sd_mm", "a,1,2,3,-1", "an error above zero"),
         ("id,x,y,z,sd_x_mm,sd_y_mm,sd_z_mm", "a,1,2,3,1,,1", "in one way"),
         ("id,x,y,z,sd_mm,sd_x_mm,sd_y_mm,sd_z_mm", "a,1,2,3,1,1,1,1", "in one way"),
-        ("id,x,y,z,xx_mm2,xy_mm2,xz_mm2,yy_mm2,yz_mm2,zz_mm2", "a,1,2,3,1,2,0,1,0,1", "not above zero"),
-        ("id,x,y,z,diameter_mm", "a,1,2,3,0", "diameter is above zero"),
-        ("id,x,y,z,sd_mm", "a,,,,", "holds no measured ball"),
+        ("id,x,y,z,xx_mm2,xy_mm2,xz_mm2,yy_mm2,yz_mm2,zz_mm2", "a,1,2,3,1,2,0,1,0,1", "an error above zero"),
+        ("id,x,y,z,diameter_mm", "a,1,2,3,0", "give a diameter above zero"),
+        ("id,x,y,z,sd_mm", "a,,,,", "has no measured ball"),
     ],
 )
 def test_bad_tables_are_refused(table, header, row, words):
@@ -84,7 +84,7 @@ def test_bad_tables_are_refused(table, header, row, words):
 def test_a_ball_twice_and_errors_for_some_are_refused(table):
     with pytest.raises(FrameError, match="has ball 'a' twice"):
         read_measurements(table("id,x,y,z", "a,1,2,3", "a,1,2,3"))
-    with pytest.raises(FrameError, match="some have none"):
+    with pytest.raises(FrameError, match="some do not"):
         read_measurements(table("id,x,y,z,sd_mm", "a,1,2,3,0.1", "b,1,2,3,"))
 
 
@@ -110,10 +110,10 @@ def test_errors_may_not_be_stated_twice_nor_shared_by_series(table, tmp_path):
     np.savetxt(tmp_path / "c.csv", np.eye(6) + 0.1, delimiter=",")
     with pytest.raises(FrameError, match="give one of them"):
         read_measurements(table("id,x,y,z,sd_mm", "a,0,0,0,1", "b,1,2,3,1"), tmp_path / "c.csv")
-    with pytest.raises(FrameError, match="joins different series"):
+    with pytest.raises(FrameError, match="correlates different series"):
         read_measurements(table("series,id,x,y,z", "1,a,0,0,0", "2,b,1,2,3"), tmp_path / "c.csv")
     (tmp_path / "words.csv").write_text("one,two")
-    with pytest.raises(FrameError, match="numbers alone"):
+    with pytest.raises(FrameError, match="only numbers"):
         read_measurements(table("id,x,y,z", "a,0,0,0", "b,1,2,3"), tmp_path / "words.csv")
 
 

@@ -150,7 +150,7 @@ def test_a_ball_off_the_plane_is_bored_less_deep_and_one_far_off_is_refused():
 
 def test_bores_that_would_break_into_each_other_are_refused():
     x, y, z = GAMMA.view("pa").xrii.fiducials[24].xyz_mm
-    with pytest.raises(FrameError, match="a wall of 1 mm"):
+    with pytest.raises(FrameError, match="at least 1 mm"):
         parts_of(changed(23, xyz_mm=(x + 3.9, y, z)))
 
 

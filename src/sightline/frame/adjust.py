@@ -1,8 +1,9 @@
-"""Measured series brought together: ball positions in CFCS by weighted least squares, with their covariance.
+"""Free-network adjustment of measured series: ball positions in CFCS by weighted least squares, with their covariance.
 
-Unknown are the balls' positions and each series' pose. Poses and positions are free of each other, so six numbers are a
-matter of choice (the gauge): of all solutions the one is taken that neither shifts nor turns against the nominal frame,
-summed over its balls. The covariance is that of this choice: it holds the shape, and no motion of the frame as a whole.
+Unknowns are the balls' positions and each series' pose. A common rigid motion of all of them is unobservable, so the
+gauge (six parameters) is fixed by the free-network (inner) constraint: no net shift or rotation against the nominal
+frame over its balls. The covariance refers to this gauge: it describes the shape, and no motion of the frame as a
+whole.
 """
 
 from collections.abc import Sequence
@@ -26,11 +27,11 @@ MAX_STEPS = 20
 class Adjusted:
     """Positions of the N measured balls.
 
-    `ids`; `xyz_mm` (N, 3) CFCS; `covariance_mm2` (3N, 3N); `poses`: of each series, to CFCS; `freedom`: how many
-    numbers repeats leave to test by; `chi_square`: of the residuals over what is stated, None without repeats or
-    where nothing is stated; `instrument_mm`: s.d. per axis as the repeats show it, None without them; `residual_mm`: by
-    series, (n, 3) in CFCS; `left_out`: (series, ball) that contradict the others; `disputed`: balls that two series see
-    at different places, and no third tells which.
+    `ids`; `xyz_mm` (N, 3), CFCS; `covariance_mm2` (3N, 3N); `poses`: of each series, to CFCS; `freedom`: degrees of
+    freedom, from repeated measurements; `chi_square`: of the residuals, None without repeats or without stated errors;
+    `instrument_mm`: s.d. per axis estimated from the repeats, None without them; `residual_mm`: by series, (n, 3) in
+    CFCS; `left_out`: (series, ball) of the outliers; `disputed`: balls that two series measured at different places,
+    with no third series to decide.
     """
 
     ids: tuple[str, ...]
@@ -48,9 +49,10 @@ class Adjusted:
 def adjust(
     series: Sequence[Series], poses: Sequence[RigidTransform], nominal_mm: dict[str, tuple[float, float, float]]
 ) -> Adjusted:
-    """The least-squares positions; measurements that contradict the others are left out one at a time.
+    """Return the least-squares positions; outlying measurements are left out one at a time.
 
-    `nominal_mm`: where the balls should be, CFCS: the gauge. Raises FrameError where the series do not determine them.
+    `poses`: starting values; `nominal_mm`: nominal places of the balls, CFCS, for the inner constraint. Raises
+    FrameError where the series do not determine the positions.
     """
     stated = all(one.covariance_mm2 is not None for one in series)
     left_out: list[tuple[str, str]] = []
@@ -59,11 +61,11 @@ def adjust(
         system = _System.of(used, nominal_mm)
         if not stated and system.freedom == 0:
             raise FrameError(
-                "no error of the measurements is stated and none was repeated; add a column sd_mm with what the "
+                "the measurements state no error and none was repeated; add a column sd_mm with the error that the "
                 "instrument's maker states, or measure a second series"
             )
         solution = _solve(system, poses)
-        worst = _worst(system, solution, stated)
+        worst = _worst_outlier(system, solution, stated)
         if worst is None:
             return _result(system, solution, stated, left_out, ())
         place, ball = worst
@@ -75,7 +77,7 @@ def adjust(
 
 @dataclass(frozen=True, eq=False)
 class _System:
-    """What does not change while the poses settle. `rows[s]` (n,): balls of series s among `ids`."""
+    """The constant parts of the adjustment. `rows[s]` (n,): indices of the balls of series s among `ids`."""
 
     series: tuple[Series, ...]
     ids: tuple[str, ...]
@@ -92,7 +94,7 @@ class _System:
         return _System(tuple(series), ids, nominal, rows)
 
     def motions(self, xyz_mm: np.ndarray) -> np.ndarray:
-        """(3N, 6): how balls at (N, 3) move with the frame as a whole, about its middle."""
+        """Return (3N, 6): displacements of balls at (N, 3) by a rigid motion about the nominal frame's mean."""
         return displacement(xyz_mm - self.nominal.mean(axis=0)).reshape(-1, 6)
 
     @property
@@ -102,8 +104,11 @@ class _System:
 
 @dataclass(frozen=True, eq=False)
 class _Solution:
-    """`design` (m, 3N + 6S) and `factor` (m, m, lower, of the observations' covariance), CFCS; `cofactor`: of the
-    unknowns; `residual` (m,)."""
+    """Solution of the normal equations for m observations, CFCS.
+
+    `moved` (3N,): positions minus nominal ones; `design` (m, 3N + 6S); `factor` (m, m): lower Cholesky factor of the
+    observations' covariance; `cofactor`: of the unknowns; `residual` (m,).
+    """
 
     moved: np.ndarray
     poses: tuple[RigidTransform, ...]
@@ -114,7 +119,7 @@ class _Solution:
 
 
 def _solve(system: _System, poses: Sequence[RigidTransform]) -> _Solution:
-    """Gauss-Newton over positions and poses."""
+    """Return the Gauss-Newton solution for positions and poses. Raises FrameError where it does not converge."""
     n, s = len(system.ids), len(system.series)
     poses, moved = list(poses), np.zeros(3 * n)
     middle = system.nominal.mean(axis=0)
@@ -125,52 +130,52 @@ def _solve(system: _System, poses: Sequence[RigidTransform]) -> _Solution:
         data = np.concatenate([(q - system.nominal[rows]).ravel() for q, rows in zip(at, system.rows, strict=True)])
         start = 0
         for k, rows in enumerate(system.rows):
-            mine = slice(start, start + 3 * len(rows))
+            own = slice(start, start + 3 * len(rows))
             unknowns = (3 * rows[:, None] + np.arange(3)).ravel()
-            design[range(mine.start, mine.stop), unknowns] = 1.0
-            design[mine, 3 * n + 6 * k : 3 * n + 6 * k + 6] = -motions[unknowns]
-            start = mine.stop
+            design[range(own.start, own.stop), unknowns] = 1.0
+            design[own, 3 * n + 6 * k : 3 * n + 6 * k + 6] = -motions[unknowns]
+            start = own.stop
         factor = cholesky(block_diag(*map(_in_cfcs, system.series, poses)), lower=True)
         white = solve_triangular(factor, np.column_stack([design, data]), lower=True)
-        cofactor = _bordered(white[:, :-1], system.motions(system.nominal), motions)
+        cofactor = _constrained_cofactor(white[:, :-1], system.motions(system.nominal), motions)
         unknown = cofactor @ (white[:, :-1].T @ white[:, -1])
         moved, twists = unknown[: 3 * n], unknown[3 * n :].reshape(s, 6)
         if np.abs(motions @ twists.T).max() < CONVERGED_MM:
             return _Solution(moved, tuple(poses), design, factor, cofactor, data - design @ unknown)
-        poses = [_turned(pose, twist, middle) for pose, twist in zip(poses, twists, strict=True)]
-    raise FrameError("the series' poses do not settle; check the coordinates for wrong numbers")
+        poses = [_twisted(pose, twist, middle) for pose, twist in zip(poses, twists, strict=True)]
+    raise FrameError("the series' poses do not converge; check the coordinates for wrong numbers")
 
 
 def _in_cfcs(series: Series, pose: RigidTransform) -> np.ndarray:
-    """A series' covariance turned into CFCS; unit variances where none is stated."""
+    """Return a series' covariance rotated to CFCS; unit variances where none is stated."""
     n = len(series.ids)
     if series.covariance_mm2 is None:
         return np.eye(3 * n)
-    turn = pose.rotation.as_matrix()
-    half = np.einsum("ai,nij->naj", turn, series.covariance_mm2.reshape(n, 3, -1)).reshape(3 * n, n, 3)
-    return np.einsum("mni,ai->mna", half, turn).reshape(3 * n, 3 * n)
+    rotation = pose.rotation.as_matrix()
+    half = np.einsum("ai,nij->naj", rotation, series.covariance_mm2.reshape(n, 3, -1)).reshape(3 * n, n, 3)
+    return np.einsum("mni,ai->mna", half, rotation).reshape(3 * n, 3 * n)
 
 
-def _turned(pose: RigidTransform, twist: np.ndarray, about: np.ndarray) -> RigidTransform:
-    """A pose after a small twist about a point of CFCS."""
+def _twisted(pose: RigidTransform, twist: np.ndarray, about: np.ndarray) -> RigidTransform:
+    """Return a pose after a small twist about a point in CFCS."""
     there, back = RigidTransform.from_translation(about), RigidTransform.from_translation(-about)
     return there * RigidTransform.from_exp_coords(twist) * back * pose
 
 
-def _bordered(white: np.ndarray, gauge: np.ndarray, motions: np.ndarray) -> np.ndarray:
-    """Cofactor of the unknowns under gauge^T positions = 0, for a whitened design.
+def _constrained_cofactor(white: np.ndarray, gauge: np.ndarray, motions: np.ndarray) -> np.ndarray:
+    """Return the cofactor of the unknowns under the constraint gauge^T positions = 0, for a whitened design.
 
-    `motions` (3N, 6): what no measurement sees; the poses follow it by the same six numbers.
+    `motions` (3N, 6): the unobservable rigid motions; the poses follow them by the same six parameters.
     """
     normal = white.T @ white
     n = len(gauge)
     unit = gauge / np.linalg.norm(gauge, axis=0)
     fixed = normal.copy()
-    fixed[:n, :n] += np.trace(normal[:n, :n]) / n * unit @ unit.T  # a weight of any size: the next step takes it out
+    fixed[:n, :n] += np.trace(normal[:n, :n]) / n * unit @ unit.T  # any weight: the projection below removes it
     inverse = cho_solve(cho_factor(fixed, lower=True), np.eye(len(normal)))
-    unseen = np.vstack([motions, np.tile(np.eye(6), ((len(normal) - n) // 6, 1))])
+    unobservable = np.vstack([motions, np.tile(np.eye(6), ((len(normal) - n) // 6, 1))])
     onto = np.eye(len(normal))
-    onto[:, :n] -= unseen @ np.linalg.solve(unit.T @ motions, unit.T)
+    onto[:, :n] -= unobservable @ np.linalg.solve(unit.T @ motions, unit.T)
     return onto @ inverse @ onto.T
 
 
@@ -185,7 +190,7 @@ def _result(
     white = solve_triangular(solution.factor, solution.residual, lower=True)
     square = float(white @ white)
     repeated = system.freedom > 0
-    # A variance where no error is stated, else a factor of the stated ones.
+    # The variance itself where no error is stated, otherwise a factor of the stated variances.
     variance = square / system.freedom if repeated else None
     mean_stated = float(np.mean(np.sum(solution.factor**2, axis=1)))
     covariance = solution.cofactor[: 3 * n, : 3 * n] * (1.0 if stated or variance is None else variance)
@@ -204,16 +209,15 @@ def _result(
     )
 
 
-def _worst(system: _System, solution: _Solution, stated: bool) -> tuple[int, str] | None:
-    """(series, ball) of the measurement that contradicts the others most, by Baarda's test of single residuals; None
-    where all are within what chance gives."""
+def _worst_outlier(system: _System, solution: _Solution, stated: bool) -> tuple[int, str] | None:
+    """Return (series, ball) of the worst outlier by Baarda's test of single residuals; None without an outlier."""
     if system.freedom == 0:
         return None
     half = solve_triangular(solution.factor, solution.design, lower=True)
     inverse = solve_triangular(solution.factor, np.eye(len(solution.factor)), lower=True)
     pull = inverse.T @ (inverse @ solution.residual)  # V^-1 v
-    whole, taken = inverse.T, inverse.T @ half @ cholesky(_positive(solution.cofactor), lower=True)
-    precision = _blocks(whole) - _blocks(taken)
+    # Precision of the residuals: V^-1 - V^-1 A Q A^T V^-1.
+    precision = _blocks(inverse.T) - _blocks(inverse.T @ half @ cholesky(_positive(solution.cofactor), lower=True))
     names = [(k, ball) for k, one in enumerate(system.series) for ball in one.ids]
     repeated = np.array([sum(ball in one.ids for one in system.series) > 1 for _, ball in names])
     square = np.zeros(len(names))
@@ -225,40 +229,40 @@ def _worst(system: _System, solution: _Solution, stated: bool) -> tuple[int, str
         square *= system.freedom / (white @ white)
     worst = int(np.argmax(square))
     limit = float(chdtri(3, FALSE_ALARM / len(names)))
-    # Where all residuals are too large, the error stated is too small: that is for the check of the series to say.
+    # If all residuals are too large, the stated error is too small: the check "measured series" reports that.
     common = max(1.0, float(np.median(square[repeated])) / float(chdtri(3, 0.5)))
     return names[worst] if square[worst] > limit * common else None
 
 
 def _positive(matrix: np.ndarray) -> np.ndarray:
-    """Six directions of the cofactor are zero by the gauge; rounding may put them below."""
+    """Return the cofactor made positive definite: the gauge makes six eigenvalues zero, or negative by rounding."""
     return matrix + 1e-12 * np.trace(matrix) / len(matrix) * np.eye(len(matrix))
 
 
 def _blocks(rows: np.ndarray) -> np.ndarray:
-    """(n, 3, 3) diagonal blocks of rows @ rows.T."""
+    """Return the diagonal blocks (n, 3, 3) of rows @ rows.T."""
     each = rows.reshape(-1, 3, rows.shape[1])
     return np.einsum("nak,nbk->nab", each, each)
 
 
 def _refuse_apart(series: Sequence[Series], nominal: np.ndarray, rows: Sequence[np.ndarray]) -> None:
-    """Refuse series that do not hang together: each must share three balls, not on a line, with the others."""
+    """Raise FrameError for unconnected series: each must share three balls that are not collinear with the others."""
     joined, waiting = set(rows[0].tolist()), list(range(1, len(series)))
     while waiting:
-        fits = [k for k in waiting if _spread(nominal[sorted(joined & set(rows[k].tolist()))])]
+        fits = [k for k in waiting if _is_broad(nominal[sorted(joined & set(rows[k].tolist()))])]
         if not fits:
             names = ", ".join(series[k].name for k in waiting)
             raise FrameError(
-                f"series {names} shares too few balls with the others; three that are not on a line must be in both, "
-                "or nothing tells how the two lie to each other: measure more of the balls of the other series too"
+                f"series {names} shares too few balls with the others: measure more balls of the other series too; at "
+                "least three that do not lie on one line must be in both, to determine their relative pose"
             )
         for k in fits:
             joined |= set(rows[k].tolist())
             waiting.remove(k)
 
 
-def _spread(points: np.ndarray) -> bool:
+def _is_broad(points: np.ndarray) -> bool:
     if len(points) < 3:
         return False
     across = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)[1]
-    return bool(across / np.sqrt(len(points)) > 1.0)  # [ours] mm: less is a line, to what a frame is built
+    return bool(across / np.sqrt(len(points)) > 1.0)  # [ours] mm rms: less is a line, given a frame's tolerances

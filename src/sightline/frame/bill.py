@@ -1,4 +1,4 @@
-"""What a frame is made of, what it bears, and the sheet that its balls are inspected by."""
+"""Bill of material of a frame, notes on the material, and the inspection sheet of its balls."""
 
 import csv
 from collections import Counter
@@ -12,7 +12,7 @@ from sightline.frame.model import Frame
 from sightline.frame.part import SIGMAS, Part
 from sightline.frame.tolerances import EXPANSION_PER_K, MOISTURE_EXPANSION
 
-DRAPE_CLEARANCE_MM = 30.0  # [ours] all round, so that nothing pulls on a plate
+DRAPE_CLEARANCE_MM = 30.0  # [ours] on all sides, so that no drape pulls on a plate
 SHEET_COLUMNS = (
     "series", "id", "view", "plate", "nominal_x_mm", "nominal_y_mm", "nominal_z_mm", "tolerance_mm",
     "nominal_diameter_mm", "x_mm", "y_mm", "z_mm", "sd_mm", "diameter_mm", "remark",
@@ -20,7 +20,7 @@ SHEET_COLUMNS = (
 
 
 def bill_rows(parts: Sequence[Part]) -> list[tuple[str, int, str, str]]:
-    """(item, number, material, remark) of all that is bought or made."""
+    """Return (item, number, material, remark) of everything that is bought or made."""
     rows = [
         (
             f"plate {part.name}",
@@ -41,12 +41,12 @@ def bill_rows(parts: Sequence[Part]) -> list[tuple[str, int, str, str]]:
 
 
 def bill_csv(parts: Sequence[Part]) -> bytes:
-    """The bill of material as CSV."""
+    """Return the bill of material as CSV."""
     return _csv(("item", "number", "material", "remark"), bill_rows(parts))
 
 
 def holes_csv(part: Part) -> bytes:
-    """The bores of one plate, for a machine."""
+    """Return the bores of one plate as CSV, for a machine tool."""
     head = ("no", "id", "x_mm", "y_mm", "diameter_mm", "upper_mm", "depth_mm", "position_tolerance_mm")
     return _csv(
         head,
@@ -58,7 +58,7 @@ def holes_csv(part: Part) -> bytes:
 
 
 def inspection_csv(frame: Frame) -> bytes:
-    """The sheet to be filled in, one row a ball; `sightline frame fit` reads it back."""
+    """Return the inspection sheet to be filled in, one row for each ball; `sightline frame fit` reads it."""
     tolerance = round(SIGMAS * frame.effective_tolerances.bead_mm, 3)
     rows = [
         ("1", f.id, view, role, *f.xyz_mm, tolerance, f.diameter_mm, "", "", "", "", "", "")
@@ -69,7 +69,7 @@ def inspection_csv(frame: Frame) -> bytes:
 
 
 def bill_page(frame: Frame, parts: Sequence[Part]) -> str:
-    """The bill of material and what the maker and the user must know of the material, as Markdown."""
+    """Return the bill of material, with notes on the material for maker and user, as Markdown."""
     rows = "\n".join(
         f"| {item} | {number} | {material} | {remark} |" for item, number, material, remark in bill_rows(parts)
     )
@@ -86,7 +86,7 @@ def bill_page(frame: Frame, parts: Sequence[Part]) -> str:
         ppm=1e6 * EXPANSION_PER_K,
         widest=widest,
         per_10_k=10 * EXPANSION_PER_K * widest,
-        per_water=0.01 * MOISTURE_EXPANSION * widest,
+        per_percent=0.01 * MOISTURE_EXPANSION * widest,
         bead=sd.bead_mm,
         plate=sd.plate_mm,
         plate_mrad=1e3 * sd.plate_rad,
@@ -96,18 +96,20 @@ def bill_page(frame: Frame, parts: Sequence[Part]) -> str:
 
 
 def drape_envelopes(frame: Frame, parts: Sequence[Part]) -> list[tuple[str, np.ndarray]]:
-    """What a cover is made for, and its (width, height, length along the beam), mm: each plate; both of a view where
-    the patient does not lie between them."""
+    """Return (name, (width, height, length along the beam), mm) of each sterile cover.
+
+    One for each plate, and one for both plates of a view where the patient does not lie between them.
+    """
     out = [
         (f"{part.view} {part.role} plate", np.array([part.width_mm, part.height_mm, part.thickness_mm]))
         for part in parts
     ]
     for name, view in frame.views.items():
-        mine = [part for part in parts if part.view == name]
+        own = [part for part in parts if part.view == name]
         near, far = view.source.xyz_mm.mean(axis=0), view.xrii.xyz_mm.mean(axis=0)
         if near @ far > 0:
-            length = np.linalg.norm(far - near) + max(part.thickness_mm for part in mine)
-            across = max(part.width_mm for part in mine), max(part.height_mm for part in mine)
+            length = np.linalg.norm(far - near) + max(part.thickness_mm for part in own)
+            across = max(part.width_mm for part in own), max(part.height_mm for part in own)
             out.append((f"{name}, both plates", np.array([*across, length])))
     return [(name, box + 2 * DRAPE_CLEARANCE_MM) for name, box in out]
 
@@ -126,27 +128,27 @@ _PAGE = """# Frame {name}: bill of material
 |---|---|---|---|
 {rows}
 
-The arms that hold the plates are not part of the frame file. They must keep the plates where the file has them: plates
+The arms that hold the plates are not part of the frame file. They must hold the plates where the file has them: plates
 to {plate:g} mm and {plate_mrad:g} mrad on their arm, arms to {arm:g} mm and {arm_mrad:g} mrad, balls to {bead:g} mm in
-their plate, one standard deviation each; and they must keep out of the beams.
+their plate, one standard deviation each; and they must stay out of the beams.
 
 ## The material
 
-- **Heat.** PMMA grows by {ppm:.0f} ppm/K: the widest plate ({widest:g} mm) by {per_10_k:.2f} mm for 10 K. Measure at
-  the temperature of use, or tell `sightline frame fit` both.
-- **Water.** PMMA takes up to 2 % of its mass; 1 % makes the widest plate {per_water:.2f} mm wider. Keep plates dry,
-  measure them as they will be used, and again after a year.
+- **Heat.** PMMA expands by {ppm:.0f} ppm/K: the widest plate ({widest:g} mm) by {per_10_k:.2f} mm for 10 K. Measure at
+  the temperature of use, or give `sightline frame fit` both temperatures.
+- **Water.** PMMA absorbs up to 2 % of its mass; 1 % makes the widest plate {per_percent:.2f} mm wider (moisture
+  expansion). Keep plates dry, measure them as they will be used, and again after a year.
 - **Cleaning.** Mild soap and water, wiped dry. Alcohol makes PMMA craze at every bore; so do acetone and most solvents.
 - **Sterilisation.** No steam: PMMA softens near 100 °C, an autoclave has 121 to 134 °C. No dry heat. Ethylene oxide
-  (aired out) or low-temperature hydrogen peroxide plasma are usual for PMMA; gamma radiation yellows it and makes it
-  brittle. Any of them must be proved with this frame, and the frame measured again afterwards. Where it can be, use a
+  (with aeration) or low-temperature hydrogen peroxide plasma are usual for PMMA; gamma radiation yellows it and makes
+  it brittle. Validate the process with this frame, and measure the frame again afterwards. Where possible, use a
   sterile drape instead.
 
-These figures are common knowledge of the material, not of your sheet: ask its maker.
+These values are typical of the material, not of your sheet: ask its manufacturer.
 
 ## Drapes
 
-Sterile covers, loose, with {clearance:g} mm of room all round, so that no weight hangs on a plate:
+Loose sterile covers, with {clearance:g} mm of clearance on all sides, so that no weight hangs on a plate:
 
 | cover for | width x height x length along the beam, mm |
 |---|---|
@@ -156,9 +158,9 @@ A wet drape of 10 N sags a plate by about as much as its tolerance. Clip drapes 
 
 ## Inspection
 
-`inspection.csv` has a row for each ball. Measure all plates mounted, in one set-up of the instrument, and fill in
-`x_mm`, `y_mm`, `z_mm` (any axes), `sd_mm` (the instrument's) and `diameter_mm`. A second measurement goes below as rows
-with another `series`. Then:
+`inspection.csv` has a row for each ball. Mount all plates, measure them in one set-up of the instrument, and fill in
+`x_mm`, `y_mm`, `z_mm` (in any axes), `sd_mm` (the instrument's error) and `diameter_mm`. Add a second measurement below
+as rows with another `series`. Then:
 
     sightline frame fit inspection.csv --frame frame.json --out measured.json
 """

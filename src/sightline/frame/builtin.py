@@ -9,9 +9,9 @@ from sightline.errors import FrameError
 from sightline.frame.design import Balls, Beam, FrameDesign, Pattern, grid_places
 from sightline.frame.patterns import search
 
-# From search(grids, 6, np.random.default_rng(seed), moves) of patterns.py for grids of 7 and of 8 rows: gamma seed 13,
-# 300,000 moves, without the corners of 8 rows; biplane 37 and stereo 33, 150,000 moves. No triple is nearer to another
-# of its frame than a stretch or scale of 1.09; across frames at most three datums of six agree, once four
+# Found by search(grids, 6, np.random.default_rng(seed), moves) of patterns.py for grids of 7 and of 8 rows: gamma seed
+# 13, 300,000 moves, without the corners of 8 rows; biplane 37 and stereo 33, 150,000 moves. Within a frame no triple
+# resembles another to a stretch or scale below 1.09; between frames at most three datums of six coincide, once four
 # (gamma, stereo) (tests/frame/test_patterns.py).
 PATTERNS_7_ROWS: dict[str, tuple[tuple[Pattern, Pattern], tuple[Pattern, Pattern]]] = {
     "gamma": (
@@ -45,10 +45,10 @@ PATTERNS_7_ROWS: dict[str, tuple[tuple[Pattern, Pattern], tuple[Pattern, Pattern
         ),
     ),
 }
-MAX_ROWS = 20  # [ours] far more than a C-arm tells apart
-_STEREO_RAD = radians(16.0)  # [ours] half the convergence: each view's plates stay out of the other view's field
+MAX_ROWS = 20  # [ours] far more than a C-arm resolves
+_STEREO_RAD = radians(16.0)  # [ours] half the convergence: keeps each view's plates out of the other view's field
 
-# Upright beams of the paper's two views, along +Z and +X (contract of the Γ frame, docs/conventions.md).
+# Beams of the paper's two views, along +Z and +X (definition of the Γ frame, docs/conventions.md).
 GAMMA_BEAMS = {
     "pa": Beam((0.0, 0.0, 1.0), (0.0, 0.0, 1.0)),
     "lateral": Beam((1.0, 0.0, 0.0), (1.0, 0.0, 0.0)),
@@ -62,29 +62,29 @@ STEREO_BEAMS = {
 def patterns_for(
     beams: Mapping[str, Beam], rows: int = 7, datums: int = 6, name: str = ""
 ) -> dict[str, tuple[Pattern, Pattern]]:
-    """Datum patterns of a frame: a built-in frame's own, else a search, some seconds. Raises FrameError.
+    """Return the datum patterns of a frame: those of a built-in frame, else from a search that takes some seconds.
 
-    The frame's `name` seeds the search, so that two frames of one laboratory have different patterns and the image of
-    one is not taken for the other's.
+    The frame's `name` seeds the search, so that two frames of one laboratory have different patterns and their images
+    are not confused. Raises FrameError.
     """
     if name in PATTERNS_7_ROWS and (rows, datums, len(beams)) == (7, 6, 2):
         return dict(zip(beams, PATTERNS_7_ROWS[name], strict=True))
     if not 4 <= rows <= MAX_ROWS:
-        raise FrameError(f"datum patterns are found for 4 to {MAX_ROWS} rows; {rows} were asked for")
+        raise FrameError(f"give 4 to {MAX_ROWS} rows; no datum pattern can be found for {rows}")
     places = [grid_places(rows), grid_places(rows + 1)] * len(beams)
     rng = np.random.default_rng(list(name.encode()))
     chosen = search([np.array(one, dtype=float) for one in places], datums, rng)
-    patterns = [tuple(one[index] for index in mine) for one, mine in zip(places, chosen, strict=True)]
+    patterns = [tuple(one[index] for index in indices) for one, indices in zip(places, chosen, strict=True)]
     return dict(zip(beams, zip(patterns[::2], patterns[1::2], strict=True), strict=True))
 
 
 def gamma_design() -> FrameDesign:
-    """The Γ frame of the paper: both plates of a view on the intensifier's side of the hip."""
+    """Return the Γ frame of the paper: both plates of a view on the intensifier's side of the hip."""
     return FrameDesign("gamma", GAMMA_BEAMS, patterns_for(GAMMA_BEAMS, name="gamma"))
 
 
 def biplane_design() -> FrameDesign:
-    """The classical frame: the hip between the plates of each view, 150 mm from each [ours]."""
+    """Return the classical frame: the hip between the plates of each view, 150 mm from each [ours]."""
     return FrameDesign(
         "biplane",
         GAMMA_BEAMS,
@@ -97,7 +97,7 @@ def biplane_design() -> FrameDesign:
 
 
 def stereo_design() -> FrameDesign:
-    """The stereo frame (paper, Fig. 4b): two beams that converge at the hip through parallel plates, figures [ours]."""
+    """Return the stereo frame (paper, Fig. 4b): two beams converge at the hip through parallel plates; sizes [ours]."""
     return FrameDesign(
         "stereo",
         STEREO_BEAMS,
@@ -117,7 +117,7 @@ BUILTIN: dict[str, Callable[[], FrameDesign]] = {
 
 
 def builtin_design(name: str) -> FrameDesign:
-    """A design by name. Raises FrameError, naming those there are."""
+    """Return a built-in design by name. Raises FrameError, with the valid names."""
     if name not in BUILTIN:
-        raise FrameError(f"there is no built-in frame {name!r}; there are: {', '.join(BUILTIN)}")
+        raise FrameError(f"there is no built-in frame {name!r}; choose one of {', '.join(BUILTIN)}")
     return BUILTIN[name]()

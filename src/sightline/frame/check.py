@@ -1,4 +1,4 @@
-"""What is wrong with a frame, before anyone takes an image of it."""
+"""Checks of a frame's design, before any image of it is acquired."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -17,15 +17,15 @@ WIRE_END_MM = 95 / np.sqrt(8)  # half a 95 mm wire at 45° (physics.md, Frame), 
 
 _NOMINAL = f"a C-arm with the hip {nominal.SOURCE_TO_HIP_MM:g} mm from its source"
 
-Figures = Iterator[tuple[str, float | None]]  # (where, the figure; None where it cannot be measured)
+Values = Iterator[tuple[str, float | None]]  # (place, value; None where it cannot be measured)
 
 
 @dataclass(frozen=True)
 class Rule:
-    """A check before it meets a frame: `measure` yields the figure of every place, `limit` holds for the worst."""
+    """The rule of a check: `measure` yields a value for every place of a frame; `limit` applies to the worst."""
 
     name: str
-    measure: Callable[[Frame], Figures]
+    measure: Callable[[Frame], Values]
     at_least: bool
     limit: float
     unit: str
@@ -34,10 +34,10 @@ class Rule:
 
 
 def check_frame(frame: Frame) -> tuple[Check, ...]:
-    """What a frame needs so that it can be told apart and measured with; the names are keys of docs/refusals.md.
+    """Return the checks that a frame can be labelled and calibrated with; the names are keys of docs/refusals.md.
 
-    Later stages take for granted what earlier ones find: that plates have planes, and a beam runs through them. So the
-    stages after one that fails are left out.
+    Later stages rely on earlier ones (that plates have planes, that a beam runs through them), so the stages after a
+    failed one are left out.
     """
     checks: tuple[Check, ...] = ()
     for stage in (_BEADS, _PLATES, _VIEWS):
@@ -48,18 +48,18 @@ def check_frame(frame: Frame) -> tuple[Check, ...]:
 
 
 def _judge_all(rules: tuple[Rule, ...], frame: Frame) -> tuple[Check, ...]:
-    """A check of each rule that has a place to be measured at."""
+    """Return a check of each rule that applies to some place of the frame."""
     measured = ((rule, list(rule.measure(frame))) for rule in rules)
-    return tuple(_judge(rule, figures) for rule, figures in measured if figures)
+    return tuple(_judge(rule, values) for rule, values in measured if values)
 
 
-def _judge(rule: Rule, figures: list[tuple[str, float | None]]) -> Check:
-    """The worst place decides, and one that cannot be measured is the worst."""
+def _judge(rule: Rule, values: list[tuple[str, float | None]]) -> Check:
+    """Return the check of the worst place; a place that cannot be measured is the worst."""
     sign = 1 if rule.at_least else -1
-    where, figure = min(figures, key=lambda entry: -np.inf if entry[1] is None else sign * entry[1])
-    passed = figure is not None and sign * figure >= sign * rule.limit
+    where, value = min(values, key=lambda entry: -np.inf if entry[1] is None else sign * entry[1])
+    passed = value is not None and sign * value >= sign * rule.limit
     sentence = f"{where}: {rule.meaning}" if passed else f"{where}: {rule.advice}"
-    return Check(rule.name, passed, None if figure is None else float(figure), rule.limit, rule.unit, sentence)
+    return Check(rule.name, passed, None if value is None else float(value), rule.limit, rule.unit, sentence)
 
 
 def _plates(frame: Frame) -> Iterator[tuple[str, FrameView, Plate]]:
@@ -68,51 +68,51 @@ def _plates(frame: Frame) -> Iterator[tuple[str, FrameView, Plate]]:
             yield f"{name}, {'XRII' if role == 'xrii' else 'source'} plate", view, getattr(view, role)
 
 
-def _views(frame: Frame) -> Figures:
+def _views(frame: Frame) -> Values:
     yield frame.name, len(frame.views)
 
 
-def _repeated_ids(frame: Frame) -> Figures:
+def _repeated_ids(frame: Frame) -> Values:
     ids = [f.id for view in frame.views.values() for f in view.fiducials]
     yield frame.name, len(ids) - len(set(ids))
 
 
-def _beads(frame: Frame) -> Figures:
+def _beads(frame: Frame) -> Values:
     for where, _, plate in _plates(frame):
         yield where, len(plate.ids)
 
 
-def _breadth(frame: Frame) -> Figures:
-    """The rms distance of a plate's beads from the line that fits them best."""
+def _breadth(frame: Frame) -> Values:
+    """Yield the rms distance of each plate's beads from their best-fitting line."""
     for where, _, plate in _plates(frame):
         centred = plate.xyz_mm - plate.xyz_mm.mean(axis=0)
         spread = np.linalg.svd(centred, compute_uv=False)
         yield where, float(spread[1] / np.sqrt(len(centred)))
 
 
-def _height(frame: Frame) -> Figures:
+def _height(frame: Frame) -> Values:
     for where, _, plate in _plates(frame):
         yield where, float(np.abs(plate.plane.height_mm(plate.xyz_mm)).max())
 
 
-def _clearance(frame: Frame) -> Figures:
-    """The least gap between the surfaces of two fiducials of a plate."""
+def _clearance(frame: Frame) -> Values:
+    """Yield the smallest distance between the surfaces of two fiducials of each plate."""
     for where, _, plate in _plates(frame):
         radius = np.array([f.diameter_mm for f in plate.fiducials]) / 2
         first, second = np.triu_indices(len(radius), 1)
         yield where, float((pdist(plate.xyz_mm) - radius[first] - radius[second]).min())
 
 
-def _datums(frame: Frame) -> Figures:
-    """How many datums a plate has; none count where they lie on a line."""
+def _datums(frame: Frame) -> Values:
+    """Yield the number of datums of each plate; 0 where they are collinear."""
     for where, _, plate in _plates(frame):
         points = _datum_steps(plate)
-        beside_a_line = len(points) < 3 or len(Triples.of(points).broad().area) > 0
-        yield where, len(points) if beside_a_line else 0
+        broad = len(points) < 3 or len(Triples.of(points).broad().area) > 0
+        yield where, len(points) if broad else 0
 
 
-def _datum_size(frame: Frame) -> Figures:
-    """The smallest datum ball over the largest ordinary ball; washers are told by their shape."""
+def _datum_size(frame: Frame) -> Values:
+    """Yield the ratio of the smallest datum ball to the largest ordinary ball; washers are known by their shape."""
     for where, _, plate in _plates(frame):
         datums = [f.diameter_mm for f in plate.fiducials if f.datum and f.shape == "ball"]
         ordinary = [f.diameter_mm for f in plate.fiducials if not f.datum]
@@ -120,14 +120,14 @@ def _datum_size(frame: Frame) -> Figures:
             yield where, min(datums) / max(ordinary)
 
 
-def _symmetry(frame: Frame) -> Figures:
-    """The share of a plate's triples of datums that resemble others of the plate, or themselves turned."""
+def _symmetry(frame: Frame) -> Values:
+    """Yield the share of each plate's datum triples that resemble others of the plate, or themselves rotated."""
     for where, _, plate in _plates(frame):
         yield where, _share(nearest_likeness(_datum_steps(plate)))
 
 
-def _twins(frame: Frame) -> Figures:
-    """The share of a plate's triples of datums that resemble some of another plate, mirrored or not."""
+def _twins(frame: Frame) -> Values:
+    """Yield the share of each plate's datum triples that resemble one of another plate, mirrored or not."""
     plates = [(where, _datum_steps(plate)) for where, _, plate in _plates(frame)]
     for index, (where, points) in enumerate(plates):
         for other, theirs in plates[:index]:
@@ -139,26 +139,27 @@ def _share(likeness: np.ndarray) -> float:
     return float((likeness < 1).mean()) if len(likeness) else 0.0
 
 
-def _spacing(frame: Frame) -> Figures:
+def _spacing(frame: Frame) -> Values:
     for name, view in frame.views.items():
         yield name, float(np.abs(view.xrii.plane.height_mm(view.source.xyz_mm)).min())
 
 
-def _tilt(frame: Frame) -> Figures:
+def _tilt(frame: Frame) -> Values:
     for where, view, plate in _plates(frame):
         yield where, float(np.degrees(np.arccos(min(1.0, abs(plate.plane.normal @ nominal.axis(view))))))
 
 
-def _field(frame: Frame) -> Figures:
-    """The share of a plate's beads that the nominal C-arm sees."""
+def _field(frame: Frame) -> Values:
+    """Yield the share of each plate's beads that lie in the nominal C-arm's field."""
     for where, view, plate in _plates(frame):
         yield where, float(nominal.in_field(view, plate.xyz_mm).mean())
 
 
 def reach_mm(view: FrameView, plate: Plate) -> float | None:
-    """How far the ends of a 95 mm wire at 45° may stray before they leave the plate's hull, as seen at the hip.
+    """Return the margin, mm at the hip, between the ends of a 95 mm wire at 45° and the plate's convex hull.
 
-    None where a bead lies behind the nominal source, and for a plate that is seen from its edge.
+    Negative where the wire reaches beyond it. None where a bead lies behind the nominal source, and for a plate seen
+    edge-on.
     """
     if (nominal.depth_mm(view, plate.xyz_mm) <= 0).any():
         return None
@@ -170,7 +171,7 @@ def reach_mm(view: FrameView, plate: Plate) -> float | None:
     return float(-(ends @ hull[:, :2].T + hull[:, 2]).max())
 
 
-def _reach(frame: Frame) -> Figures:
+def _reach(frame: Frame) -> Values:
     for where, view, plate in _plates(frame):
         yield where, reach_mm(view, plate)
 
@@ -182,30 +183,30 @@ def _datum_steps(plate: Plate) -> np.ndarray:
 _BEADS = (
     Rule(
         "frame-views", _views, at_least=True, limit=2, unit="views",
-        meaning="lines of sight of two views meet in a point",
+        meaning="lines of sight of two views intersect in a point",
         advice="one view gives lines of sight but no point; add the plates of a second view",
     ),
     Rule(
         "frame-ids", _repeated_ids, at_least=False, limit=0, unit="ids",
-        meaning="every ball has an id of its own",
-        advice="an id stands for two balls; give every ball of the frame an id of its own",
+        meaning="every ball has a unique id",
+        advice="two balls have the same id; give every ball of the frame a unique id",
     ),
     Rule(
         "plate-beads", _beads, at_least=True, limit=16, unit="beads",  # 16-25 lines of sight for a focal point [paper]
         meaning="the plate with the fewest beads has enough of them",
-        advice="too few beads for a focal point that can be trusted; add beads",
+        advice="there are too few beads for a reliable focal point; add beads",
     ),
     Rule(
         "plate-collinear", _breadth, at_least=True, limit=10.0, unit="mm",  # [ours] half a pitch
         meaning="the beads spread in two directions",
-        advice="the beads lie on a line or nearly so; add beads beside it, or correct their coordinates",
+        advice="the beads lie on or near a line; add beads away from it, or correct their coordinates",
     ),
 )  # fmt: skip
 _PLATES = (
     Rule(
         "bead-overlap", _clearance, at_least=True, limit=2.0, unit="mm",  # [ours] 8 px between the edges of two discs
         meaning="no two beads touch",
-        advice="two beads touch or nearly so, and their images cannot be centred; move or remove one",
+        advice="two beads touch or nearly touch, so their images cannot be centred; move or remove one",
     ),
     Rule(
         "plate-flat", _height, at_least=False, limit=1.0, unit="mm",  # [ours] more is a typing error, not a bent plate
@@ -213,45 +214,45 @@ _PLATES = (
         advice="a bead lies off the plane of the others; correct its coordinates, or measure the plate again",
     ),
     Rule(
-        "plate-spacing", _spacing, at_least=True, limit=50.0, unit="mm",  # the least that was tried [calc]
+        "plate-spacing", _spacing, at_least=True, limit=50.0, unit="mm",  # the smallest that was tried [calc]
         meaning="the plates are far enough apart",
-        advice="the plates are too close to give the focal point; move them further apart along the beam",
+        advice="the plates are too close to determine the focal point; move them further apart along the beam",
     ),
 )  # fmt: skip
 _VIEWS = (
     Rule(
         "datum-count", _datums, at_least=True, limit=3, unit="datums",
-        meaning="three datums beside a line tell where a plate lies",
-        advice="a plate needs three datums that are not on a line (5 or 6 bear hidden ones); mark more balls as datums",
+        meaning="three datums that are not collinear determine where a plate lies",
+        advice="mark more balls as datums: a plate needs three that are not on a line (5 or 6 in case some are hidden)",
     ),
     Rule(
         "datum-size", _datum_size, at_least=True, limit=1.3, unit="",  # [ours] 5 mm over 3 mm is 1.67
         meaning="datum balls are larger than the others",
-        advice="datum balls cannot be told from the others in an image; use larger ones, or washers",
+        advice="datum balls cannot be distinguished from the others in an image; use larger ones, or washers",
     ),
     Rule(
         "datum-symmetry", _symmetry, at_least=False, limit=0.5, unit="",  # [ours] a symmetric pattern has 1.0
-        meaning="no turn or mirror image of the datums can be taken for the pattern",
-        advice="the datums look the same when turned or mirrored; move one so that no three repeat the shape of others",
+        meaning="no rotation or mirror image of the datums can be confused with the pattern",
+        advice="move a datum so that no three repeat the shape of others: they look the same when rotated or mirrored",
     ),
     Rule(
         "plate-twin", _twins, at_least=False, limit=0.5, unit="",  # [ours] a copy, mirrored or not, has 1.0
-        meaning="the datums tell the plates apart",
+        meaning="the datums distinguish the plates",
         advice="the datums of one plate are a copy or a mirror image of the other's; move the datums of one",
     ),
     Rule(
         "plate-tilt", _tilt, at_least=False, limit=20.0, unit="°",  # what the labelling tolerates [ours]
-        meaning="the plates lie across the beam",
-        advice="the plate leans too far to the line from plate to plate; turn it across the beam",
+        meaning="the plates are perpendicular to the beam",
+        advice="the plate is tilted too far; make it perpendicular to the line from plate to plate",
     ),
     Rule(
-        "plate-field", _field, at_least=True, limit=0.6, unit="",  # the labelling bears 40 % hidden
+        "plate-field", _field, at_least=True, limit=0.6, unit="",  # the labelling tolerates 40 % hidden
         meaning=_NOMINAL + " sees the beads",
         advice=_NOMINAL + " sees too few beads of this plate; make it smaller or move it nearer to the intensifier",
     ),
     Rule(
         "wire-reach", _reach, at_least=True, limit=10.0, unit="mm",  # set-up error (physics.md, Frame)
-        meaning="seen at the hip, the beads surround a 95 mm wire at 45° by that much",
-        advice="a 95 mm wire at 45° is not surrounded by the beads at the hip; add rows or pitch, or move the plate",
+        meaning="projected to the hip, the beads surround a 95 mm wire at 45° by this margin",
+        advice="add rows or pitch, or move the plate: at the hip, its beads do not surround a 95 mm wire at 45°",
     ),
 )  # fmt: skip

@@ -1,4 +1,4 @@
-"""Frames made from a few figures: square grids of balls across the beams of two views, datums by pattern."""
+"""Frames designed from a few parameters: square grids of balls across the beams of two views, datums by pattern."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -16,14 +16,14 @@ Pattern = tuple[tuple[int, int], ...]  # (row, column) of each datum, counted fr
 
 @dataclass(frozen=True)
 class Beam:
-    """How a view looks at the hip, CFCS: along `direction` through the origin, its plates across `normal` (unit)."""
+    """The beam of a view, CFCS: along `direction` through the origin; `normal`: unit normal of its plates."""
 
     direction: tuple[float, float, float]
     normal: tuple[float, float, float]
 
     @property
     def obliquity(self) -> float:
-        """Way along the beam per way along the normal of the plates."""
+        """Distance along the beam per distance along the plates' normal."""
         return 1 / float(np.dot(self.direction, self.normal))
 
 
@@ -37,11 +37,11 @@ class Balls:
 
 @dataclass(frozen=True)
 class FrameDesign:
-    """What a frame is made from; distances are from the hip along the plate normal, positive towards the intensifier.
+    """Parameters of a frame; distances are from the hip along the plate normal, positive towards the intensifier.
 
-    The XRII plate has `rows` x `rows` balls, `pitch_mm` apart. The source plate has one row more on the
-    same field: the two grids beat once across the image, so that balls of the two plates cover each other in a few
-    places wherever the frame stands, and never all at once. `patterns`: each view's datums, XRII plate first.
+    The XRII plate has `rows` x `rows` balls, `pitch_mm` apart. The source plate has one more row on the same field: the
+    two grids beat once across the image, so balls of the two plates overlap in a few places wherever the frame is, and
+    never all at once. `patterns`: each view's datums, XRII plate first.
     """
 
     name: str
@@ -56,18 +56,18 @@ class FrameDesign:
 
 
 def grid_places(rows: int) -> tuple[tuple[int, int], ...]:
-    """(row, column), counted from 1, of the balls of a square plate."""
+    """Return (row, column), counted from 1, of the balls of a square plate."""
     return tuple((row, column) for row in range(1, rows + 1) for column in range(1, rows + 1))
 
 
 def source_pitch_mm(design: FrameDesign, beam: Beam) -> float:
-    """The pitch at which the source plate's grid covers what the XRII plate's does, up to the next half millimetre."""
+    """Return the pitch at which the source plate covers the XRII plate's field, rounded up to half a millimetre."""
     source, xrii = (SOURCE_TO_HIP_MM + beam.obliquity * mm for mm in (design.source_mm, design.xrii_mm))
     return ceil(2 * design.pitch_mm * source / xrii * (design.rows - 1) / design.rows) / 2
 
 
 def views_of(design: FrameDesign) -> dict[str, FrameView]:
-    """The views of a design; ids read view-plate-row-column, such as "pa-x-3-4". Raises FrameError."""
+    """Return the views of a design; ids are view-plate-row-column, such as "pa-x-3-4". Raises FrameError."""
     if design.rows < 3 or design.pitch_mm <= 0 or design.source_mm >= design.xrii_mm:
         raise FrameError(
             "give at least 3 rows, a pitch above zero, and an XRII plate further towards the intensifier "
@@ -81,7 +81,10 @@ def _view(design: FrameDesign, name: str) -> FrameView:
     xrii, source = design.patterns[name]
     pitch = source_pitch_mm(design, beam)
     if pitch <= 0 or SOURCE_TO_HIP_MM + beam.obliquity * design.source_mm <= 0:
-        raise FrameError(f"the source plate lies behind the X-ray source, {SOURCE_TO_HIP_MM:g} mm from the hip")
+        raise FrameError(
+            f"the source plate lies behind the X-ray source, {SOURCE_TO_HIP_MM:g} mm from the hip; move it towards the "
+            "hip"
+        )
     return FrameView(
         xrii=_plate(
             f"{name}-x", _across(beam, design.xrii_mm), (design.rows, design.pitch_mm), xrii, design.xrii_balls
@@ -93,7 +96,7 @@ def _view(design: FrameDesign, name: str) -> FrameView:
 
 
 def _across(beam: Beam, distance_mm: float) -> Plane:
-    """The plane of a plate, its origin where the beam meets it."""
+    """Return the plane of a plate, with its origin on the beam."""
     return Plane.across(np.array(beam.normal), np.array(beam.direction) * distance_mm * beam.obliquity)
 
 

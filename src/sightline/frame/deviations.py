@@ -1,4 +1,4 @@
-"""How a measured frame differs from the one it was to be, ball by ball and plate by plate."""
+"""Deviations of a measured frame from its nominal one, by ball and by plate."""
 
 from dataclasses import dataclass
 
@@ -9,16 +9,16 @@ from sightline.frame.plate import ROLES, Fiducial, Plate
 from sightline.geometry.planes import Plane
 from sightline.geometry.rigid import displacement
 
-# [ours] the frame as a whole may lie so far, mm, from where its file has it, before it is called an error of a plate.
+# [ours] prior s.d., mm, of a rigid motion of the whole frame, which is not an error of a plate.
 WHOLE_FRAME_MM = 10.0
 
 
 @dataclass(frozen=True, eq=False)
 class Completed:
-    """All M balls of a frame. `moved_mm` (M, 3): from their nominal places; `covariance_mm2` (3M, 3M) of that.
+    """All M balls of a frame: `moved_mm` (M, 3), displacements from nominal; `covariance_mm2` (3M, 3M) of these.
 
-    `sigma` (N,): of the N measured balls, how far each lies from where all others and the tolerances put it, over its
-    own standard deviation.
+    `sigma` (N,): distance of each measured ball from its prediction by all others and the tolerances, in standard
+    deviations.
     """
 
     moved_mm: np.ndarray
@@ -27,9 +27,9 @@ class Completed:
 
 
 def complete(frame: Frame, rows: np.ndarray, moved_mm: np.ndarray, covariance_mm2: np.ndarray) -> Completed:
-    """From `moved_mm` (N, 3) of the balls `rows` (N,) of the frame, and its covariance (3N, 3N).
+    """Return all balls, from `moved_mm` (N, 3) of the measured balls `rows` (N,) and its covariance (3N, 3N).
 
-    Measured balls stay where they were measured. The others are where the frame's tolerances and these put them.
+    Measured balls keep their measured places. The others are predicted from these and the frame's tolerances.
     """
     all_xyz = np.array([f.xyz_mm for f in fiducials(frame)])
     centred = all_xyz - all_xyz.mean(axis=0)
@@ -56,10 +56,10 @@ def complete(frame: Frame, rows: np.ndarray, moved_mm: np.ndarray, covariance_mm
 
 @dataclass(frozen=True, eq=False)
 class PlateDeviation:
-    """How one plate differs from the frame's file: moved as a whole (CFCS), grown about its middle, its balls in it.
+    """Deviations of one plate from the frame file: motion as a whole (CFCS), expansion about its mean, balls within it.
 
-    `in_plane_rms_mm`, `across_rms_mm`: of the balls, per axis, from the moved and grown plate; the instrument's share
-    is still in them, `instrument_mm` per axis.
+    `in_plane_rms_mm`, `across_rms_mm`: deviations of the balls per axis from the moved and expanded plate, including
+    the instrument's error, `instrument_mm` per axis.
     """
 
     view: str
@@ -74,51 +74,51 @@ class PlateDeviation:
 
     @property
     def manufacturing_mm(self) -> float:
-        """S.d. per axis of the drilling in the plate, the instrument's noise taken off."""
+        """S.d. per axis of the bores in the plate, the instrument's noise subtracted."""
         return float(np.sqrt(max(0.0, self.in_plane_rms_mm**2 - self.instrument_mm**2)))
 
 
 def plate_deviations(
     frame: Frame, rows: np.ndarray, moved_mm: np.ndarray, covariance_mm2: np.ndarray
 ) -> tuple[PlateDeviation, ...]:
-    """Of each plate; arguments as for `complete`."""
+    """Return the deviations of each plate; arguments as for `complete`."""
     variances = np.diag(covariance_mm2).reshape(-1, 3)
     out, start = [], 0
     for view, role, plate in plates(frame):
-        mine = (rows >= start) & (rows < start + len(plate.ids))
-        out.append(_one(view, role, plate, rows[mine] - start, moved_mm[mine], variances[mine]))
+        own = (rows >= start) & (rows < start + len(plate.ids))
+        out.append(_plate_deviation(view, role, plate, rows[own] - start, moved_mm[own], variances[own]))
         start += len(plate.ids)
     return tuple(out)
 
 
-def _one(  # noqa: PLR0917
+def _plate_deviation(  # noqa: PLR0917
     view: str, role: str, plate: Plate, rows: np.ndarray, moved: np.ndarray, variances: np.ndarray
 ) -> PlateDeviation:
     plane: Plane = plate.plane
     xyz = plate.xyz_mm[rows]
     centred = xyz - plate.xyz_mm.mean(axis=0)
     design = np.hstack([displacement(centred).reshape(-1, 6), centred.reshape(-1, 1)])
-    numbers = np.linalg.lstsq(design, moved.ravel(), rcond=None)[0]
-    left = moved - (design @ numbers).reshape(-1, 3)
-    free = 1 - len(numbers) / moved.size
+    parameters = np.linalg.lstsq(design, moved.ravel(), rcond=None)[0]
+    residual = moved - (design @ parameters).reshape(-1, 3)
+    free = 1 - len(parameters) / moved.size
     return PlateDeviation(
         view=view,
         plate=role,
         measured=len(rows),
-        shift_mm=numbers[3:6],
-        turn_rad=numbers[:3],
-        growth_ppm=float(1e6 * numbers[6]),
-        in_plane_rms_mm=float(np.sqrt(np.mean((left @ plane.axes.T) ** 2) / free)),
-        across_rms_mm=float(np.sqrt(np.mean((left @ plane.normal) ** 2) / free)),
+        shift_mm=parameters[3:6],
+        turn_rad=parameters[:3],
+        growth_ppm=float(1e6 * parameters[6]),
+        in_plane_rms_mm=float(np.sqrt(np.mean((residual @ plane.axes.T) ** 2) / free)),
+        across_rms_mm=float(np.sqrt(np.mean((residual @ plane.normal) ** 2) / free)),
         instrument_mm=float(np.sqrt(variances.mean())),
     )
 
 
 def fiducials(frame: Frame) -> tuple[Fiducial, ...]:
-    """All balls in the order of the frame's covariance."""
+    """Return all balls in the order of the frame's covariance."""
     return tuple(f for view in frame.views.values() for f in view.fiducials)
 
 
 def plates(frame: Frame) -> tuple[tuple[str, str, Plate], ...]:
-    """(view, role, plate) in the order of the frame's covariance."""
+    """Return (view, role, plate) in the order of the frame's covariance."""
     return tuple((name, role, getattr(view, role)) for name, view in frame.views.items() for role in ROLES)

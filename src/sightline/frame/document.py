@@ -8,10 +8,10 @@ from pydantic import BaseModel, ConfigDict, Field, field_validator, model_valida
 
 from sightline.frame.plate import Fiducial, Plate, Shape
 
-MIN_BEADS = 4  # a plate seen in perspective has eight unknowns: four balls
+MIN_BEADS = 4  # the perspective image of a plate has eight unknowns: four balls
 
 Number = Annotated[float, Field(allow_inf_nan=False)]
-# [ours] ten metres: beyond it a figure is no ball of a frame, whatever its unit
+# [ours] ten metres: a larger number is not a coordinate of a frame in any unit
 Coordinate = Annotated[float, Field(allow_inf_nan=False, ge=-1e4, le=1e4)]
 Sd = Annotated[float, Field(allow_inf_nan=False, ge=0)]
 Name = Annotated[str, Field(pattern=r"^[\w.:+/-]{1,64}$")]
@@ -34,7 +34,7 @@ class FiducialDocument(_Strict):
     @classmethod
     def _above_zero(cls, value: float) -> float:
         if value <= 0:
-            raise ValueError(f"is {value:g}; the diameter of a ball in mm must be above zero")
+            raise ValueError(f"is {value:g}; give a diameter above zero, in mm")
         return value
 
 
@@ -64,7 +64,7 @@ class SdRad(_Strict):
 
 
 class InUseDocument(_Strict):
-    """What use adds to a frame's errors, 1 s.d. each; limits are far beyond what a frame of PMMA is used in [ours]."""
+    """Handling errors added to a frame's errors, 1 s.d. each; limits are far beyond the use of PMMA frames [ours]."""
 
     warmer_k: Annotated[float, Field(allow_inf_nan=False, ge=0, le=50)]
     water_share: Annotated[float, Field(allow_inf_nan=False, ge=0, le=0.03)]
@@ -96,11 +96,9 @@ class FrameDocument(_Strict):
     def _whole(self) -> Self:
         ids = [f.id for view in self.views.values() for f in (*view.xrii, *view.source)]
         if twice := sorted({i for i in ids if ids.count(i) > 1}):
-            raise ValueError(
-                f"the fiducial id {twice[0]!r} stands twice; give every ball of the frame an id of its own"
-            )
+            raise ValueError(f"the fiducial id {twice[0]!r} occurs twice; give every ball of the frame a unique id")
         if (self.sd_mm is None) != (self.sd_rad is None):
-            raise ValueError('tolerances need both "sd_mm" and "sd_rad"; add the missing one, or remove both')
+            raise ValueError('give both "sd_mm" and "sd_rad" for tolerances: add the missing one, or remove both')
         if self.covariance_mm2 is not None:
             if self.sd_mm is not None:
                 raise ValueError('"covariance_mm2" replaces the tolerances; remove it, or "sd_mm" and "sd_rad"')
@@ -109,7 +107,7 @@ class FrameDocument(_Strict):
 
 
 def _check_covariance(rows: list[list[float]], size: int) -> None:
-    """Raises ValueError unless symmetric and positive semi-definite to what six printed digits leave."""
+    """Raise ValueError unless symmetric and positive semi-definite up to the rounding of six printed digits."""
     if len(rows) != size or any(len(row) != size for row in rows):
         raise ValueError(
             f"covariance_mm2 must be {size} x {size}: x, y, z of every ball in file order, XRII plate first"
@@ -118,21 +116,21 @@ def _check_covariance(rows: list[list[float]], size: int) -> None:
     scale = np.abs(matrix).max()
     if np.abs(matrix - matrix.T).max() > 1e-6 * scale:
         raise ValueError("covariance_mm2 is not symmetric; entry [i][j] must equal [j][i]")
-    least = np.linalg.eigvalsh(matrix)[0]
-    if least < -1e-6 * scale:
+    smallest = np.linalg.eigvalsh(matrix)[0]
+    if smallest < -1e-6 * scale:
         raise ValueError(
-            f"covariance_mm2 is not positive semi-definite (least eigenvalue {least:.3g} mm²); "
-            "no errors can have it: write more digits, or state it from measured samples"
+            f"covariance_mm2 is not positive semi-definite (smallest eigenvalue {smallest:.3g} mm²); write more "
+            "digits, or compute it from measured samples"
         )
 
 
 def plate_of(fiducials: tuple[FiducialDocument, ...]) -> Plate:
-    """The plate that a valid document describes."""
+    """Return the plate that a valid document describes."""
     return Plate(tuple(Fiducial(f.id, f.xyz, f.diameter, f.datum, f.shape) for f in fiducials))
 
 
 def plate_document(plate: Plate) -> list[dict[str, Any]]:
-    """The document of a plate as plain values; not yet checked."""
+    """Return the document of a plate as plain values, unchecked."""
     out: list[dict[str, Any]] = []
     for f in plate.fiducials:
         one: dict[str, Any] = {"id": f.id, "xyz": list(f.xyz_mm), "diameter": f.diameter_mm, "datum": f.datum}

@@ -1,4 +1,4 @@
-"""A picture of a frame's plates, for the person who makes or mounts one."""
+"""A picture of a frame's plates, for manufacture and mounting."""
 
 from io import BytesIO
 from pathlib import Path
@@ -18,7 +18,10 @@ _PANEL_INCHES = 5.5
 
 
 def draw_frame(frame: Frame, path: str | Path) -> None:
-    """Write a PNG: each plate seen against its normal, balls to scale, datums filled. Raises UnusableInputError."""
+    """Write a PNG of the plates, viewed against their normals, balls to scale, datums filled.
+
+    Raises UnusableInputError.
+    """
     figure = Figure(figsize=(_PANEL_INCHES * len(frame.views), 2 * _PANEL_INCHES), layout="constrained")
     panels = figure.subplots(2, len(frame.views), squeeze=False)
     for column, (name, view) in zip(panels.T, frame.views.items(), strict=True):

@@ -1,4 +1,4 @@
-"""The text of frame files (docs/frame-file.md): read and checked to the last key, and laid out for reading."""
+"""The text of frame files (docs/frame-file.md): reading with strict checks, and writing in a readable layout."""
 
 import json
 from collections.abc import Mapping
@@ -19,19 +19,19 @@ _ADVICE = {
     "missing": "is missing; add it",
     "finite_number": "is not a finite number; leave the ball out if it could not be measured",
     "float_type": "is not a number; write it without quotes",
-    "too_short": "holds too few entries; a plate needs four fiducials, a position three numbers, a frame one view",
-    "too_long": "holds too many entries; a position is three numbers",
+    "too_short": "has too few entries; a plate needs four fiducials, a position three numbers, a frame one view",
+    "too_long": "has too many entries; a position is three numbers",
     "string_pattern_mismatch": "must be 1 to 64 letters, digits or any of _ . : + / -",
 }
 
 
 def read_document(path: Path) -> FrameDocument:
-    """The document in a frame file. Raises FrameError."""
+    """Return the document in a frame file. Raises FrameError."""
     if not path.is_file():
         raise FrameError(
-            f"there is no frame file {path.name!r}; name a file, or one of the built-in frames: {', '.join(BUILTIN)}"
+            f"there is no frame file {path.name!r}; give a file, or one of the built-in frames: {', '.join(BUILTIN)}"
         )
-    data = read_bounded(path, SIZE_LIMIT_BYTES, FrameError, "that is no frame file")
+    data = read_bounded(path, SIZE_LIMIT_BYTES, FrameError, "give a frame file")
     try:
         return document_from_json(data)
     except FrameError as error:
@@ -39,18 +39,18 @@ def read_document(path: Path) -> FrameDocument:
 
 
 def document_from_json(text: bytes) -> FrameDocument:
-    """The document in the text of a frame file. Raises FrameError."""
+    """Return the document in the text of a frame file. Raises FrameError."""
     try:
         json.loads(text, object_pairs_hook=_without_repeats, parse_constant=_no_constant)
         return FrameDocument.model_validate_json(text)
     except ValidationError as error:
         raise FrameError(explain(error)) from None
     except (json.JSONDecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise FrameError(f"this is not a JSON file: {error}") from None
+        raise FrameError(f"the file is not JSON: {error}") from None
 
 
 def json_of(document: Mapping[str, Any]) -> bytes:
-    """The text of a frame file: one fiducial, or one row of the covariance, a line."""
+    """Return the text of a frame file, with a line for each fiducial and each row of the covariance."""
     blocks = ("views", "covariance_mm2")
     parts = [f" {json.dumps(key)}: {json.dumps(value)}" for key, value in document.items() if key not in blocks]
     views = [_view_text(name, view) for name, view in document["views"].items()]
@@ -72,7 +72,7 @@ def _lines(entries: list[Any], indent: str) -> str:
 def _without_repeats(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     keys = [key for key, _ in pairs]
     if twice := sorted({key for key in keys if keys.count(key) > 1}):
-        raise FrameError(f"the key {twice[0]!r} stands twice in one object; remove one")
+        raise FrameError(f"the key {twice[0]!r} occurs twice in one object; remove one")
     return dict(pairs)
 
 
@@ -81,14 +81,14 @@ def _no_constant(name: str) -> float:
 
 
 def explain(error: ValidationError) -> str:
-    """What pydantic found, in words that say where it is and what to do."""
+    """Return pydantic's errors as sentences that say where each is and what to do."""
     found = error.errors(include_url=False, include_context=True)
-    said = [_one(entry["type"], entry["loc"], entry["msg"]) for entry in found[:_ERRORS_SHOWN]]
-    more = len(found) - len(said)
-    return "; ".join(said) + (f"; and {more} more of the kind" if more else "")
+    shown = [_explain_one(entry["type"], entry["loc"], entry["msg"]) for entry in found[:_ERRORS_SHOWN]]
+    more = len(found) - len(shown)
+    return "; ".join(shown) + (f"; and {more} more" if more else "")
 
 
-def _one(kind: str, where: tuple[int | str, ...], message: str) -> str:
+def _explain_one(kind: str, where: tuple[int | str, ...], message: str) -> str:
     place = "".join(f"[{step}]" if isinstance(step, int) else f".{step}" for step in where).lstrip(".")
     advice = _ADVICE.get(kind, message.removeprefix("Value error, "))
     return f"{place} {advice}" if place else advice

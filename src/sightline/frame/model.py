@@ -29,7 +29,7 @@ class Frame(Plotted):
 
     `tolerances` is None where the file states none: then `effective_tolerances` are the defaults, and reports say so.
     `covariance_mm2` (3M, 3M), or None: full covariance of all bead coordinates, views in file order, in each
-    view XRII before source; it replaces the tolerances. `in_use`: what is added to either, or None.
+    view XRII before source; it replaces the tolerances. `in_use`: handling errors added to either, or None.
     """
 
     name: str
@@ -75,7 +75,7 @@ class Frame(Plotted):
         return self.tolerances or Tolerances()
 
     def view(self, name: str) -> FrameView:
-        """The view called `name`. Raises FrameError, naming the views there are."""
+        """Return the view called `name`. Raises FrameError, with the views there are."""
         try:
             return self.views[name]
         except KeyError:
@@ -84,11 +84,14 @@ class Frame(Plotted):
 
     @cached_property
     def xyz_mm_by_id(self) -> dict[str, tuple[float, float, float]]:
-        """The coordinates of every bead by its id, CFCS."""
+        """The coordinates of every bead by its id, CFCS, mm."""
         return {f.id: f.xyz_mm for view in self.views.values() for f in view.fiducials}
 
     def rows(self, view: str) -> slice:
-        """Which rows of `error_factor` and `covariance_mm2` are the bead coordinates of one view."""
+        """Return the rows of `error_factor` and `covariance_mm2` with the bead coordinates of one view.
+
+        Raises FrameError.
+        """
         start = 0
         for name, one in self.views.items():
             if name == view:
@@ -98,25 +101,25 @@ class Frame(Plotted):
 
     @cached_property
     def error_factor(self) -> np.ndarray:
-        """(3M, K) matrix L: the coordinates of all beads err by L @ e with K independent unit-variance numbers e.
+        """(3M, K) matrix L, mm: the errors of all bead coordinates are L @ e with K independent unit-variance e.
 
         M beads, views in file order, in each view XRII before source. Bead errors are independent; a plate's shift and
         rotation (about the centroid of its beads) are shared by its beads; an arm's (about the centroid of the
-        view's beads) by the view. With `covariance_mm2`, a factor of that; with `in_use`, columns more. mm.
+        view's beads) by the view. With `covariance_mm2`, a factor of that; `in_use` adds columns.
         """
         stated = self.effective_tolerances if self.covariance_mm2 is None else self.covariance_mm2
         return error_factor(self.views, stated, self.in_use)
 
     @property
     def key(self) -> str:
-        """Tells this physical frame from others: name and serial."""
+        """Identifier of the physical frame: name and serial."""
         return f"{self.name}/{self.serial or ''}"
 
     @cached_property
     def fingerprint(self) -> str:
-        """Tells this frame as its file describes it from others: key, and a hash of the file.
+        """Identifier of the frame file: key, and a hash of the content.
 
-        One frame measured twice has one key and two fingerprints: its coordinates differ.
+        One frame measured twice has one key and two fingerprints, since its coordinates differ.
         """
         return f"{self.key}#{sha256(self.to_json()).hexdigest()[:16]}"
 

@@ -1,4 +1,4 @@
-"""The C-arm that frames are designed for and checked against; never used to compute a result."""
+"""The nominal C-arm, used to design and check frames; never used to compute a result."""
 
 import numpy as np
 
@@ -11,29 +11,29 @@ FIELD_DIAMETER_MM = 215.0  # useful field of a 9 inch intensifier [mem]
 
 
 def axis(view: FrameView) -> np.ndarray:
-    """(3,) unit vector, CFCS: the beam through the hip, from source to intensifier, along the middles of the plates."""
+    """Return the unit vector (3,), CFCS, of the beam from source to intensifier, through the plates' centroids."""
     along = view.xrii.xyz_mm.mean(axis=0) - view.source.xyz_mm.mean(axis=0)
     return along / np.linalg.norm(along)
 
 
 def focal_point_mm(view: FrameView) -> np.ndarray:
-    """(3,), CFCS: where the X-ray source is expected when the hip lies at the origin."""
+    """Return the expected focal point (3,), CFCS, with the hip at the origin."""
     return -SOURCE_TO_HIP_MM * axis(view)
 
 
 def depth_mm(view: FrameView, xyz_mm: np.ndarray) -> np.ndarray:
-    """(N,): how far points (N, 3) lie from the source, along the beam."""
+    """Return (N,): distances of points (N, 3) from the source along the beam."""
     return (xyz_mm - focal_point_mm(view)) @ axis(view)
 
 
 def at_distance_mm(view: FrameView, xyz_mm: np.ndarray, distance_mm: float) -> np.ndarray:
-    """(N, 2): points (N, 3) in front of the source, projected from it to a plane across the beam."""
+    """Return (N, 2): points (N, 3) in front of the source, projected to a plane across the beam."""
     plane = Plane.across(axis(view), focal_point_mm(view))
     return plane.to_plane(xyz_mm) * (distance_mm / depth_mm(view, xyz_mm))[:, None]
 
 
 def in_field(view: FrameView, xyz_mm: np.ndarray) -> np.ndarray:
-    """(N,) bool: between source and intensifier, and seen in its field."""
+    """Return (N,) bool: whether points (N, 3) lie between source and intensifier, inside its field."""
     depth = depth_mm(view, xyz_mm)
     out = (depth > 0) & (depth < SOURCE_TO_DETECTOR_MM)
     on_detector = at_distance_mm(view, xyz_mm[out], SOURCE_TO_DETECTOR_MM)

@@ -1,4 +1,4 @@
-"""A plate's drawing for machines: DXF R2010 in mm, bores of their true diameter, origin at the datum corner."""
+"""A plate's drawing for machine tools: DXF R2010 in mm, bores at their true diameter, origin at the datum corner."""
 
 from io import StringIO
 
@@ -11,7 +11,7 @@ _COLUMNS_MM = (0.0, 10.0, 45.0, 65.0, 85.0, 105.0, 125.0)
 
 
 def plate_dxf(part: Part, frame: str) -> bytes:
-    """The drawing of one plate of the frame called `frame`, front face seen, with its table of bores."""
+    """Return the drawing of one plate of the frame called `frame`: its front face, and the table of bores."""
     from ezdxf.enums import TextEntityAlignment
     from ezdxf.filemanagement import new
     from ezdxf.units import MM

@@ -1,4 +1,4 @@
-"""A plate's drawing for a workshop: SVG, one A3 sheet, all measures in mm of paper."""
+"""A plate's workshop drawing: SVG, one A3 sheet, all coordinates in mm on paper."""
 
 from collections.abc import Sequence
 from html import escape
@@ -6,17 +6,17 @@ from html import escape
 from sightline.frame.part import CHAMFER_MM, SCREW_INSET_MM, SCREW_MM, WASHER_MM, Bore, Part
 
 SHEET_MM = (420.0, 297.0)  # A3, ISO 216
-_VIEW_AREA_MM = (185.0, 178.0)  # of the view
-_ROWS, _ROW_MM = 50, 3.3  # of the table's columns
+_VIEW_AREA_MM = (185.0, 178.0)  # width and height available for the view
+_ROWS, _ROW_MM = 50, 3.3  # of a column of the table
 _COLUMNS = 2
-_MAX_ORDINATES = 24  # [ours] more do not stand beside one another
+_MAX_ORDINATES = 24  # [ours] more would overlap
 _THIN, _THICK = 0.18, 0.5  # ISO 128 line widths
 # ISO 5455 reductions.
 _SCALES = (1.0, 0.5, 0.2, 0.1, 0.05)
 
 
 def plate_svg(part: Part, frame: str) -> str:
-    """The sheet of one plate of the frame called `frame`."""
+    """Return the sheet of one plate of the frame called `frame`."""
     sheet = _Sheet()
     scale = next((s for s in _SCALES if _fits(part, s)), _SCALES[-1])
     _view(sheet, part, scale)
@@ -33,7 +33,7 @@ def _fits(part: Part, scale: float) -> bool:
 
 
 class _Sheet:
-    """Marks on paper; y runs down."""
+    """SVG marks on a sheet; y runs down."""
 
     def __init__(self) -> None:
         self._marks: list[str] = []
@@ -65,13 +65,13 @@ class _Sheet:
         )
 
     def across(self, x0: float, x1: float, y: float, text: str) -> None:
-        """A dimension line along x."""
+        """Draw a dimension line along x."""
         self.line((x0, y), (x1, y))
         self._arrows((x0, y), (x1, y), (1, 0))
         self.say((x0 + x1) / 2, y - 0.8, text, anchor="middle")
 
     def upright(self, x: float, y0: float, y1: float, text: str) -> None:
-        """A dimension line along y."""
+        """Draw a dimension line along y."""
         self.line((x, y0), (x, y1))
         self._arrows((x, min(y0, y1)), (x, max(y0, y1)), (0, 1))
         self.say(x - 0.8, (y0 + y1) / 2, text, anchor="middle", turned=True)
@@ -82,7 +82,7 @@ class _Sheet:
             self.fill((x, y), (x + a + b / 7, y + b + a / 7), (x + a - b / 7, y + b - a / 7))
 
     def datum(self, x: float, y: float, letter: str) -> None:
-        """A datum's letter, boxed (ISO 5459), with its triangle to the right."""
+        """Draw a datum's boxed letter (ISO 5459)."""
         self.line((x - 4, y - 2), (x, y - 2), (x, y + 2), (x - 4, y + 2), closed=True)
         self.say(x - 2, y + 0.9, letter, anchor="middle")
 
@@ -98,12 +98,12 @@ class _Sheet:
 
 
 def _corner(part: Part, scale: float) -> tuple[float, float]:
-    """Where the datum corner lies on the sheet."""
+    """Return the datum corner's place on the sheet."""
     return 40.0, 22.0 + part.height_mm * scale
 
 
 def _view(sheet: _Sheet, part: Part, scale: float) -> None:
-    """The front face, with ordinates from the datum corner where the bores stand in rows."""
+    """Draw the front face, with ordinates from the datum corner where the bores form rows."""
     x0, y0 = _corner(part, scale)
     sheet.line(*((x0 + scale * x, y0 - scale * y) for x, y in part.outline), width=_THICK, closed=True)
     for x, y in part.screws:
@@ -142,7 +142,7 @@ def _view(sheet: _Sheet, part: Part, scale: float) -> None:
 
 
 def _ordinates(values: Sequence[float]) -> list[float]:
-    """The rows that bores stand in; none where they stand in no rows."""
+    """Return the coordinates of the bores' rows; none where they do not form rows."""
     found = sorted({round(value, 2) for value in values})
     return found if len(found) <= _MAX_ORDINATES else []
 
@@ -155,7 +155,7 @@ def _hole(sheet: _Sheet, x: float, y: float, radius: float, *, filled: bool) -> 
 
 
 def _side(sheet: _Sheet, part: Part, scale: float) -> None:
-    """The plate from its left, front face to the right, where first-angle projection puts it."""
+    """Draw the plate from its left, front face to the right (first-angle projection)."""
     x0, y0 = _corner(part, scale)
     left, thick = x0 + scale * part.width_mm + 12, scale * part.thickness_mm
     top = y0 - scale * part.height_mm
@@ -170,7 +170,7 @@ def _side(sheet: _Sheet, part: Part, scale: float) -> None:
 
 
 def _table(sheet: _Sheet, part: Part) -> None:
-    """Bores with their coordinates; what does not fit stands in the CSV."""
+    """Draw the table of bores; those that do not fit are in the CSV."""
     x0, y0, width = 258.0, 20.0, 72.0
     ends = (0.0, 8.0, 29.0, 41.0, 53.0, 62.0, width)
     rows = min(_ROWS, max(1, -(-len(part.bores) // _COLUMNS)))
@@ -202,7 +202,7 @@ def _cells(bore: Bore) -> tuple[str, ...]:
 
 
 def _details(sheet: _Sheet, part: Part) -> None:
-    """A section through one bore of each kind, five times its size."""
+    """Draw an enlarged section through one bore of each kind."""
     kinds = {(b.ball.diameter_mm, b.ball.shape): b for b in reversed(part.bores)}
     _true_position(sheet, 209.0, 218.0, part)
     scale, x, base = 2.5 if part.thickness_mm > 12 else 4.0, 216.0, 272.0
@@ -227,7 +227,7 @@ def _details(sheet: _Sheet, part: Part) -> None:
 
 
 def _true_position(sheet: _Sheet, x: float, y: float, part: Part) -> None:
-    """The tolerance frame of the bores (ISO 1101)."""
+    """Draw the tolerance frame of the bores (ISO 1101)."""
     sheet.say(x, y - 1.5, f"{len(part.bores)} bores, table")
     sheet.circle(x + 3, y + 3, 1.3)
     sheet.line((x + 0.8, y + 3), (x + 5.2, y + 3))
@@ -252,7 +252,7 @@ def _notes(sheet: _Sheet, part: Part) -> None:
         "3. Flatness of C 0.1; A square to B within 0.05. Other dimensions ISO 2768-m.",
         f"4. 4 through holes ø{SCREW_MM:g}, {SCREW_INSET_MM:g} from the edges, nylon screws M5; no metal but balls.",
         "5. Balls of stainless steel, grade G100 or better, pressed to the floor, bonded with a clear UV adhesive.",
-        "6. Coordinates hold at 20 °C. PMMA grows by 70 ppm/K: measure at 20 ±1 °C, plate stored dry for two days.",
+        "6. Coordinates hold at 20 °C. PMMA expands by 70 ppm/K: measure at 20 ±1 °C, plate stored dry for two days.",
         "7. Engrave the plate's name beside the cut corner of the front face. Do not wipe with alcohol: PMMA crazes.",
         "8. After bonding measure every ball (inspection.csv): sightline frame fit reads it.",
     )
@@ -261,7 +261,7 @@ def _notes(sheet: _Sheet, part: Part) -> None:
 
 
 def _title(sheet: _Sheet, part: Part, frame: str, scale: float) -> None:
-    """Title block, fields of ISO 7200."""
+    """Draw the title block with the fields of ISO 7200."""
     right, bottom = SHEET_MM[0] - 10, SHEET_MM[1] - 10
     left, rows = right - 118, (bottom - 40, bottom - 27, bottom - 17, bottom - 8.5, bottom)
     sheet.line((left, rows[0]), (right, rows[0]), (right, bottom), (left, bottom), width=_THICK, closed=True)

@@ -14,7 +14,7 @@ ROLES = ("xrii", "source")
 
 @dataclass(frozen=True)
 class Fiducial:
-    """One bead: `xyz_mm` in CFCS; a `datum` is a marker that tells the plate and its orientation."""
+    """One bead: `xyz_mm` in CFCS; a `datum` is a marker that identifies the plate and its orientation."""
 
     id: str
     xyz_mm: tuple[float, float, float]
@@ -36,14 +36,14 @@ class Plate:
 
     @cached_property
     def xyz_mm(self) -> np.ndarray:
-        """(N, 3), CFCS."""
+        """(N, 3) coordinates, CFCS."""
         out = np.array([f.xyz_mm for f in self.fiducials], dtype=np.float64).reshape(-1, 3)
         out.flags.writeable = False
         return out
 
     @cached_property
     def is_datum(self) -> np.ndarray:
-        """(N,) bool."""
+        """(N,) bool: which fiducials are datums."""
         return np.array([f.datum for f in self.fiducials], dtype=bool)
 
     @cached_property
@@ -61,7 +61,7 @@ class FrameView:
 
     @cached_property
     def fiducials(self) -> tuple[Fiducial, ...]:
-        """All fiducials, XRII plate first. This order is the order of every covariance of a view."""
+        """All fiducials, XRII plate first: the order of every covariance of a view."""
         return self.xrii.fiducials + self.source.fiducials
 
     @cached_property

@@ -1,4 +1,4 @@
-"""A frame from a table of measured balls (CSV; docs/frame-file.md has the columns)."""
+"""A frame from a table of measured balls (CSV; docs/frame-file.md lists the columns)."""
 
 import csv
 from collections.abc import Mapping
@@ -27,10 +27,10 @@ Row = Mapping[str, Any]
 
 
 def frame_from_csv(path: str | Path, name: str) -> Frame:
-    """A frame of measured balls. Raises FrameError.
+    """Return a frame of measured balls. Raises FrameError.
 
-    Where the table states errors of the balls (`sd_mm`, or a covariance), they take the place of the default bead
-    tolerance, and the default plate and arm tolerances stay: the frame bends and swells after it was measured.
+    Errors stated in the table (`sd_mm`, or a covariance) replace the default bead tolerance. The default plate and arm
+    tolerances remain, since the frame deforms after its measurement (load, moisture expansion).
     """
     rows = _rows(Path(path))
     views: dict[str, Any] = {}
@@ -55,12 +55,12 @@ def frame_from_csv(path: str | Path, name: str) -> Frame:
     if not stated:
         return frame
     if len(stated) < len(blocks):
-        raise FrameError("some balls have an error stated and some have none; fill the column for all, or leave it out")
+        raise FrameError("some balls state an error and some do not; fill in the column for all balls, or leave it out")
     return replace(frame, covariance_mm2=_whole_covariance(frame, np.array(stated)))
 
 
 def _rows(path: Path) -> list[tuple[int, Row]]:
-    """Rows with their line numbers; the columns are known."""
+    """Return the rows with their line numbers. Raises FrameError for missing or unknown columns."""
     text = read_text(path, SIZE_LIMIT_BYTES, FrameError, "give a table of measured balls as CSV")
     try:
         reader = csv.DictReader(StringIO(text, newline=""), strict=True)
@@ -70,12 +70,12 @@ def _rows(path: Path) -> list[tuple[int, Row]]:
     except csv.Error as error:
         raise FrameError(f"{path.name} is not a CSV file: {error}") from None
     if missing := [column for column in _NEEDED if column not in columns]:
-        raise FrameError(f"{path.name} lacks the columns {', '.join(missing)}; it needs {', '.join(_NEEDED)}")
+        raise FrameError(f"{path.name} lacks the columns {', '.join(missing)}; give {', '.join(_NEEDED)}")
     if unknown := [column for column in columns if column not in (*_NEEDED, *_OPTIONAL)]:
         raise FrameError(f"{path.name} has the unknown column {unknown[0]!r}; it may have {', '.join(_OPTIONAL)}")
     for line, row in rows:
         if None in row or None in row.values():
-            raise FrameError(f"{path.name}, line {line}: not as many cells as columns")
+            raise FrameError(f"{path.name}, line {line}: the number of cells differs from that of the columns")
     return rows
 
 
@@ -107,7 +107,7 @@ def _number(row: Row, column: str, line: int) -> float:
 
 
 def _ball_covariance(row: Row, line: int) -> np.ndarray | None:
-    """(3, 3), or None where the row states none."""
+    """Return the covariance (3, 3) of a ball, None where the row states none."""
     full = [column for column in _COVARIANCE if row.get(column, "").strip()]
     single = row.get("sd_mm", "").strip()
     if not full and not single:
@@ -116,18 +116,18 @@ def _ball_covariance(row: Row, line: int) -> np.ndarray | None:
         raise FrameError(f"line {line}: state sd_mm or the covariance of a ball, not both")
     if single:
         if not (sd := _number(row, "sd_mm", line)) >= 0:
-            raise FrameError(f"line {line}: sd_mm is {sd:g}; a standard deviation is not negative")
+            raise FrameError(f"line {line}: sd_mm is {sd:g}; give a standard deviation of zero or more")
         return np.diag([sd * sd] * 3)
     if len(full) < len(_COVARIANCE):
-        raise FrameError(f"line {line}: a covariance needs all of {', '.join(_COVARIANCE)}")
+        raise FrameError(f"line {line}: give all of {', '.join(_COVARIANCE)} for a covariance")
     xx, xy, xz, yy, yz, zz = (_number(row, column, line) for column in _COVARIANCE)
     return np.array([(xx, xy, xz), (xy, yy, yz), (xz, yz, zz)])
 
 
 def _whole_covariance(frame: Frame, blocks: np.ndarray) -> np.ndarray:
-    """Ball errors as measured, with the shared errors of the default tolerances. Raises FrameError."""
-    least = np.linalg.eigvalsh(blocks)[:, 0] if np.isfinite(blocks).all() else np.array([-np.inf])
-    if (least < -1e-9 * np.abs(blocks).max(axis=(1, 2))).any():
+    """Return the measured balls' covariance plus the shared errors of the default tolerances. Raises FrameError."""
+    smallest = np.linalg.eigvalsh(blocks)[:, 0] if np.isfinite(blocks).all() else np.array([-np.inf])
+    if (smallest < -1e-9 * np.abs(blocks).max(axis=(1, 2))).any():
         raise FrameError("a ball's covariance is not finite or not positive semi-definite; correct its row")
     shared = error_factor(frame.views, replace(Tolerances(), bead_mm=0.0))
     out = shared @ shared.T

@@ -1,4 +1,4 @@
-"""How a frame's tolerances become errors of its beads: hierarchical, bead below plate below arm."""
+"""The errors of a frame's beads from its tolerances, in a hierarchy: bead, plate, arm."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -8,8 +8,8 @@ import numpy as np
 from sightline.frame.plate import FrameView
 
 EXPANSION_PER_K = 70e-6  # PMMA [mem, physics.md]
-MOISTURE_EXPANSION = 0.2  # growth in length per share of mass taken up as water: 1 % of water, 0.2 % [mem]
-DRAPE_N = 10.0  # a wet drape: moves an arm by one plate tolerance [ours]
+MOISTURE_EXPANSION = 0.2  # relative expansion per share of mass absorbed as water: 1 % of water, 0.2 % [mem]
+DRAPE_N = 10.0  # load of a wet drape, which moves an arm by one plate tolerance [ours]
 
 
 @dataclass(frozen=True)
@@ -28,26 +28,29 @@ class Tolerances:
 
 @dataclass(frozen=True)
 class InUse:
-    """What befalls a frame between its measurement and its use, one s.d. each: kelvin that the plates (PMMA) are warmer
-    or colder, share of their mass taken up or given off as water, newtons of drapes on an arm."""
+    """Handling errors of a frame between its measurement and its use (heat, water, drapes), one s.d. each.
+
+    `warmer_k`: temperature change of the plates (PMMA), kelvin; `water_share`: share of their mass absorbed or released
+    as water; `drape_n`: load of drapes on an arm, newtons.
+    """
 
     warmer_k: float = 0.0
     water_share: float = 0.0
     drape_n: float = 0.0
 
 
-def _rigid(xyz_mm: np.ndarray, shift_mm: float, turn_rad: float) -> np.ndarray:
-    """(3N, 6): how N points move with a shift and a small rotation about their centroid, per unit-variance number."""
+def _rigid(xyz_mm: np.ndarray, shift_mm: float, rotation_rad: float) -> np.ndarray:
+    """Return (3N, 6): displacements of N points by a shift and a small rotation about their centroid, 1 s.d. each."""
     centred = xyz_mm - xyz_mm.mean(axis=0)
     out = np.zeros((len(xyz_mm), 3, 6))
     out[:, range(3), range(3)] = shift_mm
     for axis in range(3):
-        out[:, :, 3 + axis] = turn_rad * np.cross(np.eye(3)[axis], centred)
+        out[:, :, 3 + axis] = rotation_rad * np.cross(np.eye(3)[axis], centred)
     return out.reshape(-1, 6)
 
 
 def _stated_factor(covariance_mm2: np.ndarray) -> np.ndarray:
-    """A factor of a covariance that may be singular."""
+    """Return a factor of a covariance that may be singular."""
     values, vectors = np.linalg.eigh(covariance_mm2)
     return vectors * np.sqrt(np.clip(values, 0.0, None))
 
@@ -55,9 +58,10 @@ def _stated_factor(covariance_mm2: np.ndarray) -> np.ndarray:
 def error_factor(
     views: Mapping[str, FrameView], stated: Tolerances | np.ndarray, in_use: InUse | None = None
 ) -> np.ndarray:
-    """(3M, K), mm: the coordinates of the views' M beads err by this times K independent unit-variance numbers.
+    """Return L (3M, K), mm: the errors of the views' M bead coordinates are L @ e with K independent unit-variance e.
 
-    `stated`: tolerances, or the full covariance (3M, 3M), mm². Order of the rows: see `Frame.error_factor`.
+    `stated`: tolerances, or the full covariance (3M, 3M), mm². `in_use`: handling errors to add. Order of the rows: see
+    `Frame.error_factor`.
     """
     if isinstance(stated, Tolerances):
         beads = sum(len(view.fiducials) for view in views.values())
@@ -65,12 +69,12 @@ def error_factor(
     else:
         columns = [_stated_factor(stated)]
     if in_use is not None:
-        columns += _in_use(views, in_use)
+        columns += _handling(views, in_use)
     return np.hstack(columns)
 
 
 def _shared(views: Mapping[str, FrameView], sd: Tolerances) -> list[np.ndarray]:
-    """Columns of the plates' and the arms' errors, (3M, 6) each."""
+    """Return the columns of the plates' and the arms' errors, (3M, 6) each."""
     shared: list[np.ndarray] = []
     beads = sum(len(view.fiducials) for view in views.values())
     start = 0
@@ -88,15 +92,18 @@ def _shared(views: Mapping[str, FrameView], sd: Tolerances) -> list[np.ndarray]:
     return shared
 
 
-def _in_use(views: Mapping[str, FrameView], handled: InUse) -> list[np.ndarray]:
-    """Columns of what use adds. All plates are of one material in one room: they grow alike, each about its middle, so
-    heat and water are one number each. A drape hangs on an arm, and moves both plates of a view as one, anywhere."""
+def _handling(views: Mapping[str, FrameView], in_use: InUse) -> list[np.ndarray]:
+    """Return the columns of the handling errors.
+
+    All plates have one material and one environment, and expand alike, each about its centroid: heat and water are one
+    number each. A drape loads an arm, and moves both plates of a view together.
+    """
     plates = [plate.xyz_mm for view in views.values() for plate in (view.xrii, view.source)]
-    growth = np.concatenate([xyz - xyz.mean(axis=0) for xyz in plates]).reshape(-1, 1)
-    load = handled.drape_n / DRAPE_N
+    expansion = np.concatenate([xyz - xyz.mean(axis=0) for xyz in plates]).reshape(-1, 1)
+    load = in_use.drape_n / DRAPE_N
     sag = Tolerances(0.0, 0.0, 0.0, load * Tolerances.plate_mm, load * Tolerances.plate_rad)
     return [
-        EXPANSION_PER_K * handled.warmer_k * growth,
-        MOISTURE_EXPANSION * handled.water_share * growth,
+        EXPANSION_PER_K * in_use.warmer_k * expansion,
+        MOISTURE_EXPANSION * in_use.water_share * expansion,
         *_shared(views, sag),
     ]

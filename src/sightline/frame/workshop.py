@@ -1,4 +1,4 @@
-"""All that a workshop needs to make a frame, as files in one folder."""
+"""The files that a workshop needs to make a frame, in one folder."""
 
 from pathlib import Path
 
@@ -12,9 +12,10 @@ from sightline.frame.part_svg import plate_svg
 
 
 def write_workshop(frame: Frame, folder: str | Path) -> tuple[Path, ...]:
-    """Drawings (SVG, DXF), bores (CSV) and solids (STL) of every plate; bill, inspection sheet and frame file.
+    """Write drawings (SVG, DXF), bores (CSV) and solids (STL) of every plate, bill, inspection sheet and frame file.
 
-    Raises FrameError for plates that cannot be made so, UnusableInputError where the place cannot be written.
+    Return the files written. Raises FrameError for plates that cannot be made, UnusableInputError where the folder
+    cannot be written.
     """
     parts = parts_of(frame)
     files: dict[str, bytes] = {
