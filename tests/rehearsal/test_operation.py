@@ -10,7 +10,7 @@ from sightline.checks import Limits
 from sightline.errors import RobotRefusedError
 from sightline.rehearsal.operation import Outcome, Theatre, registered
 from sightline.robot.kinematics.manipulator import imaging_yaw, nominal_manipulator
-from sightline.robot.kinematics.target import PlanIdentity, aim
+from sightline.robot.kinematics.target import PlanIdentity, robot_target
 from sightline.robot.link.client import RobotClient
 from sightline.studies.study_fig15 import Figure15
 
@@ -52,7 +52,9 @@ def test_a_second_insertion_finds_its_line_where_the_images_had_it():
         for number in range(2):
             with RobotClient(port=server.port, heartbeat=False, streams=False) as robot:
                 registration = registered(theatre.robot, robot.simulated_wire().imaged, time.monotonic())
-                target = aim(PlanIdentity(f"{number}", "right", "SN-7", go=True), wire, budget, registration, Limits())
+                target = robot_target(
+                    PlanIdentity(f"{number}", "right", "SN-7", go=True), wire, budget, registration, Limits()
+                )
                 robot.start_up()
                 robot.calibrate(registration.T_mcs_cfcs)
                 robot.aim_plan(target, time.monotonic(), target.length_mm + 1.0)
@@ -61,7 +63,7 @@ def test_a_second_insertion_finds_its_line_where_the_images_had_it():
                 assert np.allclose(robot.position().translation, ENTRY_MM - 20 * along, atol=0.05)
                 left = registered(theatre.robot, robot.joints()[0], time.monotonic())
                 with pytest.raises(RobotRefusedError, match=r"out of reach|feed"):
-                    aim(target.identity, wire, budget, left, Limits())
+                    robot_target(target.identity, wire, budget, left, Limits())
             wait_for(lambda: server.dialogue.controller.lease is None)
 
 

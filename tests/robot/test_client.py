@@ -1,5 +1,5 @@
-"""The client believes no robot: what was acknowledged, what will be laid and what was laid are compared with the plan;
-answers are those of their questions; a stop finds a way."""
+"""The client verifies the robot: acknowledged, reachable and final poses are compared with the plan, answers belong to
+their queries, and a stop gets through."""
 
 import subprocess
 import sys
@@ -37,7 +37,7 @@ def wait_for(condition, within_s: float = 30.0) -> None:
         time.sleep(0.005)
 
 
-def test_a_wire_is_laid_where_its_axis_and_tip_are():
+def test_the_deviation_is_that_of_axis_and_tip():
     turned = TARGET * RigidTransform.from_components([0.0, 0.0, 0.0], Rotation.from_rotvec([0.0, 0.0, 2.1]))
     deviation = WireDeviation.of(turned, TARGET)
     assert max(deviation.aside_mm, abs(deviation.along_mm), deviation.angle_rad) < 1e-9

@@ -1,4 +1,4 @@
-"""The look for collisions beside the loop: answered when it is done, void after a stop, and it moves nothing late."""
+"""The collision check off the control thread: answered when done, cancelled by a stop; a late one starts no motion."""
 
 from concurrent.futures import Future
 from threading import Event
@@ -16,8 +16,8 @@ from sightline.robot.igtl import Message, Status, String, Transform
 from sightline.robot.link.client import RobotClient
 
 
-class Survey:
-    """A check_executor whose searches end when the test says so."""
+class HeldChecks:
+    """An executor whose checks end when the test says so."""
 
     def __init__(self, rig: Rig) -> None:
         self.begun: list[tuple] = []
@@ -42,13 +42,13 @@ def names(said: list) -> list[str]:
     return [message.device_name for message in said]
 
 
-def test_a_target_is_acknowledged_at_once_and_answered_when_it_was_looked_at():
+def test_a_target_is_acknowledged_at_once_and_answered_when_it_was_checked():
     rig = Rig.at(State.TARGETING)
-    survey = Survey(rig)
+    checks = HeldChecks(rig)
     assert names(target(rig)) == ["ACK_1"]
     assert rig.run(0.5) == []
     assert rig.controller.machine.insertion is None
-    survey.end()
+    checks.end()
     said = rig.run(0.01)
     assert names(said) == ["TARGET", "TARGET", "REACHABLE_TARGET"]
     assert code(said, "TARGET") == 1
@@ -58,9 +58,9 @@ def test_a_target_is_acknowledged_at_once_and_answered_when_it_was_looked_at():
 
 def test_what_is_in_the_way_is_the_answer():
     rig = Rig.at(State.TARGETING)
-    survey = Survey(rig)
+    checks = HeldChecks(rig)
     target(rig)
-    survey.begun[-1][1].set_exception(RobotRefusedError("the table"))
+    checks.begun[-1][1].set_exception(RobotRefusedError("the table"))
     said = rig.run(0.01)
     assert code(said, "TARGET") == Code.CONFIGURATION
     assert rig.controller.machine.insertion is None
@@ -68,9 +68,9 @@ def test_what_is_in_the_way_is_the_answer():
 
 def test_a_bug_in_the_search_is_no_answer_that_moves_anything():
     rig = Rig.at(State.TARGETING)
-    survey = Survey(rig)
+    checks = HeldChecks(rig)
     target(rig)
-    survey.begun[-1][1].set_exception(ZeroDivisionError())
+    checks.begun[-1][1].set_exception(ZeroDivisionError())
     with pytest.raises(ZeroDivisionError):
         rig.run(0.01)
     assert rig.controller.machine.insertion is None
@@ -79,7 +79,7 @@ def test_a_bug_in_the_search_is_no_answer_that_moves_anything():
 
 def test_its_client_waits_and_others_may_stop_and_ask():
     rig = Rig.at(State.TARGETING)
-    Survey(rig)
+    HeldChecks(rig)
     target(rig)
     for text in ("MOVE_TO_TARGET", "START_UP"):
         assert code(rig.command(text), text) == Code.NOT_READY
@@ -92,7 +92,7 @@ def test_its_client_waits_and_others_may_stop_and_ask():
 @pytest.mark.parametrize("how", ["STOP", "EMERGENCY", "lost", "stop button"])
 def test_a_stop_makes_what_is_found_afterwards_void(how):
     rig = Rig.at(State.TARGETING)
-    survey = Survey(rig)
+    checks = HeldChecks(rig)
     target(rig)
     if how == "lost":
         rig.dialogue.left(CLIENT, rig.now_s)
@@ -102,28 +102,28 @@ def test_a_stop_makes_what_is_found_afterwards_void(how):
         rig.command(how, client=2)
     said = rig.run(0.2)
     assert code(said, "TARGET") == {"STOP": Code.NOT_READY, "lost": None}.get(how, Code.EMERGENCY)
-    survey.end()
+    checks.end()
     assert code(rig.run(0.2), "TARGET") is None
     assert rig.controller.machine.insertion is None
 
 
-def stopped_on_its_way() -> tuple[Rig, Survey]:
-    """With a target, and an arm that stands elsewhere than where the way was looked at from."""
+def stopped_on_its_way() -> tuple[Rig, HeldChecks]:
+    """With a target, and an arm that stands elsewhere than where its path was checked from."""
     rig = Rig.at(State.ALIGN)
     rig.run(1.0)
     rig.command("STOP")
     rig.run(0.5)
-    return rig, Survey(rig)
+    return rig, HeldChecks(rig)
 
 
-def test_a_motion_waits_for_its_look():
-    rig, survey = stopped_on_its_way()
+def test_a_motion_waits_for_its_check():
+    rig, checks = stopped_on_its_way()
     said = rig.command("MOVE_TO_TARGET")
     assert names(said) == [f"ACK_{rig.number}", "CURRENT_STATUS"]
     rig.run(0.5)
     assert rig.state is State.STOP
     assert rig.speed() == 0.0
-    survey.end()
+    checks.end()
     rig.run(0.2)
     assert rig.state is State.ALIGN
     assert code(rig.run_until(State.ALIGNED), "MOVE_TO_TARGET") == 1
@@ -131,7 +131,7 @@ def test_a_motion_waits_for_its_look():
 
 @pytest.mark.parametrize("how", ["STOP", "late", "hold-to-run", "button", "pushed"])
 def test_a_late_answer_moves_nothing(how):
-    rig, survey = stopped_on_its_way()
+    rig, checks = stopped_on_its_way()
     rig.command("MOVE_TO_TARGET")
     said = []
     if how == "STOP":
@@ -145,7 +145,7 @@ def test_a_late_answer_moves_nothing(how):
     else:
         rig.plant.q = rig.plant.q + np.array([1.0, 0.0, 0.0, 0.0, 0.0])
     said += rig.run(0.05)
-    survey.end()
+    checks.end()
     said += rig.run(0.3)
     assert rig.state is not State.ALIGN
     assert rig.speed() == 0.0
@@ -164,13 +164,13 @@ def test_a_command_that_a_stop_overtook_is_void():
     assert code([o.message for o in out], "PLANNING") == 1
 
 
-def test_behind_its_port_the_robot_goes_on_while_it_looks(monkeypatch):
-    """The loop turns, others are answered, and what its own client sent meanwhile is answered afterwards, in order."""
-    free, looks = Event(), Event()
+def test_behind_its_port_the_robot_goes_on_during_a_check(monkeypatch):
+    """The loop runs, others are answered, and what its own client sent meanwhile is answered afterwards, in order."""
+    free, checking = Event(), Event()
     real = Insertion.refuse_collision
 
     def slow(*args):
-        looks.set()
+        checking.set()
         assert free.wait(10.0)
         real(*args)
 
@@ -182,7 +182,7 @@ def test_behind_its_port_the_robot_goes_on_while_it_looks(monkeypatch):
         with robot.connection.mailbox() as mail:
             robot.connection.send(Transform.of(wire()), "TGT_9", metadata=metadata(), imaged_s=10.0)
             robot.connection.send(String("MOVE_TO_TARGET"), "CMD_10")
-            assert looks.wait(10.0)
+            assert checking.wait(10.0)
             before = server.dialogue.cycles.count
             while server.dialogue.cycles.count < before + 10:
                 assert other.status().error_name == "TARGETING"

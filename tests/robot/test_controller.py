@@ -177,7 +177,7 @@ def test_a_loop_that_is_late_while_it_moves_stops():
     assert rig.speed() < 0.01
 
 
-def test_own_time_goes_on_by_little_and_never_back():
+def test_the_loop_clock_advances_by_little_and_never_back():
     own = LoopClock()
     assert [own.tick(now_s) for now_s in (5.0, 5.005, 9.0, 3.0, 3.01)] == pytest.approx([0.0, 0.005, 0.02, 0.0, 0.01])
     assert own.now_s == pytest.approx(0.035)
@@ -205,7 +205,7 @@ def test_a_controller_that_slept_does_not_blame_the_drives(state):
 
 
 def test_a_controller_that_pauses_does_not_blame_its_client():
-    """Turn after turn it pauses, each time for less than it may; so does the client on the same machine."""
+    """Cycle after cycle it pauses, each time for less than it may; so does the client on the same machine."""
     rig = Rig.at(State.ALIGN)
     rig.send(HEARTBEAT, String(""))
     for _ in range(8):

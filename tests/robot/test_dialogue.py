@@ -149,12 +149,12 @@ def test_a_look_that_a_stop_ended_is_told_after_it():
 def test_a_target_of_a_client_without_the_lease_is_not_echoed_as_accepted():
     from concurrent.futures import Future
 
-    rig, looks = Rig.at(State.TARGETING), []
-    rig.controller.check_executor = lambda work: looks.append(Future()) or looks[-1]
+    rig, checks = Rig.at(State.TARGETING), []
+    rig.controller.check_executor = lambda work: checks.append(Future()) or checks[-1]
     target(rig)
     other = Transform(np.diag([1.0, 1.0, 1.0, 1.0]) + np.pad([[99.0]], ((0, 3), (3, 0))))
     assert code(rig.send("TGT_X", other, OTHER), "TARGET") == Code.DENIED
-    looks[0].set_result(None)
+    checks[0].set_result(None)
     echo = next(m for m in rig.run(0.01) if m.device_name == "TARGET" and isinstance(m.body, Transform))
     assert np.array_equal(echo.body.matrix, Transform.of(wire()).matrix)
 

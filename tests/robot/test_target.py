@@ -9,7 +9,7 @@ from sightline.checks import Limits
 from sightline.errors import RobotRefusedError, UnusableInputError
 from sightline.rehearsal.robots import calibrated_robot
 from sightline.robot.kinematics.registration import PoseAtImage, Registration, register
-from sightline.robot.kinematics.target import LIFETIME_S, PlanIdentity, RobotTarget, aim
+from sightline.robot.kinematics.target import LIFETIME_S, PlanIdentity, RobotTarget, robot_target
 from sightline.robot.link.client import plan_metadata
 
 Q = np.array([3.0, -5.0, np.pi / 4, 0.0, 0.0])
@@ -27,7 +27,7 @@ def aimed(
     identity: PlanIdentity = IDENTITY, points: np.ndarray = POINTS, scale: float = 1.0, limits: Limits | None = None
 ) -> RobotTarget:
     budget = {name: scale * part for name, part in PLANNED.items()}
-    return aim(identity, points, budget, registered(), limits or Limits())
+    return robot_target(identity, points, budget, registered(), limits or Limits())
 
 
 def test_the_frame_stands_where_the_flange_holds_it():
@@ -141,6 +141,6 @@ def test_lines_that_no_wire_can_follow_are_refused():
     with pytest.raises(UnusableInputError, match="finite"):
         aimed(points=POINTS * np.nan)
     with pytest.raises(RobotRefusedError, match="error is unknown"):
-        aim(IDENTITY, POINTS, None, registered(), Limits())
+        robot_target(IDENTITY, POINTS, None, registered(), Limits())
     with pytest.raises(UnusableInputError, match="side"):
         PlanIdentity("plan-1", "middle", "SN-7", go=True)

@@ -415,11 +415,11 @@ def _send_registered(robot: "RobotClient", plan: "PlanFile", name: str, stood: "
 
 
 def _target(plan: "PlanFile", name: str, frame_serial: str, registration: "Registration") -> "RobotTarget":
-    from sightline.robot.kinematics.target import PlanIdentity, aim
+    from sightline.robot.kinematics.target import PlanIdentity, robot_target
 
     budget = None if plan.covariance_mm2 is None else {"planning": plan.covariance_mm2}
     identity = PlanIdentity(name, plan.side or "", frame_serial, plan.go, plan.document.kind or "")
-    return aim(identity, plan.points_mm, budget, registration, plan.limits)
+    return robot_target(identity, plan.points_mm, budget, registration, plan.limits)
 
 
 def _tell(robot: "RobotClient", target: "RobotTarget", now_s: float) -> None:

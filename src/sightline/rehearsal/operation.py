@@ -18,7 +18,7 @@ from sightline.robot.control.states import State
 from sightline.robot.kinematics.calibrated import CalibratedRobot
 from sightline.robot.kinematics.manipulator import FEED, YAW, imaging_yaw
 from sightline.robot.kinematics.registration import PoseAtImage, Registration, register
-from sightline.robot.kinematics.target import PlanIdentity, RobotTarget, aim
+from sightline.robot.kinematics.target import PlanIdentity, RobotTarget, robot_target
 from sightline.robot.link.client import RobotClient
 from sightline.robot.link.dialect import SIGHTLINE, Dialect
 from sightline.robot.link.record import DrillingRecord, Recorder
@@ -151,7 +151,7 @@ def registered(robot: CalibratedRobot, imaged: np.ndarray, now_s: float) -> Regi
 def target_of(plan: Plan, identity: PlanIdentity, registration: Registration) -> RobotTarget:
     """A plan carried over. Raises RobotRefusedError."""
     points = plan.trajectory.points
-    return aim(identity, points.xyz_mm, points.budget_mm2, registration, plan.kind.limits)
+    return robot_target(identity, points.xyz_mm, points.budget_mm2, registration, plan.kind.limits)
 
 
 def insert(client: RobotClient, target: RobotTarget, depth_limit_mm: float) -> DrillingRecord:

@@ -96,12 +96,18 @@ class Manipulator:
 
     def flange_parameter_jacobian(self, q: np.ndarray) -> np.ndarray:
         """Return the flange's spatial twist per entry of `displaced`'s twists, (..., 6, 36); the feed's columns are
-        zero."""
-        return self._parameter_jacobian(q, ARM_JOINTS)
+        zero.
 
-    def tool_parameter_jacobian(self, q: np.ndarray) -> np.ndarray:
-        """Return the tool's spatial twist per entry of `displaced`'s twists, (..., 6, 36)."""
-        return self._parameter_jacobian(q, len(JOINTS))
+        Displacing an axis by x turns its motion into exp(x) exp(axis q) exp(-x). To first order that is x transformed
+        by the joints before it, less x transformed by these and the joint itself.
+        """
+        stages = self.stages(q)
+        carried = adjoint(RigidTransform.from_matrix(stages.reshape(-1, 4, 4))).reshape(*stages.shape[:-2], 6, 6)
+        out = np.zeros((*stages.shape[:-3], 6, len(JOINTS) + 1, 6))
+        for joint in range(ARM_JOINTS):
+            out[..., joint, :] = carried[..., joint, :, :] - carried[..., joint + 1, :, :]
+        out[..., -1, :] = carried[..., ARM_JOINTS, :, :]
+        return out.reshape(*out.shape[:-2], -1)
 
     def displaced(self, twists: np.ndarray) -> "Manipulator":
         """Return the manipulator with its five axes, and the flange with all that is on it, each displaced by a spatial
@@ -186,20 +192,6 @@ class Manipulator:
         out[..., :3, 3] = np.einsum("...jab,jb->...ja", along, velocity)
         out[..., 3, 3] = 1.0
         return out
-
-    def _parameter_jacobian(self, q: np.ndarray, joints: int) -> np.ndarray:
-        """Return the spatial twist per entry of `displaced`'s twists, (..., 6, 36).
-
-        Displacing an axis by x turns its motion into exp(x) exp(axis q) exp(-x). To first order that is x transformed
-        by the joints before it, less x transformed by these and the joint itself.
-        """
-        stages = self.stages(q)
-        carried = adjoint(RigidTransform.from_matrix(stages.reshape(-1, 4, 4))).reshape(*stages.shape[:-2], 6, 6)
-        out = np.zeros((*stages.shape[:-3], 6, len(JOINTS) + 1, 6))
-        for joint in range(joints):
-            out[..., joint, :] = carried[..., joint, :, :] - carried[..., joint + 1, :, :]
-        out[..., -1, :] = carried[..., joints, :, :]
-        return out.reshape(*out.shape[:-2], -1)
 
     def _nominal_inverse(self, tip: np.ndarray, direction: np.ndarray) -> np.ndarray:
         """Return q (5,) in closed form for vertical yaw, level pitch (positive lifts the tip), lift along Z and

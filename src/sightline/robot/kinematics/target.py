@@ -126,7 +126,7 @@ class RobotTarget:
         return max(self.budget_mm2, key=lambda source: np.trace(self.budget_mm2[source])).replace("_", " ")
 
 
-def aim(
+def robot_target(
     identity: PlanIdentity,
     points_mm: np.ndarray,
     budget_mm2: Mapping[str, np.ndarray] | None,
