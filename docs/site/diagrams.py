@@ -13,8 +13,12 @@ from sphinx.util.docutils import SphinxDirective
 from sphinx.util.fileutil import copy_asset
 
 START = """import {{ mermaid }} from "./{path}";
-const wide = {{ useMaxWidth: false }};  // a diagram keeps the size of its text, and scrolls
-mermaid.initialize({{ startOnLoad: true, theme: "neutral", flowchart: wide, state: wide }});"""
+mermaid.initialize({{ startOnLoad: true, theme: "neutral" }});
+for (const diagram of document.querySelectorAll("pre.mermaid"))  // fits the page; a click shows it in full size
+  diagram.addEventListener("click", () => {{
+    const svg = diagram.querySelector("svg");
+    if (svg) svg.style.width = svg.style.width ? "" : svg.style.maxWidth;
+  }});"""
 
 
 class Mermaid(SphinxDirective):
