@@ -180,12 +180,12 @@ class BeadView(Plotted):
         """
         if self.focal_length is None or not self.focal_length.is_of_a_panel:
             return self
-        alike = (
+        comparable = (
             one.focal_length
             for one in before
             if (one.name, one.frame_key, one.image_shape) == (self.name, self.frame_key, self.image_shape)
         )
-        known = [length for length in alike if length is not None]
+        known = [length for length in comparable if length is not None]
         return replace(self, checks=(*self.checks, steady_check(self.focal_length, known))) if known else self
 
     def checked(self, checks: Iterable[Check]) -> Self:

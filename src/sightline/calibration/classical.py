@@ -185,9 +185,8 @@ class ClassicalFit:
         block = by_control[3:].reshape(n, 2, sum(sizes), 2)
         for axis in range(2):
             block[:, axis, first : first + own.shape[1], axis] += own
-        by_pixel = np.zeros(
-            (3 + 2 * n, sizes[0], 2)
-        )  # an XRII bead's pixel decides where its line meets the source map
+        # The pixel of an XRII bead determines where its line meets the source plate.
+        by_pixel = np.zeros((3 + 2 * n, sizes[0], 2))
         by_pixel[:3, self.lines] = np.einsum("lik,lkj->ilj", to_plane2, self.source.map.jacobian(at_lines))
         return LineErrors(
             self._noise(by_control, by_pixel),

@@ -49,9 +49,9 @@ class _Sheet:
             f'<circle cx="{x:.3f}" cy="{y:.3f}" r="{radius:.3f}" fill="{fill}" stroke="#000" stroke-width="{width}"/>'
         )
 
-    def fill(self, *points: tuple[float, float], colour: str = "#000") -> None:
+    def fill(self, *points: tuple[float, float]) -> None:
         at = " ".join(f"{x:.3f},{y:.3f}" for x, y in points)
-        self._marks.append(f'<polygon points="{at}" fill="{colour}" stroke="none"/>')
+        self._marks.append(f'<polygon points="{at}" fill="#000" stroke="none"/>')
 
     def say(  # noqa: PLR0917
         self, x: float, y: float, text: str, size: float = 2.5, anchor: str = "start", turned: bool = False,

@@ -104,7 +104,7 @@ def search(grids: Sequence[np.ndarray], count: int, rng: np.random.Generator, mo
     left = [~hidden_blocks(points) for points in grids]
     chosen = [_start(points, left[plate], count, rng) for plate, points in enumerate(grids)]
     triples = [Triples.of(points[indices]) for points, indices in zip(grids, chosen, strict=True)]
-    best, energy, least = list(chosen), 0.0, 0.0
+    best, energy, lowest = list(chosen), 0.0, 0.0
     for heat in 3.0 * (1 - np.arange(moves) / moves) ** 2 + 0.02:
         plate = int(rng.integers(len(grids)))
         moved = _moved(chosen[plate], len(grids[plate]), rng)
@@ -117,8 +117,8 @@ def search(grids: Sequence[np.ndarray], count: int, rng: np.random.Generator, mo
             continue
         chosen[plate], triples[plate] = moved, tried
         energy += change
-        if energy < least - 1e-9:
-            best, least = list(chosen), energy
+        if energy < lowest - 1e-9:
+            best, lowest = list(chosen), energy
     return [np.sort(indices) for indices in best]
 
 

@@ -64,9 +64,9 @@ class Measure:
         value = float(self.value(entry_mm[None], end_mm[None])[0])
         limit = self.high if value > self.high or not np.isfinite(self.low) else self.low
         passed = self.low <= value <= self.high
-        said = self.sentence.format(f"{value:.1f}{'' if self.unit == '°' else ' '}{self.unit}")
-        said += "." if passed else f"; {self.otherwise}."
-        return Check(self.name, passed, value, float(limit), self.unit, said)
+        sentence = self.sentence.format(f"{value:.1f}{'' if self.unit == '°' else ' '}{self.unit}")
+        sentence += "." if passed else f"; {self.otherwise}."
+        return Check(self.name, passed, value, float(limit), self.unit, sentence)
 
 
 def judge_in_bone(found: Anatomy, rule: BoneRule, side: str | None, landmarks_mm: Mapping[str, np.ndarray]) -> Verdict:
@@ -184,7 +184,7 @@ def _sides(
         f"with the frame placed like this it is not a {side} hip, or two points are exchanged: look at both images, "
         "then give the other side or pick again"
     )
-    said = f"For a {side} hip {{}} must lie below the centre of the head: it lies {{}} below"
+    sentence = f"For a {side} hip {{}} must lie below the centre of the head: it lies {{}} below"
     out = [
         Measure(
             "side",
@@ -192,13 +192,13 @@ def _sides(
             0.0,
             np.inf,
             "mm",
-            said.format(f"the {name}", "{}"),
+            sentence.format(f"the {name}", "{}"),
             otherwise,
         )
         for name, at in still.items()
     ]
     if by_wire:
-        below = said.format("the entry", "{}")
+        below = sentence.format("the entry", "{}")
         out.append(Measure("side", lambda entry, end: (entry - centre) @ down, 0.0, np.inf, "mm", below, otherwise))
     return out
 

@@ -10,6 +10,16 @@ MEDIAL = np.array([-1.0, 0.0, 0.0])
 _MIN_COSINE = 0.3
 
 
+def unit(vector: np.ndarray) -> np.ndarray:
+    """Return vectors (..., 3) scaled to unit length."""
+    return vector / np.linalg.norm(vector, axis=-1, keepdims=True)
+
+
+def across(vector: np.ndarray, along: np.ndarray) -> np.ndarray:
+    """Return the components of vectors (..., 3) perpendicular to unit vectors `along` (..., 3)."""
+    return vector - (vector * along).sum(axis=-1, keepdims=True) * along
+
+
 def caudal(side: str) -> np.ndarray:
     """Return the caudal direction (3,): +Y for a right hip, -Y for a left one. Raises UnusableInputError."""
     if side not in ("right", "left"):

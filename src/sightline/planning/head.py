@@ -16,6 +16,7 @@ from sightline.errors import ReconstructionRefusedError
 from sightline.geometry.covariance import ellipsoid_factor, response
 from sightline.geometry.lines import nearest_approach
 from sightline.planning.aids import Circle
+from sightline.planning.directions import across, unit
 from sightline.planning.sights import Sights
 
 # Accepted radii of a femoral head; adults have 20 to 26 mm (physics.md, Femur) [ours].
@@ -99,9 +100,9 @@ def outline(view: CalibratedView, sphere: Sphere, points: int = 48) -> np.ndarra
     towards = sphere.centre_mm - view.focal_point_mm
     distance = float(np.linalg.norm(towards))
     sine = sphere.radius_mm / distance
-    across = np.linalg.svd(towards[None])[2][1:]
+    first, second = np.linalg.svd(towards[None])[2][1:]
     angle = 2 * np.pi * np.arange(points) / points
-    ring = np.cos(angle)[:, None] * across[0] + np.sin(angle)[:, None] * across[1]
+    ring = np.cos(angle)[:, None] * first + np.sin(angle)[:, None] * second
     middle = sphere.centre_mm - sphere.radius_mm * sine * towards / distance
     return view.project_seen(middle + sphere.radius_mm * np.sqrt(1 - sine**2) * ring)[0]
 
@@ -115,7 +116,7 @@ def _start(rays: Rays) -> np.ndarray:
 
 def _distances(rays: Rays, sphere: np.ndarray) -> np.ndarray:
     """Return (K, M), mm: the distance of each line of sight from the surface of the sphere (4,), positive outside."""
-    return np.concatenate([np.linalg.norm(_across(*one, sphere), axis=-1) for one in rays], axis=1) - sphere[3]
+    return np.concatenate([np.linalg.norm(_to_centre(*one, sphere), axis=-1) for one in rays], axis=1) - sphere[3]
 
 
 def _by_z(sights: Sights, at: np.ndarray, sphere: np.ndarray) -> np.ndarray:
@@ -125,17 +126,13 @@ def _by_z(sights: Sights, at: np.ndarray, sphere: np.ndarray) -> np.ndarray:
 
 def _by_sphere(rays: Rays, sphere: np.ndarray) -> np.ndarray:
     """Return (M, 4): the derivative of `_distances` by centre and radius, for one set of rays."""
-    across = np.concatenate([_across(*one, sphere)[0] for one in rays])
-    outward = across / np.linalg.norm(across, axis=1, keepdims=True)
+    outward = unit(np.concatenate([_to_centre(*one, sphere)[0] for one in rays]))
     return np.column_stack([outward, -np.ones(len(outward))])
 
 
-def _across(focal: np.ndarray, points: np.ndarray, sphere: np.ndarray) -> np.ndarray:
+def _to_centre(focal: np.ndarray, points: np.ndarray, sphere: np.ndarray) -> np.ndarray:
     """Return (K, M, 3): the perpendicular from each line of sight to the sphere's centre."""
-    ray = points - focal
-    ray = ray / np.linalg.norm(ray, axis=-1, keepdims=True)
-    to_centre = sphere[:3] - focal
-    return to_centre - (to_centre * ray).sum(axis=-1, keepdims=True) * ray
+    return across(sphere[:3] - focal, unit(points - focal))
 
 
 def _agreement(chi_square: float, freedom: int) -> Check:

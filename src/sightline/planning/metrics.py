@@ -12,7 +12,7 @@ import numpy as np
 from sightline.errors import ReconstructionRefusedError
 from sightline.geometry.covariance import response
 from sightline.planning.anatomy import Anatomy
-from sightline.planning.directions import ANTERIOR, MEDIAL, caudal, towards
+from sightline.planning.directions import ANTERIOR, MEDIAL, across, caudal, towards, unit
 
 # Beyond this distance from the head's centre, as a share of its radius, a line only grazes the head [ours].
 _MAX_OFFSET = 0.95
@@ -117,7 +117,7 @@ class _Parts:
 
     @property
     def wire(self) -> np.ndarray:
-        return _unit(self.tip - self.entry)
+        return unit(self.tip - self.entry)
 
     @property
     def centre(self) -> np.ndarray:
@@ -144,14 +144,14 @@ class _Parts:
 
     def beam(self, view: int) -> np.ndarray:
         """The ray of a view (0: PA, 1: lateral) through the head's centre."""
-        return _unit(self.centre - self._of("focal", 3 * view))
+        return unit(self.centre - self._of("focal", 3 * view))
 
     def offset(self) -> np.ndarray:
         """The perpendicular from the head's centre to the wire."""
-        return _across(self.entry - self.centre, self.wire)
+        return across(self.entry - self.centre, self.wire)
 
     def _axis(self, name: str, goal: np.ndarray) -> np.ndarray:
-        along = _unit(self._of(name, 3) - self._of(name))
+        along = unit(self._of(name, 3) - self._of(name))
         return along * np.sign(along[0] @ towards(along[0], goal, f"the {name} axis"))
 
 
@@ -169,7 +169,7 @@ def _neck_shaft(parts: _Parts) -> np.ndarray:
 
 def _version(parts: _Parts) -> np.ndarray:
     """Angle of the neck to the frame's frontal plane (X and the shaft), seen along the shaft."""
-    forward = _unit(_across(ANTERIOR, parts.shaft))
+    forward = unit(across(ANTERIOR, parts.shaft))
     inward = np.cross(parts.shaft, forward)
     inward *= np.sign(inward[:, :1] * MEDIAL[0])
     return np.rad2deg(np.arctan2((parts.neck * forward).sum(axis=-1), (parts.neck * inward).sum(axis=-1)))
@@ -182,9 +182,9 @@ def _tip_apex(parts: _Parts) -> np.ndarray:
 def _calcar_tip_apex(parts: _Parts) -> np.ndarray:
     """As the tip-apex distance, but in the PA view to the apex on the line along the calcar, parallel to the neck."""
     beam = parts.beam(0)
-    along = _unit(_across(parts.neck, beam))
-    from_centre = _across(parts.calcar - parts.centre, beam)
-    offset = _across(from_centre, along)
+    along = unit(across(parts.neck, beam))
+    from_centre = across(parts.calcar - parts.centre, beam)
+    offset = across(from_centre, along)
     rest = parts.radius**2 - (offset**2).sum(axis=-1)
     if rest[0] <= (1 - _MAX_OFFSET**2) * parts.radius[0] ** 2:
         raise ReconstructionRefusedError("the line along the calcar misses the head; click on the calcar again")
@@ -278,7 +278,7 @@ def _position(found: Anatomy, view: str, side: str) -> Metric:
 
     def offset(parts: _Parts) -> np.ndarray:
         found.refuse_side(side)
-        upward = _unit(np.cross(parts.beam(number), parts.wire))
+        upward = unit(np.cross(parts.beam(number), parts.wire))
         upward = upward * np.sign(upward[0] @ towards(upward[0], goal, f"the wire's normal in the {view} view"))
         return (parts.offset() * upward).sum(axis=-1)
 
@@ -301,17 +301,8 @@ def _apex(parts: _Parts) -> np.ndarray:
 
 def _seen(vector: np.ndarray, beam: np.ndarray) -> np.ndarray:
     """Return the length of a vector as a view shows it, corrected for magnification."""
-    return np.linalg.norm(_across(vector, beam), axis=-1)
-
-
-def _across(vector: np.ndarray, along: np.ndarray) -> np.ndarray:
-    """Return the component of `vector` perpendicular to the unit vector `along`."""
-    return vector - (vector * along).sum(axis=-1, keepdims=True) * along
+    return np.linalg.norm(across(vector, beam), axis=-1)
 
 
 def _angle_deg(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return np.rad2deg(np.arctan2(np.linalg.norm(np.cross(a, b), axis=-1), (a * b).sum(axis=-1)))
-
-
-def _unit(vector: np.ndarray) -> np.ndarray:
-    return vector / np.linalg.norm(vector, axis=-1, keepdims=True)

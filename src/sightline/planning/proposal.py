@@ -8,7 +8,7 @@ import numpy as np
 from sightline.calibration.view import CalibratedView
 from sightline.errors import ReconstructionRefusedError
 from sightline.planning.anatomy import Anatomy
-from sightline.planning.directions import MEDIAL, caudal, towards
+from sightline.planning.directions import MEDIAL, across, caudal, towards, unit
 
 # Accepted distances of the lateral cortex from the shaft's axis: the shaft's outer diameter is 30 mm (physics.md,
 # Femur), the trochanter is wider [ours].
@@ -57,7 +57,7 @@ def propose(views: Sequence[CalibratedView], found: Anatomy, side: str, rule: Pr
     assert head is not None and shaft is not None  # noqa: S101 - checked above
     found.refuse_side(side)
     along = towards(shaft.direction, caudal(side), "the shaft axis")
-    to_head = _across(head.centre_mm - shaft.ends_mm[0], along)
+    to_head = across(head.centre_mm - shaft.ends_mm[0], along)
     if np.linalg.norm(to_head) < MIN_OFFSET_MM:
         raise ReconstructionRefusedError(
             f"the head's centre lies {np.linalg.norm(to_head):.0f} mm from the shaft's axis (at least "
@@ -66,7 +66,7 @@ def propose(views: Sequence[CalibratedView], found: Anatomy, side: str, rule: Pr
     inward = _inward(found, to_head, along)
     wire = np.cos(rule.angle_rad) * along + np.sin(rule.angle_rad) * inward
     end = head.centre_mm + _beyond_centre(head.radius_mm, rule) * wire
-    cortex = _across(found.part("cortex") - shaft.ends_mm[0], along)
+    cortex = across(found.part("cortex") - shaft.ends_mm[0], along)
     entry = head.centre_mm + _to_cortex(cortex, to_head, inward, np.sin(rule.angle_rad)) * wire
     length = float(np.linalg.norm(end - entry))
     if not LENGTHS_MM[0] <= length <= LENGTHS_MM[1]:
@@ -85,9 +85,9 @@ def propose(views: Sequence[CalibratedView], found: Anatomy, side: str, rule: Pr
 def _inward(found: Anatomy, to_head: np.ndarray, along: np.ndarray) -> np.ndarray:
     """Return the unit vector perpendicular to the shaft in the wire's plane: to the head's centre or along the neck."""
     if found.neck is None:
-        return _unit(to_head)
-    inward = _unit(_across(towards(found.neck.direction, MEDIAL, "the neck axis"), along))
-    angle = np.arccos(np.clip(inward @ _unit(to_head), -1.0, 1.0))
+        return unit(to_head)
+    inward = unit(across(towards(found.neck.direction, MEDIAL, "the neck axis"), along))
+    angle = np.arccos(np.clip(inward @ unit(to_head), -1.0, 1.0))
     if angle > _MAX_ROTATION_RAD:
         raise ReconstructionRefusedError(
             f"seen along the shaft, the neck's axis points {np.rad2deg(angle):.0f}° away from the head's centre (at "
@@ -127,11 +127,3 @@ def _to_cortex(cortex: np.ndarray, to_head: np.ndarray, inward: np.ndarray, sine
             "bone; draw the neck again"
         )
     return float(-(middle + np.sqrt(rest)) / sine)
-
-
-def _across(vector: np.ndarray, along: np.ndarray) -> np.ndarray:
-    return vector - (vector @ along) * along
-
-
-def _unit(vector: np.ndarray) -> np.ndarray:
-    return vector / np.linalg.norm(vector)

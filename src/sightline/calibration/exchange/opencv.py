@@ -92,7 +92,7 @@ def write(pinhole: Pinhole) -> dict[str, bytes]:
 
 
 def read(data: bytes, name: str) -> Pinhole:
-    """Return the view in any of the three files, told by its first bytes. Raises UnusableInputError."""
+    """Return the view in any of the three files; the first bytes show which. Raises UnusableInputError."""
     if data.startswith(b"\x93NUMPY"):
         return Pinhole.of_matrix(_npy(data), name)
     if data.lstrip()[:1] in (b"{", b"["):
