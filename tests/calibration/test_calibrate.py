@@ -69,7 +69,7 @@ def test_smooth_is_near_exact_for_a_tilted_camera_with_distortion():
 @pytest.mark.slow
 def test_smooth_states_the_covariance_that_sampling_shows():
     # 200 draws of bead noise; the camera lies in the model (an affine map), so noise is all the error there is. Sample
-    # variances of 200 draws scatter by 10 %; hyper-parameters learnt anew each time add the misfit they cannot exclude.
+    # variances of 200 draws scatter by 10 %; hyper-parameters learned each time add the misfit they cannot exclude.
     camera, rng = Camera.pa(), np.random.default_rng(11)
     uv = camera.project(TARGETS_MM)
     view = calibrate(camera.observe(), EXACT)
@@ -83,14 +83,14 @@ def test_smooth_states_the_covariance_that_sampling_shows():
     ratio = np.diag(sampled) / np.diag(covariance)
     assert (ratio > 0.6).all()
     assert (ratio < 1.25).all()
-    # Focal point and lines err together as stated: no direction of the joint space does worse than it should.
+    # The joint errors of focal point and lines are as stated in every direction of their space.
     half = np.linalg.cholesky(np.linalg.inv(covariance))
     assert np.linalg.eigvalsh(half.T @ sampled @ half).max() < 1.6
 
 
 @pytest.mark.parametrize(("method", "plate"), [("smooth", "xrii"), *CLASSICAL])
 def test_frame_errors_move_the_lines_as_the_frame_factor_says(method, plate):
-    # The image shows the frame as it is, the software is told its nominal form: the error is the factor times e.
+    # The image shows the frame as it is, the software gets its nominal form: the error is the factor times e.
     camera, rng = Camera.pa(), np.random.default_rng(12)
     errors = 0.3 * rng.standard_normal(GAMMA.error_factor.shape[1])
     moves = (GAMMA.error_factor[GAMMA.rows("pa")] @ errors).reshape(-1, 3)
@@ -127,10 +127,10 @@ def test_the_budget_adds_up_and_has_no_negative_variance(method, plate):
     np.testing.assert_allclose(sum(covariance.values()), total, atol=1e-9 * np.abs(total).max())
     for part in covariance.values():
         assert np.linalg.eigvalsh(part).min() > -1e-9 * np.abs(total).max()
-    assert np.abs(covariance["beads"][:3]).max() < 1e-6 * np.abs(total).max()  # with F known, F does not err
+    assert np.abs(covariance["beads"][:3]).max() < 1e-6 * np.abs(total).max()  # given F, its error is zero
 
 
-def test_a_pick_further_out_is_known_less_well_and_said_to_be_outside():
+def test_a_pick_further_out_has_a_larger_error_and_is_marked_outside():
     camera = Camera.pa(bend=0.05)
     view = calibrate(camera.observe(rng=np.random.default_rng(14)), EXACT)
     near, far = np.array([[511.0, 511.0]]), np.array([[100.0, 100.0]])
@@ -202,7 +202,7 @@ def test_residuals_belong_to_the_beads_given_whatever_their_order():
     assert a.residuals.ids == b.residuals.ids
     np.testing.assert_allclose(a.residuals.leave_one_out_mm, b.residuals.leave_one_out_mm, atol=1e-12)
     np.testing.assert_allclose(a.focal_point_mm, b.focal_point_mm, atol=1e-9)
-    # A bead left out errs more than one that took part; both in the mm that 0.1 px are worth.
+    # A bead left out has a larger error than one that is used; both in the mm that 0.1 px amount to.
     assert a.residuals.leave_one_out_rms_mm > np.sqrt(np.mean(a.residuals.residual_mm**2))
     assert a.residuals.leave_one_out_rms_mm == pytest.approx(0.92 * 0.21 * NOISE_PX, rel=0.5)
 
@@ -307,13 +307,13 @@ def test_few_beads_still_serve_the_localized_method():
     assert any(c.name == "measurement noise" for c in view.checks)
 
 
-def test_default_tolerances_are_said_to_be_assumed():
+def test_default_tolerances_are_stated_as_assumed():
     bare = replace(GAMMA, tolerances=None)
     assert any(c.name == "frame tolerances" for c in calibrate(SEEN, bare).checks)
     assert not any(c.name == "frame tolerances" for c in calibrate(SEEN, EXACT).checks)
 
 
-def test_a_calibrated_view_says_which_file_of_which_frame_it_was_made_with(tmp_path) -> None:
+def test_a_calibrated_view_identifies_its_frame_file(tmp_path) -> None:
     """Serial and coordinates: the same file read again is the same, another serial or a moved bead is not."""
     plate = GAMMA.view("pa").xrii
     moved = replace(plate.fiducials[3], xyz_mm=tuple(np.add(plate.fiducials[3].xyz_mm, (0.0, 0.01, 0.0))))

@@ -27,7 +27,7 @@ def arm(shift_mm=(0.0, 0.0, 0.0), turn_rad=(0.0, 0.0, 0.0), flex_mm=(0.0, 0.0, 0
 
 
 def true_shift_mm(camera: Camera) -> np.ndarray:
-    """How far the rays of the pixels that showed the targets at rest now pass by them: no calibration is asked."""
+    """Distances of the targets from the rays of the pixels that showed them at rest, without any calibration."""
     out = []
     for target in TARGETS:
         pixel = CAMERA.project(target[None])
@@ -78,7 +78,7 @@ def test_noise_is_of_the_size_stated() -> None:
     assert chi2.ppf(0.005, 80) < sum(squares) < chi2.ppf(0.995, 80)
 
 
-def test_an_instrument_before_some_beads_is_no_movement(rest: Rest) -> None:
+def test_an_instrument_in_front_of_some_beads_is_not_a_movement(rest: Rest) -> None:
     seen = displaced(CAMERA.observe(GAMMA, np.random.default_rng(4)), dict.fromkeys((3, 17, 40, 66, 80), (2.0, -1.0)))
     found = rest.displacement(seen)
     assert found.beads <= len(seen) - 5

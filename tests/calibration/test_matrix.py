@@ -78,12 +78,12 @@ def test_the_scale_of_the_matrix_carries_no_error():
         (P, np.full((12, 12), np.inf), "finite"),
     ],
 )
-def test_what_is_no_view_is_refused(matrix, covariance, words):
+def test_invalid_matrices_are_refused(matrix, covariance, words):
     with pytest.raises(UnusableInputError, match=words):
         view_from_matrix(matrix, covariance)
 
 
-def test_pixels_that_are_none_are_refused():
+def test_invalid_pixels_are_refused():
     with pytest.raises(UnusableInputError, match="finite"):
         view_from_matrix(P).lines_of_sight(np.array([[np.nan, 1.0]]))
 

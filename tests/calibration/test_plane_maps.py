@@ -48,7 +48,7 @@ def test_every_map_inverts_itself_and_knows_its_slope(method):
 
 @pytest.mark.parametrize("method", METHODS)
 def test_points_without_an_image_hold_no_other_up(method):
-    """Beside points that have pixels stand such as lie far outside, whose Newton steps lead anywhere."""
+    """Points with pixels are mixed with points far outside, whose Newton steps do not converge."""
     plane_map = fit_map(grid(), bent(grid()), method, degree=5)
     far = np.array([[900.0, -700.0], [-3e5, 2e5], [0.0, 600.0]])
     uv, found = plane_map.find_image(np.concatenate([far[:1], plane_map.to_plane(WITHIN), far[1:]]))
@@ -168,7 +168,7 @@ def test_smooth_states_its_error_as_sampling_shows_it():
     assert 0.85 < np.mean(np.square(z)) < 1.15
 
 
-def test_smooth_finds_out_the_noise_where_none_is_stated():
+def test_smooth_estimates_the_noise_where_none_is_stated():
     rng = np.random.default_rng(6)
     for noise_px in (0.1, 0.8):
         xy, seen = bent(grid()), grid() + noise_px * rng.standard_normal(grid().shape)

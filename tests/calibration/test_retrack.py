@@ -63,7 +63,7 @@ def hash_of(name: str) -> int:
     return sum(map(ord, name))
 
 
-def test_noise_that_was_understated_is_calibrated_anew_and_said() -> None:
+def test_understated_noise_is_calibrated_anew_and_reported() -> None:
     rng = np.random.default_rng(6)
     last = calibrate(CAMERA.observe(GAMMA, rng), GAMMA)
     seen = CAMERA.observe(GAMMA, rng, sd_px=0.5)

@@ -48,7 +48,7 @@ def test_whole_images_are_not_called_torn():
 
 def near(view, uv_px=POINT_PX) -> float:
     used, hidden, shown = view.lines_of_sight(uv_px).beads_near[0]
-    assert hidden == 0  # nobody knows what else was detected
+    assert hidden == 0  # unknown what else was detected
     return used / shown
 
 
@@ -117,7 +117,7 @@ def test_a_hidden_bead_contradicts_nothing_and_counts_half():
     assert calibrate(replace(hidden, rejected=far), GAMMA).lines_of_sight(POINT_PX).beads_near[0].tolist() == [5, 3, 8]
 
 
-def test_what_is_left_of_two_touching_beads_is_no_stray():
+def test_a_detection_on_two_touching_beads_is_not_a_stray():
     grid = 50.0 * np.stack(np.meshgrid(np.arange(6), np.arange(6)), axis=-1).reshape(-1, 2)
     places, stray = np.concatenate([grid, [[102.0, 109.0]]]), np.array([[101.0, 104.0]])
     used = np.ones(len(places), dtype=bool)
@@ -127,7 +127,7 @@ def test_what_is_left_of_two_touching_beads_is_no_stray():
 
 
 @pytest.mark.parametrize(("by_mm", "hidden", "passes"), [(11, True, True), (18, True, False), (11, False, False)])
-def test_a_retractor_is_no_torn_strip(setup, frame, by_mm: int, hidden: bool, passes: bool):
+def test_a_retractor_is_not_taken_for_a_torn_strip(setup, frame, by_mm: int, hidden: bool, passes: bool):
     """`by_mm`: half the width of what covers the beads about the entry point, or of the strip whose beads moved."""
     views, uv = [], []
     wire = np.array([[22.0, 14.0, -7.0], [-20.0, -24.0, 9.0]])
@@ -143,7 +143,7 @@ def test_a_retractor_is_no_torn_strip(setup, frame, by_mm: int, hidden: bool, pa
     made = plan(views, np.array(uv)[:, 0], np.array(uv)[:, 1])
     check = next(check for check in made.verdict.checks if check.name == "beads near")
     assert check.passed is passes, check.sentence
-    if hidden:  # and the error that is stated without these beads is honest
+    if hidden:  # and the error stated without these beads is sufficient
         assert np.linalg.norm(made.trajectory.entry_mm - wire[0]) < made.trajectory.entry_error_95_mm
 
 

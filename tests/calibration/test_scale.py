@@ -136,7 +136,7 @@ def test_a_distorted_image_has_no_one_focal_length(tube):
 
 
 def test_a_plate_that_moved_since_an_earlier_image_is_noticed(panel):
-    """The source plate is 2.5 mm elsewhere, in truth, at the second image; of another view or size nothing is said."""
+    """The source plate is 2.5 mm elsewhere, in truth, at the second image; other views and sizes are not compared."""
     first, again = (calibrate(measured(panel, seed=s), GAMMA) for s in (1, 2))
     later = calibrate(measured(panel, seed=3), told(source_by_mm=(0.0, 0.0, 2.5)))
     assert check(again.steady_since([first]), "focal length before").passed

@@ -51,7 +51,7 @@ def checked() -> dict[tuple[int, int], tuple[np.ndarray, SelfCheck]]:
 
 
 def test_shears_stretches_and_bends_along_the_beam_leave_every_image_as_it_is():
-    """Why plate shifts cannot be seen: another focal point gives exactly the same projections, wherever it stands."""
+    """Why plate shifts cannot be seen: another focal point gives exactly the same projections, wherever it is."""
     view = GAMMA.view("pa")
     plane, rng = view.xrii.plane, np.random.default_rng(1)
     xyz = np.concatenate([view.xrii.xyz_mm, view.source.xyz_mm])
@@ -124,7 +124,7 @@ def _plates(start: int) -> tuple[slice, slice]:
 
 
 def _turn(errors: np.ndarray, xyz: np.ndarray, axis: int) -> float:
-    """Least-squares turn of a plate about its normal; its grid is symmetric, so the other motions do not enter."""
+    """Least-squares rotation of a plate about its normal; its grid is symmetric, so the other motions do not enter."""
     way = np.cross(np.eye(3)[axis], xyz - xyz.mean(axis=0))
     return float((way * errors).sum() / (way**2).sum())
 
@@ -141,7 +141,9 @@ def test_balls_that_sit_wrong_are_found_named_and_measured(number):
     errors = np.array([f.xyz_mm for f in fiducials(true)]) - NOMINAL_MM
     for row, plate in zip(rows, (slice(49, 113), slice(113, 162)), strict=True):
         others = [k for k in range(plate.start, plate.stop) if k != row]
-        within = errors[row] - errors[others].mean(axis=0)  # the plate's turn moves a ball by 0.01 mm: within the s.d.
+        within = errors[row] - errors[others].mean(
+            axis=0
+        )  # the plate's rotation moves a ball by 0.01 mm: within the s.d.
         gap = (found.in_plate.moved_mm[row] - within) / np.hypot(found.in_plate.sd_mm[row], 0.02)
         assert np.abs(gap).max() < 3.5
 
@@ -176,7 +178,7 @@ def test_balls_outside_every_field_keep_their_tolerance():
 
 
 @pytest.mark.slow
-def test_a_frame_with_twice_the_errors_stated_is_told_and_with_four_times_refused():
+def test_a_frame_with_twice_the_stated_errors_is_estimated_and_with_four_times_refused():
     rng = np.random.default_rng(24)
     found = self_check(images(rng, displaced(GAMMA, rng.normal(0.0, 0.04, NOMINAL_MM.shape)), 4), GAMMA)
     assert [check.name for check in found.checks if not check.passed] == ["self-check chi-square"]

@@ -15,7 +15,7 @@ BEADS = np.array([f.xyz_mm for f in GAMMA.view("pa").fiducials])
 
 
 def seen_from(shift_mm, bend: float = 0.03):
-    """The beads in the round field of a frame shifted against the C-arm, told apart."""
+    """The beads in the round field of a frame shifted against the C-arm, labelled."""
     camera = replace(Camera.pa(bend=bend), pitch_mm=0.24)
     uv = camera.project(BEADS + np.asarray(shift_mm))
     whole = replace(camera.observe(GAMMA), uv_px=uv)

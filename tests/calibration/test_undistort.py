@@ -12,7 +12,7 @@ SHAPE = (400, 420)
 
 
 def distorted(xy_mm: np.ndarray) -> np.ndarray:
-    """Plane to image: turned, scaled by 3 px/mm, with 4 % pincushion at the rim."""
+    """Plane to image: rotated, scaled by 3 px/mm, with 4 % pincushion at the rim."""
     c, s = np.cos(0.2), np.sin(0.2)
     turned = xy_mm @ np.array([[c, s], [-s, c]])
     return np.array([208.3, 199.1]) + 3.0 * turned * (1 + 1.6e-5 * (xy_mm**2).sum(-1, keepdims=True))
@@ -46,7 +46,7 @@ def test_spots_come_to_lie_where_they_are_on_the_plane(fitted) -> None:
         np.testing.assert_allclose(image.origin_mm + image.spacing_mm * centre, [x, y], atol=0.02)
 
 
-def test_the_map_that_is_handed_on_is_the_plane_map(fitted) -> None:
+def test_the_returned_map_is_the_plane_map(fitted) -> None:
     plane_map, hull = fitted
     image = undistort(np.zeros(SHAPE, np.uint16), plane_map, hull, spacing_mm=0.37)
     rows, columns = (np.random.default_rng(4).integers(0, n, 300) for n in image.uv_px.shape[:2])

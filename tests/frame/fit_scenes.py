@@ -1,4 +1,4 @@
-"""A small frame, and what an instrument that stands anywhere measures of it."""
+"""A small frame, and measurements of it by an instrument in any pose."""
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
@@ -48,7 +48,7 @@ def made(rng: np.random.Generator) -> np.ndarray:
 def measured(
     xyz_mm: np.ndarray, rng: np.random.Generator, name: str = "1", *, sd_mm: float = SD_MM, stated: bool = True
 ) -> Series:
-    """A series of these balls, from an instrument that stands anywhere."""
+    """A series of these balls, from an instrument in any pose."""
     pose = RigidTransform.from_components(rng.uniform(-900, 900, 3), Rotation.random(rng=rng))
     noisy = pose.apply(xyz_mm) + sd_mm * rng.standard_normal(xyz_mm.shape)
     covariance = sd_mm**2 * np.eye(noisy.size) if stated else None

@@ -66,7 +66,7 @@ def test_wherever_the_source_stands_few_balls_of_a_view_hide_each_other(name):
                 assert touched <= 0.2 * len(view.fiducials)
 
 
-def test_other_figures_give_other_frames_with_patterns_of_their_own():
+def test_other_parameters_give_other_frames_with_their_own_patterns():
     design = builtin_design("gamma")
     other = type(design)("nine", design.beams, patterns_for(design.beams, rows=9), rows=9, pitch_mm=17.0)
     frame = Frame.from_design(other)
@@ -83,13 +83,13 @@ def test_other_figures_give_other_frames_with_patterns_of_their_own():
         ({"source_mm": -620.0}, "behind the X-ray source"),
     ],
 )
-def test_figures_that_make_no_frame_are_refused(change, words):
+def test_parameters_that_give_no_frame_are_refused(change, words):
     design = builtin_design("gamma")
     with pytest.raises(FrameError, match=words):
         Frame.from_design(type(design)(**{"name": "x", "beams": design.beams, "patterns": design.patterns} | change))
 
 
-def test_no_pattern_where_none_lasts():
+def test_no_pattern_where_none_stays_visible():
     with pytest.raises(FrameError, match="ask for 6"):
         patterns_for(builtin_design("gamma").beams, rows=7, datums=3)
     with pytest.raises(FrameError, match="4 to 20 rows"):

@@ -153,7 +153,7 @@ def test_a_bead_behind_the_source_leaves_the_reach_unmeasured():
     assert reach_mm(FrameView(view.xrii, far), far) is None
 
 
-def test_washers_are_told_by_their_shape_not_their_size():
+def test_washers_are_known_by_their_shape_not_their_size():
     def washers(plate: Plate) -> Plate:
         return Plate(
             tuple(dataclasses.replace(f, shape="washer", diameter_mm=3.0) if f.datum else f for f in plate.fiducials)

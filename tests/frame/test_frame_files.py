@@ -179,7 +179,7 @@ def test_a_file_too_large_is_not_read(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("source", ["gama", "no/such.json", "."])
-def test_what_is_not_there_is_named_beside_what_is(source):
+def test_an_unknown_name_is_listed_with_the_known_ones(source):
     with pytest.raises(FrameError, match="gamma, biplane, stereo"):
         Frame.load(source)
 

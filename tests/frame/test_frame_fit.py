@@ -65,7 +65,7 @@ def test_the_covariance_is_that_of_the_errors(count):
 
 
 def test_correlated_errors_weigh_as_they_are_stated():
-    """An instrument whose x errs by a shared scale: the adjustment knows, and its covariance holds."""
+    """An instrument whose x has a common scale error: given its covariance, the adjustment's covariance holds."""
     rng = np.random.default_rng(3)
     total, freedom = 0.0, 0
     for _ in range(60):
@@ -182,7 +182,7 @@ def test_a_ball_that_sits_wrong_is_taken_once_two_series_see_it():
     np.testing.assert_allclose(positions(twice), in_gauge(true), atol=5 * SD_MM)
 
 
-def test_of_three_series_the_one_that_errs_is_left_out_and_of_two_neither_is_believed():
+def test_of_three_series_the_wrong_one_is_left_out_and_of_two_neither_is_used():
     rng = np.random.default_rng(13)
     true = made(rng)
     series = [measured(true, rng, name) for name in "abc"]
@@ -205,7 +205,7 @@ def test_repeats_show_the_instrument_whether_it_is_stated_or_not():
         assert spread == pytest.approx(SD_MM / 2, rel=0.2)
 
 
-def test_an_instrument_that_errs_more_than_is_stated_is_refused():
+def test_an_instrument_with_a_larger_error_than_stated_is_refused():
     rng = np.random.default_rng(15)
     true = made(rng)
     series = [measured(true, rng, name) for name in "ab"]
@@ -213,7 +213,7 @@ def test_an_instrument_that_errs_more_than_is_stated_is_refused():
     assert "State the larger error" in failing(fit_frame(FRAME, small, STILL))["measured series"]
 
 
-def test_plates_that_stand_off_are_told_from_balls_that_do():
+def test_displaced_plates_are_distinguished_from_displaced_balls():
     rng = np.random.default_rng(16)
     true = made(rng)
     true[8:16] += (0.4, 0.0, -0.3)
@@ -221,7 +221,7 @@ def test_plates_that_stand_off_are_told_from_balls_that_do():
     assert fitted.frame is not None
     shift = {(p.view, p.plate): p.shift_mm for p in fitted.plates}
     apart = shift["pa", "source"] - shift["pa", "xrii"]
-    np.testing.assert_allclose(apart, (0.4, 0.0, -0.3), atol=0.3)  # both plates' own tolerances, 0.07 mm, and turns
+    np.testing.assert_allclose(apart, (0.4, 0.0, -0.3), atol=0.3)  # both plates' own tolerances, 0.07 mm, and rotations
     assert all(p.manufacturing_mm < 0.035 for p in fitted.plates)  # drawn with 0.02 mm
 
 

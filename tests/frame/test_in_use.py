@@ -26,7 +26,7 @@ def places(frame: Frame) -> np.ndarray:
     ],
 )
 def test_heat_and_water_move_balls_as_the_twin_moves_them(told, befell):
-    """One standard deviation of the factor's one direction, and none other."""
+    """One standard deviation along the factor's single direction, and along no other."""
     factor = replace(EXACT, in_use=told).error_factor
     values, vectors = np.linalg.eigh(factor @ factor.T)
     moved = (places(in_use(EXACT, befell)) - places(EXACT)).ravel()

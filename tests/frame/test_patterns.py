@@ -24,7 +24,7 @@ def plates(name: str) -> list[tuple[np.ndarray, np.ndarray]]:
 
 @pytest.mark.parametrize("name", BUILTIN)
 def test_no_wrong_placement_agrees_in_three_datums(name):
-    """Every turn, mirror image and shift by grid steps of one pattern against every pattern, itself included."""
+    """Every rotation, mirror image and shift by grid steps of one pattern against every pattern, itself included."""
     patterns = [points[datum] for points, datum in plates(name)]
     for i, mine in enumerate(patterns):
         for j, theirs in enumerate(patterns):

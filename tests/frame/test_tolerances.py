@@ -11,7 +11,7 @@ FRAME = dataclasses.replace(Frame.load("gamma"), tolerances=SD)
 
 
 def moved(xyz_mm: np.ndarray, sd: tuple[float, float], rng: np.random.Generator) -> np.ndarray:
-    """Points shifted and turned about their centroid."""
+    """Points shifted and rotated about their centroid."""
     middle = xyz_mm.mean(axis=0)
     turn = Rotation.from_rotvec(sd[1] * rng.normal(size=3))
     return turn.apply(xyz_mm - middle) + middle + sd[0] * rng.normal(size=3)

@@ -34,7 +34,7 @@ def changed(ball: int, **what) -> Frame:
 
 @pytest.mark.parametrize("name", FRAMES)
 def test_bores_put_the_balls_where_the_frame_has_them(name):
-    """Sheet coordinates, turned back by what the sheet says of its axes, are the frame's, to the drawing's 0.001 mm."""
+    """Sheet coordinates, rotated back by the sheet's stated axes, are the frame's, to the drawing's 0.001 mm."""
     frame = Frame.load(name)
     for part, (_, _, plate) in zip(parts_of(frame), plates(frame), strict=True):
         at = np.array([[b.x_mm, b.y_mm, part.thickness_mm - b.depth_mm + b.ball.diameter_mm / 2] for b in part.bores])
@@ -154,7 +154,7 @@ def test_bores_that_would_break_into_each_other_are_refused():
         parts_of(changed(23, xyz_mm=(x + 3.9, y, z)))
 
 
-def test_the_bill_counts_and_its_figures_are_those_of_pmma():
+def test_the_bill_counts_and_its_values_are_those_of_pmma():
     parts = parts_of(GAMMA)
     rows = {row["item"]: row for row in csv.DictReader(io.StringIO(bill_csv(parts).decode()))}
     assert rows["ball ø3 mm, fiducial"]["number"] == "202"

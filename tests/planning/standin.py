@@ -31,7 +31,7 @@ def _slope(uv_px: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class StandInView:
-    """Parameters p = (F, 10 coefficients of x, 10 of y); `factors[source]` (23, K): how p errs, per source."""
+    """Parameters p = (F, 10 coefficients of x, 10 of y); `factors[source]` (23, K): errors of p, per source."""
 
     name: str
     plane: Plane
@@ -108,7 +108,7 @@ class StandInView:
 
 
 def stand_in(name: str, turn_rad: float = 0.0, scale: float = 1.0, seed: int = 5) -> StandInView:
-    """A Γ view ("pa" along Z, "lateral" along X) with pincushion, its image turned by `turn_rad`.
+    """A Γ view ("pa" along Z, "lateral" along X) with pincushion, its image rotated by `turn_rad`.
 
     Errors about those of a frame with 0.05 mm tolerances, times `scale`.
     """

@@ -34,7 +34,7 @@ def test_perfect_drawings_give_the_bone():
 
 @pytest.mark.slow
 def test_all_covariances_by_sampling():
-    """Views, shared frame errors and clicks are drawn anew; each part and all together err as stated, figures too."""
+    """With views, frame errors and clicks drawn anew, all parts and metrics have the stated errors, jointly too."""
     views, rng = _views(), np.random.default_rng(12)
     uv, sd, draws = bone.pixels(views), 0.5, 250
     stated = locate(views, bone.aids(uv, sd), bone.picks(uv, sd))

@@ -1,4 +1,4 @@
-"""A wire held against its bone: side, which end is which, the tip under the head's surface, the entry at the cortex."""
+"""A wire checked against the bone: side, order of its ends, tip below the head's surface, entry at the cortex."""
 
 from dataclasses import replace
 from functools import cache
@@ -70,7 +70,7 @@ def _names(verdict: Verdict) -> set[str]:
 
 
 def _drawn_hips(count: int = 60) -> list[tuple[np.ndarray, np.ndarray, float, str]]:
-    """Wire (2, 3), centre and radius of the head, side: hips of both sides, about as far apart as patients are."""
+    """Wire (2, 3), centre and radius of the head, side: hips of both sides, about as different as patients are."""
     rng, out = np.random.default_rng(21), []
     for k in range(count):
         side, radius = ("right", "left")[k % 2], rng.uniform(20.0, 26.0)
@@ -167,7 +167,7 @@ def test_a_wire_that_no_plate_or_screw_fits_is_no_go():
     assert length.verdict.go
 
 
-def test_a_head_that_is_none_is_no_go_and_not_merely_missing():
+def test_outlines_that_fit_no_head_are_no_go_and_not_merely_missing():
     wire = np.stack([bone.ENTRY_MM, bone.END_MM])
     verdict = _planned(wire, radius_mm=37.0).verdict
     assert verdict.state == "no-go"
@@ -209,7 +209,7 @@ def test_landmarks_have_names_of_the_kinds_once_each(names: tuple[str, ...]):
         plan(views, uv[:, 0], uv[:, 1], landmarks_uv_px=mark, landmark_names=names)
 
 
-def test_a_side_that_is_none_is_refused():
+def test_an_unknown_side_is_refused():
     with pytest.raises(UnusableInputError, match="side"):
         _planned(np.stack([bone.ENTRY_MM, bone.END_MM]), side="middle")
 

@@ -182,7 +182,7 @@ def test_a_wire_within_its_limits_passes_and_says_what_it_is(one):
     assert shot.bow_sigma < 3.0
 
 
-def test_a_wire_beside_its_plan_fails_by_name():
+def test_a_wire_off_its_plan_fails_by_name():
     shot = case(4, PLAN + np.array([[0.0, 0.0, 2.0], [0.0, 0.0, -1.0]])).result()
     assert {check.name for check in failed(shot.checks)} == {"wire entry", "wire tip", "wire direction"}
 
@@ -276,7 +276,7 @@ def test_the_limits_of_the_plan_are_those_of_its_check_and_the_tip_is_looked_for
     assert limits["wire direction"] == pytest.approx(np.rad2deg(0.01))
     # The tip that ends at the end point lies 6 mm short of where such a kind drills to.
     assert other.deviation_mm[4] - plain.deviation_mm[4] == pytest.approx(-6.0, abs=1e-3)
-    # The adjusted plan is turned by some 0.01 rad against its axes: 6 mm of that across.
+    # The adjusted plan is rotated by some 0.01 rad against its axes: 6 mm of that across.
     np.testing.assert_allclose(other.deviation_mm[:2], plain.deviation_mm[:2], atol=1e-9)
     np.testing.assert_allclose(other.deviation_mm[2:4], plain.deviation_mm[2:4], atol=0.1)
     assert other.length_mm == pytest.approx(plain.length_mm + 6.0)

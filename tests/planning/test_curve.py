@@ -106,7 +106,7 @@ def test_a_snapped_pick_is_one_number():
     np.testing.assert_allclose(pick.covariance_px2 @ pick.across_px, 0.0, atol=1e-12)
 
 
-def test_clicks_beside_the_curve_are_refused():
+def test_clicks_far_from_the_curve_are_refused():
     pa, lateral, uv = _drawn()
     curve = matching_curve(pa, uv, lateral)
     middle = len(curve.uv_px) // 2

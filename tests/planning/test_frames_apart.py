@@ -49,7 +49,7 @@ def test_views_of_two_frames_or_of_two_files_of_one_are_refused(combine: Callabl
 
 
 @pytest.mark.parametrize("keys", [(THIRD, None), (None, THIRD)])
-def test_a_view_that_knows_no_frame_may_be_combined(keys: tuple[str | None, str | None]) -> None:
+def test_a_view_without_a_frame_may_be_combined(keys: tuple[str | None, str | None]) -> None:
     views = _views(*keys)
     uv = np.array([view.project(POINTS_MM) for view in views])
     np.testing.assert_allclose(reconstruct(views, uv).xyz_mm, POINTS_MM, atol=1e-6)

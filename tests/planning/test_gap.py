@@ -1,4 +1,4 @@
-"""A failed gap: no error stands beside its point, and the result says so; arrays that can and cannot be confused."""
+"""A failed gap: its point has no stated error, and the result says so; arrays that can and cannot be confused."""
 
 from dataclasses import replace
 
@@ -69,7 +69,7 @@ def test_points_on_one_level_across_the_beams_hide_the_order(how):
     np.testing.assert_allclose(reconstruct(views, {"lateral": uv[1], "pa": uv[0]}).xyz_mm, level, atol=1e-6)
 
 
-def test_one_failed_gap_speaks_for_both_points_of_a_plan_and_no_error_check_stands_beside_it():
+def test_one_failed_gap_rules_out_both_points_of_a_plan_and_their_error_checks():
     views = _views()
     uv = _pixels(views)
     uv[1, 1] += 12.0

@@ -1,4 +1,4 @@
-"""The figures of an implant against their definitions, on a bone of known form; a left hip is a mirrored right one."""
+"""The metrics of an implant against their definitions, on a bone of known form; a left hip is a mirrored right one."""
 
 from dataclasses import replace
 
@@ -42,7 +42,7 @@ def _flat(way: np.ndarray, view: StandInView) -> float:
     return float(np.linalg.norm(np.cross(way, beam)) / np.linalg.norm(beam))
 
 
-def test_figures_are_what_they_are_defined_to_be():
+def test_metrics_follow_their_definitions():
     views = _views()
     found = _figures(views)
     assert tuple(found) == NAMES
@@ -100,7 +100,7 @@ def test_thirds_of_the_head(moved_mm, ap, lateral):
 
 
 def test_a_left_hip_mirrors_a_right_one():
-    """Mirrored at Y = 0: every figure stays what it was, with the side told."""
+    """Mirrored at Y = 0: every metric is unchanged, given the side."""
     mirror = np.diag([1.0, -1.0, 1.0])
     views = _views()
     mirrored = [
@@ -126,7 +126,7 @@ def test_a_left_hip_mirrors_a_right_one():
         figures(locate(views, Aids()), "both")
 
 
-def test_a_wire_beside_the_head_has_no_bone_ahead():
+def test_a_wire_outside_the_head_has_no_bone_ahead():
     found = _figures(_views(), wire_mm=np.stack([bone.ENTRY_MM, bone.END_MM]) + np.array([0.0, 0.0, 24.5]))
     ahead = found["tip to bone along wire"]
     assert ahead.value is None

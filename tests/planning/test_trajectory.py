@@ -143,7 +143,7 @@ def test_a_significant_gap_is_no_go_and_a_snapped_point_has_none():
 
 
 @pytest.mark.parametrize(("method", "go"), [("smooth", True), ("polynomial", False), ("localized", False)])
-def test_outside_the_hull_only_smooth_states_an_honest_error(method, go):
+def test_outside_the_convex_hull_only_smooth_states_a_sufficient_error(method, go):
     views = [replace(view, method=method) for view in _views(0.05)]
     outside = _changed(_trajectory(views), inside_hull=np.array([True, False]))
     verdict = judge(outside, views)
@@ -202,7 +202,7 @@ def test_landmarks_that_agree_make_a_snapped_plan_go_and_change_nothing_else():
 
 
 def test_movement_along_the_common_normal_is_no_go_and_in_the_plane_of_the_beams_it_is_not_seen():
-    """The beams run along Z and X: the common normal is Y. The figure is the movement over its stated error."""
+    """The beams run along Z and X: the common normal is Y. The value is the movement over its stated error."""
     views = _views(0.05)
     for moved_mm in (2.0, -2.0):
         made = _planned(views, np.array([0.0, moved_mm, 0.0]))
@@ -273,7 +273,7 @@ def _spread_of(rng: np.random.Generator, sd_px: float, snapped: bool) -> Check:
 
 
 def test_the_gaps_chi_square_is_one_and_its_limit_is_passed_once_in_a_thousand():
-    """Picks of 0.5 px, as they are said to be: mean and variance of a chi-square of five points; views err not at all,
+    """Picks of 0.5 px, as stated: mean and variance of a chi-square of five points; views have no error,
     which 0.05 of a frame's errors hardly changes."""
     rng = np.random.default_rng(31)
     found = np.array([_spread_of(rng, 0.5, snapped=False).figure for _ in range(150)])

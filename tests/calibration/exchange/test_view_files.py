@@ -46,7 +46,7 @@ def test_a_view_comes_back(kind: str, tmp_path_factory: pytest.TempPathFactory) 
 
 @settings(max_examples=30, deadline=None, database=None)
 @given(pinholes(mirrored=None))
-def test_a_matrix_is_taken_apart_at_any_scale_and_sign(pinhole: Pinhole) -> None:
+def test_a_matrix_is_decomposed_at_any_scale_and_sign(pinhole: Pinhole) -> None:
     for scale in (1.0, -3.7e-3, 5.1e4):
         back = Pinhole.of_matrix(scale * pinhole.matrix, "pa")
         assert np.allclose(back.camera_matrix, pinhole.camera_matrix, rtol=1e-9, atol=1e-7)

@@ -1,4 +1,4 @@
-"""xReg's HDF5: files as its own writer makes them, all of its coordinate frames, and files that are none."""
+"""xReg's HDF5: files as its own writer makes them, all of its coordinate frames, and files that are not xReg's."""
 
 from pathlib import Path
 from typing import Any
@@ -79,7 +79,7 @@ def test_a_camera_alone_is_read(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("kind", [np.uint8, np.uint16, np.float32])
 def test_what_is_written_is_what_xregs_reader_asks_for(tmp_path: Path, kind: type) -> None:
-    """`ReadProjDataH5`: names, ranks and orders; HDF5 itself turns numbers of one size into another."""
+    """`ReadProjDataH5`: names, ranks and orders; HDF5 itself converts between sizes of numbers."""
     pinhole = example()
     pixels = np.arange(90 * 80).reshape(90, 80).astype(kind)
     (name, data), *others = write_view(pinhole, "xreg", pixels).items()
@@ -144,7 +144,9 @@ def test_xregs_other_two_frames_give_the_same_pixels(tmp_path_factory, frame: st
         ({"intrinsic": h5py.ExternalLink("other.h5", "intrinsic")}, "'intrinsic' is missing"),
     ],
 )
-def test_what_is_no_camera_is_refused_with_its_reason(tmp_path: Path, changed: dict[str, Any], words: str) -> None:
+def test_files_without_a_valid_camera_are_refused_with_the_reason(
+    tmp_path: Path, changed: dict[str, Any], words: str
+) -> None:
     file = tmp_path / "a.xreg.h5"
     put(file, example(), **changed)
     with pytest.raises(UnusableInputError, match=words) as refused:
