@@ -116,7 +116,7 @@ def test_a_chosen_file_reaches_its_target(
     expect(page.get_by_test_id("said")).to_have_text(".png|(30, 40)")
     expect(page.get_by_test_id("drop-message")).to_have_text("pa.png")
     page.get_by_test_id("drop-Lateral image").set_input_files({"name": HOSTILE, "mimeType": "", "buffer": b"nothing"})
-    expect(page.get_by_test_id("drop-message")).to_contain_text(f"{HOSTILE}: the file is not an image")
+    expect(page.get_by_test_id("drop-message")).to_contain_text(f"{HOSTILE}: give DICOM, PNG")
     expect(page.get_by_test_id("hostile")).to_contain_text("<img")
     assert page.evaluate("window.hacked") is None
 

@@ -152,7 +152,7 @@ def test_another_side_frame_or_day_is_refused(robot):
     now = time.time()
     robot.refuse_other("right", "SN-7", now)
     for side, serial in (("left", "SN-7"), ("right", "SN-8"), ("right", None), (None, "SN-7")):
-        with pytest.raises(RobotRefusedError, match="not this patient's plan"):
+        with pytest.raises(RobotRefusedError, match="another patient's plan"):
             robot.refuse_other(side, serial, now)
     for days in (91, -1):
         with pytest.raises(RobotRefusedError, match="was calibrated on"):

@@ -1,2 +1,2 @@
-"""What stands beside the two views: a panel for each step, the verdict, the scene in space, and the parts they are
-built of. May import `tab`, `drawing`, `session`, `plan`, the page's texts, and `web` for what the browser sends."""
+"""The panels beside the two views: one for each step, the verdict, the 3-D scene, and their components. May import
+`tab`, `drawing`, `session`, `plan`, the page's texts, and `web` for uploads."""

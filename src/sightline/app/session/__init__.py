@@ -1,2 +1,2 @@
-"""The case at work, without a page: its images on their way to a calibrated view, its decisions kept in the journal,
-the robot, the live image and the check shot. May import `plan` and the page's texts; no NiceGUI."""
+"""A session on a case, independent of pages: processing of images, decisions in the journal, the robot, the live image
+and the check shot. May import `plan` and the page's texts; no NiceGUI."""

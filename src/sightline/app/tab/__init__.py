@@ -1,2 +1,2 @@
-"""One open page: what its two views show, what its person wants to place, what follows a point that is dragged. May
-import `drawing`, `session`, `plan` and the page's texts; no panel."""
+"""One open page: the content of its two views, the next mark to place, and the preview of a dragged point. May import
+`drawing`, `session`, `plan` and the page's texts; no panel."""

@@ -67,7 +67,7 @@ class Guard:
         send = _Secured(send, nonce, headers.get("host"))
         refusal = self._refusal(scope, headers)
         if refusal is None and scope["method"] not in ("GET", "HEAD", "POST"):
-            refusal = _OwnResponse(405, "this app takes GET, HEAD and POST alone")
+            refusal = _OwnResponse(405, "this app accepts only GET, HEAD and POST")
         if refusal is None and self.token is not None:
             if scope["method"] == "GET" and _query_token(scope) is not None:
                 await self._enter(scope, send)
@@ -110,14 +110,14 @@ class Guard:
         """Return a refusal unless Host is where the connection arrived and Origin is our own; a foreign page can set
         neither."""
         if not self._is_our_host(headers.get("host"), scope.get("server")):
-            return _OwnResponse(421, "this app is not served under that name; open the address that the terminal shows")
+            return _OwnResponse(421, "open the address that the terminal shows: this app has another name")
         origins = headers.all("origin")
         must_have_one = scope["type"] == "websocket" or scope["method"] not in ("GET", "HEAD")
         if (must_have_one and not origins) or any(o != f"http://{headers.get('host')}" for o in origins):
-            return _OwnResponse(403, "the request does not come from this app's own page; reload the page")
+            return _OwnResponse(403, "reload the page: the request does not come from this app's own page")
         # A foreign page can still request a picture or a script without an Origin; browsers then state this header.
         if headers.get("sec-fetch-site") in ("cross-site", "same-site") and headers.get("sec-fetch-mode") != "navigate":
-            return _OwnResponse(403, "the request comes from another page; open this app's own page")
+            return _OwnResponse(403, "open this app's own page: the request comes from another page")
         return None
 
     def _is_our_host(self, host: str | None, arrived_at: Any) -> bool:
@@ -133,12 +133,12 @@ class Guard:
         if _same(headers.cookie(self._cookie_name), self._cookie):
             return None
         return _OwnResponse(
-            401, "a token is needed: open the address that the terminal shows (if you just followed it, reload)"
+            401, "open the address that the terminal shows (if you just did, reload): a token is needed"
         )
 
     async def _enter(self, scope: Scope, send: Send) -> None:
         """Exchange the token in the address for a cookie, and redirect to the address without it."""
-        answer = _OwnResponse(401, "the token in the address is wrong; open the address that the terminal shows")
+        answer = _OwnResponse(401, "open the address that the terminal shows: the token is wrong")
         if _same(_query_token(scope), self.token):
             cookie = f"{self._cookie_name}={self._cookie}; Path=/; HttpOnly; SameSite=Strict"
             answer = _OwnResponse(303, "", [(b"location", b"/"), (b"set-cookie", cookie.encode())])
@@ -226,7 +226,7 @@ class _OwnResponse:
 
 
 def _too_large(limit: int) -> _OwnResponse:
-    return _OwnResponse(413, f"more than {limit / 1e6:.0f} MB; send less at once")
+    return _OwnResponse(413, f"send less at once: the limit is {limit / 1e6:.0f} MB")
 
 
 class _Body:
@@ -243,7 +243,7 @@ class _Body:
         try:
             message = await asyncio.wait_for(self._receive(), BODY_PAUSE_S)
         except TimeoutError:
-            self.refusal = _OwnResponse(408, "the rest of the request did not arrive; send it again")
+            self.refusal = _OwnResponse(408, "send the request again: the rest of it did not arrive")
             return {"type": "http.disconnect"}
         if message["type"] == "http.request":
             self._left -= len(message.get("body", b""))

@@ -11,7 +11,7 @@ from sightline.app.web.guard import App, Receive, Scope, Send
 MAX_WAITING = 3  # [ours] pages that wait while one is built: seconds on a slow machine
 MAX_PAGES = 32  # [ours] open pages, as many as sockets (guard.MAX_SOCKETS)
 RETRY_S = 5  # [ours]
-_TOO_MANY = "too many pages are being opened; close some, and reload this one in a few seconds"
+_TOO_MANY = "close some pages and reload this one in a few seconds: too many are being opened"
 
 
 @dataclass

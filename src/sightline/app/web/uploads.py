@@ -52,9 +52,9 @@ class Uploads:
     async def _answer(self, request: Request) -> Response:
         on_upload = self._receivers.get(request.url.path)
         if on_upload is None:
-            return _refuse(404, "the page is no longer open; reload it")
+            return _refuse(404, "reload the page: it is no longer open")
         if self._at_once >= MAX_AT_ONCE:
-            return _refuse(503, "other images are still being received; try again when they are done")
+            return _refuse(503, "try again later: other images are still being received")
         self._at_once += 1
         try:
             pending = on_upload(await receive(request.stream()))
@@ -63,7 +63,7 @@ class Uploads:
         except SightlineError as error:
             return _refuse(422, str(error))
         except ClientDisconnect:
-            return _refuse(400, "the image did not arrive whole; send it again")
+            return _refuse(400, "send the image again: it did not arrive completely")
         finally:
             self._at_once -= 1
         return JSONResponse({})
@@ -80,9 +80,9 @@ async def receive(chunks: AsyncIterator[bytes]) -> Upload:
             data += chunk
             suffix = suffix or suffix_of(bytes(data[:_MARKED_BYTES]))
     if not data:
-        raise ImageError("the file is empty; export the image again")
+        raise ImageError("export the image again: the file is empty")
     if suffix is None:
-        raise ImageError("the file is not an image that can be read; give DICOM, PNG, TIFF, BMP or NumPy (.npy)")
+        raise ImageError("give DICOM, PNG, TIFF, BMP or NumPy (.npy): the file is not an image that can be read")
     return Upload(suffix, bytes(data))
 
 

@@ -62,7 +62,7 @@ def read_header(data: bytes) -> Header:
         raise MessageError(f"header version {version}; only 1 and 2 are read")
     match = _TYPE.fullmatch(kind)
     if match is None:
-        raise MessageError(f"{kind!r} is no type name")
+        raise MessageError(f"{kind!r} is not a type name")
     return Header(
         version, match[1].decode("ascii"), name.split(b"\0", 1)[0].decode("ascii", "replace"), timestamp, size, crc
     )

@@ -82,7 +82,7 @@ class Start:
         if self.of == "TDATA":
             return struct.pack(">I", self.interval or 0) + field(self.coordinates, 32, "coordinates")
         if self.coordinates or (self.interval is not None and self.of not in _WITH_INTERVAL):
-            raise MessageError(f"STT_ of {self.of} carries no such thing: {self}")
+            raise MessageError(f"STT_ of {self.of} carries no interval or coordinates: {self}")
         return b"" if self.interval is None else struct.pack(">Q", self.interval)
 
 

@@ -110,7 +110,7 @@ def calibrate_axes(manipulator: Manipulator, q: np.ndarray, targets_mm: np.ndarr
     """
     q, measured = np.asarray(q, dtype=np.float64), np.asarray(targets_mm, dtype=np.float64)
     if measured.ndim != 3 or measured.shape[::2] != (len(q), 3) or not np.isfinite(measured).all() or sd_mm <= 0:
-        raise UnusableInputError("measured targets are finite numbers (N, M, 3), for joint positions (N, 5)")
+        raise UnusableInputError("measured targets must be finite numbers (N, M, 3), for joint positions (N, 5)")
     n, m = measured.shape[:2]
     known = np.tile(1 / MACHINED_SD, ARM_JOINTS)
     if 3 * n * m <= 3 * m + len(known):
@@ -129,7 +129,7 @@ def calibrate_axes(manipulator: Manipulator, q: np.ndarray, targets_mm: np.ndarr
         if np.abs(step).max() < _TOLERANCE:
             break
     else:
-        raise RobotRefusedError("the calibration of the axes does not settle; check the units and the order of poses")
+        raise RobotRefusedError("the calibration of the axes does not converge; check the units and the order of poses")
     refuse_unlikely((residual**2).sum() + ((known * twists) ** 2).sum(), 3 * n * m - 3 * m, "the measured targets")
     covariance = np.linalg.inv(whole.T @ whole)[: len(known), : len(known)]
     return CalibratedAxes(now, covariance, sd_mm * np.linalg.norm(residual, axis=-1))

@@ -214,7 +214,7 @@ class RobotFile(_Part):
         missing = [view for view in VIEWS if view not in self.images]
         if missing:
             raise RobotRefusedError(
-                f"the robot's pose at the {' and '.join(missing)} image is missing: `sightline robot register` reads it"
+                f"run `sightline robot register`: the robot's pose at the {' and '.join(missing)} image is missing"
             )
         return self._registration()
 
@@ -230,8 +230,8 @@ class RobotFile(_Part):
             if not registered.source or images.get(view) != registered.source:
                 raise RobotRefusedError(
                     f"the plan's {view} image is {images.get(view) or 'not named'}, the one registered is "
-                    f"{registered.source or 'not named'}: where the robot stood at the plan's images is not known; "
-                    "plan on the images that were registered, or take and register new ones"
+                    f"{registered.source or 'not named'}: the robot's pose at the plan's images is unknown; plan on "
+                    "the registered images, or take and register new ones"
                 )
 
     def refuse_other(self, side: str | None, frame_serial: str | None, now_s: float) -> None:
@@ -241,8 +241,8 @@ class RobotFile(_Part):
         for what, planned, here in (("side", side, self.side), ("frame serial", frame_serial, self.frame_serial)):
             if planned != here:
                 raise RobotRefusedError(
-                    f"the plan's {what} is {planned!r}, the robot's file is for {here!r}: not this patient's plan, or "
-                    "not this frame; find out which before anything else"
+                    f"the plan's {what} is {planned!r}, the robot's file is for {here!r}: it is another patient's "
+                    "plan, or another frame; find out which before anything else"
                 )
 
 

@@ -102,7 +102,9 @@ def hand_eye(T_mcs_flange: RigidTransform, T_world_mount: RigidTransform, covari
         if np.abs(step).max() < _TOLERANCE:
             break
     else:
-        raise RobotRefusedError("the hand-eye calibration does not settle; the poses of frame and flange do not match")
+        raise RobotRefusedError(
+            "the hand-eye calibration does not converge; check that the poses of frame and flange belong together"
+        )
     refuse_unlikely((error**2).sum(), 6 * n - 12, "the measured poses")
     found = np.linalg.inv(design.T @ design)[:6, :6]
     left = (world * T_mcs_flange * mount).inv() * T_world_mount
@@ -144,8 +146,8 @@ def refuse_unlikely(squares: float, freedom: int, what: str) -> None:
     """Raise RobotRefusedError if a normalised sum of squares is improbable for its degrees of freedom."""
     if freedom > 0 and chdtrc(freedom, squares) < MIN_PROBABILITY:
         raise RobotRefusedError(
-            f"{what} are {np.sqrt(squares / freedom):.1f} times further off than their stated accuracy allows: two are "
-            "swapped, something moved, or the accuracy stated is too good; measure again"
+            f"{what} deviate by {np.sqrt(squares / freedom):.1f} times their stated accuracy: two are swapped, "
+            "something moved, or the stated accuracy is too optimistic; measure again"
         )
 
 

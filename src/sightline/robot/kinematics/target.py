@@ -35,7 +35,7 @@ class PlanIdentity:
 
     def __post_init__(self) -> None:
         if not self.plan or self.side not in SIDES:
-            raise UnusableInputError("a plan for a robot names itself and its side, 'right' or 'left'")
+            raise UnusableInputError("a plan for a robot needs an identifier and a side, 'right' or 'left'")
 
 
 @dataclass(frozen=True, eq=False)

@@ -202,7 +202,7 @@ class RobotClient(Closing):
         exceeds 0.5 mm or 0.2°. Along the wire the robot's stated depth counts, if any, because contact and check shot
         move its zero."""
         if self._target is None:
-            raise RobotRefusedError("this client has sent no target to compare the wire with")
+            raise RobotRefusedError("send a target first: there is none to compare the wire with")
         deviation = WireDeviation.of(self.position(), self._target)
         depth = self.latest.get(contract.DEPTH)
         if self._length_mm is None or depth is None or not isinstance(depth.body, Sensor):

@@ -58,9 +58,7 @@ class Mailbox:
         """Return the next wanted message. Raises LateError if none came in time."""
         message = self.until(wanted, timeout_s)
         if message is None:
-            raise LateError(
-                f"the robot sent no {what} within {timeout_s:g} s; check its state, and that it is a robot at all"
-            )
+            raise LateError(f"the robot sent no {what} within {timeout_s:g} s; check its state, and the address")
         return message
 
 

@@ -36,7 +36,7 @@ class SimulatedWire:
             names = ("wire_mm", "T_mcs_cfcs", "imaged")
             wire, frame, imaged = (np.array(said[name], dtype=np.float64) for name in names)
         except (JSONDecodeError, KeyError, TypeError, ValueError) as error:
-            raise UnusableInputError("this text does not say where a simulated wire is") from error
+            raise UnusableInputError("this text does not describe a simulated wire") from error
         finite = all(np.isfinite(value).all() for value in (wire, frame, imaged))
         if not finite or (wire.shape, frame.shape, imaged.shape) != ((3, 3), (4, 4), (5,)):
             raise UnusableInputError("a simulated wire is three finite points, a pose and five joints")

@@ -48,8 +48,8 @@ class StopChannel:
                         return self._exchange.command_over(connection, name, ack_s, STATUS_S)
             self.close()
         raise LinkError(
-            f"the robot answers no {name} on any connection; all are closed, which stops a robot that keeps the "
-            "contract. Use the red button"
+            f"use the red button: the robot answers no {name} on any connection. All are closed now, which stops a "
+            "robot that keeps the contract"
         )
 
     def _connect(self) -> None:

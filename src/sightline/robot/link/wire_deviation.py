@@ -49,7 +49,7 @@ class WireDeviation:
         raise RobotRefusedError(
             f"{what} elsewhere than planned: the tip {self.aside_mm:.2f} mm aside and {self.along_mm:+.2f} mm along "
             f"the wire (at most {TIP_LIMIT_MM:g} mm), its axis {np.rad2deg(self.angle_rad):.2f}° off (at most "
-            f"{np.rad2deg(AXIS_LIMIT_RAD):.1f}°); stop, and find out why before anything moves"
+            f"{np.rad2deg(AXIS_LIMIT_RAD):.1f}°); stop, and find the cause before anything moves"
         )
 
 

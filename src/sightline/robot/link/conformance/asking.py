@@ -35,13 +35,13 @@ def require(robot: RobotClient, capability: str, why: str = "") -> None:
 def require_several(robot: RobotClient) -> None:
     """Raise UnsupportedError unless the robot accepts several clients."""
     if not robot.capabilities:
-        raise UnsupportedError("of the old convention, it takes one client")
+        raise UnsupportedError("a robot of the 2013 convention accepts one client")
 
 
 def require_identifiers(robot: RobotClient) -> None:
     """Raise UnsupportedError unless the robot's convention defines repeated identifiers."""
     if not robot.capabilities:
-        raise UnsupportedError("the old convention does not say what a repeated identifier means")
+        raise UnsupportedError("the 2013 convention does not define repeated identifiers")
 
 
 def second_client(robot: RobotClient) -> RobotClient:
@@ -60,7 +60,7 @@ def target_in_air(robot: RobotClient, talk: Conversation) -> np.ndarray:
     talk.bring("CALIBRATION")
     said = talk.pose(contract.CALIBRATION, registration.inv().as_matrix())
     if said.code != Code.OK:
-        raise NotAskedError(f"no registration was taken: {said.text or said.code}")
+        raise NotAskedError(f"no registration was accepted: {said.text or said.code}")
     now, why = robot.position(), ""
     talk.bring("TARGETING")
     for ahead in AHEAD_MM:

@@ -60,7 +60,7 @@ class Conversation:
         """Send commands in sequence and check that the robot reports the last one's phase. Raises NotAskedError."""
         self.bring(*commands)
         if (phase := self.phase()) != commands[-1]:
-            raise NotAskedError(f"after {commands[-1]} it says that its phase is {phase}")
+            raise NotAskedError(f"after {commands[-1]} its phase is {phase}")
 
     def command(
         self, name: str, *, number: str | None = None, whole: bool = False, within_s: float = contract.STATUS_S
@@ -155,7 +155,7 @@ class Conversation:
             while _apart(before, self.tip())[0] < MOVED_MM:
                 waited.tick(monotonic())
                 if waited.now_s > contract.STATUS_S:
-                    raise NotAskedError("it acknowledged a motion, and does not move")
+                    raise NotAskedError("it acknowledged a motion but does not move")
             yield Motion(self, mail)
 
 
@@ -177,7 +177,7 @@ class Motion:
         at_once = self.watch.tip()
         off = self._moves(at_once)
         if off:
-            raise RobotRefusedError(f"STOP was acknowledged, and the wire went on by {off}")
+            raise RobotRefusedError(f"STOP was acknowledged, but the wire moved on by {off}")
         if self._mail.holds(_arrived):
             raise NotAskedError("the motion had ended by itself before it could be stopped")
         took = f"answered in {1e3 * (answer.status_s or 0.0):.0f} ms"

@@ -92,9 +92,9 @@ def _reaches_what_it_takes(robot: RobotClient) -> str:
         raise NotAskedError(f"the target was refused: {answer.text}")
     reachable = talk.next("REACHABLE_TARGET", contract.ACK_S)
     if reachable is None and not robot.capabilities:
-        raise UnsupportedError("of the old convention, it does not say what it reaches")
+        raise UnsupportedError("a robot of the 2013 convention does not report what it reaches")
     if reachable is None:
-        raise RobotRefusedError("a target was taken, and no REACHABLE_TARGET came")
+        raise RobotRefusedError("a target was accepted, but no REACHABLE_TARGET came")
     off = WireDeviation.of(pose_of(reachable), RigidTransform.from_matrix(good))
     off.refuse_large("the robot would lay the wire")
     return f"{off.aside_mm:.2f} mm beside its line"
