@@ -4,6 +4,9 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
     from sightline.calibration import CalibratedView as CalibratedView
     from sightline.calibration import CArm as CArm
     from sightline.calibration import calibrate as calibrate
@@ -32,6 +35,10 @@ if TYPE_CHECKING:
     from sightline.planning.check_result import CheckShot as CheckShot
     from sightline.planning.check_shot import Landmarks as Landmarks
 
+    # Declared, not imported: rooms below `saved` take `__version__` from here, and must not reach up to it.
+    load: Callable[..., Any]
+    save: Callable[[Any, str | Path], Path]
+
 __version__ = "0.1.0"
 
 # The promised face, imported on first use: `sightline --help` must not wait for numba.
@@ -57,11 +64,13 @@ _HOMES = {
     "detect": "detection",
     "fit_map": "calibration",
     "label": "detection",
+    "load": "saved",
     "look_again": "detection",
     "read_image": "imaging",
     "read_view": "calibration.exchange.formats",
     "plan": "planning",
     "reconstruct": "planning",
+    "save": "saved",
     "view_from_matrix": "calibration",
 }
 __all__ = [  # noqa: RUF022 - the order a reader meets them in
@@ -78,6 +87,8 @@ __all__ = [  # noqa: RUF022 - the order a reader meets them in
     "fit_map",
     "view_from_matrix",
     "read_view",
+    "save",
+    "load",
     "Radiograph",
     "Detections",
     "Observations",

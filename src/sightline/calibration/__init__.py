@@ -1,6 +1,6 @@
 """Calibration of a view: plane maps, focal point, calibrated views and their checks."""
 
-from sightline.calibration.bead_view import BeadView
+from sightline.calibration.bead_view import BeadView, CalibrationInputs
 from sightline.calibration.calibrate import calibrate
 from sightline.calibration.fit import fit_map
 from sightline.calibration.focal_length import CArm
@@ -13,6 +13,7 @@ __all__ = [
     "BeadView",
     "CArm",
     "CalibratedView",
+    "CalibrationInputs",
     "LinesOfSight",
     "MatrixView",
     "PlaneMap",

@@ -170,28 +170,22 @@ def _compare(
 
 def _write_results(folder: Path, page: str, report: "Report", truth: dict[str, Any]) -> None:
     from sightline.atomic import write_folder
-    from sightline.case.documents import view_document
     from sightline.cli.output import as_json
     from sightline.detection.files import write_observations
+    from sightline.saved import document
 
     images, planned = report.images, report.plan
-    landmarks = planned.landmarks_document()
-    trajectory = {
-        **planned.trajectory.document(),
-        "landmarks": landmarks,
-        **planned.verdict_document(),
-        "checks": planned.verdict.checks,
-    }
+    stated = {"landmarks": planned.landmarks_document(), **planned.verdict_document()}
     results = {
         "detections": {image.name: image.seen.beads for image in images},
         "observations": {image.name: image.seen.observations for image in images},
-        "views": [view_document(image) for image in images],
-        "trajectory": trajectory,
+        "views": [document(image.view, source=image.seen.source) for image in images],
+        "trajectory": document(planned.trajectory, **stated, checks=planned.verdict.checks),
         "comparison": [one.document() for one in report.compared],
         "truth": truth,
         **({} if report.drilled is None else {"drilling": report.drilled.document()}),
     }
-    documents = {f"{name}.json": as_json(document).encode() for name, document in results.items()}
+    documents = {f"{name}.json": as_json(result).encode() for name, result in results.items()}
     write_folder(folder, {"report.html": page.encode(), **documents})
     write_observations([image.seen.observations for image in images], folder / "observations.csv")
 

@@ -1,6 +1,6 @@
 """From picks in two views to a plan: trajectory, image-matching curves, verdict."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -37,7 +37,8 @@ class Plan(Plotted):
     `picks`: for entry and end, the pick in each view as it was used; snapped ones lie on their curve. `seen`: entry,
     end and landmarks, in this order; `landmark_names`: names of the landmarks, "" where none was given. `anatomy`: the
     located parts of the bone. `noticed_mm`: how far entry and end can be wrong along a line of sight before a check of
-    the bone fails; None where no check would fail. `views`: the two views that the plan was made on.
+    the bone fails; None where no check would fail. `views`: the two views that the plan was made on;
+    `arguments`: what else `plan` was given, but for the kind and `curve`.
     """
 
     trajectory: Trajectory
@@ -52,6 +53,7 @@ class Plan(Plotted):
     landmark_names: tuple[str, ...]
     noticed_mm: tuple[float | None, float | None]
     views: tuple[CalibratedView, CalibratedView]
+    arguments: Mapping[str, Any]
 
     def summary(self) -> str:
         """Return the verdict, entry and end point with their error bounds, and the checks that failed."""
@@ -191,6 +193,17 @@ def plan(
         landmark_names=names,
         noticed_mm=noticed,
         views=(views[0], views[1]),
+        arguments={
+            "entry_uv_px": np.array(entry_uv_px, dtype=np.float64),
+            "end_uv_px": np.array(end_uv_px, dtype=np.float64),
+            "pick_sd_px": pick_sd_px,
+            "snapped": each,
+            "landmarks_uv_px": None if landmarks_uv_px is None else np.array(landmarks_uv_px, dtype=np.float64),
+            "landmark_names": names,
+            "side": side,
+            "aids": aids,
+            "method": method,
+        },
     )
 
 

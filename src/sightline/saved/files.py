@@ -1,0 +1,115 @@
+"""Files of results: which form a result has, and what is checked of every file."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeVar, overload
+
+from pydantic import BaseModel, ValidationError
+
+from sightline.atomic import write_whole
+from sightline.bounded import read_bounded
+from sightline.calibration import BeadView, MatrixView
+from sightline.calibration.exchange import reading
+from sightline.calibration.exchange.writing import json_bytes
+from sightline.case.canonical import plain
+from sightline.case.interop.plan_file import sealed
+from sightline.detection import Detections, Observations
+from sightline.errors import RefusedError, UnusableInputError
+from sightline.frame import Frame
+from sightline.planning import Plan, SpacePoints, Trajectory
+from sightline.planning.check_result import CheckShot
+from sightline.saved import beads, models, plans, views
+
+_MAX_BYTES = 2**26  # [ours] six times a view of a frame with a full covariance
+_MAX_DEPTH = 12
+_Result = TypeVar("_Result")
+
+
+@dataclass(frozen=True)
+class _Form:
+    """One kind of result: its class, the model of its file, and both ways between result and document."""
+
+    kind: type
+    model: type[BaseModel]
+    written: Callable[[Any], dict[str, Any]]
+    read: Callable[[dict[str, Any]], Any]
+
+
+_FORMS = {
+    "sightline-detections/1": _Form(Detections, models.SavedDetections, plain, beads.detections),
+    "sightline-observations/1": _Form(Observations, models.SavedObservations, plain, beads.observations),
+    "sightline-view/1": _Form(BeadView, models.SavedView, views.written, views.view),
+    "sightline-matrix-view/1": _Form(MatrixView, models.SavedMatrixView, views.matrix_written, views.matrix_view),
+    "sightline-points/1": _Form(SpacePoints, models.SavedPoints, plans.points_written, plans.points),
+    "sightline-trajectory/1": _Form(Trajectory, models.SavedTrajectory, plans.trajectory_written, plans.trajectory),
+    "sightline-plan/1": _Form(Plan, models.SavedPlan, plans.plan_written, plans.plan),
+    "sightline-check-shot/1": _Form(CheckShot, models.SavedCheckShot, plans.shot_written, plans.shot),
+}
+
+
+def document(result: Any, **more: Any) -> dict[str, Any]:
+    """Return a result as the JSON types of its file, with `more` keys. Raises UnusableInputError for other objects."""
+    for schema, form in _FORMS.items():
+        if isinstance(result, form.kind):
+            return sealed(plain({"schema": schema, **form.written(result), **more}))
+    known = ", ".join(form.kind.__name__ for form in _FORMS.values())
+    raise UnusableInputError(f"a {type(result).__name__} cannot be saved; give a Frame or one of {known}")
+
+
+def save(result: Any, path: str | Path) -> Path:
+    """Write a result as JSON, whole or not at all, and return its path.
+
+    `result`: Detections, Observations, a view, SpacePoints, a Trajectory, a Plan, a CheckShot or a Frame (whose file is
+    that of docs/frame-file.md). The image that a result was found in is not saved.
+    Raises UnusableInputError for other objects, and for a view that was not made by `calibrate` or `view_from_matrix`.
+    """
+    if isinstance(result, Frame):
+        result.save(path)
+        return Path(path)
+    return write_whole(path, json_bytes(document(result)))
+
+
+@overload
+def load(path: str | Path) -> Any: ...
+@overload
+def load(path: str | Path, kind: type[_Result]) -> _Result: ...
+def load(path: str | Path, kind: type | None = None) -> Any:
+    """Return the result in a file of `save`, or the list of results where the file holds a list.
+
+    `kind`: the class that the result must be of, where given. Views and plans are computed again from what they were
+    made from; the checks of a view are those of the file, as those of its image cannot be made again.
+    Raises UnusableInputError for a file that is damaged, was edited, is of another form or another version, or whose
+    result this version does not reach again.
+    """
+    file = Path(path)
+    data = read_bounded(file, _MAX_BYTES, UnusableInputError, "give a file that `save` wrote")
+    try:
+        given = reading.json_value(data, _MAX_DEPTH)
+        out = [_read(one) for one in given] if isinstance(given, list) else _read(given)
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(map(str, first["loc"]))
+        raise UnusableInputError(f"{file.name}: {where}: {first['msg']}; save the result again") from None
+    except (UnusableInputError, RefusedError) as error:
+        raise UnusableInputError(f"{file.name}: {error}") from None
+    if kind is not None and not isinstance(out, kind):
+        raise UnusableInputError(f"{file.name} holds a {type(out).__name__}, not a {kind.__name__}")
+    return out
+
+
+def _read(given: Any) -> Any:
+    schema = given.get("schema") if isinstance(given, dict) else None
+    if schema is None:
+        raise UnusableInputError('it does not name its form in "schema"; give a file that `save` wrote')
+    form = _FORMS.get(str(schema))
+    if form is None:
+        known = ", ".join(_FORMS)
+        raise UnusableInputError(f"its form {str(schema)[:60]!r} is not one that this version reads: {known}")
+    if given.get("digest") != sealed(given)["digest"]:
+        raise UnusableInputError("it was changed after it was written: its digest differs; save the result again")
+    form.model.model_validate(given)
+    try:
+        return form.read(given)
+    except (KeyError, TypeError, ValueError) as error:
+        raise UnusableInputError(f"its content is not that of {schema}: {error}; save the result again") from None

@@ -1,0 +1,126 @@
+"""Points, trajectories, plans and check shots, and their documents. A plan is made again from its views and picks."""
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+from sightline.calibration import BeadView
+from sightline.calibration.exchange.reading import array
+from sightline.case.canonical import plain
+from sightline.case.interop.bundle import bundle
+from sightline.checks import Limits
+from sightline.errors import UnusableInputError
+from sightline.planning import Aids, Plan, SpacePoints, Trajectory, kind
+from sightline.planning import plan as make_plan
+from sightline.planning.check_result import CheckShot
+from sightline.saved import views
+
+_SAME_MM = 0.01  # the views may come out otherwise by a tenth of it, and a wire's end lies beyond their plates [ours]
+
+
+def points_written(points: SpacePoints) -> dict[str, Any]:
+    """Return the document of points."""
+    return plain(points)
+
+
+def points(given: dict[str, Any]) -> SpacePoints:
+    """Return the points of a document. Raises UnusableInputError where its lists differ in length."""
+    count = len(given["xyz_mm"])
+    joint, budget, sigma, near = (given[k] for k in ("joint_covariance_mm2", "budget_mm2", "gap_sigma", "beads_near"))
+    square = 3 * count, 3 * count
+    tested = np.array(given["gap_tested"], dtype=bool)
+    if {len(tested), len(given["inside_hull"])} != {count} or (sigma is not None and len(sigma) != count):
+        raise UnusableInputError("its points, gaps and flags differ in number; save the result again")
+    return SpacePoints(
+        xyz_mm=array(given["xyz_mm"], (count, 3), "the points"),
+        gap_mm=array(given["gap_mm"], (count,), "the gaps"),
+        gap_tested=tested,
+        gap_sigma=None if sigma is None else _masked(sigma),
+        joint_covariance_mm2=None if joint is None else array(joint, square, "the covariance"),
+        budget_mm2=None if budget is None else {name: array(one, square, name) for name, one in budget.items()},
+        inside_hull=np.array(given["inside_hull"], dtype=bool),
+        beads_near=None if near is None else {name: array(n, (count, 3), name).astype(int) for name, n in near.items()},
+        **{name: given[name] for name in ("method", "shift_mm", "shift_sd_mm", "gap_chi2", "upright")},
+    )
+
+
+def _masked(given: list[float | None]) -> np.ma.MaskedArray:
+    """Numbers, masked where they are not known."""
+    return np.ma.array([np.nan if one is None else one for one in given], mask=[one is None for one in given])
+
+
+def trajectory_written(trajectory: Trajectory) -> dict[str, Any]:
+    """Return the document of a trajectory: that of reports, and all that is known of its points."""
+    return {**trajectory.document(), "points": points_written(trajectory.points)}
+
+
+def trajectory(given: dict[str, Any]) -> Trajectory:
+    """Return the trajectory of a document. Raises UnusableInputError."""
+    return Trajectory(points(given["points"]))
+
+
+def plan_written(plan: Plan) -> dict[str, Any]:
+    """Return the document of a plan: plan.json without images, and what it was made from.
+
+    Raises UnusableInputError where a view of it cannot be saved."""
+    views_of, limits = plan.views, plan.kind.limits
+    seen = [views.as_image(one) for one in views_of if isinstance(one, BeadView)]
+    geometry: dict[str, Any] = {}
+    if len(seen) == len(views_of):
+        geometry, _ = bundle(plan, seen, views.inputs_of(seen[0].view).frame)
+    return {
+        **plan.verdict_document(),
+        "trajectory": plan.trajectory.document(),
+        "landmarks": plan.landmarks_document(),
+        "views": [_view_written(one) for one in views_of],
+        "checks": plan.verdict.checks,
+        "asked": {**plan.arguments, "kind": plan.kind.key, "limits": limits},
+        **geometry,
+    }
+
+
+def _view_written(view: Any) -> dict[str, Any]:
+    if isinstance(view, BeadView):
+        return {"schema": "sightline-view/1", **views.written(view)}
+    return {"schema": "sightline-matrix-view/1", "source": "", **views.matrix_written(view)}
+
+
+def plan(given: dict[str, Any]) -> Plan:
+    """Return the plan of a document, made again on its views.
+
+    Raises UnusableInputError where it comes out otherwise than the document states, and what `plan` raises.
+    """
+    asked = dict(given["asked"])
+    known = replace(kind(asked.pop("kind")), limits=Limits(**asked.pop("limits")))
+    aids = asked.pop("aids")
+    on = [views.view(one) if one["schema"] == "sightline-view/1" else views.matrix_view(one) for one in given["views"]]
+    out = make_plan(on, kind=known, aids=None if aids is None else Aids.of(aids), **asked)
+    ends = np.array([given["trajectory"][name] for name in ("entry_mm", "end_mm")])
+    off_mm = float(np.linalg.norm(out.trajectory.points.xyz_mm - ends, axis=1).max())
+    if not off_mm <= _SAME_MM or out.verdict.state != given["verdict"]:
+        raise UnusableInputError(
+            f"this version plans otherwise: {off_mm:.3f} mm from the file's points, and says {out.verdict.state} where "
+            f"the file says {given['verdict']}; plan again"
+        )
+    return out
+
+
+def shot_written(shot: CheckShot) -> dict[str, Any]:
+    """Return the document of a check shot: that of reports, and the numbers that it is made of."""
+    names = ("deviation_mm", "covariance_mm2", "across", "length_mm", "outlier_sigma")
+    return {**shot.document(), **{name: getattr(shot, name) for name in names}}
+
+
+def shot(given: dict[str, Any]) -> CheckShot:
+    """Return the check shot of a document. Raises UnusableInputError."""
+    shapes = {"entry_mm": (3,), "tip_mm": (3,), "deviation_mm": (5,), "covariance_mm2": (5, 5), "across": (2, 3)}
+    moved = RigidTransform.from_matrix(array(given["bone_moved"], (4, 4), "the bone's movement"))
+    numbers = ("length_mm", "landmarks", "bow_mm", "bow_sigma", "residual_rms", "outlier_sigma")
+    return CheckShot(
+        **{name: array(given[name], shape, name) for name, shape in shapes.items()},
+        **{name: given[name] for name in numbers},
+        movement=moved,
+        checks=views.checks(given["checks"]),
+    )
