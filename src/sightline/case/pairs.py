@@ -10,7 +10,7 @@ from sightline.case.contents import Pair
 from sightline.case.journal import Actor, Case, Entry, Kind
 from sightline.case.journal.originals import name_of, short
 from sightline.case.stages import TABLE, acquired_of, frame_of, image_of, keep_frame, record_acquired, record_seen
-from sightline.case.views import NAMES, CalibratedImage, Seen, spoken
+from sightline.case.views import NAMES, CalibratedImage, Seen, see_pair, spoken
 from sightline.detection.detections_csv import are_detections
 from sightline.errors import CaseError, RefusedError, UnusableInputError
 from sightline.frame import Frame
@@ -20,13 +20,13 @@ from sightline.pipeline import find_beads, label_beads
 
 @dataclass(frozen=True, eq=False)
 class SeenPair:
-    """PA and lateral image before calibration, with the entries that acquired them.
+    """PA and lateral image before calibration, and their `source`: files, or the entries that acquired them.
 
-    `skipped`: newer images that were not used, each with the reason.
+    `skipped`: newer images of the case that were not used, each with the reason.
     """
 
-    acquired: tuple[Entry, Entry]
     seen: tuple[Seen, Seen]
+    source: tuple[Path, Path] | tuple[Entry, Entry]
     skipped: tuple[str, ...] = ()
 
 
@@ -36,15 +36,9 @@ def frame_in_use(case: Case) -> Frame | None:
     return None if set_to is None else frame_of(case, str(set_to.content["to"]))
 
 
-def acquire_pair(case: Case, files: tuple[Path, Path]) -> tuple[Entry, Entry]:
-    """Return the acquired entries of two files, images or tables of labelled beads; each file is acquired once.
-
-    Raises UnusableInputError for beads without labels, which a case cannot replay, CaseError, ImageError.
-    """
-    if any(file.suffix.lower() == TABLE and are_detections(file) for file in files):
-        raise UnusableInputError("a case takes images or labelled beads; give the images, or a table with bead ids")
-    first, second = (_acquired(case, file) for file in files)
-    return first, second
+def given_pair(files: tuple[Path, Path], frame: Frame, *, invert: bool = False) -> SeenPair:
+    """Return the images, or tables of beads, of two files, PA first. Raises what `see_pair` raises."""
+    return SeenPair(see_pair(*files, frame, invert=invert), files)
 
 
 def newest_pair(case: Case, frame: Frame, *, after: int = 0, invert: bool = False) -> SeenPair:
@@ -72,22 +66,26 @@ def newest_pair(case: Case, frame: Frame, *, after: int = 0, invert: bool = Fals
             "the files of both images"
         )
     (first, pa), (second, lateral) = (found[name] for name in NAMES)
-    return SeenPair((first, second), (pa, lateral), tuple(skipped))
+    return SeenPair((pa, lateral), (first, second), tuple(skipped))
 
 
-def record_pair(
-    case: Case, acquired: tuple[Entry, Entry], images: Pair, frame: Frame, *, by: Actor
-) -> tuple[Entry, Entry]:
-    """Return the calibrated entries of both images; recorded now unless the case holds the same result already."""
+def record_pair(case: Case, pair: SeenPair, images: Pair, frame: Frame, *, by: Actor) -> tuple[Entry, Entry]:
+    """Return the calibrated entries of both images, recorded unless the case holds the same result already.
+
+    A file is acquired once. Raises UnusableInputError for beads without labels, which a case cannot replay; CaseError.
+    """
     frame_ref = keep_frame(case, frame)
+    sources = [_acquired(case, one) if isinstance(one, Path) else one for one in pair.source]
     first, second = (
         _recorded(case, source, image, frame_ref) or record_seen(case, source, image, frame_ref=frame_ref, by=by)
-        for source, image in zip(acquired, images, strict=True)
+        for source, image in zip(sources, images, strict=True)
     )
     return first, second
 
 
 def _acquired(case: Case, file: Path) -> Entry:
+    if file.suffix.lower() == TABLE and are_detections(file):
+        raise UnusableInputError("a case takes images or labelled beads; give the images, or a table with bead ids")
     data = read_bounded(file, MAX_FILE_BYTES, CaseError, "export single images")
     original = name_of(data, file.suffix.lower())
     held = case.latest(Kind.ACQUIRED, {"original": original})

@@ -10,7 +10,7 @@ from sightline.checks import failed
 from sightline.cli.calibrate import PixelSize, Sid
 from sightline.cli.detect import Invert
 from sightline.cli.output import Json, Output, Quiet, example
-from sightline.cli.plan import Mirrored, both_or_none, newest_of
+from sightline.cli.plan import Mirrored, both_or_none, image_numbers, pair_of
 from sightline.cli.points import CHECK_VIEWS, FoundAgain, parse_found_again
 
 if TYPE_CHECKING:
@@ -60,10 +60,10 @@ def check_shot(
         points = [parse_found_again(text) for text in landmark or ()]
         from sightline.case.contents import CheckAsked
         from sightline.case.journal import Actor, Case, Kind
-        from sightline.case.pairs import acquire_pair, record_pair
+        from sightline.case.pairs import record_pair
         from sightline.case.replay import Recomputed
         from sightline.case.stages import frame_of, record_verified
-        from sightline.case.views import calibrate_pair, see_pair
+        from sightline.case.views import calibrate_pair
         from sightline.errors import CaseError, RefusedError
 
         opened = stack.enter_context(Case.open(case))
@@ -77,12 +77,10 @@ def check_shot(
             again = Recomputed(opened)
             made, planned = again.plan(entry), again.images(entry)
         with output.step("finding and labelling the beads"):
-            newest = None if files else newest_of(output, opened, frame, invert=invert, after=entry.number)
-            seen = newest.seen if newest else see_pair(*files, frame, invert=invert)  # pyright: ignore[reportGeneralTypeIssues]
+            pair = pair_of(output, opened, files, frame, invert=invert, after=entry.number)
         with output.step("calibrating both views (smooth)"):
-            images = calibrate_pair(seen, frame, "smooth", mirrored or (), source_detector_mm=sid, pixel_mm=pixel)
-        acquired = newest.acquired if newest else acquire_pair(opened, files)  # pyright: ignore[reportArgumentType]
-        views = record_pair(opened, acquired, images, frame, by=Actor.COMMAND)
+            images = calibrate_pair(pair.seen, frame, "smooth", mirrored or (), source_detector_mm=sid, pixel_mm=pixel)
+        views = record_pair(opened, pair, images, frame, by=Actor.COMMAND)
         check = CheckAsked(made.kind.wire_mm, landmarks)
         try:
             with output.step("finding the wire"):
@@ -95,10 +93,10 @@ def check_shot(
         output.say(
             f"case {opened.number}: the check shot is entry {kept.number}, against the plan of entry {entry.number}"
         )
-        numbers = {name: one.number for name, one in zip(CHECK_VIEWS, acquired, strict=True)}
-        told = {"number": opened.number, "plan": entry.number, "entry": kept.number, "images": numbers}
+        numbers = {"number": opened.number, "plan": entry.number, "entry": kept.number}
+        numbers |= {"images": image_numbers(opened, views, CHECK_VIEWS)}
         document = {key: value for key, value in shot.document().items() if key != "checks"}
-        output.result({**document, "case": told}, shot.checks)
+        output.result({**document, "case": numbers}, shot.checks)
 
 
 def _landmarks(points: list[FoundAgain], names: list[str], picked: Any, sd_px: float) -> "Landmarks":

@@ -13,7 +13,7 @@ from sightline.cli.output import Json, Output, Quiet, example
 from sightline.cli.points import VIEWS, all_depths, parse_head, parse_landmark, parse_point, pixels
 
 if TYPE_CHECKING:
-    from sightline.case.journal import Case
+    from sightline.case.journal import Case, Entry
     from sightline.case.pairs import SeenPair
     from sightline.case.report.content import Report
     from sightline.case.views import CalibratedImage
@@ -121,9 +121,9 @@ def plan(
 
         from sightline.case.contents import Asked
         from sightline.case.journal import Actor, Case
-        from sightline.case.pairs import acquire_pair, frame_in_use, record_pair
+        from sightline.case.pairs import frame_in_use, record_pair
         from sightline.case.stages import record_planned
-        from sightline.case.views import calibrate_pair, see_pair
+        from sightline.case.views import calibrate_pair
         from sightline.frame import Frame
         from sightline.planning import Aids, Circle
 
@@ -131,13 +131,13 @@ def plan(
         in_use = None if opened is None or frame is not None else frame_in_use(opened)
         known_frame = in_use or Frame.load(frame or "gamma")
         with output.step("finding and labelling the beads"):
-            newest = None if files or opened is None else newest_of(output, opened, known_frame, invert=invert)
-            seen = newest.seen if newest else see_pair(*files, known_frame, invert=invert)  # pyright: ignore[reportGeneralTypeIssues]
+            pair = pair_of(output, opened, files, known_frame, invert=invert)
         with output.step(f"calibrating both views ({method})"):
-            images = calibrate_pair(seen, known_frame, method, mirrored or (), source_detector_mm=sid, pixel_mm=pixel)
+            images = calibrate_pair(
+                pair.seen, known_frame, method, mirrored or (), source_detector_mm=sid, pixel_mm=pixel
+            )
         with output.step("planning"):
-            views = [image.view for image in images]
-            entry_px, end_px = (pixels(point, views, pick_sd) for point in points)
+            entry_px, end_px = (pixels(point, [image.view for image in images], pick_sd) for point in points)
             drawn = None if circles is None else [Circle.of(np.array(c[:2]), c[2], pick_sd) for c in circles]
             asked = Asked(
                 entry_px,
@@ -154,11 +154,9 @@ def plan(
         document = plan_document(planned, images)
         if case is not None:
             opened = opened or stack.enter_context(Case.create(case, exist_ok=True))  # now that there is a plan
-            acquired = newest.acquired if newest else acquire_pair(opened, files)  # pyright: ignore[reportArgumentType]
-            entries = record_pair(opened, acquired, images, known_frame, by=Actor.COMMAND)
-            kept = record_planned(opened, entries, asked, planned, by=Actor.COMMAND)
-            numbers = {name: one.number for name, one in zip(VIEWS, acquired, strict=True)}
-            document["case"] = {"number": opened.number, "entry": kept.number, "images": numbers}
+            views = record_pair(opened, pair, images, known_frame, by=Actor.COMMAND)
+            kept = record_planned(opened, views, asked, planned, by=Actor.COMMAND)
+            document["case"] = {"number": opened.number, "entry": kept.number, "images": image_numbers(opened, views)}
         if out is not None:
             picks = f"entry {entry}; end {end}; {pick_sd:g} px{', snapped' if snapped else ''}"
             picks += "".join(f"; landmark {text}" for text in landmark or [])
@@ -192,14 +190,35 @@ def case_of(stack: ExitStack, folder: Path, files: tuple[Path, Path] | None) -> 
     return stack.enter_context(Case.open(folder)) if files is None or Case.exists(folder) else None
 
 
-def newest_of(output: Output, case: "Case", frame: "Frame", *, invert: bool, after: int = 0) -> "SeenPair":
-    """Return the newest image of each view in a case, and say which newer ones were skipped. Raises CaseError."""
-    from sightline.case.pairs import newest_pair
+def pair_of(
+    output: Output,
+    case: "Case | None",
+    files: tuple[Path, Path] | None,
+    frame: "Frame",
+    *,
+    invert: bool,
+    after: int = 0,
+) -> "SeenPair":
+    """Return the images of the files, or the newest of the case after entry `after`; say which were skipped.
 
+    Raises what `given_pair` and `newest_pair` raise.
+    """
+    from sightline.case.pairs import given_pair, newest_pair
+
+    if files is not None:
+        return given_pair(files, frame, invert=invert)
+    assert case is not None  # noqa: S101 - without files there is a case
     pair = newest_pair(case, frame, after=after, invert=invert)
     for line in pair.skipped:
         output.note(line)
     return pair
+
+
+def image_numbers(case: "Case", views: "tuple[Entry, Entry]", names: tuple[str, str] = VIEWS) -> dict[str, int]:
+    """Return the numbers of the entries that acquired the images of two calibrated views, by name."""
+    from sightline.case.stages import acquired_of
+
+    return {name: acquired_of(case, view).number for name, view in zip(names, views, strict=True)}
 
 
 def plan_document(planned: "Plan", images: "tuple[CalibratedImage, CalibratedImage]") -> dict[str, Any]:
