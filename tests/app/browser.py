@@ -47,7 +47,7 @@ def chromium(path: str) -> Iterator[Browser]:
 
 
 class Server:
-    """`python -m *argv` in a process of its own, "{port}" in it filled in."""
+    """`python -m *argv` in a separate process, with "{port}" filled in."""
 
     def __init__(self, log: Path, *argv: str) -> None:
         with socket.socket() as free:
@@ -82,7 +82,7 @@ class Server:
             return False
 
     def stop(self) -> None:
-        """End it: asked first, then killed."""
+        """End it: terminate first, then kill."""
         if self._process is None:
             return
         self._process.terminate()
@@ -94,7 +94,7 @@ class Server:
         self._process = None
 
     def check(self) -> None:
-        """Fail if the server met an error that nobody handled."""
+        """Fail if the server had an unhandled error."""
         assert "Traceback" not in self.log.read_text(), self.log.read_text()
 
 

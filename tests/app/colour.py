@@ -54,7 +54,7 @@ def contrast(one: np.ndarray, other: np.ndarray) -> float:
 
 
 def distance(one: str, other: str, sight: np.ndarray) -> float:
-    """How far apart two opaque colours look to who sees the light (3, 3) `sight`."""
+    """Return the difference between two opaque colours for a person with the colour vision `sight` (3, 3)."""
     return float(np.linalg.norm(_lab(sight @ linear(over(one))) - _lab(sight @ linear(over(other)))))
 
 

@@ -32,7 +32,7 @@ def hands(server: Server, open_page: Callable[..., Page]) -> Hands:
 
 
 def written(page: Page) -> list[dict[str, Any]]:
-    """Every word on the page, once nothing moves or fades any more."""
+    """Return all text on the page, once no animation is running."""
     page.wait_for_function("document.getAnimations().every(({ playState }) => playState === 'finished')")
     return page.evaluate(EYES)
 

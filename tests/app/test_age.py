@@ -117,7 +117,7 @@ def test_a_time_that_is_not_known_is_asked_for(opened: Procedure, said_ago_s: fl
     opened.age.state_taken("lateral", 4.0)
     assert opened.age.now_s == 240.0 and _age_check(opened).passed
     assert Decisions.of(opened.planning.decisions.document()) == opened.planning.decisions
-    _came(opened, "lateral", 104, None)  # what was said was said of another image
+    _came(opened, "lateral", 104, None)  # the statement was about another image
     assert opened.age.now_s is None
 
 

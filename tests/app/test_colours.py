@@ -30,7 +30,7 @@ def rgb(name: str) -> np.ndarray:
 
 
 def rules(sheet: str) -> list[tuple[str, dict[str, str]]]:
-    """Selector and declarations of every rule, its colours looked up."""
+    """Selector and declarations of every rule, with its colours resolved."""
     plain = re.sub(r"/\*.*?\*/", "", sheet, flags=re.S)
     found = re.findall(r"([^{}`]+)\{([^{}]*)\}", plain)
     split = [(who.strip(), dict(one.split(":", 1) for one in what.split(";") if ":" in one)) for who, what in found]
@@ -114,7 +114,7 @@ def test_things_in_space_stand_out_from_the_ground() -> None:
 
 @pytest.mark.parametrize("sight", DICHROMATS)
 def test_what_looks_alike_to_the_colour_blind_has_another_cue(sight: str) -> None:
-    """The cue: mark, dashes, filling or opacity. A band, a line and its ticks are told by their shape."""
+    """The cue: mark, dashes, filling or opacity. A band, a line and its ticks differ by shape."""
     for file, cues in (
         ("drawing/xray/xray_paint.js", ("mark", "dash", "fill")),
         ("drawing/space/space_objects.js", ("dash", "opacity")),
@@ -138,7 +138,7 @@ def test_the_measures_themselves() -> None:
     assert contrast(over("#777777"), over("#ffffff")) == pytest.approx(
         4.48, abs=0.005
     )  # WCAG's own example of a failure
-    red, green = "#c00000", "#5a7000"  # of the same lightness: told apart by red and green cones alone
+    red, green = "#c00000", "#5a7000"  # of the same lightness: distinguished by red and green cones only
     assert distance(red, green, np.eye(3)) > 5 * DISTINCT
     assert distance("#ffffff", "#ffffff", DICHROMATS["protanopia"]) == 0.0
     assert distance(red, green, DICHROMATS["deuteranopia"]) < distance(red, green, np.eye(3)) / 2

@@ -32,7 +32,7 @@ POLLING = "/_nicegui_ws/socket.io/?EIO=4&transport=polling"
 
 @dataclass
 class App:
-    """What the small app told of itself."""
+    """The address that the small app reported."""
 
     url: str
     port: int

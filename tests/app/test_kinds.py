@@ -68,10 +68,10 @@ def test_a_pair_of_holes_is_planned_beside_a_hip_screw(hands: Hands, shoot) -> N
         for view in NAMES:
             assert np.hypot(*np.subtract(hands.placed(name, view), where[view])) < 2 * SEEN_PX, (name, view)
     expect(hands.see("verdict")).to_contain_text("Every check passed")
-    expect(hands.see("figures")).not_to_contain_text("tip to bone")  # it is no hip screw's
+    expect(hands.see("figures")).not_to_contain_text("tip to bone")  # it does not belong to a hip screw
     expect(hands.see("propose")).to_have_count(0)
     shoot(hands.page, "interlocking")
-    _choose(hands, "Hip screw")  # entry and end stay, the nail's landmarks are no hip's
+    _choose(hands, "Hip screw")  # entry and end stay; the nail's landmarks do not belong to a hip
     expect(hands.see("verdict")).to_contain_text("NO-GO")
     expect(hands.see("row-head-centre")).to_contain_text("○ PA")
     hands.page.keyboard.press("Control+z")
@@ -91,7 +91,7 @@ def _drawn() -> dict[str, Pixels]:
 
 
 def test_a_proposed_wire_is_by_the_rule_and_a_persons_to_change(hands: Hands, shoot) -> None:
-    """135° to the shaft, through the head's centre, 8 mm under its surface: told by the page's own figures."""
+    """135° to the shaft, through the head's centre, 8 mm under its surface: by the page's own measurements."""
     _choose(hands, "Hip screw")
     hands.press("propose")
     expect(hands.see("message")).to_contain_text("no wire can be proposed: the head is not drawn")

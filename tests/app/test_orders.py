@@ -89,7 +89,7 @@ def test_a_plan_that_the_robot_may_hold_gets_no_order_meant_for_the_one_before(
 
 
 def test_a_check_shot_that_is_refused_is_recorded_too(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A report repeats the last word; it must not be that of the shot before."""
+    """A report repeats the last entry, which must not be that of the shot before."""
     planning: Any = SimpleNamespace(jobs=Jobs())
     verifying, recorded = Verifying(planning), []
     asked: Any = SimpleNamespace(key=("new",), seen=[None])

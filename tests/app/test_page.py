@@ -350,7 +350,7 @@ def test_an_enlarged_image_lies_over_all_but_the_bar(hands: Hands, shoot) -> Non
 
 @needs_posix
 def test_a_server_that_does_not_answer_is_said_over_the_whole_page(hands: Hands, server: Server, shoot) -> None:
-    """Within a second: a verdict and a STOP that nobody stands behind must not look alive."""
+    """Within a second: verdict and STOP must not look valid without a program behind them."""
     _planned(hands)
     if hands.see("stop").count() == 0:
         hands.step("Drill")

@@ -43,7 +43,7 @@ def test_two_hundred_page_loads_at_once_build_a_few_and_hold_nothing_else_up() -
         loads = [asyncio.create_task(_status(pages, f"/{n}")) for n in range(200)]
         await asyncio.sleep(0)
         refused = [one for one in loads if one.done()]
-        assert len(refused) == 200 - 1 - MAX_WAITING  # at once: nobody waits to be refused
+        assert len(refused) == 200 - 1 - MAX_WAITING  # refused at once, without waiting
         assert {one.result() for one in refused} == {503}
         assert await _status(pages, "/image/a.u16") == 200
         assert await _status(pages, kind="websocket") == 200

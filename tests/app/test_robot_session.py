@@ -173,7 +173,7 @@ def test_a_second_shot_that_cannot_be_tells_the_robot_nothing(paused: RobotSessi
         with pytest.raises(RobotRefusedError, match=why):
             asyncio.run(paused.tell_shot(before.depth_mm + off_mm, error_95_mm))
     paused.refuse_shot(before.depth_mm + 1.2, 0.5)  # within what both state
-    heard: list[str] = []  # what was told to the robot would be answered by then
+    heard: list[str] = []  # the robot would have answered by then
     paused._client.listeners.append(lambda message: heard.append(message.device_name))
     _until(paused, lambda _: heard.count(DEPTH) > 2)
     assert (paused.now.depth_sd_mm, paused.now.zero) == (before.depth_sd_mm, before.zero)

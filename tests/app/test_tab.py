@@ -49,7 +49,7 @@ class Drawn:
 
 @dataclass
 class Page:
-    """A tab, and what its views were told: (view, method, arguments)."""
+    """A tab with the calls to its views: (view, method, arguments)."""
 
     tab: Tab
     told: list[tuple[str, str, tuple[Any, ...]]] = field(default_factory=list)
@@ -79,7 +79,7 @@ class Page:
         return [arguments for name, called, arguments in self.told if (name, called) == (view, method)]
 
     def word(self, view: str) -> dict[str, Any]:
-        """What a view was last told to show."""
+        """The content of a view's newest message."""
         return self.of(view, "show")[-1][0]
 
     def elements(self) -> list[ui.element]:
@@ -363,7 +363,7 @@ def test_nor_does_a_drop_that_is_not_even_heard(opened: Page, wrong: dict[str, A
 
 
 def test_the_guide_follows_from_the_decisions(opened: Page) -> None:
-    """Undo steps back in it, redo forth; a mark that is taken away is asked for again."""
+    """Undo steps back in it, redo forward; a removed mark is asked for again."""
 
     def asked() -> tuple[str, str] | None:
         opened.tab.refresh()

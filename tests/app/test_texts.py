@@ -1,4 +1,4 @@
-"""What people read is in texts.py: no panel holds a sentence of its own."""
+"""The page's texts are in texts.py: no panel contains a sentence."""
 
 import ast
 import re

@@ -40,7 +40,7 @@ class View:
         return self.page.evaluate(f"(value) => {{ const core = window.sightlineXray.pa; return {expression}; }}", value)
 
     def settle(self) -> None:
-        """Wait until everything asked for is drawn."""
+        """Wait until all pending drawing is done."""
         self.page.evaluate("() => new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))")
 
     def do(self, name: str, *, loaded: bool = True) -> None:
@@ -135,7 +135,7 @@ def tab(browser: Browser, server: Server) -> Iterator[Tab]:
 
 @pytest.fixture
 def view(tab: Tab, server: Server) -> Iterator[View]:
-    """The view as it was built; at the end nothing may have asked for another machine or failed in the browser."""
+    """The view as it was built; at the end there may be no request to another machine and no error in the browser."""
     view = View(tab.page, server)
     tab.page.wait_for_function("window.sightlineXray?.pa")
     tab.page.mouse.move(1, 1)
@@ -292,7 +292,7 @@ def test_what_is_turned_says_so(view: View) -> None:
     expect(turned).to_have_text("")
     view.do("turn")
     expect(turned).to_have_text("turned 90°, mirrored")
-    assert view.heard("display") == []  # the server knows what it said
+    assert view.heard("display") == []  # the server knows its own message
 
 
 def test_how_an_image_is_shown_overtakes_its_pixels(view: View) -> None:
@@ -350,7 +350,7 @@ def test_the_browser_itself_hides_the_plan_of_a_live_image_that_no_word_comes_of
 
 
 def test_word_of_a_live_image_is_not_taken_for_the_older_one_on_the_screen(view: View) -> None:
-    """Its pixels do not come, the word that it is fresh does."""
+    """Its pixels do not arrive, but the report that it is fresh does."""
     view.page.route("**/late", lambda route: None)
     view.do("late", loaded=False)
     view.page.wait_for_function("sightlineXray.pa.state.stale")
@@ -924,7 +924,7 @@ def test_an_edit_made_while_the_server_is_away(
     view.ready()
     view.do("fresh")
     server.stop()
-    expect(view.root.get_by_test_id("stale")).to_be_visible()  # though the last word was that it lasts
+    expect(view.root.get_by_test_id("stale")).to_be_visible()  # though the last report said that it is fresh
     start = view.screen(POINTS[0]["uv"])
     view.drag(start, (start[0] + 60, start[1] + 25))
     left = view.point("entry")

@@ -117,7 +117,7 @@ class Rig:
         return self.send(f"CMD_{self.number}", String(text), client)
 
     def run(self, seconds: float) -> list[Message]:
-        """What was said meanwhile, telemetry aside."""
+        """Return the messages sent meanwhile, without telemetry."""
         said = []
         for _ in range(round(seconds / CYCLE_S)):
             self.now_s += CYCLE_S
@@ -242,7 +242,7 @@ _halted: set[RobotServer] = set()
 
 
 def mid_motion(server: RobotServer) -> None:
-    """Until the server stands still in virtual time, where it was told to."""
+    """Wait, if asked, until the server's virtual time stands still."""
     wait_for(lambda: server in _halted)
 
 

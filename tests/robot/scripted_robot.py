@@ -148,7 +148,7 @@ class ScriptedRobot:
             if "keeps a lost client" not in self.flaws:
                 self.registration = self.target = None
 
-    # What it is told.
+    # Commands.
 
     def heard(self, peer: Peer, event) -> None:
         if isinstance(event, Rejected):

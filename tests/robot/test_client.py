@@ -281,7 +281,7 @@ def test_a_program_that_hangs_is_silent(monkeypatch):
 
 
 def test_between_two_calls_nobody_moves_anything():
-    """A call that was given up leaves a robot that moves for nobody: silence stops it."""
+    """After an abandoned call the robot stops, because its client is silent."""
     peer = ScriptedRobot(steps=3000)
     with serving(peer) as port, RobotClient(port=port) as robot:
         told(robot)
@@ -294,7 +294,7 @@ def test_between_two_calls_nobody_moves_anything():
 @needs_posix
 @pytest.mark.parametrize(("signal", "ends"), [(9, "UNDEFINED"), (19, "STOP")], ids=["killed", "stopped"])
 def test_a_client_that_is_gone_is_not_outlived_by_its_heartbeats(signal, ends):
-    """They are a process of its own: it ends with the client, and sends none for one that hangs."""
+    """Heartbeats come from a separate process, which ends with the client and stops for a client that hangs."""
     peer = ScriptedRobot(steps=3000)
     with serving(peer) as port:
         says = f"from tests.robot.test_client import *\nrobot = RobotClient(port={port})\ntold(robot)\nrobot.align()\n"

@@ -38,7 +38,7 @@ def test_every_command_in_every_state_gets_its_three_answers(state):
         if len(said) == 2:
             assert wanted
             assert rig.state is TRANSITIONS[state, trigger]
-            if trigger not in (Trigger.STOP, Trigger.EMERGENCY):  # it moves: how that ends is said, too
+            if trigger not in (Trigger.STOP, Trigger.EMERGENCY):  # it moves, so its end is reported too
                 rig.command("STOP")
             said += [message for message in rig.run(0.3) if message.device_name == text]
             assert len(said) == 3
@@ -263,7 +263,7 @@ def test_a_fault_waits_for_a_person():
     assert any("stop button" in message.body.text for message in said)
     rig.plant.stop_pressed = False
     rig.run(0.05)
-    assert rig.state is State.EMERGENCY  # releasing it is no reset
+    assert rig.state is State.EMERGENCY  # releasing it does not reset
     rig.panel.reset()
     rig.run(0.05)
     assert rig.state is State.UNDEFINED

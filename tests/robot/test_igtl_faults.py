@@ -1,4 +1,4 @@
-"""Bad bytes: no crash, nothing wrong taken for right, the reason told. The benchmark runs 500 of each."""
+"""Malformed bytes: no crash, no wrong message accepted, and a reason given. The benchmark runs 500 of each."""
 
 import numpy as np
 import pytest

@@ -25,7 +25,7 @@ def test_it_keeps_its_limits_and_one_of_them_is_met(seed):
     accelerations = np.diff(velocities, axis=0) / (t[1] - t[0])
     assert (np.abs(accelerations) <= ACCELERATION * (1 + 1e-6)).all()
     assert np.abs(accelerations / ACCELERATION).max() > 0.999  # no slower than it must
-    # What is said of position and of velocity agrees.
+    # Position and velocity agree.
     middle = (velocities[1:] + velocities[:-1]) / 2 * (t[1] - t[0])
     assert np.allclose(np.diff(positions, axis=0), middle, atol=1e-4 * np.ptp(positions, axis=0).max())
 

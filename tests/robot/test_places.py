@@ -70,7 +70,7 @@ def test_who_never_says_anything_is_cut_off_and_who_did_is_not() -> None:
             mute = await connected(listening.port)
             assert await ended(mute)
             assert (await there.until("lost"))[0] == "it said nothing for 0.05 s"
-            # Deaf to the clock: what was said cancels the timer.
+            # Independent of time: the first message cancels the timer.
             speaks = await connected(listening.port)
             (*_, connection) = await there.until("opened", 2)
             listening.received(connection, TALK)

@@ -1,4 +1,4 @@
-"""A record holds what the robot said, and nothing that it did not."""
+"""A record holds the robot's samples and events, and nothing else."""
 
 import numpy as np
 import pytest

@@ -45,7 +45,7 @@ def ready(robot: RobotClient) -> None:
 
 
 def still(server) -> bool:
-    """Whether the joints were told to stand, once the robot is done with what it was asked."""
+    """Return whether the joints were commanded to stand still after the robot handled all requests."""
     wait_for(lambda: not server.dialogue.controller.busy)
     return not server._plant.goal.any()
 
@@ -134,7 +134,7 @@ def test_targets_that_must_not_be_drilled_are_refused_with_the_reason(robot, tar
     robot.command("TARGETING").refuse_unless_ok()
     with pytest.raises(RobotRefusedError, match=why):
         sent(robot, contract.TARGET, target, "TARGET", metadata=metadata(**said), imaged_s=10.0).refuse_unless_ok()
-    with pytest.raises(RobotRefusedError, match="no target"):  # the earlier one is no longer meant
+    with pytest.raises(RobotRefusedError, match="no target"):  # the earlier one is void
         robot.align()
 
 

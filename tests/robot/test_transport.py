@@ -19,7 +19,7 @@ PATIENCE_S = 20.0  # a test that waits longer has failed
 
 
 class Witness:
-    """A handler that keeps what it was told, and answers as it is asked to."""
+    """A handler that records its callbacks, and answers as configured."""
 
     def __init__(self, answer: Callable[[Connection, Event], None] = lambda connection, event: None):
         self.told: list[tuple[str, object]] = []
@@ -247,7 +247,7 @@ def test_silence_is_told_once_until_the_next_message() -> None:
         async with await serve(there, silence_s=0.02) as listening:
             with socket.create_connection(("127.0.0.1", listening.port)) as peer:
                 await there.until("silent")
-                peer.sendall(encode(numbered(0))[:-8] + b"\x01" * 8)  # a wrong body is no sign of life
+                peer.sendall(encode(numbered(0))[:-8] + b"\x01" * 8)  # a wrong body does not count as a sign of life
                 await there.until("received")
                 await asyncio.sleep(0.1)
                 assert len(there.all("silent")) == 1
