@@ -34,6 +34,7 @@ def names_in(source: Path) -> set[str]:
             isinstance(call, ast.Call)
             and isinstance(call.func, ast.Name)
             and call.func.id in ("Check", "Rule", "Measure")
+            and call.args  # a saved check is read back by its keys
         ):
             name = call.args[0]
             if isinstance(name, ast.Constant):
