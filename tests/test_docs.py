@@ -102,6 +102,24 @@ def test_every_page_is_in_a_toctree_of_the_site() -> None:
     assert set().union(*map(toctrees, (ROOT / "docs").rglob("*.md"))) == pages
 
 
+def exported(room: Path) -> set[str]:
+    """The names of `__all__`."""
+    for statement in ast.parse(room.read_text()).body:
+        if isinstance(statement, ast.Assign) and ast.unparse(statement.targets[0]) == "__all__":
+            return set(ast.literal_eval(statement.value))
+    return set()
+
+
+def test_every_exported_name_is_on_a_page_of_the_api() -> None:
+    described = set()
+    for page in (ROOT / "docs" / "api").glob("*.md"):
+        described |= set(re.findall(r"^```{room} ([\w.]+)$", page.read_text(), flags=re.MULTILINE))
+    for room in (ROOT / "src" / "sightline").rglob("__init__.py"):
+        name = ".".join(room.parent.relative_to(ROOT / "src").parts)
+        if name not in described:  # then its parent exports the same names
+            assert exported(room) <= exported(room.parents[1] / "__init__.py"), name
+
+
 @pytest.mark.parametrize("page", sorted((ROOT / "docs" / "notebooks").glob("*.md")), ids=lambda p: p.name)
 def test_the_code_of_a_notebook_parses(page: Path) -> None:
     """`make docs` executes it."""
