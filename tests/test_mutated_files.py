@@ -64,7 +64,7 @@ def test_a_numpy_header_that_lies_is_refused_wherever_one_is_read(header: bytes,
     file.write_bytes(stating(header))
     with pytest.raises(UnusableInputError, match="npy"):
         read_image(file)
-    with pytest.raises(UnusableInputError, match="not a whole NumPy file"):
+    with pytest.raises(UnusableInputError, match="not a complete NumPy file"):
         read_view(file)
 
 

@@ -91,7 +91,7 @@ def test_a_plate_numbered_from_another_corner_is_told_as_one_thing(run, table, t
     [
         (("--frame", "delta"), "delta"),
         (("--frame", "gamma", "--covariance", "no.csv"), "cannot read no.csv"),
-        (("--frame", "gamma", "--use-temperature-c", "20"), "give both"),
+        (("--frame", "gamma", "--use-temperature-c", "20"), "together with"),
         (("--frame", "gamma", "--drift-mm", "9"), "drift"),
     ],
 )
