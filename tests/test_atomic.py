@@ -51,7 +51,7 @@ def test_killed_at_any_step_other_files_stay_and_two_results_are_never_mixed(tmp
 
 @pytest.fixture(params=["exchange", "each", "each, no exchange"])
 def out(request, tmp_path: Path, monkeypatch) -> Path:
-    """A folder with an old result; with a file of somebody else's where the parameter says "each"."""
+    """Return a folder with an old result, and another program's file where the parameter is "each"."""
     out = tmp_path / "place" / "out"
     write_folder(out, OLD)
     out.chmod(0o750)
@@ -181,7 +181,7 @@ def test_what_is_not_a_regular_file_is_not_replaced(tmp_path: Path) -> None:
 @needs_posix
 @pytest.mark.parametrize("write", ["before", "after"])
 def test_a_disk_that_becomes_read_only_is_a_refusal(write: str) -> None:
-    """While the folder is written: what lies beside it cannot be removed either, which must not matter."""
+    """While the folder is written, its scratch folder cannot be removed either, which must not matter."""
     with tempfile.TemporaryDirectory() as name:
         place = Path(name)
         child = os.fork()

@@ -44,7 +44,7 @@ READERS: dict[str, Callable[[Path], object]] = {
 
 @pytest.mark.parametrize("name", READERS)
 def test_a_device_is_no_file_of_any_kind(tmp_path: Path, name: str) -> None:
-    """A link to /dev/null: whoever opens it reads an empty file, and says that it is empty or damaged."""
+    """A link to /dev/null reads as an empty file, which is reported as empty or damaged."""
     place = tmp_path / name
     if name == "plan":
         place.mkdir()

@@ -1,4 +1,4 @@
-"""Every stage gives the answer it gave (tests/golden/make.py), to what machines may differ by."""
+"""Every stage gives its stored result (tests/golden/make.py), within the differences of machines."""
 
 import json
 from typing import Any
@@ -11,7 +11,7 @@ from golden.make import HERE, answers
 
 @pytest.fixture(scope="module")
 def pair() -> tuple[dict[str, Any], dict[str, Any]]:
-    """(the answers stored, the answers now)."""
+    """Return the stored and the current results."""
     stored = json.loads((HERE / "answers.json").read_text())
     return stored, answers(np.array(stored["plan"]["picks_px"]))
 
@@ -23,7 +23,7 @@ def test_detection_finds_the_same_beads(pair):
 
 
 def test_labelling_gives_the_same_names(pair):
-    """A bead at the very limit of what is certain may come or go with the rounding of a machine; no name may change."""
+    """A bead at the limit of certainty may come or go with a machine's rounding; no label may change."""
     stored, now = (one["label"] for one in pair)
     both = stored.keys() & now.keys()
     assert all(now[name] == stored[name] for name in both)

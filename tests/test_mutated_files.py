@@ -32,7 +32,7 @@ def test_a_mutated_file_is_read_or_refused_by_name(name: str, tmp_path: Path, ca
         except SightlineError as error:
             refused += 1
             assert str(error)
-    assert refused > EACH // 4  # else it was not spoilt
+    assert refused > EACH // 4  # else it was not damaged
     assert capfd.readouterr() == ("", "")
 
 

@@ -1,4 +1,4 @@
-"""Images of beads whose truth is known: ideal shadows, Poisson counts, then the detector's blur."""
+"""Images of beads with known truth: ideal shadows, Poisson counts, then the detector's blur."""
 
 from dataclasses import dataclass
 
@@ -13,7 +13,7 @@ BLUR_PX = 0.9
 
 @dataclass(frozen=True)
 class Bead:
-    """`depth`: attenuation along the diameter of a ball; of a disc anywhere. Negative: a hole. `inner`: of a washer."""
+    """A bead. `depth`: attenuation along a ball's diameter, or of a disc; negative for a hole. `inner`: of a washer."""
 
     u: float
     v: float
@@ -24,7 +24,7 @@ class Bead:
 
 
 def transmission(bead: Bead, shape: tuple[int, int]) -> np.ndarray:
-    """Share of the rays that passes the bead, (H, W), averaged over each pixel."""
+    """Return the transmission (H, W) of the bead, averaged over each pixel."""
     out = np.ones(shape)
     reach = int(bead.radius) + 2
     left, top = int(bead.u) - reach, int(bead.v) - reach
@@ -50,7 +50,7 @@ def quanta(beads: list[Bead], open_quanta: np.ndarray, scatter: float | np.ndarr
 def radiograph(
     expected: np.ndarray, rng: np.random.Generator | None, white: int = 4095, level: float = 0.6
 ) -> Radiograph:
-    """12-bit image of the expected counts; without `rng` neither noise nor digitisation."""
+    """Return a 12-bit image of the expected counts; without `rng`, no noise and no digitisation."""
     gain = level * white / float(np.median(expected))
     counts = expected if rng is None else rng.poisson(expected).astype(float)
     image = cv2.GaussianBlur(counts, (0, 0), BLUR_PX, borderType=cv2.BORDER_REFLECT) * gain
@@ -60,6 +60,6 @@ def radiograph(
 
 
 def grid(spacing: float, size: int, rng: np.random.Generator) -> np.ndarray:
-    """(N, 2) places on a grid, each at its own sub-pixel phase."""
+    """Return places (N, 2) on a grid, each with its own sub-pixel phase."""
     ticks = np.arange(spacing, size - spacing / 2, spacing)
     return np.stack(np.meshgrid(ticks, ticks), axis=-1).reshape(-1, 2) + rng.uniform(-0.5, 0.5, (len(ticks) ** 2, 2))

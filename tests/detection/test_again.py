@@ -1,4 +1,4 @@
-"""The second look: beads that are hidden in part come back with an honest covariance, and absent ones never do."""
+"""The second look: partly hidden beads are found with a correct covariance, absent ones never."""
 
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -35,7 +35,7 @@ class Seen:
         return self.uv_px[self.ids.index(name)]
 
     def gaps(self) -> np.ndarray:
-        """(N,) from each rim to the next one's."""
+        """Return the distance (N,) from each rim to the nearest other one, px."""
         apart = np.hypot(*(self.uv_px[:, None] - self.uv_px).T) - self.radius_px[:, None] - self.radius_px
         np.fill_diagonal(apart, np.inf)
         return apart.min(axis=1)
@@ -43,7 +43,7 @@ class Seen:
 
 @lru_cache(maxsize=4)
 def seen(seed: int) -> Seen:
-    """A drawn set-up of a C-arm; balls well inside the image."""
+    """Return the balls well inside the image of a random set-up."""
     setup = draw_setup(np.random.default_rng(seed), GAMMA, side="right")
     beads, view = setup.true_frame.view("pa").fiducials, setup.views["pa"]
     xyz, radius = np.array([b.xyz_mm for b in beads]), np.array([b.diameter_mm / 2 for b in beads])
@@ -53,23 +53,23 @@ def seen(seed: int) -> Seen:
     return Seen(ids, uv[inside], shadow_radius_px(view, xyz, radius)[inside])
 
 
-def only(told: Observations, rows: list[int]) -> Observations:
-    """Some of the labelled beads."""
-    assert told.covariance_px2 is not None
-    assert told.radius_px is not None
+def only(labelled: Observations, rows: list[int]) -> Observations:
+    """Return some of the labelled beads."""
+    assert labelled.covariance_px2 is not None
+    assert labelled.radius_px is not None
     return replace(
-        told,
-        ids=tuple(told.ids[i] for i in rows),
-        uv_px=told.uv_px[rows],
-        covariance_px2=told.covariance_px2[rows],
-        radius_px=told.radius_px[rows],
+        labelled,
+        ids=tuple(labelled.ids[i] for i in rows),
+        uv_px=labelled.uv_px[rows],
+        covariance_px2=labelled.covariance_px2[rows],
+        radius_px=labelled.radius_px[rows],
     )
 
 
 def image(
     one: Seen, rng: np.random.Generator, bars: list[np.ndarray] | None = None, without: tuple[str, ...] = ()
 ) -> Radiograph:
-    """The balls, but those named; `bars`: (2, 2) normal and place of opaque bars, 20 px wide beyond the place."""
+    """Return an image of the balls; `bars`: (2, 2) normal and edge point of opaque bars, 20 px wide."""
     primary = np.ones(SHAPE)
     for name, (u, v), radius in zip(one.ids, one.uv_px, one.radius_px, strict=True):
         if name not in without:
@@ -85,14 +85,14 @@ def image(
 
 
 def looked(one: Radiograph) -> tuple[Observations, Observations]:
-    """Before and after the second look."""
+    """Return the observations before and after the second look."""
     beads = detect(one)
-    told = label(beads, GAMMA)
-    return told, look_again(one, beads, told, GAMMA)
+    labelled = label(beads, GAMMA)
+    return labelled, look_again(one, beads, labelled, GAMMA)
 
 
 def squares(found: Observations, one: Seen, names: list[str]) -> list[float]:
-    """Half the squared normalised errors of the named beads."""
+    """Return half the squared normalised errors of the named beads."""
     assert found.covariance_px2 is not None
     rows = [found.ids.index(name) for name in names]
     error = found.uv_px[rows] - np.array([one.at(name) for name in names]).reshape(-1, 2)
@@ -100,7 +100,7 @@ def squares(found: Observations, one: Seen, names: list[str]) -> list[float]:
 
 
 def beside(one: Seen, names: list[str], rng: np.random.Generator, cover: float) -> list[np.ndarray]:
-    """A bar for each bead that hides the share `cover` of its diameter, from any side."""
+    """Return a bar for each bead that hides the share `cover` of its diameter, from a random side."""
     out = []
     for name in names:
         turn = rng.uniform(0, 2 * np.pi)
@@ -111,7 +111,7 @@ def beside(one: Seen, names: list[str], rng: np.random.Generator, cover: float) 
 
 
 def lonely(one: Seen, rng: np.random.Generator, most: int) -> list[str]:
-    """Small balls that stand far from the others, not of the plates' outermost rows."""
+    """Return isolated small balls that are not in the plates' outermost rows."""
     middle = np.linalg.norm(one.uv_px - one.uv_px.mean(axis=0), axis=1) < 330
     names = [one.ids[i] for i in np.flatnonzero((one.gaps() > 30) & middle & (one.radius_px < 11))]
     return list(rng.permutation(names)[:most])
@@ -123,9 +123,9 @@ def test_beads_half_under_metal_come_back_with_their_covariance() -> None:
     for turn in range(5):
         one = seen(turn)
         names = lonely(one, rng, 14)
-        told, again = looked(image(one, rng, beside(one, names, rng, 0.4)))
+        labelled, again = looked(image(one, rng, beside(one, names, rng, 0.4)))
         hidden += len(names)
-        before += sum(name in told.ids for name in names)
+        before += sum(name in labelled.ids for name in names)
         chi2 += squares(again, one, [name for name in names if name in again.ids])
     assert before < 0.2 * hidden
     assert len(chi2) > 0.6 * hidden
@@ -134,7 +134,7 @@ def test_beads_half_under_metal_come_back_with_their_covariance() -> None:
 
 
 def test_metal_beside_a_bead_is_hidden_under_it_too() -> None:
-    """A bar that crosses a datum ball shows beside it alone: as much light passes steel as steel and a bar."""
+    """A bar that crosses a datum ball is visible only next to it: steel with a bar is as dark as steel."""
     rng = np.random.default_rng(47)
     one = seen(9)
     large = [one.ids[i] for i in np.flatnonzero((one.radius_px > 12) & (one.gaps() > 30))][:1]
@@ -167,9 +167,9 @@ def test_a_bead_that_is_absent_is_never_found(cover: float | None) -> None:
         one = seen(turn)
         names = [str(n) for n in rng.choice(one.ids, 12, replace=False)]
         bars = [] if cover is None else beside(one, names, rng, cover)
-        told, again = looked(image(one, rng, bars, without=tuple(names)))
+        labelled, again = looked(image(one, rng, bars, without=tuple(names)))
         absent += len(names)
-        assert not set(names) & set(told.ids)
+        assert not set(names) & set(labelled.ids)
         assert not set(names) & set(again.ids)
     assert absent == 48
 
@@ -188,7 +188,7 @@ def test_beads_under_one_another_are_fitted_both() -> None:
 
 
 def test_a_bead_that_hides_another_is_dropped() -> None:
-    """The source plate lies so that one of its balls hides one of the other plate, or is hidden, but for 2-3 px."""
+    """A ball of the source plate lies within 2-3 px of a ball of the other plate."""
     rng = np.random.default_rng(46)
     one = seen(9)
     pairs = [(x, s) for x in one.ids for s in one.ids if "-x-" in x and "-s-" in s]
@@ -198,29 +198,29 @@ def test_a_bead_that_hides_another_is_dropped() -> None:
         x, s = pairs[i]
         of_source = np.array(["-s-" in name for name in one.ids])
         shift = one.at(x) + rng.uniform(1.5, 2.0, 2) - one.at(s)
-        told, again = looked(image(replace(one, uv_px=one.uv_px + shift * of_source[:, None]), rng))
-        merged += x in told.ids or s in told.ids
+        labelled, again = looked(image(replace(one, uv_px=one.uv_px + shift * of_source[:, None]), rng))
+        merged += x in labelled.ids or s in labelled.ids
         assert x not in again.ids
         assert s not in again.ids
     assert merged > 2
 
 
 def test_radii_and_what_was_rejected_follow_the_second_look() -> None:
-    """What a bead fitted anew covers is rejected no more; what is not known to be rejected stays unknown."""
+    """Candidates covered by a newly fitted bead are no longer rejected; an unknown `rejected` stays unknown."""
     rng = np.random.default_rng(48)
     one = seen(1)
     shown = image(one, rng)
     beads = detect(shown)
-    told = label(beads, GAMMA)
-    again = look_again(shown, beads, told, GAMMA)
+    labelled = label(beads, GAMMA)
+    again = look_again(shown, beads, labelled, GAMMA)
     assert again.radius_px is not None
     assert again.rejected is not None
-    assert set(again.ids) - set(told.ids)
+    assert set(again.ids) - set(labelled.ids)
     truth = np.array([one.radius_px[one.ids.index(name)] for name in again.ids])
     np.testing.assert_allclose(again.radius_px, truth, rtol=0.1)
     for left in again.rejected:
         assert (np.hypot(*(again.uv_px - left.uv_px).T) > again.radius_px / 2).all()
-    unknown = look_again(shown, beads, replace(told, rejected=None), GAMMA)
+    unknown = look_again(shown, beads, replace(labelled, rejected=None), GAMMA)
     assert unknown.rejected is None
     assert unknown.ids == again.ids
 
@@ -228,49 +228,51 @@ def test_radii_and_what_was_rejected_follow_the_second_look() -> None:
 def test_where_nothing_is_missing_the_observations_stay() -> None:
     one = seen(9)
     free = {name for name, gap in zip(one.ids, one.gaps(), strict=True) if gap > 0}
-    told, _ = looked(image(one, np.random.default_rng(44)))
+    labelled, _ = looked(image(one, np.random.default_rng(44)))
     beads = detect(image(one, np.random.default_rng(44)))
-    kept = [i for i, name in enumerate(told.ids) if name in free]
-    told = only(told, kept)
+    kept = [i for i, name in enumerate(labelled.ids) if name in free]
+    labelled = only(labelled, kept)
     view = GAMMA.view("pa")
-    plates = [Plate(tuple(f for f in plate.fiducials if f.id in told.ids)) for plate in (view.xrii, view.source)]
+    plates = [Plate(tuple(f for f in plate.fiducials if f.id in labelled.ids)) for plate in (view.xrii, view.source)]
     only_these = replace(GAMMA, views={"pa": FrameView(*plates)})
-    assert look_again(image(one, np.random.default_rng(44)), beads, told, only_these) is told
+    assert look_again(image(one, np.random.default_rng(44)), beads, labelled, only_these) is labelled
 
 
 def test_observations_of_something_else_are_refused() -> None:
     rng = np.random.default_rng(45)
     one = image(seen(0), rng)
     beads = detect(one)
-    told = label(beads, GAMMA)
+    labelled = label(beads, GAMMA)
     with pytest.raises(ObservationsError, match="are not what `label` returned"):
-        look_again(one, beads, replace(told, uv_px=told.uv_px + 0.01), GAMMA)
-    few = [i for i, name in enumerate(told.ids) if "-s-" not in name]
+        look_again(one, beads, replace(labelled, uv_px=labelled.uv_px + 0.01), GAMMA)
+    few = [i for i, name in enumerate(labelled.ids) if "-s-" not in name]
     with pytest.raises(ObservationsError, match="fewer than 8 beads of the source plate"):
-        look_again(one, beads, only(told, few), GAMMA)
+        look_again(one, beads, only(labelled, few), GAMMA)
 
 
 def test_the_second_look_depends_on_its_arguments_alone() -> None:
-    """Washers at the middles of some balls: those do not count, whether `detect` saw this image before or not."""
+    """The middles of washers are left out, whether `detect` processed this image before or not."""
     one, other = (image(seen(44), np.random.default_rng(44)) for _ in range(2))
     beads = detect(one)
-    told = label(beads, GAMMA)
+    labelled = label(beads, GAMMA)
     washers = replace(beads, kind=tuple("washer" if k % 3 else "ball" for k in range(len(beads))))
-    here, there, balls = (look_again(i, b, told, GAMMA) for i, b in ((one, washers), (other, washers), (one, beads)))
+    here, there, balls = (
+        look_again(i, b, labelled, GAMMA) for i, b in ((one, washers), (other, washers), (one, beads))
+    )
     assert (here.ids, here.uv_px.tobytes()) == (there.ids, there.uv_px.tobytes())
     assert (here.ids, here.uv_px.tobytes()) != (balls.ids, balls.uv_px.tobytes())
 
 
 def test_a_finer_image_gives_the_same_beads() -> None:
-    """Balls of 20 px radius and datum balls of 33 px: more than is measured as it is."""
+    """Balls of 20 px radius and datum balls of 33 px are measured in the binned image."""
     coarse = image(seen(44), np.random.default_rng(44))
     pixels = cv2.resize(coarse.pixels, None, fx=2, fy=2, interpolation=cv2.INTER_CUBIC)
     fine = replace(coarse, pixels=np.minimum(pixels, np.uint16(coarse.white)))
     assert np.median(detect(fine).radius_px) > 15
-    (told, looked_again), (told_fine, again_fine) = looked(coarse), looked(fine)
-    assert len(told_fine) > 0.95 * len(told)
+    (labelled, looked_again), (labelled_fine, again_fine) = looked(coarse), looked(fine)
+    assert len(labelled_fine) > 0.95 * len(labelled)
     assert again_fine.image_shape == fine.shape
-    for one, other in ((told, told_fine), (looked_again, again_fine)):
+    for one, other in ((labelled, labelled_fine), (looked_again, again_fine)):
         both = [name for name in one.ids if name in other.ids]
         assert len(both) > 0.95 * len(one)
         rows, fine_rows = ([observed.ids.index(name) for name in both] for observed in (one, other))
@@ -278,5 +280,5 @@ def test_a_finer_image_gives_the_same_beads() -> None:
         assert np.sqrt((off**2).mean()) < 0.02  # px of the coarse image
         ratio = other.covariance_px2[fine_rows, 0, 0] / 4 / one.covariance_px2[rows, 0, 0]
         assert 0.7 < np.median(ratio) < 1.4
-    alone = {tuple(uv) for uv in told_fine.uv_px.tolist()}
-    assert sum(tuple(uv) in alone for uv in again_fine.uv_px.tolist()) > 0.8 * len(told_fine)  # to the last bit
+    alone = {tuple(uv) for uv in labelled_fine.uv_px.tolist()}
+    assert sum(tuple(uv) in alone for uv in again_fine.uv_px.tolist()) > 0.8 * len(labelled_fine)  # to the last bit

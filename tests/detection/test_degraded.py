@@ -1,4 +1,4 @@
-"""Compressed, quantised and partly constant images give beads within their errors, or a refusal that says why."""
+"""Compressed, quantised and partly constant images give beads within their errors, or a refusal with the reason."""
 
 import re
 from collections.abc import Callable
@@ -30,7 +30,7 @@ def labelled(pixels: np.ndarray) -> Observations:
 
 
 def squares(found: Observations) -> np.ndarray:
-    """(N,) half the squared normalised errors; 1 on average where the stated covariance is true."""
+    """Return half the squared normalised errors (N,); their mean is 1 if the stated covariance is correct."""
     assert found.covariance_px2 is not None
     off = found.uv_px - [(TRUTH[name].u, TRUTH[name].v) for name in found.ids]
     return np.einsum("ni,nij,nj->n", off, np.linalg.inv(found.covariance_px2), off) / 2
@@ -83,7 +83,7 @@ def test_a_torn_image_is_refused_as_such(at: int, shift: int) -> None:
 
 
 def test_a_tear_between_two_exposures_is_found() -> None:
-    """The halves have noise of their own."""
+    """The two fields have independent noise."""
     later = in_8_bits(image(TRUTH, 6))
     both = np.concatenate([CLEAN[:240], np.roll(later, (3, 15), axis=(0, 1))[240:]])
     tear = tear_of(Radiograph(both, 255.0))
@@ -135,7 +135,7 @@ def test_a_blurred_image_is_refused_as_such(sigma_px: int) -> None:
 
 
 def smeared(pixels: np.ndarray, length_px: float, angle_deg: float) -> np.ndarray:
-    """Moved along a line while it was exposed; the noise is of the whole exposure."""
+    """Return an image moved along a line during the exposure, with the noise of the whole exposure."""
     kernel = np.zeros((31, 31), np.float32)
     way = np.array([np.cos(np.deg2rad(angle_deg)), np.sin(np.deg2rad(angle_deg))]) * length_px / 2
     ends = [tuple(round(16 * (15 + sign * part)) for part in way) for sign in (-1, 1)]

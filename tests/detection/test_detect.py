@@ -1,4 +1,4 @@
-"""Detection against images whose truth is known."""
+"""Detection against images with known truth."""
 
 import numpy as np
 import pytest
@@ -11,7 +11,7 @@ SIZE = 320
 
 
 def matched(found: Detections, truth: np.ndarray, within_px: float = 2.0) -> np.ndarray:
-    """Row of the detection nearest to each true place; fails if one has none."""
+    """Return the row of the detection nearest to each true place; fails if one has none."""
     apart = np.linalg.norm(found.uv_px[None] - truth[:, None], axis=-1)
     assert (apart.min(axis=1) < within_px).all(), truth[apart.min(axis=1) >= within_px]
     return apart.argmin(axis=1)

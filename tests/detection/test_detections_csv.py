@@ -1,4 +1,4 @@
-"""Beads without names, from a file: told apart as those of the image are; what cannot be is refused with its line."""
+"""Unlabelled beads from a file are labelled like those of the image; a bad file is refused with its line."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""Candidates: all beads, started well, and little else."""
+"""Candidates: all beads, with good initial values, and few others."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Compiled code: what it finds depends neither on when it was compiled nor on what else a process has loaded."""
+"""Results of compiled code depend neither on when it was compiled nor on what else a process has loaded."""
 
 import os
 import pkgutil
@@ -22,15 +22,15 @@ import sightline as sl
 frame, whole = sl.Frame.load("gamma"), hashlib.sha256()
 for path in sys.argv[1:]:
     found = sl.detect(sl.read_image(path))
-    told = sl.label(found, frame)
-    for values in (found.uv_px, found.covariance_px2, told.uv_px, sl.calibrate(told, frame).focal_point_mm):
+    labelled = sl.label(found, frame)
+    for values in (found.uv_px, found.covariance_px2, labelled.uv_px, sl.calibrate(labelled, frame).focal_point_mm):
         whole.update(values.tobytes())
 print(whole.hexdigest())
 """
 
 
 def _kernels() -> dict[str, CPUDispatcher]:
-    """Of the package, by where they stand."""
+    """Return the package's kernels by module and name."""
     names = [one.name for one in pkgutil.walk_packages(sightline.__path__, "sightline.") if ".app" not in one.name]
     held = [value for name in names if "__main__" not in name for value in vars(import_module(name)).values()]
     kernels = [value for value in held if isinstance(value, CPUDispatcher)]
@@ -43,7 +43,7 @@ def _called_by(kernel: CPUDispatcher) -> list[CPUDispatcher]:
 
 
 def _leaves_open(kernel: CPUDispatcher) -> bool:
-    """What it is compiled as may be another thing from caller to caller."""
+    """Return whether a kernel's compilation may differ from caller to caller."""
     options = kernel.targetoptions
     if options.get("inline") == "always":
         return False

@@ -1,4 +1,4 @@
-"""Beads are told apart rightly, or not at all."""
+"""Beads are labelled correctly, or not at all."""
 
 from dataclasses import replace
 from itertools import permutations
@@ -35,7 +35,7 @@ def assert_right(found: Observations, one: Scene) -> None:
 
 
 def turned(detections: Detections, linear: np.ndarray) -> Detections:
-    """The image turned or mirrored about its middle; radii and noise stay."""
+    """Return the image rotated or mirrored about its middle; radii and noise stay."""
     middle = (np.array(detections.image_shape[::-1]) - 1) / 2
     return replace(detections, uv_px=(detections.uv_px - middle) @ linear.T + middle)
 
@@ -49,7 +49,7 @@ def frame_without_datums() -> Frame:
 
 
 def frame_without_a_row(role: str) -> Frame:
-    """The lateral view's plate as if its last row had never been drilled."""
+    """Return the frame without the last row of a plate of the lateral view."""
     view = GAMMA.view("lateral")
     plate = getattr(view, role)
     along = plate.plane.to_plane(plate.xyz_mm)[:, 0]
@@ -110,7 +110,7 @@ def test_a_hundred_scenes_are_right_or_refused() -> None:
 
 
 def labelled_clean_views(chain: str, count: int, cropped: bool) -> int:
-    """How many of the first `count` set-ups' views can be labelled; all of these are."""
+    """Return how many of the first `count` set-ups' views can be labelled, and assert that all of these are."""
     able = [
         one
         for seed in range(count)
@@ -289,7 +289,7 @@ def test_covariances_travel_with_their_beads() -> None:
 
 
 def test_labels_come_with_the_radii_and_with_what_was_not_labelled() -> None:
-    """Each dark detection is labelled or rejected with a reason; false beads are never said to be of the frame."""
+    """Each dark detection is labelled, or rejected with a reason; false beads are never labelled."""
     one = scene(9)
     found = label(one.detections, GAMMA)
     radius = dict(zip(map(tuple, one.detections.uv_px), one.detections.radius_px, strict=True))

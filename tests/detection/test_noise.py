@@ -1,4 +1,4 @@
-"""The image's own noise, against Poisson counts behind a known blur."""
+"""The estimated noise of an image, against Poisson counts with a known blur."""
 
 from collections.abc import Callable
 
@@ -23,13 +23,13 @@ def blurred(image: np.ndarray, taps: np.ndarray) -> np.ndarray:
 
 
 def covariance_by_lag(taps: np.ndarray, lags: int) -> np.ndarray:
-    """Of white noise of variance 1 after a filter, along one axis, at lags 0..lags."""
+    """Return the covariance of filtered white noise of variance 1, along one axis, at lags 0..lags."""
     both = np.pad(np.convolve(taps, taps[::-1]), lags)
     return both[len(both) // 2 :][: lags + 1]
 
 
 def vignetting(dose: float) -> np.ndarray:
-    """Quanta per pixel, falling to a fifth across the image."""
+    """Return quanta per pixel that fall to a fifth across the image."""
     y, x = np.mgrid[:SIZE, :SIZE] / SIZE
     return dose * np.exp(-1.6 * (0.7 * x + 0.3 * y))
 
@@ -50,12 +50,12 @@ def found(image: np.ndarray, mask: np.ndarray | None = None) -> NoiseModel:
 
 
 def lost_to_planes(blur_px: float) -> float:
-    """Share of the variance that a plane, three numbers, takes of a block of so few independent values."""
+    """Return the share of the variance that fitting a plane removes from a block of few independent values."""
     return 3 * 4 * np.pi * blur_px**2 / BLOCK**2
 
 
 def assert_variance(noise: NoiseModel, level: np.ndarray, truth: np.ndarray, blur_px: float) -> None:
-    """No block is flat: a plane is taken off it, at most `lost_to_planes`. 0.1: three standard errors of 256 blocks."""
+    """Subtracting planes may remove up to `lost_to_planes`; 0.1 is three standard errors of 256 blocks."""
     share = noise.variance(level) / truth
     assert share.min() > 1 - lost_to_planes(blur_px) - 0.1
     assert share.max() < 1 + 0.1
@@ -108,7 +108,7 @@ def test_beads_edges_and_bone_do_not_count_as_noise() -> None:
 
 
 def test_where_everything_is_a_pattern_the_usual_blur_is_taken() -> None:
-    """A perforated plate: no block is flat, and the holes' own correlation must not pass for the noise's."""
+    """In a perforated plate no block is flat, and the holes' correlation must not be taken for the noise's."""
     rng = np.random.default_rng(4)
     y, x = np.mgrid[:SIZE, :SIZE] % 17 - 8.3
     noise = found(log_counts(np.where(x**2 + y**2 < 25, 1500.0, 500.0), 0.9, rng))
@@ -117,7 +117,7 @@ def test_where_everything_is_a_pattern_the_usual_blur_is_taken() -> None:
 
 
 def test_clipped_blocks_do_not_count_and_what_lies_outside_the_mask_does_not_matter() -> None:
-    """Where pixels are clipped the noise is less, down to none."""
+    """Clipping reduces the noise, down to zero."""
     expected = vignetting(400.0)
     image = log_counts(expected, 0.9, np.random.default_rng(5))
     white = np.float32(np.quantile(image, 0.6))
@@ -134,7 +134,7 @@ def test_clipped_blocks_do_not_count_and_what_lies_outside_the_mask_does_not_mat
 
 @pytest.mark.parametrize("side", [15, 16, 60])
 def test_too_small_a_field_has_no_noise_to_measure(side: int) -> None:
-    """Eight blocks are the fewest to tell anything; every second one counts, so 60 px hold four."""
+    """An estimate needs at least eight blocks; every second one counts, so 60 px hold four."""
     image = log_counts(vignetting(400.0), 0.9, np.random.default_rng(6))
     mask = np.zeros(image.shape, dtype=bool)
     mask[:side, :side] = True
@@ -164,7 +164,7 @@ def test_sharpening_does_to_the_noise_what_it_says(blur_px: float) -> None:
 
 @pytest.mark.parametrize("blur_px", [0.7, 0.9, 1.2])
 def test_sharpening_turns_the_blur_into_the_one_it_says(blur_px: float) -> None:
-    """Second moments of a filter add; the blur is told from the noise's correlation, which is low by 0.05-0.1."""
+    """Second moments of filters add; the blur estimated from the noise's correlation is low by 0.05-0.1."""
     image = log_counts(vignetting(250.0), blur_px, np.random.default_rng(8))
     design = sharpen.design(image, everywhere(image), found(image))
     at = np.arange(1, sharpen.TAPS + 1)

@@ -1,4 +1,4 @@
-"""The fit: its covariance by sampling, pairs of beads that touch, structure under a bead."""
+"""The bead fit: covariance by sampling, touching pairs, structure under a bead."""
 
 import numpy as np
 import pytest
@@ -18,7 +18,7 @@ def answers(
     scatter: float | np.ndarray = 0.4,
     hidden: np.ndarray | None = None,
 ) -> np.ndarray:
-    """(N, COUNT) fits started 0.3 px and 5 % off; pixels that are `hidden` (H, W) do not count."""
+    """Return fits (N, COUNT) with initial errors of 0.3 px and 5 %; `hidden` pixels (H, W) do not count."""
     image = radiograph(quanta(beads, open_quanta, scatter), rng)
     light = np.log(np.maximum(image.pixels, 0.5)).astype(np.float32)
     usable = np.ones(light.shape, bool)
@@ -71,7 +71,7 @@ def test_stated_covariance_is_that_of_blurred_noise(radius: float, level: float)
 
 
 def test_stated_covariance_holds_where_half_a_bead_is_hidden() -> None:
-    """Few pixels are left and their noise stays correlated: the fit takes up a large part of it."""
+    """With few pixels and correlated noise, the fit absorbs a large part of the noise."""
     rng = np.random.default_rng(24)
     y, x = np.mgrid[:SIZE, :SIZE]
     chi2, residual = [], []
@@ -117,7 +117,7 @@ def test_a_bone_edge_under_a_bead_shows_in_its_covariance() -> None:
 
 @pytest.mark.parametrize("width_px", [38.0, 57.0, 143.0, np.inf])  # 8, 12 and 30 mm at 0.21 mm/px, and even
 def test_scatter_that_follows_the_background_pulls_no_centre(width_px: float) -> None:
-    """Centres stay within their covariance, and do not run along the background's slope."""
+    """Centres stay within their covariance, without a bias along the background's slope."""
     rng = np.random.default_rng([37, 2000])
     y, x = np.mgrid[:SIZE, :SIZE]
     error, cov, slope = [], [], []

@@ -1,4 +1,4 @@
-"""Beads followed from image to image: the same as found anew; what must not be followed is not."""
+"""Tracked beads are those of a new detection; a lost track is reported."""
 
 from dataclasses import replace
 
@@ -108,7 +108,7 @@ def test_beads_that_jumped_are_not_followed(start: Track) -> None:
 
 
 def test_a_step_of_the_grid_is_told_by_the_sizes_of_the_balls() -> None:
-    """Every window holds a bead again, but a datum marker stands where a small ball was."""
+    """After a shift by a step of the grid, every window holds a bead, but a datum ball where a small ball was."""
     track, seen = looked_at(image(beads(), 1))
     names = {f.id: f for f in FRAME.view("pa").fiducials}
     shifted = {}

@@ -1,4 +1,4 @@
-"""The wire in an image: centre line and tip against the truth, and what is refused beside what is not."""
+"""The wire in an image: centre line and tip against the truth, and refusals."""
 
 import numpy as np
 import pytest
@@ -14,17 +14,17 @@ NONE = np.zeros((0, 2)), np.zeros(0)
 
 
 def clear(wires: list[Drawn]) -> Radiograph:
-    """An image at a dose that leaves hardly any noise."""
+    """Return an image with hardly any noise."""
     return image_of(wires, np.random.default_rng(3), quanta=2e4)
 
 
 def off_line(seen: WireShadow, wire: Drawn) -> np.ndarray:
-    """(N,) px: centre line from the truth, across it."""
+    """Return the errors (N,), px, of the centre line across the true one."""
     return (seen.uv_px - wire.tip_px) @ [-wire.along[1], wire.along[0]]
 
 
 def at_tip(seen: WireShadow, wire: Drawn) -> float:
-    """Px: tip beyond the truth."""
+    """Return the error of the tip along the wire, px."""
     return float((seen.tip_uv_px - wire.tip_px) @ wire.along)
 
 
@@ -47,9 +47,9 @@ def test_a_plain_end_is_found_where_it_is_said_to_be_one():
 
 def test_far_in_the_corridor_and_across_a_bone_edge():
     v, u = np.mgrid[:SIZE, :SIZE]
-    ground = 0.65 + 0.35 * np.tanh((u + 0.4 * v - 320) / 3)
+    background = 0.65 + 0.35 * np.tanh((u + 0.4 * v - 320) / 3)
     wire = Drawn((391.37, 301.62), 0.43)
-    image = image_of([wire], np.random.default_rng(5), ground=ground)
+    image = image_of([wire], np.random.default_rng(5), background=background)
     seen = find_wire(image, expected(wire, aside_mm=7.0, turned_rad=0.06), 2.5, *NONE)
     assert np.sqrt((off_line(seen, wire) ** 2).mean()) < 0.15
     assert abs(at_tip(seen, wire)) < 1.0
@@ -57,7 +57,7 @@ def test_far_in_the_corridor_and_across_a_bone_edge():
 
 @pytest.mark.slow
 def test_the_stated_variance_is_that_of_repeated_images():
-    """What is stated holds what images of bone add to the noise: here it may be too large, not too small."""
+    """Stated errors allow for images of bone: here they may be too large, but not too small."""
     line, tip = [], []
     for seed in range(8):
         rng = np.random.default_rng(seed)
@@ -73,10 +73,10 @@ def test_beads_over_the_wire_are_left_out():
     v, u = np.mgrid[:SIZE, :SIZE]
     beads = np.array([[250.0, 246.0], [330.0, 268.0], [200.0, 205.0]])
     radius = np.full(3, 8.0)
-    ground = np.ones((SIZE, SIZE))
+    background = np.ones((SIZE, SIZE))
     for (x, y), r in zip(beads, radius, strict=True):
-        ground[np.hypot(u - x, v - y) < r] = 0.4
-    image = image_of([WIRE], np.random.default_rng(6), ground=ground)
+        background[np.hypot(u - x, v - y) < r] = 0.4
+    image = image_of([WIRE], np.random.default_rng(6), background=background)
     seen = find_wire(image, expected(WIRE), 2.5, beads, radius)
     assert np.sqrt((off_line(seen, WIRE) ** 2).mean()) < 0.15
     assert (np.hypot(*(seen.uv_px[:, None] - beads).T) > 5.0).all()

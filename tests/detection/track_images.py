@@ -1,4 +1,4 @@
-"""Small images of the frame's PA beads, for sequences in which frame or C-arm moves: places are a pinhole's."""
+"""Small images of the frame's PA beads by a pinhole camera, for sequences in which frame or C-arm moves."""
 
 import numpy as np
 from tests.detection.bead_images import Bead, quanta, radiograph
@@ -12,13 +12,13 @@ QUANTA = 250.0
 
 
 def place(xyz_mm: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Pixels of points, and their magnification, px/mm."""
+    """Return pixels of points, and their magnification, px/mm."""
     scale = (DETECTOR_MM - FOCAL_MM[2]) / (xyz_mm[:, 2] - FOCAL_MM[2]) / PITCH_MM
     return (SIZE - 1) / 2 + 0.3 + (xyz_mm[:, :2] - FOCAL_MM[:2]) * scale[:, None] + FOCAL_MM[:2] / PITCH_MM, scale
 
 
 def beads(shift_mm: tuple[float, float, float] = (0.0, 0.0, 0.0), leave_out: int = 0) -> dict[str, Bead]:
-    """The PA beads of the frame, moved; without the first `leave_out` of them."""
+    """Return an image of the moved PA beads, without the first `leave_out` of them."""
     fiducials = FRAME.view("pa").fiducials
     uv, scale = place(np.array([f.xyz_mm for f in fiducials]) + shift_mm)
     radius = scale * [f.diameter_mm / 2 for f in fiducials]

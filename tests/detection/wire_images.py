@@ -1,4 +1,4 @@
-"""Images of one steel wire whose truth is known: chords of a cylinder with a conical point, Poisson counts, blur."""
+"""Images of a steel wire with known truth: chords of a cylinder with a conical point, Poisson counts, blur."""
 
 from dataclasses import dataclass
 
@@ -14,7 +14,7 @@ _PER_MM, _SHARE = np.array([3.03, 1.60, 1.01]), np.array([0.22, 0.39, 0.39])
 
 @dataclass(frozen=True)
 class Drawn:
-    """A wire across the rays: its tip, the angle it points to, px and radians."""
+    """A wire perpendicular to the rays: its tip, px, and the direction to which it points, radians."""
 
     tip_px: tuple[float, float]
     turn_rad: float
@@ -23,7 +23,7 @@ class Drawn:
 
     @property
     def along(self) -> np.ndarray:
-        """(2,) towards the tip."""
+        """Unit vector (2,) towards the tip."""
         return np.array([np.cos(self.turn_rad), np.sin(self.turn_rad)])
 
 
@@ -38,7 +38,7 @@ class Expected:
 
 
 def expected(wire: Drawn, aside_mm: float = 0.0, turned_rad: float = 0.0, length_mm: float = 52.0) -> Expected:
-    """The wire as planned: beside the true one, turned against it, 15 mm longer."""
+    """Return the planned wire: displaced and rotated against the true one, 15 mm longer."""
     along_mm = np.arange(-length_mm, 15.0)
     angle = wire.turn_rad + turned_rad
     way, across = np.array([np.cos(angle), np.sin(angle)]), np.array([-np.sin(angle), np.cos(angle)])
@@ -49,7 +49,7 @@ def expected(wire: Drawn, aside_mm: float = 0.0, turned_rad: float = 0.0, length
 
 
 def steel(wires: list[Drawn], over: int = 2) -> np.ndarray:
-    """(SIZE, SIZE) share of the straight light that passes."""
+    """Return the transmission (SIZE, SIZE) of the primary radiation."""
     fine = (np.arange(SIZE * over) + 0.5) / over - 0.5
     left = np.ones((SIZE * over, SIZE * over))
     for wire in wires:
@@ -65,10 +65,10 @@ def image_of(
     wires: list[Drawn],
     rng: np.random.Generator,
     quanta: float = 150.0,
-    ground: float | np.ndarray = 1.0,
+    background: float | np.ndarray = 1.0,
     metal: float | np.ndarray = 1.0,
 ) -> Radiograph:
     """A radiograph of wires before a background, its light (SIZE, SIZE) relative to 1, with 40 % of scatter.
 
     `metal`: share of the straight light that other metal lets through; scatter is not stopped by it."""
-    return radiograph(quanta * ground * (steel(wires) * metal + 0.4), rng)
+    return radiograph(quanta * background * (steel(wires) * metal + 0.4), rng)

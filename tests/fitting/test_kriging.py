@@ -1,4 +1,4 @@
-"""The estimation core against its own definition: data left out one by one, and the whole system solved densely."""
+"""Kriging against its definition: data left out one by one, and the dense system."""
 
 import numpy as np
 import pytest
@@ -25,7 +25,7 @@ def covariance(points) -> np.ndarray:
 
 @pytest.fixture(scope="module")
 def planar(points, covariance) -> dict[str, np.ndarray]:
-    """Of z = X theta + C shared + g + noise: data, design, columns, and what is known of the shared unknowns."""
+    """A model z = X theta + C shared + g + noise: data, design, columns, and prior precision of `shared`."""
     rng = np.random.default_rng(2)
     design = np.column_stack([np.ones(N), points])
     return {
@@ -37,12 +37,12 @@ def planar(points, covariance) -> dict[str, np.ndarray]:
 
 
 def both(matrix: np.ndarray) -> np.ndarray:
-    """The same for both coordinates, interleaved."""
+    """Return a matrix for both coordinates, interleaved."""
     return np.kron(matrix, np.eye(2))
 
 
 def whole_system(covariance: np.ndarray, planar: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Of both coordinates as one vector: V^-1, all columns X, and (X^T V^-1 X + prior precision)^-1."""
+    """Return V^-1, all columns X, and (X^T V^-1 X + prior precision)^-1, for both coordinates as one vector."""
     inverse = np.linalg.inv(both(covariance))
     columns = np.hstack([both(planar["design"]), planar["columns"].reshape(2 * N, -1)])
     prior = np.zeros((columns.shape[1], columns.shape[1]))
@@ -81,7 +81,7 @@ def test_both_coordinates_are_solved_as_one_system(covariance, planar) -> None:
 
 
 def test_variances_are_those_of_the_one_system(points, covariance, planar) -> None:
-    """Of theta and g at other points: the prior, less what the data tell, plus what not knowing the columns adds."""
+    """Return the variance of theta and g at other points: prior, minus information, plus that of the columns."""
     at = np.array([[0.1, 0.2], [0.9, -0.9]])
     cross = squared_exponential(squared_distances(at, points), 0.4)
     design = np.column_stack([np.ones(2), at])

@@ -29,7 +29,7 @@ def test_quantile_holds_its_share_of_samples(variances):
 
 @given(st.floats(1e-3, 1), st.floats(1e-3, 1))
 def test_the_sum_of_two_exponentials_is_known_in_closed_form(a, b):
-    """Variances (a, a) in the plane: an exponential; the third axis integrates it against a Gaussian of variance b."""
+    """Reference for variances a, a, b: exponential in the plane, integrated over a Gaussian along the third axis."""
     radius = length_quantile(np.diag([a, a, b]), 0.9)
     z = np.linspace(-1, 1, 20001)[1:-1] * radius
     inside = stats.norm.pdf(z, scale=np.sqrt(b)) * -np.expm1(-(radius**2 - z**2) / (2 * a))

@@ -17,7 +17,7 @@ def test_lines_through_a_point_meet_there():
 
 
 def lines_with_errors(sd_mm: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Origins shifted across their lines."""
+    """Return origins shifted perpendicular to their lines."""
     return GRID + rng.normal(size=GRID.shape) * sd_mm[:, None]
 
 

@@ -9,7 +9,7 @@ from sightline.geometry.planes import Plane
 
 
 def grid(normal_axis: int) -> np.ndarray:
-    """A 5 x 5 grid across a space axis, 150 mm along it."""
+    """Return a 5 x 5 grid perpendicular to a space axis, at 150 mm."""
     line = np.linspace(-44.0, 44.0, 5)
     a, b = np.meshgrid(line, line)
     return np.roll(np.stack([a.ravel(), b.ravel(), np.full(25, 150.0)], axis=1), normal_axis + 1, axis=1)

@@ -1,7 +1,7 @@
 """Make the golden data of every stage from a run of the demo: `python tests/golden/make.py out/demo`.
 
-Each stage's input is stored too, so that a stage that changes its answer is seen alone. Run it only when an answer is
-meant to change, and say in the commit why it did.
+Each stage's input is stored too, so that a changed stage does not affect the others. Run it only when a result is
+meant to change, and state the reason in the commit.
 """
 
 import json
@@ -22,13 +22,13 @@ CROP_PX = 160  # a few beads; the file stays small
 
 
 def crop(image: sl.Radiograph, middle_px: np.ndarray) -> sl.Radiograph:
-    """A square of an image about a pixel."""
+    """Return a square of an image around a pixel."""
     left, top = (int(c) - CROP_PX // 2 for c in middle_px)
     return sl.Radiograph(image.pixels[top : top + CROP_PX, left : left + CROP_PX], image.white)
 
 
 def answers(picks_px: np.ndarray) -> dict[str, Any]:
-    """What each stage makes of its stored input. `picks_px` (2, 2, 2): entry and end point in PA and lateral."""
+    """Return each stage's result for its stored input. `picks_px` (2, 2, 2): entry and end point in PA and lateral."""
     frame = sl.Frame.load("gamma")
     beads = sl.detect(sl.read_image(HERE / "crop.png"))
     order = np.lexsort(beads.uv_px.T)
@@ -55,7 +55,7 @@ def answers(picks_px: np.ndarray) -> dict[str, Any]:
 
 
 def main(demo: Path) -> None:
-    """Store inputs and answers."""
+    """Store inputs and results."""
     image = sl.read_image(demo / "demo_pa.dcm")
     write_png(crop(image, np.array(image.shape[::-1]) / 2), HERE / "crop.png")
     beads = sl.detect(image)

@@ -1,4 +1,4 @@
-"""Damaged and hostile DICOM files: each is read or refused, none ends the program or fills the memory."""
+"""Damaged and hostile DICOM files: each is read or refused; none ends the program or fills the memory."""
 
 import struct
 from pathlib import Path
@@ -25,7 +25,7 @@ SYNTAXES = {
 
 @pytest.fixture(scope="module")
 def files(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
-    """The same image in each syntax."""
+    """Return the same image in each transfer syntax."""
     import gdcm
 
     folder = tmp_path_factory.mktemp("syntaxes")
@@ -51,7 +51,7 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 
 
 def mutated(data: bytes, rng: np.random.Generator) -> bytes:
-    """Bytes changed in the head, anywhere or in the pixels; the end cut off; a piece of another length put in."""
+    """Return bytes with changes in the header, anywhere or in the pixels, a missing end, or a replaced piece."""
     out, how = bytearray(data), rng.integers(5)
     if how == 3:
         return bytes(out[: rng.integers(len(out))])
@@ -66,7 +66,7 @@ def mutated(data: bytes, rng: np.random.Generator) -> bytes:
 
 
 def outcomes(files: dict[str, Path], tmp_path: Path, each: int) -> dict[str, list[bool]]:
-    """Whether each of `each` mutated files of a syntax was read; an error other than ImageError is one of the test."""
+    """Return whether each of `each` mutated files of a syntax was read; any error but ImageError fails the test."""
     rng, target = np.random.default_rng(20), tmp_path / "mutated.dcm"
     read: dict[str, list[bool]] = {name: [] for name in files}
     for name, file in files.items():

@@ -1,4 +1,4 @@
-"""What is written into an image, told from what X-rays made, and what detection makes of the rest."""
+"""Burnt-in annotations are distinguished from the X-ray image, and detection ignores them."""
 
 import cv2
 import numpy as np
@@ -24,13 +24,13 @@ def beads(clean: Radiograph) -> sl.Detections:
 
 
 def inked(image: Radiograph, ink: np.ndarray, value: int) -> Radiograph:
-    """The image with `value` where `ink` (H, W) is 1, and a mixture where it is between 0 and 1."""
+    """Return the image with `value` where `ink` (H, W) is 1, and a mixture where it is between 0 and 1."""
     mixed = image.pixels * (1 - ink) + value * ink
     return Radiograph(np.rint(mixed).astype(image.pixels.dtype), image.white)
 
 
 def lettering(shape: tuple[int, int], places: np.ndarray, *, smooth: bool) -> np.ndarray:
-    """(H, W) 0 to 1: words at (N, 2) places, px."""
+    """Return ink (H, W), 0 to 1, of words at places (N, 2), px."""
     ink = np.zeros(shape, np.uint8)
     for i, (u, v) in enumerate(places):
         at = (round(u), round(v))
@@ -50,7 +50,7 @@ def test_an_image_without_writing_has_no_marks(clean: Radiograph) -> None:
 
 @pytest.mark.parametrize("gain", [2.0, 4.0, 8.0])
 def test_what_is_clipped_is_no_mark(clean: Radiograph, gain: float) -> None:
-    """Over-exposed, the open beam ends at beads in steps of one pixel."""
+    """In an over-exposed image, the open beam ends at beads within one pixel."""
     bright = np.clip(clean.pixels * gain, 0, 4095).astype(np.uint16)
     assert (bright == 4095).mean() > 0.05
     assert Radiograph(bright, 4095.0).burnt_in is None

@@ -1,4 +1,4 @@
-"""The field of view is found whatever its shape and whatever darkens its rim."""
+"""The field of view is found for all shapes, also with a dark rim."""
 
 import cv2
 import numpy as np
@@ -29,12 +29,12 @@ def bladed_field() -> np.ndarray:
 
 
 def narrow_field() -> np.ndarray:
-    """Blades leave a strip at one side, and the middle of the image dark."""
+    """Blades leave a strip at one side; the middle of the image is dark."""
     return round_field() & (U < 150.6)
 
 
 def banded_field() -> np.ndarray:
-    """Blades above and below alone: two sides run from border to border, two along it."""
+    """With blades above and below only, two sides run from border to border, two along it."""
     return (V > 80.3) & (V - 0.1 * U < 380.6)
 
 
@@ -59,7 +59,7 @@ FIELDS = [
 
 
 def exposed(field: np.ndarray, *, dark: np.ndarray | None = None, seed: int = 3) -> np.ndarray:
-    """A noisy 12-bit image: bright with vignetting inside, glare and noise outside."""
+    """Return a noisy 12-bit image: bright with vignetting inside, glare and noise outside."""
     rng = np.random.default_rng(seed)
     light = 2600.0 - 700.0 * ((U - W / 2) ** 2 + (V - H / 2) ** 2) / RADIUS**2
     if dark is not None:
@@ -69,7 +69,7 @@ def exposed(field: np.ndarray, *, dark: np.ndarray | None = None, seed: int = 3)
 
 
 def assert_edge_within(mask: np.ndarray, truth: np.ndarray, tolerance_px: int) -> None:
-    """No pixel farther than the tolerance from the true edge is on the wrong side of the mask's."""
+    """Assert that no pixel farther than the tolerance from the true edge is on the wrong side of the mask's edge."""
     kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * tolerance_px + 1,) * 2)
     grown, shrunk = (f(truth.astype(np.uint8), kernel).astype(bool) for f in (cv2.dilate, cv2.erode))
     assert not (mask & ~grown).any()
@@ -91,7 +91,7 @@ def test_an_image_without_collimation_is_field_to_its_last_pixel() -> None:
 
 @pytest.mark.parametrize("field", FIELDS)
 def test_a_wide_dark_thing_across_the_rim_is_bridged(field) -> None:
-    """A bolster of metal from outside the rim to the middle; in a round field the circle closes the gap."""
+    """Metal covers a sector from outside the rim to the middle; in a round field, the circle bridges the gap."""
     bolster = (np.abs(V - CENTRE[1] - 20) < 45) & (U > 300)
     mask = Radiograph(exposed(field(), dark=bolster), 4095.0).field_mask
     assert_edge_within(mask, field(), 8 if field in (octagonal_field, bladed_field) else 4)

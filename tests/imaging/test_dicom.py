@@ -21,7 +21,7 @@ PATIENT = "Doe^Jane^Secret"
 
 
 def scene(bits: int = 12, shape: tuple[int, int] = (48, 64), seed: int = 1) -> np.ndarray:
-    """A smooth image with noise that uses all its bits."""
+    """Return a smooth image with noise that uses all its bits."""
     v, u = np.mgrid[: shape[0], : shape[1]]
     light = 0.5 + 0.45 * np.sin(u / 9.0) * np.cos(v / 7.0)
     noise = np.random.default_rng(seed).normal(0, 0.01, shape)
@@ -41,7 +41,7 @@ def saved(out: pydicom.Dataset, tmp_path: Path, name: str = "image.dcm") -> Path
 
 
 def transcoded(source: Path, syntax: int, target: Path) -> Path:
-    """The file, its pixels encoded by gdcm."""
+    """Write the file with pixels encoded by gdcm; return its path."""
     reader = gdcm.ImageReader()
     reader.SetFileName(str(source))
     assert reader.Read()
@@ -244,7 +244,7 @@ def test_a_file_without_pixels_is_refused(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("syntax", ["1.2.840.10008.1.2.4.100", "1.2.840.10008.1.2.1.99"])
 def test_a_compression_that_cannot_be_read_is_refused(tmp_path: Path, syntax: str) -> None:
-    """MPEG-2 video, which is none, and a deflated data set, which could unpack to any size."""
+    """MPEG-2 video is not an image, and a deflated data set could unpack to any size."""
     out = dataset(scene(), 12, tmp_path)
     if syntax.endswith("4.100"):
         out.PixelData = encapsulate([b"\x00" * 64])
@@ -308,7 +308,7 @@ def test_a_truncated_file_is_refused_wherever_it_breaks_off(scratch: Path, cut: 
 @settings(max_examples=150, deadline=None)
 @given(at=st.integers(132, len(WHOLE) - 257), value=st.integers(0, 255))
 def test_a_damaged_header_gives_an_image_or_an_image_error(scratch: Path, at: int, value: int) -> None:
-    """Whatever one wrong byte says, nothing but ImageError comes out, and it does not name the patient."""
+    """For any wrong byte, only ImageError is raised, and it does not name the patient."""
     scratch.write_bytes(WHOLE[:at] + bytes([value]) + WHOLE[at + 1 :])
     try:
         assert min(read_image(scratch).shape) >= 16
@@ -317,7 +317,7 @@ def test_a_damaged_header_gives_an_image_or_an_image_error(scratch: Path, at: in
 
 
 def test_the_patient_reaches_neither_our_types_nor_the_log(tmp_path: Path) -> None:
-    """With pydicom's own logging on, and with elements whose malformed values pydicom likes to quote."""
+    """Also with pydicom's logging on, and with malformed values that pydicom quotes."""
     out = dataset(scene(), 12, tmp_path)
     out.DistanceSourceToDetector = "1000"
     path = saved(out, tmp_path)

@@ -1,4 +1,4 @@
-"""Raster and NumPy images are read as they are, or refused."""
+"""Raster and NumPy images are read unchanged, or refused."""
 
 import pickle
 import struct
@@ -143,7 +143,7 @@ def test_a_header_that_claims_a_huge_array_reserves_no_memory(tmp_path: Path) ->
 
 
 def restated(data: bytes, kind: str) -> bytes:
-    """The same file, its width said to be one pixel less; its sum made right where it has one."""
+    """Return the file with a stated width of one pixel less, and a correct checksum."""
     out = bytearray(data)
     width = GREY8.shape[1]
     if kind == ".png":
@@ -178,7 +178,7 @@ def test_a_file_that_holds_more_than_it_states_is_refused_not_sheared(
 
 
 def tiled(pixels: np.ndarray, side: int, width: int) -> bytes:
-    """A TIFF of 8 bits in square tiles, whose header states this width."""
+    """Return a TIFF of 8 bits in square tiles, whose header states this width."""
     height = len(pixels)
     whole = np.pad(pixels, [(0, -size % side) for size in pixels.shape])
     tiles = [
@@ -219,17 +219,17 @@ def test_the_length_of_lzw_is_that_of_the_pixels(pixels: np.ndarray) -> None:
 
 
 def test_a_tiff_whose_numbers_are_no_numbers_is_refused_or_read(tmp_path: Path) -> None:
-    """Each entry of its directory in turn: of text, or with no value at all."""
+    """Each entry of the directory in turn is text, or has no value."""
     data = encoded(GREY16, ".tiff", cv2.IMWRITE_TIFF_COMPRESSION, 1)
     (at,) = struct.unpack_from("<I", data, 4)
     (count,) = struct.unpack_from("<H", data, at)
     refused = set()
     for entry in range(at + 2, at + 2 + 12 * count, 12):
         for where, what in ((entry + 2, 2), (entry + 4, 0)):
-            spoilt = bytearray(data)
-            struct.pack_into("<H", spoilt, where, what)
+            damaged = bytearray(data)
+            struct.pack_into("<H", damaged, where, what)
             try:
-                read_image(named(tmp_path, bytes(spoilt)))
+                read_image(named(tmp_path, bytes(damaged)))
             except ImageError:
                 refused.add(struct.unpack_from("<H", data, entry)[0])
     assert refused >= {256, 257, 258, 273, 277, 279}
@@ -240,12 +240,12 @@ def test_an_array_with_more_behind_it_is_refused(tmp_path: Path) -> None:
     data = (tmp_path / "one.npy").read_bytes()
     np.testing.assert_array_equal(read_image(named(tmp_path, data)).pixels, GREY16)
     for more in (data, b"\0"):
-        with pytest.raises(ImageError, match="not a whole NumPy file"):
+        with pytest.raises(ImageError, match="not a complete NumPy file"):
             read_image(named(tmp_path, data + more))
 
 
 def test_an_interlaced_png_is_read(tmp_path: Path) -> None:
-    """Adam7, which OpenCV does not write: seven small images, each without a filter."""
+    """Return an Adam7 PNG, which OpenCV cannot write: seven small images without filters."""
     rows = b"".join(
         b"\0" + GREY8[y, left::across].tobytes()
         for left, top, across, down in headers._ADAM7

@@ -1,4 +1,4 @@
-"""Video sources behind one port: cameras that hang or are unplugged, files, fields, averages, a live view."""
+"""Video sources: cameras that hang or are unplugged, files, fields, averages, a live view."""
 
 import time
 from dataclasses import replace
@@ -22,7 +22,7 @@ SIZE = (288, 384)
 
 
 def scene(u_px: float = 0.0, part: tuple[slice, slice] | None = None, shape: tuple[int, int] = SIZE) -> np.ndarray:
-    """0 to 1: balls and waves, displaced by `u_px` to the right, or only in a part."""
+    """Return a scene, 0 to 1, of balls and waves, displaced by `u_px` to the right, or only in a part."""
     v, u = np.mgrid[: shape[0], : shape[1]].astype(float)
     moved = np.full(shape, u_px)
     if part is not None:
@@ -35,13 +35,13 @@ def scene(u_px: float = 0.0, part: tuple[slice, slice] | None = None, shape: tup
 
 
 def noisy(light: np.ndarray, rng: np.random.Generator, quanta: float = 400.0) -> Radiograph:
-    """Blurred quanta of a scene, 12 bit."""
+    """Return a 12-bit image of a scene: blurred quanta."""
     counts = cv2.GaussianBlur(rng.poisson(light * quanta).astype(np.float32), (0, 0), 0.8)
     return Radiograph(np.clip(np.rint(counts * 3000 / quanta), 0, 4095).astype(np.uint16), 4095.0)
 
 
 class Camera:
-    """What `cv2.VideoCapture` does, as a script says: a picture, "hang", "gone"; `plugged` in or not."""
+    """A scripted `cv2.VideoCapture`: each step is a picture, "hang" or "gone"; `plugged` in or not."""
 
     def __init__(self, script: list[Any], plugged: bool = True) -> None:
         self.script, self.plugged, self.opened = list(script), plugged, 0
@@ -157,7 +157,7 @@ def test_still_images_are_averaged_and_the_noise_falls() -> None:
 
 
 def edges_off() -> np.ndarray:
-    """Where blur and clipping change nothing."""
+    """Return the mask (H, W) of pixels that blur and clipping leave unchanged."""
     light = scene()
     return np.abs(cv2.GaussianBlur(light, (0, 0), 0.8) - light) < 0.002
 
@@ -192,7 +192,7 @@ def test_noise_and_another_exposure_are_no_movement() -> None:
 
 
 def read_out(rng: np.random.Generator, name: str, u_px: float = 0.0, quanta: float = 300.0) -> Radiograph:
-    """A chain's image of the scene; with video its second field is `u_px` later."""
+    """Return a chain's image of the scene; for video, the second field is displaced by `u_px`."""
     chain = replace(preset(name), glare=0.0, white=4095)
     height, width = chain.shape
 

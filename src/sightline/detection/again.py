@@ -16,6 +16,7 @@ from sightline.detection.labelling.solve import MIN_BEADS
 from sightline.detection.results import Detections, Observations, Rejected
 from sightline.detection.scale import FACTOR, coarser, coarser_observations, finer_observations, is_fine
 from sightline.errors import ObservationsError
+from sightline.fitting.kernels import distances
 from sightline.fitting.kriging import PlanarKriging
 from sightline.fitting.robust import variance_ratio
 from sightline.frame import Frame
@@ -93,7 +94,7 @@ def look_again_with(
         observations,
         ids=(*kept, *(ids[i] for i in which[clear])),
         uv_px=np.concatenate([beads.uv_px[rows], good[:, :2]]),
-        covariance_px2=np.concatenate([beads.covariance_px2[rows], _covariance(good)]),
+        covariance_px2=np.concatenate([beads.covariance_px2[rows], columns.centre_covariances(good)]),
         radius_px=np.concatenate([beads.radius_px[rows], good[:, columns.RADIUS]]),
         rejected=_rejected(observations, beads, [row_of[i] for i in observations.ids if i in looked_at], good),
     )
@@ -111,7 +112,7 @@ def _rejected(
     )
     every = (*observations.rejected, *hidden)
     places = np.array([one.uv_px for one in every]).reshape(-1, 2)
-    covered = np.any(_distances(places, good[:, :2]) < good[:, columns.RADIUS], axis=1).tolist()
+    covered = np.any(distances(places, good[:, :2]) < good[:, columns.RADIUS], axis=1).tolist()
     return tuple(one for one, taken in zip(every, covered, strict=True) if not taken)
 
 
@@ -180,7 +181,7 @@ def _predicted(pattern: Pattern, beads: Detections, row: np.ndarray) -> tuple[np
 def _rows_to_fit(image: Radiograph, plates: list[Pattern], expected: _Expected) -> np.ndarray:
     """Return the rows of the beads to fit: missing ones and those with a deep overlap, without washers."""
     radius, height_width = expected.radius_px, np.array(image.shape)
-    apart = _distances(expected.uv_px, expected.uv_px)
+    apart = distances(expected.uv_px, expected.uv_px)
     overlap = _overlap(apart, radius[:, None], radius)
     np.fill_diagonal(overlap, 0.0)
     wanted = (expected.row < 0) | (overlap.max(axis=1) > _DEEP_OVERLAP)
@@ -199,13 +200,24 @@ def _initial_rows(beads: Detections, expected: _Expected, which: np.ndarray) -> 
     kept = np.setdiff1d(np.flatnonzero(expected.row >= 0), which)
     row = expected.row[kept]
     uv[kept], radius[kept], contrast[kept] = beads.uv_px[row], beads.radius_px[row], beads.contrast[row]
-    apart = _distances(beads.uv_px, uv)
-    other = (apart > np.maximum(beads.radius_px[:, None], radius)).all(axis=1)
-    return refine.start(
-        np.concatenate([uv, beads.uv_px[other]]),
-        np.concatenate([radius, beads.radius_px[other]]),
+    return rows_with_others(beads, uv, radius, contrast)[0]
+
+
+def rows_with_others(
+    beads: Detections, uv_px: np.ndarray, radius_px: np.ndarray, contrast: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return initial rows of `columns` for given beads (N,) and after them for the detections that are none of these.
+
+    And (M,) bool: which detections these are.
+    """
+    apart = distances(beads.uv_px, uv_px)
+    other = np.asarray((apart > np.maximum(beads.radius_px[:, None], radius_px)).all(axis=1))
+    rows = refine.start(
+        np.concatenate([uv_px, beads.uv_px[other]]),
+        np.concatenate([radius_px, beads.radius_px[other]]),
         np.concatenate([contrast, beads.contrast[other]]),
     )
+    return rows, other
 
 
 def _fitted(fit: refine.BeadFitter, image: Radiograph, rows: np.ndarray, which: np.ndarray) -> np.ndarray:
@@ -232,7 +244,7 @@ def _clear_covered(image: Radiograph, fit: refine.BeadFitter, rows: np.ndarray, 
     """Clear metal around bead `i` and its overlaps in `usable`; return whether enough of the bead is left."""
     u, v, radius = rows[i, :3]
     reach = radius + window.BEYOND
-    apart = _distances(rows[i : i + 1, :2], rows[:, :2])[0]
+    apart = distances(rows[i : i + 1, :2], rows[:, :2])[0]
     near = np.flatnonzero(apart < 1.5 * reach + 4.0 + rows[:, columns.RADIUS])  # the window's corners too
     near = near[np.argsort(apart[near])]  # itself first
     half = int(reach) + 1
@@ -277,11 +289,6 @@ def _hull_of_metal(metal: np.ndarray) -> np.ndarray:
     return found > 0
 
 
-def _distances(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Return the distances (N, M) between points (N, 2) and (M, 2)."""
-    return np.hypot(a[:, 0, None] - b[:, 0], a[:, 1, None] - b[:, 1])
-
-
 def _overlap(apart: np.ndarray, radius: np.ndarray | float, other: np.ndarray) -> np.ndarray:
     """Return the overlap of discs in units of the smaller radius: 0 where they touch, 2 where one is in the other."""
     return (radius + other - apart) / np.minimum(radius, other)
@@ -291,14 +298,10 @@ def _clear(fit: np.ndarray, expected: _Expected, which: np.ndarray) -> np.ndarra
     """Return the fits that are well-determined beads and agree with the prediction of the beads `which`."""
     clear = np.flatnonzero(fine_reasons(fit) == "")
     fit, which = fit[clear], which[clear]
-    covariance, off = _covariance(fit), fit[:, :2] - expected.uv_px[which]
+    covariance, off = columns.centre_covariances(fit), fit[:, :2] - expected.uv_px[which]
     total = covariance + expected.variance_px2[which, None, None] * np.eye(2)
     off_m2 = np.einsum("ni,nij,nj->n", off, np.linalg.inv(total), off)
     size = fit[:, columns.RADIUS] / expected.radius_px[which]
     contrast = np.maximum(fit[:, columns.CONTRAST] / expected.contrast[which], 1e-9)
     good = (covariance.max(axis=(1, 2)) < _MAX_SD_PX**2) & (off_m2 < _MAX_M2)
     return clear[good & (abs(np.log(size)) < _MAX_LOG_SIZE) & (abs(np.log(contrast)) < _MAX_LOG_CONTRAST)]
-
-
-def _covariance(fit: np.ndarray) -> np.ndarray:
-    return fit[:, [columns.CUU, columns.CUV, columns.CUV, columns.CVV]].reshape(-1, 2, 2)

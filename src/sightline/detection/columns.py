@@ -1,8 +1,15 @@
 """Columns of a bead fit's result, and the values of its status."""
 
+import numpy as np
+
 # Centre, px; radius, px; contrast of log light; blur in the image, px (these five are also the initial values of a
 # fit); covariance of the centre, px²; variance of the contrast; chi-square per pixel; residual beyond noise over
 # contrast; the weakest sector's contrast over the whole bead's; status.
 U, V, RADIUS, CONTRAST, BLUR, CUU, CUV, CVV, CCC, CHI2, EXCESS, WEAKEST, STATUS = range(13)
 COUNT = 13
 FITTED, TOO_FEW_PIXELS, WANDERED, SINGULAR = 0, 1, 2, 3
+
+
+def centre_covariances(rows: np.ndarray) -> np.ndarray:
+    """Return the covariances (N, 2, 2), px², of the centres of rows (N, COUNT)."""
+    return rows[:, [CUU, CUV, CUV, CVV]].reshape(-1, 2, 2)

@@ -14,6 +14,7 @@ from sightline.detection.noise import MIN_FIELD_PX, NoiseModel, estimate_noise
 from sightline.detection.results import Detections, Rejected
 from sightline.detection.scale import FACTOR, finer, is_fine
 from sightline.errors import DetectionRefusedError
+from sightline.fitting.kernels import distances
 from sightline.imaging import Radiograph, as_radiograph
 from sightline.imaging.defects import interlaced
 
@@ -131,7 +132,7 @@ def _fitted(rows: np.ndarray, fit: refine.BeadFitter) -> tuple[np.ndarray, tuple
     reason[likely[_duplicates(first[likely])]] = "lies on a stronger bead"
     rejected = _rejected(first[reason != ""], reason[reason != ""])
     beads, gone = first[reason == ""], rows[reason != ""]
-    apart = np.hypot(*(beads[:, None, c] - gone[None, :, c] for c in (columns.U, columns.V)))
+    apart = distances(beads[:, :2], gone[:, :2])
     near = apart < beads[:, None, columns.RADIUS] + gone[None, :, columns.RADIUS] + _WINDOW_PX
     again = np.flatnonzero(near.any(axis=1))
     beads[again] = fit(beads, again)
@@ -231,11 +232,10 @@ def _detections(
     beads: np.ndarray, middles: np.ndarray, image: Radiograph, rejected: tuple[Rejected, ...]
 ) -> Detections:
     """Return rows of `columns` as Detections. `middles` (H, W): True in the middles of washers."""
-    cuu, cuv, cvv = (beads[:, c] for c in (columns.CUU, columns.CUV, columns.CVV))
     return Detections(
         uv_px=beads[:, :2],
         radius_px=beads[:, columns.RADIUS],
-        covariance_px2=np.stack([cuu, cuv, cuv, cvv], axis=-1).reshape(-1, 2, 2),
+        covariance_px2=columns.centre_covariances(beads),
         kind=tuple(
             np.where(
                 _at_centres(middles, beads), "washer", np.where(beads[:, columns.CONTRAST] < 0, "ball", "hole")

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sightline.detection import columns, refine
-from sightline.detection.again import look_again_with, without_overlaps
+from sightline.detection.again import look_again_with, rows_with_others, without_overlaps
 from sightline.detection.detector import bead_fitter, fine_reasons, without_middles
 from sightline.detection.log_image import field_inset, log_image, logs_of
 from sightline.detection.noise import estimate_noise
@@ -86,13 +86,7 @@ class Track:
         row_of = {place: row for row, place in enumerate(map(tuple, beads.uv_px.tolist()))}
         row = np.array([row_of.get(tuple(uv), -1) for uv in observations.uv_px.tolist()], dtype=int)
         radius, contrast = _sizes(beads, observations, row, frame)
-        apart = np.hypot(*(beads.uv_px[:, None, k] - observations.uv_px[:, k] for k in range(2)))
-        other = (apart > np.maximum(beads.radius_px[:, None], radius)).all(axis=1)
-        rows = refine.start(
-            np.concatenate([observations.uv_px, beads.uv_px[other]]),
-            np.concatenate([radius, beads.radius_px[other]]),
-            np.concatenate([contrast, beads.contrast[other]]),
-        )
+        rows, other = rows_with_others(beads, observations.uv_px, radius, contrast)
         kind = np.array(beads.kind, dtype=object)
         washer = np.concatenate([(row >= 0) & (kind[row] == "washer"), kind[other] == "washer"])
         mask, crowded = field_inset(image), row < 0
@@ -158,7 +152,7 @@ class Track:
             view=self.view,
             ids=tuple(i for i, seen in zip(self.ids, self.seen, strict=True) if seen),
             uv_px=rows[:, :2],
-            covariance_px2=_covariance(rows),
+            covariance_px2=columns.centre_covariances(rows),
             mirrored=self.mirrored,
             image_shape=self.mask.shape,
         )
@@ -266,7 +260,7 @@ class Track:
         beads = Detections(
             uv_px=rows[:, :2],
             radius_px=rows[:, columns.RADIUS],
-            covariance_px2=_covariance(rows),
+            covariance_px2=columns.centre_covariances(rows),
             kind=tuple(np.where(self.washer[which], "washer", np.where(dark, "ball", "hole")).tolist()),
             contrast=rows[:, columns.CONTRAST],
             image_shape=image.shape,
@@ -293,8 +287,3 @@ def _sizes(
         same = alike & (diameter == diameter[k])
         contrast[k] = np.median(contrast[same if same.any() else alike])
     return radius, contrast
-
-
-def _covariance(rows: np.ndarray) -> np.ndarray:
-    """Return the covariances (N, 2, 2) of the centres, px²."""
-    return rows[:, [columns.CUU, columns.CUV, columns.CUV, columns.CVV]].reshape(-1, 2, 2)

@@ -69,8 +69,8 @@ class WireShadow:
     """A wire found in one image, IDCS.
 
     `uv_px` (N, 2): points of its centre line from outside towards the tip; `along` (N, 2): unit tangents there;
-    `variance_px2` (N,): across the tangent; along it, a point carries no information. `tip_uv_px` (2,), `tip_along`
-    (2,): unit tangent towards it, `tip_variance_px2`: along the tangent. `point_mm`: assumed length of the tip's cone,
+    `variance_px2` (N,): across the tangent; along it, a point carries no information. `tip_uv_px` (2,),
+    `tip_variance_px2`: along the wire. `point_mm`: assumed length of the tip's cone,
     0 for a plain end. `width_mm`: measured. `contrast`: change of log light in the middle, negative. `hidden`: share of
     the length that other objects overlie.
     """
@@ -79,7 +79,6 @@ class WireShadow:
     along: np.ndarray
     variance_px2: np.ndarray
     tip_uv_px: np.ndarray
-    tip_along: np.ndarray
     tip_variance_px2: float
     point_mm: float
     width_mm: float
@@ -138,14 +137,13 @@ def find_wire(  # noqa: PLR0917
     correlation = strip.correlation(pieces)
     tip_s, tip_x, tip_variance = _tip(strip, pieces, found.tip_s_px, point_px, correlation)
     on, along, normal = strip.path.at(np.array([piece.s_px for piece in pieces]))
-    tip_on, tip_along, tip_normal = strip.path.at(np.array([tip_s]))
+    tip_on, _, tip_normal = strip.path.at(np.array([tip_s]))
     return WireShadow(
         uv_px=on + np.array([piece.fit.values[0] for piece in pieces])[:, None] * normal,
         along=along,
         variance_px2=np.array([strip.variance(piece.pixels, piece.fit.influence[0], correlation) for piece in pieces])
         + _MODEL_ACROSS_PX**2,
         tip_uv_px=(tip_on + tip_x * tip_normal)[0],
-        tip_along=tip_along[0],
         tip_variance_px2=tip_variance + _MODEL_TIP_PX**2,
         point_mm=point,
         width_mm=width_mm,

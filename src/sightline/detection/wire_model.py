@@ -108,12 +108,12 @@ def profile(x_px: np.ndarray, wire: SteelWire, radius_px: float, blur_px: float)
     reach = 1.0 + 5.0 * blur_px / radius_px
     rho = np.arange(-reach, reach + _FINE, _FINE)
     fine = rho[:, None] + _FINE * (np.arange(8) - 3.5) / 8  # averaged over cells, because the rim is steep
-    sharp = _absorbed(wire, wire.depth_mm * np.sqrt(np.clip(1 - fine**2, 0.0, None))).mean(axis=1)
+    sharp = _absorbed(wire.depth_mm * np.sqrt(np.clip(1 - fine**2, 0.0, None))).mean(axis=1)
     blurred = gaussian_filter1d(sharp, blur_px / radius_px / _FINE, mode="constant")
-    return np.interp(x_px / radius_px, rho, blurred / _absorbed(wire, np.array(wire.depth_mm)))
+    return np.interp(x_px / radius_px, rho, blurred / _absorbed(np.array(wire.depth_mm)))
 
 
-def _absorbed(wire: SteelWire, chord_mm: np.ndarray) -> np.ndarray:
+def _absorbed(chord_mm: np.ndarray) -> np.ndarray:
     """Return the share of the primary radiation that steel absorbs."""
     out = np.zeros(chord_mm.shape)
     for mu, share in zip(_PER_MM, _SHARE, strict=True):
@@ -178,7 +178,7 @@ def _tip_template(wire: SteelWire, radius: float, blur: float, reach: float) -> 
     s = _CELL * (corner[0] + np.arange(round((behind + radius + 5 * blur + 4.0) / _CELL)))
     x = _CELL * (corner[1] + np.arange(1 - 2 * round(corner[1])))
     chord = _chord_mm(wire, s * wire.sine / wire.px_per_mm, x * wire.diameter_mm / 2 / radius)
-    share = _absorbed(wire, chord) / _absorbed(wire, np.array(wire.depth_mm))
+    share = _absorbed(chord) / _absorbed(np.array(wire.depth_mm))
     return gaussian_filter(share, blur / _CELL, mode="nearest"), corner
 
 

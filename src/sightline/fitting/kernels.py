@@ -1,10 +1,15 @@
-"""The covariance of a smooth process at points of a plane."""
+"""Distances between points of a plane, and the covariance of a smooth process at them."""
 
 import numpy as np
 
 
+def distances(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Return the distances (N, M) between points (N, 2) and (M, 2)."""
+    return np.hypot(a[:, 0, None] - b[:, 0], a[:, 1, None] - b[:, 1])
+
+
 def squared_distances(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Return the squared distances (N, M) between points (N, 2) and (M, 2)."""
+    """Return the squared distances (N, M), by a matrix product: fast, but inexact for points close to each other."""
     out = a @ (-2.0 * b.T)
     out += np.einsum("ik,ik->i", a, a)[:, None]
     out += np.einsum("ik,ik->i", b, b)

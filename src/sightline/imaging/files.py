@@ -170,7 +170,7 @@ def _read_npy(file: Path) -> Radiograph:
     try:
         pixels = npy_array(read_bounded(file, MAX_FILE_BYTES, ImageError, "export single images"), look)
     except ValueError as error:
-        raise ImageError(f"{file.name} is not a whole NumPy file; save the array again") from error
+        raise ImageError(f"{file.name} is not a complete NumPy file; save the array again") from error
     return _radiograph(grey(pixels, file.name), file.name)
 
 

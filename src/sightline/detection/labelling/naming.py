@@ -234,7 +234,6 @@ class Naming:
 
     patterns: tuple[Pattern, Pattern]
     places: tuple[np.ndarray, np.ndarray]
-    cost: float
     margin: float
     margin_in_view: float
     unchanged: bool
@@ -267,7 +266,6 @@ def name(pair: tuple[Grown, Grown], couples: list[tuple[Pattern, Pattern]]) -> N
     return Naming(
         patterns=(first.pattern, second.pattern),
         places=(places0, places1),
-        cost=cost,
         margin=float(rivals.min()) - cost,
         margin_in_view=float(rivals[in_view].min()) - cost,
         unchanged=own0 and own1,
