@@ -21,7 +21,7 @@ from benchmarks.rows import Row
 from sightline.calibration.exchange.formats import write_view
 from sightline.calibration.exchange.pinhole import Pinhole
 from sightline.case.interop.dicom_capture import capture
-from sightline.case.interop.dicom_parts import Filed, file_bytes
+from sightline.case.interop.dicom_parts import ExportIdentity, file_bytes
 from sightline.case.interop.itk import T_cfcs_wire, T_lps_cfcs, transform_bytes
 from sightline.case.interop.nrrd import nrrd_bytes, plate_corner
 from sightline.imaging import Radiograph, write_dicom
@@ -188,7 +188,7 @@ def _dcmtk(view: Pinhole, folder: Path) -> list[Row]:
     if program is None:
         return [Row(GROUP, "dcmtk", "not installed", "", "apt-get install dcmtk")]
     pixels = _pixels(view)
-    filed = Filed("bench-1", datetime(2024, 5, 17, 10, 30), SIDE)
+    filed = ExportIdentity("bench-1", datetime(2024, 5, 17, 10, 30), SIDE)
     (folder / "capture.dcm").write_bytes(file_bytes(capture((pixels, 65535.0), view, filed, "a plan", 1)))
     write_dicom(Radiograph(pixels, 65535.0), folder / "image.dcm", SIDE)
     said = [program, "--print-all", "--search", "0020,0060", "--search", "0020,0010", "--search", "0020,0011"]

@@ -23,12 +23,12 @@ from benchmarks.parallel import in_parallel
 from benchmarks.rows import Row
 from sightline.calibration.displacement import Rest
 from sightline.case.watch.alarm import HOUR, PROMISED_MM, Alarm
-from sightline.case.watch.eye import REST_FRAMES, Eye
+from sightline.case.watch.analyser import REST_FRAMES, LiveAnalyser
 from sightline.case.watch.follow import Follower
 from sightline.case.watch.live import Watch
 from sightline.detection import Observations
 from sightline.planning.line_residuals import LineResiduals
-from sightline.rehearsal.stream import Shot, Stream, shifted
+from sightline.rehearsal.stream import Shot, SimulatedFluoroscopy, shifted
 from sightline.twin import DOSES, ViewTruth, bead_images, draw_setup, shown_hip_scene
 from sightline.twin.render import expose
 
@@ -81,14 +81,14 @@ def _timed(threads: int, runs: int) -> dict[str, dict[str, float]]:
 def timed(runs: int) -> None:
     """Print times per frame as JSON: tracking, cold, with overlay and alarm, a blob detector, in alternation."""
     frame = sl.Frame.load("gamma")
-    stream = Stream(SEED, frame)
-    eye, follower = Eye(frame, stream.wire, ()), Follower(frame)
+    stream = SimulatedFluoroscopy(SEED, frame)
+    analyser, follower = LiveAnalyser(frame, stream.wire, ()), Follower(frame)
     detector = cv2.SimpleBlobDetector.create(_blob_options())
     grey = [cv2.convertScaleAbs(one.pixels, alpha=255.0 / float(one.pixels.max())) for one in stream.still]
     programs: dict[str, Callable[[int], object]] = {
-        "tracking": lambda k: follower.take(_shot(stream, k).image, time.time()),
-        "cold": lambda k: Follower(frame).take(_shot(stream, k).image, time.time()),
-        "all": lambda k: eye.look(_shot(stream, k), time.monotonic(), k + 1, 0),
+        "tracking": lambda k: follower.update(_shot(stream, k).image, time.time()),
+        "cold": lambda k: Follower(frame).update(_shot(stream, k).image, time.time()),
+        "all": lambda k: analyser.look(_shot(stream, k), time.monotonic(), k + 1, 0),
         "blobs": lambda k: detector.detect(grey[k % len(grey)]),
     }
     taken: dict[str, list[tuple[float, float]]] = {name: [] for name in programs}
@@ -105,7 +105,7 @@ def timed(runs: int) -> None:
     print(json.dumps(out))
 
 
-def _shot(stream: Stream, k: int) -> Shot:
+def _shot(stream: SimulatedFluoroscopy, k: int) -> Shot:
     images = stream.still
     return Shot(sl.Radiograph(images[k % len(images)].pixels, images[0].white), k + 1, time.time())
 
@@ -127,12 +127,12 @@ def _agreement_rows(quick: bool) -> list[Row]:
     frame = sl.Frame.load("gamma")
     apart, ratios = [], []
     for seed in range(SEED, SEED + (1 if quick else 3)):
-        stream = Stream(seed, frame)
-        eye = Eye(frame, stream.wire, ())
+        stream = SimulatedFluoroscopy(seed, frame)
+        analyser = LiveAnalyser(frame, stream.wire, ())
         targets = np.stack([stream.wire.entry_mm, stream.wire.end_mm])
         for k in range(12):
-            tracked = eye.look(_shot(stream, k), time.monotonic(), k + 1, 0).view
-            cold = Eye(frame, None, ()).look(_shot(stream, k), time.monotonic(), 1, 0).view
+            tracked = analyser.look(_shot(stream, k), time.monotonic(), k + 1, 0).view
+            cold = LiveAnalyser(frame, None, ()).look(_shot(stream, k), time.monotonic(), 1, 0).view
             assert tracked is not None
             assert cold is not None
             uv = cold.project(targets)
@@ -171,7 +171,7 @@ def _at_targets(view: sl.CalibratedView, uv_px: np.ndarray, targets_mm: np.ndarr
 def _sustained_rows(quick: bool) -> list[Row]:
     """Measure a source with 30 images per second through both threads."""
     frame, seconds = sl.Frame.load("gamma"), 3.0 if quick else 10.0
-    stream = Stream(SEED, frame)
+    stream = SimulatedFluoroscopy(SEED, frame)
     latencies, last = [], None
     with Watch(frame, stream, stream.wire) as watch:
         watch.next(0, 60.0)
@@ -248,7 +248,7 @@ def _found(job: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
     for _ in range(cases):
         alarm = Alarm(len(TARGETS_MM), "rest")
         moved = _moved(truth, rng)
-        said = [alarm.take(rest.displacement(see(moved))) for _ in range(2)]
+        said = [alarm.update(rest.displacement(see(moved))) for _ in range(2)]
         found.append(said[-1].moved and said[-1].able)
         spread.append(said[-1].sd_mm)
     return np.array(found), np.array(spread)
@@ -260,7 +260,7 @@ def _false(job: tuple[int, int]) -> tuple[int, float]:
     rest, truth, see = _at_rest(np.random.default_rng(seed))
     alarm, alarms, largest = Alarm(len(TARGETS_MM), "rest"), 0, 0.0
     for _ in range(frames):
-        said = alarm.take(rest.displacement(see(truth)))
+        said = alarm.update(rest.displacement(see(truth)))
         largest = max(largest, said.shift_mm)
         if said.moved:
             alarm, alarms = Alarm(len(TARGETS_MM), "rest"), alarms + 1
@@ -312,7 +312,9 @@ def _rendered(seed: int) -> bool:
     turn = rng.uniform(0.0, 2 * np.pi)
     moved = shifted(truth, PROMISED_MM * np.array([np.cos(turn), np.sin(turn)]) @ truth.detector.axes)
     still, after = (expose(one, hip.scene, DOSES["low"]) for one in (truth, moved))
-    eye = Eye(frame, None, ())
+    analyser = LiveAnalyser(frame, None, ())
     images = [still.read_out(rng) for _ in range(REST_FRAMES + 2)] + [after.read_out(rng) for _ in range(2)]
-    said = [eye.look(Shot(one, k + 1, time.time()), time.monotonic(), k + 1, 0).moved for k, one in enumerate(images)]
+    said = [
+        analyser.look(Shot(one, k + 1, time.time()), time.monotonic(), k + 1, 0).moved for k, one in enumerate(images)
+    ]
     return said == [False] * (len(images) - 1) + [True]

@@ -13,7 +13,7 @@ from rich.table import Table
 
 from campaigns.campaign import called
 from sightline.errors import UnusableInputError
-from sightline.studies.run import Run
+from sightline.studies.run import StudyRun
 
 NAMES = ("points", "images", "files", "robots", "kills", "disks", "pages")
 TRIES = 200  # of each campaign: minutes on two cores
@@ -34,7 +34,7 @@ def main() -> int:
     wrong = False
     for name in options.names or NAMES:
         try:
-            run = Run.open(called(name), options.tries, options.seed, options.out / f"{name}-{options.seed}")
+            run = StudyRun.open(called(name), options.tries, options.seed, options.out / f"{name}-{options.seed}")
         except UnusableInputError as error:
             parser.error(str(error))
         with Progress(console=console, transient=True) as progress:

@@ -80,7 +80,7 @@ class Campaign:
         columns = ("class", "tries", *ENDINGS, "largest error of a GO / bound", "cause named", "mostly for")
         return Summary(
             findings=tuple(findings) or ("No defect.",),
-            figures=tuple(shares),
+            estimates=tuple(shares),
             tables=(Table(self.about, columns, (*rows, total)),),
         )
 

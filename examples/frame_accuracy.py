@@ -15,7 +15,7 @@ import sightline as sl
 from sightline.detection import Observations
 from sightline.frame import Frame, Tolerances
 from sightline.studies.scenes import VIEWS, draw_showing
-from sightline.studies.study_robustness import WIRE_MM
+from sightline.studies.study_robustness import WIRE_ENDS_MM
 from sightline.twin import SetUp, bead_images
 
 BEAD_PX = 0.1
@@ -52,15 +52,15 @@ def main(named: str = "", set_ups: str = "200") -> None:
 
 def ends_of(frame: Frame, rng: np.random.Generator) -> dict[str, list[tuple[float, float]]]:
     """Return error and stated 95 % bound of entry and end, mm, for each kind of pick that was not refused."""
-    setup = draw_showing(rng, frame, WIRE_MM)
+    setup = draw_showing(rng, frame, WIRE_ENDS_MM)
     views = [sl.calibrate(seen(setup, name, rng), frame) for name in VIEWS]
-    pixels = np.array([setup.views[name].project(WIRE_MM) for name in VIEWS])
+    pixels = np.array([setup.views[name].project(WIRE_ENDS_MM) for name in VIEWS])
     noise = rng.standard_normal(pixels.shape)
     found = {}
     for what, sd_px in PICKS.items():
         picks = pixels + sd_px * noise
         wire = sl.plan(views, picks[:, 0], picks[:, 1], pick_sd_px=sd_px, kind="free-wire").trajectory
-        errors = np.linalg.norm([wire.entry_mm - WIRE_MM[0], wire.end_mm - WIRE_MM[1]], axis=1)
+        errors = np.linalg.norm([wire.entry_mm - WIRE_ENDS_MM[0], wire.end_mm - WIRE_ENDS_MM[1]], axis=1)
         with suppress(sl.SightlineError):  # no error is stated where the lines of sight do not intersect
             found[what] = list(zip(errors.tolist(), (wire.entry_error_95_mm, wire.end_error_95_mm), strict=True))
     return found

@@ -13,8 +13,8 @@ import cv2
 import numpy as np
 
 import sightline as sl
-from sightline.case.report.figures import plan_marks, radiographs, svg
-from sightline.case.report.figures.radiographs import Marked
+from sightline.case.report.drawing import plan_marks, radiographs, svg
+from sightline.case.report.drawing.radiographs import MarkedBead
 from sightline.case.views import NAMES
 from sightline.detection.files import read_observations
 from sightline.planning import Plan, kind, plan
@@ -37,14 +37,14 @@ def picture(folder: Path) -> str:
     words = (
         "PA and lateral X-ray image of a femur behind bead plates, with the planned guide wire and its matching curves"
     )
-    return svg.picture((0, 0, 2 * SIDE + GAP, SIDE), words, [body, *panels])
+    return svg.figure((0, 0, 2 * SIDE + GAP, SIDE), words, [body, *panels])
 
 
 def _panel(folder: Path, k: int, view: sl.CalibratedView, made: Plan) -> str:
     left = view.residuals
     sizes = np.linalg.norm(left.residual_mm, axis=1)
     rows = zip(left.ids, left.uv_px.tolist(), sizes, left.used, strict=True)
-    marks = [Marked(i, (u, v), 10.0, float(size), bool(used)) for i, (u, v), size, used in rows]
+    marks = [MarkedBead(i, (u, v), 10.0, float(size), bool(used)) for i, (u, v), size, used in rows]
     curves = [made.entry_curve, made.end_curve] if k else []
     overlays = [
         radiographs.beads(marks, float(np.quantile(sizes, 0.95))),

@@ -10,9 +10,9 @@ from tests.systems import needs_posix
 import sightline as sl
 from sightline.bounded import read_bounded, regular_file
 from sightline.case.deidentify import Deidentifier
-from sightline.case.interop.dicom_state import Referred
+from sightline.case.interop.dicom_state import ReferencedImage
 from sightline.case.interop.plan_file import PlanFile
-from sightline.case.journal.originals import called
+from sightline.case.journal.originals import anonymous_name
 from sightline.detection.detections_csv import read_detections
 from sightline.detection.files import read_observations
 from sightline.errors import UnusableInputError
@@ -27,7 +27,7 @@ READERS: dict[str, Callable[[Path], object]] = {
     "image.dcm": sl.read_image,
     "run.dcm": frames_in,
     "original.dcm": Deidentifier().clean,
-    "referred.dcm": Referred.read,
+    "referred.dcm": ReferencedImage.read,
     "frame.json": sl.Frame.load,
     "frame.csv": lambda path: frame_from_csv(path, "mine"),
     "balls.csv": read_measurements,
@@ -61,7 +61,7 @@ def test_a_pipe_is_not_waited_for(tmp_path: Path) -> None:
     with pytest.raises(OSError, match="a pipe, not a file"), regular_file(tmp_path / "beads.csv"):
         pass
     with pytest.raises(OSError, match="a pipe, not a file"):
-        called(tmp_path / "beads.csv")
+        anonymous_name(tmp_path / "beads.csv")
     with pytest.raises(UnusableInputError, match=r"cannot read beads.csv: it is a folder, a device or a pipe"):
         read_bounded(tmp_path / "beads.csv", 10, UnusableInputError, "")
 

@@ -14,7 +14,7 @@ from sightline.app.session.seen import SeenImage, entry_of
 from sightline.app.session.worker import WorkerProcess
 from sightline.case import stages
 from sightline.case.journal import Actor, Kind
-from sightline.case.replay import Outcome, replay
+from sightline.case.replay import ReplayOutcome, replay
 from sightline.case.views import NAMES, calibrated, see_pair
 from sightline.checks import failed
 from sightline.detection import Observations
@@ -116,5 +116,5 @@ def test_the_case_holds_the_view_with_the_answer_and_replays_it(opened: Procedur
     assert entry.number > first.number and entry.settings["mirrored_display"] is True
     assert entry_of(opened.planning.case, after).number == entry.number  # once
     replayed = {one.entry.number: one for one in replay(opened.planning.case) if one.entry.kind is Kind.CALIBRATED}
-    assert {one.outcome for one in replayed.values()} == {Outcome.SAME}
+    assert {one.outcome for one in replayed.values()} == {ReplayOutcome.SAME}
     assert len(replayed) == 3

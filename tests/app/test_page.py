@@ -16,7 +16,7 @@ from tests.systems import needs_posix
 from sightline.app.plan.decisions import Decisions
 from sightline.app.texts import STEPS, XRAY
 from sightline.case.journal import Case, Kind
-from sightline.case.replay import Outcome, replay
+from sightline.case.replay import ReplayOutcome, replay
 from sightline.case.views import NAMES
 from sightline.imaging import write_dicom
 from sightline.robot.control.states import State
@@ -84,7 +84,7 @@ def test_the_whole_procedure_by_mouse_and_keyboard(hands: Hands, folder: Path, c
     with Case.open(folder, read_only=True) as case:
         assert not case.problems
         replayed = list(replay(case))
-    recorded = {one.entry.kind for one in replayed if one.outcome is Outcome.RECORDED}
+    recorded = {one.entry.kind for one in replayed if one.outcome is ReplayOutcome.RECORDED}
     assert recorded == {Kind.CHANGED, Kind.SENT, Kind.DRILLED}
     assert all(one.passed for one in replayed)  # to the bit only with the server's number of threads
     assert {Kind.PLANNED, Kind.VERIFIED} <= {one.entry.kind for one in replayed}

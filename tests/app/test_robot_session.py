@@ -14,7 +14,7 @@ from sightline.app.session.robot_session import RobotNow, RobotSession
 from sightline.app.texts import BY_CONTACT, BY_PLAN, BY_SHOT
 from sightline.errors import LinkError, RobotRefusedError
 from sightline.geometry.covariance import TWO_SIDED_95
-from sightline.rehearsal.operation import Theatre
+from sightline.rehearsal.operation import SimulatedTheatre
 from sightline.robot.contract import DEPTH
 from sightline.robot.control.controller import Controller
 from sightline.robot.control.insertion import Setup
@@ -27,7 +27,7 @@ from sightline.robot.link.server import RobotServer
 
 @pytest.fixture
 def session():
-    theatre = Theatre.in_air("right", "none")
+    theatre = SimulatedTheatre.in_air("right", "none")
     with theatre.server(virtual=True) as server:
         made = RobotSession(theatre.robot, server.port, lambda: None, heartbeat=False)
         yield made
@@ -59,7 +59,7 @@ def test_an_order_after_the_link_has_ended_is_answered(session: RobotSession) ->
 def test_nobody_is_told_of_a_link_that_was_ended_on_purpose() -> None:
     """When the program ends, the loop that would hear of it has ended already."""
     told: list[str] = []
-    theatre = Theatre.in_air("right", "none")
+    theatre = SimulatedTheatre.in_air("right", "none")
     with theatre.server(virtual=True) as server:
         session = RobotSession(theatre.robot, server.port, lambda: told.append("changed"), heartbeat=False)
         with pytest.raises(RobotRefusedError):

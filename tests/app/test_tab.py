@@ -30,7 +30,7 @@ from sightline.app.session.worker import WorkerProcess
 from sightline.app.tab.tab import Tab
 from sightline.app.texts import STEPS
 from sightline.case.views import NAMES
-from sightline.case.watch.eye import STALE_S
+from sightline.case.watch.analyser import STALE_S
 from sightline.errors import UnusableInputError
 
 SIZE = 4096

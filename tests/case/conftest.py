@@ -6,7 +6,7 @@ import pytest
 from sightline.case.report.comparison import Compared, Truth
 from sightline.case.report.content import Report
 from sightline.case.report.exposures import PLANNING, of_images
-from sightline.case.views import NAMES, Seen, calibrate_pair
+from sightline.case.views import NAMES, ObservedView, calibrate_pair
 from sightline.detection import Detections, Observations, Rejected
 from sightline.imaging import Radiograph
 from sightline.planning import kind, plan
@@ -17,7 +17,7 @@ LANDMARKS_MM = np.array([[-21.3, -17.9, 4.4], [12.2, 30.1, -16.8]])
 HOSTILE = "<script>alert('x')</script>.dcm"
 
 
-def seen(setup, name: str) -> Seen:
+def seen(setup, name: str) -> ObservedView:
     rng = np.random.default_rng(len(name))
     ids, uv = bead_images(setup, name, rng, 0.1)
     noise = np.repeat(0.01 * np.eye(2)[None], len(ids), axis=0)
@@ -26,11 +26,11 @@ def seen(setup, name: str) -> Seen:
     beads = Detections(
         uv, np.full(len(ids), 8.0), noise, ("ball",) * len(ids), np.full(len(ids), -0.5), (1024, 1024), refused
     )
-    return Seen(HOSTILE, Observations(name, ids, uv, noise, image_shape=(1024, 1024)), image, beads)
+    return ObservedView(HOSTILE, Observations(name, ids, uv, noise, image_shape=(1024, 1024)), image, beads)
 
 
 @pytest.fixture(scope="session")
-def pair(setup) -> tuple[Seen, Seen]:
+def pair(setup) -> tuple[ObservedView, ObservedView]:
     return seen(setup, "pa"), seen(setup, "lateral")
 
 

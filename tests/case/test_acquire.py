@@ -60,7 +60,7 @@ def test_two_programs_that_take_the_same_images_at_once_enter_each_once(
     from sightline.case.acquire import acquirer as acquire
 
     data = [write_png(image(seed), tmp_path / f"{seed}.png").read_bytes() for seed in range(3)]
-    looked_at, others = acquire._looked_at, []
+    looked_at, others = acquire._read_content, []
 
     def meanwhile(*arguments, **options):
         if not others or others[-1] is not None:
@@ -69,7 +69,7 @@ def test_two_programs_that_take_the_same_images_at_once_enter_each_once(
                 others[-1] = Acquirer(same).take(data[1], ".png")
         return looked_at(*arguments, **options)
 
-    monkeypatch.setattr(acquire, "_looked_at", meanwhile)
+    monkeypatch.setattr(acquire, "_read_content", meanwhile)
     acquirer = Acquirer(case)
     taken = [acquirer.take(one, ".png") for one in (data[1], data[0], data[2])]
     assert [one.new for one in taken] == [False, True, True]

@@ -22,7 +22,7 @@ from pynetdicom.association import Association
 
 from sightline.case.acquire import Acquirer, News
 from sightline.case.acquire.dicom import DicomReceiver, Peer
-from sightline.case.acquire.guard import Limits
+from sightline.case.acquire.guard import PeerLimits
 from sightline.case.journal import Actor, Case, Kind
 from sightline.case.report import exposures
 from sightline.errors import CaseError, LinkError, UnusableInputError
@@ -30,7 +30,7 @@ from sightline.imaging import Radiograph, read_image, write_dicom
 
 XA, ECHO = "1.2.840.10008.5.1.4.1.1.12.1", "1.2.840.10008.1.1"
 PEER = Peer.parse("CARM@127.0.0.1")
-LIMITS = Limits(pdu_bytes=1 << 20, message_bytes=1 << 18, pdu_s=1.0)
+LIMITS = PeerLimits(pdu_bytes=1 << 20, message_bytes=1 << 18, pdu_s=1.0)
 
 
 class Scene:
@@ -130,7 +130,7 @@ def test_an_archive_that_sends_again_under_another_header_loses_nothing_and_make
     assert len({entry.content["original"] for entry in entries}) == 3
     said = [entry.settings["acquisition"].get("same_pixels_as") for entry in entries]
     assert said == [None, entries[0].number, None]
-    assert "its pixels are those of entry 1, so it is no new exposure" in scene.news[1].text
+    assert "its pixels are those of entry 1, so it is not a new exposure" in scene.news[1].text
     plan = scene.case.record(Kind.PLANNED, {}, by=Actor.SURGEON)
     assert len(exposures.of_case(scene.case, plan)) == 2
 
@@ -165,7 +165,7 @@ def test_an_unknown_address_is_not_even_read(tmp_path: Path) -> None:
         with DicomReceiver([elsewhere], port=0) as receiver, receiver.receiving(Acquirer(case), news.append):
             scene = Scene(receiver, case, news)
             assert scene.raw(b"\x01") == b""
-            assert scene.told("no known peer's address")
+            assert scene.told("not the address of a known peer")
 
 
 def test_a_full_disk_is_answered_so_and_loses_nothing(scene: Scene, dataset, monkeypatch) -> None:

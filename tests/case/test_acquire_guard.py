@@ -8,9 +8,9 @@ from contextlib import suppress
 
 import pytest
 
-from sightline.case.acquire.guard import GuardedSocket, Limits, PeerError
+from sightline.case.acquire.guard import GuardedSocket, PeerError, PeerLimits
 
-LIMITS = Limits(pdu_bytes=100, message_bytes=150, waiting=2, pdu_s=0.2)
+LIMITS = PeerLimits(pdu_bytes=100, message_bytes=150, waiting=2, pdu_s=0.2)
 COMMAND, DATA, LAST = 1, 0, 2
 
 

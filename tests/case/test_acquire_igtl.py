@@ -93,7 +93,7 @@ def test_a_peer_is_called_and_called_again_and_the_rest_is_passed_over() -> None
     np.testing.assert_allclose(link.stated()["stated_matrix"], np.diag([0.2, 0.2, 1.0, 1.0]))
     assert any("wrong CRC" in text for text in said)
     assert any("part of an image" in text for text in said)
-    assert any("gone" in text for text in said)
+    assert any("disconnected" in text for text in said)
     assert "Doe" not in " ".join(said)
     link.close()
 
@@ -150,7 +150,7 @@ def case(tmp_path) -> Iterator[Case]:
 
 def test_the_robots_pose_comes_with_the_image_and_a_stale_one_does_not(case: Case, monkeypatch) -> None:
     monkeypatch.setattr("sightline.case.acquire.robot.RobotClient", Robot)
-    monkeypatch.setattr("sightline.case.acquire.robot._AGAIN_S", 60.0)
+    monkeypatch.setattr("sightline.case.acquire.robot._RETRY_S", 60.0)
     with RobotWatch("127.0.0.1", 1) as watch:
         while (fresh := watch.now()).joints is None:
             time.sleep(0.005)

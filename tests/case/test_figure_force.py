@@ -4,7 +4,7 @@ import re
 
 import numpy as np
 
-from sightline.case.report.figures.force import MOST_POINTS, force_trace
+from sightline.case.report.drawing.force import MAX_POINTS, force_trace
 
 
 def points_of(drawing: str) -> np.ndarray:
@@ -27,7 +27,7 @@ def test_a_single_peak_among_many_samples_is_drawn():
     force = np.zeros(20_000)
     force[12_345] = 40.0
     drawn = points_of(force_trace(np.linspace(0.0, 100.0, 20_000), force, {}, "a peak"))
-    assert len(drawn) <= MOST_POINTS + 2
+    assert len(drawn) <= MAX_POINTS + 2
     highest = drawn[drawn[:, 1].argmin()]
     level = np.median(drawn[:, 1])
     assert level - highest[1] > 150.0

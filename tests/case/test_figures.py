@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import chi2
 
-from sightline.case.report.figures import plan_marks, radiographs, scene, svg
-from sightline.case.report.figures.budget import WIDTH, Bar, budget
+from sightline.case.report.drawing import plan_marks, radiographs, scene, svg
+from sightline.case.report.drawing.budget import WIDTH, Bar, budget
 from sightline.imaging import Radiograph
 
 SPACE = "{http://www.w3.org/2000/svg}"
@@ -17,7 +17,7 @@ SPACE = "{http://www.w3.org/2000/svg}"
 
 @given(st.text(alphabet=st.characters(codec="utf-8", exclude_categories=("Cc", "Cs")), max_size=60))
 def test_any_words_survive_as_words(words: str) -> None:
-    drawn = svg.picture((0, 0, 10, 10), words, [svg.text(words, 1, 2), svg.element("circle", svg.hint(words), r=1.0)])
+    drawn = svg.figure((0, 0, 10, 10), words, [svg.text(words, 1, 2), svg.element("circle", svg.hint(words), r=1.0)])
     root = ElementTree.fromstring(drawn)  # noqa: S314 - our own markup
     assert root.get("aria-label") == words
     assert [e.text or "" for e in root.iter() if e.tag in (f"{SPACE}text", f"{SPACE}title")] == [words, words]
@@ -42,8 +42,8 @@ def test_grey_spans_the_field_and_is_not_darkened_by_what_is_saturated() -> None
 
 def test_a_bead_that_was_left_out_is_dashed() -> None:
     marks = [
-        radiographs.Marked("a", (1.0, 2.0), 5.0, 0.01, True),
-        radiographs.Marked("b", (3.0, 4.0), 5.0, 0.5, False),
+        radiographs.MarkedBead("a", (1.0, 2.0), 5.0, 0.01, True),
+        radiographs.MarkedBead("b", (3.0, 4.0), 5.0, 0.5, False),
     ]
     group = ElementTree.fromstring(radiographs.beads(marks, 0.1))  # noqa: S314 - our own markup
     assert [c.get("stroke-dasharray") for c in group] == [None, "3 3"]

@@ -178,9 +178,9 @@ def largest_file(size: int) -> Iterator[None]:
 def test_a_disk_that_takes_no_more_is_said_and_loses_nothing(case: Case) -> None:
     size = (case.folder / "journal.sqlite").stat().st_size
     with largest_file(size):
-        with pytest.raises(CaseError, match="what was recorded before is safe"):
+        with pytest.raises(CaseError, match="entries already recorded are safe"):
             case.record(Kind.CHANGED, {"long": "x" * 100_000}, by=Actor.SURGEON)
-        with pytest.raises(CaseError, match="what was recorded before is safe"):
+        with pytest.raises(CaseError, match="entries already recorded are safe"):
             case.keep(b"x" * (size + 1), ".dcm")
     assert len(list((case.folder / "originals").iterdir())) == 3
     goes_on(case)
@@ -206,7 +206,7 @@ def test_an_original_that_finds_no_space_leaves_nothing(case: Case, monkeypatch,
             patch.setattr(os, "fsync", full)
         else:
             patch.setattr(Path, "open", full)
-        with pytest.raises(CaseError, match=r"No space left.*recorded before is safe"):
+        with pytest.raises(CaseError, match=r"No space left.*entries already recorded are safe"):
             case.keep(b"another image", ".png")
     assert len(list((case.folder / "originals").iterdir())) == 3
     goes_on(case)

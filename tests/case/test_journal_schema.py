@@ -92,7 +92,9 @@ def test_a_case_of_a_newer_version_is_refused_and_not_touched(tmp_path: Path) ->
     db.close()
     before = file.read_bytes()
     for read_only in (True, False):
-        with pytest.raises(CaseError, match=r"newer Sightline \(schema 2; known here: 1\); open it with that"):
+        with pytest.raises(
+            CaseError, match=r"newer Sightline \(schema 2, this one reads up to 1\); open it with the newer one"
+        ):
             Case.open(tmp_path, read_only)
     assert file.read_bytes() == before
 

@@ -92,4 +92,4 @@ def test_errors_against_the_truth(report, truth) -> None:
     assert tip < 2.0
     # The direction turns by no more than the two ends' errors over the length.
     assert one.direction_error_rad <= np.arcsin((entry + tip) / report.plan.trajectory.length_mm)
-    assert one.document()["within_bounds"] == one.kept
+    assert one.document()["within_bounds"] == one.within_bounds

@@ -12,8 +12,8 @@ from tests.detection.track_images import FRAME, SIZE, beads, image
 from sightline.calibration import BeadView, calibrate
 from sightline.calibration.displacement import Displacement
 from sightline.case.watch.alarm import FOUND, HOUR, PROMISED_MM, Alarm, limit_mm, quantiles
-from sightline.case.watch.eye import REST_FRAMES, Eye, Watched, aged
-from sightline.case.watch.follow import State
+from sightline.case.watch.analyser import REST_FRAMES, LiveAnalyser, Watched, aged
+from sightline.case.watch.follow import TrackingState
 from sightline.case.watch.live import Watch
 from sightline.detection import Observations
 from sightline.errors import SourceError, UnusableInputError
@@ -45,26 +45,26 @@ def trajectory() -> Trajectory:
     return Trajectory(SpacePoints(ENTRY_END_MM.copy(), none, np.zeros(2, bool), none, covariance, None, none > -1))
 
 
-def seen_by(eye: Eye, images: list[Radiograph]) -> list[Watched]:
+def seen_by(analyser: LiveAnalyser, images: list[Radiograph]) -> list[Watched]:
     start = time.time()
-    return [eye.look(Still(one, start + k / 30), time.monotonic(), k + 1, 0) for k, one in enumerate(images)]
+    return [analyser.look(Still(one, start + k / 30), time.monotonic(), k + 1, 0) for k, one in enumerate(images)]
 
 
 @cache
 def planned_view() -> BeadView:
-    return seen_by(Eye(FRAME, None, ()), [shown()])[0].view
+    return seen_by(LiveAnalyser(FRAME, None, ()), [shown()])[0].view
 
 
 @pytest.fixture(scope="module")
-def settled() -> tuple[Eye, list[Watched]]:
-    """An eye that has found its place of rest, and what it said on the way."""
-    eye = Eye(FRAME, trajectory(), ())
-    return eye, seen_by(eye, [shown(0.0, k % NOISES) for k in range(REST_FRAMES)])
+def settled() -> tuple[LiveAnalyser, list[Watched]]:
+    """An analyser that has found its rest position, and what it said on the way."""
+    analyser = LiveAnalyser(FRAME, trajectory(), ())
+    return analyser, seen_by(analyser, [shown(0.0, k % NOISES) for k in range(REST_FRAMES)])
 
 
 def test_the_first_image_is_searched_and_the_others_are_tracked(settled) -> None:
     states = [watched.state for watched in settled[1]]
-    assert states == [State.SEARCHING] + [State.TRACKING] * (REST_FRAMES - 1)
+    assert states == [TrackingState.SEARCHING] + [TrackingState.TRACKING] * (REST_FRAMES - 1)
     assert settled[1][0].reason == "the first image"
     assert settled[1][1].reason == ""
 
@@ -72,8 +72,8 @@ def test_the_first_image_is_searched_and_the_others_are_tracked(settled) -> None
 def test_a_source_that_shows_balls_bright_is_followed_inverted(settled) -> None:
     white = int(shown().white)
     bright = [Radiograph(white - shown(0.0, k).pixels, white) for k in range(NOISES)]
-    watched = seen_by(Eye(FRAME, None, ()), bright)
-    assert [one.state for one in watched] == [State.SEARCHING] + [State.TRACKING] * (NOISES - 1)
+    watched = seen_by(LiveAnalyser(FRAME, None, ()), bright)
+    assert [one.state for one in watched] == [TrackingState.SEARCHING] + [TrackingState.TRACKING] * (NOISES - 1)
     for one, upright in zip(watched, settled[1], strict=False):
         assert one.view is not None and upright.view is not None
         np.testing.assert_array_equal(one.view.focal_point_mm, upright.view.focal_point_mm)
@@ -84,12 +84,12 @@ def test_the_plan_is_drawn_where_the_view_has_it(settled) -> None:
     ends = last.corridor.uv_px[[0, -1]]
     assert ends == pytest.approx(last.view.project(ENTRY_END_MM), abs=0.01)
     assert 0.05 < last.error_95_mm < 2.0
-    assert Eye(FRAME, None, ()).look(Still(shown(), time.time()), time.monotonic(), 1, 0).corridor is None
+    assert LiveAnalyser(FRAME, None, ()).look(Still(shown(), time.time()), time.monotonic(), 1, 0).corridor is None
 
 
 def test_a_jump_is_searched_for_and_lost_images_are_said() -> None:
-    eye = Eye(FRAME, None, ())
-    said = seen_by(eye, [shown(), shown(4.0), EMPTY, EMPTY, shown(4.0), shown(4.0, 1)])
+    analyser = LiveAnalyser(FRAME, None, ())
+    said = seen_by(analyser, [shown(), shown(4.0), EMPTY, EMPTY, shown(4.0), shown(4.0, 1)])
     assert [w.state for w in said] == ["searching", "searching", "lost", "lost", "searching", "tracking"]
     assert "not where they were" in said[1].reason
     assert said[2].view is None
@@ -99,32 +99,32 @@ def test_a_jump_is_searched_for_and_lost_images_are_said() -> None:
 
 
 def test_a_shift_is_told_within_two_images_and_stays_told() -> None:
-    eye = Eye(FRAME, trajectory(), [planned_view()])
-    still = seen_by(eye, [shown(0.0, k % NOISES) for k in range(4)])
+    analyser = LiveAnalyser(FRAME, trajectory(), [planned_view()])
+    still = seen_by(analyser, [shown(0.0, k % NOISES) for k in range(4)])
     assert not any(w.moved for w in still)
     assert all(w.movement.able for w in still)
-    first, second, third = seen_by(eye, [shown(PROMISED_MM), shown(PROMISED_MM, 1), shown(0.0, 2)])
+    first, second, third = seen_by(analyser, [shown(PROMISED_MM), shown(PROMISED_MM, 1), shown(0.0, 2)])
     assert first.movement.shift_mm == pytest.approx(PROMISED_MM, abs=5 * first.movement.sd_mm)
     assert (first.moved, second.moved, third.moved) == (False, True, True)
     assert "moved since planning" in second.movement.text
-    eye.rest()
-    (after,) = seen_by(eye, [shown(0.3, 2)])
+    analyser.rest()
+    (after,) = seen_by(analyser, [shown(0.3, 2)])
     assert not after.moved
-    assert after.note.startswith("finding the place of rest")
+    assert after.note.startswith("finding the rest position")
 
 
 def test_without_a_view_of_planning_the_first_half_second_is_rest(settled) -> None:
-    eye, said = settled
+    analyser, said = settled
     assert [w.movement for w in said] == [None] * REST_FRAMES
     assert said[-1].note == "at rest"
-    (following,) = seen_by(eye, [shown(0.0, 1)])
+    (following,) = seen_by(analyser, [shown(0.0, 1)])
     assert following.movement.since == "rest"
     assert following.movement.shift_mm < 5 * following.movement.sd_mm
 
 
 def test_what_moves_while_rest_is_sought_is_no_rest() -> None:
-    eye = Eye(FRAME, None, ())
-    said = seen_by(eye, [shown(0.0 if k < REST_FRAMES / 2 else 0.6, k % NOISES) for k in range(REST_FRAMES)])
+    analyser = LiveAnalyser(FRAME, None, ())
+    said = seen_by(analyser, [shown(0.0 if k < REST_FRAMES / 2 else 0.6, k % NOISES) for k in range(REST_FRAMES)])
     assert "hold still" in said[-1].note
     assert said[-1].movement is None
 
@@ -136,17 +136,17 @@ def displacement(x_mm: float, sd_mm: float = 0.01, rest_sd_mm: float = 0.0025) -
 
 def test_one_image_beyond_the_limit_is_no_alarm() -> None:
     alarm = Alarm(1, "rest")
-    moved = [alarm.take(displacement(x)).moved for x in (0.0, 0.9, 0.0, 0.9, 0.0, 0.3, 0.3, 0.0)]
+    moved = [alarm.update(displacement(x)).moved for x in (0.0, 0.9, 0.0, 0.9, 0.0, 0.3, 0.3, 0.0)]
     assert moved == [False] * 6 + [True] * 2
 
 
 def test_noise_that_hides_the_promised_shift_is_said() -> None:
-    room = PROMISED_MM / sum(quantiles(1))
-    assert Alarm(1, "rest").take(displacement(0.0, 0.9 * room, 0.0)).able
-    noisy = Alarm(1, "rest").take(displacement(0.0, 1.1 * room, 0.0))
+    margin = PROMISED_MM / sum(quantiles(1))
+    assert Alarm(1, "rest").update(displacement(0.0, 0.9 * margin, 0.0)).able
+    noisy = Alarm(1, "rest").update(displacement(0.0, 1.1 * margin, 0.0))
     assert not noisy.able
     assert "too noisy" in noisy.text
-    assert not Alarm(1, "rest").take(displacement(0.0, 0.9 * room, 0.9 * room)).able
+    assert not Alarm(1, "rest").update(displacement(0.0, 0.9 * margin, 0.9 * margin)).able
 
 
 @pytest.mark.parametrize("targets", [1, 2])
@@ -180,8 +180,8 @@ def test_an_image_grows_old_though_the_clock_is_set_back(settled, monkeypatch: p
         monkeypatch.setattr(time, "monotonic", lambda: came_s + 60.0)
         assert watch.latest().stale
         assert watch.latest().age_s == pytest.approx(60.0)
-        eye = Eye(FRAME, None, ())
-        assert eye.look(Still(shown(), 3600.0), came_s + 59.0, 1, 0).latency_s == pytest.approx(1.0)
+        analyser = LiveAnalyser(FRAME, None, ())
+        assert analyser.look(Still(shown(), 3600.0), came_s + 59.0, 1, 0).latency_s == pytest.approx(1.0)
         monkeypatch.undo()
         source.go_on.set()
 

@@ -11,7 +11,7 @@ import pytest
 
 from sightline.case import stages
 from sightline.case.canonical import canonical, digest
-from sightline.case.contents import Asked
+from sightline.case.contents import PlanRequest
 from sightline.case.journal import Actor, Case, Kind
 from sightline.case.replay import Recomputed, replay
 from sightline.case.views import NAMES, calibrate_pair, see_pair
@@ -39,7 +39,7 @@ def recorded(pair, beads_csv, frame, setup, tmp_path_factory: pytest.TempPathFac
     wire, marks = (
         np.stack([setup.views[n].project(xyz) for n in ("pa", "lateral")]) for xyz in (WIRE_MM, LANDMARKS_MM)
     )
-    asked = Asked(wire[:, 0], wire[:, 1], 0.5, True, marks)
+    asked = PlanRequest(wire[:, 0], wire[:, 1], 0.5, True, marks)
     with Case.create(folder / "case") as case:
         ref = stages.keep_frame(case, frame)
         first, second = (
@@ -294,7 +294,7 @@ def test_a_plan_rests_on_two_calibrated_views(copied: Path) -> None:
         again = Recomputed(case)
         pair = case.entry(4), case.entry(3)
         with pytest.raises(CaseError, match="two calibrated views, not on calibrated and labelled"):
-            stages.record_planned(case, pair, Asked.of(entry.content["asked"]), again.plan(entry), by=Actor.APP)
+            stages.record_planned(case, pair, PlanRequest.of(entry.content["asked"]), again.plan(entry), by=Actor.APP)
 
 
 @pytest.mark.parametrize("command", ["check", "replay", "show"])

@@ -27,7 +27,7 @@ def test_an_image_of_beads_is_measured_beside_its_twin(run, pair, tmp_path: Path
     (passed,) = ran.document["passed_over"]
     assert "notes.txt" in passed
     page = (tmp_path / "out" / "compare.html").read_text()
-    assert "one image only" in page
+    assert "only one image" in page
     assert "notes.txt" in page
     assert 'src="data:image/jpeg;base64,' in page
     assert "http://" not in page.replace("http://www.w3.org", "")

@@ -12,9 +12,9 @@ import pytest
 from sightline.app.plan.decisions import Decisions
 from sightline.app.plan.marks import marks_of
 from sightline.case import stages
-from sightline.case.contents import CheckAsked
+from sightline.case.contents import CheckRequest
 from sightline.case.journal import Actor, Case, Kind
-from sightline.case.replay import Outcome, replay
+from sightline.case.replay import ReplayOutcome, replay
 from sightline.cli import demo as demo_module
 from sightline.detection.files import read_observations
 from sightline.errors import CaseError
@@ -58,15 +58,19 @@ def test_its_case_comes_out_the_same_and_altered_check_shots_are_noticed(demo_fo
         case.record(Kind.VERIFIED, altered, by=Actor.ENGINEER, rests_on=shot.rests_on)
         case.record(Kind.VERIFIED, old, by=Actor.ENGINEER)
         plan, pa, lateral = (case.entry(number) for number in shot.rests_on)
-        other = replace(CheckAsked.of(shot.content["asked"]), wire_mm=6.0)  # which no image shows
+        other = replace(CheckRequest.of(shot.content["asked"]), wire_mm=6.0)  # which no image shows
         stages.record_verified(case, plan, (pa, lateral), other, "for another reason", by=Actor.ENGINEER)
         with pytest.raises(CaseError, match="rests on a plan and two calibrated views"):
             stages.record_verified(case, pa, (plan, lateral), other, "", by=Actor.ENGINEER)
         replayed = list(replay(case))
     made = replayed[:last]
-    assert {one.outcome for one in made} == {Outcome.SAME, Outcome.RECORDED}
-    assert {one.entry.kind for one in made if one.outcome is Outcome.RECORDED} == {Kind.CHANGED, Kind.DRILLED}
-    assert [one.outcome for one in replayed[last:]] == [Outcome.DIFFERENT, Outcome.RECORDED, Outcome.DIFFERENT]
+    assert {one.outcome for one in made} == {ReplayOutcome.SAME, ReplayOutcome.RECORDED}
+    assert {one.entry.kind for one in made if one.outcome is ReplayOutcome.RECORDED} == {Kind.CHANGED, Kind.DRILLED}
+    assert [one.outcome for one in replayed[last:]] == [
+        ReplayOutcome.DIFFERENT,
+        ReplayOutcome.RECORDED,
+        ReplayOutcome.DIFFERENT,
+    ]
     assert [one.where for one in replayed[-1].differences] == ["refused"]
     assert "wire" in replayed[-1].differences[0].now
 

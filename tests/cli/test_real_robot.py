@@ -16,7 +16,7 @@ from tests.robot.rig import END_MM, IMAGED
 from tests.robot.scripted_robot import ScriptedRobot, serving
 from tests.robot.test_measured import measurements, true_robot
 
-from sightline.case.journal.originals import called
+from sightline.case.journal.originals import anonymous_name
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "plant_template.py"
 FRAME = {"name": "gamma", "serial": "SN-7", "beads": []}
@@ -55,7 +55,7 @@ def image(file: Path, number: int) -> Path:
 
 def views_of(images: dict[str, Path]) -> list[dict]:
     """As plan.json names them."""
-    return [{"view": view, "source": called(file)} for view, file in images.items()]
+    return [{"view": view, "source": anonymous_name(file)} for view, file in images.items()]
 
 
 @pytest.fixture
@@ -133,7 +133,7 @@ def test_a_plan_on_other_images_than_those_registered_is_refused(robot_file, pla
         address = f"127.0.0.1:{port}"
         register(robot_file, address, images)
         new = image(tmp_path / "new.npy", 2)
-        named, anew = views_of(images), {"view": "lateral", "source": called(new)}
+        named, anew = views_of(images), {"view": "lateral", "source": anonymous_name(new)}
         for views in ([named[0], anew], [named[0]], [], [named[0], {**named[0], "view": "lateral"}]):
             other = written(tmp_path / "other.json", frame=FRAME, views=views)
             done = run("drive", other, address, "--registration", robot_file, say="y\n" * 5)
@@ -172,7 +172,8 @@ def test_a_robot_of_2013_is_told_once_and_asked_for(robot_file, plan, images):
     with serving(peer) as port:
         document = json.loads(robot_file.read_text())
         document["images"] = {
-            view: {"q": IMAGED.tolist(), "read_s": time.time(), "source": called(file)} for view, file in images.items()
+            view: {"q": IMAGED.tolist(), "read_s": time.time(), "source": anonymous_name(file)}
+            for view, file in images.items()
         }
         robot_file.write_text(json.dumps(document))
         done = run("drive", plan, f"127.0.0.1:{port}", "--registration", robot_file, say="y\n")

@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 from sightline.case.interop.plan_file import sealed
 from sightline.cli import commands
 from sightline.frame import Frame
-from sightline.rehearsal.operation import Theatre
+from sightline.rehearsal.operation import SimulatedTheatre
 from sightline.rehearsal.procedure import Rehearsal
 from sightline.robot.link.client import RobotClient
 
@@ -108,7 +108,7 @@ def test_a_real_robot_takes_no_yes_and_no_saved_plan(plan):
 
 
 def test_a_robot_set_up_for_the_other_side_refuses_with_both_named(plan):
-    with Theatre.in_air("left", "simulated").server(virtual=True) as server:
+    with SimulatedTheatre.in_air("left", "simulated").server(virtual=True) as server:
         done = run("drive", plan, f"127.0.0.1:{server.port}", "--frame-serial", "simulated", "--yes")
     assert done.exit_code == 3
     assert "the plan's side is 'right', the robot is set up for 'left'" in done.stderr

@@ -196,7 +196,7 @@ BAD = {
     "nothing of that name": (lambda _: ["knee"], "there is no 'knee'"),
     "no such preset": (lambda _: ["--preset", "8in"], "9in-pal"),
     "a place that is none": (lambda _: ["hip", "--at", "1,2"], "is not a point"),
-    "a place for what has one": (lambda _: ["hip", "--at", "1,2,3"], "lies where"),
+    "a place for what has one": (lambda _: ["hip", "--at", "1,2,3"], "has a fixed position"),
     "tags in a PNG": (lambda _: ["--png", "--tags"], "no geometry tags"),
     "a file of another kind": (lambda folder: [wrong_kind(folder)], "NIfTI"),
 }

@@ -8,7 +8,7 @@ from tests.robot.rig import END_MM, ENTRY_MM, wait_for
 
 from sightline.checks import Limits
 from sightline.errors import RobotRefusedError
-from sightline.rehearsal.operation import Outcome, Theatre, registered
+from sightline.rehearsal.operation import InsertionOutcome, SimulatedTheatre, registered
 from sightline.robot.kinematics.manipulator import imaging_yaw, nominal_manipulator
 from sightline.robot.kinematics.target import PlanIdentity, robot_target
 from sightline.robot.link.client import RobotClient
@@ -19,7 +19,7 @@ IDEAL = np.array([[40.0, 30.0, -5.0], [-30.0, -35.0, 7.0]])
 
 def test_a_wire_on_its_line_errs_by_nothing_but_its_depth():
     along = (IDEAL[1] - IDEAL[0]) / np.linalg.norm(IDEAL[1] - IDEAL[0])
-    found = Outcome.of(np.stack([IDEAL[0] - 12.0 * along, IDEAL[1] + 0.4 * along]), IDEAL)
+    found = InsertionOutcome.of(np.stack([IDEAL[0] - 12.0 * along, IDEAL[1] + 0.4 * along]), IDEAL)
     assert found.entry_mm == pytest.approx(0.0, abs=1e-9)
     assert found.end_mm == pytest.approx(0.4)
     assert found.angle_rad == pytest.approx(0.0, abs=1e-9)
@@ -30,7 +30,7 @@ def test_a_turned_wire_errs_as_it_is_turned():
     across = np.cross(along, [0.0, 0.0, 1.0])
     across /= np.linalg.norm(across)
     length = np.linalg.norm(IDEAL[1] - IDEAL[0])
-    found = Outcome.of(np.stack([IDEAL[0], IDEAL[1] + 0.01 * length * across]), IDEAL)
+    found = InsertionOutcome.of(np.stack([IDEAL[0], IDEAL[1] + 0.01 * length * across]), IDEAL)
     assert found.entry_mm == pytest.approx(0.0, abs=1e-9)
     assert found.end_mm == pytest.approx(0.01 * length)
     assert found.angle_rad == pytest.approx(np.arctan(0.01))
@@ -46,7 +46,7 @@ def test_the_frame_stands_square_at_its_nominal_yaw():
 def test_a_second_insertion_finds_its_line_where_the_images_had_it():
     """The frame stood at the images where its encoders were then, not where the first insertion left them."""
     pytest.importorskip("mujoco")
-    theatre = Theatre.in_air("right", "SN-7")
+    theatre = SimulatedTheatre.in_air("right", "SN-7")
     wire, budget = np.stack([ENTRY_MM, END_MM]), {"planning": 0.01 * np.eye(6)}
     with theatre.server(virtual=True) as server:
         for number in range(2):

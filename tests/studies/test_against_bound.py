@@ -32,7 +32,7 @@ def test_the_figure_is_the_root_of_the_mean_square_ratio():
     summary = AgainstBound(methods=("smooth", "localized"), frames=("frame exact",), picks_px=(0.1,)).summary(
         [{name: part} for part in parts]
     )
-    by_name = {figure.name: figure for figure in summary.figures}
+    by_name = {figure.name: figure for figure in summary.estimates}
     ratio = by_name[f"{name}: smooth, error over bound"]
     assert ratio.value == pytest.approx(np.sqrt((1 + 1 + 9 + 1 + 4 + 1 + 1 + 1) / 8))
     assert ratio.low < ratio.value < ratio.high

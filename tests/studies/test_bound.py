@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sightline.frame import Frame, Tolerances
-from sightline.studies.bound import Seen, bound
+from sightline.studies.bound import BoundData, bound
 from sightline.twin import SetUp, bead_images, draw_setup
 
 TARGET_MM = np.array([12.3, -7.9, 15.1])
@@ -21,17 +21,17 @@ def setup() -> SetUp:
 
 
 @pytest.fixture(scope="module")
-def seen(setup: SetUp) -> dict[str, Seen]:
+def seen(setup: SetUp) -> dict[str, BoundData]:
     """Every third bead only, to keep the explicit problem small."""
     out = {}
     for name in ("pa", "lateral"):
         ids = bead_images(setup, name, np.random.default_rng(0), sd_px=0.0)[0][::3]
         noise = np.broadcast_to(BEAD_PX**2 * np.eye(2), (len(ids), 2, 2))
-        out[name] = Seen(ids, noise, PICK_PX**2 * np.eye(2), np.zeros(2))
+        out[name] = BoundData(ids, noise, PICK_PX**2 * np.eye(2), np.zeros(2))
     return out
 
 
-def _explicit(setup: SetUp, name: str, seen: Seen) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+def _explicit(setup: SetUp, name: str, seen: BoundData) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """How the measured pixels of beads and target (flattened) move with the flat nuisances (cubic, F), with the
     nuisances that have a unit prior (beyond cubic; frame), and with the target, by moving everything a little."""
     truth, plane = setup.views[name], setup.frame.view(name).xrii.plane
@@ -68,7 +68,7 @@ def _explicit(setup: SetUp, name: str, seen: Seen) -> tuple[np.ndarray, np.ndarr
 
 
 @pytest.fixture(scope="module")
-def explicit(setup: SetUp, seen: dict[str, Seen]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def explicit(setup: SetUp, seen: dict[str, BoundData]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Design (whitened data by parameters), prior information of the parameters, and the scale of the data."""
     parts = [_explicit(setup, name, one) for name, one in seen.items()]
     sizes = [len(p[0]) for p in parts]

@@ -50,7 +50,7 @@ def test_a_trial_repeats_and_its_sources_add_up():
 def test_figures_are_root_mean_squares():
     part = {name: [0.3, 0.4] for name in (*MEANINGS, TOGETHER)} | {f"{s}, stated": [0.1, 0.1] for s in STATED}
     summary = SMALL.summary([{"0.5": part}, {"0.5": part}, {"refused": "why"}])
-    by_name = {figure.name: figure for figure in summary.figures}
+    by_name = {figure.name: figure for figure in summary.estimates}
     assert by_name["picks 0.5 px: plates"].value == pytest.approx(np.sqrt(0.125))
     assert by_name["set-ups refused"].value == pytest.approx(1 / 3)
     rows = {row[0]: row[1] for row in summary.tables[0].rows}

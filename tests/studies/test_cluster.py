@@ -10,7 +10,7 @@ from tests.studies.small_study import SmallStudy
 
 from sightline.errors import UnusableInputError
 from sightline.studies import workers
-from sightline.studies.run import Run
+from sightline.studies.run import StudyRun
 
 SEED, N = 5, 12
 # What Dask itself warns of while it closes is none of ours.
@@ -35,21 +35,21 @@ def cluster() -> Iterator[str]:
 
 @pytest.mark.slow
 def test_a_cluster_gives_the_same_result_and_goes_on_where_others_stopped(cluster: str, tmp_path: Path) -> None:
-    Run.open(SmallStudy(), 4, SEED, tmp_path).do(workers=1)
-    run = Run.open(SmallStudy(), N, SEED, tmp_path)
+    StudyRun.open(SmallStudy(), 4, SEED, tmp_path).do(workers=1)
+    run = StudyRun.open(SmallStudy(), N, SEED, tmp_path)
     counted = []
     run.do(cluster, advance=lambda: counted.append(1))
     assert len(counted) == N - 4
-    alone = Run.open(SmallStudy(), N, SEED, tmp_path / "alone")
+    alone = StudyRun.open(SmallStudy(), N, SEED, tmp_path / "alone")
     alone.do(workers=1)
     assert run.result().document() == alone.result().document()
 
 
 def test_workers_with_other_code_are_refused(cluster: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    run = Run.open(SmallStudy(), N, SEED, tmp_path)
+    run = StudyRun.open(SmallStudy(), N, SEED, tmp_path)
     calls = count()
     monkeypatch.setattr(workers, "code_digest", lambda: str(next(calls)))
-    with pytest.raises(UnusableInputError, match="no Sightline or another one"):
+    with pytest.raises(UnusableInputError, match="no Sightline or another version"):
         run.do(cluster)
     assert run.missing == list(range(N))
 
@@ -62,7 +62,7 @@ def test_workers_with_threads_of_linear_algebra_are_refused(
         monkeypatch.delenv("OPENBLAS_NUM_THREADS")
     else:
         monkeypatch.setenv("OPENBLAS_NUM_THREADS", threads)
-    run = Run.open(SmallStudy(), N, SEED, tmp_path)
+    run = StudyRun.open(SmallStudy(), N, SEED, tmp_path)
     with pytest.raises(UnusableInputError, match="linear algebra on several threads"):
         run.do(cluster)
     assert run.missing == list(range(N))
@@ -70,7 +70,7 @@ def test_workers_with_threads_of_linear_algebra_are_refused(
 
 def test_a_scheduler_that_does_not_answer_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(workers, "PATIENCE_S", 0.5)
-    run = Run.open(SmallStudy(), N, SEED, tmp_path)
+    run = StudyRun.open(SmallStudy(), N, SEED, tmp_path)
     for address in ("tcp://127.0.0.1:9", "nonsense://x"):
         with pytest.raises(UnusableInputError, match=f"no scheduler answers at {address}"):
             run.do(address)
@@ -84,10 +84,10 @@ def test_a_scheduler_without_workers_is_refused(tmp_path: Path, monkeypatch: pyt
         LocalCluster(n_workers=0, processes=False, dashboard_address=None, protocol="tcp://") as empty,
         pytest.raises(UnusableInputError, match="has no workers"),
     ):
-        Run.open(SmallStudy(), N, SEED, tmp_path).do(empty.scheduler_address)
+        StudyRun.open(SmallStudy(), N, SEED, tmp_path).do(empty.scheduler_address)
 
 
 def test_a_missing_package_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "distributed", None)
     with pytest.raises(UnusableInputError, match="pip install 'sightline\\[studies\\]'"):
-        Run.open(SmallStudy(), N, SEED, tmp_path).do("tcp://127.0.0.1:9")
+        StudyRun.open(SmallStudy(), N, SEED, tmp_path).do("tcp://127.0.0.1:9")

@@ -32,7 +32,7 @@ def made_up(scale: float, number: int = 2000) -> list[dict]:
 
 def shares(summary, group: str) -> list:
     names = {f"smooth, {group}: {p:.0%} ellipsoid holds the target" for p in LEVELS}
-    return [figure for figure in summary.figures if figure.name in names]
+    return [figure for figure in summary.estimates if figure.name in names]
 
 
 def test_honest_errors_are_found_honest():
@@ -41,10 +41,10 @@ def test_honest_errors_are_found_honest():
         for stated, figure in zip(LEVELS, shares(summary, group), strict=True):
             # Four standard deviations of a share of 1,000 or 2,000 targets.
             assert figure.value == pytest.approx(stated, abs=4 * np.sqrt(stated * (1 - stated) / figure.number))
-    normalised = next(f for f in summary.figures if f.name == "smooth, all: normalised error per axis")
+    normalised = next(f for f in summary.estimates if f.name == "smooth, all: normalised error per axis")
     assert normalised.value == pytest.approx(1.0, abs=0.04)
     assert "localized refuses every target." in summary.findings
-    assert len(summary.pictures) == 1
+    assert len(summary.plots) == 1
 
 
 def test_understated_errors_are_found_out():

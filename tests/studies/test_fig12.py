@@ -45,7 +45,7 @@ def test_the_summary_states_shares_and_draws_the_curves():
     one = {"band_px": 2.0, "bend_px": 4.0}
     trials = [{**trial, **{end: {**one, "off_px": off} for end in ENDS}} for off in (-1.0, 3.0)]
     summary = Figure12().summary([*trials, {"draw": 1, "refused": "LabellingRefusedError"}])
-    assert summary.figures[0].value == pytest.approx(1 / 3)
+    assert summary.estimates[0].value == pytest.approx(1 / 3)
     assert summary.tables[0].rows[0][1].startswith("0.5 (")
-    assert "image-matching curve of the end" in summary.pictures[0].svg
-    assert "data:image/jpeg" in summary.pictures[0].svg
+    assert "image-matching curve of the end" in summary.plots[0].svg
+    assert "data:image/jpeg" in summary.plots[0].svg

@@ -50,6 +50,6 @@ def test_the_summary_states_the_median_and_the_share_inside():
         for c in (1.0, 2.5, 2.9, 3.5, 4.0)
     ]
     summary = Figure13().summary(trials)
-    assert summary.figures[0].value == 0.4
+    assert summary.estimates[0].value == 0.4
     assert summary.findings[0].startswith("The centre hole moves by 2.9 mm")
-    assert "centre hole: moved by 2.90 mm" in summary.pictures[0].svg
+    assert "centre hole: moved by 2.90 mm" in summary.plots[0].svg

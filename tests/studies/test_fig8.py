@@ -52,6 +52,6 @@ def test_a_refused_image_is_counted(monkeypatch):
 
 def test_the_summary_counts_and_shows_the_image(trial):
     summary = Figure8().summary([trial, {**trial, "refused": "LabellingRefusedError"}])
-    assert summary.figures[0].value == 0.5
+    assert summary.estimates[0].value == 0.5
     assert summary.tables[0].rows[0][1:3] == (str(trial["shown"]["xrii"]), str(trial["named"]["xrii"]))
-    assert "data:image/jpeg" in summary.pictures[0].svg
+    assert "data:image/jpeg" in summary.plots[0].svg

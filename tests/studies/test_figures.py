@@ -6,7 +6,7 @@ from xml.etree import ElementTree
 import pytest
 
 from sightline.studies.figure_spans import LEFT, RIGHT, WIDTH, Span, spans
-from sightline.studies.figure_xy import Axis, Point, Series, xy
+from sightline.studies.figure_xy import PlotAxis, PlotPoint, PlotSeries, xy
 
 
 def elements(drawing: str, css: str) -> list[ElementTree.Element]:
@@ -29,7 +29,12 @@ def test_spans_lie_on_one_logarithmic_axis():
 
 
 def test_points_stand_where_their_axes_say():
-    drawing = xy([Series("one", [Point(0.0, 1.0), Point(2.0, 3.0, 2.5, 3.5)])], Axis("x", log=False), Axis("y"), "d")
+    drawing = xy(
+        [PlotSeries("one", [PlotPoint(0.0, 1.0), PlotPoint(2.0, 3.0, 2.5, 3.5)])],
+        PlotAxis("x", log=False),
+        PlotAxis("y"),
+        "d",
+    )
     points = elements(drawing, "point")
     ticks = {t.text: float(t.get("x")) for t in elements(drawing, "tick-name") if t.text not in ("x", "y")}
     assert float(points[0].get("cx")) == pytest.approx(ticks["0"])
@@ -40,11 +45,11 @@ def test_points_stand_where_their_axes_say():
 @pytest.mark.parametrize(
     ("axis", "values", "numbers"),
     [
-        (Axis("x"), [0.3, 4.0], [0.2, 0.5, 1.0, 2.0, 5.0]),
-        (Axis("x"), [1.0], [0.5, 1.0, 2.0]),
-        (Axis("x", log=False), [0.0, 0.35], [0.0, 0.1, 0.2, 0.3, 0.4]),
-        (Axis("x", log=False), [0.2, 0.8], [0.0, 0.2, 0.4, 0.6, 0.8]),
-        (Axis("x", log=False), [3.0, 12.0], [0.0, 2.0, 4.0, 6.0, 8.0, 10.0, 12.0]),
+        (PlotAxis("x"), [0.3, 4.0], [0.2, 0.5, 1.0, 2.0, 5.0]),
+        (PlotAxis("x"), [1.0], [0.5, 1.0, 2.0]),
+        (PlotAxis("x", log=False), [0.0, 0.35], [0.0, 0.1, 0.2, 0.3, 0.4]),
+        (PlotAxis("x", log=False), [0.2, 0.8], [0.0, 0.2, 0.4, 0.6, 0.8]),
+        (PlotAxis("x", log=False), [3.0, 12.0], [0.0, 2.0, 4.0, 6.0, 8.0, 10.0, 12.0]),
     ],
 )
 def test_axes_have_round_numbers_that_enclose_the_values(axis, values, numbers):
@@ -52,7 +57,13 @@ def test_axes_have_round_numbers_that_enclose_the_values(axis, values, numbers):
 
 
 def test_a_diagonal_needs_one_scale_for_both_axes():
-    drawing = xy([Series("one", [Point(0.1, 0.4), Point(0.2, 0.8)])], Axis("x"), Axis("y"), "d", diagonal=True)
+    drawing = xy(
+        [PlotSeries("one", [PlotPoint(0.1, 0.4), PlotPoint(0.2, 0.8)])],
+        PlotAxis("x"),
+        PlotAxis("y"),
+        "d",
+        diagonal=True,
+    )
     diagonal = elements(drawing, "dash")[0]
     first, second = elements(drawing, "point")
     slope = (float(diagonal.get("y2")) - float(diagonal.get("y1"))) / (

@@ -20,7 +20,7 @@ from sightline.studies.study_frame_design import (
     error_of,
     obstacle,
 )
-from sightline.studies.study_robustness import WIRE_MM
+from sightline.studies.study_robustness import WIRE_ENDS_MM
 from sightline.twin import SetUp
 from sightline.twin.handling import Handling
 
@@ -29,7 +29,7 @@ SMALL = FrameDesignStudy(geometries=(DEFAULT, NEAR), tolerances=(), handlings=()
 
 
 def stand(k: int) -> SetUp:
-    return draw_showing(np.random.default_rng([5, k]), Frame.load("gamma"), WIRE_MM, frame_errors=False)
+    return draw_showing(np.random.default_rng([5, k]), Frame.load("gamma"), WIRE_ENDS_MM, frame_errors=False)
 
 
 def answer(*case: Any) -> Values:

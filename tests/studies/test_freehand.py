@@ -9,7 +9,7 @@ from sightline.frame import Frame
 from sightline.studies.scenes import VIEWS, draw_showing
 from sightline.studies.study_freehand import (
     GUIDE,
-    MOST,
+    MAX_ATTEMPTS,
     Freehand,
     PlainEyes,
     across_wire,
@@ -18,7 +18,7 @@ from sightline.studies.study_freehand import (
     key,
     within,
 )
-from sightline.studies.study_robustness import WIRE_MM
+from sightline.studies.study_robustness import WIRE_ENDS_MM
 from sightline.twin import SetUp
 
 SMALL = Freehand(hands=("steady hand",), matches_mm=(2.0,))
@@ -26,7 +26,7 @@ SMALL = Freehand(hands=("steady hand",), matches_mm=(2.0,))
 
 @pytest.fixture(scope="module")
 def setup() -> SetUp:
-    return draw_showing(np.random.default_rng([6, 0]), Frame.load("gamma"), WIRE_MM)
+    return draw_showing(np.random.default_rng([6, 0]), Frame.load("gamma"), WIRE_ENDS_MM)
 
 
 def test_believed_views_are_nearly_the_true_ones_and_know_nothing_along_the_beam(setup):
@@ -42,17 +42,17 @@ def test_believed_views_are_nearly_the_true_ones_and_know_nothing_along_the_beam
 def test_plain_eyes_see_an_error_of_the_wire(setup):
     eyes = PlainEyes(setup, 0.0, np.random.default_rng(1))
     off = across_wire(np.array([[3.0, -2.0, 4.0], [-5.0, 1.0, 2.0]]))
-    np.testing.assert_allclose(eyes.error_mm(WIRE_MM + off), off, atol=1.2)  # readings 0.1 mm, geometry a tenth
+    np.testing.assert_allclose(eyes.error_mm(WIRE_ENDS_MM + off), off, atol=1.2)  # readings 0.1 mm, geometry a tenth
 
 
 def test_a_wrong_match_is_seen_as_an_error_along_the_patient(setup):
     right, wrong = (PlainEyes(setup, match, np.random.default_rng(1)) for match in (0.0, 10.0))
-    seen = wrong.error_mm(WIRE_MM) - right.error_mm(WIRE_MM)
+    seen = wrong.error_mm(WIRE_ENDS_MM) - right.error_mm(WIRE_ENDS_MM)
     assert np.abs(seen[:, 1]).min() > 3 * np.abs(seen[:, [0, 2]]).max()
 
 
 def test_limits_hold_for_what_lies_across_the_wire():
-    along = (WIRE_MM[1] - WIRE_MM[0]) / np.linalg.norm(WIRE_MM[1] - WIRE_MM[0])
+    along = (WIRE_ENDS_MM[1] - WIRE_ENDS_MM[0]) / np.linalg.norm(WIRE_ENDS_MM[1] - WIRE_ENDS_MM[0])
     side = np.cross(along, [0.0, 0.0, 1.0])
     side /= np.linalg.norm(side)
     assert within(np.array([5 * along, 5 * along]))
@@ -65,7 +65,7 @@ def test_a_perfect_hand_needs_a_second_attempt_and_a_wild_one_gives_up(setup):
     eyes = PlainEyes(setup, 0.0, np.random.default_rng(2))
     assert insert(eyes, (0.0, 0.0), 1)["attempts"] in (2, 3, 4)
     wild = insert(eyes, (50.0, 20.0), 1)
-    assert (wild["attempts"], wild["stopped"]) == (MOST, False)
+    assert (wild["attempts"], wild["stopped"]) == (MAX_ATTEMPTS, False)
 
 
 def test_a_trial_repeats_and_is_plain():
@@ -81,9 +81,9 @@ def test_the_summary_counts_attempts_exposures_and_what_was_right():
         return {"attempts": attempts, "stopped": stopped, "entry_mm": entry, "direction_deg": 0.3}
 
     names = (GUIDE, key("plain, match 2 mm", "steady hand"))
-    each = [outcome(1, 0.5), outcome(3, 0.8), outcome(3, 1.2), outcome(MOST, 0.1, stopped=False)]
+    each = [outcome(1, 0.5), outcome(3, 0.8), outcome(3, 1.2), outcome(MAX_ATTEMPTS, 0.1, stopped=False)]
     summary = SMALL.summary([*(dict.fromkeys(names, one) for one in each), {}])
-    assert summary.figures[0].value == pytest.approx(0.2)
+    assert summary.estimates[0].value == pytest.approx(0.2)
     row = summary.tables[0].rows[0]
     assert row[0] == GUIDE
     assert row[1].startswith("3 / ")

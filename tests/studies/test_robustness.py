@@ -5,15 +5,15 @@ import json
 import numpy as np
 import pytest
 
-from sightline.studies.study_robustness import LEVELS, UNDISTURBED, WIRE_MM, Case, Robustness, key
+from sightline.studies.study_robustness import LEVELS, UNDISTURBED, WIRE_ENDS_MM, DisturbedSetUp, Robustness, key
 
 MOVED = "patient moved between the views, mm"
 SMALL = Robustness(disturbances=(MOVED,))
 
 
 @pytest.fixture(scope="module")
-def case() -> Case:
-    return Case.drawn(np.random.default_rng([12, 0]))
+def case() -> DisturbedSetUp:
+    return DisturbedSetUp.drawn(np.random.default_rng([12, 0]))
 
 
 def test_a_calm_plan_is_go_and_near(case):
@@ -62,7 +62,7 @@ def test_a_trial_repeats_and_is_plain():
     trial = SMALL.trial(np.random.default_rng([3, 1]))
     assert json.loads(json.dumps(trial)) == trial
     assert list(trial) == [UNDISTURBED, *(key(MOVED, level) for level in LEVELS[MOVED])]
-    assert np.linalg.norm(WIRE_MM[0] - WIRE_MM[1]) == pytest.approx(97.5, abs=0.1)
+    assert np.linalg.norm(WIRE_ENDS_MM[0] - WIRE_ENDS_MM[1]) == pytest.approx(97.5, abs=0.1)
 
 
 def test_the_summary_counts_endings_and_wrong_goes():
@@ -77,4 +77,4 @@ def test_the_summary_counts_endings_and_wrong_goes():
     assert row[:4] == (UNDISTURBED, "25.0%", "25.0%", "50.0%")
     assert row[4].startswith("0.80 / ")
     assert row[5:7] == ("25.0%", "50.0%")  # of all set-ups; of the GO
-    assert len(summary.pictures) == 1
+    assert len(summary.plots) == 1

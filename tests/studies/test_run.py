@@ -17,7 +17,7 @@ from sightline.errors import RefusedError, UnusableInputError
 from sightline.studies import record as record_module
 from sightline.studies.page import render
 from sightline.studies.record import TRIALS
-from sightline.studies.run import Result, Run
+from sightline.studies.run import Result, StudyRun
 from sightline.studies.study import Study
 
 SEED, N = 5, 12
@@ -25,7 +25,7 @@ EXPECTED = [float(np.random.default_rng([SEED, k]).standard_normal()) for k in r
 
 
 def done(study: Study, folder: Path, trials: int = N, **options) -> Result:
-    run = Run.open(study, trials, SEED, folder)
+    run = StudyRun.open(study, trials, SEED, folder)
     run.do(**options)
     return run.result()
 
@@ -76,12 +76,12 @@ def test_trials_of_something_else_are_never_mixed_in(whole, tmp_path, monkeypatc
     started(whole, tmp_path, 2)
     before = (tmp_path / TRIALS).read_bytes()
     with pytest.raises(UnusableInputError, match=r"another configuration: spread.*--out"):
-        Run.open(SmallStudy(spread=2.0), N, SEED, tmp_path)
+        StudyRun.open(SmallStudy(spread=2.0), N, SEED, tmp_path)
     with pytest.raises(UnusableInputError, match="seed 5 there, 6 now"):
-        Run.open(SmallStudy(), N, 6, tmp_path)
+        StudyRun.open(SmallStudy(), N, 6, tmp_path)
     monkeypatch.setattr(record_module, "code_digest", lambda: "other")
     with pytest.raises(UnusableInputError, match=r"code .* there, 'other' now"):
-        Run.open(SmallStudy(), N, SEED, tmp_path)
+        StudyRun.open(SmallStudy(), N, SEED, tmp_path)
     assert (tmp_path / TRIALS).read_bytes() == before
 
 
@@ -89,7 +89,7 @@ def test_trials_of_something_else_are_never_mixed_in(whole, tmp_path, monkeypatc
 def test_a_file_that_is_no_record_is_refused(tmp_path, text):
     (tmp_path / TRIALS).write_text(text)
     with pytest.raises(UnusableInputError):
-        Run.open(SmallStudy(), N, SEED, tmp_path)
+        StudyRun.open(SmallStudy(), N, SEED, tmp_path)
     assert (tmp_path / TRIALS).read_text() == text
 
 
@@ -124,14 +124,14 @@ def test_a_full_disk_keeps_what_was_finished(whole, tmp_path):
             done(SmallStudy(), tmp_path, workers=1)
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
-    run = Run.open(SmallStudy(), N, SEED, tmp_path)
+    run = StudyRun.open(SmallStudy(), N, SEED, tmp_path)
     assert run.missing == [k for k in range(N) if k not in kept]
     assert len(kept) == 4
 
 
 def test_no_trials_are_refused(tmp_path):
     with pytest.raises(UnusableInputError, match="at least one"):
-        Run.open(SmallStudy(), 0, SEED, tmp_path)
+        StudyRun.open(SmallStudy(), 0, SEED, tmp_path)
 
 
 def test_the_page_needs_no_other_file_and_escapes_words(whole):

@@ -59,7 +59,7 @@ def test_the_papers_figure_is_placed_among_the_largest_errors():
     assert table[GAMMA, "polynomial 1"] == ("3.40", "0.55 to 1.45: above", "0.55 to 1.45: above")
     assert (BIPLANE, "polynomial 1") not in table  # of which the paper says nothing
     assert any("0.88 mm" in finding and "inside" in finding for finding in summary.findings)
-    by_name = {figure.name: figure for figure in summary.figures}
+    by_name = {figure.name: figure for figure in summary.estimates}
     refused = by_name[f"{key(GAMMA, 'smooth', 0.1)}: refused"]
     assert refused.value == pytest.approx(0.2)
     assert refused.low < 0.2 < refused.high
@@ -77,7 +77,7 @@ def test_a_method_that_never_answers_is_shown_as_refused():
     summary = SMALL.summary(made_up(np.zeros(0), refused=3))
     assert summary.tables[0].rows == ()
     assert all(cell == "refused" for row in summary.tables[1].rows for cell in row[1:3])
-    assert summary.pictures == ()
+    assert summary.plots == ()
 
 
 def test_the_papers_table_is_the_papers():

@@ -155,8 +155,8 @@ BAD_SERIES = {
     "differ in PixelSpacing": unlike("PixelSpacing", [1.0, 1.0]),
     "one is missing": shifted,
     "0 x 1.1|voxels of 0": lambda k, one: setattr(one, "PixelSpacing", [1.1, 0]),
-    "not square": lambda k, one: setattr(one, "ImageOrientationPatient", [1, 0, 0, 0.2, 0.98, 0]),
-    "no CT numbers": lambda k, one: setattr(one, "RescaleIntercept", 0),
+    "not perpendicular": lambda k, one: setattr(one, "ImageOrientationPatient", [1, 0, 0, 0.2, 0.98, 0]),
+    "not CT numbers": lambda k, one: setattr(one, "RescaleIntercept", 0),
     "truncated or damaged": unlike("PixelData", b"\0" * 64),
     "many slices in one file": unlike("NumberOfFrames", 5),
 }
@@ -172,7 +172,7 @@ def test_a_bad_series_is_refused(why, even, tmp_path):
 def test_a_folder_of_other_files_is_refused(even, tmp_path):
     folder = write_series(tmp_path / "series", even)
     (folder / "notes.txt").write_text("a note")
-    with pytest.raises(UnusableInputError, match=r"notes\.txt is no DICOM"):
+    with pytest.raises(UnusableInputError, match=r"notes\.txt is not a DICOM"):
         read_ct(folder)
     (tmp_path / "none").mkdir()
     with pytest.raises(UnusableInputError, match="holds 0 files"):
@@ -188,10 +188,10 @@ def test_a_slice_left_out_is_noticed(even, tmp_path):
 
 # Where in the header (NIfTI-1), and what stands there instead.
 BAD_NIFTI = {
-    "does not say how the patient lies": (252, np.array([0, 0], "<i2")),
+    "has no orientation": (252, np.array([0, 0], "<i2")),
     "is in micron": (123, np.array([3], "u1")),
     "voxels of": (280, np.array([-0.001, 0, 0, 0], "<f4")),
-    "not square": (280, np.array([-0.9, -0.9, 0, 0], "<f4")),
+    "not perpendicular": (280, np.array([-0.9, -0.9, 0, 0], "<f4")),
 }
 
 
@@ -217,8 +217,8 @@ def test_bad_nifti_contents_are_refused(tmp_path):
     nibabel.save(nibabel.Nifti1Image(np.zeros((4, 4, 4, 2), np.int16), np.eye(4)), tmp_path / "run.nii")
     for name, why in [
         ("cut.nii", "truncated"),
-        ("text.nii", "no NIfTI"),
-        ("counts.nii", "no CT numbers"),
+        ("text.nii", "not a NIfTI"),
+        ("counts.nii", "not CT numbers"),
         ("nan.nii", "not finite"),
         ("run.nii", "4 dimensions"),
         ("none.nii", "there is no none"),

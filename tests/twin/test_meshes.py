@@ -199,7 +199,7 @@ BAD = {
     "all face outwards": (V, one_turned),
     "no triangles": (V, T[:0]),
     "not finite": (np.where(np.arange(8)[:, None] == 3, np.nan, V), T),
-    "not there": (V, T + 1),
+    "missing vertex": (V, T + 1),
     "give it in mm": (V / 1000, T),
     "10 mm long|1.8e.04 mm long": (V * 1000, T),
     "encloses nothing": (V * [1, 1, 0], T),

@@ -13,7 +13,7 @@ from sightline.twin import DOSES, Dose, Scene, draw_setup, render, shown_hip_sce
 from sightline.twin.beam import THREE, WEIGHTS, attenuation_per_mm, spectrum
 from sightline.twin.carm import shadow_centres_px, shadow_radius_px
 from sightline.twin.presets import preset
-from sightline.twin.render import ELECTRONIC_SD, HIP_MM, THICKEST_MM, expose, pixel_rays, primary, tissue_mm
+from sightline.twin.render import ELECTRONIC_SD, HIP_MM, MAX_TISSUE_MM, expose, pixel_rays, primary, tissue_mm
 from sightline.twin.things import Ball, Box, Rod, frame_boxes, frame_solids
 
 CHAIN = preset("9in-1k")
@@ -117,7 +117,7 @@ def test_tissue_of_a_transmission_is_the_tissue_that_leaves_it(beam):
     mm = np.array([0.0, 3.3, 101.7, 250.4, 599.0])
     left = np.exp(-mm[:, None] * attenuation_per_mm("tissue", beam)) @ spectrum(beam).weights
     assert tissue_mm(left, beam) == pytest.approx(mm, abs=0.05)
-    assert tissue_mm(np.array([0.0, 1e-30, 1.0]), beam) == pytest.approx([THICKEST_MM, THICKEST_MM, 0.0])
+    assert tissue_mm(np.array([0.0, 1e-30, 1.0]), beam) == pytest.approx([MAX_TISSUE_MM, MAX_TISSUE_MM, 0.0])
 
 
 @pytest.mark.slow
@@ -262,7 +262,7 @@ def test_bright_parts_saturate(setup):
 
 def test_nothing_left_to_expose_with_is_refused(setup):
     wall = Rod((0.0, 0.0, 0.0), (0.0, 0.0, 1.0), 300.0, 250.0)
-    with pytest.raises(SetUpError, match="nothing passes"):
+    with pytest.raises(SetUpError, match="no radiation passes"):
         expose(setup.views["pa"], Scene(solids=(wall,)))
 
 

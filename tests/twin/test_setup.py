@@ -107,7 +107,7 @@ def test_bad_input(frame):
         draw_setup(rng, frame, side="both")
     with pytest.raises(UnusableInputError, match="9in-1k"):
         draw_setup(rng, frame, chain="flat")
-    with pytest.raises(SetUpError, match="no pose"):
+    with pytest.raises(SetUpError, match="none of"):
         draw_setup(rng, frame, variation=Variation(pose=Pose(beads_in_field=1.01)))
     view = draw_setup(rng, frame).views["pa"]
     for wrong in (view.focal_point_mm - [0, 0, 50.0], np.array([np.nan, 0, 0])):

@@ -1,14 +1,14 @@
-"""From files to a plan and its report, and the journal of all that was done.
+"""From image files to a plan and its report, and the journal that records every step.
 
-A module or sub-room may import those above it in this table; those of the last row do not import each other.
+A module or sub-room may import those above it in this table; those in the last row do not import each other.
 
 | name | what it holds |
 |---|---|
-| `canonical` | one JSON text for one value |
-| `journal` | a case's folder: entries, their chain, originals |
+| `canonical` | canonical JSON and its SHA-256 |
+| `journal` | the folder of a case: entries, hash chain, original files |
 | `views` | from two files to two calibrated views |
-| `documents`, `contents` | results as JSON, and what an entry holds of them |
-| `stages` | each stage of a procedure as an entry |
-| `replay` | a case computed again and compared |
-| `acquire`, `deidentify`, `interop`, `report`, `watch` | see each |
+| `documents`, `contents` | results as JSON, and the content of each kind of entry |
+| `stages` | records each stage of a procedure as an entry |
+| `replay` | recomputes a case and compares it with its entries |
+| `acquire`, `deidentify`, `interop`, `report`, `watch` | see their own docstrings |
 """

@@ -1,4 +1,4 @@
-"""What a case holds of each stage's result: one function for what is recorded and for what is computed again."""
+"""The content of each kind of entry. Recording and replay use the same functions, so that their results compare."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -23,10 +23,12 @@ Pair = tuple[CalibratedImage, CalibratedImage]
 
 
 @dataclass(frozen=True, eq=False)
-class Asked:
-    """What a plan is made from besides its views: `entry_uv_px`, `end_uv_px` (2, 2), a row for each view, as picked;
-    `landmarks_uv_px` (2, L, 2) or None, with L `landmark_names` or none. `kind`: the key of one, None for any wire;
-    `limits` where they are not the kind's. See `planning.plan` for the others.
+class PlanRequest:
+    """The inputs of a plan besides its views.
+
+    `entry_uv_px`, `end_uv_px`: (2, 2) picks, one row per view. `landmarks_uv_px`: (2, L, 2) or None, with L
+    `landmark_names` or none. `kind`: the key of a trajectory kind, None for a free wire. `limits`: set where they
+    replace those of the kind. See `planning.plan` for the others.
     """
 
     entry_uv_px: np.ndarray
@@ -41,22 +43,24 @@ class Asked:
     aids: Aids | None = None
 
     @staticmethod
-    def of(document: dict[str, Any]) -> "Asked":
-        """From the JSON of one. Before sides and aids were asked for, a plan was judged as any wire is, by the limits
-        of its kind."""
+    def of(document: dict[str, Any]) -> "PlanRequest":
+        """Return the request that an entry holds.
+
+        Entries without a side are from versions that judged every plan as a free wire, by the limits of its kind.
+        """
         limits = document["limits"]
         fields: dict[str, Any] = {**document, "limits": None if limits is None else Limits(**limits)}
-        made = Asked(**fields)
+        request = PlanRequest(**fields)
         if "side" not in document:
-            return replace(made, kind=None, landmark_names=())
-        return made if made.aids is None else replace(made, aids=Aids.of(document["aids"]))
+            return replace(request, kind=None, landmark_names=())
+        return request if request.aids is None else replace(request, aids=Aids.of(document["aids"]))
 
     def plan(self, views: Pair) -> Plan:
-        """Raises what `planning.plan` raises."""
+        """Make the plan on both calibrated images, PA first. Raises what `planning.plan` raises."""
         return self.plan_on([image.view for image in views])
 
     def plan_on(self, views: Sequence[CalibratedView], curve: Callable[..., MatchingCurve] = matching_curve) -> Plan:
-        """The same on two calibrated views, PA first."""
+        """Make the plan on two calibrated views, PA first. Raises what `planning.plan` raises."""
         return plan(
             views,
             np.asarray(self.entry_uv_px),
@@ -73,28 +77,30 @@ class Asked:
 
     @property
     def known_kind(self) -> TrajectoryKind:
-        """The kind, with the limits that hold. Raises UnusableInputError."""
+        """The kind of trajectory with the limits in force. Raises UnusableInputError for an unknown kind."""
         known = kind_of(self.kind or "free-wire")
         return known if self.limits is None else replace(known, limits=self.limits)
 
 
 @dataclass(frozen=True, eq=False)
-class CheckAsked:
-    """What a check shot is measured from besides its images: the wire's width, and landmarks that were found again."""
+class CheckRequest:
+    """The inputs of a check shot besides its images: the wire's diameter, and the landmarks picked in both pairs."""
 
     wire_mm: float
     landmarks: Landmarks
 
     @staticmethod
-    def of(document: dict[str, Any]) -> "CheckAsked":
-        """From what `verified` made of one."""
+    def of(document: dict[str, Any]) -> "CheckRequest":
+        """Return the request that an entry holds, as `verified` wrote it."""
         known = document["landmarks"]
         before, after = (np.reshape(known[key], (2, -1, 2)) for key in ("planned_uv_px", "checked_uv_px"))
-        return CheckAsked(document["wire_mm"], Landmarks(before, after, known["sd_px"]))
+        return CheckRequest(document["wire_mm"], Landmarks(before, after, known["sd_px"]))
 
     def shot(self, made: Plan, planned: Pair, checked: Pair) -> CheckShot:
-        """The wire, found in both check images, against the plan. Raises CaseError where one is no image, and what
-        `find_wire` and `check_shot` raise."""
+        """Find the wire in both check images and compare it with the plan.
+
+        Raises CaseError if a check view is a table of beads, and what `find_wire` and `check_shot` raise.
+        """
         from sightline.detection.wire import find_wire
         from sightline.planning.check_shot import check_shot
         from sightline.planning.expected_wire import expected_wire
@@ -103,7 +109,7 @@ class CheckAsked:
         for image in checked:
             seen = image.seen
             if seen.image is None or seen.beads is None:
-                raise CaseError("a check shot shows the wire in two images; a table of beads shows none")
+                raise CaseError("a check shot needs two images that show the wire; a table of beads shows no wire")
             expected = expected_wire(image.view, made.trajectory, made.kind.limits.beyond_mm)
             wires.append(find_wire(seen.image, expected, self.wire_mm, seen.beads.uv_px, seen.beads.radius_px))
         before, after = ([image.view for image in pair] for pair in (planned, checked))
@@ -113,7 +119,7 @@ class CheckAsked:
 
 
 def acquired(original: str, image: Radiograph | None) -> dict[str, Any]:
-    """Of an image, or of a table of beads, which has no pixels."""
+    """Return the content of an acquired entry; `image` is None for a table of beads, which has no pixels."""
     if image is None:
         return {"original": original}
     return {
@@ -127,24 +133,24 @@ def acquired(original: str, image: Radiograph | None) -> dict[str, Any]:
 
 
 def detected(beads: Detections) -> dict[str, Any]:
-    """Beads, and candidates that are none."""
+    """Return the content of a detected entry: beads and rejected candidates."""
     return plain(beads)
 
 
 def labelled(observations: Observations, frame_key: str) -> dict[str, Any]:
-    """`frame_key`: of the frame whose fiducials these are."""
+    """Return the content of a labelled entry; `frame_key` identifies the frame whose fiducials were labelled."""
     return {**plain(observations), "frame_key": frame_key}
 
 
 def calibrated(image: CalibratedImage) -> dict[str, Any]:
-    """Without the source, which the acquired entry names."""
+    """Return the content of a calibrated entry, without the source, which the acquired entry names."""
     document = view_document(image)
     del document["source"]
     return document
 
 
-def planned(asked: Asked, made: Plan) -> dict[str, Any]:
-    """What was asked, the picks as they were used, and what came of them."""
+def planned(asked: PlanRequest, made: Plan) -> dict[str, Any]:
+    """Return the content of a planned entry: the request, the picks as they were used, and the plan."""
     used = [[pick.uv_px for pick in point] for point in made.picks]
     return {
         "asked": asked,
@@ -156,6 +162,6 @@ def planned(asked: Asked, made: Plan) -> dict[str, Any]:
     }
 
 
-def verified(asked: CheckAsked, found: CheckShot | str) -> dict[str, Any]:
-    """`found`: the check shot, or why it was refused."""
+def verified(asked: CheckRequest, found: CheckShot | str) -> dict[str, Any]:
+    """Return the content of a verified entry; `found` is the check shot, or why it was refused."""
     return {"asked": asked, **({"refused": found} if isinstance(found, str) else found.document())}

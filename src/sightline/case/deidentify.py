@@ -1,7 +1,7 @@
-"""Images without identity, after DICOM PS3.15, annex E, basic application level confidentiality profile.
+"""De-identified images, after DICOM PS3.15, annex E, basic application level confidentiality profile.
 
-The profile's table says of some 600 elements what becomes of them. Here none of them is carried over: a new file is
-made of the pixels and five numbers of geometry, so that what nobody thought of stays behind as well.
+The profile lists about 600 elements to remove, replace or keep. Here no element is copied: a new file is written from
+the pixels and five numbers of geometry, so that elements missing from the list are removed as well.
 """
 
 from dataclasses import dataclass, field
@@ -16,8 +16,9 @@ from pydicom.uid import generate_uid
 from sightline import __version__
 from sightline.atomic import scratch_folder
 from sightline.bounded import regular_file
-from sightline.imaging import read_image, write_dicom
+from sightline.imaging import read_image, suffix_of, write_dicom
 from sightline.imaging.dicom import quiet
+from sightline.imaging.files import HEADER_BYTES
 from sightline.imaging.headers import damaged
 
 NOBODY = "REMOVED"
@@ -27,8 +28,11 @@ _METHOD = ("113100", "DCM", "Basic Application Confidentiality Profile")  # PS3.
 
 @dataclass(frozen=True)
 class Deidentified:
-    """The bytes of a DICOM file; whether its source says that text is burnt into the pixels, None where it says
-    nothing; and whether such marks were found (`imaging.burnt_in`, which does not find all)."""
+    """The bytes of a de-identified DICOM file.
+
+    `burnt_in_stated`: whether the source states burnt-in annotation; None where it states nothing. `burnt_in_found`:
+    whether `imaging.burnt_in` found any; it does not find all.
+    """
 
     data: bytes
     burnt_in_stated: bool | None
@@ -37,14 +41,15 @@ class Deidentified:
 
 @dataclass
 class Deidentifier:
-    """For images that belong together: what was one study or series stays one, under a new UID drawn at random."""
+    """De-identifies images that belong together: images of one study or series share a new random UID."""
 
     _uids: dict[str, str] = field(default_factory=dict)
 
     def clean(self, file: Path, frame_index: int | None = None) -> Deidentified:
-        """A file of one image as `read_image` reads it: brighter is more X-rays, no window, no table, uncompressed.
+        """Return one image as a new file. Its pixels are those of `read_image`: uncompressed, brighter means more
+        X-rays, without window or lookup table.
 
-        Text that is burnt into the pixels stays: a person must look. Raises ImageError.
+        Burnt-in annotation stays in the pixels: a person must look at the image. Raises ImageError.
         """
         image = read_image(file, frame_index)
         source = _source(file)
@@ -65,23 +70,23 @@ class Deidentifier:
         return Deidentified(buffer.getvalue(), stated, found)
 
     def _uid(self, old: str | None) -> str:
-        """Random, so that nobody who has the original can tell by the UID; where there was none, one of its own."""
+        """Return a random UID, which cannot be traced to the original; an image without a UID gets one of its own."""
         if not old:
             return generate_uid()
         return self._uids.setdefault(old, generate_uid())
 
 
 def _source(file: Path) -> dict[str, Any]:
-    """UIDs, which tell what belongs together, and what is said of burnt-in text; None each where there is nothing."""
+    """Return the source's UIDs and whether it states burnt-in annotation; None for each that is missing."""
     with regular_file(file) as stream:
-        is_dicom = stream.read(132)[128:] == b"DICM"
-    if not is_dicom:
+        suffix = suffix_of(stream.read(HEADER_BYTES))
+    if suffix != ".dcm":
         return dict.fromkeys([*_UIDS, "BurnedInAnnotation"])
     try:
         with quiet():
             elements = dcmread(file, stop_before_pixels=True, specific_tags=[*_UIDS, "BurnedInAnnotation"])
             texts = {keyword: str(elements.get(keyword) or "") or None for keyword in (*_UIDS, "BurnedInAnnotation")}
-    except Exception:  # as in `imaging.dicom`: a message of pydicom's may quote the patient
+    except Exception:  # as in `imaging.dicom`: pydicom's messages may quote the patient
         raise damaged(file.name) from None
     return {**texts, "BurnedInAnnotation": {"YES": True, "NO": False}.get(texts["BurnedInAnnotation"] or "")}
 

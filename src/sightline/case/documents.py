@@ -1,4 +1,4 @@
-"""Results as documents: what is written of a view and of a check."""
+"""A calibrated view and a check as JSON."""
 
 from typing import Any
 
@@ -7,9 +7,9 @@ from sightline.checks import Check
 
 
 def view_document(image: CalibratedImage) -> dict[str, Any]:
-    """A calibrated view as JSON types: geometry, what is left of each bead, checks."""
+    """Return a calibrated view as JSON types: geometry, the residual of each bead, checks."""
     view, seen = image.view, image.seen
-    left = view.residuals
+    residuals = view.residuals
     return {
         "view": view.name,
         "source": seen.source,
@@ -17,17 +17,19 @@ def view_document(image: CalibratedImage) -> dict[str, Any]:
         "mirrored": view.mirrored,
         "coordinates": "CFCS",
         "focal_point_mm": view.focal_point_mm.tolist(),
-        "residual_rms_mm": left.rms_mm,
-        "leave_one_out_rms_mm": left.leave_one_out_rms_mm,
-        "left_out": list(left.left_out),
+        "residual_rms_mm": residuals.rms_mm,
+        "leave_one_out_rms_mm": residuals.leave_one_out_rms_mm,
+        "left_out": list(residuals.left_out),
         "beads": [
             {"id": i, "uv_px": uv.tolist(), "residual_mm": r.tolist(), "used": bool(used)}
-            for i, uv, r, used in zip(left.ids, left.uv_px, left.residual_mm, left.used, strict=True)
+            for i, uv, r, used in zip(
+                residuals.ids, residuals.uv_px, residuals.residual_mm, residuals.used, strict=True
+            )
         ],
         "checks": [check_document(check) for check in view.checks],
     }
 
 
 def check_document(check: Check) -> dict[str, Any]:
-    """A check as JSON types."""
+    """Return a check as JSON types."""
     return dict(vars(check))

@@ -10,7 +10,7 @@ from sightline.case.contents import Pair
 from sightline.case.journal import Actor, Case, Entry, Kind
 from sightline.case.journal.originals import name_of, short
 from sightline.case.stages import TABLE, acquired_of, frame_of, image_of, keep_frame, record_acquired, record_seen
-from sightline.case.views import NAMES, CalibratedImage, Seen, see_pair, spoken
+from sightline.case.views import NAMES, CalibratedImage, ObservedView, see_pair, spoken
 from sightline.detection.detections_csv import are_detections
 from sightline.errors import CaseError, RefusedError, UnusableInputError
 from sightline.frame import Frame
@@ -25,7 +25,7 @@ class SeenPair:
     `skipped`: newer images of the case that were not used, each with the reason.
     """
 
-    seen: tuple[Seen, Seen]
+    seen: tuple[ObservedView, ObservedView]
     source: tuple[Path, Path] | tuple[Entry, Entry]
     skipped: tuple[str, ...] = ()
 
@@ -47,7 +47,7 @@ def newest_pair(case: Case, frame: Frame, *, after: int = 0, invert: bool = Fals
     An image whose beads cannot be found or labelled is skipped. `invert`: the balls are bright. Raises CaseError where
     a view has no image.
     """
-    found: dict[str, tuple[Entry, Seen]] = {}
+    found: dict[str, tuple[Entry, ObservedView]] = {}
     skipped: list[str] = []
     for entry in reversed(case.entries(Kind.ACQUIRED, after)):
         if entry.content["original"].endswith(TABLE) or len(found) == len(NAMES):
@@ -92,10 +92,10 @@ def _acquired(case: Case, file: Path) -> Entry:
     return record_acquired(case, data, file.suffix.lower(), by=Actor.COMMAND) if held is None else held
 
 
-def _seen(case: Case, acquired: Entry, frame: Frame, *, invert: bool) -> Seen:
+def _seen(case: Case, acquired: Entry, frame: Frame, *, invert: bool) -> ObservedView:
     image = image_of(case, acquired)
     image, beads = find_beads(image.inverted() if invert else image)
-    return Seen(short(acquired.content["original"]), label_beads(image, beads, frame), image, beads)
+    return ObservedView(short(acquired.content["original"]), label_beads(image, beads, frame), image, beads)
 
 
 def _recorded(case: Case, acquired: Entry, image: CalibratedImage, frame_ref: str) -> Entry | None:

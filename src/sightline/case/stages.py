@@ -1,4 +1,5 @@
-"""The stages of a procedure as entries of a case, each resting on those before: what `replay` computes again."""
+"""The stages of a procedure as entries of a case. Each names the entries it was made from, so `replay` can recompute
+it."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -6,7 +7,7 @@ from typing import Any
 
 from sightline.bounded import read_bounded
 from sightline.case import contents
-from sightline.case.contents import Asked, CheckAsked
+from sightline.case.contents import CheckRequest, PlanRequest
 from sightline.case.journal import Actor, Case, Entry, Kind
 from sightline.case.views import CalibratedImage
 from sightline.detection import Detections, Observations
@@ -18,16 +19,16 @@ from sightline.imaging.limits import MAX_FILE_BYTES
 from sightline.planning import Plan
 from sightline.planning.check_result import CheckShot
 
-TABLE = ".csv"  # of beads, found by other software or by hand
+TABLE = ".csv"  # suffix of a table of beads, found by other software or by hand
 
 
 def record_changed(case: Case, what: str, to: object, *, by: Actor) -> Entry:
-    """Something about the case is another: its frame, its patient, what a person decided."""
+    """Record a change of the case: its frame, its patient, or what a person decided."""
     return case.record(Kind.CHANGED, {"what": what, "from": None, "to": to}, by=by)
 
 
 def record_acquired(case: Case, data: bytes, suffix: str, *, by: Actor) -> Entry:
-    """An image, or beads as CSV, as it came. The file's own name is not asked for: it may be a patient's.
+    """Keep and record an image, or beads as CSV. The file's own name is not recorded: it may be a patient's.
 
     Raises CaseError, ImageError.
     """
@@ -37,21 +38,21 @@ def record_acquired(case: Case, data: bytes, suffix: str, *, by: Actor) -> Entry
 
 
 def image_of(case: Case, acquired: Entry) -> Radiograph:
-    """The image of an entry of `record_acquired`, from its original. Raises CaseError, ImageError."""
+    """Read the image of an acquired entry from its original. Raises CaseError, ImageError."""
     original, settings = case.original(acquired.content["original"]), acquired.settings
     return read_image(original, settings["frame_index"], invert=settings.get("inverted", False))
 
 
 def record_detected(case: Case, acquired: Entry, beads: Detections, *, by: Actor, inverted: bool = False) -> Entry:
-    """What `detect` found in the image, or in its inverse."""
+    """Record the beads that `detect` found in the image, or in its inverse."""
     settings = {"inverted": True} if inverted else None
     return case.record(Kind.DETECTED, contents.detected(beads), by=by, rests_on=[acquired.number], settings=settings)
 
 
 def keep_frame(case: Case, frame: Frame) -> str:
-    """How entries name a frame: a built-in one by its name, another by the original that holds it.
+    """Keep a frame and return the reference by which entries name it: a built-in frame's name, or an original's name.
 
-    Raises FrameError for the mirror image of a frame of the same name and serial that the case has.
+    Raises FrameError if the case has a frame of the same name and serial that is a mirror image of this one.
     """
     text = frame.to_json()
     if frame.name in BUILTIN and Frame.load(frame.name).to_json() == text:
@@ -61,14 +62,14 @@ def keep_frame(case: Case, frame: Frame) -> str:
 
 
 def _frames_before(case: Case) -> Iterator[Frame]:
-    """The frames that entries of a case name, those of files."""
+    """Return the frames from files that entries of a case name."""
     changed = (str(e.content["to"]) for e in case.entries(Kind.CHANGED) if e.content["what"] == "frame")
     named = {*changed, *(str(e.settings["frame"]) for e in case.entries(Kind.LABELLED))}
     yield from (frame_of(case, name) for name in sorted(named - BUILTIN.keys()))
 
 
 def frame_of(case: Case, name: str) -> Frame:
-    """The frame that `keep_frame` named so. Raises CaseError, FrameError."""
+    """Return the frame of a reference from `keep_frame`. Raises CaseError, FrameError."""
     return Frame.load(name if name in BUILTIN else case.original(name))
 
 
@@ -82,9 +83,9 @@ def record_labelled(
     view: str | None = None,
     datums: Mapping[str, tuple[float, float]] | None = None,
 ) -> Entry:
-    """Beads told apart and looked at again, as `case.views.see` does; `view` and `datums` as given to `label`.
+    """Record beads that were labelled and measured again, as `case.views.see` does; `view`, `datums`: as for `label`.
 
-    `source`: the detected beads, or an acquired table that holds the observations. `frame_ref`: of `keep_frame`.
+    `source`: entry of the detected beads, or of an acquired table with the observations. `frame_ref`: see `keep_frame`.
     """
     settings: dict[str, Any] = {"frame": frame_ref, "view": view, "datums": datums}
     content = contents.labelled(observations, frame_of(case, frame_ref).key)
@@ -94,8 +95,10 @@ def record_labelled(
 def record_calibrated(
     case: Case, labelled: Entry, image: CalibratedImage, *, by: Actor, before: Sequence[int] = ()
 ) -> Entry:
-    """A view, calibrated from the observations of `labelled` by `calibrate` with its defaults. `before`: numbers of
-    calibrated entries that it was held against (`BeadView.steady_since`)."""
+    """Record a view calibrated from the observations of `labelled` by `calibrate` with its defaults.
+
+    `before`: numbers of the calibrated entries that it was compared with (`BeadView.steady_since`).
+    """
     settings: dict[str, Any] = {"frame": labelled.settings["frame"], "method": image.view.method}
     if image.view.mirrored_display is not None:
         settings["mirrored_display"] = image.view.mirrored_display
@@ -109,7 +112,7 @@ def record_calibrated(
 
 
 def record_view(case: Case, file: Path, image: CalibratedImage, *, frame_ref: str, by: Actor) -> Entry:
-    """Everything of one view, from its file to its geometry, as `case.views` makes it; the entry of the latter."""
+    """Record all stages of one view that `case.views` made, from its file on; return the calibrated entry."""
     data = read_bounded(file, MAX_FILE_BYTES, CaseError, "export single images")
     acquired = record_acquired(case, data, file.suffix.lower(), by=by)
     return record_seen(case, acquired, image, frame_ref=frame_ref, by=by)
@@ -125,8 +128,8 @@ def record_seen(case: Case, acquired: Entry, image: CalibratedImage, *, frame_re
     return record_calibrated(case, labelled, image, by=by)
 
 
-def record_planned(case: Case, views: tuple[Entry, Entry], asked: Asked, made: Plan, *, by: Actor) -> Entry:
-    """A plan that `asked.plan` made on the calibrated views, PA first."""
+def record_planned(case: Case, views: tuple[Entry, Entry], asked: PlanRequest, made: Plan, *, by: Actor) -> Entry:
+    """Record a plan that `asked.plan` made on the calibrated views, PA first. Raises CaseError."""
     kinds = [view.kind for view in views]
     if kinds != [Kind.CALIBRATED, Kind.CALIBRATED]:
         raise CaseError(f"a plan rests on two calibrated views, not on {' and '.join(kinds)}")
@@ -134,9 +137,12 @@ def record_planned(case: Case, views: tuple[Entry, Entry], asked: Asked, made: P
 
 
 def record_verified(
-    case: Case, plan: Entry, views: tuple[Entry, Entry], asked: CheckAsked, found: CheckShot | str, *, by: Actor
+    case: Case, plan: Entry, views: tuple[Entry, Entry], asked: CheckRequest, found: CheckShot | str, *, by: Actor
 ) -> Entry:
-    """A check shot that `asked.shot` measured in two more calibrated views, PA first, or why it refused."""
+    """Record the check shot that `asked.shot` measured in two more calibrated views, PA first, or why it was refused.
+
+    Raises CaseError.
+    """
     rests_on = (plan, *views)
     kinds = [entry.kind for entry in rests_on]
     if kinds != [Kind.PLANNED, Kind.CALIBRATED, Kind.CALIBRATED]:
@@ -146,14 +152,14 @@ def record_verified(
 
 
 def acquired_of(case: Case, entry: Entry) -> Entry:
-    """The acquired entry that one of an image goes back to; it may be that itself."""
+    """Return the acquired entry that `entry` was made from; it may be `entry` itself."""
     while entry.kind is not Kind.ACQUIRED:
         entry = case.entry(entry.rests_on[0])
     return entry
 
 
 def calibrated_of(case: Case, acquired: int) -> Entry:
-    """The last calibrated entry that goes back to the acquired one of this number. Raises CaseError."""
+    """Return the last calibrated entry made from the acquired entry of this number. Raises CaseError."""
     for entry in reversed(case.entries(Kind.CALIBRATED)):
         if acquired_of(case, entry).number == acquired:
             return entry

@@ -1,4 +1,4 @@
-"""From two files to two calibrated views: images as a C-arm writes them, or observations in CSV."""
+"""From two files to two calibrated views: images from a C-arm, or observations in CSV."""
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
@@ -6,7 +6,7 @@ from pathlib import Path
 
 from sightline.calibration import BeadView, CArm
 from sightline.calibration.fit import Method
-from sightline.case.journal.originals import called
+from sightline.case.journal.originals import anonymous_name
 from sightline.detection import Detections, Observations
 from sightline.detection.detections_csv import are_detections, label_csv
 from sightline.detection.files import read_observations
@@ -15,20 +15,20 @@ from sightline.frame import Frame
 from sightline.imaging import Radiograph, read_image
 from sightline.pipeline import find_beads, known_arm, label_beads, view_of
 
-NAMES = ("pa", "lateral")  # the order of a pair of views, everywhere
+NAMES = ("pa", "lateral")  # every pair of views is in this order
 
 
 def spoken(view: str) -> str:
-    """A view's name as people write it."""
+    """Return a view's name as people write it."""
     return "PA" if view == "pa" else view
 
 
 @dataclass(frozen=True, eq=False)
-class Seen:
-    """One view before it is calibrated, and what was found in it. Without an image there are no `beads`.
+class ObservedView:
+    """The labelled beads of one view before calibration.
 
-    `image`: as its `beads` were found in it; inverted where the file shows the balls bright.
-    `source`: the file as a case calls it, by its bytes; never its own name, which may be a patient's.
+    `source`: the short name that a case gives the file; never its own name, which may be a patient's. `image`: the
+    image in which `beads` were found, inverted if the file shows the balls bright; both are None for a table of beads.
     """
 
     source: str
@@ -39,9 +39,9 @@ class Seen:
 
 @dataclass(frozen=True, eq=False)
 class CalibratedImage:
-    """One view with its geometry, and all it was made from."""
+    """One calibrated view, with the observations and the image that it was made from."""
 
-    seen: Seen
+    seen: ObservedView
     view: BeadView
 
     @property
@@ -58,30 +58,31 @@ def see(
     frame_index: int | None = None,
     *,
     invert: bool = False,
-) -> Seen:
-    """Beads of one image, found, labelled (`label`) and looked at again (`look_again`).
+) -> ObservedView:
+    """Find the beads of one image, label them (`label`) and refit hidden ones (`look_again`).
 
-    Without `view`, the datum markers tell which it is. An image that shows the balls bright is inverted, and a check
-    says so; `invert`, as of `read_image`, is for one whose bright balls are not found.
+    Without `view`, the datum markers tell which view it is. An image that shows the balls bright is inverted, and a
+    check says so; pass `invert`, as for `read_image`, if its bright balls are not found. Raises RefusedError, and what
+    reading raises.
     """
     image, beads = find_beads(read_image(path, frame_index, invert=invert))
-    return Seen(called(path), label_beads(image, beads, frame, view, datums), image, beads)
+    return ObservedView(anonymous_name(path), label_beads(image, beads, frame, view, datums), image, beads)
 
 
-def _from_csv(path: Path, name: str, frame: Frame) -> Seen:
+def _from_csv(path: Path, name: str, frame: Frame) -> ObservedView:
     if are_detections(path):
-        return Seen(called(path), label_csv(path, frame))
+        return ObservedView(anonymous_name(path), label_csv(path, frame))
     views = read_observations(path)
     if name in views:
-        return Seen(called(path), views[name])
+        return ObservedView(anonymous_name(path), views[name])
     raise ObservationsError(f"{path.name} holds no observations of view {name!r}; it has: {', '.join(views)}")
 
 
-def see_pair(pa: Path, lateral: Path, frame: Frame, *, invert: bool = False) -> tuple[Seen, Seen]:
-    """Both views of a pair, each from an image or from observations in CSV (one file may hold both). `invert`: of both
-    images, as `read_image`.
+def see_pair(pa: Path, lateral: Path, frame: Frame, *, invert: bool = False) -> tuple[ObservedView, ObservedView]:
+    """Observe both views of a pair, each from an image or from observations in CSV (one file may hold both).
 
-    Raises UnusableInputError where the two are swapped or are one view twice, and whatever reading raises.
+    `invert`: for both images, as for `read_image`. Raises UnusableInputError if the files are swapped or show the same
+    view twice, and what reading raises.
     """
     pair = tuple(
         _from_csv(path, name, frame) if path.suffix.lower() == ".csv" else see(path, frame, invert=invert)
@@ -103,20 +104,20 @@ def see_pair(pa: Path, lateral: Path, frame: Frame, *, invert: bool = False) -> 
 
 
 def calibrated(
-    seen: Seen,
+    seen: ObservedView,
     frame: Frame,
     method: Method = "smooth",
     c_arm: CArm | None = None,
     *,
     mirrored_display: bool | None = None,
 ) -> CalibratedImage:
-    """One view, calibrated from its own beads, with the checks of its image; see `calibrate`."""
+    """Calibrate one view from its own beads, with the checks of its image; see `calibrate`."""
     view = view_of(seen.observations, seen.image, frame, method, c_arm, mirrored_display=mirrored_display)
     return CalibratedImage(seen, view)
 
 
 def calibrate_pair(
-    pair: Sequence[Seen],
+    pair: Sequence[ObservedView],
     frame: Frame,
     method: Method,
     mirrored: Collection[str] = (),
@@ -124,14 +125,13 @@ def calibrate_pair(
     source_detector_mm: float | None = None,
     pixel_mm: float | None = None,
 ) -> tuple[CalibratedImage, CalibratedImage]:
-    """Both views calibrated, each from its own beads.
+    """Calibrate both views, each from its own beads.
 
     `mirrored`: the views whose display a person saw to be mirrored. `source_detector_mm`, `pixel_mm`: of the C-arm; see
-    `known_arm`. Raises UnusableInputError, and what calibrating
-    raises.
+    `known_arm`. Raises UnusableInputError, and what `calibrate` raises.
     """
     if unknown := sorted(set(mirrored) - set(NAMES)):
-        raise UnusableInputError(f"there is no view {unknown[0]!r} whose display is mirrored; name pa or lateral")
+        raise UnusableInputError(f"{unknown[0]!r} is not a view; name pa or lateral as mirrored")
     first, second = (
         calibrated(
             s,

@@ -230,11 +230,12 @@ def _crop(text: str | None) -> tuple[int, int, int, int] | None:
 def _is_image(file: Path) -> bool:
     from sightline.bounded import regular_file
     from sightline.imaging import suffix_of
+    from sightline.imaging.files import HEADER_BYTES
 
     if not file.is_file():
         return False
     with regular_file(file) as stream:
-        return suffix_of(stream.read(132)) is not None
+        return suffix_of(stream.read(HEADER_BYTES)) is not None
 
 
 class _Desk:

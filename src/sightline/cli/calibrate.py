@@ -10,7 +10,7 @@ from sightline.cli.output import Json, Output, Quiet, example
 
 if TYPE_CHECKING:
     from sightline.calibration import BeadView
-    from sightline.case.views import Seen
+    from sightline.case.views import ObservedView
     from sightline.frame import Frame
 
 _SHOWN = 10  # beads in the table; --json has them all
@@ -126,13 +126,13 @@ def see(
     frame_index: int | None,
     *,
     invert: bool = False,
-) -> "Seen":
+) -> "ObservedView":
     """Return the labelled beads of one view: of an image, or of a CSV file with or without the beads' ids.
 
     Raises what reading and labelling raise.
     """
     from sightline.case import views
-    from sightline.case.journal.originals import called
+    from sightline.case.journal.originals import anonymous_name
     from sightline.detection.detections_csv import are_detections, label_csv
     from sightline.errors import UnusableInputError
 
@@ -140,16 +140,16 @@ def see(
         if invert:
             raise UnusableInputError("--invert is of images; beads in CSV have no pixels to invert")
         if frame_index is None and are_detections(path):
-            return views.Seen(called(path), label_csv(path, frame, view, _datums(datum)))
+            return views.ObservedView(anonymous_name(path), label_csv(path, frame, view, _datums(datum)))
         if datum or frame_index is not None:
             raise UnusableInputError(
                 "--datum and --frame-index are for images; the beads of this CSV file are labelled already"
             )
-        return views.Seen(called(path), _observed(path, view))
+        return views.ObservedView(anonymous_name(path), _observed(path, view))
     return views.see(path, frame, view, _datums(datum), frame_index, invert=invert)
 
 
-def _advise(seen: "Seen", frame: "Frame") -> dict[str, Any] | None:
+def _advise(seen: "ObservedView", frame: "Frame") -> dict[str, Any] | None:
     """Return what to move before the next exposure; None for observations, which do not say where their field ends."""
     from sightline.calibration import advise
 

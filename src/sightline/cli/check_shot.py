@@ -58,7 +58,7 @@ def check_shot(
     with Output(json=json, quiet=quiet) as output, ExitStack() as stack:
         files = both_or_none(pa, lateral)
         points = [parse_found_again(text) for text in landmark or ()]
-        from sightline.case.contents import CheckAsked
+        from sightline.case.contents import CheckRequest
         from sightline.case.journal import Actor, Case, Kind
         from sightline.case.pairs import record_pair
         from sightline.case.replay import Recomputed
@@ -81,7 +81,7 @@ def check_shot(
         with output.step("calibrating both views (smooth)"):
             images = calibrate_pair(pair.seen, frame, "smooth", mirrored or (), source_detector_mm=sid, pixel_mm=pixel)
         views = record_pair(opened, pair, images, frame, by=Actor.COMMAND)
-        check = CheckAsked(made.kind.wire_mm, landmarks)
+        check = CheckRequest(made.kind.wire_mm, landmarks)
         try:
             with output.step("finding the wire"):
                 shot = check.shot(made, planned, images)

@@ -31,7 +31,7 @@ def compare(
         import numpy as np
 
         from sightline.atomic import write_folder
-        from sightline.studies.compare import alone, document, findings, pictures, read_folder
+        from sightline.studies.compare import alone, document, findings, plots, read_folder
         from sightline.studies.compare import compare as one_pair
         from sightline.studies.compare_page import render
 
@@ -45,7 +45,7 @@ def compare(
                 advance()
         figures = document(pairs, passed, seed)
         page = render(pairs, passed, folder.name, seed)
-        curves = {f"{picture.title.lower().replace(' ', '-')}.svg": alone(picture) for picture in pictures(pairs)}
+        curves = {f"{picture.title.lower().replace(' ', '-')}.svg": alone(picture) for picture in plots(pairs)}
         files = write_folder(out, {"compare.html": page.encode(), "compare.json": as_json(figures).encode(), **curves})
         for finding in findings(pairs):
             output.say(f"- {finding}")

@@ -59,7 +59,7 @@ def _run(output: Output, folder: Path, seed: int) -> dict[str, Any]:
     """Do all steps and return the result. The images are read back from their files, as a user's images are."""
     import numpy as np
 
-    from sightline.case.contents import Asked
+    from sightline.case.contents import PlanRequest
     from sightline.case.report import exposures
     from sightline.case.report.comparison import Truth
     from sightline.case.report.content import Report
@@ -93,7 +93,7 @@ def _run(output: Output, folder: Path, seed: int) -> dict[str, Any]:
     rim_px = rehearsal.head_rim + PICK_SD_PX * rng.standard_normal(rehearsal.head_rim.shape)
     head = [Circle.through(rim, PICK_SD_PX) for rim in rim_px]
     with output.step("4/8 planning entry and tip, drawing the image-matching curves"):
-        asked = Asked(
+        asked = PlanRequest(
             picks[:, 0],
             picks[:, 1],
             PICK_SD_PX,
@@ -212,4 +212,4 @@ def _row(one: "Compared | Refused") -> tuple[str, ...]:
 
     if isinstance(one, Refused):
         return one.method, "refused", "refused", "refused"
-    return one.method, *(f"{v:.2f}" for v in one.figures)
+    return one.method, *(f"{v:.2f}" for v in one.errors)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     import numpy as np
 
-    from sightline.case.contents import Asked
+    from sightline.case.contents import PlanRequest
     from sightline.case.journal import Case, Entry
     from sightline.case.report.drilled import Drilled
     from sightline.case.views import CalibratedImage
@@ -27,7 +27,7 @@ class Kept:
     rehearsal: "Rehearsal"
     files: tuple[Path, Path]
     images: "tuple[CalibratedImage, CalibratedImage]"
-    asked: "Asked"
+    asked: "PlanRequest"
     plan: "Plan"
     rim_px: "np.ndarray"
     drilled: "Drilled | None"

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     import numpy as np
 
-    from sightline.case.contents import CheckAsked, Pair
+    from sightline.case.contents import CheckRequest, Pair
     from sightline.case.report.drilled import Drilled
     from sightline.cli.output import Output
     from sightline.frame import Frame
@@ -37,7 +37,7 @@ class Checked:
     `images` is None where one of them could not be calibrated.
     """
 
-    asked: "CheckAsked"
+    asked: "CheckRequest"
     images: "Pair | None"
     found: "CheckShot | str"
 
@@ -61,16 +61,16 @@ def _drill(output: "Output", planned: Planned, rng: "np.random.Generator") -> "t
 
     import numpy as np
 
-    from sightline.case.contents import CheckAsked
+    from sightline.case.contents import CheckRequest
     from sightline.case.report.drilled import Deviation, Drilled
     from sightline.errors import RefusedError
     from sightline.planning.check_shot import Landmarks
-    from sightline.rehearsal.operation import Outcome, insert, registered, target_of
+    from sightline.rehearsal.operation import InsertionOutcome, insert, registered, target_of
     from sightline.rehearsal.process import RobotProcess
     from sightline.robot.control.motion.supervision import depth_limit
     from sightline.robot.kinematics.target import PlanIdentity
     from sightline.robot.link.client import RobotClient
-    from sightline.twin.implants import WIRE_MM
+    from sightline.twin.implants import WIRE_DIAMETER_MM
 
     rehearsal, plan, sd_px = planned.rehearsal, planned.plan, planned.pick_sd_px
     with output.step("6/8 the robot: registering, aligning, drilling under force supervision"):
@@ -85,7 +85,7 @@ def _drill(output: "Output", planned: Planned, rng: "np.random.Generator") -> "t
     with output.step("7/8 the check shot: two more images, finding the wire in both"):
         taken = rehearsal.check_images(wire)
         found = taken.landmarks_px(planned.landmarks, sd_px, rng)
-        asked, images = CheckAsked(WIRE_MM, Landmarks(planned.landmarks_px, found, sd_px)), None
+        asked, images = CheckRequest(WIRE_DIAMETER_MM, Landmarks(planned.landmarks_px, found, sd_px)), None
         try:
             images = _read_back(taken.images, rehearsal.setup.frame)
             check = asked.shot(plan, planned.images, images)
@@ -93,7 +93,7 @@ def _drill(output: "Output", planned: Planned, rng: "np.random.Generator") -> "t
             check = str(error)
     physics = []
     for name, line in (("the plan", plan.trajectory.points.xyz_mm), ("the ideal wire", rehearsal.hip.wire_mm)):
-        one = Outcome.of(wire.axis_mm, line)
+        one = InsertionOutcome.of(wire.axis_mm, line)
         physics.append(Deviation(name, one.entry_mm, one.end_mm, float(np.rad2deg(one.angle_rad))))
     return Drilled(target, record, check, tuple(physics)), Checked(asked, images, check)
 

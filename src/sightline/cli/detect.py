@@ -104,7 +104,7 @@ def _write_picture(radiograph: "Radiograph", beads: "Detections", path: Path) ->
     import cv2
 
     from sightline.atomic import write_whole
-    from sightline.case.report.figures.radiographs import grey
+    from sightline.case.report.drawing.radiographs import grey
 
     height, width = radiograph.shape
     large = cv2.resize(grey(radiograph), (_SCALE * width, _SCALE * height), interpolation=cv2.INTER_LINEAR)

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from sightline.calibration import BeadView
     from sightline.calibration.exchange.pinhole import Pinhole
     from sightline.case.interop.plate import PlateImage
-    from sightline.case.views import Seen
+    from sightline.case.views import ObservedView
 
 export_app = typer.Typer(no_args_is_help=True)
 
@@ -122,7 +122,7 @@ def undistorted(
 
 def _calibrate(
     output: Output, paths: list[Path | None], frame_name: str, *, pixels: bool, invert: bool
-) -> "list[tuple[BeadView, Seen]]":
+) -> "list[tuple[BeadView, ObservedView]]":
     """Return each calibrated view with its image and beads; with `pixels` each must have an image."""
     from sightline.calibration import calibrate
     from sightline.case.views import see_pair
@@ -144,7 +144,7 @@ def _calibrate(
         return [(calibrate(one.observations, known), one) for one in seen]
 
 
-def _plate(view: "BeadView", seen: "Seen", spacing: float | None = None) -> Any:
+def _plate(view: "BeadView", seen: "ObservedView", spacing: float | None = None) -> Any:
     """Return the pinhole and the pixels, or None, of the undistorted image, and their document."""
     from sightline.case.interop.plate import plate_image
 
@@ -154,7 +154,7 @@ def _plate(view: "BeadView", seen: "Seen", spacing: float | None = None) -> Any:
     return pinhole, plate.pixels, document | _geometry(pinhole)
 
 
-def _raw(view: "BeadView", seen: "Seen") -> Any:
+def _raw(view: "BeadView", seen: "ObservedView") -> Any:
     """Return the same as `_plate`, of the raw image."""
     from sightline.case.interop.plate import raw_pinhole
 

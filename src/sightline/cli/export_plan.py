@@ -45,7 +45,7 @@ def plan(
 
         from sightline.atomic import write_folder
         from sightline.case.interop import dicom_plan, itk, robot_files, slicer, tables
-        from sightline.case.interop.dicom_parts import Filed
+        from sightline.case.interop.dicom_parts import ExportIdentity
         from sightline.case.interop.plan_file import PlanFile
         from sightline.errors import UnusableInputError
 
@@ -59,7 +59,7 @@ def plan(
         side = side or known.side
         if side is not None:
             known.refuse_other_side(side)
-        filed = Filed(case, datetime.now().replace(microsecond=0), side)
+        filed = ExportIdentity(case, datetime.now().replace(microsecond=0), side)
         if originals and "dicom" not in kinds:
             raise UnusableInputError("--original is for --to dicom only; leave it out")
         writers = {

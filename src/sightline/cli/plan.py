@@ -119,7 +119,7 @@ def plan(
             raise typer.BadParameter("give the PA and the lateral image, or --case", param_hint="PA LATERAL")
         import numpy as np
 
-        from sightline.case.contents import Asked
+        from sightline.case.contents import PlanRequest
         from sightline.case.journal import Actor, Case
         from sightline.case.pairs import frame_in_use, record_pair
         from sightline.case.stages import record_planned
@@ -139,7 +139,7 @@ def plan(
         with output.step("planning"):
             entry_px, end_px = (pixels(point, [image.view for image in images], pick_sd) for point in points)
             drawn = None if circles is None else [Circle.of(np.array(c[:2]), c[2], pick_sd) for c in circles]
-            asked = Asked(
+            asked = PlanRequest(
                 entry_px,
                 end_px,
                 pick_sd,

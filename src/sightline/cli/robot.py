@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from sightline.case.interop.plan_file import PlanFile
-    from sightline.rehearsal.operation import Theatre
+    from sightline.rehearsal.operation import SimulatedTheatre
     from sightline.robot.kinematics.measured import RobotFile
     from sightline.robot.kinematics.registration import Registration
     from sightline.robot.kinematics.target import RobotTarget
@@ -173,7 +173,7 @@ def register_image(
     with Output(json=json, quiet=quiet) as out:
         import time
 
-        from sightline.case.journal.originals import called
+        from sightline.case.journal.originals import anonymous_name
         from sightline.errors import RobotRefusedError
         from sightline.imaging import read_image
         from sightline.robot.kinematics.measured import RobotFile
@@ -191,7 +191,7 @@ def register_image(
             q, now = robot.joints()[0], time.time()
         known.refuse_moved(before, q)
         read_image(image, 0)  # raises if it is not an image
-        source = called(image)
+        source = anonymous_name(image)
         known.at_image(view, q, now, source).write(robot_file)
         out.say(f"joints at the {view} image: {', '.join(f'{one:.3f}' for one in q)} (mm, rad)")
         out.result({"file": str(robot_file), "view": view, "joints": q, "read_s": now, "source": source})
@@ -306,13 +306,13 @@ def read_plan(file: Path) -> "PlanFile":
     return plan
 
 
-def _theatre(side: str, frame_serial: str | None, rehearse: int | None, frame: str) -> "Theatre":
+def _theatre(side: str, frame_serial: str | None, rehearse: int | None, frame: str) -> "SimulatedTheatre":
     """Return a robot in air, or at the bone of a rehearsal. Raises UnusableInputError, SetUpError."""
     from sightline.errors import UnusableInputError
-    from sightline.rehearsal.operation import Theatre
+    from sightline.rehearsal.operation import SimulatedTheatre
 
     if rehearse is None:
-        return Theatre.in_air(side, frame_serial or SERIAL)
+        return SimulatedTheatre.in_air(side, frame_serial or SERIAL)
     if frame_serial is not None:
         raise UnusableInputError("--rehearse uses the serial of its own frame; leave out --frame-serial")
     from sightline.frame import Frame

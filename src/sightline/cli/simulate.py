@@ -91,14 +91,14 @@ def simulate(
         from sightline.twin.accessories import with_accessories
         from sightline.twin.carm import with_errors
         from sightline.twin.presets import preset as chain_called
-        from sightline.twin.specimens import Machine, specimen
+        from sightline.twin.specimens import SetUpSpec, specimen
 
         if png and tags:
             raise UnusableInputError("a PNG holds no geometry tags; leave out --png or --tags")
         chain = chain_called(preset)
         designed = Frame.load(frame)
         as_made = None if frame_errors is None else with_errors(designed, np.random.default_rng(frame_errors))
-        machine = Machine(designed, side, chain.name, as_made)
+        machine = SetUpSpec(designed, side, chain.name, as_made)
         place = None if at is None else np.array(_place(at))
         rng = np.random.default_rng(seed)
         with output.step("drawing the set-up"):

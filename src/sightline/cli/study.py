@@ -8,7 +8,7 @@ import typer
 from sightline.cli.output import Json, Output, Quiet, as_json, example
 
 if TYPE_CHECKING:
-    from sightline.studies.run import Result, Run
+    from sightline.studies.run import Result, StudyRun
     from sightline.studies.study import Study
 
 PRINTED = 2  # tables on the terminal; the page has all of them
@@ -37,11 +37,11 @@ def study(
     """
     with Output(json=json, quiet=quiet) as output:
         from sightline.studies.catalogue import study_called
-        from sightline.studies.run import Run
+        from sightline.studies.run import StudyRun
 
         chosen = study_called(name)
         folder = out or Path("out/study") / name
-        result = _do(output, Run.open(chosen, trials, seed, folder), scheduler)
+        result = _do(output, StudyRun.open(chosen, trials, seed, folder), scheduler)
         files = _write(folder, chosen, result)
         for finding in result.summary.findings:
             output.say(f"- {finding}")
@@ -51,7 +51,7 @@ def study(
         output.result({**result.document(), "files": files})
 
 
-def _do(output: Output, run: "Run", scheduler: str | None) -> "Result":
+def _do(output: Output, run: "StudyRun", scheduler: str | None) -> "Result":
     left = len(run.missing)
     if 0 < left < run.trials:
         output.note(f"{run.trials - left} trials were finished earlier; {left} remain")

@@ -12,7 +12,7 @@ from sightline.cli.output import Json, Output, Quiet, example
 
 if TYPE_CHECKING:
     from sightline.calibration import BeadView
-    from sightline.case.watch.eye import Shown, Watched
+    from sightline.case.watch.analyser import TimedImage, Watched
     from sightline.case.watch.live import Watch
     from sightline.frame import Frame
     from sightline.planning import Trajectory
@@ -73,7 +73,7 @@ def watch(
 
 def _opened(
     source: str | None, seed: int | None, frame: "Frame", out: Output, *, invert: bool
-) -> "tuple[Iterable[Shown], Trajectory | None]":
+) -> "tuple[Iterable[TimedImage], Trajectory | None]":
     """Return the images of the source, and the wire of a simulated one. Raises UnusableInputError."""
     from sightline.case.watch.sources import open_source
     from sightline.errors import UnusableInputError
@@ -82,10 +82,10 @@ def _opened(
         raise UnusableInputError("give one source, or --rehearse SEED for a simulated one")
     if source is not None:
         return open_source(source, invert=invert), None
-    from sightline.rehearsal.stream import Stream
+    from sightline.rehearsal.stream import SimulatedFluoroscopy
 
     with out.step("taking the C-arm's images"):
-        stream = Stream(int(seed or 0), frame)
+        stream = SimulatedFluoroscopy(int(seed or 0), frame)
     return stream, stream.wire
 
 
@@ -192,18 +192,18 @@ def _summary(said: "list[Watched]", watching: "Watch") -> dict[str, Any]:
     """Return the summary. Raises CalibrationRefusedError where no frame gave a view."""
     from statistics import median
 
-    from sightline.case.watch.follow import State
+    from sightline.case.watch.follow import TrackingState
     from sightline.errors import CalibrationRefusedError
 
     states = Counter(watched.state for watched in said)
-    if not said or states[State.LOST] == len(said):
+    if not said or states[TrackingState.LOST] == len(said):
         why = f": {said[-1].reason}" if said else ""
         raise CalibrationRefusedError(f"none of {len(said)} frames gave a calibrated view{why}")
     return {
         "frames": said[-1].number,
         "worked_on": said[-1].number - said[-1].dropped,
         "dropped": said[-1].dropped,
-        "states": {state.value: states[state] for state in State},
+        "states": {state.value: states[state] for state in TrackingState},
         "latency_s": {"median": median(w.latency_s for w in said), "largest": max(w.latency_s for w in said)},
         "moved": any(watched.moved for watched in said),
     }

@@ -17,6 +17,8 @@ from sightline.imaging.limits import MAX_FILE_BYTES, check_size
 from sightline.imaging.radiograph import Radiograph
 from sightline.npy import npy_array
 
+HEADER_BYTES = 132  # tell the format: DICOM's preamble of 128 bytes and its magic number
+
 _JPEG = b"\xff\xd8\xff"
 _RASTER = {
     b"\x89PNG\r\n\x1a\n": headers.png,
@@ -105,7 +107,7 @@ def taken_at(path: str | Path) -> datetime | None:
 
 
 def suffix_of(start: bytes) -> str | None:
-    """Return the file name suffix of an image that begins with these 132 bytes; None for unreadable formats."""
+    """Return the file name suffix of an image that begins with these HEADER_BYTES; None for unreadable formats."""
     if start[128:132] == b"DICM":
         return ".dcm"
     return next((suffix for magic, suffix in _SUFFIXES.items() if start.startswith(magic)), None)
@@ -123,7 +125,7 @@ def _first_bytes(file: Path) -> bytes:
         size = file.stat().st_size
         if file.is_file() and 0 < size <= MAX_FILE_BYTES:
             with regular_file(file) as stream:
-                return stream.read(132)
+                return stream.read(HEADER_BYTES)
     except OSError as error:
         raise ImageError(f"cannot read {file.name}: {error.strerror}") from error
     if not file.is_file():

@@ -1,1 +1,1 @@
-"""A whole procedure on the digital twin: robot, drilled wire and check images, as demo, app and studies rehearse it."""
+"""Rehearsal of a whole procedure on the digital twin: robot, drilled wire, check images; for demo, app and studies."""

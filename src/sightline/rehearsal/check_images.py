@@ -1,4 +1,4 @@
-"""A check shot on the twin: two more images with the wire in the bone, and what is found in them."""
+"""A check shot on the twin: two more images with the wire in the bone, and the wire found in them."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -17,12 +17,12 @@ from sightline.twin import HipScene, SetUp, Variation, draw_setup, render
 from sightline.twin.implants import guide_wire
 
 ATTEMPTS = 200
-MARGIN_PX = 20.0  # of wire and landmarks from the field's edge
+MARGIN_PX = 20.0  # minimum distance of wire and landmarks from the edge of the field
 
 
 @dataclass(frozen=True, eq=False)
 class CheckImages:
-    """Both radiographs of a check, and the set-up and bone they were made of."""
+    """Both radiographs of a check shot, and the true set-up and bone that they show."""
 
     setup: SetUp
     hip: HipScene
@@ -32,8 +32,8 @@ class CheckImages:
     def take(
         planned: SetUp, hip: HipScene, wire_mm: np.ndarray, motion: RigidTransform, rng: np.random.Generator
     ) -> "CheckImages":
-        """With the wire (2, 3), planning CFCS, in the bone, and the bone moved against the frame. The C-arm is brought
-        anew. Raises SetUpError where no set-up shows it all."""
+        """Render the check images, with the wire (2, 3), planning CFCS, in the bone, and the bone moved against the
+        frame by `motion`. The C-arm is set up again. Raises SetUpError if no set-up shows wire and landmarks."""
         then = replace(hip, bone=hip.bone + guide_wire(wire_mm), motions={"check": motion}).at("check")
         points = np.concatenate([motion.apply(wire_mm), np.stack(list(then.landmarks_mm.values()))])
         chain, same_arm = planned.views[VIEWS[0]].chain.name, Variation(tube=planned.tube)
@@ -42,15 +42,15 @@ class CheckImages:
             setup = replace(drawn, true_frame=planned.true_frame)
             if all(view.in_field(view.project(points), MARGIN_PX).all() for view in setup.views.values()):
                 return CheckImages(setup, then, {name: render(setup, name, then.scene, rng) for name in VIEWS})
-        raise SetUpError(f"no set-up of {ATTEMPTS} shows wire and landmarks in both check images")
+        raise SetUpError(f"none of {ATTEMPTS} set-ups shows wire and landmarks in both check images")
 
     def landmarks_px(self, names: Sequence[str], sd_px: float, rng: np.random.Generator) -> np.ndarray:
-        """(2, L, 2): landmarks of the hip by their names, as a person finds them again."""
+        """Draw a person's picks (2, L, 2) of the named landmarks in both images."""
         xyz = np.stack([self.hip.landmarks_mm[name] for name in names])
         true = np.stack([self.setup.views[name].project(xyz) for name in VIEWS])
         return true + sd_px * rng.standard_normal(true.shape)
 
     def compare(self, plan: Plan, views: Sequence[BeadView], landmarks: Landmarks) -> CheckShot:
-        """The wire found in both against a plan made on `views`. Raises SightlineError."""
+        """Find the wire in both images and compare it with a plan made on `views`. Raises SightlineError."""
         images = [self.images[name] for name in VIEWS]
         return check_shot(plan, views, images, self.setup.frame, landmarks=landmarks)

@@ -1,7 +1,7 @@
-"""One insertion from a registration to a drilled wire, everything on the twin: what the integration trial does.
+"""One insertion on the twin, from registration to a drilled wire, as in the integration trial.
 
-The robot holds the frame while the images are taken; the bone is then where that frame truly stands. What the robot is
-told comes from the images and from its encoders alone, over the link; the truth judges it.
+The robot holds the frame while the images are acquired; the bone is at the true position of that frame. The robot gets
+information only from the images and its encoders, over the link. The truth is used for evaluation only.
 """
 
 import time
@@ -29,35 +29,38 @@ from sightline.twin import HipScene
 from sightline.twin.drilling import Bone
 from sightline.twin.manipulator import SimulatedPlant
 
-SLEEVE_MM = 5.0  # the sleeve that guides the wire ends so far before the entry point, at the bone [ours]
-IN_SLEEVE_MM = 0.5  # feed of a wire that is drawn in, before the joint's limit [ours]
+SLEEVE_MM = 5.0  # distance from the mouth of the wire's sleeve to the entry point, at the bone [ours]
+IN_SLEEVE_MM = 0.5  # feed of a retracted wire, just inside the joint's limit [ours]
 
 
 @dataclass(frozen=True, eq=False)
-class Outcome:
-    """How a drilled wire lies against the ideal one: distance of its axis from the entry point, of its tip from the
-    end point, mm, and the angle between the two, rad."""
+class InsertionOutcome:
+    """Deviation of a drilled wire from the ideal one: distance of its axis from the entry point, of its tip from the
+    end point, mm, and the angle between both, rad."""
 
     entry_mm: float
     end_mm: float
     angle_rad: float
 
     @staticmethod
-    def of(wire_mm: np.ndarray, ideal_mm: np.ndarray) -> "Outcome":
-        """Of the wire's mouth or entry and its tip (2, 3), against entry and end (2, 3)."""
+    def of(wire_mm: np.ndarray, ideal_mm: np.ndarray) -> "InsertionOutcome":
+        """Compare two points (2, 3) of the wire, its mouth or entry and its tip, with entry and end (2, 3)."""
         (start, tip), (entry, end) = wire_mm, ideal_mm
         along, ideal = (v / np.linalg.norm(v) for v in (tip - start, end - entry))
         off = entry - start
         angle = np.arctan2(np.linalg.norm(np.cross(along, ideal)), along @ ideal)
-        return Outcome(
+        return InsertionOutcome(
             float(np.linalg.norm(off - (off @ along) * along)), float(np.linalg.norm(tip - end)), float(angle)
         )
 
 
 @dataclass(frozen=True, eq=False)
-class Theatre:
-    """A robot beside a patient: as it is known (`robot`), as it is (`plant`), its encoders at the images (`imaged`),
-    where the frame truly stood then (`T_mcs_cfcs`), which is where the bone is, and what a person has confirmed."""
+class SimulatedTheatre:
+    """A simulated robot beside a patient.
+
+    `robot`: its calibrated model; `plant`: the true robot; `imaged` (5,): its encoders at the images; `T_mcs_cfcs`: the
+    true pose of the frame then, which is also that of the bone; `setup`: confirmed by a person.
+    """
 
     robot: CalibratedRobot
     plant: SimulatedPlant
@@ -66,32 +69,32 @@ class Theatre:
     setup: Setup
 
     @staticmethod
-    def draw(robot: CalibratedRobot, hip: HipScene, rng: np.random.Generator, setup: Setup) -> "Theatre":
-        """A true robot at the images of a hip. Raises SetUpError without MuJoCo."""
+    def draw(robot: CalibratedRobot, hip: HipScene, rng: np.random.Generator, setup: Setup) -> "SimulatedTheatre":
+        """Draw a true robot at the images of a hip. Raises SetUpError without MuJoCo."""
         true, start = drawn_robot(robot, setup.side, rng)
-        # Its own generator: how many samples it takes depends on the link, and the images must not.
+        # A separate generator, because the number of samples depends on the link, but the images must not.
         plant = SimulatedPlant(true, None, rng.spawn(1)[0], start=start)
         place = plant.true_T_mcs_cfcs()
         plant.meet(Bone(hip.bone.volumes, place))
-        return Theatre(robot, plant, plant.read().encoders, place, setup)
+        return SimulatedTheatre(robot, plant, plant.read().encoders, place, setup)
 
     @staticmethod
-    def in_air(side: str, serial: str) -> "Theatre":
-        """The robot as it is known, and no patient: the frame's beams level and upright. Raises SetUpError."""
+    def in_air(side: str, serial: str) -> "SimulatedTheatre":
+        """Return the robot of the calibrated model without a patient, frame level and upright. Raises SetUpError."""
         robot, start = calibrated_robot(side), np.zeros(5)
         start[YAW], start[FEED] = imaging_yaw(side), IN_SLEEVE_MM
         plant = SimulatedPlant(robot.manipulator, None, np.random.default_rng(), start=start)
         confirmed = Setup(side, serial, into_bone=False)
-        return Theatre(robot, plant, plant.read().encoders, plant.true_T_mcs_cfcs(), confirmed)
+        return SimulatedTheatre(robot, plant, plant.read().encoders, plant.true_T_mcs_cfcs(), confirmed)
 
     def server(
         self, *, host: str = LOOPBACK, port: int = 0, virtual: bool = False, dialect: Dialect = SIGHTLINE
     ) -> RobotServer:
-        """The robot behind its link, not yet listening. A person pushes the sleeve to the bone once it is aligned."""
+        """Return the robot's server, not yet listening. Once the robot is aligned, the sleeve is pushed to the bone."""
         setup = self.setup
         if dialect.own_frames:
             setup = replace(setup, frames=own_frames(self.robot, self.imaged))
-        # A reset meant for a fault of an earlier start must not clear one of this.
+        # Start fault numbers at the time of day, so that a reset for an earlier run's fault cannot clear a new one.
         controller = Controller(self.robot, self.plant, setup, first_fault=int(time.time()) % 1_000_000 + 1)
 
         def advance(dt_s: float) -> None:
@@ -111,53 +114,54 @@ class Theatre:
         )
 
     def target(self, plan: Plan, name: str) -> RobotTarget:
-        """What the robot is to drill. Raises RobotRefusedError."""
+        """Return the robot's target for a plan. Raises RobotRefusedError."""
         identity = PlanIdentity(name, self.setup.side, self.setup.frame_serial, plan.verdict.go, plan.kind.key)
         return target_of(plan, identity, registered(self.robot, self.imaged, time.monotonic()))
 
     def drill(self, target: RobotTarget, depth_limit_mm: float) -> DrillingRecord:
-        """Through the real link, in virtual time. Raises RobotRefusedError with what the robot says, LinkError."""
+        """Drill through the real link, in virtual time. Raises RobotRefusedError with the robot's reason, LinkError."""
         with self.server(virtual=True) as server, RobotClient(port=server.port, heartbeat=False) as client:
             return insert(client, target, depth_limit_mm)
 
     @property
     def wire(self) -> SimulatedWire:
-        """Where the wire truly is, now."""
+        """The true wire, now."""
         return SimulatedWire(self.plant.true_wire_mm(), self.T_mcs_cfcs, self.imaged)
 
     def _truth(self) -> str:
         return self.wire.text()
 
-    def outcome(self, ideal_mm: np.ndarray) -> Outcome:
-        """The physics' word, against entry and end point (2, 3) CFCS."""
-        return Outcome.of(self.wire.axis_mm, ideal_mm)
+    def outcome(self, ideal_mm: np.ndarray) -> InsertionOutcome:
+        """Compare the true wire with entry and end point (2, 3), CFCS."""
+        return InsertionOutcome.of(self.wire.axis_mm, ideal_mm)
 
 
 def own_frames(robot: CalibratedRobot, imaged: np.ndarray) -> OwnFrames:
-    """Of a robot whose encoders (5,) were these at the images: its base frame lies at the hip and has the axes of the
-    wire, both as at the images."""
+    """Return the own frames of a robot with encoders `imaged` (5,) at the images: its base frame is at the hip with the
+    axes of the wire, both as at the images."""
     T_mcs_hip = robot.manipulator.T_mcs_cfcs(imaged)
     axes = robot.manipulator.T_mcs_tool(imaged).rotation
     return OwnFrames(RigidTransform.from_components(T_mcs_hip.translation, axes), T_mcs_hip)
 
 
 def registered(robot: CalibratedRobot, imaged: np.ndarray, now_s: float) -> Registration:
-    """From the encoders (5,) of a robot that stands where it stood at both images, taken just now by the clock that
-    `insert` goes by, time.monotonic. Raises RobotRefusedError."""
+    """Register a robot that has not moved since the images, from its encoders (5,) read at `now_s` by time.monotonic,
+    the clock of `insert`. Raises RobotRefusedError."""
     pose = PoseAtImage(imaged, now_s, now_s)
     return register(robot, {"pa": pose, "lateral": pose})
 
 
 def target_of(plan: Plan, identity: PlanIdentity, registration: Registration) -> RobotTarget:
-    """A plan carried over. Raises RobotRefusedError."""
+    """Return the robot's target for a plan and a registration. Raises RobotRefusedError."""
     points = plan.trajectory.points
     return robot_target(identity, points.xyz_mm, points.budget_mm2, registration, plan.kind.limits)
 
 
 def insert(client: RobotClient, target: RobotTarget, depth_limit_mm: float) -> DrillingRecord:
-    """Align, confirm, drill to the pause, confirm, drill to the tip, as a person does who finds every shot in order.
+    """Align, confirm, drill to the pause, confirm, drill to the tip, as a person does if every shot is in order.
 
-    Raises RobotRefusedError with what the robot says against it, LinkError."""
+    Raises RobotRefusedError with the robot's reason, LinkError.
+    """
     recorder = Recorder()
     client.listeners.append(recorder.heard)
     client.start_up()
@@ -165,5 +169,5 @@ def insert(client: RobotClient, target: RobotTarget, depth_limit_mm: float) -> D
     client.aim_plan(target, time.monotonic(), depth_limit_mm)
     client.align()
     while client.drill() != State.DONE.value:
-        pass  # a person looks at the second shot, and confirms
+        pass  # here a person would check the second shot and confirm
     return recorder.record

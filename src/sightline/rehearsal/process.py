@@ -1,4 +1,4 @@
-"""The robot of a rehearsal as a process of its own, as a real one is: started here, and surely ended."""
+"""The robot of a rehearsal in a process of its own, which is started and reliably ended here."""
 
 import subprocess
 import sys
@@ -12,17 +12,18 @@ from typing import IO
 from sightline.closing import Closing
 from sightline.errors import LinkError
 
-START_S = 120.0  # imports and bone take 3 s; the very first start compiles kernels [measured]
-END_S = 5.0  # what a robot takes to stop and say goodbye, and then some
-_SAID = 2000  # characters of what it said that an error repeats
+START_S = 120.0  # imports and bone take 3 s; the first start compiles kernels [measured]
+END_S = 5.0  # time for a robot to stop and close its link, with a margin
+_SHOWN = 2000  # last characters of its error output that a message repeats
 
 
 class RobotProcess(Closing):
-    """`with RobotProcess(seed) as robot:` and a RobotClient at `robot.port`, loopback.
+    """The robot of `Rehearsal.draw(seed, Frame.load(frame), side)`, listening at `port` on loopback.
 
-    The robot of `Rehearsal.draw(seed, Frame.load(frame), side)`. Blocks until it listens. It ends with the block, with
-    `close`, and by itself when this process is gone, however that went. `virtual`: as fast as it computes, for clients
-    without heartbeats. Raises LinkError where it does not start, with its own words.
+    Use it as `with RobotProcess(seed) as robot:`, with a RobotClient at `robot.port`. The constructor blocks until the
+    robot listens. The process ends with the block, with `close`, and when this process ends in any way. `virtual`: run
+    as fast as possible, for clients without heartbeats. Raises LinkError, with the robot's error output, if it does not
+    start.
     """
 
     def __init__(self, seed: int, frame: str = "gamma", side: str = "right", *, virtual: bool = False) -> None:
@@ -39,10 +40,10 @@ class RobotProcess(Closing):
             raise
 
     def close(self) -> None:
-        """End it: asked first, then made to. Again is nothing."""
+        """End the process: ask, then terminate, then kill it. A second call does nothing."""
         if self._process.stdin is not None:
             with suppress(OSError):
-                self._process.stdin.close()  # which it notices
+                self._process.stdin.close()  # the robot ends when its input closes
         for end in (lambda: None, self._process.terminate, self._process.kill):
             end()
             with suppress(subprocess.TimeoutExpired):
@@ -54,19 +55,19 @@ class RobotProcess(Closing):
 
     @property
     def pid(self) -> int:
-        """Of the process."""
+        """The process id."""
         return self._process.pid
 
     @property
     def alive(self) -> bool:
-        """Whether it still runs."""
+        """Whether the process is running."""
         return self._process.poll() is None
 
     def _listening_port(self) -> int:
         lines: SimpleQueue[bytes] = SimpleQueue()
         stdout = self._process.stdout
         assert stdout is not None  # noqa: S101
-        # A pipe knows no time limit; a thread that waits for one line does.
+        # Reading a pipe has no time limit; waiting for a thread that reads it has.
         Thread(target=lambda: lines.put(stdout.readline()), name="robot's first line", daemon=True).start()
         try:
             return int(loads(lines.get(timeout=START_S))["port"])
@@ -76,8 +77,8 @@ class RobotProcess(Closing):
             self._process.terminate()
             with suppress(subprocess.TimeoutExpired):
                 self._process.wait(END_S)
-            raise LinkError(f"the simulated robot did not start: {self._said()}") from None
+            raise LinkError(f"the simulated robot did not start: {self._error_output()}") from None
 
-    def _said(self) -> str:
+    def _error_output(self) -> str:
         self._errors.seek(0)
-        return self._errors.read().decode(errors="replace").strip()[-_SAID:] or "it gave no reason"
+        return self._errors.read().decode(errors="replace").strip()[-_SHOWN:] or "it gave no reason"

@@ -11,7 +11,7 @@ from sightline.calibration.exchange import opencv
 from sightline.calibration.exchange.pinhole import Pinhole
 from sightline.case.canonical import plain
 from sightline.case.documents import view_document
-from sightline.case.views import CalibratedImage, Seen
+from sightline.case.views import CalibratedImage, ObservedView
 from sightline.checks import Check
 from sightline.errors import UnusableInputError
 from sightline.frame import Frame
@@ -23,7 +23,7 @@ _SAME_MM = 1e-3
 
 def as_image(view: BeadView) -> CalibratedImage:
     """Return a view as the reports and exports take it, without its image. Raises UnusableInputError."""
-    return CalibratedImage(Seen("", inputs_of(view).observations), view)
+    return CalibratedImage(ObservedView("", inputs_of(view).observations), view)
 
 
 def inputs_of(view: BeadView) -> CalibrationInputs:

@@ -1,4 +1,4 @@
-"""The paper's Table 1 on a machine of one's own: reconstructed test points beside their measured places."""
+"""The paper's Table 1 for the user's own machine: reconstructed test points compared with their measured positions."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -17,13 +17,13 @@ from sightline.planning import SpacePoints, reconstruct
 from sightline.planning.reconstruct import Method
 from sightline.studies.points import MeasuredPoints
 
-# Errors this unlikely under the covariance stated are not those of an honest covariance [ours].
-LEAST_PROBABILITY = 1e-3
+# Errors with a smaller probability show that the stated covariance is wrong [ours].
+MIN_PROBABILITY = 1e-3
 
 
 @dataclass(frozen=True)
 class Statistics:
-    """Of N errors, after ASTM F2554: `mean`, `sd` (of the sample; None of one error), `largest`, in `unit`."""
+    """Statistics of N errors after ASTM F2554, in `unit`: `mean`, sample `sd` (None for one error), `largest`."""
 
     what: str
     unit: str
@@ -34,33 +34,33 @@ class Statistics:
 
     @staticmethod
     def of(what: str, unit: str, errors: np.ndarray) -> "Statistics":
-        """Of absolute errors (N,)."""
+        """Return the statistics of absolute errors (N,)."""
         sd = float(np.std(errors, ddof=1)) if len(errors) > 1 else None
         return Statistics(what, unit, len(errors), float(np.mean(errors)), sd, float(np.max(errors)))
 
 
 @dataclass(frozen=True, eq=False)
 class Assessment:
-    """N test points: measured elsewhere (`truth`), and reconstructed from the images (`points`). CFCS, mm."""
+    """N test points: measured by other means (`truth`) and reconstructed from the images (`points`). CFCS, mm."""
 
     truth: MeasuredPoints
     points: SpacePoints
 
     @property
     def error_mm(self) -> np.ndarray:
-        """(N, 3) reconstructed less measured."""
+        """Errors (N, 3): reconstructed minus measured."""
         return self.points.xyz_mm - self.truth.xyz_mm
 
     @property
     def absolute_mm(self) -> np.ndarray:
-        """(N,) E of the paper's Table 1."""
+        """Lengths (N,) of the errors: E of the paper's Table 1."""
         return np.linalg.norm(self.error_mm, axis=1)
 
     @cached_property
     def predicted_95_mm(self) -> np.ma.MaskedArray | None:
-        """(N,) with a probability of 95 % the point errs by less; None where a view's error is unknown.
+        """95 % bounds (N,) of the errors; None if a view's error is unknown.
 
-        Masked where the gap of the point contradicts it.
+        Masked for points whose distance between the lines of sight contradicts the bound.
         """
         if self.points.joint_covariance_mm2 is None:
             return None
@@ -68,9 +68,9 @@ class Assessment:
 
     @property
     def normalised(self) -> np.ma.MaskedArray | None:
-        """(N,) Mahalanobis length of each error: about 1.7 where the covariance is right. None where it is unknown.
+        """Mahalanobis lengths (N,) of the errors: about 1.7 if the covariance is right; None if it is unknown.
 
-        Masked where the gap of the point contradicts the covariance.
+        Masked for points whose distance between the lines of sight contradicts the covariance.
         """
         if self.points.joint_covariance_mm2 is None:
             return None
@@ -79,7 +79,7 @@ class Assessment:
         return np.ma.masked_array(lengths, mask=self.points.gap_failed)
 
     def table(self) -> tuple[Statistics, ...]:
-        """Position and, from two points on, distance and angle between pairs of points: separately (ASTM F2554)."""
+        """Return statistics of position and, from two points on, of distances and angles of pairs (ASTM F2554)."""
         position = Statistics.of("position", "mm", self.absolute_mm)
         pairs = list(combinations(range(len(self.truth.names)), 2))
         if not pairs:
@@ -97,21 +97,21 @@ class Assessment:
 
     @property
     def checks(self) -> tuple[Check, ...]:
-        """Whether the errors, all points together, are as large as was predicted, and each gap as stated."""
+        """Checks that the errors of all points agree with the prediction, and each gap with its stated error."""
         if self.points.joint_covariance_mm2 is None:
             sentence = "Error unknown: a view states no covariance, so no error was predicted."
-            return (Check("errors as predicted", False, None, LEAST_PROBABILITY, "", sentence),)
+            return (Check("errors as predicted", False, None, MIN_PROBABILITY, "", sentence),)
         errors = self.error_mm.ravel()
         square = errors @ np.linalg.solve(self.points.joint_covariance_mm2, errors)
         probability = float(chi2.sf(square, len(errors)))
-        passed = probability >= LEAST_PROBABILITY
+        passed = probability >= MIN_PROBABILITY
         sentence = f"Errors this large have a probability of {probability:.2g} under the covariance stated"
         sentence += "." if passed else "; check the measured coordinates, the frame's tolerances and the picks."
-        agreement = Check("errors as predicted", passed, probability, LEAST_PROBABILITY, "", sentence)
+        agreement = Check("errors as predicted", passed, probability, MIN_PROBABILITY, "", sentence)
         return (agreement, *self.points.gap_checks(self.truth.names))
 
     def document(self) -> dict[str, Any]:
-        """Everything as JSON types; null where the error is unknown or contradicted by the gap."""
+        """Return everything as JSON types; null where the error is unknown or contradicted by the gap."""
         unknown = [None] * len(self.truth.names)
         predicted, normalised = (unknown if a is None else a.tolist() for a in (self.predicted_95_mm, self.normalised))
         return {
@@ -142,9 +142,9 @@ def assess(
     uv_covariance_px2: np.ndarray | None = None,
     method: Method = "weighted",
 ) -> Assessment:
-    """Reconstruct test points from their pixels (2, N, 2), those of the table if none are given, and compare.
+    """Reconstruct test points from pixels (2, N, 2), by default those of the table, and compare them with the truth.
 
-    Raises UnusableInputError where there are no pixels, and what `reconstruct` raises.
+    Raises UnusableInputError if there are no pixels, and what `reconstruct` raises.
     """
     pixels = truth.uv_px if uv_px is None else uv_px
     if pixels is None:

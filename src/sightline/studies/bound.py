@@ -1,11 +1,12 @@
-"""The bound that the accuracy of targets is compared with: no unbiased use of the same images can do better.
+"""Lower bound of the error of targets: no unbiased estimator that uses the same images can do better.
 
-Inverse Fisher information (Bayesian, van Trees) of one target's xyz in one set-up. Data: the pixels of all visible
-beads of both views, and the target's, with their true covariances. Nuisances: both focal points and, for each
-view's map, a cubic, all with a flat prior; the part of the map beyond a cubic and the frame's errors, with the
-priors they were truly drawn from. All is linear about the truth, so the bound is a marginal of one Gaussian.
+The bound is the inverse Fisher information (Bayesian, van Trees) of one target's xyz in one set-up. Data: the pixels of
+all visible beads of both views and of the target, with their true covariances. Nuisance parameters: both focal points
+and a cubic for each view's map, with flat priors; the part of the map beyond a cubic and the errors of the frame, with
+the priors that they were drawn from. Everything is linearised about the truth, so the bound is a marginal of one
+Gaussian.
 
-On the reference plane of a view, bead b (pixel u, place X) obeys `cubic(u) + beyond(u) + J noise = projection(F, X)`.
+On the reference plane of a view, bead b (pixel u, point X) obeys `cubic(u) + beyond(u) + J noise = projection(F, X)`.
 """
 
 from dataclasses import dataclass
@@ -17,14 +18,15 @@ from scipy.linalg import block_diag, cho_factor, cho_solve
 from sightline.geometry.planes import Plane
 from sightline.twin import SetUp, ViewTruth
 
-_STEP_MM = 1e-3  # of numerical derivatives; the functions are smooth over millimetres
+_STEP_MM = 1e-3  # of numerical derivatives; the functions are smooth on a scale of millimetres
 
 
 @dataclass(frozen=True, eq=False)
-class Seen:
-    """What is seen of one view: `ids` of its visible beads, their covariances `bead_px2` (N, 2, 2), the target's pick.
+class BoundData:
+    """The data of one view: `ids` of its visible beads, their covariances `bead_px2` (N, 2, 2), the target's pick.
 
-    `pick_px2` (2, 2): its covariance; `across_px` (2,): zero, or the direction in which a snapped pick says nothing.
+    `pick_px2` (2, 2): covariance of the pick. `across_px` (2,): zero, or the direction in which a snapped pick is not
+    a measurement.
     """
 
     ids: tuple[str, ...]
@@ -33,8 +35,11 @@ class Seen:
     across_px: np.ndarray
 
 
-def bound(setup: SetUp, seen: dict[str, Seen], target_mm: np.ndarray, *, known_map: bool = False) -> np.ndarray:
-    """(3, 3) mm²: least covariance of the target at `target_mm` (3,), CFCS. `known_map`: both maps known exactly."""
+def bound(setup: SetUp, seen: dict[str, BoundData], target_mm: np.ndarray, *, known_map: bool = False) -> np.ndarray:
+    """Return the lower bound (3, 3), mm², of the covariance of a target at `target_mm` (3,), CFCS.
+
+    `known_map`: take both maps as known exactly.
+    """
     views = [_linearised(setup, name, one, target_mm, known_map) for name, one in seen.items()]
     nuisance = np.asarray(block_diag(*[view.nuisance for view in views]))
     design = np.hstack([nuisance, np.vstack([view.target for view in views])])
@@ -55,7 +60,7 @@ class _Linear:
     covariance: np.ndarray
 
 
-def _linearised(setup: SetUp, name: str, seen: Seen, target_mm: np.ndarray, known_map: bool) -> _Linear:
+def _linearised(setup: SetUp, name: str, seen: BoundData, target_mm: np.ndarray, known_map: bool) -> _Linear:
     truth, plane = setup.views[name], setup.frame.view(name).xrii.plane
     fiducials = setup.true_frame.view(name).by_id
     places = list(setup.frame.view(name).by_id)
@@ -84,25 +89,25 @@ def _linearised(setup: SetUp, name: str, seen: Seen, target_mm: np.ndarray, know
 
 
 def _snapped(view: _Linear, jacobian: np.ndarray, across_px: np.ndarray) -> _Linear:
-    """Only what the target's pixel says along its curve."""
+    """Keep only the component of the target's pixel along its curve."""
     keep = np.eye(2 * len(view.target) // 2)[:-1]
     keep[-1, -2:] = np.array([across_px[1], -across_px[0]]) @ np.linalg.inv(jacobian)
     return _Linear(keep @ view.nuisance, keep @ view.target, keep @ view.response, keep @ view.covariance @ keep.T)
 
 
 def _plane_per_pixel(truth: ViewTruth, plane: Plane, xyz_mm: np.ndarray, by_point: np.ndarray) -> np.ndarray:
-    """(N, 2, 2): d plane / d pixel at the images of points: moves in the plane's axes change both."""
+    """Return d plane / d pixel (N, 2, 2) at the images of points, from displacements along the plane's axes."""
     px = _derivative(truth.project, xyz_mm) @ plane.axes.T
     return (by_point @ plane.axes.T) @ np.linalg.inv(px)
 
 
 def _derivative(function, at: np.ndarray) -> np.ndarray:
-    """(N, 2, 3) of a function of points, by central differences."""
+    """Return the derivative (N, 2, 3) of a function of points, by central differences."""
     steps = _STEP_MM * np.eye(3)
     return np.stack([(function(at + s) - function(at - s)) / (2 * _STEP_MM) for s in steps], axis=-1)
 
 
 def _cubic(uv_px: np.ndarray) -> np.ndarray:
-    """(N, 10) monomials."""
+    """Return the cubic monomials (N, 10) of pixels (N, 2)."""
     x, y = ((uv_px - uv_px.mean(axis=0)) / np.ptp(uv_px, axis=0)).T
     return np.stack([x**a * y**b for a in range(4) for b in range(4 - a)], axis=-1)

@@ -1,4 +1,4 @@
-"""The studies there are, by name."""
+"""All studies by name."""
 
 from sightline.errors import UnusableInputError
 from sightline.studies.study import Study
@@ -33,7 +33,7 @@ STUDIES: dict[str, Study] = {study.name: study for study in _ALL}
 
 
 def study_called(name: str) -> Study:
-    """Raises UnusableInputError, naming the studies there are."""
+    """Return the study of this name. Raises UnusableInputError, which lists all studies."""
     if name not in STUDIES:
         raise UnusableInputError(f"there is no study {name!r}; there are: {', '.join(STUDIES)}")
     return STUDIES[name]

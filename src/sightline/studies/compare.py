@@ -1,4 +1,4 @@
-"""The twin beside real images: each measured in the same way, and by how much they differ."""
+"""Comparison of the twin with real images: both are measured in the same way."""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
@@ -13,19 +13,19 @@ from sightline.errors import DetectionRefusedError, SightlineError, UnusableInpu
 from sightline.frame import Frame
 from sightline.imaging import Radiograph, read_image
 from sightline.studies import image_figures as measure
-from sightline.studies.figure_xy import Axis, Point, Series, xy
+from sightline.studies.figure_xy import PlotAxis, PlotPoint, PlotSeries, xy
 from sightline.studies.image_figures import NotMeasurableError
 from sightline.studies.lattice import Lattice
-from sightline.studies.study import Picture
-from sightline.studies.twin_like import VIEW, Twin, lattice_mm, twin_of
+from sightline.studies.study import Plot
+from sightline.studies.twin_like import VIEW, lattice_mm, twin_of
 from sightline.twin import draw_setup
 
-DRAWS = 40  # exposures of the twin that say how far its distortion ranges [ours]
-LAGS_PX = (1, 2)  # blocks of 16 px take 0.05 and more from the correlation farther apart [calc]
-RANGE = (5, 95)  # per cent of those draws
-IMAGE_COUNT = 40  # of a folder, at most: each costs up to half a minute [ours]
+DRAWS = 40  # exposures of the twin from which the range of its distortion is estimated [ours]
+LAGS_PX = (1, 2)  # at larger lags blocks of 16 px reduce the correlation by 0.05 or more [calc]
+RANGE = (5, 95)  # percentiles of those draws
+MAX_IMAGES = 40  # per folder: each takes up to half a minute [ours]
 
-LEGEND = 4  # images in one picture: eight curves can be told apart [ours]
+MAX_LEGEND = 4  # images per plot: eight curves can still be distinguished [ours]
 
 ALONE = "svg { background: var(--card); } text { font: 13px sans-serif; fill: var(--ink); } " + "".join(
     f".source-{c} {{ fill: var(--{c}); }} " for c in ("beads", "frame", "focal", "picks", "map")
@@ -35,8 +35,8 @@ Curve = list[tuple[float, float]]
 
 
 @dataclass(frozen=True)
-class Figure:
-    """A number of one image, or why there is none. `name` says what; equal names are compared."""
+class Measurement:
+    """A value measured on one image, or why it could not be measured. Measurements of equal names are compared."""
 
     name: str
     unit: str
@@ -48,37 +48,38 @@ class Figure:
 
 
 @dataclass(frozen=True, eq=False)
-class Seen:
-    """All that was measured of one image. `curves` by name: residual, noise, correlation, vignetting."""
+class ImageMeasurements:
+    """All measurements of one image. `curves` by name: residual, noise, correlation, vignetting."""
 
     image: Radiograph
     beads: Detections | None
-    figures: tuple[Figure, ...]
+    measurements: tuple[Measurement, ...]
     curves: dict[str, Curve] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
 class Pair:
-    """A real image and the twin's image of its kind. `ranges`: 5 and 95 % of what the twin draws, by figure."""
+    """A real image and the twin's image of the same kind. `ranges`: 5th and 95th percentile over the twin's draws, by
+    measurement."""
 
     name: str
-    real: Seen
-    twin: Seen
+    real: ImageMeasurements
+    twin: ImageMeasurements
     like: str
     ranges: dict[str, tuple[float, float]]
 
 
 def read_folder(folder: Path, *, invert: bool = False) -> tuple[list[tuple[str, Radiograph]], list[str]]:
-    """Return the images of a folder in the order of their names, and why each other file was skipped.
+    """Read the images of a folder in the order of their names; return them, and why each other file was skipped.
 
-    `invert`: as of `read_image`. Raises UnusableInputError where there is no folder, no image in it, or more than
-    IMAGE_COUNT files.
+    `invert`: as of `read_image`. Raises UnusableInputError if there is no folder, no image in it, or more than
+    MAX_IMAGES files.
     """
     if not folder.is_dir():
         raise UnusableInputError(f"{folder} is not a folder; name one that holds images of a C-arm")
     files = sorted(f for f in folder.iterdir() if f.is_file() and not f.name.startswith("."))
-    if len(files) > IMAGE_COUNT:
-        raise UnusableInputError(f"{folder} holds {len(files)} files; the limit is {IMAGE_COUNT}: choose some")
+    if len(files) > MAX_IMAGES:
+        raise UnusableInputError(f"{folder} holds {len(files)} files; the limit is {MAX_IMAGES}: choose some")
     images, passed = [], []
     for file in files:
         try:
@@ -92,24 +93,24 @@ def read_folder(folder: Path, *, invert: bool = False) -> tuple[list[tuple[str, 
 
 
 def compare(name: str, image: Radiograph, rng: np.random.Generator) -> Pair:
-    """Measure an image, make the twin's image of its kind, and measure that alike."""
-    real = seen(image)
+    """Measure an image, make the twin's image of the same kind, and measure that in the same way."""
+    real = measured(image)
     twin = twin_of(image, real.beads, rng)
-    return Pair(name, real, seen(twin.image), twin.words, _drawn(real, twin, rng))
+    return Pair(name, real, measured(twin.image), twin.words, _ranges(real, rng))
 
 
-def seen(image: Radiograph) -> Seen:
-    """Everything that an image shows of its machine."""
+def measured(image: Radiograph) -> ImageMeasurements:
+    """Measure everything that an image shows of its machine."""
     beads = _beads(image)
     curves: dict[str, Curve] = {}
-    figures = [
+    measurements = [
         *_distortion(image, beads, curves),
         *_edge(image, beads),
         *_noise(image, beads, curves),
         *_contrast(beads),
         *_vignetting(image, beads, curves),
     ]
-    return Seen(image, beads, tuple(figures), curves)
+    return ImageMeasurements(image, beads, tuple(measurements), curves)
 
 
 def _beads(image: Radiograph) -> Detections | None:
@@ -119,39 +120,39 @@ def _beads(image: Radiograph) -> Detections | None:
         return None
 
 
-def _or_why(names: Sequence[tuple[str, str]], values: Callable[[], Sequence[float]]) -> list[Figure]:
-    """Figures of (name, unit), or the reason for which none of them can be measured."""
+def _or_why(names: Sequence[tuple[str, str]], values: Callable[[], Sequence[float]]) -> list[Measurement]:
+    """Return measurements of (name, unit), or the reason why they cannot be measured."""
     try:
-        return [Figure(name, unit, float(value)) for (name, unit), value in zip(names, values(), strict=True)]
+        return [Measurement(name, unit, float(value)) for (name, unit), value in zip(names, values(), strict=True)]
     except NotMeasurableError as error:
-        return [Figure(name, unit, None, str(error)) for name, unit in names]
+        return [Measurement(name, unit, None, str(error)) for name, unit in names]
 
 
-def _distortion(image: Radiograph, beads: Detections | None, curves: dict[str, Curve]) -> list[Figure]:
+def _distortion(image: Radiograph, beads: Detections | None, curves: dict[str, Curve]) -> list[Measurement]:
     names = [("pincushion", "%"), ("turn", "mrad"), *((f"residual of degree {d}", "px") for d in measure.DEGREES)]
     try:
         lattice = measure.lattice_of(beads)
         found = measure.distortion(lattice, *measure.field_circle(image))
     except NotMeasurableError as error:
-        return [Figure(name, unit, None, str(error)) for name, unit in names]
+        return [Measurement(name, unit, None, str(error)) for name, unit in names]
     curves["residual"] = [(float(d), r) for d, r in found.residual_px.items()]
     return _of_distortion(found)
 
 
-def _of_distortion(found: measure.DistortionSeen) -> list[Figure]:
+def _of_distortion(found: measure.DistortionMeasured) -> list[Measurement]:
     few = f"{found.points} points are too few for its coefficients"
     return [
-        Figure("pincushion", "%", 100 * found.pincushion),
-        Figure("turn", "mrad", 1000 * abs(found.turn_rad)),
-        *(Figure(f"residual of degree {d}", "px", found.residual_px.get(d), few) for d in measure.DEGREES),
+        Measurement("pincushion", "%", 100 * found.pincushion),
+        Measurement("turn", "mrad", 1000 * abs(found.turn_rad)),
+        *(Measurement(f"residual of degree {d}", "px", found.residual_px.get(d), few) for d in measure.DEGREES),
     ]
 
 
-def _edge(image: Radiograph, beads: Detections | None) -> list[Figure]:
+def _edge(image: Radiograph, beads: Detections | None) -> list[Measurement]:
     return _or_why([("edge spread", "px")], lambda: measure.edge_spread(image, beads)[:1])
 
 
-def _noise(image: Radiograph, beads: Detections | None, curves: dict[str, Curve]) -> list[Figure]:
+def _noise(image: Radiograph, beads: Detections | None, curves: dict[str, Curve]) -> list[Measurement]:
     names = [
         ("noise at the median level", "%"),
         ("noise exponent", ""),
@@ -168,23 +169,23 @@ def _noise(image: Radiograph, beads: Detections | None, curves: dict[str, Curve]
     return _or_why(names, values)
 
 
-def _contrast(beads: Detections | None) -> list[Figure]:
+def _contrast(beads: Detections | None) -> list[Measurement]:
     names = [("contrast of balls", "in ln"), ("radius of balls", "px")]
     return _or_why(names, lambda: measure.ball_contrast(beads)[:2])
 
 
-def _vignetting(image: Radiograph, beads: Detections | None, curves: dict[str, Curve]) -> list[Figure]:
+def _vignetting(image: Radiograph, beads: Detections | None, curves: dict[str, Curve]) -> list[Measurement]:
     def values() -> list[float]:
         found = measure.vignetting(image, beads)
         curves["vignetting"] = list(zip(found.radius.tolist(), found.brightness.tolist(), strict=True))
-        return [100 * found.brightness[measure.LEAST_RINGS - 1], 100 * found.brightness.max()]
+        return [100 * found.brightness[measure.MIN_RINGS - 1], 100 * found.brightness.max()]
 
-    at = (measure.LEAST_RINGS - 0.5) / measure.RINGS
+    at = (measure.MIN_RINGS - 0.5) / measure.RINGS
     return _or_why([(f"brightness at {at:.2f} radius", "%"), ("brightest ring", "%")], values)
 
 
-def _drawn(real: Seen, twin: Twin, rng: np.random.Generator) -> dict[str, tuple[float, float]]:
-    """How far the twin's distortion ranges over other tubes and poses; empty where the image shows none."""
+def _ranges(real: ImageMeasurements, rng: np.random.Generator) -> dict[str, tuple[float, float]]:
+    """Return the range of the twin's distortion over other tubes and poses; empty if the image shows none."""
     try:
         lattice = measure.lattice_of(real.beads)
     except NotMeasurableError:
@@ -193,13 +194,13 @@ def _drawn(real: Seen, twin: Twin, rng: np.random.Generator) -> dict[str, tuple[
     noise_px = float(np.sqrt(np.median(np.trace(real.beads.covariance_px2, axis1=1, axis2=2)) / 2))
     draws = [_one_draw(real.image, lattice, noise_px, rng) for _ in range(DRAWS)]
     values: dict[str, list[float]] = {}
-    for figure in (f for draw in draws for f in draw if f.value is not None):
-        values.setdefault(figure.name, []).append(figure.value or 0.0)
+    for measurement in (f for draw in draws for f in draw if f.value is not None):
+        values.setdefault(measurement.name, []).append(measurement.value or 0.0)
     return {name: tuple(np.percentile(v, RANGE).tolist()) for name, v in values.items()}
 
 
-def _one_draw(image: Radiograph, lattice: Lattice, noise_px: float, rng: np.random.Generator) -> list[Figure]:
-    """Distortion figures of the lattice on the input plane of another tube; points, not an image."""
+def _one_draw(image: Radiograph, lattice: Lattice, noise_px: float, rng: np.random.Generator) -> list[Measurement]:
+    """Measure the distortion of the lattice on the input plane of another tube, from points without an image."""
     view = draw_setup(rng, Frame.load("gamma")).views[VIEW]
     centre, radius = measure.field_circle(image)
     scale = radius / view.chain.mask_px
@@ -217,15 +218,15 @@ def _one_draw(image: Radiograph, lattice: Lattice, noise_px: float, rng: np.rand
     return _of_distortion(measure.distortion(again, centre, radius))
 
 
-def differences(pair: Pair) -> Iterator[tuple[str, Figure, Figure, float | None]]:
-    """Each figure: its name, the real image's, the twin's, and the twin's over the real one where both are known."""
-    for real, twin in zip(pair.real.figures, pair.twin.figures, strict=True):
+def differences(pair: Pair) -> Iterator[tuple[str, Measurement, Measurement, float | None]]:
+    """Yield for each measurement: its name, the real one, the twin's, and the ratio twin / real if both are known."""
+    for real, twin in zip(pair.real.measurements, pair.twin.measurements, strict=True):
         known = real.value is not None and twin.value is not None and abs(real.value) > 1e-9
         yield real.name, real, twin, (twin.value or 0.0) / (real.value or 1.0) if known else None
 
 
-def pictures(pairs: Sequence[Pair]) -> list[Picture]:
-    """Curves of all images: real ones solid, the twin's dashed. A curve that no real image shows is left out."""
+def plots(pairs: Sequence[Pair]) -> list[Plot]:
+    """Plot the curves of all images: real ones solid, the twin's dashed, without curves that no real image shows."""
     drawn = (
         ("residual", "What a polynomial leaves", "degree", "rms residual, px", True),
         ("noise", "Noise against signal", "brightness over the median", "noise, % of the signal", True),
@@ -235,21 +236,21 @@ def pictures(pairs: Sequence[Pair]) -> list[Picture]:
     out = []
     for name, title, across, up, log in drawn:
         least = 1e-3 if log else 0.0
-        shown = [p for p in pairs if name in p.real.curves][:LEGEND]
+        shown = [p for p in pairs if name in p.real.curves][:MAX_LEGEND]
         series = [
-            Series(f"{p.name}{mark}", [Point(x, max(y, least)) for x, y in s.curves[name]], dashed, k)
+            PlotSeries(f"{p.name}{mark}", [PlotPoint(x, max(y, least)) for x, y in s.curves[name]], dashed, k)
             for k, p in enumerate(shown)
             for s, mark, dashed in ((p.real, "", False), (p.twin, ", twin", True))
             if name in s.curves
         ]
         if series:
-            svg = xy(series, Axis(across, log=name == "noise"), Axis(up, log=log), title)
-            out.append(Picture(title, svg, "Real images, and the twin's image of the same kind (dashed)."))
+            svg = xy(series, PlotAxis(across, log=name == "noise"), PlotAxis(up, log=log), title)
+            out.append(Plot(title, svg, "Real images, and the twin's image of the same kind (dashed)."))
     return out
 
 
-def alone(picture: Picture) -> bytes:
-    """The drawing as a file that needs no style sheet but its own."""
+def alone(picture: Plot) -> bytes:
+    """Return the drawing as a file with its own style sheet."""
     style = f"<style>{(files('sightline.case.report') / 'templates' / 'report.css').read_text('utf-8').split('* {')[0]}"
     style += f"{(files('sightline.studies') / 'templates' / 'study.css').read_text('utf-8')}{ALONE}</style>"
     head, rest = picture.svg.split(">", 1)
@@ -257,7 +258,7 @@ def alone(picture: Picture) -> bytes:
 
 
 def document(pairs: Sequence[Pair], passed: Sequence[str], seed: int) -> dict[str, Any]:
-    """All figures and curves, as JSON types; no pixels."""
+    """Return all measurements and curves as JSON types, without pixels."""
     return {
         "seed": seed,
         "passed_over": list(passed),
@@ -286,12 +287,13 @@ def document(pairs: Sequence[Pair], passed: Sequence[str], seed: int) -> dict[st
 
 
 def findings(pairs: Sequence[Pair]) -> list[str]:
-    """Sentences: where the twin differs, figure by figure over all images that show it; and what none of them shows."""
-    known: dict[str, list[tuple[Figure, Figure]]] = {}
+    """Return sentences: how the twin differs in each measurement, over all images that show it, and which measurements
+    no image shows."""
+    known: dict[str, list[tuple[Measurement, Measurement]]] = {}
     for pair in pairs:
         for name, real, twin, _ in differences(pair):
             known.setdefault(name, []).append((real, twin))
-    out = ["one image only: what differs may be this image's own, not the machine's"] if len(pairs) == 1 else []
+    out = ["only one image: differences may be due to this image, not to the machine"] if len(pairs) == 1 else []
     for name, both in known.items():
         shown = [(r, t) for r, t in both if r.value is not None and t.value is not None]
         if not shown:

@@ -1,4 +1,4 @@
-"""The comparison of twin and real images as one page that needs no other file."""
+"""The comparison of twin and real images as a single HTML page, which needs no other file."""
 
 import base64
 from collections.abc import Sequence
@@ -10,11 +10,11 @@ from jinja2 import Environment, StrictUndefined
 from markupsafe import Markup
 
 from sightline import __version__
-from sightline.case.report.figures.radiographs import JPEG_QUALITY, grey
+from sightline.case.report.drawing.radiographs import JPEG_QUALITY, grey
 from sightline.imaging import Radiograph
-from sightline.studies.compare import Pair, differences, findings, pictures
+from sightline.studies.compare import Pair, differences, findings, plots
 
-SHOWN_PX = 512  # side of a picture on the page [ours]
+SHOWN_PX = 512  # side of an image on the page [ours]
 PAIR_CSS = (
     ".pair { display: flex; gap: 1rem; flex-wrap: wrap; } .pair figure { flex: 1 1 18rem; margin: 0; } "
     ".pair img { width: 100%; }\n"
@@ -22,7 +22,7 @@ PAIR_CSS = (
 
 
 def render(pairs: Sequence[Pair], passed: Sequence[str], folder: str, seed: int) -> str:
-    """The page as HTML. It holds the images, at SHOWN_PX."""
+    """Return the page as HTML, with the images scaled to SHOWN_PX."""
     here, report = files("sightline.studies") / "templates", files("sightline.case.report") / "templates"
     environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
     css = (report / "report.css").read_text("utf-8") + (here / "study.css").read_text("utf-8") + PAIR_CSS
@@ -34,7 +34,7 @@ def render(pairs: Sequence[Pair], passed: Sequence[str], folder: str, seed: int)
         seed=seed,
         passed=passed,
         findings=findings(pairs),
-        pictures=[{**vars(one), "svg": Markup(one.svg)} for one in pictures(pairs)],  # noqa: S704 - drawn here
+        plots=[{**vars(one), "svg": Markup(one.svg)} for one in plots(pairs)],  # noqa: S704 - drawn here
         images=[_shown(pair) for pair in pairs],
     )
 

@@ -1,17 +1,17 @@
-"""Spreads side by side: for each row its central 90 % as a bar, its median as a tick, on one logarithmic axis."""
+"""Drawing of distributions as rows: central 90 % as a bar, median as a tick, on one logarithmic axis."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import ceil, floor, log10
 
-from sightline.case.report.figures import svg
+from sightline.case.report.drawing import svg
 
 WIDTH, ROW, LEFT, RIGHT, FOOT, BAR = 760.0, 24.0, 250.0, 30.0, 36.0, 12.0
 
 
 @dataclass(frozen=True)
 class Span:
-    """One row; `mark`: a figure from elsewhere that it is held against."""
+    """One row. `mark`: a value from another source to compare with."""
 
     name: str
     low: float
@@ -22,7 +22,7 @@ class Span:
 
 
 def spans(rows: Sequence[Span], unit: str, description: str, mark: str = "") -> str:
-    """All rows on one axis; `mark`: what a mark stands for."""
+    """Draw all rows on one axis. `mark`: the meaning of a mark."""
     values = [v for row in rows for v in (row.low, row.high, row.mark) if v]
     first, last = log10(min(values)) - 0.05, log10(max(values)) + 0.05
     foot = len(rows) * ROW
@@ -34,15 +34,15 @@ def spans(rows: Sequence[Span], unit: str, description: str, mark: str = "") -> 
     parts.append(svg.text(unit, WIDTH - RIGHT, foot + 30, class_="unit"))
     for k, row in enumerate(rows):
         parts += _row(row, k * ROW + ROW / 2, x, unit, mark)
-    return svg.picture((0, 0, WIDTH, foot + FOOT), description, parts, class_="spans")
+    return svg.figure((0, 0, WIDTH, foot + FOOT), description, parts, class_="spans")
 
 
 def _row(row: Span, y: float, x, unit: str, mark: str) -> list[str]:
-    says = svg.hint(f"{row.name}: 90 % lie between {row.low:.3g} and {row.high:.3g} {unit}, median {row.middle:.3g}")
+    hint = svg.hint(f"{row.name}: 90 % lie between {row.low:.3g} and {row.high:.3g} {unit}, median {row.middle:.3g}")
     width = max(x(row.high) - x(row.low), 1.0)
     parts = [
         svg.text(row.name, LEFT - 12, y, class_="row-name"),
-        svg.element("rect", says, x=x(row.low), y=y - BAR / 2, width=width, height=BAR, class_=f"source-{row.colour}"),
+        svg.element("rect", hint, x=x(row.low), y=y - BAR / 2, width=width, height=BAR, class_=f"source-{row.colour}"),
         svg.element("line", x1=x(row.middle), x2=x(row.middle), y1=y - BAR / 2, y2=y + BAR / 2, class_="median"),
     ]
     if row.mark:
@@ -58,6 +58,6 @@ def _tick(x: float, foot: float, words: str) -> str:
 
 
 def _round_values(first: float, last: float) -> list[float]:
-    """1, 2, 5, 10, ... between powers of ten."""
+    """Return 1, 2 and 5 times powers of ten within a range of logarithms."""
     values = [m * 10.0**e for e in range(floor(first), ceil(last) + 1) for m in (1, 2, 5)]
     return [v for v in values if first <= log10(v) <= last]

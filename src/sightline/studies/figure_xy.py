@@ -1,24 +1,24 @@
-"""One quantity against another: points with their intervals, joined to lines, on straight or logarithmic axes."""
+"""Line plot of one quantity against another, with intervals, on linear or logarithmic axes."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import ceil, floor, log10
 
-from sightline.case.report.figures import svg
+from sightline.case.report.drawing import svg
 
 WIDTH, HEIGHT, LEFT, RIGHT, TOP, FOOT = 760.0, 420.0, 70.0, 190.0, 14.0, 52.0
 COLOURS = ("beads", "frame", "focal", "picks", "map")
 
 
 @dataclass(frozen=True)
-class Axis:
-    """`log`: logarithmic; else it begins at zero."""
+class PlotAxis:
+    """An axis: logarithmic if `log`, else linear from zero."""
 
     name: str
     log: bool = True
 
     def numbers(self, values: Sequence[float]) -> list[float]:
-        """Round ones, of which the first and the last enclose all values."""
+        """Return round tick values that enclose all values."""
         if self.log:
             decades = range(floor(log10(min(values))), ceil(log10(max(values))) + 1)
             rounds = [m * 10.0**e for e in decades for m in (1, 2, 5)]
@@ -30,15 +30,15 @@ class Axis:
         return [k * step for k in range(ceil(max(values) / step) + 1)]
 
     def place(self, value: float, numbers: Sequence[float]) -> float:
-        """0 at the first of `numbers`, 1 at the last."""
+        """Return the position of a value: 0 at the first of `numbers`, 1 at the last."""
         if self.log:
             return log10(value / numbers[0]) / log10(numbers[-1] / numbers[0])
         return (value - numbers[0]) / (numbers[-1] - numbers[0])
 
 
 @dataclass(frozen=True)
-class Point:
-    """`low` and `high`: the interval of y, where there is one."""
+class PlotPoint:
+    """A point; `low` and `high`: the interval of y, if there is one."""
 
     x: float
     y: float
@@ -47,17 +47,19 @@ class Point:
 
 
 @dataclass(frozen=True)
-class Series:
-    """Points that belong together, in the order of x. `colour`: which of COLOURS; the next one unless told."""
+class PlotSeries:
+    """The points of one line, in the order of x. `colour`: index into COLOURS; default: the next one."""
 
     name: str
-    points: Sequence[Point]
+    points: Sequence[PlotPoint]
     dashed: bool = False
     colour: int | None = None
 
 
-def xy(series: Sequence[Series], across: Axis, up: Axis, description: str, *, diagonal: bool = False) -> str:
-    """`diagonal`: also the line where y is x."""
+def xy(
+    series: Sequence[PlotSeries], across: PlotAxis, up: PlotAxis, description: str, *, diagonal: bool = False
+) -> str:
+    """Plot lines over a common pair of axes. `diagonal`: also draw the line y = x."""
     points = [p for one in series for p in one.points]
     x_numbers = across.numbers([p.x for p in points])
     y_numbers = up.numbers([v for p in points for v in (p.y, p.low, p.high) if v is not None and (v > 0 or not up.log)])
@@ -85,10 +87,10 @@ def xy(series: Sequence[Series], across: Axis, up: Axis, description: str, *, di
         legend = TOP + 12 + 22 * k
         parts.append(svg.element("circle", cx=WIDTH - RIGHT + 18, cy=legend, r=5.0, class_=f"source-{colour}"))
         parts.append(svg.text(one.name, WIDTH - RIGHT + 30, legend + 4))
-    return svg.picture((0, 0, WIDTH, HEIGHT), description, parts, class_="xy")
+    return svg.figure((0, 0, WIDTH, HEIGHT), description, parts, class_="xy")
 
 
-def _series(one: Series, colour: str, x, y) -> list[str]:
+def _series(one: PlotSeries, colour: str, x, y) -> list[str]:
     line = [(x(p.x), y(p.y)) for p in one.points]
     path = " ".join(f"{svg.number(a)},{svg.number(b)}" for a, b in line)
     dashes = "6 4" if one.dashed else None
@@ -97,8 +99,8 @@ def _series(one: Series, colour: str, x, y) -> list[str]:
         if p.low is not None and p.high is not None:
             bar = {"x1": x(p.x), "x2": x(p.x), "y1": y(p.low), "y2": y(p.high)}
             parts.append(svg.element("line", **bar, class_=f"series line-{colour}"))
-        says = svg.hint(f"{one.name}: {p.x:.3g}, {p.y:.3g}")
-        parts.append(svg.element("circle", says, cx=x(p.x), cy=y(p.y), r=4.5, class_=f"point source-{colour}"))
+        hint = svg.hint(f"{one.name}: {p.x:.3g}, {p.y:.3g}")
+        parts.append(svg.element("circle", hint, cx=x(p.x), cy=y(p.y), r=4.5, class_=f"point source-{colour}"))
     return parts
 
 

@@ -27,10 +27,10 @@ STEP_PX = 0.2  # grid of the template of a rim
 BIN_PX = 0.25  # of a rim's profile
 BESIDE_PX = 5.0  # of a bead's surroundings that its rim is fitted with: four blurs and more [ours]
 EDGE_BEADS = 60  # rims that are fitted, of many beads evenly chosen [ours]
-LEAST_RADIUS_PX = 2.5  # of a bead whose rim has a profile [ours]
-LEAST_BALLS, ALIKE = 8, 0.15  # as many as detection compares with each other; spread of their radii [ours]
+MIN_RADIUS_PX = 2.5  # of a bead whose rim has a profile [ours]
+MIN_BALLS, ALIKE = 8, 0.15  # as many as detection compares with each other; spread of their radii [ours]
 OPEN, INNER = 0.8, 0.8  # log ratio of bright to dark, in so much of the radius: phantoms 0.5, a spine 1.3 [ARCADIS]
-RINGS, LEAST_RINGS, SECTORS, LEAST_PIXELS = 10, 6, 12, 100  # of the field; of the rings; of each; of a sector [ours]
+RINGS, MIN_RINGS, SECTORS, MIN_PIXELS = 10, 6, 12, 100  # of the field; of the rings; of each; of a sector [ours]
 PLATE_BLUR = 0.7  # pitches: leaves 3e-6 of a hexagonal lattice's own pattern [calc]
 UNEVEN = 0.05  # spread (s.d.) of brightness around a ring beyond which something shades it: vignetting is round [ours]
 
@@ -40,7 +40,7 @@ class NotMeasurableError(RefusedError):
 
 
 @dataclass(frozen=True, eq=False)
-class DistortionSeen:
+class DistortionMeasured:
     """`residual_px`: rms per point (both coordinates) that a polynomial from pixels to the plate leaves, by degree.
 
     Those with too few points are absent. `pincushion`: share by which the ring at RIM of the field's radius lies
@@ -54,7 +54,7 @@ class DistortionSeen:
 
 
 @dataclass(frozen=True, eq=False)
-class VignettingSeen:
+class VignettingMeasured:
     """Median brightness of rings, the innermost is 1; `radius` of the rings over the field's radius."""
 
     radius: np.ndarray
@@ -82,7 +82,7 @@ def lattice_of(beads: Detections | None) -> Lattice:
     return found
 
 
-def distortion(lattice: Lattice, centre_px: np.ndarray, radius_px: float) -> DistortionSeen:
+def distortion(lattice: Lattice, centre_px: np.ndarray, radius_px: float) -> DistortionMeasured:
     """Distortion of a lattice seen in a round field. A tilt of the plate counts as distortion of degree 2."""
     uv, xy = (lattice.uv_px - centre_px) / radius_px, lattice.xy - lattice.xy.mean(axis=0)
     xy_unit = xy / np.abs(xy).max()
@@ -98,7 +98,7 @@ def distortion(lattice: Lattice, centre_px: np.ndarray, radius_px: float) -> Dis
         residual[degree] = float(px_per_pitch * np.sqrt((miss**2).sum() / left))
     degree = max(d for d in residual if d <= 5)
     pincushion, turn = _at_rim(xy_unit, uv, degree)
-    return DistortionSeen(len(uv), residual, pincushion, turn)
+    return DistortionMeasured(len(uv), residual, pincushion, turn)
 
 
 def _at_rim(xy: np.ndarray, uv: np.ndarray, degree: int) -> tuple[float, float]:
@@ -135,10 +135,10 @@ def edge_spread(image: Radiograph, beads: Detections | None) -> tuple[float, int
     kind = np.array(beads.kind)
     nearest = _nearest_px(beads)
     reach = np.minimum(beads.radius_px + BESIDE_PX, nearest - beads.radius_px - BESIDE_PX / 2)
-    fit = (kind != "washer") & (beads.radius_px >= LEAST_RADIUS_PX) & (reach > beads.radius_px + 1.5)
+    fit = (kind != "washer") & (beads.radius_px >= MIN_RADIUS_PX) & (reach > beads.radius_px + 1.5)
     chosen = np.flatnonzero(fit)
     if not len(chosen):
-        raise NotMeasurableError(f"no ball or hole of {LEAST_RADIUS_PX} px radius and more stands free")
+        raise NotMeasurableError(f"no ball or hole of {MIN_RADIUS_PX} px radius and more stands free")
     chosen = chosen[np.unique(np.linspace(0, len(chosen) - 1, EDGE_BEADS).astype(int))]
     pixels = image.pixels.astype(np.float64)
     blurs = [
@@ -230,8 +230,8 @@ def noise(image: Radiograph, beads: Detections | None) -> tuple[NoiseModel, np.n
 def usual_balls(beads: Detections | None) -> np.ndarray:
     """Indices of the balls of the usual size. Raises NotMeasurableError where they may as well be anatomy."""
     balls = np.zeros(0, int) if beads is None else np.flatnonzero(np.array(beads.kind) == "ball")
-    if beads is None or len(balls) < LEAST_BALLS:
-        raise NotMeasurableError(f"{len(balls)} balls; fewer than {LEAST_BALLS} may be anatomy")
+    if beads is None or len(balls) < MIN_BALLS:
+        raise NotMeasurableError(f"{len(balls)} balls; fewer than {MIN_BALLS} may be anatomy")
     radius = beads.radius_px[balls]
     usual = balls[np.abs(radius / np.median(radius) - 1) < ALIKE]
     if 2 * len(usual) < len(balls):
@@ -257,7 +257,7 @@ def open_beam(image: Radiograph, beads: Detections | None) -> bool:
     return bool(low > np.exp(-OPEN) * high)
 
 
-def vignetting(image: Radiograph, beads: Detections | None) -> VignettingSeen:
+def vignetting(image: Radiograph, beads: Detections | None) -> VignettingMeasured:
     """Brightness over radius, as far out as rings are evenly bright: of the free field, or of a whole perforated plate.
 
     A plate's holes are everywhere alike: blurred over them, it is an open field. Raises NotMeasurableError.
@@ -274,20 +274,20 @@ def vignetting(image: Radiograph, beads: Detections | None) -> VignettingSeen:
     brightness: list[float] = []
     for k in range(RINGS):
         parts = [values[(ring == k) & (sector == s)] for s in range(SECTORS)] if k else [values[ring == 0]]
-        level = [float(np.median(part)) for part in parts if len(part) >= LEAST_PIXELS]
+        level = [float(np.median(part)) for part in parts if len(part) >= MIN_PIXELS]
         if 2 * len(level) <= len(parts):
             break
         low, middle, high = np.percentile(level, [16, 50, 84])
         if high - low > 2 * UNEVEN * middle:
             break
         brightness.append(float(middle))
-    if len(brightness) < LEAST_RINGS:
+    if len(brightness) < MIN_RINGS:
         raise NotMeasurableError(
             f"brightness is even to {UNEVEN:.0%} around the inner {len(brightness)} of {RINGS} rings only, "
-            f"{LEAST_RINGS} are needed: something in the beam shades the image"
+            f"{MIN_RINGS} are needed: something in the beam shades the image"
         )
     out = np.array(brightness)
-    return VignettingSeen((np.arange(len(out)) + 0.5) / RINGS, out / out[0])
+    return VignettingMeasured((np.arange(len(out)) + 0.5) / RINGS, out / out[0])
 
 
 def _blurred(pixels: np.ndarray, mask: np.ndarray, blur_px: float) -> np.ndarray:

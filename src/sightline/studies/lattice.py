@@ -1,21 +1,22 @@
-"""Points of a regular lattice, numbered: perforated plates and bead grids, seen through any smooth distortion."""
+"""Index the points of a regular lattice (perforated plates, bead grids) through any smooth distortion."""
 
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial import KDTree
 
-REACH = 0.25  # of the pitch: how far from where its neighbours put it a point may lie [ours]
-STARTS = 5  # points near the middle that are tried as the first one [ours]
-LEAST_SINE = 0.75  # between both axes: 60, 90 and 120 degrees and distortion [ours]
+REACH = 0.25  # of the pitch: maximum distance of a point from the position predicted by its neighbours [ours]
+STARTS = 5  # number of points near the middle that are tried as the first one [ours]
+MIN_SINE = 0.75  # between both axes: 60, 90 and 120 degrees and distortion [ours]
 HEXAGONAL_COSINE = 0.25  # between both axes: above 75.5 degrees a lattice counts as square
 
 
 @dataclass(frozen=True, eq=False)
 class Lattice:
-    """`members` (N,): which points belong to it; `uv_px` (N, 2); `index` (N, 2) integers along its axes.
+    """A lattice of N points. `members` (N,): indices of its points; `uv_px` (N, 2); `index` (N, 2): integers along its
+    axes.
 
-    `axes` (2, 2): the axes on the ideal plate, rows, in pitches: 60 or 90 degrees apart. `pitch_px` at the start.
+    `axes` (2, 2): rows are the axes on the ideal plate, in pitches, 60 or 90 degrees apart. `pitch_px`: at the start.
     """
 
     members: np.ndarray
@@ -29,14 +30,15 @@ class Lattice:
 
     @property
     def xy(self) -> np.ndarray:
-        """(N, 2): where the ideal plate has the points, in pitches."""
+        """Positions (N, 2) of the points on the ideal plate, in pitches."""
         return self.index @ self.axes
 
 
 def grow(uv_px: np.ndarray) -> Lattice | None:
-    """The largest lattice from a start near the middle of points (N, 2); None where no three points span one.
+    """Return the largest lattice grown from a start near the middle of points (N, 2); None if no three points span one.
 
-    From neighbour to neighbour, so that distortion adds up without harm; points that fit nowhere are left out.
+    It grows from neighbour to neighbour, so that accumulated distortion does no harm. Points that fit nowhere are left
+    out.
     """
     if len(uv_px) < 4:
         return None
@@ -47,12 +49,12 @@ def grow(uv_px: np.ndarray) -> Lattice | None:
 
 
 def _axes(uv_px: np.ndarray, tree: KDTree, start: int) -> np.ndarray | None:
-    """(2, 2): steps to two neighbours, 60 to 90 degrees apart."""
+    """Return the steps (2, 2) to two neighbours, 60 to 90 degrees apart."""
     near = np.asarray(tree.query(uv_px[start], k=min(9, len(uv_px)))[1])[1:]
     steps = uv_px[near] - uv_px[start]
     length = np.linalg.norm(steps, axis=1)
     sine = np.abs(steps[0, 0] * steps[:, 1] - steps[0, 1] * steps[:, 0]) / (length[0] * length)
-    across = np.flatnonzero((sine > LEAST_SINE) & (length < 1.3 * length[0]))
+    across = np.flatnonzero((sine > MIN_SINE) & (length < 1.3 * length[0]))
     if not len(across):
         return None
     first, second = (_centred(steps, steps[k]) for k in (0, across[0]))
@@ -60,18 +62,18 @@ def _axes(uv_px: np.ndarray, tree: KDTree, start: int) -> np.ndarray | None:
 
 
 def _centred(steps: np.ndarray, step: np.ndarray) -> np.ndarray:
-    """A step, and the mean of it and the opposite one where there is one."""
+    """Return a step, averaged with the opposite step if there is one."""
     gap = np.linalg.norm(steps + step, axis=1)
     opposite = int(np.argmin(gap))
     return (step - steps[opposite]) / 2 if gap[opposite] < REACH * np.linalg.norm(step) else step
 
 
 def walk(uv_px: np.ndarray, tree: KDTree, start: int, axes: np.ndarray) -> dict[tuple[int, int], int]:
-    """Which of the points (N, 2) stands at which site of a lattice with these axes (2, 2), px, at `start`."""
+    """Return the index of the point (N, 2) at each site of a lattice with axes (2, 2), px, around point `start`."""
     pitch = float(np.linalg.norm(axes, axis=1).mean())
     place: dict[tuple[int, int], int] = {(0, 0): start}
     taken, todo = {start}, [(0, 0)]
-    for i, j in todo:  # grows while it is walked
+    for i, j in todo:  # the loop appends to its own list
         here = uv_px[place[i, j]]
         for di, dj in ((1, 0), (-1, 0), (0, 1), (0, -1)):
             site, behind = (i + di, j + dj), place.get((i - di, j - dj))

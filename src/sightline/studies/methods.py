@@ -1,4 +1,4 @@
-"""Ways from the same beads to points in space: ours, the paper's, and what others would do."""
+"""Methods from the same beads to points in space: ours, the paper's, and common alternatives."""
 
 from collections.abc import Callable
 
@@ -14,21 +14,22 @@ from sightline.calibration.focal_point import focal_point
 from sightline.calibration.hull import Hull
 from sightline.errors import SightlineError
 from sightline.geometry.lines import nearest_approach
-from sightline.studies.scenes import VIEWS, Scene
+from sightline.studies.scenes import VIEWS, TargetScene
 
-# Targets at pixels (2, T, 2), picked with a standard deviation in px, to their places (T, 3), CFCS.
+# From target pixels (2, T, 2) and their standard deviation, px, to points (T, 3), CFCS.
 Locate = Callable[[np.ndarray, float], np.ndarray]
-Method = Callable[[Scene], Locate]
+Method = Callable[[TargetScene], Locate]
 Predict = Callable[[np.ndarray], np.ndarray]
 Fit = Callable[[np.ndarray, np.ndarray], Predict]
 
-# What a method may raise where it has no answer.
+# Exceptions by which a method refuses.
 REFUSALS = (SightlineError, cv2.error, np.linalg.LinAlgError)
-LWM_NEIGHBOURS = 12  # as XMALab and Matlab's cp2tform
+LWM_NEIGHBOURS = 12  # as in XMALab and Matlab's cp2tform
 
 
 def local_weighted_mean(uv: np.ndarray, xy: np.ndarray) -> Predict:
-    """Goshtasby 1988, as XMALab and Matlab's cp2tform have it: quadratics through 12 neighbours, blended."""
+    """Fit the local weighted mean of Goshtasby 1988, as in XMALab and Matlab's cp2tform: blended quadratics through 12
+    neighbours."""
     tree = KDTree(uv)
     distance, near = (np.asarray(a) for a in tree.query(uv, k=LWM_NEIGHBOURS))
     reach = distance[:, -1]
@@ -56,11 +57,11 @@ def local_weighted_mean(uv: np.ndarray, xy: np.ndarray) -> Predict:
 
 
 def thin_plate_spline(uv: np.ndarray, xy: np.ndarray) -> Predict:
-    """scipy's, through every control."""
+    """Fit scipy's thin-plate spline through every control point."""
     return RBFInterpolator(uv, xy, kernel="thin_plate_spline")
 
 
-# Those of this package: the map, and the degree of a polynomial.
+# Methods of this package: the map, and the degree of a polynomial.
 OURS: dict[str, tuple[MapName, int]] = {
     "smooth": ("smooth", 3),
     "localized": ("localized", 3),
@@ -68,16 +69,17 @@ OURS: dict[str, tuple[MapName, int]] = {
 }
 
 
-def calibrated(scene: Scene, name: str = "smooth") -> list[BeadView]:
-    """Both views of a scene by one of OURS."""
+def calibrated(scene: TargetScene, name: str = "smooth") -> list[BeadView]:
+    """Calibrate both views of a scene by one of OURS."""
     method, degree = OURS[name]
     return [sl.calibrate(scene.observations[view], scene.frame, method=method, degree=degree) for view in VIEWS]
 
 
 def ours(name: str) -> Method:
-    """`smooth` with the covariance-weighted point; the others, as in the paper, with that of nearest approach."""
+    """Return a method of this package: `smooth` with the covariance-weighted point, the others, as in the paper, with
+    the point of nearest approach."""
 
-    def of(scene: Scene) -> Locate:
+    def of(scene: TargetScene) -> Locate:
         views = calibrated(scene, name)
         how = "weighted" if name == "smooth" else "nearest"
 
@@ -91,10 +93,10 @@ def ours(name: str) -> Method:
 
 
 def by_plates(fit: Fit) -> Method:
-    """The paper's chain with another map: one for each plate, the focal point where lines through both meet, the point
-    of nearest approach."""
+    """Return the paper's method with another map: one map per plate, the focal point as the intersection of lines
+    through both, the point of nearest approach."""
 
-    def of(scene: Scene) -> Locate:
+    def of(scene: TargetScene) -> Locate:
         views = [_plates(scene, name, fit) for name in VIEWS]
 
         def locate(uv_px: np.ndarray, pick_px: float) -> np.ndarray:
@@ -106,8 +108,8 @@ def by_plates(fit: Fit) -> Method:
     return of
 
 
-def _plates(scene: Scene, name: str, fit: Fit) -> tuple[np.ndarray, Predict]:
-    """The focal point, and where on the XRII plate the lines of sight of pixels pass, CFCS."""
+def _plates(scene: TargetScene, name: str, fit: Fit) -> tuple[np.ndarray, Predict]:
+    """Return the focal point, and the map from pixels to points of their lines of sight on the XRII plate, CFCS."""
     view, seen = scene.frame.view(name), scene.observations[name]
     maps, beads = [], []
     for plate in (view.xrii, view.source):
@@ -122,9 +124,10 @@ def _plates(scene: Scene, name: str, fit: Fit) -> tuple[np.ndarray, Predict]:
 
 
 def opencv(parameters: int) -> Method:
-    """calibrateCamera with 5 or 14 distortion parameters on the beads of both plates, then triangulatePoints."""
+    """Return OpenCV's method: calibrateCamera with 5 or 14 distortion parameters on the beads of both plates, then
+    triangulatePoints."""
 
-    def of(scene: Scene) -> Locate:
+    def of(scene: TargetScene) -> Locate:
         cameras = [_camera(scene, name, parameters) for name in VIEWS]
 
         def locate(uv_px: np.ndarray, pick_px: float) -> np.ndarray:
@@ -140,8 +143,9 @@ def opencv(parameters: int) -> Method:
     return of
 
 
-def _camera(scene: Scene, name: str, parameters: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Camera matrix, distortion and pose (3, 4) of one view. It starts from the truth's focal length and centre."""
+def _camera(scene: TargetScene, name: str, parameters: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return camera matrix, distortion and pose (3, 4) of one view. The fit starts from the nominal focal length and
+    centre."""
     flags = cv2.CALIB_USE_INTRINSIC_GUESS
     if parameters == 14:
         flags |= cv2.CALIB_RATIONAL_MODEL | cv2.CALIB_THIN_PRISM_MODEL | cv2.CALIB_TILTED_MODEL
@@ -167,8 +171,8 @@ METHODS: dict[str, Method] = {
 }
 
 
-def errors(scene: Scene, method: str, picks: list[tuple[np.ndarray, float]]) -> list[np.ndarray | None]:
-    """Error (T,) mm of the targets for each of `picks` (pixels (2, T, 2), their s.d.); None where it is refused."""
+def errors(scene: TargetScene, method: str, picks: list[tuple[np.ndarray, float]]) -> list[np.ndarray | None]:
+    """Return the errors (T,), mm, of the targets for each of `picks` (pixels (2, T, 2), their s.d.); None: refused."""
     try:
         locate = METHODS[method](scene)
     except REFUSALS:
@@ -176,7 +180,7 @@ def errors(scene: Scene, method: str, picks: list[tuple[np.ndarray, float]]) -> 
     return [_error(scene, locate, uv, sd) for uv, sd in picks]
 
 
-def _error(scene: Scene, locate: Locate, uv_px: np.ndarray, pick_px: float) -> np.ndarray | None:
+def _error(scene: TargetScene, locate: Locate, uv_px: np.ndarray, pick_px: float) -> np.ndarray | None:
     try:
         return np.linalg.norm(locate(uv_px, pick_px) - scene.target_mm, axis=1)
     except REFUSALS:

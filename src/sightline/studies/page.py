@@ -1,4 +1,4 @@
-"""A study's results as one page that needs no other file."""
+"""The results of a study as a single HTML page, which needs no other file."""
 
 from importlib.resources import files
 from typing import Any
@@ -11,7 +11,7 @@ from sightline.studies.run import Result
 
 
 def render(about: str, result: Result) -> str:
-    """The page as HTML, in the report's style."""
+    """Return the page as HTML, in the report's style."""
     here, report = files("sightline.studies") / "templates", files("sightline.case.report") / "templates"
     environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
     css = (report / "report.css").read_text("utf-8") + (here / "study.css").read_text("utf-8")
@@ -26,10 +26,10 @@ def render(about: str, result: Result) -> str:
         seed=head["seed"],
         findings=summary.findings,
         tables=summary.tables,
-        pictures=[_picture(vars(one)) for one in summary.pictures],
+        plots=[_plot(vars(one)) for one in summary.plots],
         provenance=[("code", f"Sightline {head['version']}, {head['code']}"), *head["configuration"].items()],
     )
 
 
-def _picture(one: dict[str, Any]) -> dict[str, Any]:
+def _plot(one: dict[str, Any]) -> dict[str, Any]:
     return {**one, "svg": Markup(one["svg"])}  # noqa: S704 - drawn by this package, its words escaped

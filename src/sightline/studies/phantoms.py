@@ -1,4 +1,4 @@
-"""Phantoms before the C-arm, for studies of whole images: the paper's plastic femur, a pig's femur in its flesh."""
+"""Phantoms for studies of whole images: the paper's plastic femur, and a pig's femur in soft tissue."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -20,19 +20,19 @@ SIDE = "right"
 
 @dataclass(frozen=True)
 class Phantom:
-    """A bone with its ideal wire about the origin, and how it is put into a set-up."""
+    """A bone with its ideal wire centred on the origin, and the function that puts it into a set-up."""
 
     femur: Femur
     build: Callable[[SetUp, np.random.Generator], HipScene]
 
     @property
     def wire_mm(self) -> np.ndarray:
-        """(2, 3) entry and end, CFCS."""
+        """Entry and end (2, 3) of the ideal wire, CFCS."""
         wire = to_cfcs(np.stack(self.femur.wire_mm()), SIDE, np.zeros(3))
         return wire - wire.mean(axis=0)
 
     def draw(self, rng: np.random.Generator, frame: Frame) -> tuple[SetUp, HipScene]:
-        """A set-up that shows the whole wire in both views, and what lies in it. Raises SetUpError."""
+        """Draw a set-up that shows the whole wire in both views, and its hip. Raises SetUpError."""
         setup = draw_showing(rng, frame, self.wire_mm)
         return setup, self.build(setup, rng)
 
@@ -44,17 +44,17 @@ PHANTOMS = {
 
 
 def image_of(rng: np.random.Generator, setup: SetUp, hip: HipScene, view: str) -> Radiograph:
-    """At the medium dose."""
+    """Render one view at the medium dose."""
     return render(setup, view, hip.at(view).scene, rng)
 
 
 def observed(image: Radiograph, frame: Frame, view: str) -> Observations:
-    """Beads of an image, found and told apart. Raises SightlineError."""
+    """Find and label the beads of an image. Raises SightlineError."""
     return sl.label(sl.detect(image), frame, view)
 
 
 def calibrated_images(rng: np.random.Generator, setup: SetUp, hip: HipScene) -> list[BeadView]:
-    """Both views, each from its own rendered image alone. Raises SightlineError."""
+    """Render and calibrate both views, each from its own image. Raises SightlineError."""
     return [
         sl.calibrate(observed(image_of(rng, setup, hip, name), setup.frame, name), setup.frame, view=name)
         for name in VIEWS

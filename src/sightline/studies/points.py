@@ -1,4 +1,4 @@
-"""Test points: places in CFCS that were measured by other means, and where the images show them."""
+"""Test points: positions in CFCS measured by other means, and their pixels in the images."""
 
 import csv
 import io
@@ -16,14 +16,14 @@ from sightline.errors import RefusedError, UnusableInputError
 _PLACE = ("name", "x_mm", "y_mm", "z_mm")
 _PIXELS = ("pa_u_px", "pa_v_px", "lateral_u_px", "lateral_v_px")
 _MAX_BYTES = 2**20  # [ours] ten thousand points
-# A ball seen this near to where its measured place projects is that ball: 3 mm, less than the paper's worst
-# calibration errs, and half the distance of neighbouring beads [ours].
+# Maximum distance of a detected ball from the projection of its measured position: 3 mm, less than the error of the
+# paper's worst calibration, and half the distance of neighbouring beads [ours].
 NEAR_PX = 15.0
 
 
 @dataclass(frozen=True, eq=False)
 class MeasuredPoints:
-    """N points: `names`, `xyz_mm` (N, 3) CFCS, and `uv_px` (2, N, 2), PA then lateral, or None where nobody picked."""
+    """N points: `names`, `xyz_mm` (N, 3) CFCS, and `uv_px` (2, N, 2), PA then lateral, or None without picks."""
 
     names: tuple[str, ...]
     xyz_mm: np.ndarray
@@ -31,7 +31,7 @@ class MeasuredPoints:
 
 
 def read_points(path: str | Path) -> MeasuredPoints:
-    """From a CSV file with the columns name,x_mm,y_mm,z_mm and, all or none, pa_u_px,pa_v_px,lateral_u_px,lateral_v_px.
+    """Read a CSV file with the columns name,x_mm,y_mm,z_mm and, optionally, pa_u_px,pa_v_px,lateral_u_px,lateral_v_px.
 
     Raises UnusableInputError, which names the line.
     """
@@ -41,7 +41,7 @@ def read_points(path: str | Path) -> MeasuredPoints:
         rows = list(csv.reader(io.StringIO(text), strict=True))
     except csv.Error:
         raise UnusableInputError(
-            f"{file.name} is no CSV text; write {','.join(_PLACE)} and one line per point"
+            f"{file.name} is not CSV text; write {','.join(_PLACE)} and one line per point"
         ) from None
     header = tuple(cell.strip() for cell in rows[0]) if rows else ()
     if header not in (_PLACE, _PLACE + _PIXELS):
@@ -52,7 +52,7 @@ def read_points(path: str | Path) -> MeasuredPoints:
         if cells:
             name, values = _row(cells, len(header), f"{file.name}, line {line}")
             if name in numbers:
-                raise UnusableInputError(f"{file.name}, line {line}: the point {name!r} stands twice")
+                raise UnusableInputError(f"{file.name}, line {line}: the point {name!r} occurs twice; rename one")
             numbers[name] = values
     if not numbers:
         raise UnusableInputError(f"{file.name} holds no points; give one line for each")
@@ -76,10 +76,10 @@ def _row(cells: list[str], columns: int, where: str) -> tuple[str, list[float]]:
 def find_balls(
     view: CalibratedView, detections: Detections, observations: Observations, points: MeasuredPoints
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Pixels (N, 2) and their covariances (N, 2, 2) of test balls among what was detected in one image.
+    """Return the pixels (N, 2) of test balls among the detections of one image, and their covariances (N, 2, 2).
 
-    A test ball is what was found near the projection of its measured place and is no bead of the frame: the place says
-    which detection it is, not where. Raises RefusedError where none or several are near.
+    A test ball is the detection near the projection of its measured position that is not a bead of the frame. The
+    position only selects the detection; it does not change its pixel. Raises RefusedError if none or several are near.
     """
     beads = {tuple(uv) for uv in observations.uv_px}
     free = np.array([i for i, uv in enumerate(detections.uv_px) if tuple(uv) not in beads], dtype=int)

@@ -1,8 +1,8 @@
-"""Finished trials on disk, one line each: what stops a run costs no trial that was finished.
+"""Finished trials on disk, one line each, so that an interrupted run loses no finished trial.
 
-The first line tells what the trials belong to; every other one is `{"trial": 17, "values": {...}}`, in the order in
-which they were finished. A torn last line (power cut, full disk) is cut off when the file is opened again. A trial's
-values follow from header and number alone, so a trial that stands twice is no harm.
+The first line identifies the study; every other line is `{"trial": 17, "values": {...}}`, in the order in which trials
+finished. An incomplete last line (power cut, full disk) is removed when the file is opened again. The values of a trial
+follow from header and number alone, so a duplicate does no harm.
 """
 
 import json
@@ -22,8 +22,8 @@ TRIALS = "trials.jsonl"
 
 @cache
 def code_digest() -> str:
-    """Of the package's own source as this process found it, but for what no trial uses: while it is being worked on,
-    the same version is not the same code."""
+    """Return the digest of the package's source as this process found it, without parts that no trial uses. During
+    development, equal versions may have different code."""
     root = Path(sightline.__file__).parent
     digest = sha256()
     for file in sorted(root.rglob("*.py")):
@@ -33,7 +33,7 @@ def code_digest() -> str:
 
 
 def header(study: Study, seed: int) -> dict[str, Any]:
-    """What the values of a trial follow from, besides its number."""
+    """Return everything that determines the values of a trial, besides its number."""
     return {
         "study": study.name,
         "version": sightline.__version__,
@@ -45,16 +45,16 @@ def header(study: Study, seed: int) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class Record:
-    """The file of one study, and `finished`: values by number of trial."""
+    """The file of one study, and its `finished` trials: values by number."""
 
     file: Path
     finished: dict[int, Values]
 
     @staticmethod
     def open(folder: Path, expected: dict[str, Any]) -> "Record":
-        """The record of a folder, made where there is none.
+        """Open the record of a folder, or create it.
 
-        Raises UnusableInputError where it cannot be written, or holds trials of anything else than `expected`.
+        Raises UnusableInputError if it cannot be written, or holds trials of anything else than `expected`.
         """
         file = folder / TRIALS
         try:
@@ -74,13 +74,13 @@ class Record:
             record.finished.update({line["trial"]: line["values"] for line in lines})
         except (ValueError, KeyError, TypeError):
             raise UnusableInputError(
-                f"{file} is no record of trials; delete it, or name another folder with --out"
+                f"{file} is not a record of trials; delete it, or name another folder with --out"
             ) from None
         _refuse_other(found, json.loads(json.dumps(expected)), file)
         return record
 
     def add(self, values: dict[int, Values]) -> None:
-        """Keep finished trials, on the disk before this returns. Raises UnusableInputError."""
+        """Record finished trials; they are on the disk when this returns. Raises UnusableInputError."""
         self._append([{"trial": trial, "values": each} for trial, each in values.items()])
         self.finished.update(values)
 
@@ -103,7 +103,7 @@ def _unusable(file: Path, error: OSError) -> UnusableInputError:
 
 
 def _refuse_other(found: Any, expected: dict[str, Any], file: Path) -> None:
-    """Trials of one study, seed, configuration and code are never mixed with others."""
+    """Refuse a record of another study, seed, configuration or code: their trials must not be mixed."""
     if found == expected:
         return
     found = found if isinstance(found, dict) else {}

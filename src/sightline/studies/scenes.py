@@ -1,8 +1,8 @@
-"""Random scenes that studies and benchmarks share: a set-up, what is measured of its beads, and targets.
+"""Random scenes for studies and benchmarks: a set-up, the measurements of its beads, and targets.
 
-Poses, distortions and frame errors are those of `sightline.twin.draw_setup`, with its defaults. Targets are uniform
-in a cube about the hip, drawn again unless both images show them and, where `surrounded` is asked, unless the visible
-beads of each plate surround them (the paper's map knows nothing outside).
+Poses, distortions and frame errors are those of `sightline.twin.draw_setup` with its defaults. Targets are uniform in a
+cube around the hip. They are drawn again unless both images show them and, with `surrounded`, unless they lie inside
+the convex hull of the visible beads of each plate (the paper's map is undefined outside).
 """
 
 from dataclasses import dataclass
@@ -13,23 +13,23 @@ from scipy.spatial import Delaunay
 from sightline.detection import Observations
 from sightline.errors import SetUpError
 from sightline.frame import Frame, Tolerances
-from sightline.studies.bound import Seen
+from sightline.studies.bound import BoundData
 from sightline.twin import SetUp, bead_images, draw_setup
 
 VIEWS = ("pa", "lateral")
-WIRE_MM = 34.0  # half a 95 mm wire at 45° (physics.md, Frame)
-FAR_MM = 55.0  # beyond the beads' hulls, which reach 44 mm at the hip
+TARGET_REACH_MM = 34.0  # half of a 95 mm wire at 45° (physics.md, Frame)
+FAR_MM = 55.0  # beyond the convex hull of the beads, which reaches 44 mm at the hip
 EXACT = Tolerances(0.0, 0.0, 0.0, 0.0, 0.0)
 BEADS_20UM = Tolerances(0.02, 0.0, 0.0, 0.0, 0.0)
 WHOLE = Tolerances()  # bead, plate and arm (physics.md, Frame)
 FRAMES = {"frame exact": EXACT, "frame beads 0.02 mm": BEADS_20UM, "frame whole": WHOLE}
 ATTEMPTS = 100
-MARGIN_PX = 15.0  # a target is shown if it lies this far inside the field
+MARGIN_PX = 15.0  # minimum distance of a visible target from the edge of the field
 
 
 @dataclass(frozen=True, eq=False)
-class Scene:
-    """A set-up, what is measured of its beads, and T targets: `target_mm` (T, 3), true pixels `target_px` (2, T, 2)."""
+class TargetScene:
+    """A set-up, the measurements of its beads, and T targets: `target_mm` (T, 3), true pixels `target_px` (2, T, 2)."""
 
     setup: SetUp
     observations: dict[str, Observations]
@@ -37,23 +37,25 @@ class Scene:
     target_px: np.ndarray
 
     @staticmethod
-    def of(setup: SetUp, observations: dict[str, Observations], target_mm: np.ndarray) -> "Scene":
-        """With targets at given places (T, 3)."""
-        return Scene(setup, observations, target_mm, np.array([setup.views[name].project(target_mm) for name in VIEWS]))
+    def of(setup: SetUp, observations: dict[str, Observations], target_mm: np.ndarray) -> "TargetScene":
+        """Return a scene with targets at given points (T, 3)."""
+        return TargetScene(
+            setup, observations, target_mm, np.array([setup.views[name].project(target_mm) for name in VIEWS])
+        )
 
     @property
     def frame(self) -> Frame:
-        """What the software is told of the frame."""
+        """The nominal frame, known to the software."""
         return self.setup.frame
 
-    def seen(self, pick_px2: np.ndarray, across_px: np.ndarray | None = None) -> dict[str, Seen]:
-        """What the bound is told: picks (2, 2, 2) of one target."""
+    def seen(self, pick_px2: np.ndarray, across_px: np.ndarray | None = None) -> dict[str, BoundData]:
+        """Return the data of the bound, for picks of one target with covariances (2, 2, 2)."""
         across = np.zeros((2, 2)) if across_px is None else across_px
         out = {}
         for k, name in enumerate(VIEWS):
             seen = self.observations[name]
             assert seen.covariance_px2 is not None  # noqa: S101 - `measure` states it
-            out[name] = Seen(seen.ids, seen.covariance_px2, pick_px2[k], across[k])
+            out[name] = BoundData(seen.ids, seen.covariance_px2, pick_px2[k], across[k])
         return out
 
 
@@ -63,29 +65,31 @@ def draw_scene(
     bead_px: float,
     *,
     targets: int,
-    reach_mm: float = WIRE_MM,
+    reach_mm: float = TARGET_REACH_MM,
     surrounded: bool = True,
     uneven: float = 0.0,
     chain: str = "9in-1k",
-) -> Scene:
-    """One scene. `uneven`: the beads' own standard deviations are `bead_px` times exp(uneven * N(0, 1))."""
+) -> TargetScene:
+    """Draw a scene. `uneven`: the standard deviation of each bead is `bead_px` times exp(uneven * N(0, 1))."""
     setup = draw_setup(rng, frame, chain=chain)
     observations = measure(rng, setup, bead_px, uneven)
     hulls = {n: _plate_hulls(setup, n, observations[n]) if surrounded else [] for n in VIEWS}
-    return Scene.of(setup, observations, np.array([_draw_target(rng, setup, reach_mm, hulls) for _ in range(targets)]))
+    return TargetScene.of(
+        setup, observations, np.array([_draw_target(rng, setup, reach_mm, hulls) for _ in range(targets)])
+    )
 
 
 def draw_showing(rng: np.random.Generator, frame: Frame, wire_mm: np.ndarray, *, frame_errors: bool = True) -> SetUp:
-    """A set-up that shows a whole wire (2, 3) in both views. Raises SetUpError where there is none."""
+    """Draw a set-up that shows a whole wire (2, 3) in both views. Raises SetUpError if none is found."""
     for _ in range(ATTEMPTS):
         setup = draw_setup(rng, frame, frame_errors=frame_errors)
         if all(view.in_field(view.project(wire_mm), MARGIN_PX).all() for view in setup.views.values()):
             return setup
-    raise SetUpError(f"no set-up of {ATTEMPTS} shows the whole wire in both views")
+    raise SetUpError(f"none of {ATTEMPTS} set-ups shows the whole wire in both views")
 
 
 def measure(rng: np.random.Generator, setup: SetUp, bead_px: float, uneven: float = 0.0) -> dict[str, Observations]:
-    """The beads of both views, each with the covariance that its noise was drawn from."""
+    """Draw measurements of the beads of both views, each with the covariance of its noise."""
     out = {}
     for name in VIEWS:
         ids, exact = bead_images(setup, name, rng, sd_px=0.0)

@@ -1,19 +1,19 @@
-"""What a study is, and what it hands on: figures with their intervals, tables, pictures, findings."""
+"""Studies and their results: estimates with intervals, tables, plots, findings."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from typing import Any, Protocol
 
 import numpy as np
 
-Values = dict[str, Any]  # one trial: plain numbers, lists of them, words; None where something was refused
+Values = dict[str, Any]  # results of one trial: numbers, lists of them, texts; None for a refusal
 
 
 @dataclass(frozen=True)
-class Figure:
-    """One measured number with its 95 % interval, which says how far the number of trials leaves it open.
+class Estimate:
+    """One estimated value with its 95 % interval, which reflects the number of trials.
 
-    `value` is None where no trial gave any. `number`: of the trials or targets behind it.
+    `value` is None if no trial gave one. `number`: of trials or targets that it is estimated from.
     """
 
     name: str
@@ -31,9 +31,20 @@ class Figure:
         return f"{self.value:.3g} ({self.low:.3g} to {self.high:.3g})"
 
 
+class EstimateGroup:
+    """Base of dataclasses whose fields are estimates, tuples of estimates, or other values."""
+
+    @property
+    def estimates(self: Any) -> tuple[Estimate, ...]:
+        """All estimates among the fields, in order."""
+        values = [getattr(self, one.name) for one in fields(self)]
+        every = [each for value in values for each in (value if isinstance(value, tuple) else (value,))]
+        return tuple(each for each in every if isinstance(each, Estimate))
+
+
 @dataclass(frozen=True)
 class Table:
-    """Cells are words as people read them."""
+    """A table of texts for people."""
 
     title: str
     columns: tuple[str, ...]
@@ -42,8 +53,8 @@ class Table:
 
 
 @dataclass(frozen=True)
-class Picture:
-    """A drawing (`svg`) and the sentence under it."""
+class Plot:
+    """A drawing (`svg`) and its caption."""
 
     title: str
     svg: str
@@ -52,36 +63,36 @@ class Picture:
 
 @dataclass(frozen=True)
 class Summary:
-    """What a study found. `findings`: sentences; the first tables are printed, all stand on the page."""
+    """The results of a study. `findings`: sentences. The first tables are printed; the page shows all."""
 
     findings: tuple[str, ...]
-    figures: tuple[Figure, ...]
+    estimates: tuple[Estimate, ...]
     tables: tuple[Table, ...]
-    pictures: tuple[Picture, ...] = field(default=())
+    plots: tuple[Plot, ...] = field(default=())
 
 
 class Study(Protocol):
-    """One question asked of the twin, by many independent trials."""
+    """An experiment on the twin with many independent trials."""
 
     @property
     def name(self) -> str:
-        """What the command line calls it."""
+        """Its name on the command line."""
         ...
 
     @property
     def about(self) -> str:
-        """One line of what it is."""
+        """One line that describes it."""
         ...
 
     @property
     def configuration(self) -> dict[str, Any]:
-        """All that a trial depends on besides its generator, as JSON types."""
+        """Everything that a trial depends on besides its generator, as JSON types."""
         ...
 
     def trial(self, rng: np.random.Generator) -> Values:
-        """One trial, from its own generator alone."""
+        """Run one trial, with no randomness but its own generator."""
         ...
 
     def summary(self, trials: Sequence[Values]) -> Summary:
-        """What the trials, in their order, come to."""
+        """Summarise trials, given in order."""
         ...

@@ -14,11 +14,11 @@ import numpy as np
 
 from sightline.frame import Frame
 from sightline.studies.bound import bound
-from sightline.studies.figure_xy import Axis, Point, Series, xy
+from sightline.studies.figure_xy import PlotAxis, PlotPoint, PlotSeries, xy
 from sightline.studies.intervals import rms, share
 from sightline.studies.methods import errors
-from sightline.studies.scenes import FRAMES, Scene, draw_scene
-from sightline.studies.study import Figure, Picture, Summary, Table, Values
+from sightline.studies.scenes import FRAMES, TargetScene, draw_scene
+from sightline.studies.study import Estimate, Plot, Summary, Table, Values
 
 TARGETS = 4
 BOUND, KNOWN = "bound", "bound, maps known"
@@ -28,20 +28,13 @@ BOUND, KNOWN = "bound", "bound, maps known"
 class AgainstBound:
     """The study; its fields are what may be varied."""
 
+    name = "bound"
+    about = "Errors of targets against the bound that no unbiased method can beat"
+
     methods: tuple[str, ...] = ("smooth", "localized", "polynomial 3", "thin-plate spline")
     frames: tuple[str, ...] = tuple(FRAMES)
     picks_px: tuple[float, ...] = (0.1, 0.5, 1.0)  # centred, careful, ordinary (physics.md, Picks)
     bead_px: float = 0.1  # physics.md, Centroid limit
-
-    @property
-    def name(self) -> str:
-        """On the command line."""
-        return "bound"
-
-    @property
-    def about(self) -> str:
-        """One line."""
-        return "Errors of targets against the bound that no unbiased method can beat"
 
     @property
     def configuration(self) -> dict[str, Any]:
@@ -85,27 +78,27 @@ class AgainstBound:
         ]
         return Summary(
             findings=tuple(self._findings(ratios)),
-            figures=(*ratios.values(), *sizes.values(), *refused),
+            estimates=(*ratios.values(), *sizes.values(), *refused),
             tables=(self._ratio_table(ratios), self._size_table(sizes)),
-            pictures=tuple(self._picture(frame, sizes) for frame in self.frames),
+            plots=tuple(self._plot(frame, sizes) for frame in self.frames),
         )
 
-    def _findings(self, ratios: dict[Any, Figure]) -> list[str]:
+    def _findings(self, ratios: dict[Any, Estimate]) -> list[str]:
         out = []
         for method in self.methods:
             some = [f for (_, m), f in ratios.items() if m == method and f.value is not None]
             if not some:
                 out.append(f"{method} refuses every set-up.")
                 continue
-            worst = max(some, key=lambda figure: figure.value or 0.0)
-            least = min(figure.value or 0.0 for figure in some)
+            worst = max(some, key=lambda estimate: estimate.value or 0.0)
+            least = min(estimate.value or 0.0 for estimate in some)
             out.append(f"{method}: rms (error / bound) from {least:.2f} to {worst} ({worst.name.split(':')[0]}).")
         known = [f.value for (_, m), f in ratios.items() if m == KNOWN and f.value is not None]
         if known:
             out.append(f"With maps known exactly the bound would be {min(known):.2f} to {max(known):.2f} of itself.")
         return out
 
-    def _ratio_table(self, ratios: dict[Any, Figure]) -> Table:
+    def _ratio_table(self, ratios: dict[Any, Estimate]) -> Table:
         rows = [
             (frame, f"{sd:g} px", *(str(ratios[(frame, sd), what]) for what in (*self.methods, KNOWN)))
             for frame in self.frames
@@ -114,7 +107,7 @@ class AgainstBound:
         note = "In brackets: 95 % intervals. 1 is the best that can be. Targets in set-ups where the method answers."
         return Table("rms (error / bound)", ("frame", "picks", *self.methods, KNOWN), tuple(rows), note)
 
-    def _size_table(self, sizes: dict[Any, Figure]) -> Table:
+    def _size_table(self, sizes: dict[Any, Estimate]) -> Table:
         columns = (BOUND, KNOWN, *self.methods)
         rows = [
             (frame, f"{sd:g} px", *(_three(sizes[(frame, sd), what].value) for what in columns))
@@ -123,16 +116,16 @@ class AgainstBound:
         ]
         return Table("rms bound and rms error, mm", ("frame", "picks", *columns), tuple(rows))
 
-    def _picture(self, frame: str, sizes: dict[Any, Figure]) -> Picture:
+    def _plot(self, frame: str, sizes: dict[Any, Estimate]) -> Plot:
         series = []
         for what in (BOUND, KNOWN, *self.methods):
-            figures = [(sd, sizes[(frame, sd), what]) for sd in self.picks_px]
-            points = [Point(sd, f.value, f.low, f.high) for sd, f in figures if f.value is not None]
+            estimates = [(sd, sizes[(frame, sd), what]) for sd in self.picks_px]
+            points = [PlotPoint(sd, f.value, f.low, f.high) for sd, f in estimates if f.value is not None]
             if points:
-                series.append(Series(what, points, dashed=what in (BOUND, KNOWN)))
+                series.append(PlotSeries(what, points, dashed=what in (BOUND, KNOWN)))
         title = f"Errors and bounds, {frame}"
-        drawing = xy(series, Axis("standard deviation of picks, px"), Axis("rms, mm"), title)
-        return Picture(title, drawing, "Three-dimensional errors of targets that beads surround; bounds dashed.")
+        drawing = xy(series, PlotAxis("standard deviation of picks, px"), PlotAxis("rms, mm"), title)
+        return Plot(title, drawing, "Three-dimensional errors of targets that beads surround; bounds dashed.")
 
 
 def key(frame: str, pick_px: float) -> str:
@@ -145,7 +138,7 @@ def over(trials: Sequence[Values], name: str, what: str, of: str) -> list[np.nda
     return [np.array(t[name][what]) / np.array(t[name][of]) for t in trials if t[name][what] is not None]
 
 
-def _bounds(scene: Scene, pick_px: float, *, known_map: bool) -> list[float]:
+def _bounds(scene: TargetScene, pick_px: float, *, known_map: bool) -> list[float]:
     """Root of the trace of the bound of each target, mm."""
     seen = scene.seen(np.broadcast_to(pick_px**2 * np.eye(2), (2, 2, 2)))
     each = [bound(scene.setup, seen, x, known_map=known_map) for x in scene.target_mm]

@@ -14,15 +14,15 @@ from typing import Any
 import numpy as np
 
 import sightline as sl
-from sightline.case.report.figures.budget import Bar, budget
+from sightline.case.report.drawing.budget import Bar, budget
 from sightline.detection import Observations
 from sightline.errors import SightlineError
 from sightline.frame import Frame, Tolerances
 from sightline.planning import SpacePoints
 from sightline.studies.intervals import rms, share
 from sightline.studies.methods import calibrated
-from sightline.studies.scenes import EXACT, VIEWS, WHOLE, Scene
-from sightline.studies.study import Figure, Picture, Summary, Table, Values
+from sightline.studies.scenes import EXACT, VIEWS, WHOLE, TargetScene
+from sightline.studies.study import Estimate, Plot, Summary, Table, Values
 from sightline.twin import bead_images, draw_setup
 from sightline.twin.scene import TEST_BALLS_MM
 
@@ -53,18 +53,11 @@ STATED = {
 class Budget:
     """The study; its fields are what may be varied."""
 
+    name = "budget"
+    about = "The error of a target, source by source: measured, and as the reconstruction states it"
+
     picks_px: tuple[float, ...] = (0.1, 0.5, 1.0)  # centred, careful, ordinary (physics.md, Picks)
     bead_px: float = 0.1  # physics.md, Centroid limit
-
-    @property
-    def name(self) -> str:
-        """On the command line."""
-        return "budget"
-
-    @property
-    def about(self) -> str:
-        """One line."""
-        return "The error of a target, source by source: measured, and as the reconstruction states it"
 
     @property
     def configuration(self) -> dict[str, Any]:
@@ -100,12 +93,12 @@ class Budget:
         caption = f"From left to right: {', '.join(MEANINGS)}. Their squares add up."
         return Summary(
             findings=tuple(_finding(sd, found) for sd in self.picks_px),
-            figures=(refused, *found.values()),
+            estimates=(refused, *found.values()),
             tables=(self._alone_table(found), self._stated_table(found)),
-            pictures=(Picture(title, budget(bars, title), caption),),
+            plots=(Plot(title, budget(bars, title), caption),),
         )
 
-    def _alone_table(self, found: dict[tuple[float, str], Figure]) -> Table:
+    def _alone_table(self, found: dict[tuple[float, str], Estimate]) -> Table:
         columns = ("source", *(f"picks {sd:g} px" for sd in self.picks_px), "what it is")
         rows = [(name, *(_three(_size(found[sd, name])) for sd in self.picks_px), MEANINGS[name]) for name in MEANINGS]
         roots = (_three(_root(found, sd, MEANINGS)) for sd in self.picks_px)
@@ -114,7 +107,7 @@ class Budget:
         note = "Three-dimensional error of the four test points, mm rms; default tolerances of the frame."
         return Table("Each source alone", columns, tuple(rows), note)
 
-    def _stated_table(self, found: dict[tuple[float, str], Figure]) -> Table:
+    def _stated_table(self, found: dict[tuple[float, str], Estimate]) -> Table:
         rows = [
             (
                 source.replace("_", " "),
@@ -147,7 +140,7 @@ class SetUpWith:
             noise = bead_px * own.standard_normal(exact.shape)
             stated = np.broadcast_to(bead_px**2 * np.eye(2), (len(ids), 2, 2))
             observations[name] = Observations(name, ids, exact + noise if bead_noise else exact, stated)
-        self.scene = Scene.of(told, observations, TEST_BALLS_MM)
+        self.scene = TargetScene.of(told, observations, TEST_BALLS_MM)
         self.views = calibrated(self.scene)
 
     def points(self, pick_px: float, noise: np.ndarray | float = 0.0) -> SpacePoints:
@@ -174,7 +167,7 @@ def _sources(
     return out
 
 
-def _finding(pick_px: float, found: dict[tuple[float, str], Figure]) -> str:
+def _finding(pick_px: float, found: dict[tuple[float, str], Estimate]) -> str:
     squares = {name: _size(found[pick_px, name]) ** 2 for name in MEANINGS}
     first, second = sorted(squares, key=lambda name: -squares[name])[:2]
     total, together = sum(squares.values()), found[pick_px, TOGETHER]
@@ -185,12 +178,12 @@ def _finding(pick_px: float, found: dict[tuple[float, str], Figure]) -> str:
     )
 
 
-def _root(found: dict[tuple[float, str], Figure], pick_px: float, names: Sequence[str] | dict[str, str]) -> float:
+def _root(found: dict[tuple[float, str], Estimate], pick_px: float, names: Sequence[str] | dict[str, str]) -> float:
     return sum(_size(found[pick_px, name]) ** 2 for name in names) ** 0.5
 
 
-def _size(figure: Figure) -> float:
-    return figure.value or 0.0
+def _size(estimate: Estimate) -> float:
+    return estimate.value or 0.0
 
 
 def _three(value: float) -> str:

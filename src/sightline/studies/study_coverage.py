@@ -18,16 +18,16 @@ from sightline.frame import Frame
 from sightline.planning import Pick, matching_curve, snap
 from sightline.planning.picks import stack
 from sightline.studies.bound import bound
-from sightline.studies.figure_xy import Axis, Point, Series, xy
+from sightline.studies.figure_xy import PlotAxis, PlotPoint, PlotSeries, xy
 from sightline.studies.intervals import quantile, rms, share
 from sightline.studies.methods import calibrated
-from sightline.studies.scenes import FAR_MM, FRAMES, Scene, draw_scene
-from sightline.studies.study import Figure, Picture, Summary, Table, Values
+from sightline.studies.scenes import FAR_MM, FRAMES, TargetScene, draw_scene
+from sightline.studies.study import Estimate, Plot, Summary, Table, Values
 from sightline.twin.presets import PRESETS
 
 PICKS = {"picks free, 0.1 px": 0.1, "picks free, 0.5 px": 0.5, "picks snapped, 0.5 px": 0.5}
 LEVELS = (0.50, 0.95, 0.99)
-MOST_NAMED = 5
+MAX_NAMED = 5
 BINS = 5  # of the predicted error, equally full
 UNEVEN = 0.3  # the beads' own standard deviations scatter by 30 % [ours]
 
@@ -36,21 +36,14 @@ UNEVEN = 0.3  # the beads' own standard deviations scatter by 30 % [ours]
 class Coverage:
     """The study; its fields are what may be varied."""
 
+    name = "coverage"
+    about = "Predicted against actual error of a target: do the stated ellipsoids hold it?"
+
     methods: tuple[str, ...] = ("smooth", "localized", "polynomial 3")
     beads_px: tuple[float, ...] = (0.05, 0.1, 0.3)
     frames: tuple[str, ...] = tuple(FRAMES)
     picks: tuple[str, ...] = tuple(PICKS)
     chains: tuple[str, ...] = tuple(PRESETS)
-
-    @property
-    def name(self) -> str:
-        """On the command line."""
-        return "coverage"
-
-    @property
-    def about(self) -> str:
-        """One line."""
-        return "Predicted against actual error of a target: do the stated ellipsoids hold it?"
 
     @property
     def configuration(self) -> dict[str, Any]:
@@ -72,7 +65,7 @@ class Coverage:
         """Shares of the ellipsoids that hold their target, by method and group."""
         groups = ["all", "inside the hull", "outside the hull", *sorted({g for t in trials for g in t["groups"]})]
         held = {
-            (method, group): Held.of(f"{method}, {group}", _members(trials, method, group))
+            (method, group): GroupCoverage.of(f"{method}, {group}", _members(trials, method, group))
             for method in self.methods
             for group in groups
         }
@@ -92,13 +85,13 @@ class Coverage:
         ]
         return Summary(
             findings=tuple(_findings(self.methods, groups, held, refused)),
-            figures=(*refused, *(figure for one in held.values() for figure in one.figures)),
+            estimates=(*refused, *(estimate for one in held.values() for estimate in one.estimates)),
             tables=tuple(tables),
-            pictures=tuple(_pictures(self.methods, trials)),
+            plots=tuple(_plots(self.methods, trials)),
         )
 
 
-def outcome(scene: Scene, noise: np.ndarray, picks: str, method: str) -> Values | None:
+def outcome(scene: TargetScene, noise: np.ndarray, picks: str, method: str) -> Values | None:
     """One target of a scene, picked with `noise` (2, 2) in units of the pick's standard deviation."""
     sd = PICKS[picks]
     clicks = scene.target_px[:, 0] + sd * noise
@@ -135,21 +128,21 @@ def _members(trials: Sequence[Values], method: str, group: str) -> list[Values]:
 
 
 @dataclass(frozen=True)
-class Held:
+class GroupCoverage:
     """One method in one group."""
 
-    shares: tuple[Figure, ...]
-    normalised: Figure
-    volume: Figure
+    shares: tuple[Estimate, ...]
+    normalised: Estimate
+    volume: Estimate
 
     @staticmethod
-    def of(name: str, outcomes: Sequence[Values]) -> "Held":
+    def of(name: str, outcomes: Sequence[Values]) -> "GroupCoverage":
         """Of the targets of a group."""
         squares = np.array([one["square"] for one in outcomes])
         shares = (share(f"{name}: {p:.0%} ellipsoid holds the target", squares <= chi2.ppf(p, 3)) for p in LEVELS)
         normalised = rms(f"{name}: normalised error per axis", [np.array([s / 3]) ** 0.5 for s in squares])
         volumes = np.array([one["volume"] for one in outcomes])
-        return Held(tuple(shares), normalised, quantile(f"{name}: volume over the bound's", volumes, 0.5, ""))
+        return GroupCoverage(tuple(shares), normalised, quantile(f"{name}: volume over the bound's", volumes, 0.5, ""))
 
     @property
     def number(self) -> int:
@@ -157,7 +150,7 @@ class Held:
         return self.normalised.number
 
     @property
-    def figures(self) -> tuple[Figure, ...]:
+    def estimates(self) -> tuple[Estimate, ...]:
         """All."""
         return *self.shares, self.normalised, self.volume
 
@@ -167,13 +160,16 @@ class Held:
         return [f"{p:.0%}" for p, s in pairs if s.low is not None and s.high is not None and not s.low <= p <= s.high]
 
 
-def _row(group: str, held: Held) -> tuple[str, ...]:
+def _row(group: str, held: GroupCoverage) -> tuple[str, ...]:
     shares = [f"{s.value:.1%} ({s.low:.0%} to {s.high:.0%})" for s in held.shares]
     return group, str(held.number), *shares, f"{held.normalised.value:.2f}", f"{held.volume.value:.2f}"
 
 
 def _findings(
-    methods: Sequence[str], groups: Sequence[str], held: dict[tuple[str, str], Held], refused: Sequence[Figure]
+    methods: Sequence[str],
+    groups: Sequence[str],
+    held: dict[tuple[str, str], GroupCoverage],
+    refused: Sequence[Estimate],
 ) -> Iterable[str]:
     for method, none in zip(methods, refused, strict=True):
         whole = held[method, "all"]
@@ -186,7 +182,7 @@ def _findings(
             f"{whole.normalised.value:.2f} (1 is right); it refuses {none.value:.1%}."
         )
         off = [f"{group} {level}" for group in groups for level in held[method, group].misses()]
-        told = f" ({', '.join(off)})" if len(off) <= MOST_NAMED else ""
+        told = f" ({', '.join(off)})" if len(off) <= MAX_NAMED else ""
         number = len(LEVELS) * len(groups)
         yield (
             f"{method}: {len(off)} of {number} shares by group exclude what was stated from their 95 % interval{told}; "
@@ -194,7 +190,7 @@ def _findings(
         )
 
 
-def _pictures(methods: Sequence[str], trials: Sequence[Values]) -> Iterable[Picture]:
+def _plots(methods: Sequence[str], trials: Sequence[Values]) -> Iterable[Plot]:
     series = []
     for method in methods:
         outcomes = sorted((t[method] for t in trials if t[method] is not None), key=lambda one: one["stated_mm"])
@@ -204,10 +200,12 @@ def _pictures(methods: Sequence[str], trials: Sequence[Values]) -> Iterable[Pict
         for part in np.array_split(np.arange(len(outcomes)), BINS):
             stated = np.sqrt(np.mean([outcomes[k]["stated_mm"] ** 2 for k in part]))
             made = rms("", [np.array([outcomes[k]["error_mm"]]) for k in part], "mm")
-            points.append(Point(float(stated), made.value or 0.0, made.low, made.high))
-        series.append(Series(method, points))
+            points.append(PlotPoint(float(stated), made.value or 0.0, made.low, made.high))
+        series.append(PlotSeries(method, points))
     if series:
         title = "Predicted and actual error"
-        drawing = xy(series, Axis("predicted error, mm rms"), Axis("actual error, mm rms"), title, diagonal=True)
+        drawing = xy(
+            series, PlotAxis("predicted error, mm rms"), PlotAxis("actual error, mm rms"), title, diagonal=True
+        )
         caption = "Targets sorted by their predicted error, in fifths. Dashed: an error as large as was predicted."
-        yield Picture(title, drawing, caption)
+        yield Plot(title, drawing, caption)

@@ -13,14 +13,14 @@ import numpy as np
 
 import sightline as sl
 from sightline.calibration import BeadView
-from sightline.case.report.figures import plan_marks, radiographs
+from sightline.case.report.drawing import plan_marks, radiographs
 from sightline.errors import SightlineError
 from sightline.frame import Frame
 from sightline.planning.curve import MatchingCurve, matching_curve
 from sightline.studies.intervals import quantile, rms, share
 from sightline.studies.phantoms import PHANTOMS, image_of
 from sightline.studies.scenes import VIEWS, draw_showing, measure
-from sightline.studies.study import Picture, Summary, Table, Values
+from sightline.studies.study import Plot, Summary, Table, Values
 from sightline.twin import SetUp
 
 PHANTOM = "plastic, bored"
@@ -31,7 +31,7 @@ MIDDLE = 60.0  # mm of the line of sight to either side of the point: what a sur
 
 
 @dataclass(frozen=True, eq=False)
-class Drawn:
+class CurveTrial:
     """A set-up, its calibrated views, and the curves of both ends of the wire."""
 
     setup: SetUp
@@ -44,18 +44,11 @@ class Drawn:
 class Figure12:
     """The study."""
 
+    name = "fig12"
+    about = "The paper's figure 12: a PA line of sight in the lateral view, with its band"
+
     pick_px: float = PICK_PX
     bead_px: float = BEAD_PX
-
-    @property
-    def name(self) -> str:
-        """On the command line."""
-        return "fig12"
-
-    @property
-    def about(self) -> str:
-        """One line."""
-        return "The paper's figure 12: a PA line of sight in the lateral view, with its band"
 
     @property
     def configuration(self) -> dict[str, Any]:
@@ -72,7 +65,7 @@ class Figure12:
         pairs = zip(ENDS, drawn.curves, drawn.true_px, strict=True)
         return {"draw": draw, **{end: held(curve, uv) for end, curve, uv in pairs}}
 
-    def drawn(self, rng: np.random.Generator) -> Drawn:
+    def drawn(self, rng: np.random.Generator) -> CurveTrial:
         """Everything of one trial, from its own generator. Raises SightlineError."""
         wire = PHANTOMS[PHANTOM].wire_mm
         setup = draw_showing(rng, Frame.load("gamma"), wire)
@@ -81,7 +74,7 @@ class Figure12:
         pa, lateral = (setup.views[name].project(wire) for name in VIEWS)
         picks = pa + self.pick_px * rng.standard_normal(pa.shape)
         stated = self.pick_px**2 * np.eye(2)
-        return Drawn(setup, views, [matching_curve(views[0], uv, views[1], stated) for uv in picks], lateral)
+        return CurveTrial(setup, views, [matching_curve(views[0], uv, views[1], stated) for uv in picks], lateral)
 
     def summary(self, trials: Sequence[Values]) -> Summary:
         """Distances against bands, bends, and the curves of the first set-up that has them."""
@@ -98,7 +91,7 @@ class Figure12:
         bent = {end: quantile(f"{end}: bend of the curve, median", bend[end], 0.5, "px") for end in ENDS}
         most = {end: quantile(f"{end}: bend of the curve, 95 %", bend[end], 0.95, "px") for end in ENDS}
         every = (inside, away, width, bent, most)
-        rows = tuple((end, *(str(figures[end]) for figures in every)) for end in ENDS)
+        rows = tuple((end, *(str(estimates[end]) for estimates in every)) for end in ENDS)
         columns = ("", "in the 95 % band", "from the curve, px rms", "half width, px", "bend, px", "bend, 95 %, px")
         return Summary(
             findings=tuple(
@@ -106,12 +99,12 @@ class Figure12:
                 f"width is {width[end].value:.2f} px, the curve bends by {bent[end].value:.1f} px (medians)."
                 for end in ENDS
             ),
-            figures=(refused, *(figure for figures in every for figure in figures.values())),
+            estimates=(refused, *(estimate for estimates in every for estimate in estimates.values())),
             tables=(Table("Image-matching curves", columns, rows, "In brackets: 95 % intervals."),),
-            pictures=(self._picture(kept[0]["draw"]),),
+            plots=(self._plot(kept[0]["draw"]),),
         )
 
-    def _picture(self, draw: int) -> Picture:
+    def _plot(self, draw: int) -> Plot:
         drawn, rng = self.drawn(np.random.default_rng(draw)), np.random.default_rng([draw])
         image = image_of(rng, drawn.setup, PHANTOMS[PHANTOM].build(drawn.setup, rng), VIEWS[1])
         curves = [plan_marks.curve(curve, end) for curve, end in zip(drawn.curves, ENDS, strict=True)]
@@ -119,7 +112,7 @@ class Figure12:
         marks = (*curves, plan_marks.truth(drawn.true_px))
         drawing = radiographs.sources({VIEWS[1]: image}) + radiographs.radiograph(image, VIEWS[1], marks, title)
         caption = "Blue: the curves with their 95 % bands, a tick every 10 mm. White: the true places."
-        return Picture(title, drawing, caption)
+        return Plot(title, drawing, caption)
 
 
 def held(curve: MatchingCurve, uv_px: np.ndarray) -> Values:

@@ -14,7 +14,7 @@ import numpy as np
 
 from sightline.studies.figure_field import field
 from sightline.studies.intervals import quantile, share
-from sightline.studies.study import Picture, Summary, Table, Values
+from sightline.studies.study import Plot, Summary, Table, Values
 from sightline.twin.distributions import Distortion
 from sightline.twin.draw import draw_earth, draw_tube
 from sightline.twin.presets import preset
@@ -39,17 +39,10 @@ MEASURES = {
 class Figure13:
     """The study."""
 
+    name = "fig13"
+    about = "The paper's figure 13: a plate fixed to the intensifier, PA against lateral image"
+
     chain: str = "9in-1k"
-
-    @property
-    def name(self) -> str:
-        """On the command line."""
-        return "fig13"
-
-    @property
-    def about(self) -> str:
-        """One line."""
-        return "The paper's figure 13: a plate fixed to the intensifier, PA against lateral image"
 
     @property
     def configuration(self) -> dict[str, Any]:
@@ -86,21 +79,21 @@ class Figure13:
         low, high = PAPER_MM
         centre = np.array([trial["centre"] for trial in trials])
         inside = share("set-ups whose centre hole moves by 2 to 3 mm", (centre >= low) & (centre <= high))
-        rows = [(words, *(f"{figure.value:.2f}" for figure in found[name])) for name, words in MEASURES.items()]
+        rows = [(words, *(f"{estimate.value:.2f}" for estimate in found[name])) for name, words in MEASURES.items()]
         optics = preset(self.chain)
         typical = trials[int(np.argmin(np.abs(centre - np.median(centre))))]
         title = "PA (hollow) and lateral (filled) places of the holes"
         drawing = field(np.array(typical["pa"]), np.array(typical["lateral"]), optics.field_mm / 2, title)
-        five, median, ninety_five = (figure.value for figure in found["centre"])
+        five, median, ninety_five = (estimate.value for estimate in found["centre"])
         return Summary(
             findings=(
                 f"The centre hole moves by {median:.1f} mm (median; central 90 %: {five:.1f} to {ninety_five:.1f} mm), "
                 f"{(median or 0.0) / optics.pitch_mm:.0f} px; the paper saw 2 to 3 mm, 8 px.",
                 f"In {inside.value:.0%} of set-ups it moves by 2 to 3 mm.",
             ),
-            figures=(inside, *(figure for figures in found.values() for figure in figures)),
+            estimates=(inside, *(estimate for estimates in found.values() for estimate in estimates)),
             tables=(Table("Displacement, mm at the input plane", ("", "5 %", "median", "95 %"), tuple(rows)),),
-            pictures=(Picture(title, drawing, "The set-up whose centre hole (pink) moves by the median; to scale."),),
+            plots=(Plot(title, drawing, "The set-up whose centre hole (pink) moves by the median; to scale."),),
         )
 
 

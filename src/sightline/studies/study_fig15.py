@@ -20,13 +20,13 @@ from sightline.detection import Observations
 from sightline.errors import OutsideRegionError, SightlineError
 from sightline.frame import Frame
 from sightline.planning import Plan, kind, plan
-from sightline.rehearsal.operation import Outcome, Theatre
+from sightline.rehearsal.operation import InsertionOutcome, SimulatedTheatre
 from sightline.rehearsal.robots import calibrated_robot
 from sightline.robot.control.insertion import Setup
 from sightline.studies.intervals import quantile, share
 from sightline.studies.phantoms import PHANTOMS, SIDE, image_of, observed
 from sightline.studies.scenes import VIEWS
-from sightline.studies.study import Figure, Summary, Table, Values
+from sightline.studies.study import Estimate, Summary, Table, Values
 from sightline.twin import HipScene, SetUp
 
 PHANTOM = "plastic, bored"
@@ -38,7 +38,7 @@ SIX = 6  # trials of the paper
 
 
 @dataclass(frozen=True, eq=False)
-class Planned:
+class PlannedInsertion:
     """What both methods are given: the set-up and what is in it, the beads, and the picks (2, P, 2): entry, end, and
     landmarks."""
 
@@ -60,17 +60,10 @@ class Planned:
 class Figure15:
     """The study."""
 
+    name = "fig15"
+    about = "The paper's figure 15: guide wires inserted by the robot into the bore of a plastic femur"
+
     methods: tuple[Method, ...] = METHODS
-
-    @property
-    def name(self) -> str:
-        """On the command line."""
-        return "fig15"
-
-    @property
-    def about(self) -> str:
-        """One line."""
-        return "The paper's figure 15: guide wires inserted by the robot into the bore of a plastic femur"
 
     @property
     def configuration(self) -> dict[str, Any]:
@@ -88,7 +81,7 @@ class Figure15:
 
     def summary(self, trials: Sequence[Values]) -> Summary:
         """Errors of both methods, and the paper's six trials beside our first six."""
-        figures, rows, findings = [], [], []
+        estimates, rows, findings = [], [], []
         for method in self.methods:
             all_of = [trial.get(method, trial) for trial in trials]
             kept = [one for one in all_of if "refused" not in one]
@@ -97,15 +90,15 @@ class Figure15:
             )
             mine = [within, *(f for of in _MEASURED for f in _quantiles(method, of, kept))]
             plans = [one for one in all_of if "plan_entry" in one]
-            figures += [*mine, *(f for of in ("plan_entry", "plan_angle") for f in _quantiles(method, of, plans))]
-            rows.append((method, f"{len(kept)} of {len(trials)}", *(str(figure) for figure in mine)))
+            estimates += [*mine, *(f for of in ("plan_entry", "plan_angle") for f in _quantiles(method, of, plans))]
+            rows.append((method, f"{len(kept)} of {len(trials)}", *(str(estimate) for estimate in mine)))
             findings.append(
                 f"{method}: {sum(_within(one) for one in all_of)} of {len(trials)} insertions within {LIMIT_MM:g} mm "
                 f"of the entry point and {LIMIT_DEG}° of the bore's axis; {len(trials) - len(kept)} refused."
             )
         columns = ("method", "drilled", "within", *(f"{of}, {what}" for of in _MEASURED for what in ("median", "95 %")))
         table = Table("Insertions", columns, tuple(rows), "In brackets: 95 % intervals. Entry and end mm, angle °.")
-        return Summary(tuple(findings), tuple(figures), (table, self._first_six(trials)))
+        return Summary(tuple(findings), tuple(estimates), (table, self._first_six(trials)))
 
     def _first_six(self, trials: Sequence[Values]) -> Table:
         rows = []
@@ -132,29 +125,29 @@ def _sees(views: list[BeadView], uv_px: np.ndarray) -> bool:
     return True
 
 
-def _planned(rng: np.random.Generator) -> Planned:
+def _planned(rng: np.random.Generator) -> PlannedInsertion:
     setup, hip = PHANTOMS[PHANTOM].draw(rng, Frame.load("gamma"))
     seen = {name: observed(image_of(rng, setup, hip, name), setup.frame, name) for name in VIEWS}
     points = np.concatenate([hip.wire_mm, np.stack(list(hip.landmarks_mm.values()))])
     true = np.stack([setup.views[name].project(points) for name in VIEWS])
-    return Planned(setup, hip, seen, true + PICK_PX * rng.standard_normal(true.shape))
+    return PlannedInsertion(setup, hip, seen, true + PICK_PX * rng.standard_normal(true.shape))
 
 
-def _inserted(planned: Planned, method: Method, rng: np.random.Generator) -> Values:
+def _inserted(planned: PlannedInsertion, method: Method, rng: np.random.Generator) -> Values:
     """What one method's plan comes to; the errors of the plan itself where the robot does not carry it out."""
     out: Values = {}
     try:
         made = planned.plan(method)
-        by_plan = Outcome.of(made.trajectory.points.xyz_mm, planned.hip.wire_mm)
+        by_plan = InsertionOutcome.of(made.trajectory.points.xyz_mm, planned.hip.wire_mm)
         out = {"plan_entry": by_plan.entry_mm, "plan_angle": float(np.rad2deg(by_plan.angle_rad))}
         # Along a bore, whose mouth nothing touches, no contact can be waited for.
         confirmed = Setup(SIDE, planned.setup.frame.serial or "twin", into_bone=False)
-        theatre = Theatre.draw(calibrated_robot(SIDE), planned.hip, rng, confirmed)
+        theatre = SimulatedTheatre.draw(calibrated_robot(SIDE), planned.hip, rng, confirmed)
         target = theatre.target(made, "fig15")
         theatre.drill(target, target.length_mm + BEYOND_MM)
     except SightlineError as error:
         return {**out, "refused": f"{type(error).__name__}: {error}"}
-    found: Outcome = theatre.outcome(planned.hip.wire_mm)
+    found: InsertionOutcome = theatre.outcome(planned.hip.wire_mm)
     return {
         **out,
         "entry": found.entry_mm,
@@ -169,7 +162,7 @@ def _within(one: Values) -> bool:
     return "refused" not in one and one["entry"] <= LIMIT_MM and one["angle"] <= LIMIT_DEG
 
 
-def _quantiles(method: str, of: str, kept: Sequence[Values]) -> list[Figure]:
+def _quantiles(method: str, of: str, kept: Sequence[Values]) -> list[Estimate]:
     unit = "°" if of.endswith("angle") else "mm"
     values = np.array([one[of] for one in kept])
     return [

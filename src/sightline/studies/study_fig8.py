@@ -10,12 +10,12 @@ from typing import Any
 
 import numpy as np
 
-from sightline.case.report.figures import radiographs
+from sightline.case.report.drawing import radiographs
 from sightline.errors import SightlineError
 from sightline.frame import Frame
 from sightline.studies.intervals import rms, share
 from sightline.studies.phantoms import PHANTOMS, image_of, observed
-from sightline.studies.study import Picture, Summary, Table, Values
+from sightline.studies.study import Plot, Summary, Table, Values
 from sightline.twin import HipScene, SetUp
 from sightline.twin.carm import shadow_centres_px, shadow_radius_px
 
@@ -27,17 +27,10 @@ PLATES = {"xrii": "XRII plate", "source": "source plate"}
 class Figure8:
     """The study."""
 
+    name = "fig8"
+    about = "The paper's figure 8: a registration image, and how many of its beads are found and named"
+
     phantom: str = "plastic, bored"
-
-    @property
-    def name(self) -> str:
-        """On the command line."""
-        return "fig8"
-
-    @property
-    def about(self) -> str:
-        """One line."""
-        return "The paper's figure 8: a registration image, and how many of its beads are found and named"
 
     @property
     def configuration(self) -> dict[str, Any]:
@@ -89,9 +82,9 @@ class Figure8:
                 f"{len(kept)} of {len(trials)} images are told apart; {wrong} of their beads bear a wrong name.",
                 f"The centre of a bead that is named rightly is off by {error} px rms.",
             ),
-            figures=(refused, error),
+            estimates=(refused, error),
             tables=(Table("Beads", ("", "whole in the field", "named rightly", "share"), tuple(rows)),),
-            pictures=(Picture(title, drawing, "The first trial, logarithm of the intensity, as in the paper."),),
+            plots=(Plot(title, drawing, "The first trial, logarithm of the intensity, as in the paper."),),
         )
 
 

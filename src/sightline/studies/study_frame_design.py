@@ -25,23 +25,23 @@ from sightline.frame.nominal import SOURCE_TO_DETECTOR_MM, SOURCE_TO_HIP_MM, in_
 from sightline.studies.figure_spans import Span, spans
 from sightline.studies.intervals import rms, share
 from sightline.studies.scenes import BEADS_20UM, VIEWS, WHOLE, draw_showing
-from sightline.studies.study import Figure, Picture, Summary, Table, Values
-from sightline.studies.study_robustness import WIRE_MM
+from sightline.studies.study import Estimate, Plot, Summary, Table, Values
+from sightline.studies.study_robustness import WIRE_ENDS_MM
 from sightline.twin import SetUp, bead_images
 from sightline.twin.beam import attenuation_per_mm
 from sightline.twin.carm import displaced
 from sightline.twin.handling import Handling, in_use
-from sightline.twin.things import PLATE_MM
+from sightline.twin.things import PLATE_THICKNESS_MM
 
 PICK_PX = 0.1  # a located target (physics.md, Picks)
 BEAD_PX, BEAD_MM = 0.1, 3.0  # physics.md, Centroid limit
 MIDDLE_ENERGY = 1  # 60 keV of the beam's three
 # The thigh's skin lies up to 105 mm from the hip (twin, SoftTissue); 5 mm for drapes [ours].
-NEAREST_MM = 105.0 + 5.0 + PLATE_MM / 2
+NEAREST_MM = 105.0 + 5.0 + PLATE_THICKNESS_MM / 2
 # The intensifier's housing begins 30 mm before its input plane [mem].
-FARTHEST_MM = SOURCE_TO_DETECTOR_MM - SOURCE_TO_HIP_MM - 30.0 - PLATE_MM / 2
-LEAST_REACH_MM, LEAST_IN_FIELD = 10.0, 0.6  # of `check_frame`
-CLEAR_GAIN = 0.10  # a change of less than a tenth is not worth a new frame [ours]
+FARTHEST_MM = SOURCE_TO_DETECTOR_MM - SOURCE_TO_HIP_MM - 30.0 - PLATE_THICKNESS_MM / 2
+MIN_REACH_MM, MIN_IN_FIELD = 10.0, 0.6  # of `check_frame`
+MIN_GAIN = 0.10  # a change of less than a tenth is not worth a new frame [ours]
 
 
 @dataclass(frozen=True)
@@ -116,19 +116,12 @@ HANDLINGS = {
 class FrameDesignStudy:
     """The study; its fields are what may be varied."""
 
+    name = "frame-design"
+    about = "What a frame's plates, balls, tolerances and handling do to the error at the target"
+
     geometries: tuple[Design, ...] = GEOMETRIES
     tolerances: tuple[str, ...] = tuple(TOLERANCES)
     handlings: tuple[str, ...] = tuple(HANDLINGS)
-
-    @property
-    def name(self) -> str:
-        """On the command line."""
-        return "frame-design"
-
-    @property
-    def about(self) -> str:
-        """One line."""
-        return "What a frame's plates, balls, tolerances and handling do to the error at the target"
 
     @property
     def configuration(self) -> dict[str, Any]:
@@ -137,13 +130,13 @@ class FrameDesignStudy:
             **asdict(self),
             "made": {name: asdict(sd) for name, sd in {**MADE, **TOLERANCES}.items()},
             "handled": {name: asdict(HANDLINGS[name]) for name in self.handlings},
-            "wire_mm": WIRE_MM.tolist(),
+            "wire_mm": WIRE_ENDS_MM.tolist(),
             "noise_px": {"bead": BEAD_PX, "pick": PICK_PX},
         }
 
     def trial(self, rng: np.random.Generator) -> Values:
         """For each design, tolerance and handling: errors (2) of the wire's ends and what is stated of them, mm."""
-        setup = draw_showing(rng, Frame.load("gamma"), WIRE_MM, frame_errors=False)
+        setup = draw_showing(rng, Frame.load("gamma"), WIRE_ENDS_MM, frame_errors=False)
         seed = int(rng.integers(2**32))
         out: Values = {}
         for design in self.geometries:
@@ -158,22 +151,22 @@ class FrameDesignStudy:
 
     def summary(self, trials: Sequence[Values]) -> Summary:
         """Errors by design, tolerance and handling, and which design is best of those that fit."""
-        found = {key: Found.of(key, trials) for key in trials[0]}
+        found = {key: DesignResult.of(key, trials) for key in trials[0]}
         gains = {design: _gain(design, trials) for design in self.geometries if design != DEFAULT}
         drawn = [Span(key, *one.ends) for key, one in found.items() if one.error.value is not None]
         title = "Error at the ends of the wire"
         return Summary(
             findings=tuple(_findings(found, gains)),
-            figures=(*(figure for one in found.values() for figure in one.figures), *gains.values()),
+            estimates=(*(estimate for one in found.values() for estimate in one.estimates), *gains.values()),
             tables=(
                 self._geometry_table(found, gains),
                 _table("Tolerances of the default frame", [AS_MADE, *self.tolerances], found),
                 _table("Handling of the default frame", [f"{h}, {m}" for m in MADE for h in self.handlings], found),
             ),
-            pictures=(Picture(title, spans(drawn, "mm", title), "rms (tick) with its 95 % interval (bar)."),),
+            plots=(Plot(title, spans(drawn, "mm", title), "rms (tick) with its 95 % interval (bar)."),),
         )
 
-    def _geometry_table(self, found: dict[str, "Found"], gains: dict[Design, Figure]) -> Table:
+    def _geometry_table(self, found: dict[str, "DesignResult"], gains: dict[Design, Estimate]) -> Table:
         rows = []
         for design in self.geometries:
             gain = str(gains[design]) if design in gains else "the default"
@@ -190,25 +183,25 @@ class FrameDesignStudy:
 
 
 @dataclass(frozen=True)
-class Found:
+class DesignResult:
     """Of one design: `error` and `stated`, mm rms; how often it was `refused`."""
 
-    error: Figure
-    stated: Figure
-    refused: Figure
+    error: Estimate
+    stated: Estimate
+    refused: Estimate
 
     @staticmethod
-    def of(key: str, trials: Sequence[Values]) -> "Found":
+    def of(key: str, trials: Sequence[Values]) -> "DesignResult":
         """Of all trials."""
         kept = [trial[key] for trial in trials if trial[key] is not None]
-        return Found(
+        return DesignResult(
             rms(f"{key}: error", [np.array(one["error"]) for one in kept], "mm"),
             rms(f"{key}: stated", [np.array(one["stated"]) for one in kept], "mm"),
             share(f"{key}: refused", np.array([trial[key] is None for trial in trials])),
         )
 
     @property
-    def figures(self) -> tuple[Figure, ...]:
+    def estimates(self) -> tuple[Estimate, ...]:
         """All."""
         return self.error, self.stated, self.refused
 
@@ -235,9 +228,9 @@ def obstacle(design: Design) -> str:
         return "in the intensifier"
     for view in design.frame(WHOLE).views.values():
         for plate in (view.xrii, view.source):
-            if in_field(view, plate.xyz_mm).mean() < LEAST_IN_FIELD:
+            if in_field(view, plate.xyz_mm).mean() < MIN_IN_FIELD:
                 return "beyond the field"
-            if (reach_mm(view, plate) or 0.0) < LEAST_REACH_MM:
+            if (reach_mm(view, plate) or 0.0) < MIN_REACH_MM:
                 return "too small for the wire"
     return ""
 
@@ -268,7 +261,7 @@ def error_of(setup: SetUp, design: Design, sd: Tolerances, handling: Handling, s
     draws = np.concatenate([rng.standard_normal(factor.shape[1] - len(shared)), shared])
     made = replace(displaced(frame, (factor @ draws).reshape(-1, 3)), tolerances=WHOLE)  # it sags, measured or not
     stands = replace(setup, frame=frame, true_frame=in_use(made, handling))
-    pixels = np.array([setup.views[name].project(WIRE_MM) for name in VIEWS]) + picks
+    pixels = np.array([setup.views[name].project(WIRE_ENDS_MM) for name in VIEWS]) + picks
     covariance = np.broadcast_to(PICK_PX**2 * np.eye(2), (2, 2, 2, 2))
     try:
         views = [sl.calibrate(_seen(stands, name, rng, bead_sd_px(design.ball_mm)), frame) for name in VIEWS]
@@ -276,7 +269,7 @@ def error_of(setup: SetUp, design: Design, sd: Tolerances, handling: Handling, s
     except SightlineError:
         return None
     stated = np.sqrt(np.trace(points.covariance_mm2, axis1=1, axis2=2))
-    return {"error": np.linalg.norm(points.xyz_mm - WIRE_MM, axis=1).round(6).tolist(), "stated": stated.tolist()}
+    return {"error": np.linalg.norm(points.xyz_mm - WIRE_ENDS_MM, axis=1).round(6).tolist(), "stated": stated.tolist()}
 
 
 def _seen(setup: SetUp, name: str, rng: np.random.Generator, sd_px: float) -> Observations:
@@ -284,21 +277,21 @@ def _seen(setup: SetUp, name: str, rng: np.random.Generator, sd_px: float) -> Ob
     return Observations(name, ids, uv, np.broadcast_to(sd_px**2 * np.eye(2), (len(ids), 2, 2)))
 
 
-def _gain(design: Design, trials: Sequence[Values]) -> Figure:
+def _gain(design: Design, trials: Sequence[Values]) -> Estimate:
     """rms error over that of the default, as made, in the set-ups where both answer; its interval is of pairs."""
     key = f"{design.name}, as made"
     name = f"{design.name}: rms over the default's"
     pairs = [[np.mean(np.square(t[k]["error"])) for k in (key, AS_MADE)] for t in trials if t[key] and t[AS_MADE]]
     if len(pairs) < 2:
-        return Figure(name, None, None, None, "", len(pairs))
+        return Estimate(name, None, None, None, "", len(pairs))
     mine, theirs = np.mean(pairs, axis=0)
     ratio = mine / theirs
     spread = np.std(np.array(pairs) @ [1.0, -ratio], ddof=1) / np.sqrt(len(pairs)) / theirs
     low, high = ratio + 1.96 * np.array([-spread, spread])
-    return Figure(name, float(ratio**0.5), float(max(low, 0.0) ** 0.5), float(high**0.5), "", len(pairs))
+    return Estimate(name, float(ratio**0.5), float(max(low, 0.0) ** 0.5), float(high**0.5), "", len(pairs))
 
 
-def _findings(found: dict[str, Found], gains: dict[Design, Figure]) -> Sequence[str]:
+def _findings(found: dict[str, DesignResult], gains: dict[Design, Estimate]) -> Sequence[str]:
     out = [f"The default frame: {found[AS_MADE].error} mm rms at the ends of the wire."]
     handled = [key for key in HANDLINGS if f"{key}, as made" in found]
     if handled:
@@ -312,15 +305,15 @@ def _findings(found: dict[str, Found], gains: dict[Design, Figure]) -> Sequence[
     if not fitting:
         return out
     _, best, gain = min(fitting, key=lambda one: one[0])
-    if gain.high is not None and gain.high < 1 - CLEAR_GAIN:
+    if gain.high is not None and gain.high < 1 - MIN_GAIN:
         return [*out, f"Recommended of those that fit: {best.name}, {gain} of the default's error."]
     return [
         *out,
         f"Recommended: the default frame. The best of the others that fit is {best.name}, at {gain} of its error; "
-        f"a change counts if it surely gains {CLEAR_GAIN:.0%}.",
+        f"a change counts if it surely gains {MIN_GAIN:.0%}.",
     ]
 
 
-def _table(title: str, keys: Sequence[str], found: dict[str, Found]) -> Table:
+def _table(title: str, keys: Sequence[str], found: dict[str, DesignResult]) -> Table:
     rows = tuple((key, found[key].cell, str(found[key].error)) for key in keys)
     return Table(title, ("", "error / stated, mm rms", "95 % interval of the error"), rows)

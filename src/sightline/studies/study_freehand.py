@@ -30,8 +30,8 @@ from sightline.frame import Frame, nominal
 from sightline.planning import kind, plan
 from sightline.studies.intervals import quantile, rms, share
 from sightline.studies.scenes import VIEWS, draw_showing, measure
-from sightline.studies.study import Figure, Summary, Table, Values
-from sightline.studies.study_robustness import WIRE_MM
+from sightline.studies.study import Estimate, Summary, Table, Values
+from sightline.studies.study_robustness import WIRE_ENDS_MM
 from sightline.twin import SetUp
 
 LIMIT_MM, LIMIT_RAD = 1.0, radians(0.6)  # what the paper reached
@@ -40,7 +40,7 @@ BEAD_PX = 0.1  # physics.md, Centroid limit
 UPRIGHT = radians(3.0)  # s.d. of turning an image upright by eye [ours]
 FIRST_MM, FIRST_RAD = 5.0, radians(5.0)  # s.d. per axis of the first attempt, by an angle guide [ours]
 GUIDE_MM, GUIDE_RAD = 0.2, radians(0.1)  # s.d. per axis of a guide on a plan [ours]
-MOST = 30  # attempts [ours]
+MAX_ATTEMPTS = 30  # attempts [ours]
 # s.d. per axis of entry, mm, and direction, degrees, of a wire that is put in again by hand [ours].
 HANDS = {"steady hand": (0.5, 0.3), "ordinary hand": (1.0, 1.0)}
 MATCHES_MM = (0.0, 1.0, 2.0, 4.0)  # s.d. of a lateral mark matched by eye [ours]
@@ -52,29 +52,22 @@ CURVES, GUIDE = "curves", "curves and guide"
 class Freehand:
     """The study; its fields are what may be varied."""
 
+    name = "freehand"
+    about = "Attempts and exposures until a wire lies within 1 mm and 0.6°: plain views, curves, a guide"
+
     hands: tuple[str, ...] = tuple(HANDS)
     matches_mm: tuple[float, ...] = MATCHES_MM
-
-    @property
-    def name(self) -> str:
-        """On the command line."""
-        return "freehand"
-
-    @property
-    def about(self) -> str:
-        """One line."""
-        return "Attempts and exposures until a wire lies within 1 mm and 0.6°: plain views, curves, a guide"
 
     @property
     def configuration(self) -> dict[str, Any]:
         """Fields, and the constants of the operator."""
         noise = {"pick_px": PICK_PX, "bead_px": BEAD_PX, "upright": UPRIGHT, "hands": HANDS}
         sizes = {"first": [FIRST_MM, FIRST_RAD], "guide": [GUIDE_MM, GUIDE_RAD], "limits": [LIMIT_MM, LIMIT_RAD]}
-        return {**asdict(self), **noise, **sizes, "most": MOST, "wire_mm": WIRE_MM.tolist()}
+        return {**asdict(self), **noise, **sizes, "most": MAX_ATTEMPTS, "wire_mm": WIRE_ENDS_MM.tolist()}
 
     def trial(self, rng: np.random.Generator) -> Values:
         """For each operator: attempts, whether they ended by stopping, and the true error then; {} where refused."""
-        setup = draw_showing(rng, Frame.load("gamma"), WIRE_MM)
+        setup = draw_showing(rng, Frame.load("gamma"), WIRE_ENDS_MM)
         seen, seed = measure(rng, setup, BEAD_PX), int(rng.integers(2**32))
         try:
             views = [sl.calibrate(seen[name], setup.frame) for name in VIEWS]
@@ -95,7 +88,7 @@ class Freehand:
         refused = share("set-ups refused", np.array([not trial for trial in trials]))
         if not kept:
             return Summary(("Every set-up was refused.",), (refused,), ())
-        ended = {name: Ended.of(name, [trial[name] for trial in kept]) for name in kept[0]}
+        ended = {name: OperatorResult.of(name, [trial[name] for trial in kept]) for name in kept[0]}
         columns = (
             "operator",
             "attempts, median / 95 %",
@@ -111,7 +104,7 @@ class Freehand:
         table = Table(f"Until the wire seems within {LIMIT_MM:g} mm and 0.6°", columns, rows, note)
         return Summary(
             findings=tuple(one.words for one in ended.values()),
-            figures=(refused, *(figure for one in ended.values() for figure in one.figures)),
+            estimates=(refused, *(estimate for one in ended.values() for estimate in one.estimates)),
             tables=(table,),
         )
 
@@ -121,8 +114,8 @@ class PlainEyes:
 
     def __init__(self, setup: SetUp, match_mm: float, rng: np.random.Generator) -> None:
         self.setup, self.rng = setup, rng
-        matched = WIRE_MM + match_mm * rng.standard_normal((2, 1)) * ALONG_PATIENT
-        self.marks_px = [self.read(name, there) for name, there in zip(VIEWS, (WIRE_MM, matched), strict=True)]
+        matched = WIRE_ENDS_MM + match_mm * rng.standard_normal((2, 1)) * ALONG_PATIENT
+        self.marks_px = [self.read(name, there) for name, there in zip(VIEWS, (WIRE_ENDS_MM, matched), strict=True)]
         turns = UPRIGHT * rng.standard_normal(len(VIEWS))
         self.px_per_mm = np.vstack([believed(setup, name, turn) for name, turn in zip(VIEWS, turns, strict=True)])
 
@@ -174,31 +167,33 @@ def insert(eyes: PlainEyes, hand: tuple[float, float], seed: int) -> Values:
     rng = np.random.default_rng([seed, 1])  # the same hand for all eyes
     off = _placed(rng, FIRST_MM, FIRST_RAD)
     entry_mm, direction_rad = hand[0], radians(hand[1])
-    for attempt in range(1, MOST + 1):
-        seems = eyes.error_mm(WIRE_MM + off)
+    for attempt in range(1, MAX_ATTEMPTS + 1):
+        seems = eyes.error_mm(WIRE_ENDS_MM + off)
         if within(seems):
             return {"attempts": attempt, "stopped": True, **_measured(off)}
         off = off - across_wire(seems) + _placed(rng, entry_mm, direction_rad)
-    return {"attempts": MOST, "stopped": False, **_measured(off)}
+    return {"attempts": MAX_ATTEMPTS, "stopped": False, **_measured(off)}
 
 
 def _guided(setup: SetUp, views: list[BeadView], rng: np.random.Generator) -> Values:
     """A wire held on the plan: one attempt, taken as it comes."""
     eyes = CalibratedEyes(setup, views, rng)
-    off = across_wire(eyes.plan_mm - WIRE_MM) + _placed(np.random.default_rng(rng.integers(2**32)), GUIDE_MM, GUIDE_RAD)
+    off = across_wire(eyes.plan_mm - WIRE_ENDS_MM) + _placed(
+        np.random.default_rng(rng.integers(2**32)), GUIDE_MM, GUIDE_RAD
+    )
     return {"attempts": 1, "stopped": True, **_measured(off)}
 
 
 def _placed(rng: np.random.Generator, entry_mm: float, direction_rad: float) -> np.ndarray:
     """(2, 3) errors of both ends of a wire across it: of its entry, and of its direction about that."""
     entry, turn = entry_mm * rng.standard_normal(3), direction_rad * rng.standard_normal(3)
-    length = np.linalg.norm(WIRE_MM[1] - WIRE_MM[0])
+    length = np.linalg.norm(WIRE_ENDS_MM[1] - WIRE_ENDS_MM[0])
     return across_wire(np.array([entry, entry + length * turn]))
 
 
 def across_wire(off_mm: np.ndarray) -> np.ndarray:
     """What of errors (2, 3) lies across the wire."""
-    along = (WIRE_MM[1] - WIRE_MM[0]) / np.linalg.norm(WIRE_MM[1] - WIRE_MM[0])
+    along = (WIRE_ENDS_MM[1] - WIRE_ENDS_MM[0]) / np.linalg.norm(WIRE_ENDS_MM[1] - WIRE_ENDS_MM[0])
     return off_mm - np.outer(off_mm @ along, along)
 
 
@@ -209,7 +204,7 @@ def within(off_mm: np.ndarray) -> bool:
 
 def _measured(off_mm: np.ndarray) -> Values:
     entry, end = off_mm
-    length = np.linalg.norm(WIRE_MM[1] - WIRE_MM[0])
+    length = np.linalg.norm(WIRE_ENDS_MM[1] - WIRE_ENDS_MM[0])
     angle = float(np.rad2deg(np.arctan2(np.linalg.norm(end - entry), length)))
     return {"entry_mm": float(np.linalg.norm(entry)), "direction_deg": angle}
 
@@ -220,26 +215,26 @@ def key(eyes: str, hand: str) -> str:
 
 
 @dataclass(frozen=True)
-class Ended:
+class OperatorResult:
     """How one operator's trials ended."""
 
     name: str
-    median: Figure
-    high: Figure
-    first: Figure
-    stopped: Figure
-    right: Figure
-    entry: Figure
-    direction: Figure
+    median: Estimate
+    high: Estimate
+    first: Estimate
+    stopped: Estimate
+    right: Estimate
+    entry: Estimate
+    direction: Estimate
 
     @staticmethod
-    def of(name: str, outcomes: Sequence[Values]) -> "Ended":
+    def of(name: str, outcomes: Sequence[Values]) -> "OperatorResult":
         """Of all trials."""
         attempts = np.array([one["attempts"] for one in outcomes])
         stopped = np.array([one["stopped"] for one in outcomes])
         right = np.array([_kept(one) for one in outcomes])
         done = [one for one in outcomes if one["stopped"]]
-        return Ended(
+        return OperatorResult(
             name,
             quantile(f"{name}: attempts, median", attempts, 0.5, ""),
             quantile(f"{name}: attempts, 95 %", attempts, 0.95, ""),
@@ -251,7 +246,7 @@ class Ended:
         )
 
     @property
-    def figures(self) -> tuple[Figure, ...]:
+    def estimates(self) -> tuple[Estimate, ...]:
         """All."""
         return self.median, self.high, self.first, self.stopped, self.right, self.entry, self.direction
 
@@ -275,7 +270,7 @@ class Ended:
             self.name,
             f"{self.median.value:g} / {self.high.value:g}",
             f"{self.exposures:g}",
-            *(f"{figure.value:.0%}" for figure in (self.first, self.stopped, self.right)),
+            *(f"{estimate.value:.0%}" for estimate in (self.first, self.stopped, self.right)),
             "none" if self.entry.value is None else f"{self.entry.value:.2f}",
             "none" if self.direction.value is None else f"{self.direction.value:.2f}",
         )

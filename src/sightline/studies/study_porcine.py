@@ -19,7 +19,7 @@ from sightline.planning import kind, plan
 from sightline.studies.intervals import quantile, rms, share
 from sightline.studies.phantoms import PHANTOMS, calibrated_images
 from sightline.studies.scenes import VIEWS
-from sightline.studies.study import Figure, Summary, Table, Values
+from sightline.studies.study import Estimate, Summary, Table, Values
 
 PICKS_PX = {"plastic, bored": 0.5, "porcine": 1.0}  # careful, ordinary (physics.md, Picks)
 PAPER_MM, PAPER_DEG = 1.0, 0.6  # within which the paper's six trials lay
@@ -29,17 +29,10 @@ PAPER_MM, PAPER_DEG = 1.0, 0.6  # within which the paper's six trials lay
 class Porcine:
     """The study; its fields are what may be varied."""
 
+    name = "porcine"
+    about = "Wires planned on images of a porcine femur in its flesh, beside the paper's plastic femur"
+
     phantoms: tuple[str, ...] = ("porcine", "plastic, bored")
-
-    @property
-    def name(self) -> str:
-        """On the command line."""
-        return "porcine"
-
-    @property
-    def about(self) -> str:
-        """One line."""
-        return "Wires planned on images of a porcine femur in its flesh, beside the paper's plastic femur"
 
     @property
     def configuration(self) -> dict[str, Any]:
@@ -53,7 +46,7 @@ class Porcine:
 
     def summary(self, trials: Sequence[Values]) -> Summary:
         """Endings and errors."""
-        ended = {name: Ended.of(name, [trial[name] for trial in trials]) for name in self.phantoms}
+        ended = {name: PhantomResult.of(name, [trial[name] for trial in trials]) for name in self.phantoms}
         columns = (
             "phantom",
             "picks",
@@ -70,7 +63,7 @@ class Porcine:
         table = Table("Plans on images", columns, tuple(one.row for one in ended.values()), note)
         return Summary(
             findings=tuple(one.words for one in ended.values()),
-            figures=tuple(figure for one in ended.values() for figure in one.figures),
+            estimates=tuple(estimate for one in ended.values() for estimate in one.estimates),
             tables=(table,),
         )
 
@@ -99,19 +92,19 @@ def _planned(phantom: str, rng: np.random.Generator) -> Values:
 
 
 @dataclass(frozen=True)
-class Ended:
+class PhantomResult:
     """How the plans on one phantom ended; `errors`: median and 95 % of entry, end and direction."""
 
     name: str
-    refused: Figure
-    no_go: Figure
-    beads: Figure
-    errors: tuple[Figure, ...]
-    within: Figure
-    normalised: Figure
+    refused: Estimate
+    no_go: Estimate
+    beads: Estimate
+    errors: tuple[Estimate, ...]
+    within: Estimate
+    normalised: Estimate
 
     @staticmethod
-    def of(name: str, outcomes: Sequence[Values]) -> "Ended":
+    def of(name: str, outcomes: Sequence[Values]) -> "PhantomResult":
         """Of all trials."""
         answered = [one for one in outcomes if one["ended"] != "refused"]
         go = [one for one in answered if one["ended"] == "GO"]
@@ -128,7 +121,7 @@ class Ended:
         ]
         counts = np.array([count for one in answered for count in one["beads"]])
         over = [np.array(one["error_mm"]) / np.array(one["stated_mm"]) for one in answered]
-        return Ended(
+        return PhantomResult(
             name,
             share(f"{name}: refused", np.array([one["ended"] == "refused" for one in outcomes])),
             share(f"{name}: NO-GO", np.array([one["ended"] == "NO-GO" for one in outcomes])),
@@ -139,7 +132,7 @@ class Ended:
         )
 
     @property
-    def figures(self) -> tuple[Figure, ...]:
+    def estimates(self) -> tuple[Estimate, ...]:
         """All."""
         return self.refused, self.no_go, self.beads, *self.errors, self.within, self.normalised
 

@@ -23,21 +23,21 @@ from sightline.detection import Observations
 from sightline.errors import SightlineError
 from sightline.frame import Frame
 from sightline.planning import Pick, Plan, kind, matching_curve, plan
-from sightline.studies.figure_xy import Axis, Point, Series, xy
+from sightline.studies.figure_xy import PlotAxis, PlotPoint, PlotSeries, xy
 from sightline.studies.intervals import quantile, share
 from sightline.studies.scenes import VIEWS, WHOLE, draw_showing
-from sightline.studies.study import Figure, Picture, Summary, Table, Values
+from sightline.studies.study import Estimate, Plot, Summary, Table, Values
 from sightline.twin import SetUp, bead_images
 
 # Entry and end of a 97 mm wire through a right hip, CFCS (physics.md, Frame: 95 mm at 45°) [ours].
-WIRE_MM = np.array([[34.0, 34.0, -8.0], [-34.0, -34.0, 8.0]])
+WIRE_ENDS_MM = np.array([[34.0, 34.0, -8.0], [-34.0, -34.0, 8.0]])
 # Centre of the head and tip of the lesser trochanter of an average right femur on that wire (twin/femur.py).
 LANDMARKS_MM = np.array([[-23.0, -23.5, 5.0], [-2.5, 38.5, -22.0]])
-POINTS_MM = np.concatenate([WIRE_MM, LANDMARKS_MM])
+POINTS_MM = np.concatenate([WIRE_ENDS_MM, LANDMARKS_MM])
 CLICK_PX = 20.0  # farther from its curve nobody clicks who is to click on it, and planning refuses 25 px [ours]
 PICK_PX = 0.5  # a careful click (physics.md, Picks)
 BEAD_PX = 0.1  # physics.md, Centroid limit
-LARGEST_MM = 1.0  # what the paper reached at the entry point, and the plan's own limit
+MAX_ERROR_MM = 1.0  # what the paper reached at the entry point, and the plan's own limit
 UNDISTURBED = "undisturbed"
 LEVELS: dict[str, tuple[float, ...]] = {
     "beads missing at random, share": (0.2, 0.4, 0.6, 0.8),
@@ -55,17 +55,10 @@ LEVELS: dict[str, tuple[float, ...]] = {
 class Robustness:
     """The study; its fields are what may be varied."""
 
+    name = "robustness"
+    about = "Plans when things go wrong: errors, refusals, and a GO that should have been none"
+
     disturbances: tuple[str, ...] = tuple(LEVELS)
-
-    @property
-    def name(self) -> str:
-        """On the command line."""
-        return "robustness"
-
-    @property
-    def about(self) -> str:
-        """One line."""
-        return "Plans when things go wrong: errors, refusals, and a GO that should have been none"
 
     @property
     def configuration(self) -> dict[str, Any]:
@@ -76,17 +69,19 @@ class Robustness:
 
     def trial(self, rng: np.random.Generator) -> Values:
         """For each "disturbance: level": how the plan ended, and the larger error of its two ends, mm."""
-        case = Case.drawn(rng)
+        case = DisturbedSetUp.drawn(rng)
         out: Values = {UNDISTURBED: case.planned()}
         for name in self.disturbances:
             for level in LEVELS[name]:
-                out[key(name, level)] = case.planned(**_SPOIL[name](level))
+                out[key(name, level)] = case.planned(**_PARAMETERS[name](level))
         return out
 
     def summary(self, trials: Sequence[Values]) -> Summary:
         """Endings and errors for each disturbance and level."""
         places = [(UNDISTURBED, None), *((name, level) for name in self.disturbances for level in LEVELS[name])]
-        ended = {key(*place): Ended.of(key(*place), [trial[key(*place)] for trial in trials]) for place in places}
+        ended = {
+            key(*place): DisturbanceResult.of(key(*place), [trial[key(*place)] for trial in trials]) for place in places
+        }
         ends = ("refused", "NO-GO", "GO")
         columns = ("disturbance", *ends, "error of a GO", "GO, over 1 mm", "GO, over bound", "mostly for")
         note = (
@@ -96,12 +91,12 @@ class Robustness:
         table = Table("How plans end", columns, tuple(one.row(name) for name, one in ended.items()), note)
         return Summary(
             findings=tuple(self._findings(ended)),
-            figures=tuple(figure for one in ended.values() for figure in one.figures),
+            estimates=tuple(estimate for one in ended.values() for estimate in one.estimates),
             tables=(table,),
-            pictures=tuple(self._pictures(ended)),
+            plots=tuple(self._plots(ended)),
         )
 
-    def _findings(self, ended: dict[str, "Ended"]) -> Iterable[str]:
+    def _findings(self, ended: dict[str, "DisturbanceResult"]) -> Iterable[str]:
         calm = ended[UNDISTURBED]
         yield f"{UNDISTURBED}: {calm.words}."
         for name in self.disturbances:
@@ -109,24 +104,24 @@ class Robustness:
             strongest, (level, worst) = each[-1][1], max(each, key=lambda one: one[1].wrong.value or 0.0)
             yield f"{name}: at {each[-1][0]:g}, {strongest.words}."
             yield (
-                f"{name}: GO and off by more than {LARGEST_MM:g} mm are at most {worst.wrong.value:.1%} of set-ups"
+                f"{name}: GO and off by more than {MAX_ERROR_MM:g} mm are at most {worst.wrong.value:.1%} of set-ups"
                 f"{f', at {level:g}' if worst.wrong.value else ''}; without a disturbance {calm.wrong.value:.1%}."
             )
 
-    def _pictures(self, ended: dict[str, "Ended"]) -> Iterable[Picture]:
+    def _plots(self, ended: dict[str, "DisturbanceResult"]) -> Iterable[Plot]:
         for name in self.disturbances:
             shown = [(level, ended[key(name, level)]) for level in LEVELS[name]]
             series = [
-                Series(words, [Point(x, f.value or 0.0, f.low, f.high) for x, f in figures])
-                for words, figures in (
+                PlotSeries(words, [PlotPoint(x, f.value or 0.0, f.low, f.high) for x, f in estimates])
+                for words, estimates in (
                     ("GO", [(x, one.go) for x, one in shown]),
                     ("NO-GO", [(x, one.no_go) for x, one in shown]),
                     ("refused", [(x, one.refused) for x, one in shown]),
                     ("GO, over 1 mm", [(x, one.wrong) for x, one in shown]),
                 )
             ]
-            drawing = xy(series, Axis(name, log=False), Axis("share of set-ups", log=False), name)
-            yield Picture(name.capitalize(), drawing, "How plans end, with 95 % intervals.")
+            drawing = xy(series, PlotAxis(name, log=False), PlotAxis("share of set-ups", log=False), name)
+            yield Plot(name.capitalize(), drawing, "How plans end, with 95 % intervals.")
 
 
 def key(disturbance: str, level: float | None) -> str:
@@ -135,7 +130,7 @@ def key(disturbance: str, level: float | None) -> str:
 
 
 @dataclass(frozen=True, eq=False)
-class Drawn:
+class BeadDraws:
     """What is drawn for the N beads that one view shows: `uv_px` (N, 2) their true pixels, `noise` (N, 2) in units of
     its standard deviation, `away_px` (N, 2) where each would be seen displaced by 1 mm, less `uv_px`; `chance` (N,)
     orders those that go missing, and `block` (N,) those that metal hides."""
@@ -148,34 +143,34 @@ class Drawn:
     block: np.ndarray
 
     @staticmethod
-    def of(rng: np.random.Generator, setup: SetUp, view: str) -> "Drawn":
+    def of(rng: np.random.Generator, setup: SetUp, view: str) -> "BeadDraws":
         """All draws of one view."""
         ids, uv = bead_images(setup, view, rng, sd_px=0.0)
         xyz = np.array([setup.true_frame.view(view).by_id[i].xyz_mm for i in ids])
         way = _unit(rng.standard_normal(xyz.shape))
         away = setup.views[view].project(xyz + way) - uv
         block = np.linalg.norm(uv - uv[rng.integers(len(uv))], axis=1)
-        return Drawn(ids, uv, rng.standard_normal(uv.shape), away, rng.permutation(len(uv)), block)
+        return BeadDraws(ids, uv, rng.standard_normal(uv.shape), away, rng.permutation(len(uv)), block)
 
 
 @dataclass(frozen=True, eq=False)
-class Case:
+class DisturbedSetUp:
     """A set-up that shows the whole wire, with all draws: `picks` (2, 4, 2) noise of view, point (of
     POINTS_MM) and pixel in units of its standard deviation; `direction` (3,) in which the patient may move."""
 
     setup: SetUp
-    views: dict[str, Drawn]
+    views: dict[str, BeadDraws]
     picks: np.ndarray
     direction: np.ndarray
 
     @staticmethod
-    def drawn(rng: np.random.Generator) -> "Case":
+    def drawn(rng: np.random.Generator) -> "DisturbedSetUp":
         """At random. Raises SetUpError where no set-up shows the wire."""
         frame = replace(Frame.load("gamma"), tolerances=WHOLE)
-        setup = draw_showing(rng, frame, WIRE_MM)
-        views = {name: Drawn.of(rng, setup, name) for name in VIEWS}
+        setup = draw_showing(rng, frame, WIRE_ENDS_MM)
+        views = {name: BeadDraws.of(rng, setup, name) for name in VIEWS}
         wire, direction = rng.standard_normal((2, 2, 2)), _unit(rng.standard_normal(3))
-        return Case(setup, views, np.hstack([wire, rng.standard_normal((2, 2, 2))]), direction)
+        return DisturbedSetUp(setup, views, np.hstack([wire, rng.standard_normal((2, 2, 2))]), direction)
 
     def planned(
         self,
@@ -209,7 +204,7 @@ class Case:
 
 
 # What each disturbance is at a level.
-_SPOIL: dict[str, Callable[[float], dict[str, Any]]] = {
+_PARAMETERS: dict[str, Callable[[float], dict[str, Any]]] = {
     "beads missing at random, share": lambda level: {"missing": level},
     "beads missing in a block (metal), share": lambda level: {"missing": level, "in_block": True},
     "noise of the beads (dose), px": lambda level: {"bead_px": level},
@@ -278,20 +273,20 @@ def _ended(observations: dict[str, Observations], frame: Frame, picks: Picks, wi
 
 
 @dataclass(frozen=True)
-class Ended:
+class DisturbanceResult:
     """How the plans of one disturbance and level ended. `wrong`: GO, and off by more than LARGEST_MM."""
 
-    refused: Figure
-    no_go: Figure
-    go: Figure
-    wrong: Figure
-    over: Figure
-    median: Figure
-    high: Figure
+    refused: Estimate
+    no_go: Estimate
+    go: Estimate
+    wrong: Estimate
+    over: Estimate
+    median: Estimate
+    high: Estimate
     reasons: str
 
     @staticmethod
-    def of(name: str, outcomes: Sequence[Values]) -> "Ended":
+    def of(name: str, outcomes: Sequence[Values]) -> "DisturbanceResult":
         """Of all trials."""
         go = [one for one in outcomes if one["ended"] == "GO"]
         errors = np.array([one["error_mm"] for one in go])
@@ -299,10 +294,10 @@ class Ended:
             share(f"{name}: {end}", np.array([one["ended"] == end for one in outcomes]))
             for end in ("refused", "NO-GO", "GO")
         ]
-        wrong = np.array([one["ended"] == "GO" and one["error_mm"] > LARGEST_MM for one in outcomes])
-        return Ended(
+        wrong = np.array([one["ended"] == "GO" and one["error_mm"] > MAX_ERROR_MM for one in outcomes])
+        return DisturbanceResult(
             *by_end,
-            wrong=share(f"{name}: GO, off by more than {LARGEST_MM:g} mm", wrong),
+            wrong=share(f"{name}: GO, off by more than {MAX_ERROR_MM:g} mm", wrong),
             over=share(f"{name}: GO, off by more than its bound", np.array([one["over"] for one in go], dtype=bool)),
             median=quantile(f"{name}: error of a GO, median", errors, 0.5),
             high=quantile(f"{name}: error of a GO, 95 %", errors, 0.95),
@@ -310,7 +305,7 @@ class Ended:
         )
 
     @property
-    def figures(self) -> tuple[Figure, ...]:
+    def estimates(self) -> tuple[Estimate, ...]:
         """All."""
         return self.refused, self.no_go, self.go, self.wrong, self.over, self.median, self.high
 
@@ -326,7 +321,7 @@ class Ended:
         over = "none" if self.over.value is None else f"{self.over.value:.1%}"
         return (
             name,
-            *(f"{figure.value:.1%}" for figure in (self.refused, self.no_go, self.go)),
+            *(f"{estimate.value:.1%}" for estimate in (self.refused, self.no_go, self.go)),
             errors,
             f"{self.wrong.value:.1%}",
             over,

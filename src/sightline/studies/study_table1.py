@@ -16,8 +16,8 @@ from sightline.frame.builtin import builtin_design
 from sightline.studies.figure_spans import Span, spans
 from sightline.studies.intervals import quantile, share
 from sightline.studies.methods import errors
-from sightline.studies.scenes import WHOLE, Scene, measure
-from sightline.studies.study import Figure, Picture, Summary, Table, Values
+from sightline.studies.scenes import WHOLE, TargetScene, measure
+from sightline.studies.study import Estimate, Plot, Summary, Table, Values
 from sightline.twin import draw_setup
 from sightline.twin.scene import TEST_BALLS_MM
 
@@ -55,20 +55,13 @@ PAPER_MM = {
 class Table1:
     """The study; its fields are what may be varied."""
 
+    name = "table1"
+    about = "The paper's Table 1: error of four test points, by frame, method and pick"
+
     plates: tuple[str, ...] = tuple(PLATES)
     methods: tuple[str, ...] = METHODS
     picks_px: tuple[float, ...] = (0.1, 0.5, 1.0)  # centred, careful, ordinary (physics.md, Picks)
     bead_px: float = 0.1  # physics.md, Centroid limit: 124 quanta per pixel
-
-    @property
-    def name(self) -> str:
-        """On the command line."""
-        return "table1"
-
-    @property
-    def about(self) -> str:
-        """One line."""
-        return "The paper's Table 1: error of four test points, by frame, method and pick"
 
     @property
     def configuration(self) -> dict[str, Any]:
@@ -80,7 +73,7 @@ class Table1:
         out: Values = {}
         for plates in self.plates:
             setup = draw_setup(rng, frame_with(plates))
-            scene = Scene.of(setup, measure(rng, setup, self.bead_px), TEST_BALLS_MM)
+            scene = TargetScene.of(setup, measure(rng, setup, self.bead_px), TEST_BALLS_MM)
             noise = rng.standard_normal(scene.target_px.shape)  # the same for every pick: they differ by its size alone
             picks = [(scene.target_px + sd * noise, sd) for sd in self.picks_px]
             for method in self.methods:
@@ -96,17 +89,17 @@ class Table1:
             for method in self.methods
             for sd in self.picks_px
         }
-        held = [Held(*place, spread) for place, spread in spreads.items()]
+        held = [PaperComparison(*place, spread) for place, spread in spreads.items()]
         against = [one for one in held if one.paper is not None and one.spread.middle.value is not None]
         return Summary(
             findings=tuple(_findings(against)),
-            figures=tuple(figure for spread in spreads.values() for figure in spread.figures),
+            estimates=tuple(estimate for spread in spreads.values() for estimate in spread.estimates),
             tables=(
                 _paper_table(against, self.picks_px),
                 *(self._methods_table(plates, spreads) for plates in self.plates),
                 self._points_table(trials),
             ),
-            pictures=tuple(_pictures(self.picks_px, against, spreads)),
+            plots=tuple(_plots(self.picks_px, against, spreads)),
         )
 
     def _methods_table(self, plates: str, spreads: dict[tuple[str, str, float], "Spread"]) -> Table:
@@ -128,8 +121,10 @@ class Table1:
 
     def _points_table(self, trials: Sequence[Values]) -> Table:
         rows = []
-        for (frame, method), figures in PAPER_MM.items():
-            rows.append((f"paper: {frame}, {method}", "by hand", *(f"{v:.2f}" for v in figures), f"{max(figures):.2f}"))
+        for (frame, method), estimates in PAPER_MM.items():
+            rows.append(
+                (f"paper: {frame}, {method}", "by hand", *(f"{v:.2f}" for v in estimates), f"{max(estimates):.2f}")
+            )
             for plates, sd in ((p, sd) for p in self.plates if PLATES[p][0] == frame for sd in self.picks_px):
                 for own in GLOBAL if method == "global" else (method,):
                     each = _answers(key(plates, own, sd), trials) if own in self.methods else np.zeros((0, 4))
@@ -160,10 +155,10 @@ def _answers(name: str, trials: Sequence[Values]) -> np.ndarray:
 class Spread:
     """How the largest of four errors is distributed over set-ups: 5 %, median, 95 %; and how often there is none."""
 
-    low: Figure
-    middle: Figure
-    high: Figure
-    refused: Figure
+    low: Estimate
+    middle: Estimate
+    high: Estimate
+    refused: Estimate
 
     @staticmethod
     def of(name: str, trials: Sequence[Values]) -> "Spread":
@@ -174,7 +169,7 @@ class Spread:
         return Spread(low, middle, high, share(f"{name}: refused", np.array([trial[name] is None for trial in trials])))
 
     @property
-    def figures(self) -> tuple[Figure, ...]:
+    def estimates(self) -> tuple[Estimate, ...]:
         """All four."""
         return self.low, self.middle, self.high, self.refused
 
@@ -192,7 +187,7 @@ class Spread:
 
 
 @dataclass(frozen=True)
-class Held:
+class PaperComparison:
     """One spread held against the paper's figure, where it gives one."""
 
     plates: str
@@ -221,12 +216,12 @@ class Held:
         return f"{self.spread.low.value:.2f} to {self.spread.high.value:.2f}: {self.where}"
 
 
-def _may_be(end: Figure, value: float) -> bool:
+def _may_be(end: Estimate, value: float) -> bool:
     """Whether the interval of an end of the spread holds a value; an interval that is open holds all beyond."""
     return (end.low or 0.0) <= value <= (np.inf if end.high is None else end.high)
 
 
-def _paper_table(held: Sequence[Held], picks_px: Sequence[float]) -> Table:
+def _paper_table(held: Sequence[PaperComparison], picks_px: Sequence[float]) -> Table:
     rows = [
         (plates, method, f"{some[0].paper:.2f}", *(one.cell for one in some))
         for (plates, method), some in _by_place(held).items()
@@ -239,16 +234,16 @@ def _paper_table(held: Sequence[Held], picks_px: Sequence[float]) -> Table:
     return Table("The paper's Table 1", columns, tuple(rows), note)
 
 
-def _by_place(held: Sequence[Held]) -> dict[tuple[str, str], list[Held]]:
-    out: dict[tuple[str, str], list[Held]] = {}
+def _by_place(held: Sequence[PaperComparison]) -> dict[tuple[str, str], list[PaperComparison]]:
+    out: dict[tuple[str, str], list[PaperComparison]] = {}
     for one in held:
         out.setdefault((one.plates, one.method), []).append(one)
     return out
 
 
-def _findings(held: Sequence[Held]) -> Iterable[str]:
+def _findings(held: Sequence[PaperComparison]) -> Iterable[str]:
     """One sentence for each of the paper's figures and each compensation that it may mean."""
-    for (frame, method), figures in PAPER_MM.items():
+    for (frame, method), estimates in PAPER_MM.items():
         for own in GLOBAL if method == "global" else (method,):
             places: dict[str, dict[str, list[str]]] = {}
             for h in held:
@@ -260,19 +255,19 @@ def _findings(held: Sequence[Held]) -> Iterable[str]:
                 for where, some in places.items()
             )
             if words:
-                paper = f"The paper's {max(figures):.2f} mm ({frame}, {method})"
+                paper = f"The paper's {max(estimates):.2f} mm ({frame}, {method})"
                 yield f"{paper} against the central 90 % of {own}: {words}."
 
 
-def _pictures(
-    picks_px: Sequence[float], held: Sequence[Held], spreads: dict[tuple[str, str, float], Spread]
-) -> Iterable[Picture]:
+def _plots(
+    picks_px: Sequence[float], held: Sequence[PaperComparison], spreads: dict[tuple[str, str, float], Spread]
+) -> Iterable[Plot]:
     for sd in picks_px:
         rows = [_span(f"{h.plates}, {h.method}", h.spread, h.paper) for h in held if h.pick_px == sd]
         if rows:
             title = f"The paper's figures, picks {sd:g} px"
             caption = "Largest of four errors: central 90 % (bar), median (tick). Diamond: the paper's Table 1."
-            yield Picture(title, spans(rows, "mm", title, "the paper"), caption)
+            yield Plot(title, spans(rows, "mm", title, "the paper"), caption)
         rows = [
             _span(f"{plates}, {method}", spread, None)
             for (plates, method, own), spread in spreads.items()
@@ -280,10 +275,10 @@ def _pictures(
         ]
         if rows:
             title = f"All methods on the same beads, picks {sd:g} px"
-            yield Picture(title, spans(rows, "mm", title), "Largest of four errors: central 90 % (bar), median (tick).")
+            yield Plot(title, spans(rows, "mm", title), "Largest of four errors: central 90 % (bar), median (tick).")
 
 
 def _span(name: str, spread: Spread, mark: float | None) -> Span:
-    low, middle, high = (figure.value or 0.0 for figure in (spread.low, spread.middle, spread.high))
+    low, middle, high = (estimate.value or 0.0 for estimate in (spread.low, spread.middle, spread.high))
     colour = "focal" if "smooth" in name else "frame" if "localized" in name else "beads"
     return Span(name, low, middle, high, mark, colour)

@@ -1,4 +1,4 @@
-"""The twin's image of the same kind as a given one: a like plate, like balls in the same places, a like patient."""
+"""The twin's image of the same kind as a given one: a similar plate, balls at the same positions, a patient."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -15,14 +15,14 @@ from sightline.twin.carm import SetUp, shadow_radius_px
 from sightline.twin.things import Ball, Box, Rod, SoftTissue, Solid
 
 VIEW = "pa"
-PLATE_MM = 1.0  # thickness of the twin's perforated plate [ours]
-PLATE_HEIGHT_MM = 5.0  # of its middle before the input plane [ours]
-BALL_DEPTH = 0.62  # of the way from the source to the input plane: where the hip lies [ours]
+PLATE_THICKNESS_MM = 1.0  # thickness of the twin's perforated plate [ours]
+PLATE_HEIGHT_MM = 5.0  # distance of its centre from the input plane [ours]
+BALL_DEPTH = 0.62  # of the distance from the source to the input plane: that of the hip [ours]
 
 
 @dataclass(frozen=True, eq=False)
 class Twin:
-    """An image of the twin, what it is (`words`), and the set-up that shows it."""
+    """An image of the twin, its description (`words`), and its set-up."""
 
     words: str
     image: Radiograph
@@ -30,7 +30,7 @@ class Twin:
 
 
 def twin_of(image: Radiograph, beads: Detections | None, rng: np.random.Generator) -> Twin:
-    """The twin's default machine at its default dose before what the image seems to show."""
+    """Render objects of the kind that the image seems to show, with the twin's default C-arm and dose."""
     setup = draw_setup(rng, Frame.load("gamma"))
     view = setup.views[VIEW]
     lattice = _lattice(beads)
@@ -49,7 +49,8 @@ def twin_of(image: Radiograph, beads: Detections | None, rng: np.random.Generato
 
 
 def lattice_mm(view: ViewTruth, lattice: Lattice, pitch_px: float) -> np.ndarray:
-    """(N, 2) detector coordinates: a lattice of that kind and pitch over the whole field and a little beyond."""
+    """Return the points (N, 2), detector coordinates, of a lattice of that kind and pitch over a little more than the
+    field."""
     pitch = pitch_px / view.intensifier.px_per_mm
     reach = view.chain.field_mm / 2 + 2 * pitch
     count = int(2 * reach / pitch)
@@ -73,7 +74,7 @@ def _has_balls(beads: Detections) -> bool:
 
 
 def _scale(image: Radiograph, view: ViewTruth) -> float:
-    """The twin's pixels for each of the image's, the fields being equally large."""
+    """Return the scale from the image's pixels to the twin's, at equal field size."""
     return view.chain.mask_px / field_circle(image)[1]
 
 
@@ -84,17 +85,17 @@ def _grid(view: ViewTruth, beads: Detections, lattice: Lattice, scale: float) ->
     if "hole" not in beads.kind:
         return Scene(solids=tuple(Ball((x, y, z), radius, within=None) for x, y, z in centre.tolist()))
     a, b, c = view.detector.normal.tolist()
-    # The twin has no air to displace: a hole is filled with polyethylene, which takes 2 % in 1 mm.
+    # The twin cannot model air inside a plate, so holes are filled with polyethylene, which absorbs 2 % in 1 mm.
     filled: dict[str, Any] = {"hole_mm": 0.0, "within": "steel", "material": "polyethylene"}
-    rods = tuple(Rod((x, y, z), (a, b, c), radius, PLATE_MM / 2, **filled) for x, y, z in centre.tolist())
-    half = np.array([view.chain.field_mm, view.chain.field_mm, PLATE_MM / 2])
+    rods = tuple(Rod((x, y, z), (a, b, c), radius, PLATE_THICKNESS_MM / 2, **filled) for x, y, z in centre.tolist())
+    half = np.array([view.chain.field_mm, view.chain.field_mm, PLATE_THICKNESS_MM / 2])
     middle = view.detector.to_space(np.zeros(2)) - PLATE_HEIGHT_MM * view.detector.normal
     axes = np.vstack([view.detector.axes, view.detector.normal])
     return Scene(solids=rods, boxes=(Box(middle, axes, half, material="steel"),))
 
 
 def _balls(view: ViewTruth, image: Radiograph, beads: Detections) -> tuple[Solid, ...]:
-    """Balls whose shadows lie where those of the image do, as large as those."""
+    """Return balls whose shadows have the positions and sizes of those in the image."""
     scale, dark = _scale(image, view), beads.contrast < 0
     uv = view.intensifier.centre_px + scale * (beads.uv_px[dark] - field_circle(image)[0])
     seen = view.in_field(uv)

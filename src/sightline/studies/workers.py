@@ -1,4 +1,4 @@
-"""Who does the trials: processes of this machine, or a Dask cluster by its address. Both are `concurrent.futures`."""
+"""Workers that run trials: local processes or a Dask cluster. Both have the interface of `concurrent.futures`."""
 
 import logging
 import os
@@ -14,15 +14,15 @@ from multiprocessing.connection import wait
 from sightline.errors import UnusableInputError
 from sightline.studies.record import code_digest
 
-# Matrices here are small: threads of the linear algebra cost more than they save.
+# Matrices are small, so threads of the linear algebra cost more than they save.
 _LINEAR_ALGEBRA = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 _THREADS = (*_LINEAR_ALGEBRA, "NUMBA_NUM_THREADS")
-PATIENCE_S = 10.0  # for a scheduler to answer, and for its first worker [ours]
+PATIENCE_S = 10.0  # time limit for a scheduler's answer, and for its first worker [ours]
 
 
 @dataclass(frozen=True)
 class Workers:
-    """`number` of trials done at a time, by `executor`; `lost`: what a future raises whose worker died."""
+    """An `executor` that runs `number` trials at a time. `lost`: exceptions of a future whose worker died."""
 
     executor: Executor
     number: int
@@ -31,11 +31,11 @@ class Workers:
 
 @contextmanager
 def local_workers(number: int | None = None) -> Generator[Workers]:
-    """Processes of this machine, one thread each; as many as it has cores unless told."""
+    """Context of local worker processes, one thread each; default: one process per core."""
     from concurrent.futures.process import BrokenProcessPool
 
     number = number or os.cpu_count() or 1
-    with _one_thread():  # read when a process first imports numpy
+    with _one_thread():  # the variables are read when a process first imports numpy
         pool = ProcessPoolExecutor(number, mp_context=get_context("spawn"), initializer=_settle)
         try:
             yield Workers(pool, number, (BrokenProcessPool,))
@@ -45,7 +45,7 @@ def local_workers(number: int | None = None) -> Generator[Workers]:
 
 @contextmanager
 def cluster_workers(address: str) -> Generator[Workers]:
-    """The workers of a Dask scheduler, which must have this very Sightline. Raises UnusableInputError."""
+    """Context of the workers of a Dask scheduler, which must have the same code. Raises UnusableInputError."""
     try:
         from distributed import Client
         from distributed.scheduler import KilledWorker
@@ -55,7 +55,7 @@ def cluster_workers(address: str) -> Generator[Workers]:
             "--scheduler out and the processes of this machine do the work"
         ) from None
     for name in ("distributed", "distributed.client", "tornado.application"):
-        logging.getLogger(name).setLevel(logging.CRITICAL)  # what its tracebacks tell is said here in a sentence
+        logging.getLogger(name).setLevel(logging.CRITICAL)  # our messages replace its tracebacks
     try:
         client = Client(address, timeout=PATIENCE_S, set_as_default=False)
     except (OSError, ValueError) as error:
@@ -71,8 +71,8 @@ def cluster_workers(address: str) -> Generator[Workers]:
 
 
 def _refuse_other_code(client, address: str) -> int:
-    """How many trials the cluster does at a time. Refused if it has no workers, or if they have other code or do linear
-    algebra on several threads."""
+    """Return the number of trials that the cluster does at a time. Raises UnusableInputError if it has no workers, or
+    if they have other code or use several threads for linear algebra."""
     try:
         client.wait_for_workers(1, timeout=PATIENCE_S)
     except TimeoutError:
@@ -80,13 +80,13 @@ def _refuse_other_code(client, address: str) -> int:
             f"the scheduler at {address} has no workers; start some with `dask worker {address}`"
         ) from None
     try:
-        digests = client.run(code_digest)  # travels by name: raises where there is no such function
+        digests = client.run(code_digest)  # sent by name, so it raises if a worker has no such function
     except (ImportError, AttributeError):
         digests = {"all": None}
     other = [worker for worker, digest in digests.items() if digest != code_digest()]
     if other:
         raise UnusableInputError(
-            f"workers of {address} have no Sightline or another one ({', '.join(other)}): their trials must not be "
+            f"workers of {address} have no Sightline or another version ({', '.join(other)}): their trials must not be "
             "mixed with these; install the same version there"
         )
     threaded = [worker for worker, one in client.run(one_threaded).items() if not one]
@@ -99,12 +99,12 @@ def _refuse_other_code(client, address: str) -> int:
 
 
 def one_threaded() -> bool:
-    """Whether this process was told to do linear algebra on one thread, so that results are bit-identical."""
+    """Whether this process uses one thread for linear algebra, so that results are bit-identical."""
     return all(os.environ.get(name) == "1" for name in _LINEAR_ALGEBRA)
 
 
 def _settle() -> None:
-    """A worker process leaves the keyboard to its parent, and does not outlive it."""
+    """Make a worker process ignore Ctrl-C and end with its parent."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     parent = parent_process()
     if parent is not None:

@@ -1,4 +1,4 @@
-"""The digital twin: C-arm, intensifier, femur, X-ray projection. It never imports what it judges."""
+"""The digital twin: C-arm, intensifier, femur, X-ray projection. It never imports the software that it tests."""
 
 from sightline.twin.carm import SetUp, Variation, ViewTruth, bead_images, draw_setup
 from sightline.twin.hard import BeadTruth, hard_scene

@@ -1,6 +1,6 @@
-"""The X-ray beam and what attenuates it: three energies that stand for 70 kVp, or the spectrum of a tungsten tube.
+"""The X-ray beam and its attenuation: three energies that represent 70 kVp, or the spectrum of a tungsten tube.
 
-Beam hardening comes with either.
+Both show beam hardening.
 """
 
 import json
@@ -25,8 +25,8 @@ TABLE_PER_CM = {
     "polyethylene": (0.216, 0.187, 0.173),
     "composite": (0.570, 0.362, 0.301),  # epoxy with 51 % of glass by mass, 1.64 g/cm³
 }
-# A 70 kVp spectrum has no photons of 80 keV: the table is read at energies below 70, straight in log-log between its
-# entries (none of the materials has an edge there). Weights: share of photons before the patient [ours].
+# A 70 kVp spectrum has no photons of 80 keV: the table is interpolated at energies below 70, linearly in log-log (none
+# of the materials has an absorption edge there). Weights: share of photons before the patient [ours].
 ENERGIES_KEV = np.array([40.0, 50.0, 60.0])
 WEIGHTS = np.array([0.45, 0.35, 0.20])
 
@@ -36,7 +36,7 @@ THREE = "three energies"
 
 @dataclass(frozen=True, eq=False)
 class Spectrum:
-    """(N,) energies, keV; (N,) shares of the photons before the patient; (N,) 1/mm that each material attenuates."""
+    """N energies, keV; their shares (N,) of the photons before the patient; attenuation (N,) of each material, 1/mm."""
 
     energies_kev: np.ndarray
     weights: np.ndarray
@@ -45,7 +45,7 @@ class Spectrum:
 
 @lru_cache(maxsize=1)
 def _spectra() -> dict[str, Spectrum]:
-    """By name. Tungsten tubes: tools/make_spectra.py [calc, spekpy and xraydb]."""
+    """Return the spectra by name. Those of tungsten tubes are made by tools/make_spectra.py [calc, spekpy, xraydb]."""
     at = np.log(ENERGIES_KEV)
     three = {name: np.exp(np.interp(at, np.log(TABLE_KEV), np.log(row))) / 10 for name, row in TABLE_PER_CM.items()}
     out = {THREE: Spectrum(ENERGIES_KEV, WEIGHTS, three)}
@@ -56,20 +56,22 @@ def _spectra() -> dict[str, Spectrum]:
 
 
 def spectrum(name: str) -> Spectrum:
-    """The spectrum called `name`. Raises UnusableInputError, naming those there are."""
+    """Return the spectrum called `name`. Raises UnusableInputError, which lists the valid names."""
     if name not in _spectra():
         raise UnusableInputError(f"there is no spectrum {name!r}; there are: {', '.join(_spectra())}")
     return _spectra()[name]
 
 
 def attenuation_per_mm(material: str, beam: str = THREE) -> np.ndarray:
-    """(N,) linear attenuation of a material at a spectrum's energies, 1/mm. Raises UnusableInputError, naming what
-    there is."""
+    """Return the linear attenuation (N,) of a material at a spectrum's energies, 1/mm.
+
+    Raises UnusableInputError, which lists the valid names.
+    """
     if material not in TABLE_PER_CM:
         raise UnusableInputError(f"there is no material {material!r}; there are: {', '.join(TABLE_PER_CM)}")
     return spectrum(beam).per_mm[material]
 
 
 def excess_per_mm(material: str, within: str | None, beam: str = THREE) -> np.ndarray:
-    """(N,) 1/mm: what a material takes beyond what it displaces; None is air, which takes nothing here."""
+    """Return the attenuation (N,) of a material above that of the one it displaces, 1/mm; None: air, taken as 0."""
     return attenuation_per_mm(material, beam) - (0.0 if within is None else attenuation_per_mm(within, beam))

@@ -1,4 +1,4 @@
-"""The C-arm in its two poses: where source and detector truly stand, and what pixel a point truly projects to."""
+"""The C-arm in its two poses: true positions of source and detector, and true projection of points to pixels."""
 
 from dataclasses import dataclass, field, replace
 
@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 from sightline.errors import OutsideRegionError, SetUpError
 from sightline.frame import Fiducial, Frame, FrameView, Plate, nominal
 from sightline.geometry.planes import Plane
-from sightline.twin.arm import EachAlone, Stance, draw_arm
+from sightline.twin.arm import IndependentViews, Stance, draw_arm
 from sightline.twin.distributions import Arm, Distortion, Pose
 from sightline.twin.draw import FlatPanel, Tube, draw_earth, draw_tube
 from sightline.twin.intensifier import Intensifier
@@ -20,8 +20,8 @@ ATTEMPTS = 100
 
 @dataclass(frozen=True, eq=False)
 class ViewTruth:
-    """The truth of one view, CFCS. `detector`: the input plane, its axes along u and v of an undistorted image as the
-    X-ray source sees it (axes[0] x axes[1] points along the beam): detection calls such an image not mirrored."""
+    """The true geometry of one view, CFCS. `detector`: the input plane, with axes along u and v of an undistorted image
+    as seen from the X-ray source (axes[0] x axes[1] points along the beam); detection calls this not mirrored."""
 
     name: str
     focal_point_mm: np.ndarray
@@ -34,41 +34,42 @@ class ViewTruth:
         return self.intensifier.chain
 
     def to_detector(self, xyz_mm: np.ndarray) -> np.ndarray:
-        """Points (..., 3) projected onto the input plane, detector coordinates (..., 2) mm.
+        """Project points (..., 3) onto the input plane: detector coordinates (..., 2), mm.
 
-        Raises OutsideRegionError for a point that is not in front of the source."""
+        Raises OutsideRegionError for a point that is not in front of the source.
+        """
         height = self.detector.height_mm(self.focal_point_mm)
         if not (self.detector.height_mm(xyz_mm) > height).all():
             raise OutsideRegionError("a point lies behind the X-ray source or is not finite")
         return self.detector.central_projection(self.focal_point_mm, xyz_mm)
 
     def project(self, xyz_mm: np.ndarray) -> np.ndarray:
-        """Points (..., 3) CFCS to true pixels (..., 2), in the field or not. Raises OutsideRegionError."""
+        """Project points (..., 3), CFCS, to true pixels (..., 2), in the field or not. Raises OutsideRegionError."""
         return self.intensifier.to_image(self.to_detector(xyz_mm))
 
     def in_field(self, uv_px: np.ndarray, margin_px: float | np.ndarray = 0.0) -> np.ndarray:
-        """(...,) bool: pixels at least `margin_px` inside the field."""
+        """Whether pixels (..., 2) lie at least `margin_px` inside the field: bool (...,)."""
         return self.intensifier.in_field(uv_px, margin_px)
 
     def points_on_detector(self, uv_px: np.ndarray) -> np.ndarray:
-        """(..., 3) CFCS: where the ray of each pixel meets the input plane. Raises OutsideRegionError."""
+        """Return the points (..., 3), CFCS, where rays of pixels meet the input plane. Raises OutsideRegionError."""
         return self.detector.to_space(self.intensifier.to_detector(uv_px))
 
     def beyond_cubic_factor(self, uv_px: np.ndarray) -> np.ndarray:
-        """(2N, P) px. See `Intensifier.beyond_cubic_factor`."""
+        """Return a factor (2N, P), px; see `Intensifier.beyond_cubic_factor`."""
         return self.intensifier.beyond_cubic_factor(uv_px)
 
     def beyond_cubic_covariance(self, uv_px: np.ndarray) -> np.ndarray:
-        """(2N, 2N) px², order u1, v1, u2, .... See `Intensifier.beyond_cubic_factor` for the prior it states."""
+        """Return a covariance (2N, 2N), px², in the order u1, v1, u2, ...; see `Intensifier.beyond_cubic_factor`."""
         return self.intensifier.beyond_cubic_covariance(uv_px)
 
 
 @dataclass(frozen=True, eq=False)
 class SetUp:
-    """A frame before a C-arm, with two views.
+    """A frame in front of a C-arm, with two views.
 
-    `frame` is what the software is told, `true_frame` where its beads truly are. `side` of the hip. `tube`: the C-arm's
-    detector before it is exposed.
+    `frame`: the nominal frame, known to the software; `true_frame`: the frame with its errors. `side`: of the hip.
+    `tube`: the C-arm's detector, before an exposure.
     """
 
     frame: Frame
@@ -80,9 +81,12 @@ class SetUp:
 
 @dataclass(frozen=True)
 class Variation:
-    """What set-ups are drawn from. `site`: a magnetic field that is given instead of drawn, stray field and all. `arm`:
-    views by one arm that orbits and sags, instead of each alone; `Pose.orbit` is then not used. `tube`: of a C-arm
-    that is there already, instead of a drawn one."""
+    """The distributions that set-ups are drawn from.
+
+    `site`: a given magnetic field, including stray fields, instead of a drawn one. `arm`: views of one arm that orbits
+    and sags, instead of independent views; `Pose.orbit` is then not used. `tube`: a given detector instead of a drawn
+    one.
+    """
 
     pose: Pose = field(default_factory=Pose)
     distortion: Distortion = field(default_factory=Distortion)
@@ -100,11 +104,11 @@ def draw_setup(
     chain: str = "9in-1k",
     variation: Variation | None = None,
 ) -> SetUp:
-    """A random set-up of a frame: both views' poses and distortions, and the frame's own errors.
+    """Draw a set-up of a frame: poses and distortions of both views, and the frame's errors.
 
-    Frame errors are drawn from the frame's effective tolerances; for others pass
+    Frame errors are drawn from the frame's effective tolerances; for other tolerances pass
     `dataclasses.replace(frame, tolerances=...)`, for none `frame_errors=False`. Poses with too few beads in the field
-    are drawn again. Raises SetUpError where no pose has enough.
+    are drawn again. Raises SetUpError if no pose has enough.
     """
     if side not in ("right", "left"):
         raise SetUpError(f"a hip's side is 'right' or 'left', not {side!r}")
@@ -113,12 +117,12 @@ def draw_setup(
     pose, optics = variation.pose, preset(chain)
     earth = draw_earth(rng, variation.distortion)
     tube = variation.tube or draw_tube(rng, optics, variation.distortion)
-    stance = EachAlone(pose) if variation.arm is None else draw_arm(rng, variation.arm, pose)
+    stance = IndependentViews(pose) if variation.arm is None else draw_arm(rng, variation.arm, pose)
     caudal = np.array([0.0, 1.0 if side == "right" else -1.0, 0.0])
     for _ in range(ATTEMPTS):
-        turn = Rotation.from_rotvec(rng.normal(0.0, pose.frame_tilt, 3)).as_matrix()
+        tilt = Rotation.from_rotvec(rng.normal(0.0, pose.frame_tilt, 3)).as_matrix()
         stands = {
-            name: _draw_stand(rng, np.stack([nominal.axis(view), caudal]), turn, pose, (stance, optics.sdd_mm))
+            name: _draw_stand(rng, np.stack([nominal.axis(view), caudal]), tilt, pose, (stance, optics.sdd_mm))
             for name, view in frame.views.items()
         }
         if any(stand is None for stand in stands.values()):
@@ -131,17 +135,17 @@ def draw_setup(
         if all(_enough_in_field(views[name], view, pose) for name, view in true_frame.views.items()):
             return SetUp(frame, true_frame, views, side, tube)
     raise SetUpError(
-        f"no pose of {ATTEMPTS} brings {pose.beads_in_field:.0%} of each plate of frame {frame.name!r} into the field: "
-        "make its plates smaller or the C-arm's variation less"
+        f"none of {ATTEMPTS} poses brings {pose.beads_in_field:.0%} of the beads of each plate of frame "
+        f"{frame.name!r} into the field: make its plates smaller or reduce the C-arm's variation"
     )
 
 
 def bead_images(
     setup: SetUp, view: str, rng: np.random.Generator, sd_px: float = 0.1
 ) -> tuple[tuple[str, ...], np.ndarray]:
-    """Ids, and measured pixels (N, 2), of the true frame's beads whose whole shadow lies in the field of a view.
+    """Return ids and measured pixels (N, 2) of the true frame's beads whose whole shadow lies in the field of a view.
 
-    Independent normal errors of `sd_px` per coordinate.
+    The pixels have independent normal errors of `sd_px` per coordinate.
     """
     truth, beads = setup.views[view], setup.true_frame.view(view).fiducials
     uv, inside = _beads_in_field(truth, beads)
@@ -150,7 +154,7 @@ def bead_images(
 
 
 def shadow_radius_px(view: ViewTruth, xyz_mm: np.ndarray, radius_mm: np.ndarray) -> np.ndarray:
-    """(N,) px: radius of the shadow of balls (N, 3) of the radii (N,), to first order, by the mean magnification."""
+    """Return the radii (N,), px, of the shadows of balls at (N, 3), to first order, from the mean magnification."""
     depth = view.detector.height_mm(view.focal_point_mm) - view.detector.height_mm(xyz_mm)
     magnification = view.detector.height_mm(view.focal_point_mm) / depth
     local = np.linalg.det(view.intensifier.jacobian(view.to_detector(xyz_mm)))
@@ -158,9 +162,9 @@ def shadow_radius_px(view: ViewTruth, xyz_mm: np.ndarray, radius_mm: np.ndarray)
 
 
 def shadow_centres_px(view: ViewTruth, xyz_mm: np.ndarray, radius_mm: np.ndarray, around: int = 48) -> np.ndarray:
-    """(N, 2) px: centroids of the outlines of the shadows of balls (N, 3) of the radii (N,).
+    """Return the centroids (N, 2), px, of the outlines of the shadows of balls at (N, 3) of the radii (N,).
 
-    What a fit to the image can find. Distortion bends a shadow, so it is not the image of the ball's centre.
+    A fit to the image can find this centroid. Distortion bends a shadow, so it is not the image of the ball's centre.
     """
     towards = xyz_mm - view.focal_point_mm
     distance = np.linalg.norm(towards, axis=-1)[:, None]
@@ -178,13 +182,13 @@ def shadow_centres_px(view: ViewTruth, xyz_mm: np.ndarray, radius_mm: np.ndarray
 
 
 def with_errors(frame: Frame, rng: np.random.Generator) -> Frame:
-    """The frame as made: its beads displaced by `frame.error_factor @ N(0, 1)`."""
+    """Draw the frame as manufactured: its beads are displaced by `frame.error_factor @ N(0, 1)`."""
     factor = frame.error_factor
     return displaced(frame, (factor @ rng.standard_normal(factor.shape[1])).reshape(-1, 3))
 
 
 def displaced(frame: Frame, moves_mm: np.ndarray) -> Frame:
-    """The frame with its beads moved by (M, 3) mm, in the order of `Frame.error_factor`."""
+    """Return the frame with its beads moved by (M, 3) mm, in the order of `Frame.error_factor`."""
     moves = iter(moves_mm)
     return replace(frame, views={name: _moved(view, moves) for name, view in frame.views.items()})
 
@@ -202,18 +206,18 @@ Stand = tuple[np.ndarray, Plane]
 
 
 def _draw_stand(
-    rng: np.random.Generator, intended: np.ndarray, frame_turn: np.ndarray, pose: Pose, arm: tuple[Stance, float]
+    rng: np.random.Generator, intended: np.ndarray, frame_tilt: np.ndarray, pose: Pose, arm: tuple[Stance, float]
 ) -> Stand | None:
-    """Focal point and detector plane of one view, or None where its beam is tilted beyond the limit.
+    """Draw the focal point and detector plane of one view; None if its beam is tilted beyond the limit.
 
-    `arm`: how it stands, and the distance from source to detector of a stiff one.
-
-    `intended` (2, 3): the view's nominal beam, and the way that points down in its image."""
+    `intended` (2, 3): the view's nominal beam, and the direction that points down in its image. `frame_tilt` (3, 3):
+    rotation of the frame. `arm`: the distribution of its stance, and its distance from source to detector if rigid.
+    """
     stance, sdd_mm = arm
-    swing = stance.swing(rng, frame_turn @ intended[0])
+    swing = stance.swing(rng, frame_tilt @ intended[0])
     if swing is None:
         return None
-    beam, down = intended @ (swing @ frame_turn).T
+    beam, down = intended @ (swing @ frame_tilt).T
     if beam @ intended[0] < np.cos(pose.tilt_limit):
         return None
     axes = _detector_axes(beam, down, rng.uniform(-pose.in_plane, pose.in_plane))
@@ -221,25 +225,25 @@ def _draw_stand(
     focal = hip - pose.source_to_hip_mm * beam
     sag = stance.sag(rng, beam, axes)
     centre = focal + (sdd_mm + sag.longer_mm) * beam + sag.shift_mm
-    return focal, Plane(centre, axes @ Rotation.from_rotvec(sag.turn).as_matrix().T)
+    return focal, Plane(centre, axes @ Rotation.from_rotvec(sag.rotation).as_matrix().T)
 
 
-def _detector_axes(beam: np.ndarray, down: np.ndarray, turn: float) -> np.ndarray:
-    """(2, 3): u and v of an image seen from the source, `down` pointing down before it is turned in its plane."""
+def _detector_axes(beam: np.ndarray, down: np.ndarray, angle: float) -> np.ndarray:
+    """Return u and v (2, 3) of an image seen from the source; `down` points down before the image is rotated."""
     v = down - (down @ beam) * beam
     norm = np.linalg.norm(v)
     if norm < 0.1:
         raise SetUpError("a view's beam runs along the body; the twin has no such view")
     v /= norm
     u = np.cross(v, beam)
-    c, s = np.cos(turn), np.sin(turn)
+    c, s = np.cos(angle), np.sin(angle)
     return np.stack([c * u + s * v, -s * u + c * v])
 
 
 def _exposed(
     rng: np.random.Generator, tube: Tube | FlatPanel, detector: Plane, magnet: Site | np.ndarray
 ) -> Intensifier:
-    """The tube where it stands: at a site, or in the geomagnetic field (3,) with a stray field that is drawn."""
+    """Expose the tube where it stands: at a site, or in a geomagnetic field (3,) with a drawn stray field."""
     axes = _tube_axes(detector)
     if isinstance(magnet, Site):
         return tube.expose_in(rng, axes, field_at(magnet, detector.origin_mm))
@@ -247,12 +251,12 @@ def _exposed(
 
 
 def _tube_axes(detector: Plane) -> np.ndarray:
-    """(3, 3): the tube's x, y and z (away from the source), rows."""
+    """Return the tube's x, y and z (away from the source) as rows (3, 3)."""
     return np.vstack([detector.axes, detector.normal])
 
 
 def _beads_in_field(truth: ViewTruth, beads: tuple[Fiducial, ...]) -> tuple[np.ndarray, np.ndarray]:
-    """Pixels (N, 2) of beads, and whether the whole of each lies in the field."""
+    """Return the pixels (N, 2) of beads, and whether each lies entirely in the field (N,)."""
     xyz = np.array([bead.xyz_mm for bead in beads])
     radius = shadow_radius_px(truth, xyz, np.array([bead.diameter_mm / 2 for bead in beads]))
     uv = truth.project(xyz)

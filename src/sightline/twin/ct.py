@@ -1,7 +1,7 @@
-"""CT scans as volumes in the beam: NIfTI files and DICOM series to shares of soft tissue and bone.
+"""CT scans as volumes in the beam: NIfTI files and DICOM series, converted to shares of soft tissue and bone.
 
-Patient coordinates are DICOM's: x to the patient's left, y to the back, z to the head. No element that tells who the
-patient is, is ever read.
+Patient coordinates are DICOM's: x to the patient's left, y to the back, z to the head. Elements that identify the
+patient are never read.
 """
 
 from dataclasses import dataclass
@@ -13,14 +13,14 @@ from sightline.errors import UnusableInputError
 from sightline.twin.beam import TABLE_PER_CM
 from sightline.twin.volumes import Volume
 
-WATER_PER_CM = 0.206  # at 60 keV [calc, xraydb]: there a CT number is taken for mu_water (1 + HU/1000)
-MAX_VOXELS = 2**26  # [ours] 256 slices of 512²; 0.7 GB while it is cast
+WATER_PER_CM = 0.206  # at 60 keV [calc, xraydb], where a CT number is taken as mu_water (1 + HU/1000)
+MAX_VOXELS = 2**26  # [ours] 256 slices of 512²; 0.7 GB during projection
 MAX_SLICES = 4096  # [ours] files in one folder
-SPACING_MM = (0.1, 10.0)  # [ours] voxel edges of clinical CT; others are no mm, or not meant
-HU = (-1024, 3071)  # what twelve bits hold; beyond it values are taken for its ends
-NO_AIR_HU = -100  # [ours] a scan of a body has fat or air below this; counts of another modality have not
-UNEVEN = 0.01  # [ours] of a voxel's edge: slices farther from even spacing leave one out
-TILTED = 1e-3  # [ours] cosine between axes that should be square
+SPACING_MM = (0.1, 10.0)  # [ours] voxel edges of clinical CT; others are probably not in mm
+HU = (-1024, 3071)  # range of twelve bits; values outside are clipped
+NO_AIR_HU = -100  # [ours] a scan of a body has fat or air below this; values of another modality have not
+UNEVEN = 0.01  # [ours] of the slice spacing: a larger deviation means a missing slice
+TILTED = 1e-3  # [ours] cosine between axes that should be perpendicular
 # Rows: CFCS axes in patient coordinates (docs/conventions.md: +X lateral, +Z anterior, +Y completes them).
 CFCS_OF_PATIENT = {
     "right": np.array([[-1.0, 0, 0], [0, 0, -1], [0, -1, 0]]),
@@ -42,7 +42,8 @@ _TAGS = [
 
 @dataclass(frozen=True, eq=False)
 class CtScan:
-    """CT numbers `hu` (nx, ny, nz) int16; [i, j, k] lies at origin_mm + (voxel_mm * (i, j, k)) @ axes, patient mm."""
+    """CT numbers `hu` (nx, ny, nz) int16; voxel [i, j, k] is at origin_mm + (voxel_mm * (i, j, k)) @ axes, patient
+    coordinates, mm."""
 
     hu: np.ndarray
     origin_mm: np.ndarray
@@ -51,34 +52,36 @@ class CtScan:
 
 
 def read_ct(path: str | Path) -> CtScan:
-    """A CT scan from a NIfTI file (.nii, .nii.gz) or from a folder that holds one DICOM series.
+    """Read a CT scan from a NIfTI file (.nii, .nii.gz) or from a folder with one DICOM series.
 
-    Raises UnusableInputError on what is no CT, states no spacing or place, lacks slices, is skewed or too large.
+    Raises UnusableInputError if it is not a CT, states no spacing or position, lacks slices, is skewed or too large.
     """
     place = Path(path)
     return _series(place) if place.is_dir() else _nifti(place)
 
 
 def ct_volumes(scan: CtScan, side: str, hip_mm: np.ndarray, at_mm: np.ndarray | None = None) -> tuple[Volume, Volume]:
-    """Soft tissue and bone of a scan in CFCS: a hip's point in patient coordinates (3,) comes to `at_mm` (the origin).
+    """Return soft tissue and bone of a scan in CFCS, with the point `hip_mm` (3,), patient coordinates, moved to
+    `at_mm` (default: the origin).
 
-    Below soft tissue a voxel is tissue and air, above it tissue and bone, beyond cortical bone more bone: metal too,
-    which 12 bits cut off. The mixture has the scan's attenuation at 60 keV, and its materials' at other energies.
+    A voxel below soft tissue is a mixture of tissue and air, one above it of tissue and bone; one beyond cortical bone
+    is denser bone, also where it is metal, which 12 bits clip. The mixture has the attenuation of the scan at 60 keV,
+    and that of its materials at other energies.
     """
     if side not in CFCS_OF_PATIENT:
         raise UnusableInputError(f"a hip's side is 'right' or 'left', not {side!r}")
-    turn = CFCS_OF_PATIENT[side]
-    origin = turn @ (scan.origin_mm - np.asarray(hip_mm)) + (np.zeros(3) if at_mm is None else np.asarray(at_mm))
+    rotation = CFCS_OF_PATIENT[side]
+    origin = rotation @ (scan.origin_mm - np.asarray(hip_mm)) + (np.zeros(3) if at_mm is None else np.asarray(at_mm))
     index = np.clip(scan.hu, *HU) - HU[0]
     tissue, bone = (
-        Volume(share[index], origin, scan.voxel_mm, scan.axes @ turn.T, material, None)
+        Volume(share[index], origin, scan.voxel_mm, scan.axes @ rotation.T, material, None)
         for share, material in zip(shares_of_hu(np.arange(HU[0], HU[1] + 1)), ("tissue", "bone"), strict=True)
     )
     return tissue, bone
 
 
 def shares_of_hu(hu: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Shares of soft tissue and of cortical bone, float32, that have the attenuation of CT numbers at 60 keV."""
+    """Return the shares of soft tissue and cortical bone, float32, with the attenuation of CT numbers at 60 keV."""
     soft, hard = TABLE_PER_CM["tissue"][1], TABLE_PER_CM["bone"][1]
     mu = np.maximum(WATER_PER_CM * (1 + np.asarray(hu) / 1000), 0.0)
     tissue = np.interp(mu, [0.0, soft, hard], [0.0, 1.0, 0.0])
@@ -96,10 +99,10 @@ def _nifti(file: Path) -> CtScan:
         header = image.header
         codes, unit = (int(header["sform_code"]), int(header["qform_code"])), header.get_xyzt_units()[0]
         affine, shape = np.asarray(image.affine, dtype=np.float64), image.shape
-    except Exception as error:  # nibabel raises what the broken bytes make it raise
-        raise UnusableInputError(f"{file.name} is no NIfTI file, or a damaged one; export it again") from error
+    except Exception as error:  # broken bytes may make nibabel raise anything
+        raise UnusableInputError(f"{file.name} is not a NIfTI file, or is damaged; export it again") from error
     if not any(codes):
-        raise UnusableInputError(f"{file.name} does not say how the patient lies (sform, qform); export it with them")
+        raise UnusableInputError(f"{file.name} has no orientation (sform, qform); export it with one")
     if unit not in ("mm", "unknown"):
         raise UnusableInputError(f"{file.name} is in {unit}; export it in mm")
     if len(shape) != 3:
@@ -124,8 +127,8 @@ def _series(folder: Path) -> CtScan:
     for file in files:
         try:
             slices.append((file, pydicom.dcmread(file, stop_before_pixels=True, specific_tags=_TAGS)))
-        except Exception as error:  # its messages may quote the patient
-            raise UnusableInputError(f"{file.name} is no DICOM file; leave only the scan in the folder") from error
+        except Exception as error:  # pydicom's messages may quote the patient
+            raise UnusableInputError(f"{file.name} is not a DICOM file; leave only the scan in the folder") from error
     for file, header in slices:
         _check_slice(header, file.name)
     first = slices[0][1]
@@ -149,7 +152,7 @@ def _series(folder: Path) -> CtScan:
 
 
 def _check_slice(header, name: str) -> None:
-    """Raises UnusableInputError on a slice of no CT, or one that leaves out what places it."""
+    """Raise UnusableInputError if a slice is not of a CT, or lacks elements that give its position."""
     if header.get("Modality") != "CT":
         raise UnusableInputError(f"{name} is of modality {header.get('Modality') or 'unknown'}; give a CT series")
     missing = [tag for tag in _TAGS if tag != "NumberOfFrames" and header.get(tag) in (None, "")]
@@ -163,13 +166,15 @@ def _check_slice(header, name: str) -> None:
 
 
 def _step(at_mm: np.ndarray, name: str) -> np.ndarray:
-    """(3,) mm from slice to slice. Raises UnusableInputError where slices are missing, twice there, or uneven."""
+    """Return the step (3,) from slice to slice, mm. Raises UnusableInputError for missing or duplicate slices."""
     if len(at_mm) < 2:
         raise UnusableInputError(f"{name} holds one slice; give the whole series")
     mean = (at_mm[-1] - at_mm[0]) / (len(at_mm) - 1)
     uneven = np.linalg.norm(np.diff(at_mm, axis=0) - mean, axis=1).max()
     if not uneven <= UNEVEN * np.linalg.norm(mean):
-        raise UnusableInputError(f"the slices of {name} are not evenly spaced: one is missing or twice there")
+        raise UnusableInputError(
+            f"the slices of {name} are not evenly spaced: one is missing or duplicate; export the series again"
+        )
     return mean
 
 
@@ -182,7 +187,7 @@ def _check_size(shape: tuple[int, ...], name: str) -> None:
 
 
 def _scan(values: np.ndarray, origin_mm: np.ndarray, steps_mm: np.ndarray, name: str) -> CtScan:
-    """A scan of values whose index i, j, k steps by the columns of `steps_mm` (3, 3). Raises UnusableInputError."""
+    """Return a scan whose indices i, j, k step by the columns of `steps_mm` (3, 3). Raises UnusableInputError."""
     voxel = np.linalg.norm(steps_mm, axis=0)
     if not (np.isfinite(origin_mm).all() and (voxel >= SPACING_MM[0]).all() and (voxel <= SPACING_MM[1]).all()):
         raise UnusableInputError(
@@ -191,11 +196,13 @@ def _scan(values: np.ndarray, origin_mm: np.ndarray, steps_mm: np.ndarray, name:
         )
     axes = (steps_mm / voxel).T
     if np.abs(axes @ axes.T - np.eye(3)).max() > TILTED:
-        raise UnusableInputError(f"the axes of {name} are not square (a tilted gantry?); resample it squarely")
+        raise UnusableInputError(
+            f"the axes of {name} are not perpendicular (a tilted gantry?); resample it to perpendicular axes"
+        )
     if not np.isfinite(values).all():
         raise UnusableInputError(f"{name} holds values that are not finite; export it again without them")
     if values.min() > NO_AIR_HU:
         raise UnusableInputError(
-            f"{name} holds nothing below {NO_AIR_HU}, so its values are no CT numbers; give a CT in Hounsfield units"
+            f"{name} has no value below {NO_AIR_HU}, so its values are not CT numbers; give a CT in Hounsfield units"
         )
     return CtScan(np.clip(np.rint(values), *HU).astype(np.int16), origin_mm, voxel, axes)

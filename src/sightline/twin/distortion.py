@@ -1,4 +1,4 @@
-"""The distortion of an image intensifier, as a function that is linear in all its parameters but two.
+"""The distortion of an image intensifier: a function that is linear in all its parameters but two.
 
 In detector coordinates xi (mm at the input plane, R the radius of the tube's own field, u = |xi| / R):
 
@@ -6,7 +6,7 @@ In detector coordinates xi (mm at the input plane, R the radius of the tube's ow
     turn(xi)  = (1 - 0.79 u² + 0.23 u⁴) (t0 + t1 x/R + t2 y/R)       rotation by the axial magnetic field
     shift(xi) = (1 - 1.41 u² + 0.88 u⁴) S (1, x/R, y/R)              shift by the transverse magnetic field
 
-The fades hold their value beyond 1.1 R, so that nothing far outside folds back into the field.
+The radial factors are constant beyond 1.1 R, so that points far outside do not fold back into the field.
 """
 
 from dataclasses import dataclass
@@ -22,7 +22,7 @@ SHIFT = Distortion.shift_fade
 
 
 def _fade(u2: np.ndarray, coefficients: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
-    """1 + a u² + b u⁴ and its derivative by u², held beyond FADE_HOLD."""
+    """Return 1 + a u² + b u⁴, constant beyond FADE_HOLD, and its derivative with respect to u²."""
     held = u2 > FADE_HOLD**2
     v = np.minimum(u2, FADE_HOLD**2)
     a, b = coefficients
@@ -31,7 +31,7 @@ def _fade(u2: np.ndarray, coefficients: tuple[float, float]) -> tuple[np.ndarray
 
 @lru_cache(maxsize=8)
 def disc_mm(radius_mm: float, across: int = 41) -> np.ndarray:
-    """(N, 2) points of a square lattice within a disc: the quadrature of every mean over the field."""
+    """Return points (N, 2) of a square lattice within a disc, over which means over the field are taken."""
     side = np.linspace(-radius_mm, radius_mm, across)
     x, y = np.meshgrid(side, side)
     inside = x * x + y * y <= radius_mm**2 * (1 + 1e-12)
@@ -41,15 +41,15 @@ def disc_mm(radius_mm: float, across: int = 41) -> np.ndarray:
 
 
 def monomials(unit_xy: np.ndarray, degree: int) -> np.ndarray:
-    """(N, (degree + 1)(degree + 2) / 2) powers x^i y^j with i + j <= degree, by rising degree."""
+    """Return the powers x^i y^j with i + j <= degree, by rising degree: (N, (degree + 1)(degree + 2) / 2)."""
     x, y = unit_xy[..., 0], unit_xy[..., 1]
     return np.stack([x ** (d - j) * y**j for d in range(degree + 1) for j in range(d + 1)], axis=-1)
 
 
 @lru_cache(maxsize=8)
 def _cubic_basis(radius_mm: float) -> np.ndarray:
-    """(10, 7): coefficients of seven cubics in x/R, y/R of unit rms over the disc, orthogonal there to each other and
-    to straight lines."""
+    """Return the coefficients (10, 7) of seven cubics in x/R, y/R with unit rms over the disc, orthogonal there to each
+    other and to linear functions."""
     points = monomials(disc_mm(radius_mm) / radius_mm, 3)
     r = np.linalg.qr(points)[1]
     out = np.linalg.inv(r)[:, 3:] * np.sqrt(len(points))
@@ -58,16 +58,16 @@ def _cubic_basis(radius_mm: float) -> np.ndarray:
 
 
 class Cubics:
-    """The seven cubics of the asymmetric part."""
+    """The seven cubic polynomials of the asymmetric part."""
 
     @staticmethod
     def values(xi_mm: np.ndarray, radius_mm: float) -> np.ndarray:
-        """(N, 7)."""
+        """Return the values (N, 7) at points (N, 2)."""
         return monomials(xi_mm / radius_mm, 3) @ _cubic_basis(radius_mm)
 
     @staticmethod
     def gradients(xi_mm: np.ndarray, radius_mm: float) -> np.ndarray:
-        """(N, 7, 2), per mm."""
+        """Return the gradients (N, 7, 2) at points (N, 2), per mm."""
         x, y = (xi_mm / radius_mm).T
         zero, one = np.zeros_like(x), np.ones_like(x)
         by_x = [zero, one, zero, 2 * x, y, zero, 3 * x * x, 2 * x * y, y * y, zero]
@@ -78,10 +78,10 @@ class Cubics:
 
 @dataclass(frozen=True, eq=False)
 class RandomField:
-    """Gaussian bumps on a square lattice: with independent weights a Gaussian random field.
+    """Gaussian bumps on a square lattice; independent weights make a Gaussian random field.
 
-    `side_mm` (n,): the lattice's lines in x and in y, `width_mm` apart; K = n² bumps of that width, x the slower index.
-    The covariance is exactly that of the finite basis; inside the field it agrees with exp(-d² / 2 l²),
+    `side_mm` (n,): coordinates of the lattice in x and in y, `width_mm` apart; K = n² bumps of that width, x the slower
+    index. The covariance is exactly that of the finite basis. Inside the field it agrees with exp(-d² / 2 l²),
     l = sqrt(2) width, to 2e-3, because the lattice is as fine as the bumps are wide.
     """
 
@@ -90,7 +90,7 @@ class RandomField:
 
     @staticmethod
     def over(radius_mm: float, correlation_mm: float) -> "RandomField":
-        """The field of correlation length l over a disc, with bumps three widths beyond it."""
+        """Return the field of a correlation length over a disc, with bumps up to three widths beyond it."""
         width = correlation_mm / np.sqrt(2)
         n = int(np.ceil((radius_mm + 3 * width) / width))
         return RandomField(np.arange(-n, n + 1) * width, width)
@@ -99,23 +99,23 @@ class RandomField:
         return len(self.side_mm) ** 2
 
     def _bumps(self, x_mm: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """(N, n) one-dimensional bumps and their slopes; scaled so that unit weights give unit variance."""
+        """Return one-dimensional bumps and their slopes (N, n), scaled so that unit weights give unit variance."""
         gap = (x_mm[:, None] - self.side_mm) / self.width_mm
         bumps = np.pi**-0.25 * np.exp(-0.5 * gap * gap)
         return bumps, -bumps * gap / self.width_mm
 
     def values(self, xi_mm: np.ndarray) -> np.ndarray:
-        """(N, K) of every bump."""
+        """Return the values (N, K) of all bumps at points (N, 2)."""
         bx, by = self._bumps(xi_mm[:, 0])[0], self._bumps(xi_mm[:, 1])[0]
         return (bx[:, :, None] * by[:, None, :]).reshape(len(xi_mm), -1)
 
     def sums(self, xi_mm: np.ndarray, weights: np.ndarray) -> np.ndarray:
-        """(N, 2): the bumps summed with weights (K, 2)."""
+        """Return the sums (N, 2) of the bumps with weights (K, 2)."""
         bx, by = self._bumps(xi_mm[:, 0])[0], self._bumps(xi_mm[:, 1])[0]
         return self._sum(bx, by, weights)
 
     def sum_gradients(self, xi_mm: np.ndarray, weights: np.ndarray) -> np.ndarray:
-        """(N, 2, 2): d(sums) / d(xi), per mm."""
+        """Return the derivatives (N, 2, 2) of `sums` with respect to xi, per mm."""
         (bx, dx), (by, dy) = self._bumps(xi_mm[:, 0]), self._bumps(xi_mm[:, 1])
         return np.stack([self._sum(dx, by, weights), self._sum(bx, dy, weights)], axis=-1)
 
@@ -128,9 +128,9 @@ class RandomField:
 
 @dataclass(frozen=True, eq=False)
 class DistortionMap:
-    """One drawn distortion: D(xi) of the module's text, mm to mm.
+    """One drawn distortion, D(xi) of the module's docstring, mm to mm.
 
-    `k1` per mm²; `turn` (3,) rad; `shift_mm` (2, 3); `cubic_mm` (7, 2) and `random_mm` (K, 2) weights.
+    `k1` per mm²; `turn` (3,) rad; `shift_mm` (2, 3); weights `cubic_mm` (7, 2) and `random_mm` (K, 2).
     """
 
     radius_mm: float
@@ -143,18 +143,18 @@ class DistortionMap:
 
     @cached_property
     def parameters(self) -> np.ndarray:
-        """(1 + 3 + 6 + 14 + 2K,): k1, turn, shift, cubic, random; the order of `derivatives`."""
+        """All parameters (1 + 3 + 6 + 14 + 2K,): k1, turn, shift, cubic, random; the order of `derivatives`."""
         parts = (self.turn, self.shift_mm.ravel(), self.cubic_mm.ravel(), self.random_mm.ravel())
         return np.concatenate([[self.k1], *parts])
 
     def _terms(self, xi_mm: np.ndarray) -> tuple[np.ndarray, ...]:
-        """(1, x/R, y/R) (N, 3), rho², u² and 1 + k1 rho² (N,)."""
+        """Return (1, x/R, y/R) (N, 3), and rho², u² and 1 + k1 rho² (N,)."""
         rho2 = (xi_mm**2).sum(-1)
         linear = np.concatenate([np.ones((len(xi_mm), 1)), xi_mm / self.radius_mm], axis=-1)
         return linear, rho2, rho2 / self.radius_mm**2, 1 + self.k1 * rho2
 
     def apply(self, xi_mm: np.ndarray) -> np.ndarray:
-        """D at points (N, 2)."""
+        """Return D (N, 2) at points (N, 2)."""
         linear, _, u2, stretch = self._terms(xi_mm)
         angle = _fade(u2, TURN)[0] * (linear @ self.turn)
         turned = stretch[:, None] * _rotate(xi_mm, angle)
@@ -163,7 +163,7 @@ class DistortionMap:
         return turned + shift + cubic + self.field.sums(xi_mm, self.random_mm)
 
     def jacobian(self, xi_mm: np.ndarray) -> np.ndarray:
-        """dD / dxi at points (N, 2): (N, 2, 2)."""
+        """Return dD / dxi (N, 2, 2) at points (N, 2)."""
         R = self.radius_mm
         linear, _, u2, stretch = self._terms(xi_mm)
         fade, slope = _fade(u2, TURN)
@@ -180,7 +180,7 @@ class DistortionMap:
         return out + self.field.sum_gradients(xi_mm, self.random_mm)
 
     def derivatives(self, xi_mm: np.ndarray) -> np.ndarray:
-        """dD / dparameters at points (N, 2): (N, 2, P), parameters in the order of `parameters`."""
+        """Return dD / dparameters (N, 2, P) at points (N, 2), in the order of `parameters`."""
         linear, rho2, u2, stretch = self._terms(xi_mm)
         fade = _fade(u2, TURN)[0]
         angle = fade * (linear @ self.turn)
@@ -204,7 +204,7 @@ def _rotations(angle: np.ndarray) -> np.ndarray:
 
 
 def _each_component(values: np.ndarray, component_first: bool = False) -> np.ndarray:
-    """Scalar basis values (N, K) to the responses (N, 2, 2K) of weights (K, 2), or (2, K) with `component_first`."""
+    """Expand scalar basis values (N, K) to responses (N, 2, 2K) of weights (K, 2), or (2, K) with `component_first`."""
     n, k = values.shape
     out = np.zeros((n, 2, 2, k) if component_first else (n, 2, k, 2))
     for c in range(2):

@@ -1,4 +1,4 @@
-"""Drawing distortions from their distributions, with the second moments of what is drawn."""
+"""Draw distortions from their distributions, with the second moments of those distributions."""
 
 from dataclasses import dataclass
 from functools import lru_cache
@@ -11,11 +11,11 @@ from sightline.twin.intensifier import DistortionPrior, Intensifier
 from sightline.twin.magnetic import magnetic_numbers, tube_numbers
 from sightline.twin.presets import ImageChain
 
-PINCUSHION_RADIUS_MM = 107.0  # where the share of Distortion.pincushion_at_107_mm is meant
+PINCUSHION_RADIUS_MM = 107.0  # the radius of Distortion.pincushion_at_107_mm
 
 
 def draw_tube(rng: np.random.Generator, chain: ImageChain, spread: Distortion) -> "Tube | FlatPanel":
-    """What one intensifier keeps over all its exposures; of a flat panel there is nothing to draw."""
+    """Draw the parts of an intensifier that are the same in all its exposures; a flat panel has none."""
     if chain.tube_mm is None:
         return FlatPanel(chain)
     low, high = np.log(spread.turn_rad_per_ut)
@@ -31,7 +31,7 @@ def draw_tube(rng: np.random.Generator, chain: ImageChain, spread: Distortion) -
 
 @dataclass(frozen=True, eq=False)
 class Tube:
-    """An image intensifier before it is exposed: its pincushion, its response to magnetic fields, its asymmetry."""
+    """An image intensifier before an exposure: its pincushion, its response to magnetic fields, its asymmetry."""
 
     chain: ImageChain
     radius_mm: float
@@ -41,8 +41,11 @@ class Tube:
     cubic_mm: np.ndarray
 
     def expose(self, rng: np.random.Generator, axes: np.ndarray, earth_ut: np.ndarray) -> Intensifier:
-        """The intensifier in one exposure. `axes` (3, 3): rows are its x, y and z (away from the source) in CFCS;
-        `earth_ut` (3,): the geomagnetic field in CFCS, µT."""
+        """Draw the intensifier in one exposure.
+
+        `axes` (3, 3): rows are its x, y and z (away from the source) in CFCS. `earth_ut` (3,): the geomagnetic field in
+        CFCS, µT.
+        """
         spread, radius = self.spread, self.radius_mm
         magnetic = magnetic_numbers(
             axes @ (earth_ut + spread.stray_ut * rng.standard_normal(3)),
@@ -53,14 +56,14 @@ class Tube:
     def expose_in(
         self, rng: np.random.Generator, axes: np.ndarray, field: tuple[np.ndarray, np.ndarray]
     ) -> Intensifier:
-        """The same in a field that is known: (3,) µT and its gradient (3, 3) µT/mm, CFCS (`magnetic.field_at`).
+        """Draw the intensifier in a given field: (3,) µT and its gradient (3, 3) µT/mm, CFCS (`magnetic.field_at`).
 
-        The prior stays that of a field which the software is not told.
+        Its prior is that of an unknown field.
         """
         return self._exposed(rng, axes, tube_numbers(axes, *field, self.radius_mm))
 
     def _exposed(self, rng: np.random.Generator, axes: np.ndarray, magnetic: np.ndarray) -> Intensifier:
-        """`magnetic` (9,): `magnetic.tube_numbers`."""
+        """Draw the intensifier for the values `magnetic` (9,) of `magnetic.tube_numbers`."""
         spread, radius = self.spread, self.radius_mm
         correlation = float(rng.uniform(*spread.correlation_mm))
         field = RandomField.over(radius, correlation)
@@ -80,23 +83,23 @@ class Tube:
 
 @dataclass(frozen=True)
 class FlatPanel:
-    """A detector whose pixels lie where they were etched: nothing distorts it, and that is known."""
+    """A detector without distortion."""
 
     chain: ImageChain
 
     def expose(self, rng: np.random.Generator, axes: np.ndarray, earth_ut: np.ndarray) -> Intensifier:
-        """The panel in any exposure."""
-        return self.still
+        """Return the panel, which is the same in every exposure."""
+        return self.undistorted
 
     def expose_in(
         self, rng: np.random.Generator, axes: np.ndarray, field: tuple[np.ndarray, np.ndarray]
     ) -> Intensifier:
-        """The panel in any field."""
-        return self.still
+        """Return the panel, which is the same in every field."""
+        return self.undistorted
 
     @property
-    def still(self) -> Intensifier:
-        """The panel."""
+    def undistorted(self) -> Intensifier:
+        """The panel as an intensifier without distortion."""
         radius = self.chain.field_mm / 2
         field = RandomField.over(radius, radius)
         none = DistortionMap(
@@ -106,7 +109,7 @@ class FlatPanel:
 
 
 def draw_earth(rng: np.random.Generator, spread: Distortion) -> np.ndarray:
-    """(3,) µT, CFCS: the geomagnetic field, the patient supine (+Z up) and the table standing anyhow in the room."""
+    """Draw the geomagnetic field (3,), µT, CFCS, for a supine patient (+Z up) and a random heading of the table."""
     heading = rng.uniform(0, 2 * np.pi)
     horizontal, up = spread.earth_ut
     return np.array([horizontal * np.cos(heading), horizontal * np.sin(heading), up])
@@ -114,8 +117,8 @@ def draw_earth(rng: np.random.Generator, spread: Distortion) -> np.ndarray:
 
 @lru_cache(maxsize=8)
 def _shares(radius_mm: float, range_mm: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
-    """Correlation lengths, and the expected rms over the field of a unit-variance random field of each, after a fit
-    of degree 5."""
+    """Return correlation lengths, and for each the expected rms over the field that a unit-variance random field leaves
+    after a polynomial fit of degree 5."""
     points = disc_mm(radius_mm)
     q = np.linalg.qr(monomials(points / radius_mm, 5))[0]
     lengths = np.linspace(*range_mm, 13)
@@ -125,15 +128,16 @@ def _shares(radius_mm: float, range_mm: tuple[float, float]) -> tuple[np.ndarray
 
 
 def share_beyond_degree5(radius_mm: float, correlation_mm: float, range_mm: tuple[float, float]) -> float:
-    """Expected rms, over the field, of a unit-variance random field after a fit of degree 5: interpolated, to 1 %."""
+    """Return the expected rms over the field that a unit-variance random field leaves after a fit of degree 5,
+    interpolated with an error of up to 1 %."""
     lengths, shares = _shares(radius_mm, range_mm)
     return float(np.exp(np.interp(correlation_mm, lengths, np.log(shares))))
 
 
 @lru_cache(maxsize=1)
 def _gradient_basis() -> np.ndarray:
-    """(9, 9): nine unit-variance numbers to a symmetric 3x3 tensor without trace (no currents, no monopoles in the
-    tube), off-diagonal elements of unit variance, flattened."""
+    """Return the matrix (9, 9) from nine unit-variance numbers to a flattened symmetric, traceless 3x3 tensor (no
+    currents, no monopoles in the tube) with off-diagonal elements of unit variance."""
     out = np.zeros((9, 9))
     for k in range(9):
         a = np.zeros(9)
@@ -144,13 +148,13 @@ def _gradient_basis() -> np.ndarray:
 
 
 def _smooth_factor(spread: Distortion, radius_mm: float, axes: np.ndarray) -> np.ndarray:
-    """(24, 24): a factor of the covariance of k1, turn, shift and cubic weights of an exposure with the given axes."""
+    """Return a factor (24, 24) of the covariance of k1, turn, shift and cubic weights for a tube with these axes."""
     horizontal, up = spread.earth_ut
     mean = magnetic_numbers(axes @ np.array([0.0, 0.0, up]), np.zeros((3, 3)))
-    room = np.diag([horizontal**2 / 2, horizontal**2 / 2, 0.0]) + spread.stray_ut**2 * np.eye(3)
+    field_ut2 = np.diag([horizontal**2 / 2, horizontal**2 / 2, 0.0]) + spread.stray_ut**2 * np.eye(3)
     basis = _gradient_basis() * spread.gradient_ut_per_mm * radius_mm
     responses = np.stack(
-        [magnetic_numbers(column, np.zeros((3, 3))) for column in (axes @ np.sqrt(room)).T]
+        [magnetic_numbers(column, np.zeros((3, 3))) for column in (axes @ np.sqrt(field_ut2)).T]
         + [magnetic_numbers(np.zeros(3), column.reshape(3, 3)) for column in basis.T],
         axis=-1,
     )
@@ -171,6 +175,6 @@ def _smooth_factor(spread: Distortion, radius_mm: float, axes: np.ndarray) -> np
 
 
 def _root(covariance: np.ndarray) -> np.ndarray:
-    """A factor of a covariance that may be singular."""
+    """Return a factor of a covariance that may be singular."""
     values, vectors = np.linalg.eigh(covariance)
     return vectors * np.sqrt(np.clip(values, 0.0, None))

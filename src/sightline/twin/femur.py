@@ -17,18 +17,16 @@ from sightline.threads import in_parts
 from sightline.twin.volumes import Volume
 
 VOXEL_MM = 0.75
-SHORT_MM = 8.0  # of the ideal wire's tip under the surface of the head: 5-10 mm [physics.md, Planning figures]
-TEXTURE_SD = 1.2  # voxels: about 1 mm, as trabeculae [ours]
-TEXTURE_SHAPE = (80, 96, 72)  # voxels; the texture repeats beyond
-# The box that is voxelised, anatomical coordinates: what a field of 215 mm at the detector can show of a hip.
+SHORT_MM = 8.0  # distance of the ideal wire's tip from the surface of the head: 5-10 mm [physics.md, Planning figures]
+TEXTURE_SD = 1.2  # voxels: about 1 mm, the scale of trabeculae [ours]
+TEXTURE_SHAPE = (80, 96, 72)  # voxels; the texture is periodic
+# The voxelised box, anatomical coordinates: the part of a hip that a field of 215 mm at the detector can show.
 BOX_LOW_MM = np.array([-110.0, -110.0, -48.0])
 BOX_HIGH_MM = np.array([76.0, 106.0, 42.0])
-LESSER_MM, LESSER_HALF_MM = (
-    np.array([-13.0, 30.0, -12.0]),
-    np.array([9.0, 12.0, 9.0]),
-)  # from the base; half-axes [ours]
-GREATER_MM, GREATER_HALF_MM = np.array([7.0, -14.0, -5.0]), np.array([13.0, 25.0, 17.0])  # likewise [ours]
-# Share of cortical bone that adds a given CT number to soft tissue at 60 keV: HU/1000 mu_water / (mu_bone - mu_tissue).
+# Trochanters as ellipsoids: centre from the base, half-axes [ours].
+LESSER_MM, LESSER_HALF_MM = np.array([-13.0, 30.0, -12.0]), np.array([9.0, 12.0, 9.0])
+GREATER_MM, GREATER_HALF_MM = np.array([7.0, -14.0, -5.0]), np.array([13.0, 25.0, 17.0])
+# Share of cortical bone that adds one CT number to soft tissue at 60 keV: mu_water / 1000 / (mu_bone - mu_tissue).
 BONE_PER_HU = 0.206e-3 / (0.0604 - 0.0217) / 10
 
 
@@ -47,38 +45,39 @@ class Femur:
     shaft_radius_mm: float = 15.0
     canal_radius_mm: float = 7.0
     cancellous_hu: float = 132.0  # neck; normal 132, osteopenic 99, osteoporotic 41 [src]
-    socket: bool = True  # the acetabulum and some pelvis above and medial of it
+    socket: bool = True  # include the acetabulum and the pelvis above and medial of it
 
     @property
     def towards_head(self) -> np.ndarray:
-        """(3,) unit vector along the neck, anatomical coordinates."""
+        """Unit vector (3,) along the neck, anatomical coordinates."""
         across = sin(radians(self.neck_shaft_deg))
-        turn = radians(self.anteversion_deg)
-        return np.array([-across * cos(turn), cos(radians(self.neck_shaft_deg)), across * sin(turn)])
+        version = radians(self.anteversion_deg)
+        return np.array([-across * cos(version), cos(radians(self.neck_shaft_deg)), across * sin(version)])
 
     @property
     def base_mm(self) -> np.ndarray:
-        """(3,) where the axes of neck and shaft meet, anatomical coordinates."""
+        """Intersection (3,) of the axes of neck and shaft, anatomical coordinates."""
         return -self.neck_length_mm * self.towards_head
 
     @property
     def lesser_trochanter_mm(self) -> np.ndarray:
-        """(3,) the tip of the lesser trochanter, medial and dorsal of the shaft, anatomical coordinates."""
+        """Tip (3,) of the lesser trochanter, medial and dorsal of the shaft, anatomical coordinates."""
         return self.base_mm + LESSER_MM + np.array([-1.0, 0.0, -1.0]) * LESSER_HALF_MM / np.sqrt(2)
 
     @property
     def greater_trochanter_mm(self) -> np.ndarray:
-        """(3,) the most cranial point of the greater trochanter, anatomical coordinates."""
+        """Most cranial point (3,) of the greater trochanter, anatomical coordinates."""
         return self.base_mm + GREATER_MM + np.array([0.0, -1.0, 0.0]) * GREATER_HALF_MM
 
     def wire_mm(self, angle_deg: float = 135.0, short_mm: float = SHORT_MM) -> tuple[np.ndarray, np.ndarray]:
-        """Entry and end point of the ideal guide wire, anatomical coordinates.
+        """Return entry and end point of the ideal guide wire, anatomical coordinates.
 
-        Through the centre of the head at `angle_deg` to the shaft (the paper's 135°), in the plane of the neck; entry
-        on the lateral surface, tip `short_mm` under the surface of the head (5-10 mm: planning figures).
+        The wire passes the centre of the head at `angle_deg` to the shaft (the paper's 135°), in the plane of the neck,
+        from the lateral surface to `short_mm` below the surface of the head (5-10 mm: physics.md, Planning figures).
+        Raises SetUpError if it does not meet the lateral cortex.
         """
-        turn, across = radians(self.anteversion_deg), sin(radians(angle_deg))
-        along = np.array([-across * cos(turn), cos(radians(angle_deg)), across * sin(turn)])
+        version, across = radians(self.anteversion_deg), sin(radians(angle_deg))
+        along = np.array([-across * cos(version), cos(radians(angle_deg)), across * sin(version)])
         numbers = self.numbers()
 
         def height(back_mm: float) -> float:
@@ -91,14 +90,14 @@ class Femur:
         return -entry * along, (self.head_radius_mm - short_mm) * along
 
     def numbers(self) -> np.ndarray:
-        """What the compiled kernel takes."""
+        """Return the parameters of the compiled kernels."""
         sizes = [self.head_radius_mm, self.neck_radius_mm, self.shaft_radius_mm, self.canal_radius_mm]
         hu = self.cancellous_hu * BONE_PER_HU
         return np.array([*sizes, *self.base_mm, hu, float(self.socket)])
 
 
 def draw_femur(rng: np.random.Generator) -> Femur:
-    """A femur within the ranges of physics.md, section Femur."""
+    """Draw a femur within the ranges of physics.md, section Femur."""
     return Femur(
         head_radius_mm=rng.uniform(20, 26),
         neck_radius_mm=rng.uniform(30, 35) / 2,
@@ -110,12 +109,12 @@ def draw_femur(rng: np.random.Generator) -> Femur:
 
 
 def to_cfcs(anatomical_mm: np.ndarray, side: str, head_mm: np.ndarray) -> np.ndarray:
-    """Anatomical coordinates (..., 3) to CFCS, the centre of the head at `head_mm` (3,)."""
+    """Convert anatomical coordinates (..., 3) to CFCS, with the centre of the head at `head_mm` (3,)."""
     return np.asarray(anatomical_mm) * [1.0, 1.0 if side == "right" else -1.0, 1.0] + head_mm
 
 
 def voxelise(femur: Femur, side: str, head_mm: np.ndarray, rng: np.random.Generator | None) -> Volume:
-    """The bone as a volume in CFCS, with a random trabecular texture; without one where `rng` is None."""
+    """Return the bone as a volume in CFCS, with a random trabecular texture unless `rng` is None."""
     nx, ny, nz = (int(n) for n in np.ceil((BOX_HIGH_MM - BOX_LOW_MM) / VOXEL_MM))
     tile = np.zeros((1, 1, 1), dtype=np.float32) if rng is None else _texture(rng)
     values = np.zeros((nx, ny, nz), dtype=np.float32)
@@ -128,21 +127,21 @@ def voxelise(femur: Femur, side: str, head_mm: np.ndarray, rng: np.random.Genera
 
 
 def _texture(rng: np.random.Generator) -> np.ndarray:
-    """Unit-variance numbers as finely grained as trabeculae."""
+    """Draw a periodic texture of unit variance on the scale of trabeculae."""
     tile = gaussian_filter(rng.standard_normal(TEXTURE_SHAPE, dtype=np.float32), TEXTURE_SD, mode="wrap")
     return tile / tile.std()
 
 
 @njit(cache=True, error_model="numpy")
 def _blend(a: float, b: float, k: float) -> float:
-    """Smooth minimum of two distances over a width k."""
+    """Return the smooth minimum of two distances over a width k."""
     h = max(k - abs(a - b), 0.0) / k
     return min(a, b) - h * h * k / 4
 
 
 @njit(cache=True, error_model="numpy")
 def _ellipsoid(at: tuple[float, float, float], half: tuple[float, float, float]) -> float:
-    """Distance from an ellipsoid at the origin with the given half-axes, to first order."""
+    """Return the distance from an ellipsoid at the origin with the given half-axes, to first order."""
     k0, k1 = 0.0, 0.0
     for a in range(3):
         k0 += (at[a] / half[a]) ** 2
@@ -152,13 +151,13 @@ def _ellipsoid(at: tuple[float, float, float], half: tuple[float, float, float])
 
 @njit(cache=True, error_model="numpy")
 def _femur_distance(p: np.ndarray, n: np.ndarray) -> tuple[float, float]:
-    """Signed distance from the femur's surface (negative inside), and from the head's alone."""
+    """Return the signed distance from the femur's surface (negative inside), and from that of the head alone."""
     rh, rn, rs = n[0], n[1], n[2]
     bx, by, bz = n[4], n[5], n[6]
     length = np.sqrt(bx * bx + by * by + bz * bz)
     head = np.sqrt(p[0] ** 2 + p[1] ** 2 + p[2] ** 2) - rh
     t = min(max((p[0] * bx + p[1] * by + p[2] * bz) / length**2, 0.0), 1.0)
-    radius = rn * (0.96 + 0.9 * (t - 0.45) ** 2)  # waisted
+    radius = rn * (0.96 + 0.9 * (t - 0.45) ** 2)  # narrowest in the middle
     neck = np.sqrt((p[0] - t * bx) ** 2 + (p[1] - t * by) ** 2 + (p[2] - t * bz) ** 2) - radius
     x, y, z = p[0] - bx, p[1] - by, p[2] - bz
     flare = 1.0 + 0.28 * np.exp(-((max(y, 0.0) / 28.0) ** 2))  # wider towards the trochanters
@@ -177,14 +176,15 @@ def _femur_distance(p: np.ndarray, n: np.ndarray) -> tuple[float, float]:
 
 @njit(cache=True, error_model="numpy")
 def _step(x: float, width: float) -> float:
-    """0 to 1 across `width` around 0, straight: a voxel's partial volume."""
+    """Return a linear ramp from 0 to 1 across `width` around 0: a voxel's partial volume."""
     return min(max(x / width + 0.5, 0.0), 1.0)
 
 
 @njit(cache=True, error_model="numpy")
 def _bone(p: np.ndarray, n: np.ndarray, texture: float) -> float:
-    """Share of cortical bone at a point. Cortex 1 mm on the head, 2 mm on the neck, growing to the canal in the shaft
-    (5 mm laterally) [mem]; cancellous bone inside, denser in the head."""
+    """Return the share of cortical bone at a point. The cortex is 1 mm thick on the head, 2 mm on the neck, and
+    increases along the shaft down to the canal (5 mm laterally) [mem]; inside is cancellous bone, denser in the head.
+    """
     distance, head = _femur_distance(p, n)
     down = p[1] - n[5]
     shaft = min(max((down - 5.0) / 45.0, 0.0), 1.0)
@@ -200,7 +200,8 @@ def _bone(p: np.ndarray, n: np.ndarray, texture: float) -> float:
 
 @njit(cache=True, error_model="numpy")
 def _socket(p: np.ndarray, head: float, texture: float, spongy: float) -> float:
-    """The acetabulum (a shell 3.5 mm outside the head, open to lateral and caudal) and the bone that bears it."""
+    """Return the share of bone of the acetabulum (a shell 3.5 mm outside the head, open laterally and caudally) and of
+    the bone that supports it."""
     opening = 0.72 * p[0] + 0.69 * p[1]  # along the neck
     gap = head - 3.5
     cup = min(_step(gap, VOXEL_MM), _step(-opening - 2.0, VOXEL_MM))
@@ -216,7 +217,7 @@ def _socket(p: np.ndarray, head: float, texture: float, spongy: float) -> float:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _fill(part, parts, low, n, tile, out):  # noqa: PLR0917
-    """Share of bone at every voxel; the outermost voxels stay empty."""
+    """Fill in the share of bone at every voxel; the outermost voxels stay empty."""
     tx, ty, tz = tile.shape
     p = np.empty(3)
     for i in range(1 + part, out.shape[0] - 1, parts):

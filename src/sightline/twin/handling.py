@@ -1,22 +1,22 @@
-"""What befalls a frame between the day it is measured and the day it is used: heat, water, the weight of drapes."""
+"""Handling errors of a frame, between its measurement and its use: heat, moisture, the weight of drapes."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from sightline.errors import SetUpError
 from sightline.frame import Frame, Plate
-from sightline.twin.carm import SetUp, displaced
+from sightline.twin.carm import displaced
 
 EXPANSION_PER_K = 70e-6  # PMMA [mem, physics.md]
-SWELLING = 0.2  # growth in length per share of mass taken up as water: 1 % of water, 0.2 % [mem]
-DRAPE_N = 10.0  # a wet drape over one arm: sags a plate by one plate tolerance [ours]
+MOISTURE_EXPANSION = 0.2  # relative growth in length per share of mass absorbed as water: 1 % of water, 0.2 % [mem]
+DRAPE_N = 10.0  # load of a wet drape on one arm, which displaces a plate by one plate tolerance [ours]
 DOWN = np.array([0.0, 0.0, -1.0])  # the patient lies supine: +Z is up
 
 
 @dataclass(frozen=True)
 class Handling:
-    """Against the state in which the frame was measured: warmer, K; water taken up, share of mass; load per arm, N."""
+    """Change since the frame was measured: temperature, K; absorbed water, share of mass; load per arm, N."""
 
     warmer_k: float = 0.0
     water_share: float = 0.0
@@ -24,32 +24,16 @@ class Handling:
 
     def __post_init__(self) -> None:
         if not (-100 < self.warmer_k < 100 and -0.03 < self.water_share < 0.03 and 0 <= self.drape_n < 1000):
-            raise SetUpError(f"no frame of PMMA is used so: {self}")
-
-
-@dataclass(frozen=True)
-class HandlingSpread:
-    """What handlings are drawn from [ours]."""
-
-    warmer_k: float = 5.0  # s.d.: lamps and draughts against a measuring room
-    water_share: float = 0.002  # s.d., either way: wiped wet or dried since
-    drape_n: float = 20.0  # uniform from none
-
-
-def draw_handling(rng: np.random.Generator, spread: HandlingSpread | None = None) -> Handling:
-    """A handling from its distribution."""
-    spread = spread or HandlingSpread()
-    warmer, water = rng.normal(0.0, [spread.warmer_k, spread.water_share])
-    return Handling(float(warmer), float(np.clip(water, -0.02, 0.02)), float(rng.uniform(0.0, spread.drape_n)))
+            raise SetUpError(f"a frame of PMMA cannot be used so: {self}; give values within -100 to 100 K, 3 %, 1 kN")
 
 
 def in_use(frame: Frame, handling: Handling) -> Frame:
-    """The frame as it is while it is used.
+    """Return the frame as it is in use, with its handling errors.
 
-    Each plate grows about its middle by heat and water; a drape lowers and tilts it by a plate's tolerance (about Y, to
-    either side's arm alike) for each DRAPE_N. The metal of the arms keeps its length.
+    Heat and moisture expand each plate about its centre. Each DRAPE_N of load lowers and tilts it by a plate tolerance
+    (about Y, the same for the arms of both sides). The metal arms keep their length.
     """
-    stretch = EXPANSION_PER_K * handling.warmer_k + SWELLING * handling.water_share
+    stretch = EXPANSION_PER_K * handling.warmer_k + MOISTURE_EXPANSION * handling.water_share
     tolerance, load = frame.effective_tolerances, handling.drape_n / DRAPE_N
     sag, tilt = load * tolerance.plate_mm * DOWN, load * tolerance.plate_rad * np.array([0.0, 1.0, 0.0])
 
@@ -59,8 +43,3 @@ def in_use(frame: Frame, handling: Handling) -> Frame:
 
     plates = [plate for view in frame.views.values() for plate in (view.xrii, view.source)]
     return displaced(frame, np.concatenate([move(plate) for plate in plates]))
-
-
-def handled(setup: SetUp, handling: Handling) -> SetUp:
-    """A set-up whose true frame, with the errors it was made with, has been handled; the software is not told."""
-    return replace(setup, true_frame=in_use(setup.true_frame, handling))

@@ -1,4 +1,4 @@
-"""Hard images for judging detection: bone edges, metal, low dose, saturation, vignetting, the field's edge."""
+"""Hard images to test detection: bone edges, metal, low dose, saturation, vignetting, the edge of the field."""
 
 from dataclasses import dataclass, replace
 
@@ -16,16 +16,21 @@ from sightline.twin.things import CENTRE, RADIUS, Rod, Scene, SoftTissue, Solid,
 
 @dataclass(frozen=True, eq=False)
 class BeadTruth:
-    """What is true of the N beads of a frame whose centres lie in the field of one image, IDCS.
+    """The truth of the N beads of a frame whose centres lie in the field of one image, IDCS.
 
-    `ids`; `uv_px` (N, 2): images of the centres, what a calibration needs; `shadow_px` (N, 2): centroids of the
-    outlines of the shadows, what an image can show: distortion moves them outwards, at the rim by 0.02 px (3 mm balls)
-    to 0.07 px (5 mm). `radius_px` (N,). `blur_px` (N,): s.d. of the edge's blur: detector, focal spot at the bead's
-    height, pixel. `contrast` (N,): change of log intensity at the centre without noise, after blur and
-    scatter, against the image without sharp things (negative: dark). `quanta` (N,): counted per pixel beside the bead
-    (where it stands, were it not there). `gap_px` (N,): from the bead's rim to the nearest other sharp thing's,
-    negative where they overlap. `rim_px` (N,): from the bead's rim to the field's edge, negative where it is cut.
-    `saturated` (N,): share of pixels within 1.5 radii stored at the white level. `exposure`: the image without noise.
+    - `ids`
+    - `uv_px` (N, 2): images of the centres, which a calibration needs
+    - `shadow_px` (N, 2): centroids of the outlines of the shadows, which an image can show; distortion moves them
+      outwards, at the rim by 0.02 px (3 mm balls) to 0.07 px (5 mm)
+    - `radius_px` (N,)
+    - `blur_px` (N,): s.d. of the edge's blur from detector, focal spot at the bead's height, and pixel
+    - `contrast` (N,): change of log intensity at the centre without noise, after blur and scatter, against the image
+      without sharp objects (negative: dark)
+    - `quanta` (N,): counted per pixel at the bead's position, if the bead were not there
+    - `gap_px` (N,): from the bead's rim to that of the nearest other sharp object, negative where they overlap
+    - `rim_px` (N,): from the bead's rim to the edge of the field, negative where the bead is cut
+    - `saturated` (N,): share of pixels within 1.5 radii stored at the white level
+    - `exposure`: the image without noise
     """
 
     ids: tuple[str, ...]
@@ -54,11 +59,11 @@ def hard_scene(
     even_scatter: bool = True,
     scatter_mm: float = SCATTER_MM,
 ) -> tuple[Radiograph, BeadTruth]:
-    """A random hard image of one view, and the truth of its beads.
+    """Draw a hard image of one view, and return it with the truth of its beads.
 
-    A drawn set-up of the frame (default: the Γ frame) at any rotation of the image, around a drawn hip of either side,
-    with metal in it. `dose_class`: "low", "medium", "high" (`render.DOSES`). `even_scatter` and `scatter_mm` as in
-    `expose`; with their defaults the scenes are those that detection was first tuned on. Raises SetUpError.
+    The set-up of the frame (default: the Γ frame) has any rotation of the image; the hip has either side, with metal in
+    it. `dose_class`: "low", "medium", "high" (`render.DOSES`). `even_scatter`, `scatter_mm`: as in `expose`; the
+    defaults give the scenes on which detection was first tuned. Raises SetUpError.
     """
     _dose(dose_class)
     return hard_view(rng, frame, spread, chain=chain).exposed(
@@ -68,7 +73,7 @@ def hard_scene(
 
 @dataclass(frozen=True, eq=False)
 class HardView:
-    """A hard scene in one view before it is exposed. `level`: where exposure control brings the image's middle."""
+    """A hard scene in one view, before an exposure. `level`: the mean of the image's middle after exposure control."""
 
     setup: SetUp
     scene: Scene
@@ -83,7 +88,7 @@ class HardView:
         even_scatter: bool = True,
         scatter_mm: float = SCATTER_MM,
     ) -> tuple[Radiograph, BeadTruth]:
-        """Its image with noise drawn from `rng`, and the truth of its beads. Raises SetUpError."""
+        """Draw its image, and return it with the truth of its beads. Raises SetUpError."""
         dose = replace(_dose(dose_class), level=self.level)
         exposure = self.projection.exposed(dose, even_scatter=even_scatter, scatter_mm=scatter_mm)
         image = exposure.read_out(rng)
@@ -93,7 +98,7 @@ class HardView:
 def hard_view(
     rng: np.random.Generator, frame: Frame | None = None, spread: HardScene | None = None, *, chain: str = "9in-1k"
 ) -> HardView:
-    """The drawn scene of `hard_scene`, projected once for several doses and scatters. Raises SetUpError."""
+    """Draw the scene of `hard_scene`, projected once for several doses and scatters. Raises SetUpError."""
     spread = spread or HardScene()
     setup = draw_setup(rng, frame or Frame.load("gamma"), side=str(rng.choice(["right", "left"])), chain=chain)
     view = setup.views[str(rng.choice(list(setup.views)))]
@@ -112,9 +117,10 @@ def _dose(dose_class: str) -> Dose:
 
 
 def bead_truth(setup: SetUp, view: ViewTruth, scene: Scene, exposure: Exposure) -> BeadTruth:
-    """The truth of the frame's beads in an exposed scene: of all its views, wherever a centre lies in this one's field.
+    """Return the truth of the frame's beads in an exposed scene, of all plates, for centres in this view's field.
 
-    The true frame's beads must be the first of the scene's solids, as `frame_solids` gives them."""
+    The true frame's beads must be the first of the scene's solids, as `frame_solids` gives them.
+    """
     ids = np.array([b.id for v in setup.true_frame.views.values() for b in v.fiducials])
     shapes = pack(scene.solids)[0]
     places, owner = stations(shapes)
@@ -146,7 +152,7 @@ def bead_truth(setup: SetUp, view: ViewTruth, scene: Scene, exposure: Exposure) 
 
 
 def _metal(rng: np.random.Generator, spread: HardScene) -> tuple[Solid, ...]:
-    """Wires, screws and nails about the hip."""
+    """Draw wires, screws and nails around the hip."""
 
     def count(bounds: tuple[int, int]) -> int:
         return int(rng.integers(bounds[0], bounds[1], endpoint=True))
@@ -163,7 +169,7 @@ def _metal(rng: np.random.Generator, spread: HardScene) -> tuple[Solid, ...]:
 
 
 def _share(mask: np.ndarray, uv_px: np.ndarray, radius_px: float) -> float:
-    """Share of a disc of pixels where a mask is true."""
+    """Return the share of a disc of pixels where a mask is true."""
     reach = int(radius_px) + 1
     u0, v0 = (max(int(c) - reach, 0) for c in uv_px)
     part = mask[v0 : v0 + 2 * reach + 2, u0 : u0 + 2 * reach + 2]

@@ -1,4 +1,4 @@
-"""Metal in the bone: guide wire, lag screw, angled plate with its screws. Parts of a scene, CFCS, mm."""
+"""Implants as parts of a scene: guide wire, lag screw, angled plate with its screws. CFCS, mm."""
 
 from itertools import pairwise
 
@@ -7,24 +7,27 @@ import numpy as np
 from sightline.errors import SetUpError
 from sightline.twin.things import Box, Scene, rod_between
 
-WIRE_MM = 2.5  # diameter [paper]
+WIRE_DIAMETER_MM = 2.5  # [paper]
 WIRE_LENGTH_MM = 200.0  # [paper]
-TIP_STEPS = 5  # a trocar tip as a stack of discs [ours]
+TIP_STEPS = 5  # discs of a trocar tip [ours]
 # A sliding hip screw of 135° [paper]; sizes of a common make [mem].
-LAG_MM = 8.0  # shank
-THREAD_MM, THREAD_LENGTH_MM, THREAD_PITCH_MM = 12.5, 22.0, 2.75
-BORE_MM = 3.2  # cannulation
-BARREL_MM, BARREL_LENGTH_MM = 13.0, 38.0
-PLATE_MM = (6.0, 19.0)  # thickness, width
-PLATE_ABOVE_MM = 18.0  # of the entry point
+SHANK_DIAMETER_MM = 8.0
+THREAD_DIAMETER_MM, THREAD_LENGTH_MM, THREAD_PITCH_MM = 12.5, 22.0, 2.75
+BORE_DIAMETER_MM = 3.2  # cannulation
+BARREL_DIAMETER_MM, BARREL_LENGTH_MM = 13.0, 38.0
+SIDE_PLATE_MM = (6.0, 19.0)  # thickness, width
+PLATE_ABOVE_MM = 18.0  # how far the plate extends above the entry point
 SCREWS, SCREW_PITCH_MM, FIRST_SCREW_MM = 4, 16.0, 22.0  # four screws [paper]
-SCREW_MM, SCREW_LENGTH_MM = 4.5, 38.0
+SCREW_DIAMETER_MM, SCREW_LENGTH_MM = 4.5, 38.0
 
 
 def guide_wire(
-    wire_mm: np.ndarray, diameter_mm: float = WIRE_MM, length_mm: float = WIRE_LENGTH_MM, within: str | None = "tissue"
+    wire_mm: np.ndarray,
+    diameter_mm: float = WIRE_DIAMETER_MM,
+    length_mm: float = WIRE_LENGTH_MM,
+    within: str | None = "tissue",
 ) -> Scene:
-    """A straight steel wire, its tip at the second of two points (2, 3) and its axis through the first."""
+    """Return a straight steel wire with its tip at the second of two points (2, 3) and its axis through the first."""
     tip, back = _axis(wire_mm)
     at = np.append(np.linspace(0.0, 1.5 * diameter_mm, TIP_STEPS + 1), length_mm)  # a tip of 1.5 diameters [ours]
     wide = np.append((np.arange(TIP_STEPS) + 0.5) / TIP_STEPS, 1.0) * diameter_mm / 2
@@ -33,17 +36,21 @@ def guide_wire(
 
 
 def lag_screw(wire_mm: np.ndarray) -> Scene:
-    """A cannulated lag screw over a wire (2, 3): thread at its end, shank back to its entry; the thread as rings."""
+    """Return a cannulated lag screw over a wire (2, 3), its shank reaching to the entry, its thread made of rings."""
     tip, back = _axis(wire_mm)
+    outer, inner = THREAD_DIAMETER_MM / 2, SHANK_DIAMETER_MM / 2
     rings = [
-        rod_between(tip + a * back, tip + (a + THREAD_PITCH_MM / 4) * back, THREAD_MM / 2, LAG_MM / 2)
+        rod_between(tip + a * back, tip + (a + THREAD_PITCH_MM / 4) * back, outer, inner)
         for a in np.arange(0.0, THREAD_LENGTH_MM, THREAD_PITCH_MM)
     ]
-    return Scene(solids=(rod_between(tip, wire_mm[0], LAG_MM / 2, BORE_MM / 2), *rings))
+    return Scene(solids=(rod_between(tip, wire_mm[0], inner, BORE_DIAMETER_MM / 2), *rings))
 
 
 def angled_plate(wire_mm: np.ndarray, caudal: np.ndarray) -> Scene:
-    """The plate on the lateral cortex: its barrel about the wire (2, 3), its blade along `caudal` (3,), four screws."""
+    """Return the plate on the lateral cortex: barrel around the wire (2, 3), blade along `caudal` (3,), four screws.
+
+    Raises SetUpError if the wire runs along the shaft.
+    """
     _, back = _axis(wire_mm)
     down = np.asarray(caudal, dtype=np.float64) / np.linalg.norm(caudal)
     out = back - (back @ down) * down
@@ -51,19 +58,20 @@ def angled_plate(wire_mm: np.ndarray, caudal: np.ndarray) -> Scene:
         raise SetUpError("the wire runs along the shaft; an angled plate needs an angle")
     out /= np.linalg.norm(out)
     entry = np.asarray(wire_mm, dtype=np.float64)[0]
-    thick, wide = PLATE_MM
+    thick, wide = SIDE_PLATE_MM
     reach = FIRST_SCREW_MM + SCREW_PITCH_MM * (SCREWS - 1) + 10.0
     middle = entry + out * thick / 2 + down * (reach - PLATE_ABOVE_MM) / 2
     half = np.array([thick, wide, reach + PLATE_ABOVE_MM]) / 2
     blade = Box(middle, np.stack([out, np.cross(down, out), down]), half, material="steel", within="tissue")
-    barrel = rod_between(entry, entry - BARREL_LENGTH_MM * back, BARREL_MM / 2, LAG_MM / 2)
+    inside = entry - BARREL_LENGTH_MM * back
+    barrel = rod_between(entry, inside, BARREL_DIAMETER_MM / 2, SHANK_DIAMETER_MM / 2)
     heads = [entry + down * (FIRST_SCREW_MM + SCREW_PITCH_MM * k) for k in range(SCREWS)]
-    screws = [rod_between(head, head - SCREW_LENGTH_MM * out, SCREW_MM / 2) for head in heads]
+    screws = [rod_between(head, head - SCREW_LENGTH_MM * out, SCREW_DIAMETER_MM / 2) for head in heads]
     return Scene(solids=(barrel, *screws), boxes=(blade,))
 
 
 def _axis(wire_mm: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """End point (3,) of a wire (2, 3), and the unit vector back towards its entry."""
+    """Return the end point (3,) of a wire (2, 3), and the unit vector (3,) from there to its entry."""
     entry, end = np.asarray(wire_mm, dtype=np.float64)
     length = np.linalg.norm(entry - end)
     if not length > 0:

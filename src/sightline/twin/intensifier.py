@@ -1,8 +1,8 @@
-"""The image intensifier: input plane (detector coordinates, mm) to pixels and back, with the prior of its distortion.
+"""The image intensifier: mapping of the input plane (detector coordinates, mm) to pixels and back, and its prior.
 
     uv = centre + (m / pitch) D(xi),   m = 1 / (1 + k1 R²)
 
-so that the useful field of radius R fills the image whatever its pincushion.
+so that the useful field of radius R fills the image for any pincushion.
 """
 
 from dataclasses import dataclass, field
@@ -16,23 +16,23 @@ from sightline.twin.presets import ImageChain
 
 NEWTON_STEPS = 30
 NEWTON_MM = 1e-10
-LEAST_STRETCH = 0.2  # least det D' anywhere in the field before a map counts as folded [ours]
-FIELD_MARGIN = 1.1  # the map must not fold within this many radii of the useful field [ours]
+MIN_DETERMINANT = 0.2  # of D' anywhere in the field; a map with a smaller one counts as folded [ours]
+FIELD_MARGIN = 1.1  # the map must not fold within this multiple of the useful field's radius [ours]
 
 
 @dataclass(frozen=True, eq=False)
 class DistortionPrior:
-    """The prior that a distortion was drawn from, by its second moments: parameters err by factor @ N(0, 1).
+    """Second moments of the prior of a distortion: parameters deviate from their means by factor @ N(0, 1).
 
-    `smooth_factor` (24, 24): k1, turn (3), shift (6) and cubic (14) of `DistortionMap.parameters`, about their means.
-    `random_sd_mm`: standard deviation of each weight of the random field, for this view's correlation length.
+    `smooth_factor` (24, 24): for k1, turn (3), shift (6) and cubic (14) of `DistortionMap.parameters`. `random_sd_mm`:
+    standard deviation of each weight of the random field, for this view's correlation length.
     """
 
     smooth_factor: np.ndarray
     random_sd_mm: float
 
     def spread(self, derivatives: np.ndarray) -> np.ndarray:
-        """Derivatives by the parameters (..., P) to responses to P independent unit-variance numbers."""
+        """Convert derivatives by the parameters (..., P) to responses to P independent unit-variance numbers."""
         n = len(self.smooth_factor)
         return np.concatenate(
             [derivatives[..., :n] @ self.smooth_factor, derivatives[..., n:] * self.random_sd_mm], axis=-1
@@ -41,7 +41,7 @@ class DistortionPrior:
 
 @dataclass(frozen=True, eq=False)
 class Intensifier:
-    """One exposure's intensifier, or flat panel. `centre_px` (2,): where the undistorted middle of the field lies.
+    """The intensifier, or flat panel, of one exposure. `centre_px` (2,): the undistorted centre of the field.
 
     Raises SetUpError if the map folds within the field.
     """
@@ -54,27 +54,27 @@ class Intensifier:
     def __post_init__(self) -> None:
         object.__setattr__(self, "centre_px", self.chain.centre_px)
         xi = FIELD_MARGIN * disc_mm(self.chain.field_mm / 2, 21)
-        if np.linalg.det(self.distortion.jacobian(xi)).min() < LEAST_STRETCH:
-            raise SetUpError("the distortion drawn folds the image; draw it again or lower its amplitudes")
+        if np.linalg.det(self.distortion.jacobian(xi)).min() < MIN_DETERMINANT:
+            raise SetUpError("the distortion folds the image; draw it again or reduce its amplitudes")
 
     @property
     def px_per_mm(self) -> float:
-        """m / pitch."""
+        """Scale in the centre, m / pitch."""
         return 1 / (1 + self.distortion.k1 * (self.chain.field_mm / 2) ** 2) / self.chain.pitch_mm
 
     def to_image(self, xi_mm: np.ndarray) -> np.ndarray:
-        """Detector coordinates (..., 2) mm to pixels (..., 2)."""
+        """Map detector coordinates (..., 2), mm, to pixels (..., 2)."""
         xi = np.asarray(xi_mm, dtype=np.float64)
         return self.centre_px + self.px_per_mm * self.distortion.apply(xi.reshape(-1, 2)).reshape(xi.shape)
 
     def jacobian(self, xi_mm: np.ndarray) -> np.ndarray:
-        """d(to_image)/d(xi) at (N, 2): (N, 2, 2), px/mm."""
+        """Return d(to_image)/d(xi) (N, 2, 2) at points (N, 2), px/mm."""
         return self.px_per_mm * self.distortion.jacobian(np.asarray(xi_mm, dtype=np.float64))
 
     def to_detector(self, uv_px: np.ndarray) -> np.ndarray:
-        """Pixels (..., 2) to detector coordinates (..., 2) mm, by Newton's method to 1e-9 mm.
+        """Map pixels (..., 2) to detector coordinates (..., 2), mm, by Newton's method to 1e-9 mm.
 
-        Raises OutsideRegionError where a pixel has no such point within reach.
+        Raises OutsideRegionError if it does not converge for a pixel.
         """
         uv = np.asarray(uv_px, dtype=np.float64)
         goal = ((uv - self.centre_px) / self.px_per_mm).reshape(-1, 2)
@@ -89,11 +89,11 @@ class Intensifier:
         raise OutsideRegionError("some pixels correspond to no point of the intensifier's input plane")
 
     def in_field(self, uv_px: np.ndarray, margin_px: float | np.ndarray = 0.0) -> np.ndarray:
-        """(...,) bool: at least `margin_px` inside the field of the image."""
+        """Whether pixels (..., 2) lie at least `margin_px` inside the field: bool (...,)."""
         return self.chain.rim_px(uv_px) >= margin_px
 
     def response_px(self, xi_mm: np.ndarray) -> np.ndarray:
-        """d(to_image)/d(parameters), spread by the prior: (N, 2, P) px per unit-variance number."""
+        """Return the responses (N, 2, P) of `to_image` to the prior's unit-variance numbers, px, at points (N, 2)."""
         by_parameter = self.distortion.derivatives(xi_mm)
         square = (self.chain.field_mm / 2) ** 2
         by_scale = -square / (1 + self.distortion.k1 * square)
@@ -101,8 +101,8 @@ class Intensifier:
         return self.px_per_mm * self.prior.spread(by_parameter)
 
     def _inverse_response(self, uv_px: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Jacobian (N, 2, 2) at the points of pixels (N, 2), how those points move with the prior (N, 2, P) mm per
-        unit-variance number, and the ten cubic monomials (N, 10) of the pixels."""
+        """Return, at the points of pixels (N, 2): the Jacobian (N, 2, 2), the response (N, 2, P) of the points to the
+        prior's unit-variance numbers, mm, and the ten cubic monomials (N, 10) of the pixels."""
         xi = self.to_detector(uv_px)
         jacobian = self.jacobian(xi)
         moves = -np.linalg.solve(jacobian, self.response_px(xi))
@@ -110,24 +110,25 @@ class Intensifier:
 
     @cached_property
     def _cubic_part(self) -> np.ndarray:
-        """(10, 2, P): the cubic of the pixels nearest, over the field, to the prior's move of each point."""
+        """The cubic (10, 2, P) of the pixels that fits the points' response to the prior best over the field."""
         _, moves, powers = self._inverse_response(self.centre_px + disc_mm(self.chain.mask_px, 31))
         return np.linalg.lstsq(powers, moves.reshape(len(moves), -1))[0].reshape(10, *moves.shape[1:])
 
     def beyond_cubic_factor(self, uv_px: np.ndarray) -> np.ndarray:
-        """(2N, P) px: how pixels (N, 2) move with P independent unit-variance numbers, beyond any cubic.
+        """Return the response (2N, P), px, of pixels (N, 2) to P independent unit-variance numbers, without the part
+        that a cubic can describe.
 
-        The prior: pincushion, rotation, shift, asymmetric cubic and random field by the second moments of their
-        distributions, given this view's beam direction and this view's correlation length and amplitude of the random
-        field; linearised about the map that was drawn. "Beyond cubic": of the map from pixels to the input plane, less
-        the cubic nearest to it in the mean square over the round field. A view's prior knows nothing of the other view.
+        The prior contains pincushion, rotation, shift, asymmetric cubic and random field by the second moments of their
+        distributions, given this view's beam direction and the correlation length and amplitude of its random field. It
+        is linearised about the drawn map. The part removed is the cubic that fits the map from pixels to the input
+        plane best, in the mean square over the round field. The priors of the views are independent.
         """
         uv = np.asarray(uv_px, dtype=np.float64)
         jacobian, moves, powers = self._inverse_response(uv)
-        left = moves - np.einsum("nk,kcp->ncp", powers, self._cubic_part)
-        return -(jacobian @ left).reshape(2 * len(uv), -1)
+        remainder = moves - np.einsum("nk,kcp->ncp", powers, self._cubic_part)
+        return -(jacobian @ remainder).reshape(2 * len(uv), -1)
 
     def beyond_cubic_covariance(self, uv_px: np.ndarray) -> np.ndarray:
-        """(2N, 2N) px², order u1, v1, u2, ...: covariance of `beyond_cubic_factor`."""
+        """Return the covariance (2N, 2N) of `beyond_cubic_factor`, px², in the order u1, v1, u2, ...."""
         factor = self.beyond_cubic_factor(uv_px)
         return factor @ factor.T

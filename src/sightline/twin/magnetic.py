@@ -1,6 +1,6 @@
-"""The magnetic field at the intensifier: the earth's at a place, steel nearby, what a shield leaves. CFCS, µT.
+"""The magnetic field at the intensifier: the geomagnetic field of a place, steel nearby, a shield. CFCS, µT.
 
-A patient lies supine: +Z is up, and the table's heading turns the frame's X axis from north.
+The patient lies supine, so +Z is up; the table's heading rotates the frame's X axis from north.
 """
 
 from dataclasses import dataclass
@@ -23,9 +23,9 @@ PLACES = {
 
 @dataclass(frozen=True)
 class Steel:
-    """A lump of iron, as a ball that the earth's field magnetises: its middle in CFCS, and its radius, mm.
+    """A lump of iron, modelled as a ball magnetised by the geomagnetic field: its centre in CFCS and its radius, mm.
 
-    What a ball of high permeability does: B = (a/r)³ (3 (B0 · r) r - B0), r a unit vector [mem].
+    The field of a ball of high permeability is B = (a/r)³ (3 (B0 · r) r - B0), with r a unit vector [mem].
     """
 
     at_mm: tuple[float, float, float]
@@ -34,10 +34,10 @@ class Steel:
 
 @dataclass(frozen=True)
 class Site:
-    """Where a C-arm stands. `heading`: rad, of the frame's +X axis, from north over east.
+    """The place of a C-arm. `heading`: rad, of the frame's +X axis, from north over east.
 
-    `shield`: share of the field that a shield about the whole tube lets through; 1 is the tube as it is, with the
-    shield at its sides that `Distortion` already describes.
+    `shield`: share of the field that passes a shield around the whole tube. 1: no such shield; the tube's own shield at
+    its sides is part of `Distortion`.
     """
 
     place: str = "loughborough"
@@ -47,7 +47,7 @@ class Site:
 
 
 def earth_ut(place: str, heading: float) -> np.ndarray:
-    """(3,) CFCS µT: the geomagnetic field. Raises UnusableInputError, naming the places there are."""
+    """Return the geomagnetic field (3,), CFCS, µT. Raises UnusableInputError, which lists the valid places."""
     if place not in PLACES:
         raise UnusableInputError(f"there is no place {place!r}; there are: {', '.join(PLACES)}")
     east, north, up = PLACES[place]
@@ -56,19 +56,20 @@ def earth_ut(place: str, heading: float) -> np.ndarray:
 
 
 def field_at(site: Site, at_mm: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The field (3,), µT, at a point (3,) CFCS, and its gradient (3, 3), µT/mm: [i, j] is that of component i along j.
+    """Return the field (3,), µT, at a point (3,), CFCS, and its gradient (3, 3), µT/mm, of component i along j.
 
-    Raises SetUpError for a shield that is no share, and for a point within the steel."""
+    Raises SetUpError for a shield outside 0 to 1, and for a point inside the steel.
+    """
     if not 0 <= site.shield <= 1:
-        raise SetUpError(f"a shield lets a share of 0 to 1 of the field through, not {site.shield:g}")
+        raise SetUpError(f"the shield passes a share of {site.shield:g} of the field; give 0 to 1")
     earth = earth_ut(site.place, site.heading)
     field, gradient = earth.copy(), np.zeros((3, 3))
     for lump in site.steel:
-        way = np.asarray(at_mm, dtype=np.float64) - lump.at_mm
-        distance = float(np.linalg.norm(way))
+        offset = np.asarray(at_mm, dtype=np.float64) - lump.at_mm
+        distance = float(np.linalg.norm(offset))
         if not 0 < lump.radius_mm < distance:
-            raise SetUpError("steel has a radius above zero and the intensifier is outside it")
-        r, strength = way / distance, (lump.radius_mm / distance) ** 3
+            raise SetUpError("steel must have a radius above zero, and the intensifier must be outside it")
+        r, strength = offset / distance, (lump.radius_mm / distance) ** 3
         along = float(earth @ r)
         field += strength * (3 * along * r - earth)
         both = np.outer(earth, r) + np.outer(r, earth) + along * np.eye(3) - 5 * along * np.outer(r, r)
@@ -79,17 +80,19 @@ def field_at(site: Site, at_mm: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def tube_numbers(
     axes: np.ndarray, field_ut: np.ndarray, gradient_ut_per_mm: np.ndarray, radius_mm: float
 ) -> np.ndarray:
-    """(9,) µT: what turns and shifts the image of a tube whose x, y, z (away from the source) are the rows of `axes`.
+    """Return nine values, µT, that rotate and shift the image of a tube with x, y, z (away from the source) as rows of
+    `axes`.
 
-    Axial field and its change over one radius along x and y, which turn; the same of z x B, which shifts, x then y.
+    The first three rotate it: the axial field and its change over one radius along x and y. The others shift it: the
+    same of z x B, x then y.
     """
     return magnetic_numbers(axes @ field_ut, axes @ (gradient_ut_per_mm * radius_mm) @ axes.T)
 
 
 def magnetic_numbers(field_ut: np.ndarray, change_ut: np.ndarray) -> np.ndarray:
-    """(9,) µT of a field (3,) in the tube's own axes: see `tube_numbers`.
+    """Return the values (9,) of `tube_numbers` for a field (3,) in the tube's axes, µT.
 
-    `change_ut` (3, 3): [i, j] is the change of component i over one radius along axis j.
+    `change_ut` (3, 3): change of component i over one radius along axis j.
     """
     each = np.concatenate([field_ut[:, None], change_ut[:, :2]], axis=1)
     return np.concatenate([each[2], -each[1], each[0]])

@@ -1,4 +1,4 @@
-"""The simulated plant: the manipulator as it truly is, stepped by MuJoCo, its wire in the bone of the images."""
+"""The simulated plant: the true manipulator, simulated by MuJoCo, with its wire in the bone of the images."""
 
 from importlib import import_module
 
@@ -12,19 +12,19 @@ from sightline.twin.drilling import Bone, Wire, sensed
 from sightline.twin.mjcf import STEP_S, Build, M, mjcf, unit
 
 STEPS = round(CYCLE_S / STEP_S)
-SETTLE_S = 0.5  # from the joints as given to their rest under gravity
-GUIDE_MM = 85.0  # feed at which the wire leaves its guide: some 15 mm before a typical entry point [ours]
-FULL_FORCE = 0.999  # of a drive's, above which it cannot follow
+SETTLE_S = 0.5  # time to come to rest under gravity
+GUIDE_MM = 85.0  # feed at which the wire leaves its guide, about 15 mm before a typical entry point [ours]
+FULL_FORCE = 0.999  # share of a drive's maximum force above which it cannot follow
 
 
 class SimulatedPlant:
-    """A `Plant` with time of its own: `advance` passes it. What encoders cannot see (play, springs, gravity, thrust,
-    a bent wire) is in the methods named true_, for who judges, never for a controller.
+    """A `Plant` with its own clock, which `advance` moves on. Methods named true_ return the true state, including what
+    encoders cannot measure (play, springs, gravity, thrust, a bent wire): for evaluation, never for a controller.
 
-    `robot` is the true manipulator; `bone` None: the wire moves in air. `guide_mm` is the feed at which the wire's tip
-    is at the mouth of its guide, which a person pushes forward to the bone; `stop_pressed` and `run_held` are the
-    hardware's inputs. `start` (5,): joints at time zero. Raises SetUpError where MuJoCo is not installed and for a
-    start beyond the limits.
+    `robot`: the true manipulator. `bone` None: the wire moves in air. `start` (5,): joints at time zero. `guide_mm`:
+    the feed at which the wire's tip is at the mouth of its guide, which a person pushes forward to the bone.
+    `stop_pressed`, `run_held`: the hardware inputs. Raises SetUpError if MuJoCo is not installed or the start is beyond
+    the limits.
     """
 
     def __init__(
@@ -46,7 +46,7 @@ class SimulatedPlant:
         self._body = _Body(robot, build or Build(), at)
         self._goal, self._drill_on = np.zeros(len(JOINTS)), False
         self._time_s, self._owed_s = 0.0, 0.0
-        self._told_s = 0.0  # when the last command came
+        self._told_s = 0.0  # time of the last command
         if bone is not None:
             self.meet(bone)
         self._reading = self._sample(overloaded=False, limited=False)
@@ -56,7 +56,7 @@ class SimulatedPlant:
         return self._reading
 
     def command(self, joint_velocity: np.ndarray, drill_on: bool) -> None:
-        """See Plant. Raises ValueError for what is not five finite numbers."""
+        """See Plant. Raises ValueError unless the velocities are five finite numbers."""
         velocity = np.asarray(joint_velocity, dtype=np.float64)
         if velocity.shape != (len(JOINTS),) or not np.isfinite(velocity).all():
             raise ValueError("a command is five finite joint velocities")
@@ -68,12 +68,12 @@ class SimulatedPlant:
         self._goal, self._drill_on = np.zeros(len(JOINTS)), False
 
     def meet(self, bone: Bone) -> None:
-        """From now on a new wire meets this bone."""
+        """Mount a new wire in front of this bone."""
         self.wire = Wire(bone)
         self._drill()
 
     def advance(self, dt_s: float) -> None:
-        """Let time pass, in whole cycles; what is left over is owed to the next call."""
+        """Advance the clock by whole cycles; the remainder is carried over to the next call."""
         self._owed_s += dt_s
         while self._owed_s > CYCLE_S - 1e-9:
             self._owed_s -= CYCLE_S
@@ -81,19 +81,19 @@ class SimulatedPlant:
 
     @property
     def thrust_n(self) -> float:
-        """N: what the bone truly pushes back with, along the wire."""
+        """True reaction force of the bone along the wire, N."""
         return 0.0 if self.wire is None else self.wire.thrust_n
 
     def true_T_mcs_flange(self) -> RigidTransform:
-        """Where the flange is."""
+        """Return the true pose of the flange."""
         return self._body.pose("flange")
 
     def true_T_mcs_cfcs(self) -> RigidTransform:
-        """Where the frame is."""
+        """Return the true pose of the frame."""
         return self._body.pose("cfcs")
 
     def true_T_mcs_tool(self) -> RigidTransform:
-        """Where the wire's tip is, +z the way it points there: bent, if bone has bent it."""
+        """Return the true pose of the wire's tip, +z along the wire there, including its bending."""
         straight = self._body.pose("tool")
         if self.wire is None:
             return straight
@@ -102,7 +102,7 @@ class SimulatedPlant:
         return RigidTransform.from_components(self.wire.tip_mm, bend * straight.rotation)
 
     def true_wire_mm(self) -> np.ndarray:
-        """(3, 3): the wire's axis at its guide's mouth, where bone holds it (else halfway to the tip), and its tip."""
+        """Return three points (3, 3) of the wire: at its guide's mouth, where bone holds it (else halfway), its tip."""
         tool = self._body.pose("tool")
         free = max(self._body.positions()[FEED] - self.guide_mm, 0.0)
         mouth = tool.apply([0.0, 0.0, -free])
@@ -148,7 +148,7 @@ class SimulatedPlant:
 
 
 class _Body:
-    """The moving mass: MuJoCo's state behind mm and rad."""
+    """The moving masses: MuJoCo's state, in mm and rad."""
 
     def __init__(self, robot: Manipulator, build: Build, start: np.ndarray) -> None:
         try:
@@ -159,50 +159,51 @@ class _Body:
         self._model = mujoco.MjModel.from_xml_string(mjcf(robot, build))
         self._data = mujoco.MjData(self._model)
         self._lower, self._upper, self._acceleration = robot.lower, robot.upper, robot.acceleration
-        brakes = robot.speed**2 / (2 * robot.acceleration) + robot.speed * CYCLE_S  # the longest way to a stop
-        self._free = robot.lower + brakes, robot.upper - brakes
+        braking = robot.speed**2 / (2 * robot.acceleration) + robot.speed * CYCLE_S  # longest stopping distance
+        self._free = robot.lower + braking, robot.upper - braking
         self._units = np.array([unit(joint) for joint in range(len(JOINTS))])
-        # Each joint has one number, so its place in positions is that in forces.
+        # Each joint has one degree of freedom, so its index in positions is that in forces.
         self._seen = np.array([self._model.joint(name).qposadr[0] for name in JOINTS])
         self._behind = np.array([self._model.joint(f"{name}-behind").qposadr[0] for name in JOINTS])
         self._force = np.array(build.drive_force)
         self._full = FULL_FORCE * self._force
         self._site = {name: self._model.site(name).id for name in ("flange", "cfcs", "tool")}
         self._fed = self._model.body("feed-link").id
-        self._pace = np.zeros(len(JOINTS))  # commanded now, mm/s and rad/s
+        self._pace = np.zeros(len(JOINTS))  # present command, mm/s and rad/s
         data = self._data
         data.qpos[self._seen] = data.act[:] = start * self._units
         mujoco.mj_step(self._model, data, nstep=round(SETTLE_S / STEP_S))
         mujoco.mj_kinematics(self._model, data)
 
     def encoders(self) -> np.ndarray:
-        """(5,): the joints as their drives have them."""
+        """Return the joints (5,) at their drives."""
         return self._data.qpos[self._seen] / self._units
 
     def positions(self) -> np.ndarray:
-        """(5,): the joints as they are, behind play and springs."""
+        """Return the true joints (5,), behind play and springs."""
         return (self._data.qpos[self._seen] + self._data.qpos[self._behind]) / self._units
 
     def tool(self) -> tuple[np.ndarray, np.ndarray]:
-        """Tip (3,) mm of a straight wire, and the tool's axes (3, 3), rows."""
+        """Return the tip (3,) of a straight wire, mm, and the tool's axes (3, 3), rows."""
         site = self._site["tool"]
         return self._data.site_xpos[site] / M, self._data.site_xmat[site].reshape(3, 3).T
 
     def pose(self, name: str) -> RigidTransform:
-        """Of a site."""
+        """Return the pose of a site."""
         site = self._site[name]
-        turn = Rotation.from_matrix(self._data.site_xmat[site].reshape(3, 3))
-        return RigidTransform.from_components(self._data.site_xpos[site] / M, turn)
+        rotation = Rotation.from_matrix(self._data.site_xmat[site].reshape(3, 3))
+        return RigidTransform.from_components(self._data.site_xpos[site] / M, rotation)
 
     def push(self, at_mm: np.ndarray, force_n: np.ndarray) -> None:
-        """A force (3,) on the wire at a point (3,), until the next one."""
+        """Apply a force (3,) to the wire at a point (3,), until the next call."""
         x, y, z = (at_mm * M - self._data.xipos[self._fed]).tolist()
         a, b, c = force_n.tolist()
-        # Their cross product: numpy's takes 40 µs, half of a cycle.
+        # Cross product by hand: numpy's takes 40 µs, half of a cycle.
         self._data.xfrc_applied[self._fed] = (a, b, c, y * c - z * b, z * a - x * c, x * b - y * a)
 
     def drive(self, goal: np.ndarray) -> tuple[bool, bool]:
-        """One cycle towards joint velocities (5,); whether a drive was overloaded, and whether a limit was met."""
+        """Simulate one cycle towards joint velocities (5,); return whether a drive was overloaded, and whether a limit
+        was reached."""
         at = self.encoders()
         allowed = goal if (at > self._free[0]).all() and (at < self._free[1]).all() else self._braked(goal, at)
         data, model = self._data, self._model
@@ -216,14 +217,14 @@ class _Body:
                 self._mujoco.mj_step(model, data)
         force = data.qfrc_actuator[self._seen]
         overloaded = bool((np.abs(force) > self._full).any())
-        if overloaded:  # the reference waits for the joint
+        if overloaded:  # keep the reference near the joint
             slack = self._force / self._model.actuator_gainprm[: len(JOINTS), 0]
             data.act[:] = np.clip(data.act, data.qpos[self._seen] - slack, data.qpos[self._seen] + slack)
         self._mujoco.mj_kinematics(model, data)
         return overloaded, allowed is not goal and bool((allowed != goal).any())
 
     def _braked(self, goal: np.ndarray, at: np.ndarray) -> np.ndarray:
-        """(5,): as fast as still stops before a limit, one cycle spent."""
+        """Return `goal` (5,) limited to velocities that can stop before a joint limit after one more cycle."""
         spent, twice = np.abs(self._pace) * CYCLE_S, 2 * self._acceleration
         forward = np.sqrt(twice * np.maximum(self._upper - at - spent, 0.0))
         backward = np.sqrt(twice * np.maximum(at - self._lower - spent, 0.0))

@@ -1,4 +1,4 @@
-"""Solids bounded by triangles: closed meshes of one material, and their files (STL, PLY, OBJ). Lengths mm, CFCS."""
+"""Closed triangle meshes of one material, and their files (STL, PLY, OBJ). Lengths mm, CFCS."""
 
 from dataclasses import dataclass
 from io import BytesIO
@@ -10,20 +10,20 @@ from sightline.bounded import read_bounded
 from sightline.errors import UnusableInputError
 
 MAX_FILE_BYTES = 2**28  # [ours] 5 million triangles of binary STL
-MAX_TRIANGLES = 2**21  # [ours] 25 times a femur from clinical CT
-SIZE_MM = (1.0, 1000.0)  # [ours] longest side: smaller is metres or inches taken for mm, larger no thing in a beam
-FLAT = 1e-9  # volume over longest side cubed: less is rounding
+MAX_TRIANGLES = 2**21  # [ours] 25 times those of a femur from clinical CT
+SIZE_MM = (1.0, 1000.0)  # [ours] longest side: smaller meshes are in metres or inches, larger ones do not fit the beam
+FLAT = 1e-9  # volume over longest side cubed: smaller values are rounding errors
 KINDS = ("stl", "ply", "obj")
 
 
 @dataclass(frozen=True, eq=False)
 class Mesh:
-    """A closed surface filled with a material, set into another (`within`; None: air), which it displaces.
+    """A closed surface filled with a material, which displaces the material around it (`within`; None: air).
 
-    `vertices_mm` (V, 3); `triangles` (T, 3): rows of three vertices, counter-clockwise seen from outside (all the
-    other way round is put right). Shells may nest, a hollow being a shell turned inside out; where shells overlap,
-    what lies in both counts twice. Raises UnusableInputError on what bounds no solid: every edge must be passed as
-    often in the one direction as in the other.
+    `vertices_mm` (V, 3); `triangles` (T, 3): rows of three vertices, counter-clockwise seen from outside (if all are
+    clockwise, they are reversed). Shells may nest: a hollow is a shell with reversed triangles. Overlapping shells
+    count twice. Raises UnusableInputError if the surface is not closed: each edge must occur as often in one direction
+    as in the other.
     """
 
     vertices_mm: np.ndarray
@@ -43,27 +43,27 @@ class Mesh:
 
     @property
     def volume_mm3(self) -> float:
-        """What the mesh encloses, mm³."""
+        """Enclosed volume, mm³."""
         return float(np.einsum("ij,ij->", *_corners_and_crosses(self.vertices_mm, self.triangles)) / 6)
 
 
 def read_mesh(path: str | Path, material: str = "bone", within: str | None = "tissue") -> Mesh:
-    """A mesh from an STL, PLY or OBJ file in mm, as it lies in the file; `motion.moved` places it.
+    """Read a mesh from an STL, PLY or OBJ file in mm, in the file's coordinates; `motion.moved` places it.
 
-    Corners at the very same place become one; triangles without area go. Raises UnusableInputError.
+    Identical vertices are merged, and triangles without area are removed. Raises UnusableInputError.
     """
     import trimesh  # loads slowly, and few scenes have meshes
 
     file = Path(path)
     kind = file.suffix.lower().removeprefix(".")
     if kind not in KINDS:
-        raise UnusableInputError(f"{file.name}: a mesh is read from {', '.join(KINDS)}; convert it to one of them")
+        raise UnusableInputError(f"{file.name} is not a mesh file ({', '.join(KINDS)}); convert it to one of these")
     data = read_bounded(file, MAX_FILE_BYTES, UnusableInputError, "reduce the mesh")
     try:
         loaded = trimesh.load_mesh(BytesIO(data), file_type=kind, process=False)
         vertices, triangles = np.asarray(loaded.vertices, np.float64), np.asarray(loaded.faces, np.int64)
-    except Exception as error:  # the reader raises what the broken bytes make it raise
-        raise UnusableInputError(f"{file.name} is damaged or no {kind.upper()} mesh; export it again") from error
+    except Exception as error:  # broken bytes may make the reader raise anything
+        raise UnusableInputError(f"{file.name} is damaged or not a {kind.upper()} mesh; export it again") from error
     try:
         if len(triangles) and triangles.max() < len(vertices):
             vertices, corner = np.unique(vertices, axis=0, return_inverse=True)
@@ -76,7 +76,7 @@ def read_mesh(path: str | Path, material: str = "bone", within: str | None = "ti
 
 
 def box_mesh(low_mm: np.ndarray, high_mm: np.ndarray, material: str, within: str | None) -> Mesh:
-    """A cuboid between two corners (3,), its sides along the axes: what plates of metal are made of."""
+    """Return a cuboid between two corners (3,), with sides along the axes, such as a metal plate."""
     corners = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)])
     quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
     triangles = np.array([[(a, b, c), (a, c, d)] for a, b, c, d in quads]).reshape(-1, 3)
@@ -89,13 +89,13 @@ def _check(vertices: np.ndarray, triangles: np.ndarray) -> None:
     if len(triangles) > MAX_TRIANGLES:
         raise UnusableInputError(f"the mesh has {len(triangles)} triangles; the limit is {MAX_TRIANGLES}: reduce it")
     if triangles.min() < 0 or triangles.max() >= len(vertices):
-        raise UnusableInputError("a triangle of the mesh names a corner that is not there; export it again")
+        raise UnusableInputError("a triangle of the mesh names a missing vertex; export it again")
     if not np.isfinite(vertices).all():
-        raise UnusableInputError("the mesh has corners that are not finite; export it again")
+        raise UnusableInputError("the mesh has vertices that are not finite; export it again")
     size = float(np.ptp(vertices[np.unique(triangles)], axis=0).max())
     if not SIZE_MM[0] <= size <= SIZE_MM[1]:
         raise UnusableInputError(
-            f"the mesh is {size:.4g} mm long; things in a beam have {SIZE_MM[0]:g} to {SIZE_MM[1]:g}: give it in mm"
+            f"the mesh is {size:.4g} mm long (allowed: {SIZE_MM[0]:g} to {SIZE_MM[1]:g} mm); give it in mm"
         )
     edges = np.concatenate([triangles, np.roll(triangles, -1, axis=1)], axis=0).reshape(2, -1).T
     name = edges.min(axis=1) * len(vertices) + edges.max(axis=1)
@@ -104,11 +104,11 @@ def _check(vertices: np.ndarray, triangles: np.ndarray) -> None:
     if unbalanced:
         raise UnusableInputError(
             f"the mesh is not closed: {unbalanced} of its edges lack a triangle on one side, or its triangles do not "
-            "all face outwards; repair it (fill its holes, make its normals agree)"
+            "all face outwards; repair it (fill its holes, make its normals consistent)"
         )
 
 
 def _corners_and_crosses(vertices: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """First corners, and cross products of the other two, (T, 3) each, about the mesh's middle."""
+    """Return first vertices, and cross products of the other two, (T, 3) each, relative to the mesh's centre."""
     a, b, c = np.moveaxis((vertices - vertices.mean(axis=0))[triangles], 1, 0)
     return a, np.cross(b, c)

@@ -1,4 +1,4 @@
-"""The manipulator as a MuJoCo model (MJCF): drives, play and springs behind the encoders, weights. SI units inside."""
+"""The manipulator as a MuJoCo model (MJCF): drives, play and springs behind the encoders, masses. SI units inside."""
 
 from dataclasses import dataclass
 
@@ -11,14 +11,14 @@ from sightline.robot.kinematics.manipulator import ARM_JOINTS, FEED, JOINTS, ROT
 M = 1e-3  # a millimetre
 STEP_S = 0.001
 DRIVE_HZ = 80.0  # bandwidth of a drive's position loop, critically damped [ours]
-SPRING_DAMPING = 0.1  # of critical: bolted joints, the gears' grease [ours]
-STIFFEST = 1.5  # rad of its oscillation that a spring may turn in a step; beyond 2 it is unstable [calc]
-HARD_STOP = (2.0, float(np.deg2rad(0.5)))  # beyond a soft limit: mm, rad [ours]
+SPRING_DAMPING = 0.1  # of critical damping, from bolted joints and grease in the gears [ours]
+MAX_PHASE = 1.5  # rad of a spring's oscillation per time step; beyond 2 it is unstable [calc]
+HARD_STOP = (2.0, float(np.deg2rad(0.5)))  # distance beyond a soft limit: mm, rad [ours]
 
 
 @dataclass(frozen=True)
 class Weight:
-    """A box of even weight. `at_mm` its middle in MCS at q = 0, `size_mm` its edges along MCS."""
+    """A box of uniform density. `at_mm`: its centre in MCS at q = 0; `size_mm`: its edges along MCS."""
 
     kg: float
     at_mm: tuple[float, float, float]
@@ -27,11 +27,10 @@ class Weight:
 
 @dataclass(frozen=True)
 class Build:
-    """What a manipulator is made of, beyond its kinematics. All [ours]: machined aluminium, a drill of an operating
-    room, a frame of acrylic plates.
+    """Masses and drives of a manipulator. All [ours]: machined aluminium, a surgical drill, a frame of acrylic plates.
 
-    `weights`: of each joint's own link; `frame`: on the flange; `drive_inertia`: a motor's, as its joint feels it, kg
-    and kg m²; `drive_force`: what it can do, N and N m; `gravity` m/s², MCS.
+    `weights`: of each joint's own link; `frame`: on the flange; `drive_inertia`: of a motor at its joint, kg and kg m²;
+    `drive_force`: maximum of a drive, N and N m; `gravity` m/s², MCS.
     """
 
     weights: tuple[Weight, ...] = (
@@ -48,9 +47,9 @@ class Build:
 
 
 def mjcf(robot: Manipulator, build: Build) -> str:
-    """The model. Bodies lie at MCS when q = 0, so every joint is its screw axis as it stands.
+    """Return the model. The frames of all bodies coincide with MCS at q = 0, so each joint is its screw axis unchanged.
 
-    Joints: `lift` and so on are what the encoders see, `lift-behind` what they do not; `column` is its bending.
+    Joints: `lift` and so on are measured by the encoders, `lift-behind` and so on are not; `column` is its bending.
     Sites: `flange`, `cfcs`, `tool`. Raises SetUpError for springs that are too stiff for the time step.
     """
     home = robot.T_mcs_flange_home
@@ -65,7 +64,7 @@ def mjcf(robot: Manipulator, build: Build) -> str:
         load = _inertial(*((build.weights[joint], build.frame) if joint == ARM_JOINTS - 1 else (build.weights[joint],)))
         own = _joint(robot, build, joint, inertia[joint])
         bodies = f'<body name="{JOINTS[joint]}-link">{load}{own}{sites.get(joint, "")}{bodies}</body>'
-    # The column: as heavy as what it carries at its top.
+    # The column's damping is for the mass that it carries at its top.
     column = robot.column_stiffness / M
     damping = 2 * SPRING_DAMPING * float(np.sqrt(column * inertia[0]))
     return f"""<mujoco model="manipulator">
@@ -88,29 +87,29 @@ def unit(joint: int) -> float:
 def _check_stiffness(robot: Manipulator, build: Build, inertia: list[float]) -> None:
     for joint, load in enumerate(inertia):
         reduced = 1 / (1 / load + 1 / build.drive_inertia[joint])
-        turn = np.sqrt(_spring(robot, joint) / reduced) * STEP_S
-        if turn > STIFFEST:
+        phase = np.sqrt(_spring(robot, joint) / reduced) * STEP_S
+        if phase > MAX_PHASE:
             raise SetUpError(
-                f"the {JOINTS[joint]}'s spring of {robot.stiffness[joint]:g} turns by {turn:.1f} rad in a time step, "
-                f"more than {STIFFEST:g}: make it softer or what it carries heavier"
+                f"the {JOINTS[joint]}'s spring of {robot.stiffness[joint]:g} oscillates by {phase:.1f} rad per time "
+                f"step (limit {MAX_PHASE:g}): make the spring softer or its load heavier"
             )
 
 
 def _spring(robot: Manipulator, joint: int) -> float:
-    """N/m, or N m/rad from N mm/rad."""
+    """Return the stiffness of a joint in N/m, or N m/rad."""
     return float(robot.stiffness[joint]) * (M if ROTARY[joint] else 1 / M)
 
 
 def _carried(robot: Manipulator, build: Build) -> list[float]:
-    """kg or kg m² that each joint moves, without its drive, at q = 0."""
+    """Return the mass, kg, or inertia, kg m², that each joint moves at q = 0, without its drive."""
     out = []
     for joint in range(len(JOINTS)):
         loads = [*build.weights[joint:], *([build.frame] if joint < ARM_JOINTS else [])]
         if not ROTARY[joint]:
             out.append(sum(load.kg for load in loads))
             continue
-        turn, moment = robot.axes[joint, :3], robot.axes[joint, 3:]
-        arm = [np.linalg.norm(np.cross(np.array(load.at_mm) - np.cross(turn, moment), turn)) * M for load in loads]
+        axis, moment = robot.axes[joint, :3], robot.axes[joint, 3:]
+        arm = [np.linalg.norm(np.cross(np.array(load.at_mm) - np.cross(axis, moment), axis)) * M for load in loads]
         out.append(float(sum(load.kg * a**2 for load, a in zip(loads, arm, strict=True))))
     return out
 
@@ -134,15 +133,15 @@ def _joint(robot: Manipulator, build: Build, joint: int, inertia: float) -> str:
 
 
 def _play(robot: Manipulator, joint: int) -> str:
-    """A spring with a dead band: nothing holds the joint within its play."""
+    """Return a spring with a dead band: within its play the joint is free."""
     half = float(robot.backlash[joint]) / 2 * unit(joint)
     band = f'stiffness="{_spring(robot, joint)!r}" springlength="{_row((-half, half))}"'
     return f'<fixed name="{JOINTS[joint]}-play" {band}><joint joint="{JOINTS[joint]}-behind" coef="1"/></fixed>'
 
 
 def _drives(build: Build, inertia: list[float]) -> list[str]:
-    """Of each joint a loop on the integral of the velocity commanded, then of each one on the velocity itself."""
-    pace, reach = 2 * np.pi * DRIVE_HZ, 10.0  # a reach without effect: the plant keeps the reference near the joint
+    """Return for each joint a loop on the integral of the commanded velocity, then for each a loop on the velocity."""
+    pace, reach = 2 * np.pi * DRIVE_HZ, 10.0  # `reach` has no effect: the plant keeps the reference near the joint
     mass = [drive + load for drive, load in zip(build.drive_inertia, inertia, strict=True)]
     place = [
         f'<intvelocity joint="{joint}" kp="{float(one * pace**2)!r}" actrange="{_row((-reach, reach))}"/>'
@@ -159,7 +158,7 @@ def _site(name: str, pose: RigidTransform) -> str:
 
 
 def _inertial(*loads: Weight) -> str:
-    """One inertia of several boxes."""
+    """Return the combined inertia of several boxes."""
     kg = sum(load.kg for load in loads)
     at = np.array([load.at_mm for load in loads]) * M
     mass = np.array([load.kg for load in loads])
@@ -173,5 +172,5 @@ def _inertial(*loads: Weight) -> str:
 
 
 def _row(numbers) -> str:
-    """Numbers as MJCF writes them, all digits kept."""
+    """Format numbers for MJCF with all digits."""
     return " ".join(repr(float(number)) for number in numbers)

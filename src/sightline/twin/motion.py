@@ -1,4 +1,4 @@
-"""Rigid motions of things in the beam: placing a phantom, displacing a fragment, a patient who moves."""
+"""Rigid motions of objects in the beam: placing a phantom, displacing a fragment, movement of the patient."""
 
 from dataclasses import dataclass, replace
 from math import radians
@@ -16,22 +16,23 @@ Thing = TypeVar("Thing", bound=Ball | Rod | Box | Volume | Mesh | Scene)
 
 @dataclass(frozen=True)
 class BoneMotion:
-    """How far a leg moves while one thinks it still: s.d. per axis [ours]."""
+    """Unnoticed motion of a leg: s.d. per axis [ours]."""
 
     shift_mm: float = 1.0
-    turn: float = radians(0.5)
+    rotation: float = radians(0.5)
 
 
 def draw_motion(rng: np.random.Generator, about_mm: np.ndarray, spread: BoneMotion | None = None) -> RigidTransform:
-    """A small rigid motion in CFCS, its rotation about a point (3,)."""
+    """Draw a small rigid motion in CFCS, with its rotation about a point (3,)."""
     spread = spread or BoneMotion()
-    turn = Rotation.from_rotvec(rng.normal(0.0, spread.turn, 3))
+    rotation = Rotation.from_rotvec(rng.normal(0.0, spread.rotation, 3))
     about = np.asarray(about_mm)
-    return RigidTransform.from_components(about + rng.normal(0.0, spread.shift_mm, 3) - turn.apply(about), turn)
+    shift = about + rng.normal(0.0, spread.shift_mm, 3) - rotation.apply(about)
+    return RigidTransform.from_components(shift, rotation)
 
 
 def moved(thing: Thing, motion: RigidTransform) -> Thing:
-    """A thing, or all of a scene but its body, after a rigid motion: p becomes motion.apply(p)."""
+    """Return an object, or a scene without moving its body, after a rigid motion: p becomes motion.apply(p)."""
     rotation = motion.rotation.as_matrix()
     match thing:
         case Ball():

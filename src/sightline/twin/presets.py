@@ -1,4 +1,4 @@
-"""Image chains the twin can stand for. A further C-arm is a further entry of PRESETS."""
+"""Image chains of the twin. To add a C-arm, add an entry to CHAINS."""
 
 from dataclasses import dataclass, replace
 
@@ -10,12 +10,12 @@ from sightline.twin.beam import THREE
 
 @dataclass(frozen=True)
 class Video:
-    """An interlaced video camera and its frame grabber, where a chain has them.
+    """An interlaced video camera and its frame grabber.
 
-    Even lines are the first field, odd lines the second, `field_s` later. At rest the second lies `pairing_px` lower
-    than its lines say, and is brighter by the share `field_gain`. Every line starts where the grabber finds its sync:
-    `jitter_px` s.d., each line by itself. `noise`: s.d. over the white level, before digitisation. `lag`: share of a
-    field's light that the camera still shows in the next one, and of that again in the one after.
+    Even lines are the first field; odd lines are the second, `field_s` later. The second field is displaced downwards
+    by `pairing_px` and brighter by the share `field_gain`. `jitter_px`: s.d. of the start of each line, from the
+    grabber's synchronisation. `noise`: s.d. over the white level, before digitisation. `lag`: share of a field's light
+    that remains in the next field; the square of it remains in the one after, and so on.
     """
 
     field_s: float = 0.020  # PAL [mem]
@@ -23,20 +23,24 @@ class Video:
     field_gain: float = 0.01  # [ours]
     jitter_px: float = 0.1  # [mem] sync good to 5-10 ns, a pixel takes 68 ns
     noise: float = 0.004  # [mem] 48 dB
-    lag: float = 0.01  # [mem] CCD and output phosphor: at most that after 20 ms; a vidicon has 0.2 and more
+    lag: float = 0.01  # [mem] CCD and output phosphor: at most this after 20 ms; a vidicon has 0.2 or more
 
 
 @dataclass(frozen=True)
 class ImageChain:
     """A C-arm with its detector: geometry, blur, dose response. Lengths at the input plane, mm.
 
-    `field_mm`: diameter of the useful field, which fills the image's height; a flat panel's is the side of its image.
-    `tube_mm`: diameter of the intensifier's own field, which the distortion hangs on (a zoom shows the middle of it);
-    None: a flat panel, which does not distort. `shape` (H, W) px. `mask_px`: radius of the round blanking in the
-    image; of a flat panel half the width of its square collimation. `core_mm`: standard deviation of the Gaussian core
-    of the detector blur; `glare`, `glare_mm`: share and reach of the veiling glare (1 - g) delta + g exp(-r/k)/r.
-    `white`: largest stored value. `dqe`: quanta counted per photon. `video`: None for a camera that reads whole frames.
-    `spectrum`: the beam before the patient (beam.py).
+    - `field_mm`: diameter of the useful field, which fills the image's height; side of the image of a flat panel
+    - `tube_mm`: diameter of the intensifier's own field, on which the distortion depends (a zoom shows its middle);
+      None: a flat panel without distortion
+    - `shape` (H, W) px
+    - `mask_px`: radius of the round blanking in the image; half the width of the square collimation of a flat panel
+    - `core_mm`: standard deviation of the Gaussian core of the detector blur
+    - `glare`, `glare_mm`: share and reach of the veiling glare (1 - g) delta + g exp(-r/k)/r
+    - `dqe`: quanta counted per photon
+    - `white`: largest stored value
+    - `video`: None for a camera that reads whole frames
+    - `spectrum`: the beam before the patient (beam.py)
     """
 
     name: str
@@ -57,22 +61,22 @@ class ImageChain:
 
     @property
     def pitch_mm(self) -> float:
-        """Input-plane millimetres per pixel, in the mean over the field: the field fills the height of the image."""
+        """Mean size of a pixel on the input plane, mm: the field fills the height of the image."""
         return self.field_mm / self.shape[0]
 
     @property
     def centre_px(self) -> np.ndarray:
-        """(2,): where the undistorted middle of the field lies."""
+        """The undistorted centre (2,) of the field."""
         h, w = self.shape
         return np.array([(w - 1) / 2, (h - 1) / 2])
 
     @property
     def reach_px(self) -> float:
-        """How far from its middle the field reaches: to its corners, where it has any."""
+        """The largest distance of the field's edge from its centre: to the corners of a flat panel."""
         return self.mask_px if self.tube_mm is not None else float(np.sqrt(2)) * self.mask_px
 
     def rim_px(self, uv_px: np.ndarray) -> np.ndarray:
-        """(...,) px: from pixels (..., 2) to the edge of the field, negative outside."""
+        """Return the distances (...,), px, of pixels (..., 2) from the edge of the field, negative outside."""
         off = np.asarray(uv_px) - self.centre_px
         if self.tube_mm is None:
             return self.mask_px - np.abs(off).max(axis=-1)
@@ -85,7 +89,7 @@ NINE_INCH = ImageChain(
     field_mm=215.0,  # [mem] useful field of a 9 in tube
     tube_mm=215.0,
     shape=(1024, 1024),  # 0.21 mm/px [mem]
-    mask_px=506.0,  # [ours] 6 px inside the rim
+    mask_px=506.0,  # [ours] 6 px inside the edge
     focal_spot_mm=0.6,  # [mem]
     core_mm=0.22,  # [calc] from the MTF of 25 tubes, Phys Med Biol 33:1 1988
     glare=0.15,  # [mem]
@@ -100,7 +104,7 @@ CHAINS = (
         NINE_INCH,
         name="9in-pal",
         shape=(576, 768),  # frame grabber [mem]; 0.37 mm/px, within what the paper's "2-3 mm = 8 px" gives
-        mask_px=284.0,  # [ours] 4 px inside the rim
+        mask_px=284.0,  # [ours] 4 px inside the edge
         white=255,  # 8 bit [mem]
         video=Video(),
         spectrum="70kVp-3Al",  # [mem]
@@ -109,7 +113,7 @@ CHAINS = (
         NINE_INCH,
         name="17cm-1k",
         field_mm=160.0,  # [mem] useful field of a 17 cm zoom, as 215 mm is of 23 cm
-        core_mm=0.18,  # [ours] a zoom resolves more
+        core_mm=0.18,  # [ours] a zoom has a higher resolution
         spectrum="70kVp-3Al",  # [mem]
     ),
     ImageChain(
@@ -121,7 +125,7 @@ CHAINS = (
         mask_px=760.0,  # [ours] the collimator leaves 8 px dark
         focal_spot_mm=0.6,  # [mem]
         core_mm=0.17,  # [mem] CsI of 0.5 mm: 55 % at 1/mm, the pixel's width included
-        glare=0.0,  # no tube, no veil
+        glare=0.0,  # only tubes have veiling glare
         glare_mm=0.0,
         scatter_to_primary=0.6,  # [mem] 0.4-0.8 with a grid
         dqe=0.70,  # [mem] CsI
@@ -133,7 +137,7 @@ PRESETS = {chain.name: chain for chain in CHAINS}
 
 
 def preset(name: str) -> ImageChain:
-    """The image chain called `name`. Raises UnusableInputError, naming those there are."""
+    """Return the image chain called `name`. Raises UnusableInputError, which lists the valid names."""
     if name not in PRESETS:
         raise UnusableInputError(f"there is no image chain {name!r}; there are: {', '.join(PRESETS)}")
     return PRESETS[name]

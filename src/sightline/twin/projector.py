@@ -1,8 +1,8 @@
-"""Ray-casting: lengths and attenuation along the rays of an image. Compiled, in threads that share its rows.
+"""Ray-casting: lengths and attenuation along the rays of an image, in compiled kernels whose threads share the rows.
 
-Kernels loop over elements and pass whole arrays on with an index: an array expression takes up to a second to compile,
-a row taken out of an array has its users counted. They look at no divisor (`error_model`): those that may be zero are
-asked for.
+Kernels loop over elements and pass whole arrays with an index, because an array expression takes up to a second to
+compile and a row view is reference-counted. Divisions are not checked (`error_model`), so divisors that may be zero are
+tested in the code.
 """
 
 from typing import NamedTuple
@@ -21,7 +21,7 @@ assert COLUMNS == 9  # noqa: S101 - the kernels below spell the columns out
 
 
 class Rays(NamedTuple):
-    """The rays of an image, CFCS: from `focal` (3,) to `points` (H, W, 3) on the input plane; only those `inside`."""
+    """The rays of an image, CFCS: from `focal` (3,) to `points` (H, W, 3) on the input plane; cast where `inside`."""
 
     focal: np.ndarray
     points: np.ndarray
@@ -30,7 +30,7 @@ class Rays(NamedTuple):
 
 @njit(cache=True, error_model="numpy", fastmath=False)
 def _towards(rays: Rays, r: int, c: int, d: np.ndarray) -> float:
-    """Fills `d` (3,) with the way from focal point to input plane of one pixel; its length, mm."""
+    """Fill `d` (3,) with the vector from the focal point to one pixel's point on the input plane; return its length."""
     norm = 0.0
     for a in range(3):
         d[a] = rays.points[r, c, a] - rays.focal[a]
@@ -40,7 +40,7 @@ def _towards(rays: Rays, r: int, c: int, d: np.ndarray) -> float:
 
 @njit(cache=True, error_model="numpy", fastmath=False)
 def _within(span: tuple[float, float], start: float, slope: float, low: float, high: float) -> tuple[float, float]:
-    """The part of a span of t (near, far) where start + t slope lies between low and high; far < near: none."""
+    """Return the part (near, far) of a span of t where low <= start + t slope <= high; far < near: none."""
     near, far = span
     if abs(slope) < 1e-12:
         return (near, far) if low <= start <= high else (0.0, -1.0)
@@ -49,10 +49,11 @@ def _within(span: tuple[float, float], start: float, slope: float, low: float, h
 
 
 def volume_integral(rays: Rays, values: np.ndarray, origin: np.ndarray, voxel: np.ndarray) -> np.ndarray:
-    """(H, W) mm: integral of a volume along each ray, trilinear, a sample per shortest voxel edge. 0 where not inside.
+    """Return the integrals (H, W), mm, of a volume along the rays, with trilinear interpolation and one sample per
+    shortest voxel edge; 0 where not inside.
 
-    `values` (nx, ny, nz), C-contiguous, value [i, j, k] at origin + voxel * (i, j, k); nothing beyond them. `voxel`
-    (3,) mm; at least two voxels a side.
+    `values` (nx, ny, nz), C-contiguous: value [i, j, k] at origin + voxel * (i, j, k), 0 beyond them. `voxel` (3,) mm.
+    At least two voxels per side.
     """
     out = np.zeros(rays.inside.shape, dtype=np.float32)
     unit = voxel[0]
@@ -61,8 +62,8 @@ def volume_integral(rays: Rays, values: np.ndarray, origin: np.ndarray, voxel: n
     return out
 
 
-# Sums may be taken in any order: that lets eight samples be taken at a time, and changes no bit of a float32 result.
-# What it calls says that this is not so there: else it would be, where this is the first to call it.
+# Reassociation lets the compiler take eight samples at a time; the float32 results stay bit-identical. The functions it
+# calls state `fastmath=False`, because numba would otherwise compile them with the flags of their first caller.
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"reassoc", "contract"})
 def _cast_volume(part, parts, rays, flat, shape, start, ratio, unit, out):  # noqa: PLR0917
     """Voxels `flat` (n,) of `shape`; `start` (3,) the focal point in voxels, `ratio` (3,) voxels per `unit` mm."""
@@ -90,7 +91,7 @@ def _cast_volume(part, parts, rays, flat, shape, start, ratio, unit, out):  # no
                 x, y, z = start[0] + t * d[0], start[1] + t * d[1], start[2] + t * d[2]
                 i, j, k = np.int32(x), np.int32(y), np.int32(z)
                 fx, fy, fz = x - i, y - j, z - k
-                at = i * ni + j * nj + k  # unsigned below: no index counts from the end
+                at = i * ni + j * nj + k  # unsigned below, so that numba tests no index for being negative
                 a00, a01 = np.uint64(at), np.uint64(at + nj)
                 a10, a11 = np.uint64(at + ni), np.uint64(at + ni + nj)
                 up = np.uint64(1)
@@ -104,7 +105,7 @@ def _cast_volume(part, parts, rays, flat, shape, start, ratio, unit, out):  # no
 
 @njit(cache=True, error_model="numpy")
 def _cylinder(o: np.ndarray, d: np.ndarray, shapes: np.ndarray, m: int, radius: float) -> float:
-    """Length of the ray o + t d, |d| = 1, within a finite cylinder."""
+    """Return the length of the ray o + t d, |d| = 1, within a finite cylinder."""
     along, slope, dot, o2 = 0.0, 0.0, 0.0, 0.0
     for a in range(3):
         g = o[a] - shapes[m, a]
@@ -134,7 +135,7 @@ def _cylinder(o: np.ndarray, d: np.ndarray, shapes: np.ndarray, m: int, radius: 
 
 @njit(cache=True, error_model="numpy")
 def chord(o: np.ndarray, d: np.ndarray, shapes: np.ndarray, m: int) -> float:
-    """Length, mm, of the ray o + t d, |d| = 1, within one of the packed solids (M, 9) of `things.pack`."""
+    """Return the length, mm, of the ray o + t d, |d| = 1, within one of the packed solids (M, 9) of `things.pack`."""
     if shapes[m, 8] >= 0.0:
         outer = _cylinder(o, d, shapes, m, shapes[m, 6])
         return outer - _cylinder(o, d, shapes, m, shapes[m, 7]) if shapes[m, 7] > 0.0 and outer > 0.0 else outer
@@ -149,10 +150,10 @@ def chord(o: np.ndarray, d: np.ndarray, shapes: np.ndarray, m: int) -> float:
 
 @njit(cache=True, error_model="numpy")
 def _sub_ray(rays, spot, r, c, s, sub, o, d):  # noqa: PLR0917
-    """Fills `o` and `d` (3,), start and unit direction, with a pixel's sub-ray: number `s` of sub x sub.
+    """Fill `o` and `d` (3,) with the start and unit direction of a pixel's sub-ray number `s` of sub x sub.
 
-    Each starts elsewhere on the square focal spot: `spot` (2, 3) spans it. The offset on the spot is that in the pixel
-    turned by 90°, so both blurs have their right size and neither leans on the other.
+    Each starts at another point of the square focal spot, spanned by `spot` (2, 3). The offset on the spot is the
+    offset in the pixel rotated by 90°, so that both blurs have the right size and are uncorrelated.
     """
     focal, points = rays.focal, rays.points
     pu, pv = (s % sub + 0.5) / sub - 0.5, (s // sub + 0.5) / sub - 0.5
@@ -173,14 +174,14 @@ def solid_transmission(
     cells: tuple[np.ndarray, np.ndarray],
     solids: tuple[np.ndarray, np.ndarray],
 ) -> np.ndarray:
-    """(N, H, W): what sharp solids leave of each energy, averaged over SUB x SUB rays of each pixel.
+    """Return the transmission (N, H, W) of sharp solids at N energies, averaged over SUB x SUB rays per pixel.
 
-    `spot` (2, 3): see `_sub_ray`. `cells` (start, index): which solids may touch each cell of CELL_PX pixels;
-    `solids`: shapes (M, 9) and attenuation (M, N) at N energies.
+    `spot` (2, 3): see `_sub_ray`. `cells` (start, index): the solids that may touch each cell of CELL_PX pixels.
+    `solids`: shapes (M, 9) and attenuation (M, N).
     """
     shapes, excess = solids
     out = np.ones((excess.shape[1], *rays.inside.shape), dtype=np.float32)
-    # No sub-ray is farther than this from the ray of its pixel: half the spot's diagonal, and more than half a pixel's.
+    # Upper bound of the distance of a sub-ray from its pixel's ray: half the spot's diagonal plus two pixels.
     h, w = rays.inside.shape
     apart = rays.points[h // 2, w // 2 + 1] - rays.points[h // 2, w // 2]
     reach = np.sqrt((spot * spot).sum()) / 2 + 2 * np.sqrt((apart * apart).sum())
@@ -194,7 +195,8 @@ def solid_transmission(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _cast_solids(part, parts, rays, spot, first, index, shapes, grown, excess, out):  # noqa: PLR0912, PLR0917
-    """`grown` (M, 9): solids so large that the ray of a pixel meets them where a sub-ray meets `shapes`."""
+    """Cast sub-rays through `shapes`. `grown` (M, 9): enlarged solids, met by a pixel's ray if any sub-ray meets the
+    solid."""
     h, w = rays.inside.shape
     wide = (w + CELL_PX - 1) // CELL_PX
     energies = excess.shape[1]
@@ -230,7 +232,7 @@ def _cast_solids(part, parts, rays, spot, first, index, shapes, grown, excess, o
 
 
 def box_length(rays: Rays, centres: np.ndarray, axes: np.ndarray, halves: np.ndarray) -> np.ndarray:
-    """(H, W) mm: length of each ray within cuboids: centres (M, 3), axes (M, 3, 3), half-lengths (M, 3)."""
+    """Return the lengths (H, W), mm, of the rays in cuboids: centres (M, 3), axes (M, 3, 3), half-lengths (M, 3)."""
     out = np.zeros(rays.inside.shape, dtype=np.float32)
     in_parts(_cast_boxes, rays, centres, axes, halves, out)
     return out
@@ -260,7 +262,8 @@ def _cast_boxes(part, parts, rays, centres, axes, halves, out):  # noqa: PLR0917
 
 @njit(cache=True, error_model="numpy")
 def _side(o: np.ndarray, d: np.ndarray, vertices: np.ndarray, i: int, j: int) -> float:
-    """d · ((a - o) x (b - o)): on which side of the ray o + t d the edge from vertex i, a, to j, b, passes."""
+    """Return d · ((a - o) x (b - o)), whose sign tells the side of the ray o + t d on which the edge from vertex i (a)
+    to vertex j (b) passes."""
     ax, ay, az = vertices[i, 0] - o[0], vertices[i, 1] - o[1], vertices[i, 2] - o[2]
     bx, by, bz = vertices[j, 0] - o[0], vertices[j, 1] - o[1], vertices[j, 2] - o[2]
     return d[0] * (ay * bz - az * by) + d[1] * (az * bx - ax * bz) + d[2] * (ax * by - ay * bx)
@@ -268,10 +271,11 @@ def _side(o: np.ndarray, d: np.ndarray, vertices: np.ndarray, i: int, j: int) ->
 
 @njit(cache=True, error_model="numpy")
 def _crossing(o: np.ndarray, d: np.ndarray, vertices: np.ndarray, triangles: np.ndarray, m: int) -> float:
-    """Signed way to triangle `m` along the ray o + t d, |d| = 1: t where the ray leaves through it, -t where it enters.
+    """Return the signed distance to triangle `m` along the ray o + t d, |d| = 1: t where the ray leaves through it, -t
+    where it enters, 0 where it misses.
 
-    0 where it misses. Each edge is judged from its lower to its higher vertex, so both its triangles judge it alike and
-    no ray slips between them or meets both.
+    Each edge is evaluated from its lower to its higher vertex. So both of its triangles get the same result, and no ray
+    passes between them or meets both.
     """
     ahead, way, weight = 0, 0.0, 0.0
     for k in range(3):
@@ -295,10 +299,10 @@ def _crossing(o: np.ndarray, d: np.ndarray, vertices: np.ndarray, triangles: np.
 def mesh_lengths(
     rays: Rays, xi: np.ndarray, spot: np.ndarray, surface: tuple[np.ndarray, np.ndarray], shadows: np.ndarray
 ) -> np.ndarray:
-    """(MESH_SUB², H, W) mm: length of each sub-ray of each pixel within a closed mesh.
+    """Return the lengths (MESH_SUB², H, W), mm, of the sub-rays of each pixel within a closed mesh.
 
-    `surface`: vertices (V, 3) and triangles (T, 3), counter-clockwise seen from outside. `xi` (H, W, 2): where each
-    ray meets the input plane; `shadows` (T, 4): least and greatest xi that a triangle may touch, mm.
+    `surface`: vertices (V, 3) and triangles (T, 3), counter-clockwise seen from outside. `xi` (H, W, 2): the points at
+    which the rays meet the input plane. `shadows` (T, 4): bounds of xi for the shadow of each triangle, mm.
     """
     out = np.zeros((MESH_SUB * MESH_SUB, *rays.inside.shape))
     in_parts(_cast_mesh, rays, xi, spot, *surface, shadows, out)

@@ -1,9 +1,9 @@
 """From a scene to a radiograph: expected quanta per pixel, Poisson noise, detector blur, digitisation.
 
-Quanta that a pixel's piece of the input plane absorbs are counted first (Poisson), and blurred after it: the noise of
-an image intensifier is correlated. A pixel near the rim collects from a smaller piece of the input plane (pincushion):
-that, and glare lost there, is the vignetting. Not modelled: quanta of unlike energy count alike; the inverse square of
-the distance within the field (under 2 %); heel.
+The quanta absorbed in each pixel's area of the input plane are drawn first (Poisson) and blurred afterwards, because
+the noise of an image intensifier is correlated. A pixel near the edge collects from a smaller area (pincushion); with
+the glare lost there, this is the vignetting. Not modelled: the energy dependence of the detector's response, the
+inverse square of the distance within the field (under 2 %), the heel effect.
 """
 
 from collections.abc import Iterator, Sequence
@@ -25,28 +25,28 @@ from sightline.twin.projector import CELL_PX, Rays, box_length, mesh_lengths, so
 from sightline.twin.things import RADIUS, Box, Scene, pack, stations
 from sightline.twin.volumes import Volume
 
-RAY_MARGIN_PX = 6  # rays are cast this far beyond the blanking, so that blur finds light there
+RAY_MARGIN_PX = 6  # rays are cast this far beyond the blanking, as input of the blur
 RAY_GRID_PX = 8  # the inverse distortion is exact on this grid, splines between: error below 1e-5 px
 # S.d. of the scatter kernel at the input plane. Scatter behind slabs spreads as a Gaussian [src Med Phys 13:254 1986].
-# Kernels that gave the scatter of head, chest and pelvis phantoms best had a full width of 50-150 pixels at half
-# maximum, 512 across fields of 15-36 cm [src Med Phys 14:178 1987]: s.d. 6-45 mm [calc].
+# The best kernels for head, chest and pelvis phantoms had a full width at half maximum of 50-150 of 512 pixels across
+# fields of 15-36 cm [src Med Phys 14:178 1987]: s.d. 6-45 mm [calc].
 SCATTER_MM = 30.0  # [ours]
-# Tissue, mm, at which scatter over primary is that of the chain; it grows in proportion to tissue [mem]. What drawn
-# hips with bone and plates take, mean of PA and lateral [calc].
+# Thickness of tissue, mm, at which the ratio of scatter to primary is that of the chain; it grows in proportion [mem].
+# It is the equivalent of drawn hips with bone and plates, mean of PA and lateral [calc].
 HIP_MM = 250.0
-THICKEST_MM = 600.0  # of tissue; what takes more counts as that
+MAX_TISSUE_MM = 600.0  # thicker tissue counts as this
 COARSE_PX = 8  # scatter and glare are computed on means of this many pixels
-FINE_VOXEL_MM = 0.5  # volumes of finer voxels are cast for every pixel [ours]
-MEAN_LEVEL = 0.25  # of the white level: where exposure control brings the middle of the image [ours]
+FINE_VOXEL_MM = 0.5  # volumes with finer voxels are cast for every pixel [ours]
+MEAN_LEVEL = 0.25  # of the white level: mean of the image's middle after exposure control [ours]
 BLACK_LEVEL = 0.02  # of the white level [ours]
 ELECTRONIC_SD = 0.0006  # of the white level: 2.5 of 4095 [ours]
 
 
 @dataclass(frozen=True)
 class Dose:
-    """Kerma at the intensifier. 0.11-0.44 µGy/s [src ARCADIS manual], 25 frames a second, `frames` of them averaged.
+    """Kerma at the intensifier: 0.11-0.44 µGy/s [src ARCADIS manual], 25 frames a second, `frames` of them averaged.
 
-    `level`: share of the white level to which the gain brings the middle of the image.
+    `level`: mean of the image's middle after exposure control, as a share of the white level.
     """
 
     rate_ugy_s: float = 0.44
@@ -54,7 +54,7 @@ class Dose:
     level: float = MEAN_LEVEL
 
     def quanta(self, chain: ImageChain) -> float:
-        """Mean quanta counted per pixel: K/25 · frames · 3e4/mm²/µGy · pitch² · DQE [calc]."""
+        """Return the mean quanta counted per pixel: K/25 · frames · 3e4/mm²/µGy · pitch² · DQE [calc]."""
         return self.rate_ugy_s / 25 * self.frames * 3e4 * chain.pitch_mm**2 * chain.dqe
 
 
@@ -64,10 +64,10 @@ DOSES = {"low": Dose(frames=1), "medium": Dose(frames=8), "high": Dose(frames=32
 
 @dataclass(frozen=True, eq=False)
 class Exposure:
-    """A view of a scene before noise. `quanta` (H, W): expected number per pixel, scatter included, before any blur.
+    """An exposure before noise. `quanta` (H, W): expected number per pixel, scatter included, before any blur.
 
-    `open_quanta` (H, W): the same were the sharp things not there, scatter unchanged. `field` (H, W): inside the
-    blanking. `core_px`: s.d. of the detector's Gaussian blur. `gain`: stored values per quantum.
+    `open_quanta` (H, W): the same without the sharp objects, scatter unchanged. `field` (H, W): inside the blanking.
+    `core_px`: s.d. of the detector's Gaussian blur. `gain`: stored values per quantum.
     """
 
     chain: ImageChain
@@ -79,26 +79,26 @@ class Exposure:
 
     @property
     def black(self) -> float:
-        """What is stored where no light falls."""
+        """The stored value without light."""
         return BLACK_LEVEL * self.chain.white
 
     def mean_pixels(self) -> np.ndarray:
-        """(H, W) float32: the image without noise and without digitisation, in stored values."""
+        """Return the image (H, W), float32, without noise and digitisation, in stored values."""
         return self._blanked(self._light(self.quanta))
 
     def open_pixels(self) -> np.ndarray:
-        """(H, W) float32: `mean_pixels` without the sharp things."""
+        """Return `mean_pixels` without the sharp objects."""
         return self._blanked(self._light(self.open_quanta))
 
     def read_out(
         self, rng: np.random.Generator, second: "Exposure | None" = None, former: "Sequence[Exposure]" = ()
     ) -> Radiograph:
-        """One radiograph: Poisson counts, blur, what a video camera adds, electronic noise, whole numbers up to white.
+        """Draw a radiograph: Poisson counts, blur, effects of a video camera, electronic noise, whole numbers up to
+        white.
 
-        `second`: of an interlaced chain, the same view as it is when its second field is taken, where something moves.
-        `former`: as it was at the fields before, the latest first; before these it was as in the last of them. Of them
-        the camera's lag leaves a trail, without their noise; at rest a trail shows nothing and none is laid.
-        Raises SetUpError where the chain has no video camera.
+        For an interlaced chain with movement: `second` is the view at the time of the second field; `former` are the
+        views at earlier fields, the latest first, the last of which lasted before. The camera's lag adds a trail of
+        these, without their noise. Raises SetUpError if the chain has no video camera.
         """
         if (second is not None or former) and self.chain.video is None:
             raise SetUpError(f"image chain {self.chain.name!r} reads whole frames; it has no second field and no lag")
@@ -126,7 +126,7 @@ class Exposure:
 
 
 def render(setup: SetUp, view: str, scene: Scene, rng: np.random.Generator, dose: Dose | None = None) -> Radiograph:
-    """The radiograph of a scene in one view of a set-up. The same generator state gives the same image."""
+    """Draw the radiograph of a scene in one view of a set-up. Equal generator states give equal images."""
     return expose(setup.views[view], scene, dose).read_out(rng)
 
 
@@ -138,20 +138,21 @@ def expose(
     even_scatter: bool = False,
     scatter_mm: float = SCATTER_MM,
 ) -> Exposure:
-    """The expected image of a scene. `dose` defaults to "medium"; exposure control holds its mean in the middle.
+    """Return the expected image of a scene at a dose (default: "medium"), with exposure control on the image's middle.
 
-    Scatter follows what lies in the beam, unless `even_scatter`: the chain's share of the primary everywhere.
-    `scatter_mm`: s.d. of the kernel that spreads it; infinite: as much scatter in every pixel.
+    Scatter depends on the tissue in the beam; with `even_scatter` it is the chain's share of the primary everywhere.
+    `scatter_mm`: s.d. of the scatter kernel; infinite: uniform scatter. Raises SetUpError if nothing passes the middle.
     """
     return project(view, scene).exposed(dose, even_scatter=even_scatter, scatter_mm=scatter_mm)
 
 
 @dataclass(frozen=True, eq=False)
 class Projection:
-    """The primary of a scene in one view, of which any dose and any scatter make an exposure.
+    """The primary radiation of a scene in one view, from which exposures of any dose and scatter are made.
 
-    `arriving` (H, W): photons per pixel, of one pixel of the open beam in the middle; `without`: were the sharp things
-    not there. `area` (H, W): each pixel's, of the middle's. `inside` (H, W): where rays were cast.
+    `arriving` (H, W): photons per pixel, relative to a pixel of the open beam in the middle; `without`: the same
+    without the sharp objects. `area` (H, W): of each pixel relative to the middle's. `inside` (H, W): where rays were
+    cast.
     """
 
     view: ViewTruth
@@ -163,14 +164,14 @@ class Projection:
     def exposed(
         self, dose: Dose | None = None, *, even_scatter: bool = False, scatter_mm: float = SCATTER_MM
     ) -> Exposure:
-        """The expected image, as from `expose`. Raises SetUpError where nothing passes the middle."""
+        """Return the expected image; see `expose`. Raises SetUpError if nothing passes the middle."""
         chain, dose, arriving = self.view.chain, dose or DOSES["medium"], self.arriving
         tissue = 1.0 if even_scatter else tissue_mm(self.without / self.area, chain.spectrum) / HIP_MM
         scattered = chain.scatter_to_primary * _spread(arriving * tissue, self.inside, scatter_mm / chain.pitch_mm)
         rim = _rim_px(chain)
         level = float((arriving + scattered)[rim > 0.5 * chain.mask_px].mean())
         if not level > 0:
-            raise SetUpError("nothing passes the middle of the scene; take some of it out of the beam")
+            raise SetUpError("no radiation passes the middle of the scene; remove objects from the beam")
         wanted = dose.quanta(chain)
         quanta, open_quanta = (
             np.where(self.inside, wanted / level * (p + scattered), 0.0) for p in (arriving, self.without)
@@ -187,16 +188,16 @@ class Projection:
 
 
 def project(view: ViewTruth, scene: Scene) -> Projection:
-    """Cast a scene's rays once, for exposures at several doses and scatters."""
+    """Cast the rays of a scene once, for exposures at several doses and scatters."""
     rays, area = pixel_rays(view)
     arriving, without = (share * area for share in primary(view, scene, rays))
     return Projection(view, arriving, without, area, rays.inside)
 
 
 def _spread(source: np.ndarray, inside: np.ndarray, sd_px: float) -> np.ndarray:
-    """What is scattered in each pixel of the field `inside` spread over its surroundings, or over the field evenly.
+    """Spread the scatter of each pixel in the field `inside` with the kernel; with an infinite `sd_px` uniformly.
 
-    The body scatters as much at the rim as in the middle: the share of scatter does not fall towards the rim.
+    The result is normalised by the part of the kernel inside the field, since the body beyond the edge scatters too.
     """
     if np.isinf(sd_px):
         return np.full(source.shape, source[inside].mean())
@@ -204,14 +205,14 @@ def _spread(source: np.ndarray, inside: np.ndarray, sd_px: float) -> np.ndarray:
 
 
 def tissue_mm(transmission: np.ndarray, beam: str) -> np.ndarray:
-    """(...) mm of soft tissue that leave as much of a spectrum; THICKEST_MM where less arrives."""
-    lengths = np.linspace(0.0, THICKEST_MM, 241)
+    """Return the thickness (...) of soft tissue, mm, with a given transmission of a spectrum, at most MAX_TISSUE_MM."""
+    lengths = np.linspace(0.0, MAX_TISSUE_MM, 241)
     left = np.exp(-lengths[:, None] * attenuation_per_mm("tissue", beam)) @ spectrum(beam).weights
     return np.interp(-np.log(np.maximum(transmission, left[-1])), -np.log(left), lengths)
 
 
 def grabbed(first: np.ndarray, second: np.ndarray, black: float, video: Video, rng: np.random.Generator) -> np.ndarray:
-    """(H, W) float32: what a frame grabber makes of two fields, each seen whole (H, W), before noise."""
+    """Return the frame (H, W), float32, grabbed from two fields, each given as a whole image, before noise."""
     h, w = first.shape
     v, u = np.mgrid[:h, :w].astype(np.float64)
     u += video.jitter_px * rng.standard_normal((h, 1))
@@ -223,8 +224,8 @@ def grabbed(first: np.ndarray, second: np.ndarray, black: float, video: Video, r
 
 
 def trailed(fields: Sequence[np.ndarray], before: Sequence[np.ndarray], lag: float) -> list[np.ndarray]:
-    """Two fields (H, W) as a camera with a lag shows them. `before` (H, W): the light of the first one, then that of
-    the fields before it, the latest first."""
+    """Return two fields (H, W) with the trail of a camera's lag. `before` (H, W): the light of the first one, then that
+    of the earlier fields, the latest first."""
     trail = before[-1]
     for light in reversed(before[1:-1]):
         trail = (1 - lag) * light + lag * trail
@@ -232,22 +233,22 @@ def trailed(fields: Sequence[np.ndarray], before: Sequence[np.ndarray], lag: flo
 
 
 def _rim_px(chain: ImageChain) -> np.ndarray:
-    """(H, W): from each pixel to the edge of the field, negative outside."""
+    """Return the distance (H, W) of each pixel from the edge of the field, negative outside."""
     h, w = chain.shape
     return chain.rim_px(np.stack(np.meshgrid(np.arange(w), np.arange(h)), axis=-1))
 
 
 def pixel_rays(view: ViewTruth) -> tuple[Rays, np.ndarray]:
-    """A ray for every pixel, and the pixel's area on the input plane relative to the middle's (H, W)."""
+    """Return a ray for every pixel, and the pixels' areas (H, W) on the input plane relative to that of the middle."""
     h, w = view.chain.shape
     u = np.arange(-RAY_GRID_PX, w + 2 * RAY_GRID_PX, RAY_GRID_PX, dtype=np.float64)
     v = np.arange(-RAY_GRID_PX, h + 2 * RAY_GRID_PX, RAY_GRID_PX, dtype=np.float64)
     inside = _rim_px(view.chain) >= -RAY_MARGIN_PX
-    inside[[0, -1]] = inside[:, [0, -1]] = False  # a pixel's slopes need neighbours
+    inside[[0, -1]] = inside[:, [0, -1]] = False  # sub-rays need the neighbouring pixels
     grid = np.stack(np.meshgrid(u, v), axis=-1)
     towards = grid - view.intensifier.centre_px
     reach = np.linalg.norm(towards, axis=-1, keepdims=True)
-    bound = view.chain.reach_px + 10 * RAY_GRID_PX  # corners, where no ray is needed, are drawn in towards the field
+    bound = view.chain.reach_px + 10 * RAY_GRID_PX  # the grid's corners, which need no ray, move in towards the field
     xi = view.intensifier.to_detector(
         view.intensifier.centre_px + towards * np.minimum(1, bound / np.maximum(reach, 1))
     )
@@ -261,7 +262,7 @@ def pixel_rays(view: ViewTruth) -> tuple[Rays, np.ndarray]:
 
 
 def primary(view: ViewTruth, scene: Scene, rays: Rays) -> tuple[np.ndarray, np.ndarray]:
-    """(H, W) twice: share of an open beam's photons that arrive unscattered, and were the balls and rods not there."""
+    """Return the share (H, W) of an open beam's photons that arrive unscattered, with and without balls and rods."""
     beam = view.chain.spectrum
     layers = list(_layers(scene, rays, beam))
     shapes, excess = pack(scene.solids, beam)
@@ -284,9 +285,10 @@ def primary(view: ViewTruth, scene: Scene, rays: Rays) -> tuple[np.ndarray, np.n
 
 
 def _layers(scene: Scene, rays: Rays, beam: str) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Lengths (H, W) mm in volumes, body and boxes, and what each takes per mm (N,).
+    """Yield the lengths (H, W), mm, in volumes, body and boxes, and the attenuation (N,) of each, 1/mm.
 
-    What is set into tissue shortens the way through the body, never below nothing."""
+    Objects set into tissue shorten the length in the body, at most to zero.
+    """
     displaced = np.zeros(rays.inside.shape, dtype=np.float32)
     for volume in scene.volumes:
         length = _volume_mm(volume, rays)
@@ -302,7 +304,7 @@ def _layers(scene: Scene, rays: Rays, beam: str) -> Iterator[tuple[np.ndarray, n
 
 
 def _alike(boxes: tuple[Box, ...]) -> dict[tuple[str, str | None], list[Box]]:
-    """Boxes of one material in another, cast together."""
+    """Group boxes by material and surrounding material, to be cast together."""
     out: dict[tuple[str, str | None], list[Box]] = {}
     for box in boxes:
         out.setdefault((box.material, box.within), []).append(box)
@@ -310,9 +312,10 @@ def _alike(boxes: tuple[Box, ...]) -> dict[tuple[str, str | None], list[Box]]:
 
 
 def _volume_mm(volume: Volume, rays: Rays) -> np.ndarray:
-    """(H, W) mm of a volume on each ray, in the volume's own axes.
+    """Return the length (H, W), mm, in a volume along each ray.
 
-    Cast for every second pixel, cubic between, where a voxel's shadow is wide enough (that of 0.75 mm is six pixels).
+    If a voxel's shadow is wide enough (that of 0.75 mm is six pixels), every second pixel is cast, with cubic
+    interpolation between.
     """
     own = volume.axes.T
     focal, origin = rays.focal @ own, volume.origin_mm @ own
@@ -330,22 +333,25 @@ def _volume_mm(volume: Volume, rays: Rays) -> np.ndarray:
 
 
 def _mesh_mm(view: ViewTruth, mesh: Mesh, rays: Rays, spot: np.ndarray) -> np.ndarray:
-    """(S, H, W) mm of a mesh on each of the S sub-rays of each pixel. Raises OutsideRegionError behind the source."""
+    """Return the length (S, H, W), mm, in a mesh along the S sub-rays of each pixel.
+
+    Raises OutsideRegionError for a mesh behind the source.
+    """
     corners = view.to_detector(mesh.vertices_mm)[mesh.triangles]
     source = view.detector.height_mm(view.focal_point_mm)
-    nearest = 1 - view.detector.height_mm(mesh.vertices_mm).min() / source  # over the way from source to input plane
+    nearest = 1 - view.detector.height_mm(mesh.vertices_mm).min() / source  # share of the source-detector distance
     margin = (view.chain.pitch_mm + view.chain.focal_spot_mm * (1 / nearest - 1)) / 2  # sub-rays reach half of it
     shadows = np.concatenate([corners.min(axis=1) - margin, corners.max(axis=1) + margin], axis=1)
     return mesh_lengths(rays, view.detector.to_plane(rays.points), spot, (mesh.vertices_mm, mesh.triangles), shadows)
 
 
 def _grown(inside: np.ndarray) -> np.ndarray:
-    """A mask grown by four pixels: what the cubic between rays reaches for."""
+    """Return a mask grown by four pixels, the support of the cubic interpolation between rays."""
     return cv2.dilate(inside.astype(np.uint8), np.ones((9, 9), dtype=np.uint8)).astype(bool)
 
 
 def _cells(view: ViewTruth, shapes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Which solids may touch each cell of the image: for cell i, index[first[i]:first[i + 1]]."""
+    """Return the solids that may touch each cell of the image: for cell i, index[first[i]:first[i + 1]]."""
     h, w = view.chain.shape
     tall, wide = -(-h // CELL_PX), -(-w // CELL_PX)
     touched = np.zeros((tall * wide, len(shapes)), dtype=bool)
@@ -362,24 +368,24 @@ def _cells(view: ViewTruth, shapes: np.ndarray) -> tuple[np.ndarray, np.ndarray]
 
 
 def _coarse(image: np.ndarray) -> np.ndarray:
-    """Means of COARSE_PX x COARSE_PX pixels."""
+    """Return means of COARSE_PX x COARSE_PX pixels."""
     h, w = image.shape
     return cv2.resize(image, (-(-w // COARSE_PX), -(-h // COARSE_PX)), interpolation=cv2.INTER_AREA)
 
 
 def _fine(coarse: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
-    """Back to full size, linear between."""
+    """Return a coarse image at full size, by linear interpolation."""
     return cv2.resize(coarse, (shape[1], shape[0]), interpolation=cv2.INTER_LINEAR)
 
 
 def _smooth(image: np.ndarray, sd_px: float) -> np.ndarray:
-    """A wide Gaussian blur, no light outside the image."""
+    """Apply a wide Gaussian blur, with no light outside the image."""
     coarse = _coarse(np.ascontiguousarray(image, dtype=np.float32))
     return _fine(cv2.GaussianBlur(coarse, (0, 0), sd_px / COARSE_PX, borderType=cv2.BORDER_CONSTANT), image.shape)
 
 
 def _detector_blur(light: np.ndarray, chain: ImageChain, core_px: float) -> np.ndarray:
-    """Gaussian core, and veiling glare (1 - g) delta + g exp(-r/k) / (2 pi k r)."""
+    """Apply the detector blur: a Gaussian core, and veiling glare (1 - g) delta + g exp(-r/k) / (2 pi k r)."""
     image = np.ascontiguousarray(light, dtype=np.float32)
     core = cv2.GaussianBlur(image, (0, 0), core_px, borderType=cv2.BORDER_CONSTANT)
     if chain.glare == 0:
@@ -391,8 +397,8 @@ def _detector_blur(light: np.ndarray, chain: ImageChain, core_px: float) -> np.n
 
 
 def _glare_kernel(half: int, reach: float) -> np.ndarray:
-    """exp(-r/k)/r of unit sum on a lattice of 2 half + 1 cells; the middle cell holds its integral over a disc of the
-    same area."""
+    """Return exp(-r/k)/r of unit sum on a lattice of 2 half + 1 cells; the middle cell holds its integral over a disc
+    of the same area."""
     side = np.arange(-half, half + 1)
     r = np.hypot(side, side[:, None])
     r[half, half] = 1.0
@@ -402,7 +408,7 @@ def _glare_kernel(half: int, reach: float) -> np.ndarray:
 
 
 def _convolve(image: np.ndarray, kernel: np.ndarray) -> np.ndarray:
-    """Linear convolution, cut to the image."""
+    """Return the linear convolution, cropped to the image."""
     size = [int(next_fast_len(a + b - 1) or 0) for a, b in zip(image.shape, kernel.shape, strict=True)]
     full = np.fft.irfft2(np.fft.rfft2(image, size) * np.fft.rfft2(kernel, size), size)
     half = kernel.shape[0] // 2

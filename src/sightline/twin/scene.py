@@ -1,4 +1,4 @@
-"""Scenes to plan on: a hip inside the frame, and the paper's object of four balls."""
+"""Scenes for planning: a hip inside the frame, and the paper's object of four balls."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -23,12 +23,12 @@ ATTEMPTS = 100
 
 @dataclass(frozen=True, eq=False)
 class HipScene:
-    """A hip in the frame. `still`: frame and body; `bone`: what moves as one, with whatever is fixed in it.
+    """A hip in the frame. `still`: frame and body; `bone`: the bone and everything fixed in it, which moves rigidly.
 
     `head_mm` (3,): centre of the femoral head; `wire_mm` (2, 3): entry and end point of the ideal wire
     (`Femur.wire_mm`); `lesser_mm` (3,): tip of the lesser trochanter, `greater_mm` (3,) of the greater. CFCS.
-    `motions`: how the bone has moved from there at a moment: when a view is taken (its name) or later (any other word,
-    such as "drilling"); a moment that is not named finds it where it was.
+    `motions`: motion of the bone at named moments: when a view is taken (the view's name) or later (any other name,
+    such as "drilling"). At other moments it has not moved.
     """
 
     still: Scene
@@ -42,19 +42,19 @@ class HipScene:
 
     @property
     def scene(self) -> Scene:
-        """All that lies in the beam, the frame's beads first."""
+        """Everything in the beam, with the frame's beads first."""
         return self.still + self.bone
 
     @staticmethod
     def of(still: Scene, bone: Scene, femur: Femur, side: str, head_mm: np.ndarray) -> "HipScene":
-        """At rest, all points of the femur as they lie about a head's centre (3,)."""
+        """Return a hip at rest, with the points of the femur for a head centred at `head_mm` (3,)."""
         points = (np.stack(femur.wire_mm()), femur.lesser_trochanter_mm, femur.greater_trochanter_mm)
         wire, lesser, greater = (to_cfcs(point, side, head_mm) for point in points)
         return HipScene(still, bone, femur, head_mm, wire, lesser, greater)
 
     @property
     def landmarks_mm(self) -> dict[str, np.ndarray]:
-        """(3,) each, CFCS: points of the bone that a person finds in both views."""
+        """Points (3,), CFCS, of the bone that a person can find in both views, by name."""
         return {
             "head centre": self.head_mm,
             "lesser trochanter": self.lesser_mm,
@@ -62,7 +62,7 @@ class HipScene:
         }
 
     def at(self, moment: str) -> "HipScene":
-        """The hip at a moment: bone, head and wire where they then are."""
+        """Return the hip at a moment, with bone, head and wire moved."""
         if moment not in self.motions:
             return replace(self, motions={})
         motion = self.motions[moment]
@@ -78,7 +78,7 @@ class HipScene:
 
 
 def hip_scene(setup: SetUp, rng: np.random.Generator, femur: Femur | None = None) -> HipScene:
-    """The set-up's true frame around a hip, centred on its wire as a radiographer would; the femur is drawn unless
+    """Draw a hip inside the set-up's true frame, centred on its wire as a radiographer would; `femur` is drawn unless
     given."""
     femur = femur or draw_femur(rng)
     return placed_hip(setup, femur, draw_head(setup.side, femur, rng), rng)
@@ -87,7 +87,7 @@ def hip_scene(setup: SetUp, rng: np.random.Generator, femur: Femur | None = None
 def shown_hip_scene(
     rng: np.random.Generator, frame: Frame, side: str = "right", femur: Femur | None = None, *, chain: str = "9in-1k"
 ) -> tuple[SetUp, HipScene]:
-    """A set-up and a hip whose whole ideal wire both views show. Raises SetUpError where none is found."""
+    """Draw a set-up and a hip whose whole ideal wire is visible in both views. Raises SetUpError if none is found."""
     femur = femur or draw_femur(rng)
     setup, head = shown_setup(rng, frame, side, femur, chain=chain)
     return setup, placed_hip(setup, femur, head, rng)
@@ -96,9 +96,10 @@ def shown_hip_scene(
 def shown_setup(
     rng: np.random.Generator, frame: Frame, side: str, femur: Femur, *, chain: str = "9in-1k"
 ) -> tuple[SetUp, np.ndarray]:
-    """A set-up, and the centre (3,) CFCS of a femur's head there, so that both views show its whole ideal wire.
+    """Draw a set-up, and the centre (3,), CFCS, of a femur's head, so that both views show its whole ideal wire.
 
-    Raises SetUpError where none is found."""
+    Raises SetUpError if none is found.
+    """
     for _ in range(ATTEMPTS):
         setup = draw_setup(rng, frame, side=side, chain=chain)
         head = draw_head(side, femur, rng)
@@ -106,22 +107,23 @@ def shown_setup(
         margin = HipPlace().margin_px
         if all(view.in_field(view.project(wire), margin).all() for view in setup.views.values()):
             return setup, head
-    raise SetUpError(f"no set-up of {ATTEMPTS} shows the whole wire in all views of frame {frame.name!r}")
+    raise SetUpError(f"none of {ATTEMPTS} set-ups shows the whole wire in all views of frame {frame.name!r}")
 
 
 def four_balls(setup: SetUp) -> tuple[Scene, np.ndarray]:
-    """The paper's calibration object: four balls in the true frame, at (4, 3) mm CFCS; neither bone nor tissue."""
+    """Return the paper's calibration object, four balls in the true frame without bone and tissue, and their centres
+    (4, 3), CFCS, mm."""
     balls = tuple(Ball((float(x), float(y), float(z)), TEST_BALL_RADIUS_MM) for x, y, z in TEST_BALLS_MM)
     return frame_scene(setup.true_frame) + Scene(solids=balls), TEST_BALLS_MM
 
 
 def draw_head(side: str, femur: Femur, rng: np.random.Generator) -> np.ndarray:
-    """(3,) CFCS: where the head's centre lies if the wire is centred as a radiographer would."""
+    """Draw the centre (3,), CFCS, of the head for a wire that is centred as a radiographer would."""
     middle = to_cfcs(np.mean(femur.wire_mm(), axis=0), side, np.zeros(3))
     return rng.normal(0.0, HipPlace().off_centre_sd_mm, 3) - middle
 
 
 def placed_hip(setup: SetUp, femur: Femur, head_mm: np.ndarray, rng: np.random.Generator) -> HipScene:
-    """The set-up's true frame around a hip whose head lies at a place (3,)."""
+    """Return the set-up's true frame around a hip with its head at a given point (3,)."""
     bone = Scene(volumes=(voxelise(femur, setup.side, head_mm, rng),))
     return HipScene.of(frame_scene(setup.true_frame) + Scene(tissue=SoftTissue()), bone, femur, setup.side, head_mm)

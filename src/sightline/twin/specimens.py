@@ -1,4 +1,4 @@
-"""What `sightline simulate` puts before the C-arm: a hip, the paper's objects, a pig's femur, a mesh or CT scan."""
+"""The specimens of `sightline simulate`: a hip, the paper's objects, a pig's femur, a mesh or a CT scan."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -22,14 +22,13 @@ from sightline.twin.things import Scene, SoftTissue, frame_scene
 from sightline.twin.truth import points_document, truth_document
 
 ATTEMPTS = 100
-MARGIN_PX = 30.0  # points of interest lie at least this far inside both fields, where a field can show them [ours]
+MARGIN_PX = 30.0  # minimum distance of points of interest from the edge of both fields, where possible [ours]
 
 
 @dataclass(frozen=True, eq=False)
 class Specimen:
-    """A set-up, all that lies in its beams, and the truth (JSON types). `shown`: every view shows every point that
-    matters; a small field does not show a whole wire. `wire_mm` (2, 3): ideal entry and end in a hip, CFCS; None
-    without a hip."""
+    """A set-up, everything in its beams, and the truth (JSON types). `shown`: every view shows every point of interest;
+    a small field cannot show a whole wire. `wire_mm` (2, 3): ideal entry and end in a hip, CFCS; None without a hip."""
 
     setup: SetUp
     scene: Scene
@@ -39,10 +38,10 @@ class Specimen:
 
 
 @dataclass(frozen=True)
-class Machine:
-    """What a specimen stands before: `frame`, `side` of the hip, name of the image chain.
+class SetUpSpec:
+    """Specification of the set-ups to draw: `frame`, `side` of the hip, name of the image chain.
 
-    `made`: the frame as it was made, whose beads lie beside those of `frame`; None: drawn for each set-up.
+    `made`: the frame as manufactured, whose beads deviate from those of `frame`; None: drawn for each set-up.
     """
 
     frame: Frame
@@ -51,9 +50,8 @@ class Machine:
     made: Frame | None = None
 
     def draw(self, rng: np.random.Generator, points_mm: np.ndarray) -> tuple[SetUp, bool]:
-        """The first set-up of ATTEMPTS that shows all points (N, 3) in all views, and True; else the last, and False.
-
-        Raises SetUpError where none has its frame in the beam.
+        """Draw up to ATTEMPTS set-ups; return the first that shows all points (N, 3) in all views, and True; or the
+        last, and False. Raises SetUpError if no pose has the frame in the beam.
         """
         left = ATTEMPTS
         while True:
@@ -70,32 +68,32 @@ class Machine:
         return replace(setup, frame=self.frame)
 
 
-def specimen(what: str, rng: np.random.Generator, machine: Machine, at_mm: np.ndarray | None = None) -> Specimen:
-    """A specimen by its name in SPECIMENS, or from a mesh file, a NIfTI file or a folder with one DICOM series of CT.
+def specimen(what: str, rng: np.random.Generator, spec: SetUpSpec, at_mm: np.ndarray | None = None) -> Specimen:
+    """Return a specimen by its name in SPECIMENS, or from a mesh file, a NIfTI file or a folder with one CT series.
 
-    `at_mm` (3,): the point of a file, in its own coordinates, that comes to the origin of CFCS; by default its middle.
+    `at_mm` (3,): the point of a file, in its own coordinates, that is moved to the origin of CFCS; default: its middle.
     Raises UnusableInputError, SetUpError.
     """
     if what in SPECIMENS:
         if at_mm is not None:
-            raise UnusableInputError(f"{what!r} lies where the twin puts it; a place is for meshes and CT scans")
-        return SPECIMENS[what](rng, machine)
+            raise UnusableInputError(f"{what!r} has a fixed position; give a position only for meshes and CT scans")
+        return SPECIMENS[what](rng, spec)
     path = Path(what)
     if not path.exists():
         raise UnusableInputError(
-            f"there is no {path.name!r} to be simulated; there are: {', '.join(SPECIMENS)}, or the path of a mesh "
+            f"there is no specimen {path.name!r}; name one of {', '.join(SPECIMENS)}, or the path of a mesh "
             f"({', '.join(KINDS)}), a NIfTI file or a folder of CT slices"
         )
-    scene, middle = (_mesh if path.suffix.lower().removeprefix(".") in KINDS else _ct)(path, machine.side, at_mm)
-    setup, shown = machine.draw(rng, np.zeros((1, 3)))
+    scene, middle = (_mesh if path.suffix.lower().removeprefix(".") in KINDS else _ct)(path, spec.side, at_mm)
+    setup, shown = spec.draw(rng, np.zeros((1, 3)))
     truth = points_document(setup, {"origin": np.zeros(3)})
     return Specimen(setup, frame_scene(setup.true_frame) + scene, truth | {"origin_in_file_mm": middle.tolist()}, shown)
 
 
 def nominal_tags(view: ViewTruth, side: str) -> GeometryTags:
-    """What a C-arm that fills in its geometry would say of a view: nominal distances, angles to a whole degree.
+    """Return the geometry that a C-arm would write into its headers: nominal distances, angles to a whole degree.
 
-    Primary angle: the detector from the patient's front to the left; secondary: to the head.
+    Primary angle: of the detector from the patient's front to the left; secondary angle: to the head.
     """
     chain = view.chain
     x, y, z = view.detector.normal
@@ -109,22 +107,22 @@ def nominal_tags(view: ViewTruth, side: str) -> GeometryTags:
     )
 
 
-def _hip(rng: np.random.Generator, machine: Machine) -> Specimen:
+def _hip(rng: np.random.Generator, spec: SetUpSpec) -> Specimen:
     femur = draw_femur(rng)
-    head = draw_head(machine.side, femur, rng)
-    return _of_hip(rng, machine, femur, head, lambda setup: placed_hip(setup, femur, head, rng))
+    head = draw_head(spec.side, femur, rng)
+    return _of_hip(rng, spec, femur, head, lambda setup: placed_hip(setup, femur, head, rng))
 
 
-def _plastic(rng: np.random.Generator, machine: Machine) -> Specimen:
-    return _of_hip(rng, machine, Femur(), None, plastic_hip)
+def _plastic(rng: np.random.Generator, spec: SetUpSpec) -> Specimen:
+    return _of_hip(rng, spec, Femur(), None, plastic_hip)
 
 
-def _porcine(rng: np.random.Generator, machine: Machine) -> Specimen:
-    return _of_hip(rng, machine, PIG, None, lambda setup: porcine_hip(setup, rng))
+def _porcine(rng: np.random.Generator, spec: SetUpSpec) -> Specimen:
+    return _of_hip(rng, spec, PIG, None, lambda setup: porcine_hip(setup, rng))
 
 
-def _object(rng: np.random.Generator, machine: Machine) -> Specimen:
-    setup, shown = machine.draw(rng, TEST_BALLS_MM)
+def _object(rng: np.random.Generator, spec: SetUpSpec) -> Specimen:
+    setup, shown = spec.draw(rng, TEST_BALLS_MM)
     block, balls_mm = perspex_object()
     truth = points_document(setup, {f"ball {k + 1}": xyz for k, xyz in enumerate(balls_mm)})
     return Specimen(setup, frame_scene(setup.true_frame) + block, truth, shown)
@@ -132,20 +130,20 @@ def _object(rng: np.random.Generator, machine: Machine) -> Specimen:
 
 def _of_hip(
     rng: np.random.Generator,
-    machine: Machine,
+    spec: SetUpSpec,
     femur: Femur,
     head_mm: np.ndarray | None,
     build: Callable[[SetUp], HipScene],
 ) -> Specimen:
-    """A hip whose whole wire is shown. `head_mm` (3,): by default the wire's middle lies at the origin."""
-    wire = to_cfcs(np.stack(femur.wire_mm()), machine.side, np.zeros(3))
-    setup, shown = machine.draw(rng, wire - wire.mean(axis=0) if head_mm is None else wire + head_mm)
+    """Return a hip whose whole wire is shown, if possible. `head_mm` (3,); default: the wire's middle at the origin."""
+    wire = to_cfcs(np.stack(femur.wire_mm()), spec.side, np.zeros(3))
+    setup, shown = spec.draw(rng, wire - wire.mean(axis=0) if head_mm is None else wire + head_mm)
     hip = build(setup)
     return Specimen(setup, hip.scene, truth_document(setup, hip), shown, hip.wire_mm)
 
 
 def _mesh(file: Path, _: str, at_mm: np.ndarray | None) -> tuple[Scene, np.ndarray]:
-    """Solid bone in a body, and the point of the file that lies at the origin."""
+    """Return solid bone in a body, and the point of the file that is moved to the origin."""
     bone = read_mesh(file)
     corners = bone.vertices_mm
     middle = (corners.min(axis=0) + corners.max(axis=0)) / 2 if at_mm is None else at_mm
@@ -154,14 +152,14 @@ def _mesh(file: Path, _: str, at_mm: np.ndarray | None) -> tuple[Scene, np.ndarr
 
 
 def _ct(path: Path, side: str, at_mm: np.ndarray | None) -> tuple[Scene, np.ndarray]:
-    """Tissue and bone of a scan, and the point of it, patient coordinates, that lies at the origin."""
+    """Return tissue and bone of a scan, and its point, patient coordinates, that is moved to the origin."""
     scan = read_ct(path)
     half = scan.voxel_mm * (np.array(scan.hu.shape) - 1) / 2
     middle = scan.origin_mm + half @ scan.axes if at_mm is None else at_mm
     return Scene(volumes=ct_volumes(scan, side, middle)), middle
 
 
-SPECIMENS: dict[str, Callable[[np.random.Generator, Machine], Specimen]] = {
+SPECIMENS: dict[str, Callable[[np.random.Generator, SetUpSpec], Specimen]] = {
     "hip": _hip,
     "object": _object,
     "plastic": _plastic,

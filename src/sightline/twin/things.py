@@ -1,4 +1,4 @@
-"""What lies in the beam: balls, washers, wires and screws, plates, a body; and all of it as a scene. mm, CFCS."""
+"""Objects in the beam: balls, washers, wires and screws, plates, a body; and a scene of them. mm, CFCS."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
@@ -13,15 +13,15 @@ from sightline.twin.meshes import Mesh
 from sightline.twin.volumes import Volume
 
 Point: TypeAlias = tuple[float, float, float]
-PLATE_MM = 8.0  # thickness of a calibration plate [ours]
-PLATE_RIM_MM = 8.0  # how far a plate reaches beyond its outermost beads [ours]
-WASHER_HOLE = 0.5  # inner over outer diameter [ours]
-WASHER_MM = 1.5  # thickness [ours]
+PLATE_THICKNESS_MM = 8.0  # of a calibration plate [ours]
+PLATE_RIM_MM = 8.0  # distance from the outermost beads to the edge of the plate [ours]
+WASHER_HOLE = 0.5  # ratio of inner to outer diameter [ours]
+WASHER_THICKNESS_MM = 1.5  # [ours]
 
 
 @dataclass(frozen=True)
 class Ball:
-    """A ball set into another material, which it displaces; `within` None: air."""
+    """A ball that displaces the material `within`; None: air."""
 
     centre_mm: Point
     radius_mm: float
@@ -31,9 +31,9 @@ class Ball:
 
 @dataclass(frozen=True)
 class Rod:
-    """A cylinder, or a tube or washer where `hole_mm` > 0, set into another material, which it displaces.
+    """A cylinder, or a tube or washer if `hole_mm` > 0, that displaces the material `within`; None: air.
 
-    `axis` is a unit vector; `half_mm` half the length along it; `hole_mm` the radius of the hole.
+    `axis`: unit vector; `half_mm`: half the length along it; `hole_mm`: radius of the hole.
     """
 
     centre_mm: Point
@@ -47,7 +47,7 @@ class Rod:
 
 @dataclass(frozen=True, eq=False)
 class Box:
-    """A cuboid, one ray a pixel. `axes` (3, 3): rows are its own axes; `half_mm` (3,)."""
+    """A cuboid, cast with one ray per pixel. `axes` (3, 3): rows are its own axes; `half_mm` (3,): half its edges."""
 
     centre_mm: np.ndarray
     axes: np.ndarray
@@ -64,18 +64,19 @@ class SoftTissue:
     half_mm: tuple[float, float] = (140.0, 105.0)
 
     def skin_mm(self, ends_mm: np.ndarray) -> np.ndarray:
-        """(3,): where a line through two points (2, 3), the second within the body, comes out beyond the first.
+        """Return the point (3,) at which a line through two points (2, 3) leaves the body, on the side of the first.
 
-        Raises SetUpError where it does not."""
+        Raises SetUpError if the second point is not inside the body or the line does not leave it.
+        """
         first, inner = np.asarray(ends_mm, dtype=np.float64)
-        start, way = ((p[[0, 2]] - o) / self.half_mm for p, o in ((inner, self.centre_mm), (first - inner, 0.0)))
-        a, b, c = way @ way, way @ start, start @ start - 1
+        start, step = ((p[[0, 2]] - o) / self.half_mm for p, o in ((inner, self.centre_mm), (first - inner, 0.0)))
+        a, b, c = step @ step, step @ start, start @ start - 1
         if not (c < 0 and a > 0):
             raise SetUpError("the line does not leave the body; its second point must lie within it")
         return inner + (first - inner) * (-b + np.sqrt(b * b - a * c)) / a
 
     def length_mm(self, focal_mm: np.ndarray, points_mm: np.ndarray) -> np.ndarray:
-        """(...,) mm of tissue on the rays from a focal point to points (..., 3)."""
+        """Return the length (...,) of tissue, mm, on the rays from a focal point to points (..., 3)."""
         start = (focal_mm[[0, 2]] - self.centre_mm) / np.array(self.half_mm)
         ray = points_mm - focal_mm
         step = ray[..., [0, 2]] / np.array(self.half_mm)
@@ -88,7 +89,7 @@ Solid: TypeAlias = Ball | Rod
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """What lies in the beam; scenes add up. `tissue`: the body that everything set into tissue displaces."""
+    """The objects in the beam; scenes can be added. `tissue`: the body, displaced by objects within "tissue"."""
 
     solids: tuple[Solid, ...] = ()
     boxes: tuple[Box, ...] = ()
@@ -98,7 +99,7 @@ class Scene:
 
     def __add__(self, other: "Scene") -> "Scene":
         if self.tissue is not None and other.tissue is not None:
-            raise SetUpError("two scenes with a body each cannot be one; take the tissue from one of them")
+            raise SetUpError("two scenes with a body each cannot be added; remove the tissue from one of them")
         parts = {f.name: getattr(self, f.name) + getattr(other, f.name) for f in fields(self) if f.name != "tissue"}
         return Scene(**parts, tissue=self.tissue or other.tissue)
 
@@ -106,11 +107,11 @@ class Scene:
 def rod_between(
     start_mm: np.ndarray, end_mm: np.ndarray, radius_mm: float, hole_mm: float = 0.0, within: str | None = "tissue"
 ) -> Rod:
-    """A steel rod or tube with the middles of its end faces at two points (3,)."""
+    """Return a steel rod or tube with the centres of its end faces at two points (3,)."""
     start, end = np.asarray(start_mm, dtype=np.float64), np.asarray(end_mm, dtype=np.float64)
     length = float(np.linalg.norm(end - start))
     if not length > 0:
-        raise SetUpError("a rod runs between two different points")
+        raise SetUpError("a rod needs two different points")
     (x, y, z), (a, b, c) = ((start + end) / 2).tolist(), ((end - start) / length).tolist()
     return Rod((x, y, z), (a, b, c), radius_mm, length / 2, hole_mm, within)
 
@@ -121,8 +122,8 @@ COLUMNS = 9
 
 
 def pack(solids: Sequence[Solid], beam: str = THREE) -> tuple[np.ndarray, np.ndarray]:
-    """Solids as numbers: shapes (M, 9), half-length negative for a ball; attenuation above what they displace (M, N),
-    1/mm at the N energies of a spectrum."""
+    """Pack solids into arrays: shapes (M, 9), with a negative half-length for a ball; attenuation (M, N) above that of
+    the displaced material, 1/mm, at the N energies of a spectrum."""
     shapes, excess = np.zeros((len(solids), COLUMNS)), np.zeros((len(solids), len(spectrum(beam).weights)))
     for row, one in enumerate(solids):
         shapes[row, CENTRE], shapes[row, RADIUS] = one.centre_mm, one.radius_mm
@@ -135,8 +136,8 @@ def pack(solids: Sequence[Solid], beam: str = THREE) -> tuple[np.ndarray, np.nda
 
 
 def stations(shapes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Points (D, 3) along the axes of packed solids (M, 9), at most half a radius apart (a ball: its centre), and which
-    solid each belongs to (D,)."""
+    """Return points (D, 3) along the axes of packed solids (M, 9), at most half a radius apart (for a ball its centre),
+    and the index (D,) of the solid of each."""
     places, owner = [], []
     for m, shape in enumerate(shapes):
         half = max(shape[HALF], 0.0)
@@ -147,12 +148,12 @@ def stations(shapes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def frame_scene(frame: Frame) -> Scene:
-    """A frame where it is: its beads and its plates."""
+    """Return a frame's beads and plates as a scene."""
     return Scene(solids=frame_solids(frame), boxes=frame_boxes(frame))
 
 
 def frame_solids(frame: Frame) -> tuple[Solid, ...]:
-    """The beads of all views of a frame, where they are."""
+    """Return the beads of all views of a frame."""
     return tuple(
         _bead(bead, plate)
         for view in frame.views.values()
@@ -166,11 +167,11 @@ def _bead(bead: Fiducial, plate: Plate) -> Solid:
         return Ball(bead.xyz_mm, bead.diameter_mm / 2)
     x, y, z = (float(c) for c in plate.plane.normal)
     hole = WASHER_HOLE * bead.diameter_mm / 2
-    return Rod(bead.xyz_mm, (x, y, z), bead.diameter_mm / 2, WASHER_MM / 2, hole_mm=hole, within="pmma")
+    return Rod(bead.xyz_mm, (x, y, z), bead.diameter_mm / 2, WASHER_THICKNESS_MM / 2, hole_mm=hole, within="pmma")
 
 
 def frame_boxes(frame: Frame) -> tuple[Box, ...]:
-    """The PMMA plates of all views of a frame, as large as their beads need."""
+    """Return the PMMA plates of all views of a frame, sized to their beads."""
     return tuple(_plate_box(plate) for view in frame.views.values() for plate in (view.xrii, view.source))
 
 
@@ -180,5 +181,5 @@ def _plate_box(plate: Plate) -> Box:
     return Box(
         centre_mm=plate.plane.to_space((low + high) / 2),
         axes=np.vstack([plate.plane.axes, plate.plane.normal]),
-        half_mm=np.array([*(high - low) / 2, PLATE_MM / 2]),
+        half_mm=np.array([*(high - low) / 2, PLATE_THICKNESS_MM / 2]),
     )

@@ -1,4 +1,4 @@
-"""The truth of simulated images, as a document to be written beside them."""
+"""The truth of simulated images as JSON."""
 
 import json
 from collections.abc import Mapping
@@ -15,8 +15,8 @@ Points = Mapping[str, np.ndarray]
 
 
 def truth_document(setup: SetUp, hip: HipScene) -> dict[str, Any]:
-    """What a person may ask of the images of a hip: wire, landmarks, views, beads. CFCS in mm, pixels as the images
-    have them."""
+    """Return the truth of the images of a hip: wire, landmarks, views, beads. Points in CFCS, mm, and in pixels of the
+    images."""
     document: dict[str, Any] = {
         **points_document(setup, hip.landmarks_mm, {name: hip.at(name).landmarks_mm for name in setup.views}),
         "head_mm": hip.head_mm.tolist(),
@@ -27,7 +27,7 @@ def truth_document(setup: SetUp, hip: HipScene) -> dict[str, Any]:
     for name, view in setup.views.items():
         entry, end = view.project(hip.at(name).wire_mm)
         document["views"][name] |= {"entry_uv_px": entry.tolist(), "end_uv_px": end.tolist()}
-    if hip.motions:  # head, wire and landmarks above are where the bone was before
+    if hip.motions:  # the points above are those before any motion
         document["bone_moved"] = {moment: motion.as_matrix().tolist() for moment, motion in hip.motions.items()}
     return document
 
@@ -35,10 +35,10 @@ def truth_document(setup: SetUp, hip: HipScene) -> dict[str, Any]:
 def points_document(
     setup: SetUp, points_mm: Points, when_seen_mm: Mapping[str, Points] | None = None
 ) -> dict[str, Any]:
-    """The truth of any set-up: named points (3,) CFCS and their pixels, views, beads.
+    """Return the truth of any set-up: named points (3,), CFCS, and their pixels, views, beads.
 
-    `when_seen_mm`: by view, where the points are when it is taken, if they move. Beads whose centre a view does not
-    show have no pixel in it.
+    `when_seen_mm`: the points at the time of each view, if they move. Beads whose centre lies outside a view's field
+    have no pixel in it.
     """
     when = when_seen_mm or dict.fromkeys(setup.views, points_mm)
     return {
@@ -52,7 +52,7 @@ def points_document(
 
 
 def write_truth(path: str | Path, setup: SetUp, hip: HipScene) -> Path:
-    """Write `truth_document` as JSON. Raises UnusableInputError where the place cannot be written."""
+    """Write `truth_document` as JSON. Raises UnusableInputError if the file cannot be written."""
     return write_whole(path, json.dumps(truth_document(setup, hip), indent=1).encode())
 
 

@@ -12,12 +12,12 @@ from tests.case.conftest import WIRE_MM
 from tests.case.interop.dicom_modules import faults
 
 from sightline.case.interop import dicom_plan
-from sightline.case.interop.dicom_parts import Filed
+from sightline.case.interop.dicom_parts import ExportIdentity
 from sightline.case.interop.plan_file import PlanFile
 from sightline.errors import UnusableInputError
 from sightline.imaging import Radiograph, read_image, write_dicom
 
-FILED = Filed("case-0042", datetime(2024, 5, 17, 10, 30), "left")
+FILED = ExportIdentity("case-0042", datetime(2024, 5, 17, 10, 30), "left")
 NAMED = re.compile("|".join(("Name", "Birth", "Address", "Institution", "Operator", "Physician", "Device", "Station")))
 
 
@@ -57,7 +57,7 @@ def test_side_study_and_series_are_said_where_they_are_known(objects: dict[str, 
 
 
 def test_without_a_side_the_laterality_is_there_and_empty(go_plan: PlanFile) -> None:
-    for data in dicom_plan.write(go_plan, Filed(FILED.case, FILED.created), {}).values():
+    for data in dicom_plan.write(go_plan, ExportIdentity(FILED.case, FILED.created), {}).values():
         assert read(data)["Laterality"].is_empty
 
 
@@ -159,8 +159,8 @@ def test_the_same_export_is_the_same_to_the_bit(go_plan: PlanFile) -> None:
 
 @pytest.mark.parametrize("case", ["", "DOE^JANE", "a b", "x" * 17])
 def test_what_may_be_a_name_is_no_case_number(case: str) -> None:
-    with pytest.raises(UnusableInputError, match="no case number"):
-        Filed(case, FILED.created)
+    with pytest.raises(UnusableInputError, match="is not a case number"):
+        ExportIdentity(case, FILED.created)
 
 
 def test_an_original_that_is_none_is_refused(go_plan: PlanFile, original: Path, tmp_path: Path) -> None:

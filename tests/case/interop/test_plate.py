@@ -107,7 +107,7 @@ def test_a_target_keeps_its_place_and_its_error_through_every_format(views, plat
 
 
 def test_a_distorted_image_is_not_passed_off_as_a_pinholes(views) -> None:
-    with pytest.raises(RefusedError, match=r"errs by up to \d+\.\d px \(limit 0\.5 px\).*without --raw"):
+    with pytest.raises(RefusedError, match=r"error of up to \d+\.\d px \(limit 0\.5 px\).*without --raw"):
         raw_pinhole(views[0], (1024, 1024))
 
 

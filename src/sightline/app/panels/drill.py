@@ -9,7 +9,7 @@ from sightline.app import texts
 from sightline.app.panels import live
 from sightline.app.panels.section import Section, action, checks, heading, note, table
 from sightline.app.tab.tab import Tab
-from sightline.case.report.drilled import force_picture
+from sightline.case.report.drilled import force_figure
 from sightline.geometry.covariance import TWO_SIDED_95
 from sightline.robot.control.states import State
 
@@ -226,7 +226,7 @@ def _force(tab: Tab) -> None:
         if record is None or len(record.depth_mm) == shown:
             return
         shown = len(record.depth_mm)
-        picture = force_picture(record, _PLOT_PX)
+        picture = force_figure(record, _PLOT_PX)
         drawing.set_content(picture)
         events.clear()
         if not picture:

@@ -10,7 +10,7 @@ from sightline.app.tab.tab import Tab
 from sightline.case.watch.alarm import BLIND_TO
 
 if TYPE_CHECKING:
-    from sightline.case.watch.eye import Watched
+    from sightline.case.watch.analyser import Watched
 
 _UPDATE_S = 0.1  # half the age at which an image is stale; the browser is told each time (live.LATE_S)
 

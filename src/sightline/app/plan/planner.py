@@ -9,7 +9,7 @@ import numpy as np
 from sightline.app.plan.decisions import Decisions, Mark, Pixel
 from sightline.app.plan.marks import END, ENTRY, marks_of
 from sightline.calibration import BeadView, CalibratedView
-from sightline.case.contents import Asked
+from sightline.case.contents import PlanRequest
 from sightline.case.views import NAMES
 from sightline.errors import SightlineError
 from sightline.planning import MatchingCurve, Plan, matching_curve, snap
@@ -113,12 +113,12 @@ def _remembered(from_view: CalibratedView, to_view: CalibratedView, uv_px: bytes
     return matching_curve(from_view, np.frombuffer(uv_px), to_view, covariance)
 
 
-def plan_input(decisions: Decisions) -> Asked:
+def plan_input(decisions: Decisions) -> PlanRequest:
     """Return a plan's input besides its views; entry and end point must be placed."""
     wire = [decisions.mark(name) for name in (ENTRY, END)]
     known = {one.name: one.of for one in marks_of(decisions.kind) if one.group == "landmark"}
     names = tuple(n for n in known if decisions.mark(n).complete())
-    return Asked(
+    return PlanRequest(
         *(_pixels(mark) for mark in wire),
         pick_sd_px=PICK_SD_PX,
         snapped=[not mark.free for mark in wire],

@@ -10,7 +10,7 @@ from sightline.errors import UnusableInputError
 from sightline.frame import Frame
 
 if TYPE_CHECKING:
-    from sightline.case.watch.eye import Shown, Watched
+    from sightline.case.watch.analyser import TimedImage, Watched
     from sightline.case.watch.live import Watch
 
 LATE_S = 0.2  # freshness is reported every 0.1 s; allow one period and 0.1 s of latency [ours]
@@ -60,7 +60,7 @@ class Live:
 
 def fresh_s(watched: "Watched") -> float:
     """Return for how long, s, a page may show an image as current without another report."""
-    from sightline.case.watch.eye import STALE_S
+    from sightline.case.watch.analyser import STALE_S
 
     return 0.0 if watched.stale else STALE_S - watched.age_s + LATE_S
 
@@ -68,10 +68,10 @@ def fresh_s(watched: "Watched") -> float:
 class _Thinned:
     """Every EVERY-th image of a source."""
 
-    def __init__(self, source: "Iterable[Shown]") -> None:
+    def __init__(self, source: "Iterable[TimedImage]") -> None:
         self._source = source
 
-    def __iter__(self) -> "Iterator[Shown]":
+    def __iter__(self) -> "Iterator[TimedImage]":
         for k, shown in enumerate(self._source):
             if k % EVERY == 0:
                 yield shown
@@ -83,12 +83,12 @@ class _Thinned:
             close()
 
 
-def _opened(source: str | None, patient: Patient | None) -> "Iterable[Shown]":
+def _opened(source: str | None, patient: Patient | None) -> "Iterable[TimedImage]":
     from sightline.case.watch.sources import open_source
-    from sightline.rehearsal.stream import Stream
+    from sightline.rehearsal.stream import SimulatedFluoroscopy
 
     if source is not None:
         return open_source(source)
     if patient is None:
         raise UnusableInputError("no live image is connected; start the app with --live SOURCE")
-    return Stream(patient.seed, Frame.load(patient.frame))
+    return SimulatedFluoroscopy(patient.seed, Frame.load(patient.frame))

@@ -12,7 +12,7 @@ from sightline.app.session.worker import WorkerProcess
 from sightline.calibration import BeadView
 from sightline.case import stages
 from sightline.case.journal import Actor, Case, Entry
-from sightline.case.views import CalibratedImage, Seen, calibrated
+from sightline.case.views import CalibratedImage, ObservedView, calibrated
 from sightline.detection import Detections, Observations
 from sightline.errors import CaseError, SightlineError
 from sightline.imaging import Radiograph, taken_at
@@ -40,9 +40,9 @@ class SeenImage:
             return None
         return CalibratedImage(self.labelled_as(self.observations), self.view)
 
-    def labelled_as(self, observations: Observations) -> Seen:
+    def labelled_as(self, observations: Observations) -> ObservedView:
         """Return this image with observations that may be others than its own."""
-        return Seen(f"image {self.acquired.number}", observations, self.image, self.beads)
+        return ObservedView(f"image {self.acquired.number}", observations, self.image, self.beads)
 
     def said_to_be(self, mirrored_display: bool | None) -> "SeenImage":
         """Return the image with a person's statement whether its display is mirrored; the same object for the same

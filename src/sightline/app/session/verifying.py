@@ -12,7 +12,7 @@ from sightline.app.session.rehearsing import check_images
 from sightline.app.session.seen import SeenImage, entry_of
 from sightline.app.session.sent import SentPlan
 from sightline.calibration import BeadView
-from sightline.case.contents import CheckAsked
+from sightline.case.contents import CheckRequest
 from sightline.case.journal import Actor, Kind
 from sightline.case.stages import record_verified
 from sightline.case.views import NAMES
@@ -129,7 +129,7 @@ class Verifying:
         if told is None or not told.rests_on:
             return  # sent by a version that did not record the plan
         first, second = (entry_of(case, one) for one in request.seen)
-        measured = CheckAsked(request.sent.plan.kind.wire_mm, request.landmarks)
+        measured = CheckRequest(request.sent.plan.kind.wire_mm, request.landmarks)
         record_verified(case, case.entry(told.rests_on[0]), (first, second), measured, found, by=Actor.APP)
 
     async def _found(self, request: "_CheckRequest", seen: SeenImage) -> "WireShadow":

@@ -20,7 +20,7 @@ from sightline.app.texts import STEPS, XRAY
 from sightline.case.views import NAMES
 
 if TYPE_CHECKING:
-    from sightline.case.watch.eye import Watched
+    from sightline.case.watch.analyser import Watched
 
 
 class Tab:

@@ -20,7 +20,7 @@ from sightline.app.texts import IMAGE_LABELS, LIVE_LABELS, LIVE_UNKNOWN, STALE, 
 from sightline.case.views import NAMES
 
 if TYPE_CHECKING:
-    from sightline.case.watch.eye import Watched
+    from sightline.case.watch.analyser import Watched
 
 _STYLES = {"wire": "plan", "landmark": "landmark", "aid": "aid"}
 

@@ -1,7 +1,7 @@
-"""Images into a case: from a folder, from DICOM and OpenIGTLink peers, from a live source, with the robot's pose.
+"""Acquisition of images into a case: from a folder, DICOM and OpenIGTLink peers, a live source, with the robot's pose.
 
-It may import `journal` and `contents`, and nothing else of `case`. Each source is imported by its own module, so that
-a folder needs no network library.
+It may import `journal` and `contents`, and nothing else of `case`. Each source has a module of its own, so that reading
+a folder imports no network library.
 """
 
 from sightline.case.acquire.acquirer import Acquirer, News, Taken, Tell, news_of

@@ -1,4 +1,4 @@
-"""Images into a case: each is looked at, kept and entered, once, and on the disk before anybody is told of it."""
+"""Acquire images into a case: each is read, kept and recorded once, and is on the disk before it is reported."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Taken:
-    """An image's entry; `new` is False where the case held it already."""
+    """An image's entry; `new` is False if the case had the image already."""
 
     entry: Entry
     new: bool
@@ -25,7 +25,7 @@ class Taken:
 
 @dataclass(frozen=True)
 class News:
-    """What a source tells of: an image `kept` or held `already` (with its entry), something `refused`, a `note`.
+    """A report of a source: an image was `kept` or was there `already` (with its entry), or was `refused`; or a `note`.
 
     `text` names no file, peer or person.
     """
@@ -39,70 +39,70 @@ Tell = Callable[[News], None]
 
 
 class Acquirer:
-    """The one way of images into a case; sources of several threads take turns, so one image is in memory at a time."""
+    """Records images in a case. Threads of several sources take turns, so that one image is in memory at a time."""
 
     def __init__(
         self, case: Case, arrival_pose: "Callable[[], PoseNow] | None" = None, *, invert: bool = False
     ) -> None:
-        """`arrival_pose` tells the robot's pose of now, for images whose source says none of its own. `invert`: the
-        files show the balls bright; their entries say so, and whoever reads them inverts them."""
+        """`arrival_pose` returns the robot's current pose, for images whose source states none. `invert`: the files
+        show the balls bright; their entries say so, and readers of the entries invert the images."""
         self._case, self._lock, self._arrival_pose, self._invert = case, Lock(), arrival_pose, invert
-        self._held: dict[str, Entry] = {}  # by the original's name
-        self._shown: dict[str, int] = {}  # by the pixels, the number of the first entry
-        self._seen = 0
+        self._by_original: dict[str, Entry] = {}
+        self._by_pixels: dict[str, int] = {}  # number of the first entry with these pixels
+        self._last_seen = 0
 
     def take(self, data: bytes, suffix: str, *, how: Mapping[str, Any] | None = None) -> Taken:
-        """An image as it came; its entry is on the disk when this returns. The same bytes twice make one entry. Other
-        bytes with the same pixels, which an archive makes by changing a header, are kept too, and their entry says
-        whose pixels these are.
+        """Keep and record an image; its entry is on the disk when this returns.
 
-        A run of several frames is kept whole; its entry is of the last frame, the one that a C-arm goes on showing.
-        `how` is what is known of the acquisition, for the entry's settings. Raises ImageError if it is not an image:
-        nothing of it is kept; CaseError on a disk write error.
+        The same bytes twice make one entry. Other bytes with the same pixels, as an archive makes by changing a header,
+        are kept too, and their entry names the earlier entry. A multi-frame run is kept whole; its entry is of the last
+        frame, which a C-arm goes on showing. `how`: what is known of the acquisition, for the entry's settings.
+
+        Raises ImageError if it is not an image (then nothing is kept), and CaseError on a disk error.
         """
         stamped = dict(how or {})
-        if self._arrival_pose is not None and "robot" not in stamped:  # before it waits for others
+        if self._arrival_pose is not None and "robot" not in stamped:  # now, not after the wait for the lock
             stamped["robot"] = {**self._arrival_pose().document(), "moment": "arrival"}
         name = originals.name_of(data, suffix)
         with self._lock:
-            if (held := self._look_back(name)) is not None:
+            if (held := self._find_entry(name)) is not None:
                 return Taken(held, new=False)
-            content, index, frames = _looked_at(data, name, suffix, invert=self._invert)
+            content, index, frames = _read_content(data, name, suffix, invert=self._invert)
             self._case.keep(data, suffix)
             while True:
                 acquisition = {**stamped, **({"frames": frames} if frames > 1 else {})}
-                if (before := self._shown.get(content["pixels_sha256"])) is not None:
+                if (before := self._by_pixels.get(content["pixels_sha256"])) is not None:
                     acquisition["same_pixels_as"] = before
                 settings = {"frame_index": index, "acquisition": acquisition}
                 if self._invert:
                     settings["inverted"] = True
                 try:
                     entry = self._case.record(
-                        Kind.ACQUIRED, content, by=Actor.RECEIVER, settings=settings, expect=self._seen
+                        Kind.ACQUIRED, content, by=Actor.RECEIVER, settings=settings, expect=self._last_seen
                     )
-                except OvertakenError:  # another program's entry, perhaps of this very image
-                    if (held := self._look_back(name)) is not None:
+                except OvertakenError:  # another program's entry, perhaps of this image
+                    if (held := self._find_entry(name)) is not None:
                         return Taken(held, new=False)
                 else:
                     self._note(entry)
                     return Taken(entry, new=True)
 
-    def _look_back(self, name: str) -> Entry | None:
-        """Read the entries that others made; return that of this original, if there is one."""
-        for entry in self._case.entries(after=self._seen):
+    def _find_entry(self, name: str) -> Entry | None:
+        """Read entries that other programs made; return the entry of this original, None if there is none."""
+        for entry in self._case.entries(after=self._last_seen):
             self._note(entry)
-        return self._held.get(name)
+        return self._by_original.get(name)
 
     def _note(self, entry: Entry) -> None:
-        self._seen = entry.number
+        self._last_seen = entry.number
         if entry.kind is not Kind.ACQUIRED:
             return
-        self._held.setdefault(entry.content["original"], entry)
-        self._shown.setdefault(entry.content.get("pixels_sha256", ""), entry.number)  # a table of beads has none
+        self._by_original.setdefault(entry.content["original"], entry)
+        self._by_pixels.setdefault(entry.content.get("pixels_sha256", ""), entry.number)  # a table of beads has none
 
 
 def news_of(taken: Taken) -> News:
-    """What to tell of it."""
+    """Return the report of an acquired image."""
     entry, number = taken.entry, taken.entry.number
     short = entry.content["original"][:12]
     if not taken.new:
@@ -110,12 +110,15 @@ def news_of(taken: Taken) -> News:
     acquisition = entry.settings["acquisition"]
     frames, before = acquisition.get("frames"), acquisition.get("same_pixels_as")
     run = f", a run of {frames} frames of which the entry is frame {entry.settings['frame_index']}" if frames else ""
-    same = f"; its pixels are those of entry {before}, so it is no new exposure" if before is not None else ""
+    same = f"; its pixels are those of entry {before}, so it is not a new exposure" if before is not None else ""
     return News("kept", f"entry {number}: kept, {short}{run}{same}", entry)
 
 
-def _looked_at(data: bytes, name: str, suffix: str, *, invert: bool) -> tuple[dict[str, Any], int | None, int]:
-    """The entry's content, its frame, and how many there are. Raises ImageError, which calls it "the image"."""
+def _read_content(data: bytes, name: str, suffix: str, *, invert: bool) -> tuple[dict[str, Any], int | None, int]:
+    """Return the entry's content, the index of its frame and the number of frames.
+
+    Raises ImageError, whose message calls the file "the image".
+    """
     try:
         with scratch_folder() as folder:
             file = folder / f"image{suffix}"
@@ -127,5 +130,5 @@ def _looked_at(data: bytes, name: str, suffix: str, *, invert: bool) -> tuple[di
         raise ImageError(str(error).replace(f"image{suffix}", "the image")) from None
     except OSError as error:
         raise CaseError(
-            f"there is no room to look at an image ({error.strerror}); free some space for temporary files"
+            f"the image cannot be written to a temporary file ({error.strerror}); free some space for temporary files"
         ) from error

@@ -1,4 +1,4 @@
-"""A DICOM receiver: C-STORE of images from known peers into a case, and C-ECHO (pynetdicom behind our own guard)."""
+"""A DICOM receiver: C-STORE of images from known peers into a case, and C-ECHO (pynetdicom behind our own limits)."""
 
 import logging
 import socket
@@ -36,15 +36,15 @@ from pynetdicom import AE, evt
 from pynetdicom.transport import ThreadedAssociationServer
 
 from sightline.case.acquire.acquirer import Acquirer, News, Tell, news_of
-from sightline.case.acquire.guard import PDU_BYTES, GuardedSocket, Limits
+from sightline.case.acquire.guard import PDU_BYTES, GuardedSocket, PeerLimits
 from sightline.errors import CaseError, ImageError, LinkError, UnusableInputError
 
 AET = "SIGHTLINE"
-PORT = 11112  # registered for DICOM; 104 needs a privileged program
+PORT = 11112  # registered for DICOM; port 104 needs a privileged program
 LOOPBACK = "127.0.0.1"
 ASSOCIATIONS = 4  # [ours] a C-arm, an archive, a workstation, one that hangs
-CONNECTIONS = 32  # [ours] with those that have not asked for an association yet; they hold no image
-IDLE_S = 60.0  # [ours] a peer that says nothing for so long is let go; between two images there may be a minute
+CONNECTIONS = 32  # [ours] including those without an association yet, which hold no image
+IDLE_S = 60.0  # [ours] a silent peer is disconnected after this time; a minute may pass between two images
 ASSOCIATE_S = 5.0  # [ours] from the connection to the request for an association
 
 _ECHO = "1.2.840.10008.1.1"  # verification (PS3.4, A.4)
@@ -60,8 +60,8 @@ _IMAGES = (
     MultiFrameGrayscaleByteSecondaryCaptureImageStorage,
     MultiFrameGrayscaleWordSecondaryCaptureImageStorage,
 )
-# What `read_image` reads. Not the deflated syntax, which could unpack to any size; nor JPEG Extended, whose 12 bits are
-# not decoded here: a sender that is not offered it sends another one, and no image is lost.
+# Transfer syntaxes that `read_image` reads. Left out: the deflated syntax, which could unpack to any size, and JPEG
+# Extended, whose 12 bits are not decoded here. A sender then uses one of the syntaxes offered, so no image is lost.
 _SYNTAXES: list[UID] = [
     ExplicitVRLittleEndian,
     ImplicitVRLittleEndian,
@@ -71,40 +71,40 @@ _SYNTAXES: list[UID] = [
     *JPEG2000TransferSyntaxes,
     RLELossless,
 ]
-_SUCCESS, _NO_ROOM, _NO_IMAGE, _FAILED = 0x0000, 0xA700, 0xC000, 0x0110  # PS3.4, B.2.3; PS3.7, C
-# Result, source, reason (PS3.8, 9.3.4): for good, the calling AE title is not recognised; for now, too many are open.
+_SUCCESS, _OUT_OF_RESOURCES, _CANNOT_UNDERSTAND, _PROCESSING_FAILURE = 0x0000, 0xA700, 0xC000, 0x0110  # PS3.4, B.2.3
+# Result, source, reason (PS3.8, 9.3.4): permanent, calling AE title not recognised; transient, local limit exceeded.
 _UNKNOWN, _BUSY = (0x01, 0x01, 0x03), (0x02, 0x03, 0x02)
 
 
 @dataclass(frozen=True)
 class Peer:
-    """Who may send: an AE title and the addresses of its host."""
+    """A peer that may send: its AE title and the addresses of its host."""
 
     aet: str
     addresses: frozenset[str]
 
     @staticmethod
     def parse(text: str) -> "Peer":
-        """From AET@HOST. Raises UnusableInputError where that is none, or no such host is known."""
+        """Return the peer AET@HOST. Raises UnusableInputError for other text or an unknown host."""
         aet, _, host = text.partition("@")
         if not _is_title(aet) or not host:
             raise UnusableInputError("a peer is AET@HOST: its AE title of 1 to 16 characters, and its name or address")
         try:
             found = socket.getaddrinfo(host, None, type=socket.SOCK_STREAM)
         except OSError:
-            raise UnusableInputError("the host of a peer is not known here; give its address") from None
+            raise UnusableInputError("the host of a peer cannot be resolved; give its address") from None
         return Peer(aet.strip(), frozenset(str(address[4][0]) for address in found))
 
 
 class DicomReceiver:
-    """Has its port while it is entered, and answers there while it is told where images go:
-    `with DicomReceiver(...) as receiver, receiver.receiving(...)`. `port`: where; 0 asks for a free one.
+    """Opens its port when entered, and accepts images within `receiving`:
+    `with DicomReceiver(...) as receiver, receiver.receiving(...)`. With `port` 0 the system chooses a free one.
 
-    Before a C-STORE is answered with success the image is in the case and on the disk. A7xx says that the disk took
-    nothing, C000 that it is no image that can be read: nothing of it is kept, and the sender knows. A peer that is not
-    known, breaks a limit or goes silent is let go and told of; the receiver stays. What pydicom and pynetdicom log and
-    warn of quotes headers, so it is switched off for the whole process.
-    Raises UnusableInputError without a peer or with a bad title, LinkError where the port cannot be had.
+    A C-STORE is answered with success only once the image is in the case and on the disk. Status A7xx means that the
+    image could not be written, C000 that it cannot be read; then nothing of it is kept. A peer that is unknown, exceeds
+    a limit or falls silent is disconnected and reported; the receiver goes on. Logs and warnings of pydicom and
+    pynetdicom quote headers, so they are switched off for the whole process.
+    Raises UnusableInputError without a peer or with an invalid AE title, LinkError if the port cannot be opened.
     """
 
     def __init__(
@@ -114,7 +114,7 @@ class DicomReceiver:
         aet: str = AET,
         host: str = LOOPBACK,
         port: int = PORT,
-        limits: Limits | None = None,
+        limits: PeerLimits | None = None,
         idle_s: float = IDLE_S,
     ) -> None:
         self._peers = tuple(peers)
@@ -122,7 +122,7 @@ class DicomReceiver:
             raise UnusableInputError("name at least one peer that may send, as AET@HOST")
         if not _is_title(aet):
             raise UnusableInputError("an AE title has 1 to 16 characters of ASCII, and no backslash")
-        self._host, self._wanted_port, self._limits = host, port, limits or Limits()
+        self._host, self._wanted_port, self._limits = host, port, limits or PeerLimits()
         self._ae = _application(aet, idle_s)
         self._server: _Server | None = None
 
@@ -152,15 +152,15 @@ class DicomReceiver:
 
     @contextmanager
     def receiving(self, acquirer: Acquirer, tell: Tell) -> Generator[None]:
-        """Answer whoever has called since the port was had: images go to `acquirer`, news to `tell`."""
-        assert self._server is not None  # noqa: S101 - it is entered
+        """Answer peers, including those that connected earlier: images go to `acquirer`, news to `tell`."""
+        assert self._server is not None  # noqa: S101 - the receiver was entered
         self._acquirer, self._tell, self._server.tell = acquirer, tell, tell
         Thread(target=self._server.serve_forever, args=(0.1,), name="DICOM receiver", daemon=True).start()
         try:
             yield
         finally:
             TCPServer.shutdown(self._server)
-            self._ae.shutdown()  # what is still associated
+            self._ae.shutdown()  # end open associations
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
@@ -170,20 +170,20 @@ class DicomReceiver:
 
     @property
     def port(self) -> int:
-        """Where it listens."""
+        """The port it listens at."""
         return self._wanted_port if self._server is None else int(self._server.server_address[1])
 
     def _admit(self, event: evt.Event) -> None:
-        """Turn away whoever is not the peer that its address belongs to."""
+        """Reject a peer whose AE title and address do not belong together, and one too many."""
         requestor = event.assoc.requestor
         title = (requestor.primitive.calling_ae_title if requestor.primitive else "").strip()
         address = requestor.address
         if not any(peer.aet == title and address in peer.addresses for peer in self._peers):
-            self._turn_away(event, _UNKNOWN, "its AE title is not that of a known peer")
+            self._reject(event, _UNKNOWN, "its AE title is not that of a known peer")
         elif sum(one.is_established for one in self._ae.active_associations) >= ASSOCIATIONS:
-            self._turn_away(event, _BUSY, f"{ASSOCIATIONS} are open already")
+            self._reject(event, _BUSY, f"{ASSOCIATIONS} are open already")
 
-    def _turn_away(self, event: evt.Event, answer: tuple[int, int, int], why: str) -> None:
+    def _reject(self, event: evt.Event, answer: tuple[int, int, int], why: str) -> None:
         event.assoc.acse.send_reject(*answer)
         event.assoc.kill()
         self._tell(News("refused", f"an association from {event.assoc.requestor.address}: {why}"))
@@ -196,11 +196,11 @@ class DicomReceiver:
         try:
             taken = self._acquirer.take(event.encoded_dataset(), ".dcm", how={"source": "dicom"})
         except ImageError as error:
-            return self._refused(_NO_IMAGE, str(error))
+            return self._refused(_CANNOT_UNDERSTAND, str(error))
         except (CaseError, MemoryError, OSError) as error:
-            return self._refused(_NO_ROOM, str(error) or "out of memory")
-        except Exception as error:  # whatever a header makes pydicom raise, the receiver goes on
-            return self._refused(_FAILED, f"it cannot be taken in ({type(error).__name__})")
+            return self._refused(_OUT_OF_RESOURCES, str(error) or "out of memory")
+        except Exception as error:  # a bad header may make pydicom raise anything; the receiver must go on
+            return self._refused(_PROCESSING_FAILURE, f"it cannot be processed ({type(error).__name__})")
         self._tell(news_of(taken))
         return _SUCCESS
 
@@ -210,14 +210,14 @@ class DicomReceiver:
 
 
 class _Server(ThreadedAssociationServer):
-    """Guards every connection, and accepts only so many, from known addresses."""
+    """Accepts a limited number of connections, from known addresses only, and guards each of them."""
 
-    limits = Limits()
+    limits = PeerLimits()
     addresses: frozenset[str] = frozenset()
     tell: Tell
 
     def get_request(self) -> tuple[socket.socket, Any]:
-        """A guarded connection."""
+        """Accept a connection and return it guarded, with its address."""
         connected, address = super().get_request()
 
         def ended(why: str) -> None:
@@ -226,9 +226,11 @@ class _Server(ThreadedAssociationServer):
         return GuardedSocket(connected, self.limits, ended), address
 
     def verify_request(self, request: Any, client_address: Any) -> bool:
-        """Whether it is served; a stranger's bytes are not even read."""
+        """Whether the connection is served; bytes from an unknown address are never read."""
         if client_address[0] not in self.addresses:
-            self.tell(News("refused", f"a connection from {client_address[0]}, which is no known peer's address"))
+            self.tell(
+                News("refused", f"a connection from {client_address[0]}, which is not the address of a known peer")
+            )
             return False
         if len(self.active_associations) >= CONNECTIONS:
             self.tell(News("refused", f"a connection from {client_address[0]}: too many are open"))
@@ -236,7 +238,7 @@ class _Server(ThreadedAssociationServer):
         return True
 
     def handle_error(self, request: Any, client_address: Any) -> None:
-        """Nothing is printed; the next connection is served."""
+        """Report the failure instead of printing it; the next connection is served."""
         self.tell(News("refused", f"a connection from {client_address[0]} that failed"))
 
 
@@ -253,5 +255,5 @@ def _application(aet: str, idle_s: float) -> AE:
 
 
 def _is_title(text: str) -> bool:
-    """PS3.5, 6.2: VR AE."""
+    """Whether the text is a valid AE title (PS3.5, 6.2: VR AE)."""
     return bool(text.strip()) and len(text) <= 16 and text.isascii() and text.isprintable() and "\\" not in text

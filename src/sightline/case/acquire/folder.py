@@ -1,4 +1,5 @@
-"""Images that appear as files in a folder: taken once they are whole. No file is named: names hold patients' names."""
+"""Images that appear as files in a folder, acquired once they are complete. No message names a file, because file names
+may hold patients' names."""
 
 import time
 from collections.abc import Iterator
@@ -11,15 +12,17 @@ from sightline.errors import CaseError, ImageError, UnusableInputError
 from sightline.imaging import suffix_of
 from sightline.imaging.limits import MAX_FILE_BYTES
 
-SETTLED_S = 1.0  # [ours] without a change of size or time before a file is looked at: network folders write in bursts
-GIVE_UP_S = 30.0  # [ours] without a change before a file that is no whole image is told of
-SCAN_S = 0.5  # between two looks
-_START = 132  # bytes that tell what a file is
+SETTLED_S = 1.0  # [ours] a file is read once unchanged for this time: network folders write in bursts
+GIVE_UP_S = 30.0  # [ours] an incomplete file is refused once unchanged for this time
+SCAN_S = 0.5  # between two scans
 
 
 @dataclass
-class _Seen:
-    """A file: its size and time of change, since when these are so (monotonic s), whether all was done with it."""
+class _File:
+    """A file: its size and modification time, since when they are unchanged (monotonic s), and whether it is done.
+
+    `told`: it was reported as waiting.
+    """
 
     number: int
     stamp: tuple[int, int]
@@ -29,82 +32,83 @@ class _Seen:
 
 
 def check_folder(folder: Path) -> None:
-    """Raises UnusableInputError where there is no such folder; to be asked before a case is created for it."""
+    """Raise UnusableInputError if there is no such folder. Call it before a case is created for the folder."""
     if not folder.is_dir():
         raise UnusableInputError("there is no such folder; name the folder that images are written to")
 
 
 class Folder:
-    """A folder of images. Files are numbered as they are found, those found together in the order of their names.
+    """A folder of images. Files are numbered as they are found; files of one scan in the order of their names.
 
-    Raises UnusableInputError where there is no such folder.
+    Raises UnusableInputError if there is no such folder.
     """
 
     def __init__(self, folder: Path, acquirer: Acquirer, tell: Tell) -> None:
         check_folder(folder)
         self._folder, self._acquirer, self._tell = folder, acquirer, tell
-        self._files: dict[Path, _Seen] = {}
+        self._files: dict[Path, _File] = {}
 
     def take_all(self) -> None:
-        """Every image that is there now, sub-folders too; what is no image is told of. Raises CaseError."""
-        for path, seen in self._look(time.monotonic()):
-            self._take(path, seen, final=True)
+        """Acquire every image that is there now, sub-folders included; other files are reported. Raises CaseError."""
+        for path, file in self._pending(time.monotonic()):
+            self._take(path, file, final=True)
 
     def scan(self, now_s: float) -> None:
-        """Take what has settled by `now_s` (monotonic). What a full disk refuses stays for the next scan."""
-        for path, seen in self._look(now_s):
-            quiet_s = now_s - seen.since_s
+        """Acquire the files that have settled by `now_s` (monotonic). After a disk error a file waits for the next
+        scan."""
+        for path, file in self._pending(now_s):
+            quiet_s = now_s - file.since_s
             if quiet_s < SETTLED_S:
                 continue
             try:
-                self._take(path, seen, final=quiet_s >= GIVE_UP_S)
+                self._take(path, file, final=quiet_s >= GIVE_UP_S)
             except CaseError as error:
-                if not seen.told:
-                    seen.told = True
-                    self._tell(News("refused", f"file {seen.number}: waits, since {error}"))
+                if not file.told:
+                    file.told = True
+                    self._tell(News("refused", f"file {file.number}: waits, since {error}"))
 
     @property
     def waiting(self) -> int:
-        """Files that are there and were neither taken nor told of."""
-        return sum(not seen.done for seen in self._files.values())
+        """The number of files that were neither acquired nor refused."""
+        return sum(not file.done for file in self._files.values())
 
-    def _look(self, now_s: float) -> Iterator[tuple[Path, _Seen]]:
-        """Files that are not done with, as they are now."""
+    def _pending(self, now_s: float) -> Iterator[tuple[Path, _File]]:
+        """Scan the folder; yield the files that are not done."""
         there = set()
         for path, stamp in _files(self._folder):
             there.add(path)
-            seen = self._files.get(path)
-            if seen is None:
-                seen = self._files[path] = _Seen(len(self._files) + 1, stamp, now_s)
-            elif seen.stamp != stamp:
-                self._files[path] = seen = _Seen(seen.number, stamp, now_s)
-            if not seen.done:
-                yield path, seen
-        for path, seen in self._files.items():
-            seen.done |= path not in there
+            file = self._files.get(path)
+            if file is None:
+                file = self._files[path] = _File(len(self._files) + 1, stamp, now_s)
+            elif file.stamp != stamp:
+                self._files[path] = file = _File(file.number, stamp, now_s)
+            if not file.done:
+                yield path, file
+        for path, file in self._files.items():
+            file.done |= path not in there
 
-    def _take(self, path: Path, seen: _Seen, *, final: bool) -> None:
-        """`final`: say what is wrong with it; otherwise it may still be being written."""
+    def _take(self, path: Path, file: _File, *, final: bool) -> None:
+        """Acquire a file. If `final`, report what is wrong with it; otherwise it may still be incomplete."""
         try:
             data = _read(path)
-            if _stamp(path) != seen.stamp:
-                return  # it changed meanwhile: the next look sees that
-            suffix = suffix_of(data[:_START])
+            if _stamp(path) != file.stamp:
+                return  # it changed meanwhile; the next scan sees that
+            suffix = suffix_of(data)
             if suffix is None:
-                raise ImageError("it is no DICOM, PNG, TIFF, BMP or NumPy file")
+                raise ImageError("it is not a DICOM, PNG, TIFF, BMP or NumPy file")
             news = news_of(self._acquirer.take(data, suffix, how={"source": "folder"}))
         except (ImageError, OSError) as error:
             if final:
-                seen.done = True
+                file.done = True
                 why = error.strerror if isinstance(error, OSError) else error
-                self._tell(News("refused", f"file {seen.number} ({seen.stamp[0]} bytes): {why}"))
+                self._tell(News("refused", f"file {file.number} ({file.stamp[0]} bytes): {why}"))
             return
-        seen.done = True
+        file.done = True
         self._tell(news)
 
 
 def _files(folder: Path) -> Iterator[tuple[Path, tuple[int, int]]]:
-    """Plain files under a folder with their stamps, by name; no links, and none that begin with a dot."""
+    """Yield the plain files under a folder with their stamps, sorted by name; no links and no hidden files."""
     for path in sorted(folder.rglob("*")):
         hidden = any(part.startswith(".") for part in path.relative_to(folder).parts)
         if hidden or path.is_symlink():
@@ -112,21 +116,22 @@ def _files(folder: Path) -> Iterator[tuple[Path, tuple[int, int]]]:
         try:
             if path.is_file():
                 yield path, _stamp(path)
-        except OSError:  # gone meanwhile
+        except OSError:  # removed meanwhile
             continue
 
 
 def _stamp(path: Path) -> tuple[int, int]:
+    """Return the size in bytes and the modification time in ns."""
     stat = path.stat()
     return stat.st_size, stat.st_mtime_ns
 
 
 def _read(path: Path) -> bytes:
-    """Raises ImageError on what is too large or empty, OSError."""
+    """Return a file's bytes. Raises ImageError if it is too large or empty, OSError."""
     size = path.stat().st_size
     if size > MAX_FILE_BYTES:
         raise ImageError(f"the limit is {MAX_FILE_BYTES} bytes: export single images")
     if size == 0:
         raise ImageError("it is empty; export the image again")
     with regular_file(path) as file:
-        return file.read(size)  # room is made for all that is asked for
+        return file.read(size)  # not the limit: `read` allocates the whole size asked for

@@ -1,4 +1,4 @@
-"""Frames of a source into a case: one, or the mean of several, as a file that says what was done with them."""
+"""Acquire one frame of a source, or the mean of several, as a file, with a record of how it was made."""
 
 import io
 from collections.abc import Mapping, Sequence
@@ -26,16 +26,16 @@ def take_frames(
     pose: PoseNow | None = None,
     how: Mapping[str, Any] | None = None,
 ) -> Taken:
-    """The mean of frames, one or more, as PNG (NumPy where they are floats), with what is known of them.
+    """Acquire the mean of one or more frames as PNG (as NumPy file if they are floats), with what is known of them.
 
-    `field`: of interlaced video one of FIELDS alone. With `interlaced` an image between whose fields something moved is
-    refused. Raises MovedRefusedError, ImageError, CaseError.
+    `field`: use only this one of FIELDS, for interlaced video. `interlaced`: refuse frames whose two fields show
+    movement. Raises MovedRefusedError, ImageError, CaseError.
     """
     combs = [comb(frame.image) for frame in frames] if interlaced else []
     if combs and field is None and max(combs) > MOVED:
         raise MovedRefusedError(
-            f"something moved between the two fields of the video (comb {max(combs):.2f}, at most {MOVED:g}); hold "
-            "still and take the image again, or take one field of it (--field first)"
+            f"something moved between the two fields of the video (comb {max(combs):.2f}, limit {MOVED:g}); hold "
+            "still and take the image again, or use one field of it (--field first)"
         )
     images = [frame.image if field is None else field_of(frame.image, FIELDS.index(field)) for frame in frames]
     image = images[0] if len(images) == 1 else average(images)
@@ -56,7 +56,7 @@ def take_frames(
 
 
 def _file_of(image: Radiograph) -> tuple[bytes, str]:
-    """The image's bytes as a file, and by what its name ends."""
+    """Return the image as the bytes of a file, and the file's suffix."""
     if image.pixels.dtype == np.float32:
         buffer = io.BytesIO()
         np.save(buffer, image.pixels)

@@ -1,7 +1,8 @@
-"""What stands between a DICOM peer and the library that serves it: limits on what may come, and on how long it takes.
+"""Limits on the size and duration of a DICOM peer's messages.
 
-The library reads whatever length a peer announces, keeps every message that waits to be answered, and waits for the
-rest of a message for ever. The guard reads the same bytes and ends the connection first (PS3.8, 9.3; PS3.7, 6.3.1).
+pynetdicom reads any length that a peer announces, keeps every message until it is answered, and waits for the rest of a
+message without a time limit. GuardedSocket parses the same bytes and closes the connection first (PS3.8, 9.3; PS3.7,
+6.3.1).
 """
 
 import socket
@@ -11,22 +12,22 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 
-PDU_BYTES = 1 << 20  # [ours] what we announce is a quarter of it
+PDU_BYTES = 1 << 20  # [ours] four times what we announce to peers
 MESSAGE_BYTES = 128 << 20  # [ours] 64 frames of 1024² at 16 bit; longer runs are exported as files
-WAITING = 8  # requests that may wait for their answers; without a negotiated window it is one (PS3.7, D.3.3.3)
-PDU_S = 30.0  # [ours] for a PDU to be whole once it has begun, and for the peer to take an answer
+WAITING = 8  # requests that may wait for an answer; without a negotiated window it is one (PS3.7, D.3.3.3)
+PDU_S = 30.0  # [ours] time limit for receiving a whole PDU, and for the peer to accept an answer
 
 _P_DATA = 4
 _COMMAND, _LAST = 1, 2  # bits of a fragment's control header (PS3.8, E.2)
 
 
 class PeerError(OSError):
-    """A peer that breaks a limit; the connection is closed."""
+    """A peer exceeded a limit; the connection is closed."""
 
 
 @dataclass(frozen=True)
-class Limits:
-    """Bytes of one PDU, and of one request with its image; requests without answers; seconds for a PDU."""
+class PeerLimits:
+    """Limits: bytes of one PDU, bytes of one request with its image, unanswered requests, seconds for one PDU."""
 
     pdu_bytes: int = PDU_BYTES
     message_bytes: int = MESSAGE_BYTES
@@ -35,12 +36,12 @@ class Limits:
 
 
 class GuardedSocket(socket.socket):
-    """A connected socket that says so, is shut and raises PeerError where its peer breaks a limit."""
+    """A connected socket that reports to `say`, shuts down and raises PeerError when its peer exceeds a limit."""
 
-    def __init__(self, connected: socket.socket, limits: Limits, say: Callable[[str], None]) -> None:
+    def __init__(self, connected: socket.socket, limits: PeerLimits, say: Callable[[str], None]) -> None:
         super().__init__(connected.family, connected.type, connected.proto, fileno=connected.detach())
         self._limits, self._say = limits, say
-        self._head = bytearray()  # of a PDU or of a fragment in it, until it is whole
+        self._head = bytearray()  # incomplete header of a PDU or of a fragment in it
         self._pdu_left = 0
         self._fragment_left = 0
         self._is_data = False
@@ -50,13 +51,13 @@ class GuardedSocket(socket.socket):
         self._began_s: float | None = None
 
     def recv(self, bufsize: int, flags: int = 0) -> bytes:  # pyright: ignore[reportIncompatibleMethodOverride]
-        """As a socket does. Raises PeerError, TimeoutError."""
+        """Receive as a socket does. Raises PeerError, TimeoutError."""
         now = time.monotonic()
         if self._began_s is None:
             self._began_s = now
         left_s = self._began_s + self._limits.pdu_s - now
         if left_s <= 0:
-            raise self._ended("a message was not whole in time")
+            raise self._ended("a message was not complete in time")
         self.settimeout(left_s)
         data = super().recv(bufsize, flags)
         self._watch(data)
@@ -65,14 +66,15 @@ class GuardedSocket(socket.socket):
         return data
 
     def send(self, data: bytes, flags: int = 0) -> int:  # pyright: ignore[reportIncompatibleMethodOverride]
-        """As a socket does. Raises TimeoutError where the peer takes nothing."""
+        """Send as a socket does. Raises TimeoutError if the peer accepts nothing."""
         self.settimeout(self._limits.pdu_s)
         if data[:1] == bytes([_P_DATA]):
             self._waiting = max(0, self._waiting - 1)
         return super().send(data, flags)
 
     def shutdown(self, how: int) -> None:  # pyright: ignore[reportIncompatibleMethodOverride]
-        """As a socket does, and nothing where the peer has gone: the library would forget to close it."""
+        """Shut down as a socket does, but without an error if the peer is gone, after which pynetdicom would not close
+        the socket."""
         with suppress(OSError):
             super().shutdown(how)
 

@@ -1,4 +1,4 @@
-"""Images over OpenIGTLink, from 3D Slicer, PLUS and others: called, or waited for."""
+"""Images over OpenIGTLink from 3D Slicer, PLUS and others, as client or as server."""
 
 import socket
 import time
@@ -15,19 +15,19 @@ from sightline.robot.igtl import Image, Message, Rejected, Stream
 from sightline.robot.transport import LOOPBACK
 from sightline.robot.transport.sockets import prepare
 
-PORT = 18944  # that of OpenIGTLink
-SILENCE_S = 10.0  # [ours] without an image, or a peer to connect to, before it is given up
-MESSAGE_S = 5.0  # for a message to be whole, as in the robot's link
-_PIECE = 1 << 16
-_CONNECT_S, _AGAIN_S = 2.0, 0.5
+PORT = 18944  # OpenIGTLink's default
+SILENCE_S = 10.0  # [ours] time without an image, or without a peer, after which the source fails
+MESSAGE_S = 5.0  # time limit for a whole message, as on the robot's link
+_CHUNK = 1 << 16  # bytes
+_CONNECT_S, _RETRY_S = 2.0, 0.5
 
 
 class ImageLink:
-    """Frames of an OpenIGTLink peer: `host`:`port` is called, or with `listen` waited at; one peer at a time.
+    """Frames of an OpenIGTLink peer: connects to `host`:`port`, or with `listen` waits there; one peer at a time.
 
-    A peer that is lost is called or waited for again, for `silence_s`. What is no image of one slice is told of and
-    passed over.
-    Raises SourceError where nothing comes for `silence_s`, LinkError where the port cannot be had.
+    After a lost connection it connects or waits again, for `silence_s`. An image that is not a single slice is reported
+    and skipped.
+    Raises SourceError if nothing comes for `silence_s`, LinkError if the port cannot be opened.
     """
 
     def __init__(
@@ -47,11 +47,11 @@ class ImageLink:
 
     @property
     def port(self) -> int:
-        """Where it listens, or calls."""
+        """The port it listens at or connects to."""
         return self._address[1] if self._server is None else int(self._server.getsockname()[1])
 
     def stated(self) -> dict[str, Any]:
-        """What the last image said of its own place in space: for the record, never used."""
+        """Return the position that the last image stated for itself: for the record, never used."""
         return self._stated
 
     def __iter__(self) -> Iterator[SourceFrame]:
@@ -61,7 +61,7 @@ class ImageLink:
                 try:
                     image = radiograph_of(message.body)
                 except ImageError as error:
-                    self._tell(f"an image was passed over: {error}")
+                    self._tell(f"an image was skipped: {error}")
                     continue
                 number += 1
                 matrix = message.body.matrix
@@ -73,57 +73,57 @@ class ImageLink:
                 yield SourceFrame(image, number, time.time(), "openigtlink", message.message.time_s)
 
     def close(self) -> None:
-        """End the link."""
+        """Close the link."""
         self._closed = True
         for one in (self._peer, self._server):
             if one is not None:
                 one.close()
 
     def _connected(self) -> socket.socket:
-        """A peer. Raises SourceError after `silence_s` without one."""
+        """Return a connected peer. Raises SourceError after `silence_s` without one."""
         end = time.monotonic() + self._silence_s
         while not self._closed:
             try:
                 if self._server is not None:
-                    self._server.settimeout(_AGAIN_S)
+                    self._server.settimeout(_RETRY_S)
                     self._peer = self._server.accept()[0]
                 else:
                     self._peer = socket.create_connection(self._address, timeout=_CONNECT_S)
             except OSError:
                 if time.monotonic() >= end:
-                    why = f"no OpenIGTLink peer came within {self._silence_s:g} s; start it, and look at its port"
+                    why = f"no OpenIGTLink peer connected within {self._silence_s:g} s; start it, and check its port"
                     raise SourceError(why) from None
-                time.sleep(0.0 if self._server is not None else min(_AGAIN_S, self._silence_s))
+                time.sleep(0.0 if self._server is not None else min(_RETRY_S, self._silence_s))
             else:
                 prepare(self._peer)
                 return self._peer
         raise SourceError("the link was closed")
 
     def _messages(self, peer: socket.socket) -> "Iterator[_Received]":
-        """Images of one peer until it goes; others of its messages are none of our business."""
+        """Yield the images of one peer until it disconnects; its other messages are ignored."""
         stream, heard_s, began_s = Stream(), time.monotonic(), None
-        peer.settimeout(_AGAIN_S)
+        peer.settimeout(_RETRY_S)
         with peer:
             while not self._closed:
                 now = time.monotonic()
                 if now - heard_s > self._silence_s:
-                    why = f"the OpenIGTLink peer sent no image for {self._silence_s:g} s; look at what it streams"
+                    why = f"the OpenIGTLink peer sent no image for {self._silence_s:g} s; check what it streams"
                     raise SourceError(why)
                 if began_s is not None and now - began_s > MESSAGE_S:
-                    return self._tell("the OpenIGTLink peer sent half a message; its connection is closed")
+                    return self._tell("the OpenIGTLink peer sent an incomplete message; its connection is closed")
                 try:
-                    data = peer.recv(_PIECE)
+                    data = peer.recv(_CHUNK)
                 except TimeoutError:
                     continue
                 except OSError:
                     data = b""
                 if not data:
-                    return self._tell("the OpenIGTLink peer is gone")
+                    return self._tell("the OpenIGTLink peer disconnected")
                 events = stream.feed(data)
                 began_s = None if not stream.partial else now if events or began_s is None else began_s
                 for event in events:
                     if isinstance(event, Rejected):
-                        self._tell(f"a message was passed over: {event.fault.value}")
+                        self._tell(f"a message was skipped: {event.fault.value}")
                         if event.fatal:
                             return None
                     elif isinstance(event.body, Image):
@@ -133,20 +133,20 @@ class ImageLink:
 
 
 class _Received:
-    """A message and its body, which is an image."""
+    """A message and its body, an image."""
 
     def __init__(self, message: Message, body: Image) -> None:
         self.message, self.body = message, body
 
 
 def radiograph_of(image: Image) -> Radiograph:
-    """One slice as a radiograph: 8 and 16 bits as they are, the negative ones shifted up, others as floats.
+    """Return one slice as a radiograph: 8 and 16 bits unchanged, signed ones shifted to be positive, others as floats.
 
-    Raises ImageError on a part of an image, a volume, a true colour image and numbers that a float does not hold.
+    Raises ImageError for a part of an image, a volume, a colour image, and values that a 32-bit float cannot hold.
     """
     slices, height, width = image.pixels.shape[:3]
     if image.size != (width, height, slices) or any(image.offset):
-        raise ImageError("it is a part of an image; let the peer send whole ones")
+        raise ImageError("it is a part of an image; let the peer send whole images")
     if slices != 1:
         raise ImageError(f"it is a volume of {slices} slices; let the peer send single images")
     check_size(height, width, "the image")
@@ -158,7 +158,7 @@ def radiograph_of(image: Image) -> Radiograph:
         return Radiograph(pixels, float(np.iinfo(pixels.dtype).max))
     floats = pixels.astype(np.float32)
     if not np.isfinite(floats).all() or (pixels.dtype.kind in "iu" and (floats.astype(np.float64) != pixels).any()):
-        raise ImageError("its numbers do not fit into floats of 32 bits; let the peer send 16 bits")
+        raise ImageError("its values do not fit into 32-bit floats; let the peer send 16 bits")
     return Radiograph(floats, float(np.nextafter(floats.max(), np.float32(np.inf))))
 
 

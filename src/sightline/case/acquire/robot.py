@@ -1,4 +1,4 @@
-"""The robot's pose at the moment of an image: its stream of joints is followed, the newest is taken with its age."""
+"""The robot's pose at the time of an image: the newest joint values of its stream, with their age."""
 
 import time
 from dataclasses import dataclass
@@ -13,19 +13,19 @@ from sightline.robot.igtl import NDArray
 from sightline.robot.kinematics.registration import FRESH_S
 from sightline.robot.link.client import RobotClient
 
-_WAIT_S, _AGAIN_S = 1.0, 0.5
+_WAIT_S, _RETRY_S = 1.0, 0.5
 
 
 @dataclass(frozen=True)
 class PoseNow:
-    """Joints (mm, rad), and how long ago they came; None where none came yet. `check` says whether they may be used."""
+    """Joint values (mm, rad) and their age; both None before the first message. `check` says if they may be used."""
 
     joints: tuple[float, ...] | None
     age_s: float | None
 
     @property
     def check(self) -> Check:
-        """Whether they are of the image's moment."""
+        """Whether the joint values are recent enough to belong to the image."""
         if self.age_s is None:
             return Check("pose age", False, None, FRESH_S, "s", "pose stale: the robot has not sent its joints yet.")
         fresh = self.age_s <= FRESH_S
@@ -33,15 +33,15 @@ class PoseNow:
         return Check("pose age", fresh, self.age_s, FRESH_S, "s", said.capitalize() if fresh else f"pose stale: {said}")
 
     def document(self) -> dict[str, Any]:
-        """For an entry: a stale pose is not in it."""
+        """Return the pose for an entry, without the joints if they are stale."""
         fresh = self.check.passed
         return {"joints": self.joints if fresh else None, "age_s": self.age_s, "fresh": fresh}
 
 
 class RobotWatch:
-    """Follows the joints of the robot at `host`:`port` while it is entered; a lost link is made anew.
+    """Follows the joints of the robot at `host`:`port` while it is entered; it reconnects after a lost link.
 
-    Raises LinkError where the robot cannot be reached at first.
+    Raises LinkError on entry if the robot cannot be reached.
     """
 
     def __init__(self, host: str, port: int) -> None:
@@ -61,7 +61,7 @@ class RobotWatch:
         self._leaving.set()
 
     def now(self) -> PoseNow:
-        """The newest pose, and its age."""
+        """Return the newest pose and its age."""
         with self._lock:
             if self._joints is None:
                 return PoseNow(None, None)
@@ -76,7 +76,7 @@ class RobotWatch:
                 if client is not None:
                     client.close()
                 client = None
-                self._leaving.wait(_AGAIN_S)
+                self._leaving.wait(_RETRY_S)
         if client is not None:
             client.close()
 

@@ -1,4 +1,4 @@
-"""What a plan takes along in plan.json, so that it can be exported by itself: geometry, beads, lines of sight."""
+"""The parts of plan.json that let it be exported without the case: geometry of the images, beads, lines of sight."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -14,11 +14,11 @@ from sightline.frame import Frame
 from sightline.planning import Plan
 
 POINTS = ("entry", "end")
-_WIRE_POINTS = 21  # [ours] the drawn wire bends with the distortion: 5 mm apart
+_WIRE_POINTS = 21  # [ours] about 5 mm apart, since distortion bends the drawn wire
 
 
 def bundle(plan: Plan, images: Sequence[CalibratedImage], frame: Frame) -> tuple[dict[str, Any], dict[str, bytes]]:
-    """Keys added to plan.json, and the undistorted images as files beside it."""
+    """Return the keys to add to plan.json, and the undistorted images as files to write beside it."""
     plates, files = {}, {}
     for image in images:
         seen = image.seen.image

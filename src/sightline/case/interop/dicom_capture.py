@@ -5,25 +5,27 @@ from pydicom import Dataset
 from pydicom.uid import SecondaryCaptureImageStorage
 
 from sightline.calibration.exchange.pinhole import Pinhole
-from sightline.case.interop.dicom_parts import Filed, dataset
+from sightline.case.interop.dicom_parts import ExportIdentity, dataset
 from sightline.errors import UnusableInputError
 
 
-def capture(image: tuple[np.ndarray, float], pinhole: Pinhole, filed: Filed, words: str, number: int) -> Dataset:
-    """Pixels (H, W), uint8 or uint16, with their white, and what they are. The pixel size is that on the plate.
+def capture(
+    image: tuple[np.ndarray, float], pinhole: Pinhole, identity: ExportIdentity, comment: str, number: int
+) -> Dataset:
+    """Return an image as a secondary capture: pixels (H, W), uint8 or uint16, and their white value.
 
-    Raises UnusableInputError on other pixels.
+    The stated pixel size is that on the plate. Raises UnusableInputError for other types of pixels.
     """
     pixels, white = image
     if pixels.dtype not in (np.uint8, np.uint16) or pixels.shape != pinhole.shape:
-        raise UnusableInputError("DICOM holds whole numbers of 8 or 16 bits; give images of these")
+        raise UnusableInputError("DICOM holds whole numbers of 8 or 16 bits; give images with such pixels")
     bits = 8 * pixels.itemsize
     _, across, down = pinhole.detector_mm()
-    out = dataset(filed, SecondaryCaptureImageStorage, "OT", f"{pinhole.name} {number}")
+    out = dataset(identity, SecondaryCaptureImageStorage, "OT", f"{pinhole.name} {number}")
     out.ConversionType, out.InstanceNumber, out.PatientOrientation = "WSD", number, None
     out.ImageType, out.BurnedInAnnotation = ["DERIVED", "SECONDARY"], "NO"
     out.SeriesDescription = "Sightline"
-    out.ImageComments = words[:10240]
+    out.ImageComments = comment[:10240]
     out.DerivationDescription = "Resampled to the plane of the XRII plate: distortion removed"
     out.SamplesPerPixel, out.PhotometricInterpretation, out.PixelRepresentation = 1, "MONOCHROME2", 0
     out.Rows, out.Columns = pixels.shape

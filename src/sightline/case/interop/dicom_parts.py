@@ -1,4 +1,4 @@
-"""What the DICOM objects of an export share. Nobody is named: the patient is the case number."""
+"""The parts that all DICOM objects of an export share. The patient is named by the case number only."""
 
 import re
 from dataclasses import dataclass
@@ -17,11 +17,9 @@ _SERIES = {"OT": 1, "PR": 2}  # images, presentation states
 
 
 @dataclass(frozen=True)
-class Filed:
-    """Under what an export is filed: case number, when it was made, the patient's side where it is known.
-
-    The same export has the same UIDs.
-    """
+class ExportIdentity:
+    """Identity of an export: case number, time of creation, the patient's side where known. Equal identities give equal
+    UIDs."""
 
     case: str
     created: datetime
@@ -30,37 +28,43 @@ class Filed:
     def __post_init__(self) -> None:
         if not re.fullmatch(r"[A-Za-z0-9_.-]{1,16}", self.case):
             raise UnusableInputError(
-                f"--case {self.case[:40]!r} is no case number: 1 to 16 letters, digits or _ . - , and no name"
+                f"--case {self.case[:40]!r} is not a case number: give 1 to 16 letters, digits or _ . - , and no name"
             )
 
     def uid(self, *parts: str) -> str:
-        """A UID for one part of the export."""
+        """Return the UID of one part of the export."""
         return str(generate_uid(entropy_srcs=[self.case, self.created.isoformat(), *parts]))
 
 
-def dataset(filed: Filed, sop_class: str, modality: str, part: str, study_uid: str | None = None) -> Dataset:
-    """Patient, study, series, equipment and SOP common; a study of the export's own without `study_uid`."""
+def dataset(
+    identity: ExportIdentity, sop_class: str, modality: str, part: str, study_uid: str | None = None
+) -> Dataset:
+    """Return the modules patient, study, series, equipment and SOP common.
+
+    Without `study_uid` the object belongs to a study of the export's own.
+    """
     out = Dataset()
-    out.SOPClassUID, out.SOPInstanceUID = sop_class, filed.uid("instance", part)
-    out.StudyInstanceUID = study_uid or filed.uid("study")
-    out.SeriesInstanceUID = filed.uid("series", modality, out.StudyInstanceUID)
+    out.SOPClassUID, out.SOPInstanceUID = sop_class, identity.uid("instance", part)
+    out.StudyInstanceUID = study_uid or identity.uid("study")
+    out.SeriesInstanceUID = identity.uid("series", modality, out.StudyInstanceUID)
     out.SpecificCharacterSet = "ISO_IR 192"
-    out.PatientName = out.PatientID = filed.case
+    out.PatientName = out.PatientID = identity.case
     for empty in ("PatientBirthDate", "PatientSex", "ReferringPhysicianName", "AccessionNumber"):
         setattr(out, empty, None)
-    if study_uid in (None, filed.uid("study")):
-        out.StudyDate, out.StudyTime, out.StudyID = f"{filed.created:%Y%m%d}", f"{filed.created:%H%M%S}", filed.case
-    else:  # of somebody else's study, of which nothing but its UIDs was read
+    if study_uid in (None, identity.uid("study")):
+        out.StudyDate, out.StudyTime = f"{identity.created:%Y%m%d}", f"{identity.created:%H%M%S}"
+        out.StudyID = identity.case
+    else:  # the study of the original image, of which only the UIDs were read
         out.StudyDate = out.StudyTime = out.StudyID = None
     out.PatientIdentityRemoved, out.DeidentificationMethod = "YES", "Only the case number is written"
     out.Modality, out.SeriesNumber, out.Manufacturer = modality, _SERIES[modality], "Sightline"
-    out.Laterality = None if filed.side is None else filed.side[0].upper()
+    out.Laterality = None if identity.side is None else identity.side[0].upper()
     out.SoftwareVersions = __version__
     return out
 
 
 def file_bytes(out: Dataset) -> bytes:
-    """As a DICOM file, explicit little endian."""
+    """Return a DICOM file's bytes, explicit VR little endian."""
     out.file_meta = FileMetaDataset()
     out.file_meta.TransferSyntaxUID = ExplicitVRLittleEndian
     buffer = BytesIO()

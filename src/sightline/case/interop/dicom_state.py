@@ -1,4 +1,4 @@
-"""A DICOM grayscale softcopy presentation state: the plan drawn over an image that it refers to, whose pixels stay."""
+"""A DICOM grayscale softcopy presentation state: the plan drawn over a referenced image, whose pixels stay the same."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -8,8 +8,8 @@ from pydicom import Dataset, dcmread
 from pydicom.uid import GrayscaleSoftcopyPresentationStateStorage
 
 from sightline.bounded import regular_file
-from sightline.case.interop.dicom_parts import Filed, dataset
-from sightline.case.interop.drawing import Drawn
+from sightline.case.interop.dicom_parts import ExportIdentity, dataset
+from sightline.case.interop.overlay import PlanOverlay
 from sightline.errors import UnusableInputError
 
 _LAYER = "PLAN"
@@ -18,8 +18,8 @@ _ALSO = ["PhotometricInterpretation", "NumberOfFrames", "WindowCenter", "WindowW
 
 
 @dataclass(frozen=True)
-class Referred:
-    """An image by its UIDs, which a reference cannot do without; and how it is shown. Nothing else of it is read."""
+class ReferencedImage:
+    """The UIDs that a reference to an image needs, its shape (H, W), and how it is displayed. Nothing else is read."""
 
     sop_class: str
     instance: str
@@ -30,15 +30,15 @@ class Referred:
     window: tuple[str, str] | None = None
 
     @staticmethod
-    def of(image: Dataset) -> "Referred":
-        """Raises UnusableInputError for what is no single image."""
+    def of(image: Dataset) -> "ReferencedImage":
+        """Return the reference to an image. Raises UnusableInputError if `image` is not a single image."""
         missing = [keyword for keyword in _READ if not image.get(keyword)]
         if missing or int(image.get("NumberOfFrames") or 1) != 1:
             raise UnusableInputError(
                 f"a presentation state refers to one image; missing: {', '.join(missing) or 'none'}"
             )
         centre, width = (_first(image.get(keyword)) for keyword in ("WindowCenter", "WindowWidth"))
-        return Referred(
+        return ReferencedImage(
             str(image.SOPClassUID),
             str(image.SOPInstanceUID),
             str(image.SeriesInstanceUID),
@@ -49,19 +49,20 @@ class Referred:
         )
 
     @staticmethod
-    def read(file: Path) -> "Referred":
-        """From a DICOM file's header. Raises UnusableInputError."""
+    def read(file: Path) -> "ReferencedImage":
+        """Read the reference from a DICOM file's header. Raises UnusableInputError."""
         try:
             with regular_file(file) as stream:
                 header = dcmread(stream, stop_before_pixels=True, specific_tags=_READ + _ALSO)
-            return Referred.of(header)
+            return ReferencedImage.of(header)
         except UnusableInputError as error:
             raise UnusableInputError(f"{file.name}: {error}") from None
-        except Exception:  # pydicom raises what the broken bytes make it raise; its messages may quote the patient
+        except Exception:  # broken bytes may make pydicom raise anything; its messages may quote the patient
             raise UnusableInputError(f"{file.name} is not a DICOM image; give the original of the view") from None
 
 
 def _first(value: object) -> str | None:
+    """Return the first of one or several numbers as text; None if it is not a number."""
     several = value if isinstance(value, (list, tuple)) or hasattr(value, "__getitem__") else [value]
     text = "" if value is None else str(several[0] if not isinstance(value, str) else value)  # pyright: ignore[reportIndexIssue]
     try:
@@ -70,16 +71,16 @@ def _first(value: object) -> str | None:
         return None
 
 
-def state(image: Referred, drawn: Drawn, words: str, filed: Filed, number: int) -> Dataset:
-    """Wire, entry and end point and the verdict, over one image of its study."""
-    out = dataset(filed, GrayscaleSoftcopyPresentationStateStorage, "PR", f"state {number}", image.study)
+def state(image: ReferencedImage, drawn: PlanOverlay, statement: str, identity: ExportIdentity, number: int) -> Dataset:
+    """Return the presentation state that draws wire, entry and end point, and the plan's statement over an image."""
+    out = dataset(identity, GrayscaleSoftcopyPresentationStateStorage, "PR", f"state {number}", image.study)
     out.InstanceNumber, out.ContentLabel = number, "PLAN"
-    out.ContentDescription, out.ContentCreatorName = words[:64], None
-    out.PresentationCreationDate = f"{filed.created:%Y%m%d}"
-    out.PresentationCreationTime = f"{filed.created:%H%M%S}"
+    out.ContentDescription, out.ContentCreatorName = statement[:64], None
+    out.PresentationCreationDate = f"{identity.created:%Y%m%d}"
+    out.PresentationCreationTime = f"{identity.created:%H%M%S}"
     out.ReferencedSeriesSequence = [_series(image)]
     out.DisplayedAreaSelectionSequence = [_area(image)]
-    out.GraphicAnnotationSequence = [_annotation(image, drawn, words)]
+    out.GraphicAnnotationSequence = [_annotation(image, drawn, statement)]
     layer = Dataset()
     layer.GraphicLayer, layer.GraphicLayerOrder, layer.GraphicLayerRecommendedDisplayGrayscaleValue = _LAYER, 1, 65535
     out.GraphicLayerSequence = [layer]
@@ -91,19 +92,19 @@ def state(image: Referred, drawn: Drawn, words: str, filed: Filed, number: int) 
     return out
 
 
-def _reference(image: Referred) -> Dataset:
+def _reference(image: ReferencedImage) -> Dataset:
     one = Dataset()
     one.ReferencedSOPClassUID, one.ReferencedSOPInstanceUID = image.sop_class, image.instance
     return one
 
 
-def _series(image: Referred) -> Dataset:
+def _series(image: ReferencedImage) -> Dataset:
     out = Dataset()
     out.SeriesInstanceUID, out.ReferencedImageSequence = image.series, [_reference(image)]
     return out
 
 
-def _area(image: Referred) -> Dataset:
+def _area(image: ReferencedImage) -> Dataset:
     out = Dataset()
     out.ReferencedImageSequence = [_reference(image)]
     out.DisplayedAreaTopLeftHandCorner, out.DisplayedAreaBottomRightHandCorner = [1, 1], list(image.shape[::-1])
@@ -111,7 +112,7 @@ def _area(image: Referred) -> Dataset:
     return out
 
 
-def _annotation(image: Referred, drawn: Drawn, words: str) -> Dataset:
+def _annotation(image: ReferencedImage, drawn: PlanOverlay, statement: str) -> Dataset:
     out = Dataset()
     out.ReferencedImageSequence, out.GraphicLayer = [_reference(image)], _LAYER
     places = [drawn.entry_px, drawn.end_px]
@@ -120,13 +121,13 @@ def _annotation(image: Referred, drawn: Drawn, words: str) -> Dataset:
     out.TextObjectSequence = [
         _text("entry", drawn.entry_px),
         _text("end", drawn.end_px),
-        _text(words[:1024], np.array([4.0, 4.0])),
+        _text(statement[:1024], np.array([4.0, 4.0])),
     ]
     return out
 
 
 def _from_corner(uv_px: np.ndarray) -> list[float]:
-    """Presentation states count from the corner of the first pixel; IDCS from its centre."""
+    """Convert IDCS, whose origin is the centre of the first pixel, to DICOM's, whose origin is its corner."""
     return [float(np.float32(x)) for x in (np.asarray(uv_px) + 0.5).ravel()]
 
 

@@ -1,6 +1,6 @@
-"""ITK's text transforms (`.tfm`), and the wire's pose. A file's name says what it maps: `lps_from_cfcs` CFCS to LPS.
+"""ITK text transforms (`.tfm`), and the wire's pose. A file's name says what it maps: `lps_from_cfcs` maps CFCS to LPS.
 
-3D Slicer takes a transform file the other way: it places things by the inverse of what the file maps.
+3D Slicer uses a transform file in the opposite direction: it places objects by the inverse of the mapping in the file.
 """
 
 import numpy as np
@@ -10,7 +10,7 @@ from sightline.case.interop.plan_file import PlanFile
 
 
 def transform_bytes(matrix: np.ndarray, comment: str) -> bytes:
-    """`AffineTransform_double_3_3` of a (4, 4) matrix that takes points of one frame to the other."""
+    """Return the `AffineTransform_double_3_3` file of a matrix (4, 4) that maps points of one frame to another."""
     numbers = [*matrix[:3, :3].ravel(), *matrix[:3, 3]]
     lines = (
         "#Insight Transform File V1.0",
@@ -24,15 +24,17 @@ def transform_bytes(matrix: np.ndarray, comment: str) -> bytes:
 
 
 def T_lps_cfcs(side: str | None) -> np.ndarray:
-    """(4, 4). Raises UnusableInputError without a side."""
+    """Return the transform (4, 4) from CFCS to patient LPS, mm. Raises UnusableInputError without a side."""
     out = np.eye(4)
     out[:3, :3] = R_lps_cfcs(side)
     return out
 
 
 def T_cfcs_wire(points_mm: np.ndarray) -> np.ndarray:
-    """(4, 4) pose of the wire at its end point: +z from entry to end (the tip). Its turn about z is free: x is level
-    with the CFCS axis that the wire is farthest from."""
+    """Return the wire's pose (4, 4): origin at its end point (the tip), +z from entry to end.
+
+    The rotation about z is arbitrary: x is perpendicular to the CFCS axis at the largest angle to the wire.
+    """
     along = (points_mm[1] - points_mm[0]) / np.linalg.norm(points_mm[1] - points_mm[0])
     helper = np.eye(3)[np.argmin(np.abs(along))]
     across = np.cross(helper, along)
@@ -43,7 +45,7 @@ def T_cfcs_wire(points_mm: np.ndarray) -> np.ndarray:
 
 
 def write(plan: PlanFile, side: str | None) -> dict[str, bytes]:
-    """Both transforms as ITK applies them to points, mm."""
+    """Return the transforms of CFCS and of the wire to LPS, as ITK applies them to points, mm."""
     to_lps = T_lps_cfcs(side)
     wire = to_lps @ T_cfcs_wire(plan.points_mm)
     said = f"mm; {side} hip; {plan.statement}"

@@ -1,4 +1,4 @@
-"""3D Slicer's markups (`.mrk.json`, schema 1.0.3): lines and points, LPS, mm."""
+"""3D Slicer markups (`.mrk.json`, schema 1.0.3): lines and points, LPS, mm."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -7,7 +7,7 @@ import numpy as np
 
 from sightline.calibration.exchange.writing import json_bytes
 
-# An identifier that Slicer compares, not an address that is fetched.
+# Slicer compares this identifier; it does not fetch the address.
 _SCHEMA = (
     "https://raw.githubusercontent.com/slicer/slicer/master/Modules/Loadable/Markups/Resources/Schema/"
     "markups-schema-v1.0.3.json#"
@@ -25,7 +25,7 @@ def markup_bytes(
     description: str,
     labelled: bool = True,
 ) -> bytes:
-    """`kind` "Line" (two points) or "Fiducial"; each control point carries the description."""
+    """Return a markup file. `kind`: "Line" (two points) or "Fiducial"; each control point carries the description."""
     points: list[dict[str, Any]] = [
         {
             "id": str(k + 1),

@@ -1,4 +1,4 @@
-"""An image in space as NRRD, which 3D Slicer and ITK read: LPS, mm."""
+"""An image with its position in space as NRRD, which 3D Slicer and ITK read: LPS, mm."""
 
 import gzip
 
@@ -10,7 +10,8 @@ _TYPES = {"uint8": "unsigned char", "uint16": "unsigned short", "float32": "floa
 
 
 def plate_corner(pinhole: Pinhole) -> tuple[np.ndarray, np.ndarray]:
-    """(3,) CFCS mm, centre of the plate image's first pixel; (3, 3) steps of a column, of a row, of 1 mm of beam."""
+    """Return the centre (3,) of the plate image's first pixel, CFCS mm, and the steps (3, 3) to the next column, to the
+    next row, and of 1 mm along the beam."""
     distance, across, down = pinhole.detector_mm()
     cu, cv = pinhole.camera_matrix[:2, 2]
     corner = pinhole.focal_point_mm + pinhole.rotation.T @ [-cu * across, -cv * down, distance]
@@ -18,9 +19,9 @@ def plate_corner(pinhole: Pinhole) -> tuple[np.ndarray, np.ndarray]:
 
 
 def nrrd_bytes(pixels: np.ndarray, pinhole: Pinhole, T_lps_cfcs: np.ndarray, statement: str) -> bytes:
-    """An undistorted image (H, W) where its plate stands, one voxel thick. Raises UnusableInputError."""
+    """Return an undistorted image (H, W) at the position of its plate, one voxel thick. Raises UnusableInputError."""
     corner, steps = plate_corner(pinhole)
-    turn = T_lps_cfcs[:3, :3]
+    rotation = T_lps_cfcs[:3, :3]
     height, width = pinhole.own_image(pixels).shape
     lines = (
         "NRRD0005",
@@ -28,11 +29,11 @@ def nrrd_bytes(pixels: np.ndarray, pinhole: Pinhole, T_lps_cfcs: np.ndarray, sta
         "dimension: 3",
         "space: left-posterior-superior",
         f"sizes: {width} {height} 1",
-        "space directions: " + " ".join(_vector(turn @ step) for step in steps),
+        "space directions: " + " ".join(_vector(rotation @ step) for step in steps),
         "kinds: domain domain domain",
         "endian: little",
         "encoding: gzip",
-        f"space origin: {_vector(turn @ corner + T_lps_cfcs[:3, 3])}",
+        f"space origin: {_vector(rotation @ corner + T_lps_cfcs[:3, 3])}",
         f"sightline:={statement}",
     )
     raw = pixels.astype(pixels.dtype.newbyteorder("<"), copy=False).tobytes()

@@ -1,4 +1,4 @@
-"""What is read of `plan.json`, with the limits of every value."""
+"""The parts of `plan.json` that are read back, with limits for every value."""
 
 from typing import Annotated, Any, Literal
 
@@ -18,7 +18,7 @@ class _Part(BaseModel):
 
 
 class TrajectoryPart(_Part):
-    """Entry and end point, CFCS mm, with their joint covariance or None."""
+    """Entry and end point, CFCS mm, with their joint covariance (6, 6) or None."""
 
     coordinates: Literal["CFCS"]
     entry_mm: Point
@@ -42,7 +42,7 @@ class BeadPart(_Part):
     xyz_mm: Point
 
 
-class FramePart(_Part):
+class PlanFramePart(_Part):
     """The frame that the plan was made with."""
 
     name: Text
@@ -60,7 +60,7 @@ class SightPart(_Part):
 
 
 class DrawnPart(_Part):
-    """The plan in a view's raw image, px: the picks, and the wire as the view sees it (empty where it does not)."""
+    """The plan in a view's raw image, px: the picks, and the projected wire, empty where it could not be projected."""
 
     entry_px: Pixel
     end_px: Pixel
@@ -68,7 +68,7 @@ class DrawnPart(_Part):
 
 
 class ViewPart(_Part):
-    """A view, and the file of its image, named by its bytes."""
+    """A view, and the name that a case gives the file of its image."""
 
     view: Text
     source: Text
@@ -81,7 +81,7 @@ class LandmarkPart(_Part):
 
 
 class LimitsPart(_Part):
-    """What the plan was judged by."""
+    """The limits that the plan was judged by."""
 
     position_mm: Positive
     direction_deg: Positive
@@ -89,8 +89,8 @@ class LimitsPart(_Part):
 
 
 class PlanDocument(_Part):
-    """What is read of plan.json. Without `digest` and what goes with it it is of an earlier form; the last five are
-    missing in plans without images' geometry."""
+    """The parts of plan.json that are read back. Older versions wrote no `verdict`, `kind`, `limits` and `digest`;
+    plans without the geometry of images lack the last five."""
 
     go: bool
     verdict: State | None = None
@@ -102,7 +102,7 @@ class PlanDocument(_Part):
     trajectory: TrajectoryPart
     checks: Annotated[list[CheckPart], Field(max_length=200)]
     landmarks: Annotated[list[LandmarkPart], Field(max_length=200)] = []
-    frame: FramePart | None = None
+    frame: PlanFramePart | None = None
     views: Annotated[list[ViewPart], Field(max_length=2)] = []
     plates: dict[str, dict[str, Any]] | None = None
     lines_of_sight: Annotated[list[SightPart], Field(max_length=200)] = []

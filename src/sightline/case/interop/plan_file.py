@@ -1,6 +1,6 @@
 """`plan.json` as `sightline plan --out` writes it, read back and checked.
 
-Its digest shows that nobody changed it, by accident or by hand. It is no signature: whoever means to can make another.
+Its digest detects changes made by accident or by hand. It is not a signature: anybody can compute a new digest.
 """
 
 from collections.abc import Mapping
@@ -24,17 +24,17 @@ from sightline.planning.results import SpacePoints
 
 _DIGEST = "digest"
 _TELLS_SIDE_MM = 10.0  # [ours] of height from entry to end; a hip screw at 135° has 60 mm
-_MAX_BYTES = 2**24  # [ours] a hundred times a plan with its beads
+_MAX_BYTES = 2**24  # [ours] a hundred times the size of a plan with its beads
 
 
 def sealed(document: Mapping[str, Any]) -> dict[str, Any]:
-    """A plan's document with its digest: of the canonical JSON of all else in it."""
+    """Return a plan's document with its digest: the SHA-256 of the canonical JSON of everything else in it."""
     rest = {key: value for key, value in document.items() if key != _DIGEST}
     return {**rest, _DIGEST: f"sha256:{digest(canonical(rest))}"}
 
 
 class PlanFile:
-    """A plan to be exported: what its file holds, and what follows from that."""
+    """A plan to be exported or sent: the content of its file, and values derived from it."""
 
     def __init__(self, document: PlanDocument, folder: Path) -> None:
         self.document = document
@@ -42,13 +42,13 @@ class PlanFile:
 
     @staticmethod
     def read(path: str | Path) -> "PlanFile":
-        """From plan.json or the folder that holds it. Raises UnusableInputError."""
+        """Read plan.json, or the one in a folder. Raises UnusableInputError if it is damaged or was changed."""
         file = Path(path) / "plan.json" if Path(path).is_dir() else Path(path)
         data = reading.read_bytes(file, _MAX_BYTES)
         try:
             given = reading.json_object(data, depth=12)
             if _DIGEST in given and given[_DIGEST] != sealed(given)[_DIGEST]:
-                raise UnusableInputError("it was changed after it was made: its digest is another; plan again")
+                raise UnusableInputError("it was changed after it was made: its digest does not match; plan again")
             plan = PlanFile(PlanDocument.model_validate_json(data), file.parent)
             plan.refuse_contradictions()
         except ValidationError as error:
@@ -60,8 +60,8 @@ class PlanFile:
         return plan
 
     def refuse_contradictions(self) -> None:
-        """Raises UnusableInputError where GO stands beside a failed check or another verdict, where a plan with a
-        digest lacks what goes with it, or where the covariance is none."""
+        """Raise UnusableInputError if the file contradicts itself: GO beside a failed check or another verdict, a
+        digest without verdict, kind or limits, no checks, entry and end at one point, an invalid covariance."""
         document = self.document
         if document.digest is not None and None in (document.verdict, document.kind, document.limits):
             raise UnusableInputError("it has a digest, but no verdict, kind or limits; plan again")
@@ -76,13 +76,15 @@ class PlanFile:
             raise UnusableInputError("its covariance is not positive; plan again")
 
     def refuse_for_robot(self) -> None:
-        """Raises RobotRefusedError unless a robot may be sent this plan."""
+        """Raise RobotRefusedError unless this plan may be sent to a robot."""
         document = self.document
         if not document.go:
-            raise RobotRefusedError(f"the plan is {self.verdict}: no robot is sent it; see its checks, and plan again")
+            raise RobotRefusedError(
+                f"the plan is {self.verdict}: it is not sent to a robot; see its checks, and plan again"
+            )
         if document.digest is None:
             raise RobotRefusedError(
-                "the plan is of an earlier form without a digest: nothing shows that it is as it was made; plan again"
+                "the plan was written by an older version without a digest, so changes cannot be detected; plan again"
             )
         if document.side is None:
             raise RobotRefusedError("the plan does not say which side of the patient it is for: plan again with --side")
@@ -110,68 +112,68 @@ class PlanFile:
 
     @property
     def go(self) -> bool:
-        """Whether planning says GO."""
+        """Whether the verdict is GO."""
         return self.document.go
 
     @property
     def side(self) -> Literal["right", "left"] | None:
-        """Of the patient, where the plan says."""
+        """The patient's side; None if the plan does not state it."""
         return self.document.side
 
     @property
     def images(self) -> dict[str, str]:
-        """The image of each view that the plan was made on: its file's name by its bytes."""
+        """The image of each view that the plan was made on, by the name that a case gives its file."""
         return {one.view: one.source for one in self.document.views}
 
     def identifier(self, name: str) -> str:
-        """What a robot knows this plan by: a plan on other images, or of other points, has another."""
+        """Return the identifier that a robot is sent; plans with other images or points have other identifiers."""
         return f"{name}-{(self.document.digest or '').removeprefix('sha256:')[:12]}"
 
     @property
     def limits(self) -> Limits:
-        """What the plan was judged by. Raises UnusableInputError for a plan of an earlier form."""
+        """The limits that the plan was judged by. Raises UnusableInputError for a plan of an older version."""
         limits = self.document.limits
         if limits is None:
-            raise UnusableInputError("the plan is of an earlier form and does not state its limits; plan again")
+            raise UnusableInputError("the plan was written by an older version without its limits; plan again")
         return Limits(limits.position_mm, float(np.deg2rad(limits.direction_deg)), limits.beyond_mm)
 
     @property
     def failed(self) -> list[str]:
-        """Names of the checks that did."""
+        """Names of the failed checks."""
         return [check.name for check in self.document.checks if not check.passed]
 
     @property
     def points_mm(self) -> np.ndarray:
-        """(2, 3) entry and end, CFCS."""
+        """Entry and end (2, 3), CFCS."""
         return np.array([self.document.trajectory.entry_mm, self.document.trajectory.end_mm])
 
     @property
     def length_mm(self) -> float:
-        """From entry to end."""
+        """Length from entry to end."""
         return float(np.linalg.norm(self.points_mm[1] - self.points_mm[0]))
 
     @property
     def covariance_mm2(self) -> np.ndarray | None:
-        """(6, 6) of (entry, end)."""
+        """Joint covariance (6, 6) of entry and end; None if unknown."""
         given = self.document.trajectory.covariance_mm2
         return None if given is None else reading.array(given, (6, 6), "the covariance")
 
     @property
     def trajectory(self) -> Trajectory:
-        """The plan as planning has it, but for its gaps, which the file's plan was judged by already."""
+        """The trajectory, without the distances between lines of sight, which planning has judged already."""
         none = np.zeros(2)
         points = SpacePoints(self.points_mm, none, none > 0, None, self.covariance_mm2, None, none == 0)
         return Trajectory(points)
 
     @property
     def errors_95_mm(self) -> tuple[float, float] | None:
-        """Of entry and end: with a probability of 95 % they err by less; None where unknown."""
+        """95 % bounds of the errors of entry and end; None if unknown."""
         c = self.covariance_mm2
         return None if c is None else (float(length_quantile(c[:3, :3])), float(length_quantile(c[3:, 3:])))
 
     @property
     def verdict(self) -> str:
-        """GO, or NO-GO with the checks that failed, or INCOMPLETE with those that could not be made."""
+        """GO, or NO-GO with the failed checks, or INCOMPLETE with the checks that could not be made."""
         if self.go:
             return "GO"
         names = ", ".join(dict.fromkeys(self.failed)) or "see the plan"
@@ -179,24 +181,24 @@ class PlanFile:
 
     @property
     def statement(self) -> str:
-        """What every exported file says, as far as its format has room."""
+        """The statement that every exported file carries, as far as its format allows."""
         errors = self.errors_95_mm
         said = "errors unknown" if errors is None else f"95 % errors: entry {errors[0]:.2f} mm, end {errors[1]:.2f} mm"
         return f"{self.verdict}; {said}; wire {self.length_mm:.1f} mm; research software, not a medical device"
 
     @property
     def plates(self) -> Mapping[str, Pinhole]:
-        """The pinhole of each view's undistorted image. Raises UnusableInputError where the plan has none."""
+        """The pinhole of each view's undistorted image. Raises UnusableInputError if the plan has none."""
         return {name: opencv.of_document(given, name) for name, given in self._plates().items()}
 
     def pixels(self, view: str) -> tuple[np.ndarray, float] | None:
-        """(H, W) undistorted image and its white; None where the plan was made without images."""
+        """Return the undistorted image (H, W) of a view and its white; None if the plan was made without images."""
         given = self._plates()[view]
         name = given.get("file")
         if name is None:
             return None
         if not isinstance(name, str) or Path(name).name != name:
-            raise UnusableInputError(f"the image of view {view} must be named without a folder")
+            raise UnusableInputError(f"the image of view {view} must be a plain file name without a folder; plan again")
         image = read_image(self._folder / name)
         if image.shape != self.plates[view].shape:
             raise UnusableInputError(f"{name} is not the image that the plan was made on: its size differs")

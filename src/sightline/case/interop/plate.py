@@ -1,4 +1,4 @@
-"""A calibrated view as an exact pinhole: its image resampled to the XRII plate, seen from the X-ray source."""
+"""A calibrated view as an exact pinhole: its image resampled to the XRII plate as seen from the X-ray source."""
 
 from dataclasses import dataclass, replace
 
@@ -11,15 +11,18 @@ from sightline.calibration.undistort import PlaneImage, undistort
 from sightline.calibration.view import LinesOfSight
 from sightline.errors import RefusedError
 
-# The raw image counts as a pinhole's while that errs by no more than a careful click [physics.md, Picks].
-LARGEST_RESIDUAL_PX = 0.5
-_GRID = 7  # [ours] samples a side; a matrix has 11 numbers
+# A raw image passes as a pinhole image up to the error of a careful click [physics.md, Picks].
+MAX_RESIDUAL_PX = 0.5
+_GRID = 7  # [ours] samples per side; a projection matrix has 11 parameters
 
 
 @dataclass(frozen=True, eq=False)
 class PlateImage:
-    """`pixels` (H, W) as the X-ray source sees the plate, or None where the view had no image; `inside_hull` (H, W)
-    bool: where beads surround the line of sight. `pinhole` is exact: no distortion is left."""
+    """The plate as seen from the X-ray source.
+
+    `pinhole` is exact: no distortion is left. `pixels` (H, W); None if the view had no image. `inside_hull` (H, W)
+    bool: whether the line of sight lies inside the convex hull of the beads.
+    """
 
     pinhole: Pinhole
     pixels: np.ndarray | None
@@ -27,9 +30,9 @@ class PlateImage:
 
 
 def plate_image(view: BeadView, pixels: np.ndarray | None, spacing_mm: float | None = None) -> PlateImage:
-    """Resample an image (H, W) of a view, or only find out its geometry. Raises what `undistort` raises."""
+    """Resample an image (H, W) of a view; without `pixels` return the geometry only. Raises what `undistort` raises."""
     image = undistort(np.zeros((16, 16), np.uint8) if pixels is None else pixels, view.plane_map, view.hull, spacing_mm)
-    flipped = bool(np.sign(view.plane.height_mm(view.focal_point_mm)) > 0)  # the plane's axes are seen from behind
+    flipped = bool(np.sign(view.plane.height_mm(view.focal_point_mm)) > 0)  # the source sees the plane from behind
     side = slice(None, None, -1) if flipped else slice(None)
     pinhole = _pinhole(view, image, flipped)
     return PlateImage(
@@ -45,12 +48,12 @@ def _pinhole(view: BeadView, image: PlaneImage, flipped: bool) -> Pinhole:
     focal = view.focal_point_mm
     across = -view.plane.axes[0] if flipped else view.plane.axes[0]
     down = view.plane.axes[1]
-    turn = np.stack([across, down, np.cross(across, down)])
+    rotation = np.stack([across, down, np.cross(across, down)])
     foot = (view.plane.to_plane(focal) - image.origin_mm) / spacing
     distance = abs(float(view.plane.height_mm(focal))) / spacing
     centre = width - 1 - foot[0] if flipped else foot[0]
     camera = np.array([[distance, 0.0, centre], [0.0, distance, foot[1]], [0.0, 0.0, 1.0]])
-    pinhole = Pinhole(view.name, camera, turn, -turn @ focal, (height, width), (spacing, spacing))
+    pinhole = Pinhole(view.name, camera, rotation, -rotation @ focal, (height, width), (spacing, spacing))
     rows, columns = _inside(image.inside_hull)
     sight = view.lines_of_sight(image.uv_px[rows, columns])
     seen_at = np.column_stack([width - 1 - columns if flipped else columns, rows]).astype(np.float64)
@@ -58,7 +61,7 @@ def _pinhole(view: BeadView, image: PlaneImage, flipped: bool) -> Pinhole:
 
 
 def _inside(mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Rows and columns of a grid of pixels within a mask."""
+    """Return rows and columns of a grid of pixels within a mask."""
     grid = np.stack(np.meshgrid(*(np.linspace(0, n - 1, _GRID).astype(int) for n in mask.shape), indexing="ij"))
     rows, columns = grid.reshape(2, -1)
     kept = mask[rows, columns]
@@ -66,10 +69,10 @@ def _inside(mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _with_errors(pinhole: Pinhole, uv_px: np.ndarray, sight: LinesOfSight) -> Pinhole:
-    """The covariance of the matrix that gives its lines of sight the view's errors, as far as a matrix can.
+    """Return the pinhole with the matrix covariance that best gives its lines of sight the errors of the view.
 
-    Focal point and homography are 11 numbers of a matrix and take over their errors; what is left of the map's own
-    error bends lines of sight as no matrix does, and is left out.
+    Focal point and homography are the 11 parameters of a matrix, so their errors carry over. Errors of the plane map
+    that no matrix can describe are left out.
     """
     if sight.covariance is None:
         return pinhole
@@ -78,12 +81,13 @@ def _with_errors(pinhole: Pinhole, uv_px: np.ndarray, sight: LinesOfSight) -> Pi
     whole = np.sum(list(sight.covariance.values()), axis=0)
     covariance = to_entries @ whole @ to_entries.T
     deviation = np.sqrt(np.trace(whole[3:, 3:]) / len(uv_px))
-    note = f"lines of sight err by {deviation:.3f} mm rms on the plate, the error of picks aside"
+    note = f"lines of sight have an error of {deviation:.3f} mm rms on the plate, without the error of picks"
     return replace(pinhole, covariance=0.5 * (covariance + covariance.T), note=note)
 
 
 def _response(matrix: np.ndarray, uv_px: np.ndarray, sight: LinesOfSight) -> np.ndarray:
-    """(3 + 2N, 12) d(focal point, plane coordinates of fixed pixels) / d(entries of the matrix, row by row).
+    """Return the Jacobian (3 + 2N, 12) of the focal point and the plane coordinates of fixed pixels with respect to the
+    entries of the matrix, row by row.
 
     From P (F, 1) = 0, and (row 0 - u row 2) (X, 1) = 0 = (row 1 - v row 2) (X, 1) for X in the plane.
     """
@@ -97,10 +101,10 @@ def _response(matrix: np.ndarray, uv_px: np.ndarray, sight: LinesOfSight) -> np.
 
 
 def raw_pinhole(view: BeadView, shape: tuple[int, int]) -> tuple[Pinhole, float]:
-    """The pinhole nearest to the raw image (H, W), with the view's focal point, and its largest residual inside the
-    beads' hull, px. Its covariance is not known: the distortion that it leaves is no noise.
+    """Return the pinhole that fits the raw image (H, W) best, with the view's focal point, and its largest residual
+    inside the convex hull of the beads, px. It has no covariance: the remaining distortion is not noise.
 
-    Raises RefusedError above LARGEST_RESIDUAL_PX.
+    Raises RefusedError above MAX_RESIDUAL_PX.
     """
     low, high = view.hull.corners_px.min(axis=0), view.hull.corners_px.max(axis=0)
     u, v = np.meshgrid(*(np.linspace(low[k], high[k], 3 * _GRID) for k in (0, 1)))
@@ -110,10 +114,10 @@ def raw_pinhole(view: BeadView, shape: tuple[int, int]) -> tuple[Pinhole, float]
     homography, _ = cv2.findHomography(xy, uv, 0)
     seen = np.column_stack([xy, np.ones(len(xy))]) @ homography.T
     residual = float(np.linalg.norm(seen[:, :2] / seen[:, 2:] - uv, axis=1).max())
-    if residual > LARGEST_RESIDUAL_PX:
+    if residual > MAX_RESIDUAL_PX:
         raise RefusedError(
-            f"the {view.name} image is no pinhole's: the nearest one errs by up to {residual:.1f} px (limit "
-            f"{LARGEST_RESIDUAL_PX:g} px), because the image is distorted; export the undistorted image, without --raw"
+            f"the {view.name} image is too distorted for a pinhole: the best fit has an error of up to {residual:.1f} "
+            f"px (limit {MAX_RESIDUAL_PX:g} px); export the undistorted image, without --raw"
         )
     onto = _projection_onto(view)
     note = f"of the raw image: distortion of up to {residual:.2f} px is left"
@@ -121,7 +125,7 @@ def raw_pinhole(view: BeadView, shape: tuple[int, int]) -> tuple[Pinhole, float]
 
 
 def _projection_onto(view: BeadView) -> np.ndarray:
-    """(3, 4) CFCS to homogeneous coordinates of the view's plane, from its focal point."""
+    """Return the central projection (3, 4) from CFCS to homogeneous coordinates of the view's plane."""
     height, foot = float(view.plane.height_mm(view.focal_point_mm)), view.plane.to_plane(view.focal_point_mm)
     to_height = np.append(view.plane.normal, -view.plane.normal @ view.plane.origin_mm)
     to_plane = np.column_stack([view.plane.axes, -view.plane.axes @ view.plane.origin_mm])

@@ -1,7 +1,7 @@
-"""A plan as the bytes of OpenIGTLink messages: TRANSFORM `TGT_plan` and TRAJ, with what they say as JSON beside them.
+"""A plan as the bytes of two OpenIGTLink messages, TRANSFORM `TGT_plan` and TRAJ, with their content as JSON.
 
-A file keeps no time, so they say that the plan has expired (`valid_s` 0): a robot of ours refuses them as they are, and
-whoever sends one answers for how long the plan is still good (docs/robot-link.md).
+A file does not age, so the messages state that the plan has expired (`valid_s` 0). Our robot refuses them as they are:
+the program that sends one must set how long the plan is still valid (docs/robot-link.md).
 """
 
 from math import degrees
@@ -19,7 +19,7 @@ from sightline.robot.kinematics.target import PlanIdentity
 
 
 def write(plan: PlanFile, case: str) -> dict[str, bytes]:
-    """Raises RobotRefusedError for a plan that no robot may be sent."""
+    """Return both messages and their description as JSON. Raises RobotRefusedError if the plan may not be sent."""
     plan.refuse_for_robot()
     serial = plan.document.frame.serial if plan.document.frame else None
     identity = PlanIdentity(plan.identifier(case), plan.side or "", serial or "", plan.go, plan.document.kind or "")

@@ -1,6 +1,6 @@
-"""A folder for 3D Slicer: the plan, lines of sight, beads and undistorted images in place, and a scene that loads them.
+"""Files for 3D Slicer: the plan, lines of sight, beads, the undistorted images in space, and a scene that loads them.
 
-Everything is in patient LPS, mm, with the CFCS origin. Slicer itself holds RAS; it converts what it reads.
+Everything is in patient LPS, mm, with the CFCS origin. Slicer uses RAS inside and converts the files on reading.
 """
 
 from xml.etree.ElementTree import Element, SubElement, indent, tostring
@@ -18,7 +18,7 @@ _SLICES = ("Red", "Yellow", "Green")
 
 
 def write(plan: PlanFile, side: str | None) -> dict[str, bytes]:
-    """Raises UnusableInputError without a side, or where the plan holds no geometry of its images."""
+    """Return the files by name. Raises UnusableInputError without a side, or if the plan has no geometry of images."""
     to_lps = T_lps_cfcs(side)
     said = f"{plan.statement}; {side} hip; LPS mm, origin of the calibration frame (CFCS)"
     files = _markups(plan, to_lps[:3, :3], said)
@@ -28,7 +28,7 @@ def write(plan: PlanFile, side: str | None) -> dict[str, bytes]:
         if pixels is not None:
             images[view] = pinhole
             files[f"{view}-plate.nrrd"] = nrrd_bytes(pixels[0], pinhole, to_lps, said)
-    # Slicer places things by the inverse of what a transform file maps: so these map to the wire, and to CFCS.
+    # Slicer places objects by the inverse of the mapping in a file, so these files map to the wire and to CFCS.
     wire = to_lps @ T_cfcs_wire(plan.points_mm)
     files["wire.tfm"] = transform_bytes(
         np.linalg.inv(wire), f"3D Slicer: places a wire (tip at its origin, +z); {said}"
@@ -37,13 +37,13 @@ def write(plan: PlanFile, side: str | None) -> dict[str, bytes]:
     return files | {"scene.mrml": _scene(sorted(files), images, to_lps, said)}
 
 
-def _markups(plan: PlanFile, turn: np.ndarray, said: str) -> dict[str, bytes]:
+def _markups(plan: PlanFile, rotation: np.ndarray, said: str) -> dict[str, bytes]:
     colour = GREEN if plan.go else RED
     name = "planned wire" if plan.go else "NO-GO planned wire"
-    points = plan.points_mm @ turn.T
+    points = plan.points_mm @ rotation.T
     out = {"wire.mrk.json": markup_bytes("Line", name, points, ("entry", "tip"), colour=colour, description=said)}
     for line in plan.document.lines_of_sight:
-        ends = np.array([line.focal_point_mm, line.plate_mm]) @ turn.T
+        ends = np.array([line.focal_point_mm, line.plate_mm]) @ rotation.T
         what = f"{line.view} line of sight of {line.point}"
         out[f"sight-{line.view}-{line.point}.mrk.json"] = markup_bytes(
             "Line", what, ends, ("X-ray source", "on the plate"), colour=YELLOW, description=said, labelled=False
@@ -53,7 +53,7 @@ def _markups(plan: PlanFile, turn: np.ndarray, said: str) -> dict[str, bytes]:
         out["beads.mrk.json"] = markup_bytes(
             "Fiducial",
             f"beads of {plan.document.frame.name}",
-            np.array([bead.xyz_mm for bead in beads]).reshape(-1, 3) @ turn.T,
+            np.array([bead.xyz_mm for bead in beads]).reshape(-1, 3) @ rotation.T,
             [bead.id for bead in beads],
             colour=BLUE,
             description=said,
@@ -63,7 +63,7 @@ def _markups(plan: PlanFile, turn: np.ndarray, said: str) -> dict[str, bytes]:
 
 
 def _scene(names: list[str], images: dict[str, Pinhole], to_lps: np.ndarray, said: str) -> bytes:
-    """MRML: a node for each file, with the node that stores it; a slice viewer laid into each image."""
+    """Return the MRML scene: a node and a storage node per file, and a slice viewer in the plane of each image."""
     root = Element("MRML", version="Slicer4.4.0", userTags="")
     for k, name in enumerate(names, 1):
         if name.endswith(".mrk.json"):
@@ -81,7 +81,7 @@ def _scene(names: list[str], images: dict[str, Pinhole], to_lps: np.ndarray, sai
 
 
 def _node(root: Element, tag: str, identity: str, name: str, description: str = "", **given: str) -> Element:
-    """A node; `display` and `storage` become references."""
+    """Add a node; `display` and `storage` become references."""
     references = "".join(f"{role}:{given.pop(role)};" for role in ("display", "storage") if role in given)
     attributes = {"id": identity, "name": name} | ({"description": description} if description else {}) | given
     return SubElement(root, tag, attributes | ({"references": references} if references else {}))
@@ -105,7 +105,7 @@ def _volume(root: Element, name: str, k: int, said: str) -> None:
 
 
 def _slice(root: Element, layout: str, volume: str, pinhole: Pinhole, to_lps: np.ndarray) -> None:
-    """The viewer's plane is the image's: its first axis along a row, its second up, through the image's middle."""
+    """Add a slice viewer in the plane of an image: first axis along a row, second axis up, centred on the image."""
     corner, steps = plate_corner(pinhole)
     height, width = pinhole.stated_shape()
     middle = corner + 0.5 * (width - 1) * steps[0] + 0.5 * (height - 1) * steps[1]

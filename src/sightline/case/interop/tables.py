@@ -1,4 +1,4 @@
-"""A plan as CSV: a line for each point and coordinate frame, errors and verdict in each line."""
+"""A plan as CSV: one line per point and coordinate frame, with errors and verdict."""
 
 import csv
 import io
@@ -23,7 +23,7 @@ _UPPER = np.triu_indices(3)
 
 
 def write(plan: PlanFile, side: str | None) -> dict[str, bytes]:
-    """`trajectory.csv`: CFCS, and patient LPS too where the side is given. Unknown errors are empty cells."""
+    """Return `trajectory.csv`: in CFCS, and in patient LPS too if the side is given. Unknown errors are empty cells."""
     out = io.StringIO()
     writer = csv.writer(out, lineterminator="\n")
     writer.writerow(COLUMNS)
@@ -33,16 +33,16 @@ def write(plan: PlanFile, side: str | None) -> dict[str, bytes]:
     return {"trajectory.csv": out.getvalue().encode()}
 
 
-def _rows(plan: PlanFile, frame: str, turn: np.ndarray) -> Iterator[list[str]]:
+def _rows(plan: PlanFile, frame: str, rotation: np.ndarray) -> Iterator[list[str]]:
     covariance, errors = plan.covariance_mm2, plan.errors_95_mm
     for k, name in enumerate(("entry", "end")):
         spread, error = [""] * 6, ""
         if covariance is not None and errors is not None:
-            block = turn @ covariance[3 * k : 3 * k + 3, 3 * k : 3 * k + 3] @ turn.T
+            block = rotation @ covariance[3 * k : 3 * k + 3, 3 * k : 3 * k + 3] @ rotation.T
             spread, error = [repr(float(x)) for x in block[_UPPER]], repr(errors[k])
-        yield [name, frame, *_place(turn @ plan.points_mm[k]), *spread, error, plan.verdict]
+        yield [name, frame, *_place(rotation @ plan.points_mm[k]), *spread, error, plan.verdict]
     for k, landmark in enumerate(plan.document.landmarks):
-        yield [f"landmark {k + 1}", frame, *_place(turn @ np.array(landmark.xyz_mm)), *[""] * 7, plan.verdict]
+        yield [f"landmark {k + 1}", frame, *_place(rotation @ np.array(landmark.xyz_mm)), *[""] * 7, plan.verdict]
 
 
 def _place(xyz_mm: np.ndarray) -> list[str]:

@@ -1,7 +1,7 @@
-"""The journal of a case: its folder, database, entries, chain of hashes and originals.
+"""The journal of a case: its folder, database, entries, hash chain and originals.
 
-It keeps what it is given and does not know what a stage computes. It may import `canonical`, but nothing else of
-`case`.
+It records the content it is given and knows nothing of the stages that made it. It may import `canonical`, but nothing
+else of `case`.
 """
 
 from sightline.case.journal.case import Case

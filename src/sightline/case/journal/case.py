@@ -1,4 +1,4 @@
-"""A case: all that was done for one patient, in one folder, in order, never lost and never changed (docs/case.md)."""
+"""A case: the append-only record of one patient's procedure, in one folder (docs/case.md)."""
 
 import sqlite3
 from collections.abc import Generator, Mapping, Sequence
@@ -12,8 +12,8 @@ from typing import Any, TypeVar
 from sightline.atomic import scratch_folder, sync_folder
 from sightline.case.canonical import canonical, digest
 from sightline.case.journal import originals, schema
-from sightline.case.journal.database import connect, in_memory, log_ahead, said, transaction
-from sightline.case.journal.entry import Actor, Entry, Kind, link, originals_in, versions
+from sightline.case.journal.database import connect, errors_explained, memory_copy, transaction, use_write_ahead_log
+from sightline.case.journal.entry import Actor, Entry, Kind, next_link, originals_in, versions
 from sightline.case.journal.integrity import check_case
 from sightline.case.journal.rows import HEAD, entry_of_row, first_link, head_of_row
 from sightline.checks import Check, failed
@@ -25,10 +25,10 @@ _Named = TypeVar("_Named", bound=StrEnum)
 
 
 class Case(Closing):
-    """One folder: `journal.sqlite` and `originals/`. Made by `create` or `open`; several threads may use one.
+    """One folder: `journal.sqlite` and `originals/`. Made by `create` or `open`; several threads may use it.
 
     `number`: random, the only identity that leaves the case. `checks`: made on opening; `problems`: those that failed.
-    A case with problems can be read and written as far as it goes: nothing is repaired behind one's back.
+    A damaged case can be read and written as far as possible; nothing is repaired without the user's knowledge.
     """
 
     def __init__(self, folder: Path, db: sqlite3.Connection) -> None:
@@ -40,14 +40,14 @@ class Case(Closing):
 
     @staticmethod
     def create(folder: str | Path, *, exist_ok: bool = False) -> "Case":
-        """A new case; the folder is made where it is missing. A journal that a killed program left empty is no case.
+        """Create a case, and its folder if it is missing. An empty journal, left by a killed program, is not a case.
 
-        Raises CaseError where there is a case already; with `exist_ok` that one is opened.
+        Raises CaseError if there is a case already; with `exist_ok` that case is opened.
         """
         place = Path(folder)
         if exist_ok and Case.exists(place):
             return Case.open(place)
-        with said(place / JOURNAL):
+        with errors_explained(place / JOURNAL):
             (place / originals.FOLDER).mkdir(parents=True, exist_ok=True)
             db = connect(place / JOURNAL, "rwc")
             try:
@@ -56,7 +56,7 @@ class Case(Closing):
                         raise CaseError("there is a case in this folder already; open it, or name another folder")
                     db.close()
                     return Case.open(place)
-                log_ahead(db)
+                use_write_ahead_log(db)
                 sync_folder(place)
                 sync_folder(place.absolute().parent)
                 return Case(place, db)
@@ -66,11 +66,11 @@ class Case(Closing):
 
     @staticmethod
     def exists(folder: str | Path) -> bool:
-        """Return whether there is a case, of any version. An empty journal is none. Raises CaseError."""
+        """Whether the folder holds a case, of any version. An empty journal is not a case. Raises CaseError."""
         file = Path(folder) / JOURNAL
         if not file.is_file():
             return False
-        with said(file):
+        with errors_explained(file):
             db = _readable(file)
             try:
                 return schema.has_tables(db)
@@ -79,15 +79,15 @@ class Case(Closing):
 
     @staticmethod
     def open(folder: str | Path, read_only: bool = False) -> "Case":
-        """A case that is there, as far as it was recorded: what a killed program left half written is taken back.
+        """Open an existing case. A transaction that a killed program left unfinished is rolled back.
 
-        One of an older version is migrated, after a copy was laid beside it; read-only it is read as if migrated.
-        Raises CaseError where there is none, or one that cannot be opened.
+        A case of an older version is migrated after its journal was copied; with `read_only` a migrated copy is read.
+        Raises CaseError if there is no case, or it cannot be opened.
         """
         file = Path(folder) / JOURNAL
         if not file.is_file():
             raise CaseError(f"there is no case in {Path(folder).name!r}; name the folder that holds its {JOURNAL}")
-        with said(file):
+        with errors_explained(file):
             db = _read_only(file) if read_only else _writable(file)
             try:
                 return Case(Path(folder), db)
@@ -96,38 +96,38 @@ class Case(Closing):
                 raise
 
     def close(self) -> None:
-        """Nothing is lost without it: every entry is on the disk when `record` returns."""
+        """Close the database. Without it nothing is lost: every entry is on the disk when `record` returns."""
         with self._lock:
             self._db.close()
 
     @property
     def problems(self) -> tuple[Check, ...]:
-        """What was found wrong on opening; empty where the case is whole."""
+        """The checks that failed on opening; empty if the case is intact."""
         return failed(self.checks)
 
     def check(self) -> tuple[Check, ...]:
-        """Is the case whole, now?"""
+        """Check now whether the case is intact."""
         with self._lock:
             return check_case(self._db, self.folder / originals.FOLDER)
 
     @property
     def last(self) -> int:
-        """The number of the last entry; 0 where there is none."""
+        """The number of the last entry; 0 if there is none."""
         with self._reading():
             return self._db.execute("SELECT coalesce(max(number), 0) FROM entries").fetchone()[0]
 
     def keep(self, data: bytes, suffix: str) -> str:
-        """Keep a file as it came; its name in the case, which entries use. On the disk when this returns.
+        """Keep a file unchanged and return its name in the case. It is on the disk when this returns.
 
         Keeping the same bytes again changes nothing. Raises CaseError.
         """
         name = originals.name_of(data, suffix)
-        with said(self.folder / JOURNAL):
+        with errors_explained(self.folder / JOURNAL):
             originals.keep(self.folder / originals.FOLDER, name, data)
         return name
 
     def original(self, name: str) -> Path:
-        """The file of an original. Raises CaseError."""
+        """Return the file of an original. Raises CaseError if there is none of this name."""
         return originals.path_of(self.folder / originals.FOLDER, name)
 
     def record(
@@ -140,10 +140,12 @@ class Case(Closing):
         settings: Mapping[str, Any] | None = None,
         expect: int | None = None,
     ) -> Entry:
-        """Append an entry; it is on the disk when this returns. `expect`: the number that must still be the last.
+        """Append an entry; it is on the disk when this returns. Pass the number of the last entry you have seen as
+        `expect` for optimistic locking: the call fails if another entry came first.
 
-        Raises CaseError, and then nothing was appended: content that is no JSON or names a file that is not kept,
-        `rests_on` that is no earlier entry, a disk that does not take it; OvertakenError where `expect` is past.
+        Raises OvertakenError if `expect` is not the last entry; CaseError if `content` or `settings` is not JSON or
+        names a file that is not kept, if `rests_on` names no earlier entry, and on a disk error. Then nothing was
+        appended.
         """
         what, who = _one_of(Kind, kind), _one_of(Actor, by)
         texts = [canonical(dict(value)) for value in (content, settings or {})]
@@ -153,38 +155,39 @@ class Case(Closing):
             last, before = self._tail()
             if expect is not None and expect != last:
                 raise OvertakenError(
-                    f"entry {last} was recorded meanwhile, after the {expect} that this one expects; look at it first"
+                    f"entry {last} was recorded meanwhile, but the last one expected is {expect}; look at the new one "
+                    "first"
                 )
             if not all(isinstance(one, int) and 1 <= one <= last for one in rests_on):
-                raise CaseError(f"an entry rests on earlier ones, 1 to {last}, not on {list(rests_on)}")
+                raise CaseError(f"an entry must rest on earlier entries, 1 to {last}, not on {list(rests_on)}")
             at = datetime.now(UTC).isoformat(timespec="microseconds")
             head = (last + 1, what.value, at, who.value, canonical(versions()), texts[1])
             head = (*head, canonical(list(rests_on)), digest(texts[0]))
-            row = (*head, texts[0], link(before, head_of_row(head)))
+            row = (*head, texts[0], next_link(before, head_of_row(head)))
             schema.insert(self._db, row)
         return entry_of_row(row)
 
     def entry(self, number: int) -> Entry:
-        """Raises CaseError where there is none of this number."""
+        """Return the entry of this number. Raises CaseError if there is none."""
         found = self._select("WHERE number = ?", (number,))
         if not found:
             raise CaseError(f"the case has no entry {number}; it has 1 to {self.last}")
         return found[0]
 
     def entries(self, kind: Kind | None = None, after: int = 0) -> list[Entry]:
-        """In order; of one kind where `kind` is given; those whose number is larger than `after`."""
+        """Return the entries in order: those of `kind`, or of all kinds, with a number larger than `after`."""
         if kind is None:
             return self._select("WHERE number > ? ORDER BY number", (after,))
         return self._select("WHERE kind = ? AND number > ? ORDER BY number", (_one_of(Kind, kind).value, after))
 
     def latest(self, kind: Kind, where: Mapping[str, Any] | None = None) -> Entry | None:
-        """The last entry of a kind whose content holds the items of `where`; None where there is none."""
+        """Return the last entry of a kind whose content has the items of `where`; None if there is none."""
         wanted = (where or {}).items()
         found = self.entries(kind)
         return next((one for one in reversed(found) if all(one.content.get(k) == v for k, v in wanted)), None)
 
     def _tail(self) -> tuple[int, str]:
-        """Number and chain of the last entry."""
+        """Return the number and chain hash of the last entry."""
         found = self._db.execute("SELECT number, chain FROM entries ORDER BY number DESC LIMIT 1").fetchone()
         return found or (0, first_link(self.number))
 
@@ -196,17 +199,17 @@ class Case(Closing):
 
     @contextmanager
     def _reading(self) -> Generator[None]:
-        with self._lock, said(self.folder / JOURNAL):
+        with self._lock, errors_explained(self.folder / JOURNAL):
             yield
 
 
 def _one_of(names: type[_Named], name: str) -> _Named:
-    """The member of this name. Raises CaseError."""
+    """Return the member of this name. Raises CaseError if there is none."""
     try:
         return names(name)
     except ValueError:
         raise CaseError(
-            f"{name!r} is none of {', '.join(names)}; a case knows no others, and no person's name"
+            f"{name!r} is not one of {', '.join(names)}; a case accepts no other name, and no person's name"
         ) from None
 
 
@@ -218,7 +221,7 @@ def _writable(file: Path) -> sqlite3.Connection:
         if version < schema.VERSION:
             schema.back_up(db, file.with_name(f"journal-schema-{version}.sqlite"))
             schema.migrate(db)
-        log_ahead(db)
+        use_write_ahead_log(db)
     except BaseException:
         db.close()
         raise
@@ -226,12 +229,13 @@ def _writable(file: Path) -> sqlite3.Connection:
 
 
 def _read_only(file: Path) -> sqlite3.Connection:
-    """Reading needs to write, too, beside the file: where that cannot be, and for an old version, a copy is read."""
+    """Open a journal for reading. SQLite writes beside the file even to read it: from a read-only folder, and for an
+    older version, a copy in memory is read."""
     db = _readable(file)
     try:
         version = schema.check_version(db)
         if version < schema.VERSION:
-            old, db = db, in_memory(db)
+            old, db = db, memory_copy(db)
             old.close()
             schema.migrate(db)
         db.execute("PRAGMA query_only = 1")
@@ -249,7 +253,7 @@ def _readable(file: Path) -> sqlite3.Connection:
 
 
 def _copy(file: Path) -> sqlite3.Connection:
-    """The journal in memory, with what its log holds. Raises OSError, sqlite3.Error."""
+    """Return a copy of the journal and its log in memory. Raises OSError, sqlite3.Error."""
     with scratch_folder() as place:
         for suffix in ("", "-wal", "-journal"):
             beside = file.with_name(file.name + suffix)
@@ -257,6 +261,6 @@ def _copy(file: Path) -> sqlite3.Connection:
                 (place / beside.name).write_bytes(beside.read_bytes())
         db = connect(place / file.name, "rw")
         try:
-            return in_memory(db)
+            return memory_copy(db)
         finally:
             db.close()

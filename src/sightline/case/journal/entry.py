@@ -1,4 +1,4 @@
-"""One entry of a case: what happened, when, by whom, with which software, on what it rests."""
+"""One entry of a case: what happened, when, who did it, with which software, and the entries it was made from."""
 
 import os
 import re
@@ -15,17 +15,17 @@ from sightline.case.canonical import canonical, digest
 from sightline.errors import CaseError
 from sightline.estimator import ESTIMATOR
 
-# What can be kept, by its suffix: images, observations, frames.
+# Suffixes of the files that a case keeps: images, observations, frames.
 SUFFIXES = (".dcm", ".png", ".tif", ".tiff", ".bmp", ".npy", ".csv", ".json")
 _ENDING = f"(?:{'|'.join(map(re.escape, SUFFIXES))})"
 ORIGINAL = re.compile(f"[0-9a-f]{{64}}{_ENDING}")
 _END = re.compile(f'{_ENDING}"', re.IGNORECASE)
-# A string of JSON that ends like a file. Slow, so only where there is such an end.
+# A JSON string that ends like a file name. It is slow, so _END is tried first.
 _FILE = re.compile(rf'"((?:[^"\\]|\\.)*{_ENDING})"', re.IGNORECASE)
 
 
 class Kind(StrEnum):
-    """What an entry tells of."""
+    """The step of the procedure that an entry records."""
 
     ACQUIRED = "acquired"
     DETECTED = "detected"
@@ -39,7 +39,7 @@ class Kind(StrEnum):
 
 
 class Actor(StrEnum):
-    """Who or what did it: roles and programs. The list is closed, so that no person's name gets into a case."""
+    """The role or program that acted. The list is closed, so that no person's name gets into a case."""
 
     SURGEON = "surgeon"
     RADIOGRAPHER = "radiographer"
@@ -54,10 +54,10 @@ class Actor(StrEnum):
 
 @dataclass(frozen=True, eq=False)
 class Entry:
-    """One row of the journal; `number` counts from 1 and orders entries whatever the clock says.
+    """One row of the journal. `number` counts from 1 and orders the entries, independently of the clock.
 
-    `at`: UTC. `rests_on`: numbers of the entries that it was made from. `content_sha256`: of the canonical JSON of
-    `content`. `chain`: of the entry before and of all that is in this one.
+    `at`: UTC. `rests_on`: numbers of the entries that it was made from. `content_sha256`: hash of the canonical JSON of
+    `content`. `chain`: hash of the previous entry's `chain` and of everything in this entry.
     """
 
     number: int
@@ -72,26 +72,27 @@ class Entry:
     chain: str
 
 
-def link(before: str, head: dict[str, Any]) -> str:
-    """The chain's next hash: of the hash before and of an entry's head, which holds the hash of its content."""
-    return digest(before + canonical(head))
+def next_link(previous: str, head: dict[str, Any]) -> str:
+    """Return the chain's next hash: of the previous hash and of the entry's head, which holds its content's hash."""
+    return digest(previous + canonical(head))
 
 
 def originals_in(text: str) -> set[str]:
-    """Names of originals in a JSON text, where they are strings of their own.
+    """Return the names of originals that occur as whole strings in a JSON text.
 
-    Raises CaseError on a string that ends like any other file's name: such names often hold a patient's.
+    Raises CaseError on a string that ends like any other file name: such names often hold a patient's name.
     """
     found = set(_FILE.findall(text)) if _END.search(text) else set()
     if not all(ORIGINAL.fullmatch(name) for name in found):
-        raise CaseError("a case never holds the name of a file; keep the file and write its original's name")
+        raise CaseError("a case never holds the name of a file; keep the file and record the name of its original")
     return found
 
 
 @cache
 def versions() -> dict[str, str]:
-    """The software that computes here, the kind of machine, and its threads: what results depend on to the bit."""
-    from llvmlite.binding import get_host_cpu_name  # for which the kernels are compiled
+    """Return the versions of the software, the kind of machine and the number of threads, on which the last bit of a
+    result depends."""
+    from llvmlite.binding import get_host_cpu_name  # numba compiles the kernels for this processor
 
     names = ("numpy", "scipy", "numba", "opencv-python-headless", "pydicom", "python-gdcm")
     return {
@@ -100,5 +101,5 @@ def versions() -> dict[str, str]:
         "python": python_version(),
         **{name: version(name) for name in names},
         "machine": f"{system()} {machine()} {get_host_cpu_name()}",
-        "blas threads": os.environ.get("OPENBLAS_NUM_THREADS") or str(os.cpu_count()),  # sums are split among them
+        "blas threads": os.environ.get("OPENBLAS_NUM_THREADS") or str(os.cpu_count()),  # they split the sums
     }

@@ -1,4 +1,4 @@
-"""Is a case whole? Its database, the chain over its entries, the originals that they name."""
+"""Checks that a case is intact: its database, the hash chain over its entries, the originals that they name."""
 
 import sqlite3
 from collections.abc import Iterable
@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from sightline.case.canonical import digest
-from sightline.case.journal.entry import link, originals_in
+from sightline.case.journal.entry import next_link, originals_in
 from sightline.case.journal.originals import is_whole
 from sightline.case.journal.rows import HEAD, entry_of_row, first_link, head_of_row
 from sightline.checks import Check
@@ -16,12 +16,12 @@ _SHOWN = 3
 
 
 def check_case(db: sqlite3.Connection, originals: Path) -> tuple[Check, ...]:
-    """The checks of docs/refusals.md, "Checks of a case"."""
+    """Return the checks of docs/refusals.md, "Checks of a case"."""
     database = _database(db)
     try:
         (number,) = db.execute("SELECT number FROM about").fetchone()
         rows = db.execute("SELECT * FROM entries ORDER BY number").fetchall()
-    except (sqlite3.Error, TypeError):  # not even the rows can be read
+    except (sqlite3.Error, TypeError):  # TypeError: `about` has no row
         return (database, Check("case chain", False, None, 0.0, "entries", "The entries cannot be read."))
     return database, _chain(number, rows), _originals(rows, originals)
 
@@ -37,12 +37,13 @@ def _database(db: sqlite3.Connection) -> Check:
 
 
 def _chain(case_number: str, rows: Iterable[tuple[Any, ...]]) -> Check:
-    """Every entry's hash, and their chain. After a break it goes on from what the row says, so that each is judged."""
+    """Check each entry's hash and its link to the chain. After a break the check continues from the chain value that
+    the row states, so that one bad entry does not condemn those after it."""
     bad, before, expected = [], first_link(case_number), 1
     for row in rows:
         number, content, chain = row[0], row[len(HEAD)], row[len(HEAD) + 1]
-        known = digest(str(content)) == row[len(HEAD) - 1] and _readable(row)
-        if not known or number != expected or link(before, head_of_row(row)) != chain:
+        intact = digest(str(content)) == row[len(HEAD) - 1] and _readable(row)
+        if not intact or number != expected or next_link(before, head_of_row(row)) != chain:
             bad.append(number)
         before, expected = chain, number + 1
     if not bad:
@@ -63,7 +64,7 @@ def _readable(row: tuple[Any, ...]) -> bool:
 
 def _originals(rows: Iterable[tuple[Any, ...]], folder: Path) -> Check:
     names = sorted(set().union(*(_named(row) for row in rows)))
-    wrong = [name for name in names if not _whole(folder / name)]
+    wrong = [name for name in names if not _intact(folder / name)]
     if not wrong:
         sentence = f"All {len(names)} originals are there, unchanged."
     else:
@@ -76,10 +77,10 @@ def _named(row: tuple[Any, ...]) -> set[str]:
     try:
         return originals_in(str(row[len(HEAD)])) | originals_in(str(row[HEAD.index("settings")]))
     except CaseError:
-        return set()  # a damaged entry is the chain's matter
+        return set()  # the check of the chain reports a damaged entry
 
 
-def _whole(path: Path) -> bool:
+def _intact(path: Path) -> bool:
     try:
         return is_whole(path)
     except OSError:

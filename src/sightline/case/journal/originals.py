@@ -1,4 +1,4 @@
-"""Files of a case as they came, named after what is in them, written once and never touched again."""
+"""The original files of a case: named after the hash of their content, written once and never changed."""
 
 import os
 from contextlib import suppress
@@ -13,36 +13,34 @@ from sightline.case.canonical import digest
 from sightline.case.journal.entry import ORIGINAL, SUFFIXES
 from sightline.errors import CaseError
 from sightline.imaging import suffix_of
+from sightline.imaging.files import HEADER_BYTES
 
 FOLDER = "originals"
-_SHOWN = 12  # letters of a hash that tell one file of a case from another
-_START = 132  # bytes that tell what a file is
+_SHORT = 12  # leading digits of a hash: enough to tell the files of one case apart
 
 
 def name_of(data: bytes, suffix: str) -> str:
-    """`<sha256><suffix>`. Raises CaseError on a suffix that no image, table of beads or frame has."""
+    """Return `<sha256><suffix>`. Raises CaseError unless `suffix` is that of an image, a table of beads or a frame."""
     if suffix not in SUFFIXES:
-        raise CaseError(
-            f"a file ending in {suffix!r} cannot be kept in a case; its originals are {', '.join(SUFFIXES)}"
-        )
+        raise CaseError(f"a case cannot keep a file ending in {suffix!r}; it keeps {', '.join(SUFFIXES)}")
     return digest(data) + suffix
 
 
 def short(name: str) -> str:
-    """An original's name as people are told it."""
-    return name[:_SHOWN] + Path(name).suffix
+    """Return an original's name shortened for people: the first digits of its hash, and its suffix."""
+    return name[:_SHORT] + Path(name).suffix
 
 
-def called(path: Path) -> str:
-    """A file of beads or of an image as a case would call it, shortly: its own name may be a patient's."""
+def anonymous_name(path: Path) -> str:
+    """Return the short name that a case would give an image or a table of beads; the file's own may be a patient's."""
     with regular_file(path) as file:
-        suffix = suffix_of(file.read(_START)) or ".csv"
+        suffix = suffix_of(file.read(HEADER_BYTES)) or ".csv"
         file.seek(0)
-        return file_digest(file, "sha256").hexdigest()[:_SHOWN] + suffix
+        return short(file_digest(file, "sha256").hexdigest() + suffix)
 
 
 def keep(folder: Path, name: str, data: bytes) -> None:
-    """Write an original, whole and on the disk when this returns. Raises OSError; then nothing has its name."""
+    """Write an original atomically; it is on the disk when this returns. Raises OSError; then no file has its name."""
     target = folder / name
     if is_whole(target):
         return
@@ -61,13 +59,13 @@ def keep(folder: Path, name: str, data: bytes) -> None:
 
 
 def is_whole(path: Path) -> bool:
-    """Whether the file is there and holds what its name says. Raises OSError where it cannot be read."""
+    """Whether the file exists and matches the hash in its name. Raises OSError if it cannot be read."""
     return path.is_file() and digest(path.read_bytes()) == path.name[:64]
 
 
 def path_of(folder: Path, name: str) -> Path:
-    """The file of an original. Raises CaseError where there is none of this name."""
+    """Return the file of an original. Raises CaseError if there is none of this name."""
     path = folder / name
     if not (ORIGINAL.fullmatch(name) and path.is_file()):
-        raise CaseError("the case has no such original; `sightline case check` says what is missing")
+        raise CaseError("the case has no such original; run `sightline case check` to see what is missing")
     return path

@@ -1,4 +1,4 @@
-"""Entries as rows of the journal, and back."""
+"""Conversion of entries to rows of the journal, and back."""
 
 import json
 from collections.abc import Sequence
@@ -9,22 +9,22 @@ from sightline.case.canonical import digest
 from sightline.case.journal.entry import Actor, Entry, Kind
 from sightline.errors import CaseError
 
-# What the chain holds of an entry, in the order of the table's columns; then come `content` and `chain`.
+# Columns that the hash chain covers, in the order of the table; `content` and `chain` follow them.
 HEAD = ("number", "kind", "at", "by", "versions", "settings", "rests_on", "content_sha256")
 
 
 def first_link(case_number: str) -> str:
-    """What the chain begins with."""
+    """Return the first hash of the chain."""
     return digest(f"sightline case {case_number}")
 
 
 def head_of_row(row: Sequence[Any]) -> dict[str, Any]:
-    """The first columns of a row as the chain takes them: texts as they stand in the file."""
+    """Return the columns of HEAD by name, with their texts as the database stores them."""
     return dict(zip(HEAD, row[: len(HEAD)], strict=True))
 
 
 def entry_of_row(row: Sequence[Any]) -> Entry:
-    """Raises CaseError where the row is damaged."""
+    """Return a row as an entry. Raises CaseError if the row is damaged."""
     number, kind, at, by, versions, settings, rests_on, content_sha256, content, chain = row
     try:
         return Entry(
@@ -40,4 +40,4 @@ def entry_of_row(row: Sequence[Any]) -> Entry:
             chain=chain,
         )
     except (TypeError, ValueError):
-        raise CaseError(f"entry {number} of the case is damaged; `sightline case check` says more") from None
+        raise CaseError(f"entry {number} of the case is damaged; run `sightline case check` for details") from None

@@ -1,4 +1,4 @@
-"""The journal's tables, their version, and the way from older versions."""
+"""The journal's tables, their version, and the migration of older versions."""
 
 import secrets
 import sqlite3
@@ -7,15 +7,15 @@ from pathlib import Path
 from sightline.atomic import sync_folder
 from sightline.case.canonical import digest
 from sightline.case.journal.database import connect, transaction
-from sightline.case.journal.entry import link
+from sightline.case.journal.entry import next_link
 from sightline.case.journal.rows import HEAD, first_link, head_of_row
 from sightline.errors import CaseError
 
-APPLICATION = 0x51674C6E  # "QgLn": tells a case from other SQLite files
+APPLICATION = 0x51674C6E  # "QgLn": distinguishes a case from other SQLite files
 VERSION = 1
-# Without I, L, O, U, which are read as others [Crockford's base 32].
+# Without I, L, O and U, which people misread [Crockford's base 32].
 _LETTERS = "0123456789ABCDEFGHJKMNPQRSTVWXYZ"
-_NUMBER_LENGTH = 12  # 60 bits: two of a million cases share one with a chance of 4e-7
+_NUMBER_LENGTH = 12  # 60 bits: among a million cases the probability of a collision is 4e-7
 
 _TABLES = f"""
 CREATE TABLE about (number TEXT NOT NULL);
@@ -32,10 +32,10 @@ CREATE TRIGGER never_removed BEFORE DELETE ON entries BEGIN SELECT RAISE(ABORT, 
 
 
 def create(db: sqlite3.Connection) -> bool:
-    """Make a new case's tables in one step, unless there are tables already; return whether they were made.
+    """Create a new case's tables in one transaction, unless there are tables; return whether they were created.
 
-    SQLite's lock decides between programs that do so at the same time. A rename of a finished file would not: it could
-    replace the journal into which the other program already records.
+    If two programs create a case at the same time, SQLite's lock decides. Renaming a finished file into place would not
+    be safe: it could replace a journal in which the other program has already recorded entries.
     """
     with transaction(db):
         new = not has_tables(db)
@@ -45,21 +45,22 @@ def create(db: sqlite3.Connection) -> bool:
 
 
 def check_version(db: sqlite3.Connection) -> int:
-    """The version of what is in the file. Raises CaseError where it is no case, or a newer one."""
+    """Return the schema version of the file. Raises CaseError if it is not a case or its version is newer."""
     if not has_tables(db):
-        raise CaseError("there is no case in this folder; create one, or name the folder of one")
+        raise CaseError("there is no case in this folder; create one, or name the folder of a case")
     application, version = (db.execute(f"PRAGMA {name}").fetchone()[0] for name in ("application_id", "user_version"))
     if application != APPLICATION:
-        raise CaseError("journal.sqlite in this folder is not the journal of a case; name the folder of one")
+        raise CaseError("journal.sqlite in this folder is not the journal of a case; name the folder of a case")
     if version > VERSION:
         raise CaseError(
-            f"this case was written by a newer Sightline (schema {version}; known here: {VERSION}); open it with that"
+            f"this case was written by a newer Sightline (schema {version}, this one reads up to {VERSION}); open it "
+            "with the newer one"
         )
     return version
 
 
 def refuse_unwritable(db: sqlite3.Connection) -> None:
-    """Begin to write, and take it back: refused on opening, not at the first entry."""
+    """Write and roll back, so that a case that cannot be written is refused on opening, not at the first entry."""
     db.execute("BEGIN IMMEDIATE")
     try:
         db.execute(f"PRAGMA user_version = {VERSION}")
@@ -69,14 +70,14 @@ def refuse_unwritable(db: sqlite3.Connection) -> None:
 
 
 def migrate(db: sqlite3.Connection) -> None:
-    """From an older version to this one, in one step."""
+    """Migrate an older version to this one in one transaction."""
     with transaction(db):
         if check_version(db) == 0:
             _from_0(db)
 
 
 def back_up(db: sqlite3.Connection, file: Path) -> None:
-    """A copy of the journal as it is, on the disk when this returns."""
+    """Copy the journal to `file`; the copy is on the disk when this returns."""
     copy = connect(file, "rwc")
     try:
         db.backup(copy)
@@ -86,7 +87,7 @@ def back_up(db: sqlite3.Connection, file: Path) -> None:
 
 
 def _from_0(db: sqlite3.Connection) -> None:
-    """Version 0 had no hashes and no chain: they are made of what is there."""
+    """Add the hashes and the chain, which version 0 did not have."""
     (number,) = db.execute("SELECT number FROM about").fetchone()
     columns = [column for column in HEAD if column != "content_sha256"]
     rows = db.execute(f"SELECT {', '.join(columns)}, content FROM entries ORDER BY number").fetchall()  # noqa: S608
@@ -96,13 +97,13 @@ def _from_0(db: sqlite3.Connection) -> None:
     chain = first_link(number)
     for *head, content in rows:
         row = (*head, digest(content))
-        chain = link(chain, head_of_row(row))
+        chain = next_link(chain, head_of_row(row))
         insert(db, (*row, content, chain))
 
 
 def insert(db: sqlite3.Connection, row: tuple[object, ...]) -> None:
-    """A row of `entries`: the columns of HEAD, content, chain."""
-    db.execute(f"INSERT INTO entries VALUES ({', '.join('?' * len(row))})", row)  # noqa: S608 - marks alone
+    """Insert a row of `entries`: the columns of HEAD, content, chain."""
+    db.execute(f"INSERT INTO entries VALUES ({', '.join('?' * len(row))})", row)  # noqa: S608 - question marks only
 
 
 def _build(db: sqlite3.Connection, number: str) -> None:
@@ -114,7 +115,7 @@ def _build(db: sqlite3.Connection, number: str) -> None:
 
 
 def _statements() -> list[str]:
-    """Of `_TABLES`: `executescript` would commit first."""
+    """Split `_TABLES` into statements, because `executescript` would commit the transaction first."""
     out, text = [], ""
     for line in _TABLES.strip().splitlines():
         text += line + "\n"
@@ -125,7 +126,7 @@ def _statements() -> list[str]:
 
 
 def has_tables(db: sqlite3.Connection) -> bool:
-    """Return whether anything was ever written: a program killed while it creates a case leaves an empty file."""
+    """Whether anything was written: a program killed while it creates a case leaves an empty file."""
     return db.execute("SELECT count(*) FROM sqlite_master").fetchone()[0] > 0
 
 

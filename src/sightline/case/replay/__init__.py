@@ -1,10 +1,10 @@
-"""A case computed again from its originals, and each entry compared with what was recorded.
+"""Recompute a case from its originals and compare each result with its entry.
 
 It may import `stages` and what lies below; it writes nothing into a case.
 """
 
 from sightline.case.replay.compare_json import largest
-from sightline.case.replay.outcomes import Outcome, Replayed, judge, replay
+from sightline.case.replay.outcomes import Replayed, ReplayOutcome, judge, replay
 from sightline.case.replay.recompute import Recomputed
 
-__all__ = ["Outcome", "Recomputed", "Replayed", "judge", "largest", "replay"]
+__all__ = ["Recomputed", "ReplayOutcome", "Replayed", "judge", "largest", "replay"]

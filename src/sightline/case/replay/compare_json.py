@@ -1,4 +1,4 @@
-"""Two JSON documents held against each other: where they differ, and whether machines may differ by so much."""
+"""Compare two JSON documents: where they differ, and whether the differences are within tolerance."""
 
 import json
 import re
@@ -6,17 +6,19 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any, TypeGuard
 
-# What other versions and other machines may change, by the end of a number's key: what the golden data of the tests
-# allow, twice it for mm, since here a view follows from its image [ours].
+# Tolerances for other versions and machines, by the end of a number's key. They are those of the tests' golden data,
+# but twice as large for mm, since here a view is computed from its image [ours].
 TOLERANCES = {"uv_px": 2e-3, "radius_px": 5e-3, "_mm": 2e-3}
-RELATIVE, ABSOLUTE = 1e-2, 1e-4  # of every other number [ours]
-# Sentences for people, which versions word differently, and rejected candidates: one at a limit may come or go.
+RELATIVE, ABSOLUTE = 1e-2, 1e-4  # for all other numbers [ours]
+# Not compared: sentences for people, which versions word differently, and rejected candidates: one at a limit may come
+# or go.
 _FREE = ("sentence", "missing", "refused", "rejected")
 
 
 @dataclass(frozen=True)
 class Difference:
-    """`where`: the place, as in `beads[3].uv_px[0]`; `by`: `|now - then|` of numbers, else None."""
+    """One difference. `where`: its place, as in `beads[3].uv_px[0]`; `by`: `|now - then|` for numbers, else None;
+    `close`: whether it is within tolerance."""
 
     where: str
     then: Any
@@ -26,13 +28,13 @@ class Difference:
 
 
 def largest(found: Iterable[Difference], unit: str) -> Difference | None:
-    """The largest change among numbers whose key ends in this unit, `px` or `mm`; None where there is none."""
+    """Return the largest change of a number whose key ends in `unit`, `px` or `mm`; None if there is none."""
     ours = [one for one in found if one.by is not None and re.search(rf"_{unit}(\[\d+\])*$", one.where)]
     return max(ours, key=lambda one: one.by or 0.0, default=None)
 
 
 def differences(then: Any, now_text: str) -> tuple[Difference, ...]:
-    """Of a document and the text of another: what is not close first, then the largest."""
+    """Return the differences of a document from a JSON text: those beyond tolerance first, then by size."""
     found = list(_walk("", "", then, json.loads(now_text)))
     return tuple(sorted(found, key=lambda one: (one.close, -(one.by or 0.0))))
 

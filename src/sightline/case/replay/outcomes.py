@@ -1,4 +1,4 @@
-"""A case computed again and held against what was recorded: one outcome for each entry."""
+"""Recompute a case and compare it with its entries: one outcome per entry."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -15,8 +15,8 @@ from sightline.errors import SightlineError
 from sightline.estimator import ESTIMATOR, FIRST
 
 
-class Outcome(StrEnum):
-    """How an entry compares with what is computed now."""
+class ReplayOutcome(StrEnum):
+    """How an entry compares with the result computed now."""
 
     SAME = "same to the bit"
     CLOSE = "within tolerance, by other versions"
@@ -29,43 +29,43 @@ class Outcome(StrEnum):
 
 @dataclass(frozen=True)
 class Replayed:
-    """One entry, computed again. `changed`: versions that are not those of the entry, as "name then -> now";
-    `differences`: where the result is another, the largest first; `reason`: why it FAILED, or what is BEYOND."""
+    """One recomputed entry. `changed`: versions that differ from the entry's, as "name then -> now"; `differences`: of
+    the result, the largest first; `reason`: why it FAILED, or which value is BEYOND."""
 
     entry: Entry
-    outcome: Outcome
+    outcome: ReplayOutcome
     changed: tuple[str, ...] = ()
     differences: tuple[Difference, ...] = ()
     reason: str = ""
 
     @property
     def passed(self) -> bool:
-        """True unless something speaks against the entry."""
-        return self.outcome not in (Outcome.BEYOND, Outcome.DIFFERENT, Outcome.FAILED)
+        """Whether the entry agrees with its recomputation as far as can be expected."""
+        return self.outcome not in (ReplayOutcome.BEYOND, ReplayOutcome.DIFFERENT, ReplayOutcome.FAILED)
 
     @property
     def said(self) -> str:
-        """The outcome in words; where estimates changed, with the estimator's versions that changed them."""
-        changed = self.outcome in (Outcome.ESTIMATES, Outcome.BEYOND)
+        """The outcome in words; if estimates changed, with the estimator versions that changed them."""
+        changed = self.outcome in (ReplayOutcome.ESTIMATES, ReplayOutcome.BEYOND)
         return f"{self.outcome} in {_since(self.entry)}" if changed else str(self.outcome)
 
 
 def replay(case: Case) -> Iterator[Replayed]:
-    """Every entry of a case in order, computed again from the originals."""
+    """Recompute every entry of a case from the originals, in order."""
     again = Recomputed(case)
     for entry in case.entries():
         yield _replayed(entry, again)
 
 
 def judge(replayed: Sequence[Replayed]) -> Check:
-    """The check of docs/refusals.md, "case replay"."""
+    """Return the check "case replay" of docs/refusals.md."""
     bad = [one for one in replayed if not one.passed]
-    computed = [one for one in replayed if one.outcome is not Outcome.RECORDED]
-    same = sum(one.outcome is Outcome.SAME for one in computed)
+    computed = [one for one in replayed if one.outcome is not ReplayOutcome.RECORDED]
+    same = sum(one.outcome is ReplayOutcome.SAME for one in computed)
     sentence = f"Of {len(computed)} computed entries {same} are the same to the bit"
-    if close := sum(one.outcome is Outcome.CLOSE for one in computed):
+    if close := sum(one.outcome is ReplayOutcome.CLOSE for one in computed):
         sentence += f", {close} within the tolerances, by other versions"
-    if moved := [one for one in computed if one.outcome is Outcome.ESTIMATES]:
+    if moved := [one for one in computed if one.outcome is ReplayOutcome.ESTIMATES]:
         sentence += f"; of {len(moved)} the {moved[0].said}, {_by_at_most(moved)}"
     if bad:
         sentence += f"; entry {bad[0].entry.number} ({bad[0].entry.kind}) {bad[0].said}"
@@ -76,24 +76,25 @@ def judge(replayed: Sequence[Replayed]) -> Check:
 def _replayed(entry: Entry, again: Recomputed) -> Replayed:
     try:
         now = again.content(entry)
-    except (SightlineError, KeyError, ValueError) as error:  # the last two: an entry that no stage of ours recorded
+    except (SightlineError, KeyError, ValueError) as error:  # the last two: another program recorded the entry
         reason = str(error) if isinstance(error, SightlineError) else "its content is not what this stage records"
-        return Replayed(entry, Outcome.FAILED, _changed(entry), reason=reason)
+        return Replayed(entry, ReplayOutcome.FAILED, _changed(entry), reason=reason)
     if now is None:
-        return Replayed(entry, Outcome.RECORDED)
+        return Replayed(entry, ReplayOutcome.RECORDED)
     text = canonical(now)
     changed = _changed(entry)
     if digest(text) == entry.content_sha256:
-        return Replayed(entry, Outcome.SAME, changed)
+        return Replayed(entry, ReplayOutcome.SAME, changed)
     found = differences(entry.content, text)
     reason = ""
     if changed and all(one.close for one in found):
-        outcome = Outcome.CLOSE
-    elif _estimator(entry) != ESTIMATOR and all(one.where != "pixels_sha256" for one in found):  # no estimate
+        outcome = ReplayOutcome.CLOSE
+    # A new estimator may change every result but the pixels, which are read and not estimated.
+    elif _estimator(entry) != ESTIMATOR and all(one.where != "pixels_sha256" for one in found):
         reason = beyond_stated(entry.content, plain(now))
-        outcome = Outcome.BEYOND if reason else Outcome.ESTIMATES
+        outcome = ReplayOutcome.BEYOND if reason else ReplayOutcome.ESTIMATES
     else:
-        outcome = Outcome.DIFFERENT
+        outcome = ReplayOutcome.DIFFERENT
     return Replayed(entry, outcome, changed, found, reason)
 
 
@@ -103,13 +104,13 @@ def _estimator(entry: Entry) -> int:
 
 
 def _since(entry: Entry) -> str:
-    """The versions in which the estimates became others than the entry's."""
+    """Return the estimator versions between the entry's and the present one, in words."""
     low, high = sorted((_estimator(entry), ESTIMATOR))
     return f"version {high}" if high == low + 1 else f"versions {low + 1} to {high}"
 
 
 def _by_at_most(replayed: Sequence[Replayed]) -> str:
-    """The largest changes of pixels and lengths, each with its place, and verdicts that changed."""
+    """Return the largest changes of pixels and lengths with their places, and the changed verdicts, in words."""
     said = []
     for unit in ("px", "mm"):
         tops = [(top, one) for one in replayed if (top := largest(one.differences, unit)) is not None]

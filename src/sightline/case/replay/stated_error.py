@@ -1,18 +1,18 @@
-"""Whether a result that is computed again stays within the error that was stated of it."""
+"""Compare the change of a recomputed result with the error that was stated for it."""
 
 from typing import Any
 
 import numpy as np
 from scipy.special import chdtri
 
-# An honest bead changes by more once in 10,000 images, over all their beads [ours].
+# Probability that any bead of an image changes by more than its true error allows [ours].
 FALSE_ALARM = 1e-4
 
 
 def beyond_stated(then: Any, now: Any) -> str:
-    """The change that is largest against its stated error, in words, where it is larger; else "".
+    """Return the change that exceeds its stated error most, in words; "" if none does.
 
-    `then`, `now`: what `contents` makes of labelled beads, a plan or a check shot. What states no error is not judged.
+    `then`, `now`: contents of labelled beads, a plan or a check shot. Results without a stated error are not judged.
     """
     try:
         if "trajectory" in then:
@@ -21,13 +21,13 @@ def beyond_stated(then: Any, now: Any) -> str:
             return _points(then, now)
         if "ids" in then and then["covariance_px2"] is not None:
             return _beads(then, now)
-    except (KeyError, TypeError, ValueError):  # an entry that no stage of ours recorded: it differs, and that is said
+    except (KeyError, TypeError, ValueError):  # another program recorded the entry: it is reported as different
         pass
     return ""
 
 
 def _points(then: dict[str, Any], now: dict[str, Any]) -> str:
-    """Of a plan or a check shot: its two points, and a plan's direction."""
+    """Compare the two points of a plan or a check shot, and a plan's direction."""
     stated = then["error_95"]
     if stated is None:
         return ""
@@ -46,11 +46,11 @@ def _points(then: dict[str, Any], now: dict[str, Any]) -> str:
 
 
 def _beads(then: dict[str, Any], now: dict[str, Any]) -> str:
-    """Of the beads that both name."""
+    """Compare the beads that both have labelled."""
     places = dict(zip(now["ids"], now["uv_px"], strict=True))
     kept = [k for k, name in enumerate(then["ids"]) if name in places]
     if not kept:
-        return "no bead has its name any more"
+        return "no bead has its former label"
     off = np.array([np.subtract(places[then["ids"][k]], then["uv_px"][k]) for k in kept])
     covariance = np.array(then["covariance_px2"])[kept]
     square = np.einsum("ij,ij->i", off, np.linalg.solve(covariance, off[..., None])[..., 0])

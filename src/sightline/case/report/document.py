@@ -1,6 +1,6 @@
-"""The report as JSON: the schema is docs/report.schema.json. `python -m sightline.case.report.document` prints it.
+"""The report as JSON. Its schema is docs/report.schema.json, printed by `python -m sightline.case.report.document`.
 
-Keys that are not named here may follow: readers pass over what they do not know. What is named stays as it is.
+Later versions may add keys, which readers must ignore. The keys named here do not change.
 """
 
 import json
@@ -23,7 +23,7 @@ class _Open(BaseModel):
 
 
 class CheckDocument(_Open):
-    """One check: a figure held against its limit, both in `unit`; null where there is none."""
+    """One check: a value (`figure`) and its limit, both in `unit`; null where there is none."""
 
     name: str
     passed: bool
@@ -41,7 +41,7 @@ class FrameNamed(_Open):
 
 
 class BeadDocument(_Open):
-    """One bead: where it was seen, IDCS px, and what the fit left of it on the reference plane, mm."""
+    """One bead: its measured centre, IDCS px, and its residual on the reference plane, mm."""
 
     id: str
     uv_px: tuple[float, float]
@@ -49,7 +49,7 @@ class BeadDocument(_Open):
     used: bool
 
 
-class ViewDocument(_Open):
+class CalibratedViewDocument(_Open):
     """One calibrated view; lengths in mm, CFCS. Rms values are per axis."""
 
     view: str
@@ -64,7 +64,7 @@ class ViewDocument(_Open):
 
 
 class ErrorBounds(_Open):
-    """With a probability of 95 % the errors are smaller."""
+    """Bounds that each error stays below with a probability of 95 %."""
 
     entry_mm: float
     end_mm: float
@@ -72,7 +72,7 @@ class ErrorBounds(_Open):
 
 
 class TrajectoryDocument(_Open):
-    """The planned wire, CFCS, mm. `error_95` is null where a view's error is unknown."""
+    """The planned wire, CFCS, mm. `error_95` is null if the error of a view is unknown."""
 
     coordinates: Literal["CFCS"]
     entry_mm: Point
@@ -85,7 +85,7 @@ class TrajectoryDocument(_Open):
 
 
 class LimitsDocument(_Open):
-    """What a plan was judged by: limits of its 95 % errors, and how far past its end point it is drilled."""
+    """The limits that a plan was judged by: of its 95 % errors, and how far past its end point it may be drilled."""
 
     position_mm: float
     direction_deg: float
@@ -93,15 +93,15 @@ class LimitsDocument(_Open):
 
 
 class AlongDocument(_Open):
-    """How far entry and end could be wrong along a line of sight before a check of the bone fails; null where nothing
-    would notice."""
+    """How far entry and end could be wrong along a line of sight before a check of the bone fails; null if no check
+    would detect it."""
 
     entry: float | None
     end: float | None
 
 
 class LandmarkDocument(_Open):
-    """A point of the bone that both views show; `name` is null where it has none."""
+    """A point of the bone that both views show; `name` is null if it has none."""
 
     name: str | None
     xyz_mm: Point
@@ -110,8 +110,8 @@ class LandmarkDocument(_Open):
 
 
 class ExposureDocument(_Open):
-    """An image that was taken, by the first letters of its hash. `at`: UTC, when it was kept; null outside a case.
-    `frames`: that were exposed for it, of a run or an average."""
+    """An acquired image, by the first digits of its hash. `at`: UTC, when it was kept; null outside a case. `frames`:
+    the number of frames exposed for it, in a run or an average."""
 
     image: str
     used: str
@@ -122,8 +122,9 @@ class ExposureDocument(_Open):
 class ReportDocument(_Open):
     """The report of one plan. `case`: the number of its case, the only identity in it; null outside a case.
 
-    `go`: true only where every check passed; a person decides. `verdict` is "incomplete" where nothing but what is
-    `missing` stands against it. `limits`: what the plan was judged by. `drilled`: once a robot carried the plan out.
+    `go`: true only if every check passed; a person decides. `verdict`: "incomplete" if nothing but the `missing` parts
+    stands against the plan. `limits`: what the plan was judged by. `drilled`: null until a robot has carried out the
+    plan.
     """
 
     model_config = ConfigDict(title="Sightline report")
@@ -134,7 +135,7 @@ class ReportDocument(_Open):
     versions: dict[str, str]
     provenance: dict[str, str]
     frame: FrameNamed
-    views: tuple[ViewDocument, ViewDocument]
+    views: tuple[CalibratedViewDocument, CalibratedViewDocument]
     go: bool
     verdict: State
     missing: tuple[str, ...]
@@ -150,7 +151,7 @@ class ReportDocument(_Open):
 
 
 def report_document(report: Report, case_number: str | None = None) -> ReportDocument:
-    """What a report states."""
+    """Return the JSON document of a report."""
     plan = report.plan
     stated = {
         "report": 1,
@@ -171,7 +172,7 @@ def report_document(report: Report, case_number: str | None = None) -> ReportDoc
 
 
 def schema_text() -> str:
-    """The published schema."""
+    """Return the published JSON schema."""
     return json.dumps(ReportDocument.model_json_schema(), indent=1) + "\n"
 
 

@@ -1,4 +1,4 @@
-"""What became of a plan: the robot's stated errors, what it said while it drilled, and what the check shot shows."""
+"""The outcome of a plan: the robot's stated errors, its drilling record, and the check shot."""
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from markupsafe import Markup
 
-from sightline.case.report.figures.force import WIDTH, force_trace
+from sightline.case.report.drawing.force import WIDTH, force_trace
 from sightline.planning.check_shot import CheckShot
 from sightline.robot.kinematics.target import RobotTarget
 from sightline.robot.link.record import DrillingRecord
@@ -14,8 +14,8 @@ from sightline.robot.link.record import DrillingRecord
 if TYPE_CHECKING:
     from sightline.checks import Check
 
-BEFORE_MM = 10.0  # of the entry point, where the drawing of the force begins
-# What a robot adds to the error of a plan, in the order of the way from frame to wire.
+BEFORE_MM = 10.0  # the plot of the force begins this far before the entry point
+# Error sources that a robot adds to a plan, in the order of the chain from frame to wire.
 ROBOT_SOURCES = {
     "hand_eye": "where the frame sits on the flange",
     "kinematics": "where the joints' axes are, as far as imaging and drilling pose differ",
@@ -28,7 +28,7 @@ ROBOT_SOURCES = {
 
 @dataclass(frozen=True, eq=False)
 class Deviation:
-    """Of a drilled wire, by the physics of the twin: mm at entry and tip, and the direction, °."""
+    """True deviation of a drilled wire, from the physics of the twin: mm at entry and tip, degrees in direction."""
 
     against: str
     entry_mm: float
@@ -38,7 +38,7 @@ class Deviation:
 
 @dataclass(frozen=True, eq=False)
 class Drilled:
-    """Each part where it is known. `check`: the check shot, or why it was refused. `physics`: only where the truth is
+    """The known parts of a drilling. `check`: the check shot, or why it was refused. `physics`: only if the truth is
     known."""
 
     target: RobotTarget | None
@@ -47,7 +47,7 @@ class Drilled:
     physics: tuple[Deviation, ...] = ()
 
     def document(self) -> dict[str, Any]:
-        """As JSON types."""
+        """Return the drilling as JSON types."""
         check = {"refused": self.check} if isinstance(self.check, str) else self.check and self.check.document()
         return {
             **({} if self.target is None else _sent(self.target)),
@@ -76,12 +76,12 @@ def _stated(target: RobotTarget) -> dict[str, float]:
     }
 
 
-def force_picture(record: DrillingRecord, width: float = WIDTH) -> str:
-    """The thrust over the depth near the bone, with what was noticed; empty before there is enough to draw."""
+def force_figure(record: DrillingRecord, width: float = WIDTH) -> str:
+    """Return a plot of the thrust over depth near the bone, with the events; "" while there are too few samples."""
     near = record.depth_mm > -BEFORE_MM
     if np.count_nonzero(near) < 2:
         return ""
-    events = {event.name: event.depth_mm for event in reversed(record.events)}  # of several the first
+    events = {event.name: event.depth_mm for event in reversed(record.events)}  # the first of each name
     described = f"Thrust along the wire over its depth: {_noticed(record)}"
     return force_trace(record.depth_mm[near], record.force_n[near], events, described, width)
 
@@ -91,7 +91,7 @@ def _noticed(record: DrillingRecord) -> str:
 
 
 def section(drilled: Drilled | None) -> dict[str, Any] | None:
-    """The report's section as its template wants it."""
+    """Return the template context of the report's section; None without a drilling."""
     if drilled is None:
         return None
     target, check, record = drilled.target, drilled.check, drilled.record
@@ -104,7 +104,7 @@ def section(drilled: Drilled | None) -> dict[str, Any] | None:
         rows.append(("check shot: its own error (95 %)", *_figures(shown["error_95"])))
     rows += [(f"physics: the wire against {one.against}", *_figures(vars(one))) for one in drilled.physics]
     return {
-        "force": Markup("" if record is None else force_picture(record)),  # noqa: S704 - made by svg.py, which escapes
+        "force": Markup("" if record is None else force_figure(record)),  # noqa: S704 - made by svg.py, which escapes
         "events": "" if record is None else _noticed(record),
         "rows": rows,
         "sources": [] if target is None else _sources(target),
@@ -113,19 +113,19 @@ def section(drilled: Drilled | None) -> dict[str, Any] | None:
 
 
 def check_sentence(check: CheckShot | str | None) -> str:
-    """What the check shot says, for a person."""
+    """Return the result of the check shot as text for people."""
     if check is None:
         return "No check shot was measured."
     if isinstance(check, str):
         return f"The check shot was refused: {check}."
     return (
-        f"The check shot {'passed' if check.passed else 'did NOT pass'}; it is measured against the bone, by "
-        f"{check.landmarks} landmarks that were found again; the wire is bent by up to {check.bow_mm:.2f} mm."
+        f"The check shot {'passed' if check.passed else 'did NOT pass'}. It is measured against the bone, with "
+        f"{check.landmarks} landmarks picked again; the wire is bent by up to {check.bow_mm:.2f} mm."
     )
 
 
 def checks(drilled: Drilled | None) -> "list[tuple[str, tuple[Check, ...]]]":
-    """Titles and checks for the report's last section."""
+    """Return titles and checks for the report's last section."""
     if drilled is None:
         return []
     of_target = () if drilled.target is None else drilled.target.checks

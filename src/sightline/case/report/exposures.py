@@ -1,4 +1,4 @@
-"""The exposures that a procedure used, as far as their images were kept."""
+"""The exposures of a procedure whose images were kept."""
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
@@ -9,16 +9,16 @@ from sightline.case.stages import acquired_of
 from sightline.case.views import CalibratedImage, spoken
 
 NOTE = (
-    "Those whose images were kept. What was exposed beside them, to position patient and C-arm or live, is not known "
-    "here, and neither is any dose."
+    "Exposures whose images were kept. Other exposures, such as live images and those to position patient and C-arm, "
+    "are not known here, and neither is the dose."
 )
 PLANNING, CHECK, UNUSED = "planning", "check shot", "not used for this plan"
 
 
 @dataclass(frozen=True)
-class Exposure:
-    """An image that was taken. `image`: by the first letters of its hash. `at`: UTC, when it was kept, where a case
-    tells. `frames`: that were exposed for it, of a run or an average."""
+class KeptExposure:
+    """An exposure whose image was kept. `image`: the first digits of its hash. `at`: UTC, when it was kept; None
+    outside a case. `frames`: the number of frames exposed for it, in a run or an average."""
 
     image: str
     used: str
@@ -26,18 +26,18 @@ class Exposure:
     frames: int = 1
 
 
-def of_images(images: Iterable[CalibratedImage], used: str) -> tuple[Exposure, ...]:
-    """Outside a case: the images themselves."""
-    return tuple(Exposure(image.seen.source, f"{used}, {spoken(image.name)} view") for image in images)
+def of_images(images: Iterable[CalibratedImage], used: str) -> tuple[KeptExposure, ...]:
+    """Return the exposures of images outside a case."""
+    return tuple(KeptExposure(image.seen.source, f"{used}, {spoken(image.name)} view") for image in images)
 
 
-def of_case(case: Case, plan: Entry) -> tuple[Exposure, ...]:
-    """All exposures that the case holds, and what each was used for in a plan and its check shot, in order.
+def of_case(case: Case, plan: Entry) -> tuple[KeptExposure, ...]:
+    """Return all exposures of a case in order, and the use of each in a plan and its check shot.
 
-    Pixels that came again, in the same file or under another header, are no further exposure.
+    Images with the same pixels, from the same file or under another header, count as one exposure.
     """
     uses = dict(_uses(case, plan))
-    found: dict[str, Exposure] = {}
+    found: dict[str, KeptExposure] = {}
     by_file: dict[str, str] = {}
     for entry in case.entries(Kind.ACQUIRED):
         acquisition = entry.settings.get("acquisition") or {}
@@ -48,12 +48,12 @@ def of_case(case: Case, plan: Entry) -> tuple[Exposure, ...]:
         before = found.get(known)
         if before is None or (used is not None and before.used == UNUSED):
             at = before.at if before else f"{entry.at:%Y-%m-%d %H:%M:%S}"
-            found[known] = Exposure(short(entry.content["original"]), used or UNUSED, at, frames)
+            found[known] = KeptExposure(short(entry.content["original"]), used or UNUSED, at, frames)
     return tuple(found.values())
 
 
 def _uses(case: Case, plan: Entry) -> Iterator[tuple[int, str]]:
-    """Numbers of acquired entries, and what their images were used for."""
+    """Yield numbers of acquired entries, and what their images were used for."""
     checks = [one.rests_on[1:] for one in case.entries(Kind.VERIFIED) if one.rests_on[:1] == (plan.number,)]
     for what, views in ((CHECK, (number for pair in checks for number in pair)), (PLANNING, plan.rests_on)):
         for number in views:

@@ -1,4 +1,4 @@
-"""From a case to the report of its last plan."""
+"""Make the report of a case's last plan."""
 
 from sightline.case.journal import Case, Entry, Kind
 from sightline.case.replay import Recomputed
@@ -11,10 +11,9 @@ from sightline.robot.link.record import DrillingRecord
 
 
 def report_of(case: Case) -> Report:
-    """The report of the last plan, made from the originals, and of what became of it: its images are called by their
-    originals' names.
+    """Return the report of the last plan and its drilling, recomputed from the originals, which name the images.
 
-    Raises CaseError where there is no plan, and what the stages raise.
+    Raises CaseError if there is no plan, and what the stages raise.
     """
     entry = case.latest(Kind.PLANNED)
     if entry is None:
@@ -30,13 +29,13 @@ def report_of(case: Case) -> Report:
         provenance={
             "case": f"{case.number}, entry {entry.number} of {case.last}",
             "planned": f"{entry.at:%Y-%m-%d %H:%M} UTC, by {entry.by}",
-            "journal": f"the chain of entries is {entry.chain[:16]} at entry {entry.number}",
+            "journal": f"the hash chain is {entry.chain[:16]} at entry {entry.number}",
         },
     )
 
 
 def _drilled(case: Case, plan: Entry, again: Recomputed) -> Drilled | None:
-    """What the robot said last, and the last check shot, since the plan; None where there is neither."""
+    """Return the last drilling record and the last check shot since the plan; None if there is neither."""
     records = [one.content["record"] for one in case.entries(Kind.DRILLED, plan.number) if "record" in one.content]
     shots = [one for one in case.entries(Kind.VERIFIED, plan.number) if _is_measured(one, plan)]
     if not records and not shots:
@@ -49,5 +48,5 @@ def _drilled(case: Case, plan: Entry, again: Recomputed) -> Drilled | None:
 
 
 def _is_measured(verified: Entry, plan: Entry) -> bool:
-    """False of a check shot of another plan, and of one that an earlier version did not say the making of."""
+    """Whether a check shot is of this plan, and its entry holds the request, which earlier versions did not record."""
     return plan.number in verified.rests_on and "asked" in verified.content

@@ -1,4 +1,4 @@
-"""The report of one plan: a single page that needs no other file and asks nothing of a network."""
+"""The report of one plan as a single HTML page, which needs no other file and no network."""
 
 from importlib.metadata import version
 from importlib.resources import files
@@ -8,14 +8,14 @@ from jinja2 import Environment, StrictUndefined
 from markupsafe import Markup
 
 from sightline import __version__
-from sightline.case.report import pictures, tables
+from sightline.case.report import figures, tables
 from sightline.case.report.content import Report
 
 
 def render(report: Report) -> str:
-    """The page as HTML."""
+    """Return the page as HTML."""
     templates = files("sightline.case.report") / "templates"
-    # Pictures are markup of our own making; everything else is escaped.
+    # Only the figures are trusted markup, made here; everything else is escaped.
     environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
     page = environment.from_string((templates / "report.html.j2").read_text("utf-8"))
     return page.render(
@@ -25,7 +25,7 @@ def render(report: Report) -> str:
         title=report.title,
         provenance={**report.provenance, "software": _versions()}.items(),
         **tables.tables(report),
-        **pictures.pictures(report),
+        **figures.figures(report),
     )
 
 

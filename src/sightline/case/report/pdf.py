@@ -1,4 +1,4 @@
-"""The report as PDF, for a printer or an archive: verdict, wire, images, error budget, every check. A4, no metadata."""
+"""The report as PDF, for printing and archives: verdict, wire, images, error budget, all checks. A4, no metadata."""
 
 import textwrap
 from collections.abc import Iterable, Sequence
@@ -12,21 +12,21 @@ from matplotlib.figure import Figure
 
 from sightline import __version__
 from sightline.case.report.content import Report
-from sightline.case.report.figures.radiographs import grey
+from sightline.case.report.drawing.radiographs import grey
 from sightline.case.report.tables import bars, tables
 from sightline.case.views import NAMES, CalibratedImage, spoken
 
 _A4_IN = (8.27, 11.69)
-_LEFT, _RIGHT, _TOP, _LINE = 0.09, 0.91, 0.95, 0.0165  # of the page
-_WRAP = 104  # letters of a line of text
+_LEFT, _RIGHT, _TOP, _LINE = 0.09, 0.91, 0.95, 0.0165  # fractions of the page
+_WRAP = 104  # characters per line of text
 _CHECKS_A_PAGE, _EXPOSURES_A_PAGE = 17, 45
 _GOOD, _BAD, _INK, _MUTED, _RULE = "#1b7f4d", "#b3261e", "#1d2733", "#5b6875", "#c9d1d9"
 _WIRE, _CURVE, _BEAD = "#ffb000", "#4cc9f0", "#7ae582"
-_SOURCES = ("#4c6ef5", "#12a5a5", "#e8961e", "#8a63d2", "#8c99a6")  # those of the page, in the order of the budget
+_SOURCES = ("#4c6ef5", "#12a5a5", "#e8961e", "#8a63d2", "#8c99a6")  # the page's colours, in the order of the budget
 
 
 def render_pdf(report: Report) -> bytes:
-    """The same report gives the same bytes."""
+    """Return the report as PDF; equal reports give equal bytes."""
     buffer = BytesIO()
     with PdfPages(buffer, metadata={"CreationDate": None, "Producer": None, "Creator": None}) as pdf:
         for page in draw(report):
@@ -35,9 +35,9 @@ def render_pdf(report: Report) -> bytes:
 
 
 def draw(report: Report) -> list[Figure]:
-    """Its pages."""
-    told = tables(report)
-    pages = [_first(report, told), _images(report), *_checks(report), *_exposures(told)]
+    """Return the pages as figures."""
+    context = tables(report)
+    pages = [_first(report, context), _images(report), *_checks(report), *_exposures(context)]
     for number, page in enumerate(pages, 1):
         foot = f"{report.title} · Sightline {__version__} · research software, not a medical device"
         _say(page, foot, _LEFT, 0.035, size=7, colour=_MUTED)
@@ -45,11 +45,11 @@ def draw(report: Report) -> list[Figure]:
     return pages
 
 
-def _first(report: Report, told: dict[str, Any]) -> Figure:
+def _first(report: Report, context: dict[str, Any]) -> Figure:
     page, y = Figure(figsize=_A4_IN), _TOP
     _say(page, report.title, _LEFT, y, size=17, weight="bold")
-    y = _lines(page, [told["subtitle"]], y - 1.6 * _LINE, colour=_MUTED)
-    verdict = told["verdict"]
+    y = _lines(page, [context["subtitle"]], y - 1.6 * _LINE, colour=_MUTED)
+    verdict = context["verdict"]
     colour = {"go": _GOOD, "no-go": _BAD, "incomplete": _INK}[verdict["state"]]
     _say(page, verdict["word"], _LEFT, y - 1.3 * _LINE, size=22, weight="bold", colour=colour)
     beside = _LEFT + (0.30 if verdict["state"] == "incomplete" else 0.17)
@@ -57,14 +57,14 @@ def _first(report: Report, told: dict[str, Any]) -> Figure:
     y -= 3.5 * _LINE
     reasons = [f"{reason['name']}: {reason['sentence']}" for reason in verdict["reasons"][:4]]
     y = _lines(page, reasons, y, bullet="– ") - 0.5 * _LINE
-    for k, tile in enumerate(told["tiles"]):
-        x = _LEFT + k * (_RIGHT - _LEFT) / len(told["tiles"])
+    for k, tile in enumerate(context["tiles"]):
+        x = _LEFT + k * (_RIGHT - _LEFT) / len(context["tiles"])
         _say(page, tile["name"], x, y, size=7.5, colour=_MUTED)
-        _say(page, tile["figure"], x, y - 1.5 * _LINE, size=14, weight="bold")
+        _say(page, tile["value"], x, y - 1.5 * _LINE, size=14, weight="bold")
         _say(page, tile["note"], x, y - 2.7 * _LINE, size=7.5, colour=_MUTED)
     y = _heading(page, "Points, CFCS", y - 4.6 * _LINE)
     rows: list[tuple[str, ...]] = [("", "x mm", "y mm", "z mm", "gap mm", "picked")]
-    for point in told["points"]:
+    for point in context["points"]:
         rows.append(
             (point["name"], *(_number(*one) for one in point["xyz"]), point["gap"], point["how"].split(" to ")[0])
         )
@@ -73,19 +73,19 @@ def _first(report: Report, told: dict[str, Any]) -> Figure:
         y = _heading(page, "Where the error comes from: shares of the variance", y - _LINE)
         _budget(page.add_axes((_LEFT + 0.09, y - 0.13, _RIGHT - _LEFT - 0.2, 0.125)), report)
         y -= 0.165
-    if told["drilled"]:
-        y = _drilled(page, told["drilled"], y - 0.5 * _LINE)
+    if context["drilled"]:
+        y = _drilled(page, context["drilled"], y - 0.5 * _LINE)
     y = _heading(page, "How it was made", y - 0.5 * _LINE)
-    _lines(page, [*(f"{name}: {value}" for name, value in report.provenance.items()), *told["notes"]], y)
+    _lines(page, [*(f"{name}: {value}" for name, value in report.provenance.items()), *context["notes"]], y)
     return page
 
 
-def _drilled(page: Figure, told: dict[str, Any], y: float) -> float:
+def _drilled(page: Figure, section: dict[str, Any], y: float) -> float:
     y = _heading(page, "The drilled wire", y)
-    if told["rows"]:
-        rows = [("", "entry mm", "tip mm", "direction °"), *told["rows"]]
+    if section["rows"]:
+        rows = [("", "entry mm", "tip mm", "direction °"), *section["rows"]]
         y = _table(page, rows, (0.0, 0.55, 0.66, 0.75), y)
-    return _lines(page, [told["check"]], y)
+    return _lines(page, [section["check"]], y)
 
 
 def _images(report: Report) -> Figure:
@@ -106,7 +106,8 @@ def _images(report: Report) -> Figure:
 
 def _image(axes: Axes, report: Report, image: CalibratedImage, k: int) -> None:
     seen = image.seen
-    beads = np.array([uv for uv, used in zip(*_beads(image), strict=True) if used]).reshape(-1, 2)
+    residuals = image.view.residuals
+    beads = np.asarray(residuals.uv_px)[np.asarray(residuals.used, dtype=bool)]
     if seen.image is not None:
         axes.imshow(grey(seen.image), cmap="gray", interpolation="bilinear")
     axes.scatter(*beads.T, s=16, facecolors="none", edgecolors=_BEAD, linewidths=0.6)
@@ -124,11 +125,6 @@ def _image(axes: Axes, report: Report, image: CalibratedImage, k: int) -> None:
     axes.set(aspect="equal", xticks=[], yticks=[])
     for side in axes.spines.values():
         side.set_color(_RULE)
-
-
-def _beads(image: CalibratedImage) -> tuple[np.ndarray, np.ndarray]:
-    left = image.view.residuals
-    return np.asarray(left.uv_px), np.asarray(left.used)
 
 
 def _budget(axes: Axes, report: Report) -> None:
@@ -157,21 +153,21 @@ def _checks(report: Report) -> Iterable[Figure]:
         y = _heading(page, "Checks" if first == 0 else "Checks, continued", _TOP)
         for check in checks[first : first + _CHECKS_A_PAGE]:
             word, colour = ("pass", _GOOD) if check.passed else ("FAIL", _BAD)
-            figure = "not measured" if check.figure is None else f"{check.figure:.4g} {check.unit}".strip()
+            value = "not measured" if check.figure is None else f"{check.figure:.4g} {check.unit}".strip()
             limit = "" if check.limit is None else f", limit {check.limit:.4g} {check.unit}".rstrip()
             _say(page, word, _LEFT, y, size=8.5, weight="bold", colour=colour)
             _say(page, check.name, _LEFT + 0.07, y, size=8.5, weight="bold")
-            _say(page, figure + limit, _RIGHT, y, size=8.5, align="right", colour=_MUTED)
+            _say(page, value + limit, _RIGHT, y, size=8.5, align="right", colour=_MUTED)
             y = _lines(page, [check.sentence], y - _LINE, indent=0.07) - 0.35 * _LINE
         yield page
 
 
-def _exposures(told: dict[str, Any]) -> Iterable[Figure]:
-    exposures = told["exposures"]
+def _exposures(context: dict[str, Any]) -> Iterable[Figure]:
+    exposures = context["exposures"]
     for first in range(0, len(exposures), _EXPOSURES_A_PAGE):
         page = Figure(figsize=_A4_IN)
         y = _heading(page, "Exposures" if first == 0 else "Exposures, continued", _TOP)
-        y = _lines(page, [told["exposures_note"]], y, colour=_MUTED) - 0.5 * _LINE
+        y = _lines(page, [context["exposures_note"]], y, colour=_MUTED) - 0.5 * _LINE
         rows: list[tuple[str, ...]] = [("image", "kept (UTC)", "used for", "frames")]
         for one in exposures[first : first + _EXPOSURES_A_PAGE]:
             rows.append((one.image, one.at or "not known", one.used, str(one.frames)))
@@ -190,14 +186,14 @@ def _say(
     colour: str = _INK,
     align: str = "left",
 ) -> None:
-    # A dollar sign would begin a formula.
+    # Matplotlib would read a dollar sign as the start of a formula.
     page.text(x, y, text.replace("$", r"\$"), size=size, weight=weight, color=colour, ha=align, va="baseline")
 
 
 def _lines(
     page: Figure, texts: Sequence[str], y: float, *, colour: str = _INK, bullet: str = "", indent: float = 0.0
 ) -> float:
-    """Wrapped paragraphs; the height at which the next thing begins."""
+    """Draw wrapped paragraphs and return the height of the next line."""
     for text in texts:
         for line in textwrap.wrap(
             bullet + text, int(_WRAP * (1.0 - 1.1 * indent)), subsequent_indent=" " * len(bullet)

@@ -1,4 +1,4 @@
-"""A live image watched: each frame calibrated, the plan drawn into it, an alarm where frame or C-arm move.
+"""Live images: each is calibrated, the plan is drawn into it, and an alarm tells if the frame or the C-arm moves.
 
-It may import `views`, and nothing else of `case`: what is watched is not recorded.
+It may import `views`, and nothing else of `case`: live images are not recorded.
 """

@@ -1,4 +1,4 @@
-"""A live source watched: one thread takes frames from it, another works on the newest."""
+"""Watch a live source: one thread receives images, another analyses the newest."""
 
 import time
 from collections.abc import Iterable, Sequence
@@ -6,39 +6,37 @@ from threading import Condition, Thread
 from typing import Self
 
 from sightline.calibration import BeadView
-from sightline.case.watch.eye import Eye, Shown, Watched, aged
+from sightline.case.watch.analyser import LiveAnalyser, TimedImage, Watched, aged
 from sightline.closing import Closing
 from sightline.errors import SightlineError, UnusableInputError
 from sightline.frame import Frame
 from sightline.planning.trajectory import Trajectory
 
-_END_S = 5.0  # what the frame that is being worked on may take, and then some
+_END_S = 5.0  # time for the image in work, with a margin
 
 
 class Watch(Closing):
-    """Two threads while it is entered or started: one takes frames from the source, one works on the newest.
+    """Runs two threads while it is entered or started: one receives images from the source, one analyses the newest.
 
-    `plan`: the trajectory to draw. `references`: views calibrated at planning, against which movements are told while
-    the C-arm stands as it stood then; without one of the view that is seen, the first half second is the place of rest.
-    Raises UnusableInputError where a reference is of another frame or not of the smooth method.
+    `plan`: the trajectory to draw. `references`: views calibrated at planning, against which movement is measured while
+    the C-arm stands as it did then; without a reference for a view, its first half second defines the rest position.
+    Raises UnusableInputError if a reference belongs to another frame or is not of the smooth method.
     """
 
     def __init__(
         self,
         frame: Frame,
-        source: Iterable[Shown],
+        source: Iterable[TimedImage],
         plan: Trajectory | None = None,
         references: Sequence[BeadView] = (),
     ) -> None:
         if any(view.frame_key != frame.fingerprint for view in references):
-            raise UnusableInputError(
-                "a view of planning is of another frame; watch with the frame that was planned with"
-            )
+            raise UnusableInputError("a reference view belongs to another frame; watch with the frame of the plan")
         self._source = source
-        self._eye = Eye(frame, plan, references)
+        self._analyser = LiveAnalyser(frame, plan, references)
         self._worker = Thread(target=self._work, name="watch: work", daemon=True)
         self._changed = Condition()
-        self._waiting: tuple[Shown, float] | None = None  # and when it came
+        self._waiting: tuple[TimedImage, float] | None = None  # and its monotonic time of arrival
         self._came = self._taken = 0
         self._newest: Watched | None = None
         self._over = self._closing = self._at_rest = self._ended = False
@@ -49,12 +47,12 @@ class Watch(Closing):
         return self
 
     def start(self) -> None:
-        """Begin."""
-        Thread(target=self._read, name="watch: source", daemon=True).start()  # a driver may hang: it is left behind
+        """Start both threads."""
+        Thread(target=self._read, name="watch: source", daemon=True).start()  # never joined: a driver may hang
         self._worker.start()
 
     def close(self) -> None:
-        """End, and let go of the source."""
+        """Stop, and close the source."""
         with self._changed:
             self._closing = True
             self._changed.notify_all()
@@ -65,38 +63,38 @@ class Watch(Closing):
             close()
 
     def rest(self) -> None:
-        """A person has looked: where frame and C-arm are now is where they are at rest. The alarm goes off."""
+        """Take the present position of frame and C-arm as rest, once a person has checked it. This clears the alarm."""
         with self._changed:
             self._at_rest = True
 
     @property
     def ended(self) -> bool:
-        """Whether no frame will be worked on any more."""
+        """Whether no further image will be analysed."""
         with self._changed:
             return self._ended
 
     @property
     def error(self) -> Exception | None:
-        """What ended it before the source did."""
+        """The error that stopped it before the source ended; None if there is none."""
         with self._changed:
             return self._error
 
     @property
     def fault(self) -> str | None:
-        """The same for people."""
+        """The error as text for people; None if there is none."""
         error = self.error
         if error is None:
             return None
         return str(error) if isinstance(error, SightlineError) else f"a bug in Sightline ({type(error).__name__})"
 
     def latest(self) -> Watched | None:
-        """The newest frame that was worked on, and how old it is by now; None before the first."""
+        """Return the newest result with its present age; None before the first."""
         with self._changed:
             newest = self._newest
         return None if newest is None else aged(newest, time.monotonic())
 
     def next(self, after: int, timeout_s: float) -> Watched | None:
-        """The first that is newer than frame number `after`; None where none came in time."""
+        """Wait for a result of an image newer than number `after`; return None if none came in time."""
         with self._changed:
             self._changed.wait_for(lambda: self._is_newer(after) or self._ended, timeout_s)
             newest = self._newest if self._is_newer(after) else None
@@ -111,10 +109,10 @@ class Watch(Closing):
                 with self._changed:
                     if self._closing:
                         return
-                    self._waiting = shown, time.monotonic()  # what waited is dropped: the newest counts
+                    self._waiting = shown, time.monotonic()  # replaces an image that still waits
                     self._came += 1
                     self._changed.notify_all()
-        except Exception as error:  # a thread's error is told to whoever asks
+        except Exception as error:  # kept for `error`, since a thread has no caller
             self._fail(error)
         finally:
             with self._changed:
@@ -124,7 +122,7 @@ class Watch(Closing):
     def _work(self) -> None:
         try:
             while (job := self._next_job()) is not None:
-                watched = self._eye.look(*job)
+                watched = self._analyser.look(*job)
                 with self._changed:
                     self._newest = watched
                     self._changed.notify_all()
@@ -135,8 +133,9 @@ class Watch(Closing):
                 self._ended = True
                 self._changed.notify_all()
 
-    def _next_job(self) -> tuple[Shown, float, int, int] | None:
-        """The newest frame, when it came, its number, and how many were dropped; None at the end."""
+    def _next_job(self) -> tuple[TimedImage, float, int, int] | None:
+        """Wait for the newest image; return it, its arrival time, its number and the count of dropped ones; None at the
+        end."""
         with self._changed:
             self._changed.wait_for(lambda: self._waiting is not None or self._closing or self._over)
             if self._closing or self._waiting is None:
@@ -145,7 +144,7 @@ class Watch(Closing):
             self._taken += 1
             if self._at_rest:
                 self._at_rest = False
-                self._eye.rest()
+                self._analyser.rest()
             return shown, came_s, self._came, self._came - self._taken
 
     def _fail(self, error: Exception) -> None:

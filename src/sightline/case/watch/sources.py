@@ -1,4 +1,4 @@
-"""What can be watched, by its name: a device's number, a stream's address, a video, a run, a folder of images."""
+"""Image sources opened by name: a device number, a stream's address, a video, a multi-frame run, a folder of images."""
 
 import time
 from collections.abc import Iterator
@@ -8,17 +8,17 @@ from pathlib import Path
 from sightline.bounded import regular_file
 from sightline.errors import UnusableInputError
 from sightline.imaging import suffix_of
+from sightline.imaging.files import HEADER_BYTES
 from sightline.imaging.source import Run, Source, SourceFrame
 from sightline.imaging.video import VideoSource
 
-PER_S = 30.0  # images of files: what a C-arm's video gives
-_START = 132  # bytes that tell what a file is
+IMAGES_PER_S = 30.0  # playback rate of files: that of a C-arm's video
 
 
 def open_source(name: str, *, invert: bool = False) -> Source:
-    """Return the source called `name`; files are played at 30 images a second.
+    """Open the source called `name`; files are played at IMAGES_PER_S.
 
-    `invert`: each image is inverted, as of `read_image`. Raises UnusableInputError, ImageError, SourceError.
+    `invert`: each image is inverted, as by `read_image`. Raises UnusableInputError, ImageError, SourceError.
     """
     source = _source(name)
     return Inverted(source) if invert else source
@@ -38,7 +38,7 @@ def _source(name: str) -> Source:
 
 
 class Paced:
-    """A source of stored images, each given when its time has come, as if it came then."""
+    """Stored images played at IMAGES_PER_S, each stamped with the time at which it is played."""
 
     def __init__(self, source: Source) -> None:
         self._source = source
@@ -46,11 +46,11 @@ class Paced:
     def __iter__(self) -> Iterator[SourceFrame]:
         start = time.monotonic()
         for k, frame in enumerate(self._source):
-            time.sleep(max(0.0, start + k / PER_S - time.monotonic()))
+            time.sleep(max(0.0, start + k / IMAGES_PER_S - time.monotonic()))
             yield replace(frame, stamped_s=time.time())
 
     def close(self) -> None:
-        """Let go of the source."""
+        """Close the source."""
         self._source.close()
 
 
@@ -70,8 +70,10 @@ class Inverted:
 
 
 class _Folder:
-    """The images of a folder, by name; what begins with a dot, or is no image, is passed over. Raises
-    UnusableInputError where there is none."""
+    """The images of a folder in the order of their names; hidden files and other files are skipped.
+
+    Raises UnusableInputError for a folder without an image.
+    """
 
     def __init__(self, folder: Path) -> None:
         self._files = [path for path in sorted(folder.iterdir()) if path.name[0] != "." and _kind(path) is not None]
@@ -84,12 +86,12 @@ class _Folder:
             yield replace(frame, number=number)
 
     def close(self) -> None:
-        """Nothing is held."""
+        """Do nothing: no file is kept open."""
 
 
 def _kind(path: Path) -> str | None:
-    """The suffix that suits the file's content; None where it is no image, or no file."""
+    """Return the suffix that suits the file's content; None if it is not a file or not an image."""
     if not path.is_file():
         return None
     with regular_file(path) as file:
-        return suffix_of(file.read(_START))
+        return suffix_of(file.read(HEADER_BYTES))

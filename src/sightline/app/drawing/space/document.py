@@ -15,7 +15,7 @@ from scipy.spatial.transform import RigidTransform
 
 from sightline.app.session.rehearsing import Patient, rehearsal_of
 from sightline.calibration.view import CalibratedView
-from sightline.case.report.figures.scene import NEAR_MM, magnification
+from sightline.case.report.drawing.scene import NEAR_MM, magnification
 from sightline.frame import Frame
 from sightline.frame.plate import Plate
 from sightline.geometry.covariance import ellipsoid_factor

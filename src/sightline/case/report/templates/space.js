@@ -1,4 +1,4 @@
-// Turns the picture of the set-up: drag, or the arrow keys. Same projection as figure_space.py.
+// Rotates the drawing of the set-up by dragging or with the arrow keys. Same projection as drawing/scene.py.
 for (const picture of document.querySelectorAll("svg.space")) {
   let [azimuth, elevation, scale] = picture.dataset.view.split(",").map(Number);
   const parts = [...picture.querySelectorAll("[data-xyz]")].map((node) => ({

@@ -1,4 +1,4 @@
-"""The plan on an undistorted image: where entry, end and wire are seen, and a picture with them burnt in."""
+"""The plan drawn on an image: pixels of entry, end and wire, and a copy of the image with them burnt in."""
 
 from dataclasses import dataclass
 
@@ -8,26 +8,26 @@ import numpy as np
 from sightline.calibration.exchange.pinhole import Pinhole
 from sightline.case.interop.plan_file import PlanFile
 
-STRETCH = (0.5, 99.5)  # per cent of the pixels that become black and white [ours]
+STRETCH = (0.5, 99.5)  # percentiles of the pixels that become black and white [ours]
 
 
 @dataclass(frozen=True, eq=False)
-class Drawn:
-    """`wire_px` (M, 2) from entry to end; `entry_px`, `end_px` (2,): IDCS of the image that is drawn on."""
+class PlanOverlay:
+    """Entry and end point (2,), and the wire from entry to end (M, 2), IDCS of the image that is drawn on."""
 
     entry_px: np.ndarray
     end_px: np.ndarray
     wire_px: np.ndarray
 
 
-def on_plate(plan: PlanFile, pinhole: Pinhole) -> Drawn:
-    """The planned points, not the picks: on a pinhole's image a wire is straight."""
+def on_plate(plan: PlanFile, pinhole: Pinhole) -> PlanOverlay:
+    """Return the projected plan, not the picks, in a pinhole's image, where the wire is straight."""
     entry, end = pinhole.view().project(plan.points_mm)
-    return Drawn(entry, end, np.stack([entry, end]))
+    return PlanOverlay(entry, end, np.stack([entry, end]))
 
 
-def burnt(pixels: np.ndarray, drawn: Drawn, words: str) -> np.ndarray:
-    """(H, W) uint8: the image stretched for the eye, the wire as a white line with a black rim, and the verdict."""
+def burn_in(pixels: np.ndarray, drawn: PlanOverlay, words: str) -> np.ndarray:
+    """Return the image (H, W) as uint8, contrast stretched, with `words` and the wire in white with a black rim."""
     low, high = np.percentile(pixels, STRETCH)
     shown = np.clip((pixels.astype(np.float32) - low) / max(float(high - low), 1e-6) * 255, 0, 255).astype(np.uint8)
     fine = 16  # OpenCV draws to 1/16 px

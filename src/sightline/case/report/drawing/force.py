@@ -1,54 +1,55 @@
-"""The force along a drilled wire, over its depth."""
+"""Plot of the force along a drilled wire over its depth."""
 
 from collections.abc import Mapping
 
 import numpy as np
 
-from sightline.case.report.figures import svg
+from sightline.case.report.drawing import svg
 
 WIDTH, HEIGHT, LEFT, RIGHT, TOP, FOOT = 760.0, 270.0, 56.0, 20.0, 44.0, 40.0
-NAME_ROWS, NAME_PITCH = 3, 13.0  # of the events' names, so that near ones do not overlap
-NAME_ROOM = 110.0  # right of an event; with less its name stands on the left
-MOST_POINTS = 700  # of the line: about one a pixel
+NAME_ROWS, NAME_PITCH = 3, 13.0  # event names alternate between rows, so that near ones do not overlap
+NAME_WIDTH = 110.0  # with less space on the right of an event, its name stands on the left
+MAX_POINTS = 700  # of the line, about one per pixel
 _STEPS = (1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
 
 
 def force_trace(
     depth_mm: np.ndarray, force_n: np.ndarray, events: Mapping[str, float], description: str, width: float = WIDTH
 ) -> str:
-    """Force (N,) over depth (N,), beyond the entry point; `events`: by name, the depth at which each was noticed.
+    """Plot force (N,) over depth (N,) beyond the entry point. `events`: the depth at which each was detected, by name.
 
-    `width`: in its own units, of which its words are 12 to 14 high."""
+    `width`: in units of the drawing, in which text is 12 to 14 high.
+    """
     depth, force = np.asarray(depth_mm, dtype=np.float64), np.asarray(force_n, dtype=np.float64)
     low, high = float(min(depth.min(), 0.0)), float(max(depth.max(), 1.0))
-    most = float(max(force.max() * 1.05, 5.0))
+    top = float(max(force.max() * 1.05, 5.0))
 
     def x(value: float | np.ndarray) -> np.ndarray:
         return LEFT + (np.asarray(value) - low) / (high - low) * (width - LEFT - RIGHT)
 
     def y(value: float | np.ndarray) -> np.ndarray:
-        return HEIGHT - FOOT - np.maximum(value, 0.0) / most * (HEIGHT - FOOT - TOP)
+        return HEIGHT - FOOT - np.maximum(value, 0.0) / top * (HEIGHT - FOOT - TOP)
 
-    parts = [*_axes(x, y, (low, high), most, width)]
+    parts = [*_axes(x, y, (low, high), top, width)]
     for number, (name, at) in enumerate(events.items()):
         where = float(x(at))
         parts.append(svg.element("line", x1=where, x2=where, y1=TOP, y2=HEIGHT - FOOT, class_="event"))
         level = TOP - 4 - NAME_PITCH * (NAME_ROWS - 1 - number % NAME_ROWS)
-        room = where < width - NAME_ROOM
-        said = svg.text(name, where + (3 if room else -3), level, class_="event-name" if room else "event-name end")
-        parts.append(svg.group([svg.hint(f"{name} at {at:.2f} mm"), said]))
+        right = where < width - NAME_WIDTH
+        words = svg.text(name, where + (3 if right else -3), level, class_="event-name" if right else "event-name end")
+        parts.append(svg.group([svg.hint(f"{name} at {at:.2f} mm"), words]))
     line = _thinned(np.column_stack([x(depth), y(force)]))
     parts.append(svg.element("polyline", points=svg.points(line), class_="force"))
-    return svg.picture((0, 0, width, HEIGHT), description, parts, class_="force-trace")
+    return svg.figure((0, 0, width, HEIGHT), description, parts, class_="force-trace")
 
 
-def _axes(x, y, depths: tuple[float, float], most: float, width: float) -> list[str]:
+def _axes(x, y, depths: tuple[float, float], top: float, width: float) -> list[str]:
     left, foot = float(x(depths[0])), float(y(0.0))
     parts = []
     for value in _ticks(*depths):
         parts.append(svg.element("line", x1=float(x(value)), x2=float(x(value)), y1=foot, y2=foot + 4, class_="axis"))
         parts.append(svg.text(f"{value:g}", float(x(value)), foot + 16, class_="tick middle"))
-    for value in _ticks(0.0, most):
+    for value in _ticks(0.0, top):
         parts.append(
             svg.element("line", x1=left, x2=width - RIGHT, y1=float(y(value)), y2=float(y(value)), class_="grid")
         )
@@ -61,14 +62,14 @@ def _axes(x, y, depths: tuple[float, float], most: float, width: float) -> list[
 
 
 def _ticks(low: float, high: float) -> np.ndarray:
-    """Round values from low to high, ten at most."""
+    """Return at most eleven round values from low to high."""
     step = next((step for step in _STEPS if (high - low) / step <= 10), _STEPS[-1])
     return np.arange(np.ceil(low / step), np.floor(high / step) + 1) * step + 0.0  # no -0
 
 
 def _thinned(points: np.ndarray) -> np.ndarray:
-    """Of every stretch its lowest and its highest point, so that no peak is lost."""
-    size = -(-2 * len(points) // MOST_POINTS)
+    """Keep the lowest and the highest point of every stretch, so that no peak is lost."""
+    size = -(-2 * len(points) // MAX_POINTS)
     if size <= 2:
         return points
     keep = []

@@ -1,19 +1,19 @@
-"""What a plan looks like in an image: picks, image-matching curves with their band, the wire with its ellipses."""
+"""Marks of a plan in an image: picks, image-matching curves with their bands, the wire with its error ellipses."""
 
 import numpy as np
 
 from sightline.calibration import CalibratedView
-from sightline.case.report.figures import svg
+from sightline.case.report.drawing import svg
 from sightline.geometry.covariance import ellipsoid_factor
 from sightline.planning import MatchingCurve, Pick, Trajectory
 
-LABEL_EVERY_MM = 50.0  # of depth [ours]
+LABEL_EVERY_MM = 50.0  # depth between labelled ticks [ours]
 TICK_PX = 6.0
 _DIFFERENCE_MM = 0.05  # step of the numerical derivative of a projection; its error is below 1e-4 of an ellipse
 
 
 def curve(matching: MatchingCurve, name: str) -> str:
-    """The curve, its 95 % band where the error is known, a tick every 10 mm of depth and a number every 50."""
+    """Draw a curve, its 95 % band if the error is known, a tick every 10 mm of depth and a label every 50 mm."""
     uv, across = matching.uv_px, matching.across_px
     parts = []
     if matching.half_width_px is not None:
@@ -34,33 +34,33 @@ def curve(matching: MatchingCurve, name: str) -> str:
 
 
 def pick(chosen: Pick, name: str) -> str:
-    """A cross-hair that leaves the picked point itself free."""
+    """Draw a cross-hair that is open at the picked point."""
     u, v = chosen.uv_px
     path = f"M{u - 14:.2f} {v:.2f}h9m10 0h9M{u:.2f} {v - 14:.2f}v9m0 10v9"
     return svg.element("path", svg.hint(f"pick: {name}"), d=path, class_="pick")
 
 
 def truth(uv_px: np.ndarray) -> str:
-    """Small circles at the true places (N, 2)."""
+    """Draw small circles at the true points (N, 2)."""
     circles = (svg.element("circle", svg.hint("truth"), cx=float(u), cy=float(v), r=4.0) for u, v in uv_px)
     return svg.group(circles, class_="truth")
 
 
 def _ellipse(view: CalibratedView, xyz_mm: np.ndarray, covariance_mm2: np.ndarray) -> str:
-    """The 95 % ellipse of a point's projection: its own error, seen through the view as it is calibrated."""
+    """Draw the 95 % ellipse of a point's projection: the error of the point, with the view taken as exact."""
     steps = xyz_mm + _DIFFERENCE_MM * np.vstack([np.eye(3), -np.eye(3)])
     ahead, back = np.split(view.project(steps), 2)
     jacobian = (ahead - back).T / (2 * _DIFFERENCE_MM)
     values, vectors = np.linalg.eigh(jacobian @ covariance_mm2 @ jacobian.T)
     rx, ry = np.sqrt(np.clip(values, 0.0, None)) * ellipsoid_factor(0.95, 2)
     u, v = view.project(xyz_mm[None])[0]
-    turn = float(np.degrees(np.arctan2(vectors[1, 0], vectors[0, 0])))
+    angle = float(np.degrees(np.arctan2(vectors[1, 0], vectors[0, 0])))
     shape = {"cx": float(u), "cy": float(v), "rx": float(rx), "ry": float(ry)}
-    return svg.element("ellipse", **shape, transform=f"rotate({turn:.1f} {u:.2f} {v:.2f})", class_="ellipse")
+    return svg.element("ellipse", **shape, transform=f"rotate({angle:.1f} {u:.2f} {v:.2f})", class_="ellipse")
 
 
 def wire(view: CalibratedView, trajectory: Trajectory) -> str:
-    """The planned wire in an image, bent as the image bends it, with 95 % ellipses where the error is known."""
+    """Draw the planned wire with the image's distortion, and its 95 % ellipses if the error is known."""
     along = np.linspace(0.0, 1.0, 25)[:, None]
     path = view.project((1 - along) * trajectory.entry_mm + along * trajectory.end_mm)
     parts = [svg.element("polyline", svg.hint("planned wire"), points=svg.points(path), class_="wire")]

@@ -1,4 +1,4 @@
-"""The pictures of a report, as its template wants them."""
+"""The figures of a report as template context."""
 
 from collections.abc import Iterable
 from typing import Any
@@ -8,14 +8,14 @@ from markupsafe import Markup
 
 from sightline.calibration.localized import LocalizedMap
 from sightline.case.report.content import Report
-from sightline.case.report.figures import plan_marks, radiographs, scene
-from sightline.case.report.figures.budget import budget
+from sightline.case.report.drawing import plan_marks, radiographs, scene
+from sightline.case.report.drawing.budget import budget
 from sightline.case.report.tables import POINTS, bars, budget_rows
 from sightline.case.views import CalibratedImage, spoken
 from sightline.detection import Rejected
 
-TICK_MM = 10  # of depth along an image-matching curve, as planning samples it
-BEYOND_MM = 40.0  # lines of sight are drawn this far beyond the wire in the close-up
+TICK_MM = 10  # depth between ticks of an image-matching curve, as planning samples it
+BEYOND_MM = 40.0  # the close-up shows lines of sight this far to both sides of the wire
 RAMP_STEPS = 8
 
 
@@ -23,17 +23,17 @@ def _markup(svg_text: str) -> Markup:
     return Markup(svg_text)  # noqa: S704 - made by svg.py, which escapes
 
 
-def pictures(report: Report) -> dict[str, Any]:
-    """Everything of the template's context that is a picture."""
+def figures(report: Report) -> dict[str, Any]:
+    """Return the part of the template context that is drawn."""
     shown = {image.name: image.seen.image for image in report.images if image.seen.image is not None}
     return {
         "sources": _markup(radiographs.sources(shown)),
-        "plan_pictures": _plan_pictures(report),
-        "near_pictures": _near_pictures(report),
+        "plan_figures": _plan_figures(report),
+        "near_figures": _near_figures(report),
         "tick_mm": TICK_MM,
         "budget": _budget(report),
         "space": _space(report),
-        **_bead_pictures(report),
+        **_bead_figures(report),
     }
 
 
@@ -41,8 +41,8 @@ def _figure(drawing: str, caption: str) -> dict[str, Any]:
     return {"svg": _markup(drawing), "caption": caption}
 
 
-def _plan_pictures(report: Report) -> list[dict[str, Any]]:
-    """The wire in both images; the curves in the lateral one."""
+def _plan_figures(report: Report) -> list[dict[str, Any]]:
+    """Draw the wire in both images, and the image-matching curves in the lateral one."""
     out = []
     for k, image in enumerate(report.images):
         if image.seen.image is None:
@@ -55,7 +55,7 @@ def _plan_pictures(report: Report) -> list[dict[str, Any]]:
 
 
 def _plan_marks(report: Report, k: int) -> list[str]:
-    """What is drawn of the plan in image `k`."""
+    """Return the marks of the plan in image `k`."""
     curves = (report.plan.entry_curve, report.plan.end_curve)
     marks = [plan_marks.curve(curve, name) for curve, name in zip(curves, POINTS, strict=True)] if k else []
     marks.append(plan_marks.wire(report.images[k].view, report.plan.trajectory))
@@ -64,15 +64,15 @@ def _plan_marks(report: Report, k: int) -> list[str]:
     return marks + [plan_marks.pick(pair[k], name) for pair, name in zip(report.plan.picks, POINTS, strict=True)]
 
 
-def _near_pictures(report: Report) -> list[dict[str, Any]]:
-    """Entry and tip from near, in each image."""
+def _near_figures(report: Report) -> list[dict[str, Any]]:
+    """Draw close-ups of entry and tip in each image."""
     out = []
     for k, image in enumerate(report.images):
         if image.seen.image is None:
             continue
         for pair, name in zip(report.plan.picks, POINTS, strict=True):
             words = f"{spoken(image.name)} image around the {name}"
-            drawing = radiographs.near(image.name, pair[k].uv_px, _plan_marks(report, k), words)
+            drawing = radiographs.closeup(image.name, pair[k].uv_px, _plan_marks(report, k), words)
             out.append(_figure(drawing, _capital(words) + "."))
     return out
 
@@ -89,17 +89,17 @@ def _budget(report: Report) -> dict[str, Any] | None:
     return {"svg": _markup(budget(rows, f"Error budget. {words}")), "points": headings, "rows": budget_rows(report)}
 
 
-def _marked(image: CalibratedImage) -> list[radiographs.Marked]:
-    """The view's beads with what the calibration left of each."""
-    left = image.view.residuals
-    sizes = np.linalg.norm(left.residual_mm, axis=1)
-    radii = _radii(image, left.uv_px)
-    rows = zip(left.ids, left.uv_px, radii, sizes, left.used, strict=True)
-    return [radiographs.Marked(i, (float(u), float(v)), float(r), float(s), bool(k)) for i, (u, v), r, s, k in rows]
+def _marked(image: CalibratedImage) -> list[radiographs.MarkedBead]:
+    """Return the view's beads with their residuals."""
+    found = image.view.residuals
+    sizes = np.linalg.norm(found.residual_mm, axis=1)
+    radii = _radii(image, found.uv_px)
+    rows = zip(found.ids, found.uv_px, radii, sizes, found.used, strict=True)
+    return [radiographs.MarkedBead(i, (float(u), float(v)), float(r), float(s), bool(k)) for i, (u, v), r, s, k in rows]
 
 
 def _radii(image: CalibratedImage, uv_px: np.ndarray) -> np.ndarray:
-    """(N,) radii of the detections that the observations were made from."""
+    """Return the radii (N,) of the nearest detections; NaN without an image."""
     beads = image.seen.beads
     if beads is None:
         return np.full(len(uv_px), np.nan)
@@ -107,25 +107,25 @@ def _radii(image: CalibratedImage, uv_px: np.ndarray) -> np.ndarray:
     return beads.radius_px[distance.argmin(axis=1)]
 
 
-def _bead_pictures(report: Report) -> dict[str, Any]:
-    """Beads by residual, and the triangles of the localized method."""
+def _bead_figures(report: Report) -> dict[str, Any]:
+    """Draw the beads coloured by residual, and the triangles of the localized method."""
     shown = [image for image in report.images if image.seen.image is not None]
     if not shown:
-        return {"bead_pictures": [], "triangle_pictures": [], "ramp": [], "top_mm": 0.0}
+        return {"bead_figures": [], "triangle_figures": [], "ramp": [], "top_mm": 0.0}
     marked = {image.name: _marked(image) for image in shown}
     sizes = np.array([bead.residual_mm for beads in marked.values() for bead in beads])
     top = max(float(np.quantile(sizes, 0.95)), 1e-3)
     return {
-        "bead_pictures": [_beads_of(image, marked[image.name], top) for image in shown],
-        "triangle_pictures": _triangles(report),
-        "ramp": radiographs.heat(np.linspace(0.0, top, RAMP_STEPS), top),
+        "bead_figures": [_beads_of(image, marked[image.name], top) for image in shown],
+        "triangle_figures": _triangles(report),
+        "ramp": radiographs.colour_map(np.linspace(0.0, top, RAMP_STEPS), top),
         "top_mm": top,
     }
 
 
-def _beads_of(image: CalibratedImage, marked: list[radiographs.Marked], top_mm: float) -> dict[str, Any]:
+def _beads_of(image: CalibratedImage, marked: list[radiographs.MarkedBead], top_mm: float) -> dict[str, Any]:
     assert image.seen.image is not None and image.seen.beads is not None  # noqa: S101 - only images are shown
-    refused = _elsewhere(image)
+    refused = _rejected(image)
     left_out = sum(not bead.used for bead in marked)
     size = image.view.residuals.rms_mm
     words = (
@@ -136,8 +136,8 @@ def _beads_of(image: CalibratedImage, marked: list[radiographs.Marked], top_mm: 
     return _figure(radiographs.radiograph(image.seen.image, image.name, marks, words), _capital(words) + ".")
 
 
-def _elsewhere(image: CalibratedImage) -> list[Rejected]:
-    """Rejected candidates that are not a bead that was found all the same, in another size."""
+def _rejected(image: CalibratedImage) -> list[Rejected]:
+    """Return the rejected candidates, without those at a bead that was found with another size."""
     assert image.seen.beads is not None  # noqa: S101 - only images are shown
     beads = image.seen.beads
     return [c for c in beads.rejected if (np.linalg.norm(beads.uv_px - c.uv_px, axis=1) > beads.radius_px).all()]
@@ -148,7 +148,7 @@ def _capital(words: str) -> str:
 
 
 def _space(report: Report) -> dict[str, Any]:
-    """The whole set-up, and the wire from near."""
+    """Draw the whole set-up, and the wire in close-up."""
     points = report.plan.trajectory.points
     known = report.plan.trajectory.error_stated
     whole, near = list(_whole(report)), list(_near(report))
@@ -160,11 +160,11 @@ def _space(report: Report) -> dict[str, Any]:
             for p, c in zip(points.xyz_mm, points.covariance_mm2, strict=True)
         ]
         near += [shape for one in ellipsoids for shape in one]
-        note = f"In the close-up the 95 % ellipsoids are drawn {times:g} times as large as they are."
+        note = f"In the close-up the 95 % ellipsoids are magnified {times:g} times."
     words = "The calibration plates, both focal points with the lines of sight of entry and tip, and the wire, in space"
     return {
         "svg": _markup(scene.space(whole, words)),
-        "near": _markup(scene.space(near, "The wire from near, with the lines of sight and the 95 % ellipsoids")),
+        "near": _markup(scene.space(near, "The wire in close-up, with the lines of sight and the 95 % ellipsoids")),
         "note": note,
         "ellipsoids": known,
     }
@@ -203,14 +203,14 @@ def _near(report: Report) -> Iterable[scene.Shape]:
 
 
 def _lines(report: Report, image: CalibratedImage) -> np.ndarray:
-    """(2, 3): where the lines of sight of entry and tip meet the view's reference plane."""
+    """Return the points (2, 3) at which the lines of sight of entry and tip meet the view's reference plane."""
     k = report.images.index(image)
     uv = np.array([pair[k].uv_px for pair in report.plan.picks])
     return image.view.lines_of_sight(uv).points_mm
 
 
 def _triangles(report: Report) -> list[dict[str, Any]]:
-    """Every triangle of the localized method; those that bound the picks are filled."""
+    """Draw the triangles of the localized method; those around the picks are filled."""
     if report.localized is None:
         return []
     out = []

@@ -1,4 +1,4 @@
-"""The set-up in space: frame, focal points, lines of sight, wire, error ellipsoids. It turns under the pointer."""
+"""Interactive 3D drawing of the set-up: frame, focal points, lines of sight, wire, error ellipsoids."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -6,73 +6,73 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import ConvexHull
 
-from sightline.case.report.figures import svg
+from sightline.case.report.drawing import svg
 from sightline.geometry.covariance import ellipsoid_factor
 from sightline.geometry.planes import Plane
 
-# The first look: from the front, a little to the side and from above, so that both arms show [ours].
+# Initial view: from the front, a little to the side and from above, so that both arms are visible [ours].
 AZIMUTH_DEG, ELEVATION_DEG = -28.0, 20.0
 WIDTH, HEIGHT, MARGIN = 540.0, 480.0, 30.0
 AXIS_MM = 50.0
 RING = 40  # points of an ellipse
-NEAR_MM = 12.0  # about the size an ellipsoid is drawn at beside the wire, whatever its own [ours]
+NEAR_MM = 12.0  # approximate drawn size of an ellipsoid beside the wire, whatever its true size [ours]
 
 
 @dataclass(frozen=True, eq=False)
 class Shape:
-    """A line, polygon, dot or label at points (N, 3), CFCS; `style` is its class; `says` its label or hint."""
+    """A line, polygon, dot or label at points (N, 3), CFCS; `style`: its CSS class; `words`: its label or hint."""
 
     kind: str
     xyz_mm: np.ndarray
     style: str
-    says: str = ""
-    radius: float = 0.0  # of a circle: an attribute, since other readers of SVG than browsers take none from CSS
+    words: str = ""
+    radius: float = 0.0  # of a circle; an attribute, because only browsers take a radius from CSS
 
 
-def line(start_mm: np.ndarray, end_mm: np.ndarray, style: str, says: str = "") -> Shape:
-    """A straight line."""
-    return Shape("polyline", np.array([start_mm, end_mm]), style, says)
+def line(start_mm: np.ndarray, end_mm: np.ndarray, style: str, words: str = "") -> Shape:
+    """Return a straight line."""
+    return Shape("polyline", np.array([start_mm, end_mm]), style, words)
 
 
-def dot(xyz_mm: np.ndarray, style: str, radius: float, says: str = "") -> Shape:
-    """A round mark that keeps its size, `radius` on the page."""
-    return Shape("circle", np.reshape(xyz_mm, (1, 3)), style, says, radius)
+def dot(xyz_mm: np.ndarray, style: str, radius: float, words: str = "") -> Shape:
+    """Return a round mark of constant `radius` on the page."""
+    return Shape("circle", np.reshape(xyz_mm, (1, 3)), style, words, radius)
 
 
 def label(xyz_mm: np.ndarray, words: str) -> Shape:
-    """Words beside a point."""
+    """Return a label beside a point."""
     return Shape("text", np.reshape(xyz_mm, (1, 3)), "label", words)
 
 
-def plate(xyz_mm: np.ndarray, style: str, says: str) -> list[Shape]:
-    """The outline of a plate's beads (N, 3), and the beads."""
+def plate(xyz_mm: np.ndarray, style: str, words: str) -> list[Shape]:
+    """Return the outline of a plate's beads (N, 3), and the beads."""
     plane = Plane.fit(xyz_mm)
     outline = xyz_mm[ConvexHull(plane.to_plane(xyz_mm)).vertices]
-    return [Shape("polygon", outline, f"plate {style}", says), *(dot(p, f"bead {style}", 1.7) for p in xyz_mm)]
+    return [Shape("polygon", outline, f"plate {style}", words), *(dot(p, f"bead {style}", 1.7) for p in xyz_mm)]
 
 
 def magnification(covariances_mm2: np.ndarray, drawn_mm: float) -> float:
-    """How many times larger ellipsoids (N, 3, 3) are drawn, to be up to `drawn_mm`: 1, 2 or 5 times 10^k."""
+    """Return the magnification, 1, 2 or 5 times 10^k, at which the largest ellipsoid (N, 3, 3) is within `drawn_mm`."""
     largest = np.sqrt(np.linalg.eigvalsh(covariances_mm2).max()) * ellipsoid_factor(0.95, 3)
     exact = drawn_mm / max(largest, 1e-6)
     power = 10.0 ** np.floor(np.log10(exact))
     return float(power * max(step for step in (1, 2, 5) if step * power <= exact * (1 + 1e-9)))
 
 
-def ellipsoid(centre_mm: np.ndarray, covariance_mm2: np.ndarray, times: float, says: str) -> list[Shape]:
-    """The three principal ellipses of the 95 % ellipsoid, `times` as large as it is."""
+def ellipsoid(centre_mm: np.ndarray, covariance_mm2: np.ndarray, times: float, words: str) -> list[Shape]:
+    """Return the three principal ellipses of the 95 % ellipsoid, magnified `times`."""
     values, vectors = np.linalg.eigh(covariance_mm2)
     axes = vectors * np.sqrt(np.clip(values, 0.0, None)) * ellipsoid_factor(0.95, 3) * times
-    turn = np.linspace(0.0, 2 * np.pi, RING)
-    circle = np.stack([np.cos(turn), np.sin(turn)])
+    angles = np.linspace(0.0, 2 * np.pi, RING)
+    circle = np.stack([np.cos(angles), np.sin(angles)])
     return [
-        Shape("polyline", centre_mm + (axes[:, list(pair)] @ circle).T, "ellipsoid", says)
+        Shape("polyline", centre_mm + (axes[:, list(pair)] @ circle).T, "ellipsoid", words)
         for pair in ((0, 1), (0, 2), (1, 2))
     ]
 
 
 def _page(xyz_mm: np.ndarray) -> np.ndarray:
-    """Points (N, 3), CFCS, to the page (N, 2): x right, y down, still in mm. space.js holds the same formula."""
+    """Project points (N, 3), CFCS, to the page (N, 2): x right, y down, in mm. space.js uses the same formula."""
     a, e = np.radians([AZIMUTH_DEG, ELEVATION_DEG])
     x = xyz_mm[:, 0] * np.cos(a) - xyz_mm[:, 1] * np.sin(a)
     depth = xyz_mm[:, 0] * np.sin(a) + xyz_mm[:, 1] * np.cos(a)
@@ -83,11 +83,11 @@ def _drawn(shape: Shape, xy: np.ndarray) -> str:
     at = ";".join(",".join(svg.number(v) for v in p) for p in shape.xyz_mm)
     marks = {"class_": shape.style, "data_xyz": at}
     if shape.kind == "text":
-        return svg.text(shape.says, xy[0, 0], xy[0, 1], **marks)
-    says = (svg.hint(shape.says),) if shape.says else ()
+        return svg.text(shape.words, xy[0, 0], xy[0, 1], **marks)
+    hint = (svg.hint(shape.words),) if shape.words else ()
     if shape.kind == "circle":
-        return svg.element("circle", *says, cx=float(xy[0, 0]), cy=float(xy[0, 1]), r=shape.radius, **marks)
-    return svg.element(shape.kind, *says, points=svg.points(xy), **marks)
+        return svg.element("circle", *hint, cx=float(xy[0, 0]), cy=float(xy[0, 1]), r=shape.radius, **marks)
+    return svg.element(shape.kind, *hint, points=svg.points(xy), **marks)
 
 
 def _axes() -> Iterable[Shape]:
@@ -97,7 +97,7 @@ def _axes() -> Iterable[Shape]:
 
 
 def space(shapes: Sequence[Shape], description: str) -> str:
-    """The picture. CFCS axes of 50 mm stand at the origin; `space.js` turns it."""
+    """Draw the shapes with CFCS axes of 50 mm at the origin; `space.js` rotates the drawing."""
     everything = [*shapes, *_axes()]
     points_mm = np.vstack([shape.xyz_mm for shape in everything])
     middle_mm = (points_mm.min(axis=0) + points_mm.max(axis=0)) / 2
@@ -106,4 +106,4 @@ def space(shapes: Sequence[Shape], description: str) -> str:
     scale = float(((half - MARGIN) / np.abs(np.vstack(pages)).max(axis=0)).min())
     drawn = [_drawn(shape, xy * scale + half) for shape, xy in zip(everything, pages, strict=True)]
     view = f"{AZIMUTH_DEG},{ELEVATION_DEG},{scale:.5f}"
-    return svg.picture((0, 0, WIDTH, HEIGHT), description, drawn, class_="space", data_view=view)
+    return svg.figure((0, 0, WIDTH, HEIGHT), description, drawn, class_="space", data_view=view)

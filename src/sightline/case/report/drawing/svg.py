@@ -1,4 +1,4 @@
-"""Scalable pictures, written by hand: they take the page's own colours, light or dark, and need no other file."""
+"""SVG markup: figures that use the page's own colours, light or dark, and need no other file."""
 
 from collections.abc import Iterable
 from html import escape
@@ -7,17 +7,18 @@ import numpy as np
 
 
 def number(value: float) -> str:
-    """A coordinate with two decimals and no trailing zeros."""
+    """Format a coordinate with at most two decimals and no trailing zeros."""
     return f"{value:.2f}".rstrip("0").rstrip(".")
 
 
 def points(xy: np.ndarray) -> str:
-    """Points (N, 2) as an attribute: "x,y x,y"."""
+    """Format points (N, 2) as an attribute: "x,y x,y"."""
     return " ".join(f"{number(x)},{number(y)}" for x, y in np.asarray(xy))
 
 
 def element(tag: str, *content: str, **attributes: object) -> str:
-    """One element; attribute names with an underscore get a hyphen, `class_` is class; floats are shortened."""
+    """Return one element. In attribute names underscores become hyphens, and `class_` becomes class; floats are
+    shortened."""
     written = "".join(
         f' {name.rstrip("_").replace("_", "-")}="{escape(number(value) if isinstance(value, float) else str(value))}"'
         for name, value in attributes.items()
@@ -27,24 +28,24 @@ def element(tag: str, *content: str, **attributes: object) -> str:
 
 
 def hint(text: str) -> str:
-    """What a pointer that rests on an element is told."""
+    """Return a hint that is shown while the pointer rests on the element."""
     return f"<title>{escape(text)}</title>"
 
 
 def text(content: str, x: float, y: float, **attributes: object) -> str:
-    """A line of text."""
+    """Return a line of text."""
     return element("text", escape(content), x=float(x), y=float(y), **attributes)
 
 
 def group(parts: Iterable[str], **attributes: object) -> str:
-    """Parts that are styled together."""
+    """Return a group of parts that are styled together."""
     return element("g", *parts, **attributes)
 
 
-def picture(
+def figure(
     view_box: tuple[float, float, float, float], description: str, parts: Iterable[str], **attributes: object
 ) -> str:
-    """A whole picture; `description` is what a person who cannot see it is told."""
+    """Return a whole figure; screen readers read its `description`."""
     box = " ".join(number(v) for v in view_box)
     return element(
         "svg", *parts, xmlns="http://www.w3.org/2000/svg", viewBox=box, role="img", aria_label=description, **attributes

@@ -1,4 +1,4 @@
-"""A radiograph with what was found in it: beads, triangles, image-matching curves, the wire."""
+"""Drawings of a radiograph with overlays: beads, triangles, image-matching curves, the wire."""
 
 import base64
 from collections.abc import Iterable, Sequence
@@ -7,17 +7,17 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from sightline.case.report.figures import svg
+from sightline.case.report.drawing import svg
 from sightline.detection import Rejected
 from sightline.imaging import Radiograph
 
-JPEG_QUALITY = 82  # [ours] 1024² in about 150 kB; overlays are drawn, not burnt in
-NEAR_PX = 24.0  # half the side of a close-up: about 3 mm at the hip [ours]
-STRETCH = (0.5, 99.5)  # per cent of the pixels inside the field that become black and white [ours]
+JPEG_QUALITY = 82  # [ours] 1024² in about 150 kB; overlays are drawn over it, not burnt in
+CLOSEUP_PX = 24.0  # half the side of a close-up: about 3 mm at the hip [ours]
+STRETCH = (0.5, 99.5)  # percentiles of the pixels inside the field that become black and white [ours]
 
 
 def grey(image: Radiograph) -> np.ndarray:
-    """(H, W) uint8 for the screen: log intensity, stretched over what is inside the field and not saturated."""
+    """Return the image (H, W) as uint8 for display: log intensity, stretched over the field's unsaturated pixels."""
     log = np.log1p(np.clip(image.pixels.astype(np.float32), 0.0, None))
     shown = log[image.field_mask & (image.pixels < image.white)]
     low, high = np.percentile(shown if shown.size else log, STRETCH)
@@ -29,16 +29,16 @@ def _data_uri(image: Radiograph) -> str:
     return "data:image/jpeg;base64," + base64.b64encode(jpeg.tobytes()).decode()
 
 
-def heat(values: np.ndarray, top: float) -> list[str]:
-    """Colours of values from 0 to `top`: viridis, which colour-blind people and a grey printer can read."""
+def colour_map(values: np.ndarray, top: float) -> list[str]:
+    """Return the colours of values from 0 to `top`: viridis, which is legible in grey and to colour-blind people."""
     steps = np.clip(np.asarray(values) / top * 255.0, 0, 255).astype(np.uint8).reshape(-1, 1)
     bgr = cv2.applyColorMap(steps, cv2.COLORMAP_VIRIDIS).reshape(-1, 3)
     return [f"#{r:02x}{g:02x}{b:02x}" for b, g, r in bgr]
 
 
 @dataclass(frozen=True)
-class Marked:
-    """A bead as it is drawn: residual in mm on the reference plane, and whether the fit used it."""
+class MarkedBead:
+    """A bead to draw: its residual in mm on the reference plane, and whether the fit used it."""
 
     id: str
     uv_px: tuple[float, float]
@@ -47,16 +47,16 @@ class Marked:
     used: bool
 
 
-def _ring(bead: Marked, colour: str) -> str:
+def _ring(bead: MarkedBead, colour: str) -> str:
     u, v = bead.uv_px
     says = svg.hint(f"{bead.id}: residual {bead.residual_mm:.3f} mm{'' if bead.used else ', left out of the fit'}")
     dash = None if bead.used else "3 3"
     return svg.element("circle", says, cx=u, cy=v, r=bead.radius_px + 3.0, stroke=colour, stroke_dasharray=dash)
 
 
-def beads(marked: Sequence[Marked], top_mm: float) -> str:
-    """Rings coloured by residual; a bead that the fit left out is dashed."""
-    colours = heat(np.array([m.residual_mm for m in marked]), top_mm)
+def beads(marked: Sequence[MarkedBead], top_mm: float) -> str:
+    """Draw rings coloured by residual; the ring of a bead left out of the fit is dashed."""
+    colours = colour_map(np.array([m.residual_mm for m in marked]), top_mm)
     return svg.group(
         (_ring(m, colour) for m, colour in zip(marked, colours, strict=True)),
         class_="beads",
@@ -64,10 +64,10 @@ def beads(marked: Sequence[Marked], top_mm: float) -> str:
 
 
 def rejected(candidates: Iterable[Rejected]) -> str:
-    """Dots where a candidate was no bead; the pointer tells why."""
+    """Draw dots at rejected candidates, with the reason as a hint."""
     return svg.group(
         (
-            svg.element("circle", svg.hint(f"no bead: {c.reason}"), cx=c.uv_px[0], cy=c.uv_px[1], r=2.5)
+            svg.element("circle", svg.hint(f"not a bead: {c.reason}"), cx=c.uv_px[0], cy=c.uv_px[1], r=2.5)
             for c in candidates
         ),
         class_="rejected",
@@ -75,14 +75,14 @@ def rejected(candidates: Iterable[Rejected]) -> str:
 
 
 def triangles(corners_px: np.ndarray, bounding_px: np.ndarray) -> str:
-    """Triangles (T, 3, 2) of the localized method, and on top, filled, those (N, 3, 2) that bound the picks."""
+    """Draw the triangles (T, 3, 2) of the localized method and, filled, those (N, 3, 2) around the picks."""
     thin = (svg.element("polygon", points=svg.points(t)) for t in corners_px)
     filled = (svg.element("polygon", points=svg.points(t), class_="bounding") for t in bounding_px)
     return svg.group([*thin, *filled], class_="triangles")
 
 
 def radiograph(image: Radiograph, name: str, overlays: Iterable[str], description: str) -> str:
-    """The image with overlays on top, cut to the field of view; the pixels themselves are `sources`'."""
+    """Draw an image with overlays, cut to the field of view; `sources` holds its pixels."""
     rows, columns = np.nonzero(image.field_mask)
     height, width = image.shape
     left, right, top, bottom = 0, width - 1, 0, height - 1
@@ -90,13 +90,13 @@ def radiograph(image: Radiograph, name: str, overlays: Iterable[str], descriptio
         left, right, top, bottom = columns.min(), columns.max(), rows.min(), rows.max()
     # Pixel (0, 0) is the centre of the top-left pixel, so the image starts half a pixel before it.
     box = (left - 0.5, top - 0.5, right - left + 1.0, bottom - top + 1.0)
-    return svg.picture(box, description, [_pixels(name), *overlays], class_="radiograph")
+    return svg.figure(box, description, [_pixels(name), *overlays], class_="radiograph")
 
 
-def near(name: str, uv_px: np.ndarray, overlays: Iterable[str], description: str) -> str:
-    """The image around one pixel, large."""
-    box = (uv_px[0] - NEAR_PX, uv_px[1] - NEAR_PX, 2 * NEAR_PX, 2 * NEAR_PX)
-    return svg.picture(box, description, [_pixels(name), *overlays], class_="radiograph near")
+def closeup(name: str, uv_px: np.ndarray, overlays: Iterable[str], description: str) -> str:
+    """Draw the neighbourhood of one pixel, magnified; `sources` holds its pixels."""
+    box = (uv_px[0] - CLOSEUP_PX, uv_px[1] - CLOSEUP_PX, 2 * CLOSEUP_PX, 2 * CLOSEUP_PX)
+    return svg.figure(box, description, [_pixels(name), *overlays], class_="radiograph near")
 
 
 def _pixels(name: str) -> str:
@@ -104,7 +104,7 @@ def _pixels(name: str) -> str:
 
 
 def sources(images: dict[str, Radiograph]) -> str:
-    """The pixels of the images, once for all pictures of a page."""
+    """Return the pixels of the images, which all figures of a page share."""
     parts = (
         svg.element(
             "image",
