@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, RootModel
 
-from sightline.case.report.document import CheckDocument, TrajectoryDocument, ViewDocument
+from sightline.case.report.document import CalibratedViewDocument, CheckDocument, TrajectoryDocument
 
 Number = Annotated[float, Field(allow_inf_nan=False)]
 Pixel = tuple[Number, Number]
@@ -82,7 +82,7 @@ class MadeFrom(BaseModel):
     c_arm: CArmDocument | None
 
 
-class SavedView(ViewDocument, _Saved):
+class SavedView(CalibratedViewDocument, _Saved):
     """One calibrated view, and what it was made from. Lengths in mm, CFCS."""
 
     schema_: Annotated[Literal["sightline-view/1"], Field(alias="schema")]
