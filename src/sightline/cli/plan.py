@@ -41,8 +41,8 @@ PICK_HELP = (
 def register(app: typer.Typer) -> None:
     """Add the command."""
     epilog = example(
-        "sightline plan demo_pa.dcm demo_lateral.dcm --kind free-wire --snap \\",
-        "  --entry 'pa:161.8,689.3 lateral:683.9,692.2' \\",
+        "sightline plan out/demo/demo_pa.dcm out/demo/demo_lateral.dcm \\",
+        "  --kind free-wire --entry 'pa:161.8,689.3 lateral:683.9,692.2' \\",
         "  --end 'pa:818.0,366.3 lateral:377.8,275.7' --out out/plan",
     )
     app.command("plan", epilog=epilog)(plan)
