@@ -106,12 +106,30 @@ __all__ = [  # noqa: RUF022 - the order a reader meets them in
     "__version__",
 ]
 
+# Rooms that pages name, imported on first use as well.
+_ROOMS = (
+    "calibration",
+    "case",
+    "detection",
+    "errors",
+    "frame",
+    "geometry",
+    "imaging",
+    "planning",
+    "rehearsal",
+    "robot",
+    "studies",
+    "twin",
+)
+
 
 def __getattr__(name: str) -> Any:
+    if name in _ROOMS:
+        return import_module(f"sightline.{name}")
     if name not in _HOMES:
         raise AttributeError(f"module 'sightline' has no attribute {name!r}")
     return getattr(import_module(f"sightline.{_HOMES[name]}"), name)
 
 
 def __dir__() -> list[str]:
-    return sorted(__all__)
+    return sorted({*__all__, *_ROOMS})

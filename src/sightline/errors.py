@@ -2,7 +2,14 @@
 
 
 class SightlineError(Exception):
-    """Base of all errors that Sightline raises; `exit_code` is the command line's exit code."""
+    """Base of all errors that Sightline raises; `exit_code` is the command line's exit code.
+
+    >>> try:
+    ...     sl.Frame.load("delta")
+    ... except sl.SightlineError as error:
+    ...     print(type(error).__name__)
+    FrameError
+    """
 
     exit_code = 2
 

@@ -68,7 +68,11 @@ def check_shot(
     Raises what `calibrate_image` raises, WireRefusedError, UnusableInputError, ReconstructionRefusedError,
     OutsideRegionError, ErrorUnknownError.
 
-    >>> shot = sl.check_shot(plan, [pa, lateral], ["check-pa.dcm", "check-lateral.dcm"], "gamma")
+    >>> pa, lateral = sl.load("out/demo/views.json")
+    >>> plan = sl.plan([pa, lateral], [[162, 689], [684, 692]], [[818, 366], [378, 276]], side="right")
+    >>> shot = sl.check_shot(plan, [pa, lateral], ["check_pa.dcm", "check_lateral.dcm"], "gamma")
+    >>> shot.passed  # without landmarks nothing tells whether the bone moved
+    False
     """
     frame = Frame.of(frame)
     views, wires = [], []

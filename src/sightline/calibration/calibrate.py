@@ -47,6 +47,11 @@ def calibrate(
     looked. Beads that contradict it mean that the frame file describes the mirror image of the frame. `c_arm`: known
     dimensions of the C-arm, against which the calibration is then checked.
     Raises ObservationsError, FrameError, UnusableInputError, CalibrationRefusedError.
+
+    >>> beads = sl.detect("out/demo/demo_pa.dcm")
+    >>> view = sl.calibrate(sl.label(beads, "gamma"), "gamma")
+    >>> view.focal_point_mm.round()
+    array([  -7.,  -28., -619.])
     """
     refuse_unknown_method(method)
     if plate not in ("xrii", "source"):

@@ -23,6 +23,12 @@ def fit_map(
     `noise_px`: standard deviation of the controls' pixels per axis, used by "smooth". None: estimated from the
     residuals [ours]; a wrong value costs more: 0.1 px stated for a noise of 0.3 px overfits. `degree`: of "polynomial".
     Raises UnusableInputError, CalibrationRefusedError.
+
+    >>> xy_mm = np.stack(np.meshgrid(np.arange(0.0, 80.0, 10.0), np.arange(0.0, 80.0, 10.0)), axis=-1).reshape(-1, 2)
+    >>> uv_px = 5.0 * xy_mm + 0.001 * xy_mm**2 + 100.0
+    >>> plane_map = sl.fit_map(uv_px, xy_mm, method="polynomial")
+    >>> plane_map.to_plane(np.array([[300.0, 300.0]])).round(2)
+    array([[39.69, 39.69]])
     """
     refuse_unknown_method(method)
     uv, xy = (np.asarray(a, dtype=np.float64) for a in (uv_px, xy_mm))

@@ -102,6 +102,10 @@ class CArm:
     """Known dimensions of a C-arm, mm: focal spot to detector, and pixel size on the detector, or None.
 
     Raises UnusableInputError for lengths that are not positive.
+
+    >>> view = sl.calibrate_image("out/demo/demo_pa.dcm", "gamma", c_arm=sl.CArm(1000.0))
+    >>> view.checks[-1].name
+    'source distance'
     """
 
     source_detector_mm: float

@@ -152,6 +152,10 @@ def view_from_matrix(P: np.ndarray, covariance: np.ndarray | None = None, name: 
     `covariance` (12, 12): of the entries of P, row by row, at the scale of P as given; it may be singular along P,
     whose scale is arbitrary. None: the error is unknown, and every verdict based on it is NO-GO. The reference plane is
     normal to the view's axis and passes through the CFCS origin. Raises UnusableInputError.
+
+    >>> P = np.array([[5000.0, 0, 512, 3e5], [0, 5000, 512, 3e5], [0, 0, 1, 600]])
+    >>> sl.view_from_matrix(P).focal_point_mm.round(1)
+    array([   1.4,    1.4, -600. ])
     """
     matrix = np.array(P, dtype=np.float64)
     if matrix.shape != (3, 4) or not np.isfinite(matrix).all():

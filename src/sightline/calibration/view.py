@@ -94,7 +94,14 @@ class LinesOfSight:
 
 
 class CalibratedView(Protocol):
-    """One image with its geometry: the only interface of a view that planning and later stages use."""
+    """One image with its geometry: the only interface of a view that planning and later stages use.
+
+    >>> pa, lateral = sl.load("out/demo/views.json")
+    >>> lines = pa.lines_of_sight([[512.0, 512.0]])
+    >>> lines.points_mm.shape
+    (1, 3)
+    >>> ax = pa.plot()  # residuals as arrows
+    """
 
     @property
     def name(self) -> str:

@@ -63,6 +63,12 @@ def look_again(image: Radiograph, beads: Detections, observations: Observations,
     are accepted only if centre, size and contrast agree with the prediction. Labelled beads with a deep overlap are
     fitted again, both at once, or left out. Fitted beads stand last. Washers are not searched for.
     Raises ObservationsError where `observations` are not what `label` returned for `beads`.
+
+    >>> image, frame = sl.read_image("out/demo/demo_pa.dcm"), sl.Frame.load("gamma")
+    >>> beads = sl.detect(image)
+    >>> labelled = sl.label(beads, frame)
+    >>> len(sl.look_again(image, beads, labelled, frame)) >= len(labelled) - 2
+    True
     """
     if is_fine(beads.radius_px):
         seen = look_again(image.binned(FACTOR), coarser(beads), coarser_observations(observations), frame)

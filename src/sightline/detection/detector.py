@@ -58,6 +58,10 @@ def detect(image: Radiograph | np.ndarray | str | Path, white: float | None = No
     image's own pixels.
     Raises DetectionRefusedError where nothing looks like a bead, and where something moved between the two fields of an
     interlaced image; and the errors of `as_radiograph`.
+
+    >>> beads = sl.detect("out/demo/demo_pa.dcm")
+    >>> beads.uv_px.shape == (len(beads), 2)
+    True
     """
     image = as_radiograph(image, white)
     defect = interlaced(image)

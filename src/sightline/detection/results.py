@@ -44,6 +44,10 @@ class Detections(Plotted):
     `uv_px` (N, 2), `radius_px` (N,) (the outer radius of a washer), `covariance_px2` (N, 2, 2),
     `kind` (N,) of "ball", "washer" or "hole", `contrast` (N,) (signed change of log intensity at the centre),
     `rejected` with reasons, `image_shape` (H, W). `pixels` (H, W): the image itself where it is known, for plots.
+
+    >>> beads = sl.detect("out/demo/demo_pa.dcm")
+    >>> ax = beads.plot()
+    >>> table = beads.to_dataframe()  # needs pandas
     """
 
     uv_px: np.ndarray
@@ -103,6 +107,10 @@ class Observations(Plotted):
     that were not labelled, with reasons; None where only labelled beads are known. `pixels` (H, W): the image for
     plots, or None.
     Raises ObservationsError on wrong shapes, values that are not finite, and duplicate ids.
+
+    >>> sl.Observations("pa", ("pa-x-d1", "pa-x-d2"), [[512.0, 388.5], [700.2, 390.1]])
+    Observations of view pa: 2 beads labelled in an image of unknown size
+      error of the centres unknown
     """
 
     view: str

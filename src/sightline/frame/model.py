@@ -30,6 +30,10 @@ class Frame(Plotted):
     `tolerances` is None where the file states none: then `effective_tolerances` are the defaults, and reports say so.
     `covariance_mm2` (3M, 3M), or None: full covariance of all bead coordinates, views in file order, in each
     view XRII before source; it replaces the tolerances. `in_use`: handling errors added to either, or None.
+
+    >>> frame = sl.Frame.load("gamma")  # or "biplane", "stereo", or a file of yours
+    >>> list(frame.views)
+    ['pa', 'lateral']
     """
 
     name: str

@@ -45,6 +45,10 @@ def read_image(path: str | Path, frame_index: int | None = None, *, invert: bool
     direction is used, so that brighter means more X-rays (see `dicom.read`). A colour image with equal channels is
     accepted as grey. `frame_index` (from 0) selects a frame of a multi-frame run; without it, a run of several frames
     is refused. `invert`: the file shows areas reached by X-rays dark, contrary to its header. Raises ImageError.
+
+    >>> image = sl.read_image("out/demo/demo_pa.dcm")
+    >>> image.shape
+    (1024, 1024)
     """
     image = _read(Path(path), frame_index)
     return image.inverted() if invert else image

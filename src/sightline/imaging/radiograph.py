@@ -35,6 +35,11 @@ class Radiograph(Plotted):
     detector (MONOCHROME1 has been inverted). `white`: the largest value that the source can store, so
     `pixels >= white` are saturated. `lossy`: the file was compressed with loss. `is_inverted`: the pixels are the
     negative of the file's. Raises ImageError on anything but a finite two-dimensional array.
+
+    >>> image = sl.Radiograph(np.full((512, 512), 900, np.uint16), white=4095.0)
+    >>> image
+    Radiograph: 512 x 512 px, uint16
+      values 900 to 900, white 4095
     """
 
     pixels: np.ndarray

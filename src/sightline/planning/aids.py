@@ -20,6 +20,10 @@ class Circle:
 
     `summary` (k, M) maps the M distances from the rim to the k independent measurements: one for each click; three
     for a drawn circle (two for its centre, one for its radius).
+
+    >>> circle = sl.Circle.through([[521, 427], [799, 584], [801, 257]])
+    >>> circle.uv_px.shape
+    (3, 2)
     """
 
     uv_px: np.ndarray
@@ -58,7 +62,10 @@ class Circle:
 
 @dataclass(frozen=True, eq=False)
 class Line:
-    """A straight line in one image through two clicks `uv_px` (2, 2); they need not match the other image's clicks."""
+    """A straight line in one image through two clicks `uv_px` (2, 2); they need not match the other image's clicks.
+
+    >>> shaft = sl.Line([[220, 710], [520, 560]])
+    """
 
     uv_px: np.ndarray
     sd_px: float = DEFAULT_PICK_SD_PX
@@ -76,6 +83,9 @@ class Aids:
     """Drawn aids; None for one that is not drawn. Pairs are (PA, lateral).
 
     `calcar` (medial cortex of the neck) and `cortex` (lateral cortex of the shaft): clicked in the PA image only.
+
+    >>> head = sl.Circle.of((680, 420), 130.0), sl.Circle.of((440, 360), 130.0)
+    >>> aids = sl.Aids(head=head)
     """
 
     head: tuple[Circle, Circle] | None = None

@@ -29,6 +29,12 @@ class CheckShot(Shown):
     `landmarks`: how many were found again. `bow_mm`: largest distance of the centre line from its chord; `bow_sigma`:
     rms of its bending terms over their standard deviations. `residual_rms`: rms of the residuals over their stated
     standard deviations. `outlier_sigma`: the largest single residual, in its standard deviations.
+
+    >>> pa, lateral = sl.load("out/demo/views.json")
+    >>> plan = sl.plan([pa, lateral], [[162, 689], [684, 692]], [[818, 366], [378, 276]], side="right")
+    >>> shot = sl.check_shot(plan, [pa, lateral], ["check_pa.dcm", "check_lateral.dcm"], "gamma")
+    >>> shot.tip_deviation_mm < 3.0
+    True
     """
 
     entry_mm: np.ndarray

@@ -49,6 +49,9 @@ class Landmarks:
     """Points of the bone picked in the planning images and found again in the check images, (2, N, 2) px each, N >= 0.
 
     `sd_px`: standard deviation of a pick, per axis. Raises UnusableInputError.
+
+    >>> planned, found = np.zeros((2, 3, 2)), np.ones((2, 3, 2))  # three points, clicked in both pairs of images
+    >>> landmarks = sl.Landmarks(planned, found)
     """
 
     planned_uv_px: np.ndarray = field(default_factory=lambda: np.zeros((2, 0, 2)))

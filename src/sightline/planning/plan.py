@@ -39,6 +39,13 @@ class Plan(Plotted):
     located parts of the bone. `noticed_mm`: how far entry and end can be wrong along a line of sight before a check of
     the bone fails; None where no check would fail. `views`: the two views that the plan was made on;
     `arguments`: what else `plan` was given, but for the kind and `curve`.
+
+    >>> pa, lateral = sl.load("out/demo/views.json")
+    >>> plan = sl.plan([pa, lateral], [[162, 689], [684, 692]], [[818, 366], [378, 276]], side="right")
+    >>> round(plan.trajectory.length_mm)
+    99
+    >>> plan.to_dataframe().columns[0]  # needs pandas
+    'name'
     """
 
     trajectory: Trajectory
@@ -161,6 +168,12 @@ def plan(
     ("right", "left") and `aids`: the wire is checked against them where the kind has a bone; without them the plan is
     incomplete. `curve`: `matching_curve`, or a replacement that caches its curves.
     Raises UnusableInputError, and what `reconstruct`, `matching_curve` and `snap` raise.
+
+    >>> pa, lateral = sl.load("out/demo/views.json")
+    >>> plan = sl.plan([pa, lateral], [[162, 689], [684, 692]], [[818, 366], [378, 276]], side="right")
+    >>> plan.verdict.state  # without landmarks and the head drawn, some checks cannot be made
+    'incomplete'
+    >>> ax = plan.plot()
     """
     if len(views) != 2:
         raise UnusableInputError(f"{len(views)} views given; give exactly two to plan on")

@@ -46,6 +46,11 @@ def reconstruct(
     error is unknown there are no weights: "nearest" is used, and the result's `method` says so. Each point is computed
     from its own picks only, so a bad pick moves no other point; the points' errors are still correlated. Look at the
     result's `checks`. Raises UnusableInputError, ReconstructionRefusedError, OutsideRegionError.
+
+    >>> pa, lateral = sl.load("out/demo/views.json")
+    >>> points = sl.reconstruct([pa, lateral], {"pa": [[704, 425]], "lateral": [[439, 358]]})
+    >>> points.xyz_mm.round()
+    array([[-22., -26.,   4.]])
     """
     if method not in ("weighted", "nearest"):
         raise UnusableInputError(f"unknown method {method!r}; choose 'weighted' or 'nearest'")

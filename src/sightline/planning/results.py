@@ -56,6 +56,11 @@ class SpacePoints(Plotted):
     `inside_hull` (N,) bool: within the convex hull of the beads in both views. `upright`: whether a view shows the
     frame file's beads not mirrored (`LinesOfSight.upright`); None where no view tells. `beads_near`: for each view of
     the frame the points' `LinesOfSight.beads_near`, (N, 3).
+
+    >>> pa, lateral = sl.load("out/demo/views.json")
+    >>> points = sl.reconstruct([pa, lateral], {"pa": [[704, 425]], "lateral": [[439, 358]]})
+    >>> points.error_95_mm.round(1)
+    array([0.5])
     """
 
     xyz_mm: np.ndarray

@@ -63,6 +63,10 @@ def save(result: Any, path: str | Path) -> Path:
     `result`: Detections, Observations, a view, SpacePoints, a Trajectory, a Plan, a CheckShot or a Frame (whose file is
     that of docs/frame-file.md). The image that a result was found in is not saved.
     Raises UnusableInputError for other objects, and for a view that was not made by `calibrate` or `view_from_matrix`.
+
+    >>> pa, lateral = sl.load("out/demo/views.json")
+    >>> sl.save(pa, "pa.json").name
+    'pa.json'
     """
     if isinstance(result, Frame):
         result.save(path)
@@ -81,6 +85,10 @@ def load(path: str | Path, kind: type | None = None) -> Any:
     made from; the checks of a view are those of the file, as those of its image cannot be made again.
     Raises UnusableInputError for a file that is damaged, was edited, is of another form or another version, or whose
     result this version does not reach again.
+
+    >>> pa, lateral = sl.load("out/demo/views.json")
+    >>> sl.load("out/demo/trajectory.json", sl.Trajectory).length_mm > 50
+    True
     """
     file = Path(path)
     data = read_bounded(file, _MAX_BYTES, UnusableInputError, "give a file that `save` wrote")

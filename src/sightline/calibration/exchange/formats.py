@@ -42,6 +42,9 @@ def read_view(path: str | Path, kind: str | None = None, name: str | None = None
     `kind`: the format; by default from the file's name (`pa.xreg.h5`). `name`: of the view, "pa" or "lateral", or of
     one of several projections in an xReg file, "proj-001"; by default the first word of the file's name.
     Raises UnusableInputError.
+
+    >>> sl.read_view("pa.opencv.json").view().name
+    'pa'
     """
     file = Path(path)
     words = file.name.lower().split(".")

@@ -39,6 +39,10 @@ def label(
     where the image shows the frame as the X-ray source sees it.
     Raises LabellingRefusedError where the labels are not certain; FrameError for a view that the frame does not have;
     ObservationsError for `datums` that are not three fiducials of each plate of one view.
+
+    >>> beads = sl.detect("out/demo/demo_pa.dcm")
+    >>> sl.label(beads, "gamma").view
+    'pa'
     """
     if not isinstance(detections, Detections):
         raise UnusableInputError(f"give the Detections of `detect`, not {type(detections).__name__}")
