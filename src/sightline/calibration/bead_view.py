@@ -33,7 +33,7 @@ _MAX_FAILED = 3  # checks that a summary names
 
 @dataclass(frozen=True, eq=False)
 class CalibrationInputs:
-    """What `calibrate` was given besides what the view itself states: `degree`, `plate` as there."""
+    """Arguments of `calibrate` that the view itself does not state; `degree` and `plate` as there."""
 
     observations: Observations
     frame: Frame
@@ -122,7 +122,7 @@ class BeadView(Plotted):
         draw.legend(ax)
 
     def _mm_per_px(self) -> np.ndarray:
-        """(2, 2) pixels to plane, by the nearest affine map; the localized method's own is not defined at each bead."""
+        """Return the Jacobian (2, 2) of the best affine map; a localized map is not defined at each bead."""
         left, plate = self.residuals, self.frame_view.xrii
         mine = [i for i, name in enumerate(left.ids) if name in plate.ids]
         xyz = np.array([self.frame_view.by_id[left.ids[i]].xyz_mm for i in mine])

@@ -18,10 +18,10 @@ MAX_OUTSIDE = 0.5
 
 
 class SmoothPlaneMap(Protocol):
-    """A map with a derivative everywhere."""
+    """A plane map with a derivative everywhere."""
 
     def linearised(self, uv_px: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Plane coordinates (N, 2) of pixels (N, 2), and their derivative (N, 2, 2), mm/px."""
+        """Return the plane coordinates (N, 2), mm, of pixels (N, 2), and their derivative (N, 2, 2), mm/px."""
         ...
 
 

@@ -129,7 +129,7 @@ class Frame(Plotted):
 
     @staticmethod
     def load(source: str | Path, before: "Iterable[Frame]" = ()) -> "Frame":
-        """A frame from a JSON file, or "gamma", "biplane", "stereo".
+        """Return the frame of a JSON file, or a built-in one: "gamma", "biplane", "stereo".
 
         `before`: frames that were used earlier; the mirror image of one with the same name and serial is refused, since
         it would calibrate as well and mirror every point. Raises FrameError.
@@ -171,12 +171,12 @@ class Frame(Plotted):
 
     @staticmethod
     def from_design(design: FrameDesign) -> "Frame":
-        """The frame of a design, of unstated tolerances. Raises FrameError where the design is impossible."""
+        """Return the frame of a design, without stated tolerances. Raises FrameError for an impossible design."""
         return Frame(design.name, views_of(design))
 
     @staticmethod
     def from_document(document: FrameDocument) -> "Frame":
-        """The frame that a valid document describes."""
+        """Return the frame that a valid document describes."""
         mm, rad = document.sd_mm, document.sd_rad
         covariance = None
         if document.covariance_mm2 is not None:
@@ -197,11 +197,11 @@ class Frame(Plotted):
 
     @staticmethod
     def from_json(text: bytes) -> "Frame":
-        """The frame of the text of a frame file. Raises FrameError."""
+        """Return the frame in the text of a frame file. Raises FrameError."""
         return Frame.from_document(document_from_json(text))
 
     def to_json(self) -> bytes:
-        """The text of the frame file; not yet checked."""
+        """Return the text of the frame file, unchecked."""
         out: dict[str, Any] = {"name": self.name, "units": "mm"}
         for key in ("serial", "measured_on", "temperature_c"):
             if (value := getattr(self, key)) is not None:

@@ -204,7 +204,7 @@ def _sides(
 
 
 def _tip(found: Anatomy) -> Measure:
-    """The tip must lie below the head's surface by more than its own error."""
+    """Return the measure of the tip's depth below the head's surface, which must exceed its own error."""
     assert found.head is not None  # noqa: S101 - checked by the caller
     depth_sd = tip_depth(found)[1]
     error = 0.0 if depth_sd is None else TWO_SIDED_95 * depth_sd

@@ -145,19 +145,19 @@ class Adjustment:
         return np.repeat([rotation, _FREE_MM if self._n else STILL_MM], 3)
 
     def _offset(self, along_mm: np.ndarray | float) -> np.ndarray:
-        """(..., 2) offset of the wire from the planned axis, mm."""
+        """Return the offsets (..., 2) of the wire from the planned axis, mm."""
         return terms(np.asarray(along_mm) / self._trajectory.length_mm) @ self._curve
 
     def _wire(self, along_mm: np.ndarray) -> np.ndarray:
-        """(N, 3) points of the wire, CFCS of the planning images."""
+        """Return points (N, 3) of the wire, CFCS of the planning images."""
         return self._trajectory.entry_mm + along_mm[:, None] * self._axes[2] + self._offset(along_mm) @ self._axes[:2]
 
     def _tangent(self, along_mm: np.ndarray) -> np.ndarray:
-        """(N, 3) derivative of `_wire` by `along_mm`."""
+        """Return the derivative (N, 3) of `_wire` by `along_mm`."""
         return (self._wire(along_mm + 0.5) - self._wire(along_mm - 0.5)) / 1.0
 
     def _places(self, focal_mm: np.ndarray, directions: np.ndarray) -> np.ndarray:
-        """(N,) places along the plan, mm, at which lines of sight pass the wire."""
+        """Return (N,) the places along the plan, mm, at which lines of sight pass the wire."""
         line = self.movement.apply(self._wire(np.array([0.0, self._trajectory.length_mm])))
         on = nearest_approach(focal_mm, directions, line[0], line[1] - line[0]).second_mm
         return (self.movement.inv().apply(on) - self._trajectory.entry_mm) @ self._axes[2]
@@ -189,7 +189,7 @@ class Adjustment:
         return residual, design, np.linalg.solve(weighted @ design, weighted), covariance
 
     def _plan_picks_mm2(self, size: int) -> np.ndarray:
-        """(R, R) part of the rows' covariance that comes from the plan's picks."""
+        """Return the part (R, R) of the rows' covariance that comes from the plan's picks."""
         out = np.zeros((size, size))
         for view, lines in enumerate(self._before):
             for k in range(2):
@@ -224,12 +224,12 @@ class Adjustment:
         return rows, design
 
     def _prior_residual(self) -> np.ndarray:
-        """(6,) prior mean (no movement) minus the current movement."""
+        """Return (6,): the prior mean (no movement) minus the current movement."""
         middle = (self._trajectory.entry_mm + self._trajectory.end_mm) / 2
         return -np.concatenate([self.movement.rotation.as_rotvec(), self.movement.apply(middle) - middle])
 
     def _to_deviation(self, beyond_mm: float) -> np.ndarray:
-        """(5, unknowns) derivative of the deviation; the planned tip lies `beyond_mm` past the end point."""
+        """Return the derivative (5, unknowns) of the deviation; the planned tip is `beyond_mm` past the end point."""
         first = self._points_mm.size + 6
         out = np.zeros((5, first + 2 * CURVE + 1))
         ends = terms(np.array([0.0, self._tip_mm]) / self._trajectory.length_mm)
@@ -256,7 +256,7 @@ class Adjustment:
 
 
 def _standardised_residuals(residual: np.ndarray, design: np.ndarray, covariance: np.ndarray) -> np.ndarray:
-    """(R,) |residual| over its own standard deviation (Baarda's data snooping); 0 below MIN_REDUNDANCY."""
+    """Return (R,) |residual| over its own standard deviation (Baarda's data snooping); 0 below MIN_REDUNDANCY."""
     weight = np.linalg.inv(covariance)
     weight -= weight @ design @ np.linalg.solve(design.T @ weight @ design, design.T @ weight)
     tested = np.diag(weight) > MIN_REDUNDANCY * np.diag(covariance) ** -1

@@ -100,7 +100,7 @@ def within_region(view: CalibratedView, wire: WireSeen) -> KnownWire:
 def start_movement(
     views: tuple[Sequence[CalibratedView], Sequence[CalibratedView]], landmarks: Landmarks
 ) -> tuple[np.ndarray, RigidTransform]:
-    """Landmarks (N, 3) in the planning CFCS, and how they moved to where the check shows them."""
+    """Return the landmarks (N, 3) in the planning CFCS, and the rigid motion to their places in the check's CFCS."""
     if not len(landmarks):
         return np.zeros((0, 3)), RigidTransform.identity()
     spread = np.broadcast_to(landmarks.sd_px**2 * np.eye(2), (2, len(landmarks), 2, 2))

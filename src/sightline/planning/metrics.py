@@ -143,11 +143,11 @@ class _Parts:
         return self._axis("shaft", caudal(self.side))
 
     def beam(self, view: int) -> np.ndarray:
-        """The ray of a view (0: PA, 1: lateral) through the head's centre."""
+        """Return the ray of a view (0: PA, 1: lateral) through the head's centre."""
         return unit(self.centre - self._of("focal", 3 * view))
 
     def offset(self) -> np.ndarray:
-        """The perpendicular from the head's centre to the wire."""
+        """Return the perpendicular from the head's centre to the wire."""
         return across(self.entry - self.centre, self.wire)
 
     def _axis(self, name: str, goal: np.ndarray) -> np.ndarray:
@@ -168,7 +168,7 @@ def _neck_shaft(parts: _Parts) -> np.ndarray:
 
 
 def _version(parts: _Parts) -> np.ndarray:
-    """Angle of the neck to the frame's frontal plane (X and the shaft), seen along the shaft."""
+    """Return the angle of the neck to the frame's frontal plane (X and the shaft), seen along the shaft."""
     forward = unit(across(ANTERIOR, parts.shaft))
     inward = np.cross(parts.shaft, forward)
     inward *= np.sign(inward[:, :1] * MEDIAL[0])
@@ -180,7 +180,7 @@ def _tip_apex(parts: _Parts) -> np.ndarray:
 
 
 def _calcar_tip_apex(parts: _Parts) -> np.ndarray:
-    """As the tip-apex distance, but in the PA view to the apex on the line along the calcar, parallel to the neck."""
+    """Return the tip-apex distance with the PA view's apex on the line along the calcar, parallel to the neck."""
     beam = parts.beam(0)
     along = unit(across(parts.neck, beam))
     from_centre = across(parts.calcar - parts.centre, beam)

@@ -130,7 +130,7 @@ class Solution:
         self.weights = np.linalg.solve(normal @ to_point, normal)  # (N, 3, 4): step of X = weights @ residuals
 
     def step_mm(self) -> np.ndarray:
-        """(N, 3): the Gauss-Newton step."""
+        """Return the Gauss-Newton step (N, 3)."""
         return np.einsum("iaj,ij->ia", self.weights, np.hstack([r.xy_mm for r in self.residuals]))
 
     @property

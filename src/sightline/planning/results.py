@@ -218,7 +218,7 @@ def error_known(points: SpacePoints) -> Check:
 
 
 def _beads_near(counts: dict[tuple[str, str], tuple[int, int, int]]) -> Check:
-    """`counts`: by view and point, how many of the expected beads are used, hidden, and expected."""
+    """Return the check of the worst point; `counts`: by view and point, the beads used, hidden and expected."""
     shares = {place: (used + hidden / 2) / max(shown, 1) for place, (used, hidden, shown) in counts.items()}
     view, name = min(shares, key=lambda place: shares[place])
     (used, hidden, shown), share = counts[view, name], shares[view, name]
