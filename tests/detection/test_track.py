@@ -117,7 +117,7 @@ def test_a_step_of_the_grid_is_told_by_the_sizes_of_the_balls() -> None:
         other = min(names.values(), key=lambda f, xyz=xyz: np.linalg.norm(np.array(f.xyz_mm) - xyz))
         radius = place(np.array([names[name].xyz_mm]))[1][0] * other.diameter_mm / 2
         shifted[name] = Bead(*uv, radius)
-    with pytest.raises(TrackLost, match="another size"):
+    with pytest.raises(TrackLost, match="other sizes"):
         track.follow(image(shifted, 9))
 
 

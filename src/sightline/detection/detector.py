@@ -83,7 +83,7 @@ def _detected(image: Radiograph) -> Detections:
     middles = mask & ~usable
     reason = _outlier_reasons(beads, _at_centres(middles, beads))
     if image.burnt_in is not None:
-        reason[_covered(beads, image.burnt_in) > _COVERED] = "covered by writing in the image"
+        reason[_covered(beads, image.burnt_in) > _COVERED] = "covered by a burnt-in annotation"
     rejected += _rejected(beads[reason != ""], reason[reason != ""])
     beads = beads[reason == ""]
     if is_fine(np.append(beads[:, columns.RADIUS], [one.radius_px for one in rejected if one.reason == _TOO_LARGE])):
@@ -157,7 +157,7 @@ def _shape_reasons(fit: np.ndarray, limits: tuple[float, float]) -> np.ndarray:
     reason = np.full(len(fit), "", dtype=object)
     size = fit[:, columns.RADIUS]
     excess, weakest = limits
-    reason[fit[:, columns.EXCESS] > excess] = "not a disc: what remains after the fit is too large beside its contrast"
+    reason[fit[:, columns.EXCESS] > excess] = "not a disc: the fit's residual is too large for its contrast"
     reason[fit[:, columns.WEAKEST] < weakest] = _NOT_ROUND
     reason[fit[:, columns.BLUR] > _MAX_BLUR * size + 0.1] = f"{NO_RIM}: it fades out like anatomy, not like a bead"
     reason[size < _MIN_RADIUS_PX] = "its radius is below 2 px"
@@ -187,7 +187,7 @@ def _outlier_reasons(beads: np.ndarray, washer: np.ndarray) -> np.ndarray:
     strength = np.abs(beads[:, columns.CONTRAST]) * beads[:, columns.RADIUS]
     few = dark if 2 * strength[dark].sum() < strength.sum() else ~dark
     if np.count_nonzero(few) < _MINORITY * len(beads):
-        reason[few] = "dark where the other beads are bright, or bright where they are dark"
+        reason[few] = "dark among bright beads, or bright among dark ones"
     usual = reason == ""
     if np.count_nonzero(usual) >= _ENOUGH_TO_COMPARE:
         reason[usual & (beads[:, columns.BLUR] > _BLURRED * np.median(beads[usual, columns.BLUR]))] = (

@@ -129,7 +129,7 @@ class Track:
         logs = log_image(image, mask)
         noise = estimate_noise(logs, mask)
         if noise is None:
-            raise TrackLost("no part of the image is left to measure its noise in")
+            raise TrackLost("no part of the image is suitable for measuring its noise")
         fit = refine.BeadFitter(logs, self._usable(mask), noise)
         track = self._fitted(image, fit)
         beads, alone = track._alone(image)
@@ -247,7 +247,7 @@ class Track:
         larger = np.log(rows[:, columns.RADIUS].clip(1e-3) / self.radius_px)
         wrong = good & (np.abs(larger) > _HALF_WAY * np.diff(sizes).min())
         if wrong.sum() >= SIZES_WRONG:
-            raise TrackLost(f"{wrong.sum()} balls have another size than their labels say")
+            raise TrackLost(f"{wrong.sum()} balls have other sizes than their labels state")
 
     def _alone(self, image: Radiograph) -> tuple[Detections, Observations]:
         """Return the beads fitted without masks of overlaps, as the results of `detect` and `label`."""

@@ -354,7 +354,7 @@ def _tip(
             variance = strip.variance(pixels, fit.influence[0], correlation)
             return near_px, float(fit.values[1]), variance
     raise WireRefusedError(
-        "the wire's tip is hidden by a bead or other metal, or cannot be told from what lies behind it; move the "
+        "the wire's tip is hidden by a bead or other metal, or cannot be distinguished from its background; move the "
         "C-arm a little and take the image again"
     )
 

@@ -44,13 +44,13 @@ def meeting_point(
     """
     origin = np.asarray(origin_mm, dtype=np.float64)
     if len(origin) < 2:
-        raise ReconstructionRefusedError("one line has no meeting point; give at least two")
+        raise ReconstructionRefusedError("one line has no intersection; give at least two")
     across = _across(_unit(direction))
     weight = np.broadcast_to(1.0 if sd_mm is None else 1 / np.square(sd_mm), len(origin))
     normal = np.einsum("n,nab->ab", weight, across)
     if np.linalg.eigvalsh(normal)[0] < weight.sum() * SPREAD_RAD**2:
         raise ReconstructionRefusedError(
-            "the lines are nearly parallel and do not determine where they meet; use beads further apart"
+            "the lines are nearly parallel and determine no intersection; use beads further apart"
         )
     point = np.linalg.solve(normal, np.einsum("n,nab,nb->a", weight, across, origin))
     distance = np.linalg.norm(np.einsum("nab,nb->na", across, point - origin), axis=1)

@@ -56,7 +56,7 @@ def why_not_rigid(matrix: np.ndarray) -> str | None:
     rotation = matrix[:3, :3]
     off = float(np.abs(rotation.T @ rotation - np.eye(3)).max())
     if off > ROTATION_TOLERANCE:
-        return f"its axes are not of length 1 and square to each other: off by {off:.2g}"
+        return f"its axes are not orthonormal: off by {off:.2g}"
     if np.linalg.det(rotation) < 0:
         return "its axes are left-handed"
     return None

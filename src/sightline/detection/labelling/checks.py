@@ -73,7 +73,7 @@ def _check_explained(beads: np.ndarray, ball_like: int) -> None:
     if len(beads) < MIN_EXPLAINED * ball_like:
         raise AttemptError(
             Stage.CHECKS,
-            f"only {100 * len(beads) / ball_like:.0f} % of what looks like the frame's beads is on one of its places; "
+            f"only {100 * len(beads) / ball_like:.0f} % of the bead-like spots lie on the frame's places; "
             "check the frame file, or give the datum markers' pixels",
         )
 
@@ -123,7 +123,7 @@ def _check_ball_size(fit: Joint, pair: tuple[Grown, Grown]) -> None:
             says = float(np.median(pattern.diameter_mm))
             raise AttemptError(
                 Stage.FINAL,
-                f"the balls of the {pattern.role_name} plate look {says * np.exp(larger):.2f} mm and the "
+                f"the balls of the {pattern.role_name} plate look {says * np.exp(larger):.2f} mm large, and the "
                 f"frame says {says:.2f} mm; is this the frame in the image?",
             )
 

@@ -20,7 +20,7 @@ MAX_FIRST, MAX_SECOND, MAX_GROWN = 4, 3, 12  # lattices tried before giving up [
 LEFT_OVER = 0.4  # of a lattice's beads: with fewer other detections there is no second plate [ours]
 SAME_SHAPE = 1.05  # largest ratio of side ratios of triangles that count as similar [ours]
 CLICK = 1.5  # largest distance of a pixel given for a datum from the bead's centre, in radii [ours]
-MAY_BE_TWO = "it may be two beads of the frame, or a false bead"
+MAY_BE_TWO = "may be two beads of the frame, or a false bead"
 MIN_SPREAD = 0.25  # rms distance of a plate's given datums from one line, in pitches [ours]
 
 

@@ -76,7 +76,7 @@ def identified(problem: LabellingProblem, pair: tuple[Grown, Grown]) -> tuple[Gr
         naming = name(pair, problem.couples)
         if naming is None:
             raise AttemptError(
-                Stage.NAMES, "too few neighbouring beads were found to tell the plates apart; show more of both plates"
+                Stage.NAMES, "too few neighbouring beads were found to distinguish the plates; show more of both plates"
             )
         if naming.unchanged:
             _check_certain(problem, naming)
@@ -90,7 +90,7 @@ def identified(problem: LabellingProblem, pair: tuple[Grown, Grown]) -> tuple[Gr
         )
         pair = (first, second)
     raise AttemptError(
-        Stage.NAMES, "the beads found fit no one reading of the frame's plates; is this the frame in the image?"
+        Stage.NAMES, "the beads found fit no single labelling of the frame's plates; is this the frame in the image?"
     )
 
 
