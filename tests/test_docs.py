@@ -6,6 +6,7 @@ import inspect
 import json
 import re
 import tomllib
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -118,6 +119,13 @@ def test_every_exported_name_is_on_a_page_of_the_api() -> None:
         name = ".".join(room.parent.relative_to(ROOT / "src").parts)
         if name not in described:  # then its parent exports the same names
             assert exported(room) <= exported(room.parents[1] / "__init__.py"), name
+
+
+def test_every_class_that_a_page_of_the_api_adds_exists() -> None:
+    for page in (ROOT / "docs" / "api").glob("*.md"):
+        for path in re.findall(r"^sightline\.[\w.]+$", page.read_text(), flags=re.MULTILINE):
+            module, name = path.rsplit(".", 1)
+            assert inspect.isclass(getattr(import_module(module), name, None)), f"{page.name}: {path}"
 
 
 @pytest.mark.parametrize("page", sorted((ROOT / "docs" / "notebooks").glob("*.md")), ids=lambda p: p.name)
