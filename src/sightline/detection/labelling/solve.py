@@ -231,7 +231,7 @@ def solve(problem: LabellingProblem, pair: tuple[Grown, Grown]) -> LabellingSolu
     if min(of_xrii, len(beads) - of_xrii) < MIN_BEADS:
         raise AttemptError(
             Stage.PROJECTION,
-            "too few beads can be given from false candidates; show more of both plates, or expose longer",
+            "too few beads can be distinguished from false candidates; show more of both plates, or expose longer",
         )
     misfit = np.split(np.abs(sizes.misfit), [len(xrii.ids)], axis=1)
     ball_like = np.stack([problem.usable & (one.min(axis=1) < LOG_RADIUS) for one in misfit], axis=1)
