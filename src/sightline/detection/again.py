@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -20,7 +21,7 @@ from sightline.fitting.kernels import distances
 from sightline.fitting.kriging import PlanarKriging
 from sightline.fitting.robust import variance_ratio
 from sightline.frame import Frame
-from sightline.imaging import Radiograph
+from sightline.imaging import Radiograph, as_radiograph
 
 _NEIGHBOURS = 6  # nearest beads of the plate that predict a bead's size and contrast [ours]
 _MAX_PREDICTION_SD_PX = 2.0  # with a less certain prediction, the fit may find something else [ours]
@@ -56,12 +57,19 @@ class _Expected:
     row: np.ndarray
 
 
-def look_again(image: Radiograph, beads: Detections, observations: Observations, frame: Frame) -> Observations:
+def look_again(
+    image: Radiograph | np.ndarray | str | Path,
+    beads: Detections,
+    observations: Observations,
+    frame: Frame | str | Path,
+    white: float | None = None,
+) -> Observations:
     """Return `observations` (of `label`) with beads that `detect` missed, where the image shows them clearly.
 
     Beads partly under metal or under each other are fitted where the labelled beads of their plate predict them. They
     are accepted only if centre, size and contrast agree with the prediction. Labelled beads with a deep overlap are
-    fitted again, both at once, or left out. Fitted beads stand last. Washers are not searched for.
+    fitted again, both at once, or left out. Fitted beads stand last. Washers are not searched for. `image`, `white`: as
+    of `detect`; `frame`: as of `label`.
     Raises ObservationsError where `observations` are not what `label` returned for `beads`.
 
     >>> image, frame = sl.read_image("out/demo/demo_pa.dcm"), sl.Frame.load("gamma")
@@ -70,6 +78,7 @@ def look_again(image: Radiograph, beads: Detections, observations: Observations,
     >>> len(sl.look_again(image, beads, labelled, frame)) >= len(labelled) - 2
     True
     """
+    image, frame = as_radiograph(image, white), Frame.of(frame)
     if is_fine(beads.radius_px):
         seen = look_again(image.binned(FACTOR), coarser(beads), coarser_observations(observations), frame)
         return finer_observations(seen, observations.image_shape)

@@ -191,11 +191,11 @@ def grey(pixels: np.ndarray, name: str) -> np.ndarray:
 
 
 def _radiograph(pixels: np.ndarray, name: str) -> Radiograph:
-    if pixels.dtype in (np.uint8, np.uint16):
-        return Radiograph(pixels, float(np.iinfo(pixels.dtype).max))
+    if pixels.dtype.kind in "iu" and pixels.dtype.itemsize <= 2:  # of wider ones the type does not tell the white
+        return Radiograph(pixels, _full_scale(pixels))
     if pixels.dtype.kind == "f":
         with np.errstate(over="ignore"):  # values too large for float32 are refused as not finite
             pixels = pixels.astype(np.float32)
         largest = pixels.max()  # the saturation value is unknown: above the largest value
         return Radiograph(pixels, float(np.nextafter(largest, np.float32(np.inf))))
-    raise ImageError(f"{name} holds {pixels.dtype} pixels; save them as uint8, uint16 or float32")
+    raise ImageError(f"{name} holds {pixels.dtype} pixels; save them as 8-bit, 16-bit or floating-point numbers")
