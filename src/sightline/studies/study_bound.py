@@ -1,9 +1,9 @@
-"""How far from the best that can be: errors of targets over the bound of their own set-up.
+"""Errors of targets relative to the lower bound of their set-ups.
 
-The bound is the inverse Fisher information of the target (bound.py): the figure is rms (error / bound) over all
-set-ups, where the bound of a target is the root of its trace. 1 is the best that an unbiased method can do which knows
-what distortions are like, as the bound does. Beside it stands the bound for maps that are known exactly: what would be
-left if distortion were no question.
+The bound is the inverse Fisher information of the target (bound.py). The metric is rms (error / bound) over all
+set-ups, where the bound of a target is the square root of the trace. 1 is the best value for an unbiased method that
+knows the prior of the distortion, as the bound does. The bound for exactly known maps is printed beside it, to show
+what remains without distortion.
 """
 
 from collections.abc import Sequence
@@ -26,7 +26,7 @@ BOUND, KNOWN = "bound", "bound, maps known"
 
 @dataclass(frozen=True)
 class AgainstBound:
-    """The study; its fields are what may be varied."""
+    """The study; its fields can be varied."""
 
     name = "bound"
     about = "Errors of targets against the bound that no unbiased method can beat"
@@ -38,11 +38,11 @@ class AgainstBound:
 
     @property
     def configuration(self) -> dict[str, Any]:
-        """Fields, and the constants they rest on."""
+        """The fields and the constants that they depend on."""
         return {**asdict(self), "tolerances": {n: asdict(FRAMES[n]) for n in self.frames}, "targets": TARGETS}
 
     def trial(self, rng: np.random.Generator) -> Values:
-        """For each "frame, pick": both bounds and the errors of each method at four targets, mm; None: refused."""
+        """Return for each "frame, pick" both bounds and each method's errors at four targets, mm; None: refused."""
         out: Values = {}
         for frame in self.frames:
             told = replace(Frame.load("gamma"), tolerances=FRAMES[frame])
@@ -59,7 +59,7 @@ class AgainstBound:
         return out
 
     def summary(self, trials: Sequence[Values]) -> Summary:
-        """rms (error / bound) by frame, pick and method, and the rms errors and bounds behind it."""
+        """Return rms (error / bound) by frame, pick and method, and the rms errors and bounds."""
         places = {(frame, sd): key(frame, sd) for frame in self.frames for sd in self.picks_px}
         ratios = {
             (place, method): rms(f"{name}: {method}, error over bound", over(trials, name, method, BOUND))
@@ -104,7 +104,9 @@ class AgainstBound:
             for frame in self.frames
             for sd in self.picks_px
         ]
-        note = "In brackets: 95 % intervals. 1 is the best that can be. Targets in set-ups where the method answers."
+        note = (
+            "In brackets: 95 % intervals. 1 is the best possible value. Only set-ups that the method does not refuse."
+        )
         return Table("rms (error / bound)", ("frame", "picks", *self.methods, KNOWN), tuple(rows), note)
 
     def _size_table(self, sizes: dict[Any, Estimate]) -> Table:
@@ -129,17 +131,17 @@ class AgainstBound:
 
 
 def key(frame: str, pick_px: float) -> str:
-    """The name of one part of a trial."""
+    """Return the key of one part of a trial."""
     return f"{frame}, picks {pick_px:g} px"
 
 
 def over(trials: Sequence[Values], name: str, what: str, of: str) -> list[np.ndarray]:
-    """For each trial that has it, `what` over `of` at every target."""
+    """Return `what` over `of` at every target, for each trial that has it."""
     return [np.array(t[name][what]) / np.array(t[name][of]) for t in trials if t[name][what] is not None]
 
 
 def _bounds(scene: TargetScene, pick_px: float, *, known_map: bool) -> list[float]:
-    """Root of the trace of the bound of each target, mm."""
+    """Return the square root of the trace of the bound of each target, mm."""
     seen = scene.seen(np.broadcast_to(pick_px**2 * np.eye(2), (2, 2, 2)))
     each = [bound(scene.setup, seen, x, known_map=known_map) for x in scene.target_mm]
     return [float(np.sqrt(np.trace(c))) for c in each]

@@ -1,9 +1,9 @@
-"""Which part of a target's error is whose.
+"""Error budget of a target: the contribution of each source, measured and as stated.
 
-Measured: every source of error is switched on alone, in the same set-up and with the same draws; its effect is the
-difference to a run in which none is on. What is left with none on is what the maps miss of the distortion. Beside it
-stands what the reconstruction states. Independent small errors add up in squares: the root of their sum is printed
-beside what all of them together do.
+Each source of error is switched on alone, in the same set-up and with the same draws; its effect is the difference from
+a run without any source. The error without any source is the distortion that the maps do not model. The values stated
+by the reconstruction are printed beside the measured ones. Squares of small independent errors add up, so the root of
+their sum is compared with the effect of all sources together.
 """
 
 from collections.abc import Sequence
@@ -26,22 +26,22 @@ from sightline.studies.study import Estimate, Plot, Summary, Table, Values
 from sightline.twin import bead_images, draw_setup
 from sightline.twin.scene import TEST_BALLS_MM
 
-# Errors of the frame, each alone, by the tolerances that they are then drawn from.
+# Sources in the frame, each with the tolerances that its errors are drawn from.
 FRAME_ALONE = {
     "balls": Tolerances(WHOLE.bead_mm, 0.0, 0.0, 0.0, 0.0),
     "plates": Tolerances(0.0, WHOLE.plate_mm, WHOLE.plate_rad, 0.0, 0.0),
     "arms": Tolerances(0.0, 0.0, 0.0, WHOLE.arm_mm, WHOLE.arm_rad),
 }
 MEANINGS = {
-    "balls": "where each ball sits in its plate",
-    "plates": "where each plate sits on its arm",
-    "arms": "where each arm of the frame stands",
+    "balls": "position of each ball in its plate",
+    "plates": "position of each plate on its arm",
+    "arms": "position of each arm of the frame",
     "beads": "noise of the beads' measured centres, through map and focal point",
-    "map": "what the maps miss of the distortion, all else exact",
-    "picks": "how exactly the target was picked in the images",
+    "map": "distortion that the maps do not model, all else exact",
+    "picks": "errors of the target's picks in the images",
 }
 TOGETHER = "together"
-# What the reconstruction states, and what was measured of it.
+# Sources of the reconstruction's stated budget, and the measured sources that they correspond to.
 STATED = {
     "frame": ("balls", "plates", "arms"),
     "beads, map, focal_point": ("beads", "map"),
@@ -51,7 +51,7 @@ STATED = {
 
 @dataclass(frozen=True)
 class Budget:
-    """The study; its fields are what may be varied."""
+    """The study; its fields can be varied."""
 
     name = "budget"
     about = "The error of a target, source by source: measured, and as the reconstruction states it"
@@ -61,11 +61,11 @@ class Budget:
 
     @property
     def configuration(self) -> dict[str, Any]:
-        """Fields, and the constants they rest on."""
+        """The fields and the constants that they depend on."""
         return {**asdict(self), "tolerances": asdict(WHOLE), "points_mm": TEST_BALLS_MM.tolist()}
 
     def trial(self, rng: np.random.Generator) -> Values:
-        """For each pick: the length of each source's error at the four test points, mm, and what is stated of it."""
+        """Return for each pick the error of each source at the four test points, mm, and its stated value."""
         noise = rng.standard_normal((len(VIEWS), len(TEST_BALLS_MM), 2))
         try:
             none = SetUpWith(rng, EXACT, self.bead_px, bead_noise=False)
@@ -77,7 +77,7 @@ class Budget:
             return {"refused": str(error)}
 
     def summary(self, trials: Sequence[Values]) -> Summary:
-        """Root mean squares by source and pick."""
+        """Return root mean squares by source and pick."""
         kept = [trial for trial in trials if "refused" not in trial]
         refused = share("set-ups refused", np.array(["refused" in trial for trial in trials]))
         if not kept:
@@ -99,7 +99,7 @@ class Budget:
         )
 
     def _alone_table(self, found: dict[tuple[float, str], Estimate]) -> Table:
-        columns = ("source", *(f"picks {sd:g} px" for sd in self.picks_px), "what it is")
+        columns = ("source", *(f"picks {sd:g} px" for sd in self.picks_px), "meaning")
         rows = [(name, *(_three(_size(found[sd, name])) for sd in self.picks_px), MEANINGS[name]) for name in MEANINGS]
         roots = (_three(_root(found, sd, MEANINGS)) for sd in self.picks_px)
         rows.append(("sum", *roots, "root of the sum of their squares"))
@@ -124,10 +124,10 @@ class Budget:
 
 
 class SetUpWith:
-    """A set-up whose frame's errors are drawn from `drawn` and whose beads err by `bead_px`, or not.
+    """A set-up with frame errors drawn from the tolerances `drawn`, and with or without bead noise of `bead_px`.
 
-    The generator is only copied, so every one has the same poses, distortions and draws. It is always calibrated as if
-    all errors were on, so that its weights are those of a plan. Raises SightlineError.
+    It copies the generator, so that all have the same poses, distortions and draws. It is always calibrated as if all
+    errors were present, so that its weights are those of a plan. Raises SightlineError.
     """
 
     def __init__(self, rng: np.random.Generator, drawn: Tolerances, bead_px: float, *, bead_noise: bool) -> None:
@@ -144,7 +144,7 @@ class SetUpWith:
         self.views = calibrated(self.scene)
 
     def points(self, pick_px: float, noise: np.ndarray | float = 0.0) -> SpacePoints:
-        """The test points, picked with `noise` (2, 4, 2) px; weighed as picks of `pick_px`."""
+        """Reconstruct the test points from picks with `noise` (2, 4, 2), px, weighted as picks of `pick_px`."""
         covariance = np.broadcast_to(pick_px**2 * np.eye(2), (*self.scene.target_px.shape, 2))
         return sl.reconstruct(self.views, self.scene.target_px + noise, covariance)
 
@@ -152,7 +152,7 @@ class SetUpWith:
 def _sources(
     none: SetUpWith, alone: dict[str, SetUpWith], everything: SetUpWith, pick_px: float, noise: np.ndarray
 ) -> Values:
-    """Lengths (4,) of what each source does to the test points, mm, and what is stated of it."""
+    """Return the error (4,) of each source at the test points, mm, and its stated value."""
     exact = none.points(pick_px).xyz_mm
     moved = {name: one.points(pick_px).xyz_mm - exact for name, one in alone.items()}
     moved["map"] = exact - TEST_BALLS_MM
@@ -173,8 +173,8 @@ def _finding(pick_px: float, found: dict[tuple[float, str], Estimate]) -> str:
     total, together = sum(squares.values()), found[pick_px, TOGETHER]
     return (
         f"Picks {pick_px:g} px: {together} mm rms; of the sum of squares {squares[first] / total:.0%} is {first}, "
-        f"{squares[second] / total:.0%} {second}. The root of that sum is {total**0.5 / _size(together):.2f} of what "
-        "they do together."
+        f"{squares[second] / total:.0%} {second}. The root of that sum is {total**0.5 / _size(together):.2f} of their "
+        "joint effect."
     )
 
 

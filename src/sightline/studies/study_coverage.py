@@ -1,8 +1,8 @@
-"""Does the stated error of a target hold? The error that was predicted beside the one that was made.
+"""Coverage of the stated error of a target: predicted errors compared with actual errors.
 
-Independent set-ups, one target each: frame errors are drawn afresh, every bead has its own covariance, stated truly.
-Noise of the beads, tolerances of the frame, way of picking and image chain are drawn evenly; targets lie inside and
-outside the beads' hulls.
+Set-ups are independent, with one target each. Frame errors are drawn for each; every bead has its own, truly stated
+covariance. Bead noise, tolerances of the frame, type of picks and image chain are drawn uniformly. Targets lie inside
+and outside the convex hull of the beads.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -22,19 +22,19 @@ from sightline.studies.figure_xy import PlotAxis, PlotPoint, PlotSeries, xy
 from sightline.studies.intervals import quantile, rms, share
 from sightline.studies.methods import calibrated
 from sightline.studies.scenes import FAR_MM, FRAMES, TargetScene, draw_scene
-from sightline.studies.study import Estimate, Plot, Summary, Table, Values
+from sightline.studies.study import Estimate, EstimateGroup, Plot, Summary, Table, Values
 from sightline.twin.presets import PRESETS
 
 PICKS = {"picks free, 0.1 px": 0.1, "picks free, 0.5 px": 0.5, "picks snapped, 0.5 px": 0.5}
 LEVELS = (0.50, 0.95, 0.99)
 MAX_NAMED = 5
-BINS = 5  # of the predicted error, equally full
-UNEVEN = 0.3  # the beads' own standard deviations scatter by 30 % [ours]
+BINS = 5  # of the predicted error, with equal counts
+UNEVEN = 0.3  # standard deviations of beads vary by 30 % [ours]
 
 
 @dataclass(frozen=True)
 class Coverage:
-    """The study; its fields are what may be varied."""
+    """The study; its fields can be varied."""
 
     name = "coverage"
     about = "Predicted against actual error of a target: do the stated ellipsoids hold it?"
@@ -47,12 +47,12 @@ class Coverage:
 
     @property
     def configuration(self) -> dict[str, Any]:
-        """Fields, and the constants they rest on."""
+        """The fields and the constants that they depend on."""
         frames = {name: asdict(FRAMES[name]) for name in self.frames}
         return {**asdict(self), "tolerances": frames, "uneven": UNEVEN, "reach_mm": FAR_MM}
 
     def trial(self, rng: np.random.Generator) -> Values:
-        """One target: the groups it belongs to, and for each method what was stated and what came; None: refused."""
+        """Return the groups of one target, and for each method the stated and the actual error; None: refused."""
         bead = self.beads_px[rng.integers(len(self.beads_px))]
         frame, picks, chain = (each[rng.integers(len(each))] for each in (self.frames, self.picks, self.chains))
         told = replace(Frame.load("gamma"), tolerances=FRAMES[frame])
@@ -62,7 +62,7 @@ class Coverage:
         return {"groups": groups, **{method: outcome(scene, noise, picks, method) for method in self.methods}}
 
     def summary(self, trials: Sequence[Values]) -> Summary:
-        """Shares of the ellipsoids that hold their target, by method and group."""
+        """Return the shares of ellipsoids that contain their target, by method and group."""
         groups = ["all", "inside the hull", "outside the hull", *sorted({g for t in trials for g in t["groups"]})]
         held = {
             (method, group): GroupCoverage.of(f"{method}, {group}", _members(trials, method, group))
@@ -75,7 +75,7 @@ class Coverage:
                 ("group", "targets", *(f"{level:.0%}" for level in LEVELS), "normalised error", "volume"),
                 tuple(_row(group, held[method, group]) for group in groups if held[method, group].number),
                 "In brackets: 95 % intervals. Normalised error: rms per axis, 1 is right. Volume: median of the stated "
-                "ellipsoid over that of the bound; an ellipsoid that covers by being huge is of no use.",
+                "ellipsoid over that of the bound; a huge ellipsoid always contains its target and is useless.",
             )
             for method in self.methods
         ]
@@ -92,7 +92,7 @@ class Coverage:
 
 
 def outcome(scene: TargetScene, noise: np.ndarray, picks: str, method: str) -> Values | None:
-    """One target of a scene, picked with `noise` (2, 2) in units of the pick's standard deviation."""
+    """Return the result for one target, picked with `noise` (2, 2) in units of the pick's standard deviation."""
     sd = PICKS[picks]
     clicks = scene.target_px[:, 0] + sd * noise
     try:
@@ -117,7 +117,7 @@ def outcome(scene: TargetScene, noise: np.ndarray, picks: str, method: str) -> V
 
 
 def _members(trials: Sequence[Values], method: str, group: str) -> list[Values]:
-    """What came of a method in the trials of a group."""
+    """Return the results of a method in the trials of a group."""
     belongs: dict[str, Callable[[Values], bool]] = {
         "all": lambda trial: True,
         "inside the hull": lambda trial: trial[method]["inside"],
@@ -128,8 +128,8 @@ def _members(trials: Sequence[Values], method: str, group: str) -> list[Values]:
 
 
 @dataclass(frozen=True)
-class GroupCoverage:
-    """One method in one group."""
+class GroupCoverage(EstimateGroup):
+    """The coverage of one method in one group."""
 
     shares: tuple[Estimate, ...]
     normalised: Estimate
@@ -137,7 +137,7 @@ class GroupCoverage:
 
     @staticmethod
     def of(name: str, outcomes: Sequence[Values]) -> "GroupCoverage":
-        """Of the targets of a group."""
+        """Return the coverage over the targets of a group."""
         squares = np.array([one["square"] for one in outcomes])
         shares = (share(f"{name}: {p:.0%} ellipsoid holds the target", squares <= chi2.ppf(p, 3)) for p in LEVELS)
         normalised = rms(f"{name}: normalised error per axis", [np.array([s / 3]) ** 0.5 for s in squares])
@@ -146,16 +146,11 @@ class GroupCoverage:
 
     @property
     def number(self) -> int:
-        """Of targets."""
+        """The number of targets."""
         return self.normalised.number
 
-    @property
-    def estimates(self) -> tuple[Estimate, ...]:
-        """All."""
-        return *self.shares, self.normalised, self.volume
-
     def misses(self) -> list[str]:
-        """The stated shares that the intervals exclude."""
+        """Return the stated shares that are outside their intervals."""
         pairs = zip(LEVELS, self.shares, strict=True)
         return [f"{p:.0%}" for p, s in pairs if s.low is not None and s.high is not None and not s.low <= p <= s.high]
 

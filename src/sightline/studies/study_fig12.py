@@ -1,8 +1,8 @@
 """The paper's figure 12: a PA line of sight in the lateral view, the image-matching curve.
 
-Measured: how far the true lateral place of a point lies from the curve that its PA pick draws, against the band that
-the curve states; and how far the curve bends from its chord, which a straight line would miss. Beads are points with
-noise here; the picture's radiograph is rendered.
+Measured: the distance of a point's true lateral pixel from the curve of its PA pick, compared with the curve's stated
+band; and the bend of the curve from its chord, which a straight line would ignore. Beads are noisy points here; the
+radiograph of the plot is rendered.
 """
 
 from collections.abc import Sequence
@@ -27,12 +27,12 @@ PHANTOM = "plastic, bored"
 PICK_PX = 0.5  # a careful click (physics.md, Picks)
 BEAD_PX = 0.1  # physics.md, Centroid limit
 ENDS = ("entry", "end")
-MIDDLE = 60.0  # mm of the line of sight to either side of the point: what a surgeon looks at [ours]
+MIDDLE = 60.0  # mm of the line of sight to either side of the point: the part a surgeon looks at [ours]
 
 
 @dataclass(frozen=True, eq=False)
 class CurveTrial:
-    """A set-up, its calibrated views, and the curves of both ends of the wire."""
+    """A set-up, its calibrated views, and the image-matching curves of both ends of the wire."""
 
     setup: SetUp
     views: list[BeadView]
@@ -52,11 +52,11 @@ class Figure12:
 
     @property
     def configuration(self) -> dict[str, Any]:
-        """Fields, and the constants they rest on."""
+        """The fields and the constants that they depend on."""
         return {**asdict(self), "wire_mm": PHANTOMS[PHANTOM].wire_mm.tolist()}
 
     def trial(self, rng: np.random.Generator) -> Values:
-        """For both ends: distance of the true place across the curve, half width of the band there, bend; px."""
+        """Return for both ends the distance of the true pixel from the curve, half width of the band, bend; px."""
         draw = int(rng.integers(2**32))
         try:
             drawn = self.drawn(np.random.default_rng(draw))
@@ -66,7 +66,7 @@ class Figure12:
         return {"draw": draw, **{end: held(curve, uv) for end, curve, uv in pairs}}
 
     def drawn(self, rng: np.random.Generator) -> CurveTrial:
-        """Everything of one trial, from its own generator. Raises SightlineError."""
+        """Draw everything of one trial from its own generator. Raises SightlineError."""
         wire = PHANTOMS[PHANTOM].wire_mm
         setup = draw_showing(rng, Frame.load("gamma"), wire)
         seen = measure(rng, setup, self.bead_px)
@@ -77,7 +77,7 @@ class Figure12:
         return CurveTrial(setup, views, [matching_curve(views[0], uv, views[1], stated) for uv in picks], lateral)
 
     def summary(self, trials: Sequence[Values]) -> Summary:
-        """Distances against bands, bends, and the curves of the first set-up that has them."""
+        """Return distances compared with bands, bends, and the curves of the first set-up that is not refused."""
         kept = [trial for trial in trials if "refused" not in trial]
         refused = share("set-ups refused", np.array(["refused" in trial for trial in trials]))
         if not kept:
@@ -111,13 +111,13 @@ class Figure12:
         title = "PA lines of sight of entry and end in the lateral view"
         marks = (*curves, plan_marks.truth(drawn.true_px))
         drawing = radiographs.sources({VIEWS[1]: image}) + radiographs.radiograph(image, VIEWS[1], marks, title)
-        caption = "Blue: the curves with their 95 % bands, a tick every 10 mm. White: the true places."
+        caption = "Blue: the curves with their 95 % bands, a tick every 10 mm. White: the true points."
         return Plot(title, drawing, caption)
 
 
 def held(curve: MatchingCurve, uv_px: np.ndarray) -> Values:
-    """Signed distance of a point from a curve at its nearest sample, the band's half width there, and how far the
-    curve leaves the chord of what lies within MIDDLE of it; px."""
+    """Return the signed distance of a point from a curve at the nearest sample, the half width of the band there, and
+    the largest distance of the curve from its chord within MIDDLE of the point; px."""
     near = int(np.argmin(np.linalg.norm(curve.uv_px - uv_px, axis=1)))
     assert curve.half_width_px is not None  # noqa: S101 - views calibrated from beads state their error
     some = curve.uv_px[np.abs(curve.depth_mm - curve.depth_mm[near]) <= MIDDLE]

@@ -1,9 +1,9 @@
 """The paper's figure 13: a plate of holes fixed to the intensifier, seen in the PA and in the lateral pose.
 
-Without magnetic fields both images would be the same. The plate lies on the input plane; the C-arm turns by 90° about
-the patient's long axis, its display stays as it is. The paper saw the centre hole move by 2 to 3 mm. How far a field
-shifts an image was set in the twin with that figure in view (docs/twin.md), so its size is no test; the spread over
-headings of the table and stray fields, and the field of displacements, are what follows.
+Without magnetic fields both images would be the same. The plate lies on the input plane; the C-arm rotates by 90° about
+the patient's long axis, and its display stays the same. In the paper the centre hole moved by 2 to 3 mm. The twin's
+shift per field was chosen to match this value (docs/twin.md), so its size is not a test. Results are the spread over
+headings of the table and stray fields, and the displacement field.
 """
 
 from collections.abc import Sequence
@@ -31,7 +31,7 @@ MEASURES = {
     "centre": "the centre hole moves by",
     "largest": "the hole that moves most, by",
     "rms": "all holes move by, rms",
-    "shape": "of which no shift of the whole image explains, rms",
+    "shape": "without the shift of the whole image, rms",
 }
 
 
@@ -46,11 +46,11 @@ class Figure13:
 
     @property
     def configuration(self) -> dict[str, Any]:
-        """Fields, and the distributions they rest on."""
+        """The fields and the distributions that they depend on."""
         return {**asdict(self), "distortion": asdict(Distortion()), "hole_pitch_mm": HOLE_PITCH_MM}
 
     def trial(self, rng: np.random.Generator) -> Values:
-        """Where the holes are seen in both images, mm at the input plane, and how far they moved."""
+        """Return the positions of the holes in both images, mm at the input plane, and their displacements."""
         optics, spread = preset(self.chain), Distortion()
         tube, earth = draw_tube(rng, optics, spread), draw_earth(rng, spread)
         middle = (np.array(optics.shape[::-1]) - 1) / 2
@@ -71,7 +71,7 @@ class Figure13:
         }
 
     def summary(self, trials: Sequence[Values]) -> Summary:
-        """How far the holes move, and one field of displacements."""
+        """Return the displacements of the holes, and a plot of one displacement field."""
         found = {
             name: [quantile(f"{name}, {at:.0%}", np.array([t[name] for t in trials]), at) for at in QUANTILES]
             for name in MEASURES
@@ -82,7 +82,7 @@ class Figure13:
         rows = [(words, *(f"{estimate.value:.2f}" for estimate in found[name])) for name, words in MEASURES.items()]
         optics = preset(self.chain)
         typical = trials[int(np.argmin(np.abs(centre - np.median(centre))))]
-        title = "PA (hollow) and lateral (filled) places of the holes"
+        title = "PA (hollow) and lateral (filled) positions of the holes"
         drawing = field(np.array(typical["pa"]), np.array(typical["lateral"]), optics.field_mm / 2, title)
         five, median, ninety_five = (estimate.value for estimate in found["centre"])
         return Summary(
@@ -98,7 +98,7 @@ class Figure13:
 
 
 def holes_mm(radius_mm: float) -> np.ndarray:
-    """(N, 2) a square grid of holes over the round field, its middle first."""
+    """Return a square grid of holes (N, 2) over the round field, the centre hole first."""
     reach = int(radius_mm // HOLE_PITCH_MM)
     steps = HOLE_PITCH_MM * np.arange(-reach, reach + 1)
     grid = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)

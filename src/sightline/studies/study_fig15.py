@@ -1,10 +1,10 @@
 """The paper's figure 15: guide wires inserted into the bore of a plastic femur, end to end.
 
-Two radiographs of the plastic femur in the frame that the robot holds, beads found and told apart, views calibrated,
-the bore's ends picked, the trajectory carried into the robot's coordinates and inserted through the real link. Judged
-by the physics: where the wire's axis passes the entry point, where its tip is, how it lies to the bore's axis. Fixed
-beforehand: picks of 0.5 px, frame and wire on the flange known to 0.1 mm, backlash of 0.05°, frame tolerances of
-physics.md.
+The robot holds the frame. Beads are found and labelled in two radiographs of the plastic femur, the views are
+calibrated, the ends of the bore are picked, and the trajectory is transformed to robot coordinates and inserted through
+the real link. Evaluated from the physics: distance of the wire's axis from the entry point, of its tip from the end
+point, and its angle to the bore's axis. Fixed beforehand: picks of 0.5 px, frame and wire on the flange known to
+0.1 mm, backlash of 0.05°, frame tolerances of physics.md.
 """
 
 from collections.abc import Sequence
@@ -32,15 +32,14 @@ from sightline.twin import HipScene, SetUp
 PHANTOM = "plastic, bored"
 METHODS: tuple[Method, ...] = ("smooth", "localized")
 PICK_PX = 0.5  # a careful click (physics.md, Picks)
-LIMIT_MM, LIMIT_DEG = 1.0, 0.6  # what the paper's six trials kept within [paper, Fig. 15]
+LIMIT_MM, LIMIT_DEG = 1.0, 0.6  # the paper's six trials were within these [paper, Fig. 15]
 BEYOND_MM = 3.0  # the depth limit lies this far beyond the end point: the bore ends 8 mm under the bone's surface
-SIX = 6  # trials of the paper
+SIX = 6  # number of trials in the paper
 
 
 @dataclass(frozen=True, eq=False)
 class PlannedInsertion:
-    """What both methods are given: the set-up and what is in it, the beads, and the picks (2, P, 2): entry, end, and
-    landmarks."""
+    """The input of both methods: set-up, hip, beads, and the picks (2, P, 2) of entry, end and landmarks."""
 
     setup: SetUp
     hip: HipScene
@@ -48,7 +47,7 @@ class PlannedInsertion:
     picks: np.ndarray
 
     def plan(self, method: Method) -> Plan:
-        """Raises SightlineError."""
+        """Calibrate and plan by one method. Raises SightlineError."""
         views = [sl.calibrate(self.seen[name], self.setup.frame, view=name, method=method) for name in VIEWS]
         entry, end, *marks = np.moveaxis(self.picks, 1, 0)
         known = [mark for mark in marks if _sees(views, mark)]
@@ -67,11 +66,11 @@ class Figure15:
 
     @property
     def configuration(self) -> dict[str, Any]:
-        """Fields, and the constants they rest on."""
+        """The fields and the constants that they depend on."""
         return {**asdict(self), "pick_px": PICK_PX, "wire_mm": PHANTOMS[PHANTOM].wire_mm.tolist()}
 
     def trial(self, rng: np.random.Generator) -> Values:
-        """For each method: errors at entry and end, mm, and of the direction, °; or why there are none."""
+        """Return for each method the errors at entry and end, mm, and of the direction, °; or why it was refused."""
         try:
             planned = _planned(rng)
         except SightlineError as error:
@@ -80,7 +79,7 @@ class Figure15:
         return {method: _inserted(planned, method, np.random.default_rng(theatre)) for method in self.methods}
 
     def summary(self, trials: Sequence[Values]) -> Summary:
-        """Errors of both methods, and the paper's six trials beside our first six."""
+        """Return the errors of both methods, and the first six trials, as in the paper."""
         estimates, rows, findings = [], [], []
         for method in self.methods:
             all_of = [trial.get(method, trial) for trial in trials]
@@ -116,7 +115,7 @@ _MEASURED = ("entry", "end", "angle")
 
 
 def _sees(views: list[BeadView], uv_px: np.ndarray) -> bool:
-    """Whether both views know a line of sight there; `localized` knows none outside its beads' hull."""
+    """Whether both views have a line of sight there; `localized` has none outside the convex hull of its beads."""
     try:
         for view, uv in zip(views, uv_px, strict=True):
             view.lines_of_sight(uv[None])
@@ -134,13 +133,13 @@ def _planned(rng: np.random.Generator) -> PlannedInsertion:
 
 
 def _inserted(planned: PlannedInsertion, method: Method, rng: np.random.Generator) -> Values:
-    """What one method's plan comes to; the errors of the plan itself where the robot does not carry it out."""
+    """Return the result of one method's plan; only the errors of the plan if the robot does not carry it out."""
     out: Values = {}
     try:
         made = planned.plan(method)
         by_plan = InsertionOutcome.of(made.trajectory.points.xyz_mm, planned.hip.wire_mm)
         out = {"plan_entry": by_plan.entry_mm, "plan_angle": float(np.rad2deg(by_plan.angle_rad))}
-        # Along a bore, whose mouth nothing touches, no contact can be waited for.
+        # The wire enters the bore without touching bone, so there is no contact to wait for.
         confirmed = Setup(SIDE, planned.setup.frame.serial or "twin", into_bone=False)
         theatre = SimulatedTheatre.draw(calibrated_robot(SIDE), planned.hip, rng, confirmed)
         target = theatre.target(made, "fig15")

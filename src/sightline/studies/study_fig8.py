@@ -1,7 +1,7 @@
 """The paper's figure 8: a registration image, PA view of the plastic femur with both plates' balls.
 
-The paper shows one such image. Here it is drawn by the twin, and the beads that the software finds and names in it are
-counted and compared with their true shadows. Trials are images.
+The paper shows one such image. Here the twin renders it, and the beads that the software finds and labels are counted
+and compared with their true shadows. Each trial is one image.
 """
 
 from collections.abc import Sequence
@@ -28,17 +28,18 @@ class Figure8:
     """The study."""
 
     name = "fig8"
-    about = "The paper's figure 8: a registration image, and how many of its beads are found and named"
+    about = "The paper's figure 8: a registration image, and how many of its beads are found and labelled"
 
     phantom: str = "plastic, bored"
 
     @property
     def configuration(self) -> dict[str, Any]:
-        """Fields, and the constants they rest on."""
+        """The fields and the constants that they depend on."""
         return {**asdict(self), "view": VIEW}
 
     def trial(self, rng: np.random.Generator) -> Values:
-        """For each plate: beads whole in the field, and of those, how many were named; wrong names; errors, px."""
+        """Return for each plate the beads entirely in the field and how many of them were labelled; wrong labels;
+        errors, px."""
         draw = int(rng.integers(2**32))
         rng, setup, hip = self.scene(draw)
         true, view = shadows(setup), setup.frame.view(VIEW)
@@ -58,12 +59,12 @@ class Figure8:
         }
 
     def scene(self, draw: int) -> tuple[np.random.Generator, SetUp, HipScene]:
-        """The scene of a trial's own number, and the generator of its noise."""
+        """Draw the scene of a trial from its number `draw`; return also the generator of its noise."""
         rng = np.random.default_rng(draw)
         return rng, *PHANTOMS[self.phantom].draw(rng, Frame.load("gamma"))
 
     def summary(self, trials: Sequence[Values]) -> Summary:
-        """Counts, and the image of the first trial."""
+        """Return counts, and the image of the first trial."""
         kept = [trial for trial in trials if "refused" not in trial]
         refused = share("images refused", np.array(["refused" in trial for trial in trials]))
         error = rms("centre of a named bead, rms", [np.array(trial["error_px"]) for trial in kept], "px")
@@ -79,18 +80,18 @@ class Figure8:
         drawing = radiographs.sources({VIEW: image}) + radiographs.radiograph(image, VIEW, (), title)
         return Summary(
             findings=(
-                f"{len(kept)} of {len(trials)} images are told apart; {wrong} of their beads bear a wrong name.",
-                f"The centre of a bead that is named rightly is off by {error} px rms.",
+                f"{len(kept)} of {len(trials)} images are labelled; {wrong} of their beads have a wrong label.",
+                f"The centre of a correctly labelled bead has an error of {error} px rms.",
             ),
             estimates=(refused, error),
-            tables=(Table("Beads", ("", "whole in the field", "named rightly", "share"), tuple(rows)),),
+            tables=(Table("Beads", ("", "entirely in the field", "labelled correctly", "share"), tuple(rows)),),
             plots=(Plot(title, drawing, "The first trial, logarithm of the intensity, as in the paper."),),
         )
 
 
 @dataclass(frozen=True, eq=False)
 class Shadow:
-    """Of one bead: centre (2,) and radius, px; whether all of it lies in the field."""
+    """The shadow of one bead: centre (2,) and radius, px; whether it lies entirely in the field."""
 
     uv_px: np.ndarray
     radius_px: float
@@ -98,7 +99,7 @@ class Shadow:
 
 
 def shadows(setup: SetUp) -> dict[str, Shadow]:
-    """Of all beads of the true frame, by id."""
+    """Return the shadows of all beads of the true frame, by id."""
     truth, beads = setup.views[VIEW], setup.true_frame.view(VIEW).fiducials
     xyz, radius = np.array([b.xyz_mm for b in beads]), np.array([b.diameter_mm / 2 for b in beads])
     uv, px = shadow_centres_px(truth, xyz, radius), shadow_radius_px(truth, xyz, radius)

@@ -1,11 +1,12 @@
-"""What a frame's figures buy at the target: plate distances, pitch, number and size of balls, tolerances, handling.
+"""Effect of a frame's design on the error at the target: plate distances, pitch, number and size of balls, tolerances,
+handling errors.
 
-Every design stands before the same C-arm in the same pose, and its errors come from the same draws; so designs differ
-by themselves alone. Targets are the two ends of a wire, located to 0.1 px: picks by hand add the same to every design.
+All designs are imaged by the same C-arm in the same pose, with errors from the same draws, so that results differ only
+by design. Targets are the two ends of a wire, located to 0.1 px; manual picks add the same error to every design.
 
-Balls are points here. Noise of a centre follows a ball's size as in physics.md (Centroid limit), from 0.1 px for 3 mm;
-that smaller balls are also harder to find and larger ones hide more is not counted. Handling happens to the true frame
-alone: the software is not told.
+Balls are points here. The noise of a centre depends on the size of the ball as in physics.md (Centroid limit), from
+0.1 px for 3 mm. Not modelled: smaller balls are harder to find, and larger ones hide more. Handling errors affect only
+the true frame; the software does not know them.
 """
 
 from collections.abc import Sequence
@@ -25,7 +26,7 @@ from sightline.frame.nominal import SOURCE_TO_DETECTOR_MM, SOURCE_TO_HIP_MM, in_
 from sightline.studies.figure_spans import Span, spans
 from sightline.studies.intervals import rms, share
 from sightline.studies.scenes import BEADS_20UM, VIEWS, WHOLE, draw_showing
-from sightline.studies.study import Estimate, Plot, Summary, Table, Values
+from sightline.studies.study import Estimate, EstimateGroup, Plot, Summary, Table, Values
 from sightline.studies.study_robustness import WIRE_ENDS_MM
 from sightline.twin import SetUp, bead_images
 from sightline.twin.beam import attenuation_per_mm
@@ -41,7 +42,7 @@ NEAREST_MM = 105.0 + 5.0 + PLATE_THICKNESS_MM / 2
 # The intensifier's housing begins 30 mm before its input plane [mem].
 FARTHEST_MM = SOURCE_TO_DETECTOR_MM - SOURCE_TO_HIP_MM - 30.0 - PLATE_THICKNESS_MM / 2
 MIN_REACH_MM, MIN_IN_FIELD = 10.0, 0.6  # of `check_frame`
-MIN_GAIN = 0.10  # a change of less than a tenth is not worth a new frame [ours]
+MIN_GAIN = 0.10  # a smaller reduction of the error is not worth a new frame [ours]
 
 
 @dataclass(frozen=True)
@@ -56,11 +57,11 @@ class Design:
 
     @property
     def name(self) -> str:
-        """All figures."""
+        """The design's numbers."""
         return f"{self.source_mm:g}/{self.xrii_mm:g}, {self.rows} x {self.pitch_mm:g}, balls {self.ball_mm:g}"
 
     def frame(self, tolerances: Tolerances) -> Frame:
-        """Without datums: labels are known here."""
+        """Return the frame without datum markers, since labels are known here."""
         balls, none = Balls(self.ball_mm, self.ball_mm), dict.fromkeys(GAMMA_BEAMS, ((), ()))
         plates: dict[str, Any] = {
             "rows": self.rows,
@@ -90,7 +91,7 @@ GEOMETRIES = (
     Design(ball_mm=2),
     Design(ball_mm=4),
 )
-# Balls alone: plates and arms measured on the finished frame, so that geometry shows.
+# With plates and arms measured on the finished frame, only balls have errors, which shows the effect of geometry.
 MADE = {"as made": WHOLE, "plates and arms measured": BEADS_20UM}
 AS_MADE = f"{DEFAULT.name}, as made"
 TOLERANCES = {
@@ -114,7 +115,7 @@ HANDLINGS = {
 
 @dataclass(frozen=True)
 class FrameDesignStudy:
-    """The study; its fields are what may be varied."""
+    """The study; its fields can be varied."""
 
     name = "frame-design"
     about = "What a frame's plates, balls, tolerances and handling do to the error at the target"
@@ -125,7 +126,7 @@ class FrameDesignStudy:
 
     @property
     def configuration(self) -> dict[str, Any]:
-        """Fields, and the constants they rest on."""
+        """The fields and the constants that they depend on."""
         return {
             **asdict(self),
             "made": {name: asdict(sd) for name, sd in {**MADE, **TOLERANCES}.items()},
@@ -135,7 +136,7 @@ class FrameDesignStudy:
         }
 
     def trial(self, rng: np.random.Generator) -> Values:
-        """For each design, tolerance and handling: errors (2) of the wire's ends and what is stated of them, mm."""
+        """Return for each design, tolerance and handling the wire ends' errors (2) and their stated values, mm."""
         setup = draw_showing(rng, Frame.load("gamma"), WIRE_ENDS_MM, frame_errors=False)
         seed = int(rng.integers(2**32))
         out: Values = {}
@@ -150,7 +151,7 @@ class FrameDesignStudy:
         return out
 
     def summary(self, trials: Sequence[Values]) -> Summary:
-        """Errors by design, tolerance and handling, and which design is best of those that fit."""
+        """Return errors by design, tolerance and handling, and the best design of those that fit."""
         found = {key: DesignResult.of(key, trials) for key in trials[0]}
         gains = {design: _gain(design, trials) for design in self.geometries if design != DEFAULT}
         drawn = [Span(key, *one.ends) for key, one in found.items() if one.error.value is not None]
@@ -175,7 +176,7 @@ class FrameDesignStudy:
             rows.append((design.name, *each, gain, covered, obstacle(design) or "fits"))
         columns = ("plates, rows x pitch, balls, mm", *MADE, "rms over the default's", "of the field covered", "fits")
         note = (
-            "Error / what is stated, mm rms, of the ends of a 97 mm wire located to 0.1 px. In brackets: 95 % interval "
+            "Error / stated error, mm rms, of the ends of a 97 mm wire located to 0.1 px. In brackets: 95 % interval "
             f"of the ratio, as made. A plate fits from {NEAREST_MM:.0f} mm (skin, drapes) to {FARTHEST_MM:.0f} mm "
             "(housing of the intensifier) from the hip, if its balls surround the wire and are in the field."
         )
@@ -183,8 +184,8 @@ class FrameDesignStudy:
 
 
 @dataclass(frozen=True)
-class DesignResult:
-    """Of one design: `error` and `stated`, mm rms; how often it was `refused`."""
+class DesignResult(EstimateGroup):
+    """The result of one design: `error` and `stated`, mm rms; how often it was `refused`."""
 
     error: Estimate
     stated: Estimate
@@ -192,7 +193,7 @@ class DesignResult:
 
     @staticmethod
     def of(key: str, trials: Sequence[Values]) -> "DesignResult":
-        """Of all trials."""
+        """Return the result over all trials."""
         kept = [trial[key] for trial in trials if trial[key] is not None]
         return DesignResult(
             rms(f"{key}: error", [np.array(one["error"]) for one in kept], "mm"),
@@ -201,19 +202,14 @@ class DesignResult:
         )
 
     @property
-    def estimates(self) -> tuple[Estimate, ...]:
-        """All."""
-        return self.error, self.stated, self.refused
-
-    @property
     def ends(self) -> tuple[float, float, float]:
-        """Of the interval, the figure between."""
+        """Lower end of the interval, value, upper end."""
         value = self.error.value or 0.0
         return self.error.low or value, value, self.error.high or value
 
     @property
     def cell(self) -> str:
-        """Error / stated."""
+        """The table cell: error / stated."""
         if self.error.value is None:
             return "refused"
         refused = f", {self.refused.value:.0%} refused" if self.refused.value else ""
@@ -221,7 +217,7 @@ class DesignResult:
 
 
 def obstacle(design: Design) -> str:
-    """Why a design cannot stand around a hip; nothing where it can."""
+    """Return why a design does not fit around a hip; "" if it does."""
     if design.source_mm < NEAREST_MM:
         return "in the thigh"
     if design.xrii_mm > FARTHEST_MM:
@@ -236,14 +232,15 @@ def obstacle(design: Design) -> str:
 
 
 def covered_share(design: Design) -> float:
-    """Of a disc at the hip that the field shows, the share that shadows of balls take, none upon another."""
+    """Return the share of the field's disc at the hip that is covered by shadows of balls, without overlap."""
     plates = ((design.xrii_mm, design.rows), (design.source_mm, design.rows + 1))
     area = sum(rows**2 * (design.ball_mm / 2 * SOURCE_TO_HIP_MM / (SOURCE_TO_HIP_MM + mm)) ** 2 for mm, rows in plates)
     return area / (107.5 * SOURCE_TO_HIP_MM / SOURCE_TO_DETECTOR_MM) ** 2
 
 
 def bead_sd_px(ball_mm: float) -> float:
-    """Noise of a ball's centre: as sqrt((1 - C/2) / R) / C, with the contrast C of its mean chord; BEAD_PX at 3 mm."""
+    """Return the noise of a ball's centre, proportional to sqrt((1 - C/2) / R) / C with the contrast C of its mean
+    chord, and BEAD_PX at 3 mm."""
 
     def relative(mm: float) -> float:
         contrast = 1 - np.exp(-attenuation_per_mm("steel")[MIDDLE_ENERGY] * 2 / 3 * mm)
@@ -253,13 +250,15 @@ def bead_sd_px(ball_mm: float) -> float:
 
 
 def error_of(setup: SetUp, design: Design, sd: Tolerances, handling: Handling, seed: int) -> Values | None:
-    """Lengths (2) of the errors of the wire's ends, and the root of the stated variances, mm; None: refused."""
+    """Return the errors (2) of the wire's ends and the roots of the stated variances, mm; None: refused."""
     rng = np.random.default_rng(seed)
     frame = design.frame(sd)
     shared, picks = rng.standard_normal(36), PICK_PX * rng.standard_normal((2, 2, 2))
     factor = frame.error_factor
     draws = np.concatenate([rng.standard_normal(factor.shape[1] - len(shared)), shared])
-    made = replace(displaced(frame, (factor @ draws).reshape(-1, 3)), tolerances=WHOLE)  # it sags, measured or not
+    made = replace(
+        displaced(frame, (factor @ draws).reshape(-1, 3)), tolerances=WHOLE
+    )  # handling depends on the tolerances as made
     stands = replace(setup, frame=frame, true_frame=in_use(made, handling))
     pixels = np.array([setup.views[name].project(WIRE_ENDS_MM) for name in VIEWS]) + picks
     covariance = np.broadcast_to(PICK_PX**2 * np.eye(2), (2, 2, 2, 2))
@@ -278,7 +277,7 @@ def _seen(setup: SetUp, name: str, rng: np.random.Generator, sd_px: float) -> Ob
 
 
 def _gain(design: Design, trials: Sequence[Values]) -> Estimate:
-    """rms error over that of the default, as made, in the set-ups where both answer; its interval is of pairs."""
+    """Return the rms error over that of the default, as made, over set-ups without refusals, with a paired interval."""
     key = f"{design.name}, as made"
     name = f"{design.name}: rms over the default's"
     pairs = [[np.mean(np.square(t[k]["error"])) for k in (key, AS_MADE)] for t in trials if t[key] and t[AS_MADE]]
@@ -310,7 +309,7 @@ def _findings(found: dict[str, DesignResult], gains: dict[Design, Estimate]) -> 
     return [
         *out,
         f"Recommended: the default frame. The best of the others that fit is {best.name}, at {gain} of its error; "
-        f"a change counts if it surely gains {MIN_GAIN:.0%}.",
+        f"a change is recommended only if it reduces the error by at least {MIN_GAIN:.0%}.",
     ]
 
 

@@ -1,19 +1,19 @@
-"""How many attempts and exposures a wire takes by hand: on two plain views, with image-matching curves, with a guide.
+"""Attempts and exposures of a wire placed by hand: on two plain views, with image-matching curves, with a guide.
 
-The operator is a model; every figure of it is [ours], and what is found holds for it alone.
+The operator is a model; all its parameters are [ours], and the results hold only for it.
 
-- In each image the operator has marked where the ideal wire's entry and end should be, by careful clicks. Lateral marks
-  on plain views are also off by `match_mm` along the patient: which lateral point is the PA point is judged by eye (the
-  paper's depth perception problem). With curves they lie on the curve of the PA mark, which settles that.
-- Each attempt inserts the wire, takes one PA and one lateral exposure, and reads the wire's two ends off both.
-- On plain views the operator takes them to be exactly 90° apart, along the patient's axes, turned upright by eye, and
-  free of distortion. With curves, marks and wire are reconstructed from the calibrated views.
-- If entry and direction seem within the limits, the operator stops. Else the wire is withdrawn and put in again, by
-  what was seen of its error, with a hand that errs afresh. After MOST attempts the operator gives up.
-- A guide (the paper's robot) holds the wire on the plan that curves made, so its first attempt is the plan itself.
+- In each image the operator marks entry and end of the ideal wire by careful clicks. On plain views, lateral marks also
+  have an error of `match_mm` along the patient, because the operator matches points by eye (in the paper: the problem
+  of depth perception). With curves, lateral marks lie on the curve of the PA mark.
+- In each attempt the operator inserts the wire, takes one PA and one lateral exposure, and reads the wire's two ends.
+- On plain views the operator assumes that the views are exactly 90° apart, along the patient's axes, rotated upright by
+  eye, and free of distortion. With curves, marks and wire are reconstructed from the calibrated views.
+- If entry and direction seem within the limits, the operator stops. Otherwise the wire is withdrawn and inserted again,
+  corrected by its apparent error, with a new random error of the hand. After MAX_ATTEMPTS the operator gives up.
+- A guide (the paper's robot) holds the wire on the plan made with curves, so the first attempt is the plan itself.
 
-Not modelled: that a wire follows its former hole, bends or skives on the cortex; fluoroscopy while drilling; a patient
-who moves; learning; a surgeon's own, wider limits. Errors are counted across the wire.
+Not modelled: a wire that follows its former hole, bends or skives on the cortex; fluoroscopy while drilling; movement
+of the patient; learning; a surgeon's own, wider limits. Only errors across the wire count.
 """
 
 from collections.abc import Sequence
@@ -30,18 +30,18 @@ from sightline.frame import Frame, nominal
 from sightline.planning import kind, plan
 from sightline.studies.intervals import quantile, rms, share
 from sightline.studies.scenes import VIEWS, draw_showing, measure
-from sightline.studies.study import Estimate, Summary, Table, Values
+from sightline.studies.study import Estimate, EstimateGroup, Summary, Table, Values
 from sightline.studies.study_robustness import WIRE_ENDS_MM
 from sightline.twin import SetUp
 
-LIMIT_MM, LIMIT_RAD = 1.0, radians(0.6)  # what the paper reached
+LIMIT_MM, LIMIT_RAD = 1.0, radians(0.6)  # achieved in the paper
 PICK_PX = 0.5  # a careful click (physics.md, Picks)
 BEAD_PX = 0.1  # physics.md, Centroid limit
-UPRIGHT = radians(3.0)  # s.d. of turning an image upright by eye [ours]
+UPRIGHT = radians(3.0)  # s.d. of rotating an image upright by eye [ours]
 FIRST_MM, FIRST_RAD = 5.0, radians(5.0)  # s.d. per axis of the first attempt, by an angle guide [ours]
 GUIDE_MM, GUIDE_RAD = 0.2, radians(0.1)  # s.d. per axis of a guide on a plan [ours]
 MAX_ATTEMPTS = 30  # attempts [ours]
-# s.d. per axis of entry, mm, and direction, degrees, of a wire that is put in again by hand [ours].
+# s.d. per axis of entry, mm, and direction, degrees, of a wire that is inserted again by hand [ours].
 HANDS = {"steady hand": (0.5, 0.3), "ordinary hand": (1.0, 1.0)}
 MATCHES_MM = (0.0, 1.0, 2.0, 4.0)  # s.d. of a lateral mark matched by eye [ours]
 ALONG_PATIENT = np.array([0.0, 1.0, 0.0])
@@ -50,7 +50,7 @@ CURVES, GUIDE = "curves", "curves and guide"
 
 @dataclass(frozen=True)
 class Freehand:
-    """The study; its fields are what may be varied."""
+    """The study; its fields can be varied."""
 
     name = "freehand"
     about = "Attempts and exposures until a wire lies within 1 mm and 0.6°: plain views, curves, a guide"
@@ -60,13 +60,13 @@ class Freehand:
 
     @property
     def configuration(self) -> dict[str, Any]:
-        """Fields, and the constants of the operator."""
+        """The fields and the constants of the operator."""
         noise = {"pick_px": PICK_PX, "bead_px": BEAD_PX, "upright": UPRIGHT, "hands": HANDS}
         sizes = {"first": [FIRST_MM, FIRST_RAD], "guide": [GUIDE_MM, GUIDE_RAD], "limits": [LIMIT_MM, LIMIT_RAD]}
         return {**asdict(self), **noise, **sizes, "most": MAX_ATTEMPTS, "wire_mm": WIRE_ENDS_MM.tolist()}
 
     def trial(self, rng: np.random.Generator) -> Values:
-        """For each operator: attempts, whether they ended by stopping, and the true error then; {} where refused."""
+        """Return for each operator the attempts, whether it stopped, and the true error then; {} if refused."""
         setup = draw_showing(rng, Frame.load("gamma"), WIRE_ENDS_MM)
         seen, seed = measure(rng, setup, BEAD_PX), int(rng.integers(2**32))
         try:
@@ -83,7 +83,7 @@ class Freehand:
         return out
 
     def summary(self, trials: Sequence[Values]) -> Summary:
-        """Attempts, exposures, and how often the wire truly lies within the limits."""
+        """Return attempts, exposures, and how often the wire is truly within the limits."""
         kept = [trial for trial in trials if trial]
         refused = share("set-ups refused", np.array([not trial for trial in trials]))
         if not kept:
@@ -110,27 +110,27 @@ class Freehand:
 
 
 class PlainEyes:
-    """What is seen on two plain views."""
+    """An operator's readings on two plain views."""
 
     def __init__(self, setup: SetUp, match_mm: float, rng: np.random.Generator) -> None:
         self.setup, self.rng = setup, rng
         matched = WIRE_ENDS_MM + match_mm * rng.standard_normal((2, 1)) * ALONG_PATIENT
         self.marks_px = [self.read(name, there) for name, there in zip(VIEWS, (WIRE_ENDS_MM, matched), strict=True)]
-        turns = UPRIGHT * rng.standard_normal(len(VIEWS))
-        self.px_per_mm = np.vstack([believed(setup, name, turn) for name, turn in zip(VIEWS, turns, strict=True)])
+        angles = UPRIGHT * rng.standard_normal(len(VIEWS))
+        self.px_per_mm = np.vstack([assumed_scale(setup, name, a) for name, a in zip(VIEWS, angles, strict=True)])
 
     def read(self, view: str, xyz_mm: np.ndarray) -> np.ndarray:
-        """Where points are seen, as they are clicked."""
+        """Draw the clicks (N, 2) on points (N, 3)."""
         return self.setup.views[view].project(xyz_mm) + PICK_PX * self.rng.standard_normal((len(xyz_mm), 2))
 
     def error_mm(self, wire_mm: np.ndarray) -> np.ndarray:
-        """(2, 3) by how much the ends of the wire seem to miss their marks."""
+        """Return the apparent errors (2, 3) of the wire's ends against their marks."""
         seen = [self.read(name, wire_mm) - marks for name, marks in zip(VIEWS, self.marks_px, strict=True)]
         return np.linalg.lstsq(self.px_per_mm, np.hstack(seen).T, rcond=None)[0].T
 
 
 class CalibratedEyes(PlainEyes):
-    """What is seen with calibrated views: lateral marks on the PA marks' curves, all points reconstructed."""
+    """An operator's readings on calibrated views: lateral marks on the curves of PA marks, all points reconstructed."""
 
     def __init__(self, setup: SetUp, views: list[BeadView], rng: np.random.Generator) -> None:
         super().__init__(setup, 0.0, rng)
@@ -141,30 +141,33 @@ class CalibratedEyes(PlainEyes):
         ).trajectory.points.xyz_mm
 
     def error_mm(self, wire_mm: np.ndarray) -> np.ndarray:
-        """(2, 3)."""
+        """Return the apparent errors (2, 3) of the wire's ends against the plan."""
         seen = np.array([self.read(name, wire_mm) for name in VIEWS])
         stated = np.broadcast_to(PICK_PX**2 * np.eye(2), (*seen.shape, 2))
         return sl.reconstruct(self.views, seen, stated).xyz_mm - self.plan_mm
 
 
-def believed(setup: SetUp, view: str, turn: float) -> np.ndarray:
-    """(2, 3) px per mm at the hip as someone takes it to be who knows no geometry: the nominal beam and
-    magnification, the image upright but for `turn`."""
+def assumed_scale(setup: SetUp, view: str, angle: float) -> np.ndarray:
+    """Return px per mm (2, 3) at the hip as assumed without calibration: nominal beam and magnification, with the image
+    rotated by `angle` from upright."""
     truth = setup.views[view]
     steps = np.eye(3)
     true = (truth.project(steps) - truth.project(-steps)).T / 2
     beam = nominal.axis(setup.frame.view(view))
     across = np.array([ALONG_PATIENT, np.cross(beam, ALONG_PATIENT)])
     left, _, right = np.linalg.svd(true @ across.T)
-    upright = left @ right  # the rotation or reflection nearest to how the image truly stands
-    c, s = np.cos(turn), np.sin(turn)
+    upright = left @ right  # the rotation or reflection nearest to the true orientation of the image
+    c, s = np.cos(angle), np.sin(angle)
     scale = nominal.SOURCE_TO_DETECTOR_MM / nominal.SOURCE_TO_HIP_MM / truth.chain.pitch_mm
     return scale * np.array([[c, -s], [s, c]]) @ upright @ across
 
 
 def insert(eyes: PlainEyes, hand: tuple[float, float], seed: int) -> Values:
-    """Attempts until the wire seems to be where it should, or MOST; `hand`: s.d. of entry, mm, and direction, °."""
-    rng = np.random.default_rng([seed, 1])  # the same hand for all eyes
+    """Repeat attempts until the wire seems within the limits, at most MAX_ATTEMPTS times.
+
+    `hand`: s.d. of entry, mm, and direction, degrees.
+    """
+    rng = np.random.default_rng([seed, 1])  # the same hand for all operators
     off = _placed(rng, FIRST_MM, FIRST_RAD)
     entry_mm, direction_rad = hand[0], radians(hand[1])
     for attempt in range(1, MAX_ATTEMPTS + 1):
@@ -176,7 +179,7 @@ def insert(eyes: PlainEyes, hand: tuple[float, float], seed: int) -> Values:
 
 
 def _guided(setup: SetUp, views: list[BeadView], rng: np.random.Generator) -> Values:
-    """A wire held on the plan: one attempt, taken as it comes."""
+    """Return the result of a wire held on the plan: a single attempt."""
     eyes = CalibratedEyes(setup, views, rng)
     off = across_wire(eyes.plan_mm - WIRE_ENDS_MM) + _placed(
         np.random.default_rng(rng.integers(2**32)), GUIDE_MM, GUIDE_RAD
@@ -185,20 +188,20 @@ def _guided(setup: SetUp, views: list[BeadView], rng: np.random.Generator) -> Va
 
 
 def _placed(rng: np.random.Generator, entry_mm: float, direction_rad: float) -> np.ndarray:
-    """(2, 3) errors of both ends of a wire across it: of its entry, and of its direction about that."""
-    entry, turn = entry_mm * rng.standard_normal(3), direction_rad * rng.standard_normal(3)
+    """Draw the errors (2, 3) of both ends across a wire: from its entry and its direction."""
+    entry, direction = entry_mm * rng.standard_normal(3), direction_rad * rng.standard_normal(3)
     length = np.linalg.norm(WIRE_ENDS_MM[1] - WIRE_ENDS_MM[0])
-    return across_wire(np.array([entry, entry + length * turn]))
+    return across_wire(np.array([entry, entry + length * direction]))
 
 
 def across_wire(off_mm: np.ndarray) -> np.ndarray:
-    """What of errors (2, 3) lies across the wire."""
+    """Return the components of errors (2, 3) perpendicular to the wire."""
     along = (WIRE_ENDS_MM[1] - WIRE_ENDS_MM[0]) / np.linalg.norm(WIRE_ENDS_MM[1] - WIRE_ENDS_MM[0])
     return off_mm - np.outer(off_mm @ along, along)
 
 
 def within(off_mm: np.ndarray) -> bool:
-    """Whether errors (2, 3) of the ends keep the limits."""
+    """Whether errors (2, 3) of the ends are within the limits."""
     return _kept(_measured(across_wire(off_mm)))
 
 
@@ -210,13 +213,13 @@ def _measured(off_mm: np.ndarray) -> Values:
 
 
 def key(eyes: str, hand: str) -> str:
-    """The name of one operator."""
+    """Return the name of one operator."""
     return f"{eyes}, {hand}"
 
 
 @dataclass(frozen=True)
-class OperatorResult:
-    """How one operator's trials ended."""
+class OperatorResult(EstimateGroup):
+    """The result of one operator."""
 
     name: str
     median: Estimate
@@ -229,7 +232,7 @@ class OperatorResult:
 
     @staticmethod
     def of(name: str, outcomes: Sequence[Values]) -> "OperatorResult":
-        """Of all trials."""
+        """Return the result over all trials."""
         attempts = np.array([one["attempts"] for one in outcomes])
         stopped = np.array([one["stopped"] for one in outcomes])
         right = np.array([_kept(one) for one in outcomes])
@@ -246,18 +249,13 @@ class OperatorResult:
         )
 
     @property
-    def estimates(self) -> tuple[Estimate, ...]:
-        """All."""
-        return self.median, self.high, self.first, self.stopped, self.right, self.entry, self.direction
-
-    @property
     def exposures(self) -> float:
-        """Median number."""
+        """The median number of exposures."""
         return 2 * (self.median.value or 0.0) + 2
 
     @property
     def words(self) -> str:
-        """In a sentence."""
+        """The result as a sentence."""
         return (
             f"{self.name}: {self.median.value:g} attempts (median), {self.exposures:g} exposures; right first time "
             f"{self.first.value:.0%}, in the end {self.right.value:.0%}."
@@ -265,7 +263,7 @@ class OperatorResult:
 
     @property
     def row(self) -> tuple[str, ...]:
-        """Of the table."""
+        """The row of the table."""
         return (
             self.name,
             f"{self.median.value:g} / {self.high.value:g}",

@@ -1,9 +1,9 @@
-"""The trials that the paper plans: flesh-covered porcine femurs, beside its plastic femur with a bore. Whole images.
+"""The trials planned in the paper: porcine femurs in soft tissue, compared with its bored plastic femur. Whole images.
 
-Every trial renders both views, finds and names the beads in them, calibrates, and plans a wire: nothing but the picks
-passes from the truth to the rest. The plastic femur shows where its bore is: its ends are careful clicks. A pig's femur
-has none: ends are ordinary clicks, on a place that must be judged. What is judged wrongly is not counted, only what
-pick, images and frame do. Scatter is that of the image chain, alike for both. The wire is planned, not drilled.
+Each trial renders both views, finds and labels their beads, calibrates, and plans a wire; only the picks use the truth.
+The bore of the plastic femur is visible, so its ends are careful clicks. A pig's femur has no bore, so its ends are
+ordinary clicks. Errors of judging where the wire should go are not modelled, only those of picks, images and frame.
+Scatter is that of the image chain, the same for both. The wire is planned, not drilled.
 """
 
 from collections.abc import Sequence
@@ -19,15 +19,15 @@ from sightline.planning import kind, plan
 from sightline.studies.intervals import quantile, rms, share
 from sightline.studies.phantoms import PHANTOMS, calibrated_images
 from sightline.studies.scenes import VIEWS
-from sightline.studies.study import Estimate, Summary, Table, Values
+from sightline.studies.study import Estimate, EstimateGroup, Summary, Table, Values
 
 PICKS_PX = {"plastic, bored": 0.5, "porcine": 1.0}  # careful, ordinary (physics.md, Picks)
-PAPER_MM, PAPER_DEG = 1.0, 0.6  # within which the paper's six trials lay
+PAPER_MM, PAPER_DEG = 1.0, 0.6  # the paper's six trials were within these
 
 
 @dataclass(frozen=True)
 class Porcine:
-    """The study; its fields are what may be varied."""
+    """The study; its fields can be varied."""
 
     name = "porcine"
     about = "Wires planned on images of a porcine femur in its flesh, beside the paper's plastic femur"
@@ -36,16 +36,16 @@ class Porcine:
 
     @property
     def configuration(self) -> dict[str, Any]:
-        """Fields, and the constants they rest on."""
+        """The fields and the constants that they depend on."""
         wires = {name: PHANTOMS[name].wire_mm.tolist() for name in self.phantoms}
         return {**asdict(self), "wires_mm": wires, "picks_px": {name: PICKS_PX[name] for name in self.phantoms}}
 
     def trial(self, rng: np.random.Generator) -> Values:
-        """For each phantom: how the plan ended, beads used by view, errors of both ends, mm, and of direction, °."""
+        """Return for each phantom the plan's outcome, beads used per view, errors of the ends, mm, and direction, °."""
         return {name: _planned(name, np.random.default_rng(int(rng.integers(2**32)))) for name in self.phantoms}
 
     def summary(self, trials: Sequence[Values]) -> Summary:
-        """Endings and errors."""
+        """Return outcomes and errors."""
         ended = {name: PhantomResult.of(name, [trial[name] for trial in trials]) for name in self.phantoms}
         columns = (
             "phantom",
@@ -80,20 +80,20 @@ def _planned(phantom: str, rng: np.random.Generator) -> Values:
         return {"ended": "refused", "why": type(error).__name__}
     path, wire = made.trajectory, hip.wire_mm
     along = (wire[1] - wire[0]) / np.linalg.norm(wire[1] - wire[0])
-    turn = np.arctan2(np.linalg.norm(np.cross(path.direction, along)), path.direction @ along)
+    angle = np.arctan2(np.linalg.norm(np.cross(path.direction, along)), path.direction @ along)
     return {
         "ended": "GO" if made.verdict.go else "NO-GO",
         "why": ", ".join(sorted({check.name for check in failed(made.verdict.checks)})),
         "beads": [int(view.residuals.used.sum()) for view in views],
         "error_mm": np.linalg.norm(path.points.xyz_mm - wire, axis=1).round(6).tolist(),
         "stated_mm": np.sqrt(np.trace(path.points.covariance_mm2, axis1=1, axis2=2)).round(6).tolist(),
-        "direction_deg": float(np.rad2deg(turn)),
+        "direction_deg": float(np.rad2deg(angle)),
     }
 
 
 @dataclass(frozen=True)
-class PhantomResult:
-    """How the plans on one phantom ended; `errors`: median and 95 % of entry, end and direction."""
+class PhantomResult(EstimateGroup):
+    """Outcomes of the plans on one phantom; `errors`: median and 95 % of entry, end and direction."""
 
     name: str
     refused: Estimate
@@ -105,7 +105,7 @@ class PhantomResult:
 
     @staticmethod
     def of(name: str, outcomes: Sequence[Values]) -> "PhantomResult":
-        """Of all trials."""
+        """Return the result over all trials."""
         answered = [one for one in outcomes if one["ended"] != "refused"]
         go = [one for one in answered if one["ended"] == "GO"]
         kept = [one["error_mm"][0] <= PAPER_MM and one["direction_deg"] <= PAPER_DEG for one in go]
@@ -132,13 +132,8 @@ class PhantomResult:
         )
 
     @property
-    def estimates(self) -> tuple[Estimate, ...]:
-        """All."""
-        return self.refused, self.no_go, self.beads, *self.errors, self.within, self.normalised
-
-    @property
     def words(self) -> str:
-        """In a sentence."""
+        """The result as a sentence."""
         entry, direction = self.errors[0], self.errors[4]
         if entry.value is None or direction.value is None:
             return f"{self.name}: every image is refused."
@@ -147,7 +142,7 @@ class PhantomResult:
 
     @property
     def row(self) -> tuple[str, ...]:
-        """Of the table."""
+        """The row of the table."""
         pairs = zip(self.errors[::2], self.errors[1::2], strict=True)
         return (
             self.name,

@@ -1,13 +1,13 @@
-"""What happens to a plan when things go wrong: is the error still small, or is the plan refused?
+"""Plans under disturbances: is the error still small, or is the plan refused?
 
-A wire is planned on two calibrated views; then the same set-up, with the same draws, is spoilt by one disturbance at a
-time. Each plan ends refused (no result), NO-GO (a check failed) or GO; the failure that matters is a GO whose wire is
-off by more than 1 mm. Beads are points here: dose is the noise of their centres, metal a block of beads that it hides.
+A wire is planned on two calibrated views; then one disturbance at a time is applied to the same set-up with the same
+draws. Each plan ends as refused (no result), NO-GO (a check failed) or GO. The critical failure is a GO with an error
+above 1 mm. Beads are points here: dose sets the noise of their centres, and metal hides a block of them.
 
-Movement: the patient moves against the frame between the two exposures. Errors are counted from where the patient is
-at the second one. Movement along the common normal of both beams opens a gap between the lines of sight; along the
-second view's beam nothing shows it. A lateral pick that is snapped to its curve has no gap; then two landmarks, picked
-freely in both views, must show it. Picks are free and there are no landmarks unless said otherwise.
+Movement: the patient moves against the frame between the two exposures. Errors are relative to the patient's position
+at the second one. Movement along the common normal of both beams separates the lines of sight; movement along the
+second view's beam is not detectable. A lateral pick snapped to its curve has no gap; then two landmarks, picked freely
+in both views, must reveal the movement. Unless stated otherwise, picks are free and there are no landmarks.
 """
 
 from collections import Counter
@@ -26,18 +26,18 @@ from sightline.planning import Pick, Plan, kind, matching_curve, plan
 from sightline.studies.figure_xy import PlotAxis, PlotPoint, PlotSeries, xy
 from sightline.studies.intervals import quantile, share
 from sightline.studies.scenes import VIEWS, WHOLE, draw_showing
-from sightline.studies.study import Estimate, Plot, Summary, Table, Values
+from sightline.studies.study import Estimate, EstimateGroup, Plot, Summary, Table, Values
 from sightline.twin import SetUp, bead_images
 
 # Entry and end of a 97 mm wire through a right hip, CFCS (physics.md, Frame: 95 mm at 45°) [ours].
 WIRE_ENDS_MM = np.array([[34.0, 34.0, -8.0], [-34.0, -34.0, 8.0]])
-# Centre of the head and tip of the lesser trochanter of an average right femur on that wire (twin/femur.py).
+# Centre of the head and tip of the lesser trochanter of an average right femur with that wire (twin/femur.py).
 LANDMARKS_MM = np.array([[-23.0, -23.5, 5.0], [-2.5, 38.5, -22.0]])
 POINTS_MM = np.concatenate([WIRE_ENDS_MM, LANDMARKS_MM])
-CLICK_PX = 20.0  # farther from its curve nobody clicks who is to click on it, and planning refuses 25 px [ours]
+CLICK_PX = 20.0  # largest distance of a click from the curve that it should be on; planning refuses 25 px [ours]
 PICK_PX = 0.5  # a careful click (physics.md, Picks)
 BEAD_PX = 0.1  # physics.md, Centroid limit
-MAX_ERROR_MM = 1.0  # what the paper reached at the entry point, and the plan's own limit
+MAX_ERROR_MM = 1.0  # achieved in the paper at the entry point, and the limit of a plan
 UNDISTURBED = "undisturbed"
 LEVELS: dict[str, tuple[float, ...]] = {
     "beads missing at random, share": (0.2, 0.4, 0.6, 0.8),
@@ -53,22 +53,22 @@ LEVELS: dict[str, tuple[float, ...]] = {
 
 @dataclass(frozen=True)
 class Robustness:
-    """The study; its fields are what may be varied."""
+    """The study; its fields can be varied."""
 
     name = "robustness"
-    about = "Plans when things go wrong: errors, refusals, and a GO that should have been none"
+    about = "Plans under disturbances: errors, refusals, and a GO with a large error"
 
     disturbances: tuple[str, ...] = tuple(LEVELS)
 
     @property
     def configuration(self) -> dict[str, Any]:
-        """Fields, and the constants they rest on."""
+        """The fields and the constants that they depend on."""
         levels = {name: LEVELS[name] for name in self.disturbances}
         noise = {"pick_px": PICK_PX, "bead_px": BEAD_PX, "points_mm": POINTS_MM.tolist()}
         return {**asdict(self), "levels": levels, "tolerances": asdict(WHOLE), **noise}
 
     def trial(self, rng: np.random.Generator) -> Values:
-        """For each "disturbance: level": how the plan ended, and the larger error of its two ends, mm."""
+        """Return for each "disturbance: level" the plan's outcome, and the larger error of its two ends, mm."""
         case = DisturbedSetUp.drawn(rng)
         out: Values = {UNDISTURBED: case.planned()}
         for name in self.disturbances:
@@ -77,7 +77,7 @@ class Robustness:
         return out
 
     def summary(self, trials: Sequence[Values]) -> Summary:
-        """Endings and errors for each disturbance and level."""
+        """Return outcomes and errors for each disturbance and level."""
         places = [(UNDISTURBED, None), *((name, level) for name in self.disturbances for level in LEVELS[name])]
         ended = {
             key(*place): DisturbanceResult.of(key(*place), [trial[key(*place)] for trial in trials]) for place in places
@@ -125,15 +125,15 @@ class Robustness:
 
 
 def key(disturbance: str, level: float | None) -> str:
-    """The name of one part of a trial."""
+    """Return the key of one part of a trial."""
     return disturbance if level is None else f"{disturbance}: {level:g}"
 
 
 @dataclass(frozen=True, eq=False)
 class BeadDraws:
-    """What is drawn for the N beads that one view shows: `uv_px` (N, 2) their true pixels, `noise` (N, 2) in units of
-    its standard deviation, `away_px` (N, 2) where each would be seen displaced by 1 mm, less `uv_px`; `chance` (N,)
-    orders those that go missing, and `block` (N,) those that metal hides."""
+    """Random draws for the N visible beads of one view. `uv_px` (N, 2): their true pixels; `noise` (N, 2) in units of
+    its standard deviation; `away_px` (N, 2): shift of each pixel for a displacement of 1 mm; `chance` (N,): order of
+    beads that are missing at random; `block` (N,): order of those that metal hides."""
 
     ids: tuple[str, ...]
     uv_px: np.ndarray
@@ -144,19 +144,19 @@ class BeadDraws:
 
     @staticmethod
     def of(rng: np.random.Generator, setup: SetUp, view: str) -> "BeadDraws":
-        """All draws of one view."""
+        """Draw all numbers of one view."""
         ids, uv = bead_images(setup, view, rng, sd_px=0.0)
         xyz = np.array([setup.true_frame.view(view).by_id[i].xyz_mm for i in ids])
-        way = _unit(rng.standard_normal(xyz.shape))
-        away = setup.views[view].project(xyz + way) - uv
+        direction = _unit(rng.standard_normal(xyz.shape))
+        away = setup.views[view].project(xyz + direction) - uv
         block = np.linalg.norm(uv - uv[rng.integers(len(uv))], axis=1)
         return BeadDraws(ids, uv, rng.standard_normal(uv.shape), away, rng.permutation(len(uv)), block)
 
 
 @dataclass(frozen=True, eq=False)
 class DisturbedSetUp:
-    """A set-up that shows the whole wire, with all draws: `picks` (2, 4, 2) noise of view, point (of
-    POINTS_MM) and pixel in units of its standard deviation; `direction` (3,) in which the patient may move."""
+    """A set-up that shows the whole wire, with all draws. `picks` (2, 4, 2): noise by view, point of POINTS_MM and
+    pixel, in units of its standard deviation; `direction` (3,): of the patient's movement."""
 
     setup: SetUp
     views: dict[str, BeadDraws]
@@ -165,7 +165,7 @@ class DisturbedSetUp:
 
     @staticmethod
     def drawn(rng: np.random.Generator) -> "DisturbedSetUp":
-        """At random. Raises SetUpError where no set-up shows the wire."""
+        """Draw a set-up. Raises SetUpError if none shows the wire."""
         frame = replace(Frame.load("gamma"), tolerances=WHOLE)
         setup = draw_showing(rng, frame, WIRE_ENDS_MM)
         views = {name: BeadDraws.of(rng, setup, name) for name in VIEWS}
@@ -183,9 +183,10 @@ class DisturbedSetUp:
         landmarks: bool = False,
         snapped: bool = False,
     ) -> Values:
-        """How a plan ends. `missing`: share of the beads; `displaced`: how many balls of each view, and by how many mm.
+        """Return the outcome of a plan. `missing`: share of the beads; `displaced`: number of balls of each view, and
+        their displacement, mm.
 
-        What is stated of the beads is always true but for displaced balls, of which nobody knows.
+        The stated covariances are true, except that displacements of balls are unknown to the software.
         """
         observations = {}
         for name, view in self.views.items():
@@ -203,7 +204,7 @@ class DisturbedSetUp:
         return _ended(observations, self.setup.frame, picks, there["lateral"][:2])
 
 
-# What each disturbance is at a level.
+# Arguments of `DisturbedSetUp.planned` for each disturbance at a level.
 _PARAMETERS: dict[str, Callable[[float], dict[str, Any]]] = {
     "beads missing at random, share": lambda level: {"missing": level},
     "beads missing in a block (metal), share": lambda level: {"missing": level, "in_block": True},
@@ -222,15 +223,15 @@ _PARAMETERS: dict[str, Callable[[float], dict[str, Any]]] = {
 
 @dataclass(frozen=True, eq=False)
 class Picks:
-    """`wire_px` (2, 2, 2): view, end, pixel; `landmarks_px` (2, L, 2); `snapped`: lateral ends are clicked on their
-    curves, where those are nearest to the end."""
+    """Picks of a wire (2, 2, 2): view, end, pixel; and of landmarks (2, L, 2). `snapped`: lateral ends are clicked on
+    their curves, at the point nearest to the end."""
 
     wire_px: np.ndarray
     landmarks_px: np.ndarray | None
     snapped: bool
 
     def plan(self, views: Sequence[sl.CalibratedView]) -> Plan:
-        """Raises SightlineError."""
+        """Make the plan. Raises SightlineError."""
         ends = list(self.wire_px.swapaxes(0, 1))
         if self.snapped:
             ends = [np.array([first, _nearest_on_curve(views, first, second)]) for first, second in ends]
@@ -246,7 +247,7 @@ class Picks:
 
 
 def _nearest_on_curve(views: Sequence[sl.CalibratedView], first_px: np.ndarray, second_px: np.ndarray) -> np.ndarray:
-    """(2,): a person who was shown the curve clicks on it or near, however far from it the point then is."""
+    """Return the click (2,) of a person who sees the curve: on it or near it, however far away the point is."""
     pick = Pick.free(first_px, PICK_PX)
     curve = matching_curve(views[0], pick.uv_px, views[1], pick.covariance_px2)
     off = second_px - curve.uv_px
@@ -256,7 +257,7 @@ def _nearest_on_curve(views: Sequence[sl.CalibratedView], first_px: np.ndarray, 
 
 
 def _ended(observations: dict[str, Observations], frame: Frame, picks: Picks, wire_mm: np.ndarray) -> Values:
-    """How a plan ends, and how far its ends are from where they should be."""
+    """Return the outcome of a plan, and the errors of its ends."""
     try:
         made = picks.plan([sl.calibrate(observations[name], frame) for name in VIEWS])
     except SightlineError as error:
@@ -273,8 +274,8 @@ def _ended(observations: dict[str, Observations], frame: Frame, picks: Picks, wi
 
 
 @dataclass(frozen=True)
-class DisturbanceResult:
-    """How the plans of one disturbance and level ended. `wrong`: GO, and off by more than LARGEST_MM."""
+class DisturbanceResult(EstimateGroup):
+    """Outcomes of the plans of one disturbance and level. `wrong`: GO with an error above MAX_ERROR_MM."""
 
     refused: Estimate
     no_go: Estimate
@@ -287,7 +288,7 @@ class DisturbanceResult:
 
     @staticmethod
     def of(name: str, outcomes: Sequence[Values]) -> "DisturbanceResult":
-        """Of all trials."""
+        """Return the result over all trials."""
         go = [one for one in outcomes if one["ended"] == "GO"]
         errors = np.array([one["error_mm"] for one in go])
         by_end = [
@@ -305,18 +306,13 @@ class DisturbanceResult:
         )
 
     @property
-    def estimates(self) -> tuple[Estimate, ...]:
-        """All."""
-        return self.refused, self.no_go, self.go, self.wrong, self.over, self.median, self.high
-
-    @property
     def words(self) -> str:
-        """How many ended how."""
+        """The shares of outcomes as text."""
         shares = f"{self.go.value:.0%} GO, {self.no_go.value:.0%} NO-GO, {self.refused.value:.0%} refused"
         return f"{shares}{f' (most often: {self.reasons})' if self.reasons else ''}"
 
     def row(self, name: str) -> tuple[str, ...]:
-        """Of the table."""
+        """Return the row of the table."""
         errors = "none" if self.median.value is None else f"{self.median.value:.2f} / {self.high.value:.2f}"
         over = "none" if self.over.value is None else f"{self.over.value:.1%}"
         return (

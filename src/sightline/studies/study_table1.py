@@ -1,8 +1,8 @@
 """The paper's Table 1: four test points in the biplane and the Γ frame, localized and global compensation.
 
 The paper gives one table of one machine. Here it is a distribution over set-ups: test points are the four balls of the
-twin, beads and frame errors as in physics.md. What the paper leaves open (plate distances, how well a point was picked,
-the degree of the "global" function) is varied, and nothing of it is chosen by its result.
+twin; beads and frame errors are as in physics.md. Parameters that the paper does not state (plate distances, accuracy
+of picks, the degree of the "global" function) are varied, and none is chosen by its result.
 """
 
 from collections.abc import Iterable, Sequence
@@ -17,14 +17,13 @@ from sightline.studies.figure_spans import Span, spans
 from sightline.studies.intervals import quantile, share
 from sightline.studies.methods import errors
 from sightline.studies.scenes import WHOLE, TargetScene, measure
-from sightline.studies.study import Estimate, Plot, Summary, Table, Values
+from sightline.studies.study import Estimate, EstimateGroup, Plot, Summary, Table, Values
 from sightline.twin import draw_setup
 from sightline.twin.scene import TEST_BALLS_MM
 
 BIPLANE = "biplane ±150"
 GAMMA = "gamma 150/300"
-# (frame, source plate, XRII plate), mm from the hip: the built-in frames, and two more of the first design
-# name for the Γ frame.
+# (frame, source plate, XRII plate), mm from the hip: the built-in frames, and two other distances for the Γ frame.
 PLATES = {
     BIPLANE: ("biplane", -150.0, 150.0),
     GAMMA: ("gamma", 150.0, 300.0),
@@ -43,7 +42,7 @@ METHODS = (
     "thin-plate spline",
 )
 GLOBAL = tuple(method for method in METHODS if method.startswith("polynomial"))
-# The paper's Table 1: errors of test points 1 to 4, mm; the last column is their maximum.
+# The paper's Table 1: errors of test points 1 to 4, mm.
 PAPER_MM = {
     ("biplane", "localized"): (0.48, 0.30, 0.33, 0.30),
     ("gamma", "localized"): (0.78, 0.42, 0.88, 0.84),
@@ -53,7 +52,7 @@ PAPER_MM = {
 
 @dataclass(frozen=True)
 class Table1:
-    """The study; its fields are what may be varied."""
+    """The study; its fields can be varied."""
 
     name = "table1"
     about = "The paper's Table 1: error of four test points, by frame, method and pick"
@@ -65,16 +64,16 @@ class Table1:
 
     @property
     def configuration(self) -> dict[str, Any]:
-        """Fields, and the constants they rest on."""
+        """The fields and the constants that they depend on."""
         return {**asdict(self), "tolerances": asdict(WHOLE), "points_mm": TEST_BALLS_MM.tolist()}
 
     def trial(self, rng: np.random.Generator) -> Values:
-        """One set-up of each frame; for each "plates, method, pick" the four errors, mm, or None."""
+        """Return the four errors, mm, or None, for each "plates, method, pick", from one set-up of each frame."""
         out: Values = {}
         for plates in self.plates:
             setup = draw_setup(rng, frame_with(plates))
             scene = TargetScene.of(setup, measure(rng, setup, self.bead_px), TEST_BALLS_MM)
-            noise = rng.standard_normal(scene.target_px.shape)  # the same for every pick: they differ by its size alone
+            noise = rng.standard_normal(scene.target_px.shape)  # the same for all picks, which differ only in its size
             picks = [(scene.target_px + sd * noise, sd) for sd in self.picks_px]
             for method in self.methods:
                 for sd, error in zip(self.picks_px, errors(scene, method, picks), strict=True):
@@ -82,7 +81,7 @@ class Table1:
         return out
 
     def summary(self, trials: Sequence[Values]) -> Summary:
-        """Distributions of the largest of four errors, beside the paper's figures."""
+        """Return distributions of the largest of four errors, compared with the paper's values."""
         spreads = {
             (plates, method, sd): Spread.of(key(plates, method, sd), trials)
             for plates in self.plates
@@ -116,7 +115,7 @@ class Table1:
             f"Largest of four errors, mm: {plates} mm",
             columns,
             tuple(rows),
-            "Median and 95 % over the set-ups in which the method answers; default tolerances of the frame.",
+            "Median and 95 % over the set-ups that the method does not refuse; default tolerances of the frame.",
         )
 
     def _points_table(self, trials: Sequence[Values]) -> Table:
@@ -136,24 +135,24 @@ class Table1:
 
 
 def frame_with(plates: str) -> Frame:
-    """The frame of an entry of PLATES, with the default tolerances of balls, plates and arms."""
+    """Return the frame of an entry of PLATES, with the default tolerances of balls, plates and arms."""
     name, source, xrii = PLATES[plates]
     return replace(Frame.from_design(replace(builtin_design(name), source_mm=source, xrii_mm=xrii)), tolerances=WHOLE)
 
 
 def key(plates: str, method: str, pick_px: float) -> str:
-    """The name of one result of a trial."""
+    """Return the key of one result of a trial."""
     return f"{plates}, {method}, picks {pick_px:g} px"
 
 
 def _answers(name: str, trials: Sequence[Values]) -> np.ndarray:
-    """(N, 4) errors where there is an answer."""
+    """Return the errors (N, 4) of the trials that were not refused."""
     return np.array([trial[name] for trial in trials if trial[name] is not None]).reshape(-1, len(TEST_BALLS_MM))
 
 
 @dataclass(frozen=True)
-class Spread:
-    """How the largest of four errors is distributed over set-ups: 5 %, median, 95 %; and how often there is none."""
+class Spread(EstimateGroup):
+    """Distribution of the largest of four errors over set-ups: 5 %, median, 95 %; and the share of refusals."""
 
     low: Estimate
     middle: Estimate
@@ -162,33 +161,28 @@ class Spread:
 
     @staticmethod
     def of(name: str, trials: Sequence[Values]) -> "Spread":
-        """Of one result of all trials."""
+        """Return the distribution of one result over all trials."""
         largest = _answers(name, trials).max(axis=1, initial=0.0)
         words = f"{name}: {{}} of the largest of four"
         low, middle, high = (quantile(words.format(f"{at:.0%}"), largest, at) for at in (0.05, 0.5, 0.95))
         return Spread(low, middle, high, share(f"{name}: refused", np.array([trial[name] is None for trial in trials])))
 
     @property
-    def estimates(self) -> tuple[Estimate, ...]:
-        """All four."""
-        return self.low, self.middle, self.high, self.refused
-
-    @property
     def cell(self) -> str:
-        """Median / 95 %."""
+        """The table cell: median / 95 %."""
         if self.middle.value is None or self.high.value is None:
             return "refused"
         return f"{self.middle.value:.3f} / {self.high.value:.3f}"
 
     @property
     def refusals(self) -> str:
-        """Of how many set-ups."""
+        """The number of refusals and set-ups, as text."""
         return f"{round((self.refused.value or 0.0) * self.refused.number)} of {self.refused.number}"
 
 
 @dataclass(frozen=True)
 class PaperComparison:
-    """One spread held against the paper's figure, where it gives one."""
+    """One distribution compared with the paper's value, if there is one."""
 
     plates: str
     method: str
@@ -203,7 +197,7 @@ class PaperComparison:
 
     @property
     def where(self) -> str:
-        """Where the paper's figure lies to the central 90 %; "undecided" where the trials are too few to tell."""
+        """The paper's value relative to the central 90 %: inside, below, above, or undecided with too few trials."""
         paper = self.paper or 0.0
         if any(_may_be(end, paper) for end in (self.spread.low, self.spread.high)):
             return "undecided"
@@ -212,12 +206,12 @@ class PaperComparison:
 
     @property
     def cell(self) -> str:
-        """The central 90 %, and where the paper's figure lies to it."""
+        """The table cell: the central 90 %, and the paper's value relative to it."""
         return f"{self.spread.low.value:.2f} to {self.spread.high.value:.2f}: {self.where}"
 
 
 def _may_be(end: Estimate, value: float) -> bool:
-    """Whether the interval of an end of the spread holds a value; an interval that is open holds all beyond."""
+    """Whether the interval of an end of the distribution contains a value; an open interval has no upper end."""
     return (end.low or 0.0) <= value <= (np.inf if end.high is None else end.high)
 
 
@@ -228,8 +222,8 @@ def _paper_table(held: Sequence[PaperComparison], picks_px: Sequence[float]) -> 
     ]
     columns = ("plates mm", "compensation", "paper", *(f"picks {sd:g} px" for sd in picks_px))
     note = (
-        "Largest of four errors, mm: the central 90 % over set-ups, and where the paper's figure lies to it. That "
-        "figure is of one machine and one hand; the paper does not say of which degree its global function was."
+        "Largest of four errors, mm: the central 90 % over set-ups, and the paper's value relative to it. That value "
+        "is of one machine and one person; the paper does not state the degree of its global function."
     )
     return Table("The paper's Table 1", columns, tuple(rows), note)
 
@@ -242,7 +236,7 @@ def _by_place(held: Sequence[PaperComparison]) -> dict[tuple[str, str], list[Pap
 
 
 def _findings(held: Sequence[PaperComparison]) -> Iterable[str]:
-    """One sentence for each of the paper's figures and each compensation that it may mean."""
+    """Yield one sentence for each of the paper's values and each compensation that it may mean."""
     for (frame, method), estimates in PAPER_MM.items():
         for own in GLOBAL if method == "global" else (method,):
             places: dict[str, dict[str, list[str]]] = {}
@@ -265,7 +259,7 @@ def _plots(
     for sd in picks_px:
         rows = [_span(f"{h.plates}, {h.method}", h.spread, h.paper) for h in held if h.pick_px == sd]
         if rows:
-            title = f"The paper's figures, picks {sd:g} px"
+            title = f"The paper's values, picks {sd:g} px"
             caption = "Largest of four errors: central 90 % (bar), median (tick). Diamond: the paper's Table 1."
             yield Plot(title, spans(rows, "mm", title, "the paper"), caption)
         rows = [
