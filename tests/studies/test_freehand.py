@@ -13,7 +13,7 @@ from sightline.studies.study_freehand import (
     Freehand,
     PlainEyes,
     across_wire,
-    believed,
+    assumed_scale,
     insert,
     key,
     within,
@@ -31,7 +31,7 @@ def setup() -> SetUp:
 
 def test_believed_views_are_nearly_the_true_ones_and_know_nothing_along_the_beam(setup):
     for name, beam in zip(VIEWS, np.eye(3)[[2, 0]], strict=True):
-        mine = believed(setup, name, 0.0)
+        mine = assumed_scale(setup, name, 0.0)
         steps = 5 * np.eye(3)
         true = (setup.views[name].project(steps) - setup.views[name].project(-steps)).T / 10
         assert np.abs(mine @ beam).max() < 1e-9

@@ -1,4 +1,4 @@
-"""The PA and lateral image that a case works on: files that are given, or the newest images it holds."""
+"""The pair of PA and lateral images that a case works on: given files, or the newest images of the case."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -31,7 +31,7 @@ class SeenPair:
 
 
 def frame_in_use(case: Case) -> Frame | None:
-    """Return the frame that the case was last set to; None where it was not set. Raises CaseError, FrameError."""
+    """Return the frame that the case was last set to; None if it was never set. Raises CaseError, FrameError."""
     set_to = case.latest(Kind.CHANGED, {"what": "frame"})
     return None if set_to is None else frame_of(case, str(set_to.content["to"]))
 
@@ -44,8 +44,8 @@ def given_pair(files: tuple[Path, Path], frame: Frame, *, invert: bool = False) 
 def newest_pair(case: Case, frame: Frame, *, after: int = 0, invert: bool = False) -> SeenPair:
     """Return the newest PA and the newest lateral image among the entries after number `after`.
 
-    An image whose beads cannot be found or labelled is skipped. `invert`: the balls are bright. Raises CaseError where
-    a view has no image.
+    An image whose beads cannot be found or labelled is skipped. `invert`: the balls are bright. Raises CaseError if a
+    view has no image.
     """
     found: dict[str, tuple[Entry, ObservedView]] = {}
     skipped: list[str] = []
@@ -99,7 +99,7 @@ def _seen(case: Case, acquired: Entry, frame: Frame, *, invert: bool) -> Observe
 
 
 def _recorded(case: Case, acquired: Entry, image: CalibratedImage, frame_ref: str) -> Entry | None:
-    """Return the entry that holds this very view, calibrated from this image; None where there is none."""
+    """Return the entry of the same view, calibrated from this image; None if there is none."""
     sha256 = digest(canonical(contents.calibrated(image)))
     for entry in reversed(case.entries(Kind.CALIBRATED, acquired.number)):
         same = entry.content_sha256 == sha256 and entry.settings["frame"] == frame_ref

@@ -1,4 +1,4 @@
-"""Metal and drapes that can be put beside a specimen: what `sightline simulate --with` adds."""
+"""Metal and drapes that `sightline simulate --with` adds to a specimen."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -12,7 +12,7 @@ from sightline.twin.theatre import drape, drill_guide, table_rail
 from sightline.twin.things import Scene, SoftTissue
 
 DRAPE_GAP_MM = 2.0  # from the skin to a drape [ours]
-RAIL_MM = (130.0, 0.0, -80.0)  # the rail's middle, CFCS: beside the patient, at the lower rim of a lateral image [ours]
+RAIL_CENTRE_MM = (130.0, 0.0, -80.0)  # CFCS: beside the patient, at the lower edge of a lateral image [ours]
 
 
 def with_accessories(specimen: Specimen, names: Sequence[str], rng: np.random.Generator) -> Specimen:
@@ -30,9 +30,7 @@ def with_accessories(specimen: Specimen, names: Sequence[str], rng: np.random.Ge
 
 def _wire(specimen: Specimen) -> np.ndarray:
     if specimen.wire_mm is None:
-        raise UnusableInputError(
-            "this accessory belongs to the wire of a hip; simulate hip, plastic or porcine with it"
-        )
+        raise UnusableInputError("this accessory needs the wire of a hip; simulate hip, plastic or porcine with it")
     return specimen.wire_mm
 
 
@@ -46,7 +44,7 @@ def _angled_plate(specimen: Specimen, _: np.random.Generator) -> Scene:
 
 
 def _drape(specimen: Specimen, rng: np.random.Generator) -> Scene:
-    """Sheets before the skin in both beams."""
+    """Return a sheet in front of the skin for each beam."""
     body = _body(specimen)
     (x, z), (half_x, half_z) = body.centre_mm, body.half_mm
     front = drape(rng, np.array([x, 0.0, z + half_z + DRAPE_GAP_MM]), np.array([0.0, 0.0, 1.0]))
@@ -55,7 +53,7 @@ def _drape(specimen: Specimen, rng: np.random.Generator) -> Scene:
 
 
 def _table_rail(_: Specimen, __: np.random.Generator) -> Scene:
-    return table_rail(np.array(RAIL_MM))
+    return table_rail(np.array(RAIL_CENTRE_MM))
 
 
 ACCESSORIES: dict[str, Callable[[Specimen, np.random.Generator], Scene]] = {

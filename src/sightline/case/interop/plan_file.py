@@ -23,7 +23,7 @@ from sightline.planning.directions import caudal
 from sightline.planning.results import SpacePoints
 
 _DIGEST = "digest"
-_TELLS_SIDE_MM = 10.0  # [ours] of height from entry to end; a hip screw at 135° has 60 mm
+_MIN_RISE_MM = 10.0  # [ours] cranial rise from entry to end that decides the side; a hip screw at 135° rises 60 mm
 _MAX_BYTES = 2**24  # [ours] a hundred times the size of a plan with its beads
 
 
@@ -92,9 +92,9 @@ class PlanFile:
             raise RobotRefusedError("the plan's error is unknown; calibrate both views from beads")
 
     def refuse_other_side(self, side: str) -> None:
-        """Raise UnusableInputError where the plan is of the other side: by its own word, or by its wire.
+        """Raise UnusableInputError if the plan is for the other side, as it states or as its wire shows.
 
-        The wire of a hip screw runs from the lateral cortex up into the head, so that its entry lies caudal of its end.
+        The wire of a hip screw runs from the lateral cortex up into the head, so its entry lies caudal of its end.
         """
         if self.side is not None and self.side != side:
             raise UnusableInputError(
@@ -103,7 +103,7 @@ class PlanFile:
             )
         entry, end = self.points_mm
         down_mm = float((entry - end) @ caudal(side))
-        if self.document.kind == "hip-screw" and down_mm < -_TELLS_SIDE_MM:
+        if self.document.kind == "hip-screw" and down_mm < -_MIN_RISE_MM:
             other = "left" if side == "right" else "right"
             raise UnusableInputError(
                 f"the side is given as {side}, but the wire is that of a {other} hip: in a {side} one its entry would "
