@@ -23,7 +23,8 @@ WALKED = (
     "interop.md",
     "answers.md",
 )
-LONG = {"robot-link.md", "twin.md"}  # seconds of physics or of X-ray projection
+LONG = {"robot-link.md", "twin.md", "check-shot.md"}  # seconds of physics or images
+ELSEWHERE = {"README.md"}  # tests/test_docs.py runs it, and compares its plan with the truth
 COMMAND: Any = typer.main.get_command(commands)
 
 
@@ -73,7 +74,7 @@ def place(demo_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
     [
         pytest.param(page, marks=[pytest.mark.slow] if page.name in LONG else [], id=page.name)
         for page in PAGES
-        if blocks(page, "python") and page.name not in WALKED
+        if blocks(page, "python") and page.name not in {*WALKED, *ELSEWHERE}
     ],
 )
 def test_the_python_of_a_page_runs_in_a_fresh_process(page: Path, place: Path) -> None:
