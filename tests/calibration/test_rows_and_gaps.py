@@ -8,7 +8,7 @@ from calibration_scenes import EXACT, GAMMA, Camera, choose
 
 from sightline.calibration import calibrate
 from sightline.calibration.support import Support
-from sightline.detection.results import Observations, Rejected
+from sightline.detection.results import Observations, RejectedCandidate
 from sightline.planning import plan
 from sightline.twin import bead_images
 
@@ -98,8 +98,10 @@ def test_where_the_used_beads_span_nothing_all_count_as_missing():
         assert (used <= count, shown) == (True, 8)
 
 
-def rejected(uv_px: np.ndarray, by_px: tuple[float, float]) -> tuple[Rejected, ...]:
-    return tuple(Rejected(tuple(uv), 8.0, "no bead of the frame is expected there") for uv in (uv_px + by_px).tolist())
+def rejected(uv_px: np.ndarray, by_px: tuple[float, float]) -> tuple[RejectedCandidate, ...]:
+    return tuple(
+        RejectedCandidate(tuple(uv), 8.0, "no bead of the frame is expected there") for uv in (uv_px + by_px).tolist()
+    )
 
 
 def test_a_hidden_bead_contradicts_nothing_and_counts_half():

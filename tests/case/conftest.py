@@ -7,7 +7,7 @@ from sightline.case.report.comparison import Compared, Truth
 from sightline.case.report.content import Report
 from sightline.case.report.exposures import PLANNING, of_images
 from sightline.case.views import NAMES, ObservedView, calibrate_pair
-from sightline.detection import Detections, Observations, Rejected
+from sightline.detection import Detections, Observations, RejectedCandidate
 from sightline.imaging import Radiograph
 from sightline.planning import kind, plan
 from sightline.twin import bead_images
@@ -22,7 +22,7 @@ def seen(setup, name: str) -> ObservedView:
     ids, uv = bead_images(setup, name, rng, 0.1)
     noise = np.repeat(0.01 * np.eye(2)[None], len(ids), axis=0)
     image = Radiograph(rng.integers(500, 3000, (1024, 1024)).astype(np.uint16), 4095.0)
-    refused = (Rejected((500.0, 400.0), 4.0, "too <long>"),)
+    refused = (RejectedCandidate((500.0, 400.0), 4.0, "too <long>"),)
     beads = Detections(
         uv, np.full(len(ids), 8.0), noise, ("ball",) * len(ids), np.full(len(ids), -0.5), (1024, 1024), refused
     )

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from sightline.cli.demo_case import Kept, record
-from sightline.cli.demo_robot import Planned, drill
+from sightline.cli.demo_robot import DemoPlan, drill
 from sightline.cli.output import Json, Output, Quiet, example
 
 if TYPE_CHECKING:
@@ -107,7 +107,7 @@ def _run(output: Output, folder: Path, seed: int) -> dict[str, Any]:
         planned = asked.plan(images[METHODS[0]])
     with output.step("5/8 comparing three methods with the truth"):
         compared = _compare(images, picks, truth, planned)
-    whole = Planned(rehearsal, planned, images[METHODS[0]], landmarks, landmarks_px, PICK_SD_PX)
+    whole = DemoPlan(rehearsal, planned, images[METHODS[0]], landmarks, landmarks_px, PICK_SD_PX)
     drilled, checked = drill(output, whole, rng) or (None, None)
     exposed = exposures.of_images(images[METHODS[0]], exposures.PLANNING)
     if checked is not None and checked.images is not None:

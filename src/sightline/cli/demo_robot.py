@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, eq=False)
-class Planned:
+class DemoPlan:
     """A plan for a rehearsal and its inputs; `landmarks_px` (2, L, 2): the landmarks named `landmarks`, as picked with
     `pick_sd_px`."""
 
@@ -42,7 +42,7 @@ class Checked:
     found: "CheckShot | str"
 
 
-def drill(output: "Output", planned: Planned, rng: "np.random.Generator") -> "tuple[Drilled, Checked] | None":
+def drill(output: "Output", planned: DemoPlan, rng: "np.random.Generator") -> "tuple[Drilled, Checked] | None":
     """Return what robot and check shot gave; None, with a message, where there is no robot or it refuses."""
     from sightline.errors import RefusedError
 
@@ -56,7 +56,7 @@ def drill(output: "Output", planned: Planned, rng: "np.random.Generator") -> "tu
         return None
 
 
-def _drill(output: "Output", planned: Planned, rng: "np.random.Generator") -> "tuple[Drilled, Checked]":
+def _drill(output: "Output", planned: DemoPlan, rng: "np.random.Generator") -> "tuple[Drilled, Checked]":
     from time import monotonic
 
     import numpy as np
@@ -109,7 +109,7 @@ def _read_back(images: "dict[str, Radiograph]", frame: "Frame") -> "Pair":
         return calibrate_pair(see_pair(pa, lateral, frame), frame, "smooth")
 
 
-def _surface_mm(planned: Planned, rng: "np.random.Generator") -> float:
+def _surface_mm(planned: DemoPlan, rng: "np.random.Generator") -> float:
     """Return the distance along the wire from the planned entry to the head's surface, picked in both views."""
     import numpy as np
 

@@ -14,7 +14,7 @@ from sightline.detection.labelling.map_prior import CENTRE_PX, REMAINDER_SD, fea
 from sightline.detection.labelling.patterns import Pattern, patterns
 from sightline.detection.labelling.seeds import best_similarity
 from sightline.detection.labelling.solve import MIN_BEADS
-from sightline.detection.results import Detections, Observations, Rejected
+from sightline.detection.results import Detections, Observations, RejectedCandidate
 from sightline.detection.scale import FACTOR, coarser, coarser_observations, finer_observations, is_fine
 from sightline.errors import ObservationsError
 from sightline.fitting.kernels import distances
@@ -117,12 +117,14 @@ def look_again_with(
 
 def _rejected(
     observations: Observations, beads: Detections, again: list[int], good: np.ndarray
-) -> tuple[Rejected, ...] | None:
+) -> tuple[RejectedCandidate, ...] | None:
     """Return rejected detections (of `label`, and those fitted `again`) that no fitted bead covers; None if unknown."""
     if observations.rejected is None:
         return None
     hidden = (
-        Rejected(tuple(beads.uv_px[row].tolist()), float(beads.radius_px[row]), "another bead hides too much of it")
+        RejectedCandidate(
+            tuple(beads.uv_px[row].tolist()), float(beads.radius_px[row]), "another bead hides too much of it"
+        )
         for row in again
     )
     every = (*observations.rejected, *hidden)

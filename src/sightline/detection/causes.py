@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from sightline.detection.motion import DIRECTED, smear
-from sightline.detection.results import Rejected
+from sightline.detection.results import RejectedCandidate
 from sightline.imaging import Radiograph
 from sightline.imaging.defects import MAX_CLIPPED, clipped_share, torn
 
@@ -13,7 +13,7 @@ NO_RIM = "no rim"  # start of this reason
 _MIN_SPOTS = 5  # for a statement about the image [ours]
 
 
-def cause_of(image: Radiograph, beads: np.ndarray, rejected: Sequence[Rejected]) -> str | None:
+def cause_of(image: Radiograph, beads: np.ndarray, rejected: Sequence[RejectedCandidate]) -> str | None:
     """Return what is wrong with an image in which few beads were found, and what to do; None where it is not clear.
 
     `beads` (N, 3): u, v and radius, px.

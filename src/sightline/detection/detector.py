@@ -11,7 +11,7 @@ from sightline.detection.causes import NO_RIM, cause_of
 from sightline.detection.find import distinct, find_candidates
 from sightline.detection.log_image import field_inset, log_image
 from sightline.detection.noise import MIN_FIELD_PX, NoiseModel, estimate_noise
-from sightline.detection.results import Detections, Rejected
+from sightline.detection.results import Detections, RejectedCandidate
 from sightline.detection.scale import FACTOR, finer, is_fine
 from sightline.errors import DetectionRefusedError
 from sightline.fitting.kernels import distances
@@ -128,7 +128,7 @@ def _no_noise(image: Radiograph, mask: np.ndarray) -> str:
     )
 
 
-def _fitted(rows: np.ndarray, fit: refine.BeadFitter) -> tuple[np.ndarray, tuple[Rejected, ...]]:
+def _fitted(rows: np.ndarray, fit: refine.BeadFitter) -> tuple[np.ndarray, tuple[RejectedCandidate, ...]]:
     """Return the beads among the spots `rows` and the rejected ones; beads near rejected spots are fitted again."""
     first = fit(rows)
     reason = _shape_reasons(first, _LOOSE)
@@ -227,13 +227,15 @@ def _duplicates(fit: np.ndarray) -> np.ndarray:
     return repeated
 
 
-def _rejected(rows: np.ndarray, reasons: np.ndarray) -> tuple[Rejected, ...]:
+def _rejected(rows: np.ndarray, reasons: np.ndarray) -> tuple[RejectedCandidate, ...]:
     """Return rows (u, v and radius in the first three columns) with their reasons."""
-    return tuple(Rejected((u, v), r, str(why)) for (u, v, r), why in zip(rows[:, :3].tolist(), reasons, strict=False))
+    return tuple(
+        RejectedCandidate((u, v), r, str(why)) for (u, v, r), why in zip(rows[:, :3].tolist(), reasons, strict=False)
+    )
 
 
 def _detections(
-    beads: np.ndarray, middles: np.ndarray, image: Radiograph, rejected: tuple[Rejected, ...]
+    beads: np.ndarray, middles: np.ndarray, image: Radiograph, rejected: tuple[RejectedCandidate, ...]
 ) -> Detections:
     """Return rows of `columns` as Detections. `middles` (H, W): True in the middles of washers."""
     return Detections(

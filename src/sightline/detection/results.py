@@ -29,7 +29,7 @@ def _frozen(array: np.ndarray, shape: tuple[int, ...], what: str) -> np.ndarray:
 
 
 @dataclass(frozen=True)
-class Rejected:
+class RejectedCandidate:
     """A candidate that is not a bead, or a detection that was not labelled, and why."""
 
     uv_px: tuple[float, float]
@@ -56,7 +56,7 @@ class Detections(Plotted):
     kind: tuple[str, ...]
     contrast: np.ndarray
     image_shape: tuple[int, int]
-    rejected: tuple[Rejected, ...] = ()
+    rejected: tuple[RejectedCandidate, ...] = ()
     pixels: np.ndarray | None = field(default=None, metadata=_NOT_WRITTEN)
 
     def __post_init__(self) -> None:
@@ -120,7 +120,7 @@ class Observations(Plotted):
     mirrored: bool = False
     image_shape: tuple[int, int] | None = None
     radius_px: np.ndarray | None = None
-    rejected: tuple[Rejected, ...] | None = None
+    rejected: tuple[RejectedCandidate, ...] | None = None
     pixels: np.ndarray | None = field(default=None, metadata=_NOT_WRITTEN)
 
     def __post_init__(self) -> None:
@@ -166,6 +166,6 @@ class Observations(Plotted):
         draw.legend(ax)
 
 
-def _places(rejected: tuple[Rejected, ...]) -> np.ndarray:
+def _places(rejected: tuple[RejectedCandidate, ...]) -> np.ndarray:
     """(N, 2) px."""
     return np.array([one.uv_px for one in rejected]).reshape(-1, 2)

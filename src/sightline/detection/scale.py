@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from sightline.detection.results import Detections, Observations, Rejected
+from sightline.detection.results import Detections, Observations, RejectedCandidate
 
 FACTOR = 2
 MAX_USUAL_RADIUS_PX = 15.0  # median of the beads; datum balls, 5/3 as large, then have 25 px [ours]
@@ -66,8 +66,8 @@ def coarser_observations(seen: Observations) -> Observations:
 
 
 def _scaled(
-    rejected: tuple[Rejected, ...], to_other: Callable[[np.ndarray], np.ndarray], factor: float
-) -> tuple[Rejected, ...]:
+    rejected: tuple[RejectedCandidate, ...], to_other: Callable[[np.ndarray], np.ndarray], factor: float
+) -> tuple[RejectedCandidate, ...]:
     return tuple(
         replace(one, uv_px=tuple(to_other(np.array(one.uv_px)).tolist()), radius_px=one.radius_px * factor)
         for one in rejected

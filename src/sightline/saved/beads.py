@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from sightline.detection import Detections, Observations, Rejected
+from sightline.detection import Detections, Observations, RejectedCandidate
 from sightline.errors import UnusableInputError
 
 
@@ -48,5 +48,7 @@ def _shape(given: list[int]) -> tuple[int, int]:
     return given[0], given[1]
 
 
-def _rejected(given: list[dict[str, Any]]) -> tuple[Rejected, ...]:
-    return tuple(Rejected((one["uv_px"][0], one["uv_px"][1]), one["radius_px"], one["reason"]) for one in given)
+def _rejected(given: list[dict[str, Any]]) -> tuple[RejectedCandidate, ...]:
+    return tuple(
+        RejectedCandidate((one["uv_px"][0], one["uv_px"][1]), one["radius_px"], one["reason"]) for one in given
+    )

@@ -12,7 +12,7 @@ from sightline.case.report.drawing import plan_marks, radiographs, scene
 from sightline.case.report.drawing.budget import budget
 from sightline.case.report.tables import POINTS, bars, budget_rows
 from sightline.case.views import CalibratedImage, spoken
-from sightline.detection import Rejected
+from sightline.detection import RejectedCandidate
 
 TICK_MM = 10  # depth between ticks of an image-matching curve, as planning samples it
 BEYOND_MM = 40.0  # the close-up shows lines of sight this far to both sides of the wire
@@ -136,7 +136,7 @@ def _beads_of(image: CalibratedImage, marked: list[radiographs.MarkedBead], top_
     return _figure(radiographs.radiograph(image.seen.image, image.name, marks, words), _capital(words) + ".")
 
 
-def _rejected(image: CalibratedImage) -> list[Rejected]:
+def _rejected(image: CalibratedImage) -> list[RejectedCandidate]:
     """Return the rejected candidates, without those at a bead that was found with another size."""
     assert image.seen.beads is not None  # noqa: S101 - only images are shown
     beads = image.seen.beads

@@ -11,7 +11,7 @@ from sightline.detection.labelling.naming import most_like
 from sightline.detection.labelling.patterns import Pattern, patterns
 from sightline.detection.labelling.seeds import Seed, best_similarity, find_seeds
 from sightline.detection.labelling.solve import MIN_BEADS, LabellingProblem, LabellingSolution, solve
-from sightline.detection.results import Detections, Observations, Rejected
+from sightline.detection.results import Detections, Observations, RejectedCandidate
 from sightline.errors import LabellingRefusedError, ObservationsError, UnusableInputError
 from sightline.frame import Frame
 
@@ -83,13 +83,13 @@ def label(
     )
 
 
-def _rejected(detections: Detections, usable: np.ndarray, solution: LabellingSolution) -> tuple[Rejected, ...]:
+def _rejected(detections: Detections, usable: np.ndarray, solution: LabellingSolution) -> tuple[RejectedCandidate, ...]:
     """Return the dark detections that are not labelled; bright ones are holes, which no frame has."""
     left = usable.copy()
     left[solution.rows] = False
     reasons = np.where(solution.on_place, MAY_BE_TWO, "no single bead of the frame is expected there")
     return tuple(
-        Rejected((float(u), float(v)), float(radius), str(reason))
+        RejectedCandidate((float(u), float(v)), float(radius), str(reason))
         for (u, v), radius, reason in zip(
             detections.uv_px[left], detections.radius_px[left], reasons[left], strict=True
         )

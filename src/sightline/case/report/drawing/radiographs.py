@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from sightline.case.report.drawing import svg
-from sightline.detection import Rejected
+from sightline.detection import RejectedCandidate
 from sightline.imaging import Radiograph
 
 JPEG_QUALITY = 82  # [ours] 1024² in about 150 kB; overlays are drawn over it, not burnt in
@@ -63,7 +63,7 @@ def beads(marked: Sequence[MarkedBead], top_mm: float) -> str:
     )
 
 
-def rejected(candidates: Iterable[Rejected]) -> str:
+def rejected(candidates: Iterable[RejectedCandidate]) -> str:
     """Draw dots at rejected candidates, with the reason as a hint."""
     return svg.group(
         (
