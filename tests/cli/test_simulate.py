@@ -194,7 +194,7 @@ BAD = {
     "a frame outside the beam": (frame_outside, "into the field"),
     "a file in place of the folder": (a_file_for_a_folder, "is a file"),
     "a folder that cannot be made": (below_a_file, "cannot write"),
-    "nothing of that name": (lambda _: ["knee"], "there is no 'knee'"),
+    "nothing of that name": (lambda _: ["knee"], "there is no specimen 'knee'"),
     "no such preset": (lambda _: ["--preset", "8in"], "9in-pal"),
     "a place that is none": (lambda _: ["hip", "--at", "1,2"], "is not a point"),
     "a place for what has one": (lambda _: ["hip", "--at", "1,2,3"], "has a fixed position"),
