@@ -221,7 +221,7 @@ class Results:
         found, old, new = contents(place / "out"), self._old, self._new
         ours = {name: data for name, data in found.items() if name in new}
         if self.before == "shared" and found.get("mine.txt") != b"mine":
-            return "somebody else's file is gone"
+            return "another program's file is gone"
         if "written: " in said and ours != new:
             return "what it said to be written is not there"
         if ours == {name: data for name, data in old.items() if name in new} or ours == new:

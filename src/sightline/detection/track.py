@@ -137,12 +137,14 @@ class Track:
             observations = look_again_with(lambda: fit, image, beads, alone, self.frame)
         except ObservationsError as refused:
             raise TrackLost(str(refused)) from None
-        anew = Track._begun(fit, image, beads, observations, self.frame)
+        renewed = Track._begun(fit, image, beads, observations, self.frame)
         steps = dict(zip(track.ids, track.step_px, strict=False))
         none = np.zeros(2)
-        step = np.array([steps.get(name, none) for name in anew.ids] + [none] * (len(anew.rows) - len(anew.ids)))
-        anew = replace(anew, step_px=step, image_shape=self.image_shape, halved=self.halved)
-        return anew, anew._in_image(observations)
+        step = np.array(
+            [steps.get(name, none) for name in renewed.ids] + [none] * (len(renewed.rows) - len(renewed.ids))
+        )
+        renewed = replace(renewed, step_px=step, image_shape=self.image_shape, halved=self.halved)
+        return renewed, renewed._in_image(observations)
 
     @property
     def observations(self) -> Observations:
