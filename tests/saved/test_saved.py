@@ -198,7 +198,7 @@ def test_a_file_that_was_edited_is_refused(files, tmp_path: Path) -> None:
         ("[" * 100, "nested too deeply"),
         ("7", "does not name its form"),
         ("{}", "does not name its form"),
-        ('{"schema": "sightline-view/1", "focal_point_mm": [NaN, 0, 0]}', "NaN is not a number"),
+        ('{"schema": "sightline-view/1", "focal_point_mm": [NaN, 0, 0]}', "NaN, which is not a valid number"),
         ('{"schema": 1, "schema": 2}', "key twice"),
         ('{"schema": ["sightline-view/1"]}', "not one that this version reads"),
         ('[{"schema": "x"}]', "not one that this version reads"),

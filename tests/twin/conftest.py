@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from sightline.frame import Fiducial, Frame, FrameView, Plate
+from sightline.twin import SetUp, draw_setup
 
 
 def _plate(name: str, rows: int, pitch_mm: float, height_mm: float, axes: tuple[int, int, int]) -> Plate:
@@ -37,3 +38,9 @@ def exact_frame(frame: Frame) -> Frame:
     from sightline.frame import Tolerances
 
     return replace(frame, tolerances=Tolerances(0.0, 0.0, 0.0, 0.0, 0.0))
+
+
+@pytest.fixture(scope="session")
+def setup(frame: Frame) -> SetUp:
+    """A set-up of this frame. The one of all rooms would keep whichever frame asked first."""
+    return draw_setup(np.random.default_rng(7), frame)
