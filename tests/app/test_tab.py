@@ -288,9 +288,9 @@ def _places(uv: Any, k: int) -> dict[str, tuple[float, float]]:
 
 
 @pytest.mark.parametrize(("side", "refused"), [("right", False), ("left", True)])
-def test_figures_that_are_refused_leave_those_of_the_plan(opened: Page, side: Side, refused: bool) -> None:
+def test_metrics_that_are_refused_leave_those_of_the_plan(opened: Page, side: Side, refused: bool) -> None:
     _place_all(opened, side)
-    html = plan.figures_html(opened.tab)
+    html = plan.metrics_html(opened.tab)
     assert html.count("the shaft lies above the head") == (1 if refused else 0)
     assert "entry, 95 % error" in html
     assert "tip to bone along wire" in html  # which no side changes

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sightline.errors import UnusableInputError
-from sightline.planning import Aids, Circle, Line, Pick, figures, locate, matching_curve, outline, reconstruct, snap
+from sightline.planning import Aids, Circle, Line, Pick, locate, matching_curve, metrics, outline, reconstruct, snap
 from sightline.planning.picks import stack
 
 from . import bone
@@ -38,7 +38,7 @@ def test_all_covariances_by_sampling():
     views, rng = _views(), np.random.default_rng(12)
     uv, sd, draws = bone.pixels(views), 0.5, 250
     stated = locate(views, bone.aids(uv, sd), bone.picks(uv, sd))
-    truth = figures(stated, "right")
+    truth = metrics(stated, "right")
     parts, errors, agreements = ("wire", "neck", "shaft", "head"), [], []
     for _ in range(draws):
         drawn = [view.draw_errors(rng) for view in views]
@@ -50,7 +50,7 @@ def test_all_covariances_by_sampling():
         errors.append(
             np.r_[
                 np.concatenate([found.part(name) - stated.part(name) for name in parts]),
-                [(one.value - true.value) / true.sd for one, true in zip(figures(found, "right"), truth, strict=True)],
+                [(one.value - true.value) / true.sd for one, true in zip(metrics(found, "right"), truth, strict=True)],
             ]
         )
     own = [np.arange(stated.at[name].start, stated.at[name].stop) for name in parts]
@@ -167,7 +167,7 @@ def test_unknown_errors_stay_unknown():
     assert found.head.agreement is None
     assert found.neck.direction_covariance_rad2 is None
     np.testing.assert_allclose(found.head.centre_mm, bone.CENTRE_MM, atol=1e-6)
-    assert all(figure.sd is None and figure.value is not None for figure in figures(found, "right"))
+    assert all(metric.sd is None and metric.value is not None for metric in metrics(found, "right"))
 
 
 def test_bad_arguments_are_refused():

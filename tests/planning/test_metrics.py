@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sightline.errors import UnusableInputError
-from sightline.planning import Aids, figures, locate
+from sightline.planning import Aids, locate, metrics
 
 from . import bone
 from .standin import StandInView, stand_in
@@ -29,11 +29,11 @@ def _views() -> list[StandInView]:
     return [stand_in("pa", 0.4, 0.3), stand_in("lateral", -0.2, 0.3)]
 
 
-def _figures(views: list[StandInView], side: str = "right", **change: np.ndarray):
+def _metrics(views: list[StandInView], side: str = "right", **change: np.ndarray):
     uv = bone.pixels(views)
     if "wire_mm" in change:
         uv["wire"] = [view.project(change["wire_mm"]) for view in views]
-    return {figure.name: figure for figure in figures(locate(views, bone.aids(uv), bone.picks(uv)), side)}
+    return {metric.name: metric for metric in metrics(locate(views, bone.aids(uv), bone.picks(uv)), side)}
 
 
 def _flat(way: np.ndarray, view: StandInView) -> float:
@@ -44,7 +44,7 @@ def _flat(way: np.ndarray, view: StandInView) -> float:
 
 def test_metrics_follow_their_definitions():
     views = _views()
-    found = _figures(views)
+    found = _metrics(views)
     assert tuple(found) == NAMES
     wire = bone.END_MM - bone.ENTRY_MM
     length = np.linalg.norm(wire)
@@ -79,7 +79,7 @@ def test_the_calcar_line_leaves_the_head_where_it_should():
     apex = bone.CENTRE_MM + bone.RADIUS_MM * bone.NECK
     expected = ap + _flat(bone.END_MM - apex, views[1])
     # 1 % of the way along the beam to the calcar's line of sight, which is not quite that to the centre.
-    assert _figures(views)["calcar tip-apex distance"].value == pytest.approx(expected, abs=0.2)
+    assert _metrics(views)["calcar tip-apex distance"].value == pytest.approx(expected, abs=0.2)
 
 
 @pytest.mark.parametrize(
@@ -93,7 +93,7 @@ def test_the_calcar_line_leaves_the_head_where_it_should():
     ],
 )
 def test_thirds_of_the_head(moved_mm, ap, lateral):
-    found = _figures(_views(), wire_mm=np.stack([bone.ENTRY_MM, bone.END_MM]) + np.array(moved_mm))
+    found = _metrics(_views(), wire_mm=np.stack([bone.ENTRY_MM, bone.END_MM]) + np.array(moved_mm))
     assert (found["position AP"].zone, found["position lateral"].zone) == (ap, lateral)
     assert found["position AP"].within == (ap == "centre")
     assert ap in found["position AP"].sentence
@@ -113,21 +113,21 @@ def test_a_left_hip_mirrors_a_right_one():
     ]
     uv = bone.pixels(views)
     right, left = (
-        figures(locate(each, bone.aids(uv), bone.picks(uv)), side)
+        metrics(locate(each, bone.aids(uv), bone.picks(uv)), side)
         for each, side in ((views, "right"), (mirrored, "left"))
     )
     np.testing.assert_allclose([f.value for f in left], [f.value for f in right], atol=1e-9)
     assert [f.zone for f in left] == [f.zone for f in right]
-    wrong = {f.name: f for f in figures(locate(mirrored, bone.aids(uv), bone.picks(uv)), "right")}
+    wrong = {f.name: f for f in metrics(locate(mirrored, bone.aids(uv), bone.picks(uv)), "right")}
     for name in ("wire to shaft", "neck-shaft angle", "neck version", "position AP"):  # else 53° and upside down
         assert wrong[name].value is None
         assert "above the head of a right hip" in wrong[name].sentence
     with pytest.raises(UnusableInputError, match="side"):
-        figures(locate(views, Aids()), "both")
+        metrics(locate(views, Aids()), "both")
 
 
 def test_a_wire_outside_the_head_has_no_bone_ahead():
-    found = _figures(_views(), wire_mm=np.stack([bone.ENTRY_MM, bone.END_MM]) + np.array([0.0, 0.0, 24.5]))
+    found = _metrics(_views(), wire_mm=np.stack([bone.ENTRY_MM, bone.END_MM]) + np.array([0.0, 0.0, 24.5]))
     ahead = found["tip to bone along wire"]
     assert ahead.value is None
     assert ahead.within is None
@@ -139,17 +139,17 @@ def test_what_is_not_drawn_is_absent_and_never_zero():
     views = _views()
     uv = bone.pixels(views)
     drawn = bone.aids(uv)
-    found = {f.name: f for f in figures(locate(views, replace(drawn, neck=None), bone.picks(uv)), "right")}
+    found = {f.name: f for f in metrics(locate(views, replace(drawn, neck=None), bone.picks(uv)), "right")}
     absent = {"neck-shaft angle", "neck version", "tip-apex distance", "calcar tip-apex distance"}
     for name, figure in found.items():
         assert (figure.value is None) == (name in absent)
         assert (figure.sd is None) == (name in absent)
     assert "draw a line along it" in found["tip-apex distance"].sentence
-    assert all(f.value is None for f in figures(locate(views, Aids()), "right"))
+    assert all(f.value is None for f in metrics(locate(views, Aids()), "right"))
 
 
 def test_recommended_ranges():
-    found = _figures(_views())
+    found = _metrics(_views())
     assert (found["tip-apex distance"].low, found["tip-apex distance"].high) == (10.0, 25.0)
     assert found["tip-apex distance"].within
     assert found["tip to bone nearest"].within is False  # 10.3 mm

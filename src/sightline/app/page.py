@@ -50,7 +50,7 @@ def build(site: ServedApp, procedure: Procedure, pictures: Pictures, settings: S
             HtmlSection(tab, _beside_key(verdict.key), _html_on(verdict.html, 2, 3))
             Section(tab, _beside_key(verdict.age_key), _on(verdict.build_age, 2, 3))
             Section(tab, lambda t: t.step, lambda t: _PANELS[t.step].build(t), classes="step-panel")
-            HtmlSection(tab, _beside_key(plan.figures_key), _html_on(plan.figures_html, 2), classes="figures")
+            HtmlSection(tab, _beside_key(plan.metrics_key), _html_on(plan.metrics_html, 2), classes="figures")
             Section(tab, _beside_key(verdict.count), _on(verdict.build_details, 2, 3), classes="details")
             ui.label(f"{texts.NOT_A_DEVICE} Case {procedure.planning.case.number}").classes("foot")
     with tools:

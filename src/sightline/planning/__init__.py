@@ -9,7 +9,7 @@ from sightline.planning.corridor import Corridor, corridor
 from sightline.planning.curve import MatchingCurve, matching_curve, snap
 from sightline.planning.head import Sphere, outline
 from sightline.planning.kinds import KINDS, PlanInput, TrajectoryKind, kind
-from sightline.planning.metrics import Metric, figures
+from sightline.planning.metrics import Metric, metrics
 from sightline.planning.picks import Pick
 from sightline.planning.plan import Plan, plan
 from sightline.planning.proposal import Proposal, ProposalRule, propose
@@ -45,11 +45,11 @@ __all__ = [
     "corridor",
     "error_shares",
     "error_shares_of",
-    "figures",
     "judge",
     "kind",
     "locate",
     "matching_curve",
+    "metrics",
     "outline",
     "plan",
     "propose",

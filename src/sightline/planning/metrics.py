@@ -62,10 +62,10 @@ class _Definition:
     high: float | None = None
 
 
-def figures(found: Anatomy, side: str) -> tuple[Metric, ...]:
-    """Return all metrics, in a fixed order, for a hip of one side, "right" or "left".
+def metrics(found: Anatomy, side: str) -> tuple[Metric, ...]:
+    """Return all metrics of an implant in a fixed order; `side` of the hip: "right" or "left".
 
-    A metric that cannot be computed has no value and says why. Raises UnusableInputError.
+    A metric that cannot be computed has no value and says why. Raises UnusableInputError for another side.
     """
     caudal(side)
     made = [_metric(found, definition, side) for definition in _DEFINITIONS]

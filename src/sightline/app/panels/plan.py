@@ -19,8 +19,8 @@ from sightline.geometry.covariance import TWO_SIDED_95
 from sightline.planning.kinds import KINDS
 
 
-def figures_key(tab: Tab) -> Hashable:
-    """Key of the metrics: the plan that they are of."""
+def metrics_key(tab: Tab) -> Hashable:
+    """Return the key of `metrics_html`: the plan that it describes."""
     return tab.known
 
 
@@ -127,10 +127,10 @@ def _missing(tab: Tab) -> str:
     return "; ".join(text for name, text in absent.items() if name in ("head", "shaft", "cortex"))
 
 
-def figures_html(tab: Tab) -> Markup:
-    """Return the metrics of plan and implant as HTML; they follow a dragged point."""
+def metrics_html(tab: Tab) -> Markup:
+    """Return the errors of the plan and the metrics of the implant as HTML; empty where there are neither."""
     known = tab.known
-    if known is None or (known.plan is None and not known.figures):
+    if known is None or (known.plan is None and not known.metrics):
         return Markup()
     rows = []
     if known.plan is not None:
@@ -146,21 +146,21 @@ def figures_html(tab: Tab) -> Markup:
     if known.plan is not None:
         said += [markup.note(sentence, kind="quiet", testid="along") for sentence in known.plan.along_sentences()]
     if tab.planning.decisions.side is None:
-        said.insert(0, markup.note(texts.SIDE_FOR_FIGURES, kind="warn"))
-    for figure in known.figures:
-        if figure.value is not None:
-            space = "" if figure.unit == "°" else " "
-            sd = "" if figure.sd is None else f" ± {TWO_SIDED_95 * figure.sd:.1f}"
-            mark = {True: "✓", False: "!", None: ""}[figure.within]
-            rows.append((figure.name, f"{figure.value:.1f}{sd}{space}{figure.unit}", mark))
-    table = markup.table(texts.FIGURE_COLUMNS, rows, testid="figures")
-    return markup.joined(markup.heading(texts.FIGURES_HEADING), *said, table)
+        said.insert(0, markup.note(texts.SIDE_FOR_METRICS, kind="warn"))
+    for metric in known.metrics:
+        if metric.value is not None:
+            space = "" if metric.unit == "°" else " "
+            sd = "" if metric.sd is None else f" ± {TWO_SIDED_95 * metric.sd:.1f}"
+            mark = {True: "✓", False: "!", None: ""}[metric.within]
+            rows.append((metric.name, f"{metric.value:.1f}{sd}{space}{metric.unit}", mark))
+    table = markup.table(texts.METRIC_COLUMNS, rows, testid="figures")
+    return markup.joined(markup.heading(texts.METRICS_HEADING), *said, table)
 
 
 def _refused(known: Planned) -> list[str]:
     """Return the reasons for missing metrics whose aids are all drawn, each reason once."""
     missing = {f"Not known: {why}." for why in known.anatomy.absent.values()}
-    absent = dict.fromkeys(figure.sentence for figure in known.figures if figure.value is None)
+    absent = dict.fromkeys(metric.sentence for metric in known.metrics if metric.value is None)
     return [sentence for sentence in absent if sentence not in missing]
 
 

@@ -17,7 +17,7 @@ from sightline.planning.aids import Aids, Circle, Line
 from sightline.planning.anatomy import Anatomy, locate
 from sightline.planning.kinds import TrajectoryKind
 from sightline.planning.kinds import kind as kind_of
-from sightline.planning.metrics import Metric, figures
+from sightline.planning.metrics import Metric, metrics
 from sightline.planning.picks import DEFAULT_PICK_SD_PX, Pick
 from sightline.planning.proposal import Proposal, propose
 
@@ -50,10 +50,10 @@ class Planned:
         return locate(self.views, _aids(self.decisions))
 
     @cached_property
-    def figures(self) -> tuple[Metric, ...]:
+    def metrics(self) -> tuple[Metric, ...]:
         """Metrics of the implant; none until the side is confirmed, because signs and names depend on it."""
         side = self.decisions.side
-        return () if side is None else figures(self.anatomy, side)
+        return () if side is None else metrics(self.anatomy, side)
 
     def proposal(self) -> Proposal:
         """Return a wire proposed from head and shaft by the kind's rule. Raises SightlineError."""

@@ -180,7 +180,7 @@ def _depth_limit(known: Planned, target: RobotTarget) -> float:
     distance to the joint surface less the 95 % error of both. Raises UnusableInputError if the surface is unknown."""
     if known.kind.bone is None:
         return target.depth_mm + DEPTH_SLACK_MM
-    left: Metric | None = next((one for one in known.figures if one.name == TO_BONE), None)
+    left: Metric | None = next((one for one in known.metrics if one.name == TO_BONE), None)
     if left is None or left.value is None or left.sd is None:
         raise UnusableInputError(NO_DEPTH_LIMIT)
     error = float(np.hypot(TWO_SIDED_95 * left.sd, target.end_error_95_mm))

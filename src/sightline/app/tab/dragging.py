@@ -99,5 +99,5 @@ def _planned_layers(decisions: Decisions, pair: _Pair, moved: str) -> tuple[Plan
         for image, drawn in layers.items():
             drawn["aids"] = shapes.aids(known, image)
     with suppress(SightlineError):  # compute them here; the panel reports errors
-        _ = known.figures
+        _ = known.metrics
     return known, layers
