@@ -115,7 +115,10 @@ def test_old_files_that_cannot_be_put_back_are_kept_and_said_where(
 
     failed: list[Path] = []
     monkeypatch.setattr(Path, "rename", fails_from_the_new_ones_on)
-    with pytest.raises(UnusableInputError, match=r"could not be moved back: find them next to it, in \.out-"):
+    with pytest.raises(
+        UnusableInputError,
+        match=r"they are in \.out-\w+/before, next to out: move them back into out; name another place",
+    ):
         write_folder(out, {"a.txt": b"new", "b.txt": b"new"})
     (scratch,) = tmp_path.glob(".out-*")
     assert {one.name: one.read_text() for one in (scratch / "before").iterdir()} == {

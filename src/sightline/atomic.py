@@ -1,4 +1,4 @@
-"""Atomic writes of files and folders: a name never refers to a partly written one."""
+"""Atomic writes of files and, where the system allows it, of folders (see `whole_folder`)."""
 
 import ctypes
 import os
@@ -57,19 +57,20 @@ def write_folder(folder: Path, documents: Mapping[str, bytes]) -> list[Path]:
 
 @contextmanager
 def whole_folder(path: str | Path, units: Collection[str] = ()) -> Generator[Path]:
-    """Yield a scratch folder next to `out`; at the end of the `with` block its files are moved into `out`.
+    """Yield a scratch folder next to `path`; at the end of the `with` block its files are moved into `path`.
 
-    After an error or an interruption nothing is moved. Other files in `out` stay and are never moved. Sub-folders are
-    merged, except those named in `units`, which are replaced as a whole. A process killed at any moment leaves `out`
-    old or new:
+    After an error or an interruption nothing is moved. Files in `path` that are not replaced stay there. Sub-folders
+    are merged, except those named in `units`, which are replaced as a whole.
 
-    - where `out` is missing, the scratch folder is renamed;
-    - where all its files are replaced, both folders are exchanged in one step (Linux, renameat2);
-    - otherwise (it has other files, is the working directory or a mount point, or on another system) all old files are
-      moved out before the first new one is moved in. A kill in between leaves a part of one result, never parts of two;
-      the rest is in the scratch folder, whose name begins with a dot.
+    1. Where `path` is missing, the scratch folder is renamed.
+    2. Where all its files are replaced, both folders are exchanged in one step (Linux, renameat2).
+    3. Otherwise all old files are moved out before the first new one is moved in. This holds where `path` has other
+       files, is the working directory or a mount point, or on another system.
 
-    Raises UnusableInputError where `out` cannot be written. Exceptions of the body are passed on.
+    In the first two cases the replacement is atomic. In the third it is not: a kill can leave `path` with part of one
+    result, never with parts of two. The rest is then in the scratch folder, whose name begins with a dot.
+
+    Raises UnusableInputError where `path` cannot be written. Exceptions of the body are passed on.
     """
     target = Path(os.path.realpath(path))
     said = f"write into {target.name}"
@@ -144,7 +145,7 @@ def _put(new: Path, target: Path, units: Collection[str]) -> None:
     if not target.exists():
         new.rename(target)
     elif _items(target, units) <= items and _may_exchange(new, target) and _exchange(new, target):
-        for appeared in _items(new, units) - items:  # appeared after the check and before the exchange
+        for appeared in _items(new, units) - items:  # moved back: written to `target` between check and exchange
             (target / appeared).parent.mkdir(parents=True, exist_ok=True)
             (new / appeared).rename(target / appeared)
     else:
@@ -167,7 +168,10 @@ def _items(folder: Path, units: Collection[str]) -> set[Path]:
 
 
 def _may_exchange(new: Path, target: Path) -> bool:
-    """Return whether exchanging is safe: no working directory lies in `target`, and its owner stays the same."""
+    """Return whether exchanging is safe; if so, first copy the permissions and times of `target` to `new`.
+
+    It is safe where this process's working directory is not in `target` and the owner stays the same.
+    """
     here, old, made = Path.cwd(), target.stat(), new.stat()
     if target in (here, *here.parents) or (old.st_uid, old.st_gid) != (made.st_uid, made.st_gid):
         return False
@@ -209,8 +213,9 @@ def _put_each(new: Path, target: Path, items: Collection[Path], units: Collectio
             for source, place in reversed(moved):
                 place.rename(source)
         except OSError as error:
-            where = f"the old files could not be moved back: find them next to it, in {before.parent.name}"
-            raise OSError(error.errno, f"{error.strerror}, and {where}") from error
+            where = f"{before.parent.name}/{before.name}, next to {target.name}"
+            said = f"and the old files could not be moved back; they are in {where}: move them back into {target.name}"
+            raise OSError(error.errno, f"{error.strerror}, {said}") from error
         shutil.rmtree(before, ignore_errors=True)
         raise
     shutil.rmtree(before, ignore_errors=True)

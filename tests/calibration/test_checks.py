@@ -42,6 +42,7 @@ def test_beads_that_the_others_predict_to_half_a_millimetre(rms_mm: float, passe
     found = {check.name: check for check in view_checks(beads, left_over(rms_mm))}
     assert found["leave-one-out error"].passed is passed
     assert found["leave-one-out error"].figure == pytest.approx(rms_mm)
+    assert (", limit 0.5 mm: check" in found["leave-one-out error"].sentence) is not passed
 
 
 @pytest.mark.parametrize(("count", "passed"), [(24, True), (23, False)])
@@ -55,3 +56,4 @@ def test_beads_enough_for_a_residual_to_tell_anything(count: int, passed: bool):
     found = {check.name: check for check in view_checks(beads, kept)}
     assert found["bead count"].figure == count
     assert found["bead count"].passed is passed
+    assert ("more of both plates" in found["bead count"].sentence) is not passed

@@ -264,7 +264,7 @@ def test_a_point_that_cannot_be_read_is_refused_with_an_example(text: str) -> No
     [
         ("pa:512,512 lateral:nan,512", "pa:400,400 lateral:400,400", "is not a point"),
         ("pa:512,512 depth:300", "pa:400,400 lateral:400,400", "both in one way"),
-        ("pa:512,512 depth:9000", "pa:400,400 depth:300", "not at 9000 mm"),
+        ("pa:512,512 depth:9000", "pa:400,400 depth:300", "9000 mm is outside the lateral view"),
         ("pa:5,5 lateral:512,512", "pa:512,512 lateral:512,512", "hull"),
     ],
 )

@@ -11,7 +11,7 @@ from sightline.errors import CalibrationRefusedError, ObservationsError
 from sightline.frame import Frame, Plate
 from sightline.geometry.planes import Plane
 
-MIN_SD_PX, MAX_SD_PX = 1e-6, 1e3  # of a bead's centre: rounding at 1e4 px, size of an image [ours]
+MIN_SD_PX, MAX_SD_PX = 1e-6, 1e3  # of a bead's centre: far below any measurement's, about the size of an image [ours]
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,9 +78,10 @@ def _view_covariance(frame: Frame, view: str) -> np.ndarray:
 
 
 def match(observations: Observations, frame: Frame, view: str | None) -> Beads:
-    """Return the observations joined with their frame.
+    """Return the observations joined with their frame. `view`: the expected view; None: that of the observations.
 
-    Raises ObservationsError, FrameError, CalibrationRefusedError.
+    Raises ObservationsError for another view, an unknown fiducial or an impossible covariance; FrameError where the
+    frame has no such view; CalibrationRefusedError where fewer than 4 beads of a plate are seen, or all on one line.
     """
     if view is not None and view != observations.view:
         raise ObservationsError(

@@ -1,7 +1,7 @@
 """Checks of a calibrated view. Its error at a target is checked in planning.
 
-No check judges a view by its focal point alone: an error of F of 100 mm along the beam can cause less than 0.2 mm at
-the target.
+The checks of this module do not judge a view by its focal point alone: if F is wrong by 100 mm along the beam, the
+error at the target can be below 0.2 mm.
 """
 
 from functools import lru_cache
@@ -17,7 +17,7 @@ from sightline.checks import Check
 from sightline.frame import Frame
 from sightline.geometry.planes import Plane
 
-MIN_COUNT = 24  # [ours] one more than the 23 numbers of a cubic and F
+MIN_COUNT = 24  # [ours] a cubic and F have 23 parameters: 25 degrees of freedom are left
 MIN_COVERAGE = 0.45  # [ours] share of each plate's area within the convex hull of its used beads
 MAX_LEAVE_ONE_OUT_MM = 0.5  # [ours] half of the 1 mm the paper reaches at the entry point
 MAX_NOISE_PX = 2.0  # [ours] twice an ordinary click (physics.md, Picks)
@@ -34,20 +34,22 @@ def view_checks(beads: Beads, residuals: Residuals) -> list[Check]:
     if beads.frame.tolerances is None and beads.frame.covariance_mm2 is None:
         sd = beads.frame.effective_tolerances
         sentence = (
-            f"The frame file states no tolerances; {sd.bead_mm} mm per bead, {sd.plate_mm} mm per plate are assumed."
+            f"The frame file states no tolerances; {sd.bead_mm} mm per bead, {sd.plate_mm} mm per plate are assumed: "
+            "have the frame measured and state `sd_mm` and `sd_rad` in its file."
         )
         out.append(Check("frame tolerances", True, sd.plate_mm, None, "mm", sentence))
     return out
 
 
 def noise_checks(fit: JointFit) -> list[Check]:
-    """Return the check that the residuals agree with the stated noise, or of the estimated noise."""
+    """Return one check: chi-square where covariances were given, otherwise the estimated noise."""
     if fit.beads.covariance_px2 is None:
         noise_px = fit.learned.noise_scale
+        passed = noise_px <= MAX_NOISE_PX
         sentence = (
-            f"No covariance of the beads was given; their noise, estimated from the residuals, is {noise_px:.2f} px."
-        )
-        return [Check("measurement noise", noise_px <= MAX_NOISE_PX, noise_px, MAX_NOISE_PX, "px", sentence)]
+            f"No covariance of the beads was given; their noise, estimated from the residuals, is {noise_px:.2f} px"
+        ) + ("." if passed else f", limit {MAX_NOISE_PX:g} px: check labels and frame, or acquire a sharper image.")
+        return [Check("measurement noise", passed, noise_px, MAX_NOISE_PX, "px", sentence)]
     freedom = len(fit.data_mm) - fit.solution.theta.shape[0]
     reduced = float(fit.data_mm @ fit.solution.dual[:, 0]) / freedom
     limit = float(chdtri(freedom, CHI_SQUARE_FALSE_ALARM)) / freedom
@@ -62,8 +64,8 @@ def noise_checks(fit: JointFit) -> list[Check]:
 def handedness_check(upright: bool, mirrored_display: bool | None) -> Check:
     """Return the check that the frame file describes the frame, not its mirror image.
 
-    `upright`: whether an image shows the beads as the file has them, with a mirrored display allowed for;
-    `mirrored_display`: whether a person saw that the display is mirrored, None where nobody was asked.
+    `upright`: whether the beads appear unmirrored once a declared mirrored display is undone.
+    `mirrored_display`: whether a person saw that the display is mirrored; None where nobody was asked.
     """
     if mirrored_display is None:
         sentence = (
@@ -90,8 +92,8 @@ def handedness_check(upright: bool, mirrored_display: bool | None) -> Check:
 def row_check(fit: JointFit) -> Check:
     """Return the check that the image is not torn: that no part below a row is shifted against the part above.
 
-    A shift of the lower part, along or across the rows, is one more parameter of the image model; every row between two
-    beads is tested.
+    A shift of the lower part, along or across the rows, is one more parameter of the image model. It is tested midway
+    between beads that follow each other in v, wherever at least `MIN_BESIDE_ROW` beads lie on either side.
     """
     uv, slopes = fit.beads.uv_px, fit.map.jacobian(fit.beads.uv_px)
     order = np.sort(uv[:, 1])
@@ -115,8 +117,11 @@ def row_check(fit: JointFit) -> Check:
 
 
 def _count(count: int) -> Check:
-    sentence = f"{count} beads are used; {MIN_COUNT} are needed for meaningful residuals, 60 or more are good."
-    return Check("bead count", count >= MIN_COUNT, float(count), float(MIN_COUNT), "beads", sentence)
+    passed = count >= MIN_COUNT
+    sentence = f"{count} beads are used; {MIN_COUNT} are needed for meaningful residuals, 60 or more are good" + (
+        "." if passed else ": move the frame so that more of both plates lies in the field."
+    )
+    return Check("bead count", passed, float(count), float(MIN_COUNT), "beads", sentence)
 
 
 def _coverage(used: Beads) -> Check:
@@ -149,8 +154,13 @@ def _leave_one_out(residuals: Residuals) -> Check:
         sentence = "Bring more beads into the field: too few are seen to predict any of them from the others."
         return Check("leave-one-out error", False, None, limit, "mm", sentence)
     rms = residuals.leave_one_out_rms_mm
-    sentence = f"The others predict each bead to {rms:.3f} mm rms per axis on its plate."
-    return Check("leave-one-out error", rms <= limit, rms, limit, "mm", sentence)
+    passed = rms <= limit
+    sentence = f"The others predict each bead to {rms:.3f} mm rms per axis on its plate" + (
+        "."
+        if passed
+        else f", limit {limit:g} mm: check in the report the labels of the beads with the largest residuals."
+    )
+    return Check("leave-one-out error", passed, rms, limit, "mm", sentence)
 
 
 def _wrong(residuals: Residuals) -> Check:

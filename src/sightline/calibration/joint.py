@@ -1,10 +1,16 @@
 """The smooth method: plane map and focal point fitted jointly to the beads of both plates.
 
-Every bead i is projected from F onto the reference plane; there y_i(F) = cubic(u_i) + g(u_i) + noise. Given F and the
-weights this is linear in everything else (variable projection); F enters through `Pencil`, in which it is nearly linear
-too, so two or three Gauss-Newton steps suffice. Noise: each bead's own covariance propagated by dh/du, plus the frame's
-errors propagated by dy/dX. The frame's shared errors are noise with a prior: they enter the weights and the covariance
-at the target, and are never estimated.
+The model of a bead with pixel u and frame coordinates X is
+
+    y(X, F) = c(u) + g(u) + e
+
+- F: focal point; y(X, F): projection of X from F onto the reference plane, mm, two coordinates;
+- c: cubic polynomial, g: Gaussian process; their sum is the plane map;
+- e: noise: the covariance of u propagated by d(c + g)/du, plus the frame's errors propagated by dy/dX.
+
+The model is linear in c and g, and nearly linear in the parameters p and q of F (`Pencil`). `fit_jointly` therefore
+makes four Gauss-Newton steps: two by ordinary least squares, one with isotropic and one with full weights. The frame's
+shared errors are noise with a prior: they enter the weights and the covariance at the target, and are not estimated.
 """
 
 from dataclasses import dataclass
@@ -46,7 +52,7 @@ class JointFit:
     jacobian: np.ndarray
 
     def line_errors(self, uv_px: np.ndarray) -> LineErrors:
-        """Return the errors of focal point and lines of sight of pixels (N, 2)."""
+        """Return covariances and frame factor of the errors of F and of the lines of sight of pixels (N, 2)."""
         at = self.map.unit(uv_px)
         n, k = len(at), 2 * len(self.beads)
         design = np.zeros((3 + 2 * n, 2 * _CUBIC + 3))
@@ -69,7 +75,7 @@ class JointFit:
         return (self.jacobian @ factor.reshape(len(self.beads), 3, -1)).reshape(-1, factor.shape[1])
 
     def prediction_sigma(self, others: Beads) -> np.ndarray:
-        """Return (M,): distance of other beads from where this fit predicts them, in standard deviations."""
+        """Return (M,): Mahalanobis distances of other beads from their predictions (two degrees of freedom each)."""
         xy = self.map.to_plane(others.uv_px)
         errors = self.line_errors(others.uv_px)
         total = errors.noise + errors.misfit + errors.frame_factor @ errors.frame_factor.T
@@ -145,7 +151,12 @@ def _weighted_step(  # noqa: PLR0917
 
 @dataclass(frozen=True, eq=False)
 class _Start:
-    """A cubic and F by ordinary least squares; `fixed` (23, 2N): orthonormal rows of the subspace that they span."""
+    """A cubic and F fitted by ordinary least squares.
+
+    `unit`: pixels to normalised pixels; `radius_mm`: length of the normalised unit on the plane; `at` (N, 2): the
+    beads' normalised pixels; `basis` (N, 10): monomials there; `pencil`: F; `slopes` (N, 2, 2): derivative of the cubic
+    by the pixel, mm/px; `fixed` (23, 2N): orthonormal rows that span the design matrix's columns.
+    """
 
     unit: Affine
     radius_mm: float
@@ -172,7 +183,11 @@ class _Start:
 
 
 def _first_pencil(beads: Beads) -> Pencil:
-    """Return a first F: with an affine map fitted to the XRII beads, y (1 - h q) = x - h p is linear at the others."""
+    """Return a first estimate of F. The XRII beads give an affine map from pixels to the plane.
+
+    It maps each source-plate bead, at x and height h in the plane's axes, to y: y (1 - h q) = x - h p is linear in p
+    and q.
+    """
     xrii, source = beads.on_xrii, ~beads.on_xrii
     plane = beads.plane
     ones = np.ones((len(beads), 1))

@@ -13,7 +13,11 @@ VIEWS, CHECK_VIEWS = ("pa", "lateral"), ("check-pa", "check-lateral")
 
 
 def parse_point(text: str, option: str) -> Point:
-    """Return the numbers of 'pa:U,V lateral:U,V' or 'pa:U,V depth:MM' by name. Raises UnusableInputError."""
+    """Return the numbers of 'pa:U,V lateral:U,V' or 'pa:U,V depth:MM' by name.
+
+    The depth, mm, is counted along the line of sight from the PA view's XRII plate towards the X-ray source.
+    Raises UnusableInputError.
+    """
     from sightline.errors import UnusableInputError
 
     out = _numbers(text)
@@ -54,7 +58,8 @@ def parse_landmark(text: str) -> tuple[str, list[tuple[float, ...]]]:
 class FoundAgain:
     """A landmark found again in the check images, px.
 
-    `checked`: a pixel for each view; `planned`: the same in the planning images, None where the plan knows its `name`.
+    `checked`: a pixel for each view. `planned`: the same in the planning images; None where the text gives no planning
+    pixels: then the plan must have a landmark of this `name`.
     """
 
     name: str
@@ -90,8 +95,9 @@ def all_depths(points: Sequence[Point]) -> bool:
 
 
 def pixels(point: Point, views: "Sequence[CalibratedView]", pick_sd_px: float) -> Any:
-    """Return the pixels (2, 2) of a point, a row for each view; a depth becomes the pixel of the curve there.
+    """Return the pixels (2, 2) of a point, a row for each view.
 
+    A depth (`MatchingCurve.depth_mm`) is replaced by the lateral pixel of the image-matching curve at that depth.
     Raises UnusableInputError for a depth outside the curve, and what `matching_curve` raises.
     """
     import numpy as np
@@ -107,13 +113,14 @@ def pixels(point: Point, views: "Sequence[CalibratedView]", pick_sd_px: float) -
     depth, (low, high) = point["depth"][0], (curve.depth_mm[0], curve.depth_mm[-1])
     if not low <= depth <= high:
         raise UnusableInputError(
-            f"the lateral view shows the line of sight from {low:.0f} to {high:.0f} mm of depth, not at {depth:g} mm"
+            f"give a depth from {low:.0f} to {high:.0f} mm, counted from the PA view's XRII plate towards the X-ray "
+            f"source; {depth:g} mm is outside the lateral view"
         )
     return np.array([first, [np.interp(depth, curve.depth_mm, curve.uv_px[:, k]) for k in range(2)]])
 
 
 def _named(text: str) -> tuple[str, str]:
-    """Return the words of a text without a colon as one name, and the others."""
+    """Return (name, rest): the words without a colon joined by "-", those with a colon joined by spaces."""
     words = text.split()
     return "-".join(word for word in words if ":" not in word), " ".join(word for word in words if ":" in word)
 

