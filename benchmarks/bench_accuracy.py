@@ -2,7 +2,7 @@
 
 200 set-ups with four targets each, surrounded by the beads of both plates. Beads and targets are measured to 0.1 px.
 The metric of a method is the largest error of the four targets, compared over the set-ups in which both methods give a
-result (`localized` refuses targets whose bounding triangle is a sliver).
+result (`localized` refuses targets whose containing triangle is a sliver).
 
 `localized` is the paper's method, which reconstructs the point of closest approach. A smaller sample starts from
 images: the paper's object of four balls in the frame, rendered, detected and labelled.

@@ -90,7 +90,7 @@ def errors_px(plate: Plate, step: int, offset: tuple[int, int], noise_px: np.nda
     """Return the number of controls, and each method's rms error (px, per point) at all other enclosed holes."""
     control = ((plate.index - np.array(offset)) % step == 0).all(axis=1)
     uv, xy = plate.uv_px[control] + noise_px[control], plate.xy_mm[control]
-    inside = sl.fit_map(uv, xy, "localized").bounding(plate.uv_px) >= 0  # type: ignore[attr-defined]
+    inside = sl.fit_map(uv, xy, "localized").containing_triangle(plate.uv_px) >= 0  # type: ignore[attr-defined]
     others = inside & ~control
     per_px = np.sqrt(abs(np.linalg.det(np.linalg.lstsq(uv - uv.mean(0), xy - xy.mean(0), rcond=None)[0])))
     out = {}

@@ -1,5 +1,6 @@
 """Folders and files are whole or as they were, whatever happens meanwhile; what is not a file is left alone."""
 
+import errno
 import json
 import os
 import socket
@@ -93,6 +94,25 @@ def test_a_result_that_cannot_be_put_in_place_leaves_the_old_one(out: Path, monk
     monkeypatch.setattr(Path, "rename", fails_once)
     with pytest.raises(UnusableInputError, match="Input/output error"):
         write_folder(out, NEW)
+    assert read(out) == before
+    assert [path.name for path in out.parent.iterdir()] == ["out"]
+
+
+@needs_posix
+def test_a_disk_that_fails_to_sync_is_a_refusal_and_leaves_the_old_result(
+    out: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(_: int) -> None:
+        raise OSError(errno.EIO, os.strerror(errno.EIO))
+
+    before = read(out)
+    with pytest.raises(UnusableInputError, match="cannot write into out: Input/output error"), whole_folder(out) as new:
+        for name, data in NEW.items():
+            (new / name).parent.mkdir(parents=True, exist_ok=True)
+            (new / name).write_bytes(data)
+        # Folders are synced in any case; a file's error must not be lost.
+        monkeypatch.setattr(atomic, "sync_folder", lambda _: None)
+        monkeypatch.setattr(os, "fsync", fail)
     assert read(out) == before
     assert [path.name for path in out.parent.iterdir()] == ["out"]
 

@@ -222,12 +222,13 @@ def _put_each(new: Path, target: Path, items: Collection[Path], units: Collectio
 
 
 def _sync(folder: Path) -> None:
-    """Fsync all files and folders in a folder."""
-    for here, _, files in os.walk(folder):
-        for name in files:
-            with (
-                (Path(here) / name).open("rb") as file,
-                suppress(OSError),
-            ):  # Windows can only sync files open for writing
-                os.fsync(file.fileno())
-        sync_folder(Path(here))
+    """Fsync all files and folders in a folder; does nothing on Windows, which can only sync files open for writing.
+
+    Raises OSError: a failed write must not pass for a durable one.
+    """
+    if os.name == "posix":
+        for here, _, files in os.walk(folder):
+            for name in files:
+                with (Path(here) / name).open("rb") as file:
+                    os.fsync(file.fileno())
+            sync_folder(Path(here))

@@ -26,8 +26,8 @@ PATIENCE_S = 60.0
 def _session() -> RobotSession:
     """Without a link."""
     made = object.__new__(RobotSession)
-    made.now, made._changed = RobotNow(doing="drilling"), lambda: None
-    made._orders = SimpleQueue()
+    made.now, made._changed = RobotNow(activity="drilling"), lambda: None
+    made._commands = SimpleQueue()
     made._lock, made._end, made._over = threading.Lock(), threading.Event(), False
     return made
 
@@ -45,7 +45,7 @@ def test_news_of_two_threads_are_both_kept(monkeypatch: pytest.MonkeyPatch) -> N
 
     def end_order() -> None:
         inside.wait(PATIENCE_S)
-        session._put(doing="")
+        session._put(activity="")
         done.set()
 
     monkeypatch.setattr(robot_session, "replace", slow)
@@ -53,7 +53,7 @@ def test_news_of_two_threads_are_both_kept(monkeypatch: pytest.MonkeyPatch) -> N
     other.start()
     session._put(force_n=12.0)
     other.join(PATIENCE_S)
-    assert (session.now.force_n, session.now.doing) == (12.0, "")
+    assert (session.now.force_n, session.now.activity) == (12.0, "")
 
 
 def test_an_order_after_the_links_end_is_refused_and_not_left_in_the_queue() -> None:
@@ -62,7 +62,7 @@ def test_an_order_after_the_links_end_is_refused_and_not_left_in_the_queue() -> 
     for order in (session.align(), session.stop()):
         with pytest.raises(LinkError, match="lost"):
             asyncio.run(order)
-    assert session.now.doing == ""
+    assert session.now.activity == ""
 
 
 class _Watch:

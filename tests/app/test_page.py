@@ -136,13 +136,13 @@ def _drill(hands: Hands, shoot) -> None:
 def _tell_the_second_shot(hands: Hands) -> None:
     """A shot that shows what the robot has, once and known better."""
     expect(hands.see("robot-live")).to_contain_text("± 0.8 mm (zero: plan and contact)")
-    expect(hands.see("shot-unmeasured")).to_contain_text("drills on by plan and contact, to ± 0.8 mm")
+    expect(hands.see("shot-unmeasured")).to_contain_text("rests on the plan and contact, ± 0.8 mm")
     depth = hands.see("robot-live").inner_text().split()[1]
     for field, value in (("shot-depth", depth), ("shot-error", "0.3")):
         hands.page.locator(f"input[data-testid={field}], [data-testid={field}] input").fill(value)
     hands.press("tell-shot")
     hands.press("tell-shot-yes")
-    expect(hands.see("shot-told")).to_contain_text("plan, contact and second shot, to ± 0.3 mm", timeout=PATIENCE_MS)
+    expect(hands.see("shot-told")).to_contain_text("plan, contact and second shot, ± 0.3 mm", timeout=PATIENCE_MS)
 
 
 def _verify(hands: Hands, shoot, folder: Path) -> None:
@@ -462,7 +462,7 @@ def test_mirrored_images_with_hidden_beads_are_dropped_planned_and_not_sent(
     hands.step("Drill")
     expect(hands.see("no-robot")).to_be_visible()
     hands.press("live-start")  # two images, and then no more: what is shown grows old
-    expect(hands.see("live-state")).to_contain_text("does not show what is now", timeout=PATIENCE_MS)
+    expect(hands.see("live-state")).to_contain_text("may be out of date", timeout=PATIENCE_MS)
     assert hands.core("pa", "core.state.stale") or hands.core("lateral", "core.state.stale")
 
 

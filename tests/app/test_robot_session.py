@@ -42,7 +42,7 @@ def test_a_second_order_is_refused_while_the_first_is_carried_out(session: Robot
     assert isinstance(second, RobotRefusedError)
     assert "still resetting" in str(second)
     assert "still" not in str(first)  # it came to the robot, which has no fault to reset
-    assert session.now.doing == ""
+    assert session.now.activity == ""
 
 
 def test_a_confirmation_of_another_state_drills_nothing(session: RobotSession) -> None:
@@ -133,15 +133,15 @@ def test_a_second_shot_is_told_with_its_error_and_counts_once(paused: RobotSessi
     words = f"± {TWO_SIDED_95 * AT_CONTACT_MM:.1f} mm (zero: plan and contact)"
     assert depth_words(paused.now) == f"{before:.1f} mm {words}"
     shot, error = before + 0.7, 0.5
-    asyncio.run(paused.tell_shot(shot, error))
+    asyncio.run(paused.send_shot_depth(shot, error))
     _until(paused, lambda now: BY_SHOT in now.zero)
     now, sd = paused.now, error / TWO_SIDED_95
     weight = AT_CONTACT_MM**2 / (AT_CONTACT_MM**2 + sd**2)
     assert now.zero == (BY_PLAN, BY_CONTACT, BY_SHOT)
     assert now.depth_sd_mm == pytest.approx(AT_CONTACT_MM * np.sqrt(1 - weight))
     _until(paused, lambda now: now.depth_mm == pytest.approx(before + weight * 0.7, abs=0.02))
-    with pytest.raises(RobotRefusedError, match="counts once"):
-        asyncio.run(paused.tell_shot(shot, error))
+    with pytest.raises(RobotRefusedError, match="already sent"):
+        asyncio.run(paused.send_shot_depth(shot, error))
 
 
 def test_a_second_shot_whose_answer_came_too_late_counts_once_too(
@@ -156,12 +156,12 @@ def test_a_second_shot_whose_answer_came_too_late_counts_once_too(
 
     monkeypatch.setattr(paused._client, "shot_depth", late)
     with pytest.raises(LinkError):
-        asyncio.run(paused.tell_shot(before, 0.5))
-    with pytest.raises(RobotRefusedError, match="counts once"):
-        asyncio.run(paused.tell_shot(before, 0.5))
+        asyncio.run(paused.send_shot_depth(before, 0.5))
+    with pytest.raises(RobotRefusedError, match="already sent"):
+        asyncio.run(paused.send_shot_depth(before, 0.5))
 
 
-APART = "at most 1.4 mm apart"
+APART = "at most 1.4 mm is consistent"
 IMPOSSIBLE = [(1.6, 0.5, APART), (-1.6, 0.5, APART), (0.0, 0.0, "95 %"), (0.0, -0.1, "95 %")]
 NOT_FINITE = [(np.nan, 0.5, "the depth"), (0.0, np.nan, "95 %"), (np.inf, 0.5, "the depth")]
 
@@ -171,7 +171,7 @@ def test_a_second_shot_that_cannot_be_tells_the_robot_nothing(paused: RobotSessi
     assert before.depth_mm is not None
     for off_mm, error_95_mm, why in (*IMPOSSIBLE, *NOT_FINITE):
         with pytest.raises(RobotRefusedError, match=why):
-            asyncio.run(paused.tell_shot(before.depth_mm + off_mm, error_95_mm))
+            asyncio.run(paused.send_shot_depth(before.depth_mm + off_mm, error_95_mm))
     paused.refuse_shot(before.depth_mm + 1.2, 0.5)  # within what both state
     heard: list[str] = []  # the robot would have answered by then
     paused._client.listeners.append(lambda message: heard.append(message.device_name))

@@ -78,8 +78,8 @@ def test_localized_is_the_papers_equation_6():
     np.testing.assert_allclose(LocalizedMap.fit(uv, xy).to_plane(np.array([[50.0, 60.0]]))[0], expected, atol=1e-12)
 
 
-def test_localized_takes_the_bounding_triangle_not_the_nearest_three():
-    # The three nearest fiducials of a square grid's edge point lie on one line; the bounding triangle does not.
+def test_localized_takes_the_containing_triangle_not_the_nearest_three():
+    # The three nearest fiducials of a square grid's edge point lie on one line; the containing triangle does not.
     uv = np.stack(np.meshgrid([0.0, 100.0, 200.0], [0.0, 100.0, 200.0]), axis=-1).reshape(-1, 2)
     plane_map = LocalizedMap.fit(uv, 0.2 * uv)
     np.testing.assert_allclose(plane_map.to_plane(np.array([[100.0, 1.0]])), [[20.0, 0.2]], atol=1e-12)
@@ -98,7 +98,7 @@ def test_localized_refuses_slivers():
     plane_map = LocalizedMap.fit(uv, 0.2 * uv)
     with pytest.raises(OutsideRegionError):
         plane_map.to_plane(np.array([[50.0, 1.0]]))
-    with pytest.raises(CalibrationRefusedError, match="sliver"):
+    with pytest.raises(CalibrationRefusedError, match="nearly on one line"):
         LocalizedMap.fit(uv[:3], 0.2 * uv[:3])
     with pytest.raises(CalibrationRefusedError, match="triangle"):
         LocalizedMap.fit(np.column_stack([np.arange(5.0), np.arange(5.0)]), np.zeros((5, 2)))

@@ -136,7 +136,7 @@ def test_where_it_stood_at_the_images(robot):
     assert both.registration().imaged_s == now + 60.0
     with pytest.raises(RobotRefusedError, match="moved between the images"):
         one.at_image("lateral", LIFTED, now + 60.0, "image.png")
-    with pytest.raises(RobotRefusedError, match="beyond the manipulator's limits"):
+    with pytest.raises(RobotRefusedError, match="home the robot; then acquire both images again"):
         one.at_image("pa", IMAGED + 900.0, now, "image.png")
     with pytest.raises(UnusableInputError, match="five finite"):
         one.at_image("lateral", np.full(5, np.nan), now, "image.png")

@@ -174,7 +174,6 @@ SEND_DEPTH = "Send the depth"
 THRUST_HEADING = "Thrust over depth"
 EVENT_COLUMNS = ("event", "depth", "thrust")
 LIVE_HEADING = "Live image"
-LIVE_BLIND = "Limitation: {what}."
 LIVE_WAITING = "Waiting for the first image …"
 LIVE_SHOW = "Show the live image"
 LIVE_END = "End the live image"

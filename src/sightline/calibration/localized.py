@@ -1,7 +1,7 @@
-"""Plane map of the paper (section 4.4, eqs 3-6): linear inside the triangle of fiducials that contains the point.
+"""Plane map of Browbank et al. (2000), section 4.4, eqs 3-6: linear in the triangle of beads that contains the point.
 
-The paper's "three closest fiducials" can be collinear on a square grid, and [P] of eq. 4 is then singular; the
-containing triangle of the Delaunay triangulation of the image points is used instead.
+The paper uses the three beads closest to the point. On a square grid these can be collinear; [P] of eq. 4 is then
+singular. Here the containing triangle of the Delaunay triangulation of the image points is used instead.
 """
 
 from dataclasses import dataclass
@@ -21,34 +21,37 @@ _EDGE = 1e-9  # barycentric: a point on an edge belongs to the triangle
 class LocalizedMap:
     """Piecewise linear map through controls `controls_px` (N, 2), `controls_mm` (N, 2).
 
-    `sound` (T,) bool: the triangles that are not slivers and are used.
+    `usable` (T,) bool: the triangles that are not slivers; only these are used.
     """
 
     controls_px: np.ndarray
     controls_mm: np.ndarray
     triangulation: Delaunay
-    sound: np.ndarray
+    usable: np.ndarray
 
     @staticmethod
     def fit(uv_px: np.ndarray, xy_mm: np.ndarray) -> "LocalizedMap":
-        """Return the map through controls (N, 2). Raises CalibrationRefusedError where every triangle is a sliver."""
+        """Return the map through controls (N, 2). Raises CalibrationRefusedError if no triangle is usable."""
         try:
             triangulation = Delaunay(uv_px)
         except (QhullError, ValueError):
             raise CalibrationRefusedError(
-                f"{len(uv_px)} controls do not span a triangle; give at least three that do not lie on one line"
+                f"{len(uv_px)} beads do not span a triangle; use at least three that do not lie on one line"
             ) from None
-        sound = (_flatness(uv_px[triangulation.simplices]) > MIN_FLATNESS) & (
+        usable = (_flatness(uv_px[triangulation.simplices]) > MIN_FLATNESS) & (
             _flatness(xy_mm[triangulation.simplices]) > MIN_FLATNESS
         )
-        if not sound.any():
-            raise CalibrationRefusedError("every triangle of the controls is a sliver; give more controls")
-        return LocalizedMap(uv_px, xy_mm, triangulation, sound)
+        if not usable.any():
+            raise CalibrationRefusedError(
+                f"all beads lie nearly on one line (triangle height below {100 * MIN_FLATNESS:.0f} % of its side); "
+                "use beads spread over the plate"
+            )
+        return LocalizedMap(uv_px, xy_mm, triangulation, usable)
 
     @property
     def triangles_px(self) -> np.ndarray:
         """(T, 3, 2) corners of the triangles that are used, in the image."""
-        return self.controls_px[self.triangulation.simplices[self.sound]]
+        return self.controls_px[self.triangulation.simplices[self.usable]]
 
     @cached_property
     def _affine(self) -> np.ndarray:
@@ -56,20 +59,20 @@ class LocalizedMap:
         corners = self.controls_px[self.triangulation.simplices]
         p = np.concatenate([np.swapaxes(corners, 1, 2), np.ones((len(corners), 1, 3))], axis=1)
         w = np.swapaxes(self.controls_mm[self.triangulation.simplices], 1, 2)
-        p[~self.sound] = np.eye(3)
+        p[~self.usable] = np.eye(3)
         return w @ np.linalg.inv(p)
 
-    def bounding(self, uv_px: np.ndarray) -> np.ndarray:
-        """Return (N,) the index of the triangle that contains each pixel, -1 where none does or it is a sliver."""
+    def containing_triangle(self, uv_px: np.ndarray) -> np.ndarray:
+        """Return (N,) int: the index of the usable triangle that contains each pixel (N, 2), -1 if there is none."""
         found = self.triangulation.find_simplex(uv_px, tol=_EDGE)
-        return np.where((found >= 0) & self.sound[found], found, -1)
+        return np.where((found >= 0) & self.usable[found], found, -1)
 
     def _inside(self, uv_px: np.ndarray) -> np.ndarray:
-        found = self.bounding(uv_px)
+        found = self.containing_triangle(uv_px)
         if (found < 0).any():
             where = ", ".join(f"({u:.1f}, {v:.1f})" for u, v in uv_px[found < 0][:3])
             raise OutsideRegionError(
-                f"{(found < 0).sum()} pixels lie in no triangle of fiducials ({where}); the localized method does not "
+                f"{(found < 0).sum()} pixels lie in no triangle of beads ({where}); the localized method does not "
                 "extrapolate: choose points inside the beads' convex hull, or the smooth method"
             )
         return found
@@ -108,7 +111,7 @@ class LocalizedMap:
     @cached_property
     def _barycentric(self) -> np.ndarray:
         """(T, 3, 3): takes (x, y, 1) of the plane to barycentric coordinates in each used triangle."""
-        corners = self.controls_mm[self.triangulation.simplices[self.sound]]
+        corners = self.controls_mm[self.triangulation.simplices[self.usable]]
         return np.linalg.inv(np.concatenate([np.swapaxes(corners, 1, 2), np.ones((len(corners), 1, 3))], axis=1))
 
     def to_image(self, xy_mm: np.ndarray) -> np.ndarray:
@@ -118,7 +121,7 @@ class LocalizedMap:
         if not found.all():
             point = target[~found][0]
             raise OutsideRegionError(
-                f"the point ({point[0]:.1f}, {point[1]:.1f}) mm of the plate lies in no triangle of fiducials; "
+                f"the point ({point[0]:.1f}, {point[1]:.1f}) mm of the plate lies in no triangle of beads; "
                 "the localized method does not extrapolate: choose points inside the convex hull, or the smooth method"
             )
         return uv

@@ -114,7 +114,7 @@ def _outside(projection: np.ndarray, xyz_mm: np.ndarray, mask: np.ndarray) -> np
 
 def _sentences(view: str, before: dict[str, float], after: dict[str, float], move_mm: np.ndarray) -> tuple[str, ...]:
     if not any(before.values()):
-        return (f"{view}: both plates lie entirely in the field; do not move anything.",)
+        return (f"{view}: both plates are fully in the field; the frame need not be moved.",)
     lost = " and ".join(f"{share:.0%} of the {name} plate" for name, share in before.items() if share)
     verb = "lies" if "and" not in lost else "lie"
     if not move_mm.any():

@@ -56,9 +56,9 @@ def views(
     """
     with Output(json=json, quiet=quiet) as output:
         from sightline.atomic import write_folder
-        from sightline.calibration.exchange.formats import known, write_view
+        from sightline.calibration.exchange.formats import check_format, write_view
 
-        kinds = [known(kind.strip()) for kind in to.split(",")]
+        kinds = [check_format(kind.strip()) for kind in to.split(",")]
         calibrated = _calibrate(output, [pa, lateral], frame, pixels=raw, invert=invert)
         files: dict[str, bytes] = {}
         documents = []

@@ -110,7 +110,7 @@ class Output:
         if checks:
             self.table(
                 "Checks",
-                ("check", "", "figure", "limit", "what it means"),
+                ("check", "", "value", "limit", "what it means"),
                 [_row(check) for check in sorted(checks, key=lambda check: check.passed)],  # failed ones first
             )
         self._document = as_json({**document, "checks": checks} if checks else document)

@@ -65,7 +65,7 @@ def watch(
         wire = wire if plan is None else _planned(plan, known, out)
         with out.step("planning images"):
             references = [_reference(path, known, invert=invert) for path in planned or ()]
-        out.note(f"no alarm is given for: {BLIND_TO}")
+        out.note(BLIND_TO)
         with Watch(known, images, wire, references) as watching:
             tally = _follow(watching, out, seconds)
         out.result(_summary(tally, watching) | {"blind_to": BLIND_TO})

@@ -22,18 +22,18 @@ _LIVE_S = 0.2  # update period of the robot's readings [ours]
 
 def _key(tab: Tab) -> Hashable:
     now = tab.procedure.drilling.now
-    told = () if now is None else (now.state, now.fault, now.doing, now.said, now.lost, now.zero)
+    told = () if now is None else (now.state, now.fault, now.activity, now.last_error, now.lost, now.zero)
     planning, decisions = tab.planning, tab.planning.decisions
     plan = (planning.planned, decisions.side, decisions.serial, tab.procedure.readiness.can_send)
     return (told, planning.sent, planning.drilled, planning.sent_is_current, plan, tab.procedure.jobs.working)
 
 
 def _shot_key(tab: Tab) -> Hashable:
-    # Without the plan in the key, typed values survive a change of step.
+    # The plan is not part of the key: when it changes, the form is kept with the values typed into it.
     now = tab.procedure.drilling.now
     if now is None:
         return None
-    return (now.state == State.PAUSED.value, now.zero, now.doing, tab.planning.sent_is_current)
+    return (now.state == State.PAUSED.value, now.zero, now.activity, tab.planning.sent_is_current)
 
 
 def build(tab: Tab) -> None:
@@ -51,7 +51,7 @@ def _robot(tab: Tab) -> None:
     note(texts.STOP_IS_NO_EMERGENCY_STOP, kind="warn")
     if now is None or now.lost:
         if now is not None:
-            note(now.said, kind="bad", testid="robot-said")
+            note(now.last_error, kind="bad", testid="robot-said")
         if tab.planning.patient is None:
             note(texts.NO_ROBOT, kind="warn", testid="no-robot")
             return
@@ -67,7 +67,7 @@ def _robot(tab: Tab) -> None:
     _state(tab)
     if drilling.session is not None and drilling.session.target is not None:
         checks(drilling.session.target.checks, testid="target-checks")
-    _orders(tab)
+    _commands(tab)
 
 
 def _state(tab: Tab) -> None:
@@ -75,9 +75,9 @@ def _state(tab: Tab) -> None:
     assert now is not None  # noqa: S101
     with ui.element("div").classes("robot-state").props("data-testid=robot-state role=status"):
         ui.label(now.state).classes("state-word")
-        ui.label(f"{now.doing} …" if now.doing else "").classes("state-doing")
-    if now.said:
-        note(now.said, kind="bad", testid="robot-said")
+        ui.label(f"{now.activity} …" if now.activity else "").classes("state-doing")
+    if now.last_error:
+        note(now.last_error, kind="bad", testid="robot-said")
     reading = ui.label().classes("live").props("data-testid=robot-live")
 
     def tell() -> None:
@@ -106,12 +106,12 @@ def _zero_words(now: "RobotNow") -> str:
     return " and ".join([", ".join(now.zero[:-1]), now.zero[-1]] if now.zero[1:] else now.zero)
 
 
-def _orders(tab: Tab) -> None:
+def _commands(tab: Tab) -> None:
     """Build the buttons for the possible commands; each motion needs a person's confirmation."""
     planning, drilling = tab.planning, tab.procedure.drilling
     session, now = drilling.session, drilling.now
     assert now is not None and session is not None  # noqa: S101
-    idle, state = not now.doing, now.state
+    idle, state = not now.activity, now.state
     if now.fault:
         note(texts.FAULT.format(number=now.fault, what=now.text), kind="bad", testid="fault")
         _confirmed_action(
@@ -164,7 +164,7 @@ def _second_shot(tab: Tab) -> None:
     drilling, now = tab.procedure.drilling, tab.procedure.drilling.now
     if now is None or now.state != State.PAUSED.value:
         return
-    enabled = not now.doing and tab.planning.sent_is_current
+    enabled = not now.activity and tab.planning.sent_is_current
     known = {"zero": _zero_words(now), "error": _error_words(now)}
     heading(texts.SHOT_HEADING)
     if texts.BY_SHOT in now.zero:
@@ -175,7 +175,7 @@ def _second_shot(tab: Tab) -> None:
     error = ui.number(texts.SHOT_ERROR, format="%.2f").props("outlined dense data-testid=shot-error")
 
     def tell() -> Awaitable[None]:
-        return drilling.tell_shot(*(float("nan" if one.value is None else one.value) for one in (depth, error)))
+        return drilling.send_shot_depth(*(float("nan" if one.value is None else one.value) for one in (depth, error)))
 
     _confirmed_action(tab, texts.SEND_DEPTH, texts.SHOT_QUESTION, tell, "tell-shot", enabled=enabled, kind="plain")
 
@@ -184,7 +184,7 @@ def _confirmed_action(
     tab: Tab,
     text: str,
     question: str,
-    order: Callable[[], Awaitable[object]],
+    command: Callable[[], Awaitable[object]],
     testid: str,
     *,
     what: str = "",
@@ -199,7 +199,7 @@ def _confirmed_action(
 
         async def agreed() -> None:
             dialog.close()
-            await tab.act(order)
+            await tab.act(command)
 
         with ui.element("div").classes("choice"):
             action(texts.CANCEL, dialog.close, testid=f"{testid}-cancel", kind="plain")

@@ -12,7 +12,7 @@ from sightline.case.watch.alarm import BLIND_TO
 if TYPE_CHECKING:
     from sightline.case.watch.analyser import Watched
 
-_UPDATE_S = 0.1  # half the age at which an image is stale; the browser is told each time (live.LATE_S)
+_UPDATE_S = 0.1  # half of STALE_S; each update extends how long the browser shows the image as current
 
 
 def build(tab: Tab) -> None:
@@ -20,7 +20,7 @@ def build(tab: Tab) -> None:
     heading(texts.LIVE_HEADING)
     Section(tab, lambda t: t.procedure.live.watch is not None, _switch)
     said = ui.label().classes("note").props("data-testid=live-state role=status")
-    note(texts.LIVE_BLIND.format(what=BLIND_TO), kind="quiet")
+    note(BLIND_TO, kind="quiet")
 
     def update() -> None:
         watched = tab.procedure.live.latest()

@@ -107,8 +107,8 @@ def _drill(procedure: Procedure) -> _Found:
     planning, now = procedure.planning, procedure.drilling.now
     if planning.drilled is not None:
         return StepStatus.DONE, texts.DRILL_DONE
-    if now is not None and (now.lost or now.fault or now.said):
-        return StepStatus.ATTENTION, now.said or now.text or texts.LINK_LOST
+    if now is not None and (now.lost or now.fault or now.last_error):
+        return StepStatus.ATTENTION, now.last_error or now.text or texts.LINK_LOST
     if now is not None and planning.sent is not None and now.state != State.UNDEFINED.value:
         return StepStatus.OPEN, texts.ROBOT_IN.format(state=now.state)
     if not procedure.readiness.can_send:

@@ -144,8 +144,9 @@ class DrillingWorkflow:
         await session.align()
 
     async def drill(self, since: State) -> None:
-        """Drill from ALIGNED to the pause, or from PAUSED to the end. Raises RobotRefusedError, LinkError,
-        CaseError."""
+        """Drill from ALIGNED to the pause, or from PAUSED to the end. `since`: the state in which the person confirmed.
+
+        Raises RobotRefusedError, LinkError, CaseError."""
         session = self._running()
         self._refuse_changed()
         if await session.drill(since) != State.DONE.value:
@@ -156,13 +157,13 @@ class DrillingWorkflow:
         planning.case.record(Kind.DRILLED, content, by=Actor.ROBOT)
         planning.jobs.notify()
 
-    async def tell_shot(self, depth_mm: float, error_95_mm: float) -> None:
+    async def send_shot_depth(self, depth_mm: float, error_95_mm: float) -> None:
         """Send the robot, in PAUSED, the tip's depth that a person measured in the second shot. Raises
         RobotRefusedError, LinkError, CaseError."""
         session = self._running()
         self._refuse_changed()
         told = {"depth_mm": depth_mm, "error_95_mm": error_95_mm, "robot_depth_mm": session.now.depth_mm}
-        await session.tell_shot(depth_mm, error_95_mm)
+        await session.send_shot_depth(depth_mm, error_95_mm)
         record_changed(self._planning.case, "second shot", told, by=Actor.SURGEON)
 
     def _refuse_changed(self) -> None:

@@ -1,4 +1,4 @@
-"""Live image during drilling: watched, calibrated and overlaid as by `sightline watch`, ten times a second."""
+"""Live image during drilling: analysed as by `sightline watch`, ten times a second, with the plan drawn over it."""
 
 import asyncio
 from collections.abc import Iterable, Iterator
@@ -13,7 +13,9 @@ if TYPE_CHECKING:
     from sightline.case.watch.analyser import TimedImage, Watched
     from sightline.case.watch.live import Watch
 
-LATE_S = 0.2  # freshness is reported every 0.1 s; allow one period and 0.1 s of latency [ours]
+# Freshness is reported every 0.1 s; allow one period and 0.1 s of latency. If the reports stop, an image can show as
+# current until it is STALE_S + LATE_S = 0.4 s old [ours].
+LATE_S = 0.2
 EVERY = 3  # of 30 images a second every third is processed, to leave processor time for the page [ours]
 
 
@@ -26,8 +28,11 @@ class Live:
         self._starting = False
 
     async def start(self, source: str | None) -> None:
-        """Watch a source by its name, or the rehearsed patient's C-arm if None. The overlay is the plan that was sent
-        with its views, else the current plan. Raises SightlineError."""
+        """Watch a source by its name, or the rehearsed patient's C-arm if None. Raises SightlineError.
+
+        The overlay shows the plan that was sent, or the current plan if none was sent. Movement is measured against the
+        views of that plan.
+        """
         from sightline.case.watch.live import Watch
 
         if self._starting:
@@ -59,7 +64,10 @@ class Live:
 
 
 def fresh_s(watched: "Watched") -> float:
-    """Return for how long, s, a page may show an image as current without another report."""
+    """Return for how long, s, a page may show an image as current without another report; 0 for a stale one.
+
+    Without further reports this ends when the image is STALE_S + LATE_S old.
+    """
     from sightline.case.watch.analyser import STALE_S
 
     return 0.0 if watched.stale else STALE_S - watched.age_s + LATE_S

@@ -1,4 +1,4 @@
-"""The app's session with the robot: the link on its own thread, the robot's streams, and people's orders."""
+"""The app's session with the robot: the link on its own thread, the robot's streams, and people's commands."""
 
 import asyncio
 import threading
@@ -31,22 +31,23 @@ from sightline.robot.link.simulated import SimulatedWire
 T = TypeVar("T")
 _STATUS_EVERY_S = 0.25  # [ours]
 _STOPS = 4  # STOPs that may be in progress at once; a further press waits for one of them [ours]
-_IDLE_S = 0.02  # polling period of the order queue
-_NOTIFIED = ("state", "fault", "doing", "said", "lost", "zero")  # changes that notify pages; they poll the rest
+_IDLE_S = 0.02  # polling period of the command queue
+_NOTIFIED = ("state", "fault", "activity", "last_error", "lost", "zero")  # notify pages; they poll the rest
 _MAX_SIGMA = 3.0  # largest difference in combined standard deviations; three in a thousand shots exceed it [ours]
 
 
 @dataclass(frozen=True, eq=False)
 class RobotNow:
-    """The robot's state at one moment. `state`: as in the link's contract; `fault`: its number, 0 for none; `doing`:
-    the current order; `said`: the error of the last order. `depth_sd_mm`: standard deviation of the depth, None if not
-    stated; `zero`: what the zero of depth is based on."""
+    """The robot's state at one moment. `state`: as in the link's contract; `fault`: its number, 0 for none.
+    `activity`: what the current command does, "" without one; `last_error`: the error of the last command, "" without
+    one. `depth_sd_mm`: standard deviation of the depth, None if not stated; `zero`: what the zero of depth is based
+    on."""
 
     state: str = "UNDEFINED"
     text: str = ""
     fault: int = 0
-    doing: str = ""
-    said: str = ""
+    activity: str = ""
+    last_error: str = ""
     depth_mm: float | None = None
     depth_sd_mm: float | None = None
     zero: tuple[str, ...] = (BY_PLAN,)
@@ -55,14 +56,16 @@ class RobotNow:
     lost: bool = False
 
 
-_Order = tuple[Callable[[RobotClient], Any], Future[Any]]  # what to do, and where its result goes
+_Command = tuple[Callable[[RobotClient], Any], Future[Any]]  # what to do, and where its result goes
 
 
 class RobotSession:
-    """Session with a robot at a port of this machine. `changed` is called, from any thread, when state, fault or orders
-    change.
+    """Session with a simulated robot at a port of this machine. `changed` is called, from any thread, when state, fault
+    or commands change.
 
-    Orders are carried out one at a time; `stop` is sent at once, on a separate connection.
+    Commands are carried out one at a time; `stop` is sent at once, on a separate connection.
+    `imaged_q` (5,): joints at the images, read when the session opens: the simulated robot starts in its pose at the
+    images and moves only on commands of this session.
     """
 
     def __init__(
@@ -72,11 +75,11 @@ class RobotSession:
         self.robot, self.now, self.target = robot, RobotNow(), None
         self._changed, self._heartbeat = changed, heartbeat
         self._recorder = Recorder()
-        self._telling = False
-        self._orders: SimpleQueue[_Order] = SimpleQueue()
+        self._sending_shot = False
+        self._commands: SimpleQueue[_Command] = SimpleQueue()
         self._end = threading.Event()
         self._lock = threading.Lock()  # for `now` and `_over`, which this thread and the link's replace
-        self._over = False  # orders are no longer carried out
+        self._over = False  # commands are no longer carried out
         self._stops = ThreadPoolExecutor(_STOPS, "stop")  # threads of its own, so that STOP waits for no other work
         self._client = RobotClient(port=port, heartbeat=heartbeat)
         self._client.listeners.append(self._heard)
@@ -100,6 +103,7 @@ class RobotSession:
         """Return the robot's target for a plan. `imaged_s`: time of the images, time.monotonic.
 
         Raises RobotRefusedError."""
+        # Both times are `imaged_s`, so that no age is checked: `imaged_q` holds for the simulated robot at its images.
         pose = PoseAtImage(self.imaged_q, imaged_s, imaged_s)
         return target_of(plan, identity, register(self.robot, {"pa": pose, "lateral": pose}))
 
@@ -107,13 +111,13 @@ class RobotSession:
         """Send the registration and the target. `depth_limit_mm` from the entry point. Raises RobotRefusedError,
         LinkError."""
 
-        def order(client: RobotClient) -> None:
+        def command(client: RobotClient) -> None:
             client.start_up()
             client.calibrate(target.registration.T_mcs_cfcs, target.registration.imaged_s)
             client.aim_plan(target, time.monotonic(), depth_limit_mm)
 
         self._recorder, self.target = Recorder(), None
-        await self._do("receiving the plan", order)
+        await self._do("receiving the plan", command)
         self.target = target
 
     async def align(self) -> None:
@@ -123,40 +127,44 @@ class RobotSession:
     async def drill(self, since: State) -> str:
         """Drill from ALIGNED to the pause, or from PAUSED to the end; return the state at the end.
 
-        Raises RobotRefusedError if the robot has left the state that the person confirmed, LinkError."""
+        `since`: the state in which the person confirmed. Raises RobotRefusedError if the robot has left it, LinkError.
+        """
         return await self._do("drilling", lambda client: client.drill(), since)
 
     def refuse_shot(self, depth_mm: float, error_95_mm: float) -> None:
         """Raise RobotRefusedError if a depth measured in the second shot contradicts the robot's depth, or was already
         sent: one shot counts once."""
         now, sd = self.now, error_95_mm / TWO_SIDED_95
-        if BY_SHOT in now.zero or self._telling:
-            raise RobotRefusedError("the depth of the second shot was already sent, and one shot counts once")
+        if BY_SHOT in now.zero or self._sending_shot:
+            raise RobotRefusedError("the depth of this second shot was already sent; continue drilling, or stop")
         if not (np.isfinite([depth_mm, sd]).all() and sd > 0.0):
             raise RobotRefusedError("enter the depth of the tip in the second shot and its 95 % error, both in mm")
         if now.depth_mm is None or now.depth_sd_mm is None:
-            raise RobotRefusedError("the robot states no depth with an error: the shot cannot be combined with it")
+            raise RobotRefusedError(
+                "the robot does not report the error of its depth, so this depth cannot be sent; check the wire in the "
+                "images before you continue"
+            )
         apart, together = abs(depth_mm - now.depth_mm), float(np.hypot(sd, now.depth_sd_mm))
         if apart > _MAX_SIGMA * together:
             raise RobotRefusedError(
-                f"measure the shot again: it shows the tip at {depth_mm:.1f} mm, the robot states "
-                f"{now.depth_mm:.1f} mm, but by their errors they are at most {_MAX_SIGMA * together:.1f} mm apart. "
-                "If the difference remains, stop and plan on new images"
+                f"measure the shot again: it shows the tip at {depth_mm:.1f} mm, the robot reports "
+                f"{now.depth_mm:.1f} mm. The difference is {apart:.1f} mm; at most {_MAX_SIGMA * together:.1f} mm is "
+                "consistent with their errors. If it remains, press STOP and plan on new images"
             )
 
-    async def tell_shot(self, depth_mm: float, error_95_mm: float) -> None:
+    async def send_shot_depth(self, depth_mm: float, error_95_mm: float) -> None:
         """Send the tip's depth measured in the second shot, in PAUSED. Raises RobotRefusedError, LinkError."""
         self.refuse_shot(depth_mm, error_95_mm)
 
-        def order(client: RobotClient) -> None:
-            self._telling = True  # the next decrease of the depth's error is due to the shot
+        def command(client: RobotClient) -> None:
+            self._sending_shot = True  # the next decrease of the depth's error is due to the shot
             try:
                 client.shot_depth(depth_mm, error_95_mm / TWO_SIDED_95)
             except RobotRefusedError:  # after any other error the robot may have accepted it
-                self._telling = False
+                self._sending_shot = False
                 raise
 
-        await self._do("receiving the depth of the shot", order, State.PAUSED)
+        await self._do("receiving the depth of the shot", command, State.PAUSED)
 
     async def retract(self) -> None:
         """Retract the wire, or the open chuck. Raises RobotRefusedError, LinkError."""
@@ -171,40 +179,40 @@ class RobotSession:
         return await self._do("reporting where the wire is", lambda client: client.simulated_wire())
 
     async def stop(self) -> None:
-        """Stop at once; waiting orders are dropped. Raises LinkError."""
-        self._drop_orders("the robot was told to stop")
+        """Stop at once; waiting commands are dropped. Raises LinkError."""
+        self._drop_commands("the robot was told to stop")
         with self._lock:
             if self._over:
                 raise LinkError("use the red button: the link to the robot is lost, so STOP does not reach it")
             stopping = self._stops.submit(self._client.stop)
         await asyncio.wrap_future(stopping)
 
-    async def _do(self, doing: str, order: Callable[[RobotClient], T], since: State | None = None) -> T:
+    async def _do(self, activity: str, command: Callable[[RobotClient], T], since: State | None = None) -> T:
         future: Future[Any] = Future()
-        self._begin(doing, since, (order, future))
+        self._begin(activity, since, (command, future))
         try:
             return await asyncio.wrap_future(future)
         except SightlineError as error:
-            self._put(said=str(error))
+            self._put(last_error=str(error))
             raise
         finally:
-            self._put(doing="")
+            self._put(activity="")
 
-    def _begin(self, doing: str, since: State | None, ordered: _Order) -> None:
-        # One order at a time: a second confirmation, for example on another page, was made for an earlier state.
+    def _begin(self, activity: str, since: State | None, queued: _Command) -> None:
+        # One command at a time: a second confirmation, for example on another page, was made for an earlier state.
         with self._lock:
             now = self.now
             if now.lost or self._over:
                 raise LinkError("start the robot again: the link to it is lost")
-            if now.doing:
-                raise RobotRefusedError(f"wait, or stop the robot: it is still {now.doing}")
+            if now.activity:
+                raise RobotRefusedError(f"wait, or stop the robot: it is still {now.activity}")
             if since is not None and now.state != since.value:
                 raise RobotRefusedError(
                     f"check the robot and confirm again: it is now in {now.state}, no longer in {since.value}"
                 )
-            self.now = replace(now, doing=doing, said="")
-            self._orders.put(ordered)
-        self._tell()
+            self.now = replace(now, activity=activity, last_error="")
+            self._commands.put(queued)
+        self._notify()
 
     # The link's thread.
 
@@ -214,7 +222,7 @@ class RobotSession:
                 asked_s = 0.0
                 while not self._end.is_set():
                     with suppress(Empty):
-                        self._carry_out(*self._orders.get_nowait())
+                        self._carry_out(*self._commands.get_nowait())
                     if time.monotonic() - asked_s > _STATUS_EVERY_S:
                         status = self._client.status()
                         state = status.text.split(";")[0] or status.error_name
@@ -225,24 +233,24 @@ class RobotSession:
                     else:
                         self._end.wait(_IDLE_S)
         except Exception as error:
-            self._put(lost=True, said=sentence_of(error), doing="")
+            self._put(lost=True, last_error=sentence_of(error), activity="")
             if not isinstance(error, LinkError):
                 raise
         finally:
             with self._lock:
-                self._over = True  # later orders are refused; those in the queue are dropped below
-            self._put(lost=True, doing="")
-            self._drop_orders("the link to the robot was closed")
+                self._over = True  # later commands are refused; those in the queue are dropped below
+            self._put(lost=True, activity="")
+            self._drop_commands("the link to the robot was closed")
             self._stops.shutdown(wait=False)
 
-    def _drop_orders(self, why: str) -> None:
+    def _drop_commands(self, why: str) -> None:
         with suppress(Empty):
             while True:
-                self._orders.get_nowait()[1].set_exception(LinkError(why))
+                self._commands.get_nowait()[1].set_exception(LinkError(why))
 
-    def _carry_out(self, order: Callable[[RobotClient], Any], future: Future[Any]) -> None:
+    def _carry_out(self, command: Callable[[RobotClient], Any], future: Future[Any]) -> None:
         try:
-            result = order(self._client)
+            result = command(self._client)
         except BaseException as error:
             future.set_exception(error)
             if isinstance(error, LinkError) and not self._answers():
@@ -271,21 +279,23 @@ class RobotSession:
             self._put(joints=np.array(body.values[0]))
 
     def _heard_error(self, sd_mm: float | None) -> None:
-        """Record the depth's standard deviation. It decreases with new information on the zero, and increases with a
-        new target."""
+        """Record the depth's standard deviation, and infer `zero`, which the robot does not report.
+
+        A decrease means a new source of the zero: the second shot if its depth was just sent, else contact with bone.
+        An increase or a missing value means a new target, whose zero rests on the plan."""
         before, zero = self.now.depth_sd_mm, self.now.zero
         if sd_mm is None or before is None or sd_mm > before:
-            zero, self._telling = (BY_PLAN,), False
+            zero, self._sending_shot = (BY_PLAN,), False
         elif sd_mm < before:
-            zero, self._telling = (*zero, BY_SHOT if self._telling else BY_CONTACT), False
+            zero, self._sending_shot = (*zero, BY_SHOT if self._sending_shot else BY_CONTACT), False
         self._put(depth_sd_mm=sd_mm, zero=zero)
 
     def _put(self, **news: Any) -> None:
         with self._lock:
             before, self.now = self.now, replace(self.now, **news)
         if any(getattr(before, name) != news[name] for name in _NOTIFIED if name in news):
-            self._tell()
+            self._notify()
 
-    def _tell(self) -> None:
+    def _notify(self) -> None:
         if not self._end.is_set():  # when closing, the listeners may no longer exist
             self._changed()

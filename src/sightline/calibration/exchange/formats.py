@@ -30,8 +30,12 @@ FORMATS = (*_WRITE, *_WRITE_WITH_IMAGE)
 
 
 def write_view(pinhole: Pinhole, kind: str, pixels: np.ndarray | None = None) -> dict[str, bytes]:
-    """Return the files of one view by their names; RTK's and xReg's include the image. Raises UnusableInputError."""
-    if known(kind) in _WRITE_WITH_IMAGE:
+    """Return the files of one view by their names. Raises UnusableInputError.
+
+    `pixels` (H, W): the image, which only RTK's and xReg's files hold. Without it RTK's image is all zeros, and xReg's
+    file holds none.
+    """
+    if check_format(kind) in _WRITE_WITH_IMAGE:
         return _WRITE_WITH_IMAGE[kind](pinhole, pixels)
     return _WRITE[kind](pinhole)
 
@@ -39,16 +43,16 @@ def write_view(pinhole: Pinhole, kind: str, pixels: np.ndarray | None = None) ->
 def read_view(path: str | Path, kind: str | None = None, name: str | None = None) -> Pinhole:
     """Return a view from a file of another program.
 
-    `kind`: the format; by default from the file's name (`pa.xreg.h5`). `name`: of the view, "pa" or "lateral", or of
-    one of several projections in an xReg file, "proj-001"; by default the first word of the file's name.
-    Raises UnusableInputError.
+    `kind`: the format; by default from the file's name (`pa.xreg.h5`), else "opencv". `name`: of the view,
+    "pa" or "lateral", or of one of several projections in an xReg file, "proj-001"; by default the first word of the
+    file's name. Raises UnusableInputError.
 
     >>> sl.read_view("pa.opencv.json").view().name
     'pa'
     """
     file = Path(path)
     words = file.name.lower().split(".")
-    kind = known(kind or next((word for word in words[1:] if word in FORMATS), "opencv"))
+    kind = check_format(kind or next((word for word in words[1:] if word in FORMATS), "opencv"))
     view = name or re.sub(r"[^\w-]", "_", words[0])[:32]
     data = reading.read_bytes(file, _MAX_BYTES.get(kind, reading.MAX_BYTES))
     try:
@@ -65,7 +69,7 @@ def _head(image: Path) -> bytes:
         return stream.read(4096)
 
 
-def known(kind: str) -> str:
+def check_format(kind: str) -> str:
     """Return the name of a format. Raises UnusableInputError for an unknown one."""
     if kind not in FORMATS:
         raise UnusableInputError(f"unknown format of a view {kind!r}; choose one of {', '.join(FORMATS)}")

@@ -219,7 +219,7 @@ def _triangles(report: Report) -> list[dict[str, Any]]:
         if image.seen.image is None or not isinstance(net, LocalizedMap):
             continue
         uv = np.array([pair[k].uv_px for pair in report.plan.picks])
-        found = net.bounding(uv)
+        found = net.containing_triangle(uv)
         bounding = net.controls_px[net.triangulation.simplices[found[found >= 0]]]
         marks = [radiographs.triangles(net.triangles_px, bounding)]
         marks += [plan_marks.pick(pair[k], name) for pair, name in zip(report.plan.picks, POINTS, strict=True)]

@@ -17,7 +17,10 @@ FOUND = 0.99  # ... with this probability
 HOUR = 108_000  # images at 30 a second, with one false alarm
 IN_A_ROW = 2  # images beyond the limit: a single one may be torn, blurred or badly measured [ours]
 _REST_SD = 3.0  # allowance for the error of the rest position, in s.d.: it is constant and does not average out [ours]
-BLIND_TO = "a bone that moves against a still frame moves no bead: this cannot see it; take a check image"
+BLIND_TO = (
+    "The live check sees only the frame. It cannot detect that the bone moves while the frame stays still. "
+    "Acquire a check image if in doubt."
+)
 
 
 @dataclass(frozen=True)

@@ -51,9 +51,8 @@ class Samples:
         outside = np.abs(beyond) > MOVING_LIMIT
         if outside.any():
             joint = int(np.argmax(outside))
-            return (
-                f"outside the workspace: {describe_excess(joint, float(reading.encoders[joint]), float(beyond[joint]))}"
-            )
+            at, excess = float(reading.encoders[joint]), float(beyond[joint])
+            return f"outside the workspace: {describe_excess(joint, at, excess, 'is at')}"
         if reading.flags & PlantFlag.OVERLOAD and state in MOVING:
             return "a drive is at the limit of its force: something blocks the robot"
         if state in WAITING:

@@ -302,8 +302,8 @@ def _wrapped(angle: float) -> float:
     return float((angle + np.pi) % (2 * np.pi) - np.pi)
 
 
-def describe_excess(joint: int, q: float, beyond: float) -> str:
-    """Return the text that says by how much a joint would exceed its limit."""
+def describe_excess(joint: int, q: float, beyond: float, verb: str = "would go to") -> str:
+    """Return the text that says by how much a joint would exceed its limit; with `verb` "is at", that it does."""
     scale, unit = (float(np.rad2deg(1.0)), "°") if ROTARY[joint] else (1.0, " mm")
     at, by, limit = (f"{scale * value:.1f}{unit}" for value in (q, abs(beyond), q - beyond))
-    return f"{JOINTS[joint]} would go to {at}, {by} beyond its limit of {limit}"
+    return f"{JOINTS[joint]} {verb} {at}, {by} beyond its limit of {limit}"

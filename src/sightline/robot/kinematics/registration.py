@@ -1,4 +1,7 @@
-"""Registration of CFCS to MCS: the frame's pose at each image, from the robot that holds it."""
+"""Registration of CFCS to MCS: the frame's pose at each image, from the joints of the robot that holds it.
+
+`T_mcs_cfcs` maps points from CFCS to MCS. The link's CLB_ message carries its inverse.
+"""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -8,6 +11,7 @@ from scipy.spatial.transform import RigidTransform
 
 from sightline.errors import RobotRefusedError, UnusableInputError
 from sightline.robot.kinematics.calibrated import CalibratedRobot
+from sightline.robot.kinematics.manipulator import JOINTS, describe_excess
 
 # The frame must not move between the images. A larger difference in its origin or direction than this is a movement,
 # not the encoders' resolution [ours].
@@ -42,11 +46,14 @@ class Registration:
 def register(robot: CalibratedRobot, poses: Mapping[str, PoseAtImage]) -> Registration:
     """Return the registration from the pose at each image, by view.
 
-    Raises UnusableInputError for poses that are not finite; RobotRefusedError for a pose that is stale or beyond the
-    joint limits, and for a robot that moved between the images.
+    Raises UnusableInputError without poses, and for a pose without five finite joint values or with a time that is not
+    finite; RobotRefusedError for a pose that is stale or beyond the joint limits, and for a robot that moved between
+    the images.
     """
     if not poses:
-        raise UnusableInputError("a registration needs the robot's pose at each image")
+        raise UnusableInputError(
+            "acquire the images with the robot connected: a registration needs the robot's pose at each image"
+        )
     for view, pose in poses.items():
         _refuse_unusable(robot, view, pose)
     manipulator = robot.manipulator
@@ -59,20 +66,25 @@ def register(robot: CalibratedRobot, poses: Mapping[str, PoseAtImage]) -> Regist
 
 
 def _refuse_unusable(robot: CalibratedRobot, view: str, pose: PoseAtImage) -> None:
-    times = np.array([pose.read_s, pose.imaged_s])
-    if np.shape(pose.q) != (5,) or not np.isfinite(pose.q).all() or not np.isfinite(times).all():
+    finite, age_s = int(np.isfinite(pose.q).sum()), abs(pose.read_s - pose.imaged_s)
+    if np.shape(pose.q) != (len(JOINTS),) or finite < len(JOINTS):
         raise UnusableInputError(
-            f"the robot's pose at the {view} image needs five finite joint positions and two times"
+            f"acquire the images again with the robot connected: the pose at the {view} image has {finite} finite "
+            f"joint values ({len(JOINTS)} needed)"
         )
-    if abs(pose.read_s - pose.imaged_s) > FRESH_S:
+    if not np.isfinite(age_s):
+        raise UnusableInputError(f"acquire the {view} image again: its time or the time of its pose is not finite")
+    if age_s > FRESH_S:
         raise RobotRefusedError(
-            f"the robot's pose was read {abs(pose.read_s - pose.imaged_s):.2f} s from the {view} image (at most "
-            f"{FRESH_S:g} s); check that robot and images share a clock, and take the image again"
+            f"check that robot and images share a clock, and acquire the {view} image again: the robot's pose was read "
+            f"{age_s:.2f} s from it (at most {FRESH_S:g} s)"
         )
-    if robot.manipulator.beyond_limits(pose.q).any():
+    beyond = robot.manipulator.beyond_limits(pose.q)
+    if beyond.any():
+        joints = [describe_excess(j, pose.q[j], beyond[j], "is at") for j in np.flatnonzero(beyond).tolist()]
         raise RobotRefusedError(
-            f"the joints at the {view} image lie beyond the manipulator's limits: another robot's calibration, or "
-            "encoders that were never homed; home the robot and take the images again"
+            "load this robot's calibration, or home the robot; then acquire both images again: at the "
+            f"{view} image {'; '.join(joints)}"
         )
 
 
@@ -80,7 +92,7 @@ def _refuse_moved(view: str, moved: RigidTransform) -> None:
     shift, rotation = np.linalg.norm(moved.translation), moved.rotation.magnitude()
     if shift > STILL_MM or rotation > STILL_RAD:
         raise RobotRefusedError(
-            f"the robot moved between the images: at the {view} image the frame stood {shift:.2f} mm and "
-            f"{np.rad2deg(rotation):.3f}° from its mean place (at most {STILL_MM:g} mm and "
-            f"{np.rad2deg(STILL_RAD):.2f}°); hold it still and take both images again"
+            "hold the robot still and acquire both images again: it moved between the images. At the "
+            f"{view} image the frame was {shift:.2f} mm and {np.rad2deg(rotation):.3f}° from its mean pose (at most "
+            f"{STILL_MM:g} mm and {np.rad2deg(STILL_RAD):.2f}°)"
         )
