@@ -67,7 +67,6 @@ def _drill(output: "Output", planned: DemoPlan, rng: "np.random.Generator") -> "
     from sightline.planning.check_shot import Landmarks
     from sightline.rehearsal.operation import InsertionOutcome, insert, registered, target_of
     from sightline.rehearsal.process import RobotProcess
-    from sightline.robot.control.motion.supervision import depth_limit
     from sightline.robot.kinematics.target import PlanIdentity
     from sightline.robot.link.client import RobotClient
     from sightline.twin.implants import WIRE_DIAMETER_MM
@@ -80,7 +79,7 @@ def _drill(output: "Output", planned: DemoPlan, rng: "np.random.Generator") -> "
             RobotClient(port=process.port, heartbeat=False) as robot,
         ):
             target = target_of(plan, identity, registered(rehearsal.robot, robot.joints()[0], monotonic()))
-            record = insert(robot, target, depth_limit(_surface_mm(planned, rng), target.end_error_95_mm))
+            record = insert(robot, target, _depth_limit(planned, target.end_error_95_mm, rng))
             wire = robot.simulated_wire()
     with output.step("7/8 the check shot: two more images, finding the wire in both"):
         taken = rehearsal.check_images(wire)
@@ -109,15 +108,20 @@ def _read_back(images: "dict[str, Radiograph]", frame: "Frame") -> "Pair":
         return calibrate_pair(see_pair(pa, lateral, frame), frame, "smooth")
 
 
-def _surface_mm(planned: DemoPlan, rng: "np.random.Generator") -> float:
-    """Return the distance along the wire from the planned entry to the head's surface, picked in both views."""
+def _depth_limit(planned: DemoPlan, end_error_95_mm: float, rng: "np.random.Generator") -> float:
+    """Return the depth limit beyond the planned entry, mm: the distance along the wire to the head's surface, picked in
+    both views, less the 95 % error of both."""
     import numpy as np
 
+    from sightline.geometry.covariance import TWO_SIDED_95
     from sightline.planning import reconstruct
+    from sightline.robot.control.motion.supervision import depth_limit
 
     uv = planned.rehearsal.pixels(planned.rehearsal.surface_mm[None])
     uv = uv + planned.pick_sd_px * rng.standard_normal(uv.shape)
     spread = np.broadcast_to(planned.pick_sd_px**2 * np.eye(2), (2, 1, 2, 2))
-    found = reconstruct([image.view for image in planned.images], uv, spread).xyz_mm[0]
-    trajectory = planned.plan.trajectory
-    return float((found - trajectory.entry_mm) @ trajectory.direction)
+    surface = reconstruct([image.view for image in planned.images], uv, spread)
+    entry_mm, along = planned.plan.trajectory.entry_mm, planned.plan.trajectory.direction
+    sd_mm = np.sqrt(along @ surface.covariance_mm2[0] @ along)
+    error_mm = np.hypot(TWO_SIDED_95 * sd_mm, end_error_95_mm)
+    return depth_limit(float((surface.xyz_mm[0] - entry_mm) @ along), float(error_mm))

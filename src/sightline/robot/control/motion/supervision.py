@@ -57,8 +57,8 @@ def depth_limit(distance_mm: float, depth_error_95_mm: float) -> float:
     limit = distance_mm - depth_error_95_mm
     if not (isfinite(limit) and depth_error_95_mm >= 0 and limit > 0):
         raise RobotRefusedError(
-            f"no depth is safe: the surface lies {distance_mm:.1f} mm beyond the zero of depth, and the depth errs by "
-            f"up to {depth_error_95_mm:.1f} mm; take a check shot to fix the zero, or plan a shorter wire"
+            "fix the zero of depth by a second shot, or plan a shorter wire: no depth is safe, since the surface lies "
+            f"{distance_mm:.1f} mm beyond the zero and the 95 % error of depth is {depth_error_95_mm:.1f} mm"
         )
     return limit
 
