@@ -105,7 +105,7 @@ def test_the_command_line_refuses_until_it_is_confirmed(run, beads_csv: Path, se
     assert "frame handedness" in [c["name"] for c in ran.document["checks"] if not c["passed"]]
     assert [view["mirrored"] for view in ran.document["views"]] == [True, True]
     assert run(*command, "--mirrored", "lateral").document["verdict"] == "incomplete"  # nobody drew the head
-    assert "no view 'AP'" in run(*command, "--mirrored", "AP").out
+    assert "'AP' is not a view" in run(*command, "--mirrored", "AP").out
     alone = ["calibrate", beads_csv, "--view", "pa", "--frame", left]
     assert run(*alone).code == 0
     ran = run(*alone, "--no-mirrored")

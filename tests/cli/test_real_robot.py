@@ -138,7 +138,7 @@ def test_a_plan_on_other_images_than_those_registered_is_refused(robot_file, pla
             other = written(tmp_path / "other.json", frame=FRAME, views=views)
             done = run("drive", other, address, "--registration", robot_file, say="y\n" * 5)
             assert done.exit_code == 3
-            assert "plan on the images that were registered" in " ".join(done.stderr.split())
+            assert "plan on the registered images" in " ".join(done.stderr.split())
         register(robot_file, address, images | {"lateral": new})
         planned_anew = written(tmp_path / "new.json", frame=FRAME, views=[named[0], anew])
         for planned, refused in ((plan, True), (planned_anew, False)):
