@@ -282,7 +282,7 @@ def test_undo_steps_the_guide_back_and_a_click_in_the_black_corner_places_nothin
     expect(hands.see("instruction")).to_contain_text("PA image")
     hands.until("pa", "core.state.placing === 'end'")
     hands.click("pa", (6.0, 6.0))
-    expect(hands.see("xray-pa").get_by_test_id("lost")).to_contain_text("X-rays do not reach")
+    expect(hands.see("xray-pa").get_by_test_id("lost")).to_contain_text("Click inside the X-ray field")
     hands.place("end", "pa", truth()["end"]["pa"])
     hands.until("lateral", "core.state.placing === 'end'")
     hands.press("undo")

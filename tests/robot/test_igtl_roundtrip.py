@@ -128,9 +128,9 @@ def altered(row: int, column: int, value: float) -> np.ndarray:
     [
         (altered(0, 3, np.nan), "finite"),
         (altered(1, 1, np.inf), "finite"),
-        (np.diag([1.001, 1.001, 1.001, 1]), "length 1"),
-        (np.diag([0.0, 0, 0, 1]), "length 1"),
-        (altered(0, 1, 0.001), "square"),
+        (np.diag([1.001, 1.001, 1.001, 1]), "not orthonormal"),
+        (np.diag([0.0, 0, 0, 1]), "not orthonormal"),
+        (altered(0, 1, 0.001), "not orthonormal"),
         (altered(0, 0, -1), "left-handed"),
     ],
 )
