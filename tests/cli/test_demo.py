@@ -96,7 +96,7 @@ def test_the_report_of_its_case_tells_exposures_and_deviations(run, demo_folder,
     assert document["drilled"]["check_shot"] == then["check_shot"]
     assert document["drilled"]["record"] == then["record"]
     page = (tmp_path / "report.html").read_text()
-    for words in ("The drilled wire", "check shot: the wire against the plan", "The robot noticed", "Exposures"):
+    for words in ("The drilled wire", "check shot: the wire against the plan", "The robot detected", "Exposures"):
         assert words in page
 
 

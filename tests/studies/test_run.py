@@ -177,14 +177,14 @@ def test_the_keyboard_stops_it_and_the_same_command_goes_on(tmp_path):
         os.killpg(running.pid, signal.SIGINT)
         said = running.communicate(timeout=60)[1]
     assert running.returncode == 130, said
-    assert "the same command goes on from there" in said
+    assert "run the same command to continue" in said
     assert "Traceback" not in said
     kept = len(lines(out)) - 1
     assert 3 <= kept < 60
     again = subprocess.run(  # noqa: S603 - our own command
         command, env=environment, capture_output=True, text=True, check=True, timeout=120
     )
-    assert f"{kept} trials were finished before; {60 - kept} are left" in again.stderr
+    assert f"{kept} trials were finished earlier; {60 - kept} remain" in again.stderr
     document = json.loads((out / "result.json").read_text())
     expected = np.median([np.random.default_rng([SEED, k]).standard_normal() for k in range(60)])
     assert document["figures"][0]["value"] == pytest.approx(expected)

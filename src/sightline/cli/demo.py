@@ -204,7 +204,7 @@ def _show_drilled(output: Output, drilled: "Drilled") -> None:
 
     told = section(drilled) or {}
     output.table("The drilled wire", ("", "entry mm", "tip mm", "direction °"), told["rows"])
-    output.say(f"The robot noticed: {told['events']}. {told['check']}")
+    output.say(f"The robot detected: {told['events']}. {told['check']}")
 
 
 def _row(one: "Compared | Refused") -> tuple[str, ...]:

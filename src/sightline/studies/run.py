@@ -88,7 +88,7 @@ class StudyRun:
 
     @property
     def _kept(self) -> str:
-        return f"{len(self.record.finished)} finished trials are kept; the same command goes on from there"
+        return f"{len(self.record.finished)} finished trials are kept; run the same command to continue"
 
     def _until_a_death(self, hired: Workers, deaths: Counter[int], advance: Callable[[], None]) -> list[int]:
         """Do trials until none is left or a worker dies; return the trials that were running when it died."""
