@@ -43,7 +43,7 @@ class Checked:
 
 
 def drill(output: "Output", planned: DemoPlan, rng: "np.random.Generator") -> "tuple[Drilled, Checked] | None":
-    """Return what robot and check shot gave; None, with a message, where there is no robot or it refuses."""
+    """Return the drilled wire and its check shot; None, with a message, if the robot is not installed or refuses."""
     from sightline.errors import RefusedError
 
     if find_spec("mujoco") is None:

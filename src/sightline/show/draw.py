@@ -5,7 +5,12 @@ from typing import Any
 
 import numpy as np
 
-BLUE, ORANGE, RED, GREEN = "#56b4e9", "#ffb000", "#ff3b30", "#2bd19a"  # seen on grey, and told apart by all eyes
+BLUE, ORANGE, RED, GREEN = (
+    "#56b4e9",
+    "#ffb000",
+    "#ff3b30",
+    "#2bd19a",
+)  # visible on grey, distinguishable with colour-vision deficiency
 _ARROW_PX = 0.06  # of the image's width: length that the 95 % quantile of arrows is drawn with
 _ELLIPSOID = 0.08  # of the points' extent: size that an error ellipsoid is drawn with
 _STEPS = np.array([1.0, 2.0, 5.0])

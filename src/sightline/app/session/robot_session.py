@@ -65,7 +65,7 @@ class RobotSession:
 
     Commands are carried out one at a time; `stop` is sent at once, on a separate connection.
     `imaged_q` (5,): joints at the images, read when the session opens: the simulated robot starts in its pose at the
-    images and moves only on commands of this session.
+    images and moves only on commands sent here.
     """
 
     def __init__(

@@ -13,7 +13,7 @@ from sightline.robot.link.record import DrillingRecord
 def report_of(case: Case) -> Report:
     """Return the report of the last plan and its drilling, recomputed from the originals, which name the images.
 
-    Raises CaseError if there is no plan, and what the stages raise.
+    Raises CaseError if the case holds no plan; also raises the errors of the recomputed stages.
     """
     entry = case.latest(Kind.PLANNED)
     if entry is None:

@@ -37,7 +37,7 @@ class SetTarget:
 
 @dataclass(frozen=True)
 class Reset:
-    """A remote reset by a person who has read the fault of this number."""
+    """A person's confirmation, over the link, that the fault of this number was read and may be reset."""
 
     fault: int
 
