@@ -10,7 +10,7 @@ from sightline.calibration import BeadView, CalibratedView, CArm, calibrate
 from sightline.calibration.fit import Method
 from sightline.detection import Detections, Observations, detect, is_inverted, label, look_again
 from sightline.detection.causes import cause_of
-from sightline.detection.wire import find_wire
+from sightline.detection.wire import WireShadow, find_wire
 from sightline.errors import DetectionRefusedError, LabellingRefusedError
 from sightline.frame import Frame
 from sightline.imaging import GeometryTags, Radiograph, as_radiograph, image_checks
@@ -80,10 +80,20 @@ def check_shot(
         image, beads = find_beads(as_radiograph(given, white))
         observations = label_beads(image, beads, frame, before.name)
         view = view_of(observations, image, frame, c_arm=known_arm(image))
-        expected = expected_wire(view, plan.trajectory, plan.kind.limits.beyond_mm)
-        wires.append(find_wire(image, expected, plan.kind.wire_mm, beads.uv_px, beads.radius_px))
+        wires.append(find_planned_wire(plan, image, beads, view, plan.kind.wire_mm))
         views.append(view)
     return adjusted(plan.trajectory, plan.picks, planned, views, wires, landmarks=landmarks, limits=plan.kind.limits)
+
+
+def find_planned_wire(
+    plan: Plan, image: Radiograph, beads: Detections, view: CalibratedView, wire_mm: float
+) -> WireShadow:
+    """Return the wire of diameter `wire_mm` in a check image, searched for about its plan.
+
+    Raises what `expected_wire` and `find_wire` raise.
+    """
+    expected = expected_wire(view, plan.trajectory, plan.kind.limits.beyond_mm)
+    return find_wire(image, expected, wire_mm, beads.uv_px, beads.radius_px)
 
 
 def find_beads(image: Radiograph) -> tuple[Radiograph, Detections]:

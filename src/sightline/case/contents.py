@@ -99,19 +99,17 @@ class CheckRequest:
     def shot(self, made: Plan, planned: Pair, checked: Pair) -> CheckShot:
         """Find the wire in both check images and compare it with the plan.
 
-        Raises CaseError if a check view is a table of beads, and what `find_wire` and `check_shot` raise.
+        Raises CaseError if a check view is a table of beads, and what `find_planned_wire` and `check_shot` raise.
         """
-        from sightline.detection.wire import find_wire
+        from sightline.pipeline import find_planned_wire
         from sightline.planning.check_shot import check_shot
-        from sightline.planning.expected_wire import expected_wire
 
         wires = []
         for image in checked:
             seen = image.seen
             if seen.image is None or seen.beads is None:
                 raise CaseError("a check shot needs two images that show the wire; a table of beads shows no wire")
-            expected = expected_wire(image.view, made.trajectory, made.kind.limits.beyond_mm)
-            wires.append(find_wire(seen.image, expected, self.wire_mm, seen.beads.uv_px, seen.beads.radius_px))
+            wires.append(find_planned_wire(made, seen.image, seen.beads, image.view, self.wire_mm))
         before, after = ([image.view for image in pair] for pair in (planned, checked))
         return check_shot(
             made.trajectory, made.picks, before, after, wires, landmarks=self.landmarks, limits=made.kind.limits
@@ -155,9 +153,7 @@ def planned(asked: PlanRequest, made: Plan) -> dict[str, Any]:
     return {
         "asked": asked,
         "used_uv_px": {"entry": used[0], "end": used[1]},
-        **made.verdict_document(),
-        "trajectory": made.trajectory.document(),
-        "landmarks": made.landmarks_document(),
+        **made.document(),
         "checks": [check_document(check) for check in made.verdict.checks],
     }
 

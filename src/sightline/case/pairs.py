@@ -9,7 +9,7 @@ from sightline.case.canonical import canonical, digest
 from sightline.case.contents import Pair
 from sightline.case.journal import Actor, Case, Entry, Kind
 from sightline.case.journal.originals import name_of, short
-from sightline.case.stages import TABLE, acquired_of, frame_of, image_of, keep_frame, record_acquired, record_seen
+from sightline.case.stages import TABLE, acquired_of, image_of, keep_frame, record_acquired, record_seen
 from sightline.case.views import NAMES, CalibratedImage, ObservedView, see_pair, spoken
 from sightline.detection.detections_csv import are_detections
 from sightline.errors import CaseError, RefusedError, UnusableInputError
@@ -28,12 +28,6 @@ class SeenPair:
     seen: tuple[ObservedView, ObservedView]
     source: tuple[Path, Path] | tuple[Entry, Entry]
     skipped: tuple[str, ...] = ()
-
-
-def frame_in_use(case: Case) -> Frame | None:
-    """Return the frame that the case was last set to; None if it was never set. Raises CaseError, FrameError."""
-    set_to = case.latest(Kind.CHANGED, {"what": "frame"})
-    return None if set_to is None else frame_of(case, str(set_to.content["to"]))
 
 
 def given_pair(files: tuple[Path, Path], frame: Frame, *, invert: bool = False) -> SeenPair:

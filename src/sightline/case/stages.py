@@ -68,6 +68,12 @@ def _frames_before(case: Case) -> Iterator[Frame]:
     yield from (frame_of(case, name) for name in sorted(named - BUILTIN.keys()))
 
 
+def frame_in_use(case: Case) -> str | None:
+    """Return the reference of the frame that the case was last set to; None if it was never set. Raises CaseError."""
+    entry = case.latest(Kind.CHANGED, where={"what": "frame"})
+    return None if entry is None else str(entry.content["to"])
+
+
 def frame_of(case: Case, name: str) -> Frame:
     """Return the frame of a reference from `keep_frame`. Raises CaseError, FrameError."""
     return Frame.load(name if name in BUILTIN else case.original(name))

@@ -121,15 +121,15 @@ def plan(
 
         from sightline.case.contents import PlanRequest
         from sightline.case.journal import Actor, Case
-        from sightline.case.pairs import frame_in_use, record_pair
-        from sightline.case.stages import record_planned
+        from sightline.case.pairs import record_pair
+        from sightline.case.stages import frame_in_use, frame_of, record_planned
         from sightline.case.views import calibrate_pair
         from sightline.frame import Frame
         from sightline.planning import Aids, Circle
 
         opened = None if case is None else case_of(stack, case, files)
         in_use = None if opened is None or frame is not None else frame_in_use(opened)
-        known_frame = in_use or Frame.load(frame or "gamma")
+        known_frame = Frame.load(frame or "gamma") if opened is None or in_use is None else frame_of(opened, in_use)
         with output.step("finding and labelling the beads"):
             pair = pair_of(output, opened, files, known_frame, invert=invert)
         with output.step(f"calibrating both views ({method})"):
@@ -226,9 +226,7 @@ def plan_document(planned: "Plan", images: "tuple[CalibratedImage, CalibratedIma
     from sightline.case.documents import view_document
 
     return {
-        **planned.verdict_document(),
-        "trajectory": planned.trajectory.document(),
-        "landmarks": planned.landmarks_document(),
+        **planned.document(),
         "views": [view_document(image) for image in images],
     }
 

@@ -111,6 +111,14 @@ class Plan(Plotted):
             for name, reach in zip(("entry", "end"), self.noticed_mm, strict=True)
         ]
 
+    def document(self) -> dict[str, Any]:
+        """Return verdict, limits, trajectory and landmarks as JSON types, without the checks."""
+        return {
+            **self.verdict_document(),
+            "trajectory": self.trajectory.document(),
+            "landmarks": self.landmarks_document(),
+        }
+
     def verdict_document(self) -> dict[str, Any]:
         """Return the verdict and its limits as JSON types, without the checks."""
         limits = self.kind.limits

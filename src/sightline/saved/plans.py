@@ -71,9 +71,7 @@ def plan_written(plan: Plan) -> dict[str, Any]:
     if len(seen) == len(views_of):
         geometry, _ = bundle(plan, seen, views.inputs_of(seen[0].view).frame)
     return {
-        **plan.verdict_document(),
-        "trajectory": plan.trajectory.document(),
-        "landmarks": plan.landmarks_document(),
+        **plan.document(),
         "views": [_view_written(one) for one in views_of],
         "checks": plan.verdict.checks,
         "asked": {**plan.arguments, "kind": plan.kind.key, "limits": limits},

@@ -12,7 +12,7 @@ from sightline.app.session.rehearsing import Patient
 from sightline.app.session.verifying import Verifying
 from sightline.app.session.worker import WorkerProcess
 from sightline.case import stages
-from sightline.case.journal import Actor, Case, Kind
+from sightline.case.journal import Actor, Case
 from sightline.errors import UnusableInputError
 from sightline.frame import Frame
 
@@ -40,10 +40,10 @@ class Procedure:
         if patient is not None and case.last == 0:
             stages.record_changed(case, "rehearsal", vars(patient), by=Actor.APP)
         # The frame is recorded last: a case without one was interrupted during creation, or has only acquired images.
-        if case.latest(Kind.CHANGED, where={"what": "frame"}) is None:
-            stages.record_changed(case, "frame", stages.keep_frame(case, frame), by=Actor.APP)
-        entry = case.latest(Kind.CHANGED, where={"what": "frame"})
-        kept = "gamma" if entry is None else str(entry.content["to"])
+        kept = stages.frame_in_use(case)
+        if kept is None:
+            kept = stages.keep_frame(case, frame)
+            stages.record_changed(case, "frame", kept, by=Actor.APP)
         if frame_name is not None and stages.keep_frame(case, frame) != kept:
             raise UnusableInputError(
                 "open this case without --frame, or begin a new case for this frame: it was begun with another one"
