@@ -287,7 +287,7 @@ def test_undo_steps_the_guide_back_and_a_click_in_the_black_corner_places_nothin
     hands.until("lateral", "core.state.placing === 'end'")
     hands.press("undo")
     hands.until("pa", "core.state.placing === 'end'")
-    assert hands.core("lateral", "core.state.placing") is None
+    hands.until("lateral", "core.state.placing === null")  # each image is told in a message of its own
     hands.press("undo")  # the removal too
     hands.until("pa", "core.state.placing === null && core.state.points.get('end').uv !== null")
 
