@@ -99,7 +99,7 @@ def test_frame_errors_move_the_lines_as_the_frame_factor_says(method, plate):
     beads = np.array([f.xyz_mm for f in GAMMA.view("pa").fiducials])
     bent = replace(nominal, uv_px=camera.project(beads + moves))
     before, after = (calibrate(o, GAMMA, "pa", method, plate=plate) for o in (nominal, bent))
-    predicted = before.lines_of_sight(uv).frame_factor @ errors
+    predicted = before.lines_of_sight(uv).shared["frame"] @ errors
     moved = line_numbers(after, uv) - line_numbers(before, uv)
     scale = np.sqrt(np.diag(before.lines_of_sight(uv).covariance["frame"]))
     assert np.abs((moved - predicted) / scale).max() < 0.1
@@ -109,9 +109,11 @@ def test_two_views_of_one_frame_share_their_frame_errors():
     view = calibrate(Camera.pa().observe(GAMMA), GAMMA)
     lines = view.lines_of_sight(Camera.pa().project(TARGETS_MM))
     assert lines.frame_key == GAMMA.fingerprint
-    assert lines.frame_factor.shape == (3 + 2 * len(TARGETS_MM), GAMMA.error_factor.shape[1])
-    np.testing.assert_allclose(lines.covariance["frame"], lines.frame_factor @ lines.frame_factor.T)
-    lateral = lines.frame_factor[:, GAMMA.rows("lateral")]
+    assert tuple(lines.shared) == ("frame",)
+    response = lines.shared["frame"]
+    assert response.shape == (3 + 2 * len(TARGETS_MM), GAMMA.error_factor.shape[1])
+    np.testing.assert_allclose(lines.covariance["frame"], response @ response.T)
+    lateral = response[:, GAMMA.rows("lateral")]
     assert np.abs(lateral).max() == 0.0  # errors of the other view's own beads do not touch this one
 
 

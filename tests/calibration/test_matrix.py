@@ -44,7 +44,7 @@ def test_lines_run_from_the_focal_point_through_the_points_seen(scale):
 def test_without_a_covariance_the_error_is_unknown():
     lines = view_from_matrix(P).lines_of_sight(pixels(P))
     assert lines.covariance is None
-    assert lines.frame_factor is None
+    assert not lines.shared
 
 
 def test_the_covariance_of_the_matrix_reaches_the_lines_as_sampling_shows():

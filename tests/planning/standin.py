@@ -70,16 +70,20 @@ class StandInView:
             raise OutsideRegionError(f"view {self.name!r}: a point lies outside the calibrated region")
         return uv_px
 
+    def response(self, uv_px: np.ndarray) -> np.ndarray:
+        """(3 + 2N, 23): derivative of the lines of sight by p."""
+        out = np.zeros((3 + 2 * len(uv_px), 23))
+        out[:3, :3] = np.eye(3)
+        out[3::2, 3:13] = out[4::2, 13:] = _basis(uv_px)
+        return out
+
     def lines_of_sight(self, uv_px: np.ndarray) -> LinesOfSight:
         uv = self._within(np.asarray(uv_px, dtype=np.float64))
-        n = len(uv)
-        response = np.zeros((3 + 2 * n, 23))
-        response[:3, :3] = np.eye(3)
-        response[3::2, 3:13] = response[4::2, 13:] = _basis(uv)
-        covariance = frame = None
+        response = self.response(uv)
+        covariance, shared = None, {}
         if self.factors is not None:
             covariance = {s: response @ f @ f.T @ response.T for s, f in self.factors.items()}
-            frame = response @ self.factors["frame"]
+            shared = {"frame": response @ self.factors["frame"]}
         return LinesOfSight(
             view=self.name,
             plane=self.plane,
@@ -87,7 +91,7 @@ class StandInView:
             xy_mm=self.to_plane(uv),
             jacobian=self.jacobian(uv),
             covariance=covariance,
-            frame_factor=frame,
+            shared=shared,
             frame_key=self.frame_key,
             inside_hull=np.linalg.norm(uv - CENTRE_PX, axis=-1) < HULL_PX,
         )

@@ -18,7 +18,7 @@ STEP_MM = 1e-3  # differences are then exact to 1e-6 of a derivative
 def lines(focal_mm: np.ndarray, xy_mm: np.ndarray) -> LinesOfSight:
     count = len(xy_mm)
     identity = np.broadcast_to(np.eye(2), (count, 2, 2))
-    return LinesOfSight("pa", PLANE, focal_mm, xy_mm, identity, None, None, None, np.ones(count, dtype=bool))
+    return LinesOfSight("pa", PLANE, focal_mm, xy_mm, identity, None, {}, None, np.ones(count, dtype=bool))
 
 
 XY_MM = PLANE.central_projection(FOCAL_MM, POINTS_MM) + np.array([[0.3, -0.2], [-0.1, 0.4], [0.2, 0.1]])

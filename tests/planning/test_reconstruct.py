@@ -105,12 +105,41 @@ def test_frames_error_is_shared_between_views_of_the_frame():
 
     class WithoutFactor(StandInView):
         def lines_of_sight(self, uv_px):
-            return replace(alone(self, uv_px), frame_factor=None, frame_key=None)
+            return replace(alone(self, uv_px), shared={}, frame_key=None)
 
     fields = {name: getattr(views[1], name) for name in StandInView.__dataclass_fields__}
     apart = reconstruct([views[0], WithoutFactor(**fields)], uv, method="nearest")
     np.testing.assert_array_equal(shared.budget_mm2["map"], apart.budget_mm2["map"])
     assert not np.allclose(shared.budget_mm2["frame"], apart.budget_mm2["frame"], rtol=0.05)
+
+
+def test_errors_of_one_adjustment_are_shared_by_its_views_alone():
+    """With "map" an error of both views the points' covariance changes, by exactly the cross-covariance of the two."""
+    uv = _seen(_views(), TARGETS_MM)
+
+    class Adjusted(StandInView):
+        adjustment = "first"
+
+        def lines_of_sight(self, uv_px):
+            lines = StandInView.lines_of_sight(self, uv_px)
+            by_map = self.response(uv_px) @ self.factors["map"]
+            return replace(lines, shared={**lines.shared, "map": by_map}, adjustment=self.adjustment)
+
+    class AdjustedLater(Adjusted):
+        adjustment = "second"
+
+    def budget(*kinds):
+        views = [kind(**vars(view)) for kind, view in zip(kinds, _views(), strict=True)]
+        return reconstruct(views, uv, method="nearest").budget_mm2
+
+    alone, together, apart = (
+        budget(StandInView, StandInView),
+        budget(Adjusted, Adjusted),
+        budget(Adjusted, AdjustedLater),
+    )
+    for source in BUDGET:
+        np.testing.assert_array_equal(apart[source], alone[source])
+        assert np.array_equal(together[source], alone[source]) == (source != "map")
 
 
 @pytest.mark.slow

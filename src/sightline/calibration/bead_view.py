@@ -51,7 +51,8 @@ class BeadView(Plotted):
     (M, 2): detections that were not labelled; None where unknown. `c_arm`: the known dimensions of the C-arm.
     `mirrored`: whether the image shows the frame file's beads as their mirror image; `mirrored_display`: whether a
     person saw that the display is mirrored, None where nobody was asked. `inputs`: what the view was calibrated from,
-    None where it was made otherwise.
+    None where it was made otherwise. `adjustment`: names the adjustment of several views that this one comes from;
+    None where it was calibrated by itself.
     """
 
     name: str
@@ -72,6 +73,7 @@ class BeadView(Plotted):
     mirrored_display: bool | None = None
     c_arm: CArm | None = None
     inputs: CalibrationInputs | None = None
+    adjustment: str | None = None
 
     def __post_init__(self) -> None:
         self.focal_point_mm.flags.writeable = False
@@ -138,9 +140,8 @@ class BeadView(Plotted):
     def focal_point_sd_mm(self) -> np.ndarray:
         """(3,) standard deviations of the focal point's coordinates."""
         middle = self.residuals.uv_px[self.residuals.used].mean(axis=0)
-        errors = self.posterior.line_errors(middle[None])
-        variance = np.diag(errors.noise + errors.misfit)[:3] + (errors.frame_factor[:3] ** 2).sum(axis=1)
-        return np.sqrt(variance)
+        errors = self.posterior.line_errors(middle[None]).by_source()
+        return np.sqrt(np.sum([np.diag(covariance)[:3] for covariance in errors.values()], axis=0))
 
     @property
     def upright(self) -> bool:
@@ -240,9 +241,10 @@ class BeadView(Plotted):
             xy_mm=xy,
             jacobian=jacobian,
             covariance=errors.by_source(),
-            frame_factor=errors.frame_factor,
+            shared=errors.shared(),
             frame_key=self.frame_key,
             inside_hull=self.hull.contains(uv),
             upright=self.upright,
             beads_near=self._support.near(uv),
+            adjustment=self.adjustment,
         )

@@ -81,7 +81,9 @@ class FocalLength:
 
         value, by = response(values, np.concatenate([focal, fit.map.to_plane(uv).ravel()]))
         errors = fit.line_errors(uv)
-        own, frame = by @ (errors.noise + errors.misfit) @ by.T, by @ errors.frame_factor
+        of_frame = errors.shared()["frame"]
+        own = by @ (np.sum(list(errors.by_source().values()), axis=0) - of_frame @ of_frame.T) @ by.T
+        frame = by @ of_frame
         low, high = _over_beads(fit, middle_px)
         sd = float(np.sqrt(own[1, 1] + frame[1] @ frame[1]))
         return FocalLength(float(np.exp(value[0])), low, high, float(own[0, 0]), frame[0], float(value[1]), sd)

@@ -122,7 +122,7 @@ class MatrixView(Shown):
             xy_mm=xy,
             jacobian=self.plane_map.jacobian(uv),
             covariance=self._covariance(uv, xy),
-            frame_factor=None,
+            shared={},
             frame_key=None,
             inside_hull=np.ones(len(uv), dtype=bool),
         )

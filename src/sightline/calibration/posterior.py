@@ -18,6 +18,10 @@ class LineErrors:
     misfit: np.ndarray
     frame_factor: np.ndarray
 
+    def shared(self) -> dict[str, np.ndarray]:
+        """Return `LinesOfSight.shared`: views of one frame share its errors."""
+        return {"frame": self.frame_factor}
+
     def by_source(self) -> dict[str, np.ndarray]:
         """Return the covariance for each of `view.SOURCES`; they add up to the total, and none has negative variances.
 
@@ -46,9 +50,21 @@ def _symmetric(matrix: np.ndarray) -> np.ndarray:
     return 0.5 * (matrix + matrix.T)
 
 
+class StatedErrors(Protocol):
+    """Errors of (focal point, xy of line 1, ..., xy of line N), 3 + 2N numbers, mm."""
+
+    def by_source(self) -> dict[str, np.ndarray]:
+        """Return the covariance (3 + 2N, 3 + 2N) for each of `view.SOURCES`; they add up to the total."""
+        ...
+
+    def shared(self) -> dict[str, np.ndarray]:
+        """Return `LinesOfSight.shared`, (3 + 2N, K) for each source whose errors other views share."""
+        ...
+
+
 class Posterior(Protocol):
     """A method's fit, which states the errors of its lines of sight."""
 
-    def line_errors(self, uv_px: np.ndarray) -> LineErrors:
+    def line_errors(self, uv_px: np.ndarray) -> StatedErrors:
         """Return the errors of focal point and lines of sight of pixels (N, 2)."""
         ...

@@ -1,5 +1,6 @@
 """The interface of a calibrated view (plane map and focal point with their joint covariance), and lines of sight."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Protocol
 
@@ -44,10 +45,12 @@ class LinesOfSight:
     `jacobian` (N, 2, 2) is d xy / d uv, mm/px: it propagates a pick's covariance to the plane.
     `covariance`: for each of SOURCES the (3 + 2N, 3 + 2N) covariance, mm², of (focal point, xy of line 1, ..., xy of
     line N), without the picks' own noise; None where the error is unknown.
-    `frame_factor` (3 + 2N, K): the response of the same numbers to the K independent unit-variance errors of the frame
-    (`Frame.error_factor`), so covariance["frame"] = frame_factor @ frame_factor.T, and the cross-covariance of two
-    views a and b of the frame is a.frame_factor @ b.frame_factor.T; None without a frame. `frame_key`:
-    `Frame.fingerprint`, None for a view without a frame; views with different keys are not combined.
+    `shared`: for each source whose errors other views share, the response (3 + 2N, K) of the same numbers to its K
+    independent unit-variance errors: covariance[s] includes shared[s] @ shared[s].T, and the cross-covariance of two
+    views a and b is the sum of a.shared[s] @ b.shared[s].T over `a.sources_shared_with(b)`. The errors of "frame" are
+    those of `Frame.error_factor`; other sources are shared by the views of one `adjustment` only. Empty without a
+    frame. `frame_key`: `Frame.fingerprint`, None for a view without a frame; views with different keys are not
+    combined.
     `inside_hull` (N,) bool: within the convex hull of the beads. `upright`: whether the image shows the frame file's
     beads not mirrored, with a display allowed for that a person stated to be mirrored; None without a frame.
     `beads_near` (N, 3) int: of the frame's beads nearest to each pixel, how many the calibration uses, how many seem to
@@ -60,11 +63,12 @@ class LinesOfSight:
     xy_mm: np.ndarray
     jacobian: np.ndarray
     covariance: dict[str, np.ndarray] | None
-    frame_factor: np.ndarray | None
+    shared: Mapping[str, np.ndarray]
     frame_key: str | None
     inside_hull: np.ndarray
     upright: bool | None = None
     beads_near: np.ndarray | None = None
+    adjustment: str | None = None
 
     @property
     def points_mm(self) -> np.ndarray:
@@ -77,6 +81,11 @@ class LinesOfSight:
         d = self.points_mm - self.focal_point_mm
         return d / np.linalg.norm(d, axis=-1, keepdims=True)
 
+    def sources_shared_with(self, other: "LinesOfSight") -> list[str]:
+        """Return the sources whose errors are the same in both views."""
+        together = self.adjustment == other.adjustment
+        return [source for source in self.shared if source in other.shared and (together or source == "frame")]
+
     def only(self, rows: slice) -> "LinesOfSight":
         """Return the lines in `rows` with their part of the covariance."""
         numbers = np.arange(3 + 2 * len(self.xy_mm))
@@ -87,7 +96,7 @@ class LinesOfSight:
             xy_mm=self.xy_mm[rows],
             jacobian=self.jacobian[rows],
             covariance=None if each is None else {source: c[np.ix_(kept, kept)] for source, c in each.items()},
-            frame_factor=None if self.frame_factor is None else self.frame_factor[kept],
+            shared={source: response[kept] for source, response in self.shared.items()},
             inside_hull=self.inside_hull[rows],
             beads_near=None if self.beads_near is None else self.beads_near[rows],
         )

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sightline.calibration.projection import Pencil
-from sightline.calibration.view import SOURCES, LinesOfSight
+from sightline.calibration.view import LinesOfSight
 from sightline.planning.line_residuals import LineResiduals, pick_covariance_mm2
 
 
@@ -19,14 +19,16 @@ class Rows:
     """R rows of one view, mm on its reference plane, for N points.
 
     `residual` (R,); `to_point` (R, N, 3): derivative of the projections by the points; `covariance` (R, R): without
-    the frame's error; `frame` (R, K): response to the K unit-variance errors of the frame `frame_key`.
+    the errors that `lines` share with other views; `shared`: for each source of those the response (R, K), as in
+    `LinesOfSight.shared`.
     """
+
+    lines: LinesOfSight
 
     residual: np.ndarray
     to_point: np.ndarray
     covariance: np.ndarray
-    frame: np.ndarray
-    frame_key: str | None
+    shared: dict[str, np.ndarray]
 
     @staticmethod
     def of(lines: LinesOfSight, xyz_mm: np.ndarray, noise_px2: np.ndarray, select: np.ndarray) -> "Rows":
@@ -39,14 +41,12 @@ class Rows:
         picks = np.zeros((n, 2, n, 2))
         picks[np.arange(n), :, np.arange(n), :] = pick_covariance_mm2(lines, noise_px2)
         to_line = select @ at.to_line
-        known = np.sum([lines.covariance[source] for source in SOURCES if source != "frame"], axis=0)
+        common = {source: response @ response.T for source, response in lines.shared.items()}
+        known = np.sum([own - common.get(source, 0.0) for source, own in lines.covariance.items()], axis=0)
         own = to_line @ known @ to_line.T + select @ picks.reshape(2 * n, 2 * n) @ select.T
-        factor = lines.frame_factor
-        if factor is None:
-            own = own + to_line @ lines.covariance["frame"] @ to_line.T
-            factor = np.zeros((to_line.shape[1], 0))
         to_point = np.einsum("rnc,nca->rna", select.reshape(len(select), n, 2), at.to_point)
-        return Rows(select @ at.xy_mm.ravel(), to_point, own, to_line @ factor, lines.frame_key)
+        shared = {source: to_line @ response for source, response in lines.shared.items()}
+        return Rows(lines, select @ at.xy_mm.ravel(), to_point, own, shared)
 
 
 def along_and_across(lines: LinesOfSight, xyz_mm: np.ndarray, tangent: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -59,15 +59,14 @@ def along_and_across(lines: LinesOfSight, xyz_mm: np.ndarray, tangent: np.ndarra
 
 
 def joint_covariance(rows: Sequence[Rows]) -> np.ndarray:
-    """Return the covariance (R, R) of the concatenated rows of several views; views of a frame share its errors."""
+    """Return the covariance (R, R) of the concatenated rows of several views."""
     ends = np.cumsum([0, *(len(one.residual) for one in rows)])
     out = np.zeros((ends[-1], ends[-1]))
     for i, a in enumerate(rows):
         for j, b in enumerate(rows):
-            block = np.zeros((len(a.residual), len(b.residual)))
+            block = out[ends[i] : ends[i + 1], ends[j] : ends[j + 1]]
             if i == j:
                 block += a.covariance
-            if i == j or (a.frame_key is not None and b.frame_key is not None):
-                block += a.frame @ b.frame.T
-            out[ends[i] : ends[i + 1], ends[j] : ends[j + 1]] = block
+            for source in a.lines.sources_shared_with(b.lines):
+                block += a.shared[source] @ b.shared[source].T
     return out

@@ -156,7 +156,7 @@ def _sd_across_px(
     view_covariance = np.sum(list(samples.lines.covariance.values()), axis=0)
     variance = np.einsum("ip,pq,iq->i", by_line, line_covariance, by_line)
     variance += np.einsum("ip,pq,iq->i", by_view, view_covariance, by_view)
-    first, second = line.frame_factor, samples.lines.frame_factor
-    if first is not None and second is not None:
-        variance -= 2.0 * np.einsum("ik,ik->i", by_line @ first, by_view @ second)
+    for source in line.sources_shared_with(samples.lines):
+        shared = by_line @ line.shared[source], by_view @ samples.lines.shared[source]
+        variance -= 2.0 * np.einsum("ik,ik->i", *shared)
     return np.sqrt(variance)

@@ -46,7 +46,7 @@ class LineResiduals:
 def covariance_by_source(first: LineResiduals, second: LineResiduals) -> dict[str, np.ndarray] | None:
     """Return the covariance (4N, 4N) of the residuals of both views (view, point, axis) for each of SOURCES.
 
-    None where a view's error is unknown. Two views share only the frame's error; a view from a matrix has none.
+    None where a view's error is unknown. The views are correlated through the errors that they share.
     """
     a, b = first.lines, second.lines
     if a.covariance is None or b.covariance is None:
@@ -57,10 +57,10 @@ def covariance_by_source(first: LineResiduals, second: LineResiduals) -> dict[st
         out[source] = np.zeros((2 * n, 2 * n))
         out[source][:n, :n] = first.to_line @ a.covariance[source] @ first.to_line.T
         out[source][n:, n:] = second.to_line @ b.covariance[source] @ second.to_line.T
-    if a.frame_factor is not None and b.frame_factor is not None:
-        shared = (first.to_line @ a.frame_factor) @ (second.to_line @ b.frame_factor).T
-        out["frame"][:n, n:] = shared
-        out["frame"][n:, :n] = shared.T
+    for source in a.sources_shared_with(b):
+        shared = (first.to_line @ a.shared[source]) @ (second.to_line @ b.shared[source]).T
+        out[source][:n, n:] = shared
+        out[source][n:, :n] = shared.T
     return out
 
 

@@ -52,7 +52,7 @@ class Sights:
 
     @property
     def covariance(self) -> np.ndarray | None:
-        """The covariance of z; None where a view's error is unknown. Two views share only the frame's error."""
+        """The covariance of z; None where a view's error is unknown."""
         first, second = self.lines
         if first.covariance is None or second.covariance is None:
             return None
@@ -67,9 +67,9 @@ class Sights:
             on_plane = on_plane.reshape(2 * count, 2 * count)
             own[3:, 3:] += on_plane @ picks_px2 @ on_plane.T
             whole[at : at + len(own), at : at + len(own)] = own
-        if first.frame_factor is not None and second.frame_factor is not None:
-            whole[:size, size:] = first.frame_factor @ second.frame_factor.T
-            whole[size:, :size] = whole[:size, size:].T
+        for source in first.sources_shared_with(second):
+            whole[:size, size:] += first.shared[source] @ second.shared[source].T
+        whole[size:, :size] = whole[:size, size:].T
         return whole
 
     def index(self, name: str) -> np.ndarray:
