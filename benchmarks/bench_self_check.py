@@ -16,7 +16,6 @@ from sightline.calibration.self_check import self_check
 from sightline.detection import Observations
 from sightline.errors import SightlineError
 from sightline.frame import Frame
-from sightline.frame.deviations import fiducials
 from sightline.studies.scenes import VIEWS
 from sightline.twin import SetUp, bead_images, draw_setup
 from sightline.twin.carm import with_errors
@@ -95,7 +94,7 @@ def image(rng: np.random.Generator, setup: SetUp, view: str) -> Observations:
 
 
 def _places(frame: Frame) -> np.ndarray:
-    return np.array([f.xyz_mm for f in fiducials(frame)])
+    return np.array([f.xyz_mm for f in frame.fiducials])
 
 
 def _motions(frame: Frame, errors_mm: np.ndarray) -> Figures:

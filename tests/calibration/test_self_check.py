@@ -9,12 +9,11 @@ from sightline.calibration.self_check import SelfCheck, self_check
 from sightline.detection.results import Observations
 from sightline.errors import CalibrationRefusedError, ObservationsError
 from sightline.frame import Frame
-from sightline.frame.deviations import fiducials
 from sightline.twin.carm import bead_images, displaced, draw_setup, with_errors
 
 GAMMA = Frame.load("gamma")
-IDS = [f.id for f in fiducials(GAMMA)]
-NOMINAL_MM = np.array([f.xyz_mm for f in fiducials(GAMMA)])
+IDS = [f.id for f in GAMMA.fiducials]
+NOMINAL_MM = np.array([f.xyz_mm for f in GAMMA.fiducials])
 SEEDS = (11, 12, 13, 14, 15)
 SD_PX = 0.1
 
@@ -43,7 +42,7 @@ def checked() -> dict[tuple[int, int], tuple[np.ndarray, SelfCheck]]:
     for seed in SEEDS:
         rng = np.random.default_rng(seed)
         true = with_errors(GAMMA, rng)
-        errors = np.array([f.xyz_mm for f in fiducials(true)]) - NOMINAL_MM
+        errors = np.array([f.xyz_mm for f in true.fiducials]) - NOMINAL_MM
         seen = images(rng, true, 8)
         for number in (4, 8):
             out[seed, number] = errors, self_check(seen[:number], GAMMA)
@@ -83,7 +82,7 @@ def test_the_covariance_is_that_of_the_errors(checked):
 
 def test_the_frame_is_where_it_was_found(checked):
     errors, found = checked[SEEDS[0], 4]
-    xyz = np.array([f.xyz_mm for f in fiducials(found.frame)])
+    xyz = np.array([f.xyz_mm for f in found.frame.fiducials])
     np.testing.assert_allclose(xyz, NOMINAL_MM + found.moved_mm, atol=1e-6)
     assert errors.shape == found.moved_mm.shape
     assert found.frame.tolerances is None
@@ -138,7 +137,7 @@ def test_balls_that_sit_wrong_are_found_named_and_measured(number):
     assert set(found.misplaced) == {"pa-s-6-2", "lateral-x-6-3"}
     assert "pa-s-6-2 by" in found.checks[2].sentence
     rows = [IDS.index(ball) for ball in ("pa-s-6-2", "lateral-x-6-3")]
-    errors = np.array([f.xyz_mm for f in fiducials(true)]) - NOMINAL_MM
+    errors = np.array([f.xyz_mm for f in true.fiducials]) - NOMINAL_MM
     for row, plate in zip(rows, (slice(49, 113), slice(113, 162)), strict=True):
         others = [k for k in range(plate.start, plate.stop) if k != row]
         within = errors[row] - errors[others].mean(

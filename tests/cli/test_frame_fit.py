@@ -5,7 +5,6 @@ import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from sightline.frame import Frame
-from sightline.frame.deviations import fiducials
 from sightline.geometry.rigid import rigid_fit
 from sightline.twin.carm import with_errors
 
@@ -20,7 +19,7 @@ def table(tmp_path):
     rows = []
     for series in ("morning", "evening"):
         pose = RigidTransform.from_components(rng.uniform(-500, 500, 3), Rotation.random(rng=rng))
-        for ball in fiducials(TRUE):
+        for ball in TRUE.fiducials:
             at = pose.apply(np.array(ball.xyz_mm)) + 0.005 * rng.standard_normal(3)
             rows.append([series, ball.id, *at.round(5).tolist(), 0.005])
 
@@ -40,7 +39,7 @@ def test_a_measured_frame_is_written_and_passes_its_checks(run, table, tmp_path)
     )
     assert ran.code == 0, ran.out
     assert ran.document["fle_mm"]["instrument_per_axis"] == pytest.approx(0.005, rel=0.1)
-    nominal, true = (np.array([f.xyz_mm for f in fiducials(one)]) for one in (GAMMA, TRUE))
+    nominal, true = (np.array([f.xyz_mm for f in one.fiducials]) for one in (GAMMA, TRUE))
     apart = rigid_fit(true, nominal).apply(true) - nominal
     rms = np.sqrt((apart**2).sum(axis=1).mean())
     assert ran.document["fle_mm"]["from_nominal_rms"] == pytest.approx(rms, abs=0.001)

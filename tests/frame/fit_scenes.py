@@ -4,7 +4,6 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from sightline.frame import Fiducial, Frame, FrameView, Plate, Tolerances
-from sightline.frame.deviations import fiducials
 from sightline.frame.measurements import Series
 from sightline.twin.carm import with_errors
 
@@ -36,13 +35,13 @@ FRAME = Frame(
     },
     tolerances=Tolerances(),
 )
-NOMINAL_MM = np.array([f.xyz_mm for f in fiducials(FRAME)])
-IDS = tuple(f.id for f in fiducials(FRAME))
+NOMINAL_MM = np.array([f.xyz_mm for f in FRAME.fiducials])
+IDS = tuple(f.id for f in FRAME.fiducials)
 
 
 def made(rng: np.random.Generator) -> np.ndarray:
     """(32, 3): where the balls of a frame of these tolerances are."""
-    return np.array([f.xyz_mm for f in fiducials(with_errors(FRAME, rng))])
+    return np.array([f.xyz_mm for f in with_errors(FRAME, rng).fiducials])
 
 
 def measured(

@@ -114,7 +114,7 @@ def test_the_small_frame_is_good(document):
         (["units"], "cm", "units is 'cm'; convert"),
         (["units"], None, "units is missing"),
         (["name"], "", "name must be 1 to 64"),
-        (["views"], {}, "has too few entries"),
+        (["views"], {}, "give the plates of one view or more"),
         (["view"], {}, "view is not a key of the frame file"),
         (["views", "pa", "source"], None, r"views\.pa\.source is missing; add it"),
         (["views", "pa", "xrii"], [], r"views\.pa\.xrii has too few entries"),

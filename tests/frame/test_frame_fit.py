@@ -6,7 +6,6 @@ from fit_scenes import FRAME, IDS, NOMINAL_MM, SD_MM, made, measured
 from scipy.stats import chi2
 
 from sightline.errors import FrameError
-from sightline.frame.deviations import fiducials
 from sightline.frame.fit import Circumstances, FittedFrame, fit_frame
 from sightline.frame.measurements import Series
 from sightline.geometry.rigid import rigid_fit
@@ -20,7 +19,7 @@ def failing(fitted: FittedFrame) -> dict[str, str]:
 
 def positions(fitted: FittedFrame) -> np.ndarray:
     assert fitted.frame is not None, failing(fitted)
-    return np.array([f.xyz_mm for f in fiducials(fitted.frame)])
+    return np.array([f.xyz_mm for f in fitted.frame.fiducials])
 
 
 def in_gauge(xyz_mm: np.ndarray) -> np.ndarray:
@@ -259,7 +258,7 @@ def test_too_few_balls_are_refused(keep):
 def test_wrong_diameters_are_named():
     rng = np.random.default_rng(21)
     series = measured(made(rng), rng)
-    right = np.array([f.diameter_mm for f in fiducials(FRAME)]) + 0.02
+    right = np.array([f.diameter_mm for f in FRAME.fiducials]) + 0.02
     assert fit_frame(FRAME, [replace(series, diameter_mm=right)], STILL).frame is not None
     wrong = right.copy()
     wrong[[2, 3]] = wrong[[3, 2]]

@@ -6,7 +6,6 @@ from fit_scenes import FRAME, measured
 
 from sightline.errors import FrameError
 from sightline.frame import Frame, InUse, Tolerances
-from sightline.frame.deviations import fiducials
 from sightline.frame.fit import Circumstances, fit_frame
 from sightline.twin.carm import with_errors
 from sightline.twin.handling import Handling, in_use
@@ -15,7 +14,7 @@ EXACT = replace(Frame.load("gamma"), tolerances=Tolerances(0.0, 0.0, 0.0, 0.0, 0
 
 
 def places(frame: Frame) -> np.ndarray:
-    return np.array([f.xyz_mm for f in fiducials(frame)])
+    return np.array([f.xyz_mm for f in frame.fiducials])
 
 
 @pytest.mark.parametrize(
@@ -83,7 +82,7 @@ def test_what_no_frame_bears_is_refused(text):
 def test_a_measured_frame_keeps_what_use_adds_and_counts_it_once():
     rng = np.random.default_rng(1)
     told = InUse(5.0, 0.0, 0.0)
-    series = [measured(np.array([f.xyz_mm for f in fiducials(with_errors(FRAME, rng))]), rng)]
+    series = [measured(np.array([f.xyz_mm for f in with_errors(FRAME, rng).fiducials]), rng)]
     plain = fit_frame(FRAME, series, Circumstances()).frame
     used = fit_frame(replace(FRAME, in_use=told), series, Circumstances()).frame
     assert plain is not None

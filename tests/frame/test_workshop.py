@@ -11,7 +11,7 @@ import trimesh
 from sightline.errors import FrameError
 from sightline.frame import Fiducial, Frame, FrameView, Plate
 from sightline.frame.bill import bill_csv, bill_page, drape_envelopes, inspection_csv
-from sightline.frame.deviations import fiducials, plates
+from sightline.frame.deviations import plates
 from sightline.frame.fit import Circumstances, fit_frame
 from sightline.frame.measurements import read_measurements
 from sightline.frame.part import CHAMFER_MM, SCREW_MM, parts_of
@@ -203,4 +203,4 @@ def test_a_folder_holds_it_all_and_an_own_frame_is_drawn_too(tmp_path):
     names = {file.name for file in files}
     assert names == {file.name for file in (tmp_path / "shop").iterdir()}
     assert {f"front-{role}.{kind}" for role in ("xrii", "source") for kind in ("svg", "dxf", "stl", "csv")} <= names
-    assert [f.id for f in fiducials(Frame.load(tmp_path / "shop" / "frame.json"))] == [f.id for f in fiducials(own)]
+    assert [f.id for f in Frame.load(tmp_path / "shop" / "frame.json").fiducials] == [f.id for f in own.fiducials]

@@ -29,7 +29,6 @@ from sightline.detection.results import Observations
 from sightline.errors import CalibrationRefusedError, ObservationsError
 from sightline.fitting.triangular import cholesky, solve_lower
 from sightline.frame import Frame, FrameView, Plate
-from sightline.frame.deviations import fiducials
 
 MIN_IMAGES = 4  # [ours] two of each of two views: in one image the map absorbs the frame's errors
 # [ours] half the shortest correlation length beyond a cubic of a real tube's map (physics.md, Distortion): images
@@ -93,7 +92,7 @@ def self_check(observations: Sequence[Observations], frame: Frame) -> SelfCheck:
         sigma[worst] = np.sqrt(square[worst])
         free.append(worst)
         if len(free) > MAX_MOVED:
-            names = ", ".join(fiducials(frame)[ball].id for ball in free[:5])
+            names = ", ".join(frame.fiducials[ball].id for ball in free[:5])
             raise CalibrationRefusedError(
                 f"more than {MAX_MOVED} balls lie beyond their tolerance ({names} first); check that the images show "
                 "this frame, and that its stated tolerances are realistic"
@@ -236,7 +235,7 @@ def _freed(ball: int, size: int) -> np.ndarray:
 def _result(
     frame: Frame, images: Sequence[_Image], normal: _Normal, free: Sequence[int], sigma: np.ndarray
 ) -> SelfCheck:
-    balls = fiducials(frame)
+    balls = frame.fiducials
     moved = normal.errors.reshape(-1, 3)
     sound = ~np.isin(np.arange(len(balls)), free)
     errors = Errors(moved, frame.error_factor @ frame.error_factor.T, normal.covariance, sound)

@@ -78,7 +78,6 @@ def _see(path: Path, frame: "Frame", *, invert: bool) -> "list[Observations]":
 
 def _document(found: "SelfCheck") -> dict[str, Any]:
     from sightline.calibration.plate_motion import MOTIONS
-    from sightline.frame.deviations import fiducials
 
     in_plate = found.in_plate
     return {
@@ -104,7 +103,7 @@ def _document(found: "SelfCheck") -> dict[str, Any]:
             {"id": f.id, "images": int(n), "moved_mm": all_, "in_plate_mm": moved, "prior_sd_mm": prior, "sd_mm": sd}
             | {"sigma": float(sigma)}
             for f, n, all_, moved, prior, sd, sigma in zip(
-                fiducials(found.frame),
+                found.frame.fiducials,
                 found.images,
                 found.moved_mm,
                 in_plate.moved_mm,

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sightline.frame.model import Frame
-from sightline.frame.plate import ROLES, Fiducial, Plate
+from sightline.frame.plate import ROLES, Plate
 from sightline.geometry.planes import Plane
 from sightline.geometry.rigid import displacement
 
@@ -31,7 +31,7 @@ def complete(frame: Frame, rows: np.ndarray, moved_mm: np.ndarray, covariance_mm
 
     Measured balls keep their measured places. The others are predicted from these and the frame's tolerances.
     """
-    all_xyz = np.array([f.xyz_mm for f in fiducials(frame)])
+    all_xyz = np.array([f.xyz_mm for f in frame.fiducials])
     centred = all_xyz - all_xyz.mean(axis=0)
     whole = displacement(centred).reshape(-1, 6) * WHOLE_FRAME_MM
     whole[:, :3] /= np.linalg.norm(centred, axis=1).mean()
@@ -112,11 +112,6 @@ def _plate_deviation(  # noqa: PLR0917
         across_rms_mm=float(np.sqrt(np.mean((residual @ plane.normal) ** 2) / free)),
         instrument_mm=float(np.sqrt(variances.mean())),
     )
-
-
-def fiducials(frame: Frame) -> tuple[Fiducial, ...]:
-    """Return all balls in the order of the frame's covariance."""
-    return tuple(f for view in frame.views.values() for f in view.fiducials)
 
 
 def plates(frame: Frame) -> tuple[tuple[str, str, Plate], ...]:

@@ -6,9 +6,11 @@ from typing import Annotated, Any, Self
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
-from sightline.frame.plate import Fiducial, Plate, Shape
+from sightline.frame.plate import Fiducial, RigidBody, Shape
 
 MIN_BEADS = 4  # the perspective image of a plate has eight unknowns: four balls
+MIN_SOLID_BEADS = 6  # a view of a solid has 9 to 11 unknowns: six balls give twelve equations
+MAX_SOLID_BEADS = 200  # [ours] their labels are searched for without a pattern
 
 Number = Annotated[float, Field(allow_inf_nan=False)]
 # [ours] ten metres: a larger number is not a coordinate of a frame in any unit
@@ -49,11 +51,11 @@ class ViewDocument(_Strict):
 
 
 class SdMm(_Strict):
-    """Standard deviations, mm."""
+    """Standard deviations, mm; of a solid that of its beads alone."""
 
     bead: Sd
-    plate: Sd
-    arm: Sd
+    plate: Sd = 0.0
+    arm: Sd = 0.0
 
 
 class SdRad(_Strict):
@@ -76,7 +78,8 @@ class FrameDocument(_Strict):
 
     name: Name
     units: str
-    views: Annotated[dict[Name, ViewDocument], Field(min_length=1)]
+    views: dict[Name, ViewDocument] = Field(default_factory=dict)
+    solid: Annotated[tuple[FiducialDocument, ...], Field(max_length=MAX_SOLID_BEADS)] | None = None
     serial: Annotated[str, Field(max_length=200)] | None = None
     measured_on: date | None = None
     temperature_c: Number | None = None
@@ -94,16 +97,32 @@ class FrameDocument(_Strict):
 
     @model_validator(mode="after")
     def _whole(self) -> Self:
-        ids = [f.id for view in self.views.values() for f in (*view.xrii, *view.source)]
+        self._refuse_mixture()
+        ids = [f.id for view in self.views.values() for f in (*view.xrii, *view.source)] + [
+            f.id for f in self.solid or ()
+        ]
         if twice := sorted({i for i in ids if ids.count(i) > 1}):
             raise ValueError(f"the fiducial id {twice[0]!r} occurs twice; give every ball of the frame a unique id")
-        if (self.sd_mm is None) != (self.sd_rad is None):
-            raise ValueError('give both "sd_mm" and "sd_rad" for tolerances: add the missing one, or remove both')
         if self.covariance_mm2 is not None:
             if self.sd_mm is not None:
                 raise ValueError('"covariance_mm2" replaces the tolerances; remove it, or "sd_mm" and "sd_rad"')
             _check_covariance(self.covariance_mm2, 3 * len(ids))
         return self
+
+    def _refuse_mixture(self) -> None:
+        """Raise ValueError unless the frame has plates with all their tolerances, or a solid with its own."""
+        if (self.solid is None) == (not self.views):
+            raise ValueError('give the plates of one view or more in "views", or the beads of a "solid", not both')
+        if self.solid is not None:
+            if len(self.solid) < MIN_SOLID_BEADS:
+                raise ValueError(f'has {len(self.solid)} beads in "solid"; give {MIN_SOLID_BEADS} or more')
+            if self.sd_rad is not None or (self.sd_mm is not None and self.sd_mm.model_fields_set != {"bead"}):
+                raise ValueError('is a solid, which has no plates and no arms; state "sd_mm": {"bead": ...} alone')
+            return
+        if self.sd_mm is not None and (missing := sorted({"plate", "arm"} - self.sd_mm.model_fields_set)):
+            raise ValueError(f"sd_mm.{missing[0]} is missing; add it")
+        if (self.sd_mm is None) != (self.sd_rad is None):
+            raise ValueError('give both "sd_mm" and "sd_rad" for tolerances: add the missing one, or remove both')
 
 
 def _check_covariance(rows: list[list[float]], size: int) -> None:
@@ -124,15 +143,15 @@ def _check_covariance(rows: list[list[float]], size: int) -> None:
         )
 
 
-def plate_of(fiducials: tuple[FiducialDocument, ...]) -> Plate:
-    """Return the plate that a valid document describes."""
-    return Plate(tuple(Fiducial(f.id, f.xyz, f.diameter, f.datum, f.shape) for f in fiducials))
+def fiducials_of(fiducials: tuple[FiducialDocument, ...]) -> tuple[Fiducial, ...]:
+    """Return the fiducials that a valid document describes."""
+    return tuple(Fiducial(f.id, f.xyz, f.diameter, f.datum, f.shape) for f in fiducials)
 
 
-def plate_document(plate: Plate) -> list[dict[str, Any]]:
-    """Return the document of a plate as plain values, unchecked."""
+def body_document(body: RigidBody) -> list[dict[str, Any]]:
+    """Return the document of a plate or a solid as plain values, unchecked."""
     out: list[dict[str, Any]] = []
-    for f in plate.fiducials:
+    for f in body.fiducials:
         one: dict[str, Any] = {"id": f.id, "xyz": list(f.xyz_mm), "diameter": f.diameter_mm, "datum": f.datum}
         out.append(one if f.shape == "ball" else {**one, "shape": f.shape})
     return out

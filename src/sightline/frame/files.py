@@ -11,6 +11,7 @@ from sightline.bounded import read_bounded
 from sightline.errors import FrameError
 from sightline.frame.builtin import BUILTIN
 from sightline.frame.document import FrameDocument
+from sightline.frame.solids import SOLIDS
 
 SIZE_LIMIT_BYTES = 64 * 2**20  # [ours] six times the full covariance of the built-in frames
 _ERRORS_SHOWN = 3
@@ -29,7 +30,8 @@ def read_document(path: Path) -> FrameDocument:
     """Return the document in a frame file. Raises FrameError."""
     if not path.is_file():
         raise FrameError(
-            f"there is no frame file {path.name!r}; give a file, or one of the built-in frames: {', '.join(BUILTIN)}"
+            f"there is no frame file {path.name!r}; give a file, or one of the built-in frames: "
+            f"{', '.join((*BUILTIN, *SOLIDS))}"
         )
     data = read_bounded(path, SIZE_LIMIT_BYTES, FrameError, "give a frame file")
     try:
@@ -51,12 +53,12 @@ def document_from_json(text: bytes) -> FrameDocument:
 
 def json_of(document: Mapping[str, Any]) -> bytes:
     """Return the text of a frame file, with a line for each fiducial and each row of the covariance."""
-    blocks = ("views", "covariance_mm2")
+    blocks = ("views", "solid", "covariance_mm2")
     parts = [f" {json.dumps(key)}: {json.dumps(value)}" for key, value in document.items() if key not in blocks]
-    views = [_view_text(name, view) for name, view in document["views"].items()]
-    parts.append(' "views": {\n' + ",\n".join(views) + "\n }")
-    if "covariance_mm2" in document:
-        parts.append(' "covariance_mm2": ' + _lines(document["covariance_mm2"], "  "))
+    if "views" in document:
+        views = [_view_text(name, view) for name, view in document["views"].items()]
+        parts.append(' "views": {\n' + ",\n".join(views) + "\n }")
+    parts += [f' "{key}": ' + _lines(document[key], "  ") for key in ("solid", "covariance_mm2") if key in document]
     return ("{\n" + ",\n".join(parts) + "\n}\n").encode()
 
 

@@ -9,7 +9,7 @@ from scipy.special import chdtri
 from sightline.checks import Check, failed
 from sightline.errors import FrameError
 from sightline.frame.adjust import FALSE_ALARM, Adjusted, adjust
-from sightline.frame.deviations import Completed, PlateDeviation, complete, fiducials, plate_deviations, plates
+from sightline.frame.deviations import Completed, PlateDeviation, complete, plate_deviations, plates
 from sightline.frame.identify import Identified, identify
 from sightline.frame.measurements import Series
 from sightline.frame.model import Frame
@@ -81,7 +81,7 @@ def fit_frame(frame: Frame, series: Sequence[Series], circumstances: Circumstanc
     if failed(checks):
         return FittedFrame(None, checks, identified)
     _refuse_thin_plates(frame, series)
-    place = {f.id: (k, f.xyz_mm) for k, f in enumerate(fiducials(frame))}
+    place = {f.id: (k, f.xyz_mm) for k, f in enumerate(frame.fiducials)}
     adjusted = adjust(series, [one.pose for one in identified], {ball: xyz for ball, (_, xyz) in place.items()})
     rows = np.array([place[ball][0] for ball in adjusted.ids])
     deviation = adjusted.xyz_mm - np.array([place[ball][1] for ball in adjusted.ids])
@@ -166,7 +166,7 @@ def _some(items: Sequence[str], shown: int = 6) -> str:
 
 def _diameters(frame: Frame, series: Sequence[Series]) -> list[Check]:
     """Return the check of the balls' diameters, which alone shows a frame that was measured the wrong way round."""
-    nominal = {f.id: f.diameter_mm for f in fiducials(frame)}
+    nominal = {f.id: f.diameter_mm for f in frame.fiducials}
     found = [
         (abs(diameter - nominal[ball]), ball, diameter)
         for one in series

@@ -1,4 +1,4 @@
-"""A calibration frame as data: its views, and how well their beads' coordinates are known. CFCS, mm."""
+"""A calibration frame as data: its plates or its solid, and how well their beads are known. CFCS, mm."""
 
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass
@@ -13,11 +13,12 @@ from sightline.atomic import write_whole
 from sightline.errors import FrameError, UnusableInputError
 from sightline.frame.builtin import BUILTIN, builtin_design
 from sightline.frame.design import FrameDesign, views_of
-from sightline.frame.document import FrameDocument, plate_document, plate_of
+from sightline.frame.document import FrameDocument, SdRad, body_document, fiducials_of
 from sightline.frame.files import document_from_json, json_of, read_document
 from sightline.frame.handed import is_mirror_image
-from sightline.frame.plate import FrameView
-from sightline.frame.tolerances import InUse, Tolerances, error_factor
+from sightline.frame.plate import Fiducial, FrameView, Plate, RigidBody
+from sightline.frame.solids import SOLIDS
+from sightline.frame.tolerances import InUse, Tolerances, error_factor, solid_error_factor
 from sightline.show import Plotted
 
 _MAX_VIEWS = 6  # of a summary
@@ -25,13 +26,13 @@ _MAX_VIEWS = 6  # of a summary
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Frame(Plotted):
-    """A calibration frame.
+    """A calibration frame: two plates for each of its `views`, or one `solid` that every image shows.
 
     `tolerances` is None where the file states none: then `effective_tolerances` are the defaults, and reports say so.
     `covariance_mm2` (3M, 3M), or None: full covariance of all bead coordinates, views in file order, in each
     view XRII before source; it replaces the tolerances. `in_use`: handling errors added to either, or None.
 
-    >>> frame = sl.Frame.load("gamma")  # or "biplane", "stereo", or a file of yours
+    >>> frame = sl.Frame.load("gamma")  # or "biplane", "stereo", "block60", or a file of yours
     >>> list(frame.views)
     ['pa', 'lateral']
     """
@@ -44,6 +45,7 @@ class Frame(Plotted):
     tolerances: Tolerances | None = None
     covariance_mm2: np.ndarray | None = None
     in_use: InUse | None = None
+    solid: RigidBody | None = None
 
     def summary(self) -> str:
         """Return name, serial, the beads of each plate, and how well they are known."""
@@ -53,7 +55,12 @@ class Frame(Plotted):
             lines.append(f"  view {name}: {xrii} beads on the XRII plate, {source} on the source plate")
         lines += [f"  ... and {len(self.views) - _MAX_VIEWS} views more"] if len(self.views) > _MAX_VIEWS else []
         sd = self.effective_tolerances
-        known = f"s.d. of a bead {sd.bead_mm:g} mm on its plate, of a plate {sd.plate_mm:g} mm and {sd.plate_rad:g} rad"
+        if self.solid is None:
+            known = f"s.d. of a bead {sd.bead_mm:g} mm on its plate, of a plate {sd.plate_mm:g} mm and "
+            known += f"{sd.plate_rad:g} rad"
+        else:
+            lines.append(f"  a solid of {len(self.solid.fiducials)} beads, seen in every image")
+            known = f"s.d. of a bead {sd.bead_mm:g} mm"
         if self.covariance_mm2 is not None:
             known = "measured, with the full covariance of the coordinates"
         elif self.tolerances is None:
@@ -70,6 +77,8 @@ class Frame(Plotted):
         for name, view in self.views.items():
             for role, plate in (("XRII", view.xrii), ("source", view.source)):
                 ax.scatter(*plate.xyz_mm.T, s=4, label=f"{name}, {role} plate")
+        if self.solid is not None:
+            ax.scatter(*self.solid.xyz_mm.T, s=4, label="solid")
         draw.box(ax, np.array(list(self.xyz_mm_by_id.values())), f"frame {self.name}, CFCS")
         ax.legend(fontsize="small")
 
@@ -83,19 +92,34 @@ class Frame(Plotted):
         try:
             return self.views[name]
         except KeyError:
-            known = ", ".join(self.views)
-            raise FrameError(f"frame {self.name!r} has no view {name!r}; it has: {known}") from None
+            known = f"it has: {', '.join(self.views)}" if self.solid is None else "it is a solid without plates"
+            raise FrameError(f"frame {self.name!r} has no view {name!r}; {known}") from None
+
+    @cached_property
+    def fiducials(self) -> tuple[Fiducial, ...]:
+        """All fiducials, in the order of `error_factor`: views in file order, XRII plate first; or the solid's."""
+        plates = tuple(f for view in self.views.values() for f in view.fiducials)
+        return plates if self.solid is None else self.solid.fiducials
+
+    def fiducials_of(self, view: str) -> tuple[Fiducial, ...]:
+        """Return the fiducials that an image of a view can show: those of its plates, or the solid's.
+
+        Raises FrameError.
+        """
+        return self.view(view).fiducials if self.solid is None else self.solid.fiducials
 
     @cached_property
     def xyz_mm_by_id(self) -> dict[str, tuple[float, float, float]]:
         """The coordinates of every bead by its id, CFCS, mm."""
-        return {f.id: f.xyz_mm for view in self.views.values() for f in view.fiducials}
+        return {f.id: f.xyz_mm for f in self.fiducials}
 
     def rows(self, view: str) -> slice:
         """Return the rows of `error_factor` and `covariance_mm2` with the bead coordinates of one view.
 
         Raises FrameError.
         """
+        if self.solid is not None:
+            return slice(0, 3 * len(self.solid.fiducials))
         start = 0
         for name, one in self.views.items():
             if name == view:
@@ -109,9 +133,12 @@ class Frame(Plotted):
 
         M beads, views in file order, in each view XRII before source. Bead errors are independent; a plate's shift and
         rotation (about the centroid of its beads) are shared by its beads; an arm's (about the centroid of the
-        view's beads) by the view. With `covariance_mm2`, a factor of that; `in_use` adds columns.
+        view's beads) by the view; the beads of a solid share none. With `covariance_mm2`, a factor of that; `in_use`
+        adds columns.
         """
         stated = self.effective_tolerances if self.covariance_mm2 is None else self.covariance_mm2
+        if self.solid is not None:
+            return solid_error_factor(self.solid.xyz_mm, stated, self.in_use)
         return error_factor(self.views, stated, self.in_use)
 
     @property
@@ -129,13 +156,15 @@ class Frame(Plotted):
 
     @staticmethod
     def load(source: str | Path, before: "Iterable[Frame]" = ()) -> "Frame":
-        """Return the frame of a JSON file, or a built-in one: "gamma", "biplane", "stereo".
+        """Return the frame of a JSON file, or a built-in one: "gamma", "biplane", "stereo", "block60".
 
         `before`: frames that were used earlier; the mirror image of one with the same name and serial is refused, since
         it would calibrate as well and mirror every point. Raises FrameError.
         """
         if isinstance(source, str) and source in BUILTIN:
             frame = Frame.from_design(builtin_design(source))
+        elif isinstance(source, str) and source in SOLIDS:
+            frame = Frame(source, {}, solid=SOLIDS[source]())
         else:
             frame = Frame.from_document(read_document(Path(source)))
         frame.refuse_mirror_image(before)
@@ -149,7 +178,8 @@ class Frame(Plotted):
         if isinstance(frame, str | Path):
             return Frame.load(frame)
         raise UnusableInputError(
-            f"a frame is a Frame, the path of a frame file or one of {', '.join(BUILTIN)}, not {type(frame).__name__}"
+            f"a frame is a Frame, the path of a frame file or one of {', '.join((*BUILTIN, *SOLIDS))}, "
+            f"not {type(frame).__name__}"
         )
 
     def save(self, path: str | Path) -> None:
@@ -177,7 +207,7 @@ class Frame(Plotted):
     @staticmethod
     def from_document(document: FrameDocument) -> "Frame":
         """Return the frame that a valid document describes."""
-        mm, rad = document.sd_mm, document.sd_rad
+        mm, rad, solid = document.sd_mm, document.sd_rad or SdRad(plate=0.0, arm=0.0), document.solid
         covariance = None
         if document.covariance_mm2 is not None:
             covariance = np.array(document.covariance_mm2)
@@ -185,14 +215,16 @@ class Frame(Plotted):
         return Frame(
             name=document.name,
             views={
-                name: FrameView(plate_of(view.xrii), plate_of(view.source)) for name, view in document.views.items()
+                name: FrameView(Plate(fiducials_of(view.xrii)), Plate(fiducials_of(view.source)))
+                for name, view in document.views.items()
             },
             serial=document.serial,
             measured_on=document.measured_on.isoformat() if document.measured_on else None,
             temperature_c=document.temperature_c,
-            tolerances=Tolerances(mm.bead, mm.plate, rad.plate, mm.arm, rad.arm) if mm and rad else None,
+            tolerances=Tolerances(mm.bead, mm.plate, rad.plate, mm.arm, rad.arm) if mm else None,
             covariance_mm2=covariance,
             in_use=InUse(**document.in_use.model_dump()) if document.in_use else None,
+            solid=RigidBody(fiducials_of(solid)) if solid else None,
         )
 
     @staticmethod
@@ -207,14 +239,19 @@ class Frame(Plotted):
             if (value := getattr(self, key)) is not None:
                 out[key] = value
         if (sd := self.tolerances) is not None:
-            out["sd_mm"] = {"bead": sd.bead_mm, "plate": sd.plate_mm, "arm": sd.arm_mm}
-            out["sd_rad"] = {"plate": sd.plate_rad, "arm": sd.arm_rad}
+            out["sd_mm"] = {"bead": sd.bead_mm}
+            if self.solid is None:
+                out["sd_mm"] |= {"plate": sd.plate_mm, "arm": sd.arm_mm}
+                out["sd_rad"] = {"plate": sd.plate_rad, "arm": sd.arm_rad}
         if self.in_use is not None:
             out["in_use"] = asdict(self.in_use)
-        out["views"] = {
-            name: {"xrii": plate_document(view.xrii), "source": plate_document(view.source)}
-            for name, view in self.views.items()
-        }
+        if self.solid is not None:
+            out["solid"] = body_document(self.solid)
+        else:
+            out["views"] = {
+                name: {"xrii": body_document(view.xrii), "source": body_document(view.source)}
+                for name, view in self.views.items()
+            }
         if self.covariance_mm2 is not None:
             out["covariance_mm2"] = self.covariance_mm2.tolist()
         return json_of(out)

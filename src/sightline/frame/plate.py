@@ -1,4 +1,4 @@
-"""The plates of a calibration frame and their fiducials. All coordinates are CFCS, mm."""
+"""The bodies of a calibration frame, plates or a solid, and their fiducials. All coordinates are CFCS, mm."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -24,8 +24,8 @@ class Fiducial:
 
 
 @dataclass(frozen=True)
-class Plate:
-    """One calibration plate: its fiducials, in the order of the frame file."""
+class RigidBody:
+    """Fiducials in one piece, in the order of the frame file: a plate, or a solid that every image shows."""
 
     fiducials: tuple[Fiducial, ...]
 
@@ -40,6 +40,11 @@ class Plate:
         out = np.array([f.xyz_mm for f in self.fiducials], dtype=np.float64).reshape(-1, 3)
         out.flags.writeable = False
         return out
+
+
+@dataclass(frozen=True)
+class Plate(RigidBody):
+    """A body whose fiducials lie in one plane."""
 
     @cached_property
     def is_datum(self) -> np.ndarray:

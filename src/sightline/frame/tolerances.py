@@ -73,6 +73,18 @@ def error_factor(
     return np.hstack(columns)
 
 
+def solid_error_factor(xyz_mm: np.ndarray, stated: Tolerances | np.ndarray, in_use: InUse | None = None) -> np.ndarray:
+    """Return the factor (3M, K), mm, as of `error_factor`, for the M beads (M, 3) of a solid, which share no errors.
+
+    Of the handling errors heat and water expand it; drapes do not bend it.
+    """
+    columns = [stated.bead_mm * np.eye(3 * len(xyz_mm)) if isinstance(stated, Tolerances) else _stated_factor(stated)]
+    if in_use is not None:
+        expansion = (xyz_mm - xyz_mm.mean(axis=0)).reshape(-1, 1)
+        columns += [EXPANSION_PER_K * in_use.warmer_k * expansion, MOISTURE_EXPANSION * in_use.water_share * expansion]
+    return np.hstack(columns)
+
+
 def _shared(views: Mapping[str, FrameView], sd: Tolerances) -> list[np.ndarray]:
     """Return the columns of the plates' and the arms' errors, (3M, 6) each."""
     shared: list[np.ndarray] = []
