@@ -3,6 +3,7 @@
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from sightline.calibration.view import LinesOfSight
 from sightline.checks import Check
@@ -142,3 +143,16 @@ def stand_in(name: str, turn_rad: float = 0.0, scale: float = 1.0, seed: int = 5
         factors[source] = scale * sd[:, None] * rng.normal(size=(23, columns)) / np.sqrt(columns)
     focal = -620.0 * np.eye(3)[normal] + np.array([7.0, -4.0, 3.0])
     return StandInView(name, Plane(origin, axes), focal, coefficients, factors)
+
+
+def turned(view: StandInView, axis: str, degrees: float, name: str) -> StandInView:
+    """The same view with source and detector rotated about an axis of CFCS through the origin."""
+    rotation = Rotation.from_euler(axis, degrees, degrees=True).as_matrix()
+    assert view.factors is not None
+    return replace(
+        view,
+        name=name,
+        plane=Plane(rotation @ view.plane.origin_mm, view.plane.axes @ rotation.T),
+        focal_point_mm=rotation @ view.focal_point_mm,
+        factors={s: np.vstack([rotation @ f[:3], f[3:]]) for s, f in view.factors.items()},
+    )

@@ -1,6 +1,7 @@
 """Covariances of points and directions, and quantiles of error lengths."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from itertools import pairwise
 
 import numpy as np
 from scipy.special import erf, gammaincinv, ndtri
@@ -19,6 +20,19 @@ def ellipsoid_factor(probability: float, dimension: int) -> float:
     """Return the semi-axes, in s.d., of the ellipsoid that contains a Gaussian of `dimension` with `probability`."""
     # The chi-square quantile without scipy.stats, whose import takes half a second.
     return float(np.sqrt(2.0 * gammaincinv(dimension / 2.0, probability)))
+
+
+def joined(own: Sequence[np.ndarray], between: Callable[[int, int], np.ndarray]) -> np.ndarray:
+    """Return the covariance of several vectors: `own` (n_i, n_i) of each, `between(i, j)` (n_i, n_j) of two, i < j."""
+    ends = np.cumsum([0, *(len(one) for one in own)])
+    at = [slice(int(a), int(b)) for a, b in pairwise(ends)]
+    out = np.zeros((ends[-1], ends[-1]))
+    for i, one in enumerate(own):
+        out[at[i], at[i]] = one
+        for j in range(i + 1, len(own)):
+            out[at[i], at[j]] = between(i, j)
+            out[at[j], at[i]] = out[at[i], at[j]].T
+    return out
 
 
 def length_quantile(covariance: np.ndarray, probability: float = 0.95) -> np.ndarray:

@@ -16,8 +16,8 @@ from sightline.planning.axis import Axis, find_axis
 from sightline.planning.directions import caudal
 from sightline.planning.head import Sphere, find_head
 from sightline.planning.picks import Pick, stack
-from sightline.planning.reconstruct import Method, solve
 from sightline.planning.sights import Drawn, Sights
+from sightline.planning.solution import Method, solve
 
 NOT_PLACED = {
     "head": "the head is not drawn: draw a circle over it in both images",
@@ -89,18 +89,20 @@ class Anatomy:
 def locate(
     views: Sequence[CalibratedView],
     aids: Aids,
-    picks: Sequence[tuple[Pick, Pick]] | None = None,
+    picks: Sequence[Sequence[Pick]] | None = None,
     method: Method = "weighted",
 ) -> Anatomy:
     """Locate what is drawn on the PA and the lateral view; with `picks` (`Plan.picks`: entry, end) also the wire.
 
+    `views`: "pa", "lateral", and any others in which the wire is picked.
+
     A part that cannot be located is listed in `absent` with the reason; the others are located all the same.
     Raises UnusableInputError.
     """
-    if [view.name for view in views] != ["pa", "lateral"]:
-        raise UnusableInputError("give two views, 'pa' and 'lateral', in this order, to locate the anatomy")
+    if [view.name for view in views[:2]] != ["pa", "lateral"]:
+        raise UnusableInputError("give the views 'pa' and 'lateral' first, in this order, to locate the anatomy")
     absent: dict[str, str] = {}
-    sights = _sights(views, _drawn(aids, picks), absent)
+    sights = _sights(views, _drawn(aids, picks, len(views)), absent)
     found = _Finder(sights, absent)
     if picks is not None:
         found.add("wire", lambda: _wire(sights, picks, method))
@@ -163,13 +165,13 @@ class _Finder:
         return Anatomy(np.concatenate([v for v, _ in self.parts.values()]), covariance, at, absent, self.agreement)
 
 
-def _drawn(aids: Aids, picks: Sequence[tuple[Pick, Pick]] | None) -> list[dict[str, Drawn]]:
+def _drawn(aids: Aids, picks: Sequence[Sequence[Pick]] | None, views: int) -> list[dict[str, Drawn]]:
     """Return the drawings of each view by name."""
-    out: list[dict[str, Drawn]] = [{}, {}]
-    for k, drawn in enumerate(out):
-        if picks is not None:
-            own = [pick[k] for pick in picks]
-            drawn["wire"] = np.array([p.uv_px for p in own]), _blocks([p.covariance_px2 for p in own])
+    out: list[dict[str, Drawn]] = [{} for _ in range(views)]
+    for k, drawn in enumerate(out if picks is not None else ()):
+        own = [pick[k] for pick in picks or () if not np.isnan(pick[k].uv_px).any()]
+        drawn["wire"] = np.array([p.uv_px for p in own]).reshape(-1, 2), _blocks([p.covariance_px2 for p in own])
+    for k, drawn in enumerate(out[:2]):
         if aids.head is not None:
             drawn["head"] = aids.head[k].uv_px, aids.head[k].covariance_px2
         for name in ("neck", "shaft"):
@@ -204,12 +206,10 @@ def _sights(views: Sequence[CalibratedView], drawn: list[dict[str, Drawn]], abse
         return Sights.of(views, [{n: d for n, d in named.items() if n not in absent} for named in drawn])
 
 
-def _wire(sights: Sights, picks: Sequence[tuple[Pick, Pick]], method: Method) -> tuple[np.ndarray, np.ndarray]:
+def _wire(sights: Sights, picks: Sequence[Sequence[Pick]], method: Method) -> tuple[np.ndarray, np.ndarray]:
     """Return entry and end point (6,) as computed by `reconstruct`, and their derivatives by the drawing's numbers."""
-    lines = sights.lines[0].only(sights.rows[0]["wire"]), sights.lines[1].only(sights.rows[1]["wire"])
-    _, covariance, across = stack(picks)
-    size = np.trace(covariance, axis1=-2, axis2=-1)[..., None, None]
-    solution = solve(lines, covariance + size * across[..., :, None] * across[..., None, :], across, method)
+    lines = [one.only(rows["wire"]) for one, rows in zip(sights.lines, sights.rows, strict=True)]
+    solution = solve(lines, stack(picks).regular(), method)
     return solution.xyz_mm.ravel(), np.hstack(solution.response)
 
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from sightline.calibration.projection import Pencil
 from sightline.calibration.view import LinesOfSight
+from sightline.geometry.covariance import joined
 from sightline.planning.line_residuals import LineResiduals, pick_covariance_mm2
 
 
@@ -60,13 +61,12 @@ def along_and_across(lines: LinesOfSight, xyz_mm: np.ndarray, tangent: np.ndarra
 
 def joint_covariance(rows: Sequence[Rows]) -> np.ndarray:
     """Return the covariance (R, R) of the concatenated rows of several views."""
-    ends = np.cumsum([0, *(len(one.residual) for one in rows)])
-    out = np.zeros((ends[-1], ends[-1]))
-    for i, a in enumerate(rows):
-        for j, b in enumerate(rows):
-            block = out[ends[i] : ends[i + 1], ends[j] : ends[j + 1]]
-            if i == j:
-                block += a.covariance
-            for source in a.lines.sources_shared_with(b.lines):
-                block += a.shared[source] @ b.shared[source].T
-    return out
+
+    def between(i: int, j: int) -> np.ndarray:
+        a, b = rows[i], rows[j]
+        out = np.zeros((len(a.residual), len(b.residual)))
+        for source in a.lines.sources_shared_with(b.lines):
+            out += a.shared[source] @ b.shared[source].T
+        return out
+
+    return joined([one.covariance + between(i, i) for i, one in enumerate(rows)], between)

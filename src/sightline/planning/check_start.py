@@ -12,7 +12,8 @@ from sightline.errors import OutsideRegionError, ReconstructionRefusedError, Unu
 from sightline.geometry.lines import nearest_approach
 from sightline.planning.check_result import MIN_LANDMARKS
 from sightline.planning.picks import DEFAULT_PICK_SD_PX
-from sightline.planning.reconstruct import MIN_ANGLE_RAD, reconstruct
+from sightline.planning.reconstruct import reconstruct
+from sightline.planning.solution import MIN_ANGLE_RAD
 from sightline.planning.trajectory import Trajectory
 
 CURVE = 4  # terms of the wire's curve along each perpendicular axis: offset, direction, two of bending

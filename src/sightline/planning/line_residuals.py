@@ -6,6 +6,7 @@ plane map minus the central projection of X from the focal point F. Its error fo
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import pairwise
 
 import numpy as np
@@ -13,6 +14,7 @@ import numpy as np
 from sightline.calibration.projection import Pencil
 from sightline.calibration.view import SOURCES, LinesOfSight
 from sightline.errors import ReconstructionRefusedError
+from sightline.geometry.covariance import joined
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,25 +45,25 @@ class LineResiduals:
         return LineResiduals(lines, residual, to_point, to_line, reach)
 
 
-def covariance_by_source(first: LineResiduals, second: LineResiduals) -> dict[str, np.ndarray] | None:
-    """Return the covariance (4N, 4N) of the residuals of both views (view, point, axis) for each of SOURCES.
+def covariance_by_source(views: Sequence[LineResiduals]) -> dict[str, np.ndarray] | None:
+    """Return the covariance (R, R) of the residuals of all views (view, point, axis) for each of SOURCES.
 
     None where a view's error is unknown. The views are correlated through the errors that they share.
     """
-    a, b = first.lines, second.lines
-    if a.covariance is None or b.covariance is None:
+    known = [(one.to_line, one.lines, one.lines.covariance) for one in views if one.lines.covariance is not None]
+    if len(known) < len(views):
         return None
-    n = len(first.to_line)
-    out = {}
-    for source in SOURCES:
-        out[source] = np.zeros((2 * n, 2 * n))
-        out[source][:n, :n] = first.to_line @ a.covariance[source] @ first.to_line.T
-        out[source][n:, n:] = second.to_line @ b.covariance[source] @ second.to_line.T
-    for source in a.sources_shared_with(b):
-        shared = (first.to_line @ a.shared[source]) @ (second.to_line @ b.shared[source]).T
-        out[source][:n, n:] = shared
-        out[source][n:, :n] = shared.T
-    return out
+
+    def between(source: str, i: int, j: int) -> np.ndarray:
+        (by_a, a, _), (by_b, b, _) = known[i], known[j]
+        if source not in a.sources_shared_with(b):
+            return np.zeros((len(by_a), len(by_b)))
+        return (by_a @ a.shared[source]) @ (by_b @ b.shared[source]).T
+
+    return {
+        source: joined([by @ covariance[source] @ by.T for by, _, covariance in known], partial(between, source))
+        for source in SOURCES
+    }
 
 
 def refuse_two_frames(lines: Sequence[LinesOfSight]) -> None:

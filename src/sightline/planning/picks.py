@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -15,9 +16,9 @@ DEFAULT_PICK_SD_PX = 0.5
 class Pick:
     """One picked point, IDCS px.
 
-    `uv_px` (2,); `covariance_px2` (2, 2); `across_px` (2,): zero for a free pick. A pick snapped to an image-matching
-    curve is a one-dimensional measurement along the curve: then `across_px` is the unit vector across the curve, in
-    which the pick measures nothing.
+    `uv_px` (2,), NaN where the view does not show the point; `covariance_px2` (2, 2); `across_px` (2,): zero for a free
+    pick. A pick snapped to an image-matching curve is a one-dimensional measurement along the curve: then `across_px`
+    is the unit vector across the curve, in which the pick measures nothing.
     """
 
     uv_px: np.ndarray
@@ -34,10 +35,38 @@ class Pick:
         return Pick(np.array(uv_px, dtype=np.float64), sd_px**2 * np.eye(2), np.zeros(2))
 
 
-def stack(picks: Sequence[tuple[Pick, Pick]]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the picks of N points in two views as arguments of `reconstruct`: uv_px, uv_covariance_px2, across_px."""
+class PickArrays(NamedTuple):
+    """Picks of N points in V views, as in `Pick`: (V, N, 2), (V, N, 2, 2) and (V, N, 2).
+
+    `uv_px` is NaN where a view does not show a point.
+    """
+
+    uv_px: np.ndarray
+    covariance_px2: np.ndarray
+    across_px: np.ndarray
+
+    @property
+    def seen(self) -> np.ndarray:
+        """(V, N) bool: the view shows the point."""
+        return np.isfinite(self.uv_px[..., 0])
+
+    @property
+    def snapped(self) -> np.ndarray:
+        """(V, N) bool: the pick is snapped to a curve."""
+        return np.any(self.across_px != 0.0, axis=-1)
+
+    def regular(self) -> "PickArrays":
+        """Return the picks with a variance above zero across their curves, which keeps matrices regular; it is not
+        used."""
+        size = np.trace(self.covariance_px2, axis1=-2, axis2=-1)[..., None, None]
+        across = self.across_px
+        return self._replace(covariance_px2=self.covariance_px2 + size * across[..., :, None] * across[..., None, :])
+
+
+def stack(picks: Sequence[Sequence[Pick]]) -> PickArrays:
+    """Return the picks of N points, each with a pick in every view, as arguments of `reconstruct`."""
     by_view = list(zip(*picks, strict=True))
-    return (
+    return PickArrays(
         np.array([[p.uv_px for p in view] for view in by_view]),
         np.array([[p.covariance_px2 for p in view] for view in by_view]),
         np.array([[p.across_px for p in view] for view in by_view]),

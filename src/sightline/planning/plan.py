@@ -17,8 +17,9 @@ from sightline.planning.curve import MatchingCurve, matching_curve, snap
 from sightline.planning.kinds import TrajectoryKind
 from sightline.planning.kinds import kind as kind_of
 from sightline.planning.picks import DEFAULT_PICK_SD_PX, Pick, stack
-from sightline.planning.reconstruct import Method, reconstruct
+from sightline.planning.reconstruct import reconstruct
 from sightline.planning.results import SpacePoints, Verdict
+from sightline.planning.solution import Method
 from sightline.planning.trajectory import Trajectory
 from sightline.planning.verdict import judge
 from sightline.show import Plotted, dataframe
@@ -34,10 +35,11 @@ _DRAWN_POINTS = 21  # [ours] along the wire: it bends with the image's distortio
 class Plan(Plotted):
     """A trajectory, the image-matching curves of its two points in the second view, and the verdict with its checks.
 
-    `picks`: for entry and end, the pick in each view as it was used; snapped ones lie on their curve. `seen`: entry,
+    `picks`: for entry and end, the pick in each view as it was used; snapped ones lie on their curve, those of points
+    that a view does not show are NaN. `seen`: entry,
     end and landmarks, in this order; `landmark_names`: names of the landmarks, "" where none was given. `anatomy`: the
     located parts of the bone. `noticed_mm`: how far entry and end can be wrong along a line of sight before a check of
-    the bone fails; None where no check would fail. `views`: the two views that the plan was made on;
+    the bone fails; None where no check would fail. `views`: the views that the plan was made on;
     `arguments`: what else `plan` was given, but for the kind and `curve`.
 
     >>> pa, lateral = sl.load("out/demo/views.json")
@@ -49,7 +51,7 @@ class Plan(Plotted):
     """
 
     trajectory: Trajectory
-    picks: tuple[tuple[Pick, Pick], tuple[Pick, Pick]]
+    picks: tuple[tuple[Pick, ...], tuple[Pick, ...]]
     seen: SpacePoints
     entry_curve: MatchingCurve
     end_curve: MatchingCurve
@@ -59,7 +61,7 @@ class Plan(Plotted):
     anatomy: Anatomy | None
     landmark_names: tuple[str, ...]
     noticed_mm: tuple[float | None, float | None]
-    views: tuple[CalibratedView, CalibratedView]
+    views: tuple[CalibratedView, ...]
     arguments: Mapping[str, Any]
 
     def summary(self) -> str:
@@ -74,20 +76,21 @@ class Plan(Plotted):
         return dataframe({name: [row[name] for row in rows] for name in rows[0]})
 
     def _new_axes(self, figure: Any) -> Any:
-        return figure.subplots(1, 2)
+        return figure.subplots(1, len(self.views))
 
     def _size_in(self) -> tuple[float, float]:
-        return 12.0, 6.0
+        return 6.0 * len(self.views), 6.0
 
     def _draw(self, ax: Any) -> None:
         """Draw each view's picks and the wire as it sees it, in the second also the curves of the first's picks."""
         from sightline.show import draw
 
         for k, (panel, view) in enumerate(zip(ax, self.views, strict=True)):
-            picks = np.array([pair[k].uv_px for pair in self.picks])
+            picks = np.array([point[k].uv_px for point in self.picks])
+            shown = picks[np.isfinite(picks[:, 0])]
             pixels, shape = getattr(view, "pixels", None), getattr(view, "image_shape", None)
-            draw.image(panel, pixels, shape, picks, f"view {view.name}: {self.verdict.state.upper()}")
-            if k:
+            draw.image(panel, pixels, shape, shown, f"view {view.name}: {self.verdict.state.upper()}")
+            if k == 1:
                 for curve in (self.entry_curve, self.end_curve):
                     panel.plot(*curve.uv_px.T, color=draw.BLUE, linewidth=0.8)
                 panel.plot([], [], color=draw.BLUE, label=f"lines of sight of view {self.views[0].name}")
@@ -166,12 +169,13 @@ def plan(
     method: Method = "weighted",
     curve: Callable[..., MatchingCurve] = matching_curve,
 ) -> Plan:
-    """Return the plan of entry and end point, given their pixels (2, 2) each: a row for each view, IDCS.
+    """Return the plan of entry and end point, given their pixels (V, 2) each, IDCS: a row for each of V >= 2 views.
 
     `pick_sd_px`: standard deviation of a pick, per axis. `snapped`: whether the second view's picks are snapped to the
-    image-matching curves of the first view's: one flag, or (entry, end). `landmarks_uv_px` (2, L, 2): points of the
-    bone picked freely in both views, which show whether it moved between them; they change neither entry nor end. A
-    plan with snapped picks needs two of them for a GO (`judge`). `landmark_names`: their keys in the kind of
+    image-matching curves of the first view's: one flag, or (entry, end). Picks in further views are free, NaN where a
+    view does not show the point. `landmarks_uv_px` (V, L, 2): points of the bone picked freely in all views, or NaN,
+    which show whether it moved between them; they change neither entry nor end. A plan with snapped picks needs two of
+    them for a GO (`judge`). `landmark_names`: their keys in the kind of
     trajectory, "" for none. `kind`: a kind of trajectory or its key; sets the limits and the inputs asked for. `side`
     ("right", "left") and `aids`: the wire is checked against them where the kind has a bone; without them the plan is
     incomplete. `curve`: `matching_curve`, or a replacement that caches its curves.
@@ -183,14 +187,14 @@ def plan(
     'incomplete'
     >>> ax = plan.plot()
     """
-    if len(views) != 2:
-        raise UnusableInputError(f"{len(views)} views given; give exactly two to plan on")
+    if len(views) < 2:
+        raise UnusableInputError(f"{len(views)} views given; give two or more to plan on")
     each = (snapped, snapped) if isinstance(snapped, bool) else tuple(snapped)
     picked = [
         _picks(views, uv, pick_sd_px, taken, curve) for uv, taken in zip((entry_uv_px, end_uv_px), each, strict=True)
     ]
     (entry, entry_curve), (end, end_curve) = picked
-    free = _landmarks(landmarks_uv_px, pick_sd_px)
+    free = _landmarks(len(views), landmarks_uv_px, pick_sd_px)
     kind = kind_of(kind) if isinstance(kind, str) else kind
     names = _names(kind, landmark_names, len(free))
     seen = _reconstructed(views, [entry, end, *free], method)
@@ -213,7 +217,7 @@ def plan(
         anatomy=anatomy,
         landmark_names=names,
         noticed_mm=noticed,
-        views=(views[0], views[1]),
+        views=tuple(views),
         arguments={
             "entry_uv_px": np.array(entry_uv_px, dtype=np.float64),
             "end_uv_px": np.array(end_uv_px, dtype=np.float64),
@@ -240,19 +244,19 @@ def _names(kind: TrajectoryKind, landmark_names: Sequence[str], count: int) -> t
     return names or ("",) * count
 
 
-def _reconstructed(views: Sequence[CalibratedView], picks: Sequence[tuple[Pick, Pick]], method: Method) -> SpacePoints:
+def _reconstructed(views: Sequence[CalibratedView], picks: Sequence[Sequence[Pick]], method: Method) -> SpacePoints:
     uv, covariance, across = stack(picks)
     return reconstruct(views, uv, covariance, method, across)
 
 
-def _landmarks(uv_px: ArrayLike | None, sd_px: float) -> list[tuple[Pick, Pick]]:
-    """Return free picks at (2, L, 2) pixels. Raises UnusableInputError."""
-    uv = np.zeros((2, 0, 2)) if uv_px is None else np.asarray(uv_px, dtype=np.float64)
-    if uv.ndim != 3 or uv.shape[0] != 2 or uv.shape[2] != 2 or not np.isfinite(uv).all():
+def _landmarks(views: int, uv_px: ArrayLike | None, sd_px: float) -> list[tuple[Pick, ...]]:
+    """Return free picks at (V, L, 2) pixels. Raises UnusableInputError."""
+    uv = np.zeros((views, 0, 2)) if uv_px is None else np.asarray(uv_px, dtype=np.float64)
+    if uv.ndim != 3 or uv.shape[0] != views or uv.shape[2] != 2 or (views == 2 and not np.isfinite(uv).all()):
         raise UnusableInputError(
-            f"landmarks have the shape {uv.shape}; give finite pixels (2, L, 2): two views, L points, (u, v)"
+            f"landmarks have the shape {uv.shape}; give finite pixels ({views}, L, 2): view, landmark, (u, v)"
         )
-    return [(Pick.free(first, sd_px), Pick.free(second, sd_px)) for first, second in zip(*uv, strict=True)]
+    return [tuple(Pick.free(one, sd_px) for one in point) for point in np.swapaxes(uv, 0, 1)]
 
 
 def _picks(
@@ -261,13 +265,14 @@ def _picks(
     sd_px: float,
     snapped: bool,
     draw: Callable[..., MatchingCurve],
-) -> tuple[tuple[Pick, Pick], MatchingCurve]:
+) -> tuple[tuple[Pick, ...], MatchingCurve]:
     uv = np.asarray(uv_px, dtype=np.float64)
-    if uv.shape != (2, 2) or not np.isfinite(uv).all():
+    if uv.shape != (len(views), 2) or not np.isfinite(uv[:2]).all():
         raise UnusableInputError(
-            f"give one finite pixel (u, v) in each of the two images for a plan point; got the shape {uv.shape}"
+            f"give one pixel (u, v) in each of the {len(views)} images for a plan point, finite in the first two; got "
+            f"the shape {uv.shape}"
         )
     first = Pick.free(uv[0], sd_px)
     curve = draw(views[0], first.uv_px, views[1], first.covariance_px2)
     second = snap(curve, uv[1], sd_px) if snapped else Pick.free(uv[1], sd_px)
-    return (first, second), curve
+    return (first, second, *(Pick.free(one, sd_px) for one in uv[2:])), curve

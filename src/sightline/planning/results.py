@@ -10,6 +10,7 @@ from sightline.calibration.checks import handedness_check
 from sightline.checks import Check, failed
 from sightline.errors import ErrorUnknownError
 from sightline.geometry.covariance import TWO_SIDED_999, ellipsoid_factor, length_quantile
+from sightline.planning.gaps import Movement
 from sightline.show import Plotted, Shown, dataframe
 from sightline.show.words import checks_lines, counted, numbers
 
@@ -38,24 +39,27 @@ def error_unknown() -> ErrorUnknownError:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class SpacePoints(Plotted):
-    """N points reconstructed from two views, CFCS. Look at `checks` before you use them.
+    """N points reconstructed from two or more views, CFCS. Look at `checks` before you use them.
 
     `xyz_mm` (N, 3). `method`: "weighted" or "nearest"; always "nearest" where a view's error is unknown.
     `joint_covariance_mm2` (3N, 3N), or None where a view's error is unknown: the points share focal points, maps and
     frame, so their errors are correlated. `budget_mm2`: the same for each source of BUDGET.
 
-    `gap_mm` (N,): distance between the two lines of sight at their closest approach. `gap_tested` (N,) bool: False
-    where a pick was snapped to an image-matching curve, so that the gap has no meaning. `gap_sigma` (N,), masked where
-    not tested: gap over its own standard deviation; None where a view's error is unknown.
-
-    `shift_mm`, `shift_sd_mm`: weighted mean of the tested points' signed gaps along the common normal of their lines of
-    sight, and its standard deviation; a patient who moves between the views causes such a shift. `gap_chi2`: chi-square
-    of all tested gaps, with as many degrees of freedom as points. All three are None where no point is tested or a
+    `gap_mm` (N,): distance between the two lines of sight at their closest approach, of several views the largest.
+    `gap_tested` (N,) bool: False where a pick was snapped to an image-matching curve, so that the gap has no meaning.
+    `gap_sigma` (N,), masked where not tested: gap over its own standard deviation; for a point seen in V > 2 views the
+    standard deviations that are exceeded as rarely as the chi-square of its 2V - 3 redundant residuals. None where a
     view's error is unknown.
 
-    `inside_hull` (N,) bool: within the convex hull of the beads in both views. `upright`: whether a view shows the
-    frame file's beads not mirrored (`LinesOfSight.upright`); None where no view tells. `beads_near`: for each view of
-    the frame the points' `LinesOfSight.beads_near`, (N, 3).
+    `shift_mm`, `shift_sd_mm`: weighted mean of the tested points' signed gaps along the common normal of their lines of
+    sight, and its standard deviation; a patient who moves between the views causes such a shift. None with more than
+    two views. `movement`: what more than two views show of such shifts; None with two. `gap_chi2`: chi-square of all
+    tested gaps, with as many degrees of freedom as tested points, or `movement.redundancy`. All are None where no point
+    is tested or a view's error is unknown.
+
+    `inside_hull` (N,) bool: within the convex hull of the beads in every view that shows the point. `upright`: whether
+    a view shows the frame file's beads not mirrored (`LinesOfSight.upright`); None where no view tells. `beads_near`:
+    for each view of the frame the points' `LinesOfSight.beads_near`, (N, 3); -1 where it does not show a point.
 
     >>> pa, lateral = sl.load("out/demo/views.json")
     >>> points = sl.reconstruct([pa, lateral], {"pa": [[704, 425]], "lateral": [[439, 358]]})
@@ -76,6 +80,7 @@ class SpacePoints(Plotted):
     gap_chi2: float | None = None
     upright: bool | None = None
     beads_near: dict[str, np.ndarray] | None = None
+    movement: Movement | None = None
 
     def __post_init__(self) -> None:
         arrays = [getattr(self, name) for name in ("xyz_mm", "gap_mm", "gap_tested", "inside_hull")]
@@ -178,6 +183,7 @@ class SpacePoints(Plotted):
             (view, name): (int(used), int(hidden), int(shown))
             for view, counts in self.beads_near.items()
             for name, (used, hidden, shown) in zip(names, counts, strict=True)
+            if shown >= 0
         }
         return (_beads_near(shares),)
 
@@ -235,9 +241,9 @@ def _beads_near(counts: dict[tuple[str, str], tuple[int, int, int]]) -> Check:
 
 
 def _gap_check(name: str, failed: bool, sigma: float, gap_mm: float) -> Check:
-    sentence = f"The two lines of sight of {name} pass {gap_mm:.2f} mm apart, {sigma:.1f} standard deviations"
+    sentence = f"The lines of sight of {name} pass {gap_mm:.2f} mm apart, {sigma:.1f} standard deviations"
     sentence += (
-        "; the picks in the two images show different points, the patient moved between the views, or a view is "
+        "; the picks in the images show different points, the patient moved between the views, or a view is "
         "wrong: pick again. Arrays of picks must be (view, point, (u, v)), in the order of the views."
         if failed
         else "."

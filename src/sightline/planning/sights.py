@@ -1,4 +1,4 @@
-"""Lines of sight of everything picked in two views, as one vector of numbers with one joint covariance.
+"""Lines of sight of everything picked in several views, as one vector of numbers with one joint covariance.
 
 Errors that drawings share (focal points, maps, frame) are thereby counted once in any quantity computed from them.
 """
@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sightline.calibration.view import CalibratedView, LinesOfSight
+from sightline.geometry.covariance import joined
 from sightline.planning.line_residuals import refuse_two_frames
 
 # One drawing in one view: pixels (M, 2) and their covariance (2M, 2M).
@@ -17,19 +18,19 @@ Drawn = tuple[np.ndarray, np.ndarray]
 
 @dataclass(frozen=True, eq=False)
 class Sights:
-    """The vector z = (F, xy, xy ... of the first view, then of the second), mm.
+    """The vector z = (F, xy, xy ... of the first view, then of the second, ...), mm.
 
     `rows`: the lines of each drawing in a view; `picks_px2`: for each view the covariance (2N, 2N) of all its pixels,
     u and v interleaved.
     """
 
-    lines: tuple[LinesOfSight, LinesOfSight]
-    rows: tuple[dict[str, slice], dict[str, slice]]
-    picks_px2: tuple[np.ndarray, np.ndarray]
+    lines: tuple[LinesOfSight, ...]
+    rows: tuple[dict[str, slice], ...]
+    picks_px2: tuple[np.ndarray, ...]
 
     @staticmethod
     def of(views: Sequence[CalibratedView], drawn: Sequence[Mapping[str, Drawn]]) -> "Sights":
-        """Return the lines of sight of the drawings of two views, by name.
+        """Return the lines of sight of the drawings of each view, by name.
 
         Raises OutsideRegionError, ReconstructionRefusedError.
         """
@@ -43,7 +44,7 @@ class Sights:
             picks.append(covariance)
             lines.append(view.lines_of_sight(np.concatenate([np.zeros((0, 2)), *(uv for uv, _ in named.values())])))
         refuse_two_frames(lines)
-        return Sights((lines[0], lines[1]), (rows[0], rows[1]), (picks[0], picks[1]))
+        return Sights(tuple(lines), tuple(rows), tuple(picks))
 
     @property
     def values(self) -> np.ndarray:
@@ -53,24 +54,24 @@ class Sights:
     @property
     def covariance(self) -> np.ndarray | None:
         """The covariance of z; None where a view's error is unknown."""
-        first, second = self.lines
-        if first.covariance is None or second.covariance is None:
-            return None
-        size = 3 + 2 * len(first.xy_mm)
-        whole = np.zeros((size + 3 + 2 * len(second.xy_mm),) * 2)
-        for at, one, picks_px2 in ((0, first, self.picks_px2[0]), (size, second, self.picks_px2[1])):
-            assert one.covariance is not None  # noqa: S101 - checked above
-            own = np.sum(list(one.covariance.values()), axis=0)
+        own: list[np.ndarray] = []
+        for one, picks_px2 in zip(self.lines, self.picks_px2, strict=True):
+            if one.covariance is None:
+                return None
+            own.append(np.sum(list(one.covariance.values()), axis=0))
             count = len(one.xy_mm)
             on_plane = np.zeros((count, 2, count, 2))
             on_plane[range(count), :, range(count), :] = one.jacobian
             on_plane = on_plane.reshape(2 * count, 2 * count)
-            own[3:, 3:] += on_plane @ picks_px2 @ on_plane.T
-            whole[at : at + len(own), at : at + len(own)] = own
-        for source in first.sources_shared_with(second):
-            whole[:size, size:] += first.shared[source] @ second.shared[source].T
-        whole[size:, :size] = whole[:size, size:].T
-        return whole
+            own[-1][3:, 3:] += on_plane @ picks_px2 @ on_plane.T
+        return joined(own, self._between)
+
+    def _between(self, i: int, j: int) -> np.ndarray:
+        a, b = self.lines[i], self.lines[j]
+        out = np.zeros((3 + 2 * len(a.xy_mm), 3 + 2 * len(b.xy_mm)))
+        for source in a.sources_shared_with(b):
+            out += a.shared[source] @ b.shared[source].T
+        return out
 
     def index(self, name: str) -> np.ndarray:
         """Return the indices in z of a drawing's numbers: for each view that has it the focal point, then its xy."""

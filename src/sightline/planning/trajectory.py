@@ -104,8 +104,8 @@ class Trajectory(Plotted):
         if failed.any():
             point = ("entry", "end")[int(failed.argmax())]
             raise ErrorUnknownError(
-                f"the two lines of sight of the {point} point pass {self.points.gap_mm[failed.argmax()]:.2f} mm apart, "
-                "more than the stated errors explain, so the error is unknown; pick the point again in both images"
+                f"the lines of sight of the {point} point pass {self.points.gap_mm[failed.argmax()]:.2f} mm apart, "
+                "more than the stated errors explain, so the error is unknown; pick the point again in all images"
             )
         if self.points.joint_covariance_mm2 is None:
             raise error_unknown()

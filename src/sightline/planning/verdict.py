@@ -8,6 +8,7 @@ import numpy as np
 from sightline.calibration.view import CalibratedView
 from sightline.checks import Check, Limits
 from sightline.geometry.covariance import ellipsoid_factor
+from sightline.planning.gaps import CONFIDENCE, Movement
 from sightline.planning.results import MAX_GAP_SIGMA, SpacePoints, Verdict, error_known
 from sightline.planning.trajectory import Trajectory
 
@@ -15,8 +16,6 @@ from sightline.planning.trajectory import Trajectory
 _POWER_SIGMA = 1.645
 # One point shows a shift of the bone; a second is needed to show a rotation [ours].
 MIN_FREE_POINTS = 2
-# Correct plans exceed the limit of all gaps together once in a thousand [ours].
-_CONFIDENCE = 0.999
 _POINTS = ("entry", "end")
 
 
@@ -81,9 +80,10 @@ def _spread(points: SpacePoints) -> list[Check]:
     count = int(points.gap_tested.sum())
     if points.gap_chi2 is None or count < MIN_FREE_POINTS:
         return []
-    limit = ellipsoid_factor(_CONFIDENCE, count) ** 2
+    freedom = count if points.movement is None else points.movement.redundancy
+    limit = ellipsoid_factor(CONFIDENCE, freedom) ** 2
     passed = points.gap_chi2 <= limit
-    times = float(np.sqrt(points.gap_chi2 / count))
+    times = float(np.sqrt(points.gap_chi2 / freedom))
     sentence = f"The gaps of {count} free points together are {times:.1f} times what picks and views explain"
     sentence += (
         "."
@@ -95,8 +95,10 @@ def _spread(points: SpacePoints) -> list[Check]:
 
 
 def _movement(points: SpacePoints) -> Check:
-    """Return the check that the bone did not move between the views, from the mean gap of the free points."""
+    """Return the check that the bone did not move between the views, from the gaps of all free points."""
     free = int(points.gap_tested.sum())
+    if points.movement is not None:
+        return _movement_between(points.movement, free)
     if free < MIN_FREE_POINTS or points.shift_mm is None or points.shift_sd_mm is None:
         sentence = (
             f"A movement of the patient between the views is not tested: {free} points are picked freely in both views "
@@ -120,6 +122,33 @@ def _movement(points: SpacePoints) -> Check:
     return Check("movement", bool(passed), shift / sd, MAX_GAP_SIGMA, "σ", sentence)
 
 
+def _movement_between(found: Movement, free: int) -> Check:
+    """Return the check that the bone did not move between three or more images, from the chi-square of its shifts."""
+    images = len(found.information) + 1
+    limit = ellipsoid_factor(CONFIDENCE, 2 * images - 3) ** 2
+    if free < MIN_FREE_POINTS or found.freedom < 2 * images - 3:
+        sentence = (
+            f"A movement of the patient between the {images} images is not tested completely: pick {MIN_FREE_POINTS} "
+            "landmarks freely in all of them, such as the centre of the femoral head and the lesser trochanter."
+        )
+        return Check("movement", False, None, limit, "χ²", sentence)
+    passed = found.chi2 <= limit
+    if passed:
+        first, last = found.noticed_mm[[0, -1], 1]
+        sentence = (
+            f"The lines of sight of {free} free points show no movement between the {images} images. Across the first "
+            f"beam one of {first:.1f} mm after the first image would be detected, across the last beam one of "
+            f"{last:.1f} mm before the last image. A movement along the last beam before the last image would not be "
+            "detected."
+        )
+    else:
+        sentence = (
+            f"The bone seems to have moved between the {images} images: the lines of sight of {free} free points "
+            "disagree as after a shift. Acquire the images again, with the patient fixed to the frame, or pick again."
+        )
+    return Check("movement", passed, found.chi2, limit, "χ²", sentence)
+
+
 def _inside_hull(trajectory: Trajectory, views: Sequence[CalibratedView]) -> Check:
     """Return the check that entry and end lie within the beads' convex hull.
 
@@ -129,7 +158,7 @@ def _inside_hull(trajectory: Trajectory, views: Sequence[CalibratedView]) -> Che
     extrapolates = all(view.method == "smooth" for view in views)
     limit = len(_POINTS) if extrapolates else 0
     if not outside:
-        sentence = "Entry and end point lie within the beads' convex hull in both images."
+        sentence = "Entry and end point lie within the beads' convex hull in all images."
     else:
         sentence = f"Outside the beads' convex hull in an image: {' and '.join(outside)} point; "
         sentence += (

@@ -101,6 +101,15 @@ class SavedMatrixView(_Saved):
     matrix: tuple[tuple[Number, Number, Number, Number], ...]
 
 
+class MovementDocument(BaseModel):
+    """What three or more views show of a movement between them, as `Movement`."""
+
+    chi2: Number
+    freedom: int
+    information: tuple[tuple[Point, Point, Point], ...]
+    redundancy: int
+
+
 class PointsDocument(BaseModel):
     """N points, CFCS, mm, as `SpacePoints`. Null where something is not known; a gap that was not tested has a null
     `gap_sigma`."""
@@ -118,6 +127,7 @@ class PointsDocument(BaseModel):
     gap_chi2: Number | None
     upright: bool | None
     beads_near: dict[str, tuple[tuple[int, int, int], ...]] | None
+    movement: MovementDocument | None = None
 
 
 class SavedPoints(PointsDocument, _Saved):
@@ -142,7 +152,7 @@ class SavedPlan(_Saved):
     go: bool
     trajectory: TrajectoryDocument
     checks: tuple[CheckDocument, ...]
-    views: tuple[dict[str, Any], dict[str, Any]]
+    views: Annotated[tuple[dict[str, Any], ...], Field(min_length=2)]
     asked: dict[str, Any]
 
 

@@ -15,6 +15,7 @@ from sightline.errors import UnusableInputError
 from sightline.planning import Aids, Plan, SpacePoints, Trajectory, kind
 from sightline.planning import plan as make_plan
 from sightline.planning.check_result import CheckShot
+from sightline.planning.gaps import Movement
 from sightline.saved import views
 
 _SAME_MM = 0.01  # the views may come out otherwise by a tenth of it, and a wire's end lies beyond their plates [ours]
@@ -42,8 +43,14 @@ def points(given: dict[str, Any]) -> SpacePoints:
         budget_mm2=None if budget is None else {name: array(one, square, name) for name, one in budget.items()},
         inside_hull=np.array(given["inside_hull"], dtype=bool),
         beads_near=None if near is None else {name: array(n, (count, 3), name).astype(int) for name, n in near.items()},
+        movement=None if given.get("movement") is None else _movement(given["movement"]),
         **{name: given[name] for name in ("method", "shift_mm", "shift_sd_mm", "gap_chi2", "upright")},
     )
+
+
+def _movement(given: dict[str, Any]) -> Movement:
+    known = array(given["information"], (len(given["information"]), 3, 3), "what is known of a movement")
+    return Movement(given["chi2"], given["freedom"], known, given["redundancy"])
 
 
 def _masked(given: list[float | None]) -> np.ma.MaskedArray:
@@ -74,9 +81,22 @@ def plan_written(plan: Plan) -> dict[str, Any]:
         **plan.document(),
         "views": [_view_written(one) for one in views_of],
         "checks": plan.verdict.checks,
-        "asked": {**plan.arguments, "kind": plan.kind.key, "limits": limits},
+        "asked": {
+            **{name: _null(one) for name, one in plan.arguments.items()},
+            "kind": plan.kind.key,
+            "limits": limits,
+        },
         **geometry,
     }
+
+
+def _null(given: Any) -> Any:
+    """Return an array with None for NaN (a pick in an image that does not show the point), others unchanged."""
+    if not isinstance(given, np.ndarray):
+        return given
+    out = given.astype(object)
+    out[np.isnan(given)] = None
+    return out
 
 
 def _view_written(view: Any) -> dict[str, Any]:

@@ -1,0 +1,208 @@
+"""The least-squares solution of N points from their lines of sight in two or more views."""
+
+from collections.abc import Sequence
+from itertools import combinations
+from typing import Literal
+
+import numpy as np
+
+from sightline.calibration.view import LinesOfSight
+from sightline.errors import ReconstructionRefusedError
+from sightline.geometry.lines import NearestApproach, nearest_approach
+from sightline.planning.line_residuals import (
+    LineResiduals,
+    covariance_by_source,
+    pick_covariance_mm2,
+    refuse_two_frames,
+)
+from sightline.planning.picks import PickArrays
+
+Method = Literal["weighted", "nearest"]
+
+# Below this angle the error along the lines of sight is more than ten times that across them [ours].
+MIN_ANGLE_RAD = np.deg2rad(5.0)
+_ITERATIONS = 2  # enough: only the weights change with the points, and only a little
+
+
+def solve(lines: Sequence[LinesOfSight], picks: PickArrays, method: Method) -> "Solution":
+    """Return N points from their lines of sight in V views: `lines` of each view are those of its finite `picks`.
+
+    Each point is seen in two views or more; the picks' covariances are above zero in all directions
+    (`PickArrays.regular`). Raises ReconstructionRefusedError.
+    """
+    refuse_two_frames(lines)
+    xyz = _start(lines, picks.seen)
+    _refuse_behind(lines, picks.seen, xyz)
+    used: Method = "nearest" if any(one.covariance is None for one in lines) else method
+    solution = Solution(lines, picks, xyz, used)
+    # Of two lines the start is already the nearest point.
+    for _ in range(_ITERATIONS if used == "weighted" or (picks.seen.sum(axis=0) > 2).any() else 0):
+        xyz = xyz + solution.step_mm()
+        solution = Solution(lines, picks, xyz, used)
+    return solution
+
+
+class Solution:
+    """The problem linearised at given points: residuals of all views, their covariance, and the weights for X.
+
+    A point has 2V residuals (view, axis); those of a view that does not show it are zero, with no weight.
+    """
+
+    def __init__(self, lines: Sequence[LinesOfSight], picks: PickArrays, xyz_mm: np.ndarray, method: Method) -> None:
+        self.lines, self.picks, self.xyz_mm, self.method = lines, picks, xyz_mm, method
+        self.residuals = tuple(LineResiduals.at(one, xyz_mm[s]) for one, s in zip(lines, picks.seen, strict=True))
+        shown = [np.flatnonzero(seen) for seen in picks.seen]
+        self._size = len(xyz_mm), 2 * len(lines)
+        self._at = np.concatenate([2 * len(lines) * at[:, None] + [2 * k, 2 * k + 1] for k, at in enumerate(shown)])
+        self.covariances = self._covariances()
+        if method == "weighted" and self.covariances is not None:
+            information = self._information(self.covariances)
+        else:
+            information = self._distance_form()
+        information = self._without_direction(information)
+        self.to_point = self.by_point([r.to_point for r in self.residuals])
+        normal = np.swapaxes(self.to_point, 1, 2) @ information
+        self.weights = np.linalg.solve(normal @ self.to_point, normal)  # (N, 3, 2V): step of X = weights @ residuals
+
+    def by_point(self, of_views: Sequence[np.ndarray]) -> np.ndarray:
+        """Return (N, 2V, ...) of values (n, 2, ...) for the n points that each view shows; zero for the others."""
+        out = np.zeros((self._size[0] * self._size[1], *of_views[0].shape[2:]))
+        out[self._at.ravel()] = np.concatenate(of_views).reshape(-1, *out.shape[1:])
+        return out.reshape(*self._size, *out.shape[1:])
+
+    def step_mm(self) -> np.ndarray:
+        """Return the Gauss-Newton step (N, 3)."""
+        return np.einsum("iaj,ij->ia", self.weights, self.by_point([r.xy_mm for r in self.residuals]))
+
+    @property
+    def response(self) -> list[np.ndarray]:
+        """For each view (3N, 3 + 2n): derivative of the points by its focal point and the xy of its n lines."""
+        out = []
+        for k, (r, seen) in enumerate(zip(self.residuals, self.picks.seen, strict=True)):
+            own = np.zeros((len(seen), 3, r.to_line.shape[1]))
+            own[seen] = np.einsum(
+                "iap,ipz->iaz", self.weights[seen, :, 2 * k : 2 * k + 2], r.to_line.reshape(len(r.reach), 2, -1)
+            )
+            out.append(own.reshape(3 * len(seen), -1))
+        return out
+
+    def budget_mm2(self) -> dict[str, np.ndarray] | None:
+        """Return the covariance (3N, 3N) of the points for each source of BUDGET; None where an error is unknown."""
+        if self.covariances is None:
+            return None
+        n, size = self._size
+        out = {}
+        for source, covariance in self.covariances.items():
+            half = (self.weights @ covariance.reshape(n, size, size * n)).reshape(3 * n, n, size)
+            out[source] = (self.weights @ half.transpose(1, 2, 0)).reshape(3 * n, 3 * n)
+        return out
+
+    def _covariances(self) -> dict[str, np.ndarray] | None:
+        """Return (N, 2V, N, 2V) for each source of BUDGET: of all points' residuals."""
+        by_source = covariance_by_source(self.residuals)
+        if by_source is None:
+            return None
+        n, size = self._size
+        at, out = self._at.ravel(), {}
+        for source, covariance in by_source.items():
+            whole = np.zeros((n * size, n * size))
+            whole[np.ix_(at, at)] = covariance
+            out[source] = whole.reshape(n, size, n, size)
+        picks = np.zeros((n, len(self.lines), 2, n, len(self.lines), 2))
+        for k, (one, seen) in enumerate(zip(self.lines, self.picks.seen, strict=True)):
+            at = np.flatnonzero(seen)
+            picks[at, k, :, at, k, :] = pick_covariance_mm2(one, self.picks.covariance_px2[k, seen])
+        return out | {"picks": picks.reshape(n, size, n, size)}
+
+    def _information(self, covariances: dict[str, np.ndarray]) -> np.ndarray:
+        """Return (N, 2V, 2V): the inverse of the total covariance of each point's residuals, zero where not seen."""
+        own = np.einsum("ipiq->ipq", np.sum(list(covariances.values()), axis=0))
+        shown = np.repeat(self.picks.seen.T, 2, axis=1)
+        return inverse(own + np.eye(self._size[1]) * ~shown[:, None]) * (shown[:, None] & shown[:, :, None])
+
+    def _distance_form(self) -> np.ndarray:
+        """Return (N, 2V, 2V): the form of the residuals that equals X's summed squared distance from its lines."""
+        n, size = self._size
+        out = np.zeros((n, size, size))
+        for k, (r, seen) in enumerate(zip(self.residuals, self.picks.seen, strict=True)):
+            axes, along = r.lines.plane.axes, r.lines.directions @ r.lines.plane.axes.T
+            across = axes @ axes.T - along[:, :, None] * along[:, None, :]
+            out[seen, 2 * k : 2 * k + 2, 2 * k : 2 * k + 2] = r.reach[:, None, None] ** 2 * across
+        return out
+
+    def snapped(self) -> np.ndarray:
+        """Return (V, N, 2V): for each view's picks the direction of the residuals in which a pick measures nothing,
+        zero for a free pick."""
+        out = np.zeros((len(self.lines), *self._size))
+        for k, (one, seen) in enumerate(zip(self.lines, self.picks.seen, strict=True)):
+            out[k, seen, 2 * k : 2 * k + 2] = np.einsum("ijk,ik->ij", one.jacobian, self.picks.across_px[k, seen])
+        return out
+
+    def _without_direction(self, information: np.ndarray) -> np.ndarray:
+        """Return the information (N, 2V, 2V) in the limit of infinite variance in the directions `snapped`."""
+        for direction in self.snapped():
+            carried = np.einsum("ipq,iq->ip", information, direction)
+            weight = np.einsum("ip,ip->i", direction, carried)
+            weight = np.divide(1.0, weight, out=np.zeros_like(weight), where=weight > 0.0)
+            information = information - weight[:, None, None] * carried[:, :, None] * carried[:, None, :]
+        return information
+
+
+def pairs(lines: Sequence[LinesOfSight], seen: np.ndarray) -> list[tuple[int, int, np.ndarray, np.ndarray]]:
+    """Return for each pair of views (i, j) the directions (2, N, 3) of both lines of each point, and the sine (N,) of
+    their angle; NaN and -1 where not both show the point."""
+    directions = np.full((*seen.shape, 3), np.nan)
+    for k, one in enumerate(lines):
+        directions[k, seen[k]] = one.directions
+    out = []
+    for i, j in combinations(range(len(lines)), 2):
+        sine = np.linalg.norm(np.cross(directions[i], directions[j]), axis=1)
+        out.append((i, j, directions[[i, j]], np.where(seen[i] & seen[j], sine, -1.0)))
+    return out
+
+
+def approach(lines: Sequence[LinesOfSight], i: int, j: int, directions: np.ndarray) -> NearestApproach:
+    """Return the closest approach of lines along `directions` (2, N, 3) of the views i and j."""
+    return nearest_approach(lines[i].focal_point_mm, directions[0], lines[j].focal_point_mm, directions[1])
+
+
+def inverse(covariance: np.ndarray) -> np.ndarray:
+    """Return the inverse of covariances. Raises ReconstructionRefusedError where they are singular."""
+    try:
+        return np.linalg.inv(covariance)
+    except np.linalg.LinAlgError:
+        raise ReconstructionRefusedError(
+            "give every pick a covariance above zero: the joint covariance of picks and views is singular, so some "
+            "input is stated without error"
+        ) from None
+
+
+def _start(lines: Sequence[LinesOfSight], seen: np.ndarray) -> np.ndarray:
+    """Return for each point the middle of the closest approach of the two lines with the largest angle.
+
+    Raises ReconstructionRefusedError where all lines of a point are too nearly parallel to determine it.
+    """
+    of_pairs = pairs(lines, seen)
+    sines = np.array([sine for _, _, _, sine in of_pairs])
+    best, largest = sines.argmax(axis=0), sines.max(axis=0).min()
+    if largest < np.sin(MIN_ANGLE_RAD):
+        raise ReconstructionRefusedError(
+            f"the lines of sight of a point are nearly parallel ({np.rad2deg(np.arcsin(largest)):.1f}°; at least "
+            f"{np.rad2deg(MIN_ANGLE_RAD):.0f}° is needed); acquire an image from another direction"
+        )
+    xyz = np.empty((seen.shape[1], 3))
+    for k, (i, j, directions, _) in enumerate(of_pairs):
+        own = best == k
+        xyz[own] = approach(lines, i, j, directions[:, own]).middle_mm
+    return xyz
+
+
+def _refuse_behind(lines: Sequence[LinesOfSight], seen: np.ndarray, xyz_mm: np.ndarray) -> None:
+    """Raise ReconstructionRefusedError for points behind an X-ray source, which no ray reaches."""
+    for one, shown in zip(lines, seen, strict=True):
+        along = np.einsum("ia,ia->i", xyz_mm[shown] - one.focal_point_mm, one.directions)
+        if (along <= 0.0).any():
+            raise ReconstructionRefusedError(
+                f"the lines of sight intersect behind the X-ray source of view {one.view!r}; check that the picks of "
+                "all images show the same points, and that the images belong to these views"
+            )

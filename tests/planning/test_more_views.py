@@ -1,0 +1,265 @@
+"""Three views and more: covariances proved by sampling, points that a view misses, small angles, what is refused."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from scipy.stats import chi2, norm
+
+import sightline as sl
+from sightline.calibration import view_from_matrix
+from sightline.checks import failed
+from sightline.errors import ReconstructionRefusedError, UnusableInputError
+from sightline.geometry.lines import meeting_point
+from sightline.planning import kind, plan, reconstruct
+from sightline.planning.results import BUDGET, SpacePoints
+
+from .standin import StandInView, stand_in, turned
+
+TARGETS_MM = np.array([[3.7, -11.2, 18.3], [-24.1, 27.9, -6.6], [11.8, 7.3, -14.2], [-8.6, -19.4, 5.9]])
+# Which view shows which point: all of them the first two, two of them each of the others.
+SEEN = np.array([[1, 1, 1, 0], [1, 1, 0, 1], [1, 1, 1, 1]], dtype=bool)
+PICK_PX2 = np.array([[0.25, 0.05], [0.05, 0.16]])
+
+
+def _views(scale: float = 1.0, degrees: float = 40.0) -> list[StandInView]:
+    pa = stand_in("pa", 0.4, scale)
+    oblique = turned(turned(stand_in("pa", 0.1, scale, seed=9), "y", degrees, ""), "x", 13.0, "oblique")
+    return [pa, stand_in("lateral", -0.2, scale), oblique]
+
+
+def _picks(views: list[StandInView], xyz_mm: np.ndarray, seen: np.ndarray) -> np.ndarray:
+    uv = np.array([view.project(xyz_mm) for view in views])
+    return np.where(seen[..., None], uv, np.nan)
+
+
+def _estimates(views: list[StandInView], rng: np.random.Generator) -> list[StandInView]:
+    """Views as they would be estimated: the frame's errors are the same numbers in all."""
+    drawn = [view.draw_errors(rng) for view in views]
+    return [view.erring(errors | {"frame": drawn[0]["frame"]}) for view, errors in zip(views, drawn, strict=True)]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("method", ["weighted", "nearest"])
+def test_the_covariance_of_three_views_by_sampling(method):
+    views, draws = _views(), 2000
+    covariance = np.broadcast_to(PICK_PX2, (3, 4, 2, 2))
+    truth, half = _picks(views, TARGETS_MM, SEEN), np.linalg.cholesky(PICK_PX2)
+    predicted = reconstruct(views, truth, covariance, method)
+    rng = np.random.default_rng(6)
+    errors, sigmas, squares, shifts = [], [], [], []
+    for _ in range(draws):
+        picks = truth + rng.standard_normal(truth.shape) @ half.T
+        points = reconstruct(_estimates(views, rng), picks, covariance, method)
+        errors.append((points.xyz_mm - TARGETS_MM).ravel())
+        sigmas.append(points.gap_sigma)
+        squares.append(points.gap_chi2)
+        shifts.append(points.movement.chi2)
+    whitened = np.linalg.solve(np.linalg.cholesky(predicted.joint_covariance_mm2), np.transpose(errors))
+    # The sample covariance of 2000 draws scatters by sqrt(2 / 2000) = 0.032 on the diagonal; 4.5 of these.
+    np.testing.assert_allclose(np.cov(whitened), np.eye(12), atol=0.14)
+    # Whatever its degrees of freedom, the gap of each point is inside 1 and 1.96 s.d. as often as a normal number.
+    for limit in (1.0, 1.96):
+        share = 2 * norm.cdf(limit) - 1
+        inside = (np.array(sigmas) < limit).mean(axis=0)
+        np.testing.assert_allclose(inside, share, atol=4.5 * np.sqrt(share * (1 - share) / draws))
+    assert (predicted.movement.redundancy, predicted.movement.freedom) == (3 + 3 + 1 + 1, 3)
+    for values, freedom in ((squares, 8), (shifts, 3)):
+        for share in (0.5, 0.95):
+            inside = np.mean(np.array(values) < chi2.ppf(share, freedom))
+            assert inside == pytest.approx(share, abs=4.5 * np.sqrt(share * (1 - share) / draws))
+
+
+@pytest.mark.parametrize("method", ["weighted", "nearest"])
+def test_perfect_picks_give_the_points_though_views_miss_some(method):
+    views = _views()
+    points = reconstruct(views, _picks(views, TARGETS_MM, SEEN), method=method)
+    np.testing.assert_allclose(points.xyz_mm, TARGETS_MM, atol=1e-7)
+    assert not failed(points.checks)
+    assert tuple(points.budget_mm2) == BUDGET
+    np.testing.assert_allclose(sum(points.budget_mm2.values()), points.joint_covariance_mm2, rtol=1e-12, atol=1e-15)
+
+
+def test_a_point_that_two_views_show_is_the_point_of_these_two():
+    """The third view changes neither the point nor its error nor its gap."""
+    views, seen = _views(), np.array([[1, 1], [1, 1], [1, 0]], dtype=bool)
+    uv = _picks(views, TARGETS_MM[:2], seen) + np.random.default_rng(3).normal(0.0, 0.7, (3, 2, 2))
+    both, pair = reconstruct(views, uv), reconstruct(views[:2], uv[:2])
+    np.testing.assert_allclose(both.xyz_mm[1], pair.xyz_mm[1], atol=1e-12)
+    np.testing.assert_allclose(both.covariance_mm2[1], pair.covariance_mm2[1], rtol=1e-10)
+    assert both.gap_mm[1] == pytest.approx(pair.gap_mm[1])
+    assert both.gap_sigma[1] == pytest.approx(pair.gap_sigma[1])
+    assert np.linalg.norm(both.xyz_mm[0] - pair.xyz_mm[0]) > 1e-3
+    # A third view makes a point more certain in every direction but that of its beam.
+    exact = [reconstruct(views[:count], _picks(views, TARGETS_MM[:2], seen)[:count]) for count in (2, 3)]
+    gained = np.linalg.eigvalsh(exact[0].covariance_mm2[0] - exact[1].covariance_mm2[0])
+    assert gained[0] > -1e-12
+    assert gained[1] > 0.01
+
+
+def test_the_nearest_point_of_three_lines():
+    views = _views()
+    uv = _picks(views, TARGETS_MM[:1], SEEN[:, :1]) + np.random.default_rng(4).normal(0.0, 2.0, (3, 1, 2))
+    lines = [view.lines_of_sight(one) for view, one in zip(views, uv, strict=True)]
+    expected = meeting_point([one.focal_point_mm for one in lines], np.concatenate([one.directions for one in lines]))
+    # Gauss-Newton with the distances' weights held: off by the residuals, 0.5 mm, times their share of the distance.
+    np.testing.assert_allclose(reconstruct(views, uv, method="nearest").xyz_mm[0], expected.point_mm, atol=2e-3)
+
+
+def test_picks_by_the_views_names():
+    views = _views()
+    uv = _picks(views, TARGETS_MM, SEEN)
+    named = {view.name: one for view, one in zip(views, uv, strict=True)}
+    again = reconstruct(views[::-1], dict(reversed(named.items())))
+    np.testing.assert_allclose(again.xyz_mm, TARGETS_MM, atol=1e-7)
+    np.testing.assert_allclose(again.joint_covariance_mm2, reconstruct(views, uv).joint_covariance_mm2, atol=1e-9)
+
+
+def test_views_of_one_direction_need_a_third_from_another():
+    """PA and a view 4° from it determine no point; with the lateral view both count."""
+    pa, lateral, _ = _views()
+    beside = turned(stand_in("pa", 0.2, seed=7), "y", 4.0, "beside")
+    uv = _picks([pa, beside, lateral], TARGETS_MM, np.ones((3, 4), dtype=bool))
+    with pytest.raises(ReconstructionRefusedError, match=r"parallel \([34]\.\d°"):
+        reconstruct([pa, beside], uv[:2])
+    three, two = reconstruct([pa, beside, lateral], uv), reconstruct([pa, lateral], uv[[0, 2]])
+    np.testing.assert_allclose(three.xyz_mm, TARGETS_MM, atol=1e-7)
+    assert (three.error_95_mm < two.error_95_mm).all()
+    missed = uv.copy()
+    missed[2, 1] = np.nan  # only the two parallel views show this point
+    with pytest.raises(ReconstructionRefusedError, match="parallel"):
+        reconstruct([pa, beside, lateral], missed)
+
+
+@pytest.mark.slow
+def test_two_views_30_degrees_apart_state_the_error_that_they_have():
+    """Along the middle of both beams the error is larger by 1 / sin 15° than across it: 3.9 times, and stated."""
+    pa = stand_in("pa", 0.4)
+    views = [pa, turned(stand_in("pa", 0.1, seed=9), "y", 30.0, "oblique")]
+    truth = _picks(views, TARGETS_MM[:1], np.ones((2, 1), dtype=bool))
+    predicted = reconstruct(views, truth)
+    rng, draws = np.random.default_rng(8), 2000
+    errors = np.array(
+        [
+            reconstruct(_estimates(views, rng), truth + rng.normal(0.0, 0.5, truth.shape)).xyz_mm[0] - TARGETS_MM[0]
+            for _ in range(draws)
+        ]
+    )
+    whitened = np.linalg.solve(np.linalg.cholesky(predicted.covariance_mm2[0]), errors.T)
+    np.testing.assert_allclose(np.cov(whitened), np.eye(3), atol=0.14)
+    assert (np.linalg.norm(errors, axis=1) < predicted.error_95_mm[0]).mean() == pytest.approx(0.95, abs=0.02)
+    middle, across = np.array([np.sin(np.pi / 12), 0.0, np.cos(np.pi / 12)]), np.array([0.0, 1.0, 0.0])
+    along = middle @ predicted.covariance_mm2[0] @ middle
+    assert np.sqrt(along / (across @ predicted.covariance_mm2[0] @ across)) > 3.0
+
+
+def test_a_wrong_pick_in_the_third_view_fails_its_points_gap_alone():
+    views = _views(0.3)
+    uv = _picks(views, TARGETS_MM, SEEN)
+    uv[2, 1] += (14.0, -9.0)
+    points = reconstruct(views, uv)
+    assert points.gap_failed.tolist() == [False, True, False, False]
+    assert np.isnan(points.error_95_mm).tolist() == [False, True, False, False]
+
+
+def test_a_snapped_pick_of_three_is_one_number():
+    """As in the limit of a huge variance across the curve, and with one redundant residual less."""
+    views, across = _views(), np.zeros((3, 2, 2))
+    uv = _picks(views, TARGETS_MM[:2], np.ones((3, 2), dtype=bool)) + 0.3
+    across[1, 0] = 0.6, 0.8
+    spread = np.broadcast_to(0.25 * np.eye(2), (3, 2, 2, 2)).copy()
+    exact = reconstruct(views, uv, spread, across_px=across)
+    spread[1, 0] += 1e6 * np.outer(across[1, 0], across[1, 0])
+    huge = reconstruct(views, uv, spread)
+    np.testing.assert_allclose(exact.xyz_mm, huge.xyz_mm, atol=1e-4)
+    np.testing.assert_allclose(exact.covariance_mm2, huge.covariance_mm2, rtol=1e-4, atol=1e-6)
+    assert exact.movement.redundancy == huge.movement.redundancy - 1
+    assert exact.gap_chi2 == pytest.approx(huge.gap_chi2, rel=1e-3)
+
+
+def test_unknown_error_of_one_view_leaves_the_nearest_points():
+    views = [*_views()[:2], replace(_views()[2], factors=None)]
+    points = reconstruct(views, _picks(views, TARGETS_MM, SEEN))
+    np.testing.assert_allclose(points.xyz_mm, TARGETS_MM, atol=1e-7)
+    assert (points.method, points.joint_covariance_mm2, points.movement) == ("nearest", None, None)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"uv_px": np.full((2, 4, 2), 512.0)}, r"give \(3, N, 2\)"),
+        ({"uv_px": np.full((4, 3, 2), 512.0)}, r"give \(3, N, 2\)"),
+        ({"uv_px": np.where(SEEN[[0, 0, 0], :, None], [512.0, 512.0], np.nan)}, "point 4 has finite picks in 0 views"),
+        ({"uv_px": np.full((3, 4, 2), np.inf)}, "finite"),
+        ({"uv_px": np.full((3, 4, 2), (np.nan, 512.0))}, "finite"),
+        ({"uv_px": {"pa": np.zeros((4, 2)), "lateral": np.zeros((4, 2))}}, "an entry for each view"),
+        (
+            {"uv_px": {"pa": np.zeros((4, 2)), "lateral": np.zeros((4, 2)), "oblique": np.zeros((3, 2))}},
+            "the same points in each",
+        ),
+        ({"uv_covariance_px2": np.ones((2, 4, 2, 2))}, "covariances"),
+        ({"across_px": np.ones((3, 4, 2))}, "snapped in two"),
+    ],
+)
+def test_bad_arguments_are_refused(change, message):
+    views = _views()
+    good = {"uv_px": _picks(views, TARGETS_MM, SEEN)}
+    assert np.isfinite(reconstruct(views, **good).xyz_mm).all()
+    with pytest.raises(UnusableInputError, match=message):
+        reconstruct(views, **(good | change))
+
+
+def test_one_view_is_not_enough_and_none_counts_twice():
+    views = _views()
+    uv = _picks(views, TARGETS_MM, np.ones((3, 4), dtype=bool))
+    with pytest.raises(UnusableInputError, match="two or more"):
+        reconstruct(views[:1], uv[:1])
+    with pytest.raises(ReconstructionRefusedError, match="twice"):
+        reconstruct([*views[:2], views[0]], uv[[0, 1, 0]])
+
+
+def _planned(views: list[StandInView], uv: np.ndarray, **given: object) -> SpacePoints:
+    return plan(views, uv[:, 0], uv[:, 1], landmarks_uv_px=uv[:, 2:], kind=kind("free-wire"), **given)
+
+
+def test_a_plan_takes_a_third_view_and_may_lack_its_picks():
+    views = _views(0.3)
+    uv = _picks(views, TARGETS_MM, np.ones((3, 4), dtype=bool)) + np.random.default_rng(5).normal(0.0, 0.3, (3, 4, 2))
+    made = _planned(views, uv)
+    assert (made.entry_curve.from_view, made.entry_curve.to_view) == ("pa", "lateral")
+    np.testing.assert_array_equal(
+        made.seen.xyz_mm, reconstruct(views, uv, np.full((3, 4, 1, 1), 0.25) * np.eye(2)).xyz_mm
+    )
+    uv[2, 0] = np.nan
+    lacking = _planned(views, uv)
+    assert lacking.trajectory.entry_error_95_mm > made.trajectory.entry_error_95_mm
+    assert lacking.trajectory.end_error_95_mm == pytest.approx(made.trajectory.end_error_95_mm)
+    assert len(lacking.plot()) == 3
+    uv[1, 0] = np.nan
+    with pytest.raises(UnusableInputError, match="finite in the first two"):
+        _planned(views, uv)
+
+
+def test_a_plan_on_three_views_is_saved_with_the_picks_that_it_lacks(tmp_path):
+    lens = np.array([[2000.0, 0.0, 512.0], [0.0, 2000.0, 512.0], [0.0, 0.0, 1.0]])
+    views = []
+    for name, turns in (("pa", (0.0, 0.0)), ("lateral", (90.0, 0.0)), ("oblique", (40.0, 15.0))):
+        rotation = Rotation.from_euler("yx", turns, degrees=True).as_matrix()
+        views.append(view_from_matrix(lens @ np.column_stack([rotation, [0.0, 0.0, 620.0]]), 1e-8 * np.eye(12), name))
+    uv = _picks(views, TARGETS_MM, SEEN) + np.random.default_rng(7).normal(0.0, 0.3, (3, 4, 2))
+    made = _planned(views, uv)
+    sl.save(made, tmp_path / "plan.json")
+    back = sl.load(tmp_path / "plan.json")
+    np.testing.assert_allclose(back.seen.joint_covariance_mm2, made.seen.joint_covariance_mm2, rtol=1e-6)
+    np.testing.assert_array_equal(back.arguments["landmarks_uv_px"], uv[:, 2:])
+    sl.save(made.seen, tmp_path / "points.json")
+    kept = sl.load(tmp_path / "points.json").movement
+    assert (kept.chi2, kept.freedom, kept.redundancy) == (made.seen.movement.chi2, 3, 8)
+    np.testing.assert_array_equal(kept.noticed_mm, made.seen.movement.noticed_mm)
+
+
+def test_a_plan_on_one_view_is_refused():
+    views = _views()
+    with pytest.raises(UnusableInputError, match="two or more"):
+        _planned(views[:1], np.full((1, 4, 2), 512.0))
