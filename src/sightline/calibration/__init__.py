@@ -7,6 +7,7 @@ from sightline.calibration.focal_length import CArm
 from sightline.calibration.matrix import MatrixView, view_from_matrix
 from sightline.calibration.residuals import Residuals
 from sightline.calibration.setup_aid import SetupAdvice, advise
+from sightline.calibration.together import calibrate_together
 from sightline.calibration.view import CalibratedView, LinesOfSight, PlaneMap
 
 __all__ = [
@@ -21,6 +22,7 @@ __all__ = [
     "SetupAdvice",
     "advise",
     "calibrate",
+    "calibrate_together",
     "fit_map",
     "view_from_matrix",
 ]

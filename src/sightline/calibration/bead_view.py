@@ -20,7 +20,7 @@ from sightline.calibration.view import LinesOfSight, PlaneMap
 from sightline.checks import Check
 from sightline.detection.results import Observations
 from sightline.errors import UnusableInputError
-from sightline.frame import Frame, FrameView
+from sightline.frame import Fiducial, Frame
 from sightline.geometry.planes import Plane
 from sightline.show import Plotted, dataframe
 from sightline.show.words import checks_lines, counted, numbers
@@ -33,12 +33,15 @@ _MAX_FAILED = 3  # checks that a summary names
 
 @dataclass(frozen=True, eq=False)
 class CalibrationInputs:
-    """Arguments of `calibrate` that the view itself does not state; `degree` and `plate` as there."""
+    """Arguments of `calibrate` that the view itself does not state; `degree` and `plate` as there.
+
+    The views of a solid, calibrated together, are each stated with their own observations.
+    """
 
     observations: Observations
     frame: Frame
-    degree: int
-    plate: PlateName
+    degree: int = 3
+    plate: PlateName = "xrii"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -46,7 +49,7 @@ class BeadView(Plotted):
     """A `CalibratedView`: `plane_map` takes pixels to the reference plane `plane`.
 
     `residuals`: of every bead given; `hull`: convex hull of the beads used, in the image; `frame_key`:
-    `Frame.fingerprint`; `frame_view`: the frame's beads of this view. `joint`: the smooth fit of both plates, by which
+    `Frame.fingerprint`; `fiducials`: the frame's of this view. `joint`: the smooth fit of both plates, by which
     wrong beads were found; None with too few beads for it. `image_shape` (H, W), None where unknown. `rejected_px`
     (M, 2): detections that were not labelled; None where unknown. `c_arm`: the known dimensions of the C-arm.
     `mirrored`: whether the image shows the frame file's beads as their mirror image; `mirrored_display`: whether a
@@ -65,7 +68,7 @@ class BeadView(Plotted):
     hull: Hull
     checks: tuple[Check, ...]
     frame_key: str
-    frame_view: FrameView
+    fiducials: tuple[Fiducial, ...]
     posterior: Posterior
     joint: JointFit | None = None
     image_shape: tuple[int, int] | None = None
@@ -125,10 +128,10 @@ class BeadView(Plotted):
 
     def _mm_per_px(self) -> np.ndarray:
         """Return the Jacobian (2, 2) of the best affine map; a localized map is not defined at each bead."""
-        left, plate = self.residuals, self.frame_view.xrii
-        mine = [i for i, name in enumerate(left.ids) if name in plate.ids]
-        xyz = np.array([self.frame_view.by_id[left.ids[i]].xyz_mm for i in mine])
-        affine, radius_mm = Affine.fit(left.uv_px[mine], self.plane.to_plane(xyz))
+        places = {f.id: f.xyz_mm for f in self.fiducials}
+        xyz = np.array([places[name] for name in self.residuals.ids])
+        shadows = self.plane.central_projection(self.focal_point_mm, xyz)
+        affine, radius_mm = Affine.fit(self.residuals.uv_px, shadows)
         return radius_mm * affine.matrix
 
     @property
@@ -211,7 +214,7 @@ class BeadView(Plotted):
 
     @cached_property
     def _support(self) -> Support:
-        fiducials = self.frame_view.fiducials
+        fiducials = self.fiducials
         xyz = np.array([f.xyz_mm for f in fiducials], dtype=np.float64)
         places, seen = self.project_seen(xyz)
         # Radius of each shadow: distance between the images of a rim point and of the centre.
@@ -245,6 +248,6 @@ class BeadView(Plotted):
             frame_key=self.frame_key,
             inside_hull=self.hull.contains(uv),
             upright=self.upright,
-            beads_near=self._support.near(uv),
+            beads_near=None if self.method == "solid" else self._support.near(uv),  # a solid's map is not local
             adjustment=self.adjustment,
         )

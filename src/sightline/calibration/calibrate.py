@@ -18,6 +18,7 @@ from sightline.calibration.joint import MIN_BEADS, JointFit, fit_jointly
 from sightline.calibration.localized import LocalizedMap
 from sightline.calibration.outliers import fit_robustly
 from sightline.calibration.polynomial import Affine, PolynomialMap
+from sightline.calibration.together import calibrate_together
 from sightline.checks import Check
 from sightline.detection.results import Observations
 from sightline.errors import UnusableInputError
@@ -38,7 +39,7 @@ def calibrate(
     mirrored_display: bool | None = None,
     c_arm: CArm | None = None,
 ) -> BeadView:
-    """Return the view calibrated from the beads of one image.
+    """Return the view calibrated from the beads of one image; `calibrate_together` takes all images of a solid.
 
     `frame`: a Frame, a frame file or the name of a built-in frame. `view`: where given, must be that of the
     observations. `degree` (1 to 7): of "polynomial". `plate`: the plate that the lines of sight of "localized" and
@@ -46,6 +47,7 @@ def calibrate(
     `mirrored_display`: whether the display mirrors the image, judged by a person from writing in it; None where nobody
     looked. Beads that contradict it mean that the frame file describes the mirror image of the frame. `c_arm`: known
     dimensions of the C-arm, against which the calibration is then checked.
+    For a frame with a solid `method`, `degree` and `plate` have no meaning.
     Raises ObservationsError, FrameError, UnusableInputError, CalibrationRefusedError.
 
     >>> beads = sl.detect("out/demo/demo_pa.dcm")
@@ -62,6 +64,9 @@ def calibrate(
             "`calibrate_image` takes an image"
         )
     frame = Frame.of(frame)
+    if frame.solid is not None:
+        (alone,) = calibrate_together([observations], frame, [c_arm])
+        return alone.said_to_be(mirrored_display)
     beads = match(observations, frame, view)
     if method == "smooth":
         fitted = smooth_view(beads)
@@ -91,7 +96,7 @@ def smooth_view(beads: Beads, fit_to: Callable[[Beads], JointFit] = fit_jointly)
         hull=Hull.of(fit.beads.uv_px),
         checks=(*view_checks(beads, residuals), *_joint_checks(fit)),
         frame_key=beads.frame.fingerprint,
-        frame_view=beads.frame.view(beads.view),
+        fiducials=beads.frame.fiducials_of(beads.view),
         posterior=fit,
         joint=fit,
     )
@@ -120,7 +125,7 @@ def _classical(beads: Beads, method: Method, fitter: Fitter, plate: PlateName) -
         hull=fit.plate.hull,
         checks=tuple(view_checks(beads, residuals) + _classical_checks(fit.plate.misfit_mm2, joint, noise_px)),
         frame_key=beads.frame.fingerprint,
-        frame_view=beads.frame.view(beads.view),
+        fiducials=beads.frame.fiducials_of(beads.view),
         posterior=fit,
         joint=joint,
     )

@@ -28,17 +28,26 @@ MIN_BESIDE_ROW = 6  # [ours] beads on either side of a row that is tested for a 
 def view_checks(beads: Beads, residuals: Residuals) -> list[Check]:
     """Return the checks common to all methods: count, coverage, leave-one-out, wrong beads, tolerances."""
     used = beads.where(residuals.used)
-    out = [_count(len(used)), _coverage(used), _leave_one_out(residuals)]
+    out = [_count(len(used)), _coverage(used), leave_one_out_check(residuals)]
     if residuals.left_out:
-        out.append(_wrong(residuals))
-    if beads.frame.tolerances is None and beads.frame.covariance_mm2 is None:
-        sd = beads.frame.effective_tolerances
-        sentence = (
-            f"The frame file states no tolerances; {sd.bead_mm} mm per bead, {sd.plate_mm} mm per plate are assumed: "
-            "have the frame measured and state `sd_mm` and `sd_rad` in its file."
-        )
-        out.append(Check("frame tolerances", True, sd.plate_mm, None, "mm", sentence))
-    return out
+        out.append(wrong_beads_check(residuals))
+    return out + tolerance_checks(beads.frame)
+
+
+def tolerance_checks(frame: Frame) -> list[Check]:
+    """Return a check that says so where a frame states no tolerances."""
+    if frame.tolerances is not None or frame.covariance_mm2 is not None:
+        return []
+    sd = frame.effective_tolerances
+    if frame.solid is not None:
+        assumed, keys, value = f"{sd.bead_mm} mm per bead is", "`sd_mm`", sd.bead_mm
+    else:
+        assumed, keys = f"{sd.bead_mm} mm per bead, {sd.plate_mm} mm per plate are", "`sd_mm` and `sd_rad`"
+        value = sd.plate_mm
+    sentence = (
+        f"The frame file states no tolerances; {assumed} assumed: have the frame measured and state {keys} in its file."
+    )
+    return [Check("frame tolerances", True, value, None, "mm", sentence)]
 
 
 def noise_checks(fit: JointFit) -> list[Check]:
@@ -148,7 +157,8 @@ def _plate_areas_mm2(frame: Frame, view: str) -> dict[str, float]:
     return {name: _area_mm2(plate.plane, plate.xyz_mm) for name, plate in plates.items()}
 
 
-def _leave_one_out(residuals: Residuals) -> Check:
+def leave_one_out_check(residuals: Residuals) -> Check:
+    """Return the check of the rms leave-one-out error."""
     limit = MAX_LEAVE_ONE_OUT_MM
     if not (residuals.used & residuals.predicted).any():
         sentence = "Bring more beads into the field: too few are seen to predict any of them from the others."
@@ -163,7 +173,8 @@ def _leave_one_out(residuals: Residuals) -> Check:
     return Check("leave-one-out error", passed, rms, limit, "mm", sentence)
 
 
-def _wrong(residuals: Residuals) -> Check:
+def wrong_beads_check(residuals: Residuals) -> Check:
+    """Return the check, always passed, that names the beads left out."""
     names = ", ".join(residuals.left_out)
     sentence = f"Beads that contradict the others were left out: {names}. Check their labels and centres."
     count = float(len(residuals.left_out))

@@ -119,8 +119,9 @@ class FrameDocument(_Strict):
             if self.sd_rad is not None or (self.sd_mm is not None and self.sd_mm.model_fields_set != {"bead"}):
                 raise ValueError('is a solid, which has no plates and no arms; state "sd_mm": {"bead": ...} alone')
             return
-        if self.sd_mm is not None and (missing := sorted({"plate", "arm"} - self.sd_mm.model_fields_set)):
-            raise ValueError(f"sd_mm.{missing[0]} is missing; add it")
+        for key in ("plate", "arm"):
+            if self.sd_mm is not None and key not in self.sd_mm.model_fields_set:
+                raise ValueError(f"sd_mm.{key} is missing; add it")
         if (self.sd_mm is None) != (self.sd_rad is None):
             raise ValueError('give both "sd_mm" and "sd_rad" for tolerances: add the missing one, or remove both')
 

@@ -1,0 +1,122 @@
+"""A flat panel as a pinhole camera with square pixels, with its derivatives by its parameters and by points."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from sightline.calibration.matrix import HomographyMap
+from sightline.geometry.planes import Plane
+from sightline.geometry.rigid import cross_matrix
+
+PARAMETERS = 9  # rotation vector of the camera (rad), translation (mm), log focal length, principal point (px)
+FOCAL, CENTRE = 6, slice(7, 9)  # their places among the parameters
+
+
+@dataclass(frozen=True, eq=False)
+class PanelCamera:
+    """u = centre + focal_px (m x / z, y / z) of a point (x, y, z) = `rotation` X + `translation_mm`, X in CFCS, mm.
+
+    m is -1 for a mirrored image, else 1. Camera axes as in `exchange.Pinhole`: z from the source to the panel.
+    """
+
+    rotation: np.ndarray
+    translation_mm: np.ndarray
+    focal_px: float
+    centre_px: np.ndarray
+    mirrored: bool
+
+    @property
+    def focal_point_mm(self) -> np.ndarray:
+        """(3,) the focal point, CFCS."""
+        return -self.rotation.T @ self.translation_mm
+
+    @property
+    def _scale_px(self) -> np.ndarray:
+        return self.focal_px * np.array([-1.0 if self.mirrored else 1.0, 1.0])
+
+    @property
+    def matrix(self) -> np.ndarray:
+        """(3, 4): takes CFCS points (x, y, z, 1), mm, to pixels (u w, v w, w)."""
+        inner = np.diag([*self._scale_px, 1.0])
+        inner[:2, 2] = self.centre_px
+        return inner @ np.column_stack([self.rotation, self.translation_mm])
+
+    @staticmethod
+    def of_affine(
+        uv_px: np.ndarray, xyz_mm: np.ndarray, focal_px: float, centre_px: np.ndarray, *, mirrored: bool
+    ) -> "PanelCamera":
+        """Return the camera at a distance whose scaled orthography is nearest to the images of points, to begin with.
+
+        Scaled orthography cannot tell a mirrored image; the opposite handedness is seen from the other side.
+        """
+        middle_px, middle_mm = uv_px.mean(axis=0), xyz_mm.mean(axis=0)
+        affine = np.linalg.lstsq(xyz_mm - middle_mm, uv_px - middle_px, rcond=None)[0].T  # (2, 3)
+        sign = np.array([-1.0 if mirrored else 1.0, 1.0])
+        u, size, vt = np.linalg.svd(sign[:, None] * affine, full_matrices=False)
+        rows = u @ vt
+        rotation = np.vstack([rows, np.cross(rows[0], rows[1])])
+        depth = focal_px / size.mean()
+        middle = np.append(sign * (middle_px - centre_px) * depth / focal_px, depth)
+        return PanelCamera(rotation, middle - rotation @ middle_mm, focal_px, np.array(centre_px), mirrored)
+
+    def moved(self, step: np.ndarray) -> "PanelCamera":
+        """Return the camera with its parameters changed by `step` (9,); the rotation acts in camera axes."""
+        return replace(
+            self,
+            rotation=Rotation.from_rotvec(step[:3]).as_matrix() @ self.rotation,
+            translation_mm=self.translation_mm + step[3:6],
+            focal_px=self.focal_px * float(np.exp(step[FOCAL])),
+            centre_px=self.centre_px + step[CENTRE],
+        )
+
+    def in_front(self, xyz_mm: np.ndarray) -> bool:
+        """Whether all points (N, 3), CFCS, lie on the panel's side of the focal point."""
+        return bool((xyz_mm @ self.rotation[2] + self.translation_mm[2] > 0).all())
+
+    def shadows(self, xyz_mm: np.ndarray, radius_mm: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return the centres (N, 2), px, of the shadows of balls at points (N, 3), with their derivatives by the
+        parameters (N, 2, 9) and by the points (N, 2, 3).
+
+        The shadow of a ball of radius r is an ellipse about (x z, y z) / (z² - r²), not about (x, y) / z.
+        """
+        turned = xyz_mm @ self.rotation.T
+        x, y, z = (turned + self.translation_mm).T
+        below = z**2 - radius_mm**2
+        ratio = np.stack([x, y], axis=1) * (z / below)[:, None]
+        by_camera = np.zeros((len(z), 2, 3))
+        by_camera[:, 0, 0] = by_camera[:, 1, 1] = z / below
+        by_camera[:, :, 2] = -np.stack([x, y], axis=1) * ((z**2 + radius_mm**2) / below**2)[:, None]
+        by_camera *= self._scale_px[:, None]
+        out = np.zeros((len(z), 2, PARAMETERS))
+        out[:, :, :3] = by_camera @ -cross_matrix(turned)
+        out[:, :, 3:6] = by_camera
+        out[:, :, FOCAL] = self._scale_px * ratio
+        out[:, 0, CENTRE.start] = out[:, 1, CENTRE.start + 1] = 1.0
+        return self.centre_px + self._scale_px * ratio, out, by_camera @ self.rotation
+
+    def plane_map(self, plane: Plane) -> HomographyMap:
+        """Return the map between the image and a plane."""
+        onto = np.vstack([np.column_stack([plane.axes.T, plane.origin_mm]), [0.0, 0.0, 1.0]])
+        return HomographyMap(self.matrix @ onto)
+
+    def lines_by_parameters(self, plane: Plane, uv_px: np.ndarray) -> np.ndarray:
+        """Return (3 + 2N, 9): derivative of the focal point and of where the lines of sight of pixels (N, 2) meet a
+        fixed plane, by the parameters."""
+        scale = self._scale_px
+        at = (uv_px - self.centre_px) / scale
+        ray = np.column_stack([at, np.ones(len(at))])
+        ray_by = np.zeros((len(at), 3, PARAMETERS))
+        ray_by[:, :, :3] = cross_matrix(ray)
+        ray_by[:, :2, FOCAL] = -at
+        ray_by[:, 0, CENTRE.start], ray_by[:, 1, CENTRE.start + 1] = -1.0 / scale
+        ray, ray_by = ray @ self.rotation, self.rotation.T @ ray_by
+        focal_by = np.zeros((3, PARAMETERS))
+        focal_by[:, :3] = -self.rotation.T @ cross_matrix(self.translation_mm)
+        focal_by[:, 3:6] = -self.rotation.T
+        steep = ray @ plane.normal
+        reach = -plane.height_mm(self.focal_point_mm) / steep
+        moved = focal_by + reach[:, None, None] * ray_by
+        along = ray / steep[:, None]
+        moved = moved - along[:, :, None] * (plane.normal @ moved)[:, None, :]
+        return np.vstack([focal_by, (plane.axes @ moved).reshape(-1, PARAMETERS)])
