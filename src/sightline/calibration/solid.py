@@ -56,7 +56,7 @@ class SolidImage:
 
 
 @dataclass(frozen=True, eq=False)
-class Solid:
+class SolidBalls:
     """M balls: `xyz_mm` (M, 3), CFCS; `radius_mm` (M,); `factor` (3M, K): their errors are factor @ e, e of unit
     variance (`Frame.error_factor`)."""
 
@@ -78,7 +78,7 @@ class Adjustment:
     the first image, of the second, and so on; then those of the priors: three for each camera, K of e.
     """
 
-    solid: Solid
+    solid: SolidBalls
     images: tuple[SolidImage, ...]
     cameras: tuple[PanelCamera, ...]
     e: np.ndarray
@@ -144,7 +144,7 @@ class Adjustment:
         return {"beads": lines[:, :balls], "focal_point": lines[:, balls:panels], "frame": -lines[:, panels:]}
 
 
-def adjust(solid: Solid, images: Sequence[SolidImage], cameras: Sequence[PanelCamera]) -> Adjustment:
+def adjust(solid: SolidBalls, images: Sequence[SolidImage], cameras: Sequence[PanelCamera]) -> Adjustment:
     """Return the adjustment of images, begun at approximate cameras. Raises CalibrationRefusedError."""
     found, converged = descend(solid, images, cameras, _STEPS)
     if not converged:
@@ -156,7 +156,7 @@ def adjust(solid: Solid, images: Sequence[SolidImage], cameras: Sequence[PanelCa
 
 
 def descend(
-    solid: Solid, images: Sequence[SolidImage], cameras: Sequence[PanelCamera], steps: int
+    solid: SolidBalls, images: Sequence[SolidImage], cameras: Sequence[PanelCamera], steps: int
 ) -> tuple[Adjustment, bool]:
     """Return the adjustment after at most so many steps, and whether it has converged."""
     now = _linearised(solid, images, cameras, np.zeros(solid.factor.shape[1]))
@@ -184,7 +184,7 @@ def _shortened(now: Adjustment, step: np.ndarray) -> Adjustment | None:
 
 
 def _linearised(
-    solid: Solid, images: Sequence[SolidImage], cameras: Sequence[PanelCamera], e: np.ndarray
+    solid: SolidBalls, images: Sequence[SolidImage], cameras: Sequence[PanelCamera], e: np.ndarray
 ) -> Adjustment:
     """Return residuals (data minus model) and design at given parameters."""
     size, balls = len(e) + PARAMETERS * len(images), sum(2 * len(one.rows) for one in images)

@@ -20,7 +20,7 @@ from sightline.calibration.hull import Hull
 from sightline.calibration.outliers import FALSE_ALARM, MAX_WRONG_SHARE
 from sightline.calibration.panel import CENTRE, FOCAL, PanelCamera
 from sightline.calibration.residuals import Residuals
-from sightline.calibration.solid import MIN_BALLS, Adjustment, PanelPrior, Solid, SolidImage, adjust, descend
+from sightline.calibration.solid import MIN_BALLS, Adjustment, PanelPrior, SolidBalls, SolidImage, adjust, descend
 from sightline.calibration.well_conditioned import well_conditioned
 from sightline.checks import Check
 from sightline.detection.results import Observations
@@ -108,7 +108,7 @@ class _InOne:
         return Plane.across(self.fit.cameras[self.image].rotation[2], self.fit.solid.xyz_mm.mean(axis=0))
 
 
-def _solid_of(frame: Frame) -> Solid:
+def _solid_of(frame: Frame) -> SolidBalls:
     assert frame.solid is not None  # noqa: S101 - checked by the caller
     xyz = frame.solid.xyz_mm
     spread = np.linalg.svd(xyz - xyz.mean(axis=0), compute_uv=False)
@@ -118,7 +118,7 @@ def _solid_of(frame: Frame) -> Solid:
             "open; use a solid whose balls fill a volume"
         )
     radius = np.array([f.diameter_mm for f in frame.solid.fiducials]) / 2
-    return Solid(xyz, radius, frame.error_factor)
+    return SolidBalls(xyz, radius, frame.error_factor)
 
 
 def _image_of(seen: Observations, frame: Frame, c_arm: CArm | None) -> SolidImage:
@@ -159,7 +159,7 @@ def _prior(shape: tuple[int, int], c_arm: CArm | None) -> PanelPrior:
     return PanelPrior(distance / pixel_mm, DISTANCE_SD_MM / distance, centre, CENTRE_SD_MM / pixel_mm)
 
 
-def _first_camera(solid: Solid, image: SolidImage, view: str) -> PanelCamera:
+def _first_camera(solid: SolidBalls, image: SolidImage, view: str) -> PanelCamera:
     """Return an approximate camera, mirrored where the image shows the solid as its mirror image.
 
     Only perspective tells: without it a mirrored image is the solid seen from the other side. The balls' errors count
@@ -186,7 +186,7 @@ def _first_camera(solid: Solid, image: SolidImage, view: str) -> PanelCamera:
 
 
 def _robustly(
-    solid: Solid, images: list[SolidImage], cameras: list[PanelCamera], seen: Sequence[Observations]
+    solid: SolidBalls, images: list[SolidImage], cameras: list[PanelCamera], seen: Sequence[Observations]
 ) -> tuple[Adjustment, list[list[str]]]:
     """Return the adjustment without outlying balls, and their names by image. Raises CalibrationRefusedError."""
     left: list[list[str]] = [[] for _ in images]
