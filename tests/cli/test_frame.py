@@ -70,6 +70,8 @@ def test_new_takes_measured_balls(tmp_path):
         (("--csv", "no.csv"), "cannot read no.csv"),
         (("--csv", "no.csv", "--rows", "9"), "leave out the other values"),
         (("--like", "delta"), "no built-in frame 'delta'"),
+        (("--like", "block60", "--rows", "9"), "without plates; leave out"),
+        (("--like", "block60", "--units", "mm"), "--csv alone"),
         (("--rows", "2"), "4 to 20 rows"),
         (("--pitch-mm", "-1"), "pitch above zero"),
         (("--datums", "2"), "ask for 6"),
@@ -103,3 +105,25 @@ def test_check_passes_a_good_frame_and_refuses_what_is_none(tmp_path):
     assert "plate-twin" in run("check", "gamma")
     (tmp_path / "f.json").write_text('{"units": "cm"}')
     assert "f.json: " in run("check", str(tmp_path / "f.json"), code=2)
+
+
+def test_show_says_where_a_block_may_stand(tmp_path):
+    solid = json.loads(run("show", "block60", "--json", "--picture", str(tmp_path / "faces.png")))["solid"]
+    assert (solid["beads"], solid["diameters_mm"]) == (16, {"3.0": 11, "5.0": 5})
+    assert [round(one["offset_mm"]) for one in solid["stands"]] == [25, 47]
+    assert (tmp_path / "faces.png").read_bytes().startswith(b"\x89PNG")
+    told = run("show", "cube120")
+    assert "does not fit" in told and "arm" not in told
+
+
+def test_new_takes_a_block_and_a_cube_of_xmalab(tmp_path):
+    run("new", str(tmp_path / "mine.json"), "--like", "block30", "--quiet")
+    mine = Frame.load(tmp_path / "mine.json")
+    assert (mine.name, mine.solid) == ("mine", Frame.load("block30").solid)
+    rows = ["x,y,z", *(f"{x / 10},{y / 10},{z / 10}" for x, y, z in mine.solid.xyz_mm.tolist())]
+    (tmp_path / "cube.csv").write_text("\n".join(rows))
+    options = ("--csv", str(tmp_path / "cube.csv"), "--units", "cm", "--diameter-mm", "2")
+    run("new", str(tmp_path / "lego.json"), *options, "--quiet")
+    lego = Frame.load(tmp_path / "lego.json")
+    np.testing.assert_allclose(lego.solid.xyz_mm, mine.solid.xyz_mm)
+    assert {f.diameter_mm for f in lego.solid.fiducials} == {2.0}

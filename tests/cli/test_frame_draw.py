@@ -5,9 +5,17 @@ def test_draw_writes_the_workshop_folder(run, tmp_path):
     ran = run("frame", "draw", "stereo", "--out", tmp_path / "shop", "--json")
     assert ran.code == 0, ran.err
     assert [part["bores"] for part in ran.document["parts"]] == [49, 64, 49, 64]
-    assert len(ran.document["files"]) == len(list((tmp_path / "shop").iterdir())) == 20
+    assert len(ran.document["files"]) == len(list((tmp_path / "shop").iterdir())) == 21
     assert run("frame", "draw", "stereo", "--out", tmp_path / "quiet", "--quiet").out == ""
     assert "Bill of material" in run("frame", "draw", "gamma", "--out", tmp_path / "loud").out
+
+
+def test_a_block_is_drawn_by_its_faces(run, tmp_path):
+    ran = run("frame", "draw", "block30", "--out", tmp_path / "shop", "--clearance-mm", "0.2", "--json")
+    assert ran.code == 0, ran.err
+    assert sum(part["bores"] for part in ran.document["parts"]) == 12
+    assert (tmp_path / "shop" / "solid.stl").exists()
+    assert run("frame", "draw", "block30", "--out", tmp_path / "far", "--clearance-mm", "3").code == 2
 
 
 @pytest.mark.parametrize(("frame", "words"), [("delta", "delta"), ("no.json", "no.json")])

@@ -58,3 +58,9 @@ def test_one_file_twice_and_a_frame_file_in_the_way_end_with_2(run, tables, tmp_
     assert run("frame", "self-check", *tables, "--out", tmp_path / "f.json").code == 2
     assert (tmp_path / "f.json").read_text() == "mine"
     assert run("frame", "self-check", *tables, "--frame", "delta").code == 2
+
+
+def test_a_solid_is_refused_with_what_to_do(run, tables):
+    ran = run("frame", "self-check", *tables, "--frame", "block60")
+    assert ran.code == 2
+    assert "frame fit" in ran.err

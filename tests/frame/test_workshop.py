@@ -9,18 +9,19 @@ import pytest
 import trimesh
 
 from sightline.errors import FrameError
-from sightline.frame import Fiducial, Frame, FrameView, Plate
+from sightline.frame import Fiducial, Frame, FrameView, Plate, RigidBody
 from sightline.frame.bill import bill_csv, bill_page, drape_envelopes, inspection_csv
 from sightline.frame.deviations import plates
 from sightline.frame.fit import Circumstances, fit_frame
 from sightline.frame.measurements import read_measurements
 from sightline.frame.part import CHAMFER_MM, SCREW_MM, parts_of
 from sightline.frame.part_dxf import plate_dxf
-from sightline.frame.part_mesh import FACETS, plate_mesh, plate_stl
+from sightline.frame.part_mesh import FACETS, meshes_of, plate_mesh, solid_mesh
 from sightline.frame.part_svg import plate_svg
 from sightline.frame.workshop import write_workshop
 
 FRAMES = ("gamma", "biplane", "stereo")
+BLOCKS = ("block30", "block60", "cube120")
 GAMMA = Frame.load("gamma")
 
 
@@ -55,8 +56,10 @@ def _unit(text: str) -> np.ndarray:
 @pytest.mark.parametrize("name", FRAMES)
 def test_solids_are_closed_and_of_the_right_volume(name):
     circle = FACETS / 2 * np.sin(2 * np.pi / FACETS)  # area of the polygon in a unit circle
-    for part in parts_of(Frame.load(name)):
-        mesh = trimesh.load(io.BytesIO(plate_stl(part)), file_type="stl")
+    parts = parts_of(Frame.load(name))
+    meshes = meshes_of(parts)
+    for part in parts:
+        mesh = trimesh.load(io.BytesIO(meshes[f"{part.name}.stl"]), file_type="stl")
         mesh.merge_vertices()
         assert mesh.is_watertight
         bores = sum(circle * (b.ball.diameter_mm / 2) ** 2 * b.depth_mm for b in part.bores)
@@ -152,6 +155,90 @@ def test_bores_that_would_break_into_each_other_are_refused():
     x, y, z = GAMMA.view("pa").xrii.fiducials[24].xyz_mm
     with pytest.raises(FrameError, match="at least 1 mm"):
         parts_of(changed(23, xyz_mm=(x + 3.9, y, z)))
+
+
+@pytest.mark.parametrize("name", BLOCKS)
+def test_the_bores_of_a_block_put_each_ball_where_the_frame_has_it(name):
+    """A ball on the floor of its bore, placed by the face's directions as drawn, is at its place in the frame."""
+    solid, parts = Frame.load(name).solid, parts_of(Frame.load(name))
+    found = {}
+    for part in parts:
+        axes = np.array([_unit(text) for text in (part.right, part.up, part.front)])
+        np.testing.assert_allclose(np.linalg.det(axes), 1.0, atol=1e-12)
+        for bore in part.bores:
+            below = bore.ball.diameter_mm / 2 - bore.depth_mm
+            found[bore.ball.id] = part.corner_mm + np.array([bore.x_mm, bore.y_mm, below]) @ axes
+            assert bore.depth_mm == 3.5 + bore.ball.diameter_mm / 2
+    np.testing.assert_allclose([found[i] for i in solid.ids], solid.xyz_mm, atol=1e-9)
+
+
+@pytest.mark.parametrize("name", BLOCKS)
+def test_the_mesh_of_a_block_is_closed_with_every_bore_open_to_its_face(name):
+    parts = parts_of(Frame.load(name))
+    mesh = trimesh.load(io.BytesIO(meshes_of(parts, clearance_mm=0.2)["solid.stl"]), file_type="stl")
+    mesh.merge_vertices()
+    assert mesh.is_watertight
+    edges = np.ptp(Frame.load(name).solid.xyz_mm, axis=0) + 7
+    np.testing.assert_allclose(mesh.bounds, [-edges / 2, edges / 2], atol=1e-4)
+    circle = FACETS / 2 * np.sin(2 * np.pi / FACETS)
+    bores = sum(circle * (b.ball.diameter_mm / 2 + 0.1) ** 2 * b.depth_mm for part in parts for b in part.bores)
+    assert mesh.volume == pytest.approx(np.prod(edges) - bores, rel=1e-6)
+    centres = np.array([b.ball.xyz_mm for part in parts for b in part.bores])
+    outwards = np.array([part.axes[2] for part in parts for _ in part.bores])
+    whole = solid_mesh(parts)
+    assert not inside(whole, centres).any() and not inside(whole, centres + 3.4 * outwards).any()
+    assert inside(whole, centres - 3 * outwards).all()
+
+
+def inside(mesh, points: np.ndarray) -> np.ndarray:
+    """Whether points lie inside a closed mesh: the solid angle of its triangles is 4 pi or 0."""
+    out = []
+    for point in points:
+        a, b, c = (mesh.triangles - point).swapaxes(0, 1)
+        la, lb, lc = (np.linalg.norm(side, axis=1) for side in (a, b, c))
+        below = la * lb * lc + (a * b).sum(1) * lc + (b * c).sum(1) * la + (c * a).sum(1) * lb
+        out.append(2 * np.arctan2((a * np.cross(b, c)).sum(1), below).sum() > 2 * np.pi)
+    return np.array(out)
+
+
+def test_a_solid_that_cannot_be_bored_is_refused_with_the_balls_names():
+    """A ball behind another one under one face; two balls at an edge, bored from its two faces."""
+    block = Frame.load("block60")
+    balls = [replace(f, xyz_mm=(9.0, 16.0, 9.0)) if f.id == "b8" else f for f in block.solid.fiducials]
+    with pytest.raises(FrameError, match=r"face \+Y: the wall between b8 and b11 is -3.00 mm"):
+        parts_of(replace(block, solid=RigidBody(tuple(balls))))
+    balls = [replace(f, xyz_mm=(26.5, 24.0, 21.0)) if f.id == "b8" else f for f in block.solid.fiducials]
+    balls = [replace(f, xyz_mm=(24.0, 26.5, 20.0)) if f.id == "b11" else f for f in balls]
+    with pytest.raises(FrameError, match=r"face \+X and face \+Y: the wall between b(8|11) and b(8|11)"):
+        parts_of(replace(block, solid=RigidBody(tuple(balls))))
+
+
+def test_a_block_folder_holds_its_faces_and_its_filled_sheet_is_read_back(tmp_path):
+    block = Frame.load("block60")
+    names = {file.name for file in write_workshop(block, tmp_path / "shop")}
+    faces = {f"face{sign}{axis}.{kind}" for sign in "+-" for axis in "xyz" for kind in ("svg", "dxf", "csv")}
+    rest = {"solid.stl", "assembly.png", "bill.md", "bill.csv", "inspection.csv", "frame.json"}
+    assert names == faces | rest
+    page = (tmp_path / "shop" / "bill.md").read_text()
+    assert "60 x 60 x 60 mm" in page and "arms" not in page and "{" not in page
+    rows = list(csv.DictReader(io.StringIO((tmp_path / "shop" / "inspection.csv").read_text())))
+    assert len(rows) == 16 and {row["plate"] for row in rows} >= {"face+x", "face-z"}
+    for row in rows:
+        row.update({f"{axis}_mm": row[f"nominal_{axis}_mm"] for axis in "xyz"}, sd_mm="0.004")
+    with (tmp_path / "filled.csv").open("w", newline="") as file:
+        writer = csv.DictWriter(file, list(rows[0]))
+        writer.writeheader()
+        writer.writerows(rows)
+    fitted = fit_frame(block, read_measurements(tmp_path / "filled.csv"), Circumstances())
+    np.testing.assert_allclose(fitted.frame.solid.xyz_mm, block.solid.xyz_mm, atol=1e-6)
+
+
+def test_an_empty_face_has_no_drawing(tmp_path):
+    balls = [(20, 0, 10), (20, 15, -12), (20, -15, 0), (-20, 3, 14), (-20, 20, 0), (-20, -20, -20)]
+    flat = tuple(Fiducial(f"k{n}", (float(x), float(y), float(z)), 3.0) for n, (x, y, z) in enumerate(balls))
+    names = {file.name for file in write_workshop(Frame("flat", {}, solid=RigidBody(flat)), tmp_path / "shop")}
+    assert {"face+x.svg", "face-x.svg", "solid.stl"} <= names
+    assert not any(name.startswith(("face+y.", "face-z.")) for name in names)
 
 
 def test_the_bill_counts_and_its_values_are_those_of_pmma():

@@ -12,11 +12,13 @@ from sightline.cli.output import Json, Output, Quiet, example
 if TYPE_CHECKING:
     from sightline.frame.design import FrameDesign
     from sightline.frame.model import Frame
-    from sightline.frame.plate import FrameView, Plate
+    from sightline.frame.plate import FrameView, Plate, RigidBody
 
 app = typer.Typer(no_args_is_help=True, help="Make, measure, draw and check frames.")
 
-FrameSource = Annotated[str, typer.Argument(metavar="FRAME", help="A frame file, gamma, biplane or stereo.")]
+FrameSource = Annotated[
+    str, typer.Argument(metavar="FRAME", help="A frame file, or a built-in frame: gamma, biplane, stereo, block60, ...")
+]
 
 
 def register(parent: typer.Typer) -> None:
@@ -31,7 +33,7 @@ def new(
     file: Annotated[Path, typer.Argument(help="The frame file to write.")],
     *,
     like: Annotated[
-        str, typer.Option(help="Built-in frame that gives the beams and every value not stated here.")
+        str, typer.Option(help="Built-in frame that gives the beams and every value not stated here, or a block.")
     ] = "gamma",
     rows: Annotated[
         int | None, typer.Option(help="Rows of balls on the XRII plate; the source plate has one more.")
@@ -47,7 +49,17 @@ def new(
     ] = None,
     datums: Annotated[int | None, typer.Option(help="Number of datum markers on each plate.")] = None,
     csv: Annotated[
-        Path | None, typer.Option(help="Table of measured balls, instead of the values above (docs/frame-file.md).")
+        Path | None,
+        typer.Option(
+            help="Table of measured balls, or frame specification of XMALab, instead of the values above "
+            "(docs/frame-file.md)."
+        ),
+    ] = None,
+    diameter_mm: Annotated[
+        float | None, typer.Option(help="Diameter of the balls of a frame specification of XMALab, mm; default 3.")
+    ] = None,
+    units: Annotated[
+        str | None, typer.Option(help="Unit of a frame specification of XMALab, mm or cm; default by its size.")
     ] = None,
     json: Json = False,
     quiet: Quiet = False,
@@ -58,9 +70,12 @@ def new(
     nothing is written (exit code 3).
     """
     with Output(json=json, quiet=quiet) as out:
+        from dataclasses import replace
+
         from sightline.errors import FrameError
         from sightline.frame.check import check_frame
         from sightline.frame.model import Frame
+        from sightline.frame.solids import SOLIDS
         from sightline.frame.table import frame_from_csv
 
         values = {"rows": rows, "pitch_mm": pitch_mm, "xrii_mm": xrii_mm, "source_mm": source_mm}
@@ -71,7 +86,13 @@ def new(
             raise FrameError(f"{file.name} exists; remove it, or name another file")
         with out.step("making the frame"):
             if csv is not None:
-                frame = frame_from_csv(csv, file.stem)
+                frame = frame_from_csv(csv, file.stem, diameter_mm, units)
+            elif diameter_mm is not None or units is not None:
+                raise FrameError("--diameter-mm and --units hold for --csv alone; leave them out")
+            elif like in SOLIDS:
+                if stated or datums is not None:
+                    raise FrameError(f"{like} is a block without plates; leave out their values, and edit its balls")
+                frame = replace(Frame.load(like), name=file.stem)
             else:
                 frame = Frame.from_design(_design(file.stem, like, stated, datums))
         checks = check_frame(frame)
@@ -86,11 +107,13 @@ def new(
 def show(
     frame: FrameSource,
     *,
-    picture: Annotated[Path | None, typer.Option(help="Write a PNG of the plates to this file.")] = None,
+    picture: Annotated[
+        Path | None, typer.Option(help="Write a PNG of the plates, or of the block's faces, to this file.")
+    ] = None,
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Show plates, datums, tolerances and reach of a frame."""
+    """Show plates, datums, tolerances and reach of a frame; of a block, where it may stand."""
     with Output(json=json, quiet=quiet) as out:
         from sightline.frame import Frame
 
@@ -156,6 +179,7 @@ def _document(frame: "Frame") -> dict[str, Any]:
             for name, view in frame.views.items()
             for role in ROLES
         ],
+        "solid": None if frame.solid is None else _solid_document(frame.solid),
     }
 
 
@@ -184,9 +208,78 @@ def _plate_document(name: str, role: str, view: "FrameView", plate: "Plate") -> 
     }
 
 
-def _show(out: Output, frame: "Frame", document: dict[str, Any]) -> None:
+def _solid_document(solid: "RigidBody") -> dict[str, Any]:
+    from collections import Counter
+
+    import numpy as np
+
+    from sightline.frame.check_solid import FIELDS_MM, clear_beads, offset_mm, radius_mm
+
+    clear = clear_beads(solid)
+    return {
+        "beads": len(solid.ids),
+        "diameters_mm": dict(sorted(Counter(f.diameter_mm for f in solid.fiducials).items())),
+        "size_mm": np.ptp(solid.xyz_mm, axis=0),
+        "radius_mm": radius_mm(solid),
+        "clear_mean": float(clear.mean()),
+        "clear_worst": int(clear.min()),
+        "stands": [
+            {"detector": name, "field_mm": field, "offset_mm": offset_mm(solid, field)}
+            for name, field in FIELDS_MM.items()
+        ],
+    }
+
+
+def _show_solid(out: Output, solid: dict[str, Any]) -> None:
+    sizes = ", ".join(f"{number} of {diameter:g} mm" for diameter, number in solid["diameters_mm"].items())
+    out.say(f"a solid of {solid['beads']} beads: {sizes}")
+    out.say(
+        f"their centres span {' x '.join(f'{mm:g}' for mm in solid['size_mm'])} mm; radius {solid['radius_mm']:.1f} mm"
+    )
+    out.say(
+        f"clear of each other: {solid['clear_mean']:.1f} beads on average over all directions, "
+        f"{solid['clear_worst']} from the worst"
+    )
     out.table(
-        f"Frame {frame.name}" + (f", serial {frame.serial}" if frame.serial else ""),
+        "Where it may stand at the hip, however it is turned, with all beads in the image",
+        ("detector", "field mm", "middle within, mm of the beam's axis", "field left beside it, mm"),
+        [
+            (
+                one["detector"],
+                f"{one['field_mm']:g}",
+                "does not fit" if one["offset_mm"] < 0 else f"{one['offset_mm']:.0f}",
+                None if one["offset_mm"] < 0 else f"{2 * one['offset_mm']:.0f}",
+            )
+            for one in solid["stands"]
+        ],
+    )
+
+
+def _show(out: Output, frame: "Frame", document: dict[str, Any]) -> None:
+    title = f"Frame {frame.name}" + (f", serial {frame.serial}" if frame.serial else "")
+    if document["solid"] is not None:
+        out.say(title)
+        _show_solid(out, document["solid"])
+    else:
+        _show_plates(out, title, document)
+    out.say(f"tolerances (1 s.d.): from {document['tolerances_from']}")
+    if (use := frame.in_use) is not None:
+        out.say(
+            f"handling adds (1 s.d.): {use.warmer_k:g} K of heat, {100 * use.water_share:g} % of water, "
+            f"{use.drape_n:g} N of drapes"
+        )
+    if (sd := document["tolerances"]) is not None:
+        rows = [
+            ("bead", sd.bead_mm, None),
+            ("plate", sd.plate_mm, 1e3 * sd.plate_rad),
+            ("arm", sd.arm_mm, 1e3 * sd.arm_rad),
+        ]
+        out.table("Tolerances", ("of", "shift mm", "rotation mrad"), rows if frame.solid is None else rows[:1])
+
+
+def _show_plates(out: Output, title: str, document: dict[str, Any]) -> None:
+    out.table(
+        title,
         ("view", "plate", "beads", "datums", "middle, CFCS mm", "reach mm"),
         [
             (
@@ -201,19 +294,3 @@ def _show(out: Output, frame: "Frame", document: dict[str, Any]) -> None:
         ],
     )
     out.say("reach: how far the ends of a 95 mm wire at 45° may move at the hip inside the beads' convex hull")
-    out.say(f"tolerances (1 s.d.): from {document['tolerances_from']}")
-    if (use := frame.in_use) is not None:
-        out.say(
-            f"handling adds (1 s.d.): {use.warmer_k:g} K of heat, {100 * use.water_share:g} % of water, "
-            f"{use.drape_n:g} N of drapes"
-        )
-    if (sd := document["tolerances"]) is not None:
-        out.table(
-            "Tolerances",
-            ("of", "shift mm", "rotation mrad"),
-            [
-                ("bead", sd.bead_mm, None),
-                ("plate", sd.plate_mm, 1e3 * sd.plate_rad),
-                ("arm", sd.arm_mm, 1e3 * sd.arm_rad),
-            ],
-        )

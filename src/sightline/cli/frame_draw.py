@@ -14,15 +14,22 @@ def register(app: typer.Typer) -> None:
 
 
 def draw(
-    frame: Annotated[str, typer.Argument(metavar="FRAME", help="A frame file, gamma, biplane or stereo.")],
+    frame: Annotated[
+        str,
+        typer.Argument(metavar="FRAME", help="A frame file, or a built-in frame: gamma, biplane, stereo, block60, ..."),
+    ],
     *,
     out: Annotated[Path, typer.Option(help="Folder for the files.")],
+    clearance_mm: Annotated[
+        float,
+        typer.Option(help="Added to the bores' diameters in the STL, mm: 0.2 for FDM, 0.1 for SLA.", min=0, max=1),
+    ] = 0.0,
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:
     """Write the drawings that a workshop needs.
 
-    SVG, DXF and STL of each plate, a bill of material and an inspection sheet.
+    SVG and DXF of each plate or face, STL, an assembly picture, a bill of material and an inspection sheet.
     """
     with Output(json=json, quiet=quiet) as output:
         from sightline.frame import Frame
@@ -31,8 +38,8 @@ def draw(
         from sightline.frame.workshop import write_workshop
 
         loaded = Frame.load(frame)
-        with output.step("drawing the plates"):
-            files = write_workshop(loaded, out)
+        with output.step("drawing the parts"):
+            files = write_workshop(loaded, out, clearance_mm)
         parts = parts_of(loaded)
         output.table("Bill of material", ("item", "number", "material", "remark"), bill_rows(parts))
         output.say(f"written: {len(files)} files in {out}")

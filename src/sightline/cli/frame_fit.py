@@ -23,7 +23,7 @@ def register(app: typer.Typer) -> None:
 def fit(
     measurements: Annotated[Path, typer.Argument(help="CSV of measured balls (docs/own-frame.md).")],
     *,
-    frame: Annotated[str, typer.Option(help="The frame as designed: a frame file, gamma, biplane or stereo.")],
+    frame: Annotated[str, typer.Option(help="The frame as designed: a frame file, or a built-in one.")],
     out: Annotated[Path, typer.Option(help="Frame file to write.")],
     covariance: Annotated[
         Path | None, typer.Option(help="CSV with the full covariance of all coordinates, mm².")
@@ -34,10 +34,13 @@ def fit(
         float | None, typer.Option(help="Temperature of the frame when it was measured, °C.")
     ] = None,
     use_temperature_c: Annotated[
-        float | None, typer.Option(help="Temperature in use, °C; the plates are scaled to it.")
+        float | None, typer.Option(help="Temperature in use, °C; plates or block are scaled to it.")
     ] = None,
     drift_mm: Annotated[
-        float, typer.Option(help="Movement of a plate until it is used, 1 s.d. per axis, mm: heat, moisture, drapes.")
+        float,
+        typer.Option(
+            help="Movement of a plate until it is used, 1 s.d. per axis, mm: heat, moisture, drapes. None for a block."
+        ),
     ] = 0.05,
     json: Json = False,
     quiet: Quiet = False,
@@ -66,9 +69,7 @@ def fit(
         if fitted.frame is not None:
             fitted.frame.save(out)
             if told.growth:
-                output.say(
-                    f"plates grown by {1e6 * told.growth:.0f} ppm, from {temperature_c:g} to {use_temperature_c:g} °C"
-                )
+                output.say(f"grown by {1e6 * told.growth:.0f} ppm, from {temperature_c:g} to {use_temperature_c:g} °C")
             output.say(f"written: {out}")
         output.result({"file": out if fitted.frame else None, "growth": told.growth, **document}, fitted.checks)
 
@@ -128,7 +129,7 @@ def _show(output: Output, document: dict[str, Any]) -> None:
     if "plates" not in document:
         return
     output.table(
-        "Plates, measured minus frame file",
+        f"{'Solid' if document['plates'][0]['across_rms_mm'] is None else 'Plates'}, measured minus frame file",
         ("view", "plate", "balls", "shift mm", "rotation mrad", "growth ppm", "drilling mm", "across mm"),
         [
             (
@@ -139,7 +140,7 @@ def _show(output: Output, document: dict[str, Any]) -> None:
                 " ".join(f"{1e3 * x:+.2f}" for x in p["turn_rad"]),
                 f"{p['growth_ppm']:+.0f}",
                 f"{p['manufacturing_mm']:.4f}",
-                f"{p['across_rms_mm']:.4f}",
+                None if p["across_rms_mm"] is None else f"{p['across_rms_mm']:.4f}",
             )
             for p in document["plates"]
         ],

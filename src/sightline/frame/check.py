@@ -1,7 +1,6 @@
 """Checks of a frame's design, before any image of it is acquired."""
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator
 
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError
@@ -9,57 +8,29 @@ from scipy.spatial.distance import pdist
 
 from sightline.checks import Check, failed
 from sightline.frame import nominal
+from sightline.frame.check_solid import SOLID_BEADS, SOLID_VIEWS
 from sightline.frame.model import Frame
 from sightline.frame.patterns import Triples, in_steps, nearest_likeness
-from sightline.frame.plate import ROLES, FrameView, Plate
+from sightline.frame.plate import ROLES, FrameView, Plate, RigidBody
+from sightline.frame.rules import Rule, Values, judge
 
 WIRE_END_MM = 95 / np.sqrt(8)  # half a 95 mm wire at 45° (physics.md, Frame), along each axis of the view
 
 _NOMINAL = f"a C-arm with the hip {nominal.SOURCE_TO_HIP_MM:g} mm from its source"
 
-Values = Iterator[tuple[str, float | None]]  # (place, value; None where it cannot be measured)
-
-
-@dataclass(frozen=True)
-class Rule:
-    """The rule of a check: `measure` yields a value for every place of a frame; `limit` applies to the worst."""
-
-    name: str
-    measure: Callable[[Frame], Values]
-    at_least: bool
-    limit: float
-    unit: str
-    meaning: str
-    advice: str
-
 
 def check_frame(frame: Frame) -> tuple[Check, ...]:
     """Return the checks that a frame can be labelled and calibrated with; the names are keys of docs/refusals.md.
 
-    Later stages rely on earlier ones (that plates have planes, that a beam runs through them), so the stages after a
-    failed one are left out.
+    A rule of plates does not apply to a solid, nor a solid's to plates. Later stages rely on earlier ones (that plates
+    have planes, that a beam runs through them), so the stages after a failed one are left out.
     """
     checks: tuple[Check, ...] = ()
-    for stage in (_BEADS, _PLATES, _VIEWS):
-        checks += _judge_all(stage, frame)
+    for stage in ((*_BEADS, *SOLID_BEADS), _PLATES, (*_VIEWS, *SOLID_VIEWS)):
+        checks += judge(stage, frame)
         if failed(checks):
             break
     return checks
-
-
-def _judge_all(rules: tuple[Rule, ...], frame: Frame) -> tuple[Check, ...]:
-    """Return a check of each rule that applies to some place of the frame."""
-    measured = ((rule, list(rule.measure(frame))) for rule in rules)
-    return tuple(_judge(rule, values) for rule, values in measured if values)
-
-
-def _judge(rule: Rule, values: list[tuple[str, float | None]]) -> Check:
-    """Return the check of the worst place; a place that cannot be measured is the worst."""
-    sign = 1 if rule.at_least else -1
-    where, value = min(values, key=lambda entry: -np.inf if entry[1] is None else sign * entry[1])
-    passed = value is not None and sign * value >= sign * rule.limit
-    sentence = f"{where}: {rule.meaning}" if passed else f"{where}: {rule.advice}"
-    return Check(rule.name, passed, None if value is None else float(value), rule.limit, rule.unit, sentence)
 
 
 def _plates(frame: Frame) -> Iterator[tuple[str, FrameView, Plate]]:
@@ -68,12 +39,19 @@ def _plates(frame: Frame) -> Iterator[tuple[str, FrameView, Plate]]:
             yield f"{name}, {'XRII' if role == 'xrii' else 'source'} plate", view, getattr(view, role)
 
 
+def _bodies(frame: Frame) -> Iterator[tuple[str, RigidBody]]:
+    yield from ((where, plate) for where, _, plate in _plates(frame))
+    if frame.solid is not None:
+        yield frame.name, frame.solid
+
+
 def _views(frame: Frame) -> Values:
-    yield frame.name, len(frame.views)
+    if frame.solid is None:
+        yield frame.name, len(frame.views)
 
 
 def _repeated_ids(frame: Frame) -> Values:
-    ids = [f.id for view in frame.views.values() for f in view.fiducials]
+    ids = [f.id for f in frame.fiducials]
     yield frame.name, len(ids) - len(set(ids))
 
 
@@ -96,11 +74,11 @@ def _height(frame: Frame) -> Values:
 
 
 def _clearance(frame: Frame) -> Values:
-    """Yield the smallest distance between the surfaces of two fiducials of each plate."""
-    for where, _, plate in _plates(frame):
-        radius = np.array([f.diameter_mm for f in plate.fiducials]) / 2
+    """Yield the smallest distance between the surfaces of two fiducials of each plate or solid."""
+    for where, body in _bodies(frame):
+        radius = np.array([f.diameter_mm for f in body.fiducials]) / 2
         first, second = np.triu_indices(len(radius), 1)
-        yield where, float((pdist(plate.xyz_mm) - radius[first] - radius[second]).min())
+        yield where, float((pdist(body.xyz_mm) - radius[first] - radius[second]).min())
 
 
 def _datums(frame: Frame) -> Values:

@@ -1,12 +1,11 @@
-"""Deviations of a measured frame from its nominal one, by ball and by plate."""
+"""Deviations of a measured frame from its nominal one, by ball and by body: plates, or a solid."""
 
 from dataclasses import dataclass
 
 import numpy as np
 
 from sightline.frame.model import Frame
-from sightline.frame.plate import ROLES, Plate
-from sightline.geometry.planes import Plane
+from sightline.frame.plate import ROLES, Plate, RigidBody
 from sightline.geometry.rigid import displacement
 
 # [ours] prior s.d., mm, of a rigid motion of the whole frame, which is not an error of a plate.
@@ -59,7 +58,8 @@ class PlateDeviation:
     """Deviations of one plate from the frame file: motion as a whole (CFCS), expansion about its mean, balls within it.
 
     `in_plane_rms_mm`, `across_rms_mm`: deviations of the balls per axis from the moved and expanded plate, including
-    the instrument's error, `instrument_mm` per axis.
+    the instrument's error, `instrument_mm` per axis. Of a solid `in_plane_rms_mm` has all three axes, and
+    `across_rms_mm` is None.
     """
 
     view: str
@@ -69,7 +69,7 @@ class PlateDeviation:
     turn_rad: np.ndarray
     growth_ppm: float
     in_plane_rms_mm: float
-    across_rms_mm: float
+    across_rms_mm: float | None
     instrument_mm: float
 
     @property
@@ -81,22 +81,22 @@ class PlateDeviation:
 def plate_deviations(
     frame: Frame, rows: np.ndarray, moved_mm: np.ndarray, covariance_mm2: np.ndarray
 ) -> tuple[PlateDeviation, ...]:
-    """Return the deviations of each plate; arguments as for `complete`."""
+    """Return the deviations of each plate, or of the solid; arguments as for `complete`."""
     variances = np.diag(covariance_mm2).reshape(-1, 3)
     out, start = [], 0
-    for view, role, plate in plates(frame):
-        own = (rows >= start) & (rows < start + len(plate.ids))
-        out.append(_plate_deviation(view, role, plate, rows[own] - start, moved_mm[own], variances[own]))
-        start += len(plate.ids)
+    for view, role, body in bodies(frame):
+        own = (rows >= start) & (rows < start + len(body.ids))
+        out.append(_deviation(view, role, body, rows[own] - start, moved_mm[own], variances[own]))
+        start += len(body.ids)
     return tuple(out)
 
 
-def _plate_deviation(  # noqa: PLR0917
-    view: str, role: str, plate: Plate, rows: np.ndarray, moved: np.ndarray, variances: np.ndarray
+def _deviation(  # noqa: PLR0917
+    view: str, role: str, body: RigidBody, rows: np.ndarray, moved: np.ndarray, variances: np.ndarray
 ) -> PlateDeviation:
-    plane: Plane = plate.plane
-    xyz = plate.xyz_mm[rows]
-    centred = xyz - plate.xyz_mm.mean(axis=0)
+    flat = isinstance(body, Plate)
+    xyz = body.xyz_mm[rows]
+    centred = xyz - body.xyz_mm.mean(axis=0)
     design = np.hstack([displacement(centred).reshape(-1, 6), centred.reshape(-1, 1)])
     parameters = np.linalg.lstsq(design, moved.ravel(), rcond=None)[0]
     residual = moved - (design @ parameters).reshape(-1, 3)
@@ -108,8 +108,8 @@ def _plate_deviation(  # noqa: PLR0917
         shift_mm=parameters[3:6],
         turn_rad=parameters[:3],
         growth_ppm=float(1e6 * parameters[6]),
-        in_plane_rms_mm=float(np.sqrt(np.mean((residual @ plane.axes.T) ** 2) / free)),
-        across_rms_mm=float(np.sqrt(np.mean((residual @ plane.normal) ** 2) / free)),
+        in_plane_rms_mm=float(np.sqrt(np.mean((residual @ body.plane.axes.T if flat else residual) ** 2) / free)),
+        across_rms_mm=float(np.sqrt(np.mean((residual @ body.plane.normal) ** 2) / free)) if flat else None,
         instrument_mm=float(np.sqrt(variances.mean())),
     )
 
@@ -117,3 +117,8 @@ def _plate_deviation(  # noqa: PLR0917
 def plates(frame: Frame) -> tuple[tuple[str, str, Plate], ...]:
     """Return (view, role, plate) in the order of the frame's covariance."""
     return tuple((name, role, getattr(view, role)) for name, view in frame.views.items() for role in ROLES)
+
+
+def bodies(frame: Frame) -> tuple[tuple[str, str, RigidBody], ...]:
+    """Return (view, role, plate) of each plate, or ("solid", "", solid), in the order of the frame's covariance."""
+    return plates(frame) if frame.solid is None else (("solid", "", frame.solid),)

@@ -1,5 +1,6 @@
 """The text of frame files (docs/frame-file.md): reading with strict checks, and writing in a readable layout."""
 
+import csv
 import json
 from collections.abc import Mapping
 from pathlib import Path
@@ -7,11 +8,12 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from sightline.bounded import read_bounded
+from sightline.bounded import read_bounded, read_text
 from sightline.errors import FrameError
 from sightline.frame.builtin import BUILTIN
 from sightline.frame.document import FrameDocument
 from sightline.frame.solids import SOLIDS
+from sightline.frame.xmalab import DIAMETER_MM, cube_document
 
 SIZE_LIMIT_BYTES = 64 * 2**20  # [ours] six times the full covariance of the built-in frames
 _ERRORS_SHOWN = 3
@@ -27,16 +29,32 @@ _ADVICE = {
 
 
 def read_document(path: Path) -> FrameDocument:
-    """Return the document in a frame file. Raises FrameError."""
+    """Return the document in a frame file, or in a frame specification of XMALab (CSV). Raises FrameError."""
     if not path.is_file():
         raise FrameError(
             f"there is no frame file {path.name!r}; give a file, or one of the built-in frames: "
             f"{', '.join((*BUILTIN, *SOLIDS))}"
         )
+    if path.suffix.lower() == ".csv":
+        return read_cube(path)
     data = read_bounded(path, SIZE_LIMIT_BYTES, FrameError, "give a frame file")
     try:
         return document_from_json(data)
     except FrameError as error:
+        raise FrameError(f"{path.name}: {error}") from None
+
+
+def read_cube(path: Path, diameter_mm: float = DIAMETER_MM, unit: str | None = None) -> FrameDocument:
+    """Return the document of a frame specification of XMALab, whose balls have one diameter. Raises FrameError.
+
+    `unit`: mm or cm; None: by the size of the object.
+    """
+    text = read_text(path, SIZE_LIMIT_BYTES, FrameError, "give a frame specification of XMALab")
+    try:
+        return FrameDocument.model_validate(cube_document(text, path.stem, diameter_mm, unit))
+    except ValidationError as error:
+        raise FrameError(f"{path.name}: {explain(error)}") from None
+    except (FrameError, csv.Error) as error:
         raise FrameError(f"{path.name}: {error}") from None
 
 

@@ -9,12 +9,12 @@ from scipy.special import chdtri
 from sightline.checks import Check, failed
 from sightline.errors import FrameError
 from sightline.frame.adjust import FALSE_ALARM, Adjusted, adjust
-from sightline.frame.deviations import Completed, PlateDeviation, complete, plate_deviations, plates
+from sightline.frame.deviations import Completed, PlateDeviation, bodies, complete, plate_deviations, plates
 from sightline.frame.identify import Identified, identify
 from sightline.frame.measurements import Series
 from sightline.frame.model import Frame
-from sightline.frame.plate import FrameView, Plate
-from sightline.frame.tolerances import EXPANSION_PER_K, Tolerances, error_factor
+from sightline.frame.plate import Fiducial, FrameView, Plate, RigidBody
+from sightline.frame.tolerances import EXPANSION_PER_K, Tolerances
 
 DRIFT_MM = 0.05  # physics.md, Frame [ours]: plate
 DRIFT_RAD_PER_MM = 0.2e-3 / 0.05  # physics.md, Frame [ours]: plate
@@ -48,7 +48,7 @@ class Circumstances:
 
     @property
     def growth(self) -> float:
-        """Relative thermal expansion of a plate from measurement to use."""
+        """Relative thermal expansion of a plate or solid from measurement to use."""
         if self.temperature_c is None or self.use_temperature_c is None:
             return 0.0
         return EXPANSION_PER_K * (self.use_temperature_c - self.temperature_c)
@@ -80,7 +80,7 @@ def fit_frame(frame: Frame, series: Sequence[Series], circumstances: Circumstanc
     checks = (_ids(identified, frame), *_diameters(frame, series))
     if failed(checks):
         return FittedFrame(None, checks, identified)
-    _refuse_thin_plates(frame, series)
+    _refuse_thin_bodies(frame, series)
     place = {f.id: (k, f.xyz_mm) for k, f in enumerate(frame.fiducials)}
     adjusted = adjust(series, [one.pose for one in identified], {ball: xyz for ball, (_, xyz) in place.items()})
     rows = np.array([place[ball][0] for ball in adjusted.ids])
@@ -103,19 +103,22 @@ def _measured(frame: Frame, whole: Completed, circumstances: Circumstances) -> F
     """Return the frame as it will be used: balls at their measured places, thermal expansion and drift included."""
     moves = iter(whole.moved_mm)
 
-    def plate(one: Plate) -> Plate:
-        xyz = one.xyz_mm + np.array([next(moves) for _ in one.ids])
+    def moved(body: RigidBody) -> tuple[Fiducial, ...]:
+        xyz = body.xyz_mm + np.array([next(moves) for _ in body.ids])
         xyz += circumstances.growth * (xyz - xyz.mean(axis=0))
-        balls = zip(one.fiducials, xyz.round(6).tolist(), strict=True)
-        return Plate(tuple(replace(ball, xyz_mm=tuple(at)) for ball, at in balls))
+        balls = zip(body.fiducials, xyz.round(6).tolist(), strict=True)
+        return tuple(replace(ball, xyz_mm=tuple(at)) for ball, at in balls)
 
     drift = Tolerances(0.0, circumstances.drift_mm, circumstances.drift_mm * DRIFT_RAD_PER_MM, 0.0, 0.0)
-    factor = error_factor(frame.views, drift)
+    factor = replace(frame, tolerances=drift, covariance_mm2=None, in_use=None).error_factor  # zero for a solid
     covariance = whole.covariance_mm2 + factor @ factor.T
     covariance.flags.writeable = False
     return replace(
         frame,
-        views={name: FrameView(plate(view.xrii), plate(view.source)) for name, view in frame.views.items()},
+        views={
+            name: FrameView(Plate(moved(view.xrii)), Plate(moved(view.source))) for name, view in frame.views.items()
+        },
+        solid=None if frame.solid is None else RigidBody(moved(frame.solid)),
         serial=circumstances.serial or frame.serial,
         measured_on=circumstances.measured_on,
         temperature_c=circumstances.temperature_c
@@ -187,16 +190,18 @@ def _diameters(frame: Frame, series: Sequence[Series]) -> list[Check]:
     return [Check("measured diameters", passed, float(worst), MAX_DIAMETER_ERROR_MM, "mm", sentence)]
 
 
-def _refuse_thin_plates(frame: Frame, series: Sequence[Series]) -> None:
+def _refuse_thin_bodies(frame: Frame, series: Sequence[Series]) -> None:
     measured = {ball for one in series for ball in one.ids}
-    for view, role, plate in plates(frame):
-        is_measured = np.array([ball in measured for ball in plate.ids])
-        points = plate.xyz_mm[is_measured]
-        broad = len(points) >= MIN_PER_PLATE and np.linalg.svd(points - points.mean(axis=0))[1][1] > 1.0
+    for view, role, body in bodies(frame):
+        is_measured = np.array([ball in measured for ball in body.ids])
+        points = body.xyz_mm[is_measured]
+        what, rank, shape = ("plate", 2, "on one line") if isinstance(body, Plate) else ("", 3, "in one plane")
+        broad = len(points) >= MIN_PER_PLATE and np.linalg.svd(points - points.mean(axis=0))[1][rank - 1] > 1.0
         if not broad:
             raise FrameError(
-                f"{is_measured.sum()} balls of the {view} {role} plate were measured; measure at least "
-                f"{MIN_PER_PLATE} of every plate that do not lie on one line, to determine its place"
+                f"{is_measured.sum()} balls of the {' '.join(filter(None, (view, role, what)))} were measured; measure "
+                f"at least {MIN_PER_PLATE} of {'every plate' if what else 'them'} that do not lie {shape}, to "
+                "determine its place"
             )
 
 

@@ -164,7 +164,7 @@ class Frame(Plotted):
         if isinstance(source, str) and source in BUILTIN:
             frame = Frame.from_design(builtin_design(source))
         elif isinstance(source, str) and source in SOLIDS:
-            frame = Frame(source, {}, solid=SOLIDS[source]())
+            frame = Frame(source, {}, solid=SOLIDS[source])
         else:
             frame = Frame.from_document(read_document(Path(source)))
         frame.refuse_mirror_image(before)

@@ -1,5 +1,6 @@
-"""A plate as a part to be manufactured: a sheet with a blind bore for each ball, in coordinates from one corner."""
+"""A plate, or a face of a solid, to be manufactured: blind bores for the balls, in coordinates from one corner."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -7,7 +8,7 @@ import numpy as np
 from sightline.errors import FrameError
 from sightline.frame.deviations import plates
 from sightline.frame.model import Frame
-from sightline.frame.plate import Fiducial, Plate
+from sightline.frame.plate import Fiducial, Plate, RigidBody
 
 THICKNESS_MM = 8.0  # [ours] as in the twin
 FLOOR_MM = 1.5  # [ours] minimum material in front of and behind a ball
@@ -16,6 +17,7 @@ SCREW_MM, SCREW_INSET_MM = 5.5, 7.0  # [ours] clearance of M5, and its distance 
 CHAMFER_MM = 6.0  # [ours] one corner is cut, so that no plate is mounted mirrored
 WALL_MM = 1.0  # [ours] minimum material between two bores
 WASHER_MM = 1.5  # [ours] thickness, as in the twin
+COVER_MM = 3.5  # [ours] from the outermost balls' centres to the faces of a solid, as in the built-in blocks
 # ISO 286-2, H8: upper deviation of a bore up to this diameter, mm; the lower one is zero [mem].
 _H8 = ((3.0, 0.014), (6.0, 0.018), (10.0, 0.022), (18.0, 0.027), (30.0, 0.033), (50.0, 0.039))
 SIGMAS = 2.0  # [ours] a tolerance on a drawing is plus or minus two standard deviations
@@ -37,73 +39,144 @@ class Bore:
         return next((mm for up_to, mm in _H8 if self.ball.diameter_mm <= up_to), _H8[-1][1])
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Part:
-    """A plate to be made, viewed on its front face: x to the right, y up, from the lower left corner (edges A and B).
+    """A plate to be made, or one face of a solid, viewed on its front face: x to the right, y up, from the lower left.
 
-    `front`, `right`, `up`: directions of the front face's normal and of the sheet's axes in CFCS. `position_mm`:
-    position tolerance of a bore, plus or minus, per axis.
+    `name`: of its files; `view`: the plate's view, None for a face. `axes` (3, 3): right, up and front, the directions
+    of x, y and the front face's normal in CFCS; `corner_mm` (3,): the front face's lower left corner, datum of edges A
+    and B, CFCS. `position_mm`: position tolerance of a bore, plus or minus, per axis.
     """
 
-    view: str
-    role: str
+    name: str
+    title: str
+    view: str | None
     bores: tuple[Bore, ...]
     width_mm: float
     height_mm: float
     thickness_mm: float
     position_mm: float
-    front: str
-    right: str
-    up: str
+    axes: np.ndarray
+    corner_mm: np.ndarray
 
     @property
-    def name(self) -> str:
-        """Name of the part's files."""
-        return f"{self.view}-{self.role}"
+    def right(self) -> str:
+        """The direction of x in CFCS, in words."""
+        return _direction(self.axes[0])
+
+    @property
+    def up(self) -> str:
+        """The direction of y in CFCS, in words."""
+        return _direction(self.axes[1])
+
+    @property
+    def front(self) -> str:
+        """The direction of the front face's normal in CFCS, in words."""
+        return _direction(self.axes[2])
+
+    @property
+    def chamfer_mm(self) -> float:
+        """The leg of the cut corner; 0 for a face of a solid."""
+        return 0.0 if self.view is None else CHAMFER_MM
 
     @property
     def outline(self) -> tuple[tuple[float, float], ...]:
-        """Corners, counter-clockwise from the datum corner; the opposite corner is cut."""
-        w, h, cut = self.width_mm, self.height_mm, CHAMFER_MM
-        return ((0.0, 0.0), (w, 0.0), (w, h - cut), (w - cut, h), (0.0, h))
+        """Corners, counter-clockwise from the datum corner; a plate's opposite corner is cut."""
+        w, h, cut = self.width_mm, self.height_mm, self.chamfer_mm
+        return ((0.0, 0.0), (w, 0.0), *(((w, h - cut), (w - cut, h)) if cut else ((w, h),)), (0.0, h))
 
     @property
     def screws(self) -> tuple[tuple[float, float], ...]:
-        """Centres of the through holes for mounting."""
+        """Centres of the through holes for mounting a plate; a face has none."""
         a, w, h = SCREW_INSET_MM, self.width_mm, self.height_mm
-        return ((a, a), (w - a, a), (w - a, h - a), (a, h - a))
+        return () if self.view is None else ((a, a), (w - a, a), (w - a, h - a), (a, h - a))
 
 
 def parts_of(frame: Frame) -> tuple[Part, ...]:
-    """Return the plates of a frame as parts. Raises FrameError for a plate that cannot be made this way."""
-    sd = frame.effective_tolerances.bead_mm
-    return tuple(_part(view, role, plate, round(SIGMAS * sd, 3)) for view, role, plate in plates(frame))
+    """Return the plates of a frame as parts, or the six faces of its solid.
+
+    Raises FrameError for a plate or a solid that cannot be made this way.
+    """
+    position = round(SIGMAS * frame.effective_tolerances.bead_mm, 3)
+    if frame.solid is not None:
+        return _faces(frame.solid, position)
+    return tuple(_plate(view, role, plate, position) for view, role, plate in plates(frame))
 
 
-def _part(view: str, role: str, plate: Plate, position_mm: float) -> Part:
+def _plate(view: str, role: str, plate: Plate, position_mm: float) -> Part:
     plane = plate.plane
     xy, height = plane.to_plane(plate.xyz_mm), plane.height_mm(plate.xyz_mm)
-    thickness = max(THICKNESS_MM, max(_thickness_mm(ball) for ball in plate.fiducials) + 2 * FLOOR_MM)
+    extents = np.array([_thickness_mm(ball) for ball in plate.fiducials])
+    thickness = max(THICKNESS_MM, float(extents.max()) + 2 * FLOOR_MM)
+    depth = thickness / 2 + extents / 2 - height
+    title = f"{view} {'XRII' if role == 'xrii' else 'source'} plate"
     corner = xy.min(axis=0) - RIM_MM
     width, tall = (np.ptp(xy, axis=0) + 2 * RIM_MM).round(3).tolist()
-    order = np.lexsort((xy[:, 0].round(2), -xy[:, 1].round(2)))  # reading order, from the top left
-    bores = []
-    for number, k in enumerate(order, start=1):
-        ball = plate.fiducials[k]
-        x, y = (xy[k] - corner).round(3).tolist()
-        depth = round(thickness / 2 + _thickness_mm(ball) / 2 - float(height[k]), 3)
-        bores.append(Bore(number, ball, x, y, depth))
-        if not _thickness_mm(ball) <= depth <= thickness - WALL_MM:
+    for ball, extent, deep, off in zip(plate.fiducials, extents, depth.round(3), height, strict=True):
+        if not extent <= deep <= thickness - WALL_MM:
             raise FrameError(
-                f"{view} {role} plate: {ball.id} lies {height[k]:+.2f} mm off the plane of the others, too far for a "
-                f"plate of {thickness:g} mm; correct its coordinates"
+                f"{title}: {ball.id} lies {off:+.2f} mm off the plane of the others, too far for a plate of "
+                f"{thickness:g} mm; correct its coordinates"
             )
     part = Part(
-        view, role, tuple(bores), width, tall, thickness, position_mm,
-        _direction(plane.normal), _direction(plane.axes[0]), _direction(plane.axes[1]),
+        f"{view}-{role}", title, view, _bores(plate.fiducials, xy - corner, depth), width, tall, thickness, position_mm,
+        np.array([*plane.axes, plane.normal]), plane.to_space(corner) + plane.normal * thickness / 2,
     )  # fmt: skip
     _refuse_thin_walls(part)
     return part
+
+
+def _faces(solid: RigidBody, position_mm: float) -> tuple[Part, ...]:
+    """Return the six faces of the box about the balls; each ball is bored from the face that is nearest to it."""
+    extents = np.array([_thickness_mm(ball) for ball in solid.fiducials])
+    cover = max(COVER_MM, float(extents.max()) / 2 + WALL_MM)
+    low, high = solid.xyz_mm.min(axis=0) - cover, solid.xyz_mm.max(axis=0) + cover
+    below = np.stack([solid.xyz_mm - low, high - solid.xyz_mm], axis=2).reshape(-1, 6)  # -X, +X, -Y, ... of each ball
+    parts = []
+    for face in range(6):
+        front = np.eye(3)[face // 2] * (1 if face % 2 else -1)
+        up = np.eye(3)[1 if face // 2 == 2 else 2]
+        axes = np.array([np.cross(up, front), up, front])
+        corner = np.where(axes[:2].sum(axis=0) - front < 0, high, low)  # along its axes from low to high, or back
+        own = np.flatnonzero(below.argmin(axis=1) == face)
+        width, tall, thickness = np.abs(axes @ (high - low)).round(3).tolist()
+        xy = (solid.xyz_mm[own] - corner) @ axes[:2].T
+        bores = _bores([solid.fiducials[k] for k in own], xy, below[own, face] + extents[own] / 2)
+        name = _direction(front)
+        parts.append(
+            Part(f"face{name.lower()}", f"face {name}", None, bores, width, tall, thickness, position_mm, axes, corner)
+        )
+        _refuse_thin_walls(parts[-1])
+    _refuse_bores_that_meet(parts)
+    return tuple(parts)
+
+
+def _bores(balls: Sequence[Fiducial], xy_mm: np.ndarray, depth_mm: np.ndarray) -> tuple[Bore, ...]:
+    """Return the bores of balls at (N, 2) from the datum corner, in reading order from the top left."""
+    order = np.lexsort((xy_mm[:, 0].round(2), -xy_mm[:, 1].round(2)))
+    (x, y), depth = xy_mm.round(3).T.tolist(), depth_mm.round(3).tolist()
+    return tuple(Bore(number, balls[k], x[k], y[k], depth[k]) for number, k in enumerate(order, start=1))
+
+
+def _refuse_bores_that_meet(faces: Sequence[Part]) -> None:
+    """Raise FrameError where bores of different faces leave too little wall between them, with rounded floors."""
+    bores = [(face, bore) for face in faces for bore in face.bores]
+    for k, (face, bore) in enumerate(bores):
+        for other_face, other in bores[:k]:
+            if other_face is face:
+                continue
+            (low, high), (other_low, other_high) = _axis(face, bore), _axis(other_face, other)
+            apart = np.linalg.norm(np.maximum(0.0, np.maximum(low - other_high, other_low - high)))
+            wall = float(apart) - (bore.ball.diameter_mm + other.ball.diameter_mm) / 2
+            if wall < WALL_MM:
+                raise FrameError(_thin(f"{other_face.title} and {face.title}", other.ball.id, bore.ball.id, wall))
+
+
+def _axis(face: Part, bore: Bore) -> tuple[np.ndarray, np.ndarray]:
+    """Return the lowest and highest coordinates (3,) of a bore's axis, from the ball's centre to the face, CFCS."""
+    mouth = face.corner_mm + bore.x_mm * face.axes[0] + bore.y_mm * face.axes[1]
+    centre = np.array(bore.ball.xyz_mm)
+    return np.minimum(mouth, centre), np.maximum(mouth, centre)
 
 
 def _thickness_mm(ball: Fiducial) -> float:
@@ -114,15 +187,21 @@ def _thickness_mm(ball: Fiducial) -> float:
 def _refuse_thin_walls(part: Part) -> None:
     holes = [(bore.x_mm, bore.y_mm, bore.ball.diameter_mm / 2, bore.ball.id) for bore in part.bores]
     holes += [(x, y, SCREW_MM / 2, "a screw's hole") for x, y in part.screws]
+    if len(holes) < 2:
+        return
     at, radius = np.array([hole[:2] for hole in holes]), np.array([hole[2] for hole in holes])
     wall = np.linalg.norm(at[:, None] - at, axis=-1) - radius[:, None] - radius
     np.fill_diagonal(wall, np.inf)
     if wall.min() < WALL_MM:
         first, second = np.unravel_index(np.argmin(wall), wall.shape)
-        raise FrameError(
-            f"{part.view} {part.role} plate: the wall between {holes[first][3]} and {holes[second][3]} is "
-            f"{wall.min():.2f} mm (at least {WALL_MM:g} mm is needed); move a ball"
-        )
+        raise FrameError(_thin(part.title, holes[first][3], holes[second][3], wall.min()))
+
+
+def _thin(where: str, one: str, other: str, wall_mm: float) -> str:
+    return (
+        f"{where}: the wall between {one} and {other} is {wall_mm:.2f} mm (at least {WALL_MM:g} mm is needed); move a "
+        "ball"
+    )
 
 
 def _direction(vector: np.ndarray) -> str:

@@ -1,4 +1,4 @@
-"""A plate's drawing for machine tools: DXF R2010 in mm, bores at their true diameter, origin at the datum corner."""
+"""The drawing of a plate or a face for machine tools: DXF R2010 in mm, true diameters, origin at the datum corner."""
 
 from io import StringIO
 
@@ -11,7 +11,7 @@ _COLUMNS_MM = (0.0, 10.0, 45.0, 65.0, 85.0, 105.0, 125.0)
 
 
 def plate_dxf(part: Part, frame: str) -> bytes:
-    """Return the drawing of one plate of the frame called `frame`: its front face, and the table of bores."""
+    """Return the drawing of one plate or face of the frame called `frame`: its front face, and the table of bores."""
     from ezdxf.enums import TextEntityAlignment
     from ezdxf.filemanagement import new
     from ezdxf.units import MM
@@ -39,9 +39,7 @@ def plate_dxf(part: Part, frame: str) -> bytes:
          f"{b.depth_mm:.3f}", f"{part.position_mm:g}")
         for b in part.bores
     ]  # fmt: skip
-    title = (
-        f"frame {frame}, {part.name} plate: PMMA {part.thickness_mm:g} mm, front face (looks to {part.front} of CFCS)"
-    )
+    title = f"frame {frame}, {part.title}: PMMA {part.thickness_mm:g} mm, front face (looks to {part.front} of CFCS)"
     texts = [(left, top + 2 * _ROW_MM, title)]
     for row, line in enumerate([heads, *cells]):
         texts += [(left + x, top - _ROW_MM * row, cell) for x, cell in zip(_COLUMNS_MM, line, strict=True)]

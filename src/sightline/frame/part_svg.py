@@ -1,12 +1,14 @@
-"""A plate's workshop drawing: SVG, one A3 sheet, all coordinates in mm on paper."""
+"""The workshop drawing of a plate or of a face: SVG, one A3 sheet, all coordinates in mm on paper."""
 
 from collections.abc import Sequence
 from html import escape
 
-from sightline.frame.part import CHAMFER_MM, SCREW_INSET_MM, SCREW_MM, WASHER_MM, Bore, Part
+import numpy as np
+
+from sightline.frame.part import SCREW_INSET_MM, SCREW_MM, WASHER_MM, Bore, Part
 
 SHEET_MM = (420.0, 297.0)  # A3, ISO 216
-_VIEW_AREA_MM = (185.0, 178.0)  # width and height available for the view
+_VIEW_AREA_MM = (193.0, 178.0)  # width available for front and side, and height
 _ROWS, _ROW_MM = 50, 3.3  # of a column of the table
 _COLUMNS = 2
 _MAX_ORDINATES = 24  # [ours] more would overlap
@@ -16,7 +18,7 @@ _SCALES = (1.0, 0.5, 0.2, 0.1, 0.05)
 
 
 def plate_svg(part: Part, frame: str) -> str:
-    """Return the sheet of one plate of the frame called `frame`."""
+    """Return the sheet of one plate or face of the frame called `frame`."""
     sheet = _Sheet()
     scale = next((s for s in _SCALES if _fits(part, s)), _SCALES[-1])
     _view(sheet, part, scale)
@@ -29,7 +31,9 @@ def plate_svg(part: Part, frame: str) -> str:
 
 
 def _fits(part: Part, scale: float) -> bool:
-    return part.width_mm * scale <= _VIEW_AREA_MM[0] and part.height_mm * scale <= _VIEW_AREA_MM[1]
+    return (part.width_mm + part.thickness_mm) * scale <= _VIEW_AREA_MM[0] and part.height_mm * scale <= _VIEW_AREA_MM[
+        1
+    ]
 
 
 class _Sheet:
@@ -131,14 +135,23 @@ def _view(sheet: _Sheet, part: Part, scale: float) -> None:
     sheet.line((x0 - 1, y0), (x0 - 22, y0))
     sheet.line((x0 - 1, top), (x0 - 22, top))
     sheet.upright(x0 - 19, y0, top, f"{part.height_mm:g} ±0.1")
-    sheet.fill((x0 + 6, y0), (x0 + 10, y0), (x0 + 8, y0 + 2.8))
-    sheet.datum(x0 + 10, y0 + 4.8, "A")
-    sheet.fill((x0, y0 - 6), (x0, y0 - 10), (x0 - 2.8, y0 - 8))
-    sheet.datum(x0 - 2.8, y0 - 8, "B")
-    sheet.say(right - 1, top - 1.5, f"{CHAMFER_MM:g} x 45°", anchor="end")
+    a, b = (
+        _free([scale * at for at in along]) for along in ([b.x_mm for b in part.bores], [b.y_mm for b in part.bores])
+    )
+    sheet.fill((x0 + a - 2, y0), (x0 + a + 2, y0), (x0 + a, y0 + 2.8))
+    sheet.datum(x0 + a + 2, y0 + 4.8, "A")
+    sheet.fill((x0, y0 - b + 2), (x0, y0 - b - 2), (x0 - 2.8, y0 - b))
+    sheet.datum(x0 - 2.8, y0 - b, "B")
+    if part.chamfer_mm:
+        sheet.say(right - 1, top - 1.5, f"{part.chamfer_mm:g} x 45°", anchor="end")
     arrow = x0 + 0.5 * scale * part.width_mm
     says = f"front face, looks to {part.front}; right {part.right}, up {part.up} of CFCS"
     sheet.say(arrow, top - 4.5, says, anchor="middle")
+
+
+def _free(taken: Sequence[float]) -> float:
+    """Return the place of a datum's letter along an edge, mm on paper from the corner, clear of the ordinates."""
+    return next(at for at in np.arange(8.0, 500.0, 2.0).tolist() if all(abs(at - other) > 4 for other in taken))
 
 
 def _ordinates(values: Sequence[float]) -> list[float]:
@@ -155,16 +168,18 @@ def _hole(sheet: _Sheet, x: float, y: float, radius: float, *, filled: bool) -> 
 
 
 def _side(sheet: _Sheet, part: Part, scale: float) -> None:
-    """Draw the plate from its left, front face to the right (first-angle projection)."""
+    """Draw the part from its left, front face to the right (first-angle projection), with a line through its balls."""
     x0, y0 = _corner(part, scale)
     left, thick = x0 + scale * part.width_mm + 12, scale * part.thickness_mm
     top = y0 - scale * part.height_mm
     sheet.line((left, y0), (left + thick, y0), (left + thick, top), (left, top), width=_THICK, closed=True)
-    sheet.line((left + thick / 2, y0 + 2), (left + thick / 2, top - 2), dash="4 1 0.8 1")
+    first = part.bores[0]  # most balls of a part lie at one depth
+    balls = left + thick - scale * (first.depth_mm - first.ball.diameter_mm / 2)
+    sheet.line((balls, y0 + 2), (balls, top - 2), dash="4 1 0.8 1")
     sheet.line((left, y0 + 1), (left, y0 + 9))
     sheet.line((left + thick, y0 + 1), (left + thick, y0 + 9))
     sheet.across(left, left + thick, y0 + 7.5, f"{part.thickness_mm:g}")
-    sheet.say(left + thick / 2, top - 4, "balls", size=2, anchor="middle")
+    sheet.say(balls, top - 4, "balls", size=2, anchor="middle")
     sheet.fill((left + thick, y0 - 12), (left + thick, y0 - 16), (left + thick + 2.8, y0 - 14))
     sheet.datum(left + thick + 6.8, y0 - 14, "C")
 
@@ -205,14 +220,18 @@ def _details(sheet: _Sheet, part: Part) -> None:
     """Draw an enlarged section through one bore of each kind."""
     kinds = {(b.ball.diameter_mm, b.ball.shape): b for b in reversed(part.bores)}
     _true_position(sheet, 209.0, 218.0, part)
-    scale, x, base = 2.5 if part.thickness_mm > 12 else 4.0, 216.0, 272.0
-    sheet.say(x - 6, base - scale * part.thickness_mm - 10, f"sections through bores, {scale:g}:1", bold=True)
+    # Of a solid, only the material about the bores.
+    height = min(part.thickness_mm, max(bore.depth_mm for bore in part.bores) + 2.0)
+    scale, x, base = (4.0 if height <= 12 else 2.5 if height <= 20 else 1.0), 216.0, 272.0
+    sheet.say(x - 6, base - scale * height - 10, f"sections through bores, {scale:g}:1", bold=True)
     for (diameter, shape), bore in sorted(kinds.items())[:2]:
         half = scale * diameter / 2
-        left, right, top = x - half - 6, x + half + 6, base - scale * part.thickness_mm
+        left, right, top = x - half - 6, x + half + 6, base - scale * height
         floor = top + scale * bore.depth_mm
         sheet.line((left, base), (left, top), (x - half, top), (x - half, floor), (x + half, floor), (x + half, top),
-                   (right, top), (right, base), width=_THICK, closed=True)  # fmt: skip
+                   (right, top), (right, base), width=_THICK)  # fmt: skip
+        cut = height < part.thickness_mm
+        sheet.line((left, base), (right, base), width=_THIN if cut else _THICK, dash="2 1" if cut else "")
         if shape == "ball":
             sheet.circle(x, floor - half, half, fill="#ddd")
         else:
@@ -246,14 +265,17 @@ def _notes(sheet: _Sheet, part: Part) -> None:
         + (" (datums, grey)" if kind[1] else "")
         for kind in kinds
     )
+    where = "the plate's name beside the cut corner of the front face" if part.view else f"{part.front} on this face"
     lines = (
         f"1. {len(part.bores)} blind bores from the front face, flat-bottomed: {counts}.",
         f"2. Every bore within ø{2 * part.position_mm:g} of its true position, ±{part.position_mm:g} per axis.",
         "3. Flatness of C 0.1; A square to B within 0.05. Other dimensions ISO 2768-m.",
-        f"4. 4 through holes ø{SCREW_MM:g}, {SCREW_INSET_MM:g} from the edges, nylon screws M5; no metal but balls.",
+        f"4. 4 through holes ø{SCREW_MM:g}, {SCREW_INSET_MM:g} from the edges, nylon screws M5; no metal but balls."
+        if part.screws
+        else "4. No holes but these bores, and no metal but balls. Bore every face before balls are put in.",
         "5. Balls of stainless steel, grade G100 or better, pressed to the floor, bonded with a clear UV adhesive.",
-        "6. Coordinates hold at 20 °C. PMMA expands by 70 ppm/K: measure at 20 ±1 °C, plate stored dry for two days.",
-        "7. Engrave the plate's name beside the cut corner of the front face. Do not wipe with alcohol: PMMA crazes.",
+        "6. Coordinates hold at 20 °C. PMMA expands by 70 ppm/K: measure at 20 ±1 °C, part stored dry for two days.",
+        f"7. Engrave {where}. Do not wipe with alcohol: PMMA crazes.",
         "8. After bonding measure every ball (inspection.csv): sightline frame fit reads it.",
     )
     for row, line in enumerate(lines):
@@ -271,8 +293,7 @@ def _title(sheet: _Sheet, part: Part, frame: str, scale: float) -> None:
         sheet.line((x, rows[1]), (x, rows[-1]))
     size = "1:1" if scale == 1 else f"1:{1 / scale:g}"
     sheet.say(left + 2, rows[0] + 3.2, "part", size=1.8)
-    role = "XRII" if part.role == "xrii" else "source"
-    sheet.say(left + 2, rows[0] + 9.8, f"{part.view} {role} plate, frame {frame}", size=4.5, bold=True)
+    sheet.say(left + 2, rows[0] + 9.8, f"{part.title}, frame {frame}", size=4.5, bold=True)
     fields = (
         (("material", f"PMMA, cast, {part.thickness_mm:g} mm"), ("scale", size), ("sheet", "A3, 1 of 1")),
         (("units", "mm"), ("projection", "first angle, ISO 5456"), ("general tolerances", "ISO 2768-mK")),

@@ -4,30 +4,34 @@ from pathlib import Path
 
 from sightline.atomic import whole_folder, write_whole
 from sightline.frame.bill import bill_csv, bill_page, holes_csv, inspection_csv
+from sightline.frame.drawing import frame_png
 from sightline.frame.model import Frame
 from sightline.frame.part import parts_of
 from sightline.frame.part_dxf import plate_dxf
-from sightline.frame.part_mesh import plate_stl
+from sightline.frame.part_mesh import meshes_of
 from sightline.frame.part_svg import plate_svg
 
 
-def write_workshop(frame: Frame, folder: str | Path) -> tuple[Path, ...]:
-    """Write drawings (SVG, DXF), bores (CSV) and solids (STL) of every plate, bill, inspection sheet and frame file.
+def write_workshop(frame: Frame, folder: str | Path, clearance_mm: float = 0.0) -> tuple[Path, ...]:
+    """Write drawings (SVG, DXF), bores (CSV) and meshes (STL) of every part, bill, inspection sheet and frame file.
 
-    Return the files written. Raises FrameError for plates that cannot be made, UnusableInputError where the folder
-    cannot be written.
+    `assembly.png` shows where the balls go. `clearance_mm` is added to the bores' diameters in the STL. Return the
+    files written. Raises FrameError for a frame that cannot be made, UnusableInputError where the folder cannot be
+    written.
     """
     parts = parts_of(frame)
     files: dict[str, bytes] = {
         "bill.md": bill_page(frame, parts).encode(),
         "bill.csv": bill_csv(parts),
         "inspection.csv": inspection_csv(frame),
+        "assembly.png": frame_png(frame),
     }
     for part in parts:
-        files[f"{part.name}.svg"] = plate_svg(part, frame.name).encode()
-        files[f"{part.name}.dxf"] = plate_dxf(part, frame.name)
-        files[f"{part.name}.csv"] = holes_csv(part)
-        files[f"{part.name}.stl"] = plate_stl(part)
+        if part.bores:
+            files[f"{part.name}.svg"] = plate_svg(part, frame.name).encode()
+            files[f"{part.name}.dxf"] = plate_dxf(part, frame.name)
+            files[f"{part.name}.csv"] = holes_csv(part)
+    files |= meshes_of(parts, clearance_mm)
     with whole_folder(folder) as scratch:
         for name, data in files.items():
             write_whole(scratch / name, data)

@@ -1,0 +1,112 @@
+"""The checks of a solid: the built-in blocks pass, and a block broken in one way fails the check meant for it."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from sightline.checks import failed
+from sightline.frame import Fiducial, Frame, RigidBody
+from sightline.frame.check import check_frame
+from sightline.frame.check_solid import FIELDS_MM, clear_beads, clear_of_each_other, offset_mm, radius_mm
+
+BLOCKS = ("block30", "block60", "cube120")
+BLOCK = Frame.load("block60")
+
+
+def block(change) -> Frame:
+    """The block with its coordinates (16, 3) changed."""
+    balls = zip(BLOCK.solid.fiducials, change(BLOCK.solid.xyz_mm), strict=True)
+    moved = tuple(dataclasses.replace(f, xyz_mm=tuple(at)) for f, at in balls)
+    return dataclasses.replace(BLOCK, solid=RigidBody(moved))
+
+
+def few() -> Frame:
+    return dataclasses.replace(BLOCK, solid=RigidBody(BLOCK.solid.fiducials[:8]))
+
+
+def repeated_id() -> Frame:
+    first, second, *others = BLOCK.solid.fiducials
+    return dataclasses.replace(BLOCK, solid=RigidBody((first, dataclasses.replace(second, id=first.id), *others)))
+
+
+def touching() -> Frame:
+    def change(xyz):
+        out = xyz.copy()
+        out[1] = out[0] + [0.0, 6.5, 0.0]
+        return out
+
+    return block(change)
+
+
+def lattice() -> Frame:
+    """Four sheets of four by four balls, whose rows hide one another along many directions."""
+    grid = np.stack(np.meshgrid(*3 * [13.0 * np.arange(3)]), axis=-1).reshape(-1, 3)
+    return Frame("lattice", {}, solid=RigidBody(tuple(Fiducial(f"k{n}", tuple(at), 5.0) for n, at in enumerate(grid))))
+
+
+@pytest.mark.parametrize("name", BLOCKS)
+def test_built_in_blocks_pass(name):
+    checks = check_frame(Frame.load(name))
+    assert failed(checks) == ()
+    assert {
+        "frame-ids",
+        "bead-overlap",
+        "solid-beads",
+        "solid-extent",
+        "solid-clear",
+        "solid-worst",
+        "solid-field",
+    } <= {check.name for check in checks}
+
+
+@pytest.mark.parametrize(
+    ("broken", "name"),
+    [
+        (few, "solid-beads"),
+        (repeated_id, "frame-ids"),
+        (lambda: block(lambda xyz: xyz * [1, 1, 0.1]), "solid-extent"),
+        (touching, "bead-overlap"),
+        (lambda: block(lambda xyz: 0.35 * xyz), "solid-clear"),
+        (lattice, "solid-worst"),
+        (lambda: block(lambda xyz: 2.1 * xyz), "solid-field"),
+    ],
+)
+def test_a_broken_block_fails_the_check_meant_for_it(broken, name):
+    assert name in {check.name for check in failed(check_frame(broken()))}
+
+
+def test_balls_are_clear_where_their_shadows_are_a_millimetre_apart():
+    """Two balls 10 mm apart along x hide each other along x and are clear along y; at an angle, by hand."""
+    xyz, radius = np.array([(0.0, 0.0, 0.0), (10.0, 0.0, 0.0), (0.0, 0.0, 40.0)]), np.array([1.5, 2.5, 1.5])
+    angles = np.arcsin((4.0 + np.array([0.9, 1.1])) / 10)  # between the direction and x: shadows 0.9 and 1.1 mm apart
+    directions = [(1, 0, 0), (0, 1, 0), *((np.cos(a), np.sin(a), 0) for a in angles)]
+    assert clear_of_each_other(xyz, radius, np.array(directions)).tolist() == [1, 3, 1, 3]
+
+
+def test_counts_do_not_depend_on_how_the_block_is_turned():
+    """The lattice of directions has no preferred one: the mean is that of the turned block, to its scatter."""
+    turned = block(lambda xyz: xyz[:, [1, 2, 0]] * [1, -1, -1])
+    assert clear_beads(turned.solid).mean() == pytest.approx(clear_beads(BLOCK.solid).mean(), abs=0.2)
+
+
+@pytest.mark.parametrize("name", BLOCKS)
+def test_at_the_stated_offset_every_ball_is_just_in_the_image(name):
+    """Random turns of the block at the limit: no ball leaves the cone of the field, and one comes within 3 %."""
+    solid, rng = Frame.load(name).solid, np.random.default_rng(3)
+    middle = (solid.xyz_mm.min(axis=0) + solid.xyz_mm.max(axis=0)) / 2
+    for field in FIELDS_MM.values():
+        if (offset := offset_mm(solid, field)) < 0:
+            assert (name, field) == ("cube120", 140.0)
+            continue
+        slope = field / 2 / 620.0
+        outermost = 0.0
+        for _ in range(2000):
+            q, r = np.linalg.qr(rng.standard_normal((3, 3)))
+            at = (solid.xyz_mm - middle) @ (q * np.sign(np.diag(r))) + [offset, 0.0, 620.0]
+            # Distance of a ball's centre from the cone, positive inside.
+            inside = (slope * at[:, 2] - np.hypot(at[:, 0], at[:, 1])) / np.hypot(1, slope)
+            left = inside - [f.diameter_mm / 2 for f in solid.fiducials]
+            assert left.min() > -1e-9
+            outermost = max(outermost, radius_mm(solid) - left.min())
+        assert outermost > 0.97 * radius_mm(solid)
