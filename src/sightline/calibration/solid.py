@@ -71,7 +71,7 @@ class SolidBalls:
 
 
 @dataclass(frozen=True, eq=False)
-class Adjustment:
+class SolidAdjustment:
     """The maximum a posteriori of V images: `cameras`, and the solid's errors `e` (K,) in standard deviations.
 
     `residual` (R,) and `design` (R, K + 9V): of the whitened data, columns e first. The rows are two for each ball of
@@ -144,7 +144,7 @@ class Adjustment:
         return {"beads": lines[:, :balls], "focal_point": lines[:, balls:panels], "frame": -lines[:, panels:]}
 
 
-def adjust(solid: SolidBalls, images: Sequence[SolidImage], cameras: Sequence[PanelCamera]) -> Adjustment:
+def adjust(solid: SolidBalls, images: Sequence[SolidImage], cameras: Sequence[PanelCamera]) -> SolidAdjustment:
     """Return the adjustment of images, begun at approximate cameras. Raises CalibrationRefusedError."""
     found, converged = descend(solid, images, cameras, _STEPS)
     if not converged:
@@ -157,7 +157,7 @@ def adjust(solid: SolidBalls, images: Sequence[SolidImage], cameras: Sequence[Pa
 
 def descend(
     solid: SolidBalls, images: Sequence[SolidImage], cameras: Sequence[PanelCamera], steps: int
-) -> tuple[Adjustment, bool]:
+) -> tuple[SolidAdjustment, bool]:
     """Return the adjustment after at most so many steps, and whether it has converged."""
     now = _linearised(solid, images, cameras, np.zeros(solid.factor.shape[1]))
     for _ in range(steps):
@@ -169,7 +169,7 @@ def descend(
     return now, False
 
 
-def _shortened(now: Adjustment, step: np.ndarray) -> Adjustment | None:
+def _shortened(now: SolidAdjustment, step: np.ndarray) -> SolidAdjustment | None:
     """Return the adjustment after the longest of the halved steps that decreases the misfit, None if none does."""
     for _ in range(_HALVINGS):
         cameras = [camera.moved(step[now.columns_of(k)]) for k, camera in enumerate(now.cameras)]
@@ -185,7 +185,7 @@ def _shortened(now: Adjustment, step: np.ndarray) -> Adjustment | None:
 
 def _linearised(
     solid: SolidBalls, images: Sequence[SolidImage], cameras: Sequence[PanelCamera], e: np.ndarray
-) -> Adjustment:
+) -> SolidAdjustment:
     """Return residuals (data minus model) and design at given parameters."""
     size, balls = len(e) + PARAMETERS * len(images), sum(2 * len(one.rows) for one in images)
     residual = np.zeros(balls + 3 * len(images) + len(e))
@@ -208,4 +208,4 @@ def _linearised(
     known = balls + 3 * len(images)
     residual[known:] = -e
     design[known:, : len(e)] = np.eye(len(e))
-    return Adjustment(solid, tuple(images), tuple(cameras), e, residual, design)
+    return SolidAdjustment(solid, tuple(images), tuple(cameras), e, residual, design)

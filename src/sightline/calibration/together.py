@@ -20,7 +20,7 @@ from sightline.calibration.hull import Hull
 from sightline.calibration.outliers import FALSE_ALARM, MAX_WRONG_SHARE
 from sightline.calibration.panel import CENTRE, FOCAL, PanelCamera
 from sightline.calibration.residuals import Residuals
-from sightline.calibration.solid import MIN_BALLS, Adjustment, PanelPrior, SolidBalls, SolidImage, adjust, descend
+from sightline.calibration.solid import MIN_BALLS, PanelPrior, SolidAdjustment, SolidBalls, SolidImage, adjust, descend
 from sightline.calibration.well_conditioned import well_conditioned
 from sightline.checks import Check
 from sightline.detection.results import Observations
@@ -94,7 +94,7 @@ class SolidErrors:
 class _InOne:
     """One image of an adjustment, as the `Posterior` of its view. `adjustment`: `LinesOfSight.adjustment`."""
 
-    fit: Adjustment
+    fit: SolidAdjustment
     image: int
     adjustment: str
 
@@ -187,7 +187,7 @@ def _first_camera(solid: SolidBalls, image: SolidImage, view: str) -> PanelCamer
 
 def _robustly(
     solid: SolidBalls, images: list[SolidImage], cameras: list[PanelCamera], seen: Sequence[Observations]
-) -> tuple[Adjustment, list[list[str]]]:
+) -> tuple[SolidAdjustment, list[list[str]]]:
     """Return the adjustment without outlying balls, and their names by image. Raises CalibrationRefusedError."""
     left: list[list[str]] = [[] for _ in images]
     names = [list(one.ids) for one in seen]
@@ -266,7 +266,7 @@ def _count(balls: int) -> Check:
     return Check("bead count", True, float(balls), float(MIN_BALLS), "beads", sentence)
 
 
-def _chi_square(fit: Adjustment) -> Check:
+def _chi_square(fit: SolidAdjustment) -> Check:
     reduced, limit = fit.chi_square / fit.freedom, float(chdtri(fit.freedom, CHI_SQUARE_FALSE_ALARM)) / fit.freedom
     sentence = (
         "All images of the solid agree with its file, the stated noise and tolerances."
@@ -278,7 +278,7 @@ def _chi_square(fit: Adjustment) -> Check:
     return Check("chi-square", reduced <= limit, reduced, limit, "", sentence)
 
 
-def _distortion(fit: Adjustment, image: int) -> Check:
+def _distortion(fit: SolidAdjustment, image: int) -> Check:
     """Return the check that an image has no pincushion distortion: that it is a flat panel's."""
     own, camera = fit.images[image], fit.cameras[image]
     off = own.uv_px - camera.centre_px
@@ -295,7 +295,7 @@ def _distortion(fit: Adjustment, image: int) -> Check:
     return Check("panel distortion", sigma <= limit, sigma, limit, "σ", sentence)
 
 
-def _panel_checks(fit: Adjustment, image: int, c_arm: CArm | None) -> list[Check]:
+def _panel_checks(fit: SolidAdjustment, image: int, c_arm: CArm | None) -> list[Check]:
     """Return the checks of focal length and principal point against what is known of the panel."""
     camera, prior = fit.cameras[image], fit.images[image].prior
     own = fit.columns_of(image)
