@@ -41,6 +41,13 @@ class RigidBody:
         out.flags.writeable = False
         return out
 
+    @cached_property
+    def diameter_mm(self) -> np.ndarray:
+        """(N,) diameters."""
+        out = np.array([f.diameter_mm for f in self.fiducials], dtype=np.float64)
+        out.flags.writeable = False
+        return out
+
 
 @dataclass(frozen=True)
 class Plate(RigidBody):

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from sightline.detection.labelling.checks import AttemptError, Stage
+from sightline.detection.labelling.cloud import MIN_MATCHED, label_cloud
 from sightline.detection.labelling.growth import Grown, grow
 from sightline.detection.labelling.naming import most_like
 from sightline.detection.labelling.patterns import Pattern, patterns
@@ -13,7 +14,7 @@ from sightline.detection.labelling.seeds import Seed, best_similarity, find_seed
 from sightline.detection.labelling.solve import MIN_BEADS, LabellingProblem, LabellingSolution, solve
 from sightline.detection.results import Detections, Observations, RejectedCandidate
 from sightline.errors import LabellingRefusedError, ObservationsError, UnusableInputError
-from sightline.frame import Frame
+from sightline.frame import Frame, RigidBody
 
 SEEDS = 12  # of each plate [ours]
 MAX_FIRST, MAX_SECOND, MAX_GROWN = 4, 3, 12  # lattices tried before giving up [ours]
@@ -21,6 +22,8 @@ LEFT_OVER = 0.4  # of a lattice's beads: with fewer other detections there is no
 SAME_SHAPE = 1.05  # largest ratio of side ratios of triangles that count as similar [ours]
 CLICK = 1.5  # largest distance of a pixel given for a datum from the bead's centre, in radii [ours]
 MAY_BE_TWO = "may be two beads of the frame, or a false bead"
+# Focal length of a flat panel's image over its longer side: panels of 20 to 43 cm, 0.8 to 1.6 m from the source [ours]
+SOLID_FOCAL = (1.8, 8.0)
 MIN_SPREAD = 0.25  # rms distance of a plate's given datums from one line, in pitches [ours]
 
 
@@ -35,6 +38,7 @@ def label(
     `frame`: a Frame, a frame file or the name of a built-in frame. The pattern of datum markers identifies view, plate
     and orientation; a contradicting `view` is refused. `datums` maps fiducial ids to pixels (u, v), the paper's
     semi-automatic method (section 4.2): three or more datum markers of each plate, from which the others are found.
+    The balls of a solid are labelled by geometry alone, in the image of a flat panel; `view` is then needed.
     In the result, `rejected` holds detections that are not a bead of the frame, or might be two. `mirrored` is False
     where the image shows the frame as the X-ray source sees it.
     Raises LabellingRefusedError where the labels are not certain; FrameError for a view that the frame does not have;
@@ -47,29 +51,20 @@ def label(
     if not isinstance(detections, Detections):
         raise UnusableInputError(f"give the Detections of `detect`, not {type(detections).__name__}")
     frame = Frame.of(frame)
-    if view is not None:
+    if frame.solid is None and view is not None:
         frame.view(view)
-    every = patterns(frame)
-    couples = sorted(zip(every[::2], every[1::2], strict=True), key=lambda couple: couple[0].view != view)
     usable = np.array([kind != "hole" for kind in detections.kind], dtype=bool)
-    if is_inverted(detections):
+    if is_inverted(detections, 2 * MIN_BEADS if frame.solid is None else MIN_MATCHED):
         raise LabellingRefusedError(
             f"inverted: {(~usable).sum()} bright balls were found and {usable.sum()} dark ones; read the image with "
             "--invert (in Python: read_image(path, invert=True))"
         )
-    if usable.sum() < 2 * MIN_BEADS:
-        raise LabellingRefusedError(
-            f"{usable.sum()} beads were found, and {MIN_BEADS} of each plate are needed; check that the frame is in "
-            "the field and the exposure is not too low or too high"
-        )
-    try:
-        if datums is not None:
-            problem = LabellingProblem(detections, usable, couples, view or _view_of(datums, frame), given=True)
-            solution = solve(problem, _given_lattices(problem, datums))
-        else:
-            solution = _first_solution(LabellingProblem(detections, usable, couples, view))
-    except AttemptError as failure:
-        raise LabellingRefusedError(str(failure)) from None
+    if frame.solid is None:
+        solution = _of_plates(detections, usable, frame, view, datums)
+    elif datums is not None:
+        raise ObservationsError("a solid has no datum markers; label it without them")
+    else:
+        solution = _of_solid(detections, frame.solid, frame.effective_tolerances.bead_mm, view)
     return Observations(
         view=solution.view,
         ids=solution.ids,
@@ -81,6 +76,42 @@ def label(
         radius_px=detections.radius_px[solution.rows],
         rejected=_rejected(detections, usable, solution),
     )
+
+
+def _of_plates(
+    detections: Detections,
+    usable: np.ndarray,
+    frame: Frame,
+    view: str | None,
+    datums: Mapping[str, tuple[float, float]] | None,
+) -> LabellingSolution:
+    """Return the labels of the plates of one view. Raises what `label` raises."""
+    every = patterns(frame)
+    couples = sorted(zip(every[::2], every[1::2], strict=True), key=lambda couple: couple[0].view != view)
+    if usable.sum() < 2 * MIN_BEADS:
+        raise LabellingRefusedError(
+            f"{usable.sum()} beads were found, and {MIN_BEADS} of each plate are needed; check that the frame is in "
+            "the field and the exposure is not too low or too high"
+        )
+    try:
+        if datums is not None:
+            problem = LabellingProblem(detections, usable, couples, view or _view_of(datums, frame), given=True)
+            return solve(problem, _given_lattices(problem, datums))
+        return _first_solution(LabellingProblem(detections, usable, couples, view))
+    except AttemptError as failure:
+        raise LabellingRefusedError(str(failure)) from None
+
+
+def _of_solid(detections: Detections, solid: RigidBody, bead_sd_mm: float, view: str | None) -> LabellingSolution:
+    """Return the labels of a solid. Raises LabellingRefusedError."""
+    if view is None:
+        raise LabellingRefusedError(
+            "a solid looks alike in every view, so its image does not tell which view it is; name the view, as 'pa'"
+        )
+    low, high = (factor * max(detections.image_shape) for factor in SOLID_FOCAL)
+    found = label_cloud(detections, solid.xyz_mm, solid.diameter_mm, (low, high), bead_sd_mm)
+    unclear = np.isin(np.arange(len(detections)), found.unclear)
+    return LabellingSolution(view, tuple(solid.ids[ball] for ball in found.balls), found.rows, found.mirrored, unclear)
 
 
 def _rejected(detections: Detections, usable: np.ndarray, solution: LabellingSolution) -> tuple[RejectedCandidate, ...]:
@@ -96,10 +127,10 @@ def _rejected(detections: Detections, usable: np.ndarray, solution: LabellingSol
     )
 
 
-def is_inverted(detections: Detections) -> bool:
-    """Return whether the image is inverted: enough bright spots for labelling, and too few dark ones."""
+def is_inverted(detections: Detections, least: int = 2 * MIN_BEADS) -> bool:
+    """Return whether the image is inverted: enough bright spots for labelling, `least`, and too few dark ones."""
     bright = sum(kind == "hole" for kind in detections.kind)
-    return len(detections) - bright < 2 * MIN_BEADS <= bright
+    return len(detections) - bright < least <= bright
 
 
 def _first_solution(problem: LabellingProblem) -> LabellingSolution:

@@ -1,0 +1,203 @@
+"""`label_cloud`: assign detections to the balls of a solid by geometry alone, or refuse."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+from sightline.detection.labelling.cloud_match import Labelling, converge
+from sightline.detection.labelling.cloud_search import Problem, Search, promising
+from sightline.detection.results import Detections
+from sightline.errors import LabellingRefusedError, UnusableInputError
+from sightline.frame.symmetry import in_words
+
+MIN_MATCHED = 6  # balls: twelve coordinates for nine unknowns of a camera
+MAX_CHANCE = 1e-6  # of a match by chance, and of the second-best labelling
+FIRST, LEFT_OVER = 2e7, 2e5  # triples of balls tried, 1 s; on detections left over after a match [ours]
+CLEAR = 0.6  # share of the balls with a detection in their gate from which a hypothesis is fitted at once [ours]
+KEPT, FITTED = 8, 2  # hypotheses kept and fitted of a chunk of triples
+BASES, MANY, MANY_BASES = 6, 40, 4  # triples that look for other labellings: of up to MANY detections, of more [ours]
+MISSED = 0.25  # share of matched detections, at least 3, that another labelling may lack
+MAX_OTHERS = 6  # other labellings compared
+SAME_TURN = np.cos(np.radians(5))  # of two hypotheses that converge to the same labelling [ours]
+
+
+@dataclass(frozen=True, eq=False)
+class CloudMatch:
+    """Balls labelled in one image: detection `rows[i]` shows ball `balls[i]`.
+
+    `T_camera_cloud` takes the balls' coordinates to the camera's: origin in the focal point, x to the right, y down, z
+    along the beam. `focal_px`; `principal_px` (2,). If `mirrored`, the camera belongs to the mirror image (u becomes
+    W - 1 - u). `rms_px`: of the residuals' lengths; `rms_sd`: of the residuals in standard deviations, 1 where the
+    stated errors hold. `chance`: upper bound of the expected number of labellings as good among false detections.
+    `second`: odds for the second-best labelling, 0 where none was found. `unclear`: rows that may show two balls, or
+    one of two that may show the same ball.
+    """
+
+    rows: np.ndarray
+    balls: np.ndarray
+    T_camera_cloud: RigidTransform
+    focal_px: float
+    principal_px: np.ndarray
+    mirrored: bool
+    rms_px: float
+    rms_sd: float
+    chance: float
+    second: float
+    unclear: np.ndarray
+
+
+def label_cloud(
+    detections: Detections,
+    xyz_mm: np.ndarray,
+    diameter_mm: np.ndarray,
+    focal_px: tuple[float, float],
+    ball_sd_mm: float = 0.05,
+) -> CloudMatch:
+    """Return which detections show which balls of a solid, by geometry alone.
+
+    The image is that of a pinhole camera with square pixels in any pose, or its mirror image; its focal length lies
+    between the two of `focal_px` (95 %), its principal point near the image's middle. `xyz_mm` (M, 3), M from 6 to 200;
+    `diameter_mm` (M,); `ball_sd_mm`: error of each coordinate. The chance of a match is computed for false detections
+    spread evenly over the image.
+    Raises LabellingRefusedError where the labels are not certain; UnusableInputError for fewer than six balls.
+    """
+    if len(xyz_mm) < MIN_MATCHED:
+        raise UnusableInputError(f"a solid of {len(xyz_mm)} balls cannot be labelled; give it {MIN_MATCHED} or more")
+    usable = np.array([kind != "hole" for kind in detections.kind], dtype=bool) & (detections.radius_px > 0)
+    rows = np.flatnonzero(usable)
+    if len(rows) < MIN_MATCHED:
+        raise LabellingRefusedError(
+            f"{len(rows)} beads were found, and {MIN_MATCHED} of the solid are needed; check that it is in the field "
+            "and the exposure is not too low or too high"
+        )
+    problem = Problem.of(detections, rows, xyz_mm, diameter_mm, focal_px, ball_sd_mm)
+    best, second = _unique(problem, _found(problem))
+    _check_alone(problem, best)
+    camera = best.fit.camera
+    return CloudMatch(
+        rows=rows[best.rows],
+        balls=best.balls,
+        T_camera_cloud=best.T_camera_cloud,
+        focal_px=float(np.exp(camera.numbers[3])),
+        principal_px=camera.numbers[4:],
+        mirrored=best.mirrored,
+        rms_px=float(np.sqrt((best.off_px**2).sum(axis=1).mean())),
+        rms_sd=float(np.sqrt(best.fit.chi2 / (2 * len(best.rows) - 6))),
+        chance=float(np.exp(-best.evidence)),
+        second=second,
+        unclear=rows[best.unclear],
+    )
+
+
+def _found(problem: Problem) -> Labelling:
+    """Return a labelling that chance excludes. Raises LabellingRefusedError."""
+    best = _first(problem, FIRST)
+    if best is None:
+        raise LabellingRefusedError(
+            f"no {MIN_MATCHED} of the {len(problem.uv_px)} beads found lie as balls of this solid can; check that the "
+            "frame file is that of the solid in the image, and show more of its balls"
+        )
+    if not _is_certain(best):
+        chance = min(1.0, np.exp(-best.evidence))
+        raise LabellingRefusedError(
+            f"the best match has {len(best.rows)} balls of the solid and a probability of {chance:.1g} to be chance; "
+            f"{MIN_MATCHED} balls and {MAX_CHANCE:g} are needed: show more of its balls, and fewer other round objects"
+        )
+    return best
+
+
+def _is_certain(one: Labelling) -> bool:
+    return len(one.rows) >= MIN_MATCHED and one.evidence > -np.log(MAX_CHANCE)
+
+
+def _first(problem: Problem, most: float) -> Labelling | None:
+    """Return the first labelling found that chance excludes, or else the most likely one, or None."""
+    if len(problem.uv_px) < MIN_MATCHED:
+        return None
+    search = Search.of(problem)
+    best = None
+    enough = max(MIN_MATCHED, int(CLEAR * min(len(problem.xyz_mm), len(problem.uv_px))))
+    triples = promising(problem, np.arange(len(problem.uv_px)), most)
+    for found in search.chunks(triples, MIN_MATCHED - 1, enough, KEPT):
+        for start in found[:FITTED]:
+            one = converge(problem, start, search.gate_px)
+            if one is not None and (best is None or one.log_likelihood > best.log_likelihood):
+                best = one
+        if best is not None and _is_certain(best):
+            return best
+    return best
+
+
+def _unique(problem: Problem, best: Labelling) -> tuple[Labelling, float]:
+    """Return the best labelling, and the odds of the second best. Raises LabellingRefusedError where they are high."""
+    others = list(_others(problem, best))
+    if not others:
+        return best, 0.0
+    best, second = sorted([best, *others], key=lambda one: -one.log_likelihood)[:2]
+    odds = float(np.exp(second.log_likelihood - best.log_likelihood))
+    if odds < MAX_CHANCE and _is_certain(best):
+        return best, odds
+    if np.array_equal(second.rows, best.rows) and np.array_equal(second.balls, best.balls):
+        raise LabellingRefusedError(
+            "the balls seen fit the image and its mirror image; show more of the solid's balls, such that they do not "
+            "lie near one plane"
+        )
+    turn = in_words(second.matrix.T @ best.matrix)
+    raise LabellingRefusedError(
+        f"the image shows the solid as it is, or {turn}: the odds are {odds:.1g}, the limit is {MAX_CHANCE:g}; show "
+        "more of its balls, and check with 'sightline frame check' that it is not symmetric"
+    )
+
+
+def _others(problem: Problem, best: Labelling) -> Iterator[Labelling]:
+    """Yield labellings that contradict `best` and explain nearly as many detections.
+
+    Another labelling explains most of the same detections, so some of the triples tried consist of these.
+    """
+    n = len(best.rows)
+    search, known, tried = Search.of(problem), [best], [best.matrix]
+    for found in search.chunks(
+        _bases(problem, best), max(MIN_MATCHED - 1, n - max(3, int(MISSED * n))), None, 4 * KEPT
+    ):
+        for start in found:
+            if any((start.matrix * one).sum() > start.scale * (1 + 2 * SAME_TURN) for one in tried):
+                continue
+            tried.append(start.matrix / start.scale)
+            one = converge(problem, start, search.gate_px)
+            if one is None or len(one.rows) < MIN_MATCHED or any(one.is_same(other) for other in known):
+                continue
+            known.append(one)
+            yield one
+            if len(known) > MAX_OTHERS:
+                return
+
+
+def _bases(problem: Problem, best: Labelling) -> np.ndarray:
+    """Return triples (T, 3) of matched detections; no two share a side, and each detection is in two at most."""
+    out: list[list[int]] = []
+    uses, sides = np.zeros(len(problem.uv_px), int), set[frozenset[int]]()
+    for triple in promising(problem, best.rows, np.inf).tolist():
+        mine = {frozenset(pair) for pair in combinations(triple, 2)}
+        if uses[triple].max() < 2 and not mine & sides:
+            out.append(triple)
+            uses[triple] += 1
+            sides |= mine
+            if len(out) == (BASES if len(best.rows) <= MANY else MANY_BASES):
+                break
+    return np.array(out, dtype=np.int64).reshape(-1, 3)
+
+
+def _check_alone(problem: Problem, best: Labelling) -> None:
+    """Check that the detections left over show no second solid. Raises LabellingRefusedError."""
+    left = problem.without(best.rows)
+    if len(left.uv_px) < len(problem.xyz_mm) / 3:
+        return
+    other = _first(left, LEFT_OVER)
+    if other is not None and _is_certain(other):
+        raise LabellingRefusedError(
+            f"two solids of this kind are in the image: {len(best.rows)} beads show one, {len(other.rows)} another; "
+            "remove one of them"
+        )

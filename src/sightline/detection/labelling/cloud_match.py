@@ -1,0 +1,156 @@
+"""From a hypothesis to a labelling: match and fit in turn until the matches are stable."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.distance import cdist
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from sightline.detection.labelling.cloud_pose import Camera, Fit, fit, log_evidence, project
+from sightline.detection.labelling.cloud_search import Hypothesis, Problem, sign_of
+
+GATE_M2 = 13.8  # 99.9 % of chi-square with two degrees of freedom [calc]
+GATE_SD_PX = 4.0  # largest s.d. for which a gate is looked at, px [ours]
+RADIUS_SD, MISJUDGED = (
+    0.06,
+    0.05,
+)  # of log radii: noise, blur; share of radii far off (2 % in images of the twin) [ours]
+RADIUS_RATIO = 0.3  # largest log ratio of a radius to the expected one: five s.d. [ours]
+LOG_RADII = 2.5  # range of log radii of false detections: 2 to 25 px [ours]
+ROUNDS, NARROWED = 12, 2  # of matching and fitting; the first ones within a gate in px
+MIN_PAIRS = 4  # that determine a camera with the help of its priors [ours]
+
+
+@dataclass(frozen=True, eq=False)
+class Labelling:
+    """Detections `rows` (n,) labelled as `balls` (n,), with the camera that fits them in the image or its mirror image.
+
+    `unclear`: detections that may show two balls, or one of two that may show the same. `evidence`: minus the log of
+    the chance that false detections match as well; `by_radius`: log likelihood ratio of the radii to false ones.
+    `off_px` (n, 2): residuals.
+    """
+
+    rows: np.ndarray
+    balls: np.ndarray
+    unclear: np.ndarray
+    fit: Fit
+    mirrored: bool
+    evidence: float
+    by_radius: float
+    off_px: np.ndarray
+
+    @property
+    def log_likelihood(self) -> float:
+        """Log likelihood ratio to false detections, by which labellings of one image are compared."""
+        return self.evidence + self.by_radius
+
+    @property
+    def matrix(self) -> np.ndarray:
+        """(3, 3) from the balls' axes to the image's: right, down, along the beam; left-handed where mirrored."""
+        return sign_of(self.mirrored)[:, None] * self.fit.camera.matrix
+
+    @property
+    def T_camera_cloud(self) -> RigidTransform:
+        """The pose of the balls in the camera's coordinates: origin in the focal point, z along the beam."""
+        matrix, middle_mm, (u, v, log_scale, log_focal, principal_u, principal_v) = self.fit.camera
+        scale = np.exp(log_scale)
+        at_mm = np.array([u - principal_u, v - principal_v, np.exp(log_focal)]) / scale
+        return RigidTransform.from_components(at_mm - matrix @ middle_mm, Rotation.from_matrix(matrix))
+
+    def is_same(self, other: "Labelling") -> bool:
+        """Return whether two labellings agree on handedness and on most detections, and contradict on none."""
+        mine, theirs = (dict(zip(one.rows.tolist(), one.balls.tolist(), strict=True)) for one in (self, other))
+        both = mine.keys() & theirs.keys()
+        agree = all(mine[row] == theirs[row] for row in both)
+        return self.mirrored == other.mirrored and agree and 2 * len(both) >= min(len(mine), len(theirs))
+
+
+def converge(problem: Problem, start: Hypothesis, gate_px: float) -> Labelling | None:
+    """Return the labelling to which matching and fitting converge from a hypothesis, or None.
+
+    The first rounds match within `gate_px` and its half, later ones by the fit's covariance.
+    """
+    uv_px, variance_px2 = problem.image(start.mirrored)
+    camera = _camera(problem, start, uv_px[start.row])
+    one: Fit | None = None
+    rows = balls = unclear = np.zeros(0, np.int64)
+    for turn in range(ROUNDS):
+        before = rows, balls
+        if one is None or turn < NARROWED:
+            rows, balls = _nearest(problem, camera, uv_px, gate_px / (1 + turn))
+        else:
+            rows, balls, unclear = _within(problem, one, uv_px, variance_px2)
+        if len(rows) < MIN_PAIRS:
+            return None
+        if turn > NARROWED and np.array_equal(before, (rows, balls)):
+            break
+        spread_px2 = variance_px2[rows] + _ball_variance(problem, project(camera, problem.xyz_mm[balls])[1])
+        try:
+            one = Fit(*fit(camera, problem.prior, problem.xyz_mm[balls], uv_px[rows], spread_px2))
+        except np.linalg.LinAlgError:
+            return None
+        camera = one.camera
+        if not np.isfinite(one.chi2):
+            return None
+    if one is None:
+        return None
+    at_px, scales, _ = project(camera, problem.xyz_mm[balls])
+    return Labelling(
+        rows=rows,
+        balls=balls,
+        unclear=unclear,
+        fit=one,
+        mirrored=start.mirrored,
+        evidence=log_evidence(one, problem.prior, len(rows), len(problem.xyz_mm), len(uv_px)),
+        by_radius=_by_radius(problem.log_radius[rows] - problem.log_half[balls] - np.log(scales)),
+        off_px=uv_px[rows] - at_px,
+    )
+
+
+def _camera(problem: Problem, start: Hypothesis, uv_px: np.ndarray) -> Camera:
+    """Return the camera of a hypothesis, whose first ball is seen at `uv_px` (2,) in the image or its mirror image."""
+    left, _, right = np.linalg.svd(start.matrix * sign_of(start.mirrored)[:, None])
+    numbers = np.array([*uv_px, np.log(start.scale), np.log(start.focal_px), *problem.prior.principal_px])
+    return Camera(left @ right, problem.xyz_mm[start.ball], numbers)
+
+
+def _ball_variance(problem: Problem, scales: np.ndarray) -> np.ndarray:
+    """Return the covariances (n, 2, 2), px², of the balls' own errors at n px/mm."""
+    return (problem.ball_sd_mm * scales)[:, None, None] ** 2 * np.eye(2)
+
+
+def _near(problem: Problem, scales: np.ndarray, squares: np.ndarray, gate_px: float) -> np.ndarray:
+    """Return the squared distances (N, M), infinite beyond the gate and where the radius is not that of the ball."""
+    size = np.abs(problem.log_radius[:, None] - problem.log_half - np.log(scales))
+    return np.where((squares < gate_px**2) & (size < RADIUS_RATIO), squares, np.inf)
+
+
+def _nearest(problem: Problem, camera: Camera, uv_px: np.ndarray, gate_px: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return detections and balls that are each other's nearest within the gate."""
+    at_px, scales, _ = project(camera, problem.xyz_mm)
+    squares = _near(problem, scales, cdist(uv_px, at_px, "sqeuclidean"), gate_px)
+    rows, balls = np.arange(len(uv_px)), squares.argmin(axis=1)
+    mutual = np.isfinite(squares[rows, balls]) & (squares.argmin(axis=0)[balls] == rows)
+    return rows[mutual], balls[mutual]
+
+
+def _within(
+    problem: Problem, one: Fit, uv_px: np.ndarray, variance_px2: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return detections and balls that are each other's only candidates by the fit's covariance, and unclear ones."""
+    at_px, scales, by = project(one.camera, problem.xyz_mm)
+    squares = _near(problem, scales, cdist(uv_px, at_px, "sqeuclidean"), GATE_SD_PX * np.sqrt(GATE_M2))
+    rows, balls = np.nonzero(np.isfinite(squares))
+    spread = variance_px2[rows] + _ball_variance(problem, scales[balls])
+    spread += by[balls] @ np.linalg.inv(one.precision) @ by[balls].transpose(0, 2, 1)
+    off = (uv_px[rows] - at_px[balls])[:, :, None]
+    inside = (off * np.linalg.solve(spread, off)).sum(axis=(1, 2)) < GATE_M2
+    rows, balls = rows[inside], balls[inside]
+    single = (np.bincount(rows)[rows] == 1) & (np.bincount(balls)[balls] == 1) if len(rows) else inside[:0]
+    return rows[single], balls[single], np.unique(rows[~single])
+
+
+def _by_radius(off: np.ndarray) -> float:
+    """Return the log likelihood ratio, to false detections, of log radii `off` (n,) the expected ones."""
+    like = np.exp(-0.5 * (off / RADIUS_SD) ** 2) / (RADIUS_SD * np.sqrt(2 * np.pi))
+    return float(np.log((1 - MISJUDGED) * like * LOG_RADII + MISJUDGED).sum())
