@@ -4,11 +4,14 @@ import re
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from sightline.checks import failed
 from sightline.frame import Frame, Tolerances
 from sightline.frame.builtin import BUILTIN
 from sightline.frame.check import check_frame
+from sightline.frame.check_solid import FIELDS_MM, clear_beads, offset_mm
+from sightline.frame.solids import SOLIDS
 
 PAGE = (Path(__file__).parents[2] / "docs" / "frame-file.md").read_text(encoding="utf-8")
 
@@ -22,7 +25,24 @@ def test_the_example_is_a_frame():
 
 
 def test_every_check_is_named():
-    assert {check.name for check in check_frame(Frame.load("gamma"))} <= set(re.findall(r"`([a-z-]+)`", PAGE))
+    names = {check.name for frame in ("gamma", "block60") for check in check_frame(Frame.load(frame))}
+    assert names <= set(re.findall(r"`([a-z-]+)`", PAGE))
+
+
+@pytest.mark.parametrize("name", SOLIDS)
+def test_the_table_of_blocks_is_theirs(name):
+    solid = SOLIDS[name]
+    diameters = [f.diameter_mm for f in solid.fiducials]
+    clear = clear_beads(solid)
+    reach = [offset_mm(solid, field) for field in FIELDS_MM.values()]
+    cells = [
+        name,
+        " x ".join(f"{mm:g}" for mm in np.ptp(solid.xyz_mm, axis=0) + 7),
+        f"{diameters.count(5.0)} and {diameters.count(3.0)}",
+        f"{clear.mean():.1f}, {clear.min()}",
+        *("does not fit" if mm < 0 else f"{mm:.0f} mm" for mm in reach),
+    ]
+    assert f"| `{' | '.join(cells)} |".replace(f"{name} |", f"{name}` |") in PAGE
 
 
 def test_the_table_of_built_in_frames_is_theirs():

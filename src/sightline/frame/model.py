@@ -156,8 +156,9 @@ class Frame(Plotted):
 
     @staticmethod
     def load(source: str | Path, before: "Iterable[Frame]" = ()) -> "Frame":
-        """Return the frame of a JSON file, or a built-in one: "gamma", "biplane", "stereo", "block60".
+        """Return the frame of a file, or a built-in one: "gamma", "biplane", "stereo", "block30", "block60", "cube120".
 
+        A file is JSON, or a frame specification of XMALab (CSV); docs/frame-file.md has both.
         `before`: frames that were used earlier; the mirror image of one with the same name and serial is refused, since
         it would calibrate as well and mirror every point. Raises FrameError.
         """
