@@ -86,6 +86,24 @@ def test_tags_state_the_nominal_geometry(run, side: str, tmp_path: Path) -> None
         assert abs(tags[view].secondary_angle_deg) <= 15
 
 
+def test_a_solid_stands_before_a_panel_whose_files_state_its_geometry(run, tmp_path: Path) -> None:
+    ran = run("simulate", "object", "--frame", "block60", "--dose", "low", "--out", tmp_path, "--json")
+    assert ran.code == 0, ran.err
+    assert ran.document["preset"] == "flat-panel"
+    truth = json.loads((tmp_path / "truth.json").read_text())
+    assert list(truth["beads_mm"]) == [f"b{n}" for n in range(1, 17)]
+    assert truth["points_mm"]["ball 1"] == pytest.approx([-18.0, -76.8 - 16.0, -22.4 - 12.0])
+    for view in ("pa", "lateral"):
+        image = read_image(tmp_path / f"{view}.dcm")
+        assert image.tags.source_detector_mm == 1020.0
+        assert image.tags.imager_pixel_spacing_mm == pytest.approx((298 / 1536, 298 / 1536))
+        assert image.tags.intensifier_size_mm is None
+        assert len(truth["views"][view]["beads_uv_px"]) == 16
+    refused = run("simulate", "--frame", "block60", "--preset", "9in-1k", "--out", tmp_path / "other")
+    assert refused.code == 2
+    assert "flat-panel" in refused.err
+
+
 _FIRST = next(iter(PRESETS))
 
 

@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 
 from sightline.errors import OutsideRegionError, SetUpError
 from sightline.twin import draw_setup
-from sightline.twin.carm import _tube_axes
 from sightline.twin.distortion import RandomField, disc_mm, monomials
 from sightline.twin.distributions import Distortion
 from sightline.twin.draw import draw_earth, draw_tube, share_beyond_degree5
@@ -172,7 +171,7 @@ def test_a_cubic_is_no_part_of_what_is_beyond_it(frame):
 
 def test_the_tube_sees_the_field_in_its_own_axes(frame):
     view = draw_setup(np.random.default_rng(14), frame).views["pa"]
-    axes = _tube_axes(view.detector)
+    axes = view.detector.basis
     assert np.allclose(axes @ axes.T, np.eye(3), atol=1e-12)
     assert np.linalg.det(axes) == pytest.approx(1.0)
 

@@ -109,10 +109,11 @@ def test_a_rail_hides_what_lies_behind_it(frame):
 
 
 def test_perspex_holds_its_four_balls():
-    scene, balls = perspex_object()
+    scene, balls = perspex_object(np.array([7.0, -80.0, 3.0]))
     (block,) = scene.boxes
     assert block.material == "pmma"
     assert (np.abs(balls - block.centre_mm) + 1.5 < block.half_mm).all()
+    assert block.centre_mm[1] == pytest.approx(-80.0, abs=5.0)
     assert all(isinstance(one, Ball) and one.within == "pmma" for one in scene.solids)
 
 

@@ -87,6 +87,6 @@ def _motion(plate: Plate, axes_of: Plate, sound: np.ndarray) -> np.ndarray:
 
 def _rigid(plate: Plate, axes_of: Plate) -> np.ndarray:
     """Return (3N, 6): displacements of a plate's balls by MOTIONS about their mean, along the axes of `axes_of`."""
-    axes = np.vstack([axes_of.plane.axes, axes_of.plane.normal]).T
+    axes = axes_of.plane.basis.T
     twists = displacement(plate.xyz_mm - plate.xyz_mm.mean(axis=0)).reshape(-1, 6)
     return np.hstack([twists[:, 3:] @ axes, twists[:, :3] @ axes])

@@ -21,6 +21,7 @@ SideName = Literal["right", "left"]
 _EXAMPLES = (
     "sightline simulate hip --seed 3 --with lag-screw --with drape --out out/hip",
     "sightline simulate object --seed 4 --frame-errors 7 --out out/frame-7",
+    "sightline simulate hip --frame block60 --out out/block",
 )
 
 
@@ -38,17 +39,23 @@ def simulate(
         ),
     ] = "hip",
     *,
-    preset: Annotated[str, typer.Option(help="Image chain; a wrong name lists them all.")] = "9in-1k",
+    preset: Annotated[
+        str | None,
+        typer.Option(
+            help="Image chain; a wrong name lists them all. By default 9in-1k, for a solid flat-panel.",
+            show_default=False,
+        ),
+    ] = None,
     seed: Annotated[int, typer.Option(min=0, help="The same seed gives the same files.")] = 1,
-    frame: Annotated[str, typer.Option(help="A frame file, gamma, biplane or stereo.")] = "gamma",
+    frame: Annotated[str, typer.Option(help="A frame file, gamma, biplane, stereo or block60.")] = "gamma",
     side: Annotated[SideName, typer.Option(help="Side of the hip.")] = "right",
     dose: Annotated[DoseName, typer.Option(help="1, 8 or 32 frames of fluoroscopy.")] = "medium",
     at: Annotated[
         str | None,
         typer.Option(
             metavar="X,Y,Z",
-            help="Point of a mesh or scan, mm in its own coordinates, to put at the frame's origin; by default its "
-            "middle.",
+            help="Point of a mesh or scan, mm in its own coordinates, to put where the hip lies: at the frame's "
+            "origin, or beside a solid; by default its middle.",
             show_default=False,
         ),
     ] = None,
@@ -72,7 +79,13 @@ def simulate(
         ),
     ] = None,
     png: Annotated[bool, typer.Option("--png", help="PNG instead of DICOM.")] = False,
-    tags: Annotated[bool, typer.Option("--tags", help="Write the nominal geometry into the DICOM files.")] = False,
+    tags: Annotated[
+        bool | None,
+        typer.Option(
+            help="Write the nominal geometry into the DICOM files. By default for a solid, as a flat panel does.",
+            show_default=False,
+        ),
+    ] = None,
     out: Annotated[Path, typer.Option(help="Folder for the images and truth.json.")] = Path("out/simulate"),
     json: Json = False,
     quiet: Quiet = False,
@@ -89,14 +102,15 @@ def simulate(
         from sightline.frame import Frame
         from sightline.twin import DOSES, render
         from sightline.twin.accessories import with_accessories
-        from sightline.twin.carm import with_errors
+        from sightline.twin.carm import chain_for, with_errors
         from sightline.twin.presets import preset as chain_called
         from sightline.twin.specimens import SetUpSpec, specimen
 
         if png and tags:
             raise UnusableInputError("a PNG holds no geometry tags; leave out --png or --tags")
-        chain = chain_called(preset)
         designed = Frame.load(frame)
+        stated = tags if tags is not None else designed.solid is not None
+        chain = chain_called(preset or chain_for(designed))
         as_made = None if frame_errors is None else with_errors(designed, np.random.default_rng(frame_errors))
         machine = SetUpSpec(designed, side, chain.name, as_made)
         place = None if at is None else np.array(_place(at))
@@ -109,16 +123,16 @@ def simulate(
         for view in made.setup.views:
             with output.step(f"exposing {view}"):
                 images[view] = render(made.setup, view, made.scene, rng, DOSES[dose])
-        told = {"what": Path(what).name, "preset": preset, "seed": seed, "dose": dose, "whole_shown": made.shown}
+        told = {"what": Path(what).name, "preset": chain.name, "seed": seed, "dose": dose, "whole_shown": made.shown}
         if frame_errors is not None:
             told["frame_errors"] = frame_errors
         with whole_folder(out) as scratch:
-            files = _write(scratch, images, made, {**told, **made.truth}, png=png, tags=tags)
+            files = _write(scratch, images, made, {**told, **made.truth}, png=png, tags=stated)
             if as_made is not None:
                 as_made.save(scratch / AS_MADE)
                 files.append(scratch / AS_MADE)
         if not made.shown:
-            output.note(f"the field of {preset} does not show everything; see the pixels in truth.json")
+            output.note(f"the field of {chain.name} does not show everything; see the pixels in truth.json")
         written = [out / file.name for file in files]
         for file in written:
             output.say(f"written: {file}")

@@ -96,10 +96,16 @@ class Frame(Plotted):
             raise FrameError(f"frame {self.name!r} has no view {name!r}; {known}") from None
 
     @cached_property
+    def bodies(self) -> tuple[RigidBody, ...]:
+        """The rigid bodies, in the order of `error_factor`: plates of the views in file order, XRII plate first; or the
+        solid."""
+        plates = tuple(plate for view in self.views.values() for plate in (view.xrii, view.source))
+        return plates if self.solid is None else (self.solid,)
+
+    @cached_property
     def fiducials(self) -> tuple[Fiducial, ...]:
-        """All fiducials, in the order of `error_factor`: views in file order, XRII plate first; or the solid's."""
-        plates = tuple(f for view in self.views.values() for f in view.fiducials)
-        return plates if self.solid is None else self.solid.fiducials
+        """All fiducials of the `bodies`, in their order."""
+        return tuple(f for body in self.bodies for f in body.fiducials)
 
     def fiducials_of(self, view: str) -> tuple[Fiducial, ...]:
         """Return the fiducials that an image of a view can show: those of its plates, or the solid's.

@@ -62,6 +62,13 @@ class Plane:
         out.flags.writeable = False
         return out
 
+    @cached_property
+    def basis(self) -> np.ndarray:
+        """(3, 3), its rows: both axes and the normal."""
+        out = np.vstack([self.axes, self.normal])
+        out.flags.writeable = False
+        return out
+
     def to_space(self, xy_mm: np.ndarray) -> np.ndarray:
         """Return points (..., 3) in space of plane coordinates (..., 2)."""
         return self.origin_mm + np.asarray(xy_mm) @ self.axes

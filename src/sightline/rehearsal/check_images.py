@@ -15,6 +15,7 @@ from sightline.planning import Plan
 from sightline.planning.check_shot import CheckShot, Landmarks
 from sightline.twin import HipScene, SetUp, Variation, draw_setup, render
 from sightline.twin.implants import guide_wire
+from sightline.twin.specimens import tagged
 
 ATTEMPTS = 200
 MARGIN_PX = 20.0  # minimum distance of wire and landmarks from the edge of the field
@@ -41,7 +42,8 @@ class CheckImages:
             drawn = draw_setup(rng, planned.frame, side=planned.side, chain=chain, variation=same_arm)
             setup = replace(drawn, true_frame=planned.true_frame)
             if all(view.in_field(view.project(points), MARGIN_PX).all() for view in setup.views.values()):
-                return CheckImages(setup, then, {name: render(setup, name, then.scene, rng) for name in VIEWS})
+                images = {name: tagged(setup, name, render(setup, name, then.scene, rng)) for name in VIEWS}
+                return CheckImages(setup, then, images)
         raise SetUpError(f"none of {ATTEMPTS} set-ups shows wire and landmarks in both check images")
 
     def landmarks_px(self, names: Sequence[str], sd_px: float, rng: np.random.Generator) -> np.ndarray:

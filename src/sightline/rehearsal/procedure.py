@@ -10,6 +10,7 @@ from functools import cached_property
 import numpy as np
 
 from sightline.case.views import NAMES as VIEWS
+from sightline.errors import SetUpError
 from sightline.frame import Frame
 from sightline.imaging import Radiograph
 from sightline.rehearsal.check_images import CheckImages
@@ -20,6 +21,7 @@ from sightline.robot.kinematics.calibrated import CalibratedRobot
 from sightline.robot.link.simulated import SimulatedWire
 from sightline.twin import HipScene, SetUp, render, shown_hip_scene
 from sightline.twin.femur import SHORT_MM
+from sightline.twin.specimens import tagged
 
 PARTS = (*VIEWS, "robot", "check", "picks")  # each has its own generator; add new parts at the end
 LANDMARK_MARGIN_PX = 30.0  # landmarks nearer to the edge of a field are not picked [ours]
@@ -29,7 +31,7 @@ NO_SERIAL = "none"  # sent to the robot for a frame without a serial
 
 @dataclass(frozen=True, eq=False)
 class Rehearsal:
-    """A patient in a frame that a robot holds in front of a C-arm: the true `setup` and `hip`."""
+    """A patient in or beside a frame in front of a C-arm: the true `setup` and `hip`."""
 
     seed: int
     setup: SetUp
@@ -37,7 +39,10 @@ class Rehearsal:
 
     @staticmethod
     def draw(seed: int, frame: Frame, side: str = "right") -> "Rehearsal":
-        """Draw a rehearsal from its seed. Both fields show the whole ideal wire. Raises SetUpError."""
+        """Draw a rehearsal from its seed: in front of an intensifier, for a solid a flat panel (`chain_for`).
+
+        Both fields show the whole ideal wire. Raises SetUpError.
+        """
         return Rehearsal(seed, *shown_hip_scene(np.random.default_rng(seed), frame, side))
 
     def generator(self, part: str) -> np.random.Generator:
@@ -57,7 +62,8 @@ class Rehearsal:
     @cached_property
     def images(self) -> dict[str, Radiograph]:
         """The radiograph of each view."""
-        return {name: render(self.setup, name, self.hip.scene, self.generator(name)) for name in VIEWS}
+        made = {name: render(self.setup, name, self.hip.scene, self.generator(name)) for name in VIEWS}
+        return {name: tagged(self.setup, name, image) for name, image in made.items()}
 
     def pixels(self, xyz_mm: np.ndarray) -> np.ndarray:
         """Return the true pixels (2, N, 2) of points (N, 3), CFCS, in both images."""
@@ -99,7 +105,12 @@ class Rehearsal:
         return calibrated_robot(self.side)
 
     def theatre(self) -> SimulatedTheatre:
-        """Return the true robot at its place at the images, beside this bone. Raises SetUpError without MuJoCo."""
+        """Return the true robot at its place at the images, beside this bone.
+
+        Raises SetUpError without MuJoCo, and for a solid, which the simulated robot does not hold.
+        """
+        if self.setup.frame.solid is not None:
+            raise SetUpError("the simulated robot holds a frame with plates, not a solid; rehearse drilling with gamma")
         return SimulatedTheatre.draw(self.robot, self.hip, self.generator("robot"), Setup(self.side, self.serial))
 
     def check_images(self, wire: SimulatedWire) -> CheckImages:

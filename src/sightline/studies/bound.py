@@ -40,7 +40,24 @@ def bound(setup: SetUp, seen: dict[str, BoundData], target_mm: np.ndarray, *, kn
 
     `known_map`: take both maps as known exactly.
     """
-    views = [_linearised(setup, name, one, target_mm, known_map) for name, one in seen.items()]
+    return target_bound([_linearised(setup, name, one, target_mm, known_map) for name, one in seen.items()])
+
+
+@dataclass(frozen=True, eq=False)
+class Linear:
+    """One view: data = nuisance @ (unknowns without a prior) + target @ X + response @ e + noise of `covariance`.
+
+    `e`: unit-variance errors that all views share.
+    """
+
+    nuisance: np.ndarray
+    target: np.ndarray
+    response: np.ndarray
+    covariance: np.ndarray
+
+
+def target_bound(views: list[Linear]) -> np.ndarray:
+    """Return the lower bound (3, 3), mm², of the covariance of the target X of all views."""
     nuisance = np.asarray(block_diag(*[view.nuisance for view in views]))
     design = np.hstack([nuisance, np.vstack([view.target for view in views])])
     response = np.vstack([view.response for view in views])
@@ -50,17 +67,8 @@ def bound(setup: SetUp, seen: dict[str, BoundData], target_mm: np.ndarray, *, kn
     return (scale[:, None] * np.linalg.inv(scale[:, None] * information * scale) * scale)[-3:, -3:]
 
 
-@dataclass(frozen=True, eq=False)
-class _Linear:
-    """data = nuisance @ (cubic, F) + target @ X + response @ frame errors + noise of `covariance`."""
-
-    nuisance: np.ndarray
-    target: np.ndarray
-    response: np.ndarray
-    covariance: np.ndarray
-
-
-def _linearised(setup: SetUp, name: str, seen: BoundData, target_mm: np.ndarray, known_map: bool) -> _Linear:
+def _linearised(setup: SetUp, name: str, seen: BoundData, target_mm: np.ndarray, known_map: bool) -> Linear:
+    """Return a view; its unknowns without a prior are the cubic and F."""
     truth, plane = setup.views[name], setup.frame.view(name).xrii.plane
     fiducials = setup.true_frame.view(name).by_id
     places = list(setup.frame.view(name).by_id)
@@ -68,8 +76,8 @@ def _linearised(setup: SetUp, name: str, seen: BoundData, target_mm: np.ndarray,
     xyz = np.vstack([np.array([fiducials[i].xyz_mm for i in seen.ids]), target_mm])
     n, focal = len(xyz), truth.focal_point_mm
     uv = truth.project(xyz)
-    by_point = _derivative(partial(plane.central_projection, focal), xyz)
-    by_focal = _derivative(lambda f: plane.central_projection(f[0], xyz), focal[None])
+    by_point = derivative(partial(plane.central_projection, focal), xyz)
+    by_focal = derivative(lambda f: plane.central_projection(f[0], xyz), focal[None])
     jacobian = _plane_per_pixel(truth, plane, xyz, by_point)
     cubic = np.zeros((2 * n, 0)) if known_map else np.kron(_cubic(uv), np.eye(2))
     factor = setup.frame.error_factor[setup.frame.rows(name)].reshape(len(places), 3, -1)[rows]
@@ -79,29 +87,34 @@ def _linearised(setup: SetUp, name: str, seen: BoundData, target_mm: np.ndarray,
     if not known_map:
         noise_px = noise_px + truth.beyond_cubic_covariance(uv)
     to_mm = np.asarray(block_diag(*jacobian))
-    out = _Linear(
+    out = Linear(
         nuisance=np.hstack([cubic, -by_focal.reshape(2 * n, 3)]),
         target=np.vstack([np.zeros((2 * n - 2, 3)), by_point[-1]]),
         response=response.reshape(2 * n, -1),
         covariance=to_mm @ noise_px @ to_mm.T,
     )
-    return _snapped(out, jacobian[-1], seen.across_px) if seen.across_px.any() else out
+    return snapped(out, jacobian[-1], seen.across_px)
 
 
-def _snapped(view: _Linear, jacobian: np.ndarray, across_px: np.ndarray) -> _Linear:
-    """Keep only the component of the target's pixel along its curve."""
+def snapped(view: Linear, jacobian: np.ndarray, across_px: np.ndarray) -> Linear:
+    """Return a view with only the component of the target's pixel along its curve, if `across_px` is not zero.
+
+    `jacobian` (2, 2): of the last two data by the target's pixel.
+    """
+    if not across_px.any():
+        return view
     keep = np.eye(2 * len(view.target) // 2)[:-1]
     keep[-1, -2:] = np.array([across_px[1], -across_px[0]]) @ np.linalg.inv(jacobian)
-    return _Linear(keep @ view.nuisance, keep @ view.target, keep @ view.response, keep @ view.covariance @ keep.T)
+    return Linear(keep @ view.nuisance, keep @ view.target, keep @ view.response, keep @ view.covariance @ keep.T)
 
 
 def _plane_per_pixel(truth: ViewTruth, plane: Plane, xyz_mm: np.ndarray, by_point: np.ndarray) -> np.ndarray:
     """Return d plane / d pixel (N, 2, 2) at the images of points, from displacements along the plane's axes."""
-    px = _derivative(truth.project, xyz_mm) @ plane.axes.T
+    px = derivative(truth.project, xyz_mm) @ plane.axes.T
     return (by_point @ plane.axes.T) @ np.linalg.inv(px)
 
 
-def _derivative(function, at: np.ndarray) -> np.ndarray:
+def derivative(function, at: np.ndarray) -> np.ndarray:
     """Return the derivative (N, 2, 3) of a function of points, by central differences."""
     steps = _STEP_MM * np.eye(3)
     return np.stack([(function(at + s) - function(at - s)) / (2 * _STEP_MM) for s in steps], axis=-1)

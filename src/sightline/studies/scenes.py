@@ -1,10 +1,11 @@
 """Random scenes for studies and benchmarks: a set-up, the measurements of its beads, and targets.
 
 Poses, distortions and frame errors are those of `sightline.twin.draw_setup` with its defaults. Targets are uniform in a
-cube around the hip. They are drawn again unless both images show them and, with `surrounded`, unless they lie inside
+cube around the hip. They are drawn again unless all images show them and, with `surrounded`, unless they lie inside
 the convex hull of the visible beads of each plate (the paper's map is undefined outside).
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -29,7 +30,8 @@ MARGIN_PX = 15.0  # minimum distance of a visible target from the edge of the fi
 
 @dataclass(frozen=True, eq=False)
 class TargetScene:
-    """A set-up, the measurements of its beads, and T targets: `target_mm` (T, 3), true pixels `target_px` (2, T, 2)."""
+    """A set-up, the measurements of its beads, and T targets: `target_mm` (T, 3), true pixels `target_px`
+    (V, T, 2) in each view."""
 
     setup: SetUp
     observations: dict[str, Observations]
@@ -40,7 +42,7 @@ class TargetScene:
     def of(setup: SetUp, observations: dict[str, Observations], target_mm: np.ndarray) -> "TargetScene":
         """Return a scene with targets at given points (T, 3)."""
         return TargetScene(
-            setup, observations, target_mm, np.array([setup.views[name].project(target_mm) for name in VIEWS])
+            setup, observations, target_mm, np.array([view.project(target_mm) for view in setup.views.values()])
         )
 
     @property
@@ -49,10 +51,10 @@ class TargetScene:
         return self.setup.frame
 
     def seen(self, pick_px2: np.ndarray, across_px: np.ndarray | None = None) -> dict[str, BoundData]:
-        """Return the data of the bound, for picks of one target with covariances (2, 2, 2)."""
-        across = np.zeros((2, 2)) if across_px is None else across_px
+        """Return the data of the bound, for picks of one target with covariances (V, 2, 2)."""
+        across = np.zeros((len(self.setup.views), 2)) if across_px is None else across_px
         out = {}
-        for k, name in enumerate(VIEWS):
+        for k, name in enumerate(self.setup.views):
             seen = self.observations[name]
             assert seen.covariance_px2 is not None  # noqa: S101 - `measure` states it
             out[name] = BoundData(seen.ids, seen.covariance_px2, pick_px2[k], across[k])
@@ -68,12 +70,16 @@ def draw_scene(
     reach_mm: float = TARGET_REACH_MM,
     surrounded: bool = True,
     uneven: float = 0.0,
-    chain: str = "9in-1k",
+    chain: str | None = None,
+    views: Mapping[str, np.ndarray] | None = None,
 ) -> TargetScene:
-    """Draw a scene. `uneven`: the standard deviation of each bead is `bead_px` times exp(uneven * N(0, 1))."""
-    setup = draw_setup(rng, frame, chain=chain)
+    """Draw a scene. `uneven`: the standard deviation of each bead is `bead_px` times exp(uneven * N(0, 1)).
+
+    `chain`, `views`: as in `draw_setup`. A solid surrounds no target: there `surrounded` has no effect.
+    """
+    setup = draw_setup(rng, frame, chain=chain, views=views)
     observations = measure(rng, setup, bead_px, uneven)
-    hulls = {n: _plate_hulls(setup, n, observations[n]) if surrounded else [] for n in VIEWS}
+    hulls = {n: _plate_hulls(setup, n, observations[n]) if surrounded else [] for n in frame.views}
     return TargetScene.of(
         setup, observations, np.array([_draw_target(rng, setup, reach_mm, hulls) for _ in range(targets)])
     )
@@ -89,9 +95,9 @@ def draw_showing(rng: np.random.Generator, frame: Frame, wire_mm: np.ndarray, *,
 
 
 def measure(rng: np.random.Generator, setup: SetUp, bead_px: float, uneven: float = 0.0) -> dict[str, Observations]:
-    """Draw measurements of the beads of both views, each with the covariance of its noise."""
+    """Draw measurements of the beads of all views, each with the covariance of its noise."""
     out = {}
-    for name in VIEWS:
+    for name in setup.views:
         ids, exact = bead_images(setup, name, rng, sd_px=0.0)
         sd = bead_px * np.exp(uneven * rng.standard_normal(len(ids)))
         measured = exact + sd[:, None] * rng.standard_normal(exact.shape)
@@ -108,8 +114,8 @@ def _draw_target(
     rng: np.random.Generator, setup: SetUp, reach_mm: float, hulls: dict[str, list[Delaunay]]
 ) -> np.ndarray:
     while True:
-        xyz = rng.uniform(-reach_mm, reach_mm, 3)
-        uv = {name: setup.views[name].project(xyz[None]) for name in VIEWS}
-        shown = all(setup.views[name].in_field(uv[name], MARGIN_PX)[0] for name in VIEWS)
-        if shown and all(hull.find_simplex(uv[name])[0] >= 0 for name in VIEWS for hull in hulls[name]):
+        xyz = setup.hip_mm + rng.uniform(-reach_mm, reach_mm, 3)
+        uv = {name: view.project(xyz[None]) for name, view in setup.views.items()}
+        shown = all(view.in_field(uv[name], MARGIN_PX)[0] for name, view in setup.views.items())
+        if shown and all(hull.find_simplex(uv[name])[0] >= 0 for name in hulls for hull in hulls[name]):
             return xyz

@@ -90,8 +90,7 @@ def _grid(view: ViewTruth, beads: Detections, lattice: Lattice, scale: float) ->
     rods = tuple(Rod((x, y, z), (a, b, c), radius, PLATE_THICKNESS_MM / 2, **filled) for x, y, z in centre.tolist())
     half = np.array([view.chain.field_mm, view.chain.field_mm, PLATE_THICKNESS_MM / 2])
     middle = view.detector.to_space(np.zeros(2)) - PLATE_HEIGHT_MM * view.detector.normal
-    axes = np.vstack([view.detector.axes, view.detector.normal])
-    return Scene(solids=rods, boxes=(Box(middle, axes, half, material="steel"),))
+    return Scene(solids=rods, boxes=(Box(middle, view.detector.basis, half, material="steel"),))
 
 
 def _balls(view: ViewTruth, image: Radiograph, beads: Detections) -> tuple[Solid, ...]:

@@ -12,7 +12,7 @@ from sightline.twin.theatre import drape, drill_guide, table_rail
 from sightline.twin.things import Scene, SoftTissue
 
 DRAPE_GAP_MM = 2.0  # from the skin to a drape [ours]
-RAIL_CENTRE_MM = (130.0, 0.0, -80.0)  # CFCS: beside the patient, at the lower edge of a lateral image [ours]
+RAIL_CENTRE_MM = (130.0, 0.0, -80.0)  # from the hip: beside the patient, at the lower edge of a lateral image [ours]
 
 
 def with_accessories(specimen: Specimen, names: Sequence[str], rng: np.random.Generator) -> Specimen:
@@ -35,7 +35,7 @@ def _wire(specimen: Specimen) -> np.ndarray:
 
 
 def _body(specimen: Specimen) -> SoftTissue:
-    return specimen.scene.tissue or SoftTissue()
+    return specimen.scene.tissue or SoftTissue().around(specimen.setup.hip_mm)
 
 
 def _angled_plate(specimen: Specimen, _: np.random.Generator) -> Scene:
@@ -47,13 +47,14 @@ def _drape(specimen: Specimen, rng: np.random.Generator) -> Scene:
     """Return a sheet in front of the skin for each beam."""
     body = _body(specimen)
     (x, z), (half_x, half_z) = body.centre_mm, body.half_mm
-    front = drape(rng, np.array([x, 0.0, z + half_z + DRAPE_GAP_MM]), np.array([0.0, 0.0, 1.0]))
-    side = drape(rng, np.array([x + half_x + DRAPE_GAP_MM, 0.0, z]), np.array([1.0, 0.0, 0.0]))
+    y = specimen.setup.hip_mm[1]
+    front = drape(rng, np.array([x, y, z + half_z + DRAPE_GAP_MM]), np.array([0.0, 0.0, 1.0]))
+    side = drape(rng, np.array([x + half_x + DRAPE_GAP_MM, y, z]), np.array([1.0, 0.0, 0.0]))
     return front + side
 
 
-def _table_rail(_: Specimen, __: np.random.Generator) -> Scene:
-    return table_rail(np.array(RAIL_CENTRE_MM))
+def _table_rail(specimen: Specimen, _: np.random.Generator) -> Scene:
+    return table_rail(specimen.setup.hip_mm + RAIL_CENTRE_MM)
 
 
 ACCESSORIES: dict[str, Callable[[Specimen, np.random.Generator], Scene]] = {

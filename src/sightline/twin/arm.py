@@ -86,6 +86,11 @@ def draw_arm(rng: np.random.Generator, limits: Arm, pose: Pose) -> OneArm:
     return OneArm(limits, np.array(sd)[:, None] * rng.standard_normal((5, 2)))
 
 
+def beam_at(orbit: float) -> np.ndarray:
+    """Return the beam (3,), CFCS, at an orbit angle, rad: 0 straight up (PA), 90° along +X (lateral)."""
+    return np.array([np.sin(orbit), 0.0, np.cos(orbit)])
+
+
 def orbit_of(beam: np.ndarray) -> float:
-    """Return the orbit angle, rad, of a beam (3,), CFCS: 0 straight up (PA), 90° along +X (lateral)."""
+    """Return the orbit angle, rad, of a beam (3,), CFCS, as of `beam_at`."""
     return float(np.arctan2(beam[0], beam[2]))

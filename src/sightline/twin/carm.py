@@ -1,21 +1,27 @@
 """The C-arm in its two poses: true positions of source and detector, and true projection of points to pixels."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from math import pi
+from typing import TypeVar
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from sightline.errors import OutsideRegionError, SetUpError
-from sightline.frame import Fiducial, Frame, FrameView, Plate, nominal
+from sightline.frame import Fiducial, Frame, FrameView, RigidBody, nominal
 from sightline.geometry.planes import Plane
-from sightline.twin.arm import IndependentViews, Stance, draw_arm
-from sightline.twin.distributions import Arm, Distortion, Pose
+from sightline.twin.arm import IndependentViews, Stance, beam_at, draw_arm
+from sightline.twin.distributions import Arm, Distortion, Pose, SolidPlace
 from sightline.twin.draw import FlatPanel, Tube, draw_earth, draw_tube
 from sightline.twin.intensifier import Intensifier
 from sightline.twin.magnetic import Site, field_at
 from sightline.twin.presets import ImageChain, preset
 
 ATTEMPTS = 100
+BEAMS = {"pa": beam_at(0.0), "lateral": beam_at(pi / 2), "oblique": beam_at(pi / 4)}
+SOLID_VIEWS = ("pa", "lateral")  # of a solid, by default
+Body = TypeVar("Body", bound=RigidBody)
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,10 +72,11 @@ class ViewTruth:
 
 @dataclass(frozen=True, eq=False)
 class SetUp:
-    """A frame in front of a C-arm, with two views.
+    """A frame in front of a C-arm, with its views.
 
     `frame`: the nominal frame, known to the software; `true_frame`: the frame with its errors. `side`: of the hip.
-    `tube`: the C-arm's detector, before an exposure.
+    `tube`: the C-arm's detector, before an exposure. `hip_mm` (3,): where a hip lies, CFCS: at the origin between
+    plates, beside a solid.
     """
 
     frame: Frame
@@ -77,6 +84,7 @@ class SetUp:
     views: dict[str, ViewTruth]
     side: str
     tube: Tube | FlatPanel
+    hip_mm: np.ndarray = field(default_factory=lambda: np.zeros(3))
 
 
 @dataclass(frozen=True)
@@ -85,7 +93,7 @@ class Variation:
 
     `site`: a given magnetic field, including stray fields, instead of a drawn one. `arm`: views of one arm that orbits
     and sags, instead of independent views; `Pose.orbit` is then not used. `tube`: a given detector instead of a drawn
-    one.
+    one. `place`: of the hip beside a solid.
     """
 
     pose: Pose = field(default_factory=Pose)
@@ -93,6 +101,12 @@ class Variation:
     site: Site | None = None
     arm: Arm | None = None
     tube: Tube | FlatPanel | None = None
+    place: SolidPlace = field(default_factory=SolidPlace)
+
+
+def chain_for(frame: Frame) -> str:
+    """Return the name of the image chain of a frame: an intensifier before plates, a flat panel before a solid."""
+    return "9in-1k" if frame.solid is None else "flat-panel"
 
 
 def draw_setup(
@@ -101,20 +115,28 @@ def draw_setup(
     *,
     side: str = "right",
     frame_errors: bool = True,
-    chain: str = "9in-1k",
+    chain: str | None = None,
     variation: Variation | None = None,
+    views: Mapping[str, np.ndarray] | None = None,
 ) -> SetUp:
-    """Draw a set-up of a frame: poses and distortions of both views, and the frame's errors.
+    """Draw a set-up of a frame: poses and distortions of its views, and the frame's errors.
+
+    `chain`: name of the image chain; default: `chain_for(frame)`. `views`: nominal beams (3,), CFCS, of the images of a
+    solid, by name; default: SOLID_VIEWS of BEAMS. The views of plates are their own.
 
     Frame errors are drawn from the frame's effective tolerances; for other tolerances pass
     `dataclasses.replace(frame, tolerances=...)`, for none `frame_errors=False`. Poses with too few beads in the field
-    are drawn again. Raises SetUpError if no pose has enough.
+    (of a solid: any bead outside it) are drawn again. Raises SetUpError if no pose has enough, and for a solid in front
+    of an intensifier, whose distortion it cannot show.
     """
     if side not in ("right", "left"):
         raise SetUpError(f"a hip's side is 'right' or 'left', not {side!r}")
     variation = variation or Variation()
     true_frame = with_errors(frame, rng) if frame_errors else frame
-    pose, optics = variation.pose, preset(chain)
+    pose, optics = variation.pose, preset(chain or chain_for(frame))
+    if frame.solid is not None:
+        pose = replace(pose, detector_tilt=pose.panel_tilt)
+    beams, hip, aim = _beams(frame, optics, views), *_hip_and_aim(frame, side, variation.place)
     earth = draw_earth(rng, variation.distortion)
     tube = variation.tube or draw_tube(rng, optics, variation.distortion)
     stance = IndependentViews(pose) if variation.arm is None else draw_arm(rng, variation.arm, pose)
@@ -122,21 +144,22 @@ def draw_setup(
     for _ in range(ATTEMPTS):
         tilt = Rotation.from_rotvec(rng.normal(0.0, pose.frame_tilt, 3)).as_matrix()
         stands = {
-            name: _draw_stand(rng, np.stack([nominal.axis(view), caudal]), tilt, pose, (stance, optics.sdd_mm))
-            for name, view in frame.views.items()
+            name: _draw_stand(rng, np.stack([beam, caudal, aim]), tilt, pose, (stance, optics.sdd_mm))
+            for name, beam in beams.items()
         }
         if any(stand is None for stand in stands.values()):
             continue
-        views = {
+        stood = {
             name: ViewTruth(name, *stand, _exposed(rng, tube, stand[1], variation.site or earth))
             for name, stand in stands.items()
             if stand is not None
         }
-        if all(_enough_in_field(views[name], view, pose) for name, view in true_frame.views.items()):
-            return SetUp(frame, true_frame, views, side, tube)
+        if all(_enough_in_field(view, true_frame, pose) for view in stood.values()):
+            return SetUp(frame, true_frame, stood, side, tube, hip)
+    enough = f"{pose.beads_in_field:.0%} of the beads of each plate" if frame.solid is None else "all beads"
     raise SetUpError(
-        f"none of {ATTEMPTS} poses brings {pose.beads_in_field:.0%} of the beads of each plate of frame "
-        f"{frame.name!r} into the field: make its plates smaller or reduce the C-arm's variation"
+        f"none of {ATTEMPTS} poses brings {enough} of frame {frame.name!r} into the field: make it smaller, or reduce "
+        "the C-arm's variation or its distance from the hip"
     )
 
 
@@ -147,7 +170,7 @@ def bead_images(
 
     The pixels have independent normal errors of `sd_px` per coordinate.
     """
-    truth, beads = setup.views[view], setup.true_frame.view(view).fiducials
+    truth, beads = setup.views[view], setup.true_frame.fiducials_of(view)
     uv, inside = _beads_in_field(truth, beads)
     ids = tuple(bead.id for bead, kept in zip(beads, inside, strict=True) if kept)
     return ids, uv[inside] + sd_px * rng.standard_normal((len(ids), 2))
@@ -190,16 +213,41 @@ def with_errors(frame: Frame, rng: np.random.Generator) -> Frame:
 def displaced(frame: Frame, moves_mm: np.ndarray) -> Frame:
     """Return the frame with its beads moved by (M, 3) mm, in the order of `Frame.error_factor`."""
     moves = iter(moves_mm)
-    return replace(frame, views={name: _moved(view, moves) for name, view in frame.views.items()})
+
+    def moved(body: Body) -> Body:
+        beads = (replace(bead, xyz_mm=tuple(float(c) for c in bead.xyz_mm + next(moves))) for bead in body.fiducials)
+        return replace(body, fiducials=tuple(beads))
+
+    views = {name: FrameView(xrii=moved(view.xrii), source=moved(view.source)) for name, view in frame.views.items()}
+    return replace(frame, views=views, solid=None if frame.solid is None else moved(frame.solid))
 
 
-def _moved(view: FrameView, moves) -> FrameView:
-    def plate(one: Plate) -> Plate:
-        return Plate(
-            tuple(replace(bead, xyz_mm=tuple(float(c) for c in bead.xyz_mm + next(moves))) for bead in one.fiducials)
+def _beams(frame: Frame, optics: ImageChain, views: Mapping[str, np.ndarray] | None) -> dict[str, np.ndarray]:
+    """Return the nominal beams (3,) of the views. Raises SetUpError."""
+    if frame.solid is None:
+        if views is not None:
+            raise SetUpError(f"the beams of frame {frame.name!r} are those of its plates; give views only for a solid")
+        return {name: nominal.axis(view) for name, view in frame.views.items()}
+    if optics.tube_mm is not None:
+        raise SetUpError(
+            f"the beads of {frame.name!r} alone cannot show the distortion of the intensifier of {optics.name!r}; use "
+            "the chain 'flat-panel'"
         )
+    chosen = {name: BEAMS[name] for name in SOLID_VIEWS} if views is None else views
+    beams = {name: np.asarray(beam, dtype=np.float64) for name, beam in chosen.items()}
+    if not beams or not all(b.shape == (3,) and 0 < np.linalg.norm(b) < np.inf for b in beams.values()):
+        raise SetUpError("give each view of a solid by its name and a beam: three finite numbers, not all zero")
+    return {name: beam / np.linalg.norm(beam) for name, beam in beams.items()}
 
-    return FrameView(xrii=plate(view.xrii), source=plate(view.source))
+
+def _hip_and_aim(frame: Frame, side: str, place: SolidPlace) -> tuple[np.ndarray, np.ndarray]:
+    """Return where the hip lies and where the beams are aimed, (3,) each, CFCS."""
+    if frame.solid is None:
+        return np.zeros(3), np.zeros(3)
+    xyz, (lateral, caudal, anterior) = frame.solid.xyz_mm, place.solid_mm
+    to_solid = np.array([lateral, caudal if side == "right" else -caudal, anterior])
+    hip = (xyz.min(axis=0) + xyz.max(axis=0)) / 2 - to_solid
+    return hip, hip + place.aim * to_solid
 
 
 Stand = tuple[np.ndarray, Plane]
@@ -210,19 +258,20 @@ def _draw_stand(
 ) -> Stand | None:
     """Draw the focal point and detector plane of one view; None if its beam is tilted beyond the limit.
 
-    `intended` (2, 3): the view's nominal beam, and the direction that points down in its image. `frame_tilt` (3, 3):
-    rotation of the frame. `arm`: the distribution of its stance, and its distance from source to detector if rigid.
+    `intended` (3, 3): the view's nominal beam, the direction that points down in its image, and the point that it is
+    aimed at, CFCS. `frame_tilt` (3, 3): rotation of the frame. `arm`: the distribution of its stance, and its
+    distance from source to detector if rigid.
     """
     stance, sdd_mm = arm
     swing = stance.swing(rng, frame_tilt @ intended[0])
     if swing is None:
         return None
-    beam, down = intended @ (swing @ frame_tilt).T
+    beam, down = intended[:2] @ (swing @ frame_tilt).T
     if beam @ intended[0] < np.cos(pose.tilt_limit):
         return None
     axes = _detector_axes(beam, down, rng.uniform(-pose.in_plane, pose.in_plane))
-    hip = rng.uniform(-pose.hip_offset_mm, pose.hip_offset_mm, 2) @ axes
-    focal = hip - pose.source_to_hip_mm * beam
+    middle = intended[2] + rng.uniform(-pose.hip_offset_mm, pose.hip_offset_mm, 2) @ axes
+    focal = middle - pose.source_to_hip_mm * beam
     sag = stance.sag(rng, beam, axes)
     centre = focal + (sdd_mm + sag.longer_mm) * beam + sag.shift_mm
     return focal, Plane(centre, axes @ Rotation.from_rotvec(sag.rotation).as_matrix().T)
@@ -244,15 +293,10 @@ def _exposed(
     rng: np.random.Generator, tube: Tube | FlatPanel, detector: Plane, magnet: Site | np.ndarray
 ) -> Intensifier:
     """Expose the tube where it stands: at a site, or in a geomagnetic field (3,) with a drawn stray field."""
-    axes = _tube_axes(detector)
+    axes = detector.basis  # the tube's z points away from the source
     if isinstance(magnet, Site):
         return tube.expose_in(rng, axes, field_at(magnet, detector.origin_mm))
     return tube.expose(rng, axes, magnet)
-
-
-def _tube_axes(detector: Plane) -> np.ndarray:
-    """Return the tube's x, y and z (away from the source) as rows (3, 3)."""
-    return np.vstack([detector.axes, detector.normal])
 
 
 def _beads_in_field(truth: ViewTruth, beads: tuple[Fiducial, ...]) -> tuple[np.ndarray, np.ndarray]:
@@ -263,7 +307,10 @@ def _beads_in_field(truth: ViewTruth, beads: tuple[Fiducial, ...]) -> tuple[np.n
     return uv, truth.in_field(uv, radius)
 
 
-def _enough_in_field(truth: ViewTruth, view: FrameView, pose: Pose) -> bool:
+def _enough_in_field(truth: ViewTruth, frame: Frame, pose: Pose) -> bool:
+    if frame.solid is not None:
+        return bool(_beads_in_field(truth, frame.solid.fiducials)[1].all())
+    view = frame.view(truth.name)
     return all(
         _beads_in_field(truth, plate.fiducials)[1].mean() >= pose.beads_in_field for plate in (view.xrii, view.source)
     )

@@ -40,6 +40,9 @@ class Pose:
     piercing_mm: float = 4.0  # flex: piercing point, up to 10-16 mm over the orbit [src Daly 2008]
     sdd_mm: float = 3.0  # flex: source and detector 6-8 mm over the orbit [src Daly 2008]
     detector_tilt: float = radians(1.0)  # flex: up to 2.9° [src Daly 2008]
+    # Instead, of a flat panel before a solid: 3 mm of the principal point, which has 5 mm with `piercing_mm` [ours]. A
+    # tilt of 1° would be 18 mm, and the measured piercing points move by 10-16 mm over the whole orbit.
+    panel_tilt: float = radians(0.17)
     beads_in_field: float = 0.6  # minimum share of each plate's beads in the field; else drawn again [ours]
 
 
@@ -71,8 +74,18 @@ class HardScene:
 
 
 @dataclass(frozen=True)
+class SolidPlace:
+    """Place of a solid beside a hip, and where the beams are aimed."""
+
+    # The middle of the solid from the middle of the wire, mm: lateral, caudal, anterior. It is 80 mm away, caudal
+    # of the entry and a little in front: there its shadow falls beside the wire in each view.
+    solid_mm: tuple[float, float, float] = (0.0, 76.8, 22.4)  # [ours]
+    aim: float = 0.4  # share of the way from the middle of the wire to the solid at which the beams are aimed [ours]
+
+
+@dataclass(frozen=True)
 class HipPlace:
-    """Position of a hip in the frame: its ideal wire is near the origin, so that both fields can show all of it."""
+    """Position of a hip: its ideal wire is near `SetUp.hip_mm`, so that both fields can show all of it."""
 
     off_centre_sd_mm: float = 4.0  # of the middle of the wire, per axis [ours]
     margin_px: float = 60.0  # minimum distance of the wire's ends from the edge of both fields, where required [ours]

@@ -23,6 +23,8 @@ TEXTURE_SHAPE = (80, 96, 72)  # voxels; the texture is periodic
 # The voxelised box, anatomical coordinates: the part of a hip that a field of 215 mm at the detector can show.
 BOX_LOW_MM = np.array([-110.0, -110.0, -48.0])
 BOX_HIGH_MM = np.array([76.0, 106.0, 42.0])
+# Its end beside a solid: images are aimed caudal of the hip, and their panel shows 127 mm along a diagonal [calc].
+LONG_HIGH_MM = np.array([76.0, 205.0, 42.0])
 # Trochanters as ellipsoids: centre from the base, half-axes [ours].
 LESSER_MM, LESSER_HALF_MM = np.array([-13.0, 30.0, -12.0]), np.array([9.0, 12.0, 9.0])
 GREATER_MM, GREATER_HALF_MM = np.array([7.0, -14.0, -5.0]), np.array([13.0, 25.0, 17.0])
@@ -113,9 +115,11 @@ def to_cfcs(anatomical_mm: np.ndarray, side: str, head_mm: np.ndarray) -> np.nda
     return np.asarray(anatomical_mm) * [1.0, 1.0 if side == "right" else -1.0, 1.0] + head_mm
 
 
-def voxelise(femur: Femur, side: str, head_mm: np.ndarray, rng: np.random.Generator | None) -> Volume:
-    """Return the bone as a volume in CFCS, with a random trabecular texture unless `rng` is None."""
-    nx, ny, nz = (int(n) for n in np.ceil((BOX_HIGH_MM - BOX_LOW_MM) / VOXEL_MM))
+def voxelise(
+    femur: Femur, side: str, head_mm: np.ndarray, rng: np.random.Generator | None, high_mm: np.ndarray = BOX_HIGH_MM
+) -> Volume:
+    """Return the bone up to `high_mm` as a volume in CFCS, with a random trabecular texture unless `rng` is None."""
+    nx, ny, nz = (int(n) for n in np.ceil((high_mm - BOX_LOW_MM) / VOXEL_MM))
     tile = np.zeros((1, 1, 1), dtype=np.float32) if rng is None else _texture(rng)
     values = np.zeros((nx, ny, nz), dtype=np.float32)
     in_parts(_fill, BOX_LOW_MM, femur.numbers(), tile, values)

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sightline.errors import SetUpError
-from sightline.frame import Frame, Plate
+from sightline.frame import Frame, RigidBody
 from sightline.twin.carm import displaced
 
 EXPANSION_PER_K = 70e-6  # PMMA [mem, physics.md]
@@ -30,16 +30,16 @@ class Handling:
 def in_use(frame: Frame, handling: Handling) -> Frame:
     """Return the frame as it is in use, with its handling errors.
 
-    Heat and moisture expand each plate about its centre. Each DRAPE_N of load lowers and tilts it by a plate tolerance
-    (about Y, the same for the arms of both sides). The metal arms keep their length.
+    Heat and moisture expand each plate, or the solid, about its centre. Each DRAPE_N of load lowers and tilts a plate
+    by a plate tolerance (about Y, the same for the arms of both sides). The metal arms keep their length. A solid does
+    not bend.
     """
     stretch = EXPANSION_PER_K * handling.warmer_k + MOISTURE_EXPANSION * handling.water_share
-    tolerance, load = frame.effective_tolerances, handling.drape_n / DRAPE_N
+    tolerance, load = frame.effective_tolerances, handling.drape_n / DRAPE_N if frame.solid is None else 0.0
     sag, tilt = load * tolerance.plate_mm * DOWN, load * tolerance.plate_rad * np.array([0.0, 1.0, 0.0])
 
-    def move(plate: Plate) -> np.ndarray:
-        centred = plate.xyz_mm - plate.xyz_mm.mean(axis=0)
+    def move(body: RigidBody) -> np.ndarray:
+        centred = body.xyz_mm - body.xyz_mm.mean(axis=0)
         return stretch * centred + np.cross(tilt, centred) + sag
 
-    plates = [plate for view in frame.views.values() for plate in (view.xrii, view.source)]
-    return displaced(frame, np.concatenate([move(plate) for plate in plates]))
+    return displaced(frame, np.concatenate([move(body) for body in frame.bodies]))

@@ -55,7 +55,7 @@ def hard_scene(
     frame: Frame | None = None,
     spread: HardScene | None = None,
     *,
-    chain: str = "9in-1k",
+    chain: str | None = None,
     even_scatter: bool = True,
     scatter_mm: float = SCATTER_MM,
 ) -> tuple[Radiograph, BeadTruth]:
@@ -96,16 +96,16 @@ class HardView:
 
 
 def hard_view(
-    rng: np.random.Generator, frame: Frame | None = None, spread: HardScene | None = None, *, chain: str = "9in-1k"
+    rng: np.random.Generator, frame: Frame | None = None, spread: HardScene | None = None, *, chain: str | None = None
 ) -> HardView:
     """Draw the scene of `hard_scene`, projected once for several doses and scatters. Raises SetUpError."""
     spread = spread or HardScene()
     setup = draw_setup(rng, frame or Frame.load("gamma"), side=str(rng.choice(["right", "left"])), chain=chain)
     view = setup.views[str(rng.choice(list(setup.views)))]
     hip = hip_scene(setup, rng).scene
-    body, scale = SoftTissue(), rng.uniform(*spread.tissue_scale)
+    body, scale = SoftTissue().around(setup.hip_mm), rng.uniform(*spread.tissue_scale)
     half = (body.half_mm[0] * scale, body.half_mm[1] * scale)
-    scene = replace(hip, solids=hip.solids + _metal(rng, spread), tissue=replace(body, half_mm=half))
+    scene = replace(hip, solids=hip.solids + _metal(rng, spread, setup.hip_mm), tissue=replace(body, half_mm=half))
     level = float(rng.uniform(*spread.level))
     return HardView(setup, scene, project(view, scene), level)
 
@@ -117,11 +117,11 @@ def _dose(dose_class: str) -> Dose:
 
 
 def bead_truth(setup: SetUp, view: ViewTruth, scene: Scene, exposure: Exposure) -> BeadTruth:
-    """Return the truth of the frame's beads in an exposed scene, of all plates, for centres in this view's field.
+    """Return the truth of the frame's beads in an exposed scene, of all its bodies, for centres in this view's field.
 
     The true frame's beads must be the first of the scene's solids, as `frame_solids` gives them.
     """
-    ids = np.array([b.id for v in setup.true_frame.views.values() for b in v.fiducials])
+    ids = np.array([b.id for b in setup.true_frame.fiducials])
     shapes = pack(scene.solids)[0]
     places, owner = stations(shapes)
     discs, disc_radius = view.project(places), shadow_radius_px(view, places, shapes[owner, RADIUS])
@@ -151,14 +151,14 @@ def bead_truth(setup: SetUp, view: ViewTruth, scene: Scene, exposure: Exposure) 
     )
 
 
-def _metal(rng: np.random.Generator, spread: HardScene) -> tuple[Solid, ...]:
+def _metal(rng: np.random.Generator, spread: HardScene, hip_mm: np.ndarray) -> tuple[Solid, ...]:
     """Draw wires, screws and nails around the hip."""
 
     def count(bounds: tuple[int, int]) -> int:
         return int(rng.integers(bounds[0], bounds[1], endpoint=True))
 
     def rod(radius_mm: float, half_mm: float, axis: np.ndarray) -> Rod:
-        x, y, z = (float(c) for c in rng.uniform(-spread.metal_reach_mm, spread.metal_reach_mm, 3))
+        x, y, z = (float(c) for c in hip_mm + rng.uniform(-spread.metal_reach_mm, spread.metal_reach_mm, 3))
         a, b, c = (float(n) for n in axis / np.linalg.norm(axis))
         return Rod((x, y, z), (a, b, c), radius_mm, half_mm)
 

@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform
 
 from sightline.twin.carm import SetUp
@@ -29,20 +30,23 @@ PIG_FLESH = SoftTissue(centre_mm=(20.0, 0.0), half_mm=(80.0, 65.0))  # [ours]
 FRACTURE_SITE = 0.25  # share of the neck's length from the shaft's axis: trochanteric, the most common site [paper]
 
 
-def perspex_object() -> tuple[Scene, np.ndarray]:
-    """Return the paper's calibration object, four independent balls in a Perspex block, and their centres (4, 3) mm."""
-    block = Box(TEST_BALLS_MM.mean(axis=0), np.eye(3), PERSPEX_MM / 2)
-    balls = tuple(Ball((float(x), float(y), float(z)), TEST_BALL_RADIUS_MM) for x, y, z in TEST_BALLS_MM)
-    return Scene(solids=balls, boxes=(block,)), TEST_BALLS_MM
+def perspex_object(at_mm: ArrayLike = (0.0, 0.0, 0.0)) -> tuple[Scene, np.ndarray]:
+    """Return the paper's calibration object at a point (3,), CFCS, four independent balls in a Perspex block, and their
+    centres (4, 3) mm."""
+    balls_mm = np.asarray(at_mm) + TEST_BALLS_MM
+    block = Box(balls_mm.mean(axis=0), np.eye(3), PERSPEX_MM / 2)
+    balls = tuple(Ball((float(x), float(y), float(z)), TEST_BALL_RADIUS_MM) for x, y, z in balls_mm)
+    return Scene(solids=balls, boxes=(block,)), balls_mm
 
 
 def plastic_hip(setup: SetUp, femur: Femur | None = None) -> HipScene:
-    """Return the paper's trial: a bare plastic femur with a bore of 8 mm along its ideal wire, centred on the origin.
+    """Return the paper's trial: a bare plastic femur with a bore of 8 mm along its ideal wire, whose middle lies at the
+    hip's place.
 
     The femur is a shell of glass-filled epoxy in place of the cortex, filled with foam.
     """
     femur = replace(femur or Femur(), socket=False, cancellous_hu=FOAM_SHARE / BONE_PER_HU)
-    head = -np.mean(to_cfcs(np.stack(femur.wire_mm()), setup.side, np.zeros(3)), axis=0)
+    head = setup.hip_mm - np.mean(to_cfcs(np.stack(femur.wire_mm()), setup.side, np.zeros(3)), axis=0)
     wire = to_cfcs(np.stack(femur.wire_mm()), setup.side, head)
     whole = replace(voxelise(femur, setup.side, head, None), material="composite", within=None)
     along = (wire[1] - wire[0]) / np.linalg.norm(wire[1] - wire[0])
@@ -51,13 +55,14 @@ def plastic_hip(setup: SetUp, femur: Femur | None = None) -> HipScene:
 
 
 def porcine_hip(setup: SetUp, rng: np.random.Generator) -> HipScene:
-    """Return the trials that the paper plans: a pig's femur in soft tissue, with the wire's middle at the origin.
+    """Return the trials that the paper plans: a pig's femur in soft tissue, with the wire's middle at the hip's place.
 
     The femur has the human shape at a pig's sizes, so its trochanters are too large.
     """
-    head = -np.mean(to_cfcs(np.stack(PIG.wire_mm()), setup.side, np.zeros(3)), axis=0)
+    head = setup.hip_mm - np.mean(to_cfcs(np.stack(PIG.wire_mm()), setup.side, np.zeros(3)), axis=0)
     bone = Scene(volumes=(voxelise(PIG, setup.side, head, rng),))
-    return HipScene.of(frame_scene(setup.true_frame) + Scene(tissue=PIG_FLESH), bone, PIG, setup.side, head)
+    still = frame_scene(setup.true_frame) + Scene(tissue=PIG_FLESH.around(setup.hip_mm))
+    return HipScene.of(still, bone, PIG, setup.side, head)
 
 
 def broken(hip: HipScene, side: str, gap_mm: float = 1.0, motion: RigidTransform | None = None) -> HipScene:

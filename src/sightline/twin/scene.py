@@ -1,7 +1,8 @@
-"""Scenes for planning: a hip inside the frame, and the paper's object of four balls."""
+"""Scenes for planning: a hip in or beside the frame, and the paper's object of four balls."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
@@ -10,7 +11,7 @@ from sightline.errors import SetUpError
 from sightline.frame import Frame
 from sightline.twin.carm import SetUp, draw_setup
 from sightline.twin.distributions import HipPlace
-from sightline.twin.femur import Femur, draw_femur, to_cfcs, voxelise
+from sightline.twin.femur import BOX_HIGH_MM, LONG_HIGH_MM, Femur, draw_femur, to_cfcs, voxelise
 from sightline.twin.motion import moved
 from sightline.twin.things import Ball, Scene, SoftTissue, frame_scene
 
@@ -23,7 +24,8 @@ ATTEMPTS = 100
 
 @dataclass(frozen=True, eq=False)
 class HipScene:
-    """A hip in the frame. `still`: frame and body; `bone`: the bone and everything fixed in it, which moves rigidly.
+    """A hip in or beside the frame. `still`: frame and body; `bone`: the bone and everything fixed in it, which moves
+    rigidly.
 
     `head_mm` (3,): centre of the femoral head; `wire_mm` (2, 3): entry and end point of the ideal wire
     (`Femur.wire_mm`); `lesser_mm` (3,): tip of the lesser trochanter, `greater_mm` (3,) of the greater. CFCS.
@@ -78,31 +80,36 @@ class HipScene:
 
 
 def hip_scene(setup: SetUp, rng: np.random.Generator, femur: Femur | None = None) -> HipScene:
-    """Draw a hip inside the set-up's true frame, centred on its wire as a radiographer would; `femur` is drawn unless
-    given."""
+    """Draw a hip at its place in or beside the set-up's true frame, centred on its wire as a radiographer would.
+
+    `femur` is drawn unless given.
+    """
     femur = femur or draw_femur(rng)
-    return placed_hip(setup, femur, draw_head(setup.side, femur, rng), rng)
+    return placed_hip(setup, femur, setup.hip_mm + draw_head(setup.side, femur, rng), rng)
 
 
 def shown_hip_scene(
-    rng: np.random.Generator, frame: Frame, side: str = "right", femur: Femur | None = None, *, chain: str = "9in-1k"
+    rng: np.random.Generator, frame: Frame, side: str = "right", femur: Femur | None = None, **drawn: Any
 ) -> tuple[SetUp, HipScene]:
-    """Draw a set-up and a hip whose whole ideal wire is visible in both views. Raises SetUpError if none is found."""
+    """Draw a set-up and a hip whose whole ideal wire is visible in all views. `drawn`: arguments of `draw_setup`.
+
+    Raises SetUpError if none is found.
+    """
     femur = femur or draw_femur(rng)
-    setup, head = shown_setup(rng, frame, side, femur, chain=chain)
+    setup, head = shown_setup(rng, frame, side, femur, **drawn)
     return setup, placed_hip(setup, femur, head, rng)
 
 
 def shown_setup(
-    rng: np.random.Generator, frame: Frame, side: str, femur: Femur, *, chain: str = "9in-1k"
+    rng: np.random.Generator, frame: Frame, side: str, femur: Femur, **drawn: Any
 ) -> tuple[SetUp, np.ndarray]:
-    """Draw a set-up, and the centre (3,), CFCS, of a femur's head, so that both views show its whole ideal wire.
+    """Draw a set-up, and the centre (3,), CFCS, of a femur's head, so that all views show its whole ideal wire.
 
-    Raises SetUpError if none is found.
+    `drawn`: arguments of `draw_setup`. Raises SetUpError if none is found.
     """
     for _ in range(ATTEMPTS):
-        setup = draw_setup(rng, frame, side=side, chain=chain)
-        head = draw_head(side, femur, rng)
+        setup = draw_setup(rng, frame, side=side, **drawn)
+        head = setup.hip_mm + draw_head(side, femur, rng)
         wire = to_cfcs(np.stack(femur.wire_mm()), side, head)
         margin = HipPlace().margin_px
         if all(view.in_field(view.project(wire), margin).all() for view in setup.views.values()):
@@ -113,17 +120,21 @@ def shown_setup(
 def four_balls(setup: SetUp) -> tuple[Scene, np.ndarray]:
     """Return the paper's calibration object, four balls in the true frame without bone and tissue, and their centres
     (4, 3), CFCS, mm."""
-    balls = tuple(Ball((float(x), float(y), float(z)), TEST_BALL_RADIUS_MM) for x, y, z in TEST_BALLS_MM)
-    return frame_scene(setup.true_frame) + Scene(solids=balls), TEST_BALLS_MM
+    balls_mm = setup.hip_mm + TEST_BALLS_MM
+    balls = tuple(Ball((float(x), float(y), float(z)), TEST_BALL_RADIUS_MM) for x, y, z in balls_mm)
+    return frame_scene(setup.true_frame) + Scene(solids=balls), balls_mm
 
 
 def draw_head(side: str, femur: Femur, rng: np.random.Generator) -> np.ndarray:
-    """Draw the centre (3,), CFCS, of the head for a wire that is centred as a radiographer would."""
+    """Draw the centre (3,) of the head for a wire that is centred as a radiographer would: from `SetUp.hip_mm`, with
+    the axes of CFCS."""
     middle = to_cfcs(np.mean(femur.wire_mm(), axis=0), side, np.zeros(3))
     return rng.normal(0.0, HipPlace().off_centre_sd_mm, 3) - middle
 
 
 def placed_hip(setup: SetUp, femur: Femur, head_mm: np.ndarray, rng: np.random.Generator) -> HipScene:
-    """Return the set-up's true frame around a hip with its head at a given point (3,)."""
-    bone = Scene(volumes=(voxelise(femur, setup.side, head_mm, rng),))
-    return HipScene.of(frame_scene(setup.true_frame) + Scene(tissue=SoftTissue()), bone, femur, setup.side, head_mm)
+    """Return the set-up's true frame and a hip with its head at a given point (3,)."""
+    high = BOX_HIGH_MM if setup.frame.solid is None else LONG_HIGH_MM
+    bone = Scene(volumes=(voxelise(femur, setup.side, head_mm, rng, high),))
+    still = frame_scene(setup.true_frame) + Scene(tissue=SoftTissue().around(setup.hip_mm))
+    return HipScene.of(still, bone, femur, setup.side, head_mm)

@@ -10,7 +10,7 @@ from scipy.spatial.transform import RigidTransform
 
 from sightline.errors import UnusableInputError
 from sightline.frame import Frame
-from sightline.imaging import GeometryTags
+from sightline.imaging import GeometryTags, Radiograph
 from sightline.twin.carm import SetUp, ViewTruth, draw_setup
 from sightline.twin.ct import ct_volumes, read_ct
 from sightline.twin.femur import Femur, draw_femur, to_cfcs
@@ -39,25 +39,27 @@ class Specimen:
 
 @dataclass(frozen=True)
 class SetUpSpec:
-    """Specification of the set-ups to draw: `frame`, `side` of the hip, name of the image chain.
+    """Specification of the set-ups to draw: `frame`, `side` of the hip, name of the image chain (default:
+    `chain_for(frame)`).
 
     `made`: the frame as manufactured, whose beads deviate from those of `frame`; None: drawn for each set-up.
     """
 
     frame: Frame
     side: str = "right"
-    chain: str = "9in-1k"
+    chain: str | None = None
     made: Frame | None = None
 
     def draw(self, rng: np.random.Generator, points_mm: np.ndarray) -> tuple[SetUp, bool]:
-        """Draw up to ATTEMPTS set-ups; return the first that shows all points (N, 3) in all views, and True; or the
-        last, and False. Raises SetUpError if no pose has the frame in the beam.
+        """Draw up to ATTEMPTS set-ups; return the first that shows all points (N, 3), from `SetUp.hip_mm`, in all
+        views, and True; or the last, and False. Raises SetUpError if no pose has the frame in the beam.
         """
         left = ATTEMPTS
         while True:
             left -= 1
             setup = self._drawn(rng)
-            shown = all(view.in_field(view.project(points_mm), MARGIN_PX).all() for view in setup.views.values())
+            points = setup.hip_mm + points_mm
+            shown = all(view.in_field(view.project(points), MARGIN_PX).all() for view in setup.views.values())
             if shown or not left:
                 return setup, shown
 
@@ -71,7 +73,7 @@ class SetUpSpec:
 def specimen(what: str, rng: np.random.Generator, spec: SetUpSpec, at_mm: np.ndarray | None = None) -> Specimen:
     """Return a specimen by its name in SPECIMENS, or from a mesh file, a NIfTI file or a folder with one CT series.
 
-    `at_mm` (3,): the point of a file, in its own coordinates, that is moved to the origin of CFCS; default: its middle.
+    `at_mm` (3,): the point of a file, in its own coordinates, that is moved to `SetUp.hip_mm`; default: its middle.
     Raises UnusableInputError, SetUpError.
     """
     if what in SPECIMENS:
@@ -84,9 +86,9 @@ def specimen(what: str, rng: np.random.Generator, spec: SetUpSpec, at_mm: np.nda
             f"there is no specimen {path.name!r}; name one of {', '.join(SPECIMENS)}, or the path of a mesh "
             f"({', '.join(KINDS)}), a NIfTI file or a folder of CT slices"
         )
-    scene, middle = (_mesh if path.suffix.lower().removeprefix(".") in KINDS else _ct)(path, spec.side, at_mm)
     setup, shown = spec.draw(rng, np.zeros((1, 3)))
-    truth = points_document(setup, {"origin": np.zeros(3)})
+    scene, middle = (_mesh if path.suffix.lower().removeprefix(".") in KINDS else _ct)(path, setup, at_mm)
+    truth = points_document(setup, {"origin": setup.hip_mm})
     return Specimen(setup, frame_scene(setup.true_frame) + scene, truth | {"origin_in_file_mm": middle.tolist()}, shown)
 
 
@@ -107,10 +109,17 @@ def nominal_tags(view: ViewTruth, side: str) -> GeometryTags:
     )
 
 
+def tagged(setup: SetUp, view: str, image: Radiograph) -> Radiograph:
+    """Return a view's image of a solid with the tags that a flat panel writes; one of plates as it is."""
+    if setup.frame.solid is None:
+        return image
+    return replace(image, tags=nominal_tags(setup.views[view], setup.side))
+
+
 def _hip(rng: np.random.Generator, spec: SetUpSpec) -> Specimen:
     femur = draw_femur(rng)
     head = draw_head(spec.side, femur, rng)
-    return _of_hip(rng, spec, femur, head, lambda setup: placed_hip(setup, femur, head, rng))
+    return _of_hip(rng, spec, femur, head, lambda setup: placed_hip(setup, femur, setup.hip_mm + head, rng))
 
 
 def _plastic(rng: np.random.Generator, spec: SetUpSpec) -> Specimen:
@@ -123,7 +132,7 @@ def _porcine(rng: np.random.Generator, spec: SetUpSpec) -> Specimen:
 
 def _object(rng: np.random.Generator, spec: SetUpSpec) -> Specimen:
     setup, shown = spec.draw(rng, TEST_BALLS_MM)
-    block, balls_mm = perspex_object()
+    block, balls_mm = perspex_object(setup.hip_mm)
     truth = points_document(setup, {f"ball {k + 1}": xyz for k, xyz in enumerate(balls_mm)})
     return Specimen(setup, frame_scene(setup.true_frame) + block, truth, shown)
 
@@ -135,28 +144,29 @@ def _of_hip(
     head_mm: np.ndarray | None,
     build: Callable[[SetUp], HipScene],
 ) -> Specimen:
-    """Return a hip whose whole wire is shown, if possible. `head_mm` (3,); default: the wire's middle at the origin."""
+    """Return a hip whose whole wire is shown, if possible. `head_mm` (3,), from `SetUp.hip_mm`; default: the wire's
+    middle there."""
     wire = to_cfcs(np.stack(femur.wire_mm()), spec.side, np.zeros(3))
     setup, shown = spec.draw(rng, wire - wire.mean(axis=0) if head_mm is None else wire + head_mm)
     hip = build(setup)
     return Specimen(setup, hip.scene, truth_document(setup, hip), shown, hip.wire_mm)
 
 
-def _mesh(file: Path, _: str, at_mm: np.ndarray | None) -> tuple[Scene, np.ndarray]:
-    """Return solid bone in a body, and the point of the file that is moved to the origin."""
+def _mesh(file: Path, setup: SetUp, at_mm: np.ndarray | None) -> tuple[Scene, np.ndarray]:
+    """Return solid bone in a body, and the point of the file that is moved to the hip's place."""
     bone = read_mesh(file)
     corners = bone.vertices_mm
     middle = (corners.min(axis=0) + corners.max(axis=0)) / 2 if at_mm is None else at_mm
-    placed = moved(bone, RigidTransform.from_translation(-middle))
-    return Scene(meshes=(placed,), tissue=SoftTissue()), middle
+    placed = moved(bone, RigidTransform.from_translation(setup.hip_mm - middle))
+    return Scene(meshes=(placed,), tissue=SoftTissue().around(setup.hip_mm)), middle
 
 
-def _ct(path: Path, side: str, at_mm: np.ndarray | None) -> tuple[Scene, np.ndarray]:
-    """Return tissue and bone of a scan, and its point, patient coordinates, that is moved to the origin."""
+def _ct(path: Path, setup: SetUp, at_mm: np.ndarray | None) -> tuple[Scene, np.ndarray]:
+    """Return tissue and bone of a scan, and its point, patient coordinates, that is moved to the hip's place."""
     scan = read_ct(path)
     half = scan.voxel_mm * (np.array(scan.hu.shape) - 1) / 2
     middle = scan.origin_mm + half @ scan.axes if at_mm is None else at_mm
-    return Scene(volumes=ct_volumes(scan, side, middle)), middle
+    return Scene(volumes=ct_volumes(scan, setup.side, middle, setup.hip_mm)), middle
 
 
 SPECIMENS: dict[str, Callable[[np.random.Generator, SetUpSpec], Specimen]] = {

@@ -1,13 +1,13 @@
 """Objects in the beam: balls, washers, wires and screws, plates, a body; and a scene of them. mm, CFCS."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import TypeAlias
 
 import numpy as np
 
 from sightline.errors import SetUpError
-from sightline.frame import Fiducial, Frame, Plate
+from sightline.frame import Fiducial, Frame, Plate, RigidBody
 from sightline.twin.beam import THREE, excess_per_mm, spectrum
 from sightline.twin.meshes import Mesh
 from sightline.twin.volumes import Volume
@@ -15,6 +15,7 @@ from sightline.twin.volumes import Volume
 Point: TypeAlias = tuple[float, float, float]
 PLATE_THICKNESS_MM = 8.0  # of a calibration plate [ours]
 PLATE_RIM_MM = 8.0  # distance from the outermost beads to the edge of the plate [ours]
+SOLID_COVER_MM = 3.5  # PMMA over the centres of a solid's outermost beads, as of block60
 WASHER_HOLE = 0.5  # ratio of inner to outer diameter [ours]
 WASHER_THICKNESS_MM = 1.5  # [ours]
 
@@ -62,6 +63,11 @@ class SoftTissue:
 
     centre_mm: tuple[float, float] = (-35.0, -5.0)
     half_mm: tuple[float, float] = (140.0, 105.0)
+
+    def around(self, hip_mm: np.ndarray) -> "SoftTissue":
+        """Return the body around a hip at (3,), CFCS, instead of one at the origin."""
+        (x, z), (hip_x, _, hip_z) = self.centre_mm, hip_mm
+        return replace(self, centre_mm=(float(x + hip_x), float(z + hip_z)))
 
     def skin_mm(self, ends_mm: np.ndarray) -> np.ndarray:
         """Return the point (3,) at which a line through two points (2, 3) leaves the body, on the side of the first.
@@ -148,31 +154,34 @@ def stations(shapes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def frame_scene(frame: Frame) -> Scene:
-    """Return a frame's beads and plates as a scene."""
+    """Return a frame's beads and its plates or solid as a scene."""
     return Scene(solids=frame_solids(frame), boxes=frame_boxes(frame))
 
 
 def frame_solids(frame: Frame) -> tuple[Solid, ...]:
-    """Return the beads of all views of a frame."""
-    return tuple(
-        _bead(bead, plate)
-        for view in frame.views.values()
-        for plate in (view.xrii, view.source)
-        for bead in plate.fiducials
-    )
+    """Return the beads of a frame, in the order of `Frame.fiducials`. Raises SetUpError for a washer in a solid."""
+    return tuple(_bead(bead, body) for body in frame.bodies for bead in body.fiducials)
 
 
-def _bead(bead: Fiducial, plate: Plate) -> Solid:
+def _bead(bead: Fiducial, body: RigidBody) -> Solid:
     if bead.shape == "ball":
         return Ball(bead.xyz_mm, bead.diameter_mm / 2)
-    x, y, z = (float(c) for c in plate.plane.normal)
+    if not isinstance(body, Plate):
+        raise SetUpError(f"the twin cannot place the washer {bead.id!r} in a solid; a solid holds balls")
+    x, y, z = (float(c) for c in body.plane.normal)
     hole = WASHER_HOLE * bead.diameter_mm / 2
     return Rod(bead.xyz_mm, (x, y, z), bead.diameter_mm / 2, WASHER_THICKNESS_MM / 2, hole_mm=hole, within="pmma")
 
 
 def frame_boxes(frame: Frame) -> tuple[Box, ...]:
-    """Return the PMMA plates of all views of a frame, sized to their beads."""
-    return tuple(_plate_box(plate) for view in frame.views.values() for plate in (view.xrii, view.source))
+    """Return the PMMA plates or the PMMA solid of a frame, sized to their beads."""
+    return tuple(_plate_box(body) if isinstance(body, Plate) else _solid_box(body) for body in frame.bodies)
+
+
+def _solid_box(solid: RigidBody) -> Box:
+    """Return the cuboid around the beads, without pockets, along the axes of CFCS."""
+    low, high = solid.xyz_mm.min(axis=0) - SOLID_COVER_MM, solid.xyz_mm.max(axis=0) + SOLID_COVER_MM
+    return Box((low + high) / 2, np.eye(3), (high - low) / 2)
 
 
 def _plate_box(plate: Plate) -> Box:
@@ -180,6 +189,6 @@ def _plate_box(plate: Plate) -> Box:
     low, high = xy.min(axis=0) - PLATE_RIM_MM, xy.max(axis=0) + PLATE_RIM_MM
     return Box(
         centre_mm=plate.plane.to_space((low + high) / 2),
-        axes=np.vstack([plate.plane.axes, plate.plane.normal]),
+        axes=plate.plane.basis,
         half_mm=np.array([*(high - low) / 2, PLATE_THICKNESS_MM / 2]),
     )

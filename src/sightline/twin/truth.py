@@ -47,7 +47,7 @@ def points_document(
         "side": setup.side,
         "points_mm": {name: xyz.tolist() for name, xyz in points_mm.items()},
         "views": {name: _view(setup, view, when[name]) for name, view in setup.views.items()},
-        "beads_mm": {bead.id: list(bead.xyz_mm) for v in setup.true_frame.views.values() for bead in v.fiducials},
+        "beads_mm": {bead.id: list(bead.xyz_mm) for bead in setup.true_frame.fiducials},
     }
 
 
@@ -57,7 +57,7 @@ def write_truth(path: str | Path, setup: SetUp, hip: HipScene) -> Path:
 
 
 def _view(setup: SetUp, view: ViewTruth, points_mm: Points) -> dict[str, Any]:
-    beads = setup.true_frame.view(view.name).fiducials
+    beads = setup.true_frame.fiducials_of(view.name)
     uv = view.project(np.array([bead.xyz_mm for bead in beads]))
     seen = view.in_field(uv)
     return {
