@@ -25,13 +25,14 @@ class Movement:
     """What the points seen in three or more views show of shifts of the bone between the images.
 
     `chi2` with `freedom` degrees of freedom: of the shifts that the points show. `information` (V - 1, 3, 3), 1/mm²:
-    about one shift, CFCS, before the second, third, ..., last image. `redundancy`: redundant residuals of all points,
-    the degrees of freedom of `SpacePoints.gap_chi2`.
+    about one shift, CFCS, before the second, third, ..., last image. `shown` (V,): how many of the tested points each
+    image shows. `redundancy`: redundant residuals of all points, the degrees of freedom of `SpacePoints.gap_chi2`.
     """
 
     chi2: float
     freedom: int
     information: np.ndarray
+    shown: np.ndarray
     redundancy: int
 
     @property
@@ -112,14 +113,15 @@ class Gaps:
         by_view = self.rows.reshape(count, views, 2), solution.to_point[self.point].reshape(count, views, 2, 3)
         by_shift = np.einsum("qkp,qkpa->qka", *by_view).reshape(count, 3 * views)
         known, vectors = np.linalg.eigh(by_shift.T @ information @ by_shift)
-        shown = np.flatnonzero(known > _MAX_SD_MM**-2)[-(2 * views - 3) :]
-        known, vectors = known[shown], vectors[:, shown]
+        kept = np.flatnonzero(known > _MAX_SD_MM**-2)[-(2 * views - 3) :]
+        known, vectors = known[kept], vectors[:, kept]
         score = vectors.T @ by_shift.T @ information @ self.values
         later = [np.kron((np.arange(views) >= k)[:, None], np.eye(3)) for k in range(1, views)]
         return Movement(
             chi2=float((score**2 / known).sum()),
-            freedom=len(shown),
+            freedom=len(kept),
             information=np.array([(shift.T @ vectors * known) @ (vectors.T @ shift) for shift in later]),
+            shown=solution.picks.seen[:, np.unique(self.point)].sum(axis=1),
             redundancy=count,
         )
 

@@ -36,7 +36,7 @@ def judge(
     if trajectory.error_stated:
         checks += _errors(trajectory, limits)
     if trajectory.points.joint_covariance_mm2 is not None:
-        checks += [*_gaps(seen), *_spread(seen), _movement(seen)]
+        checks += [*_gaps(seen), *_spread(seen), _movement(seen, [view.name for view in views])]
     checks.append(_inside_hull(trajectory, views))
     # An untested movement makes the plan incomplete, not refused.
     return Verdict(tuple(checks), tuple(c for c in checks if c.name == "movement" and c.figure is None))
@@ -94,11 +94,11 @@ def _spread(points: SpacePoints) -> list[Check]:
     return [Check("pick spread", passed, points.gap_chi2, limit, "χ²", sentence)]
 
 
-def _movement(points: SpacePoints) -> Check:
+def _movement(points: SpacePoints, views: Sequence[str]) -> Check:
     """Return the check that the bone did not move between the views, from the gaps of all free points."""
     free = int(points.gap_tested.sum())
     if points.movement is not None:
-        return _movement_between(points.movement, free)
+        return _movement_between(points.movement, free, views)
     if free < MIN_FREE_POINTS or points.shift_mm is None or points.shift_sd_mm is None:
         sentence = (
             f"A movement of the patient between the views is not tested: {free} points are picked freely in both views "
@@ -122,11 +122,11 @@ def _movement(points: SpacePoints) -> Check:
     return Check("movement", bool(passed), shift / sd, MAX_GAP_SIGMA, "σ", sentence)
 
 
-def _movement_between(found: Movement, free: int) -> Check:
+def _movement_between(found: Movement, free: int, views: Sequence[str]) -> Check:
     """Return the check that the bone did not move between three or more images, from the chi-square of its shifts."""
-    images = len(found.information) + 1
+    images = len(views)
     limit = ellipsoid_factor(CONFIDENCE, 2 * images - 3) ** 2
-    if free < MIN_FREE_POINTS or found.freedom < 2 * images - 3:
+    if found.shown.min() < MIN_FREE_POINTS or found.freedom < 2 * images - 3:
         sentence = (
             f"A movement of the patient between the {images} images is not tested completely: pick {MIN_FREE_POINTS} "
             "landmarks freely in all of them, such as the centre of the femoral head and the lesser trochanter."
@@ -136,10 +136,10 @@ def _movement_between(found: Movement, free: int) -> Check:
     if passed:
         first, last = found.noticed_mm[[0, -1], 1]
         sentence = (
-            f"The lines of sight of {free} free points show no movement between the {images} images. Across the first "
-            f"beam one of {first:.1f} mm after the first image would be detected, across the last beam one of "
-            f"{last:.1f} mm before the last image. A movement along the last beam before the last image would not be "
-            "detected."
+            f"The lines of sight of {free} free points show no movement between the {images} images. After the first "
+            f"image ({views[0]}) one of {first:.1f} mm across its beam would be detected, before the last image "
+            f"({views[-1]}) one of {last:.1f} mm across its beam. A movement along the beam of the last image, before "
+            "that image, would not be detected."
         )
     else:
         sentence = (

@@ -107,6 +107,7 @@ class MovementDocument(BaseModel):
     chi2: Number
     freedom: int
     information: tuple[tuple[Point, Point, Point], ...]
+    shown: tuple[int, ...]
     redundancy: int
 
 

@@ -50,7 +50,7 @@ def points(given: dict[str, Any]) -> SpacePoints:
 
 def _movement(given: dict[str, Any]) -> Movement:
     known = array(given["information"], (len(given["information"]), 3, 3), "what is known of a movement")
-    return Movement(given["chi2"], given["freedom"], known, given["redundancy"])
+    return Movement(given["chi2"], given["freedom"], known, np.array(given["shown"]), given["redundancy"])
 
 
 def _masked(given: list[float | None]) -> np.ma.MaskedArray:
