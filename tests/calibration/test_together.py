@@ -15,6 +15,7 @@ from sightline.detection import Observations
 from sightline.errors import CalibrationRefusedError, ObservationsError
 from sightline.frame import Frame, Tolerances
 from sightline.geometry.planes import Plane
+from sightline.planning.line_residuals import LineResiduals
 
 BLOCK = Frame.load("block60")
 TARGET_MM = np.array([[-61.3, 37.4, 33.7]])  # 80 mm from the middle of the block
@@ -95,31 +96,37 @@ def test_the_stated_error_of_a_target_is_the_scatter_about_the_truth(sd_mm):
     assert np.sqrt(np.mean(away)) < {0.02: 0.056, 0.1: 0.18}[sd_mm]
 
 
-def test_adjusting_together_is_better_than_each_alone():
-    """Loose balls: two views of them tell where they are, one does not."""
-    frame, rng = replace(BLOCK, tolerances=Tolerances(0.2, 0.0, 0.0, 0.0, 0.0)), np.random.default_rng(4)
-    off = {"together": [], "alone": []}
-    for _ in range(40):
-        cameras, given, _ = _pair(rng, frame, sd_px=0.03)
-        picks = np.stack([_pixels(one, TARGET_MM) for one in cameras])
-        both = calibrate_together(given, frame, [C_ARM, C_ARM])
-        each = [calibrate(one, frame, c_arm=C_ARM) for one in given]
-        for name, views in (("together", both), ("alone", each)):
-            off[name].append(sl.reconstruct(views, picks).xyz_mm[0] - TARGET_MM[0])
-    rms = {name: np.sqrt(np.mean(np.square(values))) for name, values in off.items()}
-    assert rms["together"] < 0.97 * rms["alone"]
+def _line_variance_mm2(view, truth):
+    """(2, 2): covariance of the target's residual in a view, mm² at the reference plane, and that residual (2,)."""
+    lines = view.lines_of_sight(_pixels(truth, TARGET_MM))
+    at = LineResiduals.at(lines, TARGET_MM)
+    return at.to_line @ np.sum(list(lines.covariance.values()), axis=0) @ at.to_line.T, at.xy_mm[0]
 
 
 def test_a_view_alone_states_its_error_too():
+    """120 views: the squared Mahalanobis length of two coordinates is 2 on average."""
     rng, squares = np.random.default_rng(5), []
     for _ in range(60):
         cameras, given, _ = _pair(rng)
-        views = [calibrate(one, BLOCK, c_arm=C_ARM) for one in given]
-        picks = np.stack([_pixels(one, TARGET_MM) for one in cameras]) + 0.1 * rng.standard_normal((2, 1, 2))
-        found = sl.reconstruct(views, picks, np.broadcast_to(0.01 * np.eye(2), (2, 1, 2, 2)))
-        off = (found.xyz_mm - TARGET_MM)[0]
-        squares.append(off @ np.linalg.solve(found.joint_covariance_mm2, off))
-    assert abs(np.mean(squares) - 3.0) < 4 * np.sqrt(6.0 / 60)
+        for one, truth in zip(given, cameras, strict=True):
+            covariance, residual = _line_variance_mm2(calibrate(one, BLOCK, c_arm=C_ARM), truth)
+            squares.append(residual @ np.linalg.solve(covariance, residual))
+    assert abs(np.mean(squares) - 2.0) < 4 * np.sqrt(4.0 / 120)
+
+
+def test_adjusting_together_is_better_than_each_alone():
+    """Loose balls: two views of them tell where they are, one does not. Views calibrated alone are adjusted later."""
+    frame, rng = replace(BLOCK, tolerances=Tolerances(0.2, 0.0, 0.0, 0.0, 0.0)), np.random.default_rng(4)
+    cameras, given, _ = _pair(rng, frame, sd_px=0.03)
+    both = calibrate_together(given, frame, [C_ARM, C_ARM])
+    each = [calibrate(one, frame, c_arm=C_ARM) for one in given]
+    for together, alone, truth in zip(both, each, cameras, strict=True):
+        variances = [np.trace(_line_variance_mm2(view, truth)[0]) for view in (together, alone)]
+        assert variances[0] < 0.95 * variances[1]
+    picks = np.stack([_pixels(one, TARGET_MM) for one in cameras])
+    found, later = sl.reconstruct(both, picks), sl.reconstruct(each, picks)
+    np.testing.assert_array_equal(found.xyz_mm, later.xyz_mm)
+    np.testing.assert_array_equal(found.joint_covariance_mm2, later.joint_covariance_mm2)
 
 
 def test_without_c_arm_the_balls_alone_tell_the_focal_length():

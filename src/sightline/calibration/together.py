@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from hashlib import sha256
 from pathlib import Path
 
@@ -21,6 +22,7 @@ from sightline.calibration.outliers import FALSE_ALARM, MAX_WRONG_SHARE
 from sightline.calibration.panel import CENTRE, FOCAL, PanelCamera
 from sightline.calibration.residuals import Residuals
 from sightline.calibration.solid import MIN_BALLS, PanelPrior, SolidAdjustment, SolidBalls, SolidImage, adjust, descend
+from sightline.calibration.view import CalibratedView
 from sightline.calibration.well_conditioned import well_conditioned
 from sightline.checks import Check
 from sightline.detection.results import Observations
@@ -30,6 +32,7 @@ from sightline.frame import Frame
 from sightline.geometry.covariance import TWO_SIDED_999
 from sightline.geometry.planes import Plane
 
+METHOD = "solid"
 # S.d. of what is known of a panel [ours]: the stated source-detector distance changes by 6 to 8 mm over the orbit and
 # the piercing point wanders by up to 16 mm where the C-arm flexes (physics.md, C-arm).
 DISTANCE_SD_MM = 10.0
@@ -72,6 +75,29 @@ def calibrate_together(
         _view(_InOne(fit, k, adjustment), one, frame, c_arm, (left[k], checks))
         for k, (one, c_arm) in enumerate(zip(observations, known, strict=True))
     )
+
+
+def adjusted_together(views: Sequence[CalibratedView]) -> tuple[CalibratedView, ...]:
+    """Return the views of one solid, calibrated image by image, adjusted together; other views as they are.
+
+    They keep the checks of their images and what a person said of the display. Raises CalibrationRefusedError.
+    """
+    own = [one for one in views if isinstance(one, BeadView) and one.method == METHOD and one.inputs is not None]
+    apart = len({one.adjustment for one in own}) == len({one.name for one in own}) == len(views) > 1
+    return _adjusted_together(*own) if apart and len({one.frame_key for one in own}) == 1 else tuple(views)
+
+
+@lru_cache(maxsize=8)  # a point that is dragged is planned again and again on the same views
+def _adjusted_together(*views: BeadView) -> tuple[BeadView, ...]:
+    inputs = [one.inputs for one in views if one.inputs is not None]
+    made = calibrate_together([one.observations for one in inputs], inputs[0].frame, [one.c_arm for one in views])
+    return tuple(_with_checks_of(new, old) for new, old in zip(made, views, strict=True))
+
+
+def _with_checks_of(new: BeadView, old: BeadView) -> BeadView:
+    known = {check.name for check in new.checks}
+    kept = [check for check in old.checks if check.name not in known]
+    return replace(new, checks=(*new.checks, *kept), mirrored_display=old.mirrored_display)
 
 
 @dataclass(frozen=True, eq=False)
@@ -227,7 +253,7 @@ def _view(
     )
     return BeadView(
         name=seen.view,
-        method="solid",
+        method=METHOD,
         plane=plane,
         plane_map=camera.plane_map(plane),
         focal_point_mm=camera.focal_point_mm,

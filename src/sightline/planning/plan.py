@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from sightline.calibration.together import adjusted_together
 from sightline.calibration.view import CalibratedView
 from sightline.errors import OutsideRegionError, UnusableInputError
 from sightline.planning.aids import Aids
@@ -171,6 +172,7 @@ def plan(
 ) -> Plan:
     """Return the plan of entry and end point, given their pixels (V, 2) each, IDCS: a row for each of V >= 2 views.
 
+    The views of a solid are adjusted together first (`adjusted_together`).
     `pick_sd_px`: standard deviation of a pick, per axis. `snapped`: whether the second view's picks are snapped to the
     image-matching curves of the first view's: one flag, or (entry, end). Picks in further views are free, NaN where a
     view does not show the point. `landmarks_uv_px` (V, L, 2): points of the bone picked freely in all views, or NaN,
@@ -189,18 +191,19 @@ def plan(
     """
     if len(views) < 2:
         raise UnusableInputError(f"{len(views)} views given; give two or more to plan on")
+    at_rest = adjusted_together(views)
     each = (snapped, snapped) if isinstance(snapped, bool) else tuple(snapped)
     picked = [
-        _picks(views, uv, pick_sd_px, taken, curve) for uv, taken in zip((entry_uv_px, end_uv_px), each, strict=True)
+        _picks(at_rest, uv, pick_sd_px, taken, curve) for uv, taken in zip((entry_uv_px, end_uv_px), each, strict=True)
     ]
     (entry, entry_curve), (end, end_curve) = picked
     free = _landmarks(len(views), landmarks_uv_px, pick_sd_px)
     kind = kind_of(kind) if isinstance(kind, str) else kind
     names = _names(kind, landmark_names, len(free))
-    seen = _reconstructed(views, [entry, end, *free], method)
+    seen = _reconstructed(at_rest, [entry, end, *free], method)
     trajectory = Trajectory(seen.first(2) if free else seen)
-    anatomy = None if aids is None and kind.bone is None else locate(views, aids or Aids(), (entry, end), method)
-    verdict, noticed = judge(trajectory, views, kind.limits, seen), (None, None)
+    anatomy = None if aids is None and kind.bone is None else locate(at_rest, aids or Aids(), (entry, end), method)
+    verdict, noticed = judge(trajectory, at_rest, kind.limits, seen), (None, None)
     if kind.bone is not None and anatomy is not None:
         known = dict(zip(names, seen.xyz_mm[2:], strict=False))
         verdict = verdict.joined(judge_in_bone(anatomy, kind.bone, side, known))

@@ -5,6 +5,7 @@ from itertools import combinations
 
 import numpy as np
 
+from sightline.calibration.together import adjusted_together
 from sightline.calibration.view import CalibratedView, LinesOfSight
 from sightline.errors import ReconstructionRefusedError, UnusableInputError
 from sightline.planning.gaps import Gaps, gap_mm
@@ -25,6 +26,7 @@ def reconstruct(
 ) -> SpacePoints:
     """Return the points seen at pixels `uv_px` (V, N, 2) of two or more views, with their joint covariance, CFCS.
 
+    The views of a solid are adjusted together first (`adjusted_together`).
     The axes of `uv_px` are view, point and (u, v); NaN where a view does not show a point: two others must show it. For
     two points in two views, (point, view, (u, v)) has the same shape: to rule out confusion pass the pixels by the
     views' names, `{"pa": (N, 2), "lateral": (N, 2)}`. `uv_covariance_px2` (V, N, 2, 2), or by the views' names: of the
@@ -46,6 +48,7 @@ def reconstruct(
     if method not in ("weighted", "nearest"):
         raise UnusableInputError(f"unknown method {method!r}; choose 'weighted' or 'nearest'")
     _refuse_repeated(views)
+    views = adjusted_together(views)
     uv_covariance_px2 = None if uv_covariance_px2 is None else _by_view(views, uv_covariance_px2, "covariances")
     picks = _picks(len(views), _by_view(views, uv_px, "picks"), uv_covariance_px2, across_px)
     seen = picks.seen
