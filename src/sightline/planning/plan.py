@@ -112,7 +112,8 @@ class Plan(Plotted):
             if reach is None
             else f"Along its lines of sight the {name} point is checked against the bone only: an error of up to "
             f"{reach:.1f} mm there would not be noticed."
-            for name, reach in zip(("entry", "end"), self.noticed_mm, strict=True)
+            for name, reach, picks in zip(("entry", "end"), self.noticed_mm, self.picks, strict=True)
+            if np.isfinite([pick.uv_px[0] for pick in picks]).sum() == 2  # a third pick shows such an error by its gap
         ]
 
     def document(self) -> dict[str, Any]:
@@ -172,15 +173,17 @@ def plan(
 ) -> Plan:
     """Return the plan of entry and end point, given their pixels (V, 2) each, IDCS: a row for each of V >= 2 views.
 
-    The views of a solid are adjusted together first (`adjusted_together`).
+    The curves lie between the first two views; give the others in the order in which their images were acquired. The
+    views of a solid are adjusted together first (`adjusted_together`).
+
     `pick_sd_px`: standard deviation of a pick, per axis. `snapped`: whether the second view's picks are snapped to the
     image-matching curves of the first view's: one flag, or (entry, end). Picks in further views are free, NaN where a
     view does not show the point. `landmarks_uv_px` (V, L, 2): points of the bone picked freely in all views, or NaN,
     which show whether it moved between them; they change neither entry nor end. A plan with snapped picks needs two of
-    them for a GO (`judge`). `landmark_names`: their keys in the kind of
-    trajectory, "" for none. `kind`: a kind of trajectory or its key; sets the limits and the inputs asked for. `side`
-    ("right", "left") and `aids`: the wire is checked against them where the kind has a bone; without them the plan is
-    incomplete. `curve`: `matching_curve`, or a replacement that caches its curves.
+    them for a GO (`judge`). `landmark_names`: their keys in the kind of trajectory, "" for none. `kind`: a kind of
+    trajectory or its key; sets the limits and the inputs asked for. `side` ("right", "left") and `aids`: the wire is
+    checked against them where the kind has a bone; without them the plan is incomplete. `curve`: `matching_curve`, or a
+    replacement that caches its curves.
     Raises UnusableInputError, and what `reconstruct`, `matching_curve` and `snap` raise.
 
     >>> pa, lateral = sl.load("out/demo/views.json")
