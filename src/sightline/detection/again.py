@@ -68,8 +68,8 @@ def look_again(
 
     Beads partly under metal or under each other are fitted where the labelled beads of their plate predict them. They
     are accepted only if centre, size and contrast agree with the prediction. Labelled beads with a deep overlap are
-    fitted again, both at once, or left out. Fitted beads stand last. Washers are not searched for. `image`, `white`: as
-    of `detect`; `frame`: as of `label`.
+    fitted again, both at once, or left out. Fitted beads stand last. Washers are not searched for, nor balls of a
+    solid. `image`, `white`: as of `detect`; `frame`: as of `label`.
     Raises ObservationsError where `observations` are not what `label` returned for `beads`.
 
     >>> image, frame = sl.read_image("out/demo/demo_pa.dcm"), sl.Frame.load("gamma")
@@ -95,6 +95,8 @@ def look_again_with(
     """`look_again` with the image's bead fitter, which is made only if a bead is to be fitted."""
     plates = [pattern for pattern in patterns(frame) if pattern.view == observations.view]
     row_of = _rows_of(observations, beads)
+    if not plates:
+        return observations
     expected = _expected(plates, beads, row_of)
     which = _rows_to_fit(image, plates, expected)
     if len(which) == 0:
