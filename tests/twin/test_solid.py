@@ -128,6 +128,17 @@ def test_any_beams_can_be_named():
     assert list(setup.views) == ["a", "b"]
 
 
+@pytest.mark.parametrize(
+    ("name", "place"), [("block30", SolidPlace()), ("cube120", SolidPlace(solid_mm=(0.0, 0.0, 0.0)))]
+)
+def test_other_solids_have_set_ups_where_they_fit(name, place):
+    """A cube of 120 mm fits alone: beside a hip it is cut off."""
+    solid = Frame.load(name)
+    setup = draw_setup(np.random.default_rng(69), solid, variation=Variation(place=place))
+    for view in setup.views:
+        assert bead_images(setup, view, np.random.default_rng(70))[0] == solid.bodies[0].ids
+
+
 def test_the_block_is_a_cube_of_perspex_with_its_balls():
     scene = frame_scene(BLOCK)
     (block,) = scene.boxes
@@ -159,6 +170,7 @@ def test_moves_go_to_balls_in_the_order_of_the_factor():
     np.testing.assert_allclose(warm - xyz, 700e-6 * (xyz - xyz.mean(axis=0)), atol=1e-12)  # no drape bends it
 
 
+@pytest.mark.slow
 def test_a_hard_image_of_a_block_knows_its_balls():
     image, truth = hard_scene(np.random.default_rng(66), "low", BLOCK)
     assert truth.ids == IDS
@@ -204,6 +216,8 @@ def test_bad_input(frame):
         draw_setup(rng, BLOCK, views={"axial": np.array([0.0, 1.0, 0.0])}, variation=Variation())
     with pytest.raises(SetUpError, match="all beads"):
         draw_setup(rng, BLOCK, variation=Variation(place=SolidPlace(aim=-2.0)))
+    with pytest.raises(SetUpError, match="all beads"):
+        draw_setup(rng, Frame.load("cube120"))
     washer = RigidBody((Fiducial("w", (0.0, 0.0, 0.0), 5.0, shape="washer"),))
     with pytest.raises(SetUpError, match="washer 'w'"):
         frame_scene(Frame("washers", {}, solid=washer))
