@@ -105,3 +105,19 @@ def test_a_frame_file_is_not_replaced(run, table, tmp_path):
     (tmp_path / "m.json").write_text("measured")
     ran = run("frame", "fit", table(), "--frame", "gamma", "--out", tmp_path / "m.json")
     assert (ran.code, (tmp_path / "m.json").read_text()) == (2, "measured")
+
+
+def test_a_measured_block_becomes_a_frame_file(run, tmp_path):
+    rows = ["id,x_mm,y_mm,z_mm,sd_mm"]
+    rng = np.random.default_rng(9)
+    for f in Frame.load("block30").fiducials:
+        x, y, z = np.array(f.xyz_mm) + 0.02 * rng.standard_normal(3)
+        rows.append(f"{f.id},{y:.4f},{z:.4f},{x:.4f},0.005")  # the instrument's axes are other ones
+    (tmp_path / "measured.csv").write_text("\n".join(rows))
+    ran = run("frame", "fit", tmp_path / "measured.csv", "--frame", "block30", "--out", tmp_path / "b.json", "--json")
+    assert ran.code == 0, ran.err
+    (body,) = ran.document["plates"]
+    assert (body["view"], body["measured"], body["across_rms_mm"]) == ("solid", 12, None)
+    assert Frame.load(tmp_path / "b.json").covariance_mm2.shape == (36, 36)
+    told = run("frame", "fit", tmp_path / "measured.csv", "--frame", "block30", "--out", tmp_path / "c.json").out
+    assert "Solid, measured minus frame file" in told

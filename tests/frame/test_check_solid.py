@@ -4,11 +4,17 @@ import dataclasses
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from sightline.checks import failed
+from sightline.errors import FrameError
 from sightline.frame import Fiducial, Frame, RigidBody
 from sightline.frame.check import check_frame
 from sightline.frame.check_solid import FIELDS_MM, clear_beads, clear_of_each_other, offset_mm, radius_mm
+from sightline.frame.drawing import frame_png
+from sightline.frame.part import parts_of
+from sightline.frame.part_mesh import meshes_of
 
 BLOCKS = ("block30", "block60", "cube120")
 BLOCK = Frame.load("block60")
@@ -69,11 +75,37 @@ def test_built_in_blocks_pass(name):
         (touching, "bead-overlap"),
         (lambda: block(lambda xyz: 0.35 * xyz), "solid-clear"),
         (lattice, "solid-worst"),
+        (lattice, "solid-symmetry"),
         (lambda: block(lambda xyz: 2.1 * xyz), "solid-field"),
     ],
 )
 def test_a_broken_block_fails_the_check_meant_for_it(broken, name):
     assert name in {check.name for check in failed(check_frame(broken()))}
+
+
+def with_its_image(matrix: np.ndarray, shift_mm: float) -> Frame:
+    """Eight balls of the block and their images under a symmetry, one of these moved."""
+    half = np.add(BLOCK.solid.xyz_mm[:8], (1.0, 2.0, 3.0))
+    both = np.concatenate([half, half @ matrix.T])
+    both[-1, 0] += shift_mm
+    balls = (Fiducial(f"k{n}", tuple(at), 3.0) for n, at in enumerate(both.tolist()))
+    return Frame("double", {}, solid=RigidBody(tuple(balls)))
+
+
+@pytest.mark.parametrize(
+    ("matrix", "words"),
+    [
+        (np.diag([-1.0, -1.0, 1.0]), "double, rotated by 180° about z: "),
+        (np.diag([1.0, -1.0, 1.0]), "double, reflected in the plane perpendicular to y: "),
+        (-np.eye(3), "double, reflected through its middle: "),
+    ],
+)
+def test_a_symmetric_solid_is_refused_by_the_name_of_its_symmetry(matrix, words):
+    """A ball 0.5 mm from its image does not remove the symmetry, one 4 mm from it does."""
+    for shift, count in ((0.0, 1.0), (0.5, 1.0), (4.0, 0.0)):
+        found = {check.name: check for check in check_frame(with_its_image(matrix, shift))}["solid-symmetry"]
+        assert (found.figure, found.passed) == (count, count == 0)
+        assert found.sentence.startswith(words) == (count == 1)
 
 
 def test_balls_are_clear_where_their_shadows_are_a_millimetre_apart():
@@ -110,3 +142,24 @@ def test_at_the_stated_offset_every_ball_is_just_in_the_image(name):
             assert left.min() > -1e-9
             outermost = max(outermost, radius_mm(solid) - left.min())
         assert outermost > 0.97 * radius_mm(solid)
+
+
+@settings(deadline=None, max_examples=30)
+@given(seed=st.integers(0, 2**32 - 1), flatten=st.sampled_from([0.0, 1e-9, 1.0]), repeat=st.booleans())
+def test_every_solid_that_a_file_can_hold_is_judged_and_drawn_or_refused(seed, flatten, repeat):
+    """Balls anywhere, in a plane or on each other, of any size: checks and a picture come back, parts or a sentence."""
+    rng = np.random.default_rng(seed)
+    count = int(rng.integers(6, 30))
+    xyz = rng.normal(size=(count, 3)) * 10.0 ** rng.uniform(-2, 3) * rng.choice([0, flatten, 1], size=3)
+    xyz = np.repeat(xyz[::2], 2, axis=0)[:count] if repeat else xyz
+    sizes = rng.choice([0.5, 3.0, 5.0, 40.0], size=count)
+    balls = (Fiducial(f"k{n}", tuple(at), float(d)) for n, (at, d) in enumerate(zip(xyz, sizes, strict=True)))
+    frame = Frame("any", {}, solid=RigidBody(tuple(balls)))
+    for check in check_frame(frame):
+        assert (check.figure is not None and np.isfinite(check.figure)) or not check.passed
+    if seed % 50 == 0:
+        assert frame_png(frame).startswith(b"\x89PNG")
+    try:
+        meshes_of(parts_of(frame))
+    except FrameError as refused:
+        assert "move a ball" in str(refused)

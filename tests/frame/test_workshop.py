@@ -190,6 +190,15 @@ def test_the_mesh_of_a_block_is_closed_with_every_bore_open_to_its_face(name):
     assert inside(whole, centres - 3 * outwards).all()
 
 
+def test_the_mesh_of_a_measured_block_is_closed():
+    """Coordinates of six decimals, none of which is a face's."""
+    block = Frame.load("block30")
+    off = np.random.default_rng(1).normal(0, 0.05, (12, 3))
+    balls = zip(block.solid.fiducials, (block.solid.xyz_mm + off).round(6).tolist(), strict=True)
+    moved = RigidBody(tuple(replace(f, xyz_mm=tuple(at)) for f, at in balls))
+    assert solid_mesh(parts_of(replace(block, solid=moved))).volume == pytest.approx(30 * 30 * 50, rel=0.05)
+
+
 def inside(mesh, points: np.ndarray) -> np.ndarray:
     """Whether points lie inside a closed mesh: the solid angle of its triangles is 4 pi or 0."""
     out = []

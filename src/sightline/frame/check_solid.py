@@ -6,11 +6,13 @@ from sightline.frame import nominal
 from sightline.frame.model import Frame
 from sightline.frame.plate import RigidBody
 from sightline.frame.rules import Rule, Values
+from sightline.frame.symmetry import in_words, symmetry_of
 
 # Fields at the hip, mm, by the detector: what a C-arm shows 620 mm from its source (physics.md, Frame).
 FIELDS_MM = {"9-inch intensifier": 140.0, "30 cm panel": 185.0}
 SHADOW_GAP_MM = 1.0  # [ours] minimum distance between two shadows for both to be measured
 _DIRECTIONS = 400  # [ours] of a Fibonacci lattice, 10° apart
+SYMMETRY_MM = 1.0  # [ours] five times the error of a printed ball: nearer to a symmetry, labels may be exchanged
 _RARE = 0.02  # [ours] share of the directions in which an image may be refused
 
 
@@ -78,6 +80,14 @@ def _clear_worst(frame: Frame) -> Values:
         yield frame.name, float(np.quantile(clear_beads(frame.solid), _RARE, method="lower"))
 
 
+def _symmetries(frame: Frame) -> Values:
+    """Yield the number of symmetries, with one of them: a rotation where there is one."""
+    if frame.solid is not None:
+        found = symmetry_of(frame.solid.xyz_mm, 2 * _radii(frame.solid), SYMMETRY_MM)
+        named = f", {in_words(max(found, key=np.linalg.det))}" if found else ""
+        yield frame.name + named, len(found)
+
+
 def _field(frame: Frame) -> Values:
     """Yield the `offset_mm` in the largest field."""
     if frame.solid is not None:
@@ -107,6 +117,11 @@ SOLID_VIEWS = (
         "solid-worst", _clear_worst, at_least=True, limit=6.0, unit="beads",  # 12 equations, 11 unknowns
         meaning="from all but 2 % of the directions at least this many beads are clear of each other",
         advice="from over 2 % of the directions too few beads are clear of each other; move beads out of rows",
+    ),
+    Rule(
+        "solid-symmetry", _symmetries, at_least=False, limit=0, unit="symmetries",
+        meaning="no rotation or mirror image can be confused with the solid",
+        advice="the solid looks the same, so its balls cannot be labelled; move balls, or give some another size",
     ),
     Rule(
         "solid-field", _field, at_least=True, limit=0.0, unit="mm",

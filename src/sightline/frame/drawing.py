@@ -12,7 +12,7 @@ from matplotlib.patches import Circle, Polygon
 
 from sightline.atomic import write_whole
 from sightline.frame.model import Frame
-from sightline.frame.part import Part, parts_of
+from sightline.frame.part import Part, faces_of
 from sightline.frame.plate import ROLES, Fiducial, Plate
 
 _ORDINARY, _DATUM, _EDGE = "#4c78a8", "#d62728", "#8a8f98"
@@ -24,17 +24,17 @@ _TOWARDS = np.array([0.62, -0.64, 0.46])  # from the solid to the eye of its pic
 def draw_frame(frame: Frame, path: str | Path) -> None:
     """Write a PNG of the plates, viewed against their normals, balls to scale, datums filled; or of a solid's faces.
 
-    Raises FrameError for a solid that cannot be made as a block, UnusableInputError.
+    Raises UnusableInputError.
     """
     write_whole(path, frame_png(frame))
 
 
 def frame_png(frame: Frame) -> bytes:
-    """Return the PNG of `draw_frame`. Raises FrameError."""
+    """Return the PNG of `draw_frame`."""
     columns = 4 if frame.solid is not None else len(frame.views)
     figure = Figure(figsize=(_PANEL_INCHES * columns, 2 * _PANEL_INCHES), layout="constrained")
     if frame.solid is not None:
-        faces = parts_of(frame)
+        faces = faces_of(frame.solid)
         panels = figure.subplot_mosaic([["+X", "+Y", "+Z", "whole"], ["-X", "-Y", "-Z", "whole"]])
         for face in faces:
             _draw_face(panels[face.front], face)

@@ -99,7 +99,11 @@ def parts_of(frame: Frame) -> tuple[Part, ...]:
     """
     position = round(SIGMAS * frame.effective_tolerances.bead_mm, 3)
     if frame.solid is not None:
-        return _faces(frame.solid, position)
+        faces = faces_of(frame.solid, position)
+        for face in faces:
+            _refuse_thin_walls(face)
+        _refuse_bores_that_meet(faces)
+        return faces
     return tuple(_plate(view, role, plate, position) for view, role, plate in plates(frame))
 
 
@@ -126,11 +130,15 @@ def _plate(view: str, role: str, plate: Plate, position_mm: float) -> Part:
     return part
 
 
-def _faces(solid: RigidBody, position_mm: float) -> tuple[Part, ...]:
-    """Return the six faces of the box about the balls; each ball is bored from the face that is nearest to it."""
+def faces_of(solid: RigidBody, position_mm: float = 0.0) -> tuple[Part, ...]:
+    """Return the six faces of the box about the balls; each ball is bored from the face that is nearest to it.
+
+    Whether the bores have walls between them is not checked.
+    """
     extents = np.array([_thickness_mm(ball) for ball in solid.fiducials])
     cover = max(COVER_MM, float(extents.max()) / 2 + WALL_MM)
-    low, high = solid.xyz_mm.min(axis=0) - cover, solid.xyz_mm.max(axis=0) + cover
+    # Rounded like all sizes of a part, so that the faces meet at their edges.
+    low, high = (solid.xyz_mm.min(axis=0) - cover).round(3), (solid.xyz_mm.max(axis=0) + cover).round(3)
     below = np.stack([solid.xyz_mm - low, high - solid.xyz_mm], axis=2).reshape(-1, 6)  # -X, +X, -Y, ... of each ball
     parts = []
     for face in range(6):
@@ -146,8 +154,6 @@ def _faces(solid: RigidBody, position_mm: float) -> tuple[Part, ...]:
         parts.append(
             Part(f"face{name.lower()}", f"face {name}", None, bores, width, tall, thickness, position_mm, axes, corner)
         )
-        _refuse_thin_walls(parts[-1])
-    _refuse_bores_that_meet(parts)
     return tuple(parts)
 
 
