@@ -62,7 +62,7 @@ def check_shot(
 ) -> CheckShot:
     """Return where two more images show the inserted wire, against its plan.
 
-    `planned`: the two views of the plan; `images`: of the same two views, in their order, with the wire in the bone;
+    `planned`: the views of the plan; `images`: of the first two of them, in their order, with the wire in the bone;
     `frame`, `white`: as of `calibrate_image`. `landmarks`: three points of the bone picked in all four images, which
     tell how the bone moved since.
     Raises what `calibrate_image` raises, WireRefusedError, UnusableInputError, ReconstructionRefusedError,
@@ -76,7 +76,7 @@ def check_shot(
     """
     frame = Frame.of(frame)
     views, wires = [], []
-    for before, given in zip(planned, images, strict=True):
+    for before, given in zip(planned[:2], images, strict=True):
         image, beads = find_beads(as_radiograph(given, white))
         observations = label_beads(image, beads, frame, before.name)
         view = view_of(observations, image, frame, c_arm=known_arm(image))

@@ -38,6 +38,7 @@ class Wire:
 class Case:
     """A plan, and everything that the check shows of a wire (2, 3) in the bone, which has moved."""
 
+    first: SetUp
     made: Plan
     before: list[BeadView]
     after: list[BeadView]
@@ -99,6 +100,7 @@ def case(seed: int, wire: np.ndarray, bow_mm: float = 0.0) -> Case:
         for setup, xyz in ((first, MARKS), (second, motion.apply(MARKS)))
     )
     return Case(
+        first,
         plan(views[0], ends[:, 0], ends[:, 1], kind=kind("free-wire")),
         *views,
         [wire_in(rng, second, name, curve) for name in VIEWS],
@@ -169,6 +171,29 @@ def test_entry_and_tip_scatter_as_stated_where_the_centre_lines_noise_is_all(one
     seen, stated = np.cov(np.array(deviations).T), shot.covariance_mm2
     for which in (slice(0, 2), slice(2, 4)):  # twelve draws of two numbers: 1 ± 0.3
         assert 0.4 < np.trace(seen[which, which]) / np.trace(stated[which, which]) < 2.0
+
+
+def test_a_plan_on_three_views_is_checked_against_all_its_picks(one):
+    """Without picks in the third image it is the check of two; with them the deviation is true as well."""
+    rng = np.random.default_rng(21)
+    setup = replace(drawn(rng, PLAN), true_frame=one.first.true_frame)
+    oblique = sl.calibrate(measure(rng, setup, 0.05)["pa"], setup.frame, view="pa")
+    ends = np.swapaxes(np.array([[pick.uv_px for pick in point] for point in one.made.picks]), 0, 1)
+
+    def checked(third_px: np.ndarray) -> CheckShot:
+        uv = np.concatenate([ends, third_px[None]])
+        made = plan([*one.before, oblique], uv[:, 0], uv[:, 1], kind=kind("free-wire"))
+        return check_shot(made.trajectory, made.picks, made.views, one.after, one.wires, landmarks=one.landmarks)
+
+    two, without = one.result(), checked(np.full((2, 2), np.nan))
+    np.testing.assert_allclose(without.deviation_mm, two.deviation_mm, atol=1e-9)
+    np.testing.assert_allclose(without.covariance_mm2, two.covariance_mm2, atol=1e-12)
+    three = checked(setup.views["pa"].project(PLAN))
+    error = errors(three, one.made.trajectory.direction, WIRE)
+    assert error @ np.linalg.solve(three.covariance_mm2, error) < 20.5  # chi-square of 5, once in a thousand
+    assert np.abs(three.deviation_mm - two.deviation_mm).max() > 0.005  # the third picks count
+    with pytest.raises(UnusableInputError, match="all views of the plan"):
+        check_shot(one.made.trajectory, one.made.picks, [*one.before, oblique], one.after, one.wires)
 
 
 def test_a_wire_within_its_limits_passes_and_says_what_it_is(one):

@@ -35,7 +35,7 @@ _OUTSIDE_MM = 15.0  # length of wire outside the entry point that is used: furth
 
 
 class Adjustment:
-    """Gauss-Newton adjustment of the observations (`Rows`) in four views.
+    """Gauss-Newton adjustment of the observations (`Rows`) in the plan's views and the check's two.
 
     Unknowns: the landmarks and the plan's two points (3N + 6), a small movement (6: rotation about the plan's middle,
     shift), the wire's curve (8) and its tip's place along the plan (1). The plan's points are unknowns because the
@@ -45,7 +45,7 @@ class Adjustment:
     def __init__(
         self,
         trajectory: Trajectory,
-        picks: Sequence[tuple[Pick, Pick]],
+        picks: Sequence[Sequence[Pick]],
         views: tuple[Sequence[CalibratedView], Sequence[CalibratedView]],
         wires: Sequence[WireSeen],
         landmarks: Landmarks,
@@ -54,9 +54,11 @@ class Adjustment:
         self._axes = np.vstack([np.linalg.svd(trajectory.direction[None])[2][1:], trajectory.direction])
         ends, spread, across = stack(picks)
         self._pick_px2 = spread + _FREE_PX**2 * across[..., :, None] * across[..., None, :]
+        planned_px = np.full((len(ends), self._n + 2, 2), np.nan)
+        planned_px[:2, : self._n], planned_px[:, self._n :] = landmarks.planned_uv_px, ends
+        self._shown = np.isfinite(planned_px[..., 0])  # (V, N + 2): which points the plan's views show
         self._before = [
-            view.lines_of_sight(np.concatenate([marks, uv]))
-            for view, marks, uv in zip(views[0], landmarks.planned_uv_px, ends, strict=True)
+            view.lines_of_sight(uv[shown]) for view, uv, shown in zip(views[0], planned_px, self._shown, strict=True)
         ]
         marks_mm, self.movement = start_movement(views, landmarks)
         self._points_mm = np.concatenate([marks_mm, [trajectory.entry_mm, trajectory.end_mm]])
@@ -90,7 +92,7 @@ class Adjustment:
         """
         residual, design, _, covariance = self._linearised()
         sigma = _standardised_residuals(residual, design, covariance)
-        worst, first = int(sigma.argmax()), 2 * 2 * len(self._points_mm)
+        worst, first = int(sigma.argmax()), 2 * int(self._shown.sum())
         if sigma[worst] <= MAX_OUTLIER:
             return None
         for view, wire in enumerate(self.wires):
@@ -167,11 +169,13 @@ class Adjustment:
         and the residuals' covariance."""
         marks_px2 = np.broadcast_to(self._landmarks.sd_px**2 * np.eye(2), (self._n, 2, 2))
         rows, designs = [], []
-        for lines, plan_px2 in zip(self._before, self._pick_px2, strict=True):
-            count = len(self._points_mm)
-            one = Rows.of(lines, self._points_mm, np.concatenate([marks_px2, plan_px2]), np.eye(2 * count))
-            design = np.zeros((2 * count, 3 * count + 7 + 2 * CURVE))
-            design[:, : 3 * count] = one.to_point.reshape(2 * count, -1)
+        for lines, plan_px2, shown in zip(self._before, self._pick_px2, self._shown, strict=True):
+            noise, count = np.concatenate([marks_px2, plan_px2])[shown], int(shown.sum())
+            one = Rows.of(lines, self._points_mm[shown], noise, np.eye(2 * count))
+            by_points = np.zeros((2 * count, len(shown), 3))
+            by_points[:, shown] = one.to_point
+            design = np.zeros((2 * count, 3 * len(shown) + 7 + 2 * CURVE))
+            design[:, : 3 * len(shown)] = by_points.reshape(2 * count, 3 * len(shown))
             rows.append(one)
             designs.append(design)
         for lines, wire_px2 in zip(self._after, self._wire_px2, strict=True):
@@ -192,9 +196,10 @@ class Adjustment:
         """Return the part (R, R) of the rows' covariance that comes from the plan's picks."""
         out = np.zeros((size, size))
         for view, lines in enumerate(self._before):
-            for k in range(2):
-                first = 2 * (view * len(self._points_mm) + self._n + k)
-                jacobian = lines.jacobian[self._n + k]
+            for k in np.flatnonzero(self._shown[view, self._n :]):
+                at = int(self._shown[view, : self._n + k].sum())
+                first = 2 * (int(self._shown[:view].sum()) + at)
+                jacobian = lines.jacobian[at]
                 out[first : first + 2, first : first + 2] = jacobian @ self._pick_px2[view, k] @ jacobian.T
         return out
 

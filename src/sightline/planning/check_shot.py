@@ -2,8 +2,7 @@
 
 One least-squares adjustment in the CFCS of the planning images, in which the bone is at rest. Unknowns: landmarks, the
 movement of the bone against the frame until the check, and the wire as a cubic along the planned axis. Observations:
-landmarks in four images, centre line and tip in two. Each view has its stated covariance; all four share the frame's
-errors.
+landmarks in four images, centre line and tip in two. Each view has its stated covariance; all share the frame's errors.
 """
 
 from collections.abc import Sequence
@@ -11,6 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from sightline.calibration.together import adjusted_together
 from sightline.calibration.view import CalibratedView
 from sightline.checks import Limits
 from sightline.errors import UnusableInputError
@@ -28,7 +28,7 @@ _MAX_LEFT_OUT = 0.2  # share of the centre-line points that may be left out: bon
 
 def check_shot(
     trajectory: Trajectory,
-    picks: Sequence[tuple[Pick, Pick]],
+    picks: Sequence[Sequence[Pick]],
     planned: Sequence[CalibratedView],
     checked: Sequence[CalibratedView],
     wires: Sequence[WireSeen],
@@ -36,18 +36,21 @@ def check_shot(
     landmarks: Landmarks | None = None,
     limits: Limits | None = None,
 ) -> CheckShot:
-    """Return the wire that two check images show, against the plan made on two others.
+    """Return the wire that two check images show, against the plan made on two or more others.
 
-    `trajectory`, `picks` (entry, end): of a `Plan` made on the views `planned`; `wires`: found in the images of the
-    views `checked`, in the same order. The picks define the plan, so their errors are not counted. Outlying points of
-    the centre lines are left out, the worst first, a fifth at most; a tip or a landmark is never left out.
+    `trajectory`, `picks` (entry, end): of a `Plan` made on the views `planned`; `landmarks`: of the first two of them.
+    `wires`: found in the images of the views `checked`, in the same order. The picks define the plan, so their errors
+    are not counted. Outlying points of the centre lines are left out, the worst first, a fifth at most; a tip or a
+    landmark is never left out.
     Raises UnusableInputError, ReconstructionRefusedError, OutsideRegionError, ErrorUnknownError.
     """
     landmarks = landmarks or Landmarks()
-    if len(planned) != 2 or len(checked) != 2 or len(wires) != 2 or len(picks) != 2:
+    each = {len(point) for point in picks} == {len(planned)}
+    if len(planned) < 2 or not each or len(checked) != 2 or len(wires) != 2 or len(picks) != 2:
         raise UnusableInputError(
-            "give two views of the plan with two picks, and two views of the check with a wire in each"
+            "give all views of the plan with two picks in each, and two views of the check with a wire in each"
         )
+    planned, checked = adjusted_together(planned), adjusted_together(checked)
     shot = _adjusted(trajectory, picks, (planned, checked), wires, landmarks)
     for _ in range(int(_MAX_LEFT_OUT * sum(len(wire.uv_px) for wire in shot.wires))):
         outlier = shot.outlying_point()
@@ -60,7 +63,7 @@ def check_shot(
 
 def _adjusted(
     trajectory: Trajectory,
-    picks: Sequence[tuple[Pick, Pick]],
+    picks: Sequence[Sequence[Pick]],
     views: tuple[Sequence[CalibratedView], Sequence[CalibratedView]],
     wires: Sequence[WireSeen],
     landmarks: Landmarks,

@@ -105,7 +105,7 @@ def start_movement(
     if not len(landmarks):
         return np.zeros((0, 3)), RigidTransform.identity()
     spread = np.broadcast_to(landmarks.sd_px**2 * np.eye(2), (2, len(landmarks), 2, 2))
-    before = reconstruct(views[0], landmarks.planned_uv_px, spread).xyz_mm
+    before = reconstruct(views[0][:2], landmarks.planned_uv_px, spread).xyz_mm
     after = reconstruct(views[1], landmarks.checked_uv_px, spread).xyz_mm
     rotation = Rotation.identity()
     if len(landmarks) >= MIN_LANDMARKS:
