@@ -114,6 +114,7 @@ def test_show_says_where_a_block_may_stand(tmp_path):
     assert (tmp_path / "faces.png").read_bytes().startswith(b"\x89PNG")
     told = run("show", "cube120")
     assert "does not fit" in told and "arm" not in told
+    assert json.loads(run("check", "block60", "--json"))["solid"] == solid
 
 
 def test_new_takes_a_block_and_a_cube_of_xmalab(tmp_path):

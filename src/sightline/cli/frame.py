@@ -113,7 +113,10 @@ def show(
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Show plates, datums, tolerances and reach of a frame; of a block, where it may stand."""
+    """Show plates, datums, tolerances and reach of a frame.
+
+    Of a block: its balls, and where it may stand.
+    """
     with Output(json=json, quiet=quiet) as out:
         from sightline.frame import Frame
 
@@ -140,7 +143,7 @@ def check(
 ) -> None:
     """Check a frame.
 
-    Exit code 3 if a check fails.
+    Exit code 3 if a check fails. Of a block, it also says where it may stand.
     """
     with Output(json=json, quiet=quiet) as out:
         from sightline.frame import Frame
@@ -151,7 +154,10 @@ def check(
         checks = check_frame(loaded)
         if before is not None:
             checks += (before_check(loaded, Frame.load(before)),)
-        out.result({"frame": loaded.key}, checks)
+        solid = None if loaded.solid is None else _solid_document(loaded.solid)
+        if solid is not None:
+            _show_solid(out, solid)
+        out.result({"frame": loaded.key, "solid": solid}, checks)
 
 
 def _design(name: str, like: str, stated: dict[str, Any], datums: int | None) -> "FrameDesign":
