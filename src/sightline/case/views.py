@@ -61,9 +61,9 @@ def see(
 ) -> ObservedView:
     """Find the beads of one image, label them (`label`) and refit hidden ones (`look_again`).
 
-    Without `view`, the datum markers tell which view it is. An image that shows the balls bright is inverted, and a
-    check says so; pass `invert`, as for `read_image`, if its bright balls are not found. Raises RefusedError, and what
-    reading raises.
+    Without `view`, the datum markers tell which view it is; a solid looks alike in all. An image that shows the balls
+    bright is inverted, and a check says so; pass `invert`, as for `read_image`, if its bright balls are not found.
+    Raises RefusedError, and what reading raises.
     """
     image, beads = find_beads(read_image(path, frame_index, invert=invert))
     return ObservedView(anonymous_name(path), label_beads(image, beads, frame, view, datums), image, beads)
@@ -85,7 +85,9 @@ def see_pair(pa: Path, lateral: Path, frame: Frame, *, invert: bool = False) -> 
     view twice, and what reading raises.
     """
     pair = tuple(
-        _from_csv(path, name, frame) if path.suffix.lower() == ".csv" else see(path, frame, invert=invert)
+        _from_csv(path, name, frame)
+        if path.suffix.lower() == ".csv"
+        else see(path, frame, None if frame.solid is None else name, invert=invert)
         for path, name in zip((pa, lateral), NAMES, strict=True)
     )
     found = tuple(seen.observations.view for seen in pair)

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from sightline.case.views import CalibratedImage
 
 METHODS: "tuple[Method, ...]" = ("smooth", "localized", "polynomial")  # the plan is made with the first
+OF_SOLIDS: "tuple[Method, ...]" = METHODS[:1]  # the others are for plates
 # The first seed whose beads surround the whole wire in both images; otherwise `localized` gives no result to compare.
 SEED = 9
 PICK_SD_PX = 0.5  # a careful click (physics.md, Picks) [ours]
@@ -35,6 +36,9 @@ def demo(
     *,
     out: Annotated[Path, typer.Option(help="Folder for the report, the images and the results.")] = Path("out/demo"),
     seed: Annotated[int, typer.Option(min=0, help="Seed of patient, C-arm and frame.")] = SEED,
+    frame: Annotated[
+        str, typer.Option(help="gamma, or a block beside the hip on a flat panel: block60, block30, cube120.")
+    ] = "gamma",
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:
@@ -48,14 +52,14 @@ def demo(
 
         output.note(f"Sightline demo, seed {seed}: about half a minute; the first run compiles and takes a minute more")
         with whole_folder(out, units=("case",)) as scratch:
-            document = _run(output, scratch, seed)
+            document = _run(output, scratch, seed, frame)
             files = [out / file.name for file in sorted(scratch.iterdir())]
         output.say(f"report: {out / 'report.html'}")
         output.say(f"images and results: {', '.join(file.name for file in files if file.suffix != '.html')} in {out}")
         output.result({**document, "files": files})
 
 
-def _run(output: Output, folder: Path, seed: int) -> dict[str, Any]:
+def _run(output: Output, folder: Path, seed: int, frame_name: str) -> dict[str, Any]:
     """Do all steps and return the result. The images are read back from their files, as a user's images are."""
     import numpy as np
 
@@ -71,7 +75,7 @@ def _run(output: Output, folder: Path, seed: int) -> dict[str, Any]:
     from sightline.rehearsal.procedure import Rehearsal
     from sightline.twin import truth_document
 
-    frame = Frame.load("gamma")
+    frame = Frame.load(frame_name)
     with output.step("1/8 drawing the set-up and its X-ray images"):
         rehearsal = Rehearsal.draw(seed, frame)
         wire = rehearsal.hip.wire_mm
@@ -81,10 +85,9 @@ def _run(output: Output, folder: Path, seed: int) -> dict[str, Any]:
         )
     with output.step("2/8 reading the images, finding and labelling the beads"):
         seen = see_pair(pa, lateral, frame)
-    images: dict[str, tuple[CalibratedImage, CalibratedImage]] = {}
-    with output.step(f"3/8 calibrating both views: {', '.join(METHODS)}"):
-        for method in METHODS:
-            images[method] = calibrate_pair(seen, frame, method)
+    methods = METHODS if frame.solid is None else OF_SOLIDS
+    with output.step(f"3/8 calibrating both views: {', '.join(methods)}"):
+        images = {method: calibrate_pair(seen, frame, method) for method in methods}
     rng = rehearsal.generator("picks")
     picks = truth.uv_px + PICK_SD_PX * rng.standard_normal((2, 2, 2))
     landmarks = tuple(rehearsal.landmarks)
@@ -105,7 +108,7 @@ def _run(output: Output, folder: Path, seed: int) -> dict[str, Any]:
             aids=Aids(head=(head[0], head[1])),
         )
         planned = asked.plan(images[METHODS[0]])
-    with output.step("5/8 comparing three methods with the truth"):
+    with output.step("5/8 comparing with the truth"):
         compared = _compare(images, picks, truth, planned)
     whole = DemoPlan(rehearsal, planned, images[METHODS[0]], landmarks, landmarks_px, PICK_SD_PX)
     drilled, checked = drill(output, whole, rng) or (None, None)
@@ -124,9 +127,10 @@ def _run(output: Output, folder: Path, seed: int) -> dict[str, Any]:
                 "picks": f"the true places with {PICK_SD_PX:g} px of normal noise; lateral ones snapped to curves, but "
                 "those of the landmarks: centre of the head, both trochanters; three clicks on the head's rim in each",
                 "side": rehearsal.side,
-                "command": f"sightline demo --seed {seed}",
+                "command": f"sightline demo --seed {seed}"
+                + ("" if frame_name == "gamma" else f" --frame {frame_name}"),
             },
-            localized=(images["localized"][0].view, images["localized"][1].view),
+            localized=(paper[0].view, paper[1].view) if (paper := images.get("localized")) else None,
             truth=truth,
             compared=compared,
             drilled=drilled,
@@ -156,7 +160,7 @@ def _compare(
 
     out: list[Compared | Refused] = [Compared(METHODS[0], BY_HAND, planned.trajectory, truth)]
     for how, uv, sd, snapped in ((BY_HAND, picks, PICK_SD_PX, True), (EXACT, truth.uv_px, 0.1, False)):
-        for method in METHODS:
+        for method in images:
             if (method, how) == (METHODS[0], BY_HAND):
                 continue
             views = [image.view for image in images[method]]

@@ -49,6 +49,11 @@ def drill(output: "Output", planned: DemoPlan, rng: "np.random.Generator") -> "t
     if find_spec("mujoco") is None:
         output.note("the robot is left out: it needs MuJoCo (pip install 'sightline[robot]')")
         return None
+    if planned.rehearsal.setup.frame.solid is not None:
+        output.say(
+            "not drilled: the simulated robot holds the plates of a frame; it does not know where a block stands"
+        )
+        return None
     try:
         return _drill(output, planned, rng)
     except RefusedError as error:

@@ -38,11 +38,17 @@ def bundle(plan: Plan, images: Sequence[CalibratedImage], frame: Frame) -> tuple
 
 
 def _frame(frame: Frame) -> dict[str, Any]:
-    beads = [
-        {"id": bead.id, "view": name, "plate": role, "xyz_mm": list(map(float, bead.xyz_mm))}
+    bodies = [
+        (name, role, plate)
         for name, view in frame.views.items()
         for role, plate in (("xrii", view.xrii), ("source", view.source))
-        for bead in plate.fiducials
+    ]
+    if frame.solid is not None:
+        bodies.append(("all", "solid", frame.solid))
+    beads = [
+        {"id": bead.id, "view": name, "plate": role, "xyz_mm": list(map(float, bead.xyz_mm))}
+        for name, role, body in bodies
+        for bead in body.fiducials
     ]
     return {"name": frame.name, "serial": frame.serial, "beads": beads}
 

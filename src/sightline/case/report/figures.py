@@ -176,10 +176,13 @@ def _wire(report: Report) -> scene.Shape:
 
 
 def _whole(report: Report) -> Iterable[scene.Shape]:
+    if report.frame.solid is not None:
+        yield from scene.beads(report.frame.solid.xyz_mm, "xrii")
     for image in report.images:
-        plates = report.frame.view(image.name)
-        yield from scene.plate(plates.xrii.xyz_mm, "xrii", f"{spoken(image.name)} XRII plate")
-        yield from scene.plate(plates.source.xyz_mm, "source", f"{spoken(image.name)} source plate")
+        if report.frame.solid is None:
+            plates = report.frame.view(image.name)
+            yield from scene.plate(plates.xrii.xyz_mm, "xrii", f"{spoken(image.name)} XRII plate")
+            yield from scene.plate(plates.source.xyz_mm, "source", f"{spoken(image.name)} source plate")
         focal = image.view.focal_point_mm
         yield scene.dot(focal, "focal", 6.0, f"{spoken(image.name)} focal point")
         yield scene.label(focal, f"{spoken(image.name)} focal point")

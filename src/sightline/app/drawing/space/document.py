@@ -17,7 +17,7 @@ from sightline.app.session.rehearsing import Patient, rehearsal_of
 from sightline.calibration.view import CalibratedView
 from sightline.case.report.drawing.scene import NEAR_MM, magnification
 from sightline.frame import Frame
-from sightline.frame.plate import Plate
+from sightline.frame.plate import Plate, RigidBody
 from sightline.geometry.covariance import ellipsoid_factor
 from sightline.imaging import Radiograph
 from sightline.planning import Trajectory
@@ -54,7 +54,7 @@ def frame_objects(frame: Frame) -> list[Object]:
             made.append(_balls(plate, name))
             rings = [_ring(f.xyz_mm, 1.6 * f.diameter_mm, plate) for f in plate.fiducials if f.datum]
             made.append({"kind": "lines", "style": "quiet", "lines": rings})
-    return made
+    return made if frame.solid is None else [*made, _balls(frame.solid, "pa")]
 
 
 def view_objects(view: CalibratedView, plate: Plate, image: Radiograph) -> list[Object]:
@@ -183,9 +183,9 @@ def side_objects(side: str | None, about_mm: np.ndarray) -> list[Object]:
     return [{**axes, "labels": ["X", "Y", "Z"]}, *labels]
 
 
-def _balls(plate: Plate, style: str) -> Object:
-    radii = [f.diameter_mm / 2 for f in plate.fiducials]
-    return {"kind": "spheres", "style": style, "at": _list(plate.xyz_mm), "radius": radii}
+def _balls(body: RigidBody, style: str) -> Object:
+    radii = [f.diameter_mm / 2 for f in body.fiducials]
+    return {"kind": "spheres", "style": style, "at": _list(body.xyz_mm), "radius": radii}
 
 
 def _ring(xyz_mm: Sequence[float], diameter_mm: float, plate: Plate) -> list[Any]:

@@ -48,7 +48,12 @@ def plate(xyz_mm: np.ndarray, style: str, words: str) -> list[Shape]:
     """Return the outline of a plate's beads (N, 3), and the beads."""
     plane = Plane.fit(xyz_mm)
     outline = xyz_mm[ConvexHull(plane.to_plane(xyz_mm)).vertices]
-    return [Shape("polygon", outline, f"plate {style}", words), *(dot(p, f"bead {style}", 1.7) for p in xyz_mm)]
+    return [Shape("polygon", outline, f"plate {style}", words), *beads(xyz_mm, style)]
+
+
+def beads(xyz_mm: np.ndarray, style: str) -> list[Shape]:
+    """Return beads (N, 3)."""
+    return [dot(p, f"bead {style}", 1.7) for p in xyz_mm]
 
 
 def magnification(covariances_mm2: np.ndarray, drawn_mm: float) -> float:
