@@ -60,7 +60,7 @@ def test_one_file_twice_and_a_frame_file_in_the_way_end_with_2(run, tables, tmp_
     assert run("frame", "self-check", *tables, "--frame", "delta").code == 2
 
 
-def test_a_solid_is_refused_with_what_to_do(run, tables):
-    ran = run("frame", "self-check", *tables, "--frame", "block60")
+def test_a_solid_is_refused_with_what_to_do_before_any_image_is_opened(run):
+    ran = run("frame", "self-check", "1.dcm", "2.dcm", "3.dcm", "4.dcm", "--frame", "block60")
     assert ran.code == 2
     assert "frame fit" in ran.err

@@ -65,16 +65,21 @@ class SelfCheck:
 
 
 @well_conditioned()
-def self_check(observations: Sequence[Observations], frame: Frame) -> SelfCheck:
-    """Return the errors of a frame, estimated from 4 images or more.
-
-    Raises ObservationsError, FrameError, CalibrationRefusedError.
-    """
+def refuse_solid(frame: Frame) -> None:
+    """Raise FrameError for a solid, whose balls this adjustment cannot find."""
     if frame.solid is not None:
         raise FrameError(
             f"frame {frame.name!r} is a solid; the self-check adjusts plates alone. Measure the balls with an "
             "instrument or a calliper and give them to 'sightline frame fit'"
         )
+
+
+def self_check(observations: Sequence[Observations], frame: Frame) -> SelfCheck:
+    """Return the errors of a frame, estimated from 4 images or more.
+
+    Raises ObservationsError, FrameError, CalibrationRefusedError.
+    """
+    refuse_solid(frame)
     if len(observations) < MIN_IMAGES:
         raise CalibrationRefusedError(
             f"{len(observations)} images were given; give {MIN_IMAGES} or more for a self-check, with the C-arm moved "

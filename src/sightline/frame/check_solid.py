@@ -8,7 +8,7 @@ from sightline.frame.plate import RigidBody
 from sightline.frame.rules import Rule, Values
 from sightline.frame.symmetry import in_words, symmetry_of
 
-# Fields at the hip, mm, by the detector: what a C-arm shows 620 mm from its source (physics.md, Frame).
+# Fields at the hip by the detector: 9 inches and 300 mm, 1000 mm from the source, seen at 620 mm, rounded down [calc].
 FIELDS_MM = {"9-inch intensifier": 140.0, "30 cm panel": 185.0}
 SHADOW_GAP_MM = 1.0  # [ours] minimum distance between two shadows for both to be measured
 _DIRECTIONS = 400  # [ours] of a Fibonacci lattice, 10° apart
