@@ -66,6 +66,18 @@ def test_built_in_blocks_pass(name):
     } <= {check.name for check in checks}
 
 
+@pytest.mark.parametrize("name", BLOCKS)
+def test_balls_of_built_in_blocks_lie_as_the_search_puts_them(name):
+    """3.5 mm under one face, on whole millimetres along it, 6 mm or more between the surfaces of any two."""
+    solid = Frame.load(name).solid
+    face = np.abs(solid.xyz_mm) == np.ptp(solid.xyz_mm, axis=0) / 2
+    assert (face.sum(axis=1) == 1).all()
+    along = solid.xyz_mm[~face]
+    assert (along == np.round(along)).all()
+    (gap,) = [check.figure for check in check_frame(Frame.load(name)) if check.name == "bead-overlap"]
+    assert gap >= 6.0
+
+
 @pytest.mark.parametrize(
     ("broken", "name"),
     [
