@@ -10,7 +10,7 @@ from sightline.frame import Fiducial, Frame, RigidBody, Tolerances
 from sightline.geometry.planes import Plane
 from sightline.studies.bound import BoundData
 from sightline.studies.scenes import draw_scene
-from sightline.studies.solid_bound import FOCAL_LENGTH_MM, PRINCIPAL_POINT_MM, solid_bound
+from sightline.studies.solid_bound import solid_bound
 from sightline.twin import SetUp, ViewTruth, draw_setup
 from sightline.twin.arm import beam_at
 from sightline.twin.carm import BEAMS
@@ -59,7 +59,7 @@ class _Pinholes:
             axes, focal = view.detector.basis, view.focal_point_mm
             self.cameras.append((axes, -axes @ focal, -view.detector.height_mm(focal), view.detector.to_plane(focal)))
         free, ball = np.inf, setup.frame.effective_tolerances.bead_mm
-        camera = [free] * 6 + [FOCAL_LENGTH_MM, PRINCIPAL_POINT_MM, PRINCIPAL_POINT_MM]
+        camera = [free] * 6 + [10.0, 5.0, 5.0]
         self.prior = np.array(camera * len(self.cameras) + [ball] * balls.size + [free] * 3)  # s.d.
 
     def data(self, unknowns: np.ndarray) -> np.ndarray:

@@ -101,7 +101,8 @@ def measure(rng: np.random.Generator, setup: SetUp, bead_px: float, uneven: floa
         ids, exact = bead_images(setup, name, rng, sd_px=0.0)
         sd = bead_px * np.exp(uneven * rng.standard_normal(len(ids)))
         measured = exact + sd[:, None] * rng.standard_normal(exact.shape)
-        out[name] = Observations(name, ids, measured, sd[:, None, None] ** 2 * np.eye(2))
+        shape = None if setup.frame.solid is None else setup.views[name].chain.shape  # its calibration needs it
+        out[name] = Observations(name, ids, measured, sd[:, None, None] ** 2 * np.eye(2), image_shape=shape)
     return out
 
 

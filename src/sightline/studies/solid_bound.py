@@ -13,12 +13,9 @@ from dataclasses import replace
 import numpy as np
 from scipy.linalg import block_diag
 
+from sightline.calibration.together import CENTRE_SD_MM, DISTANCE_SD_MM
 from sightline.studies.bound import BoundData, Linear, derivative, snapped, target_bound
 from sightline.twin import SetUp, ViewTruth
-
-# Priors of an estimator that knows the source-detector distance from the image's file, 1 s.d. The twin draws 3 mm for
-# the focal length and 5 mm for the principal point (`Pose`).
-FOCAL_LENGTH_MM, PRINCIPAL_POINT_MM = 10.0, 5.0
 
 
 def solid_bound(
@@ -26,12 +23,14 @@ def solid_bound(
     seen: dict[str, BoundData],
     target_mm: np.ndarray,
     *,
-    focal_length_mm: float = FOCAL_LENGTH_MM,
-    principal_point_mm: float = PRINCIPAL_POINT_MM,
+    focal_length_mm: float = DISTANCE_SD_MM,
+    principal_point_mm: float = CENTRE_SD_MM,
 ) -> np.ndarray:
     """Return the lower bound (3, 3), mm², of the covariance of a target at `target_mm` (3,), CFCS.
 
-    `seen`: the data of each view, two or more. The priors are 1 s.d., of each coordinate of the principal point.
+    `seen`: the data of each view, two or more. The priors are 1 s.d., of each coordinate of the principal point;
+    by default those of `calibrate_together` where the file states the source-detector distance. The twin draws 3 mm for
+    the focal length and 5 mm for the principal point (`Pose`).
     """
     prior = np.array([principal_point_mm, principal_point_mm, focal_length_mm])
     return target_bound([_linearised(setup, name, one, target_mm, prior) for name, one in seen.items()])
