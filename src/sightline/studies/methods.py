@@ -150,9 +150,9 @@ def _camera(scene: TargetScene, name: str, parameters: int) -> tuple[np.ndarray,
     if parameters == 14:
         flags |= cv2.CALIB_RATIONAL_MODEL | cv2.CALIB_THIN_PRISM_MODEL | cv2.CALIB_TILTED_MODEL
     criteria = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 200, 1e-12)
-    view, seen, chain = scene.frame.view(name), scene.observations[name], scene.setup.views[name].chain
+    known, seen, chain = scene.frame.xyz_mm_by_id, scene.observations[name], scene.setup.views[name].chain
     height, width = chain.shape
-    beads = np.array([view.by_id[i].xyz_mm for i in seen.ids], dtype=np.float32)
+    beads = np.array([known[i] for i in seen.ids], dtype=np.float32)
     focal_px = chain.sdd_mm / chain.pitch_mm
     guess = np.array([[focal_px, 0.0, (width - 1) / 2], [0.0, focal_px, (height - 1) / 2], [0.0, 0.0, 1.0]])
     pixels = seen.uv_px.astype(np.float32)

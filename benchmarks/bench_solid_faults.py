@@ -1,0 +1,161 @@
+"""Bad input of a block on a flat panel: how each plan ends, and how often a wrong one looks right.
+
+A free wire of 97 mm and two landmarks beside `block60`, balls 0.02 mm, beads and picks 0.1 px. A wrong number is a plan
+that is a GO with an entry or end farther off than 1.5 times its stated 95 % bound; good input has one in 1,000.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+import sightline as sl
+from benchmarks.parallel import in_parallel
+from benchmarks.rows import Row
+from benchmarks.scenes_solid import BEAD_PX, PICK_PX, block, c_arms, sized
+from sightline.calibration.together import calibrate_together
+from sightline.detection import Observations
+from sightline.errors import SightlineError
+from sightline.frame import Frame
+from sightline.planning import kind
+from sightline.studies.scenes import TargetScene, draw_scene, measure
+from sightline.studies.study_robustness import POINTS_MM
+from sightline.twin import SetUp
+from sightline.twin.arm import beam_at
+from sightline.twin.carm import displaced, with_errors
+
+SETUPS = 40  # of each case
+BALL_MM = 0.02
+WRONG = 1.5  # times the stated 95 %
+MOVED_MM, MOVED_RAD = 0.3, float(np.radians(0.2))
+AXES = {"along the first beam": 2, "along the second beam": 0, "across both beams": 1}  # of CFCS
+ENDS = ("refused", "NO-GO", "GO, right", "GO, wrong")
+
+Given = tuple[list[Observations], Frame]
+Fault = Callable[[np.random.Generator, TargetScene], Given]
+
+
+def run(quick: bool) -> list[Row]:
+    """Return the rows of this benchmark."""
+    number = SETUPS // 10 if quick else SETUPS
+    ended = in_parallel(_ended, [(name, seed) for name in CASES for seed in range(number)])
+    return [_row(name, ended[k * number : (k + 1) * number]) for k, name in enumerate(CASES)]
+
+
+@dataclass(frozen=True)
+class _End:
+    """How a plan ended: one of ENDS; a check that failed, the type of a refusal, or ""."""
+
+    end: str
+    reason: str
+
+
+def _ended(case: tuple[str, int]) -> _End:
+    """Return how the plan of one set-up with a fault ended."""
+    name, seed = case
+    rng = np.random.default_rng([13, seed])  # the same set-ups for each case
+    apart = 5.0 if name == VIEWS_5_DEG else 90.0
+    views = {"pa": beam_at(0.0), "lateral": beam_at(np.radians(apart))}
+    drawn = draw_scene(rng, block(BALL_MM), BEAD_PX, targets=1, reach_mm=0.0, views=views)
+    scene = TargetScene.of(drawn.setup, drawn.observations, drawn.setup.hip_mm + POINTS_MM)
+    seen, frame = CASES[name](rng, scene)
+    uv = scene.target_px + PICK_PX * rng.standard_normal(scene.target_px.shape)
+    try:
+        calibrated = calibrate_together(seen, frame, c_arms(scene.setup)[: len(seen)])
+        made = sl.plan(
+            calibrated,
+            uv[: len(seen), 0],
+            uv[: len(seen), 1],
+            pick_sd_px=PICK_PX,
+            landmarks_uv_px=uv[: len(seen), 2:],
+            kind=kind("free-wire"),
+        )
+    except SightlineError as refusal:
+        return _End("refused", type(refusal).__name__)
+    if not made.verdict.go:
+        return _End("NO-GO", next(check.name for check in made.verdict.checks if not check.passed))
+    wire = made.trajectory
+    off = np.linalg.norm(np.array([wire.entry_mm, wire.end_mm]) - scene.target_mm[:2], axis=1)
+    right = (off <= WRONG * np.array([wire.entry_error_95_mm, wire.end_error_95_mm])).all()
+    return _End("GO, right" if right else "GO, wrong", "")
+
+
+def _row(name: str, ended: Sequence[_End]) -> Row:
+    count = {end: sum(one.end == end for one in ended) for end in ENDS}
+    reasons = [one.reason for one in ended if one.reason]
+    most = max(sorted(set(reasons)), key=reasons.count) if reasons else ""
+    value = ", ".join(f"{number} {end}" for end, number in count.items() if number)
+    return Row("solid, bad input", name, value, "0 GO, wrong", f"mostly {most}" if most else "", not count["GO, wrong"])
+
+
+def _seen(setup: SetUp, rng: np.random.Generator) -> list[Observations]:
+    scene = TargetScene.of(setup, measure(rng, setup, BEAD_PX), setup.hip_mm[None])
+    return sized(scene)
+
+
+def _good(_rng: np.random.Generator, scene: TargetScene) -> Given:
+    return sized(scene), scene.frame
+
+
+def _in_one_view(_rng: np.random.Generator, scene: TargetScene) -> Given:
+    return sized(scene)[:1], scene.frame
+
+
+def _moved(rng: np.random.Generator, scene: TargetScene, shift_mm: np.ndarray, rotation: np.ndarray) -> Given:
+    """Return what is seen if the block moves before the second image, in a direction or against it."""
+    true, sign = scene.setup.true_frame, rng.choice([-1.0, 1.0])
+    assert true.solid is not None
+    turned = true.solid.xyz_mm @ Rotation.from_rotvec(sign * rotation).as_matrix().T + sign * shift_mm
+    later = replace(scene.setup, true_frame=displaced(true, turned - true.solid.xyz_mm))
+    return [sized(scene)[0], _seen(later, rng)[1]], scene.frame
+
+
+def _mirrored(_rng: np.random.Generator, scene: TargetScene) -> Given:
+    solid = scene.frame.solid
+    assert solid is not None
+    return sized(scene), displaced(scene.frame, solid.xyz_mm * np.array([-2.0, 0.0, 0.0]))
+
+
+def _understated(rng: np.random.Generator, scene: TargetScene) -> Given:
+    loose = replace(scene.setup, true_frame=with_errors(block(3 * BALL_MM), rng))
+    return _seen(loose, rng), scene.frame
+
+
+def _wrong_serial(rng: np.random.Generator, scene: TargetScene) -> Given:
+    """Return the images of a block with the file of another one, both printed to 0.2 mm and measured."""
+    printed = block(0.2)
+    other = replace(scene.setup, true_frame=with_errors(printed, rng))
+    return _seen(other, rng), replace(with_errors(printed, rng), tolerances=scene.frame.tolerances)
+
+
+def _two_exchanged(rng: np.random.Generator, scene: TargetScene) -> Given:
+    first, second = sized(scene)
+    ids, (a, b) = list(second.ids), rng.choice(len(second), 2, replace=False)
+    ids[a], ids[b] = ids[b], ids[a]
+    return [first, replace(second, ids=tuple(ids))], scene.frame
+
+
+def _moves() -> dict[str, Fault]:
+    """Return the cases of a block that moves between the images, by direction."""
+    none, out = np.zeros(3), {}
+    for name, axis in AXES.items():
+        way = np.eye(3)[axis]
+        out[f"moved by {MOVED_MM} mm {name}"] = lambda rng, scene, way=way: _moved(rng, scene, MOVED_MM * way, none)
+        out[f"turned by 0.2° about an axis {name}"] = lambda rng, scene, way=way: _moved(
+            rng, scene, none, MOVED_RAD * way
+        )
+    return out
+
+
+VIEWS_5_DEG = "views 5° apart"
+CASES: dict[str, Fault] = {
+    "good input": _good,
+    "block in one view only": _in_one_view,
+    **_moves(),
+    "mirrored block": _mirrored,
+    "balls' errors understated threefold": _understated,
+    "file of another block": _wrong_serial,
+    "two balls exchanged in one view": _two_exchanged,
+    VIEWS_5_DEG: _good,
+}

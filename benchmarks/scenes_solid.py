@@ -1,0 +1,61 @@
+"""A block beside a hip on a flat panel, as points: its balls, targets and picks; a Γ frame in the same beams."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from sightline.calibration import BeadView, CArm
+from sightline.calibration.together import calibrate_together
+from sightline.detection import Observations
+from sightline.frame import Frame, Tolerances
+from sightline.studies.scenes import TargetScene, measure
+from sightline.twin import SetUp
+from sightline.twin.carm import with_errors
+from sightline.twin.distributions import SolidPlace
+
+BEAD_PX = PICK_PX = 0.1
+
+
+def block(ball_mm: float) -> Frame:
+    """Return `block60` with a stated error of its balls, 1 s.d. per axis."""
+    return replace(Frame.load("block60"), tolerances=Tolerances(ball_mm, 0.0, 0.0, 0.0, 0.0))
+
+
+def c_arms(setup: SetUp) -> list[CArm]:
+    """Return what the software knows of the C-arm of each view."""
+    return [CArm(view.chain.sdd_mm, view.chain.pitch_mm) for view in setup.views.values()]
+
+
+def sized(scene: TargetScene) -> list[Observations]:
+    """Return the observations of all views with the size of their images."""
+    views = scene.setup.views
+    return [replace(one, image_shape=views[name].chain.shape) for name, one in scene.observations.items()]
+
+
+def calibrated(scene: TargetScene) -> tuple[BeadView, ...]:
+    """Return the views of a scene of a block, adjusted together."""
+    return calibrate_together(sized(scene), scene.frame, c_arms(scene.setup))
+
+
+def pick_covariance(views: int, points: int) -> np.ndarray:
+    """Return the covariances (V, N, 2, 2) of picks."""
+    return np.broadcast_to(PICK_PX**2 * np.eye(2), (views, points, 2, 2))
+
+
+def gamma_in(setup: SetUp, rng: np.random.Generator) -> TargetScene:
+    """Return a Γ frame of default tolerances in the beams of a block's set-up, with the target in its middle.
+
+    The views are moved so that they are aimed at the middle of the Γ frame, as they were at a place beside the hip.
+    """
+    frame = Frame.load("gamma")
+    aim = (1.0 - SolidPlace().aim) * setup.hip_mm  # the block's middle is the origin
+    views = {
+        name: replace(
+            view,
+            focal_point_mm=view.focal_point_mm - aim,
+            detector=replace(view.detector, origin_mm=view.detector.origin_mm - aim),
+        )
+        for name, view in setup.views.items()
+    }
+    moved = SetUp(frame, with_errors(frame, rng), views, setup.side, setup.tube)
+    return TargetScene.of(moved, measure(rng, moved, BEAD_PX), np.zeros((1, 3)))
