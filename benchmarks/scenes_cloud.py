@@ -44,13 +44,16 @@ class CloudScene:
 
 
 def draw_cloud(
-    rng: np.random.Generator, balls: int, side_mm: float, diameters_mm: tuple[float, ...] = (3.0,)
+    rng: np.random.Generator,
+    balls: int,
+    side_mm: float | tuple[float, float, float],
+    diameters_mm: tuple[float, ...] = (3.0,),
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return places (M, 3) of balls in a cube, at least 1.8 diameters apart, and diameters (M,) in turn."""
-    diameter = np.resize(diameters_mm, balls)
+    """Return places (M, 3) of balls in a cube or box, at least 1.8 diameters apart, and diameters (M,) in turn."""
+    diameter, half = np.resize(diameters_mm, balls), np.array(side_mm) / 2
     xyz = np.zeros((0, 3))
     while len(xyz) < balls:
-        one = rng.uniform(-side_mm / 2, side_mm / 2, (1, 3))
+        one = rng.uniform(-half, half, (1, 3))
         if not len(xyz) or cdist(xyz, one).min() > 1.8 * diameter.max():
             xyz = np.concatenate([xyz, one])
     return xyz, diameter

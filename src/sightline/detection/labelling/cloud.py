@@ -15,7 +15,7 @@ from sightline.frame.symmetry import in_words
 
 MIN_MATCHED = 6  # balls: twelve coordinates for nine unknowns of a camera
 MAX_CHANCE = 1e-6  # of a match by chance, and of the second-best labelling
-FIRST, LEFT_OVER = 2e7, 2e5  # triples of balls tried, 1 s; on detections left over after a match [ours]
+FIRST, LEFT_OVER = 5e6, 2e5  # triples of balls tried, 1 to 5 s; on detections left over after a match [ours]
 CLEAR = 0.6  # share of the balls with a detection in their gate from which a hypothesis is fitted at once [ours]
 KEPT, FITTED = 8, 2  # hypotheses kept and fitted of a chunk of triples
 BASES, MANY, MANY_BASES = 6, 40, 4  # triples that look for other labellings: of up to MANY detections, of more [ours]

@@ -9,10 +9,11 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-RADIUS_RATIO = 0.25  # largest log ratio of detected and expected radius: noise, blur, misjudged rims [ours]
+RADIUS_RATIO = 0.25  # largest share by which a radius differs from the expected one: noise, blur [ours]
 SCALE_RATIO = 0.12  # of the scale of three points to their mean magnification by radius: 3 % each, blur [ours]
 SLACK = 0.12  # share by which a distance may appear too long: magnification by radius has an error of 5 % [ours]
 CELLS = 256  # of the table of nearest detections, per side
+BEYOND = -2  # stands for a detection outside the table
 SEEN = 0.7  # probability that a ball of the right hypothesis has a detection in its gate [ours]
 GIVE_UP = -4.5  # log likelihood ratio at which a hypothesis is dropped: 1 % of right ones [calc]
 CORRECTIONS = 2  # of scaled orthography towards perspective; the third changes less than 0.1 px [calc]
@@ -127,13 +128,14 @@ def _hits(seen, cloud, first, u0, matrix, focal, scale, least):  # noqa: PLR0917
     w, nearest, cells, corner = seen.w, seen.nearest, seen.cells, seen.corner
     xyz, gate2 = cloud.xyz, seen.gate**2
     hits, ratio, left, origin = 0, 0.0, len(xyz), xyz[first]
-    for p in cloud.order:
+    for n in range(first, first + left):  # each hypothesis begins elsewhere: the same hidden balls never decide all
+        p = cloud.order[n % len(xyz)]
         at = _from(origin, xyz[p])
         depth = 1 + _dot(matrix[2], at) / focal
         u, v = (u0.real + _dot(matrix[0], at)) / depth, (u0.imag + _dot(matrix[1], at)) / depth
         j, i = int((u - corner.real) * cells), int((v - corner.imag) * cells)
         left -= 1
-        k = nearest[i, j] if 0 <= i < CELLS and 0 <= j < CELLS else -1
+        k = nearest[i, j] if 0 <= i < CELLS and 0 <= j < CELLS else BEYOND
         if (
             k >= 0
             and (w[k].real - u) ** 2 + (w[k].imag - v) ** 2 < gate2
@@ -142,7 +144,7 @@ def _hits(seen, cloud, first, u0, matrix, focal, scale, least):  # noqa: PLR0917
             hits += 1
             ratio = min(ratio + seen.hit, -GIVE_UP)
         else:
-            ratio += seen.miss
+            ratio += seen.miss if k > BEYOND else seen.miss / 4  # perhaps outside the image
         if ratio < GIVE_UP or hits + left < least:
             return 0
     return hits

@@ -6,6 +6,7 @@ import numpy as np
 from scipy.spatial.distance import cdist
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from sightline.detection.labelling.cloud_kernels import RADIUS_RATIO
 from sightline.detection.labelling.cloud_pose import Camera, Fit, fit, log_evidence, project
 from sightline.detection.labelling.cloud_search import Hypothesis, Problem, sign_of
 
@@ -15,9 +16,9 @@ RADIUS_SD, MISJUDGED = (
     0.06,
     0.05,
 )  # of log radii: noise, blur; share of radii far off (2 % in images of the twin) [ours]
-RADIUS_RATIO = 0.3  # largest log ratio of a radius to the expected one: five s.d. [ours]
 LOG_RADII = 2.5  # range of log radii of false detections: 2 to 25 px [ours]
 ROUNDS, NARROWED = 12, 2  # of matching and fitting; the first ones within a gate in px
+MIN_SCALE = 1e-6  # px/mm, of balls behind the source
 MIN_PAIRS = 4  # that determine a camera with the help of its priors [ours]
 
 
@@ -121,7 +122,7 @@ def _ball_variance(problem: Problem, scales: np.ndarray) -> np.ndarray:
 
 def _near(problem: Problem, scales: np.ndarray, squares: np.ndarray, gate_px: float) -> np.ndarray:
     """Return the squared distances (N, M), infinite beyond the gate and where the radius is not that of the ball."""
-    size = np.abs(problem.log_radius[:, None] - problem.log_half - np.log(scales))
+    size = np.abs(problem.log_radius[:, None] - problem.log_half - np.log(np.maximum(scales, MIN_SCALE)))
     return np.where((squares < gate_px**2) & (size < RADIUS_RATIO), squares, np.inf)
 
 
