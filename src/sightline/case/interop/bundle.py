@@ -38,17 +38,16 @@ def bundle(plan: Plan, images: Sequence[CalibratedImage], frame: Frame) -> tuple
 
 
 def _frame(frame: Frame) -> dict[str, Any]:
-    bodies = [
-        (name, role, plate)
+    plates = [
+        (name, role, plate.fiducials)
         for name, view in frame.views.items()
         for role, plate in (("xrii", view.xrii), ("source", view.source))
     ]
-    if frame.solid is not None:
-        bodies.append(("all", "solid", frame.solid))
+    bodies = plates if frame.solid is None else [("all", "solid", frame.solid.fiducials)]
     beads = [
         {"id": bead.id, "view": name, "plate": role, "xyz_mm": list(map(float, bead.xyz_mm))}
-        for name, role, body in bodies
-        for bead in body.fiducials
+        for name, role, fiducials in bodies
+        for bead in fiducials
     ]
     return {"name": frame.name, "serial": frame.serial, "beads": beads}
 
