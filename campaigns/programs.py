@@ -431,7 +431,8 @@ def acquire_beside_another(place: Path) -> int:
     if other == 0:
         os._exit(acquire(place))
     code = acquire(place)
-    return code or os.waitstatus_to_exitcode(os.waitpid(other, 0)[1])
+    ended = os.waitstatus_to_exitcode(os.waitpid(other, 0)[1])
+    return code or max(ended, 0)  # below zero: the other was killed, as this one may be
 
 
 def watch(place: Path) -> int:
