@@ -115,7 +115,7 @@ def main(file: str, port: str = "18936") -> None:
     known = RobotFile.read(Path(file))
     robot = known.robot()
     # What a person confirmed at the robot: side, frame, and whether the wire enters bone. Here it moves through air.
-    setup = Setup(known.side, known.frame_serial, into_bone=False)
+    setup = Setup(known.side, known.frame_serial, into_bone=False, frame=known.frame)
     motors = Motors(np.array([3.0, -5.0, np.pi / 4 if known.side == "right" else -np.pi / 4, 0.0, 0.5]))
     with MotorPlant(motors, robot.manipulator) as plant:
         controller = Controller(robot, plant, setup, first_fault=int(time.time()) % 1_000_000 + 1)

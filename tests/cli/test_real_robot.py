@@ -7,6 +7,7 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,9 +18,11 @@ from tests.robot.scripted_robot import ScriptedRobot, serving
 from tests.robot.test_measured import measurements, true_robot
 
 from sightline.case.journal.originals import anonymous_name
+from sightline.frame import Frame
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "plant_template.py"
-FRAME = {"name": "gamma", "serial": "SN-7", "beads": []}
+GAMMA, BLOCK = (replace(Frame.load(name), serial="SN-7") for name in ("gamma", "block30"))
+FRAME = {"name": "gamma", "serial": "SN-7", "fingerprint": GAMMA.fingerprint, "beads": []}
 VIEWS = ("pa", "lateral")
 
 
@@ -28,7 +31,9 @@ def calibrated(tmp_path_factory) -> Path:
     """The robot's file as `robot calibrate` writes it."""
     folder = tmp_path_factory.mktemp("robot")
     (folder / "measured.json").write_text(json.dumps(measurements(true_robot())))
-    done = run("calibrate", folder / "measured.json", "--out", folder / "robot.json", "--json")
+    GAMMA.save(folder / "gamma.json")
+    frame = ("--frame", folder / "gamma.json")
+    done = run("calibrate", folder / "measured.json", *frame, "--out", folder / "robot.json", "--json")
     assert done.exit_code == 0, done.output
     assert max(json.loads(done.stdout)["residual_rms_mm"].values()) < 0.1
     return folder / "robot.json"
@@ -109,6 +114,8 @@ def test_what_is_not_this_robot_s_is_refused(robot_file, plan, images, tmp_path)
             ({"side": "left"}, "side"),
             ({"frame": FRAME | {"serial": "SN-8"}}, "frame serial"),
             ({"frame": FRAME | {"serial": None}}, "frame serial"),
+            ({"frame": FRAME | {"name": "block30", "fingerprint": BLOCK.fingerprint}}, "frame file is block30"),
+            ({"frame": {key: FRAME[key] for key in ("name", "serial", "beads")}}, "frame file is not stated"),
         ):
             other = written(tmp_path / "other.json", **({"frame": FRAME, "views": views_of(images)} | changed))
             done = run("drive", other, address, "--registration", robot_file, say="y\n" * 5)
@@ -124,6 +131,13 @@ def test_what_is_not_this_robot_s_is_refused(robot_file, plan, images, tmp_path)
         assert "MOVE_TO_TARGET" not in peer.commands
     assert run("drive", plan, "--registration", robot_file).exit_code == 2
     assert run("drive", plan, "127.0.0.1:1", "--registration", robot_file, "--frame-serial", "SN-7").exit_code == 2
+
+
+def test_a_frame_of_another_serial_than_the_measured_one_is_refused(tmp_path):
+    (tmp_path / "measured.json").write_text(json.dumps(measurements(true_robot())))
+    done = run("calibrate", tmp_path / "measured.json", "--frame", "gamma", "--out", tmp_path / "robot.json")
+    assert done.exit_code == 3
+    assert "the frame file states the serial None" in done.stderr
 
 
 def test_a_plan_on_other_images_than_those_registered_is_refused(robot_file, plan, images, tmp_path):

@@ -74,6 +74,16 @@ def test_drive_a_rehearsal_s_plan_into_its_bone(tmp_path):
     assert 0.02 < np.linalg.norm(off) < 1.0
 
 
+@pytest.mark.slow
+def test_a_plan_made_with_a_block_is_not_drilled_by_the_robot_that_holds_a_gamma(tmp_path):
+    """Neither states a serial, but their coordinates differ."""
+    block = Frame.load("block60")
+    frame = {"name": block.name, "serial": None, "fingerprint": block.fingerprint, "beads": []}
+    done = run("drive", written(tmp_path / "plan.json", frame=frame), "--rehearse", "9", "--yes")
+    assert done.exit_code == 3
+    assert "the plan's frame file is 'block60/#" in done.stderr
+
+
 @pytest.mark.parametrize(
     "args",
     [

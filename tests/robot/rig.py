@@ -26,7 +26,7 @@ from sightline.twin.manipulator import SimulatedPlant
 IMAGED = np.array([3.0, -5.0, np.pi / 4, 0.0, 0.5])  # joints at the images
 # CFCS; shorter than a wire in a hip, since drilling takes a second for each millimetre
 ENTRY_MM, END_MM = np.array([35.0, 31.0, -4.0]), np.array([7.7, 2.3, 1.1])
-SETUP = Setup("right", "SN-7", into_bone=False)  # its wire is in air
+SETUP = Setup("right", "SN-7", into_bone=False, frame="gamma/SN-7#1")  # its wire is in air
 ROBOT = calibrated_robot()
 T_MCS_CFCS = ROBOT.manipulator.T_mcs_cfcs(IMAGED)
 CLIENT = 1

@@ -150,10 +150,10 @@ def test_where_it_stood_at_the_images(robot):
 
 def test_another_side_frame_or_day_is_refused(robot):
     now = time.time()
-    robot.refuse_other("right", "SN-7", now)
+    robot.refuse_other("right", "SN-7", "", now)
     for side, serial in (("left", "SN-7"), ("right", "SN-8"), ("right", None), (None, "SN-7")):
         with pytest.raises(RobotRefusedError, match="another patient's plan"):
-            robot.refuse_other(side, serial, now)
+            robot.refuse_other(side, serial, "", now)
     for days in (91, -1):
         with pytest.raises(RobotRefusedError, match="was calibrated on"):
-            robot.refuse_other("right", "SN-7", now + timedelta(days=days).total_seconds())
+            robot.refuse_other("right", "SN-7", "", now + timedelta(days=days).total_seconds())

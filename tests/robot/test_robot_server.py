@@ -122,6 +122,7 @@ def sent(robot: RobotClient, kind: str, pose: RigidTransform | np.ndarray, name:
         (wire(), {"side": "left"}, "side is 'left'"),
         (wire(), {"side": "middle"}, "side"),
         (wire(), {"frame_serial": "SN-8"}, "frame serial is 'SN-8'"),
+        (wire(), {"frame": "block60/SN-7#2"}, "frame file is 'block60/SN-7#2'"),
         (wire(), {"valid_s": "-3"}, "expired"),
         (wire(), {"valid_s": "86400"}, "claims to be valid"),
         (at(END_MM, SCALED), {}, "no rigid motion"),

@@ -78,7 +78,8 @@ def _drill(output: "Output", planned: DemoPlan, rng: "np.random.Generator") -> "
 
     rehearsal, plan, sd_px = planned.rehearsal, planned.plan, planned.pick_sd_px
     with output.step("6/8 the robot: registering, aligning, drilling under force supervision"):
-        identity = PlanIdentity("demo", rehearsal.side, rehearsal.serial, plan.verdict.go, plan.kind.key)
+        frame = rehearsal.setup.frame.fingerprint
+        identity = PlanIdentity("demo", rehearsal.side, rehearsal.serial, plan.verdict.go, plan.kind.key, frame)
         with (
             RobotProcess(rehearsal.seed, side=rehearsal.side, virtual=True) as process,
             RobotClient(port=process.port, heartbeat=False) as robot,

@@ -128,10 +128,14 @@ def check(
         raise typer.Exit(3)
 
 
-@app.command("calibrate", epilog=example("sightline robot calibrate measured.json --out robot.json"))
+@app.command("calibrate", epilog=example("sightline robot calibrate measured.json --frame frame.json --out robot.json"))
 def calibrate(
     measurements: Annotated[Path, typer.Argument(help="JSON of measurements on the robot (docs/real-robot.md).")],
     *,
+    frame: Annotated[
+        str | None,
+        typer.Option(help="File of the frame on the flange; without it plans that state theirs are refused."),
+    ] = None,
     out_file: Annotated[Path, typer.Option("--out", help="Robot file to write.")] = Path("robot.json"),
     json: Json = False,
     quiet: Quiet = False,
@@ -141,10 +145,13 @@ def calibrate(
     Axes, frame and wire are measured; the result is the robot file that register and drive need.
     """
     with Output(json=json, quiet=quiet) as out:
+        from sightline.frame import Frame
         from sightline.robot.kinematics.measured import Measurements, RobotFile
 
-        said = Measurements.read(measurements)
+        said, known = Measurements.read(measurements), None if frame is None else Frame.load(frame)
         robot, rms = RobotFile.calibrated(said)
+        if known is not None:
+            robot = robot.of_frame(known.serial, known.fingerprint)
         robot.write(out_file)
         sd = {"axes": said.axes.sd_mm, "frame": said.frame.sd_mm, "wire": said.wire.sd_mm}
         rows = [(name, f"{rms[name]:.3f}", f"{sd[name]:.3f}") for name in rms]
@@ -404,7 +411,7 @@ def _send_registered(robot: "RobotClient", plan: "PlanFile", name: str, stood: "
     import time
 
     frame = plan.document.frame
-    stood.refuse_other(plan.side, None if frame is None else frame.serial, time.time())
+    stood.refuse_other(plan.side, None if frame is None else frame.serial, plan.frame, time.time())
     registration = stood.registration()
     stood.refuse_other_images(plan.images)
     target = _target(plan, name, stood.frame_serial, registration)
@@ -418,7 +425,7 @@ def _target(plan: "PlanFile", name: str, frame_serial: str, registration: "Regis
     from sightline.robot.kinematics.target import PlanIdentity, robot_target
 
     budget = None if plan.covariance_mm2 is None else {"planning": plan.covariance_mm2}
-    identity = PlanIdentity(name, plan.side or "", frame_serial, plan.go, plan.document.kind or "")
+    identity = PlanIdentity(name, plan.side or "", frame_serial, plan.go, plan.document.kind or "", plan.frame)
     return robot_target(identity, plan.points_mm, budget, registration, plan.limits)
 
 

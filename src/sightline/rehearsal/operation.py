@@ -115,7 +115,8 @@ class SimulatedTheatre:
 
     def target(self, plan: Plan, name: str) -> RobotTarget:
         """Return the robot's target for a plan. Raises RobotRefusedError."""
-        identity = PlanIdentity(name, self.setup.side, self.setup.frame_serial, plan.verdict.go, plan.kind.key)
+        setup = self.setup
+        identity = PlanIdentity(name, setup.side, setup.frame_serial, plan.verdict.go, plan.kind.key, setup.frame)
         return target_of(plan, identity, registered(self.robot, self.imaged, time.monotonic()))
 
     def drill(self, target: RobotTarget, depth_limit_mm: float) -> DrillingRecord:

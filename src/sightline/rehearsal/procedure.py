@@ -111,7 +111,8 @@ class Rehearsal:
         """
         if self.setup.frame.solid is not None:
             raise SetUpError("the simulated robot holds a frame with plates, not a solid; rehearse drilling with gamma")
-        return SimulatedTheatre.draw(self.robot, self.hip, self.generator("robot"), Setup(self.side, self.serial))
+        setup = Setup(self.side, self.serial, frame=self.setup.frame.fingerprint)
+        return SimulatedTheatre.draw(self.robot, self.hip, self.generator("robot"), setup)
 
     def check_images(self, wire: SimulatedWire) -> CheckImages:
         """Render two more images with the true wire. The chuck is opened and the arm returns to its place at the

@@ -168,7 +168,7 @@ def test_the_table_has_both_frames_and_their_covariances(go_plan: PlanFile) -> N
     } == {"CFCS"}
 
 
-def test_a_robots_messages_say_what_the_contract_asks_and_that_they_have_expired(go_plan: PlanFile) -> None:
+def test_a_robots_messages_say_what_the_contract_asks_and_that_they_have_expired(go_plan: PlanFile, frame) -> None:
     files = robot_files.write(go_plan, "case-7")
     messages = {}
     for name in ("target.igtl", "trajectory.igtl"):
@@ -186,8 +186,11 @@ def test_a_robots_messages_say_what_the_contract_asks_and_that_they_have_expired
     assert set(contract.PLAN_KEYS) <= set(target.metadata)
     setup, registered = Setup("right", ""), LinkRegistration(T_MCS_CFCS, 0)
     assert target.metadata["kind"] == "free-wire"
+    assert target.metadata["frame"] == frame.fingerprint
     with pytest.raises(RobotRefusedError, match="expired"):
         read_target(target, registered, ROBOT, setup, 0.0)
+    with pytest.raises(RobotRefusedError, match="set up for 'block60/#1'"):
+        read_target(target, registered, ROBOT, replace(setup, frame="block60/#1"), 0.0)
     live = replace(target, metadata={**target.metadata, contract.VALID_S: "500"})
     taken = read_target(live, registered, ROBOT, setup, 0.0)
     in_mcs = T_MCS_CFCS.apply(go_plan.points_mm)

@@ -113,6 +113,7 @@ class DrillingWorkflow:
             frame_serial=decisions.serial or "",
             go=self._readiness.can_send,
             kind=decisions.kind,
+            frame=planning.frame.fingerprint,
         )
         target = session.target_for(known.plan, identity, time.monotonic() - age_s)
         limit = _depth_limit(known, target)

@@ -49,7 +49,7 @@ def _frame(frame: Frame) -> dict[str, Any]:
         for name, role, fiducials in bodies
         for bead in fiducials
     ]
-    return {"name": frame.name, "serial": frame.serial, "beads": beads}
+    return {"name": frame.name, "serial": frame.serial, "fingerprint": frame.fingerprint, "beads": beads}
 
 
 def _lines(plan: Plan, k: int, image: CalibratedImage) -> list[dict[str, Any]]:

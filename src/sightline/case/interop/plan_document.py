@@ -43,10 +43,11 @@ class BeadPart(_Part):
 
 
 class PlanFramePart(_Part):
-    """The frame that the plan was made with."""
+    """The frame that the plan was made with; `fingerprint`: of its file, "" in plans of older versions."""
 
     name: Text
     serial: Text | None
+    fingerprint: Text = ""
     beads: Annotated[list[BeadPart], Field(max_length=2000)]
 
 

@@ -125,6 +125,11 @@ class PlanFile:
         """The image of each view that the plan was made on, by the name that a case gives its file."""
         return {one.view: one.source for one in self.document.views}
 
+    @property
+    def frame(self) -> str:
+        """Fingerprint of the frame's file; "" if the plan does not state it."""
+        return self.document.frame.fingerprint if self.document.frame else ""
+
     def identifier(self, name: str) -> str:
         """Return the identifier that a robot is sent; plans with other images or points have other identifiers."""
         return f"{name}-{(self.document.digest or '').removeprefix('sha256:')[:12]}"

@@ -22,7 +22,8 @@ def write(plan: PlanFile, case: str) -> dict[str, bytes]:
     """Return both messages and their description as JSON. Raises RobotRefusedError if the plan may not be sent."""
     plan.refuse_for_robot()
     serial = plan.document.frame.serial if plan.document.frame else None
-    identity = PlanIdentity(plan.identifier(case), plan.side or "", serial or "", plan.go, plan.document.kind or "")
+    named = (plan.identifier(case), plan.side or "", serial or "")
+    identity = PlanIdentity(*named, plan.go, plan.document.kind or "", plan.frame)
     limits = plan.limits
     depth_mm = plan.length_mm + limits.beyond_mm
     entry, end = plan.points_mm
@@ -37,6 +38,7 @@ def write(plan: PlanFile, case: str) -> dict[str, bytes]:
         contract.LENGTH_MM: repr(depth_mm),
         contract.DEPTH_LIMIT_MM: repr(depth_mm + DEPTH_SLACK_MM),
         contract.VALID_S: "0",
+        contract.FRAME: identity.frame,
         contract.KIND: identity.kind,
         contract.POSITION_LIMIT_MM: repr(limits.position_mm),
         contract.DIRECTION_LIMIT_DEG: repr(degrees(limits.direction_rad)),

@@ -44,7 +44,8 @@ class Setup:
 
     `side`: of the patient; `frame_serial`; `frame_mounted`: the frame is still on the flange; `remount_mm`: its
     repeatability if it was removed since its calibration; `into_bone`: bone is expected at the entry point, which is
-    false in a dry run and in a bore. `frames`: None for registrations as in docs/robot-link.md.
+    false in a dry run and in a bore. `frames`: None for registrations as in docs/robot-link.md. `frame`: fingerprint of
+    the frame's file, "" if unknown.
     """
 
     side: str
@@ -53,6 +54,7 @@ class Setup:
     remount_mm: float | None = None
     into_bone: bool = True
     frames: OwnFrames | None = None
+    frame: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -215,6 +217,7 @@ def _plan(said: Mapping[str, str], setup: Setup) -> tuple[PlanIdentity, float, f
             said[contract.FRAME_SERIAL],
             go == contract.YES,
             said.get(contract.KIND, ""),
+            said.get(contract.FRAME, ""),
         )
     except UnusableInputError as error:
         raise RobotRefusedError(str(error)) from error
@@ -223,6 +226,7 @@ def _plan(said: Mapping[str, str], setup: Setup) -> tuple[PlanIdentity, float, f
     for what, planned, here in (
         ("side", identity.side, setup.side),
         ("frame serial", identity.frame_serial, setup.frame_serial),
+        ("frame file", identity.frame or setup.frame, setup.frame or identity.frame),  # where both state it
     ):
         if planned != here:
             raise RobotRefusedError(

@@ -100,11 +100,15 @@ class ImagePart(_Part):
 
 
 class RobotFile(_Part):
-    """A calibrated robot as stored. `covariance` (36, 36) as in `CalibratedRobot`; `images`: its joints, by view."""
+    """A calibrated robot as stored. `covariance` (36, 36) as in `CalibratedRobot`; `images`: its joints, by view.
+
+    `frame`: fingerprint of the file of the frame whose mount was measured, "" if it was not stated.
+    """
 
     schema_: Annotated[Literal["sightline-robot/1"], Field(alias="schema")] = "sightline-robot/1"
     robot_serial: Serial
     frame_serial: Serial
+    frame: Annotated[str, Field(max_length=200)] = ""
     side: Side
     measured_on: datetime
     manipulator: ManipulatorPart
@@ -178,6 +182,17 @@ class RobotFile(_Part):
             raise UnusableInputError("its covariance is not symmetric")
         return CalibratedRobot(manipulator, covariance, np.array(self.compliance_sd))
 
+    def of_frame(self, serial: str | None, fingerprint: str) -> "RobotFile":
+        """Return the robot's file with the fingerprint of its frame's file, whose serial must be the measured one.
+
+        Raises RobotRefusedError."""
+        if serial != self.frame_serial:
+            raise RobotRefusedError(
+                f"the frame file states the serial {serial!r}, the measurements state {self.frame_serial!r}; give the "
+                "file of the frame that was measured on the flange"
+            )
+        return self.model_copy(update={"frame": fingerprint})
+
     def refuse_old(self, now_s: float) -> None:
         """Raise RobotRefusedError if the calibration is too old, or dated in the future."""
         now = datetime.fromtimestamp(now_s, UTC)
@@ -234,9 +249,12 @@ class RobotFile(_Part):
                     "the registered images, or take and register new ones"
                 )
 
-    def refuse_other(self, side: str | None, frame_serial: str | None, now_s: float) -> None:
-        """Raise RobotRefusedError if a plan's side or frame differs from this robot's, or its calibration is too
-        old."""
+    def refuse_other(self, side: str | None, frame_serial: str | None, frame: str, now_s: float) -> None:
+        """Raise RobotRefusedError if a plan's side or frame differs from this robot's, or its calibration is too old.
+
+        `frame`: fingerprint of the plan's frame file, "" if it states none. Two frames of one serial, or one frame
+        measured twice, have two coordinate systems.
+        """
         self.refuse_old(now_s)
         for what, planned, here in (("side", side, self.side), ("frame serial", frame_serial, self.frame_serial)):
             if planned != here:
@@ -244,6 +262,12 @@ class RobotFile(_Part):
                     f"the plan's {what} is {planned!r}, the robot's file is for {here!r}: it is another patient's "
                     "plan, or another frame; find out which before anything else"
                 )
+        if frame != self.frame:
+            raise RobotRefusedError(
+                f"the plan's frame file is {frame or 'not stated'}, the robot was calibrated with "
+                f"{self.frame or 'a frame file that it does not state'}: their coordinates differ; plan with the file "
+                "that the robot was calibrated with (`sightline robot calibrate --frame FILE`)"
+            )
 
 
 def _read(file: Path, kind: type[Any]) -> Any:

@@ -24,14 +24,15 @@ SIDES = ("right", "left")
 
 @dataclass(frozen=True)
 class PlanIdentity:
-    """Identity of a plan: its identifier, the patient's side, the frame's serial, whether planning says GO, and the
-    kind of trajectory, "" if a peer does not state it."""
+    """Identity of a plan: its identifier, the patient's side, the frame's serial, whether planning says GO, the kind of
+    trajectory, and the fingerprint of the frame's file. The last two are "" if a peer does not state them."""
 
     plan: str
     side: str
     frame_serial: str
     go: bool
     kind: str = ""
+    frame: str = ""
 
     def __post_init__(self) -> None:
         if not self.plan or self.side not in SIDES:

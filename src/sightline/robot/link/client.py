@@ -283,6 +283,7 @@ def plan_metadata(target: RobotTarget, now_s: float, depth_limit_mm: float) -> d
         contract.LENGTH_MM: repr(target.depth_mm),
         contract.DEPTH_LIMIT_MM: repr(depth_limit_mm),
         contract.VALID_S: repr(target.expires_s - now_s),
+        contract.FRAME: identity.frame,
         contract.KIND: identity.kind,
         contract.POSITION_LIMIT_MM: repr(limits.position_mm),
         contract.DIRECTION_LIMIT_DEG: repr(math.degrees(limits.direction_rad)),
