@@ -76,7 +76,7 @@ def _height(frame: Frame) -> Values:
 def _clearance(frame: Frame) -> Values:
     """Yield the smallest distance between the surfaces of two fiducials of each plate or solid."""
     for where, body in _bodies(frame):
-        radius = np.array([f.diameter_mm for f in body.fiducials]) / 2
+        radius = body.diameter_mm / 2
         first, second = np.triu_indices(len(radius), 1)
         yield where, float((pdist(body.xyz_mm) - radius[first] - radius[second]).min())
 

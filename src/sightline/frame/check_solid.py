@@ -35,7 +35,7 @@ def clear_beads(solid: RigidBody) -> np.ndarray:
     height, angle = 1 - 2 * k / _DIRECTIONS, np.pi * (1 + np.sqrt(5)) * k
     level = np.sqrt(1 - height**2)
     directions = np.stack([level * np.cos(angle), level * np.sin(angle), height], axis=1)
-    return clear_of_each_other(solid.xyz_mm, _radii(solid), directions)
+    return clear_of_each_other(solid.xyz_mm, solid.diameter_mm / 2, directions)
 
 
 def offset_mm(solid: RigidBody, field_mm: float) -> float:
@@ -51,11 +51,7 @@ def offset_mm(solid: RigidBody, field_mm: float) -> float:
 def radius_mm(solid: RigidBody) -> float:
     """Return the radius of the sphere about the middle of the balls' box that contains all balls, mm."""
     middle = (solid.xyz_mm.min(axis=0) + solid.xyz_mm.max(axis=0)) / 2
-    return float((np.linalg.norm(solid.xyz_mm - middle, axis=1) + _radii(solid)).max())
-
-
-def _radii(solid: RigidBody) -> np.ndarray:
-    return np.array([f.diameter_mm for f in solid.fiducials]) / 2
+    return float((np.linalg.norm(solid.xyz_mm - middle, axis=1) + solid.diameter_mm / 2).max())
 
 
 def _beads(frame: Frame) -> Values:
@@ -83,7 +79,7 @@ def _clear_worst(frame: Frame) -> Values:
 def _symmetries(frame: Frame) -> Values:
     """Yield the number of symmetries, with one of them: a rotation where there is one."""
     if frame.solid is not None:
-        found = symmetry_of(frame.solid.xyz_mm, 2 * _radii(frame.solid), SYMMETRY_MM)
+        found = symmetry_of(frame.solid.xyz_mm, frame.solid.diameter_mm, SYMMETRY_MM)
         named = f", {in_words(max(found, key=np.linalg.det))}" if found else ""
         yield frame.name + named, len(found)
 
