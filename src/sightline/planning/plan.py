@@ -1,4 +1,4 @@
-"""From picks in two views to a plan: trajectory, image-matching curves, verdict."""
+"""From picks in two or more views to a plan: trajectory, image-matching curves, verdict."""
 
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
