@@ -1,5 +1,6 @@
 """A third image of a block: on the twin's panel it shows a shift of the hip between the first two images."""
 
+import json
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -59,6 +60,20 @@ def test_the_check_states_what_the_third_image_shows():
     shift = SHIFT_MM * np.array([0.0, 0.6, 0.8])
     moved = np.array([view.project(xyz + (k > 0) * shift) for k, view in enumerate(setup.views.values())])
     assert "movement" in {check.name for check in _planned(views, moved).verdict.checks if not check.passed}
+
+
+@pytest.mark.slow  # the images are undistorted
+def test_a_plan_is_saved_with_the_pick_that_the_third_image_lacks(tmp_path):
+    """Where it was not picked the file has the point's projection, and no line of sight."""
+    setup, views, xyz = _scene(np.random.default_rng(33))
+    uv = np.array([view.project(xyz) for view in setup.views.values()])
+    uv[2, 0] = np.nan
+    made = _planned(views, uv)
+    sl.save(made, tmp_path / "plan.json")
+    document = json.loads((tmp_path / "plan.json").read_text())
+    np.testing.assert_allclose(document["drawn"]["oblique"]["entry_px"], views[2].project(made.seen.xyz_mm[:1])[0])
+    lines = [(line["point"], line["view"]) for line in document["lines_of_sight"]]
+    assert lines[2:] == [("entry", "lateral"), ("end", "lateral"), ("end", "oblique")]
 
 
 @pytest.mark.slow

@@ -53,7 +53,9 @@ def _frame(frame: Frame) -> dict[str, Any]:
 
 
 def _lines(plan: Plan, k: int, image: CalibratedImage) -> list[dict[str, Any]]:
-    sight = image.view.lines_of_sight(np.array([pick[k].uv_px for pick in plan.picks]))
+    uv = np.array([pick[k].uv_px for pick in plan.picks])
+    shown = np.isfinite(uv).all(axis=1)
+    sight = image.view.lines_of_sight(uv[shown])
     return [
         {
             "point": point,
@@ -61,12 +63,17 @@ def _lines(plan: Plan, k: int, image: CalibratedImage) -> list[dict[str, Any]]:
             "focal_point_mm": sight.focal_point_mm.tolist(),
             "plate_mm": sight.points_mm[i].tolist(),
         }
-        for i, point in enumerate(POINTS)
+        for i, point in enumerate(np.array(POINTS)[shown].tolist())
     ]
 
 
 def _drawn(plan: Plan, k: int, image: CalibratedImage) -> dict[str, Any]:
-    entry, end = (np.asarray(pick[k].uv_px, dtype=np.float64).tolist() for pick in plan.picks)
+    """Return the picks of an image, for a point that it was not picked in the point's projection, and its wire."""
+    picks = np.array([pick[k].uv_px for pick in plan.picks], dtype=np.float64)
+    missed = np.isnan(picks).any(axis=1)
+    if missed.any():
+        picks[missed] = image.view.project(plan.trajectory.points.xyz_mm[missed])
+    entry, end = picks.tolist()
     path = plan.trajectory
     along = path.entry_mm + np.linspace(0, 1, _WIRE_POINTS)[:, None] * (path.end_mm - path.entry_mm)
     try:
