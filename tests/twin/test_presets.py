@@ -19,7 +19,13 @@ def detector(chain: str, seed: int):
 
 @pytest.mark.parametrize(
     ("chain", "pitch_mm", "white"),
-    [("9in-1k", 0.21, 4095), ("9in-pal", 0.373, 255), ("17cm-1k", 0.156, 4095), ("flat-panel", 0.194, 65535)],
+    [
+        ("9in-1k", 0.21, 4095),
+        ("9in-pal", 0.373, 255),
+        ("17cm-1k", 0.156, 4095),
+        ("flat-panel", 0.194, 65535),
+        *((f"flat-panel-{pitch_mm}", pitch_mm, 65535) for pitch_mm in (0.1, 0.2, 0.3)),
+    ],
 )
 def test_pitch_and_depth(chain, pitch_mm, white):
     assert preset(chain).pitch_mm == pytest.approx(pitch_mm, abs=5e-4)
@@ -38,7 +44,9 @@ def test_the_field_fills_the_height_and_pixels_go_there_and_back(chain):
     assert rim == pytest.approx(preset(chain).field_mm / 2, rel=0.03)  # asymmetry and shift: up to 3 mm
 
 
-@pytest.mark.parametrize("chain", PRESETS)
+@pytest.mark.parametrize(
+    "chain", [pytest.param(one, marks=pytest.mark.slow) if one.startswith("flat-panel-") else one for one in PRESETS]
+)
 def test_images_have_the_field_and_the_quanta_of_their_chain(frame, chain):
     optics = preset(chain)
     setup = draw_setup(np.random.default_rng(41), frame, chain=chain)

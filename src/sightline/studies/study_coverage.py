@@ -23,7 +23,6 @@ from sightline.studies.intervals import quantile, rms, share
 from sightline.studies.methods import calibrated
 from sightline.studies.scenes import FAR_MM, FRAMES, TargetScene, draw_scene
 from sightline.studies.study import Estimate, EstimateGroup, Plot, Summary, Table, Values
-from sightline.twin.presets import PRESETS
 
 PICKS = {"picks free, 0.1 px": 0.1, "picks free, 0.5 px": 0.5, "picks snapped, 0.5 px": 0.5}
 LEVELS = (0.50, 0.95, 0.99)
@@ -43,7 +42,7 @@ class Coverage:
     beads_px: tuple[float, ...] = (0.05, 0.1, 0.3)
     frames: tuple[str, ...] = tuple(FRAMES)
     picks: tuple[str, ...] = tuple(PICKS)
-    chains: tuple[str, ...] = tuple(PRESETS)
+    chains: tuple[str, ...] = ("9in-1k", "9in-pal", "17cm-1k", "flat-panel")
 
     @property
     def configuration(self) -> dict[str, Any]:

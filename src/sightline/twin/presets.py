@@ -98,6 +98,22 @@ NINE_INCH = ImageChain(
     dqe=0.65,  # [mem]
     white=4095,  # 12 bit
 )
+FLAT_PANEL = ImageChain(
+    name="flat-panel",
+    sdd_mm=1020.0,  # [src xreg, DeepDRR: CIOS Fusion]
+    field_mm=298.0,  # 1536 x 0.194 mm [src xreg, DeepDRR]
+    tube_mm=None,
+    shape=(1536, 1536),
+    mask_px=760.0,  # [ours] the collimator leaves 8 px dark
+    focal_spot_mm=0.6,  # [mem]
+    core_mm=0.17,  # [mem] CsI of 0.5 mm: 55 % at 1/mm, the pixel's width included
+    glare=0.0,  # only tubes have veiling glare
+    glare_mm=0.0,
+    scatter_to_primary=0.6,  # [mem] 0.4-0.8 with a grid
+    dqe=0.70,  # [mem] CsI
+    white=65535,  # 16 bit
+    spectrum="70kVp-3Al-0.1Cu",  # [mem]
+)
 CHAINS = (
     NINE_INCH,
     replace(
@@ -116,21 +132,12 @@ CHAINS = (
         core_mm=0.18,  # [ours] a zoom has a higher resolution
         spectrum="70kVp-3Al",  # [mem]
     ),
-    ImageChain(
-        name="flat-panel",
-        sdd_mm=1020.0,  # [src xreg, DeepDRR: CIOS Fusion]
-        field_mm=298.0,  # 1536 x 0.194 mm [src xreg, DeepDRR]
-        tube_mm=None,
-        shape=(1536, 1536),
-        mask_px=760.0,  # [ours] the collimator leaves 8 px dark
-        focal_spot_mm=0.6,  # [mem]
-        core_mm=0.17,  # [mem] CsI of 0.5 mm: 55 % at 1/mm, the pixel's width included
-        glare=0.0,  # only tubes have veiling glare
-        glare_mm=0.0,
-        scatter_to_primary=0.6,  # [mem] 0.4-0.8 with a grid
-        dqe=0.70,  # [mem] CsI
-        white=65535,  # 16 bit
-        spectrum="70kVp-3Al-0.1Cu",  # [mem]
+    FLAT_PANEL,
+    # Panels of 30 cm with pixels of a tenth of a millimetre, read singly or averaged 2 x 2 or 3 x 3 [mem]; the rest as
+    # above [ours].
+    *(
+        replace(FLAT_PANEL, name=f"flat-panel-{pitch}", field_mm=300.0, shape=(side, side), mask_px=0.495 * side)
+        for pitch, side in ((0.1, 3000), (0.2, 1500), (0.3, 1000))
     ),
 )
 PRESETS = {chain.name: chain for chain in CHAINS}
