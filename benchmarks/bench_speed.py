@@ -20,6 +20,8 @@ import numpy as np
 
 import sightline as sl
 from benchmarks.rows import Row
+from sightline.twin import draw_setup, render
+from sightline.twin.things import frame_scene
 
 REQUIRED_MS = 33.0
 REQUIRED_MB = 500.0
@@ -93,6 +95,7 @@ def run(quick: bool) -> list[Row]:
             ms["whole"] <= ms[rival],
         ),
         *[Row(group, f"of which {name}", f"{value:.1f} ms") for name, value in stages.items()],
+        Row("speed, flat panel 3000²", "detect", f"{_panel_ms(RUNS // 10):.0f} ms"),
         Row(
             group,
             "peak memory of the process",
@@ -145,6 +148,15 @@ def _stages(images: list[_Image], frame: sl.Frame, runs: int) -> dict[str, float
         images,
         runs,
     )
+
+
+def _panel_ms(runs: int) -> float:
+    """Return the median time of `detect`, ms, on the frame before a panel of 0.1 mm per pixel."""
+    rng = np.random.default_rng(1)
+    setup = draw_setup(rng, sl.Frame.load("gamma"), chain="flat-panel-0.1")
+    seen = render(setup, "pa", frame_scene(setup.true_frame), rng)
+    image = _Image(seen.pixels, seen.white, np.zeros((0, 2)), np.zeros(0))
+    return _times({"detect": lambda one: sl.detect(sl.Radiograph(one.pixels, one.white))}, [image], runs)["detect"]
 
 
 def _grey(pixels: np.ndarray) -> np.ndarray:

@@ -79,7 +79,7 @@ def look_again(
     True
     """
     image, frame = as_radiograph(image, white), Frame.of(frame)
-    if is_fine(beads.radius_px):
+    if is_fine(beads.radius_px, beads.contrast):
         seen = look_again(image.binned(FACTOR), coarser(beads), coarser_observations(observations), frame)
         return finer_observations(seen, observations.image_shape)
     return look_again_with(lambda: bead_fitter(image, beads), image, beads, observations, frame)

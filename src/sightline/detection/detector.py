@@ -40,7 +40,14 @@ _COVERED = 0.35  # share of a bead under a burnt-in annotation; more leaves too 
 _WASHER_RIM = 0.68  # of a washer's radius: pixels further in are left out; its hole reaches 0.45-0.55 [DIN 125]
 
 _NOT_ROUND = "not round: some side does not differ from the middle, as on an edge, a wire or a bone contour"
-_TOO_LARGE = "its radius is above 25 px"
+_LARGE_BEADS = (
+    "its round spots are too large for an image of so few pixels: show more of the field, or move the frame away from "
+    "the X-ray source"
+)
+_NO_BEADS = (
+    "check that this is the image of a frame with beads of a radius from 2 px to a fifteenth of the image's width, "
+    "exposed so that they differ from their surroundings"
+)
 _FIT_REASONS = {
     columns.TOO_FEW_PIXELS: "too few usable pixels: at the edge of the field, or covered by another bead",
     columns.WANDERED: "no disc at this place: the fit moved away",
@@ -49,13 +56,13 @@ _FIT_REASONS = {
 
 
 def detect(image: Radiograph | np.ndarray | str | Path, white: float | None = None) -> Detections:
-    """Return the beads of one image (dark balls and washers, bright holes; radius 2-25 px) with their covariances.
+    """Return the beads of one image (dark balls and washers, bright holes) with their covariances.
 
     `image`: a Radiograph, a file, or an array (H, W), brighter where more X-rays arrived. `white`: the largest value
     that an array's source can store; by default its type's (see `as_radiograph`).
     `rejected` holds candidates that resemble beads; extrema without a rim are dropped without a report.
-    Where most beads have a radius above 15 px, the image is binned 2 x 2 until they have not; the result is in the
-    image's own pixels.
+    Beads have a radius from 2 px to a fifteenth of the image's width. Where they are larger than the 25 px that a fit
+    can measure, the image is binned 2 x 2 until they are not; the result is in the image's own pixels.
     Raises DetectionRefusedError where nothing looks like a bead, and where something moved between the two fields of an
     interlaced image; and the errors of `as_radiograph`.
 
@@ -74,6 +81,9 @@ def _detected(image: Radiograph) -> Detections:
     """`detect` without the check for interlacing."""
     mask, logs, noise = _prepared(image)
     spots = find_candidates(logs, mask, noise)
+    fine = is_fine(*spots.sizes.T)
+    if fine and np.count_nonzero(mask) > MIN_FIELD_PX * FACTOR**2:
+        return finer(_detected(image.binned(FACTOR)), image.shape)
     rows = refine.start(spots.uv_px, spots.radius_px, spots.response)
     rejected = _rejected(rows[~spots.round], np.full(len(rows), _NOT_ROUND))
     usable = without_middles(mask, spots.uv_px[spots.washer], spots.radius_px[spots.washer])
@@ -86,13 +96,8 @@ def _detected(image: Radiograph) -> Detections:
         reason[_covered(beads, image.burnt_in) > _COVERED] = "covered by a burnt-in annotation"
     rejected += _rejected(beads[reason != ""], reason[reason != ""])
     beads = beads[reason == ""]
-    if is_fine(np.append(beads[:, columns.RADIUS], [one.radius_px for one in rejected if one.reason == _TOO_LARGE])):
-        return finer(_detected(image.binned(FACTOR)), image.shape)
     if len(beads) == 0:
-        why = cause_of(image, beads[:, :3], rejected) or (
-            "check that this is the image of a frame with beads of 2-25 px radius, exposed so that they differ from "
-            "their surroundings"
-        )
+        why = _LARGE_BEADS if fine else cause_of(image, beads[:, :3], rejected) or _NO_BEADS
         raise DetectionRefusedError(f"no bead was found ({len(rejected)} candidates were rejected); {why}")
     return _detections(beads, middles, image, rejected)
 
@@ -161,7 +166,7 @@ def _shape_reasons(fit: np.ndarray, limits: tuple[float, float]) -> np.ndarray:
     reason[fit[:, columns.WEAKEST] < weakest] = _NOT_ROUND
     reason[fit[:, columns.BLUR] > _MAX_BLUR * size + 0.1] = f"{NO_RIM}: it fades out like anatomy, not like a bead"
     reason[size < _MIN_RADIUS_PX] = "its radius is below 2 px"
-    reason[size > _MAX_RADIUS_PX] = _TOO_LARGE
+    reason[size > _MAX_RADIUS_PX] = "much larger than most beads"
     for status, why in _FIT_REASONS.items():
         reason[fit[:, columns.STATUS] == status] = why
     return reason

@@ -13,6 +13,8 @@ from sightline.detection.rim import FAINTEST, HOLLOW, RADIUS, RESPONSE, SCORE, U
 # Extrema are searched for at half resolution, where a disc of 2 px with the usual blur is still well sampled. The bands
 # respond most to discs of 2.2, 3.8, 7.6, 15 and 30 px radius: each of 2-25 px is within a factor of sqrt 2 [calc].
 _OCTAVES = 4
+# Discs of 42-240 px radius are searched for only to learn that the image has too fine pixels (scale.py).
+_FURTHER_OCTAVES = 2
 _HALF = 2
 _BAND_RADIUS = 1.9  # disc to which a band of two Gaussians of sigma 1 and 2 responds most [calc]
 _FINEST_RADIUS = 1.1  # the same for sigma 0.5 and 1, on the half-size image with its own blur [calc]
@@ -33,6 +35,7 @@ class Candidates:
 
     `response` (N,): signed step of log intensity at the rim; `washer` (N,) bool: dark, with a bright middle;
     `round` (N,) bool: False for a spot with a rim that is not round; it is reported as rejected.
+    `sizes` (M, 2): radii and responses of all round spots, of any size; the same spot may be there twice.
     """
 
     uv_px: np.ndarray
@@ -40,6 +43,7 @@ class Candidates:
     response: np.ndarray
     washer: np.ndarray
     round: np.ndarray
+    sizes: np.ndarray
 
     def __len__(self) -> int:
         return len(self.response)
@@ -55,12 +59,14 @@ def find_candidates(log_image: np.ndarray, mask: np.ndarray, noise: NoiseModel) 
     half = cv2.resize(log_image, None, fx=1 / _HALF, fy=1 / _HALF, interpolation=cv2.INTER_AREA)
     finest, first = cv2.GaussianBlur(half, (3, 3), 0.5), cv2.GaussianBlur(half, (7, 7), 1.0)
     line = np.array([noise.offset + 2 * np.log(noise.broad), noise.slope], np.float32)
-    extrema = _extrema(finest, first, mask, _HALF, _FINEST_RADIUS, line)
-    for octave in range(_OCTAVES):
+    bands = [_extrema(finest, first, mask, _HALF, _FINEST_RADIUS, line)]
+    for octave in range(_OCTAVES + _FURTHER_OCTAVES):
         second = cv2.GaussianBlur(first, (11, 11), 3**0.5)
-        extrema += _extrema(first, second, mask, _HALF << octave, _BAND_RADIUS, line)
+        bands.append(_extrema(first, second, mask, _HALF << octave, _BAND_RADIUS, line))
         first = np.ascontiguousarray(second[::2, ::2])
-    spots = judged(base, np.concatenate(extrema), line)
+    every = judged(base, np.concatenate(bands), line)
+    sizes = every[every[:, SCORE] > 0][:, [RADIUS, RESPONSE]]
+    spots = every[: sum(map(len, bands[:-_FURTHER_OCTAVES]))]
     spots = np.concatenate([spots, judged(base, _washers_around(spots), line)])
     spots = spots[spots[:, RADIUS] > 0]
     spots = spots[np.argsort(-spots[:, SCORE], kind="stable")]
@@ -70,7 +76,7 @@ def find_candidates(log_image: np.ndarray, mask: np.ndarray, noise: NoiseModel) 
     radius = spots[:, RADIUS] + np.where(dark & ~washer, _BALL_RIM_PX, 0.0)
     keep = ~_middles(spots, washer)
     columns = spots[:, :2], radius, spots[:, RESPONSE], washer, spots[:, SCORE] > 0
-    return Candidates(*(column[keep] for column in columns))
+    return Candidates(*(column[keep] for column in columns), sizes=sizes)
 
 
 def _washers_around(spots: np.ndarray) -> np.ndarray:
@@ -91,15 +97,15 @@ def _middles(spots: np.ndarray, washer: np.ndarray) -> np.ndarray:
     return inside
 
 
-def _extrema(fine, coarse, mask, step: int, radius: float, line) -> list[np.ndarray]:  # noqa: PLR0917
-    """Return the local extrema of a pyramid band with `step` image px per pixel.
+def _extrema(fine, coarse, mask, step: int, radius: float, line) -> np.ndarray:  # noqa: PLR0917
+    """Return the local extrema (N, 4) of a pyramid band with `step` image px per pixel.
 
     The band responds most to discs of `radius` of its pixels. `fine` is overwritten.
     """
-    if min(fine.shape) < 5:
-        return []
     rows = np.empty((_MAX_EXTREMA, 4))
-    return [rows[: _band(np.subtract(fine, coarse, out=fine), coarse, mask, step, radius * step, line, rows)]]
+    if min(fine.shape) < 5:
+        return rows[:0]
+    return rows[: _band(np.subtract(fine, coarse, out=fine), coarse, mask, step, radius * step, line, rows)]
 
 
 @nb.njit(cache=True, fastmath=True)

@@ -8,13 +8,24 @@ import numpy as np
 from sightline.detection.results import Detections, Observations, RejectedCandidate
 
 FACTOR = 2
-MAX_USUAL_RADIUS_PX = 15.0  # median of the beads; datum balls, 5/3 as large, then have 25 px [ours]
+_USUAL_RADIUS_PX = 14.0  # largest median of the beads; datum balls, 5/3 as large, then have 24 px [ours]
+# Where some are larger than this, they are binned too, unless the smallest tenth would become hard to fit. Fits of
+# discs above 23 px do not always converge [twin].
+_LARGE_PX, _SMALL_PX = 22.0, 6.0  # [ours]
+# Spots with less than this share of the strong spots' contrast are texture or noise: 0.2-0.35 at low dose on pixels
+# of 0.1 mm, beads 0.5 and more [twin]. A few strong or large spots may be metal or anatomy.
+_FAINT, _SOME = 0.45, 5
 _EXACT = 2.0**32  # steps per px: with this rounding, coordinates are bit-identical in both scales
 
 
-def is_fine(radius_px: np.ndarray) -> bool:
-    """Return whether the median of these radii (N,) is so large that the image should be binned."""
-    return len(radius_px) > 0 and float(np.median(radius_px)) > MAX_USUAL_RADIUS_PX
+def is_fine(radius_px: np.ndarray, contrast: np.ndarray) -> bool:
+    """Return whether spots of these radii and contrasts (N,) are so large that the image should be binned."""
+    if len(radius_px) == 0:
+        return False
+    strength = np.abs(contrast)
+    strong = np.sort(radius_px[strength >= _FAINT * np.sort(strength)[-_SOME:][0]])
+    small, usual = np.quantile(strong, [0.1, 0.5])
+    return bool(usual > _USUAL_RADIUS_PX or (strong[-_SOME:][0] > _LARGE_PX and small > _SMALL_PX))
 
 
 def finer(beads: Detections, image_shape: tuple[int, int]) -> Detections:

@@ -72,7 +72,7 @@ class Track:
         Raises DetectionRefusedError.
         """
         shape, halved = image.shape, 0
-        while is_fine(beads.radius_px):
+        while is_fine(beads.radius_px, beads.contrast):
             image, beads, observations = image.binned(FACTOR), coarser(beads), coarser_observations(observations)
             halved += 1
         track = Track._begun(bead_fitter(image, beads), image, beads, observations, frame)
