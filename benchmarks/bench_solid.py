@@ -156,7 +156,8 @@ def _fewer(rng: np.random.Generator, seen: Observations, hidden: float) -> Obser
     """Return the observations of one image with a share of the balls hidden at random."""
     assert seen.covariance_px2 is not None
     kept = np.sort(rng.permutation(len(seen))[round(hidden * len(seen)) :])
-    return Observations(seen.view, tuple(seen.ids[k] for k in kept), seen.uv_px[kept], seen.covariance_px2[kept])
+    ids = tuple(seen.ids[k] for k in kept)
+    return replace(seen, ids=ids, uv_px=seen.uv_px[kept], covariance_px2=seen.covariance_px2[kept])
 
 
 def _row_of_coverage(name: str, members: list[_Covered], limits: dict[float, float]) -> Row:

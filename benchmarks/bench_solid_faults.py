@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 import sightline as sl
 from benchmarks.parallel import in_parallel
 from benchmarks.rows import Row
-from benchmarks.scenes_solid import BEAD_PX, PICK_PX, block, c_arms, sized
+from benchmarks.scenes_solid import BEAD_PX, PICK_PX, block, c_arms
 from sightline.calibration.together import calibrate_together
 from sightline.detection import Observations
 from sightline.errors import SightlineError
@@ -90,16 +90,15 @@ def _row(name: str, ended: Sequence[_End]) -> Row:
 
 
 def _seen(setup: SetUp, rng: np.random.Generator) -> list[Observations]:
-    scene = TargetScene.of(setup, measure(rng, setup, BEAD_PX), setup.hip_mm[None])
-    return sized(scene)
+    return list(measure(rng, setup, BEAD_PX).values())
 
 
 def _good(_rng: np.random.Generator, scene: TargetScene) -> Given:
-    return sized(scene), scene.frame
+    return list(scene.observations.values()), scene.frame
 
 
 def _in_one_view(_rng: np.random.Generator, scene: TargetScene) -> Given:
-    return sized(scene)[:1], scene.frame
+    return list(scene.observations.values())[:1], scene.frame
 
 
 def _moved(rng: np.random.Generator, scene: TargetScene, shift_mm: np.ndarray, rotation: np.ndarray) -> Given:
@@ -108,13 +107,13 @@ def _moved(rng: np.random.Generator, scene: TargetScene, shift_mm: np.ndarray, r
     assert true.solid is not None
     turned = true.solid.xyz_mm @ Rotation.from_rotvec(sign * rotation).as_matrix().T + sign * shift_mm
     later = replace(scene.setup, true_frame=displaced(true, turned - true.solid.xyz_mm))
-    return [sized(scene)[0], _seen(later, rng)[1]], scene.frame
+    return [scene.observations["pa"], _seen(later, rng)[1]], scene.frame
 
 
 def _mirrored(_rng: np.random.Generator, scene: TargetScene) -> Given:
     solid = scene.frame.solid
     assert solid is not None
-    return sized(scene), displaced(scene.frame, solid.xyz_mm * np.array([-2.0, 0.0, 0.0]))
+    return list(scene.observations.values()), displaced(scene.frame, solid.xyz_mm * np.array([-2.0, 0.0, 0.0]))
 
 
 def _understated(rng: np.random.Generator, scene: TargetScene) -> Given:
@@ -130,7 +129,7 @@ def _wrong_serial(rng: np.random.Generator, scene: TargetScene) -> Given:
 
 
 def _two_exchanged(rng: np.random.Generator, scene: TargetScene) -> Given:
-    first, second = sized(scene)
+    first, second = scene.observations.values()
     ids, (a, b) = list(second.ids), rng.choice(len(second), 2, replace=False)
     ids[a], ids[b] = ids[b], ids[a]
     return [first, replace(second, ids=tuple(ids))], scene.frame

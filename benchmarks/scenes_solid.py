@@ -6,7 +6,6 @@ import numpy as np
 
 from sightline.calibration import BeadView, CArm
 from sightline.calibration.together import calibrate_together
-from sightline.detection import Observations
 from sightline.frame import Frame, Tolerances
 from sightline.studies.scenes import TargetScene, measure
 from sightline.twin import SetUp
@@ -26,15 +25,9 @@ def c_arms(setup: SetUp) -> list[CArm]:
     return [CArm(view.chain.sdd_mm, view.chain.pitch_mm) for view in setup.views.values()]
 
 
-def sized(scene: TargetScene) -> list[Observations]:
-    """Return the observations of all views with the size of their images."""
-    views = scene.setup.views
-    return [replace(one, image_shape=views[name].chain.shape) for name, one in scene.observations.items()]
-
-
 def calibrated(scene: TargetScene) -> tuple[BeadView, ...]:
     """Return the views of a scene of a block, adjusted together."""
-    return calibrate_together(sized(scene), scene.frame, c_arms(scene.setup))
+    return calibrate_together(list(scene.observations.values()), scene.frame, c_arms(scene.setup))
 
 
 def pick_covariance(views: int, points: int) -> np.ndarray:
