@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.cli.test_robot import run, written
+from tests.cli.test_robot import run, trajectory, written
 from tests.robot.rig import END_MM, IMAGED
 from tests.robot.scripted_robot import ScriptedRobot, serving
 from tests.robot.test_measured import measurements, true_robot
@@ -179,6 +179,38 @@ def test_a_plan_on_new_images_is_another_plan_for_the_robot(robot_file, plan, im
     first, again, other, _ = peer.plans
     assert first == again != other
     assert first.startswith("plan-")
+
+
+def test_images_of_the_wire_correct_the_mounts_or_are_refused(robot_file, plan, images, tmp_path):
+    """They hold for plans on these images alone: the next image makes the encoders' pose the robot's again."""
+    q = np.round(IMAGED, 3)
+    manipulator = true_robot()
+    wire = (manipulator.T_mcs_cfcs(q).inv() * manipulator.T_mcs_tool(q)).apply([[0.0, 0.0, -60.0], [0.0, 0.0, 0.0]])
+    named = {"frame": FRAME, "views": views_of(images)}
+    seen = written(tmp_path / "wire.json", **named, trajectory=trajectory(wire, 0.0025))
+    off = wire + np.array([0.0, 2.0, 0.0])
+    knocked = written(tmp_path / "knocked.json", **named, trajectory=trajectory(off, 0.0025))
+    other = written(tmp_path / "other.json", frame=FRAME | {"fingerprint": "x"}, views=views_of(images))
+    assert run("register", robot_file, "--from-images", seen).exit_code == 3  # no images yet
+    with serving(real_robot()) as port:
+        address = f"127.0.0.1:{port}"
+        register(robot_file, address, images)
+        before = robot_file.read_bytes()
+        for wrong, why in ((knocked, "disagree"), (other, "frame file")):
+            done = run("register", robot_file, "--from-images", wrong)
+            assert done.exit_code == 3
+            assert why in done.stderr
+        assert robot_file.read_bytes() == before
+        done = run("register", robot_file, "--from-images", seen, "--json")
+        assert done.exit_code == 0, done.output
+        errors = json.loads(done.stdout)["error_95"]
+        assert errors["images"][0] < errors["encoders"][0]
+        done = run("drive", plan, address, "--registration", robot_file, say="n\n")
+        assert done.exit_code == 0, done.output
+        register(robot_file, address, images)
+    assert json.loads(robot_file.read_text())["wire_seen"] is None
+    assert run("register", robot_file, address, "--from-images", seen).exit_code == 2
+    assert run("register", robot_file, address).exit_code == 2
 
 
 def test_a_robot_of_2013_is_told_once_and_asked_for(robot_file, plan, images):

@@ -5,6 +5,7 @@ import pytest
 from scipy.spatial.transform import RigidTransform
 
 from sightline.errors import RobotRefusedError, UnusableInputError
+from sightline.geometry.covariance import length_quantile, line_direction
 from sightline.rehearsal.robots import calibrated_robot, true_manipulator
 from sightline.robot.kinematics.calibrated import MACHINED_SD, SOURCES, calibrate_axes
 from sightline.robot.kinematics.manipulator import Manipulator, nominal_manipulator
@@ -45,6 +46,55 @@ def test_a_robot_that_stays_where_it_was_owes_nothing_to_its_axes():
     still, moved = (robot.wire_against_frame(imaged, READY, wire)["kinematics"] for imaged in (READY, IMAGED))
     assert np.abs(still).max() < 1e-20
     assert np.trace(moved) > 1e-4
+
+
+SEEN_MM = np.array([[0.0, 0.0, -60.0], [0.0, 0.0, 0.0]])  # a point of the wire and its tip, tool coordinates
+
+
+def wire_in_frame(manipulator: Manipulator, q: np.ndarray) -> np.ndarray:
+    """(2, 3), CFCS."""
+    return (manipulator.T_mcs_cfcs(q).inv() * manipulator.T_mcs_tool(q)).apply(SEEN_MM)
+
+
+def test_a_wire_seen_beside_the_frame_covers_as_stated():
+    """Frame and wire as images of 0.1 mm correct them, against the truth: 1,000 robots, each at joints of its own."""
+    robot, rng, image_mm = calibrated_robot(), np.random.default_rng(7), 0.1
+    covered, bounds, before = [], [], []
+    for _ in range(1000):
+        true, q = true_manipulator(robot, rng), IMAGED + np.array([20.0, 20.0, 0.1, 0.1, 40.0]) * rng.uniform(0, 1, 5)
+        fed = q + np.array([0, 0, 0, 0, robot.joint_sd[4]]) * np.sqrt(3) * rng.uniform(-1, 1, 5)
+        slid = np.array([0.0, 0.0, rng.uniform(-3.0, 3.0)])  # the point is not known along the wire
+        seen = wire_in_frame(true, fed)
+        seen[0] += slid[2] * (seen[1] - seen[0]) / np.linalg.norm(seen[1] - seen[0])
+        found = robot.with_wire_seen(q, seen + image_mm * rng.standard_normal((2, 3)), image_mm**2 * np.eye(6))
+        line, stated = line_direction(*found.manipulator.T_mcs_tool(q).apply(SEEN_MM)), []
+        for one in (found, robot):
+            parts = one.wire_against_frame(q, q, one.manipulator.T_mcs_tool(q).apply(SEEN_MM))
+            stated.append(parts["hand_eye"] + parts["drill_axis"])
+        to_mcs = found.manipulator.T_mcs_cfcs(q).rotation
+        off = to_mcs.apply(wire_in_frame(found.manipulator, q) - wire_in_frame(true, q)).ravel()
+        bound = [length_quantile(c) for c in (stated[0][3:, 3:], line @ stated[0] @ line.T)]
+        covered.append([np.linalg.norm(off[3:]) < bound[0], np.linalg.norm(line @ off) < bound[1]])
+        bounds.append([bound[0], np.rad2deg(bound[1])])
+        before.append(length_quantile(stated[1][3:, 3:]))
+    assert np.abs(np.mean(covered, axis=0) - 0.95).max() < 0.02
+    tip_mm, direction_deg = np.max(bounds, axis=0)
+    assert tip_mm < 0.3
+    assert direction_deg < 0.2
+    assert np.min(before) > 1.1 * tip_mm
+
+
+def test_a_frame_that_was_knocked_on_the_flange_is_refused():
+    robot, fine = calibrated_robot(), 0.05**2 * np.eye(6)
+    seen = wire_in_frame(robot.manipulator, IMAGED)
+    robot.with_wire_seen(IMAGED, seen + 0.1, fine)
+    along = (seen[1] - seen[0]) / 60.0
+    robot.with_wire_seen(IMAGED, seen - np.outer([30.0, 0.0], along), fine)  # another point of the same wire
+    for moved in (np.array([0.0, 1.5, 0.0]), -1.5 * along, np.array([[1.5, 0.0, 0.0], [0.0, 0.0, 0.0]])):
+        with pytest.raises(RobotRefusedError, match="images and encoders disagree"):
+            robot.with_wire_seen(IMAGED, seen + moved, fine)
+    with pytest.raises(UnusableInputError, match="behind the wire's tip"):
+        robot.with_wire_seen(IMAGED, seen[::-1], fine)
 
 
 def measured(true: Manipulator, rng: np.random.Generator, sd: float, n: int = 30) -> tuple[np.ndarray, np.ndarray]:

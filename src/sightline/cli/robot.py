@@ -160,23 +160,42 @@ def calibrate(
         out.result({"file": str(out_file), "residual_rms_mm": rms, "robot_serial": robot.robot_serial})
 
 
-_REGISTER = "sightline robot register robot.json 127.0.0.1:18936 --view pa --image pa.dcm"
+_REGISTER = (
+    "sightline robot register robot.json 127.0.0.1:18936 --view pa --image pa.dcm",
+    "sightline robot register robot.json --from-images out/wire/plan.json",
+)
 
 
-@app.command("register", epilog=example(_REGISTER))
+@app.command("register", epilog=example(*_REGISTER))
 def register_image(
     robot_file: Annotated[Path, typer.Argument(help="Robot file of `sightline robot calibrate`.")],
-    address: Address,
+    address: Annotated[str | None, typer.Argument(metavar="HOST:PORT", help="Address of the robot.")] = None,
     *,
-    view: Annotated[Literal["pa", "lateral"], typer.Option(help="View of the image.")],
-    image: Annotated[Path, typer.Option(help="File of the image, once it is taken; the plan must be made on it.")],
+    view: Annotated[Literal["pa", "lateral"] | None, typer.Option(help="View of the image.")] = None,
+    image: Annotated[
+        Path | None, typer.Option(help="File of the image, once it is taken; the plan must be made on it.")
+    ] = None,
+    from_images: Annotated[
+        Path | None,
+        typer.Option(
+            help="plan.json, made on both registered images, from a point of the robot's own wire near the guide "
+            "(entry) to its tip (end): compares images with encoders and corrects frame and wire on the flange."
+        ),
+    ] = None,
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:
     """Record the robot's joints at an image.
 
-    Once for each view. The joints are kept in the robot file.
+    Once for each view. The joints are kept in the robot file. Then, if the images show the wire, --from-images.
     """
+    if from_images is not None:
+        if (address, view, image) != (None, None, None):
+            raise typer.BadParameter("--from-images takes the robot file alone: both images are registered before it")
+        _register_from_images(robot_file, from_images, json=json, quiet=quiet)
+        return
+    if address is None or view is None or image is None:
+        raise typer.BadParameter("give HOST:PORT, --view and --image, or --from-images")
     with Output(json=json, quiet=quiet) as out:
         import time
 
@@ -202,6 +221,39 @@ def register_image(
         known.at_image(view, q, now, source).write(robot_file)
         out.say(f"joints at the {view} image: {', '.join(f'{one:.3f}' for one in q)} (mm, rad)")
         out.result({"file": str(robot_file), "view": view, "joints": q, "read_s": now, "source": source})
+
+
+def _register_from_images(robot_file: Path, wire: Path, *, json: bool, quiet: bool) -> None:
+    with Output(json=json, quiet=quiet) as out:
+        from sightline.robot.kinematics.measured import RobotFile
+
+        known, seen = RobotFile.read(robot_file), read_plan(wire)
+        _registration_for(seen, known)
+        assert seen.covariance_mm2 is not None  # noqa: S101 - read_plan refused
+        corrected = known.with_wire_seen(seen.points_mm, seen.covariance_mm2)
+        errors = {
+            "encoders": _pose_errors(known.model_copy(update={"wire_seen": None}).registration()),
+            "images": _pose_errors(corrected.registration()),
+        }
+        corrected.write(robot_file)
+        rows = [(name, f"{tip:.2f} mm", f"{angle:.2f}°") for name, (tip, angle) in errors.items()]
+        out.table("Wire in CFCS at the images, 95 % error", ("by", "tip", "direction"), rows)
+        out.say(f"images and encoders agree; the corrected mounts hold for plans on these images: {robot_file}")
+        out.result({"file": str(robot_file), "error_95": errors})
+
+
+def _pose_errors(stood: "Registration") -> tuple[float, float]:
+    """Return the 95 % errors of the wire against the frame at the images: tip in mm, direction in degrees."""
+    import numpy as np
+
+    from sightline.geometry.covariance import length_quantile, line_direction
+
+    tool = stood.robot.manipulator.T_mcs_tool(stood.q)
+    wire = tool.apply(np.array([[0.0, 0.0, -100.0], [0.0, 0.0, 0.0]]))
+    covariance = sum(stood.robot.wire_against_frame(stood.q, stood.q, wire).values(), np.zeros((6, 6)))
+    by_point = line_direction(*wire)
+    angle = float(length_quantile(by_point @ covariance @ by_point.T))
+    return float(length_quantile(covariance[3:, 3:])), float(np.rad2deg(angle))
 
 
 @app.command("drive", epilog=example("sightline robot drive out/plan/plan.json --rehearse 9"))
@@ -410,15 +462,23 @@ def _send_registered(robot: "RobotClient", plan: "PlanFile", name: str, stood: "
     """Send the plan to a robot registered by its file. Raises RobotRefusedError where they do not belong together."""
     import time
 
-    frame = plan.document.frame
-    stood.refuse_other(plan.side, None if frame is None else frame.serial, plan.frame, time.time())
-    registration = stood.registration()
-    stood.refuse_other_images(plan.images)
+    registration = _registration_for(plan, stood)
     target = _target(plan, name, stood.frame_serial, registration)
     target.refuse_unfit(time.time())
     robot.start_up()
     _tell(robot, target, time.time())
     return target
+
+
+def _registration_for(plan: "PlanFile", stood: "RobotFile") -> "Registration":
+    """Return the robot's registration for a plan. Raises RobotRefusedError for another side, frame or images."""
+    import time
+
+    frame = plan.document.frame
+    stood.refuse_other(plan.side, None if frame is None else frame.serial, plan.frame, time.time())
+    registration = stood.registration()
+    stood.refuse_other_images(plan.images)
+    return registration
 
 
 def _target(plan: "PlanFile", name: str, frame_serial: str, registration: "Registration") -> "RobotTarget":

@@ -4,11 +4,13 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from scipy.spatial.transform import RigidTransform
+from scipy.special import chdtrc  # not scipy.stats, which takes half a second to import
 
 from sightline.errors import RobotRefusedError, UnusableInputError
 from sightline.geometry.rigid import adjoint, displacement
 from sightline.robot.kinematics.manipulator import ARM_JOINTS, FEED, Manipulator
-from sightline.robot.kinematics.mounts import Mount, refuse_unlikely
+from sightline.robot.kinematics.mounts import MIN_PROBABILITY, Mount, refuse_unlikely
 
 # Machining tolerance of an axis, 1 s.d. of its twist: 1 mrad and 0.2 mm [ours].
 MACHINED_SD = np.array([1e-3] * 3 + [0.2] * 3)
@@ -17,6 +19,7 @@ MACHINED_SD = np.array([1e-3] * 3 + [0.2] * 3)
 COMPLIANCE_SD = np.array([1e-4] * 3 + [0.03] * 3)
 # The robot's sources of error in a trajectory; their covariances add up.
 SOURCES = ("kinematics", "hand_eye", "drill_axis", "encoders", "compliance")
+MIN_SEEN_MM = 20.0  # length of wire between two points that gives its direction [ours]
 _AXES, _FRAME, _WIRE = slice(0, 24), slice(24, 30), slice(30, 36)
 _MAX_ITERATIONS, _TOLERANCE = 30, 1e-9
 
@@ -63,6 +66,46 @@ class CalibratedRobot:
         manipulator = replace(axes.manipulator, axes=screws, T_flange_cfcs=frame.pose, T_flange_tool=wire.pose)
         return CalibratedRobot(manipulator, covariance, np.asarray(compliance_sd, dtype=np.float64))
 
+    def with_wire_seen(self, q: np.ndarray, wire_mm: np.ndarray, covariance_mm2: np.ndarray) -> "CalibratedRobot":
+        """Return the robot with its mounts of frame and wire corrected by images of both at the joints `q` (5,).
+
+        `wire_mm` (2, 3): a point of the wire and its tip, CFCS, as reconstructed from the images, with their
+        `covariance_mm2` (6, 6); along the wire only the tip counts. A linear update of the stated errors of the mounts:
+        axes, play and deflection are common to frame and wire at one pose, so only the feed's own error enters. Errors
+        of the images that a plan on them shares with the wire are counted in both. Raises UnusableInputError, and
+        RobotRefusedError where images and encoders disagree beyond their stated errors.
+        """
+        (point, tip), manipulator = wire_mm, self.manipulator
+        cfcs = manipulator.T_mcs_cfcs(q)
+        known = cfcs.inv() * manipulator.T_mcs_tool(q)
+        x, y, along = known.rotation.as_matrix().T
+        behind_mm = float((known.translation - point) @ along)
+        if behind_mm < MIN_SEEN_MM:
+            raise UnusableInputError(
+                f"the first point lies {behind_mm:.0f} mm behind the wire's tip by the encoders (at least "
+                f"{MIN_SEEN_MM:g} mm); give a point of the wire near the guide as the entry and its tip as the end"
+            )
+        on_wire = np.stack([known.translation - behind_mm * along, known.translation])
+        select = np.zeros((5, 6))
+        select[:2, :3], select[2:, 3:] = (x, y), np.eye(3)
+        residual = select @ (wire_mm - on_wire).ravel()
+        to_cfcs = np.kron(np.eye(2), cfcs.rotation.inv().as_matrix())
+        move = select @ to_cfcs @ displacement(cfcs.apply(on_wire)).reshape(-1, 6)
+        design = np.zeros((5, len(self.covariance)))
+        design[:, _WIRE] = move @ self._to_flange(q)
+        design[:, _FRAME] = -design[:, _WIRE]
+        fed = move @ manipulator.tool_jacobian(q)[:, FEED] * self.joint_sd[FEED]
+        expected = design @ self.covariance @ design.T + select @ covariance_mm2 @ select.T + np.outer(fed, fed)
+        _refuse_disagreement(residual, expected, tip - known.translation)
+        gain = np.linalg.solve(expected, design @ self.covariance).T
+        shift, covariance = gain @ residual, self.covariance - gain @ design @ self.covariance
+        frame, wire = (RigidTransform.from_exp_coords(shift[block]) for block in (_FRAME, _WIRE))
+        tool, screws = wire * manipulator.T_flange_tool, manipulator.axes.copy()
+        screws[FEED, 3:] = (manipulator.T_mcs_flange_home * tool).rotation.apply([0.0, 0.0, 1.0])
+        held = frame * manipulator.T_flange_cfcs
+        corrected = replace(manipulator, axes=screws, T_flange_cfcs=held, T_flange_tool=tool)
+        return CalibratedRobot(corrected, (covariance + covariance.T) / 2, self.compliance_sd)
+
     def wire_against_frame(self, imaged: np.ndarray, drilling: np.ndarray, xyz_mm: np.ndarray) -> dict[str, np.ndarray]:
         """Return for each of SOURCES the covariance (3N, 3N) mm² of points (N, 3) MCS of the wire at the joints
         `drilling` (5,), relative to a patient located in the frame at the joints `imaged` (5,).
@@ -72,11 +115,15 @@ class CalibratedRobot:
         move = displacement(xyz_mm).reshape(-1, 6)
         wire, frame = self._to_flange(drilling), self._to_flange(imaged)
         axes = move @ (self._axes_jacobian(drilling) - self._axes_jacobian(imaged))
-        shared = (axes, -move @ frame, move @ wire)
-        out = {
-            name: part @ self.covariance[block, block] @ part.T
-            for name, part, block in zip(SOURCES, shared, (_AXES, _FRAME, _WIRE), strict=False)
-        }
+        # What the wire's mount shares with the frame's (`with_wire_seen`) is counted with the frame's.
+        follows = self.covariance[_WIRE, _FRAME] @ np.linalg.pinv(self.covariance[_FRAME, _FRAME], hermitian=True)
+        own = self.covariance[_WIRE, _WIRE] - follows @ self.covariance[_FRAME, _WIRE]
+        shared = (
+            (axes, self.covariance[_AXES, _AXES]),
+            (move @ (wire @ follows - frame), self.covariance[_FRAME, _FRAME]),
+            (move @ wire, own),
+        )
+        out = {name: part @ covariance @ part.T for name, (part, covariance) in zip(SOURCES, shared, strict=False)}
         out["encoders"] = self._of_joints(move, drilling, feed=True) + self._of_joints(move, imaged, feed=False)
         unseen = np.diag(self.compliance_sd**2)
         out["compliance"] = move @ (wire @ unseen @ wire.T + frame @ unseen @ frame.T) @ move.T
@@ -98,6 +145,17 @@ class CalibratedRobot:
     def _of_joints(self, move: np.ndarray, q: np.ndarray, *, feed: bool) -> np.ndarray:
         moved = self.manipulator.tool_jacobian(q) if feed else self.manipulator.flange_jacobian(q)
         return (move @ moved * self.joint_sd**2) @ (move @ moved).T
+
+
+def _refuse_disagreement(residual: np.ndarray, covariance: np.ndarray, tip_off_mm: np.ndarray) -> None:
+    """Raise RobotRefusedError if a residual is improbable for its covariance."""
+    squares = float(residual @ np.linalg.solve(covariance, residual))
+    if chdtrc(len(residual), squares) < MIN_PROBABILITY:
+        raise RobotRefusedError(
+            f"images and encoders disagree: the tip lies {np.linalg.norm(tip_off_mm):.2f} mm from where the encoders "
+            f"put it; the deviations are {np.sqrt(squares / len(residual)):.1f} times the stated errors. Frame or wire "
+            "moved on the flange, or another line was picked; look at both images, then calibrate the robot again"
+        )
 
 
 def calibrate_axes(manipulator: Manipulator, q: np.ndarray, targets_mm: np.ndarray, sd_mm: float) -> CalibratedAxes:

@@ -99,10 +99,18 @@ class ImagePart(_Part):
     source: Annotated[str, Field(max_length=200)] = ""
 
 
+class WireSeenPart(_Part):
+    """A point of the wire and its tip (2, 3) as both images show them, CFCS mm, with their covariance (6, 6)."""
+
+    wire_mm: tuple[Coordinates, Coordinates]
+    covariance_mm2: tuple[Twist, Twist, Twist, Twist, Twist, Twist]
+
+
 class RobotFile(_Part):
     """A calibrated robot as stored. `covariance` (36, 36) as in `CalibratedRobot`; `images`: its joints, by view.
 
-    `frame`: fingerprint of the file of the frame whose mount was measured, "" if it was not stated.
+    `frame`: fingerprint of the file of the frame whose mount was measured, "" if it was not stated. `wire_seen`: the
+    wire in those images, which corrects the mounts of frame and wire for plans made on them; None: encoders alone.
     """
 
     schema_: Annotated[Literal["sightline-robot/1"], Field(alias="schema")] = "sightline-robot/1"
@@ -117,6 +125,7 @@ class RobotFile(_Part):
     ]
     compliance_sd: Twist
     images: dict[Literal["pa", "lateral"], ImagePart] = {}
+    wire_seen: WireSeenPart | None = None
 
     @staticmethod
     def calibrated(said: Measurements) -> "tuple[RobotFile, dict[str, float]]":
@@ -220,8 +229,19 @@ class RobotFile(_Part):
         kept = {
             name: one for name, one in self.images.items() if 0.0 <= now_s - one.read_s < LIFETIME_S and name != view
         }
-        out = self.model_copy(update={"images": {**kept, view: ImagePart(q=joints, read_s=now_s, source=source)}})
+        image = ImagePart(q=joints, read_s=now_s, source=source)
+        out = self.model_copy(update={"images": {**kept, view: image}, "wire_seen": None})
         out._registration()
+        return out
+
+    def with_wire_seen(self, wire_mm: np.ndarray, covariance_mm2: np.ndarray) -> "RobotFile":
+        """Return the file with the wire (2, 3) that both registered images show; see
+        `CalibratedRobot.with_wire_seen`. It replaces an earlier one of these images.
+
+        Raises UnusableInputError, RobotRefusedError."""
+        seen = WireSeenPart.model_validate({"wire_mm": wire_mm.tolist(), "covariance_mm2": covariance_mm2.tolist()})
+        out = self.model_copy(update={"wire_seen": seen})
+        out.registration()
         return out
 
     def registration(self) -> Registration:
@@ -236,7 +256,11 @@ class RobotFile(_Part):
     def _registration(self) -> Registration:
         """Return the registration from the images present."""
         poses = {str(view): PoseAtImage(np.array(one.q), one.read_s, one.read_s) for view, one in self.images.items()}
-        return register(self.robot(), poses)
+        stood, seen = register(self.robot(), poses), self.wire_seen
+        if seen is None:
+            return stood
+        robot = stood.robot.with_wire_seen(stood.q, np.array(seen.wire_mm), np.array(seen.covariance_mm2))
+        return register(robot, poses)
 
     def refuse_other_images(self, images: Mapping[str, str]) -> None:
         """Raise RobotRefusedError unless a plan was made on the registered images. `images`: hash of the image file, by
