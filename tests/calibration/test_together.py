@@ -219,3 +219,13 @@ def test_what_cannot_be_calibrated_is_refused():
     swapped = replace(given[0], ids=given[0].ids[::-1])
     with pytest.raises(CalibrationRefusedError):
         calibrate(swapped, BLOCK, c_arm=C_ARM)
+
+
+def test_a_saved_view_of_a_solid_is_read_again(tmp_path):
+    rng = np.random.default_rng(13)
+    _, given, _ = _pair(rng)
+    views = [calibrate(one, BLOCK, c_arm=C_ARM) for one in given]
+    for view in views:
+        again = sl.load(sl.save(view, tmp_path / f"{view.name}.json"), sl.calibration.BeadView)
+        np.testing.assert_array_equal(again.focal_point_mm, view.focal_point_mm)
+        assert again.method == "solid" and again.checks == view.checks

@@ -55,9 +55,6 @@ def calibrate(
     >>> view.focal_point_mm.round()
     array([  -7.,  -28., -619.])
     """
-    refuse_unknown_method(method)
-    if plate not in ("xrii", "source"):
-        raise UnusableInputError(f"unknown plate {plate!r}; choose 'xrii' or 'source'")
     if not isinstance(observations, Observations):
         raise UnusableInputError(
             f"give the Observations of `label` or of a CSV file, not {type(observations).__name__}; "
@@ -67,6 +64,9 @@ def calibrate(
     if frame.solid is not None:
         (alone,) = calibrate_together([observations], frame, [c_arm])
         return alone.said_to_be(mirrored_display)
+    refuse_unknown_method(method)
+    if plate not in ("xrii", "source"):
+        raise UnusableInputError(f"unknown plate {plate!r}; choose 'xrii' or 'source'")
     beads = match(observations, frame, view)
     if method == "smooth":
         fitted = smooth_view(beads)

@@ -26,7 +26,7 @@ from sightline.calibration.smooth import DEGREE
 from sightline.calibration.well_conditioned import well_conditioned
 from sightline.checks import Check
 from sightline.detection.results import Observations
-from sightline.errors import CalibrationRefusedError, FrameError, ObservationsError
+from sightline.errors import CalibrationRefusedError, ObservationsError
 from sightline.fitting.triangular import cholesky, solve_lower
 from sightline.frame import Frame, FrameView, Plate
 
@@ -64,22 +64,19 @@ class SelfCheck:
     checks: tuple[Check, ...]
 
 
+NEEDS_PLATES = (
+    "the self-check adjusts plates alone. Measure the balls with an instrument or a calliper and give them to "
+    "'sightline frame fit'"
+)
+
+
 @well_conditioned()
-def refuse_solid(frame: Frame) -> None:
-    """Raise FrameError for a solid, whose balls this adjustment cannot find."""
-    if frame.solid is not None:
-        raise FrameError(
-            f"frame {frame.name!r} is a solid; the self-check adjusts plates alone. Measure the balls with an "
-            "instrument or a calliper and give them to 'sightline frame fit'"
-        )
-
-
 def self_check(observations: Sequence[Observations], frame: Frame) -> SelfCheck:
     """Return the errors of a frame, estimated from 4 images or more.
 
     Raises ObservationsError, FrameError, CalibrationRefusedError.
     """
-    refuse_solid(frame)
+    frame.refuse_solid(NEEDS_PLATES)
     if len(observations) < MIN_IMAGES:
         raise CalibrationRefusedError(
             f"{len(observations)} images were given; give {MIN_IMAGES} or more for a self-check, with the C-arm moved "

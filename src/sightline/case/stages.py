@@ -130,7 +130,9 @@ def record_seen(case: Case, acquired: Entry, image: CalibratedImage, *, frame_re
     if seen.beads is not None:
         inverted = seen.image is not None and seen.image.is_inverted
         source = record_detected(case, source, seen.beads, by=by, inverted=inverted)
-    labelled = record_labelled(case, source, seen.observations, frame_ref=frame_ref, by=by)
+    # The datum markers of plates tell the view; of a solid it was stated.
+    view = None if frame_of(case, frame_ref).solid is None else seen.observations.view
+    labelled = record_labelled(case, source, seen.observations, frame_ref=frame_ref, by=by, view=view)
     return record_calibrated(case, labelled, image, by=by)
 
 

@@ -96,7 +96,7 @@ def calibrate(
         if csv is not None:
             write_observations([seen.observations], csv)
         # Before the calibration: where that is refused for want of beads, this says how to get them.
-        advice = _advise(seen, known_frame)
+        advice = None if known_frame.solid else _advise(seen, known_frame)
         for sentence in advice["sentences"] if advice else ():
             out.say(sentence)
         with out.step(f"calibrating ({method})"):

@@ -41,7 +41,7 @@ def self_check(
     Finds balls beyond their tolerance and rotated plates, and says which errors images cannot show.
     """
     with Output(json=json, quiet=quiet) as output:
-        from sightline.calibration.self_check import refuse_solid
+        from sightline.calibration.self_check import NEEDS_PLATES
         from sightline.calibration.self_check import self_check as adjust
         from sightline.errors import FrameError
         from sightline.frame import Frame
@@ -49,7 +49,7 @@ def self_check(
         if out is not None and out.exists():
             raise FrameError(f"{out.name} exists; remove it, or name another file")
         known = Frame.load(frame)
-        refuse_solid(known)
+        known.refuse_solid(NEEDS_PLATES)
         seen: list[Observations] = []
         with output.progress("finding and labelling the beads", len(images)) as advance:
             for path in images:

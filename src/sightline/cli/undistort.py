@@ -51,6 +51,7 @@ def undistort(
         if image.suffix.lower() == ".csv":
             raise UnusableInputError("a CSV file has no pixels to resample; give the image")
         known_frame = Frame.load(frame)
+        known_frame.refuse_solid("its images come from flat panels, which have no distortion to remove")
         with output.step("finding and labelling the beads"):
             seen = see(image, known_frame, view, datum, frame_index, invert=invert)
         with output.step("calibrating (smooth)"):

@@ -61,6 +61,7 @@ def watch(
         from sightline.frame import Frame
 
         known = Frame.load(frame)
+        known.refuse_solid("a live image is watched by the plates of a frame")
         images, wire = _opened(source, rehearse, known, out, invert=invert)
         wire = wire if plan is None else _planned(plan, known, out)
         with out.step("planning images"):

@@ -198,6 +198,11 @@ class Frame(Plotted):
         document_from_json(text)
         write_whole(path, text)
 
+    def refuse_solid(self, why: str) -> None:
+        """Raise FrameError with the reason `why` for a solid, where plates are needed."""
+        if self.solid is not None:
+            raise FrameError(f"frame {self.name!r} is a solid; {why}")
+
     def refuse_mirror_image(self, before: "Iterable[Frame]") -> None:
         """Raise FrameError where one of the frames `before`, of the same name and serial, is mirrored by this one."""
         if any(other.key == self.key and is_mirror_image(self.xyz_mm_by_id, other.xyz_mm_by_id) for other in before):

@@ -1,0 +1,44 @@
+"""A block beside the hip on a flat panel, from the command line."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sightline.app.session.procedure import Procedure
+from sightline.errors import FrameError
+from sightline.frame import Frame
+
+
+@pytest.mark.slow
+def test_the_demo_with_a_block_is_ten_times_as_accurate_as_the_paper(run, tmp_path: Path) -> None:
+    """One patient: with exact picks both ends within 0.1 mm; each end within 1.5 times its stated 95 % error."""
+    ran = run("demo", "--frame", "block60", "--out", tmp_path / "demo", "--json")
+    assert ran.code == 0, ran.err
+    told = json.loads(ran.out)
+    assert told["go"] is True
+    truth = json.loads((tmp_path / "demo/truth.json").read_text())
+    trajectory = told["trajectory"]
+    for name in ("entry", "end"):
+        off = np.linalg.norm(np.subtract(trajectory[f"{name}_mm"], truth[f"{name}_mm"]))
+        assert off < 1.5 * trajectory["error_95"][f"{name}_mm"] < 0.6
+    exact = next(one for one in told["comparison"] if "exactly" in one["picks"])
+    assert max(exact["error"]["entry_mm"], exact["error"]["end_mm"]) < 0.1
+    again = run("case", "replay", tmp_path / "demo/case", "--json")
+    assert again.code == 0, again.err
+    plan = run("calibrate", tmp_path / "demo/demo_pa.dcm", "--frame", "block60", "--json")
+    assert plan.code != 0 and "name the view" in plan.out
+
+
+@pytest.mark.parametrize("command", ["watch x", "undistort x.png --out x", "frame self-check x.png"])
+def test_what_needs_plates_says_so(run, command: str) -> None:
+    ran = run(*command.split(), "--frame", "block60")
+    assert ran.code != 0 and "is a solid" in ran.err
+
+
+def test_the_app_says_that_it_needs_plates_before_it_makes_a_case(tmp_path: Path) -> None:
+    with pytest.raises(FrameError, match="sightline plan"):
+        Procedure.open(tmp_path / "case", "block60", None, None)  # type: ignore[arg-type]
+    assert not (tmp_path / "case").exists()
+    assert Frame.load("block60").solid is not None
