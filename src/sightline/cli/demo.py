@@ -110,7 +110,7 @@ def _run(output: Output, folder: Path, seed: int, frame_name: str) -> dict[str, 
         planned = asked.plan(images[METHODS[0]])
     with output.step("5/8 comparing with the truth"):
         compared = _compare(images, picks, truth, planned)
-    whole = DemoPlan(rehearsal, planned, images[METHODS[0]], landmarks, landmarks_px, PICK_SD_PX)
+    whole = DemoPlan(rehearsal, frame_name, planned, images[METHODS[0]], landmarks, landmarks_px, PICK_SD_PX)
     drilled, checked = drill(output, whole, rng) or (None, None)
     exposed = exposures.of_images(images[METHODS[0]], exposures.PLANNING)
     if checked is not None and checked.images is not None:

@@ -19,10 +19,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class DemoPlan:
-    """A plan for a rehearsal and its inputs; `landmarks_px` (2, L, 2): the landmarks named `landmarks`, as picked with
-    `pick_sd_px`."""
+    """A plan for a rehearsal and its inputs; `frame_name`: of its frame, for `Frame.load`; `landmarks_px` (2, L, 2):
+    the landmarks named `landmarks`, as picked with `pick_sd_px`."""
 
     rehearsal: "Rehearsal"
+    frame_name: str
     plan: "Plan"
     images: "Pair"
     landmarks: tuple[str, ...]
@@ -81,7 +82,7 @@ def _drill(output: "Output", planned: DemoPlan, rng: "np.random.Generator") -> "
         frame = rehearsal.setup.frame.fingerprint
         identity = PlanIdentity("demo", rehearsal.side, rehearsal.serial, plan.verdict.go, plan.kind.key, frame)
         with (
-            RobotProcess(rehearsal.seed, side=rehearsal.side, virtual=True) as process,
+            RobotProcess(rehearsal.seed, planned.frame_name, rehearsal.side, virtual=True) as process,
             RobotClient(port=process.port, heartbeat=False) as robot,
         ):
             target = target_of(plan, identity, registered(rehearsal.robot, robot.joints()[0], monotonic()))
