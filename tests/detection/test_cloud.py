@@ -185,6 +185,24 @@ def test_centres_that_err_more_than_stated_are_not_labelled_wrongly() -> None:
         assert [BLOCK.solid.ids[scene.truth[row]] for row in rows_of(found, bent)] == list(found.ids)
 
 
+def test_balls_known_roughly_are_labelled_correctly_or_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("benchmarks.scenes_cloud.BALL_SD_MM", 0.5)
+    right = 0
+    for seed in range(20):
+        rng = np.random.default_rng([14, seed])
+        cloud = draw_cloud(rng, 12, 60.0)
+        scene = draw_cloud_scene(rng, cloud, hidden=0.1, false=10)
+        try:
+            found = label_cloud(scene.detections, *cloud, scene.focal_px, 0.5)
+        except LabellingRefusedError:
+            continue
+        assert (found.balls.tolist(), found.mirrored) == (scene.truth[found.rows].tolist(), scene.mirrored)
+        right += 1
+    assert right >= 5
+    with pytest.raises(UnusableInputError, match=r"known to 0.6 mm"):
+        label_cloud(scene.detections, *cloud, scene.focal_px, 0.6)
+
+
 def rows_of(found, uv_px: np.ndarray) -> list[int]:
     return [int(np.abs(uv_px - uv).sum(axis=1).argmin()) for uv in found.uv_px]
 

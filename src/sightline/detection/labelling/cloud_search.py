@@ -24,6 +24,7 @@ from sightline.detection.results import Detections
 from sightline.fitting.robust import median
 
 GATE_MM, MIN_GATE_PX = 0.8, 3.0  # of a hypothesis from three detections: errors of their centres, amplified [ours]
+GATE_SD = 5.0  # s.d. of the balls' own errors: those of the three, amplified, and of the others [ours]
 MAX_BY_CHANCE = 0.4  # probability assumed at most that a gate holds a false detection
 FLOOR_PX = 0.1  # s.d. of a centre besides the stated one: blur, scatter, panel [ours]
 FOCAL_STEP = np.log(1.5)  # of focal lengths tried: a block of 100 mm is then predicted within its gate [calc]
@@ -134,7 +135,8 @@ class Search:
         uv_px = problem.uv_px - problem.prior.principal_px
         scale = float(np.exp(median(problem.log_radius) - median(problem.log_half)))
         apart = KDTree(uv_px).query(uv_px, 2)[0][:, 1]
-        gate = max(MIN_GATE_PX, min(GATE_MM * scale, median(apart) / 2))
+        reach_mm = np.hypot(GATE_MM, GATE_SD * problem.ball_sd_mm)
+        gate = max(MIN_GATE_PX, min(reach_mm * scale, median(apart) / 2))
         low, high = uv_px.min(axis=0) - 2 * gate, uv_px.max(axis=0) + 2 * gate
         cells = CELLS / float((high - low).max())
         most = np.ptp(np.quantile(uv_px, (0.1, 0.9), axis=0), axis=0) / 0.8
