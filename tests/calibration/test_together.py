@@ -171,6 +171,7 @@ def test_a_wrong_ball_is_left_out_and_named():
     uv[4] += (3.0, -2.0)
     views = calibrate_together([given[0], replace(given[1], uv_px=uv)], BLOCK, [C_ARM, C_ARM])
     assert views[1].residuals.left_out == ("b5",) and views[0].residuals.left_out == ()
+    assert 18.0 < views[1].residuals.sigma[4] < 36.0  # 3.6 px of 0.1 px, and of the ball's own 0.02 mm, 0.17 px
     assert len(xyz) == 16
 
 

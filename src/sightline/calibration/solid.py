@@ -130,6 +130,18 @@ class SolidAdjustment:
         back = np.linalg.inv(self.images[image].whiten)
         return np.einsum("nab,nb->na", back, alone), np.einsum("na,na->n", residual, alone)
 
+    def prediction(
+        self, image: int, uv_px: np.ndarray, rows: np.ndarray, covariance_px2: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return residuals (N, 2), px, of balls in an image that were not used, and their lengths (N,) in s.d."""
+        uv, by_camera, by_point = self.cameras[image].shadows(self.xyz_mm[rows], self.solid.radius_mm[rows])
+        response = by_camera @ self.gain[self.columns_of(image)]
+        response += by_point @ self.solid.factor.reshape(-1, 3, len(self.e))[rows] @ self.gain[: len(self.e)]
+        covariance = covariance_px2 + response @ np.swapaxes(response, 1, 2)
+        residual = uv_px - uv
+        along = np.linalg.solve(covariance, residual[..., None])[..., 0]
+        return residual, np.sqrt(np.einsum("na,na->n", residual, along))
+
     def score(self, direction: np.ndarray) -> float:
         """Return by how many standard deviations the data want a parameter that moves them along `direction` (R,)."""
         free = direction - self.design @ (self.gain @ direction)

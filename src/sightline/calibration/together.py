@@ -7,11 +7,9 @@ from hashlib import sha256
 from pathlib import Path
 
 import numpy as np
-from scipy.special import chdtri
 
 from sightline.calibration.bead_view import BeadView, CalibrationInputs
 from sightline.calibration.checks import (
-    CHI_SQUARE_FALSE_ALARM,
     leave_one_out_check,
     tolerance_checks,
     wrong_beads_check,
@@ -19,9 +17,10 @@ from sightline.calibration.checks import (
 from sightline.calibration.focal_length import CArm
 from sightline.calibration.hull import Hull
 from sightline.calibration.outliers import FALSE_ALARM, MAX_WRONG_SHARE
-from sightline.calibration.panel import CENTRE, FOCAL, PanelCamera
+from sightline.calibration.panel import PanelCamera
 from sightline.calibration.residuals import Residuals
 from sightline.calibration.solid import MIN_BALLS, PanelPrior, SolidAdjustment, SolidBalls, SolidImage, adjust, descend
+from sightline.calibration.solid_checks import adjustment_check, checks_of_image
 from sightline.calibration.view import CalibratedView
 from sightline.calibration.well_conditioned import well_conditioned
 from sightline.checks import Check
@@ -29,7 +28,6 @@ from sightline.detection.results import Observations
 from sightline.errors import CalibrationRefusedError, ObservationsError
 from sightline.fitting.robust import variance_ratio
 from sightline.frame import Frame
-from sightline.geometry.covariance import TWO_SIDED_999
 from sightline.geometry.planes import Plane
 
 METHOD = "solid"
@@ -70,7 +68,7 @@ def calibrate_together(
         cameras = [_first_camera(solid, image, one.view) for image, one in zip(images, observations, strict=True)]
         fit, left = _robustly(solid, images, cameras, observations)
     adjustment = sha256(b"".join(one.view.encode() + one.uv_px.tobytes() for one in observations)).hexdigest()[:16]
-    checks = (_chi_square(fit), *tolerance_checks(frame))
+    checks = (adjustment_check(fit), *tolerance_checks(frame))
     return tuple(
         _view(_InOne(fit, k, adjustment), one, frame, c_arm, (left[k], checks))
         for k, (one, c_arm) in enumerate(zip(observations, known, strict=True))
@@ -168,11 +166,8 @@ def _image_of(seen: Observations, frame: Frame, c_arm: CArm | None) -> SolidImag
             f"the image size of view {seen.view} is not known, and with it where its principal point may be; give "
             "image_shape"
         )
-    noise = seen.covariance_px2
-    if noise is None:
-        noise = np.broadcast_to(UNKNOWN_NOISE_PX**2 * np.eye(2), (len(seen), 2, 2))
     rows = np.array([place[i] for i in seen.ids])
-    return SolidImage(seen.uv_px, noise, rows, _prior(seen.image_shape, c_arm))
+    return SolidImage(seen.uv_px, _noise_px2(seen), rows, _prior(seen.image_shape, c_arm))
 
 
 def _prior(shape: tuple[int, int], c_arm: CArm | None) -> PanelPrior:
@@ -246,11 +241,9 @@ def _view(
     height, width = seen.image_shape
     corners = np.array([[0.0, 0.0], [width - 1, 0.0], [width - 1, height - 1], [0.0, height - 1]])
     residuals = _residuals(own, seen, frame, told[0])
-    checks = [_count(len(fit.images[own.image].rows)), leave_one_out_check(residuals)]
+    checks = [*checks_of_image(fit, own.image, c_arm), leave_one_out_check(residuals)]
     checks += [wrong_beads_check(residuals)] if residuals.left_out else []
-    rejected = (
-        None if seen.rejected is None else np.reshape([one.uv_px for one in seen.rejected], (-1, 2)).astype(float)
-    )
+    strays = None if seen.rejected is None else np.array([one.uv_px for one in seen.rejected]).reshape(-1, 2)
     return BeadView(
         name=seen.view,
         method=METHOD,
@@ -260,12 +253,12 @@ def _view(
         residuals=residuals,
         mirrored=camera.mirrored,
         hull=Hull.of(corners),
-        checks=(*checks, *told[1], _distortion(fit, own.image), *_panel_checks(fit, own.image, c_arm)),
+        checks=(*checks, *told[1]),
         frame_key=frame.fingerprint,
         fiducials=frame.fiducials,
         posterior=own,
         image_shape=seen.image_shape,
-        rejected_px=rejected,
+        rejected_px=strays,
         c_arm=c_arm,
         adjustment=own.adjustment,
         inputs=CalibrationInputs(seen, frame),
@@ -277,70 +270,18 @@ def _residuals(own: _InOne, seen: Observations, frame: Frame, left: list[str]) -
     fit, camera, plane = own.fit, own.fit.cameras[own.image], own.plane
     place = {f.id: k for k, f in enumerate(frame.fiducials)}
     rows = np.array([place[i] for i in seen.ids])
-    uv, _, _ = camera.shadows(fit.xyz_mm[rows], fit.solid.radius_mm[rows])
-    to_mm = camera.plane_map(plane).jacobian(seen.uv_px)
-    residual = np.einsum("nab,nb->na", to_mm, seen.uv_px - uv)
     used = np.array([i not in left for i in seen.ids])
+    off_px, sigma = fit.prediction(own.image, seen.uv_px, rows, _noise_px2(seen))
+    to_mm = camera.plane_map(plane).jacobian(seen.uv_px)
+    residual = np.einsum("nab,nb->na", to_mm, off_px)
     alone_px, square = fit.left_out(own.image)
-    loo, sigma = residual.copy(), np.full(len(rows), np.nan)
+    loo = residual.copy()
     loo[used], sigma[used] = np.einsum("nab,nb->na", to_mm[used], alone_px), np.sqrt(square)
     return Residuals(seen.ids, seen.uv_px, residual, loo, np.ones(len(rows), dtype=bool), sigma, used)
 
 
-def _count(balls: int) -> Check:
-    sentence = f"{balls} balls of the solid are used; {MIN_BALLS} are needed, 9 or more are good."
-    return Check("bead count", True, float(balls), float(MIN_BALLS), "beads", sentence)
-
-
-def _chi_square(fit: SolidAdjustment) -> Check:
-    reduced, limit = fit.chi_square / fit.freedom, float(chdtri(fit.freedom, CHI_SQUARE_FALSE_ALARM)) / fit.freedom
-    sentence = (
-        "All images of the solid agree with its file, the stated noise and tolerances."
-        if reduced <= limit
-        else "The images disagree with the solid's file by more than the stated noise and tolerances explain: the "
-        "solid moved between the images, its file is of another one or states too small errors, or an image is "
-        "distorted."
-    )
-    return Check("chi-square", reduced <= limit, reduced, limit, "", sentence)
-
-
-def _distortion(fit: SolidAdjustment, image: int) -> Check:
-    """Return the check that an image has no pincushion distortion: that it is a flat panel's."""
-    own, camera = fit.images[image], fit.cameras[image]
-    off = own.uv_px - camera.centre_px
-    direction = np.zeros(len(fit.residual))
-    cubic = off * (off**2).sum(axis=1, keepdims=True) / camera.focal_px**2
-    direction[fit.rows_of(image)] = (own.whiten @ cubic[..., None]).ravel()
-    sigma, limit = abs(fit.score(direction)), float(np.sqrt(chdtri(1, CHI_SQUARE_FALSE_ALARM)))
-    sentence = (
-        "The image shows no distortion, as a flat panel's."
-        if sigma <= limit
-        else "The image is distorted, as an image intensifier's: a solid alone calibrates flat panels only. Use a "
-        "frame with plates, or correct the distortion first."
-    )
-    return Check("panel distortion", sigma <= limit, sigma, limit, "σ", sentence)
-
-
-def _panel_checks(fit: SolidAdjustment, image: int, c_arm: CArm | None) -> list[Check]:
-    """Return the checks of focal length and principal point against what is known of the panel."""
-    camera, prior = fit.cameras[image], fit.images[image].prior
-    own = fit.columns_of(image)
-    gain = fit.gain[own]
-    sd = np.sqrt(np.maximum(np.einsum("ij,ij->i", gain, gain), 0.0))
-    off = np.log(camera.focal_px / prior.focal_px)
-    share, sd_share = abs(float(off)), float(np.hypot(prior.focal_share, sd[FOCAL]))
-    away = float(np.hypot(*(camera.centre_px - np.array(prior.centre_px))))
-    away_limit = TWO_SIDED_999 * float(np.hypot(prior.centre_sd_px, sd[CENTRE].max()))
-    stated = "the stated source-detector distance" if c_arm and c_arm.pixel_mm else "that of usual panels"
-    sentence = f"The focal length is {camera.focal_px:.0f} ± {camera.focal_px * sd[FOCAL]:.0f} px"
-    limit = TWO_SIDED_999 * sd_share
-    passed = share <= limit
-    sentence += "." if passed else f", which is not {stated}: check distance and pixel size, and the solid's file."
-    inside = away <= away_limit
-    centre = f"The beam's axis meets the panel {away:.0f} px from the image's middle" + (
-        "." if inside else ": the image is cropped, or the solid's file is wrong; give the whole image."
-    )
-    return [
-        Check("focal length", passed, 100 * share, 100 * limit, "%", sentence),
-        Check("principal point", inside, away, away_limit, "px", centre),
-    ]
+def _noise_px2(seen: Observations) -> np.ndarray:
+    """Return (N, 2, 2), px²: the stated covariances, or those of careful clicks."""
+    if seen.covariance_px2 is not None:
+        return seen.covariance_px2
+    return np.broadcast_to(UNKNOWN_NOISE_PX**2 * np.eye(2), (len(seen), 2, 2))

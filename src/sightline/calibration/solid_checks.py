@@ -1,0 +1,76 @@
+"""Checks of the views of a solid, calibrated together on flat panels."""
+
+import numpy as np
+from scipy.special import chdtri
+
+from sightline.calibration.checks import CHI_SQUARE_FALSE_ALARM
+from sightline.calibration.focal_length import CArm
+from sightline.calibration.panel import CENTRE, FOCAL
+from sightline.calibration.solid import MIN_BALLS, SolidAdjustment
+from sightline.checks import Check
+from sightline.geometry.covariance import TWO_SIDED_999
+
+
+def adjustment_check(fit: SolidAdjustment) -> Check:
+    """Return the chi-square of all images of one adjustment."""
+    reduced, limit = fit.chi_square / fit.freedom, float(chdtri(fit.freedom, CHI_SQUARE_FALSE_ALARM)) / fit.freedom
+    sentence = (
+        "All images of the solid agree with its file, the stated noise and tolerances."
+        if reduced <= limit
+        else "The images disagree with the solid's file by more than the stated noise and tolerances explain: the "
+        "solid moved between the images, its file is of another one or states too small errors, or an image is "
+        "distorted."
+    )
+    return Check("chi-square", reduced <= limit, reduced, limit, "", sentence)
+
+
+def checks_of_image(fit: SolidAdjustment, image: int, c_arm: CArm | None) -> list[Check]:
+    """Return the checks of one image: its balls, that it is a flat panel's, and what is known of that panel."""
+    return [_count(len(fit.images[image].rows)), _distortion(fit, image), *_panel_checks(fit, image, c_arm)]
+
+
+def _count(balls: int) -> Check:
+    sentence = f"{balls} balls of the solid are used; {MIN_BALLS} are needed, 9 or more are good."
+    return Check("bead count", True, float(balls), float(MIN_BALLS), "beads", sentence)
+
+
+def _distortion(fit: SolidAdjustment, image: int) -> Check:
+    """Return the check that an image has no pincushion distortion: that it is a flat panel's."""
+    own, camera = fit.images[image], fit.cameras[image]
+    off = own.uv_px - camera.centre_px
+    direction = np.zeros(len(fit.residual))
+    cubic = off * (off**2).sum(axis=1, keepdims=True) / camera.focal_px**2
+    direction[fit.rows_of(image)] = (own.whiten @ cubic[..., None]).ravel()
+    sigma, limit = abs(fit.score(direction)), float(np.sqrt(chdtri(1, CHI_SQUARE_FALSE_ALARM)))
+    sentence = (
+        "The image shows no distortion, as a flat panel's."
+        if sigma <= limit
+        else "The image is distorted, as an image intensifier's: a solid alone calibrates flat panels only. Use a "
+        "frame with plates, or correct the distortion first."
+    )
+    return Check("panel distortion", sigma <= limit, sigma, limit, "σ", sentence)
+
+
+def _panel_checks(fit: SolidAdjustment, image: int, c_arm: CArm | None) -> list[Check]:
+    """Return the checks of focal length and principal point against what is known of the panel."""
+    camera, prior = fit.cameras[image], fit.images[image].prior
+    own = fit.columns_of(image)
+    gain = fit.gain[own]
+    sd = np.sqrt(np.maximum(np.einsum("ij,ij->i", gain, gain), 0.0))
+    off = np.log(camera.focal_px / prior.focal_px)
+    share, sd_share = abs(float(off)), float(np.hypot(prior.focal_share, sd[FOCAL]))
+    away = float(np.hypot(*(camera.centre_px - np.array(prior.centre_px))))
+    away_limit = TWO_SIDED_999 * float(np.hypot(prior.centre_sd_px, sd[CENTRE].max()))
+    stated = "the stated source-detector distance" if c_arm and c_arm.pixel_mm else "that of usual panels"
+    sentence = f"The focal length is {camera.focal_px:.0f} ± {camera.focal_px * sd[FOCAL]:.0f} px"
+    limit = TWO_SIDED_999 * sd_share
+    passed = share <= limit
+    sentence += "." if passed else f", which is not {stated}: check distance and pixel size, and the solid's file."
+    inside = away <= away_limit
+    centre = f"The beam's axis meets the panel {away:.0f} px from the image's middle" + (
+        "." if inside else ": the image is cropped, or the solid's file is wrong; give the whole image."
+    )
+    return [
+        Check("focal length", passed, 100 * share, 100 * limit, "%", sentence),
+        Check("principal point", inside, away, away_limit, "px", centre),
+    ]
