@@ -23,13 +23,14 @@ from sightline.app.session.verifying import Verifying
 from sightline.case.journal import Actor, Case, Kind
 from sightline.case.views import NAMES
 from sightline.errors import CaseError, LinkError, RobotRefusedError, UnusableInputError, WireRefusedError
+from sightline.frame import Frame
 
 
 class _Planning(Planning):
     """Of a plan that was sent before."""
 
     def __init__(self, case: Any, known: Any) -> None:
-        self.case, self.jobs, self.known = case, Jobs(), known
+        self.case, self.jobs, self.known, self.frame = case, Jobs(), known, Frame.load("gamma")
         self.sent, self.drilled = SentPlan(known, datetime.now(UTC)), None
 
     @property

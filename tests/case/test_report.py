@@ -162,7 +162,7 @@ def test_the_residual_has_one_meaning(report) -> None:
 def test_where_a_gap_failed_no_error_stands_beside_the_coordinates(report) -> None:
     """Of the point itself in the table of points; of entry, tip and direction in tiles, budget and figures."""
     points = report.plan.seen
-    sigma = np.ma.masked_array(np.ma.getdata(points.gap_sigma).copy())
+    sigma = np.ma.masked_array(np.ones(len(points.xyz_mm)))
     sigma[1] = 7.0
     seen = replace(points, gap_sigma=sigma, gap_tested=np.ones(len(points.xyz_mm), dtype=bool))
     trajectory = replace(report.plan.trajectory, points=seen.first(2))

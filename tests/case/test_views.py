@@ -44,7 +44,7 @@ def test_a_csv_without_the_view_names_those_it_has(pair, frame, tmp_path: Path) 
 )
 def test_images_in_the_wrong_place_are_recognised_by_their_plates(pair, frame, monkeypatch, order, words) -> None:
     by_name = {one.observations.view: one for one in pair}
-    monkeypatch.setattr("sightline.case.views.see", lambda path, frame, *, invert: by_name[path.stem])
+    monkeypatch.setattr("sightline.case.views.see", lambda path, frame, view, *, invert: by_name[path.stem])
     with pytest.raises(UnusableInputError, match=words):
         see_pair(Path(f"{order[0]}.dcm"), Path(f"{order[1]}.dcm"), frame)
 
