@@ -31,7 +31,7 @@ def test_the_demo_with_a_block_is_ten_times_as_accurate_as_the_paper(run, tmp_pa
     assert plan.code != 0 and "name the view" in plan.out
 
 
-@pytest.mark.parametrize("command", ["watch x", "undistort x.png --out x", "frame self-check x.png"])
+@pytest.mark.parametrize("command", ["watch x", "undistort x.png --out x"])
 def test_what_needs_plates_says_so(run, command: str) -> None:
     ran = run(*command.split(), "--frame", "block60")
     assert ran.code != 0 and "is a solid" in ran.err

@@ -64,19 +64,13 @@ class SelfCheck:
     checks: tuple[Check, ...]
 
 
-NEEDS_PLATES = (
-    "the self-check adjusts plates alone. Measure the balls with an instrument or a calliper and give them to "
-    "'sightline frame fit'"
-)
-
-
 @well_conditioned()
 def self_check(observations: Sequence[Observations], frame: Frame) -> SelfCheck:
     """Return the errors of a frame, estimated from 4 images or more.
 
     Raises ObservationsError, FrameError, CalibrationRefusedError.
     """
-    frame.refuse_solid(NEEDS_PLATES)
+    frame.refuse_solid("its balls are measured by self_check_solid")
     if len(observations) < MIN_IMAGES:
         raise CalibrationRefusedError(
             f"{len(observations)} images were given; give {MIN_IMAGES} or more for a self-check, with the C-arm moved "

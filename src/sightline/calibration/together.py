@@ -25,7 +25,7 @@ from sightline.calibration.view import CalibratedView
 from sightline.calibration.well_conditioned import well_conditioned
 from sightline.checks import Check
 from sightline.detection.results import Observations
-from sightline.errors import CalibrationRefusedError, ObservationsError
+from sightline.errors import CalibrationRefusedError, ObservationsError, UnusableInputError
 from sightline.fitting.robust import variance_ratio
 from sightline.frame import Frame
 from sightline.geometry.planes import Plane
@@ -96,6 +96,13 @@ def _with_checks_of(new: BeadView, old: BeadView) -> BeadView:
     known = {check.name for check in new.checks}
     kept = [check for check in old.checks if check.name not in known]
     return replace(new, checks=(*new.checks, *kept), mirrored_display=old.mirrored_display)
+
+
+def adjustment_of(view: BeadView) -> SolidAdjustment:
+    """Return the adjustment that a view of `calibrate_together` comes from. Raises UnusableInputError for others."""
+    if not isinstance(view.posterior, _InOne):
+        raise UnusableInputError(f"view {view.name} was not calibrated from a solid")
+    return view.posterior.fit
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,7 +10,8 @@ from sightline.cli.output import Json, Output, Quiet, example
 
 if TYPE_CHECKING:
     from sightline.calibration.self_check import SelfCheck
-    from sightline.detection import Observations
+    from sightline.calibration.solid_self_check import KnownDistance, SolidSelfCheck
+    from sightline.case.views import ObservedView
     from sightline.frame import Frame
 
 _SHOWN = 8  # balls in the table; --json has them all
@@ -29,8 +30,12 @@ def self_check(
     ],
     *,
     frame: Annotated[
-        str, typer.Option(help="The frame in the images: a frame file, gamma, biplane or stereo.")
+        str, typer.Option(help="The frame in the images: a frame file, gamma, biplane, stereo, block60 ...")
     ] = "gamma",
+    distance: Annotated[
+        str | None,
+        typer.Option(metavar="ID,ID,MM,SD", help="Of a block: a measured distance between two balls' centres, 1 s.d."),
+    ] = None,
     out: Annotated[Path | None, typer.Option(help="Write the frame as the images show it to this file.")] = None,
     invert: Invert = False,
     json: Json = False,
@@ -38,28 +43,34 @@ def self_check(
 ) -> None:
     """Check a frame by several images of itself.
 
-    Finds balls beyond their tolerance and rotated plates, and says which errors images cannot show.
+    Finds balls beyond their tolerance and rotated plates, and says which errors images cannot show. The balls of a
+    block are measured, in images of a flat panel.
     """
     with Output(json=json, quiet=quiet) as output:
-        from sightline.calibration.self_check import NEEDS_PLATES
         from sightline.calibration.self_check import self_check as adjust
+        from sightline.calibration.solid_self_check import SolidSelfCheck, self_check_solid
         from sightline.errors import FrameError
         from sightline.frame import Frame
 
         if out is not None and out.exists():
             raise FrameError(f"{out.name} exists; remove it, or name another file")
         known = Frame.load(frame)
-        known.refuse_solid(NEEDS_PLATES)
-        seen: list[Observations] = []
+        measured = None if known.solid is None else _distance(distance)
+        seen: list[ObservedView] = []
         with output.progress("finding and labelling the beads", len(images)) as advance:
             for path in images:
-                seen += _see(path, known, invert=invert)
+                seen += _see(path, known, None if measured is None else f"image-{len(seen) + 1}", invert=invert)
                 advance()
         with output.step("adjusting all images together"):
-            found = adjust(seen, known)
-        document = _document(found)
+            beads = [one.observations for one in seen]
+            if measured is None:
+                found = adjust(beads, known)
+            else:
+                from sightline.pipeline import known_arm
+
+                found = self_check_solid(beads, known, measured, [known_arm(one.image) for one in seen])
         output.failures(found.checks)
-        _show(output, document)
+        document = _show_solid(output, found) if isinstance(found, SolidSelfCheck) else _show(output, _document(found))
         written = out if out is not None and all(check.passed for check in found.checks) else None
         if written is not None:
             found.frame.save(written)
@@ -67,15 +78,47 @@ def self_check(
         output.result({"file": written, "images": len(seen), **document}, found.checks)
 
 
-def _see(path: Path, frame: "Frame", *, invert: bool) -> "list[Observations]":
-    """Return the labelled beads of an image, or all views of a CSV file."""
+def _distance(text: str | None) -> "KnownDistance":
+    """Return the distance that gives a block its size. Raises BadParameter."""
+    from sightline.calibration.solid_self_check import KnownDistance
+
+    parts = (text or "").split(",")
+    try:
+        first, second, length, sd = parts
+        return KnownDistance(first.strip(), second.strip(), float(length), float(sd))
+    except ValueError:
+        raise typer.BadParameter(
+            "images of a block do not show its size; measure the distance between the centres of two balls and give it "
+            "as ID,ID,MM,SD, for example b1,b4,55.23,0.02",
+            param_hint="--distance",
+        ) from None
+
+
+def _see(path: Path, frame: "Frame", view: str | None, *, invert: bool) -> "list[ObservedView]":
+    """Return the labelled beads of an image, or all views of a CSV file. `view`: the name of a block's image."""
+    from sightline.case.views import ObservedView, see
+
     if path.suffix.lower() == ".csv":
         from sightline.detection.files import read_observations
 
-        return list(read_observations(path).values())
-    from sightline.case.views import see
+        return [ObservedView(path.name, one) for one in read_observations(path).values()]
+    return [see(path, frame, view, invert=invert)]
 
-    return [see(path, frame, invert=invert).observations]
+
+def _show_solid(output: Output, found: "SolidSelfCheck") -> dict[str, Any]:
+    """Show the balls of a block and return them as a document."""
+    columns = zip(found.frame.fiducials, found.images, found.moved_mm, found.sd_mm, strict=True)
+    rows = [(f.id, int(count), moved, sd) for f, count, moved, sd in columns]
+    output.table(
+        "Balls against the file, after the rigid motion that fits best",
+        ("ball", "images", "moved mm", "sd mm"),
+        [
+            (name, count, " ".join(f"{x:+.3f}" for x in moved), " ".join(f"{x:.3f}" for x in sd))
+            for name, count, moved, sd in rows
+        ],
+    )
+    balls = [{"id": name, "images": count, "moved_mm": moved, "sd_mm": sd} for name, count, moved, sd in rows]
+    return {"balls": balls}
 
 
 def _document(found: "SelfCheck") -> dict[str, Any]:
@@ -118,7 +161,7 @@ def _document(found: "SelfCheck") -> dict[str, Any]:
     }
 
 
-def _show(output: Output, document: dict[str, Any]) -> None:
+def _show(output: Output, document: dict[str, Any]) -> dict[str, Any]:
     output.table(
         "Source plate against XRII plate of each view, 1 s.d.",
         ("view", "motion", "", "found", "before", "after", ""),
@@ -153,3 +196,4 @@ def _show(output: Output, document: dict[str, Any]) -> None:
         "Images show neither the scale of a frame, nor its views against each other, nor a plate's shift against its "
         "sister: these keep the error that the frame file states, however many images there are."
     )
+    return document
