@@ -16,7 +16,7 @@ import numpy as np
 
 import sightline as sl
 from benchmarks.parallel import in_parallel
-from benchmarks.rows import Row
+from benchmarks.rows import Row, finished
 from sightline.calibration import BeadView
 from sightline.detection import Detections, Observations
 from sightline.errors import RefusedError, SightlineError
@@ -110,10 +110,7 @@ def _balls_alone(
 
 def _rows_of_images(trials: list[dict[str, Assessment] | str]) -> list[Row]:
     group = "Γ, rendered images, four balls, beads 0.02 mm"
-    done = [trial for trial in trials if not isinstance(trial, str)]
-    for reason in (trial for trial in trials if isinstance(trial, str)):
-        print(f"refused: {reason}")
-    rows = [Row(group, "set-ups refused", f"{len(trials) - len(done)} of {len(trials)}")]
+    done, rows = finished(group, trials)
     if not done:
         return rows
     for method in ("smooth", "localized"):

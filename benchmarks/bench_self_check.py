@@ -13,8 +13,7 @@ from dataclasses import replace
 from functools import partial
 
 import numpy as np
-from scipy.spatial.transform import Rotation
-from tests.calibration.solid_scenes import C_ARM, built, camera, seen
+from tests.calibration.solid_scenes import C_ARM, built, turned_images
 
 import sightline as sl
 from benchmarks.parallel import in_parallel
@@ -89,11 +88,7 @@ def block(images: int, seed: int) -> Figures:
     sd = Tolerances(PRINTED_MM, 0.0, 0.0, 0.0, 0.0)
     frame = replace(Frame.load("block60"), name="printed", tolerances=sd)
     true = built(rng, frame)
-    given = []
-    for k in range(images):
-        one = camera(rng, "pa")
-        turn = Rotation.from_euler("xy", rng.uniform(-45.0, 45.0, 2), degrees=True).as_matrix()
-        given.append(seen(rng, frame, true, replace(one, rotation=one.rotation @ turn), f"image-{k}", BEAD_PX))
+    given = turned_images(rng, frame, true, images, BEAD_PX)
     length = float(np.linalg.norm(true[3] - true[0])) + DISTANCE_MM * rng.standard_normal()
     found = self_check_solid(given, frame, KnownDistance("b1", "b4", length, DISTANCE_MM), [C_ARM] * images)
     estimate, covariance = np.array([f.xyz_mm for f in found.frame.fiducials]), found.frame.covariance_mm2

@@ -13,7 +13,7 @@ from scipy.stats import chi2
 
 import sightline as sl
 from benchmarks.parallel import in_parallel
-from benchmarks.rows import Row
+from benchmarks.rows import Row, finished
 from benchmarks.scenes_solid import PICK_PX, block, c_arms, pick_covariance
 from sightline.calibration.together import calibrate_together
 from sightline.detection import Observations
@@ -77,10 +77,7 @@ def _squares(off: np.ndarray, covariance: np.ndarray) -> np.ndarray:
 
 def _rows_of_errors(trials: list[dict[str, np.ndarray] | str]) -> list[Row]:
     group = "solid, rendered images, block60, balls 0.02 mm"
-    done = [trial for trial in trials if not isinstance(trial, str)]
-    for reason in (trial for trial in trials if isinstance(trial, str)):
-        print(f"refused: {reason}")
-    rows = [Row(group, "set-ups refused", f"{len(trials) - len(done)} of {len(trials)}")]
+    done, rows = finished(group, trials)
     if not done:
         return rows
     low, high = NORMALISED

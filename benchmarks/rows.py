@@ -1,6 +1,9 @@
 """One line of the benchmark table."""
 
 from dataclasses import dataclass
+from typing import TypeVar
+
+Result = TypeVar("Result")
 
 
 @dataclass(frozen=True)
@@ -16,3 +19,11 @@ class Row:
     required: str = ""
     peer: str = ""
     met: bool | None = None
+
+
+def finished(group: str, trials: "list[Result | str]") -> "tuple[list[Result], list[Row]]":
+    """Return the results of trials, and the row that counts the refused ones; prints the reasons of those."""
+    done = [trial for trial in trials if not isinstance(trial, str)]
+    for reason in (trial for trial in trials if isinstance(trial, str)):
+        print(f"refused: {reason}")
+    return done, [Row(group, "set-ups refused", f"{len(trials) - len(done)} of {len(trials)}")]

@@ -1,6 +1,7 @@
 """Images of a solid on flat panels, as points: cameras at C-arm distances, drawn from the priors."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -42,3 +43,15 @@ def seen(rng: np.random.Generator, frame: Frame, xyz_mm: np.ndarray, truth: Pane
     noise = np.broadcast_to(sd_px**2 * np.eye(2), (len(uv), 2, 2))
     ids = tuple(f.id for f in frame.fiducials)
     return Observations(view, ids, uv + sd_px * rng.standard_normal(uv.shape), noise, image_shape=SHAPE)
+
+
+def turned_images(
+    rng: np.random.Generator, frame: Frame, xyz_mm: np.ndarray, count: int, sd_px: float = 0.1
+) -> list[Observations]:
+    """Images of a solid that is turned by up to 45° about two axes between them."""
+    given = []
+    for k in range(count):
+        one = camera(rng, "pa")
+        turn = Rotation.from_euler("xy", rng.uniform(-45.0, 45.0, 2), degrees=True).as_matrix()
+        given.append(seen(rng, frame, xyz_mm, replace(one, rotation=one.rotation @ turn), f"image-{k}", sd_px))
+    return given

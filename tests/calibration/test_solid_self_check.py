@@ -4,9 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
-from tests.calibration.solid_scenes import C_ARM, built, camera, seen
+from tests.calibration.solid_scenes import C_ARM, built, turned_images
 
 from sightline.calibration.solid_self_check import KnownDistance, self_check_solid
 from sightline.errors import CalibrationRefusedError, UnusableInputError
@@ -15,16 +14,6 @@ from sightline.geometry.rigid import rigid_fit
 
 PRINTED = replace(Frame.load("block60"), name="printed", tolerances=Tolerances(0.2, 0.0, 0.0, 0.0, 0.0))
 IMAGES = 10
-
-
-def _images(rng, xyz_mm, count=IMAGES):
-    """Images of the block turned by up to 45° about two axes between them."""
-    given = []
-    for k in range(count):
-        one = camera(rng, "pa")
-        turn = Rotation.from_euler("xy", rng.uniform(-45.0, 45.0, 2), degrees=True).as_matrix()
-        given.append(seen(rng, PRINTED, xyz_mm, replace(one, rotation=one.rotation @ turn), f"image-{k}"))
-    return given
 
 
 def _distance(rng, xyz_mm, sd_mm=0.02):
@@ -39,7 +28,9 @@ def test_ten_images_and_one_distance_measure_a_printed_block():
     rng, off, squares = np.random.default_rng(21), [], []
     for _ in range(8):
         xyz = built(rng, PRINTED)
-        found = self_check_solid(_images(rng, xyz), PRINTED, _distance(rng, xyz), [C_ARM] * IMAGES)
+        found = self_check_solid(
+            turned_images(rng, PRINTED, xyz, IMAGES), PRINTED, _distance(rng, xyz), [C_ARM] * IMAGES
+        )
         assert all(check.passed for check in found.checks)
         estimate = np.array([f.xyz_mm for f in found.frame.fiducials])
         error = rigid_fit(xyz, estimate).apply(xyz) - estimate
@@ -56,7 +47,9 @@ def test_the_distance_gives_the_size():
     0.01 mm each across their distance of 55 mm: 3e-4, twice that is allowed."""
     rng = np.random.default_rng(22)
     xyz = 1.005 * PRINTED.solid.xyz_mm
-    found = self_check_solid(_images(rng, xyz), PRINTED, _distance(rng, xyz, 0.005), [C_ARM] * IMAGES)
+    found = self_check_solid(
+        turned_images(rng, PRINTED, xyz, IMAGES), PRINTED, _distance(rng, xyz, 0.005), [C_ARM] * IMAGES
+    )
     before, after = (one.solid.xyz_mm - one.solid.xyz_mm.mean(axis=0) for one in (PRINTED, found.frame))
     assert np.linalg.norm(after) / np.linalg.norm(before) == pytest.approx(1.005, abs=6e-4)
 
@@ -64,7 +57,7 @@ def test_the_distance_gives_the_size():
 def test_the_measured_frame_is_a_file_that_calibrates(tmp_path):
     rng = np.random.default_rng(23)
     xyz = built(rng, PRINTED)
-    found = self_check_solid(_images(rng, xyz), PRINTED, _distance(rng, xyz), [C_ARM] * IMAGES)
+    found = self_check_solid(turned_images(rng, PRINTED, xyz, IMAGES), PRINTED, _distance(rng, xyz), [C_ARM] * IMAGES)
     found.frame.save(tmp_path / "measured.json")
     again = Frame.load(tmp_path / "measured.json")
     np.testing.assert_allclose(again.covariance_mm2, found.frame.covariance_mm2, rtol=1e-6, atol=1e-12)
@@ -74,7 +67,7 @@ def test_the_measured_frame_is_a_file_that_calibrates(tmp_path):
 def test_what_cannot_be_measured_is_refused():
     rng = np.random.default_rng(24)
     xyz = built(rng, PRINTED)
-    given = _images(rng, xyz, 4)
+    given = turned_images(rng, PRINTED, xyz, 4)
     with pytest.raises(CalibrationRefusedError, match="3 images were given"):
         self_check_solid(given[:3], PRINTED, _distance(rng, xyz))
     with pytest.raises(UnusableInputError, match="no ball 'x'"):

@@ -28,15 +28,13 @@ from sightline.show.words import checks_lines, counted, numbers
 if TYPE_CHECKING:
     from pandas import DataFrame
 
+SOLID = "solid"  # the method of views of a solid
 _MAX_FAILED = 3  # checks that a summary names
 
 
 @dataclass(frozen=True, eq=False)
 class CalibrationInputs:
-    """Arguments of `calibrate` that the view itself does not state; `degree` and `plate` as there.
-
-    The views of a solid, calibrated together, are each stated with their own observations.
-    """
+    """Arguments of `calibrate` that the view itself does not state; `degree` and `plate` as there."""
 
     observations: Observations
     frame: Frame
@@ -248,6 +246,6 @@ class BeadView(Plotted):
             frame_key=self.frame_key,
             inside_hull=self.hull.contains(uv),
             upright=self.upright,
-            beads_near=None if self.method == "solid" else self._support.near(uv),  # a solid's map is not local
+            beads_near=None if self.method == SOLID else self._support.near(uv),  # a solid's map is not local
             adjustment=self.adjustment,
         )

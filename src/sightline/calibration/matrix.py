@@ -24,6 +24,11 @@ class HomographyMap:
 
     homography: np.ndarray
 
+    @staticmethod
+    def of(matrix: np.ndarray, plane: Plane) -> "HomographyMap":
+        """Return the map between the image of a projection matrix (3, 4) and a plane."""
+        return HomographyMap(matrix @ np.vstack([np.column_stack([plane.axes.T, plane.origin_mm]), [0.0, 0.0, 1.0]]))
+
     def to_plane(self, uv_px: np.ndarray) -> np.ndarray:
         """Return the plane coordinates (N, 2), mm, of pixels (N, 2). Raises OutsideRegionError on the horizon."""
         return _apply(np.linalg.inv(self.homography), uv_px)
@@ -91,8 +96,7 @@ class MatrixView(Shown):
     @property
     def plane_map(self) -> HomographyMap:
         """The map between image and reference plane."""
-        onto = np.vstack([np.column_stack([self.plane.axes.T, self.plane.origin_mm]), [0.0, 0.0, 1.0]])
-        return HomographyMap(self.matrix @ onto)
+        return HomographyMap.of(self.matrix, self.plane)
 
     def project(self, xyz_mm: np.ndarray) -> np.ndarray:
         """Return the pixels (N, 2) of points (N, 3), CFCS. Raises OutsideRegionError."""

@@ -97,8 +97,7 @@ class PanelCamera:
 
     def plane_map(self, plane: Plane) -> HomographyMap:
         """Return the map between the image and a plane."""
-        onto = np.vstack([np.column_stack([plane.axes.T, plane.origin_mm]), [0.0, 0.0, 1.0]])
-        return HomographyMap(self.matrix @ onto)
+        return HomographyMap.of(self.matrix, plane)
 
     def lines_by_parameters(self, plane: Plane, uv_px: np.ndarray) -> np.ndarray:
         """Return (3 + 2N, 9): derivative of the focal point and of where the lines of sight of pixels (N, 2) meet a

@@ -28,7 +28,7 @@ from sightline.checks import Check
 from sightline.detection.results import Observations
 from sightline.errors import CalibrationRefusedError, ObservationsError
 from sightline.fitting.triangular import cholesky, solve_lower
-from sightline.frame import Frame, FrameView, Plate
+from sightline.frame import Frame
 
 MIN_IMAGES = 4  # [ours] two of each of two views: in one image the map absorbs the frame's errors
 # [ours] half the shortest correlation length beyond a cubic of a real tube's map (physics.md, Distortion): images
@@ -262,16 +262,10 @@ def _result(
 
 
 def _estimated(frame: Frame, moved_mm: np.ndarray, covariance: np.ndarray) -> Frame:
-    moves = iter(moved_mm)
-
-    def plate(one: Plate) -> Plate:
-        balls = (replace(b, xyz_mm=tuple((np.array(b.xyz_mm) + next(moves)).round(6).tolist())) for b in one.fiducials)
-        return Plate(tuple(balls))
-
     covariance = (covariance + covariance.T) / 2
     covariance.flags.writeable = False
-    views = {name: FrameView(plate(view.xrii), plate(view.source)) for name, view in frame.views.items()}
-    return replace(frame, views=views, tolerances=None, covariance_mm2=covariance)
+    measured = frame.with_beads_at((frame.xyz_mm + moved_mm).round(6))
+    return replace(measured, tolerances=None, covariance_mm2=covariance)
 
 
 def _movement(images: Sequence[_Image]) -> Check:

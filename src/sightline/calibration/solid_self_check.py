@@ -16,12 +16,10 @@ from sightline.calibration.together import adjustment_of, calibrate_together
 from sightline.checks import Check
 from sightline.detection.results import Observations
 from sightline.errors import CalibrationRefusedError, UnusableInputError
-from sightline.frame import Frame, RigidBody
+from sightline.frame import Frame
 from sightline.geometry.rigid import displacement
 
-MAX_SD_MM = (
-    0.05  # [ours] rms over all coordinates: beyond it a target beside block60 errs by 0.07 mm from the balls alone
-)
+MAX_SD_MM = 0.05  # [ours] rms over all coordinates: causes 0.07 mm at a target beside block60 (docs/benchmarks.md)
 
 
 @dataclass(frozen=True)
@@ -91,7 +89,7 @@ def _with_distance(frame: Frame, known: KnownDistance) -> Frame:
     if unknown := [one for one in (known.first, known.second) if one not in place]:
         raise UnusableInputError(f"frame {frame.name!r} has no ball {unknown[0]!r}; name two of its balls")
     first, second = place[known.first], place[known.second]
-    xyz = np.array([f.xyz_mm for f in frame.fiducials])
+    xyz = frame.xyz_mm
     between = xyz[second] - xyz[first]
     length = float(np.linalg.norm(between))
     by_ball = np.zeros(xyz.size)
@@ -113,7 +111,7 @@ def _with_distance(frame: Frame, known: KnownDistance) -> Frame:
 def _at_best_fit(frame: Frame, fit: SolidAdjustment) -> tuple[np.ndarray, np.ndarray]:
     """Return the balls' displacements (M, 3) against the file and their covariance, without the rigid motion that best
     fits the file: it belongs to CFCS, not to the solid."""
-    before = np.array([f.xyz_mm for f in frame.fiducials])
+    before = frame.xyz_mm
     rigid = displacement(before - before.mean(axis=0)).reshape(-1, 6)
     free = np.eye(len(rigid)) - rigid @ np.linalg.pinv(rigid)
     gain = free @ fit.solid.factor @ fit.gain[: len(fit.e)]
@@ -121,11 +119,7 @@ def _at_best_fit(frame: Frame, fit: SolidAdjustment) -> tuple[np.ndarray, np.nda
 
 
 def _moved(frame: Frame, moved_mm: np.ndarray) -> Frame:
-    balls = (
-        replace(ball, xyz_mm=tuple((np.array(ball.xyz_mm) + by).round(6).tolist()))
-        for ball, by in zip(frame.fiducials, moved_mm, strict=True)
-    )
-    return replace(frame, solid=RigidBody(tuple(balls)))
+    return frame.with_beads_at((frame.xyz_mm + moved_mm).round(6))
 
 
 def _error_check(sd_mm: np.ndarray) -> Check:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from sightline.calibration.bead_view import BeadView, CalibrationInputs
+from sightline.calibration.bead_view import SOLID, BeadView, CalibrationInputs
 from sightline.calibration.checks import (
     leave_one_out_check,
     tolerance_checks,
@@ -30,7 +30,6 @@ from sightline.fitting.robust import variance_ratio
 from sightline.frame import Frame
 from sightline.geometry.planes import Plane
 
-METHOD = "solid"
 # S.d. of what is known of a panel [ours]: the stated source-detector distance changes by 6 to 8 mm over the orbit and
 # the piercing point wanders by up to 16 mm where the C-arm flexes (physics.md, C-arm).
 DISTANCE_SD_MM = 10.0
@@ -80,7 +79,7 @@ def adjusted_together(views: Sequence[CalibratedView]) -> tuple[CalibratedView, 
 
     They keep the checks of their images and what a person said of the display. Raises CalibrationRefusedError.
     """
-    own = [one for one in views if isinstance(one, BeadView) and one.method == METHOD and one.inputs is not None]
+    own = [one for one in views if isinstance(one, BeadView) and one.method == SOLID and one.inputs is not None]
     apart = len({one.adjustment for one in own}) == len({one.name for one in own}) == len(views) > 1
     return _adjusted_together(*own) if apart and len({one.frame_key for one in own}) == 1 else tuple(views)
 
@@ -157,12 +156,7 @@ def _image_of(seen: Observations, frame: Frame, c_arm: CArm | None) -> SolidImag
 
     Raises ObservationsError, CalibrationRefusedError.
     """
-    place = {f.id: k for k, f in enumerate(frame.fiducials)}
-    if unknown := [i for i in seen.ids if i not in place]:
-        raise ObservationsError(
-            f"frame {frame.name!r} has no fiducial {', '.join(map(repr, unknown[:5]))}; check that the observations "
-            "belong to this frame"
-        )
+    rows = _rows_of(seen, frame)
     if len(seen) < MIN_BALLS:
         raise CalibrationRefusedError(
             f"view {seen.view} shows {len(seen)} balls of the solid; {MIN_BALLS} are needed, 9 or more are good: bring "
@@ -173,7 +167,6 @@ def _image_of(seen: Observations, frame: Frame, c_arm: CArm | None) -> SolidImag
             f"the image size of view {seen.view} is not known, and with it where its principal point may be; give "
             "image_shape"
         )
-    rows = np.array([place[i] for i in seen.ids])
     return SolidImage(seen.uv_px, _noise_px2(seen), rows, _prior(seen.image_shape, c_arm))
 
 
@@ -253,7 +246,7 @@ def _view(
     strays = None if seen.rejected is None else np.array([one.uv_px for one in seen.rejected]).reshape(-1, 2)
     return BeadView(
         name=seen.view,
-        method=METHOD,
+        method=SOLID,
         plane=plane,
         plane_map=camera.plane_map(plane),
         focal_point_mm=camera.focal_point_mm,
@@ -275,8 +268,7 @@ def _view(
 def _residuals(own: _InOne, seen: Observations, frame: Frame, left: list[str]) -> Residuals:
     """Return the residuals of an image's balls on the reference plane; those of the adjusted solid."""
     fit, camera, plane = own.fit, own.fit.cameras[own.image], own.plane
-    place = {f.id: k for k, f in enumerate(frame.fiducials)}
-    rows = np.array([place[i] for i in seen.ids])
+    rows = _rows_of(seen, frame)
     used = np.array([i not in left for i in seen.ids])
     off_px, sigma = fit.prediction(own.image, seen.uv_px, rows, _noise_px2(seen))
     to_mm = camera.plane_map(plane).jacobian(seen.uv_px)
@@ -285,6 +277,17 @@ def _residuals(own: _InOne, seen: Observations, frame: Frame, left: list[str]) -
     loo = residual.copy()
     loo[used], sigma[used] = np.einsum("nab,nb->na", to_mm[used], alone_px), np.sqrt(square)
     return Residuals(seen.ids, seen.uv_px, residual, loo, np.ones(len(rows), dtype=bool), sigma, used)
+
+
+def _rows_of(seen: Observations, frame: Frame) -> np.ndarray:
+    """Return (N,): the observed balls' indices among the solid's. Raises ObservationsError."""
+    place = {f.id: k for k, f in enumerate(frame.fiducials)}
+    if unknown := [i for i in seen.ids if i not in place]:
+        raise ObservationsError(
+            f"frame {frame.name!r} has no fiducial {', '.join(map(repr, unknown[:5]))}; check that the observations "
+            "belong to this frame"
+        )
+    return np.array([place[i] for i in seen.ids])
 
 
 def _noise_px2(seen: Observations) -> np.ndarray:

@@ -30,7 +30,7 @@ def complete(frame: Frame, rows: np.ndarray, moved_mm: np.ndarray, covariance_mm
 
     Measured balls keep their measured places. The others are predicted from these and the frame's tolerances.
     """
-    all_xyz = np.array([f.xyz_mm for f in frame.fiducials])
+    all_xyz = frame.xyz_mm
     centred = all_xyz - all_xyz.mean(axis=0)
     whole = displacement(centred).reshape(-1, 6) * WHOLE_FRAME_MM
     whole[:, :3] /= np.linalg.norm(centred, axis=1).mean()

@@ -13,7 +13,7 @@ from sightline.frame.deviations import Completed, PlateDeviation, bodies, comple
 from sightline.frame.identify import Identified, identify
 from sightline.frame.measurements import Series
 from sightline.frame.model import Frame
-from sightline.frame.plate import Fiducial, FrameView, Plate, RigidBody
+from sightline.frame.plate import Plate
 from sightline.frame.tolerances import EXPANSION_PER_K, Tolerances
 
 DRIFT_MM = 0.05  # physics.md, Frame [ours]: plate
@@ -101,24 +101,14 @@ def fit_frame(frame: Frame, series: Sequence[Series], circumstances: Circumstanc
 
 def _measured(frame: Frame, whole: Completed, circumstances: Circumstances) -> Frame:
     """Return the frame as it will be used: balls at their measured places, thermal expansion and drift included."""
-    moves = iter(whole.moved_mm)
-
-    def moved(body: RigidBody) -> tuple[Fiducial, ...]:
-        xyz = body.xyz_mm + np.array([next(moves) for _ in body.ids])
-        xyz += circumstances.growth * (xyz - xyz.mean(axis=0))
-        balls = zip(body.fiducials, xyz.round(6).tolist(), strict=True)
-        return tuple(replace(ball, xyz_mm=tuple(at)) for ball, at in balls)
-
+    places = frame.with_beads_at(frame.xyz_mm + whole.moved_mm)
+    grown = [body.xyz_mm + circumstances.growth * (body.xyz_mm - body.xyz_mm.mean(axis=0)) for body in places.bodies]
     drift = Tolerances(0.0, circumstances.drift_mm, circumstances.drift_mm * DRIFT_RAD_PER_MM, 0.0, 0.0)
     factor = replace(frame, tolerances=drift, covariance_mm2=None, in_use=None).error_factor  # zero for a solid
     covariance = whole.covariance_mm2 + factor @ factor.T
     covariance.flags.writeable = False
     return replace(
-        frame,
-        views={
-            name: FrameView(Plate(moved(view.xrii)), Plate(moved(view.source))) for name, view in frame.views.items()
-        },
-        solid=None if frame.solid is None else RigidBody(moved(frame.solid)),
+        frame.with_beads_at(np.concatenate(grown).round(6)),
         serial=circumstances.serial or frame.serial,
         measured_on=circumstances.measured_on,
         temperature_c=circumstances.temperature_c

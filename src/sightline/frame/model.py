@@ -1,11 +1,11 @@
 """A calibration frame as data: its plates or its solid, and how well their beads are known. CFCS, mm."""
 
 from collections.abc import Iterable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from hashlib import sha256
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -22,6 +22,7 @@ from sightline.frame.tolerances import InUse, Tolerances, error_factor, solid_er
 from sightline.show import Plotted
 
 _MAX_VIEWS = 6  # of a summary
+_Body = TypeVar("_Body", bound=RigidBody)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -106,6 +107,21 @@ class Frame(Plotted):
     def fiducials(self) -> tuple[Fiducial, ...]:
         """All fiducials of the `bodies`, in their order."""
         return tuple(f for body in self.bodies for f in body.fiducials)
+
+    @property
+    def xyz_mm(self) -> np.ndarray:
+        """(M, 3) coordinates of all `fiducials`, CFCS."""
+        return np.concatenate([body.xyz_mm for body in self.bodies])
+
+    def with_beads_at(self, xyz_mm: np.ndarray) -> "Frame":
+        """Return the frame with its fiducials at other coordinates (M, 3), CFCS."""
+        places = iter(xyz_mm.tolist())
+
+        def moved(body: _Body) -> _Body:
+            return replace(body, fiducials=tuple(replace(f, xyz_mm=tuple(next(places))) for f in body.fiducials))
+
+        views = {name: FrameView(moved(view.xrii), moved(view.source)) for name, view in self.views.items()}
+        return replace(self, views=views, solid=None if self.solid is None else moved(self.solid))
 
     def fiducials_of(self, view: str) -> tuple[Fiducial, ...]:
         """Return the fiducials that an image of a view can show: those of its plates, or the solid's.

@@ -35,7 +35,7 @@ def cube_document(text: str, name: str, diameter_mm: float = DIAMETER_MM, unit: 
         raise FrameError("the first line is a ball, which XMALab would skip; write a header line (x,y,z) above it")
     balls = [_ball(cells, line) for line, cells in enumerate(lines, 2) if any(cell.strip() for cell in cells)]
     if not balls:
-        raise FrameError("there is no ball below the header line; write x, y and z of each ball")
+        raise FrameError("the file has no ball below the header line; write x, y and z of each ball")
     xyz = np.array(balls) * _factors(header)
     if unit is None:
         unit = _unit(float(np.linalg.norm(np.ptp(xyz, axis=0))))

@@ -3,13 +3,12 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from math import pi
-from typing import TypeVar
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from sightline.errors import OutsideRegionError, SetUpError
-from sightline.frame import Fiducial, Frame, FrameView, RigidBody, nominal
+from sightline.frame import Fiducial, Frame, nominal
 from sightline.geometry.planes import Plane
 from sightline.twin.arm import IndependentViews, Stance, beam_at, draw_arm
 from sightline.twin.distributions import Arm, Distortion, Pose, SolidPlace
@@ -21,7 +20,6 @@ from sightline.twin.presets import ImageChain, preset
 ATTEMPTS = 100
 BEAMS = {"pa": beam_at(0.0), "lateral": beam_at(pi / 2), "oblique": beam_at(pi / 4)}
 SOLID_VIEWS = ("pa", "lateral")  # of a solid, by default
-Body = TypeVar("Body", bound=RigidBody)
 
 
 @dataclass(frozen=True, eq=False)
@@ -216,14 +214,7 @@ def with_errors(frame: Frame, rng: np.random.Generator) -> Frame:
 
 def displaced(frame: Frame, moves_mm: np.ndarray) -> Frame:
     """Return the frame with its beads moved by (M, 3) mm, in the order of `Frame.error_factor`."""
-    moves = iter(moves_mm)
-
-    def moved(body: Body) -> Body:
-        beads = (replace(bead, xyz_mm=tuple(float(c) for c in bead.xyz_mm + next(moves))) for bead in body.fiducials)
-        return replace(body, fiducials=tuple(beads))
-
-    views = {name: FrameView(xrii=moved(view.xrii), source=moved(view.source)) for name, view in frame.views.items()}
-    return replace(frame, views=views, solid=None if frame.solid is None else moved(frame.solid))
+    return frame.with_beads_at(frame.xyz_mm + moves_mm)
 
 
 def _beams(frame: Frame, optics: ImageChain, views: Mapping[str, np.ndarray] | None) -> dict[str, np.ndarray]:

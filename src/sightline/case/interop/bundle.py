@@ -11,6 +11,7 @@ from sightline.case.interop.plate import plate_image
 from sightline.case.views import CalibratedImage
 from sightline.errors import OutsideRegionError
 from sightline.frame import Frame
+from sightline.frame.deviations import plates
 from sightline.planning import Plan
 
 POINTS = ("entry", "end")
@@ -38,16 +39,11 @@ def bundle(plan: Plan, images: Sequence[CalibratedImage], frame: Frame) -> tuple
 
 
 def _frame(frame: Frame) -> dict[str, Any]:
-    plates = [
-        (name, role, plate.fiducials)
-        for name, view in frame.views.items()
-        for role, plate in (("xrii", view.xrii), ("source", view.source))
-    ]
-    bodies = plates if frame.solid is None else [("all", "solid", frame.solid.fiducials)]
+    bodies = plates(frame) if frame.solid is None else (("all", "solid", frame.solid),)
     beads = [
         {"id": bead.id, "view": name, "plate": role, "xyz_mm": list(map(float, bead.xyz_mm))}
-        for name, role, fiducials in bodies
-        for bead in fiducials
+        for name, role, body in bodies
+        for bead in body.fiducials
     ]
     return {"name": frame.name, "serial": frame.serial, "fingerprint": frame.fingerprint, "beads": beads}
 
