@@ -16,7 +16,7 @@ from campaigns.campaign import Campaign, Damage, Ended
 from campaigns.person import Clicks, Shown, judged
 from sightline.frame import Frame
 from sightline.imaging import Radiograph
-from sightline.rehearsal.procedure import Rehearsal
+from sightline.rehearsal.rehearsal import Rehearsal
 from sightline.studies.scenes import VIEWS
 
 BASES = 12  # rendered patients; the same for every seed

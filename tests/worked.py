@@ -11,7 +11,7 @@ import sightline as sl
 from sightline.cli.demo import SEED
 from sightline.imaging import write_dicom
 from sightline.rehearsal.check_images import CheckImages
-from sightline.rehearsal.procedure import Rehearsal
+from sightline.rehearsal.rehearsal import Rehearsal
 from sightline.robot.link.simulated import SimulatedWire
 
 VIEWS = ("pa", "lateral")

@@ -9,7 +9,7 @@ from playwright.sync_api import Locator, Page, expect
 from sightline.app.plan.marks import marks_of
 from sightline.case.views import NAMES
 from sightline.frame import Frame
-from sightline.rehearsal.procedure import Rehearsal
+from sightline.rehearsal.rehearsal import Rehearsal
 
 SEED = 9
 KIND = "hip-screw"

@@ -14,9 +14,9 @@ from pydicom.datadict import dictionary_VR
 
 from sightline.app.plan.decisions import Decisions
 from sightline.app.session import age as module
-from sightline.app.session.procedure import Procedure
 from sightline.app.session.seen import SeenImage
 from sightline.app.session.sent import SentPlan
+from sightline.app.session.session import Session
 from sightline.app.session.worker import WorkerProcess
 from sightline.case.journal import Actor
 from sightline.case.views import NAMES
@@ -71,13 +71,13 @@ class _Clock(datetime):
 
 
 @pytest.fixture
-def opened(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Procedure]:
+def opened(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Session]:
     """Both images came just now."""
     monkeypatch.setattr(module, "datetime", _Clock)
     monkeypatch.setattr(module, "monotonic", lambda: 0.0)
     _Clock.at = NOW
     worker = WorkerProcess()
-    made = Procedure.open(tmp_path, "gamma", None, worker)
+    made = Session.open(tmp_path, "gamma", None, worker)
     for number, name in enumerate(NAMES, 101):
         _came(made, name, number)
     yield made
@@ -85,19 +85,19 @@ def opened(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Procedur
     worker.close()
 
 
-def _came(procedure: Procedure, name: str, number: int, said_ago_s: float | None = 0.0, by: Actor = Actor.APP) -> None:
+def _came(session: Session, name: str, number: int, said_ago_s: float | None = 0.0, by: Actor = Actor.APP) -> None:
     acquired: Any = SimpleNamespace(number=number, at=NOW, by=by)
     image: Any = None
     said = None if said_ago_s is None else NOW - timedelta(seconds=said_ago_s)
-    procedure.planning.lightbox._images[number] = SeenImage(acquired, image, taken_at=said)
-    procedure.planning.history.edit(procedure.planning.decisions.with_image(name, number, same_pixels=True))
+    session.planning.lightbox._images[number] = SeenImage(acquired, image, taken_at=said)
+    session.planning.history.edit(session.planning.decisions.with_image(name, number, same_pixels=True))
 
 
-def _age_check(procedure: Procedure):
-    return next(check for check in procedure.readiness.confirmations if check.name == "plan age")
+def _age_check(session: Session):
+    return next(check for check in session.readiness.confirmations if check.name == "plan age")
 
 
-def test_age_counts_from_the_acquisition(opened: Procedure) -> None:
+def test_age_counts_from_the_acquisition(opened: Session) -> None:
     """A file that lay for an hour is an hour old however lately it came."""
     assert opened.age.now_s == 0.0 and opened.age.fresh
     _came(opened, "lateral", 103, said_ago_s=3600.0)
@@ -106,7 +106,7 @@ def test_age_counts_from_the_acquisition(opened: Procedure) -> None:
 
 
 @pytest.mark.parametrize("said_ago_s", [None, -60.0])
-def test_a_time_that_is_not_known_is_asked_for(opened: Procedure, said_ago_s: float | None) -> None:
+def test_a_time_that_is_not_known_is_asked_for(opened: Session, said_ago_s: float | None) -> None:
     """Nor is one known that lies after the file's arrival: that clock is another."""
     _came(opened, "lateral", 103, said_ago_s)
     assert opened.age.now_s is None and not opened.age.fresh
@@ -121,7 +121,7 @@ def test_a_time_that_is_not_known_is_asked_for(opened: Procedure, said_ago_s: fl
     assert opened.age.now_s is None
 
 
-def test_a_clock_that_is_set_back_makes_no_plan_younger(opened: Procedure, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_clock_that_is_set_back_makes_no_plan_younger(opened: Session, monkeypatch: pytest.MonkeyPatch) -> None:
     passed_s = [1000.0]
     monkeypatch.setattr(module, "monotonic", lambda: passed_s[0])
     _Clock.at = NOW + timedelta(seconds=60.0)
@@ -136,13 +136,13 @@ def test_a_clock_that_is_set_back_makes_no_plan_younger(opened: Procedure, monke
     assert opened.age.now_s == 5.0  # of another pair
 
 
-def test_the_images_of_a_rehearsal_are_taken_as_they_come(opened: Procedure) -> None:
+def test_the_images_of_a_rehearsal_are_taken_as_they_come(opened: Session) -> None:
     for number, name in enumerate(NAMES, 103):
         _came(opened, name, number, None, Actor.DEMO)
     assert opened.age.now_s == 0.0
 
 
-def test_what_is_drilled_grows_no_older_but_is_not_sent_again(opened: Procedure) -> None:
+def test_what_is_drilled_grows_no_older_but_is_not_sent_again(opened: Session) -> None:
     planned: Any = SimpleNamespace(decisions=opened.planning.decisions)
     drilled: Any = SimpleNamespace()
     opened.planning.sent, opened.planning.drilled = SentPlan(planned, NOW + timedelta(seconds=120)), drilled

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from sightline.app.session.procedure import Procedure
+from sightline.app.session.session import Session
 from sightline.app.session.worker import WorkerProcess
 from sightline.case.journal import Case
 from sightline.errors import UnusableInputError
@@ -23,18 +23,18 @@ def test_snapping_is_a_decision_like_any_other(tmp_path: Path, worker: WorkerPro
     """For every page, undone with the others, and there again when the case is opened again."""
 
     async def decide() -> None:
-        procedure = Procedure.open(tmp_path, "gamma", None, worker)
+        session = Session.open(tmp_path, "gamma", None, worker)
         told: list[bool] = []
-        procedure.jobs.listeners.append(lambda: told.append(procedure.planning.decisions.snapping))
-        procedure.planning.choose_snapping(False)
-        procedure.planning.undo()
-        procedure.planning.redo()
+        session.jobs.listeners.append(lambda: told.append(session.planning.decisions.snapping))
+        session.planning.choose_snapping(False)
+        session.planning.undo()
+        session.planning.redo()
         assert told[:3] == [False, True, False]
         await asyncio.sleep(0)
-        procedure.planning.case.close()
+        session.planning.case.close()
 
     asyncio.run(decide())
-    again = Procedure.open(tmp_path, None, None, worker)
+    again = Session.open(tmp_path, None, None, worker)
     assert not again.planning.decisions.snapping
     assert again.planning.history.can_undo
     again.planning.case.close()
@@ -52,11 +52,11 @@ def test_work_that_is_refused_while_other_work_goes_on_is_not_begun(tmp_path: Pa
         return name
 
     async def both() -> list[object]:
-        procedure = Procedure.open(tmp_path, "gamma", None, worker)
-        asked = [procedure.jobs.during(name, lambda name=name: work(name)) for name in ("first", "second")]
+        session = Session.open(tmp_path, "gamma", None, worker)
+        asked = [session.jobs.during(name, lambda name=name: work(name)) for name in ("first", "second")]
         said = await asyncio.gather(*asked, return_exceptions=True)
-        assert await procedure.jobs.during("third", lambda: work("third")) == "third"
-        procedure.planning.case.close()
+        assert await session.jobs.during("third", lambda: work("third")) == "third"
+        session.planning.case.close()
         return list(said)
 
     first, second = asyncio.run(both())

@@ -9,8 +9,8 @@ import pytest
 
 from sightline.app.panels.steps import StepStatus, steps
 from sightline.app.plan.decisions import Decisions, Display
-from sightline.app.session.procedure import Procedure
 from sightline.app.session.seen import SeenImage, entry_of
+from sightline.app.session.session import Session
 from sightline.app.session.worker import WorkerProcess
 from sightline.case import stages
 from sightline.case.journal import Actor, Kind
@@ -33,20 +33,20 @@ def flipped(request: pytest.FixtureRequest) -> tuple[str, ...]:
 
 
 @pytest.fixture
-def opened(flipped: tuple[str, ...], setup: SetUp, frame: Frame, tmp_path: Path) -> Iterator[Procedure]:
+def opened(flipped: tuple[str, ...], setup: SetUp, frame: Frame, tmp_path: Path) -> Iterator[Session]:
     """Both images calibrated and recorded, from tables of their beads."""
     worker = WorkerProcess()
-    procedure = Procedure.open(tmp_path / "case", "gamma", None, worker)
+    session = Session.open(tmp_path / "case", "gamma", None, worker)
     tables = [_table(setup, name, tmp_path, mirrored=name in flipped) for name in NAMES]
     for table, seen in zip(tables, see_pair(tables[0], tables[1], frame), strict=True):
         image = calibrated(seen, frame)
-        made = stages.record_view(procedure.planning.case, table, image, frame_ref="gamma", by=Actor.RECEIVER)
-        acquired, pixels = stages.acquired_of(procedure.planning.case, made), _no_pixels()
+        made = stages.record_view(session.planning.case, table, image, frame_ref="gamma", by=Actor.RECEIVER)
+        acquired, pixels = stages.acquired_of(session.planning.case, made), _no_pixels()
         one = SeenImage(acquired, pixels, observations=seen.observations, view=image.view)
-        procedure.planning.lightbox._images[acquired.number] = one
-        procedure.planning.edit(procedure.planning.decisions.with_image(image.name, acquired.number, same_pixels=False))
-    yield procedure
-    procedure.planning.case.close()
+        session.planning.lightbox._images[acquired.number] = one
+        session.planning.edit(session.planning.decisions.with_image(image.name, acquired.number, same_pixels=False))
+    yield session
+    session.planning.case.close()
     worker.close()
 
 
@@ -61,14 +61,14 @@ def _table(setup: SetUp, name: str, folder: Path, *, mirrored: bool) -> Path:
     return write_observations([Observations(name, tuple(ids), uv)], folder / f"{name}.csv")
 
 
-def _upright(procedure: Procedure) -> list[bool]:
-    views = procedure.planning.views()
+def _upright(session: Session) -> list[bool]:
+    views = session.planning.views()
     assert views is not None
     return [view.mirrored == bool(view.mirrored_display) for view in views]
 
 
 def test_a_person_is_asked_only_where_no_image_shows_the_frame_unmirrored(
-    opened: Procedure, flipped: tuple[str, ...]
+    opened: Session, flipped: tuple[str, ...]
 ) -> None:
     assert opened.planning.asks_mirrored == (NAMES if flipped == NAMES else ())
     asked = flipped == NAMES
@@ -82,7 +82,7 @@ def test_a_person_is_asked_only_where_no_image_shows_the_frame_unmirrored(
 
 @pytest.mark.parametrize("flipped", [NAMES], indirect=True)
 @pytest.mark.parametrize("turned", [False, True])
-def test_the_answer_is_of_the_file_and_not_of_how_the_page_shows_it(opened: Procedure, turned: bool) -> None:
+def test_the_answer_is_of_the_file_and_not_of_how_the_page_shows_it(opened: Session, turned: bool) -> None:
     opened.planning.show("pa", Display(mirrored=turned))
     opened.planning.state_mirrored("pa", backwards=not turned)
     assert opened.planning.decisions.mirrored == {opened.planning.decisions.images["pa"]: True}
@@ -95,7 +95,7 @@ def test_the_answer_is_of_the_file_and_not_of_how_the_page_shows_it(opened: Proc
 
 
 @pytest.mark.parametrize("flipped", [NAMES], indirect=True)
-def test_a_display_that_is_said_to_be_right_accuses_the_frame_file(opened: Procedure) -> None:
+def test_a_display_that_is_said_to_be_right_accuses_the_frame_file(opened: Session) -> None:
     opened.planning.state_mirrored("lateral", backwards=False)
     seen = opened.planning.seen("lateral")
     assert seen is not None and seen.view is not None
@@ -105,7 +105,7 @@ def test_a_display_that_is_said_to_be_right_accuses_the_frame_file(opened: Proce
 
 
 @pytest.mark.parametrize("flipped", [NAMES], indirect=True)
-def test_the_case_holds_the_view_with_the_answer_and_replays_it(opened: Procedure) -> None:
+def test_the_case_holds_the_view_with_the_answer_and_replays_it(opened: Session) -> None:
     before = opened.planning.seen("pa")
     assert before is not None
     first = entry_of(opened.planning.case, before)

@@ -24,8 +24,8 @@ from sightline.app.plan.decisions import Mark, Side
 from sightline.app.plan.marks import CHECK_NAMES
 from sightline.app.session.live import LATE_S
 from sightline.app.session.planning import Planning
-from sightline.app.session.procedure import Procedure
 from sightline.app.session.seen import SeenImage
+from sightline.app.session.session import Session
 from sightline.app.session.worker import WorkerProcess
 from sightline.app.tab.tab import Tab
 from sightline.app.texts import STEPS
@@ -98,9 +98,9 @@ def opened(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Page]:
     loop = asyncio.new_event_loop()
     asyncio.set_event_loop(loop)
     worker = WorkerProcess()
-    procedure = Procedure.open(tmp_path, "gamma", None, worker)
+    session = Session.open(tmp_path, "gamma", None, worker)
     drawn: Any = Drawn()
-    made = Page(Tab(procedure, drawn))
+    made = Page(Tab(session, drawn))
 
     def told(view: XrayView, method: str, *arguments: Any) -> None:
         made.told.append((view.name, method, arguments))
@@ -118,7 +118,7 @@ def opened(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Page]:
             made.add_image(name, number)
         made.tab.go_to(STEPS[2])
         yield made
-    procedure.planning.case.close()
+    session.planning.case.close()
     worker.close()
     loop.close()
 

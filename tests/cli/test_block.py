@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sightline.app.session.procedure import Procedure
+from sightline.app.session.session import Session
 from sightline.errors import FrameError
 from sightline.frame import Frame
 
@@ -39,6 +39,6 @@ def test_what_needs_plates_says_so(run, command: str) -> None:
 
 def test_the_app_says_that_it_needs_plates_before_it_makes_a_case(tmp_path: Path) -> None:
     with pytest.raises(FrameError, match="sightline plan"):
-        Procedure.open(tmp_path / "case", "block60", None, None)  # type: ignore[arg-type]
+        Session.open(tmp_path / "case", "block60", None, None)  # type: ignore[arg-type]
     assert not (tmp_path / "case").exists()
     assert Frame.load("block60").solid is not None

@@ -13,7 +13,7 @@ from sightline.case.interop.plan_file import sealed
 from sightline.cli import commands
 from sightline.frame import Frame
 from sightline.rehearsal.operation import SimulatedTheatre
-from sightline.rehearsal.procedure import Rehearsal
+from sightline.rehearsal.rehearsal import Rehearsal
 from sightline.robot.link.client import RobotClient
 
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from sightline.errors import ReconstructionRefusedError
-from sightline.planning import KINDS, Circle, Line, Pick, ProposalRule, kind, locate, plan, propose
+from sightline.planning import PROCEDURES, Circle, Line, Pick, ProposalRule, kind, locate, plan, propose
 from sightline.planning.aids import Aids
-from sightline.planning.kinds import PlanInput
+from sightline.planning.procedures import PlanInput
 
 from . import bone
 from .standin import StandInView, stand_in
@@ -99,7 +99,7 @@ def test_a_head_too_small_for_the_tip_is_refused():
 
 def test_kinds_are_complete():
     fields = set(Aids.__dataclass_fields__)
-    for key, one in KINDS.items():
+    for key, one in PROCEDURES.items():
         assert one.key == key
         asked = [*one.points, *one.landmarks, *one.aids]
         assert all(isinstance(each, PlanInput) and each.name and each.sentence for each in asked)

@@ -10,7 +10,7 @@ from sightline.frame import Frame
 from sightline.pipeline import label_beads
 from sightline.planning import plan
 from sightline.planning.check_shot import Landmarks
-from sightline.rehearsal.procedure import VIEWS, Rehearsal
+from sightline.rehearsal.rehearsal import VIEWS, Rehearsal
 from sightline.robot.link.simulated import SimulatedWire
 
 SEED = 9  # in its lateral image the femur's outline crosses the wire and pulls a piece of it aside by half a pixel

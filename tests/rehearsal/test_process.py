@@ -14,8 +14,8 @@ from tests.systems import needs_posix
 
 from sightline.errors import LinkError, RobotRefusedError
 from sightline.frame import Frame
-from sightline.rehearsal.procedure import Rehearsal
 from sightline.rehearsal.process import RobotProcess
+from sightline.rehearsal.rehearsal import Rehearsal
 from sightline.robot.link.client import RobotClient
 
 pytest.importorskip("mujoco")

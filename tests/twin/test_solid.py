@@ -8,7 +8,7 @@ from scipy.spatial import ConvexHull
 
 from sightline.errors import SetUpError
 from sightline.frame import Fiducial, Frame, RigidBody
-from sightline.rehearsal.procedure import Rehearsal
+from sightline.rehearsal.rehearsal import Rehearsal
 from sightline.twin import SetUp, Variation, bead_images, draw_setup, hard_scene, hip_scene
 from sightline.twin.arm import beam_at
 from sightline.twin.carm import BEAMS, displaced

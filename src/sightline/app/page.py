@@ -15,7 +15,7 @@ from sightline.app.panels import calibrate, drill, images, plan, verdict, verify
 from sightline.app.panels.section import HtmlSection, PersistentSection, Section, action
 from sightline.app.panels.space import Space
 from sightline.app.panels.steps import steps
-from sightline.app.session.procedure import Procedure
+from sightline.app.session.session import Session
 from sightline.app.settings import Settings
 from sightline.app.tab.tab import Tab
 from sightline.app.web.serve import ServedApp
@@ -24,11 +24,11 @@ _CSS, _SCRIPT = ((files("sightline.app") / name).read_text("utf-8") for name in 
 _PANELS: dict[str, Any] = dict(zip(texts.STEPS, (images, calibrate, plan, drill, verify), strict=True))
 
 
-def build(site: ServedApp, procedure: Procedure, pictures: Pictures, settings: Settings) -> None:
+def build(site: ServedApp, session: Session, pictures: Pictures, settings: Settings) -> None:
     """Build the page for one browser tab."""
     ui.add_css(_CSS)
     ui.add_head_html(f"<script>{_SCRIPT}</script>")
-    tab = Tab(procedure, pictures, fast_robot=settings.fast_robot, live_source=settings.live)
+    tab = Tab(session, pictures, fast_robot=settings.fast_robot, live_source=settings.live)
     with ui.element("header").classes("bar"):
         tools = _bar(tab)
     ui.label(texts.DEAD).classes("dead-banner").props("role=alert data-testid=dead")
@@ -52,17 +52,17 @@ def build(site: ServedApp, procedure: Procedure, pictures: Pictures, settings: S
             Section(tab, lambda t: t.step, lambda t: _PANELS[t.step].build(t), classes="step-panel")
             HtmlSection(tab, _beside_key(plan.metrics_key), _html_on(plan.metrics_html, 2), classes="figures")
             Section(tab, _beside_key(verdict.count), _on(verdict.build_details, 2, 3), classes="details")
-            ui.label(f"{texts.NOT_A_DEVICE} Case {procedure.planning.case.number}").classes("foot")
+            ui.label(f"{texts.NOT_A_DEVICE} Case {session.planning.case.number}").classes("foot")
     with tools:
         action("3-D", space.toggle, testid="space-toggle", kind="plain").move(tools, 0)
     ui.keyboard(on_key=lambda event: _key(tab, event), ignore=["input", "select", "textarea"])
-    procedure.jobs.listeners.append(tab.later)
-    ui.context.client.on_delete(lambda: procedure.jobs.listeners.remove(tab.later))
+    session.jobs.listeners.append(tab.later)
+    ui.context.client.on_delete(lambda: session.jobs.listeners.remove(tab.later))
     leaving = _leave_question()
     ui.on("leave", leaving.open)
     request = ui.context.client.request
     asked = None if request is None else request.query_params.get("step")
-    first = asked if asked in texts.STEPS else _first_open(procedure)
+    first = asked if asked in texts.STEPS else _first_open(session)
     tab.go_to(first)
     ui.run_javascript(f"sightlineStep(null, {json.dumps(first)})")
     tab.on_step = lambda *steps: ui.run_javascript(f"sightlineStep(...{json.dumps(steps)})") and None
@@ -80,20 +80,20 @@ def _leave_question() -> ui.dialog:
     return dialog
 
 
-def _first_open(procedure: Procedure) -> str:
+def _first_open(session: Session) -> str:
     """Return the step to begin with: the first that is not done."""
-    return next((step.name for step in steps(procedure) if step.status != "done"), texts.STEPS[-1])
+    return next((step.name for step in steps(session) if step.status != "done"), texts.STEPS[-1])
 
 
 def _bar(tab: Tab) -> ui.element:
     """Build brand, steps and tools; return the box of the tools."""
     ui.label("Sightline").classes("brand")
-    PersistentSection(tab, lambda t: (steps(t.procedure), t.step), _steps, classes="steps")
+    PersistentSection(tab, lambda t: (steps(t.session), t.step), _steps, classes="steps")
     with ui.element("div").classes("tools") as tools:
         PersistentSection(
             tab, lambda t: (t.planning.history.can_undo, t.planning.history.can_redo), _undo, classes="undo"
         )
-        Section(tab, lambda t: t.procedure.drilling.now is not None, _stop, classes="stop-box")
+        Section(tab, lambda t: t.session.drilling.now is not None, _stop, classes="stop-box")
     return tools
 
 
@@ -104,7 +104,7 @@ def _steps(tab: Tab) -> Callable[[], None]:
             made.append((button, ui.label().classes("standing"), ui.tooltip("").classes("step-reason")))
 
     def update() -> None:
-        for step, (button, status, tip) in zip(steps(tab.procedure), made, strict=True):
+        for step, (button, status, tip) in zip(steps(tab.session), made, strict=True):
             here = step.name == tab.step
             button.classes(f"{step.status} {'here' if here else ''}", remove=" ".join((*texts.STEP_STATUS, "here")))
             button.props(f"aria-current={'step' if here else 'false'}")
@@ -126,13 +126,13 @@ def _undo(tab: Tab) -> Callable[[], None]:
 
 
 def _stop(tab: Tab) -> None:
-    if tab.procedure.drilling.session is not None:
+    if tab.session.drilling.session is not None:
         action("STOP", tab.doing(lambda: _stop_robot(tab)), testid="stop", kind="danger")
         ui.label(texts.RED_BUTTON).classes("red-button").props("data-testid=red-button")
 
 
 async def _stop_robot(tab: Tab) -> None:
-    session = tab.procedure.drilling.session
+    session = tab.session.drilling.session
     if session is not None:
         await session.stop()
 
@@ -156,7 +156,7 @@ def _say(tab: Tab) -> None:
 
 def _to_do(tab: Tab) -> str:
     """Return the next instruction: to place a point, or what the step waits for."""
-    return plan.instruction(tab) or next(s.reason for s in steps(tab.procedure) if s.name == tab.step)
+    return plan.instruction(tab) or next(s.reason for s in steps(tab.session) if s.name == tab.step)
 
 
 def _beside_key(key):

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 from sightline.app.drawing.pictures import Pictures
 from sightline.app.page import build
-from sightline.app.session.procedure import Procedure
+from sightline.app.session.session import Session
 from sightline.app.session.worker import WorkerProcess
 from sightline.app.settings import Settings
 from sightline.app.web.serve import ServedApp, serve
@@ -20,17 +20,17 @@ def run(settings: Settings, on_ready: Callable[[ServedApp], None]) -> None:
     """Serve until Ctrl-C. Raises CaseError, FrameError, UnusableInputError."""
     sys.setswitchinterval(_SWITCH_S)
     worker = WorkerProcess()
-    procedure = Procedure.open(settings.folder, settings.frame, settings.patient, worker)
+    session = Session.open(settings.folder, settings.frame, settings.patient, worker)
     pictures: list[Pictures] = []
     started: list[asyncio.Task[None]] = []
 
     def page(site: ServedApp) -> None:
-        build(site, procedure, pictures[0], settings)
+        build(site, session, pictures[0], settings)
 
     def ready(site: ServedApp) -> None:
         pictures.append(Pictures(site.images))
         loop = asyncio.get_running_loop()
-        started.append(loop.create_task(procedure.planning.start()))  # while the browser still loads
+        started.append(loop.create_task(session.planning.start()))  # while the browser still loads
         on_ready(site)
 
     try:
@@ -43,6 +43,6 @@ def run(settings: Settings, on_ready: Callable[[ServedApp], None]) -> None:
             on_ready=ready,
         )
     finally:
-        asyncio.run(procedure.close())
+        asyncio.run(session.close())
         worker.close()
-        procedure.planning.case.close()
+        session.planning.case.close()

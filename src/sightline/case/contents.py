@@ -14,7 +14,7 @@ from sightline.checks import Limits
 from sightline.detection import Detections, Observations
 from sightline.errors import CaseError
 from sightline.imaging import Radiograph
-from sightline.planning import Aids, MatchingCurve, Plan, TrajectoryKind, matching_curve, plan
+from sightline.planning import Aids, MatchingCurve, Plan, Procedure, matching_curve, plan
 from sightline.planning import kind as kind_of
 from sightline.planning.check_result import CheckShot
 from sightline.planning.check_start import Landmarks
@@ -76,7 +76,7 @@ class PlanRequest:
         )
 
     @property
-    def known_kind(self) -> TrajectoryKind:
+    def known_kind(self) -> Procedure:
         """The kind of trajectory with the limits in force. Raises UnusableInputError for an unknown kind."""
         known = kind_of(self.kind or "free-wire")
         return known if self.limits is None else replace(known, limits=self.limits)

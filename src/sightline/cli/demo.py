@@ -72,7 +72,7 @@ def _run(output: Output, folder: Path, seed: int, frame_name: str) -> dict[str, 
     from sightline.frame import Frame
     from sightline.imaging import write_dicom
     from sightline.planning import Aids, Circle
-    from sightline.rehearsal.procedure import Rehearsal
+    from sightline.rehearsal.rehearsal import Rehearsal
     from sightline.twin import truth_document
 
     frame = Frame.load(frame_name)

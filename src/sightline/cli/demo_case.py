@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from sightline.case.views import CalibratedImage
     from sightline.cli.demo_robot import Checked
     from sightline.planning import Plan
-    from sightline.rehearsal.procedure import Rehearsal
+    from sightline.rehearsal.rehearsal import Rehearsal
 
 
 @dataclass(frozen=True, eq=False)

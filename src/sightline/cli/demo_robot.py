@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from sightline.imaging import Radiograph
     from sightline.planning import Plan
     from sightline.planning.check_result import CheckShot
-    from sightline.rehearsal.procedure import Rehearsal
+    from sightline.rehearsal.rehearsal import Rehearsal
 
 
 @dataclass(frozen=True, eq=False)

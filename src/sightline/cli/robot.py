@@ -375,7 +375,7 @@ def _theatre(side: str, frame_serial: str | None, rehearse: int | None, frame: s
     if frame_serial is not None:
         raise UnusableInputError("--rehearse uses the serial of its own frame; leave out --frame-serial")
     from sightline.frame import Frame
-    from sightline.rehearsal.procedure import Rehearsal
+    from sightline.rehearsal.rehearsal import Rehearsal
 
     return Rehearsal.draw(rehearse, Frame.load(frame), side).theatre()
 

@@ -8,10 +8,10 @@ from sightline.planning.bone_checks import BoneRule
 from sightline.planning.corridor import Corridor, corridor
 from sightline.planning.curve import MatchingCurve, matching_curve, snap
 from sightline.planning.head import Sphere, outline
-from sightline.planning.kinds import KINDS, PlanInput, TrajectoryKind, kind
 from sightline.planning.metrics import Metric, metrics
 from sightline.planning.picks import Pick
 from sightline.planning.plan import Plan, plan
+from sightline.planning.procedures import PROCEDURES, PlanInput, Procedure, kind
 from sightline.planning.proposal import Proposal, ProposalRule, propose
 from sightline.planning.reconstruct import reconstruct
 from sightline.planning.results import SpacePoints, Verdict
@@ -20,7 +20,7 @@ from sightline.planning.trajectory import Trajectory
 from sightline.planning.verdict import judge
 
 __all__ = [
-    "KINDS",
+    "PROCEDURES",
     "Aids",
     "Anatomy",
     "Axis",
@@ -34,13 +34,13 @@ __all__ = [
     "Pick",
     "Plan",
     "PlanInput",
+    "Procedure",
     "Proposal",
     "ProposalRule",
     "Share",
     "SpacePoints",
     "Sphere",
     "Trajectory",
-    "TrajectoryKind",
     "Verdict",
     "corridor",
     "error_shares",

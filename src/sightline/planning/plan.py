@@ -15,9 +15,9 @@ from sightline.planning.aids import Aids
 from sightline.planning.anatomy import Anatomy, locate
 from sightline.planning.bone_checks import judge_in_bone, measures, noticed_beyond_mm
 from sightline.planning.curve import MatchingCurve, matching_curve, snap
-from sightline.planning.kinds import TrajectoryKind
-from sightline.planning.kinds import kind as kind_of
 from sightline.planning.picks import DEFAULT_PICK_SD_PX, Pick, stack
+from sightline.planning.procedures import Procedure
+from sightline.planning.procedures import kind as kind_of
 from sightline.planning.reconstruct import reconstruct
 from sightline.planning.results import SpacePoints, Verdict
 from sightline.planning.solution import Method
@@ -57,7 +57,7 @@ class Plan(Plotted):
     entry_curve: MatchingCurve
     end_curve: MatchingCurve
     verdict: Verdict
-    kind: TrajectoryKind
+    kind: Procedure
     side: str | None
     anatomy: Anatomy | None
     landmark_names: tuple[str, ...]
@@ -165,7 +165,7 @@ def plan(
     snapped: bool | Sequence[bool] = False,
     landmarks_uv_px: ArrayLike | None = None,
     landmark_names: Sequence[str] = (),
-    kind: TrajectoryKind | str = "hip-screw",
+    kind: Procedure | str = "hip-screw",
     side: str | None = None,
     aids: Aids | None = None,
     method: Method = "weighted",
@@ -238,7 +238,7 @@ def plan(
     )
 
 
-def _names(kind: TrajectoryKind, landmark_names: Sequence[str], count: int) -> tuple[str, ...]:
+def _names(kind: Procedure, landmark_names: Sequence[str], count: int) -> tuple[str, ...]:
     """Return the landmarks' names. Raises UnusableInputError for an unknown or repeated name."""
     names = tuple("-".join(name.split()) for name in landmark_names)
     known, given = [landmark.key for landmark in kind.landmarks], [name for name in names if name]

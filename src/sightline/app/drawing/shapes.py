@@ -7,8 +7,8 @@ import numpy as np
 
 from sightline.app.plan.marks import CHECK_NAMES
 from sightline.app.plan.planner import Planned, aid_pixels
-from sightline.app.session.procedure import Procedure
 from sightline.app.session.seen import SeenImage
+from sightline.app.session.session import Session
 from sightline.case.views import NAMES
 from sightline.errors import SightlineError
 from sightline.planning import MatchingCurve
@@ -117,22 +117,22 @@ def aids(planned: Planned, image: str) -> list[Shape]:
     return out
 
 
-def found(procedure: Procedure, image: str) -> list[Shape]:
+def found(session: Session, image: str) -> list[Shape]:
     """Return the wire measured in a check image, and the plan."""
-    wire = procedure.verifying.wires.get(image)
+    wire = session.verifying.wires.get(image)
     if wire is None:
         return []
     tip = wire.tip_uv_px.tolist()
     return [
-        *_planned_there(procedure, image),
+        *_planned_there(session, image),
         {"shape": "line", "points": wire.uv_px.tolist(), "style": "found", "title": "the wire as this image shows it"},
         {"shape": "cross", "points": [tip], "style": "found", "label": "tip"},
     ]
 
 
-def _planned_there(procedure: Procedure, image: str) -> list[Shape]:
+def _planned_there(session: Session, image: str) -> list[Shape]:
     """Return the plan projected into a check image, with the bone's movement applied."""
-    shot, sent, views = procedure.verifying.shot, procedure.planning.sent, procedure.planning.views(CHECK_NAMES)
+    shot, sent, views = session.verifying.shot, session.planning.sent, session.planning.views(CHECK_NAMES)
     if shot is None or sent is None or views is None:
         return []
     path = sent.plan.trajectory

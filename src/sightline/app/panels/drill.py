@@ -21,16 +21,16 @@ _LIVE_S = 0.2  # update period of the robot's readings [ours]
 
 
 def _key(tab: Tab) -> Hashable:
-    now = tab.procedure.drilling.now
+    now = tab.session.drilling.now
     told = () if now is None else (now.state, now.fault, now.activity, now.last_error, now.lost, now.zero)
     planning, decisions = tab.planning, tab.planning.decisions
-    plan = (planning.planned, decisions.side, decisions.serial, tab.procedure.readiness.can_send)
-    return (told, planning.sent, planning.drilled, planning.sent_is_current, plan, tab.procedure.jobs.working)
+    plan = (planning.planned, decisions.side, decisions.serial, tab.session.readiness.can_send)
+    return (told, planning.sent, planning.drilled, planning.sent_is_current, plan, tab.session.jobs.working)
 
 
 def _shot_key(tab: Tab) -> Hashable:
     # The plan is not part of the key: when it changes, the form is kept with the values typed into it.
-    now = tab.procedure.drilling.now
+    now = tab.session.drilling.now
     if now is None:
         return None
     return (now.state == State.PAUSED.value, now.zero, now.activity, tab.planning.sent_is_current)
@@ -41,11 +41,11 @@ def build(tab: Tab) -> None:
     Section(tab, _key, _robot)
     Section(tab, _shot_key, _second_shot)
     live.build(tab)
-    Section(tab, lambda t: t.procedure.drilling.session, _force)
+    Section(tab, lambda t: t.session.drilling.session, _force)
 
 
 def _robot(tab: Tab) -> None:
-    drilling, jobs = tab.procedure.drilling, tab.procedure.jobs
+    drilling, jobs = tab.session.drilling, tab.session.jobs
     now = drilling.now
     heading(texts.ROBOT_HEADING)
     note(texts.STOP_IS_NO_EMERGENCY_STOP, kind="warn")
@@ -71,7 +71,7 @@ def _robot(tab: Tab) -> None:
 
 
 def _state(tab: Tab) -> None:
-    now = tab.procedure.drilling.now
+    now = tab.session.drilling.now
     assert now is not None  # noqa: S101
     with ui.element("div").classes("robot-state").props("data-testid=robot-state role=status"):
         ui.label(now.state).classes("state-word")
@@ -81,7 +81,7 @@ def _state(tab: Tab) -> None:
     reading = ui.label().classes("live").props("data-testid=robot-live")
 
     def tell() -> None:
-        at = tab.procedure.drilling.now
+        at = tab.session.drilling.now
         if at is None:
             return
         force = "–" if at.force_n is None else f"{at.force_n:.1f} N"
@@ -108,7 +108,7 @@ def _zero_words(now: "RobotNow") -> str:
 
 def _commands(tab: Tab) -> None:
     """Build the buttons for the possible commands; each motion needs a person's confirmation."""
-    planning, drilling = tab.planning, tab.procedure.drilling
+    planning, drilling = tab.planning, tab.session.drilling
     session, now = drilling.session, drilling.now
     assert now is not None and session is not None  # noqa: S101
     idle, state = not now.activity, now.state
@@ -119,7 +119,7 @@ def _commands(tab: Tab) -> None:
         )
         return
     known, decisions = planning.planned, planning.decisions
-    can_send = tab.procedure.readiness.can_send
+    can_send = tab.session.readiness.can_send
     if known is not None and known.plan is not None and can_send and decisions.side is not None:
         what = texts.SEND_WHAT.format(
             robot=texts.ROBOT_NAMES[planning.patient is not None],
@@ -161,7 +161,7 @@ def _commands(tab: Tab) -> None:
 
 def _second_shot(tab: Tab) -> None:
     """Build the form for the depth measured in the second shot, during the pause."""
-    drilling, now = tab.procedure.drilling, tab.procedure.drilling.now
+    drilling, now = tab.session.drilling, tab.session.drilling.now
     if now is None or now.state != State.PAUSED.value:
         return
     enabled = not now.activity and tab.planning.sent_is_current
@@ -209,7 +209,7 @@ def _confirmed_action(
 
 def _force(tab: Tab) -> None:
     """Build the live plot of thrust over depth."""
-    if tab.procedure.drilling.session is None and tab.planning.drilled is None:
+    if tab.session.drilling.session is None and tab.planning.drilled is None:
         return
     heading(texts.THRUST_HEADING)
     drawing = ui.html("", sanitize=False).classes("force").props("data-testid=force")
@@ -218,7 +218,7 @@ def _force(tab: Tab) -> None:
 
     def tell() -> None:
         nonlocal shown
-        session, drilled = tab.procedure.drilling.session, tab.planning.drilled
+        session, drilled = tab.session.drilling.session, tab.planning.drilled
         if drilled is not None:
             record = drilled.record
         else:

@@ -47,12 +47,12 @@ def build(tab: Tab) -> None:
 
 
 def _state(tab: Tab) -> Hashable:
-    jobs = tab.procedure.jobs
+    jobs = tab.session.jobs
     return (*map(tab.planning.seen, NAMES), jobs.working, jobs.trouble)
 
 
 def _images(tab: Tab) -> None:
-    planning, jobs = tab.planning, tab.procedure.jobs
+    planning, jobs = tab.planning, tab.session.jobs
     heading(texts.IMAGES_HEADING)
     for name in NAMES:
         seen = planning.seen(name)
@@ -119,7 +119,7 @@ def _serial(tab: Tab) -> None:
 def _untimed(tab: Tab) -> tuple[str, ...]:
     """Return the names of the images whose time is unknown."""
     seen = {name: tab.planning.seen(name) for name in NAMES}
-    return tuple(name for name, one in seen.items() if one is not None and tab.procedure.age.taken_at(one) is None)
+    return tuple(name for name, one in seen.items() if one is not None and tab.session.age.taken_at(one) is None)
 
 
 def _taken(tab: Tab) -> None:
@@ -132,7 +132,7 @@ def _taken(tab: Tab) -> None:
         said.props(f"outlined dense data-testid=taken-{name}")
 
         def confirm(name: str = name, said: ui.number = said) -> None:
-            tab.procedure.age.state_taken(name, float("nan") if said.value is None else float(said.value))
+            tab.session.age.state_taken(name, float("nan") if said.value is None else float(said.value))
 
         action(texts.TAKEN_CONFIRM, tab.doing(confirm), testid=f"confirm-taken-{name}", kind="primary")
 

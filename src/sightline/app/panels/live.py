@@ -18,16 +18,16 @@ _UPDATE_S = 0.1  # half of STALE_S; each update extends how long the browser sho
 def build(tab: Tab) -> None:
     """Build this part of the panel."""
     heading(texts.LIVE_HEADING)
-    Section(tab, lambda t: t.procedure.live.watch is not None, _switch)
+    Section(tab, lambda t: t.session.live.watch is not None, _switch)
     said = ui.label().classes("note").props("data-testid=live-state role=status")
     note(BLIND_TO, kind="quiet")
 
     def update() -> None:
-        watched = tab.procedure.live.latest()
+        watched = tab.session.live.latest()
         if watched is None:
             if tab.views.watched is not None:
                 tab.show_live(None)
-            watch = tab.procedure.live.watch
+            watch = tab.session.live.watch
             said.set_text("" if watch is None else watch.fault or texts.LIVE_WAITING)
             return
         said.set_text(_sentence(watched))
@@ -38,7 +38,7 @@ def build(tab: Tab) -> None:
 
 
 def _switch(tab: Tab) -> None:
-    live = tab.procedure.live
+    live = tab.session.live
     if live.watch is None:
         start = tab.doing(lambda: live.start(tab.live_source))
         action(texts.LIVE_SHOW, start, testid="live-start", kind="plain")

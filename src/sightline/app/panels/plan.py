@@ -16,7 +16,7 @@ from sightline.app.tab.tab import Tab
 from sightline.case.views import NAMES
 from sightline.errors import UnusableInputError
 from sightline.geometry.covariance import TWO_SIDED_95
-from sightline.planning.kinds import KINDS
+from sightline.planning.procedures import PROCEDURES
 
 
 def metrics_key(tab: Tab) -> Hashable:
@@ -33,7 +33,7 @@ def build(tab: Tab) -> None:
 
 def _kind(tab: Tab) -> None:
     decisions = tab.planning.decisions
-    kinds = {name: kind.name.capitalize() for name, kind in KINDS.items()}
+    kinds = {name: kind.name.capitalize() for name, kind in PROCEDURES.items()}
 
     async def choose(event) -> None:
         await tab.act(lambda: tab.planning.choose_kind(event.value))
@@ -42,7 +42,7 @@ def _kind(tab: Tab) -> None:
     ui.select(kinds, value=decisions.kind, label=texts.KIND_FIELD, on_change=choose).props(
         "outlined options-dense data-testid=kind"
     )
-    note(KINDS[decisions.kind].purpose, kind="quiet")
+    note(PROCEDURES[decisions.kind].purpose, kind="quiet")
 
     def show(event) -> None:
         tab.views.show_beads = bool(event.value)
@@ -65,7 +65,7 @@ def _points(tab: Tab) -> None:
         heading(texts.POINT_GROUPS[group])
         for _, same in groupby(listed, key=lambda one: one.of):
             _row(tab, tuple(same))
-    if KINDS[decisions.kind].proposal is not None:
+    if PROCEDURES[decisions.kind].proposal is not None:
         action(texts.PROPOSE, tab.doing(lambda: _propose(tab)), testid="propose")
         Section(tab, _missing, lambda t: note(_missing(t), kind="quiet") if _missing(t) else None)
 

@@ -54,7 +54,7 @@ class Space:
         plan = None if known is None else known.plan
         self._group("points", plan, self._points)
         self._group("wire", plan, self._wire)
-        self._group("drilled", self._tab.procedure.verifying.shot, self._drilled)
+        self._group("drilled", self._tab.session.verifying.shot, self._drilled)
         if planning.patient is not None and self._bone is None:
             self._bone = []
             asyncio.get_running_loop().create_task(self._fetch_bone())
@@ -108,13 +108,13 @@ class Space:
         return space.wire_objects(known.plan.trajectory, known.kind.wire_mm)
 
     def _drilled(self) -> list[dict[str, Any]]:
-        shot, sent = self._tab.procedure.verifying.shot, self._tab.planning.sent
+        shot, sent = self._tab.session.verifying.shot, self._tab.planning.sent
         if shot is None or sent is None:
             return []
         return space.drilled_objects(shot.entry_mm, shot.tip_mm, sent.plan.kind.wire_mm)
 
     def _robot(self) -> None:
-        session = self._tab.procedure.drilling.session
+        session = self._tab.session.drilling.session
         now = None if session is None else session.now
         if not self.open or session is None or now is None or now.joints is None:
             return

@@ -6,8 +6,8 @@ from enum import StrEnum
 from sightline.app import texts
 from sightline.app.plan.marks import marks_of
 from sightline.app.session.planning import Planning
-from sightline.app.session.procedure import Procedure
 from sightline.app.session.seen import SeenImage
+from sightline.app.session.session import Session
 from sightline.case.views import NAMES
 from sightline.checks import failed
 from sightline.robot.control.states import State
@@ -31,14 +31,14 @@ class WorkflowStep:
     reason: str
 
 
-def steps(procedure: Procedure) -> tuple[WorkflowStep, ...]:
+def steps(session: Session) -> tuple[WorkflowStep, ...]:
     """Return all five steps in order."""
     found = (
-        _images(procedure),
-        _calibrate(procedure.planning),
-        _plan(procedure),
-        _drill(procedure),
-        _verify(procedure),
+        _images(session),
+        _calibrate(session.planning),
+        _plan(session),
+        _drill(session),
+        _verify(session),
     )
     return tuple(WorkflowStep(name, *one) for name, one in zip(texts.STEPS, found, strict=True))
 
@@ -50,8 +50,8 @@ def _both(planning: Planning) -> list[SeenImage]:
     return [seen for seen in map(planning.seen, NAMES) if seen is not None]
 
 
-def _images(procedure: Procedure) -> _Found:
-    planning, working = procedure.planning, procedure.jobs.working
+def _images(session: Session) -> _Found:
+    planning, working = session.planning, session.jobs.working
     decisions = planning.decisions
     missing = [name for name in NAMES if name not in decisions.images]
     if working and missing:
@@ -62,7 +62,7 @@ def _images(procedure: Procedure) -> _Found:
         )
     if decisions.side is None or decisions.serial is None:
         return StepStatus.ATTENTION, texts.CONFIRM_BOTH
-    if any(procedure.age.taken_at(seen) is None for seen in _both(planning)):
+    if any(session.age.taken_at(seen) is None for seen in _both(planning)):
         return StepStatus.ATTENTION, texts.STATE_WHEN_TAKEN
     asked = planning.asks_mirrored
     if asked and not any(decisions.images[name] in decisions.mirrored for name in asked):
@@ -87,8 +87,8 @@ def _calibrate(planning: Planning) -> _Found:
     return StepStatus.DONE, texts.CALIBRATED
 
 
-def _plan(procedure: Procedure) -> _Found:
-    known, decisions = procedure.planning.planned, procedure.planning.decisions
+def _plan(session: Session) -> _Found:
+    known, decisions = session.planning.planned, session.planning.decisions
     if known is None:
         return StepStatus.BLOCKED, texts.CALIBRATE_FIRST
     if known.plan is None:
@@ -98,26 +98,26 @@ def _plan(procedure: Procedure) -> _Found:
         wire = [spec for spec in marks_of(decisions.kind) if spec.group == "wire"]
         left = [spec.label for spec in wire if not decisions.complete([spec.name])]
         return StepStatus.OPEN, texts.PLACE_WIRE.format(points=", ".join(left))
-    verdict = procedure.readiness.verdict
+    verdict = session.readiness.verdict
     wrong = () if verdict is None else failed(verdict.checks)
     return (StepStatus.ATTENTION, wrong[0].sentence) if wrong else (StepStatus.DONE, texts.PLAN_DONE)
 
 
-def _drill(procedure: Procedure) -> _Found:
-    planning, now = procedure.planning, procedure.drilling.now
+def _drill(session: Session) -> _Found:
+    planning, now = session.planning, session.drilling.now
     if planning.drilled is not None:
         return StepStatus.DONE, texts.DRILL_DONE
     if now is not None and (now.lost or now.fault or now.last_error):
         return StepStatus.ATTENTION, now.last_error or now.text or texts.LINK_LOST
     if now is not None and planning.sent is not None and now.state != State.UNDEFINED.value:
         return StepStatus.OPEN, texts.ROBOT_IN.format(state=now.state)
-    if not procedure.readiness.can_send:
+    if not session.readiness.can_send:
         return StepStatus.BLOCKED, texts.ONLY_GO
     return StepStatus.OPEN, texts.CAN_SEND
 
 
-def _verify(procedure: Procedure) -> _Found:
-    verifying = procedure.verifying
+def _verify(session: Session) -> _Found:
+    verifying = session.verifying
     if verifying.refused:
         return StepStatus.ATTENTION, verifying.refused
     if verifying.shot is not None:
@@ -125,6 +125,6 @@ def _verify(procedure: Procedure) -> _Found:
         if wrong:
             return StepStatus.ATTENTION, wrong[0].sentence
         return StepStatus.DONE, texts.VERIFIED
-    if procedure.planning.sent is None:
+    if session.planning.sent is None:
         return StepStatus.BLOCKED, texts.NOT_DRILLED
     return StepStatus.OPEN, texts.TAKE_TWO_MORE

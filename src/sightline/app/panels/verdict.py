@@ -40,7 +40,7 @@ def key(tab: Tab) -> Hashable:
 
 def age_key(tab: Tab) -> Hashable:
     """Key of the plan's age: whether there is a plan, and whether it is fresh."""
-    return bool(_listed(tab)), tab.procedure.age.fresh, tab.procedure.age.drilled_s
+    return bool(_listed(tab)), tab.session.age.fresh, tab.session.age.drilled_s
 
 
 def count(tab: Tab) -> Hashable:
@@ -50,19 +50,19 @@ def count(tab: Tab) -> Hashable:
 
 def details_key(tab: Tab) -> Hashable:
     """Key of the details."""
-    procedure, decisions = tab.procedure, tab.planning.decisions
-    return (tab.known, procedure.age.fresh, decisions.side, decisions.serial, procedure.readiness.go, _target(tab))
+    session, decisions = tab.session, tab.planning.decisions
+    return (tab.known, session.age.fresh, decisions.side, decisions.serial, session.readiness.go, _target(tab))
 
 
 def _listed(tab: Tab) -> tuple[Check, ...]:
     """Return all checks of the plan shown; none without a plan."""
-    verdict = tab.procedure.readiness.verdict_of(tab.known)
+    verdict = tab.session.readiness.verdict_of(tab.known)
     return () if verdict is None else verdict.checks
 
 
 def html(tab: Tab) -> Markup:
     """Return the verdict as HTML, with what to do about each failed check."""
-    verdict = tab.procedure.readiness.verdict_of(tab.known)
+    verdict = tab.session.readiness.verdict_of(tab.known)
     if verdict is None:
         return Markup()
     state, wrong = verdict.state, failed(verdict.checks)
@@ -93,7 +93,7 @@ def build_age(tab: Tab) -> None:
     if not _listed(tab):
         return
     label = ui.label().classes("age").props("data-testid=age")
-    age = tab.procedure.age
+    age = tab.session.age
     was_fresh, drilled = age.fresh, age.drilled_s
     if drilled is not None:
         label.set_text(texts.SENT_AT.format(age=_minutes(drilled)))
@@ -156,7 +156,7 @@ def _shares(tab: Tab) -> Markup:
 
 def _target(tab: Tab) -> RobotTarget | None:
     """Return the robot's target for the plan shown; None before it is sent, and for another plan."""
-    session, planning = tab.procedure.drilling.session, tab.planning
+    session, planning = tab.session.drilling.session, tab.planning
     shown = planning.sent_is_current and tab.known is planning.planned
     return session.target if session is not None and shown else None
 

@@ -11,7 +11,7 @@ from sightline.app.tab.tab import Tab
 
 
 def _key(tab: Tab) -> Hashable:
-    planning, jobs, verifying = tab.planning, tab.procedure.jobs, tab.procedure.verifying
+    planning, jobs, verifying = tab.planning, tab.session.jobs, tab.session.verifying
     return (
         *(planning.seen(name) for name in CHECK_NAMES),
         verifying.shot,
@@ -30,7 +30,7 @@ def build(tab: Tab) -> None:
 
 
 def _check(tab: Tab) -> None:
-    planning, jobs, verifying = tab.planning, tab.procedure.jobs, tab.procedure.verifying
+    planning, jobs, verifying = tab.planning, tab.session.jobs, tab.session.verifying
     heading(texts.CHECK_HEADING)
     if planning.patient is not None:
         take = tab.doing(verifying.take_rehearsed)
@@ -75,7 +75,7 @@ def _landmarks(tab: Tab) -> None:
 
 
 def _result(tab: Tab) -> None:
-    verifying = tab.procedure.verifying
+    verifying = tab.session.verifying
     if verifying.refused:
         note(verifying.refused, kind="bad", testid="check-refused")
     shot = verifying.shot

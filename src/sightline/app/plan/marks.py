@@ -5,7 +5,7 @@ from functools import cache
 from typing import Literal
 
 from sightline.case.views import NAMES
-from sightline.planning.kinds import kind as kind_of
+from sightline.planning.procedures import kind as kind_of
 
 Group = Literal["wire", "landmark", "aid"]
 CHECK_NAMES = (f"check-{NAMES[0]}", f"check-{NAMES[1]}")

@@ -15,10 +15,10 @@ from sightline.errors import SightlineError
 from sightline.planning import MatchingCurve, Plan, matching_curve, snap
 from sightline.planning.aids import Aids, Circle, Line
 from sightline.planning.anatomy import Anatomy, locate
-from sightline.planning.kinds import TrajectoryKind
-from sightline.planning.kinds import kind as kind_of
 from sightline.planning.metrics import Metric, metrics
 from sightline.planning.picks import DEFAULT_PICK_SD_PX, Pick
+from sightline.planning.procedures import Procedure
+from sightline.planning.procedures import kind as kind_of
 from sightline.planning.proposal import Proposal, propose
 
 PICK_SD_PX = DEFAULT_PICK_SD_PX
@@ -38,7 +38,7 @@ class Planned:
     refused: Mapping[str, str] = field(default_factory=dict)
 
     @property
-    def kind(self) -> TrajectoryKind:
+    def kind(self) -> Procedure:
         """The kind of trajectory."""
         return kind_of(self.decisions.kind)
 

@@ -14,7 +14,7 @@ from sightline.frame import Frame
 from sightline.imaging import Radiograph, write_dicom
 
 if TYPE_CHECKING:
-    from sightline.rehearsal.procedure import Rehearsal
+    from sightline.rehearsal.rehearsal import Rehearsal
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ class Patient:
 @lru_cache(maxsize=1)
 def rehearsal_of(patient: Patient) -> "Rehearsal":
     """Return the patient's rehearsal, drawn once in a process."""
-    from sightline.rehearsal.procedure import Rehearsal
+    from sightline.rehearsal.rehearsal import Rehearsal
 
     return Rehearsal.draw(patient.seed, Frame.load(patient.frame), patient.side)
 

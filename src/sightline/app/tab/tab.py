@@ -12,7 +12,7 @@ from sightline.app.plan.decisions import Display
 from sightline.app.plan.marks import MarkSpec
 from sightline.app.plan.planner import Planned
 from sightline.app.session.failures import failure_of, report
-from sightline.app.session.procedure import Procedure
+from sightline.app.session.session import Session
 from sightline.app.tab.dragging import Dragging
 from sightline.app.tab.placing import Goal, Placing
 from sightline.app.tab.views import Views
@@ -29,12 +29,12 @@ class Tab:
     """
 
     def __init__(
-        self, procedure: Procedure, pictures: Pictures, *, fast_robot: bool = False, live_source: str | None = None
+        self, session: Session, pictures: Pictures, *, fast_robot: bool = False, live_source: str | None = None
     ) -> None:
         """`fast_robot`: run a simulated robot's time as fast as possible. `live_source`: source of the live image."""
-        self.procedure, self.planning = procedure, procedure.planning
+        self.session, self.planning = session, session.planning
         self.fast_robot, self.live_source = fast_robot, live_source
-        self.views = Views(procedure, pictures)
+        self.views = Views(session, pictures)
         self.dragging = Dragging(self.planning, self._show_views)
         self._placing = Placing(self.planning)
         self.step, self.message = STEPS[0], ""

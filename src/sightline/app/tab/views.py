@@ -12,8 +12,8 @@ from sightline.app.plan.decisions import Decisions, Display
 from sightline.app.plan.marks import CHECK_NAMES, marks_of
 from sightline.app.session.failures import failure_of
 from sightline.app.session.live import fresh_s
-from sightline.app.session.procedure import Procedure
 from sightline.app.session.seen import SeenImage
+from sightline.app.session.session import Session
 from sightline.app.tab.dragging import Preview
 from sightline.app.tab.placing import Goal
 from sightline.app.texts import IMAGE_LABELS, LIVE_LABELS, LIVE_UNKNOWN, STALE, STEPS, XRAY
@@ -30,8 +30,8 @@ class Views:
 
     pair: tuple[XrayView, XrayView]
 
-    def __init__(self, procedure: Procedure, pictures: Pictures) -> None:
-        self._procedure, self._planning, self._pictures = procedure, procedure.planning, pictures
+    def __init__(self, session: Session, pictures: Pictures) -> None:
+        self._session, self._planning, self._pictures = session, session.planning, pictures
         self.show_beads, self.show_rejected = True, False
         self.watched: Watched | None = None
         self._live_in = NAMES[0]  # the view that shows the live image
@@ -106,7 +106,7 @@ class Views:
 
     def _layers(self, image: str, seen: SeenImage) -> tuple[shapes.Layers, str]:
         """Return the layers over an image and the reason for a missing one; cached for the same plan."""
-        verifying, known = self._procedure.verifying, self._planning.planned
+        verifying, known = self._session.verifying, self._planning.planned
         of = (seen, known, verifying.wires.get(image), verifying.shot)
         if image in self._drawn and self._drawn[image][0] == of:
             return self._drawn[image][1:]
@@ -115,7 +115,7 @@ class Views:
             "rejected": lambda: shapes.rejected(seen),
         }
         if image in CHECK_NAMES:
-            makers["found"] = lambda: shapes.found(self._procedure, image)
+            makers["found"] = lambda: shapes.found(self._session, image)
         elif known is not None:
             makers["curves"] = lambda: shapes.curves(known.curves) if image == NAMES[1] else []
             makers["wire"] = lambda: shapes.wire(known, image)

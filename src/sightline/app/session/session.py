@@ -1,4 +1,4 @@
-"""A procedure from the first image to the check shot, assembled from its parts."""
+"""A session: one procedure from the first image to the check shot, assembled from its parts."""
 
 from pathlib import Path
 
@@ -19,7 +19,7 @@ from sightline.frame import Frame
 _NEEDS_PLATES = "the app tells the views by the plates; plan with 'sightline plan PA LATERAL --frame ...' instead"
 
 
-class Procedure:
+class Session:
     """One procedure on one case. Pages are listeners of `jobs`."""
 
     def __init__(self, case: Case, frame_ref: str, worker: WorkerProcess) -> None:
@@ -33,7 +33,7 @@ class Procedure:
         self.jobs.listeners.append(self.verifying.update)
 
     @staticmethod
-    def open(folder: Path, frame_name: str | None, patient: Patient | None, worker: WorkerProcess) -> "Procedure":
+    def open(folder: Path, frame_name: str | None, patient: Patient | None, worker: WorkerProcess) -> "Session":
         """Open the case in a folder, or create it with a frame and, if given, a patient to rehearse on.
 
         Raises CaseError, FrameError, UnusableInputError if the case has another frame than the one named."""
@@ -52,7 +52,7 @@ class Procedure:
                 "open this case without --frame, or begin a new case for this frame: it was begun with another one"
             )
         stages.frame_of(case, kept).refuse_solid(_NEEDS_PLATES)
-        return Procedure(case, kept, worker)
+        return Session(case, kept, worker)
 
     async def close(self) -> None:
         """End the link to the robot first, then the live image. No page is notified: its event loop has ended."""

@@ -20,8 +20,8 @@ class PlanInput:
 
 
 @dataclass(frozen=True)
-class TrajectoryKind:
-    """A kind of trajectory.
+class Procedure:
+    """A procedure: the kind of trajectory that it asks for.
 
     `points`: entry and end, in this order; `landmarks`: picked freely in both views; `aids`: useful fields of `Aids`;
     `wire_mm`: diameter of the wire or drill; `limits` and their `limits_source`; `bone`: the rule for the wire's place
@@ -58,10 +58,10 @@ _HIP_AIDS = (
 # Nail holes of 5 mm and a 4 mm drill leave 0.5 mm to each side, at two holes about 11 mm apart [ours].
 _HOLE_PLAY_MM, _HOLES_APART_MM = 0.5, 11.0
 
-KINDS: dict[str, TrajectoryKind] = {
+PROCEDURES: dict[str, Procedure] = {
     kind.key: kind
     for kind in (
-        TrajectoryKind(
+        Procedure(
             "hip-screw",
             "hip screw",
             "The guide wire of a dynamic hip screw, from the lateral cortex through the neck into the head.",
@@ -77,7 +77,7 @@ KINDS: dict[str, TrajectoryKind] = {
             bone=BoneRule(),
             proposal=ProposalRule(),
         ),
-        TrajectoryKind(
+        Procedure(
             "interlocking",
             "interlocking holes",
             "A drill through a pair of holes of a nail, along their common axis.",
@@ -100,7 +100,7 @@ KINDS: dict[str, TrajectoryKind] = {
             bone=None,
             proposal=None,
         ),
-        TrajectoryKind(
+        Procedure(
             "free-wire",
             "free wire",
             "Any straight wire from one point to another.",
@@ -123,8 +123,8 @@ KINDS: dict[str, TrajectoryKind] = {
 }
 
 
-def kind(key: str) -> TrajectoryKind:
+def kind(key: str) -> Procedure:
     """Return the kind of trajectory of this key. Raises UnusableInputError."""
-    if key not in KINDS:
-        raise UnusableInputError(f"unknown kind of trajectory {key!r}; choose one of {', '.join(KINDS)}")
-    return KINDS[key]
+    if key not in PROCEDURES:
+        raise UnusableInputError(f"unknown kind of trajectory {key!r}; choose one of {', '.join(PROCEDURES)}")
+    return PROCEDURES[key]

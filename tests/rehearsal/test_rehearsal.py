@@ -6,7 +6,7 @@ from scipy.spatial.transform import RigidTransform
 
 from sightline.errors import UnusableInputError
 from sightline.frame import Frame
-from sightline.rehearsal.procedure import PARTS, Rehearsal
+from sightline.rehearsal.rehearsal import PARTS, Rehearsal
 from sightline.robot.link.simulated import SimulatedWire
 from sightline.twin import render
 
