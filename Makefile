@@ -4,7 +4,9 @@ VENV   := .venv
 BIN    := $(VENV)/bin
 READY  := $(VENV)/.ready
 TOOLS  := $(VENV)/.tools
-PIP    := $(BIN)/python -m pip install --quiet --disable-pip-version-check
+KERNELS := $(VENV)/.kernels
+# Most of what is installed is never imported: Python compiles at the first import, which takes half the time.
+PIP    := $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile
 
 .PHONY: demo test slow bench campaign mutants busy coverage docs lint lock wheel clean
 .DEFAULT_GOAL := demo
@@ -14,7 +16,10 @@ $(READY): requirements.lock pyproject.toml
 	$(PYTHON) -m venv $(VENV)
 	$(PIP) --require-hashes -r requirements.lock
 	$(PIP) --no-deps --no-build-isolation -e .
-	@echo "compiling the kernels, once: one to two minutes"
+	@touch $@
+
+# The first demo compiles the kernels and keeps them. Tests in several processes would each compile them.
+$(KERNELS): $(READY)
 	-@$(BIN)/sightline demo --quiet --out $(VENV)/first-run
 	@touch $@
 
@@ -23,17 +28,19 @@ $(TOOLS): $(READY) requirements-dev.lock
 	@touch $@
 
 demo: $(READY)  ## two images of a twin, calibrated, planned, reported: out/demo/report.html
+	@test -f $(KERNELS) || echo "the first demo also compiles the kernels: one to two minutes"
 	$(BIN)/sightline demo
+	@touch $(KERNELS)
 
 # A process for each core, a file of tests on one of them: files share fixtures; in their order, that the longest (app) do
 # not come last. Matrices are small: a thread each will do.
-test: $(TOOLS)  ## the whole suite: about ten minutes on two cores
+test: $(TOOLS) $(KERNELS)  ## the whole suite: about ten minutes on two cores
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist loadfile --no-loadscope-reorder
 
-slow: $(TOOLS)  ## what is too slow for `make test`
+slow: $(TOOLS) $(KERNELS)  ## what is too slow for `make test`
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -m slow -n auto --dist loadfile --no-loadscope-reorder
 
-coverage: $(TOOLS)  ## the suite, and which lines of the source it runs
+coverage: $(TOOLS) $(KERNELS)  ## the suite, and which lines of the source it runs
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist loadfile --no-loadscope-reorder \
 	  --cov=sightline --cov-report=term:skip-covered
 
