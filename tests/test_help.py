@@ -59,8 +59,8 @@ def test_dir_lists_the_public_names_and_the_rooms_that_pages_use() -> None:
 
 
 def test_a_room_is_an_attribute_and_comes_when_it_is_used() -> None:
-    program = "import sys, sightline as sl; before = 'sightline.planning' in sys.modules; sl.planning.PROCEDURES; sl.twin"
-    program += "; print(before, 'numba' in sys.modules, sl.frame.Frame is sl.Frame)"
+    program = "import sys, sightline as sl; before = 'sightline.planning' in sys.modules; "
+    program += "sl.planning.PROCEDURES; sl.twin; print(before, 'numba' in sys.modules, sl.frame.Frame is sl.Frame)"
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)  # noqa: S603
     assert done.stdout.split()[::2] == ["False", "True"]
     with pytest.raises(AttributeError, match="no attribute 'nonsense'"):
