@@ -5,8 +5,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.spatial.distance import pdist
 
 from sightline.frame import Frame
+from sightline.studies.block_places import places
+from sightline.studies.frame_errors import DesignResult
+from sightline.studies.frame_kinds import EQUAL, Kind, error_of_kind, which_to_build
 from sightline.studies.scenes import BEADS_20UM, EXACT, WHOLE, draw_showing
 from sightline.studies.study import Values
 from sightline.studies.study_frame_design import (
@@ -21,11 +25,11 @@ from sightline.studies.study_frame_design import (
     obstacle,
 )
 from sightline.studies.study_robustness import WIRE_ENDS_MM
-from sightline.twin import SetUp
+from sightline.twin import SetUp, draw_setup
 from sightline.twin.handling import Handling
 
 NEAR = Design(120, 300)
-SMALL = FrameDesignStudy(geometries=(DEFAULT, NEAR), tolerances=(), handlings=())
+SMALL = FrameDesignStudy(geometries=(DEFAULT, NEAR), tolerances=(), handlings=(), kinds=(), blocks=())
 
 
 def stand(k: int) -> SetUp:
@@ -81,6 +85,44 @@ def test_a_frame_sags_whether_or_not_it_was_measured():
     assert max(laden["error"]) > max(calm["error"]) + 0.1
 
 
+def test_the_frame_with_the_least_error_is_the_one_to_build():
+    kinds = (Kind("gamma", "flat-panel"), Kind("block30", "flat-panel"), Kind("gamma", "9in-1k"))
+    mm = dict(zip(kinds, (0.2, 0.1, 0.05), strict=True))
+    trials = [
+        {one.key("as made"): {"error": [mm[one] * size] * 2, "stated": [0.1, 0.1]} for one in kinds}
+        for size in (0.9, 1.0, 1.1)
+    ]
+    found = {key: DesignResult.of(key, trials) for key in trials[0]}
+    first, second = which_to_build(kinds, found)
+    assert first.startswith("Before the intensifier build gamma 0.05")
+    assert second.startswith("Before the panel build block30 80 mm away 0.1")
+    assert "gamma 0.2" in second
+
+
+def test_each_kind_of_frame_has_the_error_that_it_states():
+    for kind in (Kind("biplane", "9in-1k"), Kind("block60", "flat-panel"), Kind("block30", "flat-panel", (80, 0, 100))):
+        made = [error_of_kind(kind, EQUAL["balls 0.1 mm"], seed) for seed in range(4)]
+        assert all(made)
+        error, stated = (np.sqrt(np.mean([np.square(one[key]) for one in made])) for key in ("error", "stated"))
+        assert 0.5 < error / stated < 1.7  # 24 numbers: chi-square within 0.1 %
+
+
+def test_a_solid_stands_where_both_images_show_it_and_the_wire():
+    frame = Frame.load("block30")
+    found = places(frame, 140.0, WIRE_ENDS_MM)
+    outside = min((one for one in found if one.outside), key=lambda one: one.distance_mm)
+    x, _, z = outside.at_mm
+    assert ((x - 15 + 35) / 145) ** 2 + ((z - 25 + 5) / 110) ** 2 > 1  # its corner nearest to the body
+    assert not [one for one in places(Frame.load("block60"), 140.0, WIRE_ENDS_MM) if one.outside]
+    view = draw_setup(np.random.default_rng(1), frame, chain="flat-panel").views["pa"]
+    assert view.chain.field_mm * 620 / view.chain.sdd_mm == pytest.approx(185.0, abs=5.0)
+    farthest = max(found, key=lambda one: one.distance_mm)
+    shown = np.vstack([frame.solid.xyz_mm + farthest.at_mm, WIRE_ENDS_MM])
+    for along, across in ((2, [0, 1]), (0, [1, 2])):
+        flat = shown[:, across] * (620 / (620 + shown[:, along]))[:, None]
+        assert pdist(flat).max() <= 140.0 - 2 * farthest.margin_mm + 1e-3
+
+
 def test_a_trial_repeats_and_is_plain():
     trial = SMALL.trial(np.random.default_rng([3, 1]))
     assert json.loads(json.dumps(trial)) == trial
@@ -102,5 +144,5 @@ def test_another_frame_is_recommended_only_for_a_clear_gain(error, recommended):
     ]
     summary = SMALL.summary([*trials, {**trials[0], f"{NEAR.name}, as made": None}])
     assert summary.findings[-1].startswith(recommended)
-    assert "25% refused" in summary.tables[0].rows[1][1]
-    assert AS_MADE in summary.tables[1].rows[0]
+    assert "25% refused" in summary.tables[2].rows[1][1]
+    assert AS_MADE in summary.tables[3].rows[0]

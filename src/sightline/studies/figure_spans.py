@@ -1,4 +1,4 @@
-"""Drawing of distributions as rows: central 90 % as a bar, median as a tick, on one logarithmic axis."""
+"""Drawing of distributions or values as rows: range as a bar, middle as a tick, on one logarithmic axis."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -6,6 +6,9 @@ from math import ceil, floor, log10
 
 from sightline.case.report.drawing import svg
 
+# What a row's bar and tick show, in its hint.
+MEDIAN = "90 % lie between {low:.3g} and {high:.3g} {unit}, median {middle:.3g}"
+RMS = "rms {middle:.3g} {unit}, 95 % interval {low:.3g} to {high:.3g}"
 WIDTH, ROW, LEFT, RIGHT, FOOT, BAR = 760.0, 24.0, 250.0, 30.0, 36.0, 12.0
 
 
@@ -21,8 +24,8 @@ class Span:
     colour: str = "beads"
 
 
-def spans(rows: Sequence[Span], unit: str, description: str, mark: str = "") -> str:
-    """Draw all rows on one axis. `mark`: the meaning of a mark."""
+def spans(rows: Sequence[Span], unit: str, description: str, mark: str = "", words: str = MEDIAN) -> str:
+    """Draw all rows on one axis. `mark`: the meaning of a mark. `words`: MEDIAN or RMS."""
     values = [v for row in rows for v in (row.low, row.high, row.mark) if v]
     first, last = log10(min(values)) - 0.05, log10(max(values)) + 0.05
     foot = len(rows) * ROW
@@ -33,22 +36,24 @@ def spans(rows: Sequence[Span], unit: str, description: str, mark: str = "") -> 
     parts = [_tick(x(value), foot, f"{value:g}") for value in _round_values(first, last)]
     parts.append(svg.text(unit, WIDTH - RIGHT, foot + 30, class_="unit"))
     for k, row in enumerate(rows):
-        parts += _row(row, k * ROW + ROW / 2, x, unit, mark)
+        hint = f"{row.name}: {words.format(low=row.low, middle=row.middle, high=row.high, unit=unit)}"
+        parts += _row(row, k * ROW + ROW / 2, x, hint, f"{mark}: {row.mark:.3g} {unit}" if row.mark else "")
     return svg.figure((0, 0, WIDTH, foot + FOOT), description, parts, class_="spans")
 
 
-def _row(row: Span, y: float, x, unit: str, mark: str) -> list[str]:
-    hint = svg.hint(f"{row.name}: 90 % lie between {row.low:.3g} and {row.high:.3g} {unit}, median {row.middle:.3g}")
+def _row(row: Span, y: float, x, hint: str, mark: str) -> list[str]:
     width = max(x(row.high) - x(row.low), 1.0)
     parts = [
         svg.text(row.name, LEFT - 12, y, class_="row-name"),
-        svg.element("rect", hint, x=x(row.low), y=y - BAR / 2, width=width, height=BAR, class_=f"source-{row.colour}"),
+        svg.element(
+            "rect", svg.hint(hint), x=x(row.low), y=y - BAR / 2, width=width, height=BAR, class_=f"source-{row.colour}"
+        ),
         svg.element("line", x1=x(row.middle), x2=x(row.middle), y1=y - BAR / 2, y2=y + BAR / 2, class_="median"),
     ]
     if row.mark:
         at = x(row.mark)
         diamond = f"M{at:.1f} {y - 8:.1f}l6 8l-6 8l-6-8z"
-        parts.append(svg.element("path", svg.hint(f"{mark}: {row.mark:g} {unit}"), d=diamond, class_="mark"))
+        parts.append(svg.element("path", svg.hint(mark), d=diamond, class_="mark"))
     return parts
 
 

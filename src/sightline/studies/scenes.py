@@ -7,6 +7,7 @@ the convex hull of the visible beads of each plate (the paper's map is undefined
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.spatial import Delaunay
@@ -85,11 +86,17 @@ def draw_scene(
     )
 
 
-def draw_showing(rng: np.random.Generator, frame: Frame, wire_mm: np.ndarray, *, frame_errors: bool = True) -> SetUp:
-    """Draw a set-up that shows a whole wire (2, 3) in both views. Raises SetUpError if none is found."""
+def draw_showing(
+    rng: np.random.Generator, frame: Frame, wire_mm: np.ndarray, *, frame_errors: bool = True, **drawn: Any
+) -> SetUp:
+    """Draw a set-up that shows a whole wire (2, 3), from the hip, in both views. `drawn`: arguments of `draw_setup`.
+
+    Raises SetUpError if none is found.
+    """
     for _ in range(ATTEMPTS):
-        setup = draw_setup(rng, frame, frame_errors=frame_errors)
-        if all(view.in_field(view.project(wire_mm), MARGIN_PX).all() for view in setup.views.values()):
+        setup = draw_setup(rng, frame, frame_errors=frame_errors, **drawn)
+        wire = setup.hip_mm + wire_mm
+        if all(view.in_field(view.project(wire), MARGIN_PX).all() for view in setup.views.values()):
             return setup
     raise SetUpError(f"none of {ATTEMPTS} set-ups shows the whole wire in both views")
 

@@ -1,8 +1,9 @@
-"""Effect of a frame's design on the error at the target: plate distances, pitch, number and size of balls, tolerances,
-handling errors.
+"""Effect of a frame's design on the error at the target: kind of frame, plate distances, pitch, number and size of
+balls, tolerances, handling errors.
 
-All designs are imaged by the same C-arm in the same pose, with errors from the same draws, so that results differ only
-by design. Targets are the two ends of a wire, located to 0.1 px; manual picks add the same error to every design.
+All designs of the Γ frame are imaged by the same C-arm in the same pose, with errors from the same draws, so that
+results differ only by design. Other kinds of frames have poses of their own (frame_kinds.py). Targets are the two ends
+of a wire, located to 0.1 px; manual picks add the same error to every design.
 
 Balls are points here. The noise of a centre depends on the size of the ball as in physics.md (Centroid limit), from
 0.1 px for 3 mm. Not modelled: smaller balls are harder to find, and larger ones hide more. Handling errors affect only
@@ -23,10 +24,12 @@ from sightline.frame.builtin import GAMMA_BEAMS
 from sightline.frame.check import reach_mm
 from sightline.frame.design import Balls, FrameDesign
 from sightline.frame.nominal import SOURCE_TO_DETECTOR_MM, SOURCE_TO_HIP_MM, in_field
-from sightline.studies.figure_spans import Span, spans
-from sightline.studies.intervals import rms, share
+from sightline.studies.block_places import BLOCKS, FIELDS_MM, place_table
+from sightline.studies.figure_spans import RMS, spans
+from sightline.studies.frame_errors import BEAD_PX, INTERVAL, PICK_PX, DesignResult, error_table, located
+from sightline.studies.frame_kinds import EQUAL, KINDS, Kind, error_of_kind, kinds_plot, which_to_build
 from sightline.studies.scenes import BEADS_20UM, VIEWS, WHOLE, draw_showing
-from sightline.studies.study import Estimate, EstimateGroup, Plot, Summary, Table, Values
+from sightline.studies.study import Estimate, Plot, Summary, Table, Values
 from sightline.studies.study_robustness import WIRE_ENDS_MM
 from sightline.twin import SetUp, bead_images
 from sightline.twin.beam import attenuation_per_mm
@@ -34,8 +37,7 @@ from sightline.twin.carm import displaced
 from sightline.twin.handling import Handling, in_use
 from sightline.twin.things import PLATE_THICKNESS_MM
 
-PICK_PX = 0.1  # a located target (physics.md, Picks)
-BEAD_PX, BEAD_MM = 0.1, 3.0  # physics.md, Centroid limit
+BEAD_MM = 3.0  # diameter of a ball that BEAD_PX holds for (physics.md, Centroid limit)
 MIDDLE_ENERGY = 1  # 60 keV of the beam's three
 # The thigh's skin lies up to 105 mm from the hip (twin, SoftTissue); 5 mm for drapes [ours].
 NEAREST_MM = 105.0 + 5.0 + PLATE_THICKNESS_MM / 2
@@ -118,20 +120,23 @@ class FrameDesignStudy:
     """The study; its fields can be varied."""
 
     name = "frame-design"
-    about = "What a frame's plates, balls, tolerances and handling do to the error at the target"
+    about = "What a frame's kind, plates, balls, tolerances and handling do to the error at the target"
 
     geometries: tuple[Design, ...] = GEOMETRIES
     tolerances: tuple[str, ...] = tuple(TOLERANCES)
     handlings: tuple[str, ...] = tuple(HANDLINGS)
+    kinds: tuple[Kind, ...] = KINDS
+    blocks: tuple[str, ...] = BLOCKS
 
     @property
     def configuration(self) -> dict[str, Any]:
         """The fields and the constants that they depend on."""
         return {
             **asdict(self),
-            "made": {name: asdict(sd) for name, sd in {**MADE, **TOLERANCES}.items()},
+            "made": {name: asdict(sd) for name, sd in {**MADE, **TOLERANCES, **EQUAL}.items()},
             "handled": {name: asdict(HANDLINGS[name]) for name in self.handlings},
             "wire_mm": WIRE_ENDS_MM.tolist(),
+            "fields_mm": FIELDS_MM,
             "noise_px": {"bead": BEAD_PX, "pick": PICK_PX},
         }
 
@@ -148,26 +153,35 @@ class FrameDesignStudy:
         for name in self.handlings:
             for made, sd in MADE.items():
                 out[f"{name}, {made}"] = error_of(setup, DEFAULT, sd, HANDLINGS[name], seed)
+        for kind in self.kinds:
+            for made in kind.tolerances:
+                out[kind.key(made)] = error_of_kind(kind, EQUAL[made], seed)
         return out
 
     def summary(self, trials: Sequence[Values]) -> Summary:
         """Return errors by design, tolerance and handling, and the best design of those that fit."""
         found = {key: DesignResult.of(key, trials) for key in trials[0]}
         gains = {design: _gain(design, trials) for design in self.geometries if design != DEFAULT}
-        drawn = [Span(key, *one.ends) for key, one in found.items() if one.error.value is not None]
-        title = "Error at the ends of the wire"
+        handled = [f"{one}, {made}" for made in MADE for one in self.handlings]
+        title, kinds = "Error at the ends of the wire", {kind.key(made) for kind in self.kinds for made in EQUAL}
+        drawn = [one.span(key) for key, one in found.items() if one.error.value is not None and key not in kinds]
         return Summary(
-            findings=tuple(_findings(found, gains)),
+            findings=(*which_to_build(self.kinds, found), *_findings(found, gains)),
             estimates=(*(estimate for one in found.values() for estimate in one.estimates), *gains.values()),
             tables=(
+                error_table("Kinds of frames at equal tolerances", [key for key in found if key in kinds], found),
+                place_table(self.blocks, WIRE_ENDS_MM),
                 self._geometry_table(found, gains),
-                _table("Tolerances of the default frame", [AS_MADE, *self.tolerances], found),
-                _table("Handling of the default frame", [f"{h}, {m}" for m in MADE for h in self.handlings], found),
+                error_table("Tolerances of the default frame", [AS_MADE, *self.tolerances], found),
+                error_table("Handling of the default frame", handled, found),
             ),
-            plots=(Plot(title, spans(drawn, "mm", title), "rms (tick) with its 95 % interval (bar)."),),
+            plots=(
+                *kinds_plot(self.kinds, found),
+                Plot(title, spans(drawn, "mm", title, words=RMS), f"{INTERVAL}."),
+            ),
         )
 
-    def _geometry_table(self, found: dict[str, "DesignResult"], gains: dict[Design, Estimate]) -> Table:
+    def _geometry_table(self, found: dict[str, DesignResult], gains: dict[Design, Estimate]) -> Table:
         rows = []
         for design in self.geometries:
             gain = str(gains[design]) if design in gains else "the default"
@@ -181,39 +195,6 @@ class FrameDesignStudy:
             "(housing of the intensifier) from the hip, if its balls surround the wire and are in the field."
         )
         return Table("Geometry", columns, tuple(rows), note)
-
-
-@dataclass(frozen=True)
-class DesignResult(EstimateGroup):
-    """The result of one design: `error` and `stated`, mm rms; how often it was `refused`."""
-
-    error: Estimate
-    stated: Estimate
-    refused: Estimate
-
-    @staticmethod
-    def of(key: str, trials: Sequence[Values]) -> "DesignResult":
-        """Return the result over all trials."""
-        kept = [trial[key] for trial in trials if trial[key] is not None]
-        return DesignResult(
-            rms(f"{key}: error", [np.array(one["error"]) for one in kept], "mm"),
-            rms(f"{key}: stated", [np.array(one["stated"]) for one in kept], "mm"),
-            share(f"{key}: refused", np.array([trial[key] is None for trial in trials])),
-        )
-
-    @property
-    def ends(self) -> tuple[float, float, float]:
-        """Lower end of the interval, value, upper end."""
-        value = self.error.value or 0.0
-        return self.error.low or value, value, self.error.high or value
-
-    @property
-    def cell(self) -> str:
-        """The table cell: error / stated."""
-        if self.error.value is None:
-            return "refused"
-        refused = f", {self.refused.value:.0%} refused" if self.refused.value else ""
-        return f"{self.error.value:.3f} / {self.stated.value:.3f}{refused}"
 
 
 def obstacle(design: Design) -> str:
@@ -261,14 +242,11 @@ def error_of(setup: SetUp, design: Design, sd: Tolerances, handling: Handling, s
     )  # handling depends on the tolerances as made
     stands = replace(setup, frame=frame, true_frame=in_use(made, handling))
     pixels = np.array([setup.views[name].project(WIRE_ENDS_MM) for name in VIEWS]) + picks
-    covariance = np.broadcast_to(PICK_PX**2 * np.eye(2), (2, 2, 2, 2))
     try:
         views = [sl.calibrate(_seen(stands, name, rng, bead_sd_px(design.ball_mm)), frame) for name in VIEWS]
-        points = sl.reconstruct(views, pixels, covariance)
+        return located(views, pixels, WIRE_ENDS_MM)
     except SightlineError:
         return None
-    stated = np.sqrt(np.trace(points.covariance_mm2, axis1=1, axis2=2))
-    return {"error": np.linalg.norm(points.xyz_mm - WIRE_ENDS_MM, axis=1).round(6).tolist(), "stated": stated.tolist()}
 
 
 def _seen(setup: SetUp, name: str, rng: np.random.Generator, sd_px: float) -> Observations:
@@ -311,8 +289,3 @@ def _findings(found: dict[str, DesignResult], gains: dict[Design, Estimate]) -> 
         f"Recommended: the default frame. The best of the others that fit is {best.name}, at {gain} of its error; "
         f"a change is recommended only if it reduces the error by at least {MIN_GAIN:.0%}.",
     ]
-
-
-def _table(title: str, keys: Sequence[str], found: dict[str, DesignResult]) -> Table:
-    rows = tuple((key, found[key].cell, str(found[key].error)) for key in keys)
-    return Table(title, ("", "error / stated, mm rms", "95 % interval of the error"), rows)
