@@ -203,6 +203,15 @@ def test_balls_known_roughly_are_labelled_correctly_or_refused(monkeypatch: pyte
         label_cloud(scene.detections, *cloud, scene.focal_px, 0.6)
 
 
+def test_a_hypothesis_whose_camera_runs_away_is_dropped() -> None:
+    """With the focal length open, a search among the false detections of this scene comes to a singular precision."""
+    rng = np.random.default_rng([5, 8858])
+    cloud = BLOCK.solid.xyz_mm, BLOCK.solid.diameter_mm
+    scene = draw_cloud_scene(rng, cloud, hidden=0.2, false=20)
+    found = label_cloud(scene.detections, *cloud, (1.8 * 1024, 8.0 * 1024), BALL_SD_MM)
+    assert found.balls.tolist() == scene.truth[found.rows].tolist()
+
+
 def rows_of(found, uv_px: np.ndarray) -> list[int]:
     return [int(np.abs(uv_px - uv).sum(axis=1).argmin()) for uv in found.uv_px]
 

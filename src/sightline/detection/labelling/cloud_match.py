@@ -71,6 +71,15 @@ def converge(problem: Problem, start: Hypothesis, gate_px: float) -> Labelling |
 
     The first rounds match within `gate_px` and its half, later ones by the fit's covariance.
     """
+    try:
+        one = _converged(problem, start, gate_px)
+    except np.linalg.LinAlgError:  # the camera runs away, and its precision becomes singular
+        return None
+    return one if one is not None and np.isfinite(one.evidence) else None
+
+
+def _converged(problem: Problem, start: Hypothesis, gate_px: float) -> Labelling | None:
+    """Return the result of `converge`. Raises LinAlgError."""
     uv_px, variance_px2 = problem.image(start.mirrored)
     camera = _camera(problem, start, uv_px[start.row])
     one: Fit | None = None
@@ -86,10 +95,7 @@ def converge(problem: Problem, start: Hypothesis, gate_px: float) -> Labelling |
         if turn > NARROWED and np.array_equal(before, (rows, balls)):
             break
         spread_px2 = variance_px2[rows] + _ball_variance(problem, project(camera, problem.xyz_mm[balls])[1])
-        try:
-            one = Fit(*fit(camera, problem.prior, problem.xyz_mm[balls], uv_px[rows], spread_px2))
-        except np.linalg.LinAlgError:
-            return None
+        one = Fit(*fit(camera, problem.prior, problem.xyz_mm[balls], uv_px[rows], spread_px2))
         camera = one.camera
         if not np.isfinite(one.chi2):
             return None
