@@ -23,7 +23,7 @@ class Check:
 
 @dataclass(frozen=True)
 class Limits:
-    """Limits of a kind of trajectory: of the predicted 95 % errors of position and direction.
+    """Limits of a procedure: of the predicted 95 % errors of position and direction.
 
     `beyond_mm`: how far the drill goes past the end point. The defaults are what the paper reached with its robot
     [paper].

@@ -316,9 +316,9 @@ def test_a_plan_of_an_earlier_version_is_judged_by_what_was_known_then(recorded:
         entry = case.latest(Kind.PLANNED)
         assert entry is not None
         old = json.loads(json.dumps(entry.content))
-        for key in ("verdict", "missing", "noticed_along_mm", "kind", "side", "limits"):
+        for key in ("verdict", "missing", "noticed_along_mm", "kind", "procedure", "side", "limits"):
             del old[key]
-        for key in ("side", "aids"):
+        for key in ("side", "aids", "procedure"):
             del old["asked"][key]
         old["asked"] |= {"kind": "hip-screw", "limits": {"position_mm": 1.0, "direction_rad": 0.0105}}
         old["asked"]["landmark_names"] = ["landmark-head-centre", "landmark-lesser-trochanter"]

@@ -8,8 +8,7 @@ import pytest
 
 from sightline.checks import Check, failed
 from sightline.errors import OutsideRegionError, UnusableInputError
-from sightline.planning import Aids, Circle, MatchingCurve, Plan, kind, matching_curve, plan
-from sightline.planning.bone_checks import BoneRule
+from sightline.planning import Aids, Circle, MatchingCurve, Plan, Procedure, kind, matching_curve, plan
 from sightline.planning.results import Verdict
 
 from . import bone
@@ -27,6 +26,13 @@ def _views() -> list[StandInView]:
 @cache
 def _curve_once() -> MatchingCurve:
     return matching_curve(_views()[0], np.array([512.0, 512.0]), _views()[1])
+
+
+def hip_screw_with(check: str, **limits: float) -> Procedure:
+    """The hip screw with other limits of one check."""
+    known = kind("hip-screw").document
+    rules = [rule.model_copy(update=limits) if rule.check == check else rule for rule in known.checks]
+    return Procedure.of(known.model_copy(update={"checks": tuple(rules)}))
 
 
 def _one_curve(*_: object) -> MatchingCurve:
@@ -154,13 +160,13 @@ def test_a_wire_that_no_plate_or_screw_fits_is_no_go():
     steep = np.stack([bone.CENTRE_MM + np.array([30.0, 75.0, -4.0]), bone.CENTRE_MM - np.array([4.0, 10.0, 0.0])])
     verdict = _planned(steep, radius_mm=None, lesser_mm=steep[0] - np.array([30.0, 0.0, 0.0]), aids=drawn).verdict
     (check,) = (check for check in verdict.checks if check.name == "wire to shaft")
-    assert check.figure > check.limit == BoneRule().to_shaft_deg[1]
+    assert check.figure > check.limit == 155.0
     assert not check.passed
     length = _planned(np.stack([bone.ENTRY_MM, bone.END_MM]))
     short = plan(
         _views(),
         *np.swapaxes([view.project(np.stack([bone.ENTRY_MM, bone.END_MM])) for view in _views()], 0, 1),
-        kind=replace(kind("hip-screw"), bone=BoneRule(length_mm=(50.0, 80.0))),
+        kind=hip_screw_with("wire length", high=80.0),
     )
     (check,) = (check for check in short.verdict.checks if check.name == "wire length")
     assert (check.limit, check.passed) == (80.0, False)

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from sightline.errors import ReconstructionRefusedError
-from sightline.planning import PROCEDURES, Circle, Line, Pick, ProposalRule, kind, locate, plan, propose
+from sightline.planning import Circle, Line, Pick, ProposalRule, kind, locate, plan, propose
 from sightline.planning.aids import Aids
-from sightline.planning.procedures import PlanInput
 
 from . import bone
 from .standin import StandInView, stand_in
@@ -95,23 +94,6 @@ def test_the_wrong_side_is_refused():
 def test_a_head_too_small_for_the_tip_is_refused():
     with pytest.raises(ReconstructionRefusedError, match="too small for a tip"):
         _proposed(rule=ProposalRule(under_surface_mm=25.0))
-
-
-def test_kinds_are_complete():
-    fields = set(Aids.__dataclass_fields__)
-    for key, one in PROCEDURES.items():
-        assert one.key == key
-        asked = [*one.points, *one.landmarks, *one.aids]
-        assert all(isinstance(each, PlanInput) and each.name and each.sentence for each in asked)
-        assert [each.key for each in one.points] == ["entry", "end"]
-        assert len(one.landmarks) >= 2  # a plan needs them (judge)
-        assert {each.key for each in one.aids} <= fields
-        assert one.proposal is None or {"head", "shaft", "cortex"} <= {each.key for each in one.aids}
-        assert one.limits.position_mm > 0
-        assert one.limits_source
-    assert kind("interlocking").limits.position_mm < kind("hip-screw").limits.position_mm
-    with pytest.raises(Exception, match="choose one of hip-screw"):
-        kind("tibial")
 
 
 def test_a_kinds_limits_judge_its_plan():

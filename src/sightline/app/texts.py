@@ -117,7 +117,7 @@ FOCAL_POINT = "focal point"
 # Plan.
 POINT_GROUPS = {"wire": "Wire", "landmark": "Landmarks: did the bone move?", "aid": "Aids"}
 IMAGES_SHORT = {"pa": "PA", "lateral": "lat"}
-KIND_FIELD = "Kind of trajectory"
+KIND_FIELD = "Procedure"
 SNAP = "Snap lateral points of the wire to their curves"
 SHOW_BEADS = "Show the beads"
 PLACE = "Place"

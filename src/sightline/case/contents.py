@@ -15,9 +15,9 @@ from sightline.detection import Detections, Observations
 from sightline.errors import CaseError
 from sightline.imaging import Radiograph
 from sightline.planning import Aids, MatchingCurve, Plan, Procedure, matching_curve, plan
-from sightline.planning import kind as kind_of
 from sightline.planning.check_result import CheckShot
 from sightline.planning.check_start import Landmarks
+from sightline.planning.procedures.files import kept
 
 Pair = tuple[CalibratedImage, CalibratedImage]
 
@@ -27,8 +27,9 @@ class PlanRequest:
     """The inputs of a plan besides its views.
 
     `entry_uv_px`, `end_uv_px`: (2, 2) picks, one row per view. `landmarks_uv_px`: (2, L, 2) or None, with L
-    `landmark_names` or none. `kind`: the key of a trajectory kind, None for a free wire. `limits`: set where they
-    replace those of the kind. See `planning.plan` for the others.
+    `landmark_names` or none. `kind`: the key of a procedure, None for a free wire; `procedure`: the content of its
+    file where that is not shipped. `limits`: set where they replace those of the procedure. See `planning.plan` for
+    the others.
     """
 
     entry_uv_px: np.ndarray
@@ -39,6 +40,7 @@ class PlanRequest:
     landmark_names: tuple[str, ...] = ()
     limits: Limits | None = None
     kind: str | None = None
+    procedure: dict[str, Any] | None = None
     side: str | None = None
     aids: Aids | None = None
 
@@ -77,9 +79,8 @@ class PlanRequest:
 
     @property
     def known_kind(self) -> Procedure:
-        """The kind of trajectory with the limits in force. Raises UnusableInputError for an unknown kind."""
-        known = kind_of(self.kind or "free-wire")
-        return known if self.limits is None else replace(known, limits=self.limits)
+        """The procedure with the limits in force. Raises UnusableInputError for an unknown one."""
+        return kept(self.kind or "free-wire", self.procedure).with_limits(self.limits)
 
 
 @dataclass(frozen=True, eq=False)

@@ -44,6 +44,7 @@ _COMMANDS = (
     "study",
     "compare",
     "frame",
+    "procedure",
     "robot",
     "acquire",
     "app",

@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from sightline.planning import Plan
 
 Side = Literal["right", "left"]
-KindName = Literal["hip-screw", "interlocking", "free-wire"]
 MethodName = Literal["smooth", "localized", "polynomial"]
 Mirrored = Annotated[
     list[str] | None,
@@ -42,7 +41,7 @@ def register(app: typer.Typer) -> None:
     """Add the command."""
     epilog = example(
         "sightline plan out/demo/demo_pa.dcm out/demo/demo_lateral.dcm \\",
-        "  --kind free-wire --entry 'pa:161.8,689.3 lateral:683.9,692.2' \\",
+        "  --procedure free-wire --entry 'pa:161.8,689.3 lateral:683.9,692.2' \\",
         "  --end 'pa:818.0,366.3 lateral:377.8,275.7' --out out/plan",
     )
     app.command("plan", epilog=epilog)(plan)
@@ -85,9 +84,15 @@ def plan(
             show_default=False,
         ),
     ] = None,
-    kind: Annotated[KindName, typer.Option(help="Kind of trajectory: sets what is needed and the limits.")] = (
-        "hip-screw"
-    ),
+    procedure: Annotated[
+        str,
+        typer.Option(
+            "--procedure",
+            "--kind",
+            help="Procedure: a key of `sightline procedure list`, or a file (docs/procedures.md); of several wires "
+            "KEY:WIRE. Sets what is needed, checks and limits.",
+        ),
+    ] = "hip-screw",
     frame: Annotated[
         str | None,
         typer.Option(help="A frame file, gamma, biplane or stereo.", show_default="gamma, or that of the case"),
@@ -125,8 +130,10 @@ def plan(
         from sightline.case.stages import frame_in_use, frame_of, record_planned
         from sightline.case.views import calibrate_pair
         from sightline.frame import Frame
-        from sightline.planning import Aids, Circle
+        from sightline.planning import Aids, Circle, kind
+        from sightline.planning.procedures.files import keeping
 
+        known = kind(procedure)
         opened = None if case is None else case_of(stack, case, files)
         in_use = None if opened is None or frame is not None else frame_in_use(opened)
         known_frame = Frame.load(frame or "gamma") if opened is None or in_use is None else frame_of(opened, in_use)
@@ -146,7 +153,8 @@ def plan(
                 snapped,
                 landmarks_uv_px=np.reshape(landmarks, (-1, 2, 2)).swapaxes(0, 1),
                 landmark_names=names,
-                kind=kind,
+                kind=known.key,
+                procedure=keeping(known),
                 side=side,
                 aids=None if drawn is None else Aids(head=(drawn[0], drawn[1])),
             )
@@ -250,12 +258,12 @@ def show(output: Output, planned: "Plan") -> None:
     if not errors:
         contradicted = "the gap of a point contradicts it" if path.points.gap_failed.any() else "a view's is unknown"
         output.say(f"No error is stated: {contradicted}.")
-    for sentence in planned.along_sentences():
+    for sentence in (*planned.along_sentences(), *planned.kind.sentences()):
         output.say(sentence)
 
 
 def _called(key: str, name: str) -> str:
-    """Return "entry" or "end", with the name that the kind of trajectory gives the point, if it has one."""
+    """Return "entry" or "end", with the name that the procedure gives the point, if it has one."""
     return key if name == f"{key} point" else f"{key} ({name})"
 
 

@@ -14,13 +14,13 @@ from sightline.frame.builtin import BUILTIN
 from sightline.frame.document import FrameDocument
 from sightline.frame.solids import SOLIDS
 from sightline.frame.xmalab import DIAMETER_MM, cube_document
+from sightline.strict import explain, read_strictly
 
 SIZE_LIMIT_BYTES = 64 * 2**20  # [ours] six times the full covariance of the built-in frames
-_ERRORS_SHOWN = 3
-_ADVICE = {
+ADVICE = {
     "extra_forbidden": "is not a key of the frame file; correct its spelling or remove it",
     "missing": "is missing; add it",
-    "finite_number": "is not a finite number; leave the ball out if it could not be measured",
+    "finite_number": "is not a finite number; leave out the ball if it could not be measured",
     "float_type": "is not a number; write it without quotes",
     "too_short": "has too few entries; a plate needs four fiducials, a position three numbers, a frame one view",
     "too_long": "has too many entries; a position is three numbers",
@@ -53,20 +53,14 @@ def read_cube(path: Path, diameter_mm: float = DIAMETER_MM, unit: str | None = N
     try:
         return FrameDocument.model_validate(cube_document(text, path.stem, diameter_mm, unit))
     except ValidationError as error:
-        raise FrameError(f"{path.name}: {explain(error)}") from None
+        raise FrameError(f"{path.name}: {explain(error, ADVICE)}") from None
     except (FrameError, csv.Error) as error:
         raise FrameError(f"{path.name}: {error}") from None
 
 
 def document_from_json(text: bytes) -> FrameDocument:
     """Return the document in the text of a frame file. Raises FrameError."""
-    try:
-        json.loads(text, object_pairs_hook=_without_repeats, parse_constant=_no_constant)
-        return FrameDocument.model_validate_json(text)
-    except ValidationError as error:
-        raise FrameError(explain(error)) from None
-    except (json.JSONDecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise FrameError(f"the file is not JSON: {error}") from None
+    return read_strictly(text, FrameDocument, FrameError, ADVICE)
 
 
 def json_of(document: Mapping[str, Any]) -> bytes:
@@ -87,28 +81,3 @@ def _view_text(name: str, view: dict[str, list[Any]]) -> str:
 
 def _lines(entries: list[Any], indent: str) -> str:
     return "[\n" + ",\n".join(indent + json.dumps(entry) for entry in entries) + f"\n{indent[:-1]}]"
-
-
-def _without_repeats(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    keys = [key for key, _ in pairs]
-    if twice := sorted({key for key in keys if keys.count(key) > 1}):
-        raise FrameError(f"the key {twice[0]!r} occurs twice in one object; remove one")
-    return dict(pairs)
-
-
-def _no_constant(name: str) -> float:
-    raise FrameError(f"{name} is not a number; leave out the ball if it could not be measured")
-
-
-def explain(error: ValidationError) -> str:
-    """Return pydantic's errors as sentences that say where each is and what to do."""
-    found = error.errors(include_url=False, include_context=True)
-    shown = [_explain_one(entry["type"], entry["loc"], entry["msg"]) for entry in found[:_ERRORS_SHOWN]]
-    more = len(found) - len(shown)
-    return "; ".join(shown) + (f"; and {more} more" if more else "")
-
-
-def _explain_one(kind: str, where: tuple[int | str, ...], message: str) -> str:
-    place = "".join(f"[{step}]" if isinstance(step, int) else f".{step}" for step in where).lstrip(".")
-    advice = _ADVICE.get(kind, message.removeprefix("Value error, "))
-    return f"{place} {advice}" if place else advice

@@ -13,11 +13,12 @@ from pydantic import ValidationError
 from sightline.bounded import read_text
 from sightline.errors import FrameError
 from sightline.frame.document import FrameDocument
-from sightline.frame.files import SIZE_LIMIT_BYTES, explain, read_cube
+from sightline.frame.files import ADVICE, SIZE_LIMIT_BYTES, read_cube
 from sightline.frame.model import Frame
 from sightline.frame.plate import ROLES
 from sightline.frame.tolerances import Tolerances
 from sightline.frame.xmalab import DIAMETER_MM
+from sightline.strict import explain
 
 _PLATE = ("view", "plate")  # both are left out for a solid
 _NEEDED = ("id", "x_mm", "y_mm", "z_mm", "diameter_mm")
@@ -49,7 +50,7 @@ def frame_from_csv(path: str | Path, name: str, diameter_mm: float | None = None
     try:
         frame = Frame.from_document(FrameDocument.model_validate(_document(rows, name)))
     except ValidationError as error:
-        raise FrameError(f"{file.name}: {explain(error)}") from None
+        raise FrameError(f"{file.name}: {explain(error, ADVICE)}") from None
     row_of = {row["id"].strip(): (line, row) for line, row in rows}
     blocks = [_ball_covariance(row, line) for line, row in (row_of[f.id] for f in frame.fiducials)]
     stated = [block for block in blocks if block is not None]

@@ -4,14 +4,13 @@ from sightline.checks import Limits
 from sightline.planning.aids import Aids, Circle, Line
 from sightline.planning.anatomy import Anatomy, locate
 from sightline.planning.axis import Axis
-from sightline.planning.bone_checks import BoneRule
 from sightline.planning.corridor import Corridor, corridor
 from sightline.planning.curve import MatchingCurve, matching_curve, snap
 from sightline.planning.head import Sphere, outline
 from sightline.planning.metrics import Metric, metrics
 from sightline.planning.picks import Pick
 from sightline.planning.plan import Plan, plan
-from sightline.planning.procedures import PROCEDURES, PlanInput, Procedure, kind
+from sightline.planning.procedures import PROCEDURES, PlanInput, Procedure, kind, procedures
 from sightline.planning.proposal import Proposal, ProposalRule, propose
 from sightline.planning.reconstruct import reconstruct
 from sightline.planning.results import SpacePoints, Verdict
@@ -24,7 +23,6 @@ __all__ = [
     "Aids",
     "Anatomy",
     "Axis",
-    "BoneRule",
     "Circle",
     "Corridor",
     "Limits",
@@ -52,6 +50,7 @@ __all__ = [
     "metrics",
     "outline",
     "plan",
+    "procedures",
     "propose",
     "reconstruct",
     "snap",

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -10,33 +11,12 @@ from sightline.geometry.covariance import TWO_SIDED_95
 from sightline.planning.anatomy import NOT_PLACED, Anatomy
 from sightline.planning.directions import ANTERIOR, MEDIAL, caudal
 from sightline.planning.metrics import tip_depth
+from sightline.planning.procedures.rules import HEAD_CENTRE, LESSER, CheckRule
 from sightline.planning.results import Verdict
 
-HEAD_CENTRE, LESSER = "head-centre", "lesser-trochanter"
 _LATERAL = -MEDIAL
 # Range and step of the trial shifts of a point along a line of sight [ours].
 MAX_SHIFT_MM, _STEP_MM = 60.0, 0.5
-
-
-@dataclass(frozen=True)
-class BoneRule:
-    """Plausible ranges for the wire of a hip screw; a wire outside them does not belong to this procedure.
-
-    `length_mm`: lengths of hip screws. `head_to_entry_mm`: minimum distance from the head's centre to the entry.
-    `lateral_of_lesser_mm`, `before_lesser_mm`: how far the entry lies lateral and anterior of the tip of the lesser
-    trochanter. `cortex_mm`: maximum depth of the entry below the lateral cortex. `to_shaft_deg`: angle between wire
-    and shaft.
-    """
-
-    length_mm: tuple[float, float] = (50.0, 145.0)  # screws are made in 50 to 145 mm [mem]
-    # 70 to 90 mm in adults, 55 mm in the smallest [mem]; an entry nearer to the centre lies in the neck [ours].
-    head_to_entry_mm: float = 50.0
-    # In the twin 35 mm; the femur is 40 mm wide there [mem]; 10 mm for the frame's tilt against the bone [ours].
-    lateral_of_lesser_mm: tuple[float, float] = (25.0, 60.0)
-    # In the twin 18 mm; a thigh rotated by 45° carries the trochanter to the front [ours].
-    before_lesser_mm: tuple[float, float] = (-15.0, 50.0)
-    cortex_mm: float = 8.0  # the cortex is 5 mm thick (physics.md, Femur), the bone flares by 3 [ours]
-    to_shaft_deg: tuple[float, float] = (120.0, 155.0)  # plates have 130° to 150° [mem]; 5° to 10° freehand error
 
 
 @dataclass(frozen=True)
@@ -69,47 +49,52 @@ class Measure:
         return Check(self.name, passed, value, float(limit), self.unit, sentence)
 
 
-def judge_in_bone(found: Anatomy, rule: BoneRule, side: str | None, landmarks_mm: Mapping[str, np.ndarray]) -> Verdict:
-    """Return the checks of the wire in `found` against the bone, and those that lack an input.
+@dataclass(frozen=True, eq=False)
+class _Bone:
+    """What is known of the bone: the located parts, the side, and the landmarks (3,) by their keys."""
 
-    `landmarks_mm`: (3,) by their keys in the kind of trajectory. Raises UnusableInputError for an unknown side.
+    found: Anatomy
+    side: str | None
+    landmarks_mm: Mapping[str, np.ndarray]
+
+    @property
+    def centre_mm(self) -> np.ndarray | None:
+        """The head's centre: of its outline, or else the landmark."""
+        return self.landmarks_mm.get(HEAD_CENTRE) if self.found.head is None else self.found.head.centre_mm
+
+    @cached_property
+    def exchanged(self) -> bool:
+        """True where the wire's ends are exchanged; then no measure of an end is meaningful."""
+        entry, end = self.found.part("wire").reshape(2, 3)
+        return self.centre_mm is not None and not bool(_order(self.centre_mm).passes(entry[None], end[None])[0])
+
+
+def judge_in_bone(
+    found: Anatomy, rules: Sequence[CheckRule], side: str | None, landmarks_mm: Mapping[str, np.ndarray]
+) -> Verdict:
+    """Return the checks of the wire in `found` against the bone that `rules` ask for, and those that lack an input.
+
+    `landmarks_mm`: (3,) by their keys in the procedure. Raises UnusableInputError for an unknown side.
     """
-    missing = _missing(found, side, landmarks_mm)
+    missing = _missing(found, rules, side, landmarks_mm)
     checks = list(missing)
     if found.head_agreement is not None:
         checks.append(found.head_agreement)
     if "wire" in found.at:
         entry, end = found.part("wire").reshape(2, 3)
-        checks += [measure.check(entry, end) for measure in measures(found, rule, side, landmarks_mm)]
+        checks += [measure.check(entry, end) for measure in measures(found, rules, side, landmarks_mm)]
     if "head" not in found.at and found.absent["head"] != NOT_PLACED["head"]:
         checks.append(Check("head", False, None, None, "", f"The head is not known: {found.absent['head']}."))
     return Verdict(tuple(checks), missing)
 
 
 def measures(
-    found: Anatomy, rule: BoneRule, side: str | None, landmarks_mm: Mapping[str, np.ndarray]
+    found: Anatomy, rules: Sequence[CheckRule], side: str | None, landmarks_mm: Mapping[str, np.ndarray]
 ) -> tuple[Measure, ...]:
-    """Return all measures of the wire for which the bone is known well enough."""
-    entry, end = found.part("wire").reshape(1, 2, 3).swapaxes(0, 1)
-    out: list[Measure] = []
-    centre = landmarks_mm.get(HEAD_CENTRE) if found.head is None else found.head.centre_mm
-    if centre is not None:
-        order = _order(centre)
-        out.append(order)
-        if not order.passes(entry, end)[0]:  # with the ends exchanged no other measure is meaningful
-            return (*out, *_sides(found, side, landmarks_mm, centre, by_wire=False))
-        out += _sides(found, side, landmarks_mm, centre, by_wire=True)
-        out.append(_from_head(centre, rule))
-    if found.head is not None:
-        out.append(_tip(found))
-    if LESSER in landmarks_mm:
-        out += _from_lesser(landmarks_mm[LESSER], rule)
-    if found.shaft is not None:
-        out.append(_to_shaft(found.shaft.direction, rule))
-        if centre is not None and "cortex" in found.at:
-            out.append(_from_cortex(found, centre, rule))
-    out.append(_length(rule))
-    return tuple(out)
+    """Return all measures of the wire that the rules ask for and for which the bone is known well enough."""
+    bone = _Bone(found, side, landmarks_mm)
+    asked = [rule for rule in rules if not bone.exchanged or rule.check in ("entry and end", "side")]
+    return tuple(measure for rule in asked for measure in MEASURES[rule.check](bone, rule))
 
 
 def noticed_beyond_mm(checked: Sequence[Measure], found: Anatomy) -> tuple[float | None, float | None]:
@@ -135,21 +120,27 @@ def noticed_beyond_mm(checked: Sequence[Measure], found: Anatomy) -> tuple[float
     return out[0], out[1]
 
 
-def _missing(found: Anatomy, side: str | None, landmarks_mm: Mapping[str, np.ndarray]) -> tuple[Check, ...]:
-    """Return the checks that lack an input, with what they need."""
+def _missing(
+    found: Anatomy, rules: Sequence[CheckRule], side: str | None, landmarks_mm: Mapping[str, np.ndarray]
+) -> tuple[Check, ...]:
+    """Return the required checks that lack an input, with what they need."""
+    required = {rule.check for rule in rules if rule.required}
     wanted = {}
-    if side is None:
+    if "side" in required and side is None:
         wanted["side"] = "The side is not given: look at both images and state whether it is the right or the left hip."
-    if found.absent.get("head") == NOT_PLACED["head"]:
+    if required & {"entry and end", "tip in head"} and found.absent.get("head") == NOT_PLACED["head"]:
         wanted["head"] = (
             "The head is not drawn: draw its outline in both images. Without it neither the order of the wire's ends "
             "nor the tip's depth in the bone can be checked."
         )
-    if LESSER not in landmarks_mm and not {"shaft", "cortex"} <= found.at.keys():
+    by_entry = required & {"lateral of lesser trochanter", "entry below cortex"}
+    if by_entry and LESSER not in landmarks_mm and not {"shaft", "cortex"} <= found.at.keys():
         wanted["entry at cortex"] = (
             "The entry cannot be checked: it may lie at the lateral cortex or inside the neck. Pick the tip of the "
             "lesser trochanter in both images, or draw the shaft axis and click on the lateral cortex."
         )
+    if "wire to shaft" in required and found.absent.get("shaft") == NOT_PLACED["shaft"]:
+        wanted["wire to shaft"] = f"The wire's angle to the shaft cannot be checked: {found.absent['shaft']}."
     return tuple(Check(name, False, None, None, "", sentence) for name, sentence in wanted.items())
 
 
@@ -221,39 +212,35 @@ def _tip(found: Anatomy) -> Measure:
     )
 
 
-def _from_head(centre: np.ndarray, rule: BoneRule) -> Measure:
+def _from_head(centre: np.ndarray, low: float) -> Measure:
     return Measure(
         "entry at cortex",
         lambda entry, end: _distance(entry, centre),
-        rule.head_to_entry_mm,
+        low,
         np.inf,
         "mm",
         "The entry lies {} from the head's centre",
-        f"below {rule.head_to_entry_mm:.0f} mm it lies in the neck, not at the lateral cortex: pick it again",
+        f"below {low:.0f} mm it lies in the neck, not at the lateral cortex: pick it again",
     )
 
 
-def _from_lesser(lesser: np.ndarray, rule: BoneRule) -> list[Measure]:
-    ways = (
-        ("lateral", _LATERAL, rule.lateral_of_lesser_mm, "inside the bone"),
-        ("anterior", ANTERIOR, rule.before_lesser_mm, "behind the bone"),
+def _from_lesser(lesser: np.ndarray, rule: CheckRule) -> Measure:
+    low, high = rule.range
+    lateral = rule.check == "lateral of lesser trochanter"
+    way, name, where = (_LATERAL, "lateral", "inside") if lateral else (ANTERIOR, "anterior", "behind")
+    return Measure(
+        "entry at cortex",
+        lambda entry, end: (entry - lesser) @ way,
+        low,
+        high,
+        "mm",
+        f"The entry lies {{}} {name} of the lesser trochanter's tip",
+        f"below {low:.0f} mm it lies {where} the bone, above {high:.0f} mm off the bone: pick the entry or the "
+        "trochanter again; one may be wrong along its line of sight",
     )
-    return [
-        Measure(
-            "entry at cortex",
-            lambda entry, end, way=way: (entry - lesser) @ way,
-            low,
-            high,
-            "mm",
-            f"The entry lies {{}} {name} of the lesser trochanter's tip",
-            f"below {low:.0f} mm it lies {where}, above {high:.0f} mm off the bone: pick the entry or the trochanter "
-            "again; one may be wrong along its line of sight",
-        )
-        for name, way, (low, high), where in ways
-    ]
 
 
-def _from_cortex(found: Anatomy, centre: np.ndarray, rule: BoneRule) -> Measure:
+def _from_cortex(found: Anatomy, centre: np.ndarray, high: float) -> Measure:
     assert found.shaft is not None  # noqa: S101 - checked by the caller
     on, along = found.shaft.ends_mm[0], found.shaft.direction
 
@@ -268,17 +255,14 @@ def _from_cortex(found: Anatomy, centre: np.ndarray, rule: BoneRule) -> Measure:
         "entry at cortex",
         lambda entry, end: cortex - across(entry) @ outward,
         -np.inf,
-        rule.cortex_mm,
+        high,
         "mm",
         "The entry lies {} inside the lateral cortex that was clicked",
-        f"more than {rule.cortex_mm:.0f} mm inside, it lies in the bone: pick it at the cortex, or click on the cortex "
-        "again",
+        f"more than {high:.0f} mm inside, it lies in the bone: pick it at the cortex, or click on the cortex again",
     )
 
 
-def _to_shaft(shaft: np.ndarray, rule: BoneRule) -> Measure:
-    low, high = rule.to_shaft_deg
-
+def _to_shaft(shaft: np.ndarray, low: float, high: float) -> Measure:
     def value(entry: np.ndarray, end: np.ndarray) -> np.ndarray:
         """Return the obtuse angle: the shaft axis may be drawn in either direction."""
         cosine = np.abs((end - entry) @ shaft) / _distance(entry, end)
@@ -296,8 +280,8 @@ def _to_shaft(shaft: np.ndarray, rule: BoneRule) -> Measure:
     )
 
 
-def _length(rule: BoneRule) -> Measure:
-    low, high = rule.length_mm
+def _length(rule: CheckRule) -> Measure:
+    low, high = rule.range
     return Measure(
         "wire length",
         _distance,
@@ -305,10 +289,44 @@ def _length(rule: BoneRule) -> Measure:
         high,
         "mm",
         "From entry to end the wire runs {}",
-        f"hip screws have {low:.0f} to {high:.0f} mm: entry or end is wrong, perhaps along its line of sight: pick "
+        f"{rule.of} have {low:.0f} to {high:.0f} mm: entry or end is wrong, perhaps along its line of sight: pick "
         "it again",
     )
 
 
 def _distance(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return np.linalg.norm(a - b, axis=-1)
+
+
+_Make = Callable[[_Bone, CheckRule], list[Measure]]
+
+
+def _of_bone(make: Callable[[_Bone, np.ndarray, CheckRule], list[Measure]]) -> _Make:
+    """Return the function of a rule that needs the head's centre; without it there is no measure."""
+    return lambda bone, rule: [] if bone.centre_mm is None else make(bone, bone.centre_mm, rule)
+
+
+def _lesser(bone: _Bone, rule: CheckRule) -> list[Measure]:
+    return [_from_lesser(bone.landmarks_mm[LESSER], rule)] if LESSER in bone.landmarks_mm else []
+
+
+# The measures of each check that a procedure's file may name (`CheckRule`).
+MEASURES: dict[str, _Make] = {
+    "entry and end": _of_bone(lambda bone, centre, rule: [_order(centre)]),
+    "side": _of_bone(
+        lambda bone, centre, rule: _sides(bone.found, bone.side, bone.landmarks_mm, centre, by_wire=not bone.exchanged)
+    ),
+    "head to entry": _of_bone(lambda bone, centre, rule: [_from_head(centre, rule.range[0])]),
+    "tip in head": lambda bone, rule: [] if bone.found.head is None else [_tip(bone.found)],
+    "lateral of lesser trochanter": _lesser,
+    "anterior of lesser trochanter": _lesser,
+    "wire to shaft": lambda bone, rule: (
+        [] if bone.found.shaft is None else [_to_shaft(bone.found.shaft.direction, *rule.range)]
+    ),
+    "entry below cortex": _of_bone(
+        lambda bone, centre, rule: (
+            [_from_cortex(bone.found, centre, rule.range[1])] if {"shaft", "cortex"} <= bone.found.at.keys() else []
+        )
+    ),
+    "wire length": lambda bone, rule: [_length(rule)],
+}

@@ -69,7 +69,8 @@ class Plan(Plotted):
         """Return the verdict, entry and end point with their error bounds, and the checks that failed."""
         side = "" if self.side is None else f", {self.side} side"
         first = f"Plan of a {self.kind.name}{side}: {self.verdict.state.upper()}"
-        return "\n".join([first, *self.trajectory.summary().splitlines()[1:], *checks_lines(self.verdict.checks, 3)])
+        path, checks = self.trajectory.summary().splitlines()[1:], checks_lines(self.verdict.checks, 3)
+        return "\n".join([first, *path, *checks, *(f"  {said}" for said in self.kind.sentences())])
 
     def to_dataframe(self) -> "DataFrame":
         """Return a row for each check of the verdict: name, passed, figure, limit, unit, sentence. Needs pandas."""
@@ -133,6 +134,7 @@ class Plan(Plotted):
             "missing": list(self.verdict.missing),
             "noticed_along_mm": dict(zip(("entry", "end"), self.noticed_mm, strict=True)),
             "kind": self.kind.key,
+            "procedure": {"name": self.kind.name, "fingerprint": self.kind.fingerprint},
             "side": self.side,
             "limits": {
                 "position_mm": limits.position_mm,
@@ -180,10 +182,10 @@ def plan(
     image-matching curves of the first view's: one flag, or (entry, end). Picks in further views are free, NaN where a
     view does not show the point. `landmarks_uv_px` (V, L, 2): points of the bone picked freely in all views, or NaN,
     which show whether it moved between them; they change neither entry nor end. A plan with snapped picks needs two of
-    them for a GO (`judge`). `landmark_names`: their keys in the kind of trajectory, "" for none. `kind`: a kind of
-    trajectory or its key; sets the limits and the inputs asked for. `side` ("right", "left") and `aids`: the wire is
-    checked against them where the kind has a bone; without them the plan is incomplete. `curve`: `matching_curve`, or a
-    replacement that caches its curves.
+    them for a GO (`judge`). `landmark_names`: their keys in the procedure, "" for none. `kind`: a procedure, its key or
+    its file; sets the limits and the inputs asked for. `side` ("right", "left") and `aids`: the wire is checked against
+    them where the procedure has checks of the bone; without them the plan is incomplete. `curve`: `matching_curve`, or
+    a replacement that caches its curves.
     Raises UnusableInputError, and what `reconstruct`, `matching_curve` and `snap` raise.
 
     >>> pa, lateral = sl.load("out/demo/views.json")
@@ -205,12 +207,12 @@ def plan(
     names = _names(kind, landmark_names, len(free))
     seen = _reconstructed(at_rest, [entry, end, *free], method)
     trajectory = Trajectory(seen.first(2) if free else seen)
-    anatomy = None if aids is None and kind.bone is None else locate(at_rest, aids or Aids(), (entry, end), method)
+    anatomy = None if aids is None and not kind.checks else locate(at_rest, aids or Aids(), (entry, end), method)
     verdict, noticed = judge(trajectory, at_rest, kind.limits, seen), (None, None)
-    if kind.bone is not None and anatomy is not None:
+    if kind.checks and anatomy is not None:
         known = dict(zip(names, seen.xyz_mm[2:], strict=False))
-        verdict = verdict.joined(judge_in_bone(anatomy, kind.bone, side, known))
-        noticed = noticed_beyond_mm(measures(anatomy, kind.bone, side, known), anatomy)
+        verdict = verdict.joined(judge_in_bone(anatomy, kind.checks, side, known))
+        noticed = noticed_beyond_mm(measures(anatomy, kind.checks, side, known), anatomy)
     return Plan(
         trajectory=trajectory,
         picks=(entry, end),

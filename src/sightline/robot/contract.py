@@ -41,7 +41,7 @@ UNITS, COORDINATES, PLAN = "units", "coordinates", "plan"
 SIDE, FRAME_SERIAL, GO = "side", "frame_serial", "go"
 LENGTH_MM, DEPTH_LIMIT_MM, VALID_S = "length_mm", "depth_limit_mm", "valid_s"
 PLAN_KEYS = (PLAN, SIDE, FRAME_SERIAL, GO, UNITS, COORDINATES, LENGTH_MM, DEPTH_LIMIT_MM, VALID_S)
-# Optional metadata: the fingerprint of the frame's file, the kind of trajectory, the plan's accuracy limits, and how
+# Optional metadata: the fingerprint of the frame's file, the procedure's key, the plan's accuracy limits, and how
 # much of LENGTH_MM lies past the planned end point.
 FRAME, KIND, POSITION_LIMIT_MM, DIRECTION_LIMIT_DEG, BEYOND_MM = (
     "frame",

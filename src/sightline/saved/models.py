@@ -9,6 +9,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, RootModel
 
 from sightline.case.report.document import CalibratedViewDocument, CheckDocument, TrajectoryDocument
+from sightline.planning.procedures.document import ProcedureDocument
 
 Number = Annotated[float, Field(allow_inf_nan=False)]
 Pixel = tuple[Number, Number]
@@ -176,7 +177,7 @@ class SavedCheckShot(_Saved):
     checks: tuple[CheckDocument, ...]
 
 
-PUBLISHED = {"views": SavedViews, "trajectory": SavedTrajectory}
+PUBLISHED = {"views": SavedViews, "trajectory": SavedTrajectory, "procedure": ProcedureDocument}
 
 
 def schema_text(name: str) -> str:

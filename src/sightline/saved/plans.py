@@ -1,6 +1,5 @@
 """Points, trajectories, plans and check shots, and their documents. A plan is made again from its views and picks."""
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -12,10 +11,11 @@ from sightline.case.canonical import plain
 from sightline.case.interop.bundle import bundle
 from sightline.checks import Limits
 from sightline.errors import UnusableInputError
-from sightline.planning import Aids, Plan, SpacePoints, Trajectory, kind
+from sightline.planning import Aids, Plan, SpacePoints, Trajectory
 from sightline.planning import plan as make_plan
 from sightline.planning.check_result import CheckShot
 from sightline.planning.gaps import Movement
+from sightline.planning.procedures.files import keeping, kept
 from sightline.saved import views
 
 _SAME_MM = 0.01  # the views may come out otherwise by a tenth of it, and a wire's end lies beyond their plates [ours]
@@ -84,6 +84,7 @@ def plan_written(plan: Plan) -> dict[str, Any]:
         "asked": {
             **{name: _null(one) for name, one in plan.arguments.items()},
             "kind": plan.kind.key,
+            "procedure": keeping(plan.kind),
             "limits": limits,
         },
         **geometry,
@@ -111,7 +112,7 @@ def plan(given: dict[str, Any]) -> Plan:
     Raises UnusableInputError where it comes out otherwise than the document states, and what `plan` raises.
     """
     asked = dict(given["asked"])
-    known = replace(kind(asked.pop("kind")), limits=Limits(**asked.pop("limits")))
+    known = kept(asked.pop("kind"), asked.pop("procedure", None)).with_limits(Limits(**asked.pop("limits")))
     aids = asked.pop("aids")
     on = [views.view(one) if one["schema"] == "sightline-view/1" else views.matrix_view(one) for one in given["views"]]
     out = make_plan(on, kind=known, aids=None if aids is None else Aids.of(aids), **asked)

@@ -16,7 +16,8 @@ from sightline.app.tab.tab import Tab
 from sightline.case.views import NAMES
 from sightline.errors import UnusableInputError
 from sightline.geometry.covariance import TWO_SIDED_95
-from sightline.planning.procedures import PROCEDURES
+from sightline.planning.procedures import kind as kind_of
+from sightline.planning.procedures import procedures
 
 
 def metrics_key(tab: Tab) -> Hashable:
@@ -33,16 +34,19 @@ def build(tab: Tab) -> None:
 
 def _kind(tab: Tab) -> None:
     decisions = tab.planning.decisions
-    kinds = {name: kind.name.capitalize() for name, kind in PROCEDURES.items()}
+    known = kind_of(decisions.kind)
+    kinds = {key: one.name[:1].upper() + one.name[1:] for key, one in procedures().items()}
 
     async def choose(event) -> None:
         await tab.act(lambda: tab.planning.choose_kind(event.value))
         tab.go_to(tab.step)
 
-    ui.select(kinds, value=decisions.kind, label=texts.KIND_FIELD, on_change=choose).props(
+    ui.select(kinds, value=known.key, label=texts.KIND_FIELD, on_change=choose).props(
         "outlined options-dense data-testid=kind"
     )
-    note(PROCEDURES[decisions.kind].purpose, kind="quiet")
+    note(known.purpose, kind="quiet")
+    for sentence in known.sentences():
+        note(sentence, kind="warn")
 
     def show(event) -> None:
         tab.views.show_beads = bool(event.value)
@@ -65,7 +69,7 @@ def _points(tab: Tab) -> None:
         heading(texts.POINT_GROUPS[group])
         for _, same in groupby(listed, key=lambda one: one.of):
             _row(tab, tuple(same))
-    if PROCEDURES[decisions.kind].proposal is not None:
+    if kind_of(decisions.kind).proposal is not None:
         action(texts.PROPOSE, tab.doing(lambda: _propose(tab)), testid="propose")
         Section(tab, _missing, lambda t: note(_missing(t), kind="quiet") if _missing(t) else None)
 

@@ -1,23 +1,17 @@
-"""The marks that a person may place for a kind of trajectory, in the order in which the page asks for them."""
+"""The marks that a person may place for a procedure, in the order in which the page asks for them."""
 
 from dataclasses import dataclass
-from functools import cache
+from functools import lru_cache
 from typing import Literal
 
 from sightline.case.views import NAMES
+from sightline.planning.procedures import Procedure
 from sightline.planning.procedures import kind as kind_of
+from sightline.planning.procedures.document import LOCATED
 
 Group = Literal["wire", "landmark", "aid"]
 CHECK_NAMES = (f"check-{NAMES[0]}", f"check-{NAMES[1]}")
 ENTRY, END = "entry", "end"
-# Clicks that define an aid: their number in each image, and the images.
-_CLICKS = {
-    "head": (3, NAMES),
-    "neck": (2, NAMES),
-    "shaft": (2, NAMES),
-    "calcar": (1, NAMES[:1]),
-    "cortex": (1, NAMES[:1]),
-}
 
 
 @dataclass(frozen=True)
@@ -33,21 +27,24 @@ class MarkSpec:
     images: tuple[str, ...] = NAMES
 
 
-@cache
 def marks_of(kind: str) -> tuple[MarkSpec, ...]:
-    """Return all marks of a kind of trajectory, in the order in which the page asks for them. Raises
+    """Return all marks of a procedure, by its key, in the order in which the page asks for them. Raises
     UnusableInputError."""
-    known = kind_of(kind)
+    return _marks_of(kind_of(kind))
+
+
+@lru_cache
+def _marks_of(known: Procedure) -> tuple[MarkSpec, ...]:
     wire = [
         MarkSpec(name, _titled(point.name), point.sentence, "wire", name)
         for name, point in zip((ENTRY, END), known.points, strict=True)
     ]
     landmarks = [MarkSpec(f"landmark-{p.key}", _titled(p.name), p.sentence, "landmark", p.key) for p in known.landmarks]
     aids = []
-    for aid in known.aids:
-        clicks, images = _CLICKS[aid.key]
-        for k in range(clicks):
-            label = f"{_titled(aid.name)} {k + 1}" if clicks > 1 else _titled(aid.name)
+    for aid in (one for one in known.aids if one.key in LOCATED):
+        for k in range(aid.clicks):
+            label = f"{_titled(aid.name)} {k + 1}" if aid.clicks > 1 else _titled(aid.name)
+            images = NAMES[: len(aid.views)]
             aids.append(MarkSpec(f"{aid.key}-{k + 1}", label, aid.sentence, "aid", aid.key, images))
     return (*wire, *landmarks, *aids)
 

@@ -13,16 +13,16 @@ from sightline.case.contents import PlanRequest
 from sightline.case.views import NAMES
 from sightline.errors import SightlineError
 from sightline.planning import MatchingCurve, Plan, matching_curve, snap
-from sightline.planning.aids import Aids, Circle, Line
+from sightline.planning.aids import MIN_RIM_CLICKS, Aids, Circle, Line
 from sightline.planning.anatomy import Anatomy, locate
 from sightline.planning.metrics import Metric, metrics
 from sightline.planning.picks import DEFAULT_PICK_SD_PX, Pick
 from sightline.planning.procedures import Procedure
 from sightline.planning.procedures import kind as kind_of
+from sightline.planning.procedures.files import keeping
 from sightline.planning.proposal import Proposal, propose
 
 PICK_SD_PX = DEFAULT_PICK_SD_PX
-_RIM_CLICKS = 3
 _PICK_PX2 = PICK_SD_PX**2 * np.eye(2)
 
 
@@ -37,9 +37,9 @@ class Planned:
     plan: Plan | None = None
     refused: Mapping[str, str] = field(default_factory=dict)
 
-    @property
+    @cached_property
     def kind(self) -> Procedure:
-        """The kind of trajectory."""
+        """The procedure."""
         return kind_of(self.decisions.kind)
 
     @cached_property
@@ -56,7 +56,7 @@ class Planned:
         return () if side is None else metrics(self.anatomy, side)
 
     def proposal(self) -> Proposal:
-        """Return a wire proposed from head and shaft by the kind's rule. Raises SightlineError."""
+        """Return a wire proposed from head and shaft by the procedure's rule. Raises SightlineError."""
         side, rule = self.decisions.side, self.kind.proposal
         if side is None:
             raise _NoSideError
@@ -116,15 +116,17 @@ def _remembered(from_view: CalibratedView, to_view: CalibratedView, uv_px: bytes
 def plan_input(decisions: Decisions) -> PlanRequest:
     """Return a plan's input besides its views; entry and end point must be placed."""
     wire = [decisions.mark(name) for name in (ENTRY, END)]
-    known = {one.name: one.of for one in marks_of(decisions.kind) if one.group == "landmark"}
-    names = tuple(n for n in known if decisions.mark(n).complete())
+    known = kind_of(decisions.kind)
+    landmarks = {one.name: one.of for one in marks_of(decisions.kind) if one.group == "landmark"}
+    names = tuple(n for n in landmarks if decisions.mark(n).complete())
     return PlanRequest(
         *(_pixels(mark) for mark in wire),
         pick_sd_px=PICK_SD_PX,
         snapped=[not mark.free for mark in wire],
         landmarks_uv_px=np.array([_pixels(decisions.mark(n)) for n in names]).reshape(-1, 2, 2).swapaxes(0, 1),
-        landmark_names=tuple(known[n] for n in names),
-        kind=decisions.kind,
+        landmark_names=tuple(landmarks[n] for n in names),
+        kind=known.key,
+        procedure=keeping(known),
         side=decisions.side,
         aids=_aids(decisions),
     )
@@ -177,8 +179,9 @@ def _pixel(uv_px: np.ndarray) -> Pixel:
 
 def _aids(decisions: Decisions) -> Aids:
     """Return the aids whose clicks are all placed."""
+    rim = next((aid.clicks for aid in kind_of(decisions.kind).aids if aid.key == "head"), MIN_RIM_CLICKS)
     return Aids(
-        head=_pair(decisions, "head", _RIM_CLICKS, lambda uv: Circle.through(uv, PICK_SD_PX)),
+        head=_pair(decisions, "head", rim, lambda uv: Circle.through(uv, PICK_SD_PX)),
         neck=_pair(decisions, "neck", 2, lambda uv: Line(uv, PICK_SD_PX)),
         shaft=_pair(decisions, "shaft", 2, lambda uv: Line(uv, PICK_SD_PX)),
         calcar=_single(decisions, "calcar-1"),

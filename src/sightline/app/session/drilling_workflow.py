@@ -20,6 +20,7 @@ from sightline.case.views import NAMES
 from sightline.errors import RobotRefusedError, UnusableInputError
 from sightline.geometry.covariance import TWO_SIDED_95
 from sightline.planning.metrics import Metric
+from sightline.planning.procedures import kind as kind_of
 from sightline.robot.control.insertion import DEPTH_SLACK_MM
 from sightline.robot.control.motion.supervision import depth_limit
 from sightline.robot.control.states import State
@@ -100,7 +101,8 @@ class DrillingWorkflow:
 
         Raises RobotRefusedError if the plan has changed since, LinkError, CaseError."""
         planning, session = self._planning, self._running()
-        if known is not planning.planned or known.plan is None or not self._readiness.can_send:
+        same = known is planning.planned and known.kind.fingerprint == kind_of(known.decisions.kind).fingerprint
+        if not same or known.plan is None or not self._readiness.can_send:
             raise RobotRefusedError(
                 "check the step Plan and send again: the plan changed after you confirmed it, or it is not GO"
             )
@@ -112,7 +114,7 @@ class DrillingWorkflow:
             side=decisions.side or "",
             frame_serial=decisions.serial or "",
             go=self._readiness.can_send,
-            kind=decisions.kind,
+            kind=known.kind.key,
             frame=planning.frame.fingerprint,
         )
         target = session.target_for(known.plan, identity, time.monotonic() - age_s)
@@ -127,6 +129,7 @@ class DrillingWorkflow:
             {
                 "plan": identity.plan,
                 "decisions": decisions.document(),
+                "procedure": known.kind.fingerprint,
                 "trajectory": known.plan.trajectory.document(),
                 "joints": target.q,
                 "error_95_mm": [target.entry_error_95_mm, target.end_error_95_mm],
@@ -178,9 +181,9 @@ class DrillingWorkflow:
 
 
 def _depth_limit(known: Planned, target: RobotTarget) -> float:
-    """Return the depth limit beyond the entry point, mm. For kinds of trajectory that end before a joint, it is the
+    """Return the depth limit beyond the entry point, mm. For procedures that end before a joint, it is the
     distance to the joint surface less the 95 % error of both. Raises UnusableInputError if the surface is unknown."""
-    if known.kind.bone is None:
+    if not known.kind.ends_before_joint:
         return target.depth_mm + DEPTH_SLACK_MM
     left: Metric | None = next((one for one in known.metrics if one.name == TO_BONE), None)
     if left is None or left.value is None or left.sd is None:

@@ -119,7 +119,7 @@ class Planning:
         self.edit(decisions)
 
     def choose_kind(self, kind: str) -> None:
-        """Plan another kind of trajectory; marks common to both kinds stay."""
+        """Plan another procedure; marks common to both stay."""
         self.edit(replace(self.decisions, kind=kind))
 
     def choose_snapping(self, on: bool) -> None:

@@ -14,6 +14,7 @@ from sightline.case.journal import Case, Kind
 from sightline.case.views import NAMES
 from sightline.errors import UnusableInputError
 from sightline.planning import Plan
+from sightline.planning.procedures import kind as kind_of
 from sightline.robot.link.record import DrillingRecord
 from sightline.robot.link.simulated import SimulatedWire
 
@@ -38,7 +39,8 @@ class SentPlan:
         then = self.planned.decisions
         same = ("kind", "side", "serial")
         return (
-            all(getattr(then, name) == getattr(decisions, name) for name in same)
+            self.plan.kind.fingerprint == kind_of(decisions.kind).fingerprint  # its file may have changed since
+            and all(getattr(then, name) == getattr(decisions, name) for name in same)
             and all(then.images.get(name) == decisions.images.get(name) for name in NAMES)
             and all(
                 then.mirrored.get(at) == decisions.mirrored.get(at)
@@ -69,11 +71,15 @@ def restored(
     if any(then.images.get(name) != decisions.images.get(name) for name in NAMES):
         return None
     again = planned(then, views)
-    if again.plan is None or not np.allclose(
-        [again.plan.trajectory.entry_mm, again.plan.trajectory.end_mm],
-        [sent.content["trajectory"][key] for key in ("entry_mm", "end_mm")],
-        rtol=0.0,
-        atol=_SAME_MM,
+    if (
+        again.plan is None
+        or sent.content.get("procedure", again.kind.fingerprint) != again.kind.fingerprint
+        or not np.allclose(
+            [again.plan.trajectory.entry_mm, again.plan.trajectory.end_mm],
+            [sent.content["trajectory"][key] for key in ("entry_mm", "end_mm")],
+            rtol=0.0,
+            atol=_SAME_MM,
+        )
     ):
         raise UnusableInputError(CHANGED_SINCE_SENT)
     drilled = case.latest(Kind.DRILLED)

@@ -89,6 +89,13 @@ class LimitsPart(_Part):
     beyond_mm: Annotated[float, Field(allow_inf_nan=False, ge=0.0, le=1e3)]
 
 
+class ProcedurePart(_Part):
+    """The procedure that was planned: its name and the fingerprint of its file."""
+
+    name: Text
+    fingerprint: Text
+
+
 class PlanDocument(_Part):
     """The parts of plan.json that are read back. Older versions wrote no `verdict`, `kind`, `limits` and `digest`;
     plans without the geometry of images lack the last five."""
@@ -97,6 +104,7 @@ class PlanDocument(_Part):
     verdict: State | None = None
     missing: Annotated[list[Annotated[str, Field(max_length=2000)]], Field(max_length=200)] = []
     kind: Text | None = None
+    procedure: ProcedurePart | None = None
     side: Literal["right", "left"] | None = None
     limits: LimitsPart | None = None
     digest: Text | None = None

@@ -96,6 +96,9 @@ class Recomputed:
         verdict "incomplete"."""
         then, made = entry.content, self.plan(entry)
         now = plain(contents.planned(PlanRequest.of(then["asked"]), made))
+        if "procedure" not in then:  # procedures were not files, and some had other keys
+            del now["procedure"]
+            now |= {key: then[key] for key in ("asked", "kind") if key in then}
         if "verdict" in then:
             return now
         known = {check["name"] for check in then["checks"]}

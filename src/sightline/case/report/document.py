@@ -84,6 +84,13 @@ class TrajectoryDocument(_Open):
     gap_tested: tuple[bool, bool]
 
 
+class ProcedureNamed(_Open):
+    """The procedure that was planned: its name, and its file's key with a hash of the content."""
+
+    name: str
+    fingerprint: str
+
+
 class LimitsDocument(_Open):
     """The limits that a plan was judged by: of its 95 % errors, and how far past its end point it may be drilled."""
 
@@ -141,6 +148,7 @@ class ReportDocument(_Open):
     missing: tuple[str, ...]
     noticed_along_mm: AlongDocument
     kind: str
+    procedure: ProcedureNamed
     side: str | None
     limits: LimitsDocument
     trajectory: TrajectoryDocument

@@ -43,7 +43,11 @@ def _subtitle(report: Report) -> str:
     serial = f", serial {report.frame.serial}" if report.frame.serial else ""
     pa, lateral = report.images
     sources = pa.seen.source if pa.seen.source == lateral.seen.source else f"{pa.seen.source} and {lateral.seen.source}"
-    return f"Frame {report.frame.name}{serial}; {sources}; calibrated with the method {pa.view.method}"
+    procedure = f"{report.plan.kind.name} ({report.plan.kind.fingerprint})"
+    return (
+        f"Frame {report.frame.name}{serial}; {sources}; calibrated with the method {pa.view.method}; procedure: "
+        f"{procedure}"
+    )
 
 
 def _verdict(report: Report) -> dict[str, Any]:
@@ -98,6 +102,7 @@ UNSEEN = (
 
 
 def _notes(report: Report) -> Iterable[str]:
+    yield from report.plan.kind.sentences()
     yield UNSEEN
     yield (
         "All coordinates are in CFCS, the coordinates of the calibration frame. The error of registering a robot is "

@@ -1,0 +1,153 @@
+"""`sightline procedure list | show | check | new`."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from sightline.cli.output import Json, Output, Quiet, example
+
+if TYPE_CHECKING:
+    from sightline.planning.procedures.document import ProcedureDocument, Relation
+    from sightline.planning.procedures.rules import CheckRule
+
+app = typer.Typer(no_args_is_help=True, help="List, show, check and make procedures.")
+
+ProcedureSource = Annotated[str, typer.Argument(metavar="PROCEDURE", help="A key of the list, or a procedure's file.")]
+
+
+def register(parent: typer.Typer) -> None:
+    """Add the commands."""
+    parent.add_typer(app, name="procedure")
+
+
+@app.command("list", epilog=example("sightline procedure list"))
+def list_all(*, json: Json = False, quiet: Quiet = False) -> None:
+    """List the shipped procedures and your own.
+
+    Your own files lie in the folder that the environment variable SIGHTLINE_PROCEDURES names, each called KEY.json.
+    """
+    with Output(json=json, quiet=quiet) as out:
+        from sightline.errors import UnusableInputError
+        from sightline.planning.procedures.files import own_file, own_files, shipped
+
+        rows = [(document, "shipped") for document in shipped().values()]
+        unusable: dict[str, str] = {}
+        for key, path in own_files().items():
+            try:
+                rows.append((own_file(key), str(path)))
+            except UnusableInputError as error:
+                unusable[key] = str(error)
+        out.table(
+            "Procedures",
+            ("key", "name", "wires", "file"),
+            [(one.key, one.name, len(one.wires), where) for one, where in rows],
+        )
+        for why in unusable.values():
+            out.note(f"left out: {why}")
+        listed = [{"key": one.key, "name": one.name, "wires": len(one.wires), "file": where} for one, where in rows]
+        out.result({"procedures": listed, "unusable": unusable})
+
+
+@app.command("show", epilog=example("sightline procedure show hip-screw"))
+def show(procedure: ProcedureSource, *, json: Json = False, quiet: Quiet = False) -> None:
+    """Show a procedure: views, wires, points, limits, checks, and their sources."""
+    with Output(json=json, quiet=quiet) as out:
+        from sightline.planning.procedures.files import document_of
+        from sightline.planning.procedures.procedure import fingerprint
+
+        document = document_of(procedure)
+        _show(out, document)
+        out.result({"fingerprint": fingerprint(document), **document.model_dump(mode="json", by_alias=True)})
+
+
+@app.command("check", epilog=example("sightline procedure check mine.json"))
+def check(
+    file: Annotated[Path, typer.Argument(help="The procedure's file.")], *, json: Json = False, quiet: Quiet = False
+) -> None:
+    """Check a procedure's file.
+
+    Exit code 2 with a sentence for what is wrong in it; otherwise what it asks for, and what is not evaluated yet.
+    """
+    with Output(json=json, quiet=quiet) as out:
+        from sightline.planning.procedures.document import LOCATED
+        from sightline.planning.procedures.files import read_document
+        from sightline.planning.procedures.procedure import fingerprint
+
+        document = read_document(file)
+        relations = dict.fromkeys(one.relation for one in document.relations)
+        idle = [f"relation {one}: wires are planned one by one" for one in relations]
+        idle += [f"aid {one.key}: no {one.type} is located yet" for one in document.aids if one.key not in LOCATED]
+        out.say(f"{file.name} is a procedure: {document.name}, {len(document.checks)} checks of the bone")
+        for one in idle:
+            out.say(f"not evaluated yet: {one}")
+        out.result({"file": file, "key": document.key, "fingerprint": fingerprint(document), "not_evaluated": idle})
+
+
+@app.command("new", epilog=example("sightline procedure new mine.json --like hip-screw"))
+def new(
+    file: Annotated[Path, typer.Argument(help="The file to write; its name without .json becomes the key.")],
+    *,
+    like: Annotated[str, typer.Option(help="The procedure to copy: a key of the list, or a file.")],
+    json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Write a procedure's file like another one, to be edited."""
+    with Output(json=json, quiet=quiet) as out:
+        from sightline.atomic import write_whole
+        from sightline.errors import UnusableInputError
+        from sightline.planning.procedures.files import copy_text
+
+        if file.exists():
+            raise UnusableInputError(f"{file.name} exists; remove it, or name another file")
+        write_whole(file, copy_text(like, file.stem))
+        out.say(f"written: {file}")
+        out.say(f"edit it, then: sightline procedure check {file}")
+        out.result({"file": file, "key": file.stem})
+
+
+def _show(out: Output, document: "ProcedureDocument") -> None:
+    out.say(f"{document.name} ({document.key}): {document.purpose}")
+    out.table(
+        "Views, in the order of the images",
+        ("view", "orbit °", "tilt °", "within °", "purpose"),
+        [(v.name, f"{v.orbit_deg:g}", f"{v.tilt_deg:g}", f"{v.within_deg:g}", v.purpose) for v in document.views],
+    )
+    points = [
+        (f"{wire.key}: {name}", point.name, point.sentence)
+        for wire in document.wires
+        for name, point in (("entry", wire.entry), ("end", wire.end))
+    ]
+    points += [(f"landmark {one.key}", one.name, one.sentence) for one in document.landmarks]
+    points += [(f"{one.type} {one.key}", one.name, one.sentence) for one in document.aids]
+    out.table("What a person picks and draws", ("key", "name", "where"), points)
+    wires = [(f"wire {one.key}", "diameter", f"{one.diameter_mm:g} mm", "") for one in document.wires]
+    limits = [
+        (f"limit {name}", "", f"{one.limit:.4g}", one.source)
+        for name, one in ((name, getattr(document.limits, name)) for name in type(document.limits).model_fields)
+    ]
+    relations = [
+        (f"relation {one.relation}", ", ".join(one.wires), _range(one), one.source) for one in document.relations
+    ]
+    checks = [
+        (f"check {one.check}", "required" if one.required else "if drawn", _range(one), one.source)
+        for one in document.checks
+    ]
+    out.table(
+        "Wires, limits, relations and checks",
+        ("what", "of", "accepted", "source"),
+        [*wires, *limits, *relations, *checks],
+    )
+    if (catalogue := document.catalogue) is not None:
+        lengths = catalogue.lengths_mm
+        out.say(
+            f"{catalogue.implants}: {len(lengths)} lengths of {lengths[0]:g} to {lengths[-1]:g} mm, diameter "
+            f"{', '.join(f'{mm:g}' for mm in catalogue.diameters_mm)} mm ({catalogue.source})"
+        )
+
+
+def _range(one: "CheckRule | Relation") -> str:
+    """Return the accepted values in words."""
+    if one.low is None:
+        return "" if one.high is None else f"to {one.high:g}"
+    return f"from {one.low:g}" if one.high is None else f"{one.low:g} to {one.high:g}"

@@ -1,0 +1,210 @@
+"""The schema of a procedure's file (docs/procedures.md)."""
+
+from typing import Annotated, Literal, Self
+
+from pydantic import Field, model_validator
+
+from sightline.planning.procedures.rules import CHECKS, CheckRule, Strict, Text
+
+Key = Annotated[str, Field(pattern=r"^[a-z][a-z0-9-]{0,39}$")]
+Name = Annotated[str, Field(min_length=1, max_length=80)]
+Millimetres = Annotated[float, Field(allow_inf_nan=False, gt=0, le=1e3)]
+Degrees = Annotated[float, Field(allow_inf_nan=False, gt=0, le=90)]
+
+AidType = Literal["point", "sphere", "line", "plane", "cylinder", "rim pair", "outline tube"]
+# Clicks that define an aid in each of its images, at least and at most; for types that no part of the program draws yet
+# any number.
+_CLICKS = {"point": (1, 1), "sphere": (3, 12), "line": (2, 2)}
+# The aids that planning locates in space (`Aids`), with their types.
+LOCATED: dict[str, AidType] = {"head": "sphere", "neck": "line", "shaft": "line", "calcar": "point", "cortex": "point"}
+
+
+class WantedView(Strict):
+    """A view to acquire, in the order of the images, and its wanted direction.
+
+    The beam's direction from the X-ray source to the detector: `orbit_deg` is 0 towards anterior and 90 towards the
+    operated side; `tilt_deg` is positive with the detector tilted towards the head.
+    """
+
+    name: Key
+    purpose: Text
+    orbit_deg: Annotated[float, Field(ge=-180, le=180)]
+    tilt_deg: Annotated[float, Field(ge=-90, le=90)]
+    within_deg: Degrees
+    source: Text
+
+
+class PointAsked(Strict):
+    """A point that a person picks."""
+
+    name: Name
+    sentence: Text
+
+
+class WireAsked(Strict):
+    """A wire, drill or screw's guide: its diameter, entry and end."""
+
+    key: Key
+    name: Name
+    diameter_mm: Millimetres
+    entry: PointAsked
+    end: PointAsked
+
+
+class Relation(Strict):
+    """What holds between wires, by their keys.
+
+    "parallel": the angle between any two is at most `high`, °. "spacing": the distance of any two at their entries lies
+    between `low` and `high`, mm. "order": they are drilled in this order. "inverted triangle": three wires, the first
+    one the most caudal.
+    """
+
+    relation: Literal["parallel", "spacing", "order", "inverted triangle"]
+    wires: Annotated[tuple[Key, ...], Field(min_length=2, max_length=6)]
+    low: Annotated[float, Field(ge=0, le=1e3)] | None = None
+    high: Annotated[float, Field(gt=0, le=1e3)] | None = None
+    source: Text
+
+    @model_validator(mode="after")
+    def _limits(self) -> Self:
+        wanted = {"parallel": {"high"}, "spacing": {"low", "high"}}.get(self.relation, set())
+        given = {name for name in ("low", "high") if getattr(self, name) is not None}
+        if given != wanted:
+            takes = " and ".join(sorted(wanted, reverse=True)) or "no limits"
+            raise ValueError(f"is the relation {self.relation!r}, which takes {takes}; correct it")
+        if self.relation == "inverted triangle" and len(self.wires) != 3:
+            raise ValueError("is an inverted triangle; name three wires, the most caudal one first")
+        return self
+
+
+class LandmarkAsked(PointAsked):
+    """A point of the bone that is picked freely in all views."""
+
+    key: Key
+
+
+class AidAsked(PointAsked):
+    """A drawn aid: its type, the views that it is drawn in, and the clicks in each."""
+
+    key: Key
+    type: AidType
+    views: Annotated[tuple[Key, ...], Field(min_length=1, max_length=4)]
+    clicks: Annotated[int, Field(ge=1, le=40)]
+
+    @model_validator(mode="after")
+    def _drawable(self) -> Self:
+        low, high = _CLICKS.get(self.type, (1, 40))
+        if not low <= self.clicks <= high:
+            raise ValueError(f"is a {self.type} drawn by {self.clicks} clicks; give {low} to {high}")
+        if self.type in _CLICKS and LOCATED.get(self.key) != self.type:
+            known = ", ".join(f"{key} ({kind})" for key, kind in LOCATED.items())
+            raise ValueError(f"is the {self.type} {self.key!r}; the aids that are located are {known}")
+        return self
+
+
+class CorridorAsked(Strict):
+    """The space that the implant needs: its diameter, the bone kept around it, and where it may leave the bone."""
+
+    implant_mm: Millimetres
+    margin_mm: Annotated[float, Field(allow_inf_nan=False, ge=0, le=50)]
+    may_leave_bone: Annotated[tuple[Literal["entry", "end"], ...], Field(max_length=2)]
+    source: Text
+
+
+class Catalogue(Strict):
+    """Implants: lengths and diameters, mm, length of the thread, and angles of plates, ° (empty without plates)."""
+
+    implants: Name
+    lengths_mm: Annotated[tuple[Millimetres, ...], Field(min_length=1, max_length=100)]
+    diameters_mm: Annotated[tuple[Millimetres, ...], Field(min_length=1, max_length=20)]
+    thread_mm: Millimetres | None = None
+    plate_angles_deg: Annotated[tuple[Annotated[float, Field(ge=90, le=180)], ...], Field(max_length=20)] = ()
+    source: Text
+
+    @model_validator(mode="after")
+    def _ascending(self) -> Self:
+        for name in ("lengths_mm", "diameters_mm", "plate_angles_deg"):
+            values = getattr(self, name)
+            if list(values) != sorted(set(values)):
+                raise ValueError(f"{name} must ascend, each value once; sort them")
+        return self
+
+
+class ProposalAsked(Strict):
+    """The rule of a proposed wire: through the head's centre, at an angle to the shaft, its tip below the surface."""
+
+    rule: Literal["through-head"]
+    angle_deg: Annotated[float, Field(ge=90, le=170)]
+    under_surface_mm: Annotated[float, Field(gt=0, le=30)]
+    source: Text
+
+
+class LimitAsked(Strict):
+    """A limit and its source."""
+
+    limit: Annotated[float, Field(allow_inf_nan=False, ge=0, le=1e3)]
+    source: Text
+
+
+class LimitsAsked(Strict):
+    """Limits of the 95 % errors of position and direction, and how far past the end point the wire is drilled."""
+
+    position_mm: LimitAsked
+    direction_deg: LimitAsked
+    beyond_mm: LimitAsked
+
+    @model_validator(mode="after")
+    def _above_zero(self) -> Self:
+        if self.position_mm.limit <= 0 or not 0 < self.direction_deg.limit <= 90:
+            raise ValueError("position_mm must be above zero, direction_deg above zero and at most 90")
+        return self
+
+
+class ProcedureDocument(Strict):
+    """A procedure's file."""
+
+    schema_: Annotated[Literal["sightline-procedure/1"], Field(alias="schema")]
+    key: Key
+    name: Name
+    purpose: Text
+    views: Annotated[tuple[WantedView, ...], Field(min_length=2, max_length=4)]
+    wires: Annotated[tuple[WireAsked, ...], Field(min_length=1, max_length=6)]
+    relations: Annotated[tuple[Relation, ...], Field(max_length=20)] = ()
+    landmarks: Annotated[tuple[LandmarkAsked, ...], Field(min_length=2, max_length=10)]
+    aids: Annotated[tuple[AidAsked, ...], Field(max_length=10)] = ()
+    corridor: CorridorAsked | None = None
+    catalogue: Catalogue | None = None
+    proposal: ProposalAsked | None = None
+    limits: LimitsAsked
+    checks: Annotated[tuple[CheckRule, ...], Field(max_length=30)] = ()
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        views, wires = ([one.name for one in self.views], [one.key for one in self.wires])
+        given = [one.key for one in (*self.landmarks, *self.aids)]
+        for what, keys in (
+            ("views", views),
+            ("wires", wires),
+            ("landmarks and aids", given),
+            ("checks", [rule.check for rule in self.checks]),
+        ):
+            if twice := sorted({key for key in keys if keys.count(key) > 1}):
+                raise ValueError(f"{twice[0]!r} occurs twice in the {what}; give each a key of its own")
+        for relation in self.relations:
+            if unknown := [key for key in relation.wires if key not in wires]:
+                raise ValueError(f"a relation names the wire {unknown[0]!r}; the wires are {', '.join(wires)}")
+        for aid in self.aids:
+            if aid.views != tuple(views[: len(aid.views)]):
+                raise ValueError(
+                    f"the aid {aid.key!r} is drawn in {', '.join(aid.views)}; name views from the first on"
+                )
+        for rule in self.checks:
+            needs = CHECKS[rule.check].needs
+            if rule.required and needs and not any(one <= set(given) for one in needs):
+                wanted = ", or ".join(" and ".join(sorted(one)) for one in needs)
+                raise ValueError(
+                    f"requires the check {rule.check!r}, which needs {wanted}: add it to aids or landmarks"
+                )
+        if self.proposal is not None and not {"head", "shaft", "cortex"} <= set(given):
+            raise ValueError("a proposal through the head needs the aids head, shaft and cortex; add them")
+        return self

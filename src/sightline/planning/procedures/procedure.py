@@ -1,0 +1,142 @@
+"""A procedure: what its file says, for one of its wires."""
+
+import json
+from dataclasses import dataclass, replace
+from functools import cached_property
+from hashlib import sha256
+from math import radians
+from typing import Any
+
+from sightline.checks import Limits
+from sightline.errors import UnusableInputError
+from sightline.planning.procedures.document import AidAsked, ProcedureDocument, WireAsked
+from sightline.planning.procedures.rules import CheckRule
+from sightline.planning.proposal import ProposalRule
+
+
+def fingerprint(document: ProcedureDocument) -> str:
+    """Return the identifier of a file: its key, and a hash of its content."""
+    text = json.dumps(document.model_dump(mode="json", by_alias=True), sort_keys=True, separators=(",", ":"))
+    return f"{document.key}#{sha256(text.encode()).hexdigest()[:16]}"
+
+
+@dataclass(frozen=True)
+class PlanInput:
+    """One input of a plan that a person gives: `key` for files and options, `name` and `sentence` for display."""
+
+    key: str
+    name: str
+    sentence: str
+
+
+@dataclass(frozen=True, eq=False)
+class Procedure:
+    """A procedure's file, and the one of its wires that is planned.
+
+    `limits`: those of the file, or others in their place.
+
+    >>> procedure = sl.planning.kind("hip-screw")
+    >>> procedure.limits.position_mm
+    1.0
+    """
+
+    document: ProcedureDocument
+    wire: WireAsked
+    limits: Limits
+
+    @staticmethod
+    def of(document: ProcedureDocument, wire: str = "") -> "Procedure":
+        """Return the procedure of a file for the wire of this key. Raises UnusableInputError.
+
+        `wire` may be "" where there is one wire only.
+        """
+        wires = {one.key: one for one in document.wires}
+        if wire not in wires and (wire or len(wires) > 1):
+            names = ", ".join(f"{document.key}:{key}" for key in wires)
+            raise UnusableInputError(
+                f"{document.key} has {len(wires)} wires, and a plan is of one: plan them one by one, {names}. "
+                "The relations between them are not checked yet"
+                if not wire
+                else f"{document.key} has no wire {wire!r}; choose one of {names}"
+            )
+        given = document.limits
+        limits = Limits(given.position_mm.limit, radians(given.direction_deg.limit), given.beyond_mm.limit)
+        return Procedure(document, wires.get(wire, document.wires[0]), limits)
+
+    @property
+    def several(self) -> bool:
+        """True where the file has other wires besides this one."""
+        return len(self.document.wires) > 1
+
+    @property
+    def key(self) -> str:
+        """Key of the file; of several wires with that of the wire, as "FILE:WIRE"."""
+        return f"{self.document.key}:{self.wire.key}" if self.several else self.document.key
+
+    @property
+    def name(self) -> str:
+        """Name for display."""
+        return f"{self.document.name}, {self.wire.name}" if self.several else self.document.name
+
+    @property
+    def purpose(self) -> str:
+        """What is done."""
+        return self.document.purpose
+
+    @cached_property
+    def fingerprint(self) -> str:
+        """Identifier of the file: its key, and a hash of its content."""
+        return fingerprint(self.document)
+
+    @property
+    def points(self) -> tuple[PlanInput, PlanInput]:
+        """Entry and end."""
+        entry, end = self.wire.entry, self.wire.end
+        return PlanInput("entry", entry.name, entry.sentence), PlanInput("end", end.name, end.sentence)
+
+    @property
+    def landmarks(self) -> tuple[PlanInput, ...]:
+        """Points of the bone that are picked freely in all views."""
+        return tuple(PlanInput(one.key, one.name, one.sentence) for one in self.document.landmarks)
+
+    @property
+    def aids(self) -> tuple[AidAsked, ...]:
+        """Drawn aids."""
+        return self.document.aids
+
+    @property
+    def wire_mm(self) -> float:
+        """Diameter of the wire or drill."""
+        return self.wire.diameter_mm
+
+    @property
+    def checks(self) -> tuple[CheckRule, ...]:
+        """Checks of the wire against the bone; they need the side, and some of landmarks and aids."""
+        return self.document.checks
+
+    @property
+    def ends_before_joint(self) -> bool:
+        """True where the tip must stay below a joint's surface, which then limits the depth of drilling."""
+        return any(rule.check == "tip in head" for rule in self.checks)
+
+    @property
+    def proposal(self) -> ProposalRule | None:
+        """The rule of a proposed wire, or None."""
+        given = self.document.proposal
+        return None if given is None else ProposalRule(radians(given.angle_deg), given.under_surface_mm)
+
+    def sentences(self) -> list[str]:
+        """Return what a reader of a plan must know: of several wires, that the others are not in it."""
+        if not self.several:
+            return []
+        said = f"This is the plan of one wire of {len(self.document.wires)}: plan the others by themselves."
+        relations = ", ".join(dict.fromkeys(one.relation for one in self.document.relations))
+        return [f"{said} Nothing between the wires is checked{f' ({relations})' if relations else ''}."]
+
+    def written(self) -> dict[str, Any]:
+        """Return the file's content as JSON types."""
+        return self.document.model_dump(mode="json", by_alias=True)
+
+    def with_limits(self, limits: Limits | None) -> "Procedure":
+        """Return the procedure judged by other limits, or unchanged for None."""
+        return self if limits is None else replace(self, limits=limits)

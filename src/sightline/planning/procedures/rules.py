@@ -1,0 +1,87 @@
+"""The checks that a procedure's file may name, and the rule that names one with its limits and their source."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from math import inf
+from types import MappingProxyType
+from typing import Annotated, Self
+
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+HEAD_CENTRE, LESSER = "head-centre", "lesser-trochanter"
+
+# [ours] beyond any length (mm) or angle (°) of a wire in a bone
+Limit = Annotated[float, Field(allow_inf_nan=False, ge=-1e3, le=1e3)]
+Text = Annotated[str, Field(min_length=1, max_length=400)]
+
+
+class Strict(BaseModel):
+    """A part of a procedure's file: unknown keys are refused."""
+
+    model_config = ConfigDict(strict=True, extra="forbid", frozen=True)
+
+
+@dataclass(frozen=True)
+class KnownCheck:
+    """A check that a file may name: the limits that it takes, their unit, the aids or landmarks that it needs.
+
+    `needs`: alternatives, each a set of keys.
+    """
+
+    limits: tuple[str, ...]
+    unit: str
+    needs: tuple[frozenset[str], ...]
+
+
+def _known(limits: str, unit: str, *needs: str) -> KnownCheck:
+    return KnownCheck(tuple(limits.split()), unit, tuple(frozenset(one.split()) for one in needs))
+
+
+CHECKS: Mapping[str, KnownCheck] = MappingProxyType(
+    {
+        "entry and end": _known("", "mm", "head", HEAD_CENTRE),
+        "side": _known("", "mm", "head", HEAD_CENTRE),
+        "head to entry": _known("low", "mm", "head", HEAD_CENTRE),
+        "tip in head": _known("", "mm", "head"),
+        "lateral of lesser trochanter": _known("low high", "mm", LESSER),
+        "anterior of lesser trochanter": _known("low high", "mm", LESSER),
+        "wire to shaft": _known("low high", "°", "shaft"),
+        "entry below cortex": _known("high", "mm", "head shaft cortex", f"{HEAD_CENTRE} shaft cortex"),
+        "wire length": _known("low high", "mm"),
+    }
+)
+
+
+class CheckRule(Strict):
+    """One check of the wire against the bone: its name in CHECKS, its limits, and their source.
+
+    `required`: without what it needs the plan is incomplete; otherwise the check is left out. `of`: what the limits are
+    those of, in the sentence of a wire's length.
+    """
+
+    check: str
+    low: Limit | None = None
+    high: Limit | None = None
+    required: bool = False
+    of: Annotated[str, Field(min_length=1, max_length=80)] = "the implants"
+    source: Text
+
+    @model_validator(mode="after")
+    def _known(self) -> Self:
+        if self.check not in CHECKS:
+            raise ValueError(f"names the check {self.check!r}, which is not known; choose from {', '.join(CHECKS)}")
+        takes = CHECKS[self.check].limits
+        for name in ("low", "high"):
+            if (getattr(self, name) is None) == (name in takes):
+                raise ValueError(
+                    f"is the check {self.check!r}, which takes {' and '.join(takes) or 'no limits'}; "
+                    f"{'give' if name in takes else 'remove'} {name!r}"
+                )
+        if not self.range[0] < self.range[1]:
+            raise ValueError(f"has the limits {self.low:g} to {self.high:g}; give a lower limit below the upper one")
+        return self
+
+    @property
+    def range(self) -> tuple[float, float]:
+        """The accepted values, infinite where there is no limit."""
+        return -inf if self.low is None else self.low, inf if self.high is None else self.high

@@ -1,0 +1,52 @@
+"""Strict reading of files that people write as JSON: unknown and repeated keys are refused, with sentences."""
+
+import json
+from collections.abc import Mapping
+from typing import Any, TypeVar
+
+from pydantic import BaseModel, ValidationError
+
+from sightline.errors import UnusableInputError
+
+_ERRORS_SHOWN = 3
+_Model = TypeVar("_Model", bound=BaseModel)
+
+
+def read_strictly(
+    text: bytes | str, model: type[_Model], refuse: type[UnusableInputError], advice: Mapping[str, str]
+) -> _Model:
+    """Return the document in a JSON text. Raises `refuse` with sentences.
+
+    `advice`: what to do about pydantic's kinds of errors, by their names.
+    """
+
+    def without_repeats(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+        keys = [key for key, _ in pairs]
+        if twice := sorted({key for key in keys if keys.count(key) > 1}):
+            raise refuse(f"the key {twice[0]!r} occurs twice in one object; remove one")
+        return dict(pairs)
+
+    def no_constant(name: str) -> float:
+        raise refuse(f"{name} is not a number; {advice['finite_number'].partition('; ')[2]}")
+
+    try:
+        json.loads(text, object_pairs_hook=without_repeats, parse_constant=no_constant)
+        return model.model_validate_json(text)
+    except ValidationError as error:
+        raise refuse(explain(error, advice)) from None
+    except (json.JSONDecodeError, UnicodeDecodeError, RecursionError) as error:
+        raise refuse(f"the file is not JSON: {error}") from None
+
+
+def explain(error: ValidationError, advice: Mapping[str, str]) -> str:
+    """Return pydantic's errors as sentences that say where each is and what to do."""
+    found = error.errors(include_url=False, include_context=True)
+    shown = [_explain_one(entry["type"], entry["loc"], entry["msg"], advice) for entry in found[:_ERRORS_SHOWN]]
+    more = len(found) - len(shown)
+    return "; ".join(shown) + (f"; and {more} more" if more else "")
+
+
+def _explain_one(kind: str, where: tuple[int | str, ...], message: str, advice: Mapping[str, str]) -> str:
+    place = "".join(f"[{step}]" if isinstance(step, int) else f".{step}" for step in where).lstrip(".")
+    said = advice.get(kind, message.removeprefix("Value error, "))
+    return f"{place} {said}" if place else said
