@@ -7,6 +7,8 @@ from sightline.planning.axis import Axis
 from sightline.planning.corridor import Corridor, corridor
 from sightline.planning.curve import MatchingCurve, matching_curve, snap
 from sightline.planning.head import Sphere, outline
+from sightline.planning.hole import Edge, HoleSeen, fit_hole
+from sightline.planning.hole_result import Hole, Nail
 from sightline.planning.metrics import Metric, metrics
 from sightline.planning.picks import Pick
 from sightline.planning.plan import Plan, plan
@@ -25,10 +27,14 @@ __all__ = [
     "Axis",
     "Circle",
     "Corridor",
+    "Edge",
+    "Hole",
+    "HoleSeen",
     "Limits",
     "Line",
     "MatchingCurve",
     "Metric",
+    "Nail",
     "Pick",
     "Plan",
     "PlanInput",
@@ -43,6 +49,7 @@ __all__ = [
     "corridor",
     "error_shares",
     "error_shares_of",
+    "fit_hole",
     "judge",
     "kind",
     "locate",

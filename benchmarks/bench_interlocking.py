@@ -1,0 +1,128 @@
+"""Hole of a nail from two views: error, coverage, refusals and time.
+
+Points are those of scenes_hole.py, on views calibrated from their beads. The sizes of the nail differ from the stated
+ones by machining tolerances. `python -m benchmarks.bench_interlocking COUNT`
+prints the rows of so many nails as points.
+"""
+
+import sys
+import time
+from dataclasses import replace
+from itertools import product
+
+import numpy as np
+from scipy.stats import chi2
+
+import sightline as sl
+from benchmarks.parallel import in_parallel
+from benchmarks.rows import Row
+from benchmarks.scenes_hole import Sight, Trial, scored, seen
+from benchmarks.scenes_solid import BEAD_PX, c_arms
+from sightline.calibration import CalibratedView
+from sightline.calibration.together import calibrate_together
+from sightline.errors import RefusedError
+from sightline.frame import Frame
+from sightline.planning import Nail, fit_hole
+from sightline.studies.scenes import measure
+from sightline.twin import SetUp, draw_setup
+from sightline.twin.arm import beam_at
+from sightline.twin.nails import DistalNail, draw_nail
+
+NAILS = 1000
+MAX_MM, MAX_DEG, COVERAGE = 0.3, 0.7, 0.02  # of 95 % of the nails; of the stated 95 % regions
+HALF_ANGLE_DEG = 16.0  # of the views of a block, to either side of the hole: both see through it
+BLOCKS = ("block30", "block60")
+
+
+def run(quick: bool) -> list[Row]:
+    """Return the rows of this benchmark."""
+    return points(NAILS // 10 if quick else NAILS)
+
+
+def points(number: int) -> list[Row]:
+    """Return the rows of a number of nails as points, with block30; fewer with the other frames."""
+    rows = _rows("block30", in_parallel(_trial, product(("block30",), (0.0,), range(number))), required=True)
+    rows += _rows(
+        "block30, 30 % of each rim hidden", in_parallel(_trial, product(BLOCKS[:1], (0.3,), range(number // 4)))
+    )
+    for name in ("block60", "gamma"):
+        rows += _rows(name, in_parallel(_trial, product((name,), (0.0,), range(number // 4))))
+    return rows
+
+
+def views_and_nail(rng: np.random.Generator, frame: str) -> tuple[SetUp, list[CalibratedView], DistalNail]:
+    """Draw a set-up, its calibrated views, and a nail at the middle of what both show.
+
+    A block is seen from 16° to either side of the hole; the plates of a Γ frame fix its views 90° apart.
+    """
+    known = Frame.load(frame)
+    half = np.radians(HALF_ANGLE_DEG)
+    beams = None if known.solid is None else {"pa": beam_at(-half), "lateral": beam_at(half)}
+    setup = draw_setup(rng, known, views=beams)
+    observations = measure(rng, setup, BEAD_PX)
+    views: list[CalibratedView]
+    if known.solid is None:
+        views = [sl.calibrate(one, known) for one in observations.values()]
+    else:
+        views = list(calibrate_together(list(observations.values()), known, c_arms(setup)))
+    towards = beam_at(0.0 if beams is not None else np.radians(45.0))
+    nail = draw_nail(rng, setup.hip_mm + rng.uniform(-10.0, 10.0, 3), towards)
+    off_mm = 2 * Nail().sd_mm * rng.standard_normal(2)
+    made = replace(nail, diameter_mm=nail.diameter_mm + off_mm[0], hole_diameter_mm=nail.hole_diameter_mm + off_mm[1])
+    return setup, views, made
+
+
+def known_nail(nail: DistalNail) -> Nail:
+    """Return what the software is told of a nail: its nominal sizes."""
+    return Nail(round(nail.diameter_mm), round(nail.hole_diameter_mm), nail.bore_mm, nail.material)
+
+
+def _trial(case: tuple[str, float, int]) -> Trial | str:
+    """Return the errors of one nail as points, or why it was refused."""
+    frame, hidden, seed = case
+    rng = np.random.default_rng([seed, len(frame)])
+    setup, views, nail = views_and_nail(rng, frame)
+    sights = {name: Sight(view.focal_point_mm, view.project) for name, view in setup.views.items()}
+    edges = seen(rng, nail, sights, hidden=hidden, lens=setup.frame.solid is not None)
+    start = time.perf_counter()
+    try:
+        hole = fit_hole(views, edges, known_nail(nail))
+    except RefusedError as refused:
+        return str(refused)
+    taken = time.perf_counter() - start
+    if not hole.passed:
+        return "; ".join(check.name for check in hole.checks if not check.passed)
+    return scored(hole, nail, taken)
+
+
+def _rows(name: str, trials: list[Trial | str], *, required: bool = False) -> list[Row]:
+    group = f"interlocking, nails as points, {name}"
+    kept = [trial for trial in trials if isinstance(trial, Trial)]
+    mm, deg = (float(np.quantile([getattr(t, key) for t in kept], 0.95)) for key in ("off_mm", "off_deg"))
+    covered = float(np.mean([t.square <= chi2.ppf(0.95, 4) for t in kept]))
+    met = (mm <= MAX_MM and deg <= MAX_DEG, abs(covered - 0.95) <= COVERAGE) if required else (None, None)
+    return [
+        Row(
+            group,
+            "error of the axis, 95 %",
+            f"{mm:.3f} mm, {deg:.2f}° of {len(kept)}",
+            f"<= {MAX_MM} mm, {MAX_DEG}°" if required else "",
+            "Esfandiari 2016: below 0.5 mm, 2°",
+            met[0],
+        ),
+        Row(
+            group,
+            "95 % regions of axis and direction cover",
+            f"{100 * covered:.1f} %",
+            f"95 ± {100 * COVERAGE:.0f} %" if required else "",
+            "",
+            met[1],
+        ),
+        Row(group, "refused", f"{len(trials) - len(kept)} of {len(trials)}"),
+        Row(group, "time of the fit, median", f"{1e3 * np.median([t.time_s for t in kept]):.0f} ms"),
+    ]
+
+
+if __name__ == "__main__":
+    for row in points(int(sys.argv[1])):
+        print(row.group, row.name, row.value, row.required, row.met, sep=" | ")

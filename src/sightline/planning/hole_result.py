@@ -1,0 +1,106 @@
+"""A nail as its maker states it, and the result of measuring one of its transverse holes."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from sightline.checks import Check, failed
+from sightline.errors import UnusableInputError
+from sightline.geometry.covariance import length_quantile, line_direction
+from sightline.planning.directions import unit
+from sightline.show import Shown
+from sightline.show.words import checks_lines, numbers
+
+
+@dataclass(frozen=True)
+class Nail:
+    """A round nail with transverse holes; the walls of a hole are one outer diameter apart.
+
+    `diameter_mm`: outer; `hole_mm`, `bore_mm`: diameters of the holes and of the cannulation (0: none); `material`:
+    "titanium" or "steel". `sd_mm`: standard deviation of each radius from its stated value. Raises UnusableInputError.
+    """
+
+    diameter_mm: float = 11.0
+    hole_mm: float = 5.0
+    bore_mm: float = 5.0
+    material: str = "titanium"
+    sd_mm: float = 0.02  # [ours] a machining tolerance of 0.05 mm
+
+    def __post_init__(self) -> None:
+        if not (0 < self.hole_mm < self.diameter_mm < np.inf and 0 <= self.bore_mm < self.diameter_mm):
+            raise UnusableInputError(
+                f"a nail of {self.diameter_mm} mm cannot have holes of {self.hole_mm} mm and a bore of "
+                f"{self.bore_mm} mm; give diameters smaller than the nail's"
+            )
+        if self.material not in ("titanium", "steel") or not 0 < self.sd_mm < np.inf:
+            raise UnusableInputError("a nail is of 'titanium' or 'steel', and its sizes have a positive s.d.")
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Hole(Shown):
+    """The axis of a hole, CFCS. Look at `checks` before you use it.
+
+    `entry_mm`, `exit_mm` (3,): where the axis crosses the nail's surface; the entry is nearer to the X-ray source of
+    the first view. `covariance_mm2` (6, 6): of (entry, exit). `nail_direction` (3,): unit vector along the nail at the
+    hole. `given`, `kept` (V, 4) int: for each view the points of both outlines, entry rim and exit rim, and how many of
+    them the fit kept.
+    """
+
+    entry_mm: np.ndarray
+    exit_mm: np.ndarray
+    covariance_mm2: np.ndarray
+    nail_direction: np.ndarray
+    given: np.ndarray
+    kept: np.ndarray
+    checks: tuple[Check, ...]
+
+    @property
+    def middle_mm(self) -> np.ndarray:
+        """(3,) midpoint of entry and exit."""
+        return (self.entry_mm + self.exit_mm) / 2
+
+    @property
+    def direction(self) -> np.ndarray:
+        """(3,) unit vector from entry to exit."""
+        return unit(self.exit_mm - self.entry_mm)
+
+    @property
+    def passed(self) -> bool:
+        """Whether every check passed."""
+        return not failed(self.checks)
+
+    @property
+    def axis_covariance_mm2(self) -> np.ndarray:
+        """(2, 2) covariance of the axis at its middle, along two axes perpendicular to it."""
+        across = np.linalg.svd(self.direction[None])[2][1:]
+        to_middle = np.hstack([across, across]) / 2
+        return to_middle @ self.covariance_mm2 @ to_middle.T
+
+    @property
+    def direction_covariance_rad2(self) -> np.ndarray:
+        """(2, 2) covariance of the direction along two axes perpendicular to it."""
+        to_direction = line_direction(self.entry_mm, self.exit_mm)
+        return to_direction @ self.covariance_mm2 @ to_direction.T
+
+    @property
+    def axis_error_95_mm(self) -> float:
+        """With a probability of 95 % the axis is nearer to the true one at its middle."""
+        return float(length_quantile(self.axis_covariance_mm2))
+
+    @property
+    def direction_error_95_rad(self) -> float:
+        """With a probability of 95 % the direction's error is smaller."""
+        return float(length_quantile(self.direction_covariance_rad2))
+
+    def summary(self) -> str:
+        """Return entry and exit, the error bounds and the failed checks."""
+        error = f"{self.axis_error_95_mm:.2f} mm, {np.rad2deg(self.direction_error_95_rad):.2f}°"
+        return "\n".join(
+            [
+                "Hole of a nail in CFCS",
+                f"  entry {numbers(self.entry_mm, 2)} mm",
+                f"  exit  {numbers(self.exit_mm, 2)} mm",
+                f"  95 % error of the axis {error}",
+                *checks_lines(self.checks, 3),
+            ]
+        )

@@ -1,0 +1,57 @@
+"""The nail's mesh against the volume of its parts and against rays through it."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sightline.errors import SetUpError
+from sightline.twin.nails import REACH_MM, SPACING_MM, TIP_MM, DistalNail
+
+NAIL = DistalNail(np.array([1.0, 2.0, 3.0]), np.array([0.0, 1.0, 0.0]), np.array([0.6, 0.0, 0.8]))
+
+
+def _length_mm(nail: DistalNail, own_mm: np.ndarray, towards: np.ndarray) -> float:
+    """Length of material on a line through a place of the straight nail, by intersecting every triangle."""
+    mesh = nail.mesh()
+    origin = nail.placed(own_mm[None])[0] - 50.0 * towards
+    a, b, c = np.moveaxis(mesh.vertices_mm[mesh.triangles], 1, 0)
+    normal = np.cross(b - a, c - a)
+    reach = ((a - origin) * normal).sum(axis=1) / (normal @ towards + 1e-300)
+    hit = origin + reach[:, None] * towards
+    inside = np.all([(np.cross(q - p, hit - p) * normal).sum(axis=1) >= 0 for p, q in ((a, b), (b, c), (c, a))], axis=0)
+    return float((reach * np.sign(normal @ towards))[inside].sum())
+
+
+@pytest.mark.parametrize("bore_mm", [0.0, 4.0, 6.0])
+def test_volume_is_tube_less_holes(bore_mm):
+    x, z = np.meshgrid(*2 * [(np.arange(1000) + 0.5) / 1000 * 5.0 - 2.5])
+    inside = x**2 + z**2 < 2.5**2
+    walls = np.sqrt(5.5**2 - x**2) - np.sqrt(np.maximum((bore_mm / 2) ** 2 - x**2, 0.0))
+    removed = 2 * 2 * walls[inside].sum() * 0.005**2
+    tube = np.pi * (5.5**2 - (bore_mm / 2) ** 2) * (REACH_MM + SPACING_MM + TIP_MM)
+    assert replace(NAIL, bore_mm=bore_mm).mesh().volume_mm3 == pytest.approx(tube - removed, rel=1e-3)  # 128 segments
+
+
+def test_a_ray_along_a_hole_meets_no_material():
+    for point, axis in replace(NAIL, bend=0.03, bend_angle=1.0).holes:
+        nail = replace(NAIL, bend=0.03, bend_angle=1.0)
+        own = np.array([0.3, 0.0, 0.0 if np.allclose(point, nail.hole_mm) else SPACING_MM])
+        assert _length_mm(nail, own, axis) == pytest.approx(0.0, abs=2e-3)
+
+
+def test_a_ray_beside_the_holes_meets_both_walls():
+    wall = np.sqrt(5.5**2 - 0.3**2) - np.sqrt(2.5**2 - 0.3**2)
+    assert _length_mm(NAIL, np.array([0.3, 0.0, 11.1]), NAIL.axis) == pytest.approx(2 * wall, abs=0.01)
+
+
+def test_second_hole_follows_the_bend():
+    nail = replace(NAIL, bend=np.deg2rad(2.0), bend_angle=0.0)
+    (_, first), (at, second) = nail.holes
+    assert np.rad2deg(np.arccos(first @ second)) == pytest.approx(2.0 * SPACING_MM / 100.0, rel=1e-3)
+    assert (at - nail.hole_mm) @ nail.axis == pytest.approx(SPACING_MM**2 / 2 * np.deg2rad(2.0) / 100.0, rel=1e-3)
+
+
+def test_holes_along_the_nail_are_refused():
+    with pytest.raises(SetUpError):
+        replace(NAIL, axis=NAIL.along)
