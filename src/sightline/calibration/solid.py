@@ -1,4 +1,4 @@
-"""Joint adjustment of all images of a solid of balls on flat panels.
+"""Joint adjustment of all images of a solid of balls.
 
 The unknowns are each image's camera (pose, focal length, principal point) and the errors of the balls, which all images
 share. The data are the balls' centres, and priors of the focal lengths, the principal points and the balls' errors. All
@@ -12,70 +12,23 @@ from functools import cached_property
 import numpy as np
 
 from sightline.calibration.panel import CENTRE, FOCAL, PARAMETERS, PanelCamera
+from sightline.calibration.solid_image import SolidBalls, SolidImage, Traced
 from sightline.errors import CalibrationRefusedError
 from sightline.fitting.triangular import cholesky, solve_lower, solve_lower_transposed
 from sightline.geometry.planes import Plane
 
-MIN_BALLS = 6  # of one image: 9 unknowns of its camera, two equations for each ball [ours]
 _STEPS = 50  # at most; from scaled orthography four suffice, of the right handedness
 _HALVINGS = 10  # at most, of a step that would increase the misfit
 _CONVERGED = 1e-8  # of chi-square, still to be gained: a step of 1e-4 standard deviations
-
-
-@dataclass(frozen=True)
-class PanelPrior:
-    """What is known of a panel before its image is calibrated, with standard deviations.
-
-    `focal_px` and `focal_share`, relative; `centre_px` (u, v) and `centre_sd_px`, per axis.
-    """
-
-    focal_px: float
-    focal_share: float
-    centre_px: tuple[float, float]
-    centre_sd_px: float
-
-
-@dataclass(frozen=True, eq=False)
-class SolidImage:
-    """The balls of one image: centres `uv_px` (N, 2), `covariance_px2` (N, 2, 2), `rows` (N,) among the solid's."""
-
-    uv_px: np.ndarray
-    covariance_px2: np.ndarray
-    rows: np.ndarray
-    prior: PanelPrior
-
-    @cached_property
-    def whiten(self) -> np.ndarray:
-        """(N, 2, 2): takes residuals in px to unit covariance."""
-        return np.linalg.inv(np.linalg.cholesky(self.covariance_px2))
-
-    def without(self, ball: int) -> "SolidImage":
-        """Return the image without one of its balls."""
-        kept = np.arange(len(self.rows)) != ball
-        return SolidImage(self.uv_px[kept], self.covariance_px2[kept], self.rows[kept], self.prior)
-
-
-@dataclass(frozen=True, eq=False)
-class SolidBalls:
-    """M balls: `xyz_mm` (M, 3), CFCS; `radius_mm` (M,); `factor` (3M, K): their errors are factor @ e, e of unit
-    variance (`Frame.error_factor`)."""
-
-    xyz_mm: np.ndarray
-    radius_mm: np.ndarray
-    factor: np.ndarray
-
-    @property
-    def error_mm(self) -> float:
-        """Rms of the balls' errors per axis."""
-        return float(np.sqrt((self.factor**2).sum() / len(self.factor)))
 
 
 @dataclass(frozen=True, eq=False)
 class SolidAdjustment:
     """The maximum a posteriori of V images: `cameras`, and the solid's errors `e` (K,) in standard deviations.
 
-    `residual` (R,) and `design` (R, K + 9V): of the whitened data, columns e first. The rows are two for each ball of
-    the first image, of the second, and so on; then those of the priors: three for each camera, K of e.
+    `residual` (R,) and `design` (R, K + 9V): of the whitened data, columns e first. The rows are those of the first
+    image's balls (`SolidImage.whitened`), of the second's, and so on; then those of the priors: three for each camera,
+    K of e.
     """
 
     solid: SolidBalls
@@ -88,7 +41,7 @@ class SolidAdjustment:
     @property
     def xyz_mm(self) -> np.ndarray:
         """(M, 3) adjusted positions of the balls, CFCS."""
-        return self.solid.xyz_mm + (self.solid.factor @ self.e).reshape(-1, 3)
+        return self.solid.moved_mm(self.e)
 
     @property
     def freedom(self) -> int:
@@ -108,8 +61,8 @@ class SolidAdjustment:
 
     def rows_of(self, image: int) -> slice:
         """Return the rows of an image's balls."""
-        start = 2 * sum(len(one.rows) for one in self.images[:image])
-        return slice(start, start + 2 * len(self.images[image].rows))
+        start = sum(one.data for one in self.images[:image])
+        return slice(start, start + self.images[image].data)
 
     def columns_of(self, image: int) -> slice:
         """Return the columns of an image's camera."""
@@ -117,28 +70,28 @@ class SolidAdjustment:
         return slice(start, start + PARAMETERS)
 
     def left_out(self, image: int) -> tuple[np.ndarray, np.ndarray]:
-        """Return each ball's residual (N, 2), px, against its prediction by all other data, and that residual's
-        squared Mahalanobis length (N,)."""
+        """Return each ball's residual (N, 2), in the unit of the camera's image, against its prediction by all other
+        data, and that residual's squared Mahalanobis length (N,)."""
         rows = self.rows_of(image)
-        residual = self.residual[rows].reshape(-1, 2)
-        hat = np.einsum(
-            "nak,knb->nab",
-            self.design[rows].reshape(len(residual), 2, -1),
-            self.gain[:, rows].reshape(-1, len(residual), 2),
-        )
-        alone = np.linalg.solve(np.eye(2) - hat, residual[..., None])[..., 0]
-        back = np.linalg.inv(self.images[image].whiten)
-        return np.einsum("nab,nb->na", back, alone), np.einsum("na,na->n", residual, alone)
+        return self.images[image].left_out(self.residual[rows], self.design[rows], self.gain[:, rows])
+
+    def traced(self, image: int, uv_px: np.ndarray) -> Traced:
+        """Return where the pixels (N, 2) of an image are in its camera's."""
+        return self.images[image].traced(self.cameras[image], self.solid, self.e, uv_px)
 
     def prediction(
         self, image: int, uv_px: np.ndarray, rows: np.ndarray, covariance_px2: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return residuals (N, 2), px, of balls in an image that were not used, and their lengths (N,) in s.d."""
-        uv, by_camera, by_point = self.cameras[image].shadows(self.xyz_mm[rows], self.solid.radius_mm[rows])
-        response = by_camera @ self.gain[self.columns_of(image)]
-        response += by_point @ self.solid.factor.reshape(-1, 3, len(self.e))[rows] @ self.gain[: len(self.e)]
-        covariance = covariance_px2 + response @ np.swapaxes(response, 1, 2)
-        residual = uv_px - uv
+        """Return residuals (N, 2), in the unit of the camera's image, of balls in an image that were not used, and
+        their lengths (N,) in s.d."""
+        pixels = self.traced(image, uv_px)
+        model = self.images[image].shadows(self.cameras[image], self.solid, self.e, rows)
+        response = (model.by_camera - pixels.by_camera) @ self.gain[self.columns_of(image)]
+        response += (model.by_e - pixels.by_e) @ self.gain[: len(self.e)]
+        covariance = pixels.jacobian @ covariance_px2 @ np.swapaxes(pixels.jacobian, 1, 2)
+        covariance = covariance + response @ np.swapaxes(response, 1, 2)
+        covariance += np.einsum("nanb->nab", pixels.covariance.reshape(len(rows), 2, len(rows), 2))
+        residual = pixels.at - model.at
         along = np.linalg.solve(covariance, residual[..., None])[..., 0]
         return residual, np.sqrt(np.einsum("na,na->n", residual, along))
 
@@ -147,13 +100,22 @@ class SolidAdjustment:
         free = direction - self.design @ (self.gain @ direction)
         return float(free @ self.residual / np.sqrt(free @ direction))
 
-    def responses(self, image: int, plane: Plane, uv_px: np.ndarray) -> dict[str, np.ndarray]:
+    def responses(self, image: int, plane: Plane, uv_px: np.ndarray) -> tuple[dict[str, np.ndarray], np.ndarray]:
         """Return for each source (3 + 2N, columns) the response of focal point and lines of sight of an image's pixels
-        (N, 2) to its independent unit-variance errors: the balls' centres, the panels' priors, the solid."""
-        lines = self.cameras[image].lines_by_parameters(plane, uv_px) @ self.gain[self.columns_of(image)]
-        balls = 2 * sum(len(one.rows) for one in self.images)
+        (N, 2) to its independent unit-variance errors: the balls' centres, the panels' priors, the frame. And the
+        covariance (3 + 2N, 3 + 2N) of what the image's map does not know at the pixels."""
+        camera, pixels = self.cameras[image], self.traced(image, uv_px)
+        lines = camera.lines_by_parameters(plane, pixels.at) @ self.gain[self.columns_of(image)]
+        slopes = camera.plane_map(plane).jacobian(pixels.at)
+        through = pixels.by_camera @ self.gain[self.columns_of(image)] + pixels.by_e @ self.gain[: len(self.e)]
+        lines[3:] += (slopes @ through).reshape(2 * len(uv_px), -1)
+        onward = np.zeros((len(lines), 2 * len(uv_px)))
+        for k, slope in enumerate(slopes):
+            onward[3 + 2 * k : 5 + 2 * k, 2 * k : 2 * k + 2] = slope
+        balls = sum(one.data for one in self.images)
         panels = balls + 3 * len(self.images)
-        return {"beads": lines[:, :balls], "focal_point": lines[:, balls:panels], "frame": -lines[:, panels:]}
+        shared = {"beads": lines[:, :balls], "focal_point": lines[:, balls:panels], "frame": -lines[:, panels:]}
+        return shared, onward @ pixels.covariance @ onward.T
 
 
 def adjust(solid: SolidBalls, images: Sequence[SolidImage], cameras: Sequence[PanelCamera]) -> SolidAdjustment:
@@ -186,7 +148,7 @@ def _shortened(now: SolidAdjustment, step: np.ndarray) -> SolidAdjustment | None
     for _ in range(_HALVINGS):
         cameras = [camera.moved(step[now.columns_of(k)]) for k, camera in enumerate(now.cameras)]
         e = now.e + step[: len(now.e)]
-        xyz = now.solid.xyz_mm + (now.solid.factor @ e).reshape(-1, 3)
+        xyz = now.solid.moved_mm(e)[: now.solid.count]
         if all(camera.in_front(xyz) for camera in cameras):
             moved = _linearised(now.solid, now.images, cameras, e)
             if moved.chi_square < now.chi_square:
@@ -199,19 +161,14 @@ def _linearised(
     solid: SolidBalls, images: Sequence[SolidImage], cameras: Sequence[PanelCamera], e: np.ndarray
 ) -> SolidAdjustment:
     """Return residuals (data minus model) and design at given parameters."""
-    size, balls = len(e) + PARAMETERS * len(images), sum(2 * len(one.rows) for one in images)
+    size, balls = len(e) + PARAMETERS * len(images), sum(one.data for one in images)
     residual = np.zeros(balls + 3 * len(images) + len(e))
     design = np.zeros((len(residual), size))
-    xyz = solid.xyz_mm + (solid.factor @ e).reshape(-1, 3)
-    by_e = solid.factor.reshape(len(xyz), 3, len(e))
     start = 0
     for k, (image, camera) in enumerate(zip(images, cameras, strict=True)):
-        uv, by_camera, by_point = camera.shadows(xyz[image.rows], solid.radius_mm[image.rows])
-        rows, own = slice(start, start + uv.size), len(e) + PARAMETERS * k
-        residual[rows] = (image.whiten @ (image.uv_px - uv)[..., None]).ravel()
-        design[rows, own : own + PARAMETERS] = (image.whiten @ by_camera).reshape(-1, PARAMETERS)
-        design[rows, : len(e)] = (image.whiten @ by_point @ by_e[image.rows]).reshape(uv.size, len(e))
-        start += uv.size
+        rows, own = slice(start, start + image.data), len(e) + PARAMETERS * k
+        residual[rows], design[rows, own : own + PARAMETERS], design[rows, : len(e)] = image.whitened(camera, solid, e)
+        start += image.data
         prior, at = image.prior, balls + 3 * k
         residual[at] = -np.log(camera.focal_px / prior.focal_px) / prior.focal_share
         residual[at + 1 : at + 3] = (np.array(prior.centre_px) - camera.centre_px) / prior.centre_sd_px

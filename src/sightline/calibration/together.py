@@ -1,4 +1,7 @@
-"""Calibration of all views of a solid together: flat panels, whose images share the errors of the solid's balls."""
+"""Calibration of all views of a solid together, whose images share the errors of its balls.
+
+On flat panels the solid suffices; on image intensifiers a plate on the detector shows the distortion.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -15,12 +18,13 @@ from sightline.calibration.checks import (
     wrong_beads_check,
 )
 from sightline.calibration.focal_length import CArm
-from sightline.calibration.hull import Hull
 from sightline.calibration.outliers import FALSE_ALARM, MAX_WRONG_SHARE
 from sightline.calibration.panel import PanelCamera
 from sightline.calibration.residuals import Residuals
-from sightline.calibration.solid import MIN_BALLS, PanelPrior, SolidAdjustment, SolidBalls, SolidImage, adjust, descend
+from sightline.calibration.solid import SolidAdjustment, adjust
 from sightline.calibration.solid_checks import adjustment_check, checks_of_image
+from sightline.calibration.solid_image import SolidBalls, SolidImage
+from sightline.calibration.solid_start import first_camera, image_of, noise_px2, rows_of, solid_of
 from sightline.calibration.view import CalibratedView
 from sightline.calibration.well_conditioned import well_conditioned
 from sightline.checks import Check
@@ -29,19 +33,6 @@ from sightline.errors import CalibrationRefusedError, ObservationsError, Unusabl
 from sightline.fitting.robust import variance_ratio
 from sightline.frame import Frame
 from sightline.geometry.planes import Plane
-
-# S.d. of what is known of a panel [ours]: the stated source-detector distance changes by 6 to 8 mm over the orbit and
-# the piercing point wanders by up to 16 mm where the C-arm flexes (physics.md, C-arm).
-DISTANCE_SD_MM = 10.0
-CENTRE_SD_MM = 5.0
-# Of a panel that states nothing [ours]: image widths between 1/8 and 1/2 of the focal length, about this mean.
-FOCAL_WIDTHS, FOCAL_SHARE = 4.0, 0.5
-CENTRE_SHARE = CENTRE_SD_MM / 200.0  # of the image's width, for the smallest panels of C-arms
-UNKNOWN_NOISE_PX = 0.5  # where none is stated: a careful click (physics.md, Picks)
-# Difference of chi-square between an image and its mirror image that decides [ours]: odds of e^12 to 1.
-MIRROR_EVIDENCE = 25.0
-FIRST_STEPS = 12  # [ours] four suffice; of the wrong handedness none do
-MIN_DEPTH = 0.1  # of the solid's balls about their best plane, rms over their rms distance from the middle [ours]
 
 
 def calibrate_together(
@@ -52,8 +43,9 @@ def calibrate_together(
     """Return the calibrated views of images that show one solid of balls at rest, in a single adjustment.
 
     `observations`: one image or more, each of another view and with its size. `c_arms`: the known dimensions of the
-    C-arm for each image. The images must come from flat panels; a distorted one fails its checks. Balls that contradict
-    the others are left out and named. Raises ObservationsError, FrameError, CalibrationRefusedError.
+    C-arm for each image. Without a plate on the detector the images must come from flat panels, with one from image
+    intensifiers; others fail their checks. Balls that contradict the others are left out and named. Raises
+    ObservationsError, FrameError, CalibrationRefusedError.
     """
     frame = Frame.of(frame)
     if frame.solid is None:
@@ -61,10 +53,10 @@ def calibrate_together(
     if len({one.view for one in observations}) < len(observations):
         raise ObservationsError("two images are of the same view; give each image a name of its own")
     known = c_arms or [None] * len(observations)
-    solid = _solid_of(frame)
-    images = [_image_of(one, frame, c_arm) for one, c_arm in zip(observations, known, strict=True)]
+    solid = solid_of(frame)
+    images = [image_of(one, frame, solid, c_arm) for one, c_arm in zip(observations, known, strict=True)]
     with well_conditioned():
-        cameras = [_first_camera(solid, image, one.view) for image, one in zip(images, observations, strict=True)]
+        cameras = [first_camera(solid, image, one.view) for image, one in zip(images, observations, strict=True)]
         fit, left = _robustly(solid, images, cameras, observations)
     adjustment = sha256(b"".join(one.view.encode() + one.uv_px.tobytes() for one in observations)).hexdigest()[:16]
     checks = (adjustment_check(fit), *tolerance_checks(frame))
@@ -106,17 +98,18 @@ def adjustment_of(view: BeadView) -> SolidAdjustment:
 
 @dataclass(frozen=True, eq=False)
 class SolidErrors:
-    """The errors of focal point and lines of sight by source, as responses to errors of unit variance."""
+    """The errors of focal point and lines of sight by source, as responses to errors of unit variance; `own_map`, the
+    map's, as a covariance: the rest of it, once all balls' images are given, which no other view shares."""
 
     responses: dict[str, np.ndarray]
+    own_map: np.ndarray
 
     def by_source(self) -> dict[str, np.ndarray]:
         """Return the covariances for each of `view.SOURCES`."""
-        size = len(self.responses["frame"])
-        return {"map": np.zeros((size, size)), **{source: g @ g.T for source, g in self.responses.items()}}
+        return {"map": self.own_map, **{source: g @ g.T for source, g in self.responses.items()}}
 
     def shared(self) -> dict[str, np.ndarray]:
-        """Return `LinesOfSight.shared`: the views of one adjustment share all errors."""
+        """Return `LinesOfSight.shared`: the views of one adjustment share all errors but the map's."""
         return self.responses
 
 
@@ -130,80 +123,12 @@ class _InOne:
 
     def line_errors(self, uv_px: np.ndarray) -> SolidErrors:
         """Return the errors of focal point and lines of sight of pixels (N, 2)."""
-        return SolidErrors(self.fit.responses(self.image, self.plane, uv_px))
+        return SolidErrors(*self.fit.responses(self.image, self.plane, uv_px))
 
     @property
     def plane(self) -> Plane:
         """The reference plane: through the solid's middle, across the camera's axis."""
-        return Plane.across(self.fit.cameras[self.image].rotation[2], self.fit.solid.xyz_mm.mean(axis=0))
-
-
-def _solid_of(frame: Frame) -> SolidBalls:
-    assert frame.solid is not None  # noqa: S101 - checked by the caller
-    xyz = frame.solid.xyz_mm
-    spread = np.linalg.svd(xyz - xyz.mean(axis=0), compute_uv=False)
-    if spread[2] < MIN_DEPTH * np.linalg.norm(spread):
-        raise CalibrationRefusedError(
-            f"the balls of frame {frame.name} lie nearly in one plane, which leaves the distance of the X-ray source "
-            "open; use a solid whose balls fill a volume"
-        )
-    radius = np.array([f.diameter_mm for f in frame.solid.fiducials]) / 2
-    return SolidBalls(xyz, radius, frame.error_factor)
-
-
-def _image_of(seen: Observations, frame: Frame, c_arm: CArm | None) -> SolidImage:
-    """Return the balls of an image and what is known of its panel.
-
-    Raises ObservationsError, CalibrationRefusedError.
-    """
-    rows = _rows_of(seen, frame)
-    if len(seen) < MIN_BALLS:
-        raise CalibrationRefusedError(
-            f"view {seen.view} shows {len(seen)} balls of the solid; {MIN_BALLS} are needed, 9 or more are good: bring "
-            "the whole solid into the field"
-        )
-    if seen.image_shape is None:
-        raise CalibrationRefusedError(
-            f"the image size of view {seen.view} is not known, and with it where its principal point may be; give "
-            "image_shape"
-        )
-    return SolidImage(seen.uv_px, _noise_px2(seen), rows, _prior(seen.image_shape, c_arm))
-
-
-def _prior(shape: tuple[int, int], c_arm: CArm | None) -> PanelPrior:
-    height, width = shape
-    centre = (width - 1) / 2, (height - 1) / 2
-    pixel_mm = None if c_arm is None else c_arm.pixel_mm
-    if c_arm is None or pixel_mm is None:
-        return PanelPrior(FOCAL_WIDTHS * max(shape), FOCAL_SHARE, centre, CENTRE_SHARE * max(shape))
-    distance = c_arm.source_detector_mm
-    return PanelPrior(distance / pixel_mm, DISTANCE_SD_MM / distance, centre, CENTRE_SD_MM / pixel_mm)
-
-
-def _first_camera(solid: SolidBalls, image: SolidImage, view: str) -> PanelCamera:
-    """Return an approximate camera, mirrored where the image shows the solid as its mirror image.
-
-    Only perspective tells: without it a mirrored image is the solid seen from the other side. The balls' errors count
-    as noise here. Raises CalibrationRefusedError.
-    """
-    rigid = replace(solid, factor=np.zeros((solid.xyz_mm.size, 0)))
-    prior = image.prior
-    starts = [
-        PanelCamera.of_affine(
-            image.uv_px, solid.xyz_mm[image.rows], prior.focal_px, np.array(prior.centre_px), mirrored=mirrored
-        )
-        for mirrored in (False, True)
-    ]
-    errors_px = starts[0].focal_px / np.linalg.norm(starts[0].focal_point_mm) * solid.error_mm
-    noisy = replace(image, covariance_px2=image.covariance_px2 + errors_px**2 * np.eye(2))
-    found = [descend(rigid, [noisy], [start], FIRST_STEPS)[0] for start in starts]
-    found.sort(key=lambda fit: fit.chi_square)
-    if found[1].chi_square - found[0].chi_square < MIRROR_EVIDENCE:
-        raise CalibrationRefusedError(
-            f"view {view} does not tell from which side it shows the solid: its mirror image fits as well; bring more "
-            "balls into the field, or use a larger solid"
-        )
-    return found[0].cameras[0]
+        return Plane.across(self.fit.cameras[self.image].rotation[2], self.fit.solid.middle_mm)
 
 
 def _robustly(
@@ -224,7 +149,7 @@ def _robustly(
             return fit, left
         left[k].append(names[k].pop(worst))
         images = [one.without(worst) if n == k else one for n, one in enumerate(images)]
-        if sum(map(len, left)) > limit or len(images[k].rows) < MIN_BALLS:
+        if sum(map(len, left)) > limit or not images[k].enough:
             wrong = ", ".join(f"{ball} in {one.view}" for one, balls in zip(seen, left, strict=True) for ball in balls)
             raise CalibrationRefusedError(
                 f"more than {limit} balls contradict the others ({wrong}); check that the frame file is that of the "
@@ -236,10 +161,7 @@ def _view(
     own: _InOne, seen: Observations, frame: Frame, c_arm: CArm | None, told: tuple[list[str], tuple[Check, ...]]
 ) -> BeadView:
     """Return the view of one image. `told`: ids of the balls left out of it, and the checks of the adjustment."""
-    fit, camera, plane = own.fit, own.fit.cameras[own.image], own.plane
-    assert seen.image_shape is not None  # noqa: S101 - checked with the image
-    height, width = seen.image_shape
-    corners = np.array([[0.0, 0.0], [width - 1, 0.0], [width - 1, height - 1], [0.0, height - 1]])
+    fit, camera, plane, image = own.fit, own.fit.cameras[own.image], own.plane, own.fit.images[own.image]
     residuals = _residuals(own, seen, frame, told[0])
     checks = [*checks_of_image(fit, own.image, c_arm), leave_one_out_check(residuals)]
     checks += [wrong_beads_check(residuals)] if residuals.left_out else []
@@ -248,14 +170,14 @@ def _view(
         name=seen.view,
         method=SOLID,
         plane=plane,
-        plane_map=camera.plane_map(plane),
+        plane_map=image.plane_map(camera, fit.solid, fit.e, plane),
         focal_point_mm=camera.focal_point_mm,
         residuals=residuals,
-        mirrored=camera.mirrored,
-        hull=Hull.of(corners),
+        mirrored=image.is_mirrored(camera),
+        hull=image.hull(seen.image_shape),
         checks=(*checks, *told[1]),
         frame_key=frame.fingerprint,
-        fiducials=frame.fiducials,
+        fiducials=frame.with_beads_at(image.placed_mm(camera, frame.xyz_mm)).fiducials,
         posterior=own,
         image_shape=seen.image_shape,
         rejected_px=strays,
@@ -268,30 +190,12 @@ def _view(
 def _residuals(own: _InOne, seen: Observations, frame: Frame, left: list[str]) -> Residuals:
     """Return the residuals of an image's balls on the reference plane; those of the adjusted solid."""
     fit, camera, plane = own.fit, own.fit.cameras[own.image], own.plane
-    rows = _rows_of(seen, frame)
+    rows = rows_of(seen, frame)
     used = np.array([i not in left for i in seen.ids])
-    off_px, sigma = fit.prediction(own.image, seen.uv_px, rows, _noise_px2(seen))
-    to_mm = camera.plane_map(plane).jacobian(seen.uv_px)
+    off_px, sigma = fit.prediction(own.image, seen.uv_px, rows, noise_px2(seen))
+    to_mm = camera.plane_map(plane).jacobian(fit.traced(own.image, seen.uv_px).at)
     residual = np.einsum("nab,nb->na", to_mm, off_px)
     alone_px, square = fit.left_out(own.image)
     loo = residual.copy()
     loo[used], sigma[used] = np.einsum("nab,nb->na", to_mm[used], alone_px), np.sqrt(square)
     return Residuals(seen.ids, seen.uv_px, residual, loo, np.ones(len(rows), dtype=bool), sigma, used)
-
-
-def _rows_of(seen: Observations, frame: Frame) -> np.ndarray:
-    """Return (N,): the observed balls' indices among the solid's. Raises ObservationsError."""
-    place = {f.id: k for k, f in enumerate(frame.fiducials)}
-    if unknown := [i for i in seen.ids if i not in place]:
-        raise ObservationsError(
-            f"frame {frame.name!r} has no fiducial {', '.join(map(repr, unknown[:5]))}; check that the observations "
-            "belong to this frame"
-        )
-    return np.array([place[i] for i in seen.ids])
-
-
-def _noise_px2(seen: Observations) -> np.ndarray:
-    """Return (N, 2, 2), px²: the stated covariances, or those of careful clicks."""
-    if seen.covariance_px2 is not None:
-        return seen.covariance_px2
-    return np.broadcast_to(UNKNOWN_NOISE_PX**2 * np.eye(2), (len(seen), 2, 2))

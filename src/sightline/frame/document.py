@@ -10,6 +10,7 @@ from sightline.frame.plate import Fiducial, RigidBody, Shape
 
 MIN_BEADS = 4  # the perspective image of a plate has eight unknowns: four balls
 MIN_SOLID_BEADS = 6  # a view of a solid has 9 to 11 unknowns: six balls give twelve equations
+MIN_DETECTOR_BEADS = 12  # the smooth map has ten unknowns for each coordinate
 MAX_SOLID_BEADS = 200  # [ours] their labels are searched for without a pattern
 
 Number = Annotated[float, Field(allow_inf_nan=False)]
@@ -80,6 +81,7 @@ class FrameDocument(_Strict):
     units: str
     views: dict[Name, ViewDocument] = Field(default_factory=dict)
     solid: Annotated[tuple[FiducialDocument, ...], Field(max_length=MAX_SOLID_BEADS)] | None = None
+    detector: Annotated[tuple[FiducialDocument, ...], Field(min_length=MIN_DETECTOR_BEADS)] | None = None
     serial: Annotated[str, Field(max_length=200)] | None = None
     measured_on: date | None = None
     temperature_c: Number | None = None
@@ -99,7 +101,7 @@ class FrameDocument(_Strict):
     def _whole(self) -> Self:
         self._refuse_mixture()
         ids = [f.id for view in self.views.values() for f in (*view.xrii, *view.source)] + [
-            f.id for f in self.solid or ()
+            f.id for f in (*(self.solid or ()), *(self.detector or ()))
         ]
         if twice := sorted({i for i in ids if ids.count(i) > 1}):
             raise ValueError(f"the fiducial id {twice[0]!r} occurs twice; give every ball of the frame a unique id")
@@ -119,6 +121,8 @@ class FrameDocument(_Strict):
             if self.sd_rad is not None or (self.sd_mm is not None and self.sd_mm.model_fields_set != {"bead"}):
                 raise ValueError('is a solid, which has no plates and no arms; state "sd_mm": {"bead": ...} alone')
             return
+        if self.detector is not None:
+            raise ValueError('has plates in "views"; a plate on the "detector" goes with a "solid"')
         for key in ("plate", "arm"):
             if self.sd_mm is not None and key not in self.sd_mm.model_fields_set:
                 raise ValueError(f"sd_mm.{key} is missing; add it")

@@ -13,6 +13,7 @@ from sightline.atomic import write_whole
 from sightline.errors import FrameError, UnusableInputError
 from sightline.frame.builtin import BUILTIN, builtin_design
 from sightline.frame.design import FrameDesign, views_of
+from sightline.frame.detector_plate import DETECTOR_PLATE, WITH_PLATE
 from sightline.frame.document import FrameDocument, SdRad, body_document, fiducials_of
 from sightline.frame.files import document_from_json, json_of, read_document
 from sightline.frame.handed import is_mirror_image
@@ -28,6 +29,10 @@ _Body = TypeVar("_Body", bound=RigidBody)
 @dataclass(frozen=True, eq=False, repr=False)
 class Frame(Plotted):
     """A calibration frame: two plates for each of its `views`, or one `solid` that every image shows.
+
+    `detector`: with a solid, a plate on the detector of an image intensifier, or None. Every image shows it; it tells
+    the distortion alone. Its coordinates are not CFCS but its own: origin in the middle of the detector's input plane,
+    z towards the X-ray source, mm. Its pose against the solid is estimated for each image.
 
     `tolerances` is None where the file states none: then `effective_tolerances` are the defaults, and reports say so.
     `covariance_mm2` (3M, 3M), or None: full covariance of all bead coordinates, views in file order, in each
@@ -47,6 +52,7 @@ class Frame(Plotted):
     covariance_mm2: np.ndarray | None = None
     in_use: InUse | None = None
     solid: RigidBody | None = None
+    detector: Plate | None = None
 
     def summary(self) -> str:
         """Return name, serial, the beads of each plate, and how well they are known."""
@@ -61,6 +67,8 @@ class Frame(Plotted):
             known += f"{sd.plate_rad:g} rad"
         else:
             lines.append(f"  a solid of {len(self.solid.fiducials)} beads, seen in every image")
+            if self.detector is not None:
+                lines.append(f"  a plate of {len(self.detector.fiducials)} beads on the detector, for the distortion")
             known = f"s.d. of a bead {sd.bead_mm:g} mm"
         if self.covariance_mm2 is not None:
             known = "measured, with the full covariance of the coordinates"
@@ -99,9 +107,9 @@ class Frame(Plotted):
     @cached_property
     def bodies(self) -> tuple[RigidBody, ...]:
         """The rigid bodies, in the order of `error_factor`: plates of the views in file order, XRII plate first; or the
-        solid."""
+        solid and the plate on the detector."""
         plates = tuple(plate for view in self.views.values() for plate in (view.xrii, view.source))
-        return plates if self.solid is None else (self.solid,)
+        return plates if self.solid is None else tuple(one for one in (self.solid, self.detector) if one is not None)
 
     @cached_property
     def fiducials(self) -> tuple[Fiducial, ...]:
@@ -110,7 +118,7 @@ class Frame(Plotted):
 
     @property
     def xyz_mm(self) -> np.ndarray:
-        """(M, 3) coordinates of all `fiducials`, CFCS."""
+        """(M, 3) coordinates of all `fiducials`, CFCS; of a plate on the detector its own."""
         return np.concatenate([body.xyz_mm for body in self.bodies])
 
     def with_beads_at(self, xyz_mm: np.ndarray) -> "Frame":
@@ -121,14 +129,26 @@ class Frame(Plotted):
             return replace(body, fiducials=tuple(replace(f, xyz_mm=tuple(next(places))) for f in body.fiducials))
 
         views = {name: FrameView(moved(view.xrii), moved(view.source)) for name, view in self.views.items()}
-        return replace(self, views=views, solid=None if self.solid is None else moved(self.solid))
+        solid = None if self.solid is None else moved(self.solid)
+        detector = None if self.detector is None else moved(self.detector)
+        return replace(self, views=views, solid=solid, detector=detector)
+
+    def with_plate(self, plate: Plate = DETECTOR_PLATE) -> "Frame":
+        """Return the frame of a solid with a plate on the detector, for image intensifiers. Raises FrameError."""
+        if self.solid is None:
+            raise FrameError(f"frame {self.name!r} has plates of its own; add a plate on the detector to a solid")
+        if self.covariance_mm2 is not None:
+            raise FrameError(f"frame {self.name!r} is measured; write the plate and its covariance into its file")
+        if twice := sorted(set(plate.ids) & set(self.solid.ids)):
+            raise FrameError(f"solid and plate both have a ball {twice[0]!r}; give every ball a unique id")
+        return replace(self, name=f"{self.name}+detector-plate", detector=plate)
 
     def fiducials_of(self, view: str) -> tuple[Fiducial, ...]:
-        """Return the fiducials that an image of a view can show: those of its plates, or the solid's.
+        """Return the fiducials that an image of a view can show: those of its plates, or all of a solid's frame.
 
         Raises FrameError.
         """
-        return self.view(view).fiducials if self.solid is None else self.solid.fiducials
+        return self.view(view).fiducials if self.solid is None else self.fiducials
 
     @cached_property
     def xyz_mm_by_id(self) -> dict[str, tuple[float, float, float]]:
@@ -141,7 +161,7 @@ class Frame(Plotted):
         Raises FrameError.
         """
         if self.solid is not None:
-            return slice(0, 3 * len(self.solid.fiducials))
+            return slice(0, 3 * len(self.fiducials))
         start = 0
         for name, one in self.views.items():
             if name == view:
@@ -160,7 +180,7 @@ class Frame(Plotted):
         """
         stated = self.effective_tolerances if self.covariance_mm2 is None else self.covariance_mm2
         if self.solid is not None:
-            return solid_error_factor(self.solid.xyz_mm, stated, self.in_use)
+            return solid_error_factor([body.xyz_mm for body in self.bodies], stated, self.in_use)
         return error_factor(self.views, stated, self.in_use)
 
     @property
@@ -180,6 +200,7 @@ class Frame(Plotted):
     def load(source: str | Path, before: "Iterable[Frame]" = ()) -> "Frame":
         """Return the frame of a file, or a built-in one: "gamma", "biplane", "stereo", "block30", "block60", "cube120".
 
+        For image intensifiers "block30+detector-plate" and "block60+detector-plate" are built in too.
         A file is JSON, or a frame specification of XMALab (CSV); docs/frame-file.md has both.
         `before`: frames that were used earlier; the mirror image of one with the same name and serial is refused, since
         it would calibrate as well and mirror every point. Raises FrameError.
@@ -188,6 +209,8 @@ class Frame(Plotted):
             frame = Frame.from_design(builtin_design(source))
         elif isinstance(source, str) and source in SOLIDS:
             frame = Frame(source, {}, solid=SOLIDS[source])
+        elif isinstance(source, str) and source in WITH_PLATE:
+            frame = Frame.load(WITH_PLATE[source]).with_plate()
         else:
             frame = Frame.from_document(read_document(Path(source)))
         frame.refuse_mirror_image(before)
@@ -201,7 +224,7 @@ class Frame(Plotted):
         if isinstance(frame, str | Path):
             return Frame.load(frame)
         raise UnusableInputError(
-            f"a frame is a Frame, the path of a frame file or one of {', '.join((*BUILTIN, *SOLIDS))}, "
+            f"a frame is a Frame, the path of a frame file or one of {', '.join((*BUILTIN, *SOLIDS, *WITH_PLATE))}, "
             f"not {type(frame).__name__}"
         )
 
@@ -253,6 +276,7 @@ class Frame(Plotted):
             covariance_mm2=covariance,
             in_use=InUse(**document.in_use.model_dump()) if document.in_use else None,
             solid=RigidBody(fiducials_of(solid)) if solid else None,
+            detector=Plate(fiducials_of(document.detector)) if document.detector else None,
         )
 
     @staticmethod
@@ -275,6 +299,8 @@ class Frame(Plotted):
             out["in_use"] = asdict(self.in_use)
         if self.solid is not None:
             out["solid"] = body_document(self.solid)
+            if self.detector is not None:
+                out["detector"] = body_document(self.detector)
         else:
             out["views"] = {
                 name: {"xrii": body_document(view.xrii), "source": body_document(view.source)}

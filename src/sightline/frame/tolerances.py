@@ -1,6 +1,6 @@
 """The errors of a frame's beads from its tolerances, in a hierarchy: bead, plate, arm."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -73,14 +73,18 @@ def error_factor(
     return np.hstack(columns)
 
 
-def solid_error_factor(xyz_mm: np.ndarray, stated: Tolerances | np.ndarray, in_use: InUse | None = None) -> np.ndarray:
-    """Return the factor (3M, K), mm, as of `error_factor`, for the M beads (M, 3) of a solid, which share no errors.
+def solid_error_factor(
+    bodies: Sequence[np.ndarray], stated: Tolerances | np.ndarray, in_use: InUse | None = None
+) -> np.ndarray:
+    """Return the factor (3M, K), mm, as of `error_factor`, for the M beads (N, 3) of a solid and of the plate with it,
+    which share no errors.
 
-    Of the handling errors heat and water expand it; drapes do not bend it.
+    Of the handling errors heat and water expand each about its middle; drapes do not bend it.
     """
-    columns = [stated.bead_mm * np.eye(3 * len(xyz_mm)) if isinstance(stated, Tolerances) else _stated_factor(stated)]
+    beads = sum(len(xyz) for xyz in bodies)
+    columns = [stated.bead_mm * np.eye(3 * beads) if isinstance(stated, Tolerances) else _stated_factor(stated)]
     if in_use is not None:
-        expansion = (xyz_mm - xyz_mm.mean(axis=0)).reshape(-1, 1)
+        expansion = np.concatenate([xyz - xyz.mean(axis=0) for xyz in bodies]).reshape(-1, 1)
         columns += [EXPANSION_PER_K * in_use.warmer_k * expansion, MOISTURE_EXPANSION * in_use.water_share * expansion]
     return np.hstack(columns)
 

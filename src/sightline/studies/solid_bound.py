@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.linalg import block_diag
 
-from sightline.calibration.together import CENTRE_SD_MM, DISTANCE_SD_MM
+from sightline.calibration.solid_start import CENTRE_SD_MM, DISTANCE_SD_MM
 from sightline.studies.bound import BoundData, Linear, derivative, snapped, target_bound
 from sightline.twin import SetUp, ViewTruth
 

@@ -5,19 +5,20 @@ from dataclasses import dataclass, field, replace
 from math import pi
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+from scipy.spatial.transform import RigidTransform, Rotation
 
 from sightline.errors import OutsideRegionError, SetUpError
 from sightline.frame import Fiducial, Frame, nominal
 from sightline.geometry.planes import Plane
 from sightline.twin.arm import IndependentViews, Stance, beam_at, draw_arm
-from sightline.twin.distributions import Arm, Distortion, Pose, SolidPlace
+from sightline.twin.distributions import NEAR_PLACE, Arm, Distortion, PlateMount, Pose, SolidPlace
 from sightline.twin.draw import FlatPanel, Tube, draw_earth, draw_tube
 from sightline.twin.intensifier import Intensifier
 from sightline.twin.magnetic import Site, field_at
 from sightline.twin.presets import ImageChain, preset
 
 ATTEMPTS = 100
+CLEAR_PX = 1.0  # [ours] between shadows that are both measured
 BEAMS = {"pa": beam_at(0.0), "lateral": beam_at(pi / 2), "oblique": beam_at(pi / 4)}
 SOLID_VIEWS = ("pa", "lateral")  # of a solid, by default
 
@@ -74,7 +75,8 @@ class SetUp:
 
     `frame`: the nominal frame, known to the software; `true_frame`: the frame with its errors. `side`: of the hip.
     `tube`: the C-arm's detector, before an exposure. `hip_mm` (3,): where a hip lies, CFCS: at the origin between
-    plates, beside a solid.
+    plates, beside a solid. `mount`: takes the coordinates of the frame's plate on the detector to the detector's: its
+    axis u, against its axis v, against the beam.
     """
 
     frame: Frame
@@ -83,6 +85,16 @@ class SetUp:
     side: str
     tube: Tube | FlatPanel
     hip_mm: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    mount: RigidTransform = field(default_factory=RigidTransform.identity)
+
+    def frame_in(self, view: str) -> Frame:
+        """Return the true frame at the exposure of a view, with the plate on the detector placed in CFCS."""
+        frame, detector = self.true_frame, self.views[view].detector
+        if frame.solid is None or frame.detector is None:
+            return frame
+        to_cfcs = np.array([1.0, -1.0, -1.0])[:, None] * detector.basis
+        placed = detector.origin_mm + self.mount.apply(frame.detector.xyz_mm) @ to_cfcs
+        return frame.with_beads_at(np.concatenate([frame.solid.xyz_mm, placed]))
 
 
 @dataclass(frozen=True)
@@ -91,7 +103,7 @@ class Variation:
 
     `site`: a given magnetic field, including stray fields, instead of a drawn one. `arm`: views of one arm that orbits
     and sags, instead of independent views; `Pose.orbit` is then not used. `tube`: a given detector instead of a drawn
-    one. `place`: of the hip beside a solid.
+    one. `place`: of the hip beside a solid; None: as the chain's field allows. `mount`: of a plate on the detector.
     """
 
     pose: Pose = field(default_factory=Pose)
@@ -99,12 +111,13 @@ class Variation:
     site: Site | None = None
     arm: Arm | None = None
     tube: Tube | FlatPanel | None = None
-    place: SolidPlace = field(default_factory=SolidPlace)
+    place: SolidPlace | None = None
+    mount: PlateMount = field(default_factory=PlateMount)
 
 
 def chain_for(frame: Frame) -> str:
     """Return the name of the image chain of a frame: an intensifier before plates, a flat panel before a solid."""
-    return "9in-1k" if frame.solid is None else "flat-panel"
+    return "flat-panel" if frame.solid is not None and frame.detector is None else "9in-1k"
 
 
 def draw_setup(
@@ -134,7 +147,8 @@ def draw_setup(
     pose, optics = variation.pose, preset(chain or chain_for(frame))
     if frame.solid is not None:
         pose = replace(pose, detector_tilt=pose.panel_tilt)
-    beams, hip, aim = _beams(frame, optics, views), *_hip_and_aim(frame, side, variation.place)
+    place = variation.place or (SolidPlace() if optics.tube_mm is None else NEAR_PLACE)
+    beams, hip, aim = _beams(frame, optics, views), *_hip_and_aim(frame, side, place)
     earth = draw_earth(rng, variation.distortion)
     tube = variation.tube or draw_tube(rng, optics, variation.distortion)
     stance = IndependentViews(pose) if variation.arm is None else draw_arm(rng, variation.arm, pose)
@@ -153,7 +167,8 @@ def draw_setup(
             if stand is not None
         }
         if all(_enough_in_field(view, true_frame, pose) for view in stood.values()):
-            return SetUp(frame, true_frame, stood, side, tube, hip)
+            mount = _mounted(rng, variation.mount) if frame.detector is not None else RigidTransform.identity()
+            return SetUp(frame, true_frame, stood, side, tube, hip, mount)
     enough = f"{pose.beads_in_field:.0%} of the beads of each plate" if frame.solid is None else "all beads"
     raise SetUpError(
         f"none of {ATTEMPTS} poses brings {enough} of frame {frame.name!r} into the field: make it smaller, or reduce "
@@ -167,15 +182,34 @@ def bead_images(
     """Return ids and measured pixels (N, 2) of the true frame's beads whose whole shadow lies in the field of a view.
 
     The pixels have independent normal errors of `sd_px` per coordinate. They are the images of the centres; of a solid
-    the centroids of the shadows, up to 0.012 px from these, for which its calibration allows.
+    the centroids of the shadows, up to 0.012 px from these, for which its calibration allows. Before a plate on the
+    detector those that touch are left out.
     """
-    truth, beads = setup.views[view], setup.true_frame.fiducials_of(view)
+    truth, beads = setup.views[view], setup.frame_in(view).fiducials_of(view)
     uv, inside = _beads_in_field(truth, beads)
     if setup.true_frame.solid is not None:
         xyz, radius = (np.array([getattr(bead, name) for bead in beads]) for name in ("xyz_mm", "diameter_mm"))
         uv = shadow_centres_px(truth, xyz, radius / 2)
+        if setup.frame.detector is not None:
+            inside &= _clear(
+                uv, shadow_radius_px(truth, xyz, radius / 2), np.isin([b.id for b in beads], setup.frame.detector.ids)
+            )
     ids = tuple(bead.id for bead, kept in zip(beads, inside, strict=True) if kept)
     return ids, uv[inside] + sd_px * rng.standard_normal((len(ids), 2))
+
+
+def _clear(uv_px: np.ndarray, radius_px: np.ndarray, on_plate: np.ndarray) -> np.ndarray:
+    """Return (N,) bool: which shadows touch none of the other body, plate or solid."""
+    apart = np.linalg.norm(uv_px[:, None] - uv_px, axis=2) - radius_px[:, None] - radius_px
+    apart[on_plate[:, None] == on_plate] = np.inf
+    return apart.min(axis=1) > CLEAR_PX
+
+
+def _mounted(rng: np.random.Generator, spread: PlateMount) -> RigidTransform:
+    """Draw how a plate is put on the detector."""
+    turn = Rotation.from_rotvec(np.array([spread.tilt, spread.tilt, spread.turn]) * rng.standard_normal(3))
+    sd = np.array([spread.shift_mm, spread.shift_mm, spread.stand_off_mm])
+    return RigidTransform.from_components(sd * rng.standard_normal(3), turn)
 
 
 def shadow_radius_px(view: ViewTruth, xyz_mm: np.ndarray, radius_mm: np.ndarray) -> np.ndarray:
@@ -223,10 +257,10 @@ def _beams(frame: Frame, optics: ImageChain, views: Mapping[str, np.ndarray] | N
         if views is not None:
             raise SetUpError(f"the beams of frame {frame.name!r} are those of its plates; give views only for a solid")
         return {name: nominal.axis(view) for name, view in frame.views.items()}
-    if optics.tube_mm is not None:
+    if optics.tube_mm is not None and frame.detector is None:
         raise SetUpError(
             f"the beads of {frame.name!r} alone cannot show the distortion of the intensifier of {optics.name!r}; use "
-            "the chain 'flat-panel'"
+            "the chain 'flat-panel', or a plate on the detector ('block30+detector-plate')"
         )
     chosen = {name: BEAMS[name] for name in SOLID_VIEWS} if views is None else views
     beams = {name: np.asarray(beam, dtype=np.float64) for name, beam in chosen.items()}

@@ -83,6 +83,20 @@ class SolidPlace:
     aim: float = 0.4  # share of the way from the middle of the wire to the solid at which the beams are aimed [ours]
 
 
+# Beside a hip in the field of a 9-inch intensifier, 140 mm: 51 mm away, where a block of 30 mm is in both images.
+NEAR_PLACE = SolidPlace((0.0, 48.0, 18.0), 0.45)  # [ours]
+
+
+@dataclass(frozen=True)
+class PlateMount:
+    """How a plate is put on a detector, standard deviations: once for all images."""
+
+    shift_mm: float = 3.0  # per axis across the detector [ours]
+    stand_off_mm: float = 1.0  # [ours]
+    turn: float = radians(5.0)  # in its plane [ours]
+    tilt: float = radians(0.3)  # per axis: 1 mm over its width [ours]
+
+
 @dataclass(frozen=True)
 class HipPlace:
     """Position of a hip: its ideal wire is near `SetUp.hip_mm`, so that both fields can show all of it."""

@@ -22,7 +22,7 @@ from sightline.twin.carm import SetUp, ViewTruth, shadow_radius_px
 from sightline.twin.meshes import Mesh
 from sightline.twin.presets import ImageChain, Video
 from sightline.twin.projector import CELL_PX, Rays, box_length, mesh_lengths, solid_transmission, volume_integral
-from sightline.twin.things import RADIUS, Box, Scene, pack, stations
+from sightline.twin.things import RADIUS, Box, Scene, pack, plate_scene, stations
 from sightline.twin.volumes import Volume
 
 RAY_MARGIN_PX = 6  # rays are cast this far beyond the blanking, as input of the blur
@@ -126,8 +126,11 @@ class Exposure:
 
 
 def render(setup: SetUp, view: str, scene: Scene, rng: np.random.Generator, dose: Dose | None = None) -> Radiograph:
-    """Draw the radiograph of a scene in one view of a set-up. Equal generator states give equal images."""
-    return expose(setup.views[view], scene, dose).read_out(rng)
+    """Draw the radiograph of a scene in one view of a set-up, with the plate on the detector where its frame has one.
+
+    Equal generator states give equal images.
+    """
+    return expose(setup.views[view], scene + plate_scene(setup.frame_in(view)), dose).read_out(rng)
 
 
 def expose(

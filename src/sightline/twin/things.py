@@ -154,8 +154,17 @@ def stations(shapes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def frame_scene(frame: Frame) -> Scene:
-    """Return a frame's beads and its plates or solid as a scene."""
-    return Scene(solids=frame_solids(frame), boxes=frame_boxes(frame))
+    """Return a frame's beads and its plates or solid as a scene, without a plate on the detector."""
+    still = replace(frame, detector=None)
+    return Scene(solids=frame_solids(still), boxes=frame_boxes(still))
+
+
+def plate_scene(frame: Frame) -> Scene:
+    """Return the plate on the detector alone, where a frame has one; it is placed by `SetUp.frame_in`."""
+    if frame.detector is None:
+        return Scene()
+    beads = tuple(_bead(bead, frame.detector) for bead in frame.detector.fiducials)
+    return Scene(solids=beads, boxes=(_plate_box(frame.detector),))
 
 
 def frame_solids(frame: Frame) -> tuple[Solid, ...]:

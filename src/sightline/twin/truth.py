@@ -57,7 +57,7 @@ def write_truth(path: str | Path, setup: SetUp, hip: HipScene) -> Path:
 
 
 def _view(setup: SetUp, view: ViewTruth, points_mm: Points) -> dict[str, Any]:
-    beads = setup.true_frame.fiducials_of(view.name)
+    beads = setup.frame_in(view.name).fiducials_of(view.name)
     uv = view.project(np.array([bead.xyz_mm for bead in beads]))
     seen = view.in_field(uv)
     return {
