@@ -6,6 +6,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from sightline.calibration.matrix import HomographyMap
+from sightline.fitting.pinhole import Camera
 from sightline.geometry.planes import Plane
 from sightline.geometry.rigid import cross_matrix
 
@@ -43,22 +44,13 @@ class PanelCamera:
         return inner @ np.column_stack([self.rotation, self.translation_mm])
 
     @staticmethod
-    def of_affine(
-        uv_px: np.ndarray, xyz_mm: np.ndarray, focal_px: float, centre_px: np.ndarray, *, mirrored: bool
-    ) -> "PanelCamera":
-        """Return the camera at a distance whose scaled orthography is nearest to the images of points, to begin with.
-
-        Scaled orthography cannot tell a mirrored image; the opposite handedness is seen from the other side.
-        """
-        middle_px, middle_mm = uv_px.mean(axis=0), xyz_mm.mean(axis=0)
-        affine = np.linalg.lstsq(xyz_mm - middle_mm, uv_px - middle_px, rcond=None)[0].T  # (2, 3)
-        sign = np.array([-1.0 if mirrored else 1.0, 1.0])
-        u, size, vt = np.linalg.svd(sign[:, None] * affine, full_matrices=False)
-        rows = u @ vt
-        rotation = np.vstack([rows, np.cross(rows[0], rows[1])])
-        depth = focal_px / size.mean()
-        middle = np.append(sign * (middle_px - centre_px) * depth / focal_px, depth)
-        return PanelCamera(rotation, middle - rotation @ middle_mm, focal_px, np.array(centre_px), mirrored)
+    def of(camera: Camera, *, mirrored: bool) -> "PanelCamera":
+        """Return a camera that was fitted to an image or, with the signs of its u reversed, to a mirrored one."""
+        matrix, middle_mm, (u, v, log_scale, log_focal, *principal) = camera
+        focal = float(np.exp(log_focal))
+        at_mm = np.array([u - principal[0], v - principal[1], focal]) / np.exp(log_scale)
+        centre = np.array(principal) * [-1.0 if mirrored else 1.0, 1.0]
+        return PanelCamera(matrix, at_mm - matrix @ middle_mm, focal, centre, mirrored)
 
     def moved(self, step: np.ndarray) -> "PanelCamera":
         """Return the camera with its parameters changed by `step` (9,); the rotation acts in camera axes."""

@@ -120,27 +120,17 @@ class SolidAdjustment:
 
 def adjust(solid: SolidBalls, images: Sequence[SolidImage], cameras: Sequence[PanelCamera]) -> SolidAdjustment:
     """Return the adjustment of images, begun at approximate cameras. Raises CalibrationRefusedError."""
-    found, converged = descend(solid, images, cameras, _STEPS)
-    if not converged:
-        raise CalibrationRefusedError(
-            "the balls' images do not determine the views: the adjustment does not converge; check the labels, and "
-            "that the frame file describes the solid in the images"
-        )
-    return found
-
-
-def descend(
-    solid: SolidBalls, images: Sequence[SolidImage], cameras: Sequence[PanelCamera], steps: int
-) -> tuple[SolidAdjustment, bool]:
-    """Return the adjustment after at most so many steps, and whether it has converged."""
     now = _linearised(solid, images, cameras, np.zeros(solid.factor.shape[1]))
-    for _ in range(steps):
+    for _ in range(_STEPS):
         step = now.gain @ now.residual
         better = None if now.residual @ (now.design @ step) <= _CONVERGED else _shortened(now, step)
         if better is None:
-            return now, True
+            return now
         now = better
-    return now, False
+    raise CalibrationRefusedError(
+        "the balls' images do not determine the views: the adjustment does not converge; check the labels, and "
+        "that the frame file describes the solid in the images"
+    )
 
 
 def _shortened(now: SolidAdjustment, step: np.ndarray) -> SolidAdjustment | None:

@@ -1,6 +1,6 @@
 """The images of a solid before their adjustment: its balls, what is known of each camera, and where to begin."""
 
-from dataclasses import replace
+from contextlib import suppress
 
 import numpy as np
 
@@ -10,10 +10,10 @@ from sightline.calibration.panel import PanelCamera
 from sightline.calibration.plate_image import MIN_PLATE_BALLS, PlateImage
 from sightline.calibration.polynomial import Affine
 from sightline.calibration.smooth import FittedSmoothMap
-from sightline.calibration.solid import descend
 from sightline.calibration.solid_image import MIN_BALLS, PanelPrior, SolidBalls, SolidImage
 from sightline.detection.results import Observations
 from sightline.errors import CalibrationRefusedError, ObservationsError
+from sightline.fitting.pinhole import Prior, fit, orthographic
 from sightline.frame import Frame
 from sightline.geometry.planes import Plane
 
@@ -27,7 +27,7 @@ CENTRE_SHARE = CENTRE_SD_MM / 200.0  # of the image's width, for the smallest pa
 UNKNOWN_NOISE_PX = 0.5  # where none is stated: a careful click (physics.md, Picks)
 # Difference of chi-square between an image and its mirror image that decides [ours]: odds of e^12 to 1.
 MIRROR_EVIDENCE = 25.0
-FIRST_STEPS = 12  # [ours] four suffice; of the wrong handedness none do
+FIRST_FITS = 3  # of four steps [ours]; one suffices, but not for the wrong handedness
 # Of a plate on the detector: the middle of the beam is this far from its own, per axis [ours]: 5 mm as of a panel, 3 mm
 # and 0.3° by which it is put on askew. A C-arm that states no distance has 0.9 to 1.2 m.
 PLATE_CENTRE_SD_MM = 8.0
@@ -114,32 +114,36 @@ def first_camera(solid: SolidBalls, seen: SolidImage, view: str) -> PanelCamera:
     Raises CalibrationRefusedError.
     """
     image = seen.undistorted()
-    rigid = replace(solid, factor=np.zeros((solid.xyz_mm.size, 0)))
-    prior = image.prior
-    starts = [
-        PanelCamera.of_affine(
-            image.uv_px, solid.xyz_mm[image.rows], prior.focal_px, np.array(prior.centre_px), mirrored=mirrored
-        )
-        for mirrored in (False, True)
-    ]
-    errors_px = starts[0].focal_px / np.linalg.norm(starts[0].focal_point_mm) * solid.error_mm
-    noisy = replace(image, covariance_px2=image.covariance_px2 + errors_px**2 * np.eye(2))
-    found = [descend(rigid, [noisy], [start], FIRST_STEPS)[0] for start in starts]
-    evidence = found[1].chi_square - found[0].chi_square  # for the one that is not mirrored
+    (plain, plain_chi2), (mirrored, mirrored_chi2) = (_fitted(solid, image, mirrored=one) for one in (False, True))
+    evidence = mirrored_chi2 - plain_chi2  # for the one that is not mirrored
     if isinstance(seen, PlateImage):
         if evidence > MIRROR_EVIDENCE:
             raise CalibrationRefusedError(
                 f"view {view} shows the solid as its mirror image where the plate's z points towards the X-ray source: "
                 "put the plate on the right way round, or correct the file of the one that is mirrored"
             )
-        return found[1].cameras[0]
-    found.sort(key=lambda fit: fit.chi_square)
-    if abs(evidence) < MIRROR_EVIDENCE:
+        return mirrored
+    if not abs(evidence) >= MIRROR_EVIDENCE:  # nor if both diverge
         raise CalibrationRefusedError(
             f"view {view} does not tell from which side it shows the solid: its mirror image fits as well; bring more "
             "balls into the field, or use a larger solid"
         )
-    return found[0].cameras[0]
+    return plain if evidence > 0 else mirrored
+
+
+def _fitted(solid: SolidBalls, image: SolidImage, *, mirrored: bool) -> tuple[PanelCamera, float]:
+    """Return the camera of one handedness that fits an image best, and its chi-square, infinite if it diverges."""
+    sign, known = np.array([-1.0 if mirrored else 1.0, 1.0]), image.prior
+    prior = Prior(np.log(known.focal_px), known.focal_share, sign * known.centre_px, known.centre_sd_px)
+    xyz, uv = solid.xyz_mm[image.rows], sign * image.uv_px
+    camera = orthographic(prior, xyz, uv)
+    errors_px = np.exp(camera.numbers[2]) * solid.error_mm
+    noise = sign[:, None] * image.covariance_px2 * sign + errors_px**2 * np.eye(2)
+    chi2 = np.inf
+    with suppress(np.linalg.LinAlgError):
+        for _ in range(FIRST_FITS):
+            camera, _, chi2, _ = fit(camera, prior, xyz, uv, noise)
+    return PanelCamera.of(camera, mirrored=mirrored), chi2 if np.isfinite(chi2) else np.inf
 
 
 def rows_of(seen: Observations, frame: Frame) -> np.ndarray:

@@ -9,6 +9,7 @@ import numpy as np
 from scipy.spatial import KDTree
 from scipy.spatial.distance import cdist
 
+from sightline.detection.labelling.cloud_evidence import prior_of
 from sightline.detection.labelling.cloud_kernels import (
     CELLS,
     SEEN,
@@ -19,8 +20,8 @@ from sightline.detection.labelling.cloud_kernels import (
     nearest_table,
     search,
 )
-from sightline.detection.labelling.cloud_pose import Prior
 from sightline.detection.results import Detections
+from sightline.fitting.pinhole import Prior
 from sightline.fitting.robust import median
 
 GATE_MM, MIN_GATE_PX = 0.8, 3.0  # of a hypothesis from three detections: errors of their centres, amplified [ours]
@@ -72,7 +73,7 @@ class Problem:
             np.array(xyz_mm, dtype=np.float64),  # writable: kernels are compiled for one type
             np.log(diameter_mm / 2),
             ball_sd_mm,
-            Prior.of(focal_px, detections.image_shape),
+            prior_of(focal_px, detections.image_shape),
         )
 
     def without(self, rows: np.ndarray) -> "Problem":

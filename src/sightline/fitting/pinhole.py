@@ -1,39 +1,24 @@
-"""The camera that sees a cloud of balls: projection, least-squares fit, and the evidence for a labelling."""
+"""A pinhole camera with square pixels and its least-squares fit to points, fast enough to try many.
+
+Labelling tries hypotheses with it, and the calibration of a solid begins with it.
+"""
 
 from typing import NamedTuple
 
 import numpy as np
 from numba import njit
-from scipy.special import gammaln
 
-STEPS = 4  # Gauss-Newton steps between two matches; from a hypothesis three suffice for 0.01 px [calc]
-PRINCIPAL_SD = 0.1  # of the principal point about the image's middle, over the longer side: cropped images [ours]
-LOG_SCALES = 3.0  # range of the log scale: 0.5 to 10 px/mm [ours]
+STEPS = 4  # Gauss-Newton steps of a fit; from a hypothesis three suffice for 0.01 px [calc]
 PARAMETERS = 9
 
 
 class Prior(NamedTuple):
-    """Priors of a camera: log focal length (px) with its s.d., principal point (px) with its s.d., pixels of the image.
-
-    >>> Prior.of((5000.0, 5400.0), (1024, 1024)).principal_px
-    array([511.5, 511.5])
-    """
+    """Priors of a camera: log focal length (px) with its s.d., principal point (2,), px, with its s.d. per axis."""
 
     log_focal: float
     log_focal_sd: float
     principal_px: np.ndarray
     principal_sd_px: float
-    area_px2: float
-
-    @staticmethod
-    def of(focal_px: tuple[float, float], image_shape: tuple[int, int]) -> "Prior":
-        """Return the priors for focal lengths from low to high (95 %) and an image of (H, W) pixels."""
-        low, high = np.log(focal_px)
-        height, width = image_shape
-        middle = np.array([width - 1.0, height - 1.0]) / 2
-        return Prior(
-            (low + high) / 2, max((high - low) / 4, 1e-3), middle, PRINCIPAL_SD * max(width, height), height * width
-        )
 
 
 class Camera(NamedTuple):
@@ -49,9 +34,9 @@ class Camera(NamedTuple):
 
 
 class Fit(NamedTuple):
-    """A camera fitted to matched balls, see `fit`."""
+    """A camera fitted to balls, see `fit`."""
 
-    camera: "Camera"
+    camera: Camera
     precision: np.ndarray
     chi2: float
     half_log_det: float
@@ -144,18 +129,11 @@ def fit(camera, prior, xyz_mm, uv_px, variance_px2):
     return Fit(camera, precision, chi2, half_log_det)
 
 
-def log_evidence(one: Fit, prior: Prior, matched: int, balls: int, detections: int) -> float:
-    """Return minus the log of the chance that false detections alone match a cloud as well as this fit does.
-
-    The chance is the union bound over all labellings of `matched` of the balls: their number over the likelihood ratio
-    of the fit (marginal over the camera, by Laplace's method) to detections spread evenly over the image, both hands.
-    """
-    labellings = (
-        gammaln(balls + 1) - gammaln(matched + 1) - gammaln(balls - matched + 1)
-        + gammaln(detections + 1) - gammaln(detections - matched + 1) + np.log(2)
-    )  # fmt: skip
-    _, log_det = np.linalg.slogdet(one.precision)
-    log_prior = -np.log(8 * np.pi**2 * prior.area_px2 * LOG_SCALES)
-    log_prior -= np.log(prior.log_focal_sd * prior.principal_sd_px**2) + 1.5 * np.log(2 * np.pi)
-    occam = log_prior + PARAMETERS / 2 * np.log(2 * np.pi) - log_det / 2
-    return matched * np.log(prior.area_px2 / (2 * np.pi)) - one.half_log_det - one.chi2 / 2 + occam - labellings
+def orthographic(prior: Prior, xyz_mm: np.ndarray, uv_px: np.ndarray) -> Camera:
+    """Return the camera whose scaled orthography is nearest to the images (n, 2) of points (n, 3), to begin with."""
+    middle = xyz_mm.mean(axis=0)
+    affine = np.linalg.lstsq(xyz_mm - middle, uv_px - uv_px.mean(axis=0), rcond=None)[0].T  # (2, 3)
+    left, size, right = np.linalg.svd(affine, full_matrices=False)
+    rows = left @ right
+    numbers = np.array([*uv_px.mean(axis=0), np.log(size.mean()), prior.log_focal, *prior.principal_px])
+    return Camera(np.vstack([rows, np.cross(rows[0], rows[1])]), middle, numbers)
