@@ -34,8 +34,9 @@ def simulate(
     what: Annotated[
         str,
         typer.Argument(
-            help="What lies in the beam: hip, object (the paper's four balls in Perspex), plastic (its bored femur), "
-            "porcine; or a file: a closed mesh in mm (STL, PLY, OBJ) or a CT scan (NIfTI, folder of slices)."
+            help="What lies in the beam: hip, vertebra, growing-femur, object (the paper's four balls in Perspex), "
+            "plastic (its bored femur), porcine; or a file: a closed mesh in mm (STL, PLY, OBJ) or a CT scan (NIfTI, "
+            "folder of slices)."
         ),
     ] = "hip",
     *,

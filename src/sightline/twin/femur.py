@@ -9,17 +9,15 @@ from math import cos, radians, sin
 
 import numpy as np
 from numba import njit
-from scipy.ndimage import gaussian_filter
 from scipy.optimize import root_scalar
 
 from sightline.errors import SetUpError
 from sightline.threads import in_parts
+from sightline.twin.shapes import blend, ellipsoid_distance, step, texture
 from sightline.twin.volumes import Volume
 
 VOXEL_MM = 0.75
 SHORT_MM = 8.0  # distance of the ideal wire's tip from the surface of the head: 5-10 mm [physics.md, Planning figures]
-TEXTURE_SD = 1.2  # voxels: about 1 mm, the scale of trabeculae [ours]
-TEXTURE_SHAPE = (80, 96, 72)  # voxels; the texture is periodic
 # The voxelised box, anatomical coordinates: the part of a hip that a field of 215 mm at the detector can show.
 BOX_LOW_MM = np.array([-110.0, -110.0, -48.0])
 BOX_HIGH_MM = np.array([76.0, 106.0, 42.0])
@@ -120,37 +118,20 @@ def voxelise(
 ) -> Volume:
     """Return the bone up to `high_mm` as a volume in CFCS, with a random trabecular texture unless `rng` is None."""
     nx, ny, nz = (int(n) for n in np.ceil((high_mm - BOX_LOW_MM) / VOXEL_MM))
-    tile = np.zeros((1, 1, 1), dtype=np.float32) if rng is None else _texture(rng)
+    tile = np.zeros((1, 1, 1), dtype=np.float32) if rng is None else texture(rng)
     values = np.zeros((nx, ny, nz), dtype=np.float32)
     in_parts(_fill, BOX_LOW_MM, femur.numbers(), tile, values)
-    low = BOX_LOW_MM
+    return placed(values, BOX_LOW_MM, VOXEL_MM, side, head_mm)
+
+
+def placed(values: np.ndarray, low_mm: np.ndarray, voxel_mm: float, side: str, origin_mm: np.ndarray) -> Volume:
+    """Return the volume, CFCS, of voxels (nx, ny, nz) whose first is at `low_mm` (3,), anatomical coordinates, with the
+    anatomical origin at `origin_mm` (3,)."""
+    low = low_mm
     if side == "left":
         values = np.ascontiguousarray(values[:, ::-1])
-        low = np.array([low[0], -(low[1] + (ny - 1) * VOXEL_MM), low[2]])
-    return Volume(values, low + head_mm, np.full(3, VOXEL_MM))
-
-
-def _texture(rng: np.random.Generator) -> np.ndarray:
-    """Draw a periodic texture of unit variance on the scale of trabeculae."""
-    tile = gaussian_filter(rng.standard_normal(TEXTURE_SHAPE, dtype=np.float32), TEXTURE_SD, mode="wrap")
-    return tile / tile.std()
-
-
-@njit(cache=True, error_model="numpy")
-def _blend(a: float, b: float, k: float) -> float:
-    """Return the smooth minimum of two distances over a width k."""
-    h = max(k - abs(a - b), 0.0) / k
-    return min(a, b) - h * h * k / 4
-
-
-@njit(cache=True, error_model="numpy")
-def _ellipsoid(at: tuple[float, float, float], half: tuple[float, float, float]) -> float:
-    """Return the distance from an ellipsoid at the origin with the given half-axes, to first order."""
-    k0, k1 = 0.0, 0.0
-    for a in range(3):
-        k0 += (at[a] / half[a]) ** 2
-        k1 += (at[a] / half[a] ** 2) ** 2
-    return np.sqrt(k0) * (np.sqrt(k0) - 1) / max(np.sqrt(k1), 1e-9)
+        low = np.array([low[0], -(low[1] + (values.shape[1] - 1) * voxel_mm), low[2]])
+    return Volume(values, low + origin_mm, np.full(3, voxel_mm))
 
 
 @njit(cache=True, error_model="numpy")
@@ -166,22 +147,16 @@ def _femur_distance(p: np.ndarray, n: np.ndarray) -> tuple[float, float]:
     x, y, z = p[0] - bx, p[1] - by, p[2] - bz
     flare = 1.0 + 0.28 * np.exp(-((max(y, 0.0) / 28.0) ** 2))  # wider towards the trochanters
     shaft = np.sqrt(x * x + z * z * 1.1 + min(y, 0.0) ** 2) - rs * flare
-    greater = _ellipsoid(
+    greater = ellipsoid_distance(
         (x - GREATER_MM[0], y - GREATER_MM[1], z - GREATER_MM[2]),
         (GREATER_HALF_MM[0], GREATER_HALF_MM[1], GREATER_HALF_MM[2]),
     )
-    lesser = _ellipsoid(
+    lesser = ellipsoid_distance(
         (x - LESSER_MM[0], y - LESSER_MM[1], z - LESSER_MM[2]),
         (LESSER_HALF_MM[0], LESSER_HALF_MM[1], LESSER_HALF_MM[2]),
     )
-    body = _blend(_blend(shaft, greater, 10.0), lesser, 9.0)
-    return _blend(_blend(neck, head, 6.0), body, 14.0), head
-
-
-@njit(cache=True, error_model="numpy")
-def _step(x: float, width: float) -> float:
-    """Return a linear ramp from 0 to 1 across `width` around 0: a voxel's partial volume."""
-    return min(max(x / width + 0.5, 0.0), 1.0)
+    body = blend(blend(shaft, greater, 10.0), lesser, 9.0)
+    return blend(blend(neck, head, 6.0), body, 14.0), head
 
 
 @njit(cache=True, error_model="numpy")
@@ -192,10 +167,10 @@ def _bone(p: np.ndarray, n: np.ndarray, texture: float) -> float:
     distance, head = _femur_distance(p, n)
     down = p[1] - n[5]
     shaft = min(max((down - 5.0) / 45.0, 0.0), 1.0)
-    cortex = 1.0 + _step(head - 2.0, 6.0) + shaft * (n[2] - n[3] - 2.0)
-    spongy = n[7] * (1.0 + 1.2 * _step(-head, 16.0)) * (1.0 - shaft) * (1.0 + 0.7 * texture)
-    within = _step(-distance, VOXEL_MM)
-    hard = within - _step(-distance - cortex, VOXEL_MM)
+    cortex = 1.0 + step(head - 2.0, 6.0) + shaft * (n[2] - n[3] - 2.0)
+    spongy = n[7] * (1.0 + 1.2 * step(-head, 16.0)) * (1.0 - shaft) * (1.0 + 0.7 * texture)
+    within = step(-distance, VOXEL_MM)
+    hard = within - step(-distance - cortex, VOXEL_MM)
     share = max(spongy, 0.0) * (within - hard) + (0.92 + 0.03 * texture) * hard
     if n[8] > 0.5:
         share = max(share, _socket(p, head, texture, n[7]))
@@ -208,13 +183,13 @@ def _socket(p: np.ndarray, head: float, texture: float, spongy: float) -> float:
     the bone that supports it."""
     opening = 0.72 * p[0] + 0.69 * p[1]  # along the neck
     gap = head - 3.5
-    cup = min(_step(gap, VOXEL_MM), _step(-opening - 2.0, VOXEL_MM))
-    shell = min(cup, _step(2.5 - gap, VOXEL_MM))
-    ilium = _ellipsoid((p[0] + 28.0 + 0.35 * (p[1] + 52.0), p[1] + 52.0, p[2] + 2.0), (28.0, 62.0, 15.0))
-    pubis = _ellipsoid((p[0] + 58.0, p[1] - 8.0, p[2] - 10.0), (42.0, 13.0, 10.0))
-    bearing = _blend(ilium, pubis, 14.0)
-    within = min(_step(-bearing, VOXEL_MM), _step(gap, VOXEL_MM))
-    hard = min(within, 1.0 - _step(-bearing - 1.5, VOXEL_MM))
+    cup = min(step(gap, VOXEL_MM), step(-opening - 2.0, VOXEL_MM))
+    shell = min(cup, step(2.5 - gap, VOXEL_MM))
+    ilium = ellipsoid_distance((p[0] + 28.0 + 0.35 * (p[1] + 52.0), p[1] + 52.0, p[2] + 2.0), (28.0, 62.0, 15.0))
+    pubis = ellipsoid_distance((p[0] + 58.0, p[1] - 8.0, p[2] - 10.0), (42.0, 13.0, 10.0))
+    bearing = blend(ilium, pubis, 14.0)
+    within = min(step(-bearing, VOXEL_MM), step(gap, VOXEL_MM))
+    hard = min(within, 1.0 - step(-bearing - 1.5, VOXEL_MM))
     fill = max(spongy * (1.3 + 0.7 * texture), 0.0) * within
     return max(0.85 * max(shell, hard), fill)
 

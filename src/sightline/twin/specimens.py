@@ -1,7 +1,8 @@
-"""The specimens of `sightline simulate`: a hip, the paper's objects, a pig's femur, a mesh or a CT scan."""
+"""The specimens of `sightline simulate`: a hip, other bones, the paper's objects, a mesh or a CT scan."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ from scipy.spatial.transform import RigidTransform
 from sightline.errors import UnusableInputError
 from sightline.frame import Frame
 from sightline.imaging import GeometryTags, Radiograph
+from sightline.twin.bone_scene import BONES, BoneKind, bone_document, draw_origin, placed_bone
 from sightline.twin.carm import SetUp, ViewTruth, draw_setup
 from sightline.twin.ct import ct_volumes, read_ct
 from sightline.twin.femur import Femur, draw_femur, to_cfcs
@@ -28,7 +30,7 @@ MARGIN_PX = 30.0  # minimum distance of points of interest from the edge of both
 @dataclass(frozen=True, eq=False)
 class Specimen:
     """A set-up, everything in its beams, and the truth (JSON types). `shown`: every view shows every point of interest;
-    a small field cannot show a whole wire. `wire_mm` (2, 3): ideal entry and end in a hip, CFCS; None without a hip."""
+    a small field cannot show a whole wire. `wire_mm` (2, 3): entry and end of the wire, CFCS; None without one."""
 
     setup: SetUp
     scene: Scene
@@ -43,12 +45,14 @@ class SetUpSpec:
     `chain_for(frame)`).
 
     `made`: the frame as manufactured, whose beads deviate from those of `frame`; None: drawn for each set-up.
+    `bone`: the bone whose views are taken; None: those of a hip.
     """
 
     frame: Frame
     side: str = "right"
     chain: str | None = None
     made: Frame | None = None
+    bone: BoneKind | None = None
 
     def draw(self, rng: np.random.Generator, points_mm: np.ndarray) -> tuple[SetUp, bool]:
         """Draw up to ATTEMPTS set-ups; return the first that shows all points (N, 3), from `SetUp.hip_mm`, in all
@@ -64,9 +68,10 @@ class SetUpSpec:
                 return setup, shown
 
     def _drawn(self, rng: np.random.Generator) -> SetUp:
+        draw = draw_setup if self.bone is None else self.bone.setup
         if self.made is None:
-            return draw_setup(rng, self.frame, side=self.side, chain=self.chain)
-        setup = draw_setup(rng, self.made, side=self.side, chain=self.chain, frame_errors=False)
+            return draw(rng, self.frame, side=self.side, chain=self.chain)
+        setup = draw(rng, self.made, side=self.side, chain=self.chain, frame_errors=False)
         return replace(setup, frame=self.frame)
 
 
@@ -152,6 +157,17 @@ def _of_hip(
     return Specimen(setup, hip.scene, truth_document(setup, hip), shown, hip.wire_mm)
 
 
+def _bone(name: str, rng: np.random.Generator, spec: SetUpSpec) -> Specimen:
+    """Return a bone of BONES whose wires are shown, if possible."""
+    dimensions = BONES[name].draw(rng)
+    bone = dimensions.bone()
+    origin = draw_origin(bone, spec.side, rng)
+    wires = to_cfcs(bone.wires_mm, spec.side, origin).reshape(-1, 3)
+    setup, shown = replace(spec, bone=BONES[name]).draw(rng, wires)
+    scene = placed_bone(setup, name, dimensions, setup.hip_mm + origin, rng)
+    return Specimen(setup, scene.scene, bone_document(setup, scene), shown, scene.wires_mm[0])
+
+
 def _mesh(file: Path, setup: SetUp, at_mm: np.ndarray | None) -> tuple[Scene, np.ndarray]:
     """Return solid bone in a body, and the point of the file that is moved to the hip's place."""
     bone = read_mesh(file)
@@ -174,4 +190,5 @@ SPECIMENS: dict[str, Callable[[np.random.Generator, SetUpSpec], Specimen]] = {
     "object": _object,
     "plastic": _plastic,
     "porcine": _porcine,
+    **{name: partial(_bone, name) for name in BONES},
 }

@@ -1,0 +1,160 @@
+"""Scenes of procedures other than the hip screw: a drawn bone in or beside the frame, its views, its wires' truth."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, field, fields
+from typing import Any, Protocol
+
+import numpy as np
+
+from sightline.errors import SetUpError
+from sightline.frame import Frame
+from sightline.twin.bones import Aid, Bone
+from sightline.twin.carm import SetUp, Variation, draw_setup
+from sightline.twin.distributions import HipPlace, SolidPlace
+from sightline.twin.femur import to_cfcs
+from sightline.twin.growing_femur import draw_growing_femur
+from sightline.twin.things import Scene, SoftTissue, frame_scene
+from sightline.twin.truth import points_document
+from sightline.twin.vertebra import draw_vertebra
+
+ATTEMPTS = 100
+
+
+class Dimensions(Protocol):
+    """The dimensions of a bone: a dataclass of numbers that builds it."""
+
+    def bone(self) -> Bone:
+        """Return the bone."""
+        ...
+
+
+@dataclass(frozen=True)
+class BoneKind:
+    """A bone of a procedure, and how it is imaged.
+
+    `draw`: draws its dimensions. `body`: around the middle of its first wire. `beams`: of its views, by name, in
+    anatomical coordinates for a solid (default: PA and lateral, those of plates too). `place`: of a solid.
+    """
+
+    draw: Callable[[np.random.Generator], Any]
+    body: SoftTissue
+    beams: Mapping[str, tuple[float, float, float]] | None = None
+    place: SolidPlace = field(default_factory=SolidPlace)
+
+    def setup(self, rng: np.random.Generator, frame: Frame, side: str = "right", **drawn: Any) -> SetUp:
+        """Draw a set-up with the views of this bone. `drawn`: arguments of `draw_setup`, besides views and variation.
+
+        Raises SetUpError for plates, if their beams are not those of this bone.
+        """
+        if self.beams is None:
+            beams = None
+        elif frame.solid is None:
+            raise SetUpError(
+                f"the plates of frame {frame.name!r} do not show the views {', '.join(self.beams)}; use a solid frame, "
+                "for example block60"
+            )
+        else:
+            beams = {name: to_cfcs(np.array(beam), side, np.zeros(3)) for name, beam in self.beams.items()}
+        variation = Variation(place=self.place)
+        return draw_setup(rng, frame, side=side, views=beams, variation=variation, **drawn)
+
+
+BONES: dict[str, BoneKind] = {
+    "vertebra": BoneKind(draw_vertebra, SoftTissue((-16.0, 25.0), (150.0, 105.0))),
+    "growing-femur": BoneKind(draw_growing_femur, SoftTissue((-35.0, -5.0), (125.0, 90.0))),
+}
+
+
+@dataclass(frozen=True, eq=False)
+class BoneScene:
+    """A bone in or beside the frame, with the truth of its procedure in CFCS.
+
+    `still`: frame and body; `bone`: the bone as a scene; `truth`: the same in anatomical coordinates, whose origin is
+    at `origin_mm` (3,); `dimensions`: the numbers that it was built of.
+    """
+
+    still: Scene
+    bone: Scene
+    truth: Bone
+    side: str
+    origin_mm: np.ndarray
+    dimensions: Dimensions
+
+    @property
+    def scene(self) -> Scene:
+        """Everything in the beam, with the frame's beads first."""
+        return self.still + self.bone
+
+    @property
+    def wires_mm(self) -> np.ndarray:
+        """Entry and end (n, 2, 3) of the standard wires."""
+        return self._to_cfcs(self.truth.wires_mm)
+
+    @property
+    def landmarks_mm(self) -> dict[str, np.ndarray]:
+        """Points (3,) that a person can find in both views, by name."""
+        return {name: self._to_cfcs(at) for name, at in self.truth.landmarks_mm.items()}
+
+    @property
+    def aids(self) -> dict[str, Aid]:
+        """Spheres, lines and planes that a person draws on the images, by name."""
+        return {name: aid.mapped(self._to_cfcs) for name, aid in self.truth.aids.items()}
+
+    def distance_mm(self, xyz_mm: np.ndarray, of: str = "surface") -> np.ndarray:
+        """Return the signed distances (...) of points (..., 3), CFCS; see `Bone.distance_mm`."""
+        back = to_cfcs(np.asarray(xyz_mm) - self.origin_mm, self.side, np.zeros(3))
+        return self.truth.distance_mm(back, of)
+
+    def _to_cfcs(self, anatomical_mm: np.ndarray) -> np.ndarray:
+        return to_cfcs(anatomical_mm, self.side, self.origin_mm)
+
+
+def shown_bone_scene(
+    rng: np.random.Generator, frame: Frame, name: str, side: str = "right", **drawn: Any
+) -> tuple[SetUp, BoneScene]:
+    """Draw a set-up and a bone of BONES so that all views show its wires. `drawn`: arguments of `draw_setup`, besides
+    views and variation. Raises SetUpError if none is found."""
+    kind = BONES[name]
+    dimensions = kind.draw(rng)
+    bone = dimensions.bone()
+    for _ in range(ATTEMPTS):
+        setup = kind.setup(rng, frame, side, **drawn)
+        origin = setup.hip_mm + draw_origin(bone, side, rng)
+        wires = to_cfcs(bone.wires_mm, side, origin)
+        margin = HipPlace().margin_px
+        if all(view.in_field(view.project(wires), margin).all() for view in setup.views.values()):
+            return setup, placed_bone(setup, name, dimensions, origin, rng)
+    raise SetUpError(f"none of {ATTEMPTS} set-ups shows the wires in all views of frame {frame.name!r}")
+
+
+def draw_origin(bone: Bone, side: str, rng: np.random.Generator) -> np.ndarray:
+    """Draw the origin (3,) of a bone whose wires are centred as a radiographer would: from `SetUp.hip_mm`, CFCS."""
+    middle = to_cfcs(bone.wires_mm.mean(axis=(0, 1)), side, np.zeros(3))
+    return rng.normal(0.0, HipPlace().off_centre_sd_mm, 3) - middle
+
+
+def placed_bone(
+    setup: SetUp, name: str, dimensions: Dimensions, origin_mm: np.ndarray, rng: np.random.Generator
+) -> BoneScene:
+    """Return the set-up's true frame and a bone of BONES with its origin at a given point (3,)."""
+    bone = dimensions.bone()
+    still = frame_scene(setup.true_frame) + Scene(tissue=BONES[name].body.around(setup.hip_mm))
+    volume = bone.volume(setup.side, origin_mm, rng)
+    return BoneScene(still, Scene(volumes=(volume,)), bone, setup.side, origin_mm, dimensions)
+
+
+def bone_document(setup: SetUp, scene: BoneScene) -> dict[str, Any]:
+    """Return the truth of the images of a bone: dimensions, wires, landmarks, aids, views, beads. CFCS, mm, and px."""
+    document = points_document(setup, scene.landmarks_mm)
+    for name, view in setup.views.items():
+        document["views"][name]["wires_uv_px"] = view.project(scene.wires_mm).tolist()
+    aids = {
+        name: {"kind": type(aid).__name__.lower()}
+        | {one.name: np.asarray(getattr(aid, one.name)).tolist() for one in fields(aid)}
+        for name, aid in scene.aids.items()
+    }
+    return document | {
+        "dimensions": asdict(scene.dimensions),  # type: ignore[call-overload]
+        "wires_mm": scene.wires_mm.tolist(),
+        "aids": aids,
+    }

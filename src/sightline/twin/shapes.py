@@ -1,0 +1,220 @@
+"""Shapes that bones are built of, and their signed distances (negative inside). mm, anatomical coordinates.
+
+A shape is a row of numbers, so that one compiled kernel evaluates any bone (`bones.py`). Cones (with balls), boxes and
+plates have exact distances; ellipsoids and barrels have them to first order.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numba import njit
+from numpy.typing import ArrayLike
+from scipy.ndimage import gaussian_filter
+
+CONE, BOX, ELLIPSOID, BARREL, PLATE, HALF_SPACE = range(6)
+ADD, CUT, KEEP = range(3)
+POINTS = {CONE: 2, PLATE: 3}  # among the first numbers of a shape; of the others one
+NUMBERS = 17  # of a shape: at most the centre, three axes, three half-lengths, two more
+TEXTURE_SD = 1.2  # voxels: about 1 mm, the scale of trabeculae [ours]
+TEXTURE_SHAPE = (80, 96, 72)  # voxels; the texture is periodic
+
+
+@dataclass(frozen=True)
+class Shape:
+    """One shape of a part of a bone, joined to the shapes before it.
+
+    `join`: ADD it, CUT it out of them, or KEEP only what lies inside it. `blend_mm`: width over which an added shape
+    blends with them. `cortex_mm`: thickness of the cortex where this shape forms the surface. None: as its part.
+    """
+
+    kind: int
+    numbers: tuple[float, ...]
+    join: int = ADD
+    blend_mm: float | None = None
+    cortex_mm: float | None = None
+
+    def cut(self) -> "Shape":
+        """Return the shape to be cut out of those before it."""
+        return replace(self, join=CUT)
+
+    def keep(self) -> "Shape":
+        """Return the shape whose inside alone is kept of those before it."""
+        return replace(self, join=KEEP)
+
+    def with_cortex(self, cortex_mm: float) -> "Shape":
+        """Return the shape with a cortex of its own."""
+        return replace(self, cortex_mm=cortex_mm)
+
+    def shifted(self, by_mm: ArrayLike) -> "Shape":
+        """Return the shape moved by (3,)."""
+        numbers = np.array(self.numbers)
+        points = numbers[: 3 * POINTS.get(self.kind, 1)].reshape(-1, 3)
+        points += by_mm
+        return replace(self, numbers=tuple(numbers.tolist()))
+
+    def distance_mm(self, xyz_mm: np.ndarray) -> np.ndarray:
+        """Return the signed distances (...) of points (..., 3) from the shape."""
+        points = np.ascontiguousarray(xyz_mm, dtype=np.float64)
+        row = np.zeros(NUMBERS)
+        row[: len(self.numbers)] = self.numbers
+        return _distances(points.reshape(-1, 3), self.kind, row).reshape(points.shape[:-1])
+
+
+def _shape(kind: int, *numbers: ArrayLike) -> Shape:
+    return Shape(kind, tuple(np.concatenate([np.ravel(one) for one in numbers]).astype(float).tolist()))
+
+
+def cone(start_mm: ArrayLike, end_mm: ArrayLike, start_radius_mm: float, end_radius_mm: float | None = None) -> Shape:
+    """Return the convex hull of two balls at points (3,); a ball if the points are the same."""
+    return _shape(CONE, start_mm, end_mm, start_radius_mm, start_radius_mm if end_radius_mm is None else end_radius_mm)
+
+
+def ball(centre_mm: ArrayLike, radius_mm: float) -> Shape:
+    """Return a ball."""
+    return cone(centre_mm, centre_mm, radius_mm)
+
+
+def box(centre_mm: ArrayLike, half_mm: ArrayLike, round_mm: float = 0.0, axes: ArrayLike | None = None) -> Shape:
+    """Return a cuboid with rounded edges; `half_mm` (3,) includes the rounding. `axes` (3, 3): its axes as rows."""
+    return _shape(BOX, centre_mm, np.eye(3) if axes is None else axes, half_mm, round_mm)
+
+
+def ellipsoid(centre_mm: ArrayLike, half_mm: ArrayLike, axes: ArrayLike | None = None) -> Shape:
+    """Return an ellipsoid with half-axes (3,) along `axes` (3, 3), its rows."""
+    return _shape(ELLIPSOID, centre_mm, np.eye(3) if axes is None else axes, half_mm)
+
+
+def barrel(
+    centre_mm: ArrayLike, half_mm: ArrayLike, round_mm: float, waist: float = 0.0, axes: ArrayLike | None = None
+) -> Shape:
+    """Return an elliptic cylinder along the second of its `axes` (3, 3), with rounded edges, whose width shrinks by the
+    share `waist` in the middle."""
+    return _shape(BARREL, centre_mm, np.eye(3) if axes is None else axes, half_mm, round_mm, waist)
+
+
+def plate(a_mm: ArrayLike, b_mm: ArrayLike, c_mm: ArrayLike, half_mm: float) -> Shape:
+    """Return all points within `half_mm` of a triangle."""
+    return _shape(PLATE, a_mm, b_mm, c_mm, half_mm)
+
+
+def half_space(point_mm: ArrayLike, normal: ArrayLike) -> Shape:
+    """Return the side of a plane that its unit normal (3,) points away from."""
+    return _shape(HALF_SPACE, point_mm, normal)
+
+
+def texture(rng: np.random.Generator) -> np.ndarray:
+    """Draw a periodic texture of unit variance on the scale of trabeculae."""
+    tile = gaussian_filter(rng.standard_normal(TEXTURE_SHAPE, dtype=np.float32), TEXTURE_SD, mode="wrap")
+    return tile / tile.std()
+
+
+@njit(cache=True, error_model="numpy")
+def blend(a: float, b: float, k: float) -> float:
+    """Return the smooth minimum of two distances over a width k."""
+    h = max(k - abs(a - b), 0.0) / k
+    return min(a, b) - h * h * k / 4
+
+
+@njit(cache=True, error_model="numpy")
+def step(x: float, width: float) -> float:
+    """Return a linear ramp from 0 to 1 across `width` around 0: a voxel's partial volume."""
+    return min(max(x / width + 0.5, 0.0), 1.0)
+
+
+@njit(cache=True, error_model="numpy")
+def ellipsoid_distance(at: tuple[float, float, float], half: tuple[float, float, float]) -> float:
+    """Return the distance from an ellipsoid at the origin with the given half-axes, to first order."""
+    k0, k1 = 0.0, 0.0
+    for a in range(3):
+        k0 += (at[a] / half[a]) ** 2
+        k1 += (at[a] / half[a] ** 2) ** 2
+    return np.sqrt(k0) * (np.sqrt(k0) - 1) / max(np.sqrt(k1), 1e-9)
+
+
+@njit(cache=True, error_model="numpy")
+def shape_distance(x: float, y: float, z: float, kind: int, n: np.ndarray) -> float:
+    """Return the signed distance of a point from a shape of a kind with the numbers `n`."""
+    x, y, z = x - n[0], y - n[1], z - n[2]
+    if kind == CONE:
+        return _cone(x, y, z, n)
+    if kind == PLATE:
+        return _plate(x, y, z, n)
+    if kind == HALF_SPACE:
+        return x * n[3] + y * n[4] + z * n[5]
+    a = n[3] * x + n[4] * y + n[5] * z
+    b = n[6] * x + n[7] * y + n[8] * z
+    c = n[9] * x + n[10] * y + n[11] * z
+    if kind == ELLIPSOID:
+        return ellipsoid_distance((a, b, c), (n[12], n[13], n[14]))
+    if kind == BOX:
+        return _corner(abs(a) - n[12] + n[15], abs(b) - n[13] + n[15], abs(c) - n[14] + n[15]) - n[15]
+    width = 1.0 - n[16] * max(1.0 - (b / n[13]) ** 2, 0.0)
+    p, q = a / (n[12] * width), c / (n[14] * width)
+    k0, k1 = np.sqrt(p * p + q * q), np.sqrt((p / (n[12] * width)) ** 2 + (q / (n[14] * width)) ** 2)
+    radial = k0 * (k0 - 1.0) / k1 if k1 > 1e-9 else -min(n[12], n[14]) * width
+    return _corner(radial + n[15], abs(b) - n[13] + n[15], -1e9) - n[15]
+
+
+@njit(cache=True, error_model="numpy")
+def _corner(a: float, b: float, c: float) -> float:
+    """Return the distance from the corner of three faces that are perpendicular to each other."""
+    outside = np.sqrt(max(a, 0.0) ** 2 + max(b, 0.0) ** 2 + max(c, 0.0) ** 2)
+    return outside + min(max(a, b, c), 0.0)
+
+
+@njit(cache=True, error_model="numpy")
+def _cone(x: float, y: float, z: float, n: np.ndarray) -> float:
+    """Return the distance from the hull of two balls; (x, y, z) from the first [src Quilez, distance functions]."""
+    u, v, w, first, second = n[3] - n[0], n[4] - n[1], n[5] - n[2], n[6], n[7]
+    length2 = u * u + v * v + w * w
+    if length2 == 0.0:
+        return np.sqrt(x * x + y * y + z * z) - first
+    shrink = first - second
+    slope2 = length2 - shrink * shrink
+    along = x * u + y * v + z * w
+    beyond = along - length2
+    across2 = (x * x + y * y + z * z) * length2 - along * along
+    across2 = max(across2, 0.0) * length2
+    edge = np.sign(shrink) * shrink * shrink * across2
+    if np.sign(beyond) * slope2 * beyond * beyond * length2 > edge:
+        return np.sqrt(across2 + beyond * beyond * length2) / length2 - second
+    if np.sign(along) * slope2 * along * along * length2 < edge:
+        return np.sqrt(across2 + along * along * length2) / length2 - first
+    return (np.sqrt(across2 * slope2 / length2) + along * shrink) / length2 - first
+
+
+@njit(cache=True, error_model="numpy")
+def _plate(x: float, y: float, z: float, n: np.ndarray) -> float:
+    """Return the distance from a thick triangle; (x, y, z) from its first corner [src Ericson, Real-Time Collision
+    Detection, 5.1.5]."""
+    bx, by, bz = n[3] - n[0], n[4] - n[1], n[5] - n[2]
+    cx, cy, cz = n[6] - n[0], n[7] - n[1], n[8] - n[2]
+    bb, bc, cc = bx * bx + by * by + bz * bz, bx * cx + by * cy + bz * cz, cx * cx + cy * cy + cz * cz
+    d1, d2 = x * bx + y * by + z * bz, x * cx + y * cy + z * cz
+    d3, d4, d5, d6 = d1 - bb, d2 - bc, d1 - bc, d2 - cc
+    va, vb, vc = d3 * d6 - d5 * d4, d5 * d2 - d1 * d6, d1 * d4 - d3 * d2
+    if d1 <= 0.0 and d2 <= 0.0:
+        v, w = 0.0, 0.0
+    elif d3 >= 0.0 and d4 <= d3:
+        v, w = 1.0, 0.0
+    elif vc <= 0.0 and d1 >= 0.0 and d3 <= 0.0:
+        v, w = d1 / (d1 - d3), 0.0
+    elif d6 >= 0.0 and d5 <= d6:
+        v, w = 0.0, 1.0
+    elif vb <= 0.0 and d2 >= 0.0 and d6 <= 0.0:
+        v, w = 0.0, d2 / (d2 - d6)
+    elif va <= 0.0 and d4 >= d3 and d5 >= d6:
+        w = (d4 - d3) / ((d4 - d3) + (d5 - d6))
+        v = 1.0 - w
+    else:
+        v, w = vb / (va + vb + vc), vc / (va + vb + vc)
+    x, y, z = x - v * bx - w * cx, y - v * by - w * cy, z - v * bz - w * cz
+    return np.sqrt(x * x + y * y + z * z) - n[9]
+
+
+@njit(cache=True, error_model="numpy")
+def _distances(points: np.ndarray, kind: int, row: np.ndarray) -> np.ndarray:
+    out = np.empty(len(points))
+    for k in range(len(points)):
+        out[k] = shape_distance(points[k, 0], points[k, 1], points[k, 2], kind, row)
+    return out
