@@ -15,6 +15,7 @@ from sightline.frame import Frame
 from sightline.rehearsal.operation import SimulatedTheatre
 from sightline.rehearsal.rehearsal import Rehearsal
 from sightline.robot.link.client import RobotClient
+from sightline.twin.carm import hip_of
 
 
 def run(*args: object, say: str = ""):
@@ -74,14 +75,45 @@ def test_drive_a_rehearsal_s_plan_into_its_bone(tmp_path):
     assert 0.02 < np.linalg.norm(off) < 1.0
 
 
+def of_block60(file: Path) -> Path:
+    """A plan of a right hip beside a block."""
+    block = Frame.load("block60")
+    beads = [{"id": "b1", "view": "all", "plate": "solid", "xyz_mm": [0.0, 0.0, 0.0]}]
+    frame = {"name": block.name, "serial": None, "fingerprint": block.fingerprint, "beads": beads}
+    return written(file, frame=frame, trajectory=trajectory(np.stack([ENTRY_MM, END_MM]) + hip_of(block, "right")))
+
+
+def test_a_plan_made_with_a_block_is_driven_by_the_robot_that_held_it(tmp_path):
+    file = of_block60(tmp_path / "plan.json")
+    refused = run("drive", file, "--yes")
+    assert refused.exit_code == 3
+    assert "made with the block block60/#" in refused.stderr
+    done = run("drive", file, "--frame", "block60", "--json", say="y\ny\ny\ny\n")
+    assert done.exit_code == 0, done.output
+    assert "Take the block off" in done.stderr
+    said = json.loads(done.stdout[done.stdout.index("{") :])
+    assert said["state"] == "DONE"
+    assert np.allclose(said["tip_mm"], END_MM + hip_of(Frame.load("block60"), "right"), atol=0.05)
+    other = run("drive", written(tmp_path / "other.json", frame=gamma_part()), "--frame", "block60", "--yes")
+    assert other.exit_code == 3
+    assert "the plan's frame file is 'gamma/#" in other.stderr
+
+
+def gamma_part() -> dict:
+    frame = Frame.load("gamma")
+    return {"name": frame.name, "serial": None, "fingerprint": frame.fingerprint, "beads": []}
+
+
 @pytest.mark.slow
 def test_a_plan_made_with_a_block_is_not_drilled_by_the_robot_that_holds_a_gamma(tmp_path):
-    """Neither states a serial, but their coordinates differ."""
-    block = Frame.load("block60")
-    frame = {"name": block.name, "serial": None, "fingerprint": block.fingerprint, "beads": []}
-    done = run("drive", written(tmp_path / "plan.json", frame=frame), "--rehearse", "9", "--yes")
+    """Neither states a serial, but their coordinates differ; nor by one at an address."""
+    file = of_block60(tmp_path / "plan.json")
+    done = run("drive", file, "--rehearse", "9", "--yes")
     assert done.exit_code == 3
-    assert "the plan's frame file is 'block60/#" in done.stderr
+    assert "the simulated robot holds gamma/#" in done.stderr
+    with SimulatedTheatre.in_air("right", "simulated").server(virtual=True) as server:
+        done = run("drive", file, f"127.0.0.1:{server.port}", "--frame", "block60", "--yes")
+    assert done.exit_code == 3
 
 
 @pytest.mark.parametrize(

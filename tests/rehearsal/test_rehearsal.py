@@ -6,7 +6,7 @@ from scipy.spatial.transform import RigidTransform
 
 from sightline.errors import UnusableInputError
 from sightline.frame import Frame
-from sightline.rehearsal.rehearsal import PARTS, Rehearsal
+from sightline.rehearsal.rehearsal import PARTS, VIEWS, Rehearsal
 from sightline.robot.link.simulated import SimulatedWire
 from sightline.twin import render
 
@@ -72,3 +72,34 @@ def test_a_simulated_wire_survives_the_link():
 def test_texts_that_are_no_wire(text):
     with pytest.raises(UnusableInputError):
         SimulatedWire.of(text)
+
+
+@pytest.fixture(scope="module")
+def beside_a_block() -> Rehearsal:
+    """Of a left hip, which lies on the other side of the block than a right one."""
+    return Rehearsal.draw(4, Frame.load("block60"), "left")
+
+
+def test_the_robot_holds_a_block_where_the_images_show_it(beside_a_block):
+    """The bone is ahead of the true wire, and the shown wire is the plant's; with another sign it is 160 mm off."""
+    pytest.importorskip("mujoco")
+    theatre, (entry, end) = beside_a_block.theatre(), beside_a_block.hip.wire_mm
+    assert theatre.plant.wire is not None
+    along = theatre.T_mcs_cfcs.apply(entry + np.linspace(0.1, 0.9, 9)[:, None] * (end - entry))
+    assert (theatre.plant.wire.bone.density(along) > 0.0).all()
+    shown = beside_a_block.robot_wire_mm
+    assert shown is not None
+    np.testing.assert_allclose(theatre.wire.axis_mm[1], shown[1], atol=0.02)  # the feed's play
+    nominal_mm = beside_a_block.setup.hip_mm + 75.0 * np.array([1.0, -1.0, 0.0]) / np.sqrt(2)  # lateral, caudal
+    assert np.linalg.norm(shown[1] - nominal_mm) < 1.0  # the mounts' errors
+    assert theatre.setup.hip_mm == pytest.approx(beside_a_block.setup.hip_mm)
+    assert not theatre.setup.frame_mounted
+    assert theatre.setup.frame == Frame.load("block60").fingerprint
+
+
+def test_images_of_a_block_show_the_tip_of_the_robots_wire(beside_a_block, rehearsal):
+    shown = beside_a_block.robot_wire_mm
+    assert shown is not None and rehearsal.robot_wire_mm is None
+    assert 25.0 <= np.linalg.norm(shown[1] - shown[0]) <= 60.0 + 1e-9
+    for view, uv in zip(VIEWS, beside_a_block.pixels(shown), strict=True):
+        assert beside_a_block.setup.views[view].in_field(uv, 29.9).all()

@@ -70,6 +70,14 @@ def test_the_frame_stands_upright_about_the_wires_line_at_the_yaw_of_a_typical_w
     assert tool.rotation.apply([0.0, 0.0, 1.0]) @ caudal < -0.7  # towards the head
 
 
+@pytest.mark.parametrize("side", ["right", "left"])
+def test_a_frame_beside_the_hip_is_mounted_so_that_the_hip_is_where_that_of_a_gamma_is(side):
+    hip_mm, q = np.array([3.1, -76.8, -22.4]), np.array([7.0, -4.0, 0.7, 0.05, 30.0])
+    beside, around = nominal_manipulator(side, hip_mm), nominal_manipulator(side)
+    assert np.allclose(beside.T_mcs_cfcs(q).apply(hip_mm), around.T_mcs_cfcs(q).translation, atol=1e-9)
+    assert np.allclose((beside.T_mcs_cfcs(q).inv() * around.T_mcs_cfcs(q)).rotation.as_rotvec(), 0.0, atol=1e-12)
+
+
 def test_a_hip_has_two_sides():
     with pytest.raises(UnusableInputError, match="'right' or 'left'"):
         nominal_manipulator("middle")

@@ -14,7 +14,13 @@ if TYPE_CHECKING:
     from sightline.imaging import Radiograph
     from sightline.planning import Plan
     from sightline.planning.check_result import CheckShot
+    from sightline.planning.results import SpacePoints
     from sightline.rehearsal.rehearsal import Rehearsal
+    from sightline.robot.kinematics.registration import Registration
+    from sightline.robot.kinematics.target import RobotTarget
+    from sightline.robot.link.simulated import SimulatedWire
+
+BY_ENCODERS, BY_IMAGES = "encoders", "images"
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,11 +56,6 @@ def drill(output: "Output", planned: DemoPlan, rng: "np.random.Generator") -> "t
     if find_spec("mujoco") is None:
         output.note("the robot is left out: it needs MuJoCo (pip install 'sightline[robot]')")
         return None
-    if planned.rehearsal.setup.frame.solid is not None:
-        output.say(
-            "not drilled: the simulated robot holds the plates of a frame; it does not know where a block stands"
-        )
-        return None
     try:
         return _drill(output, planned, rng)
     except RefusedError as error:
@@ -67,41 +68,73 @@ def _drill(output: "Output", planned: DemoPlan, rng: "np.random.Generator") -> "
 
     import numpy as np
 
-    from sightline.case.contents import CheckRequest
     from sightline.case.report.drilled import Deviation, Drilled
-    from sightline.errors import RefusedError
-    from sightline.planning.check_shot import Landmarks
-    from sightline.rehearsal.operation import InsertionOutcome, insert, registered, target_of
+    from sightline.rehearsal.operation import InsertionOutcome, insert
     from sightline.rehearsal.process import RobotProcess
-    from sightline.robot.kinematics.target import PlanIdentity
     from sightline.robot.link.client import RobotClient
-    from sightline.twin.implants import WIRE_DIAMETER_MM
 
-    rehearsal, plan, sd_px = planned.rehearsal, planned.plan, planned.pick_sd_px
-    with output.step("6/8 the robot: registering, aligning, drilling under force supervision"):
-        frame = rehearsal.setup.frame.fingerprint
-        identity = PlanIdentity("demo", rehearsal.side, rehearsal.serial, plan.verdict.go, plan.kind.key, frame)
-        with (
-            RobotProcess(rehearsal.seed, planned.frame_name, rehearsal.side, virtual=True) as process,
-            RobotClient(port=process.port, heartbeat=False) as robot,
-        ):
-            target = target_of(plan, identity, registered(rehearsal.robot, robot.joints()[0], monotonic()))
-            record = insert(robot, target, _depth_limit(planned, target.end_error_95_mm, rng))
-            wire = robot.simulated_wire()
+    rehearsal, plan = planned.rehearsal, planned.plan
+    with (
+        output.step("6/8 the robot: registering, aligning, drilling under force supervision"),
+        RobotProcess(rehearsal.seed, planned.frame_name, rehearsal.side, virtual=True) as process,
+        RobotClient(port=process.port, heartbeat=False) as robot,
+    ):
+        targets = targets_by(registrations(planned, robot.joints()[0], monotonic(), rng), planned)
+        target = targets[BY_ENCODERS]
+        record = insert(robot, target, depth_limit_mm(planned, target.end_error_95_mm, rng))
+        wire = robot.simulated_wire()
     with output.step("7/8 the check shot: two more images, finding the wire in both"):
-        taken = rehearsal.check_images(wire)
-        found = taken.landmarks_px(planned.landmarks, sd_px, rng)
-        asked, images = CheckRequest(WIRE_DIAMETER_MM, Landmarks(planned.landmarks_px, found, sd_px)), None
-        try:
-            images = _read_back(taken.images, rehearsal.setup.frame)
-            check = asked.shot(plan, planned.images, images)
-        except RefusedError as error:
-            check = str(error)
+        checked = check(planned, wire, rng)
     physics = []
     for name, line in (("the plan", plan.trajectory.points.xyz_mm), ("the ideal wire", rehearsal.hip.wire_mm)):
         one = InsertionOutcome.of(wire.axis_mm, line)
         physics.append(Deviation(name, one.entry_mm, one.end_mm, float(np.rad2deg(one.angle_rad))))
-    return Drilled(target, record, check, tuple(physics)), Checked(asked, images, check)
+    return Drilled(target, record, checked.found, tuple(physics), targets.get(BY_IMAGES)), checked
+
+
+def registrations(
+    planned: DemoPlan, imaged: "np.ndarray", now_s: float, rng: "np.random.Generator"
+) -> "dict[str, Registration]":
+    """Return the robot's registration by its encoders (5,) at the images; with a block also by the images, in which a
+    person picks the robot's own wire. Raises RobotRefusedError where both disagree beyond their stated errors."""
+    from sightline.rehearsal.operation import registered
+
+    robot, wire_mm = planned.rehearsal.robot, planned.rehearsal.robot_wire_mm
+    out = {BY_ENCODERS: registered(robot, imaged, now_s)}
+    if wire_mm is not None:
+        seen = _picked(planned, wire_mm, rng)
+        assert seen.joint_covariance_mm2 is not None  # noqa: S101 - both views state their errors
+        corrected = robot.with_wire_seen(imaged, seen.xyz_mm, seen.joint_covariance_mm2)
+        out[BY_IMAGES] = registered(corrected, imaged, now_s)
+    return out
+
+
+def targets_by(stood: "dict[str, Registration]", planned: DemoPlan) -> "dict[str, RobotTarget]":
+    """Return the robot's target by each registration. Raises RobotRefusedError."""
+    from sightline.rehearsal.operation import target_of
+    from sightline.robot.kinematics.target import PlanIdentity
+
+    rehearsal, plan = planned.rehearsal, planned.plan
+    frame = rehearsal.setup.frame.fingerprint
+    identity = PlanIdentity("demo", rehearsal.side, rehearsal.serial, plan.verdict.go, plan.kind.key, frame)
+    return {by: target_of(plan, identity, one) for by, one in stood.items()}
+
+
+def check(planned: DemoPlan, wire: "SimulatedWire", rng: "np.random.Generator") -> Checked:
+    """Return the check shot of a drilled wire, on two more images. Raises SetUpError."""
+    from sightline.case.contents import CheckRequest
+    from sightline.errors import RefusedError
+    from sightline.planning.check_shot import Landmarks
+    from sightline.twin.implants import WIRE_DIAMETER_MM
+
+    taken, sd_px = planned.rehearsal.check_images(wire), planned.pick_sd_px
+    found = taken.landmarks_px(planned.landmarks, sd_px, rng)
+    asked, images = CheckRequest(WIRE_DIAMETER_MM, Landmarks(planned.landmarks_px, found, sd_px)), None
+    try:
+        images = _read_back(taken.images, planned.rehearsal.setup.frame)
+        return Checked(asked, images, asked.shot(planned.plan, planned.images, images))
+    except RefusedError as error:
+        return Checked(asked, images, str(error))
 
 
 def _read_back(images: "dict[str, Radiograph]", frame: "Frame") -> "Pair":
@@ -115,20 +148,29 @@ def _read_back(images: "dict[str, Radiograph]", frame: "Frame") -> "Pair":
         return calibrate_pair(see_pair(pa, lateral, frame), frame, "smooth")
 
 
-def _depth_limit(planned: DemoPlan, end_error_95_mm: float, rng: "np.random.Generator") -> float:
+def depth_limit_mm(planned: DemoPlan, end_error_95_mm: float, rng: "np.random.Generator") -> float:
     """Return the depth limit beyond the planned entry, mm: the distance along the wire to the head's surface, picked in
     both views, less the 95 % error of both."""
     import numpy as np
 
     from sightline.geometry.covariance import TWO_SIDED_95
-    from sightline.planning import reconstruct
     from sightline.robot.control.motion.supervision import depth_limit
 
-    uv = planned.rehearsal.pixels(planned.rehearsal.surface_mm[None])
-    uv = uv + planned.pick_sd_px * rng.standard_normal(uv.shape)
-    spread = np.broadcast_to(planned.pick_sd_px**2 * np.eye(2), (2, 1, 2, 2))
-    surface = reconstruct([image.view for image in planned.images], uv, spread)
+    surface = _picked(planned, planned.rehearsal.surface_mm[None], rng)
+    assert surface.covariance_mm2 is not None  # noqa: S101 - both views state their errors
     entry_mm, along = planned.plan.trajectory.entry_mm, planned.plan.trajectory.direction
     sd_mm = np.sqrt(along @ surface.covariance_mm2[0] @ along)
     error_mm = np.hypot(TWO_SIDED_95 * sd_mm, end_error_95_mm)
     return depth_limit(float((surface.xyz_mm[0] - entry_mm) @ along), float(error_mm))
+
+
+def _picked(planned: DemoPlan, xyz_mm: "np.ndarray", rng: "np.random.Generator") -> "SpacePoints":
+    """Return true points (N, 3), CFCS, as reconstructed from a person's picks in both images."""
+    import numpy as np
+
+    from sightline.planning import reconstruct
+
+    uv = planned.rehearsal.pixels(xyz_mm)
+    uv = uv + planned.pick_sd_px * rng.standard_normal(uv.shape)
+    spread = np.broadcast_to(planned.pick_sd_px**2 * np.eye(2), (*uv.shape, 2))
+    return reconstruct([image.view for image in planned.images], uv, spread)

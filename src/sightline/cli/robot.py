@@ -32,7 +32,9 @@ Serial = Annotated[
 Seed = Annotated[
     int | None, typer.Option(min=0, help="Rehearse on the patient of this seed, whose images `sightline demo` writes.")
 ]
-FrameName = Annotated[str, typer.Option(help="Frame of the rehearsal: a frame file, gamma, biplane or stereo.")]
+FrameName = Annotated[
+    str, typer.Option(help="Frame on the simulated robot: a file, gamma, biplane, stereo or a block.")
+]
 Yes = Annotated[bool, typer.Option("--yes", help="Answer yes to every question; simulators only.")]
 
 
@@ -306,11 +308,11 @@ def drive(
         _refuse_yes(robot.simulated, yes)
         with out.step("sending the plan"):
             if stood is None:
-                target = _send(robot, known, known.identifier(plan.stem), frame_serial or SERIAL)
+                target = _send(robot, known, known.identifier(plan.stem), frame_serial or SERIAL, frame)
             else:
                 target = _send_registered(robot, known, known.identifier(plan.stem), stood)
         _show(out, target, robot)
-        for name, question, go in _steps(robot, target, known_way=robot.simulated):
+        for name, question, go in _steps(robot, target, known_way=robot.simulated, block=known.of_solid):
             if not _agreed(robot.simulated, yes, question):
                 robot.stop()
                 out.note(f"stopped before: {name}")
@@ -368,13 +370,13 @@ def read_plan(file: Path) -> "PlanFile":
 def _theatre(side: str, frame_serial: str | None, rehearse: int | None, frame: str) -> "SimulatedTheatre":
     """Return a robot in air, or at the bone of a rehearsal. Raises UnusableInputError, SetUpError."""
     from sightline.errors import UnusableInputError
+    from sightline.frame import Frame
     from sightline.rehearsal.operation import SimulatedTheatre
 
     if rehearse is None:
-        return SimulatedTheatre.in_air(side, frame_serial or SERIAL)
+        return SimulatedTheatre.in_air(side, frame_serial or SERIAL, Frame.load(frame))
     if frame_serial is not None:
         raise UnusableInputError("--rehearse uses the serial of its own frame; leave out --frame-serial")
-    from sightline.frame import Frame
     from sightline.rehearsal.rehearsal import Rehearsal
 
     return Rehearsal.draw(rehearse, Frame.load(frame), side).theatre()
@@ -393,8 +395,11 @@ def _close_with_stdin(server: "RobotServer") -> None:
 _Step = tuple[str, str, "Callable[[], object]"]
 
 
-def _steps(robot: "RobotClient", target: "RobotTarget", *, known_way: bool) -> "list[_Step]":
-    """Return each motion: its name, the question a person must answer first, and the call that starts it."""
+def _steps(robot: "RobotClient", target: "RobotTarget", *, known_way: bool, block: bool) -> "list[_Step]":
+    """Return each motion: its name, the question a person must answer first, and the call that starts it.
+
+    `block`: the robot held a block, which a person takes off first.
+    """
     import time
 
     from sightline.robot import contract
@@ -403,14 +408,18 @@ def _steps(robot: "RobotClient", target: "RobotTarget", *, known_way: bool) -> "
         robot.retract()
         _tell(robot, target, time.time())
 
+    off: list[_Step] = [
+        ("block off", "Take the block off the robot: the arm must not turn with it. Is it off?", lambda: None)
+    ]
     if contract.HAS_DRILLING not in robot.capabilities:
         return [
+            *(off if block else []),
             (
                 "go to the target",
                 "This robot knows only the convention of 2013: it moves the wire straight to the end point, without "
                 "a dry run. Is the way clear, and is the plan right in both images?",
                 robot.align,
-            )
+            ),
         ]
     dry: list[_Step] = [
         (
@@ -421,6 +430,7 @@ def _steps(robot: "RobotClient", target: "RobotTarget", *, known_way: bool) -> "
         ("draw back", "Did the arm reach the planned position? It will draw back; then put the wire in.", again),
     ]
     return [
+        *(off if block else []),
         *([] if known_way else dry),
         (
             "align",
@@ -432,14 +442,16 @@ def _steps(robot: "RobotClient", target: "RobotTarget", *, known_way: bool) -> "
     ]
 
 
-def _send(robot: "RobotClient", plan: "PlanFile", name: str, frame_serial: str) -> "RobotTarget":
-    """Register a simulator by its encoders at the images, and send it the plan.
+def _send(robot: "RobotClient", plan: "PlanFile", name: str, frame_serial: str, frame: str) -> "RobotTarget":
+    """Register a simulator that holds a frame by its encoders at the images, and send it the plan.
 
-    Raises RobotRefusedError for a real robot, whose position at the images the plan does not hold.
+    Raises RobotRefusedError for a real robot, whose position at the images the plan does not hold, and for a plan made
+    with another block.
     """
     import time
 
     from sightline.errors import RobotRefusedError
+    from sightline.frame import Frame
     from sightline.rehearsal.robots import calibrated_robot
     from sightline.robot.kinematics.registration import PoseAtImage, register
 
@@ -448,12 +460,18 @@ def _send(robot: "RobotClient", plan: "PlanFile", name: str, frame_serial: str) 
             "give --registration, the robot file of `sightline robot calibrate` and `register`: a plan does not say "
             "where a real robot was at its images"
         )
+    held = Frame.load(frame)
+    if plan.of_solid and plan.frame != held.fingerprint:
+        raise RobotRefusedError(
+            f"the plan was made with the block {plan.frame}, the simulated robot holds {held.fingerprint}; name the "
+            "plan's block with --frame"
+        )
     now = time.time()
     robot.start_up()
     q = robot.simulated_wire().imaged  # where it stood at the images, not where an earlier drive left it
     poses = {view: PoseAtImage(q, now, now) for view in ("pa", "lateral")}
     # A new name each time: a robot refuses a plan that it has drilled.
-    target = _target(plan, f"{name}-{now:.0f}", frame_serial, register(calibrated_robot(plan.side or ""), poses))
+    target = _target(plan, f"{name}-{now:.0f}", frame_serial, register(calibrated_robot(plan.side or "", held), poses))
     _tell(robot, target, now)
     return target
 

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
+from sightline.frame import Frame
 from sightline.planning import Plan
 from sightline.rehearsal.robots import calibrated_robot, drawn_robot
 from sightline.robot.control.controller import Controller
@@ -26,6 +27,7 @@ from sightline.robot.link.server import RobotServer
 from sightline.robot.link.simulated import SimulatedWire
 from sightline.robot.transport import LOOPBACK
 from sightline.twin import HipScene
+from sightline.twin.carm import hip_of
 from sightline.twin.drilling import Bone
 from sightline.twin.manipulator import SimulatedPlant
 
@@ -69,9 +71,11 @@ class SimulatedTheatre:
     setup: Setup
 
     @staticmethod
-    def draw(robot: CalibratedRobot, hip: HipScene, rng: np.random.Generator, setup: Setup) -> "SimulatedTheatre":
-        """Draw a true robot at the images of a hip. Raises SetUpError without MuJoCo."""
-        true, start = drawn_robot(robot, setup.side, rng)
+    def draw(
+        robot: CalibratedRobot, hip: HipScene, rng: np.random.Generator, setup: Setup, feed_mm: float = 0.0
+    ) -> "SimulatedTheatre":
+        """Draw a true robot at the images of a hip, its wire fed by `feed_mm`. Raises SetUpError without MuJoCo."""
+        true, start = drawn_robot(robot, setup.side, rng, feed_mm)
         # A separate generator, because the number of samples depends on the link, but the images must not.
         plant = SimulatedPlant(true, None, rng.spawn(1)[0], start=start)
         place = plant.true_T_mcs_cfcs()
@@ -79,12 +83,17 @@ class SimulatedTheatre:
         return SimulatedTheatre(robot, plant, plant.read().encoders, place, setup)
 
     @staticmethod
-    def in_air(side: str, serial: str) -> "SimulatedTheatre":
-        """Return the robot of the calibrated model without a patient, frame level and upright. Raises SetUpError."""
-        robot, start = calibrated_robot(side), np.zeros(5)
+    def in_air(side: str, serial: str, frame: Frame | None = None) -> "SimulatedTheatre":
+        """Return the robot of the calibrated model without a patient, frame (default: Γ) level and upright.
+
+        Raises SetUpError without MuJoCo."""
+        frame = frame or Frame.load("gamma")
+        robot, start = calibrated_robot(side, frame), np.zeros(5)
         start[YAW], start[FEED] = imaging_yaw(side), IN_SLEEVE_MM
         plant = SimulatedPlant(robot.manipulator, None, np.random.default_rng(), start=start)
-        confirmed = Setup(side, serial, into_bone=False)
+        confirmed = replace(confirmed_setup(frame, side, serial), into_bone=False)
+        if frame.solid is None:
+            confirmed = replace(confirmed, frame="")  # it takes plans of any plates
         return SimulatedTheatre(robot, plant, plant.read().encoders, plant.true_T_mcs_cfcs(), confirmed)
 
     def server(
@@ -93,7 +102,7 @@ class SimulatedTheatre:
         """Return the robot's server, not yet listening. Once the robot is aligned, the sleeve is pushed to the bone."""
         setup = self.setup
         if dialect.own_frames:
-            setup = replace(setup, frames=own_frames(self.robot, self.imaged))
+            setup = replace(setup, frames=own_frames(self.robot, self.imaged, setup.hip_mm))
         # Start fault numbers at the time of day, so that a reset for an earlier run's fault cannot clear a new one.
         controller = Controller(self.robot, self.plant, setup, first_fault=int(time.time()) % 1_000_000 + 1)
 
@@ -137,10 +146,20 @@ class SimulatedTheatre:
         return InsertionOutcome.of(self.wire.axis_mm, ideal_mm)
 
 
-def own_frames(robot: CalibratedRobot, imaged: np.ndarray) -> OwnFrames:
+def confirmed_setup(frame: Frame, side: str, serial: str) -> Setup:
+    """Return what a person confirms at a robot that holds a frame for the images.
+
+    A block comes off its mount after them: so near to the patient the arm cannot turn with it."""
+    x, y, z = hip_of(frame, side).tolist()
+    return Setup(side, serial, frame_mounted=frame.solid is None, frame=frame.fingerprint, hip_mm=(x, y, z))
+
+
+def own_frames(
+    robot: CalibratedRobot, imaged: np.ndarray, hip_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)
+) -> OwnFrames:
     """Return the own frames of a robot with encoders `imaged` (5,) at the images: its base frame is at the hip with the
     axes of the wire, both as at the images."""
-    T_mcs_hip = robot.manipulator.T_mcs_cfcs(imaged)
+    T_mcs_hip = robot.manipulator.T_mcs_cfcs(imaged) * RigidTransform.from_translation(hip_mm)
     axes = robot.manipulator.T_mcs_tool(imaged).rotation
     return OwnFrames(RigidTransform.from_components(T_mcs_hip.translation, axes), T_mcs_hip)
 

@@ -120,6 +120,11 @@ def chain_for(frame: Frame) -> str:
     return "flat-panel" if frame.solid is not None and frame.detector is None else "9in-1k"
 
 
+def hip_of(frame: Frame, side: str) -> np.ndarray:
+    """Return where a hip lies by default, (3,), CFCS: `SetUp.hip_mm`."""
+    return _hip_and_aim(frame, side, SolidPlace())[0]
+
+
 def draw_setup(
     rng: np.random.Generator,
     frame: Frame,

@@ -89,30 +89,33 @@ def hip_scene(setup: SetUp, rng: np.random.Generator, femur: Femur | None = None
 
 
 def shown_hip_scene(
-    rng: np.random.Generator, frame: Frame, side: str = "right", femur: Femur | None = None, **drawn: Any
+    rng: np.random.Generator, frame: Frame, side: str = "right", femur: Femur | None = None, **shown: Any
 ) -> tuple[SetUp, HipScene]:
-    """Draw a set-up and a hip whose whole ideal wire is visible in all views. `drawn`: arguments of `draw_setup`.
+    """Draw a set-up and a hip whose whole ideal wire is visible in all views. `shown`: arguments of `shown_setup`.
 
     Raises SetUpError if none is found.
     """
     femur = femur or draw_femur(rng)
-    setup, head = shown_setup(rng, frame, side, femur, **drawn)
+    setup, head = shown_setup(rng, frame, side, femur, **shown)
     return setup, placed_hip(setup, femur, head, rng)
 
 
 def shown_setup(
-    rng: np.random.Generator, frame: Frame, side: str, femur: Femur, **drawn: Any
+    rng: np.random.Generator, frame: Frame, side: str, femur: Femur, also_mm: np.ndarray | None = None, **drawn: Any
 ) -> tuple[SetUp, np.ndarray]:
     """Draw a set-up, and the centre (3,), CFCS, of a femur's head, so that all views show its whole ideal wire.
 
-    `drawn`: arguments of `draw_setup`. Raises SetUpError if none is found.
+    They also show the points `also_mm` (N, 3), CFCS. `drawn`: arguments of `draw_setup`. Raises SetUpError if none is
+    found.
     """
     for _ in range(ATTEMPTS):
         setup = draw_setup(rng, frame, side=side, **drawn)
         head = setup.hip_mm + draw_head(side, femur, rng)
-        wire = to_cfcs(np.stack(femur.wire_mm()), side, head)
+        points = to_cfcs(np.stack(femur.wire_mm()), side, head)
+        if also_mm is not None:
+            points = np.vstack([points, also_mm])
         margin = HipPlace().margin_px
-        if all(view.in_field(view.project(wire), margin).all() for view in setup.views.values()):
+        if all(view.in_field(view.project(points), margin).all() for view in setup.views.values()):
             return setup, head
     raise SetUpError(f"none of {ATTEMPTS} set-ups shows the whole wire in all views of frame {frame.name!r}")
 

@@ -69,13 +69,14 @@ class DrillingWorkflow:
         def start(patient: Patient) -> "tuple[RobotProcess, RobotSession]":
             # Imported here so that the first page does not wait for robot and twin.
             from sightline.app.session.robot_session import RobotSession
+            from sightline.frame import Frame
             from sightline.rehearsal.process import RobotProcess
             from sightline.rehearsal.robots import calibrated_robot
 
             process = RobotProcess(patient.seed, patient.frame, patient.side, virtual=fast)
             try:
                 return process, RobotSession(
-                    calibrated_robot(patient.side),
+                    calibrated_robot(patient.side, Frame.load(patient.frame)),
                     process.port,
                     lambda: loop.call_soon_threadsafe(notify) and None,
                     heartbeat=not fast,

@@ -7,6 +7,7 @@ import cv2
 import numpy as np
 
 from sightline.calibration.exchange import opencv
+from sightline.case.interop.plan_document import SOLID
 from sightline.case.interop.plate import plate_image
 from sightline.case.views import CalibratedImage
 from sightline.errors import OutsideRegionError
@@ -39,7 +40,7 @@ def bundle(plan: Plan, images: Sequence[CalibratedImage], frame: Frame) -> tuple
 
 
 def _frame(frame: Frame) -> dict[str, Any]:
-    bodies = plates(frame) if frame.solid is None else (("all", "solid", frame.solid),)
+    bodies = plates(frame) if frame.solid is None else (("all", SOLID, frame.solid),)
     beads = [
         {"id": bead.id, "view": name, "plate": role, "xyz_mm": list(map(float, bead.xyz_mm))}
         for name, role, body in bodies

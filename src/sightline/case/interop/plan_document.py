@@ -10,6 +10,7 @@ Number = Annotated[float, Field(allow_inf_nan=False, ge=-1e5, le=1e5)]
 Point = tuple[Number, Number, Number]
 Pixel = tuple[Number, Number]
 Text = Annotated[str, Field(max_length=200)]
+SOLID = "solid"  # `BeadPart.plate` of a ball of a solid
 Positive = Annotated[float, Field(allow_inf_nan=False, gt=0.0, le=1e3)]
 
 

@@ -13,7 +13,7 @@ from pydantic import ValidationError
 from sightline.calibration.exchange import opencv, reading
 from sightline.calibration.exchange.pinhole import Pinhole
 from sightline.case.canonical import canonical, digest
-from sightline.case.interop.plan_document import PlanDocument
+from sightline.case.interop.plan_document import SOLID, PlanDocument
 from sightline.checks import Limits
 from sightline.errors import RobotRefusedError, UnusableInputError
 from sightline.geometry.covariance import length_quantile
@@ -129,6 +129,11 @@ class PlanFile:
     def frame(self) -> str:
         """Fingerprint of the frame's file; "" if the plan does not state it."""
         return self.document.frame.fingerprint if self.document.frame else ""
+
+    @property
+    def of_solid(self) -> bool:
+        """Whether the plan was made with a solid, a block, instead of plates."""
+        return self.document.frame is not None and any(bead.plate == SOLID for bead in self.document.frame.beads)
 
     def identifier(self, name: str) -> str:
         """Return the identifier that a robot is sent; plans with other images or points have other identifiers."""

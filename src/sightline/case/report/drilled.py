@@ -39,18 +39,20 @@ class Deviation:
 @dataclass(frozen=True, eq=False)
 class Drilled:
     """The known parts of a drilling. `check`: the check shot, or why it was refused. `physics`: only if the truth is
-    known."""
+    known. `by_images`: the target as images of the robot's own wire would have registered it; it was not drilled."""
 
     target: RobotTarget | None
     record: DrillingRecord | None
     check: CheckShot | str | None
     physics: tuple[Deviation, ...] = ()
+    by_images: RobotTarget | None = None
 
     def document(self) -> dict[str, Any]:
         """Return the drilling as JSON types."""
         check = {"refused": self.check} if isinstance(self.check, str) else self.check and self.check.document()
         return {
             **({} if self.target is None else _sent(self.target)),
+            **({} if self.by_images is None else {"by_images": {"error_95": _stated(self.by_images)}}),
             "record": self.record and self.record.document(),
             "check_shot": check,
             "physics": [vars(deviation) for deviation in self.physics],
@@ -98,6 +100,8 @@ def section(drilled: Drilled | None) -> dict[str, Any] | None:
     rows = []
     if target is not None:
         rows.append(("the robot's error, as stated before drilling (95 %)", *_figures(_stated(target))))
+    if drilled.by_images is not None:
+        rows.append(("the same, registered by images of its wire (95 %)", *_figures(_stated(drilled.by_images))))
     if isinstance(check, CheckShot):
         shown = check.document()
         rows.append(("check shot: the wire against the plan", *_figures(shown["deviation"])))

@@ -42,10 +42,11 @@ class OwnFrames:
 class Setup:
     """Settings that a person has confirmed at the robot.
 
-    `side`: of the patient; `frame_serial`; `frame_mounted`: the frame is still on the flange; `remount_mm`: its
-    repeatability if it was removed since its calibration; `into_bone`: bone is expected at the entry point, which is
-    false in a dry run and in a bore. `frames`: None for registrations as in docs/robot-link.md. `frame`: fingerprint of
-    the frame's file, "" if unknown.
+    `side`: of the patient; `frame_serial`; `frame_mounted`: a Γ frame is still on the flange (a block comes off before
+    the arm moves: False); `remount_mm`: its repeatability if it was removed since its calibration; `into_bone`: bone is
+    expected at the entry point, which is false in a dry run and in a bore. `frames`: None for registrations as in
+    docs/robot-link.md. `frame`: fingerprint of the frame's file, "" if unknown. `hip_mm` (3,), CFCS: where the hip
+    lies, for the collision check: at the origin of a Γ frame, beside a block.
     """
 
     side: str
@@ -55,6 +56,7 @@ class Setup:
     into_bone: bool = True
     frames: OwnFrames | None = None
     frame: str = ""
+    hip_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,7 +106,8 @@ class Insertion:
     def refuse_collision(self, manipulator: Manipulator, q: np.ndarray, setup: Setup) -> None:
         """Raise RobotRefusedError if the path from the joints `q` (5,) to the end point comes too near an obstacle."""
         way = np.vstack([self.waypoints(manipulator, q), self.at_depth(self.length_mm)])
-        T_mcs_hip = self.T_mcs_cfcs if setup.frames is None else setup.frames.T_mcs_hip
+        at_hip = self.T_mcs_cfcs * RigidTransform.from_translation(setup.hip_mm)
+        T_mcs_hip = at_hip if setup.frames is None else setup.frames.T_mcs_hip
         theatre = hip_surroundings(T_mcs_hip, setup.frame_mounted, setup.remount_mm)
         bad = failed(check_reach(manipulator, way, theatre))
         if bad:

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from sightline.errors import RobotRefusedError, UnusableInputError
@@ -22,7 +23,7 @@ ROTARY = np.array([False, False, True, True, False])
 ARM_JOINTS = 4  # joints that move the flange; the feed moves the wire on it
 WRIST_MM = (250.0, 0.0, 300.0)  # intersection of the yaw and pitch axes at q = 0, MCS [ours]
 TIP_MM = (0.0, -40.0, 250.0)  # the wire's tip at q = 0, flange coordinates: ahead of the wrist and below it [ours]
-HIP_MM = (0.0, -40.0, 400.0)  # origin of CFCS: on the wire's axis, 150 mm ahead of the retracted tip [ours]
+HIP_MM = (0.0, -40.0, 400.0)  # the hip: on the wire's axis, 150 mm ahead of the retracted tip [ours]
 WIRE_YAW_RAD = float(np.deg2rad(45.0))  # a wire of 135° to the shaft, seen from the robot beside the patient [paper]
 # Newton's stopping tolerance for the tip (mm) and the direction (rad): rounding at 1 m is 1e-13.
 _TOLERANCE, _MAX_ITERATIONS = 1e-11, 20
@@ -241,11 +242,12 @@ def imaging_yaw(side: str) -> float:
     return WIRE_YAW_RAD if side == "right" else -WIRE_YAW_RAD
 
 
-def nominal_manipulator(side: str = "right") -> Manipulator:
-    """Return the manipulator as designed, with the Γ frame mounted for a hip of the patient's `side`.
+def nominal_manipulator(side: str = "right", hip_mm: ArrayLike = (0.0, 0.0, 0.0)) -> Manipulator:
+    """Return the manipulator as designed, with a frame mounted for a hip of the patient's `side`.
 
-    The robot stands beside the patient: +X medial, +Z anterior. The mount rotates the frame relative to the wire, so
-    that its beams are level and upright at the yaw of a typical wire.
+    `hip_mm` (3,), CFCS: where the hip lies, at the origin of a Γ frame, beside a block. The robot stands beside the
+    patient: +X medial, +Z anterior. The mount rotates the frame relative to the wire, so that its beams are level and
+    upright at the yaw of a typical wire.
     """
     if side not in ("right", "left"):
         raise UnusableInputError(f"a hip's side is 'right' or 'left', not {side!r}")
@@ -264,7 +266,7 @@ def nominal_manipulator(side: str = "right") -> Manipulator:
         axes=axes,
         T_mcs_flange_home=home,
         T_flange_tool=RigidTransform.from_translation(TIP_MM),
-        T_flange_cfcs=RigidTransform.from_components(HIP_MM, mount),
+        T_flange_cfcs=RigidTransform.from_components(HIP_MM - mount.apply(hip_mm), mount),
         lower=_per_joint(-100.0, -60.0, -45.0, 0.0),
         upper=_per_joint(100.0, 60.0, 45.0, 250.0),
         speed=_per_joint(20.0, 10.0, 10.0, 20.0),
