@@ -1,9 +1,16 @@
-"""Work in parts: all of it is done, once, whatever the number of threads; an error comes through."""
+"""Work in parts: all of it is done, once, whatever the number of threads; an error comes through. Linear algebra in
+one thread: results do not depend on the user's setting, which is back afterwards."""
+
+from pathlib import Path
 
 import numpy as np
 import pytest
+from threadpoolctl import ThreadpoolController
 
+import sightline as sl
 from sightline import threads
+from sightline.detection.files import read_observations
+from sightline.threads import one_blas_thread
 
 
 def _count(part: int, parts: int, done: np.ndarray) -> None:
@@ -29,3 +36,30 @@ def test_an_error_in_a_part_is_raised(monkeypatch: pytest.MonkeyPatch, count: in
     monkeypatch.setattr(threads, "THREADS", count)
     with pytest.raises(ZeroDivisionError):
         threads.in_parts(_fail)
+
+
+BLAS = ThreadpoolController().select(user_api="blas")
+
+
+def _threads() -> set[int]:
+    return {one["num_threads"] for one in BLAS.info()}
+
+
+def _focal_point(threads_of_blas: int) -> bytes:
+    seen = read_observations(Path(__file__).parent / "golden" / "observations.csv")["pa"]
+    with BLAS.limit(limits=threads_of_blas):
+        return sl.calibrate(seen, "gamma").focal_point_mm.tobytes()
+
+
+def test_a_calibration_has_the_same_bits_however_many_threads_the_user_allows() -> None:
+    assert _focal_point(4) == _focal_point(1)
+
+
+def test_the_users_threads_are_back_after_an_estimate_and_after_an_error() -> None:
+    with BLAS.limit(limits=3):
+        with one_blas_thread:
+            assert _threads() == {1}
+        assert _threads() == {3}
+        with pytest.raises(sl.SightlineError):
+            sl.detect(np.zeros((64, 64)))
+        assert _threads() == {3}

@@ -19,10 +19,12 @@ from sightline.planning.check_result import CheckShot
 from sightline.planning.check_shot import Landmarks
 from sightline.planning.check_shot import check_shot as adjusted
 from sightline.planning.expected_wire import expected_wire
+from sightline.threads import one_blas_thread
 
 _SQUARE = 1e-3  # share by which a pixel's sides may differ [ours]
 
 
+@one_blas_thread
 def calibrate_image(
     image: Radiograph | np.ndarray | str | Path,
     frame: Frame | str | Path,
@@ -51,6 +53,7 @@ def calibrate_image(
     return view_of(observations, image, frame, method, c_arm or known_arm(image), mirrored_display=mirrored_display)
 
 
+@one_blas_thread
 def check_shot(
     plan: Plan,
     planned: Sequence[CalibratedView],

@@ -1,4 +1,4 @@
-"""Run kernels that release the GIL on several threads, each call for a part of the work."""
+"""Threads: several for kernels that release the GIL, one for the linear algebra."""
 
 import os
 from collections.abc import Callable
@@ -6,8 +6,12 @@ from concurrent.futures import ThreadPoolExecutor
 from functools import cache
 
 from numba import config
+from threadpoolctl import threadpool_limits
 
 THREADS: int = config.NUMBA_NUM_THREADS  # pyright: ignore[reportAttributeAccessIssue]
+# Of every estimate. Its matrices are small, so that idle threads cost more than they bring: twice the time of a view.
+# And a sum that is split between threads has other last bits on another number of cores.
+one_blas_thread = threadpool_limits.wrap(limits=1, user_api="blas")
 _SHARES = 4  # parts per thread, to balance the load [ours]
 
 

@@ -23,11 +23,13 @@ from sightline.checks import Check
 from sightline.detection.results import Observations
 from sightline.errors import UnusableInputError
 from sightline.frame import Frame
+from sightline.threads import one_blas_thread
 
 # Noise assumed where none is stated and the beads are too few to estimate it: a careful click (physics.md, Picks).
 UNKNOWN_NOISE_PX = 0.5
 
 
+@one_blas_thread
 def calibrate(
     observations: Observations,
     frame: Frame | str | Path,

@@ -10,11 +10,13 @@ from sightline.calibration.polynomial import PolynomialMap
 from sightline.calibration.smooth import FittedSmoothMap
 from sightline.calibration.view import PlaneMap
 from sightline.errors import CalibrationRefusedError, UnusableInputError
+from sightline.threads import one_blas_thread
 
 Method = Literal["smooth", "polynomial", "localized"]
 METHODS: tuple[Method, ...] = ("smooth", "polynomial", "localized")
 
 
+@one_blas_thread
 def fit_map(
     uv_px: np.ndarray, xy_mm: np.ndarray, method: Method = "smooth", noise_px: float | None = None, degree: int = 3
 ) -> PlaneMap:

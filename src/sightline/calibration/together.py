@@ -33,8 +33,10 @@ from sightline.errors import CalibrationRefusedError, ObservationsError, Unusabl
 from sightline.fitting.robust import variance_ratio
 from sightline.frame import Frame
 from sightline.geometry.planes import Plane
+from sightline.threads import one_blas_thread
 
 
+@one_blas_thread
 def calibrate_together(
     observations: Sequence[Observations],
     frame: Frame | str | Path,

@@ -22,6 +22,7 @@ from sightline.fitting.kriging import PlanarKriging
 from sightline.fitting.robust import variance_ratio
 from sightline.frame import Frame
 from sightline.imaging import Radiograph, as_radiograph
+from sightline.threads import one_blas_thread
 
 _NEIGHBOURS = 6  # nearest beads of the plate that predict a bead's size and contrast [ours]
 _MAX_PREDICTION_SD_PX = 2.0  # with a less certain prediction, the fit may find something else [ours]
@@ -85,6 +86,7 @@ def look_again(
     return look_again_with(lambda: bead_fitter(image, beads), image, beads, observations, frame)
 
 
+@one_blas_thread
 def look_again_with(
     fitter_of_image: Callable[[], refine.BeadFitter],
     image: Radiograph,

@@ -17,6 +17,7 @@ from sightline.errors import DetectionRefusedError
 from sightline.fitting.kernels import distances
 from sightline.imaging import Radiograph, as_radiograph
 from sightline.imaging.defects import interlaced
+from sightline.threads import one_blas_thread
 
 _MIN_RADIUS_PX, _MAX_RADIUS_PX = 1.7, 27.0  # the promised 2-25 px, and a margin for the fit
 _MAX_SD_PX = 1.0  # a less certain centre is of no use; recall is promised below 0.5 px [ours]
@@ -55,6 +56,7 @@ _FIT_REASONS = {
 }
 
 
+@one_blas_thread
 def detect(image: Radiograph | np.ndarray | str | Path, white: float | None = None) -> Detections:
     """Return the beads of one image (dark balls and washers, bright holes) with their covariances.
 

@@ -19,6 +19,7 @@ from sightline.planning.check_result import CheckShot
 from sightline.planning.check_start import KnownWire, Landmarks, WireSeen
 from sightline.planning.picks import Pick
 from sightline.planning.trajectory import Trajectory
+from sightline.threads import one_blas_thread
 
 __all__ = ["CheckShot", "Landmarks", "check_shot"]
 
@@ -26,6 +27,7 @@ _ITERATIONS = 5
 _MAX_LEFT_OUT = 0.2  # share of the centre-line points that may be left out: bone edges displace some of them [ours]
 
 
+@one_blas_thread
 def check_shot(
     trajectory: Trajectory,
     picks: Sequence[Sequence[Pick]],

@@ -25,6 +25,7 @@ from sightline.planning.trajectory import Trajectory
 from sightline.planning.verdict import judge
 from sightline.show import Plotted, dataframe
 from sightline.show.words import checks_lines
+from sightline.threads import one_blas_thread
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -158,6 +159,7 @@ class Plan(Plotted):
         ]
 
 
+@one_blas_thread
 def plan(
     views: Sequence[CalibratedView],
     entry_uv_px: ArrayLike,

@@ -12,11 +12,13 @@ from sightline.planning.gaps import Gaps, gap_mm
 from sightline.planning.picks import DEFAULT_PICK_SD_PX, PickArrays
 from sightline.planning.results import SpacePoints
 from sightline.planning.solution import Method, solve
+from sightline.threads import one_blas_thread
 
 # Two X-ray sources nearer than this belong to one exposure given twice [ours].
 MIN_BASELINE_MM = 1.0
 
 
+@one_blas_thread
 def reconstruct(
     views: Sequence[CalibratedView],
     uv_px: np.ndarray | Mapping[str, np.ndarray],

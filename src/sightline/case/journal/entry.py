@@ -1,6 +1,5 @@
 """One entry of a case: what happened, when, who did it, with which software, and the entries it was made from."""
 
-import os
 import re
 from dataclasses import dataclass
 from datetime import datetime
@@ -90,8 +89,7 @@ def originals_in(text: str) -> set[str]:
 
 @cache
 def versions() -> dict[str, str]:
-    """Return the versions of the software, the kind of machine and the number of threads, on which the last bit of a
-    result depends."""
+    """Return the versions of the software and the kind of machine, on which the last bit of a result depends."""
     from llvmlite.binding import get_host_cpu_name  # numba compiles the kernels for this processor
 
     names = ("numpy", "scipy", "numba", "opencv-python-headless", "pydicom", "python-gdcm")
@@ -101,5 +99,4 @@ def versions() -> dict[str, str]:
         "python": python_version(),
         **{name: version(name) for name in names},
         "machine": f"{system()} {machine()} {get_host_cpu_name()}",
-        "blas threads": os.environ.get("OPENBLAS_NUM_THREADS") or str(os.cpu_count()),  # they split the sums
     }

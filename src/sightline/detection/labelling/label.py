@@ -15,6 +15,7 @@ from sightline.detection.labelling.solve import MIN_BEADS, LabellingProblem, Lab
 from sightline.detection.results import Detections, Observations, RejectedCandidate
 from sightline.errors import LabellingRefusedError, ObservationsError, UnusableInputError
 from sightline.frame import Frame, RigidBody
+from sightline.threads import one_blas_thread
 
 SEEDS = 12  # of each plate [ours]
 MAX_FIRST, MAX_SECOND, MAX_GROWN = 4, 3, 12  # lattices tried before giving up [ours]
@@ -27,6 +28,7 @@ SOLID_FOCAL = (1.8, 8.0)
 MIN_SPREAD = 0.25  # rms distance of a plate's given datums from one line, in pitches [ours]
 
 
+@one_blas_thread
 def label(
     detections: Detections,
     frame: Frame | str | Path,
